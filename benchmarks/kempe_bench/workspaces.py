@@ -24,18 +24,22 @@ TORCH = "pytorch-kinematics"
 def binned(bench: Bench) -> Table:
     """Nanoseconds a sample, drawn, placed and counted in 256^3 cells."""
     import kempe
-    from kempe.numerics.clock import TimeLimit
-    from kempe.workspace.sampling_job import Threads, recipe_of
+    from kempe.workspace.sampling_job import count_in_threads, recipe_of
 
     table = Table("Maps of workspaces: drawn, placed and counted, by samples", "ns", ratios=True)
     for name, frame in ARMS.items():
         system = kempe.load(name)
         recipe = recipe_of(system, frame, 0, CELLS, None)
-        threads = {who: Threads(recipe, k) for who, k in ((ONE, 1), (TWO, 2))}
-        said = {"n": 2 * SAMPLES, "clock": TimeLimit(None), "said": lambda done: None}
+        names = {"count": count_in_threads, "recipe": recipe, "check": lambda done: None}
         timed = [
-            Case(who, name, "t.count(0, n, clock, said)", {"t": t, **said}, 2 * SAMPLES)
-            for who, t in threads.items()
+            Case(
+                who,
+                name,
+                "count(recipe, 0, n, threads, check)",
+                {**names, "n": 2 * SAMPLES, "threads": threads},
+                2 * SAMPLES,
+            )
+            for who, threads in ((ONE, 1), (TWO, 2))
         ]
         timed.append(
             Case(

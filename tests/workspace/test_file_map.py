@@ -158,7 +158,7 @@ def test_columns_choose_and_name(tmp_path, q):
         arrays(tmp_path / "a.zarr"),
         {
             **arrays(tmp_path / "b.zarr"),
-            "source_checksum": (arrays(tmp_path / "a.zarr")["source_checksum"]),
+            "done": arrays(tmp_path / "a.zarr")["done"],
         },
     )
 
@@ -438,17 +438,16 @@ def test_a_map_is_what_the_verb_answers(tmp_path, hunt, monkeypatch):
 def test_an_interrupted_map_is_gone_on_with(tmp_path, whole):
     path = tmp_path / "out.zarr"
     first = mapped(whole[0], path, budget=interrupted_after(300))
-    assert (
-        first.code is Status.INTERRUPTED
-        and 200 <= first.rows < N
-        and not path.exists()
-        and not first
-    )
+    assert first.code is Status.INTERRUPTED and 200 <= first.rows < N and not first
+    begun = arrays(path)
+    left = begun["code"] == map_file.LEFT
+    assert left.sum() == N - first.rows and np.isnan(begun["q"][left]).all()
+    assert same({"q": begun["q"][~left]}, {"q": whole[1]["q"][~left]})
     done = []
     second = mapped(whole[0], path, budget=Budget(progress=lambda *said: done.append(said)))
     assert second.rows == N and same(arrays(path), whole[1]) and second.redone == 0
     assert done[-1] == (N, N)
-    assert not path.with_name("out.zarr.parts").exists()
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["out.zarr", "whole.zarr", "x.npy"]
 
 
 def test_an_interrupt_at_any_line(tmp_path, hunt):
@@ -484,10 +483,10 @@ def test_the_time_limit(tmp_path, whole):
     )
 
 
-@pytest.mark.parametrize("spoil", ["", "cut", "rows", "changed"])
-def test_a_chunk_whose_work_is_stopped_is_gone_on_with(tmp_path, monkeypatch, spoil):
-    """Pieces of a chunk that are done when the work is told to stop are not answered again; damaged
-    ones are.
+@pytest.fixture
+def begun(tmp_path, monkeypatch):
+    """A file of 64 targets and its map, of whose only chunk three of eight pieces are answered; and
+    a list of the rows that are answered from then on.
     """
     X = PUMA.fk(PUMA.random(1, 64), "tool")
     X[20:, :3, 3] *= 2.0
@@ -502,42 +501,57 @@ def test_a_chunk_whose_work_is_stopped_is_gone_on_with(tmp_path, monkeypatch, sp
     def answers(job, rows):
         if len(rows):
             if len(answered) == most[0]:
-                begun[0].stop()
-            look()
+                raise workers.Stopped
             answered.append(len(rows))
         return before(job, rows)
 
-    begun = []
-    made = workers.ThreadWorkers.__init__
     monkeypatch.setattr(map_file.RowJob, "answers", answers)
-
-    def noted(self, *args, **more):
-        begun.insert(0, self)
-        made(self, *args, **more)
-
-    monkeypatch.setattr(workers.ThreadWorkers, "__init__", noted)
-    with pytest.raises(workers.Stopped):
-        kempe.map_file(PUMA, "ik", file, path, "tool", budget=Budget(threads=1))
-    assert answered == [8, 8, 8]
-    (kept,) = path.with_name("out.zarr.parts").glob("begun_*.npz")
-    if spoil == "cut":
-        kept.write_bytes(kept.read_bytes()[:-40])
-    elif spoil == "rows":
-        with np.load(kept) as found:
-            np.savez(
-                kept, **{**{k: found[k] for k in found.files}, "code": np.zeros(24, dtype=np.uint8)}
-            )
-    elif spoil == "changed":
-        X[5, :3, 3] *= 0.9
-        file = written(tmp_path, "x.npy", X)
+    first = kempe.map_file(PUMA, "ik", file, path, "tool", budget=Budget(threads=1))
+    assert answered == [8, 8, 8] and first.rows == 24 and sum(first.outcomes.values()) == 24
     answered.clear()
     most[0] = -1
+    return X, file, path, answered
+
+
+@pytest.mark.parametrize("spoil", ["", "cut", "flipped"])
+def test_a_chunk_whose_work_is_stopped_is_gone_on_with(begun, spoil):
+    """Pieces of a chunk that are done when the work is told to stop are not answered again; damaged
+    ones are.
+    """
+    X, file, path, answered = begun
+    if spoil == "cut":
+        (path / "q" / "c" / "0" / "0").write_bytes(b"cut")
+    elif spoil == "flipped":
+        flip(path / "code" / "c" / "0")
     done = kempe.map_file(PUMA, "ik", file, path, "tool", budget=Budget(threads=1))
-    assert sum(answered) == (64 if spoil else 40)
+    assert sum(answered) == (64 if spoil else 40) and done.redone == bool(spoil)
     plain = PUMA.ik(X, "tool")
     assert done.rows == 64 and np.array_equal(arrays(path)["q"], plain.q)
     assert np.array_equal(arrays(path)["code"], plain.code)
-    assert not path.with_name("out.zarr.parts").exists()
+
+
+def test_rows_of_a_chunk_that_is_begun_are_refused_where_they_have_changed(tmp_path, begun):
+    X, _, path, _ = begun
+    X[5, :3, 3] *= 0.9
+    with pytest.raises(InputError, match=r"rows 0 to 24 of .* have changed since"):
+        kempe.map_file(PUMA, "ik", written(tmp_path, "x.npy", X), path, "tool")
+
+
+def test_an_interrupt_stops_the_work_of_threads(tmp_path, monkeypatch):
+    """At their next look, although an answer takes as long as one lets it."""
+    file = written(tmp_path, "x.npy", PUMA.fk(PUMA.random(1, 64), "tool"))
+    before = map_file.RowJob.answers
+
+    def answers(job, rows):
+        while len(rows):
+            look()
+        return before(job, rows)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(map_file.RowJob, "answers", answers)
+        first = mapped(file, tmp_path / "out.zarr", budget=interrupted_after(0))
+    assert first.interrupted and first.rows == 0
+    assert mapped(file, tmp_path / "out.zarr").rows == 64
 
 
 def test_a_finished_map_is_left_as_it_is(tmp_path, whole):
@@ -557,8 +571,7 @@ def flip(file):
 def test_damaged_chunks_are_found_and_made_again(tmp_path, whole, how, finished):
     path = tmp_path / "out.zarr"
     mapped(whole[0], path, budget=None if finished else interrupted_after(500))
-    folder = path if finished else tmp_path / "out.zarr.parts" / "rows.zarr"
-    chunk = folder / "q" / "c" / "1" / "0"
+    chunk = path / "q" / "c" / "1" / "0"
     if how == "changed":
         flip(chunk)
     elif how == "gone":
@@ -570,15 +583,15 @@ def test_damaged_chunks_are_found_and_made_again(tmp_path, whole, how, finished)
     assert mapped(whole[0], path).redone == 0
 
 
-@pytest.mark.parametrize("name", ["q/zarr.json", "checksum/zarr.json"])
-def test_a_damaged_description_is_made_again(tmp_path, whole, name):
+@pytest.mark.parametrize("name", ["q/zarr.json", "done/zarr.json", "zarr.json"])
+def test_a_damaged_description_is_refused_by_name(tmp_path, whole, name):
     path = tmp_path / "out.zarr"
     mapped(whole[0], path)
+    said = json.loads((path / "zarr.json").read_text())
+    (path / "zarr.json").write_text(json.dumps({**said, "consolidated_metadata": None}))
     (path / name).write_text("{")
-    (path / "zarr.json").write_text(
-        json.dumps({**json.loads((path / "zarr.json").read_text()), "consolidated_metadata": None})
-    )
-    assert mapped(whole[0], path).redone == 1 and same(arrays(path), whole[1])
+    with pytest.raises((DamagedError, InputError), match="out.zarr"):
+        mapped(whole[0], path)
 
 
 def test_names_along_an_axis_that_were_changed_are_made_again(tmp_path, whole):
@@ -590,17 +603,31 @@ def test_names_along_an_axis_that_were_changed_are_made_again(tmp_path, whole):
     assert mapped(whole[0], path).redone == 1 and same(arrays(path), whole[1])
 
 
-@pytest.mark.parametrize(
-    ("line", "redone"), [(-1, 0), (2, 1), (0, 1)], ids=["torn", "one", "first"]
-)
-def test_a_damaged_list_costs_what_it_says(tmp_path, whole, line, redone):
+@pytest.mark.parametrize("how", ["gone", "cut", "changed"])
+def test_a_damaged_entry_of_what_is_done_costs_its_chunk(tmp_path, whole, how):
     path = tmp_path / "out.zarr"
-    mapped(whole[0], path, budget=interrupted_after(500))
-    log = tmp_path / "out.zarr.parts" / "parts.jsonl"
-    lines = log.read_bytes().split(b"\n")
-    lines[line] = lines[line - 1][:20]
-    log.write_bytes(b"\n".join(lines))
-    assert mapped(whole[0], path).redone == redone and same(arrays(path), whole[1])
+    mapped(whole[0], path)
+    entry = path / "done" / "c" / "2" / "0"
+    if how == "gone":
+        entry.unlink()
+    elif how == "cut":
+        entry.write_bytes(b"")
+    else:
+        flip(entry)
+    again = mapped(whole[0], path)
+    assert again.redone == (how != "gone") and same(arrays(path), whole[1])
+
+
+def test_a_map_of_an_earlier_version_is_refused_by_name(tmp_path, whole):
+    path = tmp_path / "out.zarr"
+    mapped(whole[0], path)
+    said = json.loads((path / "zarr.json").read_text())
+    said["attributes"]["format"] = "kempe rows 1"
+    (path / "zarr.json").write_text(json.dumps(said))
+    with pytest.raises(
+        InputError, match=r"out.zarr: .* of this kind and version \('kempe rows 1'\)"
+    ):
+        mapped(whole[0], path)
 
 
 def test_a_full_disk_midway_loses_nothing(tmp_path, whole, monkeypatch):
@@ -610,19 +637,19 @@ def test_a_full_disk_midway_loses_nothing(tmp_path, whole, monkeypatch):
 
     def full(self, where, value):
         writes.append(1)
-        if len(writes) == 20:
+        if len(writes) == 25:
             raise OSError(errno.ENOSPC, "No space left on device")
         write(self, where, value)
 
     monkeypatch.setattr(zarr.Array, "__setitem__", full)
     with pytest.raises(KempeError, match="the disk is full; what was written before stands"):
         mapped(whole[0], path, budget=Budget(threads=1))
-    done = (tmp_path / "out.zarr.parts" / "parts.jsonl").read_bytes().count(b"\n") - 1
     monkeypatch.undo()
+    done = int((arrays(path)["done"][:, 0] > 0).sum())
     monkeypatch.setattr(map_file, "CHUNK_BYTES", 2**13)
     seen = []
     mapped(whole[0], path, budget=Budget(progress=lambda done, *_: seen.append(done)))
-    assert done >= 2 and same(arrays(path), whole[1])
+    assert done >= 2 and seen[0] >= done * 60 and same(arrays(path), whole[1])
 
 
 def test_a_small_disk_is_refused_early(tmp_path, whole, monkeypatch):
@@ -630,7 +657,7 @@ def test_a_small_disk_is_refused_early(tmp_path, whole, monkeypatch):
     monkeypatch.setattr(shutil, "disk_usage", lambda path: usage)
     with pytest.raises(KempeError, match="are free on this disk"):
         mapped(whole[0], tmp_path / "out.zarr")
-    assert not list(tmp_path.glob("*.parts"))
+    assert not (tmp_path / "out.zarr").exists()
 
 
 def test_a_place_that_may_not_be_written(tmp_path, whole, monkeypatch):
@@ -638,7 +665,7 @@ def test_a_place_that_may_not_be_written(tmp_path, whole, monkeypatch):
         raise PermissionError(errno.EACCES, "Permission denied")
 
     monkeypatch.setattr(type(tmp_path), "mkdir", refused)
-    with pytest.raises(KempeError, match=r"out\.zarr\.parts cannot be made: Permission denied"):
+    with pytest.raises(KempeError, match=r"out\.zarr cannot be written: Permission denied"):
         mapped(whole[0], tmp_path / "out.zarr")
 
 
@@ -663,7 +690,7 @@ def test_a_process_that_is_ended_at_any_moment(tmp_path, hunt, ending):
     for _ in range(3):
         at = int(hunt.rng().integers(1, lines // 6))
         ended(ending, at, MODULES, WORK.format(file=str(file), path=str(path)))
-        assert not path.exists()
+        assert not path.exists() or (arrays(path)["code"] == map_file.LEFT).any()
     assert ended(ending, 0, MODULES, WORK.format(file=str(file), path=str(path))) is not None
     plain = PUMA.ik(X, "tool")
     found = arrays(path)
@@ -860,7 +887,7 @@ def test_wrong_questions(tmp_path, monkeypatch, file, more, words):
         kempe.map_file(
             given.pop("system"), given.pop("verb"), file(tmp_path), tmp_path / "out.zarr", **given
         )
-    assert not (tmp_path / "out.zarr").exists() and not (tmp_path / "out.zarr.parts").exists()
+    assert not (tmp_path / "out.zarr").exists()
 
 
 def test_blocks_that_are_too_large_are_refused(tmp_path, q, monkeypatch):

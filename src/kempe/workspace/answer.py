@@ -41,7 +41,7 @@ from kempe.workspace.planar.plane_curves import PlaneCurve
 from kempe.workspace.planar.swept_solids import SweptSolid, Turned, swept_solid
 from kempe.workspace.sampling_job import closed_configurations
 from kempe.workspace.store import refuse_other
-from kempe.workspace.stored_map import Stored, read_map, write_map
+from kempe.workspace.stored_map import SampleCounts, read_map, write_map
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
@@ -319,17 +319,42 @@ class Workspace(Report):
     _pictured = True
 
     system: Model
-    frame: str
-    map: CellMap
-    samples: int
+    sample_counts: SampleCounts = field(repr=False)
     requested: int
-    outside: int
-    left_out: int
-    said: dict[str, Any] = field(repr=False)
     interrupted: bool = False
     late: bool = False
     redone: int = 0
-    """Damaged parts that were found on disk, and whose samples were drawn again."""
+    """1 where the map that was found on disk was damaged, and its samples were drawn again."""
+
+    @property
+    def said(self) -> dict[str, Any]:
+        """What made the map, as plain data."""
+        return self.sample_counts.said
+
+    @property
+    def frame(self) -> str:
+        """The name of the frame."""
+        return str(self.said["frame"])
+
+    @property
+    def map(self) -> CellMap:
+        """The counts of the cells."""
+        return self.sample_counts.map
+
+    @property
+    def samples(self) -> int:
+        """How many samples were drawn."""
+        return self.sample_counts.samples
+
+    @property
+    def outside(self) -> int:
+        """How many samples fell outside the box."""
+        return self.sample_counts.outside
+
+    @property
+    def left_out(self) -> int:
+        """How many samples could not be closed, violated a constraint or are not reached."""
+        return self.sample_counts.left_out
 
     @property
     def seed(self) -> int:
@@ -569,8 +594,7 @@ class Workspace(Report):
     def save(self, path: str | Path) -> Path:
         """The path, to which the map is written as Zarr: `kempe.open_workspace` and xarray read it."""
         path = expanded(path)
-        stored = Stored(self.map, self.samples, self.outside, self.left_out, self.said)
-        write_map(path, self.system, stored)
+        write_map(path, self.system, self.sample_counts)
         return path
 
     def plot(self, at: Any = None, ax: Any = None) -> Any:
@@ -637,9 +661,7 @@ class Workspace(Report):
                 "and constraints",
             )
         ] * bool(self.left_out and not self.question.tried)
-        rows += [("redone", f"{counted(self.redone, 'part')} that was damaged on disk")] * bool(
-            self.redone
-        )
+        rows += [("redone", "the map on disk was damaged")] * bool(self.redone)
         return (), rows
 
     def _data(self) -> dict[str, Any]:
@@ -676,9 +698,9 @@ def open_workspace(path: str | Path, system: Model | None = None) -> Workspace:
     where it is of another system, or where it has none in it and none is given; `DamagedError`
     where the file is not what was written.
     """
-    stored = read_map(expanded(path))
+    samples, toml = read_map(expanded(path))
     if system is None:
-        if stored.toml is None:
+        if toml is None:
             raise InputError(
                 f"{path} does not hold its system, which no file can describe: give it, too"
             )
@@ -686,13 +708,7 @@ def open_workspace(path: str | Path, system: Model | None = None) -> Workspace:
         from kempe.description.toml_reader import read_toml
 
         with collecting_later():
-            own: Model = call_late("System", read_toml(stored.toml))
+            own: Model = call_late("System", read_toml(toml))
             system = own
-    refuse_other(stored.said, {"system": system.structure.content_hash}, str(path))
-    return of_stored(system, stored, stored.samples)
-
-
-def of_stored(system: Model, stored: Stored, requested: int, **ended: Any) -> Workspace:
-    """The answer that a stored map is."""
-    numbers = stored.samples, requested, stored.outside, stored.left_out
-    return Workspace(system, stored.said["frame"], stored.map, *numbers, stored.said, **ended)
+    refuse_other(samples.said, {"system": system.structure.content_hash}, str(path))
+    return Workspace(system, samples, samples.samples)

@@ -8,9 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-import shutil
-import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -48,27 +45,18 @@ from kempe.version import __version__
 from kempe.words import counted, jsonable
 from kempe.workspace.row_sources import RowSource, open_rows
 from kempe.workspace.store import (
-    DonePart,
-    PartLog,
     add_array,
-    consolidate,
+    chunk_file,
     description_of,
     not_written,
     refuse_other,
     refuse_place,
-    take_place,
+    refuse_small_disk,
+    restore_former,
+    write_group,
     zarr_library,
 )
-from kempe.workspace.workers import (
-    RETRIES,
-    ClusterWorkers,
-    Pace,
-    Stopped,
-    ThreadWorkers,
-    connected,
-    finished,
-    refuse_kernels,
-)
+from kempe.workspace.workers import Pace, connected, refuse_kernels, results_of, work_in_threads
 
 if TYPE_CHECKING:
     from kempe.model.model import FrameLike, Model
@@ -348,161 +336,80 @@ def job_of(
 
 # ---- the store of answers
 
-FORMAT = "kempe rows 1"
-ROWS = "rows.zarr"
-"""Where the group lies while it fills up."""
-SUMS = {
-    "checksum": ("checksum", "checksum of the answers to a chunk"),
-    "source_checksum": ("source", "checksum of the rows of a chunk"),
-}
-"""Arrays with an entry for each chunk, what of a `DonePart` they hold, and in words."""
-
-
+FORMAT = "kempe rows 2"
+DONE = "done"
+"""The array that says of each chunk how many of its rows are answered, and the checksum of these
+rows."""
+LEFT = 255
+"""The code of rows that are not answered yet."""
 PIECES = 8
 """Pieces of a chunk, as a verb takes one at once: what is done of them is kept where the work is
 stopped."""
 
 
-def _joined(parts: list[Arrays]) -> Arrays:
-    """Arrays one after the other, by their names."""
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+def checksum_of_rows(rows: Array) -> int:
+    """A checksum, 64 bits, of rows."""
+    return int.from_bytes(hashlib.sha256(np.ascontiguousarray(rows).data).digest()[:8], "little")
 
 
-def checksum_of_arrays(arrays: Arrays) -> str:
-    """A checksum, 64 bits, of arrays by their names and values."""
-    digest = hashlib.sha256()
-    for name in sorted(arrays):
-        array = np.ascontiguousarray(arrays[name])
-        digest.update(f"{name} {array.dtype.str} {array.shape}".encode())
-        digest.update(array.data)
-    return digest.hexdigest()[:16]
+class RowStore:
+    """The answers of a job to the rows of a source: a Zarr group with an array for each answer, all
+    of them in chunks of so many rows.
 
-
-class RowStore(PartLog):
-    """The answers of a job to the rows of a source, in chunks of so many rows."""
-
-    loose = ("source",)
+    The entry of a chunk in the array `DONE` is written after its answers: what a process that ended
+    leaves without one counts as not written. `done` are the numbers of answered rows by chunks,
+    `damaged` says how many chunks were not what was written.
+    """
 
     def __init__(self, path: Path, job: RowJob, source: RowSource, chunk: int):
         zarr_library()
+        restore_former(path)
         refuse_place(path, FORMAT)
+        self.path = path
         self.job = job
         self.source = source
         self.chunk = chunk
-        said = {**job.said(), "rows": source.n, "chunk": chunk, "source": source.identity()}
-        super().__init__(path, said, 0)
-        written = sum(p.stat().st_size for p in self.folder.rglob("*") if p.is_file())
-        self.needed = max(0, source.n * sum(job.row_bytes) - written)
+        self.said = {**job.said(), "rows": source.n, "chunk": chunk, "source": source.identity()}
         self.arrays: Arrays = {}
-        self.checked: Callable[[int], None] = lambda done: None
-        self.whole = False
+        self.done: dict[int, int] = {}
+        self.damaged = 0
 
-    # ---- what is there
+    def open(self, check: Callable[[], None]) -> None:
+        """Open the group, or make it, and read all chunks that are done; `check` is called for each
+        of them.
 
-    def begin(self) -> None:
-        """Find what is done, check it, and make room for the rest; `whole` says that nothing is
-        left to do.
-
-        Errors: `InputError` where the path, or the folder beside it, is of another map, or the rows
-        have changed.
+        Errors: `InputError` where the group is of another map, or the rows have changed;
+        `DamagedError` where it does not describe its arrays; `DiskError`.
         """
-        if self.path.exists() and self._finished():
-            return
-        super().begin()
-        self._refuse_changed()
-        if not self.done:
-            self._make_arrays()
-
-    def _finished(self) -> bool:
-        """Whether the map at the path is sound; else what is sound of it becomes what is done."""
+        zarr = zarr_library()
+        if not self.path.exists():
+            refuse_small_disk(self.path.parent, self.source.n * sum(self.job.row_bytes))
+            made = {**self.said, "toml": description_of(self.job.system)}
+            title = f"{self.job.verb} of {self.job.frame or self.job.system.name}"
+            attributes = {"title": title, "format": FORMAT, "kempe": json.dumps(made)}
+            write_group(self.path, FORMAT, attributes, self._add_arrays)
         try:
-            group = zarr_library().open_group(str(self.path), mode="r")
-            self.header = json.loads(group.attrs["kempe"])
+            group = zarr.open_group(str(self.path), mode="r+")
+            made = json.loads(group.attrs["kempe"])
+            with zarr.config.set({"array.write_empty_chunks": True}):
+                self.arrays = {name: group[name] for name in (*self.job.layout, DONE)}
+            axes = {name: group[name] for name in self._words()}
         except UNREADABLE as error:
             raise DamagedError(
-                f"{self.path} is damaged: it does not say what made it; take another path, or "
-                "remove it"
+                f"{self.path} is damaged: {error}; remove it, and the same call makes it anew"
             ) from error
-        refuse_other(self.header, self.said, str(self.path), self.keys)
-        try:
-            sums = [np.asarray(group[name][...]) for name in SUMS]
-            if any(group[name][...].tolist() != words for name, words in self._words()):
-                raise ValueError("the names along an axis are not those that were written")
-            self._open(self.path, "r")
-        except UNREADABLE:
-            self.damaged = 1
-            return False
-        starts = range(0, self.source.n, self.chunk)
-        parts = [
-            DonePart(at, min(at + self.chunk, self.source.n), f"{a:016x}", f"{b:016x}")
-            for at, a, b in zip(starts, *(s.tolist() for s in sums), strict=False)
-        ]
-        self.done = [part for part in parts if self.sound(part)]
-        self._refuse_changed()
-        self.whole = len(self.done) == len(starts)
-        if self.whole:
-            self.clear()
-            return True
-        self.done = parts
-        self._make()
-        self.write_list()
-        shutil.rmtree(self.folder / ROWS, ignore_errors=True)
-        os.replace(self.path, self.folder / ROWS)
-        self.arrays = {}
-        return False
+        refuse_other(made, self.said, str(self.path), [key for key in self.said if key != "source"])
+        for name, words in self._words().items():
+            self._repair(axes[name], words)
+        for k in range(self.arrays[DONE].shape[0]):
+            if chunk_file(self.arrays[DONE], (k, 0)).exists():
+                check()
+                self._read_done(k, same_rows=made["source"] == self.said["source"])
 
-    def _open(self, folder: Path, mode: str) -> None:
-        """Take the arrays of the group in a folder for those that are read and written."""
-        group = zarr_library().open_group(str(folder), mode=mode)
-        self.arrays = {name: group[name] for name in self.job.layout}
-
-    def sound(self, part: DonePart) -> bool:
-        """Whether the answers to a part are those that were written."""
-        self.checked(part.first)
-        try:
-            if not self.arrays:
-                self._open(self.folder / ROWS, "r+")
-            found = {name: array[part.first : part.last] for name, array in self.arrays.items()}
-        except UNREADABLE:
-            return False
-        return checksum_of_arrays(found) == part.checksum
-
-    def _refuse_changed(self) -> None:
-        """Refuse rows that are not those of which parts are done, where the file is not the same.
-        Errors as `begin`.
-        """
-        if self.header.get("source") == self.said["source"]:
-            return
-        for part in self.done:
-            if checksum_of_arrays({"rows": self.source.read(part.first, part.last)}) != part.source:
-                raise InputError(
-                    f"{self.path} belongs to another map: the rows {part.first} to {part.last} of "
-                    f"{self.source.path} have changed since; take another path, or remove it"
-                )
-        if not self.path.exists():
-            self.write_list()  # the same rows in another file
-
-    def _make_arrays(self) -> None:
-        """Make a new group, which fills up, and its arrays. Errors: `DiskError`."""
-        try:
-            self._describe(
-                zarr_library().open_group(str(self.folder / ROWS), mode="w", zarr_format=3)
-            )
-        except OSError as error:
-            raise not_written(self.folder / ROWS, error) from error
-
-    def _describe(self, group: Any) -> None:
+    def _add_arrays(self, group: Any) -> None:
+        """Add the arrays, without their chunks, and the words along the axes."""
         n = self.source.n
-        job = self.job
-        made = {**self.said, "toml": description_of(job.system)}
-        group.attrs.update(
-            {
-                "title": f"{job.verb} of {job.frame or job.system.name}",
-                "format": FORMAT,
-                "kempe": json.dumps(made),
-            }
-        )
-        for name, empty in job.layout.items():
+        for name, empty in self.job.layout.items():
             _, what, unit = AXES[name]
             more: dict[str, Any] = {"long_name": what, "units": unit}
             if name == "code":
@@ -511,125 +418,129 @@ class RowStore(PartLog):
                     "flag_meanings": " ".join(s.name for s in MEMBERS),
                 }
             tail = empty.shape[1:]
-            packed = "auto" if empty.itemsize == 1 else None  # configurations do not get smaller
-            self.arrays[name] = add_array(
+            add_array(
                 group,
                 name,
                 (n, *tail),
                 empty.dtype,
                 (self.chunk, *tail),
                 axes_of(name, empty),
-                packed,
+                packed=empty.itemsize == 1,  # configurations do not get smaller
+                fill=fill_of(name, empty),
                 **more,
             )
-        for name, words in self._words():
+        for name, words in self._words().items():
             dims = ("coordinate",) if name == "unit" else (name,)
             add_array(group, name, (len(words),), str, (len(words),), dims)[...] = np.array(words)
+        what = "number of answered rows of a chunk, and their checksum"
+        size = (-(-n // self.chunk), 2)
+        dims = ("chunk", "rows_and_checksum")
+        add_array(group, DONE, size, np.uint64, (1, 2), dims, packed=False, long_name=what)
 
-    def _words(self) -> list[tuple[str, list[str]]]:
+    def _words(self) -> dict[str, list[str]]:
         """The axes that have words, such as names of coordinates, and these."""
         used = {axis for name, empty in self.job.layout.items() for axis in axes_of(name, empty)}
-        return [
-            (name, words)
+        return {
+            name: words
             for name, words in self.job.axes().items()
             if name in used or (name == "unit" and "coordinate" in used)
-        ]
+        }
 
-    # ---- what is done
+    def _repair(self, array: Any, words: list[str]) -> None:
+        """Write the words along an axis again, if they are not what was written."""
+        try:
+            if array[...].tolist() == words:
+                return
+        except UNREADABLE:
+            pass
+        self.damaged += 1
+        array[...] = np.array(words)
 
-    def answers(self, first: int, rows: Any) -> Arrays:
-        """Answers to the rows of a chunk that begins at row `first`; after a stop the next call
-        goes on with them.
+    def _read_done(self, k: int, same_rows: bool) -> None:
+        """Take down how many rows of a chunk are answered, unless its files are damaged. Errors:
+        `InputError` where the rows have changed.
+        """
+        first, last = self._ends(k)
+        try:
+            count, checksum = (int(x) for x in self.arrays[DONE][k])
+            for name in self.job.layout:
+                array = self.arrays[name]
+                chunk_file(array, (k,) + (0,) * (array.ndim - 1)).stat()  # else it reads as empty
+                array[first:last]
+        except UNREADABLE:
+            self.damaged += 1
+            return
+        if not same_rows and checksum_of_rows(self.source.read(first, first + count)) != checksum:
+            raise InputError(
+                f"{self.path} belongs to another map: the rows {first} to {first + count} of "
+                f"{self.source.path} have changed since; take another path, or remove it"
+            )
+        self.done[k] = count
+
+    def _ends(self, k: int) -> tuple[int, int]:
+        return k * self.chunk, min((k + 1) * self.chunk, self.source.n)
+
+    # ---- answers
+
+    @property
+    def rows(self) -> int:
+        """How many rows are answered."""
+        return sum(list(self.done.values()))
+
+    def missing(self) -> Iterator[tuple[int, Array]]:
+        """The chunks of which rows are left: their numbers and all their rows."""
+        for k in range(self.arrays[DONE].shape[0]):
+            first, last = self._ends(k)
+            if self.done.get(k, 0) < last - first:
+                yield k, self.source.read(first, last)
+
+    def answer(self, k: int, rows: Array) -> None:
+        """Answer the rows of a chunk and write the answers, where the thread is told to stop those
+        that are done. Errors: `DiskError`, those of the verb.
         """
         piece = max(1, VERBS[self.job.verb].rows // PIECES)
-        kept = self.folder / f"begun_{first}.npz"
-        parts = self._begun(kept, rows)
-        at = sum(len(part["code"]) for part in parts)
+        first, _ = self._ends(k)
+        count = self.done.get(k, 0)
+        parts = [{name: self.arrays[name][first : first + count] for name in self.job.layout}]
         try:
-            while at < len(rows):
+            for at in range(count, len(rows), piece):
                 parts.append(self.job.answers(rows[at : at + piece]))
-                at += len(parts[-1]["code"])
-        except Stopped:
-            if parts:
-                self._keep(kept, _joined(parts), rows)
-            raise
-        kept.unlink(missing_ok=True)
-        return _joined(parts)
+        finally:
+            if len(parts) > 1:
+                answers = {name: np.concatenate([p[name] for p in parts]) for name in parts[0]}
+                self.write(k, rows, answers)
 
-    def _begun(self, path: Path, rows: Any) -> list[Arrays]:
-        """The answers to the first rows of a chunk that a stop has left; none where the file or the
-        rows changed.
-        """
-        if not path.exists():
-            return []
+    def write(self, k: int, rows: Array, answers: Arrays) -> None:
+        """Write the answers to the first rows of a chunk, or to all. Errors: `DiskError`."""
+        first, last = self._ends(k)
+        count = len(answers["code"])
         try:
-            # np.load leaves a damaged file open
-            with (
-                path.open("rb") as opened,
-                np.load(opened) as file,
-            ):
-                found = {name: file[name] for name in file.files}
-            own = [str(found.pop(name)) for name in ("sum", "of")]
-            count = len(found["code"])
-            good = set(found) == set(self.job.layout) and own == self._sums(found, rows[:count])
-        except (*UNREADABLE, zipfile.BadZipFile):
-            return []
-        return [found] if good else []
-
-    def _keep(self, path: Path, found: Arrays, rows: Any) -> None:
-        """Keep the answers to the first rows of a chunk; where there is no room they are found
-        again.
-        """
-        sums = dict(zip(("sum", "of"), self._sums(found, rows[: len(found["code"])]), strict=True))
-        try:
-            np.savez(path, **found, **sums)  # type: ignore[arg-type]
-        except OSError:
-            path.unlink(missing_ok=True)
-
-    def _sums(self, found: Arrays, rows: Any) -> list[str]:
-        return [checksum_of_arrays(found), checksum_of_arrays({"rows": rows})]
-
-    def made(self, first: int, last: int, rows: Any, arrays: Arrays) -> DonePart:
-        """Write the answers to the rows `first` to `last`; to be added when that is done. Errors:
-        `DiskError`.
-        """
-        try:
-            for name, array in arrays.items():
-                self.arrays[name][first:last] = array
+            for name, found in answers.items():
+                whole = np.full(
+                    (last - first, *found.shape[1:]), fill_of(name, found), dtype=found.dtype
+                )
+                whole[:count] = found
+                self.arrays[name][first:last] = whole
+            checksum = checksum_of_rows(rows[:count])
+            self.arrays[DONE][k] = np.array([count, checksum], dtype=np.uint64)
         except OSError as error:
-            raise not_written(self.folder / ROWS, error) from error
-        return DonePart(first, last, checksum_of_arrays(arrays), checksum_of_arrays({"rows": rows}))
+            raise not_written(self.path, error) from error
+        self.done[k] = count
 
     def outcomes(self) -> dict[str, int]:
-        """How many rows have which outcome, by its name, of those that are done."""
+        """How many of the answered rows have which outcome, by its name."""
         counts = np.zeros(len(MEMBERS), dtype=np.int64)
-        for part in self.done:
+        for k, count in self.done.items():
+            first, _ = self._ends(k)
             counts += np.bincount(
-                self.arrays["code"][part.first : part.last], minlength=len(MEMBERS)
+                self.arrays["code"][first : first + count], minlength=len(MEMBERS)
             )
         return {MEMBERS[k].name: int(c) for k, c in enumerate(counts) if c}
 
-    def finish(self) -> None:
-        """Write the checksums, and put the group in its place. Errors: `DiskError`."""
-        folder = self.folder / ROWS
-        parts = sorted(self.done)
-        try:
-            group = zarr_library().open_group(str(folder), mode="r+")
-            for name, (of, what) in SUMS.items():
-                if name in group:
-                    del group[name]
-                sums = np.array([int(getattr(part, of), 16) for part in parts], dtype=np.uint64)
-                chunks = (max(1, len(sums)),)
-                added = add_array(
-                    group, name, sums.shape, sums.dtype, chunks, ("chunk",), long_name=what
-                )
-                added[...] = sums
-            consolidate(folder)
-            take_place(folder, self.path)
-        except OSError as error:
-            raise not_written(self.path, error) from error
-        self._open(self.path, "r")
-        self.clear()
+
+def fill_of(name: str, array: np.ndarray) -> Any:
+    """What stands in an array for rows that are not answered yet."""
+    return LEFT if name == "code" else np.nan if array.dtype.kind == "f" else 0
 
 
 # ---- the answer and the verb
@@ -728,12 +639,13 @@ def map_file(
 
     At `path` then are arrays with a row for each row, which xarray opens: the answer, `code`
     (`Status`), errors, and what made them. A row that is no number gives NaN and the code
-    BAD_INPUT. Chunks have 65 536 rows ("ik" 16 384, others 4096), and at most 8 MB of rows and 8 MB
-    of answers; of these the memory holds two a thread. A block of the file (a row group of Parquet,
+    BAD_INPUT. Chunks have 65 536 rows for "fk", else 4096, and at most 8 MB of rows and 8 MB
+    of answers; of these the memory holds one a thread. A block of the file (a row group of Parquet,
     a chunk of Zarr) is held besides, 1 GB at most.
 
-    What is done is written beside the path chunk by chunk, with checksums: after any interruption
-    the same call goes on, and makes damaged chunks again. Answers do not depend on threads or
+    What is done stands there chunk by chunk, with checksums; rows that are left have NaN and the
+    code 255. After any interruption the same call goes on, and makes damaged chunks again. Answers
+    do not depend on threads or
     workers: with a `client`, a `distributed.Client` or the address of a scheduler, those of a Dask
     cluster answer. Of the `budget` are read: rng (0), threads, time_limit (none), progress(rows,
     n).
@@ -754,7 +666,7 @@ def map_file(
     client = None if client is None else connected(client)
     broken = None
     try:
-        _fill(store, client, threads, spend, clock)
+        broken = _fill(store, client, threads, Pace(spend.progress, rows.n), clock)
     except BROKEN_OFF as error:
         broken = error
     finally:
@@ -766,7 +678,7 @@ def map_file(
         verb,
         rows.path,
         store.path,
-        store.count(rows.n),
+        store.rows,
         rows.n,
         store.chunk,
         store.outcomes(),
@@ -785,63 +697,29 @@ def _chunk(job: RowJob, rows: RowSource) -> int:
     return max(1, min(wanted, most, rows.n))
 
 
-def _fill(store: RowStore, client: Any, threads: int, spend: Budget, clock: TimeLimit) -> None:
-    """Answer all rows that are not answered. Errors: those of tasks, and what broke it off."""
-    n = store.source.n
-    pace = Pace(spend.progress, store.source.n)
+def _fill(
+    store: RowStore, client: Any, threads: int, pace: Pace, clock: TimeLimit
+) -> BaseException | None:
+    """Answer all rows that are not answered, and return what broke it off. Errors: those of tasks,
+    and what broke it off.
+    """
 
-    def checked(done: int) -> None:
-        pace(done)
+    def check(_: int = 0) -> None:
+        pace(store.rows)
         clock.check()
 
-    store.checked = checked
-    store.begin()
-    if store.whole:
-        return
-    done = store.count(n)
-    tasks = store.missing(n, store.chunk, store.chunk)
-    for part in (
-        _local(store, tasks, threads, clock)
-        if client is None
-        else _far(store, tasks, client, clock)
-    ):
-        store.add(part)
-        done += part.last - part.first
-        pace(done, at_once=done == n)
-    store.finish()
-
-
-def _local(
-    store: RowStore, tasks: list[tuple[int, int]], threads: int, clock: TimeLimit
-) -> Iterator[DonePart]:
-    """The parts that threads of this process make of ranges of rows."""
-    with ThreadWorkers(threads, spare=1, stops=True) as workers:
-
-        def work(first: int, last: int, rows: Any) -> DonePart:
-            return store.made(first, last, rows, store.answers(first, rows))
-
-        def begin(task: tuple[int, int], _: int) -> Any:
-            return workers.submit(work, *task, store.source.read(*task))
-
-        for _, part in finished(workers, tasks, begin, clock.check):
-            yield part
-
-
-def _far(
-    store: RowStore, tasks: list[tuple[int, int]], client: Any, clock: TimeLimit
-) -> Iterator[DonePart]:
-    """The parts of which the workers of a cluster give the answers: rows go there, and answers come
-    back.
-    """
-    sent: dict[int, Any] = {}
-    workers = ClusterWorkers(client)
-    jobs: dict[int, Any] = {}
-
-    def begin(task: tuple[int, int], attempt: int) -> Any:
-        if attempt not in jobs:
-            jobs[attempt] = workers.share(store.job)
-        rows = sent[task[0]] = store.source.read(*task)
-        return client.submit(RowJob.answers, jobs[attempt], rows, retries=RETRIES, pure=False)
-
-    for (first, last), answers in finished(workers, tasks, begin, clock.check):
-        yield store.made(first, last, sent.pop(first), answers)
+    store.open(check)
+    if store.rows == store.source.n:
+        return None
+    broken = None
+    if client is None:
+        _, broken = work_in_threads(
+            store.missing(), lambda _, part: store.answer(*part), threads, check, stops=True
+        )
+    else:
+        parts = ((part, part[1:]) for part in store.missing())
+        for (k, rows), answers in results_of(client, RowJob.answers, store.job, parts, check):
+            store.write(k, rows, answers)
+    if broken is None:
+        pace(store.rows, at_once=True)
+    return broken

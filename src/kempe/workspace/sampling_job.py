@@ -1,132 +1,38 @@
-"""Random samples of a workspace, counted in cells: on disk, in threads, or on a cluster.
+"""Random samples of a workspace, counted in cells.
 
 The counts of any range of samples follow from the recipe alone, wherever they are made.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from pathlib import Path
-from threading import Condition
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from kempe.assemble.assemble import assemble
 from kempe.equations.one_sided import one_sided_rows
-from kempe.errors import UNREADABLE, DiskError, InputError
+from kempe.errors import InputError
 from kempe.forward.fk import chain_table, fk
 from kempe.kernels.compiled import VARIANT, lane_positions
 from kempe.kernels.forward.table_layout import Q_INDEX, rows_of
 from kempe.model.characteristic_length import characteristic_length
 from kempe.model.configurations import circles, has_loops, mid, random, sampling_box
-from kempe.numerics.clock import BROKEN_OFF, TimeLimit
-from kempe.numerics.pool import thread_count
 from kempe.spatial import Array
 from kempe.version import __version__
 from kempe.words import joined
 from kempe.workspace.cell_map import FEW_CELLS, USUAL_CELLS, Grid, cell_counts, grid_of
 from kempe.workspace.kinds import ORIENTATION, RANGES, TURNED, WorkspaceKind
-from kempe.workspace.store import DonePart, PartLog, write_whole
-from kempe.workspace.workers import RETRIES, ClusterWorkers, ThreadWorkers, finished, refuse_kernels
+from kempe.workspace.stored_map import AFTER
+from kempe.workspace.workers import refuse_kernels, work_in_threads
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
-
-
-# ---- partial counts on disk
-
-# A file for each range of samples, while a map is made.
-
-BLOCK = 2**18
-"""Counts that are converted at once."""
-MANY = 24
-"""Parts from which on those that follow each other are put into one file."""
-
-
-def checksum_of(counts: np.ndarray) -> str:
-    """A checksum of counts, by their values."""
-    digest = hashlib.sha256()
-    flat = counts.reshape(-1)
-    for k in range(0, flat.size, BLOCK):
-        digest.update(flat[k : k + BLOCK].astype("<u8").data)
-    return digest.hexdigest()
-
-
-class SampleParts(PartLog):
-    """The counts of ranges of samples, beside the path of a map."""
-
-    def __init__(self, path: Path, said: dict[str, Any], entries: int):
-        super().__init__(path, said, 3 * 8 * entries)
-        self.entries = entries
-
-    def file(self, part: DonePart) -> Path:
-        """Where the counts of a part are."""
-        return self.folder / f"{part.first}-{part.last}.npy"
-
-    def sound(self, part: DonePart) -> bool:
-        """Whether the counts are there, and those that were written."""
-        return self.read(part) is not None
-
-    def read(self, part: DonePart) -> np.ndarray | None:
-        """The counts of a part; None where they are not what was written."""
-        try:
-            counts = np.load(self.file(part), allow_pickle=False)
-        except UNREADABLE:
-            return None
-        return (
-            counts
-            if counts.shape == (self.entries,) and checksum_of(counts) == part.checksum
-            else None
-        )
-
-    def add_counts(self, first: int, last: int, counts: np.ndarray) -> None:
-        """Write one more part. Errors: `DiskError`."""
-        self.add(self._written(first, last, counts))
-        if len(self.done) > MANY:
-            self._merge()
-
-    def _written(self, first: int, last: int, counts: np.ndarray) -> DonePart:
-        part = DonePart(first, last, checksum_of(counts))
-        write_whole(self.file(part), lambda stream: np.save(stream, counts))
-        return part
-
-    def _merge(self) -> None:
-        """Put parts that follow each other into one file; the former ones go when the list no
-        longer names them.
-        """
-        former = self.done
-        runs: list[list[DonePart]] = []
-        for part in sorted(former):
-            if runs and runs[-1][-1].last == part.first:
-                runs[-1].append(part)
-            else:
-                runs.append([part])
-        self.done = [
-            run[0] if len(run) == 1 else self._written(run[0].first, run[-1].last, self.total(run))
-            for run in runs
-        ]
-        self.write_list()
-        for part in set(former) - set(self.done):
-            self.file(part).unlink(missing_ok=True)
-
-    def total(self, parts: list[DonePart] | None = None) -> np.ndarray:
-        """The sum (entries,) of parts, by default of all, of uint64. Errors: `DiskError`."""
-        out = np.zeros(self.entries, dtype=np.uint64)
-        for part in self.done if parts is None else parts:
-            counts = self.read(part)
-            if counts is None:
-                raise DiskError(
-                    f"{self.file(part)} was damaged meanwhile: the same call draws it again"
-                )
-            out += counts
-        return out
 
 
 # ---- the recipe
@@ -139,7 +45,7 @@ constraints, and of places that the inverse model decides."""
 PART = 10**8
 SLOW_PART = 10**5
 TRIED_PART = 10**4
-"""Samples of a task, a few seconds; of systems with loops or constraints; and of places."""
+"""Samples of a part at least, a few seconds; of systems with loops or constraints; and of places."""
 GOLDEN = 0.6180339887498949
 PILOT = 2**17
 SLOW_PILOT = 2**11
@@ -150,8 +56,6 @@ ENOUGH = 64
 constraints."""
 FEW_SAMPLES = 10**5, 10**7
 """Samples where none are requested: with loops or constraints, and without."""
-AFTER = 2
-"""Counts after those of the cells: of samples outside the box, and of those left out."""
 FAR = 1e7
 """Coordinates from which on a limit is none: sines lose their digits there."""
 PLAIN = WorkspaceKind()
@@ -199,7 +103,7 @@ class Recipe:
 
     @property
     def part(self) -> int:
-        """Samples that one task of a cluster counts, and after which what is done is written down."""
+        """Samples of a part at least: a worker of a cluster counts one at once."""
         return PART if self.plain else TRIED_PART if self.question.tried else SLOW_PART
 
     @property
@@ -226,15 +130,6 @@ class Recipe:
             "variant": self.variant,
             "version": self.version,
         }
-
-    @property
-    def digest(self) -> str:
-        """A short name for all that the counts depend on."""
-        return hashlib.sha256(json.dumps(self.said(), sort_keys=True).encode()).hexdigest()[:16]
-
-    def check(self) -> None:
-        """Refuse to count with kernels that would round otherwise. Errors: `KernelsError`."""
-        refuse_kernels(self.variant, self.version)
 
     def count(self, first: int, last: int, counts: np.ndarray) -> None:
         """Add the samples `first` to `last` to counts (entries,) of uint32, which threads may
@@ -291,7 +186,7 @@ def counted(recipe: Recipe, first: int, last: int) -> np.ndarray:
     """The counts (entries,) of the samples `first` to `last`, in one thread. Errors:
     `KernelsError`.
     """
-    recipe.check()
+    refuse_kernels(recipe.variant, recipe.version)
     counts = np.zeros(recipe.entries, dtype=np.uint32)
     for start in range(first, last, recipe.piece):
         recipe.count(start, min(start + recipe.piece, last), counts)
@@ -469,146 +364,29 @@ def unlimited(system: Model, frame: str) -> list[str]:
 
 # ---- counting in threads
 
-# A run can be stopped without loss.
-
 SHARED_BYTES = 256 * 2**20
 """Memory for the counts of all threads together; where each cannot have its own, they share."""
 
 
-class Threads:
-    """Threads that count ranges of samples of a recipe, each range in pieces that are begun in
-    order.
+def count_in_threads(
+    recipe: Recipe, first: int, last: int, threads: int, check: Callable[[int], None]
+) -> tuple[np.ndarray, int, BaseException | None]:
+    """Counts (entries,) of the samples `first` to `stop`, that stop, and what broke the work off
+    (None: nothing).
 
-    An interrupt may come between any two steps of the thread that hands out the work, even where a
-    piece is handed out and its thread is not yet known. So which pieces are begun is decided by the
-    threads that count them.
+    `stop` is `last`, or the end of a piece where the time was up or an interrupt came. `check` is
+    called with the number of samples that are counted, and raises what ends the work.
     """
+    most = max(1, min(threads, SHARED_BYTES // (4 * recipe.entries)))
+    counts = [np.zeros(recipe.entries, dtype=np.uint32) for _ in range(most)]
+    piece = recipe.piece
 
-    def __init__(self, recipe: Recipe, threads: int | None):
-        self.recipe = recipe
-        self.n = thread_count(threads)
-        own = max(1, min(self.n, SHARED_BYTES // (4 * recipe.entries)))
-        self.counts = [np.zeros(recipe.entries, dtype=np.uint32) for _ in range(own)]
-        self.changed = Condition()
-        self.free: list[int] = []
-        self.begun = self.last = 0
+    def work(thread: int, start: int) -> None:
+        recipe.count(start, min(start + piece, last), counts[thread % most])
 
-    def count(
-        self, first: int, last: int, clock: TimeLimit, said: Callable[[int], None]
-    ) -> tuple[np.ndarray, int, Any]:
-        """Counts (entries,) of the samples `first` to `stop`, that stop, and what broke the work
-        off (None: nothing).
-
-        `stop` is `last`, or the end of a piece where the time was up or an interrupt came: all
-        pieces before are done.
-        """
-        for counts in self.counts:
-            counts[:] = 0
-        piece = self.recipe.piece
-        done = first
-        broken = None
-        self.begun = first
-        self.last = last
-        self.free = list(range(self.n))
-        with ThreadWorkers(self.n) as workers:
-
-            def begin(_: int, attempt: int) -> Any:
-                return workers.submit(self._piece)
-
-            try:
-                for _ in finished(workers, range(first, last, piece), begin, clock.check):
-                    done = min(done + piece, last)
-                    said(done)
-            except BROKEN_OFF as error:
-                broken = error
-        with self.changed:
-            self.last = self.begun
-            self.changed.wait_for(lambda: len(self.free) == self.n)
-        total = self.counts[0]
-        for counts in self.counts[1:]:
-            total += counts
-        return total, self.begun, broken
-
-    def _piece(self) -> None:
-        """Count the next piece of the range, if there is one."""
-        with self.changed:
-            start = self.begun
-            if start == self.last:
-                return
-            self.begun = min(start + self.recipe.piece, self.last)
-            slot = self.free.pop()
-            stop = self.begun
-        try:
-            self.recipe.count(start, stop, self.counts[slot % len(self.counts)])
-        finally:
-            with self.changed:
-                self.free.append(slot)
-                self.changed.notify()
-
-
-# ---- counting on a cluster
-
-# The workers of a Dask cluster count ranges of samples, and add them up in a tree. Each task is a
-# pure function of the recipe and its range: it can be done twice, or anywhere, and a worker that is
-# lost costs its tasks only. Nothing is added into storage; counts come here once a part.
-
-FAN = 8
-"""Counts that one task adds up."""
-
-
-def added(many: bool, *counts: np.ndarray) -> np.ndarray:
-    """The sum of counts, of 64 bits where there are `many` samples."""
-    total = counts[0].astype(np.uint64 if many else np.uint32)
+    done, broken = work_in_threads(
+        range(first, last, piece), work, threads, lambda k: check(min(k * piece, last - first))
+    )
     for other in counts[1:]:
-        total += other.astype(total.dtype, copy=False)
-    return total
-
-
-def parts_of(
-    client: Any, recipe: Recipe, ranges: list[tuple[int, int]], each: int, check: Callable[[], None]
-) -> Iterator[tuple[int, int, np.ndarray]]:
-    """The counts of each range, as they come: (first, last, counts). Tasks have `each` samples.
-
-    `check` is called now and then, and raises what ends the work early; tasks that are left are
-    then given up. Errors: those of the tasks, after `RETRIES`.
-    """
-
-    workers = ClusterWorkers(client, len(ranges))
-    shared: dict[int, Any] = {}
-
-    def begin(part: tuple[int, int], attempt: int) -> Any:
-        digest = f"{recipe.digest}-{attempt}"
-        if attempt not in shared:
-            shared[attempt] = workers.share(recipe, f"kempe-{digest}-recipe")
-        return _tree(client, shared[attempt], digest, *part, each)
-
-    for (first, last), counts in finished(workers, ranges, begin, check):
-        yield first, last, counts
-
-
-def _tree(client: Any, recipe: Any, digest: str, first: int, last: int, each: int) -> Any:
-    """The future of the counts of a range: tasks, and sums of `FAN` of them, of their sums, and so
-    on.
-
-    `recipe` is the future of the recipe, and `digest` its name: another attempt has other keys,
-    since under those of before the scheduler knows tasks as failed.
-    """
-    many = last - first >= 2**32
-    starts = range(first, last, each)
-    ends = [min(at + each, last) for at in starts]
-    keys = [f"kempe-{digest}-{at}-{end}" for at, end in zip(starts, ends, strict=True)]
-    level = client.map(counted, [recipe] * len(keys), list(starts), ends, key=keys, retries=RETRIES)
-    height = 0
-    while len(level) > 1:
-        height += 1
-        level = [
-            client.submit(
-                added,
-                many,
-                *level[k : k + FAN],
-                key=f"kempe-{digest}-{first}-{last}-sum-{height}-{k}",
-                retries=RETRIES,
-            )
-            for k in range(0, len(level), FAN)
-        ]
-    return level[0]
+        counts[0] += other
+    return counts[0], min(first + done * piece, last), broken

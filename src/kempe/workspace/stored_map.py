@@ -1,155 +1,176 @@
-"""Maps of workspaces on disk, as Zarr (version 3), which xarray opens.
+"""Counts of samples in the cells of a grid, in memory and on disk.
 
-A map has counts with named axes, the middles of their cells in metres, and what made them.
+On disk they are Zarr (version 3), which xarray opens: counts with named axes, the middles of their
+cells in metres, and what made them.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.errors import UNREADABLE, DamagedError, DiskError, InputError
+from kempe.errors import UNREADABLE, DamagedError, InputError
 from kempe.workspace.cell_map import CellMap, Grid
-from kempe.workspace.sampling_job import checksum_of
 from kempe.workspace.store import (
     add_array,
-    consolidate,
     description_of,
     format_of,
-    refuse_place,
-    take_place,
+    read_whole,
+    write_group,
     zarr_library,
 )
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
 
-FORMAT = "kempe workspace 1"
+FORMAT = "kempe workspace 2"
 CHUNK = 64
 """Cells of a chunk along each axis, at most."""
-SAME = 1e-9
-"""Part of a cell by which the middles of an axis may be off, which rounding makes so."""
+AFTER = 2
+"""Counts after those of the cells: of samples outside the box, and of those left out."""
 
 
-@dataclass(frozen=True)
-class Stored:
-    """What a file of a map holds: the map, numbers of samples, what made it, and the system's
-    description as TOML.
+@dataclass(frozen=True, eq=False)
+class SampleCounts:
+    """Counts of samples in the cells of a grid, and what made them, as plain data.
+
+    `counts` (cells + 2,) end with the samples outside the box and those that were left out;
+    `ranges` are the numbers of all these samples, from the first to before the last.
     """
 
-    map: CellMap
-    samples: int
-    outside: int
-    left_out: int
     said: dict[str, Any]
-    toml: str | None = None
-    """What a file that was read says; of what is to be written, it is worked out then."""
+    grid: Grid
+    counts: np.ndarray
+    ranges: tuple[tuple[int, int], ...] = ()
+
+    @cached_property
+    def map(self) -> CellMap:
+        """The counts of the cells."""
+        return CellMap(self.grid, self.counts[: self.grid.count].reshape(self.grid.shape))
+
+    @property
+    def samples(self) -> int:
+        """How many samples were drawn."""
+        return sum(last - first for first, last in self.ranges)
+
+    @property
+    def outside(self) -> int:
+        """How many samples fell outside the box."""
+        return int(self.counts[self.grid.count])
+
+    @property
+    def left_out(self) -> int:
+        """How many samples could not be closed, violated a constraint or are not reached."""
+        return int(self.counts[self.grid.count + 1])
+
+    def added(self, first: int, last: int, counts: np.ndarray) -> SampleCounts:
+        """These counts with those of one more range of samples."""
+        ranges: list[tuple[int, int]] = []
+        for start, stop in sorted([*self.ranges, (first, last)]):
+            if ranges and ranges[-1][1] == start:
+                start = ranges.pop()[0]
+            ranges.append((start, stop))
+        total = self.counts + counts[: self.counts.size]
+        return replace(self, counts=total, ranges=tuple(ranges))
+
+    def missing(self, n: int, most: int) -> list[tuple[int, int]]:
+        """Ranges of at most `most` samples that are left of the first n."""
+        out: list[tuple[int, int]] = []
+        start = 0
+        for first, last in [*self.ranges, (n, n)]:
+            first = min(first, n)
+            out += [(k, min(k + most, first)) for k in range(start, first, most)]
+            start = last
+        return out
 
 
-def write_map(path: Path, system: Model, stored: Stored) -> None:
-    """Write a map of a system, which is then there whole or not at all. Errors: `DiskError`,
+def no_samples(said: dict[str, Any], grid: Grid) -> SampleCounts:
+    """Counts of no samples."""
+    return SampleCounts(said, grid, np.zeros(grid.count + AFTER, dtype=np.uint64))
+
+
+def write_map(path: Path, system: Model, samples: SampleCounts) -> None:
+    """Write the map of a system, which is then there whole or not at all. Errors: `DiskError`,
     `MissingExtraError`, `InputError`.
     """
-    zarr = zarr_library()
-    refuse_place(path, FORMAT)
-    toml = description_of(system)
-    beside = path.with_name(path.name + ".new")
-    try:
-        shutil.rmtree(beside, ignore_errors=True)
-        group = zarr.open_group(str(beside), mode="w", zarr_format=3)
-        group.attrs.update(_attributes(stored, toml))
-        axes = stored.map.axes
-        counts = stored.map.counts
-        chunks = tuple(min(CHUNK, k) for k in counts.shape)
-        kind = np.uint32 if counts.max(initial=0) < 2**32 else np.uint64
-        array = add_array(
+    cells = samples.map
+    made = {
+        **samples.said,
+        "ranges": [list(x) for x in samples.ranges],
+        **{name: getattr(samples, name) for name in ("samples", "outside", "left_out")},
+        "toml": description_of(system),
+    }
+    attributes = {
+        "title": f"workspace of {samples.said['frame']}",
+        "format": FORMAT,
+        "kempe": json.dumps({**made, "checksum": _checksum(made)}),
+    }
+
+    def fill(group: Any) -> None:
+        kind = np.uint32 if cells.counts.max(initial=0) < 2**32 else np.uint64
+        chunks = tuple(min(CHUNK, k) for k in cells.counts.shape)
+        add_array(
             group,
             "counts",
-            counts.shape,
+            cells.counts.shape,
             kind,
             chunks,
-            tuple(axes),
+            tuple(cells.axes),
             long_name="samples in the cell",
             units="1",
-        )
-        array[...] = counts.astype(kind)
-        for name, middles in axes.items():
-            unit = "1" if name == "height" else stored.map.unit
-            array = add_array(
+        )[...] = cells.counts.astype(kind)
+        for name, middles in cells.axes.items():
+            add_array(
                 group,
                 name,
                 middles.shape,
                 np.float64,
                 middles.shape,
                 (name,),
-                units=unit,
+                units="1" if name == "height" else cells.unit,
                 long_name=f"{name} in the ground frame",
-            )
-            array[...] = middles
-        consolidate(beside)
-        take_place(beside, path)
-    except OSError as error:
-        shutil.rmtree(beside, ignore_errors=True)
-        raise DiskError(f"{path} cannot be written: {error.strerror or error}") from error
+            )[...] = middles
+
+    write_group(path, FORMAT, attributes, fill)
 
 
-def _attributes(stored: Stored, toml: str | None) -> dict[str, Any]:
-    numbers = {"samples": stored.samples, "outside": stored.outside, "left_out": stored.left_out}
-    made = {**stored.said, **numbers, "toml": toml}
-    made["checksum"] = _checksum(stored.map.counts, made)
-    return {
-        "title": f"workspace of {stored.said['frame']}",
-        "format": FORMAT,
-        "kempe": json.dumps(made),
-    }
+def _checksum(made: dict[str, Any]) -> str:
+    """A checksum of what made a map."""
+    return hashlib.sha256(json.dumps(made, sort_keys=True).encode()).hexdigest()
 
 
-def _checksum(counts: np.ndarray, made: dict[str, Any]) -> str:
-    """A checksum of counts and of what made them."""
-    return hashlib.sha256(
-        f"{checksum_of(counts)} {json.dumps(made, sort_keys=True)}".encode()
-    ).hexdigest()
+def read_map(path: Path) -> tuple[SampleCounts, str | None]:
+    """The counts at a path, and the description of their system as TOML text, if there is one.
 
-
-def read_map(path: Path) -> Stored:
-    """The map at a path. Errors: `InputError` where there is none, `DamagedError` where it is not
-    what was written.
+    Errors: `InputError` where there is no map, `DamagedError` where it is not what was written.
     """
     zarr = zarr_library()
     if not path.exists():
         raise InputError(f"{path}: there is no such map")
-    if format_of(path) != FORMAT:
-        raise InputError(
-            f"{path}: this is no map of a workspace ({FORMAT!r} is not written in its zarr.json)"
-        )
-    again = "make it again by the same call"
+    if (format := format_of(path)) != FORMAT:
+        other = "it was written by another version of Kempe" if format else "this is no map"
+        raise InputError(f"{path}: {other} ({FORMAT!r} is not written in its zarr.json)")
     try:
         group = zarr.open_group(str(path), mode="r", zarr_format=3)
         made = json.loads(group.attrs["kempe"])
-        counts = np.asarray(group["counts"][...])
+        if made.pop("checksum") != _checksum(made):
+            raise ValueError("what made it is not what was written")
         grid = Grid(**{k: tuple(made[k]) for k in ("low", "high", "cells", "axes", "names")})
-        middles = {name: np.asarray(group[name][...]) for name in grid.axes}
-        checksum = made.pop("checksum")
+        counts = read_whole(group["counts"])
+        for name in grid.axes:
+            read_whole(group[name])
+        total, outside, left_out = (made.pop(k) for k in ("samples", "outside", "left_out"))
+        if counts.shape != grid.shape or counts.sum() + outside + left_out != total:
+            raise ValueError("its counts are not those of its samples")
     except UNREADABLE as error:
-        raise DamagedError(
-            f"{path} is damaged ({type(error).__name__}: {error}); {again}"
-        ) from error
-    if counts.shape != grid.shape or _checksum(counts, made) != checksum:
-        raise DamagedError(
-            f"{path} is damaged: the counts, or what made them, are not what was written; {again}"
-        )
-    cells = CellMap(grid, counts)
-    for (name, written), edge in zip(cells.axes.items(), cells.cell, strict=True):
-        found = middles[name]
-        if found.shape != written.shape or not (np.abs(found - written) < SAME * edge).all():
-            raise DamagedError(
-                f"{path} is damaged: its axis {name!r} is not what was written; {again}"
-            )
-    samples, outside, left_out = (int(made.pop(k)) for k in ("samples", "outside", "left_out"))
-    return Stored(cells, samples, outside, left_out, made, made.pop("toml"))
+        raise DamagedError(f"{path} is damaged: {error}; make it again by the same call") from error
+    toml = made.pop("toml")
+    ranges = tuple((first, last) for first, last in made.pop("ranges"))
+    every = np.concatenate([counts.ravel(), [outside, left_out]]).astype(np.uint64)
+    return SampleCounts(made, grid, every, ranges), toml

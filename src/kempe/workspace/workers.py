@@ -1,6 +1,7 @@
-"""Workers that do the tasks of a job a few at a time: threads, or those of a Dask cluster.
+"""Work that is done in parts: by threads of this process, or by the workers of a Dask cluster.
 
-A job can be stopped without loss. Workers of a cluster may end, come late, and do a task twice.
+The caller can be interrupted at any time. Workers of a cluster may end, come late, and do a part
+twice.
 """
 
 from __future__ import annotations
@@ -8,201 +9,127 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from math import inf
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 from kempe.arguments import quiet
-from kempe.budget import look, watched_by
+from kempe.budget import watched_by
 from kempe.errors import InputError, KernelsError, MissingExtraError, shown, warn
 from kempe.kernels.compiled import VARIANT
 from kempe.numerics.clock import BROKEN_OFF
 from kempe.version import __version__
 from kempe.words import counted
 
-if TYPE_CHECKING:
-    from concurrent.futures import Future
-
-
-# ---- tasks of a job
-
-Task = TypeVar("Task")
 WAKE = 0.2
 """Seconds between two looks at the clock."""
-RETRIES = 5
-"""How often a task is given to other workers, where its own have ended."""
 
 
 class Pace:
-    """Says how far the work is: calls `progress(done, total)` now and then."""
+    """Calls `progress(done, total)` now and then."""
 
     def __init__(self, progress: Callable[..., Any] | None, total: int):
         self.progress = progress
         self.total = total
-        self.said = time.monotonic()
+        self.reported = time.monotonic()
 
     def __call__(self, done: int, at_once: bool = False) -> None:
-        """Say that so many are done, if it is time, or at once."""
+        """Report that so many are done, if it is time, or at once."""
         now = time.monotonic()
-        if self.progress is None or (now - self.said < WAKE and not at_once):
+        if self.progress is None or (now - self.reported < WAKE and not at_once):
             return
-        self.said = now
+        self.reported = now
         self.progress(done, self.total)
-
-
-class Workers(Protocol):
-    """Who does tasks: at most `most` at once; what is begun is finished where `finishes` says so,
-    else given up.
-    """
-
-    most: int
-    finishes: bool
-
-    def wait(self, futures: list[Any]) -> set[Any]:
-        """Those that are done, after a while perhaps none."""
-        ...
-
-    def lost(self, future: Any) -> bool:
-        """Whether a task ended since its worker did."""
-        ...
-
-    def give_up(self, futures: list[Any]) -> None:
-        """Drop these, or wait for them."""
-        ...
-
-    def stop(self) -> None:
-        """Tell what is begun to stop, where it may."""
-        ...
-
-
-def finished(
-    workers: Workers,
-    tasks: Iterable[Task],
-    begin: Callable[[Task, int], Any],
-    check: Callable[[], None],
-) -> Iterator[tuple[Task, Any]]:
-    """Each task and its result, as they come; `begin` gives the future of a task and the number of
-    the attempt.
-
-    `check` is called now and then, and raises what ends the work early: what workers finish comes
-    before that is raised. Errors: those of the tasks, for which the others are given up.
-    """
-    todo = iter(tasks)
-    running: dict[Any, tuple[Task, int]] = {}
-    try:
-        while True:
-            while len(running) < workers.most and (task := next(todo, None)) is not None:
-                running[begin(task, 0)] = task, 0
-            if not running:
-                return
-            for future in workers.wait(list(running)):
-                task, attempt = running.pop(future)
-                if attempt < RETRIES and workers.lost(future):
-                    running[begin(task, attempt + 1)] = task, attempt + 1
-                else:
-                    yield task, future.result()
-            check()
-    except BROKEN_OFF:
-        workers.stop()
-        while workers.finishes and running:
-            future, (task, _) = running.popitem()
-            try:
-                result = future.result()
-            except Stopped:
-                continue
-            yield task, result
-        raise
-    finally:
-        workers.give_up(list(running))
 
 
 # ---- threads
 
+Item = TypeVar("Item")
+END: Any = object()
+
 
 class Stopped(Exception):
-    """The work of a thread was told to stop: raised inside it by `look`, and caught by whoever
-    began it.
+    """Raised by `look` in a thread whose work is to be left."""
+
+
+def work_in_threads(
+    items: Iterable[Item],
+    work: Callable[[int, Item], object],
+    threads: int,
+    check: Callable[[int], None],
+    stops: bool = False,
+) -> tuple[int, BaseException | None]:
+    """How many items were worked on, and the interrupt or `TimeUp` that ended this early.
+
+    Threads take the items in their order, one at a time, and call `work(number of the thread,
+    item)`. This thread calls `check(number of items done)` now and then, which may raise what ends
+    the work. Items that are begun by then are finished; with `stops` the next `look` in them raises
+    `Stopped`. Errors: the first one that an item raised.
     """
+    from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 
+    todo = iter(items)
+    over = threading.Event()
+    state = threading.Condition()
+    done = 0
+    active = 0
 
-def stopped_by(sign: threading.Event, work: Callable[..., Any]) -> Callable[..., Any]:
-    """The function, which ends with `Stopped` at the next `look` of its thread once the sign is
-    set.
-    """
-
-    def check() -> None:
-        if sign.is_set():
+    def stop() -> None:
+        if over.is_set():
             raise Stopped
 
-    def call(*args: Any) -> Any:
-        with watched_by(check):
-            look()
-            return work(*args)
+    def take() -> Any:
+        with state:
+            return END if over.is_set() else next(todo, END)
 
-    return call
+    def run(number: int) -> None:
+        nonlocal done, active
+        with state:
+            active += 1
+        try:
+            with watched_by(*[stop] * stops):
+                while (item := take()) is not END:
+                    work(number, item)
+                    with state:
+                        done += 1
+        except Stopped:
+            pass
+        finally:
+            with state:
+                active -= 1
+                state.notify()
 
-
-class ThreadWorkers:
-    """Threads of this process; `spare` tasks wait for the next that is free.
-
-    What is begun is finished; with `stops` it is left where it takes long, to be begun again
-    another time.
-    """
-
-    finishes = True
-
-    def __init__(self, threads: int, spare: int = 0, stops: bool = False):
-        from concurrent.futures import ThreadPoolExecutor
-
-        self.most = threads + spare
-        self.pool = ThreadPoolExecutor(threads, thread_name_prefix="kempe")
-        self.stops = stops
-        self.sign = threading.Event()
-
-    def submit(self, work: Callable[..., Any], *args: Any) -> Future[Any]:
-        """The future of a call."""
-        return self.pool.submit(quiet(stopped_by(self.sign, work) if self.stops else work), *args)
-
-    def stop(self) -> None:
-        """Tell what is begun to stop, where it may."""
-        self.sign.set()
-
-    def __enter__(self) -> ThreadWorkers:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.pool.shutdown()
-
-    def wait(self, futures: list[Any]) -> set[Any]:
-        """Those that are done."""
-        from concurrent.futures import FIRST_COMPLETED, wait
-
-        return wait(futures, timeout=WAKE, return_when=FIRST_COMPLETED).done
-
-    def lost(self, future: Any) -> bool:
-        """Threads do not end."""
-        return False
-
-    def give_up(self, futures: list[Future[Any]]) -> None:
-        """Let those end that are begun."""
-        from concurrent.futures import wait
-
-        wait(futures)
+    broken = None
+    with ThreadPoolExecutor(threads, thread_name_prefix="kempe") as pool:
+        try:
+            futures = [pool.submit(quiet(run), number) for number in range(threads)]
+            while True:
+                ended, running = wait(futures, WAKE, FIRST_EXCEPTION)
+                for future in ended:
+                    future.result()
+                check(done)
+                if not running:
+                    break
+        except BROKEN_OFF as error:
+            broken = error
+        finally:
+            over.set()
+            with (
+                state
+            ):  # an interrupt may come where a thread is begun: then the pool does not know it
+                state.wait_for(lambda: not active)
+    return done, broken
 
 
 # ---- a cluster
 
 LOOK = 0.5
 """Seconds between two looks at the clock."""
-HOSTS = ("tcp", "tls")
-"""Ways to a scheduler that name a host and a port."""
-SECURED = ("tls", "wss")
-"""Ways to a scheduler that are encrypted, with certificates of both sides."""
 PATIENCE = 10.0
-"""Seconds in which a scheduler must answer, and after which a cluster without workers is
-mentioned."""
-
+"""Seconds in which a scheduler must answer."""
+RETRIES = 5
+"""How often a part is given to other workers, where its own have ended."""
 SHOWN = 5
 """Workers that a message names, at most."""
+SUCH = "such as 'tcp://127.0.0.1:8786'"
 
 
 def connected(client: Any) -> Any:
@@ -210,46 +137,12 @@ def connected(client: Any) -> Any:
     answers there.
     """
     try:
-        from distributed import Client, Security
-        from distributed.comm.addressing import parse_address, parse_host_port
-        from distributed.comm.registry import get_backend
+        from distributed import Client
     except ImportError:
         raise MissingExtraError("distributed", "scale") from None
     if isinstance(client, str):
-        such = "give one such as 'tcp://127.0.0.1:8786'"
-        try:
-            scheme, place = parse_address(client)
-            # a client for what is no address waits long until it goes
-            backend = get_backend(scheme)
-            if scheme in HOSTS:
-                parse_host_port(place)
-        except ValueError as error:
-            raise InputError(
-                f"{shown(client)} is no address of a scheduler ({error}); {such}"
-            ) from None
-        try:
-            backend.get_connector()
-        except (
-            TypeError,
-            RuntimeError,
-            ImportError,
-        ) as error:  # it is not installed, or not completely
-            raise InputError(
-                f"{shown(client)}: no client can be made for {scheme!r} here ({error}); {such}"
-            ) from None
-        security: Any = Security()
-        if scheme in SECURED and security.get_connection_args("client").get("ssl_context") is None:
-            raise InputError(
-                f"{shown(client)}: {scheme!r} needs certificates: name them in Dask's "
-                "configuration (distributed.comm.tls), or give a distributed.Client(..., "
-                "security=...)"
-            )
-        try:
-            return Client(client, timeout=PATIENCE, set_as_default=False)
-        except (OSError, TimeoutError, ValueError) as error:
-            raise InputError(
-                f"no scheduler answers at {client!r} within {PATIENCE:g} s: {error}"
-            ) from None
+        refuse_address(client)
+        return Client(client, timeout=PATIENCE, set_as_default=False)
     if not isinstance(client, Client):
         raise InputError(
             f"client is {shown(client)}; it must be a distributed.Client, or the address of a "
@@ -260,78 +153,93 @@ def connected(client: Any) -> Any:
     return client
 
 
-class ClusterWorkers:
-    """The workers of a cluster, given at most `most` tasks at once, or else two a thread.
-
-    Workers that could not do the work are refused, those that join later too. Errors:
-    `KernelsError`.
+def refuse_address(address: str) -> None:
+    """Refuse an address at which nobody answers, before a client is made, which would wait for half
+    a minute when the process ends. Errors: `InputError`.
     """
+    import asyncio
+    from concurrent.futures import ThreadPoolExecutor
 
-    finishes = False
+    import distributed
+    import distributed.comm.core
 
-    def __init__(self, client: Any, most: int | None = None):
-        self.client = client
-        self.fixed = most
-        self.most = most or 2
-        self.known: set[str] = set()
-        self.alone: float | None = None
-        self._look()
+    library: Any = distributed
 
-    def _look(self) -> None:
-        """Find the workers that have joined, and how many tasks all of them take."""
-        threads: dict[str, int] = self.client.nthreads()
-        new = threads.keys() - self.known
-        if new:
-            refuse_workers(self.client, new)
-        self.known = set(threads)
-        self.most = self.fixed or max(2, 2 * sum(threads.values()))
-        if threads:
-            self.alone = None
-        elif self.alone is None:
-            self.alone = time.monotonic()
-        elif time.monotonic() - self.alone > PATIENCE:
-            self.alone = inf  # said once, until workers have joined
-            address = self.client.scheduler.address
-            warn(
-                f"the scheduler {address} has no workers; the work goes on when one joins",
-                UserWarning,
-            )
+    async def reach() -> None:
+        options = library.Security().get_connection_args("client")
+        comm = await library.comm.core.connect(address, timeout=PATIENCE, **options)
+        await comm.close()
 
-    def wait(self, futures: list[Any]) -> set[Any]:
-        """Those that are done, after a while perhaps none."""
-        import distributed
+    try:
+        with ThreadPoolExecutor(1) as pool:  # notebooks have a running loop in this thread
+            pool.submit(asyncio.run, reach()).result()
+    except (OSError, ValueError, TypeError, RuntimeError, ImportError, MemoryError) as error:
+        raise InputError(
+            f"no scheduler answers at {shown(address)}: {error}; give an address {SUCH}"
+        ) from None
 
-        tasks: Any = distributed
-        self._look()
+
+def results_of(
+    client: Any,
+    function: Callable[..., Any],
+    job: Any,
+    parts: Iterable[tuple[Any, tuple[Any, ...]]],
+    check: Callable[[], None],
+) -> Iterator[tuple[Any, Any]]:
+    """`function(job, *arguments)` of each part (name, arguments), by workers: (name, result) as
+    they come.
+
+    Two parts a thread of the cluster are under way at once. `check` is called now and then, and
+    raises what ends the work early: parts that are under way are then given up. Errors: those of
+    the function, after `RETRIES`; `KernelsError`.
+    """
+    import distributed
+
+    library: Any = distributed
+    refuse_workers(client)
+    todo = iter(parts)
+    shared: list[Any] = []
+    running: dict[Any, tuple[Any, tuple[Any, ...], int]] = {}
+
+    def begin(name: Any, arguments: tuple[Any, ...], attempt: int) -> None:
+        # the job travels once; where its workers ended too often, it is lost, and sent again
+        if attempt == len(shared):
+            shared.append(client.submit(_itself, job, pure=False, retries=RETRIES))
+        future = client.submit(function, shared[attempt], *arguments, pure=False, retries=RETRIES)
+        running[future] = name, arguments, attempt
+
+    def some_done() -> Iterable[Any]:
         try:
-            # the function looks for a client, not for that of its tasks
-            with self.client.as_current():
-                return tasks.wait(futures, timeout=LOOK, return_when="FIRST_COMPLETED").done
+            with client.as_current():  # `wait` asks the current client, not that of its futures
+                return library.wait(list(running), timeout=LOOK, return_when="FIRST_COMPLETED").done
         except TimeoutError:
-            return set()
+            return ()
 
-    def share(self, thing: Any, key: str | None = None) -> Any:
-        """The future of a thing that many tasks read: it travels once, and is made again where
-        workers end.
-        """
-        return self.client.submit(_itself, thing, key=key, pure=False, retries=RETRIES)
-
-    def lost(self, future: Any) -> bool:
-        """Whether workers ended with it, as often as the scheduler bears."""
-        from distributed import KilledWorker
-
-        return isinstance(future.exception(), KilledWorker)
-
-    def stop(self) -> None:
-        """Nothing: what is begun is given up."""
-
-    def give_up(self, futures: list[Any]) -> None:
-        """Drop tasks that are not done."""
-        self.client.cancel(futures)
+    try:
+        while True:
+            most = max(2, 2 * threads_of(client))
+            while len(running) < most and (part := next(todo, None)) is not None:
+                begin(*part, 0)
+            if not running:
+                return
+            for future in some_done():
+                name, arguments, attempt = running.pop(future)
+                if attempt < RETRIES and isinstance(future.exception(), library.KilledWorker):
+                    begin(name, arguments, attempt + 1)
+                else:
+                    yield name, future.result()
+            check()
+    finally:
+        client.cancel(list(running))
 
 
 def _itself(thing: Any) -> Any:
     return thing
+
+
+def threads_of(client: Any) -> int:
+    """How many threads all workers of a cluster have."""
+    return sum(client.nthreads().values())
 
 
 def probe() -> Callable[[], tuple[str, str]]:
@@ -346,19 +254,25 @@ def probe() -> Callable[[], tuple[str, str]]:
     return kernels
 
 
-def refuse_workers(client: Any, workers: Iterable[str]) -> None:
-    """Refuse to work where one of these workers has no Kempe, or another one. Errors:
-    `KernelsError`.
+def refuse_workers(client: Any) -> None:
+    """Refuse a cluster where a worker has no Kempe, or another one, and warn where there is no
+    worker. Errors: `KernelsError`.
     """
-    found = client.run(probe(), workers=sorted(workers), on_error="return")
+    answers = client.run(probe(), on_error="return")
+    if not answers:
+        warn(
+            f"the scheduler {client.scheduler.address} has no workers; the work begins when one "
+            "joins",
+            UserWarning,
+        )
     wrong: list[str] = []
-    for worker, has in sorted(found.items()):
-        if isinstance(has, OSError):  # it has ended in the meantime
+    for worker, answer in sorted(answers.items()):
+        if isinstance(answer, OSError):  # it has ended in the meantime
             continue
-        if isinstance(has, BaseException):
-            wrong.append(f"worker {worker} cannot import Kempe: {type(has).__name__}: {has}")
-        elif tuple(has) != (VARIANT, __version__):
-            wrong.append(f"worker {worker} has Kempe {has[1]} with the kernels {has[0]!r}")
+        if isinstance(answer, BaseException):
+            wrong.append(f"worker {worker} cannot import Kempe: {type(answer).__name__}: {answer}")
+        elif tuple(answer) != (VARIANT, __version__):
+            wrong.append(f"worker {worker} has Kempe {answer[1]} with the kernels {answer[0]!r}")
     if wrong:
         more = [f"and {counted(len(wrong) - SHOWN, 'other worker')}"] * (len(wrong) > SHOWN)
         raise KernelsError(

@@ -4,6 +4,7 @@ and gone on with.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,23 +18,32 @@ from kempe.budget import Budget, Usual
 from kempe.description.source import expanded
 from kempe.errors import DamagedError, InputError, shown
 from kempe.numerics.clock import BROKEN_OFF, TimeLimit, begun_within
-from kempe.workspace.answer import Workspace, of_stored
-from kempe.workspace.cell_map import CellMap
+from kempe.numerics.pool import thread_count
+from kempe.workspace.answer import Workspace
 from kempe.workspace.kinds import question_of
-from kempe.workspace.sampling_job import Recipe, SampleParts, Threads, recipe_of
-from kempe.workspace.store import refuse_other, refuse_place, zarr_library
-from kempe.workspace.stored_map import FORMAT, Stored, read_map, write_map
-from kempe.workspace.workers import Pace, connected
+from kempe.workspace.sampling_job import Recipe, count_in_threads, counted, recipe_of
+from kempe.workspace.store import (
+    refuse_other,
+    refuse_place,
+    refuse_small_disk,
+    restore_former,
+    zarr_library,
+)
+from kempe.workspace.stored_map import FORMAT, SampleCounts, no_samples, read_map, write_map
+from kempe.workspace.workers import Pace, connected, results_of, threads_of
 
 if TYPE_CHECKING:
     from kempe.model.model import FrameLike, Model
 
 MOST = 2**62
 USUAL = Usual("workspace", rng=0, threads=None, time_limit=None, progress=None)
-TREES = 16
-"""SampleParts into which the work of a cluster is divided: what is done is written down part by
-part."""
+PARTS = 64
+"""Parts into which samples are divided, at least; on a cluster some for each thread, too."""
+PARTS_A_THREAD = 4
 LARGEST_PART = 2**31
+"""Samples of a part, at most."""
+SPARE = 10.0
+"""For how many times as long as a map is written samples are drawn before it is written again."""
 
 
 @explained
@@ -74,9 +84,9 @@ def workspace(
 
     Samples are a function of the seed (the `rng` of the `budget`, 0) and their number, so the same
     map comes of any number of threads or workers. With a `client`, a `distributed.Client` or the
-    address of a scheduler, the workers of a Dask cluster do the work. With a `path`, what is done
-    is written beside it as it goes, and the map to it at the end: the same call goes on after any
-    interruption, and with a larger `n` adds to a map that is there.
+    address of a scheduler, the workers of a Dask cluster do the work. With a `path`, the map is
+    written there as it grows: the same call goes on after any interruption, and with a larger `n`
+    adds to a map that is there.
 
     Of the `budget` are read: rng, threads, time_limit (none), progress(samples, n). The time limit
     returns what was done, Ctrl-C raises it as the `answer` of an `Interrupted`.
@@ -103,167 +113,111 @@ def workspace(
     try:
         with begun_within(USUAL, clock):
             recipe = recipe_of(system, name, seed_number(spend.rng), cells, box, question)
-        store = _Memory(recipe) if path is None else _Disk(recipe, expanded(path))
-        return _answer(recipe, store, int(n or recipe.usual), client, spend, clock)
+        return _answer(
+            recipe,
+            None if path is None else expanded(path),
+            int(n or recipe.usual),
+            client,
+            spend,
+            clock,
+        )
     finally:
         if own and client is not None:
             client.close()
 
 
 def _answer(
-    recipe: Recipe, store: _Memory | _Disk, count: int, client: Any, spend: Budget, clock: TimeLimit
+    recipe: Recipe, path: Path | None, count: int, client: Any, spend: Budget, clock: TimeLimit
 ) -> Workspace:
     """The map of the first `count` samples, or of those that were counted until it was broken off."""
-    if store.found is not None and store.found.samples >= count:
-        return of_stored(recipe.system, store.found, store.found.samples)
-    store.begin()
-    before = store.samples(count)
+    samples = no_samples(recipe.said(), recipe.grid)
+    redone = 0
+    if path is not None:
+        samples, redone = _found(path, samples)
+        if samples.samples >= count:
+            return Workspace(recipe.system, samples, samples.samples)
+        refuse_small_disk(path.parent, 2 * samples.counts.nbytes)
+    written = samples
+    due = -np.inf
     pace = Pace(spend.progress, count)
-    each = recipe.part
     broken = None
     try:
-        if client is None:
-            ranges = store.missing(count, min(max(each, count // 64), LARGEST_PART))
-            runs = _local(recipe, ranges, spend, clock, pace, before)
-        else:
-            from kempe.workspace.sampling_job import parts_of
-
-            runs = parts_of(
-                client, recipe, store.missing(count, max(each, count // TREES)), each, clock.check
-            )
-        for first, last, counts in runs:
-            if last > first:
-                store.add(first, last, counts)
-            pace(store.samples(count), at_once=True)
+        for first, last, counts in _parts(recipe, samples, count, client, spend, clock, pace):
+            samples = samples.added(first, last, counts)
+            if path is not None and time.monotonic() >= due:
+                due = _write(path, recipe, samples)
+                written = samples
+            pace(samples.samples, at_once=True)
     except BROKEN_OFF as error:
         broken = error
-    stored = store.stored(count)
+    if path is not None and written is not samples:
+        write_map(path, recipe.system, samples)
     interrupted = isinstance(broken, KeyboardInterrupt)
     late = broken is not None and not interrupted
-    if broken is None:
-        store.finish(stored)
-    return of_stored(
-        recipe.system, stored, count, interrupted=interrupted, late=late, redone=store.redone
+    return Workspace(
+        recipe.system, samples, count, interrupted=interrupted, late=late, redone=redone
     )
 
 
-def _local(
+def _found(path: Path, none: SampleCounts) -> tuple[SampleCounts, int]:
+    """The samples that are counted at a path, else `none`, and 1 where what is there is damaged.
+
+    Errors: `InputError` where it is another map, or something else; `MissingExtraError`.
+    """
+    zarr_library()
+    restore_former(path)
+    refuse_place(path, FORMAT)
+    if not path.exists():
+        return none, 0
+    try:
+        samples, _ = read_map(path)
+    except DamagedError:
+        return none, 1
+    refuse_other(samples.said, none.said, str(path))
+    return samples, 0
+
+
+def _write(path: Path, recipe: Recipe, samples: SampleCounts) -> float:
+    """Write the map, and when it should be written again, by the clock. Errors: `DiskError`."""
+    begun = time.monotonic()
+    write_map(path, recipe.system, samples)
+    end = time.monotonic()
+    return end + SPARE * (end - begun)
+
+
+def _parts(
     recipe: Recipe,
-    ranges: list[tuple[int, int]],
+    samples: SampleCounts,
+    count: int,
+    client: Any,
     spend: Budget,
     clock: TimeLimit,
     pace: Pace,
-    before: int,
 ) -> Iterator[tuple[int, int, np.ndarray]]:
-    """Counts of ranges, by threads of this process: (first, last, counts), the last one shorter if
-    it is broken off.
+    """Counts of the samples that are left of the first `count`: (first, last, counts) of each part.
 
-    Errors: what broke it off, after what was done by then.
+    By threads of this process the last part is shorter where the work is broken off. Errors: what
+    broke it off, after what was done by then.
     """
-    threads = Threads(recipe, spend.threads)
+    parts = PARTS if client is None else max(PARTS, PARTS_A_THREAD * threads_of(client))
+    most = min(max(recipe.part, count // parts), LARGEST_PART)
+    ranges = samples.missing(count, max(most // recipe.piece, 1) * recipe.piece)
+    if client is not None:
+        for (first, last), counts in results_of(
+            client, counted, recipe, ((part, part) for part in ranges), clock.check
+        ):
+            yield first, last, counts
+        return
+    threads = thread_count(spend.threads)
+    before = samples.samples
     for first, last in ranges:
-        counts, stop, broken = threads.count(
-            first, last, clock, lambda k, a=before - first: pace(a + k)
-        )
+
+        def check(done: int, before: int = before) -> None:
+            pace(before + done)
+            clock.check()
+
+        counts, stop, broken = count_in_threads(recipe, first, last, threads, check)
         yield first, stop, counts
         before += stop - first
         if broken is not None:
             raise broken
-
-
-class _Memory:
-    """Counts that are held in memory only."""
-
-    redone = 0
-    found = None
-
-    def __init__(self, recipe: Recipe):
-        self.recipe = recipe
-        self.done = 0
-        self.counts = np.zeros(recipe.entries, dtype=np.uint64)
-
-    def begin(self) -> None:
-        """Find nothing that was done before."""
-
-    def missing(self, n: int, most: int) -> list[tuple[int, int]]:
-        """Ranges of at most `most` samples that make up the first n."""
-        return [(first, min(first + most, n)) for first in range(0, n, most)]
-
-    def samples(self, n: int) -> int:
-        """How many of the first n samples are counted."""
-        return self.done
-
-    def add(self, first: int, last: int, counts: np.ndarray) -> None:
-        """Add the counts of a range."""
-        self.counts += counts
-        self.done += last - first
-
-    def stored(self, n: int) -> Stored:
-        """The map of what was added."""
-        # `done` may not yet have been added to
-        return _stored(self.recipe, self.counts, int(self.counts.sum()))
-
-    def finish(self, stored: Stored) -> None:
-        """Keep nothing: the answer has it all."""
-
-
-class _Disk:
-    """Counts in parts beside a path, and the map at the path when all is done."""
-
-    def __init__(self, recipe: Recipe, path: Path):
-        zarr_library()
-        refuse_place(path, FORMAT)
-        self.recipe = recipe
-        self.path = path
-        self.redone = 0
-        self.found: Stored | None = None
-        self.parts = SampleParts(path, recipe.said(), recipe.entries)
-        if path.exists():
-            try:
-                self.found = read_map(path)
-                refuse_other(self.found.said, recipe.said(), str(path))
-            except DamagedError:
-                self.redone = 1
-
-    def begin(self) -> None:
-        """Find what was done before, in parts and in the map. Errors: `DiskError`, `InputError`."""
-        recipe = self.recipe
-        self.parts.begin()
-        self.redone += self.parts.damaged
-        if self.found is not None and not self.parts.done:
-            counts = np.zeros(recipe.entries, dtype=np.uint64)
-            counts[: recipe.grid.count] = self.found.map.counts.ravel()
-            counts[recipe.grid.count : recipe.grid.count + 2] = (
-                self.found.outside,
-                self.found.left_out,
-            )
-            self.parts.add_counts(0, self.found.samples, counts)
-
-    def missing(self, n: int, most: int) -> list[tuple[int, int]]:
-        """Ranges of at most `most` samples that are left of the first n."""
-        return self.parts.missing(n, most, self.recipe.piece)
-
-    def samples(self, n: int) -> int:
-        """How many of the first n samples are counted."""
-        return self.parts.count(n)
-
-    def add(self, first: int, last: int, counts: np.ndarray) -> None:
-        """Write the counts of a range."""
-        self.parts.add_counts(first, last, counts)
-
-    def stored(self, n: int) -> Stored:
-        """The map of what was written."""
-        parts = [p for p in self.parts.done if p.last <= n]
-        return _stored(self.recipe, self.parts.total(parts), self.samples(n))
-
-    def finish(self, stored: Stored) -> None:
-        """Write the map, and drop the parts."""
-        write_map(self.path, self.recipe.system, stored)
-        self.parts.clear()
-
-
-def _stored(recipe: Recipe, counts: np.ndarray, samples: int) -> Stored:
-    grid = recipe.grid
-    cells = CellMap(grid, counts[: grid.count].reshape(grid.shape))
-    outside, left_out = (int(x) for x in counts[grid.count : grid.count + 2])
-    return Stored(cells, samples, outside, left_out, recipe.said())
