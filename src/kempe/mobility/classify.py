@@ -23,6 +23,7 @@ from kempe.mobility.growth_vectors import Distribution, Growth, distribution, gr
 from kempe.mobility.one_sided import OneSidedReport, if_any
 from kempe.model.configurations import distance, one_finite
 from kempe.numerics.clock import SHORT, TimeLimit, time_limited, time_of
+from kempe.numerics.rank import Level, Spectrum
 from kempe.report import Nearest, Worded, Words
 from kempe.spatial import Array
 from kempe.status import Status
@@ -421,7 +422,7 @@ def moved_place(
         def rate(_: float, x: Array, chosen: np.ndarray = chosen, wish: Array = wish) -> Array:
             A, b = rows.values(x[: layout.nq], x[layout.nq])
             whole = (np.concatenate([A, -b[:, None]], axis=1) if place.extra else A)[chosen] * units
-            v = (wish - np.linalg.lstsq(whole, whole @ wish, rcond=None)[0]) * units
+            v = (wish - Spectrum(whole).solve(whole @ wish, Level.ROUNDING)) * units
             out = np.zeros(layout.nq + 1)
             out[layout.vector_q] = v[layout.vector_v]
             for iq, iv in zip(layout.quaternion_q, layout.quaternion_v, strict=True):

@@ -22,7 +22,7 @@ from kempe.mobility import lyapunov_schmidt
 from kempe.mobility.local_equations import Equations
 from kempe.mobility.lyapunov_schmidt import Split
 from kempe.numerics.newton import Certificate, certify, rounding
-from kempe.singular_values import svd
+from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -193,21 +193,23 @@ def split_of(q: Array, J: Array, basis: Array, columns: np.ndarray) -> Here:
     m, nv = J.shape
     A = basis.T @ J[:, columns]
     n = len(columns)
-    U, sigma, Vt = svd(A)
-    most = max(float(sigma[0]) if sigma.size else 0.0, lyapunov_schmidt.LEAST)
-    rank = int(np.sum(sigma > lyapunov_schmidt.RANK * most))
+    spectrum = Spectrum(A, lyapunov_schmidt.LEAST)
+    left = spectrum.left
+    sigma = spectrum.values
+    most = float(spectrum.largest)
+    rank = spectrum.rank(Level.GENERIC)
     rest = float(sigma[rank]) if rank < len(sigma) else 0.0
     last = float(sigma[rank - 1]) if rank else np.inf
     clear = last > GAP * max(rest, ROUNDING * most)
     null_space = np.zeros((nv, n - rank))
     inverse = np.zeros((nv, m))
-    null_space[columns] = Vt[rank:].T
-    inverse[columns] = (Vt[:rank].T / sigma[:rank]) @ (basis @ U[:, :rank]).T
+    null_space[columns] = spectrum.null(Level.GENERIC)
+    inverse[columns] = spectrum.inverse(Level.GENERIC) @ basis.T
     padded = np.concatenate([np.full(nv - n, most), sigma])
     return Here(
         A,
         sigma,
-        Split(q, padded, null_space, basis @ U[:, rank:], inverse),
+        Split(q, padded, null_space, basis @ left[:, rank:], inverse),
         basis,
         clear,
         rest <= SINGULAR * most,
@@ -348,9 +350,8 @@ def _regular_zero(B: Array, d: Array) -> bool:
     for _ in range(20):
         D = 2.0 * B @ d
         if np.linalg.norm(B @ d @ d) < 1e-13 * size:
-            sigma = svd(D, compute_uv=False)
-            return bool(sigma[c - 1] > CLEAR * size)
-        d = d - np.linalg.lstsq(D, B @ d @ d, rcond=CLEAR)[0]
+            return bool(Spectrum(D).smallest > CLEAR * size)
+        d = d - Spectrum(D).solve(B @ d @ d, Level.ROUGH)
         d = d / np.linalg.norm(d)
     return False
 
@@ -389,8 +390,7 @@ def _no_zero(B: Array, t: int, rng: np.random.Generator) -> bool:
                 ]
     if len(M) < len(place):
         return False
-    sigma = svd(M, compute_uv=False)
-    return bool(sigma[-1] > CLEAR * sigma[0])
+    return Spectrum(M).rank(CLEAR) == len(place)
 
 
 # ---- leading forms: coordinates held

@@ -18,7 +18,8 @@ import numpy as np
 from kempe.budget import look
 from kempe.equations.velocity import VelocityRows
 from kempe.kernels.compiled import lie_brackets
-from kempe.singular_values import LARGE, svd
+from kempe.numerics.rank import Level, Spectrum
+from kempe.singular_values import LARGE
 from kempe.spatial import Array
 
 ROUNDING = 30.0
@@ -46,8 +47,6 @@ VANISHED = 1e-13
 ROUNDED = 1e-14
 """Rows of a size below this part of the largest are rounding, as those are that say twice that a
 motion is flat; others have rounding of the other size."""
-CONDITION = 1e-9
-"""Smallest singular value, as part of the largest of scaled rows, that counts for the rank of A."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,11 +109,12 @@ def _null_space(
     written = np.array([rows.names[int(i)].written for i in which.tolist()], dtype=bool)
     doubtful = bool(written[gone].any())
     scaled = scaled[real] / sizes[real, None]
-    values, Vt = svd(scaled)[1:] if len(real) else (np.zeros(0), np.eye(n))
+    spectrum = Spectrum(scaled)
+    Vt = spectrum.right
     computed = sizes[real[~written[real]]]  # scaled up, with their rounding
     small = float((computed / sizes.max(initial=1e-300)).min(initial=1.0))
-    rank = int(np.sum(values > max(CONDITION, ROUNDED / small) * values[:1]))
-    gap = np.inf if rank == len(values) else float(values[rank - 1] / max(values[rank], 1e-300))
+    level = max(Level.CLOSED, ROUNDED / small)
+    rank = spectrum.rank(level)
     independent = np.sort(_pivots(scaled.T, rank))
     chosen = which[real[independent]]
     columns = np.sort(_pivots(Vt[:rank], rank))
@@ -127,7 +127,8 @@ def _null_space(
     inverse = (
         np.ascontiguousarray(np.linalg.inv(square), dtype=np.float64) if rank else np.zeros((0, 0))
     )
-    condition = float(values[0] / values[rank - 1]) if rank else 1.0
+    condition = float(spectrum.values[0] / spectrum.values[rank - 1]) if rank else 1.0
+    gap = spectrum.gap(level)
     return Distribution(
         rows, q, t, chosen, pivots, inverse, Vt[rank:].T, gap, condition, error, doubtful
     )
@@ -262,7 +263,7 @@ class _GrowingSpan:
         inside = self.basis.T @ words
         rest = words - self.basis @ inside
         rest -= self.basis @ (self.basis.T @ rest)
-        U, values, _ = svd(rest, full_matrices=False)
+        U, values, _ = Spectrum(rest).thin
         bound = float(np.max(noise + self.rounding @ np.abs(inside))) * np.sqrt(words.shape[1])
         error = max(self.least, max(self.shares[-2:]) * bound)
         rank = int(np.sum(values > ROUNDING * error))

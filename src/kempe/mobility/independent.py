@@ -21,7 +21,7 @@ from kempe.assemble.bound import TOLERANCE
 from kempe.assemble.generic_configurations import idle_freedoms_of
 from kempe.assemble.nearest_exact import said, tolerant
 from kempe.budget import Budget
-from kempe.equations.closure_rows import RANK_TOLERANCE, evaluate, scales
+from kempe.equations.closure_rows import evaluate, scales
 from kempe.errors import InputError, UnknownNameError
 from kempe.forward.fk import fk, jacobian
 from kempe.mobility.mobility import mobility
@@ -30,7 +30,6 @@ from kempe.model.own_tree import own_tree
 from kempe.numerics.newton import gauss_newton
 from kempe.numerics.rank import Level, Spectrum
 from kempe.report import Report
-from kempe.singular_values import svd
 from kempe.spatial import Array, skew
 from kempe.status import Status, member
 from kempe.words import counted, verb
@@ -65,14 +64,14 @@ def moving(system: Model, q: Array, left: Array, null_space: Array, scale: Array
     if not np.abs(_change(system, q, left, null_space, scale, some)).max() > VANISHES:
         return null_space
     blocks = _change(system, q, left, null_space, scale, np.eye(null_space.shape[1]))
-    _, sizes, V = svd(blocks.reshape(-1, null_space.shape[1]))
-    shaky = int(np.sum(sizes > VANISHES))
+    spectrum = Spectrum(blocks.reshape(-1, null_space.shape[1]), 1.0)
+    shaky = spectrum.rank(Level.GENERIC)
     if not 0 < shaky < null_space.shape[1]:
         return null_space
 
     if mobility(system, q).dof != null_space.shape[1] - shaky:
         return null_space
-    return null_space @ V[shaky:].T
+    return null_space @ spectrum.null(Level.GENERIC)
 
 
 def _change(
@@ -252,7 +251,7 @@ class Chart(Report):
                 lambda q, u=target: both(q, u),
                 out[k],
                 TRIES,
-                cut=RANK_TOLERANCE,
+                cut=Level.CLOSED,
                 longest=LONGEST,
                 move=lambda q, y: system.structure.layout.integrate(q, scale * y),
             ).x
@@ -289,7 +288,7 @@ class Chart(Report):
         if any(np.linalg.norm(way[i : i + 3]) > FARTHEST for i in own):
             return 0.0
         rates = self._rates(q, self.independent) * scale / scale[self._rows(), None]
-        return float(svd(rates @ N, compute_uv=False).min(initial=1.0)) if self.dim else 1.0
+        return min(1.0, float(Spectrum(rates @ N).smallest)) if self.dim else 1.0
 
     def valid(self, q: Any) -> bool:
         """Whether the chart can still be used at the closed configuration q (nq,)."""
@@ -482,18 +481,18 @@ def tangent_space(system: Model, q: Any, dim: int | None = None) -> tuple[Array,
             f"q is not closed: the loops' equations are off by {np.linalg.norm(error):.3g}; use "
             "assemble"
         )
-    U, values, Vt = svd(J, full_matrices=True)
-    rank = int((values > RANK_TOLERANCE * max(1.0, values.max(initial=0.0))).sum())
-    N = Vt[rank:].T
+    spectrum = Spectrum(J, 1.0)
+    N = spectrum.null(Level.CLOSED)
+    rank = spectrum.rank(Level.CLOSED)
     scale = scales(system)
     if rank < len(J) and 1 < N.shape[1] != dim:
-        N = moving(system, q, U[:, rank:], N, scale)
+        N = moving(system, q, spectrum.left_null(Level.CLOSED), N, scale)
     return N, scale
 
 
 def _quality(N: Array, rows: list[int]) -> float:
     """The smallest singular value of these rows of an orthonormal basis."""
-    return float(svd(N[rows], compute_uv=False).min(initial=1.0)) if rows else 1.0
+    return min(1.0, float(Spectrum(N[rows]).smallest)) if rows else 1.0
 
 
 def _worst(p: int, n: int) -> float:

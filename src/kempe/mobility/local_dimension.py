@@ -22,7 +22,7 @@ from kempe.model.configurations import as_q
 from kempe.model.model import kept
 from kempe.model.own_tree import own_tree
 from kempe.numerics.clock import TimeLimit
-from kempe.singular_values import svd
+from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 from kempe.words import InWords
 
@@ -60,6 +60,8 @@ ENOUGH = 4
 ends."""
 SAME_PLANE = 0.2
 """Tangent spaces nearer to each other (root sum square of sines) belong to one branch."""
+SPREAD = 0.1
+"""Singular values of unit vectors below this part of the largest are the bend of a branch."""
 SAME_LIMIT = 0.1
 """The same on the smallest sphere, where they are nearly those at the configuration itself."""
 STEP = 0.2
@@ -357,9 +359,8 @@ def span(x: Array) -> tuple[int, Array]:
     """
     if not len(x):
         return 0, np.zeros((x.shape[1], 0))
-    _, sigma, Vt = svd(x, full_matrices=False)
-    dim = int(np.sum(sigma > max(0.1 * sigma[0], 0.1)))
-    return dim, Vt[:dim].T
+    basis = Spectrum(x, 1.0).row_space(SPREAD)
+    return basis.shape[1], basis
 
 
 def dimensions(
@@ -630,7 +631,7 @@ def local_dimension(
     *,
     order: int = 8,
     rng: np.random.Generator | int = 0,
-    tolerance: float = lyapunov_schmidt.RANK,
+    tolerance: float = Level.GENERIC,
     sampling: bool = True,
     time: TimeLimit | None = None,
 ) -> LocalDimension:
@@ -659,8 +660,7 @@ def local_dimension(
         raise InputError(f"order is {order!r}; it must be a whole number from 2 to 16")
     if not 0.0 < tolerance < 1.0:
         raise InputError(
-            f"tolerance is {tolerance!r}; it must be a part of one, such as "
-            f"{lyapunov_schmidt.RANK:g}"
+            f"tolerance is {tolerance!r}; it must be a part of one, such as {Level.GENERIC:g}"
         )
     other, there, turned = regular_chart(own_tree(system), q)
     rng = np.random.default_rng(rng)
@@ -913,6 +913,6 @@ def _kicked(equations: Equations, at: Split, rng: np.random.Generator) -> int:
     for size in SMALL_KICKS:
         found = equations.project(equations.move(at.q, size * d @ at.null_space.T), at.q)
         x = equations.offset(at.q, found.q[found.residual < CLOSED]) / size
-        sigma = svd(x, compute_uv=False) / np.sqrt(max(len(x), 1))
+        sigma = Spectrum(x).values / np.sqrt(max(len(x), 1))
         seen.append(int(np.sum(sigma > STAYS / np.sqrt(max(at.delta, 1)))))
     return min(seen)

@@ -20,6 +20,7 @@ from kempe.kernels.forward.table_layout import KIND, N_OUT, N_ROWS, SLIDE, TURN,
 from kempe.model.configurations import as_q
 from kempe.model.packed_loops import laid_out, loops_of
 from kempe.numerics.clock import TimeLimit
+from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -42,10 +43,9 @@ less."""
 PLAIN = 40
 HOPELESS = 4
 """Most plain steps, and steps without gain that end it."""
-FLAT = 1e-13
 STEEP = 1e-3
-"""Singular values, as parts of the largest, that plain steps leave out, and those that lead back
-into the valley."""
+"""Singular values below this part of the largest are left out by steps back into the valley: along
+them the equations are flat, and steps would leave its neighbourhood."""
 
 
 class Landing(NamedTuple):
@@ -209,7 +209,7 @@ class Equations:
             best = np.where(better, left, best)
             for kept, new in zip(found, at, strict=True):
                 kept[slow[better]] = new[better]
-            there = self._step(at, centers, radii, FLAT)
+            there = self._step(at, centers, radii, Level.ROUNDING)
             step = np.linalg.norm(self.offset(at.q, there), axis=1)
             on = (left > self.m * SHARP) & (since < HOPELESS) & (step < LEAP * at.distance)
             if not on.any():
@@ -220,7 +220,7 @@ class Equations:
             for _ in range(2):
                 q = self._step(self._project(q, centers, radii, 0), centers, radii, STEEP)
 
-    def _step(self, at: Landing, centers: Array, radii: Array, flat: float) -> Array:
+    def _step(self, at: Landing, centers: Array, radii: Array, level: float) -> Array:
         """Where (N, nq) undamped steps lead onto the equations and, where radii > 0, the spheres."""
         q = at.q
         value = at.value
@@ -229,9 +229,9 @@ class Equations:
         over = np.where(radii > 0.0, 1.0 / np.where(radii > 0.0, radii, 1.0), 0.0)
         error = 0.5 * (np.sum(x * x, axis=1) - radii**2) * over
         rows = np.concatenate([J, (x * over[:, None])[:, None]], axis=1)
-        step = -(np.linalg.pinv(rows, flat) @ np.append(value, error[:, None], axis=1)[..., None])[
-            ..., 0
-        ]
+        step = -(
+            Spectrum(rows).inverse(level) @ np.append(value, error[:, None], axis=1)[..., None]
+        )[..., 0]
         shorter = np.minimum(1.0, LONGEST / np.maximum(np.linalg.norm(step, axis=1), 1e-300))
         return self.move(q, step * shorter[:, None])
 

@@ -15,12 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from kempe.mobility.local_equations import Equations
-from kempe.singular_values import svd
+from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 
-RANK = 1e-6
-"""Singular values below this part of the largest count as zero: where roots are double, q is known
-to 1e-8."""
 LEAST = 0.1
 """What the largest singular value counts as at least: equations are scaled, and where all vanish it
 is rounding."""
@@ -77,29 +74,22 @@ class Split:
         )
 
 
-def split(equations: Equations, q: Array, tolerance: float = RANK) -> Split:
+def split(equations: Equations, q: Array, level: float = Level.GENERIC) -> Split:
     """The `Split` of the equations at q (nq,)."""
-    return split_matrix(q, equations.linearise(q)[1][0], tolerance)
+    return split_matrix(q, equations.linearise(q)[1][0], level)
 
 
-def split_matrix(q: Array, J: Array, tolerance: float = RANK) -> Split:
-    """The `Split` for a Jacobian (m, nv); singular values below `tolerance` times the largest count
-    as zero.
-    """
-    return split_all(q[None], J[None], tolerance)[0]
+def split_matrix(q: Array, J: Array, level: float = Level.GENERIC) -> Split:
+    """The `Split` for a Jacobian (m, nv), of a rank at this level."""
+    return split_all(q[None], J[None], level)[0]
 
 
-def split_all(q: Array, J: Array, tolerance: float = RANK) -> list[Split]:
+def split_all(q: Array, J: Array, level: float = Level.GENERIC) -> list[Split]:
     """The same for many configurations (N, nq) and Jacobians (N, m, nv)."""
-    m, nv = J.shape[1:]
-    if m == 0:
-        return [Split(p, np.zeros(0), np.eye(nv), np.zeros((0, 0)), np.zeros((nv, 0))) for p in q]
-    out: list[Split] = []
-    for p, U, sigma, Vt in zip(q, *svd(J), strict=True):
-        rank = int(np.sum(sigma > tolerance * max(float(sigma[0]), LEAST))) if sigma.size else 0
-        inverse = (Vt[:rank].T / sigma[:rank]) @ U[:, :rank].T
-        out.append(Split(p, sigma, Vt[rank:].T, U[:, rank:], inverse))
-    return out
+    return [
+        Split(p, x.values, x.null(level), x.left_null(level), x.inverse(level))
+        for p, x in zip(q, Spectrum(J, LEAST), strict=True)
+    ]
 
 
 def unit_directions(rng: np.random.Generator, n: int, dim: int) -> Array:
@@ -224,6 +214,4 @@ def lineality(equations: Equations, at: Split, k: int, rng: np.random.Generator)
     gradient = np.einsum("ndtc,t->ncd", g.reshape(n, delta, k + 1, at.corank), pick).reshape(
         -1, delta
     )
-    _, sigma, Vt = svd(gradient)
-    rank = int(np.sum(sigma > 1e-4 * sigma[0]))
-    return Vt[rank:].T
+    return Spectrum(gradient).null(Level.ROUGH)

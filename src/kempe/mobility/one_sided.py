@@ -20,8 +20,8 @@ from kempe.equations.velocity import rates, velocity_rows
 from kempe.errors import InputError
 from kempe.forward.fk import jacobian
 from kempe.model.configurations import as_q
+from kempe.numerics.rank import Level, Spectrum
 from kempe.report import Report
-from kempe.singular_values import svd
 from kempe.spatial import Array
 from kempe.words import InWords, counted
 
@@ -119,8 +119,9 @@ def tangent_cone(equal: Array, one_sided: Array) -> Cone:
     G = np.asarray(one_sided, dtype=float)
     G = np.where(np.isfinite(G).all(axis=1, keepdims=True), G, 0.0)
     n = E.shape[1]
-    rank, N = _null_space(_unit(E, NOTHING)[0])
-    full = rank == len(E)
+    held = Spectrum(_unit(E, NOTHING)[0], 1.0)
+    N = held.null(Level.GENERIC).T
+    full = held.rank(Level.GENERIC) == len(E)
     G, sizes = _unit(G, NOTHING)
     vanishing = sizes <= NOTHING
     inner = G @ N.T
@@ -128,14 +129,18 @@ def tangent_cone(equal: Array, one_sided: Array) -> Cone:
     implied = ~vanishing & (left <= NOTHING)
     used = np.flatnonzero(~vanishing & ~implied)
     cut = inner[used]
-    depth, free = _null_space(cut)
-    across = _complement(cut, depth)
+    spectrum = Spectrum(cut, 1.0)
+    free = spectrum.null(Level.GENERIC).T
+    across = spectrum.row_space(Level.GENERIC).T
+    depth = len(across)
     B = _unit(cut @ across.T, 0.0)[0]
     closed = _closed(B)
     redundant = []
     if depth < len(used):
         redundant = _redundant(B)
-    wide, across = _kernel_in(B[closed], across)
+    left = Spectrum(B[closed], 1.0).null(Level.GENERIC).T
+    wide = len(left)
+    across = left @ across
     open_rows = [i for i in range(len(used)) if i not in closed and i not in redundant]
     C = _unit(cut[open_rows] @ across.T, 0.0)[0]
     rays = _rays(C)
@@ -161,26 +166,6 @@ def _unit(rows: Array, ignore: float) -> tuple[Array, Array]:
     sizes = np.linalg.norm(rows, axis=1)
     good = sizes > ignore
     return np.where(good[:, None], rows / np.where(good, sizes, 1.0)[:, None], 0.0), sizes
-
-
-def _null_space(rows: Array) -> tuple[int, Array]:
-    """The rank of unit rows, and an orthonormal basis (n - rank, n) of what they leave at zero."""
-    if not rows.any():
-        return 0, np.eye(rows.shape[1])
-    _, values, Vt = svd(rows)
-    rank = int(np.sum(values > NOTHING * values[0]))
-    return rank, Vt[rank:]
-
-
-def _complement(rows: Array, rank: int) -> Array:
-    """An orthonormal basis (rank, n) of what rows span."""
-    return svd(rows)[2][:rank] if rank else np.zeros((0, rows.shape[1]))
-
-
-def _kernel_in(rows: Array, basis: Array) -> tuple[int, Array]:
-    """Dimension and basis of what rows, written in a basis, leave at zero of its span."""
-    rank, N = _null_space(rows)
-    return len(basis) - rank, N @ basis
 
 
 def _closed(B: Array) -> list[int]:
@@ -245,9 +230,8 @@ def _rays(C: Array) -> Array | None:
     if comb(k, r - 1) > MOST:
         return None
     chosen = np.array([*combinations(range(k), r - 1)], dtype=np.int64)
-    _, values, Vt = svd(C[chosen])
-    alone = np.ones(len(chosen), dtype=bool) if r == 1 else values[:, -1] > NOTHING
-    lines = Vt[alone, -1]
+    spectrum = Spectrum(C[chosen], 1.0)
+    lines = spectrum.right[spectrum.ranks(Level.GENERIC) == r - 1, -1]
     both = np.concatenate([lines, -lines])
     inside = both[np.all(both @ C.T >= -NOTHING, axis=1)]
     out: list[Array] = []

@@ -8,7 +8,7 @@ Source: Golub, Van Loan, *Matrix Computations*, 4th edition, 2013, section 5.4.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from typing import Any, cast
 
@@ -53,8 +53,8 @@ class Level:
     Zeros of the structure are zero to rounding there, and others rarely below 1e-3; at a configuration
     that is found to 1e-14 next to a singular one, where equations are quadratic, they are 1e-7."""
     ROUGH = 1e-4
-    """Level of matrices at first guesses, and of those that differences of functions give: both are off
-    by 1e-6 to 1e-5."""
+    """Level of matrices at first guesses, and of those that second differences of functions give: both
+    are off by 1e-6 to 1e-5."""
 
 
 class Spectrum:
@@ -76,6 +76,13 @@ class Spectrum:
     def __init__(self, A: Array, size: float = 0.0):
         self.A = A
         self.size = size
+
+    def __iter__(self) -> Iterator[Spectrum]:
+        """The spectra of the matrices of a batch (k, m, n), decomposed together."""
+        for A, *factors in zip(self.A, *self._whole, strict=True):
+            one = Spectrum(A, self.size)
+            one.__dict__["_whole"] = tuple(factors)
+            yield one
 
     @cached_property
     def _whole(self) -> tuple[Array, Array, Array]:
