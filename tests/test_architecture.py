@@ -29,7 +29,7 @@ FILES = {
 """Modules by their names below `kempe`; the package itself is `__init__`."""
 
 LAYERS = """
-late version status words errors arrays arguments budget singular_values spatial poses values report
+late version status words errors arrays arguments budget singular_values numerics.rank spatial poses values report
 kernels: base | forward dyads | one_frame closed_form constraints | elimination series tasks | *
 joints
 constraints
@@ -53,7 +53,7 @@ __init__
 cli __main__
 """
 """A line may import itself and lines above; behind a colon stands the order within a folder, where
-* is all that is not named."""
+* is all that is not named. A module of a folder may stand alone in a line further up."""
 
 TYPED = {("late", "system")}
 """The type of what `Mechanism.build` returns, which a row of `late` makes."""
@@ -63,9 +63,11 @@ TYPED = {("late", "system")}
 def place(module: str) -> tuple[int, int]:
     """The layer of a module, and its place within the layer."""
     first, _, rest = module.partition(".")
-    for k, line in enumerate(LAYERS.split("\n")):
+    lines = LAYERS.split("\n")
+    alone = any(module in line.partition(":")[0].split() for line in lines)
+    for k, line in enumerate(lines):
         names, _, inner = line.partition(":")
-        if first in names.split():
+        if (module if alone else first) in names.split():
             groups = [group.split() for group in inner.split("|")]
             named = [i for i, g in enumerate(groups) if rest.partition(".")[0] in g]
             return k, (named or [i for i, g in enumerate(groups) if "*" in g] or [0])[0]

@@ -28,7 +28,7 @@ from kempe.arrays import (
     within_range,
 )
 from kempe.errors import InputError, shown, warn
-from kempe.singular_values import svd
+from kempe.numerics.rank import Spectrum
 from kempe.spatial import Array
 from kempe.values import Expression, Value, evaluate, negate, value, values
 from kempe.words import counted
@@ -119,9 +119,8 @@ def sound(X: Array, what: str, exact: float = EXACT) -> Array:
     rounded = (off > exact) & (off <= ROUNDED)
     if not rounded.any() or not (rounded := rounded & (rotation_error(R) <= ROUNDED)).any():
         return X
-    U, _, Vt = svd(R[rounded])
     out = X.copy()
-    out[rounded, :3, :3] = U @ Vt
+    out[rounded, :3, :3] = Spectrum(R[rounded]).orthogonal
     some = (
         "" if off.ndim == 0 else f" in {np.count_nonzero(rounded)} of {counted(off.size, 'case')}"
     )

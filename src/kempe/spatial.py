@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from kempe.arguments import numbers, quiet, together
 from kempe.errors import InputError
-from kempe.singular_values import svd
+from kempe.numerics.rank import Spectrum
 
 Array = NDArray[np.float64]
 
@@ -396,11 +396,12 @@ def fit_pose(particles: ArrayLike, places: ArrayLike) -> PoseFit:
     a = given - centre[..., None, :]
     b = there - target[..., None, :]
     bad = ~(np.isfinite(a) & np.isfinite(b)).all(axis=(-1, -2))
-    U, S, Vt = svd(np.where(bad[..., None, None], 0.0, np.swapaxes(b, -1, -2) @ a))
-    sense = np.ones((*bad.shape, dim))
-    sense[..., -1] = np.sign(np.linalg.det(U @ Vt))
+    spectrum = Spectrum(np.where(bad[..., None, None], 0.0, np.swapaxes(b, -1, -2) @ a))
+    R = spectrum.rotation
+    sense = np.sign(np.linalg.det(spectrum.orthogonal))
+    S = spectrum.values
     size = np.linalg.norm(a, axis=(-1, -2)) * np.linalg.norm(b, axis=(-1, -2))
-    loose = ~bad & ~(S[..., -2] + sense[..., -1] * S[..., -1] > 1e-12 * size)
+    loose = ~bad & ~(S[..., -2] + sense * S[..., -1] > 1e-12 * size)
     if bad.ndim == 0 and (bad or loose):
         open_ = "the particles lie on one line or in one point, which leaves the orientation open"
         raise InputError(
@@ -410,7 +411,7 @@ def fit_pose(particles: ArrayLike, places: ArrayLike) -> PoseFit:
         )
     X = np.zeros((*bad.shape, 4, 4))
     X[...] = np.eye(4)
-    X[..., :dim, :dim] = (U * sense[..., None, :]) @ Vt
+    X[..., :dim, :dim] = R
     X[..., :dim, 3] = target - np.einsum("...ij,...j->...i", X[..., :dim, :dim], centre)
     X[bad | loose, :3] = np.nan
     moved = given @ np.swapaxes(X[..., :dim, :dim], -1, -2) + X[..., None, :dim, 3]

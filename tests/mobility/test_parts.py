@@ -23,8 +23,9 @@ from kempe.mobility.classify import EvaluationPoint, random_place
 from kempe.mobility.dof_proofs import split_of
 from kempe.mobility.growth_vectors import _null_space
 from kempe.mobility.local_dimension import RADII, Spot, _apart, local_dimension
-from kempe.mobility.local_equations import FLAT, Equations
+from kempe.mobility.local_equations import Equations
 from kempe.mobility.mobility import mobility
+from kempe.numerics.rank import Level
 
 EYE = np.eye(3)
 
@@ -163,7 +164,7 @@ def test_a_step_leads_towards_a_sphere_from_outside_and_from_inside(far):
     center = np.array([[0.3, 0.0]]) * equations.length
     radii = np.ones(1)
     q = center + equations.length * far * np.array([[1.0, 0.0]])
-    q = equations._step(equations._project(q, center, radii, 0), center, radii, FLAT)
+    q = equations._step(equations._project(q, center, radii, 0), center, radii, Level.ROUNDING)
     assert np.linalg.norm(q - center) / equations.length == pytest.approx(1.0, abs=0.006)
 
 

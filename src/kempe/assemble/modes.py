@@ -37,7 +37,7 @@ from kempe.assemble.same_configuration import INSIDE, SAME, Clusters, metric_of
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.constraints.tape import TIME
 from kempe.description.parts import Declared
-from kempe.equations.closure_rows import RANK_TOLERANCE, evaluate
+from kempe.equations.closure_rows import evaluate
 from kempe.equations.one_sided import one_sided_rows
 from kempe.errors import InputError
 from kempe.forward.fk import fk, jacobian
@@ -57,8 +57,8 @@ from kempe.numerics.clock import (
     time_limited,
     time_of,
 )
+from kempe.numerics.rank import Level, Spectrum
 from kempe.report import Cells, brief
-from kempe.singular_values import svd
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import counted, verb
@@ -73,10 +73,6 @@ if TYPE_CHECKING:
 # the ground and on each body, the mirror image of a closed configuration in the ground's plane is
 # closed, too: distances do not tell left from right. Where they do not, the bodies are put as near
 # to the image as may be; whoever reads these configurations closes them, so nothing rests on them.
-
-FLAT = 1e-6
-"""Distance of points from a plane, as a part of the mechanism's size, up to which they lie in
-it."""
 
 
 def mirrored(system: Model, q: Array) -> Array:
@@ -148,10 +144,11 @@ def _plane(system: Model) -> tuple[Array, Array] | None:
     if not len(points):
         return None
     center = points.mean(axis=0)
-    _, sizes, V = svd((points - center)[:, :dim])
-    if len(sizes) == dim and sizes[-1] > FLAT * characteristic_length(system):
+    spectrum = Spectrum((points - center)[:, :dim], characteristic_length(system))
+    normal = spectrum.right[-1]
+    if spectrum.rank(Level.GENERIC) == dim:
         return None
-    return center, np.append(V[-1], np.zeros(3 - dim))
+    return center, np.append(normal, np.zeros(3 - dim))
 
 
 def _fitted(system: Model, body: int, points: Array, image: Array, poses: Array) -> Array:
@@ -171,11 +168,8 @@ def _fitted(system: Model, body: int, points: Array, image: Array, poses: Array)
     scale = np.linalg.norm(H, axis=(1, 2), keepdims=True)
     # where the points leave a turn open it stays small
     old = np.swapaxes(poses[:, :dim, :dim], 1, 2)
-    U, _, V = svd(H[:, :dim, :dim] + 1e-9 * np.maximum(scale, 1e-300) * old)
-    flip = np.linalg.det(U @ V)
-    U[:, :, -1] *= flip[:, None]
-    R = np.swapaxes(U @ V, 1, 2)
-    out[:, :dim, :dim] = R
+    turn = Spectrum(H[:, :dim, :dim] + 1e-9 * np.maximum(scale, 1e-300) * old).rotation
+    out[:, :dim, :dim] = np.swapaxes(turn, 1, 2)
     out[:, :3, 3] = place - out[:, :3, :3] @ middle
     return out
 
@@ -204,9 +198,6 @@ STAYED = 0.1
 again."""
 LONGER = 1024
 """Starts after which a search may end though the number found is odd, where that proves nothing."""
-REGULAR = 1e-5
-"""Smallest singular value, as a part of the largest, of the equations at a mode that counts as one
-for parity."""
 MIXED = 64
 """Mixtures of modes that are tried, at most four for each."""
 CONFIDENCE = 0.95
@@ -497,15 +488,12 @@ def freedoms(
     if not len(q):
         return out
     J = evaluate(system, q, True, True)[1][..., free]
-    values = svd(J, compute_uv=False)
-    ranks = (
-        values > RANK_TOLERANCE * np.maximum(1.0, values.max(axis=-1, initial=0.0))[:, None]
-    ).sum(axis=-1)
+    ranks = Spectrum(J, 1.0).ranks(Level.CLOSED)
     owner: list[int] = []
     kicks: list[Array] = []
     sizes: list[float] = []
     loose = np.arange(len(q)) if bound.frames else np.flatnonzero(ranks < len(free))
-    spaces = svd(J[loose])[2] if len(loose) and not bound.frames else J[loose]
+    spaces = Spectrum(J[loose]).right if len(loose) and not bound.frames else J[loose]
     for k, space in zip(loose.tolist(), spaces, strict=True):
         if bound.frames:
             null_space = np.random.default_rng(0).normal(size=(2, len(free)))
@@ -541,9 +529,9 @@ def _moving(
     scale = clusters.metric.scale[free]
     J = np.concatenate([jacobian(system, q, f)[:, free] * scale for f in clusters.frames])
     J.reshape(-1, 6, len(free))[:, :3] /= clusters.metric.length
-    _, sizes, V = svd(J @ null_space.T)
-    moving = sizes > RANK_TOLERANCE * 1e2
-    return V[: len(sizes)][moving] @ null_space, sizes[moving]
+    spectrum = Spectrum(J @ null_space.T, 1.0)
+    moving = spectrum.row_space(Level.GENERIC).T
+    return moving @ null_space, spectrum.values[: len(moving)]
 
 
 # ---- completeness: parity, and estimates from how often modes are found
@@ -580,8 +568,7 @@ def must_be_even(s: ModesSearch) -> bool:
         or not all(_rigid(s, f) for f in s.spins)
     ):
         return False
-    values = svd(J, compute_uv=False)
-    if np.any(values[:, -1] < REGULAR * values[:, 0]):
+    if np.any(Spectrum(J).ranks(Level.ROUGH) < J.shape[1]):
         return False
     return all(metric.period[i] > 0.0 or _round(system, i) or _tied(system, i) for i in free)
 

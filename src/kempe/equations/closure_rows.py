@@ -21,7 +21,7 @@ from kempe.model.characteristic_length import characteristic_length
 from kempe.model.configurations import as_q
 from kempe.model.own_tree import own_tree
 from kempe.model.packed_loops import PackedLoops, loops_of, must_be_explicit
-from kempe.singular_values import svd
+from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -172,5 +172,4 @@ def freedoms_left(system: Model, q: Array, held: frozenset[str] = frozenset()) -
     system, q, _ = regular_chart(system, q, held)
     free = [i for i, n in enumerate(system.structure.velocity_names) if n not in held]
     J = evaluate(system, q, True, True)[1][:, free]
-    values = svd(J, compute_uv=False) if J.size else np.zeros(0)
-    return len(free) - int((values > RANK_TOLERANCE * max(1.0, values.max(initial=0.0))).sum())
+    return len(free) - Spectrum(J, 1.0).rank(Level.CLOSED)

@@ -12,6 +12,7 @@ import numpy as np
 from kempe.equations.velocity import rates, row_names, velocity_rows
 from kempe.errors import InputError
 from kempe.model.model import kept
+from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -57,7 +58,7 @@ def at_rest(C: Array, A: Array, b: Array) -> Array:
         return np.zeros(len(A.T))
     M = np.concatenate([C, A])
     wanted = np.concatenate([np.zeros(len(C)), b])
-    u: Array = np.asarray(np.linalg.lstsq(M, wanted, rcond=1e-8)[0], dtype=float)
+    u = Spectrum(M).solve(wanted, Level.CLOSED)
     if (gap := float(np.abs(M @ u - wanted).max())) > CONTRADICTION * max(
         1.0, float(np.abs(b).max())
     ):
