@@ -18,7 +18,7 @@ from kempe.equations import closure_rows
 from kempe.equations.one_sided import one_sided_rows
 from kempe.model.configurations import by_short_turns, circles, random
 from kempe.numerics.newton import gauss_newton_of_many, least_squares_of_many
-from kempe.singular_values import svd
+from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -27,9 +27,6 @@ if TYPE_CHECKING:
 CLOSED = 1e-9
 """Norm of the closure equations, in radians and characteristic lengths, up to which a configuration
 is closed."""
-REGULAR = 1e-6
-"""Singular value, as a part of the largest, below which a constraint counts as dependent on
-others."""
 TRIES = 30
 STEEP = 0.5
 """Steps of a search for the manifold, and the longest: that of starts many lengths away is not
@@ -118,15 +115,11 @@ class Manifold:
             return Frames(
                 Q[..., rank:],
                 Q[..., :rank],
-                size.min(axis=1) > REGULAR * np.maximum(size.max(axis=1), 1e-300),
+                size.min(axis=1) > Level.GENERIC * np.maximum(size.max(axis=1), 1e-300),
             )
-        _, s, Vt = svd(J, full_matrices=True)
-        least = REGULAR * np.maximum(s[:, 0], 1e-300)
-        regular = s[:, rank - 1] > least
-        if s.shape[1] > rank:
-            regular &= s[:, rank] < least
-        V = np.swapaxes(Vt, -1, -2)
-        return Frames(V[..., rank:], V[..., :rank], regular)
+        spectrum = Spectrum(J)
+        V = np.swapaxes(spectrum.right, -1, -2)
+        return Frames(V[..., rank:], V[..., :rank], spectrum.ranks(Level.GENERIC) == rank)
 
     def lifted(self, q: Array, y: Array, normal: Array) -> tuple[Array, np.ndarray]:
         """Steps (k, nv) from q (k, nq) onto the manifold: `y` (k, nv) and a combination of normals;

@@ -20,7 +20,7 @@ import numpy as np
 from kempe.assemble.generic_configurations import idle_coordinates, idle_rates
 from kempe.equations import closure_rows
 from kempe.numerics.newton import gauss_newton_of_many
-from kempe.singular_values import svd
+from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -30,10 +30,6 @@ STEP = 1e-5
 """Step of the differences of the matrix."""
 HELD = 1e-9
 """Residual up to which the equations hold: the differences leave no more."""
-ZERO = 1e-7
-"""Singular values below this fraction of the largest count as zero."""
-FLAT = 1e-5
-"""The same for the derivatives, which are differences."""
 STEPS = 60
 LONGEST = 0.5
 PULL = 1e-3
@@ -108,7 +104,7 @@ class RankLoss:
     def null_vectors(self, q: Array) -> Array:
         """Orthonormal bases V (k, n, d) of what the matrices at q (k, nq) lead to the least."""
         A = self._transposed(self.matrices(q))
-        return np.swapaxes(svd(A)[2][:, self.rank - 1 :], 1, 2)
+        return np.swapaxes(Spectrum(A).right[:, self.rank - 1 :], 1, 2)
 
     def _products(self, q: Array, V: Array, steps: Array) -> Array:
         """The matrices at steps (nv, nv) from q (k, nq), times V (k, n, d): (k, nv, m, d)."""
@@ -196,7 +192,9 @@ class RankLoss:
         if not len(q):
             return np.zeros(0, dtype=bool)
         C = self.closure(q, False)[0]
-        return np.asarray((self.least(q) <= ZERO) & (np.abs(C).max(axis=1, initial=0.0) < HELD))
+        return np.asarray(
+            (self.least(q) <= Level.GENERIC) & (np.abs(C).max(axis=1, initial=0.0) < HELD)
+        )
 
     @property
     def square(self) -> bool:
@@ -210,8 +208,10 @@ class RankLoss:
 
     def least(self, q: Array) -> Array:
         """The singular values (k,) at q (k, nq) that are zero in the set, as parts of the largest."""
-        s = svd(self.matrices(q), compute_uv=False)
-        return s[:, self.rank - 1] / np.maximum(s[:, 0], 1e-300) if self.rank else np.zeros(len(q))
+        spectrum = Spectrum(self.matrices(q))
+        return (
+            spectrum.values[:, self.rank - 1] / spectrum.largest if self.rank else np.zeros(len(q))
+        )
 
     def tangents(self, q: Array) -> Array:
         """Orthonormal basis (nv, k) of the directions of the set at one of its points (nq,),
@@ -222,13 +222,10 @@ class RankLoss:
         nv = self.system.nv
         V = self.null_vectors(q[None])
         J = self.equations(q[None], V, V)[1][0]
-        _, s, Vt = svd(J)
-        null_space = Vt[int(np.sum(s > FLAT * max(s[0], 1.0))) :, :nv].T
-        U, s, _ = svd(null_space, full_matrices=False)
-        return U[:, s > FLAT]
+        null_space = Spectrum(J, 1.0).null(Level.ROUGH)[:nv]
+        return Spectrum(null_space, 1.0).range(Level.ROUGH)
 
 
 def generic_rank(A: Array) -> int:
     """The largest rank of matrices (k, m, n)."""
-    s = svd(A, compute_uv=False)
-    return int((s > ZERO * np.maximum(s[:, :1], 1e-300)).sum(axis=1).max(initial=0))
+    return int(Spectrum(A).ranks(Level.GENERIC).max(initial=0))

@@ -20,10 +20,9 @@ from kempe.equations.one_sided import one_sided_rows
 from kempe.errors import InputError
 from kempe.forward.fk import fk, jacobian
 from kempe.model.configurations import random
-from kempe.numerics.rank import Spectrum
+from kempe.numerics.rank import Level, Spectrum
 from kempe.report import Report, brief
-from kempe.singular_values import svd
-from kempe.spaces.rank_loss import ZERO, Matrices, RankLoss, generic_rank
+from kempe.spaces.rank_loss import Matrices, RankLoss, generic_rank
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import InWords, counted, joined
@@ -248,8 +247,7 @@ class RankQuestions:
         moving = np.zeros(system.nv, dtype=bool)
         if frame is not None:
             seen = self.task_jacobians(few).swapaxes(1, 2).reshape(-1, len(self.rows))
-            _, s, Vt = svd(seen, full_matrices=False)
-            self.twists = Vt[: int(np.sum(s > ZERO * max(s.max(initial=0.0), 1e-300)))].T
+            self.twists = Spectrum(seen).row_space(Level.GENERIC)
             if not self.twists.size:
                 raise InputError(
                     f"frame {frame!r} of {system.name} does not move: nothing of it can be lost"
@@ -333,7 +331,11 @@ class RankQuestions:
     def _rank_of_frame(self, q: Array) -> int:
         """How many independent twists the frame has at a closed configuration (nq,)."""
         J = self.task_jacobians(q[None])[0]
-        N = Spectrum(self.closures(q[None])[0]).null(ZERO) if self.loops else np.eye(self.system.nv)
+        N = (
+            Spectrum(self.closures(q[None])[0]).null(Level.GENERIC)
+            if self.loops
+            else np.eye(self.system.nv)
+        )
         return _rank(J @ N, J)
 
     def closures(self, q: Array) -> Array:
@@ -381,7 +383,7 @@ class RankQuestions:
         slide: Array
         turn = np.linalg.norm(full[:, 3:], axis=1)
         slide = np.linalg.norm(full[:, :3], axis=1)
-        size = np.where(turn > ZERO, turn, np.maximum(slide, 1e-300))
+        size = np.where(turn > Level.GENERIC, turn, np.maximum(slide, 1e-300))
         return full / size[:, None] + 0.0
 
     def local(self, q: Array, problems: dict[str, RankLoss]) -> LostAndGained:
@@ -389,7 +391,7 @@ class RankQuestions:
         kinds = [kind for kind, p in problems.items() if p.holds(q[None])[0]]
         N = np.eye(self.system.nv)
         if self.loops:
-            N = Spectrum(self.closures(q[None])[0]).null(ZERO)
+            N = Spectrum(self.closures(q[None])[0]).null(Level.GENERIC)
         none = np.zeros((0, 6))
         lost = none
         gained = none
@@ -399,20 +401,19 @@ class RankQuestions:
         if self.frame is not None:
             J = self.task_jacobians(q[None])[0]
             B = (
-                Spectrum((self.twists.T @ self._axes(q))[None]).null(ZERO)
+                Spectrum((self.twists.T @ self._axes(q))[None]).null(Level.GENERIC)
                 if self.of_axis
                 else np.eye(len(J))
             )
-            U, _, Vt = svd(B.T @ J @ N)
+            moved = Spectrum(B.T @ J @ N)
             rank = _rank(J @ N, J)
-            lost = self.in_si(B @ U[:, rank:]) if rank < self.frame_rank else none
-            still = (N @ Vt[rank:].T).T * self.unit
-            still = still[np.abs(still[:, self.columns]).max(axis=1, initial=0.0) > ZERO]
+            lost = self.in_si(B @ moved.left[:, rank:]) if rank < self.frame_rank else none
+            still = (N @ moved.right[rank:].T).T * self.unit
+            still = still[np.abs(still[:, self.columns]).max(axis=1, initial=0.0) > Level.GENERIC]
         if self.loops and self.inputs is not None:
-            free = Spectrum(self._with_inputs(q[None])[0]).null(ZERO)
+            free = Spectrum(self._with_inputs(q[None])[0]).null(Level.GENERIC)
             if self.frame is not None:
-                W, s, _ = svd(J @ free, full_matrices=False)
-                gained = self.in_si(W[:, s > ZERO])
+                gained = self.in_si(Spectrum(J @ free, 1.0).range(Level.GENERIC))
         if CONSTRAINT in kinds:
             kinds = [CONSTRAINT, *(k for k in kinds if k != CONSTRAINT)]
         return LostAndGained(tuple(kinds), rank, lost, gained, still)
@@ -434,4 +435,4 @@ def _led_inside(system: Model, q: Array) -> Array:
 
 def _rank(A: Array, whole: Array) -> int:
     """The rank of what is left of a `whole` matrix."""
-    return int(np.sum(svd(A, compute_uv=False) > ZERO * max(np.linalg.norm(whole, 2), 1e-300)))
+    return Spectrum(A, float(Spectrum(whole).largest)).rank(Level.GENERIC)

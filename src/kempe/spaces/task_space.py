@@ -22,8 +22,8 @@ from kempe.mobility.independent import tangent_space
 from kempe.model.characteristic_length import characteristic_length
 from kempe.model.configurations import has_loops, mid, one_finite, random
 from kempe.numerics.clock import SHORT, time_limited, time_of
+from kempe.numerics.rank import Level, Spectrum
 from kempe.report import Cells, Report, brief
-from kempe.singular_values import svd
 from kempe.spaces.manifold import Manifold
 from kempe.spatial import Array
 from kempe.status import Status
@@ -37,8 +37,6 @@ if TYPE_CHECKING:
 
 # The rank of what a system moves: of rates of tasks or frames over the velocities that loops leave.
 
-FULL = 1e-7
-"""Singular value, as a part of the largest, up to which a direction counts as lost."""
 ROUNDED = 1e-13
 CLOSED = 1e-9
 """Rate, of rows in radians or characteristic lengths, up to which it is rounding: of trees, and
@@ -53,8 +51,8 @@ def image_ranks(
     least freedoms.
 
     `metres` (m,) says which rows are lengths: these are measured in characteristic lengths, so that
-    ranks do not depend on the unit of length. A singular value counts where it is above `FULL`
-    times the largest, and above rounding.
+    ranks do not depend on the unit of length. A singular value counts where it is above
+    `Level.GENERIC` of the largest, and above rounding.
     """
     out = list[int]()
     n = system.nv
@@ -67,9 +65,9 @@ def image_ranks(
     for x, J, away in zip(q, rates, far.tolist(), strict=True):
         N = tangent_space(system, x)[0] if loops else N
         n = min(n, N.shape[1])
-        s = svd(J @ (scale[:, None] * N) / row_unit, compute_uv=False)
         rounding = (CLOSED if loops else ROUNDED) * (1.0 + away)
-        out.append(int((s > max(FULL * float(s.max(initial=0.0)), rounding)).sum()))
+        moved = J @ (scale[:, None] * N) / row_unit
+        out.append(Spectrum(moved, rounding / Level.GENERIC).rank(Level.GENERIC))
     return np.array(out, dtype=int), n
 
 
