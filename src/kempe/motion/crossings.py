@@ -13,9 +13,9 @@ import numpy as np
 
 from kempe.equations.closure import LEAST, Closure, DrivenClosure
 from kempe.numerics.clock import TimeLimit
-from kempe.numerics.curves import NONE, RANK, Node, correct, node, step
+from kempe.numerics.curves import NONE, Node, correct, node, step
 from kempe.numerics.newton import gauss_newton, gauss_newton_of_many, least_squares
-from kempe.singular_values import svd
+from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 
 DIFFERENCE = 1e-5
@@ -112,7 +112,7 @@ def locate(
     Anal. Optim.* 1980). None where there is no such point.
     """
     n = equations.n
-    left: Array = np.asarray(svd(equations.matrix(x))[0][:, n - nullity :], dtype=float)
+    left = Spectrum(equations.matrix(x)).left[:, n - nullity :]
     rows, k = left.shape
     fixed = left
     start = x
@@ -150,7 +150,7 @@ def locate(
     if not found.size <= SINGULAR:
         return None
     x = found.x[:nq]
-    found = _nullity(svd(equations.matrix(x), compute_uv=False))
+    found = _nullity(equations, x)
     if found <= nullity:
         return x if found == nullity else None
     # more equations, which make it regular again
@@ -158,11 +158,9 @@ def locate(
     return x if better is None else better
 
 
-def _nullity(values: Array) -> int:
-    """How many singular values (n,) of the derivatives of equations, which are scaled, count as
-    zero.
-    """
-    return int(np.sum(values <= RANK * max(float(values[0]), LEAST)))
+def _nullity(equations: Closure, x: Array) -> int:
+    """The dimension of the null space of equations, which are scaled."""
+    return equations.n - Spectrum(equations.matrix(x), LEAST).rank(Level.CLOSED)
 
 
 def cone(equations: Closure, x: Array) -> tuple[Array, bool]:
@@ -172,13 +170,13 @@ def cone(equations: Closure, x: Array) -> tuple[Array, bool]:
     And whether some are double, or second order does not tell any: then they need not be tangents
     of branches.
     """
-    U, s, Vt = svd(equations.matrix(x))
+    spectrum = Spectrum(equations.matrix(x), LEAST)
     n = equations.n
-    d = _nullity(s)
+    null_space = spectrum.null(Level.CLOSED)
+    d = null_space.shape[1]
     if d <= 1:
-        return Vt[n - d :], False
-    null_space = Vt[n - d :].T
-    left = U[:, n - d :]
+        return null_space.T, False
+    left = spectrum.left[:, n - d :]
     forms = np.einsum("nd,nke->kde", null_space, second_order(equations, x, left, null_space))
     forms = 0.5 * (forms + forms.transpose(0, 2, 1))
     size = np.abs(forms).max()
@@ -187,15 +185,16 @@ def cone(equations: Closure, x: Array) -> tuple[Array, bool]:
     forms = forms / size
     found = _two(forms) if d == 2 else _many(forms, equations.budget)
     # rank d - 1 where a zero is simple
-    least = [svd(forms @ u, compute_uv=False)[d - 2] for u in found]
+    least = [Spectrum(forms @ u).values[d - 2] for u in found]
     return found @ null_space.T, min(least, default=1.0) < DOUBLE
 
 
 def _two(forms: Array) -> Array:
     """Common real zeros (k, 2) of quadratic forms (m, 2, 2)."""
     rows = np.stack([forms[:, 0, 0], 2.0 * forms[:, 0, 1], forms[:, 1, 1]], axis=1)
-    Vt = svd(rows)[2]
-    a, b, c = Vt[0]  # a u^2 + b u v + c v^2, the combination of the forms that is largest
+    a, b, c = Spectrum(rows).right[
+        0
+    ]  # a u^2 + b u v + c v^2, the combination of the forms that is largest
     root = b * b - 4.0 * a * c
     if root < -1e-8:
         return np.zeros((0, 2))
@@ -492,7 +491,7 @@ def germ_at(equations: Closure, x: Array, nullity: int = 0) -> Germ | None:
     The null space there has the dimension `nullity`, where that is given, up to what the digits of
     `x` leave.
     """
-    nullity = nullity or _nullity(svd(equations.matrix(x), compute_uv=False))
+    nullity = nullity or _nullity(equations, x)
     if isinstance(equations, DrivenClosure) or nullity < 2:
         return None
     sphere = _Sphere.at(equations, x, nullity)
@@ -531,11 +530,12 @@ class _Sphere:
         """The spheres around a point (nq,) at which the null space has so many dimensions, or
         nearly has.
         """
-        U, s, Vt = svd(equations.matrix(x))
+        spectrum = Spectrum(equations.matrix(x))
         rank = equations.n - nullity
-        return _Sphere(
-            equations, x, Vt[rank:].T, (Vt[:rank].T / s[:rank]) @ U[:, :rank].T, U[:, rank:]
-        )
+        U = spectrum.left
+        Vt = spectrum.right
+        inverse = (Vt[:rank].T / spectrum.values[:rank]) @ U[:, :rank].T
+        return _Sphere(equations, x, Vt[rank:].T, inverse, U[:, rank:])
 
     def valley(self, tangent: Array, reach: float) -> Array | None:
         """The tangent vector (n,) from `x` to the singular point near by, along a tangent (n,) of
@@ -553,7 +553,7 @@ class _Sphere:
         def values(a: Array, b: Array) -> Array:
             return self.reduced(np.stack([a, b], axis=1) @ axes @ self.null_space.T)[1]
 
-        own = svd(values(np.append(a, a), np.repeat([h, -h], VALLEY)), full_matrices=False)[2][0]
+        own = Spectrum(values(np.append(a, a), np.repeat([h, -h], VALLEY))).thin[2][0]
         for _ in range(4):
             low, at, high = (values(a, b + k * h) @ own for k in (-1, 0, 1))
             bent = high - 2.0 * at + low
@@ -601,9 +601,8 @@ class _Sphere:
         values = at(angles)[1]
         if not np.isfinite(values).all():
             return []
-        _, size, Vt = svd(values, full_matrices=False)
         out: list[Array] = []
-        for own in Vt[size > max(1e-6 * size[0], 1e-14)]:
+        for own in Spectrum(values, 1e-8).row_space(Level.GENERIC).T:
             a, b = self._brackets(angles, values @ own, lambda angles, own=own: at(angles)[1] @ own)
             for _ in range(HALVINGS if len(a[0]) else 0):
                 middle = 0.5 * (a[0] + b[0])
@@ -699,10 +698,7 @@ class _Sphere:
             left, J = on_sphere(x, np.arange(len(x)))
             good = np.abs(left).max(axis=1, initial=0.0) < 1e-9
             few = J[good][:8, :-1]
-            if (
-                len(few)
-                and np.median(np.sum(svd(few, compute_uv=False)[:, : n - 1] < PARTED, axis=1)) > 0
-            ):
+            if len(few) and np.median(Spectrum(few, 1.0).ranks(PARTED)) < n - 1:
                 return None
             known = len(out)
             out = self._points([*out, *e.between(self.x, x[good])])
@@ -731,9 +727,10 @@ class _Sphere:
         if there is None:
             return None
         found = e.between(self.x, there.x)
-        (_, s, Vt) = svd(there.J)
+        spectrum = Spectrum(there.J, 1.0)
+        direction = spectrum.right[-1]
         near = np.linalg.norm(found - z) < 0.5 * size
-        return (found, Vt[-1]) if near and s[e.n - 2] > PARTED * max(float(s[0]), 1.0) else None
+        return (found, direction) if near and spectrum.rank(PARTED) >= e.n - 1 else None
 
     def inwards(self, z: Array) -> Array:
         """Tangent vectors (m, n) to points of a half-branch through the one at z (n,), towards the
@@ -768,7 +765,7 @@ def _powers(distance: Array, root: int) -> Array:
 
 def _fit(A: Array, B: Array) -> Array:
     """The X (n, k) that makes |A X - B| least."""
-    return np.asarray(np.linalg.lstsq(A, B, rcond=1e-12)[0], dtype=float)
+    return Spectrum(A).solve(B, Level.ROUNDING)
 
 
 def _paired(x: Array, samples: Array, null_space: Array) -> Germ | None:
@@ -842,11 +839,10 @@ class RankEquations:
 
     def __init__(self, equations: Closure, x: Array):
         J = equations.matrix(x)[: equations.real]
-        U, s, Vt = svd(J)
-        self.nullity = J.shape[1] - int(np.sum(s > RANK * s.max(initial=1e-300)))
-        rank = J.shape[1] - self.nullity
-        self._left = U[:, rank:]
-        self._null_space = Vt[rank:].T
+        spectrum = Spectrum(J)
+        self._left = spectrum.left_null(Level.CLOSED)
+        self._null_space = spectrum.null(Level.CLOSED)
+        self.nullity = self._null_space.shape[1]
         self._before = len(equations.more)
 
     @property
@@ -861,11 +857,11 @@ class RankEquations:
         `at` on.
         """
         own = J[:at] if with_matrix else equations.both(x, True, self._before)[1][:at]
-        U, _, Vt = svd(own)
+        spectrum = Spectrum(own)
         rank = own.shape[1] - self.nullity
         here = slice(at, at + self.count)
-        left = self._near(U[:, rank:], self._left)
-        null_space = self._near(Vt[rank:].T, self._null_space)
+        left = self._near(spectrum.left[:, rank:], self._left)
+        null_space = self._near(spectrum.right[rank:].T, self._null_space)
         if min(_least(left.T @ self._left), _least(null_space.T @ self._null_space)) < ALIGNED:
             self._left = left
             self._null_space = null_space
@@ -883,8 +879,7 @@ class RankEquations:
     @staticmethod
     def _near(basis: Array, to: Array) -> Array:
         """The basis of the same space that is nearest to another (Procrustes)."""
-        U, _, Vt = svd(basis.T @ to)
-        return basis @ (U @ Vt)
+        return basis @ Spectrum(basis.T @ to).orthogonal
 
 
 class _Before(Closure):
@@ -941,4 +936,4 @@ def rank_held(equations: Closure) -> bool:
 
 def _least(A: Array) -> float:
     """The least singular value."""
-    return float(svd(A, compute_uv=False).min(initial=1.0))
+    return float(Spectrum(A).values.min(initial=1.0))

@@ -50,7 +50,6 @@ from kempe.numerics.curves import (
     ACROSS,
     BEND,
     LEAST_STEP,
-    RANK,
     Node,
     bend,
     correct,
@@ -58,7 +57,7 @@ from kempe.numerics.curves import (
     node,
     step,
 )
-from kempe.singular_values import svd
+from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import InWords, counted
@@ -467,9 +466,9 @@ class _Follow:
         J = self.closure.matrix(q)[: self.loops]
         M = np.concatenate([J, np.eye(len(unit))[self.index]])
         wanted = np.concatenate([np.zeros(len(J)), np.append(speeds, self.held) / unit[self.index]])
-        U, s, Vt = svd(M)
-        rank = int(np.sum(s > RANK))
-        z = Vt[:rank].T @ ((U.T @ wanted)[:rank] / s[:rank])
+        held = Spectrum(M, 1.0)
+        N = held.null(Level.CLOSED)
+        z = held.solve(wanted, Level.CLOSED)
         if np.abs(M @ z - wanted).max(initial=0.0) > MISS * max(
             1.0, float(np.abs(wanted).max(initial=0.0))
         ):
@@ -477,13 +476,11 @@ class _Follow:
                 f"the inputs {', '.join(map(repr, self.names))} fight each other: the loops do not "
                 "allow their velocities together"
             )
-        N = Vt[rank:].T
         if not N.shape[1]:
             return z
-        _, s, Vt = svd(A @ N)
-        free = int(np.sum(s > RANK))
-        if free < N.shape[1]:
-            loose = Vt[free:] @ N.T
+        rolling = Spectrum(A @ N, 1.0)
+        loose = (N @ rolling.null(Level.CLOSED)).T
+        if len(loose):
             moving = [
                 n
                 for n, x in zip(
@@ -497,7 +494,7 @@ class _Follow:
                 f"freedom{'s' * (many != 1)} of motion, among {', '.join(map(repr, moving[:6]))}; "
                 "drive or hold more, or give velocities (system.simulate)"
             )
-        z = z + N @ np.linalg.lstsq(A @ N, b - A @ z, rcond=RANK)[0]
+        z = z + N @ rolling.solve(b - A @ z, Level.CLOSED)
         self.slips |= bool(
             np.abs(A @ z - b).max(initial=0.0) > MISS * max(1.0, float(np.linalg.norm(z)))
         )

@@ -18,8 +18,8 @@ from kempe.model.configurations import as_q, home_of, q_from_dict, random, refus
 from kempe.model.coordinates import coordinate_names
 from kempe.motion.crossings import PROBE, SingularNode, branches_at, hold_rank, locate
 from kempe.motion.spin_lock import lock_spins
-from kempe.numerics.curves import RANK, Node, node
-from kempe.singular_values import svd
+from kempe.numerics.curves import Node, node
+from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 from kempe.words import counted
 
@@ -313,13 +313,11 @@ def _at_bifurcation(equations: Closure, here: Node, driver: str | None, wish: Ar
 def too_free(equations: Closure, matrix: Array, drivers: Sequence[str]) -> str:
     """Why the motion is not one curve: which coordinates still move with the drivers held."""
     system = equations.system
-    _, s, Vt = svd(matrix)
-    null_space = Vt[int(np.sum(s > RANK * s[0])) :]
+    null_space = Spectrum(matrix).null(Level.CLOSED).T
     count = len(null_space)
     rows = null_space[:, [angle_or_slide(system, d) for d in drivers]].T
     if drivers:
-        _, s, Vt = svd(rows)
-        null_space = Vt[int(np.sum(s > RANK)) :] @ null_space
+        null_space = Spectrum(rows, 1.0).null(Level.CLOSED).T @ null_space
     sizes = dict(zip(system.structure.velocity_names, np.abs(null_space).max(axis=0), strict=True))
     moving = [n for n, size in sizes.items() if size > 1e-6]
     named = [n for n in moving if n in system.coordinate_names]
@@ -331,7 +329,7 @@ def too_free(equations: Closure, matrix: Array, drivers: Sequence[str]) -> str:
     )
     many = len(null_space) - (not drivers)
     own = null_space[:, [n in named for n in system.structure.velocity_names]]
-    enough = int(np.sum(svd(own, compute_uv=False) > 1e-6)) >= many if named else False
+    enough = Spectrum(own, 1.0).rank(Level.GENERIC) >= many if named else False
     head = (
         f"to first order {system.name} has {counted(count, 'freedom')} here, more than are driven; "
         f"{still}: "

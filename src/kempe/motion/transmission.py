@@ -26,9 +26,8 @@ from kempe.joints import P, R
 from kempe.model.configurations import as_q
 from kempe.motion.path import Event, Path
 from kempe.motion.start import angle_or_slide
-from kempe.numerics.curves import RANK
+from kempe.numerics.rank import Level, Spectrum
 from kempe.report import Cells, Nearest, Report, brief
-from kempe.singular_values import svd
 from kempe.spatial import Array
 from kempe.status import Status, member
 from kempe.words import counted
@@ -160,18 +159,17 @@ def loop_jacobian(
             ]
         )
         nullity[i] = free.shape[1]
-        U, s, Vt = svd(free[index])
-        rank[i] = int(np.sum(s > RANK))
-        margin[i] = s[len(index) - 1] if len(s) >= len(index) else 0.0
-        rest = out @ Vt[rank[i] :].T
+        driven = Spectrum(free[index], 1.0)
+        rest = out @ driven.null(Level.CLOSED)
+        rank[i] = driven.rank(Level.CLOSED)
+        margin[i] = driven.smallest if free.shape[1] >= len(index) else 0.0
         scale = np.abs(out).max(initial=0.0)
         if rank[i] < len(index):
             code[i] = Status.DEAD_POINT
         elif np.abs(rest).max(initial=0.0) > 1e-7 * max(scale, 1e-300):
             code[i] = Status.UNDETERMINED
         else:
-            k = int(rank[i])
-            matrix[i] = out @ (Vt[:k].T / s[:k]) @ U.T / closure.unit[index]
+            matrix[i] = out @ driven.inverse(Level.CLOSED) / closure.unit[index]
     if not lead:
         return LoopJacobian(
             matrix, tuple(inputs), rows, int(rank), int(nullity), float(margin), member(code)
@@ -244,18 +242,18 @@ def mechanical_advantage(
     for k in np.ndindex(out.shape):
         motion = allowed_velocities(closure, q[k]) * closure.unit[:, None]
         if others:
-            _, s, Vt = svd(motion[others])
-            motion = motion @ Vt[int(np.sum(s > RANK)) :].T
+            rates = motion[others] / closure.unit[others, None]
+            motion = motion @ Spectrum(rates, 1.0).null(Level.CLOSED)
         far = (
             motion[angle_or_slide(system, name)]
             if kind == "joint"
             else (push / np.linalg.norm(push) @ jacobian(system, q[k], name)[:3] @ motion)
         )
-        s, Vt = svd(np.vstack([motion[i] / closure.unit[i], far]))[1:]
-        if not len(s) or s[0] < RANK or (len(s) > 1 and s[1] > RANK * max(s[0], 1.0)):
+        along = Spectrum(np.vstack([motion[i] / closure.unit[i], far]), 1.0).row_space(Level.CLOSED)
+        if along.shape[1] != 1:
             continue
-        near = motion[i] @ Vt[0]
-        far = far @ Vt[0]
+        near = motion[i] @ along[:, 0]
+        far = far @ along[:, 0]
         out[k] = near / far if abs(far) > 1e-13 * abs(near) else math.inf
     return float(out) if out.ndim == 0 else out
 
