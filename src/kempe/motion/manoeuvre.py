@@ -19,7 +19,6 @@ from kempe.answers.answer import Motion
 from kempe.arguments import explained, explained_methods, listed, numbers
 from kempe.arrays import is_real, is_whole, named
 from kempe.budget import Budget, TimeUp, Usual
-from kempe.equations import closure_rows
 from kempe.equations.one_sided import one_sided_rows
 from kempe.equations.velocity import row_names
 from kempe.errors import InputError, KempeError, UnknownNameError, UnsupportedError
@@ -28,7 +27,7 @@ from kempe.model.configurations import as_q, has_loops, q_from_dict, refuse_far
 from kempe.model.model import kept
 from kempe.motion.reeds_shepp import QUARTER, refined, ways, wrapped
 from kempe.motion.rolling import slip
-from kempe.motion.wheeled import Wheeled, wheeled
+from kempe.motion.wheeled import Axle, axle_of
 from kempe.numerics.clock import SHORT, TimeLimit, begun_within
 from kempe.spatial import Array
 from kempe.words import counted
@@ -173,97 +172,62 @@ class Manoeuvre(Motion):
 
 
 class ExactManoeuvre:
-    """A manoeuvre in closed form: configurations and velocities at any time."""
+    """A manoeuvre in closed form: configurations and velocities at any time.
 
-    def __init__(self, car: Wheeled, q: Array, idle: Array, pieces: Sequence[Piece]):
-        self.car = car
+    In each piece the axle goes along a line or an arc, and every other coordinate has a constant
+    rate: `Q` (n, nq) are the configurations and `places` (n, 3) those of the axle where pieces
+    begin, `V` (n, nv) the rates.
+    """
+
+    def __init__(self, axle: Axle, q: Array, idle: Array, pieces: Sequence[Piece]):
+        self.axle = axle
         self.pieces = pieces
-        self.q = q
+        self.forward = np.array([p.forward for p in pieces])
+        self.turning = np.array([p.turning for p in pieces])
         self.starts = np.array([p.start for p in pieces])
-        self.forward, self.turning, self.steering = (
-            np.array([getattr(p, name) for p in pieces])
-            for name in ("forward", "turning", "steering")
-        )
         self.total = pieces[-1].start + pieces[-1].duration
-        self.idle = idle / self.total
-        n = len(pieces)
-        layout = car.system.structure.layout
-        place = dict(zip(layout.vector_v.tolist(), layout.vector_q.tolist(), strict=True))
-        self.driven_q = [place[v] for v in car.driven]
-        wheel = np.empty((n, 3))
-        steer = np.empty(n)
-        driven = np.empty((n, len(car.driven)))
-        self.follow = np.empty((n, len(car.driven)))
-        now = np.array(car.wheel(q))
-        angle = float(q[car.steering_q])
-        phases = q[self.driven_q].astype(float)
+        self.gone = np.append(0.0, np.cumsum([abs(p.length) for p in pieces]))
+        move = axle.system.structure.layout.integrate
+        self.Q = np.empty((len(pieces), len(q)))
+        self.V = np.tile(idle / self.total, (len(pieces), 1))
+        self.places = np.empty((len(pieces), 3))
+        place = axle.place(q)
         for k, p in enumerate(pieces):
-            wheel[k] = now
-            steer[k] = angle
-            driven[k] = phases
-            x = q.copy()
-            if car.steering is not None:
-                x[car.steering_q] = angle
-            rate = (
-                car.follow(x, p.forward, p.turning)
-                if p.forward or p.turning
-                else np.zeros(len(car.driven))
-            )
-            if rate is None:
-                raise UnsupportedError(
-                    f"{car.system.name}: its velocity constraints do not allow to {p}"
-                )
-            self.follow[k] = rate
-            now = _moved(now[None], np.array([p.length]), np.array([p.angle]))[0]
-            angle = angle + p.steering * p.duration
-            phases = phases + rate * p.duration
-        self.wheel = wheel
-        self.steer = steer
-        self.driven = driven
-        self.ends = now, angle, phases
+            self.Q[k] = q
+            self.places[k] = place
+            if axle.steering is not None:
+                self.V[k, axle.steering] = p.steering
+            if p.forward or p.turning:
+                rates = axle.rates_of_driven(q, p.forward, p.turning)
+                if rates is None:
+                    raise UnsupportedError(
+                        f"{axle.system.name}: its velocity constraints do not allow to {p}"
+                    )
+                self.V[k, list(axle.driven)] = rates
+            place = _along_arc(place[None], np.array([p.length]), np.array([p.angle]))[0]
+            q = move(q, self.V[k] * p.duration)
 
     def at(self, t: Array) -> tuple[Array, Array]:
         """Configurations (n, nq) and velocities (n, nv) at times (n,)."""
-        car = self.car
-        system = self.car.system
+        axle = self.axle
         k = np.clip(np.searchsorted(self.starts, t, side="right") - 1, 0, len(self.starts) - 1)
         past = t - self.starts[k]
-        wheel = _moved(self.wheel[k], self.forward[k] * past, self.turning[k] * past)
-        v = np.zeros((len(t), system.nv))
-        v[:, list(car.idle)] = self.idle[list(car.idle)]
-        q = system.structure.layout.integrate(
-            np.broadcast_to(self.q, (len(t), system.nq)), v * t[:, None]
-        )
-        if car.steering is not None:
-            q[:, car.steering_q] = self.steer[k] + self.steering[k] * past
-            v[:, car.steering] = self.steering[k]
-        q[:, self.driven_q] = self.driven[k] + self.follow[k] * past[:, None]
-        v[:, list(car.driven)] = self.follow[k]
-        place, heading = car.body(wheel)
-        q = car.pose.to_q(q, place, heading)
-        h = wheel[:, 2]
-        w = self.turning[k]
-        arm = place - wheel[:, :2]
-        ahead = np.column_stack([np.cos(h), np.sin(h)]) * self.forward[k][:, None]
-        moving = ahead + w[:, None] * np.column_stack([-arm[:, 1], arm[:, 0]])
-        v[:, car.pose.own] = car.pose.rates(q, moving, w)
+        v = self.V[k]
+        q = axle.system.structure.layout.integrate(self.Q[k], v * past[:, None])
+        q = axle.put(q, _along_arc(self.places[k], self.forward[k] * past, self.turning[k] * past))
+        v[:, list(axle.own)] = axle.own_rates(q, self.forward[k], self.turning[k])
         return q, v
 
     def lengths(self, t: Array) -> Array:
         """Lengths (n,) that the axle has gone at times (n,)."""
-        k = np.clip(np.searchsorted(self.starts, t, side="right") - 1, 0, len(self.starts) - 1)
-        before = np.concatenate([[0.0], np.cumsum([abs(p.length) for p in self.pieces])])[:-1]
-        return before[k] + np.abs(self.forward[k]) * (t - self.starts[k])
+        return np.interp(t, np.append(self.starts, self.total), self.gone)
 
 
-def _moved(wheel: Array, length: Array, angle: Array) -> Array:
+def _along_arc(place: Array, length: Array, angle: Array) -> Array:
     """Axles (n, 3) after signed lengths (n,) in which they turn by angles (n,) evenly."""
-    half = 0.5 * angle
-    chord = length * np.sinc(half / math.pi)
-    h = wheel[:, 2] + half
-    return np.column_stack(
-        [wheel[:, 0] + chord * np.cos(h), wheel[:, 1] + chord * np.sin(h), wheel[:, 2] + angle]
-    )
+    h = place[:, 2] + 0.5 * angle
+    chord = length * np.sinc(0.5 * angle / math.pi)
+    return place + np.column_stack([chord * np.cos(h), chord * np.sin(h), angle])
 
 
 # ---- plans
@@ -279,8 +243,6 @@ EXACT = 1e-14
 """Angle between the wanted motion and the allowed one that is rounding."""
 NEAR = 1e-12
 """Lengths relative to those of the task that count as none."""
-NEAREST = 100
-"""Half turns that are tried near each end of a turn on the spot."""
 
 
 class Refused(Exception):
@@ -303,171 +265,143 @@ Plan = tuple[Move, ...]
 class Steering:
     """Values of the steering coordinate at which the axle goes straight, turns, or takes an arc."""
 
-    def __init__(self, car: Wheeled, q: Array):
-        self.car = car
-        self.q = q
-        self.unit = closure_rows.characteristic_length(car.system)
-        i = car.steering
+    def __init__(self, axle: Axle, q: Array):
+        system = axle.system
+        i = axle.steering
         assert i is not None
-        self.name = car.system.structure.velocity_names[i]
-        here = float(q[car.steering_q])
-        reach = math.pi if car.system.structure.coordinates.turning[i] else FAR * self.unit
-        low = float(car.system.lower[i])
-        high = float(car.system.upper[i])
-        low = low if math.isfinite(low) else min(here, high) - reach
-        high = high if math.isfinite(high) else max(here, low) + reach
+        self.name = system.structure.velocity_names[i]
+        self._axle = axle
+        self._q = q
+        self.unit = float(axle.units[0])
+        self.now = float(q[axle.in_q[i]])
+        reach = math.pi if system.structure.coordinates.turning[i] else FAR * self.unit
+        low = float(system.lower[i])
+        high = float(system.upper[i])
+        low = low if math.isfinite(low) else min(self.now, high) - reach
+        high = high if math.isfinite(high) else max(self.now, low) + reach
         self.grid = np.linspace(low, high, GRID + 1)
-        self.slope = np.unwrap([self.direction(s) for s in self.grid], period=math.pi)
-
-    def direction(self, s: float) -> float:
-        """Angle in [0, pi) of (forward, turning) without unit, at a value of the steering: 0
-        straight, pi/2 a turn.
-        """
-        x = self.q.copy()
-        x[self.car.steering_q] = s
-        N = self.car.motions(x)
-        forward = N[0, 0] / self.unit
-        turning = N[2, 0]
-        return math.atan2(turning, forward) % math.pi
+        self.bends = np.array([axle.bend(q, s) for s in self.grid.tolist()])
+        self._known: dict[float, tuple[float, ...]] = {}
 
     def values(self, curvature: float) -> tuple[float, ...]:
         """Values at which the axle's path has this curvature [1/m]: 0 straight, infinite on the
         spot.
         """
+        if curvature not in self._known:
+            self._known[curvature] = tuple(self._search(curvature))
+        return self._known[curvature]
+
+    def _search(self, curvature: float) -> list[float]:
         from scipy import optimize
 
-        wanted = math.atan(curvature * self.unit) if math.isfinite(curvature) else 0.5 * math.pi
+        solve = cast(Any, optimize).brentq
+        wanted = math.atan(curvature * self.unit)
 
         def off(s: float) -> float:
-            return math.remainder(self.direction(s) - wanted, math.pi)
+            return math.remainder(self._axle.bend(self._q, s) - wanted, math.pi)
 
-        found: list[float] = []
-        for k in range(GRID):
-            a = (self.slope[k] - wanted) / math.pi
-            b = (self.slope[k + 1] - wanted) / math.pi
-            if math.floor(a) == math.floor(b) and round(a) != a and round(b) != b:
-                continue
-            low = float(self.grid[k])
-            high = float(self.grid[k + 1])
-            ends = [s for s in (low, high) if abs(off(s)) < EXACT]
-            s = ends[0] if ends else None
-            if s is None and off(low) * off(high) < 0.0:
-                s = float(cast(Any, optimize).brentq(off, low, high, xtol=1e-15))
-            for simple in (float(self.q[self.car.steering_q]), 0.0):
-                s = (
-                    simple
-                    if s is not None and abs(s - simple) < 1e-9 and abs(off(simple)) < EXACT
-                    else s
-                )
-            if s is not None and all(abs(s - other) > 1e-9 for other in found):
-                found.append(s)
-        return tuple(found)
+        found = [s for s in (self.now, 0.0, *self.grid[[0, -1]]) if abs(off(s)) < EXACT]
+        found = [float(s) for s in found if self.grid[0] <= s <= self.grid[-1]]
+        gap = np.array([math.remainder(b - wanted, math.pi) for b in self.bends])
+        for k in np.flatnonzero((gap[:-1] * gap[1:] <= 0.0) & (np.abs(np.diff(gap)) < 1.0)):
+            s = self.grid[k] if gap[k] == 0.0 else self.grid[k + 1]
+            if gap[k] * gap[k + 1] < 0.0:
+                s = solve(off, self.grid[k], self.grid[k + 1], xtol=1e-15)
+            if all(abs(s - other) > 1e-9 for other in found):
+                found.append(float(s))
+        return found
 
     def tightest(self) -> float:
         """The smallest radius of arcs to both sides within the limits; infinite where there is
         none.
         """
-        bend = np.tan(self.slope) / self.unit
-        left = float(bend.max())
-        right = float(-bend.min())
-        return 1.0 / min(left, right) * (1.0 + 1e-12) if min(left, right) > 0.0 else math.inf
+        bend = np.tan(self.bends) / self.unit
+        least = min(float(bend.max()), float(-bend.min()))
+        return 1.0 / least * (1.0 + 1e-12) if least > 0.0 else math.inf
 
 
 def plans(
-    car: Wheeled, q: Array, goal: Array, radius: float | None, free: Sequence[int]
+    axle: Axle, q: Array, goal: Array, radius: float | None, free: Sequence[int]
 ) -> Iterator[Plan]:
     """Plans from one configuration (nq,) to another, the best first.
 
     `free` are velocity indices of driven coordinates that may end anywhere. Errors: `Refused`.
     """
-    steering = None if car.loose or car.steering is None else Steering(car, q)
-    straight, turn = (
-        ((), ()) if steering is None else (steering.values(0.0), steering.values(math.inf))
-    )
-    if steering is not None and not straight:
-        raise Refused(f"no value of {steering.name!r} within its limits goes straight")
-    if steering is not None and not turn and not radius:
-        least = steering.tightest()
-        if radius == 0.0 or math.isinf(least):
-            said = f"; radius={least:.6g} would do" if math.isfinite(least) else ""
-            raise Refused(
-                f"within the limits of {steering.name!r} it does not turn on the spot{said}"
-            )
-        radius = least
-    start = car.wheel(q)
-    end = car.wheel(goal)
-    pose = car.pose
-    whole = pose.gear * float(goal[pose.turn_q] - q[pose.turn_q])
+    steering = None if axle.loose or axle.steering is None else Steering(axle, q)
+
+    def labelled(plan: Plan) -> Plan:
+        """The plan with values of the steering for each curvature."""
+        if steering is None:
+            return plan
+        moves: list[Move] = []
+        for m in plan:
+            arc = math.copysign(1.0 / radius, m.angle * m.length) if radius else math.inf
+            bend = 0.0 if not m.angle else arc if m.length else math.inf
+            moves.append(m._replace(steering=steering.values(bend)))
+        return tuple(moves)
+
+    if steering is not None:
+        if not steering.values(0.0):
+            raise Refused(f"no value of {steering.name!r} within its limits goes straight")
+        if not radius and not steering.values(math.inf):
+            least = steering.tightest()
+            if radius == 0.0 or math.isinf(least):
+                hint = f"; radius={least:.6g} would do" if math.isfinite(least) else ""
+                raise Refused(
+                    f"within the limits of {steering.name!r} it does not turn on the spot{hint}"
+                )
+            radius = least
+    start = axle.place(q)
+    end = axle.place(goal)
     if not radius:
-        length = _signed_length(car, q, goal, free, whole, straight, turn)
-        yield from (
-            _labelled(plan, straight, turn) for plan in _on_the_spot(start, end, whole, length)
-        )
+        i = axle.own_q[2]
+        angle = axle.gear * float(goal[i] - q[i])
+        turn, ahead = (labelled((Move(*x),))[0] for x in ((0.0, 1.0), (1.0, 0.0)))
+        length = _signed_length(axle, q, goal, free, angle, ahead, turn)
+        yield from map(labelled, _on_the_spot(start, end, angle, length))
         return
-    left, right = (
-        ((), ())
-        if steering is None
-        else (steering.values(1.0 / radius), steering.values(-1.0 / radius))
-    )
-    if steering is not None and not (left and right):
+    if steering is not None and not all(steering.values(k / radius) for k in (1.0, -1.0)):
         raise Refused(
             f"within the limits of {steering.name!r} it does not take arcs of {radius:.6g} m to "
             f"both sides; the smallest radius is {steering.tightest():.6g} m"
         )
     c = math.cos(start[2])
     s = math.sin(start[2])
-    dx = (end[0] - start[0]) / radius
-    dy = (end[1] - start[1]) / radius
-    relative = c * dx + s * dy, c * dy - s * dx, end[2] - start[2]
+    dx, dy = ((end - start)[:2] / radius).tolist()
+    relative = c * dx + s * dy, c * dy - s * dx, float(end[2] - start[2])
     for way in ways(*relative):
-        exact = refined(way, *relative)
-        yield tuple(
-            Move(radius * x, k * x, straight if k == 0.0 else left if k > 0.0 else right)
-            for k, x in exact
-        )
-
-
-def _labelled(plan: Plan, straight: tuple[float, ...], turn: tuple[float, ...]) -> Plan:
-    return tuple(m._replace(steering=turn if m.length == 0.0 else straight) for m in plan)
+        yield labelled(tuple(Move(radius * x, k * x) for k, x in refined(way, *relative)))
 
 
 def _signed_length(
-    car: Wheeled,
-    q: Array,
-    goal: Array,
-    free: Sequence[int],
-    angle: float,
-    straight: tuple[float, ...],
-    turn: tuple[float, ...],
+    axle: Axle, q: Array, goal: Array, free: Sequence[int], angle: float, ahead: Move, turn: Move
 ) -> float | None:
     """The signed length [m] that brings the driven coordinates to the goal's, None where all of
     them are free.
 
     Errors: `Refused` where none does.
     """
-    bound = [k for k, v in enumerate(car.driven) if v not in free]
+    bound = [k for k, v in enumerate(axle.driven) if v not in free]
     if not bound:
         return None
 
-    def rate(forward: float, turning: float, values: tuple[float, ...]) -> Array:
+    def rates(move: Move) -> Array:
         x = q.copy()
-        if values:
-            x[car.steering_q] = min(values, key=lambda s: abs(s - q[car.steering_q]))
-        out = car.follow(x, forward, turning)
+        if move.steering and axle.steering is not None:
+            i = axle.in_q[axle.steering]
+            x[i] = min(move.steering, key=lambda s: abs(s - q[i]))
+        out = axle.rates_of_driven(x, move.length, move.angle)
         return np.full(len(bound), np.nan) if out is None else out[bound]
 
-    ahead = rate(1.0, 0.0, straight)
-    about = rate(0.0, 1.0, turn)
-    missing = (
-        car.system.structure.layout.difference(q, goal)[[car.driven[k] for k in bound]]
-        - about * angle
-    )
-    names = [car.system.structure.velocity_names[car.driven[k]] for k in bound]
-    size = float(ahead @ ahead)
-    length = float(ahead @ missing) / size if size > 0.0 else 0.0
-    off = np.abs(ahead * length - missing)
+    by_length = rates(ahead)
+    far = axle.system.structure.layout.difference(q, goal)[[axle.driven[k] for k in bound]]
+    missing = far - rates(turn) * angle
+    size = float(by_length @ by_length)
+    length = float(by_length @ missing) / size if size > 0.0 else 0.0
+    off = np.abs(by_length * length - missing)
     worst = int(np.argmax(off))
     if not off[worst] <= NEAR * 100.0 * (1.0 + float(np.abs(missing).max()) + abs(angle)):
+        names = [axle.system.structure.velocity_names[axle.driven[k]] for k in bound]
         raise Refused(
             f"the goal cannot be reached: {names[worst]!r} would have to end {off[worst]:.6g} away "
             f"from what it is when {', '.join(map(repr, names))} roll along (free={names!r} lets "
@@ -476,59 +410,31 @@ def _signed_length(
     return length
 
 
-def _on_the_spot(
-    start: tuple[float, float, float],
-    end: tuple[float, float, float],
-    angle: float,
-    signed: float | None,
-) -> Iterator[Plan]:
+def _on_the_spot(start: Array, end: Array, angle: float, signed: float | None) -> Iterator[Plan]:
     """Plans of turns on the spot, by `angle` in all, and straight lines, of a `signed` length in
     all where given.
     """
-    dx = end[0] - start[0]
-    dy = end[1] - start[1]
-    far = math.hypot(dx, dy)
-    way = math.atan2(dy, dx)
-    h = start[2]
-    size = max(abs(x) for x in (*start[:2], *end[:2], 1e-300))
+    far = math.hypot(*(end - start)[:2])
+    way = math.atan2(end[1] - start[1], end[0] - start[0])
+    h = float(start[2])
+    size = max(*np.abs([start[:2], end[:2]]).ravel(), 1e-300)
     if far <= 1e-16 * size:
         far = 0.0
         way = h - QUARTER
-    small = NEAR * max(far, abs(signed or 0.0), 1e-3 * size)
-    if signed is None or abs(abs(signed) - far) <= small:
-        if not far:
-            yield _spare((Move(0.0, angle),))
-            return
-        first = (way - h) % math.pi
-        options = [first + k * math.pi for k in _half_turns(angle, first)]
-
-        def ahead_by(a: float) -> float:
-            return 1.0 if round((a - (way - h)) / math.pi) % 2 == 0 else -1.0
-
-        for a in sorted(
-            options, key=lambda a: (round(abs(a) + abs(angle - a), 9), -ahead_by(a), abs(a))
-        ):
-            ahead = ahead_by(a)
-            if signed is None or ahead * signed > 0.0:
-                yield _spare((Move(0.0, a), Move(ahead * far, 0.0), Move(0.0, angle - a)))
+    if signed is not None and abs(abs(signed) - far) > NEAR * max(far, abs(signed), 1e-3 * size):
+        for legs in _legs(far, way, signed):
+            yield _spare(_through(h, angle, legs))
         return
-    for legs in _legs(far, way, signed):
-        yield _spare(_through(h, angle, legs))
-
-
-def _half_turns(angle: float, first: float) -> list[int]:
-    """Whole half turns k for which first + k pi covers both ends of a turn by an angle, and a half
-    turn around.
-
-    Of very many those near both ends: all between them cost the same.
-    """
-    low = min(0.0, angle) - math.pi
-    high = max(0.0, angle) + math.pi
-    k = math.floor((low - first) / math.pi)
-    stop = math.ceil((high - first) / math.pi) + 1
-    if stop - k <= 2 * NEAREST:
-        return list(range(k, stop))
-    return [*range(k, k + NEAREST), *range(stop - NEAREST, stop)]
+    if not far:
+        yield _spare((Move(0.0, angle),))
+        return
+    # half turns from the way on, near both ends of the turn: all between them cost the same
+    near = {round((x - way + h) / math.pi) + k for x in (0.0, angle) for k in range(-2, 3)}
+    options = [(way - h + k * math.pi, 1.0 if k % 2 == 0 else -1.0) for k in near]
+    options.sort(key=lambda x: (round(abs(x[0]) + abs(angle - x[0]), 9), -x[1], abs(x[0])))
+    for turn, sense in options:
+        if signed is None or sense * signed > 0.0:
+            yield _spare((Move(0.0, turn), Move(sense * far, 0.0), Move(0.0, angle - turn)))
 
 
 def _legs(far: float, way: float, signed: float) -> Iterator[list[tuple[float, float]]]:
@@ -628,16 +534,16 @@ def manoeuvre(
         )
     time.put_in_order()  # there is nothing to do afterwards
     with begun_within(USUAL, time):
-        car = wheeled(system, q)
-        loose = _loose(system, goal, free, car)
+        axle = axle_of(system, q)
+        loose = _loose(system, goal, free, axle)
     motion = None
     said = ""
     late = False
     try:
         with time:
-            for plan in plans(car, q, goals, None if radius is None else float(radius), loose):
+            for plan in plans(axle, q, goals, None if radius is None else float(radius), loose):
                 time.check()
-                found = _exact(car, q, goals, plan)
+                found = _exact(axle, q, goals, plan)
                 said = "" if found is None else _outside(system, found, int(samples))
                 if not said:
                     motion = found
@@ -650,7 +556,7 @@ def manoeuvre(
     zero = np.zeros(1)
     if motion is None:
         return Manoeuvre(
-            system, q[None], zero, zero, (), 0.0, 0, not said, said, (car.pose.body,), late=late
+            system, q[None], zero, zero, (), 0.0, 0, not said, said, (axle.body,), late=late
         )
     t = _times(motion, int(samples))
     x, v = motion.at(t)
@@ -660,7 +566,7 @@ def manoeuvre(
             f"{system.name}: the manoeuvre slips by {slipped:.2g}: its velocity constraints are "
             "not those of an axle everywhere"
         )
-    turns = _arrive(car, motion, x, q, goals, loose)
+    turns = _arrive(axle, motion, x, q, goals, loose)
     return Manoeuvre(
         system,
         x,
@@ -671,7 +577,7 @@ def manoeuvre(
         turns,
         True,
         "",
-        (car.pose.body,),
+        (axle.body,),
         motion,
     )
 
@@ -699,84 +605,81 @@ def _one(system: Model, q: Any, what: str) -> Array:
     return array.astype(float)
 
 
-def _loose(system: Model, goal: Any, free: Iterable[str], car: Wheeled) -> tuple[int, ...]:
+def _loose(system: Model, goal: Any, free: Iterable[str], axle: Axle) -> tuple[int, ...]:
     """Velocity indices of what may end anywhere. Errors: `InputError`, `UnknownNameError`."""
     names = list(system.structure.velocity_names)
     out: list[int] = []
     for name in listed(free, "free"):
         if name not in names:
             raise UnknownNameError("coordinate", name, names, system.name)
-        if names.index(name) not in car.driven:
-            those = ", ".join(repr(names[v]) for v in car.driven) or "none"
+        if names.index(name) not in axle.driven:
+            those = ", ".join(repr(names[v]) for v in axle.driven) or "none"
             raise InputError(
                 f"{name!r} does not roll along, so its goal counts; those that do: {those}"
             )
         out.append(names.index(name))
     given = named(goal)
-    return (*out, *(v for v in car.driven if given is not None and names[v] not in given))
+    return (*out, *(v for v in axle.driven if given is not None and names[v] not in given))
 
 
-def _exact(car: Wheeled, q: Array, goal: Array, plan: Plan) -> ExactManoeuvre | None:
+def _exact(axle: Axle, q: Array, goal: Array, plan: Plan) -> ExactManoeuvre | None:
     """A plan in closed form, with the steering between its moves, as fast as limits allow; None for
     nothing to do.
     """
+    system = axle.system
+    i = None if axle.steering is None else axle.in_q[axle.steering]
+    now = 0.0 if i is None else float(q[i])
+    end = Move(0.0, 0.0, () if i is None else (float(goal[i]),))
     pieces: list[Piece] = []
-    now = float(q[car.steering_q])
-
-    def steer(values: Sequence[float]) -> None:
-        nonlocal now
-        s = min(values, key=lambda s: abs(s - now)) if values else now
+    for move in (*plan, end):
+        s = min(move.steering, key=lambda s: abs(s - now), default=now)
         if s != now:
-            at = pieces[-1].start + pieces[-1].duration if pieces else 0.0
-            pieces.append(Piece("steer", at, abs(s - now), 0.0, 0.0, math.copysign(1.0, s - now)))
+            pieces.append(Piece("steer", 0.0, abs(s - now), 0.0, 0.0, math.copysign(1.0, s - now)))
         now = s
-
-    for move in plan:
-        steer(move.steering)
         time = max(abs(move.length), abs(move.angle))
         kind = "turn" if not move.length else "forwards" if move.length > 0.0 else "in reverse"
-        at = pieces[-1].start + pieces[-1].duration if pieces else 0.0
-        pieces.append(Piece(kind, at, time, move.length / time, move.angle / time, 0.0))
-    if car.steering is not None:
-        steer((float(goal[car.steering_q]),))
-    idle = np.zeros(car.system.nv)
-    idle[list(car.idle)] = car.system.structure.layout.difference(q, goal)[list(car.idle)]
+        if time:
+            pieces.append(Piece(kind, 0.0, time, move.length / time, move.angle / time, 0.0))
+    idle = np.zeros(system.nv)
+    own = list(axle.idle)
+    idle[own] = system.structure.layout.difference(q, goal)[own]
     if not pieces and idle.any():
         pieces.append(Piece("rest", 0.0, float(np.abs(idle).max()), 0.0, 0.0, 0.0))
     if not pieces:
         return None
-    motion = ExactManoeuvre(car, q, idle, pieces)
-    limits = car.system.structure.velocity_limits
-    if not np.isfinite(limits).any():
-        return motion
-    return ExactManoeuvre(car, q, idle, _slower(motion, limits))
+    pieces = _stretched(pieces, np.ones(len(pieces)))
+    limits = system.structure.velocity_limits
+    if np.isfinite(limits).any():
+        factors = _slowness(ExactManoeuvre(axle, q, np.zeros(system.nv), pieces), limits)
+        total = sum(f * p.duration for f, p in zip(factors, pieces, strict=True))
+        most = max(1.0, float((np.abs(idle) / limits).max()) / total)
+        pieces = _stretched(pieces, factors * most)
+    return ExactManoeuvre(axle, q, idle, pieces)
 
 
-def _slower(motion: ExactManoeuvre, limits: Array) -> list[Piece]:
-    """The pieces, each slower where a coordinate would exceed its velocity limit (nv,)."""
-    idle = np.zeros(len(limits), dtype=bool)
-    idle[list(motion.car.idle)] = True
-    still = np.where(idle, np.inf, limits)
-    out: list[Piece] = []
+def _slowness(motion: ExactManoeuvre, limits: Array) -> Array:
+    """How many times slower each piece (n,) must be so that no coordinate exceeds its velocity
+    limit (nv,).
+    """
+    n = 65
+    factors: list[float] = []
     for p in motion.pieces:
-        n = 65
         inside = p.start + p.duration * (np.arange(n) + 0.5) / n
         v = np.abs(motion.at(inside)[1]).max(axis=0) / math.cos(min(0.5 * abs(p.angle) / n, 1.0))
-        out.append(_stretched(p, out, max(1.0, float((v / still).max(initial=0.0)))))
-    total = out[-1].start + out[-1].duration
-    most = float((np.abs(motion.idle) * motion.total / limits)[idle].max(initial=0.0)) / total
-    if most > 1.0:
-        pieces = out
-        out = []
-        for p in pieces:
-            out.append(_stretched(p, out, most))
+        factors.append(max(1.0, float((v / limits).max())))
+    return np.array(factors)
+
+
+def _stretched(pieces: Sequence[Piece], by: Array) -> list[Piece]:
+    """The pieces one after the other, each `by` (n,) times as long."""
+    out: list[Piece] = []
+    start = 0.0
+    for p, x in zip(pieces, by.tolist(), strict=True):
+        out.append(
+            Piece(p.kind, start, p.duration * x, p.forward / x, p.turning / x, p.steering / x)
+        )
+        start += p.duration * x
     return out
-
-
-def _stretched(p: Piece, before: Sequence[Piece], by: float) -> Piece:
-    """A piece that takes `by` times as long, after the pieces before it."""
-    at = before[-1].start + before[-1].duration if before else 0.0
-    return Piece(p.kind, at, p.duration * by, p.forward / by, p.turning / by, p.steering / by)
 
 
 def _times(motion: ExactManoeuvre, samples: int) -> Array:
@@ -794,10 +697,8 @@ def _outside(system: Model, motion: ExactManoeuvre, samples: int) -> str:
     constraints.
     """
     q = motion.at(_times(motion, max(samples, 200)))[0]
-    if (motion.car.pose.spread(q) <= PARALLEL).any():
-        slides = " and ".join(
-            repr(system.structure.velocity_names[int(v)]) for v in motion.car.pose.slides_v
-        )
+    if (motion.axle.slides_sine(q) <= PARALLEL).any():
+        slides = " and ".join(repr(system.structure.velocity_names[v]) for v in motion.axle.own[:2])
         return f"on the way {slides} would be parallel, and cannot go on"
     rows = one_sided_rows(system)
     over = rows.beyond(q)
@@ -811,34 +712,26 @@ def _outside(system: Model, motion: ExactManoeuvre, samples: int) -> str:
 
 
 def _arrive(
-    car: Wheeled, motion: ExactManoeuvre, x: Array, q: Array, goal: Array, free: Sequence[int]
+    axle: Axle, motion: ExactManoeuvre, x: Array, q: Array, goal: Array, free: Sequence[int]
 ) -> int:
     """Put the ends of samples (n, nq) right to the last bit; returns by how many whole turns the
     heading is off.
 
     Errors: `UnsupportedError` where the motion does not lead to the goal.
     """
-    system = car.system
+    system = axle.system
     end = goal.copy()
-    place = dict(
-        zip(
-            system.structure.layout.vector_v.tolist(),
-            system.structure.layout.vector_q.tolist(),
-            strict=True,
-        )
-    )
     for v in free:
-        end[place[v]] = x[-1, place[v]]
-    i = car.pose.turn_q
-    turns = round(float(car.pose.gear * (x[-1, i] - goal[i])) / (2.0 * math.pi))
-    end[i] += 2.0 * math.pi * turns / car.pose.gear
+        end[axle.in_q[v]] = x[-1, axle.in_q[v]]
+    i = axle.own_q[2]
+    turns = round(float(axle.gear * (x[-1, i] - goal[i])) / (2.0 * math.pi))
+    end[i] += 2.0 * math.pi * turns / axle.gear
     off = np.abs(system.structure.layout.difference(x[-1], end))
-    scale = (
-        1.0 + float(np.abs(x[:, system.structure.layout.vector_q]).max(initial=0.0)) + motion.total
-    )
-    if off.max() > 1e-12 * scale:
-        name = system.structure.velocity_names[int(np.argmax(off))]
-        if int(np.argmax(off)) not in car.driven:
+    size = float(np.abs(x[:, system.structure.layout.vector_q]).max(initial=0.0))
+    if off.max() > 1e-12 * (1.0 + size + motion.total):
+        v = int(np.argmax(off))
+        name = system.structure.velocity_names[v]
+        if v not in axle.driven:
             raise UnsupportedError(
                 f"{system.name}: {name!r} would miss the goal by {off.max():.3g}: this radius is "
                 "too large beside the distance for the digits of numbers"

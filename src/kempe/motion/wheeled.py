@@ -1,5 +1,4 @@
-"""What can be steered like a car: recognised from velocity rows and the kinematics, whatever it is
-made of.
+"""A body on an axle, recognised from velocity constraints and the kinematics, whatever it is made of.
 
 A body moves in a plane by two slides and a turn. Velocity rows that depend on how the body moves in
 its own axes, and not on where it is, allow twists (forward, sideways, turning) of it: those without
@@ -11,7 +10,8 @@ rows depend on it, its own rate is in none.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,7 +23,6 @@ from kempe.errors import UnsupportedError
 from kempe.forward.fk import fk, jacobian
 from kempe.model.configurations import random
 from kempe.numerics.rank import Level, Spectrum
-from kempe.singular_values import svd
 from kempe.spatial import Array
 from kempe.words import counted
 
@@ -32,306 +31,167 @@ if TYPE_CHECKING:
 
 SAME = 1e-9
 """Difference of projections, derivatives or rows without unit that counts as rounding."""
-RANK = 1e-8
-"""Singular values below this part of the largest count as zero."""
 TRIALS = 6
 """Random configurations at which each statement is checked."""
-FINE = 720
-"""Values of the steering, all around or between its limits, among which a wanted curvature is
-looked for."""
 SEED = 19900101
 
 
 @dataclass(frozen=True, eq=False)
-class PlanarPlace:
-    """The place of a body in its plane: which coordinates it has, and how the plane lies.
+class Axle:
+    """An axle on a body that moves in a plane, and the coordinates that go with it.
 
-    `slides` and `turn` are indices into q and into velocities; the heading is `gear` times the
-    turn's coordinate. `plane` (2, 3) are the plane's axes in the ground frame.
+    `plane` (2, 3) are the plane's axes in the ground, `own` velocity indices of two slides and the
+    turn, whose coordinate times `gear` is the heading; `mount` (3,) is the middle of the axle and
+    the heading of its wheels in the axes of the body. `driven`, `idle` and `steering` are velocity
+    indices. `loose`: the body may turn about the axle's middle, whatever the steering is.
     """
 
     system: Model
     body: str
-    slides_q: np.ndarray
-    slides_v: np.ndarray
-    turn_q: int
-    turn_v: int
-    gear: float
     plane: Array
+    own: tuple[int, ...]
+    gear: float
+    mount: Array
+    driven: tuple[int, ...] = ()
+    idle: tuple[int, ...] = ()
+    steering: int | None = None
+    loose: bool = False
 
-    @property
-    def own(self) -> list[int]:
-        """Velocity indices of the two slides and the turn."""
-        return [*self.slides_v.tolist(), self.turn_v]
+    @cached_property
+    def in_q(self) -> dict[int, int]:
+        """For each velocity index of a turn or slide its place in q."""
+        layout = self.system.structure.layout
+        return dict(zip(layout.vector_v.tolist(), layout.vector_q.tolist(), strict=True))
 
-    def at(self, q: Array) -> tuple[Array, Array]:
-        """Places (..., 2) of the body's origin in the plane, and headings (...)."""
-        place = fk(self.system, q, self.body)[..., :3, 3] @ self.plane.T
-        return place, self.gear * q[..., self.turn_q]
+    @cached_property
+    def own_q(self) -> list[int]:
+        """Places in q of the two slides and the turn."""
+        return [self.in_q[v] for v in self.own]
 
-    def to_q(self, q: Array, place: Array, heading: Array) -> Array:
-        """Configurations `q` (n, nq) with the body moved to places (n, 2) and headings (n,),
-        exactly.
+    @cached_property
+    def units(self) -> Array:
+        """What one unit of the axle's twist and of each velocity is (3 + nv,): radians, and
+        characteristic lengths.
         """
+        length = closure_rows.characteristic_length(self.system)
+        turning = self.system.structure.coordinates.turning.copy()
+        turning[self.system.structure.layout.quaternion_v[:, None] + np.arange(3)] = True
+        return np.concatenate([[length, length, 1.0], np.where(turning, 1.0, length)])
+
+    def place(self, q: Array) -> Array:
+        """Middle and heading (..., 3) of the axle at configurations (..., nq)."""
+        heading = self.gear * q[..., self.own_q[2]]
+        c = np.cos(heading)
+        s = np.sin(heading)
+        x, y, angle = self.mount
+        origin = fk(self.system, q, self.body)[..., :3, 3] @ self.plane.T
+        arm = np.stack([c * x - s * y, s * x + c * y], axis=-1)
+        return np.concatenate([origin + arm, (heading + angle)[..., None]], axis=-1)
+
+    def put(self, q: Array, place: Array) -> Array:
+        """The configurations (n, nq) with the axle moved to places (n, 3), exactly."""
         out = q.copy()
-        out[:, self.turn_q] = heading / self.gear
-        out[:, self.slides_q] = 0.0
-        origin = self.at(out)[0]
-        J = jacobian(self.system, out, self.body)[:, :3][..., self.slides_v]
-        out[:, self.slides_q] = np.linalg.solve(self.plane @ J, (place - origin)[..., None])[..., 0]
+        out[:, self.own_q[2]] = (place[:, 2] - self.mount[2]) / self.gear
+        out[:, self.own_q[:2]] = 0.0
+        J = self.plane @ jacobian(self.system, out, self.body)[:, :3][..., list(self.own[:2])]
+        off = (place - self.place(out))[:, :2]
+        out[:, self.own_q[:2]] = np.linalg.solve(J, off[..., None])[..., 0]
         return out
 
-    def spread(self, q: Array) -> Array:
+    def twists(self, q: Array) -> Array:
+        """Matrices (n, 3, 3): rates of the axle forward, sideways and turning by those of the
+        slides and the turn, at configurations (n, nq).
+        """
+        J: Array = self.plane @ jacobian(self.system, q, self.body)[:, :3][..., list(self.own)]
+        place = self.place(q)
+        arm = place[:, :2] - fk(self.system, q, self.body)[:, :3, 3] @ self.plane.T
+        J[..., 2] += self.gear * np.column_stack([-arm[:, 1], arm[:, 0]])
+        c = np.cos(place[:, 2])
+        s = np.sin(place[:, 2])
+        axes: Array = np.array([[c, s], [-s, c]]).transpose(2, 0, 1)
+        turn = np.broadcast_to([[0.0, 0.0, self.gear]], (len(q), 1, 3))
+        return np.concatenate([axes @ J, turn], axis=1)
+
+    def own_rates(self, q: Array, forward: Array, turning: Array) -> Array:
+        """Rates (n, 3) of slides and turn at speeds (n,) of the axle."""
+        twist = np.stack([forward, np.zeros(len(q)), turning], axis=1)
+        return np.asarray(np.linalg.solve(self.twists(q), twist[..., None])[..., 0], dtype=float)
+
+    def slides_sine(self, q: Array) -> Array:
         """Sine (n,) of the angle between the two slides, positive where it has the sign that it has
         at the first q.
         """
-        D = self.plane @ np.asarray(jacobian(self.system, q, self.body))[:, :3][..., self.slides_v]
+        D = self.twists(q)[:, :2, :2]
         sine = np.linalg.det(D / np.linalg.norm(D, axis=1, keepdims=True))
         return sine * np.sign(sine[0])
 
-    def rates(self, q: Array, velocity: Array, turning: Array) -> Array:
-        """Velocities (n, 3) of slides and turn that give the body's origin velocities (n, 2) and
-        turning (n,).
+    def rows(self, q: Array) -> Array:
+        """Velocity rows (m, 3 + nv) of the axle's twist, then of all coordinates but the body's
+        (zero there), without unit.
         """
-        J = self.plane @ jacobian(self.system, q, self.body)[:, :3]
-        spin = turning / self.gear
-        rest = velocity - J[..., self.turn_v] * spin[:, None]
-        slides: Array = np.asarray(
-            np.linalg.solve(J[..., self.slides_v], rest[..., None])[..., 0], dtype=float
-        )
-        return np.column_stack([slides, spin])
-
-    def twist(self, q: Array) -> Array:
-        """Matrix (3, 3): forward, sideways and turning rates of the body, in its axes, by the rates
-        `own`.
-        """
-        J = jacobian(self.system, q, self.body)
-        h = self.gear * q[self.turn_q]
-        axes = np.array([[math.cos(h), math.sin(h)], [-math.sin(h), math.cos(h)]])
-        out = np.zeros((3, 3))
-        out[:2] = axes @ self.plane @ J[:3, self.own]
-        out[2, 2] = self.gear
-        return out
-
-
-def pose_of(system: Model) -> PlanarPlace:
-    """The body nearest to the ground that moves in a plane by two slides and a turn. Errors:
-    `UnsupportedError`.
-    """
-    rng = np.random.default_rng(SEED)
-    samples = random(system, rng, (TRIALS,))
-    vectors = dict(
-        zip(
-            system.structure.layout.vector_v.tolist(),
-            system.structure.layout.vector_q.tolist(),
-            strict=True,
-        )
-    )
-    for body in system.body_names[1:]:
-        J = np.asarray(jacobian(system, samples, body))
-        moved = np.flatnonzero(np.abs(J).max(axis=(0, 1)) > SAME)
-        if len(moved) != 3 or not all(int(i) in vectors for i in moved):
-            continue
-        turning = [int(i) for i in moved if np.abs(J[:, 3:, i]).max() > SAME]
-        if len(turning) != 1:
-            continue
-        turn = turning[0]
-        slides = np.array([i for i in moved if i != turning[0]])
-        spin = J[0, 3:, turn]
-        gear = float(np.linalg.norm(spin))
-        normal = spin / gear
-        flat = (
-            np.abs(J[:, 3:, turn] - spin).max() < SAME * gear
-            and np.abs(J[:, :3].transpose(0, 2, 1) @ normal).max()
-        )
-        if not flat < SAME or np.linalg.matrix_rank(J[0, :3][:, slides], RANK) < 2:
-            continue
-        first = (
-            np.eye(3)[int(np.argmin(np.abs(normal)))]
-            if abs(normal[0]) > 0.9
-            else np.array([1.0, 0.0, 0.0])
-        )
-        x = first - normal * (first @ normal)
-        x /= np.linalg.norm(x)
-        plane = np.array([x, np.cross(normal, x)])
-        places = np.array([vectors[int(i)] for i in slides])
-        return PlanarPlace(system, body, places, slides, vectors[turn], turn, gear, plane)
-    raise UnsupportedError(
-        f"{system.name}: no body moves in a plane by two slides and a turn; a manoeuvre is known "
-        "for bodies whose place and heading in a plane are coordinates (a planar joint, or two "
-        "slides and a turn)"
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class Wheeled:
-    """A body on an axle: `axle` (2,) is a point of it in the body's axes, `angle` the heading of
-    its wheels there.
-
-    `driven` and `idle` are velocity indices; `steering` one or None, with its place in q in
-    `steering_q`. `loose` says that the body may turn about the axle's middle, whatever the steering
-    is.
-    """
-
-    pose: PlanarPlace
-    axle: Array
-    angle: float
-    driven: tuple[int, ...]
-    idle: tuple[int, ...]
-    steering: int | None
-    steering_q: int
-    loose: bool
-
-    @property
-    def system(self) -> Model:
-        """The system that moves."""
-        return self.pose.system
-
-    def wheel(self, q: Array) -> tuple[float, float, float]:
-        """The axle's middle and heading (x, y, heading) at a configuration (nq,)."""
-        place, heading = self.pose.at(q)
-        h = float(heading)
-        c = math.cos(h)
-        s = math.sin(h)
-        x, y = self.axle
-        return float(place[0]) + c * x - s * y, float(place[1]) + s * x + c * y, h + self.angle
-
-    def body(self, wheel: Array) -> tuple[Array, Array]:
-        """Places (n, 2) and headings (n,) of the body, of the axle's (n, 3)."""
-        h = wheel[:, 2] - self.angle
-        c = np.cos(h)
-        s = np.sin(h)
-        x, y = self.axle
-        return wheel[:, :2] - np.column_stack([c * x - s * y, s * x + c * y]), h
+        A = rates(self.system, q)[0]
+        own = list(self.own)
+        out = np.concatenate([A[:, own] @ np.linalg.inv(self.twists(q[None])[0]), A], axis=1)
+        out[:, [3 + v for v in own]] = 0.0
+        return out * self.units
 
     def motions(self, q: Array) -> Array:
-        """Basis (3 + driven, k) of allowed (forward, sideways, turning, driven rates) of the axle
-        at q.
+        """Basis (3 + driven, k), without unit, of the allowed rates of the axle and of what it
+        drives.
         """
-        own = [*range(3), *(3 + i for i in self.driven)]
-        A = _rows(self.pose, q)[:, own]
-        unit = _unit(self.pose)[own]
-        c = math.cos(self.angle)
-        s = math.sin(self.angle)
-        x, y = self.axle
-        back = np.eye(A.shape[1])  # of the body's origin, in its axes, by those of the axle
-        back[:3, :3] = [[c, -s, y], [s, c, -x], [0.0, 0.0, 1.0]]
-        return Spectrum(A @ back * unit).null(Level.CLOSED) * unit[:, None]
+        return Spectrum(self.rows(q)[:, self._moved]).null(Level.CLOSED)
 
-    def follow(self, q: Array, forward: float, turning: float) -> Array | None:
+    @cached_property
+    def _moved(self) -> list[int]:
+        return [0, 1, 2, *(3 + v for v in self.driven)]
+
+    def rates_of_driven(self, q: Array, forward: float, turning: float) -> Array | None:
         """Rates (driven,) at these speeds of the axle; None where they are not allowed at q."""
-        N = self.motions(q)
-        goal = np.array([forward, 0.0, turning])
-        x = np.linalg.lstsq(N[:3], goal, rcond=RANK)[0]
-        if np.abs(N[:3] @ x - goal).max() > 1e-7 * max(abs(forward), abs(turning)):
+        N = self.motions(q) * self.units[self._moved][:, None]
+        twist = np.array([forward, 0.0, turning])
+        x = Spectrum(N[:3]).solve(twist, Level.CLOSED)
+        if np.abs(N[:3] @ x - twist).max() > 1e-7 * max(abs(forward), abs(turning)):
             return None
         return N[3:] @ x
 
+    def bend(self, q: Array, steering: float) -> float:
+        """Angle in [0, pi) of (forward, turning) without unit at a value of the steering: 0
+        straight, pi/2 a turn on the spot.
+        """
+        assert self.steering is not None
+        x = q.copy()
+        x[self.in_q[self.steering]] = steering
+        N = self.motions(x)
+        return math.atan2(N[2, 0], N[0, 0]) % math.pi
 
-def wheeled(system: Model, q: Array) -> Wheeled:
-    """What of the system is steered like a car, beside its configuration q (nq,). Errors:
-    `UnsupportedError`.
-    """
+
+def axle_of(system: Model, q: Array) -> Axle:
+    """The axle of a system that rolls, beside its configuration q (nq,). Errors: `UnsupportedError`."""
     A, b = rates(system, q)
-    if not A.shape[-2] and (held := binding(system, q)):
-        raise UnsupportedError(
-            f"{system.name} has no velocity constraints; {held!r} holds positions on the way: "
-            "system.configuration_space.path(start, goal)"
-        )
-    if not A.shape[-2] and len(one_sided_rows(system)):
-        raise UnsupportedError(
-            f"{system.name} has no velocity constraints; limits or one-sided constraints hold on "
-            "the way: system.configuration_space.path(start, goal)"
-        )
+    tie = binding(system, q)
     if not A.shape[-2]:
+        held = "limits or one-sided constraints hold" if len(one_sided_rows(system)) else ""
+        held = f"{tie!r} holds positions" if tie else held
         raise UnsupportedError(
-            f"{system.name} has no velocity constraints: nothing keeps it from going straight "
-            "there (system.configuration_space.interpolate)"
+            f"{system.name} has no velocity constraints"
+            + (
+                f"; {held} on the way: system.configuration_space.path(start, goal)"
+                if held
+                else ": nothing keeps it from going straight there "
+                "(system.configuration_space.interpolate)"
+            )
         )
     if np.abs(b).max(initial=0.0) > 0.0:
         raise UnsupportedError(
             f"{system.name}: a velocity constraint asks for a speed of its own (b is not zero): "
             "the system cannot rest, and a manoeuvre is not known"
         )
-    if held := binding(system, q):
+    if tie:
         raise UnsupportedError(
-            f"{system.name}: {held!r} ties coordinates to each other (a loop, a relation or a "
+            f"{system.name}: {tie!r} ties coordinates to each other (a loop, a relation or a "
             "position constraint); a manoeuvre is known for open systems only"
         )
-    pose = pose_of(system)
-    driven, idle, steering = _kinds(pose, q)
-    steering_q = -1
-    if steering is not None:
-        steering_q = int(
-            system.structure.layout.vector_q[
-                system.structure.layout.vector_v.tolist().index(steering)
-            ]
-        )
-    a, loose = _normal(pose, q, driven, steering, steering_q)
-    if math.hypot(a[0], a[1]) < SAME * abs(a[2]):
-        raise UnsupportedError(
-            f"{system.name}: {pose.body!r} cannot turn; its heading stays, and that is a "
-            "constraint on its position, no nonholonomic one"
-        )
-    a = a / math.hypot(a[0], a[1])
-    forward = np.array([a[1], -a[0]])
-    forward = (
-        -forward
-        if forward[0] < -SAME or (abs(forward[0]) <= SAME and forward[1] < 0.0)
-        else forward
-    )
-    axle, sense = _middle(pose, q, -a[2] * np.array([-a[1], a[0]]), forward)
-    forward = sense * forward
-    return Wheeled(
-        pose, axle, math.atan2(forward[1], forward[0]), driven, idle, steering, steering_q, loose
-    )
-
-
-def _middle(pose: PlanarPlace, q: Array, foot: Array, forward: Array) -> tuple[Array, float]:
-    """The middle (2,) of the axle in the body's axes, and whether `forward` (2,) is forwards (1) or
-    in reverse (-1).
-
-    By the ends of velocity constraints that are fixed on the axle: their middle, and the sense of
-    their x axes. Where there is none, the middle is the `foot`, next to the body's origin.
-    """
-    system = pose.system
-    sense = 0.0
-    found: list[float] = []
-    across = np.array([-forward[1], forward[0]])
-    samples = np.concatenate([q[None], random(system, np.random.default_rng(SEED), (2,))])
-    place, heading = pose.at(samples)
-    c = np.cos(heading)
-    s = np.sin(heading)
-
-    def own(x: Array) -> Array:
-        """Vectors (n, 3) of the ground in the body's axes (n, 2)."""
-        x = x @ pose.plane.T
-        return np.column_stack([c * x[:, 0] + s * x[:, 1], c * x[:, 1] - s * x[:, 0]])
-
-    for body, X in ends_of_velocity_constraints(system):
-        end = fk(system, samples, body) @ X
-        far = own(end[:, :3, 3] - place @ pose.plane)
-        ahead = own(end[:, :3, 0])
-        reach = 1.0 + float(np.abs(far).max()) + float(np.abs(place).max())
-        if max(np.abs(far - far[0]).max(), abs(float(forward @ (far[0] - foot)))) < SAME * reach:
-            found.append(float(across @ (far[0] - foot)))
-            sense += float(forward @ ahead[0]) if np.abs(ahead - ahead[0]).max() < SAME else 0.0
-    middle = foot + across * float(np.mean(found)) if found else foot
-    return middle, -1.0 if sense < -0.5 else 1.0
-
-
-def ends_of_velocity_constraints(system: Model) -> list[tuple[str, Array]]:
-    """For each declared velocity constraint between frames the body of its end B, and the pose of
-    that end on it.
-    """
-    found = [
-        c
-        for c in system._mechanism.constraints.values()
-        if any(r.velocity for r in c.of.rows(system.dim))
-    ]
-    return [
-        (c.child, c.frames(system.structure.parameters, system.dim)[1]) for c in found if c.child
-    ]
+    return _mounted(_sorted_coordinates(_planar_body(system), q), q)
 
 
 def binding(system: Model, q: Array) -> str | None:
@@ -340,140 +200,181 @@ def binding(system: Model, q: Array) -> str | None:
     """
     some = np.concatenate([q[None], random(system, np.random.default_rng(SEED), (TRIALS,))])
     error, J = closure_rows.evaluate(system, some)
-    held = np.flatnonzero(
-        np.maximum(np.abs(error).max(axis=0), np.abs(J).max(axis=(0, 2), initial=0.0)) > SAME
-    )
-    return closure_rows.row_names(system)[int(held[0])][0] if len(held) else None
+    size = np.maximum(np.abs(error).max(axis=0), np.abs(J).max(axis=(0, 2), initial=0.0))
+    rows = np.flatnonzero(size > SAME)
+    return closure_rows.row_names(system)[int(rows[0])][0] if len(rows) else None
 
 
-def _rows(pose: PlanarPlace, q: Array) -> Array:
-    """Velocity rows (m, 3 + nv) of the body's own twist, then of all coordinates but those of its
-    pose (zero there).
+def _planar_body(system: Model) -> Axle:
+    """The body nearest to the ground that moves in a plane by two slides and a turn, the axle at
+    its origin. Errors: `UnsupportedError`.
     """
-    A = rates(pose.system, q)[0]
-    out = np.concatenate([A[:, pose.own] @ np.linalg.inv(pose.twist(q)), A], axis=1)
-    out[:, [3 + i for i in pose.own]] = 0.0
-    return out
+    samples = random(system, np.random.default_rng(SEED), (TRIALS,))
+    vectors = {*system.structure.layout.vector_v.tolist()}
+    for body in system.body_names[1:]:
+        J = np.asarray(jacobian(system, samples, body))
+        moved = np.flatnonzero(np.abs(J).max(axis=(0, 1)) > SAME).tolist()
+        turns = [v for v in moved if np.abs(J[:, 3:, v]).max() > SAME]
+        if len(moved) != 3 or len(turns) != 1 or not vectors.issuperset(moved):
+            continue
+        slides = [v for v in moved if v not in turns]
+        spin = J[0, 3:, turns[0]]
+        gear = float(np.linalg.norm(spin))
+        normal = spin / gear
+        leaves = np.abs(J[:, :3].transpose(0, 2, 1) @ normal).max()
+        tilts = np.abs(J[:, 3:, turns[0]] - spin).max() / gear
+        if max(leaves, tilts) > SAME or Spectrum(J[0, :3][:, slides]).rank(Level.CLOSED) < 2:
+            continue
+        first = np.eye(3)[int(np.argmin(np.abs(normal))) if abs(normal[0]) > 0.9 else 0]
+        x = first - normal * (first @ normal)
+        x /= np.linalg.norm(x)
+        plane = np.asarray([x, np.cross(normal, x)], dtype=float)
+        return Axle(system, body, plane, (*slides, turns[0]), gear, np.zeros(3))
+    raise UnsupportedError(
+        f"{system.name}: no body moves in a plane by two slides and a turn; a manoeuvre is known "
+        "for bodies whose place and heading in a plane are coordinates (a planar joint, or two "
+        "slides and a turn)"
+    )
 
 
-def _unit(pose: PlanarPlace) -> Array:
-    """What one unit is (3 + nv,): radians, and characteristic lengths."""
-    length = closure_rows.characteristic_length(pose.system)
-    turning = pose.system.structure.coordinates.turning.copy()
-    turning[pose.system.structure.layout.quaternion_v[:, None] + np.arange(3)] = True
-    return np.concatenate([[length, length, 1.0], np.where(turning, 1.0, length)])
-
-
-def _projection(A: Array) -> Array:
-    """The projection on the space of the rows."""
-    _, s, Vt = svd(A, full_matrices=False)
-    V = Vt[: int(np.sum(s > RANK * max(float(s.max(initial=0.0)), 1e-300)))]
-    return V.T @ V
-
-
-def _kinds(pose: PlanarPlace, q: Array) -> tuple[tuple[int, ...], tuple[int, ...], int | None]:
-    """Driven and idle velocity indices, and the steering. Errors: `UnsupportedError`."""
-    system = pose.system
-    unit = _unit(pose)
-    rng = np.random.default_rng(SEED)
-    samples = random(system, rng, (TRIALS,))
-    places = {
-        int(v): [int(i)]
-        for v, i in zip(
-            system.structure.layout.vector_v, system.structure.layout.vector_q, strict=True
-        )
-    }
-    for v, i in zip(
-        system.structure.layout.quaternion_v.tolist(),
-        system.structure.layout.quaternion_q.tolist(),
-        strict=True,
-    ):
+def _sorted_coordinates(axle: Axle, q: Array) -> Axle:
+    """The axle with its driven, idle and steering coordinates. Errors: `UnsupportedError`."""
+    system = axle.system
+    layout = system.structure.layout
+    samples = random(system, np.random.default_rng(SEED), (TRIALS,))
+    places = {v: [i] for v, i in axle.in_q.items()}
+    for v, i in zip(layout.quaternion_v.tolist(), layout.quaternion_q.tolist(), strict=True):
         places |= {v + k: list(range(i, i + 4)) for k in range(3)}
 
-    def space(x: Array) -> Array:
-        return _projection(_rows(pose, x) * unit)
+    def projection(x: Array) -> Array:
+        V = Spectrum(axle.rows(x)).row_space(Level.CLOSED)
+        return V @ V.T
 
-    def varies(columns: list[int], base: Array) -> bool:
-        here = space(base)
-        for other in samples:
-            x = base.copy()
-            x[columns] = other[columns]
-            if np.abs(space(x) - here).max() > 1e-8:
-                return True
+    def shapes_rows(columns: list[int]) -> bool:
+        """Whether what the rows allow depends on these coordinates."""
+        for base in (q, *samples[:2]):
+            here = projection(base)
+            for other in samples:
+                x = base.copy()
+                x[columns] = other[columns]
+                if np.abs(projection(x) - here).max() > 10.0 * SAME:
+                    return True
         return False
 
-    own = [*pose.slides_q.tolist(), pose.turn_q]
-    if any(varies(own, base) for base in (q, samples[0])):
+    if shapes_rows(axle.own_q):
         raise UnsupportedError(
-            f"{system.name}: what the velocity constraints allow depends on where {pose.body!r} "
+            f"{system.name}: what the velocity constraints allow depends on where {axle.body!r} "
             "is, not only on how it moves in its own axes; a manoeuvre is not known"
         )
-    driven: list[int] = []
-    idle: list[int] = []
-    steering: list[int] = []
-    for v in sorted(set(places) - set(pose.own)):
-        column = max(float(np.abs(space(x)[3 + v]).max()) for x in (q, *samples)) > SAME
-        shape = any(varies(places[v], base) for base in (q, samples[0], samples[1]))
-        name = system.structure.velocity_names[v]
-        if column and shape:
-            raise UnsupportedError(
-                f"{system.name}: the rate of {name!r} depends on {name!r} itself, as a trailer's "
-                "does; a manoeuvre is not known for that"
-            )
-        (driven if column else steering if shape else idle).append(v)
-    if len(steering) > 1 or any(len(places[v]) > 1 for v in steering):
-        both = " and ".join(repr(system.structure.velocity_names[v]) for v in steering)
+    used = np.max([np.abs(projection(x)).max(axis=0) for x in (q, *samples)], axis=0)[3:] > SAME
+    kinds: dict[tuple[bool, bool], list[int]] = {}
+    for v in sorted({*places} - {*axle.own}):
+        kinds.setdefault((bool(used[v]), shapes_rows(places[v])), []).append(v)
+    names = system.structure.velocity_names
+    for v in kinds.get((True, True), []):
+        raise UnsupportedError(
+            f"{system.name}: the rate of {names[v]!r} depends on {names[v]!r} itself, as a "
+            "trailer's does; a manoeuvre is not known for that"
+        )
+    steering = kinds.get((False, True), [])
+    if len(steering) > 1:
+        both = " and ".join(repr(names[v]) for v in steering)
         raise UnsupportedError(
             f"{system.name}: {both} steer together; a manoeuvre is known for one steering angle"
         )
-    return tuple(driven), tuple(idle), steering[0] if steering else None
+    return replace(
+        axle,
+        driven=tuple(kinds.get((True, False), [])),
+        idle=tuple(kinds.get((False, False), [])),
+        steering=steering[0] if steering else None,
+    )
 
 
-def _normal(
-    pose: PlanarPlace, q: Array, driven: tuple[int, ...], steering: int | None, steering_q: int
-) -> tuple[Array, bool]:
-    """The row (3,) that vanishes on every twist which is allowed, and whether these are all that it
-    leaves.
+def _mounted(axle: Axle, q: Array) -> Axle:
+    """The axle at its place on the body, which no allowed twist moves sideways.
 
     Errors: `UnsupportedError` where the twists are too many, too few, or the driven coordinates do
     not follow.
     """
-    system = pose.system
-    unit = _unit(pose)
-    own = [*range(3), *(3 + i for i in driven)]
+    system = axle.system
+    names = system.structure.velocity_names
+    unit = axle.units[:3]
     twists: list[Array] = []
-    for k in range(TRIALS if steering is not None else 1):
+    for k in range(TRIALS if axle.steering is not None else 1):
         x = q.copy()
-        if steering is not None and k:
-            x[steering_q] = random(system, np.random.default_rng([SEED, k]))[steering_q]
-        N = Spectrum(_rows(pose, x)[:, own] * unit[own]).null(Level.CLOSED)
-        s = svd(N[:3], compute_uv=False)
-        if N.shape[1] > 3 or (N.shape[1] and s[N.shape[1] - 1] < RANK):
-            names = ", ".join(repr(system.structure.velocity_names[v]) for v in driven)
+        if axle.steering is not None and k:
+            i = axle.in_q[axle.steering]
+            x[i] = random(system, np.random.default_rng([SEED, k]))[i]
+        N = axle.motions(x)
+        if Spectrum(N[:3], 1.0).rank(Level.CLOSED) < N.shape[1]:
             raise UnsupportedError(
-                f"{system.name}: with {pose.body!r} at rest some of {names} still turn: a "
-                "manoeuvre is not known for that"
+                f"{system.name}: with {axle.body!r} at rest some of "
+                f"{', '.join(repr(names[v]) for v in axle.driven)} still turn: a manoeuvre is not "
+                "known for that"
             )
-        twists.append(N[:3] * unit[:3, None])
-    counts = {N.shape[1] for N in twists[1:] or twists}
-    if counts == {2}:
-        return np.cross(twists[0][:, 0], twists[0][:, 1]), True
-    if counts == {3}:
+        twists.append(N[:3])
+    left = min(N.shape[1] for N in twists[1:] or twists)
+    if left == 3:
         raise UnsupportedError(
-            f"{system.name}: the velocity constraints let {pose.body!r} move in every direction: "
+            f"{system.name}: the velocity constraints let {axle.body!r} move in every direction: "
             "no manoeuvre is needed (system.configuration_space.interpolate)"
         )
-    if counts == {1} and steering is not None:
-        _, s, Vt = svd(np.concatenate([N.T / unit[:3] for N in twists]))
-        if s[2] < SAME * s[0] and s[1] > RANK * s[0]:
-            return Vt[2] / unit[:3], False
-        name = system.structure.velocity_names[steering]
+    if left == 0 or (left == 1 and axle.steering is None):
         raise UnsupportedError(
-            f"{system.name}: no point of {pose.body!r} is without sideslip for every value of "
-            f"{name!r}: a manoeuvre is known for a body with an axle of its own"
+            f"{system.name}: the velocity constraints leave {axle.body!r} "
+            f"{counted(left, 'freedom')} of motion: it moves along one curve only"
         )
-    left = counted(min(counts), "freedom")
-    raise UnsupportedError(
-        f"{system.name}: the velocity constraints leave {pose.body!r} {left} of motion: "
-        "it moves along one curve only"
-    )
+    rows = Spectrum(np.concatenate(twists, axis=1).T).null(Level.CLOSED)
+    if rows.shape[1] != 1:
+        raise UnsupportedError(
+            f"{system.name}: no point of {axle.body!r} is without sideslip for every value of "
+            f"{names[axle.steering or 0]!r}: a manoeuvre is known for a body with an axle of its "
+            "own"
+        )
+    a = rows[:, 0] / unit
+    size = math.hypot(a[0], a[1])
+    if size < SAME * abs(a[2]):
+        raise UnsupportedError(
+            f"{system.name}: {axle.body!r} cannot turn; its heading stays, and that is a "
+            "constraint on its position, no nonholonomic one"
+        )
+    a = a / size
+    forward = np.array([a[1], -a[0]])
+    if forward[0] < -SAME or (abs(forward[0]) <= SAME and forward[1] < 0.0):
+        forward = -forward
+    middle, sense = _middle(axle, q, -a[2] * np.array([-a[1], a[0]]), forward)
+    forward = sense * forward
+    mount = np.array([*middle, math.atan2(forward[1], forward[0])])
+    return replace(axle, mount=mount, loose=left == 2)
+
+
+def _middle(axle: Axle, q: Array, foot: Array, forward: Array) -> tuple[Array, float]:
+    """The middle (2,) of the axle in the body's axes, and whether `forward` (2,) is forwards (1) or
+    in reverse (-1).
+
+    By the ends of velocity constraints that are fixed on the axle: their middle, and the sense of
+    their x axes. Where there is none, the middle is the `foot`, next to the body's origin.
+    """
+    system = axle.system
+    samples = np.concatenate([q[None], random(system, np.random.default_rng(SEED), (2,))])
+    place = axle.place(samples)
+    c = np.cos(place[:, 2])
+    s = np.sin(place[:, 2])
+    axes = np.array([[c, s], [-s, c]]).transpose(2, 0, 1)
+    across = np.array([-forward[1], forward[0]])
+    sense = 0.0
+    offsets: list[float] = []
+    for declared in system._mechanism.constraints.values():
+        if not declared.child or not any(r.velocity for r in declared.of.rows(system.dim)):
+            continue
+        end = fk(system, samples, declared.child)
+        end = end @ declared.frames(system.structure.parameters, system.dim)[1]
+        far = end[:, :3, 3] @ axle.plane.T - place[:, :2]
+        far = (axes @ far[..., None])[..., 0]
+        ahead = (axes @ (end[:, :3, 0] @ axle.plane.T)[..., None])[..., 0]
+        reach = 1.0 + float(np.abs(far).max()) + float(np.abs(place).max())
+        if max(np.abs(far - far[0]).max(), abs(float(forward @ (far[0] - foot)))) < SAME * reach:
+            offsets.append(float(across @ (far[0] - foot)))
+            sense += float(forward @ ahead[0]) if np.abs(ahead - ahead[0]).max() < SAME else 0.0
+    middle = foot + across * float(np.mean(offsets)) if offsets else foot
+    return middle, -1.0 if sense < -0.5 else 1.0
