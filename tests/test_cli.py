@@ -129,7 +129,8 @@ def test_help_and_version():
 
 
 @pytest.mark.parametrize(
-    "arguments", [["fly"], ["info"], ["fk", "x", "--fly"], ["ik", "x"], ["ik", "x", "--frame"]]
+    "arguments",
+    [["fly"], ["info"], ["fk", "x", "--fly"], ["ik", "two_link"], ["ik", "two_link", "--frame"]],
 )
 def test_wrong_usage(arguments):
     plain = Result(*arguments)
@@ -681,7 +682,7 @@ def test_convert(arm, tmp_path):
     toml = tmp_path / "arm.toml"
     urdf = tmp_path / "again.urdf"
     assert Result("convert", arm, toml).code == 0
-    assert Result("convert", toml, urdf, "--json").json()["written"] == str(urdf)
+    assert Result("convert", toml, urdf, "--json").json()["written"] == [str(urdf)]
     q = np.array([0.3, 0.9])
     for path in (arm, toml, urdf):
         np.testing.assert_allclose(kempe.load(path).fk(q, "tip")[:2, 3], tip(*q)[:2], atol=1e-15)

@@ -58,38 +58,7 @@ def run(words: list[str]) -> subprocess.CompletedProcess[str]:
     return subprocess.run(words, capture_output=True, text=True, timeout=300)
 
 
-@pytest.fixture
-def targets(tmp_path) -> Path:
-    robot = kempe.load("panda")
-    path = tmp_path / "targets.npy"
-    np.save(path, robot.fk(robot.random(0, 9000), HAND))
-    return path
-
-
 # ---- Ctrl-C
-
-
-def test_targets_of_a_file(tmp_path, targets):
-    out = tmp_path / "q.csv"
-    words = command(
-        "ik",
-        "panda",
-        "--frame",
-        HAND,
-        "--target",
-        targets,
-        "-o",
-        out,
-        before=at_call("kempe.inverse.multi_start.run", 2),
-    )
-    done = run(words)
-    assert done.returncode == 130 and "interrupted: 4904 targets were not solved" in done.stdout, (
-        done.stderr
-    )
-    assert (
-        len(out.read_text(encoding="utf-8").splitlines()) == 1 + 4096
-        and "Traceback" not in done.stderr
-    )
 
 
 @pytest.mark.slow

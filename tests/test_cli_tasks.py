@@ -1,10 +1,9 @@
-"""Tasks and paths on the command line: files of tasks, batches in slices, interrupts, sentences for
-what is wrong.
+"""Tasks and paths on the command line: files of tasks, batches, interrupts, sentences for what is
+wrong.
 """
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,6 @@ import kempe
 from kempe import tasks
 from kempe.arguments import until_interrupt
 from kempe.cli import arguments
-from kempe.cli import progress as slices
 
 HAND = "panda_link7"
 
@@ -205,58 +203,14 @@ def batch(n: int) -> np.ndarray:
     return targets
 
 
-def test_a_batch_of_tasks_in_slices(folder, monkeypatch):
+def test_a_batch_of_tasks(folder):
     targets = batch(7)
     data = Result("ik", "panda", "--tasks", "batch.toml", "--json").json()
     assert data["success"] == [True] * 7
     np.testing.assert_allclose([fk(q)[:3, 3] for q in data["q"]], targets, atol=1e-6)
-    monkeypatch.setattr("kempe.cli.inverse_commands.TASK_SLICE", 3)
-    sliced = Result("ik", "panda", "--tasks", "batch.toml", "--json").json()
-    np.testing.assert_allclose(
-        [list(q.values()) for q in sliced["q"]], [list(q.values()) for q in data["q"]]
-    )
-    rounding = re.compile(r"\d\.\de-1\d")  # numpy's products round by the length of a batch
-    assert [rounding.sub("", s) for s in sliced["status"]] == [
-        rounding.sub("", s) for s in data["status"]
-    ]
     np.savetxt("ways.csv", np.tile([0.0, 0.0, -1.0], (4, 1)), delimiter=",")
     result = Result("ik", "panda", "--tasks", "batch.toml")
     assert result.code == 2 and "4, 7 rows" in result.err
-
-
-def test_an_interrupt_leaves_what_was_done(folder, monkeypatch):
-    np.savetxt("t.csv", np.tile([0.4, 0.1, 0.5], (10, 1)), delimiter=",")
-    monkeypatch.setattr("kempe.cli.inverse_commands.SLICE", 4)
-    calls = []
-    whole = kempe.System.ik
-
-    def ik(self, *given, **options):
-        calls.append(1)
-        if len(calls) == 3:
-            raise KeyboardInterrupt
-        return whole(self, *given, **options)
-
-    monkeypatch.setattr(kempe.System, "ik", ik)
-    result = Result("ik", "panda", "--frame", HAND, "--target", "t.csv", "--out", "q.csv")
-    assert (
-        result.code == 130 and "8 of 8" in result.out and "2 targets were not solved" in result.out
-    )
-    assert len(np.loadtxt("q.csv", delimiter=",", skiprows=1)) == 8
-
-
-def test_slices_tell_where_they_are():
-    panda = kempe.load("panda")
-    said = []
-    X = panda.fk(panda.random(0, 5), HAND)
-    X[3, :3, 3] = 9.0
-    answer = slices.in_slices(panda, 5, 2, lambda i, j: panda.ik(X[i:j], HAND), said.append)
-    whole = panda.ik(X, HAND)
-    assert (
-        said == [2, 4, 5]
-        and list(answer.success) == list(whole.success)
-        and "outside" in answer.status[3]
-    )
-    assert not answer and not answer.interrupted and len(answer) == 5
 
 
 # ---- paths

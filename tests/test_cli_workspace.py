@@ -45,7 +45,7 @@ def test_the_text_says_what_is_proven():
     out = Result("workspace", *FEW).out
     assert (
         "each of these holds a point that is reached" in " ".join(out.split())
-        and "area = 2.5" in out
+        and "area  2.5" in out
     )
 
 

@@ -635,12 +635,10 @@ def test_a_single_question_that_is_no_number_is_refused(call):
 
 
 def test_degrees_change_the_angles_of_data_only():
-    from kempe.cli.as_json import answer_facts
-
     answer = LINKAGE.assemble({CRANK: 0.3})
-    rad = answer_facts(answer)
-    deg = answer_facts(answer, True)
-    assert (rad["angle_unit"], deg["angle_unit"]) == ("rad", "deg") and rad == answer.data()
+    rad = answer.data()
+    deg = answer.data(degrees=True)
+    assert (rad["angle_unit"], deg["angle_unit"]) == ("rad", "deg")
     assert deg["q"] == pytest.approx({n: np.degrees(x) for n, x in rad["q"].items()})
     assert {k: v for k, v in deg.items() if k not in ("q", "angle_unit")} == {
         k: v for k, v in rad.items() if k not in ("q", "angle_unit")

@@ -16,9 +16,10 @@ from closed_graphs import random_closed
 from hunts import some
 
 import kempe
-from kempe.cli import report
+from kempe.cli.facts import SystemFacts
 from kempe.errors import KempeError
 from kempe.library import names as library_models
+from kempe.views.overviews import tree_lines
 from kempe.words import counted, in_words, of_many, plural, verb
 
 SOURCE = Path(kempe.__file__).parent
@@ -117,8 +118,8 @@ def test_sentences_of_shipped_models_agree(name):
         lambda: system.mobility(local=False).relative(system.body_names[-1], system.body_names[0]),
         system.independent,
         lambda: system.independent(prefer=list(names)),
-        lambda: report.info(system, False),
-        lambda: report.tree(system),
+        lambda: SystemFacts(system),
+        lambda: "\n".join(tree_lines(system)),
         lambda: system.fk(np.zeros(1), tip),
         lambda: "\n".join(j.forbids(system.dim) for j in system.structure.joints.values()),
         lambda: system.assemble(dict.fromkeys(names, 0.1)),
@@ -167,8 +168,8 @@ def about(system: kempe.System) -> str:
         system.independent,
         system.classify,
         lambda: system.independent(prefer=names[:2]),
-        lambda: report.info(system, False),
-        lambda: report.tree(system),
+        lambda: SystemFacts(system),
+        lambda: "\n".join(tree_lines(system)),
         lambda: system.task_space(tip),
         system.opened,
         assemble,

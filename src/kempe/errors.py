@@ -229,6 +229,19 @@ class Interrupted(KeyboardInterrupt):
         )
 
 
+class MissingPackageError(KempeError, ImportError):
+    """A package that Kempe does not need itself is not installed; the text says how to install it."""
+
+    def __init__(self, package: str):
+        self.package = package
+        super().__init__(
+            f"this needs the package {package!r}: install it with  pip install {package}"
+        )
+
+    def __reduce__(self):
+        return (type(self), (self.package,))
+
+
 class MissingExtraError(KempeError, ImportError):
     """An optional dependency is not installed; the text says how to install it."""
 

@@ -5,18 +5,26 @@ An answer is true where its question was answered.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Sequence
 from dataclasses import fields
-from typing import Any, NamedTuple, Protocol
+from importlib.util import find_spec
+from textwrap import fill
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
 from kempe.arguments import explained_methods
 from kempe.arrays import is_array, plain
-from kempe.errors import KempeError
+from kempe.errors import KempeError, MissingPackageError
 from kempe.status import Status, named
 from kempe.words import (
+    Quantities,
+    Quantity,
+    Unit,
+    aligned,
     by_topic,
+    fixed,
     image_html,
     json_text,
     jsonable,
@@ -27,8 +35,152 @@ from kempe.words import (
 
 MOST_JUDGED = 1_000_000
 """Coordinates up to which configurations are judged for their `data`."""
-Cells = tuple[Sequence[str], Sequence[Sequence[str]]]
-"""Heads of columns (none: each row is a name and what it is) and rows of a table."""
+ROWS = 64
+"""Rows of a table, and lines of notes, that a text shows."""
+WIDE = 8
+"""Numbers in a row from which a text shows each row as a column, where there is room for them."""
+
+
+class Table(NamedTuple):
+    """Facts in rows of texts and numbers, which are a `Quantity` each, under the heads of columns.
+
+    As a `record` each row is a name, what it is, and what limits it; else rows are alike, and a
+    `grid` of them is always in columns. `more` is how many rows there are beyond these. What is not
+    `printed` by `print` is in the `text` and in HTML.
+    """
+
+    heads: Sequence[str]
+    rows: Sequence[Sequence[Any]]
+    record: bool = False
+    grid: bool = False
+    more: int = 0
+    title: str = ""
+    printed: bool = True
+
+    def lines(self) -> list[str]:
+        """A line a row: "name = value" of a record, else what stands under each head."""
+        if self.grid:
+            return self.aligned()
+        texts = [[_digits(x) for x in row] for row in self.rows]
+        if self.record:
+            out = [f"{row[0]} = {row[1]}" for row in texts]
+        else:
+            label = not self.heads[0]  # what has no head begins the line
+            out = [
+                f"{row[0]:>3s}  " * label
+                + ", ".join(
+                    f"{h} = {x}" for h, x in zip(self.heads[label:], row[label:], strict=True)
+                )
+                for row in texts
+            ]
+        return self._cut(out)
+
+    def html(self) -> str:
+        """The table of HTML."""
+        heads, columns, _ = self._columns(False, not self.grid)
+        more = [f"... and {self.more} more"] if self.more else []
+        title = paragraphs([self.title] if self.title else [])
+        return title + table_html(heads, zip(*columns, strict=True)) + paragraphs(more)
+
+    def aligned(self, degrees: bool = False) -> list[str]:
+        """Lines with columns of equal width, in radians or degrees."""
+        heads, columns, right = self._columns(degrees)
+        if sum(right) > WIDE and not self.record:
+            return self._cut(_beside(heads, columns))
+        return self._cut(aligned(heads, columns, right))
+
+    def _columns(
+        self, degrees: bool, digits: bool = False
+    ) -> tuple[list[str], list[list[str]], list[bool]]:
+        """Heads (none where all are empty), texts, and which columns are numbers, without empty
+        columns; numbers with nine `digits` or with fixed decimals.
+        """
+        heads = list(self.heads or ("", ""))
+        cells = [list(column) for column in zip(*self.rows, strict=True)] or [[] for _ in heads]
+        units = self._units()
+        texts = [
+            [_digits(x) if digits else _fixed(x, degrees, self.record) for x in column]
+            for column in cells
+        ]
+        right = [any(_is_number(x) or isinstance(x, int) for x in column) for column in cells]
+        if None in units:
+            last = len(right) - right[::-1].index(
+                True
+            )  # numbers in several units: each row has one
+            texts.insert(last, [_unit_of(row, degrees) for row in self.rows])
+            heads.insert(last, "unit")
+            right.insert(last, False)
+        else:
+            heads = [h + _in(_shown_unit(u, degrees)) for h, u in zip(heads, units, strict=True)]
+        keep = [k for k, column in enumerate(texts) if any(column)] or range(len(texts))
+        shown = [heads[k] for k in keep]
+        return shown if any(shown) else [], [texts[k] for k in keep], [right[k] for k in keep]
+
+    def _units(self) -> list[str | None]:
+        """The unit of the numbers of each column, None where each row has its own."""
+        of = [{x.unit for row in self.rows if _is_number(x := row[k])} for k in self._places]
+        return [None if len(x) > 1 or (x and self.record) else "".join(x) for x in of]
+
+    @property
+    def _places(self) -> range:
+        return range(len(self.heads) or 2)
+
+    def _cut(self, lines: list[str]) -> list[str]:
+        """The lines under the title, and how many more there are."""
+        more = [f"... and {self.more} more"] if self.more else []
+        return [*([self.title] if self.title else []), *lines, *more]
+
+
+def _is_number(x: Any) -> bool:
+    return isinstance(x, Quantity) and np.ndim(x.value) == 0
+
+
+def _unit_of(row: Sequence[Any], degrees: bool) -> str:
+    """The unit of the numbers of a row."""
+    return next((_shown_unit(x.unit, degrees) for x in row if _is_number(x)), "")
+
+
+def _in(unit: str) -> str:
+    return f" [{unit}]" if unit else ""
+
+
+def _shown_unit(unit: str | None, degrees: bool) -> str:
+    return Unit(unit or "").within(degrees)
+
+
+def _digits(x: Any) -> str:
+    """A cell with nine digits of its number."""
+    if _is_number(x):
+        return f"{x.value:.9g}"
+    return _fixed(x, False)
+
+
+def _fixed(x: Any, degrees: bool, bare: bool = False) -> str:
+    """A cell with as many decimals as the numbers above and below it; '[-2, 2] rad' of an interval,
+    '[-2, 2]' where it is `bare`, '' where that has no ends.
+    """
+    if isinstance(x, Quantities):
+        return ", ".join(f"{label} {_fixed(y, degrees)}".lstrip() for label, y in x.each)
+    if not isinstance(x, Quantity):
+        return str(x)
+    x = x.within(degrees)
+    if np.ndim(x.value):
+        low, high = x.value
+        unit = "" if bare else x.unit
+        return f"[{low:.5g}, {high:.5g}] {unit}".rstrip() if np.isfinite(x.value).any() else ""
+    return fixed(float(x.value), 4 if x.unit == "deg" else 6)
+
+
+def _beside(heads: Sequence[str], columns: Sequence[Sequence[str]]) -> list[str]:
+    """Rows shown as columns, in blocks of as many beside each other."""
+    out: list[str] = []
+    count = len(columns[0])
+    blocks = math.ceil(count / WIDE)
+    for k in range(blocks):
+        part = slice(k * count // blocks, (k + 1) * count // blocks)
+        shown = [list(heads), *zip(*(column[part] for column in columns), strict=True)]
+        out += [""] * bool(out) + aligned((), shown, [False] + [True] * (len(shown) - 1))
+    return out
 
 
 class Nearest(Protocol):
@@ -89,23 +241,50 @@ class Result:
     within: Nearest | None = None
     """The nearest mechanism that closes exactly, which was solved in place of the given one; None:
     it was itself."""
+    _has_angles: ClassVar[bool] = False
+    """Whether the data have angles, which are degrees where that is requested."""
     _pictured = False
     """Whether a notebook shows its `plot`, too: where the picture says more than the numbers."""
 
-    def data(self) -> dict[str, Any]:
+    def data(self, degrees: bool = False) -> dict[str, Any]:
         """All numbers and texts as plain Python, ready for JSON; `code` by the names of `Status`,
         NaN as None.
+
+        With `degrees` the angles of configurations are degrees; errors and tolerances stay radians.
         """
         said = {
             "success": np.asarray(self.success).tolist(),
             "code": named(self.code),
             "status": self.status,
         }
-        return jsonable(self._head() | said | self._data())
+        own = self._data()
+        head = {name: own.pop(name) for name in ("system", "frame") if name in own} | self._head()
+        unit = {"angle_unit": "deg" if degrees else "rad"} if self._has_angles else {}
+        return jsonable(head | unit | said | own, degrees)
 
-    def to_json(self) -> str:
+    def to_json(self, degrees: bool = False) -> str:
         """The `data` as JSON."""
-        return json_text(self.data())
+        return json_text(self.data(degrees))
+
+    def to_dataframe(self, degrees: bool = False) -> Any:
+        """What it has in rows, as a `DataFrame` of pandas.
+
+        Errors: `MissingPackageError` without pandas.
+        """
+        if find_spec("pandas") is None:
+            raise MissingPackageError("pandas")
+        from pandas import DataFrame
+
+        names, rows = self._frame(degrees)
+        return DataFrame(rows, columns=names)  # type: ignore[arg-type]
+
+    def _frame(self, degrees: bool) -> tuple[Sequence[str], Any]:
+        """Names of columns, and rows, of its first table."""
+        for table in self._tables():
+            heads = table.heads or ("name", "value")
+            rows = [[_cell(x, degrees) for x in row] for row in table.rows]
+            return heads, rows
+        return ("status",), np.reshape(np.asarray(self.status, dtype=object), (-1, 1)).tolist()
 
     def _head(self) -> dict[str, Any]:
         """What the data begin with: of what they are."""
@@ -121,34 +300,40 @@ class Result:
         """The first line of the text."""
         return str(self.status)
 
-    def _cells(self) -> Cells:
-        """What the text has as lines under the headline, and HTML as a table."""
-        return (), ()
-
-    def _notes(self) -> Sequence[str]:
-        """The last lines."""
+    def _tables(self) -> Sequence[Table]:
+        """What it found in rows, of which a text shows lines or columns, and HTML tables."""
         return ()
 
-    def _lines(self) -> Sequence[str]:
-        """The `_cells` as lines of text."""
-        heads, rows = self._cells()
-        if not heads:
-            return [" = ".join(row) for row in rows]
-        return [", ".join(f"{h} = {x}" for h, x in zip(heads, row, strict=True)) for row in rows]
+    def _notes(self, degrees: bool = False) -> Sequence[str]:
+        """The last lines: reasons, and what no table has."""
+        return ()
 
     def __bool__(self) -> bool:
         return bool(np.all(self.success))
 
     def __str__(self) -> str:
-        return "\n".join(
-            [self._headline(), *(f"  {line}" for line in (*self._lines(), *self._notes()))]
-        )
+        lines = [line for table in self._tables() if table.printed for line in table.lines()]
+        return "\n".join([self._headline(), *(f"  {x}" for x in (*lines, *self._notes()))])
+
+    def text(self, degrees: bool = False, width: int = 0) -> str:
+        """The text with its tables in columns; with `degrees` its angles are degrees.
+
+        With a `width`, longer sentences are broken.
+        """
+        parts = [_filled(self._headline(), width)]
+        for table in self._tables():
+            parts.append("\n".join(["", *table.aligned(degrees)]))
+        notes = [_filled(x, width) for x in self._notes(degrees)]
+        if notes and len(parts) > 1:
+            parts += ["", *notes]
+        else:
+            parts += [f"  {x}" for x in notes]
+        return "\n".join(parts)
 
     def _repr_html_(self) -> str:
-        cells = self._cells()
+        tables = "".join(table.html() for table in self._tables())
         head = paragraphs([self._headline()])
-        body = table_html(*cells) if len(cells[1]) else paragraphs(self._lines())
-        return head + body + paragraphs(self._notes()) + self._image()
+        return head + tables + paragraphs(self._notes()) + self._image()
 
     def _image(self) -> str:
         """What `plot` draws, as HTML, where `_pictured` says so; '' where nothing can be drawn."""
@@ -193,6 +378,16 @@ class Report(Result):
         topics = self.topics()
         return by_topic(self._headline(), topics) if topics else super().__str__()
 
+    def text(self, degrees: bool = False, width: int = 0) -> str:
+        """The text with its tables in columns; with `degrees` its angles are degrees.
+
+        With a `width`, longer sentences are broken.
+        """
+        topics = self.topics()
+        if not topics:
+            return super().text(degrees, width)
+        return by_topic(_filled(self._headline(), width), topics, width=width)
+
     def _repr_html_(self) -> str:
         topics = self.topics()
         return (
@@ -202,36 +397,13 @@ class Report(Result):
         )
 
 
-class Words(NamedTuple):
-    """Functions that put a report into words: one sentence, reasons as (title, lines), and data."""
-
-    sentence: Callable[[Any], str]
-    lines: Callable[[Any], list[tuple[str, list[str]]]]
-    data: Callable[[Any], dict[str, Any]]
+def _filled(line: str, width: int) -> str:
+    return fill(line, width, subsequent_indent="  ") if width and len(line) > width else line
 
 
-class Worded(Report):
-    """A report by `name` that functions put into words."""
-
-    name: str
-
-    def _words(self) -> Words:
-        raise NotImplementedError
-
-    @property
-    def status(self) -> str:
-        """The result in one sentence."""
-        return self._words().sentence(self)
-
-    def topics(self) -> list[tuple[str, list[str]]]:
-        """The reasons as (title, lines)."""
-        return self._words().lines(self)
-
-    def _headline(self) -> str:
-        return f"{self.name}: {self.status}"
-
-    def _data(self) -> dict[str, Any]:
-        return self._words().data(self)
+def _cell(x: Any, degrees: bool) -> Any:
+    """A cell of a `DataFrame`."""
+    return x.within(degrees).value if isinstance(x, Quantity) else x
 
 
 # ---- answers on one line

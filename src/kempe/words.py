@@ -7,7 +7,7 @@ import math
 import re
 from collections.abc import Iterable, Sequence
 from textwrap import fill
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -103,6 +103,29 @@ def by_topic(
     return "\n".join(out)
 
 
+def fixed(x: float, decimals: int = 6) -> str:
+    """A number with fixed decimals, without negative zero."""
+    text = f"{x:.{decimals}f}"
+    return text[1:] if text.startswith("-") and not text.strip("-0.") else text
+
+
+def aligned(
+    heads: Sequence[str], columns: Sequence[Sequence[str]], right: Sequence[bool] = ()
+) -> list[str]:
+    """Lines of columns of equal width under their heads, numbers on the `right`."""
+    full = [
+        [head, *column] for head, column in zip(heads or [""] * len(columns), columns, strict=True)
+    ]
+    width = [max(map(len, column)) for column in full]
+    lines = [
+        "  ".join(
+            x.rjust(w) if r else x.ljust(w) for x, w, r in zip(row, width, right, strict=False)
+        )
+        for row in zip(*full, strict=True)
+    ]
+    return [line.rstrip() for line in lines[0 if heads else 1 :]]
+
+
 def _escaped(text: str) -> str:
     """Text as HTML shows it as it is."""
     # sentences are made at start-up, and need no HTML; so with JSON and images below
@@ -169,18 +192,80 @@ def json_text(data: Any, ascii_only: bool = False) -> str:
     )
 
 
-def jsonable(values: Any) -> Any:
+DEGREE = math.pi / 180.0
+
+
+class Quantity(NamedTuple):
+    """A number, an interval (low, high), or an array, in a unit: radians are shown as degrees where
+    that is requested.
+    """
+
+    value: Any
+    unit: str = ""
+
+    def within(self, degrees: bool) -> Quantity:
+        """The same in the unit that is shown."""
+        if not degrees or self.unit != "rad":
+            return self
+        return Quantity(np.asarray(self.value, dtype=float) / DEGREE, "deg")
+
+
+class Quantities(NamedTuple):
+    """Quantities with a label each, in one cell of a table."""
+
+    each: Sequence[tuple[str, Quantity]]
+
+
+class Unit(str):
+    """The unit of a number beside it, which is shown as that is."""
+
+    def within(self, degrees: bool) -> str:
+        """The unit that is shown."""
+        return "deg" if degrees and self == "rad" else str(self)
+
+
+class ByName(NamedTuple):
+    """Values (..., n) of coordinates by their names and units."""
+
+    names: Sequence[str]
+    units: Sequence[str]
+    values: Any
+
+    def within(self, degrees: bool) -> Any:
+        """The values (..., n) in the units that are shown."""
+        angles = [degrees and unit == "rad" for unit in self.units]
+        return np.asarray(self.values, dtype=float) / np.where(angles, DEGREE, 1.0)
+
+    def data(self, degrees: bool = False) -> Any:
+        """A dict by name, nested lists of these for several; None where all values are NaN."""
+        return self._named(self.within(degrees))
+
+    def _named(self, values: Any) -> Any:
+        if np.ndim(values) > 1:
+            return [self._named(x) for x in values]
+        named = dict(zip(self.names, values.tolist(), strict=True))
+        return None if named and np.isnan(values).all() else named
+
+
+def jsonable(values: Any, degrees: bool = False) -> Any:
     """Arrays as nested lists of numbers, None in place of NaN and infinities, which JSON does not
     have.
     """
     if isinstance(values, dict):
-        return {key: jsonable(value) for key, value in cast("dict[Any, Any]", values).items()}
+        items = cast("dict[Any, Any]", values).items()
+        return {key: jsonable(value, degrees) for key, value in items}
+    if isinstance(values, Quantity):
+        return jsonable(values.within(degrees).value)
+    if isinstance(values, Unit):
+        return values.within(degrees)
+    if isinstance(values, ByName):
+        return jsonable(values.data(degrees))
     if isinstance(values, np.generic):
         return jsonable(values.item())
     if isinstance(values, np.ndarray):
-        return jsonable(values.tolist())
+        return jsonable(values.tolist(), degrees)
     if isinstance(values, (list, tuple)):
-        return [jsonable(v) for v in cast("Sequence[Any]", values)]
+        return [jsonable(v, degrees) for v in cast("Sequence[Any]", values)]
     if isinstance(values, float):
         return values + 0.0 if math.isfinite(values) else None
     return values

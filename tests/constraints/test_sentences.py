@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import io
-
 import numpy as np
 import pytest
 from kinds_battery import EXAMPLES, TASKS_ONLY, two_bodies
 
 import kempe
 from kempe import constraints as c
-from kempe.cli import as_json, report
+from kempe.cli.facts import SystemFacts
 
 
 def info(system: kempe.System) -> str:
-    file = io.StringIO()
-    report.show(report.info(system), file)
-    return file.getvalue()
+    return SystemFacts(system).text()
 
 
 @pytest.mark.parametrize("dim", [2, 3])
@@ -24,8 +20,8 @@ def info(system: kempe.System) -> str:
 def test_each_kind_is_said(name, dim):
     m = two_bodies(dim)
     m.constrain(made := EXAMPLES[name](dim), "it")
-    said = as_json.system_facts(system := m.build())["constraints"][0]["says"]
-    assert said == made.sentence and f" {said}\n" in info(system)
+    said = SystemFacts(system := m.build()).data()["constraints"][0]["says"]
+    assert said == made.sentence and f" {said}\n" in f"{info(system)}\n"
     assert not {*"{}[]"} & {*said} and "None" not in said and "array" not in said
     frames = [
         x for x in (getattr(made, "frame", None), getattr(made, "other", None)) if x is not None
@@ -60,4 +56,4 @@ def test_sentences(made, said):
     m = two_bodies(3)
     m.parameter("l", 0.5)
     m.constrain(made, "it")
-    assert as_json.system_facts(m.build())["constraints"][0]["says"] == said
+    assert SystemFacts(m.build()).data()["constraints"][0]["says"] == said

@@ -15,15 +15,15 @@ import reference
 import kempe
 from kempe import Mechanism, library
 from kempe.assemble import bound
-from kempe.cli import as_json, loop_report, report
+from kempe.cli import report
 from kempe.equations.judge import Poses, judge, motion
 from kempe.joints import TYPES, joint_type
 from kempe.status import Status
 
 
-def text(renderable) -> str:
+def text(answer) -> str:
     file = io.StringIO()
-    report.show(renderable, file)
+    report.show(answer, file=file)
     return file.getvalue()
 
 
@@ -109,13 +109,13 @@ def test_a_kernel_that_closes_nothing_is_exposed(monkeypatch):
     for shown in (
         str(answer),
         html.unescape(answer._repr_html_()),
-        text(loop_report.assembly(answer)),
+        text(answer),
     ):
         assert said in shown
-    data = as_json.answer_facts(answer)["judged"]
+    data = answer.data()["judged"]
     assert data["holds"] is False and max(data["errors"]["C"]) > 1e-3
     many = system.assemble({"A": [0.3, 0.5]}, start=system.neutral)
-    assert "2 are contradicted by poses" in text(loop_report.assembly(many))
+    assert "2 are contradicted by poses" in text(many)
 
 
 def test_a_forward_model_that_is_wrong_is_exposed(monkeypatch):
@@ -124,15 +124,13 @@ def test_a_forward_model_that_is_wrong_is_exposed(monkeypatch):
     """
     system = kempe.load("two_link")
     answer = system.ik([0.6, 0.3], "e")
-    assert answer.judged and "judged by poses" in text(report.solution(system, answer))
+    assert answer.judged and "judged by poses" in text(answer)
     moved = object.__new__(type(answer))
     moved.__dict__.update(answer.__dict__, q=answer.q + 0.01)
     moved.__dict__.pop("judged")
     assert moved.success and not moved.judged
-    assert "success is contradicted" in str(moved) and "success is contradicted" in text(
-        report.solution(system, moved)
-    )
-    assert as_json.answer_facts(moved)["judged"]["holds"] is False
+    assert "success is contradicted" in str(moved) and "success is contradicted" in text(moved)
+    assert moved.data()["judged"]["holds"] is False
 
 
 def test_what_is_open_is_not_said_to_be_contradicted():
@@ -144,9 +142,7 @@ def test_paths_and_batches():
     system = kempe.load("jansen")
     path = system.trace("O")
     assert (
-        path.judged
-        and path.judged.errors.shape == (3, len(path), 2)
-        and "judged by" in text(loop_report.path(path))
+        path.judged and path.judged.errors.shape == (3, len(path), 2) and "judged by" in text(path)
     )
     batch = system.assemble({"O": [0.1, np.nan, 0.4]})
     assert batch.judged.holds.tolist() == [True, False, True] and batch.verdict == ""

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from kempe import Mechanism
-from kempe.cli import as_json, report
+from kempe.cli import report
+from kempe.cli.facts import SystemFacts, error_facts
 from kempe.errors import DescriptionError, Fault, UnknownNameError, Where
-from kempe.words import json_text, jsonable
+from kempe.model.configurations import by_name, units
+from kempe.words import fixed, json_text, jsonable
 
 
 class Terminal(io.StringIO):
@@ -21,9 +23,13 @@ class Terminal(io.StringIO):
         return True
 
 
-def text(renderable, file=None) -> str:
+def text(answer, file=None) -> str:
+    """What is printed of an answer, or of rich text."""
     file = file or io.StringIO()
-    report.show(renderable, file)
+    if isinstance(answer, SystemFacts):
+        report.show(answer, file=file)
+    else:
+        report.write(answer, file)
     return file.getvalue()
 
 
@@ -47,7 +53,7 @@ def zoo() -> Mechanism:
 
 
 def test_units_of_every_coordinate():
-    unit = as_json.units(zoo().build())
+    unit = units(zoo().build())
     assert {n for n, u in unit.items() if u == "m"} == {
         "sleeve.z",
         "flight.x",
@@ -60,18 +66,13 @@ def test_units_of_every_coordinate():
 
 def test_degrees_touch_angles_only():
     system = zoo().build()
-    shown = as_json.in_degrees(
-        np.ones(system.nq), system.coordinate_names, as_json.units(system), True
-    )
-    by_name = dict(zip(system.coordinate_names, shown, strict=True))
-    assert (
-        by_name["screw"] == pytest.approx(180.0 / np.pi)
-        and by_name["sleeve.z"] == by_name["ball.qx"] == 1.0
-    )
+    shown = by_name(system, np.ones(system.nq)).data(degrees=True)
+    assert shown["screw"] == pytest.approx(180.0 / np.pi)
+    assert shown["sleeve.z"] == shown["ball.qx"] == 1.0
 
 
 def test_info_says_everything():
-    shown = text(report.info(zoo().build()))
+    shown = text(SystemFacts(zoo().build()))
     parts = [
         "zoo: 6 bodies, 6 joints, in space",
         "C = {0, 1, 2, 3, 4, 0}",
@@ -90,7 +91,7 @@ def test_info_says_everything():
 
 
 def test_facts_are_json():
-    data = as_json.system_facts(zoo().build())
+    data = SystemFacts(zoo().build()).data()
     assert json.loads(json_text(data)) == data
     assert data["dof_of_tree"] == data["nv"] == 8
     assert [c["index"] for c in data["coordinates"]] == list(range(data["nq"]))
@@ -112,7 +113,7 @@ def test_numbers_in_json_share_a_line():
 
 
 def test_empty_systems():
-    shown = text(report.info(Mechanism("nothing").build()))
+    shown = text(SystemFacts(Mechanism("nothing").build()))
     assert "C = {}" in shown and "0 bodies" in shown
 
 
@@ -120,7 +121,7 @@ def test_wide_tables_are_whole_outside_a_terminal():
     m = Mechanism("long names")
     name = "a" * 300
     m.revolute("j" * 300, m.ground, m.body(name), limits=(-1, 1))
-    line = next(x for x in text(report.info(m.build())).splitlines() if name in x)
+    line = next(x for x in text(SystemFacts(m.build())).splitlines() if name in x)
     assert "j" * 300 in line and line.endswith("rad")
 
 
@@ -129,15 +130,15 @@ def test_colours_on_terminals_only(monkeypatch):
         monkeypatch.delenv(variable, raising=False)
     monkeypatch.setenv("TERM", "xterm")
     system = zoo().build()
-    assert "\x1b[" in text(report.info(system), Terminal()) and "\x1b[" not in text(
-        report.info(system)
+    assert "\x1b[" in text(SystemFacts(system), Terminal()) and "\x1b[" not in text(
+        SystemFacts(system)
     )
 
 
 def test_markup_and_control_characters_are_plain_text():
     m = Mechanism("[red]zoo[/red] :smile: \x1b[31m")
     m.fixed("j\x07", m.ground, m.body("b\r"))
-    shown = text(report.info(m.build()), Terminal())
+    shown = text(SystemFacts(m.build()), Terminal())
     assert "[red]zoo[/red] :smile: \\x1b[31m" in shown and "j\\x07" in shown and "b\\x0d" in shown
 
 
@@ -153,15 +154,15 @@ def test_problems_have_carets():
 
 
 def test_errors_carry_their_data():
-    data = as_json.error_facts(UnknownNameError("frame", "x", ["a", "b"], "arm"))
+    data = error_facts(UnknownNameError("frame", "x", ["a", "b"], "arm"))
     assert data == {
         "error": "arm has no frame 'x'; there are: 'a', 'b'",
         "type": "UnknownNameError",
         "allowed": ["a", "b"],
     }
-    problem = as_json.error_facts(
-        DescriptionError(Fault("bad", "joint 'j'", Where("f", 3, 1, "x")))
-    )["problems"][0]
+    problem = error_facts(DescriptionError(Fault("bad", "joint 'j'", Where("f", 3, 1, "x"))))[
+        "problems"
+    ][0]
     assert (problem["file"], problem["line"], problem["column"], problem["message"]) == (
         "f",
         3,
@@ -170,21 +171,5 @@ def test_errors_carry_their_data():
     )
 
 
-def test_number_has_no_negative_zero():
-    assert (
-        report.number(-1e-9) == "0.000000"
-        and report.number(-0.5, 1) == "-0.5"
-        and report.number(np.nan) == "nan"
-    )
-
-
-def test_a_long_table_looks_as_a_short_one(monkeypatch):
-    """Text in place of a table of rich, which takes a millisecond a line."""
-    heads = (">target", "reached", "=name", ">q [rad]")
-    lines = [
-        (i, "yes" if i % 3 else "no", "\u00e4\u4e2d" * (i % 4), f"{1.5 * i:.3f}") for i in range(30)
-    ]
-    short = text(report.table(heads, lines, title="a title"))
-    monkeypatch.setattr(report, "LONG", 10)
-    long = report.table(heads, lines, title="a title")
-    assert text(long).rstrip() == short.rstrip() and not hasattr(long, "columns")
+def test_numbers_have_no_negative_zero():
+    assert (fixed(-1e-9), fixed(-0.5, 1), fixed(np.nan)) == ("0.000000", "-0.5", "nan")

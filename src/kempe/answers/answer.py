@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import islice
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
@@ -18,15 +19,20 @@ from kempe.equations.judge import Judgement, judge
 from kempe.errors import CallError, InputError, NoSolutionError, UnknownNameError, shown
 from kempe.forward.fk import fk
 from kempe.late import late
+from kempe.model.configurations import by_name, ranges_table, units
 from kempe.numerics.clock import partial
-from kempe.report import MOST_JUDGED, Cells, Nearest, Result
+from kempe.report import MOST_JUDGED, ROWS, Nearest, Result, Table
 from kempe.spatial import Array
 from kempe.status import Status
-from kempe.words import of_many
+from kempe.words import ByName, Quantity, listed, of_many
 
 if TYPE_CHECKING:
     from kempe.answers.problem import Choice
     from kempe.model.model import FrameLike
+
+
+REASONS = 5
+"""Rows of a batch of which a text says why they have no answer."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +67,7 @@ class Answer(Result, Tabular):
     """Names of further members that the `data` have."""
     row: ClassVar[str] = ""
     """Name of its `Row` in `kempe.late`; "" where the class says all of it."""
+    _has_angles = True
     is_motion: ClassVar[bool] = False
     """Whether the rows of `q` are passed one after the other."""
 
@@ -189,6 +196,12 @@ class Answer(Result, Tabular):
         """
         return list(self.system.coordinate_names), np.reshape(self.q, (-1, self.system.nq))
 
+    def _units(self) -> dict[str, str]:
+        return units(self.system)
+
+    def _frame(self, degrees: bool) -> tuple[Sequence[str], Any]:
+        return self._shown_table(degrees)
+
     def expect(self) -> Self:
         """The answer itself if it is a success.
 
@@ -232,37 +245,89 @@ class Answer(Result, Tabular):
             return of_many(int(np.sum(self.success)), np.size(self.success), self.what)
         return self.status
 
-    def _cells(self) -> Cells:
-        if np.ndim(self.q) > 1:
-            return (), ()
-        return (), [
-            (name, f"{x:.9g}") for name, x in zip(self.system.coordinate_names, self.q, strict=True)
+    def _tables(self) -> Sequence[Table]:
+        """The configuration by name, with its limits; of a batch a row for each."""
+        if self._shape or np.ndim(self.q) != 1:
+            each = np.size(self.success) and np.ndim(self.q) == len(self._shape) + 1
+            return [self._rows_table()] if each and self._shape else []
+        names = self.system.coordinate_names
+        marks = self._marks()
+        rows = [
+            (name, x, *limits, mark)
+            for name, x, *limits, mark in zip(
+                names, self._quantities(self.q), self._limits(), marks, strict=True
+            )
         ]
+        title = "coordinate" if self.success else "nearest found"
+        return [Table((title, "value", "limits", ""), rows, record=True)]
 
-    def _notes(self) -> Sequence[str]:
-        said = "" if self._shape else self.verdict
-        return [said] if said else []
+    def _rows_table(self) -> Table:
+        """A row for each configuration of a batch, by its number, or numbers."""
+        first = list(islice(np.ndindex(self._shape), ROWS))
+        rows = [
+            (
+                index[0] if len(index) == 1 else ", ".join(map(str, index)),
+                "yes" if np.asarray(self.success)[index] else "no",
+                *self._quantities(self.q[index]),
+            )
+            for index in first
+        ]
+        heads = ("row", self.what.split()[-1], *self.system.coordinate_names)
+        return Table(heads, rows, more=int(np.size(self.success)) - len(rows), printed=False)
+
+    def _quantities(self, q: Array, places: Sequence[int] | None = None) -> list[Quantity]:
+        """The numbers of a configuration (nq,) with their units, at some `places` or at all."""
+        names = self.system.coordinate_names
+        unit = units(self.system)
+        each = range(len(names)) if places is None else places
+        return [Quantity(float(q[i]), unit[names[i]]) for i in each]
+
+    def _limits(self) -> list[Quantity]:
+        """The limits of each coordinate of q, infinite where it has none."""
+        structure = self.system.structure
+        unit = units(self.system)
+        known = dict(zip(structure.velocity_names, structure.limits.tolist(), strict=True))
+        free = (-np.inf, np.inf)
+        return [Quantity(known.get(n, free), unit[n]) for n in self.system.coordinate_names]
+
+    def _marks(self) -> Sequence[str]:
+        """A word about each coordinate of a single configuration; '' where there is none."""
+        return [""] * self.system.nq
+
+    def _notes(self, degrees: bool = False) -> Sequence[str]:
+        return [*self._reasons(), *filter(None, [self.verdict if self._is_judged() else ""])]
+
+    def _reasons(self) -> list[str]:
+        """Why the first rows of a batch have no answer, and which rows more."""
+        if not self._shape:
+            return []
+        missed = list(zip(*np.nonzero(~np.asarray(self.success)), strict=True))
+        lines = [
+            f"row {', '.join(map(str, index))}: {self.sentence(tuple(map(int, index)))}"
+            for index in missed[:REASONS]
+        ]
+        if more := [", ".join(map(str, index)) for index in missed[REASONS:]]:
+            lines.append(f"and row{'s' * (len(more) > 1)} {listed(more, 12)}")
+        return lines
+
+    def _is_judged(self) -> bool:
+        return np.size(self.q) <= MOST_JUDGED
 
     def _head(self) -> dict[str, Any]:
         solver = {} if self.solver is None else {"solver": self.solver.name}
-        return {"system": self.system.name, "angle_unit": "rad"} | solver
+        return {"system": self.system.name} | solver
 
     def _data(self) -> dict[str, Any]:
         out = {name: getattr(self, name) for name in self.also} | {
             "residual": np.asarray(self.residual).tolist()
         }
-        if np.size(self.q) <= MOST_JUDGED:
+        if self._is_judged():
             out["judged"] = self.judged.data()
         return out | {"q": self._by_name(self.q)}
 
-    def _by_name(self, q: Array) -> Any:
-        """Values by coordinate name of a configuration, nested lists of these of several; None for
-        NaN.
-        """
-        if np.ndim(q) > 1:
-            return [self._by_name(x) for x in q]
-        named = dict(zip(self.system.coordinate_names, q.tolist(), strict=True))
-        return None if named and np.isnan(q).all() else named
+    def _by_name(self, q: Array) -> ByName:
+        """Configurations (..., nq) by the names of coordinates."""
+        return by_name(self.system, q)
 
 
 class ConfigurationList:
@@ -335,6 +400,9 @@ class Configurations(ConfigurationList, Answer):
     def _headline(self) -> str:
         return f"{self.system.name}: {self.status}"
 
+    def _tables(self) -> Sequence[Table]:
+        return []
+
 
 @explained_methods
 class Motion(Configurations):
@@ -353,6 +421,12 @@ class Motion(Configurations):
         if coordinate not in names:
             raise UnknownNameError("coordinate", coordinate, names, self.system.name)
         return self.q[:, names.index(coordinate)].copy()
+
+    def _tables(self) -> Sequence[Table]:
+        """The range of each coordinate."""
+        if len(self) < 2:
+            return []
+        return [ranges_table(self.system, self.q)]
 
     def _columns(
         self, first: str, column: Array, frames: Iterable[FrameLike]

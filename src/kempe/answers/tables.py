@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,7 @@ from kempe import spatial
 from kempe.description.source import expanded, no_file
 from kempe.errors import InputError
 from kempe.spatial import Array
-from kempe.words import counted, listed
+from kempe.words import ByName, counted, listed
 
 SUFFIXES = (".csv", ".npy")
 """Endings of files of numbers."""
@@ -25,14 +25,30 @@ class Tabular:
         """Names and columns (n, k) for a file, in radians and metres."""
         raise NotImplementedError
 
-    def save(self, path: str | Path) -> Path:
+    def save(self, path: str | Path, *, degrees: bool = False) -> Path:
         """Write the `table` to a .csv file, with the names in its first line, or to a .npy file;
         returns the path.
 
-        Numbers are written in full: what is read again is equal. Errors: `InputError` for other
-        endings, and where the file cannot be written.
+        Numbers are written in full: what is read again is equal. With `degrees` columns of angles
+        are degrees. Errors: `InputError` for other endings, and where the file cannot be written.
         """
-        return write_table(path, *self.table())
+        return write_table(path, *self._shown_table(degrees))
+
+    def _units(self) -> dict[str, str]:
+        """Units of columns by name."""
+        return {}
+
+    def _shown_table(self, degrees: bool) -> tuple[list[str], Array]:
+        """The `table` in the units that are shown."""
+        return in_units(*self.table(), self._units(), degrees)
+
+
+def in_units(
+    names: list[str], columns: Array, units: Mapping[str, str], degrees: bool
+) -> tuple[list[str], Array]:
+    """Names and columns (n, k), those whose unit is "rad" in degrees where that is requested."""
+    kinds = [units.get(name, "") for name in names]
+    return names, ByName(names, kinds, columns).within(degrees) if degrees else columns
 
 
 def write_table(

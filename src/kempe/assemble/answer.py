@@ -11,8 +11,10 @@ import numpy as np
 
 from kempe.answers.answer import Answer
 from kempe.arguments import explained_methods
+from kempe.forward.fk import fk
 from kempe.report import brief
 from kempe.spatial import Array
+from kempe.words import fixed
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
@@ -82,6 +84,25 @@ class Assembly(Answer):
     def system(self) -> Model:
         """The system of the problem."""
         return self.assembler.system
+
+    def _marks(self) -> list[str]:
+        """Which coordinates are known, and which belong to joints that the tree leaves out."""
+        sources = set(self.assembler.sources)
+        closures = self.system.structure.closures
+        return [
+            "known"
+            if name in sources
+            else "cut" * (name.split(".")[0] in closures or name in closures)
+            for name in self.system.coordinate_names
+        ]
+
+    def _notes(self, degrees: bool = False) -> list[str]:
+        places = [] if self._shape else list(self.assembler.frames)
+        lines: list[str] = []
+        for name in places:
+            p = fk(self.system, self.q, name)[: self.system.dim, 3]
+            lines.append(f"{name} is at {', '.join(fixed(x) for x in p.tolist())}")
+        return [*lines, *super()._notes()]
 
     def _left(self) -> Any:
         return np.where(self.success, self.residual, 0.0)

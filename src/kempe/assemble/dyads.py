@@ -179,7 +179,7 @@ class Plan(Report):
         """What each dyad is, and what its branch sign means, as text; one line each."""
         return str(self)
 
-    def _notes(self) -> list[str]:
+    def _notes(self, degrees: bool = False) -> list[str]:
         return [
             f"{'sign ' + str(d.sign + 1) if d.sign is not None else 'no sign'}: {d}"
             for d in self.dyads

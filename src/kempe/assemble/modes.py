@@ -58,7 +58,7 @@ from kempe.numerics.clock import (
     time_of,
 )
 from kempe.numerics.rank import Level, Spectrum
-from kempe.report import Cells, brief
+from kempe.report import ROWS, Table, brief
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import counted, verb
@@ -750,23 +750,23 @@ class Modes(Configurations):
     def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
         return known_tasks(self.system, self.known)
 
-    def _cells(self) -> Cells:
-        """What is shown: the coordinates that are not known."""
-        names = [n for n in self.system.coordinate_names if n not in self.known]
-        at = [self.system.coordinate_names.index(n) for n in names]
-        rows = [
-            [self.branches[k] or str(k + 1), *(f"{x:.9g}" for x in q[at])]
-            for k, q in enumerate(self.q)
-        ]
-        return ["", *names], rows
+    def _tables(self) -> Sequence[Table]:
+        """The coordinates that are not known, a row for each configuration."""
+        names = self.system.coordinate_names
+        places = [i for i, name in enumerate(names) if name not in self.known]
+        rows = [(self._label(k), *self._quantities(q, places)) for k, q in enumerate(self.q[:ROWS])]
+        heads = ("", *(names[i] for i in places))
+        return [Table(heads, rows, more=len(self.q) - len(rows))] if rows else []
 
-    def _lines(self) -> Sequence[str]:
-        heads, rows = self._cells()
-        names = heads[1:]
-        return [
-            f"{k:>3s}  " + ", ".join(f"{n} = {x}" for n, x in zip(names, row, strict=True))
-            for k, *row in rows
-        ]
+    def _label(self, k: int) -> str:
+        """The name of a configuration in a text."""
+        return (self.branches[k] or str(k + 1)) + " (outside limits)" * (not self.inside[k])
+
+    def _notes(self, degrees: bool = False) -> Sequence[str]:
+        signs = []
+        if any(self.branches):
+            signs = closed_form(self.system, tuple(self.known))._notes()
+        return [*signs, *super()._notes()]
 
     def _headline(self) -> str:
         return f"{counted(len(self), 'configuration')} of {self.system.name}; {self.status}"

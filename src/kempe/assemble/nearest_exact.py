@@ -194,7 +194,7 @@ class Idealised(Report):
     def _headline(self) -> str:
         return f"{self.given.name}: {self.status}"
 
-    def _notes(self) -> list[str]:
+    def _notes(self, degrees: bool = False) -> list[str]:
         return self.lines[1:]
 
 

@@ -11,15 +11,26 @@ import functools
 import inspect
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
 
+from kempe.answers.tables import SUFFIXES, table_file
 from kempe.answers.wording import immovable
-from kempe.cli.terminal import COMPLETE, Commands, UsageError, print_json, refuse
+from kempe.cli.terminal import (
+    COMPLETE,
+    Commands,
+    UsageError,
+    guarded,
+    leave,
+    print_json,
+    refuse,
+    show,
+)
 from kempe.description.formats import named, read_by
 from kempe.description.source import expanded, no_file
 from kempe.errors import InputError, KernelsError
@@ -178,7 +189,7 @@ Page = Annotated[
 ]
 
 
-# ---- files and results
+# ---- commands
 
 
 class Reading(dict[str, Any]):
@@ -220,20 +231,68 @@ def _values(given: list[str], flag: str) -> dict[str, str]:
     return values
 
 
-def reads_file(command: Callable[..., None]) -> Callable[..., None]:
-    """The command with the options of how FILE is read in place of its parameter `reading`."""
-    shared = inspect.signature(_reading, eval_str=True).parameters
-    own = inspect.signature(command, eval_str=True).parameters
-    parameters = [*(p for name, p in own.items() if name != "reading"), *shared.values()]
+def _output(
+    out: Out = None,
+    plot: Picture = None,
+    gif: Film = None,
+    html: Page = None,
+    deg: Deg = False,
+    json: Json = False,
+) -> Output:
+    return Output(out, plot, gif, html, deg, json)
 
-    @functools.wraps(command)
-    def run(**options: Any) -> None:
-        given = {name: options.pop(name, p.default) for name, p in shared.items()}
-        command(reading=_reading(**given), **options)
 
-    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-    run.__annotations__ = {p.name: p.annotation for p in parameters}
-    return run
+def command(panel: str, output: str = "json", **settings: Any) -> Callable[[Any], Any]:
+    """Register a function as a command, in a `panel` of the help, with the options of its `output`.
+
+    Its parameters are options and arguments; in place of `system` the command takes FILE and how it
+    is read, in place of `reading` the latter only, in place of `output` the options named. Errors
+    are one sentence, or JSON.
+    """
+
+    def register(function: Callable[..., None]) -> Callable[..., None]:
+        # commands name the type of their system for type checkers only
+        own = inspect.signature(function, eval_str=True, locals={"System": object}).parameters
+        shown = _options(_output, output.split())
+        read = _options(_reading, None if {"system", "reading"} & set(own) else ())
+        file = inspect.Parameter("file", POSITIONAL, annotation=File)
+        first = [file if n == "system" else p for n, p in own.items() if n not in INJECTED]
+        parameters = [*first, *shown, *read]
+
+        @functools.wraps(function)
+        def run(**options: Any) -> None:
+            def taken(group: list[inspect.Parameter]) -> dict[str, Any]:
+                return {p.name: options.pop(p.name, p.default) for p in group}
+
+            made = _output(**taken(shown))
+            with guarded(made.json):
+                reading = _reading(**taken(read))
+                made.check(options.values())
+                if "system" in own:
+                    options["system"] = load(options.pop("file"), reading)
+                if "reading" in own:
+                    options["reading"] = reading
+                function(**options, output=made)
+
+        run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        run.__annotations__ = {p.name: p.annotation for p in parameters}
+        return app.command(rich_help_panel=panel, **settings)(run)
+
+    return register
+
+
+POSITIONAL = inspect.Parameter.POSITIONAL_OR_KEYWORD
+INJECTED = ("reading", "output")
+"""Parameters of commands that are made of several options."""
+
+
+def _options(function: Callable[..., Any], names: Sequence[str] | None) -> list[inspect.Parameter]:
+    """The parameters of a function with these names, all where None."""
+    each = inspect.signature(function, eval_str=True).parameters.values()
+    return [p for p in each if names is None or p.name in names]
+
+
+# ---- files and remarks
 
 
 def load(file: str, reading: Reading) -> System:
@@ -284,30 +343,6 @@ def writable(path: Path | None) -> None:
         raise InputError(f"{path}: it may not be written")
 
 
-def results(path: Path | None, *read: object) -> None:
-    """Refuse an ending or a place that results cannot be written to, before any work. Errors:
-    `InputError`.
-
-    Nor are they written over a file of rows that the command reads.
-    """
-    from kempe.cli import table_files
-
-    table_files.output(path)
-    writable(path)
-    if path is None or not path.exists():
-        return
-    for given in read:
-        if (
-            isinstance(given, (str, Path))
-            and table_files.is_file(str(given))
-            and expanded(given).exists()
-        ):
-            if path.samefile(expanded(given)):
-                raise InputError(
-                    f"{path}: the command reads this file; write the results to another one"
-                )
-
-
 def remark(text: str) -> None:
     """Say something beside the answer, on standard error."""
     from kempe.cli.report import in_options
@@ -324,81 +359,136 @@ def written_to(out: Path | None, option: Path | None) -> Path:
     return out or option  # type: ignore[return-value]
 
 
-def say_written(out: Path, json: bool) -> None:
-    """Say which file was written."""
-    print_json({"written": str(out)}) if json else print(f"written to {out}")
+@dataclass
+class Output:
+    """How a command answers: in files, as text or as JSON, in radians or degrees."""
+
+    out: Path | None
+    plot: Path | None
+    film: Path | None
+    page: Path | None
+    deg: bool
+    json: bool
+    written: list[Path] = field(default_factory=list[Path])
+
+    def check(self, given: Iterable[object]) -> None:
+        """Refuse files that cannot be written, before any work. Errors: `InputError`, ...
+
+        Nor are results written over a file of rows that is `given` to the command.
+        """
+        if self.out is not None:
+            table_file(self.out)
+            writable(self.out)
+            if self.out.exists():
+                self._refuse_input(given)
+        if self.plot is not None:
+            picture_file(self.plot)
+        if self.film is not None:
+            from kempe.views.films import film_file
+
+            film_file(self.film)
+            writable(self.film)
+        if self.page is not None:
+            from kempe.views.viewer.pages import page_file
+
+            page_file(self.page)
+            writable(self.page)
+
+    def _refuse_input(self, given: Iterable[object]) -> None:
+        """Refuse to write over a file that is read. Errors: `InputError`."""
+        assert self.out is not None
+        words = [w for x in given for w in (x if isinstance(x, list) else [x])]
+        for word in words:
+            if not isinstance(word, (str, Path)) or Path(word).suffix.lower() not in SUFFIXES:
+                continue
+            path = expanded(word)
+            if path.exists() and self.out.samefile(path):
+                raise InputError(
+                    f"{self.out}: the command reads this file; write the results to another one"
+                )
+
+    def save(self, answer: Any) -> None:
+        """Write the table of an answer, where a file was requested."""
+        if self.out is not None:
+            answer.save(self.out, degrees=self.deg)
+            self.written.append(self.out)
+
+    def draw(
+        self,
+        system: System,
+        shown: Any,
+        draw: Callable[[], Any] | None = None,
+        **options: Any,
+    ) -> None:
+        """Draw configurations, or an answer with them, into the files that were requested.
+
+        None is the configuration that is drawn by default. A film needs several of them. `draw`
+        gives the axes of a picture that is another one than that of `System.plot`.
+        """
+        files = {path for path in (self.plot, self.film, self.page) if path is not None}
+        if not files:
+            return
+        if shown is None:
+            from kempe.views.plots import configuration_of
+
+            shown = configuration_of(system, None)
+        rows = np.reshape(getattr(shown, "q", shown), (-1, system.nq))
+        finite = int(np.isfinite(rows).all(axis=1).sum())
+        left = files if not finite else {p for p in files if p == self.film and finite < 2}
+        for path in left:
+            why = (
+                "one configuration does not move" if finite else "there is no configuration to draw"
+            )
+            remark(f"{path} is not written: {why}")
+        files -= left
+        if self.plot is not None and self.plot in files:
+            axes = system.plot(shown, **options) if draw is None else draw()
+            save_picture(axes, self.plot)
+        way = shown if np.ndim(getattr(shown, "q", shown)) == 2 else rows
+        if self.film is not None and self.film in files:
+            system.animate(way, self.film, frames=options.get("frames", ()))
+        if self.page is not None and self.page in files:
+            from kempe.views.viewer.pages import write_page
+
+            if said := write_page(system, self.page, path=way).lost_sentence:
+                remark(said)
+        each = (self.plot, self.film, self.page)
+        self.written += [path for path in each if path is not None and path in files]
+
+    def show(self, answer: Any = None, **more: Any) -> None:
+        """Print an answer and `more` of them by name, as data or as text, and which files were
+        written.
+        """
+        files = [str(path) for path in self.written]
+        if self.json:
+            data = {} if answer is None else answer.data(self.deg)
+            data |= {name: other.data(self.deg) for name, other in more.items()}
+            print_json(data | {"written": files})
+            return
+        if answer is not None:
+            show(answer, self.deg)
+        for name, other in more.items():
+            if answer is None:
+                print(name.replace("_", " "), end=": ")
+            show(other, self.deg)
+        for path in files:
+            print(f"written to {path}")
+
+    def end(self, answer: Any) -> None:
+        """Print an answer, and leave with its exit code."""
+        self.show(answer)
+        leave(answer)
 
 
-def drawable(plot: Path | None, film: Path | None = None, page: Path | None = None) -> None:
-    """Refuse a picture, a moving one, or a page that cannot be written, before any work. Errors:
-    `InputError`, ...
-    """
-    if plot is not None:
-        if plot.suffix.lower() not in PICTURES:
-            raise InputError(f"{plot}: pictures are .png, .svg or .pdf files")
-        writable(plot)
-        import kempe.views.drawing  # noqa: F401  it refuses where matplotlib is missing
-    if film is not None:
-        from kempe.views.films import film_file
-
-        film_file(film)
-        writable(film)
-    if page is not None:
-        from kempe.views.viewer.pages import page_file
-
-        page_file(page)
-        writable(page)
+def picture_file(path: Path) -> None:
+    """Refuse a picture that cannot be written, before any work. Errors: `InputError`, ..."""
+    if path.suffix.lower() not in PICTURES:
+        raise InputError(f"{path}: pictures are .png, .svg or .pdf files")
+    writable(path)
+    import kempe.views.drawing  # noqa: F401  it refuses where matplotlib is missing
 
 
 def save_picture(axes: Any, path: Path) -> None:
-    """Write the figure of these axes to a file."""
-    axes.figure.savefig(path, dpi=200, bbox_inches="tight")
-
-
-def drawn(
-    system: System,
-    found: Any,
-    plot: Path | None,
-    film: Path | None = None,
-    page: Path | None = None,
-    *,
-    draw: Callable[[], Any] | None = None,
-    **options: Any,
-) -> list[Path]:
-    """Draw configurations, or an answer with them, into the files that are given; those written.
-
-    None is the configuration that is drawn by default. A film needs several of them. `draw` gives
-    the axes of a picture that is another one than that of `System.plot`.
-    """
-    files = {path for path in (plot, film, page) if path is not None}
-    if not files:
-        return []
-    if found is None:
-        from kempe.views.plots import configuration_of
-
-        found = configuration_of(system, None)
-    rows = np.reshape(getattr(found, "q", found), (-1, system.nq))
-    finite = int(np.isfinite(rows).all(axis=1).sum())
-    left = files if not finite else {path for path in files if path == film and finite < 2}
-    for path in left:
-        why = "one configuration does not move" if finite else "there is no configuration to draw"
-        remark(f"{path} is not written: {why}")
-    files -= left
-    if plot is not None and plot in files:
-        axes = system.plot(found, **options) if draw is None else draw()
-        save_picture(np.ravel(np.array(axes, dtype=object))[0], plot)
-    way = found if np.ndim(getattr(found, "q", found)) == 2 else rows
-    if film is not None and film in files:
-        system.animate(way, film, frames=options.get("frames", ()))
-    if page is not None and page in files:
-        from kempe.views.viewer.pages import write_page
-
-        if said := write_page(system, page, path=way).lost_sentence:
-            remark(said)
-    return [path for path in (plot, film, page) if path is not None and path in files]
-
-
-def say_drawn(files: list[Path]) -> None:
-    """Say beside the answer which files were written."""
-    for path in files:
-        remark(f"written to {path}")
+    """Write the figure of axes, or of the first of several, to a file."""
+    first = np.ravel(np.array(axes, dtype=object))[0]
+    first.figure.savefig(path, dpi=200, bbox_inches="tight")

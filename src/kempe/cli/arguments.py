@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe import spatial
-from kempe.cli import as_json, report, table_files
-from kempe.cli.as_json import DEGREE
+from kempe.cli import table_files
 from kempe.constraints import KINDS, Constraint
 from kempe.description.source import Source, decode, expanded, no_file, shorten
 from kempe.description.toml_document import Document
@@ -23,7 +22,7 @@ from kempe.equations.tasks import Task
 from kempe.errors import InputError, UnknownNameError, hint
 from kempe.model.configurations import has_loops, units
 from kempe.poses import AXES
-from kempe.words import counted
+from kempe.words import DEGREE, counted
 
 if TYPE_CHECKING:
     from kempe.assemble.answer import Assembly
@@ -83,7 +82,7 @@ def _value(system: System, name: str, numbers: list[float], degrees: bool, frame
     if is_frame:
         if len(numbers) not in (system.dim, 3):
             needed = "x,y" if system.dim == 2 else "x,y,z"
-            has = report.count(len(numbers), "number")
+            has = counted(len(numbers), "number")
             raise InputError(f"{name!r} is a frame and has {has}; its place is {name}={needed}")
         return np.array(numbers)
     if len(numbers) != 1:
@@ -108,7 +107,7 @@ def _check_coordinate(system: System, name: str, frames: bool) -> None:
 
 
 def _factor(system: System, name: str, degrees: bool) -> float:
-    return as_json.DEGREE if degrees and units(system).get(name) == "rad" else 1.0
+    return DEGREE if degrees and units(system).get(name) == "rad" else 1.0
 
 
 def _columns(system: System, path: Path, degrees: bool) -> dict[str, Any]:
@@ -220,9 +219,9 @@ def branch(system: System, given: Mapping[str, Any], text: str | None) -> str | 
 
     plan = closed_form(system, tuple(given))
     if not isinstance(plan, Incomplete) and plan.signs != len(text):
-        needs = f"{report.count(plan.signs, 'sign')} with these inputs: --modes lists its branches"
+        needs = f"{counted(plan.signs, 'sign')} with these inputs: --modes lists its branches"
         raise InputError(
-            f"branch {text!r} has {report.count(len(text), 'sign')}; {system.name} has {needs}"
+            f"branch {text!r} has {counted(len(text), 'sign')}; {system.name} has {needs}"
         )
     return text
 
@@ -237,8 +236,7 @@ def axis(text: str) -> spatial.Array:
     values = table_files.numbers(text, "axis")
     if len(values) != 3:
         raise InputError(
-            f"the axis has {report.count(len(values), 'number')}; it must be x,y,z in the tool's "
-            "frame"
+            f"the axis has {counted(len(values), 'number')}; it must be x,y,z in the tool's frame"
         )
     return np.array(values)
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -12,10 +11,7 @@ from kempe.arguments import until_interrupt
 from kempe.cli.app import (
     OPEN,
     Axis,
-    Deg,
-    File,
-    Json,
-    Reading,
+    Output,
     Rng,
     Scheduler,
     Seed,
@@ -23,22 +19,20 @@ from kempe.cli.app import (
     Threads,
     TimeLimit,
     Tolerance,
-    app,
-    load,
+    command,
     option,
-    reads_file,
 )
-from kempe.cli.terminal import guarded, leave, print_json, show
 from kempe.errors import InputError
 
+if TYPE_CHECKING:
+    from kempe.system import System
 
-@app.command(rich_help_panel=OPEN)
-@guarded
-@reads_file
+
+@command(OPEN, "deg json")
 def map(
     verb: Annotated[str, typer.Argument(metavar="VERB", help="fk, ik, ik_all or assemble.")],
-    file: File,
-    reading: Reading,
+    system: System,
+    output: Output,
     rows: Annotated[
         Path,
         typer.Argument(
@@ -70,8 +64,6 @@ def map(
     rng: Rng = None,
     threads: Threads = None,
     time_limit: TimeLimit = None,
-    deg: Deg = False,
-    json: Json = False,
 ) -> None:
     """Answer each row of a file of any size, in chunks, so that it can be stopped and gone on with.
 
@@ -86,7 +78,7 @@ def map(
     from kempe.cli import table_files as read
     from kempe.cli.inverse_commands import task_argument
 
-    system = load(file, reading)
+    deg = output.deg
     given: dict[str, Any] = {
         "form": form,
         "dtype": "float32" if float32 else None,
@@ -101,7 +93,7 @@ def map(
             raise InputError(f"--tolerance is {tolerance!r}; of {verb} it is one number")
         given["tolerance"] = errors if verb == "ik" else errors[0]
     names = None if columns is None else [name.strip() for name in columns.split(",")]
-    with progress.paced(sys.stderr, "rows") as said:
+    with progress.progress("rows") as report:
         answer = until_interrupt(
             kempe.map_file,
             system,
@@ -113,7 +105,6 @@ def map(
             degrees=deg,
             client=scheduler,
             options={name: value for name, value in given.items() if value is not None},
-            budget=Budget(rng=rng, threads=threads, time_limit=time_limit, progress=said),
+            budget=Budget(rng=rng, threads=threads, time_limit=time_limit, progress=report),
         )
-    print_json(answer.data()) if json else show(str(answer))
-    leave(answer)
+    output.end(answer)

@@ -8,71 +8,62 @@ from typing import Annotated
 
 import typer
 
-from kempe.cli.app import MODELS, Json, Picture, app, drawable, option, save_picture, say_written
-from kempe.cli.terminal import guarded, print_json, show
+from kempe.cli.app import MODELS, Output, command, option, picture_file, save_picture
+from kempe.cli.terminal import print_json
 from kempe.errors import InputError
+from kempe.report import Table
 
 
-@app.command(rich_help_panel=MODELS)
-@guarded
+@command(MODELS)
 def library(
+    output: Output,
     name: Annotated[
         str | None, typer.Argument(metavar="NAME", help="Print this model's TOML.")
     ] = None,
-    json: Json = False,
 ) -> None:
     """List the shipped models, or print one as TOML.
 
     Example: kempe library puma560
     """
-    from kempe.cli import as_json, report
+    from kempe import library as models
 
     if name is not None:
-        text = as_json.model_text(name)
-        print_json({"name": name, "toml": text}) if json else print(text, end="")
+        text = models.path(name).read_text(encoding="utf-8")
+        print_json({"name": name, "toml": text}) if output.json else print(text, end="")
         return
-    found = as_json.models()
-    if json:
-        print_json([{"name": n, "description": d} for n, d in found.items()])
+    rows = [(n, models.describe(n)) for n in models.names()]
+    if output.json:
+        print_json([{"name": n, "description": text} for n, text in rows])
     else:
-        show(report.table(("model", "what it is"), found.items()))
+        print("\n".join(Table(("model", "what it is"), rows).aligned()))
 
 
-@app.command(rich_help_panel=MODELS)
-@guarded
-def joints(plot: Picture = None, json: Json = False) -> None:
+@command(MODELS, "plot json")
+def joints(output: Output) -> None:
     """List the joint types: letters, freedoms, constraints, what they are made of; or draw them all
     in one picture.
 
     Example: kempe joints --plot joints.png
     """
-    from kempe.cli import report
     from kempe.views import overviews
 
-    drawable(plot)
-    found = overviews.joint_rows()
-    if plot is not None:
-        save_picture(overviews.plot_joints()[0], plot)
-    if json:
-        print_json({"joints": found, "written": [] if plot is None else [str(plot)]})
+    kinds = overviews.joint_rows()
+    if output.plot is not None:
+        save_picture(overviews.plot_joints(), output.plot)
+        output.written.append(output.plot)
+    if output.json:
+        print_json({"joints": kinds, "written": [str(path) for path in output.written]})
         return
-    heads = ("joint", "letter", ">freedoms", ">constraints", ">in the plane", "made of")
-    show(
-        report.table(
-            heads,
-            [
-                ["-" if x is None else x for x in list(row.values())[:5]] + [row["made_of"]]
-                for row in found
-            ],
-        )
-    )
-    if plot is not None:
-        say_written(plot, False)
+    heads = ("joint", "letter", "freedoms", "constraints", "in the plane", "made of")
+    keys = ("type", "letter", "dof", "constraints", "dof_in_the_plane", "made_of")
+    rows = [["-" if row[key] is None else row[key] for key in keys] for row in kinds]
+    print("\n".join(Table(heads, rows).aligned()))
+    output.show()
 
 
-@app.command(rich_help_panel=MODELS)
-@guarded
+@command(MODELS)
 def tour(
+    output: Output,
     number: Annotated[
         int | None, option("--section", "Only the section of this number.", "N")
     ] = None,
@@ -80,7 +71,6 @@ def tour(
     pictures: Annotated[
         Path | None, option("--pictures", "Draw the pictures into this folder.", "FOLDER")
     ] = None,
-    json: Json = False,
 ) -> None:
     """Walk through the lecture: its sections, their code, and what comes out. Enter goes on, q
     ends.
@@ -96,8 +86,8 @@ def tour(
                 f"{pictures}: this is no folder; --pictures names the folder of the pictures"
             )
         pictures.mkdir(parents=True, exist_ok=True)
-        drawable(pictures / "01.png")
-    if json:
+        picture_file(pictures / "01.png")
+    if output.json:
         parts = [
             {
                 "section": x.number,

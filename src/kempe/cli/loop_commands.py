@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
@@ -15,35 +14,21 @@ from kempe.arguments import until_interrupt
 from kempe.budget import Budget
 from kempe.cli.app import (
     CLOSED,
-    Deg,
-    File,
-    Film,
     InPlace,
-    Json,
-    Out,
-    Page,
-    Picture,
+    Output,
     Posture,
-    Reading,
     TimeLimit,
-    app,
-    drawable,
-    drawn,
-    load,
+    command,
     option,
-    reads_file,
+    picture_file,
     remark,
-    results,
     save_picture,
-    say_drawn,
-    say_written,
     written_to,
 )
-from kempe.cli.terminal import INCOMPLETE, guarded, leave, print_json, show
+from kempe.cli.terminal import INCOMPLETE, leave
 from kempe.errors import InputError
 
 if TYPE_CHECKING:
-    from kempe.assemble.answer import Assembly
     from kempe.motion.path import Path as Motion
     from kempe.system import System
 
@@ -98,12 +83,10 @@ Tolerance = Annotated[
 NoLimits = Annotated[bool, option("--no-limits", "Leave joint limits out.")]
 
 
-@app.command(rich_help_panel=CLOSED)
-@guarded
-@reads_file
+@command(CLOSED, "plot html deg json")
 def dof(
-    file: File,
-    reading: Reading,
+    system: System,
+    output: Output,
     q: At = None,
     posture: Posture = None,
     actuated: Annotated[
@@ -115,33 +98,54 @@ def dof(
     fast: Annotated[
         bool, option("--fast", "Counting and rank only, not the true local dimension.")
     ] = False,
-    plot: Picture = None,
-    html: Page = None,
-    deg: Deg = False,
-    json: Json = False,
     tolerance: Tolerance = None,
 ) -> None:
     """Count the degrees of freedom: by formula, by rank and truly.
 
     Example: kempe dof bennett
     """
-    system = _within(load(file, reading), tolerance)
-    from kempe.cli import arguments, loop_report
-
     driven = None if actuated is None else [a.strip() for a in actuated.split(",") if a.strip()]
     if driven == []:
         raise InputError(f"--actuated names no joint; there are: {', '.join(system.joint_names)}")
-    drawable(plot, None, html)
-    at, closing = arguments.configuration(system, q, posture, deg)
-    if closing is not None and not closing:
-        _open(closing, deg, json)
-    answer = system.mobility(at, driven, local=not fast)
-    print_json(loop_report.report_facts(system, answer, deg)) if json else show(
-        loop_report.mobility(answer)
-    )
-    say_drawn(drawn(system, answer.q, plot, None, html, motion=True))
+    system = _within(system, tolerance)
+    answer = system.mobility(_closed(system, q, posture, output), driven, local=not fast)
+    output.draw(system, answer.q, motion=True)
+    output.show(answer)
     if not answer.closed:
         raise typer.Exit(INCOMPLETE)
+
+
+@command(CLOSED, "plot html deg json")
+def classify(
+    system: System,
+    output: Output,
+    q: At = None,
+    posture: Posture = None,
+    project: Annotated[
+        bool, option("--project", "Where q is not closed, take the nearest that is.")
+    ] = False,
+    tolerance: Tolerance = None,
+) -> None:
+    """Say which kind each constraint is, and how far motions reach.
+
+    Example: kempe classify car
+    """
+    system = _within(system, tolerance)
+    answer = system.classify(_closed(system, q, posture, output), project=project)
+    output.draw(system, answer.q, motion=True)
+    output.show(answer)
+
+
+def _closed(system: System, q: str | None, posture: str | None, output: Output) -> Any:
+    """The configuration that is given, with its loops closed; where they do not close, the command
+    ends with the answer that says so.
+    """
+    from kempe.cli import arguments
+
+    there, closing = arguments.configuration(system, q, posture, output.deg)
+    if closing is not None and not closing:
+        output.end(closing)
+    return there
 
 
 def _within(system: System, tolerance: str | None) -> System:
@@ -172,47 +176,10 @@ def _under(system: System, equations: list[str]) -> System:
     return mechanism.build()
 
 
-@app.command(rich_help_panel=CLOSED)
-@guarded
-@reads_file
-def classify(
-    file: File,
-    reading: Reading,
-    q: At = None,
-    posture: Posture = None,
-    project: Annotated[
-        bool, option("--project", "Where q is not closed, take the nearest that is.")
-    ] = False,
-    plot: Picture = None,
-    html: Page = None,
-    deg: Deg = False,
-    json: Json = False,
-    tolerance: Tolerance = None,
-) -> None:
-    """Say which kind each constraint is, and how far motions reach.
-
-    Example: kempe classify car
-    """
-    system = _within(load(file, reading), tolerance)
-    from kempe.cli import arguments, loop_report
-
-    drawable(plot, None, html)
-    at, closing = arguments.configuration(system, q, posture, deg)
-    if closing is not None and not closing:
-        _open(closing, deg, json)
-    answer = system.classify(at, project=project)
-    print_json(loop_report.report_facts(system, answer, deg)) if json else show(
-        loop_report.classify(answer)
-    )
-    say_drawn(drawn(system, answer.q, plot, None, html, motion=True))
-
-
-@app.command(rich_help_panel=CLOSED)
-@guarded
-@reads_file
+@command(CLOSED, "out plot gif html deg json")
 def assemble(
-    file: File,
-    reading: Reading,
+    system: System,
+    output: Output,
     known: Known = None,
     near: Near = None,
     where: Where = None,
@@ -231,85 +198,57 @@ def assemble(
     ] = False,
     no_limits: NoLimits = False,
     time_limit: TimeLimit = None,
-    plot: Picture = None,
-    gif: Film = None,
-    html: Page = None,
-    out: Out = None,
-    deg: Deg = False,
-    json: Json = False,
     tolerance: Tolerance = None,
 ) -> None:
     """Close all loops: known coordinates in, all others out; with --where, under further equations.
 
     Example: kempe assemble four_bar A=30 --deg
     """
+    from kempe.cli import arguments
+
     if modes and (branch is not None or nearest or continuous):
         raise InputError(
             "--modes gives all branches: leave --branch, --nearest and --continuous out"
         )
+    if nearest and continuous:
+        raise InputError("--nearest and --continuous are two ways to choose; give one of them")
     if time_limit is not None and not modes:
         raise InputError("--time-limit is for --modes: one assembly takes milliseconds")
-    system = _under(_within(load(file, reading), tolerance), where or [])
-    from kempe.cli import arguments, as_json, loop_report
-
-    results(out, *known or ())
-    drawable(plot, gif, html)
-    values = arguments.known(system, known or [], deg)
-    start = arguments.start(system, near, deg)
+    system = _under(_within(system, tolerance), where or [])
+    values = arguments.known(system, known or [], output.deg)
+    start = arguments.start(system, near, output.deg)
+    limits = not no_limits
     answer: Any
     if modes:
-        answer = until_interrupt(
-            system.assembly_modes,
-            values,
-            start,
-            limits=not no_limits,
-            budget=Budget(time_limit=time_limit),
-        )
+        spend = Budget(time_limit=time_limit)
+        answer = until_interrupt(system.assembly_modes, values, start, limits=limits, budget=spend)
     else:
-        if nearest and continuous:
-            raise InputError("--nearest and --continuous are two ways to choose; give one of them")
         answer = system.assemble(
             values,
             start,
             branch=arguments.branch(system, values, branch),
-            limits=not no_limits,
+            limits=limits,
             prefer="nearest" if nearest else "continuous" if continuous else None,
         )
-        if plot is not None and np.ndim(answer.success):
+        if output.plot is not None and np.ndim(answer.success):
             raise InputError(
-                f"{plot}: one configuration is drawn, and the file of known values has several"
+                f"{output.plot}: one configuration is drawn, and the file of known values has "
+                "several"
             )
-    written = drawn(
-        system, answer, plot, gif, html, side_by_side=modes and 1 < len(answer) <= BESIDE
-    )
-    if out is not None and (answer or np.any(getattr(answer, "success", False))):
-        from kempe.cli import table_files
-
-        table_files.write_configurations(
-            out, system, answer.q if modes else loop_report.closed_only(answer), deg
-        )
-        written.append(out)
-    if json:
-        data = as_json.answer_facts(answer, deg)
-        _say(data, None, written)
-    else:
-        _say(
-            None,
-            loop_report.modes(answer, deg) if modes else loop_report.assembly(answer, deg, values),
-            written,
-        )
-    _not_written(out, written)
+    if np.any(answer.success):
+        output.save(answer)
+    output.draw(system, answer, side_by_side=modes and 1 < len(answer) <= BESIDE)
+    output.show(answer)
+    _not_written(output)
     if modes and answer.late:
         raise typer.Exit(INCOMPLETE)
     leave(answer)
 
 
-@app.command(rich_help_panel=CLOSED)
-@guarded
-@reads_file
+@command(CLOSED, "out plot gif html deg json")
 def trace(
-    file: File,
-    reading: Reading,
+    system: System,
+    output: Output,
     driver: Annotated[
         str | None, option("--driver", "Coordinate that counts as the input.", "NAME")
     ] = None,
@@ -332,12 +271,6 @@ def trace(
     ] = None,
     no_limits: NoLimits = False,
     time_limit: TimeLimit = None,
-    out: Out = None,
-    plot: Picture = None,
-    gif: Film = None,
-    html: Page = None,
-    deg: Deg = False,
-    json: Json = False,
     tolerance: Tolerance = None,
 ) -> None:
     """Follow a mechanism with one freedom through its whole motion.
@@ -347,19 +280,17 @@ def trace(
 
     Example: kempe trace jansen --driver O --frame foot -o foot.csv --plot foot.png --gif foot.gif
     """
+    from kempe.cli import arguments, progress
+
     if points is not None and points < 2:
         raise InputError(f"--points is {points}; it must be at least 2")
-    system = _within(load(file, reading), tolerance)
-    from kempe.cli import arguments, loop_report, progress
-
-    results(out)
-    drawable(plot, gif, html)
+    system = _within(system, tolerance)
     names = [system.structure.frame_name(f) for f in frame or ()]
-    held = arguments.known(system, hold or [], deg, frames=False)
-    begin, closing = arguments.first(system, start, held, deg)
+    held = arguments.known(system, hold or [], output.deg, frames=False)
+    begin, closing = arguments.first(system, start, held, output.deg)
     if closing is not None and not closing:
-        _open(closing, deg, json)
-    with progress.progress(sys.stderr, None, "points traced") as said:
+        output.end(closing)
+    with progress.progress("points traced") as report:
         path = until_interrupt(
             system.trace,
             driver,
@@ -367,41 +298,32 @@ def trace(
             hold=held,
             limits=not no_limits,
             ways="branches" if branches else "both",
-            budget=Budget(time_limit=time_limit, progress=said),
+            budget=Budget(time_limit=time_limit, progress=report),
         )
-    path = replace(
-        path, frames=names, others=tuple(replace(other, frames=names) for other in path.others)
-    )
+    others = tuple(replace(other, frames=names) for other in path.others)
+    path = replace(path, frames=names, others=others)
     shown = path
     if points is not None:
-        with progress.progress(sys.stderr, points, "points") as said:
-            shown = _resampled(path, points, Budget(time_limit=time_limit, progress=said))
-    written: list[Path] = []
-    if out is not None and (path or path.interrupted or path.late):
-        loop_report.write_path(out, shown, deg, branches)
-        written.append(out)
-    written += drawn(
-        system, shown, plot, gif, html, draw=lambda: _drawing(system, shown, names), frames=names
-    )
-    if json:
-        _say(loop_report.path_facts(shown, deg), None, written)
-    else:
-        _say(None, loop_report.path(path if shown else shown, deg), written)
-    _not_written(out, written)
+        with progress.progress("points", points) as report:
+            shown = _resampled(path, points, Budget(time_limit=time_limit, progress=report))
+    if output.out is not None and (path or path.interrupted or path.late):
+        shown.save(output.out, branches=branches, degrees=output.deg)
+        output.written.append(output.out)
+    output.draw(system, shown, lambda: _drawing(system, shown, names), frames=names)
+    output.show(shown)
+    _not_written(output)
     leave(shown if path else path)
 
 
-@app.command(rich_help_panel=CLOSED)
-@guarded
-@reads_file
+@command(CLOSED, "deg json")
 def plot(
-    file: File,
-    reading: Reading,
+    system: System,
+    output: Output,
     out: Annotated[
         Path | None,
         typer.Argument(metavar="OUT", help="Picture to write: .png, .svg or .pdf; or -o FILE."),
     ] = None,
-    output: InPlace = None,
+    file_out: InPlace = None,
     q: At = None,
     posture: Posture = None,
     frame: Marks = None,
@@ -423,25 +345,23 @@ def plot(
     tree: Annotated[
         bool, option("--tree", "In place of that the tree of bodies and joints.")
     ] = False,
-    deg: Deg = False,
-    json: Json = False,
 ) -> None:
     """Draw a system at a configuration, or its tree.
 
     Example: kempe plot two_link -o arm.png --q 30,50 --deg --axes all --angles --dimensions
     """
-    out = written_to(out, output)
-    system = load(file, reading)
     from kempe.cli import arguments
 
+    picture = written_to(out, file_out)
+    picture_file(picture)
     names = [system.structure.frame_name(f) for f in frame or ()]
-    drawable(out)
-    at, closing = (None, None) if tree else arguments.configuration(system, q, posture, deg)
-    save_picture(
-        system.plot_tree()
-        if tree
-        else system.plot(
-            at,
+    there, closing = (None, None)
+    if tree:
+        drawing = system.plot_tree()
+    else:
+        there, closing = arguments.configuration(system, q, posture, output.deg)
+        drawing = system.plot(
+            there,
             frames=names,
             labels=True if labels is None else "all" if labels == "all" else labels.split(","),
             axes="all" if axes == ["all"] else axes or (),
@@ -449,26 +369,16 @@ def plot(
             dimensions=dimensions,
             motion=motion,
             workspace=workspace,
-        ),
-        out,
-    )
-    say_written(out, json)
+        )
+    save_picture(drawing, picture)
+    output.written.append(picture)
+    output.show()
     if closing is not None and not closing:
         remark(str(closing.status))
         raise typer.Exit(INCOMPLETE)
 
 
 # ---- pictures and messages
-
-
-def _open(closing: Assembly, deg: bool, json: bool) -> NoReturn:
-    """Say that the loops do not close with what is given, and end the command."""
-    from kempe.cli import as_json, loop_report
-
-    print_json(as_json.answer_facts(closing, deg)) if json else show(
-        loop_report.assembly(closing, deg)
-    )
-    raise typer.Exit(INCOMPLETE)
 
 
 def _resampled(path: Motion, points: int, budget: Budget) -> Motion:
@@ -491,17 +401,7 @@ def _drawing(system: System, path: Motion, names: list[str]) -> Any:
     return system.plot(path=all_of_it, frames=names, ghosts=0 if names or len(path) < 2 else 5)
 
 
-def _say(data: dict[str, Any] | None, report: Any, written: list[Path]) -> None:
-    """Print an answer, as data or else as a report, and which files were written."""
-    if data is not None:
-        print_json({**data, "written": [str(path) for path in written]})
-        return
-    show(report)
-    for path in written:
-        say_written(path, False)
-
-
-def _not_written(out: Path | None, written: list[Path]) -> None:
+def _not_written(output: Output) -> None:
     """Say of a file that was requested why there is none."""
-    if out is not None and out not in written:
-        remark(f"{out} is not written: nothing is closed")
+    if output.out is not None and output.out not in output.written:
+        remark(f"{output.out} is not written: nothing is closed")

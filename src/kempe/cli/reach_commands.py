@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Generator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
@@ -13,44 +11,17 @@ import typer
 
 from kempe.arguments import until_interrupt
 from kempe.budget import Budget
-from kempe.cli.app import (
-    OPEN,
-    Deg,
-    File,
-    Film,
-    Json,
-    Out,
-    Page,
-    Picture,
-    PositionOnly,
-    Reading,
-    Rng,
-    TimeLimit,
-    app,
-    drawable,
-    drawn,
-    load,
-    option,
-    reads_file,
-    remark,
-    results,
-    save_picture,
-    say_drawn,
-)
-from kempe.cli.terminal import INCOMPLETE, guarded, leave, print_json, show
+from kempe.cli.app import OPEN, Output, PositionOnly, Rng, TimeLimit, command, option, remark
+from kempe.cli.terminal import INCOMPLETE, leave
 from kempe.errors import InputError
-from kempe.words import counted, verb
+from kempe.words import DEGREE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from kempe.spatial import Array
     from kempe.system import System
-    from kempe.workspace.base_placement import BasePlacement
-    from kempe.workspace.reach import ReachStudy
 
-SHOWN = 8
-"""Rows that a remark lists."""
 Poses = Annotated[
     str,
     typer.Argument(metavar="POSES", help="A .csv or .npy file, a pose a row, as targets of ik."),
@@ -80,12 +51,10 @@ Starts = Annotated[int | None, option("--starts", "Random starts of the search (
 NoLimits = Annotated[bool, option("--no-limits", "Leave joint limits out.")]
 
 
-@app.command(rich_help_panel=OPEN)
-@guarded
-@reads_file
+@command(OPEN, "out plot gif html deg json")
 def singularities(
-    file: File,
-    reading: Reading,
+    system: System,
+    output: Output,
     frame: Frame = None,
     task: FrameTask = None,
     inputs: Inputs = None,
@@ -94,12 +63,6 @@ def singularities(
     rng: Rng = None,
     time_limit: TimeLimit = None,
     no_limits: NoLimits = False,
-    out: Out = None,
-    plot: Picture = None,
-    gif: Film = None,
-    html: Page = None,
-    deg: Deg = False,
-    json: Json = False,
 ) -> None:
     """Find the singular configurations of a frame, or of closed loops, and how far the nearest is.
 
@@ -109,34 +72,25 @@ def singularities(
 
     Example: kempe singularities puma560 --frame tool --at q5=0.2
     """
+    from kempe.cli import arguments
     from kempe.numerics.clock import TimeLimit
 
-    system = load(file, reading)
     time = TimeLimit(time_limit)
-    from kempe.cli import arguments, table_files
-
-    results(out)
-    drawable(plot, gif, html)
     driving = (
         None if inputs is None else [name.strip() for name in inputs.split(",") if name.strip()]
     )
     if driving == []:
         raise InputError(f"--inputs names no joint; there are: {', '.join(system.joint_names)}")
-    q, closing = arguments.configuration(system, ",".join(at), None, deg) if at else (None, None)
+    near, closing = None, None
+    if at:
+        near, closing = arguments.configuration(system, ",".join(at), None, output.deg)
     if closing is not None and not closing:
         raise InputError(f"--at cannot be closed: {closing.status}")
     with _paced(starts, rng, time_limit, "starts") as budget:
         answer = until_interrupt(
             system.singularities, frame, task, inputs=driving, limits=not no_limits, budget=budget
         )
-    nearest = None if q is None else answer.nearest(q)
-    if out is not None:
-        table_files.write_configurations(
-            out, system, np.reshape([q for s in answer.sets for q in s.q], (-1, system.nq)), deg
-        )
-    each = np.reshape([s.q[0] for s in answer.sets], (-1, system.nq))
-
-    broken = list[str]()
+    broken: list[str] = []
 
     def draw() -> tuple[Axes, ...]:
         from kempe.views.singular_plot import curves_shown, plot_singularities
@@ -147,12 +101,10 @@ def singularities(
             broken.append(curves.status)
         return plot_singularities(answer, curves)
 
-    drawing = drawn(system, each, plot, gif, html, draw=draw)
-    say_drawn([out, *drawing] if out is not None else drawing)
-    if json:
-        print_json(answer.data() | ({} if nearest is None else {"nearest": nearest.data()}))
-    else:
-        show(str(answer) if nearest is None else f"{answer}\n{nearest}")
+    output.save(answer)
+    each = np.reshape([s.q[0] for s in answer.sets], (-1, system.nq))
+    output.draw(system, each, draw)
+    output.show(answer, **({} if near is None else {"nearest": answer.nearest(near)}))
     for why in broken:
         remark(why)
     leave(answer)
@@ -160,57 +112,33 @@ def singularities(
         raise typer.Exit(INCOMPLETE)
 
 
-@app.command(rich_help_panel=OPEN)
-@guarded
-@reads_file
+@command(OPEN, "out plot gif html deg json")
 def reach(
-    file: File,
-    reading: Reading,
+    system: System,
+    output: Output,
     poses: Poses,
     frame: Reaching,
     position_only: PositionOnly = False,
     starts: Starts = None,
     rng: Rng = None,
     time_limit: TimeLimit = None,
-    out: Out = None,
-    plot: Picture = None,
-    gif: Film = None,
-    html: Page = None,
-    deg: Deg = False,
-    json: Json = False,
 ) -> None:
     """Say which of a list of poses are reached, how well, and what blocks the others.
 
     Example: kempe reach ur5 weld.csv --frame tool
     """
-    system = load(file, reading)
-    X, position = _poses(system, poses, frame, deg)
-    task = "position" if position or position_only else None
-    results(out, poses)
-    drawable(plot, gif, html)
+    X, task = _poses(system, poses, frame, position_only, output.deg)
     with _paced(starts, rng, time_limit, "poses") as budget:
         answer = until_interrupt(system.reach.poses, X, frame, task=task, budget=budget)
-    if out is not None:
-        from kempe.cli import table_files
-
-        table_files.write_configurations(out, system, answer.q, deg)
-        if missed := np.flatnonzero(~answer.reached).tolist():
-            numbers = ", ".join(map(str, missed[:SHOWN])) + ", ..." * (len(missed) > SHOWN)
-            remark(
-                f"{out}: {counted(len(missed), 'row')} {verb(len(missed), 'is', 'are')} not "
-                f"reached and {verb(len(missed), 'holds', 'hold')} the nearest configuration: "
-                f"{numbers}, from 0"
-            )
-    drawing = drawn(system, answer.q[answer.reached], None, gif, html)
-    _say(answer, plot, json, drawing if out is None else [out, *drawing])
+    output.save(answer)
+    output.draw(system, answer.q[answer.reached], answer.plot)
+    output.end(answer)
 
 
-@app.command(rich_help_panel=OPEN)
-@guarded
-@reads_file
+@command(OPEN, "plot deg json")
 def place(
-    file: File,
-    reading: Reading,
+    system: System,
+    output: Output,
     poses: Poses,
     frame: Reaching,
     box: Ranges,
@@ -219,36 +147,19 @@ def place(
     starts: Starts = None,
     rng: Rng = None,
     time_limit: TimeLimit = None,
-    plot: Picture = None,
-    deg: Deg = False,
-    json: Json = False,
 ) -> None:
     """Find where to put the base so that all poses of a list are reached.
 
     Example: kempe place ur5 weld.csv --frame tool --box x=-1,1 --box y=-1,1 --box z=0.2
     """
-    system = load(file, reading)
-    X, position = _poses(system, poses, frame, deg)
-    task = "position" if position or position_only else None
-    ranges = _box(box, deg)
-    drawable(plot)
+    X, task = _poses(system, poses, frame, position_only, output.deg)
+    ranges = _box(box, output.deg)
     with _paced(starts, rng, time_limit, "poses") as budget:
         answer = until_interrupt(
             system.reach.place, X, frame, ranges, cells, task=task, budget=budget
         )
-    _say(answer, plot, json, [])
-
-
-def _say(
-    answer: ReachStudy | BasePlacement, plot: Path | None, json: bool, written: list[Path]
-) -> None:
-    """Print an answer, draw it, and leave with its exit code."""
-    print_json(answer.data()) if json else show(str(answer))
-    say_drawn(written)
-    if plot is not None:
-        save_picture(answer.plot(), plot)
-        say_drawn([plot])
-    leave(answer)
+    output.draw(system, None, answer.plot)
+    output.end(answer)
 
 
 @contextmanager
@@ -258,27 +169,26 @@ def _paced(
     """The budget of a command, which shows how many of what are done where the terminal is one."""
     from kempe.cli import progress
 
-    with progress.paced(sys.stderr, of) as said:
-        yield Budget(starts=starts, rng=rng, time_limit=time_limit, progress=said)
+    with progress.progress(of) as report:
+        yield Budget(starts=starts, rng=rng, time_limit=time_limit, progress=report)
 
 
-def _poses(system: System, text: str, frame: str, deg: bool) -> tuple[Array, bool]:
-    """Poses (n, 4, 4) of a file, and whether only their position counts. Errors: `InputError`,
-    `UnknownNameError`.
-    """
+def _poses(
+    system: System, text: str, frame: str, position_only: bool, deg: bool
+) -> tuple[Array, str | None]:
+    """Poses (n, 4, 4) of a file, and the task. Errors: `InputError`, `UnknownNameError`."""
     from kempe.cli import table_files
 
     system.structure.frame_name(frame)  # a wrong name is reported before any work
     if not table_files.is_file(text):
         raise InputError(f"POSES is {text!r}; it must be a .csv or .npy file of poses, one a row")
     X, position = table_files.target(system, text, deg)
-    return X.reshape(-1, 4, 4), position
+    return X.reshape(-1, 4, 4), "position" if position or position_only else None
 
 
 def _box(words: list[str], deg: bool) -> dict[str, object]:
     """Ranges by name: of a number that, of two a pair. Errors: `InputError`."""
     from kempe.cli import table_files
-    from kempe.cli.as_json import DEGREE
 
     out: dict[str, object] = {}
     for word in words:

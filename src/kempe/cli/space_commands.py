@@ -4,41 +4,24 @@ space, picture.
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from kempe.arguments import until_interrupt
 from kempe.budget import Budget
-from kempe.cli.app import (
-    CLOSED,
-    File,
-    Json,
-    Out,
-    Picture,
-    Reading,
-    TimeLimit,
-    app,
-    drawable,
-    load,
-    option,
-    reads_file,
-    results,
-    save_picture,
-    say_written,
-)
-from kempe.cli.terminal import INCOMPLETE, guarded, print_json
+from kempe.cli.app import CLOSED, Output, TimeLimit, command, option, save_picture
+from kempe.cli.terminal import INCOMPLETE
 from kempe.errors import InputError
 
+if TYPE_CHECKING:
+    from kempe.system import System
 
-@app.command(rich_help_panel=CLOSED)
-@guarded
-@reads_file
+
+@command(CLOSED, "out plot deg json")
 def spaces(
-    file: File,
-    reading: Reading,
+    system: System,
+    output: Output,
     frame: Annotated[
         str | None, option("--frame", "Frame whose task space is wanted.", "NAME")
     ] = None,
@@ -57,9 +40,6 @@ def spaces(
     ] = None,
     rng: Annotated[int, option("--rng", "Number that fixes what is random (0).", "N")] = 0,
     time_limit: TimeLimit = None,
-    plot: Picture = None,
-    out: Out = None,
-    json: Json = False,
 ) -> None:
     """Say what the configuration space is: dimension, components, samples; and the task space of a
     frame.
@@ -69,47 +49,34 @@ def spaces(
 
     Example: kempe spaces two_link --frame e --sample 1000 -o q.csv --plot spaces.png
     """
-    if out is not None and sample is None:
-        raise InputError(f"{out}: --sample says how many configurations are written")
-    if plot is not None and frame is None:
-        raise InputError(f"{plot}: --frame says whose task space is drawn")
-    if task is not None and plot is None:
+    if output.out is not None and sample is None:
+        raise InputError(f"{output.out}: --sample says how many configurations are written")
+    if output.plot is not None and frame is None:
+        raise InputError(f"{output.plot}: --frame says whose task space is drawn")
+    if task is not None and output.plot is None:
         raise InputError("--task says what --plot draws: give it a file")
     if position_only and frame is None:
         raise InputError("--position-only is about the task space of a frame: --frame names it")
-    system = load(file, reading)
-    results(out)
-    drawable(plot)
     space = system.configuration_space
     budget = Budget(time_limit=time_limit)
-    found: dict[str, Any] = {"configuration_space": space}
-    found["components"] = until_interrupt(space.components, budget=budget)
+    answers: dict[str, Any] = {"configuration_space": space}
+    answers["components"] = until_interrupt(space.components, budget=budget)
     if frame is not None:
-        found["task_space"] = system.task_space(frame, task="position" if position_only else "pose")
+        answers["task_space"] = system.task_space(
+            frame, task="position" if position_only else "pose"
+        )
     if sample is not None:
-        found["sample"] = until_interrupt(space.sample, sample, rng, budget=budget)
-    written: list[Path] = []
-    if plot is not None:
+        answers["sample"] = until_interrupt(space.sample, sample, rng, budget=budget)
+    if output.plot is not None:
         from kempe.cli import progress
 
-        with progress.paced(sys.stderr, "places") as said:
-            spent = Budget(time_limit=time_limit, progress=said)
+        with progress.progress("places") as report:
+            spent = Budget(time_limit=time_limit, progress=report)
             axes = until_interrupt(system.plot_spaces, frame or "", task=task, budget=spent)
-            save_picture(axes[0], plot)
-        written.append(plot)
-    if out is not None:
-        from kempe.cli import table_files
-
-        table_files.write_configurations(out, system, found["sample"].q)
-        written.append(out)
-    if json:
-        print_json(
-            {k: x.data() for k, x in found.items()} | {"written": [str(path) for path in written]}
-        )
-    else:
-        for k, x in found.items():
-            print(f"{k.replace('_', ' ')}: {x}")
-        for path in written:
-            say_written(path, False)
-    if found["components"].late or not found.get("sample", space):
+            save_picture(axes, output.plot)
+        output.written.append(output.plot)
+    if "sample" in answers:
+        output.save(answers["sample"])
+    output.show(**answers)
+    if answers["components"].late or not answers.get("sample", space):
         raise typer.Exit(INCOMPLETE)

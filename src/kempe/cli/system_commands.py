@@ -3,90 +3,73 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from kempe.cli.app import (
     DESCRIBE,
     OPEN,
-    Deg,
     File,
-    Film,
     FrameOrAll,
     InPlace,
-    Json,
-    Out,
-    Page,
-    Picture,
+    Output,
     Posture,
     Reading,
     Values,
-    app,
-    drawable,
-    drawn,
-    load,
+    command,
     option,
-    reads_file,
     remark,
-    results,
-    say_drawn,
-    say_written,
     written_to,
 )
-from kempe.cli.terminal import COMPLETE, INCOMPLETE, guarded, print_json, show
+from kempe.cli.terminal import COMPLETE, INCOMPLETE, print_json
 from kempe.description.formats import endings_written, named, read_by
+from kempe.words import listed
+
+if TYPE_CHECKING:
+    from kempe.system import System
 
 # ---- describe and convert
 
 
-@app.command(rich_help_panel=DESCRIBE)
-@guarded
-@reads_file
+@command(DESCRIBE, "plot html deg json")
 def info(
-    file: File,
-    reading: Reading,
+    system: System,
+    output: Output,
     tree: Annotated[
         bool, option("--tree", "Only the tree of bodies and joints, and what closes loops.")
     ] = False,
-    plot: Picture = None,
-    html: Page = None,
-    deg: Deg = False,
-    json: Json = False,
 ) -> None:
     """Say what a system is: bodies, joints, loops, limits, frames; or draw it, or its tree.
 
     Example: kempe info panda.urdf
     """
-    system = load(file, reading)
-    from kempe.cli import as_json, report
+    from kempe.cli.facts import SystemFacts
 
-    drawable(plot, None, html)
-    if json:
-        print_json(as_json.system_facts(system, deg))
-    elif tree:
-        show(report.tree(system))
+    output.draw(system, None, system.plot_tree if tree else None)
+    if tree and not output.json:
+        from kempe.cli.report import clean
+        from kempe.views.overviews import tree_lines
+
+        print(clean("\n".join(tree_lines(system))))
+        output.show()
     else:
-        show(report.info(system, deg))
-    if plot is not None or html is not None:
-        say_drawn(drawn(system, None, plot, None, html, draw=system.plot_tree if tree else None))
+        output.show(SystemFacts(system))
 
 
-@app.command(rich_help_panel=DESCRIBE)
-@guarded
-@reads_file
+@command(DESCRIBE)
 def check(
     files: Annotated[
         list[str], typer.Argument(metavar="FILE...", help=f"Files in {named(read_by())}.")
     ],
     reading: Reading,
-    json: Json = False,
+    output: Output,
 ) -> None:
     """List all problems of files, each with its line.
 
     Example: kempe check robots/*.urdf
     """
-    from kempe.cli import as_json, report
+    from kempe.cli import facts, report
     from kempe.description.read import check as check_
 
     found: list[dict[str, Any]] = []
@@ -96,13 +79,13 @@ def check(
             {
                 "file": file,
                 "ok": not problems,
-                "problems": [as_json.problem_facts(p) for p in problems],
+                "problems": [facts.problem_facts(p) for p in problems],
                 "notes": list(notes),
             }
         )
-        if not json:
-            show(report.findings(file, problems, notes))
-    if json:
+        if not output.json:
+            report.write(report.findings(file, problems, notes))
+    if output.json:
         print_json(found)
     elif len(found) > 1:
         bad = sum(not r["ok"] for r in found)
@@ -110,18 +93,16 @@ def check(
     raise typer.Exit(COMPLETE if all(r["ok"] for r in found) else INCOMPLETE)
 
 
-@app.command(rich_help_panel=DESCRIBE)
-@guarded
-@reads_file
+@command(DESCRIBE)
 def convert(
     file: File,
     reading: Reading,
+    output: Output,
     out: Annotated[
         Path | None,
         typer.Argument(metavar="OUT", help=f"File to write: {endings_written()}; or -o FILE."),
     ] = None,
-    output: InPlace = None,
-    json: Json = False,
+    file_out: InPlace = None,
 ) -> None:
     """Write a system in another format, which the ending of OUT names.
 
@@ -130,12 +111,13 @@ def convert(
     import kempe
     from kempe.description.read import write
 
-    out = written_to(out, output)
+    out = written_to(out, file_out)
     mechanism = kempe.read(file, **reading)
     mechanism.build()
     write(mechanism, out)
-    if json:
-        print_json({"written": str(out), "name": mechanism.name, "notes": list(mechanism.notes)})
+    if output.json:
+        notes = list(mechanism.notes)
+        print_json({"name": mechanism.name, "notes": notes, "written": [str(out)]})
     else:
         print(f"{mechanism.name} written to {out}")
 
@@ -143,47 +125,32 @@ def convert(
 # ---- forward model
 
 
-@app.command(rich_help_panel=OPEN)
-@guarded
-@reads_file
+@command(OPEN, "out plot gif html deg json")
 def fk(
-    file: File,
-    reading: Reading,
+    system: System,
+    output: Output,
     frame: FrameOrAll = None,
     q: Values = None,
     posture: Posture = None,
-    deg: Deg = False,
-    out: Out = None,
-    plot: Picture = None,
-    gif: Film = None,
-    html: Page = None,
-    json: Json = False,
 ) -> None:
     """Say where a frame is, or all bodies are (forward model).
 
     Example: kempe fk panda.urdf --frame panda_hand_tcp --q 0,-45,0,-135,0,90,45,0.04 --deg
     """
-    system = load(file, reading)
-    from kempe.cli import as_json, report, table_files
+    from kempe.cli import facts, table_files
 
     if frame is not None:
         system.structure.frame_name(frame)  # a wrong name is reported before kernels are compiled
-    results(out, q)
-    drawable(plot, gif, html)
-    values = table_files.configuration(system, q, posture, deg)
-    X = system.fk(values, frame)
-    say_drawn(drawn(system, values, plot, gif, html, frames=[] if frame is None else [frame]))
-    if out is not None:
-        table_files.write_poses(out, X, frame is None, deg)
-        say_written(out, json)
-    elif json:
-        print_json(as_json.poses_facts(system, frame, X, deg))
-    else:
-        show(report.poses(system, frame, X, deg))
+    values = table_files.configuration(system, q, posture, output.deg)
+    poses = facts.Poses(system, frame, system.fk(values, frame))
+    output.save(poses)
+    output.draw(system, values, frames=[] if frame is None else [frame])
+    output.show(poses)
     bad = table_files.not_finite(values)
     if bad:
-        remark(f"q is not finite in {report.rows_text(bad)}; poses there are NaN")
-    gap = as_json.largest_gap(system, values)
+        rows = listed([str(i) for i in bad], 12)
+        remark(f"q is not finite in row{'s' * (len(bad) > 1)} {rows}; poses there are NaN")
+    gap = facts.largest_gap(system, values)
     if gap:
         remark(f"loops are open here, {gap}: kempe assemble closes them")
     if bad:

@@ -14,19 +14,23 @@ from kempe.answers.tables import (
     header_of,
     poses_of_columns,
     rows_of_text,
-    table_file,
-    write_table,
 )
 from kempe.arrays import reals
-from kempe.cli.as_json import DEGREE, in_degrees, pose_rows
 from kempe.description.source import expanded, no_file
 from kempe.errors import UNREADABLE, InputError, UnknownNameError
-from kempe.model.configurations import as_q, closed_from, from_home, mid, q_from_dict, units
+from kempe.model.configurations import (
+    as_q,
+    by_name,
+    closed_from,
+    from_home,
+    mid,
+    q_from_dict,
+    units,
+)
+from kempe.words import DEGREE
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
-
-POSE_COLUMNS = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
 def is_file(text: str) -> bool:
@@ -101,7 +105,7 @@ def _named(system: Model, text: str, degrees: bool) -> dict[str, float]:
 
 def _radians(system: Model, q: spatial.Array, degrees: bool) -> spatial.Array:
     """q with its angles, given in degrees where `degrees` says so, in radians."""
-    return q / in_degrees(np.ones(system.nq), system.coordinate_names, units(system), degrees)
+    return q / by_name(system, np.ones(system.nq)).within(degrees)
 
 
 def _configurations(system: Model, path: Path, degrees: bool, start: bool) -> spatial.Array:
@@ -183,11 +187,6 @@ def _read_csv(path: Path) -> tuple[list[str] | None, spatial.Array]:
     )
 
 
-def output(path: Path | None) -> Path | None:
-    """The path of a file to write. Errors: `InputError` where its ending is neither .csv nor .npy."""
-    return None if path is None else table_file(path)
-
-
 def not_finite(q: spatial.Array) -> list[int]:
     """Numbers of the rows of q (n, nq) that hold NaN or infinities; none of a single configuration."""
     return np.flatnonzero(~np.isfinite(q).all(axis=-1)).tolist() if q.ndim > 1 else []
@@ -201,30 +200,3 @@ def tolerance(text: str) -> tuple[float, float]:
             f"tolerance is {text!r}; it must be one or two positive numbers, in metres and radians"
         )
     return values[0], values[-1]
-
-
-def write_poses(path: Path, X: spatial.Array, bodies: bool, degrees: bool = False) -> None:
-    """Write poses: a .npy holds the array as it is, a .csv has x, y, z, roll, pitch, yaw in each
-    line.
-
-    X is (4, 4) or (n, 4, 4); of all `bodies` it is (k, 4, 4) or (n, k, 4, 4), and lines of the .csv
-    begin with the number of the configuration and of the body.
-    """
-    lines = pose_rows(X, degrees).reshape(-1, 6)
-    columns: tuple[str, ...] = POSE_COLUMNS
-    if bodies:
-        index = np.indices((len(X) if X.ndim == 4 else 1, X.shape[-3])).reshape(2, -1).T
-        lines = np.concatenate([index.astype(float), lines], axis=1)
-        columns = ("configuration", "body", *columns)
-    write_table(path, columns, lines, X)
-
-
-def write_configurations(
-    path: Path, system: Model, q: spatial.Array, degrees: bool = False
-) -> None:
-    """Write configurations (nq,) or (n, nq), a column a coordinate; `configuration` reads them
-    back.
-    """
-    names = system.coordinate_names
-    shown = in_degrees(np.atleast_2d(q), names, units(system), degrees)
-    write_table(path, names, shown)

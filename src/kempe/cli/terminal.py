@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import functools
+import contextlib
 import os
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Generator
 from typing import Any, NoReturn
 
 import typer
@@ -79,29 +79,24 @@ def leave(answer: Any) -> None:
         raise typer.Exit(INCOMPLETE)
 
 
-def guarded(function: Callable[..., None]) -> Callable[..., None]:
-    """The command with its errors made one sentence (or JSON, by its option `json`) and exit code
-    2.
+@contextlib.contextmanager
+def guarded(json: bool) -> Generator[None]:
+    """Make errors one sentence, or `json`, and exit code 2.
 
     Where the time limit was over before anything was known, it is 1: the question stands.
     """
-
-    @functools.wraps(function)
-    def run(*args: Any, **options: Any) -> None:
-        try:
-            function(*args, **options)
-        except TimeLimitError as error:
-            say_error(error, options.get("json", False))
-            raise typer.Exit(INCOMPLETE) from None
-        except KempeError as error:
-            refuse(error, options.get("json", False))
-        except BrokenPipeError:
-            raise
-        except OSError as error:
-            named = f"{error.filename}: " if error.filename else ""
-            refuse(f"{named}{error.strerror or error}", options.get("json", False))
-
-    return run
+    try:
+        yield
+    except TimeLimitError as error:
+        say_error(error, json)
+        raise typer.Exit(INCOMPLETE) from None
+    except KempeError as error:
+        refuse(error, json)
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        named = f"{error.filename}: " if error.filename else ""
+        refuse(f"{named}{error.strerror or error}", json)
 
 
 def refuse(error: BaseException | str, json: bool = False) -> NoReturn:
@@ -114,13 +109,13 @@ def say_error(error: BaseException | str, json: bool = False) -> None:
     """Print an error: a sentence on standard error, or JSON on standard output."""
     error = error if isinstance(error, BaseException) else str(shortened(error))
     if json:
-        from kempe.cli.as_json import error_facts
+        from kempe.cli.facts import error_facts
 
         print_json(error_facts(error))
     else:
         from kempe.cli import report
 
-        report.show(report.error(error), sys.stderr)
+        report.write(report.error(error), sys.stderr)
 
 
 def print_json(data: Any) -> None:
@@ -131,8 +126,8 @@ def print_json(data: Any) -> None:
     print(json_text(data, ascii_only=encoding.lower().replace("-", "") != "utf8"))
 
 
-def show(renderable: Any) -> None:
-    """Print a report."""
+def show(answer: Any, degrees: bool = False) -> None:
+    """Print an answer, its first line in colour."""
     from kempe.cli import report
 
-    report.show(renderable)
+    report.show(answer, degrees)

@@ -5,25 +5,13 @@ from __future__ import annotations
 import sys
 import webbrowser
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-from kempe.cli.app import (
-    DESCRIBE,
-    MODELS,
-    Deg,
-    File,
-    Json,
-    Posture,
-    Reading,
-    Values,
-    app,
-    load,
-    option,
-    reads_file,
-    remark,
-    say_written,
-)
-from kempe.cli.terminal import guarded, print_json
+from kempe.cli.app import DESCRIBE, MODELS, Output, Posture, Values, command, option, remark
+from kempe.cli.terminal import print_json
+
+if TYPE_CHECKING:
+    from kempe.system import System
 
 DEMO = "panda"
 """The model that `kempe demo` shows."""
@@ -40,26 +28,21 @@ Html = Annotated[
 ]
 
 
-@app.command(rich_help_panel=DESCRIBE)
-@guarded
-@reads_file
+@command(DESCRIBE, "deg json")
 def view(
-    file: File,
-    reading: Reading,
+    system: System,
+    output: Output,
     frame: Frame = None,
     q: Values = None,
     posture: Posture = None,
-    deg: Deg = False,
     html: Html = None,
     port: Port = None,
     no_browser: NoBrowser = False,
-    json: Json = False,
 ) -> None:
     """Show a system in the browser: sliders, targets to drag, all solutions. Ctrl-C ends it.
 
     Example: kempe view panda.urdf --frame panda_hand_tcp
     """
-    system = load(file, reading)
     from kempe.cli import table_files
 
     if frame is not None:
@@ -67,23 +50,23 @@ def view(
     start = (
         None
         if q is None and posture is None
-        else table_files.configuration(system, q, posture, deg)
+        else table_files.configuration(system, q, posture, output.deg)
     )
     if html is not None:
         from kempe.views.viewer.pages import write_page
 
         drawn = write_page(system, html, start)
-        if json:
-            print_json({"written": str(html), "not_drawn": drawn.lost})
+        if output.json:
+            print_json({"not_drawn": drawn.lost, "written": [str(html)]})
             return
-        say_written(html, json)
+        print(f"written to {html}")
         if drawn.lost:
             remark(drawn.lost_sentence)
         return
     from kempe.views.viewer.live import serve
 
-    with serve(system, start, frame=frame, port=port, deg=deg) as viewer:
-        if json:
+    with serve(system, start, frame=frame, port=port, deg=output.deg) as viewer:
+        if output.json:
             print_json({"system": system.name, "url": viewer.url, "not_drawn": viewer.drawn.lost})
         else:
             print(f"{system.name}: {viewer.url} (Ctrl-C ends it)")
@@ -95,13 +78,12 @@ def view(
         viewer.wait()
 
 
-@app.command(rich_help_panel=MODELS)
-@guarded
+@command(MODELS)
 def demo(
-    html: Html = None, port: Port = None, no_browser: NoBrowser = False, json: Json = False
+    output: Output, html: Html = None, port: Port = None, no_browser: NoBrowser = False
 ) -> None:
     """Show a shipped arm in the browser.
 
     Example: kempe demo
     """
-    view(file=DEMO, html=html, port=port, no_browser=no_browser, json=json)
+    view(file=DEMO, html=html, port=port, no_browser=no_browser, json=output.json)

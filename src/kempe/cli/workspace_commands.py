@@ -3,35 +3,20 @@
 from __future__ import annotations
 
 import math
-import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
 
 from kempe.arguments import until_interrupt
-from kempe.cli.app import (
-    OPEN,
-    Deg,
-    File,
-    Json,
-    Picture,
-    Reading,
-    Scheduler,
-    Threads,
-    TimeLimit,
-    app,
-    drawable,
-    load,
-    option,
-    reads_file,
-    save_picture,
-)
-from kempe.cli.as_json import DEGREE
-from kempe.cli.terminal import guarded, leave, print_json, show
+from kempe.cli.app import OPEN, Output, Scheduler, Threads, TimeLimit, command, option
+from kempe.cli.terminal import print_json
 from kempe.errors import InputError
-from kempe.words import counted
+from kempe.words import DEGREE, counted
+
+if TYPE_CHECKING:
+    from kempe.system import System
 
 
 def _numbers(text: str, what: str) -> list[float]:
@@ -51,12 +36,10 @@ def _turned(text: str, what: str, deg: bool) -> Any:
     return angles[0] if len(angles) == 1 else angles
 
 
-@app.command(rich_help_panel=OPEN)
-@guarded
-@reads_file
+@command(OPEN, "plot deg json")
 def workspace(
-    file: File,
-    reading: Reading,
+    system: System,
+    output: Output,
     frame: Annotated[str, option("--frame", "Body or frame whose places are wanted.", "NAME")],
     n: Annotated[
         float | None, option("-n,--samples", "How many samples are drawn: 1e8 (1e7).", "N")
@@ -91,13 +74,10 @@ def workspace(
     out: Annotated[
         Path | None, option("-o,--out", "The map to write or to go on with (Zarr).", "MAP")
     ] = None,
-    plot: Picture = None,
     scheduler: Scheduler = None,
     rng: Annotated[int | None, option("--rng", "Number that fixes the samples (0).", "N")] = None,
     threads: Threads = None,
     time_limit: TimeLimit = None,
-    deg: Deg = False,
-    json: Json = False,
 ) -> None:
     """Show what a frame reaches, by any number of random configurations, or in one orientation or
     all of them.
@@ -107,11 +87,10 @@ def workspace(
 
     Example: kempe workspace panda --frame tool -n 1e8 -o map.zarr --plot map.png
     """
-    system = load(file, reading)
     from kempe.budget import Budget
     from kempe.cli import progress
 
-    drawable(plot)
+    deg = output.deg
     along: Any = (
         None
         if cells is None
@@ -120,7 +99,7 @@ def workspace(
     ends = None if box is None else _numbers(box, "--box")
     if ends is not None and len(ends) % 2:
         raise InputError(f"--box has {counted(len(ends), 'number')}; it needs two for each axis")
-    with progress.paced(sys.stderr, "samples") as said:
+    with progress.progress("samples") as report:
         answer = until_interrupt(
             system.workspace,
             frame,
@@ -132,23 +111,17 @@ def workspace(
             box=None if ends is None else np.reshape(ends, (-1, 2)),
             client=scheduler,
             path=out,
-            budget=Budget(rng=rng, threads=threads, time_limit=time_limit, progress=said),
+            budget=Budget(rng=rng, threads=threads, time_limit=time_limit, progress=report),
         )
-    if plot is not None:
-        save_picture(np.ravel(answer.plot())[0], plot)
-    written = [str(p) for p in (out, plot) if p is not None and p.exists()]
-    if json:
-        print_json({**answer.data(), "written": written})
-    else:
-        show(str(answer))
-        for path in written:
-            print(f"written to {path}")
-    leave(answer)
+    if out is not None and out.exists():
+        output.written.append(out)
+    output.draw(system, None, answer.plot)
+    output.end(answer)
 
 
-@app.command(rich_help_panel=OPEN, context_settings={"ignore_unknown_options": True})
-@guarded
+@command(OPEN, "deg json", context_settings={"ignore_unknown_options": True})
 def query(
+    output: Output,
     path: Annotated[
         Path, typer.Argument(metavar="MAP", help="A map that 'kempe workspace' wrote.")
     ],
@@ -156,8 +129,6 @@ def query(
         list[str],
         typer.Argument(metavar="POINT...", help="Points x,y[,z] in metres, in the ground frame."),
     ],
-    deg: Deg = False,
-    json: Json = False,
 ) -> None:
     """Say whether points are reached, and how far they are from the boundary.
 
@@ -179,14 +150,15 @@ def query(
         raise InputError(f"points must have {counted(wanted, 'number')}, separated by commas")
     if turned:
         inside = [
-            bool(space.contains(read_rotations(_turned(p, "a point", deg), dim))) for p in points
+            bool(space.contains(read_rotations(_turned(p, "a point", output.deg), dim)))
+            for p in points
         ]
         far: Any = [None] * len(rows)
     else:
         inside = space.contains(rows).tolist()
         far = space.distance(rows).tolist()
     off = 0.0 if space.exact is not None else space.resolution
-    if json:
+    if output.json:
         found = [
             {"point": p, "reached": i, "distance": f}
             for p, i, f in zip(rows, inside, far, strict=True)

@@ -5,7 +5,7 @@ parameters.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -24,7 +24,7 @@ from kempe.forward.symbolic import (
     unwrapped,
 )
 from kempe.poses import placement_of_pose
-from kempe.report import Cells, Report
+from kempe.report import Report, Table
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ class DHTable(Report):
         """What it is the table of."""
         return f"{self.frame} of {self.system.name}, {self.convention} Denavit-Hartenberg"
 
-    def _cells(self) -> Cells:
+    def _tables(self) -> Sequence[Table]:
         rows: list[list[str]] = []
         for row in self.rows:
             turns = row.type == "revolute"
@@ -78,9 +78,9 @@ class DHTable(Report):
                 for x, moves in ((row.theta, turns), (row.d, not turns))
             )
             rows.append([str(row.name), _shown(row.a), _shown(row.alpha), str(d), str(theta)])
-        return ("joint", "a", "alpha", "d", "theta"), rows
+        return [Table(("joint", "a", "alpha", "d", "theta"), rows)]
 
-    def _notes(self) -> list[str]:
+    def _notes(self, degrees: bool = False) -> list[str]:
         said = (
             ("frame 0 in the ground", self.base),
             (f"{self.frame} in the last frame", self.tool),

@@ -20,11 +20,12 @@ from kempe.inverse.closed_forms.branch_names import Kind, branch_names, kind_of,
 from kempe.inverse.closed_forms.chain_lines import Lines
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.forward.table_layout import SLIDE
-from kempe.report import Cells, by_code
+from kempe.model.configurations import units
+from kempe.report import ROWS, Table, by_code
 from kempe.singular_values import svd
 from kempe.spatial import Array
 from kempe.status import Status, member
-from kempe.words import counted
+from kempe.words import Quantity, counted
 
 if TYPE_CHECKING:
     from kempe.inverse.closed_forms.plan import ChainPlan
@@ -608,6 +609,7 @@ class Solutions(ConfigurationList, Answer):
         "multiplicity",
         "branch",
         "names",
+        "condition",
         "held",
         "spare",
         "tried",
@@ -619,23 +621,53 @@ class Solutions(ConfigurationList, Answer):
         )
         return f"{text}; {self._row.held(self)}" if self.spare and not self.single else text
 
-    def _cells(self) -> Cells:
-        """What is shown of one target: coordinates of the chain, and what is special."""
-        if not self.single:
-            return (), ()
-        names = self.system.coordinate_names
-        at = self.plan.lines.q_index
-        rows: list[list[str]] = []
-        for q, name, inside, m in zip(
-            self.q, self.names, self.inside, self.multiplicity, strict=True
-        ):
-            notes = [name] if name else []
-            notes += [] if inside else ["outside limits"]
-            notes += [f"{m} roots"] if m > 1 else ["one of a family"] if m == 0 else []
-            rows.append([*(f"{x:.9g}" for x in q[at]), ", ".join(notes) or "-"])
-        heads = [*(names[int(i)] for i in at), "note"]
-        return (
-            (heads, rows)
-            if any(row[-1] != "-" for row in rows)
-            else (heads[:-1], [row[:-1] for row in rows])
-        )
+    def _tables(self) -> Sequence[Table]:
+        """A row for each solution: coordinates of the chain, and what is special."""
+        if not self.mask.any():
+            return []
+        mask = np.reshape(self.mask, (-1, self.mask.shape[-1]))
+        of, row = np.nonzero(mask)
+        k = len(row)
+        columns = (self.q.reshape(-1, self.system.nq), self.names, self.inside, self.multiplicity)
+        each = (np.reshape(x, (mask.size, *np.shape(x)[self.mask.ndim :])) for x in columns[1:])
+        used = [x[mask.ravel()] for x in (columns[0], *each)]
+        places = self.plan.lines.q_index.tolist()
+        rows: list[tuple[Any, ...]] = []
+        for target, q, *facts in zip(of[:ROWS].tolist(), *used, strict=False):
+            first = () if self.single else (target,)
+            rows.append((*first, *self._quantities(q, places), _remark(*facts) or "-"))
+        heads: list[str] = [self.system.coordinate_names[i] for i in places]
+        heads = [*([] if self.single else ["target"]), *heads, "note"]
+        if all(row[-1] == "-" for row in rows):
+            rows = [row[:-1] for row in rows]
+            heads = heads[:-1]
+        return [Table(heads, rows, more=k - len(rows), printed=self.single)]
+
+    def _notes(self, degrees: bool = False) -> Sequence[str]:
+        families = self.families if self.single else ()
+        return [*(f"family: {family}" for family in families), *super()._notes()]
+
+    def _data(self) -> dict[str, Any]:
+        families = [
+            {
+                "freedoms": family.freedoms,
+                "joints": list(family.joints),
+                "closed": bool(family.closed),
+                "text": str(family),
+                "q": self._by_name(family.q),
+            }
+            for family in (self.families if self.single else ())
+        ]
+        unit = units(self.system)
+        held = {name: Quantity(x, unit[name]) for name, x in self.held.items()}
+        asked = {"frame": self.question.frame, "task": self.question.task}
+        out = asked | super()._data() | {"held": held}
+        return out | {"families": families} if self.single else out
+
+
+def _remark(name: str, inside: bool, multiplicity: int) -> str:
+    """What is special of a solution: its branch, limits, how many roots it is."""
+    notes = [name] if name else []
+    notes += [] if inside else ["outside limits"]
+    many = f"{multiplicity} roots" if multiplicity else "one of a family"
+    return ", ".join([*notes, *([] if multiplicity == 1 else [many])])

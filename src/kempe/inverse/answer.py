@@ -343,7 +343,7 @@ class IkHistory(Report):
     def _turns(self) -> bool:
         return bool(np.any(self.orientation_error > 0.0))
 
-    def _lines(self) -> list[str]:
+    def _notes(self, degrees: bool = False) -> list[str]:
         rows = list(
             zip(self.start, self.step, self.position_error, self.orientation_error, strict=True)
         )

@@ -30,11 +30,11 @@ from kempe.inverse.chain.serial_chain import inside, of_loops, shared_by
 from kempe.inverse.tasks.demands import STARTS, Demands, apart
 from kempe.inverse.tasks.search import judge, pose_problem
 from kempe.kernels.base.search_layout import SOLVED
-from kempe.model.configurations import random, refuse_far
+from kempe.model.configurations import random, ranges_table, refuse_far
 from kempe.numerics.clock import BROKEN_OFF, LONG, TimeLimit, partial
 from kempe.numerics.newton import gauss_newton, least_squares
 from kempe.poses import arrays, refuse_no_poses, sound
-from kempe.report import brief
+from kempe.report import Table, brief
 from kempe.singular_values import svd
 from kempe.spatial import Array
 from kempe.status import Status
@@ -567,6 +567,15 @@ class IkPath(Configurations):
 
     def _headline(self) -> str:
         return self.status
+
+    def _tables(self) -> Sequence[Table]:
+        """The range of each coordinate, and its largest step between two targets."""
+        if not np.isfinite(self.q).any():
+            return []
+        return [ranges_table(self.system, self.q, steps=True)]
+
+    def _reasons(self) -> list[str]:
+        return []
 
 
 @explained

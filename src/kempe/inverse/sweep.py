@@ -42,7 +42,7 @@ from kempe.kernels.forward.table_layout import SLIDE
 from kempe.numerics.clock import SHARE, SHORT, TimeLimit, time_limited, time_of
 from kempe.numerics.intervals import Intervals, spelled, union
 from kempe.poses import arrays, refuse_no_poses
-from kempe.report import Cells, brief, by_code
+from kempe.report import Table, brief, by_code
 from kempe.spatial import Array, log_so3
 from kempe.status import Status, member
 from kempe.words import counted
@@ -412,24 +412,14 @@ class Sweep(Answer):
     def _headline(self) -> str:
         return f"{self.frame!r} of {self.system.name}, {self.task}: {self.status}"
 
-    def _cells(self) -> Cells:
+    def _tables(self) -> Sequence[Table]:
         each = zip(self.labels, self.intervals, self.spans, strict=True)
         rows = [(label, spelled(a) or "-", spelled(b)) for label, a, b in each if b]
-        return ("branch", "inside the limits", "exists"), rows
+        return [Table(("branch", "inside the limits", "exists"), rows)] if rows else []
 
-    def _lines(self) -> Sequence[str]:
-        lines: list[str] = []
-        if self.held:
-            lines.append("held: " + ", ".join(f"{n} = {x:.9g}" for n, x in self.held.items()))
-        for label, rows in zip(self.labels, self.intervals, strict=True):
-            if rows:
-                lines.append(f"{label}: {spelled(rows)}")
-        outside = sum(
-            1 for rows, spans in zip(self.intervals, self.spans, strict=True) if spans and not rows
-        )
-        if outside and self:
-            lines.append(f"{outside} more branch{'' if outside == 1 else 'es'} outside the limits")
-        return lines
+    def _notes(self, degrees: bool = False) -> Sequence[str]:
+        held = ", ".join(f"{n} = {x:.9g}" for n, x in self.held.items())
+        return [f"held: {held}"] if held else []
 
 
 def turned(

@@ -17,7 +17,8 @@ from kempe.first_order.rank import Rank
 from kempe.first_order.redundant_constraints import Redundancy
 from kempe.first_order.wrenches import Wrenches
 from kempe.mobility.one_sided import OneSidedReport
-from kempe.report import Nearest, Worded, Words
+from kempe.model.configurations import by_name
+from kempe.report import Nearest, Report
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import counted, cut, verb
@@ -25,7 +26,7 @@ from kempe.words import counted, cut, verb
 if TYPE_CHECKING:
     from kempe.mobility.local_dimension import LocalDimension
     from kempe.mobility.relative_motion import RelativeMotion
-    from kempe.model.model import FrameLike
+    from kempe.model.model import FrameLike, Model
 
 
 # ---- the answer in words
@@ -239,10 +240,9 @@ def data(m: Mobility) -> dict[str, Any]:
     local = m.local
     c = m.control
     return {
-        "name": m.name,
+        "system": m.name,
         "dim": m.dim,
-        "sentence": sentence(m),
-        "q": m.q.tolist(),
+        "q": by_name(m.system, m.q),
         "closed": m.closed,
         "residual": m.residual,
         "given_residual": m.given_residual,
@@ -302,7 +302,7 @@ def data(m: Mobility) -> dict[str, Any]:
             }
             for f in m.idle_freedoms
         ],
-        "one_sided": None if m.one_sided is None else m.one_sided.data(),
+        "one_sided": None if m.one_sided is None else m.one_sided._data(),
         "control": None
         if c is None
         else {
@@ -355,7 +355,7 @@ class ClusterMobility:
 
 @explained_methods
 @dataclass(frozen=True, eq=False)
-class Mobility(Worded):
+class Mobility(Report):
     """Degrees of freedom of a mechanism at a configuration, with the reasoning; ``print`` it.
 
     `gruebler` is the Grübler count; `rank_dof` the nullity of the loop equations at `q`,
@@ -366,7 +366,8 @@ class Mobility(Worded):
     others. `singular` says that `q` is a singular point of the configuration space, `kind` which.
     """
 
-    name: str
+    _has_angles = True
+    system: Model = field(repr=False)
     dim: int
     q: Array
     closed: bool
@@ -410,6 +411,11 @@ class Mobility(Worded):
 
     late: bool = False
     """Whether the time limit came before the true number was known."""
+
+    @property
+    def name(self) -> str:
+        """The name of the system."""
+        return self.system.name
 
     @property
     def gruebler(self) -> int:
@@ -497,6 +503,17 @@ class Mobility(Worded):
         found = relative_motion(self.wrenches.system, self.wrenches.q, body, to)
         return replace(found, within=found.within or self.within)
 
-    def _words(self) -> Words:
+    @property
+    def status(self) -> str:
+        """The result in one sentence."""
+        return sentence(self)
 
-        return Words(sentence, lines, data)
+    def topics(self) -> list[tuple[str, list[str]]]:
+        """The reasons as (title, lines)."""
+        return lines(self)
+
+    def _headline(self) -> str:
+        return f"{self.name}: {self.status}"
+
+    def _data(self) -> dict[str, Any]:
+        return data(self)

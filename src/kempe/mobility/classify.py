@@ -21,10 +21,10 @@ from kempe.equations.velocity import VelocityRows, tangent_rows
 from kempe.errors import InputError, shown
 from kempe.mobility.growth_vectors import Distribution, Growth, distribution, growth
 from kempe.mobility.one_sided import OneSidedReport, if_any
-from kempe.model.configurations import distance, one_finite
+from kempe.model.configurations import by_name, distance, one_finite
 from kempe.numerics.clock import SHORT, TimeLimit, time_limited, time_of
 from kempe.numerics.rank import Level, Spectrum
-from kempe.report import Nearest, Worded, Words
+from kempe.report import Nearest, Report
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import InWords, counted, cut, verb
@@ -184,9 +184,8 @@ def lines(c: Classification) -> list[tuple[str, list[str]]]:
 def data(c: Classification) -> dict[str, Any]:
     """All numbers and texts as plain Python, ready for JSON."""
     return {
-        "name": c.name,
-        "sentence": sentence(c),
-        "q": c.q.tolist(),
+        "system": c.name,
+        "q": by_name(c.system, c.q),
         "kind": c.kind,
         "position_dof": c.position_dof,
         "velocity_dof": c.velocity_dof,
@@ -199,7 +198,7 @@ def data(c: Classification) -> dict[str, Any]:
         "doubtful": c.doubtful,
         "why": c.why,
         "moved": c.moved,
-        "one_sided": None if c.one_sided is None else c.one_sided.data(),
+        "one_sided": None if c.one_sided is None else c.one_sided._data(),
         "constraints": {
             k: {
                 "kind": x.kind,
@@ -258,7 +257,7 @@ class ConstraintKind(InWords):
 
 @explained_methods
 @dataclass(frozen=True, eq=False)
-class Classification(Worded):
+class Classification(Report):
     """What the constraints of a system are, each alone and all together, with the reasoning;
     ``print`` it.
 
@@ -273,7 +272,8 @@ class Classification(Worded):
     "nonholonomic" or "unilateral". Where `why` says why not, growth and what is reached are None.
     """
 
-    name: str
+    _has_angles = True
+    system: Model = field(repr=False)
     q: Array
     kind: str
     position_dof: int
@@ -300,6 +300,11 @@ class Classification(Worded):
     it was itself."""
 
     @property
+    def name(self) -> str:
+        """The name of the system."""
+        return self.system.name
+
+    @property
     def singular(self) -> bool:
         """Whether the growth vector at `q` differs from that at configurations drawn at random,
         beyond doubt.
@@ -320,9 +325,20 @@ class Classification(Worded):
             return Status.OUT_OF_TIME
         return Status.UNDETERMINED if self.why and self.growth is None else Status.SOLVED
 
-    def _words(self) -> Words:
+    @property
+    def status(self) -> str:
+        """The result in one sentence."""
+        return sentence(self)
 
-        return Words(sentence, lines, data)
+    def topics(self) -> list[tuple[str, list[str]]]:
+        """The reasons as (title, lines)."""
+        return lines(self)
+
+    def _headline(self) -> str:
+        return f"{self.name}: {self.status}"
+
+    def _data(self) -> dict[str, Any]:
+        return data(self)
 
 
 # ---- how far motions reach
@@ -602,7 +618,7 @@ class _Classifier:
         which = self.velocity_rows(self.moving)
         free = place.null_space(which).dimension - place.extra
         made: dict[str, Any] = {
-            "name": system.name,
+            "system": system,
             "q": place.q,
             "position_dof": positions,
             "velocity_dof": free,

@@ -146,7 +146,7 @@ def _found(
     singular, kind = _kind(rank, best, truth)
     sure = truth is None and dof is not None and regular(system, rank, at.residual)
     return Mobility(
-        system.name,
+        system,
         system.dim,
         at.q,
         True,
@@ -187,7 +187,7 @@ def _given(system: Model, q: Any) -> Array:
 def _open(system: Model, shown: Model, at: NearestClosed) -> Mobility:
     s = structure(system)
     return Mobility(
-        system.name,
+        system,
         system.dim,
         at.q,
         False,

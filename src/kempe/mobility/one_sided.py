@@ -23,7 +23,7 @@ from kempe.model.configurations import as_q
 from kempe.numerics.rank import Level, Spectrum
 from kempe.report import Report
 from kempe.spatial import Array
-from kempe.words import InWords, counted
+from kempe.words import InWords, Quantity, Unit, counted
 
 if TYPE_CHECKING:
     from kempe.model.model import FrameLike, Model
@@ -379,10 +379,10 @@ class OneSidedReport(Report):
                 {
                     "name": s.name,
                     "state": s.state,
-                    "value": s.value,
-                    "bound": s.bound,
-                    "unit": s.unit,
-                    "slack": s.slack,
+                    "value": Quantity(s.value, s.unit),
+                    "bound": Quantity(s.bound, s.unit),
+                    "unit": Unit(s.unit),
+                    "slack": Quantity(s.slack, s.unit),
                     "allowed": str(s.ways),
                     "why": s.why,
                 }
@@ -405,7 +405,7 @@ class OneSidedReport(Report):
     def _headline(self) -> str:
         return f"{self.system.name}: {self.status}"
 
-    def _notes(self) -> list[str]:
+    def _notes(self, degrees: bool = False) -> list[str]:
         return self.lines
 
 

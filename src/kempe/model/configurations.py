@@ -24,8 +24,9 @@ from kempe.model.coordinates import (
 )
 from kempe.model.model import kept
 from kempe.model.structural_order import natural
+from kempe.report import Table
 from kempe.spatial import Array
-from kempe.words import counted
+from kempe.words import ByName, Quantity, counted
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
@@ -508,6 +509,28 @@ def units(system: Model) -> dict[str, str]:
         for name in joint.type.velocities(system.dim, particle):
             out.setdefault(coordinate_name(joint.name, name), "rad")
     return out
+
+
+def by_name(system: Model, q: Any) -> ByName:
+    """Configurations (..., nq) by the names of coordinates, with their units."""
+    unit = units(system)
+    names = system.coordinate_names
+    return ByName(names, [unit[name] for name in names], q)
+
+
+def ranges_table(system: Model, q: Any, steps: bool = False) -> Table:
+    """The least and the largest value of each coordinate in configurations (n, nq) that are
+    numbers; with `steps` also its largest step from one to the next.
+    """
+    unit = units(system)
+    rows: list[tuple[Any, ...]] = []
+    for name, x in zip(system.coordinate_names, np.asarray(q).T, strict=True):
+        step = np.abs(np.diff(x))
+        values = [np.nanmin(x), np.nanmax(x)]
+        values += [step[np.isfinite(step)].max(initial=0.0)] * steps
+        rows.append((name, *(Quantity(float(v), unit[name]) for v in values)))
+    heads = ("coordinate", "least", "largest", "largest step")
+    return Table(heads[: 4 if steps else 3], rows, grid=True, printed=False)
 
 
 def check_read(system: Model, names: Iterable[str], what: str) -> None:

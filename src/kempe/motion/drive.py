@@ -664,7 +664,7 @@ class Drive(Motion):
             text += f"; it jumps at samples {', '.join(str(k) for k, _ in self.jumps)}"
         return text + self._partial()
 
-    def _notes(self) -> Sequence[str]:
+    def _notes(self, degrees: bool = False) -> Sequence[str]:
         lines = [str(toggle) for toggle in self.toggles]
         lines += [
             f"sample {k}: it goes on {size:.6g} away from where it was held"

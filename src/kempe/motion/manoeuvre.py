@@ -167,7 +167,7 @@ class Manoeuvre(Motion):
             )
         return text
 
-    def _notes(self) -> Sequence[str]:
+    def _notes(self, degrees: bool = False) -> Sequence[str]:
         return [*(f"{p.start:8.4g} s: {p}" for p in self.pieces), *super()._notes()]
 
 

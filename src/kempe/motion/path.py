@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path as FilePath
@@ -12,21 +12,21 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.answers.answer import Motion
-from kempe.answers.tables import write_table
+from kempe.answers.tables import in_units, write_table
 from kempe.answers.wording import immovable
 from kempe.arguments import explained_methods, interruptible, numbers
 from kempe.arrays import is_whole
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.equations.closure import Closure
 from kempe.errors import InputError, shown
-from kempe.model.configurations import q_dict
+from kempe.model.configurations import q_dict, ranges_table, units
 from kempe.motion.crossings import SingularNode
 from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit
 from kempe.numerics.curves import BLUNT
 from kempe.numerics.newton import gauss_newton_of_many
-from kempe.report import Cells
+from kempe.report import Table
 from kempe.spatial import Array
-from kempe.words import InWords, counted
+from kempe.words import InWords, Quantity, Unit, counted, cut
 
 if TYPE_CHECKING:
     from kempe.model.model import FrameLike, Model
@@ -89,6 +89,10 @@ SLICE = 1024
 """Points that are closed at once."""
 
 
+EVENTS = 24
+"""Points where coordinates turn back that a text lists; the data have all."""
+
+
 @dataclass(frozen=True, eq=False)
 class Event(InWords):
     """A special point of a path: the configuration `q` (nq,) at arc length `s`, and what is
@@ -114,8 +118,14 @@ class Event(InWords):
     """The singular point as a node of the path, where branches touch or end in a cusp."""
 
     def __str__(self) -> str:
+        return self.text({}, False)
+
+    def text(self, unit: Mapping[str, str], degrees: bool) -> str:
+        """Where it is and what happens there; the value of its coordinate in its unit."""
         if self.coordinate:
-            return f"s = {self.s:.6g}: {self.kind}, {self.coordinate!r} = {self.value:.9g}"
+            value = Quantity(self.value, unit.get(self.coordinate, "")).within(degrees)
+            shown = f"{value.value:.9g} {value.unit}".rstrip()
+            return f"s = {self.s:.6g}: {self.kind}, {self.coordinate!r} = {shown}"
         lines = 0 if self.directions is None else len(self.directions)
         where = f", {lines} branches" if lines > 1 else ""
         return f"s = {self.s:.6g}: {self.kind}{where}, {self.nullity} first-order motions"
@@ -323,17 +333,36 @@ class Path(Motion):
             remark=more,
         )
 
-    def table(self, frames: Iterable[FrameLike] | None = None) -> tuple[list[str], Array]:
+    def table(
+        self, frames: Iterable[FrameLike] | None = None, branches: bool = False
+    ) -> tuple[list[str], Array]:
         """Names and columns (n, k) for a file: s, all coordinates, x, y (and z) of frames (default:
         `self.frames`).
-        """
-        return self._columns("s", self.s, self.frames if frames is None else frames)
 
-    def save(self, path: str | FilePath, frames: Iterable[FrameLike] | None = None) -> FilePath:
+        With `branches` the rows of the `others` follow, and each begins with the number of its
+        branch, 0 for this one.
+        """
+        frames = self.frames if frames is None else frames
+        names, columns = self._columns("s", self.s, frames)
+        if not branches:
+            return names, columns
+        each = [columns, *(other.table(frames)[1] for other in self.others)]
+        rows = [np.insert(part, 0, k, axis=1) for k, part in enumerate(each)]
+        return ["branch", *names], np.vstack(rows)
+
+    def save(
+        self,
+        path: str | FilePath,
+        frames: Iterable[FrameLike] | None = None,
+        *,
+        branches: bool = False,
+        degrees: bool = False,
+    ) -> FilePath:
         """Write the `table` with these frames to a .csv or .npy file; returns the path. Errors:
         `InputError`.
         """
-        return write_table(path, *self.table(frames))
+        table = self.table(frames, branches)
+        return write_table(path, *in_units(*table, self._units(), degrees))
 
     def _sentence(self, index: tuple[int, ...]) -> str:
         if len(self) == 1 and (self.ends[0] == self.ends[1] or not (self.interrupted or self.late)):
@@ -347,28 +376,31 @@ class Path(Motion):
             text += f"; it ends at {self.ends[0]} and at {self.ends[1]}"
         return text + self._partial() + (f"; {self.remark}" if self.remark else "")
 
-    def _cells(self) -> Cells:
-        """The range of each coordinate."""
-        low = self.q.min(axis=0)
-        high = self.q.max(axis=0)
-        each = zip(self.system.coordinate_names, low.tolist(), high.tolist(), strict=True)
-        return ("coordinate", "least", "largest"), [(n, f"{a:.6g}", f"{b:.6g}") for n, a, b in each]
+    def _tables(self) -> Sequence[Table]:
+        """The range of each coordinate, with its extremes between the points."""
+        if len(self) < 2:
+            return []
+        return [ranges_table(self.system, np.vstack([self.q, *(e.q for e in self.extremes)]))]
 
-    def _lines(self) -> Sequence[str]:
-        return ()
-
-    def _notes(self) -> Sequence[str]:
-        lines = [str(event) for event in (*self.turning_points, *self.singular_points)]
+    def _notes(self, degrees: bool = False) -> Sequence[str]:
+        unit = units(self.system)
+        lines = cut([e.text(unit, degrees) for e in self.turning_points], EVENTS)
+        lines += [str(event) for event in self.singular_points]
         lines += [f"another branch: {path.status}" for path in self.others]
-        lines += [f"{said}: trace(start=path.elsewhere[0])"] if (said := self.hint) else []
+        if said := self.hint:
+            other = self._by_name(self.elsewhere[0]).within(degrees)
+            lines.append(f"{said}: start=({', '.join(f'{x:.9g}' for x in other.tolist())})")
         return [*lines, *super()._notes()]
 
     def _data(self) -> dict[str, Any]:
+        unit = units(self.system)
         events = {
-            name: [_event_data(e, self._by_name) for e in getattr(self, name)]
+            name: [_event_data(e, unit, self._by_name) for e in getattr(self, name)]
             for name in ("turning_points", "singular_points", "extremes")
         }
-        return super()._data() | events | {"others": [path._data() for path in self.others]}
+        curves = {frame: self.curve(frame)[:, : self.system.dim] for frame in self.frames}
+        others = [{"status": path.status} | path._data() for path in self.others]
+        return super()._data() | {"curves": curves} | events | {"others": others}
 
     @cached_property
     def _elsewhere(self) -> tuple[str, Array]:
@@ -400,10 +432,19 @@ class Path(Motion):
         )
 
 
-def _event_data(event: Event, by_name: Callable[[Array], Any]) -> dict[str, Any]:
+def _event_data(
+    event: Event, unit: Mapping[str, str], by_name: Callable[[Array], Any]
+) -> dict[str, Any]:
     own = (
-        {"coordinate": event.coordinate, "value": event.value}
+        {
+            "coordinate": event.coordinate,
+            "value": Quantity(event.value, unit[event.coordinate]),
+            "unit": Unit(unit[event.coordinate]),
+        }
         if event.coordinate
-        else {"nullity": event.nullity}
+        else {
+            "branches": 0 if event.directions is None else len(event.directions),
+            "nullity": event.nullity,
+        }
     )
     return {"s": event.s, "kind": event.kind, **own, "q": by_name(event.q)}

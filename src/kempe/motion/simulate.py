@@ -499,7 +499,7 @@ class Simulation(Motion):
             )
         return text + self._partial() + (f"; {self.reason}" if self.reason else "")
 
-    def _notes(self) -> Sequence[str]:
+    def _notes(self, degrees: bool = False) -> Sequence[str]:
         lines = [str(e) for e in self.events[:20]]
         if len(self.events) > 20:
             lines += [f"... {len(self.events)} events in all, the last one:", str(self.events[-1])]

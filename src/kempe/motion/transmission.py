@@ -27,10 +27,10 @@ from kempe.model.configurations import as_q
 from kempe.motion.path import Event, Path
 from kempe.motion.start import angle_or_slide
 from kempe.numerics.rank import Level, Spectrum
-from kempe.report import Cells, Nearest, Report, brief
+from kempe.report import Nearest, Report, Table, brief
 from kempe.spatial import Array
 from kempe.status import Status, member
-from kempe.words import counted
+from kempe.words import Quantity, counted
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
@@ -92,17 +92,12 @@ class LoopJacobian(Report):
             return f"{int(np.sum(self.success))} of {many}: the outputs are determined"
         return self.status
 
-    def _cells(self) -> Cells:
+    def _tables(self) -> Sequence[Table]:
         if np.ndim(self.code):
-            return (), ()
-        rows = zip(self.rows, self.matrix, strict=True)
-        return ("", *self.inputs), [(name, *(f"{x:.6g}" for x in row)) for name, row in rows]
-
-    def _lines(self) -> list[str]:
-        heads, rows = self._cells()
-        width = max(map(len, self.rows), default=0)
-        lines = [(name, *row) for name, *row in [heads, *rows]] if heads else []
-        return [f"{name:<{width}}  " + "  ".join(f"{x:>12}" for x in row) for name, *row in lines]
+            return []
+        each = zip(self.rows, self.matrix, strict=True)
+        rows = [(name, *(Quantity(float(x)) for x in row)) for name, row in each]
+        return [Table(("", *self.inputs), rows, grid=True)]
 
     def _data(self) -> dict[str, Any]:
         return {

@@ -26,7 +26,7 @@ from kempe.budget import Budget, TimeUp, Usual
 from kempe.equations.closure_rows import RANK_TOLERANCE
 from kempe.equations.one_sided import one_sided_rows
 from kempe.mobility.mobility import mobility
-from kempe.model.configurations import has_loops, mid, random, winding_angles
+from kempe.model.configurations import by_name, has_loops, mid, random, units, winding_angles
 from kempe.motion.path import Event, Path
 from kempe.motion.trace import trace
 from kempe.numerics.clock import TIME_LIMIT, TimeLimit, partial, time_limited, time_of
@@ -37,7 +37,7 @@ from kempe.spaces.manifold import Manifold
 from kempe.spaces.polygons import polygon_of
 from kempe.spatial import Array
 from kempe.status import Status
-from kempe.words import InWords, counted
+from kempe.words import InWords, Quantity, counted
 
 if TYPE_CHECKING:
     from kempe.mobility.answer import Mobility
@@ -235,6 +235,7 @@ class Components(Report):
     """
 
     __repr__ = brief
+    _has_angles = True
 
     system: Model = field(repr=False)
     count: int
@@ -269,7 +270,7 @@ class Components(Report):
         said = f"{few}{counted(self.count, 'connected component')}{idle}; {proven}: {self.reason}"
         return said + partial(self.interrupted, self.late)
 
-    def _notes(self) -> list[str]:
+    def _notes(self, degrees: bool = False) -> list[str]:
         lines = [f"{k + 1}: {part}" for k, part in enumerate(self.parts)]
         return lines + (
             [f"{counted(len(self.singular), 'singular point')} of the space"]
@@ -281,18 +282,18 @@ class Components(Report):
         return f"{self.system.name}: {self.status}"
 
     def _data(self) -> dict[str, Any]:
-        names = self.system.coordinate_names
+        unit = units(self.system)
         parts = [
             {
                 "dimension": p.dimension,
                 "length": p.length,
                 "curves": len(p.paths),
                 "closed": all(x.closed for x in p.paths),
-                "ranges": p.ranges,
+                "ranges": {n: Quantity(ends, unit[n]) for n, ends in p.ranges.items()},
             }
             for p in self.parts
         ]
-        singular = [dict(zip(names, q.tolist(), strict=True)) for q in self.singular]
+        singular = [by_name(self.system, q) for q in self.singular]
         own = {
             n: getattr(self, n)
             for n in ("count", "complete", "reason", "dimension", "idle", "late", "interrupted")

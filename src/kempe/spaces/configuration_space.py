@@ -6,6 +6,7 @@ numbers and constraints each takes.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -16,6 +17,7 @@ from numpy.typing import ArrayLike
 from kempe.arguments import explained, explained_methods
 from kempe.errors import InputError
 from kempe.model.configurations import (
+    by_name,
     difference,
     distance,
     has_loops,
@@ -24,7 +26,7 @@ from kempe.model.configurations import (
     mid,
     winding_angles,
 )
-from kempe.report import Cells, Report
+from kempe.report import Report, Table
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import InWords, counted
@@ -64,6 +66,7 @@ class ConfigurationSpace(Report):
     are `System.nq` and `System.nv`.
     """
 
+    _has_angles = True
     system: Model
     ambient: ProductSpace
     limited: int
@@ -187,11 +190,10 @@ class ConfigurationSpace(Report):
 
     def _data(self) -> dict[str, Any]:
         names = ("shape", "dimension", "certain", "ambient_dimension", "limited", "constraints")
-        at = dict(zip(self.system.coordinate_names, self.at.tolist(), strict=True))
         return (
             {"system": self.system.name}
             | {name: getattr(self, name) for name in names}
-            | {"at": at}
+            | {"at": by_name(self.system, self.at)}
         )
 
     @property
@@ -305,7 +307,7 @@ class Parametrizations(Report):
         )
         return f"{self.system.name}: {pairs}, or {known}"
 
-    def _cells(self) -> Cells:
+    def _tables(self) -> Sequence[Table]:
         rows = [
             (
                 r.what,
@@ -314,20 +316,8 @@ class Parametrizations(Report):
             )
             for r in self.rows
         ]
-        return ("parameters", "numbers", "constraints", "rank", "left", "names"), rows
-
-    def _lines(self) -> list[str]:
-        heads, rows = self._cells()
-        widths = [max(len(row[k]) for row in (heads, *rows)) for k in range(len(heads) - 1)]
-        padded = [
-            [
-                row[0].ljust(widths[0]),
-                *(x.rjust(w) for x, w in zip(row[1:-1], widths[1:], strict=True)),
-                row[-1],
-            ]
-            for row in (heads, *rows)
-        ]
-        return ["  ".join(row) for row in padded]
+        heads = ("parameters", "numbers", "constraints", "rank", "left", "names")
+        return [Table(heads, rows, grid=True)]
 
     def _data(self) -> dict[str, Any]:
         return {"n_b": self.n_b, "m_c": self.m_c, "n": self.n, "why": self.why} | {

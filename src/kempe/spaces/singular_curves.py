@@ -129,7 +129,7 @@ class SingularCurves(Report):
         """
         return late("plots of singularities").plot_curves(self, ax)
 
-    def _lines(self) -> list[str]:
+    def _notes(self, degrees: bool = False) -> list[str]:
         return [str(c) for c in self.curves]
 
     def _data(self) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from kempe.equations.closure import Closure, close
 from kempe.equations.one_sided import one_sided_rows
 from kempe.errors import InputError
 from kempe.forward.fk import fk, jacobian
-from kempe.model.configurations import random
+from kempe.model.configurations import by_name, random
 from kempe.numerics.rank import Level, Spectrum
 from kempe.report import Report, brief
 from kempe.spaces.rank_loss import Matrices, RankLoss, generic_rank
@@ -120,7 +120,9 @@ class NearestSingular(Report):
     """
 
     __repr__ = brief
+    _has_angles = True
 
+    system: Model = field(repr=False)
     q: Array
     distance: float
     kinds: tuple[str, ...]
@@ -141,15 +143,15 @@ class NearestSingular(Report):
             return f"singular ({what}): {changes(self.lost, self.gained)}"
         return f"the nearest singular configuration found ({what}) is {self.distance:.4g} away"
 
-    def _lines(self) -> list[str]:
+    def _notes(self, degrees: bool = False) -> list[str]:
         return [
             f"{name}: {x:.4g} away"
             for name, x in sorted(self.distances.items(), key=lambda row: row[1])
         ]
 
     def _data(self) -> dict[str, Any]:
-        names = ("q", "distance", "kinds", "name", "lost", "gained", "self_motion", "distances")
-        return {n: getattr(self, n) for n in names}
+        names = ("distance", "kinds", "name", "lost", "gained", "self_motion", "distances")
+        return {"q": by_name(self.system, self.q)} | {n: getattr(self, n) for n in names}
 
 
 def changes(lost: Array, gained: Array) -> str:

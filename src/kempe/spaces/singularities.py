@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.answers.tables import Tabular
 from kempe.answers.targets import Z_AXIS
 from kempe.arguments import (
     DRAWN,
@@ -31,7 +32,15 @@ from kempe.inverse.closed_forms.branch_names import Kind, branch_names, kind_of
 from kempe.inverse.closed_forms.chain_lines import Lines
 from kempe.inverse.closed_forms.plan import plan_or_reason
 from kempe.late import late
-from kempe.model.configurations import by_short_turns, circles, has_loops, one_finite, random
+from kempe.model.configurations import (
+    by_name,
+    by_short_turns,
+    circles,
+    has_loops,
+    one_finite,
+    random,
+    units,
+)
 from kempe.model.model import kept
 from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, begun_within, partial
 from kempe.report import Report, brief
@@ -52,7 +61,7 @@ from kempe.spaces.singular_types import (
 )
 from kempe.spatial import Array
 from kempe.status import Status
-from kempe.words import counted
+from kempe.words import ByName, counted
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -116,7 +125,7 @@ FULL_TURN = 2.0 * np.pi
 
 @explained_methods
 @dataclass(frozen=True, eq=False)
-class Singularities(Report):
+class Singularities(Report, Tabular):
     """The singular configurations of a frame of `system`, as `sets` that are singular in the same
     way.
 
@@ -126,6 +135,7 @@ class Singularities(Report):
     """
 
     __repr__ = brief
+    _has_angles = True
 
     system: Model
     frame: str | None
@@ -159,7 +169,15 @@ class Singularities(Report):
             f"{counted(self.starts, 'start')}{tail}"
         )
 
-    def _lines(self) -> list[str]:
+    def table(self) -> tuple[list[str], Array]:
+        """Names and columns (n, nq) for a file: the configurations of all sets."""
+        rows = [q for s in self.sets for q in s.q]
+        return list(self.system.coordinate_names), np.reshape(rows, (-1, self.system.nq))
+
+    def _units(self) -> dict[str, str]:
+        return units(self.system)
+
+    def _notes(self, degrees: bool = False) -> list[str]:
         return [
             f"{s}: dimension {s.dimension}, {changes(s.local[0].lost, s.local[0].gained)}"
             for s in self.sets
@@ -167,7 +185,12 @@ class Singularities(Report):
 
     def _data(self) -> dict[str, Any]:
         own = {n: getattr(self, n) for n in ("frame", "task", "starts", "limits")}
-        return {"system": self.system.name} | own | {"sets": [s.data() for s in self.sets]}
+        return {"system": self.system.name} | own | {"sets": [self._set_data(s) for s in self.sets]}
+
+    def _set_data(self, s: SingularSet) -> dict[str, Any]:
+        unit = units(self.system)
+        values = ByName(s.coordinates, [unit[name] for name in s.coordinates], s.values)
+        return s.data() | {"values": values, "q": by_name(self.system, s.q)}
 
     def nearest(self, q: Any) -> NearestSingular:
         """The nearest singular configuration to a closed one (nq,), of each set that was found; see
@@ -181,7 +204,16 @@ class Singularities(Report):
         if not found:
             none = np.zeros((0, 6))
             return NearestSingular(
-                q, np.inf, (), "", none, none, np.zeros((0, self.system.nv)), {}, Status.NOT_FOUND
+                self.system,
+                q,
+                np.inf,
+                (),
+                "",
+                none,
+                none,
+                np.zeros((0, self.system.nv)),
+                {},
+                Status.NOT_FOUND,
             )
         distances: dict[str, float] = {}
         for s, (_, d) in zip(self.sets, found, strict=True):
@@ -191,6 +223,7 @@ class Singularities(Report):
         local = self.questions.local(there, self.problems)
         s = self.sets[i]
         return NearestSingular(
+            self.system,
             there,
             distance,
             local.kinds or s.kinds,

@@ -5,6 +5,7 @@ It is described by counts of freedoms, by ranks, and by bounds of the image.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -20,10 +21,10 @@ from kempe.errors import InputError, shown
 from kempe.forward.fk import fk
 from kempe.mobility.independent import tangent_space
 from kempe.model.characteristic_length import characteristic_length
-from kempe.model.configurations import has_loops, mid, one_finite, random
+from kempe.model.configurations import by_name, has_loops, mid, one_finite, random
 from kempe.numerics.clock import SHORT, time_limited, time_of
 from kempe.numerics.rank import Level, Spectrum
-from kempe.report import Cells, Report, brief
+from kempe.report import Report, Table, brief
 from kempe.spaces.manifold import Manifold
 from kempe.spatial import Array
 from kempe.status import Status
@@ -95,6 +96,7 @@ class TaskSpace(Report):
     """
 
     __repr__ = brief
+    _has_angles = True
 
     system: Model = field(repr=False)
     task: str
@@ -159,11 +161,12 @@ class TaskSpace(Report):
     def _headline(self) -> str:
         return f"{self.system.name}: {self.status}"
 
-    def _cells(self) -> Cells:
-        return (), [
+    def _tables(self) -> Sequence[Table]:
+        rows = [
             (f"{axis} [m]", f"from {a:.6g} to {b:.6g}, at least")
             for axis, (a, b) in self.image.items()
         ]
+        return [Table((), rows, record=True)] if rows else []
 
     def _data(self) -> dict[str, Any]:
         names = (
@@ -178,10 +181,8 @@ class TaskSpace(Report):
             "image",
             "samples",
         )
-        at = dict(zip(self.system.coordinate_names, self.q.tolist(), strict=True))
-        return (
-            {"system": self.system.name} | {name: getattr(self, name) for name in names} | {"q": at}
-        )
+        own = {name: getattr(self, name) for name in names}
+        return {"system": self.system.name} | own | {"q": by_name(self.system, self.q)}
 
 
 @explained

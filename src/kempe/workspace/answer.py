@@ -6,7 +6,7 @@ It holds counts of random configurations in cells, and bounds of what can be rea
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -21,7 +21,7 @@ from kempe.description.source import expanded
 from kempe.errors import InputError, MissingExtraError, UnsupportedError
 from kempe.forward.fk import jacobian
 from kempe.late import call_late, late
-from kempe.report import Cells, Report
+from kempe.report import Report, Table
 from kempe.spaces.task_space import image_ranks
 from kempe.spatial import Array
 from kempe.status import Status
@@ -628,7 +628,7 @@ class Workspace(Report):
             f"are reached by frame {self.frame!r}{many}, in {cells}"
         )
 
-    def _cells(self) -> Cells:
+    def _tables(self) -> Sequence[Table]:
         grid = self.map.grid
         (name, unit) = MEASURES[len(grid.axes)]
         (value, error) = self.measure
@@ -662,7 +662,7 @@ class Workspace(Report):
             )
         ] * bool(self.left_out and not self.question.tried)
         rows += [("redone", "the map on disk was damaged")] * bool(self.redone)
-        return (), rows
+        return [Table((), rows, record=True)]
 
     def _data(self) -> dict[str, Any]:
         grid = self.map.grid

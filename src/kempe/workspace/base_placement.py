@@ -20,7 +20,7 @@ from kempe.numerics.clock import LONG, partial
 from kempe.report import Report, brief
 from kempe.spatial import Array
 from kempe.status import Status
-from kempe.words import counted
+from kempe.words import Quantity, counted
 from kempe.workspace.reach import checked_poses, reached, sliced
 
 if TYPE_CHECKING:
@@ -49,6 +49,7 @@ class BasePlacement(Report):
     _pictured = True
 
     __repr__ = brief
+    _has_angles = True
 
     system: Model
     frame: str
@@ -129,7 +130,15 @@ class BasePlacement(Report):
             n: getattr(self, n)
             for n in ("poses", "axes", "fixed", "fraction", "margin", "manipulability")
         }
-        return {"system": self.system.name, "frame": self.frame} | own | {"best": self.place()}
+        for part in ("axes", "fixed"):
+            own[part] = _with_units(own[part])
+        best = _with_units(self.place())
+        return {"system": self.system.name, "frame": self.frame} | own | {"best": best}
+
+
+def _with_units(values: Mapping[str, Any]) -> dict[str, Quantity]:
+    """Numbers x, y, z [m] and yaw [rad] with their units."""
+    return {n: Quantity(x, "rad" if n == "yaw" else "m") for n, x in values.items()}
 
 
 def base_pose(places: Array) -> Array:

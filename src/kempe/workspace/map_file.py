@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -38,7 +38,7 @@ from kempe.kernels.compiled import VARIANT
 from kempe.model.configurations import as_q, as_start, has_loops, q_from_dict, units
 from kempe.numerics.clock import BROKEN_OFF, TimeLimit, partial
 from kempe.numerics.pool import thread_count
-from kempe.report import Cells, Report, brief
+from kempe.report import Report, Table, brief
 from kempe.spatial import Array
 from kempe.status import MEMBERS, Status
 from kempe.version import __version__
@@ -596,11 +596,12 @@ class FileMap(Report):
             f"{found or 'nothing'}{partial(self.interrupted, self.late)}"
         )
 
-    def _cells(self) -> Cells:
+    def _tables(self) -> Sequence[Table]:
         rows = [("answers", str(self.path)), ("chunks", f"{counted(self.chunk, 'row')} each")]
-        return (), rows + [
-            ("redone", f"{counted(self.redone, 'chunk')} that was damaged on disk")
-        ] * bool(self.redone)
+        rows += [("redone", f"{counted(self.redone, 'chunk')} that was damaged on disk")] * bool(
+            self.redone
+        )
+        return [Table((), rows, record=True)]
 
     def _data(self) -> dict[str, Any]:
         names = ("verb", "rows", "requested", "chunk", "outcomes", "redone")

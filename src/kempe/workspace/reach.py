@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.answers.tables import Tabular
 from kempe.answers.targets import axis_for, task_and_axis, task_of, twist_rows
 from kempe.arguments import explained, explained_methods, interruptible, numbers
 from kempe.arrays import within_range
@@ -23,7 +24,7 @@ from kempe.inverse.ik import ik
 from kempe.inverse.ik_all import ik_all
 from kempe.late import late
 from kempe.model.characteristic_length import characteristic_length
-from kempe.model.configurations import has_loops
+from kempe.model.configurations import by_name, has_loops, units
 from kempe.numerics.clock import BROKEN_OFF, TimeLimit, partial
 from kempe.numerics.clock import LONG as CLOCK_LONG
 from kempe.poses import refuse_no_poses, sound
@@ -193,7 +194,7 @@ def reached(system: Model, targets: Array, frame: str, task: Any, budget: Budget
 
 @explained_methods
 @dataclass(frozen=True, eq=False)
-class ReachStudy(Report):
+class ReachStudy(Report, Tabular):
     """Which of a list of poses a frame reaches, how well, and what blocks the others.
 
     All have a place for each pose (n,): `reached`; `solutions`, the number of configurations inside
@@ -205,6 +206,7 @@ class ReachStudy(Report):
     """
 
     __repr__ = brief
+    _has_angles = True
 
     system: Model
     frame: str
@@ -269,7 +271,17 @@ class ReachStudy(Report):
         """What blocks the poses that are not reached, by their numbers from 0."""
         return {i: self.reason(i) for i in np.flatnonzero(self.tried & ~self.reached).tolist()}
 
-    def _lines(self) -> list[str]:
+    def table(self) -> tuple[list[str], Array]:
+        """Names and columns (n, nq) for a file: the configuration of each pose, NaN where it is not
+        reached.
+        """
+        q = np.where(self.reached[:, None], self.q, np.nan)
+        return list(self.system.coordinate_names), q
+
+    def _units(self) -> dict[str, str]:
+        return units(self.system)
+
+    def _notes(self, degrees: bool = False) -> list[str]:
         if not self.reached.any():
             lines = []
         else:
@@ -284,8 +296,9 @@ class ReachStudy(Report):
         return lines + [f"... and {len(blocked) - SHOWN} more"] * (len(blocked) > SHOWN)
 
     def _data(self) -> dict[str, Any]:
-        names = ("reached", "solutions", "manipulability", "margin", "q")
-        own = {n: getattr(self, n) for n in names} | {"codes": named(self.codes)}
+        names = ("reached", "solutions", "manipulability", "margin")
+        own: dict[str, Any] = {n: getattr(self, n) for n in names} | {"codes": named(self.codes)}
+        own["q"] = by_name(self.system, self.q)
         return (
             {"system": self.system.name, "frame": self.frame}
             | own

@@ -429,7 +429,7 @@ class PlanarWorkspace(Report):
         voids = f", with {counted(len(self.voids), 'void')}" if self.voids else ""
         return f"{of}: area {self.area:.9g} m^2, bounded by {pieces}{voids}"
 
-    def _lines(self) -> list[str]:
+    def _notes(self, degrees: bool = False) -> list[str]:
         return [
             f"{word_of(r, self.kind)}: {r.area:.9g} m^2, "
             f"{counted(sum(_area(x) > 0.0 for x in r.loops), 'part')}"

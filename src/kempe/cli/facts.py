@@ -1,0 +1,413 @@
+"""What commands say that no verb answers: a system and poses, as reports; problems and errors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe import spatial
+from kempe.answers.tables import in_units, write_table
+from kempe.constraints.base import with_numbers
+from kempe.description.parts import Declared, Joint
+from kempe.errors import DescriptionError, Fault, KempeError
+from kempe.model.configurations import has_loops, units
+from kempe.model.coordinates import Follower, coordinate_name, relation_text
+from kempe.report import Report, Table
+from kempe.spatial import Array
+from kempe.words import Quantities, Quantity, Unit, counted, fixed
+
+if TYPE_CHECKING:
+    from kempe.system import System
+
+CLOSED = 1e-5
+"""Metres and radians that a loop may be open by before it is mentioned: numbers with six decimals
+count as closed."""
+
+
+# ---- what a system is
+
+
+@dataclass(frozen=True, eq=False)
+class SystemFacts(Report):
+    """What a `system` is: sizes, connectivity vector, freedoms, bodies, joints, loops, limits."""
+
+    _has_angles = True
+    system: System
+
+    @property
+    def status(self) -> str:
+        """How many bodies and joints it has, and of which kind it is."""
+        system = self.system
+        place = "in the plane" if system.dim == 2 else "in space"
+        bodies = counted(len(system.body_names) - 1, "body")
+        joints = counted(len(system.structure.joints), "joint")
+        return f"{system.name}: {bodies}, {joints}, {place}; {system.kind}"
+
+    def _tables(self) -> Sequence[Table]:
+        system = self.system
+        s = system.structure
+        tables = [Table((), self._overview(), record=True), self._bodies_table()]
+        loops = [
+            (j.name, _kind(j), f"{j.parent} - {j.child}", *self._of_joint(j))
+            for j in (s.joints[name] for name in s.closures)
+        ]
+        title = "Loops, closed by the joints that the tree leaves out"
+        tables.append(Table(("joint", "type", "bodies", "q", "limits"), loops, title=title))
+        declared = [_constraint(system, c) for c in system.mechanism.constraints.values()]
+        rows = [
+            (
+                c["name"],
+                c["type"] + ", one-sided" * bool(c["one_sided"]),
+                ", ".join([f"{c['parent']} - {c['child']}"] * bool(c["parent"]) + c.get("of", [])),
+                c["says"],
+            )
+            for c in declared
+        ]
+        heads = ("constraint", "type", "of", "what it asks")
+        tables.append(Table(heads, rows, title="Declared constraints"))
+        follow = [_follower(of, f) for of, f in s.couplings.items()]
+        follow += [relation_text(r) for r in s.relations]
+        frames = [f"{f.name} on {f.body}" for f in s.frames.values()]
+        for title, lines in (
+            ("Coordinates that follow others", follow),
+            ("Frames", frames),
+            ("Notes", s.notes),
+        ):
+            tables.append(Table(("",), [(f"  {line}",) for line in lines], title=title))
+        return [table for table in tables if table.rows]
+
+    def _overview(self) -> list[tuple[str, str]]:
+        system = self.system
+        parameters = [f"{k} = {v:g}" for k, v in system.structure.parameters.items()]
+        parents = ", ".join(map(str, system.parent))
+        rows = [
+            ("connectivity", f"C = {{{parents}}}  (parent of each body, 0 is the ground)"),
+            ("degrees of freedom", self._freedoms()),
+            ("configuration space", self._space().within),
+            ("coordinates", f"q has {counted(system.nq, 'number')}"),
+            ("parameters", ", ".join(parameters)),
+            ("postures", ", ".join(system.structure.posture_names)),
+            ("groups of joints", ", ".join(system.groups)),
+        ]
+        return [row for row in rows if row[1]]
+
+    def _space(self) -> Any:
+        from kempe.spaces.configuration_space import configuration_space  # few commands need it
+
+        return configuration_space(self.system)
+
+    def _freedoms(self) -> str:
+        """Freedoms of the tree, and what equations leave at least."""
+        system = self.system
+        equations = self._space().constraints
+        loops = len(system.structure.closures)
+        dof = str(_dof_of_tree(system))
+        if not equations:
+            return dof if loops else f"{dof} (a tree, no loops)"
+        constraints = system.mechanism.constraints.values()
+        declared = sum(c.equations(system.dim) > 0 for c in constraints)
+        what = [counted(n, name) for n, name in ((loops, "loop"), (declared, "constraint")) if n]
+        of = " and ".join(what) or "coordinates that follow several others"
+        return (
+            f"{dof} of the tree; {system.nv} of all joints less {counted(equations, 'equation')} of "
+            f"{of}: at least {max(system.nv - equations, 0)}; kempe dof counts them truly"
+        )
+
+    def _bodies_table(self) -> Table:
+        system = self.system
+        names = system.body_names
+        rows: list[tuple[Any, ...]] = [(0, names[0], "", "", "ground", "", "")]
+        each = zip(names[1:], system.parent, system.structure.parent_joints, strict=True)
+        for i, (name, parent, joint_name) in enumerate(each, start=1):
+            joint = system.structure.joints[joint_name]
+            kind = _kind(joint) + " (walked backwards)" * (joint.child != name)
+            shown = name + " (particle)" * system.mechanism.bodies[name].particle
+            rows.append((i, shown, parent, joint.name, kind, *self._of_joint(joint)))
+        return Table(("#", "body", "parent", "joint", "type", "q", "limits"), rows)
+
+    def _of_joint(self, joint: Joint) -> tuple[str, Quantities]:
+        """Indices in q of a joint's coordinates, and their limits."""
+        system = self.system
+        names = system.structure.coordinates_of_joint(joint.name)
+        own = [name for name in names if name in system.coordinate_names]
+        if not own:
+            return "follows" * bool(names), Quantities(())
+        places = [system.coordinate_names.index(name) for name in own]
+        where = str(places[0]) if len(places) == 1 else f"{places[0]}..{places[-1]}"
+        labels = [name[len(joint.name) + 1 :] if len(names) > 1 else "" for name in own]
+        limits = [(label, self._limit(name)) for label, name in zip(labels, own, strict=True)]
+        return where, Quantities([x for x in limits if np.isfinite(x[1].value).any()])
+
+    def _limit(self, name: str) -> Quantity:
+        """The limits of a coordinate, infinite where it has none."""
+        s = self.system.structure
+        known = dict(zip(s.velocity_names, s.limits.tolist(), strict=True))
+        return Quantity(known.get(name, (-np.inf, np.inf)), units(self.system)[name])
+
+    def _data(self) -> dict[str, Any]:
+        system = self.system
+        s = system.structure
+        space = self._space()
+        return {
+            "name": system.name,
+            "dim": system.dim,
+            "kind": system.kind,
+            "parent": list(system.parent),
+            "nq": system.nq,
+            "nv": system.nv,
+            "dof_of_tree": _dof_of_tree(system),
+            "configuration_space": {
+                "shape": space.shape,
+                "ambient_dimension": space.ambient_dimension,
+                "limited": space.limited,
+                "constraints": space.constraints,
+                "text": space.within,
+            },
+            "bodies": [
+                {
+                    "number": i,
+                    "name": name,
+                    "parent": system.parent[i - 1] if i else None,
+                    "joint": s.parent_joints[i - 1] if i else None,
+                    "particle": bool(i) and system.mechanism.bodies[name].particle,
+                }
+                for i, name in enumerate(system.body_names)
+            ],
+            "joints": [
+                {
+                    "name": j.name,
+                    "type": j.type.type_name,
+                    "options": j.type.options,
+                    "parent": j.parent,
+                    "child": j.child,
+                    "in_tree": j.name not in s.closures,
+                    "coordinates": s.coordinates_of_joint(j.name),
+                    "actuated": j.actuated,
+                }
+                for j in s.joints.values()
+            ],
+            "coordinates": [
+                {
+                    "index": i,
+                    "name": name,
+                    "unit": Unit(limit.unit),
+                    "lower": Quantity(limit.value[0], limit.unit),
+                    "upper": Quantity(limit.value[1], limit.unit),
+                }
+                for i, name in enumerate(system.coordinate_names)
+                for limit in (self._limit(name),)
+            ],
+            "closures": list(s.closures),
+            "frames": [{"name": f.name, "body": f.body} for f in s.frames.values()],
+            "couplings": [
+                {
+                    "of": of,
+                    "source": f.source,
+                    "multiplier": f.multiplier,
+                    "offset": f.offset,
+                }
+                for of, f in s.couplings.items()
+            ],
+            "relations": [relation_text(r) for r in s.relations],
+            "constraints": [_constraint(system, c) for c in system.mechanism.constraints.values()],
+            "postures": list(s.posture_names),
+            "groups": {name: list(joints) for name, joints in system.groups.items()},
+            "parameters": s.parameters,
+            "notes": list(s.notes),
+        }
+
+
+def _dof_of_tree(system: System) -> int:
+    """Degrees of freedom of the tree: those of all joints without those of the joints that it left
+    out.
+    """
+    bodies = system.mechanism.bodies
+    joints = system.structure.joints
+    known = set(system.structure.velocity_names)
+    cut = [joints[name] for name in system.structure.closures]
+    names = (
+        coordinate_name(j.name, v)
+        for j in cut
+        for v in j.type.velocities(system.dim, bodies[j.child].particle)
+    )
+    return system.nv - sum(name in known for name in names)
+
+
+def _kind(joint: Joint) -> str:
+    """The type of a joint with its options."""
+    unit = {"pitch": " m/rad"}
+    options = [
+        f"{k} {v:g}{unit.get(k, '')}" if isinstance(v, float) else k
+        for k, v in joint.type.options.items()
+    ]
+    return ", ".join([joint.type.type_name, *options])
+
+
+def _follower(name: str, f: Follower) -> str:
+    """A coordinate that follows another, as an equation."""
+    if f.source is None:
+        return f"{name} = {f.offset:g} (held)"
+    sign = "-" if f.multiplier == -1.0 else f"{f.multiplier:g} "
+    factor = "" if f.multiplier == 1.0 else sign
+    offset = f" {'-' if f.offset < 0 else '+'} {abs(f.offset):g}" if f.offset else ""
+    return f"{name} = {factor}{f.source}{offset}"
+
+
+def _constraint(system: System, c: Declared) -> dict[str, Any]:
+    """A declared constraint with the freedoms of position that it takes away, and its number of
+    one-sided rows.
+    """
+    length = c.length(system.structure.parameters) if c.rod else None
+    return {
+        "name": c.name,
+        "type": c.kind,
+        "parent": c.parent,
+        "child": c.child,
+        "length": length,
+        "equations": c.equations(system.dim),
+        "one_sided": c.bounds(system.dim),
+        "says": with_numbers(c.of, system.structure.parameters).sentence,
+    } | ({"of": list(reads)} if (reads := c.of.reads) else {})
+
+
+def largest_gap(system: System, q: Any) -> str:
+    """What is open most at q, and by how much: "'C' is open by 0.3 m"; '' where everything is
+    closed.
+    """
+    if not has_loops(system):
+        return ""
+    from kempe.equations import closure_rows
+
+    error = np.abs(closure_rows.residual(system, q)).reshape(
+        -1, len(closure_rows.row_names(system))
+    )
+    error = np.where(np.isfinite(error), error, 0.0).max(axis=0, initial=0.0)
+    worst = int(np.argmax(error))
+    if error[worst] <= CLOSED:
+        return ""
+    name, row = closure_rows.row_names(system)[worst]
+    unit = " rad" if row.startswith("r") else " m" if row in ("x", "y", "z", "distance") else ""
+    return f"{name!r} is open by {error[worst]:.3g}{unit}"
+
+
+# ---- poses
+
+COLUMNS: Mapping[str, str] = {name: "m" for name in "xyz"} | {
+    name: "rad" for name in ("roll", "pitch", "yaw")
+}
+"""Numbers of a pose, with their units; angles turn about fixed axes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Poses(Report):
+    """Poses of a `frame`, or of all bodies where that is None: `X` as `System.fk` gives them for
+    one configuration or several.
+    """
+
+    _has_angles = True
+    system: System
+    frame: str | None
+    X: Array
+
+    @property
+    def several(self) -> bool:
+        """Whether there are several configurations."""
+        return self.X.ndim > (2 if self.frame is not None else 3)
+
+    @property
+    def status(self) -> str:
+        """Of what they are."""
+        what = self.frame or "all bodies"
+        return f"{what} of {self.system.name}, seen from {self.system.body_names[0]}"
+
+    def _numbers(self) -> Array:
+        """Rows (n, 6): x, y, z, roll, pitch, yaw."""
+        X = self.X.reshape(-1, 4, 4)
+        out = spatial.xyz_rpy_from_pose(X)
+        out[np.isnan(X).any(axis=(-2, -1))] = np.nan
+        return out
+
+    def _labels(self) -> tuple[list[str], list[list[Any]]]:
+        """Heads and texts of the columns before the numbers of each row."""
+        names = [self.frame] if self.frame is not None else list(self.system.body_names)
+        count = len(self.X) if self.several else 1
+        q: list[list[Any]] = [[k] * self.several for k in range(count)]
+        bodies = [[i, name] * (self.frame is None) for i, name in enumerate(names)]
+        heads = ["q"] * self.several + ["#", "body"] * (self.frame is None)
+        return heads, [a + b for a in q for b in bodies]
+
+    def _tables(self) -> Sequence[Table]:
+        heads, labels = self._labels()
+        rows = [
+            (*label, *(Quantity(x, unit) for x, unit in zip(row, COLUMNS.values(), strict=True)))
+            for label, row in zip(labels, self._numbers().tolist(), strict=True)
+        ]
+        return [Table((*heads, *COLUMNS), rows, grid=True)]
+
+    def _notes(self, degrees: bool = False) -> list[str]:
+        if self.X.ndim > 2:
+            return []
+        return ["  ".join(f"{fixed(x):>10}" for x in row) for row in self.X.tolist()]
+
+    def _data(self) -> dict[str, Any]:
+        names = [self.frame] if self.frame is not None else list(self.system.body_names)
+        rows = zip(self._numbers(), self.X.reshape(-1, 4, 4), strict=True)
+        poses = [
+            {
+                "frame": names[i % len(names)],
+                "xyz": row[:3],
+                "rpy": Quantity(row[3:], "rad"),
+                "matrix": X,
+            }
+            for i, (row, X) in enumerate(rows)
+        ]
+        head = {"system": self.system.name, "seen_from": self.system.body_names[0]}
+        each = [poses[i : i + len(names)] for i in range(0, len(poses), len(names))]
+        if self.frame is None:
+            return head | ({"configurations": each} if self.several else {"bodies": each[0]})
+        return head | ({"configurations": poses} if self.several else poses[0])
+
+    def save(self, path: Path, *, degrees: bool = False) -> Path:
+        """Write them: a .npy holds the array as it is, a .csv has x, y, z, roll, pitch, yaw in each
+        line; of all bodies lines begin with the numbers of the configuration and of the body.
+        """
+        names = list(COLUMNS)
+        rows = self._numbers()
+        if self.frame is None:
+            index = np.indices((len(self.X) if self.several else 1, self.X.shape[-3]))
+            rows = np.concatenate([index.reshape(2, -1).T.astype(float), rows], axis=1)
+            names = ["configuration", "body", *names]
+        return write_table(path, *in_units(names, rows, COLUMNS, degrees), self.X)
+
+
+# ---- problems and errors
+
+
+def problem_facts(problem: Fault) -> dict[str, Any]:
+    """A finding about a file: its place, what it is about, what is wrong, what is allowed."""
+    where = problem.where
+    return {
+        "file": where.file if where else None,
+        "line": where.line or None if where else None,
+        "column": where.column or None if where else None,
+        "subject": problem.subject,
+        "message": problem.message,
+        "allowed": problem.allowed,
+        "text": str(problem),
+    }
+
+
+def error_facts(error: BaseException | str) -> dict[str, Any]:
+    """An error as data: its sentence under 'error', and what it carries."""
+    out: dict[str, Any] = {"error": str(error), "type": type(error).__name__}
+    if isinstance(error, str):
+        out["type"] = "UsageError"
+    elif isinstance(error, DescriptionError):
+        out["problems"] = [problem_facts(p) for p in error.problems]
+    elif isinstance(error, KempeError) and hasattr(error, "allowed"):
+        out["allowed"] = list(error.allowed)  # type: ignore[attr-defined]
+    return out
