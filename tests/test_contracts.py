@@ -7,6 +7,7 @@ import inspect
 import json
 import pickle
 import re
+import sys
 from collections.abc import Callable
 from functools import cache
 from typing import Any, NamedTuple
@@ -543,6 +544,31 @@ def test_json_holds_what_python_says(name):
     assert data == json.loads(json.dumps(result.data(), allow_nan=False))
     assert data["code"] == expected and data["status"] == np.asarray(result.status).tolist()
     assert np.array_equal(data["success"], np.asarray(result.code) == Status.SOLVED)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_columns_and_frames_show_what_print_does(name):
+    """The text in columns begins as `print` does, in either unit; a data frame can be made of it."""
+    result, _ = answered(name)
+    for degrees in (False, True):
+        lines = result.text(degrees).splitlines()
+        assert lines[0] == str(result).splitlines()[0]
+        assert not any(line != line.rstrip() for line in lines)
+    narrow = result.text(width=60).splitlines()
+    assert narrow[0] in lines[0] and " ".join(narrow).split()[:5] == lines[0].split()[:5]
+    pandas = pytest.importorskip("pandas")
+    frame = result.to_dataframe()
+    assert isinstance(frame, pandas.DataFrame)
+    if isinstance(result, Answer):
+        names, columns = result.table()
+        assert list(frame.columns) == names
+        np.testing.assert_array_equal(frame.to_numpy(dtype=float), columns)
+
+
+def test_a_data_frame_without_pandas_names_the_package(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(ImportError, match="pip install pandas"):
+        LINKAGE.mobility().to_dataframe()
 
 
 @pytest.mark.parametrize("name", CASES)

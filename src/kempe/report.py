@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import fields
-from importlib.util import find_spec
 from textwrap import fill
 from typing import Any, ClassVar, NamedTuple, Protocol
 
@@ -271,10 +270,10 @@ class Result:
 
         Errors: `MissingPackageError` without pandas.
         """
-        if find_spec("pandas") is None:
-            raise MissingPackageError("pandas")
-        from pandas import DataFrame
-
+        try:
+            from pandas import DataFrame
+        except ImportError:
+            raise MissingPackageError("pandas") from None
         names, rows = self._frame(degrees)
         return DataFrame(rows, columns=names)  # type: ignore[arg-type]
 

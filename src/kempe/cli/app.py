@@ -397,7 +397,9 @@ class Output:
     def _refuse_input(self, given: Iterable[object]) -> None:
         """Refuse to write over a file that is read. Errors: `InputError`."""
         assert self.out is not None
-        words = [w for x in given for w in (x if isinstance(x, list) else [x])]
+        words: list[Any] = []
+        for x in given:
+            words += x if isinstance(x, list) else [x]
         for word in words:
             if not isinstance(word, (str, Path)) or Path(word).suffix.lower() not in SUFFIXES:
                 continue
@@ -461,7 +463,7 @@ class Output:
         """
         files = [str(path) for path in self.written]
         if self.json:
-            data = {} if answer is None else answer.data(self.deg)
+            data: dict[str, Any] = {} if answer is None else answer.data(self.deg)
             data |= {name: other.data(self.deg) for name, other in more.items()}
             print_json(data | {"written": files})
             return
