@@ -34,8 +34,8 @@ from kempe.words import (
 
 MOST_JUDGED = 1_000_000
 """Coordinates up to which configurations are judged for their `data`."""
-ROWS = 64
-"""Rows of a table, and lines of notes, that a text shows."""
+ROWS = 30
+"""Rows of a table that a text shows: with a headline and reasons they fill a screen."""
 WIDE = 8
 """Numbers in a row from which a text shows each row as a column, where there is room for them."""
 
