@@ -141,12 +141,12 @@ def test_all_who_can_reach_the_same(name, hunt):
         for row in numeric.SOLVERS:
             method = "analytic" if row.name == "closed form" else "numeric"
             task = ("pose", Z_AXIS)
-            if row.refuses(robot, frame, task, method, False) is not None:
-                refused.add(row.name)
-                continue
             problem = Problem(
                 robot, "one", frame=frame, task=task, targets=target[None], method=method
             )
+            if row.refuses(problem) is not None:
+                refused.add(row.name)
+                continue
             answer = row.run(problem)
             assert answer.success and answer.judged.holds, row.name
     assert len(refused) < len(numeric.SOLVERS) - 1, refused
@@ -160,7 +160,7 @@ def test_closed_forms_and_many_starts_find_the_same_modes(name):
         for n in system.coordinate_names[: system.mobility().dof]
     }
     problem = Problem(system, "all", known=known, budget=kempe.Budget(starts=256))
-    assert modes.no_dyads(system, tuple(known)) is None
+    assert modes.no_dyads(problem) is None
     exact = modes.by_dyads(problem)
     found = modes.by_starts(problem)
     assert len(exact) == len(found)

@@ -304,7 +304,7 @@ def check_integer_chain(system: System, starts: np.random.Generator) -> int:
     """What is called complete has the drawn configuration, and all that least squares find; 1 if it
     is.
     """
-    if no_dyads(system, ("A",)) is not None:
+    if no_dyads(Problem(system, "all", {"A": 0.0})) is not None:
         return 0
     modes = system.assembly_modes({"A": 0.0})
     if modes.complete:
@@ -493,7 +493,7 @@ def test_shaky_is_not_called_moving():
     question = question_of(m.build(), {})
     modes = by_starts(question)
     assert not modes.freedoms.any() and len(modes) == 1
-    assert no_dyads(question.system, ()) is None and len(by_dyads(question)) == 1
+    assert no_dyads(question) is None and len(by_dyads(question)) == 1
 
 
 @pytest.mark.parametrize(("requested", "limit"), [(None, 120.0), (5.0, 5.0), (math.inf, None)])

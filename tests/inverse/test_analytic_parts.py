@@ -117,7 +117,7 @@ def test_where_axes_line_up_joints_are_held_aside_of_zero_inside_the_limits(
     )
     counts = iter([3, 0])  # at zero, elsewhere
     monkeypatch.setattr(choice, "_aligned", lambda plan, theta: next(counts))
-    plan: Any = SimpleNamespace(lines=lines, method="elimination", locked=(2,))
+    plan: Any = SimpleNamespace(lines=lines, method=choice.ELIMINATION, locked=(2,))
     assert choice._first(plan, ()) == (expected,) * 6
 
 

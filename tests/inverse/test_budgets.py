@@ -381,7 +381,7 @@ def test_the_time_limit_leaves_what_is_known_of_a_batch(monkeypatch):
     monkeypatch.setattr(solve, "ELIMINATED", 64)
     count_looks(monkeypatch, 2)
     part = s.ik_all(X, "tool", budget=kempe.Budget(time_limit=100.0))
-    assert part.plan.method == "elimination"
+    assert part.plan.method.word == "elimination"
     assert part.late.sum() == 72 and part.late[128:].all()
     np.testing.assert_array_equal(part.q[:128][part.mask[:128]], whole.q[:128][whole.mask[:128]])
     np.testing.assert_array_equal(part.complete[:128], whole.complete[:128])

@@ -15,6 +15,7 @@ from ik_all_checks import ask, same_sets
 import kempe
 from kempe import spatial
 from kempe.errors import InputError
+from kempe.inverse.closed_forms.plan import SEARCH
 from kempe.inverse.closed_forms.solve import solve_held
 from kempe.kernels.forward.table_layout import TURN
 
@@ -201,7 +202,7 @@ def test_many_starts_find_what_closed_forms_find(name):
     targets = truth.question.targets.copy()
     targets[1, 0, 0] = math.nan
     question = replace(truth.question, targets=targets)
-    plan = replace(truth.plan, method="search")
+    plan = replace(truth.plan, method=SEARCH)
     rows, counts = solve_held(question, plan, near, locked, None)
     n = len(plan.lines)
     assert counts[1, 0] == -1 and (rows[1, :, n + 1] < 0.0).all() and (counts[:, 1] == 1).all()

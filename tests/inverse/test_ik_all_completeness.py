@@ -103,7 +103,7 @@ def test_points_of_a_curve_leave_room_for_the_isolated_solutions(name):
 
 
 SHARING = {  # rows (a, alpha [degrees], d, type) and a configuration
-    "closed": ([(0.3, 60, 0.3, "prismatic"), (0, -90, 0.5), (0, 90, 0), (0.3, 60, 0.3), (0.3, -90, 0.3),
+    "closed form": ([(0.3, 60, 0.3, "prismatic"), (0, -90, 0.5), (0, 90, 0), (0.3, 60, 0.3), (0.3, -90, 0.3),
                 (0.3, 90, 0.3)],
                [-0.726509, -H, -1.349116, H, -H, 3.484955]),
     "elimination": ([(-0.2, -90, 0.5, "prismatic"), (0.3, 90, 0.5), (0.3, 180, -0.2), (0, 60, 0.5), (0.3, 90, 0.3),
@@ -121,7 +121,7 @@ def test_two_solutions_that_differ_in_a_slide_and_its_neighbours_only(method):
         method, [(a, np.radians(t), d, 0.0, *kind) for a, t, d, *kind in rows], "structured", 16
     )
     answer = arm.system.ik_all(arm.model.fk(np.array([q])), arm.frame)
-    assert answer.plan.method == method
+    assert answer.plan.method.word == method
     assert answer.mask.sum() == 8 and answer.complete.all()
 
 
@@ -135,7 +135,7 @@ def moved(arm: arms.Arm, rng: np.random.Generator, q: np.ndarray) -> tuple[int, 
     d = np.zeros(q.shape)
     d[:, [0, -1]] = rng.uniform(-2, 2, (len(q), 2))
     answers = [arm.system.ik_all(model.fk(x), arm.frame) for x in (q, q + d)]
-    if answers[0].plan.method == "search" or answers[0].plan.locked:
+    if answers[0].plan.method.word == "search" or answers[0].plan.locked:
         return 0, 0
     scale = np.where(model.kinds == oracle.SLIDE, model.size, 1.0)
     shift = model.theta(q + d) - model.theta(q)
@@ -197,7 +197,7 @@ def judged(arm: arms.Arm, rng: np.random.Generator, count: int) -> tuple[int, in
     q = continuation.structured_poses(arm, rng, count)
     X = arm.model.fk(q)
     answer = arm.system.ik_all(X, arm.frame)
-    if answer.plan.method == "search" or answer.plan.locked:
+    if answer.plan.method.word == "search" or answer.plan.locked:
         return 0, 0
     where, theta, weak = continuation.solutions(arm, X, q, rng)
     missed = continuation.missed(arm, answer, where, theta, weak)

@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 from kempe.answers.targets import Z_AXIS
 from kempe.budget import Budget
 from kempe.errors import UnsupportedError
+from kempe.model.model import keep
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
 
-Found = TypeVar("Found")
+AnswerType = TypeVar("AnswerType")
 TaskOf = tuple[str, tuple[float, float, float]]
 """What of a frame's target counts, and the axis of the tool that it points."""
 
@@ -30,7 +31,8 @@ class Problem(NamedTuple):
     continuous. `known` are coordinates, and places of frames, by name. `targets` (N, 4, 4) are
     those of a `frame`, of which `task` names what counts, with the axis of the tool that is
     pointed; `lead` is their leading shape. `wanted` are tasks of any frames. The search begins at
-    `start`. `options` are what only this verb reads, by the names of its arguments.
+    `start`. `parameter` is what a sweep goes along, and its reference. `options` are what only this
+    verb reads, by the names of its arguments.
     """
 
     system: Model
@@ -48,19 +50,27 @@ class Problem(NamedTuple):
     lead: tuple[int, ...] = ()
     wanted: Any = None
     method: str = "numeric"
+    parameter: tuple[Any, Any] = (None, None)
+
+    @property
+    def structure(self) -> tuple[Any, ...]:
+        """What decides who answers: the problem without the numbers that differ from call to call."""
+        names = tuple(self.known), tuple(self.options)
+        fields = self.requested, self.frame, self.task, self.method, self.parameter
+        return (*fields, self.prefer is None, *names)
 
 
 class Solver(NamedTuple):
     """A row of the table: its name, how it works, and two functions.
 
     `refuses` says in a sentence why it is not for a problem, None where it is; it looks at the
-    structure only, not at numbers that differ from call to call. `run` answers.
+    problem's `structure` only, not at numbers that differ from call to call. `run` answers.
     """
 
     name: str
     how: str
-    refuses: Callable[..., str | None]
-    run: Callable[..., Any]
+    refuses: Callable[[Problem], str | None]
+    run: Callable[[Problem], Any]
 
     def choice(self, refused: Sequence[tuple[str, str]] = ()) -> Choice:
         """The `Choice` of this solver, for its answers, with the solvers `refused` before it."""
@@ -82,24 +92,37 @@ class Choice(NamedTuple):
         )
 
 
-def choose(rows: Sequence[Solver], *structure: Any) -> tuple[Solver, Choice]:
+def choose(rows: Sequence[Solver], problem: Problem) -> tuple[Solver, Choice]:
     """The first row that does not refuse. Errors: `UnsupportedError` with what the first one says,
     if all refuse.
     """
+    kept: dict[Any, Any] = problem.system._kept.setdefault(choose, {})
+    key = (tuple(rows), problem.structure)
+    found = kept.get(key)
+    return keep(kept, key, _first_row(rows, problem)) if found is None else found
+
+
+def _first_row(rows: Sequence[Solver], problem: Problem) -> tuple[Solver, Choice]:
     refused: list[tuple[str, str]] = []
     for solver in rows:
-        why = solver.refuses(*structure)
+        why = solver.refuses(problem)
         if why is None:
             return solver, solver.choice(refused)
         refused.append((solver.name, why))
     raise UnsupportedError(refused[0][1])
 
 
-def takes_all(*structure: Any) -> None:
+def solve(rows: Sequence[Solver], problem: Problem) -> Any:
+    """The answer of the first row that does not refuse; it says who that is."""
+    solver, choice = choose(rows, problem)
+    return chosen_by(solver.run(problem), choice)
+
+
+def takes_all(problem: Problem) -> None:
     """Refuse nothing: of the last row, which takes what all others leave."""
 
 
-def chosen_by(answer: Found, choice: Choice) -> Found:
+def chosen_by(answer: AnswerType, choice: Choice) -> AnswerType:
     """The answer with the `Choice` that says which solver gave it."""
     answer.__dict__["_choice"] = choice
     return answer

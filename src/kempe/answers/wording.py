@@ -446,7 +446,7 @@ def solutions(
         text += f" ({beyond})" if beyond else ""
     if families:
         return f"{text}, and {_families(families)}"
-    return f"{text}: {ground}" if method == "closed" else text
+    return f"{text}: {ground}" if method == "closed form" else text
 
 
 def beyond_limit(joint: str, off: float, unit: str, still: str) -> str:
@@ -471,7 +471,7 @@ def _completeness(count: int, method: str, sure: bool, spare: bool) -> str:
         return " found, there may be more"
     if spare:
         return " for what is held"
-    if method == "closed":
+    if method == "closed form":
         return ", all of them" if count > 1 else ", the only one"
     return ", all there are" if method == "elimination" else " found, there may be more"
 

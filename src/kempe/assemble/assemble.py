@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.answers.problem import NOTHING, Choice, Problem, Solver, choose, chosen_by, takes_all
+from kempe.answers.problem import NOTHING, Problem, Solver, choose, chosen_by, takes_all
 from kempe.arguments import explained, flag, listed
 from kempe.arrays import plain
 from kempe.assemble.answer import Assembly
@@ -16,6 +16,7 @@ from kempe.assemble.bound import LOOSEST, TOLERANCE, USUAL, Assembler, bare
 from kempe.assemble.nearest_exact import ideal_of, is_known, one_number, within
 from kempe.budget import Budget, TimeUp, checks
 from kempe.constraints.tape import TIME
+from kempe.equations.one_sided import one_sided_rows
 from kempe.equations.task_functions import held_too
 from kempe.errors import InputError
 from kempe.model.configurations import q_from_dict
@@ -118,7 +119,7 @@ def assemble(
     problem = Problem(
         system, "one", given, start, prefer, limits, tolerance or TOLERANCE, budget, options
     )
-    return _within_limit(chosen(system, tuple(given), signs)[0].run(problem), time)
+    return _within_limit(choose(SOLVERS, problem)[0].run(problem), time)
 
 
 def _within_limit(answer: Assembly, time: TimeLimit | None) -> Assembly:
@@ -188,12 +189,13 @@ def bound(system: Model, known: tuple[str, ...]) -> Assembler:
 # ---- the solvers, and how one is chosen
 
 
-def _no_signs(assembler: Assembler, signs: bool) -> str | None:
-    return None if signs else "no branch is named by signs"
+def _no_signs(problem: Problem) -> str | None:
+    return None if "branch" in problem.options else "no branch is named by signs"
 
 
-def _no_bounds(assembler: Assembler, signs: bool) -> str | None:
-    return None if assembler.one_sided is not None else "the system has no one-sided constraints"
+def _no_bounds(problem: Problem) -> str | None:
+    bounded = one_sided_rows(problem.system).declared
+    return None if bounded else "the system has no one-sided constraints"
 
 
 def _of_known(problem: Problem) -> Assembly:
@@ -233,7 +235,7 @@ def on_named_branch(problem: Problem) -> Assembly:
         strayed = np.any(plan.branch_of(after) != plan.branch_of(before), axis=-1)
         code.flat[searched[strayed & (code.flat[searched] == Status.SOLVED)]] = Status.OTHER_BRANCH
         answer = replace(answer, success=plain(code == Status.SOLVED), code=member(code))
-    return chosen_by(answer, choose(SOLVERS, assembler, True)[1])
+    return chosen_by(answer, choose(SOLVERS, problem)[1])
 
 
 SOLVERS = (
@@ -257,9 +259,3 @@ SOLVERS = (
     ),
 )
 """Who answers for one closed configuration."""
-
-
-@kept
-def chosen(system: Model, known: tuple[str, ...], signs: bool) -> tuple[Solver, Choice]:
-    """Who answers with these names known, a branch named by signs or not."""
-    return choose(SOLVERS, bound(system, known), signs)

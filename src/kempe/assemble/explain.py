@@ -12,7 +12,7 @@ import numpy as np
 from kempe.answers import wording
 from kempe.answers.answer import Row
 from kempe.answers.evidence import Evidence, evidence, outside_limits
-from kempe.answers.problem import Choice, choose
+from kempe.answers.problem import Choice, Problem, choose
 from kempe.answers.wording import immovable
 from kempe.assemble.answer import Assembly
 from kempe.assemble.bound import LOOSEST, Assembler, bare, of_equations
@@ -47,7 +47,8 @@ def choice(answer: Assembly) -> Choice:
     """Which solver closes the loops of such problems."""
     from kempe.assemble.assemble import SOLVERS
 
-    return choose(SOLVERS, answer.assembler, False)[1]
+    assembler = answer.assembler
+    return choose(SOLVERS, Problem(assembler.system, "one", dict.fromkeys(assembler.known)))[1]
 
 
 def sentence(answer: Assembly, index: tuple[int, ...]) -> str:

@@ -16,7 +16,7 @@ import numpy as np
 
 from kempe.answers.answer import Configurations
 from kempe.answers.known_values import known_tasks, source_values
-from kempe.answers.problem import Choice, Problem, Solver, choose, chosen_by, takes_all
+from kempe.answers.problem import Problem, Solver, solve, takes_all
 from kempe.arguments import (
     explained,
     explained_methods,
@@ -845,21 +845,16 @@ def assembly_modes(
     problem = Problem(
         system, "all", dict(given), base, limits=bool(limits), budget=budget, frame=name
     )
-    solver, choice = chosen(system, tuple(given))
-    return chosen_by(solver.run(problem), choice)
-
-
-@kept
-def chosen(system: Model, known: tuple[str, ...]) -> tuple[Solver, Choice]:
-    """Who answers with these names known."""
-    return choose(SOLVERS, system, known)
+    return solve(SOLVERS, problem)
 
 
 # ---- solver: dyads in closed form
 
 
-def no_dyads(system: Model, known: tuple[str, ...]) -> str | None:
+def no_dyads(problem: Problem) -> str | None:
     """Why there is no closed form with these names known; None where there is one."""
+    system = problem.system
+    known = tuple(problem.known)
     if system.dim != 2:
         return "it is for planar mechanisms"
     frames = [k for k in known if k in system.frame_names and k not in system.coordinate_names]

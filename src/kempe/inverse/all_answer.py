@@ -470,7 +470,7 @@ class Solutions(ConfigurationList, Answer):
     @cached_property
     def complete(self) -> Any:
         """Whether there are no other isolated solutions: bool, or (...) of a batch."""
-        proven = self.plan.method != "search" and self.plan.locked == self.plan.fixed
+        proven = self.plan.method.word != "search" and self.plan.locked == self.plan.fixed
         sure = (self._counts[:, 1] == 0) & proven & (self._counts[:, 0] >= 0)
         return bool(sure[0]) if self._lead is None else sure.reshape(self._lead)
 

@@ -211,8 +211,6 @@ BY_SLIDES = {0: 16, 1: 16, 2: 8, 3: 2}
 """Isolated configurations of six joints at most, by the number that slide (Raghavan and Roth,
 1993)."""
 
-METHODS = {"closed": "closed form", "elimination": "elimination", "search": "search"}
-
 FREE = {False: "free turn", True: "free slide"}
 """What the task leaves free at the tip, by whether it slides."""
 
@@ -248,7 +246,9 @@ def list_steps(plan: ChainPlan, fixed: frozenset[str]) -> tuple[Step, ...]:
         out += _list_closed_form_steps(plan, plan.way)
     else:
         method = (
-            "elimination, roots of one polynomial" if plan.method == "elimination" else "search"
+            "elimination, roots of one polynomial"
+            if plan.method.word == "elimination"
+            else "search"
         )
         out.append(Step(tuple(names[i] for i in unknown), method, _bound_by_slides(plan)))
     rank = freedoms(plan.lines, free_lines(plan.lines, plan.task, plan.planar), unknown)
@@ -459,7 +459,7 @@ def ik_plan(
         relations(lines),
         list_steps(plan, frozenset(given)),
         bound_solutions(plan),
-        METHODS[plan.method],
+        plan.method.word,
         tuple(lines.names[i] for i in plan.locked),
         note,
         system,

@@ -17,7 +17,7 @@ import numpy as np
 
 from kempe.answers import wording
 from kempe.answers.evidence import Evidence, evidence, lengths
-from kempe.answers.problem import Choice, Problem
+from kempe.answers.problem import Choice, Problem, choose
 from kempe.answers.targets import Z_AXIS, frame_of, not_a_pose
 from kempe.answers.wording import immovable
 from kempe.arguments import quiet
@@ -35,7 +35,7 @@ from kempe.inverse.chain.serial_chain import (
 )
 from kempe.inverse.derivative import derivative
 from kempe.inverse.multi_start import run
-from kempe.inverse.numeric import chosen
+from kempe.inverse.numeric import SOLVERS
 from kempe.inverse.tasks import freedoms
 from kempe.kernels.forward.table_layout import (
     KIND,
@@ -443,7 +443,8 @@ def _slides_end(task: FrameProblem, target: Array) -> Evidence | None:
 def choice(solution: Solution) -> Choice:
     """Which solver searches for answers to such problems."""
     task = solution.task
-    return chosen(task.system, task.frame, (task.name, task.axis), "numeric", False)[1]
+    problem = Problem(task.system, "one", frame=task.frame, task=(task.name, task.axis))
+    return choose(SOLVERS, problem)[1]
 
 
 def analyse(solution: Solution) -> tuple[int, int, int, Array]:

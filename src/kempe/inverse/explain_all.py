@@ -9,7 +9,7 @@ import numpy as np
 
 from kempe.answers import wording
 from kempe.answers.evidence import Evidence, evidence, lengths
-from kempe.answers.problem import Choice
+from kempe.answers.problem import Choice, Problem, choose
 from kempe.answers.targets import not_a_pose
 from kempe.answers.wording import immovable
 from kempe.inverse.all_answer import SolutionsRow
@@ -45,7 +45,7 @@ TURNS = ("orientation", "direction")
 """Tasks of which no place counts."""
 
 NO_ROOT = {
-    "closed": "the equations of the closed form have no real root",
+    "closed form": "the equations of the closed form have no real root",
     "elimination": "no real root among 16",
     "search": "not found; no closed form applies",
 }
@@ -140,7 +140,7 @@ def _reached(solutions: Solutions, index: int) -> str:
     text = wording.solutions(
         len(code),
         inside,
-        plan.method,
+        plan.method.word,
         not solutions._counts[index, 1],
         bool(spare),
         times[times > 1].tolist(),
@@ -223,14 +223,16 @@ def _reasons(solutions: Solutions, index: int) -> tuple[list[Any], bool]:
         far = lengths(system, off, slides=slides_of(system, question.frame))
     wide = plan.lines.span.wide
     failed = (
-        None if wide or plan.spare or plan.method != "closed" else _without_root(solutions, index)
+        None
+        if wide or plan.spare or plan.method.word != "closed form"
+        else _without_root(solutions, index)
     )
     if far or failed:
         return [x for x in (far, failed) if x], far is not None
     over = _overdetermined(solutions)
     if wide and not over:
         return [plan.lines.span.sentence()], True
-    return [over or NO_ROOT[plan.method]], over is not None
+    return [over or NO_ROOT[plan.method.word]], over is not None
 
 
 def _overdetermined(solutions: Solutions) -> Evidence | None:
@@ -353,12 +355,18 @@ def _named(
 
 def choice(solutions: Solutions) -> Choice:
     """Which solver finds all answers to such problems."""
-    from kempe.inverse.solve_all import chosen
+    from kempe.inverse.solve_all import SOLVERS
 
     question = solutions.question
     plan = solutions.plan
-    fixed = tuple(plan.lines.names[i] for i in plan.fixed)
-    return chosen(question.system, question.frame, (question.task, question.axis), fixed)[1]
+    problem = Problem(
+        question.system,
+        "all",
+        dict.fromkeys(plan.lines.names[i] for i in plan.fixed),
+        frame=question.frame,
+        task=(question.task, question.axis),
+    )
+    return choose(SOLVERS, problem)[1]
 
 
 ROW = SolutionsRow(status, choice, held_sentence, nearest, find_families)

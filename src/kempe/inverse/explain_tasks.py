@@ -15,12 +15,12 @@ import numpy as np
 
 from kempe.answers import wording
 from kempe.answers.evidence import Evidence, evidence, lengths, outside_limits
-from kempe.answers.problem import Choice, Problem
+from kempe.answers.problem import Choice, Problem, choose
 from kempe.answers.wording import immovable
 from kempe.inverse.answer import Reached, SolutionRow
 from kempe.inverse.chain.serial_chain import slides_of
 from kempe.inverse.explain import rounded
-from kempe.inverse.numeric import chosen
+from kempe.inverse.numeric import SOLVERS
 from kempe.inverse.tasks.contradictions import contradictions
 from kempe.inverse.tasks.demands import STARTS
 from kempe.inverse.tasks.freedoms import Local, analyse
@@ -243,8 +243,7 @@ def _rank(problem: Demands, q: Array, tasks: list[int]) -> Evidence | None:
 
 def choice(answer: Reached) -> Choice:
     """Which solver searches for answers to such problems."""
-    usual = Problem(answer.problem.system, "one")
-    return chosen(usual.system, usual.frame, usual.task, usual.method, False)[1]
+    return choose(SOLVERS, Problem(answer.problem.system, "one"))[1]
 
 
 def _derive(answer: Reached) -> dict[str, Array]:

@@ -21,7 +21,7 @@ from kempe.arguments import explained_methods
 from kempe.arrays import is_whole, reals
 from kempe.errors import InputError
 from kempe.inverse.closed_forms.descent import Aim
-from kempe.inverse.closed_forms.plan import kernel_of
+from kempe.inverse.closed_forms.plan import SEARCH
 from kempe.inverse.nearest import aim_of, held_coordinates
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.numerics.curves import NONE, Curve, Node, step, walk
@@ -615,16 +615,14 @@ def _left_out(solutions: Solutions, index: int) -> Array:
     plan = solutions.plan
     n = len(plan.lines)
     sampled = solutions._used[index] & (solutions._code[index] < A.MULTIPLICITY_UNIT)
-    if plan.method == "search" or not (sampled.any() and solutions._used[index].all()):
+    if plan.method == SEARCH or not (sampled.any() and solutions._used[index].all()):
         return np.zeros((0, n))
     target = aim_of(solutions, index).target[None]
     near = solutions._base[index if len(solutions._base) > 1 else 0]
     target[0, :3, 3] = target[0, :3, 3] * plan.lines.length + plan.lines.origin
     out = np.empty((1, ROOM, n + A.INFO))
     tolerance = solutions.question.tolerance
-    kernel_of(plan)(
-        plan.ints,
-        plan.floats,
+    plan.fill(
         target,
         np.ascontiguousarray(near[plan.lines.q_index])[None],
         held_coordinates(solutions, index)[None],

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.answers.problem import NOTHING, Choice, Problem, Solver, TaskOf, chosen_by
+from kempe.answers.problem import Choice, Problem, Solver, choose, chosen_by, solve
 from kempe.answers.targets import (
     Z_AXIS,
     axis_for,
@@ -32,7 +32,7 @@ from kempe.inverse import multi_start
 from kempe.inverse.answer import Solution
 from kempe.inverse.chain import problem
 from kempe.inverse.chain.problem import FEW, ITERATIONS, MOST, TOLERANCE, FrameProblem
-from kempe.inverse.numeric import BATCH, BY_TASKS, METHODS, USUAL, chosen, with_history
+from kempe.inverse.numeric import BATCH, BY_TASKS, METHODS, SOLVERS, USUAL, with_history
 from kempe.kernels.base.search_layout import ANSWER, STATUS
 from kempe.kernels.compiled import maker, schedule
 from kempe.kernels.forward.table_layout import HAS_QUATERNION
@@ -264,8 +264,7 @@ def ik(
     problem = Problem(
         system, "one", start=start, prefer=prefer, tolerance=tolerance, budget=budget, wanted=target
     )
-    solver, choice = chosen(system, None, problem.task, problem.method, prefer is not None)
-    return chosen_by(solver.run(problem), choice)
+    return solve(SOLVERS, problem)
 
 
 def _of_frame(
@@ -291,13 +290,6 @@ def _of_frame(
         raise InputError(f"method is {method!r}; it must be one of {', '.join(map(repr, METHODS))}")
     if prefer is not None and method != "numeric":
         raise InputError(f"method is {method!r}, which prefers nothing; leave it out, or prefer")
-    options = NOTHING
-    if method == "numeric":
-        solver, choice = chosen(system, name, requested, method, prefer is not None)
-    else:
-        time = TimeLimit((BATCH if lead else USUAL).of(budget).time_limit)
-        solver, choice, method = _planned(time, system, name, requested, method, prefer is not None)
-        options = {"end": time.end}
     # the answer keeps them
     targets = targets.copy() if np.may_share_memory(targets, target) else targets
     problem = Problem(
@@ -312,8 +304,11 @@ def _of_frame(
         targets=targets,
         lead=lead,
         method=method,
-        options=options,
     )
+    if method == "numeric":
+        solver, choice = choose(SOLVERS, problem)
+    else:
+        solver, choice, problem = _planned(problem)
     answer = chosen_by(solver.run(problem), choice)
     if not lead and task is said and solver is not BY_TASKS:
         bind(answer.task, said, np.shape(target))
@@ -335,20 +330,21 @@ def _together(
     return np.ascontiguousarray(targets), many, np.broadcast_to(start, (*many, start.shape[-1]))
 
 
-def _planned(
-    time: TimeLimit, system: Model, frame: str, task: TaskOf, method: str, prefers: bool
-) -> tuple[Solver, Choice, str]:
+def _planned(problem: Problem) -> tuple[Solver, Choice, Problem]:
     """Who answers, and by which method: numbers where the time does not last to plan a closed form."""
+    time = TimeLimit((BATCH if problem.lead else USUAL).of(problem.budget).time_limit)
     time.put_in_order()  # a plan is made as a whole, or not at all
+    timed = problem._replace(options={"end": time.end})
     try:
         with time:
-            return *chosen(system, frame, task, method, prefers), method
+            return *choose(SOLVERS, timed), timed
     except TimeUp:
         if not time.spent:
             raise
-        if method == "analytic":
+        if problem.method == "analytic":
             raise TimeLimitError("ik", time.limit) from None
-    return *chosen(system, frame, task, "numeric", prefers), "numeric"
+    timed = timed._replace(method="numeric")
+    return *choose(SOLVERS, timed), timed
 
 
 def _checked(

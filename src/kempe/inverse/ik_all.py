@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.answers.problem import Problem, chosen_by
+from kempe.answers.problem import Problem, choose, chosen_by
 from kempe.answers.targets import (
     axis_for,
     given_target,
@@ -26,7 +26,7 @@ from kempe.budget import Budget
 from kempe.errors import InputError
 from kempe.inverse.all_answer import Solutions
 from kempe.inverse.closed_forms.question import held_by
-from kempe.inverse.solve_all import BATCH, USUAL, chosen
+from kempe.inverse.solve_all import BATCH, SOLVERS, USUAL
 from kempe.numerics.clock import TimeLimit, begun_within
 
 if TYPE_CHECKING:
@@ -107,6 +107,6 @@ def ik_all(
     time = TimeLimit((BATCH if lead else USUAL).of(budget).time_limit)
     time.put_in_order()  # a plan is made as a whole, or not at all
     with begun_within(USUAL, time):
-        solver, choice = chosen(system, name, problem.task, tuple(known))
+        solver, choice = choose(SOLVERS, problem)
     problem = problem._replace(options={"time": time})
     return chosen_by(solver.run(problem), choice)

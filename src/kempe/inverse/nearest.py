@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kempe.answers.problem import Problem
+from kempe.answers.problem import Problem, solve
 from kempe.answers.targets import TASKS, Z_AXIS, frame_of, targets_of
 from kempe.arguments import quiet
 from kempe.inverse.closed_forms.descent import Aim, closest
-from kempe.inverse.numeric import chosen
+from kempe.inverse.numeric import SOLVERS
 from kempe.kernels.base.search_layout import LARGEST
 from kempe.spatial import Array
 
@@ -90,9 +90,7 @@ def _by_numbers(question: Question, target: Array, start: Array) -> Solution:
     task = (question.task, Z_AXIS)
     goal = target if question.task == "pose" else target[:3, 3]
     targets, lead, _ = targets_of(system, goal, question.task, Z_AXIS)
-    solver, _ = chosen(system, question.frame, task, "numeric", False)
-    return solver.run(
-        Problem(
-            system, "one", start=start, frame=question.frame, task=task, targets=targets, lead=lead
-        )
+    problem = Problem(
+        system, "one", start=start, frame=question.frame, task=task, targets=targets, lead=lead
     )
+    return solve(SOLVERS, problem)

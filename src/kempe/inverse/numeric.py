@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.answers.problem import Choice, Problem, Solver, TaskOf, choose
+from kempe.answers.problem import Problem, Solver
 from kempe.answers.targets import not_a_pose, of_target
 from kempe.arguments import deadline, seed_number, start_count, step_count, tolerances
 from kempe.budget import Usual
@@ -30,14 +30,13 @@ from kempe.inverse.closed_forms.solve import TOLERANCE
 from kempe.inverse.multi_start import run, seeds_of
 from kempe.kernels.base.search_layout import SOLVED, STEPS
 from kempe.model.configurations import refuse_far
-from kempe.model.model import kept
 from kempe.numerics.clock import SHORT, TimeLimit
 from kempe.poses import sound
 from kempe.spatial import Array
 from kempe.status import Status, member
 
 if TYPE_CHECKING:
-    from kempe.model.model import Model
+    pass
 
 
 # ---- the nearest of all solutions in closed form
@@ -173,10 +172,10 @@ BATCH = Usual("ik", starts=MOST, iterations=ITERATIONS, time_limit=None, rng=0, 
 # ---- the solvers, and how one is chosen
 
 
-def _no_closed_form(
-    system: Model, frame: str | None, task: TaskOf, method: str, prefers: bool
-) -> str | None:
-    if frame is None or method == "numeric":
+def _no_closed_form(problem: Problem) -> str | None:
+    system = problem.system
+    frame = problem.frame
+    if frame is None or problem.method == "numeric":
         return TASKS if frame is None else "method='analytic' or 'auto' asks for it"
     bounds = one_sided_rows(system)
     if bounds.declared:
@@ -184,16 +183,16 @@ def _no_closed_form(
             f"method 'analytic' does not hold one-sided constraints, such as {bounds.names[0]!r}; "
             "leave it out, or take one of the solutions of ik_all, which do"
         )
-    plan = plan_or_reason(system, frame, *task)
+    plan = plan_or_reason(system, frame, *problem.task)
     return plan if isinstance(plan, str) else None
 
 
-def _no_chain(
-    system: Model, frame: str | None, task: TaskOf, method: str, prefers: bool
-) -> str | None:
-    if frame is None or method == "analytic":
+def _no_chain(problem: Problem) -> str | None:
+    system = problem.system
+    frame = problem.frame
+    if frame is None or problem.method == "analytic":
         return TASKS if frame is None else CLOSED
-    if prefers:
+    if problem.prefer is not None:
         return "it prefers nothing"
     if one_sided_rows(system).declared:
         return (
@@ -202,16 +201,23 @@ def _no_chain(
     return obstacle(system, frame)
 
 
-def _no_tasks(
-    system: Model, frame: str | None, task: TaskOf, method: str, prefers: bool
-) -> str | None:
-    return CLOSED if method == "analytic" else None
+def _no_tasks(problem: Problem) -> str | None:
+    return CLOSED if problem.method == "analytic" else None
 
 
-def _of_chain(problem: Problem) -> Solution:
-    """The answer by the frame's own chain: by numbers, or in closed form where the method is not
-    numeric.
-    """
+def by_closed_form(problem: Problem) -> Solution:
+    """The answer in closed form, by the frame's own chain; by numbers where there is none."""
+    plan: Any = plan_or_reason(problem.system, str(problem.frame), *problem.task)
+    return _of_chain(problem, plan)
+
+
+def by_numbers(problem: Problem) -> Solution:
+    """The answer by a search over the frame's own chain."""
+    return _of_chain(problem, None)
+
+
+def _of_chain(problem: Problem, plan: ChainPlan | None) -> Solution:
+    """The answer by the frame's own chain, in closed form where there is a `plan`."""
     system = problem.system
     name = str(problem.frame)
     lead = problem.lead
@@ -234,10 +240,6 @@ def _of_chain(problem: Problem) -> Solution:
         problem.options["end"] if problem.options else deadline(spend.time_limit),
         usual,
     )
-    plan = None
-    if problem.method != "numeric":
-        found = plan_or_reason(system, name, *problem.task)
-        plan = None if isinstance(found, str) else found
     question, (q, residual, info) = _run(question, plan, base, seeds, spend.threads, lead)
     return _judged(question, base, q, residual, info, lead, seeds, spend.threads)
 
@@ -267,25 +269,17 @@ SOLVERS = (
         "closed form",
         "of all solutions of ik_all the nearest; else as chain",
         _no_closed_form,
-        _of_chain,
+        by_closed_form,
     ),
     Solver(
         "chain",
         "damped least squares over the frame's own chain, with limits and restarts",
         _no_chain,
-        _of_chain,
+        by_numbers,
     ),
     BY_TASKS,
 )
 """Who answers for targets of one frame, and for tasks."""
-
-
-@kept
-def chosen(
-    system: Model, frame: str | None, task: TaskOf, method: str, prefers: bool
-) -> tuple[Solver, Choice]:
-    """Who answers for a frame and a task of it, or, without a frame, for tasks."""
-    return choose(SOLVERS, system, frame, task, method, prefers)
 
 
 def _run(

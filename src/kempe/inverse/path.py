@@ -14,7 +14,7 @@ from kempe import spatial
 from kempe.answers import wording
 from kempe.answers.answer import Configurations
 from kempe.answers.evidence import outside_limits
-from kempe.answers.problem import NOTHING, Problem, Solver, choose, chosen_by, takes_all
+from kempe.answers.problem import NOTHING, Problem, Solver, solve, takes_all
 from kempe.answers.targets import Z_AXIS, of_target, parse_targets
 from kempe.arguments import explained, explained_methods, interruptible
 from kempe.arrays import reals
@@ -637,8 +637,7 @@ def ik_path(
         targets=targets,
         wanted=wanted,
     )
-    solver, choice = choose(SOLVERS, system)
-    return chosen_by(solver.run(problem), choice)
+    return solve(SOLVERS, problem)
 
 
 def by_steps(problem: Problem) -> IkPath:

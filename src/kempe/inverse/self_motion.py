@@ -11,7 +11,7 @@ import numpy as np
 
 from kempe.answers import wording
 from kempe.answers.answer import Configurations
-from kempe.answers.problem import NOTHING, Problem, Solver, choose, chosen_by, takes_all
+from kempe.answers.problem import NOTHING, Problem, Solver, solve, takes_all
 from kempe.answers.targets import axis_of, of_target, points_along, task_and_axis, task_of
 from kempe.arguments import explained, explained_methods, interruptible
 from kempe.arrays import is_whole
@@ -142,8 +142,7 @@ def self_motion(
     problem = Problem(
         system, "set", NOTHING, q, budget=budget, options={"direction": direction}, wanted=wanted
     )
-    solver, choice = choose(SOLVERS, system)
-    return chosen_by(solver.run(problem), choice)
+    return solve(SOLVERS, problem)
 
 
 def by_tangents(problem: Problem) -> SelfMotion:

@@ -9,11 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.answers.problem import Choice, Problem, Solver, TaskOf, choose, takes_all
+from kempe.answers.problem import Problem, Solver, takes_all
 from kempe.answers.targets import Z_AXIS, not_a_pose
 from kempe.arrays import FARTHEST
 from kempe.budget import Budget, Usual
@@ -22,14 +23,13 @@ from kempe.errors import InputError, UnsupportedError
 from kempe.inverse.all_answer import Solutions, packed
 from kempe.inverse.chain.serial_chain import inside, of_loops, shared_by
 from kempe.inverse.closed_forms.chain_lines import chain_lines
-from kempe.inverse.closed_forms.plan import ChainPlan, plan_for, side_by_side_of
+from kempe.inverse.closed_forms.plan import METHODS, SEARCH, ChainPlan, Method, plan_for
 from kempe.inverse.closed_forms.question import Question, Watch, held, near_of, within
 from kempe.inverse.closed_forms.solve import TOLERANCE, attainable, solve_held
 from kempe.inverse.spare_joints import look_further
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.compiled import maker
 from kempe.model.configurations import winding_angles
-from kempe.model.model import kept
 from kempe.poses import sound
 from kempe.spatial import Array
 from kempe.words import joined
@@ -161,7 +161,7 @@ def by_chain(problem: Problem) -> Solutions:
     values = held(name, lines.names, problem.known)
     threads = spend.threads
     watch = Watch(problem.options["time"], len(targets))
-    plan = plan_for(system, name, lines, task, direction, tuple(values))
+    plan = _plan_of(problem, values)
     wanted = TOLERANCE if problem.tolerance is None else within(problem.tolerance)
     sure = max(wanted, attainable(targets, lines))
     question = Question(
@@ -181,7 +181,7 @@ def by_chain(problem: Problem) -> Solutions:
         and single
         and system.dim == 3
         and task == "pose"
-        and plan.side_by_side
+        and plan.method.blocks is not None
         and (name,) not in system._queries
     ):
         bind(system, name)
@@ -203,22 +203,26 @@ def by_chain(problem: Problem) -> Solutions:
 # ---- the solvers, and how one is chosen
 
 
-def _no_loops(system: Model, frame: str, task: TaskOf, fixed: tuple[str, ...]) -> str | None:
+def _no_loops(problem: Problem) -> str | None:
+    system = problem.system
+    frame = str(problem.frame)
     if of_loops(system, frame) or shared_by(system, frame):
         return None
     return "the frame does not move with loops, or with joints that follow others"
 
 
-def _needs(method: str, side_by_side: bool, why: str) -> Callable[..., str | None]:
-    """A refusal of chains whose plan is another one."""
+def _plan_of(problem: Problem, values: Mapping[str, Any]) -> ChainPlan:
+    """The plan of a frame's chain with joints held at `values`."""
+    frame = str(problem.frame)
+    task, direction = problem.task
+    lines = chain_lines(problem.system, frame, direction)
+    return plan_for(problem.system, frame, lines, task, direction, tuple(values))
 
-    def refuses(system: Model, frame: str, task: TaskOf, fixed: tuple[str, ...]) -> str | None:
-        lines = chain_lines(system, frame, task[1])
-        values = held(frame, lines.names, dict.fromkeys(fixed, 0.0))
-        plan = plan_for(system, frame, lines, *task, tuple(values))
-        return None if plan.method == method and plan.side_by_side >= side_by_side else why
 
-    return refuses
+def _refuse_others(problem: Problem, method: Method) -> str | None:
+    lines = chain_lines(problem.system, str(problem.frame), problem.task[1])
+    names = held(str(problem.frame), lines.names, dict.fromkeys(problem.known, 0.0))
+    return None if _plan_of(problem, names).method == method else method.unfit
 
 
 SOLVERS = (
@@ -228,50 +232,17 @@ SOLVERS = (
         _no_loops,
         _of_loops,
     ),
-    Solver(
-        "closed form, side by side",
-        "subproblems of six turns, many targets at once; what is close is done again",
-        _needs(
-            "closed",
-            True,
-            "it is for six joints that turn, of which one equation in one unknown is left",
-        ),
-        by_chain,
-    ),
-    Solver(
-        "closed form",
-        "subproblems of the lines of the chain, and of lines that stand in for what the task "
-        "leaves",
-        _needs(
-            "closed",
-            False,
-            "no three neighbouring axes of the chain meet or are parallel, or as it takes",
-        ),
-        by_chain,
-    ),
-    Solver(
-        "elimination",
-        "sixteen roots of six lines in general",
-        _needs(
-            "elimination",
-            False,
-            "its lines are not general enough to find random configurations again",
-        ),
-        by_chain,
-    ),
-    Solver(
-        "search", "many starts: what is found, with no claim that it is all", takes_all, by_chain
+    *(
+        Solver(
+            method.name,
+            method.how,
+            takes_all if method == SEARCH else partial(_refuse_others, method=method),
+            by_chain,
+        )
+        for method in METHODS
     ),
 )
 """Who answers for all configurations of a frame."""
-
-
-@kept
-def chosen(
-    system: Model, frame: str, task: TaskOf, fixed: tuple[str, ...]
-) -> tuple[Solver, Choice]:
-    """Who answers for a frame, a task, and joints that are held."""
-    return choose(SOLVERS, system, frame, task, fixed)
 
 
 # ---- the bound form of plain calls, and the kernels
@@ -293,7 +264,7 @@ class BoundIkAll:
         self.ints = plan.ints
         self.floats = plan.floats
         self.left = np.zeros(1, dtype=np.int64)  # written, never read
-        self.new = maker(1, plan.slots, len(plan.lines) + A.INFO)
+        self.new = maker(1, plan.method.slots, len(plan.lines) + A.INFO)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return bind, (self.system, self.frame)
@@ -322,8 +293,8 @@ def bind(system: Model, frame: str) -> BoundIkAll | None:
     """The bound form for poses of a frame, None where there is none; made once."""
     lines = chain_lines(system, frame, Z_AXIS)
     plan = plan_for(system, frame, lines, "pose", Z_AXIS, ())
-    kernel = None if plan.locked or system.structure.table.at[frame][2] else side_by_side_of(plan)
-    bound = None if kernel is None else BoundIkAll(system, frame, plan, kernel)
+    blocks = None if plan.locked or system.structure.table.at[frame][2] else plan.method.blocks
+    bound = None if blocks is None else BoundIkAll(system, frame, plan, blocks())
     system._queries[(frame,)] = None if bound is None else bound.__call__
     return bound
 

@@ -17,7 +17,7 @@ from kempe.answers.targets import TASKS, Z_AXIS, frame_of
 from kempe.budget import look
 from kempe.inverse.chain.problem import FEW, ITERATIONS, MOST, outside, rows_of
 from kempe.inverse.closed_forms.descent import Aim, descend, limits_of
-from kempe.inverse.closed_forms.plan import ChainPlan, within_domains
+from kempe.inverse.closed_forms.plan import SEARCH, ChainPlan, within_domains
 from kempe.inverse.closed_forms.question import Question
 from kempe.inverse.closed_forms.start_search import frame_problem, places_in
 from kempe.inverse.multi_start import answered
@@ -102,7 +102,7 @@ def look_further(
         left = left[outside(frame_problem(question), question.targets[left]) == 0.0]
     if not len(left):
         return SpareJoints(many.locked, tried)
-    if plan.method != "search" and plan.spare:
+    if plan.method != SEARCH and plan.spare:
         left = many.stepped(left)
     left = many.searched(left, MOST, question.tolerance, True)
     left = many.searched(left, MOST, max(question.tolerance, LOOSE), True)

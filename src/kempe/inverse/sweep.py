@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from kempe import spatial
 from kempe.answers.answer import Answer, ConfigurationList
-from kempe.answers.problem import Problem, Solver, choose, chosen_by
+from kempe.answers.problem import Problem, Solver, solve
 from kempe.answers.targets import (
     AXIS_TASKS,
     Z_AXIS,
@@ -529,6 +529,8 @@ def ik_sweep(
             f"the parameter is {shown(parameter)}; it must be a name, or a name and a direction"
         )
     parameter, reference = parameter if with_reference else (parameter, None)
+    if reference is not None:
+        reference = tuple(reals(reference, "the reference of the arm angle").ravel().tolist())
     _count(USUAL.of(budget).points)
     direction = axis_for(axis, said)
     targets, lead, is_position = targets_of(system, arrays(target, "target"), said, direction)
@@ -550,8 +552,6 @@ def ik_sweep(
     if any(v.ndim for v in given.values()):
         raise InputError("a sweep holds joints at single numbers")
     options = {
-        "parameter": parameter,
-        "reference": reference,
         "base": base,
         "n": None if n is None else _count(n),
         "given": reals(target, "target"),
@@ -566,36 +566,35 @@ def ik_sweep(
         frame=name,
         task=(task, direction),
         targets=targets,
+        parameter=(parameter, reference),
     )
-    solver, choice = choose(SOLVERS, system, name, task, tuple(given), parameter, reference)
-    return chosen_by(solver.run(problem), choice)
+    return solve(SOLVERS, problem)
 
 
 # ---- the solvers
 
 
-def _no_arm(
-    system: Model, frame: str, task: str, fixed: tuple[str, ...], parameter: Any, reference: Any
-) -> str | None:
+def _no_arm(problem: Problem) -> str | None:
+    system = problem.system
+    frame = str(problem.frame)
+    parameter, reference = problem.parameter
     joints = ", ".join(chain_lines(system, frame, Z_AXIS).names)
     if parameter not in (None, ARM_ANGLE):
         return f"joint {parameter!r} is named as the parameter"
-    if task != "pose" or fixed:
+    if problem.task[0] != "pose" or problem.known:
         return f"the arm angle is for poses, with no joint held; name a joint: {joints}"
     arm = find_arm(system, frame, reference)
     return no_arm(system, frame, arm) if isinstance(arm, str) else None
 
 
-def _no_joint(
-    system: Model, frame: str, task: str, fixed: tuple[str, ...], parameter: Any, reference: Any
-) -> str | None:
-    return "the arm angle is requested" if parameter == ARM_ANGLE else None
+def _no_joint(problem: Problem) -> str | None:
+    return "the arm angle is requested" if problem.parameter[0] == ARM_ANGLE else None
 
 
 def by_arm_angle(problem: Problem) -> Sweep:
     """The branches of an arm over its arm angle, in closed form."""
     over = _sweep_problem(problem)
-    arm = required_arm(problem.system, over.frame, problem.options["reference"])
+    arm = required_arm(problem.system, over.frame, problem.parameter[1])
     return _sweep(over, ArmCurves(over, arm), problem.options["n"])
 
 
@@ -603,9 +602,7 @@ def by_joint(problem: Problem) -> Sweep:
     """The branches over a joint, from solutions at many of its values."""
     over = _sweep_problem(problem)
     points = _count(USUAL.of(problem.budget).points)
-    return _sweep(
-        over, _joint_curves(over, problem.options["parameter"], points), problem.options["n"]
-    )
+    return _sweep(over, _joint_curves(over, problem.parameter[0], points), problem.options["n"])
 
 
 SOLVERS = (

@@ -9,7 +9,7 @@ import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -47,6 +47,76 @@ AGAIN = 1e-6
 is found again."""
 
 
+# ---- how a plan can be carried out
+
+
+def _closed() -> Callable[..., None]:
+    from kempe.kernels.compiled import every_solution
+
+    return every_solution.closed
+
+
+def _blocks() -> Callable[..., int]:
+    from kempe.kernels.compiled import candidate_blocks
+
+    return candidate_blocks.closed_side_by_side
+
+
+def _eliminate() -> Callable[..., None]:
+    from kempe.kernels.compiled import elimination_ik
+
+    return elimination_ik.general
+
+
+class Method(NamedTuple):
+    """A way to solve the lines of a chain: a row of the solvers of `ik_all`.
+
+    `name` and `how` are those of the row, `unfit` says why it is not for a chain, `word` is its
+    short name. Its answers have `slots` rows; `piece` is how many targets it solves between two
+    looks at the clock. `kernel` gives the function that solves one target after the other, None for
+    a search, and `blocks` the one that solves several side by side, if there is one.
+    """
+
+    name: str
+    how: str
+    unfit: str
+    word: str
+    slots: int = A.SLOTS
+    piece: int = 512
+    kernel: Callable[[], Callable[..., None]] | None = None
+    blocks: Callable[[], Callable[..., int]] | None = None
+
+
+SIDE_BY_SIDE = Method(
+    "closed form, side by side",
+    "subproblems of six turns, many targets at once; what is close is done again",
+    "it is for six joints that turn, of which one equation in one unknown is left",
+    "closed form",
+    slots=EIGHT,
+    piece=2**62,
+    kernel=_closed,
+    blocks=_blocks,
+)
+CLOSED_FORM = Method(
+    "closed form",
+    "subproblems of the lines of the chain, and of lines that stand in for what the task leaves",
+    "no three neighbouring axes of the chain meet or are parallel, or as it takes",
+    "closed form",
+    kernel=_closed,
+)
+ELIMINATION = Method(
+    "elimination",
+    "sixteen roots of six lines in general",
+    "its lines are not general enough to find random configurations again",
+    "elimination",
+    piece=64,
+    kernel=_eliminate,
+)
+SEARCH = Method("search", "many starts: what is found, with no claim that it is all", "", "search")
+METHODS = (SIDE_BY_SIDE, CLOSED_FORM, ELIMINATION, SEARCH)
+"""The methods, the best first."""
+
+
 @dataclass(frozen=True, eq=False)
 class Extra:
     """Lines that complete a chain, in its frame of reference: roles say whether they may move."""
@@ -62,7 +132,7 @@ class ChainPlan:
     """How a chain's inverse model is solved: packed for the kernels, with what a reader wants to
     know.
 
-    `method` is "closed", "elimination" or "search"; `locked` are the joints held at values: those
+    `method` says how it is carried out; `locked` are the joints held at values: those
     `fixed` by whoever asks, and others where the chain has more than the task needs, which are at
     `first` (n,) where nobody says where. `extra` are the lines that complete the rest to six.
     `blurred`: lengths leave so few digits that roots may be lost.
@@ -71,7 +141,7 @@ class ChainPlan:
     lines: Lines
     task: str
     locked: tuple[int, ...]
-    method: str
+    method: Method
     way: Strategy | None
     extra: Extra = field(repr=False)
     ints: np.ndarray = field(repr=False)
@@ -97,29 +167,17 @@ class ChainPlan:
     def other(self) -> ChainPlan | None:
         """Another plan for the same, with other lines at rest; None where there is none."""
         found = make(self.lines, self.task, self.locked, self.planar, self.extra)
-        return found if found.method != "search" else None
+        return None if found.method == SEARCH else found
 
-    @cached_property
-    def side_by_side(self) -> bool:
-        """Whether many targets are solved side by side: six turning joints, an equation in one
-        unknown.
+    def fill(self, *given: Any) -> None:
+        """Write the solutions of targets, one after the other.
+
+        Given are targets (N, 4, 4), coordinates near which angles are given and those of locked
+        joints (1 or N, n), tolerances of positions and angles, whether the target is a single one,
+        the indices of the targets to solve, and the rows (N, K, n + 2) and counts (N, 2) to write.
         """
-        way = self.way
-        lines = self.lines
-        if way is None or self.task != "pose" or way.mode not in (X_FIRST, Z_FIRST):
-            return False
-        if (
-            tuple(sorted(way.order)) != way.order
-            or way.order[-1] >= len(lines)
-            or np.any(lines.kinds == SLIDE)
-        ):
-            return False
-        return (way.inner, way.option) not in ((1, 0), (2, 1))
-
-    @property
-    def slots(self) -> int:
-        """Rows of an answer."""
-        return EIGHT if self.side_by_side else A.SLOTS
+        assert self.method.kernel is not None
+        self.method.kernel()(self.ints, self.floats, *given)
 
     @cached_property
     def plain(self) -> bool:
@@ -352,26 +410,6 @@ def _by_elimination(
 # ---- kernels, and arrays packed for them
 
 
-def kernel_of(plan: ChainPlan) -> Callable[..., None]:
-    """The kernel that carries out a plan."""
-    if plan.method == "elimination":
-        from kempe.kernels.compiled import elimination_ik
-
-        return elimination_ik.general
-    from kempe.kernels.compiled import every_solution
-
-    return every_solution.closed
-
-
-def side_by_side_of(plan: ChainPlan) -> Callable[..., int] | None:
-    """The kernel that solves many targets side by side, None where the plan is not made for it."""
-    if not plan.side_by_side:
-        return None
-    from kempe.kernels.compiled import candidate_blocks
-
-    return candidate_blocks.closed_side_by_side
-
-
 def _parts(extra: Extra) -> tuple[np.ndarray, Array, Array, np.ndarray]:
     return extra.kinds, extra.h, extra.o, extra.roles
 
@@ -467,8 +505,21 @@ def pack(
     axes = Axes(np.zeros(n + k), np.vstack([lines.h, extra.h]), np.vstack([lines.o, extra.o]))
     joints = np.column_stack([lines.offset, lines.multiplier, *lines.limits]).ravel()
     floats = np.concatenate([head, axes.packed(), joints])
-    method = "closed" if way is not None else "search" if forms is None else "elimination"
+    method = SEARCH if forms is None else ELIMINATION
+    if way is not None:
+        method = SIDE_BY_SIDE if _in_blocks(lines, task, way) else CLOSED_FORM
     return ChainPlan(lines, task, locked, method, way, extra, ints, floats)
+
+
+def _in_blocks(lines: Lines, task: str, way: Strategy) -> bool:
+    """Whether several targets are solved side by side: six turning joints, an equation in one
+    unknown.
+    """
+    if task != "pose" or way.mode not in (X_FIRST, Z_FIRST) or np.any(lines.kinds == SLIDE):
+        return False
+    if tuple(sorted(way.order)) != way.order or way.order[-1] >= len(lines):
+        return False
+    return (way.inner, way.option) not in ((1, 0), (2, 1))
 
 
 def _error(plan: ChainPlan) -> float:
@@ -480,17 +531,15 @@ def _error(plan: ChainPlan) -> float:
     n = len(lines)
     floats = plan.floats.copy()  # limits do not matter here
     floats[-A.JOINT_FLOATS * n :].reshape(n, -1)[:, A.LOW :] = -np.inf, np.inf
-    out = np.empty((TRIALS, plan.slots, n + A.INFO))
+    out = np.empty((TRIALS, plan.method.slots, n + A.INFO))
     numbers = np.arange(TRIALS)
-    kernel = side_by_side_of(plan)
-    if kernel is not None:
+    if plan.method.blocks is not None:
+        kernel = plan.method.blocks()
         q[:, list(plan.locked)] = q[0, list(plan.locked)]
         kernel(plan.ints, floats, targets_at(lines, plan.extra, q), q, q[:1], 0, out, numbers)
     else:
         counts = np.empty((TRIALS, 2), dtype=np.int64)
-        kernel_of(plan)(
-            plan.ints,
-            floats,
+        replace(plan, floats=floats).fill(
             targets_at(lines, plan.extra, q),
             q,
             q,
@@ -559,12 +608,12 @@ def plan_holding(lines: Lines, task: str, fixed: tuple[int, ...], planar: bool) 
         plans = plans or [
             p
             for p in (make(lines, task, x, planar) for x in group[:ELIMINATED])
-            if p.method != "search"
+            if p.method != SEARCH
         ]
         for k, bare in enumerate(plans):
             look()
             plan = replace(bare, first=_first(bare, fixed))
-            key = (_rank(plan), -round(_share(plan) / STEP), k)
+            key = (METHODS.index(plan.method), -round(_share(plan) / STEP), k)
             if best is None or key < best[0]:
                 best = key, plan
         if carried and best is not None:
@@ -615,13 +664,6 @@ def _carries(lines: Lines, unknown: list[int], choice: tuple[int, ...]) -> bool:
     return bool(slides) and set(slides) <= set(choice)
 
 
-def _rank(plan: ChainPlan) -> float:
-    """How a plan is solved, 0 the fastest."""
-    if plan.method == "closed":
-        return 0.0 if plan.side_by_side else 1.0
-    return 2.0
-
-
 def _first(plan: ChainPlan, fixed: tuple[int, ...]) -> tuple[float, ...]:
     """Coordinates (n,) at which joints are held by choice where nobody says where: zero, inside the
     limits.
@@ -632,7 +674,7 @@ def _first(plan: ChainPlan, fixed: tuple[int, ...]) -> tuple[float, ...]:
     lines = plan.lines
     n = len(plan.lines)
     zero = np.clip(np.zeros(n), *lines.limits)
-    if plan.method != "elimination":
+    if plan.method != ELIMINATION:
         return tuple(zero.tolist())
     rng = np.random.default_rng(23)
     theta = spread(lines, rng, 2)
@@ -669,9 +711,7 @@ def _share(plan: ChainPlan) -> float:
     out = np.empty((SAMPLES, A.SLOTS, n + A.INFO))
     counts = np.empty((SAMPLES, 2), dtype=np.int64)
     tolerance = 1e-9 * max(lines.length, 1.0)
-    kernel_of(plan)(
-        plan.ints,
-        plan.floats,
+    plan.fill(
         targets_at(lines, plan.extra, q),
         held,
         held,
@@ -741,7 +781,7 @@ def plan_or_reason(
         plan = plan_for(system, frame, chain_lines(system, frame, axis), task, axis, ())
     except UnsupportedError as error:
         return str(error)
-    if plan.method != "search" and not plan.locked:
+    if plan.method != SEARCH and not plan.locked:
         return plan
     why = (
         "has more joints than the task needs"

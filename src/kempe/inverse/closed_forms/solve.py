@@ -9,7 +9,7 @@ import numpy as np
 from kempe.answers.targets import Z_AXIS, frame_of
 from kempe.budget import look
 from kempe.inverse.closed_forms.chain_lines import Lines
-from kempe.inverse.closed_forms.plan import ChainPlan, kernel_of, side_by_side_of
+from kempe.inverse.closed_forms.plan import SEARCH, ChainPlan
 from kempe.inverse.closed_forms.question import Question
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.forward.table_layout import SLIDE
@@ -22,10 +22,8 @@ TOLERANCE = 1e-9
 EPSILON = float(np.finfo(float).eps)
 CHUNK = 256
 SERIAL_BELOW = 4096
-PIECE = 512
 ELIMINATED = 64
-"""Targets of a chunk between two looks at the clock: in closed form, and by elimination, which
-takes ten times as long. Both are multiples of the targets that are solved side by side."""
+"""Targets that another plan solves between two looks at the clock."""
 FAR = 300.0
 """Lengths of a chain with slides beyond which these are so long that its equations may say nothing
 of the rest."""
@@ -71,17 +69,15 @@ def solve_held(
     if question.axis != Z_AXIS:
         targets = targets.copy()
         targets[:, :3, :3] = targets[:, :3, :3] @ frame_of(np.array(question.axis))
-    out = np.empty((n, plan.slots, len(lines) + A.INFO))
+    out = np.empty((n, plan.method.slots, len(lines) + A.INFO))
     counts = np.zeros((n, 2), dtype=np.int64)
-    if plan.method == "search":
+    if plan.method == SEARCH:
         from kempe.inverse.closed_forms.start_search import search
 
         search(question, plan, chain_near, locked, out, counts, np.arange(n))
         return out, counts
-    side_by_side = side_by_side_of(plan)
-    piece = (
-        ELIMINATED if plan.method == "elimination" else PIECE if side_by_side is None else max(n, 1)
-    )
+    blocks = None if plan.method.blocks is None else plan.method.blocks()
+    piece = plan.method.piece
     if not plan.locked:
         locked = locked[:1]
 
@@ -100,21 +96,19 @@ def solve_held(
         some = chain_near[i:j] if len(chain_near) > 1 else chain_near
         held_at = locked[i:j] if len(locked) > 1 else locked
         which = np.arange(j - i)
-        if side_by_side:
+        if blocks is not None:
             padded = (
                 np.resize(some, (A.LANES, len(lines)))
                 if 1 < len(some) < A.LANES and len(locked) == 1
                 else some
             )
-            left = side_by_side(
+            left = blocks(
                 plan.ints, plan.floats, targets[i:j], padded, held_at, int(single), out[i:j], which
             )
             if left <= 0:
                 return 0
             which = which[:left].copy()
-        kernel_of(plan)(
-            plan.ints,
-            plan.floats,
+        plan.fill(
             targets[i:j],
             some,
             held_at,
@@ -138,9 +132,7 @@ def solve_held(
             if question.stopped(some):
                 counts[some, 1] = 1
                 continue
-            kernel_of(other)(
-                other.ints,
-                other.floats,
+            other.fill(
                 targets,
                 chain_near,
                 locked,

@@ -119,7 +119,7 @@ def _solutions(
         if all(_gap(lines, theta[k], x) > APART for x in found):
             found.append(theta[k])
             error.append(size[k] * max(lines.length, 1.0))
-        if len(found) == plan.slots:
+        if len(found) == plan.method.slots:
             break
     return np.array(found, dtype=float).reshape(-1, len(lines)), np.array(error)
 
