@@ -40,6 +40,7 @@ from kempe.numerics.least_squares import (
     Bend,
     bounded,
     damped,
+    least_in_box,
     part_within,
     scaled,
 )
@@ -548,8 +549,8 @@ class ConstrainedSteps:
             most = np.maximum(high * dt - moved, 0.0)
             more = -np.linalg.pinv(C, rcond=1e-8) @ error
             if (more < least).any() or (more > most).any():
-                A = np.concatenate([C, LEAST * np.eye(len(more))])
-                more = bounded(A, np.concatenate([-error, np.zeros(len(more))]), least, most, more)
+                H = C.T @ C + LEAST**2 * np.eye(len(more))
+                more = least_in_box(H, -C.T @ error, least, most)[0]
             x = system.structure.layout.integrate(x, more * self.scale)
         return None
 
@@ -665,7 +666,7 @@ class _Descent:
         high = np.append(most, high)
         weak = SHIFT * NEAR * (float(np.linalg.norm(equations, 2)) or 1.0)
         metric = np.concatenate([equations, weak * np.eye(len(y))])
-        return bounded(metric, metric @ y, low, high, np.zeros(len(y)), G)
+        return bounded(metric, metric @ y, low, high, G)
 
     def _bound(self, G: Array, low: Array, high: Array) -> None:
         self.G = np.concatenate([self.G, G])

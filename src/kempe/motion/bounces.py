@@ -16,6 +16,7 @@ import numpy as np
 
 from kempe.budget import look
 from kempe.numerics.clock import TimeLimit
+from kempe.numerics.roots import sign_change
 from kempe.singular_values import svd
 from kempe.spatial import Array
 
@@ -683,11 +684,6 @@ def _parabola(t: float, y: Array, v: Array, a: Array, s: Array) -> tuple[Array, 
 
 
 def zero_of(f: Callable[[float], float], a: float, b: float) -> float:
-    """A zero between a and b, at which the signs of f differ; the end that is a zero."""
-    fa = f(a)
-    fb = f(b)
-    if fa == 0.0 or fb == 0.0 or (fa > 0.0) == (fb > 0.0):
-        return a if fa == 0.0 else b
-    from scipy import optimize
-
-    return float(cast(Any, optimize).brentq(f, a, b, xtol=1e-16, rtol=1e-15))
+    """A zero between a and b, at which the signs of f differ; b where they do not."""
+    zero = sign_change(f, a, b)
+    return b if zero is None else zero

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from pathlib import Path as FilePath
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,6 +33,7 @@ from kempe.model.time_coordinate import clocked, timed
 from kempe.motion.crossings import branch_lines, hold_rank, locate, singular_node
 from kempe.motion.events import AWKWARD, OneSidedEnds, checked, root
 from kempe.motion.path import Event
+from kempe.motion.rolling import coordinate_rates
 from kempe.motion.spin_lock import lock_spins, spin_lock_of
 from kempe.motion.start import (
     angle_or_slide,
@@ -340,9 +341,8 @@ def _land_on_crossing(
 # ---- inputs of what rolls
 
 # All else follows by integration, and the motion must not slip. The velocities satisfy the inputs
-# and the loops; among those that do, the ones that slip least are taken. They are integrated by the
-# classical method of Runge and Kutta, and after each sample the inputs have their values and the
-# loops are closed. Whether the motion slips is decided by its samples.
+# and the loops; among those that do, the ones that slip least are taken. After each sample the inputs
+# have their values and the loops are closed. Whether the motion slips is decided by its samples.
 
 STEP = 0.02
 """Longest step of integration, in radians and characteristic lengths."""
@@ -350,6 +350,8 @@ MOST = 10_000
 """Steps at most between two samples."""
 MIDDLE = 12
 """Repetitions after which the middle of a step is known."""
+ERROR = 1e-9
+"""Local error of the integration."""
 MISS = 1e-9
 """By how much loops may miss the velocities of inputs, of rows of size 1."""
 
@@ -515,7 +517,7 @@ class _Follow:
         x = q
         for k in range(parts):
             self.time.check()
-            x = self._runge_kutta(x, t0 + k * h / parts, h / parts, values[2 * k : 2 * k + 3])
+            x = self._integrated(x, t0 + k * h / parts, h / parts, values[2 * k : 2 * k + 3])
         # between samples of inputs that are too many, straight lines do, if those at samples do not
         if self.slips:
             x = self._middle(q, t0, h, u, end)
@@ -523,17 +525,21 @@ class _Follow:
         near[self.closure.place[self.index[: len(end)]]] = end
         return close(Closure(self.system, self.index, near), near)
 
-    def _runge_kutta(self, q: Array, t: float, h: float, values: list[Array]) -> Array:
-        """One step of the classical method, along the parabola through three values of the inputs."""
+    def _integrated(self, q: Array, t: float, h: float, values: list[Array]) -> Array:
+        """The configuration (nq,) after a step, along the parabola through three values of the
+        inputs.
+        """
+        from scipy import integrate  # only here: it takes long
+
         a, m, b = values
-        first = (4 * m - 3 * a - b) / h
-        middle = (b - a) / h
-        last = (a - 4 * m + 3 * b) / h
-        k1 = self.at(q, t, first)
-        k2 = self.at(self.closure.move(q, 0.5 * h * k1), t + 0.5 * h, middle)
-        k3 = self.at(self.closure.move(q, 0.5 * h * k2), t + 0.5 * h, middle)
-        k4 = self.at(self.closure.move(q, h * k3), t + h, last)
-        return self.closure.move(q, h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4))
+
+        def slope(s: float, x: Array) -> Array:
+            part = s / h
+            speeds = (4.0 * m - 3.0 * a - b + 4.0 * part * (a + b - 2.0 * m)) / h
+            return coordinate_rates(self.system, x, self.at(x, t + s, speeds) * self.closure.unit)
+
+        solve = cast(Any, integrate).solve_ivp
+        return solve(slope, (0.0, h), q, first_step=h, rtol=ERROR, atol=ERROR).y[:, -1]
 
     def _middle(self, q: Array, t: float, h: float, u: Array, end: Array) -> Array:
         """One step by the velocities that slip least in its own middle."""

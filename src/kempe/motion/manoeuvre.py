@@ -10,7 +10,7 @@ import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,6 +29,7 @@ from kempe.motion.reeds_shepp import QUARTER, refined, ways, wrapped
 from kempe.motion.rolling import slip
 from kempe.motion.wheeled import Axle, axle_of
 from kempe.numerics.clock import SHORT, TimeLimit, begun_within
+from kempe.numerics.roots import sign_change
 from kempe.spatial import Array
 from kempe.words import counted
 
@@ -292,9 +293,6 @@ class Steering:
         return self._known[curvature]
 
     def _search(self, curvature: float) -> list[float]:
-        from scipy import optimize
-
-        solve = cast(Any, optimize).brentq
         wanted = math.atan(curvature * self.unit)
 
         def off(s: float) -> float:
@@ -304,11 +302,9 @@ class Steering:
         found = [float(s) for s in found if self.grid[0] <= s <= self.grid[-1]]
         gap = np.array([math.remainder(b - wanted, math.pi) for b in self.bends])
         for k in np.flatnonzero((gap[:-1] * gap[1:] <= 0.0) & (np.abs(np.diff(gap)) < 1.0)):
-            s = self.grid[k] if gap[k] == 0.0 else self.grid[k + 1]
-            if gap[k] * gap[k + 1] < 0.0:
-                s = solve(off, self.grid[k], self.grid[k + 1], xtol=1e-15)
-            if all(abs(s - other) > 1e-9 for other in found):
-                found.append(float(s))
+            s = sign_change(off, float(self.grid[k]), float(self.grid[k + 1]))
+            if s is not None and all(abs(s - other) > 1e-9 for other in found):
+                found.append(s)
         return found
 
     def tightest(self) -> float:

@@ -24,6 +24,7 @@ from kempe.forward.fk import jacobian
 from kempe.model.time_coordinate import clocked, timed
 from kempe.numerics.clock import BROKEN_OFF, TimeLimit
 from kempe.numerics.newton import gauss_newton
+from kempe.numerics.roots import sign_change
 from kempe.singular_values import svd
 from kempe.spatial import Array, quat_wxyz_multiply, unit
 
@@ -160,14 +161,7 @@ class Velocities:
 
     def slope(self, t: float, q: Array) -> Array:
         """The rates (nq,) of the coordinates, those of quaternions included."""
-        layout = self.system.structure.layout
-        v = self.at(q, t)
-        out = np.zeros(len(q))
-        out[layout.vector_q] = v[layout.vector_v]
-        for i, k in zip(layout.quaternion_q.tolist(), layout.quaternion_v.tolist(), strict=True):
-            turn = np.concatenate([[0.0], v[k : k + 3]])
-            out[i : i + 4] = 0.5 * quat_wxyz_multiply(q[i : i + 4], turn)
-        return out
+        return coordinate_rates(self.system, q, self.at(q, t))
 
     def closed(self, q: Array, t: float) -> Array:
         """The configuration (nq,) nearest to q that meets the position constraints at time t."""
@@ -184,6 +178,17 @@ class Velocities:
         return gauss_newton(
             closure.both, q, CORRECTIONS, cut=RANK, met=closure.tolerance(q), move=closure.move
         ).x
+
+
+def coordinate_rates(system: Model, q: Array, v: Array) -> Array:
+    """The rates (nq,) of the coordinates at velocities (nv,), those of quaternions included."""
+    layout = system.structure.layout
+    out = np.zeros(len(q))
+    out[layout.vector_q] = v[layout.vector_v]
+    for i, k in zip(layout.quaternion_q.tolist(), layout.quaternion_v.tolist(), strict=True):
+        turn = np.concatenate([[0.0], v[k : k + 3]])
+        out[i : i + 4] = 0.5 * quat_wxyz_multiply(q[i : i + 4], turn)
+    return out
 
 
 def _checked(name: str, u: Any) -> Input:
@@ -310,17 +315,11 @@ def _limit(
         x = rows.values(dense(t))
         return np.maximum(rows.low - x, x - rows.high) / (1e-3 * rows.slack)
 
-    k = int(np.argmax(over(b)))
-    for _ in range(60):
-        m = 0.5 * (a + b)
-        beyond = over(m)
-        if beyond.max() > 1.0:
-            b = m
-            k = int(np.argmax(beyond))
-        else:
-            a = m
+    stop = sign_change(lambda t: float(over(t).max()) - 1.0, a, b)
+    stop = a if stop is None else stop
+    k = int(np.argmax(over(b if stop == a else stop)))
     what = "its limit" if k >= rows.declared else "its bound"
-    return a, f"it stops at time {a:.9g}, where {rows.names[k]!r} meets {what}"
+    return stop, f"it stops at time {stop:.9g}, where {rows.names[k]!r} meets {what}"
 
 
 def slip(system: Model, t: Array, q: Array, v: Array) -> float:

@@ -86,8 +86,7 @@ def damped(
         return least_in_box(H, H @ x, low, high)[0]
     kept = hard > 0.0
     rows = np.concatenate([A, hard[kept, None] * Vt[:k][kept], weak * np.eye(n)])
-    still = np.zeros(len(Vt))
-    return bounded(rows, rows @ x, low, high, still, G)
+    return bounded(rows, rows @ x, low, high, G)
 
 
 def _way_out(A: Array, b: Array, s: Array, Vt: Array, bend: Bend) -> tuple[float, Array] | None:
@@ -222,9 +221,7 @@ def _relieved(y: Array, spare: Array, low: Array, high: Array, G: Array) -> Arra
     speed = min(float(value.max()), 0.5 * float(width.max(initial=0.0))) or 1.0
     B = np.diag(np.append(1.0, np.full(len(spare), NULL_SPEED / speed)))
     rows = np.column_stack([G @ y, G @ spare.T])
-    x = bounded(
-        B, np.eye(len(B))[0], np.minimum(low, 0.0), np.maximum(high, 0.0), np.zeros(len(B)), rows
-    )
+    x = bounded(B, np.eye(len(B))[0], np.minimum(low, 0.0), np.maximum(high, 0.0), rows)
     return x[0] * y + spare.T @ x[1:]
 
 
@@ -260,52 +257,34 @@ def least_in_box(H: Array, push: Array, low: Array, high: Array) -> tuple[Array,
     return z, free
 
 
-def bounded(
-    A: Array, b: Array, low: Array, high: Array, first: Array, G: Array | None = None
-) -> Array:
+def bounded(A: Array, b: Array, low: Array, high: Array, G: Array) -> Array:
     """The x (n,) with low <= G x <= high that makes |A x - b| least: active set (Stark and Parker,
     1995).
 
-    Without G the bounds are those of x: `first` (n,) says which are tried first, those that it
-    violates. With G, whose rows then need not be independent, `first` must be within them. A must
-    have full column rank.
+    Zero must be within the bounds, and A must have full column rank; rows of G may depend on each
+    other.
     """
-    plain = G is None
-    eye = np.eye(A.shape[1])
-    rows: Array = eye if G is None else G
-    x = np.minimum(np.maximum(first, low), high) if plain else first.copy()
-    held = (first <= low) | (first >= high) if plain else np.zeros(len(low), dtype=bool)
+    x = np.zeros(A.shape[1])
+    held = np.zeros(len(low), dtype=bool)
     for _ in range(10 * len(low) + 10):
-        Z = eye[:, ~held] if plain else Spectrum(rows[held], 1.0).null(Level.CLOSED)
+        Z = Spectrum(G[held], 1.0).null(Level.CLOSED)
         if Z.shape[1]:
             step = Z @ np.linalg.lstsq(A @ Z, b - A @ x, rcond=None)[0]
-            value = rows @ x
-            way = rows @ step
-            slack = 0.0 if plain else SLACK * max(1.0, float(np.abs(way).max(initial=0.0)))
-            over = ~held & (
-                ((way < 0.0) & (value + way < low - slack))
-                | ((way > 0.0) & (value + way > high + slack))
-            )
+            value = G @ x
+            way = G @ step
+            slack = SLACK * max(1.0, float(np.abs(way).max(initial=0.0)))
+            below = (way < 0.0) & (value + way < low - slack)
+            over = ~held & (below | ((way > 0.0) & (value + way > high + slack)))
             if over.any():
                 ratio = np.where(way < 0.0, low - value, high - value)[over] / way[over]
-                part = min(max(float(ratio.min()), 0.0), 1.0)
-                block = (
-                    np.flatnonzero(over)[ratio <= part]
-                    if plain
-                    else np.flatnonzero(over)[[np.argmin(ratio)]]
-                )
-                x = x + part * step
-                if plain:  # to the last bit
-                    x = np.minimum(np.maximum(x, low), high)
-                    x[block] = np.where(way[block] < 0.0, low[block], high[block])
-                held[block] = True
+                x = x + min(max(float(ratio.min()), 0.0), 1.0) * step
+                held[np.flatnonzero(over)[np.argmin(ratio)]] = True
                 continue
             x = x + step
-        slope = A.T @ (A @ x - b)
         if not held.any():
             break
-        at_low = rows[held] @ x - low[held] <= high[held] - rows[held] @ x
-        push = slope[held] if plain else np.linalg.lstsq(rows[held].T, slope, rcond=None)[0]
+        at_low = G[held] @ x - low[held] <= high[held] - G[held] @ x
+        push = np.linalg.lstsq(G[held].T, A.T @ (A @ x - b), rcond=None)[0]
         pull = np.where(low[held] < high[held], np.where(at_low, -push, push), 0.0)
         worst = int(np.argmax(pull))
         if pull[worst] <= INWARD * max(1.0, float(np.abs(b).max(initial=0.0))):
