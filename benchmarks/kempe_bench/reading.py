@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib.util
+import tempfile
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +15,8 @@ from kempe_bench.timing import Case, Grid, measure
 
 URDF = ("panda.urdf", "tiago.urdf", "talos_full_v2.urdf")
 SDF = ("cassie_v2.sdf",)
+LOOPS = ("cassie.sdf", "cassie_v2.sdf")
+"""CAD robots of six and of four loops."""
 MJCF = ("testdata/model.xml",)
 """Files inside MuJoCo's package."""
 
@@ -35,13 +39,35 @@ def files(bench: Bench) -> Grid:
                 for who, read in [make()]
             ]
             table.rows += measure(timed, 1e3)
+    for path in filter(None, map(peers.robot_file, LOOPS)):
+        timed = [
+            Case("Kempe", f"{path.name}, {what}", "answer(path)", {"answer": answer, "path": path})
+            for what, answer in (("closed", _closed), ("page", _page))
+        ]
+        table.rows += measure(timed, 1e3)
     table.remarks += [
+        "closed: read, and the first `assemble`, which also looks for the nearest mechanism that "
+        "closes exactly; page: closed and written by `save_html`",
         "Kempe reads strictly, keeps shapes and notes, and finds loops; Pinocchio and Drake read no "
         "meshes here, MuJoCo compiles them",
         "Drake: parsed only, for it refuses to finalize a model with loops, as that of Cassie",
         "MJCF: Kempe calls MuJoCo's compiler in a process with limits, which has to start first",
     ]
     return table
+
+
+def _closed(path: Path) -> tuple[kempe.System, Any]:
+    """The system of a file, and a configuration that closes its loops."""
+    system = kempe.load(path)
+    return system, system.assemble().expect().q
+
+
+def _page(path: Path) -> None:
+    """Write a page with the closed system."""
+    system, q = _closed(path)
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of meshes that are not drawn
+        system.save_html(Path(folder) / "page.html", q)
 
 
 def _of_mujoco(name: str) -> Path | None:

@@ -21,6 +21,7 @@ from kempe.model.configurations import home_of
 pytest.importorskip("matplotlib")
 from kempe.views import plots
 from kempe.views.drawing import callouts, labels, page, shapes, symbols
+from kempe.views.drawing.plot_request import usual_configuration
 from kempe.views.drawing.scene import look
 from kempe.views.drawing.solids import Solids, flat_hull
 
@@ -756,14 +757,14 @@ def test_without_matplotlib_the_error_names_the_extra():
 def test_what_is_drawn_by_default_holds(name):
     """The default configuration satisfies all that is declared, where assembling from home can."""
     system = kempe.load(name)
-    q = plots._usual(system, None)
+    q = usual_configuration(system, None)
     assert judge(system, q) or not system.assemble(start=home_of(system))
 
 
 def test_a_ball_rests_on_its_ground():
     solids = kempe.load("ball").plot()
     assert solids.get_zlim()[0] <= 1e-9 and solids.get_zlim()[1] >= 0.2 - 1e-9
-    q = plots._usual(kempe.load("ball"), None)
+    q = usual_configuration(kempe.load("ball"), None)
     assert q[2] >= 0.1 - 1e-9
 
 
@@ -782,7 +783,7 @@ def test_what_rolls_stands_on_its_plane(dim):
     m = Mechanism("coin", dim)
     m.free("J", m.ground, m.body("coin"))
     m.constrain(constraints.Rolls("coin", radius=0.3, shape="disc"), "rolls")
-    scene = look(system := m.build(), plots._usual(system, None))
+    scene = look(system := m.build(), usual_configuration(system, None))
     (mark,) = scene.marks
     assert mark.symbol == "wheel" and mark.disc and mark.radius == 0.3
     np.testing.assert_allclose(np.linalg.norm(mark.point - mark.plane[0]), 0.3, atol=1e-8)

@@ -431,7 +431,7 @@ class Output:
         if not files:
             return
         if shown is None:
-            from kempe.views.plots import configuration_of
+            from kempe.views.drawing.plot_request import configuration_of
 
             shown = configuration_of(system, None)
         rows = np.reshape(getattr(shown, "q", shown), (-1, system.nq))

@@ -17,9 +17,10 @@ from kempe.errors import InputError, UnsupportedError, shown
 from kempe.model.configurations import has_loops, interpolate
 from kempe.spatial import Array
 from kempe.views.drawing import page
+from kempe.views.drawing.plot_request import motion_of
 from kempe.views.drawing.scene import look
 from kempe.views.plot_options import PlotOptions
-from kempe.views.plots import drawing_of, motion_of, subject_of
+from kempe.views.plots import drawing_of, subject_of
 from kempe.words import counted
 
 if TYPE_CHECKING:

@@ -7,7 +7,6 @@ this module needs the extra [view]. Errors: `MissingExtraError` without matplotl
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -16,21 +15,23 @@ import numpy as np
 
 from kempe.arguments import explained, listed, with_options
 from kempe.arrays import is_sequence, reals
-from kempe.equations.judge import judge
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.forward.fk import fk
 from kempe.model.configurations import (
     as_q,
-    distance,
     has_loops,
-    home_of,
     integrate,
-    q_from_dict,
     units,
 )
 from kempe.spatial import Array
 from kempe.views.drawing import page, style
-from kempe.views.drawing.plot_request import Subject
+from kempe.views.drawing.plot_request import (
+    FARTHEST,
+    Subject,
+    configurations_of,
+    motion_of,
+    usual_configuration,
+)
 from kempe.views.drawing.scene import look
 from kempe.views.plot_options import PlotOptions
 from kempe.words import counted
@@ -40,10 +41,6 @@ if TYPE_CHECKING:
 
     from kempe.model.model import Model
 
-FARTHEST = 1e15
-"""Coordinates up to which a configuration is drawn: squares of distances must stay finite."""
-MOST = 32
-"""Configurations that one picture shows at most."""
 ACROSS = 4
 """Pictures beside one another."""
 ALONG = {"arc length": "s", "time [s]": "t"}
@@ -88,7 +85,7 @@ def plot(system: Model, q: Any = None, *, path: Any = None, **options: Any) -> A
     if path is None and getattr(q, "is_motion", False):
         q, path = None, q
     way, drivers = motion_of(system, path)
-    several, titles = _configurations(system, q, way)
+    several, titles = configurations_of(system, q, way)
     given = tuple(listed(chosen.titles, "titles"))
     if given and len(given) != len(several):
         raise InputError(
@@ -139,7 +136,9 @@ def bare(system: Model) -> Axes:
     """Axes with the system as it is drawn by default, in a figure of their own that nothing else
     knows of.
     """
-    subject = subject_of(system, _usual(system, None)[None], None, None, (), PlotOptions(), ())
+    subject = subject_of(
+        system, usual_configuration(system, None)[None], None, None, (), PlotOptions(), ()
+    )
     return drawing_of(system).picture(subject, None, make=page.bare_figure)
 
 
@@ -335,37 +334,6 @@ def _apart(count: int, k: int) -> tuple[int, int]:
     return (k * every // len(MARKERS)) % max(count, 1), every
 
 
-def configuration_of(system: Model, q: Any, way: Array | None = None) -> Array:
-    """The configuration (nq,) that is drawn for what `plot` takes as `q`: of several the first."""
-    return _configurations(system, q, way)[0][0]
-
-
-def _configurations(system: Model, q: Any, way: Array | None) -> tuple[Array, tuple[str, ...]]:
-    """Configurations (k, nq) that are drawn, and their names, if they have any."""
-    if q is None:
-        return _usual(system, way)[None], ()
-    titles = tuple(getattr(q, "titles", ()))
-    if isinstance(q, str):
-        q = q_from_dict(system, q)
-    elif isinstance(getattr(q, "q", None), np.ndarray):
-        q = q.q
-    given = as_q(system, q)
-    found = given.reshape(math.prod(given.shape[:-1]), system.nq)
-    good = (np.abs(found) < FARTHEST).all(axis=1)
-    if not good.all() and (np.ndim(q) == 1 or not good.any()):
-        raise InputError(
-            f"q holds numbers that are not finite, or beyond {FARTHEST:g}: there is nothing to draw"
-        )
-    if not len(found):
-        raise InputError("q holds no configuration: there is nothing to draw")
-    if good.sum() > MOST:
-        raise InputError(
-            f"q holds {good.sum()} configurations; at most {MOST} are drawn, more of a motion as "
-            "`path`"
-        )
-    return found[good], tuple(t for t, ok in zip(titles, np.ravel(good), strict=False) if ok)
-
-
 def _neighbours(system: Model, q: Array) -> Array:
     """Configurations (k, nq) a little to both sides in each coordinate, where there are few and no
     loops.
@@ -448,44 +416,6 @@ def plot_history(history: Any, ax: Axes | None = None) -> Axes:
         title=f"of {counted(len(starts), 'start')}" if len(starts) > MOST_NAMED else None,
     )
     return ax
-
-
-def _usual(system: Model, configurations: Array | None) -> Array:
-    """The configuration that is drawn unless one is given."""
-    q = home_of(system)
-    if configurations is None:
-        if judge(system, q):
-            return q
-        from kempe.assemble.assemble import assemble
-
-        closed = assemble(system, start=q)
-        return closed.q if closed else q
-    finite = configurations[np.isfinite(configurations).all(axis=1)]
-    return finite[int(np.argmin(distance(system, finite, q)))]
-
-
-def motion_of(system: Model, path: Any) -> tuple[Array | None, tuple[str, ...]]:
-    """Configurations (n, nq) of a path, and names of the joints that drive it.
-
-    `path` is an array, or an answer with a field `q`, and perhaps `driver`, a name or names; None
-    gives (None, ()). Errors: `InputError` for other shapes.
-    """
-    if path is None:
-        return None, ()
-    way: Any = path
-    configurations = as_q(
-        system, path if isinstance(path, np.ndarray) else getattr(path, "q", path)
-    )
-    if configurations.ndim != 2 or not np.isfinite(configurations).all(axis=1).any():
-        raise InputError(
-            f"path has shape {configurations.shape}; it must be (n, {system.nq}), not all of it NaN"
-        )
-    driver: Any = getattr(way, "driver", None)
-    names: list[Any] = (
-        [driver] if isinstance(driver, str) else list(driver) if is_sequence(driver) else []
-    )
-    joints = {c: j for j in system.joint_names for c in system.structure.coordinates_of_joint(j)}
-    return configurations, tuple(joints.get(n, n) for n in names if isinstance(n, str))
 
 
 def _spread(configurations: Array, count: int) -> Array:

@@ -4,11 +4,16 @@ options.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.arrays import is_sequence
+from kempe.equations.judge import judge
+from kempe.errors import InputError
+from kempe.model.configurations import as_q, distance, home_of, q_from_dict
 from kempe.spatial import Array
 from kempe.values import Expression
 from kempe.views.drawing import style
@@ -181,3 +186,80 @@ def length_name(known: list[tuple[str, float]], length: float) -> str:
 
     same = [text for text, value in known if abs(value - length) < 1e-9 * max(length, 1e-9)]
     return min(same, key=len) if same else length_text(float(f"{length:.3g}"))
+
+
+# ---- configurations
+
+FARTHEST = 1e15
+"""Coordinates up to which a configuration is drawn: squares of distances must stay finite."""
+MOST = 32
+"""Configurations that one picture shows at most."""
+
+
+def configuration_of(system: Model, q: Any, way: Array | None = None) -> Array:
+    """The configuration (nq,) that is drawn for what `plot` takes as `q`: of several the first."""
+    return configurations_of(system, q, way)[0][0]
+
+
+def configurations_of(system: Model, q: Any, way: Array | None) -> tuple[Array, tuple[str, ...]]:
+    """Configurations (k, nq) that are drawn, and their names, if they have any."""
+    if q is None:
+        return usual_configuration(system, way)[None], ()
+    titles = tuple(getattr(q, "titles", ()))
+    if isinstance(q, str):
+        q = q_from_dict(system, q)
+    elif isinstance(getattr(q, "q", None), np.ndarray):
+        q = q.q
+    given = as_q(system, q)
+    found = given.reshape(math.prod(given.shape[:-1]), system.nq)
+    good = (np.abs(found) < FARTHEST).all(axis=1)
+    if not good.all() and (np.ndim(q) == 1 or not good.any()):
+        raise InputError(
+            f"q holds numbers that are not finite, or beyond {FARTHEST:g}: there is nothing to draw"
+        )
+    if not len(found):
+        raise InputError("q holds no configuration: there is nothing to draw")
+    if good.sum() > MOST:
+        raise InputError(
+            f"q holds {good.sum()} configurations; at most {MOST} are drawn, more of a motion as "
+            "`path`"
+        )
+    return found[good], tuple(t for t, ok in zip(titles, np.ravel(good), strict=False) if ok)
+
+
+def usual_configuration(system: Model, configurations: Array | None) -> Array:
+    """The configuration that is drawn unless one is given."""
+    q = home_of(system)
+    if configurations is None:
+        if judge(system, q):
+            return q
+        from kempe.assemble.assemble import assemble
+
+        closed = assemble(system, start=q)
+        return closed.q if closed else q
+    finite = configurations[np.isfinite(configurations).all(axis=1)]
+    return finite[int(np.argmin(distance(system, finite, q)))]
+
+
+def motion_of(system: Model, path: Any) -> tuple[Array | None, tuple[str, ...]]:
+    """Configurations (n, nq) of a path, and names of the joints that drive it.
+
+    `path` is an array, or an answer with a field `q`, and perhaps `driver`, a name or names; None
+    gives (None, ()). Errors: `InputError` for other shapes.
+    """
+    if path is None:
+        return None, ()
+    way: Any = path
+    configurations = as_q(
+        system, path if isinstance(path, np.ndarray) else getattr(path, "q", path)
+    )
+    if configurations.ndim != 2 or not np.isfinite(configurations).all(axis=1).any():
+        raise InputError(
+            f"path has shape {configurations.shape}; it must be (n, {system.nq}), not all of it NaN"
+        )
+    driver: Any = getattr(way, "driver", None)
+    names: list[Any] = (
+        [driver] if isinstance(driver, str) else list(driver) if is_sequence(driver) else []
+    )
+    joints = {c: j for j in system.joint_names for c in system.structure.coordinates_of_joint(j)}
+    return configurations, tuple(joints.get(n, n) for n in names if isinstance(n, str))

@@ -5,6 +5,7 @@ frame; no matplotlib.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -118,25 +119,34 @@ class Scene:
 
     def points(self, link: SeenLink) -> Array:
         """Distinct joint centres, ends of rods and frames (k, 3) of a link, in that order."""
-        found = [self.joints[j].on(link.number)[:3, 3] for j in link.joints]
-        found += [
-            ends[k] for _, links, ends, _ in self.rods for k in (0, 1) if links[k] == link.number
-        ]
-        found += [p for _, links, _, p in self.lines if links[1] == link.number]
-        found += [m.point for m in self.marks if m.link == link.number]
-        found += [X[:3, 3] for X in link.frames.values()]
-        return distinct(np.array(found).reshape(-1, 3))
+        return self._points[link.number]
 
-    @property
+    @cached_property
+    def _points(self) -> list[Array]:
+        found: list[list[Array]] = [
+            [self.joints[j].on(link.number)[:3, 3] for j in link.joints] for link in self.links
+        ]
+        for _, links, ends, _ in self.rods:
+            for link, end in zip(links, ends, strict=True):
+                found[link].append(end)
+        for _, links, _, p in self.lines:
+            found[links[1]].append(p)
+        for m in self.marks:
+            found[m.link].append(m.point)
+        for link in self.links:
+            found[link.number] += [X[:3, 3] for X in link.frames.values()]
+        return [distinct(np.array(points).reshape(-1, 3)) for points in found]
+
+    @cached_property
     def size(self) -> float:
         """Diagonal of the box around all joint centres and frames [m]; 1 where there is but one
         point.
         """
-        p = np.concatenate([self.points(link) for link in self.links])
+        p = np.concatenate(self._points)
         span = float(np.linalg.norm(np.ptp(p, axis=0))) if len(p) else 0.0
         return span if np.isfinite(span) and span > 1e-9 else 1.0
 
-    @property
+    @cached_property
     def lengths(self) -> Array:
         """Distances of all pairs of points on the same moving link [m], without zeros."""
         out = [0.0]

@@ -4,6 +4,7 @@ plates, cones.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -60,6 +61,11 @@ class Solids:
         if len(corners) > 4 and len(corners) % 2:  # the last triangle of the fan
             self.face(name, corners[[0, -2, -1]], normal, colour, alpha)
 
+    def faces_of(self, name: str, corners: Array, normals: Array, colour: str) -> None:
+        """Add solid faces, corners (k, n, 3) with outward normals (k, 3), that move as one."""
+        for face, normal in zip(corners, normals, strict=True):
+            self.face(name, face, normal, colour)
+
     def tube(
         self,
         name: str,
@@ -90,10 +96,10 @@ class Solids:
         ]
         middle = np.roll(round_, -1, axis=0) + round_
         middle /= np.linalg.norm(middle, axis=1, keepdims=True)
-        for low, high in zip(rings[:-1], rings[1:], strict=True):
-            for k in range(sides):
-                n = (k + 1) % sides
-                self.face(name, np.array([low[k], low[n], high[n], high[k]]), middle[k], colour)
+        after = [*range(1, sides), 0]
+        for low, high in itertools.pairwise(rings):
+            corners = np.stack([low, low[after], high[after], high], axis=1)
+            self.faces_of(name, corners, middle, colour)
         if caps:
             for ring, sign in ((rings[0], -1.0), (rings[-1], 1.0)):
                 self.face(name, ring, sign * X[:, 2], colour)
@@ -114,11 +120,7 @@ class Solids:
             ],
             axis=-1,
         )
-        for i in range(8):
-            for j in range(12):
-                corners = np.array([p[i, j], p[i, j + 1], p[i + 1, j + 1], p[i + 1, j]])
-                normal = corners.mean(axis=0)
-                self.face(name, centre + radius * corners, normal / np.linalg.norm(normal), colour)
+        self._bands(name, centre, radius, p, colour)
 
     def bowl(self, name: str, centre: Array, radius: float, way: Array, colour: str) -> None:
         """Add half of a hollow sphere, the half that lies in the direction `way` (3,), of 4 by 12
@@ -138,11 +140,15 @@ class Solids:
             )
             @ R.T
         )
-        for i in range(4):
-            for j in range(12):
-                corners = np.array([p[i, j], p[i, j + 1], p[i + 1, j + 1], p[i + 1, j]])
-                normal = corners.mean(axis=0)
-                self.face(name, centre + radius * corners, normal / np.linalg.norm(normal), colour)
+        self._bands(name, centre, radius, p, colour)
+
+    def _bands(self, name: str, centre: Array, radius: float, p: Array, colour: str) -> None:
+        """Add a part of a sphere, from points (m, n, 3) of the unit sphere by latitude and longitude."""
+        for low, high in itertools.pairwise(p):
+            corners = np.stack([low[:-1], low[1:], high[1:], high[:-1]], axis=1)
+            normals = corners.mean(axis=1)
+            normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+            self.faces_of(name, centre + radius * corners, normals, colour)
 
     def box(self, name: str, X: Array, half: Array, colour: str, edge: str = "") -> None:
         """Add a box about the origin of the pose X (4, 4), with half-lengths (3,) along its axes."""

@@ -86,13 +86,27 @@ class SolidRecord(Solids):
         """Add a flat convex face with its outward normal, seen from both sides where it can be
         looked through.
         """
-        (a, b, c) = (corners[1] - corners[0]).tolist()
-        (d, e, f) = (corners[-1] - corners[0]).tolist()
+        self._add(name, corners[None], normal[None], colour, alpha)
+
+    def faces_of(self, name: str, corners: Array, normals: Array, colour: str) -> None:
+        """Add solid faces, corners (k, n, 3) with outward normals (k, 3), as one piece."""
+        self._add(name, corners, normals, colour, 1.0)
+
+    def _add(self, name: str, corners: Array, normals: Array, colour: str, alpha: float) -> None:
+        k, n, _ = corners.shape
+        (a, b, c) = (corners[:, 1] - corners[:, 0]).T
+        (d, e, f) = (corners[:, -1] - corners[:, 0]).T
         # of np.cross, which is slow
-        turned = normal @ (b * f - c * e, c * d - a * f, a * e - b * d) < 0.0
-        fan = _fan(len(corners))[:, :: -1 if turned else 1]
-        both = fan if alpha == 1.0 else np.concatenate([fan, fan[:, ::-1]])
-        self.pieces.append(DrawnPiece(name, np.array(corners), both, (*rgb(colour), alpha)))
+        out = np.stack([b * f - c * e, c * d - a * f, a * e - b * d], axis=1)
+        turned = np.sum(out * normals, axis=1) < 0.0
+        fan = np.where(turned[:, None, None], _fan(n)[:, ::-1], _fan(n))
+        both: np.ndarray = fan
+        if alpha < 1.0:
+            both = np.concatenate([fan, fan[..., ::-1]], axis=1)
+        triangles = (both + n * np.arange(k)[:, None, None]).reshape(-1, 3)
+        self.pieces.append(
+            DrawnPiece(name, corners.reshape(-1, 3), triangles, (*rgb(colour), alpha))
+        )
 
 
 class SheetRecord(planar.Sheet):
@@ -305,18 +319,15 @@ class RigidParts:
         X = self._stretched(q)
         Y = self._stretched(other)
         X_inv = np.linalg.inv(X)
+        by_name: dict[str, list[int]] = {}
+        for i, piece in enumerate(first):
+            by_name.setdefault(piece.name, []).append(i)
+        carriers = np.empty(len(first), dtype=np.int64)
+        for name, places in by_name.items():
+            pieces = [first[i] for i in places]
+            carriers[places] = self._carriers(scene, pieces, second.get(name, []), Y @ X_inv)
         held: dict[tuple[int, bool], list[DrawnPiece]] = {}
-        count: dict[str, int] = {}
-        for piece in first:
-            k = count.get(piece.name, 0)
-            count[piece.name] = k + 1
-            twins = second.get(piece.name, [])
-            twin = (
-                twins[k].corners
-                if k < len(twins) and len(twins[k].corners) == len(piece.corners)
-                else None
-            )
-            carrier = self._carrier(scene, piece, twin, Y @ X_inv)
+        for piece, carrier in zip(first, carriers.tolist(), strict=True):
             local = piece.corners @ X_inv[carrier, :3, :3].T + X_inv[carrier, :3, 3]
             held.setdefault((carrier, piece.colour[3] < 1.0), []).append(
                 piece._replace(corners=local)
@@ -341,20 +352,35 @@ class RigidParts:
         symbols.build(solids, scene, self.r, wide)
         return solids.pieces
 
-    def _carrier(self, scene: Scene, piece: DrawnPiece, twin: Array | None, moved: Array) -> int:
-        """The number of the carrier that brings the corners of a piece to those of its twin."""
-        if (slide := self._slide_of(scene, piece)) is not None:
-            return slide
-        likely = _likely(scene, piece.name, len(self.heads))
-        if twin is not None:
+    def _carriers(
+        self, scene: Scene, pieces: list[DrawnPiece], twins: list[DrawnPiece], moved: Array
+    ) -> list[int]:
+        """For each of the pieces of one name the number of the carrier that brings its corners to
+        those of its twin.
+        """
+        slides = self._slide_of(scene, pieces[0])  # of one name all slide, or none
+        if slides is not None:
+            return [self._slide_of(scene, piece) or 0 for piece in pieces]
+        name = pieces[0].name
+        likely = _likely(scene, name, len(self.heads))
+        out = [likely[0] if name.partition(":")[0] in OWN else likely[-1]] * len(pieces)
+        alike: dict[int, list[int]] = {}
+        for i, (piece, twin) in enumerate(zip(pieces, twins, strict=False)):
+            if len(piece.corners) == len(twin.corners):
+                alike.setdefault(len(twin.corners), []).append(i)
+        for left in alike.values():
             for some in (likely, range(len(moved))):
-                there = (
-                    piece.corners @ moved[some, :3, :3].swapaxes(-1, -2) + moved[some, None, :3, 3]
-                )
-                good = np.abs(there - twin).max(axis=(1, 2)) < NEAR_PART * self.size
-                if good.any():
-                    return some[int(np.argmax(good))]
-        return likely[0] if piece.name.partition(":")[0] in OWN else likely[-1]
+                here = np.array([pieces[i].corners for i in left])[:, None]
+                there = here @ moved[some, :3, :3].swapaxes(-1, -2) + moved[some, None, :3, 3]
+                off = np.abs(there - np.array([twins[i].corners for i in left])[:, None])
+                good = off.max(axis=(2, 3)) < NEAR_PART * self.size
+                for i, fits in zip(left, good, strict=True):
+                    if fits.any():
+                        out[i] = some[int(np.argmax(fits))]
+                left = [i for i, fits in zip(left, good, strict=True) if not fits.any()]
+                if not left:
+                    break
+        return out
 
     def _slide_of(self, scene: Scene, piece: DrawnPiece) -> int | None:
         """The number of the carrier of a piece of what slides; None where it is that of a link, as

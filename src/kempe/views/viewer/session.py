@@ -22,6 +22,7 @@ from kempe.forward.fk import fk, jacobian
 from kempe.mobility.independent import Chart, independent
 from kempe.model.configurations import as_q, distance, has_loops, mid, q_from_dict, random, units
 from kempe.spatial import Array
+from kempe.views.drawing.plot_request import configuration_of, motion_of
 from kempe.views.drawing.scene import links_of, look
 from kempe.words import counted
 
@@ -67,8 +68,6 @@ def motion_from(system: Model, path: Any) -> Played | None:
     """The motion of an answer, or of configurations (n, nq); None of None. Errors: `InputError` for
     other shapes.
     """
-    from kempe.views.plots import motion_of
-
     q, _ = motion_of(system, path)
     if q is None:
         return None
@@ -193,8 +192,6 @@ class Session:
     """
 
     def __init__(self, system: Model, q: Any = None, frame: Any = None, path: Any = None):
-        from kempe.views.plots import configuration_of
-
         self.system = system
         self.lock = threading.RLock()
         self.motion = motion_from(system, path)
