@@ -16,8 +16,7 @@ from scipy.ndimage import label
 import kempe
 from kempe import Budget, Status
 from kempe.equations.closure_rows import jacobian
-from kempe.numerics.clock import TimeLimit
-from kempe.spaces.branch_sweep import sweep_of
+from kempe.spaces.four_joints import FourJoints, four_joints
 from kempe.spaces.polygons import polygon_of
 
 
@@ -113,17 +112,17 @@ def test_the_sides_of_two_components_never_meet(hunt):
     loop = polygon_of(system)
     assert not isinstance(loop, str) and loop.count == 2
     sample = system.configuration_space.sample(40, hunt.rng())
-    side = loop.side(sample.q)
-    assert set(side) == {-1, 1}
+    side = loop.labels(sample.q)
+    assert set(side) == {0, 1}
     for q, own in zip(sample.q, side, strict=True):
         path = system.trace(start=q, hold={"j1": q[0]}, budget=Budget(points=60))
-        assert (loop.side(path.q) == own).all()
+        assert (loop.labels(path.q) == own).all()
 
 
 def test_aligned_polygons_are_closed_and_on_one_line():
     loop = polygon_of(polygon([0.4, 0.1, 0.2, 0.2, 0.1]))
     assert not isinstance(loop, str)
-    q = loop.aligned()
+    q = loop.singular
     assert len(q) == 2  # 4 + 1 = 2 + 2 + 1 with the first or the last of the ones on the left
     for x in q:
         ends = (
@@ -177,13 +176,12 @@ def test_two_cranks_and_a_rod_are_counted_as_a_grid_counts_them(hunt):
         crank, rocker, x, y, z = rng.uniform(0.05, 0.4, 5)
         rod = rng.uniform(0.2, 0.8)
         system = rssr(crank, rod, rocker, x, y, z)
-        found = sweep_of(system, TimeLimit(None))
-        assert not isinstance(found, str) and found.complete
+        found = four_joints(system)
+        assert isinstance(found, FourJoints)
         seen.append(found.count)
-        narrow = (found.cells.high - found.cells.low)[(found.cells.state > 1).any(axis=1)].min(
-            initial=1.0
-        )
-        if narrow > 1e-3:  # else dead points are too near to one another for the grid
+        if (
+            np.diff(found.cuts).min() > 0.02
+        ):  # else dead points are too near to one another for the grid
             assert found.count == rods_by_grid(system, rod), (crank, rod, rocker, x, y, z)
     assert set(seen) >= {0, 1, 2}
 

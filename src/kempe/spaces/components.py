@@ -1,5 +1,5 @@
-"""Connected components of the configuration space: by theorem, by proven sweeps, or by tracing what
-is found.
+"""Connected components of the configuration space: by theorem, by the dead points of a loop of four
+joints, or, as evidence, the curves that were traced.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from kempe.motion.trace import trace
 from kempe.numerics.clock import TIME_LIMIT, TimeLimit, partial, time_limited, time_of
 from kempe.report import Report, brief
 from kempe.singular_values import svd
-from kempe.spaces.branch_sweep import CurveSweep, sweep_of
+from kempe.spaces.four_joints import FourJoints, four_joints
 from kempe.spaces.manifold import Manifold
 from kempe.spaces.polygons import polygon_of
 from kempe.spatial import Array
@@ -306,16 +306,16 @@ class Components(Report):
 @time_limited(USUAL)
 def components(system: Model, *, budget: Budget | None = None) -> Components:
     """The connected components of the configuration space, with the proof, or as a lower bound with
-    the reason.
+    the evidence.
 
     A tree has one. Planar single loops of revolute joints have as many as the theorem on long bars
-    says. Systems with one freedom, idle spins and joints outside loops left out, are swept over one
-    coordinate with proven bounds where their equations can be solved one after another: planar
-    dyads, and spatial loops of four joints (see `curves`), within limits, too. Their curves are
-    traced from there; other systems with one freedom from random assemblies and, where these have a
-    closed form, from the assembly modes at 24 values of each coordinate. Curves that meet at
-    bifurcations are one component, and limits cut curves. Without a proof a curve may be missed, or
-    a place where two meet: then curves without singular points count, and all others as one.
+    says. Loops of four joints, in which a rod joins two cranks, a crank and a slide, or two slides,
+    in the plane or between balls, and loops of four turns about parallel axes or axes through one
+    point, are counted by their dead points and by the places where limits cut them. All other
+    systems with one freedom, idle spins left out, are traced: from random assemblies and, where
+    these have a closed form, from the assembly modes at 24 values of each coordinate. Curves that
+    meet at bifurcations are one component. Traced curves are evidence: one may be missed, or a
+    place where two meet, so curves without singular points count, and all others as one.
     Systems with several freedoms have at least one. Of the `budget` are read: starts (256), rng
     (0), time_limit (120 s).
     """
@@ -341,51 +341,45 @@ def _counted(system: Model, spend: Budget, time: TimeLimit) -> Components:
         if divided and not _inside(system, mid(system), spend):
             return Components(system, 0, False, NONE_INSIDE, None)
         return Components(system, 1, not divided, why, system.nv)
-    known, sweep, late = _proven(system, time)
-    if known and not known[0]:
-        return Components(system, 0, True, known[1], None)
+    polygon = polygon_of(system)
+    loop = four_joints(system)
+    proof = loop if isinstance(polygon, str) else polygon
+    if not isinstance(proof, str) and not proof.count:
+        return Components(system, 0, True, proof.reason, None)
     freedoms = mobility(system)
     if not freedoms.closed or freedoms.dof is None:
-        return Components(system, 0, False, freedoms.sentence, None, late=late)
-    if freedoms.dof == 0 and known is None:
+        return Components(system, 0, False, freedoms.sentence, None)
+    if freedoms.dof == 0 and isinstance(proof, str):
         modes = assembly_modes(system)
         return Components(system, len(modes), modes.complete, f"a structure, {modes.status}", 0)
-    polygon = polygon_of(system)
-    singular = np.empty((0, system.nq)) if isinstance(polygon, str) else polygon.aligned()
+    singular = np.empty((0, system.nq)) if isinstance(proof, str) else proof.singular
     if freedoms.useful != 1:
-        why = (
-            f"no theorem is known here for {counted(freedoms.dof or 0, 'freedom')}; one "
-            "configuration is known"
-        )
-        least = sweep.count if sweep else 1
-        if known is None and sweep is None and not _inside(system, freedoms.q, spend):
-            return Components(system, 0, False, NONE_INSIDE, None, freedoms.idle, late=late)
-        count, why = known or (least, sweep.reason if sweep and least > 1 else why)
-        return Components(
-            system, count, known is not None, why, freedoms.dof, freedoms.idle, (), singular, late
-        )
-    found = _traced(system, freedoms, sweep, spend, time, known[0] if known else None)
-    points = [e.q for part in found.parts for e in part.singular_points] + [
-        *(sweep.crossings if sweep else ())
-    ]
-    singular = np.array(points).reshape(-1, system.nq)
-    singular = singular[_first(system, singular)]
+        known = not isinstance(proof, str)
+        if not known and not _inside(system, freedoms.q, spend):
+            return Components(system, 0, False, NONE_INSIDE, None, freedoms.idle)
+        several = counted(freedoms.dof or 0, "freedom")
+        why = f"no theorem is known here for {several}; one configuration is known"
+        count, why = (proof.count, proof.reason) if not isinstance(proof, str) else (1, why)
+        return Components(system, count, known, why, freedoms.dof, freedoms.idle, (), singular)
+    traced = _traced(system, freedoms, loop, spend, time)
+    points = [e.q for part in traced.parts for e in part.singular_points]
+    singular = np.concatenate([np.array(points).reshape(-1, system.nq), singular])
     count, why = (
-        _lower_bound(system, found, sweep)
-        if known is None
-        else (known[0], known[1] + found.said(known[0]))
+        _lower_bound(system, traced)
+        if isinstance(proof, str)
+        else (proof.count, proof.reason + traced.said(proof.count))
     )
     return Components(
         system,
         count,
-        known is not None,
+        not isinstance(proof, str),
         why,
         freedoms.dof,
         freedoms.idle,
-        found.parts,
-        singular,
-        late or found.late,
-        found.interrupted,
+        traced.parts,
+        singular[_first(system, singular)],
+        traced.late,
+        traced.interrupted,
     )
 
 
@@ -403,25 +397,6 @@ def _inside(system: Model, home: Array, spend: Budget) -> bool:
     )
     ok = np.asarray(found.success, dtype=bool)
     return bool(ok.any() and manifold.inside(found.q[ok]).any())
-
-
-def _proven(
-    system: Model, time: TimeLimit
-) -> tuple[tuple[int, str] | None, CurveSweep | None, bool]:
-    """The number and its proof, if there is one; the sweep over a coordinate; and whether the time
-    was up.
-    """
-    polygon = polygon_of(system)
-    known = None if isinstance(polygon, str) else (polygon.count, polygon.reason)
-    try:
-        sweep = sweep_of(system, time)
-    except TimeUp:
-        if known is None:
-            raise
-        return known, None, True
-    if isinstance(sweep, str):
-        return known, None, False
-    return known or ((sweep.count, sweep.reason) if sweep.complete else None), sweep, False
 
 
 @dataclass(frozen=True)
@@ -446,46 +421,34 @@ class Traced:
         return text + (f"; configurations with {dims} freedoms were found, too" if dims else "")
 
 
-def _lower_bound(system: Model, found: Traced, sweep: CurveSweep | None) -> tuple[int, str]:
-    """The least number of components, and why."""
-    apart = sum(part.alone for part in found.parts)
-    count = apart + (len(found.parts) > apart)
-    if sweep and sweep.count >= count:
-        return sweep.count, sweep.reason + found.said(None)
-    limited = "limits cut its curves, and " if one_sided_rows(system).names else ""
-    why = f"{limited}a curve that no start led to may be missed"
-    met = len(found.parts) - apart
+def _lower_bound(system: Model, traced: Traced) -> tuple[int, str]:
+    """The least number of components, and the evidence."""
+    alone = sum(part.alone for part in traced.parts)
+    met = len(traced.parts) - alone
+    curves = counted(len(traced.parts), "curve")
+    why = f"{curves} traced, which is evidence and no proof"
+    why += ": limits cut curves, and" if one_sided_rows(system).names else ":"
+    why += " a curve that no start led to may be missed"
     if met > 1:
         why += f"; {met} curves with singular points, where they may meet, count as one"
-    return count, why + found.said(None)
+    return alone + (met > 0), why + traced.said(None)
 
 
 def _traced(
-    system: Model,
-    freedoms: Mobility,
-    sweep: CurveSweep | None,
-    spend: Budget,
-    time: TimeLimit,
-    enough: int | None,
+    system: Model, freedoms: Mobility, loop: FourJoints | str, spend: Budget, time: TimeLimit
 ) -> Traced:
-    """All components to which starts lead: those of the sweep first, then random ones unless that
-    was complete.
+    """All components to which starts lead: one on each component of a loop of four joints, else
+    random ones.
     """
-    if time.spent:  # the number is proven, and no curves are looked for
-        return Traced((), frozenset(), True)
     home = freedoms.q
     still = idle_coordinates(system, home)
-    own = (
-        np.empty((0, system.nq))
-        if sweep is None
-        else sweep.starts[np.isfinite(sweep.starts).all(axis=1)]
-    )
-    whole = sweep is not None and sweep.complete and len(own) == sweep.count
-    q = own if whole else np.concatenate([home[None], own, _starts(system, home, spend)])
+    starts = np.empty((0, system.nq)) if isinstance(loop, str) else loop.starts
+    whole = not isinstance(loop, str) and len(starts) == loop.count
+    q = starts if whole else _starts(system, home, spend)
     q, several = _of_one_freedom(system, q, freedoms.dof or 1)
     parts = list[Component]()
     late = False
-    while len(q) and len(parts) != enough:
+    while len(q):
         left = time.left
         if left is not None and left <= 0.0:
             return Traced(tuple(parts), several, True)

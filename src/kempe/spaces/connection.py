@@ -21,8 +21,8 @@ from kempe.model.configurations import has_loops, one_finite, random
 from kempe.motion.trace import trace
 from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, time_limited, time_of
 from kempe.report import brief
-from kempe.spaces.branch_sweep import sweep_of
 from kempe.spaces.components import SAME, Component
+from kempe.spaces.four_joints import four_joints
 from kempe.spaces.manifold import CLOSED, Manifold
 from kempe.spaces.polygons import polygon_of
 from kempe.spatial import Array
@@ -348,24 +348,19 @@ def _closed(
     spend: Budget,
     time: TimeLimit,
 ) -> Connection:
-    polygon = polygon_of(
+    free = (
         with_limits(system, dict.fromkeys(system.coordinate_names)) if system.dim == 2 else system
     )
-    if not isinstance(polygon, str):
-        sides = polygon.side(np.stack([a, b]))
-        if sides[0] != sides[1]:
-            why = f"they are on different components, proven: {polygon.reason}"
+    ends = np.stack([a, b])
+    for loop in (polygon_of(free), four_joints(system)):
+        if isinstance(loop, str):
+            continue
+        label = loop.labels(ends)
+        if label[0] != label[1] and label.min() >= 0:
+            why = f"they are on different components, proven: {loop.reason}"
             return Connection(_no_way(system), Status.NONE_EXISTS, why, step, system)
-    sweep = sweep_of(system, time)
-    if (
-        not isinstance(sweep, str)
-        and (labels := sweep.labels(np.stack([a, b])))[0] != labels[1]
-        and labels.min() >= 0
-    ):
-        why = f"they are on different components, proven: {sweep.reason}"
-        return Connection(_no_way(system), Status.NONE_EXISTS, why, step, system)
     freedoms = mobility(system, a)
-    exact, _ = Manifold(system, 1).closed(np.stack([a, b]))
+    exact, _ = Manifold(system, 1).closed(ends)
     if freedoms.useful == 1:
         part = _curve(system, exact[0], spend)
         if (why := _elsewhere(part, exact)) is not None:

@@ -80,10 +80,8 @@ class Polygon:
             f"1995{equal})"
         )
 
-    def side(self, q: Array) -> np.ndarray:
-        """Which of two components (k,) configurations (k, nq) are on: 1 or -1; 0 where there is
-        only one.
-        """
+    def labels(self, q: Array) -> np.ndarray:
+        """The components (k,) of configurations (k, nq): 0, or 1 on the other side of two."""
         if self.count < 2:
             return np.zeros(len(q), dtype=int)
         i, j = map(int, np.sort(np.argsort(-self.lengths, kind="stable")[:2]))
@@ -91,9 +89,10 @@ class Polygon:
             np.einsum("kij,j->ki", fk(self.system, q, self.bodies[k])[:, :2, :2], self.vectors[k])
             for k in (i, j)
         )
-        return np.sign(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).astype(int)
+        return (a[:, 0] * b[:, 1] < a[:, 1] * b[:, 0]).astype(int)
 
-    def aligned(self) -> Array:
+    @property
+    def singular(self) -> Array:
         """Configurations (k, nq) with all bars on one line: the singular points of the
         configuration space.
         """
