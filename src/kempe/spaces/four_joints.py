@@ -88,7 +88,7 @@ class Rod(NamedTuple):
         if len(self.r) == 2:
             along = way @ self.r[1]
             square = float(self.r[1] @ self.r[1])
-            return along, np.float64(square), along**2 - far * square
+            return along, np.array(square), along**2 - far * square
         A = way @ self.r[1] * -2.0
         B = way @ self.r[2] * -2.0
         C = far + float(self.r[1] @ self.r[1])
@@ -97,17 +97,15 @@ class Rod(NamedTuple):
     def turning_points(self) -> Array:
         """Values of x between which D is monotone: all extrema, and perhaps others."""
         if len(self.p) == 2:
-            D = np.polynomial.Polynomial.fit([-1.0, 0.0, 1.0], self.discriminant(_three()), 2)
-            return np.real(D.convert().deriv().trim(1e-14).roots())
+            before, at, after = self.discriminant(np.array([-1.0, 0.0, 1.0])).tolist()
+            bend = 0.5 * (before + after) - at
+            flat = abs(bend) <= SAME * max(abs(before), abs(at), abs(after))
+            return np.array([] if flat else [0.25 * (before - after) / bend])
         # a trigonometric polynomial of degree 2 in x, whose derivative has four zeros exp(i x)
-        wave = np.fft.fft(self.discriminant(2.0 * np.pi * np.arange(8) / 8.0))
+        wave = np.fft.fft(self.discriminant(np.linspace(0.0, 2.0 * np.pi, 9)[:8]))
         slopes = np.array([2.0 * wave[2], wave[1], 0.0, -wave[-1], -2.0 * wave[-2]])
         large = np.abs(slopes) > 1e-15 * np.abs(wave).max(initial=1e-300)
-        return np.angle(np.roots(np.where(large, slopes, 0.0)))
-
-
-def _three() -> Array:
-    return np.array([-1.0, 0.0, 1.0])
+        return np.asarray(np.angle(np.roots(np.where(large, slopes, 0.0))), dtype=float)
 
 
 def _basis(x: Array, n: int) -> Array:
