@@ -470,7 +470,7 @@ def test_coordinates_that_follow_others(engine):
         assert math.radians(q["A"]) == pytest.approx(crank, abs=1e-12)
         assert q["S"] == pytest.approx(reach(crank), abs=1e-12), more
     refused = Result("assemble", engine, "A=1", "W=1")
-    assert refused.code == 2 and "'W' follows 'A', which is given, too" in refused.err
+    assert refused.code == 2 and "'W' is 1; it follows 'A'" in refused.err
     held = Result("trace", engine, "--hold", "W=30", "--deg", "--json").json()
     (q,) = held["q"]
     assert q["A"] == pytest.approx(math.degrees(crank), abs=1e-9)
@@ -567,7 +567,7 @@ def test_assemble_rows_of_a_file(engine, tmp_path):
     )
     for text, said in (
         ("1\n2\n", "must name"),
-        ("A\nnan\n", "not finite"),
+        ("A\nnan\n", "A: nan in row 0 is not a finite number"),
         ("X\n1\n", "no coordinate 'X'"),
         ("A,A\n1,1\n", "twice"),
     ):

@@ -311,7 +311,7 @@ def test_kinds_of_all_sorts_beside_each_other() -> None:
     assert found.constraints["rod"].independent == 1
     data = json.loads(json.dumps(found.data(), allow_nan=False))
     assert data["constraints"]["wheel"]["kind"] == "nonholonomic" and data["growth"] == [4, 5]
-    assert data["sentence"] in str(found) and found._repr_html_().count("<tr>") == str(found).count(
+    assert data["status"] in str(found) and found._repr_html_().count("<tr>") == str(found).count(
         "\n  "
     ) - sum(line.startswith(" " * 18) for line in str(found).splitlines())
 

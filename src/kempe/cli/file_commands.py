@@ -74,8 +74,7 @@ def map(
     """
     import kempe
     from kempe.budget import Budget
-    from kempe.cli import progress
-    from kempe.cli import table_files as read
+    from kempe.cli import arguments, progress
     from kempe.cli.inverse_commands import task_argument
 
     deg = output.deg
@@ -85,10 +84,10 @@ def map(
         "task": task_argument(task, axis),
     }
     given["start"] = (
-        None if start is None else read.configuration(system, start, None, deg, start=True)
+        None if start is None else arguments.configurations(system, start, None, deg, start=True)
     )
     if tolerance is not None:
-        errors = read.tolerance(tolerance)
+        errors = arguments.tolerance(tolerance)
         if verb != "ik" and "," in tolerance:
             raise InputError(f"--tolerance is {tolerance!r}; of {verb} it is one number")
         given["tolerance"] = errors if verb == "ik" else errors[0]

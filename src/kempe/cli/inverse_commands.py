@@ -33,7 +33,7 @@ from kempe.cli.terminal import UsageError
 from kempe.errors import InputError
 
 if TYPE_CHECKING:
-    from kempe.cli.arguments import FileTasks
+    from kempe.cli.task_file import FileTasks
     from kempe.system import System
 
 
@@ -59,7 +59,7 @@ def ik(
 
     Example: kempe ik panda.urdf --frame panda_hand_tcp --target 0.4,0.1,0.5,180,0,0 --deg
     """
-    from kempe.cli import arguments, table_files
+    from kempe.cli import arguments
 
     if all and rng is not None:
         raise InputError("--rng is for a search: leave --all out")
@@ -77,12 +77,12 @@ def ik(
         system.structure.frame_name(frame)  # a wrong name is reported before kernels are compiled
     options: dict[str, Any] = {}
     if frame is None or target is None:
-        wanted: Any = _read_tasks(system, tasks, deg).tasks()
+        wanted: Any = _read_tasks(system, tasks, deg).tasks
         options["prefer"] = prefer
     else:
-        wanted, position = table_files.target(system, target, deg)
+        wanted, position = arguments.target(system, target, deg)
         options["task"] = _task(task, axis, position or position_only)
-    start = None if seed is None else table_files.configuration(system, seed, None, deg, start=True)
+    start = None if seed is None else arguments.configurations(system, seed, None, deg, start=True)
     if all:
         answer: Any = system.ik_all(
             wanted,
@@ -93,7 +93,7 @@ def ik(
             **options,
         )
     else:
-        errors = table_files.tolerance("1e-6" if tolerance is None else tolerance)
+        errors = arguments.tolerance("1e-6" if tolerance is None else tolerance)
         spend = Budget(rng=rng)
         answer = system.ik(wanted, frame, start=start, tolerance=errors, budget=spend, **options)
     output.save(answer)
@@ -114,10 +114,10 @@ def _refuse_mixture(tasks: Path | None, single: dict[str, Any], more: dict[str, 
 
 
 def _read_tasks(system: System, path: Path | None, deg: bool) -> FileTasks:
-    from kempe.cli import arguments
+    from kempe.cli import task_file
 
     assert path is not None
-    return arguments.read(system, path, deg)
+    return task_file.read(system, path, deg)
 
 
 def _task(task: str | None, axis: str | None, position: bool) -> Any:
@@ -168,27 +168,27 @@ def path(
 
     Example: kempe path panda.urdf --frame panda_hand_tcp --targets weld.csv -o q.csv
     """
-    from kempe.cli import progress, table_files
+    from kempe.cli import arguments, progress
 
     single = {"--frame": frame, "--targets": target}
     _refuse_mixture(tasks, single, {"--position-only": position_only})
     deg = output.deg
-    start = None if seed is None else table_files.configuration(system, seed, None, deg, start=True)
+    start = None if seed is None else arguments.configurations(system, seed, None, deg, start=True)
     wanted: Any
     if frame is None or target is None:
         read = _read_tasks(system, tasks, deg)
-        wanted = read.tasks()
-        count = read.count
+        wanted = read.tasks
+        count = read.rows
     else:
         system.structure.frame_name(frame)
-        wanted, position = table_files.target(system, target, deg)
+        wanted, position = arguments.target(system, target, deg)
         count = len(wanted) if wanted.ndim > 2 else None
         wanted = wanted[..., :3, 3] if position or position_only else wanted
     if count is None:
         raise InputError("a path needs a .csv or .npy file of targets, one a row")
     options: dict[str, Any] = {"restart": restart, "branches": branches}
     options |= {} if max_step is None else {"max_step": max_step}
-    options |= {} if tolerance is None else {"tolerance": table_files.tolerance(tolerance)}
+    options |= {} if tolerance is None else {"tolerance": arguments.tolerance(tolerance)}
     with progress.progress("targets", count) as report:
         spend = Budget(rng=rng, time_limit=time_limit, progress=report)
         answer = until_interrupt(system.ik_path, wanted, frame, start, **options, budget=spend)

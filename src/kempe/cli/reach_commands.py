@@ -177,12 +177,12 @@ def _poses(
     system: System, text: str, frame: str, position_only: bool, deg: bool
 ) -> tuple[Array, str | None]:
     """Poses (n, 4, 4) of a file, and the task. Errors: `InputError`, `UnknownNameError`."""
-    from kempe.cli import table_files
+    from kempe.cli import arguments, table_files
 
     system.structure.frame_name(frame)  # a wrong name is reported before any work
     if not table_files.is_file(text):
         raise InputError(f"POSES is {text!r}; it must be a .csv or .npy file of poses, one a row")
-    X, position = table_files.target(system, text, deg)
+    X, position = arguments.target(system, text, deg)
     return X.reshape(-1, 4, 4), "position" if position or position_only else None
 
 

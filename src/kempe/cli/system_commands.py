@@ -137,11 +137,11 @@ def fk(
 
     Example: kempe fk panda.urdf --frame panda_hand_tcp --q 0,-45,0,-135,0,90,45,0.04 --deg
     """
-    from kempe.cli import facts, table_files
+    from kempe.cli import arguments, facts, table_files
 
     if frame is not None:
         system.structure.frame_name(frame)  # a wrong name is reported before kernels are compiled
-    values = table_files.configuration(system, q, posture, output.deg)
+    values = arguments.configurations(system, q, posture, output.deg)
     poses = facts.Poses(system, frame, system.fk(values, frame))
     output.save(poses)
     output.draw(system, values, frames=[] if frame is None else [frame])

@@ -43,14 +43,14 @@ def view(
 
     Example: kempe view panda.urdf --frame panda_hand_tcp
     """
-    from kempe.cli import table_files
+    from kempe.cli import arguments
 
     if frame is not None:
         system.structure.frame_name(frame)
     start = (
         None
         if q is None and posture is None
-        else table_files.configuration(system, q, posture, output.deg)
+        else arguments.configurations(system, q, posture, output.deg)
     )
     if html is not None:
         from kempe.views.viewer.pages import write_page

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,6 +10,7 @@ import typer
 
 from kempe.arguments import until_interrupt
 from kempe.cli.app import OPEN, Output, Scheduler, Threads, TimeLimit, command, option
+from kempe.cli.table_files import finite_numbers
 from kempe.cli.terminal import print_json
 from kempe.errors import InputError
 from kempe.words import DEGREE, counted
@@ -19,20 +19,9 @@ if TYPE_CHECKING:
     from kempe.system import System
 
 
-def _numbers(text: str, what: str) -> list[float]:
-    """Numbers that are separated by commas. Errors: `InputError`."""
-    try:
-        numbers = [float(part) for part in text.split(",")]
-    except ValueError:
-        raise InputError(f"{what} is {text!r}; it must be numbers, separated by commas") from None
-    if bad := [x for x in numbers if not math.isfinite(x)]:
-        raise InputError(f"{what} is {text!r}, which holds {bad[0]}; all numbers must be finite")
-    return numbers
-
-
 def _turned(text: str, what: str, deg: bool) -> Any:
     """An angle, several, or roll, pitch and yaw. Errors: `InputError`."""
-    angles = [x * DEGREE if deg else x for x in _numbers(text, what)]
+    angles = [x * DEGREE if deg else x for x in finite_numbers(text, what)]
     return angles[0] if len(angles) == 1 else angles
 
 
@@ -94,9 +83,9 @@ def workspace(
     along: Any = (
         None
         if cells is None
-        else [int(x) if x == int(x) else x for x in _numbers(cells, "--cells")]
+        else [int(x) if x == int(x) else x for x in finite_numbers(cells, "--cells")]
     )
-    ends = None if box is None else _numbers(box, "--box")
+    ends = None if box is None else finite_numbers(box, "--box")
     if ends is not None and len(ends) % 2:
         raise InputError(f"--box has {counted(len(ends), 'number')}; it needs two for each axis")
     with progress.progress("samples") as report:
@@ -105,7 +94,7 @@ def workspace(
             frame,
             kind=kind,
             orientation=None if orientation is None else _turned(orientation, "--orientation", deg),
-            at=None if at is None else _numbers(at, "--at"),
+            at=None if at is None else finite_numbers(at, "--at"),
             n=n,
             cells=along[0] if along is not None and len(along) == 1 else along,
             box=None if ends is None else np.reshape(ends, (-1, 2)),
@@ -145,7 +134,7 @@ def query(
     turned = space.kind == "orientation"
     dim = space.system.dim
     wanted = 1 if turned and dim == 2 else dim
-    rows = [_numbers(p, "a point") for p in points]
+    rows = [finite_numbers(p, "a point") for p in points]
     if any(len(row) != wanted for row in rows):
         raise InputError(f"points must have {counted(wanted, 'number')}, separated by commas")
     if turned:

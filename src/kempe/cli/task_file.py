@@ -1,0 +1,283 @@
+"""Tasks from a TOML file: a table [[task]] for each, by type with the parameters of its class in
+`kempe.tasks`.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from kempe import spatial
+from kempe.cli import arguments, table_files
+from kempe.constraints import KINDS, Constraint
+from kempe.description.source import Source, decode, expanded, no_file, shorten
+from kempe.description.toml_document import Document
+from kempe.equations.tasks import Task
+from kempe.errors import InputError, UnknownNameError, hint
+from kempe.model.configurations import units
+from kempe.words import DEGREE
+
+if TYPE_CHECKING:
+    from kempe.system import System
+
+
+def types() -> dict[str, type[Constraint]]:
+    """The kinds that can be requested, by name: 'pose', 'look_at', ... Functions of the user are
+    for Python.
+    """
+    return {
+        name: k
+        for name, k in KINDS.items()
+        if not any("Callable" in str(f.type) for f in fields(k))
+    }
+
+
+TEXT = ("frame", "other", "name", "axes", "shape", "surface")
+NUMBERS = ("weight", "margin")
+ABOVE = "write [[task]] above each task"
+
+
+class FileTasks(NamedTuple):
+    """The `tasks` of a file, for problems in so many `rows`, None where it asks one."""
+
+    tasks: list[Constraint]
+    rows: int | None
+
+
+def read(system: System, path: Path, degrees: bool = False) -> FileTasks:
+    """The tasks of a TOML file, each checked with the system.
+
+    A value that names a .csv or .npy file, seen from the folder of this one, has an entry in each
+    of its rows: these make a batch. Errors: `DescriptionError` with all problems, each with its
+    line.
+    """
+    path = expanded(path)
+    if what := no_file(path):
+        raise InputError(f"{path}: this is {what}; give the path of a plain file")
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such file")
+    document = Document(Source(str(path), decode(path.read_bytes(), str(path))))
+    tasks = _TaskReader(system, document, path.parent, degrees).all()
+    document.findings.finish()
+    return tasks
+
+
+class _TaskReader:
+    """Makes tasks of the tables of a document."""
+
+    def __init__(self, system: System, document: Document, folder: Path, degrees: bool):
+        self.system = system
+        self.document = document
+        self.folder = folder
+        self.degrees = degrees
+        self.angle = DEGREE if degrees else 1.0
+        self.counts: list[int] = []
+        """Numbers of rows of the files that values name."""
+
+    def all(self) -> FileTasks:
+        """All tasks of the file."""
+        add = self.document.findings.add
+        where = self.document.where
+        for key in self.document.data:
+            if key != "task":
+                add(f"unknown key {shorten(key)}", "", where(key), ABOVE)
+        tables = self.document.array("task")
+        if not tables and not self.document.findings.problems:
+            add("there are no tasks", "", where(), ABOVE)
+        tasks = [self.task(table, i) for i, table in enumerate(tables)]
+        counts = sorted(set(self.counts))
+        if len(counts) > 1:
+            rows = ", ".join(map(str, counts))
+            message = f"the files that values name have {rows} rows"
+            add(message, "", where("task"), "they need as many each")
+        made = [task for task in tasks if task is not None]
+        return FileTasks(made, counts[0] if counts else None)
+
+    def task(self, table: dict[str, Any], index: int) -> Constraint | None:
+        """A task, or None after recording what is wrong."""
+        findings = self.document.findings
+        before = len(findings.problems)
+        place = ("task", index)
+        name = table.get("type")
+        subject = f"task {shorten(table.get('name') or name or index + 1)}"
+
+        def add(message: str, allowed: str, *key: str) -> None:
+            findings.add(message, subject, self.document.where(*place, *key), allowed)
+
+        if name is None:
+            add("the key 'type' is missing", f"it must be one of {', '.join(types())}")
+            return None
+        if not isinstance(name, str) or name not in types():
+            close = hint(str(name), types()).lstrip("; ")
+            add(f"unknown type of task {shorten(name)}", close, "type")
+            return None
+        kind = types()[name]
+        names = [f.name for f in sorted(fields(kind), key=lambda f: f.kw_only is True) if f.init]
+        needed = [
+            f.name
+            for f in fields(kind)
+            if f.init and f.default is MISSING and f.default_factory is MISSING
+        ]
+        given: dict[str, Any] = {}
+        for key, value in table.items():
+            if key == "type":
+                continue
+            if key not in names:
+                add(f"unknown key {shorten(key)}{hint(key, names)}", "", key)
+                continue
+            with findings.guard(subject, self.document.where(*place, key)):
+                given[key] = self.value(kind, key, value)
+                if _names_file(key, value):
+                    self.counts.append(len(given[key]))
+        for key in needed:
+            if key not in table:
+                add(f"the key {key!r} is missing", f"it needs {', '.join(needed)}")
+        if len(findings.problems) > before:
+            return None
+        try:
+            made = kind(**given)
+            task = Task(self.system, made)
+            task.structure()
+            task.goal()
+        except (InputError, UnknownNameError) as error:
+            about = [k for k in given if re.search(rf"\b{k}\b", str(error))]
+            if isinstance(error, UnknownNameError):
+                about = [k for k, v in given.items() if v == error.name or _holds(v, error.name)]
+            add(str(error), "", *about[:1])
+            return None
+        return made
+
+    def value(self, kind: type[Constraint], key: str, value: Any) -> Any:
+        """A parameter as the class takes it. Errors: `InputError`."""
+        if key in TEXT:
+            if not isinstance(value, str):
+                raise InputError(f"{key} is {shorten(value)}; it must be text in quotes")
+            return value
+        if _names_file(key, value):
+            return self.from_file(kind, key, self.folder / value)
+        if key in NUMBERS and not _is_number(value):
+            raise InputError(f"{key} is {shorten(value)}; it must be a number")
+        if key == "priority" and type(value) is not int:
+            raise InputError(f"priority is {shorten(value)}; it must be a whole number")
+        if key == "tolerance" and not (_is_number(value) or _are_numbers(value, 2)):
+            raise InputError(
+                f"tolerance is {shorten(value)}; it must be one or two numbers, in metres and "
+                "radians"
+            )
+        if key == "frames":
+            given: Any = value
+            good = isinstance(value, list) and all(isinstance(x, str) for x in given)
+            if not good and not (isinstance(value, dict) and all(map(_is_number, given.values()))):
+                raise InputError(
+                    f"frames is {shorten(given)}; it must be a list of names, or a table of weights"
+                )
+            return given
+        if key == "q":
+            return self.posture(value)
+        if (turned := self.turned(kind, key)) is not None:
+            return turned(np.asarray(_numbers(key, value), dtype=float))
+        return _numbers(key, value)
+
+    def turned(
+        self, kind: type[Constraint], key: str
+    ) -> Callable[[spatial.Array], spatial.Array] | None:
+        """How numbers become a pose or a rotation, where the parameter is one."""
+        sort = next(str(f.type) for f in fields(kind) if f.name == key)
+        return {"Matrix": self.poses, "Rotation": self.rotations}.get(sort)
+
+    def poses(self, x: spatial.Array) -> spatial.Array:
+        """Poses (..., 4, 4) from x, y, z, roll, pitch, yaw, of planar systems x, y, angle; or as
+        they are.
+        """
+        if x.shape[-2:] == (4, 4):
+            return x
+        planar = self.system.dim == 2
+        if x.shape[-1:] not in ((6,), (3,) if planar else (6,)):
+            allowed = (
+                "x, y, angle" if planar else "x, y, z, roll, pitch, yaw, or a matrix of four rows"
+            )
+            raise InputError(f"a pose has the shape {x.shape}; it must be {allowed}")
+        full = np.zeros((*x.shape[:-1], 6))
+        full[..., [0, 1, 5] if x.shape[-1] == 3 else slice(None)] = x
+        full[..., 3:] *= self.angle
+        return spatial.pose_from_xyz_rpy(full)
+
+    def rotations(self, x: spatial.Array) -> spatial.Array:
+        """Rotations (..., 3, 3) from roll, pitch, yaw, of planar systems an angle; or as they are."""
+        if x.shape[-2:] in ((3, 3), (4, 4)):
+            return x
+        if self.system.dim == 2 and (x.ndim == 0 or x.shape[-1] == 1):
+            angle = np.zeros((*x.shape[:-1], 3))
+            angle[..., 2] = x.reshape(x.shape[:-1])
+            x = angle
+        if x.shape[-1:] != (3,):
+            raise InputError(
+                f"an orientation has the shape {x.shape}; it must be roll, pitch, yaw, or a matrix"
+            )
+        return spatial.pose_from_xyz_rpy(
+            np.concatenate([np.zeros(x.shape), x * self.angle], axis=-1)
+        )[..., :3, :3]
+
+    def posture(self, value: Any) -> Any:
+        """Values by name, or a configuration, or the name of a posture, with angles in radians."""
+        if isinstance(value, str):
+            return arguments.configurations(self.system, None, value)
+        if isinstance(value, Mapping):
+            flat = self.document.flat(value, (), "q")
+            if not all(map(_is_number, flat.values())):
+                raise InputError(
+                    "q must be a table of numbers by coordinate name, such as {A = 0.3}"
+                )
+            unit = units(self.system)
+            return {k: x * (self.angle if unit.get(k) == "rad" else 1.0) for k, x in flat.items()}
+        return arguments.configurations(
+            self.system, ",".join(map(str, _numbers("q", value))), None, self.degrees
+        )
+
+    def from_file(self, kind: type[Constraint], key: str, path: Path) -> spatial.Array:
+        """Values (n, ...) of the rows of a file."""
+        if key == "q":
+            return arguments.configurations(self.system, str(path), None, self.degrees)
+        turned = self.turned(kind, key)
+        _, table = table_files.read(path, matrices=turned is not None)
+        if turned is not None:
+            return turned(table)
+        single = table.shape[1] == 1 and key in ("radius", "value", "margin", "at_least", "at_most")
+        return table[:, 0] if single else table
+
+
+def _names_file(key: str, value: Any) -> bool:
+    return key not in TEXT and isinstance(value, str) and table_files.is_file(value)
+
+
+def _is_number(x: Any) -> bool:
+    return isinstance(x, (int, float)) and not isinstance(x, bool) and not math.isnan(x)
+
+
+def _are_numbers(x: Any, n: int) -> bool:
+    entries: Any = x
+    return isinstance(x, list) and len(entries) == n and all(map(_is_number, entries))
+
+
+def _numbers(key: str, value: Any) -> Any:
+    """A number, or numbers in lists. Errors: `InputError`."""
+    try:
+        good = np.asarray(value).dtype.kind in "fiu"
+    except ValueError:
+        good = False
+    if not good or isinstance(value, bool):
+        raise InputError(
+            f"{key} is {shorten(value)}; it must be a number, a list of numbers, or a .csv or .npy "
+            "file"
+        )
+    return value
+
+
+def _holds(value: Any, name: object) -> bool:
+    return isinstance(value, (list, dict)) and name in value
