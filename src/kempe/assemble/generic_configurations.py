@@ -180,13 +180,16 @@ def nearby(system: Model, rank: Rank, rng: np.random.Generator) -> list[Rank]:
     if not rank.nullity:
         return []
     # a point of full rank is generic itself
-    found = _walk(system, rank, rng, POINTS if rank.dependent else 1)
+    found = _draw_nearby(system, rank, rng, POINTS if rank.dependent else 1)
     if rank.dependent and (len(found) < POINTS or any(r.nullity != rank.nullity for r in found)):
-        found += _walk(system, rank, rng, MORE)
+        found += _draw_nearby(system, rank, rng, MORE)
     return found
 
 
-def _walk(system: Model, rank: Rank, rng: np.random.Generator, count: int) -> list[Rank]:
+def _draw_nearby(system: Model, rank: Rank, rng: np.random.Generator, count: int) -> list[Rank]:
+    """Ranks at the closed configurations next to random steps along the null space, each one step:
+    where the rank drops there is no curve to be followed.
+    """
     from kempe.assemble.bound import of_equations
 
     z = rng.normal(size=(count, rank.nullity)) @ rank.null_space.T

@@ -715,7 +715,7 @@ def _found(
             f"{lyapunov_schmidt.ZERO:g})"
         )
         why += ": a manifold, to that order"
-        reached, faded = _walked(equations, at, rng) if sampling else (0.0, False)
+        reached, faded = _follow_on_spheres(equations, at, rng) if sampling else (0.0, False)
         if faded:
             doubts.append(
                 f"the motion fades at a distance of {reached:.1g}: it may be shaky of an order "
@@ -858,10 +858,14 @@ def _answer(
     )
 
 
-def _walked(equations: Equations, at: Split, rng: np.random.Generator) -> tuple[float, bool]:
+def _follow_on_spheres(
+    equations: Equations, at: Split, rng: np.random.Generator
+) -> tuple[float, bool]:
     """How far a motion along the null space can be followed, and whether it is seen to end there:
     (distance, bool).
 
+    Points are sought on spheres about the configuration, which may be singular: there a curve has no
+    tangent, and the tracer of `kempe.numerics.curves` no first step.
     The direction is random, the distance at most 1, in radians and characteristic lengths. True
     means that the residual there is small but not zero: there is no finite motion, the loops only
     seem to close near the configuration.
