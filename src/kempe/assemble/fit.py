@@ -12,7 +12,7 @@ from kempe.equations.closure_rows import evaluate, scales
 from kempe.model.own_tree import own_tree
 from kempe.numerics.clock import TimeLimit
 from kempe.numerics.newton import gauss_newton_of_many
-from kempe.singular_values import svd
+from kempe.numerics.rank import TINY, Spectrum
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -80,13 +80,9 @@ class Valley:
         self.scale = scales(tree)
         self.equations: Equations = equations or partial(evaluate, tree, scaled=True)
 
-    def at(self, q: Array) -> tuple[Array, Array, Array, Array]:
-        """Residual (m,), left vectors (m, m), singular values (rank + 1 or rank,), right vectors
-        (n, n) at q (nq,).
-        """
-        f, J = self.equations(q)
-        U, s, Vt = svd(J)
-        return f, U, s, Vt
+    def spectrum(self, q: Array) -> Spectrum:
+        """Singular values and vectors of the equations' derivatives at q (..., nq)."""
+        return Spectrum(self.equations(q)[1])
 
     def converge(self, q: Array, rounds: int = 12) -> Array:
         """The configurations of the valley that Gauss-Newton steps lead to from q (N, nq)."""
@@ -94,11 +90,9 @@ class Valley:
         system = self.system
 
         def step(f: Array, J: Array) -> Array:
-            U, s, Vt = svd(J)
-            part = (np.swapaxes(U[..., :r], -1, -2) @ f[..., None])[..., 0] / np.maximum(
-                s[..., :r], 1e-300
-            )
-            return -(np.swapaxes(Vt[..., :r, :], -1, -2) @ part[..., None])[..., 0]
+            U, s, Vt = Spectrum(J).thin
+            part = np.einsum("kmr,km->kr", U[..., :r], f) / np.maximum(s[..., :r], TINY)
+            return -np.einsum("krn,kr->kn", Vt[..., :r, :], part)
 
         return gauss_newton_of_many(
             lambda q, _: self.equations(q),
@@ -113,23 +107,20 @@ class Valley:
         """Norms (...) of the residual at configurations (..., nq)."""
         return np.linalg.norm(self.equations(q, False)[0], axis=-1)
 
-    def regular(self, q: Array) -> bool:
-        """Whether the combinations that count are independent at q (nq,)."""
-        return bool(self._regular(self.at(q)[2]))
-
-    def _regular(self, s: Array) -> np.ndarray:
-        """The same from singular values (..., k)."""
+    def regular(self, spectrum: Spectrum) -> np.ndarray:
+        """Whether (...) the combinations that count are independent where the spectrum is."""
+        s = spectrum.values
         return s[..., max(self.rank - 1, 0)] > REGULAR * s[..., 0]
 
-    def between(self, q: Array) -> list[Array]:
-        """Regular configurations some way along the valley from q (N, nq)."""
+    def between(self, q: Array) -> Array:
+        """Regular configurations (k, nq) some way along the valley from q (N, nq)."""
         if self.rank == self.system.nv:
-            return []
-        ways = svd(self.equations(q)[1])[2][:, -1]
-        found = self.converge(
-            self.system.structure.layout.integrate(q, 0.37 * STRIDE * self.scale * ways)
-        )
-        return [x for x in found if np.isfinite(x).all() and self.regular(x)]
+            return q[:0]
+        ways = self.spectrum(q).right[:, -1]
+        there = self.system.structure.layout.integrate(q, 0.37 * STRIDE * self.scale * ways)
+        there = self.converge(there)
+        there = there[np.isfinite(there).all(axis=1)]
+        return there[self.regular(self.spectrum(there))]
 
     def walk(self, q: Array, most: float, rng: np.random.Generator) -> Array:
         """Regular configurations (N, nq) along the valley on both sides of q, where at most `most`
@@ -140,7 +131,7 @@ class Valley:
         that are closest to closed, the steps went over to another valley: a way ends there.
         """
         freedoms = self.system.nv - self.rank
-        null_space = self.at(q)[3][self.rank :]
+        null_space = self.spectrum(q).right[self.rank :]
         ways = (
             null_space
             if freedoms == 1
@@ -166,7 +157,7 @@ class Valley:
         """
         layout = self.system.structure.layout
         start = float(self.residual(q))
-        found = [(start, q)] if self.regular(q) else []
+        found = [(start, q)] if self.regular(self.spectrum(q)) else []
         q = np.tile(q, (len(ways), 1))
         left = np.full(len(ways), start)
         for _ in range(steps):
@@ -176,16 +167,16 @@ class Valley:
             if not len(q):
                 break
             f, J = self.equations(there)
-            _, s, Vt = svd(J)
-            null_space = Vt[:, self.rank :]
+            spectrum = Spectrum(J)
+            null_space = spectrum.right[:, self.rank :]
             onward = np.einsum("wkn,wkm,wm->wn", null_space, null_space, ways)
-            onward /= np.maximum(np.linalg.norm(onward, axis=1, keepdims=True), 1e-300)
+            onward /= np.maximum(np.linalg.norm(onward, axis=1, keepdims=True), TINY)
             left = np.maximum(left, np.linalg.norm(f, axis=1))
             moved = np.linalg.norm(layout.difference(q, there) / self.scale, axis=1)
             kept = (left <= most) & (0.5 * length < moved) & (moved < 2.0 * length)
             kept &= np.sum(onward * ways, axis=1) >= 0.5
             q, ways, left = there[kept], onward[kept], left[kept]
-            regular = self._regular(s[kept])
+            regular = self.regular(spectrum)[kept]
             found += zip(left[regular].tolist(), q[regular], strict=True)
         return found
 
@@ -250,7 +241,7 @@ def _sides(shape: Dimensions, rank: int, q: Array) -> list[Array]:
     along = (
         shape.system.structure.layout.difference(np.tile(q[0], (len(q), 1)), q)
         / valley.scale
-        @ valley.at(q[0])[3][-1]
+        @ valley.spectrum(q[0]).right[-1]
     )
     return [
         side for sign in (1.0, -1.0) if len(side := q[sign * along >= 0.0][:AT_FIRST]) >= ENOUGH
@@ -336,23 +327,21 @@ def _fit(
             P = shape.derivative(p, q)
             at = p
             H = also.derivative(p) if also is not None else H
-        U = svd(J)[0][:, :, rank:]
+        U = Spectrum(J).left[:, :, rank:]
         G = np.concatenate([*(np.swapaxes(U, -1, -2) @ P), H])
         g = np.concatenate([*(np.swapaxes(U, -1, -2) @ F[..., None])[..., 0], h])
         if not U.size:  # no equation too many
             return p, q, np.inf
-        L, s, Rt = svd(G, full_matrices=False)
+        L, s, Rt = Spectrum(G).thin
         least = LEAST if damped and left < LITTLE and k < SOON else LATE
-        damping = max(least, damped * left) * max(float(s[0]), 1e-300)
+        damping = max(least, damped * left) * max(float(s[0]), TINY)
         p = p - Rt.T @ (s * (L.T @ g) / (s * s + damping * damping))
     return p, q, left
 
 
 def moves(valley: Valley, q: Array) -> bool:
     """Whether the equations have no more than their rank at all configurations q (N, nq)."""
-    s = svd(valley.equations(q)[1], compute_uv=False)
-    few = valley.rank < valley.system.nv and s.shape[-1] > valley.rank
-    return not (few and np.any(s[:, valley.rank] > ZERO * s[:, 0]))
+    return not np.any(valley.spectrum(q).ranks(ZERO) > valley.rank)
 
 
 def moves_all_along(valley: Valley, q: Array) -> bool:

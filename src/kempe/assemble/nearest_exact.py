@@ -503,6 +503,7 @@ def _starts(system: Model, home: Array, scaled: float) -> list[tuple[int, Array]
     about home.
     """
     valley = Valley(system, 0)
+    equations = len(full(system, True).names)
     limit = OPEN * scaled
     exact = EXACT + 4.0 * np.finfo(float).eps * float(
         np.linalg.norm(origin_of(system))
@@ -519,9 +520,8 @@ def _starts(system: Model, home: Array, scaled: float) -> list[tuple[int, Array]
                 home, valley.scale * rng.normal(size=system.nv) * ASIDE
             )
         q = bare(system)(start=start, budget=Budget(starts=FEW)).q
-        f, _, s, _ = valley.at(q)
-        left = float(np.linalg.norm(f))
-        s = _relative(s, system.nv)
+        left = float(valley.residual(q))
+        s = _relative(valley.spectrum(q).values, system.nv)
         if not left <= limit:
             if not k:
                 return []
@@ -529,7 +529,7 @@ def _starts(system: Model, home: Array, scaled: float) -> list[tuple[int, Array]
         if regular_chart(system, q)[2]:  # angles of a ball that move nothing are no motion
             continue
         looked += 1
-        if left <= exact and len(f) <= system.nv and np.all(s[: len(f)] >= limit):
+        if left <= exact and equations <= system.nv and np.all(s[:equations] >= limit):
             regular += 1  # it closes for any dimensions near by
             if not k:
                 return []
@@ -538,11 +538,11 @@ def _starts(system: Model, home: Array, scaled: float) -> list[tuple[int, Array]
             least = max(0.1 * min(left, scaled), EXACT)
             top = system.nv + (left > exact)
             for at in _where(valley, start, q, limit):
-                here = _relative(valley.at(at)[2], system.nv)
+                here = _relative(valley.spectrum(at).values, system.nv)
                 held = min(held, int(np.sum(here >= limit)))
                 out += [(r, at) for r in _ranks(here, top, limit, least)]
     # of this rank no equation is too many, or nothing moves
-    top = min(system.nv, len(full(system, True).names))
+    top = min(system.nv, equations)
     if held < top - 1:
         out += _beside(valley, home, held, top, limit, rng)
     return [] if regular == looked - 1 > 0 else _apart(system, out, valley.scale)
@@ -558,7 +558,7 @@ def _beside(
     ones come first on which least stays open.
     """
     system = valley.system
-    null_space = valley.at(home)[3][held:]
+    null_space = valley.spectrum(home).right[held:]
     ways = rng.normal(size=(WAYS, len(null_space))) @ null_space
     ways *= 2.0 * ASIDE / np.linalg.norm(ways, axis=1, keepdims=True)
     starts = system.structure.layout.integrate(np.tile(home, (WAYS, 1)), valley.scale * ways)
@@ -572,9 +572,10 @@ def _beside(
             i
             for i in np.argsort(left)
             if left[i] <= limit
-            and r in _ranks(_relative(along.at(found[i])[2], system.nv), r + 1, limit, EXACT)
+            and r
+            in _ranks(_relative(along.spectrum(found[i]).values, system.nv), r + 1, limit, EXACT)
         ]
-        out += [(r, found[i]) for i in fit if along.regular(found[i])][:FEW]
+        out += [(r, found[i]) for i in fit if along.regular(along.spectrum(found[i]))][:FEW]
     return out
 
 

@@ -103,7 +103,8 @@ class SolidRecord(Solids):
         both: np.ndarray = fan
         if alpha < 1.0:
             both = np.concatenate([fan, fan[..., ::-1]], axis=1)
-        triangles = (both + n * np.arange(k)[:, None, None]).reshape(-1, 3)
+        first = n * np.arange(k, dtype=np.int64)[:, None, None]
+        triangles = (both + first).reshape(-1, 3)
         self.pieces.append(
             DrawnPiece(name, corners.reshape(-1, 3), triangles, (*rgb(colour), alpha))
         )
