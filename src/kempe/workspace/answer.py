@@ -36,9 +36,8 @@ from kempe.workspace.kinds import (
     read_rotations,
 )
 from kempe.workspace.place_bounds import place_bounds
-from kempe.workspace.planar.planar_workspace import PlanarWorkspace, planar_answer
-from kempe.workspace.planar.plane_curves import PlaneCurve
-from kempe.workspace.planar.swept_solids import SweptSolid, Turned, swept_solid
+from kempe.workspace.planar.planar_workspace import PlanarWorkspace, PlaneCurve, planar_answer
+from kempe.workspace.planar.swept_solids import SweptSolid, swept_solid
 from kempe.workspace.sampling_job import closed_configurations
 from kempe.workspace.store import refuse_other
 from kempe.workspace.stored_map import SampleCounts, read_map, write_map
@@ -292,14 +291,11 @@ def _squares(near: list[tuple[Array, Array]], centre: Array, far: bool) -> Array
 
 MEASURES = {1: ("length", "m"), 2: ("area", "m^2"), 3: ("volume", "m^3")}
 """What is measured in one, two and three dimensions, and its unit."""
-MOST_LIMITED = 4
 LARGE = 1.0
 """Edge [m] of a cell from which on it is written in metres, below in millimetres."""
 THIN = {0: "stays at points", 1: "moves on a curve", 2: "moves on a surface"}
 LOOKED = 64
 """Configurations at which the dimension is found."""
-ROUNDING = 1e-9
-"""Error of an exact area or volume, in powers of the size of its chain."""
 
 
 @explained_methods
@@ -388,17 +384,17 @@ class Workspace(Report):
 
     @cached_property
     def exact(self) -> PlanarWorkspace | SweptSolid | None:
-        """The exact workspace, None where that is not known: of a planar system as
-        `System.reach.planar` has it.
+        """The workspace with its exact boundary, None where that is not known: of a planar system
+        as `System.reach.planar` has it.
 
         In space it is known of chains that move the frame in a plane, which a slide moves across
-        itself or a first joint turns. It is not looked for where more than four joints of a chain
-        have limits, which takes long, nor used where it is not inside the box.
+        itself, or which a first joint without limits turns about an axis in it. It is not used
+        where it is not inside the box.
         """
         found = self._exact_anywhere()
         grid = self.map.grid
         dim = self.system.dim
-        if found is None or found.limited > MOST_LIMITED or len(grid.axes) != dim:
+        if found is None or len(grid.axes) != dim:
             return None
         low, high = found.extent
         return found if (low >= grid.low[:dim]).all() and (high <= grid.high[:dim]).all() else None
@@ -446,11 +442,10 @@ class Workspace(Report):
         error.
 
         It is the `estimate`, or where the workspace is known exactly its area or volume, and an
-        error that is rounding.
+        error that is rounding. Of a planar platform, whose points are decided exactly, the area is
+        sampled; the error is two standard errors.
         """
-        if self.exact is None:
-            return self.estimate
-        return self.exact.measure, ROUNDING * self.exact.size**self.system.dim
+        return self.estimate if self.exact is None else self.exact.measure
 
     @cached_property
     def estimate(self) -> tuple[float, float]:
@@ -488,7 +483,7 @@ class Workspace(Report):
 
         The lower one is the value less its error: each point that it counts is reached, so that
         only chance, which points were drawn, makes it too large (in one of 40 cases). The upper one
-        is proven, by lengths and limits, or rounding away from an exact measure.
+        is proven, by lengths and limits; of an exact workspace both are the value and its error.
         """
         value, error = self.measure
         if self.exact is not None or self.thin:
@@ -543,8 +538,6 @@ class Workspace(Report):
         """Distance (...) [m] of points (..., d) from the boundary, negative outside: of the `exact`
         one, or of the map.
 
-        It is of the map, too, where a first joint in space has limits.
-
         Which points are inside says `contains`. Of the map the distance is that of the nearest cell
         that is not reached, outside of the nearest that is, so it may be off by half the diagonal
         of a cell (`resolution`), and outside by what the samples missed; inside, the inverse model
@@ -553,7 +546,7 @@ class Workspace(Report):
         if self.kind == ORIENTATION:
             raise UnsupportedError("distances are those of places, not of orientations")
         flat, lead = self._points(points)
-        if self.exact is not None and not isinstance(self.exact, Turned):
+        if self.exact is not None:
             return (
                 self.exact.distance(flat) * np.where(self.exact.contains(flat), 1.0, -1.0)
             ).reshape(lead)
@@ -641,6 +634,9 @@ class Workspace(Report):
         )
         if self.exact is not None:
             said = [(name, f"{value:.9g} {unit}, exact but for rounding")]
+            if isinstance(self.exact, PlanarWorkspace) and self.exact.error:
+                sampled = f"{value:.5g} +- {error:.2g} {unit}, by samples that are decided exactly"
+                said = [(name, sampled)]
         elif self.thin:
             said = [(name, f"0 {unit}: the frame {THIN[self.dimension]}, as its velocities say")]
         elif not high:

@@ -13,8 +13,7 @@ from kempe.spatial import Array
 from kempe.views.drawing.style import GROUND_HALF, GROUND_HEIGHT, HATCH
 
 if TYPE_CHECKING:
-    from kempe.workspace.planar.planar_workspace import SolutionRegion
-    from kempe.workspace.planar.plane_curves import PlaneCurve
+    from kempe.workspace.planar.planar_workspace import PlaneCurve, SolutionRegion
 
 FINE = 0.02
 """Angle between the points by which an arc is drawn."""

@@ -1,476 +1,238 @@
 """Places of a planar platform on legs: where all legs hold it in some orientation.
 
-The last joint of each leg turns without limits. The workspace ends on circles and coupler curves.
+The last joint of each leg turns without limits. Boundary curves are arcs, segments and coupler
+curves, which are traced; the area is sampled.
 """
 
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
-from functools import cache, cached_property, partial
-from typing import Any, cast
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 
+from kempe.numerics.curves import Curve, node, step, walk
+from kempe.spatial import Array
 from kempe.workspace.planar.plane_curves import (
-    ENDS,
-    NOTHING,
     SAME,
     TURN,
     PlanarRegion,
-    PlaneCurve,
     PlanePiece,
     as_pair,
+    beside_pieces,
+    circle_points,
     merged,
+    whole_curve,
 )
+
+STARTS = 96
+"""Places on each of two circles or lines from which curves are looked for."""
+LONGEST = 0.1
+"""Longest step along a curve, in sizes of the platform and radians."""
+MOST_STEPS = 4000
+AWAY = 3.0
+"""Distance from the origin, in sizes, from which a curve is followed no further."""
+SEEN = 0.01
+"""Distance from a traced curve, in sizes and radians, below which a start is on it."""
+CORNER = 1e-6
+"""Residual, in sizes, below which a corner is on a curve."""
+FINE = 4
+"""Points of a traced curve that are tried for each of its steps."""
+TRIED = 361
+"""Points of an arc or a segment that are tried."""
+SIDE = 1e-8
+"""Distance, in sizes, of the points that are tried on both sides of a curve."""
+HALVINGS = 45
+NEVER = 1e-9
+"""Largest number that is zero all along a curve."""
+TOGETHER = 1e-7
+"""Difference of parameters up to which events are one."""
+CHUNK = 2048
+"""Points that are decided at a time."""
+APART = 1e-11
+"""Width of an interval of angles below which it is rounding."""
+SQUARES = 200
+"""Squares along each edge of a box, in each of which two random points are decided."""
+
 
 # ---- coupler curves
 
-# Points of a body describe them while two others of its points move on arcs or segments. Source:
-# Wunderlich, "Ebene Kinematik", Bibliographisches Institut (1970): of order six, with arcs for both
-# points.
 
-SAMPLES = 257
-"""Points of a curve between which its roots and meetings are looked for."""
-HALVINGS = 50
-NODES = (16, 32, 64, 128, 256, 512, 1024)
-"""Numbers of nodes of Gauss and Legendre that are tried for an integral, until two agree."""
-NEAR = 1e-7
-"""Distance of s from the ends of an interval at which derivatives are read there: at dead centres
-they are 0 / 0."""
-ROUNDING = 1e-14
-FLAT = 1e-12
-"""Square of half a chord, in squares of the radius, below which circles touch at the end of an
-interval."""
-BESIDE = 1e-4
-"""Distance of s from a dead centre below which chords are read from there."""
-NARROW = 1e-9
-"""Width of an interval of angles below which it is rounding."""
-TOUCHING = 1e-9
-"""Distance, in lengths of two curves, below which they touch."""
-CURVE_CHUNK = 4096
-"""Points whose distances are found at a time."""
-MARGIN = 0.2
-"""By which part of its length a chord's box is widened, so that the curve is inside."""
-CONVERGED = 1e-13
-"""Step of a parameter below which a nearest point is found."""
-GROUP = 16
-"""Successive chords whose boxes are compared as one."""
-AT_END = 1e-3
-FLAT_ANGLE = 1e-2
-"""Difference of parameters, and angle, within which curves that meet at an end touch there."""
-ITSELF = 0.01
-"""Difference of parameters below which a curve meets itself because it goes on."""
+@dataclass(frozen=True, eq=False)
+class HeldPoints(Curve):
+    """Motions of a platform with its point `a` on the circle or line of one piece, `b` on that of
+    another.
 
-
-def cosine_intervals(middle: float, low: float, high: float) -> list[tuple[float, float]]:
-    """Intervals of angles within one turn in which low <= cos(angle - middle) <= high."""
-    if high < -1.0 or low > 1.0 or high < low:
-        return []
-    near = float(np.arccos(min(high, 1.0)))
-    far = float(np.arccos(max(low, -1.0)))
-    whole = [(middle - far, middle - near), (middle + near, middle + far)]
-    if near > 0.0:
-        return whole if far < np.pi else [(middle + near, middle + TURN - near)]
-    return [(middle - far, middle + far)]
-
-
-@dataclass(frozen=True)
-class FourBar:
-    """A body whose point `a` is on the circle or line of one piece, and `b` on that of another,
-    over an interval.
-
-    Points of the body are complex numbers: at the place p, turned by the unit number u, a is at p +
-    u a. Of the two places that a turn leaves, `branch` 1 or -1 says which. If one of the pieces is
-    a segment it is the second. Motions are functions of s from 0 to 1: the angle is that of the
-    middle between `low` and `high` less half the width times cos(pi s), so that they are smooth at
-    dead centres, where the branches meet.
+    Unknowns are the place in units of `size`, and the angle. Source: Wunderlich, "Ebene Kinematik",
+    Bibliographisches Institut (1970).
     """
 
     first: PlanePiece
     second: PlanePiece
     a: complex
     b: complex
-    branch: float
-    low: float
-    high: float
+    size: float
 
-    def turns(self, s: np.ndarray) -> np.ndarray:
-        """The unit numbers (...) by which the body is turned."""
-        return np.exp(
-            1j * (0.5 * (self.low + self.high) - 0.5 * (self.high - self.low) * np.cos(np.pi * s))
-        )
+    n = 3
 
-    def parameter(self, angle: float) -> float:
-        """The s of an angle inside the interval."""
-        c = np.clip(
-            (0.5 * (self.low + self.high) - angle) / (0.5 * (self.high - self.low)), -1.0, 1.0
-        )
-        return float(np.arccos(c) / np.pi)
-
-    def _chord(self, turns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The middle (...) and the direction of the chord in which a's circle meets b's curve, and
-        its square.
-        """
-        one = self.first
-        two = self.second
-        ud = turns * (self.b - self.a)
-        if two.is_arc:
-            to = two.centre - ud - one.centre
-            far = np.maximum(np.abs(to), 1e-300)
-            along = (far**2 + one.radius**2 - two.radius**2) / (2.0 * far)
-            return one.centre + along * to / far, 1j * to / far, one.radius**2 - along**2
-        w = two.way / abs(two.way)
-        foot = two.centre - ud + w * np.real((one.centre - two.centre + ud) * np.conj(w))
-        return foot, w + 0.0 * ud, one.radius**2 - np.abs(foot - one.centre) ** 2
-
-    @cached_property
-    def _dead(self) -> np.ndarray:
-        """Whether each end (2,) of the interval is a dead centre."""
-        return self._chord(self.turns(np.array([0.0, 1.0])))[2] < FLAT * self.first.radius**2
-
-    def _of_first(self, s: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """Where the point a is (...); u (...) are the turns there."""
-        if not self.first.is_arc:  # both are segments, which are not parallel
-            one = self.first
-            two = self.second
-            gap = two.centre - u * (self.b - self.a) - one.centre
-            return one.centre + one.way * np.imag(gap * np.conj(two.way)) / np.imag(
-                one.way * np.conj(two.way)
+    def rows(self, x: Array) -> tuple[Array, Array]:
+        """Residuals (k, 2) of motions x (k, 3), and their derivatives (k, 2, 3)."""
+        F = np.empty((len(x), 2))
+        J = np.empty((len(x), 2, 3))
+        u = np.exp(1j * x[:, 2])
+        for k, (piece, b) in enumerate(((self.first, self.a), (self.second, self.b))):
+            arm = u * b / self.size
+            z = x[:, 0] + 1j * x[:, 1] + arm - piece.centre / self.size
+            normal = 1j * piece.way / abs(piece.way) + 0.0 * z if not piece.is_arc else z
+            normal = normal / np.maximum(np.abs(normal), 1e-300)
+            F[:, k] = np.real(np.conj(normal) * z) - piece.radius / self.size
+            J[:, k] = np.stack(
+                [normal.real, normal.imag, np.real(np.conj(normal) * 1j * arm)], axis=1
             )
-        foot, way, square = self._chord(u)
-        s = np.asarray(s)
-        half = np.asarray(np.sqrt(np.maximum(square, 0.0)))
-        # beside a dead centre the chord grows with sin(pi s): there its square is lost in rounding
-        low, high = np.where(self._dead, (BESIDE, 1.0 - BESIDE), (-1.0, 2.0))
-        beside = (s < low) | (s > high)
-        if beside.any():
-            inside = np.clip(s[beside], low, high)
-            there = np.sqrt(np.maximum(self._chord(self.turns(inside))[2], 0.0))
-            half[beside] = there * np.sin(np.pi * s[beside]) / np.sin(np.pi * inside)
-        return foot + self.branch * half * way
+        return F, J
 
-    def place(self, s: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """Where the body is (...); u (...) are the turns there."""
-        return self._of_first(s, u) - u * self.a
+    def both(self, x: Array) -> tuple[Array, Array]:
+        """Residuals (3,) and derivatives (3, 3), the last of them zero."""
+        F, J = self.rows(x[None])
+        return np.append(F[0], 0.0), np.vstack([J[0], np.zeros(3)])
 
-    def velocities(self, s: np.ndarray, point: complex) -> np.ndarray:
-        """Derivatives (...) by s of a point of the body. At dead centres they are those close to
-        it.
-        """
-        s = np.clip(s, NEAR, 1.0 - NEAR)
-        u = self.turns(s)
-        p = self.place(s, u)
-        turning = 0.5 * (self.high - self.low) * np.sin(np.pi * s) * np.pi
-        one, two = (
-            p + u * x - piece.centre if piece.is_arc else 1j * piece.way / abs(piece.way) + 0.0 * u
-            for piece, x in ((self.first, self.a), (self.second, self.b))
+    def starts(self) -> Array:
+        """Motions (k, 3) with one of the points spread over its circle, or over its piece of a line."""
+        out: list[tuple[float, float, float]] = []
+        ends = (
+            (self.first, self.a, self.second, self.b),
+            (self.second, self.b, self.first, self.a),
         )
-        e, f = (-np.real(np.conj(n) * 1j * u * x) for n, x in ((one, self.a), (two, self.b)))
-        across = np.imag(np.conj(one) * two)
-        across = np.where(across == 0.0, np.inf, across)
-        return turning * -1j * (e * two - f * one) / across + turning * 1j * u * point
+        for piece, a, other, b in ends:
+            for z in piece.at((np.arange(STARTS) + 0.37) / STARTS).tolist():
+                for w in circle_points(PlanePiece(z, abs(b - a), 0.0, TURN), other).tolist():
+                    u = (w - z) / (b - a)
+                    p = (z - u * a) / self.size
+                    out.append((p.real, p.imag, float(np.angle(u))))
+        return self.corrected_all(np.array(out).reshape(-1, 3))
+
+    def corrected_all(self, x: Array) -> Array:
+        """Motions (k, 3) on the curve, nearest to those close to it."""
+        for _ in range(4):
+            F, J = self.rows(x)
+            square = J @ J.transpose(0, 2, 1) + 1e-14 * np.eye(2)
+            x = x - (J.transpose(0, 2, 1) @ np.linalg.solve(square, F[..., None]))[..., 0]
+        return x
+
+    def traced(self, start: Array) -> Array:
+        """Motions (k, 3) along the curve through one of them, to its ends or once round it."""
+        first = node(self, start)
+        halves: list[list[Array]] = []
+        for begin in (first, first.reversed()):
+            points = [begin.x]
+            for b in walk(begin, lambda a, h: _step(self, a, h), LONGEST, 0.2 * LONGEST):
+                points.append(b.x)
+                chord = points[-1] - points[-2]
+                back = begin.x - points[-2]
+                back[2] = np.mod(back[2] + np.pi, TURN) - np.pi
+                along = float(back @ chord) / float(chord @ chord)
+                beside = float(np.linalg.norm(back - along * chord))
+                if len(points) > 3 and 0.0 <= along <= 1.0 and beside < SEEN:
+                    points[-1] = points[-2] + back
+                    return np.array(points)
+                if len(points) > MOST_STEPS or np.hypot(b.x[0], b.x[1]) > AWAY:
+                    break
+            halves.append(points)
+        return np.array(halves[1][:0:-1] + halves[0])
 
 
-def four_bars(first: PlanePiece, second: PlanePiece, a: complex, b: complex) -> Iterator[FourBar]:
-    """The bodies with a point a on a circle or line and b on another, over all intervals in which
-    they assemble.
-    """
-    for branch in (1.0, -1.0) if first.is_arc else (1.0,):
-        for low, high in _intervals(first, second, b - a):
-            if high - low > NARROW:
-                yield FourBar(first, second, a, b, branch, low, high)
+def _step(curve: Curve, a: Any, h: float) -> list[Any] | None:
+    b = step(curve, a, h)
+    return None if b is None else [b]
 
 
-def _intervals(one: PlanePiece, two: PlanePiece, d: complex) -> list[tuple[float, float]]:
-    """Intervals of angles of a body, whose point is on `one` and another, d from it, on `two`."""
-    if not one.is_arc:
-        return [(0.0, TURN)]
-    if not two.is_arc:
-        w = two.way / abs(two.way)
-        off = ((one.centre - two.centre) * w.conjugate()).imag
-        middle = 0.5 * np.pi - float(np.angle(d * w.conjugate()))
-        return cosine_intervals(middle, (-one.radius - off) / abs(d), (one.radius - off) / abs(d))
-    base = two.centre - one.centre
-    scale = 2.0 * abs(base) * abs(d)
-    total = abs(base) ** 2 + abs(d) ** 2
-    least = (one.radius - two.radius) ** 2
-    most = (one.radius + two.radius) ** 2
-    if scale <= ROUNDING * total:
-        return [(0.0, TURN)] if least <= total <= most else []
-    middle = float(np.angle(base / d))
-    found = cosine_intervals(middle, (total - most) / scale, (total - least) / scale)
-    # with equal cranks both circles may fall together there, and the branches change
-    same = abs(one.radius - two.radius) <= 1e-9 * one.radius
-    return [x for lo, hi in found for x in _cut(lo, hi, middle if same else np.nan)]
+@dataclass(frozen=True, eq=False)
+class CouplerCurve:
+    """The places of a platform on a traced curve of its motions, from its parameter 0 to 1.
 
-
-def _cut(low: float, high: float, at: float) -> list[tuple[float, float]]:
-    """An interval, cut at an angle modulo whole turns that is inside."""
-    x = low + np.mod(at - low, TURN)
-    return [(low, float(x)), (float(x), high)] if low + 1e-12 < x < high - 1e-12 else [(low, high)]
-
-
-@cache
-def _gauss(n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes and weights (n,) of Gauss and Legendre for integrals from 0 to 1."""
-    x, w = np.polynomial.legendre.leggauss(n)
-    return 0.5 * (x + 1.0), 0.5 * w
-
-
-def _overlapping(one: np.ndarray, two: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs (k,), (k,) of boxes (2, 2, n) of two curves that overlap: first of groups of them, then
-    of single ones.
-    """
-    groups = [
-        np.stack([b[0].reshape(2, -1, GROUP).min(axis=2), b[1].reshape(2, -1, GROUP).max(axis=2)])
-        for b in (one, two)
-    ]
-    inside = np.arange(GROUP)
-    i, j = (
-        x[:, None] * GROUP + inside
-        for x in np.nonzero(_overlap(groups[0][..., None], groups[1][:, :, None]))
-    )
-    i, j = np.broadcast_arrays(i[:, :, None], j[:, None, :])
-    i = i.ravel()
-    j = j.ravel()
-    both = _overlap(one[..., i], two[..., j])
-    return i[both], j[both]
-
-
-def _overlap(one: np.ndarray, two: np.ndarray) -> np.ndarray:
-    return ((one[0] <= two[1]) & (two[0] <= one[1])).all(axis=0)
-
-
-@dataclass(frozen=True)
-class CouplerCurve(PlaneCurve):
-    """The curve of the point `point` of a four-bar's body, with its s from `start` to
-    `start + sweep`.
+    `nodes` (k, 3) are motions along the curve; what is between them is brought to the curve by
+    Newton's method. It goes from the node `start` on by `sweep` nodes, which may be fractions.
     """
 
-    bar: FourBar
-    point: complex = 0j
-    start: float = 0.0
-    sweep: float = 1.0
+    motions: HeldPoints
+    nodes: Array = field(repr=False)
+    start: float
+    sweep: float
 
     kind = "coupler curve"
 
-    def _s(self, t: np.ndarray | float) -> np.ndarray:
-        return self.start + self.sweep * np.asarray(t, dtype=float)
+    def motions_at(self, t: Any) -> Array:
+        """Motions (k, 3) at parameters t (k,)."""
+        x = np.clip(self.start + self.sweep * np.atleast_1d(t), 0.0, len(self.nodes) - 1.0)
+        k = np.minimum(x.astype(int), len(self.nodes) - 2)
+        part = (x - k)[:, None]
+        guess = (1.0 - part) * self.nodes[k] + part * self.nodes[k + 1]
+        return self.motions.corrected_all(guess)
 
-    def turns(self, t: np.ndarray | float) -> np.ndarray:
-        """The unit numbers (...) by which the body is turned at parameters t (...)."""
-        return self.bar.turns(self._s(t))
-
-    def at(self, t: np.ndarray | float) -> np.ndarray:
+    def at(self, t: Any) -> np.ndarray:
         """Points (...) at parameters t (...)."""
-        s = self._s(t)
-        u = self.bar.turns(s)
-        return self.bar.place(s, u) + u * self.point
+        x = self.motions_at(t)
+        return (self.motions.size * (x[:, 0] + 1j * x[:, 1])).reshape(np.shape(t))
 
-    def velocity(self, t: np.ndarray | float) -> np.ndarray:
-        """Derivatives (...) by t."""
-        return self.sweep * self.bar.velocities(self._s(t), self.point)
+    def tangents(self, t: Any) -> np.ndarray:
+        """Tangents (k,) at parameters (k,), of no certain length."""
+        x = self.motions_at(t)
+        J = self.motions.rows(x)[1]
+        along = np.cross(J[:, 0], J[:, 1])
+        k = np.minimum(
+            np.clip(self.start + self.sweep * np.atleast_1d(t), 0.0, None).astype(int),
+            len(self.nodes) - 2,
+        )
+        chord = self.nodes[k + 1] - self.nodes[k]
+        sense = np.sign(self.sweep * np.einsum("ij,ij->i", along, chord))
+        return sense * (along[:, 0] + 1j * along[:, 1])
 
-    def of(self, point: complex) -> CouplerCurve:
-        """The curve of another point of the body, with the same parameters."""
-        return replace(self, point=point)
+    def tangent(self, t: float) -> complex:
+        """The unit tangent at a parameter."""
+        v = complex(self.tangents(t)[0])
+        return v / max(abs(v), 1e-300)
 
     def part(self, a: float, b: float) -> CouplerCurve:
         """The piece from the parameter a to b."""
         return replace(self, start=self.start + self.sweep * a, sweep=self.sweep * (b - a))
 
-    def points(self, fine: float) -> np.ndarray:
-        """Points (k,) along it, between which it turns by less than an angle."""
-        t, p = self._fine
-        bends = np.abs(np.angle(p[2:] - p[1:-1]) - np.angle(p[1:-1] - p[:-2]))
-        total = float(np.minimum(bends, TURN - bends).sum())
-        return self.at(np.linspace(0.0, 1.0, max(len(t), int(2.0 * total / fine))))
-
-    def data(self) -> dict[str, Any]:
-        """Its numbers, for JSON: points on it."""
-        return super().data() | {"points": [as_pair(p) for p in self._fine[1][::4]]}
-
-    def tangent(self, t: float) -> complex:
-        """The unit tangent at a parameter."""
-        v = complex(self.velocity(t))
-        return v / abs(v)
-
     @cached_property
     def _fine(self) -> tuple[np.ndarray, np.ndarray]:
-        t = np.linspace(0.0, 1.0, SAMPLES)
+        t = np.linspace(0.0, 1.0, 2 + int(4 * FINE * abs(self.sweep)))
         return t, self.at(t)
 
-    @cached_property
+    @property
     def length(self) -> float:
-        """Its length in metres, as that of chords."""
+        """Its length in metres, as that of short chords."""
         return float(np.abs(np.diff(self._fine[1])).sum())
-
-    @cached_property
-    def moment(self) -> float:
-        """Half of the integral of x dy - y dx along it: its part of the area that a closed curve
-        has to its left.
-        """
-        value = np.inf
-        rounding = ROUNDING * self.length * (self.length + float(np.abs(self._fine[1]).max()))
-        for n in NODES:
-            before = value
-            x, w = _gauss(n)
-            value = 0.5 * float(w @ np.imag(np.conj(self.at(x)) * self.velocity(x)))
-            if abs(value - before) <= rounding:
-                break
-        return value
 
     @property
     def extremes(self) -> np.ndarray:
-        """Its ends, and where x or y is largest or least on it (k,)."""
-        t = [
-            self.roots(lambda x, axis=axis: np.real(self.velocity(x) * axis)) for axis in (1.0, -1j)
-        ]
-        return self.at(np.concatenate([[0.0, 1.0], *t]))
+        """Points (k,) along it, close enough to tell its extent."""
+        return self._fine[1]
 
-    def nearest(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Parameters (n,) of the points of it that are nearest to points (n,), and their distances."""
-        t, fine = self._fine
-        far = np.abs(p[:, None] - fine)
-        best = np.argmin(far, axis=1)
-        x = t[best]
-        least = far[np.arange(len(p)), best]
-        for _ in range(5):  # towards the foot of the perpendicular
-            v = self.velocity(x)
-            foot = x + np.real(np.conj(v) * (p - self.at(x))) / np.maximum(np.abs(v) ** 2, 1e-300)
-            foot = np.clip(foot, 0.0, 1.0)
-            off = np.abs(p - self.at(foot))
-            still = np.abs(foot - x).max(initial=0.0)
-            x = np.where(off <= least, foot, x)
-            least = np.minimum(off, least)
-            if still < CONVERGED:
-                break
-        return x, least
+    def points(self, fine: float) -> np.ndarray:
+        """Points (k,) along it, closer than steps of the tracing."""
+        return self._fine[1]
 
     def distance(self, p: np.ndarray) -> np.ndarray:
         """Distances (...) of points (...) from it."""
         z = np.asarray(p, dtype=complex).ravel()
-        parts = [self.nearest(z[k : k + CURVE_CHUNK])[1] for k in range(0, len(z), CURVE_CHUNK)]
-        return np.concatenate([np.zeros(0), *parts]).reshape(np.shape(p))
+        best = np.full(z.shape, np.inf)
+        for a, b in itertools.pairwise(self._fine[1].tolist()):
+            way = b - a
+            t = np.clip(np.real((z - a) * way.conjugate()) / max(abs(way) ** 2, 1e-300), 0.0, 1.0)
+            best = np.minimum(best, np.abs(z - a - t * way))
+        return best.reshape(np.shape(p))
 
-    def directions(self, p: np.ndarray) -> np.ndarray:
-        """Unit tangents (n,) at the points of it that are nearest to points (n,)."""
-        v = self.velocity(self.nearest(p)[0])
-        return v / np.maximum(np.abs(v), 1e-300)
-
-    @cached_property
-    def _boxes(self) -> np.ndarray:
-        """Least and largest x and y (2, 2, n) of boxes about chords between samples, wide enough
-        for the curve.
-        """
-        z = self._fine[1]
-        corners = np.stack([z[:-1], z[1:]])
-        xy = np.stack([np.real(corners), np.imag(corners)])
-        wide = MARGIN * np.abs(np.diff(z))
-        return np.stack([xy.min(axis=1) - wide, xy.max(axis=1) + wide])
-
-    def roots(self, f: Callable[[np.ndarray], np.ndarray], touch: float = 0.0) -> np.ndarray:
-        """Parameters between 0 and 1 at which a function changes sign, or comes as near to 0 as
-        `touch`.
-        """
-        t = self._fine[0]
-        y = f(t)
-        middle = (
-            np.flatnonzero((np.abs(y[1:-1]) < np.abs(y[:-2])) & (np.abs(y[1:-1]) <= np.abs(y[2:])))
-            + 1
-        )
-        middle = middle[(y[middle] * y[middle - 1] > 0.0) & (y[middle] * y[middle + 1] > 0.0)]
-        falls = np.maximum(np.abs(y[middle - 1] - y[middle]), np.abs(y[middle + 1] - y[middle]))
-        # else it does not come to 0 between two samples
-        middle = middle[np.abs(y[middle]) <= falls + touch]
-        low = t[middle - 1]
-        high = t[middle + 1]
-        for _ in range(HALVINGS if len(middle) else 0):  # the least of |f|, by thirds
-            a = low + (high - low) / 3.0
-            b = high - (high - low) / 3.0
-            left = f(a) * np.sign(y[middle]) < f(b) * np.sign(y[middle])
-            low = np.where(left, low, a)
-            high = np.where(left, b, high)
-        nearest = 0.5 * (low + high)
-        t = np.sort(np.concatenate([t, nearest]))
-        y = f(t)
-        k = np.flatnonzero(y[:-1] * y[1:] < 0.0)
-        low = t[k]
-        high = t[k + 1]
-        sign = np.sign(y[k])
-        for _ in range(HALVINGS if len(k) else 0):
-            x = 0.5 * (low + high)
-            same = f(x) * sign > 0.0
-            low = np.where(same, x, low)
-            high = np.where(same, high, x)
-        close = nearest[np.abs(f(nearest)) <= touch] if len(nearest) else nearest
-        return np.concatenate([0.5 * (low + high), t[y == 0.0], close])
-
-    def meets(self, other: PlaneCurve, slack: float = ENDS) -> np.ndarray:
-        """Parameters (k,) at which it meets or touches another curve, or crosses itself.
-
-        Where one touches the other with its end, rounding finds meetings beside that: they are left
-        out.
-        """
-        near = TOUCHING * (self.length + other.length)
-        if self._passes(other):
-            return np.zeros(0)
-        if isinstance(other, PlanePiece):
-            t = self.roots(lambda x: other.off(self.at(x)), near)
-            t = t[other.parameters(self.at(t), slack)[1]]
-        else:
-            assert isinstance(other, CouplerCurve)
-            t = self._crossed(other, near)
-        if other is self:
-            return t
-        ends = np.array([0.0, 1.0])
-        x, off = self.nearest(other.at(ends))
-        ends = np.concatenate([ends[other.distance(self.at(ends)) <= near], x[off <= near]])
-        p = self.at(t)
-        across = np.abs(np.imag(np.conj(self.directions(p)) * other.directions(p)))
-        beside = (np.abs(t[:, None] - ends) < AT_END).any(axis=1) & (across < FLAT_ANGLE)
-        return np.append(t[~beside], ends)
-
-    def _passes(self, other: PlaneCurve) -> bool:
-        """Whether it is seen at once that it does not come near another curve."""
-        if isinstance(other, CouplerCurve):
-            one, two = ((b[0].min(axis=1), b[1].max(axis=1)) for b in (self._boxes, other._boxes))
-            return bool((one[0] > two[1]).any() or (two[0] > one[1]).any())
-        assert isinstance(other, PlanePiece)
-        off = np.abs(other.off(self._fine[1]))
-        chord = np.abs(np.diff(self._fine[1])).max()
-        return bool(off.min() > chord)
-
-    def _crossed(self, other: CouplerCurve, near: float) -> np.ndarray:
-        """Parameters (k,) where it comes as near as that to another one: Newton's method from where
-        boxes overlap.
-        """
-        t = self._fine[0]
-        s = other._fine[0]
-        i, j = _overlapping(self._boxes, other._boxes)
-        if not len(i):
-            return np.zeros(0)
-        x = 0.5 * (t[i] + t[i + 1])
-        y = 0.5 * (s[j] + s[j + 1])
-        step = 1.0 / (SAMPLES - 1)
-        for _ in range(12):
-            gap = other.at(y) - self.at(x)
-            v = self.velocity(x)
-            w = other.velocity(y)
-            across = np.imag(np.conj(v) * w)
-            across = np.where(np.abs(across) < 1e-300, 1e-300, across)
-            x = np.clip(x + np.clip(np.imag(np.conj(gap) * w) / across, -step, step), 0.0, 1.0)
-            y = np.clip(y + np.clip(np.imag(np.conj(gap) * v) / across, -step, step), 0.0, 1.0)
-        met = np.abs(other.at(y) - self.at(x)) <= near
-        if other is self:
-            apart = np.abs(x - y)
-            met &= (apart > ITSELF) & (
-                (apart < 1.0 - ITSELF) | (abs(self.at(0.0) - self.at(1.0)) > near)
-            )
-        return x[met]
+    def data(self) -> dict[str, Any]:
+        """Its numbers, for JSON: points on it."""
+        p = self._fine[1]
+        ends = {"kind": self.kind, "from": as_pair(p[0]), "to": as_pair(p[-1])}
+        return ends | {"points": [as_pair(z) for z in p[:: 2 * FINE]]}
 
 
 # ---- regions of platforms
@@ -478,193 +240,197 @@ class CouplerCurve(PlaneCurve):
 # At a place p, with the platform turned by the unit number u, its point b is at p + u b. So a leg
 # with the region W holds at the angles at which a circle about p is inside W, and p is reached if
 # the legs hold at a common angle. The workspace ends where such intervals shrink to nothing: where
-# the circle leaves W, beside its boundary or at a corner, and where two legs hold on different
-# sides of one angle, so that their points are on boundaries and p on a coupler curve. Source:
-# Merlet, Gosselin, Mouly, "Workspaces of planar parallel manipulators", Mechanism and Machine
-# Theory 33 (1998).
-
-CHUNK = 2048
-"""Points that are decided at a time."""
-APART = 1e-9
-"""Width of an interval of angles below which it is rounding."""
+# the circle touches the boundary of a W or meets a corner of it, and where the points of two legs
+# are on boundaries, so that p is on a coupler curve. Sources: Gosselin, Angeles, "The optimum
+# kinematic design of a planar three-degree-of-freedom parallel manipulator", J. Mechanisms 110
+# (1988); Merlet, Gosselin, Mouly, "Workspaces of planar parallel manipulators", Mechanism and
+# Machine Theory 33 (1998).
 
 
 @dataclass(frozen=True)
 class PlatformLeg:
-    """The `region`, bounded by arcs and segments, in which a leg holds the point `b` of the
-    platform.
-    """
+    """The `region`, or curve, in which a leg holds the point `b` of the platform; 0 is its origin."""
 
     region: PlanarRegion
     b: complex
 
-    @cached_property
-    def ends(self) -> list[PlanePiece]:
-        """The curve that it is, or what bounds it."""
-        return cast(
-            "list[PlanePiece]", self.region.candidates if self.region.is_curve else self.region.ends
-        )
-
 
 @dataclass(frozen=True)
-class RotationAbout:
-    """Motions of the platform about its point `fixed`, which is at `centre`, by angles from `start`
-    on by `sweep`.
-    """
-
-    centre: complex
-    fixed: complex
-    start: float
-    sweep: float
-
-    def of(self, point: complex) -> PlaneCurve:
-        """The curve of a point of the platform."""
-        arm = point - self.fixed
-        return PlanePiece(self.centre, abs(arm), self.start + float(np.angle(arm)), self.sweep)
-
-    def turns(self, t: float) -> complex:
-        """The unit number by which the platform is turned."""
-        return complex(np.exp(1j * (self.start + self.sweep * t)))
-
-
-@dataclass(frozen=True)
-class TranslationAlong:
-    """Motions of the platform, turned by `turn`, with its point `fixed` on a piece."""
-
-    piece: PlanePiece
-    fixed: complex
-    turn: complex
-
-    def of(self, point: complex) -> PlaneCurve:
-        """The curve of a point of the platform."""
-        return replace(self.piece, centre=self.piece.centre + self.turn * (point - self.fixed))
-
-    def turns(self, t: float) -> complex:
-        """The unit number by which the platform is turned."""
-        return self.turn
-
-
-Motion = RotationAbout | TranslationAlong | CouplerCurve
-
-
-@dataclass(frozen=True)
-class RegionOfPlatform(PlanarRegion):
+class PlatformRegion:
     """The places at which all legs hold the platform in some orientation.
 
-    One of them may be a curve; then solutions are counted, where all others count theirs.
+    One of the legs may hold its point on a curve. Which points are inside is decided by angles,
+    without the boundary.
     """
 
     legs: tuple[PlatformLeg, ...]
-    is_curve: bool = False
+
+    counted = False
+    is_curve = False
 
     @cached_property
     def size(self) -> float:
         """A length of the region."""
         return max(leg.region.size + abs(leg.b) for leg in self.legs)
 
-    @property
-    def limited(self) -> int:
-        """How many joints with limits one chain has at most."""
-        return max(leg.region.limited for leg in self.legs)
-
     @cached_property
-    def curve(self) -> PlatformLeg | None:
-        """The leg that is a curve."""
-        return next((leg for leg in self.legs if leg.region.is_curve), None)
+    def ends(self) -> list[PlanePiece | CouplerCurve]:
+        """The boundary: pieces that have the region to their left.
 
-    @property
-    def counted(self) -> bool:
-        """Whether solutions are counted."""
-        return self.curve is not None and all(
-            leg is self.curve or leg.region.counted for leg in self.legs
-        )
-
-    # ---- curves on which it can end
-
-    def _edges(self, leg: PlatformLeg) -> list[PlanePiece]:
-        """Where a leg begins or ends to hold its point, or, where solutions are counted, does so in
-        other ways.
+        Closed parts of it that are shorter than the steps at which curves are tried may be missing;
+        where two pieces cross with the platform turned otherwise, their ends are found to 1e-8 of
+        the size.
         """
-        if not self.counted or leg is self.curve:
-            return leg.ends
-        return [cast(PlanePiece, piece) for piece, left, right in leg.region.sides if left != right]
-
-    @cached_property
-    def candidates(self) -> list[PlaneCurve]:
-        """Pieces of all curves on which it can end."""
-        found = (path for motion, held in self._motions() for path in self._held(motion, held))
-        return merged(found, SAME * self.size)
-
-    def _motions(self) -> Iterator[tuple[Motion, tuple[PlatformLeg, ...]]]:
-        """Motions along which intervals of angles begin or end, and the legs whose points then are
-        on boundaries.
-        """
+        found: list[PlanePiece | CouplerCurve] = []
+        corners = [np.zeros((0, 3))]
+        t = np.linspace(0.0, 1.0, TRIED)
         for leg in self.legs:
-            if self.curve in (None, leg):
-                for motion in _beside(leg):
-                    yield motion, (leg,)
-        for one, two in itertools.combinations(self.legs, 2):
-            if self.curve in (None, one, two):
-                for first, second in itertools.product(self._edges(one), self._edges(two)):
-                    for motion in _four_bars(first, second, one.b, two.b):
-                        yield motion, (one, two)
+            beside = dict(beside_pieces(leg.region.edges, abs(leg.b)))
+            for piece, touched in beside.items():
+                if piece.length > SAME * self.size:
+                    motions = partial(_touching, piece, touched, leg.b, self.size)
+                    for a, b in self._bounding(piece, motions, t):
+                        found.append(piece.part(a, b))
+                        corners.append(motions(np.array([a, b])))
+        for curve in self._coupler_curves(corners):
+            t = np.linspace(0.0, 1.0, FINE * len(curve.nodes) + 1)
+            for a, b in self._bounding(curve, curve.motions_at, t):
+                found.append(curve.part(a, b))
+                corners.append(curve.motions_at(np.array([a, b])))
+        return found
 
-    def _held(self, motion: Motion, held: tuple[PlatformLeg, ...]) -> Iterator[PlaneCurve]:
-        """The parts of a motion's curve on which all other legs hold, and intervals of these may
-        end.
+    def _coupler_curves(self, corners: list[Array]) -> Iterator[CouplerCurve]:
+        """Coupler curves of which a start is on the boundary, or that go through a corner of it;
+        these are motions (k, 3), to which more may come.
         """
-        path = motion.of(0j)
-        cuts = [
-            motion.of(leg.b).meets(end)
-            for leg in self.legs
-            if leg not in held
-            for end in self._edges(leg)
+        held: list[HeldPoints] = []
+        for one, two in itertools.combinations([leg for leg in self.legs if leg.b], 2):
+            for first, second in itertools.product(*(_carriers(x, self.size) for x in (one, two))):
+                held.append(HeldPoints(first, second, one.b, two.b, self.size))
+        seen = [np.zeros((0, 3)) for _ in held]
+        starts = [motions.starts() for motions in held]
+        starts = [
+            x[self._is_boundary(*_places(motions, x)) != 0]
+            for motions, x in zip(held, starts, strict=True)
         ]
-        rates: list[Callable[..., np.ndarray]] = []
-        if isinstance(motion, CouplerCurve):
-            rates = [partial(_rate, motion, leg) for leg in held]
-            cuts += [motion.roots(rate) for rate in rates]
-        t = np.unique(np.concatenate([[0.0, 1.0], *cuts]).clip(0.0, 1.0))
-        for a, b in itertools.pairwise(t[np.concatenate([[True], np.diff(t) > NOTHING])]):
-            x = 0.5 * (a + b)
-            p = complex(path.at(x))
-            u = motion.turns(x)
-            if not all(
-                bool(leg.region.holds(p + u * leg.b)) for leg in self.legs if leg not in held
-            ):
-                continue
-            same_side = (
-                len(rates) == 2 and self.curve is None and float(rates[0](x) * rates[1](x)) > 0.0
-            )
-            if not same_side:
-                yield path.part(a, b)
+        while any(len(x) for x in starts):
+            for k, motions in enumerate(held):
+                left = starts[k]
+                while len(left := left[_apart(left, seen[k])]):
+                    nodes = motions.traced(left[0])
+                    seen[k] = np.concatenate([seen[k], left[:1]])
+                    if len(nodes) > 2:
+                        nodes = self._begun_aside(motions, nodes)
+                        curve = CouplerCurve(motions, nodes, 0.0, len(nodes) - 1.0)
+                        dense = curve.motions_at(np.linspace(0.0, 1.0, 8 * len(nodes)))
+                        seen[k] = np.concatenate([seen[k], dense])
+                        yield curve
+            known = np.concatenate(corners)
+            corners.clear()
+            corners.append(np.zeros((0, 3)))
+            starts = [known[(np.abs(m.rows(known)[0]) < CORNER).all(axis=1)] for m in held]
+
+    def _begun_aside(self, motions: HeldPoints, nodes: Array) -> Array:
+        """Nodes (k, 3) of a closed curve from one on that is not on the boundary, so that no piece
+        of that is cut where the curve is closed.
+        """
+        once = nodes[-1] - nodes[0]
+        aside = np.flatnonzero(self._is_boundary(*_places(motions, nodes)) == 0)
+        if not len(aside) or np.hypot(once[0], once[1]) > SEEN:
+            return nodes
+        k = int(aside[0])
+        return np.concatenate([nodes[k:-1], nodes[: k + 1] + once])
+
+    def _is_boundary(self, p: np.ndarray, along: np.ndarray) -> np.ndarray:
+        """1 where the region is only to the left of tangents (n,) at points (n,), -1 to the right,
+        else 0.
+        """
+        aside = SIDE * self.size * 1j * along / np.maximum(np.abs(along), 1e-300)
+        both = self.holds(np.concatenate([p + aside, p - aside])).reshape(2, -1)
+        return both[0].astype(int) - both[1]
+
+    def _bounding(
+        self, curve: Any, motions: Callable[[np.ndarray], Array], t: np.ndarray
+    ) -> Iterator[tuple[float, float]]:
+        """Parameters of the ends of the parts of a curve of `motions` that bound the region, which
+        is to their left; they are looked for between parameters t (n,).
+
+        Parts begin and end at events, where the point of a leg comes to a boundary, a corner, or a
+        place from which on the leg holds to the other side; or where the curve meets another.
+        """
+
+        def sides(x: np.ndarray) -> np.ndarray:
+            return self._is_boundary(curve.at(x), curve.tangents(x))
+
+        events = self._events(motions(t))
+        signs = (events >= 0.0) & (np.abs(events).max(axis=0) > NEVER)
+        i, j = np.nonzero(signs[1:] != signs[:-1])
+        roots = _switches(lambda x: self._events(motions(x), j) >= 0.0, t[i], t[i + 1])
+        roots = np.unique(np.concatenate([[t[0], t[-1]], roots]))
+        roots = roots[np.concatenate([[True], np.diff(roots) > TOGETHER])]
+        clear = np.abs(t[:, None] - roots).min(axis=1) > 0.5 * (t[1] - t[0])
+        cuts = np.sort(np.concatenate([roots, t[clear]]))
+        middles = 0.5 * (cuts[1:] + cuts[:-1])
+        values = sides(middles)
+        changes = np.flatnonzero(values[1:] != values[:-1])
+        meetings = changes[~np.isin(cuts[changes + 1], roots)]
+        cuts[meetings + 1] = _switches(sides, middles[meetings], middles[meetings + 1])
+        ends = np.concatenate([[0], changes + 1, [len(values)]])
+        for k, m in itertools.pairwise(ends):
+            if values[k]:
+                span = (float(cuts[k]), float(cuts[m]))
+                yield span if values[k] > 0 else span[::-1]
+
+    @cached_property
+    def _event_table(self) -> np.ndarray:
+        """Numbers (7, m) b, c, s, n, e, g, k of events: zeros of the real part of (s (z - c) + n)'
+        (z - e) - k, with z = p + u b; without e (NaN) g u b stands for z - e.
+
+        With them the point of a leg is on the circle or line of a boundary, or beside its end, or
+        would move along it if the platform turned.
+        """
+        out: list[tuple[complex, ...]] = []
+        for leg in self.legs:
+            for piece in leg.region.edges:
+                c = piece.centre
+                s, n = (1.0, 0.0) if piece.is_arc else (0.0, 1j * piece.way / abs(piece.way))
+                out.append((leg.b, c, s, n, c, 0.0, piece.radius**2))
+                if leg.b:
+                    out.append((leg.b, c, s, n, np.nan, 1j, 0.0))
+                for end in () if piece.is_whole else piece.at(np.array([0.0, 1.0])).tolist():
+                    across = 1j * (end - c) if piece.is_arc else piece.way / abs(piece.way)
+                    out.append((leg.b, c, 0.0, across, end, 0.0, 0.0))
+        return np.array(out).T
+
+    def _events(self, x: Array, which: np.ndarray | None = None) -> Array:
+        """Numbers (k, m) of motions (k, 3), which change their signs at events; or (k,), for each
+        motion one.
+        """
+        b, c, s, n, e, g, k = self._event_table if which is None else self._event_table[:, which]
+        p = self.size * (x[:, 0] + 1j * x[:, 1])
+        u = np.exp(1j * x[:, 2])
+        if which is None:
+            p, u = p[:, None], u[:, None]
+        z = p + u * b
+        ahead = np.where(np.isnan(e), g * u * b, z - e)
+        return np.real(np.conj(s * (z - c) + n) * ahead - k) / self.size ** (1.0 + np.real(s))
 
     # ---- points
 
-    def solutions(self, p: complex) -> int:
-        """In how many ways a point is reached, or whether it is."""
-        if not self.counted:
-            return int(self.holds(np.array([p]))[0])
-        assert self.curve is not None
-        circle = PlanePiece(p, abs(self.curve.b), float(np.angle(self.curve.b)), TURN)
-        t = np.concatenate([circle.meets(end, 0.0) for end in self.curve.ends])
-        rest = [leg for leg in self.legs if leg is not self.curve]
-        turns = [complex(np.exp(1j * TURN * x)) for x in t]
-        return sum(math.prod(leg.region.solutions(p + u * leg.b) for leg in rest) for u in turns)
-
-    def holds(self, p: Any) -> Any:
-        """Whether points (...), which are not on the boundary, are inside it."""
+    def holds(self, p: Any) -> np.ndarray:
+        """Whether points (...), which are not on the boundary, are inside."""
         z = np.asarray(p, dtype=complex)
         flat = z.ravel()
         parts = [self._holds(flat[k : k + CHUNK]) for k in range(0, len(flat), CHUNK)]
         return np.concatenate([np.zeros(0, dtype=bool), *parts]).reshape(z.shape)
 
     def _holds(self, p: np.ndarray) -> np.ndarray:
-        legs = self.legs if self.curve is None else (self.curve,)
-        found = [_angles(p, leg.b, end) for leg in legs for end in leg.ends]
+        curves = [leg for leg in self.legs if leg.region.is_curve]
+        legs = curves or self.legs
+        found = [_angles(p, leg.b, end) for leg in legs if leg.b for end in leg.region.edges]
         angles = np.sort(np.concatenate([np.full((len(p), 1), np.nan), *found], axis=1), axis=1)
         # the middles of intervals between which nothing changes, and an angle if there are none
-        if self.curve is None:
+        if not curves:
             first = np.where(np.isfinite(angles[:, :1]), angles[:, :1], 0.0)
             angles = np.concatenate([angles, first + TURN], axis=1)
             angles = np.sort(np.where(np.isfinite(angles), angles, first + TURN), axis=1)
@@ -673,11 +439,68 @@ class RegionOfPlatform(PlanarRegion):
             angles[:, -1] = np.where(wide.any(axis=1), angles[:, -1], 0.0)
         i, j = np.nonzero(np.isfinite(angles))
         for leg in self.legs:
-            if leg is not self.curve:
+            if not leg.region.is_curve:
                 some = leg.region.holds(p[i] + np.exp(1j * angles[i, j]) * leg.b)
                 i = i[some]
                 j = j[some]
         return np.isin(np.arange(len(p)), i)
+
+    def sampled_area(self, low: Array, high: Array) -> tuple[float, float]:
+        """Area inside a box [m^2], and two standard errors, by two random points in each of many
+        squares.
+        """
+        rng = np.random.default_rng(0)
+        corners = np.stack(np.meshgrid(*[np.arange(SQUARES)] * 2, indexing="ij"), axis=-1)
+        parts = (corners[..., None, :] + rng.random((SQUARES, SQUARES, 2, 2))) / SQUARES
+        xy = low + parts * (high - low)
+        inside = self.holds(xy[..., 0] + 1j * xy[..., 1])
+        each = float(np.prod(high - low)) / SQUARES**2
+        differ = np.count_nonzero(inside[..., 0] != inside[..., 1])
+        return each * float(inside.mean(axis=-1).sum()), each * float(np.sqrt(differ + 1.0))
+
+
+def _switches(value: Callable[[np.ndarray], Array], low: Array, high: Array) -> Array:
+    """Parameters (k,) between others, at which values (k,) change."""
+    before = value(low) if len(low) else low
+    for _ in range(HALVINGS if len(low) else 0):
+        middle = 0.5 * (low + high)
+        same = value(middle) == before
+        low = np.where(same, middle, low)
+        high = np.where(same, high, middle)
+    return 0.5 * (low + high)
+
+
+def _touching(place: PlanePiece, touched: PlanePiece, b: complex, size: float, t: Any) -> Array:
+    """Motions (k, 3) with the platform at places on a piece, and its point b on another, at the same
+    parameters.
+    """
+    p = place.at(t)
+    turns = np.angle((touched.at(t) - p) / b) if b else np.zeros(len(p))
+    return np.stack([p.real / size, p.imag / size, turns], axis=1)
+
+
+def _carriers(leg: PlatformLeg, size: float) -> list[PlanePiece]:
+    """The circles of a leg's boundary, and long segments of its lines."""
+    out: list[PlanePiece] = []
+    for piece in leg.region.edges:
+        way = piece.way and size * piece.way / abs(piece.way)
+        line = PlanePiece(complex(piece.at(0.5)) - way, 0.0, way=2.0 * way)
+        out.append(whole_curve(piece) if piece.is_arc else line)
+    return merged(out, SAME * size)
+
+
+def _places(motions: HeldPoints, x: Array) -> tuple[np.ndarray, np.ndarray]:
+    """Places (k,) of motions (k, 3), and tangents of the coupler curve there."""
+    J = motions.rows(x)[1]
+    along = np.cross(J[:, 0], J[:, 1])
+    return motions.size * (x[:, 0] + 1j * x[:, 1]), along[:, 0] + 1j * along[:, 1]
+
+
+def _apart(x: Array, nodes: Array) -> np.ndarray:
+    """Which motions (n, 3) are not on traced curves with motions (k, 3)."""
+    off = np.abs(x[:, None, :] - nodes)
+    off[..., 2] = np.abs(np.mod(off[..., 2] + np.pi, TURN) - np.pi)
+    return np.linalg.norm(off, axis=2).min(axis=1, initial=np.inf) > SEEN
 
 
 def _angles(p: np.ndarray, b: complex, end: PlanePiece) -> np.ndarray:
@@ -700,112 +523,3 @@ def _angles(p: np.ndarray, b: complex, end: PlanePiece) -> np.ndarray:
     on = np.isfinite(points)
     on[on] = end.parameters(points[on])[1]
     return np.where(on, np.mod(np.angle((points - p[:, None]) / b), TURN), np.nan)
-
-
-def _rate(motion: CouplerCurve, leg: PlatformLeg, t: np.ndarray | float) -> np.ndarray:
-    """How fast (...) a leg's point goes into its region if the platform turns about the place."""
-    piece = motion.bar.first if leg.b == motion.bar.a else motion.bar.second
-    u = motion.turns(t)
-    inwards = 1j * piece.way
-    if piece.is_arc:
-        inwards = np.sign(piece.sweep) * (piece.centre - motion.of(leg.b).at(t))
-    return np.real(np.conj(inwards) * 1j * u * leg.b)
-
-
-def _beside(leg: PlatformLeg) -> Iterator[Motion]:
-    """Motions with a leg's point where a circle about the place touches a boundary from outside, or
-    at its corners.
-    """
-    r = abs(leg.b)
-    curve = leg.region.is_curve
-    for end in leg.ends:
-        closed = end.is_arc and abs(end.sweep) > TURN - APART
-        for corner in () if closed else (0.0, 1.0):
-            yield RotationAbout(complex(end.at(corner)), leg.b, 0.0, TURN)
-        if not end.is_arc:
-            for side in (1.0, -1.0) if curve else (1.0,):
-                yield TranslationAlong(end, leg.b, side * 1j * end.way / abs(end.way) * r / leg.b)
-            continue
-        # the place is on the line of the centre and the point, outside the circle or on the other
-        # side of the centre
-        outwards = r
-        inwards = -r
-        sides = (
-            (outwards, inwards) if curve else (outwards, inwards) if r > end.radius else (outwards,)
-        )
-        if not curve and end.sweep < 0.0:
-            sides = (inwards,) if r < end.radius else ()
-        for side in sides:
-            turn = -np.sign(side) * r / leg.b
-            yield RotationAbout(
-                end.centre,
-                leg.b * (1.0 + end.radius / side),
-                end.start + float(np.angle(turn)),
-                end.sweep,
-            )
-
-
-def _four_bars(first: PlanePiece, second: PlanePiece, a: complex, b: complex) -> Iterator[Motion]:
-    """Motions with two points of the platform on two pieces."""
-    if not first.is_arc and second.is_arc:
-        first, second, a, b = second, first, b, a
-    d = b - a
-    if not first.is_arc and abs(np.imag(np.conj(first.way) * second.way)) < 1e-9 * abs(
-        first.way * second.way
-    ):
-        yield from _between_parallels(first, second, a, b)
-        return
-    base = second.centre - first.centre
-    if first.is_arc and second.is_arc and abs(first.radius - second.radius) <= 1e-9 * first.radius:
-        if abs(abs(base) - abs(d)) <= 1e-9 * abs(d):  # a parallelogram
-            yield from _common(first, second, a, b, base / d)
-    for bar in four_bars(first, second, a, b):
-        yield from _on_pieces(bar)
-
-
-def _between_parallels(
-    first: PlanePiece, second: PlanePiece, a: complex, b: complex
-) -> Iterator[Motion]:
-    """Motions along two parallel segments."""
-    w = first.way / abs(first.way)
-    d = b - a
-    height = float(first.off(np.array(second.centre))) / abs(d)
-    if abs(height) < 1.0 - APART:
-        x = math.sqrt(1.0 - height * height)
-        for across in (x + 1j * height, -x + 1j * height):
-            yield from _common(first, second, a, b, w * across * abs(d) / d)
-
-
-def _common(
-    first: PlanePiece, second: PlanePiece, a: complex, b: complex, turn: complex
-) -> Iterator[Motion]:
-    """Motions without turning, with two points of the platform on two pieces, which then lie on
-    each other.
-    """
-    moved = replace(second, centre=second.centre - turn * (b - a))
-    ends = first.parameters(moved.at(np.array([0.0, 1.0])))[0]
-    t = np.unique(np.concatenate([[0.0, 1.0], ends]).clip(0.0, 1.0))
-    for x, y in itertools.pairwise(t):
-        if bool(moved.parameters(first.at(0.5 * (x + y)))[1]):
-            yield TranslationAlong(first.part(x, y), a, turn)
-
-
-def _on_pieces(bar: FourBar) -> Iterator[CouplerCurve]:
-    """The parts of a four-bar's motion on which both points are inside their pieces."""
-    cuts = [0.0, 1.0]
-    for piece, other, d in (
-        (bar.first, bar.second, bar.b - bar.a),
-        (bar.second, bar.first, bar.a - bar.b),
-    ):
-        for end in piece.at(np.array([0.0, 1.0])).tolist():
-            circle = PlanePiece(end, abs(d), float(np.angle(d)), TURN)
-            angles = bar.low + np.mod(TURN * circle.meets(other) - bar.low, TURN)
-            cuts += [bar.parameter(x) for x in angles.tolist() if x < bar.high]
-    whole = CouplerCurve(bar)
-    for x, y in itertools.pairwise(sorted(cuts)):
-        middle = 0.5 * (x + y)
-        if y - x > NOTHING and all(
-            bool(piece.parameters(whole.of(point).at(middle))[1])
-            for piece, point in ((bar.first, bar.a), (bar.second, bar.b))
-        ):
-            yield whole.part(x, y)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,10 +16,9 @@ from numpy.typing import ArrayLike
 
 from kempe.arguments import explained, explained_methods, numbers
 from kempe.errors import InputError, UnsupportedError
-from kempe.forward.fk import fk, jacobian
+from kempe.forward.joint_lines import joint_lines_of
 from kempe.inverse.chain.serial_chain import obstacle
 from kempe.late import late
-from kempe.model.primitive_table import local_chain
 from kempe.report import Report, brief
 from kempe.spatial import Array
 from kempe.status import Status
@@ -33,16 +32,15 @@ from kempe.workspace.kinds import (
     question_of,
 )
 from kempe.workspace.place_bounds import legs_of
-from kempe.workspace.planar.planar_chain import (
-    PlanarChain,
-    PlanarJoint,
-    RegionOfLegs,
-    in_all_orientations,
-    in_one_orientation,
-    wrist_of,
+from kempe.workspace.planar.planar_chain import PlanarChain, in_plane, wrist_of
+from kempe.workspace.planar.planar_platform import CouplerCurve, PlatformLeg, PlatformRegion
+from kempe.workspace.planar.plane_curves import (
+    NOTHING,
+    PlanarRegion,
+    PlanePiece,
+    common_region,
+    surrounded_region,
 )
-from kempe.workspace.planar.planar_platform import PlatformLeg, RegionOfPlatform
-from kempe.workspace.planar.plane_curves import NOTHING, PlanarRegion, PlaneCurve
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -50,15 +48,19 @@ if TYPE_CHECKING:
     from kempe.model.model import FrameLike, Model
 
 
+PlaneCurve = PlanePiece | CouplerCurve
+
 # ---- the region of a frame
 
 AT_ORIGIN = 1e3 * NOTHING
 """Distance, in sizes of a chain, from which on points are different."""
 MOST = 6
-"""Joints that a chain may have: the work grows with a power of their number."""
+"""Joints that a chain may have: the work grows with their number."""
 
 
-def planar_region(system: Model, frame: str, question: WorkspaceKind) -> PlanarRegion:
+def planar_region(
+    system: Model, frame: str, question: WorkspaceKind
+) -> PlanarRegion | PlatformRegion:
     """The region of a question about a frame. Errors: `UnsupportedError`, `InputError`; see
     `planar_workspace`.
     """
@@ -72,175 +74,125 @@ def planar_region(system: Model, frame: str, question: WorkspaceKind) -> PlanarR
             f"constraint {declared!r} of {system.name} may bound the workspace by other curves"
         )
     legs = legs_of(system, frame)
-    if not legs:
-        if (why := obstacle(system, frame)) is not None:
-            raise UnsupportedError(why)
-        legs = (system,)
-    chains = [planar_chain(leg, frame) for leg in legs]
+    if not legs and (why := obstacle(system, frame)) is not None:
+        raise UnsupportedError(why)
+    chains = [planar_chain(leg, frame) for leg in legs or (system,)]
     if question.kind == REACHABLE:
-        if len(chains) == 1:
-            return _moving(chains[0], system, frame)
-        turned = [_turn_at_zero(leg, frame) for leg in legs]
-        return _of_platform(system, frame, chains, turned)
-    if question.all_turns(2):
-        return _together([_held(x, system, frame) for x in map(in_all_orientations, chains)], False)
-    parts: list[PlanarRegion] = []
-    for R in question.rotations:
-        turn = float(np.arctan2(R[1, 0], R[0, 0]))
-        for leg, chain in zip(legs, chains, strict=True):
-            parts.append(
-                _held(in_one_orientation(chain, turn - _turn_at_zero(leg, frame)), system, frame)
+        if len(chains) > 1:
+            return _platform_region(system, frame, chains)
+        chain = PlanarChain.of(chains[0][0].joints, chains[0][0].tip)
+        if not chain.joints:
+            raise InputError(
+                f"frame {frame!r} of {system.name} turns in its place: it does not move"
             )
-    return _together(parts, question.kind == CONSTANT and all(p.counted for p in parts))
+        return chain.region
+    wrists = [(wrist_of(chain), turned) for chain, turned in chains]
+    parts: list[PlanarRegion] = []
+    for wrist, turned in wrists:
+        if wrist is None:
+            raise UnsupportedError(
+                f"the last joint before {frame!r} of {system.name}, or of a leg of it, does not turn "
+                "without limits, or is all that moves it: where orientations count, its workspace "
+                "has other curves"
+            )
+        inner, way = wrist
+        if not question.all_turns(2):
+            for R in question.rotations:
+                turn = float(np.arctan2(R[1, 0], R[0, 0])) - turned
+                parts.append(inner.region.moved(way * complex(np.exp(1j * turn))))
+        elif abs(way) < NOTHING * inner.size:
+            parts.append(inner.region)
+        else:
+            parts.append(surrounded_region(inner.region, abs(way)))
+    region = _together(parts)
+    counted = question.kind == CONSTANT
+    return region if counted or not region.counted else replace(region, counted=False)
 
 
-def at_zero(system: Model) -> Array:
-    """The configuration (nq,) with all coordinates at zero, but for those that their limits hold."""
-    q = system.neutral.copy()
-    held = system.lower == system.upper
-    q[held] = system.lower[held]  # planar coordinates and velocities have the same places
-    return q
-
-
-def _turn_at_zero(system: Model, frame: str) -> float:
-    """The angle by which a frame is turned there."""
-    R = fk(system, at_zero(system), frame)[:2, :2]
-    return float(np.arctan2(R[1, 0], R[0, 0]))
-
-
-def _held(part: PlanarRegion | None, system: Model, frame: str) -> PlanarRegion:
-    """The part. Errors: `UnsupportedError` where there is none."""
-    if part is None:
-        raise UnsupportedError(
-            f"the last joint before {frame!r} of {system.name}, or of a leg of it, does not turn "
-            "without limits, or is all that moves it: where orientations count, its workspace has "
-            "other curves"
-        )
-    return part
-
-
-def _moving(chain: PlanarChain, system: Model, frame: str) -> PlanarChain:
-    """The chain without joints that do not move the frame's origin. Errors: `InputError` where none
-    does.
-    """
-    found = PlanarChain.of(chain.joints, chain.tip)
-    if not found.joints:
-        raise InputError(f"frame {frame!r} of {system.name} turns in its place: it does not move")
-    return found
-
-
-def _together(parts: Sequence[PlanarRegion], counted: bool) -> PlanarRegion:
+def _together(parts: Sequence[PlanarRegion]) -> PlanarRegion:
     """One region of all parts. Errors: `UnsupportedError` where one of several is a curve."""
-    if len(parts) == 1:
-        return parts[0]
-    if any(p.is_curve for p in parts):
+    if len(parts) > 1 and any(p.is_curve for p in parts):
         raise UnsupportedError(
             "a leg of the loop leaves a curve only: what several leave is a piece of it, or points"
         )
-    return RegionOfLegs(tuple(parts), counted)
+    return reduce(common_region, parts)
 
 
-def _of_platform(
-    system: Model, frame: str, chains: list[PlanarChain], turned: list[float]
-) -> PlanarRegion:
-    """The region of a frame at the end of legs, which are turned by angles where they are at zero.
+def _platform_region(
+    system: Model, frame: str, chains: Sequence[tuple[PlanarChain, float]]
+) -> PlanarRegion | PlatformRegion:
+    """The region of a frame at the end of legs: chains, and angles of the frame where each is at
+    zero.
 
     Legs whose last joint turns without limits at the frame's origin hold that in a region whatever
-    the orientation, so that one other decides alone.
+    the orientation, so that one other decides alone. Errors: `UnsupportedError`.
     """
-    wrists = [wrist_of(c) for c in chains]
-    held = [
-        k
-        for k, found in enumerate(wrists)
-        if found is None or abs(found[1]) > AT_ORIGIN * chains[k].size
-    ]
-    own: list[PlanarRegion] = [
-        found[0] for k, found in enumerate(wrists) if found is not None and k not in held
-    ]
-    if len(held) == 1:
-        own.append(chains[held[0]])
-    elif held:
-        own.append(RegionOfPlatform(tuple(_platform_legs(system, frame, wrists, turned, held))))
-    return _together(own, all(p.counted for p in own))
-
-
-def _platform_legs(
-    system: Model,
-    frame: str,
-    wrists: list[tuple[PlanarChain, complex] | None],
-    turned: list[float],
-    held: list[int],
-) -> list[PlatformLeg]:
-    """Legs that hold different points of the platform. Errors: `UnsupportedError`."""
-    legs: list[PlatformLeg] = []
-    for k in held:
-        if (found := wrists[k]) is None:
+    regions: list[PlanarRegion] = []
+    aside: list[tuple[PlanarChain, float]] = []
+    for chain, turned in chains:
+        wrist = wrist_of(chain)
+        if wrist is None or abs(wrist[1]) > AT_ORIGIN * chain.size:
+            aside.append((chain, turned))
+        else:
+            regions.append(wrist[0].region)
+    if len(aside) < 2:
+        return _together([*regions, *(chain.region for chain, _ in aside)])
+    legs = [PlatformLeg(_together(regions), 0j)] if regions else []
+    for chain, turned in aside:
+        wrist = wrist_of(chain)
+        if wrist is None:
             raise UnsupportedError(
                 f"frame {frame!r} moves with the loops of {system.name}, and a leg of it does not "
                 "end with a joint that turns without limits: its workspace has other curves"
             )
-        inner, way = found
-        b = complex(-way * np.exp(-1j * turned[k]))
-        same = [i for i, leg in enumerate(legs) if abs(leg.b - b) <= AT_ORIGIN * inner.size]
+        region = wrist[0].region
+        b = complex(-wrist[1] * np.exp(-1j * turned))
+        same = [k for k, leg in enumerate(legs) if abs(leg.b - b) <= AT_ORIGIN * region.size]
         if same:
-            legs[same[0]] = replace(
-                legs[same[0]], region=_together([legs[same[0]].region, inner], False)
-            )
+            legs[same[0]] = replace(legs[same[0]], region=_together([legs[same[0]].region, region]))
         else:
-            legs.append(PlatformLeg(inner, b))
-    if sum(leg.region.is_curve for leg in legs) > 1:
+            legs.append(PlatformLeg(region, b))
+    if sum(leg.region.is_curve for leg in legs) > 1 or (regions and legs[0].region.is_curve):
         raise UnsupportedError(
             f"two of the legs of {system.name} leave frame {frame!r} a curve, which has no area"
         )
-    return legs
+    return PlatformRegion(tuple(legs))
 
 
-def planar_chain(system: Model, frame: str) -> PlanarChain:
-    """The chain that moves a frame. Errors: `UnsupportedError`, `InputError`; see
-    `planar_workspace`.
+def planar_chain(system: Model, frame: str) -> tuple[PlanarChain, float]:
+    """The chain that moves a frame, and the angle of the frame where it is at zero. Errors:
+    `UnsupportedError`, `InputError`; see `planar_workspace`.
     """
-    table, q_index, v_index = local_chain(system.structure.table, frame)
-    names = [system.coordinate_names[int(i)] for i in q_index]
-    if not names:
+    lines, pose = joint_lines_of(system, frame)
+    if not len(system.structure.table.path(frame)):
         raise InputError(f"frame {frame!r} of {system.name} does not move")
-    if len(table.iv) != len(v_index):
-        raise UnsupportedError(
-            f"the chain of {frame!r} has joints that follow each other: its workspace has other "
-            "curves"
-        )
-    if len(names) > MOST:
-        raise UnsupportedError(
-            f"the chain of {frame!r} has {len(names)} joints; it may have {MOST}"
-        )
-    q = at_zero(system)
-    low = system.lower[v_index]
-    high = system.upper[v_index]
-    tip = complex(*fk(system, q, frame)[:2, 3])
-    J = jacobian(system, q, frame)[:, v_index]
-    joints: list[PlanarJoint] = []
-    for label, a, b, (vx, vy, w) in zip(
-        names, low.tolist(), high.tolist(), J[[0, 1, 5]].T, strict=True
-    ):
-        if a == b:
-            continue
-        if w == 0.0 and not np.isfinite(b - a):
-            raise InputError(
-                f"slide {label!r} has no limits, so the workspace has no end: give it some"
-            )
-        axis = None if w == 0.0 else tip + 1j * complex(vx, vy) / w
-        joints.append(PlanarJoint(axis, float(w), complex(vx, vy) if w == 0.0 else 0j, a, b))
-    if not joints:
+    if not lines:
         raise InputError(
             f"frame {frame!r} of {system.name} does not move: all its joints are held by their "
             "limits"
         )
-    return PlanarChain(tuple(joints), tip)
+    if len(lines) > MOST:
+        raise UnsupportedError(
+            f"the chain of {frame!r} has {len(lines)} joints; it may have {MOST}"
+        )
+    for line in lines:
+        if not line.turns and not np.isfinite(line.limits).all():
+            raise InputError(
+                f"slide {line.coordinate!r} has no limits, so the workspace has no end: give it some"
+            )
+    joints = [in_plane(line, np.eye(3), np.zeros(3)) for line in lines]
+    return (
+        PlanarChain(tuple(joints), complex(*pose[:2, 3])),
+        float(np.arctan2(pose[1, 0], pose[0, 0])),
+    )
 
 
 # ---- the answer and the verb
 
-MEET = 1e-7
+MEET = 1e-5
 """How far ends of pieces may be apart, in sizes of the chain, to be the same corner."""
+ROUNDING = 1e-9
+"""Error of an exact area or volume, in powers of the size of its chain."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,9 +217,10 @@ class SolutionRegion:
 class PlanarWorkspace(Report):
     """The points of the plane that the origin of a frame reaches, within the limits, exactly.
 
-    `boundary` are arcs of circles, segments and pieces of coupler curves that have the workspace to
-    their left; `regions` tell how many solutions there are where. The `kind` says in which
-    orientations, as in `System.workspace`. Lengths are in metres.
+    `boundary` are arcs of circles and segments that have the workspace to their left, and of
+    platforms on legs pieces of coupler curves, which are traced. `regions` tell how many solutions
+    there are where. The `area` is exact but for rounding; of a platform it is sampled, with an
+    `error`. The `kind` says in which orientations, as in `System.workspace`. Lengths are in metres.
     """
 
     _pictured = True
@@ -276,34 +229,36 @@ class PlanarWorkspace(Report):
 
     system: Model
     frame: str
-    region: PlanarRegion = field(repr=False)
+    region: PlanarRegion | PlatformRegion = field(repr=False)
     kind: str = REACHABLE
     code: Any = Status.SOLVED
 
     @cached_property
     def boundary(self) -> tuple[PlaneCurve, ...]:
         """The pieces of curves that bound it; of a single joint the curve that it is."""
-        return tuple(self.region.candidates if self.region.is_curve else self.region.ends)
+        return tuple(self.region.ends)
 
     @cached_property
+    def measure(self) -> tuple[float, float]:
+        """Its area in square metres, and the error: rounding, or two standard errors of samples."""
+        if isinstance(self.region, PlatformRegion):
+            return self.region.sampled_area(*self.extent) if self.boundary else (0.0, 0.0)
+        if self.region.is_curve:
+            return 0.0, 0.0
+        area = sum(p.moment for p in self.region.ends)
+        return float(area), ROUNDING * self.region.size**2
+
+    @property
     def area(self) -> float:
-        """Its area in square metres, exact but for rounding."""
-        return sum((r.area for r in self.regions), 0.0)
+        """Its area in square metres."""
+        return self.measure[0]
 
     @property
-    def measure(self) -> float:
-        """Its area, as what is measured of it."""
-        return self.area
-
-    @property
-    def size(self) -> float:
-        """A length of what it is made of."""
-        return self.region.size
-
-    @property
-    def limited(self) -> int:
-        """How many joints with limits one chain has at most: the work grows with a power of that."""
-        return self.region.limited
+    def error(self) -> float:
+        """Error of the area in square metres: 0 where it is exact but for rounding, else two
+        standard errors.
+        """
+        return self.measure[1] if isinstance(self.region, PlatformRegion) else 0.0
 
     @cached_property
     def extent(self) -> Array:
@@ -319,8 +274,11 @@ class PlanarWorkspace(Report):
         """For each number of solutions the points that have it; one region where solutions are not
         counted.
         """
-        if self.region.is_curve:
+        if self.region.is_curve or not self.boundary:
             return ()
+        if isinstance(self.region, PlatformRegion):
+            loops = _loops(list(self.boundary), MEET * self.region.size)
+            return (SolutionRegion(None, self.area, self.boundary, loops),)
         sides = self.region.sides
         counts = sorted({n for _, left, right in sides for n in (left, right) if n > 0})
         out: list[SolutionRegion] = []
@@ -344,11 +302,10 @@ class PlanarWorkspace(Report):
     def voids(self) -> tuple[tuple[PlaneCurve, ...], ...]:
         """Closed curves round holes of the workspace."""
         loops = _loops(list(self.boundary), MEET * self.region.size) if self.regions else ()
-        return tuple(loop for loop in loops if _area(loop) < 0.0)
+        return tuple(loop for loop in loops if loop_area(loop) < 0.0)
 
     def contains(self, points: ArrayLike) -> Any:
-        """Whether points (..., 2) or (..., 3) are reached: the boundary goes round them. On it
-        rounding decides.
+        """Whether points (..., 2) or (..., 3) are reached. On the boundary rounding decides.
 
         Of a curve they are those within 1e-9 of its length.
         """
@@ -361,22 +318,20 @@ class PlanarWorkspace(Report):
         return bool(out) if out.ndim == 0 else out
 
     def solutions(self, points: ArrayLike) -> Any:
-        """In how many ways (...) points (..., 2) are reached, of chains or legs of two joints that
-        decide the place.
+        """In how many ways (...) points (..., 2) are reached, of chains of two joints, or legs of
+        two joints up to a common point or in one orientation.
 
         Errors: `UnsupportedError` for others.
         """
-        if not self.region.counted:
+        if not (self.region.counted and isinstance(self.region, PlanarRegion)):
             raise UnsupportedError(
                 f"of {self.frame!r} solutions are not counted: they are where two joints decide "
-                "the place, in one orientation or whatever it is"
+                "the place, in one orientation or whatever it is; see `ik_all`"
             )
         p = self._points(points)
-        out = np.array(
-            [self.region.solutions(complex(x)) if np.isfinite(x) else 0 for x in p.ravel()],
-            dtype=np.int64,
-        )
-        return int(out[0]) if p.ndim == 0 else out.reshape(p.shape)
+        finite = np.isfinite(p)
+        out = np.where(finite, self.region.numbers(np.where(finite, p, 0.0)), 0)
+        return int(out) if p.ndim == 0 else out
 
     def distance(self, points: ArrayLike) -> Any:
         """Distances (...) >= 0, in metres, of points (..., 2) or (..., 3) from the boundary, inside
@@ -427,12 +382,15 @@ class PlanarWorkspace(Report):
         kinds = Counter(p.kind for p in self.boundary)
         pieces = joined([counted(n, kind) for kind, n in sorted(kinds.items())])
         voids = f", with {counted(len(self.voids), 'void')}" if self.voids else ""
+        if isinstance(self.region, PlatformRegion):
+            area = f"area {self.area:.5g} +- {self.error:.2g} m^2 (sampled)"
+            return f"{of}: {area}, bounded by {pieces}{voids} (traced)"
         return f"{of}: area {self.area:.9g} m^2, bounded by {pieces}{voids}"
 
     def _notes(self, degrees: bool = False) -> list[str]:
         return [
-            f"{word_of(r, self.kind)}: {r.area:.9g} m^2, "
-            f"{counted(sum(_area(x) > 0.0 for x in r.loops), 'part')}"
+            f"{word_of(r, self.kind)}: {r.area:.{5 if self.error else 9}g} m^2, "
+            f"{counted(sum(loop_area(x) > 0.0 for x in r.loops), 'part')}"
             for r in self.regions
         ]
 
@@ -444,6 +402,7 @@ class PlanarWorkspace(Report):
             "frame": self.frame,
             "kind": self.kind,
             "area": self.area,
+            "area_error": self.error,
             "regions": regions,
             "voids": len(self.voids),
             "boundary": pieces,
@@ -457,8 +416,16 @@ def word_of(region: SolutionRegion, kind: str) -> str:
     return "in all orientations" if kind == DEXTEROUS else "infinitely many solutions"
 
 
-def _area(loop: tuple[PlaneCurve, ...]) -> float:
-    return float(sum(p.moment for p in loop))
+def loop_area(loop: tuple[PlaneCurve, ...]) -> float:
+    """Area that a closed curve has to its left: of coupler curves that of their short chords."""
+    total = 0.0
+    for piece in loop:
+        if isinstance(piece, PlanePiece):
+            total += piece.moment
+        else:
+            p = piece.points(0.0)
+            total += 0.5 * float(np.imag(np.conj(p[:-1]) * p[1:]).sum())
+    return total
 
 
 def _loops(pieces: list[PlaneCurve], same: float) -> tuple[tuple[PlaneCurve, ...], ...]:
@@ -502,7 +469,8 @@ def planar_workspace(
 
     Of a mechanism with legs (see `kempe.workspace.place_bounds`) places are those that all legs
     leave. The last joint of each chain must turn without limits where orientations count, and so
-    must that of each leg, but of one where all others end at the frame's origin (see
+    must that of each leg, but of one where all others end at the frame's origin. Of legs that hold
+    different points of a platform the boundary is traced and the area sampled (see
     `kempe.workspace.planar.planar_platform`). Errors: `UnsupportedError` for all else:
     spatial systems, constraints, other loops, two legs that each leave a curve, coupled joints,
     chains with more than 6 joints; `InputError` for prismatic joints without limits and for frames

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Self, cast
+from typing import Any
 
 import numpy as np
 
@@ -20,54 +20,6 @@ ENDS = 1e-9
 # ---- curves
 
 
-class PlaneCurve:
-    """A piece of a curve, from its parameter 0 to 1, smooth but for its ends."""
-
-    kind: Any
-    """What it is, as a noun."""
-    length: Any
-    """Its length in metres."""
-    moment: Any
-    """Half of the integral of x dy - y dx along it: its part of the area that a closed curve has to
-    its left."""
-    extremes: Any
-    """Its ends, and where x or y is largest or least on it (k,)."""
-
-    def at(self, t: np.ndarray | float) -> np.ndarray:
-        """Points (...) at parameters t (...)."""
-        raise NotImplementedError
-
-    def tangent(self, t: float) -> complex:
-        """The unit tangent at a parameter."""
-        raise NotImplementedError
-
-    def part(self, a: float, b: float) -> Self:
-        """The piece from the parameter a to b."""
-        raise NotImplementedError
-
-    def distance(self, p: np.ndarray) -> np.ndarray:
-        """Distances (...) of points (...) from it."""
-        raise NotImplementedError
-
-    def directions(self, p: np.ndarray) -> np.ndarray:
-        """Unit tangents (n,) at the points of it that are nearest to points (n,), which are close
-        to it.
-        """
-        raise NotImplementedError
-
-    def meets(self, other: PlaneCurve, slack: float = ENDS) -> np.ndarray:
-        """Parameters (k,) of the points in which it meets or touches another piece."""
-        raise NotImplementedError
-
-    def points(self, fine: float) -> np.ndarray:
-        """Points (k,) along it, between which it turns by less than an angle."""
-        raise NotImplementedError
-
-    def data(self) -> dict[str, Any]:
-        """Its numbers, for JSON."""
-        return {"kind": self.kind, "from": as_pair(self.at(0.0)), "to": as_pair(self.at(1.0))}
-
-
 def as_pair(z: Any) -> list[float]:
     """A point as x and y."""
     point = complex(z)
@@ -75,9 +27,9 @@ def as_pair(z: Any) -> list[float]:
 
 
 @dataclass(frozen=True)
-class PlanePiece(PlaneCurve):
-    """A piece of a curve, from its parameter 0 to 1: an arc about `centre` of `radius`, from the
-    angle `start` on by `sweep`; where the radius is 0 a segment from `centre` by `way`.
+class PlanePiece:
+    """An arc about `centre` of `radius`, from the angle `start` on by `sweep`, or (radius 0) a segment
+    from `centre` by `way`; its parameter goes from 0 to 1.
     """
 
     centre: complex
@@ -108,7 +60,8 @@ class PlanePiece(PlaneCurve):
             "start": self.start,
             "sweep": self.sweep,
         }
-        return super().data() | (arc if self.is_arc else {})
+        ends = {"kind": self.kind, "from": as_pair(self.at(0.0)), "to": as_pair(self.at(1.0))}
+        return ends | (arc if self.is_arc else {})
 
     @property
     def length(self) -> float:
@@ -122,11 +75,26 @@ class PlanePiece(PlaneCurve):
             return self.centre + self.radius * np.exp(1j * (self.start + self.sweep * t))
         return self.centre + self.way * t
 
+    def tangents(self, t: Any) -> np.ndarray:
+        """Unit tangents (...) at parameters (...)."""
+        if self.is_arc:
+            return 1j * np.sign(self.sweep) * np.exp(1j * (self.start + self.sweep * t))
+        return np.full(np.shape(t), self.way / abs(self.way))
+
     def tangent(self, t: float) -> complex:
         """The unit tangent at a parameter."""
-        if self.is_arc:
-            return complex(1j * np.sign(self.sweep) * np.exp(1j * (self.start + self.sweep * t)))
-        return self.way / abs(self.way)
+        return complex(self.tangents(t))
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether it is a whole circle."""
+        return self.is_arc and abs(self.sweep) >= TURN - 1e-12
+
+    def moved(self, turn: complex, by: complex) -> PlanePiece:
+        """The piece, turned about the origin by a unit number and moved."""
+        angle = self.start + float(np.angle(turn))
+        centre = turn * self.centre + by
+        return PlanePiece(centre, self.radius, angle, self.sweep, turn * self.way)
 
     def part(self, a: float, b: float) -> PlanePiece:
         """The piece from the parameter a to b."""
@@ -148,15 +116,6 @@ class PlanePiece(PlaneCurve):
         t = turn / max(size, 1e-300)  # an arc may have shrunk to a point
         return t, (t > -slack) & (t < 1.0 + slack)
 
-    def directions(self, p: np.ndarray) -> np.ndarray:
-        """Unit tangents (n,) at the points of it that are nearest to points (n,), which are close
-        to it.
-        """
-        if not self.is_arc:
-            return np.full(np.shape(p), self.way / abs(self.way))
-        d = p - self.centre
-        return 1j * np.sign(self.sweep) * d / np.maximum(np.abs(d), 1e-300)
-
     def off(self, p: np.ndarray) -> np.ndarray:
         """How far points (...) are outside its circle, or to the left of its line, in metres;
         negative on the other.
@@ -165,15 +124,12 @@ class PlanePiece(PlaneCurve):
             return np.abs(p - self.centre) - self.radius
         return np.imag((p - self.centre) * np.conj(self.way)) / abs(self.way)
 
-    def meets(self, other: PlaneCurve, slack: float = ENDS) -> np.ndarray:
+    def meets(self, other: PlanePiece, slack: float = ENDS) -> np.ndarray:
         """Parameters (k,) of the points in which it meets or touches another piece; none on the
         same circle or line.
         """
-        if isinstance(other, PlanePiece):
-            p = circle_points(self, other)
-            p = p[other.parameters(p, slack)[1]] if len(p) else p
-        else:
-            p = other.at(other.meets(self, slack))
+        p = circle_points(self, other)
+        p = p[other.parameters(p, slack)[1]] if len(p) else p
         t, on = self.parameters(p, slack)
         return t[on]
 
@@ -240,30 +196,27 @@ def circle_points(a: PlanePiece, b: PlanePiece) -> np.ndarray:
     return np.array([foot - half * unit, foot + half * unit])
 
 
-def merged(curves: Iterable[PlaneCurve], same: float) -> list[PlaneCurve]:
-    """The curves longer than `same` metres; pieces on the same circle or line are joined where they
+def merged(pieces: Iterable[PlanePiece], same: float) -> list[PlanePiece]:
+    """The pieces longer than `same` metres; those on one circle or line are joined where they
     overlap.
     """
     groups: list[tuple[PlanePiece, list[tuple[float, float]]]] = []
-    others: list[PlaneCurve] = []
-    for piece in curves:
+    for piece in pieces:
         if piece.length < same:
-            continue
-        if not isinstance(piece, PlanePiece):
-            others.append(piece)
             continue
         for first, spans in groups:
             if _same_curve(first, piece, same):
                 spans += _spans(first, piece)
                 break
         else:
-            groups.append((_whole(piece), _spans(_whole(piece), piece)))
-    return [first.part(a, b) for first, spans in groups for a, b in _joined(spans)] + others
+            whole = whole_curve(piece)
+            groups.append((whole, _spans(whole, piece)))
+    return [first.part(a, b) for first, spans in groups for a, b in _joined(spans)]
 
 
-def _whole(piece: PlanePiece) -> PlanePiece:
-    """The circle of an arc from the angle 0 on, or the line of a segment with its nearest point to
-    the origin.
+def whole_curve(piece: PlanePiece) -> PlanePiece:
+    """The circle of an arc, from the angle 0 on; or a unit segment of the line of a segment, from its
+    point nearest to the origin on.
     """
     if piece.is_arc:
         return PlanePiece(piece.centre, piece.radius, 0.0, TURN)
@@ -285,7 +238,7 @@ def _spans(first: PlanePiece, piece: PlanePiece) -> list[tuple[float, float]]:
     if not first.is_arc:
         t = np.real((piece.at(np.array([0.0, 1.0])) - first.centre) * np.conj(first.way))
         return [(float(t.min()), float(t.max()))]
-    if abs(piece.sweep) >= TURN - 1e-12:
+    if piece.is_whole:
         return [(0.0, 1.0)]
     a = np.mod(min(piece.start, piece.start + piece.sweep), TURN) / TURN
     b = a + abs(piece.sweep) / TURN
@@ -304,7 +257,9 @@ def _joined(spans: list[tuple[float, float]]) -> list[tuple[float, float]]:
 
 # ---- regions
 
-# Of the curves on which a region can end, those bound it that have the region on one side only.
+# The number of solutions of a point is constant where no curve of an arrangement passes: it is read
+# on both sides of each piece. Both the area (Green) and the number at a point (by how often the
+# pieces go round it) are sums over pieces.
 
 NOTHING = 1e-12
 SAME = 1e-10
@@ -315,77 +270,158 @@ length, and nearer where another curve is near."""
 PART = 0.02
 
 
+@dataclass(frozen=True)
 class PlanarRegion:
-    """A region by the curves on which it can end, and by what it says of single points."""
+    """Points of the plane, bounded by arcs and segments; or such a curve itself, without area.
 
-    size: Any
-    """A length of it in metres."""
-    candidates: Any
-    """Pieces of all curves on which it can end: a list of `PlaneCurve`."""
-    counted: Any
-    """Whether `solutions` counts, or else is 0 or 1."""
-    is_curve: Any
-    """Whether it is a curve, without area."""
+    `sides` are pieces with the numbers of solutions to their left and, less, to their right; where
+    these are not `counted` they are 1 inside and 0 outside. `size` is a length in metres.
+    """
+
+    size: float
+    sides: tuple[tuple[PlanePiece, int, int], ...] = ()
+    counted: bool = False
+    curve: tuple[PlanePiece, ...] = ()
 
     @property
-    def limited(self) -> int:
-        """How many joints with limits one chain has at most: the work grows with a power of that."""
-        raise NotImplementedError
-
-    def solutions(self, p: complex) -> int:
-        """In how many ways a point that is on no candidate is reached."""
-        raise NotImplementedError
+    def is_curve(self) -> bool:
+        """Whether it is a curve, without area."""
+        return bool(self.curve)
 
     @cached_property
-    def ends(self) -> list[PlaneCurve]:
-        """The boundary of the workspace: pieces that have the workspace to their left only."""
-        return [p for p, left, right in self.sides if left and not right]
+    def ends(self) -> list[PlanePiece]:
+        """The pieces of the boundary, each with the region to its left; or the curve."""
+        return [p for p, _, right in self.sides if not right] + list(self.curve)
 
     @cached_property
-    def sides(self) -> list[tuple[PlaneCurve, int, int]]:
-        """Pieces of the candidates, cut where these meet, with the numbers of solutions to the left
-        and to the right.
+    def edges(self) -> list[PlanePiece]:
+        """The same pieces without direction, joined where one continues another."""
+        return merged(self.ends, SAME * self.size)
 
-        Each piece is directed so that the number to its left is no less.
-        """
-        out: list[tuple[PlaneCurve, int, int]] = []
-        for piece in self.candidates:
-            cuts = [piece.meets(other) for other in self.candidates]
-            t = np.unique(np.concatenate([[0.0, 1.0], *cuts]).clip(0.0, 1.0))
-            t = t[np.concatenate([[True], np.diff(t) * piece.length > 10.0 * SAME * self.size])]
-            t[-1] = 1.0
-            for a, b in itertools.pairwise(t):
-                part = piece.part(a, b)
-                middle = complex(part.at(0.47))
-                others = (
-                    float(c.distance(np.asarray(middle))) for c in self.candidates if c is not piece
-                )
-                thin = min((0.3 * x for x in others if x > 0.1 * SAME * self.size), default=np.inf)
-                beside = min(BESIDE * self.size, PART * part.length, thin) * 1j * part.tangent(0.47)
-                left, right = (self.solutions(middle + s * beside) for s in (1.0, -1.0))
-                if left >= right:
-                    out.append((part, left, right))
-                else:
-                    out.append((part.part(1.0, 0.0), right, left))
-        return out
+    def numbers(self, p: np.ndarray) -> np.ndarray:
+        """Numbers of solutions (...) of points (...) that are on no piece."""
+        turns = np.zeros(np.shape(p))
+        for piece, left, right in self.sides:
+            turns += (left - right) * _turn_about(piece, np.asarray(p))
+        return np.round(turns / TURN).astype(np.int64)
 
-    def holds(self, p: Any) -> Any:
-        """Whether points (...), which are not on the boundary, are inside it."""
-        raise NotImplementedError
-
-
-class RegionOfArcs(PlanarRegion):
-    """A region that is bounded by arcs and segments only."""
-
-    def holds(self, p: Any) -> Any:
-        """Whether points (...), which are not on the boundary, are inside it: by how often this
-        goes round them.
-        """
-        z = np.asarray(p)
-        turns = sum(
-            (_turn_about(cast(PlanePiece, piece), z) for piece in self.ends), np.zeros(z.shape)
-        )
+    def holds(self, p: np.ndarray) -> np.ndarray:
+        """Whether points (...), which are not on the boundary, are inside."""
+        turns = np.zeros(np.shape(p))
+        for piece in () if self.curve else self.ends:
+            turns += _turn_about(piece, np.asarray(p))
         return np.round(turns / TURN) != 0
+
+    def moved(self, by: complex) -> PlanarRegion:
+        """The region, moved as a whole."""
+        return replace(
+            self,
+            sides=tuple((p.moved(1.0, by), left, right) for p, left, right in self.sides),
+            curve=tuple(p.moved(1.0, by) for p in self.curve),
+        )
+
+
+def arranged(
+    pieces: Iterable[PlanePiece],
+    numbers: Callable[[np.ndarray], np.ndarray],
+    size: float,
+    counted: bool = False,
+) -> PlanarRegion:
+    """The region whose points have a number of solutions above zero; this changes on pieces only.
+
+    `numbers` (n,) of points (n,) that are on no piece are read on both sides of each piece between
+    two meetings with others.
+    """
+    curves = merged(pieces, SAME * size)
+    parts: list[PlanePiece] = []
+    owners: list[int] = []
+    for k, piece in enumerate(curves):
+        cuts = [piece.meets(other) for other in curves if other is not piece]
+        t = np.unique(np.concatenate([[0.0, 1.0], *cuts]).clip(0.0, 1.0))
+        t = t[np.concatenate([[True], np.diff(t) * piece.length > 10.0 * SAME * size])]
+        t[-1] = 1.0
+        parts += [piece.part(a, b) for a, b in itertools.pairwise(t)]
+        owners += [k] * (len(t) - 1)
+    if not parts:
+        return PlanarRegion(size, counted=counted)
+    middles = np.array([complex(part.at(0.47)) for part in parts])
+    room = np.array([min(BESIDE * size, PART * part.length) for part in parts])
+    for k, piece in enumerate(curves):
+        far = piece.distance(middles)
+        other = (np.array(owners) != k) & (far > 0.1 * SAME * size)
+        room = np.where(other, np.minimum(room, 0.3 * far), room)
+    beside = room * 1j * np.array([part.tangent(0.47) for part in parts])
+    found = numbers(np.concatenate([middles + beside, middles - beside]))
+    found = found if counted else np.minimum(found, 1)
+    sides: list[tuple[PlanePiece, int, int]] = []
+    for part, a, b in zip(parts, *np.split(found, 2), strict=True):
+        if a != b:
+            sides.append((part if a > b else part.part(1.0, 0.0), int(max(a, b)), int(min(a, b))))
+    return PlanarRegion(size, tuple(sides), counted)
+
+
+def common_region(one: PlanarRegion, two: PlanarRegion) -> PlanarRegion:
+    """The points of two regions, with the products of their numbers of solutions."""
+    counted = one.counted and two.counted
+
+    def numbers(p: np.ndarray) -> np.ndarray:
+        return one.numbers(p) * two.numbers(p) if counted else one.holds(p) & two.holds(p)
+
+    pieces = [p for r in (one, two) for p in ([s[0] for s in r.sides] if counted else r.ends)]
+    return arranged(pieces, numbers, max(one.size, two.size), counted)
+
+
+def folded_region(region: PlanarRegion) -> PlanarRegion:
+    """The points of a region, and those that are across the line x = 0 from them."""
+    across = [
+        PlanePiece(-p.centre.conjugate(), p.radius, np.pi - p.start, -p.sweep, -p.way.conjugate())
+        for p in region.ends
+    ]
+    return arranged(
+        [*region.ends, *across],
+        lambda p: region.holds(p) | region.holds(-p.conj()),
+        region.size,
+    )
+
+
+def beside_pieces(
+    pieces: Iterable[PlanePiece], radius: float
+) -> list[tuple[PlanePiece, PlanePiece]]:
+    """Curves of the points about which a circle of a radius touches pieces, or meets their ends;
+    and the piece, or point, that it then touches, with the same parameters.
+    """
+    out: list[tuple[PlanePiece, PlanePiece]] = []
+    for piece in pieces:
+        if piece.is_arc:
+            for r in (piece.radius + radius, piece.radius - radius):
+                start = piece.start + (0.0 if r > 0.0 else np.pi)
+                if r != 0.0:
+                    out.append((replace(piece, radius=abs(r), start=start), piece))
+        else:
+            aside = 1j * piece.way / abs(piece.way) * radius
+            out += [(replace(piece, centre=piece.centre + s * aside), piece) for s in (1.0, -1.0)]
+        for t in () if piece.is_whole else (0.0, 1.0):
+            corner = complex(piece.at(t))
+            out.append((PlanePiece(corner, radius, 0.0, TURN), PlanePiece(corner, 0.0)))
+    return out
+
+
+def surrounded_region(region: PlanarRegion, radius: float) -> PlanarRegion:
+    """The points about which a whole circle of a radius lies in a region."""
+
+    def numbers(p: np.ndarray) -> np.ndarray:
+        circles = [PlanePiece(z, radius, 0.0, TURN) for z in p.tolist()]
+        return np.array([region.holds(middles_between(c, region.edges)).all() for c in circles])
+
+    pieces = [piece for piece, _ in beside_pieces(region.edges, radius)]
+    return arranged(pieces, numbers, region.size + radius)
+
+
+def middles_between(piece: PlanePiece, others: Iterable[PlanePiece]) -> np.ndarray:
+    """Points (k,) of a piece, one between any two neighbours of its meetings with others."""
+    t = np.concatenate([[0.0, 1.0], *(piece.meets(other) for other in others)])
+    t = np.unique(t.clip(0.0, 1.0))
+    return piece.at(0.5 * (t[1:] + t[:-1]))
 
 
 def _turn_about(piece: PlanePiece, p: np.ndarray) -> np.ndarray:

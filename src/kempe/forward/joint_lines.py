@@ -1,0 +1,76 @@
+"""Lines of the joints of a chain: axes of turns and ways of slides where all coordinates are zero."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from kempe.errors import UnsupportedError
+from kempe.forward.fk import fk, jacobian
+from kempe.model.primitive_table import local_chain
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model
+
+SCREW = 1e-9
+"""Cosine of the angle between the velocity of a point and its turning, above which a joint also
+slides along its axis."""
+
+
+class JointLine(NamedTuple):
+    """The line of a joint: an axis about which it turns, or a way along which it slides.
+
+    `point` and the unit vector `direction` are numbers (3,), symbols, or in the plane complex
+    numbers; there turns go about z, and `rate` has their sense. By its `coordinate` the joint turns
+    or slides `rate` times as much, within the `limits` of that.
+    """
+
+    point: Any
+    direction: Any
+    turns: bool = True
+    coordinate: str = ""
+    rate: float = 1.0
+    limits: tuple[float, float] = (-np.inf, np.inf)
+
+
+def zero_configuration(system: Model) -> Array:
+    """The configuration (nq,) with all coordinates at zero, but for those that their limits hold."""
+    q = system.neutral.copy()
+    held = system.lower == system.upper
+    q[held] = system.lower[held]
+    return q
+
+
+def joint_lines_of(system: Model, frame: str) -> tuple[list[JointLine], Array]:
+    """Lines (numbers) of the joints that move a frame, from the ground on, and its pose (4, 4), both
+    at zero.
+
+    Joints that their limits hold are left out. Errors: `UnsupportedError` for other joints than
+    turns and slides, each with a coordinate of its own.
+    """
+    table, q_index, v_index = local_chain(system.structure.table, frame)
+    if len(table.iv) != len(v_index) or len(q_index) != len(v_index):
+        raise UnsupportedError(
+            f"the chain of {frame!r} has joints that follow each other, or have quaternions"
+        )
+    q = zero_configuration(system)
+    pose = fk(system, q, frame)
+    J = jacobian(system, q, frame)[:, v_index]
+    lines: list[JointLine] = []
+    for k, i in enumerate(v_index):
+        v, w = J[:3, k], J[3:, k]
+        low, high = float(system.lower[i]), float(system.upper[i])
+        turning = float(np.linalg.norm(w))
+        if low == high:
+            continue
+        if turning > 0.0 and abs(float(v @ w)) > SCREW * turning**2:
+            raise UnsupportedError(f"a joint of the chain of {frame!r} is a screw")
+        rate = turning or float(np.linalg.norm(v))
+        point = pose[:3, 3] + np.cross(w, v) / turning**2 if turning else pose[:3, 3]
+        name = system.coordinate_names[int(q_index[k])]
+        lines.append(
+            JointLine(point, (w if turning else v) / rate, turning > 0.0, name, rate, (low, high))
+        )
+    return lines, pose
