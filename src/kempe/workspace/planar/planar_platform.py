@@ -39,9 +39,9 @@ SEEN = 0.01
 """Distance from a traced curve, in sizes and radians, below which a start is on it."""
 CORNER = 1e-6
 """Residual, in sizes, below which a corner is on a curve."""
-FINE = 4
+FINE = 16
 """Points of a traced curve that are tried for each of its steps."""
-TRIED = 361
+TRIED = 721
 """Points of an arc or a segment that are tried."""
 SIDE = 1e-8
 """Distance, in sizes, of the points that are tried on both sides of a curve."""
@@ -201,7 +201,7 @@ class CouplerCurve:
 
     @cached_property
     def _fine(self) -> tuple[np.ndarray, np.ndarray]:
-        t = np.linspace(0.0, 1.0, 2 + int(4 * FINE * abs(self.sweep)))
+        t = np.linspace(0.0, 1.0, 2 + int(FINE * abs(self.sweep)))
         return t, self.at(t)
 
     @property
@@ -232,7 +232,7 @@ class CouplerCurve:
         """Its numbers, for JSON: points on it."""
         p = self._fine[1]
         ends = {"kind": self.kind, "from": as_pair(p[0]), "to": as_pair(p[-1])}
-        return ends | {"points": [as_pair(z) for z in p[:: 2 * FINE]]}
+        return ends | {"points": [as_pair(z) for z in p[::FINE]]}
 
 
 # ---- regions of platforms
@@ -277,9 +277,9 @@ class PlatformRegion:
     def ends(self) -> list[PlanePiece | CouplerCurve]:
         """The boundary: pieces that have the region to their left.
 
-        Closed parts of it that are shorter than the steps at which curves are tried may be missing;
-        where two pieces cross with the platform turned otherwise, their ends are found to 1e-8 of
-        the size.
+        Pieces that are shorter than the steps at which curves are tried may be missing: a hundredth
+        of the size. Where two pieces cross with the platform turned otherwise, their ends are found
+        to 1e-8 of the size.
         """
         found: list[PlanePiece | CouplerCurve] = []
         corners = [np.zeros((0, 3))]
@@ -297,7 +297,10 @@ class PlatformRegion:
             for a, b in self._bounding(curve, curve.motions_at, t):
                 found.append(curve.part(a, b))
                 corners.append(curve.motions_at(np.array([a, b])))
-        return found
+        # in symmetric mechanisms two legs, or two pieces of one, have boundaries on one curve
+        marks = np.array([piece.at(np.array([0.0, 0.5, 1.0])) for piece in found]).reshape(-1, 3)
+        same = np.abs(marks[:, None] - marks).max(axis=2) < CORNER * self.size
+        return [piece for k, piece in enumerate(found) if not same[k, :k].any()]
 
     def _coupler_curves(self, corners: list[Array]) -> Iterator[CouplerCurve]:
         """Coupler curves of which a start is on the boundary, or that go through a corner of it;
@@ -368,6 +371,7 @@ class PlatformRegion:
         roots = _switches(lambda x: self._events(motions(x), j) >= 0.0, t[i], t[i + 1])
         roots = np.unique(np.concatenate([[t[0], t[-1]], roots]))
         roots = roots[np.concatenate([[True], np.diff(roots) > TOGETHER])]
+        # beside an event two curves touch: what is nearer than half a step is not told apart
         clear = np.abs(t[:, None] - roots).min(axis=1) > 0.5 * (t[1] - t[0])
         cuts = np.sort(np.concatenate([roots, t[clear]]))
         middles = 0.5 * (cuts[1:] + cuts[:-1])

@@ -191,6 +191,8 @@ def planar_chain(system: Model, frame: str) -> tuple[PlanarChain, float]:
 
 MEET = 1e-5
 """How far ends of pieces may be apart, in sizes of the chain, to be the same corner."""
+GAP = 0.02
+"""Length of pieces that tracing may have missed, in sizes of a platform."""
 ROUNDING = 1e-9
 """Error of an exact area or volume, in powers of the size of its chain."""
 
@@ -277,7 +279,7 @@ class PlanarWorkspace(Report):
         if self.region.is_curve or not self.boundary:
             return ()
         if isinstance(self.region, PlatformRegion):
-            loops = _loops(list(self.boundary), MEET * self.region.size)
+            loops = self._closed
             return (SolutionRegion(None, self.area, self.boundary, loops),)
         sides = self.region.sides
         counts = sorted({n for _, left, right in sides for n in (left, right) if n > 0})
@@ -299,9 +301,16 @@ class PlanarWorkspace(Report):
         return tuple(out)
 
     @cached_property
+    def _closed(self) -> tuple[tuple[PlaneCurve, ...], ...]:
+        """The boundary as closed curves."""
+        size = self.region.size
+        gap = GAP * size if isinstance(self.region, PlatformRegion) else 0.0
+        return _loops(list(self.boundary), MEET * size, gap)
+
+    @cached_property
     def voids(self) -> tuple[tuple[PlaneCurve, ...], ...]:
         """Closed curves round holes of the workspace."""
-        loops = _loops(list(self.boundary), MEET * self.region.size) if self.regions else ()
+        loops = self._closed if self.regions else ()
         return tuple(loop for loop in loops if loop_area(loop) < 0.0)
 
     def contains(self, points: ArrayLike) -> Any:
@@ -428,9 +437,11 @@ def loop_area(loop: tuple[PlaneCurve, ...]) -> float:
     return total
 
 
-def _loops(pieces: list[PlaneCurve], same: float) -> tuple[tuple[PlaneCurve, ...], ...]:
+def _loops(
+    pieces: list[PlaneCurve], same: float, gap: float = 0.0
+) -> tuple[tuple[PlaneCurve, ...], ...]:
     """The pieces as closed curves, each followed by one that begins where it ends: of several the
-    leftmost.
+    leftmost. Where none does it is the nearest within a `gap`.
     """
     out: list[tuple[PlaneCurve, ...]] = []
     starts = np.array([complex(p.at(0.0)) for p in pieces])
@@ -446,7 +457,7 @@ def _loops(pieces: list[PlaneCurve], same: float) -> tuple[tuple[PlaneCurve, ...
             far = np.where(used, np.inf, np.abs(starts - complex(pieces[k].at(1.0))))
             far[first] = abs(starts[first] - complex(pieces[k].at(1.0)))
             along = pieces[k].tangent(1.0)
-            near = np.flatnonzero(far <= same)
+            near = np.flatnonzero(far <= max(same, min(gap, float(far.min()))))
             turns = [float(np.angle(pieces[j].tangent(0.0) / along)) for j in near]
             if not len(near) or (k := int(near[np.argmax(turns)])) == first:
                 break
