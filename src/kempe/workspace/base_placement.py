@@ -16,12 +16,11 @@ from kempe.arrays import is_mapping, is_whole
 from kempe.budget import Budget, Usual
 from kempe.errors import InputError
 from kempe.late import late
-from kempe.numerics.clock import LONG, partial
-from kempe.report import Report, brief
+from kempe.numerics.clock import LONG
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import Quantity, counted
-from kempe.workspace.reach import checked_poses, reached, sliced
+from kempe.workspace.reach import MOST, Study, checked_poses, reached_from, refuse_many
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -30,13 +29,11 @@ if TYPE_CHECKING:
 
 USUAL = Usual("reach.place", starts=64, rng=0, threads=None, progress=None, time_limit=LONG)
 AXES = ("x", "y", "z", "yaw")
-MOST = 10_000_000
-"""Poses that one map may try."""
 
 
 @explained_methods
 @dataclass(frozen=True, eq=False)
-class BasePlacement(Report):
+class BasePlacement(Study):
     """Places of the base, as a map over `axes` (name to values), and how well a list of poses is
     reached from each.
 
@@ -47,9 +44,8 @@ class BasePlacement(Report):
     """
 
     _pictured = True
-
-    __repr__ = brief
     _has_angles = True
+    _shown = ("poses", "axes", "fixed", "fraction", "margin", "manipulability")
 
     system: Model
     frame: str
@@ -112,28 +108,19 @@ class BasePlacement(Report):
     @property
     def status(self) -> str:
         """How many poses are reached from the best place, and where that is."""
-        of = f"{self.system.name}, {self.frame}"
         n = round(float(np.nan_to_num(self.fraction).max()) * self.poses)
         where = ", ".join(f"{k} = {v:.4g}" for k, v in self.place().items() if k in self.axes)
         full = int((self.fraction == 1.0).sum())
         tried = counted(int(np.isfinite(self.fraction).sum()), "place")
-        tail = partial(self.broken is Status.INTERRUPTED, self.broken is Status.OUT_OF_TIME)
         if not n:
-            return f"{of}: none of {counted(self.poses, 'pose')} reached from any of {tried}{tail}"
-        return (
-            f"{of}: {n} of {counted(self.poses, 'pose')} reached from the best place ({where}); "
-            f"all from {full} of {tried}{tail}"
-        )
+            none = f"none of {counted(self.poses, 'pose')} reached from any of {tried}"
+            return f"{self._subject}: {none}{self._tail}"
+        some = f"{n} of {counted(self.poses, 'pose')} reached from the best place ({where})"
+        return f"{self._subject}: {some}; all from {full} of {tried}{self._tail}"
 
     def _data(self) -> dict[str, Any]:
-        own = {
-            n: getattr(self, n)
-            for n in ("poses", "axes", "fixed", "fraction", "margin", "manipulability")
-        }
-        for part in ("axes", "fixed"):
-            own[part] = _with_units(own[part])
-        best = _with_units(self.place())
-        return {"system": self.system.name, "frame": self.frame} | own | {"best": best}
+        placed = {"axes": self.axes, "fixed": self.fixed, "best": self.place()}
+        return super()._data() | {name: _with_units(values) for name, values in placed.items()}
 
 
 def _with_units(values: Mapping[str, Any]) -> dict[str, Quantity]:
@@ -180,27 +167,27 @@ def place_base(
     X = checked_poses(X)
     axes, fixed = _axes(system, box, cells)
     shape = tuple(len(v) for v in axes.values())
-    total = int(np.prod(shape)) * len(X)
-    if total > MOST:
-        raise InputError(f"{total} poses would be tried; {MOST} at most: take fewer cells")
+    refuse_many(int(np.prod(shape)) * len(X), "cells")
     grid = np.meshgrid(*axes.values(), indexing="ij")
     places = np.zeros((int(np.prod(shape)), 4))
     for i, n in enumerate(AXES):
         places[:, i] = grid[list(axes).index(n)].ravel() if n in axes else fixed.get(n, 0.0)
 
-    def work(first: int, last: int, each: Budget) -> list[Array]:
-        wanted = (spatial.inverse(base_pose(places[first:last]))[:, None] @ X).reshape(-1, 4, 4)
-        found = reached(system, wanted, name, task, each)
-        own = (
-            x.reshape(last - first, len(X))
-            for x in (found.reached, found.margin, found.manipulability)
-        )
-        hit, far, w = own
-        return [hit.mean(axis=1), far.min(axis=1), w.min(axis=1)]
+    def poses(first: int, last: int) -> Array:
+        return spatial.inverse(base_pose(places[first:last]))[:, None] @ X
 
-    found, broken = sliced(system, work, [(), (), ()], len(places), len(X), spend)
-    fraction, far, w = (x.reshape(shape) for x in found)
-    return BasePlacement(system, name, len(X), axes, fixed, fraction, far, w, broken)
+    (hit, far, w), broken = reached_from(
+        system,
+        name,
+        task,
+        poses,
+        (len(places), len(X)),
+        ("reached", "margin", "manipulability"),
+        spend,
+    )
+    fraction = hit.mean(axis=1).reshape(shape)
+    least = [x.min(axis=1).reshape(shape) for x in (far, w)]
+    return BasePlacement(system, name, len(X), axes, fixed, fraction, *least, broken)
 
 
 def _axes(

@@ -20,14 +20,12 @@ from kempe.arrays import is_sequence, is_whole
 from kempe.budget import Budget, Usual
 from kempe.errors import InputError, TimeLimitError
 from kempe.late import late
-from kempe.numerics.clock import LONG, partial
-from kempe.report import Report, brief
+from kempe.numerics.clock import LONG
 from kempe.spaces.task_space import task_space
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import counted
-from kempe.workspace.base_placement import MOST
-from kempe.workspace.reach import UNKNOWN, reached, sliced
+from kempe.workspace.reach import MOST, UNKNOWN, Study, reached_from, refuse_many
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -39,7 +37,7 @@ USUAL = Usual("reach.capability", starts=32, rng=0, threads=None, progress=None,
 
 @explained_methods
 @dataclass(frozen=True, eq=False)
-class CapabilityMap(Report):
+class CapabilityMap(Study):
     """What a frame can do in the cells of a box, found backward: by the inverse model at the
     centres of the cells.
 
@@ -53,8 +51,15 @@ class CapabilityMap(Report):
     """
 
     _pictured = True
-
-    __repr__ = brief
+    _shown = (
+        "axes",
+        "directions",
+        "rolls",
+        "fraction",
+        "solutions",
+        "manipulability",
+        "margin",
+    )
 
     system: Model
     frame: str
@@ -80,10 +85,8 @@ class CapabilityMap(Report):
         whole = int((self.fraction == 1.0).sum())
         cells = counted(int(np.isfinite(self.fraction).sum()), "cell")
         directions = counted(len(self.directions), "direction")
-        tail = partial(self.broken is Status.INTERRUPTED, self.broken is Status.OUT_OF_TIME)
         said = (
-            f"{self.system.name}, {self.frame}: {some} of {cells} reached, {whole} in all "
-            f"{directions}{tail}"
+            f"{self._subject}: {some} of {cells} reached, {whole} in all {directions}{self._tail}"
         )
         return said if some or not self._too_few else f"{said}; {self._too_few}"
 
@@ -113,12 +116,6 @@ class CapabilityMap(Report):
         (the middle).
         """
         return late("plots of workspaces").plot_capability(self, ax, height)
-
-    def _data(self) -> dict[str, Any]:
-        names = ("axes", "directions", "rolls", "fraction", "solutions", "manipulability", "margin")
-        return {"system": self.system.name, "frame": self.frame} | {
-            n: getattr(self, n) for n in names
-        }
 
 
 def spread_directions(n: int) -> Array:
@@ -167,26 +164,19 @@ def capability_map(
     shape = tuple(len(a) for a in axes)
     angles = None if rolls is None else 2.0 * np.pi * np.arange(int(rolls)) / int(rolls)
     R = _rotations(d, angles, dim)
-    total = int(np.prod(shape)) * len(R)
-    if total > MOST:
-        raise InputError(
-            f"{total} poses would be tried; {MOST} at most: take fewer cells or directions"
-        )
     centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, dim)
+    refuse_many(len(centres) * len(R), "cells or directions")
     task = None if dim == 2 or rolls is not None else "position_axis"
 
-    def work(first: int, last: int, each: Budget) -> list[Array]:
-        p = centres[first:last]
-        X = np.zeros((len(p), len(R), 4, 4))
+    def poses(first: int, last: int) -> Array:
+        X = np.tile(np.eye(4), (last - first, len(R), 1, 1))
         X[..., :3, :3] = R
-        X[..., :dim, 3] = p[:, None]
-        X[..., 3, 3] = 1.0
-        found = reached(system, X.reshape(-1, 4, 4), name, task, each)
-        own = (found.reached, found.solutions, found.manipulability, found.margin)
-        return [x.reshape(len(p), len(R)) for x in own]
+        X[..., :dim, 3] = centres[first:last, None]
+        return X
 
-    (share, solutions, w, far), broken = sliced(
-        system, work, [(len(R),)] * 4, len(centres), len(R), spend
+    names = ("reached", "solutions", "manipulability", "margin")
+    (share, solutions, w, far), broken = reached_from(
+        system, name, task, poses, (len(centres), len(R)), names, spend
     )
     hit = share == 1.0
     mean = np.where((solutions == UNKNOWN).any(axis=1), np.nan, solutions.mean(axis=1))

@@ -39,59 +39,7 @@ if TYPE_CHECKING:
     from kempe.model.model import FrameLike, Model
 
 
-# ---- work in slices
-
-# A slice at a time, it is said how far the work is, and what was done is kept where it is broken
-# off.
-
-SLICE = 2048
-LOOP_SLICE = 128
-"""Poses that are tried at once, of a system with closed loops, where each takes longer: less than a
-second's work."""
-LONG = 16
-"""Velocity coordinates, twice which make these poses fewer, for the work grows with their
-square."""
-
-
-def sliced(
-    system: Model,
-    work: Callable[[int, int, Budget], list[Array]],
-    shapes: Sequence[tuple[int, ...]],
-    count: int,
-    poses: int,
-    spend: Budget,
-) -> tuple[list[Array], Status | None]:
-    """What `work` finds of the places 0 to `count`, each of so many `poses`, and what broke it off
-    (None: nothing).
-
-    `work` gets the first place, the one after the last and what it may spend, and gives arrays with
-    a row, of one of the `shapes`, for each place. Rows that were not done before the time limit or
-    an interrupt are NaN.
-    """
-    clock = TimeLimit(spend.time_limit)
-    each = Budget(starts=spend.starts, rng=spend.rng, threads=spend.threads)
-    share = max(1, system.nv // LONG) ** 2
-    broken = None
-    at_once = max(1, (LOOP_SLICE if has_loops(system) else SLICE) // (poses * share))
-    rows: list[list[Array]] = []
-    try:
-        with clock:
-            for first in range(0, max(count, 1), at_once):
-                clock.check()
-                last = min(first + at_once, count)
-                rows.append(work(first, last, each))
-                if spend.progress is not None:
-                    spend.progress(last * poses, count * poses)
-    except BROKEN_OFF as error:
-        broken = Status.OUT_OF_TIME if isinstance(error, TimeUp) else Status.INTERRUPTED
-    rows.append([np.zeros((0, *shape)) for shape in shapes])
-    out = [np.concatenate(x).astype(float) for x in zip(*rows, strict=True)]
-    return [
-        np.concatenate([x, np.full((count - len(x), *x.shape[1:]), np.nan)]) for x in out
-    ], broken
-
-
-# ---- the answer and the verb
+# ---- what is reached
 
 USUAL = Usual("reach.poses", starts=1000, rng=0, threads=None, time_limit=CLOCK_LONG, progress=None)
 UNKNOWN = -1
@@ -116,6 +64,17 @@ class ReachedPoses:
     margin: Array
     q: Array
     code: np.ndarray
+
+
+MOST = 10_000_000
+"""Poses that one map may try."""
+SLICE = 2048
+LOOP_SLICE = 128
+"""Poses that are tried at once, of a system with closed loops, where each takes longer: less than a
+second's work."""
+LONG = 16
+"""Velocity coordinates, twice which make these poses fewer, for the work grows with their
+square."""
 
 
 def checked_poses(X: Array) -> Array:
@@ -192,9 +151,82 @@ def reached(system: Model, targets: Array, frame: str, task: Any, budget: Budget
     )
 
 
+def refuse_many(poses: int, fewer: str) -> None:
+    """Refuse a map that would try more than `MOST` poses. Errors: `InputError`."""
+    if poses > MOST:
+        raise InputError(f"{poses} poses would be tried; {MOST} at most: take fewer {fewer}")
+
+
+def reached_from(
+    system: Model,
+    frame: str,
+    task: Any,
+    targets: Callable[[int, int], Array],
+    shape: tuple[int, int],
+    names: Sequence[str],
+    spend: Budget,
+) -> tuple[list[Array], Status | None]:
+    """Fields of `ReachedPoses`, with these names, of targets at places: arrays (places, targets,
+    ...) of `shape`; and what broke the work off (None: nothing).
+
+    `targets(first, last)` are those (last - first, targets, ...) of the places `first` to `last`.
+    Slices of places are tried one after the other; those that were not before the time limit or an
+    interrupt are NaN.
+    """
+    count, several = shape
+    own = {"q": (system.nq,)}
+    out = [np.full((*shape, *own.get(name, ())), np.nan) for name in names]
+    clock = TimeLimit(spend.time_limit)
+    each = Budget(starts=spend.starts, rng=spend.rng, threads=spend.threads)
+    share = max(1, system.nv // LONG) ** 2
+    at_once = max(1, (LOOP_SLICE if has_loops(system) else SLICE) // (max(several, 1) * share))
+    try:
+        with clock:
+            for first in range(0, count, at_once):
+                clock.check()
+                X = targets(first, min(first + at_once, count))
+                last = first + len(X)
+                answer = reached(system, X.reshape(-1, *X.shape[2:]), frame, task, each)
+                for array, name in zip(out, names, strict=True):
+                    array[first:last] = getattr(answer, name).reshape(array[first:last].shape)
+                if spend.progress is not None:
+                    spend.progress(last * several, count * several)
+    except BROKEN_OFF as error:
+        return out, Status.OUT_OF_TIME if isinstance(error, TimeUp) else Status.INTERRUPTED
+    return out, None
+
+
+# ---- the answer and the verb
+
+
+class Study(Report):
+    """A report on which poses a frame of a system reaches, perhaps `broken` off."""
+
+    __repr__ = brief
+
+    system: Model
+    frame: str
+    broken: Status | None
+    _shown: tuple[str, ...]
+    """Fields that are data of it."""
+
+    @property
+    def _subject(self) -> str:
+        return f"{self.system.name}, {self.frame}"
+
+    @property
+    def _tail(self) -> str:
+        """End of a sentence about a study that was broken off; '' otherwise."""
+        return partial(self.broken is Status.INTERRUPTED, self.broken is Status.OUT_OF_TIME)
+
+    def _data(self) -> dict[str, Any]:
+        shown = {name: getattr(self, name) for name in self._shown}
+        return {"system": self.system.name, "frame": self.frame} | shown
+
+
 @explained_methods
 @dataclass(frozen=True, eq=False)
-class ReachStudy(Report, Tabular):
+class ReachStudy(Study, Tabular):
     """Which of a list of poses a frame reaches, how well, and what blocks the others.
 
     All have a place for each pose (n,): `reached`; `solutions`, the number of configurations inside
@@ -205,8 +237,8 @@ class ReachStudy(Report, Tabular):
     off, by the time limit or an interrupt, that is the outcome of the poses left.
     """
 
-    __repr__ = brief
     _has_angles = True
+    _shown = ("reached", "solutions", "manipulability", "margin")
 
     system: Model
     frame: str
@@ -234,10 +266,8 @@ class ReachStudy(Report, Tabular):
     def status(self) -> str:
         """How many are reached."""
         n = int(self.reached.sum())
-        of = f"{self.system.name}, {self.frame}"
-        tail = partial(self.broken is Status.INTERRUPTED, self.broken is Status.OUT_OF_TIME)
         tried = int(self.tried.sum())
-        return f"{of}: {n} of {counted(tried, 'pose')} reached{tail}"
+        return f"{self._subject}: {n} of {counted(tried, 'pose')} reached{self._tail}"
 
     @property
     def tried(self) -> np.ndarray:
@@ -296,14 +326,9 @@ class ReachStudy(Report, Tabular):
         return lines + [f"... and {len(blocked) - SHOWN} more"] * (len(blocked) > SHOWN)
 
     def _data(self) -> dict[str, Any]:
-        names = ("reached", "solutions", "manipulability", "margin")
-        own: dict[str, Any] = {n: getattr(self, n) for n in names} | {"codes": named(self.codes)}
-        own["q"] = by_name(self.system, self.q)
-        return (
-            {"system": self.system.name, "frame": self.frame}
-            | own
-            | {"reasons": {str(i): text for i, text in self.reasons.items()}}
-        )
+        more = {"codes": named(self.codes), "q": by_name(self.system, self.q)}
+        reasons = {str(i): text for i, text in self.reasons.items()}
+        return super()._data() | more | {"reasons": reasons}
 
 
 @explained
@@ -339,12 +364,11 @@ def reach_poses(
         )
     X = checked_poses(X)
 
-    def work(first: int, last: int, each: Budget) -> list[Array]:
-        return list(vars(reached(system, X[first:last], name, task, each)).values())
-
-    (hit, solutions, w, far, q, codes), broken = sliced(
-        system, work, [(), (), (), (), (system.nq,), ()], len(X), 1, spend
+    names = ("reached", "solutions", "manipulability", "margin", "q", "code")
+    fields, broken = reached_from(
+        system, name, task, lambda first, last: X[first:last, None], (len(X), 1), names, spend
     )
+    hit, solutions, w, far, q, codes = (array[:, 0] for array in fields)
     left = np.isnan(codes)
     each = replace(spend, time_limit=None, progress=None)
     if broken is not None:
