@@ -529,7 +529,7 @@ def test_wrong_configurations(arm, q, said):
         (b"shoulder,arm\n1,2\n", "'arm'"),
         (b"elbow,elbow\n1,2\n", "twice"),
         (b"1,2,3\n", "arm needs 2"),
-        (b"\xff\xfe,1\n", "UTF-8"),
+        (b"\xff\xfe,1\n", "cannot be read as .csv: 'utf-8'"),
     ],
 )
 def test_wrong_files(arm, tmp_path, content, said):

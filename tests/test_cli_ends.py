@@ -340,8 +340,8 @@ def rows_files(folder: Path) -> dict[str, str]:
         ),
         ("map ik two_link {places.csv} --frame e -o {new} --start nan,0", "start is [nan, 0.0]"),
         ("map fk two_link {archive.npy} --frame e -o {new}", "this is a .npz archive"),
-        ("fk two_link --q {archive.npy}", "it is not a .npy file of numbers"),
-        ("fk two_link --q {promises.npy}", "it is not a .npy file of numbers"),
+        ("fk two_link --q {archive.npy}", "this is a .npz archive of arrays"),
+        ("fk two_link --q {promises.npy}", "cannot be read as .npy: mmap length"),
         ("fk two_link --q {q.npy} -o {q.npy}", "the command reads this file"),
         (
             "ik two_link --frame e --target {places.csv} -o {places.csv}",

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from kempe.answers.tables import SUFFIXES, as_numbers, header_of, rows_of_text
-from kempe.arrays import reals
+from kempe.answers.tables import SUFFIXES, as_numbers
 from kempe.description.source import no_file
-from kempe.errors import UNREADABLE, InputError
+from kempe.errors import InputError
 from kempe.spatial import Array
+from kempe.workspace.row_sources import open_rows
 
 
 def is_file(text: str) -> bool:
@@ -45,39 +45,17 @@ def read(path: Path, matrices: bool = False) -> tuple[list[str] | None, Array]:
         raise InputError(f"{path}: this is {what}; give the path of a plain file")
     if not path.is_file():
         raise InputError(f"{path}: there is no such file")
-    return _read_npy(path, matrices) if path.suffix.lower() == ".npy" else _read_csv(path)
-
-
-def _read_npy(path: Path, matrices: bool) -> tuple[None, Array]:
-    try:
-        # a map of the file asks for no memory: the header may promise more rows than there are
-        array = reals(np.array(np.load(path, mmap_mode="r", allow_pickle=False)), "the file")
-    except UNREADABLE:
-        raise InputError(f"{path}: it is not a .npy file of numbers") from None
-    except MemoryError:
-        raise InputError(f"{path}: this memory does not hold the array in it") from None
-    if array.ndim == 2 or (matrices and array.ndim == 3 and array.shape[1:] == (4, 4)):
-        return None, array
-    wanted = (
-        "a row for each target, or (n, 4, 4) poses" if matrices else "a row for each configuration"
-    )
-    raise InputError(f"{path}: it holds an array of shape {array.shape}; needed is {wanted}")
-
-
-def _read_csv(path: Path) -> tuple[list[str] | None, Array]:
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: it is not UTF-8 text") from None
-    table = [(i, line) for i, line in enumerate(lines, start=1) if line.strip()]
-    names = header_of(table[0][1]) if table else None
-    if names is not None:
-        del table[0]
-    if not table:
+    source = open_rows(path)
+    if not source.n:
         raise InputError(f"{path}: it holds no rows of numbers")
-    return names, rows_of_text(
-        path, table, len(table[0][1].split(",")) if names is None else len(names)
-    )
+    if len(source.tail) > 1 and not (matrices and source.tail == (4, 4)):
+        shape = (source.n, *source.tail)
+        wanted = "target, or (n, 4, 4) poses" if matrices else "configuration"
+        raise InputError(
+            f"{path}: it holds an array of shape {shape}; needed is a row for each {wanted}"
+        )
+    names = source.names
+    return None if names is None else list(names), source.read(0, source.n)
 
 
 def not_finite(q: Array) -> list[int]:

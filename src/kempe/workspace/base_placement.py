@@ -185,9 +185,9 @@ def place_base(
         ("reached", "margin", "manipulability"),
         spend,
     )
-    fraction = hit.mean(axis=1).reshape(shape)
-    least = [x.min(axis=1).reshape(shape) for x in (far, w)]
-    return BasePlacement(system, name, len(X), axes, fixed, fraction, *least, broken)
+    over = (hit.mean(axis=1), far.min(axis=1), w.min(axis=1))
+    fraction, least_margin, least_w = (x.reshape(shape) for x in over)
+    return BasePlacement(system, name, len(X), axes, fixed, fraction, least_margin, least_w, broken)
 
 
 def _axes(

@@ -116,13 +116,13 @@ class RowJob:
         `KernelsError`.
         """
         refuse_kernels(self.variant, self.version)
-        return VERBS[self.verb].answers(self, rows)
+        answers = VERBS[self.verb].answers(self, rows)
+        return {name: np.asarray(x, dtype=TYPES.get(name)) for name, x in answers.items()}
 
     @cached_property
     def layout(self) -> dict[str, np.ndarray]:
         """The arrays of no rows: their shapes and types. Errors: those of the verb for its options."""
-        found = self.answers(np.zeros((0, *self.tail)))
-        return {name: np.asarray(array) for name, array in found.items()}
+        return self.answers(np.zeros((0, *self.tail)))
 
     @property
     def row_bytes(self) -> list[int]:
@@ -207,26 +207,17 @@ class Verb(NamedTuple):
 def _fk(job: RowJob, rows: Array) -> Arrays:
     X = fk(job.system, job.configurations(rows), job.frame, threads=1, **job.options)
     form = job.options.get("form") or "matrix"
-    code = np.where(
-        np.isfinite(X).all(axis=tuple(range(1, X.ndim))), Status.SOLVED, Status.BAD_INPUT
-    )
-    return {"pose" if form in ("matrix", "3x4") else form: X, "code": code.astype(np.uint8)}
+    finite = np.isfinite(X).all(axis=tuple(range(1, X.ndim)))
+    return {
+        "pose" if form in ("matrix", "3x4") else form: X,
+        "code": np.where(finite, Status.SOLVED, Status.BAD_INPUT),
+    }
 
 
 def _ik(job: RowJob, rows: Array) -> Arrays:
-    answer = ik(
-        job.system,
-        job.targets(rows),
-        job.frame,
-        budget=Budget(rng=job.rng, threads=1),
-        **job.options,
-    )
-    return {
-        "q": answer.q,
-        "code": np.asarray(answer.code, dtype=np.uint8),
-        "position_error": answer.position_error,
-        "orientation_error": answer.orientation_error,
-    }
+    budget = Budget(rng=job.rng, threads=1)
+    answer = ik(job.system, job.targets(rows), job.frame, budget=budget, **job.options)
+    return fields_of(answer, "q", "code", "position_error", "orientation_error")
 
 
 def _ik_all(job: RowJob, rows: Array) -> Arrays:
@@ -238,14 +229,8 @@ def _ik_all(job: RowJob, rows: Array) -> Arrays:
     answer: Any = ik_all(
         job.system, job.targets(rows), str(job.frame), budget=Budget(threads=1), **job.options
     )
-    return {
-        "q": answer.q,
-        "code": np.asarray(answer.code, dtype=np.uint8),
-        "residual": answer.residual,
-        "inside": answer.inside,
-        "count": answer.mask.sum(axis=-1).astype(np.uint8),
-        "complete": np.asarray(answer.complete, dtype=bool),
-    }
+    fields = fields_of(answer, "q", "code", "residual", "inside", "complete")
+    return {**fields, "count": answer.mask.sum(axis=-1)}
 
 
 def _assemble(job: RowJob, rows: Array) -> Arrays:
@@ -255,11 +240,12 @@ def _assemble(job: RowJob, rows: Array) -> Arrays:
         )
     budget = Budget(rng=job.rng, threads=1)
     answer = assemble(job.system, job.by_name(rows), budget=budget, **job.options)
-    return {
-        "q": answer.q,
-        "code": np.asarray(answer.code, dtype=np.uint8),
-        "residual": answer.residual,
-    }
+    return fields_of(answer, "q", "code", "residual")
+
+
+def fields_of(answer: Any, *names: str) -> Arrays:
+    """Fields of an answer to many rows."""
+    return {name: getattr(answer, name) for name in names}
 
 
 VERBS = {
@@ -290,6 +276,10 @@ AXES: dict[str, tuple[tuple[str, ...], str, str]] = {
     "complete": ((), "whether there are no other isolated solutions", "1"),
 }
 """Of each array the names of its last axes, what it is, and its unit."""
+
+
+TYPES = {"code": np.uint8, "count": np.uint8, "complete": np.bool_}
+"""Types of arrays on disk, where they are smaller than those of answers."""
 
 
 def axes_of(name: str, array: np.ndarray) -> tuple[str, ...]:
@@ -667,7 +657,7 @@ def map_file(
     client = None if client is None else connected(client)
     broken = None
     try:
-        broken = _fill(store, client, threads, Pace(spend.progress, rows.n), clock)
+        broken = _fill(store, client, threads, Pace(spend.progress, rows.n, clock))
     except BROKEN_OFF as error:
         broken = error
     finally:
@@ -698,16 +688,13 @@ def _chunk(job: RowJob, rows: RowSource) -> int:
     return max(1, min(wanted, most, rows.n))
 
 
-def _fill(
-    store: RowStore, client: Any, threads: int, pace: Pace, clock: TimeLimit
-) -> BaseException | None:
-    """Answer all rows that are not answered, and return what broke it off. Errors: those of tasks,
-    and what broke it off.
+def _fill(store: RowStore, client: Any, threads: int, pace: Pace) -> BaseException | None:
+    """Answer all rows that are not answered, and return what broke it off. Errors: those of the
+    verb, and what broke it off.
     """
 
     def check(_: int = 0) -> None:
         pace(store.rows)
-        clock.check()
 
     store.open(check)
     if store.rows == store.source.n:

@@ -67,28 +67,9 @@ def format_of(path: Path) -> str | None:
         return None
 
 
-OTHER_FORMATS = {
-    ".csv",
-    ".tsv",
-    ".txt",
-    ".json",
-    ".xlsx",
-    ".xls",
-    ".npy",
-    ".npz",
-    ".parquet",
-    ".feather",
-    ".arrow",
-    ".h5",
-    ".hdf5",
-    ".mat",
-    ".pkl",
-    ".zip",
-    ".gz",
-    ".bz2",
-    ".xz",
-    ".zst",
-}
+TABLES = ".csv .tsv .txt .json .xlsx .xls .npy .npz .parquet .feather .arrow .h5 .hdf5 .mat .pkl"
+PACKED = ".zip .gz .bz2 .xz .zst"
+OTHER_FORMATS = frozenset(f"{TABLES} {PACKED}".split())
 """Endings of files that are no folders of Zarr."""
 
 

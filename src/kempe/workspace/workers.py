@@ -15,7 +15,7 @@ from kempe.arguments import quiet
 from kempe.budget import watched_by
 from kempe.errors import InputError, KernelsError, MissingExtraError, shown, warn
 from kempe.kernels.compiled import VARIANT
-from kempe.numerics.clock import BROKEN_OFF
+from kempe.numerics.clock import BROKEN_OFF, TimeLimit
 from kempe.version import __version__
 from kempe.words import counted
 
@@ -24,20 +24,21 @@ WAKE = 0.2
 
 
 class Pace:
-    """Calls `progress(done, total)` now and then."""
+    """Calls `progress(done, total)` now and then, and raises `TimeUp` where the time is up."""
 
-    def __init__(self, progress: Callable[..., Any] | None, total: int):
+    def __init__(self, progress: Callable[..., Any] | None, total: int, clock: TimeLimit):
         self.progress = progress
         self.total = total
+        self.clock = clock
         self.reported = time.monotonic()
 
     def __call__(self, done: int, at_once: bool = False) -> None:
         """Report that so many are done, if it is time, or at once."""
         now = time.monotonic()
-        if self.progress is None or (now - self.reported < WAKE and not at_once):
-            return
-        self.reported = now
-        self.progress(done, self.total)
+        if self.progress is not None and (at_once or now - self.reported >= WAKE):
+            self.reported = now
+            self.progress(done, self.total)
+        self.clock.check()
 
 
 # ---- threads

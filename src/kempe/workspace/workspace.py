@@ -139,10 +139,10 @@ def _answer(
         refuse_small_disk(path.parent, 2 * samples.counts.nbytes)
     written = samples
     due = -np.inf
-    pace = Pace(spend.progress, count)
+    pace = Pace(spend.progress, count, clock)
     broken = None
     try:
-        for first, last, counts in _parts(recipe, samples, count, client, spend, clock, pace):
+        for first, last, counts in _parts(recipe, samples, count, client, spend.threads, pace):
             samples = samples.added(first, last, counts)
             if path is not None and time.monotonic() >= due:
                 due = _write(path, recipe, samples)
@@ -186,13 +186,7 @@ def _write(path: Path, recipe: Recipe, samples: SampleCounts) -> float:
 
 
 def _parts(
-    recipe: Recipe,
-    samples: SampleCounts,
-    count: int,
-    client: Any,
-    spend: Budget,
-    clock: TimeLimit,
-    pace: Pace,
+    recipe: Recipe, samples: SampleCounts, count: int, client: Any, threads: Any, pace: Pace
 ) -> Iterator[tuple[int, int, np.ndarray]]:
     """Counts of the samples that are left of the first `count`: (first, last, counts) of each part.
 
@@ -203,20 +197,16 @@ def _parts(
     most = min(max(recipe.part, count // parts), LARGEST_PART)
     ranges = samples.missing(count, max(most // recipe.piece, 1) * recipe.piece)
     if client is not None:
-        for (first, last), counts in results_of(
-            client, counted, recipe, ((part, part) for part in ranges), clock.check
-        ):
-            yield first, last, counts
+        arguments = ((part, part) for part in ranges)
+        for part, counts in results_of(client, counted, recipe, arguments, pace.clock.check):
+            yield *part, counts
         return
-    threads = thread_count(spend.threads)
+    n = thread_count(threads)
     before = samples.samples
     for first, last in ranges:
-
-        def check(done: int, before: int = before) -> None:
-            pace(before + done)
-            clock.check()
-
-        counts, stop, broken = count_in_threads(recipe, first, last, threads, check)
+        counts, stop, broken = count_in_threads(
+            recipe, first, last, n, lambda done, before=before: pace(before + done)
+        )
         yield first, stop, counts
         before += stop - first
         if broken is not None:
