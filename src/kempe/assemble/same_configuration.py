@@ -84,6 +84,17 @@ class Metric:
         v[..., back] -= self.period[back] * np.round(v[..., back] / self.period[back])
         return np.abs(v / self.scale)[..., counts].max(axis=-1, initial=0.0)
 
+    def unique(self, q: Array, tolerance: float, counts: Any = slice(None)) -> np.ndarray:
+        """Numbers of the configurations (n, nq) that are nearer than a tolerance to none before them.
+
+        `counts` (nv,) are the velocity coordinates that tell them apart: all, if not given.
+        """
+        keep: list[int] = []
+        for k, x in enumerate(q):
+            if not (keep and (self.distances(q[keep], x, counts) < tolerance).any()):
+                keep.append(k)
+        return np.array(keep, dtype=int)
+
     def representatives(self, q: Array, near: Array | None) -> Array:
         """The configurations (n, nq), each angle turned to be nearest to `near`, or to zero, and
         inside its limits.

@@ -22,6 +22,7 @@ from kempe.assemble.assemble import assemble
 from kempe.assemble.dyads import closed_form
 from kempe.assemble.generic_configurations import idle_coordinates
 from kempe.assemble.modes import assembly_modes
+from kempe.assemble.same_configuration import metric_of
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.equations.closure_rows import RANK_TOLERANCE
 from kempe.equations.one_sided import one_sided_rows
@@ -105,10 +106,9 @@ class Component(InWords):
         """Where curves meet, or the rank drops otherwise, each once."""
         system = self.paths[0].system
         events = [e for p in self.paths for e in p.singular_points]
-        return tuple(
-            events[k]
-            for k in _first(system, np.array([e.q for e in events]).reshape(-1, system.nq))
-        )
+        q = np.array([e.q for e in events]).reshape(-1, system.nq)
+        numbers: list[int] = metric_of(system).unique(q, SAME).tolist()
+        return tuple(events[k] for k in numbers)
 
     def place(self, q: Array) -> tuple[np.ndarray, Array, Array]:
         """For configurations (k, nq) the curve (k,) that is nearest, the arc length (k,) there, and
@@ -211,16 +211,6 @@ def _nearest(path: Path, q: Array, useful: np.ndarray) -> tuple[Array, Array]:
     return np.mod(s, path.length) if path.closed and path.length else s, np.where(
         far < NEAR, far, np.inf
     )
-
-
-def _first(system: Model, q: Array) -> list[int]:
-    """Which of configurations (k, nq) are not the same as one before."""
-    metric = Manifold(system, 1).metric
-    out = list[int]()
-    for k, x in enumerate(q):
-        if not any(metric.distances(x[None], q[j][None])[0] < SAME for j in out):
-            out.append(k)
-    return out
 
 
 @explained_methods
@@ -377,7 +367,7 @@ def _counted(system: Model, spend: Budget, time: TimeLimit) -> Components:
         freedoms.dof,
         freedoms.idle,
         traced.parts,
-        singular[_first(system, singular)],
+        singular[metric_of(system).unique(singular, SAME)],
         traced.late,
         traced.interrupted,
     )

@@ -24,6 +24,7 @@ from kempe.arguments import (
     start_count,
     until_interrupt,
 )
+from kempe.assemble.same_configuration import metric_of
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.errors import InputError, Interrupted
 from kempe.first_order.control import driven
@@ -538,7 +539,7 @@ def _set(system: Model, key: Key, rows: list[Row], problems: list[RankLoss]) -> 
     if deciding and dimension == len(columns) - len(deciding) and (at >= 0).all():
         values = _distinct(system, q[:, at], deciding)
     if dimension == 0:
-        keep = _distinct_rows(q)
+        keep = metric_of(system).unique(q, SAME).tolist()
         rows = [rows[i] for i in keep]
         q = q[keep]
     return SingularSet(
@@ -551,14 +552,6 @@ def _set(system: Model, key: Key, rows: list[Row], problems: list[RankLoss]) -> 
         tuple(local for _, local in rows),
         tuple(at.tolist()),
     )
-
-
-def _distinct_rows(x: Array) -> list[int]:
-    keep: list[int] = []
-    for i, row in enumerate(x):
-        if not any(np.abs(np.sin(0.5 * (row - x[j]))).max(initial=0.0) < SAME for j in keep):
-            keep.append(i)
-    return keep
 
 
 def _distinct(system: Model, x: Array, deciding: tuple[int, ...]) -> Array:

@@ -122,14 +122,6 @@ class NodeSolver:
         """Whether (...) configurations (..., nq) are the same as others."""
         return self.apart(q, to) < SAME
 
-    def different(self, q: Array) -> Array:
-        """Those of configurations (k, nq) that are no repetition of one before."""
-        keep: list[Array] = []
-        for x in q:
-            if not keep or not self.same(x[None], np.array(keep)).any():
-                keep.append(x)
-        return np.array(keep).reshape(-1, q.shape[1])
-
 
 def _step(r: Array, J: Array) -> Array:
     """Gauss-Newton steps (k, n), damped so little that only those of singular equations are other
@@ -654,7 +646,7 @@ class Dyads(TwoFreedoms):
         if self.placed is None:
             return super().solutions(p)
         q, mask = self.reaching(p)
-        return self.solver.different(q[mask])
+        return q[mask][self.manifold.metric.unique(q[mask], SAME, self.solver.counts)]
 
 
 def two_freedoms(
