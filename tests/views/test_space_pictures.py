@@ -209,6 +209,34 @@ def test_what_cannot_be_drawn_is_said():
         m.build().plot_spaces("b")
 
 
+def test_configurations_paths_and_self_motions_are_drawn_in_both_spaces():
+    """On the right is the image by the forward model: of a self-motion the line that it keeps to."""
+    targets = np.linspace([0.75, 0.1], [0.2, 0.6], 20)
+    way = LIMITED.ik_path(targets, "e", start=[-0.3, 0.8])
+    start = np.array([0.3, 0.9])
+    x = float(LIMITED.fk(start, "e")[0, 3])
+    kept = LIMITED.inverse.self_motion(
+        start, kempe.constraints.OnLine("e", (x, 0.0), (0.0, 1.0, 0.0))
+    )
+    line = np.linspace([1.0, 0.5], [1.5, 2.0], 7)
+    sides = LIMITED.plot_spaces(
+        "e", q={"q1": 1.0, "q2": 2.0}, paths=[way, kept, line], resolution=20
+    )
+    left, right = (artists(ax) for ax in sides)
+    for k, q in enumerate((way.q, kept.q, line)):
+        assert np.transpose(left[f"path:{k}"][0].get_data()) == pytest.approx(q)
+        image = np.transpose(right[f"path:{k}"][0].get_data())
+        assert image == pytest.approx(LIMITED.fk(q, "e")[:, :2, 3])
+        assert np.ravel(left[f"begin:{k}"][0].get_data()) == pytest.approx(q[0])
+    assert len(kept) > 5 and np.ptp(right["path:1"][0].get_xdata()) < 1e-8
+    assert np.transpose(right["path:0"][0].get_data()) == pytest.approx(targets, abs=1e-5)
+    assert np.ravel(left["configuration:0"][0].get_data()) == pytest.approx([1.0, 2.0])
+    assert "configuration:0:arm" in right
+    for wrong in ({"paths": 3.0}, {"paths": [np.zeros((2, 3))]}, {"q": np.zeros((1, 2, 2))}):
+        with pytest.raises(InputError):
+            LIMITED.plot_spaces("e", resolution=20, **wrong)
+
+
 # ---- with closed loops
 
 

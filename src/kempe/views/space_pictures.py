@@ -18,7 +18,7 @@ from kempe.constraints.flat_tasks import FlatTask, flat_task
 from kempe.equations.judge import closure_error
 from kempe.errors import InputError, Interrupted, TimeLimitError, UnsupportedError, shown
 from kempe.forward.fk import fk, jacobian
-from kempe.model.configurations import has_loops, units
+from kempe.model.configurations import as_q, has_loops, units
 from kempe.motion.trace import trace
 from kempe.numerics.clock import TIME_LIMIT, TimeLimit, partial
 from kempe.spaces.two_freedoms import NEEDED, TwoFreedoms, two_freedoms
@@ -65,6 +65,8 @@ def plot_spaces(
     frame: FrameLike,
     *,
     points: ArrayLike = (),
+    q: Any = None,
+    paths: Any = (),
     task: str | None = None,
     grid: bool = False,
     ax: Any = None,
@@ -80,7 +82,10 @@ def plot_spaces(
     says which two numbers of the frame the places are: "xy", "xz" or "yz", its position along two
     axes of the ground [m], or "direction", the azimuth and elevation of its z axis [rad]. `points`
     (k, 2) are places that the frame shall reach: their solutions are marked on both sides, or,
-    where there is none, the nearest place found, with the distance. `grid` draws lines on which one
+    where there is none, the nearest place found, with the distance. `q` are configurations (nq,) or
+    (k, nq), drawn as dots on both sides, with their arms. `paths` are lines of configurations on
+    both sides: an array (n, nq), or an answer with such `q`, as of `trace`, `ik_path` and
+    `self_motion`, or a list of them; a ring is where each begins. `grid` draws lines on which one
     coordinate is constant, and their images. `ax` is a pair of axes to draw on; `resolution` the
     number of places along each axis (8 to 1000).
 
@@ -109,6 +114,8 @@ def plot_spaces(
             f"resolution is {shown(resolution)}; it must be a whole number, {COARSEST} to {FINEST}"
         )
     lines = flag(grid, "grid")
+    dots = _configurations(system, q, "q")
+    motions = [_configurations(system, x, "paths") for x in _several(paths)]
     own = None if ax is None else page.axes_given(ax, 2)
     space = two_freedoms(system, name, seen, TimeLimit(spend.time_limit))
     space.progress = spend.progress
@@ -118,17 +125,17 @@ def plot_spaces(
         own = figure.add_axes((0.06, 0.12, 0.36, 0.8)), figure.add_axes((0.49, 0.12, 0.36, 0.8))
     left, right = own
     every = space.grid(int(resolution))
-    q, mask = space.over_grid(int(resolution))
-    p = space.places(q, mask)
+    over, mask = space.over_grid(int(resolution))
+    p = space.places(over, mask)
     if not mask.any():
         raise UnsupportedError(
             f"{system.name}: no configuration was found inside the limits{_partly(space.broken)}"
         )
     _shade_task_space(space, right, p, targets, int(resolution))
-    _shaded(left, every[:, 0, 0], every[0, :, 1], space.shades(q, mask))
+    _shaded(left, every[:, 0, 0], every[0, :, 1], space.shades(over, mask))
     _draw_limits(space, left, right)
     if has_loops(system):
-        _draw_other_limits(space, left, right, q[mask])
+        _draw_other_limits(space, left, right, over[mask])
     if lines:
         _draw_grid(space, left, right)
     if curves is None:
@@ -136,8 +143,12 @@ def plot_spaces(
     else:
         _draw_curves(space, left, right, curves)
     for k, target in enumerate(targets):
-        _draw_point(space, left, right, target, k, q[mask], p[mask])
-    _finish(space, left, right, curves)
+        _draw_point(space, left, right, target, k, over[mask], p[mask])
+    for k, motion in enumerate(motions):
+        _draw_motion(space, left, right, motion, k, style.curve_colour(len(targets) + k + 1))
+    for k, x in enumerate(dots):
+        _draw_configuration(space, left, right, x, k)
+    _finish(space, left, right, curves, len(targets), motions)
     if Status.INTERRUPTED in (space.broken, getattr(curves, "broken", None)):
         raise Interrupted((left, right))
     return left, right
@@ -155,6 +166,31 @@ def _targets(points: ArrayLike, seen: FlatTask) -> Array:
         )
         raise InputError(f"points has shape {targets.shape}; it must be (k, 2), {unit}")
     return targets
+
+
+def _several(paths: Any) -> list[Any]:
+    """The paths one by one: an answer, an array (n, nq), or a list of such."""
+    if hasattr(paths, "q") or isinstance(paths, np.ndarray):
+        return [paths]
+    if not isinstance(paths, (list, tuple)):
+        raise InputError(
+            f"paths is {shown(paths)}; it must be an answer, an array (n, nq), or a list"
+        )
+    several: list[Any] = [*paths]
+    return several
+
+
+def _configurations(system: Model, given: Any, name: str) -> Array:
+    """Configurations (k, nq) of an answer, an array or named values; rows that are NaN are left
+    out. Errors: `InputError`.
+    """
+    if given is None:
+        return np.empty((0, system.nq))
+    q = as_q(system, getattr(given, "q", given))
+    if q.ndim > 2:
+        raise InputError(f"{name} has shape {q.shape}; it must be (k, {system.nq})")
+    q = q.reshape(-1, system.nq)
+    return q[np.isfinite(q).all(axis=1)]
 
 
 def nearest(
@@ -473,6 +509,42 @@ def _draw_point(
         )
 
 
+def _draw_motion(space: TwoFreedoms, left: Any, right: Any, q: Array, k: int, colour: str) -> None:
+    """Draw a path (n, nq) as a line on both sides, with a ring where it begins."""
+    if not len(q):
+        return
+    _draw_line(space, left, right, q, f"path:{k}", color=colour, lw=2.0, zorder=style.TEXT)
+    begins = _values(space, q[0]), space.task.of(fk(space.system, q[0], space.frame))
+    for ax, place in zip((left, right), begins, strict=True):
+        ax.plot(
+            *place,
+            "o",
+            ms=7,
+            mfc="white",
+            mec=colour,
+            mew=1.6,
+            gid=f"begin:{k}",
+            zorder=style.TEXT,
+        )
+
+
+def _draw_configuration(space: TwoFreedoms, left: Any, right: Any, q: Array, k: int) -> None:
+    """Draw a configuration (nq,) as a dot on both sides, with its arm on the right."""
+    place = space.task.of(fk(space.system, q, space.frame))
+    for ax, at in ((left, _values(space, q)), (right, place)):
+        ax.plot(
+            *at,
+            "o",
+            ms=7,
+            color=style.INK,
+            mec="white",
+            mew=0.8,
+            gid=f"configuration:{k}",
+            zorder=style.TEXT,
+        )
+    _draw_arm(space, right, q, style.INK, f"configuration:{k}:arm", "-")
+
+
 def _values(space: TwoFreedoms, q: Array) -> Array:
     """Where configurations (..., nq) are on the left (..., 2)."""
     at = q[..., space.columns]
@@ -540,7 +612,9 @@ def _draw_arm(space: TwoFreedoms, ax: Any, q: Array, colour: str, gid: str, line
     )
 
 
-def _finish(space: TwoFreedoms, left: Any, right: Any, curves: Any) -> None:
+def _finish(
+    space: TwoFreedoms, left: Any, right: Any, curves: Any, first: int, motions: list[Array]
+) -> None:
     """Say what the axes, the shades and the lines are."""
     unit = units(space.system)
     for ax in (left, right):
@@ -569,7 +643,11 @@ def _finish(space: TwoFreedoms, left: Any, right: Any, curves: Any) -> None:
             gid="partial",
         )
     right.legend(
-        handles=[*_shade_entries(space, left, right), *_line_entries(space, curves)],
+        handles=[
+            *_shade_entries(space, left, right),
+            *_line_entries(space, curves),
+            *_path_entries(first, len(motions)),
+        ],
         loc="upper left",
         bbox_to_anchor=(1.03, 1.0),
         fontsize=style.FONT - 1,
@@ -619,3 +697,14 @@ def _line_entries(space: TwoFreedoms, curves: Any) -> list[Any]:
     if not space.turns.all() or (space.modes and limited.any()):
         entries.append(Line2D([], [], color=style.INK, lw=1.4, label="limits"))
     return entries
+
+
+def _path_entries(first: int, count: int) -> list[Any]:
+    """Entries of the legend about paths, whose colours come after those of so many points."""
+    from matplotlib.lines import Line2D
+
+    names = ["path"] if count == 1 else [f"path {k + 1}" for k in range(count)]
+    return [
+        Line2D([], [], color=style.curve_colour(first + k + 1), lw=2.0, label=name)
+        for k, name in enumerate(names)
+    ]
