@@ -25,7 +25,7 @@ from kempe.errors import InputError, KempeError, UnknownNameError, UnsupportedEr
 from kempe.mobility.classify import classify
 from kempe.model.configurations import as_q, has_loops, q_from_dict, refuse_far
 from kempe.model.model import kept
-from kempe.motion.reeds_shepp import QUARTER, refined, ways, wrapped
+from kempe.motion.reeds_shepp import QUARTER, ways, wrapped
 from kempe.motion.rolling import slip
 from kempe.motion.wheeled import Axle, axle_of
 from kempe.numerics.clock import SHORT, TimeLimit, begun_within
@@ -366,7 +366,7 @@ def plans(
     dx, dy = ((end - start)[:2] / radius).tolist()
     relative = c * dx + s * dy, c * dy - s * dx, float(end[2] - start[2])
     for way in ways(*relative):
-        yield labelled(tuple(Move(radius * x, k * x) for k, x in refined(way, *relative)))
+        yield labelled(tuple(Move(radius * x, k * x) for k, x in way))
 
 
 def _signed_length(

@@ -29,6 +29,8 @@ MISS = 1e-6
 domain."""
 HIT = 1e-13
 """By how much a way may miss the goal in the end, relative to the distances in it."""
+TRIES = 8
+"""Steps of the correction at most; it ends where a step brings no digit."""
 NOTHING = 1e-14
 """Length of a piece that is left out."""
 
@@ -89,43 +91,24 @@ def _candidates(x: float, y: float, h: float) -> Iterator[Way]:
 
 
 def _exact_way(way: Way, x: float, y: float, h: float) -> Way | None:
-    """The way with its lengths corrected (Newton, smallest change), None where it does not lead to
-    the goal.
+    """The way with its lengths corrected to the last digits (Newton, smallest change), None where it
+    does not lead to the goal.
     """
-    goal_size = 1.0 + math.hypot(x, y)
-    hit = HIT * goal_size
-    lengths, miss = _corrected(way, x, y, h, 3, hit, MISS * goal_size)
-    if not np.abs(miss).max() < hit:
-        return None
-    return tuple(
-        (k, length) for (k, _), length in zip(way, lengths, strict=True) if abs(length) > NOTHING
-    )
+    size = 1.0 + math.hypot(x, y)
 
-
-def refined(way: Way, x: float, y: float, h: float) -> Way:
-    """A way that leads to a pose to the last digits: corrected as long as that brings it nearer."""
-    return _with(way, _corrected(way, x, y, h, 8)[0]) if way else way
-
-
-def _corrected(
-    way: Way, x: float, y: float, h: float, tries: int, met: float = 0.0, most: float = math.inf
-) -> tuple[list[float], Array]:
-    """The lengths of the pieces of a way that leads to a pose, and by what it misses; by more than
-    `most` it stays.
-    """
+    def along(lengths: Array) -> Way:
+        return tuple((k, s) for (k, _), s in zip(way, lengths.tolist(), strict=True))
 
     def both(lengths: Array) -> tuple[Array, Array]:
-        there = _with(way, lengths)
-        end = end_of(there)
+        end = end_of(along(lengths))
         miss = np.array([end[0] - x, end[1] - y, wrapped(end[2] - h)])
-        return (miss if np.abs(miss).max() < most else np.full(3, math.inf)), _slopes(there)
+        near = np.abs(miss).max() < MISS * size
+        return (miss if near else np.full(3, math.inf)), _slopes(along(lengths))
 
-    found = gauss_newton(both, np.array([length for _, length in way]), tries, cut=1e-6, met=met)
-    return found.x.tolist(), found.r
-
-
-def _with(way: Way, lengths: Array | list[float]) -> Way:
-    return tuple((k, float(length)) for (k, _), length in zip(way, lengths, strict=True))
+    found = gauss_newton(both, np.array([length for _, length in way]), TRIES, cut=1e-6)
+    if not np.abs(found.r).max() < HIT * size:
+        return None
+    return tuple(piece for piece in along(found.x) if abs(piece[1]) > NOTHING)
 
 
 def _slopes(way: Way) -> Array:

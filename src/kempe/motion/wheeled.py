@@ -109,8 +109,10 @@ class Axle:
         c = np.cos(place[:, 2])
         s = np.sin(place[:, 2])
         axes: Array = np.array([[c, s], [-s, c]]).transpose(2, 0, 1)
-        turn = np.broadcast_to([[0.0, 0.0, self.gear]], (len(q), 1, 3))
-        return np.concatenate([axes @ J, turn], axis=1)
+        out = np.zeros((len(q), 3, 3))
+        out[:, :2] = axes @ J
+        out[:, 2, 2] = self.gear
+        return out
 
     def own_rates(self, q: Array, forward: Array, turning: Array) -> Array:
         """Rates (n, 3) of slides and turn at speeds (n,) of the axle."""
@@ -131,7 +133,8 @@ class Axle:
         """
         A = rates(self.system, q)[0]
         own = list(self.own)
-        out = np.concatenate([A[:, own] @ np.linalg.inv(self.twists(q[None])[0]), A], axis=1)
+        by_twist: Array = A[:, own] @ np.linalg.inv(self.twists(q[None])[0])
+        out = np.concatenate([by_twist, A], axis=1)
         out[:, [3 + v for v in own]] = 0.0
         return out * self.units
 
