@@ -132,13 +132,13 @@ def looks(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], itertools.count[in
     counts them.
     """
     from kempe.inverse import multi_start
-    from kempe.inverse.closed_forms import question
+    from kempe.inverse.closed_forms import problem as chain_problem
     from kempe.numerics import clock
 
     def at(n: int) -> itertools.count[int]:
         count = itertools.count()
         fake = types.SimpleNamespace(monotonic=lambda: np.inf if next(count) >= n else -np.inf)
-        for module in (clock, multi_start, question):
+        for module in (clock, multi_start, chain_problem):
             monkeypatch.setattr(module, "time", fake)
         return count
 

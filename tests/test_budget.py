@@ -27,7 +27,7 @@ from kempe import Budget, arguments
 from kempe.budget import TimeUp, Usual, checks, look
 from kempe.errors import CallError, InputError, NoSolutionError
 from kempe.inverse import multi_start, numeric
-from kempe.inverse.closed_forms import question
+from kempe.inverse.closed_forms import problem as chain_problem
 from kempe.inverse.tasks import search
 from kempe.numerics import clock
 from kempe.numerics.clock import TimeLimit
@@ -381,7 +381,7 @@ def test_time_limits_hold_while_the_work_is_prepared(verb, monkeypatch):
     system = chain(100) if verb.startswith("chain") else ladder(40)
     calls = collections.Counter[str]()
     counted = types.SimpleNamespace(monotonic=lambda: float(calls["call"]))
-    for module in (arguments, clock, multi_start, question, search):
+    for module in (arguments, clock, multi_start, chain_problem, search):
         monkeypatch.setattr(module, "time", counted)
     for module in (clock, numeric):
         monkeypatch.setattr(module, "deadline", arguments.deadline)

@@ -82,7 +82,7 @@ def test_a_configuration_is_polished_onto_its_target():
     assert np.abs(answer.plan.lines.origin).max() > 0.1
     none: Any = None
     target = spare_joints._Targets(
-        answer.question, answer.plan, none, none, none, none, none, none, None
+        answer.problem, answer.plan, none, none, none, none, none, none, None
     )
     found, error = target._polished(0, q + 1e-3, True)
     assert error < 1e-9 and np.abs(found - q).max() < 1e-8

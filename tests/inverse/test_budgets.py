@@ -21,7 +21,8 @@ from kempe.budget import watched_by
 from kempe.errors import InputError, NoSolutionError
 from kempe.inverse import explain_tasks, multi_start, solve_all
 from kempe.inverse.chain import problem
-from kempe.inverse.closed_forms import question, solve, start_search
+from kempe.inverse.closed_forms import problem as chain_problem
+from kempe.inverse.closed_forms import solve, start_search
 from kempe.inverse.tasks import search as effort
 from kempe.inverse.tasks import search as ik_tasks
 from kempe.kernels.compiled import fallback
@@ -366,7 +367,7 @@ def count_looks(monkeypatch, most: int) -> list[int]:
         looks[0] += 1
         return looks[0] > most
 
-    monkeypatch.setattr(question.Watch, "over", property(over))
+    monkeypatch.setattr(chain_problem.Watch, "over", property(over))
     return looks
 
 

@@ -199,11 +199,11 @@ def test_many_starts_find_what_closed_forms_find(name):
     truth = ask(arm, X, q)
     start = q + 0.1  # no turn is as near as another
     near, locked = (np.ascontiguousarray(x[:, truth.plan.lines.q_index]) for x in (start, q))
-    targets = truth.question.targets.copy()
+    targets = truth.problem.targets.copy()
     targets[1, 0, 0] = math.nan
-    question = replace(truth.question, targets=targets)
+    problem = replace(truth.problem, targets=targets)
     plan = replace(truth.plan, method=SEARCH)
-    rows, counts = solve_held(question, plan, near, locked, None)
+    rows, counts = solve_held(problem, plan, near, locked, None)
     n = len(plan.lines)
     assert counts[1, 0] == -1 and (rows[1, :, n + 1] < 0.0).all() and (counts[:, 1] == 1).all()
     expected = ask(arm, X, q, start=start)
@@ -220,7 +220,7 @@ def test_many_starts_find_what_closed_forms_find(name):
         inside = expected.inside[i][expected.mask[i]][order]
         np.testing.assert_array_equal(rows[i, used, n + 1] % 2 == 1, inside)
         np.testing.assert_allclose(found[inside], wanted[order][inside], atol=1e-6)
-        assert (rows[i, used, n] <= question.tolerance).all()
+        assert (rows[i, used, n] <= problem.tolerance).all()
 
 
 # ---- joints that do not move the frame

@@ -29,7 +29,7 @@ from kempe.words import Quantity, counted
 
 if TYPE_CHECKING:
     from kempe.inverse.closed_forms.plan import ChainPlan
-    from kempe.inverse.closed_forms.question import Question
+    from kempe.inverse.closed_forms.problem import ChainProblem
     from kempe.model.model import Model
 
 
@@ -57,11 +57,11 @@ def codes(solutions: Solutions) -> np.ndarray:
 
 def goals(solutions: Solutions) -> list[tuple[Any, Any, Any]]:
     """Tasks, goals and tolerances of the target, for each of its solutions."""
-    question = solutions.question
+    problem = solutions.problem
     lead = solutions._lead
-    X = question.targets[0] if lead is None else question.targets.reshape(*lead, 1, 4, 4)
-    allowed = (question.tolerance, max(question.tolerance, question.angular))
-    made = of_target(question.frame, question.task, question.axis, X)
+    X = problem.targets[0] if lead is None else problem.targets.reshape(*lead, 1, 4, 4)
+    allowed = (problem.tolerance, max(problem.tolerance, problem.angular))
+    made = of_target(problem.frame, problem.task, problem.axis, X)
     return [(Task(solutions.system, c), None, allowed) for c in made]
 
 
@@ -174,7 +174,7 @@ class Bound(Protocol):
 
     system: Model
 
-    def question(self, target: Array) -> Question:
+    def problem(self, target: Array) -> ChainProblem:
         """The problem that was solved."""
         ...
 
@@ -195,7 +195,7 @@ class Solutions(ConfigurationList, Answer):
 
     def __init__(
         self,
-        question: Question | tuple[Bound, Array],
+        problem: ChainProblem | tuple[Bound, Array],
         plan: ChainPlan,
         base: Array,
         rows: Array,
@@ -207,7 +207,7 @@ class Solutions(ConfigurationList, Answer):
         tried: np.ndarray | None = None,
         late: tuple[float, np.ndarray] | None = None,
     ):
-        self._question = question
+        self._problem = problem
         self.plan = plan
         self._base = base
         self._rows = rows
@@ -226,19 +226,17 @@ class Solutions(ConfigurationList, Answer):
         )
 
     @cached_property
-    def question(self) -> Question:
+    def problem(self) -> ChainProblem:
         """The problem that was solved."""
-        if isinstance(self._question, tuple):
-            bound, target = self._question
-            return bound.question(target)
-        return self._question
+        if isinstance(self._problem, tuple):
+            bound, target = self._problem
+            return bound.problem(target)
+        return self._problem
 
     @property
     def system(self) -> Model:
         """The system of the problem."""
-        return (
-            self._question[0].system if isinstance(self._question, tuple) else self._question.system
-        )
+        return self._problem[0].system if isinstance(self._problem, tuple) else self._problem.system
 
     @property
     def single(self) -> bool:
@@ -410,14 +408,14 @@ class Solutions(ConfigurationList, Answer):
         Rows that the task does not read and columns of joints that are held are zero; in metres and
         radians.
         """
-        question = self.question
+        problem = self.problem
         plan = self.plan
         own = np.where(self._used[..., None], self._rows[..., : len(plan.lines)], 0.0)
         q = np.broadcast_to(self._base[:, None], (*own.shape[:2], self.system.nq)).copy()
         q[..., plan.lines.q_index] = own
-        J = jacobian(self.system, q, question.frame, "body")[..., plan.lines.v_index]
-        if question.axis != Z_AXIS:
-            R = frame_of(np.array(question.axis)).T
+        J = jacobian(self.system, q, problem.frame, "body")[..., plan.lines.v_index]
+        if problem.axis != Z_AXIS:
+            R = frame_of(np.array(problem.axis)).T
             J = np.concatenate([R @ J[..., :3, :], R @ J[..., 3:, :]], axis=-2)
         J = J * np.array(TASKS[plan.task], dtype=float)[:, None]
         J[..., list(plan.locked)] = 0.0
@@ -456,11 +454,11 @@ class Solutions(ConfigurationList, Answer):
         J = self.jacobian
         used = self.mask[..., None, None]
         inverse = np.linalg.pinv(np.where(used, J, 0.0), rcond=1e-12)
-        R = fk(self.system, np.where(self.mask[..., None], self.q, 0.0), self.question.frame)[
+        R = fk(self.system, np.where(self.mask[..., None], self.q, 0.0), self.problem.frame)[
             ..., :3, :3
         ]
-        if self.question.axis != Z_AXIS:
-            R = R @ frame_of(np.array(self.question.axis))
+        if self.problem.axis != Z_AXIS:
+            R = R @ frame_of(np.array(self.problem.axis))
         R = np.swapaxes(R, -1, -2)
         body = np.concatenate([inverse[..., :3] @ R, inverse[..., 3:] @ R], axis=-1)
         out = np.zeros((*J.shape[:-2], self.system.nv, 6))
@@ -581,7 +579,7 @@ class Solutions(ConfigurationList, Answer):
         out.
         """
         out = Solutions(
-            self._question,
+            self._problem,
             self.plan,
             self._base,
             rows,
@@ -598,7 +596,7 @@ class Solutions(ConfigurationList, Answer):
     def __repr__(self) -> str:
         what = counted(len(self) if self.single else int(self._used.sum()), "solution")
         of = "" if self.single else f" of {counted(len(self._rows), 'target')}"
-        return f"Solutions({self.system.name!r}, {self.question.frame!r}, {what}{of})"
+        return f"Solutions({self.system.name!r}, {self.problem.frame!r}, {what}{of})"
 
     row = "answers of ik_all"
     what = "targets reached"
@@ -660,7 +658,7 @@ class Solutions(ConfigurationList, Answer):
         ]
         unit = units(self.system)
         held = {name: Quantity(x, unit[name]) for name, x in self.held.items()}
-        asked = {"frame": self.question.frame, "task": self.question.task}
+        asked = {"frame": self.problem.frame, "task": self.problem.task}
         out = asked | super()._data() | {"held": held}
         return out | {"families": families} if self.single else out
 

@@ -22,7 +22,7 @@ from kempe.inverse.closed_forms.plan import (
     plan_for,
     spread,
 )
-from kempe.inverse.closed_forms.question import held
+from kempe.inverse.closed_forms.problem import held
 from kempe.inverse.closed_forms.structure import (
     EXACT,
     Axes,

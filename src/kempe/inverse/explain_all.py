@@ -57,7 +57,7 @@ def status(solutions: Solutions, index: int) -> str:
     there are none.
     """
     if solutions._counts[index, 0] < 0:
-        return not_a_pose(solutions.question.targets[index])
+        return not_a_pose(solutions.problem.targets[index])
     limit, late = (
         (0.0, False)
         if solutions._ended is None
@@ -67,14 +67,14 @@ def status(solutions: Solutions, index: int) -> str:
         return _reached(solutions, index) + (wording.ended(limit) if late else "")
     if late:
         return wording.none_in_time(limit)
-    size = float(np.abs(solutions.question.targets[index]).max())
+    size = float(np.abs(solutions.problem.targets[index]).max())
     if size >= LARGEST:
         return (
             f"no solution: the target has an entry of {size:.3g}; allowed are numbers below "
             f"{LARGEST:g}"
         )
     _, position, angle = nearest(solutions, index)
-    question = solutions.question
+    problem = solutions.problem
     plan = solutions.plan
     spare = plan.spare
     miss = math.hypot(position, angle)
@@ -89,18 +89,17 @@ def status(solutions: Solutions, index: int) -> str:
     if miss <= REACHED:
         near = f"a configuration within {miss:.1g} of the target: see nearest()"
         return (
-            f"{wording.failed(head, *why).split(':')[0]} within {question.tolerance:.1g}, but "
-            f"{near}"
+            f"{wording.failed(head, *why).split(':')[0]} within {problem.tolerance:.1g}, but {near}"
         )
     if why[0].__class__ is Evidence and why[0].kind == "joints":
         why.append(
             rounded(
-                position, angle, chain_of(solutions.system, question.frame).span.largest, one=True
+                position, angle, chain_of(solutions.system, problem.frame).span.largest, one=True
             )
         )
     limits = " inside the limits" if np.isfinite(plan.lines.limits).any() else ""
-    place = None if question.task in TURNS else position
-    turn = None if question.task == "position" else angle
+    place = None if problem.task in TURNS else position
+    turn = None if problem.task == "position" else angle
     off = wording.errors(place, turn)
     return wording.failed(head, *why, f"the closest configuration found{limits} misses it by {off}")
 
@@ -208,19 +207,19 @@ def _reasons(solutions: Solutions, index: int) -> tuple[list[Any], bool]:
     """What is to be said of a target without solutions, and whether it holds wherever spare joints
     are held.
     """
-    question = solutions.question
+    problem = solutions.problem
     plan = solutions.plan
     system = solutions.system
-    target = question.targets[index : index + 1]
-    tolerance = question.tolerance
+    target = problem.targets[index : index + 1]
+    tolerance = problem.tolerance
     far = None
-    if question.task not in TURNS:
+    if problem.task not in TURNS:
         off = abs(float(target[0, 2, 3])) if system.dim == 2 else 0.0
         if off > tolerance:
-            return [lengths(system, plane=off, point=question.task == "position")], True
-        bounds = chain_of(system, question.frame).bounds
+            return [lengths(system, plane=off, point=problem.task == "position")], True
+        bounds = chain_of(system, problem.frame).bounds
         off = float(by_lengths(bounds, target, (tolerance, tolerance), False)[0, 0])
-        far = lengths(system, off, slides=slides_of(system, question.frame))
+        far = lengths(system, off, slides=slides_of(system, problem.frame))
     wide = plan.lines.span.wide
     failed = (
         None
@@ -357,16 +356,16 @@ def choice(solutions: Solutions) -> Choice:
     """Which solver finds all answers to such problems."""
     from kempe.inverse.solve_all import SOLVERS
 
-    question = solutions.question
+    problem = solutions.problem
     plan = solutions.plan
-    problem = Problem(
-        question.system,
+    asked = Problem(
+        problem.system,
         "all",
         dict.fromkeys(plan.lines.names[i] for i in plan.fixed),
-        frame=question.frame,
-        task=(question.task, question.axis),
+        frame=problem.frame,
+        task=(problem.task, problem.axis),
     )
-    return choose(SOLVERS, problem)[1]
+    return choose(SOLVERS, asked)[1]
 
 
 ROW = SolutionsRow(status, choice, held_sentence, nearest, find_families)

@@ -126,11 +126,11 @@ class SolutionSet(Curve):
         lines = aim.lines
         lever = lines.tip[:3, :3].T @ (lines.tip[:3, 3] - lines.o[-1])
         if len(aim.rows) < 6 or aim.slides[-1] or np.linalg.norm(lever) <= LONG:
-            return cls(aim, solutions.question.tolerance, np.zeros(3))
+            return cls(aim, solutions.problem.tolerance, np.zeros(3))
         back = np.eye(4)
         back[:3, 3] = -lever
         near = replace(aim, lines=replace(lines, tip=lines.tip @ back), target=aim.target @ back)
-        return cls(near, solutions.question.tolerance, lever)
+        return cls(near, solutions.problem.tolerance, lever)
 
     @property
     def n(self) -> int:
@@ -621,7 +621,7 @@ def _left_out(solutions: Solutions, index: int) -> Array:
     near = solutions._base[index if len(solutions._base) > 1 else 0]
     target[0, :3, 3] = target[0, :3, 3] * plan.lines.length + plan.lines.origin
     out = np.empty((1, ROOM, n + A.INFO))
-    tolerance = solutions.question.tolerance
+    tolerance = solutions.problem.tolerance
     plan.fill(
         target,
         np.ascontiguousarray(near[plan.lines.q_index])[None],

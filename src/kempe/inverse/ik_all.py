@@ -25,7 +25,7 @@ from kempe.arrays import FARTHEST
 from kempe.budget import Budget
 from kempe.errors import InputError
 from kempe.inverse.all_answer import Solutions
-from kempe.inverse.closed_forms.question import held_by
+from kempe.inverse.closed_forms.problem import held_by
 from kempe.inverse.solve_all import BATCH, SOLVERS, USUAL
 from kempe.numerics.clock import TimeLimit, begun_within
 

@@ -54,7 +54,7 @@ SHARES = (1.0, 0.2, 5.0)
 
 
 def answered(
-    task: FrameProblem,
+    problem: FrameProblem,
     targets: Array,
     seeds: Array,
     limits: Array,
@@ -71,21 +71,21 @@ def answered(
     All targets get their first starts before one gets its last. Between two pieces of the work,
     which take about 0.1 s, Python sees an interrupt, and the clock is looked at.
     """
-    chain = task.chain
+    chain = problem.chain
     n = out.shape[1] - ANSWER
     head = (
         chain.ints,
         chain.floats,
         limits,
-        rows_of(task),
-        goals_of(task, targets),
+        rows_of(problem),
+        goals_of(problem, targets),
         seeds,
-        task.rng,
+        problem.rng,
     )
-    few = task.round or FEW
-    count = min(task.starts, few, GLANCE if postpone else few)
+    few = problem.round or FEW
+    count = min(problem.starts, few, GLANCE if postpone else few)
     out[:, n + STATUS] = UNBEGUN
-    _some(task, head, slice(None), 0, count, 0.0, out, threads, CHUNK)
+    _some(problem, head, slice(None), 0, count, 0.0, out, threads, CHUNK)
     left = np.flatnonzero(out[:, n + STATUS] != SOLVED)
     if not left.size:
         return 0
@@ -94,25 +94,25 @@ def answered(
         first = seeds[:, 0] if seeds.shape[1] else chain.base[:, chain.q_index]
         out[unbegun, :n] = first[unbegun] if len(first) > 1 else first
         out[unbegun, n:] = 0.0
-        _end(task, targets, unbegun, out, alike=len(first) == 1)
+        _end(problem, targets, unbegun, out, alike=len(first) == 1)
     far = 0
     if postpone:
         left = left[out[left, n + STATUS] == NOT_FOUND]
-        beyond = left[outside(task, targets[left]) > 0.0]
+        beyond = left[outside(problem, targets[left]) > 0.0]
         out[beyond, n + STATUS] = Status.OUT_OF_REACH
         far = len(beyond)
-    return go_on(task, targets, head, count, out, threads) + far + len(unbegun)
+    return go_on(problem, targets, head, count, out, threads) + far + len(unbegun)
 
 
-def starts_from(task: FrameProblem, head: tuple[Any, ...], start: int, steps: int) -> Array:
+def starts_from(problem: FrameProblem, head: tuple[Any, ...], start: int, steps: int) -> Array:
     """The answer (1, n + ANSWER) of one start after so many steps; `head` as in `go_on`."""
-    found = np.empty((1, len(task.chain.q_index) + ANSWER))
-    _search(task.chain)(*head, start, 1, steps, *task.tolerance, 0.0, found)
+    found = np.empty((1, len(problem.chain.q_index) + ANSWER))
+    _search(problem.chain)(*head, start, 1, steps, *problem.tolerance, 0.0, found)
     return found
 
 
 def go_on(
-    task: FrameProblem,
+    problem: FrameProblem,
     targets: Array,
     head: tuple[Any, ...],
     done: int,
@@ -131,30 +131,30 @@ def go_on(
     if not left.size:
         return 0
     # before lengths are asked
-    left, done = _up_to(task, head, left, done, min(task.starts, FEW), out, threads)
-    left = left[outside(task, targets[left]) == 0.0]
-    linear, angular = task.tolerance
-    if max(linear, angular) > LOOSE and any(task.mask[:3]) and any(task.mask[3:]):
+    left, done = _up_to(problem, head, left, done, min(problem.starts, FEW), out, threads)
+    left = left[outside(problem, targets[left]) == 0.0]
+    linear, angular = problem.tolerance
+    if max(linear, angular) > LOOSE and any(problem.mask[:3]) and any(problem.mask[3:]):
         for share in SHARES:
             left = left[out[left, n + STATUS] == NOT_FOUND]
             found = np.empty((len(left), out.shape[1]))
             found[:, n + STATUS] = UNBEGUN
-            starts = min(task.starts, 4 * FEW)
-            _some(task, head, left, 0, starts, share * linear / angular, found, threads)
+            starts = min(problem.starts, 4 * FEW)
+            _some(problem, head, left, 0, starts, share * linear / angular, found, threads)
             found[:, n + STEPS :] += out[left, n + STEPS :]
             good = found[:, n + STATUS] == SOLVED
             out[left[good]] = found[good]
     left = left[out[left, n + STATUS] == NOT_FOUND]
-    left, done = _up_to(task, head, left, done, task.starts, out, threads)
-    if done < task.starts and len(left):
-        _end(task, targets, left, out)
+    left, done = _up_to(problem, head, left, done, problem.starts, out, threads)
+    if done < problem.starts and len(left):
+        _end(problem, targets, left, out)
     return _nearest(
-        task, targets, head, every[out[every, n + STATUS] == NOT_FOUND], out, threads
+        problem, targets, head, every[out[every, n + STATUS] == NOT_FOUND], out, threads
     ) + int((out[every, n + STATUS] == Status.OUT_OF_TIME).sum())
 
 
 def _nearest(
-    task: FrameProblem,
+    problem: FrameProblem,
     targets: Array,
     head: tuple[Any, ...],
     rows: np.ndarray,
@@ -167,37 +167,37 @@ def _nearest(
     from kempe.kernels.compiled import fallback
 
     n = out.shape[1] - ANSWER
-    length = characteristic_length(task.system)
+    length = characteristic_length(problem.system)
     nearest: Callable[..., int] = fallback.approach
     out[rows, n + LINEAR] = np.inf  # energies in another unit: descents begin there
 
-    each = [0] if task.share == 1 else range(1, min(task.starts, DESCENTS) + 1)
+    each = [0] if problem.share == 1 else range(1, min(problem.starts, DESCENTS) + 1)
 
     def work(i: int, j: int) -> int:
         some = rows[i:j]
         missed = 0
         own = _part(head, some)
         found = out[some]
-        if time.monotonic() >= task.end:
-            _end(task, targets, some, out)
+        if time.monotonic() >= problem.end:
+            _end(problem, targets, some, out)
             return len(some)
         for only in each:
             look()
-            if only > 1 and time.monotonic() >= task.end:
-                _end(task, targets, some, out)
+            if only > 1 and time.monotonic() >= problem.end:
+                _end(problem, targets, some, out)
                 return len(some)
             missed = nearest(
-                *own, only, task.starts, task.iterations, *task.tolerance, length, found
+                *own, only, problem.starts, problem.iterations, *problem.tolerance, length, found
             )
             out[some] = found
-        if missed and task.chain.span.wide and not task.chain.ints[HAS_QUATERNION]:
+        if missed and problem.chain.span.wide and not problem.chain.ints[HAS_QUATERNION]:
             from kempe.inverse.refine import search_again
 
-            missed = search_again(task, targets[some], own, found)
+            missed = search_again(problem, targets[some], own, found)
         out[some] = found
         return missed
 
-    piece = max(1, NEAREST // task.share)
+    piece = max(1, NEAREST // problem.share)
     return over_chunks(work, len(rows), piece, threads, 2 * piece) if len(rows) else 0
 
 
@@ -208,7 +208,7 @@ def _part(head: tuple[Any, ...], rows: Any) -> tuple[Any, ...]:
 
 
 def _some(
-    task: FrameProblem,
+    problem: FrameProblem,
     head: tuple[Any, ...],
     rows: Any,
     first: int,
@@ -221,22 +221,22 @@ def _some(
     """Write the answers (k, n + ANSWER) of some starts for these rows, until the time is up; `head`
     as in `go_on`.
     """
-    search = _search(task.chain)
+    search = _search(problem.chain)
     given = _part(head, rows) if isinstance(rows, np.ndarray) else head
-    piece = max(LANES, min(chunk or CHUNK, WORK // (count * task.share)))
+    piece = max(LANES, min(chunk or CHUNK, WORK // (count * problem.share)))
 
     def work(i: int, j: int) -> int:
         for k in range(i, j, piece):
             look()
-            if time.monotonic() >= task.end:
+            if time.monotonic() >= problem.end:
                 break
             last = min(k + piece, j)
             search(
                 *_part(given, slice(k, last)),
                 first,
                 count,
-                task.iterations,
-                *task.tolerance,
+                problem.iterations,
+                *problem.tolerance,
                 length,
                 out[k:last],
             )
@@ -246,7 +246,7 @@ def _some(
 
 
 def _up_to(
-    task: FrameProblem,
+    problem: FrameProblem,
     head: tuple[Any, ...],
     left: np.ndarray,
     done: int,
@@ -258,8 +258,8 @@ def _up_to(
     many these are.
     """
     while done < starts and len(left):
-        count = min(task.round or starts, starts - done)
-        some = _more(task, head, left, done, count, out, threads)
+        count = min(problem.round or starts, starts - done)
+        some = _more(problem, head, left, done, count, out, threads)
         if some is None:
             break
         left = some
@@ -268,7 +268,7 @@ def _up_to(
 
 
 def _more(
-    task: FrameProblem,
+    problem: FrameProblem,
     head: tuple[Any, ...],
     rows: np.ndarray,
     first: int,
@@ -284,7 +284,7 @@ def _more(
     n = out.shape[1] - ANSWER
     found = np.empty((len(rows), out.shape[1]))
     found[:, n + STATUS] = UNBEGUN
-    _some(task, head, rows, first, count, 0.0, found, threads)
+    _some(problem, head, rows, first, count, 0.0, found, threads)
     begun = found[:, n + STATUS] != UNBEGUN
     if not begun.any():
         return None
@@ -298,12 +298,12 @@ def _more(
 
 
 def _end(
-    task: FrameProblem, targets: Array, left: np.ndarray, out: Array, alike: bool = False
+    problem: FrameProblem, targets: Array, left: np.ndarray, out: Array, alike: bool = False
 ) -> None:
     """Measure these rows as they are: the time is up. Whether their configurations are all `alike`."""
     n = out.shape[1] - ANSWER
     out[left, n + STATUS] = Status.OUT_OF_TIME
-    out[left, n : n + STATUS] = misses(task, targets[left], out[left[:1] if alike else left, :n])
+    out[left, n : n + STATUS] = misses(problem, targets[left], out[left[:1] if alike else left, :n])
 
 
 def _search(chain: Chain) -> Callable[..., int]:
@@ -319,7 +319,7 @@ def _search(chain: Chain) -> Callable[..., int]:
 
 
 def run(
-    task: FrameProblem,
+    problem: FrameProblem,
     seeds: Array,
     threads: int | None = 1,
     limits: Array | None = None,
@@ -331,14 +331,14 @@ def run(
 
     `postpone` is as in `multi_start.answered`.
     """
-    chain = task.chain
-    goals = task.targets if targets is None else targets
+    chain = problem.chain
+    goals = problem.targets if targets is None else targets
     n = len(goals)
     nq = len(chain.q_index)
     out = np.empty((n, nq + ANSWER))
     bounds = chain.limits if limits is None else limits
 
-    answered(task, goals, seeds, bounds, out, postpone, threads)
+    answered(problem, goals, seeds, bounds, out, postpone, threads)
     return out[:, :nq], out[:, nq + LINEAR : nq + STATUS], out[:, nq + STATUS :].astype(np.int64)
 
 

@@ -18,18 +18,18 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from kempe.inverse.all_answer import Solutions
     from kempe.inverse.answer import Solution
-    from kempe.inverse.closed_forms.question import Question
+    from kempe.inverse.closed_forms.problem import ChainProblem
 
 
 def aim_of(solutions: Solutions, index: int, spare: bool = False) -> Aim:
     """What target number `index` asks; with `spare`, joints that were locked only since they are
     spare may move.
     """
-    question = solutions.question
+    problem = solutions.problem
     plan = solutions.plan
-    target = np.array(question.targets[index])
-    if question.axis != Z_AXIS:
-        target[:3, :3] = target[:3, :3] @ frame_of(np.array(question.axis))
+    target = np.array(problem.targets[index])
+    if problem.axis != Z_AXIS:
+        target[:3, :3] = target[:3, :3] @ frame_of(np.array(problem.axis))
     target[:3, 3] = (target[:3, 3] - plan.lines.origin) / plan.lines.length
     held = plan.fixed if spare else plan.locked
     moves = np.array([i for i in range(len(plan.lines)) if i not in held], dtype=np.int64)
@@ -64,14 +64,14 @@ def nearest(solutions: Solutions, index: int) -> tuple[Array, float, float]:
     starts (Levenberg, 1944; Byrd, Lu, Nocedal and Zhu, 1995). What is found is a local minimum:
     seldom, another one is closer. NaN for targets that are no poses.
     """
-    question = solutions.question
+    problem = solutions.problem
     plan = solutions.plan
     base = solutions._base[index if len(solutions._base) > 1 else 0]
-    target = question.targets[index]
+    target = problem.targets[index]
     if solutions._counts[index, 0] < 0 or np.abs(target).max() >= LARGEST:
-        return np.full(question.system.nq, math.nan), math.nan, math.nan
-    if question.task in ("pose", "position") and not plan.fixed:
-        answer = _by_numbers(question, target, base)
+        return np.full(problem.system.nq, math.nan), math.nan, math.nan
+    if problem.task in ("pose", "position") and not plan.fixed:
+        answer = _by_numbers(problem, target, base)
         return answer.q, answer.position_error, answer.orientation_error
     aim = aim_of(solutions, index, spare=True)
     theta = closest(aim, plan.lines.theta(held_coordinates(solutions, index)))
@@ -82,15 +82,15 @@ def nearest(solutions: Solutions, index: int) -> tuple[Array, float, float]:
     return q, float(np.linalg.norm(e[:3])) * plan.lines.length, float(np.linalg.norm(e[3:]))
 
 
-def _by_numbers(question: Question, target: Array, start: Array) -> Solution:
+def _by_numbers(problem: ChainProblem, target: Array, start: Array) -> Solution:
     """The answer of `ik` for a target (4, 4) whose pose or position counts; the search begins at
     `start` (nq,).
     """
-    system = question.system
-    task = (question.task, Z_AXIS)
-    goal = target if question.task == "pose" else target[:3, 3]
-    targets, lead, _ = targets_of(system, goal, question.task, Z_AXIS)
-    problem = Problem(
-        system, "one", start=start, frame=question.frame, task=task, targets=targets, lead=lead
+    system = problem.system
+    task = (problem.task, Z_AXIS)
+    goal = target if problem.task == "pose" else target[:3, 3]
+    targets, lead, _ = targets_of(system, goal, problem.task, Z_AXIS)
+    other = Problem(
+        system, "one", start=start, frame=problem.frame, task=task, targets=targets, lead=lead
     )
-    return solve(SOLVERS, problem)
+    return solve(SOLVERS, other)

@@ -20,12 +20,19 @@ from kempe.equations.one_sided import one_sided_rows
 from kempe.errors import InputError
 from kempe.inverse import multi_start
 from kempe.inverse.answer import MOST_STARTS, IkHistory, Solution
-from kempe.inverse.chain import problem
-from kempe.inverse.chain.problem import ITERATIONS, MOST, FrameProblem, look_closer, misses
+from kempe.inverse.chain.problem import (
+    ITERATIONS,
+    MOST,
+    FrameProblem,
+    goals_of,
+    look_closer,
+    misses,
+    rows_of,
+)
 from kempe.inverse.chain.problem import TOLERANCE as PROBLEM_TOLERANCE
 from kempe.inverse.chain.serial_chain import chain_of, obstacle
 from kempe.inverse.closed_forms.plan import ChainPlan, plan_or_reason
-from kempe.inverse.closed_forms.question import Question, Watch
+from kempe.inverse.closed_forms.problem import ChainProblem, Watch
 from kempe.inverse.closed_forms.solve import TOLERANCE
 from kempe.inverse.multi_start import run, seeds_of
 from kempe.kernels.base.search_layout import SOLVED, STEPS
@@ -49,57 +56,59 @@ again."""
 
 
 def answer(
-    task: FrameProblem, plan: ChainPlan, near: Array, seeds: Array, threads: int | None
+    problem: FrameProblem, plan: ChainPlan, near: Array, seeds: Array, threads: int | None
 ) -> tuple[Array, Array, np.ndarray]:
     """As `multi_start.run`: the solution inside the limits nearest to `near` (1 or N, nq); where
     there
     is none, numbers.
     """
-    n = len(task.targets)
-    q = np.empty((n, len(task.chain.q_index)))
+    n = len(problem.targets)
+    q = np.empty((n, len(problem.chain.q_index)))
     residual = np.zeros((n, 2))
     there = np.zeros(n, dtype=bool)
     for k in range(0, max(n, 1), PIECE):
-        if k and time.monotonic() >= task.end:
+        if k and time.monotonic() >= problem.end:
             break
         at = slice(k, k + PIECE)
         base = near[k : k + PIECE] if len(near) > 1 else near
         q[at], residual[at], there[at] = _solved(
-            replace(task, targets=task.targets[at]), plan, base, threads
+            replace(problem, targets=problem.targets[at]), plan, base, threads
         )
     info = np.zeros((n, 3), dtype=np.int64)
     info[:, 0] = SOLVED
     rest = np.flatnonzero(~there)
     if len(rest):
         some = seeds[rest] if len(seeds) > 1 else seeds
-        q[rest], residual[rest], info[rest] = run(task, some, threads, targets=task.targets[rest])
+        q[rest], residual[rest], info[rest] = run(
+            problem, some, threads, targets=problem.targets[rest]
+        )
     return q, residual, info
 
 
 def _solved(
-    task: FrameProblem, plan: ChainPlan, near: Array, threads: int | None
+    problem: FrameProblem, plan: ChainPlan, near: Array, threads: int | None
 ) -> tuple[Array, Array, np.ndarray]:
     """The nearest solutions (n, k) to `near` (1 or n, nq), their errors (n, 2), and where there are
     any (n,).
     """
-    n = len(task.targets)
-    chain = task.chain
-    within = min(*task.tolerance, TOLERANCE)
-    limit = TimeLimit(task.time_limit)
-    limit.end = task.end  # that of the whole batch
-    question = Question(
-        task.system,
-        task.frame,
-        task.name,
-        task.axis,
-        task.targets,
+    n = len(problem.targets)
+    chain = problem.chain
+    within = min(*problem.tolerance, TOLERANCE)
+    limit = TimeLimit(problem.time_limit)
+    limit.end = problem.end  # that of the whole batch
+    chain_problem = ChainProblem(
+        problem.system,
+        problem.frame,
+        problem.name,
+        problem.axis,
+        problem.targets,
         (n,),
         within,
         watch=Watch(limit, n),
     )
     from kempe.inverse.solve_all import solve  # only here: it imports what most targets never need
 
-    found = solve(question, plan, near, {}, threads)
+    found = solve(chain_problem, plan, near, {}, threads)
     own = found._rows[..., : len(plan.lines)]
     inside = found.inside
     unit = np.abs(plan.lines.multiplier)
@@ -111,7 +120,7 @@ def _solved(
     residual = np.zeros((n, 2))
     at = {int(x): i for i, x in enumerate(plan.lines.q_index)}
     q = own[np.arange(n), best][:, [at[int(x)] for x in chain.q_index]]
-    residual[there] = misses(task, task.targets[there], q[there])
+    residual[there] = misses(problem, problem.targets[there], q[there])
     return q, residual, there
 
 
@@ -124,40 +133,38 @@ def with_history(answer: Solution, problem: Problem) -> Solution:
         raise InputError(
             "history=True is for one target of one frame that is searched for with method 'numeric'"
         )
-    from kempe.inverse.multi_start import seeds_of
-
-    task = answer.task
-    base, seeds = seeds_of(problem.system, task.chain, problem.start, ())
-    object.__setattr__(answer, "history", _of_starts(task, base, seeds, int(answer.starts)))
+    searched = answer.task
+    base, seeds = seeds_of(problem.system, searched.chain, problem.start, ())
+    object.__setattr__(answer, "history", _of_starts(searched, base, seeds, int(answer.starts)))
     return answer
 
 
-def _of_starts(task: FrameProblem, base: Array, seeds: Array, starts: int) -> IkHistory:
+def _of_starts(problem: FrameProblem, base: Array, seeds: Array, starts: int) -> IkHistory:
     head = (
-        task.chain.ints,
-        task.chain.floats,
-        task.chain.limits,
-        problem.rows_of(task),
-        problem.goals_of(task, task.targets),
+        problem.chain.ints,
+        problem.chain.floats,
+        problem.chain.limits,
+        rows_of(problem),
+        goals_of(problem, problem.targets),
         seeds,
-        task.rng,
+        problem.rng,
     )
-    n = len(task.chain.q_index)
+    n = len(problem.chain.q_index)
     rows: list[Array] = []
     at: list[tuple[int, int]] = []
     for start in range(min(max(starts, 1), MOST_STARTS)):
-        for steps in range(task.iterations + 1):
-            found = multi_start.starts_from(task, head, start, steps)[0]
+        for steps in range(problem.iterations + 1):
+            found = multi_start.starts_from(problem, head, start, steps)[0]
             if steps and found[n + STEPS] < steps:
                 break
             rows.append(found[:n])
             at.append((start, steps))
     chain = np.array(rows)
-    missed = problem.misses(task, np.repeat(task.targets, len(chain), axis=0), chain)
+    missed = misses(problem, np.repeat(problem.targets, len(chain), axis=0), chain)
     q = np.repeat(base, len(chain), axis=0)
-    q[:, task.chain.q_index] = chain
+    q[:, problem.chain.q_index] = chain
     number, step = np.array(at).T
-    return IkHistory(task.system, q, missed[:, 0], missed[:, 1], number, step, starts)
+    return IkHistory(problem.system, q, missed[:, 0], missed[:, 1], number, step, starts)
 
 
 # ---- methods, and usual budgets
@@ -226,7 +233,7 @@ def _of_chain(problem: Problem, plan: ChainPlan | None) -> Solution:
     chain = chain_of(system, name, problem.task[1])
     tolerance = problem.tolerance
     base, seeds = seeds_of(system, chain, problem.start, lead)
-    question = FrameProblem(
+    packed_problem = FrameProblem(
         system,
         name,
         problem.targets,
@@ -240,8 +247,10 @@ def _of_chain(problem: Problem, plan: ChainPlan | None) -> Solution:
         problem.options["end"] if problem.options else deadline(spend.time_limit),
         usual,
     )
-    question, (q, residual, info) = _run(question, plan, base, seeds, spend.threads, lead)
-    return _judged(question, base, q, residual, info, lead, seeds, spend.threads)
+    packed_problem, (q, residual, info) = _run(
+        packed_problem, plan, base, seeds, spend.threads, lead
+    )
+    return _judged(packed_problem, base, q, residual, info, lead, seeds, spend.threads)
 
 
 def _of_tasks(problem: Problem) -> Solution:
@@ -283,32 +292,32 @@ SOLVERS = (
 
 
 def _run(
-    question: FrameProblem,
+    problem: FrameProblem,
     plan: Any,
     base: Array,
     seeds: Array,
     threads: int | None,
     lead: tuple[int, ...],
 ) -> tuple[FrameProblem, tuple[Array, Array, np.ndarray]]:
-    """The question and what `run`, or the closed form of a plan, finds; rotations that were rounded
+    """The problem and what `run`, or the closed form of a plan, finds; rotations that were rounded
     are mended.
     """
     if plan is None:
-        found = run(question, seeds, threads, postpone=bool(lead))
+        found = run(problem, seeds, threads, postpone=bool(lead))
     else:
-        found = answer(question, plan, base, seeds, threads)
-    targets = question.targets
+        found = answer(problem, plan, base, seeds, threads)
+    targets = problem.targets
     if (
         lead
         and (found[2][:, 0] == Status.BAD_INPUT).any()
         and (mended := sound(targets, "target")) is not targets
     ):
-        return _run(replace(question, targets=mended), plan, base, seeds, threads, lead)
-    return question, found
+        return _run(replace(problem, targets=mended), plan, base, seeds, threads, lead)
+    return problem, found
 
 
 def _nearest(
-    question: FrameProblem,
+    problem: FrameProblem,
     base: Array,
     seeds: Array,
     threads: int | None,
@@ -320,13 +329,13 @@ def _nearest(
     """The answer of a batch as of `run`, with what is nearest to the targets that are out of reach."""
     far = np.flatnonzero(info[:, 0] == Status.OUT_OF_REACH)
     some = seeds[far] if len(seeds) > 1 else seeds
-    anew = replace(question, end=deadline(question.time_limit))
-    q[far], residual[far], info[far] = run(anew, some, threads, targets=question.targets[far])
-    return _judged(question, base, q, residual, info, lead, seeds, threads)
+    anew = replace(problem, end=deadline(problem.time_limit))
+    q[far], residual[far], info[far] = run(anew, some, threads, targets=problem.targets[far])
+    return _judged(problem, base, q, residual, info, lead, seeds, threads)
 
 
 def _judged(
-    question: FrameProblem,
+    problem: FrameProblem,
     base: Array,
     q: Array,
     residual: Array,
@@ -340,26 +349,26 @@ def _judged(
 
     Where `run` has postponed targets, their part of it is found on demand.
     """
-    system = question.system
-    targets = question.targets
+    system = problem.system
+    targets = problem.targets
     code = info[:, 0]
     if (code == Status.OUT_OF_REACH).any():
-        given = (question, base, seeds, threads, q, residual, info, lead)
-        return Solution.postponed(code.reshape(lead).copy(), question, (_nearest, given))
+        given = (problem, base, seeds, threads, q, residual, info, lead)
+        return Solution.postponed(code.reshape(lead).copy(), problem, (_nearest, given))
     full = np.empty((len(targets), system.nq))
     full[:] = base
-    full[:, question.chain.q_index] = q
+    full[:, problem.chain.q_index] = q
     if code.any():
-        look_closer(question, code)
+        look_closer(problem, code)
         full[code == Status.BAD_INPUT] = math.nan
     if not lead and code[0] == Status.BAD_INPUT:
         refuse_far(system, base, "start")
         raise InputError(not_a_pose(targets[0], "start"))
-    return _answer(question, full, code, residual, info, lead)
+    return _answer(problem, full, code, residual, info, lead)
 
 
 def _answer(
-    task: FrameProblem,
+    problem: FrameProblem,
     q: Array,
     code: np.ndarray,
     residual: Array,
@@ -369,5 +378,5 @@ def _answer(
     columns = (code == SOLVED, code, residual[:, 0], residual[:, 1], info[:, 1], info[:, 2])
     fields = [x.reshape(lead) if lead else x[0].item() for x in columns]
     success, code_, position, angle, steps, starts = fields
-    q = q.reshape(*lead, task.system.nq)
-    return Solution(q, success, member(code_), position, angle, steps, starts, task)
+    q = q.reshape(*lead, problem.system.nq)
+    return Solution(q, success, member(code_), position, angle, steps, starts, problem)

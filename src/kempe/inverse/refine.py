@@ -16,7 +16,7 @@ from kempe.forward.fk import fk, jacobian
 from kempe.inverse.chain.problem import FrameProblem, misses
 from kempe.inverse.chain.serial_chain import moved_by
 from kempe.inverse.closed_forms.plan import ChainPlan, plan_or_reason
-from kempe.inverse.closed_forms.question import Question
+from kempe.inverse.closed_forms.problem import ChainProblem
 from kempe.inverse.closed_forms.solve import attainable, solve_held
 from kempe.kernels.base.search_layout import ANSWER, LINEAR, NOT_FOUND, SOLVED, STATUS
 from kempe.kernels.closed_form import analytic_layout as A
@@ -40,7 +40,7 @@ CONDITION = 1e-14
 """Singular values below this part of the largest are zero."""
 
 
-def search_again(task: FrameProblem, targets: Array, head: tuple[Any, ...], out: Array) -> int:
+def search_again(problem: FrameProblem, targets: Array, head: tuple[Any, ...], out: Array) -> int:
     """Number of targets (N, 4, 4) that stay unreached; the answers in `out` become better where
     they can.
 
@@ -50,7 +50,7 @@ def search_again(task: FrameProblem, targets: Array, head: tuple[Any, ...], out:
     """
     ints, floats, limits, rows, goals, seeds, rng = head
     n = out.shape[1] - ANSWER
-    if task.name == "pose" and not np.any(rows[6]):
+    if problem.name == "pose" and not np.any(rows[6]):
         floats = floats.copy()
         goals = goals.copy()
         tip = tip_of(ints, floats)
@@ -62,7 +62,7 @@ def search_again(task: FrameProblem, targets: Array, head: tuple[Any, ...], out:
             break
         q = out[left, :n]
         if k == TRIES:
-            q = _by_equations(task, targets[left], q)
+            q = _by_equations(problem, targets[left], q)
         elif k:
             own = seeds[left] if len(seeds) > 1 else seeds
             found = np.empty((len(left), out.shape[1]))
@@ -76,50 +76,50 @@ def search_again(task: FrameProblem, targets: Array, head: tuple[Any, ...], out:
                 rng,
                 k - 1,
                 1,
-                task.iterations,
-                *task.tolerance,
+                problem.iterations,
+                *problem.tolerance,
                 0.0,
                 found,
             )
             q = found[:, :n]
-        q, error = sharpen(task, targets[left], q, limits)
-        better = np.max(error / task.tolerance, axis=1) < np.max(
-            out[left, n:][:, :2] / task.tolerance, axis=1
+        q, error = sharpen(problem, targets[left], q, limits)
+        better = np.max(error / problem.tolerance, axis=1) < np.max(
+            out[left, n:][:, :2] / problem.tolerance, axis=1
         )
         at = left[better]
         out[at, :n], out[at, n + LINEAR : n + STATUS] = q[better], error[better]
-        out[left[np.all(error <= task.tolerance, axis=1)], n + STATUS] = SOLVED
+        out[left[np.all(error <= problem.tolerance, axis=1)], n + STATUS] = SOLVED
         left = left[out[left, n + STATUS] == NOT_FOUND]
     return len(left)
 
 
-def _by_equations(task: FrameProblem, targets: Array, q: Array) -> Array:
+def _by_equations(problem: FrameProblem, targets: Array, q: Array) -> Array:
     """Configurations (N, n) by closed form or elimination, inside the limits, where there are some;
     else q (N, n).
     """
 
-    plan = plan_or_reason(task.system, task.frame, task.name, task.axis)
-    return q if isinstance(plan, str) else kept(task, plan, targets, q)
+    plan = plan_or_reason(problem.system, problem.frame, problem.name, problem.axis)
+    return q if isinstance(plan, str) else kept(problem, plan, targets, q)
 
 
-def sharpen(task: FrameProblem, targets: Array, q: Array, limits: Array) -> tuple[Array, Array]:
+def sharpen(problem: FrameProblem, targets: Array, q: Array, limits: Array) -> tuple[Array, Array]:
     """Configurations (N, n) of the chain inside the limits (2, n), nearer to their targets, and
     their errors (N, 2).
     """
     best = q.copy()
-    least = misses(task, targets, q)
-    score = np.max(least / task.tolerance, axis=1)
+    least = misses(problem, targets, q)
+    score = np.max(least / problem.tolerance, axis=1)
     left = np.flatnonzero(np.isfinite(score))
     x = q[np.isfinite(score)]
-    turns = moved_by(task.chain)[0]
+    turns = moved_by(problem.chain)[0]
     for _ in range(STEPS):
         if not len(left):
             break
-        step = _step(task, targets[left], x)
+        step = _step(problem, targets[left], x)
         far = np.abs(step * turns).max(axis=1, initial=LONGEST)
         x = np.clip(x + step * (LONGEST / far)[:, None], *limits)
-        error = misses(task, targets[left], x)
-        value = np.max(error / task.tolerance, axis=1)
+        error = misses(problem, targets[left], x)
+        value = np.max(error / problem.tolerance, axis=1)
         better = value < score[left]
         at = left[better]
         best[at], least[at], score[at] = x[better], error[better], value[better]
@@ -129,30 +129,30 @@ def sharpen(task: FrameProblem, targets: Array, q: Array, limits: Array) -> tupl
     return best, least
 
 
-def _step(task: FrameProblem, targets: Array, q: Array) -> Array:
+def _step(problem: FrameProblem, targets: Array, q: Array) -> Array:
     """Gauss-Newton steps (N, n), lengths measured by the longest of the chain, columns by
     themselves.
     """
-    chain = task.chain
-    system = task.system
-    turn = frame_of(np.array(task.axis))
+    chain = problem.chain
+    system = problem.system
+    turn = frame_of(np.array(problem.axis))
     full = np.repeat(chain.base, len(q), axis=0)
     full[:, chain.q_index] = q
-    X = fk(system, full, task.frame, threads=1)
-    J = jacobian(system, full, task.frame, "body")[..., chain.v_index]
+    X = fk(system, full, problem.frame, threads=1)
+    J = jacobian(system, full, problem.frame, "body")[..., chain.v_index]
     J = np.concatenate([turn.T @ J[:, :3], turn.T @ J[:, 3:]], axis=1)
     back = np.swapaxes(X[:, :3, :3] @ turn, 1, 2)
     e = np.zeros((len(q), 6))
     e[:, :3] = (back @ (targets[:, :3, 3] - X[:, :3, 3])[..., None])[..., 0]
     D = back @ targets[:, :3, :3] @ turn
-    if points_along(task.name):
+    if points_along(problem.name):
         z = D[:, :, 2]
         across = np.stack([-z[:, 1], z[:, 0], np.zeros(len(z))], axis=1)
         sine = np.linalg.norm(across, axis=1, keepdims=True)
         e[:, 3:] = across * np.arctan2(sine, z[:, 2:]) / np.maximum(sine, 1e-300)
     else:
         e[:, 3:] = spatial.log_so3(D)
-    size = np.array([1.0 / max(chain.span.largest, 1e-300)] * 3 + [1.0] * 3) * task.mask
+    size = np.array([1.0 / max(chain.span.largest, 1e-300)] * 3 + [1.0] * 3) * problem.mask
     J = J * size[:, None]
     e = e * size
     column = np.linalg.norm(J, axis=1, keepdims=True)
@@ -163,27 +163,27 @@ def _step(task: FrameProblem, targets: Array, q: Array) -> Array:
 # ---- solutions in closed form, where there is one
 
 
-def kept(task: FrameProblem, plan: ChainPlan, targets: Array, q: Array) -> Array:
+def kept(problem: FrameProblem, plan: ChainPlan, targets: Array, q: Array) -> Array:
     """Configurations (N, n) of the chain: a solution inside the limits where the equations have
     one, else q (N, n).
     """
     lines = plan.lines
-    base = task.chain.base[:, plan.lines.q_index]
-    sure = max(*task.tolerance, attainable(targets, lines))
-    question = Question(
-        task.system,
-        task.frame,
-        task.name,
-        task.axis,
+    base = problem.chain.base[:, plan.lines.q_index]
+    sure = max(*problem.tolerance, attainable(targets, lines))
+    chain_problem = ChainProblem(
+        problem.system,
+        problem.frame,
+        problem.name,
+        problem.axis,
         targets,
         (len(targets),),
         sure,
-        max(task.tolerance),
+        max(problem.tolerance),
     )
-    rows, _ = solve_held(question, plan, base, base, 1)
+    rows, _ = solve_held(chain_problem, plan, base, base, 1)
     code = rows[..., len(lines) + A.CODE]
     error = np.where((code >= 0.0) & (code % 2.0 == 1.0), rows[..., len(lines) + A.ERROR], np.inf)
     best = np.argmin(error, axis=1)
     at = {int(x): i for i, x in enumerate(lines.q_index)}
-    found = rows[np.arange(len(q)), best][:, [at[int(x)] for x in task.chain.q_index]]
+    found = rows[np.arange(len(q)), best][:, [at[int(x)] for x in problem.chain.q_index]]
     return np.where(np.isfinite(error.min(axis=1))[:, None], found, q)

@@ -24,7 +24,7 @@ from kempe.inverse.all_answer import Solutions, packed
 from kempe.inverse.chain.serial_chain import inside, of_loops, shared_by
 from kempe.inverse.closed_forms.chain_lines import chain_lines
 from kempe.inverse.closed_forms.plan import METHODS, SEARCH, ChainPlan, Method, plan_for
-from kempe.inverse.closed_forms.question import Question, Watch, held, near_of, within
+from kempe.inverse.closed_forms.problem import ChainProblem, Watch, held, near_of, within
 from kempe.inverse.closed_forms.solve import TOLERANCE, attainable, solve_held
 from kempe.inverse.spare_joints import look_further
 from kempe.kernels.closed_form import analytic_layout as A
@@ -164,7 +164,7 @@ def by_chain(problem: Problem) -> Solutions:
     plan = _plan_of(problem, values)
     wanted = TOLERANCE if problem.tolerance is None else within(problem.tolerance)
     sure = max(wanted, attainable(targets, lines))
-    question = Question(
+    packed_problem = ChainProblem(
         system,
         name,
         task,
@@ -185,14 +185,14 @@ def by_chain(problem: Problem) -> Solutions:
         and (name,) not in system._queries
     ):
         bind(system, name)
-    near = near_of(system, problem.start, question.lead)
-    answer = solve(question, plan, near, values, threads)
+    near = near_of(system, problem.start, packed_problem.lead)
+    answer = solve(packed_problem, plan, near, values, threads)
     if (
         not single
         and (answer._counts[:, 0] < 0).any()
         and (mended := sound(targets, "target")) is not targets
     ):
-        answer = solve(replace(question, targets=mended), plan, near, values, threads)
+        answer = solve(replace(packed_problem, targets=mended), plan, near, values, threads)
     if single and answer._counts[0, 0] < 0:
         raise InputError(not_a_pose(targets[0]))
     if problem.limits:
@@ -269,9 +269,9 @@ class BoundIkAll:
     def __reduce__(self) -> tuple[Any, ...]:
         return bind, (self.system, self.frame)
 
-    def question(self, target: Array) -> Question:
+    def problem(self, target: Array) -> ChainProblem:
         """The problem that was solved."""
-        return Question(self.system, self.frame, "pose", Z_AXIS, target[None], None, TOLERANCE)
+        return ChainProblem(self.system, self.frame, "pose", Z_AXIS, target[None], None, TOLERANCE)
 
     def __call__(self, target: Array) -> Solutions | None:
         """All solutions for a pose (4, 4), None where the target needs the general solver."""
@@ -300,7 +300,7 @@ def bind(system: Model, frame: str) -> BoundIkAll | None:
 
 
 def solve(
-    question: Question,
+    problem: ChainProblem,
     plan: ChainPlan,
     near: Array | None,
     values: Mapping[str, Array],
@@ -308,61 +308,61 @@ def solve(
 ) -> Solutions:
     """The answer of the kernels; joints that are held by choice where there are solutions."""
     lines = plan.lines
-    system = question.system
+    system = problem.system
     base = system.neutral[None] if near is None else near
     chain_near = np.ascontiguousarray(base[:, lines.q_index])
     base = inside(system, base.copy())
     start = np.array([plan.first]) if near is None and plan.first else chain_near
-    first = _locked(question, plan, start, values) if plan.locked else chain_near
-    out, counts = solve_held(question, plan, chain_near, first, threads)
+    first = _locked(problem, plan, start, values) if plan.locked else chain_near
+    out, counts = solve_held(problem, plan, chain_near, first, threads)
     decided = plan.locked == plan.fixed and not lines.span.wide
-    if question.lead is None and not decided:
+    if problem.lead is None and not decided:
         code = float(out[0, 0, -A.INFO + A.CODE])
         # the first of rows in order is inside the limits
         decided = code >= 0.0 and code % 2.0 == 1.0
     if decided:
         _outside(plan, out)
         return Solutions(
-            question,
+            problem,
             plan,
             base,
             out,
             counts,
-            question.lead,
+            problem.lead,
             locked=first,
             first=first,
-            late=_late(question, counts),
+            late=_late(problem, counts),
         )
 
-    def at(some: Question, near: Array, locked: Array) -> tuple[Array, np.ndarray]:
+    def at(some: ChainProblem, near: Array, locked: Array) -> tuple[Array, np.ndarray]:
         # of which there are many for all values
         return solve_held(some, plan, near, locked, threads, starts=False)
 
-    held_at = look_further(question, plan, chain_near, first, out, counts, at, threads)
+    held_at = look_further(problem, plan, chain_near, first, out, counts, at, threads)
     _outside(plan, out)
     return Solutions(
-        question,
+        problem,
         plan,
         base,
         out,
         counts,
-        question.lead,
+        problem.lead,
         locked=held_at.locked,
         first=first,
         tried=held_at.tried,
-        late=_late(question, counts),
+        late=_late(problem, counts),
     )
 
 
-def _late(question: Question, counts: np.ndarray) -> tuple[float, np.ndarray] | None:
+def _late(problem: ChainProblem, counts: np.ndarray) -> tuple[float, np.ndarray] | None:
     """The time limit [s] and the targets (N,) whose work it ended, which are in doubt; None where
     it ended none.
     """
-    if question.watch is None or not question.watch.late.any():
+    if problem.watch is None or not problem.watch.late.any():
         return None
-    late = question.watch.late & (counts[:, 0] >= 0)
+    late = problem.watch.late & (counts[:, 0] >= 0)
     counts[late, 1] = 1
-    return question.watch.limit.limit or 0.0, late
+    return problem.watch.limit.limit or 0.0, late
 
 
 def _outside(plan: ChainPlan, rows: Array) -> None:
@@ -379,19 +379,21 @@ def _outside(plan: ChainPlan, rows: Array) -> None:
     code[off & (code >= 0.0) & (code % 2.0 == 1.0)] -= A.INSIDE_BIT
 
 
-def _locked(question: Question, plan: ChainPlan, near: Array, values: Mapping[str, Array]) -> Array:
+def _locked(
+    problem: ChainProblem, plan: ChainPlan, near: Array, values: Mapping[str, Array]
+) -> Array:
     """Coordinates (1 or N, n) of the chain, of which those of locked joints count."""
     lines = plan.lines
     shapes = [v.shape for v in values.values()]
     batch = any(shapes) or len(near) > 1
-    out = np.array(np.broadcast_to(near, (len(question.targets) if batch else 1, len(lines))))
+    out = np.array(np.broadcast_to(near, (len(problem.targets) if batch else 1, len(lines))))
     low, high = lines.limits
     for i in plan.locked:
         given = values.get(lines.names[i])
         if given is None:
             out[:, i] = out[:, i].clip(low[i], high[i])
             continue
-        lead = question.lead or ()
+        lead = problem.lead or ()
         try:
             out[:, i] = np.broadcast_to(given, lead).reshape(-1) if given.ndim else given
         except ValueError:
@@ -399,6 +401,6 @@ def _locked(question: Question, plan: ChainPlan, near: Array, values: Mapping[st
                 f"{lines.names[i]} is held at values of shape {given.shape}; it must be a number "
                 f"or {lead}"
             ) from None
-    if question.lead is None and not np.isfinite(out[:, list(plan.locked)]).all():
+    if problem.lead is None and not np.isfinite(out[:, list(plan.locked)]).all():
         raise InputError("a joint is held at a value that is not finite")
     return np.ascontiguousarray(out)

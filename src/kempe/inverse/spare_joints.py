@@ -18,7 +18,7 @@ from kempe.budget import look
 from kempe.inverse.chain.problem import FEW, ITERATIONS, MOST, outside, rows_of
 from kempe.inverse.closed_forms.descent import Aim, descend, limits_of
 from kempe.inverse.closed_forms.plan import SEARCH, ChainPlan, within_domains
-from kempe.inverse.closed_forms.question import Question
+from kempe.inverse.closed_forms.problem import ChainProblem
 from kempe.inverse.closed_forms.start_search import frame_problem, places_in
 from kempe.inverse.multi_start import answered
 from kempe.kernels.base.search_layout import ANGULAR, ANSWER, LINEAR, SOLVED, STATUS
@@ -53,7 +53,7 @@ clock."""
 SIGN = -(2**63)
 """The bit that codes of rows in use do not have."""
 
-Solve = Callable[[Question, Array, Array], tuple[Array, np.ndarray]]
+Solve = Callable[[ChainProblem, Array, Array], tuple[Array, np.ndarray]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +67,7 @@ class SpareJoints:
 
 
 def look_further(
-    question: Question,
+    problem: ChainProblem,
     plan: ChainPlan,
     near: Array,
     locked: Array,
@@ -80,14 +80,14 @@ def look_further(
 
     `rows` (N, K, n + 2) and `counts` (N, 2) are made better in place.
 
-    near, locked: (1 or N, n). solve: rows and counts of a question, near and locked.
+    near, locked: (1 or N, n). solve: rows and counts of a problem, near and locked.
     """
     tried = np.ones(len(rows), dtype=np.int64)
     left = np.flatnonzero((counts[:, 0] >= 0) & ~_reached(rows))
     if not len(left):
         return SpareJoints(locked, tried)
     many = _Targets(
-        question,
+        problem,
         plan,
         near,
         np.array(np.broadcast_to(locked, (len(rows), len(plan.lines)))),
@@ -97,16 +97,16 @@ def look_further(
         solve,
         threads,
     )
-    left = many.searched(left, FEW, question.tolerance, True)
+    left = many.searched(left, FEW, problem.tolerance, True)
     if len(left):
-        left = left[outside(frame_problem(question), question.targets[left]) == 0.0]
+        left = left[outside(frame_problem(problem), problem.targets[left]) == 0.0]
     if not len(left):
         return SpareJoints(many.locked, tried)
     if plan.method != SEARCH and plan.spare:
         left = many.stepped(left)
-    left = many.searched(left, MOST, question.tolerance, True)
-    left = many.searched(left, MOST, max(question.tolerance, LOOSE), True)
-    many.searched(left[~_used(rows[left])], MOST, max(question.tolerance, LOOSE), False)
+    left = many.searched(left, MOST, problem.tolerance, True)
+    left = many.searched(left, MOST, max(problem.tolerance, LOOSE), True)
+    many.searched(left[~_used(rows[left])], MOST, max(problem.tolerance, LOOSE), False)
     return SpareJoints(many.locked, tried)
 
 
@@ -128,7 +128,7 @@ class _Targets:
     written in place.
     """
 
-    question: Question
+    problem: ChainProblem
     plan: ChainPlan
     near: Array
     locked: Array
@@ -145,8 +145,8 @@ class _Targets:
         Returns rows (m, K, n + 2), each a configuration with its error and flag, and their counts
         (m, 2).
         """
-        lead = None if self.question.lead is None and len(which) == 1 else (len(which),)
-        some = self.question.of(which, lead)
+        lead = None if self.problem.lead is None and len(which) == 1 else (len(which),)
+        some = self.problem.of(which, lead)
         near = self.near if len(self.near) == 1 else self.near[which]
         return self.solve(some, near, locked)
 
@@ -165,7 +165,7 @@ class _Targets:
         """The targets of `left` that have no solution inside the limits at any of VALUES values."""
         values = spare_values(self.plan, self.plan.spare)
         k = 0
-        while k < len(values) and len(left) and not self.question.stopped(left):
+        while k < len(values) and len(left) and not self.problem.stopped(left):
             some = values[k : k + max(1, ROOM // len(left))]
             which = np.repeat(left, len(some))
             locked = self.locked[which]
@@ -191,7 +191,7 @@ class _Targets:
         The others have all solutions with the spare joints where their configuration has them,
         itself among them.
         """
-        if not len(left) or self.question.stopped(left):
+        if not len(left) or self.problem.stopped(left):
             return left
         q, error, found = self._configurations(left, starts, tolerance, limited)
         which = left[found]
@@ -202,7 +202,7 @@ class _Targets:
             locked[:, self.plan.spare] = q[:, self.plan.spare]
             rows, counts = self.solutions_at(which, locked)
             for i in np.flatnonzero(~(_reached(rows) if limited else _used(rows))):
-                _put(rows[i], counts[i], q[i], error[i], limited, self.question.lead is None)
+                _put(rows[i], counts[i], q[i], error[i], limited, self.problem.lead is None)
             self.tried[which] += 1
             self.take(which, locked, rows, counts)
         return left[~found]
@@ -211,18 +211,18 @@ class _Targets:
         self, which: np.ndarray, starts: int, tolerance: float, limited: bool
     ) -> tuple[Array, Array, np.ndarray]:
         """Coordinates (m, n) of the chain, errors (m,), and which were found (m,), to the tolerance
-        of the question.
+        of the problem.
         """
         lines = self.plan.lines
-        task = frame_problem(self.question)
+        task = frame_problem(self.problem)
         m = len(which)
         chain = task.chain
         at = places_in(chain, lines)
-        goals = self.question.targets[which]
+        goals = self.problem.targets[which]
         pins = list(self.plan.fixed)
-        if self.question.axis != Z_AXIS:
+        if self.problem.axis != Z_AXIS:
             goals = goals.copy()
-            goals[:, :3, :3] = goals[:, :3, :3] @ frame_of(np.array(self.question.axis))
+            goals[:, :3, :3] = goals[:, :3, :3] @ frame_of(np.array(self.problem.axis))
         pinned = self.locked[which][:, pins]
         out = np.empty((m, len(lines) + ANSWER))
         circular = chain.circular.copy()
@@ -231,7 +231,7 @@ class _Targets:
             task,
             chain=replace(chain, circular=circular),
             starts=starts,
-            tolerance=(tolerance, min(tolerance, max(self.question.angular, LOOSE))),
+            tolerance=(tolerance, min(tolerance, max(self.problem.angular, LOOSE))),
         )
         wanted = rows_of(task)
         limits = chain.limits.copy() if limited else np.tile([[-np.inf], [np.inf]], len(lines))
@@ -245,7 +245,7 @@ class _Targets:
             for k in range(i, j, PIECE):
                 look()
                 last = min(k + PIECE, j)
-                if self.question.stopped(which[k:last]):
+                if self.problem.stopped(which[k:last]):
                     out[k:last] = np.nan
                 else:
                     work(k, last)
@@ -256,7 +256,7 @@ class _Targets:
                 limits[:, at[pins]] = pinned[i]
             first = seeds[i:j] if len(seeds) > 1 else seeds
             if chain.span.wide:
-                return answered(task, self.question.targets[which[i:j]], first, limits, out[i:j])
+                return answered(task, self.problem.targets[which[i:j]], first, limits, out[i:j])
             return schedule.reach(
                 chain.ints,
                 chain.floats,
@@ -282,19 +282,19 @@ class _Targets:
         q = out[:, at]
         error = np.hypot(out[:, n + LINEAR], out[:, n + ANGULAR])
         found = out[:, n + STATUS] == SOLVED
-        for i in np.flatnonzero(found & (error > self.question.tolerance)):
+        for i in np.flatnonzero(found & (error > self.problem.tolerance)):
             q[i], error[i] = self._polished(which[i], q[i], limited)
-        within = (error <= self.question.tolerance) & (
-            out[:, n + ANGULAR] <= max(self.question.angular, LOOSE)
+        within = (error <= self.problem.tolerance) & (
+            out[:, n + ANGULAR] <= max(self.problem.angular, LOOSE)
         )
         return q, error, found & within
 
     def _polished(self, index: int, q: Array, limited: bool) -> tuple[Array, float]:
         """A configuration (n,) on the target as nearly as can be, and its error."""
         lines = self.plan.lines
-        X = self.question.targets[index].copy()
-        if self.question.axis != Z_AXIS:
-            X[:3, :3] = X[:3, :3] @ frame_of(np.array(self.question.axis))
+        X = self.problem.targets[index].copy()
+        if self.problem.axis != Z_AXIS:
+            X[:3, :3] = X[:3, :3] @ frame_of(np.array(self.problem.axis))
         X[:3, 3] = (X[:3, 3] - lines.origin) / lines.length
         moves = np.array([i for i in range(len(lines)) if i not in self.plan.fixed], dtype=np.int64)
         aim = Aim(lines, np.flatnonzero(TASKS[self.plan.task]), X, moves)
@@ -306,7 +306,7 @@ class _Targets:
             R, p, _, _ = aim.sweep(theta)
             e = aim.errors(R, p)[0]
             error = float(np.hypot(np.linalg.norm(e[:3]) * lines.length, np.linalg.norm(e[3:])))
-            if error <= 0.1 * self.question.tolerance:
+            if error <= 0.1 * self.problem.tolerance:
                 break
         q = (theta[0] - lines.offset) / lines.multiplier
         return np.clip(q, *lines.limits) if limited else q, error

@@ -35,7 +35,7 @@ from kempe.inverse.arm_angle import BRANCHES, ELBOW, Arm, Posed, find_arm, no_ar
 from kempe.inverse.chain.serial_chain import inside
 from kempe.inverse.closed_forms.chain_lines import Lines, chain_lines
 from kempe.inverse.closed_forms.plan import domains, plan_for
-from kempe.inverse.closed_forms.question import held, near_of
+from kempe.inverse.closed_forms.problem import held, near_of
 from kempe.inverse.ik_all import ik_all
 from kempe.inverse.sweep_curves import ChainMotion, CurvePiece, arcs_through
 from kempe.kernels.forward.table_layout import SLIDE

@@ -76,71 +76,71 @@ class FrameProblem:
         return TASKS[self.name]
 
 
-def rows_of(task: FrameProblem) -> np.ndarray:
-    """What the kernel reads of a task: six rows, whether an axis is pointed, circular coordinates."""
-    pointed = points_along(task.name)
-    rows = (*task.mask[:5], 1, 1) if pointed else (*task.mask, 0)
-    return np.concatenate([np.array(rows, dtype=np.int64), task.chain.circular])
+def rows_of(problem: FrameProblem) -> np.ndarray:
+    """What the kernel reads of a problem: six rows, whether an axis is pointed, circular coordinates."""
+    pointed = points_along(problem.name)
+    rows = (*problem.mask[:5], 1, 1) if pointed else (*problem.mask, 0)
+    return np.concatenate([np.array(rows, dtype=np.int64), problem.chain.circular])
 
 
-def goals_of(task: FrameProblem, targets: Array) -> Array:
+def goals_of(problem: FrameProblem, targets: Array) -> Array:
     """Targets (N, 4, 4) with the z axis that kernels point."""
     goals = targets
-    if task.axis != Z_AXIS:
+    if problem.axis != Z_AXIS:
         goals = goals.copy()
-        goals[:, :3, :3] = goals[:, :3, :3] @ frame_of(np.array(task.axis))
+        goals[:, :3, :3] = goals[:, :3, :3] @ frame_of(np.array(problem.axis))
     return goals
 
 
-def misses(task: FrameProblem, targets: Array, q: Array) -> Array:
+def misses(problem: FrameProblem, targets: Array, q: Array) -> Array:
     """Linear and angular errors (N, 2), by the forward model, of a chain's configurations (N or 1,
     n).
     """
     from kempe.forward.fk import fk
 
-    full = np.repeat(task.chain.base, len(q), axis=0)
-    full[:, task.chain.q_index] = q
-    X = fk(task.system, full, task.frame, threads=1)
+    full = np.repeat(problem.chain.base, len(q), axis=0)
+    full[:, problem.chain.q_index] = q
+    X = fk(problem.system, full, problem.frame, threads=1)
     out = np.zeros((len(targets), 2))
-    if any(task.mask[:3]):
+    if any(problem.mask[:3]):
         out[:, 0] = np.linalg.norm(X[:, :3, 3] - targets[:, :3, 3], axis=-1)
-    if points_along(task.name):
-        a, b = (Y[:, :3, :3] @ np.array(task.axis) for Y in (X, targets))
+    if points_along(problem.name):
+        a, b = (Y[:, :3, :3] @ np.array(problem.axis) for Y in (X, targets))
         out[:, 1] = np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(axis=-1))
-    elif any(task.mask[3:]):
+    elif any(problem.mask[3:]):
         out[:, 1] = np.linalg.norm(
             spatial.log_so3(np.swapaxes(X[:, :3, :3], 1, 2) @ targets[:, :3, :3]), axis=-1
         )
     return out
 
 
-def outside(task: FrameProblem, targets: Array) -> Array:
+def outside(problem: FrameProblem, targets: Array) -> Array:
     """How far (N,) targets are outside the reach bounds, in metres, for a point of the frame that
     each one fixes.
 
     Zero within what the tolerances allow. With the target's orientation, it is a lower bound of the
     position error.
     """
-    if not task.mask[0]:
+    if not problem.mask[0]:
         return np.zeros(len(targets))
-    out = np.abs(targets[:, 2, 3]) if task.system.dim == 2 else np.zeros(len(targets))
-    out[out <= task.tolerance[0]] = 0.0
-    return np.maximum(out, past_lengths(task, targets).max(axis=-1))
+    out = np.abs(targets[:, 2, 3]) if problem.system.dim == 2 else np.zeros(len(targets))
+    out[out <= problem.tolerance[0]] = 0.0
+    return np.maximum(out, past_lengths(problem, targets).max(axis=-1))
 
 
-def look_closer(task: FrameProblem, code: np.ndarray) -> None:
+def look_closer(problem: FrameProblem, code: np.ndarray) -> None:
     """Tell, in place, targets that lengths alone put out of reach from those that were not found."""
     failed = np.flatnonzero((code == Status.NOT_FOUND) | (code == Status.OUT_OF_TIME))
-    code[failed[outside(task, task.targets[failed]) > 0.0]] = Status.OUT_OF_REACH
+    code[failed[outside(problem, problem.targets[failed]) > 0.0]] = Status.OUT_OF_REACH
 
 
-def past_lengths(task: FrameProblem, targets: Array) -> Array:
+def past_lengths(problem: FrameProblem, targets: Array) -> Array:
     """How far (N, 2) in metres targets are past what the lengths of the links reach; see
     `length_bounds.by_lengths`.
     """
     # else that is the reason
-    free = len(task.chain.v_index) >= (3 if task.system.dim == 2 else sum(task.mask))
-    along = np.array(task.axis) if free and points_along(task.name) else None
+    free = len(problem.chain.v_index) >= (3 if problem.system.dim == 2 else sum(problem.mask))
+    along = np.array(problem.axis) if free and points_along(problem.name) else None
     return by_lengths(
-        task.chain.bounds, targets, task.tolerance, free and all(task.mask), along=along
+        problem.chain.bounds, targets, problem.tolerance, free and all(problem.mask), along=along
     )

@@ -10,7 +10,7 @@ from kempe.answers.targets import Z_AXIS, frame_of
 from kempe.budget import look
 from kempe.inverse.closed_forms.chain_lines import Lines
 from kempe.inverse.closed_forms.plan import SEARCH, ChainPlan
-from kempe.inverse.closed_forms.question import Question
+from kempe.inverse.closed_forms.problem import ChainProblem
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.forward.table_layout import SLIDE
 from kempe.numerics.pool import over_chunks
@@ -49,7 +49,7 @@ def attainable(targets: Array, lines: Lines) -> float:
 
 
 def solve_held(
-    question: Question,
+    problem: ChainProblem,
     plan: ChainPlan,
     chain_near: Array,
     locked: Array,
@@ -62,19 +62,19 @@ def solve_held(
     chain_near: (1 or N, n) coordinates of the chain, near which angles are given. With `starts` a
     search looks for solutions where the equations say nothing.
     """
-    targets = question.targets
+    targets = problem.targets
     lines = plan.lines
     n = len(targets)
-    single = question.lead is None
-    if question.axis != Z_AXIS:
+    single = problem.lead is None
+    if problem.axis != Z_AXIS:
         targets = targets.copy()
-        targets[:, :3, :3] = targets[:, :3, :3] @ frame_of(np.array(question.axis))
+        targets[:, :3, :3] = targets[:, :3, :3] @ frame_of(np.array(problem.axis))
     out = np.empty((n, plan.method.slots, len(lines) + A.INFO))
     counts = np.zeros((n, 2), dtype=np.int64)
     if plan.method == SEARCH:
         from kempe.inverse.closed_forms.start_search import search
 
-        search(question, plan, chain_near, locked, out, counts, np.arange(n))
+        search(problem, plan, chain_near, locked, out, counts, np.arange(n))
         return out, counts
     blocks = None if plan.method.blocks is None else plan.method.blocks()
     piece = plan.method.piece
@@ -85,7 +85,7 @@ def solve_held(
         for k in range(i, j, piece):
             look()
             last = min(k + piece, j)
-            if question.stopped(slice(k, last)):
+            if problem.stopped(slice(k, last)):
                 out[k:last, :, -A.INFO + A.CODE] = A.UNUSED
                 counts[k:last, 1] = 1
             else:
@@ -112,8 +112,8 @@ def solve_held(
             targets[i:j],
             some,
             held_at,
-            question.tolerance,
-            question.angular,
+            problem.tolerance,
+            problem.angular,
             int(single),
             which,
             out[i:j],
@@ -129,15 +129,15 @@ def solve_held(
     if len(none) and (other := plan.other) is not None:  # two completions have to agree
         for k in range(0, len(none), ELIMINATED):
             some = none[k : k + ELIMINATED]
-            if question.stopped(some):
+            if problem.stopped(some):
                 counts[some, 1] = 1
                 continue
             other.fill(
                 targets,
                 chain_near,
                 locked,
-                question.tolerance,
-                question.angular,
+                problem.tolerance,
+                problem.angular,
                 int(single),
                 some,
                 out,
@@ -149,7 +149,7 @@ def solve_held(
     if len(lost):  # the equations said nothing: starts may
         from kempe.inverse.closed_forms.start_search import search
 
-        search(question, plan, chain_near, locked, out, counts, lost)
+        search(problem, plan, chain_near, locked, out, counts, lost)
     if lines.span.wide or plan.blurred:  # a structure may be there by rounding alone
         counts[:, 1] = 1
     return out, counts

@@ -18,7 +18,7 @@ from kempe.inverse.chain.problem import ITERATIONS, MOST, FrameProblem, rows_of
 from kempe.inverse.chain.serial_chain import chain_of
 from kempe.inverse.closed_forms.descent import Aim
 from kempe.inverse.closed_forms.plan import ChainPlan
-from kempe.inverse.closed_forms.question import Question
+from kempe.inverse.closed_forms.problem import ChainProblem
 from kempe.kernels.base.search_layout import ANSWER, SOLVED, STATUS
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.compiled import schedule
@@ -49,7 +49,7 @@ APART = 1e-6
 
 
 def search(
-    question: Question,
+    problem: ChainProblem,
     plan: ChainPlan,
     near: Array,
     locked: Array,
@@ -63,29 +63,29 @@ def search(
     out[which, :, -A.INFO + A.CODE] = A.UNUSED
     counts[which, 1] = 1
     for k, i in enumerate(which):
-        if question.stopped(which[k:]):
-            bad = ~np.isfinite(question.targets[which[k:]]).all(axis=(1, 2))
+        if problem.stopped(which[k:]):
+            bad = ~np.isfinite(problem.targets[which[k:]]).all(axis=(1, 2))
             counts[which[k:], 0] = np.where(bad, -1, 0)
             break
-        target = question.targets[i]
+        target = problem.targets[i]
         if not np.isfinite(target).all():
             counts[i, 0] = -1
             continue
         at = i if len(locked) > 1 else 0
-        found, error = _solutions(question, plan, target, locked[at])
-        _write(plan, found, error, near[i if len(near) > 1 else 0], out[i], question.lead is None)
+        found, error = _solutions(problem, plan, target, locked[at])
+        _write(plan, found, error, near[i if len(near) > 1 else 0], out[i], problem.lead is None)
         counts[i, 0] = int((out[i, :, -A.INFO + A.CODE] >= 0.0).sum())
 
 
 def _solutions(
-    question: Question, plan: ChainPlan, target: Array, locked: Array
+    problem: ChainProblem, plan: ChainPlan, target: Array, locked: Array
 ) -> tuple[Array, Array]:
     """Variables (k, n) of distinct solutions, and their errors (k,)."""
     lines = plan.lines
     rng = np.random.default_rng(0)
     T = np.array(target)
-    if question.axis != Z_AXIS:
-        T[:3, :3] = T[:3, :3] @ frame_of(np.array(question.axis))
+    if problem.axis != Z_AXIS:
+        T[:3, :3] = T[:3, :3] @ frame_of(np.array(problem.axis))
     T[:3, 3] = (T[:3, 3] - lines.origin) / lines.length
     moves = np.array([i for i in range(len(lines)) if i not in plan.locked], dtype=np.int64)
     aim = Aim(lines, np.flatnonzero(TASKS[plan.task]), T, moves)
@@ -96,7 +96,7 @@ def _solutions(
     )
     theta[:, list(plan.locked)] = lines.theta(locked)[list(plan.locked)]
     if not lines.span.wide:
-        theta = _reached(question, plan, target, theta)
+        theta = _reached(problem, plan, target, theta)
     if not len(theta):
         return theta, np.zeros(0)
 
@@ -115,7 +115,7 @@ def _solutions(
     size = np.linalg.norm(aim.at(theta)[0], axis=1)
     found: list[Array] = []
     error: list[float] = []
-    for k in np.flatnonzero(size <= question.tolerance / max(lines.length, 1.0)):
+    for k in np.flatnonzero(size <= problem.tolerance / max(lines.length, 1.0)):
         if all(_gap(lines, theta[k], x) > APART for x in found):
             found.append(theta[k])
             error.append(size[k] * max(lines.length, 1.0))
@@ -124,16 +124,16 @@ def _solutions(
     return np.array(found, dtype=float).reshape(-1, len(lines)), np.array(error)
 
 
-def frame_problem(question: Question) -> FrameProblem:
+def frame_problem(problem: ChainProblem) -> FrameProblem:
     """The problem, as numerical solvers read it."""
-    chain = chain_of(question.system, question.frame, question.axis)
-    tolerance = (question.tolerance, question.angular)
+    chain = chain_of(problem.system, problem.frame, problem.axis)
+    tolerance = (problem.tolerance, problem.angular)
     return FrameProblem(
-        question.system,
-        question.frame,
-        question.targets,
-        question.task,
-        question.axis,
+        problem.system,
+        problem.frame,
+        problem.targets,
+        problem.task,
+        problem.axis,
         tolerance,
         MOST,
         0,
@@ -146,19 +146,19 @@ def places_in(chain: Chain, lines: Lines) -> np.ndarray:
     return np.argsort(chain.q_index)[np.argsort(np.argsort(lines.q_index))]
 
 
-def _reached(question: Question, plan: ChainPlan, target: Array, theta: Array) -> Array:
+def _reached(problem: ChainProblem, plan: ChainPlan, target: Array, theta: Array) -> Array:
     """Variables (k, n) from which the target is a few steps, and which differ, of searches from
     theta (m, n).
     """
     lines = plan.lines
-    task = frame_problem(question)
+    task = frame_problem(problem)
     chain = task.chain
     n = len(lines)
     at = places_in(chain, lines)
     pins = list(plan.locked)
     goal = target[None].copy()
-    if question.axis != Z_AXIS:
-        goal[:, :3, :3] = goal[:, :3, :3] @ frame_of(np.array(question.axis))
+    if problem.axis != Z_AXIS:
+        goal[:, :3, :3] = goal[:, :3, :3] @ frame_of(np.array(problem.axis))
     seeds = np.empty((len(theta), 1, n))
     limits = np.tile([[-np.inf], [np.inf]], n)
     circular = chain.circular.copy()

@@ -1,4 +1,4 @@
-"""What is required of the analytical inverse model: targets, task, joints that are held, checked."""
+"""The packed problem of `ik_all` for a chain: targets, task, tolerance, time; joints that are held."""
 
 from __future__ import annotations
 
@@ -41,9 +41,10 @@ class Watch:
 
 
 @dataclass(frozen=True, eq=False)
-class Question:
-    """Targets (N, 4, 4) for a frame, with `lead` their leading shape (None for one target), and the
-    task.
+class ChainProblem:
+    """All configurations of a chain are requested that reach targets (N, 4, 4) of a frame.
+
+    `lead` is the leading shape of the targets, None for a single one.
     """
 
     system: Model
@@ -58,7 +59,7 @@ class Question:
     watch: Watch | None = field(default=None, repr=False, compare=False)
     """What ends the work early; None where nothing does."""
     numbers: np.ndarray | None = field(default=None, repr=False, compare=False)
-    """Numbers of the targets in the question that these were taken from; None where it is this
+    """Numbers of the targets in the problem that these were taken from; None where it is this
     one."""
 
     def stopped(self, which: Any) -> bool:
@@ -70,8 +71,8 @@ class Question:
         self.watch.late[which if self.numbers is None else self.numbers[which]] = True
         return True
 
-    def of(self, which: np.ndarray, lead: tuple[int, ...] | None) -> Question:
-        """The same question for the targets `which` (m,) alone."""
+    def of(self, which: np.ndarray, lead: tuple[int, ...] | None) -> ChainProblem:
+        """The same problem for the targets `which` (m,) alone."""
         numbers = which if self.numbers is None else self.numbers[which]
         return replace(self, targets=self.targets[which], lead=lead, numbers=numbers)
 
