@@ -133,7 +133,7 @@ class Axle:
         """
         A = rates(self.system, q)[0]
         own = list(self.own)
-        by_twist: Array = A[:, own] @ np.linalg.inv(self.twists(q[None])[0])
+        by_twist = A[:, own] @ np.asarray(np.linalg.inv(self.twists(q[None])[0]), dtype=float)
         out = np.concatenate([by_twist, A], axis=1)
         out[:, [3 + v for v in own]] = 0.0
         return out * self.units
