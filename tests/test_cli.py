@@ -395,24 +395,6 @@ def test_broken_file_is_refused_by_all(broken):
 # ---- fk
 
 
-def test_fk_of_a_frame(arm):
-    data = Result("fk", arm, "--frame", "tip", "--q", "-0.3,0.7", "--json").json()
-    x, y, angle = tip(-0.3, 0.7)
-    np.testing.assert_allclose(data["xyz"], [x, y, 0.0], atol=1e-15)
-    np.testing.assert_allclose(data["rpy"], [0.0, 0.0, angle], atol=1e-15)
-    np.testing.assert_allclose(
-        data["matrix"][0], [math.cos(angle), -math.sin(angle), 0.0, x], atol=1e-15
-    )
-    text = Result("fk", arm, "--frame", "tip", "--q", "-0.3,0.7").out
-    assert f"{x:.6f}" in text and f"{y:.6f}" in text and f"{angle:.6f}" in text
-
-
-def test_fk_in_degrees_and_by_name(arm):
-    data = Result("fk", arm, "--frame", "tip", "--q", "elbow=90", "--deg", "--json").json()
-    np.testing.assert_allclose(data["xyz"], [1.0, 0.5, 0.0], atol=1e-15)
-    assert data["angle_unit"] == "deg" and data["rpy"][2] == pytest.approx(90.0)
-
-
 def test_lengths_stay_metres(tmp_path, arm):
     path = tmp_path / "slider.urdf"
     path.write_text(ARM.replace('<mimic joint="elbow" multiplier="0.01"/>', ""))
@@ -563,15 +545,6 @@ def test_wrong_frame(arm):
 # ---- ik
 
 
-def test_ik_of_a_position(arm):
-    x, y, _ = tip(-1.2, 0.9)
-    result = Result("ik", arm, "--frame", "tip", "--target", f"{x},{y},0", "--json")
-    assert result.code == 0
-    q = result.json()["q"]
-    np.testing.assert_allclose(tip(q["shoulder"], q["elbow"])[:2], (x, y), atol=1e-6)
-    assert result.json()["success"] is True and result.json()["position_error"] <= 1e-6
-
-
 def test_ik_of_a_pose_with_a_negative_number_first(arm):
     x, y, angle = tip(1.9, 1.6)
     assert x < 0
@@ -584,34 +557,6 @@ def test_ik_of_a_pose_with_a_negative_number_first(arm):
         "fk", arm, "--frame", "tip", "--deg", "--json", *result.out.splitlines()[-1].split()
     ).json()
     np.testing.assert_allclose(again["xyz"], [x, y, 0.0], atol=1e-6)
-
-
-def test_ik_with_seed_tolerance_and_rng(arm):
-    x, y, _ = tip(0.4, 1.1)
-    options = ["--seed", "shoulder=0.4,elbow=1.1", "--tolerance", "1e-3,1e-2", "--rng", "7"]
-    result = Result(
-        "ik",
-        arm,
-        "--frame",
-        "tip",
-        "--target",
-        f"{x},{y},0,90,90,90",
-        "--position-only",
-        *options,
-        "--json",
-    )
-    assert result.code == 0 and result.json()["starts"] == 1
-    assert result.json()["q"] == pytest.approx({"shoulder": 0.4, "elbow": 1.1}, abs=1e-3)
-
-
-def test_ik_without_a_solution(arm):
-    result = Result("ik", arm, "--frame", "tip", "--target", "4,0,0")
-    assert (
-        result.code == 1 and "outside the workspace" in result.out and "nearest found" in result.out
-    )
-    data = Result("ik", arm, "--frame", "tip", "--target", "4,0,0", "--json")
-    assert data.code == 1 and data.json()["success"] is False
-    assert data.json()["position_error"] == pytest.approx(2.5, abs=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -631,48 +576,6 @@ def test_ik_without_a_solution(arm):
 def test_wrong_targets(arm, option, said):
     result = Result("ik", arm, "--frame", "tip", *option)
     assert result.code == 2 and said in result.err and result.err.count("\n") == 1
-
-
-def test_ik_of_many(arm, tmp_path):
-    q = np.array([[0.1, 0.2], [-0.3, 0.7], [1.0, 1.5]])
-    xy = np.array([tip(*row)[:2] for row in q])
-    targets = np.concatenate([np.column_stack([xy, np.zeros(3)]), [[9.0, 0.0, 0.0]]])
-    np.savetxt(tmp_path / "t.csv", targets, delimiter=",", fmt="%.17g")
-    result = Result(
-        "ik", arm, "--frame", "tip", "--target", tmp_path / "t.csv", "--out", tmp_path / "q.csv"
-    )
-    assert (
-        result.code == 1 and "3 of 4" in result.out and "row 3: outside the workspace" in result.out
-    )
-    found = np.genfromtxt(tmp_path / "q.csv", delimiter=",", names=True)
-    reached = np.array(
-        [tip(a, b)[:2] for a, b in zip(found["shoulder"], found["elbow"], strict=True)]
-    )
-    np.testing.assert_allclose(reached[:3], xy, atol=1e-6)
-    data = Result("ik", arm, "--frame", "tip", "--target", tmp_path / "t.csv", "--json").json()
-    assert (
-        data["success"] == [True, True, True, False] and len(data["q"]) == len(data["status"]) == 4
-    )
-    poses = np.tile(np.eye(4), (2, 1, 1))
-    poses[:, 0, 3] = 1.5
-    np.save(tmp_path / "X.npy", poses)
-    assert Result("ik", arm, "--frame", "tip", "--target", tmp_path / "X.npy").code == 0
-
-
-def test_ik_in_the_plane(tmp_path, four_bar):
-    path = tmp_path / "arm.toml"
-    text = FOUR_BAR[: FOUR_BAR.index('[[joint]]\nname = "C"')].replace('{name = "rocker"}', "")
-    path.write_text(text.replace('body = "crank", at = [1.0', 'body = "coupler", at = [0.5'))
-    x, y, angle = tip(0.4, 0.8)
-    for target in (f"{x},{y}", f"{x},{y},{angle}", f"{x},{y},0,0,0,{angle}"):
-        result = Result("ik", path, "--frame", "pen", "--target", target, "--json")
-        assert result.code == 0
-        np.testing.assert_allclose(
-            tip(result.json()["q"]["A"], result.json()["q"]["B"])[:2], (x, y), atol=1e-6
-        )
-    assert result.json()["q"] == pytest.approx({"A": 0.4, "B": 0.8}, abs=1e-5)
-    loop = Result("ik", four_bar, "--frame", "pen", "--target", "1,0", "--json")
-    assert loop.code == 0 and loop.json()["q"].keys() == set("ABCD")
 
 
 # ---- the rest

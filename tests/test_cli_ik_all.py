@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from pathlib import Path
@@ -84,15 +83,6 @@ def test_the_arm_of_the_lecture():
     assert [line.split()[-1] for line in shown.out.splitlines()[3:5]] == data["names"]
 
 
-def test_degrees_and_nearness():
-    """--seed sorts; --deg is for what is read and what is printed."""
-    for near in np.degrees(lecture(0.5, 0.3)):
-        result = Table(*TWO, "0.5,0.3", "--deg", "--seed", ",".join(map(str, near)))
-        np.testing.assert_allclose([float(x) for x in result.table()[0]], near, atol=1e-4)
-        q = [float(x) for x in result.out.splitlines()[-1].removeprefix("--q ").split(",")]
-        assert "[deg]" in result.out and q == pytest.approx(list(near), abs=1e-8)
-
-
 def test_a_puma_has_eight(tmp_path):
     """They stand in the table and in the file, those inside the limits first, and reach."""
     out = tmp_path / "q.csv"
@@ -123,15 +113,6 @@ def test_limits(limited):
     assert Result("ik", path, *words, "--json").json()["success"] is False
 
 
-def test_boundary_and_beyond():
-    edge = Table(*TWO, f"{L1 + L2},0")
-    assert edge.code == 0 and len(edge.table()) == 1 and "2 roots" in edge.out
-    beyond = Table(*TWO, "1.5,0")
-    assert beyond.code == 1 and beyond.table() == [] and "0.6 m" in beyond.out
-    data = Result(*TWO, "1.5,0", "--json").json()
-    assert data["q"] == [] and data["success"] is False and "0.6 m" in data["status"]
-
-
 def test_families(tmp_path):
     """With equal links and the tip at the base, every shoulder angle will do."""
     path = tmp_path / "equal.toml"
@@ -148,86 +129,10 @@ def test_families(tmp_path):
     assert np.ptp(q[:, 0]) > 300.0
 
 
-def test_held_joints():
-    target = ("--frame", "panda_hand_tcp", "--target", "0.5,0.2,0.3,180,0,0")
-    words = ("ik", "panda", *target, "--deg", "--all", "--hold", "panda_joint7=30", "--json")
-    data = Result(*words).json()
-    assert len(data["q"]) == 4 and data["complete"] is True
-    assert data["held"]["panda_joint7"] == pytest.approx(30.0, abs=1e-12)
-    robot = kempe.load("panda")
-    for q in data["q"]:
-        X = robot.fk(robot.q({n: math.radians(x) for n, x in q.items()}), "panda_hand_tcp")
-        np.testing.assert_allclose(X[:3, 3], [0.5, 0.2, 0.3], atol=1e-9)
-
-
-def test_tasks():
-    five = ("ik", "so101", "--frame", "tool", "--target", "0.25,0.05,0.1,0,90,0", "--deg", "--all")
-    robot = kempe.load("so101")
-    data = Result(*five, "--task", "position_axis", "--axis", "1,0,0", "--json").json()
-    assert data["task"] == "position_axis" and data["q"]
-    for q in data["q"]:
-        X = robot.fk(robot.q({n: math.radians(x) for n, x in q.items()}), "tool")
-        np.testing.assert_allclose(X[:3, 3], [0.25, 0.05, 0.1], atol=1e-8)
-        np.testing.assert_allclose(X[:3, 0], [0.0, 0.0, -1.0], atol=1e-8)
-    held = ("--hold", "wrist_flex=0", "--hold", "wrist_roll=0", "--json")
-    for more in (["--position-only"], ["--task", "position"]):
-        assert Result(*five, *more, *held).json()["task"] == "position"
-
-
 # ---- many targets and files
 
 
-def test_files(tmp_path):
-    targets = tmp_path / "targets.csv"
-    out = tmp_path / "q.csv"
-    np.savetxt(targets, [[0.5, 0.3], [1.5, 0.0], [0.2, -0.4]], delimiter=",")
-    result = Result(*TWO, targets, "-o", out)
-    assert result.code == 1 and "2 of 3 targets reached, 4 solutions" in result.out
-    assert "row 1: " in result.out
-    found = np.genfromtxt(out, delimiter=",", names=True)
-    assert found["target"].tolist() == [0, 0, 2, 2]
-    wanted = sorted(lecture(0.5, 0.3)) + sorted(lecture(0.2, -0.4))
-    rows = [[r["q1"], r["q2"]] for r in found]
-    np.testing.assert_allclose(sorted(rows[:2]) + sorted(rows[2:]), wanted, atol=1e-9)
-    data = Result(*TWO, targets, "--json").json()
-    assert data["success"] == [True, False, True] and not any(data["q"][1])
-    first = sorted(list(q.values()) for q in data["q"][0] if q)
-    np.testing.assert_allclose(first, wanted[:2], atol=1e-9)
-
-
 # ---- the plan
-
-
-def test_plan():
-    result = Table("plan", "puma560", "--frame", "tool")
-    assert result.code == 0 and result.out.startswith(
-        "inverse model of tool of puma560, task pose\n"
-    )
-    assert (
-        "the axes of q4, q5 and q6 meet in one point" in result.out
-        and "8 isolated configurations" in result.out
-    )
-    data = Table("plan", "puma560", "--frame", "tool", "--json").json()
-    assert data["most"] == 8 and data["method"] == "closed form" and len(data["relations"]) == 4
-    plan = kempe.load("puma560").inverse.plan("tool").data()
-    assert data == json.loads(json.dumps(plan | {"written": []}))
-
-
-def test_plan_of_tasks_and_held_joints():
-    data = Table(
-        "plan", "panda", "--frame", "panda_hand_tcp", "--hold", "panda_joint7", "--json"
-    ).json()
-    assert data["held"] == ["panda_joint7"] and data["most"] == 8
-    assert (
-        Table(
-            "plan", "panda", "--frame", "panda_hand_tcp", "--hold", "panda_joint7=0.3", "--json"
-        ).json()
-        == data
-    )
-    data = Table(
-        "plan", "so101", "--frame", "tool", "--task", "position_axis", "--axis", "1,0,0", "--json"
-    ).json()
-    assert data["task"] == "position_axis" and data["held"] == []
 
 
 # ---- what is wrong

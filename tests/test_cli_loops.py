@@ -358,20 +358,6 @@ def test_fk_says_where_loops_are_open(engine, rodded):
 # ---- classify
 
 
-def test_classify():
-    """The report, and the same as data."""
-    shown = Result("classify", "car")
-    data = Result("classify", "car", "--q", "0,0,30", "--deg", "--json").json()
-    assert shown.code == 0 and "nonholonomic" in shown.out and "(2, 3) at q, degree 2" in shown.out
-    assert (data["growth"], data["kind"], data["reachable_dimension"]) == (
-        [2, 3],
-        "nonholonomic",
-        3,
-    )
-    assert data["q"]["drive.rz"] == pytest.approx(30.0) and data["angle_unit"] == "deg"
-    assert data["constraints"]["rear axle"]["sentence"] in " ".join(shown.out.split())
-
-
 def test_classify_where_loops_are_open():
     """Refused with the distance, or projected."""
     requested = ("classify", "four_bar", "--q", "0.5,0.1,0.2,0.3")
@@ -384,40 +370,6 @@ def test_classify_where_loops_are_open():
 # ---- dof
 
 
-@pytest.mark.parametrize(
-    ("name", "count", "rank", "dof"),
-    [
-        ("four_bar", 1, 1, 1),
-        ("bennett", -2, 1, 1),
-        ("sarrus", 0, 1, 1),
-        ("double_parallelogram", 0, 1, 1),
-        ("shaky_3r", 0, 1, 0),
-        ("five_bar", 2, 2, 2),
-        ("puma560", 6, 6, 6),
-        ("car", 3, 3, 3),
-    ],
-)
-def test_dof_of_the_literature(name, count, rank, dof):
-    """Counts and freedoms as published with each mechanism (see the files of the library)."""
-    result = Result("dof", name, "--json")
-    data = result.json()
-    assert result.code == 0 and data["system"] == name and data["closed"] is True
-    assert (data["gruebler"], data["rank_dof"], data["dof"]) == (count, rank, dof)
-    shown = Result("dof", name).out
-    assert shown.startswith(f"{name}: Gruebler says {count}") and f"truth {dof} " in " ".join(
-        shown.split()
-    )
-
-
-def test_dof_at_known_coordinates():
-    data = Result("dof", "four_bar", "--q", "A=30", "--deg", "--json").json()
-    assert data["angle_unit"] == "deg" and data["q"]["A"] == pytest.approx(30.0, abs=1e-12)
-    assert gap(kempe.load("four_bar"), {k: math.radians(v) for k, v in data["q"].items()}) < 1e-9
-    assert data["given_residual"] < 1e-9, "the loops are closed with A as given"
-    as_given = Result("dof", "four_bar", "--q", "1,2,3,4", "--json").json()
-    assert as_given["given_residual"] > 1.0 and gap(kempe.load("four_bar"), as_given["q"]) < 1e-9
-
-
 def test_dof_where_nothing_closes(engine):
     plain = Result("dof", engine, "--q", "S=3.5")
     data = Result("dof", engine, "--q", "S=3.5", "--json")
@@ -427,38 +379,7 @@ def test_dof_where_nothing_closes(engine):
     assert data.json()["success"] is False and data.json()["q"]["S"] == 3.5
 
 
-def test_dof_of_chosen_actuators():
-    assert (
-        "A and D control the mechanism (2 freedoms)"
-        in Result("dof", "five_bar", "--actuated", "A, D").out
-    )
-    good = Result("dof", "five_bar", "--actuated", "A,D", "--json").json()["control"]
-    one = Result("dof", "five_bar", "--actuated", "A", "--fast", "--json").json()["control"]
-    assert good["complete"] is True and good["actuated"] == ["A", "D"]
-    assert one["complete"] is False and one["useful"] == 2 and one["controlled"] == 1
-
-
 # ---- assemble
-
-
-def test_assemble_against_the_closed_form(engine):
-    for angle in (20.0, -70.0, 100.0):
-        result = Result("assemble", engine, f"A={angle}", "--deg", "--json")
-        data = result.json()
-        want = math.radians(angle)
-        assert (
-            result.code == 0
-            and data["success"] is True
-            and data["q"]["A"] == pytest.approx(angle, abs=1e-12)
-        )
-        assert data["q"]["S"] == pytest.approx(reach(want), abs=1e-12)
-        assert data["q"]["C"] == pytest.approx(
-            math.degrees(math.asin(math.sin(want) / 2.0)), abs=1e-9
-        )
-    near = Result("assemble", engine, "A=20", "--near", "S=2.9", "--deg", "--json").json()
-    assert near["q"]["S"] == pytest.approx(reach(math.radians(20.0)), abs=1e-12), (
-        "slides stay metres"
-    )
 
 
 def test_coordinates_that_follow_others(engine):
@@ -477,16 +398,6 @@ def test_coordinates_that_follow_others(engine):
     assert q["S"] == pytest.approx(reach(crank), abs=1e-9)
 
 
-def test_assemble_by_the_place_of_a_frame():
-    robot = kempe.load("five_bar")
-    result = Result("assemble", "five_bar", "tip=0.1,0.25", "--json")
-    q = robot.q(result.json()["q"])
-    assert result.code == 0 and np.abs(robot.fk(q, "tip")[:2, 3] - [0.1, 0.25]).max() < 1e-9
-    assert "tip is at 0.100000, 0.250000" in Result("assemble", "five_bar", "tip=0.1,0.25").out
-    missed = Result("assemble", "five_bar", "tip=9,0")
-    assert missed.code == 1 and "is missed by 8.5 m" in missed.out
-
-
 def test_the_last_line_can_be_given_back():
     line = Result("assemble", "four_bar", "A=40", "--deg").out.splitlines()[-1].split()
     assert line[0] == "--q"
@@ -495,35 +406,6 @@ def test_the_last_line_can_be_given_back():
     want = robot.fk(robot.assemble({"A": math.radians(40.0)}).q, "rocker")
     np.testing.assert_allclose(pose.json()["matrix"], want, atol=1e-9)
     assert pose.err == ""
-
-
-def test_assemble_branches(engine):
-    both = Result("assemble", engine, "A=90", "--deg", "--modes", "--json").json()
-    assert both["complete"] is True and len(both["q"]) == 2
-    assert sorted(q["S"] for q in both["q"]) == pytest.approx(
-        [-math.sqrt(3.0), math.sqrt(3.0)], abs=1e-12
-    )
-    for sign, q in zip(both["branches"], both["q"], strict=True):
-        one = Result("assemble", engine, "A=90", "--deg", "--branch", sign, "--json").json()
-        assert one["q"]["S"] == pytest.approx(q["S"], abs=1e-12)
-    shown = Result("assemble", engine, "A=90", "--deg", "--modes").out
-    assert (
-        shown.startswith("2 configurations of engine; complete")
-        and "\nsign 1: " in shown
-        and "1.732051" in shown
-    )
-    none = Result("assemble", engine, "S=5", "--modes", "--json")
-    assert none.code == 1 and none.json()["q"] == []
-
-
-def test_modes_of_many_coordinates_are_columns():
-    lines = Result("assemble", "jansen", "O=0.3", "--modes").out.splitlines()
-    system = kempe.load("jansen")
-    modes = system.assembly_modes({"O": 0.3})
-    assert lines[2].split() == list(modes.branches)
-    for i, name in enumerate(system.coordinate_names):
-        shown = [x.split()[2:] for x in lines if x.startswith(f"{name} [rad]")]
-        assert name == "O" or [float(x) for x in shown[0]] == pytest.approx(modes.q[:, i], abs=1e-6)
 
 
 def test_an_open_loop_is_reported_and_not_written(engine, tmp_path):
@@ -579,60 +461,7 @@ def test_assemble_rows_of_a_file(engine, tmp_path):
     assert refused.code == 2 and "one configuration is drawn" in refused.err
 
 
-def test_limits_can_be_left_out(tmp_path):
-    path = tmp_path / "limited.toml"
-    path.write_text(CRANK_SLIDER.replace("axis = [1, 0]\n", "axis = [1, 0]\nlimits = [2, 4]\n"))
-    within = Result("assemble", path, "S=1.5")
-    without = Result("assemble", path, "S=1.5", "--no-limits", "--json")
-    assert within.code == 1 and "limits" in within.out and without.code == 0
-    assert reach(without.json()["q"]["A"]) == pytest.approx(1.5, abs=1e-9)
-    short = Result("trace", path, "--json").json()
-    whole = Result("trace", path, "--no-limits", "--json").json()
-    assert (short["closed"], whole["closed"]) == (False, True) and any(
-        "'S'" in end for end in short["ends"]
-    )
-
-
 # ---- trace
-
-
-def test_trace_against_the_closed_form(engine, tmp_path):
-    out = tmp_path / "path.csv"
-    result = Result(
-        "trace",
-        engine,
-        "--driver",
-        "S",
-        "--frame",
-        "pin",
-        "-o",
-        out,
-        "--points",
-        "50",
-        "--deg",
-        "--json",
-    )
-    data = result.json()
-    rows = table(out)
-    assert result.code == 0 and data["closed"] is True and data["written"] == [str(out)]
-    assert rows.dtype.names == ("s", "A", "B", "C", "S", "pinx", "piny") and len(data["q"]) == 50
-    both = [
-        [s, *q.values(), *p]
-        for s, q, p in zip(data["s"], data["q"], data["curves"]["pin"], strict=True)
-    ]
-    np.testing.assert_allclose(both, np.array(rows.tolist()), atol=1e-12)
-    angle = np.radians(rows["A"])
-    np.testing.assert_allclose(rows["S"], [reach(a) for a in angle], atol=1e-9)
-    np.testing.assert_allclose(
-        [rows["pinx"], rows["piny"]], [np.cos(angle), np.sin(angle)], atol=1e-9
-    )
-    np.testing.assert_allclose(np.diff(rows["s"]), rows["s"][-1] / 49.0, rtol=1e-9)
-    folds = {
-        (e["kind"], e["coordinate"], round(e["value"], 9), e["unit"])
-        for e in data["turning_points"]
-    }
-    assert folds == {("fold of the driver", "S", 3.0, "m"), ("fold of the driver", "S", 1.0, "m")}
-    assert abs(data["turns"]["A"]) == 1
 
 
 def test_trace_in_words(engine, tmp_path):
@@ -649,31 +478,6 @@ def test_trace_in_words(engine, tmp_path):
     assert ["S", "1.000000", "3.000000", "m"] in lines
     assert "extreme, 'C' = 30 deg" in result.out
     assert np.load(out).shape[1] == 5
-
-
-def test_trace_starts_at_known_coordinates():
-    for start, sign in (("closed", 1.0), ("neutral", -1.0)):
-        q = Result("trace", "four_bar", "--start", start, "--json").json()["q"][0]
-        assert math.copysign(1.0, math.sin(q["D"])) == sign, (
-            "the rocker is above the base, or below"
-        )
-    data = Result("trace", "four_bar", "--start", "A=30", "--deg", "--json").json()
-    want = Result("assemble", "four_bar", "A=30", "--deg", "--json").json()["q"]
-    assert data["q"][0] == pytest.approx(want, abs=1e-9), "the branch that assemble finds"
-    wrong = Result("trace", "slider_crank", "--start", "S=10", "--json")
-    assert (
-        wrong.code == 1
-        and wrong.json()["success"] is False
-        and "not closed" in wrong.json()["status"]
-    )
-
-
-def test_trace_with_a_held_coordinate():
-    data = Result("trace", "five_bar", "--driver", "A", "--hold", "C=60", "--deg", "--json").json()
-    values = [q["C"] for q in data["q"]]
-    assert data["held"] == ["C"] and values == pytest.approx([60.0] * len(values), abs=1e-9)
-    still = Result("trace", "four_bar", "--hold", "A=1")
-    assert still.code == 0 and still.out.startswith("four_bar: it cannot move")
 
 
 @pytest.mark.slow

@@ -17,19 +17,6 @@ def test_spaces_are_described():
     assert "m = 2 > n = 1" in done.out and "uniform in arc length" in done.out
 
 
-def test_json_holds_the_same():
-    done = Result("spaces", "two_link", "--frame", "e", "--sample", 7, "--rng", 3, "--json")
-    data = done.json()
-    assert (data["components"]["count"], data["components"]["complete"]) == (1, True)
-    assert (
-        data["task_space"]["m"],
-        data["task_space"]["n"],
-        data["task_space"]["generic_rank"],
-    ) == (3, 2, 2)
-    q = kempe.load("two_link").configuration_space.sample(7, 3).q
-    assert [list(x.values()) for x in data["sample"]["q"]] == q.tolist()
-
-
 @pytest.mark.slow
 def test_samples_and_pictures_are_written(tmp_path):
     pytest.importorskip("matplotlib")

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command import Result
 
 import kempe
 from kempe.answers.tables import Tabular
@@ -68,39 +67,6 @@ def test_what_is_saved_is_the_table(what: str, tmp_path: Path):
         np.array([[float(x) for x in line.split(",")] for line in lines]), columns
     )
     assert set(answer.system.coordinate_names) <= set(names)
-
-
-@pytest.mark.parametrize(
-    ("what", "command"),
-    [
-        ("path", ["trace", "four_bar", "--driver", "A", "-o"]),
-        ("assembly", ["assemble", "four_bar", "A=0.3", "-o"]),
-        ("modes", ["assemble", "four_bar", "A=0.3", "--modes", "-o"]),
-    ],
-)
-def test_the_command_line_writes_the_same(what: str, command: list[str], tmp_path: Path):
-    assert Result(*command, tmp_path / "cli.csv").code == 0
-    answer = MAKERS[what]() if what != "path" else bar().trace("A")
-    assert answer.save(tmp_path / "own.csv").read_text() == (tmp_path / "cli.csv").read_text()
-
-
-@pytest.mark.parametrize("what", ["ik", "ik --all"])
-def test_the_command_line_writes_the_same_of_batches(what: str, tmp_path: Path):
-    s = kempe.load("ur5")
-    X = targets(s, 3)
-    np.save(tmp_path / "X.npy", X)
-    answer = s.ik(X, "tool") if what == "ik" else s.ik_all(X, "tool")
-    words = [
-        *what.split()[:1],
-        "ur5",
-        "--frame",
-        "tool",
-        "--target",
-        tmp_path / "X.npy",
-        *what.split()[1:],
-    ]
-    assert Result(*words, "-o", tmp_path / "cli.csv").code == 0
-    assert answer.save(tmp_path / "own.csv").read_text() == (tmp_path / "cli.csv").read_text()
 
 
 def test_frames_of_a_motion_are_chosen_when_it_is_saved(tmp_path: Path):
