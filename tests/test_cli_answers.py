@@ -226,19 +226,20 @@ def same(got: Any, expected: Any, place: str = "") -> None:
         assert got == expected, place
 
 
+NOTHING = "assemble four_bar D=0"
+"""A command that writes nothing, as nothing closes."""
 WRITTEN = ("fk ", "ik ", "path ", "assemble ", "trace ", "singularities ", "reach ")
 
 
 @pytest.mark.parametrize(
-    "case", [c for c in CASES if c.words.startswith(WRITTEN)], ids=lambda case: case.words
+    "case",
+    [c for c in CASES if c.words.startswith(WRITTEN) and c.words != NOTHING],
+    ids=lambda case: case.words,
 )
 def test_a_command_writes_the_answer(case: Case, folder):
     words = case.words.split()
     answer = case.call()
     done = Result(*words, "-o", "out.csv")
-    if not np.any(answer.success) and words[0] == "assemble":
-        assert "out.csv is not written" in done.err
-        return
     answer.save(folder / "own.csv", degrees="--deg" in words)
     head, *_ = (folder / "out.csv").read_text().splitlines()
     assert head == (folder / "own.csv").read_text().splitlines()[0]
