@@ -219,9 +219,7 @@ def test_configurations_paths_and_self_motions_are_drawn_in_both_spaces():
         start, kempe.constraints.OnLine("e", (x, 0.0), (0.0, 1.0, 0.0))
     )
     line = np.linspace([1.0, 0.5], [1.5, 2.0], 7)
-    sides = LIMITED.plot_spaces(
-        "e", q={"q1": 1.0, "q2": 2.0}, paths=[way, kept, line], resolution=20
-    )
+    sides = LIMITED.plot_spaces("e", q=[{"q1": 1.0, "q2": 2.0}, way, kept, line], resolution=20)
     left, right = (artists(ax) for ax in sides)
     for k, q in enumerate((way.q, kept.q, line)):
         assert np.transpose(left[f"path:{k}"][0].get_data()) == pytest.approx(q)
@@ -232,9 +230,9 @@ def test_configurations_paths_and_self_motions_are_drawn_in_both_spaces():
     assert np.transpose(right["path:0"][0].get_data()) == pytest.approx(targets, abs=1e-5)
     assert np.ravel(left["configuration:0"][0].get_data()) == pytest.approx([1.0, 2.0])
     assert "configuration:0:arm" in right
-    for wrong in ({"paths": 3.0}, {"paths": [np.zeros((2, 3))]}, {"q": np.zeros((1, 2, 2))}):
+    for wrong in (3.0, [np.zeros((2, 3))], np.zeros((1, 2, 2)), [np.nan, 0.0]):
         with pytest.raises(InputError):
-            LIMITED.plot_spaces("e", resolution=20, **wrong)
+            LIMITED.plot_spaces("e", resolution=20, q=wrong)
 
 
 # ---- with closed loops

@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.arguments import explained, flag, numbers, until_interrupt
-from kempe.arrays import is_whole
+from kempe.arrays import is_real, is_whole
 from kempe.budget import Budget, Usual
 from kempe.constraints.flat_tasks import FlatTask, flat_task
 from kempe.equations.judge import closure_error
 from kempe.errors import InputError, Interrupted, TimeLimitError, UnsupportedError, shown
 from kempe.forward.fk import fk, jacobian
-from kempe.model.configurations import as_q, has_loops, units
+from kempe.model.configurations import as_q, has_loops, refuse_far, units
 from kempe.motion.trace import trace
 from kempe.numerics.clock import TIME_LIMIT, TimeLimit, partial
 from kempe.spaces.two_freedoms import NEEDED, TwoFreedoms, two_freedoms
@@ -66,7 +66,6 @@ def plot_spaces(
     *,
     points: ArrayLike = (),
     q: Any = None,
-    paths: Any = (),
     task: str | None = None,
     grid: bool = False,
     ax: Any = None,
@@ -82,10 +81,10 @@ def plot_spaces(
     says which two numbers of the frame the places are: "xy", "xz" or "yz", its position along two
     axes of the ground [m], or "direction", the azimuth and elevation of its z axis [rad]. `points`
     (k, 2) are places that the frame shall reach: their solutions are marked on both sides, or,
-    where there is none, the nearest place found, with the distance. `q` are configurations (nq,) or
-    (k, nq), drawn as dots on both sides, with their arms. `paths` are lines of configurations on
-    both sides: an array (n, nq), or an answer with such `q`, as of `trace`, `ik_path` and
-    `self_motion`, or a list of them; a ring is where each begins. `grid` draws lines on which one
+    where there is none, the nearest place found, with the distance. `q`
+    is drawn on both sides: a configuration (nq,) as a dot with its arm; a line of them (n, nq), or
+    an answer with such `q`, as of `trace`, `ik_path` and `self_motion`, as a line with a ring where
+    it begins; or a list of such. `grid` draws lines on which one
     coordinate is constant, and their images. `ax` is a pair of axes to draw on; `resolution` the
     number of places along each axis (8 to 1000).
 
@@ -114,8 +113,9 @@ def plot_spaces(
             f"resolution is {shown(resolution)}; it must be a whole number, {COARSEST} to {FINEST}"
         )
     lines = flag(grid, "grid")
-    dots = _configurations(system, q, "q")
-    motions = [_configurations(system, x, "paths") for x in _several(paths)]
+    given = [_configurations(system, x) for x in _several(q)]
+    dots = [x for x in given if x.ndim == 1]
+    motions = [x for x in given if x.ndim == 2]
     own = None if ax is None else page.axes_given(ax, 2)
     space = two_freedoms(system, name, seen, TimeLimit(spend.time_limit))
     space.progress = spend.progress
@@ -168,29 +168,28 @@ def _targets(points: ArrayLike, seen: FlatTask) -> Array:
     return targets
 
 
-def _several(paths: Any) -> list[Any]:
-    """The paths one by one: an answer, an array (n, nq), or a list of such."""
-    if hasattr(paths, "q") or isinstance(paths, np.ndarray):
-        return [paths]
-    if not isinstance(paths, (list, tuple)):
-        raise InputError(
-            f"paths is {shown(paths)}; it must be an answer, an array (n, nq), or a list"
-        )
-    several: list[Any] = [*paths]
-    return several
+def _several(q: Any) -> list[Any]:
+    """Configurations, lines of them and answers, one by one."""
+    if q is None:
+        return []
+    if not isinstance(q, (list, tuple)):
+        return [q]
+    several: list[Any] = [*q]
+    return [several] if all(is_real(x) for x in several) else several
 
 
-def _configurations(system: Model, given: Any, name: str) -> Array:
-    """Configurations (k, nq) of an answer, an array or named values; rows that are NaN are left
-    out. Errors: `InputError`.
+def _configurations(system: Model, q: Any) -> Array:
+    """A configuration (nq,), or a line (n, nq) of an answer or an array, without rows that are NaN.
+    Errors: `InputError`.
     """
-    if given is None:
-        return np.empty((0, system.nq))
-    q = as_q(system, getattr(given, "q", given))
-    if q.ndim > 2:
-        raise InputError(f"{name} has shape {q.shape}; it must be (k, {system.nq})")
-    q = q.reshape(-1, system.nq)
-    return q[np.isfinite(q).all(axis=1)]
+    array = as_q(system, getattr(q, "q", q))
+    if array.ndim > 2:
+        raise InputError(
+            f"q has shape {array.shape}; it must be ({system.nq},) or (n, {system.nq})"
+        )
+    if array.ndim == 1:
+        return refuse_far(system, array, "q")
+    return array[np.isfinite(array).all(axis=1)]
 
 
 def nearest(
