@@ -22,8 +22,8 @@ slides along its axis."""
 class JointLine(NamedTuple):
     """The line of a joint: an axis about which it turns, or a way along which it slides.
 
-    `point` and the unit vector `direction` are numbers (3,), symbols, or in the plane complex
-    numbers; there turns go about z, and `rate` has their sense. By its `coordinate` the joint turns
+    `point` and the unit vector `direction` are numbers (3,) or symbols, or in the plane complex
+    numbers or pairs; there turns go about z, and `rate` has their sense. By its `coordinate` the joint turns
     or slides `rate` times as much, within the `limits` of that.
     """
 
@@ -33,6 +33,11 @@ class JointLine(NamedTuple):
     coordinate: str = ""
     rate: float = 1.0
     limits: tuple[float, float] = (-np.inf, np.inf)
+
+    @property
+    def name(self) -> str:
+        """The coordinate as a name of a joint."""
+        return self.coordinate.replace(".", "_")
 
 
 def zero_configuration(system: Model) -> Array:
@@ -48,7 +53,7 @@ def joint_lines_of(system: Model, frame: str) -> tuple[list[JointLine], Array]:
     at zero.
 
     Joints that their limits hold are left out. Errors: `UnsupportedError` for other joints than
-    turns and slides, each with a coordinate of its own.
+    turns and slides, each with one coordinate.
     """
     table, q_index, v_index = local_chain(system.structure.table, frame)
     if len(table.iv) != len(v_index) or len(q_index) != len(v_index):
@@ -60,10 +65,11 @@ def joint_lines_of(system: Model, frame: str) -> tuple[list[JointLine], Array]:
     J = jacobian(system, q, frame)[:, v_index]
     lines: list[JointLine] = []
     for k, i in enumerate(v_index):
-        v, w = J[:3, k], J[3:, k]
-        low, high = float(system.lower[i]), float(system.upper[i])
+        v = J[:3, k]
+        w = J[3:, k]
+        limits = (float(system.lower[i]), float(system.upper[i]))
         turning = float(np.linalg.norm(w))
-        if low == high:
+        if limits[0] == limits[1]:
             continue
         if turning > 0.0 and abs(float(v @ w)) > SCREW * turning**2:
             raise UnsupportedError(f"a joint of the chain of {frame!r} is a screw")
@@ -71,6 +77,6 @@ def joint_lines_of(system: Model, frame: str) -> tuple[list[JointLine], Array]:
         point = pose[:3, 3] + np.cross(w, v) / turning**2 if turning else pose[:3, 3]
         name = system.coordinate_names[int(q_index[k])]
         lines.append(
-            JointLine(point, (w if turning else v) / rate, turning > 0.0, name, rate, (low, high))
+            JointLine(point, (w if turning else v) / rate, turning > 0.0, name, rate, limits)
         )
     return lines, pose

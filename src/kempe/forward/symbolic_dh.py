@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from kempe import spatial
 from kempe.arguments import explained, known
 from kempe.description.dh import CONVENTIONS, DHRow, from_dh
 from kempe.errors import UnsupportedError
+from kempe.forward.joint_lines import JointLine
 from kempe.forward.symbolic import (
     SymbolicStep,
     SymbolLeaves,
@@ -101,23 +102,6 @@ class DHTable(Report):
         }
 
 
-class JointLine(NamedTuple):
-    """The line of a joint at q = 0: a point and a unit direction, its coordinate, whether it turns,
-    its limits.
-    """
-
-    point: Any
-    along: Any
-    coordinate: str = ""
-    turns: bool = True
-    limits: tuple[float, float] | None = None
-
-    @property
-    def name(self) -> str:
-        """The coordinate as a name of a joint."""
-        return self.coordinate.replace(".", "_")
-
-
 @explained
 def to_dh(
     system: Model,
@@ -158,7 +142,7 @@ def _tabled(system: Model, frame: str, convention: str, leaves: SymbolLeaves) ->
     """The table, or the parameters on which directions of normals depend."""
     axes, tip = joint_lines(system, frame, leaves)
     unknown = set[Any]().union(
-        tip.free_symbols, *(a.point.free_symbols | a.along.free_symbols for a in axes)
+        tip.free_symbols, *(a.point.free_symbols | a.direction.free_symbols for a in axes)
     )
     if unknown := sorted(set(map(str, unknown)) - set(system.structure.parameters)):
         raise UnsupportedError(
@@ -181,11 +165,11 @@ def _tabled(system: Model, frame: str, convention: str, leaves: SymbolLeaves) ->
     for i, axis in enumerate(axes):
         (_, at) = ends[i]
         (foot, other) = ends[i + 1]
-        h = axis.along
+        h = axis.direction
         x = x_axes[i + 1]
         a = _value(_chopped((other - foot).dot(x)))
         d = _value(_chopped((foot - at).dot(h)))
-        alpha = _value(angle_about(h, lines[i + 1].along, x))
+        alpha = _value(angle_about(h, lines[i + 1].direction, x))
         theta = _value(angle_about(x_axes[i], x, h))
         held = (a, alpha) if convention == "standard" else before
         before = (a, alpha)
@@ -196,12 +180,12 @@ def _tabled(system: Model, frame: str, convention: str, leaves: SymbolLeaves) ->
                 theta,
                 "revolute" if axis.turns else "prismatic",
                 axis.name,
-                limits=axis.limits,
+                limits=axis.limits if np.isfinite(axis.limits).any() else None,
             )
         )
-    base = _pose(x_axes[0], lines[0].along, start, system)
+    base = _pose(x_axes[0], lines[0].direction, start, system)
     last = ends[-1][1 if convention == "standard" else 0]
-    X_n = _pose(x_axes[-1], lines[-1 if convention == "standard" else -2].along, last, system)
+    X_n = _pose(x_axes[-1], lines[-1 if convention == "standard" else -2].direction, last, system)
     X_tip = spatial.pose(tip_R, _numbers(tip[:3, 3], system))
     return DHTable(system, frame, convention, tuple(rows), base, spatial.inverse(X_n) @ X_tip)
 
@@ -253,10 +237,10 @@ def joint_lines(
     )
     out: list[JointLine] = []
     for X, h, (step, _, _, name) in zip(poses[:-1], directions, at, strict=True):
-        low, high = bounds[name]
-        bounded = None if math.isinf(low) and math.isinf(high) else (low, high)
+        direction = tidy(h.subs(fixed))
+        limits = tuple(bounds[name])
         out.append(
-            JointLine(X[:3, 3].subs(fixed), tidy(h.subs(fixed)), name, step.kind == "turn", bounded)
+            JointLine(X[:3, 3].subs(fixed), direction, step.kind == "turn", name, limits=limits)
         )
     tip = poses[-1].subs(fixed)
     tip[:3, :3] = tidy(tip[:3, :3])
@@ -267,8 +251,8 @@ def _first(axis: JointLine) -> tuple[Any, Any]:
     """Origin and x axis of frame 0: nearest to the ground on the first axis, with x of the ground
     if it can be.
     """
-    h = axis.along
-    foot = axis.point - axis.along * axis.along.dot(axis.point)
+    h = axis.direction
+    foot = axis.point - axis.direction * axis.direction.dot(axis.point)
     ground = sympy.Matrix([1, 0, 0] if abs(float(h[0])) < 0.9 else [0, 1, 0])
     x = ground - h * h.dot(ground)
     return foot, tidy(x / sympy.sqrt(x.dot(x)))
@@ -283,8 +267,8 @@ def _normal(
     direction that it has where the axes are one; the last normal of parallel axes goes through the
     tip. Where the direction depends on lengths these are its symbols.
     """
-    h = one.along
-    k = two.along
+    h = one.direction
+    k = two.direction
     gap = two.point - at
     n = h.cross(k)
     sine = math.sqrt(float(n.dot(n)))

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,8 +32,9 @@ from kempe.arguments import explained, numbers
 from kempe.arrays import is_whole
 from kempe.equations.closure_rows import of_system
 from kempe.errors import InputError, UnsupportedError, shown
+from kempe.forward.joint_lines import JointLine
 from kempe.forward.symbolic import SymbolLeaves, sympy
-from kempe.forward.symbolic_dh import JointLine, angle_about, joint_lines, tidy
+from kempe.forward.symbolic_dh import angle_about, joint_lines, tidy
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -47,31 +48,18 @@ if TYPE_CHECKING:
 ELBOW = "-1 is elbow up, +1 elbow down"
 
 
-class PlaneJoint(NamedTuple):
-    """A joint at q = 0: a point of its axis, whether it turns, its sense about z or its direction."""
-
-    name: str
-    at: Vector
-    turns: bool
-    sense: int
-    along: Vector
-
-    @classmethod
-    def of(cls, joint: Any) -> PlaneJoint:
-        """The joint as it lies in the plane."""
-        sense = int(joint.along[2]) if joint.turns else 1
-        return cls(
-            joint.coordinate,
-            (joint.point[0], joint.point[1]),
-            joint.turns,
-            sense,
-            (joint.along[0], joint.along[1]),
-        )
+def planar_line(joint: JointLine) -> JointLine:
+    """The line of a joint of the plane z = 0, as pairs of x and y; `rate` is the sense of a turn."""
+    return joint._replace(
+        point=(joint.point[0], joint.point[1]),
+        direction=(joint.direction[0], joint.direction[1]),
+        rate=int(joint.direction[2]) if joint.turns else 1,
+    )
 
 
 def in_plane(
     n: Names,
-    arm: list[PlaneJoint],
+    arm: list[JointLine],
     to: Vector,
     end: Vector,
     angle: Any,
@@ -83,20 +71,20 @@ def in_plane(
     """
     steps = list[FormulaStep]()
     if angle is not None and arm[-1].turns:
-        place = minus(to, turned(minus(end, arm[-1].at), angle))
+        place = minus(to, turned(minus(end, arm[-1].point), angle))
         if place != to:
             steps = [
                 FormulaStep(s, x, "the target, less the last link")
                 for s, x in zip(names, place, strict=True)
             ]
             to = (steps[0].symbol, steps[1].symbol)
-        end = arm[-1].at
+        end = arm[-1].point
     more, found = solved(n, arm, to, end, angle, elbow)
     return steps + more, found
 
 
 def solved(
-    n: Names, arm: list[PlaneJoint], to: Vector, end: Vector, angle: Any, elbow: str
+    n: Names, arm: list[JointLine], to: Vector, end: Vector, angle: Any, elbow: str
 ) -> tuple[list[FormulaStep], list[Any]]:
     """Steps and coordinates: of joints that bring the point `end` to `to`, the last body turned by
     `angle`.
@@ -107,63 +95,64 @@ def solved(
     one = arm[0]
     two = arm[1]
     if any(
-        one.turns and two.turns and set(minus(two.at, one.at)) == {0} for one, two in pairwise(arm)
+        one.turns and two.turns and set(minus(two.point, one.point)) == {0}
+        for one, two in pairwise(arm)
     ):
         raise UnsupportedError(
             "two turns are about one axis, which leaves a joint to spare; ik_all gives families"
         )
     if kinds in ("RR", "RRR"):
-        (l1, at1) = polar(minus(two.at, one.at))
-        (l2, at2) = polar(minus(end, two.at))
-        steps, first, bend = two_circles(n, minus(to, one.at), l1, l2, elbow, one.sense)
+        (l1, at1) = polar(minus(two.point, one.point))
+        (l2, at2) = polar(minus(end, two.point))
+        steps, first, bend = two_circles(n, minus(to, one.point), l1, l2, elbow, int(one.rate))
         turns = [first - at1, bend - (at2 - at1)]
         return steps, _turns(arm, turns, angle)
     if kinds in ("RP", "RPR"):
-        gap = minus(end, one.at)
-        (_, at) = polar(two.along)
-        ahead, aside = _parts(gap, two.along)
-        steps, u, rail = turning_slide(n, minus(to, one.at), aside)
+        gap = minus(end, one.point)
+        (_, at) = polar(two.direction)
+        ahead, aside = _parts(gap, two.direction)
+        steps, u, rail = turning_slide(n, minus(to, one.point), aside)
         turn = rail - at
         return steps, [
-            one.sense * turn,
+            one.rate * turn,
             u - ahead,
-            *([arm[2].sense * (angle - turn)] if kinds == "RPR" else []),
+            *([arm[2].rate * (angle - turn)] if kinds == "RPR" else []),
         ]
     if kinds in ("PR", "PRR"):
-        length, at = polar(minus(end, two.at))
-        steps, u, bar = line_and_circle(n, minus(to, two.at), one.along, length)
+        length, at = polar(minus(end, two.point))
+        steps, u, bar = line_and_circle(n, minus(to, two.point), one.direction, length)
         turn = bar - at
         return steps, [
             u,
-            two.sense * turn,
-            *([arm[2].sense * (angle - turn)] if kinds == "PRR" else []),
+            two.rate * turn,
+            *([arm[2].rate * (angle - turn)] if kinds == "PRR" else []),
         ]
     if kinds == "RRP":  # the orientation is that of the second body
-        length, at = polar(minus(two.at, one.at))
-        rest = minus(minus(to, one.at), turned(minus(end, two.at), angle))
-        steps, u, bar = line_and_circle(n, rest, turned(arm[2].along, angle), length)
+        length, at = polar(minus(two.point, one.point))
+        rest = minus(minus(to, one.point), turned(minus(end, two.point), angle))
+        steps, u, bar = line_and_circle(n, rest, turned(arm[2].direction, angle), length)
         turn = bar - at
-        return steps, [one.sense * turn, two.sense * (angle - turn), u]
+        return steps, [one.rate * turn, two.rate * (angle - turn), u]
     if kinds in ("PP", "PPR"):
-        steps, u1, u2 = two_lines(n, minus(to, end), one.along, two.along)
-        return steps, [u1, u2, *([arm[2].sense * angle] if kinds == "PPR" else [])]
+        steps, u1, u2 = two_lines(n, minus(to, end), one.direction, two.direction)
+        return steps, [u1, u2, *([arm[2].rate * angle] if kinds == "PPR" else [])]
     if kinds == "RPP":
-        rest = minus(turned(minus(to, one.at), -angle), minus(end, one.at))
-        steps, u2, u3 = two_lines(n, rest, two.along, arm[2].along)
-        return steps, [one.sense * angle, u2, u3]
+        rest = minus(turned(minus(to, one.point), -angle), minus(end, one.point))
+        steps, u2, u3 = two_lines(n, rest, two.direction, arm[2].direction)
+        return steps, [one.rate * angle, u2, u3]
     if kinds == "PRP":
-        rest = minus(to, plus(two.at, turned(minus(end, two.at), angle)))
-        steps, u1, u3 = two_lines(n, rest, one.along, turned(arm[2].along, angle))
-        return steps, [u1, two.sense * angle, u3]
+        rest = minus(to, plus(two.point, turned(minus(end, two.point), angle)))
+        steps, u1, u3 = two_lines(n, rest, one.direction, turned(arm[2].direction, angle))
+        return steps, [u1, two.rate * angle, u3]
     raise UnsupportedError(
         "formulas need a joint that turns where an angle is wanted; ik_all gives numbers"
     )
 
 
-def _turns(arm: list[PlaneJoint], turns: list[Any], angle: Any) -> list[Any]:
+def _turns(arm: list[JointLine], turns: list[Any], angle: Any) -> list[Any]:
     """Coordinates of joints that turn: by these, the last one by what is left of the angle."""
     last = [] if angle is None else [angle - sum(turns)]
-    return [j.sense * x for j, x in zip(arm, [*turns, *last], strict=True)]
+    return [j.rate * x for j, x in zip(arm, [*turns, *last], strict=True)]
 
 
 def _parts(v: Vector, along: Vector) -> tuple[Any, Any]:
@@ -241,7 +230,7 @@ class ArmPlane:
         else:
             angle = sympy.atan2(y, x) + sympy.atan2(aside, rho)
             some = ""
-        turn = first.along[2] * (angle - zero)
+        turn = first.direction[2] * (angle - zero)
         steps.append(
             FormulaStep(sympy.Symbol(first.coordinate), turn, "turns the plane to the target", some)
         )
@@ -257,12 +246,10 @@ class ArmPlane:
         """
         joints = self.joints[1 : 1 + count]
         arm = [
-            PlaneJoint(
-                j.coordinate,
-                self.flat(j.point - self.joints[0].point, j.point),
-                j.turns,
-                -1 if j.turns and float(j.along.dot(self.normal)) < 0.0 else 1,
-                self.flat(j.along, j.along),
+            j._replace(
+                point=self.flat(j.point - self.joints[0].point, j.point),
+                direction=self.flat(j.direction, j.direction),
+                rate=-1 if j.turns and float(j.direction.dot(self.normal)) < 0.0 else 1,
             )
             for j in joints
         ]
@@ -285,8 +272,8 @@ class ArmPlane:
         turn, and in words.
         """
         five, six = self.joints[-2:]
-        b = five.along
-        c = six.along
+        b = five.direction
+        c = six.direction
         tip = self.tip[:3, :3]
         m = [names[f"m_{i}"] for i in (1, 2, 3)]
         k = [names[f"n_{i}"] for i in (2, 3)]
@@ -328,19 +315,21 @@ class ArmPlane:
 
     def first_turn(self) -> Any:
         """How the first body is turned (3, 3) against q = 0."""
-        return turn_about(Z, self.joints[0].along[2] * sympy.Symbol(self.joints[0].coordinate))
+        return turn_about(Z, self.joints[0].direction[2] * sympy.Symbol(self.joints[0].coordinate))
 
 
 def normal_of(joints: list[JointLine]) -> Any:
     """The horizontal normal (3,) of the plane in which joints turn and slide; None if there is no
     one plane.
     """
-    turns = [j.along for j in joints if j.turns]
-    across = turns or [Z.cross(j.along) for j in joints if not parallel(j.along, Z)]
+    turns = [j.direction for j in joints if j.turns]
+    across = turns or [Z.cross(j.direction) for j in joints if not parallel(j.direction, Z)]
     if not across:
         return None
     normal = tidy(across[0] / sympy.sqrt(across[0].dot(across[0])))
-    flat = all(parallel(j.along, normal) if j.turns else upright(j.along, normal) for j in joints)
+    flat = all(
+        parallel(j.direction, normal) if j.turns else upright(j.direction, normal) for j in joints
+    )
     return normal if flat and upright(normal, Z) else None
 
 
@@ -360,16 +349,16 @@ def short(x: Any) -> Any:
 
 def meeting(a: JointLine, b: JointLine) -> Any:
     """The point (3,) in which two axes at right angles meet; None for others."""
-    if not (a.turns and b.turns and upright(a.along, b.along)):
+    if not (a.turns and b.turns and upright(a.direction, b.direction)):
         return None
     # where they would be nearest to each other
-    end = tidy(a.point + a.along * (b.point - a.point).dot(a.along))
+    end = tidy(a.point + a.direction * (b.point - a.point).dot(a.direction))
     return end if is_on(end, b) else None
 
 
 def is_on(point: Any, line: JointLine) -> bool:
     """Whether a point is on the axis of a joint."""
-    return tidy((point - line.point).cross(line.along)).is_zero_matrix
+    return tidy((point - line.point).cross(line.direction)).is_zero_matrix
 
 
 def parallel(a: Any, b: Any) -> bool:
@@ -398,11 +387,11 @@ class ParallelArm(ArmPlane):
     @classmethod
     def of(cls, joints: list[JointLine], tip: Any) -> ParallelArm | None:
         """The arm of six joints; None if it is not of this kind."""
-        if len(joints) != 6 or not joints[0].turns or not parallel(joints[0].along, Z):
+        if len(joints) != 6 or not joints[0].turns or not parallel(joints[0].direction, Z):
             return None
         normal = normal_of(joints[1:4])
         end = meeting(*joints[4:])
-        if normal is None or end is None or not upright(joints[4].along, normal):
+        if normal is None or end is None or not upright(joints[4].direction, normal):
             return None
         return cls(tuple(joints), normal, end, tip)
 
@@ -433,7 +422,7 @@ class SpatialArm(ArmPlane):
     @classmethod
     def of(cls, joints: list[JointLine], tip: Any) -> SpatialArm | None:
         """The arm of three joints, or of six that end in a wrist; None if it is not of this kind."""
-        if len(joints) not in (3, 6) or not joints[0].turns or not parallel(joints[0].along, Z):
+        if len(joints) not in (3, 6) or not joints[0].turns or not parallel(joints[0].direction, Z):
             return None
         normal = normal_of(joints[1:3])
         end = tip[:3, 3] if len(joints) == 3 else _centre(*joints[3:])
@@ -446,13 +435,13 @@ class SpatialArm(ArmPlane):
             return three
         four = self.joints[3]
         turn = (sympy.Symbol(four.coordinate), "the fourth coordinate")
-        return three + self.wrist(self._third(), four.along, "axis 4", turn, R, names)
+        return three + self.wrist(self._third(), four.direction, "axis 4", turn, R, names)
 
     def _third(self) -> Any:
         """How the third body is turned (3, 3) against q = 0."""
         lift = sum(
             (
-                int(round(float(j.along.dot(self.normal)))) * sympy.Symbol(j.coordinate)
+                int(round(float(j.direction.dot(self.normal)))) * sympy.Symbol(j.coordinate)
                 for j in self.joints[1:3]
                 if j.turns
             ),
@@ -467,7 +456,9 @@ def _centre(a: JointLine, b: JointLine, c: JointLine) -> Any:
     """
     end = meeting(a, b)
     return (
-        end if end is not None and c.turns and upright(b.along, c.along) and is_on(end, c) else None
+        end
+        if end is not None and c.turns and upright(b.direction, c.direction) and is_on(end, c)
+        else None
     )
 
 
@@ -615,7 +606,8 @@ def _is_planar(joints: list[JointLine], tip: Any, task: str | None) -> bool:
     arm = [j for j in joints if not _lifts(j)]
     what = task or TASKS.get(len(arm), "position")
     planar = all(
-        bool(j.along[0] == 0 == j.along[1]) if j.turns else bool(j.along[2] == 0) for j in arm
+        bool(j.direction[0] == 0 == j.direction[1]) if j.turns else bool(j.direction[2] == 0)
+        for j in arm
     )
     upright = what != "pose" or tip[2, 0] == 0 == tip[2, 1]
     return TASKS.get(len(arm)) == what and planar and len(joints) <= len(arm) + 1 and bool(upright)
@@ -634,11 +626,11 @@ def _of_plane(
     inputs: list[Any] = [x, y, *([z] if lifts else []), *([phi] if what == "pose" else [])]
     n = Names.among(names)
     angle = phi - sympy.atan2(tip[1, 0], tip[0, 0]) if what == "pose" else None
-    flat = [PlaneJoint.of(j) for j in arm]
+    flat = [planar_line(j) for j in arm]
     steps, coordinates = in_plane(n, flat, (x, y), (tip[0, 3], tip[1, 3]), angle, last)
-    found: dict[str, Any] = {j.name: x for j, x in zip(flat, coordinates, strict=True)}
+    found: dict[str, Any] = {j.coordinate: x for j, x in zip(flat, coordinates, strict=True)}
     # no other joint changes the height
-    found |= {j.coordinate: j.along[2] * (z - tip[2, 3]) for j in lifts}
+    found |= {j.coordinate: j.direction[2] * (z - tip[2, 3]) for j in lifts}
     for j, place in zip(joints, PLACES, strict=False):
         says = f"the {place} coordinate" + ", from the height" * _lifts(j)
         steps.append(FormulaStep(sympy.Symbol(j.coordinate), found[j.coordinate], says))
@@ -688,4 +680,4 @@ def _formulas(
 
 def _lifts(joint: JointLine) -> bool:
     """Whether a joint slides along z of the ground."""
-    return not joint.turns and bool(joint.along[0] == 0 == joint.along[1])
+    return not joint.turns and bool(joint.direction[0] == 0 == joint.direction[1])

@@ -46,8 +46,12 @@ def joined(parts: list[tuple[float, float]], good: list[bool]) -> list[tuple[flo
     return sorted((low - s, high - s) for (low, high), s in zip(out, shifts, strict=True))
 
 
-def union(intervals: list[tuple[float, float]], circular: bool) -> Intervals:
-    """The union of intervals, sorted; on a circle low in [-pi, pi), and (-pi, pi) for all of it."""
+def union(
+    intervals: list[tuple[float, float]], circular: bool = False, slack: float = 0.0
+) -> Intervals:
+    """The union of intervals, sorted, gaps up to a slack closed; on a circle low in [-pi, pi), and
+    (-pi, pi) for all of it.
+    """
     parts: list[tuple[float, float]] = []
     for low, high in intervals:
         if circular and high > math.pi:
@@ -56,7 +60,7 @@ def union(intervals: list[tuple[float, float]], circular: bool) -> Intervals:
             parts.append((low, high))
     out: list[tuple[float, float]] = []
     for low, high in sorted(parts):
-        if out and low <= out[-1][1]:
+        if out and low <= out[-1][1] + slack:
             out[-1] = (out[-1][0], max(out[-1][1], high))
         else:
             out.append((low, high))

@@ -382,13 +382,14 @@ class PlatformRegion:
         ends = np.concatenate([[0], changes + 1, [len(values)]])
         for k, m in itertools.pairwise(ends):
             if values[k]:
-                span = (float(cuts[k]), float(cuts[m]))
-                yield span if values[k] > 0 else span[::-1]
+                a = float(cuts[k])
+                b = float(cuts[m])
+                yield (a, b) if values[k] > 0 else (b, a)
 
     @cached_property
     def _event_table(self) -> np.ndarray:
-        """Numbers (7, m) b, c, s, n, e, g, k of events: zeros of the real part of (s (z - c) + n)'
-        (z - e) - k, with z = p + u b; without e (NaN) g u b stands for z - e.
+        """Numbers (8, m) b, c, s, n, h, e, g, k of events: zeros of the real part of
+        (s (z - c) + n)' (h (z - e) + g u b) - k, with z = p + u b.
 
         With them the point of a leg is on the circle or line of a boundary, or beside its end, or
         would move along it if the platform turned.
@@ -398,26 +399,28 @@ class PlatformRegion:
             for piece in leg.region.edges:
                 c = piece.centre
                 s, n = (1.0, 0.0) if piece.is_arc else (0.0, 1j * piece.way / abs(piece.way))
-                out.append((leg.b, c, s, n, c, 0.0, piece.radius**2))
+                out.append((leg.b, c, s, n, 1.0, c, 0.0, piece.radius**2))
                 if leg.b:
-                    out.append((leg.b, c, s, n, np.nan, 1j, 0.0))
+                    out.append((leg.b, c, s, n, 0.0, c, 1j, 0.0))
                 for end in () if piece.is_whole else piece.at(np.array([0.0, 1.0])).tolist():
                     across = 1j * (end - c) if piece.is_arc else piece.way / abs(piece.way)
-                    out.append((leg.b, c, 0.0, across, end, 0.0, 0.0))
+                    out.append((leg.b, c, 0.0, across, 1.0, end, 0.0, 0.0))
         return np.array(out).T
 
     def _events(self, x: Array, which: np.ndarray | None = None) -> Array:
         """Numbers (k, m) of motions (k, 3), which change their signs at events; or (k,), for each
         motion one.
         """
-        b, c, s, n, e, g, k = self._event_table if which is None else self._event_table[:, which]
+        table = self._event_table if which is None else self._event_table[:, which]
+        b, c, s, n, h, e, g, k = table
         p = self.size * (x[:, 0] + 1j * x[:, 1])
         u = np.exp(1j * x[:, 2])
         if which is None:
-            p, u = p[:, None], u[:, None]
+            p = p[:, None]
+            u = u[:, None]
         z = p + u * b
-        ahead = np.where(np.isnan(e), g * u * b, z - e)
-        return np.real(np.conj(s * (z - c) + n) * ahead - k) / self.size ** (1.0 + np.real(s))
+        normal = np.conj(s * (z - c) + n)
+        return np.real(normal * (h * (z - e) + g * u * b) - k) / self.size ** (1.0 + np.real(s))
 
     # ---- points
 
@@ -463,7 +466,7 @@ class PlatformRegion:
         return each * float(inside.mean(axis=-1).sum()), each * float(np.sqrt(differ + 1.0))
 
 
-def _switches(value: Callable[[np.ndarray], Array], low: Array, high: Array) -> Array:
+def _switches(value: Callable[[np.ndarray], np.ndarray], low: Array, high: Array) -> Array:
     """Parameters (k,) between others, at which values (k,) change."""
     before = value(low) if len(low) else low
     for _ in range(HALVINGS if len(low) else 0):
@@ -480,7 +483,7 @@ def _touching(place: PlanePiece, touched: PlanePiece, b: complex, size: float, t
     """
     p = place.at(t)
     turns = np.angle((touched.at(t) - p) / b) if b else np.zeros(len(p))
-    return np.stack([p.real / size, p.imag / size, turns], axis=1)
+    return np.stack([np.real(p) / size, np.imag(p) / size, turns], axis=1)
 
 
 def _carriers(leg: PlatformLeg, size: float) -> list[PlanePiece]:

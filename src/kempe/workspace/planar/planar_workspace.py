@@ -180,7 +180,7 @@ def planar_chain(system: Model, frame: str) -> tuple[PlanarChain, float]:
             raise InputError(
                 f"slide {line.coordinate!r} has no limits, so the workspace has no end: give it some"
             )
-    joints = [in_plane(line, np.eye(3), np.zeros(3)) for line in lines]
+    joints = [j for line in lines if (j := in_plane(line, np.eye(3), np.zeros(3)))]
     return (
         PlanarChain(tuple(joints), complex(*pose[:2, 3])),
         float(np.arctan2(pose[1, 0], pose[0, 0])),
@@ -438,7 +438,7 @@ def loop_area(loop: tuple[PlaneCurve, ...]) -> float:
 
 
 def _loops(
-    pieces: list[PlaneCurve], same: float, gap: float = 0.0
+    pieces: Sequence[PlaneCurve], same: float, gap: float = 0.0
 ) -> tuple[tuple[PlaneCurve, ...], ...]:
     """The pieces as closed curves, each followed by one that begins where it ends: of several the
     leftmost. Where none does it is the nearest within a `gap`.
@@ -458,7 +458,7 @@ def _loops(
             far[first] = abs(starts[first] - complex(pieces[k].at(1.0)))
             along = pieces[k].tangent(1.0)
             near = np.flatnonzero(far <= max(same, min(gap, float(far.min()))))
-            turns = [float(np.angle(pieces[j].tangent(0.0) / along)) for j in near]
+            turns = [float(np.angle(pieces[j].tangent(0.0) / along)) for j in near.tolist()]
             if not len(near) or (k := int(near[np.argmax(turns)])) == first:
                 break
         out.append(tuple(loop))

@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from kempe.numerics.intervals import union
+
 TURN = 2.0 * np.pi
 TOUCH = 1e-13
 """Square of half the chord that circles share, in squares of the radius, below which they touch."""
@@ -211,7 +213,7 @@ def merged(pieces: Iterable[PlanePiece], same: float) -> list[PlanePiece]:
         else:
             whole = whole_curve(piece)
             groups.append((whole, _spans(whole, piece)))
-    return [first.part(a, b) for first, spans in groups for a, b in _joined(spans)]
+    return [first.part(a, b) for first, spans in groups for a, b in union(spans, slack=1e-12)]
 
 
 def whole_curve(piece: PlanePiece) -> PlanePiece:
@@ -243,16 +245,6 @@ def _spans(first: PlanePiece, piece: PlanePiece) -> list[tuple[float, float]]:
     a = np.mod(min(piece.start, piece.start + piece.sweep), TURN) / TURN
     b = a + abs(piece.sweep) / TURN
     return [(a, b)] if b <= 1.0 else [(a, 1.0), (0.0, b - 1.0)]
-
-
-def _joined(spans: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    out: list[tuple[float, float]] = []
-    for a, b in sorted(spans):
-        if out and a <= out[-1][1] + 1e-12:
-            out[-1] = (out[-1][0], max(out[-1][1], b))
-        else:
-            out.append((a, b))
-    return out
 
 
 # ---- regions

@@ -59,7 +59,7 @@ class SweptSolid:
             for piece in ends:
                 t = np.unique(np.concatenate([[0.0, 1.0], piece.meets(axis)]).clip(0.0, 1.0))
                 for part in (piece.part(a, b) for a, b in itertools.pairwise(t)):
-                    volume += 0.5 * np.pi * np.sign(part.at(0.5).real) * _square_moment(part)
+                    volume += 0.5 * np.pi * np.sign(np.real(part.at(0.5))) * _square_moment(part)
         else:
             volume = sum(p.moment for p in ends) * (self.high - self.low)
         return float(volume), ROUNDING * self.section.size**3
@@ -68,7 +68,7 @@ class SweptSolid:
     def extent(self) -> Array:
         """The least and the largest x, y and z (2, 3) in metres, of a box about it."""
         p = np.concatenate([piece.extremes for piece in self.section.ends])
-        x, y = (p.real.min(), p.real.max()), (p.imag.min(), p.imag.max())
+        x, y = ((float(side.min()), float(side.max())) for side in (np.real(p), np.imag(p)))
         if not self.turned:
             corners = np.array(list(itertools.product(x, y, (self.low, self.high))))
             corners = corners @ self.axes + self.origin
@@ -90,22 +90,23 @@ class SweptSolid:
         infinite, of NaN NaN.
         """
         z, h = self._in_section(points)
-        finite = np.isfinite(z)
+        finite = np.asarray(np.isfinite(z))
         near = np.where(finite, z, 0.0)
-        beside = np.min([piece.distance(near) for piece in self.section.ends], axis=0)
+        far = np.stack([piece.distance(near) for piece in self.section.ends])
+        beside: Array = far.min(axis=0)
         if not self.turned:
             inside = self.section.holds(near)
             above = np.maximum(self.low - h, h - self.high)  # negative between the ends
             outside = np.hypot(np.where(inside, 0.0, beside), np.maximum(above, 0.0))
             beside = np.where(inside & (above < 0.0), np.minimum(beside, -above), outside)
-        far = np.where(np.isnan(points).any(axis=1), np.nan, np.inf)
-        return np.where(finite, beside, far)
+        away = np.where(np.isnan(points).any(axis=1), np.nan, np.inf)
+        return np.where(finite, beside, away)
 
     def _in_section(self, points: Array) -> tuple[np.ndarray, Array]:
         """Points (n,) of the section that stand for points (n, 3), NaN for those that are not
         finite, and heights (n,) above its plane.
         """
-        finite = np.isfinite(points).all(axis=1)
+        finite = np.asarray(np.isfinite(points).all(axis=1))
         x, y, h = (np.where(finite[:, None], points, 0.0) - self.origin).dot(self.axes.T).T
         z = (np.hypot(x, h) if self.turned else x) + 1j * y
         return np.where(finite, z, np.nan), h
