@@ -21,8 +21,8 @@ from kempe.inverse.closed_forms.chain_lines import Lines
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.forward.table_layout import SLIDE
 from kempe.model.configurations import units
+from kempe.numerics.rank import Level, Spectrum
 from kempe.report import ROWS, Table, by_code
-from kempe.singular_values import svd
 from kempe.spatial import Array
 from kempe.status import Status, member
 from kempe.words import Quantity, counted
@@ -431,7 +431,7 @@ class Solutions(ConfigurationList, Answer):
         scale = np.array([1.0 / plan.lines.length] * 3 + [1.0] * 3)[:, None]
         units = np.where(plan.lines.kinds == SLIDE, plan.lines.length, 1.0)
         moves = [i for i in range(len(plan.lines)) if i not in plan.locked]
-        values = svd((J * scale * units)[..., moves], compute_uv=False)
+        values = Spectrum((J * scale * units)[..., moves]).values
         rank = min(len(moves), int(np.sum(TASKS[plan.task])))
         if self.system.dim == 2:
             rank = min(rank, 2 if plan.task == "position" else 3)
@@ -453,7 +453,7 @@ class Solutions(ConfigurationList, Answer):
         """
         J = self.jacobian
         used = self.mask[..., None, None]
-        inverse = np.linalg.pinv(np.where(used, J, 0.0), rcond=1e-12)
+        inverse = Spectrum(np.where(used, J, 0.0)).inverse(Level.ROUNDING)
         R = fk(self.system, np.where(self.mask[..., None], self.q, 0.0), self.problem.frame)[
             ..., :3, :3
         ]

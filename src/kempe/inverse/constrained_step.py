@@ -45,7 +45,6 @@ from kempe.numerics.least_squares import (
     scaled,
 )
 from kempe.numerics.rank import Level, Spectrum
-from kempe.singular_values import svd
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -253,7 +252,7 @@ class ConstrainedSteps:
         C = evaluate(self.closing, q, True, True)[1]
         A = hard_rows(self.system, q, self.scale)[0]
         bounds = np.eye(len(u))[(u <= low) | (u >= high)]
-        forces = np.linalg.lstsq(np.concatenate([A, C, bounds]).T, pull, rcond=1e-9)[0][: len(A)]
+        forces = Spectrum(np.concatenate([A, C, bounds]).T).solve(pull, Level.CLOSED)[: len(A)]
         some = np.abs(forces) > PREVENTS * math.sqrt(float(pull @ pull))
         return tuple(
             dict.fromkeys(
@@ -469,7 +468,7 @@ class ConstrainedSteps:
                 A = (
                     A
                     - stage.A
-                    @ np.linalg.pinv(evaluate(self.closing, q, True, True)[1], rcond=1e-8)
+                    @ Spectrum(evaluate(self.closing, q, True, True)[1]).inverse(Level.CLOSED)
                     @ C
                 )
             return A @ N
@@ -509,7 +508,7 @@ class ConstrainedSteps:
         rolling = hard_rows(self.system, q, self.scale)[0] if self.rolls else at_bound[:0]
         held = np.concatenate([rows, rolling, at_bound])
         forces = (
-            np.linalg.lstsq(held.T, pull, rcond=1e-9)[0][: len(rows)] if len(held) else np.zeros(0)
+            Spectrum(held.T).solve(pull, Level.CLOSED)[: len(rows)] if len(held) else np.zeros(0)
         )
         moves = DIFFERENCE * N.T * self.scale
         ends = self.system.structure.layout.integrate(q, np.concatenate([moves, -moves]))
@@ -547,7 +546,7 @@ class ConstrainedSteps:
             moved = system.structure.layout.difference(q, x) / self.scale
             least = np.minimum(low * dt - moved, 0.0)
             most = np.maximum(high * dt - moved, 0.0)
-            more = -np.linalg.pinv(C, rcond=1e-8) @ error
+            more = -Spectrum(C).inverse(Level.CLOSED) @ error
             if (more < least).any() or (more > most).any():
                 H = C.T @ C + LEAST**2 * np.eye(len(more))
                 more = least_in_box(H, -C.T @ error, least, most)[0]
@@ -563,7 +562,7 @@ class ConstrainedSteps:
             self.system.structure.layout.integrate(q, 0.5 * dt * u * self.scale),
             self.scale,
         )
-        return u - np.linalg.pinv(A, rcond=1e-8) @ (A @ u - b)
+        return u - Spectrum(A).inverse(Level.CLOSED) @ (A @ u - b)
 
     def _inside(self, q: Array, x: Array) -> Array:
         """x, its limits kept to the last bit where q kept them."""
@@ -680,8 +679,9 @@ def convex(H: Array, pull: Array, J: Array, damping: float) -> tuple[Array, Arra
 
     What damping the equations J would have is added.
     """
-    _, s, Vt = svd(J, full_matrices=True)
-    s = np.concatenate([s, np.zeros(len(Vt) - len(s))]) / max(float(s.max(initial=0.0)), 1e-300)
+    spectrum = Spectrum(J)
+    Vt = spectrum.right
+    s = np.append(spectrum.values, np.zeros(len(Vt) - len(spectrum.values))) / spectrum.largest
     weak = damping * np.sqrt(np.maximum(1.0 - (s / NEAR) ** 2, 0.0)) * float(np.linalg.norm(J, 2))
     values, V = np.linalg.eigh(H + (Vt.T * weak**2) @ Vt)
     size = np.abs(values)

@@ -15,7 +15,7 @@ from kempe.errors import InputError, UnsupportedError
 from kempe.forward.fk import fk, jacobian
 from kempe.inverse.answer import Reached, Solution
 from kempe.kernels.base.search_layout import AHEAD, NOTHING
-from kempe.singular_values import svd
+from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -23,9 +23,6 @@ if TYPE_CHECKING:
 
 AT_LIMIT = 1e-9
 """How near to a limit a coordinate is at it."""
-RANK_TOLERANCE = 1e-9
-"""Singular values below this fraction of the largest count as zero when it is checked whether
-limits take a freedom."""
 
 
 def derivative(solution: Solution) -> Array:
@@ -59,19 +56,15 @@ def derivative(solution: Solution) -> Array:
     x[..., v] = q[..., system.structure.layout.vector_q]
     held = ((x <= system.lower + AT_LIMIT) | (x >= system.upper - AT_LIMIT))[..., chain.v_index]
     free = np.where(held[..., None, :], 0.0, J)
-    stay = held & (_rank(free, J) == _rank(J, J))[..., None]
+    whole = Spectrum(J)
+    left = Spectrum(free, whole.largest)
+    stay = held & (left.ranks(Level.CLOSED) == whole.ranks(Level.CLOSED))[..., None]
     inverse = np.where(
-        stay[..., None], 0.0, np.linalg.pinv(np.where(stay[..., None, :], 0.0, J), rcond=1e-12)
+        stay[..., None], 0.0, Spectrum(np.where(stay[..., None, :], 0.0, J)).inverse(Level.ROUNDING)
     )
     out = np.zeros((*q.shape[:-1], system.nv, 6))
     out[..., chain.v_index, :] = inverse @ S
     return np.where(good[..., None, None], out, np.nan)
-
-
-def _rank(J: Array, whole: Array) -> np.ndarray:
-    """Ranks (...) of Jacobians, counted against the largest singular value of the whole ones."""
-    most = svd(whole, compute_uv=False).max(axis=-1, initial=0.0)
-    return (svd(J, compute_uv=False) > RANK_TOLERANCE * most[..., None]).sum(axis=-1)
 
 
 # ---- answers to several tasks, by the goals of the tasks
@@ -79,8 +72,6 @@ def _rank(J: Array, whole: Array) -> np.ndarray:
 AT_BOUND = 2e-6
 """How near to its bound an inequality holds the answer there, in radians and characteristic
 lengths."""
-RANK = 1e-8
-"""Singular values below this fraction of the largest count as zero."""
 
 
 class _DerivativeRows(NamedTuple):
@@ -145,7 +136,7 @@ def _one(problem: Demands, q: Array) -> dict[str, Array]:
     counts = _active(problem, q)
     at = _rows(problem, q, problem.pins, counts)
     g = at.S.T @ at.soft
-    multipliers = np.linalg.lstsq(at.H.T, -g, rcond=RANK)[0]
+    multipliers = Spectrum(at.H.T).solve(-g, Level.CLOSED)
 
     def slope(rows: _DerivativeRows) -> Array:
         """Gradients (n, nv) of the Lagrangian."""
@@ -164,7 +155,7 @@ def _one(problem: Demands, q: Array) -> dict[str, Array]:
     K[:n, :n] = second[np.ix_(free, free)]
     K[n:, :n] = at.H[:, free]
     K[:n, n:] = at.H[:, free].T
-    inverse = np.linalg.pinv(K, rcond=RANK)[:n]
+    inverse = Spectrum(K).inverse(Level.CLOSED)[:n]
     out: dict[str, Array] = {}
     for k, task in enumerate(problem.tasks):
         moved = [
@@ -238,9 +229,10 @@ def _free(problem: Demands, q: Array, H: Array) -> np.ndarray:
         free[v] = (x > system.lower[v] + AT_LIMIT) & (x < system.upper[v] - AT_LIMIT)
     if free.all() or not len(H):
         return free
-    most = float(np.linalg.norm(H, 2))
-    ranks = [int((svd(A, compute_uv=False) > RANK * most).sum()) for A in (H, H[:, free])]
-    return free if ranks[0] == ranks[1] else np.ones(system.nv, dtype=bool)
+    whole = Spectrum(H)
+    left = Spectrum(H[:, free], whole.largest)
+    enough = left.rank(Level.CLOSED) == whole.rank(Level.CLOSED)
+    return free if enough else np.ones(system.nv, dtype=bool)
 
 
 def _moved(goal: Goal) -> list[Goal]:

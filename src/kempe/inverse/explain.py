@@ -48,8 +48,8 @@ from kempe.kernels.forward.table_layout import (
 )
 from kempe.model.configurations import random
 from kempe.numerics.clock import TimeLimit
+from kempe.numerics.rank import Level, Spectrum
 from kempe.poses import sound
-from kempe.singular_values import svd
 from kempe.spatial import Array
 from kempe.status import Status
 
@@ -71,10 +71,6 @@ TILTED = 1e-7
 """Angle between a pose and the plane that is not rounding [rad]."""
 ROUNDING = 1e-14
 """What rounding makes of a configuration that reaches a target, in parts of its size."""
-RANK_TOLERANCE = 1e-9
-NEARLY = 1e-4
-"""Singular values below this fraction of the largest count as zero when the freedoms of a chain are
-counted, and when it is checked whether a search ended at a singular configuration."""
 
 
 def sentence(solution: Solution, index: tuple[int, ...]) -> str:
@@ -163,19 +159,16 @@ def _solved(
     return q[0] if info[0, 0] == Status.SOLVED else None
 
 
-def _rows(task: FrameProblem, q: Array, tolerance: float) -> int:
+def _rows(task: FrameProblem, q: Array, level: float) -> int:
     """Largest rank, over configurations (N, nq), of those rows of the frame's Jacobian that the
     task uses.
-
-    Singular values count from `tolerance` times the largest on.
     """
     J = jacobian(task.system, q, task.frame, "body")
     J[:, 3:] = frame_of(np.array(task.axis)).T @ J[:, 3:]
     J = J[:, [i for i, used in enumerate(task.mask) if used]]
     if J.shape[-1] == 0:
         return 0
-    values = svd(J, compute_uv=False)
-    return int((values > tolerance * values[:, :1]).sum(axis=1).max())
+    return int(Spectrum(J).ranks(level).max())
 
 
 def rank_of(task: FrameProblem) -> tuple[int, int]:
@@ -185,7 +178,7 @@ def rank_of(task: FrameProblem) -> tuple[int, int]:
     system = task.system
     rows = sum(map(bool, task.mask))
     wanted = 2 * bool(any(task.mask[:3])) + bool(any(task.mask[3:])) if system.dim == 2 else rows
-    return wanted, _rows(task, random(system, 0, 16), RANK_TOLERANCE)
+    return wanted, _rows(task, random(system, 0, 16), Level.GENERIC)
 
 
 def _over_determined(task: FrameProblem, target: Array) -> Evidence | None:
@@ -248,7 +241,8 @@ def _singular(task: FrameProblem, q: Array) -> bool:
     """Whether the chain moves the frame in fewer freedoms at q (n,) than elsewhere."""
     full = task.chain.base[0].copy()
     full[task.chain.q_index] = q
-    return _rows(task, full[None], NEARLY) < _rows(task, random(task.system, 0, 16), NEARLY)
+    generic = _rows(task, random(task.system, 0, 16), Level.ROUGH)
+    return _rows(task, full[None], Level.ROUGH) < generic
 
 
 def _limits(task: FrameProblem, target: Array, nearest: Array) -> Evidence | None:
@@ -423,7 +417,7 @@ def _slides_end(task: FrameProblem, target: Array) -> Evidence | None:
     A = np.array(axes).T
     (low, high) = np.array(moved).T
     p = target[0, :3, 3]
-    for d in np.concatenate([A.T, np.linalg.pinv(A, rcond=1e-9)]):
+    for d in np.concatenate([A.T, Spectrum(A).inverse(Level.CLOSED)]):
         d = d / max(float(np.linalg.norm(d)), 1e-300)
         part = d @ A
         used = np.abs(part) > 1e-12

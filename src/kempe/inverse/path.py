@@ -33,9 +33,9 @@ from kempe.kernels.base.search_layout import SOLVED
 from kempe.model.configurations import random, ranges_table, refuse_far
 from kempe.numerics.clock import BROKEN_OFF, LONG, TimeLimit, partial
 from kempe.numerics.newton import gauss_newton, least_squares
+from kempe.numerics.rank import Level, Spectrum
 from kempe.poses import arrays, refuse_no_poses, sound
 from kempe.report import Table, brief
-from kempe.singular_values import svd
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import counted
@@ -168,7 +168,7 @@ class PathSteps:
         e, J = self.missing(problem, q)
         if not J.size:
             return Order(np.zeros(self.system.nv), 1.0, np.zeros(self.system.nv), 0.0)
-        U, s, Vt = svd(J, full_matrices=False)
+        U, s, Vt = Spectrum(J).thin
         part = s / (s * s + DAMPING**2)
         if weak:
             part[s < weak * s[0]] = 0.0
@@ -328,8 +328,7 @@ class PathSteps:
         pull[v] = (1.0 / low**2 - 1.0 / high**2) / wide * self.scale[v]
         pull[v[np.isin(at, np.flatnonzero(apart(self.problem.packed, self.problem.pins)))]] = 0.0
         J = self.missing(self.rows[i], q)[1]
-        _, s, Vt = svd(J, full_matrices=True)
-        N = Vt[int(np.sum(s > 1e-6 * s.max(initial=0.0))) :]
+        N = Spectrum(J).null(Level.GENERIC).T
         way = N.T @ (N @ pull)
         size = float(np.linalg.norm(way))
         if size < 1e-9:
@@ -486,7 +485,7 @@ def _step(way: PathSteps, i: int, part: float, q: Array) -> Array | None:
         )
 
     def newton(d: Array, r: Array, M: Array) -> Array:
-        new = least_squares(M, M @ d - r, 1e-8)
+        new = least_squares(M, M @ d - r, Level.CLOSED)
         return (
             new - d
             if np.linalg.norm(new) < 10.0 * LONGEST + 2.0 * np.linalg.norm(d)
@@ -509,8 +508,6 @@ ROUNDING = 1e-12
 """How far outside its limits a coordinate may seem to be."""
 ROUNDED = 1e-3
 """Largest tolerance that is named where targets seem to be rounded."""
-SAME = 1e-9
-"""Smallest singular value, as a part of the largest, at which rows are dependent."""
 AVOIDING = (0.02, 0.2)
 """Strengths with which paths keep away from limits that are tried where the shortest steps end."""
 TRIED = 16
@@ -753,12 +750,14 @@ class _FollowedPath(PathSteps):
         other = assemble(self.system, start=near)
         for x in (q, other.q) if other.success else ():
             J = self.missing(problem, x)[1]
-            U, s, _ = svd(J)
             tasks = len(J) - len(names)
-            alone = svd(J[:tasks], compute_uv=False)
-            if s[-1] > SAME * s[0] or len(J) > J.shape[1] or alone[-1] < SINGULAR * alone[0]:
+            spectrum = Spectrum(J)
+            left = spectrum.left
+            independent = spectrum.rank(Level.CLOSED) == len(J)
+            alone = Spectrum(J[:tasks]).rank(SINGULAR) == tasks
+            if independent or len(J) > J.shape[1] or not alone:
                 return ""
-            name = names[int(np.argmax(np.abs(U[tasks:, -1])))]
+            name = names[int(np.argmax(np.abs(left[tasks:, -1])))]
         return name
 
     def hint(self, i: int, q: Array, before: Array) -> str:
@@ -813,7 +812,7 @@ class _FollowedPath(PathSteps):
         """Whether target i leaves freedoms of joints that it asks for, and there are limits."""
         J = self.missing(self.rows[i], q)[1]
         used = int((np.abs(J) > 0.0).any(axis=0).sum()) if J.size else 0
-        return self.rows[i].limits and used > int(np.linalg.matrix_rank(J)) if J.size else False
+        return self.rows[i].limits and used > Spectrum(J).rank(Level.ROUNDING) if J.size else False
 
     def path(self, q: Array, restart: bool, begin: int = 0) -> IkPath:
         """The path from q, which holds target `begin`; those before cannot be reached."""

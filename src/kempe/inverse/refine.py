@@ -22,6 +22,7 @@ from kempe.kernels.base.search_layout import ANSWER, LINEAR, NOT_FOUND, SOLVED, 
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.compiled import schedule
 from kempe.kernels.forward.table_layout import tip_of
+from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 
 TRIES = 24
@@ -35,9 +36,6 @@ they end.
 
 A step may make the error larger: what a millionth of a long lever turns beside the mark, the next
 step makes good."""
-
-CONDITION = 1e-14
-"""Singular values below this part of the largest are zero."""
 
 
 def search_again(problem: FrameProblem, targets: Array, head: tuple[Any, ...], out: Array) -> int:
@@ -157,7 +155,7 @@ def _step(problem: FrameProblem, targets: Array, q: Array) -> Array:
     e = e * size
     column = np.linalg.norm(J, axis=1, keepdims=True)
     column = np.where(column > 0.0, column, 1.0)
-    return (np.linalg.pinv(J / column, rcond=CONDITION) @ e[..., None])[..., 0] / column[:, 0]
+    return (Spectrum(J / column).inverse(Level.ROUNDING) @ e[..., None])[..., 0] / column[:, 0]
 
 
 # ---- solutions in closed form, where there is one

@@ -22,8 +22,8 @@ from kempe.kernels.forward.table_layout import SLIDE
 from kempe.numerics.clock import TimeLimit
 from kempe.numerics.curves import ACROSS, BEND, Curve, Node, node, step, walk
 from kempe.numerics.newton import GaussNewtonEnd, gauss_newton_of_many
+from kempe.numerics.rank import Spectrum
 from kempe.numerics.roots import sign_change
-from kempe.singular_values import svd
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -459,7 +459,7 @@ class Net:
         self.values = values
         self.x = x
         self.level = level
-        t = svd(motion.jacobian(x))[2][:, -1] if len(x) else np.zeros_like(x)
+        t = Spectrum(motion.jacobian(x)).right[:, -1] if len(x) else np.zeros_like(x)
         self.t = np.where(t[:, motion.p, None] < 0.0, -t, t)
         self.up: dict[int, tuple[int, Piece]] = {}
         self.below: set[int] = set()

@@ -65,15 +65,15 @@ class Spectrum:
     A
         The matrix, with rows and columns scaled so that their sizes can be compared.
     size
-        What the largest singular value counts as at least: what it would be if the matrix were not
-        singular. A matrix that is rounding only then has the rank 0; without it, the largest one
+        What the largest singular value (...) counts as at least: what it would be if the matrix were
+        not singular. A matrix that is rounding only then has the rank 0; without it, the largest one
         counts always.
 
     Decompositions are made when they are needed, and once. `level` is the part of the largest
     singular value above which others count: one of `Level`, or a number that has a reason.
     """
 
-    def __init__(self, A: Array, size: float = 0.0):
+    def __init__(self, A: Array, size: float | Array = 0.0):
         self.A = A
         self.size = size
 
@@ -118,7 +118,7 @@ class Spectrum:
     @property
     def largest(self) -> Array:
         """The size (...) of which levels are parts."""
-        return np.maximum(self.values.max(axis=-1, initial=0.0), max(self.size, TINY))
+        return np.maximum(np.maximum(self.values.max(axis=-1, initial=0.0), self.size), TINY)
 
     @property
     def smallest(self) -> Array:
@@ -193,9 +193,9 @@ class Spectrum:
         values = self.values
         if not len(values) or values[0] <= 0.0:
             return 0, np.inf
-        s = values / max(values[0], self.size)
+        s = values / self.largest
         above = np.append(1.0, s)  # above[r]: the last that counts if the rank is r
-        first = 0 if self.size else 1
+        first = 0 if np.any(self.size) else 1
         allowed = [
             r for r in range(first, len(above)) if above[r] > least and (r == len(s) or s[r] < most)
         ]

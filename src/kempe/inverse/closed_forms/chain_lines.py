@@ -30,6 +30,7 @@ from kempe.kernels.forward.table_layout import (
     rows_of,
 )
 from kempe.model.model import kept
+from kempe.numerics.rank import Spectrum
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -40,6 +41,9 @@ NOISE = 1e-12
 """Distances of axes, relative to those of their points and of the base, that are rounding: such
 axes meet."""
 
+PARALLEL = 1e-9
+"""Square of the sine of the angle between axes below which the place of the nearest point along them
+is not asked: it would be thousands of lengths away."""
 LITTLE = 0.1
 """The least unit of length of a chain with slides, relative to how far these may go."""
 
@@ -189,7 +193,7 @@ def _unit_of(
     # the point nearest to all axes
     across = np.eye(3) - h[:, :, None] * h[:, None, :]
     total: Array = np.einsum("nij,nj->i", across, o)
-    origin = np.asarray(np.linalg.lstsq(across.sum(axis=0), total, rcond=1e-9)[0], dtype=float)
+    origin = Spectrum(across.sum(axis=0)).solve(total, PARALLEL)
     free = o - origin
     away = np.linalg.norm(free - h * np.sum(h * free, axis=-1)[:, None], axis=-1)
     steps = [_apart(h[i], o[i], h[i + 1], o[i + 1]) for i in range(len(h) - 1)]

@@ -24,7 +24,7 @@ from kempe.kernels.closed_form.analytic_layout import X_FIRST, Z_FIRST
 from kempe.kernels.compiled import candidates
 from kempe.kernels.forward.table_layout import SLIDE, TURN
 from kempe.model.model import kept
-from kempe.singular_values import svd
+from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -41,10 +41,8 @@ MOST_FORMS = 5
 EIGHT = 8
 """Rows of an answer where targets are solved side by side."""
 
-RANK = 1e-7
 AGAIN = 1e-6
-"""Singular values below this fraction of the largest are zero when freedoms are counted; how near
-is found again."""
+"""How near is found again."""
 
 
 # ---- how a plan can be carried out
@@ -276,7 +274,7 @@ def resting(lines: Lines, free: Extra, unknown: list[int], planar: bool) -> Iter
     J[..., : len(unknown)] = samples
     J[..., len(unknown) : 6 - count] = at_tip
     J[..., 6 - count :] = np.moveaxis(pool[:, np.array(choices)], 0, 1)[:, None]
-    least = np.median(svd(J, compute_uv=False)[..., -1], axis=1)
+    least = np.median(Spectrum(J).smallest, axis=1)
     scored = list(zip(least.tolist(), choices, strict=True))
     best = max(s for s, _ in scored)
     good = [(s, c) for s, c in scored if s > 0.05 * best]
@@ -325,8 +323,7 @@ def freedoms(lines: Lines, free: Extra, unknown: list[int]) -> int:
         [np.where(turns[:, None], np.cross(o, h), h), np.where(turns[:, None], h, 0.0)], axis=2
     )
     J = J / np.linalg.norm(J, axis=2, keepdims=True)  # seen from the chain, whatever the tool
-    values = svd(J, compute_uv=False)
-    return int((values > RANK * values[:, :1]).sum(axis=1).max())
+    return int(Spectrum(J).ranks(Level.GENERIC).max())
 
 
 # ---- how plans are made

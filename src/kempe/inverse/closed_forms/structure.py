@@ -18,7 +18,7 @@ from kempe.kernels.closed_form.analytic_layout import (
 )
 from kempe.kernels.compiled import candidates
 from kempe.kernels.forward.table_layout import SLIDE, TURN
-from kempe.singular_values import svd
+from kempe.numerics.rank import Spectrum
 from kempe.spatial import Array
 
 EXACT = 1e-9
@@ -98,7 +98,7 @@ def meeting(axes: Axes, places: tuple[int, ...]) -> Array | None:
     """The point (3,) in which these axes meet, None where they do not (or are all parallel)."""
     across = np.eye(3) - axes.h[list(places), :, None] * axes.h[list(places), None, :]
     total: Array = across.sum(axis=0)
-    if svd(total, compute_uv=False)[-1] <= NO_POINT:
+    if Spectrum(total).smallest <= NO_POINT:
         return None
     moments: Array = np.einsum("nij,nj->i", across, axes.o[list(places)])
     centre = np.asarray(np.linalg.solve(total, moments), dtype=float)

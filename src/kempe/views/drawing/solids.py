@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from kempe import spatial
+from kempe.numerics.rank import Spectrum
 from kempe.spatial import Array
 
 LIGHT = np.array([0.35, -0.55, 0.76])
@@ -204,7 +205,7 @@ def flat_hull(points: Array, tolerance: float) -> list[int] | None:
     in no plane.
     """
     middle = points.mean(axis=0)
-    _, size, axes = np.linalg.svd(points - middle, full_matrices=False)
+    _, size, axes = Spectrum(points - middle).thin
     if len(points) < 3 or size[1] < tolerance or (len(size) > 2 and size[2] > tolerance):
         return None
     from kempe.views.drawing.shapes import hull

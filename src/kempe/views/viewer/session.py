@@ -21,6 +21,7 @@ from kempe.errors import InputError, KempeError
 from kempe.forward.fk import fk, jacobian
 from kempe.mobility.independent import Chart, independent
 from kempe.model.configurations import as_q, distance, has_loops, mid, q_from_dict, random, units
+from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 from kempe.views.drawing.plot_request import configuration_of, motion_of
 from kempe.views.drawing.scene import links_of, look
@@ -340,7 +341,7 @@ class Session:
         tries = () if self.chart.dependent else random(self.system, 0, 4)
         rows = self.system.dim if task == "position" else None
         return max(
-            int(np.linalg.matrix_rank(self._rates(q)[:rows], 1e-6)) for q in (self.q, *tries)
+            Spectrum(self._rates(q)[:rows], 1.0).rank(Level.GENERIC) for q in (self.q, *tries)
         )
 
     def spare(self) -> bool:
@@ -572,9 +573,8 @@ class Session:
             return ""
         if not self.chart.dependent:
             rows = self._rates(self.q)[: self.system.dim if self.task == "position" else None]
-            size = np.linalg.svd(rows, compute_uv=False)
-            least = size[min(len(rows), rows.shape[1]) - 1] / max(size[0], 1e-300)
-            return f"{self.frame} is singular here" if least < SINGULAR else ""
+            singular = Spectrum(rows).rank(SINGULAR) < min(rows.shape)
+            return f"{self.frame} is singular here" if singular else ""
         # where loops are open, which `said` tells by the residual
         with contextlib.suppress(InputError):
             quality = self.chart.condition(self.q)
