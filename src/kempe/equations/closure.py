@@ -248,6 +248,6 @@ class DrivenClosure(Closure):
 def close(equations: Closure, x: Array, tries: int = 60) -> Array | None:
     """The configuration with closed loops near `x`, by steps of least size, or None."""
     found = gauss_newton(
-        equations.both, x, tries, cut=BLUNT, met=1e-15, longest=0.5, move=equations.move
+        equations.both, x, tries, level=BLUNT, met=1e-15, longest=0.5, move=equations.move
     )
     return found.x if found.size < equations.tolerance(found.x) else None

@@ -251,7 +251,7 @@ class Chart(Report):
                 lambda q, u=target: both(q, u),
                 out[k],
                 TRIES,
-                cut=Level.CLOSED,
+                level=Level.CLOSED,
                 longest=LONGEST,
                 move=lambda q, y: system.structure.layout.integrate(q, scale * y),
             ).x

@@ -223,7 +223,7 @@ def _many(forms: Array, budget: TimeLimit) -> Array:
         budget.check()
         u = rng.normal(size=d)
         u = u / np.linalg.norm(u)
-        u, left, _ = gauss_newton(both, u, 40, cut=1e-12, last=1e-15, move=onto)
+        u, left, _ = gauss_newton(both, u, 40, level=Level.ROUNDING, last=1e-15, move=onto)
         if np.abs(left).max() < 1e-9 and all(abs(abs(u @ v) - 1.0) > SAME_LINE for v in found):
             found.append(u)
     return np.array(found).reshape(-1, d)
@@ -687,13 +687,13 @@ class _Sphere:
             z = rng.normal(size=(count, d)) @ self.null_space.T
             z *= radius / np.linalg.norm(z, axis=1, keepdims=True)
             x = gauss_newton_of_many(
-                both, e.move(self.x, z), 6, cut=1e-4, longest=radius, move=e.move
+                both, e.move(self.x, z), 6, level=Level.ROUGH, longest=radius, move=e.move
             )
             z = e.between(self.x, x)
             size = np.linalg.norm(z, axis=1, keepdims=True)
             z = (radius / size * z)[(size > 0.1 * radius)[:, 0]]
             x = gauss_newton_of_many(
-                on_sphere, e.move(self.x, z), 30, cut=1e-6, longest=radius, move=e.move
+                on_sphere, e.move(self.x, z), 30, level=Level.GENERIC, longest=radius, move=e.move
             )
             left, J = on_sphere(x, np.arange(len(x)))
             good = np.abs(left).max(axis=1, initial=0.0) < 1e-9

@@ -173,7 +173,7 @@ class Track:
                 [J, across[at, None]], axis=1
             )
 
-        x = gauss_newton_of_many(both, x, 3, cut=BLUNT, move=e.move)
+        x = gauss_newton_of_many(both, x, 3, level=BLUNT, move=e.move)
         ends = np.flatnonzero((u[:, 0] <= 0.0) | (u[:, 0] >= 1.0))
         x[ends] = self.q[k[ends] + (u[ends, 0] >= 1.0)]
         return x

@@ -176,7 +176,7 @@ class Velocities:
             return q
         closure = self.closure
         return gauss_newton(
-            closure.both, q, CORRECTIONS, cut=RANK, met=closure.tolerance(q), move=closure.move
+            closure.both, q, CORRECTIONS, level=RANK, met=closure.tolerance(q), move=closure.move
         ).x
 
 

@@ -17,11 +17,9 @@ from typing import Any
 import numpy as np
 
 from kempe.numerics.newton import LARGE, GaussNewtonEnd, gauss_newton, least_squares
-from kempe.singular_values import svd
+from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 
-RANK = 1e-8
-"""Singular values below this, relative to the largest, count as zero."""
 CLOSED = 1e-13
 """Residual below which the equations hold; rounding leaves about 1e-15. A shaky structure cannot
 move by 1e-6 then."""
@@ -112,18 +110,18 @@ class Node:
 def node(equations: Curve, x: Array, toward: Array | None = None, J: Array | None = None) -> Node:
     """The `Node` at a point of the curve; its tangent is the null vector nearest to `toward` (n,)."""
     J = equations.matrix(x) if J is None else J
-    U, s, Vt = svd(J, full_matrices=False)
+    spectrum = Spectrum(J, equations.least)
+    U, s, Vt = spectrum.thin
     n = equations.n
-    scale = max(float(s[0]), equations.least) or 1.0
-    nullity = int(np.sum(s <= RANK * scale))
+    nullity = n - spectrum.rank(Level.CLOSED)
     t = Vt[-1]
     if toward is not None:
-        null_space = Vt[n - max(int(np.sum(s <= BLUNT * scale)), 1) :]
+        null_space = Vt[min(spectrum.rank(BLUNT), n - 1) :]
         along = null_space.T @ (null_space @ toward)
         size = np.linalg.norm(along)
         t = along / size if size > 0.0 else t
     image = U[:, : n - 1]
-    sigma = float(s[n - 2] / scale) if n > 1 else 1.0
+    sigma = float(s[n - 2] / spectrum.largest) if n > 1 else 1.0
     return Node(x, t, sigma, nullity, J, image)
 
 
@@ -138,7 +136,7 @@ def correct(equations: Curve, x: Array, across: Array) -> GaussNewtonEnd | None:
         F, J = equations.both(x)
         return np.append(F, 0.0), np.vstack([J, across])
 
-    found = gauss_newton(both, x, TRIES, cut=BLUNT, halving=True, move=equations.move)
+    found = gauss_newton(both, x, TRIES, level=BLUNT, halving=True, move=equations.move)
     return (
         GaussNewtonEnd(found.x, found.r[:-1], found.J[:-1])
         if found.size < equations.tolerance(found.x)

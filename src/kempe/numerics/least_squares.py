@@ -10,16 +10,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kempe.numerics.rank import Level, Spectrum
-from kempe.singular_values import svd
+from kempe.numerics.rank import Level, Spectrum, svd
 from kempe.spatial import Array
 
 Bend = Callable[[Array], Array]
 """Derivatives (k, m, n) of equations A (m, n) along directions (k, n)."""
 NEAR = 0.05
 """Singular values below it are damped, those at zero fully."""
-FLAT = 1e-13
-"""Singular values below this fraction of the largest are zero: freedoms that are not seen."""
 SHIFT = 2.0
 """Weight, as a multiple of `NEAR`, by which joints beside those at a bound keep the velocities
 without bounds."""
@@ -29,8 +26,6 @@ BENT = 0.01
 """Sine of the angle by which a direction that is kept may be bent, at singular values of zero."""
 WALL = 0.25
 """Largest part by which a singular value may fall in one cycle where a direction is kept."""
-DEAD = 1e-7
-"""Singular values below this fraction of the largest are zero: first order leads nowhere."""
 AWAY = 1e-6
 """Least curvature, in radians and characteristic lengths, by which a singular configuration is
 left."""
@@ -98,7 +93,7 @@ def _way_out(A: Array, b: Array, s: Array, Vt: Array, bend: Bend) -> tuple[float
     """
     k = len(s)
     size = math.sqrt(b @ b)
-    dead = Vt[int((s > DEAD * s[:1].max(initial=0.0)).sum()) :]
+    dead = Vt[int((s > Level.GENERIC * s[:1].max(initial=0.0)).sum()) :]
     if not size or not len(dead) or len(dead) == len(Vt) - k:
         return None
     moved = Vt[: len(Vt) - len(dead)]
@@ -129,9 +124,9 @@ class Wish(NamedTuple):
 
 def wish(A: Array, b: Array, damping: float, near: float | None = NEAR, more: float = 0.0) -> Wish:
     """The solution of `damped` without bounds; `more` damps all directions."""
-    U, s, Vt = svd(A, full_matrices=True)
+    U, s, Vt = svd(A)
     most = float(s[0]) if len(s) else 0.0
-    seen = s > FLAT * most
+    seen = s > Level.ROUNDING * most
     if near is None:
         near = NEAR * (most or 1.0)
         damping = damping * (most or 1.0)
@@ -168,7 +163,7 @@ def scaled(
     inside = np.minimum(np.maximum(0.0, low), high) if G is None else np.zeros(n)
     if not size or inside.any() or not n:
         return inside
-    U, s, Vt = svd(A, full_matrices=True)
+    U, s, Vt = svd(A)
     k = len(s)
     most = float(s[0])
     near = near or NEAR * (most or 1.0)
@@ -182,7 +177,7 @@ def scaled(
     blind = U[:, k:].T @ b
     if math.sqrt(blind @ blind) > BENT * size:
         return inside
-    dead = s <= DEAD * most
+    dead = s <= Level.GENERIC * most
     y = Vt[:k].T @ np.where(dead, 0.0, along / np.where(dead, 1.0, s))
     if (along[dead] != 0.0).any():
         if (way := _way_out(A, b, s, Vt, bend)) is None:
@@ -269,7 +264,7 @@ def bounded(A: Array, b: Array, low: Array, high: Array, G: Array) -> Array:
     for _ in range(10 * len(low) + 10):
         Z = Spectrum(G[held], 1.0).null(Level.CLOSED)
         if Z.shape[1]:
-            step = Z @ np.linalg.lstsq(A @ Z, b - A @ x, rcond=None)[0]
+            step = Z @ np.linalg.lstsq(A @ Z, b - A @ x, rcond=Level.ROUNDING)[0]
             value = G @ x
             way = G @ step
             slack = SLACK * max(1.0, float(np.abs(way).max(initial=0.0)))
@@ -284,7 +279,7 @@ def bounded(A: Array, b: Array, low: Array, high: Array, G: Array) -> Array:
         if not held.any():
             break
         at_low = G[held] @ x - low[held] <= high[held] - G[held] @ x
-        push = np.linalg.lstsq(G[held].T, A.T @ (A @ x - b), rcond=None)[0]
+        push = np.linalg.lstsq(G[held].T, A.T @ (A @ x - b), rcond=Level.ROUNDING)[0]
         pull = np.where(low[held] < high[held], np.where(at_low, -push, push), 0.0)
         worst = int(np.argmax(pull))
         if pull[worst] <= INWARD * max(1.0, float(np.abs(b).max(initial=0.0))):

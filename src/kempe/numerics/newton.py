@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kempe.budget import look
-from kempe.singular_values import svd
+from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 
 # ---- proof of a solution near a point, by the theorem of Newton and Kantorovich
@@ -74,8 +74,6 @@ def rounding(joints: int, reach: float) -> float:
 # Sources: Ben-Israel, "A Newton-Raphson method for the solution of systems of equations", J. Math.
 # Anal. Appl. 15 (1966); Bjorck, *Numerical Methods for Least Squares Problems*, 1996, chapter 9.
 
-CUT = 1e-9
-"""Singular values below this fraction of the largest are left out."""
 LAST = 1e-8
 """A step up to this length is the last one: where convergence is quadratic, the next would be
 rounding."""
@@ -107,20 +105,22 @@ class GaussNewtonEnd(NamedTuple):
         return float(np.abs(self.r).max(initial=0.0))
 
 
-def least_squares(A: Array, b: Array, cut: float = CUT) -> Array:
-    """The shortest y (n,) that minimises |A y - b|; singular values below `cut` of the largest
+def least_squares(A: Array, b: Array, level: float = Level.CLOSED) -> Array:
+    """The shortest y (n,) that minimises |A y - b|; singular values below `level` of the largest
     count as zero.
     """
     return (
-        least_squares_of_many(A[None], b[None], cut)[0] if len(b) > LARGE else _by_values(A, b, cut)
+        least_squares_of_many(A[None], b[None], level)[0]
+        if len(b) > LARGE
+        else _by_values(A, b, level)
     )
 
 
-def _by_values(A: Array, b: Array, cut: float) -> Array:
-    return np.asarray(np.linalg.lstsq(A, b, rcond=cut)[0], dtype=float)
+def _by_values(A: Array, b: Array, level: float) -> Array:
+    return np.asarray(np.linalg.lstsq(A, b, rcond=level)[0], dtype=float)
 
 
-def least_squares_of_many(A: Array, b: Array, cut: float = CUT) -> Array:
+def least_squares_of_many(A: Array, b: Array, level: float = Level.CLOSED) -> Array:
     """`least_squares` of many A (k, m, n) and b (k, m): the normal equations, where these are far
     from singular.
 
@@ -133,7 +133,7 @@ def least_squares_of_many(A: Array, b: Array, cut: float = CUT) -> Array:
     if k > most:
         return np.concatenate(
             [
-                least_squares_of_many(A[i : i + most], b[i : i + most], cut)
+                least_squares_of_many(A[i : i + most], b[i : i + most], level)
                 for i in range(0, k, most)
             ]
         )
@@ -155,13 +155,13 @@ def least_squares_of_many(A: Array, b: Array, cut: float = CUT) -> Array:
         y[:] = np.einsum("kmn,km->kn", A, found[..., 0]) if wide else found[..., 0]
     for k in np.flatnonzero(bad):
         look()
-        y[k] = _by_values(A[k], b[k], cut)
+        y[k] = _by_values(A[k], b[k], level)
     return y
 
 
 def damped_least_squares(A: Array, b: Array, damping: float) -> Array:
     """The vector y (n,) that minimises |A y - b|^2 + damping |y|^2."""
-    U, s, Vt = svd(A, full_matrices=False)
+    U, s, Vt = Spectrum(A).thin
     return Vt.T @ (s / (s * s + damping) * (U.T @ b))
 
 
@@ -171,7 +171,7 @@ def gauss_newton(
     tries: int,
     *,
     step: Callable[[Array, Array, Array], Array] | None = None,
-    cut: float = CUT,
+    level: float = Level.CLOSED,
     met: float = 0.0,
     last: float = LAST,
     longest: float = math.inf,
@@ -193,7 +193,7 @@ def gauss_newton(
         r, J = equations(x)
         if k == tries or before <= last or not met < float(np.abs(r).max(initial=0.0)) < math.inf:
             break
-        y = least_squares(J, -r, cut) if step is None else step(x, r, J)
+        y = least_squares(J, -r, level) if step is None else step(x, r, J)
         size = math.hypot(*y.tolist())  # no overflow on the way
         if not NOTHING < size < math.inf or (halving and size > 0.5 * before):
             break
@@ -209,7 +209,7 @@ def gauss_newton_of_many(
     tries: int,
     *,
     step: Callable[[Array, Array], Array] | None = None,
-    cut: float = CUT,
+    level: float = Level.CLOSED,
     met: float = 0.0,
     last: float = LAST,
     longest: float = math.inf,
@@ -234,7 +234,7 @@ def gauss_newton_of_many(
         left, r, J = (left, r, J) if go_on.all() else (left[go_on], r[go_on], J[go_on])
         if not len(left):
             break
-        y = least_squares_of_many(J, -r, cut) if step is None else step(r, J)
+        y = least_squares_of_many(J, -r, level) if step is None else step(r, J)
         size = np.abs(y).max(axis=1, initial=0.0)
         x[left] = move(
             x[left], y * (longest / np.maximum(size, longest))[:, None] if longest < math.inf else y

@@ -15,7 +15,9 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from kempe.singular_values import svd
+from kempe.singular_values import LARGE, svd
+
+__all__ = ["LARGE", "SPARSE", "TINY", "Level", "Spectrum", "svd"]
 
 Array = NDArray[np.float64]
 
