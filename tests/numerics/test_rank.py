@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import sympy
 
-from kempe.numerics.rank import Level, Spectrum
+from kempe.errors import InputError
+from kempe.numerics.rank import Level, Spectrum, svd
 
 LEVELS = (Level.ROUNDING, Level.CLOSED, Level.GENERIC, Level.ROUGH)
 
@@ -139,3 +140,37 @@ def test_the_rank_is_decided_at_the_gap():
     assert gap < 1e3  # said to be doubtful
     assert clear_rank(1e-16, size=1.0)[0] == 0 and clear_rank(1e-16)[0] == 1
     assert clear_rank(1e-2, size=1.0)[0] == 1
+
+
+# ---- the decomposition
+
+
+@pytest.mark.parametrize("shape", [(3, 5), (5, 3), (4, 4), (2, 3, 4, 6), (1, 1), (7, 1)])
+@pytest.mark.parametrize("full", [True, False])
+def test_where_numpy_does_not_converge_the_same_comes_out(shape, full, monkeypatch):
+    A = np.random.default_rng(0).normal(size=shape)
+    U, s, Vt = svd(A, full_matrices=full)
+    values = svd(A, compute_uv=False)
+
+    def never(*_, **__):
+        raise np.linalg.LinAlgError("SVD did not converge")
+
+    monkeypatch.setattr(np.linalg, "svd", never)
+    for mine, other in zip(svd(A, full_matrices=full), (U, s, Vt), strict=True):
+        assert mine.shape == other.shape
+    again, sizes, rows = svd(A, full_matrices=full)
+    k = sizes.shape[-1]
+    np.testing.assert_allclose(
+        (again[..., :k] * sizes[..., None, :]) @ rows[..., :k, :], A, atol=1e-14
+    )
+    np.testing.assert_allclose(sizes, s, atol=1e-14)
+    np.testing.assert_allclose(svd(A, compute_uv=False), values, atol=1e-14)
+
+
+def test_what_is_not_finite_is_refused(monkeypatch):
+    def never(*_, **__):
+        raise np.linalg.LinAlgError("SVD did not converge")
+
+    monkeypatch.setattr(np.linalg, "svd", never)
+    with pytest.raises(InputError, match="not finite"):
+        svd([[1.0, np.nan], [0.0, 1.0]])

@@ -27,8 +27,6 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from kempe.model.model import Model
 
-RANK_TOLERANCE = 1e-8
-"""Singular values below this fraction of the largest count as zero."""
 
 __all__ = [
     "SystemConstraint",

@@ -26,7 +26,7 @@ from kempe.inverse.nearest import aim_of, held_coordinates
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.numerics.curves import NONE, Curve, Node, step, walk
 from kempe.numerics.newton import GaussNewtonEnd, gauss_newton, gauss_newton_of_many
-from kempe.singular_values import svd
+from kempe.numerics.rank import Spectrum
 from kempe.spatial import Array
 from kempe.words import InWords, in_words, joined
 
@@ -171,7 +171,9 @@ class SolutionSet(Curve):
         their directions (..., k, n).
         """
         moves = self.aim.moves
-        _, s, Vt = svd(J[..., moves])
+        spectrum = Spectrum(J[..., moves])
+        Vt = spectrum.right
+        s = spectrum.values
         values = np.zeros(Vt.shape[:-1])
         values[..., : s.shape[-1]] = s
         directions = np.zeros((*Vt.shape[:-1], self.n))
@@ -188,7 +190,7 @@ class SolutionSet(Curve):
     def tangents(self, x: Array, toward: Array) -> Array:
         """Orthonormal tangents (d, n) of a family at x (n,), nearest to directions `toward` (d, n)."""
         free = self.free(x, len(toward))
-        U, s, Vt = svd(toward @ free.T @ free, full_matrices=False)
+        U, s, Vt = Spectrum(toward @ free.T @ free).thin
         return U @ Vt if s[-1] > 0.1 else toward
 
     def node(self, x: Array, toward: Array, J: Array) -> Node:
@@ -255,8 +257,7 @@ class SolutionSet(Curve):
         if not len(near):
             return free[:1]
         ways = (near - x) / np.linalg.norm(near - x, axis=1, keepdims=True)
-        _, s, Vt = svd(ways)
-        return Vt[: min(len(free), int((s > SPANNED * s[0]).sum()))]
+        return Spectrum(ways).row_space(SPANNED).T[: len(free)]
 
     def families(self, x: Array, base: Array, known: Sequence[Family]) -> list[Family]:
         """The families on which a configuration (n,) lies, those `known` left out; none where it is

@@ -18,8 +18,7 @@ import numpy as np
 from kempe.budget import look
 from kempe.equations.velocity import VelocityRows
 from kempe.kernels.compiled import lie_brackets
-from kempe.numerics.rank import Level, Spectrum
-from kempe.singular_values import LARGE
+from kempe.numerics.rank import LARGE, Level, Spectrum
 from kempe.spatial import Array
 
 ROUNDING = 30.0

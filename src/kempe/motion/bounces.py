@@ -16,8 +16,8 @@ import numpy as np
 
 from kempe.budget import look
 from kempe.numerics.clock import TimeLimit
+from kempe.numerics.rank import Level, Spectrum
 from kempe.numerics.roots import sign_change
-from kempe.singular_values import svd
 from kempe.spatial import Array
 
 # ---- laws of flights and impacts
@@ -203,8 +203,8 @@ class Flight:
         held = {i for i in still if self.N[i] @ a <= strength * np.linalg.norm(self.N[i])}
         flat = self.N[sorted(held)]
         if len(flat):
-            v = v - np.linalg.pinv(flat) @ (flat @ v)
-            a = a - np.linalg.pinv(flat) @ (flat @ a)
+            v = v - Spectrum(flat).inverse(Level.ROUNDING) @ (flat @ v)
+            a = a - Spectrum(flat).inverse(Level.ROUNDING) @ (flat @ a)
             a = np.where(np.linalg.norm(a) <= strength, 0.0, a)
             v = np.where(np.linalg.norm(v) <= slow and not a.any(), 0.0, v)
         return v, a, held
@@ -262,7 +262,11 @@ class Flight:
     def _onto(self, y: Array, touching: set[int]) -> Array:
         """The place (k,) put onto planes that it touches but for rounding."""
         index = sorted(touching)
-        return y - np.linalg.pinv(self.N[index]) @ self.gaps(y)[index] if index else y
+        return (
+            y - Spectrum(self.N[index]).inverse(Level.ROUNDING) @ self.gaps(y)[index]
+            if index
+            else y
+        )
 
 
 def first_zero(gap: float, rate: float, acceleration: float) -> float:
@@ -308,7 +312,7 @@ def nearest_inside(v: Array, N: Array, w: Array) -> Array | None:
     for count in range(1, len(v) + 1):
         for some in itertools.combinations(range(len(N)), count):
             A: Array = unit[list(some)]
-            if svd(A, compute_uv=False)[-1] < 1e-9:
+            if Spectrum(A, 1.0).rank(Level.CLOSED) < count:
                 continue
             push = np.linalg.solve(A @ A.T, -A @ v - w[list(some)])
             x = v + A.T @ push
@@ -433,7 +437,7 @@ class MovingFlight:
         if not index:
             return y, v
         N, o = self.planes.at(t)
-        back = np.linalg.pinv(N[index])
+        back = Spectrum(N[index]).inverse(Level.ROUNDING)
         y = y - back @ (N[index] @ y + o[index])
         return y, v if places_only else v - back @ self._rates(t, y, v)[1][index]
 
@@ -488,7 +492,7 @@ class MovingFlight:
         c = self._bending(t, y, v)[still]
         a = nearest_inside(self.gravity, N, c)
         if a is None:
-            a = self.gravity - np.linalg.pinv(N) @ (N @ self.gravity + c)
+            a = self.gravity - Spectrum(N).inverse(Level.ROUNDING) @ (N @ self.gravity + c)
         strength = 1e-9 * (float(np.linalg.norm(self.gravity)) + np.abs(c))
         return a, {
             i
@@ -577,7 +581,7 @@ class MovingFlight:
             N = self.planes.at(s)[0][index]
             c = self._bending(s, x[:k], x[k:])[index]
             return np.concatenate(
-                [x[k:], self.gravity - np.linalg.pinv(N) @ (N @ self.gravity + c)]
+                [x[k:], self.gravity - Spectrum(N).inverse(Level.ROUNDING) @ (N @ self.gravity + c)]
             )
 
         return cast(Any, integrate).DOP853(
@@ -657,9 +661,9 @@ class MovingFlight:
             p, w = (z[0] for z in at(np.array([x])))
             N = self.planes.at(x)[0][held]
             c = self._bending(x, p, w)[held]
-            return np.linalg.lstsq(N @ N.T, -(N @ self.gravity + c), rcond=1e-9)[
-                0
-            ] * np.linalg.norm(N, axis=1)
+            return Spectrum(N @ N.T).solve(-(N @ self.gravity + c), Level.CLOSED) * np.linalg.norm(
+                N, axis=1
+            )
 
         def least(x: float) -> float:
             return float(pushes(x).min())

@@ -24,15 +24,13 @@ from kempe.forward.fk import jacobian
 from kempe.model.time_coordinate import clocked, timed
 from kempe.numerics.clock import BROKEN_OFF, TimeLimit
 from kempe.numerics.newton import gauss_newton
+from kempe.numerics.rank import Level, Spectrum
 from kempe.numerics.roots import sign_change
-from kempe.singular_values import svd
 from kempe.spatial import Array, quat_wxyz_multiply, unit
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
 
-RANK = 1e-8
-"""Singular values below this count as zero, of rows of size 1."""
 MISS = 1e-9
 """By how much velocities may miss a row, of rows and speeds of size 1, for inputs and constraints
 to agree."""
@@ -110,12 +108,11 @@ class Velocities:
         size = np.where(size > 1e-12, size, 1.0)
         M = M / size[:, None]
         wanted = wanted / size
-        U, s, Vt = svd(M, full_matrices=True)
-        s = np.concatenate([s, np.zeros(max(0, len(scale) - len(s)))])
-        rank = int(np.sum(s > RANK))
-        if rank < len(scale):
-            raise RollingStop(self._loose(Vt[rank:]))
-        z = Vt.T @ ((U.T @ wanted)[:rank] / s[:rank])
+        spectrum = Spectrum(M, 1.0)
+        loose = spectrum.null(Level.CLOSED)
+        if loose.size:
+            raise RollingStop(self._loose(loose.T))
+        z = spectrum.solve(wanted, Level.CLOSED)
         off = np.abs(M @ z - wanted)
         worst = int(np.argmax(off)) if len(off) else 0
         if len(off) and off[worst] > MISS * max(1.0, float(np.abs(wanted).max())):
@@ -137,7 +134,7 @@ class Velocities:
     def _contradiction(self, M: Array, wanted: Array, size: Array) -> str:
         """Which input cannot be had under the constraints and the other inputs, and by how much."""
         fixed = len(M) - len(self.inputs)
-        z = np.linalg.lstsq(M[:fixed], wanted[:fixed], rcond=RANK)[0]
+        z = Spectrum(M[:fixed]).solve(wanted[:fixed], Level.CLOSED)
         off = np.abs(M[:fixed] @ z - wanted[:fixed])
         if fixed and off.max() > MISS * max(1.0, float(np.abs(wanted).max())):
             return (
@@ -146,12 +143,12 @@ class Velocities:
             )
         for k, name in enumerate(self.inputs):
             some = M[: fixed + k + 1], wanted[: fixed + k + 1]
-            z = np.linalg.lstsq(*some, rcond=RANK)[0]
+            z = Spectrum(some[0]).solve(some[1], Level.CLOSED)
             gap = float(np.abs(some[0] @ z - some[1]).max())
             if gap > MISS * max(1.0, float(np.abs(wanted).max())):
                 before = ", ".join(map(repr, list(self.inputs)[:k]))
                 beside = f" beside {before}" if before else ""
-                z = np.linalg.lstsq(some[0][:-1], some[1][:-1], rcond=RANK)[0]
+                z = Spectrum(some[0][:-1]).solve(some[1][:-1], Level.CLOSED)
                 had = float(some[0][-1] @ z) * size[fixed + k]
                 return (
                     f"the constraints do not allow the input {name!r}{beside}: {had:.6g} would do "
@@ -176,7 +173,12 @@ class Velocities:
             return q
         closure = self.closure
         return gauss_newton(
-            closure.both, q, CORRECTIONS, level=RANK, met=closure.tolerance(q), move=closure.move
+            closure.both,
+            q,
+            CORRECTIONS,
+            level=Level.CLOSED,
+            met=closure.tolerance(q),
+            move=closure.move,
         ).x
 
 

@@ -30,6 +30,7 @@ from kempe.motion.rolling import roll, slip
 from kempe.motion.start import start_of
 from kempe.motion.wheeled import binding
 from kempe.numerics.clock import BROKEN_OFF, LONG, TimeLimit, begun_within
+from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 from kempe.words import InWords, counted
 
@@ -111,7 +112,7 @@ def falling(system: Model, q: Array, v: Array, duration: float) -> Falling:
             "particle that slides freely"
         )
     basis, shape = np.linalg.qr(D)
-    if np.linalg.matrix_rank(shape, 1e-9) < shape.shape[1]:
+    if Spectrum(shape, 1.0).rank(Level.CLOSED) < shape.shape[1]:
         raise UnsupportedError(
             f"{system.name}: the slides of {body!r} are not independent; {NEEDED} one ball or "
             "particle with independent slides"

@@ -24,15 +24,14 @@ from kempe.assemble.generic_configurations import idle_coordinates
 from kempe.assemble.modes import assembly_modes
 from kempe.assemble.same_configuration import metric_of
 from kempe.budget import Budget, TimeUp, Usual
-from kempe.equations.closure_rows import RANK_TOLERANCE
 from kempe.equations.one_sided import one_sided_rows
 from kempe.mobility.mobility import mobility
 from kempe.model.configurations import by_name, has_loops, mid, random, units, winding_angles
 from kempe.motion.path import Event, Path
 from kempe.motion.trace import trace
 from kempe.numerics.clock import TIME_LIMIT, TimeLimit, partial, time_limited, time_of
+from kempe.numerics.rank import Level, Spectrum
 from kempe.report import Report, brief
-from kempe.singular_values import svd
 from kempe.spaces.four_joints import FourJoints, four_joints
 from kempe.spaces.manifold import Manifold
 from kempe.spaces.polygons import polygon_of
@@ -460,8 +459,7 @@ def _of_one_freedom(system: Model, q: Array, dof: int) -> tuple[Array, frozenset
     """Those of configurations (k, nq) at which the rank leaves `dof` freedoms, or as few as
     anywhere, and the true numbers of others.
     """
-    s = svd(Manifold(system, 1).equations(q)[1], compute_uv=False)
-    left = system.nv - (s > RANK_TOLERANCE * s.max(axis=1, initial=1.0, keepdims=True)).sum(axis=1)
+    left = system.nv - Spectrum(Manifold(system, 1).equations(q)[1], 1.0).ranks(Level.CLOSED)
     most = max(dof, int(left.min(initial=system.nv)))
     others = {mobility(system, q[left == k][0]).dof or 0 for k in np.unique(left) if k > most}
     return q[left <= most], frozenset(others - {0, 1})

@@ -26,7 +26,7 @@ from kempe.mobility.mobility import mobility
 from kempe.model.configurations import by_short_turns, circles, has_loops, sampling_box
 from kempe.numerics.clock import BROKEN_OFF, TimeLimit
 from kempe.numerics.newton import gauss_newton_of_many
-from kempe.singular_values import svd
+from kempe.numerics.rank import Spectrum
 from kempe.spaces.manifold import CLOSED, Manifold
 from kempe.spatial import Array
 from kempe.status import Status
@@ -718,7 +718,7 @@ def _pair(system: Model) -> tuple[str, ...]:
     pairs = list(_pairs(system))
     at = [[names.index(n) for n in pair] for pair in pairs]
     # the area that rates of two coordinates span: what spins idly adds nothing
-    areas = [float(np.median([np.prod(svd(x[i], compute_uv=False)[:2]) for x in N])) for i in at]
+    areas = [float(np.median([np.prod(Spectrum(x[i]).values[:2]) for x in N])) for i in at]
     ended = circles(system) | (np.isfinite(system.lower) & np.isfinite(system.upper))
     driving = set(pairs[0]) == {names[i] for i in driven(system, None) or ()}
     good = [

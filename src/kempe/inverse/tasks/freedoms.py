@@ -13,7 +13,6 @@ import numpy as np
 
 from kempe.numerics.newton import damped_least_squares, gauss_newton
 from kempe.numerics.rank import Level, Spectrum
-from kempe.singular_values import svd
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -24,6 +23,8 @@ ROUNDING = 1e-14
 SAME = 16.0
 """How many times the residual a singular configuration may miss by, to be the same as the one that
 was reached."""
+SPREAD = 0.1
+"""Singular values of unit directions up to this part of the largest are the bend of a motion."""
 STEEPEST = 100.0
 """Largest second derivative of the equations that is reckoned with, in radians and characteristic
 lengths."""
@@ -130,9 +131,12 @@ class Local:
         r, J = self._own(*self.equations(q, tasks))
         if not J.size:
             return self.spread(np.eye(J.shape[1])), True
-        U, s, Vt = svd(J)
+        spectrum = Spectrum(J, 1.0)
+        U = spectrum.left
+        s = spectrum.values
+        Vt = spectrum.right
         error = max(float(np.linalg.norm(r)), ROUNDING)
-        rank = int((s > Level.CLOSED * max(1.0, s[0])).sum())
+        rank = spectrum.rank(Level.CLOSED)
         while rank and s[rank - 1] ** 2 <= 2.0 * SAME * error * STEEPEST:
             v = self.spread(Vt[rank - 1])
             u = U[:, rank - 1]
@@ -206,7 +210,7 @@ class Local:
         if independent or basis.shape[1] == 1:
             return basis.shape[1]
         landed = self._landed(there, basis, tuple(0.1 * h for h in LENGTHS))
-        return int((svd(landed, compute_uv=False) > 0.1).sum()) if len(landed) else 0
+        return Spectrum(landed, 1.0).rank(SPREAD) if len(landed) else 0
 
     def _landed(self, q: Array, basis: Array, lengths: tuple[float, ...]) -> Array:
         """Directions (n, nv) in which steps from q along a null space stay away from it when they

@@ -34,7 +34,8 @@ from kempe.model.kernel_functions import Callback
 from kempe.model.model import keep, kept
 from kempe.model.own_tree import own_tree
 from kempe.numerics.clock import EndReached, TimeLimit
-from kempe.singular_values import svd
+from kempe.numerics.rank import Level as RankLevel
+from kempe.numerics.rank import Spectrum
 from kempe.spatial import Array
 from kempe.status import MEMBERS, Status
 
@@ -72,7 +73,7 @@ def near_target(problem: Demands, home: Array) -> Array:
         far = np.linalg.norm(away, axis=-1, keepdims=True) > FAR * problem.packed.loops.length
         if not J.any() or not far.any():
             continue
-        dx = away @ np.linalg.pinv(J, rcond=1e-9).T
+        dx = away @ Spectrum(J).inverse(RankLevel.CLOSED).T
         moved = np.tile(home, (*dx.shape[:-1], 1))
         places = dict(
             zip(
@@ -141,8 +142,8 @@ def log_manipulability(problem: Demands, q: Array) -> Array:
     J = packed.evaluate(q, problem.pins)[1][..., np.isin(packed.rows[packed.rows >= 0], hard), :]
     C = packed.evaluate(q, problem.pins, closures=True)[1]
     if C.shape[-2]:
-        J = J - J @ np.linalg.pinv(C, rcond=1e-9) @ C
-    s = svd(J, compute_uv=False)
+        J = J - J @ Spectrum(C).inverse(RankLevel.CLOSED) @ C
+    s = Spectrum(J).values
     return 0.5 * np.sum(np.log(s * s + SMALL), axis=-1)
 
 
