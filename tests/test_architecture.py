@@ -138,6 +138,15 @@ def test_the_library_is_data_and_kernels_know_arrays():
         assert layer == "kernels" or of_kernels <= {"kernels.compiled", "kernels.digest"}, module
 
 
+DECOMPOSED = re.compile(r"linalg\.(svd|svdvals|matrix_rank|pinv|lstsq|cond)\b|\bsvd\(")
+
+
+@sources.each([p for m, p in FILES.items() if m.split(".")[0] != "numerics"], SOURCE)
+def test_ranks_are_decided_in_one_place(path):
+    """Singular values, pseudo-inverses and least squares of low rank come from `numerics.rank`."""
+    assert not DECOMPOSED.findall(path.read_text("utf-8"))
+
+
 # ---- System
 
 FACADE = {name for name in dir(System) if not name.startswith("_")} - set(dir(Model))
