@@ -704,13 +704,21 @@ def test_the_time_limit_of_a_batch_ends_it_at_the_next_look_at_the_clock(
     assert np.isfinite(answer.q).all() and np.isfinite(answer.position_error).all()
 
 
-def test_the_work_of_a_thread_that_was_told_to_stop_ends_at_the_next_piece():
+def test_the_work_of_a_thread_that_is_told_to_stop_ends_at_the_next_piece():
+    """The work has no end of its own: it is left at the next look at the clock."""
     s = kempe.load("puma560")
     X = far_away(s, "tool", 1500)
-    sign = threading.Event()
-    work = workers.stopped_by(sign, lambda: s.ik(X, "tool", budget=kempe.Budget(threads=1)))
-    assert np.isfinite(work().q).all()
-    sign.set()
-    with pytest.raises(workers.Stopped):
-        work()
-    assert s.ik(X[0], "tool")  # the sign was for that work alone
+    begun = threading.Event()
+
+    def work(number: int, item: int) -> None:
+        while True:
+            s.ik(X, "tool", budget=kempe.Budget(threads=1))
+            begun.set()
+
+    def check(done: int) -> None:
+        if begun.is_set():
+            raise KeyboardInterrupt
+
+    done, broken = workers.work_in_threads([0], work, 1, check, stops=True)
+    assert done == 0 and isinstance(broken, KeyboardInterrupt)
+    assert s.ik(X[0], "tool")  # nothing else is told to stop
