@@ -9,12 +9,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
-from kempe.cli.as_json import significant
 
 ROUNDS = 9
 """How often each statement has its turn."""
 TURN = 0.02
 """Seconds that a turn of a fast statement lasts; a slow one runs once a turn."""
+
+
+def significant(x: float) -> str:
+    """A number with three significant digits, without exponent."""
+    return f"{x:.0f}" if abs(x) >= 100 else f"{x:.3g}"
 
 
 @dataclass(frozen=True)
