@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
-
 ROUNDS = 9
 """How often each statement has its turn."""
 TURN = 0.02
