@@ -434,6 +434,7 @@ ASK_MORE = {
     "simulate",
     "singularities",
     "self_motion",
+    "workspace",
 }
 """Verbs that know nothing before they are prepared."""
 

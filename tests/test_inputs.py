@@ -317,8 +317,14 @@ QS = ("q", "q0", "q1")
 PLACES = [
     (n, p) for n, f in OF_SYSTEMS.items() for p in QS if takes(f, p) and n not in NOT_REQUIRED
 ]
-ARM_ONLY = {"self_motion", "arm_angle"}
-LOOP_ONLY = {"mechanical_advantage", "transmission_angle", "dead_points", "independent"}
+ARM_ONLY = {"self_motion", "arm_angle", "plot_spaces"}
+LOOP_ONLY = {
+    "mechanical_advantage",
+    "transmission_angle",
+    "dead_points",
+    "independent",
+    "plot_spaces",
+}
 ONE_Q = {
     "relative_motion",
     "mobility",

@@ -556,7 +556,7 @@ def test_text_and_table():
     assert str(modes).startswith(
         "2 configurations of four_bar; complete"
     ) and "D = 1.57079633" in str(modes)
-    assert "<th>B</th>" in modes._repr_html_() and "A =" not in str(modes)
+    assert "<th>B [rad]</th>" in modes._repr_html_() and "A =" not in str(modes)
     assert [q.shape for q in modes] == [(4,), (4,)] and np.array_equal(modes[1], modes.q[1])
 
 

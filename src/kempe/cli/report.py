@@ -11,7 +11,6 @@ import numpy as np
 from rich.console import Console, Group, RenderableType
 from rich.text import Text
 
-from kempe.answers.answer import Answer
 from kempe.errors import PROBLEM_LIMIT, DescriptionError, Fault
 from kempe.words import counted, fixed
 
@@ -62,6 +61,8 @@ def values_line(answer: Any, degrees: bool) -> str:
     """The configuration of an answer, of several the first inside the limits, as `kempe fk` takes
     it; '' where there is none.
     """
+    from kempe.answers.answer import Answer  # only here: errors are told without kernels, too
+
     if not isinstance(answer, Answer) or not answer or answer.is_motion:
         return ""
     q = answer.q

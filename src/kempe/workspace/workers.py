@@ -102,13 +102,13 @@ def work_in_threads(
     with ThreadPoolExecutor(threads, thread_name_prefix="kempe") as pool:
         try:
             futures = [pool.submit(quiet(run), number) for number in range(threads)]
-            while True:
+            running = futures
+            while running:
+                check(done)
                 ended, running = wait(futures, WAKE, FIRST_EXCEPTION)
                 for future in ended:
                     future.result()
-                check(done)
-                if not running:
-                    break
+            check(done)
         except BROKEN_OFF as error:
             broken = error
         finally:

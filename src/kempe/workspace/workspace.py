@@ -153,7 +153,7 @@ def _answer(
     if path is not None and written is not samples:
         write_map(path, recipe.system, samples)
     interrupted = isinstance(broken, KeyboardInterrupt)
-    late = broken is not None and not interrupted
+    late = broken is not None and not interrupted and samples.samples < count
     return Workspace(
         recipe.system, samples, count, interrupted=interrupted, late=late, redone=redone
     )
