@@ -277,9 +277,10 @@ class PlatformRegion:
     def ends(self) -> list[PlanePiece | CouplerCurve]:
         """The boundary: pieces that have the region to their left.
 
-        Pieces that are shorter than the steps at which curves are tried may be missing: a hundredth
-        of the size. Where two pieces cross with the platform turned otherwise, their ends are found
-        to 1e-8 of the size.
+        Curves are tried at `TRIED` places each: a piece between two neighbouring ones may be
+        missing, and the boundary is open there. `contains` does not depend on the boundary. Where
+        two pieces cross with the platform turned otherwise, their ends are found to 1e-8 of the
+        size.
         """
         found: list[PlanePiece | CouplerCurve] = []
         corners = [np.zeros((0, 3))]
