@@ -225,6 +225,7 @@ NO_ARRAYS = {
     "driver",
 }
 NOT_REQUIRED = {
+    "kempe.views.space_pictures.plot_spaces",  # of two freedoms, see test_space_pictures.py
     "System.structure.frame_name",
     "System.structure.coordinates_of_joint",  # no numbers
     "kempe.views.viewer.live.show",
@@ -317,13 +318,12 @@ QS = ("q", "q0", "q1")
 PLACES = [
     (n, p) for n, f in OF_SYSTEMS.items() for p in QS if takes(f, p) and n not in NOT_REQUIRED
 ]
-ARM_ONLY = {"self_motion", "arm_angle", "plot_spaces"}
+ARM_ONLY = {"self_motion", "arm_angle"}
 LOOP_ONLY = {
     "mechanical_advantage",
     "transmission_angle",
     "dead_points",
     "independent",
-    "plot_spaces",
 }
 ONE_Q = {
     "relative_motion",

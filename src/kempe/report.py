@@ -14,8 +14,8 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 import numpy as np
 
 from kempe.arguments import explained_methods
-from kempe.arrays import is_array, plain
-from kempe.errors import KempeError, MissingPackageError
+from kempe.arrays import is_array, is_whole, plain
+from kempe.errors import InputError, KempeError, MissingPackageError, shown
 from kempe.status import Status, named
 from kempe.words import (
     Quantities,
@@ -317,8 +317,10 @@ class Result:
     def text(self, degrees: bool = False, width: int = 0) -> str:
         """The text with its tables in columns; with `degrees` its angles are degrees.
 
-        With a `width`, longer sentences are broken.
+        With a `width`, longer sentences are broken. Errors: `InputError` for a width that is no
+        whole number.
         """
+        width = _line_width(width)
         parts = [_filled(self._headline(), width)]
         for table in self._tables():
             parts.append("\n".join(["", *table.aligned(degrees)]))
@@ -380,8 +382,10 @@ class Report(Result):
     def text(self, degrees: bool = False, width: int = 0) -> str:
         """The text with its tables in columns; with `degrees` its angles are degrees.
 
-        With a `width`, longer sentences are broken.
+        With a `width`, longer sentences are broken. Errors: `InputError` for a width that is no
+        whole number.
         """
+        width = _line_width(width)
         topics = self.topics()
         if not topics:
             return super().text(degrees, width)
@@ -394,6 +398,18 @@ class Report(Result):
             if topics
             else super()._repr_html_()
         )
+
+
+NARROWEST = 40
+"""Columns of a line at least, where lines are broken: indents need some."""
+
+
+def _line_width(width: Any) -> int:
+    if not is_whole(width) or width < 0:
+        raise InputError(
+            f"width is {shown(width)}; it must be a whole number of columns, 0 for any"
+        )
+    return max(int(width), NARROWEST) if width else 0
 
 
 def _filled(line: str, width: int) -> str:

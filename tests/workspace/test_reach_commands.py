@@ -122,7 +122,7 @@ def test_what_is_reached_is_drawn(tmp_path):
     files = [tmp_path / f"{k}.svg" for k in range(4)]
     path.write_text("x,y\n0.5,0.3\n3,0.3\n-0.2,0.4\n")
     run = Result("reach", "two_link", path, "--frame", "e", "--plot", files[0])
-    assert run.code == 1 and f"written to {files[0]}" in run.err
+    assert run.code == 1 and f"written to {files[0]}" in run.out
     assert all(f'id="poses:{name}"' in files[0].read_text() for name in ("reached", "not reached"))
     ax = kempe.load("two_link").reach.poses([[0.5, 0.3], [3.0, 0.3], [-0.2, 0.4]], "e").plot()
     marked = {

@@ -381,14 +381,17 @@ class RowStore:
         try:
             group = zarr.open_group(str(self.path), mode="r+")
             made = json.loads(group.attrs["kempe"])
+            same = [key for key in self.said if key != "source"]
+            refuse_other(made, self.said, str(self.path), same)
             with zarr.config.set({"array.write_empty_chunks": True}):
                 self.arrays = {name: group[name] for name in (*self.job.layout, DONE)}
             axes = {name: group[name] for name in self._words()}
+        except InputError:  # it is another map
+            raise
         except UNREADABLE as error:
             raise DamagedError(
                 f"{self.path} is damaged: {error}; remove it, and the same call makes it anew"
             ) from error
-        refuse_other(made, self.said, str(self.path), [key for key in self.said if key != "source"])
         for name, words in self._words().items():
             self._repair(axes[name], words)
         for k in range(self.arrays[DONE].shape[0]):
