@@ -418,15 +418,22 @@ def hanging(count: int, digits: int, rng: np.random.Generator) -> System:
     return rounded(m.build(), digits, rng)
 
 
-def test_parts_that_share_no_joint_are_compared_one_by_one(hunt, monkeypatch):
-    """So a robot of many loops costs as much as its loops, and may have any number of coordinates."""
-    sizes: list[int] = []
+@pytest.fixture
+def sizes(monkeypatch) -> list[int]:
+    """Numbers of velocities of the systems whose dimensions are changed."""
+    out: list[int] = []
     before = nearest_exact.Dimensions.__init__
-    monkeypatch.setattr(
-        nearest_exact.Dimensions,
-        "__init__",
-        lambda self, s: (sizes.append(s.nv), before(self, s))[1],
-    )
+
+    def init(self, system):
+        out.append(system.nv)
+        before(self, system)
+
+    monkeypatch.setattr(nearest_exact.Dimensions, "__init__", init)
+    return out
+
+
+def test_parts_that_share_no_joint_are_compared_one_by_one(hunt, monkeypatch, sizes):
+    """So a robot of many loops costs as much as its loops, and may have any number of coordinates."""
     monkeypatch.setattr(nearest_exact, "MOST", 20)
     given = hanging(5, 6, hunt.rng())
     assert given.nv == 26 > nearest_exact.MOST
@@ -440,15 +447,8 @@ def test_parts_that_share_no_joint_are_compared_one_by_one(hunt, monkeypatch):
     assert set(sizes) == {4} and set(answer.within.absorbed) == set(given.structure.closures)
 
 
-def test_loops_whose_joints_follow_motors_outside_are_compared_one_by_one(hunt, monkeypatch):
+def test_loops_whose_joints_follow_motors_outside_are_compared_one_by_one(hunt, sizes):
     """A motor that no loop passes drives a crank by a gear: the loop's freedom is the motor's."""
-    sizes: list[int] = []
-    before = nearest_exact.Dimensions.__init__
-    monkeypatch.setattr(
-        nearest_exact.Dimensions,
-        "__init__",
-        lambda self, s: (sizes.append(s.nv), before(self, s))[1],
-    )
     m = hanging(3, 6, hunt.rng()).mechanism
     for k in range(3):
         m.revolute(f"M{k}", "b1", m.body(f"rotor{k}"), at=(0.1, 0.2, 0.3))
