@@ -163,7 +163,10 @@ class Valley:
         for _ in range(steps):
             there = self.converge(layout.integrate(q, self.scale * ways * length))
             kept = np.isfinite(there).all(axis=1)
-            q, there, ways, left = q[kept], there[kept], ways[kept], left[kept]
+            q = q[kept]
+            there = there[kept]
+            ways = ways[kept]
+            left = left[kept]
             if not len(q):
                 break
             f, J = self.equations(there)
@@ -175,7 +178,9 @@ class Valley:
             moved = np.linalg.norm(layout.difference(q, there) / self.scale, axis=1)
             kept = (left <= most) & (0.5 * length < moved) & (moved < 2.0 * length)
             kept &= np.sum(onward * ways, axis=1) >= 0.5
-            q, ways, left = there[kept], onward[kept], left[kept]
+            q = there[kept]
+            ways = onward[kept]
+            left = left[kept]
             regular = self.regular(spectrum)[kept]
             found += zip(left[regular].tolist(), q[regular], strict=True)
         return found

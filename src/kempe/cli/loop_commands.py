@@ -355,7 +355,8 @@ def plot(
     picture = written_to(out, file_out)
     picture_file(picture)
     names = [system.structure.frame_name(f) for f in frame or ()]
-    there, closing = (None, None)
+    there = None
+    closing = None
     if tree:
         drawing = system.plot_tree()
     else:

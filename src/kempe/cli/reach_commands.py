@@ -81,7 +81,8 @@ def singularities(
     )
     if driving == []:
         raise InputError(f"--inputs names no joint; there are: {', '.join(system.joint_names)}")
-    near, closing = None, None
+    near = None
+    closing = None
     if at:
         near, closing = arguments.configuration(system, ",".join(at), None, output.deg)
     if closing is not None and not closing:

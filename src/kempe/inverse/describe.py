@@ -292,7 +292,9 @@ def _list_closed_form_steps(plan: ChainPlan, way: Strategy) -> list[Step]:
         (name for name, role in zip(names[:3], roles[:3], strict=True) if role == A.JOINT), ()
     )
     out: list[Step] = []
-    x, y, z = 3, 4, 5
+    x = 3
+    y = 4
+    z = 5
     if way.mode == COUPLED:
         values = 2 if A.REST in (roles[x], roles[z]) else 4
         out.append(Step((*names[x], *names[z]), ORDERS[4], values))

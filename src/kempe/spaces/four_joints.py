@@ -259,7 +259,8 @@ def _decided(system: Model, rod: Rod, first: str, last: str, names: list[str]) -
     closes = not (math.isfinite(low) or math.isfinite(high)) and len(rod.p) == 3
     marks = rod.turning_points()
     if closes:
-        low, high = FIRST_CUT, FIRST_CUT + 2.0 * math.pi
+        low = FIRST_CUT
+        high = FIRST_CUT + 2.0 * math.pi
     elif len(rod.p) == 2:
         size = rod.length + float(np.abs(rod.p).max() + np.abs(rod.r).max())
         low, high = np.clip(

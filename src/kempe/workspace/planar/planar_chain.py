@@ -74,7 +74,8 @@ def way_of(joint: JointLine, p: complex, back: bool = False) -> PlanePiece:
         way = joint.direction * rate
         return PlanePiece(p + way * low, 0.0, way=way * (high - low))
     if not limits_of(joint):
-        low, high = 0.0, TURN / abs(rate)
+        low = 0.0
+        high = TURN / abs(rate)
     d = p - joint.point
     start = float(np.angle(d)) + rate * low
     return PlanePiece(joint.point, abs(d), start, rate * (high - low))

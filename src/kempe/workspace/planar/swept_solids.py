@@ -117,7 +117,8 @@ def _square_moment(piece: PlanePiece) -> float:
     a, b = (complex(piece.at(t)) for t in (0.0, 1.0))
     if not piece.is_arc:
         return (b.imag - a.imag) * (a.real**2 + a.real * b.real + b.real**2) / 3.0
-    c, r = piece.centre.real, piece.radius
+    c = piece.centre.real
+    r = piece.radius
 
     def primitive(angle: float) -> float:
         sine = np.sin(angle)
