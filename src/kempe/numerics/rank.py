@@ -1,7 +1,7 @@
-"""Singular values of matrices, and all that depends on a rank: the one place that decides ranks.
+"""Singular values of matrices, and what depends on their rank.
 
 The rank of a computed matrix is the number of its singular values that are clearly not zero. What is
-clear depends on how large an error the matrix has: a rank is taken at one of the four of `Level`.
+clear depends on how large an error the matrix has: the four values of `Level`.
 
 Source: Golub, Van Loan, *Matrix Computations*, 4th edition, 2013, section 5.4.
 """
@@ -128,12 +128,6 @@ class Spectrum:
         """The last singular value (...), 0 where there is none."""
         s = self.values
         return s[..., -1] if s.shape[-1] else np.zeros(s.shape[:-1])
-
-    @property
-    def condition(self) -> Array:
-        """The largest singular value over the last one (...), infinite where the last one is 0."""
-        with np.errstate(divide="ignore"):
-            return self.largest / self.smallest
 
     def ranks(self, level: float) -> NDArray[np.int64]:
         """The number (...) of singular values above `level`."""
