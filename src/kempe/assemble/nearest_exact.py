@@ -568,14 +568,13 @@ def _beside(
         found = along.converge(starts)
         found = found[np.isfinite(found).all(axis=1)]
         left = valley.residual(found)
-        fit = [
-            i
-            for i in np.argsort(left)
-            if left[i] <= limit
-            and r
-            in _ranks(_relative(along.spectrum(found[i]).values, system.nv), r + 1, limit, EXACT)
-        ]
-        out += [(r, found[i]) for i in fit if along.regular(along.spectrum(found[i]))][:FEW]
+        fit: list[tuple[int, Array]] = []
+        for q in found[np.argsort(left)[: int(np.sum(left <= limit))]]:
+            spectrum = along.spectrum(q)
+            ranks = _ranks(_relative(spectrum.values, system.nv), r + 1, limit, EXACT)
+            if r in ranks and along.regular(spectrum):
+                fit.append((r, q))
+        out += fit[:FEW]
     return out
 
 
