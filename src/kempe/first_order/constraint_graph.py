@@ -97,6 +97,7 @@ def _simple(loop: Array, parent: np.ndarray, child: np.ndarray) -> bool:
 Signed = list[tuple[int, float]]
 """Edges with the signs in which they are passed."""
 Way = Callable[[int, int], tuple[Signed, Signed]]
+"""The function of `_ways`."""
 
 NO_SERIES = "is a Python function that cannot be recorded, and has no Taylor series"
 
@@ -294,8 +295,9 @@ def called(system: Model) -> tuple[str, ...]:
 
 def _structure(system: Model) -> ConstraintGraph:
     edges = _edges(system)
-    loops = _loops(system, edges)
-    laws = _laws(system, edges)
+    way = _ways(system, edges)
+    loops = _loops(system, edges, way)
+    laws = _laws(system, way)
     clusters = _clusters(system, edges, loops, laws)
     stack = np.array([(e.X_PF, e.X_CM) for e in edges]).reshape(-1, 2, 4, 4)
     ends = np.array([(e.parent, e.child) for e in edges], dtype=np.int64).reshape(-1, 2)
@@ -408,9 +410,8 @@ def _ways(system: Model, edges: list[Edge]) -> Way:
     return way
 
 
-def _loops(system: Model, edges: list[Edge]) -> list[Loop]:
+def _loops(system: Model, edges: list[Edge], way: Way) -> list[Loop]:
     index = {e.name: i for i, e in enumerate(edges)}
-    way = _ways(system, edges)
     closing = [index[n] for n in system.structure.closures] + [
         i for i, e in enumerate(edges) if not e.joint
     ]
@@ -423,7 +424,7 @@ def _loops(system: Model, edges: list[Edge]) -> list[Loop]:
     return out
 
 
-def _laws(system: Model, edges: list[Edge]) -> tuple[Law, ...]:
+def _laws(system: Model, way: Way) -> tuple[Law, ...]:
     """Couplings with several sources, and what constraints say by expressions and functions."""
     loops = full(system, True)
     first = 0
@@ -443,7 +444,6 @@ def _laws(system: Model, edges: list[Edge]) -> tuple[Law, ...]:
         _, own, ties = found.setdefault(key, (of, [], []))
         own += places
         ties.append(tie)
-    way = _ways(system, edges)
     number = {b: i for i, b in enumerate(system.body_names)}
     out: list[Law] = []
     for key in sorted(found):
