@@ -140,7 +140,7 @@ def _only_slides(edge: Edge) -> bool:
 
 
 def _flood(system: Model, body: int, passes: Callable[[int], bool]) -> frozenset[int]:
-    """The bodies that edges which `passes` accepts connect with a body."""
+    """The bodies that are connected with a body by edges which `passes` accepts."""
     s = structure(system)
     of_body = surroundings(system).of_body
     order = [body]
@@ -237,7 +237,9 @@ class End(NamedTuple):
 
 
 def _ends(system: Model, at: Screws, driven: frozenset[int]) -> dict[tuple[int, bool], End]:
-    """The end that begins with an edge, for a group on its child's side (True) or its parent's."""
+    """The ends of groups, by the edge that they begin with and whether the group is on its child's
+    side.
+    """
     found = {
         (i, of_child): _end(system, at, i, of_child, driven)
         for i in range(len(structure(system).edges))
@@ -409,15 +411,19 @@ def _between_balls(
         for series in alike.values():
             usable = [i for i in series if (i, True) in balls or (i, False) in balls]
             for pair in combinations(usable, 2):
-                passes = {*range(len(s.edges))}.difference(pair).__contains__
-                bodies = _flood(system, s.edges[pair[0]].child, passes)
-                if 0 in bodies:
-                    bodies = _flood(system, s.edges[pair[0]].parent, passes)
+                bodies = _bodies_between(system, pair)
                 keys = [(i, s.edges[i].child in bodies) for i in pair]
                 carried = _edges_of(system, bodies) - {*series}
                 rests = all(looped[i] and not s.edges[i].actuated for i in carried)
                 if balls.keys() >= {*keys} and rests:
                     yield Group(bodies, tuple(balls[key] for key in keys))
+
+
+def _bodies_between(system: Model, pair: tuple[int, int]) -> frozenset[int]:
+    """The bodies that two edges part from the ground."""
+    e = structure(system).edges[pair[0]]
+    bodies = _flood(system, e.child, lambda i: i not in pair)
+    return _flood(system, e.parent, lambda i: i not in pair) if 0 in bodies else bodies
 
 
 # ---- spins
