@@ -203,8 +203,9 @@ class Flight:
         held = {i for i in still if self.N[i] @ a <= strength * np.linalg.norm(self.N[i])}
         flat = self.N[sorted(held)]
         if len(flat):
-            v = v - Spectrum(flat).inverse(Level.ROUNDING) @ (flat @ v)
-            a = a - Spectrum(flat).inverse(Level.ROUNDING) @ (flat @ a)
+            back = Spectrum(flat).inverse(Level.ROUNDING)
+            v = v - back @ (flat @ v)
+            a = a - back @ (flat @ a)
             a = np.where(np.linalg.norm(a) <= strength, 0.0, a)
             v = np.where(np.linalg.norm(v) <= slow and not a.any(), 0.0, v)
         return v, a, held
@@ -262,11 +263,9 @@ class Flight:
     def _onto(self, y: Array, touching: set[int]) -> Array:
         """The place (k,) put onto planes that it touches but for rounding."""
         index = sorted(touching)
-        return (
-            y - Spectrum(self.N[index]).inverse(Level.ROUNDING) @ self.gaps(y)[index]
-            if index
-            else y
-        )
+        if not index:
+            return y
+        return y - Spectrum(self.N[index]).inverse(Level.ROUNDING) @ self.gaps(y)[index]
 
 
 def first_zero(gap: float, rate: float, acceleration: float) -> float:
