@@ -325,17 +325,6 @@ def plans(
     """
     steering = None if axle.loose or axle.steering is None else Steering(axle, q)
 
-    def labelled(plan: Plan) -> Plan:
-        """The plan with values of the steering for each curvature."""
-        if steering is None:
-            return plan
-        moves: list[Move] = []
-        for m in plan:
-            arc = math.copysign(1.0 / radius, m.angle * m.length) if radius else math.inf
-            bend = 0.0 if not m.angle else arc if m.length else math.inf
-            moves.append(m._replace(steering=steering.values(bend)))
-        return tuple(moves)
-
     if steering is not None:
         if not steering.values(0.0):
             raise Refused(f"no value of {steering.name!r} within its limits goes straight")
@@ -347,14 +336,27 @@ def plans(
                     f"within the limits of {steering.name!r} it does not turn on the spot{hint}"
                 )
             radius = least
+
+    def with_steering(plan: Plan) -> Plan:
+        """The plan with values of the steering at which its moves go."""
+        if steering is None:
+            return plan
+        moves: list[Move] = []
+        for m in plan:
+            arc = math.copysign(1.0 / radius, m.angle * m.length) if radius else math.inf
+            bend = 0.0 if not m.angle else arc if m.length else math.inf
+            moves.append(m._replace(steering=steering.values(bend)))
+        return tuple(moves)
+
     start = axle.place(q)
     end = axle.place(goal)
     if not radius:
         i = axle.own_q[2]
         angle = axle.gear * float(goal[i] - q[i])
-        turn, ahead = (labelled((Move(*x),))[0] for x in ((0.0, 1.0), (1.0, 0.0)))
+        (turn,) = with_steering((Move(0.0, 1.0),))
+        (ahead,) = with_steering((Move(1.0, 0.0),))
         length = _signed_length(axle, q, goal, free, angle, ahead, turn)
-        yield from map(labelled, _on_the_spot(start, end, angle, length))
+        yield from map(with_steering, _on_the_spot(start, end, angle, length))
         return
     if steering is not None and not all(steering.values(k / radius) for k in (1.0, -1.0)):
         raise Refused(
@@ -366,7 +368,7 @@ def plans(
     dx, dy = ((end - start)[:2] / radius).tolist()
     relative = c * dx + s * dy, c * dy - s * dx, float(end[2] - start[2])
     for way in ways(*relative):
-        yield labelled(tuple(Move(radius * x, k * x) for k, x in way))
+        yield with_steering(tuple(Move(radius * x, k * x) for k, x in way))
 
 
 def _signed_length(
