@@ -517,7 +517,7 @@ class _Follow:
         x = q
         for k in range(parts):
             self.time.check()
-            x = self._integrated(x, t0 + k * h / parts, h / parts, values[2 * k : 2 * k + 3])
+            x = self._integrate(x, t0 + k * h / parts, h / parts, values[2 * k : 2 * k + 3])
         # between samples of inputs that are too many, straight lines do, if those at samples do not
         if self.slips:
             x = self._middle(q, t0, h, u, end)
@@ -525,7 +525,7 @@ class _Follow:
         near[self.closure.place[self.index[: len(end)]]] = end
         return close(Closure(self.system, self.index, near), near)
 
-    def _integrated(self, q: Array, t: float, h: float, values: list[Array]) -> Array:
+    def _integrate(self, q: Array, t: float, h: float, values: list[Array]) -> Array:
         """The configuration (nq,) after a step, along the parabola through three values of the
         inputs.
         """

@@ -194,7 +194,7 @@ def axle_of(system: Model, q: Array) -> Axle:
             f"{system.name}: {tie!r} ties coordinates to each other (a loop, a relation or a "
             "position constraint); a manoeuvre is known for open systems only"
         )
-    return _mounted(_sorted_coordinates(_planar_body(system), q), q)
+    return _with_mount(_sorted_coordinates(_planar_body(system), q), q)
 
 
 def binding(system: Model, q: Array) -> str | None:
@@ -293,7 +293,7 @@ def _sorted_coordinates(axle: Axle, q: Array) -> Axle:
     )
 
 
-def _mounted(axle: Axle, q: Array) -> Axle:
+def _with_mount(axle: Axle, q: Array) -> Axle:
     """The axle at its place on the body, which no allowed twist moves sideways.
 
     Errors: `UnsupportedError` where the twists are too many, too few, or the driven coordinates do
