@@ -127,8 +127,8 @@ def idle_freedoms_at(system: Model, q: Array) -> tuple[IdleFreedom, ...]:
 
 
 def idle_freedoms_of(system: Model, q: Array | None = None) -> tuple[IdleFreedom, ...]:
-    """The idle freedoms of a system, found once: at a closed configuration that is searched; if
-    none is found, at q (nq,).
+    """The idle freedoms of a system, looked for once, at a closed configuration that a search finds;
+    where it finds none, those at q (nq,).
     """
     tree = own_tree(system)
     found = _idle_at_home(tree)

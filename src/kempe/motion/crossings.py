@@ -192,9 +192,8 @@ def cone(equations: Closure, x: Array) -> tuple[Array, bool]:
 def _two(forms: Array) -> Array:
     """Common real zeros (k, 2) of quadratic forms (m, 2, 2)."""
     rows = np.stack([forms[:, 0, 0], 2.0 * forms[:, 0, 1], forms[:, 1, 1]], axis=1)
-    a, b, c = Spectrum(rows).right[
-        0
-    ]  # a u^2 + b u v + c v^2, the combination of the forms that is largest
+    # a u^2 + b u v + c v^2, the combination of the forms that is largest
+    a, b, c = Spectrum(rows).right[0]
     root = b * b - 4.0 * a * c
     if root < -1e-8:
         return np.zeros((0, 2))

@@ -87,8 +87,6 @@ MOST = 10**7
 USUAL = Usual("resample", time_limit=TIME_LIMIT, progress=None)
 SLICE = 1024
 """Points that are closed at once."""
-
-
 EVENTS = 24
 """Points where coordinates turn back that a text lists; the data have all."""
 
