@@ -92,11 +92,12 @@ KEPT = 64
 """Structures of tasks whose packed ties a system keeps, and sets of weights and tolerances kept
 with each."""
 
-Level = tuple[int, bool]
+TaskLevel = tuple[int, bool]
+"""The priority of a task, and whether the task is soft."""
 
 
-def level_of(task: Task) -> Level:
-    """What levels of tasks are ordered by: priority, hard before soft."""
+def level_of(task: Task) -> TaskLevel:
+    """The level of a task. Levels are ordered: by priority, hard before soft."""
     return int(task.priority), task.weight is not None
 
 

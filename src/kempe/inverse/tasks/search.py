@@ -24,7 +24,7 @@ from kempe.errors import InputError, shown
 from kempe.forward.fk import fk, jacobian
 from kempe.inverse.answer import Reached
 from kempe.inverse.tasks.contradictions import contradictory
-from kempe.inverse.tasks.demands import FIRST, KEPT, STARTS, STEPS, Demands, Level, level_of
+from kempe.inverse.tasks.demands import FIRST, KEPT, STARTS, STEPS, Demands, TaskLevel, level_of
 from kempe.inverse.tasks.reach_bounds import unreachable
 from kempe.joints import P
 from kempe.kernels.base import search_layout as S
@@ -34,8 +34,7 @@ from kempe.model.kernel_functions import Callback
 from kempe.model.model import keep, kept
 from kempe.model.own_tree import own_tree
 from kempe.numerics.clock import EndReached, TimeLimit
-from kempe.numerics.rank import Level as RankLevel
-from kempe.numerics.rank import Spectrum
+from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 from kempe.status import MEMBERS, Status
 
@@ -73,7 +72,7 @@ def near_target(problem: Demands, home: Array) -> Array:
         far = np.linalg.norm(away, axis=-1, keepdims=True) > FAR * problem.packed.loops.length
         if not J.any() or not far.any():
             continue
-        dx = away @ Spectrum(J).inverse(RankLevel.CLOSED).T
+        dx = away @ Spectrum(J).inverse(Level.CLOSED).T
         moved = np.tile(home, (*dx.shape[:-1], 1))
         places = dict(
             zip(
@@ -142,7 +141,7 @@ def log_manipulability(problem: Demands, q: Array) -> Array:
     J = packed.evaluate(q, problem.pins)[1][..., np.isin(packed.rows[packed.rows >= 0], hard), :]
     C = packed.evaluate(q, problem.pins, closures=True)[1]
     if C.shape[-2]:
-        J = J - J @ Spectrum(C).inverse(RankLevel.CLOSED) @ C
+        J = J - J @ Spectrum(C).inverse(Level.CLOSED) @ C
     s = Spectrum(J).values
     return 0.5 * np.sum(np.log(s * s + SMALL), axis=-1)
 
@@ -456,7 +455,7 @@ def _lead_on(
     return problem.run(starts, threads, tries=tries, rows=rows)
 
 
-def _cut(problem: Demands, where: Callable[[Demands, Level], bool]) -> Level | None:
+def _cut(problem: Demands, where: Callable[[Demands, TaskLevel], bool]) -> TaskLevel | None:
     """The last level that says so, before the last one."""
     levels = tuple([level_of(t) for t in problem.tasks])
     requested = where, levels
@@ -472,7 +471,7 @@ def _cut(problem: Demands, where: Callable[[Demands, Level], bool]) -> Level | N
     return ends[0] if ends else None
 
 
-def _is_added(problem: Demands, end: Level) -> bool:
+def _is_added(problem: Demands, end: TaskLevel) -> bool:
     """Whether a soft level, the last one, stands behind this one, which is soft or has soft ones
     before it.
     """
@@ -480,7 +479,7 @@ def _is_added(problem: Demands, end: Level) -> bool:
     return levels[-1][1] and end == levels[-2] and any(soft for _, soft in levels[:-1])
 
 
-def _may_differ(problem: Demands, end: Level) -> bool:
+def _may_differ(problem: Demands, end: TaskLevel) -> bool:
     """Whether tasks behind this level can change what those up to it reach.
 
     Hard ones are met before soft ones are lowered, and angles that are named do not turn on beyond
@@ -494,7 +493,7 @@ def _may_differ(problem: Demands, end: Level) -> bool:
     return named and bool(np.any(_part(problem, end).packed.wide & ~problem.packed.wide))
 
 
-def _part(problem: Demands, end: Level) -> Demands:
+def _part(problem: Demands, end: TaskLevel) -> Demands:
     """The problem up to a level, nothing preferred."""
     levels = tuple([level_of(t) for t in problem.tasks])
     requested = _part, levels, end
