@@ -26,7 +26,7 @@ from kempe.joints import JointType, P, Primitive, R
 from kempe.kernels.constraints import loop_layout as L
 from kempe.model.characteristic_length import characteristic_length
 from kempe.model.configurations import as_q, circles
-from kempe.model.constraint_program import TURNS, number_of, numbers_of
+from kempe.model.constraint_program import TURNS, input_name, number_of, numbers_of
 from kempe.model.coordinates import Follower, coordinate_names
 from kempe.model.model import Model, kept
 from kempe.spatial import Array
@@ -286,7 +286,7 @@ def _ends(made: Constraint, row: Row, given: Numbers) -> tuple[Any, Any]:
 
 def _number(made: Constraint, field: str, part: int | None, given: Numbers, default: float) -> Any:
     """The number (...) of a field, of the call where it is `given`; `default` where there is none."""
-    x = given.get(field if part is None else f"{field}[{part}]")
+    x = given.get(input_name(field, part))
     if x is not None:
         return x[..., 0]
     x = number_of(made, field, part) if field else None

@@ -36,6 +36,7 @@ from kempe.model.constraint_program import (
     Tie,
     between,
     has_varied_bounds,
+    input_name,
     input_of,
     recorded_numbers,
     ties,
@@ -264,7 +265,7 @@ class Task:
             varied = self._varied_ends(row)
             for field in [getattr(row, end) for end in varied] or [held(made, row)]:
                 if field:
-                    name = field if row.part is None else f"{field}[{row.part}]"
+                    name = input_name(field, row.part)
                     x = self._number(name)
                     numbers[name] = np.clip(x, -FAR, FAR) if varied else x
             if row.op is Op.TAPE:

@@ -231,7 +231,7 @@ def ties(
 
     The pose of frame A and the numbers of a constraint that is `requested` of one call come with
     the call, except bounds that are the same for all targets. A `centre` of masses takes the place
-    of frame B. Errors: `InputError` for rows that cannot have the values or bounds that they have.
+    of frame B. Errors: `InputError` for a value or bounds of a row that cannot have them.
     """
     out: list[Tie] = []
     for side in sides_of(made, system.dim, requested):
@@ -258,7 +258,7 @@ class Side(NamedTuple):
     def number(self, row: Row) -> str:
         """Name of the number that a row is measured from; "" where it is measured from zero."""
         field = getattr(row, self.end) if self.end else held(self.made, row)
-        return field if not field or row.part is None else f"{field}[{row.part}]"
+        return input_name(field, row.part)
 
     def bounds(self, rows: list[Row]) -> tuple[tuple[float, float], ...]:
         """The bounds of some of the rows, measured from their numbers; none where these are values."""
@@ -271,21 +271,20 @@ class Side(NamedTuple):
 
 def sides_of(made: Constraint, dim: int, requested: bool) -> list[Side]:
     """The rows of position: at values, between fixed bounds, and on each side of bounds that come
-    with the call. Errors: `InputError` for rows that cannot have the values or bounds that they
-    have.
+    with the call. Errors: `InputError` for a value or bounds of a row that cannot have them.
     """
     rows = [r for r in made.rows(dim) if not r.velocity]
     for row in rows:
         _refuse_no_number(made, row, requested)
-    moving = [r for r in rows if requested and has_varied_bounds(made, r)]
-    bounded = [r for r in rows if one_sided(made, r) and r not in moving]
+    varied_rows = [r for r in rows if requested and has_varied_bounds(made, r)]
+    fixed_rows = [r for r in rows if one_sided(made, r) and r not in varied_rows]
     sides = [
         Side(made, [r for r in rows if not one_sided(made, r)], False, requested),
-        Side(made, bounded, True, requested),
+        Side(made, fixed_rows, True, requested),
     ]
     for end in ("low", "high"):
-        some = [r for r in moving if end in varied_ends(made, r)]
-        sides.append(Side(made, some, True, requested, end))
+        rows_with_end = [r for r in varied_rows if end in varied_ends(made, r)]
+        sides.append(Side(made, rows_with_end, True, requested, end))
     return [side for side in sides if side.rows]
 
 
@@ -488,10 +487,13 @@ def number_of(made: Constraint, field: str, part: int | None = None) -> Any:
     return x if part is None or np.ndim(x) == 0 else np.asarray(x)[..., part]
 
 
+def input_name(field: str, part: int | None = None) -> str:
+    """Name of a number of a field: "low", or "low[1]" for one of several; "" where there is no field."""
+    return field if not field or part is None else f"{field}[{part}]"
+
+
 def input_of(made: Constraint, name: str) -> Any:
-    """What a field gives for an input of an expression: "low", or "low[1]" for one of several
-    numbers.
-    """
+    """What a field gives for a number that is named as by `input_name`."""
     field, _, part = name.partition("[")
     return number_of(made, field, int(part[:-1]) if part else None)
 
