@@ -623,15 +623,11 @@ class Solutions(ConfigurationList, Answer):
         """A row for each solution: coordinates of the chain, and what is special."""
         if not self.mask.any():
             return []
-        mask = np.reshape(self.mask, (-1, self.mask.shape[-1]))
-        of, row = np.nonzero(mask)
-        k = len(row)
-        columns = (self.q.reshape(-1, self.system.nq), self.names, self.inside, self.multiplicity)
-        each = (np.reshape(x, (mask.size, *np.shape(x)[self.mask.ndim :])) for x in columns[1:])
-        used = [x[mask.ravel()] for x in (columns[0], *each)]
+        targets = np.nonzero(self.mask.reshape(-1, self.mask.shape[-1]))[0].tolist()
+        columns = [x[self.mask] for x in (self.q, self.names, self.inside, self.multiplicity)]
         places = self.plan.lines.q_index.tolist()
         rows: list[tuple[Any, ...]] = []
-        for target, q, *facts in zip(of[:ROWS].tolist(), *used, strict=False):
+        for target, q, *facts in zip(targets[:ROWS], *columns, strict=False):
             first = () if self.single else (target,)
             rows.append((*first, *self._quantities(q, places), _remark(*facts) or "-"))
         heads: list[str] = [self.system.coordinate_names[i] for i in places]
@@ -639,7 +635,7 @@ class Solutions(ConfigurationList, Answer):
         if all(row[-1] == "-" for row in rows):
             rows = [row[:-1] for row in rows]
             heads = heads[:-1]
-        return [Table(heads, rows, more=k - len(rows), printed=self.single)]
+        return [Table(heads, rows, more=len(targets) - len(rows), printed=self.single)]
 
     def _notes(self, degrees: bool = False) -> Sequence[str]:
         families = self.families if self.single else ()
@@ -658,8 +654,8 @@ class Solutions(ConfigurationList, Answer):
         ]
         unit = units(self.system)
         held = {name: Quantity(x, unit[name]) for name, x in self.held.items()}
-        asked = {"frame": self.problem.frame, "task": self.problem.task}
-        out = asked | super()._data() | {"held": held}
+        goal = {"frame": self.problem.frame, "task": self.problem.task}
+        out = goal | super()._data() | {"held": held}
         return out | {"families": families} if self.single else out
 
 
