@@ -118,7 +118,6 @@ TURN = 2.0 * np.pi
 SHOWN = 4
 """Names that a sentence lists."""
 
-
 Numbers = dict[str, Array]
 """Numbers (..., k) of a constraint by name: those that come with one call."""
 FRAME_ROWS = (*TURNS, Op.POINT, Op.DISTANCE)
@@ -228,16 +227,16 @@ def missed(
     the largest difference counts, else the root of the sum of squares.
     """
     numbers = given or {}
-    plain: list[Row] = []
+    frame_rows: list[Row] = []
     coordinates: list[Row] = []
     others: list[Row] = []
     for row in rows:
         whole = row.op in FRAME_ROWS and not is_compared(made, row)
-        (plain if whole else coordinates if row.op is Op.COORDINATE else others).append(row)
+        (frame_rows if whole else coordinates if row.op is Op.COORDINATE else others).append(row)
     misses: list[tuple[Any, Any]] = []
-    if plain:
+    if frame_rows:
         assert A is not None and B is not None
-        misses.append(frame_misses(A, B, shape_of(tuple(plain), system.dim)))
+        misses.append(frame_misses(A, B, shape_of(tuple(frame_rows), system.dim)))
     if coordinates:
         misses.append(coordinate_misses(system, coordinates, q, numbers))
     known: dict[str, Any] = {}
@@ -270,8 +269,6 @@ def missed(
 
 def is_compared(made: Constraint, row: Row) -> bool:
     """Whether a row is compared with a number, or a distance, in place of being zero."""
-    if not (row.equal or row.low or row.high):
-        return row.op is Op.DISTANCE
     return row.op is Op.DISTANCE or bool(held(made, row)) or one_sided(made, row)
 
 

@@ -341,17 +341,20 @@ class OfSystem(Constraint):
         return self.whole.values(q) - self._held
 
 
+CoordinateItem = tuple[str, int, int, bool]
+"""A coordinate or quaternion: its name, its place in q, its velocity coordinate, and whether it is a
+quaternion."""
+
+
 @dataclass(frozen=True, eq=False)
 class CoordinateValues(Constraint):
-    """Coordinates and quaternions of one system at values, in a configuration `q` (..., nq).
-
-    `items` has for each its name, its place in q, its velocity coordinate, and whether it is a
-    quaternion.
+    """Coordinates and quaternions of one system, its `items`, that are held at their values in a
+    configuration `q` (..., nq).
     """
 
     system: Model
     q: Array
-    items: tuple[tuple[str, int, int, bool], ...]
+    items: tuple[CoordinateItem, ...]
 
     def rows(self, dim: int) -> tuple[Row, ...]:
         """One for each coordinate or quaternion."""
@@ -391,7 +394,7 @@ def coordinate_values(system: Model, made: Constraint) -> CoordinateValues:
     balls: Iterable[tuple[int, int]] = zip(
         layout.quaternion_q.tolist(), layout.quaternion_v.tolist(), strict=True
     )
-    items: list[tuple[str, int, int, bool]] = [(names[i], i, v, False) for i, v in vectors]
+    items: list[CoordinateItem] = [(names[i], i, v, False) for i, v in vectors]
     items += [(names[i], i, v, True) for i, v in balls]
     items.sort(key=lambda item: item[1])
     values = named(given)
@@ -404,7 +407,7 @@ def coordinate_values(system: Model, made: Constraint) -> CoordinateValues:
     q[:] = system.neutral
     for n, x in columns.items():
         q[..., names.index(n)] = x
-    chosen: list[tuple[str, int, int, bool]] = []
+    chosen: list[CoordinateItem] = []
     for item in items:
         width = 4 if item[3] else 1
         parts = names[item[1] : item[1] + width]

@@ -176,13 +176,13 @@ class Task:
         made: Constraint = self.of
         numbers: tuple[Any, ...] = ()
         if self.compares:
-            ends = tuple([self._varied_ends(r) for r in self.rows])
+            varied = tuple([self._varied_ends(r) for r in self.rows])
             values = tuple([bool(held(made, r)) for r in self.rows])
             bounds = [
-                between(made, r) if one_sided(made, r) and not some else None
-                for r, some in zip(self.rows, ends, strict=True)
+                between(made, r) if one_sided(made, r) and not ends else None
+                for r, ends in zip(self.rows, varied, strict=True)
             ]
-            numbers = ends, values, tuple(bounds)
+            numbers = varied, values, tuple(bounds)
         shares = self._shares if self.central else None
         return type(made), self.frames, self.tool, self.rows, numbers, shares
 
