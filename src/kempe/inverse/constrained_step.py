@@ -186,9 +186,8 @@ class ConstrainedSteps:
         if not self.rolls:
             return Left(Spectrum(C, 1.0).null(Level.CLOSED), np.zeros(self.system.nv), *between)
         A, b = hard_rows(self.system, q, self.scale)
-        return Left(
-            Spectrum(np.concatenate([C, A]), 1.0).null(Level.CLOSED), at_rest(C, A, b), *between
-        )
+        basis = Spectrum(np.concatenate([C, A]), 1.0).null(Level.CLOSED)
+        return Left(basis, at_rest(C, A, b), *between)
 
     def _between(self, q: Array, dt: float) -> tuple[Array, Array, Array]:
         """Declared one-sided rows (m, nv) of the scaled velocities, and between what they stay
@@ -424,9 +423,8 @@ class ConstrainedSteps:
         """
         N = free.basis
         held = np.eye(len(u))[(u <= low) | (u >= high)] @ N
-        own = Spectrum(np.concatenate([held, *(s.A @ N for s in stages[:-1])]), 1.0).null(
-            Level.CLOSED
-        )
+        earlier = np.concatenate([held, *(s.A @ N for s in stages[:-1])])
+        own = Spectrum(earlier, 1.0).null(Level.CLOSED)
         if not own.shape[1]:
             return None
         values, W = np.linalg.eigh(own.T @ model @ own)
@@ -465,12 +463,8 @@ class ConstrainedSteps:
             A = (A[:k] - A[k:]) * per
             C = (C[:k] - C[k:]) * per
             if C.shape[-2]:
-                A = (
-                    A
-                    - stage.A
-                    @ Spectrum(evaluate(self.closing, q, True, True)[1]).inverse(Level.CLOSED)
-                    @ C
-                )
+                closing = evaluate(self.closing, q, True, True)[1]
+                A = A - stage.A @ Spectrum(closing).inverse(Level.CLOSED) @ C
             return A @ N
 
         return along

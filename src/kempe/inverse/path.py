@@ -572,6 +572,7 @@ class IkPath(Configurations):
         return [ranges_table(self.system, self.q, steps=True)]
 
     def _reasons(self) -> list[str]:
+        """Nothing: the headline says where the path ends, and why."""
         return []
 
 
@@ -811,8 +812,10 @@ class _FollowedPath(PathSteps):
     def free(self, i: int, q: Array) -> bool:
         """Whether target i leaves freedoms of joints that it asks for, and there are limits."""
         J = self.missing(self.rows[i], q)[1]
-        used = int((np.abs(J) > 0.0).any(axis=0).sum()) if J.size else 0
-        return self.rows[i].limits and used > Spectrum(J).rank(Level.ROUNDING) if J.size else False
+        if not J.size:
+            return False
+        used = int((np.abs(J) > 0.0).any(axis=0).sum())
+        return self.rows[i].limits and used > Spectrum(J).rank(Level.ROUNDING)
 
     def path(self, q: Array, restart: bool, begin: int = 0) -> IkPath:
         """The path from q, which holds target `begin`; those before cannot be reached."""

@@ -525,9 +525,10 @@ def ranges_table(system: Model, q: Any, steps: bool = False) -> Table:
     unit = units(system)
     rows: list[tuple[Any, ...]] = []
     for name, x in zip(system.coordinate_names, np.asarray(q).T, strict=True):
-        step = np.abs(np.diff(x))
         values = [np.nanmin(x), np.nanmax(x)]
-        values += [step[np.isfinite(step)].max(initial=0.0)] * steps
+        if steps:
+            step = np.abs(np.diff(x))
+            values.append(step[np.isfinite(step)].max(initial=0.0))
         rows.append((name, *(Quantity(float(v), unit[name]) for v in values)))
     heads = ("coordinate", "least", "largest", "largest step")
     return Table(heads[: 4 if steps else 3], rows, grid=True, printed=False)
