@@ -23,8 +23,8 @@ class JointLine(NamedTuple):
     """The line of a joint: an axis about which it turns, or a way along which it slides.
 
     `point` and the unit vector `direction` are numbers (3,) or symbols, or in the plane complex
-    numbers or pairs; there turns go about z, and `rate` has their sense. By its `coordinate` the joint turns
-    or slides `rate` times as much, within the `limits` of that.
+    numbers or pairs; there turns go about z, and `rate` has their sense. The joint turns or slides
+    `rate` times as much as its `coordinate` changes, which stays within `limits`.
     """
 
     point: Any

@@ -351,9 +351,10 @@ class Recognised(Report):
     "slides". `relations` are facts about consecutive axes, those that a structure misses by little
     among them. `steps` are the rows of a table, in the order in which joints are solved: the
     `joints`, the `equation` that gives them, and the largest number of their `values`. `method` is
-    "closed form", "elimination" or "search". `most` is the largest number of isolated configurations that a
-    target can have, turns by 2 pi not counted; `held` are the joints that stay at their values
-    because the chain has more than the task needs, or because the caller said so.
+    "closed form", "elimination" or "search". `most` is the largest number of isolated
+    configurations that a target can have, turns by 2 pi not counted; `held` are the joints that
+    stay at their values because the chain has more than the task needs, or because the caller said
+    so.
     """
 
     system: str

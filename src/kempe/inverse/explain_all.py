@@ -358,14 +358,14 @@ def choice(solutions: Solutions) -> Choice:
 
     problem = solutions.problem
     plan = solutions.plan
-    asked = Problem(
+    verb_problem = Problem(
         problem.system,
         "all",
         dict.fromkeys(plan.lines.names[i] for i in plan.fixed),
         frame=problem.frame,
         task=(problem.task, problem.axis),
     )
-    return choose(SOLVERS, asked)[1]
+    return choose(SOLVERS, verb_problem)[1]
 
 
 ROW = SolutionsRow(status, choice, held_sentence, nearest, find_families)

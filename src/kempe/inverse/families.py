@@ -335,11 +335,11 @@ class SolutionSet(Curve):
         """Nodes one way, and how they end: "closed", "far", or "off" the target."""
         nodes = [first]
 
-        def taken(a: Node, h: float) -> list[Node] | None:
+        def take_step(a: Node, h: float) -> list[Node] | None:
             b = step(self, a, h)
             return None if b is None else [b]
 
-        for b in walk(first, taken, LONGEST, REACH):
+        for b in walk(first, take_step, LONGEST, REACH):
             if len(nodes) > 3 and self._passes(nodes[-1], b, first):
                 return nodes, "closed"
             nodes.append(b)
@@ -524,11 +524,11 @@ class Family(InWords):
         q = self.q[0, lines.q_index]
         if np.abs(x - np.outer(x @ way, way)).max() <= STRAIGHT:
             slopes = way / lines.multiplier[place]
-            at_rest = [(i, float(q[i])) for i in self._conditions()]
+            at_rest = {lines.names[i]: float(q[i]) for i in self._conditions()}
             return wording.linear_motion(
                 names,
                 _equations(names, slopes, q[place]),
-                [(lines.names[i], 0.0 if abs(x) < AT_ZERO else x) for i, x in at_rest],
+                [(name, 0.0 if abs(x) < AT_ZERO else x) for name, x in at_rest.items()],
             )
         way_round = self._theta[-1] - self._set.gap(self._theta[-1], self._theta[0])
         turns = [round(float(x) / (2.0 * math.pi)) for x in (way_round - self._theta[0])[place]]

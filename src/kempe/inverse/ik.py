@@ -334,17 +334,17 @@ def _planned(problem: Problem) -> tuple[Solver, Choice, Problem]:
     """Who answers, and by which method: numbers where the time does not last to plan a closed form."""
     time = TimeLimit((BATCH if problem.lead else USUAL).of(problem.budget).time_limit)
     time.put_in_order()  # a plan is made as a whole, or not at all
-    timed = problem._replace(options={"end": time.end})
+    problem = problem._replace(options={"end": time.end})
     try:
         with time:
-            return *choose(SOLVERS, timed), timed
+            return *choose(SOLVERS, problem), problem
     except TimeUp:
         if not time.spent:
             raise
         if problem.method == "analytic":
             raise TimeLimitError("ik", time.limit) from None
-    timed = timed._replace(method="numeric")
-    return *choose(SOLVERS, timed), timed
+    problem = problem._replace(method="numeric")
+    return *choose(SOLVERS, problem), problem
 
 
 def _checked(

@@ -90,7 +90,7 @@ def _by_numbers(problem: ChainProblem, target: Array, start: Array) -> Solution:
     task = (problem.task, Z_AXIS)
     goal = target if problem.task == "pose" else target[:3, 3]
     targets, lead, _ = targets_of(system, goal, problem.task, Z_AXIS)
-    other = Problem(
+    verb_problem = Problem(
         system, "one", start=start, frame=problem.frame, task=task, targets=targets, lead=lead
     )
-    return solve(SOLVERS, other)
+    return solve(SOLVERS, verb_problem)

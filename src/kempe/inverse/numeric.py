@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -42,10 +42,6 @@ from kempe.poses import sound
 from kempe.spatial import Array
 from kempe.status import Status, member
 
-if TYPE_CHECKING:
-    pass
-
-
 # ---- the nearest of all solutions in closed form
 
 # Numbers answer the rest.
@@ -59,8 +55,7 @@ def answer(
     problem: FrameProblem, plan: ChainPlan, near: Array, seeds: Array, threads: int | None
 ) -> tuple[Array, Array, np.ndarray]:
     """As `multi_start.run`: the solution inside the limits nearest to `near` (1 or N, nq); where
-    there
-    is none, numbers.
+    there is none, what a search finds.
     """
     n = len(problem.targets)
     q = np.empty((n, len(problem.chain.q_index)))
@@ -133,9 +128,11 @@ def with_history(answer: Solution, problem: Problem) -> Solution:
         raise InputError(
             "history=True is for one target of one frame that is searched for with method 'numeric'"
         )
-    searched = answer.task
-    base, seeds = seeds_of(problem.system, searched.chain, problem.start, ())
-    object.__setattr__(answer, "history", _of_starts(searched, base, seeds, int(answer.starts)))
+    frame_problem = answer.task
+    base, seeds = seeds_of(problem.system, frame_problem.chain, problem.start, ())
+    object.__setattr__(
+        answer, "history", _of_starts(frame_problem, base, seeds, int(answer.starts))
+    )
     return answer
 
 

@@ -220,6 +220,7 @@ def _plan_of(problem: Problem, values: Mapping[str, Any]) -> ChainPlan:
 
 
 def _refuse_others(problem: Problem, method: Method) -> str | None:
+    """Why a problem is not for a method: its plan is for another one."""
     lines = chain_lines(problem.system, str(problem.frame), problem.task[1])
     names = held(str(problem.frame), lines.names, dict.fromkeys(problem.known, 0.0))
     return None if _plan_of(problem, names).method == method else method.unfit
