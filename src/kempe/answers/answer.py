@@ -19,7 +19,7 @@ from kempe.equations.judge import Judgement, judge
 from kempe.errors import CallError, InputError, NoSolutionError, UnknownNameError, shown
 from kempe.forward.fk import fk
 from kempe.late import late
-from kempe.model.configurations import by_name, ranges_table, units
+from kempe.model.configurations import by_name, limits_by_name, ranges_table, units
 from kempe.numerics.clock import partial
 from kempe.report import MOST_JUDGED, ROWS, Nearest, Result, Table
 from kempe.spatial import Array
@@ -251,13 +251,8 @@ class Answer(Result, Tabular):
             each = np.size(self.success) and np.ndim(self.q) == len(self._shape) + 1
             return [self._rows_table()] if each and self._shape else []
         names = self.system.coordinate_names
-        marks = self._marks()
-        rows = [
-            (name, x, *limits, mark)
-            for name, x, *limits, mark in zip(
-                names, self._quantities(self.q), self._limits(), marks, strict=True
-            )
-        ]
+        limits = limits_by_name(self.system).values()
+        rows = list(zip(names, self._quantities(self.q), limits, self._marks(), strict=True))
         title = "coordinate" if self.success else "nearest found"
         return [Table((title, "value", "limits", ""), rows, record=True)]
 
@@ -281,14 +276,6 @@ class Answer(Result, Tabular):
         unit = units(self.system)
         each = range(len(names)) if places is None else places
         return [Quantity(float(q[i]), unit[names[i]]) for i in each]
-
-    def _limits(self) -> list[Quantity]:
-        """The limits of each coordinate of q, infinite where it has none."""
-        structure = self.system.structure
-        unit = units(self.system)
-        known = dict(zip(structure.velocity_names, structure.limits.tolist(), strict=True))
-        free = (-np.inf, np.inf)
-        return [Quantity(known.get(n, free), unit[n]) for n in self.system.coordinate_names]
 
     def _marks(self) -> Sequence[str]:
         """A word about each coordinate of a single configuration; '' where there is none."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +15,7 @@ from kempe.answers.tables import in_units, write_table
 from kempe.constraints.base import with_numbers
 from kempe.description.parts import Declared, Joint
 from kempe.errors import DescriptionError, Fault, KempeError
-from kempe.model.configurations import has_loops, units
+from kempe.model.configurations import has_loops, limits_by_name
 from kempe.model.coordinates import Follower, coordinate_name, relation_text
 from kempe.report import Report, Table
 from kempe.spatial import Array
@@ -87,7 +88,7 @@ class SystemFacts(Report):
         rows = [
             ("connectivity", f"C = {{{parents}}}  (parent of each body, 0 is the ground)"),
             ("degrees of freedom", self._freedoms()),
-            ("configuration space", self._space().within),
+            ("configuration space", system.configuration_space.within),
             ("coordinates", f"q has {counted(system.nq, 'number')}"),
             ("parameters", ", ".join(parameters)),
             ("postures", ", ".join(system.structure.posture_names)),
@@ -95,15 +96,10 @@ class SystemFacts(Report):
         ]
         return [row for row in rows if row[1]]
 
-    def _space(self) -> Any:
-        from kempe.spaces.configuration_space import configuration_space  # few commands need it
-
-        return configuration_space(self.system)
-
     def _freedoms(self) -> str:
         """Freedoms of the tree, and what equations leave at least."""
         system = self.system
-        equations = self._space().constraints
+        equations = system.configuration_space.constraints
         loops = len(system.structure.closures)
         dof = str(_dof_of_tree(system))
         if not equations:
@@ -139,19 +135,18 @@ class SystemFacts(Report):
         places = [system.coordinate_names.index(name) for name in own]
         where = str(places[0]) if len(places) == 1 else f"{places[0]}..{places[-1]}"
         labels = [name[len(joint.name) + 1 :] if len(names) > 1 else "" for name in own]
-        limits = [(label, self._limit(name)) for label, name in zip(labels, own, strict=True)]
+        limits = [(label, self._limits[name]) for label, name in zip(labels, own, strict=True)]
         return where, Quantities([x for x in limits if np.isfinite(x[1].value).any()])
 
-    def _limit(self, name: str) -> Quantity:
-        """The limits of a coordinate, infinite where it has none."""
-        s = self.system.structure
-        known = dict(zip(s.velocity_names, s.limits.tolist(), strict=True))
-        return Quantity(known.get(name, (-np.inf, np.inf)), units(self.system)[name])
+    @cached_property
+    def _limits(self) -> dict[str, Quantity]:
+        """The limits of each coordinate by its name."""
+        return limits_by_name(self.system)
 
     def _data(self) -> dict[str, Any]:
         system = self.system
         s = system.structure
-        space = self._space()
+        space = system.configuration_space
         return {
             "name": system.name,
             "dim": system.dim,
@@ -198,8 +193,7 @@ class SystemFacts(Report):
                     "lower": Quantity(limit.value[0], limit.unit),
                     "upper": Quantity(limit.value[1], limit.unit),
                 }
-                for i, name in enumerate(system.coordinate_names)
-                for limit in (self._limit(name),)
+                for i, (name, limit) in enumerate(self._limits.items())
             ],
             "closures": list(s.closures),
             "frames": [{"name": f.name, "body": f.body} for f in s.frames.values()],

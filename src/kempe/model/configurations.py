@@ -511,6 +511,15 @@ def units(system: Model) -> dict[str, str]:
     return out
 
 
+def limits_by_name(system: Model) -> dict[str, Quantity]:
+    """The limits of each coordinate of q by its name, infinite where it has none."""
+    unit = units(system)
+    structure = system.structure
+    known = dict(zip(structure.velocity_names, structure.limits.tolist(), strict=True))
+    free = (-math.inf, math.inf)
+    return {n: Quantity(known.get(n, free), unit[n]) for n in system.coordinate_names}
+
+
 def by_name(system: Model, q: Any) -> ByName:
     """Configurations (..., nq) by the names of coordinates, with their units."""
     unit = units(system)
