@@ -35,16 +35,21 @@ def finite_numbers(text: str, what: str) -> list[float]:
     return values
 
 
+def refuse_no_file(path: Path) -> None:
+    """Refuse, with an `InputError`, a path at which there is no plain file to read."""
+    if what := no_file(path):
+        raise InputError(f"{path}: this is {what}; give the path of a plain file")
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such file")
+
+
 def read(path: Path, matrices: bool = False) -> tuple[list[str] | None, Array]:
     """Rows (n, k) of a .csv or .npy file, and the names in the first line of a .csv if it has them.
 
     A .npy may hold (n, 4, 4) matrices where `matrices` allows. Errors: `InputError` with the file
     and the line.
     """
-    if what := no_file(path):
-        raise InputError(f"{path}: this is {what}; give the path of a plain file")
-    if not path.is_file():
-        raise InputError(f"{path}: there is no such file")
+    refuse_no_file(path)
     source = open_rows(path)
     if not source.n:
         raise InputError(f"{path}: it holds no rows of numbers")

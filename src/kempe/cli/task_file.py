@@ -16,7 +16,7 @@ import numpy as np
 from kempe import spatial
 from kempe.cli import arguments, table_files
 from kempe.constraints import KINDS, Constraint
-from kempe.description.source import Source, decode, expanded, no_file, shorten
+from kempe.description.source import Source, decode, expanded, shorten
 from kempe.description.toml_document import Document
 from kempe.equations.tasks import Task
 from kempe.errors import InputError, UnknownNameError, hint
@@ -58,10 +58,7 @@ def read(system: System, path: Path, degrees: bool = False) -> FileTasks:
     line.
     """
     path = expanded(path)
-    if what := no_file(path):
-        raise InputError(f"{path}: this is {what}; give the path of a plain file")
-    if not path.is_file():
-        raise InputError(f"{path}: there is no such file")
+    table_files.refuse_no_file(path)
     document = Document(Source(str(path), decode(path.read_bytes(), str(path))))
     tasks = _TaskReader(system, document, path.parent, degrees).all()
     document.findings.finish()
