@@ -176,6 +176,7 @@ Hold = Annotated[
     list[str] | None,
     option("--hold", "Hold a joint of a redundant chain; can be repeated.", "NAME=VALUE", _ALL),
 ]
+NoLimits = Annotated[bool, option("--no-limits", "Leave joint limits out.")]
 PICTURES = (".png", ".svg", ".pdf")
 Picture = Annotated[
     Path | None, option("--plot", "Draw a .png, .svg or .pdf file (needs matplotlib).", "FILE")
@@ -409,10 +410,10 @@ class Output:
                     f"{self.out}: the command reads this file; write the results to another one"
                 )
 
-    def save(self, answer: Any) -> None:
+    def save(self, answer: Any, **options: Any) -> None:
         """Write the table of an answer, where a file was requested."""
         if self.out is not None:
-            answer.save(self.out, degrees=self.deg)
+            answer.save(self.out, degrees=self.deg, **options)
             self.written.append(self.out)
 
     def draw(

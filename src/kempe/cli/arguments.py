@@ -120,6 +120,16 @@ def _columns(system: System, path: Path, degrees: bool) -> dict[str, Array]:
     return {n: x * f for n, x, f in zip(names, rows.T, factors, strict=True)}
 
 
+def joints(system: System, flag: str, text: str | None) -> list[str] | None:
+    """The names in 'A,B', None where nothing is given. Errors: `InputError` where it has none."""
+    if text is None:
+        return None
+    names = [name.strip() for name in text.split(",") if name.strip()]
+    if not names:
+        raise InputError(f"{flag} names no joint; there are: {', '.join(system.joint_names)}")
+    return names
+
+
 # ---- configurations and starts
 
 

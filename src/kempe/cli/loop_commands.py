@@ -15,6 +15,7 @@ from kempe.budget import Budget
 from kempe.cli.app import (
     CLOSED,
     InPlace,
+    NoLimits,
     Output,
     Posture,
     TimeLimit,
@@ -80,7 +81,6 @@ Tolerance = Annotated[
         "NUMBER",
     ),
 ]
-NoLimits = Annotated[bool, option("--no-limits", "Leave joint limits out.")]
 
 
 @command(CLOSED, "plot html deg json")
@@ -104,9 +104,9 @@ def dof(
 
     Example: kempe dof bennett
     """
-    driven = None if actuated is None else [a.strip() for a in actuated.split(",") if a.strip()]
-    if driven == []:
-        raise InputError(f"--actuated names no joint; there are: {', '.join(system.joint_names)}")
+    from kempe.cli import arguments
+
+    driven = arguments.joints(system, "--actuated", actuated)
     system = _within(system, tolerance)
     answer = system.mobility(_closed(system, q, posture, output), driven, local=not fast)
     output.draw(system, answer.q, motion=True)
@@ -306,9 +306,8 @@ def trace(
     if points is not None:
         with progress.progress("points", points) as report:
             shown = _resampled(path, points, Budget(time_limit=time_limit, progress=report))
-    if output.out is not None and (path or path.interrupted or path.late):
-        shown.save(output.out, branches=branches, degrees=output.deg)
-        output.written.append(output.out)
+    if path or path.interrupted or path.late:
+        output.save(shown, branches=branches)
     output.draw(system, shown, lambda: _drawing(system, shown, names), frames=names)
     output.show(shown)
     _not_written(output)
@@ -355,7 +354,6 @@ def plot(
     picture = written_to(out, file_out)
     picture_file(picture)
     names = [system.structure.frame_name(f) for f in frame or ()]
-    there = None
     closing = None
     if tree:
         drawing = system.plot_tree()

@@ -11,7 +11,17 @@ import typer
 
 from kempe.arguments import until_interrupt
 from kempe.budget import Budget
-from kempe.cli.app import OPEN, Output, PositionOnly, Rng, TimeLimit, command, option, remark
+from kempe.cli.app import (
+    OPEN,
+    NoLimits,
+    Output,
+    PositionOnly,
+    Rng,
+    TimeLimit,
+    command,
+    option,
+    remark,
+)
 from kempe.cli.terminal import INCOMPLETE, leave
 from kempe.errors import InputError
 from kempe.words import DEGREE
@@ -48,7 +58,6 @@ From = Annotated[
     ),
 ]
 Starts = Annotated[int | None, option("--starts", "Random starts of the search (64).", "N")]
-NoLimits = Annotated[bool, option("--no-limits", "Leave joint limits out.")]
 
 
 @command(OPEN, "out plot gif html deg json")
@@ -76,15 +85,8 @@ def singularities(
     from kempe.numerics.clock import TimeLimit
 
     time = TimeLimit(time_limit)
-    driving = (
-        None if inputs is None else [name.strip() for name in inputs.split(",") if name.strip()]
-    )
-    if driving == []:
-        raise InputError(f"--inputs names no joint; there are: {', '.join(system.joint_names)}")
-    near = None
-    closing = None
-    if at:
-        near, closing = arguments.configuration(system, ",".join(at), None, output.deg)
+    driving = arguments.joints(system, "--inputs", inputs)
+    near, closing = arguments.configuration(system, ",".join(at) if at else None, None, output.deg)
     if closing is not None and not closing:
         raise InputError(f"--at cannot be closed: {closing.status}")
     with _paced(starts, rng, time_limit, "starts") as budget:
