@@ -37,7 +37,8 @@ MOST_JUDGED = 1_000_000
 ROWS = 30
 """Rows of a table that a text shows: with a headline and reasons they fill a screen."""
 WIDE = 8
-"""Numbers in a row from which a text shows each row as a column, where there is room for them."""
+"""Numbers in a row up to which a text shows it as a line; longer rows are columns, as many beside
+each other at most."""
 
 
 class Table(NamedTuple):
@@ -77,9 +78,9 @@ class Table(NamedTuple):
     def html(self) -> str:
         """The table of HTML."""
         heads, columns, _ = self._columns(False, not self.grid)
-        more = [f"... and {self.more} more"] if self.more else []
-        title = paragraphs([self.title] if self.title else [])
-        return title + table_html(heads, zip(*columns, strict=True)) + paragraphs(more)
+        title, more = self._around()
+        table = table_html(heads, zip(*columns, strict=True))
+        return paragraphs(title) + table + paragraphs(more)
 
     def aligned(self, degrees: bool = False) -> list[str]:
         """Lines with columns of equal width, in radians or degrees."""
@@ -96,16 +97,15 @@ class Table(NamedTuple):
         """
         heads = list(self.heads or ("", ""))
         cells = [list(column) for column in zip(*self.rows, strict=True)] or [[] for _ in heads]
-        units = self._units()
+        units = [self._unit(column) for column in cells]
         texts = [
             [_digits(x) if digits else _fixed(x, degrees, self.record) for x in column]
             for column in cells
         ]
         right = [any(_is_number(x) or isinstance(x, int) for x in column) for column in cells]
         if None in units:
-            last = len(right) - right[::-1].index(
-                True
-            )  # numbers in several units: each row has one
+            # numbers in several units: each row has one
+            last = len(right) - right[::-1].index(True)
             texts.insert(last, [_unit_of(row, degrees) for row in self.rows])
             heads.insert(last, "unit")
             right.insert(last, False)
@@ -115,19 +115,19 @@ class Table(NamedTuple):
         shown = [heads[k] for k in keep]
         return shown if any(shown) else [], [texts[k] for k in keep], [right[k] for k in keep]
 
-    def _units(self) -> list[str | None]:
-        """The unit of the numbers of each column, None where each row has its own."""
-        of = [{x.unit for row in self.rows if _is_number(x := row[k])} for k in self._places]
-        return [None if len(x) > 1 or (x and self.record) else "".join(x) for x in of]
-
-    @property
-    def _places(self) -> range:
-        return range(len(self.heads) or 2)
+    def _unit(self, column: Sequence[Any]) -> str | None:
+        """The unit of the numbers of a column, None where each row has its own."""
+        units = {x.unit for x in column if _is_number(x)}
+        return None if len(units) > 1 or (units and self.record) else "".join(units)
 
     def _cut(self, lines: list[str]) -> list[str]:
         """The lines under the title, and how many more there are."""
-        more = [f"... and {self.more} more"] if self.more else []
-        return [*([self.title] if self.title else []), *lines, *more]
+        title, more = self._around()
+        return [*title, *lines, *more]
+
+    def _around(self) -> tuple[list[str], list[str]]:
+        """The line above, and the one below that says how many more there are; none where empty."""
+        return [self.title] * bool(self.title), [f"... and {self.more} more"] * bool(self.more)
 
 
 def _is_number(x: Any) -> bool:
@@ -171,7 +171,7 @@ def _fixed(x: Any, degrees: bool, bare: bool = False) -> str:
 
 
 def _beside(heads: Sequence[str], columns: Sequence[Sequence[str]]) -> list[str]:
-    """Rows shown as columns, in blocks of as many beside each other."""
+    """Lines with a column for each row, in blocks of at most `WIDE` beside each other."""
     out: list[str] = []
     count = len(columns[0])
     blocks = math.ceil(count / WIDE)
@@ -322,8 +322,7 @@ class Result:
         """
         width = _line_width(width)
         parts = [_filled(self._headline(), width)]
-        for table in self._tables():
-            parts.append("\n".join(["", *table.aligned(degrees)]))
+        parts += ["\n".join(["", *table.aligned(degrees)]) for table in self._tables()]
         notes = [_filled(x, width) for x in self._notes(degrees)]
         if notes and len(parts) > 1:
             parts += ["", *notes]
@@ -385,10 +384,10 @@ class Report(Result):
         With a `width`, longer sentences are broken. Errors: `InputError` for a width that is no
         whole number.
         """
-        width = _line_width(width)
         topics = self.topics()
         if not topics:
             return super().text(degrees, width)
+        width = _line_width(width)
         return by_topic(_filled(self._headline(), width), topics, width=width)
 
     def _repr_html_(self) -> str:
