@@ -129,9 +129,7 @@ def aligned(
 def _escaped(text: str) -> str:
     """Text as HTML shows it as it is."""
     # sentences are made at start-up, and need no HTML; so with JSON and images below
-    from html import (
-        escape,
-    )
+    from html import escape
 
     return escape(text)
 
@@ -217,7 +215,7 @@ class Quantities(NamedTuple):
 
 
 class Unit(str):
-    """The unit of a number beside it, which is shown as that is."""
+    """The unit of another entry of the data: 'deg' where that one is shown in degrees."""
 
     def within(self, degrees: bool) -> str:
         """The unit that is shown."""
@@ -248,8 +246,8 @@ class ByName(NamedTuple):
 
 
 def jsonable(values: Any, degrees: bool = False) -> Any:
-    """Arrays as nested lists of numbers, None in place of NaN and infinities, which JSON does not
-    have.
+    """Values as JSON has them: arrays as nested lists of numbers, quantities without their unit, in
+    degrees or radians, None in place of NaN and infinities.
     """
     if isinstance(values, dict):
         items = cast("dict[Any, Any]", values).items()

@@ -24,7 +24,7 @@ from kempe.numerics.clock import partial
 from kempe.report import MOST_JUDGED, ROWS, Nearest, Result, Table
 from kempe.spatial import Array
 from kempe.status import Status
-from kempe.words import ByName, Quantity, listed, of_many
+from kempe.words import ByName, Quantity, listed, of_many, plural
 
 if TYPE_CHECKING:
     from kempe.answers.problem import Choice
@@ -282,7 +282,8 @@ class Answer(Result, Tabular):
         return [""] * self.system.nq
 
     def _notes(self, degrees: bool = False) -> Sequence[str]:
-        return [*self._reasons(), *filter(None, [self.verdict if self._is_judged() else ""])]
+        verdict = self.verdict if self._is_judged() else ""
+        return [*self._reasons(), *([verdict] if verdict else [])]
 
     def _reasons(self) -> list[str]:
         """Why the first rows of a batch have no answer, and which rows more."""
@@ -294,7 +295,7 @@ class Answer(Result, Tabular):
             for index in missed[:REASONS]
         ]
         if more := [", ".join(map(str, index)) for index in missed[REASONS:]]:
-            lines.append(f"and row{'s' * (len(more) > 1)} {listed(more, 12)}")
+            lines.append(f"and {plural(len(more), 'row')} {listed(more, 12)}")
         return lines
 
     def _is_judged(self) -> bool:

@@ -24,7 +24,7 @@ from kempe.cli.app import (
 )
 from kempe.cli.terminal import COMPLETE, INCOMPLETE, print_json
 from kempe.description.formats import endings_written, named, read_by
-from kempe.words import listed
+from kempe.words import listed, plural
 
 if TYPE_CHECKING:
     from kempe.system import System
@@ -148,8 +148,8 @@ def fk(
     output.show(poses)
     bad = table_files.not_finite(values)
     if bad:
-        rows = listed([str(i) for i in bad], 12)
-        remark(f"q is not finite in row{'s' * (len(bad) > 1)} {rows}; poses there are NaN")
+        rows = f"{plural(len(bad), 'row')} {listed([str(i) for i in bad], 12)}"
+        remark(f"q is not finite in {rows}; poses there are NaN")
     gap = facts.largest_gap(system, values)
     if gap:
         remark(f"loops are open here, {gap}: kempe assemble closes them")
