@@ -81,12 +81,11 @@ def plot_spaces(
     says which two numbers of the frame the places are: "xy", "xz" or "yz", its position along two
     axes of the ground [m], or "direction", the azimuth and elevation of its z axis [rad]. `points`
     (k, 2) are places that the frame shall reach: their solutions are marked on both sides, or,
-    where there is none, the nearest place found, with the distance. `q`
-    is drawn on both sides: a configuration (nq,) as a dot with its arm; a line of them (n, nq), or
-    an answer with such `q`, as of `trace`, `ik_path` and `self_motion`, as a line with a ring where
-    it begins; or a list of such. `grid` draws lines on which one
-    coordinate is constant, and their images. `ax` is a pair of axes to draw on; `resolution` the
-    number of places along each axis (8 to 1000).
+    where there is none, the nearest place found, with the distance. `q` is drawn on both sides: a
+    configuration (nq,) as a dot with its arm; a line of them (n, nq), or an answer with such `q`,
+    as of `trace`, `ik_path` and `self_motion`, as a line with a ring where it begins; or a list of
+    such. `grid` draws lines on which one coordinate is constant, and their images. `ax` is a pair
+    of axes to draw on; `resolution` the number of places along each axis (8 to 1000).
 
     With closed loops the left has the two actuated coordinates, or others that place the mechanism,
     and shades there count the assembly modes at these values; what spins idly does not count. Right
@@ -96,8 +95,7 @@ def plot_spaces(
     forms where there are such (planar chains and dyads); else each configuration that is found is
     followed from place to place, and more may exist. Of the `budget` are read: time_limit (120 s)
     and progress(places, all), for each of the two sides; after the limit the picture shows what was
-    done, and says so;
-    Ctrl-C raises `Interrupted`, whose `answer` are the axes with what was done.
+    done, and says so; Ctrl-C raises `Interrupted`, whose `answer` are the axes with what was done.
     Errors: `UnsupportedError` for other numbers of freedoms, and frames that the task sees on a
     curve only; `InputError`; `UnknownNameError`.
 
