@@ -261,7 +261,7 @@ class Answer(Result, Tabular):
         first = list(islice(np.ndindex(self._shape), ROWS))
         rows = [
             (
-                index[0] if len(index) == 1 else ", ".join(map(str, index)),
+                index[0] if len(index) == 1 else _row_number(index),
                 "yes" if np.asarray(self.success)[index] else "no",
                 *self._quantities(self.q[index]),
             )
@@ -291,10 +291,10 @@ class Answer(Result, Tabular):
             return []
         missed = list(zip(*np.nonzero(~np.asarray(self.success)), strict=True))
         lines = [
-            f"row {', '.join(map(str, index))}: {self.sentence(tuple(map(int, index)))}"
+            f"row {_row_number(index)}: {self.sentence(tuple(map(int, index)))}"
             for index in missed[:REASONS]
         ]
-        if more := [", ".join(map(str, index)) for index in missed[REASONS:]]:
+        if more := [_row_number(index) for index in missed[REASONS:]]:
             lines.append(f"and {plural(len(more), 'row')} {listed(more, 12)}")
         return lines
 
@@ -316,6 +316,11 @@ class Answer(Result, Tabular):
     def _by_name(self, q: Array) -> ByName:
         """Configurations (..., nq) by the names of coordinates."""
         return by_name(self.system, q)
+
+
+def _row_number(index: Sequence[int]) -> str:
+    """The number of a row of a batch, or its numbers: '3', '0, 2'."""
+    return ", ".join(map(str, index))
 
 
 class ConfigurationList:
