@@ -90,13 +90,17 @@ def _values(system: System, word: str, degrees: bool, frames: bool) -> dict[str,
     return {name: values[0] * _factor(system, name, degrees)}
 
 
+def _coordinates(system: System) -> tuple[str, ...]:
+    """The names of coordinates of q, and of those that follow them."""
+    return (*system.coordinate_names, *system.structure.couplings)
+
+
 def _is_frame(system: System, name: str) -> bool:
-    names = (*system.coordinate_names, *system.structure.couplings)
-    return name in system.frame_names and name not in names
+    return name in system.frame_names and name not in _coordinates(system)
 
 
 def _check_coordinate(system: System, name: str, frames: bool = False) -> None:
-    names = (*system.coordinate_names, *system.structure.couplings)
+    names = _coordinates(system)
     if name not in names:
         what = "coordinate or frame" if frames else "coordinate"
         places = system.structure.frames if frames else ()
