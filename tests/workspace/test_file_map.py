@@ -22,6 +22,7 @@ from kempe import Budget, Status, spatial
 from kempe.arguments import until_interrupt
 from kempe.budget import look
 from kempe.errors import DamagedError, InputError, KempeError, UnknownNameError
+from kempe.numerics import clock
 from kempe.workspace import map_file, row_sources, store, workers
 
 zarr = pytest.importorskip("zarr", reason="zarr is not installed (extra scale)")
@@ -481,6 +482,17 @@ def test_the_time_limit(tmp_path, whole):
     assert mapped(whole[0], tmp_path / "out.zarr").rows == N and same(
         arrays(tmp_path / "out.zarr"), whole[1]
     )
+
+
+def test_a_map_with_all_rows_is_not_late(tmp_path, whole, monkeypatch):
+    """Although the time is up when the last rows are reported."""
+    said = [0]
+    fake = SimpleNamespace(monotonic=lambda: np.inf if said[-1] == N else -np.inf)
+    monkeypatch.setattr(clock, "time", fake)
+    budget = Budget(time_limit=5.0, progress=lambda done, *_: said.append(done))
+    answer = mapped(whole[0], tmp_path / "out.zarr", budget=budget)
+    assert said[-1] == answer.rows == N and not answer.late
+    assert answer.code is Status.PARTLY and "time limit" not in str(answer)
 
 
 @pytest.fixture

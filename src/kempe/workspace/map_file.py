@@ -639,10 +639,9 @@ def map_file(
 
     What is done stands there chunk by chunk, with checksums; rows that are left have NaN and the
     code 255. After any interruption the same call goes on, and makes damaged chunks again. Answers
-    do not depend on threads or
-    workers: with a `client`, a `distributed.Client` or the address of a scheduler, those of a Dask
-    cluster answer. Of the `budget` are read: rng (0), threads, time_limit (none), progress(rows,
-    n).
+    do not depend on threads or workers: with a `client`, a `distributed.Client` or the address of a
+    scheduler, those of a Dask cluster answer. Of the `budget` are read: rng (0), threads,
+    time_limit (none), progress(rows, n).
 
     Errors: `InputError` and `UnknownNameError` for what the file is not, and for what is at the
     path; those of the verb for its options; `DiskError`; `DamagedError` for a source that cannot be
@@ -667,6 +666,7 @@ def map_file(
         if own and client is not None:
             client.close()
     interrupted = isinstance(broken, KeyboardInterrupt)
+    late = broken is not None and not interrupted and store.rows < rows.n
     return FileMap(
         system,
         verb,
@@ -677,7 +677,7 @@ def map_file(
         store.chunk,
         store.outcomes(),
         interrupted,
-        broken is not None and not interrupted,
+        late,
         store.damaged,
     )
 
