@@ -203,6 +203,21 @@ def test_a_process_that_ended_while_a_map_was_replaced(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["map.zarr"]
 
 
+def test_a_process_that_ended_when_a_map_was_replaced(tmp_path):
+    """The map that was there before is removed; a folder of somebody else with its name is not."""
+    path = tmp_path / "map.zarr"
+    former = tmp_path / "map.zarr.former"
+    whole = made(path)
+    former.mkdir()
+    (former / "x").write_text("precious")
+    made(path)
+    assert (former / "x").read_text() == "precious"
+    shutil.rmtree(former)
+    shutil.copytree(path, former)
+    assert np.array_equal(made(path).map.counts, whole.map.counts)
+    assert [p.name for p in tmp_path.iterdir()] == ["map.zarr"]
+
+
 @pytest.mark.parametrize("how", ["changed", "cut", "gone"])
 @pytest.mark.parametrize("whole", [True, False])
 def test_a_damaged_map_is_found_and_made_again(tmp_path, how, whole):

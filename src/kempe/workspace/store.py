@@ -182,13 +182,19 @@ def write_group(
 
 
 FORMER = ".former"
+"""Ending of the name that a map has while it is replaced."""
 
 
 def restore_former(path: Path) -> None:
-    """Put back what was at a path, where a process ended while it was replaced."""
+    """Put back the map that was at a path, where a process ended while it was replaced; remove it,
+    where the new one was at the path by then.
+    """
     former = path.with_name(path.name + FORMER)
-    if former.exists() and not path.exists():
-        os.replace(former, path)
+    if not path.exists():
+        if former.exists():
+            os.replace(former, path)
+    elif (format := format_of(path)) is not None and format == format_of(former):
+        shutil.rmtree(former, ignore_errors=True)
 
 
 def refuse_small_disk(folder: Path, needed: int) -> None:
