@@ -348,8 +348,8 @@ def reach_poses(
     `System.ik` takes them. A pose counts as reached where `ik` or, of chains with finitely many
     solutions, `ik_all` finds one inside the limits. Of the `budget` are read: starts (1000), rng
     (0), threads, time_limit (600 s), and progress(poses tried, all). After the time limit the study
-    has what was done, after Ctrl-C the
-    `answer` of the `Interrupted`.
+    has what was done, after Ctrl-C the `answer` of the `Interrupted`.
+
     Errors: `InputError`, `UnknownNameError`.
     """
     spend = USUAL.of(budget)

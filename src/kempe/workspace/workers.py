@@ -113,9 +113,8 @@ def work_in_threads(
             broken = error
         finally:
             over.set()
-            with (
-                state
-            ):  # an interrupt may come where a thread is begun: then the pool does not know it
+            # an interrupt may come where a thread is begun: then the pool does not know it
+            with state:
                 state.wait_for(lambda: not active)
     return done, broken
 
