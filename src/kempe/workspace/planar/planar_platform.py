@@ -99,6 +99,15 @@ class HeldPoints(Curve):
         F, J = self.rows(x[None])
         return np.append(F[0], 0.0), np.vstack([J[0], np.zeros(3)])
 
+    def places(self, x: Array) -> np.ndarray:
+        """Places (k,) of the platform's origin in motions (k, 3)."""
+        return self.size * (x[:, 0] + 1j * x[:, 1])
+
+    def tangents(self, x: Array) -> Array:
+        """Tangents (k, 3) of the curve at motions (k, 3) on it, of no certain length."""
+        J = self.rows(x)[1]
+        return np.cross(J[:, 0], J[:, 1])
+
     def starts(self) -> Array:
         """Motions (k, 3) with one of the points spread over its circle, or over its piece of a line."""
         out: list[tuple[float, float, float]] = []
@@ -164,28 +173,26 @@ class CouplerCurve:
 
     kind = "coupler curve"
 
+    def _between(self, t: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Where (k,) in numbers of nodes parameters (k,) are, and the nodes (k,) before."""
+        x = np.clip(self.start + self.sweep * np.atleast_1d(t), 0.0, len(self.nodes) - 1.0)
+        return x, np.minimum(x.astype(int), len(self.nodes) - 2)
+
     def motions_at(self, t: Any) -> Array:
         """Motions (k, 3) at parameters t (k,)."""
-        x = np.clip(self.start + self.sweep * np.atleast_1d(t), 0.0, len(self.nodes) - 1.0)
-        k = np.minimum(x.astype(int), len(self.nodes) - 2)
+        x, k = self._between(t)
         part = (x - k)[:, None]
         guess = (1.0 - part) * self.nodes[k] + part * self.nodes[k + 1]
         return self.motions.corrected_all(guess)
 
     def at(self, t: Any) -> np.ndarray:
         """Points (...) at parameters t (...)."""
-        x = self.motions_at(t)
-        return (self.motions.size * (x[:, 0] + 1j * x[:, 1])).reshape(np.shape(t))
+        return self.motions.places(self.motions_at(t)).reshape(np.shape(t))
 
     def tangents(self, t: Any) -> np.ndarray:
         """Tangents (k,) at parameters (k,), of no certain length."""
-        x = self.motions_at(t)
-        J = self.motions.rows(x)[1]
-        along = np.cross(J[:, 0], J[:, 1])
-        k = np.minimum(
-            np.clip(self.start + self.sweep * np.atleast_1d(t), 0.0, None).astype(int),
-            len(self.nodes) - 2,
-        )
+        along = self.motions.tangents(self.motions_at(t))
+        _, k = self._between(t)
         chord = self.nodes[k + 1] - self.nodes[k]
         sense = np.sign(self.sweep * np.einsum("ij,ij->i", along, chord))
         return sense * (along[:, 0] + 1j * along[:, 1])
@@ -208,6 +215,12 @@ class CouplerCurve:
     def length(self) -> float:
         """Its length in metres, as that of short chords."""
         return float(np.abs(np.diff(self._fine[1])).sum())
+
+    @property
+    def moment(self) -> float:
+        """Half of the integral of x dy - y dx along it, as that of short chords."""
+        p = self._fine[1]
+        return 0.5 * float(np.imag(np.conj(p[:-1]) * p[1:]).sum())
 
     @property
     def extremes(self) -> np.ndarray:
@@ -499,9 +512,8 @@ def _carriers(leg: PlatformLeg, size: float) -> list[PlanePiece]:
 
 def _places(motions: HeldPoints, x: Array) -> tuple[np.ndarray, np.ndarray]:
     """Places (k,) of motions (k, 3), and tangents of the coupler curve there."""
-    J = motions.rows(x)[1]
-    along = np.cross(J[:, 0], J[:, 1])
-    return motions.size * (x[:, 0] + 1j * x[:, 1]), along[:, 0] + 1j * along[:, 1]
+    along = motions.tangents(x)
+    return motions.places(x), along[:, 0] + 1j * along[:, 1]
 
 
 def _apart(x: Array, nodes: Array) -> np.ndarray:

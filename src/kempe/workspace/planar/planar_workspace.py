@@ -86,9 +86,9 @@ def planar_region(
                 f"frame {frame!r} of {system.name} turns in its place: it does not move"
             )
         return chain.region
-    wrists = [(wrist_of(chain), turned) for chain, turned in chains]
     parts: list[PlanarRegion] = []
-    for wrist, turned in wrists:
+    for chain, turned in chains:
+        wrist = wrist_of(chain)
         if wrist is None:
             raise UnsupportedError(
                 f"the last joint before {frame!r} of {system.name}, or of a leg of it, does not turn "
@@ -427,14 +427,7 @@ def word_of(region: SolutionRegion, kind: str) -> str:
 
 def loop_area(loop: tuple[PlaneCurve, ...]) -> float:
     """Area that a closed curve has to its left: of coupler curves that of their short chords."""
-    total = 0.0
-    for piece in loop:
-        if isinstance(piece, PlanePiece):
-            total += piece.moment
-        else:
-            p = piece.points(0.0)
-            total += 0.5 * float(np.imag(np.conj(p[:-1]) * p[1:]).sum())
-    return total
+    return sum(piece.moment for piece in loop)
 
 
 def _loops(
