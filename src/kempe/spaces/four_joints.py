@@ -268,10 +268,7 @@ def _decided(system: Model, rod: Rod, first: str, last: str, names: list[str]) -
         )
     elif not math.isfinite(high - low):
         return "a turn that is limited on one side only"
-    if len(rod.p) == 3:
-        whole = np.arange(math.floor((low - math.pi) / 2.0 / math.pi), high / 2.0 / math.pi + 1.0)
-        marks = (marks[:, None] + 2.0 * np.pi * whole).ravel()
-    marks = np.unique(np.concatenate([[low, high], marks[(marks > low) & (marks < high)]]))
+    marks = np.unique(np.concatenate([[low, high], _inside(rod, marks, low, high)]))
     D = rod.discriminant(marks)
     scale = float(np.abs(rod.discriminant(np.linspace(low, high, 17))).max())
     size = float(np.abs(rod.p).max() + np.abs(rod.r).max() + rod.length)
@@ -362,8 +359,14 @@ def _limit_events(
                 if not modes.complete:
                     return None
                 out += modes.q[:, system.coordinate_names.index(first)].tolist()
-    x = np.array(out)
-    if len(rod.p) == 3 and len(x):
+    return _inside(rod, np.array(out), low, high)
+
+
+def _inside(rod: Rod, x: Array, low: float, high: float) -> Array:
+    """Values of the first coordinate between two, of values (k,); of an angle also those that are
+    whole turns away.
+    """
+    if len(rod.p) == 3:
         whole = np.arange(math.floor((low - math.pi) / 2.0 / math.pi), high / 2.0 / math.pi + 1.0)
         x = (x[:, None] + 2.0 * np.pi * whole).ravel()
     return x[(x > low) & (x < high)]
