@@ -69,6 +69,14 @@ def test_what_is_saved_is_the_table(what: str, tmp_path: Path):
     assert set(answer.system.coordinate_names) <= set(names)
 
 
+def test_angles_of_a_drive_are_saved_in_degrees(tmp_path: Path):
+    drive = bar().drive({"A": np.linspace(0.3, 0.4, 3)})
+    names, columns = drive.table()
+    angles = [name in drive.system.coordinate_names for name in names]
+    shown = np.load(drive.save(tmp_path / "x.npy", degrees=True))
+    np.testing.assert_allclose(shown, np.where(angles, np.degrees(columns), columns), rtol=1e-15)
+
+
 def test_frames_of_a_motion_are_chosen_when_it_is_saved(tmp_path: Path):
     path = kempe.load("jansen").trace("O")
     head = path.save(tmp_path / "x.csv", frames=["foot"]).read_text().splitlines()[0]

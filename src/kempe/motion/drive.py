@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from kempe.answers.answer import Motion
 from kempe.answers.known_values import known_tasks
-from kempe.answers.tables import write_table
+from kempe.answers.tables import in_units, write_table
 from kempe.arguments import explained, explained_methods, flag, interruptible, until_interrupt
 from kempe.arrays import is_mapping, reals, within_range
 from kempe.assemble.nearest_exact import tolerant
@@ -627,11 +627,17 @@ class Drive(Motion):
         names, columns = self._columns("time", self.times, frames)
         return [*names, "held"], np.column_stack([columns, self.held])
 
-    def save(self, path: str | FilePath, frames: Iterable[FrameLike] = ()) -> FilePath:
+    def save(
+        self,
+        path: str | FilePath,
+        frames: Iterable[FrameLike] = (),
+        *,
+        degrees: bool = False,
+    ) -> FilePath:
         """Write the `table` with these frames to a .csv or .npy file; returns the path. Errors:
         `InputError`.
         """
-        return write_table(path, *self.table(frames))
+        return write_table(path, *in_units(*self.table(frames), self._units(), degrees))
 
     @property
     def code(self) -> Status:
