@@ -7,10 +7,10 @@ from __future__ import annotations
 import datetime
 from collections.abc import Callable, Iterable, Iterator
 
+import rich.table
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from kempe.cli import report
 from kempe.errors import UnknownNameError
 from kempe_bench import (
     analytic,
@@ -120,5 +120,18 @@ def shown(result: Table) -> RenderableType:
     header, cells = result.columns()
     goals = [Text(f"  {goal}", style="green" if goal.met else "red") for goal in result.goals]
     remarks = [Text(f"  {remark}") for remark in result.remarks]
-    names = [*header[: result.words], *(f">{name}" for name in header[result.words :])]
-    return Group(report.table(names, cells, result.title), *goals, *remarks, "")
+    table = rich.table.Table(
+        box=None,
+        pad_edge=False,
+        padding=(0, 2, 0, 0),
+        title=Text(result.title),
+        title_justify="left",
+        title_style="bold",
+        header_style="bold",
+    )
+    for k, name in enumerate(header):
+        number = k >= result.words
+        table.add_column(Text(name), justify="right" if number else "left", no_wrap=number)
+    for row in cells:
+        table.add_row(*map(Text, row))
+    return Group(table, *goals, *remarks, "")

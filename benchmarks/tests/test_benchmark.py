@@ -13,6 +13,7 @@ from kempe_bench import forward, inverse, peers, timing, trees
 from kempe_bench.bench import Bench
 
 import kempe
+from kempe.cli import report
 from kempe.errors import UnknownNameError
 
 
@@ -71,6 +72,14 @@ def test_table():
     assert table.best("Kempe") == 1.5 and table.best("pin") == 90.0
     page = table.markdown()
     assert "| pin | fk, loop | 90 | 90 | 45 |" in page and "- 1 ns: 2 (NOT MET)" in page
+
+
+def test_a_table_is_shown_in_a_terminal(capsys):
+    rows = [timing.Row("Kempe", "f(x[0])", 1.5), timing.Row("Other", "g", 3.0)]
+    report.write(benchmark.shown(timing.Table("Poses [all]", "s", rows, remarks=["one run"])))
+    said = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert said[:2] == [["Poses", "[all]"], ["library", "call", "s", "ratio"]]
+    assert said[2:5] == [["Kempe", "f(x[0])", "1.5", "1"], ["Other", "g", "3", "2"], ["one", "run"]]
 
 
 def test_unknown_names():
