@@ -343,12 +343,14 @@ def _counted(system: Model, spend: Budget, time: TimeLimit) -> Components:
         return Components(system, len(modes), modes.complete, f"a structure, {modes.status}", 0)
     singular = np.empty((0, system.nq)) if isinstance(proof, str) else proof.singular
     if freedoms.useful != 1:
-        known = not isinstance(proof, str)
-        if not known and not _inside(system, freedoms.q, spend):
+        if not isinstance(proof, str):
+            count, why = proof.count, proof.reason
+        elif _inside(system, freedoms.q, spend):
+            several = counted(freedoms.dof or 0, "freedom")
+            count, why = 1, f"no theorem is known here for {several}; one configuration is known"
+        else:
             return Components(system, 0, False, NONE_INSIDE, None, freedoms.idle)
-        several = counted(freedoms.dof or 0, "freedom")
-        why = f"no theorem is known here for {several}; one configuration is known"
-        count, why = (proof.count, proof.reason) if not isinstance(proof, str) else (1, why)
+        known = not isinstance(proof, str)
         return Components(system, count, known, why, freedoms.dof, freedoms.idle, (), singular)
     traced = _traced(system, freedoms, loop, spend, time)
     points = [e.q for part in traced.parts for e in part.singular_points]
