@@ -422,8 +422,7 @@ def _turn_about(piece: PlanePiece, p: np.ndarray) -> np.ndarray:
     b = complex(piece.at(1.0)) - p
     if not piece.is_arc:
         return np.angle(b * a.conj())
-    # along the arc the angle is that of the chord, and a full turn more where p lies between the
-    # two
+    # the angle is that of the chord, and a full turn more where p is between the arc and that
     parts = max(1, int(np.ceil(abs(piece.sweep) / 1.5)))
     total = np.zeros(p.shape)
     for k in range(parts):
