@@ -179,9 +179,8 @@ def test_two_cranks_and_a_rod_are_counted_as_a_grid_counts_them(hunt):
         found = four_joints(system)
         assert isinstance(found, FourJoints)
         seen.append(found.count)
-        if (
-            np.diff(found.cuts).min() > 0.02
-        ):  # else dead points are too near to one another for the grid
+        # else dead points are too near to one another for the grid
+        if np.diff(found.cuts).min() > 0.02:
             assert found.count == rods_by_grid(system, rod), (crank, rod, rocker, x, y, z)
     assert set(seen) >= {0, 1, 2}
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from hunts import some
@@ -52,11 +54,6 @@ def arcs_on_a_grid(system: kempe.System, n: int = 20_000) -> int:
         inside |= (value >= low) & (value <= high)
     alive = there & inside.all(axis=-1)
     assert not np.isfinite([low[k], high[k]]).any()
-    group = np.arange(alive.size).reshape(alive.shape)
-
-    def join(a: int, b: int) -> None:
-        group[group == max(a, b)] = min(a, b)
-
     runs = []
     for j in (0, 1):
         begin = np.flatnonzero(alive[:, j] & ~np.roll(alive[:, j], 1))
@@ -72,7 +69,7 @@ def arcs_on_a_grid(system: kempe.System, n: int = 20_000) -> int:
                     last == end and not there[(last + 1) % n].any(),
                 ]
                 if any(dead):
-                    join(group[a], group[b])
+                    group[group == max(group[a], group[b])] = min(group[a], group[b])
     return len(np.unique(group))
 
 
@@ -254,26 +251,8 @@ def test_spherical_loops_are_counted_as_a_grid_counts_them(hunt):
     for _ in range(hunt.cases(15)):
         arcs = rng.uniform(0.2, 1.5, 4).tolist()
         found = decided(spherical(arcs))
-        if (
-            min(
-                np.abs(
-                    [
-                        np.cos(sum(x * y for x, y in zip(arcs, s, strict=True))) - 1.0
-                        for s in (
-                            (1, 1, 1, -1),
-                            (1, 1, -1, 1),
-                            (1, -1, 1, 1),
-                            (-1, 1, 1, 1),
-                            (1, 1, -1, -1),
-                            (1, -1, 1, -1),
-                            (1, -1, -1, 1),
-                            (1, 1, 1, 1),
-                        )
-                    ]
-                )
-            )
-            < 1e-3
-        ):
+        ways = [np.cos(arcs[0] + np.dot(arcs[1:], s)) for s in itertools.product((1, -1), repeat=3)]
+        if min(1.0 - np.array(ways)) < 1e-3:
             continue  # nearly flat: too near for the grid
         assert found.count == on_the_sphere(arcs), arcs
         seen.add(found.count)

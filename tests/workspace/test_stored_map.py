@@ -203,7 +203,7 @@ def test_a_process_that_ended_while_a_map_was_replaced(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["map.zarr"]
 
 
-def test_a_process_that_ended_when_a_map_was_replaced(tmp_path):
+def test_a_process_that_ended_after_a_map_was_replaced(tmp_path):
     """The map that was there before is removed; a folder of somebody else with its name is not."""
     path = tmp_path / "map.zarr"
     former = tmp_path / "map.zarr.former"
