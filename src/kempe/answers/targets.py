@@ -133,6 +133,17 @@ def frame_of(z: Array) -> Array:
     return np.asarray(np.stack([x, np.cross(z, x), z], axis=-1), dtype=float)
 
 
+def targets_with_axis(targets: Array, axis: tuple[float, float, float]) -> Array:
+    """Targets (..., 4, 4) as kernels read them: their z axis is the `axis` of the tool that is
+    pointed.
+    """
+    if axis == Z_AXIS:
+        return targets
+    out = targets.copy()
+    out[..., :3, :3] = out[..., :3, :3] @ frame_of(np.array(axis))
+    return out
+
+
 def targets_of(
     system: Model, target: Any, task: str | None, axis: tuple[float, float, float]
 ) -> tuple[Array, tuple[int, ...], bool]:

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.answers.targets import targets_with_axis
 from kempe.budget import look
-from kempe.inverse.chain.problem import FEW, FrameProblem, goals_of, misses, outside, rows_of
+from kempe.inverse.chain.problem import FEW, FrameProblem, misses, outside, rows_of
 from kempe.inverse.chain.serial_chain import Chain, inside
 from kempe.kernels.base.search_layout import (
     ANSWER,
@@ -78,7 +79,7 @@ def answered(
         chain.floats,
         limits,
         rows_of(problem),
-        goals_of(problem, targets),
+        targets_with_axis(targets, problem.axis),
         seeds,
         problem.rng,
     )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe.answers.problem import Problem, solve
-from kempe.answers.targets import TASKS, Z_AXIS, frame_of, targets_of
+from kempe.answers.targets import Z_AXIS, targets_of
 from kempe.arguments import quiet
 from kempe.inverse.closed_forms.descent import Aim, closest
 from kempe.inverse.numeric import SOLVERS
@@ -27,13 +27,7 @@ def aim_of(solutions: Solutions, index: int, spare: bool = False) -> Aim:
     """
     problem = solutions.problem
     plan = solutions.plan
-    target = np.array(problem.targets[index])
-    if problem.axis != Z_AXIS:
-        target[:3, :3] = target[:3, :3] @ frame_of(np.array(problem.axis))
-    target[:3, 3] = (target[:3, 3] - plan.lines.origin) / plan.lines.length
-    held = plan.fixed if spare else plan.locked
-    moves = np.array([i for i in range(len(plan.lines)) if i not in held], dtype=np.int64)
-    return Aim(plan.lines, np.flatnonzero(TASKS[plan.task]), target, moves)
+    return Aim.of(problem, plan, problem.targets[index], plan.fixed if spare else plan.locked)
 
 
 def held_coordinates(solutions: Solutions, index: int) -> Array:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from kempe.answers.problem import Problem, Solver
-from kempe.answers.targets import not_a_pose, of_target
+from kempe.answers.targets import not_a_pose, of_target, targets_with_axis
 from kempe.arguments import deadline, seed_number, start_count, step_count, tolerances
 from kempe.budget import Usual
 from kempe.equations.one_sided import one_sided_rows
@@ -24,7 +24,6 @@ from kempe.inverse.chain.problem import (
     ITERATIONS,
     MOST,
     FrameProblem,
-    goals_of,
     look_closer,
     misses,
     rows_of,
@@ -142,7 +141,7 @@ def _of_starts(problem: FrameProblem, base: Array, seeds: Array, starts: int) ->
         problem.chain.floats,
         problem.chain.limits,
         rows_of(problem),
-        goals_of(problem, problem.targets),
+        targets_with_axis(problem.targets, problem.axis),
         seeds,
         problem.rng,
     )

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kempe.answers.targets import TASKS, Z_AXIS, frame_of
+from kempe.answers.targets import targets_with_axis
 from kempe.budget import look
 from kempe.inverse.chain.problem import FEW, ITERATIONS, MOST, outside, rows_of
 from kempe.inverse.closed_forms.descent import Aim, descend, limits_of
@@ -218,11 +218,8 @@ class _Targets:
         m = len(which)
         chain = task.chain
         at = places_in(chain, lines)
-        goals = self.problem.targets[which]
+        goals = targets_with_axis(self.problem.targets[which], self.problem.axis)
         pins = list(self.plan.fixed)
-        if self.problem.axis != Z_AXIS:
-            goals = goals.copy()
-            goals[:, :3, :3] = goals[:, :3, :3] @ frame_of(np.array(self.problem.axis))
         pinned = self.locked[which][:, pins]
         out = np.empty((m, len(lines) + ANSWER))
         circular = chain.circular.copy()
@@ -292,17 +289,13 @@ class _Targets:
     def _polished(self, index: int, q: Array, limited: bool) -> tuple[Array, float]:
         """A configuration (n,) on the target as nearly as can be, and its error."""
         lines = self.plan.lines
-        X = self.problem.targets[index].copy()
-        if self.problem.axis != Z_AXIS:
-            X[:3, :3] = X[:3, :3] @ frame_of(np.array(self.problem.axis))
-        X[:3, 3] = (X[:3, 3] - lines.origin) / lines.length
-        moves = np.array([i for i in range(len(lines)) if i not in self.plan.fixed], dtype=np.int64)
-        aim = Aim(lines, np.flatnonzero(TASKS[self.plan.task]), X, moves)
+        target = self.problem.targets[index]
+        aim = Aim.of(self.problem, self.plan, target, self.plan.fixed)
         low, high = limits_of(lines) if limited else np.tile([[-np.inf], [np.inf]], len(lines))
         theta = lines.theta(q)[None]
         error = np.inf
         for _ in range(POLISHES):  # where the chain is singular a step halves the way
-            theta = descend(aim, theta, low[moves], high[moves], BRISK)
+            theta = descend(aim, theta, low[aim.moves], high[aim.moves], BRISK)
             R, p, _, _ = aim.sweep(theta)
             e = aim.errors(R, p)[0]
             error = float(np.hypot(np.linalg.norm(e[:3]) * lines.length, np.linalg.norm(e[3:])))

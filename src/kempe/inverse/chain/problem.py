@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe import spatial
-from kempe.answers.targets import TASKS, Z_AXIS, frame_of, points_along
+from kempe.answers.targets import TASKS, points_along
 from kempe.inverse.chain.length_bounds import by_lengths
 from kempe.inverse.chain.serial_chain import Chain
 from kempe.spatial import Array
@@ -81,15 +81,6 @@ def rows_of(problem: FrameProblem) -> np.ndarray:
     pointed = points_along(problem.name)
     rows = (*problem.mask[:5], 1, 1) if pointed else (*problem.mask, 0)
     return np.concatenate([np.array(rows, dtype=np.int64), problem.chain.circular])
-
-
-def goals_of(problem: FrameProblem, targets: Array) -> Array:
-    """Targets (N, 4, 4) with the z axis that kernels point."""
-    goals = targets
-    if problem.axis != Z_AXIS:
-        goals = goals.copy()
-        goals[:, :3, :3] = goals[:, :3, :3] @ frame_of(np.array(problem.axis))
-    return goals
 
 
 def misses(problem: FrameProblem, targets: Array, q: Array) -> Array:

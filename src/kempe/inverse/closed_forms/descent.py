@@ -5,14 +5,19 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from kempe import spatial
+from kempe.answers.targets import TASKS, targets_with_axis
 from kempe.inverse.closed_forms.chain_lines import Lines
 from kempe.kernels.forward.table_layout import SLIDE
 from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.inverse.closed_forms.plan import ChainPlan
+    from kempe.inverse.closed_forms.problem import ChainProblem
 
 STARTS = 32
 STEPS = 40
@@ -34,6 +39,17 @@ class Aim:
     rows: np.ndarray
     target: Array
     moves: np.ndarray
+
+    @classmethod
+    def of(
+        cls, problem: ChainProblem, plan: ChainPlan, target: Array, held: tuple[int, ...]
+    ) -> Aim:
+        """What a target (4, 4) of a problem asks of the chain of a plan, with joints `held`."""
+        lines = plan.lines
+        X = targets_with_axis(target, problem.axis).copy()
+        X[:3, 3] = (X[:3, 3] - lines.origin) / lines.length
+        moves = np.array([i for i in range(len(lines)) if i not in held], dtype=np.int64)
+        return cls(lines, np.flatnonzero(TASKS[plan.task]), X, moves)
 
     @cached_property
     def slides(self) -> np.ndarray:

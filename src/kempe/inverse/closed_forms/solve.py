@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from kempe.answers.targets import Z_AXIS, frame_of
+from kempe.answers.targets import targets_with_axis
 from kempe.budget import look
 from kempe.inverse.closed_forms.chain_lines import Lines
 from kempe.inverse.closed_forms.plan import SEARCH, ChainPlan
@@ -62,13 +62,10 @@ def solve_held(
     chain_near: (1 or N, n) coordinates of the chain, near which angles are given. With `starts` a
     search looks for solutions where the equations say nothing.
     """
-    targets = problem.targets
+    targets = targets_with_axis(problem.targets, problem.axis)
     lines = plan.lines
     n = len(targets)
     single = problem.lead is None
-    if problem.axis != Z_AXIS:
-        targets = targets.copy()
-        targets[:, :3, :3] = targets[:, :3, :3] @ frame_of(np.array(problem.axis))
     out = np.empty((n, plan.method.slots, len(lines) + A.INFO))
     counts = np.zeros((n, 2), dtype=np.int64)
     if plan.method == SEARCH:

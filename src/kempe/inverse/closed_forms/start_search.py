@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kempe.answers.targets import TASKS, Z_AXIS, frame_of
+from kempe.answers.targets import targets_with_axis
 from kempe.inverse.chain.problem import ITERATIONS, MOST, FrameProblem, rows_of
 from kempe.inverse.chain.serial_chain import chain_of
 from kempe.inverse.closed_forms.descent import Aim
@@ -83,12 +83,7 @@ def _solutions(
     """Variables (k, n) of distinct solutions, and their errors (k,)."""
     lines = plan.lines
     rng = np.random.default_rng(0)
-    T = np.array(target)
-    if problem.axis != Z_AXIS:
-        T[:3, :3] = T[:3, :3] @ frame_of(np.array(problem.axis))
-    T[:3, 3] = (T[:3, 3] - lines.origin) / lines.length
-    moves = np.array([i for i in range(len(lines)) if i not in plan.locked], dtype=np.int64)
-    aim = Aim(lines, np.flatnonzero(TASKS[plan.task]), T, moves)
+    aim = Aim.of(problem, plan, target, plan.locked)
     theta = np.where(
         lines.kinds == SLIDE,
         rng.uniform(-2.0, 2.0, (STARTS, len(lines))),
@@ -104,9 +99,9 @@ def _solutions(
         damping = np.minimum(0.05 * (e * e).sum(axis=1), 0.1) + FLOOR
         N = np.swapaxes(J, 1, 2) @ J
         damping += FLOOR * np.trace(N, axis1=1, axis2=2)  # else LU may find it singular
-        N += damping[:, None, None] * np.eye(len(moves))
+        N += damping[:, None, None] * np.eye(len(aim.moves))
         y = np.zeros((len(e), len(lines)))
-        y[:, moves] = np.linalg.solve(N, np.swapaxes(J, 1, 2) @ e[..., None])[..., 0]
+        y[:, aim.moves] = np.linalg.solve(N, np.swapaxes(J, 1, 2) @ e[..., None])[..., 0]
         return y
 
     theta = gauss_newton_of_many(
@@ -156,9 +151,7 @@ def _reached(problem: ChainProblem, plan: ChainPlan, target: Array, theta: Array
     n = len(lines)
     at = places_in(chain, lines)
     pins = list(plan.locked)
-    goal = target[None].copy()
-    if problem.axis != Z_AXIS:
-        goal[:, :3, :3] = goal[:, :3, :3] @ frame_of(np.array(problem.axis))
+    goal = targets_with_axis(target[None], problem.axis)
     seeds = np.empty((len(theta), 1, n))
     limits = np.tile([[-np.inf], [np.inf]], n)
     circular = chain.circular.copy()
