@@ -195,8 +195,8 @@ def test_ranges_of_samples_are_joined_and_what_is_between_them_is_missing(hunt):
 def test_a_process_that_ended_while_a_map_was_replaced(tmp_path):
     path = tmp_path / "map.zarr"
     made(path, budget=interrupted_after(100_000))
-    path.rename(tmp_path / "map.zarr.former")
-    (tmp_path / "map.zarr.new").mkdir()
+    path.rename(tmp_path / "map.zarr.kempe-former")
+    (tmp_path / "map.zarr.kempe-new").mkdir()
     drawn = []
     whole = made(path, budget=Budget(progress=lambda done, *_: drawn.append(done)))
     assert drawn[0] > 100_000 and np.array_equal(whole.map.counts, made().map.counts)
@@ -206,7 +206,7 @@ def test_a_process_that_ended_while_a_map_was_replaced(tmp_path):
 def test_a_process_that_ended_after_a_map_was_replaced(tmp_path):
     """The map that was there before is removed; a folder of somebody else with its name is not."""
     path = tmp_path / "map.zarr"
-    former = tmp_path / "map.zarr.former"
+    former = tmp_path / "map.zarr.kempe-former"
     whole = made(path)
     former.mkdir()
     (former / "x").write_text("precious")

@@ -517,7 +517,10 @@ class _Follow:
         x = q
         for k in range(parts):
             self.time.check()
-            x = self._integrate(x, t0 + k * h / parts, h / parts, values[2 * k : 2 * k + 3])
+            there = self._integrate(x, t0 + k * h / parts, h / parts, values[2 * k : 2 * k + 3])
+            if there is None:
+                return None
+            x = there
         # between samples of inputs that are too many, straight lines do, if those at samples do not
         if self.slips:
             x = self._middle(q, t0, h, u, end)
@@ -525,9 +528,9 @@ class _Follow:
         near[self.closure.place[self.index[: len(end)]]] = end
         return close(Closure(self.system, self.index, near), near)
 
-    def _integrate(self, q: Array, t: float, h: float, values: list[Array]) -> Array:
+    def _integrate(self, q: Array, t: float, h: float, values: list[Array]) -> Array | None:
         """The configuration (nq,) after a step, along the parabola through three values of the
-        inputs.
+        inputs; None where the integration does not come to the end of the step.
         """
         from scipy import integrate  # only here: it takes long
 
@@ -539,7 +542,8 @@ class _Follow:
             return coordinate_rates(self.system, x, self.at(x, t + s, speeds) * self.closure.unit)
 
         solve = cast(Any, integrate).solve_ivp
-        return solve(slope, (0.0, h), q, first_step=h, rtol=ERROR, atol=ERROR).y[:, -1]
+        motion = solve(slope, (0.0, h), q, first_step=h, rtol=ERROR, atol=ERROR)
+        return motion.y[:, -1] if motion.success else None
 
     def _middle(self, q: Array, t: float, h: float, u: Array, end: Array) -> Array:
         """One step by the velocities that slip least in its own middle."""

@@ -157,7 +157,7 @@ def write_group(
     """
     zarr = zarr_library()
     refuse_place(path, format)
-    beside = path.with_name(path.name + ".new")
+    beside = path.with_name(path.name + NEW)
     former = path.with_name(path.name + FORMER)
     try:
         shutil.rmtree(beside, ignore_errors=True)
@@ -181,8 +181,9 @@ def write_group(
         raise not_written(path, error) from error
 
 
-FORMER = ".former"
-"""Ending of the name that a map has while it is replaced."""
+FORMER = ".kempe-former"
+NEW = ".kempe-new"
+"""Endings of the names that a map has while it is replaced, and that the new one has until then."""
 
 
 def restore_former(path: Path) -> None:
