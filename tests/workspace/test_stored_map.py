@@ -199,7 +199,7 @@ def test_a_process_that_ended_while_a_map_was_replaced(tmp_path):
     (tmp_path / "map.zarr.kempe-new").mkdir()
     drawn = []
     whole = made(path, budget=Budget(progress=lambda done, *_: drawn.append(done)))
-    assert drawn[0] > 100_000 and np.array_equal(whole.map.counts, made().map.counts)
+    assert min(drawn) >= 100_000 and np.array_equal(whole.map.counts, made().map.counts)
     assert [p.name for p in tmp_path.iterdir()] == ["map.zarr"]
 
 

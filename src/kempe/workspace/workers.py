@@ -101,14 +101,14 @@ def work_in_threads(
     broken = None
     with ThreadPoolExecutor(threads, thread_name_prefix="kempe") as pool:
         try:
+            check(done)  # where no time is left, no thread begins
             futures = [pool.submit(quiet(run), number) for number in range(threads)]
             running = futures
             while running:
-                check(done)
                 ended, running = wait(futures, WAKE, FIRST_EXCEPTION)
                 for future in ended:
                     future.result()
-            check(done)
+                check(done)
         except BROKEN_OFF as error:
             broken = error
         finally:
@@ -217,6 +217,7 @@ def results_of(
 
     try:
         while True:
+            check()
             most = max(2, 2 * threads_of(client))
             while len(running) < most and (part := next(todo, None)) is not None:
                 begin(*part, 0)
@@ -228,7 +229,6 @@ def results_of(
                     begin(name, arguments, attempt + 1)
                 else:
                     yield name, future.result()
-            check()
     finally:
         client.cancel(list(running))
 
