@@ -27,7 +27,7 @@ from kempe.description.toml_writer import write_toml
 from kempe.equations import closure_rows
 from kempe.equations.judge import coordinate_value, joint_pose
 from kempe.errors import InputError
-from kempe.first_order.counting import counting
+from kempe.first_order.counting import count_freedoms
 from kempe.forward.maximal import maximal_q, to_maximal
 from kempe.joints import Free, Revolute, Spherical
 from kempe.poses import placement_of_pose
@@ -137,8 +137,8 @@ def test_count_of_graphs(graph):
         for j in s.structure.joints.values()
     ]
     particles, full, few = len(graph.particles), *((6, 3) if s.dim == 3 else (3, 2))
-    found = counting(convert.maximal(s))
-    own = counting(s)
+    found = count_freedoms(convert.maximal(s))
+    own = count_freedoms(s)
     assert (
         found.taken
         == own.taken

@@ -15,8 +15,8 @@ from kempe import Mechanism, System
 from kempe import constraints as c
 from kempe.constraints import OnSurface
 from kempe.equations import closure_rows
-from kempe.first_order.constraint_graph import structure
-from kempe.first_order.screws import Screws, screws
+from kempe.first_order.constraint_graph import build_constraint_graph
+from kempe.first_order.screws import Screws, compute_screws
 from kempe.forward.maximal import maximal_q
 from kempe.joints import TYPES, JointType, P, joint_type
 
@@ -361,10 +361,10 @@ def test_declared_constraints_take_what_they_hold(name, dim):
         found = s.mobility(q, local=False)
         count = taken[dim - 2]
         assert (found.rank_dof, found.redundant_here) == (s.nv - count, count * (times - 1))
-        at = screws(s, q)
+        at = compute_screws(s, q)
         free = np.linalg.svd(closure_rows.jacobian(s, q))[2][count:].T
-        for i, edge in enumerate(e for e in structure(s).edges if not e.joint):
-            W = at.wrench_rows(i + 2, edge.of, dim)
+        for i, edge in enumerate(e for e in build_constraint_graph(s).edges if not e.is_joint):
+            W = at.compute_wrench_rows(i + 2, edge.of, dim)
             moves = about_center(s, q, edge.of.child, at) - about_center(s, q, edge.of.parent, at)
             assert (
                 len(W) == np.linalg.matrix_rank(W) == count

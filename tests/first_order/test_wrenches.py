@@ -48,7 +48,7 @@ def work(system: System, w: Wrenches, v: np.ndarray) -> float:
         of = m.joints.get(name) or m.constraints.get(name)
         if of is None or not of.parent:
             continue
-        p = w.point(name)
+        p = w.locate_wrench(name)
         moves = twist(system, w.q, v, of.child, p) - twist(system, w.q, v, of.parent, p)
         out = max(out, float(np.abs(w[name] @ moves).max(initial=0.0)))
     return out
@@ -65,7 +65,7 @@ def test_random_loops_of_all_joints(hunt):
         w = Wrenches(system, made.values(system))
         V = allowed(system, w.q)
         for name in w.names:
-            assert np.abs(w.generalised(name) @ V).max(initial=0.0) < 1e-8
+            assert np.abs(w.compute_generalised_forces(name) @ V).max(initial=0.0) < 1e-8
         if V.shape[1]:
             assert work(system, w, V @ rng.normal(size=V.shape[1])) < 1e-6
 
@@ -108,8 +108,11 @@ def test_constraints_of_all_kinds(name, hunt):
     system = m.build()
     w = Wrenches(system, system.assemble(start=system.random(rng)).q)
     V = allowed(system, w.q)
-    assert V.shape[1] == system.nv - len(w.generalised("it"))
-    assert np.abs(w.generalised("it") @ V).max() < 1e-8 and np.abs(w.generalised("it")).max() > 0.1
+    assert V.shape[1] == system.nv - len(w.compute_generalised_forces("it"))
+    assert (
+        np.abs(w.compute_generalised_forces("it") @ V).max() < 1e-8
+        and np.abs(w.compute_generalised_forces("it")).max() > 0.1
+    )
     if name != "equation":
         assert work(system, w, V @ rng.normal(size=V.shape[1])) < 1e-6
         assert np.linalg.matrix_rank(w["it"]) == len(w["it"])
@@ -138,7 +141,7 @@ def test_a_pin_carries_all_but_a_moment_about_its_axis():
         np.linalg.matrix_rank(w["pin"]) == 5
         and np.abs(w["pin"][:, 3:] @ [0.6, 0.0, 0.8]).max() < 1e-12
     )
-    np.testing.assert_allclose(w.point("pin"), [1, 2, 3])
+    np.testing.assert_allclose(w.locate_wrench("pin"), [1, 2, 3])
 
 
 @pytest.mark.parametrize(
@@ -186,7 +189,7 @@ def test_as_many_states_as_redundant_constraints(name):
     for state in w.stresses:
         total = {body: np.zeros(6) for body in system.body_names}
         for n, wrench in state.wrenches.items():
-            about = np.append(wrench[:3], wrench[3:] + np.cross(w.point(n), wrench[:3]))
+            about = np.append(wrench[:3], wrench[3:] + np.cross(w.locate_wrench(n), wrench[:3]))
             total[joints[n].child] += about
             total[joints[n].parent] -= about
             left = wrench - w[n].T @ np.linalg.lstsq(w[n].T, wrench, rcond=None)[0]
@@ -259,7 +262,7 @@ def test_the_torque_of_a_crank_by_virtual_work(hunt):
             system.fk(system.assemble({"A": a + h}, start=q).q, "coupler_point")[:2, 3]
             for h in (H, -H)
         ]
-        found = Wrenches(system, q).under({"coupler_point": force}, held="A")
+        found = Wrenches(system, q).balance_loads({"coupler_point": force}, held="A")
         assert found.efforts["A"] == pytest.approx(-force @ (at[0] - at[1]) / (2.0 * H), abs=1e-7)
         pins = found.wrenches["A"][:2] + found.wrenches["D"][:2] * (
             1 if system.structure.joints["D"].parent == "ground" else -1
@@ -297,7 +300,7 @@ def test_what_an_arm_carries(dim, particle, moment):
     load[3:] *= moment and not particle
     given = load[[0, 1, 5]] if dim == 2 else load
     given = given if moment else given[:dim]
-    found = Wrenches(s, q).under({frame: given, "here": given}, held=s.coordinate_names)
+    found = Wrenches(s, q).balance_loads({frame: given, "here": given}, held=s.coordinate_names)
     efforts = np.array([found.efforts[n] for n in s.coordinate_names])
     np.testing.assert_allclose(efforts, -s.jacobian(q, frame).T @ load, atol=1e-9)
     arm = s.fk(q, frame)[:3, 3] - s.fk(q, "a")[:3, 3]
@@ -309,7 +312,7 @@ def test_what_an_arm_carries(dim, particle, moment):
 def test_loads_of_a_wrong_shape(load):
     s = carrying(2, False)
     with pytest.raises(InputError, match="load on 'tip' has shape .*; needed are 2 or 3 numbers"):
-        Wrenches(s, s.neutral).under({"tip": load}, held=s.coordinate_names)
+        Wrenches(s, s.neutral).balance_loads({"tip": load}, held=s.coordinate_names)
 
 
 def test_a_beam_on_two_supports():
@@ -319,7 +322,7 @@ def test_a_beam_on_two_supports():
     m.frame("end", "beam", at=(3, 0))
     m.frame("load", "beam", at=(1, 0))
     m.constrain(c.OnLine("end", (0, 0), (1, 0)), "roller")
-    found = Wrenches(m.build(), np.zeros(1)).under({"load": (0, -9.0)})
+    found = Wrenches(m.build(), np.zeros(1)).balance_loads({"load": (0, -9.0)})
     np.testing.assert_allclose(found.wrenches["pin"], [0, 6, 0, 0, 0, 0], atol=1e-9)
     np.testing.assert_allclose(found.wrenches["roller"], [0, 3, 0, 0, 0, 0], atol=1e-9)
     assert found.undetermined == () and not found.efforts
@@ -329,7 +332,7 @@ def test_what_statics_does_not_determine_is_said():
     m = Mechanism("beam", dim=2)
     m.revolute("pin", m.ground, m.body("beam"))
     m.revolute("other", m.ground, "beam", at=(3, 0), child_at=(3, 0))
-    found = Wrenches(m.build(), np.zeros(2)).under({"beam": (0, -9.0, 0.0)})
+    found = Wrenches(m.build(), np.zeros(2)).balance_loads({"beam": (0, -9.0, 0.0)})
     assert found.undetermined == ("pin", "other") and "(not determined)" in str(found)
     np.testing.assert_allclose(
         found.wrenches["pin"] + found.wrenches["other"], [0, 9, 0, 0, 0, 0], atol=1e-9
@@ -342,12 +345,12 @@ def test_bad_input():
     with pytest.raises(
         InputError, match="nothing balances the loads on 'coupler_point' with no coordinate held"
     ):
-        w.under({"coupler_point": (1.0, 2.0)})
+        w.balance_loads({"coupler_point": (1.0, 2.0)})
     with pytest.raises(UnknownNameError, match="joint or constraint 'X'"):
         w["X"]
     with pytest.raises(UnknownNameError, match="frame"):
-        w.under({"nowhere": (1.0, 2.0)})
+        w.balance_loads({"nowhere": (1.0, 2.0)})
     with pytest.raises(UnknownNameError, match="'Z'"):
-        w.under({"coupler_point": (1.0, 2.0)}, held="Z")
+        w.balance_loads({"coupler_point": (1.0, 2.0)}, held="Z")
     with pytest.raises(InputError, match="needed are 2 or 3 numbers"):
-        w.under({"coupler_point": (1.0, 2.0, 3.0, 4.0)}, held="A")
+        w.balance_loads({"coupler_point": (1.0, 2.0, 3.0, 4.0)}, held="A")

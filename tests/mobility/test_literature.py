@@ -7,7 +7,7 @@ import pytest
 from literature import KNOWN, four_upu, look
 
 from kempe.equations.closure_rows import jacobian
-from kempe.first_order.rank import rank_at
+from kempe.first_order.rank import compute_rank
 
 PROVEN = {
     "K33 on a conic: shaky",
@@ -39,7 +39,7 @@ def test_all_four_legs_are_needed():
 @pytest.mark.parametrize("name", KNOWN)
 def test_kernels_keep_all_loops_closed(name):
     system = KNOWN[name][0].build()
-    rank = rank_at(system, system.neutral)
+    rank = compute_rank(system, system.neutral)
     assert (
         np.abs(jacobian(system, rank.q) @ (rank.null_space * rank.units[:, None])).max(initial=0.0)
         < 1e-9

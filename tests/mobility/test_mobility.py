@@ -22,7 +22,7 @@ from kempe.assemble.generic_configurations import nearby
 from kempe.equations.closure_rows import residual
 from kempe.equations.judge import closure_error
 from kempe.errors import InputError, UnknownNameError
-from kempe.first_order.rank import rank_at
+from kempe.first_order.rank import compute_rank
 from kempe.joints import Universal
 from kempe.mobility.answer import Mobility
 from kempe.mobility.local_dimension import local_dimension
@@ -286,7 +286,7 @@ def test_a_spin_in_one_position_only_is_not_idle():
 
 def test_a_rigid_structure_has_no_generic_neighbours():
     system = kempe.load("shaky_3r")
-    assert nearby(system, rank_at(system, mobility(system).q), np.random.default_rng(0)) == []
+    assert nearby(system, compute_rank(system, mobility(system).q), np.random.default_rng(0)) == []
 
 
 def test_a_regular_configuration_is_generic_itself():
@@ -295,7 +295,7 @@ def test_a_regular_configuration_is_generic_itself():
     """
     for name, least, most in (("four_bar", 1, 1), ("bennett", 2, 99)):
         system = kempe.load(name)
-        found = nearby(system, rank_at(system, mobility(system).q), np.random.default_rng(0))
+        found = nearby(system, compute_rank(system, mobility(system).q), np.random.default_rng(0))
         assert least <= len(found) <= most and all(r.nullity == 1 for r in found)
 
 

@@ -14,10 +14,10 @@ import kempe
 from kempe import Mechanism
 from kempe.assemble.generic_configurations import nearby
 from kempe.equations.velocity import tangent_rows
-from kempe.first_order.constraint_graph import structure
-from kempe.first_order.idle_freedoms import common_point, groups
-from kempe.first_order.rank import rank_at
-from kempe.first_order.redundant_constraints import REACTIONS, _choose, _JointReaction
+from kempe.first_order.constraint_graph import build_constraint_graph
+from kempe.first_order.idle_freedoms import find_common_point, find_spin_groups
+from kempe.first_order.rank import compute_rank
+from kempe.first_order.redundant_constraints import REACTIONS, _choose_releases, _JointReaction
 from kempe.mobility import dof_proofs
 from kempe.mobility.classify import EvaluationPoint, random_place
 from kempe.mobility.dof_proofs import split_of
@@ -42,11 +42,11 @@ def test_hinges_are_a_ball_if_their_axes_meet_in_one_point():
         axes = rng.normal(size=(3, 3))
         lines = [(point + d * w, w) for d, w in zip(rng.normal(size=3), axes, strict=True)]
         for count in (2, 3):
-            np.testing.assert_allclose(common_point(turns(*lines[:count])), point, atol=1e-9)
+            np.testing.assert_allclose(find_common_point(turns(*lines[:count])), point, atol=1e-9)
         aside = lines[2][0] + 1e-3 * np.cross(axes[0], axes[1])
-        assert common_point(turns(*lines[:2], (aside, axes[2]))) is None
-    assert common_point(turns(lines[0])) is None
-    assert common_point(turns(lines[0], (lines[0][0] + 1.0, lines[0][1]))) is None
+        assert find_common_point(turns(*lines[:2], (aside, axes[2]))) is None
+    assert find_common_point(turns(lines[0])) is None
+    assert find_common_point(turns(lines[0], (lines[0][0] + 1.0, lines[0][1]))) is None
 
 
 def test_what_has_no_direction_is_released_before_turns():
@@ -54,7 +54,7 @@ def test_what_has_no_direction_is_released_before_turns():
         _JointReaction("J", label, False, None, np.ones(1))
         for label in (REACTIONS["x"], REACTIONS["rx"], "law")
     ]
-    assert _choose(rows, 1) == [[rows[2]]] and _choose(rows[:2], 1) == [[rows[1]]]
+    assert _choose_releases(rows, 1) == [[rows[2]]] and _choose_releases(rows[:2], 1) == [[rows[1]]]
 
 
 def test_a_joint_that_can_make_every_motion_holds_nothing():
@@ -66,18 +66,18 @@ def test_a_joint_that_can_make_every_motion_holds_nothing():
         m.spherical(f"B{k}", rod, plate, at=(0.1, 0.2, 1.0), child_at=(x, 0.0, 0.0))
     m.free("F", m.ground, plate)
     system = m.build()
-    edges = [e.name for e in structure(system).edges]
-    at = rank_at(system, mobility(system).q).screws
-    plates = [g for g in groups(system, at, frozenset(), False) if len(g.ends) == 4]
+    edges = [e.name for e in build_constraint_graph(system).edges]
+    at = compute_rank(system, mobility(system).q).screws
+    plates = [g for g in find_spin_groups(system, at, frozenset(), False) if len(g.ends) == 4]
     assert [edges[e.steps[0].edge] for e in plates[0].ends if e.free] == ["F"]
     motor = frozenset([system.structure.velocity_names.index("F.x")])
-    assert all(len(g.ends) == 2 for g in groups(system, at, motor, False))
+    assert all(len(g.ends) == 2 for g in find_spin_groups(system, at, motor, False))
 
 
 def test_a_regular_configuration_has_one_neighbour():
     s = kempe.load("four_bar")
-    regular = rank_at(s, s.assemble({"A": 1.0}).q)
-    assert regular.dependent == 0 and len(nearby(s, regular, np.random.default_rng(0))) == 1
+    regular = compute_rank(s, s.assemble({"A": 1.0}).q)
+    assert regular.n_dependent == 0 and len(nearby(s, regular, np.random.default_rng(0))) == 1
 
 
 # ---- local dimensions

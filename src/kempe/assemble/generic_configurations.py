@@ -18,9 +18,9 @@ from kempe.budget import Budget
 from kempe.equations.closure_rows import evaluate
 from kempe.equations.one_sided import one_sided_rows
 from kempe.errors import InputError
-from kempe.first_order.control import driven
-from kempe.first_order.idle_freedoms import IdleFreedom, idle_freedoms, may_idle
-from kempe.first_order.rank import Rank, rank_at
+from kempe.first_order.control import find_driven_velocities
+from kempe.first_order.idle_freedoms import IdleFreedom, can_have_idle_freedom, find_idle_freedoms
+from kempe.first_order.rank import Rank, compute_rank
 from kempe.forward.fk import jacobian
 from kempe.model.ball_angles import regular_chart
 from kempe.model.configurations import has_loops, mid, q_from_dict, refuse_far
@@ -119,9 +119,9 @@ def idle_freedoms_at(system: Model, q: Array) -> tuple[IdleFreedom, ...]:
     if not at.closed:
         return ()
     system, q, _ = regular_chart(system, at.q)
-    motors = driven(system, None)
-    rank = rank_at(system, q)
-    return idle_freedoms(
+    motors = find_driven_velocities(system, None)
+    rank = compute_rank(system, q)
+    return find_idle_freedoms(
         system, [rank, *around(system, rank, motors, np.random.default_rng(0))], motors
     )
 
@@ -145,7 +145,7 @@ def _idle_at_home(system: Model) -> tuple[IdleFreedom, ...] | None:
 
 def idle_coordinates(system: Model, q: Array | None = None) -> np.ndarray:
     """Which velocity coordinates (nv,) idle freedoms change (mask); of a rotation, all three."""
-    moves = [f.moves for f in idle_freedoms_of(system, q)] if has_loops(system) else []
+    moves = [f.moving_velocities for f in idle_freedoms_of(system, q)] if has_loops(system) else []
     out = np.any([np.zeros(system.nv, dtype=bool), *moves], axis=0)
     for iv in system.structure.layout.quaternion_v:
         out[iv : iv + 3] = out[iv : iv + 3].any()
@@ -168,7 +168,7 @@ def around(
     """
     return (
         nearby(system, rank, rng)
-        if rank.dependent or motors or may_idle(system, rank, motors)
+        if rank.n_dependent or motors or can_have_idle_freedom(system, rank, motors)
         else []
     )
 
@@ -180,8 +180,8 @@ def nearby(system: Model, rank: Rank, rng: np.random.Generator) -> list[Rank]:
     if not rank.nullity:
         return []
     # a point of full rank is generic itself
-    found = _draw_nearby(system, rank, rng, POINTS if rank.dependent else 1)
-    if rank.dependent and (len(found) < POINTS or any(r.nullity != rank.nullity for r in found)):
+    found = _draw_nearby(system, rank, rng, POINTS if rank.n_dependent else 1)
+    if rank.n_dependent and (len(found) < POINTS or any(r.nullity != rank.nullity for r in found)):
         found += _draw_nearby(system, rank, rng, MORE)
     return found
 
@@ -203,4 +203,4 @@ def _draw_nearby(system: Model, rank: Rank, rng: np.random.Generator, count: int
         system.structure.layout.difference(rank.q, answer.q) / rank.units, axis=1
     )
     good = np.asarray(answer.success) & (moved > AWAY * size)
-    return [rank_at(system, q) for q in answer.q[good]]
+    return [compute_rank(system, q) for q in answer.q[good]]

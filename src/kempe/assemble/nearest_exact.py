@@ -26,7 +26,7 @@ from kempe.description.parts import Declared, Joint
 from kempe.equations.closure_rows import evaluate, freedoms_left, full, residual, row_names
 from kempe.equations.slip import rolls
 from kempe.errors import InputError, TimeLimitError, shown
-from kempe.first_order.constraint_graph import structure
+from kempe.first_order.constraint_graph import build_constraint_graph
 from kempe.joints import Revolute
 from kempe.model.ball_angles import regular_chart
 from kempe.model.characteristic_length import as_large_as, characteristic_length, origin_of
@@ -359,7 +359,7 @@ def _parts(system: Model, most: float) -> list[tuple[Model, np.ndarray]]:
     Loops that share no velocity close by themselves: to change one does not change what another
     needs.
     """
-    graph = structure(system)
+    graph = build_constraint_graph(system)
     places = {name: i for i, name in enumerate(system.coordinate_names)}
     owner = {c.name: e.name for e in graph.edges for c in e.columns}
     out: list[tuple[Model, np.ndarray]] = []

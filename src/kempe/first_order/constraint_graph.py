@@ -38,7 +38,7 @@ MOST = 400
 """Loops of a cluster up to which shorter ones are sought."""
 
 
-def shortened(signs: Array, whole: np.ndarray, parent: np.ndarray, child: np.ndarray) -> Array:
+def shorten_loops(signs: Array, whole: np.ndarray, parent: np.ndarray, child: np.ndarray) -> Array:
     """Signs (loops, edges) of loops, each shortened by others that are `whole` (mask) as far as
     that goes at once.
 
@@ -60,7 +60,7 @@ def shortened(signs: Array, whole: np.ndarray, parent: np.ndarray, child: np.nda
             if (
                 gain[best] <= 0.0
                 or not shrinks
-                or not _simple(shorter, parent, child)
+                or not _is_simple_loop(shorter, parent, child)
                 or length[best] > length[k]
             ):
                 break
@@ -71,7 +71,7 @@ def shortened(signs: Array, whole: np.ndarray, parent: np.ndarray, child: np.nda
     return out
 
 
-def _simple(loop: Array, parent: np.ndarray, child: np.ndarray) -> bool:
+def _is_simple_loop(loop: Array, parent: np.ndarray, child: np.ndarray) -> bool:
     """Whether edges with signs 1, 0, -1 are one closed walk that meets no body twice."""
     edges = np.flatnonzero(loop)
     if np.abs(loop[edges]).max() > 1.0:
@@ -97,7 +97,7 @@ def _simple(loop: Array, parent: np.ndarray, child: np.ndarray) -> bool:
 Signed = list[tuple[int, float]]
 """Edges with the signs in which they are passed."""
 Way = Callable[[int, int], tuple[Signed, Signed]]
-"""The function of `_ways`."""
+"""The function of `_make_path_finder`."""
 
 NO_SERIES = "is a Python function that cannot be recorded, and has no Taylor series"
 
@@ -137,7 +137,7 @@ class Edge:
     """For each primitive the column that moves it (a quaternion: the first of three)."""
 
     @property
-    def joint(self) -> bool:
+    def is_joint(self) -> bool:
         """Whether it is a joint, not a declared constraint."""
         return isinstance(self.of, Joint)
 
@@ -167,7 +167,7 @@ class Law:
     """The joints on the tree's way between its bodies, where it has two."""
 
     @property
-    def rows(self) -> int:
+    def n_rows(self) -> int:
         """Number of its equations."""
         return len(self.places)
 
@@ -227,20 +227,20 @@ class Cluster:
     bent: tuple[str, ...] = ()
     """Laws that are not linear in coordinates."""
 
-    def paths(self, s: ConstraintGraph, short: bool) -> list[np.ndarray]:
+    def list_loop_paths(self, s: ConstraintGraph, short: bool) -> list[np.ndarray]:
         """The edges of each loop, shortened or as the tree closes it."""
         if short:
             return [np.array(self.edges)[np.flatnonzero(signs)] for signs in self.cells]
         return [np.array([i for i, _ in s.loops[k].path]) for k in self.loops]
 
-    def size_of_loops(self, s: ConstraintGraph, short: bool) -> LoopSizes:
+    def measure_loops(self, s: ConstraintGraph, short: bool) -> LoopSizes:
         """The `LoopSizes`, found once."""
         found = self.__dict__.setdefault("sizes", {})
         if short not in found:
-            found[short] = self._sizes(s, self.paths(s, short))
+            found[short] = self._compute_loop_sizes(s, self.list_loop_paths(s, short))
         return found[short]
 
-    def _sizes(self, s: ConstraintGraph, paths: list[np.ndarray]) -> LoopSizes:
+    def _compute_loop_sizes(self, s: ConstraintGraph, paths: list[np.ndarray]) -> LoopSizes:
         most = 0.0
         joints = 1
         rods: list[int] = []
@@ -257,7 +257,7 @@ class Cluster:
         return LoopSizes(most * float(np.sqrt(passed)), joints, np.array(rods, dtype=np.int64))
 
     @cached_property
-    def shared(self) -> bool:
+    def has_shared_velocities(self) -> bool:
         """Whether several velocities of joints follow one of the system."""
         return len(np.unique(self.local)) < len(self.local)
 
@@ -283,22 +283,22 @@ class ConstraintGraph:
 
 
 @kept
-def structure(system: Model) -> ConstraintGraph:
+def build_constraint_graph(system: Model) -> ConstraintGraph:
     """Edges, loops and clusters of a system."""
-    return _structure(system)
+    return _assemble_graph(system)
 
 
-def called(system: Model) -> tuple[str, ...]:
+def list_function_constraints(system: Model) -> tuple[str, ...]:
     """Constraints that are Python functions without series."""
     return tuple(dict.fromkeys(t.name for t in full(system, True).ties if t.function is not None))
 
 
-def _structure(system: Model) -> ConstraintGraph:
-    edges = _edges(system)
-    way = _ways(system, edges)
-    loops = _loops(system, edges, way)
-    laws = _laws(system, way)
-    clusters = _clusters(system, edges, loops, laws)
+def _assemble_graph(system: Model) -> ConstraintGraph:
+    edges = _build_edges(system)
+    way = _make_path_finder(system, edges)
+    loops = _build_loops(system, edges, way)
+    laws = _build_laws(system, way)
+    clusters = _build_clusters(system, edges, loops, laws)
     stack = np.array([(e.X_PF, e.X_CM) for e in edges]).reshape(-1, 2, 4, 4)
     ends = np.array([(e.parent, e.child) for e in edges], dtype=np.int64).reshape(-1, 2)
     slides = np.zeros(system.nv, dtype=bool)
@@ -318,7 +318,7 @@ def _structure(system: Model) -> ConstraintGraph:
     )
 
 
-def _edges(system: Model) -> list[Edge]:
+def _build_edges(system: Model) -> list[Edge]:
     m = system._mechanism
     dim = system.dim
     number = {b: i for i, b in enumerate(system.body_names)}
@@ -332,9 +332,9 @@ def _edges(system: Model) -> list[Edge]:
         values: list[tuple[int, float, float]] = []
         columns: list[Column] = []
         for name in names:
-            f = followers.get(_full(joint.name, name))
+            f = followers.get(_format_full_name(joint.name, name))
             if f is None:
-                values.append((in_q[_full(joint.name, name)], 1.0, 0.0))
+                values.append((in_q[_format_full_name(joint.name, name)], 1.0, 0.0))
             else:
                 values.append((in_q[f.source] if f.source else -1, f.multiplier, f.offset))
         velocities = joint.type.velocities(dim, particle)
@@ -348,7 +348,7 @@ def _edges(system: Model) -> list[Edge]:
             for n in range(3 if p.kind == Q else 1)
         }
         for k, name in enumerate(velocities):
-            full = _full(joint.name, name)
+            full = _format_full_name(joint.name, name)
             slides = k not in turning
             f = followers.get(full)
             if full in in_v:
@@ -380,11 +380,11 @@ def _edges(system: Model) -> list[Edge]:
     return out
 
 
-def _full(joint: str, coordinate: str) -> str:
+def _format_full_name(joint: str, coordinate: str) -> str:
     return f"{joint}.{coordinate}" if coordinate else joint
 
 
-def _ways(system: Model, edges: list[Edge]) -> Way:
+def _make_path_finder(system: Model, edges: list[Edge]) -> Way:
     """The function that gives the edges of the tree from two bodies up to where these ways meet,
     with the signs in which a loop from the first body to the second and back passes them.
     """
@@ -392,10 +392,10 @@ def _ways(system: Model, edges: list[Edge]) -> Way:
     up = [-1, *(index[n] for n in system.structure.parent_joints)]
     parent = (-1, *system.parent)
     depth = [0] * len(parent)
-    for body in _tree_order(parent):
+    for body in _sort_tree_bodies(parent):
         depth[body] = depth[parent[body]] + 1 if body else 0
 
-    def way(a: int, b: int) -> tuple[Signed, Signed]:
+    def find_tree_paths(a: int, b: int) -> tuple[Signed, Signed]:
         from_a: Signed = []
         from_b: Signed = []
         while a != b:
@@ -407,24 +407,24 @@ def _ways(system: Model, edges: list[Edge]) -> Way:
                 a = parent[a]
         return from_a, from_b
 
-    return way
+    return find_tree_paths
 
 
-def _loops(system: Model, edges: list[Edge], way: Way) -> list[Loop]:
+def _build_loops(system: Model, edges: list[Edge], way: Way) -> list[Loop]:
     index = {e.name: i for i, e in enumerate(edges)}
     closing = [index[n] for n in system.structure.closures] + [
-        i for i, e in enumerate(edges) if not e.joint
+        i for i, e in enumerate(edges) if not e.is_joint
     ]
     out: list[Loop] = []
     for k in closing:
         back, ahead = way(edges[k].parent, edges[k].child)
         # from the joint nearest to the ground, around and back
         path = (*reversed(back), (k, 1.0), *ahead)
-        out.append(Loop(k, path, rows_of(edges[k], system.dim)))
+        out.append(Loop(k, path, count_closing_equations(edges[k], system.dim)))
     return out
 
 
-def _laws(system: Model, way: Way) -> tuple[Law, ...]:
+def _build_laws(system: Model, way: Way) -> tuple[Law, ...]:
     """Couplings with several sources, and what constraints say by expressions and functions."""
     loops = full(system, True)
     first = 0
@@ -452,11 +452,11 @@ def _laws(system: Model, way: Way) -> tuple[Law, ...]:
         if isinstance(of, Declared) and of.parent:
             back, ahead = way(number[of.parent], number[of.child])
             between = back + ahead
-        out.append(_law(loops, of, places, ties, tuple(i for i, _ in between)))
+        out.append(_build_law(loops, of, places, ties, tuple(i for i, _ in between)))
     return tuple(out)
 
 
-def _law(
+def _build_law(
     loops: PackedLoops,
     of: Relation | Declared,
     places: list[int],
@@ -482,7 +482,7 @@ def _law(
     )
 
 
-def _tree_order(parent: tuple[int, ...]) -> list[int]:
+def _sort_tree_bodies(parent: tuple[int, ...]) -> list[int]:
     children: dict[int, list[int]] = {}
     for body, above in enumerate(parent):
         children.setdefault(above, []).append(body)
@@ -492,14 +492,14 @@ def _tree_order(parent: tuple[int, ...]) -> list[int]:
     return order
 
 
-def rows_of(edge: Edge, dim: int) -> int:
+def count_closing_equations(edge: Edge, dim: int) -> int:
     """Number of equations with which an edge closes a loop, its own velocities among the unknowns."""
     if isinstance(edge.of, Declared):
         return edge.of.of_pose(dim)
     return dim if edge.particle else (6 if dim == 3 else 3)
 
 
-def _clusters(
+def _build_clusters(
     system: Model, edges: list[Edge], loops: list[Loop], laws: Sequence[Law]
 ) -> tuple[Cluster, ...]:
     supports = [
@@ -509,17 +509,17 @@ def _clusters(
     supports += [list(law.support) for law in laws]
     root = list(range(system.nv + len(supports)))
 
-    def find(i: int) -> int:
+    def find_root(i: int) -> int:
         while root[i] != i:
             root[i] = i = root[root[i]]
         return i
 
     for k, support in enumerate(supports):
         for i in support:
-            root[find(i)] = find(system.nv + k)
+            root[find_root(i)] = find_root(system.nv + k)
     groups: dict[int, list[int]] = {}
     for k in range(len(supports)):
-        groups.setdefault(find(system.nv + k), []).append(k)
+        groups.setdefault(find_root(system.nv + k), []).append(k)
     out: list[Cluster] = []
     for members in groups.values():
         own = [k for k in members if k < len(loops)]
@@ -531,13 +531,13 @@ def _clusters(
             for i, sign in loops[k].path:
                 signs[n, place[i]] = sign
         whole = np.array(
-            [edges[loops[k].edge].joint and not edges[loops[k].edge].particle for k in own],
+            [edges[loops[k].edge].is_joint and not edges[loops[k].edge].particle for k in own],
             dtype=bool,
         )
         ends = np.array(
             [(edges[i].parent, edges[i].child) for i in inside], dtype=np.int64
         ).reshape(-1, 2)
-        cells = shortened(signs, whole, ends[:, 0], ends[:, 1])
+        cells = shorten_loops(signs, whole, ends[:, 0], ends[:, 1])
         laws_ = tuple(k - len(loops) for k in members if k >= len(loops))
         columns = [(n, c) for n, i in enumerate(inside) for c in edges[i].columns]
         moving = np.array([c.index >= 0 for _, c in columns], dtype=bool)

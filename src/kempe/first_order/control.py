@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe.errors import InputError, UnknownNameError
-from kempe.first_order.constraint_graph import structure
+from kempe.first_order.constraint_graph import build_constraint_graph
 from kempe.first_order.rank import Rank
 from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
@@ -70,10 +70,10 @@ class Control(InWords):
             text += " on the others (redundant actuation)"
         if self.singular:
             text += "; singular for these inputs: at other configurations they control more"
-        return text + "".join(f"\n  free with them held: {motion_text(m)}" for m in self.free)
+        return text + "".join(f"\n  free with them held: {format_motion(m)}" for m in self.free)
 
 
-def control(
+def analyse_control(
     system: Model,
     rank: Rank,
     generic: Sequence[Rank],
@@ -83,7 +83,7 @@ def control(
     """What the `actuated` joints or coordinates (default: those that the file marks) control; None
     where none are.
     """
-    indices = driven(system, actuated)
+    indices = find_driven_velocities(system, actuated)
     if indices is None:
         return None
     lazy = (
@@ -102,7 +102,7 @@ def control(
         default=controlled,
     )
     useful = rank.nullity - len(idle)
-    patterns = tuple(_pattern(system, x * rank.units) for x in _sparse(left).T)
+    patterns = tuple(_scale_motion(system, x * rank.units) for x in _make_sparse_basis(left).T)
     names = tuple(system.structure.velocity_names[i] for i in indices)
     fewer = (
         useful - controlled
@@ -111,14 +111,14 @@ def control(
     return Control(names, useful, controlled, len(indices) - max(controlled, most), fewer, patterns)
 
 
-def driven(system: Model, actuated: Iterable[str] | None) -> list[int] | None:
+def find_driven_velocities(system: Model, actuated: Iterable[str] | None) -> list[int] | None:
     """Indices of the velocity coordinates of joints or coordinates by name, or of joints marked as
     actuated.
 
     A name that follows another coordinate stands for that. None where no name is given and no joint
     is marked.
     """
-    edges = structure(system).edges
+    edges = build_constraint_graph(system).edges
     if actuated is None:
         marked = [c.index for e in edges if e.actuated for c in e.columns if c.index >= 0]
         return list(dict.fromkeys(marked)) if any(e.actuated for e in edges) else None
@@ -126,7 +126,7 @@ def driven(system: Model, actuated: Iterable[str] | None) -> list[int] | None:
         raise InputError(
             f"actuated is {actuated!r}; it must be a list of names of joints or coordinates"
         )
-    joints = {e.name: e for e in edges if e.joint}
+    joints = {e.name: e for e in edges if e.is_joint}
     columns = {c.name: c for e in edges for c in e.columns}
     out: list[int] = []
     for name in actuated:
@@ -140,7 +140,7 @@ def driven(system: Model, actuated: Iterable[str] | None) -> list[int] | None:
     return list(dict.fromkeys(out))
 
 
-def _sparse(X: Array) -> Array:
+def _make_sparse_basis(X: Array) -> Array:
     """The same space by a basis in which each vector has a coordinate that the others do not move."""
     if not X.shape[1]:
         return X
@@ -156,7 +156,7 @@ def _sparse(X: Array) -> Array:
     return Y
 
 
-def _pattern(system: Model, v: Array) -> dict[str, float]:
+def _scale_motion(system: Model, v: Array) -> dict[str, float]:
     largest = v[np.argmax(np.abs(v))]
     return {
         n: float(x / largest)
@@ -165,7 +165,7 @@ def _pattern(system: Model, v: Array) -> dict[str, float]:
     }
 
 
-def motion_text(motion: dict[str, float]) -> str:
+def format_motion(motion: dict[str, float]) -> str:
     """'B 1, C -0.5': the velocities of a motion, the largest first."""
     ordered = sorted(motion.items(), key=lambda kv: (-abs(round(kv[1], 9)), kv[0]))
     more = ", ..." if len(ordered) > 8 else ""

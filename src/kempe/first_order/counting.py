@@ -16,7 +16,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe.description.parts import Declared
-from kempe.first_order.constraint_graph import ConstraintGraph, Edge, rows_of, structure
+from kempe.first_order.constraint_graph import (
+    ConstraintGraph,
+    Edge,
+    build_constraint_graph,
+    count_closing_equations,
+)
 from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 from kempe.words import InWords, counted, verb
@@ -82,9 +87,9 @@ class Counting(InWords):
         return "\n".join(self.steps)
 
 
-def counting(system: Model) -> Counting:
+def count_freedoms(system: Model) -> Counting:
     """Gruebler's count of a system with its steps, as the lecture does it: 4 x (3 - 2) - 2 = 2."""
-    s = structure(system)
+    s = build_constraint_graph(system)
     m = system._mechanism
     dim = system.dim
     whole, point = (6, 3) if dim == 3 else (3, 2)
@@ -92,33 +97,33 @@ def counting(system: Model) -> Counting:
     bodies = particles.count(False)
     points = particles.count(True)
     free = bodies * whole + points * point
-    takes = [(*_takes(e, dim), e) for e in s.edges]
-    held = _held(s, system)
+    takes = [(*_count_removed_freedoms(e, dim), e) for e in s.edges]
+    held = _count_other_constraints(s, system)
     taken = sum(n for n, _, _ in takes) + sum(n for n, _ in held)
     gruebler = free - taken
-    spatial = gruebler - (_more_in_space(s) if dim == 2 else 0)
+    spatial = gruebler - (_count_extra_equations(s) if dim == 2 else 0)
     steps = (
-        _free_text(bodies, points, whole, point, free, dim),
-        _taken_text(takes, held, taken, free, gruebler),
-        _lecture_text(system, s, takes, held, particles, gruebler),
+        _describe_free_bodies(bodies, points, whole, point, free, dim),
+        _describe_removed_freedoms(takes, held, taken, free, gruebler),
+        _describe_lecture_count(system, s, takes, held, particles, gruebler),
     )
     return Counting(dim, free, taken, gruebler, spatial, tuple(t for t in steps if t))
 
 
-def _more_in_space(s: ConstraintGraph) -> int:
+def _count_extra_equations(s: ConstraintGraph) -> int:
     """How many more equations the loops of a planar system have in space."""
     edges = (s.edges[loop.edge] for loop in s.loops)
-    return sum(rows_of(e, 3) - rows_of(e, 2) for e in edges)
+    return sum(count_closing_equations(e, 3) - count_closing_equations(e, 2) for e in edges)
 
 
-def _takes(edge: Edge, dim: int) -> tuple[int, str]:
+def _count_removed_freedoms(edge: Edge, dim: int) -> tuple[int, str]:
     """How many freedoms an edge takes away, and what it is."""
     if isinstance(edge.of, Declared):
-        return rows_of(edge, dim), f"{edge.of.kind.replace('_', '-')} constraint"
+        return count_closing_equations(edge, dim), f"{edge.of.kind.replace('_', '-')} constraint"
     return edge.of.type.constraints(dim, edge.particle), f"{edge.of.type.type_name} joint"
 
 
-def _held(s: ConstraintGraph, system: Model) -> list[tuple[int, str]]:
+def _count_other_constraints(s: ConstraintGraph, system: Model) -> list[tuple[int, str]]:
     """What couplings, locks and constraints that are expressions take away."""
     locked = sum(c.index < 0 for e in s.edges for c in e.columns)
     follow = sum(
@@ -126,7 +131,7 @@ def _held(s: ConstraintGraph, system: Model) -> list[tuple[int, str]]:
         for e in s.edges
         for c in e.columns
     )
-    written = sum(law.rows for law in s.laws if isinstance(law.of, Declared))
+    written = sum(law.n_rows for law in s.laws if isinstance(law.of, Declared))
     found = [
         (locked, "locked coordinate"),
         (follow + len(system.structure.relations), "coupling"),
@@ -135,7 +140,9 @@ def _held(s: ConstraintGraph, system: Model) -> list[tuple[int, str]]:
     return [(n, what) for n, what in found if n]
 
 
-def _free_text(bodies: int, points: int, whole: int, point: int, free: int, dim: int) -> str:
+def _describe_free_bodies(
+    bodies: int, points: int, whole: int, point: int, free: int, dim: int
+) -> str:
     who = [counted(n, what) for n, what in ((bodies, "body"), (points, "particle")) if n]
     if not who:
         return "There is no body that moves: 0 DoF."
@@ -144,7 +151,7 @@ def _free_text(bodies: int, points: int, whole: int, point: int, free: int, dim:
     return f"Without joints, {' and '.join(who)} could move freely in {place}: {sums} = {free} DoF."
 
 
-def _taken_text(
+def _describe_removed_freedoms(
     takes: Sequence[tuple[int, str, Edge]],
     held: Sequence[tuple[int, str]],
     taken: int,
@@ -161,7 +168,7 @@ def _taken_text(
     return f"Taken away {verb(first, 'is', 'are')} {sums}."
 
 
-def _lecture_text(
+def _describe_lecture_count(
     system: Model,
     s: ConstraintGraph,
     takes: Sequence[tuple[int, str, Edge]],
@@ -204,11 +211,11 @@ def _lecture_text(
 # Such groups are the motions in one plane, about one point, along one line, and so on.
 
 
-def loop_counts(system: Model, at: Screws | None) -> tuple[LoopCount, ...]:
+def count_loop_freedoms(system: Model, at: Screws | None) -> tuple[LoopCount, ...]:
     """Count of each fundamental loop; with the screws `at` a closed configuration, by its group of
     motions.
     """
-    s = structure(system)
+    s = build_constraint_graph(system)
     out: list[LoopCount] = []
     for loop in s.loops:
         inside = [i for i, _ in loop.path]
@@ -216,8 +223,10 @@ def loop_counts(system: Model, at: Screws | None) -> tuple[LoopCount, ...]:
         equations = loop.rows
         motion = ""
         edge = s.edges[loop.edge]
-        if at is not None and edge.joint and not edge.particle:
-            equations, turns = group_of(np.concatenate([at.twists[i] for i in inside], axis=1))
+        if at is not None and edge.is_joint and not edge.particle:
+            equations, turns = find_group_dimensions(
+                np.concatenate([at.twists[i] for i in inside], axis=1)
+            )
             whole = 3 if system.dim == 2 else 6
             motion = GROUPS.get((equations, turns), "") if equations < whole else ""
         out.append(
@@ -228,15 +237,15 @@ def loop_counts(system: Model, at: Screws | None) -> tuple[LoopCount, ...]:
     return tuple(out)
 
 
-def group_of(twists: Array) -> tuple[int, int]:
+def find_group_dimensions(twists: Array) -> tuple[int, int]:
     """Dimension of the smallest group of motions that contains these screws (6, n), and of its
     turns.
     """
-    basis = group_basis(twists, Level.GENERIC)
+    basis = compute_group_basis(twists, Level.GENERIC)
     return basis.shape[1], Spectrum(basis[3:], 1.0).rank(Level.GENERIC)
 
 
-def group_basis(twists: Array, level: float) -> Array:
+def compute_group_basis(twists: Array, level: float) -> Array:
     """Orthonormal basis (6, d) of the smallest algebra that contains these unit screws (6, n).
 
     The span, of a rank at `level`, is completed by Lie brackets until it no longer grows.
@@ -245,7 +254,7 @@ def group_basis(twists: Array, level: float) -> Array:
     while True:
         if basis.shape[1] in (0, 1, 6):
             return basis
-        grown = Spectrum(np.hstack([basis, _brackets(basis)]), 1.0).range(level)
+        grown = Spectrum(np.hstack([basis, _compute_brackets(basis)]), 1.0).range(level)
         if grown.shape[1] == basis.shape[1]:
             return basis
         basis = grown
@@ -260,10 +269,10 @@ def fills_group(twists: Array, level: float, clear: float) -> bool:
     d = basis.shape[1]
     if d > spectrum.rank(clear):
         return False
-    return d in (1, 6) or d == Spectrum(np.hstack([basis, _brackets(basis)])).rank(level)
+    return d in (1, 6) or d == Spectrum(np.hstack([basis, _compute_brackets(basis)])).rank(level)
 
 
-def _brackets(basis: Array) -> Array:
+def _compute_brackets(basis: Array) -> Array:
     """All Lie brackets (6, n (n - 1) / 2) of screws (6, n): [v; w] with [v'; w'] is [w x v' + v x
     w'; w x w'].
     """

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from kempe.description.parts import Declared
-from kempe.first_order.constraint_graph import Edge, structure
+from kempe.first_order.constraint_graph import Edge, build_constraint_graph
 from kempe.first_order.rank import Rank
 from kempe.first_order.screws import Screws
 from kempe.forward.fk import fk
@@ -75,7 +75,7 @@ class IdleFreedom(InWords):
     """Point and direction (2, 3) of the axis in the axes of the first of the bodies."""
 
     @property
-    def moves(self) -> np.ndarray:
+    def moving_velocities(self) -> np.ndarray:
         """Which velocities (nv,) of the system are not zero (mask)."""
         return self.velocity != 0.0
 
@@ -110,9 +110,9 @@ class Surroundings(NamedTuple):
 
 
 @kept
-def surroundings(system: Model) -> Surroundings:
+def find_surroundings(system: Model) -> Surroundings:
     """The surroundings of all bodies of a system."""
-    s = structure(system)
+    s = build_constraint_graph(system)
     of_body: list[list[int]] = [[] for _ in system.body_names]
     part = np.arange(len(system.body_names))
     for i, e in enumerate(s.edges):
@@ -131,18 +131,20 @@ def surroundings(system: Model) -> Surroundings:
 
 def is_rigid(edge: Edge) -> bool:
     """Whether an edge holds its bodies together as one: a joint without a velocity."""
-    return edge.joint and all(c.index < 0 for c in edge.columns)
+    return edge.is_joint and all(c.index < 0 for c in edge.columns)
 
 
-def _only_slides(edge: Edge) -> bool:
+def _has_only_slides(edge: Edge) -> bool:
     """Whether an edge is a joint that at most slides."""
-    return edge.joint and all(c.index < 0 or c.slides for c in edge.columns)
+    return edge.is_joint and all(c.index < 0 or c.slides for c in edge.columns)
 
 
-def _flood(system: Model, body: int, passes: Callable[[int], bool]) -> frozenset[int]:
+def _collect_connected_bodies(
+    system: Model, body: int, passes: Callable[[int], bool]
+) -> frozenset[int]:
     """The bodies that are connected with a body by edges which `passes` accepts."""
-    s = structure(system)
-    of_body = surroundings(system).of_body
+    s = build_constraint_graph(system)
+    of_body = find_surroundings(system).of_body
     order = [body]
     seen = {body}
     for here in order:
@@ -155,20 +157,20 @@ def _flood(system: Model, body: int, passes: Callable[[int], bool]) -> frozenset
     return frozenset(seen)
 
 
-def _edges_of(system: Model, bodies: Iterable[int]) -> set[int]:
+def _list_body_edges(system: Model, bodies: Iterable[int]) -> set[int]:
     """Numbers of the edges at some bodies that do not hold them together as one."""
-    s = structure(system)
-    of_body = surroundings(system).of_body
+    s = build_constraint_graph(system)
+    of_body = find_surroundings(system).of_body
     return {i for b in bodies for i in of_body[b] if not is_rigid(s.edges[i])}
 
 
-def turning_columns(edge: Edge, uses: np.ndarray, driven: frozenset[int]) -> tuple[int, ...]:
+def find_turning_columns(edge: Edge, uses: np.ndarray, driven: frozenset[int]) -> tuple[int, ...]:
     """The columns of an edge that can turn alone; none where it turns about axes without a place.
 
     Columns that others follow or that a motor drives are left out, screws too, and turns across
     whose axes the joint slides.
     """
-    if not edge.joint or edge.actuated or edge.particle:
+    if not edge.is_joint or edge.actuated or edge.particle:
         return ()
     moved: dict[int, list[tuple[int, str]]] = {}
     for p, column in zip(edge.primitives, edge.drives, strict=True):
@@ -216,42 +218,44 @@ class End(NamedTuple):
     free: bool = False
 
     @property
-    def turns(self) -> int:
+    def n_turns(self) -> int:
         """Number of axes about which the group can turn."""
         return sum(len(step.columns) for step in self.steps)
 
     @property
-    def hinge(self) -> bool:
+    def is_hinge(self) -> bool:
         """Whether the group can turn about one axis only."""
-        return self.turns == 1
+        return self.n_turns == 1
 
-    def point(self, at: Screws) -> Array:
+    def locate_point(self, at: Screws) -> Array:
         """The point, relative to the screws' centre, in their unit."""
         X = (at.M if self.of_child else at.F)[self.steps[0].edge]
         return (X[:3, :3] @ self.place + X[:3, 3] - at.center) / at.length
 
-    def twists(self, at: Screws) -> Array:
+    def compute_twists(self, at: Screws) -> Array:
         """The twists (6, k) of the group relative to what is beyond."""
         T = [step.sign * at.twists[step.edge][:, list(step.columns)] for step in self.steps]
         return T[0] if len(T) == 1 else np.concatenate(T, axis=1)
 
 
-def _ends(system: Model, at: Screws, driven: frozenset[int]) -> dict[tuple[int, bool], End]:
+def _find_ends(system: Model, at: Screws, driven: frozenset[int]) -> dict[tuple[int, bool], End]:
     """The ends of groups, by the edge that they begin with and whether the group is on its child's
     side.
     """
     found = {
-        (i, of_child): _end(system, at, i, of_child, driven)
-        for i in range(len(structure(system).edges))
+        (i, of_child): _find_end(system, at, i, of_child, driven)
+        for i in range(len(build_constraint_graph(system).edges))
         for of_child in (True, False)
     }
     return {key: end for key, end in found.items() if end is not None}
 
 
-def _end(system: Model, at: Screws, i: int, of_child: bool, driven: frozenset[int]) -> End | None:
+def _find_end(
+    system: Model, at: Screws, i: int, of_child: bool, driven: frozenset[int]
+) -> End | None:
     """The end that begins with edge i; None where it leaves no turn about a point or an axis."""
-    e = structure(system).edges[i]
-    around = surroundings(system)
+    e = build_constraint_graph(system).edges[i]
+    around = find_surroundings(system)
     beyond = int(around.part[e.parent if of_child else e.child])
     first = Step(i, 1.0 if of_child else -1.0, (), beyond)
     if isinstance(e.of, Declared):
@@ -262,13 +266,13 @@ def _end(system: Model, at: Screws, i: int, of_child: bool, driven: frozenset[in
     ]
     if all(alone) and len(alone) == (6 if system.dim == 3 else 3) and not e.actuated:
         return End((first._replace(columns=tuple(range(len(alone)))),), np.zeros(3), free=True)
-    columns = turning_columns(e, around.uses, driven)
+    columns = find_turning_columns(e, around.uses, driven)
     if not columns or not around.looped[i]:
         return None
-    steps, point = _meeting(system, at, first._replace(columns=columns), driven)
+    steps, point = _collect_meeting_joints(system, at, first._replace(columns=columns), driven)
     linkage = len(steps) > 1 and any(
-        k != steps[-1].edge and _passes(system, at, k, point)
-        for k in _edges_of_part(system, steps[-1].beyond)
+        k != steps[-1].edge and _passes_point(system, at, k, point)
+        for k in _list_part_edges(system, steps[-1].beyond)
     )
     X = at.M[i]
     return End(
@@ -276,7 +280,7 @@ def _end(system: Model, at: Screws, i: int, of_child: bool, driven: frozenset[in
     )
 
 
-def _meeting(
+def _collect_meeting_joints(
     system: Model, at: Screws, first: Step, driven: frozenset[int]
 ) -> tuple[list[Step], Array]:
     """A joint and those that follow outwards, as long as all axes meet in one point, until they are
@@ -284,21 +288,21 @@ def _meeting(
 
     The links in between have two joints.
     """
-    s = structure(system)
-    around = surroundings(system)
+    s = build_constraint_graph(system)
+    around = find_surroundings(system)
     steps = [first]
     T = at.twists[first.edge][:, list(first.columns)]
     point = (at.M[first.edge, :3, 3] - at.center) / at.length
     while system.dim == 3 and T.shape[1] < 3:
         last = steps[-1]
-        others = _edges_of_part(system, last.beyond) - {last.edge}
+        others = _list_part_edges(system, last.beyond) - {last.edge}
         if len(last.columns) < len(s.edges[last.edge].columns) or len(others) != 1:
             break
         (i,) = others
         e = s.edges[i]
-        columns = turning_columns(e, around.uses, driven)
+        columns = find_turning_columns(e, around.uses, driven)
         T = np.concatenate([T, at.twists[i][:, list(columns)]], axis=1)
-        center = common_point(T) if len(columns) == len(e.columns) > 0 else None
+        center = find_common_point(T) if len(columns) == len(e.columns) > 0 else None
         if center is None:
             break
         point = center
@@ -308,20 +312,28 @@ def _meeting(
     return steps, point
 
 
-def _edges_of_part(system: Model, part: int) -> set[int]:
+def _list_part_edges(system: Model, part: int) -> set[int]:
     """Numbers of the edges of a part, none of the ground's."""
-    parts = surroundings(system).part
-    return _edges_of(system, np.flatnonzero(parts == part).tolist()) if part != parts[0] else set()
+    parts = find_surroundings(system).part
+    return (
+        _list_body_edges(system, np.flatnonzero(parts == part).tolist())
+        if part != parts[0]
+        else set()
+    )
 
 
-def _passes(system: Model, at: Screws, i: int, point: Array) -> bool:
+def _passes_point(system: Model, at: Screws, i: int, point: Array) -> bool:
     """Whether all axes of an edge go through a point."""
-    turns = [c for c, column in enumerate(structure(system).edges[i].columns) if not column.slides]
+    turns = [
+        c
+        for c, column in enumerate(build_constraint_graph(system).edges[i].columns)
+        if not column.slides
+    ]
     T = at.twists[i][:, turns]
     return bool(turns) and np.abs(T[:3] - np.cross(point, T[3:], axis=0)).max() < ALONE
 
 
-def common_point(twists: Array) -> Array | None:
+def find_common_point(twists: Array) -> Array | None:
     """The point (3,) that the axes of turns (6, k) have in common; None where there is none or more
     than one.
     """
@@ -344,38 +356,40 @@ class Group(NamedTuple):
     ends: tuple[End, ...]
 
 
-def groups(system: Model, at: Screws, driven: frozenset[int], known: bool) -> list[Group]:
+def find_spin_groups(system: Model, at: Screws, driven: frozenset[int], known: bool) -> list[Group]:
     """All groups of bodies that may spin idly, by what does not depend on the configuration.
 
     `driven` are velocities that a motor holds, `known` whether these are all. Where axes meet in a
     part that two joints share, they do so at every closed configuration, such as that of `at`.
     """
-    answers = system._kept.setdefault(groups, {})
+    answers = system._kept.setdefault(find_spin_groups, {})
     found = answers.get((driven, known))
     if found is None:
-        ends = _ends(system, at, driven)
-        found = [*_sliding(system, at, ends), *_between_balls(system, ends, known)]
+        ends = _find_ends(system, at, driven)
+        found = [*_find_sliding_groups(system, at, ends), *_find_ball_groups(system, ends, known)]
         keep(answers, (driven, known), found)
     return found
 
 
-def _sliding(system: Model, at: Screws, ends: dict[tuple[int, bool], End]) -> Iterator[Group]:
+def _find_sliding_groups(
+    system: Model, at: Screws, ends: dict[tuple[int, bool], End]
+) -> Iterator[Group]:
     """Groups that at most slide within, with all that is around them."""
-    s = structure(system)
-    seen = _flood(system, 0, lambda i: _only_slides(s.edges[i]))
+    s = build_constraint_graph(system)
+    seen = _collect_connected_bodies(system, 0, lambda i: _has_only_slides(s.edges[i]))
     for body in range(1, len(system.body_names)):
         if body in seen:
             continue
-        bodies = _flood(system, body, lambda i: _only_slides(s.edges[i]))
+        bodies = _collect_connected_bodies(system, body, lambda i: _has_only_slides(s.edges[i]))
         seen |= bodies
-        edges = sorted(_edges_of(system, bodies))
+        edges = sorted(_list_body_edges(system, bodies))
         inside = [i for i in edges if {s.edges[i].parent, s.edges[i].child} <= bodies]
         keys = [(i, s.edges[i].child in bodies) for i in edges if i not in inside]
-        if not surroundings(system).looped[inside].all() or not ends.keys() >= {*keys}:
+        if not find_surroundings(system).looped[inside].all() or not ends.keys() >= {*keys}:
             continue
         group = Group(bodies, tuple(ends[key] for key in keys))
         holds = [end for end in group.ends if not end.free]
-        hinged = any(end.hinge for end in holds)
+        hinged = any(end.is_hinge for end in holds)
         if (
             len(holds) > 1
             # in a plane lines through points are no axes
@@ -383,24 +397,24 @@ def _sliding(system: Model, at: Screws, ends: dict[tuple[int, bool], End]) -> It
             # hinges that meet on another hinge's axis may be a spherical linkage
             and not (hinged and any(end.linkage for end in holds))
             # without slides, points and hinges keep their places in the group
-            and (inside or _line(at, group) is not None)
+            and (inside or _find_spin_line(at, group) is not None)
         ):
             yield group
 
 
-def _between_balls(
+def _find_ball_groups(
     system: Model, ends: dict[tuple[int, bool], End], known: bool
 ) -> Iterator[Group]:
     """Groups with any joints within that two balls part from the ground.
 
     Two edges part bodies from the ground if each loop passes both of them or none.
     """
-    s = structure(system)
-    looped = surroundings(system).looped
+    s = build_constraint_graph(system)
+    looped = find_surroundings(system).looped
     balls = {
         key: end
         for key, end in ends.items()
-        if end.turns == 3 and not end.free and (known or len(end.steps) == 1)
+        if end.n_turns == 3 and not end.free and (known or len(end.steps) == 1)
     }
     for c in s.clusters:
         alike: dict[bytes, list[int]] = {}
@@ -411,19 +425,23 @@ def _between_balls(
         for series in alike.values():
             usable = [i for i in series if (i, True) in balls or (i, False) in balls]
             for pair in combinations(usable, 2):
-                bodies = _bodies_between(system, pair)
+                bodies = _collect_bodies_between(system, pair)
                 keys = [(i, s.edges[i].child in bodies) for i in pair]
-                carried = _edges_of(system, bodies) - {*series}
+                carried = _list_body_edges(system, bodies) - {*series}
                 rests = all(looped[i] and not s.edges[i].actuated for i in carried)
                 if balls.keys() >= {*keys} and rests:
                     yield Group(bodies, tuple(balls[key] for key in keys))
 
 
-def _bodies_between(system: Model, pair: tuple[int, int]) -> frozenset[int]:
+def _collect_bodies_between(system: Model, pair: tuple[int, int]) -> frozenset[int]:
     """The bodies that two edges part from the ground."""
-    e = structure(system).edges[pair[0]]
-    bodies = _flood(system, e.child, lambda i: i not in pair)
-    return _flood(system, e.parent, lambda i: i not in pair) if 0 in bodies else bodies
+    e = build_constraint_graph(system).edges[pair[0]]
+    bodies = _collect_connected_bodies(system, e.child, lambda i: i not in pair)
+    return (
+        _collect_connected_bodies(system, e.parent, lambda i: i not in pair)
+        if 0 in bodies
+        else bodies
+    )
 
 
 # ---- spins
@@ -444,18 +462,20 @@ class Spin(NamedTuple):
     moving: list[tuple[End, list[Step]]]
 
 
-def _spins(system: Model, at: Sequence[Screws], driven: Iterable[int] | None) -> Iterator[Spin]:
+def _find_spins(
+    system: Model, at: Sequence[Screws], driven: Iterable[int] | None
+) -> Iterator[Spin]:
     """The spins at the first of some configurations that exist at all of them.
 
     `driven` are the velocities that are known to be driven, besides joints marked so; None where
     nothing is known.
     """
-    part = surroundings(system).part
-    known = driven is not None or any(e.actuated for e in structure(system).edges)
-    for group in groups(system, at[0], frozenset(driven or ()), known):
+    part = find_surroundings(system).part
+    known = driven is not None or any(e.actuated for e in build_constraint_graph(system).edges)
+    for group in find_spin_groups(system, at[0], frozenset(driven or ()), known):
         spin = None
         for screws in reversed(at):
-            spin = _spin(system, screws, group)
+            spin = _find_spin(system, screws, group)
             if spin is None:
                 break
         if spin is not None:
@@ -464,14 +484,16 @@ def _spins(system: Model, at: Sequence[Screws], driven: Iterable[int] | None) ->
                 yield spin
 
 
-def _line(at: Screws, group: Group) -> tuple[Array, Array] | None:
+def _find_spin_line(at: Screws, group: Group) -> tuple[Array, Array] | None:
     """A point and the direction of the line through the points that hold a group, along all hinges
     among them.
     """
     holds = [end for end in group.ends if not end.free]
-    points = np.array([end.point(at) for end in holds])
+    points = np.array([end.locate_point(at) for end in holds])
     away = points - points[0]
-    hinges = np.array([end.twists(at)[3:, 0] for end in holds if end.hinge]).reshape(-1, 3)
+    hinges = np.array([end.compute_twists(at)[3:, 0] for end in holds if end.is_hinge]).reshape(
+        -1, 3
+    )
     direction = hinges[0] if len(hinges) else away[np.argmax((away * away).sum(axis=1))]
     size = float(np.linalg.norm(direction))
     if size < ALONE:
@@ -484,14 +506,14 @@ def _line(at: Screws, group: Group) -> tuple[Array, Array] | None:
     return points[0], direction * np.sign(direction[np.argmax(np.abs(direction) > ALONE)])
 
 
-def _spin(system: Model, at: Screws, group: Group) -> Spin | None:
+def _find_spin(system: Model, at: Screws, group: Group) -> Spin | None:
     """The spin of a group at one configuration; None where there is none."""
-    line = _line(at, group)
+    line = _find_spin_line(at, group)
     if line is None:
         return None
     point, direction = line
     screw = np.concatenate([np.cross(point, direction), direction])
-    edges = structure(system).edges
+    edges = build_constraint_graph(system).edges
     velocity = np.zeros(system.nv)
     moving: list[tuple[End, list[Step]]] = []
     for end in group.ends:
@@ -499,9 +521,9 @@ def _spin(system: Model, at: Screws, group: Group) -> Spin | None:
         of = edges[first].of
         steps = [*end.steps]
         if isinstance(of, Declared):
-            left = at.wrench_rows(first, of, system.dim) @ screw
+            left = at.compute_wrench_rows(first, of, system.dim) @ screw
         else:
-            T = end.twists(at)
+            T = end.compute_twists(at)
             rates = Spectrum(T).solve(screw, Level.GENERIC)
             left = T @ rates - screw
             rates[np.abs(rates) < ALONE * np.abs(rates).max()] = 0.0
@@ -520,7 +542,7 @@ def _spin(system: Model, at: Screws, group: Group) -> Spin | None:
 # ---- the idle freedoms of a system
 
 
-def idle_freedoms(
+def find_idle_freedoms(
     system: Model, ranks: Sequence[Rank], driven: Iterable[int] | None = None
 ) -> tuple[IdleFreedom, ...]:
     """Independent idle freedoms at the first of `ranks`, as far as they are there at all of them.
@@ -528,8 +550,8 @@ def idle_freedoms(
     `driven` are the velocities that are known to be driven, besides joints marked so; None where
     nothing is known.
     """
-    spins = _spins(system, [r.screws for r in ranks], driven)
-    found = [_freedom(system, ranks[0], spin) for spin in spins]
+    spins = _find_spins(system, [r.screws for r in ranks], driven)
+    found = [_make_idle_freedom(system, ranks[0], spin) for spin in spins]
     basis = np.zeros((system.nv, 0))
     out: list[IdleFreedom] = []
     # small groups of bodies first: larger ones may move as their sums
@@ -542,16 +564,16 @@ def idle_freedoms(
     return tuple(out)
 
 
-def may_idle(system: Model, rank: Rank, driven: Iterable[int] | None = None) -> bool:
+def can_have_idle_freedom(system: Model, rank: Rank, driven: Iterable[int] | None = None) -> bool:
     """Whether anything looks like an idle freedom at one configuration."""
-    return any(True for _ in _spins(system, [rank.screws], driven))
+    return any(True for _ in _find_spins(system, [rank.screws], driven))
 
 
-def _freedom(system: Model, rank: Rank, spin: Spin) -> IdleFreedom | None:
+def _make_idle_freedom(system: Model, rank: Rank, spin: Spin) -> IdleFreedom | None:
     """The answer about a spin; None where it moves a frame that somebody named."""
-    s = structure(system)
+    s = build_constraint_graph(system)
     at = rank.screws
-    part = surroundings(system).part
+    part = find_surroundings(system).part
     bodies = {*spin.group.bodies}
     links: dict[int, Array] = {}
     for end, moving in spin.moving:
@@ -562,7 +584,7 @@ def _freedom(system: Model, rank: Rank, spin: Spin) -> IdleFreedom | None:
             if n < first:
                 bodies.update(between)
             else:
-                links |= {b: end.point(at) for b in between}
+                links |= {b: end.locate_point(at) for b in between}
     names = system.body_names
     poses = fk(system, rank.q)
     for frame in system._mechanism.frames.values():
@@ -575,7 +597,7 @@ def _freedom(system: Model, rank: Rank, spin: Spin) -> IdleFreedom | None:
             if np.linalg.norm(away) > ALONE:
                 return None
     places = sorted(
-        (steps[0].edge, float(end.point(at) @ spin.direction), end.of_child)
+        (steps[0].edge, float(end.locate_point(at) @ spin.direction), end.of_child)
         for end, steps in spin.moving
     )
     # two joints name the axis: the first one, and that which is farthest from it

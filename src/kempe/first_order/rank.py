@@ -16,8 +16,8 @@ from kempe.equations import closure_rows
 from kempe.equations.closure import Closure
 from kempe.equations.slip import hard_rows, rolls
 from kempe.errors import InputError, UnsupportedError
-from kempe.first_order.constraint_graph import Cluster, ConstraintGraph, Law, structure
-from kempe.first_order.screws import Screws, screws
+from kempe.first_order.constraint_graph import Cluster, ConstraintGraph, Law, build_constraint_graph
+from kempe.first_order.screws import Screws, compute_screws
 from kempe.numerics.rank import SPARSE, Level, Spectrum
 from kempe.spatial import Array
 
@@ -60,7 +60,7 @@ class ClusterRank:
         return len(self.cluster.velocities) - self.rank
 
     @property
-    def dependent(self) -> int:
+    def n_dependent(self) -> int:
         """Equations that depend on others."""
         return len(self.jacobian) - self.rank
 
@@ -86,9 +86,9 @@ class Rank:
         return len(self.units) - self.rank
 
     @cached_property
-    def dependent(self) -> int:
+    def n_dependent(self) -> int:
         """Equations that depend on others to first order."""
-        return sum(c.dependent for c in self.clusters)
+        return sum(c.n_dependent for c in self.clusters)
 
     @property
     def gap(self) -> float:
@@ -104,12 +104,12 @@ class Rank:
         """
         return (
             self.gap < CLEAR_GAP
-            or self.smallest < 10.0 * Level.GENERIC
-            or self.rest > 0.1 * Level.GENERIC
+            or self.smallest_counted_value < 10.0 * Level.GENERIC
+            or self.largest_neglected_value > 0.1 * Level.GENERIC
         )
 
     @property
-    def rest(self) -> float:
+    def largest_neglected_value(self) -> float:
         """Largest singular value that does not count, as a part of the largest of its cluster; 0 if
         there is none.
         """
@@ -117,7 +117,7 @@ class Rank:
         return float(max(found, default=0.0))
 
     @property
-    def smallest(self) -> float:
+    def smallest_counted_value(self) -> float:
         """Smallest singular value that counts, as a part of the largest of its cluster; 1 where
         there is none.
         """
@@ -139,16 +139,21 @@ class Rank:
         return out
 
 
-def rank_at(system: Model, q: Array) -> Rank:
+def compute_rank(system: Model, q: Array) -> Rank:
     """The rank of the loop equations at a closed configuration `q` (nq,)."""
-    s = structure(system)
-    at = screws(system, q)
+    s = build_constraint_graph(system)
+    at = compute_screws(system, q)
     units = np.where(s.slides, at.length, 1.0)
-    written = written_rows(system, q)
-    return Rank(q, tuple(_cluster(system, s, at, c, units, written) for c in s.clusters), at, units)
+    written = compute_written_rows(system, q)
+    return Rank(
+        q,
+        tuple(_compute_cluster_rank(system, s, at, c, units, written) for c in s.clusters),
+        at,
+        units,
+    )
 
 
-def _cluster(
+def _compute_cluster_rank(
     system: Model,
     s: ConstraintGraph,
     at: Screws,
@@ -156,7 +161,7 @@ def _cluster(
     units: Array,
     written: Mapping[str, Array],
 ) -> ClusterRank:
-    J, size = _jacobian(system, s, at, c, units, written)
+    J, size = _compute_cluster_jacobian(system, s, at, c, units, written)
     if not J.size:
         n = J.shape[1]
         return ClusterRank(c, J, np.zeros(0), 0, np.inf, np.eye(len(J)), np.eye(n))
@@ -168,7 +173,7 @@ def _cluster(
     return ClusterRank(c, J, spectrum.values / size, r, gap, stresses[:, r:], null_space, size)
 
 
-def _jacobian(
+def _compute_cluster_jacobian(
     system: Model,
     s: ConstraintGraph,
     at: Screws,
@@ -186,25 +191,25 @@ def _jacobian(
         own = np.where(c.sliding, at.length, 1.0)
         twists = twists * (c.factor * units[c.velocities[c.local]] / own)
         each = c.cells[:, None, c.owner] * twists
-        if c.shared:
+        if c.has_shared_velocities:
             for k, local in enumerate(c.local):
                 around[:, :, local] += each[:, :, k]
         else:
             around[:, :, c.local] = each
-    near = at.moved([s.loops[k].edge for k in c.loops]) @ around
+    near = at.build_shift_matrices([s.loops[k].edge for k in c.loops]) @ around
     size = float(np.sqrt(np.max(np.sum(near * near, axis=1), initial=0.0)))
     closing = [s.edges[s.loops[k].edge] for k in c.loops]
     blocks: list[Array] = []
     for k, edge, twists, there in zip(c.loops, closing, around, near, strict=True):
-        if edge.joint and not edge.particle:
+        if edge.is_joint and not edge.particle:
             blocks.append(there if system.dim == 3 else there[_PLANE])
         else:
-            blocks.append(rows_of_loop(system, s, at, k) @ twists)
-    blocks += [_law(system, s.laws[k], written, c.velocities, units) for k in c.laws]
+            blocks.append(compute_loop_rows(system, s, at, k) @ twists)
+    blocks += [_compute_law_rows(system, s.laws[k], written, c.velocities, units) for k in c.laws]
     return np.concatenate(blocks) if blocks else np.zeros((0, n)), size
 
 
-def _law(
+def _compute_law_rows(
     system: Model, law: Law, written: Mapping[str, Array], columns: np.ndarray, units: Array
 ) -> Array:
     """The rows (rows, velocities of the cluster) of a law."""
@@ -217,13 +222,13 @@ def _law(
     return row[:, columns] / np.abs(row).max()
 
 
-def written_rows(system: Model, q: Array) -> dict[str, Array]:
+def compute_written_rows(system: Model, q: Array) -> dict[str, Array]:
     """For each written constraint its rows (rows, nv) at q (nq,), as parts of the largest that they
     are around q.
 
     So their size does not depend on units, and where they vanish they are small.
     """
-    laws = [law for law in structure(system).laws if isinstance(law.of, Declared)]
+    laws = [law for law in build_constraint_graph(system).laws if isinstance(law.of, Declared)]
     if not laws:
         return {}
     rng = np.random.default_rng(0)  # the same around each q
@@ -244,7 +249,7 @@ def written_rows(system: Model, q: Array) -> dict[str, Array]:
 _PLANE = [0, 1, 5]
 
 
-def rows_of_loop(system: Model, s: ConstraintGraph, at: Screws, loop: int) -> Array:
+def compute_loop_rows(system: Model, s: ConstraintGraph, at: Screws, loop: int) -> Array:
     """Rows (k, 6) that the edge that closes a loop takes from the twist around it; their transpose
     gives wrenches.
 
@@ -254,10 +259,10 @@ def rows_of_loop(system: Model, s: ConstraintGraph, at: Screws, loop: int) -> Ar
     i = s.loops[loop].edge
     edge = s.edges[i]
     if isinstance(edge.of, Declared):
-        return at.wrench_rows(i, edge.of, system.dim)
+        return at.compute_wrench_rows(i, edge.of, system.dim)
     if edge.particle:
-        return at.point_rows(i, system.dim)
-    whole = at.moved([i])[0]
+        return at.compute_point_rows(i, system.dim)
+    whole = at.build_shift_matrices([i])[0]
     return whole if system.dim == 3 else whole[_PLANE]
 
 
@@ -267,7 +272,7 @@ OPEN = 1e-8
 """Residual, in radians and characteristic lengths, above which a configuration is not closed."""
 
 
-def allowed_velocities(closure: Closure, q: Array, inputs: Sequence[int] = ()) -> Array:
+def compute_allowed_velocities(closure: Closure, q: Array, inputs: Sequence[int] = ()) -> Array:
     """Orthonormal basis (nv, k) of the velocities, without unit, that all constraints allow at a
     closed q.
 

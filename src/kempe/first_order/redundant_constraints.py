@@ -18,8 +18,8 @@ import numpy as np
 from kempe import spatial
 from kempe.constraints.base import COUNTS, Op, position_rows
 from kempe.description.parts import Declared, Joint
-from kempe.first_order.constraint_graph import Edge, structure
-from kempe.first_order.rank import ClusterRank, Rank, rows_of_loop
+from kempe.first_order.constraint_graph import Edge, build_constraint_graph
+from kempe.first_order.rank import ClusterRank, Rank, compute_loop_rows
 from kempe.first_order.screws import Screws
 from kempe.model.implicit_form import ImplicitForm, implicit_form, screw, slides_along_z
 from kempe.model.structural_order import natural
@@ -84,7 +84,7 @@ class Release(InWords):
         if not self.pair:
             return f"{self.joint}: leave it out"
         return (
-            f"{self.joint}: {count_words(self.reactions)} ({', '.join(self.reactions)}): use "
+            f"{self.joint}: {describe_reactions(self.reactions)} ({', '.join(self.reactions)}): use "
             f"{self.pair}"
         )
 
@@ -125,7 +125,7 @@ class _JointReaction:
     """Directions in which the owner moves, where it is a joint."""
 
     @property
-    def rank(self) -> tuple[int, Any]:
+    def sort_key(self) -> tuple[int, Any]:
         """Order in which owners are taken: rods, passive joints, driven ones, couplings; then by
         name.
         """
@@ -141,21 +141,25 @@ class _JointReaction:
         return kind, natural(self.owner)
 
 
-def redundancy(system: Model, rank: Rank) -> Redundancy:
+def find_redundancy(system: Model, rank: Rank) -> Redundancy:
     """The redundant constraints of a system at a closed configuration, whose `rank` is known."""
     stressed: dict[str, list[str]] = {}
     releases: list[Release] = []
     for c in rank.clusters:
-        if not c.dependent:
+        if not c.n_dependent:
             continue
-        rows = [r for r in _rows(system, rank, c) if np.abs(r.stress).max() > CARRIES]
+        rows = [
+            r for r in _list_joint_reactions(system, rank, c) if np.abs(r.stress).max() > CARRIES
+        ]
         for r in rows:
             stressed.setdefault(r.owner, []).append(r.label)
-        releases += [_release(chosen, system.dim) for chosen in _choose(rows, c.dependent)]
-    order = {e.name: i for i, e in enumerate(structure(system).edges)}
+        releases += [
+            _make_release(chosen, system.dim) for chosen in _choose_releases(rows, c.n_dependent)
+        ]
+    order = {e.name: i for i, e in enumerate(build_constraint_graph(system).edges)}
     named = sorted(stressed.items(), key=lambda kv: (order.get(kv[0], len(order)), kv[0]))
     releases.sort(key=lambda r: (order.get(r.joint, len(order)), r.joint))
-    return Redundancy(rank.dependent, tuple((k, tuple(v)) for k, v in named), tuple(releases))
+    return Redundancy(rank.n_dependent, tuple((k, tuple(v)) for k, v in named), tuple(releases))
 
 
 # ---- self-stresses in the axes of each joint
@@ -163,26 +167,26 @@ def redundancy(system: Model, rank: Rank) -> Redundancy:
 # A joint direction that carries no self-stress is needed.
 
 
-def _rows(system: Model, rank: Rank, c: ClusterRank) -> list[_JointReaction]:
+def _list_joint_reactions(system: Model, rank: Rank, c: ClusterRank) -> list[_JointReaction]:
     """One record for each constraint direction of a cluster of loops, with the reaction of each
     self-stress in it.
 
     `c` holds the self-stresses of the cluster, `rank` the screws of all joints at the same
     configuration.
     """
-    s = structure(system)
+    s = build_constraint_graph(system)
     at = rank.screws
-    wrenches = np.zeros((len(c.cluster.loops), 6, c.dependent))
+    wrenches = np.zeros((len(c.cluster.loops), 6, c.n_dependent))
     n = 0
     rows: list[_JointReaction] = []
     for k, loop in enumerate(c.cluster.loops):
-        R = rows_of_loop(system, s, at, loop)
+        R = compute_loop_rows(system, s, at, loop)
         own = c.stresses[n : n + len(R)]
         n += len(R)
         wrenches[k] = R.T @ own
         edge = s.edges[s.loops[loop].edge]
         if isinstance(edge.of, Declared):
-            labels = _reactions(edge.of, system.dim)
+            labels = _name_reactions(edge.of, system.dim)
             rows += [
                 _JointReaction(edge.name, label, True, edge, x)
                 for label, x in zip(labels, own, strict=True)
@@ -192,9 +196,9 @@ def _rows(system: Model, rank: Rank, c: ClusterRank) -> list[_JointReaction]:
         edge = s.edges[i]
         if isinstance(edge.of, Declared):
             continue
-        names, twists = directions(at, i, edge, system.dim)
-        free = _free(edge, system.dim)
-        free = _not_held(names, twists, at.twists[i]) if free is None else free
+        names, twists = compute_joint_directions(at, i, edge, system.dim)
+        free = _find_free_directions(edge, system.dim)
+        free = _find_unheld_directions(names, twists, at.twists[i]) if free is None else free
         for name, twist in zip(names, twists, strict=True):
             if name not in free:
                 rows.append(
@@ -207,17 +211,17 @@ def _rows(system: Model, rank: Rank, c: ClusterRank) -> list[_JointReaction]:
                 what = f"{'lock' if column.index < 0 else 'coupling'} of {column.name}"
                 rows.append(_JointReaction(what, "", False, None, twist @ wrench))
     for law in (s.laws[k] for k in c.cluster.laws):
-        labels = law.names if law.rows > 1 else ("",)
-        own = c.stresses[n : n + law.rows]
+        labels = law.names if law.n_rows > 1 else ("",)
+        own = c.stresses[n : n + law.n_rows]
         rows += [
             _JointReaction(law.title, label, False, None, x)
             for label, x in zip(labels, own, strict=True)
         ]
-        n += law.rows
+        n += law.n_rows
     return rows
 
 
-def _reactions(of: Declared, dim: int) -> tuple[str, ...]:
+def _name_reactions(of: Declared, dim: int) -> tuple[str, ...]:
     """Names of what the rows of a declared constraint can carry, in the order of its screws."""
     out: list[str] = []
     for row in position_rows(of.of, dim):
@@ -229,14 +233,16 @@ def _reactions(of: Declared, dim: int) -> tuple[str, ...]:
     return tuple(out) if len(out) > 1 else (out[0][0],)
 
 
-def directions(at: Screws, i: int, edge: Edge, dim: int) -> tuple[tuple[str, ...], Array]:
+def compute_joint_directions(
+    at: Screws, i: int, edge: Edge, dim: int
+) -> tuple[tuple[str, ...], Array]:
     """Names and scaled twists (k, 6) of elementary motions in the own axes of joint `i`, at the
     origin of its M.
     """
-    form = _form(edge, dim)
+    form = _find_implicit_form(edge, dim)
     R = at.cross[i] if form is not None and form.turns == "x.y" else at.F[i, :3, :3]
     names = DIRECTIONS if dim == 3 else ("x", "y", "rz")
-    if _slider(edge, dim):  # its z lies in the plane: y is across it, x is the plane's normal
+    if _is_slider(edge, dim):  # its z lies in the plane: y is across it, x is the plane's normal
         names = ("z", "y", "rx")
         R = np.stack([[0.0, 0.0, 1.0], np.cross([0.0, 0.0, 1.0], R[:, 2]), R[:, 2]], axis=1)
     if edge.particle:
@@ -248,33 +254,33 @@ def directions(at: Screws, i: int, edge: Edge, dim: int) -> tuple[tuple[str, ...
     return names, both[[DIRECTIONS.index(n) for n in names]]
 
 
-def _form(edge: Edge, dim: int) -> ImplicitForm | None:
+def _find_implicit_form(edge: Edge, dim: int) -> ImplicitForm | None:
     assert isinstance(edge.of, Joint)
     return implicit_form(edge.of.type, dim, edge.particle)
 
 
-def _slider(edge: Edge, dim: int) -> bool:
+def _is_slider(edge: Edge, dim: int) -> bool:
     """Whether an edge of the plane slides along z of its frame F."""
     assert isinstance(edge.of, Joint)
     return slides_along_z(edge.of.type, dim, edge.particle)
 
 
-def _free(edge: Edge, dim: int) -> frozenset[str] | None:
+def _find_free_directions(edge: Edge, dim: int) -> frozenset[str] | None:
     """Directions in which a joint moves, in axes of F, or of its cross; None where they are not
     always the same.
     """
     assert isinstance(edge.of, Joint)
-    form = _form(edge, dim)
+    form = _find_implicit_form(edge, dim)
     if form is None:
         return frozenset({"rz"}) if dim == 3 and screw(edge.of.type) is not None else None
     slides = {how for _, how in form.readings if how in DIRECTIONS}
-    if _slider(edge, dim):
+    if _is_slider(edge, dim):
         return frozenset({"z"})
     turns = "" if edge.particle else "z" if dim == 2 and not form.turns else _TURNS[form.turns]
     return frozenset(slides | {f"r{a}" for a in turns})
 
 
-def _not_held(names: Sequence[str], twists: Array, moves: Array) -> frozenset[str]:
+def _find_unheld_directions(names: Sequence[str], twists: Array, moves: Array) -> frozenset[str]:
     """Directions (by their `twists`) that need not be held besides others for a joint that only
     `moves` (6, n).
     """
@@ -293,7 +299,7 @@ def _not_held(names: Sequence[str], twists: Array, moves: Array) -> frozenset[st
 # ---- choice of releases
 
 
-def _choose(rows: Sequence[_JointReaction], count: int) -> list[list[_JointReaction]]:
+def _choose_releases(rows: Sequence[_JointReaction], count: int) -> list[list[_JointReaction]]:
     """Constraint directions, grouped by joint, whose removal leaves no self-stress.
 
     Joints that remove most come first, so that they are few.
@@ -302,18 +308,20 @@ def _choose(rows: Sequence[_JointReaction], count: int) -> list[list[_JointReact
     for r in rows:
         owners.setdefault(r.owner, []).append(r)
     for own in owners.values():
-        own.sort(key=lambda r: _ORDER.index(_direction(r)) if _direction(r) in _ORDER else -1)
+        own.sort(
+            key=lambda r: _ORDER.index(_find_direction(r)) if _find_direction(r) in _ORDER else -1
+        )
     left = np.eye(count)
     chosen: list[list[_JointReaction]] = []
     while left.shape[1]:
         found = None
         for part in (WELL, CARRIES):
-            options = [(own, _independent(own, left, part)) for own in owners.values()]
+            options = [(own, _select_independent_rows(own, left, part)) for own in owners.values()]
             options = [(own, picked) for own, picked in options if picked]
             if options:
-                found = min(options, key=lambda o: (-len(o[1]) * bool(o[0][0].edge), o[0][0].rank))[
-                    1
-                ]
+                found = min(
+                    options, key=lambda o: (-len(o[1]) * bool(o[0][0].edge), o[0][0].sort_key)
+                )[1]
                 break
         if found is None:
             break
@@ -323,7 +331,9 @@ def _choose(rows: Sequence[_JointReaction], count: int) -> list[list[_JointReact
     return chosen
 
 
-def _independent(rows: Sequence[_JointReaction], left: Array, part: float) -> list[_JointReaction]:
+def _select_independent_rows(
+    rows: Sequence[_JointReaction], left: Array, part: float
+) -> list[_JointReaction]:
     """Rows that are independent on the self-stresses that are `left`, in the given order, each by
     `part` at least.
     """
@@ -345,42 +355,44 @@ def _independent(rows: Sequence[_JointReaction], left: Array, part: float) -> li
 _DIRECTION_OF = {reaction: direction for direction, reaction in REACTIONS.items()}
 
 
-def _direction(row: _JointReaction) -> str:
+def _find_direction(row: _JointReaction) -> str:
     return _DIRECTION_OF.get(row.label, "")
 
 
-def _release(rows: Sequence[_JointReaction], dim: int) -> Release:
+def _make_release(rows: Sequence[_JointReaction], dim: int) -> Release:
     """The release of some constraint directions of one joint or constraint."""
     edge = rows[0].edge
     labels = tuple(r.label for r in rows if r.label)
     if edge is None:
         return Release(rows[0].owner, (), "")
     if isinstance(edge.of, Declared):
-        held = _reactions(edge.of, dim)
+        held = _name_reactions(edge.of, dim)
         every: set[str] = set(DIRECTIONS if dim == 3 else ("x", "y", "rz"))
         free = every - {_DIRECTION_OF.get(name, "") for name in held if name not in labels}
-        return Release(rows[0].owner, labels, "" if len(rows) == len(held) else pair_name(free))
-    more = {_direction(r) for r in rows}
-    free = (rows[0].free & _existing(edge, dim)) | more
-    if free == _existing(edge, dim):
+        return Release(rows[0].owner, labels, "" if len(rows) == len(held) else name_pair(free))
+    more = {_find_direction(r) for r in rows}
+    free = (rows[0].free & _list_possible_directions(edge, dim)) | more
+    if free == _list_possible_directions(edge, dim):
         return Release(rows[0].owner, labels, "")
-    if _free(edge, dim) is None:
+    if _find_free_directions(edge, dim) is None:
         return Release(
-            rows[0].owner, labels, f"a {edge.of.type.type_name} joint that also {motions(more)}"
+            rows[0].owner,
+            labels,
+            f"a {edge.of.type.type_name} joint that also {describe_motions(more)}",
         )
-    return Release(rows[0].owner, labels, pair_name(set(free)))
+    return Release(rows[0].owner, labels, name_pair(set(free)))
 
 
-def _existing(edge: Edge, dim: int) -> AbstractSet[str]:
+def _list_possible_directions(edge: Edge, dim: int) -> AbstractSet[str]:
     """Directions in which the child of a joint could move at all."""
     if dim == 3:
         return set(DIRECTIONS[:3] if edge.particle else DIRECTIONS)
-    if _slider(edge, dim):
+    if _is_slider(edge, dim):
         return {"z", "y"} if edge.particle else {"z", "y", "rx"}
     return {"x", "y"} if edge.particle else {"x", "y", "rz"}
 
 
-def pair_name(free: set[str]) -> str:
+def name_pair(free: set[str]) -> str:
     """Name of the pair that moves in these directions ('x', ..., 'rz'), whatever its axes are
     called.
     """
@@ -390,10 +402,10 @@ def pair_name(free: set[str]) -> str:
         found = PAIRS.get(" ".join(d for d in DIRECTIONS if d in turned))
         if found:
             return found
-    return f"a joint that {motions(free)}"
+    return f"a joint that {describe_motions(free)}"
 
 
-def motions(free: set[str]) -> str:
+def describe_motions(free: set[str]) -> str:
     """'slides along x and turns about y, z' for {'x', 'ry', 'rz'}."""
     slides, turns = (
         ", ".join(d[-1] for d in DIRECTIONS if d in free and len(d) == n) for n in (1, 2)
@@ -402,7 +414,7 @@ def motions(free: set[str]) -> str:
     return " and ".join(p for p in parts if p)
 
 
-def count_words(reactions: Sequence[str]) -> str:
+def describe_reactions(reactions: Sequence[str]) -> str:
     """'two moments and one force' for ('Mx', 'My', 'Fz')."""
     moments = sum(r.startswith("M") for r in reactions)
     parts = [(moments, "moment"), (len(reactions) - moments, "force")]

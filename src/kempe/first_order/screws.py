@@ -22,7 +22,7 @@ from kempe import spatial
 from kempe.constraints.base import COUNTS, Op, Row, position_rows
 from kempe.description.parts import Declared
 from kempe.equations.closure_rows import full
-from kempe.first_order.constraint_graph import Edge, structure
+from kempe.first_order.constraint_graph import Edge, build_constraint_graph
 from kempe.forward.fk import fk
 from kempe.joints import P, Q
 from kempe.spatial import Array
@@ -54,14 +54,14 @@ class Screws:
         d = np.concatenate([self.F[:, :3, 3], self.M[:, :3, 3]]) - self.center
         return float(np.sqrt(np.max(np.sum(d * d, axis=1), initial=0.0))) / self.length
 
-    def wrench_rows(self, edge: int, of: Declared, dim: int) -> Array:
+    def compute_wrench_rows(self, edge: int, of: Declared, dim: int) -> Array:
         """Rows (k, 6) that map the relative twist of its bodies to the rates of a declared
         constraint.
         """
         rows = (r for r in position_rows(of.of, dim) if r.op not in (Op.TAPE, Op.CALL))
-        return np.concatenate([self._rows_of(edge, r, dim) for r in rows])
+        return np.concatenate([self._compute_rate_rows(edge, r, dim) for r in rows])
 
-    def _rows_of(self, edge: int, row: Row, dim: int) -> Array:
+    def _compute_rate_rows(self, edge: int, row: Row, dim: int) -> Array:
         """Rows (k, 6) that map the twist of frame M relative to F to the rates of one row of
         equations.
         """
@@ -89,12 +89,12 @@ class Screws:
         along = R[:, row.args[0]] if row.op is Op.POINT else d / (float(np.linalg.norm(d)) or 1.0)
         return np.hstack([along, np.cross((p - self.center) / self.length, along)])[None]
 
-    def point_rows(self, edge: int, dim: int) -> Array:
+    def compute_point_rows(self, edge: int, dim: int) -> Array:
         """Rows (dim, 6) that map a twist to the velocity of the origin of frame M."""
         r = (self.M[edge, :3, 3] - self.center) / self.length
         return np.hstack([np.eye(3), -spatial.skew(r)])[:dim]
 
-    def moved(self, edges: Sequence[int]) -> Array:
+    def build_shift_matrices(self, edges: Sequence[int]) -> Array:
         """Matrices (n, 6, 6) that move the reference point of twists to the origins of the frames M
         of edges.
         """
@@ -110,9 +110,9 @@ class Screws:
         return out
 
 
-def screws(system: Model, q: Array) -> Screws:
+def compute_screws(system: Model, q: Array) -> Screws:
     """The screws of all joints at a closed configuration `q` (nq,)."""
-    s = structure(system)
+    s = build_constraint_graph(system)
     bodies = fk(system, q)
     F = bodies[s.parent] @ s.X_PF
     M = bodies[s.child] @ s.X_CM
@@ -123,19 +123,21 @@ def screws(system: Model, q: Array) -> Screws:
     cross: dict[int, Array] = {}
     values = q.tolist()
     for i, edge in enumerate(s.edges):
-        if not edge.joint:
+        if not edge.is_joint:
             twists.append(np.zeros((6, 0)))
         elif len(edge.primitives) == 1 and edge.primitives[0].kind != Q:
             axis = F[i, :3, "xyz".index(edge.primitives[0].axis)] * edge.primitives[0].multiplier
             twists.append(
-                _column(edge.primitives[0].kind, axis, (F[i, :3, 3] - center) / length)[:, None]
+                _compute_twist(edge.primitives[0].kind, axis, (F[i, :3, 3] - center) / length)[
+                    :, None
+                ]
             )
         else:
-            twists.append(_walk(edge, F[i], M[i], values, center, length, cross, i))
+            twists.append(_compute_joint_twists(edge, F[i], M[i], values, center, length, cross, i))
     return Screws(tuple(twists), F, M, center, length, cross)
 
 
-def _column(kind: int, axis: Array, r: Array) -> Array:
+def _compute_twist(kind: int, axis: Array, r: Array) -> Array:
     """Scaled twist of a turn about, or a slide along, an axis through r."""
     out = np.zeros(6)
     if kind == P:
@@ -147,7 +149,7 @@ def _column(kind: int, axis: Array, r: Array) -> Array:
     return out
 
 
-def _walk(
+def _compute_joint_twists(
     edge: Edge,
     F: Array,
     M: Array,
@@ -173,7 +175,7 @@ def _walk(
             if p.kind == P and not edge.columns[column].slides
             else p.multiplier
         )
-        out[:, column] += _column(p.kind, axis * unit, r)
+        out[:, column] += _compute_twist(p.kind, axis * unit, r)
         if k < last:
             index, factor, offset = edge.values[p.coordinate]
             value = p.multiplier * ((factor * q[index] if index >= 0 else 0.0) + offset)

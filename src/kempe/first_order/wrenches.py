@@ -66,7 +66,7 @@ class SelfStress(InWords):
     multipliers: dict[str, float]
 
     def __str__(self) -> str:
-        parts = [f"{name}: {_said(w)}" for name, w in self.wrenches.items()]
+        parts = [f"{name}: {_format_wrench(w)}" for name, w in self.wrenches.items()]
         return "; ".join(
             cut(parts + [f"{name}: {x:.4g}" for name, x in self.multipliers.items()], SHOWN)
         )
@@ -87,7 +87,7 @@ class Reactions(InWords):
 
     def __str__(self) -> str:
         lines = [
-            f"{name}: {_said(w)}" + " (not determined)" * (name in self.undetermined)
+            f"{name}: {_format_wrench(w)}" + " (not determined)" * (name in self.undetermined)
             for name, w in self.wrenches.items()
         ]
         return "\n".join(lines + [f"effort of {name}: {x:.6g}" for name, x in self.efforts.items()])
@@ -101,7 +101,7 @@ class Wrenches:
 
     ``wrenches[name]`` (k, 6) has a basis for a joint; for a constraint one wrench for a unit
     multiplier of each of its rows, one-sided rows and those of velocity included. Each is [force;
-    moment] on the child (on what has frame B), in axes of the ground, at `point(name)`.
+    moment] on the child (on what has frame B), in axes of the ground, at `locate_wrench(name)`.
     """
 
     system: Model
@@ -118,30 +118,30 @@ class Wrenches:
         return tuple(dict.fromkeys(row.of for row in self._rows))
 
     def __getitem__(self, name: str) -> Array:
-        rows = self._of(name)
-        own = np.stack([self._wrench(name, r.rates) for r in rows])
+        rows = self._select_rows(name)
+        own = np.stack([self._compute_wrench(name, r.rates) for r in rows])
         if name not in self.system.structure.joints:
             return own
         moves = np.stack([r.rates for r in rows])[:, self._bodies[-1][1] :]
         spectrum = Spectrum(moves)
         held = spectrum.left
-        return _reduced(held[:, spectrum.clear_rank()[0] :].T @ own)
+        return _reduce_rows(held[:, spectrum.clear_rank()[0] :].T @ own)
 
-    def point(self, name: str) -> Array:
+    def locate_wrench(self, name: str) -> Array:
         """Where (3,) a wrench is taken: the origin of frame M of a joint, of frame B of a
         constraint.
         """
-        self._of(name)
+        self._select_rows(name)
         return self._ends.get(name, ("", 1.0, np.zeros(3)))[2]
 
-    def generalised(self, name: str) -> Array:
+    def compute_generalised_forces(self, name: str) -> Array:
         """Generalised forces (k, nv) on the coordinates, for a unit multiplier of each row of a
         constraint: rows J'.
 
         They do no work on any velocity that the constraints allow; those of joints in the tree are
         zero.
         """
-        return np.stack([r.rates for r in self._of(name)]) @ self._along_tree
+        return np.stack([r.rates for r in self._select_rows(name)]) @ self._tree_rates
 
     @cached_property
     def stresses(self) -> tuple[SelfStress, ...]:
@@ -149,16 +149,16 @@ class Wrenches:
 
         In each, the largest force is 1, or where there is none the largest moment.
         """
-        if not self._balance.size or self._rank == len(self._balance):
+        if not self._balance_matrix.size or self._rank == len(self._balance_matrix):
             return ()
-        states = Spectrum(self._balance).left[:, self._rank :].T
+        states = Spectrum(self._balance_matrix).left[:, self._rank :].T
         rows = [r for r in self._rows if r.lasting]
         names = tuple(dict.fromkeys(r.of for r in rows))
-        parts = [self._wrench(r.of, r.rates) for r in rows]
+        parts = [self._compute_wrench(r.of, r.rates) for r in rows]
         plain = [i for i, p in enumerate(parts) if not p.any()]
         each = np.zeros((len(names), 6, len(rows)))
         for i, (row, part) in enumerate(zip(rows, parts, strict=True)):
-            each[names.index(row.of), :, i] = part * self._force_of[i]
+            each[names.index(row.of), :, i] = part * self._force_factors[i]
         scale = np.repeat([1.0, 1.0 / self._length], 3)
         both = np.hstack(
             [
@@ -168,7 +168,7 @@ class Wrenches:
         )
         out: list[SelfStress] = []
         forces = np.append(np.tile(np.arange(6) < 3, len(names)), np.zeros(len(plain), dtype=bool))
-        for state in _reduced(both, forces):
+        for state in _reduce_rows(both, forces):
             found = state[: 6 * len(names)].reshape(-1, 6) / scale
             largest = np.abs(found[:, :3]).max() or np.abs(found).max() or 1.0
             found = found / largest
@@ -183,7 +183,7 @@ class Wrenches:
             )
         return tuple(out)
 
-    def under(self, loads: Mapping[str, Any], held: Iterable[str] = ()) -> Reactions:
+    def balance_loads(self, loads: Mapping[str, Any], held: Iterable[str] = ()) -> Reactions:
         """The reactions that balance `loads` in statics, with the coordinates `held` by motors or
         locks.
 
@@ -194,19 +194,19 @@ class Wrenches:
         would move.
         """
         held = (held,) if isinstance(held, str) else tuple(held)
-        wanted = np.zeros(self._size)
+        wanted = np.zeros(self._n_velocities)
         names = self.system.structure.velocity_names
         for frame, load in loads.items():
-            wanted += self._load(frame, load)
+            wanted += self._compute_load(frame, load)
         for name in held:
             if name not in names:
                 raise UnknownNameError("velocity coordinate", name, names, self.system.name)
-        motors = np.zeros((self._size, len(held)))
+        motors = np.zeros((self._n_velocities, len(held)))
         for k, name in enumerate(held):
             motors[self._bodies[-1][1] + names.index(name), k] = 1.0
         wanted = wanted * self._scale
         motors = motors * self._scale[:, None]
-        A = np.hstack([self._balance.T, motors])
+        A = np.hstack([self._balance_matrix.T, motors])
         found = Spectrum(A).solve(-wanted, Level.CLOSED)
         left = np.linalg.norm(A @ found + wanted)
         if left > BALANCED * max(np.linalg.norm(wanted), 1e-300):
@@ -217,8 +217,8 @@ class Wrenches:
             )
         rows = [r for r in self._rows if r.lasting]
         wrenches = {n: np.zeros(6) for n in self.names}
-        for row, factor, x in zip(rows, self._force_of, found, strict=False):
-            wrenches[row.of] += x * factor * self._wrench(row.of, row.rates)
+        for row, factor, x in zip(rows, self._force_factors, found, strict=False):
+            wrenches[row.of] += x * factor * self._compute_wrench(row.of, row.rates)
         loose = {n for s in self.stresses for n in s.wrenches}
         wrenches = {
             n: np.where(np.abs(w) < SMALL * max(np.abs(w).max(), 1e-300), 0.0, w)
@@ -227,9 +227,9 @@ class Wrenches:
         efforts = dict(zip(held, found[len(rows) :].tolist(), strict=True))
         return Reactions(wrenches, efforts, tuple(n for n in self.names if n in loose))
 
-    def lines(self) -> list[str]:
+    def describe_stresses(self) -> list[str]:
         """The states of self-stress for a report; none where there are too many equations."""
-        if len(self._balance) > MOST:
+        if len(self._balance_matrix) > MOST:
             return []
         head = (
             "reactions in balance without a load, on the child at the origin of its M, in axes of "
@@ -237,9 +237,9 @@ class Wrenches:
         )
         return [head, *cut([str(s) for s in self.stresses], SHOWN)] if self.stresses else []
 
-    def data(self) -> list[dict[str, Any]]:
+    def export_stresses(self) -> list[dict[str, Any]]:
         """The states of self-stress as plain data; none where there are too many equations."""
-        states = self.stresses if len(self._balance) <= MOST else ()
+        states = self.stresses if len(self._balance_matrix) <= MOST else ()
         return [
             {
                 "wrenches": {n: w.tolist() for n, w in s.wrenches.items()},
@@ -276,11 +276,11 @@ class Wrenches:
         return [*out, ("", at)]
 
     @cached_property
-    def _first(self) -> dict[str, int]:
+    def _first_velocities(self) -> dict[str, int]:
         return dict(self._bodies[:-1])
 
     @property
-    def _size(self) -> int:
+    def _n_velocities(self) -> int:
         return self._maximal[0].nv
 
     @cached_property
@@ -324,7 +324,7 @@ class Wrenches:
                 out.append(_WrenchRow(of, name, sided.units[i], False, J[i]))
         return tuple(out)
 
-    def _of(self, name: str) -> list[_WrenchRow]:
+    def _select_rows(self, name: str) -> list[_WrenchRow]:
         rows = [r for r in self._rows if r.of == name]
         if not rows:
             raise UnknownNameError("joint or constraint", name, self.names, self.system.name)
@@ -341,32 +341,32 @@ class Wrenches:
         return closure_rows.scales(self._maximal[0])
 
     @cached_property
-    def _force_of(self) -> Array:
-        """What a multiplier of `_balance` is, as one of the equations as they are."""
+    def _force_factors(self) -> Array:
+        """What a multiplier of `_balance_matrix` is, as one of the equations as they are."""
         length = self._length
         return np.array(
             [1.0 / length if r.unit.startswith("m") else 1.0 for r in self._rows if r.lasting]
         )
 
     @cached_property
-    def _balance(self) -> Array:
+    def _balance_matrix(self) -> Array:
         """The lasting equations (m, velocities), scaled: multipliers that they take to zero are in
         balance.
         """
-        J = np.array([r.rates for r in self._rows if r.lasting]).reshape(-1, self._size)
-        return J * self._force_of[:, None] * self._scale
+        J = np.array([r.rates for r in self._rows if r.lasting]).reshape(-1, self._n_velocities)
+        return J * self._force_factors[:, None] * self._scale
 
     @cached_property
     def _rank(self) -> int:
-        return Spectrum(self._balance).clear_rank()[0]
+        return Spectrum(self._balance_matrix).clear_rank()[0]
 
     @cached_property
-    def _along_tree(self) -> Array:
+    def _tree_rates(self) -> Array:
         """Rates (velocities of `maximal`, nv): how bodies and joints move where the tree's
         coordinates do.
         """
         system = self.system
-        out = np.zeros((self._size, self.system.nv))
+        out = np.zeros((self._n_velocities, self.system.nv))
         for body, at in self._bodies[:-1]:
             R = self._poses[body][:3, :3]
             J = jacobian(system, self.q, body)
@@ -378,12 +378,12 @@ class Wrenches:
 
     # ---- wrenches
 
-    def _on(self, body: str, rates: Array) -> Array:
+    def _compute_body_wrench(self, body: str, rates: Array) -> Array:
         """The wrench (6,) on a body, at its origin in axes of the ground, of a multiplier of an
         equation.
         """
         system = self.system
-        at = self._first[body]
+        at = self._first_velocities[body]
         out = np.zeros(6)
         if self._mechanism.bodies[body].particle:
             out[: system.dim] = rates[at : at + system.dim]
@@ -414,16 +414,16 @@ class Wrenches:
                 out[of.name] = *end, (self._poses[of.child] @ M)[:3, 3]
         return out
 
-    def _wrench(self, name: str, rates: Array) -> Array:
+    def _compute_wrench(self, name: str, rates: Array) -> Array:
         """The wrench (6,) on the child of a joint or constraint, at its point."""
         if name not in self._ends:
             return np.zeros(6)
         body, sign, point = self._ends[name]
-        out = sign * self._on(body, rates)
+        out = sign * self._compute_body_wrench(body, rates)
         out[3:] += np.cross(self._poses[body][:3, 3] - point, out[:3])
         return out
 
-    def _load(self, frame: str, load: Any) -> Array:
+    def _compute_load(self, frame: str, load: Any) -> Array:
         """A load on a frame as generalised forces in maximal coordinates."""
         system = self.system
         x = numbers(load, f"load on {frame!r}")
@@ -437,8 +437,8 @@ class Wrenches:
                 "numbers"
             )
         wrench[[0, 1, 5][: len(x)] if system.dim == 2 else slice(0, len(x))] = x
-        out = np.zeros(self._size)
-        at = self._first.get(body)
+        out = np.zeros(self._n_velocities)
+        at = self._first_velocities.get(body)
         if at is None:  # the ground carries it
             return out
         X = self._poses[body]
@@ -452,7 +452,7 @@ class Wrenches:
         return out
 
 
-def _reduced(rows: Array, first: np.ndarray | None = None) -> Array:
+def _reduce_rows(rows: Array, first: np.ndarray | None = None) -> Array:
     """The same space of rows (k, n), each with a 1 where all others have 0; what is rounding is
     zero.
 
@@ -476,7 +476,7 @@ def _reduced(rows: Array, first: np.ndarray | None = None) -> Array:
     return out
 
 
-def _said(wrench: Array) -> str:
+def _format_wrench(wrench: Array) -> str:
     """A wrench in words: 'force (0, 0, 1), moment (0.2, 0, 0)', without what is zero."""
     parts = [
         (what, part) for what, part in (("force", wrench[:3]), ("moment", wrench[3:])) if part.any()

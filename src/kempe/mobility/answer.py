@@ -122,7 +122,7 @@ def how_known(m: Mobility) -> str:
     if not m.loops and not m.rank.clusters:
         return "no loops: each joint moves as it likes"
     unsure = "" if m.certain else f"; not proven: {m.unproven}"
-    if not m.rank.dependent:
+    if not m.rank.n_dependent:
         why = (
             "all constraints are independent here, so the configurations are a manifold (implicit "
             "function theorem)"
@@ -150,13 +150,13 @@ def rank_text(m: Mobility) -> str:
     )
     if r.doubtful:
         gap += (
-            f"; doubtful: the smallest that counts is {r.smallest:.1g} of the largest, {r.gap:.1g} "
+            f"; doubtful: the smallest that counts is {r.smallest_counted_value:.1g} of the largest, {r.gap:.1g} "
             "times the next"
         )
-        gap += ", which is not clearly zero" if r.rest > 1e-8 else ""
-    elif r.smallest < 1e-4:
+        gap += ", which is not clearly zero" if r.largest_neglected_value > 1e-8 else ""
+    elif r.smallest_counted_value < 1e-4:
         gap += (
-            f"; close to a singular configuration: the smallest that counts is {r.smallest:.1g} of "
+            f"; close to a singular configuration: the smallest that counts is {r.smallest_counted_value:.1g} of "
             "the largest"
         )
     if m.generic_rank_dof != m.rank_dof:
@@ -217,7 +217,7 @@ def lines(m: Mobility) -> list[tuple[str, list[str]]]:
                 "redundant to first order only: such a release would set something free"
             )
     if m.redundant_here and m.wrenches is not None:
-        out.append(("self-stress", m.wrenches.lines()))
+        out.append(("self-stress", m.wrenches.describe_stresses()))
     if m.idle:
         out.append((f"idle: {m.idle}", cut([str(f) for f in m.idle_freedoms], SHOWN)))
     if m.singular:
@@ -292,7 +292,9 @@ def data(m: Mobility) -> dict[str, Any]:
             for x in m.redundancy.releases
         ],
         "stressed": {} if m.redundancy is None else {k: list(v) for k, v in m.redundancy.stressed},
-        "self_stress": [] if not m.redundant_here or m.wrenches is None else m.wrenches.data(),
+        "self_stress": []
+        if not m.redundant_here or m.wrenches is None
+        else m.wrenches.export_stresses(),
         "idle_freedoms": [
             {
                 "bodies": list(f.bodies),
@@ -442,7 +444,7 @@ class Mobility(Report):
     @property
     def redundant_here(self) -> int | None:
         """Number of constraints that depend on others, to first order, at `q`."""
-        return None if self.rank is None else self.rank.dependent
+        return None if self.rank is None else self.rank.n_dependent
 
     @property
     def idle(self) -> int:

@@ -14,10 +14,15 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from kempe.equations.closure_rows import evaluate
-from kempe.first_order.constraint_graph import Cluster, ConstraintGraph, LoopSizes, structure
-from kempe.first_order.counting import fills_group, group_basis
+from kempe.first_order.constraint_graph import (
+    Cluster,
+    ConstraintGraph,
+    LoopSizes,
+    build_constraint_graph,
+)
+from kempe.first_order.counting import compute_group_basis, fills_group
 from kempe.first_order.rank import Rank
-from kempe.first_order.screws import Screws, screws
+from kempe.first_order.screws import Screws, compute_screws
 from kempe.mobility import lyapunov_schmidt
 from kempe.mobility.local_equations import Equations
 from kempe.mobility.lyapunov_schmidt import Split
@@ -507,7 +512,7 @@ class Proof:
 
 def regular(system: Model, rank: Rank, residual: float) -> bool:
     """Whether every cluster provably has full rank at the closed configuration near by."""
-    s = structure(system)
+    s = build_constraint_graph(system)
     at = rank.screws
     return all(
         _certified(s, at, c.cluster, c.values * c.size, c.jacobian, residual, True).regular
@@ -529,7 +534,7 @@ def _certified(
     """
     if c.bent:  # of whose second derivatives no bound is known
         return Certificate(False, 0.0, np.inf)
-    size = c.size_of_loops(s, short)
+    size = c.measure_loops(s, short)
     reach = at.reach
     residual *= len(c.loops) * (1.0 + reach) + 1.0  # loops are sums of others, and read elsewhere
     out = certify(
@@ -544,7 +549,7 @@ def _certified(
         return out
     spans = [  # large mechanisms have small loops
         _reach(np.concatenate([at.F[i, :3, 3], at.M[i, :3, 3]]), at.M[i[0], :3, 3])
-        for i in c.paths(s, short)
+        for i in c.list_loop_paths(s, short)
     ]
     bend = _bend(size, at, 2.0 * max(spans) / at.length)
     return certify(
@@ -585,8 +590,8 @@ class Prover:
         self.system = system
         self.equations = equations
         self.q = q
-        self.structure = structure(system)
-        self.at = screws(system, q)
+        self.structure = build_constraint_graph(system)
+        self.at = compute_screws(system, q)
         self.value, self.jacobian = (x[0] for x in equations.linearise(q))
         self.parts = _parts(system, self.structure, self.at, equations, self.jacobian)
         self.manifolds: dict[int, Proof | _Open | None] = {}
@@ -673,7 +678,7 @@ def _parts(
                 np.unique([col.index for i in path for col in s.edges[i].columns if col.index >= 0])
             )
         for law in (s.laws[k] for k in c.laws):
-            rows.append(_rows(equations.m, np.array(law.places), np.eye(law.rows)))
+            rows.append(_rows(equations.m, np.array(law.places), np.eye(law.n_rows)))
             uses.append(np.array(law.support, dtype=np.int64))
         out.append(Part(c, rows, c.velocities, uses))
     return out
@@ -696,12 +701,12 @@ def _group(
     """
     edge = s.edges[s.loops[k].edge]
     rows = s.loops[k].rows
-    if not edge.joint or edge.particle:
+    if not edge.is_joint or edge.particle:
         return np.eye(rows)
-    basis = group_basis(np.concatenate([at.twists[i] for i in path], axis=1), SAME)
+    basis = compute_group_basis(np.concatenate([at.twists[i] for i in path], axis=1), SAME)
     if basis.shape[1] >= rows:
         return np.eye(rows)
-    there = at.moved([s.loops[k].edge])[0] @ basis
+    there = at.build_shift_matrices([s.loops[k].edge])[0] @ basis
     R = at.M[s.loops[k].edge, :3, :3]
     there = np.concatenate([R.T @ there[:3] * (at.length / length), R.T @ there[3:]])
     U = np.linalg.qr(there if system.dim == 3 else there[[0, 1, 5]])[0]
@@ -784,7 +789,12 @@ def _half_angles(
     s: ConstraintGraph, at: Screws, equations: Equations, q: Array, c: Cluster, null_space: Array
 ) -> bool:
     """Whether the only loop is of four hinges that move as Bennett's do."""
-    if len(c.loops) != 1 or c.laws or c.shared or not s.edges[s.loops[c.loops[0]].edge].joint:
+    if (
+        len(c.loops) != 1
+        or c.laws
+        or c.has_shared_velocities
+        or not s.edges[s.loops[c.loops[0]].edge].is_joint
+    ):
         return False
     path = [(i, sign) for i, sign in s.loops[c.loops[0]].path if at.twists[i].shape[1]]
     columns = [x for i, _ in path for x in s.edges[i].columns]
@@ -802,7 +812,12 @@ def _two_groups(s: ConstraintGraph, at: Screws, c: Cluster) -> bool:
     """Whether the only loop parts into two chains, each of which makes all motions of the group
     that it generates.
     """
-    if len(c.loops) != 1 or c.laws or c.shared or not s.edges[s.loops[c.loops[0]].edge].joint:
+    if (
+        len(c.loops) != 1
+        or c.laws
+        or c.has_shared_velocities
+        or not s.edges[s.loops[c.loops[0]].edge].is_joint
+    ):
         return False
     path = [i for i, _ in s.loops[c.loops[0]].path if at.twists[i].shape[1]]
     if len(path) > LONG or any(

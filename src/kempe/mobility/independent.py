@@ -403,7 +403,9 @@ def _in_turn(
     first.
     """
     nv, p = N.shape
-    moved = np.any([s.moves for s in spins], axis=0) if spins else np.zeros(nv, dtype=bool)
+    moved = (
+        np.any([s.moving_velocities for s in spins], axis=0) if spins else np.zeros(nv, dtype=bool)
+    )
     others = [v for v in range(nv) if v not in plain]
     found = list(rows)
     requested = sum(bool(moved[v]) for v in rows)
@@ -426,7 +428,7 @@ def _idle_part(
     tree = own_tree(system)
     parts = [np.zeros((N.shape[1], 0))]
     for spin in spins:
-        rests = N[~spin.moves]
+        rests = N[~spin.moving_velocities]
         part = Spectrum(rests, 1.0).null(Level.CLOSED)
         if part.shape[1] > 1:  # they move what is useful as well: the spin is what keeps the line
             J = jacobian(tree, q, spin.bodies[0])

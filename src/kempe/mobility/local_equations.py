@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from kempe.errors import UnsupportedError
-from kempe.first_order.constraint_graph import NO_SERIES, called
+from kempe.first_order.constraint_graph import NO_SERIES, list_function_constraints
 from kempe.kernels.constraints.loop_layout import LINEAR
 from kempe.kernels.forward.table_layout import KIND, N_OUT, N_ROWS, SLIDE, TURN, V_INDEX, rows_of
 from kempe.model.configurations import as_q
@@ -74,7 +74,7 @@ class Equations:
         self.system = system
         self._loops = loops_of(system, frozenset(system.structure.closures))
         self.names = self._loops.names
-        found = called(system)
+        found = list_function_constraints(system)
         if found:
             raise UnsupportedError(f"constraint {found[0]!r} {NO_SERIES}, which is needed here")
         self.m = len(self.names)

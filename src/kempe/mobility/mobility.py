@@ -17,12 +17,16 @@ from kempe.assemble.nearest_exact import tolerant
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.equations.velocity import tangent_rows, velocity_rows
 from kempe.errors import InputError
-from kempe.first_order.constraint_graph import ConstraintGraph, called, structure
-from kempe.first_order.control import control, driven
-from kempe.first_order.counting import counting, loop_counts
-from kempe.first_order.idle_freedoms import idle_freedoms
-from kempe.first_order.rank import Rank, rank_at
-from kempe.first_order.redundant_constraints import redundancy
+from kempe.first_order.constraint_graph import (
+    ConstraintGraph,
+    build_constraint_graph,
+    list_function_constraints,
+)
+from kempe.first_order.control import analyse_control, find_driven_velocities
+from kempe.first_order.counting import count_freedoms, count_loop_freedoms
+from kempe.first_order.idle_freedoms import find_idle_freedoms
+from kempe.first_order.rank import Rank, compute_rank
+from kempe.first_order.redundant_constraints import find_redundancy
 from kempe.first_order.wrenches import Wrenches
 from kempe.mobility.answer import ClusterMobility, Mobility, dimensions
 from kempe.mobility.dof_proofs import regular
@@ -82,7 +86,7 @@ def mobility(
     time.put_in_order()  # there is nothing to do afterwards
     shown = system
     system = own_tree(system)
-    driven(system, actuated)  # a wrong name is refused before any work
+    find_driven_velocities(system, actuated)  # a wrong name is refused before any work
     given = None if q is None else _given(system, q)
     return _looked_at(system, shown, given, actuated, local, generator(rng), time)
 
@@ -122,9 +126,9 @@ def _found(
     """Everything, at a closed configuration whose coordinates are regular; counted over the tree of
     `shown`.
     """
-    s = structure(system)
-    motors = driven(system, actuated)
-    rank = rank_at(system, at.q)
+    s = build_constraint_graph(system)
+    motors = find_driven_velocities(system, actuated)
+    rank = compute_rank(system, at.q)
     generic = around(system, rank, motors, rng)
     truth = None
     late = False
@@ -135,12 +139,12 @@ def _found(
             raise
         late = True
     best = min([rank, *generic, *_on_branches(system, truth)], key=lambda r: r.nullity)
-    idle = idle_freedoms(system, [rank, *generic], motors)
+    idle = find_idle_freedoms(system, [rank, *generic], motors)
     dof = (
         truth.dim
         if truth is not None
         else rank.nullity
-        if not rank.dependent or not rank.nullity
+        if not rank.n_dependent or not rank.nullity
         else None
     )
     singular, kind = _kind(rank, best, truth)
@@ -153,23 +157,23 @@ def _found(
         at.residual,
         at.given,
         "",
-        counting(shown),
-        loop_counts(shown, rank.screws),
+        count_freedoms(shown),
+        count_loop_freedoms(shown, rank.screws),
         _clusters(s, rank),
         _outside(system, s),
         rank,
         best.nullity,
         truth,
         dof,
-        redundancy(system, best),
+        find_redundancy(system, best),
         idle,
-        control(system, rank, generic, idle, actuated),
+        analyse_control(system, rank, generic, idle, actuated),
         singular,
         kind,
         _velocity_freedoms(system, at.q),
         sure,
         if_any(shown, at.q),
-        called(system) if dof is None and local else (),
+        list_function_constraints(system) if dof is None and local else (),
         Wrenches(system, at.q),
         late=late,
     )
@@ -185,7 +189,7 @@ def _given(system: Model, q: Any) -> Array:
 
 
 def _open(system: Model, shown: Model, at: NearestClosed) -> Mobility:
-    s = structure(system)
+    s = build_constraint_graph(system)
     return Mobility(
         system,
         system.dim,
@@ -194,8 +198,8 @@ def _open(system: Model, shown: Model, at: NearestClosed) -> Mobility:
         at.residual,
         at.given,
         at.why,
-        counting(shown),
-        loop_counts(shown, None),
+        count_freedoms(shown),
+        count_loop_freedoms(shown, None),
         _clusters(s, None),
         _outside(system, s),
         None,
@@ -214,7 +218,7 @@ def _local(
     system: Model, rank: Rank, wanted: bool, rng: np.random.Generator, time: TimeLimit
 ) -> LocalDimension | None:
     """The local dimension where it is `wanted` and the rank alone does not prove it, else None."""
-    if not wanted or not rank.dependent or not rank.nullity or called(system):
+    if not wanted or not rank.n_dependent or not rank.nullity or list_function_constraints(system):
         return None
     from kempe.mobility.local_dimension import local_dimension
 
@@ -225,14 +229,14 @@ def _on_branches(system: Model, truth: LocalDimension | None) -> list[Rank]:
     """Ranks at points of branches of each dimension that meet here: random walks may miss some."""
     if truth is None or truth.smooth:
         return []
-    ranks = {b.dim: rank_at(system, b.q) for b in truth.branches if not b.multiple}
+    ranks = {b.dim: compute_rank(system, b.q) for b in truth.branches if not b.multiple}
     return [r for dim, r in ranks.items() if r.nullity == dim]
 
 
 def _clusters(s: ConstraintGraph, rank: Rank | None) -> tuple[ClusterMobility, ...]:
     out: list[ClusterMobility] = []
     for k, c in enumerate(s.clusters):
-        rows = sum(s.loops[i].rows for i in c.loops) + sum(s.laws[i].rows for i in c.laws)
+        rows = sum(s.loops[i].rows for i in c.loops) + sum(s.laws[i].n_rows for i in c.laws)
         r = None if rank is None else rank.clusters[k]
         out.append(
             ClusterMobility(
@@ -240,7 +244,7 @@ def _clusters(s: ConstraintGraph, rank: Rank | None) -> tuple[ClusterMobility, .
                 tuple(s.edges[s.loops[i].edge].name for i in c.loops),
                 len(c.velocities) - rows,
                 None if r is None else r.nullity,
-                None if r is None else r.dependent,
+                None if r is None else r.n_dependent,
             )
         )
     return tuple(out)

@@ -13,7 +13,7 @@ from kempe.assemble.generic_configurations import nearby
 from kempe.assemble.nearest_exact import said, tolerant
 from kempe.equations.closure import Closure
 from kempe.errors import InputError, UnsupportedError
-from kempe.first_order.rank import allowed_velocities, rank_at
+from kempe.first_order.rank import compute_allowed_velocities, compute_rank
 from kempe.forward.fk import fk, jacobian
 from kempe.model.characteristic_length import characteristic_length
 from kempe.model.configurations import as_q
@@ -122,7 +122,7 @@ def relative_motion(
     basis, origin = _basis(closure, found, names, size)
     around = [
         _basis(closure, r.q, names, size)[0].shape[1]
-        for r in nearby(system, rank_at(system, found), np.random.default_rng(0))
+        for r in nearby(system, compute_rank(system, found), np.random.default_rng(0))
     ]
     dof = basis.shape[1]
     turning = Spectrum(basis[3:], 1.0).rank(Level.CLOSED)
@@ -137,7 +137,7 @@ def _basis(closure: Closure, q: Array, names: list[str], size: float) -> tuple[A
     is (3,).
     """
     system = closure.system
-    rates = closure.unit[:, None] * allowed_velocities(closure, q)
+    rates = closure.unit[:, None] * compute_allowed_velocities(closure, q)
     moved, base = (jacobian(system, q, name) @ rates for name in names)
     X = fk(system, q, names[0])
     Y = fk(system, q, names[1])

@@ -114,7 +114,7 @@ def lock_spins(equations: Closure, q: Array, requested: Iterable[int]) -> bool:
     velocities; whether there are others.
     """
     keep = [*equations.held, *requested]
-    spins = [f for f in idle_freedoms_of(equations.tree, q) if not f.moves[keep].any()]
+    spins = [f for f in idle_freedoms_of(equations.tree, q) if not f.moving_velocities[keep].any()]
     if spins and spin_lock_of(equations) is None:
         equations.add(SpinLock(equations.tree, spins, q))
     return bool(spins)

@@ -20,7 +20,7 @@ from kempe.assemble.nearest_exact import said, tolerant
 from kempe.constraints.tape import TWIST
 from kempe.equations.closure import Closure
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
-from kempe.first_order.rank import allowed_velocities
+from kempe.first_order.rank import compute_allowed_velocities
 from kempe.forward.fk import fk, jacobian
 from kempe.joints import P, R
 from kempe.model.configurations import as_q
@@ -143,7 +143,7 @@ def loop_jacobian(
     rank, nullity, code = (np.zeros(lead, dtype=np.int64) for _ in range(3))
     margin = np.zeros(lead)
     for i in np.ndindex(lead):
-        free = allowed_velocities(closure, q[i], index)
+        free = compute_allowed_velocities(closure, q[i], index)
         motion = free * closure.unit[:, None]
         out = np.vstack(
             [
@@ -235,7 +235,7 @@ def mechanical_advantage(
         raise InputError(f"direction is {direction!r}; it must be three numbers, not all zero")
     out = np.full(q.shape[:-1], np.nan)
     for k in np.ndindex(out.shape):
-        motion = allowed_velocities(closure, q[k]) * closure.unit[:, None]
+        motion = compute_allowed_velocities(closure, q[k]) * closure.unit[:, None]
         if others:
             rates = motion[others] / closure.unit[others, None]
             motion = motion @ Spectrum(rates, 1.0).null(Level.CLOSED)

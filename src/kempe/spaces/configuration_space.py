@@ -332,12 +332,12 @@ def parametrizations(system: Model, q: Any = None) -> Parametrizations:
 
     `q` (nq,): where the rank is taken, default as in `mobility`. Errors: as `mobility`.
     """
-    from kempe.first_order.counting import counting
+    from kempe.first_order.counting import count_freedoms
     from kempe.mobility.independent import independent
     from kempe.mobility.mobility import mobility
 
     m = mobility(system, q)
-    count = counting(system)
+    count = count_freedoms(system)
     bodies = system.body_names[1:]
     rank = None if m.rank_dof is None else count.free - m.rank_dof
     rows = [Parametrization("pairs (r, R)", count.free, count.taken, rank, bodies)]

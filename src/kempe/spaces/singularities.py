@@ -27,7 +27,7 @@ from kempe.arguments import (
 from kempe.assemble.same_configuration import metric_of
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.errors import InputError, Interrupted
-from kempe.first_order.control import driven
+from kempe.first_order.control import find_driven_velocities
 from kempe.forward.fk import jacobian
 from kempe.inverse.closed_forms.branch_names import Kind, branch_names, kind_of
 from kempe.inverse.closed_forms.chain_lines import Lines
@@ -392,7 +392,7 @@ def singularities(
         raise InputError(
             f"{system.name} is a chain: name a frame; there are: {', '.join(system.frame_names)}"
         )
-    driving = driven(system, inputs)
+    driving = find_driven_velocities(system, inputs)
     if loops and name is None and not driving:
         raise InputError(f"{system.name} has no actuated joint: name inputs, or a frame")
     clock = TimeLimit(spend.time_limit)

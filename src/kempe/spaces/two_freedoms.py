@@ -18,7 +18,7 @@ from kempe.constraints.flat_tasks import FlatTask
 from kempe.equations.one_sided import one_sided_rows
 from kempe.equations.packed_tasks import Packed
 from kempe.errors import InputError, UnsupportedError
-from kempe.first_order.control import driven
+from kempe.first_order.control import find_driven_velocities
 from kempe.forward.fk import fk
 from kempe.inverse.ik_all import ik_all
 from kempe.mobility.independent import tangent_space
@@ -682,7 +682,7 @@ def two_freedoms(
 def _pairs(system: Model) -> Iterator[tuple[str, ...]]:
     """The actuated coordinates, if these are two, then all pairs."""
     names = system.structure.velocity_names
-    inputs = tuple(names[i] for i in driven(system, None) or ())
+    inputs = tuple(names[i] for i in find_driven_velocities(system, None) or ())
     if len(inputs) == 2 and set(inputs) <= set(system.coordinate_names):
         yield inputs
     yield from combinations([n for n in names if n in system.coordinate_names], 2)
@@ -720,7 +720,7 @@ def _pair(system: Model) -> tuple[str, ...]:
     # the area that rates of two coordinates span: what spins idly adds nothing
     areas = [float(np.median([np.prod(Spectrum(x[i]).values[:2]) for x in N])) for i in at]
     ended = circles(system) | (np.isfinite(system.lower) & np.isfinite(system.upper))
-    driving = set(pairs[0]) == {names[i] for i in driven(system, None) or ()}
+    driving = set(pairs[0]) == {names[i] for i in find_driven_velocities(system, None) or ()}
     good = [
         k
         for k, x in enumerate(areas)
