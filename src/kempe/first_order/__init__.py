@@ -1,1 +1,1 @@
-"""Velocities at one configuration: constraint graph, screws, ranks, idle freedoms."""
+"""First-order analysis at one configuration: constraint graph, screws, ranks, idle freedoms."""

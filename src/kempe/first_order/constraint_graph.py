@@ -1,4 +1,4 @@
-"""The constraint graph of a system: joints and constraints as edges, loops, and clusters of loops.
+"""The constraint graph: joints and constraints as edges, with loops and clusters of loops.
 
 It does not depend on the configuration. Loops and laws that share velocities, directly or through
 others, form a cluster. Each cluster has its own rank, redundancy and freedoms.
@@ -39,8 +39,9 @@ MOST = 400
 
 
 def shorten_loops(signs: Array, whole: np.ndarray, parent: np.ndarray, child: np.ndarray) -> Array:
-    """Signs (loops, edges) of loops, each shortened by others that are `whole` (mask) as far as
-    that goes at once.
+    """Shorten loops, given as signs (loops, edges), by adding loops of the mask `whole`.
+
+    One pass is made.
 
     `parent` and `child` are the bodies of the edges. Each loop stays a simple one, and keeps the
     edge that closes it.
@@ -72,7 +73,7 @@ def shorten_loops(signs: Array, whole: np.ndarray, parent: np.ndarray, child: np
 
 
 def _is_simple_loop(loop: Array, parent: np.ndarray, child: np.ndarray) -> bool:
-    """Whether edges with signs 1, 0, -1 are one closed walk that meets no body twice."""
+    """Return whether edges with signs 1, 0, -1 form one closed walk that visits no body twice."""
     edges = np.flatnonzero(loop)
     if np.abs(loop[edges]).max() > 1.0:
         return False
@@ -104,8 +105,9 @@ NO_SERIES = "is a Python function that cannot be recorded, and has no Taylor ser
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One velocity of a joint: its name, its index among the system's (-1: held), multiplier,
-    whether it slides.
+    """One velocity of a joint: name, index among the system's velocities, multiplier and kind.
+
+    `index` is -1 where the velocity is held; `slides` says whether it is a translation.
     """
 
     name: str
@@ -116,8 +118,9 @@ class Column:
 
 @dataclass(frozen=True, eq=False)
 class Edge:
-    """A joint or declared constraint of the graph: its bodies by number, frames on them, and its
-    own velocities.
+    """A joint or declared constraint as an edge of the graph: two bodies and a frame on each.
+
+    Bodies are given by number.
 
     `columns` are its velocities, all of them, those that follow others or are held too.
     """
@@ -138,19 +141,18 @@ class Edge:
 
     @property
     def is_joint(self) -> bool:
-        """Whether it is a joint, not a declared constraint."""
+        """Whether the edge is a joint, not a declared constraint."""
         return isinstance(self.of, Joint)
 
     @property
     def actuated(self) -> bool:
-        """Whether a motor drives it."""
+        """Whether a motor drives the joint."""
         return isinstance(self.of, Joint) and self.of.actuated is True
 
 
 @dataclass(frozen=True, eq=False)
 class Law:
-    """Equations of coordinates or of a pose that are no loop: a coupling with several sources, or a
-    written constraint.
+    """Equations that belong to no loop: a coupling with several sources, or a written constraint.
 
     `support` are the velocities that it depends on, `places` those of its rows among all equations
     in full form.
@@ -168,20 +170,18 @@ class Law:
 
     @property
     def n_rows(self) -> int:
-        """Number of its equations."""
+        """Number of equations of the law."""
         return len(self.places)
 
     @property
     def title(self) -> str:
-        """How sentences call it."""
+        """Name of the law in reports."""
         return f"coupling of {self.name}" if isinstance(self.of, Relation) else self.name
 
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """One closed loop: the edge that closes it, and all its edges with the sign in which it passes
-    them.
-    """
+    """One closed loop: the edge that closes the loop, and all edges with their signs."""
 
     edge: int
     path: tuple[tuple[int, float], ...]
@@ -189,9 +189,11 @@ class Loop:
 
 
 class LoopSizes(NamedTuple):
-    """How large the loops of a cluster are: sums of squares of what their velocities move, the most
-    of them, times the square root of how many loops share a joint; joints of the longest; edges
-    that are rods.
+    """Sizes of the loops of a cluster, from which bounds of singular values follow.
+
+    `most` is the largest sum of squares of the multipliers around a loop, times the square root of
+    the largest number of loops that share a joint; `joints` counts the joints of the longest loop;
+    `rods` are the edges that are rods.
     """
 
     most: float
@@ -201,8 +203,9 @@ class LoopSizes(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Cluster:
-    """Loops and laws that share velocities, directly or through others: `velocities` are their
-    columns.
+    """Loops and laws that share velocities, directly or through others.
+
+    `velocities` are the indices of their velocities.
     """
 
     loops: tuple[int, ...]
@@ -228,19 +231,20 @@ class Cluster:
     """Laws that are not linear in coordinates."""
 
     def list_loop_paths(self, s: ConstraintGraph, short: bool) -> list[np.ndarray]:
-        """The edges of each loop, shortened or as the tree closes it."""
+        """List the edges of each loop: shortened loops, or loops as the spanning tree closes them."""
         if short:
             return [np.array(self.edges)[np.flatnonzero(signs)] for signs in self.cells]
         return [np.array([i for i, _ in s.loops[k].path]) for k in self.loops]
 
     def measure_loops(self, s: ConstraintGraph, short: bool) -> LoopSizes:
-        """The `LoopSizes`, found once."""
+        """Return the `LoopSizes` of the cluster, computed once."""
         found = self.__dict__.setdefault("sizes", {})
         if short not in found:
             found[short] = self._compute_loop_sizes(s, self.list_loop_paths(s, short))
         return found[short]
 
     def _compute_loop_sizes(self, s: ConstraintGraph, paths: list[np.ndarray]) -> LoopSizes:
+        """Compute the `LoopSizes` of loops with the given paths."""
         most = 0.0
         joints = 1
         rods: list[int] = []
@@ -258,13 +262,13 @@ class Cluster:
 
     @cached_property
     def has_shared_velocities(self) -> bool:
-        """Whether several velocities of joints follow one of the system."""
+        """Whether several joint velocities follow one velocity of the system."""
         return len(np.unique(self.local)) < len(self.local)
 
 
 @dataclass(frozen=True, eq=False)
 class ConstraintGraph:
-    """What does not depend on the configuration: edges, loops, laws, clusters."""
+    """Edges, loops, laws and clusters of a system, which do not depend on the configuration."""
 
     edges: tuple[Edge, ...]
     loops: tuple[Loop, ...]
@@ -284,12 +288,12 @@ class ConstraintGraph:
 
 @kept
 def build_constraint_graph(system: Model) -> ConstraintGraph:
-    """Edges, loops and clusters of a system."""
+    """Build the constraint graph of a system: edges, loops, laws and clusters."""
     return _assemble_graph(system)
 
 
 def list_function_constraints(system: Model) -> tuple[str, ...]:
-    """Constraints that are Python functions without series."""
+    """List the names of constraints that are Python functions without a Taylor series."""
     return tuple(dict.fromkeys(t.name for t in full(system, True).ties if t.function is not None))
 
 
@@ -385,8 +389,9 @@ def _format_full_name(joint: str, coordinate: str) -> str:
 
 
 def _make_path_finder(system: Model, edges: list[Edge]) -> Way:
-    """The function that gives the edges of the tree from two bodies up to where these ways meet,
-    with the signs in which a loop from the first body to the second and back passes them.
+    """Make the function that returns the tree's edges from two bodies to their common ancestor.
+
+    Signs are those with which a loop from the first body to the second and back passes the edges.
     """
     index = {e.name: i for i, e in enumerate(edges)}
     up = [-1, *(index[n] for n in system.structure.parent_joints)]
@@ -425,7 +430,7 @@ def _build_loops(system: Model, edges: list[Edge], way: Way) -> list[Loop]:
 
 
 def _build_laws(system: Model, way: Way) -> tuple[Law, ...]:
-    """Couplings with several sources, and what constraints say by expressions and functions."""
+    """Build the laws: couplings with several sources, and constraints written as expressions."""
     loops = full(system, True)
     first = 0
     found: dict[tuple[int, int], tuple[Relation | Declared, list[int], list[Tie]]] = {}
@@ -493,7 +498,7 @@ def _sort_tree_bodies(parent: tuple[int, ...]) -> list[int]:
 
 
 def count_closing_equations(edge: Edge, dim: int) -> int:
-    """Number of equations with which an edge closes a loop, its own velocities among the unknowns."""
+    """Count the equations with which an edge closes a loop, its own velocities being unknowns."""
     if isinstance(edge.of, Declared):
         return edge.of.of_pose(dim)
     return dim if edge.particle else (6 if dim == 3 else 3)

@@ -1,6 +1,4 @@
-"""Whether some joints, when driven, control a mechanism: what they leave free, and which of them
-are too many.
-"""
+"""Actuation: which freedoms the driven joints control, leave free, or drive redundantly."""
 
 from __future__ import annotations
 
@@ -27,7 +25,9 @@ SHOWN = 1e-6
 
 @dataclass(frozen=True)
 class Control(InWords):
-    """What a set of actuated velocity coordinates does, to first order.
+    """Result of the actuation analysis: how many freedoms a set of actuated coordinates controls.
+
+    To first order.
 
     `controlled` of the `useful` freedoms (idle ones left out) follow the actuated coordinates;
     `excess` actuated coordinates depend on the others (redundant actuation). `free` are motions
@@ -44,7 +44,7 @@ class Control(InWords):
 
     @property
     def complete(self) -> bool:
-        """Whether all useful freedoms are controlled."""
+        """Whether the actuated coordinates control all useful freedoms."""
         return self.controlled == self.useful
 
     def __bool__(self) -> bool:
@@ -80,8 +80,9 @@ def analyse_control(
     idle: Sequence[IdleFreedom],
     actuated: Iterable[str] | None = None,
 ) -> Control | None:
-    """What the `actuated` joints or coordinates (default: those that the file marks) control; None
-    where none are.
+    """Find which freedoms the `actuated` joints or coordinates control; None without actuators.
+
+    By default the actuators are those that the description marks.
     """
     indices = find_driven_velocities(system, actuated)
     if indices is None:
@@ -112,8 +113,7 @@ def analyse_control(
 
 
 def find_driven_velocities(system: Model, actuated: Iterable[str] | None) -> list[int] | None:
-    """Indices of the velocity coordinates of joints or coordinates by name, or of joints marked as
-    actuated.
+    """Find the indices of the velocities of named joints, or of joints marked as actuated.
 
     A name that follows another coordinate stands for that. None where no name is given and no joint
     is marked.
@@ -141,7 +141,7 @@ def find_driven_velocities(system: Model, actuated: Iterable[str] | None) -> lis
 
 
 def _make_sparse_basis(X: Array) -> Array:
-    """The same space by a basis in which each vector has a coordinate that the others do not move."""
+    """Return a basis of the same space in which each vector alone moves one of the coordinates."""
     if not X.shape[1]:
         return X
     Y = X.copy()
@@ -157,6 +157,7 @@ def _make_sparse_basis(X: Array) -> Array:
 
 
 def _scale_motion(system: Model, v: Array) -> dict[str, float]:
+    """Return the velocities of a motion by name, scaled so that the largest is 1."""
     largest = v[np.argmax(np.abs(v))]
     return {
         n: float(x / largest)
@@ -166,7 +167,7 @@ def _scale_motion(system: Model, v: Array) -> dict[str, float]:
 
 
 def format_motion(motion: dict[str, float]) -> str:
-    """'B 1, C -0.5': the velocities of a motion, the largest first."""
+    """Format the velocities of a motion, the largest first, such as 'B 1, C -0.5'."""
     ordered = sorted(motion.items(), key=lambda kv: (-abs(round(kv[1], 9)), kv[0]))
     more = ", ..." if len(ordered) > 8 else ""
     return ", ".join(f"{n} {x:.3g}" for n, x in ordered[:8]) + more

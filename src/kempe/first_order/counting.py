@@ -1,4 +1,4 @@
-"""Degrees of freedom by counting, for the whole system and for each loop.
+"""Degrees of freedom by the Grübler count, for the whole system and for each loop.
 
 The count of Gruebler (1917) and Kutzbach (1929) assumes that all constraints are independent, which
 only the rank can tell. A loop whose joints move its links in a group of motions of d dimensions is
@@ -47,8 +47,7 @@ space."""
 
 @dataclass(frozen=True)
 class LoopCount(InWords):
-    """Count of one loop: its joints in the order around it, their freedoms, less the equations that
-    close it.
+    """Grübler count of one loop: freedoms of its joints less the equations that close the loop.
 
     `equations` is 3 in the plane and 6 in space, or the dimension of the smaller group that the
     joints move in, whose name is `motion` ('' where it is not known: the mechanism is open).
@@ -62,7 +61,7 @@ class LoopCount(InWords):
 
     @property
     def count(self) -> int:
-        """Freedoms less equations."""
+        """Freedoms of the joints less the equations that close the loop."""
         return self.freedoms - self.equations
 
     def __str__(self) -> str:
@@ -72,8 +71,9 @@ class LoopCount(InWords):
 
 @dataclass(frozen=True)
 class Counting(InWords):
-    """The count in words. `gruebler` is the result; `gruebler_spatial` what a planar system would
-    count to in space.
+    """The Grübler count of a system with its steps as sentences.
+
+    `gruebler` is the result; `gruebler_spatial` is the count of the same planar system in space.
     """
 
     dim: int
@@ -88,7 +88,7 @@ class Counting(InWords):
 
 
 def count_freedoms(system: Model) -> Counting:
-    """Gruebler's count of a system with its steps, as the lecture does it: 4 x (3 - 2) - 2 = 2."""
+    """Compute the Grübler count with its steps, such as 4 x (3 - 2) - 2 = 2."""
     s = build_constraint_graph(system)
     m = system._mechanism
     dim = system.dim
@@ -111,20 +111,20 @@ def count_freedoms(system: Model) -> Counting:
 
 
 def _count_extra_equations(s: ConstraintGraph) -> int:
-    """How many more equations the loops of a planar system have in space."""
+    """Count the equations that the loops of a planar system have in space but not in the plane."""
     edges = (s.edges[loop.edge] for loop in s.loops)
     return sum(count_closing_equations(e, 3) - count_closing_equations(e, 2) for e in edges)
 
 
 def _count_removed_freedoms(edge: Edge, dim: int) -> tuple[int, str]:
-    """How many freedoms an edge takes away, and what it is."""
+    """Return how many freedoms a joint or constraint removes, and the name of its kind."""
     if isinstance(edge.of, Declared):
         return count_closing_equations(edge, dim), f"{edge.of.kind.replace('_', '-')} constraint"
     return edge.of.type.constraints(dim, edge.particle), f"{edge.of.type.type_name} joint"
 
 
 def _count_other_constraints(s: ConstraintGraph, system: Model) -> list[tuple[int, str]]:
-    """What couplings, locks and constraints that are expressions take away."""
+    """Count the freedoms that couplings, locks and written constraints remove, with their names."""
     locked = sum(c.index < 0 for e in s.edges for c in e.columns)
     follow = sum(
         c.index >= 0 and c.name != system.structure.velocity_names[c.index]
@@ -176,7 +176,7 @@ def _describe_lecture_count(
     particles: Sequence[bool],
     gruebler: int,
 ) -> str:
-    """The sum body by body: each is held by one joint, what closes loops takes away more."""
+    """Write the sum body by body: one joint holds each body, joints that close loops remove more."""
     whole, point = (6, 3) if system.dim == 3 else (3, 2)
     by_name = {e.name: n for n, _, e in takes}
     tree = Counter(
@@ -212,8 +212,10 @@ def _describe_lecture_count(
 
 
 def count_loop_freedoms(system: Model, at: Screws | None) -> tuple[LoopCount, ...]:
-    """Count of each fundamental loop; with the screws `at` a closed configuration, by its group of
-    motions.
+    """Count the freedoms of each fundamental loop.
+
+    With the screws `at` a closed configuration, the equations of a loop are as many as the
+    dimension of its group of motions.
     """
     s = build_constraint_graph(system)
     out: list[LoopCount] = []
@@ -238,15 +240,13 @@ def count_loop_freedoms(system: Model, at: Screws | None) -> tuple[LoopCount, ..
 
 
 def find_group_dimensions(twists: Array) -> tuple[int, int]:
-    """Dimension of the smallest group of motions that contains these screws (6, n), and of its
-    turns.
-    """
+    """Find the dimension of the smallest group of motions with the screws (6, n), and of its turns."""
     basis = compute_group_basis(twists, Level.GENERIC)
     return basis.shape[1], Spectrum(basis[3:], 1.0).rank(Level.GENERIC)
 
 
 def compute_group_basis(twists: Array, level: float) -> Array:
-    """Orthonormal basis (6, d) of the smallest algebra that contains these unit screws (6, n).
+    """Compute an orthonormal basis (6, d) of the smallest Lie algebra that contains screws (6, n).
 
     The span, of a rank at `level`, is completed by Lie brackets until it no longer grows.
     """
@@ -261,9 +261,7 @@ def compute_group_basis(twists: Array, level: float) -> Array:
 
 
 def fills_group(twists: Array, level: float, clear: float) -> bool:
-    """Whether screws (6, n) span the algebra that they generate: all brackets lie in their span,
-    which is clear.
-    """
+    """Return whether screws (6, n) span a Lie algebra, with a clear rank."""
     spectrum = Spectrum(twists)
     basis = spectrum.range(level)
     d = basis.shape[1]
@@ -273,8 +271,9 @@ def fills_group(twists: Array, level: float, clear: float) -> bool:
 
 
 def _compute_brackets(basis: Array) -> Array:
-    """All Lie brackets (6, n (n - 1) / 2) of screws (6, n): [v; w] with [v'; w'] is [w x v' + v x
-    w'; w x w'].
+    """Compute all Lie brackets (6, n (n - 1) / 2) of pairs of screws (6, n).
+
+    The bracket of [v; w] and [v'; w'] is [w x v' + v x w'; w x w'].
     """
     i, k = zip(*combinations(range(basis.shape[1]), 2), strict=True)
     a = basis[:, i]

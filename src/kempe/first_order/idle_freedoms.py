@@ -1,5 +1,4 @@
-"""Idle freedoms: spins of bodies that change nothing outside, such as that of a rod between two
-ball joints about the line through their centres.
+"""Idle freedoms: spins of bodies that move no other body, such as a rod between two balls.
 
 They are found from axes and velocities, not from types of joints.
 """
@@ -55,8 +54,9 @@ are one, or meet."""
 
 @dataclass(frozen=True)
 class IdleFreedom(InWords):
-    """A spin of some bodies, as one, between two joints, all else at rest but the `links` of balls
-    made of hinges.
+    """An idle freedom: bodies spin as one between two joints, while all other bodies rest.
+
+    Only the small `links` of balls made of hinges move as well.
 
     Its axis goes through `point` [m] along `direction`, in the ground's frame at the configuration
     that was looked at. `joints` are those next to the group.
@@ -76,7 +76,7 @@ class IdleFreedom(InWords):
 
     @property
     def moving_velocities(self) -> np.ndarray:
-        """Which velocities (nv,) of the system are not zero (mask)."""
+        """Mask (nv,) of the velocities of the system that are not zero in this motion."""
         return self.velocity != 0.0
 
     def __str__(self) -> str:
@@ -96,7 +96,7 @@ class IdleFreedom(InWords):
 
 
 class Surroundings(NamedTuple):
-    """What groups and their ends are read from; it does not depend on the configuration.
+    """Neighbourhood of each body in the constraint graph, independent of the configuration.
 
     `of_body` are the numbers of the edges at each body, `part` the part of each body (bodies that
     joints without a velocity hold together), `looped` whether an edge is part of a loop, `uses` how
@@ -111,7 +111,7 @@ class Surroundings(NamedTuple):
 
 @kept
 def find_surroundings(system: Model) -> Surroundings:
-    """The surroundings of all bodies of a system."""
+    """Find the edges at each body, rigid parts, edges in loops and the use of each velocity."""
     s = build_constraint_graph(system)
     of_body: list[list[int]] = [[] for _ in system.body_names]
     part = np.arange(len(system.body_names))
@@ -130,19 +130,19 @@ def find_surroundings(system: Model) -> Surroundings:
 
 
 def is_rigid(edge: Edge) -> bool:
-    """Whether an edge holds its bodies together as one: a joint without a velocity."""
+    """Return whether an edge is a joint without freedom, which holds its two bodies together."""
     return edge.is_joint and all(c.index < 0 for c in edge.columns)
 
 
 def _has_only_slides(edge: Edge) -> bool:
-    """Whether an edge is a joint that at most slides."""
+    """Return whether an edge is a joint without rotations."""
     return edge.is_joint and all(c.index < 0 or c.slides for c in edge.columns)
 
 
 def _collect_connected_bodies(
     system: Model, body: int, passes: Callable[[int], bool]
 ) -> frozenset[int]:
-    """The bodies that are connected with a body by edges which `passes` accepts."""
+    """Collect the bodies that edges accepted by `passes` connect to a body."""
     s = build_constraint_graph(system)
     of_body = find_surroundings(system).of_body
     order = [body]
@@ -158,14 +158,14 @@ def _collect_connected_bodies(
 
 
 def _list_body_edges(system: Model, bodies: Iterable[int]) -> set[int]:
-    """Numbers of the edges at some bodies that do not hold them together as one."""
+    """List the numbers of the edges at given bodies, without rigid joints."""
     s = build_constraint_graph(system)
     of_body = find_surroundings(system).of_body
     return {i for b in bodies for i in of_body[b] if not is_rigid(s.edges[i])}
 
 
 def find_turning_columns(edge: Edge, uses: np.ndarray, driven: frozenset[int]) -> tuple[int, ...]:
-    """The columns of an edge that can turn alone; none where it turns about axes without a place.
+    """Find the velocities of an edge that can rotate on their own about an axis with a fixed place.
 
     Columns that others follow or that a motor drives are left out, screws too, and turns across
     whose axes the joint slides.
@@ -193,8 +193,9 @@ def find_turning_columns(edge: Edge, uses: np.ndarray, driven: frozenset[int]) -
 
 
 class Step(NamedTuple):
-    """An edge of an end: its sign (+1 where its child is on the side of the group), the columns that
-    may move, and the part of the bodies beyond.
+    """One edge of an `End`: the columns that may move, and the rigid part beyond the edge.
+
+    `sign` is +1 where the edge's child is on the side of the group.
     """
 
     edge: int
@@ -204,7 +205,7 @@ class Step(NamedTuple):
 
 
 class End(NamedTuple):
-    """What holds a group at a point: a joint, consecutive hinges whose axes meet, or a constraint.
+    """A connection that holds a group at a point: a joint, concurrent hinges, or a constraint.
 
     `steps` lead outwards. The point is fixed at `place` in frame M of the first edge, or in frame F
     (`of_child` false). `linkage`: an axis beyond goes through the point as well, so that these
@@ -228,20 +229,18 @@ class End(NamedTuple):
         return self.n_turns == 1
 
     def locate_point(self, at: Screws) -> Array:
-        """The point, relative to the screws' centre, in their unit."""
+        """Return the point (3,) of the end, relative to the centre of the screws and in their unit."""
         X = (at.M if self.of_child else at.F)[self.steps[0].edge]
         return (X[:3, :3] @ self.place + X[:3, 3] - at.center) / at.length
 
     def compute_twists(self, at: Screws) -> Array:
-        """The twists (6, k) of the group relative to what is beyond."""
+        """Compute the twists (6, k) of the group relative to the part beyond the end."""
         T = [step.sign * at.twists[step.edge][:, list(step.columns)] for step in self.steps]
         return T[0] if len(T) == 1 else np.concatenate(T, axis=1)
 
 
 def _find_ends(system: Model, at: Screws, driven: frozenset[int]) -> dict[tuple[int, bool], End]:
-    """The ends of groups, by the edge that they begin with and whether the group is on its child's
-    side.
-    """
+    """Find the ends of groups, by first edge and whether the group is on the side of its child."""
     found = {
         (i, of_child): _find_end(system, at, i, of_child, driven)
         for i in range(len(build_constraint_graph(system).edges))
@@ -253,7 +252,7 @@ def _find_ends(system: Model, at: Screws, driven: frozenset[int]) -> dict[tuple[
 def _find_end(
     system: Model, at: Screws, i: int, of_child: bool, driven: frozenset[int]
 ) -> End | None:
-    """The end that begins with edge i; None where it leaves no turn about a point or an axis."""
+    """Find the end that begins with edge i; None where no rotation about a point or axis is left."""
     e = build_constraint_graph(system).edges[i]
     around = find_surroundings(system)
     beyond = int(around.part[e.parent if of_child else e.child])
@@ -283,8 +282,9 @@ def _find_end(
 def _collect_meeting_joints(
     system: Model, at: Screws, first: Step, driven: frozenset[int]
 ) -> tuple[list[Step], Array]:
-    """A joint and those that follow outwards, as long as all axes meet in one point, until they are
-    as good as a ball; and the point.
+    """Collect consecutive joints outwards whose axes meet in one point; return joints and point.
+
+    The search stops when the joints allow all rotations, as a ball does.
 
     The links in between have two joints.
     """
@@ -313,7 +313,7 @@ def _collect_meeting_joints(
 
 
 def _list_part_edges(system: Model, part: int) -> set[int]:
-    """Numbers of the edges of a part, none of the ground's."""
+    """List the numbers of the edges of a rigid part; none for the part of the ground."""
     parts = find_surroundings(system).part
     return (
         _list_body_edges(system, np.flatnonzero(parts == part).tolist())
@@ -323,7 +323,7 @@ def _list_part_edges(system: Model, part: int) -> set[int]:
 
 
 def _passes_point(system: Model, at: Screws, i: int, point: Array) -> bool:
-    """Whether all axes of an edge go through a point."""
+    """Return whether all axes of rotation of an edge pass through a point."""
     turns = [
         c
         for c, column in enumerate(build_constraint_graph(system).edges[i].columns)
@@ -334,9 +334,7 @@ def _passes_point(system: Model, at: Screws, i: int, point: Array) -> bool:
 
 
 def find_common_point(twists: Array) -> Array | None:
-    """The point (3,) that the axes of turns (6, k) have in common; None where there is none or more
-    than one.
-    """
+    """Find the only point (3,) that the axes of rotations (6, k) share; None if there is none."""
     rows = np.concatenate([skew(w) for w in twists[3:].T])
     spectrum = Spectrum(rows)
     if spectrum.rank(Level.GENERIC) < 3:
@@ -350,14 +348,14 @@ def find_common_point(twists: Array) -> Array | None:
 
 
 class Group(NamedTuple):
-    """Bodies that may turn as one, and all that holds them."""
+    """Bodies that may turn as one body, with the ends that hold them."""
 
     bodies: frozenset[int]
     ends: tuple[End, ...]
 
 
 def find_spin_groups(system: Model, at: Screws, driven: frozenset[int], known: bool) -> list[Group]:
-    """All groups of bodies that may spin idly, by what does not depend on the configuration.
+    """Find all groups of bodies that may spin idly, from facts that no configuration changes.
 
     `driven` are velocities that a motor holds, `known` whether these are all. Where axes meet in a
     part that two joints share, they do so at every closed configuration, such as that of `at`.
@@ -374,7 +372,7 @@ def find_spin_groups(system: Model, at: Screws, driven: frozenset[int], known: b
 def _find_sliding_groups(
     system: Model, at: Screws, ends: dict[tuple[int, bool], End]
 ) -> Iterator[Group]:
-    """Groups that at most slide within, with all that is around them."""
+    """Find groups whose inner joints are at most slides, with all ends that hold each group."""
     s = build_constraint_graph(system)
     seen = _collect_connected_bodies(system, 0, lambda i: _has_only_slides(s.edges[i]))
     for body in range(1, len(system.body_names)):
@@ -405,7 +403,7 @@ def _find_sliding_groups(
 def _find_ball_groups(
     system: Model, ends: dict[tuple[int, bool], End], known: bool
 ) -> Iterator[Group]:
-    """Groups with any joints within that two balls part from the ground.
+    """Find groups, with any joints inside, that two balls separate from the ground.
 
     Two edges part bodies from the ground if each loop passes both of them or none.
     """
@@ -434,7 +432,7 @@ def _find_ball_groups(
 
 
 def _collect_bodies_between(system: Model, pair: tuple[int, int]) -> frozenset[int]:
-    """The bodies that two edges part from the ground."""
+    """Collect the bodies that a pair of edges separates from the ground."""
     e = build_constraint_graph(system).edges[pair[0]]
     bodies = _collect_connected_bodies(system, e.child, lambda i: i not in pair)
     return (
@@ -448,7 +446,7 @@ def _collect_bodies_between(system: Model, pair: tuple[int, int]) -> frozenset[i
 
 
 class Spin(NamedTuple):
-    """A turn of a group about a line while everything else rests.
+    """A rotation of a group about a line while all other bodies rest.
 
     The line is given by a point, relative to the screws' centre and in their unit, and a direction.
     `velocity` (nv,) is scaled as the screws are; `moving` are the ends with those of their steps
@@ -465,7 +463,7 @@ class Spin(NamedTuple):
 def _find_spins(
     system: Model, at: Sequence[Screws], driven: Iterable[int] | None
 ) -> Iterator[Spin]:
-    """The spins at the first of some configurations that exist at all of them.
+    """Find the spins that exist at all given configurations, as they are at the first.
 
     `driven` are the velocities that are known to be driven, besides joints marked so; None where
     nothing is known.
@@ -485,8 +483,9 @@ def _find_spins(
 
 
 def _find_spin_line(at: Screws, group: Group) -> tuple[Array, Array] | None:
-    """A point and the direction of the line through the points that hold a group, along all hinges
-    among them.
+    """Find the line through the points that hold a group: a point and a direction.
+
+    The line is along the axes of all hinges among the ends.
     """
     holds = [end for end in group.ends if not end.free]
     points = np.array([end.locate_point(at) for end in holds])
@@ -507,7 +506,7 @@ def _find_spin_line(at: Screws, group: Group) -> tuple[Array, Array] | None:
 
 
 def _find_spin(system: Model, at: Screws, group: Group) -> Spin | None:
-    """The spin of a group at one configuration; None where there is none."""
+    """Find the spin of a group at one configuration; None where there is none."""
     line = _find_spin_line(at, group)
     if line is None:
         return None
@@ -545,7 +544,7 @@ def _find_spin(system: Model, at: Screws, group: Group) -> Spin | None:
 def find_idle_freedoms(
     system: Model, ranks: Sequence[Rank], driven: Iterable[int] | None = None
 ) -> tuple[IdleFreedom, ...]:
-    """Independent idle freedoms at the first of `ranks`, as far as they are there at all of them.
+    """Find independent idle freedoms at the first of `ranks` that exist at all of them.
 
     `driven` are the velocities that are known to be driven, besides joints marked so; None where
     nothing is known.
@@ -565,12 +564,12 @@ def find_idle_freedoms(
 
 
 def can_have_idle_freedom(system: Model, rank: Rank, driven: Iterable[int] | None = None) -> bool:
-    """Whether anything looks like an idle freedom at one configuration."""
+    """Return whether a spin exists at one configuration that may be an idle freedom."""
     return any(True for _ in _find_spins(system, [rank.screws], driven))
 
 
 def _make_idle_freedom(system: Model, rank: Rank, spin: Spin) -> IdleFreedom | None:
-    """The answer about a spin; None where it moves a frame that somebody named."""
+    """Make the `IdleFreedom` of a spin; None where the spin moves a frame with a name."""
     s = build_constraint_graph(system)
     at = rank.screws
     part = find_surroundings(system).part

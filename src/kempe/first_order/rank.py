@@ -1,5 +1,6 @@
-"""The rank of all loop equations at one closed configuration, decided by a gap between singular
-values, and the velocities that all constraints allow there.
+"""Rank of the loop equations at a closed configuration, and the velocities they allow.
+
+The rank is decided by a gap between singular values.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ rows are looked at.
 
 @dataclass(frozen=True, eq=False)
 class ClusterRank:
-    """Rank of one cluster: singular values (descending), rank, gap; self-stress and the null space.
+    """Rank of one cluster of loops, with singular values, self-stresses and null space.
 
     `values` are parts of the largest, or of what turns and slides do to frames: where rows of
     constraints all vanish, the largest is rounding.
@@ -56,12 +57,12 @@ class ClusterRank:
 
     @property
     def nullity(self) -> int:
-        """Freedoms to first order."""
+        """Number of freedoms to first order: velocities less rank."""
         return len(self.cluster.velocities) - self.rank
 
     @property
     def n_dependent(self) -> int:
-        """Equations that depend on others."""
+        """Number of equations that depend on the others."""
         return len(self.jacobian) - self.rank
 
 
@@ -87,21 +88,20 @@ class Rank:
 
     @cached_property
     def n_dependent(self) -> int:
-        """Equations that depend on others to first order."""
+        """Number of equations that depend on the others, to first order."""
         return sum(c.n_dependent for c in self.clusters)
 
     @property
     def gap(self) -> float:
-        """Smallest ratio, over the clusters, of the last singular value that counts to the first
-        that does not.
+        """Smallest ratio of the last singular value counted in the rank to the first neglected one.
+
+        The smallest over all clusters.
         """
         return min((c.gap for c in self.clusters), default=np.inf)
 
     @property
     def doubtful(self) -> bool:
-        """Whether some gap is too small, or a singular value too near to zero, to be sure of the
-        rank.
-        """
+        """Whether the rank is uncertain: a small gap, or a singular value near the threshold."""
         return (
             self.gap < CLEAR_GAP
             or self.smallest_counted_value < 10.0 * Level.GENERIC
@@ -110,17 +110,13 @@ class Rank:
 
     @property
     def largest_neglected_value(self) -> float:
-        """Largest singular value that does not count, as a part of the largest of its cluster; 0 if
-        there is none.
-        """
+        """Largest singular value not counted in a rank, relative to its cluster's largest; else 0."""
         found = [c.values[c.rank] for c in self.clusters if c.rank < len(c.values)]
         return float(max(found, default=0.0))
 
     @property
     def smallest_counted_value(self) -> float:
-        """Smallest singular value that counts, as a part of the largest of its cluster; 1 where
-        there is none.
-        """
+        """Smallest singular value counted in a rank, relative to its cluster's largest; else 1."""
         found = [c.values[c.rank - 1] for c in self.clusters if c.rank]
         return float(min(found, default=1.0))
 
@@ -140,7 +136,7 @@ class Rank:
 
 
 def compute_rank(system: Model, q: Array) -> Rank:
-    """The rank of the loop equations at a closed configuration `q` (nq,)."""
+    """Compute the rank of the loop equations at a closed configuration `q` (nq,)."""
     s = build_constraint_graph(system)
     at = compute_screws(system, q)
     units = np.where(s.slides, at.length, 1.0)
@@ -161,6 +157,7 @@ def _compute_cluster_rank(
     units: Array,
     written: Mapping[str, Array],
 ) -> ClusterRank:
+    """Compute the rank of one cluster of loops."""
     J, size = _compute_cluster_jacobian(system, s, at, c, units, written)
     if not J.size:
         n = J.shape[1]
@@ -181,9 +178,7 @@ def _compute_cluster_jacobian(
     units: Array,
     written: Mapping[str, Array],
 ) -> tuple[Array, float]:
-    """Loop equations (rows, velocities of the cluster), scaled, and the largest twist of a
-    velocity.
-    """
+    """Compute the scaled Jacobian (rows, velocities) of a cluster, and its largest twist."""
     n = len(c.velocities)
     around = np.zeros((len(c.loops), 6, n))
     if c.loops and len(c.local):
@@ -212,7 +207,7 @@ def _compute_cluster_jacobian(
 def _compute_law_rows(
     system: Model, law: Law, written: Mapping[str, Array], columns: np.ndarray, units: Array
 ) -> Array:
-    """The rows (rows, velocities of the cluster) of a law."""
+    """Compute the Jacobian (rows, velocities of the cluster) of a law."""
     if isinstance(law.of, Declared):
         return written[law.name][:, columns]
     row = np.zeros((1, system.nv))
@@ -223,8 +218,9 @@ def _compute_law_rows(
 
 
 def compute_written_rows(system: Model, q: Array) -> dict[str, Array]:
-    """For each written constraint its rows (rows, nv) at q (nq,), as parts of the largest that they
-    are around q.
+    """Compute the scaled Jacobian (rows, nv) of each written constraint at q (nq,), by name.
+
+    Each row is divided by its largest norm around q.
 
     So their size does not depend on units, and where they vanish they are small.
     """
@@ -250,8 +246,9 @@ _PLANE = [0, 1, 5]
 
 
 def compute_loop_rows(system: Model, s: ConstraintGraph, at: Screws, loop: int) -> Array:
-    """Rows (k, 6) that the edge that closes a loop takes from the twist around it; their transpose
-    gives wrenches.
+    """Compute the rows (k, 6) that map the twist around a loop to its closing equations.
+
+    Their transpose maps multipliers to wrenches.
 
     They read the twist where the loop is closed, so that loops far away in a large mechanism are
     seen as others are.
@@ -273,8 +270,9 @@ OPEN = 1e-8
 
 
 def compute_allowed_velocities(closure: Closure, q: Array, inputs: Sequence[int] = ()) -> Array:
-    """Orthonormal basis (nv, k) of the velocities, without unit, that all constraints allow at a
-    closed q.
+    """Compute an orthonormal basis (nv, k) of the velocities that all constraints allow at q.
+
+    `q` (nq,) must be closed; velocities are scaled to be without unit.
 
     Where the `inputs` determine all other velocities of a large mechanism, it is found from theirs.
     """

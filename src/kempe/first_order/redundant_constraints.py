@@ -1,4 +1,4 @@
-"""Redundant constraints: self-stresses in the axes of each joint, and a smallest set of releases.
+"""Redundant constraints: self-stresses in the axes of each joint, and a small set of releases.
 
 A self-stress is a set of joint reactions in balance without any load; each is one redundant
 constraint. A released direction may move. Releases leave no self-stress, and give the mechanism no
@@ -70,8 +70,9 @@ PAIRS = {
 
 @dataclass(frozen=True)
 class Release(InWords):
-    """Directions that one joint (or constraint) need not hold, as reactions such as 'Mx', and what
-    could replace it.
+    """Directions that a joint or constraint need not hold, and a joint that could replace it.
+
+    `reactions` names the directions by their reactions, such as 'Mx'.
 
     `pair` names the joint that is left, such as 'a point-on-axis pair'.
     """
@@ -91,8 +92,7 @@ class Release(InWords):
 
 @dataclass(frozen=True)
 class Redundancy(InWords):
-    """Redundant constraints to first order: how many, what carries self-stress, and releases that
-    remove them all.
+    """Redundant constraints: their number, the joints under self-stress, and releases.
 
     `stressed` gives for each joint the reactions that carry self-stress, in the joint's own axes
     (forces F and moments M in axes of frame F, at the origin of M; of a universal joint in those of
@@ -112,9 +112,7 @@ class Redundancy(InWords):
 
 @dataclass(frozen=True, eq=False)
 class _JointReaction:
-    """One constraint direction: its joint, its name, and the reaction in it of each self-stress of
-    the cluster.
-    """
+    """One constraint direction of a joint, with its reaction in each self-stress of a cluster."""
 
     owner: str
     label: str
@@ -126,9 +124,7 @@ class _JointReaction:
 
     @property
     def sort_key(self) -> tuple[int, Any]:
-        """Order in which owners are taken: rods, passive joints, driven ones, couplings; then by
-        name.
-        """
+        """Order of release: rods, passive joints, driven joints, couplings; then names."""
         kind = (
             3
             if self.edge is None
@@ -142,7 +138,7 @@ class _JointReaction:
 
 
 def find_redundancy(system: Model, rank: Rank) -> Redundancy:
-    """The redundant constraints of a system at a closed configuration, whose `rank` is known."""
+    """Find the redundant constraints of a system at the closed configuration of `rank`."""
     stressed: dict[str, list[str]] = {}
     releases: list[Release] = []
     for c in rank.clusters:
@@ -168,8 +164,7 @@ def find_redundancy(system: Model, rank: Rank) -> Redundancy:
 
 
 def _list_joint_reactions(system: Model, rank: Rank, c: ClusterRank) -> list[_JointReaction]:
-    """One record for each constraint direction of a cluster of loops, with the reaction of each
-    self-stress in it.
+    """List the constraint directions of a cluster of loops with their reactions.
 
     `c` holds the self-stresses of the cluster, `rank` the screws of all joints at the same
     configuration.
@@ -222,7 +217,7 @@ def _list_joint_reactions(system: Model, rank: Rank, c: ClusterRank) -> list[_Jo
 
 
 def _name_reactions(of: Declared, dim: int) -> tuple[str, ...]:
-    """Names of what the rows of a declared constraint can carry, in the order of its screws."""
+    """Name the reactions of the equations of a declared constraint, in their order."""
     out: list[str] = []
     for row in position_rows(of.of, dim):
         if row.op in COUNTS:
@@ -236,8 +231,9 @@ def _name_reactions(of: Declared, dim: int) -> tuple[str, ...]:
 def compute_joint_directions(
     at: Screws, i: int, edge: Edge, dim: int
 ) -> tuple[tuple[str, ...], Array]:
-    """Names and scaled twists (k, 6) of elementary motions in the own axes of joint `i`, at the
-    origin of its M.
+    """Compute names and scaled twists (k, 6) of elementary motions in the axes of joint `i`.
+
+    The twists are taken at the origin of the joint's frame M.
     """
     form = _find_implicit_form(edge, dim)
     R = at.cross[i] if form is not None and form.turns == "x.y" else at.F[i, :3, :3]
@@ -255,19 +251,21 @@ def compute_joint_directions(
 
 
 def _find_implicit_form(edge: Edge, dim: int) -> ImplicitForm | None:
+    """Find the implicit form of the equations of a joint; None where there is none."""
     assert isinstance(edge.of, Joint)
     return implicit_form(edge.of.type, dim, edge.particle)
 
 
 def _is_slider(edge: Edge, dim: int) -> bool:
-    """Whether an edge of the plane slides along z of its frame F."""
+    """Return whether a planar joint slides along z of its frame F."""
     assert isinstance(edge.of, Joint)
     return slides_along_z(edge.of.type, dim, edge.particle)
 
 
 def _find_free_directions(edge: Edge, dim: int) -> frozenset[str] | None:
-    """Directions in which a joint moves, in axes of F, or of its cross; None where they are not
-    always the same.
+    """Find the directions in which a joint moves, in axes of F or of its cross.
+
+    None where they are not always the same.
     """
     assert isinstance(edge.of, Joint)
     form = _find_implicit_form(edge, dim)
@@ -281,9 +279,7 @@ def _find_free_directions(edge: Edge, dim: int) -> frozenset[str] | None:
 
 
 def _find_unheld_directions(names: Sequence[str], twists: Array, moves: Array) -> frozenset[str]:
-    """Directions (by their `twists`) that need not be held besides others for a joint that only
-    `moves` (6, n).
-    """
+    """Find the directions that a joint with the motions `moves` (6, n) need not hold."""
     basis = Spectrum(moves).range(Level.GENERIC)
     held: set[str] = set()
     for part in (WELL, CARRIES):
@@ -300,7 +296,7 @@ def _find_unheld_directions(names: Sequence[str], twists: Array, moves: Array) -
 
 
 def _choose_releases(rows: Sequence[_JointReaction], count: int) -> list[list[_JointReaction]]:
-    """Constraint directions, grouped by joint, whose removal leaves no self-stress.
+    """Choose constraint directions, grouped by joint, whose removal leaves no self-stress.
 
     Joints that remove most come first, so that they are few.
     """
@@ -334,8 +330,9 @@ def _choose_releases(rows: Sequence[_JointReaction], count: int) -> list[list[_J
 def _select_independent_rows(
     rows: Sequence[_JointReaction], left: Array, part: float
 ) -> list[_JointReaction]:
-    """Rows that are independent on the self-stresses that are `left`, in the given order, each by
-    `part` at least.
+    """Select, in order, reactions that are independent in the self-stresses `left`.
+
+    Each must exceed `part` across the ones before.
     """
     basis: list[Array] = []
     out: list[_JointReaction] = []
@@ -356,11 +353,12 @@ _DIRECTION_OF = {reaction: direction for direction, reaction in REACTIONS.items(
 
 
 def _find_direction(row: _JointReaction) -> str:
+    """Find the direction of a reaction; '' where there is none."""
     return _DIRECTION_OF.get(row.label, "")
 
 
 def _make_release(rows: Sequence[_JointReaction], dim: int) -> Release:
-    """The release of some constraint directions of one joint or constraint."""
+    """Make the release of constraint directions of one joint or constraint."""
     edge = rows[0].edge
     labels = tuple(r.label for r in rows if r.label)
     if edge is None:
@@ -384,7 +382,7 @@ def _make_release(rows: Sequence[_JointReaction], dim: int) -> Release:
 
 
 def _list_possible_directions(edge: Edge, dim: int) -> AbstractSet[str]:
-    """Directions in which the child of a joint could move at all."""
+    """List the directions in which the child of a joint could move at all."""
     if dim == 3:
         return set(DIRECTIONS[:3] if edge.particle else DIRECTIONS)
     if _is_slider(edge, dim):
@@ -393,8 +391,9 @@ def _list_possible_directions(edge: Edge, dim: int) -> AbstractSet[str]:
 
 
 def name_pair(free: set[str]) -> str:
-    """Name of the pair that moves in these directions ('x', ..., 'rz'), whatever its axes are
-    called.
+    """Name the kinematic pair that moves in the directions `free` ('x', ..., 'rz').
+
+    The names of the axes do not matter.
     """
     for axes in permutations("xyz"):
         renamed = dict(zip("xyz", axes, strict=True))
@@ -406,7 +405,7 @@ def name_pair(free: set[str]) -> str:
 
 
 def describe_motions(free: set[str]) -> str:
-    """'slides along x and turns about y, z' for {'x', 'ry', 'rz'}."""
+    """Describe motions, such as 'slides along x and turns about y, z' for {'x', 'ry', 'rz'}."""
     slides, turns = (
         ", ".join(d[-1] for d in DIRECTIONS if d in free and len(d) == n) for n in (1, 2)
     )
@@ -415,7 +414,7 @@ def describe_motions(free: set[str]) -> str:
 
 
 def describe_reactions(reactions: Sequence[str]) -> str:
-    """'two moments and one force' for ('Mx', 'My', 'Fz')."""
+    """Describe reactions, such as 'two moments and one force' for ('Mx', 'My', 'Fz')."""
     moments = sum(r.startswith("M") for r in reactions)
     parts = [(moments, "moment"), (len(reactions) - moments, "force")]
     return " and ".join(in_words(n, what) for n, what in parts if n)

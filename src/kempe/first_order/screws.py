@@ -1,4 +1,4 @@
-"""The joints of a system as screws at one configuration.
+"""Joints as screws: the twists of all joints of a system at one configuration.
 
 All twists are [v; w] of the child relative to the parent, in axes of the ground, at one reference
 point in the middle of the mechanism, with lengths in units of a typical link: so ranks and
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Screws:
-    """The screws of all edges at one configuration, where it is closed.
+    """The screws of all edges of the constraint graph at a closed configuration.
 
     `twists[i]` (6, columns of edge i), scaled as the module says; `F`, `M` (n, 4, 4) are the frames
     in the ground.
@@ -50,21 +50,17 @@ class Screws:
 
     @cached_property
     def reach(self) -> float:
-        """How many lengths the frames are away from the reference point, at most."""
+        """Largest distance of a frame from the reference point, in characteristic lengths."""
         d = np.concatenate([self.F[:, :3, 3], self.M[:, :3, 3]]) - self.center
         return float(np.sqrt(np.max(np.sum(d * d, axis=1), initial=0.0))) / self.length
 
     def compute_wrench_rows(self, edge: int, of: Declared, dim: int) -> Array:
-        """Rows (k, 6) that map the relative twist of its bodies to the rates of a declared
-        constraint.
-        """
+        """Compute the rows (k, 6) that map a relative twist to the rates of a declared constraint."""
         rows = (r for r in position_rows(of.of, dim) if r.op not in (Op.TAPE, Op.CALL))
         return np.concatenate([self._compute_rate_rows(edge, r, dim) for r in rows])
 
     def _compute_rate_rows(self, edge: int, row: Row, dim: int) -> Array:
-        """Rows (k, 6) that map the twist of frame M relative to F to the rates of one row of
-        equations.
-        """
+        """Compute the rows (k, 6) that map the twist of M relative to F to the rates of `row`."""
         p = self.M[edge, :3, 3]
         R = self.F[edge, :3, :3]
         S = self.M[edge, :3, :3]
@@ -90,14 +86,12 @@ class Screws:
         return np.hstack([along, np.cross((p - self.center) / self.length, along)])[None]
 
     def compute_point_rows(self, edge: int, dim: int) -> Array:
-        """Rows (dim, 6) that map a twist to the velocity of the origin of frame M."""
+        """Compute the rows (dim, 6) that map a twist to the velocity of the origin of frame M."""
         r = (self.M[edge, :3, 3] - self.center) / self.length
         return np.hstack([np.eye(3), -spatial.skew(r)])[:dim]
 
     def build_shift_matrices(self, edges: Sequence[int]) -> Array:
-        """Matrices (n, 6, 6) that move the reference point of twists to the origins of the frames M
-        of edges.
-        """
+        """Build matrices (n, 6, 6) that move twists to the origins of the frames M of edges."""
         out = np.zeros((len(edges), 6, 6))
         out[:, range(6), range(6)] = 1.0
         x, y, z = ((self.M[list(edges), :3, 3] - self.center) / self.length).T
@@ -111,7 +105,7 @@ class Screws:
 
 
 def compute_screws(system: Model, q: Array) -> Screws:
-    """The screws of all joints at a closed configuration `q` (nq,)."""
+    """Compute the screws of all joints at a closed configuration `q` (nq,)."""
     s = build_constraint_graph(system)
     bodies = fk(system, q)
     F = bodies[s.parent] @ s.X_PF
@@ -138,7 +132,7 @@ def compute_screws(system: Model, q: Array) -> Screws:
 
 
 def _compute_twist(kind: int, axis: Array, r: Array) -> Array:
-    """Scaled twist of a turn about, or a slide along, an axis through r."""
+    """Compute the scaled twist (6,) of a rotation about, or a slide along, an axis through r."""
     out = np.zeros(6)
     if kind == P:
         out[:3] = axis
@@ -159,7 +153,7 @@ def _compute_joint_twists(
     cross: dict[int, Array],
     i: int,
 ) -> Array:
-    """Twists (6, columns) of a joint with several primitives, walked from F."""
+    """Compute the twists (6, columns) of a joint with several primitives, beginning at frame F."""
     X = F.copy()
     out = np.zeros((6, len(edge.columns)))
     last = len(edge.primitives) - 1

@@ -1,5 +1,4 @@
-"""Wrenches that joints and constraints transmit: the multipliers of their equations, in maximal
-coordinates.
+"""Wrenches of joints and constraints: multipliers of their equations in maximal coordinates.
 
 There each body is on its own, so that a multiplier of an equation is a force and a moment on the
 bodies that it ties (Lanczos, The Variational Principles of Mechanics, 1970, chapter 2). Where the
@@ -42,8 +41,9 @@ SMALL = 1e-9
 
 
 class _WrenchRow(NamedTuple):
-    """One equation in maximal coordinates: what it belongs to, its name, its unit, whether it
-    always counts, rates.
+    """One equation in maximal coordinates: its joint or constraint, name, unit and rates.
+
+    `lasting` says whether the equation always holds.
     """
 
     of: str
@@ -55,7 +55,7 @@ class _WrenchRow(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SelfStress(InWords):
-    """Reactions in balance without a load: what statics leaves undetermined.
+    """Reactions that balance each other without a load, which statics cannot determine.
 
     `wrenches` (6,) are [force; moment] on the child of each joint or constraint that takes part, in
     axes of the ground, at the origin of its frame M (B of a constraint); `multipliers` are those of
@@ -74,8 +74,7 @@ class SelfStress(InWords):
 
 @dataclass(frozen=True, eq=False)
 class Reactions(InWords):
-    """What balances given loads: `wrenches` (6,) by joint and constraint as in `SelfStress`,
-    `efforts` of held inputs.
+    """Reactions that balance given loads: wrenches by joint or constraint, efforts of held inputs.
 
     `undetermined` names those that statics alone does not determine: any self-stress may be added
     to them.
@@ -96,8 +95,7 @@ class Reactions(InWords):
 @explained_methods
 @dataclass(frozen=True, eq=False)
 class Wrenches:
-    """The wrenches that joints and constraints of a system can transmit at a closed configuration
-    `q` (nq,).
+    """The wrenches that joints and constraints can transmit at a closed configuration `q` (nq,).
 
     ``wrenches[name]`` (k, 6) has a basis for a joint; for a constraint one wrench for a unit
     multiplier of each of its rows, one-sided rows and those of velocity included. Each is [force;
@@ -112,9 +110,7 @@ class Wrenches:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """The joints, then the constraints, couplings with several sources, and laws of
-        coordinates.
-        """
+        """Names of the joints, constraints, couplings with several sources, and coordinate laws."""
         return tuple(dict.fromkeys(row.of for row in self._rows))
 
     def __getitem__(self, name: str) -> Array:
@@ -128,15 +124,13 @@ class Wrenches:
         return _reduce_rows(held[:, spectrum.clear_rank()[0] :].T @ own)
 
     def locate_wrench(self, name: str) -> Array:
-        """Where (3,) a wrench is taken: the origin of frame M of a joint, of frame B of a
-        constraint.
+        """Return the point (3,) of a wrench: the origin of frame M, or of a constraint's frame B.
         """
         self._select_rows(name)
         return self._ends.get(name, ("", 1.0, np.zeros(3)))[2]
 
     def compute_generalised_forces(self, name: str) -> Array:
-        """Generalised forces (k, nv) on the coordinates, for a unit multiplier of each row of a
-        constraint: rows J'.
+        """Compute generalised forces (k, nv) for a unit multiplier of each row of a constraint.
 
         They do no work on any velocity that the constraints allow; those of joints in the tree are
         zero.
@@ -145,7 +139,7 @@ class Wrenches:
 
     @cached_property
     def stresses(self) -> tuple[SelfStress, ...]:
-        """The states of self-stress, as many as constraints are redundant at `q`.
+        """States of self-stress, one for each redundant constraint at `q`.
 
         In each, the largest force is 1, or where there is none the largest moment.
         """
@@ -184,8 +178,7 @@ class Wrenches:
         return tuple(out)
 
     def balance_loads(self, loads: Mapping[str, Any], held: Iterable[str] = ()) -> Reactions:
-        """The reactions that balance `loads` in statics, with the coordinates `held` by motors or
-        locks.
+        """Compute the reactions that balance `loads` in statics, with coordinates `held` by motors.
 
         A load is [force; moment] (6,), or a force (3,), on a frame at its origin, in axes of the
         ground; in the plane [fx, fy, moment] (3,) or a force (2,). Bodies have no weight but what
@@ -228,7 +221,7 @@ class Wrenches:
         return Reactions(wrenches, efforts, tuple(n for n in self.names if n in loose))
 
     def describe_stresses(self) -> list[str]:
-        """The states of self-stress for a report; none where there are too many equations."""
+        """Describe the states of self-stress in lines; none for systems of many equations."""
         if len(self._balance_matrix) > MOST:
             return []
         head = (
@@ -238,7 +231,7 @@ class Wrenches:
         return [head, *cut([str(s) for s in self.stresses], SHOWN)] if self.stresses else []
 
     def export_stresses(self) -> list[dict[str, Any]]:
-        """The states of self-stress as plain data; none where there are too many equations."""
+        """Return the states of self-stress as plain data; none for systems of many equations."""
         states = self.stresses if len(self._balance_matrix) <= MOST else ()
         return [
             {
@@ -264,8 +257,7 @@ class Wrenches:
 
     @cached_property
     def _bodies(self) -> list[tuple[str, int]]:
-        """The bodies, each with the first of its velocities; last, under '', that of the first of
-        the joints.
+        """The bodies, each with the index of its first velocity; last, '' with that of the joints.
         """
         m = self._mechanism
         at = 0
@@ -332,17 +324,17 @@ class Wrenches:
 
     @property
     def _length(self) -> float:
-        """The length in which lengths are measured, so that they compare with angles."""
+        """Characteristic length, which makes lengths comparable with angles."""
         return closure_rows.full(self._maximal[0], True).length
 
     @cached_property
     def _scale(self) -> Array:
-        """Units of the velocities."""
+        """Units of the velocities in maximal coordinates."""
         return closure_rows.scales(self._maximal[0])
 
     @cached_property
     def _force_factors(self) -> Array:
-        """What a multiplier of `_balance_matrix` is, as one of the equations as they are."""
+        """Factors from multipliers of the scaled equations to multipliers of the equations."""
         length = self._length
         return np.array(
             [1.0 / length if r.unit.startswith("m") else 1.0 for r in self._rows if r.lasting]
@@ -350,9 +342,7 @@ class Wrenches:
 
     @cached_property
     def _balance_matrix(self) -> Array:
-        """The lasting equations (m, velocities), scaled: multipliers that they take to zero are in
-        balance.
-        """
+        """Scaled equations (m, velocities) that always hold; its left null space is balanced."""
         J = np.array([r.rates for r in self._rows if r.lasting]).reshape(-1, self._n_velocities)
         return J * self._force_factors[:, None] * self._scale
 
@@ -362,9 +352,7 @@ class Wrenches:
 
     @cached_property
     def _tree_rates(self) -> Array:
-        """Rates (velocities of `maximal`, nv): how bodies and joints move where the tree's
-        coordinates do.
-        """
+        """Velocities (of `maximal`, nv) of bodies and joints for those of the tree's coordinates."""
         system = self.system
         out = np.zeros((self._n_velocities, self.system.nv))
         for body, at in self._bodies[:-1]:
@@ -379,9 +367,7 @@ class Wrenches:
     # ---- wrenches
 
     def _compute_body_wrench(self, body: str, rates: Array) -> Array:
-        """The wrench (6,) on a body, at its origin in axes of the ground, of a multiplier of an
-        equation.
-        """
+        """Compute the wrench (6,) of an equation on a body, at its origin in axes of the ground."""
         system = self.system
         at = self._first_velocities[body]
         out = np.zeros(6)
@@ -396,9 +382,7 @@ class Wrenches:
 
     @cached_property
     def _ends(self) -> dict[str, tuple[str, float, Array]]:
-        """Of each joint and constraint of bodies: a body that is not the ground, the sign of its
-        wrench, the point.
-        """
+        """For each joint and constraint: a body that it acts on, the sign of the wrench, its point."""
         m = self._mechanism
         ground = self.system.body_names[0]
         out: dict[str, tuple[str, float, Array]] = {}
@@ -415,7 +399,8 @@ class Wrenches:
         return out
 
     def _compute_wrench(self, name: str, rates: Array) -> Array:
-        """The wrench (6,) on the child of a joint or constraint, at its point."""
+        """Compute the wrench (6,) of an equation on a joint's or constraint's child, at its point.
+        """
         if name not in self._ends:
             return np.zeros(6)
         body, sign, point = self._ends[name]
@@ -424,7 +409,7 @@ class Wrenches:
         return out
 
     def _compute_load(self, frame: str, load: Any) -> Array:
-        """A load on a frame as generalised forces in maximal coordinates."""
+        """Convert a load on a frame to generalised forces in maximal coordinates."""
         system = self.system
         x = numbers(load, f"load on {frame!r}")
         name = system.structure.frame_name(frame)
@@ -453,8 +438,9 @@ class Wrenches:
 
 
 def _reduce_rows(rows: Array, first: np.ndarray | None = None) -> Array:
-    """The same space of rows (k, n), each with a 1 where all others have 0; what is rounding is
-    zero.
+    """Return a basis (k, n) of the rows' space in which each row has a 1 where others have 0.
+
+    Rounding errors are set to zero.
 
     The ones are in the columns `first` (n,) as far as they can be.
     """
@@ -477,7 +463,7 @@ def _reduce_rows(rows: Array, first: np.ndarray | None = None) -> Array:
 
 
 def _format_wrench(wrench: Array) -> str:
-    """A wrench in words: 'force (0, 0, 1), moment (0.2, 0, 0)', without what is zero."""
+    """Format a wrench without zero parts, such as 'force (0, 0, 1), moment (0.2, 0, 0)'."""
     parts = [
         (what, part) for what, part in (("force", wrench[:3]), ("moment", wrench[3:])) if part.any()
     ]
