@@ -124,8 +124,7 @@ class Wrenches:
         return _reduce_rows(held[:, spectrum.clear_rank()[0] :].T @ own)
 
     def locate_wrench(self, name: str) -> Array:
-        """Return the point (3,) of a wrench: the origin of frame M, or of a constraint's frame B.
-        """
+        """Return the point (3,) of a wrench: the origin of frame M, or of a constraint's frame B."""
         self._select_rows(name)
         return self._ends.get(name, ("", 1.0, np.zeros(3)))[2]
 
@@ -257,8 +256,7 @@ class Wrenches:
 
     @cached_property
     def _bodies(self) -> list[tuple[str, int]]:
-        """The bodies, each with the index of its first velocity; last, '' with that of the joints.
-        """
+        """The bodies, each with the index of its first velocity; last, '' with that of the joints."""
         m = self._mechanism
         at = 0
         out: list[tuple[str, int]] = []
@@ -399,8 +397,7 @@ class Wrenches:
         return out
 
     def _compute_wrench(self, name: str, rates: Array) -> Array:
-        """Compute the wrench (6,) of an equation on a joint's or constraint's child, at its point.
-        """
+        """Compute the wrench (6,) of an equation on a joint's or constraint's child, at its point."""
         if name not in self._ends:
             return np.zeros(6)
         body, sign, point = self._ends[name]
