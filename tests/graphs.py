@@ -11,7 +11,7 @@ from own_joints import PRODUCTS, variants
 
 from kempe import Mechanism, System
 from kempe.joints import TYPES, P, joint_type
-from kempe.model.implicit_form import slides_along_z
+from kempe.model.implicit_form import has_slide_along_z
 
 KINDS: list[tuple[str, dict]] = [(name, o) for name, t in TYPES.items() for o in variants(t, 0.3)]
 PLANAR_KINDS: list[tuple[str, dict]] = [(name, {}) for name, t in TYPES.items() if t.planar]
@@ -68,7 +68,7 @@ class Graph:
                 }
             if e.child in self.particles:
                 where = {k: v for k, v in where.items() if not k.startswith("child")}
-            if self.dim == 2 and slides_along_z(joint_type(e.kind, **e.options), 2, False):
+            if self.dim == 2 and has_slide_along_z(joint_type(e.kind, **e.options), 2, False):
                 where["axis"] = (0.6, -0.8)
             m.joint(
                 e.name,
@@ -108,7 +108,7 @@ class Graph:
         particle = e.child in self.particles
         names = joint_type(e.kind, **e.options).coordinates(self.dim, particle)
         q = [values[f"{e.name}.{c}" if c else e.name] for c in names]
-        if self.dim == 2 and slides_along_z(joint_type(e.kind, **e.options), 2, False):
+        if self.dim == 2 and has_slide_along_z(joint_type(e.kind, **e.options), 2, False):
             return reference.slide("x", 0.6 * q[0]) @ reference.slide("y", -0.8 * q[0])
         return reference.joint_pose(e.kind, q, dim=self.dim, particle=particle, **e.options)
 

@@ -48,7 +48,7 @@ from kempe.joints import (
     Revolute,
     joint_type,
 )
-from kempe.model.implicit_form import implicit_form
+from kempe.model.implicit_form import find_implicit_form
 from kempe.views.drawing import symbols
 from kempe.views.drawing.scene import look
 from kempe.views.drawing.solids import Solids
@@ -137,7 +137,7 @@ def test_closures_in_numpy(own, kind, dim):
     )
     s = shape.system(frozenset({"j2"}))
     steps = 1e-6 * np.eye(s.nv)
-    judge = closures.closure_of(s, "j2", own or implicit_form(kind, dim) is None)
+    judge = closures.closure_of(s, "j2", own or find_implicit_form(kind, dim) is None)
     for closure in [c for c in closure_rows.of_system(s, own) if c.name == "j2"]:
         q = s.random(3)
         ends = [

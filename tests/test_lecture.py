@@ -21,7 +21,7 @@ from kempe import Mechanism, System, spatial
 from kempe.forward.maximal import maximal_q
 from kempe.joints import TYPES, Spherical, joint_type
 from kempe.library import lecture
-from kempe.model.structural_order import natural
+from kempe.model.structural_order import make_sort_key
 
 
 def dof_by_counting(system: System) -> int:
@@ -403,7 +403,7 @@ def test_connectivity_prints():
 
 def test_joint_i_is_the_parent_joint_of_body_i():
     system = kempe.load("seven_bodies")
-    assert sorted(system.joint_names, key=natural) == list(system.structure.parent_joints)
+    assert sorted(system.joint_names, key=make_sort_key) == list(system.structure.parent_joints)
 
 
 def test_j6_closes_the_loop():

@@ -15,8 +15,8 @@ import numpy as np
 from kempe import spatial
 from kempe.errors import UnsupportedError
 from kempe.kernels.forward.table_layout import BALL, SLIDE, TURN
-from kempe.model.characteristic_length import characteristic_length
-from kempe.model.implicit_form import implicit_form
+from kempe.model.characteristic_length import compute_characteristic_length
+from kempe.model.implicit_form import find_implicit_form
 
 if TYPE_CHECKING:
     from kempe.description.parts import Joint
@@ -69,7 +69,7 @@ class Link:
         all bodies.
         """
         between = spatial.inverse(X[self.a] @ self.X_a) @ (X[self.b] @ self.X_b)
-        form = implicit_form(self.joint.type)
+        form = find_implicit_form(self.joint.type)
         if form is None:
             raise UnsupportedError(f"joint {self.joint.name!r} has no implicit form")
         slides = form.position
@@ -152,7 +152,7 @@ class Tree:
             )
         if kind == "spherical" or self.system.dim == 2:
             return np.zeros((1, 3))
-        return np.array([[0.0, 0.0, 0.0], [0.0, 0.0, characteristic_length(self.system)]])
+        return np.array([[0.0, 0.0, 0.0], [0.0, 0.0, compute_characteristic_length(self.system)]])
 
     @cached_property
     def in_tree(self) -> np.ndarray:

@@ -77,7 +77,7 @@ def binned(bench: Bench) -> Table:
 def by_hand(system, frame: str, n: int, box: list[tuple[float, float]]) -> np.ndarray:
     """The same map as one would write it with numpy alone: matrices of joints, then a histogram."""
     table = system.structure.table
-    rows = table.path(frame)
+    rows = table.find_path(frame)
     q = np.random.default_rng(0).uniform(system.lower, system.upper, (n, system.nq))
     X = np.broadcast_to(np.eye(4), (n, 4, 4))
     for row in rows:

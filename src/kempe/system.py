@@ -251,7 +251,7 @@ class System(Model, Pictured):
 
         It is read-only: `mid.copy()` is one to change.
         """
-        return configurations.mid(self)
+        return configurations.compute_mid_configuration(self)
 
     def random(
         self, rng: np.random.Generator | int | None = None, shape: int | tuple[int, ...] = ()
@@ -259,7 +259,7 @@ class System(Model, Pictured):
         """Configurations (*shape, nq), uniform inside the limits; free angles in (-pi, pi], free
         lengths in (-1, 1).
         """
-        return configurations.random(self, rng, shape)
+        return configurations.sample_configurations(self, rng, shape)
 
     def q(self, coordinates: Mapping[str, float] | str, base: ArrayLike | None = None) -> Array:
         """Configuration (..., nq) from values by coordinate name, or of a named posture.
@@ -268,11 +268,11 @@ class System(Model, Pictured):
         others may be named, too, where they fit. A message JointState of ROS is taken as well.
         Numbers are only written down: no loop is closed (`assemble` closes them).
         """
-        return configurations.q_from_dict(self, coordinates, base)
+        return configurations.make_q(self, coordinates, base)
 
     def q_dict(self, q: ArrayLike) -> dict[str, float]:
         """Values by coordinate name of one configuration (nq,)."""
-        return configurations.q_dict(self, q)
+        return configurations.make_q_dict(self, q)
 
     # ---- groups of joints
 

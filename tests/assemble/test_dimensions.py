@@ -10,7 +10,7 @@ from shipped import shipped, with_loops
 import kempe
 from kempe.assemble.dimensions import Dimensions, Relations
 from kempe.equations.closure_rows import evaluate
-from kempe.model.packed_loops import loops_of
+from kempe.model.packed_loops import get_packed_loops
 
 LOOPS = [name for name in with_loops() if shipped()[name].nv <= 20]
 STEP = 1e-5
@@ -41,11 +41,15 @@ def test_derivatives_by_dimensions_are_those_by_differences(system, hunt):
     shape = Dimensions(system)
     p = 0.01 * rng.normal(size=shape.size)
     layout = system.structure.layout
-    q = layout.integrate(np.tile(system.neutral, (2, 1)), 0.3 * rng.normal(size=(2, system.nv)))
+    q = layout.integrate_velocity(
+        np.tile(system.neutral, (2, 1)), 0.3 * rng.normal(size=(2, system.nv))
+    )
 
     def equations(p: np.ndarray) -> np.ndarray:
         changed = shape.changed(p)
-        loops = loops_of(changed, frozenset(changed.structure.closures), length=shape.length)
+        loops = get_packed_loops(
+            changed, frozenset(changed.structure.closures), length=shape.length
+        )
         return evaluate(changed, q, False, loops=loops)[0]
 
     found = shape.derivative(p, q)

@@ -25,7 +25,7 @@ from kempe import Mechanism, System
 from kempe.assemble import nearest_exact
 from kempe.budget import look
 from kempe.errors import InputError, TimeLimitError
-from kempe.model.characteristic_length import characteristic_length
+from kempe.model.characteristic_length import compute_characteristic_length
 from kempe.numerics import clock
 from kempe.poses import Placement
 from kempe.spatial import rot_x, rot_y, rot_z
@@ -280,7 +280,7 @@ def test_hunt_families_of_the_literature_move_when_rounded(family, hunt):
         count += 1
         digits = int(rng.integers(3, 7))
         given = rounded(system, digits, rng)
-        if 10.0**-digits > 0.4 * nearest_exact.WIDEST * characteristic_length(system):
+        if 10.0**-digits > 0.4 * nearest_exact.WIDEST * compute_characteristic_length(system):
             continue  # the largest tolerance may be smaller than what rounding has changed
         found: Any = given.idealised()
         assert (
@@ -576,10 +576,10 @@ def test_loops_that_close_with_any_dimensions_are_not_searched(monkeypatch):
 
 def test_offsets_of_axes_that_should_meet_do_not_decide_the_size():
     """Of two spherical triples, whose links are points, rounding makes no mechanism of micrometres."""
-    size = characteristic_length(spherical_triples())
+    size = compute_characteristic_length(spherical_triples())
     for digits in (3, 4, 6, 9):
         system = rounded(spherical_triples(), digits, np.random.default_rng(0))
-        assert characteristic_length(system) == pytest.approx(size, rel=1e-2)
+        assert compute_characteristic_length(system) == pytest.approx(size, rel=1e-2)
 
 
 # ---- what is refused

@@ -18,7 +18,7 @@ from kempe.description.toml_reader import read_toml
 from kempe.description.toml_writer import write_toml
 from kempe.errors import DescriptionError, InputError
 from kempe.kernels.compiled import tape_evaluation as kernel
-from kempe.model.constraint_program import recorded
+from kempe.model.constraint_program import record_rows
 
 ROUND = np.linspace(0.0, 2.0 * np.pi, 25)
 RING = np.stack([1.5 * np.cos(ROUND), 0.8 * np.sin(ROUND), 0.3 * np.sin(2.0 * ROUND)], axis=1)
@@ -33,7 +33,7 @@ CURVES = {
 
 def tape_of(points, closed: bool, dim: int) -> Tape:
     made = c.OnCurve("tip", np.asarray(points)[:, :dim], closed)
-    return recorded(made, list(made.rows(dim)), dim).tape
+    return record_rows(made, list(made.rows(dim)), dim).tape
 
 
 def judged(t: Tape, p: np.ndarray) -> np.ndarray:

@@ -21,7 +21,7 @@ from kempe import constraints as c
 from kempe.equations import closure_rows
 from kempe.errors import InputError
 from kempe.joints import joint_type
-from kempe.model.implicit_form import implicit_form
+from kempe.model.implicit_form import find_implicit_form
 
 STEP = 1e-6
 
@@ -169,7 +169,7 @@ def test_closures(kind, options, dim, particle, backwards, own):
     s = loop(kind, options, dim, particle, backwards)
     closure = closure_of(s, "J", own)
     type_ = joint_type(kind, **options)  # its constraints: see TABLE in tests/test_joint_zoo.py
-    explicit = own or implicit_form(type_, dim, particle) is None
+    explicit = own or find_implicit_form(type_, dim, particle) is None
     assert closure.size == type_.constraints(dim, particle) + (
         type_.dof(dim, particle) if explicit else 0
     )
@@ -209,7 +209,7 @@ def test_closed_loops_have_no_residual(kind, options, dim, particle, backwards):
         closure = closure_of(s, "J", own)
         np.testing.assert_allclose(closure.residual(s, q), 0, atol=1e-12)
         check(closure, s, q[None])
-    judge = closures.closure_of(s, "J", own=implicit_form(joint.type, dim, particle) is None)
+    judge = closures.closure_of(s, "J", own=find_implicit_form(joint.type, dim, particle) is None)
     J = closure_of(s, "J").jacobian(s, q)
     K = judge.jacobian(s, q)
     # none too many
@@ -325,7 +325,7 @@ def test_same_zeros_as_closure_error(graph, seed):
 @pytest.mark.parametrize("at", [(0.0, 0.0), (1000.0, -2000.0)])
 def test_the_characteristic_length_is_of_the_links(cut, at):
     """Neither the cut nor where the ground has its origin matters."""
-    assert closure_rows.characteristic_length(four_bar(cut=cut, at=at)) == pytest.approx(
+    assert closure_rows.compute_characteristic_length(four_bar(cut=cut, at=at)) == pytest.approx(
         0.4, rel=1e-9
     )
 

@@ -12,7 +12,7 @@ from shipped import shipped
 import kempe
 from kempe.errors import InputError, UnsupportedError
 from kempe.model.configurations import has_loops
-from kempe.model.packed_loops import must_be_explicit
+from kempe.model.packed_loops import find_explicit_joints
 
 sympy = pytest.importorskip("sympy")
 
@@ -42,7 +42,7 @@ def test_equations_are_zero_where_closed_and_have_the_rank_of_the_loops(name):
     cut = [
         system.structure.joints[j]
         for j in system.structure.closures
-        if j not in must_be_explicit(system)
+        if j not in find_explicit_joints(system)
     ]
     absent = sum(j.type.dof(system.dim) for j in cut)  # coordinates of cut joints do not occur
     rank = np.linalg.matrix_rank(J, tol=1e-6)

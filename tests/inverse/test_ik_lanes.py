@@ -338,7 +338,7 @@ BATTERY = 10_000
 
 def at_limits(robot, frame, q, rng):
     """Half of the chain's joints exactly at a limit, of those that have limits."""
-    rows = robot.structure.table.path(frame)
+    rows = robot.structure.table.find_path(frame)
     v = np.array(sorted({int(robot.structure.table.iv[k]) for k in rows}))
     at = np.array(
         [

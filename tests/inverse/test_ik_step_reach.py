@@ -17,7 +17,7 @@ import kempe
 from kempe import Mechanism, System, spatial, tasks
 from kempe.inverse.chain.serial_chain import chain_of
 from kempe.inverse.ik_step import SLIDING, TURNING, speeds
-from kempe.model.characteristic_length import characteristic_length
+from kempe.model.characteristic_length import compute_characteristic_length
 
 TIPS = {"panda": "panda_hand_tcp", "ur5": "tool", "iiwa14": "tool"}
 STARTS = {
@@ -118,7 +118,7 @@ def test_a_thousand_cycles_a_second_settle_too(name, options):
 
 def rests_nearest(s: System, frame: str, X: np.ndarray, q: np.ndarray) -> bool:
     """Whether scipy finds no configuration near q that misses the pose by 1 % or 1 mm less."""
-    length = characteristic_length(s)
+    length = compute_characteristic_length(s)
 
     def missed(x):
         Y = s.fk(x, frame)
@@ -156,7 +156,7 @@ def settles_at_a_minimum(s: System, rng: np.random.Generator) -> bool:
     if np.abs(np.diff(Q[-101:], axis=0)).max() > 0.02:
         return False  # on its way: turns of joints with a wide range take longer
     assert turns_back(Q, 0.01) == 0, (s.name, kind, damping)
-    scale = 1.0 / characteristic_length(s)
+    scale = 1.0 / compute_characteristic_length(s)
 
     def missed(x):
         Y = s.fk(x, frame)

@@ -24,9 +24,9 @@ def tips(robot):
     ends = [
         name
         for i, name in enumerate(robot.body_names)
-        if i and i not in inner and robot.structure.table.path(name)
+        if i and i not in inner and robot.structure.table.find_path(name)
     ]
-    return sorted(ends, key=lambda name: (-len(robot.structure.table.path(name)), name))[:2]
+    return sorted(ends, key=lambda name: (-len(robot.structure.table.find_path(name)), name))[:2]
 
 
 def pinocchio_poses(model, robot, q, frame):

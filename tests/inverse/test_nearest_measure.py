@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 import kempe
-from kempe.model.characteristic_length import characteristic_length
+from kempe.model.characteristic_length import compute_characteristic_length
 
 FRAMES = {"two_link": "e", "ur5": "tool", "puma560": "tool", "panda": "panda_hand_tcp"}
 
@@ -19,7 +19,9 @@ def off(system, q, frame, X) -> float:
     """Square of the miss: of the position in characteristic lengths, of the rotation in radians."""
     Y = system.fk(q, frame)
     turn = Rotation.from_matrix(Y[:3, :3].T @ X[:3, :3]).magnitude()
-    return float(np.sum((Y[:3, 3] - X[:3, 3]) ** 2) / characteristic_length(system) ** 2 + turn**2)
+    return float(
+        np.sum((Y[:3, 3] - X[:3, 3]) ** 2) / compute_characteristic_length(system) ** 2 + turn**2
+    )
 
 
 def descent(system, q, frame, X) -> float:
@@ -42,7 +44,9 @@ def beyond(system, frame, seed):
     """
     way = np.random.default_rng(seed).normal(size=3) * (1.0, 1.0, system.dim == 3)
     X = np.array(system.fk(system.random(seed), frame))
-    X[:3, 3] += 1.5 * (1 + seed % 4) * characteristic_length(system) * way / np.linalg.norm(way)
+    X[:3, 3] += (
+        1.5 * (1 + seed % 4) * compute_characteristic_length(system) * way / np.linalg.norm(way)
+    )
     return X
 
 

@@ -22,7 +22,7 @@ from plain_kernels import Pointer, plain, pointer, room
 import kempe
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.constraints import loop_layout as L
-from kempe.model.packed_loops import loops_of, must_be_explicit
+from kempe.model.packed_loops import find_explicit_joints, get_packed_loops
 
 SEEDS = st.integers(0, 2**32 - 1)
 TIED = ["four_bar", "stewart", "delta_ss", "row_of_four_bars", "bennett"]
@@ -109,7 +109,7 @@ def random_plan(rng: np.random.Generator, ties: int, nv: int) -> np.ndarray:
 def plan_of(name: str) -> tuple[np.ndarray, int]:
     """The plan of a shipped system, and its number of velocities."""
     system = kempe.load(name)
-    return loops_of(system, must_be_explicit(system)).plan, system.nv
+    return get_packed_loops(system, find_explicit_joints(system)).plan, system.nv
 
 
 def within(a: np.ndarray, plan: np.ndarray) -> np.ndarray:

@@ -23,7 +23,7 @@ from kempe.mobility import dof_proofs
 from kempe.mobility.answer import Mobility
 from kempe.mobility.local_dimension import local_dimension
 from kempe.mobility.mobility import mobility
-from kempe.model.ball_angles import regular_chart
+from kempe.model.ball_angles import make_regular_chart
 from kempe.numerics.newton import certify
 from kempe.spatial import matrix_to_quat_wxyz, rot_x, rot_y, rot_z
 
@@ -224,7 +224,7 @@ def test_coupled_angles_have_a_meaning_of_their_own():
     m.posture("closed", {"J.ry": pi / 2})
     system = m.build()
     q = system.assemble({"J.ry": pi / 2}).q
-    assert regular_chart(system, q)[0] is system
+    assert make_regular_chart(system, q)[0] is system
 
 
 # ---- numbers of branches

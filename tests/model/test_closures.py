@@ -11,7 +11,7 @@ import numpy as np
 import kempe
 from kempe.model.constraint_program import Tie
 from kempe.model.kernel_functions import Callback
-from kempe.model.packed_loops import _by_level
+from kempe.model.packed_loops import _order_ties_by_level
 
 NOWHERE = (-1, np.eye(4), False)
 
@@ -48,5 +48,5 @@ def test_equations_of_one_coordinate_stand_before_the_first_that_moves_with_it()
         tie("own 3", own=3),
     ]
     table: Any = None
-    found = _by_level([*last, *first], table, lambda t: int("first" not in t.name), {})
+    found = _order_ties_by_level([*last, *first], table, lambda t: int("first" not in t.name), {})
     assert [t.name for t in found] == ["2 first", "own 0", "0 first", "own 1", "1 last", "own 3"]

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from kempe import Mechanism, System
 from kempe.errors import InputError, UnknownNameError
-from kempe.model.configurations import circles
+from kempe.model.configurations import find_free_angles
 
 
 def system(**joints) -> System:
@@ -283,7 +283,7 @@ def geared(kind: str, ratio: float, cut: bool = False) -> np.ndarray:
         m.gear("b", "a", ratio)
     s = m.build()
     assert s.structure.closures == (("e",) if cut else ())
-    return dict(zip(s.structure.velocity_names, circles(s).tolist(), strict=True))
+    return dict(zip(s.structure.velocity_names, find_free_angles(s).tolist(), strict=True))
 
 
 @pytest.mark.parametrize("cut", [False, True])
@@ -310,9 +310,9 @@ def test_relations_and_limits_end_circles():
     for name in "abcd":
         m.revolute(name, m.ground, m.body(name.upper()), limits=(-9, 9) if name == "d" else None)
     m.couple("c", {"a": 0.5, "b": 0.5})
-    np.testing.assert_array_equal(circles(m.build()), [False, False, False, False])
+    np.testing.assert_array_equal(find_free_angles(m.build()), [False, False, False, False])
     np.testing.assert_array_equal(
-        circles(system(a="helical", b="universal", c="spherical")),
+        find_free_angles(system(a="helical", b="universal", c="spherical")),
         [False, True, True] + [False] * 3,
     )
 

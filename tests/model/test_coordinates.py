@@ -15,7 +15,7 @@ from kempe.equations.judge import coordinate_value
 from kempe.errors import DescriptionError, KempeError
 from kempe.joints import P, Q, R, joint_type
 from kempe.kernels.compiled import table_sweep
-from kempe.model.coordinates import Follower, relation_text
+from kempe.model.coordinates import Follower, format_relation
 
 
 @given(graph=graphs(loops=4))
@@ -100,15 +100,15 @@ def test_packs_hold_what_moves_their_outputs(graph: Graph, seed):
     s = graph.mechanism().build()
     rng = np.random.default_rng(seed)
     names = [s.body_names[i] for i in rng.integers(0, len(s.body_names), 3)]
-    ints, floats = s.structure.table.pack(names)
-    rows = sorted({r for n in names for r in s.structure.table.path(n)})
+    ints, floats = s.structure.table.pack_arrays(names)
+    rows = sorted({r for n in names for r in s.structure.table.find_path(n)})
     assert (ints[0], ints[1], ints[2], ints[3]) == (len(rows), 3, s.nq, s.nv)
     assert len(ints) == 8 + 6 * len(rows) + 2 * 3 and len(floats) == 16 * len(rows) + 12 * 3
     q = s.random(rng)
     out = np.empty((3, 4, 4))
     assert table_sweep.poses1(ints, floats, q, out) == 0
     np.testing.assert_allclose(out, s.fk(q, names), rtol=0, atol=1e-14)
-    ints, floats = s.structure.table.pack(names[:1], s.structure.table.path(names[0]))
+    ints, floats = s.structure.table.pack_arrays(names[:1], s.structure.table.find_path(names[0]))
     assert ints[4] == 1, "the way to one body is a chain"
 
 
@@ -189,7 +189,7 @@ def test_relations_in_words():
         m.revolute(name, m.ground, m.body(name.upper()))
     m.couple("c", {"a": 0.5, "b": -2}, offset=0.1)
     (relation,) = m.build().structure.relations
-    assert relation_text(relation) == "c = 0.5 a + -2 b + 0.1"
+    assert format_relation(relation) == "c = 0.5 a + -2 b + 0.1"
 
 
 def test_followers_say_what_they_follow():

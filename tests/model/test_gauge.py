@@ -16,7 +16,7 @@ from kempe.kernels.forward.table_layout import (
     SLIDE,
     TURN,
 )
-from kempe.model.gauge import regauge, split_turns
+from kempe.model.gauge import regauge_table, split_turns
 
 
 def forms(ints):
@@ -34,7 +34,7 @@ def differences(table, n=40):
     )
     size += np.abs(q).max() * sum(abs(r.multiplier) for r in table.rows if r.kind == SLIDE)
     before = table.pack()
-    after = regauge(*before)
+    after = regauge_table(*before)
     results = []
     for packed in (before, after):
         T = np.empty((n, 4, 4))
@@ -87,7 +87,7 @@ def test_a_robot_of_denavit_and_hartenberg_is_found_again():
     table = Table(rows, [(3, False, np.eye(4))], 4, 4, True)
     ints, errors = differences(table)
     assert max(errors) < 1e-15 and (forms(ints)[1:] == RX_FLAT).all()
-    placements = regauge(*table.pack())[1][: 16 * 4].reshape(4, 16)[:, :12].reshape(4, 3, 4)
+    placements = regauge_table(*table.pack())[1][: 16 * 4].reshape(4, 16)[:, :12].reshape(4, 3, 4)
     for (a, alpha), X in zip(links[1:], placements[1:], strict=True):
         assert abs(abs(X[0, 3]) - a) < 1e-15 and abs(X[2, 2] - np.cos(alpha)) < 1e-15
 
@@ -111,16 +111,16 @@ def test_arguments_stay_and_trees_are_refused():
     table = random_table(np.random.default_rng(0), 5, chain=True)
     ints, floats = table.pack()
     copies = ints.copy(), floats.copy()
-    regauge(ints, floats)
+    regauge_table(ints, floats)
     assert np.array_equal(ints, copies[0]) and np.array_equal(floats, copies[1])
     ints[IS_CHAIN] = 0
     with pytest.raises(ValueError, match="chain"):
-        regauge(ints, floats)
+        regauge_table(ints, floats)
 
 
 def test_nothing_to_do_on_the_ground():
     table = Table([], [(-1, False, random_pose(np.random.default_rng(0)))], 1, 1, True)
-    for a, b in zip(table.pack(), regauge(*table.pack()), strict=True):
+    for a, b in zip(table.pack(), regauge_table(*table.pack()), strict=True):
         assert np.array_equal(a, b)
 
 

@@ -14,8 +14,8 @@ from kempe.assemble.bound import Assembler
 from kempe.equations import closure_rows as full
 from kempe.joints import TYPES, Free, Helical, JointType, P, Primitive, Q, R, Revolute, Spherical
 from kempe.kernels.compiled import closure_batch
-from kempe.model.implicit_form import implicit_form, screw, slides_along_z
-from kempe.model.packed_loops import PackedLoops, loops_of, must_be_explicit
+from kempe.model.implicit_form import find_implicit_form, find_screw_pitch, has_slide_along_z
+from kempe.model.packed_loops import PackedLoops, find_explicit_joints, get_packed_loops
 
 TABLE = [kind(**options) for kind in TYPES.values() for options in variants(kind, 0.3)]
 EVERY = [*TABLE, Helical(1.0), *(t() for t in OWN)]
@@ -51,7 +51,7 @@ FORMS = {
 
 @pytest.mark.parametrize("kind", EVERY, ids=str)
 def test_what_is_held(kind):
-    form = implicit_form(kind)
+    form = find_implicit_form(kind)
     expected = FORMS.get(kind.type_name, "not in the list: add what it holds")
     assert expected == (None if form is None else (form.position, form.turns))
     if form is not None:
@@ -62,7 +62,7 @@ def test_what_is_held(kind):
 def test_screws_are_recognised_by_their_primitives():
     turn = Primitive(R, "z", 0)
     slide = Primitive(P, "z", 0, 0.3)
-    assert screw(Helical(0.3)) == screw(declared("s", [slide, turn])) == 0.3
+    assert find_screw_pitch(Helical(0.3)) == find_screw_pitch(declared("s", [slide, turn])) == 0.3
     for steps in (
         [turn],
         [turn, slide._replace(coordinate=1)],
@@ -70,7 +70,7 @@ def test_screws_are_recognised_by_their_primitives():
         [turn, turn],
         [turn._replace(multiplier=2.0), slide],
     ):
-        assert screw(declared("s", steps)) is None
+        assert find_screw_pitch(declared("s", steps)) is None
 
 
 def loop(rng: np.random.Generator, kind: JointType, dim: int) -> tuple[System, np.ndarray]:
@@ -102,8 +102,8 @@ def compare(system: System, q: np.ndarray, rng: np.random.Generator) -> None:
     does.
     """
     explicit = frozenset(system.structure.closures)
-    small = loops_of(system, frozenset())
-    large = loops_of(system, explicit)
+    small = get_packed_loops(system, frozenset())
+    large = get_packed_loops(system, explicit)
     at = q[None]
     (r, J) = evaluated(system, small, at)
     (R_, K) = evaluated(system, large, at)
@@ -128,20 +128,22 @@ def compare(system: System, q: np.ndarray, rng: np.random.Generator) -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "dim"), [c for c in CASES if implicit_form(*c) is not None], ids=str
+    ("kind", "dim"), [c for c in CASES if find_implicit_form(*c) is not None], ids=str
 )
 def test_the_implicit_form_is_the_explicit_one(kind, dim):
     rng = np.random.default_rng(11)
     for _ in range(4):
         system, q = loop(rng, kind, dim)
-        assert must_be_explicit(system) == frozenset()
+        assert find_explicit_joints(system) == frozenset()
         compare(system, q, rng)
 
 
-@pytest.mark.parametrize(("kind", "dim"), [c for c in CASES if implicit_form(*c) is None], ids=str)
+@pytest.mark.parametrize(
+    ("kind", "dim"), [c for c in CASES if find_implicit_form(*c) is None], ids=str
+)
 def test_what_has_no_implicit_form_is_explicit(kind, dim):
     system, _ = loop(np.random.default_rng(12), kind, dim)
-    assert must_be_explicit(system) == {"j2"}
+    assert find_explicit_joints(system) == {"j2"}
 
 
 def test_random_types(hunt):
@@ -152,7 +154,7 @@ def test_random_types(hunt):
         dim = int(rng.choice([2, 3]))
         steps = list(reordered(rng, dim))
         kind = declared(f"t{k}", steps) if k % 2 else random_type(rng, f"t{k}", dim)
-        if implicit_form(kind, dim) is not None:
+        if find_implicit_form(kind, dim) is not None:
             found += 1
             compare(*loop(rng, kind, dim), rng)
     assert found > 0.3 * hunt.cases(150)
@@ -176,14 +178,14 @@ def reordered(rng: np.random.Generator, dim: int) -> list[Primitive]:
 
 def test_planes_and_particles():
     rail = declared("rail", [Primitive(P, "z", 0)])
-    assert slides_along_z(rail, 2, False) and not slides_along_z(rail, 3, False)
-    form = implicit_form(rail, 2)
+    assert has_slide_along_z(rail, 2, False) and not has_slide_along_z(rail, 3, False)
+    form = find_implicit_form(rail, 2)
     assert form is not None and (form.position, form.turns, form.readings) == (
         "y",
         "z",
         ((0, "x"),),
     )
-    free = implicit_form(Free(), 3, particle=True)
+    free = find_implicit_form(Free(), 3, particle=True)
     assert free is not None and (free.position, free.turns) == ("", "")
     both = declared("both", [Primitive(P, "z", 0), Primitive(R, "z", 1)])
-    assert implicit_form(Coaxial()) is None and implicit_form(both, 2) is None
+    assert find_implicit_form(Coaxial()) is None and find_implicit_form(both, 2) is None

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 import kempe
-from kempe.model.model import MOST, keep, kept
+from kempe.model.model import MOST, keep_answers, store_answer
 
 
 def test_once_for_each_system_and_keys():
     calls = []
 
-    @kept
+    @keep_answers
     def answer(system, *keys):
         calls.append((system, *keys))
         return [*keys]
@@ -26,11 +26,11 @@ def test_once_for_each_system_and_keys():
 def test_none_and_errors():
     calls = []
 
-    @kept
+    @keep_answers
     def nothing(system):
         calls.append(system)
 
-    @kept
+    @keep_answers
     def failing(system):
         raise ValueError("no")
 
@@ -45,7 +45,7 @@ def test_none_and_errors():
 def test_the_oldest_go_first():
     answers: dict = {}
     for k in range(10):
-        assert keep(answers, k, -k, 4) == -k
+        assert store_answer(answers, k, -k, 4) == -k
     assert answers == {6: -6, 7: -7, 8: -8, 9: -9}
 
 

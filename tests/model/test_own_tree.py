@@ -9,8 +9,8 @@ import pytest
 
 import kempe
 from kempe import Mechanism, System
-from kempe.model.characteristic_length import characteristic_length
-from kempe.model.own_tree import own_tree
+from kempe.model.characteristic_length import compute_characteristic_length
+from kempe.model.own_tree import remove_cut_marks
 
 
 def four_bar(*cut: str, **more) -> System:
@@ -40,10 +40,10 @@ def four_bar(*cut: str, **more) -> System:
 def test_a_mark_changes_what_is_left_out_but_not_the_tree_of_solvers(cut):
     s = four_bar(*cut)
     plain = four_bar()
-    tree = own_tree(s)
+    tree = remove_cut_marks(s)
     assert tree.structure.topology == plain.structure.topology and tree.structure.closures == ("C",)
     assert (tree is s) == (s.structure.closures == ("C",))
-    assert own_tree(s) is tree and own_tree(tree) is tree
+    assert remove_cut_marks(s) is tree and remove_cut_marks(tree) is tree
     assert tree.coordinate_names == s.coordinate_names and np.array_equal(
         tree.structure.limits, s.structure.limits
     )
@@ -52,7 +52,7 @@ def test_a_mark_changes_what_is_left_out_but_not_the_tree_of_solvers(cut):
 def test_other_parameters_and_limits_come_along():
     s = four_bar("B").with_limits({"A": (-1.0, 1.0)}).with_parameters(crank=0.15)
     assert isinstance(s, System)
-    tree = own_tree(s)
+    tree = remove_cut_marks(s)
     assert s.structure.closures == ("B",) and tree.structure.closures == ("C",)
     assert tree.structure.parameters["crank"] == 0.15 and tree.structure.limits[0].tolist() == [
         -1.0,
@@ -69,7 +69,7 @@ def test_bodies_that_hang_on_free_joints_stay_there(planar):
     m.free("body", m.ground, m.body("b"))
     m.revolute("J", m.ground, "b", cut=True)
     s = m.build()
-    assert s.structure.closures == ("J",) and own_tree(s) is s
+    assert s.structure.closures == ("J",) and remove_cut_marks(s) is s
     m.joints["J"] = replace(m.joints["J"], cut=False)
     assert m.build().structure.closures == ("body",)
 
@@ -89,12 +89,12 @@ def test_a_fixed_joint_that_is_cut_does_not_make_two_links_of_one():
         m.revolute("D", m.ground, rocker, at=(0.4, 0), cut=cut == "D")
         s = m.build()
         assert s.structure.closures == (cut,)
-        lengths.append(characteristic_length(s))
+        lengths.append(compute_characteristic_length(s))
     assert lengths == [pytest.approx(0.4, rel=1e-12)] * 3
 
 
 def test_files_without_marks_are_solved_over_their_own_tree():
-    assert all(own_tree(s) is s for s in map(kempe.load, ("delta_ss", "jansen", "panda")))
+    assert all(remove_cut_marks(s) is s for s in map(kempe.load, ("delta_ss", "jansen", "panda")))
 
 
 def test_a_joint_that_holds_one_motion_is_not_kept_in_the_tree_by_a_mark():
@@ -107,4 +107,4 @@ def test_a_joint_that_holds_one_motion_is_not_kept_in_the_tree_by_a_mark():
         m.revolute("B", crank, table, at=(1.0, 0.0, 0.0), rpy=(0.1, 0.2, 0.3))
         m.joint("J", "R(x) R(y) R(z) P(x) P(y)" + more, m.ground, table)
         s = m.build()
-        assert s.structure.closures == ("A",) and own_tree(s).structure.closures == (kept,)
+        assert s.structure.closures == ("A",) and remove_cut_marks(s).structure.closures == (kept,)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.equations.judge import coordinate_value
-from kempe.model.configurations import as_q
+from kempe.model.configurations import read_q
 from kempe.spatial import Array
 from oracles import pairs
 from oracles.frames import Pair
@@ -51,13 +51,13 @@ class Carried(Pair):
 
     def residual(self, system: System, q: Any) -> Array:
         """How far it is violated (..., size), in metres and radians."""
-        q = as_q(system, q)
+        q = read_q(system, q)
         keep = list(self.own.keep)
         return self.own.error(self.pose(system, q), self.values(system, q)).value[..., keep]
 
     def jacobian(self, system: System, q: Any) -> Array:
         """Derivatives (..., size, nv) of the residual by the velocity coordinates."""
-        q = as_q(system, q)
+        q = read_q(system, q)
         keep = list(self.own.keep)
         e = self.own.error(self.pose(system, q), self.values(system, q))
         rates = e.by_pose @ self.motion(system, q) + e.by_own @ self._own_rows(system)

@@ -10,8 +10,8 @@ import numpy as np
 from kempe import System
 from kempe.equations.judge import coordinate_value
 from kempe.errors import UnknownNameError
-from kempe.model.configurations import as_q
-from kempe.model.implicit_form import slides_along_z
+from kempe.model.configurations import read_q
+from kempe.model.implicit_form import has_slide_along_z
 from kempe.spatial import Array
 from oracles import pairs
 from oracles.carried import Carried, coordinate_row
@@ -49,11 +49,11 @@ class Closure(Pair):
 
     def residual(self, system: System, q: Any) -> Array:
         """How far it is violated (..., size), in metres and radians."""
-        return self._both(system, as_q(system, q))[0]
+        return self._both(system, read_q(system, q))[0]
 
     def jacobian(self, system: System, q: Any) -> Array:
         """Derivatives (..., size, nv) of the residual by the velocity coordinates."""
-        return self._both(system, as_q(system, q))[1]
+        return self._both(system, read_q(system, q))[1]
 
     def _both(self, system: System, q: Array) -> tuple[Array, Array]:
         X = self.pose(system, q)
@@ -111,7 +111,7 @@ def closure_of(system: System, joint: str, own: bool = False) -> Closure | Carri
     names = system.structure.coordinates_of_joint(joint)
     hold = pairs.hold_of(j.type, system.dim, particle)
     if hold is None:
-        motion = motion_of(system, j, slides_along_z(j.type, system.dim, particle))
+        motion = motion_of(system, j, has_slide_along_z(j.type, system.dim, particle))
         return Carried(joint, j.parent, j.child, motion, X_A=X_PF, X_B=X_CM)
     related = {
         n for r in system.structure.relations for n in (r.of, *r.sources)

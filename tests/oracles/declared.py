@@ -10,7 +10,7 @@ import numpy as np
 from kempe import System
 from kempe.constraints.base import position_rows
 from kempe.description.parts import Declared
-from kempe.model.implicit_form import flat_frame
+from kempe.model.implicit_form import turn_flat_frame
 from kempe.spatial import Array
 from oracles.frames import Pair
 
@@ -52,7 +52,7 @@ class PointOnLine(Pair):
         value, rates = _slides(X, "xy")
         if not self.planar:
             return value, rates
-        across = flat_frame(self.X_A)[:3, 1] @ self.X_A[:3, :3]  # in axes of A
+        across = turn_flat_frame(self.X_A)[:3, 1] @ self.X_A[:3, :3]  # in axes of A
         return X[..., :3, 3] @ across[:, None], np.broadcast_to(
             np.r_[across, 0.0, 0.0, 0.0], (*X.shape[:-2], 1, 6)
         )

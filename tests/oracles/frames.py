@@ -13,7 +13,7 @@ import numpy as np
 from kempe import spatial
 from kempe.forward.fk import fk
 from kempe.forward.fk import jacobian as frame_jacobian
-from kempe.model.configurations import as_q
+from kempe.model.configurations import read_q
 from kempe.spatial import Array
 from oracles import pairs
 
@@ -51,11 +51,11 @@ class Pair(ABC):
 
     def residual(self, system: System, q: Any) -> Array:
         """How far it is violated (..., size), in metres and radians."""
-        return self.rows(self.pose(system, as_q(system, q)))[0]
+        return self.rows(self.pose(system, read_q(system, q)))[0]
 
     def jacobian(self, system: System, q: Any) -> Array:
         """Derivatives (..., size, nv) of the residual by the velocity coordinates."""
-        return self.rows(self.pose(system, q := as_q(system, q)))[1] @ self.motion(system, q)
+        return self.rows(self.pose(system, q := read_q(system, q)))[1] @ self.motion(system, q)
 
     def pose(self, system: System, q: Array) -> Array:
         """Pose (..., 4, 4) of B in A."""

@@ -17,7 +17,7 @@ from kempe import System, spatial
 from kempe.arrays import reals
 from kempe.errors import InputError
 from kempe.forward.maximal import as_poses
-from kempe.model.configurations import as_start
+from kempe.model.configurations import read_start
 from kempe.spatial import Array
 from oracles import pairs
 from oracles.maximal_form import (
@@ -49,7 +49,7 @@ def maximal_residual(system: System, poses: ArrayLike, near: Any = None) -> Arra
     """
     form = form_of(system)
     poses = as_poses(system, poses)
-    near = None if near is None else as_start(system, near)
+    near = None if near is None else read_start(system, near)
     values = [pair.rows(pose_in(system, pair, poses))[0] for pair in form.pairs]
     if form.relations:
         read = coordinates_of(system, poses, near)[0]
@@ -66,7 +66,7 @@ def maximal_jacobian(system: System, poses: ArrayLike, near: Any = None) -> Arra
     """
     form = form_of(system)
     poses = as_poses(system, poses)
-    near = None if near is None else as_start(system, near)
+    near = None if near is None else read_start(system, near)
     rows = [
         pair.rows(pose_in(system, pair, poses))[1] @ motion_in(system, pair, poses)
         for pair in form.pairs

@@ -14,8 +14,8 @@ from kempe import spatial
 from kempe.description.parts import Joint
 from kempe.equations.judge import coordinate_value
 from kempe.joints import Q
-from kempe.model.configurations import as_start
-from kempe.model.model import kept
+from kempe.model.configurations import read_start
+from kempe.model.model import keep_answers
 from kempe.spatial import Array
 from oracles import pairs
 from oracles.carried import Carried
@@ -75,7 +75,7 @@ class Form(NamedTuple):
     said: dict[str, str]
 
 
-@kept
+@keep_answers
 def form_of(system: System) -> Form:
     """The equations of a system."""
     mechanism = system.mechanism
@@ -161,7 +161,7 @@ def coordinates_of(
     """Values of all coordinates by name, those nearest to a configuration, and for what is no
     quaternion its derivatives (..., n) by the twists.
     """
-    near = system.mid if near is None else as_start(system, near)
+    near = system.mid if near is None else read_start(system, near)
     values = {}
     rates = {}
     for joint in form_of(system).joints:

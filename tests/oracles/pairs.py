@@ -16,7 +16,12 @@ import numpy as np
 
 from kempe import spatial
 from kempe.joints import JointType
-from kempe.model.implicit_form import flat_frame, implicit_form, screw, slides_along_z
+from kempe.model.implicit_form import (
+    find_implicit_form,
+    find_screw_pitch,
+    has_slide_along_z,
+    turn_flat_frame,
+)
 from kempe.spatial import Array
 
 Rows = tuple[Array, Array]
@@ -64,12 +69,12 @@ class Hold:
 
 def hold_of(kind: JointType, dim: int = 3, particle: bool = False) -> Hold | None:
     """What a joint type holds, None where that has no fixed axes; in the plane a slide is along x
-    (`flat_frame`).
+    (`turn_flat_frame`).
     """
-    form = implicit_form(kind, dim, particle)
+    form = find_implicit_form(kind, dim, particle)
     if form is not None:
         return Hold(form.position, form.turns)
-    pitch = screw(kind) if dim == 3 and not particle else None
+    pitch = find_screw_pitch(kind) if dim == 3 and not particle else None
     return None if pitch is None else Hold("xy", "xy", pitch)
 
 
@@ -77,8 +82,8 @@ def frames_of(
     kind: JointType, X_PF: Array, X_CM: Array, dim: int, particle: bool
 ) -> tuple[Array, Array]:
     """Frames F on the parent and M on the child in which `hold_of` and `read` speak of the joint."""
-    if slides_along_z(kind, dim, particle):
-        return flat_frame(X_PF), flat_frame(X_CM)
+    if has_slide_along_z(kind, dim, particle):
+        return turn_flat_frame(X_PF), turn_flat_frame(X_CM)
     return X_PF, X_CM
 
 
@@ -243,7 +248,7 @@ def reading_groups(
     Each is "x", "y", "z" a slide, "turn ..." as in `turn`, "screw", "angles" (yaw, pitch, roll) or
     "quaternion".
     """
-    form = implicit_form(kind, dim, particle)
+    form = find_implicit_form(kind, dim, particle)
     if form is None:
         return [((0,), "screw")]
     angles = {how: k for k, how in form.readings if how in ("turn yaw", "turn pitch", "turn roll")}

@@ -15,7 +15,7 @@ import kempe
 from kempe import Budget, Mechanism, Status
 from kempe.equations.judge import judge
 from kempe.errors import InputError
-from kempe.model.characteristic_length import characteristic_length
+from kempe.model.characteristic_length import compute_characteristic_length
 from kempe.spaces.polygons import polygon_of
 
 
@@ -32,7 +32,7 @@ def connects(
     assert bool(found) and found.code is Status.SOLVED and not found.step > step
     assert space.distance(found.q[0], q0) < 1e-7 and space.distance(found.q[-1], q1) < 1e-7
     q = found.q
-    length = characteristic_length(system)
+    length = compute_characteristic_length(system)
     low, high = system.structure.limits[system.structure.layout.vector_v].T
     for _ in range(3):
         assert np.all(judge(system, q).holds)

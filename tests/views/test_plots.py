@@ -16,7 +16,7 @@ import kempe
 from kempe import Mechanism, constraints, library
 from kempe.equations.judge import judge
 from kempe.errors import CallError, InputError, UnknownNameError, UnsupportedError
-from kempe.model.configurations import home_of
+from kempe.model.configurations import find_home
 
 pytest.importorskip("matplotlib")
 from kempe.views import plots
@@ -758,7 +758,7 @@ def test_what_is_drawn_by_default_holds(name):
     """The default configuration satisfies all that is declared, where assembling from home can."""
     system = kempe.load(name)
     q = usual_configuration(system, None)
-    assert judge(system, q) or not system.assemble(start=home_of(system))
+    assert judge(system, q) or not system.assemble(start=find_home(system))
 
 
 def test_a_ball_rests_on_its_ground():

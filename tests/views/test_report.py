@@ -12,7 +12,7 @@ from kempe import Mechanism
 from kempe.cli import report
 from kempe.cli.facts import SystemFacts, error_facts
 from kempe.errors import DescriptionError, Fault, UnknownNameError, Where
-from kempe.model.configurations import by_name, units
+from kempe.model.configurations import list_units, name_values
 from kempe.words import fixed, json_text, jsonable
 
 
@@ -53,7 +53,7 @@ def zoo() -> Mechanism:
 
 
 def test_units_of_every_coordinate():
-    unit = units(zoo().build())
+    unit = list_units(zoo().build())
     assert {n for n, u in unit.items() if u == "m"} == {
         "sleeve.z",
         "flight.x",
@@ -66,7 +66,7 @@ def test_units_of_every_coordinate():
 
 def test_degrees_touch_angles_only():
     system = zoo().build()
-    shown = by_name(system, np.ones(system.nq)).data(degrees=True)
+    shown = name_values(system, np.ones(system.nq)).data(degrees=True)
     assert shown["screw"] == pytest.approx(180.0 / np.pi)
     assert shown["sleeve.z"] == shown["ball.qx"] == 1.0
 

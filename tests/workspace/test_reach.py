@@ -53,9 +53,9 @@ def test_poses_that_are_reached_and_that_are_not():
 
 
 def study_length(system) -> float:
-    from kempe.model.characteristic_length import characteristic_length
+    from kempe.model.characteristic_length import compute_characteristic_length
 
-    return float(characteristic_length(system))
+    return float(compute_characteristic_length(system))
 
 
 def test_limits_that_block_are_named():

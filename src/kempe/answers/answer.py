@@ -19,7 +19,7 @@ from kempe.equations.judge import Judgement, judge
 from kempe.errors import CallError, InputError, NoSolutionError, UnknownNameError, shown
 from kempe.forward.fk import fk
 from kempe.late import late
-from kempe.model.configurations import by_name, limits_by_name, ranges_table, units
+from kempe.model.configurations import list_limits, list_units, make_ranges_table, name_values
 from kempe.numerics.clock import partial
 from kempe.report import MOST_JUDGED, ROWS, Nearest, Result, Table
 from kempe.spatial import Array
@@ -197,7 +197,7 @@ class Answer(Result, Tabular):
         return list(self.system.coordinate_names), np.reshape(self.q, (-1, self.system.nq))
 
     def _units(self) -> dict[str, str]:
-        return units(self.system)
+        return list_units(self.system)
 
     def _frame(self, degrees: bool) -> tuple[Sequence[str], Any]:
         return self._shown_table(degrees)
@@ -251,7 +251,7 @@ class Answer(Result, Tabular):
             each = np.size(self.success) and np.ndim(self.q) == len(self._shape) + 1
             return [self._rows_table()] if each and self._shape else []
         names = self.system.coordinate_names
-        limits = limits_by_name(self.system).values()
+        limits = list_limits(self.system).values()
         rows = list(zip(names, self._quantities(self.q), limits, self._marks(), strict=True))
         title = "coordinate" if self.success else "nearest found"
         return [Table((title, "value", "limits", ""), rows, record=True)]
@@ -273,7 +273,7 @@ class Answer(Result, Tabular):
     def _quantities(self, q: Array, places: Sequence[int] | None = None) -> list[Quantity]:
         """The numbers of a configuration (nq,) with their units, at some `places` or at all."""
         names = self.system.coordinate_names
-        unit = units(self.system)
+        unit = list_units(self.system)
         each = range(len(names)) if places is None else places
         return [Quantity(float(q[i]), unit[names[i]]) for i in each]
 
@@ -315,7 +315,7 @@ class Answer(Result, Tabular):
 
     def _by_name(self, q: Array) -> ByName:
         """Configurations (..., nq) by the names of coordinates."""
-        return by_name(self.system, q)
+        return name_values(self.system, q)
 
 
 def _row_number(index: Sequence[int]) -> str:
@@ -419,7 +419,7 @@ class Motion(Configurations):
         """The range of each coordinate."""
         if len(self) < 2:
             return []
-        return [ranges_table(self.system, self.q)]
+        return [make_ranges_table(self.system, self.q)]
 
     def _columns(
         self, first: str, column: Array, frames: Iterable[FrameLike]

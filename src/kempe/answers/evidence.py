@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.model.characteristic_length import characteristic_length
+from kempe.model.characteristic_length import compute_characteristic_length
 from kempe.spatial import Array
 from kempe.words import InWords
 
@@ -84,7 +84,7 @@ def lengths(
     far = max(place, turned, plane)
     if not far > 0.0:
         return None
-    times = far / characteristic_length(system)
+    times = far / compute_characteristic_length(system)
     return evidence(
         "lengths",
         place=place,

@@ -11,7 +11,7 @@ from kempe.answers.targets import Z_AXIS, of_target
 from kempe.arrays import reals
 from kempe.constraints.base import poses_of, refuse_rotations
 from kempe.errors import InputError
-from kempe.model.configurations import independent_values
+from kempe.model.configurations import compute_source_values
 from kempe.poses import EXACT, arrays, refuse_no_poses, rotation_error
 from kempe.spatial import Array
 
@@ -60,7 +60,7 @@ def source_values(system: Model, known: Mapping[str, Any]) -> dict[str, Array]:
     """
     return {
         name: reals(x, f"coordinate {name!r}", "a number")
-        for name, x in independent_values(system, known).items()
+        for name, x in compute_source_values(system, known).items()
     }
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 from kempe.answers.targets import Z_AXIS
 from kempe.budget import Budget
 from kempe.errors import UnsupportedError
-from kempe.model.model import keep
+from kempe.model.model import store_answer
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
@@ -99,7 +99,7 @@ def choose(rows: Sequence[Solver], problem: Problem) -> tuple[Solver, Choice]:
     kept: dict[Any, Any] = problem.system._kept.setdefault(choose, {})
     key = (tuple(rows), problem.structure)
     found = kept.get(key)
-    return keep(kept, key, _first_row(rows, problem)) if found is None else found
+    return store_answer(kept, key, _first_row(rows, problem)) if found is None else found
 
 
 def _first_row(rows: Sequence[Solver], problem: Problem) -> tuple[Solver, Choice]:

@@ -87,7 +87,7 @@ def given_target(system: Model, target: Any) -> Any:
     if not isinstance(target, str):
         return arrays(target, "target")
     name = system.structure.frame_name(target)
-    if system.structure.table.path(name):
+    if system.structure.table.find_path(name):
         raise InputError(
             f"target is the frame {name!r}, which moves; it must be on the ground, or give its pose"
         )

@@ -19,9 +19,9 @@ from kempe.constraints.tape import TIME
 from kempe.equations.one_sided import one_sided_rows
 from kempe.equations.task_functions import held_too
 from kempe.errors import InputError
-from kempe.model.configurations import q_from_dict
-from kempe.model.model import kept
-from kempe.model.time_coordinate import known_time
+from kempe.model.configurations import make_q
+from kempe.model.model import keep_answers
+from kempe.model.time_coordinate import fix_known_time
 from kempe.numerics.clock import LEAST, TimeLimit
 from kempe.status import Status, member
 
@@ -82,7 +82,7 @@ def assemble(
     if also.__class__ is not tuple or also:
         system = held_too(system, also)
     if TIME in given:
-        system, given = known_time(system, given)
+        system, given = fix_known_time(system, given)
     signs = branch is not None and branch not in system.structure.posture_names
     time = None if is_known(system, tolerance) else _time(budget)
     if time is not None:
@@ -92,7 +92,7 @@ def assemble(
             if not time.spent:
                 raise
             q = (
-                q_from_dict(system, branch)
+                make_q(system, branch)
                 if branch is not None and start is None and not signs
                 else start
             )
@@ -115,7 +115,7 @@ def assemble(
     if signs:
         options = {"branch": branch}
     elif branch is not None and start is None:
-        start = q_from_dict(system, branch)
+        start = make_q(system, branch)
     problem = Problem(
         system, "one", given, start, prefer, limits, tolerance or TOLERANCE, budget, options
     )
@@ -178,7 +178,7 @@ def assembler(system: Model, known: Iterable[str] = ()) -> Assembler:
     return bound(system, listed(known, "known"))
 
 
-@kept
+@keep_answers
 def bound(system: Model, known: tuple[str, ...]) -> Assembler:
     """The assembler for the mechanism that replaces this one in computations, such as with exact
     dimensions.

@@ -30,16 +30,16 @@ from kempe.kernels.compiled import closure_batch, loop_closing, task_search
 from kempe.kernels.constraints import loop_layout as L
 from kempe.kernels.constraints.loop_layout import velocity_lists
 from kempe.model.configurations import (
-    as_start,
-    circles,
-    home_of,
-    independent_values,
+    compute_source_values,
+    find_free_angles,
+    find_home,
+    list_sources,
+    read_start,
     refuse_far,
-    source_names,
 )
-from kempe.model.model import kept
-from kempe.model.own_tree import own_tree
-from kempe.model.packed_loops import PackedLoops, loops_of, must_be_explicit
+from kempe.model.model import keep_answers
+from kempe.model.own_tree import remove_cut_marks
+from kempe.model.packed_loops import PackedLoops, find_explicit_joints, get_packed_loops
 from kempe.numerics.clock import SHORT, TimeLimit, clock
 from kempe.numerics.pool import over_chunks
 from kempe.poses import refuse_no_poses
@@ -107,9 +107,9 @@ class OneSidedAssembly:
         for i in range(len(starts)):
             first = starts[i : i + 1]
             if i:
-                ahead = self.system.structure.layout.difference(q[max(i - 2, 0)], q[i - 1])
+                ahead = self.system.structure.layout.compute_difference(q[max(i - 2, 0)], q[i - 1])
                 first = self._with_known(
-                    self.system.structure.layout.integrate(q[i - 1], ahead)[None], first
+                    self.system.structure.layout.integrate_velocity(q[i - 1], ahead)[None], first
                 )
             own = pins[i : i + 1] if len(pins) > 1 else pins
             self._search(first, own, tries, i, q[i : i + 1], info[i : i + 1])
@@ -154,7 +154,9 @@ class OneSidedAssembly:
             ]
             spread = min(1.0, L.WIDER * count) * np.pi * scale
             some = pins[left] if len(pins) > 1 else pins
-            begin = self.system.structure.layout.integrate(starts[left], np.stack(each) * spread)
+            begin = self.system.structure.layout.integrate_velocity(
+                starts[left], np.stack(each) * spread
+            )
             found = begin.copy()
             more = np.zeros((len(left), 3), dtype=np.int64)
             # until these starts are made
@@ -301,7 +303,7 @@ class Assembler:
     def __init__(self, system: Model, known: Iterable[str] = (), one_sided: bool = True):
         self.system = system
         self.known = tuple(known)
-        self.tree = own_tree(system)
+        self.tree = remove_cut_marks(system)
         self.one_sided = (
             one_sided_rows(system) if one_sided and one_sided_rows(system).declared else None
         )
@@ -311,7 +313,7 @@ class Assembler:
         ]
         self.frames = tuple(k for k in self.known if k not in coordinates)
         self._places(coordinates)
-        self.explicit = must_be_explicit(self.tree, self.sources)
+        self.explicit = find_explicit_joints(self.tree, self.sources)
         self.loops = self._loops((False,) * len(self.frames))
         self.no_pins = np.zeros((1, 12 * len(self.frames)))
         self.quick = self.one_sided is None and self._is_quick(self.loops)
@@ -332,7 +334,7 @@ class Assembler:
             if name not in couplings and name not in index:
                 allowed = (*system.coordinate_names, *couplings, *system.structure.frames)
                 raise UnknownNameError("coordinate or frame", name, allowed, system.name)
-        self.sources = source_names(system, names)
+        self.sources = list_sources(system, names)
         places = [index[name] for name in self.sources]
         self.coordinates = tuple(names)
         self.places = np.array(places, dtype=np.int64)
@@ -373,7 +375,7 @@ class Assembler:
         bounded = self.one_sided is not None
         explicit = frozenset(self.tree.structure.closures) if whole or bounded else self.explicit
         pins = tuple(zip(self.frames, turned, strict=True))
-        return loops_of(self.tree, explicit, self.held, pins, one_sided=bounded)
+        return get_packed_loops(self.tree, explicit, self.held, pins, one_sided=bounded)
 
     @cached_property
     def freedoms(self) -> int:
@@ -382,7 +384,7 @@ class Assembler:
         """
         if self.frames or len(self.loops.names) > FEW:
             return -1
-        home = home_of(self.system)[None]
+        home = find_home(self.system)[None]
         q, _, info = self.run(home, self.no_pins)
         if info[0, 0] != SOLVED:
             return -1
@@ -521,7 +523,7 @@ class Assembler:
                         threads,
                         SERIAL_BELOW,
                     )
-                loops.check()
+                loops.raise_function_error()
                 if by_parts:
                     search = LocalStarts(self.system, loops, weights, tolerance)
                     search.close_all(starts, pins, tries, rng, q, residual, info)
@@ -606,7 +608,7 @@ class Assembler:
             return 0
 
         over_chunks(work, len(q), 2 * PIECE, threads, CONFIRMED_BELOW)
-        loops.check()
+        loops.raise_function_error()
         return good
 
     def _confirm(
@@ -643,7 +645,7 @@ class Assembler:
         layout = self.system.structure.layout
         unit = np.ones(self.system.nq)
         unit[layout.vector_q] = self.loops.scale[layout.vector_v]
-        return unit, layout.vector_q[circles(self.system)[layout.vector_v]]
+        return unit, layout.vector_q[find_free_angles(self.system)[layout.vector_v]]
 
     def _along(
         self, starts: Array, tries: int, rng: int, limits: bool, tolerance: float
@@ -775,7 +777,7 @@ class Assembler:
         do not fit.
         """
         own = {name: given[name] for name in self.coordinates}
-        return {**independent_values(self.system, own), **{f: given[f] for f in self.frames}}
+        return {**compute_source_values(self.system, own), **{f: given[f] for f in self.frames}}
 
     def _refuse(self, given: Mapping[str, Any], start: Any) -> None:
         """Raise an `InputError` that names the number with which nothing can be computed."""
@@ -786,7 +788,7 @@ class Assembler:
             what = f"the place of frame {frame!r}"
             _ = refuse_no_poses(place, what) if whole else within_range(place, what)
         if start is not None:
-            refuse_far(self.system, as_start(self.system, start), "start")
+            refuse_far(self.system, read_start(self.system, start), "start")
         raise InputError(NOT_FINITE)
 
     def _answer(
@@ -914,7 +916,7 @@ class Assembler:
     def _starts(self, given: Mapping[str, Any], start: Any) -> tuple[Array, tuple[int, ...]]:
         """Starts (N, nq) with the known values written in, and the leading shape of the answer."""
         system = self.system
-        base = home_of(system) if start is None else as_start(system, start)
+        base = find_home(system) if start is None else read_start(system, start)
         columns = [
             reals(given[k], f"the known value of {k!r}", "a number, or an array")
             for k in self.sources
@@ -995,12 +997,14 @@ class LocalStarts:
         self.loops = loops
         self.weights = weights
         self.tolerance = tolerance
-        self.moved_by = loops.read_coordinates
+        self.moved_by = loops.tie_coordinates
         self.users: dict[int, list[int]] = {}
         for k, coordinates in enumerate(self.moved_by):
             for v in coordinates:
                 self.users.setdefault(v, []).append(k)
-        self.of_row = np.repeat(np.arange(len(loops.ties)), [len(tie.rows) for tie in loops.ties])
+        self.of_row = np.repeat(
+            np.arange(len(loops.ties)), [len(tie.row_names) for tie in loops.ties]
+        )
         low, high = velocity_lists(loops.weights, system.nv)[3:5]
         self.range = high - low
         self.reached: tuple[Array, float, np.ndarray]
@@ -1078,7 +1082,7 @@ class LocalStarts:
         velocity = np.zeros(self.system.nv)
         spread = random.uniform(0.2, 1.0)
         velocity[changed] = spread * self.range[changed] * random.uniform(-0.5, 0.5, len(changed))
-        return self.system.structure.layout.integrate(q, velocity)
+        return self.system.structure.layout.integrate_velocity(q, velocity)
 
     def _equations(self, q: Array, pin: Array) -> Array:
         """The equations (m,) at q."""
@@ -1119,7 +1123,7 @@ class LocalStarts:
         )
         if error := clock().taken():
             raise error
-        loops.check()
+        loops.raise_function_error()
         return q[0], float(residual[0]), info[0]
 
 
@@ -1140,7 +1144,7 @@ def bare(system: Model, known: Iterable[str] = ()) -> Assembler:
     return _assembler(system, tuple(known), True)
 
 
-@kept
+@keep_answers
 def _assembler(system: Model, known: tuple[str, ...], one_sided: bool) -> Assembler:
     return Assembler(system, listed(known, "known"), one_sided=one_sided)
 

@@ -15,9 +15,12 @@ import numpy as np
 from kempe.description.mechanism import unused_name
 from kempe.equations.closure_rows import evaluate, full
 from kempe.joints import Fixed, Revolute
-from kempe.model.characteristic_length import as_large_as, characteristic_length
-from kempe.model.own_tree import own_tree
-from kempe.model.packed_loops import PackedLoops, loops_of, plane_normal
+from kempe.model.characteristic_length import (
+    adopt_characteristic_length,
+    compute_characteristic_length,
+)
+from kempe.model.own_tree import remove_cut_marks
+from kempe.model.packed_loops import PackedLoops, compute_plane_normal, get_packed_loops
 from kempe.poses import Placement, place
 from kempe.spatial import Array
 from kempe.values import Expression, Value
@@ -58,9 +61,9 @@ class Dimensions:
     """
 
     def __init__(self, system: Model):
-        self.system = own_tree(system)
+        self.system = remove_cut_marks(system)
         m = self.mechanism = self.system.mechanism
-        self.length = characteristic_length(self.system)
+        self.length = compute_characteristic_length(self.system)
         joints = [("joints", j.name) for j in m.joints.values() if not isinstance(j.type, Fixed)]
         declared = [("constraints", c.name) for c in m.constraints.values() if c.parent]
         every = [(*part, side) for part in joints + declared for side in ("X_PF", "X_CM")]
@@ -83,7 +86,7 @@ class Dimensions:
         """Two translations and the rotation along axes of a placement that stay in the plane."""
         X = getattr(getattr(self.mechanism, table)[name], side).evaluate(self.mechanism.parameters)
         bodies = self.system.structure.table
-        normal = X[:3, :3].T @ plane_normal(bodies.at[self.body(table, name, side)], bodies)
+        normal = X[:3, :3].T @ compute_plane_normal(bodies.at[self.body(table, name, side)], bodies)
         return IN_PLANE[int(np.argmax(np.abs(normal)))]
 
     def steps(self, p: Array) -> dict[Place, Steps]:
@@ -112,7 +115,7 @@ class Dimensions:
             parts[name] = replace(
                 parts[name], **{side: Placement(getattr(parts[name], side).steps + more)}
             )
-        found = as_large_as(type(given)(m, given.structure.topology), self.system)
+        found = adopt_characteristic_length(type(given)(m, given.structure.topology), self.system)
         if own:
             self._last = p.copy(), found
         return found
@@ -141,12 +144,12 @@ class Dimensions:
             added += [
                 f"{joint.name}.{motion}" for motion in (IN_PLANE[2] if m.dim == 2 else IN_SPACE)
             ]
-        system = as_large_as(type(self.system)(m), self.system)
+        system = adopt_characteristic_length(type(self.system)(m), self.system)
         own = np.array(
             [system.coordinate_names.index(name) for name in self.system.coordinate_names],
             dtype=int,
         )
-        loops = loops_of(system, frozenset(system.structure.closures))
+        loops = get_packed_loops(system, frozenset(system.structure.closures))
         first = system.structure.coordinates.first
         rows = {row: i for i, row in enumerate(_numbered(loops.names))}
         order = np.array([rows[row] for row in _numbered(full(self.system, True).names)], dtype=int)
@@ -348,7 +351,11 @@ def with_simple_angles(system: Model, most: float) -> Model | None:
                 if new != old:
                     part = table[name] = replace(part, **{side: Placement(new)})
                     found = True
-    return as_large_as(type(system)(m, system.structure.topology), system) if found else None
+    return (
+        adopt_characteristic_length(type(system)(m, system.structure.topology), system)
+        if found
+        else None
+    )
 
 
 def _simple(x: Value, most: float) -> Value:

@@ -20,8 +20,8 @@ from kempe.description.parts import Declared
 from kempe.equations.judge import joint_pose
 from kempe.joints import P, Primitive, R
 from kempe.kernels.dyads import dyads_layout as K
-from kempe.model.coordinates import coordinate_names
-from kempe.model.structural_order import natural
+from kempe.model.coordinates import list_coordinate_names
+from kempe.model.structural_order import make_sort_key
 from kempe.spatial import Array
 from kempe.words import InWords
 
@@ -209,9 +209,11 @@ def parts_of(system: Model) -> Parts:
         return Parts(trouble=f"constraint {other[0].name!r} is of kind {other[0].kind}")
     held: dict[str, tuple[str, str, Pose]] = {}
     moving: list[Joint] = []
-    for name in sorted(mechanism.joints, key=natural):
+    for name in sorted(mechanism.joints, key=make_sort_key):
         joint = mechanism.joints[name]
-        followers = [system.structure.couplings.get(c) for c in coordinate_names(mechanism, joint)]
+        followers = [
+            system.structure.couplings.get(c) for c in list_coordinate_names(mechanism, joint)
+        ]
         if all(f is not None and f.source is None for f in followers):
             values = np.array([f.offset for f in followers if f is not None])
             X_PF, X_CM = (X.evaluate(mechanism.parameters) for X in (joint.X_PF, joint.X_CM))
@@ -225,7 +227,7 @@ def parts_of(system: Model) -> Parts:
 
 
 def _assemble(system: Model, held: dict[str, tuple[str, str, Pose]], moving: list[Joint]) -> Parts:
-    order = [system.body_names[0], *sorted(system.body_names[1:], key=natural)]
+    order = [system.body_names[0], *sorted(system.body_names[1:], key=make_sort_key)]
     at, groups, misfit = _merge(order, held)
     number = {b: i for i, b in enumerate(system.body_names)}
     slots = {c: i for i, c in enumerate(system.coordinate_names)}
@@ -245,7 +247,7 @@ def _assemble(system: Model, held: dict[str, tuple[str, str, Pose]], moving: lis
         F, M = (
             times(X, _flat(Y) if turns else _rail(Y, axis)) for X, Y in ((X_A, X_PF), (X_B, X_CM))
         )
-        source = coordinate_names(mechanism, joint)[0]
+        source = list_coordinate_names(mechanism, joint)[0]
         multiplier = 1.0
         offset = 0.0
         follower = system.structure.couplings.get(source)
@@ -257,7 +259,7 @@ def _assemble(system: Model, held: dict[str, tuple[str, str, Pose]], moving: lis
             Link(joint.name, R if turns else P, a, b, F, M, slots[source], multiplier, offset)
         )
     constraints = mechanism.constraints
-    for name in sorted((n for n, c in constraints.items() if c.equations(2)), key=natural):
+    for name in sorted((n for n, c in constraints.items() if c.equations(2)), key=make_sort_key):
         links += _tie(system, name, len(groups), at)
         groups.append([name])
     size = _size(links)

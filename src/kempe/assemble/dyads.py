@@ -21,8 +21,8 @@ from kempe.arrays import reals
 from kempe.assemble.dyad_decomposition import Decomposition, Dyad, PartLine, parts_of
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.forward.fk import fk
-from kempe.model.configurations import as_q, as_start, refuse_far
-from kempe.model.model import kept
+from kempe.model.configurations import read_q, read_start, refuse_far
+from kempe.model.model import keep_answers
 from kempe.numerics.pool import over_chunks
 from kempe.report import Report, brief
 from kempe.spatial import Array
@@ -230,7 +230,7 @@ class Plan(Report):
         if start is None:
             targets = np.zeros((1, nq))
         else:
-            targets = _rows(as_start(self.system, start), lead, "near")
+            targets = _rows(read_start(self.system, start), lead, "near")
             refuse_far(self.system, targets, "start")
         signs = self.sign_rows(
             branch, targets if branch is None and start is not None else None, lead
@@ -255,7 +255,9 @@ class Plan(Report):
         k = len(signs)
         nq = self.system.nq
         targets = (
-            np.zeros((1, nq)) if start is None else _rows(as_start(self.system, start), (), "near")
+            np.zeros((1, nq))
+            if start is None
+            else _rows(read_start(self.system, start), (), "near")
         )
         refuse_far(self.system, targets, "start")
         many = np.repeat(given, k, axis=0)
@@ -282,7 +284,7 @@ class Plan(Report):
         For three revolute joints, the distance of the middle one from the line through the others;
         with a prismatic joint, the way that it has slid from where its two roots meet.
         """
-        q = as_q(self.system, q)
+        q = read_q(self.system, q)
         X = fk(self.system, q)
         out = np.empty((*q.shape[:-1], self.signs))
         for d in self.dyads:
@@ -439,7 +441,7 @@ def on_branch(
     return plan.solve(stacked, branch, near, threads)[0]
 
 
-@kept
+@keep_answers
 def _closed_form(system: Model, names: tuple[str, ...]) -> Plan | Incomplete:
     slots = {c: i for i, c in enumerate(system.coordinate_names)}
     for name in names:

@@ -19,7 +19,7 @@ from kempe.assemble.bound import LOOSEST, Assembler, bare, of_equations
 from kempe.assemble.nearest_exact import ideal_of, nearly
 from kempe.equations import closure_rows
 from kempe.forward.fk import fk
-from kempe.model.configurations import random
+from kempe.model.configurations import sample_configurations
 from kempe.spatial import Array
 from kempe.status import Status
 
@@ -105,7 +105,7 @@ def _left(bound: Assembler, q: Array) -> str:
     if count < 0:
         # overconstrained, as linkages of a plane in space are: joints that stand anywhere obey
         # their group
-        somewhere = random(system, np.random.default_rng(0))
+        somewhere = sample_configurations(system, np.random.default_rng(0))
         count = closure_rows.freedoms_left(system, somewhere, bound.held)
         who = "in general"
     folded = _coinciding(system, q) if count < left else []
@@ -127,7 +127,7 @@ def _coinciding(system: Model, q: Array) -> list[tuple[str, str]]:
     )[:, :3]
     cells: dict[tuple[int, ...], list[int]] = {}
     for i, cell in enumerate(
-        np.round(places / (COINCIDE * closure_rows.characteristic_length(system))).tolist()
+        np.round(places / (COINCIDE * closure_rows.compute_characteristic_length(system))).tolist()
     ):
         cells.setdefault(tuple(int(x) for x in cell), []).append(i)
     out: list[tuple[str, str]] = []
@@ -157,7 +157,7 @@ def _open(bound: Assembler, q: Array, missed: float) -> str:
     system = bound.system
     length = bound.loops.length
     parts: dict[tuple[str, bool], list[float]] = {}
-    plain = [tie.plain for tie in closure_rows.full(system, False).ties for _ in tie.rows]
+    plain = [tie.unscaled for tie in closure_rows.full(system, False).ties for _ in tie.row_names]
     for (name, row), off, value in zip(
         row_names(system), plain, residual(system, q).tolist(), strict=True
     ):

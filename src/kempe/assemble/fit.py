@@ -9,7 +9,7 @@ import numpy as np
 
 from kempe.assemble.dimensions import Dimensions, Equations, Relations
 from kempe.equations.closure_rows import evaluate, scales
-from kempe.model.own_tree import own_tree
+from kempe.model.own_tree import remove_cut_marks
 from kempe.numerics.clock import TimeLimit
 from kempe.numerics.newton import gauss_newton_of_many
 from kempe.numerics.rank import TINY, Spectrum
@@ -75,7 +75,7 @@ class Valley:
     """
 
     def __init__(self, system: Model, rank: int, equations: Equations | None = None):
-        tree = self.system = own_tree(system)
+        tree = self.system = remove_cut_marks(system)
         self.rank = rank
         self.scale = scales(tree)
         self.equations: Equations = equations or partial(evaluate, tree, scaled=True)
@@ -100,7 +100,7 @@ class Valley:
             rounds,
             step=step,
             longest=0.3,
-            move=lambda q, y: system.structure.layout.integrate(q, self.scale * y),
+            move=lambda q, y: system.structure.layout.integrate_velocity(q, self.scale * y),
         )
 
     def residual(self, q: Array) -> Array:
@@ -117,7 +117,9 @@ class Valley:
         if self.rank == self.system.nv:
             return q[:0]
         ways = self.spectrum(q).right[:, -1]
-        there = self.system.structure.layout.integrate(q, 0.37 * STRIDE * self.scale * ways)
+        there = self.system.structure.layout.integrate_velocity(
+            q, 0.37 * STRIDE * self.scale * ways
+        )
         there = self.converge(there)
         there = there[np.isfinite(there).all(axis=1)]
         return there[self.regular(self.spectrum(there))]
@@ -161,7 +163,7 @@ class Valley:
         q = np.tile(q, (len(ways), 1))
         left = np.full(len(ways), start)
         for _ in range(steps):
-            there = self.converge(layout.integrate(q, self.scale * ways * length))
+            there = self.converge(layout.integrate_velocity(q, self.scale * ways * length))
             kept = np.isfinite(there).all(axis=1)
             q = q[kept]
             there = there[kept]
@@ -175,7 +177,7 @@ class Valley:
             onward = np.einsum("wkn,wkm,wm->wn", null_space, null_space, ways)
             onward /= np.maximum(np.linalg.norm(onward, axis=1, keepdims=True), TINY)
             left = np.maximum(left, np.linalg.norm(f, axis=1))
-            moved = np.linalg.norm(layout.difference(q, there) / self.scale, axis=1)
+            moved = np.linalg.norm(layout.compute_difference(q, there) / self.scale, axis=1)
             kept = (left <= most) & (0.5 * length < moved) & (moved < 2.0 * length)
             kept &= np.sum(onward * ways, axis=1) >= 0.5
             q = there[kept]
@@ -244,7 +246,7 @@ def _sides(shape: Dimensions, rank: int, q: Array) -> list[Array]:
     if rank != shape.system.nv - 1 or len(q) < ENOUGH:
         return []
     along = (
-        shape.system.structure.layout.difference(np.tile(q[0], (len(q), 1)), q)
+        shape.system.structure.layout.compute_difference(np.tile(q[0], (len(q), 1)), q)
         / valley.scale
         @ valley.spectrum(q[0]).right[-1]
     )

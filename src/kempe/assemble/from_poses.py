@@ -25,8 +25,13 @@ from kempe.equations.judge import coordinate_value
 from kempe.errors import InputError
 from kempe.forward.maximal import as_poses, coordinates_of_pose, maximal, maximal_q
 from kempe.joints import JointType, P, Q
-from kempe.model.configurations import as_start, mid, refuse_far
-from kempe.model.implicit_form import flat_frame, implicit_form, screw, slides_along_z
+from kempe.model.configurations import compute_mid_configuration, read_start, refuse_far
+from kempe.model.implicit_form import (
+    find_implicit_form,
+    find_screw_pitch,
+    has_slide_along_z,
+    turn_flat_frame,
+)
 from kempe.model.model import Model
 from kempe.poses import Placement, place, refuse_no_poses
 from kempe.spatial import Array
@@ -57,7 +62,7 @@ def from_maximal(
     """Configuration (..., nq) of the poses (..., n_b, 4, 4), each coordinate read off where its
     joint's bodies are.
 
-    Angles are those nearest to the configuration `start` (default: `System.mid`), and so are the
+    Angles are those nearest to the configuration `start` (default: `System.compute_mid_configuration`), and so are the
     signs of quaternions; a driver has made the full turns that those which follow it tell. Limits
     and one-sided rows are not looked at. Errors: `InputError` for poses that violate a joint, a
     constraint or a coupling by more than `tolerance` (metres or radians, by default 1e-6), naming
@@ -65,13 +70,15 @@ def from_maximal(
     """
     poses = as_poses(system, poses)
     tolerance = READ if tolerance is None else tolerance
-    start = None if start is None else as_start(system, start)
+    start = None if start is None else read_start(system, start)
     if start is not None:
         refuse_far(system, start, "start")
     _refuse_no_poses(system, poses, tolerance)
     lead = together({"poses": poses.shape[:-3], "start": () if start is None else start.shape[:-1]})
     joints = system.mechanism.joints
-    read = read_joints(system, poses, mid(system) if start is None else start, tolerance)
+    read = read_joints(
+        system, poses, compute_mid_configuration(system) if start is None else start, tolerance
+    )
     for name, (_, length, angle) in read.items():
         _refuse_far(
             f"joint {name!r} ({joints[name].type.type_name})",
@@ -123,7 +130,9 @@ def read_joints(
             for body, X_BE in ((joint.parent, joint.X_PF), (joint.child, joint.X_CM)):
                 X_BE = X_BE.evaluate(m.parameters)
                 i = number(body)
-                X_BE = flat_frame(X_BE) if slides_along_z(kind, system.dim, particle) else X_BE
+                X_BE = (
+                    turn_flat_frame(X_BE) if has_slide_along_z(kind, system.dim, particle) else X_BE
+                )
                 ends.append(poses[..., i - 1, :, :] @ X_BE if i else X_BE)
             X[k] = spatial.inverse(ends[0]) @ ends[1]
             values = [
@@ -173,13 +182,13 @@ def fit(
     lead = X.shape[:-2]
     n = len(free)
     own = near.shape[-1]
-    pitch = screw(kind) if dim == 3 and not particle else None
+    pitch = find_screw_pitch(kind) if dim == 3 and not particle else None
     if pitch:
         near = X[..., 2, 3, None] / pitch  # the slide tells the turns
     start = np.concatenate([*coordinates_of_pose(X, dim, particle), near], axis=-1).reshape(
         math.prod(lead), system.nq
     )
-    form = implicit_form(kind, dim, particle)
+    form = find_implicit_form(kind, dim, particle)
     bound = assembler(system, free)
     tolerance = min(max(tolerance, TOLERANCE), LOOSEST)
     found, size, _ = bound.run(start, bound.no_pins, 1, tolerance=tolerance)
@@ -210,7 +219,7 @@ def _apart(kind: JointType, dim: int, particle: bool) -> tuple[Any, tuple[str, .
     m = Mechanism("joint", dim)
     child = m.particle("M") if particle else m.body("M")
     m.free("M", m.ground, child)
-    X = place(axis=(1.0, 0.0)) if slides_along_z(kind, dim, particle) else Placement()
+    X = place(axis=(1.0, 0.0)) if has_slide_along_z(kind, dim, particle) else Placement()
     m.joints["joint"] = Joint("joint", kind, m.ground.name, child.name, X, X, cut=True)
     system = Model(m)
     names = tuple(n for n in system.coordinate_names if n.startswith("M."))

@@ -22,10 +22,10 @@ from kempe.first_order.control import find_driven_velocities
 from kempe.first_order.idle_freedoms import IdleFreedom, can_have_idle_freedom, find_idle_freedoms
 from kempe.first_order.rank import Rank, compute_rank
 from kempe.forward.fk import jacobian
-from kempe.model.ball_angles import regular_chart
-from kempe.model.configurations import has_loops, mid, q_from_dict, refuse_far
-from kempe.model.model import kept
-from kempe.model.own_tree import own_tree
+from kempe.model.ball_angles import make_regular_chart
+from kempe.model.configurations import compute_mid_configuration, has_loops, make_q, refuse_far
+from kempe.model.model import keep_answers
+from kempe.model.own_tree import remove_cut_marks
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -86,9 +86,9 @@ def find_closed(system: Model) -> NearestClosed:
     """
     at = close(
         system,
-        q_from_dict(system, "closed")
+        make_q(system, "closed")
         if "closed" in system.structure.posture_names
-        else mid(system),
+        else compute_mid_configuration(system),
     )
     if at.closed and not one_sided_rows(system).beyond(at.q, declared=True).any():
         return at
@@ -118,7 +118,7 @@ def idle_freedoms_at(system: Model, q: Array) -> tuple[IdleFreedom, ...]:
     at = close(system, q)
     if not at.closed:
         return ()
-    system, q, _ = regular_chart(system, at.q)
+    system, q, _ = make_regular_chart(system, at.q)
     motors = find_driven_velocities(system, None)
     rank = compute_rank(system, q)
     return find_idle_freedoms(
@@ -130,14 +130,14 @@ def idle_freedoms_of(system: Model, q: Array | None = None) -> tuple[IdleFreedom
     """The idle freedoms of a system, looked for once, at a closed configuration that a search finds;
     where it finds none, those at q (nq,).
     """
-    tree = own_tree(system)
+    tree = remove_cut_marks(system)
     found = _idle_at_home(tree)
     if found is None:
         return () if q is None else idle_freedoms_at(tree, q)
     return found
 
 
-@kept
+@keep_answers
 def _idle_at_home(system: Model) -> tuple[IdleFreedom, ...] | None:
     at = find_closed(system)
     return idle_freedoms_at(system, at.q) if at.closed else None
@@ -154,7 +154,7 @@ def idle_coordinates(system: Model, q: Array | None = None) -> np.ndarray:
 
 def idle_rates(system: Model, q: Array) -> Array:
     """Rows (k, s, nv) by which velocities at q (k, nq) give the rates of the s idle spins [rad/s]."""
-    tree = own_tree(system)
+    tree = remove_cut_marks(system)
     found = idle_freedoms_of(system) if system.dim == 3 else ()
     rows = [f.in_body[1] @ jacobian(tree, q, f.bodies[0], "body")[:, 3:] for f in found]
     return np.stack(rows, axis=1) if rows else np.zeros((len(q), 0, system.nv))
@@ -195,12 +195,12 @@ def _draw_nearby(system: Model, rank: Rank, rng: np.random.Generator, count: int
     z = rng.normal(size=(count, rank.nullity)) @ rank.null_space.T
     size = STEP * np.sqrt(rank.nullity)
     z *= size / np.linalg.norm(z, axis=1, keepdims=True)
-    starts = system.structure.layout.integrate(
+    starts = system.structure.layout.integrate_velocity(
         np.broadcast_to(rank.q, (count, system.nq)), z * rank.units
     )
     answer = of_equations(system)(start=starts, limits=False, budget=Budget(starts=1))
     moved = np.linalg.norm(
-        system.structure.layout.difference(rank.q, answer.q) / rank.units, axis=1
+        system.structure.layout.compute_difference(rank.q, answer.q) / rank.units, axis=1
     )
     good = np.asarray(answer.success) & (moved > AWAY * size)
     return [compute_rank(system, q) for q in answer.q[good]]

@@ -42,12 +42,18 @@ from kempe.equations.one_sided import one_sided_rows
 from kempe.errors import InputError
 from kempe.forward.fk import fk, jacobian
 from kempe.joints import P
-from kempe.model.characteristic_length import characteristic_length
-from kempe.model.configurations import as_start, home_of, random, refuse_far, source_names
-from kempe.model.coordinates import distinct
-from kempe.model.model import kept
-from kempe.model.own_tree import own_tree
-from kempe.model.time_coordinate import known_time
+from kempe.model.characteristic_length import compute_characteristic_length
+from kempe.model.configurations import (
+    find_home,
+    list_sources,
+    read_start,
+    refuse_far,
+    sample_configurations,
+)
+from kempe.model.coordinates import find_wound_coordinates
+from kempe.model.model import keep_answers
+from kempe.model.own_tree import remove_cut_marks
+from kempe.model.time_coordinate import fix_known_time
 from kempe.numerics.clock import (
     BROKEN_OFF,
     ENDLESS,
@@ -103,14 +109,14 @@ def mixed(system: Model, q: Array, n: int, rng: np.random.Generator) -> Array:
     return np.where((rng.random((n, len(joints))) < 0.5)[:, place], q[first], q[second])
 
 
-@kept
+@keep_answers
 def _points(system: Model) -> list[Array]:
     """For each body the points (k, 3) of joints and constraints on it, in its axes; of hinges and
     slides a second one on their axis, which a mirror image must keep as well.
     """
     m = system.mechanism
     number = {b: i for i, b in enumerate(system.body_names)}
-    length = characteristic_length(system)
+    length = compute_characteristic_length(system)
     points: list[list[Array]] = [[] for _ in system.body_names]
     for owner in (*m.joints.values(), *(c for c in m.constraints.values() if c.parent)):
         joint = m.joints.get(owner.name)
@@ -134,7 +140,7 @@ def _points(system: Model) -> list[Array]:
     return [np.array(p).reshape(-1, 3) for p in points]
 
 
-@kept
+@keep_answers
 def _plane(system: Model) -> tuple[Array, Array] | None:
     """A point and the normal of the plane, in a planar system of the line, that the ground's points
     lie in.
@@ -144,7 +150,7 @@ def _plane(system: Model) -> tuple[Array, Array] | None:
     if not len(points):
         return None
     center = points.mean(axis=0)
-    spectrum = Spectrum((points - center)[:, :dim], characteristic_length(system))
+    spectrum = Spectrum((points - center)[:, :dim], compute_characteristic_length(system))
     normal = spectrum.right[-1]
     if spectrum.rank(Level.GENERIC) == dim:
         return None
@@ -288,7 +294,7 @@ class ModesSearch:
         """Count configurations that differ only by idle spins as one, from here on."""
         held = [self.system.structure.velocity_names.index(n) for n in self.bound.held]
         idle = idle_freedoms_at(
-            own_tree(ideal_of(self.system)), self.clusters.q[int(np.argmax(self.free > 0))]
+            remove_cut_marks(ideal_of(self.system)), self.clusters.q[int(np.argmax(self.free > 0))]
         )
         self.spins = tuple(f for f in idle if not f.velocity[held].any())
         moved = {b for f in self.spins for b in (*f.bodies, *f.links)}
@@ -373,7 +379,7 @@ def search(
     interrupt, or the end of the time, which is looked for after each round, leaves what the rounds
     before found.
     """
-    system = own_tree(system)
+    system = remove_cut_marks(system)
     bound = of_equations(system, known)
     s = ModesSearch(
         system,
@@ -413,7 +419,7 @@ def _one_round(s: ModesSearch, starts: int) -> bool:
     n = min(ROUND, starts - s.tried)
     start = random_starts(s, n)
     if s.tried == 0:
-        start[0] = home_of(system) if near is None else near
+        start[0] = find_home(system) if near is None else near
     s.tried += n
     s.take(start, True)
     if s.decided():
@@ -451,7 +457,7 @@ def random_starts(s: ModesSearch, n: int) -> Array:
     limits: Array = system.structure.limits
     turning = system.structure.coordinates.turning
     layout = system.structure.layout
-    q = random(system, s.rng, n)
+    q = sample_configurations(system, s.rng, n)
     endless = ~np.isfinite(limits).all(axis=-1) & ~turning
     slides = endless[layout.vector_v]
     q[:, layout.vector_q[slides]] *= 2.0 * metric.length
@@ -509,7 +515,7 @@ def freedoms(
     v[:, free] = KICK * np.array(kicks)
     answer = bound(
         known,
-        system.structure.layout.integrate(q[owner], v * clusters.metric.scale),
+        system.structure.layout.integrate_velocity(q[owner], v * clusters.metric.scale),
         limits=False,
         budget=ONCE,
     )
@@ -557,7 +563,7 @@ def must_be_even(s: ModesSearch) -> bool:
     if bound.frames or (s.clusters.frames and not s.spins) or not len(s.clusters.q):
         return False
     free = [i for i, n in enumerate(system.structure.velocity_names) if n not in bound.held]
-    if distinct(system.mechanism, system.structure.coordinates)[
+    if find_wound_coordinates(system.mechanism, system.structure.coordinates)[
         free
     ].any():  # laws may read angles of no circle
         return False
@@ -831,8 +837,8 @@ def assembly_modes(
             "name"
         )
     if TIME in given:
-        system, given = known_time(system, given)
-    base = None if start is None else as_start(system, start)
+        system, given = fix_known_time(system, given)
+    base = None if start is None else read_start(system, start)
     if base is not None and refuse_far(system, base, "start").ndim != 1:
         raise InputError(
             f"start has shape {base.shape}; it must be one configuration ({system.nq},)"
@@ -860,7 +866,7 @@ def no_dyads(problem: Problem) -> str | None:
     frames = [k for k in known if k in system.frame_names and k not in system.coordinate_names]
     if frames:
         return f"the place of frame {frames[0]!r} is known, not only coordinates"
-    plan = closed_form(system, source_names(system, known))
+    plan = closed_form(system, list_sources(system, known))
     if isinstance(plan, Incomplete):
         return plan.reason
     return f"it has 2^{plan.signs} branches, too many to list" if plan.signs > MOST_SIGNS else None
@@ -960,7 +966,7 @@ def _looked_into(
     if not len(ok) or (ok & ~wide).all():
         return _Doubt(np.zeros(0, dtype=np.int64))
 
-    tree = own_tree(system)
+    tree = remove_cut_marks(system)
     before = len(clusters.members)
     spend = USUAL.of(question.budget)
     bound = of_equations(tree, question.known)
@@ -1073,7 +1079,7 @@ def _example(question: Problem, clusters: Clusters, which: np.ndarray) -> int:
     is, and near home.
     """
     q = clusters.q[which]
-    near = home_of(question.system) if question.start is None else question.start
+    near = find_home(question.system) if question.start is None else question.start
     away = clusters.metric.distances(q, near)
     return int(np.argmin(np.where(_inside(question.system, q), away, away + 1e9)))
 

@@ -28,12 +28,16 @@ from kempe.equations.slip import rolls
 from kempe.errors import InputError, TimeLimitError, shown
 from kempe.first_order.constraint_graph import build_constraint_graph
 from kempe.joints import Revolute
-from kempe.model.ball_angles import regular_chart
-from kempe.model.characteristic_length import as_large_as, characteristic_length, origin_of
-from kempe.model.configurations import as_q, home_of
-from kempe.model.model import keep, kept
-from kempe.model.own_tree import own_tree
-from kempe.model.time_coordinate import timed
+from kempe.model.ball_angles import make_regular_chart
+from kempe.model.characteristic_length import (
+    adopt_characteristic_length,
+    choose_origin,
+    compute_characteristic_length,
+)
+from kempe.model.configurations import find_home, read_q
+from kempe.model.model import keep_answers, store_answer
+from kempe.model.own_tree import remove_cut_marks
+from kempe.model.time_coordinate import list_timed_constraints
 from kempe.numerics.clock import ENDLESS, LONG, TIME_LIMIT, TimeLimit, begun_within, time_limited
 from kempe.report import Nearest, Report
 from kempe.spatial import Array, log_so3, xyz_rpy_from_pose
@@ -178,9 +182,9 @@ class Idealised(Report):
 
         What is farther from closed than the tolerance explains is left as it is.
         """
-        q = as_q(self.system, q)
+        q = read_q(self.system, q)
         off = np.linalg.norm(evaluate(self.system, q, False, True)[0], axis=-1)
-        length = characteristic_length(self.system)
+        length = compute_characteristic_length(self.system)
         near = (off > EXACT) & (off <= OPEN * self.tolerance * (1.0 + 1.0 / length))
         if not np.any(near):
             return q
@@ -209,13 +213,13 @@ def tolerance_of(system: Model, tolerance: Any) -> float:
     """The tolerance that was requested, in metres and radians. Errors: `InputError` with both
     bounds.
     """
-    size = characteristic_length(system)
+    size = compute_characteristic_length(system)
     widest = WIDEST * min(size, 1.0)
     if tolerance is None:
         return USUAL_TOLERANCE * min(size, 1.0)
     if isinstance(tolerance, str) and tolerance == MEASURED:
         return widest
-    finest = FINEST * max(size, float(np.linalg.norm(origin_of(system))))
+    finest = FINEST * max(size, float(np.linalg.norm(choose_origin(system))))
     if not (is_real(tolerance) and finest <= float(tolerance) <= widest):
         raise InputError(
             f"tolerance is {shown(tolerance)}; it must be from {finest:.2g} (rounding) to "
@@ -240,12 +244,12 @@ def within(system: Model, tolerance: Any = None, time: TimeLimit = ENDLESS) -> I
         return found
     most = tolerance_of(system, tolerance)
     if not _closes(system):
-        return keep(answers, key, None)
+        return store_answer(answers, key, None)
     own = time is ENDLESS and not checks()
     time = TimeLimit(LONG) if own else time
     try:
         with time:
-            return keep(answers, key, _searched(system, most, time=time))
+            return store_answer(answers, key, _searched(system, most, time=time))
     except TimeUp:
         if own:
             raise TimeLimitError(
@@ -305,7 +309,7 @@ def nearly(system: Model) -> Idealised | None:
     return system._kept.get(within, {}).get(MEASURED) or _soon(system)
 
 
-@kept
+@keep_answers
 def _soon(system: Model) -> Idealised | None:
     return _searched(system, tolerance_of(system, MEASURED), False)
 
@@ -326,14 +330,14 @@ def _searched(
 ) -> Idealised | None:
     if system._ideal is not None or not _closes(system):
         return None
-    if not system.nv or timed(system) or rolls(system):
+    if not system.nv or list_timed_constraints(system) or rolls(system):
         return None
-    tree = own_tree(system)
+    tree = remove_cut_marks(system)
     parts = _parts(tree, most)
     if not parts:
         return None
-    home = home_of(tree)
-    scaled = most / characteristic_length(tree) + most
+    home = find_home(tree)
+    scaled = most / compute_characteristic_length(tree) + most
     found = [_of_part(part, home[index], most, scaled, thorough, time) for part, index in parts]
     return _changes(tree, [x for x in found if x is not None], home, most) if any(found) else None
 
@@ -489,7 +493,7 @@ def _moves_within_more(system: Model, home: Array, most: float, time: TimeLimit)
     Rounded loops of a mechanism nearly close at single places, where small changes close them. They
     make a structure of it, which says nothing of the mechanism that was meant.
     """
-    size = characteristic_length(system)
+    size = compute_characteristic_length(system)
     widest = WIDEST * min(size, 1.0)
     if most >= widest:
         return False
@@ -506,8 +510,8 @@ def _starts(system: Model, home: Array, scaled: float) -> list[tuple[int, Array]
     equations = len(full(system, True).names)
     limit = OPEN * scaled
     exact = EXACT + 4.0 * np.finfo(float).eps * float(
-        np.linalg.norm(origin_of(system))
-    ) / characteristic_length(system)
+        np.linalg.norm(choose_origin(system))
+    ) / compute_characteristic_length(system)
     out: list[tuple[int, Array]] = []
     rng = np.random.default_rng(0)
     looked = 0
@@ -516,7 +520,7 @@ def _starts(system: Model, home: Array, scaled: float) -> list[tuple[int, Array]
     for k in range(BESIDE + 1):
         start = home
         if k:
-            start = system.structure.layout.integrate(
+            start = system.structure.layout.integrate_velocity(
                 home, valley.scale * rng.normal(size=system.nv) * ASIDE
             )
         q = bare(system)(start=start, budget=Budget(starts=FEW)).q
@@ -526,7 +530,7 @@ def _starts(system: Model, home: Array, scaled: float) -> list[tuple[int, Array]
             if not k:
                 return []
             continue
-        if regular_chart(system, q)[2]:  # angles of a ball that move nothing are no motion
+        if make_regular_chart(system, q)[2]:  # angles of a ball that move nothing are no motion
             continue
         looked += 1
         if left <= exact and equations <= system.nv and np.all(s[:equations] >= limit):
@@ -561,7 +565,9 @@ def _beside(
     null_space = valley.spectrum(home).right[held:]
     ways = rng.normal(size=(WAYS, len(null_space))) @ null_space
     ways *= 2.0 * ASIDE / np.linalg.norm(ways, axis=1, keepdims=True)
-    starts = system.structure.layout.integrate(np.tile(home, (WAYS, 1)), valley.scale * ways)
+    starts = system.structure.layout.integrate_velocity(
+        np.tile(home, (WAYS, 1)), valley.scale * ways
+    )
     out: list[tuple[int, Array]] = []
     for r in range(max(held, 1), top):
         along = Valley(system, r)
@@ -584,7 +590,9 @@ def _apart(
     """The ranks and places without those that are close to one before them."""
     out: list[tuple[int, Array]] = []
     for r, q in starts:
-        off = (system.structure.layout.difference(x, q) / scale for same, x in out if same == r)
+        off = (
+            system.structure.layout.compute_difference(x, q) / scale for same, x in out if same == r
+        )
         if all(np.abs(x).max() > CLOSE for x in off):
             out.append((r, q))
     return out
@@ -607,7 +615,7 @@ def _where(valley: Valley, start: Array, q: Array, limit: float) -> list[Array]:
     layout = valley.system.structure.layout
     if valley.residual(start) > limit:
         return [q]
-    far = np.abs(layout.difference(start, q) / valley.scale).max() > ASIDE
+    far = np.abs(layout.compute_difference(start, q) / valley.scale).max() > ASIDE
     return [start, q] if far else [start]
 
 
@@ -711,7 +719,7 @@ def _changes(system: Model, changed: Sequence[_Found], home: Array, most: float)
         if max(by) >= SHOWN * size
     ]
     reported.sort(key=lambda c: -max(c.moved, c.turned))
-    ideal = as_large_as(type(system)(new, system.structure.topology), system)
+    ideal = adopt_characteristic_length(type(system)(new, system.structure.topology), system)
     at = home.copy()
     for part in changed:  # what does not change counts as it is at home
         at[[index[name] for name in part.ideal.coordinate_names]] = part.q[-1]

@@ -12,9 +12,9 @@ import numpy as np
 from kempe.equations import closure_rows
 from kempe.forward.fk import fk
 from kempe.joints import R
-from kempe.model.characteristic_length import characteristic_length
-from kempe.model.coordinates import coordinate_names, distinct
-from kempe.model.model import kept
+from kempe.model.characteristic_length import compute_characteristic_length
+from kempe.model.coordinates import find_wound_coordinates, list_coordinate_names
+from kempe.model.model import keep_answers
 from kempe.spatial import Array, unit
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ class Metric:
 
     def __init__(self, system: Model):
         self.system = system
-        self.length = characteristic_length(system)
+        self.length = compute_characteristic_length(system)
         self.scale = np.where(system.structure.coordinates.turning, 1.0, self.length)
         self.scale[(system.structure.layout.quaternion_v[:, None] + np.arange(3)).ravel()] = 1.0
         self.period = _periods(system)
@@ -79,7 +79,7 @@ class Metric:
         """Largest difference (...) in any coordinate that `counts` (nv,), in radians and
         characteristic lengths.
         """
-        v = self.system.structure.layout.difference(to, q)
+        v = self.system.structure.layout.compute_difference(to, q)
         back = self.period > 0.0
         v[..., back] -= self.period[back] * np.round(v[..., back] / self.period[back])
         return np.abs(v / self.scale)[..., counts].max(axis=-1, initial=0.0)
@@ -120,7 +120,7 @@ class Metric:
             down = np.where(x > high[iv], x - turn * np.ceil((x - high[iv]) / turn), x)
             up = np.where(down < low[iv], down + turn * np.ceil((low[iv] - down) / turn), down)
             q[:, iq] = np.where(up > high[iv] + INSIDE, x, up)
-        read = distinct(system.mechanism, system.structure.coordinates)[
+        read = find_wound_coordinates(system.mechanism, system.structure.coordinates)[
             system.structure.layout.vector_v
         ]
         if read.any() and len(q):
@@ -135,7 +135,7 @@ class Metric:
         return q
 
 
-@kept
+@keep_answers
 def metric_of(system: Model) -> Metric:
     """The metric of a system."""
     return Metric(system)
@@ -154,7 +154,7 @@ def _periods(system: Model) -> Array:
     mechanism = system.mechanism
     followers = system.structure.couplings
     for joint in mechanism.joints.values():
-        names = coordinate_names(mechanism, joint)
+        names = list_coordinate_names(mechanism, joint)
         for p in joint.type.layout(system.dim, mechanism.bodies[joint.child].particle)[1]:
             follower = followers.get(names[p.coordinate])
             if follower is not None and follower.source is not None:

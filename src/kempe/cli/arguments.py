@@ -14,15 +14,15 @@ from kempe.cli.table_files import is_file, numbers
 from kempe.description.source import expanded
 from kempe.errors import InputError, UnknownNameError
 from kempe.model.configurations import (
-    as_q,
-    by_name,
-    closed_from,
-    from_home,
+    close_from_start,
+    compute_mid_configuration,
+    compute_source_values,
     has_loops,
-    independent_values,
-    mid,
-    q_from_dict,
-    units,
+    list_units,
+    make_q,
+    name_values,
+    read_q,
+    set_from_home,
 )
 from kempe.poses import AXES
 from kempe.spatial import Array
@@ -60,7 +60,7 @@ def known(
             given[name] = value
     places = {name: x for name, x in given.items() if _is_frame(system, name)}
     rest = {name: x for name, x in given.items() if name not in places}
-    return {**independent_values(system, rest), **places}
+    return {**compute_source_values(system, rest), **places}
 
 
 def _not_finite(value: Any, rows: bool) -> str:
@@ -108,7 +108,7 @@ def _check_coordinate(system: System, name: str, frames: bool = False) -> None:
 
 
 def _factor(system: System, name: str, degrees: bool) -> float:
-    return DEGREE if degrees and units(system).get(name) == "rad" else 1.0
+    return DEGREE if degrees and list_units(system).get(name) == "rad" else 1.0
 
 
 def _columns(system: System, path: Path, degrees: bool) -> dict[str, Array]:
@@ -157,11 +157,11 @@ def configurations(
     if is_file(text):
         names, rows = table_files.read(expanded(text))
         if names is None:
-            return _radians(system, as_q(system, rows), degrees)
+            return _radians(system, read_q(system, rows), degrees)
         values = _columns(system, expanded(text), degrees)
-        return (from_home if start else closed_from)(system, values)
+        return (set_from_home if start else close_from_start)(system, values)
     if "=" not in text:
-        return _radians(system, as_q(system, numbers(text, "q")), degrees)
+        return _radians(system, read_q(system, numbers(text, "q")), degrees)
     values: dict[str, Any] = {}
     for word in text.split(","):
         for name, value in _values(system, word, degrees, False).items():
@@ -169,22 +169,22 @@ def configurations(
                 raise InputError(f"{name!r} is given twice")
             values[name] = value
     if not start:
-        return closed_from(system, values, base)
-    return from_home(system, values) if base is None else q_from_dict(system, values, base)
+        return close_from_start(system, values, base)
+    return set_from_home(system, values) if base is None else make_q(system, values, base)
 
 
 def _posture(system: System, name: str) -> Array:
     if name in SPECIAL and name not in system.structure.posture_names:
-        return (system.neutral if name == "neutral" else mid(system)).copy()
+        return (system.neutral if name == "neutral" else compute_mid_configuration(system)).copy()
     if name not in system.structure.posture_names:
         names = (*system.structure.posture_names, *SPECIAL)
         raise UnknownNameError("posture", name, names, system.name)
-    return q_from_dict(system, name)
+    return make_q(system, name)
 
 
 def _radians(system: System, q: Array, degrees: bool) -> Array:
     """q with its angles, given in degrees where `degrees` says so, in radians."""
-    return q / by_name(system, np.ones(system.nq)).within(degrees)
+    return q / name_values(system, np.ones(system.nq)).within(degrees)
 
 
 def start(system: System, text: str | None, degrees: bool = False) -> Array | None:

@@ -15,8 +15,8 @@ from kempe.answers.tables import in_units, write_table
 from kempe.constraints.base import with_numbers
 from kempe.description.parts import Declared, Joint
 from kempe.errors import DescriptionError, Fault, KempeError
-from kempe.model.configurations import has_loops, limits_by_name
-from kempe.model.coordinates import Follower, coordinate_name, relation_text
+from kempe.model.configurations import has_loops, list_limits
+from kempe.model.coordinates import Follower, format_coordinate_name, format_relation
 from kempe.report import Report, Table
 from kempe.spatial import Array
 from kempe.words import Quantities, Quantity, Unit, counted, fixed
@@ -71,7 +71,7 @@ class SystemFacts(Report):
         heads = ("constraint", "type", "of", "what it asks")
         tables.append(Table(heads, rows, title="Declared constraints"))
         follow = [_follower(of, f) for of, f in s.couplings.items()]
-        follow += [relation_text(r) for r in s.relations]
+        follow += [format_relation(r) for r in s.relations]
         frames = [f"{f.name} on {f.body}" for f in s.frames.values()]
         for title, lines in (
             ("Coordinates that follow others", follow),
@@ -141,7 +141,7 @@ class SystemFacts(Report):
     @cached_property
     def _limits(self) -> dict[str, Quantity]:
         """The limits of each coordinate by its name."""
-        return limits_by_name(self.system)
+        return list_limits(self.system)
 
     def _data(self) -> dict[str, Any]:
         system = self.system
@@ -206,7 +206,7 @@ class SystemFacts(Report):
                 }
                 for of, f in s.couplings.items()
             ],
-            "relations": [relation_text(r) for r in s.relations],
+            "relations": [format_relation(r) for r in s.relations],
             "constraints": [_constraint(system, c) for c in system.mechanism.constraints.values()],
             "postures": list(s.posture_names),
             "groups": {name: list(joints) for name, joints in system.groups.items()},
@@ -224,7 +224,7 @@ def _dof_of_tree(system: System) -> int:
     known = set(system.structure.velocity_names)
     cut = [joints[name] for name in system.structure.closures]
     names = (
-        coordinate_name(j.name, v)
+        format_coordinate_name(j.name, v)
         for j in cut
         for v in j.type.velocities(system.dim, bodies[j.child].particle)
     )

@@ -20,7 +20,7 @@ from kempe.description.source import Source, decode, expanded, shorten
 from kempe.description.toml_document import Document
 from kempe.equations.tasks import Task
 from kempe.errors import InputError, UnknownNameError, hint
-from kempe.model.configurations import units
+from kempe.model.configurations import list_units
 from kempe.words import DEGREE
 
 if TYPE_CHECKING:
@@ -231,7 +231,7 @@ class _TaskReader:
                 raise InputError(
                     "q must be a table of numbers by coordinate name, such as {A = 0.3}"
                 )
-            unit = units(self.system)
+            unit = list_units(self.system)
             return {k: x * (self.angle if unit.get(k) == "rad" else 1.0) for k, x in flat.items()}
         return arguments.configurations(
             self.system, ",".join(map(str, _numbers("q", value))), None, self.degrees

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from kempe.equations import closure_rows
-from kempe.model.characteristic_length import origin_of
-from kempe.model.own_tree import own_tree
+from kempe.model.characteristic_length import choose_origin
+from kempe.model.own_tree import remove_cut_marks
 from kempe.numerics.clock import TimeLimit
 from kempe.numerics.curves import BLUNT, CLOSED, Curve
 from kempe.numerics.newton import gauss_newton
@@ -65,13 +65,13 @@ class Closure(Curve):
     def __init__(self, system: Model, held: Sequence[int] = (), at: Array | None = None):
         self.system = system
         self.held = tuple(held)
-        self.tree = own_tree(system)
+        self.tree = remove_cut_marks(system)
         self._held = np.array(self.held, dtype=np.int64)
         layout = system.structure.layout
         turning = system.structure.coordinates.turning
-        length = closure_rows.characteristic_length(system)
+        length = closure_rows.compute_characteristic_length(system)
         self.rounding = (
-            4.0 * np.finfo(float).eps * float(np.linalg.norm(origin_of(system))) / length
+            4.0 * np.finfo(float).eps * float(np.linalg.norm(choose_origin(system))) / length
         )
         self.unit = np.where(turning, 1.0, length)
         for iv in layout.quaternion_v:
@@ -83,10 +83,10 @@ class Closure(Curve):
         self.weight = np.array(
             [
                 1.0
-                if row in ANGLES or (tie.plain and tie.relation is None)
+                if row in ANGLES or (tie.unscaled and tie.relation is None)
                 else 1.0 / (length if tie.relation is None else self.unit[index[tie.relation.of]])
                 for tie in closure_rows.full(self.tree, False).ties
-                for row in tie.rows
+                for row in tie.row_names
             ]
         )
         self.targets = np.zeros(0) if at is None else at[self.place[self._held]]
@@ -183,11 +183,11 @@ class Closure(Curve):
 
     def move(self, x: Array, y: Array) -> Array:
         """The point reached from `x` by the tangent vector `y` (n,)."""
-        return self.system.structure.layout.integrate(x, y * self.unit)
+        return self.system.structure.layout.integrate_velocity(x, y * self.unit)
 
     def between(self, x: Array, other: Array) -> Array:
         """The tangent vector (n,) from `x` to `other`, turns as many as they are."""
-        return self.system.structure.layout.difference(x, other) / self.unit
+        return self.system.structure.layout.compute_difference(x, other) / self.unit
 
     def index(self, names: Sequence[str]) -> list[int]:
         """Indices, among the velocity coordinates, of angles and prismatic coordinates given by

@@ -17,10 +17,10 @@ import numpy as np
 
 from kempe.arguments import explained, flag
 from kempe.kernels.compiled import closure_batch
-from kempe.model.characteristic_length import characteristic_length
-from kempe.model.configurations import as_q
-from kempe.model.own_tree import own_tree
-from kempe.model.packed_loops import PackedLoops, loops_of, must_be_explicit
+from kempe.model.characteristic_length import compute_characteristic_length
+from kempe.model.configurations import read_q
+from kempe.model.own_tree import remove_cut_marks
+from kempe.model.packed_loops import PackedLoops, find_explicit_joints, get_packed_loops
 from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "SystemConstraint",
-    "characteristic_length",
+    "compute_characteristic_length",
     "evaluate",
     "freedoms_left",
     "jacobian",
@@ -71,10 +71,10 @@ def evaluate(
     requested.
 
     `scaled`: lengths, those of sliding coordinates included, are measured in characteristic
-    lengths, and loops are cut where solvers cut them (`own_tree`), so that nothing depends on the
+    lengths, and loops are cut where solvers cut them (`remove_cut_marks`), so that nothing depends on the
     unit or on joints marked `cut`. `loops` are the equations in another form than the full one.
     """
-    q = as_q(system, q)
+    q = read_q(system, q)
     loops = loops or full(system, scaled)
     lead = q.shape[:-1]
     m = len(loops.names)
@@ -84,7 +84,7 @@ def evaluate(
     pins = np.zeros((1, 0))
     packed = loops.ints, loops.floats, loops.plan, loops.weights
     closure_batch.equations(*packed, pins, flat, with_jacobian, out, columns)
-    loops.check()
+    loops.raise_function_error()
     return out.reshape(*lead, m), columns.reshape(*lead, m, system.nv) if with_jacobian else columns
 
 
@@ -97,8 +97,10 @@ def row_names(system: Model) -> list[tuple[str, str]]:
 
 def full(system: Model, scaled: bool) -> PackedLoops:
     """The packed loops in full form, in metres or `scaled`."""
-    tree = own_tree(system) if scaled else system
-    return loops_of(tree, frozenset(tree.structure.closures), length=None if scaled else 1.0)
+    tree = remove_cut_marks(system) if scaled else system
+    return get_packed_loops(
+        tree, frozenset(tree.structure.closures), length=None if scaled else 1.0
+    )
 
 
 def scales(system: Model) -> Array:
@@ -149,7 +151,7 @@ def of_system(system: Model, own: bool = True) -> list[SystemConstraint]:
     loops = (
         full(system, False)
         if flag(own, "own")
-        else loops_of(system, must_be_explicit(system), length=1.0)
+        else get_packed_loops(system, find_explicit_joints(system), length=1.0)
     )
     rows: dict[tuple[str, bool], list[int]] = {}
     for i, (name, what) in enumerate(loops.names):
@@ -165,9 +167,11 @@ def freedoms_left(system: Model, q: Array, held: frozenset[str] = frozenset()) -
     The angles of a ball near their own singularity are measured from q, unless some of them are
     held.
     """
-    from kempe.model.ball_angles import regular_chart  # only here: to assemble needs none of it
+    from kempe.model.ball_angles import (
+        make_regular_chart,
+    )  # only here: to assemble needs none of it
 
-    system, q, _ = regular_chart(system, q, held)
+    system, q, _ = make_regular_chart(system, q, held)
     free = [i for i, n in enumerate(system.structure.velocity_names) if n not in held]
     J = evaluate(system, q, True, True)[1][:, free]
     return len(free) - Spectrum(J, 1.0).rank(Level.CLOSED)

@@ -24,11 +24,16 @@ from kempe.description.parts import Declared, Joint
 from kempe.forward.fk import fk
 from kempe.joints import JointType, P, Primitive, R
 from kempe.kernels.constraints import loop_layout as L
-from kempe.model.characteristic_length import characteristic_length
-from kempe.model.configurations import as_q, circles
-from kempe.model.constraint_program import TURNS, input_name, number_of, numbers_of
-from kempe.model.coordinates import Follower, coordinate_names
-from kempe.model.model import Model, kept
+from kempe.model.characteristic_length import compute_characteristic_length
+from kempe.model.configurations import find_free_angles, read_q
+from kempe.model.constraint_program import (
+    TURNS,
+    collect_numbers,
+    format_input_name,
+    get_field_number,
+)
+from kempe.model.coordinates import Follower, list_coordinate_names
+from kempe.model.model import Model, keep_answers
 from kempe.spatial import Array
 from kempe.words import InWords
 
@@ -54,14 +59,14 @@ def closure_error(system: Model, q: Any) -> spatial.Array:
     frame M, that leads from where its own coordinates put M to where the tree puts it. Zero where
     the loop is closed. The angular part of a particle is zero.
     """
-    q = as_q(system, q)
+    q = read_q(system, q)
     bodies = fk(system, q)
     out = np.zeros((*q.shape[:-1], len(system.structure.closures), 6))
     number = {b: i for i, b in enumerate(system.body_names)}
     mechanism = system._mechanism
     for k, name in enumerate(system.structure.closures):
         joint = mechanism.joints[name]
-        names = coordinate_names(mechanism, joint)
+        names = list_coordinate_names(mechanism, joint)
         local = (
             np.stack([coordinate_value(system, q, c) for c in names], axis=-1)
             if names
@@ -78,14 +83,14 @@ def closure_error(system: Model, q: Any) -> spatial.Array:
     return out
 
 
-@kept
+@keep_answers
 def placements(system: Model, joint: str) -> tuple[Array, Array]:
     """Poses (4, 4) of the frames F of a joint on its parent body and M on its child."""
     m = system._mechanism
     return m.joints[joint].X_PF.evaluate(m.parameters), m.joints[joint].X_CM.evaluate(m.parameters)
 
 
-@kept
+@keep_answers
 def placement_of_frame(system: Model, frame: str) -> Array:
     """Pose (4, 4) of a declared frame on its body."""
     m = system._mechanism
@@ -241,7 +246,7 @@ def missed(
         misses.append(coordinate_misses(system, coordinates, q, numbers))
     known: dict[str, Any] = {}
     if any(r.op in (Op.TAPE, Op.CALL) for r in others):
-        known = {TIME: t} | numbers_of(made)
+        known = {TIME: t} | collect_numbers(made)
         known |= {name: x[..., 0] for name, x in numbers.items()}
         known |= {} if A is None or B is None else pose_inputs(spatial.inverse(A) @ B)
     for row in others:
@@ -283,10 +288,10 @@ def _ends(made: Constraint, row: Row, given: Numbers) -> tuple[Any, Any]:
 
 def _number(made: Constraint, field: str, part: int | None, given: Numbers, default: float) -> Any:
     """The number (...) of a field, of the call where it is `given`; `default` where there is none."""
-    x = given.get(input_name(field, part))
+    x = given.get(format_input_name(field, part))
     if x is not None:
         return x[..., 0]
-    x = number_of(made, field, part) if field else None
+    x = get_field_number(made, field, part) if field else None
     return default if x is None else np.asarray(x, dtype=float)
 
 
@@ -298,8 +303,8 @@ def coordinate_misses(
     items = [r.args for r in rows]
     for _, i, name, ball in items:
         values[..., i : i + (4 if ball else 1)] = numbers[name]
-    d = np.abs(system.structure.layout.difference(values, q))
-    whole = circles(system)
+    d = np.abs(system.structure.layout.compute_difference(values, q))
+    whole = find_free_angles(system)
     d[..., whole] = np.abs(d[..., whole] - TURN * np.round(d[..., whole] / TURN))
     turning = system.structure.coordinates.turning
     slides = [v for v, _, _, ball in items if not ball and not turning[v]]
@@ -547,7 +552,7 @@ def judge(
     velocity are about motions, not about a configuration. Where another system is `closing`, what
     is declared is judged in its dimensions, and what is required in those of `system`.
     """
-    q = as_q(system, q)
+    q = read_q(system, q)
     t = reals(t, "t")
     at = drawn = Poses(system, q, t)
     if closing is not None and closing is not system:
@@ -561,7 +566,7 @@ def judge(
         (float(np.abs(X[..., :3, 3]).max(initial=0.0)) for X in at.bodies.values()), default=0.0
     )
     within = (WITHIN + 10.0 * np.asarray(more, dtype=float))[..., None] * [
-        characteristic_length(system),
+        compute_characteristic_length(system),
         1.0,
     ]
     within = within + ROUNDING * np.array([far, 1.0])

@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from kempe.equations.closure_rows import full
-from kempe.model.configurations import as_q
-from kempe.model.model import kept
-from kempe.model.packed_loops import PackedLoops, loops_of
+from kempe.model.configurations import read_q
+from kempe.model.model import keep_answers
+from kempe.model.packed_loops import PackedLoops, get_packed_loops
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -152,7 +152,7 @@ class OneSided:
         return f"; {those} {which}" if count else ""
 
     def _read(self, q: Any, rates: bool, declared: bool = False) -> tuple[Array, Array]:
-        q = as_q(self.system, q)
+        q = read_q(self.system, q)
         nv = self.system.nv
         lead = q.shape[:-1]
         n = self.declared
@@ -187,7 +187,7 @@ class OneSided:
         return f"{self.names[k]}, {end} end" if both else self.names[k]
 
 
-@kept
+@keep_answers
 def one_sided_rows(system: Model) -> OneSided:
     """The one-sided rows of a system, packed."""
     at = system.structure.layout.vector_q
@@ -221,8 +221,8 @@ def _declared(
     """Names, units, bounds and places of the declared rows between bounds, and the ties that they
     are among.
     """
-    loops = loops_of(system, frozenset(system.structure.closures), one_sided=True)
-    several = Counter(t.name for t in loops.ties if t.bounds for _ in t.rows)
+    loops = get_packed_loops(system, frozenset(system.structure.closures), one_sided=True)
+    several = Counter(t.name for t in loops.ties if t.bounds for _ in t.row_names)
     at = 0
     every = loops.units
     names: list[str] = []
@@ -230,10 +230,10 @@ def _declared(
     bounds: list[tuple[float, float]] = []
     chosen: list[int] = []
     for tie in loops.ties:
-        for i, row in enumerate(tie.rows if tie.bounds else ()):
+        for i, row in enumerate(tie.row_names if tie.bounds else ()):
             names.append(tie.name if several[tie.name] == 1 else f"{tie.name} {row}")
             units.append(every[at + i])
             bounds.append(tie.bounds[i])
             chosen.append(at + i)
-        at += len(tie.rows)
+        at += len(tie.row_names)
     return names, units, bounds, chosen, loops

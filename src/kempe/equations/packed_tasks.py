@@ -15,11 +15,11 @@ from kempe.constraints.base import Constraint
 from kempe.equations.one_sided import one_sided_rows
 from kempe.equations.tasks import TILTS, Goal, Task
 from kempe.errors import InputError
-from kempe.model.configurations import as_q
+from kempe.model.configurations import read_q
 from kempe.model.constraint_program import GROUND, Tie
-from kempe.model.coordinates import distinct
-from kempe.model.own_tree import own_tree
-from kempe.model.packed_loops import PackedLoops, pack
+from kempe.model.coordinates import find_wound_coordinates
+from kempe.model.own_tree import remove_cut_marks
+from kempe.model.packed_loops import PackedLoops, pack_loops
 from kempe.model.primitive_table import Table
 from kempe.poses import refuse_no_poses
 from kempe.spatial import Array
@@ -55,7 +55,7 @@ def _wide(system: Model, tasks: Sequence[Task]) -> np.ndarray:
     """Angles (nv,) with limits a whole turn apart or more, which a whole turn does not change in
     anything else.
     """
-    table = own_tree(system).structure.table
+    table = remove_cut_marks(system).structure.table
     c = system.structure.coordinates
     with np.errstate(invalid="ignore"):
         wide = c.turning & np.isfinite(c.upper - c.lower) & (c.upper - c.lower >= 2.0 * np.pi)
@@ -65,7 +65,7 @@ def _wide(system: Model, tasks: Sequence[Task]) -> np.ndarray:
     bound = {n for r in system.structure.relations for n in (r.of, *r.sources)}
     for task in tasks:
         bound |= task.coordinates()
-    wide = wide & ~distinct(system.mechanism, c)
+    wide = wide & ~find_wound_coordinates(system.mechanism, c)
     return wide & np.array(
         [name not in bound for name in system.structure.velocity_names], dtype=bool
     )
@@ -106,15 +106,15 @@ class Packed:
 
         self.wide = _wide(system, self.tasks) if turns else np.zeros(system.nv, dtype=bool)
         self.closing = closing or system
-        tree = own_tree(self.closing)
+        tree = remove_cut_marks(self.closing)
         explicit = frozenset(tree.structure.closures)
-        drawn = own_tree(system) if self.closing is not system else None
+        drawn = remove_cut_marks(system) if self.closing is not system else None
         of: Callable[[Tie], int] = lambda tie: levels[owner[id(tie)]] if id(tie) in owner else 0  # noqa: E731
         level = of if any(levels) else None
         self.one_sided = one_sided_rows(self.closing)
         """One-sided rows of the system; those that are declared hold, too."""
         bounded = self.one_sided.declared > 0
-        self.loops: PackedLoops = pack(
+        self.loops: PackedLoops = pack_loops(
             tree,
             explicit,
             length=length,
@@ -128,14 +128,14 @@ class Packed:
         """What solvers have worked out of weights and priorities."""
         self.scale: Array = self.loops.scale
         self.owner = np.array([owner.get(id(t), -1) for t in self.loops.ties], dtype=np.int64)
-        self.rows = np.repeat(self.owner, [len(t.rows) for t in self.loops.ties])
+        self.rows = np.repeat(self.owner, [len(t.row_names) for t in self.loops.ties])
         """Task of each equation; -1 for loops, -2 for what holds of itself, -3 for declared ones
         between bounds."""
         bounds = [
             i < 0 and bool(t.bounds) for i, t in zip(self.owner, self.loops.ties, strict=True)
         ]
-        self.rows[np.repeat(bounds, [len(t.rows) for t in self.loops.ties])] = -3
-        ends = np.cumsum([len(t.rows) for t in self.loops.ties], dtype=np.int64) - 1
+        self.rows[np.repeat(bounds, [len(t.row_names) for t in self.loops.ties])] = -3
+        ends = np.cumsum([len(t.row_names) for t in self.loops.ties], dtype=np.int64) - 1
         self.rows[ends[[system.dim == 2 and t.turns in TILTS for t in self.loops.ties]]] = -2
         self.closed = bool(np.any(self.rows == -1))
         """Whether loops or relations hold, too."""
@@ -169,7 +169,7 @@ class Packed:
             for t, i in zip(self.loops.ties, self.owner, strict=True)
             if i in tasks and (bounded or not t.bounds)
         ]
-        return sum(len(t.rows) - (t.turns in trivial) for t in ties)
+        return sum(len(t.row_names) - (t.turns in trivial) for t in ties)
 
     @property
     def ends(self) -> tuple[Array, Array]:
@@ -208,7 +208,7 @@ class Packed:
         """
         from kempe.kernels.compiled import closure_batch
 
-        q = as_q(self.system, q)
+        q = read_q(self.system, q)
         lead = q.shape[:-1]
         loops = self.loops
         m = len(self.rows)
@@ -221,7 +221,7 @@ class Packed:
         closure_batch.equations(
             loops.ints, loops.floats, loops.plan, loops.weights, pins, flat_q, True, out, J
         )
-        loops.check()
+        loops.raise_function_error()
         use = self.rows == -1 if closures else self.rows >= 0
         out = out[:, use]
         J = J[:, use]
@@ -278,7 +278,7 @@ def miss(system: Model, constraint: Constraint, q: Any) -> tuple[Array, Array]:
 
     Where loops are open, bodies are where solvers place them (`kempe.model.own_tree`).
     """
-    return Task(own_tree(system), constraint).measure(as_q(system, q))
+    return Task(remove_cut_marks(system), constraint).measure(read_q(system, q))
 
 
 def _alone(system: Model, constraint: Constraint) -> Packed:

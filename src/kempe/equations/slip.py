@@ -11,7 +11,7 @@ import numpy as np
 
 from kempe.equations.velocity import rates, row_names, velocity_rows
 from kempe.errors import InputError
-from kempe.model.model import kept
+from kempe.model.model import keep_answers
 from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 
@@ -31,7 +31,7 @@ CONTRADICTION = 1e-9
 """By how much velocity rows may contradict loops, of rows of size 1."""
 
 
-@kept
+@keep_answers
 def rolls(system: Model) -> bool:
     """Whether the system has velocity constraints."""
     return bool(row_names(system))
@@ -99,7 +99,7 @@ def slip_of(system: Model, q: Array, times: Sequence[float] | Array | None = Non
     clock = np.arange(float(len(q))) if times is None else np.asarray(times, dtype=float)
     one = _ways(system, q, clock, 1)
     if len(q) == 2:
-        way = system.structure.layout.difference(q[0], q[1])
+        way = system.structure.layout.compute_difference(q[0], q[1])
         bend = np.abs((rates(system, q[1], clock[1])[0] - rates(system, q[0], clock[0])[0]) @ way)
         slips = one.slip
         allowed = EXPLAINED * bend[None] + ABSOLUTE + RELATIVE * one.size
@@ -153,8 +153,8 @@ class _SlipVelocities(NamedTuple):
 
 
 def _ways(system: Model, q: Array, clock: Array, step: int) -> _SlipVelocities:
-    way = system.structure.layout.difference(q[:-step], q[step:])
-    middle = q[1:-1] if step == 2 else system.structure.layout.integrate(q[:-1], 0.5 * way)
+    way = system.structure.layout.compute_difference(q[:-step], q[step:])
+    middle = q[1:-1] if step == 2 else system.structure.layout.integrate_velocity(q[:-1], 0.5 * way)
     time = clock[step:] - clock[:-step]
     when = 0.5 * (clock[step:] + clock[:-step])
     A, b = rates(system, middle, when)

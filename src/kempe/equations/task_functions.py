@@ -20,8 +20,8 @@ from kempe.description.parts import Declared
 from kempe.errors import InputError, shown
 from kempe.forward.fk import fk
 from kempe.forward.fk import jacobian as frame_jacobian
-from kempe.model.characteristic_length import characteristic_length
-from kempe.model.configurations import as_q, q_from_dict, random
+from kempe.model.characteristic_length import compute_characteristic_length
+from kempe.model.configurations import make_q, read_q, sample_configurations
 from kempe.model.coordinates import Layout
 from kempe.model.kernel_functions import Callback
 from kempe.spatial import Array
@@ -65,7 +65,10 @@ def differences(function: Callable[[Array], Any], layout: Layout, q: Array) -> A
     """Derivatives (m, nv) by the velocity coordinates, by central differences on the manifold of q."""
     steps = REAL_STEP * np.eye(layout.nv)
     ends = [
-        [np.asarray(function(layout.integrate(q, s * e)), dtype=float).ravel() for s in (1, -1)]
+        [
+            np.asarray(function(layout.integrate_velocity(q, s * e)), dtype=float).ravel()
+            for s in (1, -1)
+        ]
         for e in steps
     ]
     if not ends:
@@ -192,7 +195,7 @@ class Whole:
                 else f"q ({system.nq},)"
             )
             raise InputError(f"{of.label} is called with {given}, which it does not take")
-        found = checked_value(self.label, self.raw, q := random(system, 0))
+        found = checked_value(self.label, self.raw, q := sample_configurations(system, 0))
         self.count = found.size
         if not self.count:
             raise InputError(f"{of.label} gives no numbers at all; it must give one or more")
@@ -257,7 +260,9 @@ class Whole:
         columns = frame_jacobian(self.system, q, self.frames)
         moving = np.flatnonzero(columns.any(axis=(0, 1)))
         if len(moving) > 6 * len(self.frames):
-            scale = np.tile(np.repeat([characteristic_length(self.system), 1.0], 3), len(poses))
+            scale = np.tile(
+                np.repeat([compute_characteristic_length(self.system), 1.0], 3), len(poses)
+            )
             twists = np.diag(scale).reshape(-1, len(poses), 6)
             return self._along(poses, twists) / scale @ columns.reshape(-1, self.system.nv)
         J = np.zeros(shape)
@@ -281,7 +286,7 @@ class Whole:
             lambda q: (self.values(q)[own] - offset, self.jacobian(q)[own]),
             alone=lambda q: self.values(q)[own] - offset,
         )
-        return made.made_by(self.callback, rows, offset)
+        return made.remember_maker(self.callback, rows, offset)
 
     def off(self, q: Array) -> Array:
         """How far (..., m) its numbers are from where they must be, at q (..., nq)."""
@@ -399,9 +404,9 @@ def coordinate_values(system: Model, made: Constraint) -> CoordinateValues:
     items.sort(key=lambda item: item[1])
     values = named(given)
     if values is None:
-        return CoordinateValues(system, as_q(system, given), tuple(items), name=made.label)
+        return CoordinateValues(system, read_q(system, given), tuple(items), name=made.label)
     # refuses names that are none, or follow others
-    q_from_dict(system, dict.fromkeys(values, 0.0))
+    make_q(system, dict.fromkeys(values, 0.0))
     columns = {n: numbers_of(x, f"{n!r} of {made.label}") for n, x in values.items()}
     q = np.empty((*np.broadcast_shapes(*(x.shape for x in columns.values())), system.nq))
     q[:] = system.neutral

@@ -28,21 +28,21 @@ from kempe.equations.task_functions import bound
 from kempe.errors import InputError
 from kempe.forward.fk import fk
 from kempe.kernels.constraints import loop_layout as L
-from kempe.model.configurations import check_read
+from kempe.model.configurations import refuse_unreadable
 from kempe.model.constraint_program import (
     GROUND,
     Centre,
     End,
     Tie,
-    between,
+    format_input_name,
+    get_input_number,
+    get_row_bounds,
     has_varied_bounds,
-    input_name,
-    input_of,
-    recorded_numbers,
-    ties,
-    varied_ends,
+    list_recorded_numbers,
+    list_varied_ends,
+    make_ties,
 )
-from kempe.model.model import kept
+from kempe.model.model import keep_answers
 from kempe.model.primitive_table import Table
 from kempe.spatial import Array
 
@@ -129,7 +129,7 @@ class Task:
         if facts_of(rows).written:
             known = system.structure.parameters
             made = bound(system, with_numbers(constraint.knowing(known), known))
-            check_read(system, made.reads, self.label)
+            refuse_unreadable(system, made.reads, self.label)
         self.of: Any = made
         self.rows = rows = made.rows(system.dim) if made is not constraint else rows
         facts = facts_of(rows)
@@ -179,7 +179,7 @@ class Task:
             varied = tuple([self._varied_ends(r) for r in self.rows])
             values = tuple([bool(held(made, r)) for r in self.rows])
             bounds = [
-                between(made, r) if one_sided(made, r) and not ends else None
+                get_row_bounds(made, r) if one_sided(made, r) and not ends else None
                 for r, ends in zip(self.rows, varied, strict=True)
             ]
             numbers = varied, values, tuple(bounds)
@@ -188,7 +188,7 @@ class Task:
 
     def _varied_ends(self, row: Row) -> tuple[str, ...]:
         """Which ends of a row come with each call."""
-        return varied_ends(self.of, row) if self.varied else ()
+        return list_varied_ends(self.of, row) if self.varied else ()
 
     # ---- ties
 
@@ -205,7 +205,7 @@ class Task:
             B = (row, X @ np.reshape(self.tool, (4, 4)), particle)
             self._refuse_axes_of_particles(A, B)
         centre = self._centre(table) if self.central else None
-        return ties(self.system, self.label, self.of, A, B, True, centre)
+        return make_ties(self.system, self.label, self.of, A, B, True, centre)
 
     def _refuse_axes_of_particles(self, A: End, B: End) -> None:
         turned = B[2] and (any(map(reads_axes, self.rows)) or any(self.tool[k] for k in (3, 7, 11)))
@@ -242,7 +242,7 @@ class Task:
         found: set[int] = set()
         if not facts_of(self.rows).written:
             return set()
-        for tie in ties(self.system, self.label, self.of, GROUND, GROUND, True):
+        for tie in make_ties(self.system, self.label, self.of, GROUND, GROUND, True):
             if tie.tape is not None:
                 found |= {first[n][1] for n in tie.tape.coordinates}
             if tie.function is not None:
@@ -265,13 +265,13 @@ class Task:
             varied = self._varied_ends(row)
             for field in [getattr(row, end) for end in varied] or [held(made, row)]:
                 if field:
-                    name = input_name(field, row.part)
+                    name = format_input_name(field, row.part)
                     x = self._number(name)
                     numbers[name] = np.clip(x, -FAR, FAR) if varied else x
             if row.op is Op.TAPE:
                 numbers |= {
                     n: self._number(n)
-                    for n in recorded_numbers(made, self.system.dim, row.args[0])
+                    for n in list_recorded_numbers(made, self.system.dim, row.args[0])
                     if n not in numbers
                 }
             if row.op is Op.COORDINATE:
@@ -279,7 +279,7 @@ class Task:
         return Goal(made.goal(self.system.dim) if posed else None, numbers)
 
     def _number(self, name: str) -> Array:
-        return numbers_of(input_of(self.of, name), f"{name} of {self.label}")[..., None]
+        return numbers_of(get_input_number(self.of, name), f"{name} of {self.label}")[..., None]
 
     def measure(
         self, q: Array, goal: Goal | None = None, poses: Poses | None = None
@@ -309,7 +309,7 @@ class Task:
         return spatial.pose(p=np.einsum("...kij,kj->...i", poses(names)[..., :3, :], moments))
 
 
-@kept
+@keep_answers
 def _moments(
     system: Model, points: tuple[tuple[str, tuple[float, ...], float], ...]
 ) -> tuple[list[str] | None, Array]:

@@ -21,13 +21,13 @@ from kempe.joints import P, Q
 from kempe.kernels.compiled import tape_evaluation as tape
 from kempe.kernels.constraints import loop_layout
 from kempe.kernels.constraints import tape_layout as L
-from kempe.model.characteristic_length import characteristic_length
-from kempe.model.configurations import as_q
-from kempe.model.constraint_program import Tie, ends_of, numbers_of
+from kempe.model.characteristic_length import compute_characteristic_length
+from kempe.model.configurations import read_q
+from kempe.model.constraint_program import Tie, collect_numbers, find_ends
 from kempe.model.coordinates import Layout
-from kempe.model.model import kept
-from kempe.model.packed_loops import held_ties, moving
-from kempe.model.primitive_table import End, Table, lower
+from kempe.model.model import keep_answers
+from kempe.model.packed_loops import find_moving_rows, list_position_ties
+from kempe.model.primitive_table import End, Table, make_primitive_table
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -376,7 +376,7 @@ class Recorder:
         p = self.end(b).p
         force = [n.dot(R[i], c[:3]) for i in range(3)]
         moment = [n.dot(R[i], c[3:]) for i in range(3)]
-        for sign, row in moving(a[0], b[0], table.parent):
+        for sign, row in find_moving_rows(a[0], b[0], table.parent):
             factor = sign * float(table.multiplier[row])
             kind = table.kind[row]
             column = int(table.iv[row])
@@ -551,7 +551,7 @@ def rates(system: Model, q: Any, t: ArrayLike = 0.0) -> tuple[Array, Array]:
     Rows are in the order of `row_names`, those that slip in m/s, those that turn in rad/s. A system
     without such constraints has none. Errors: `InputError`.
     """
-    return velocity_rows(system).values(as_q(system, q), reals(t, "t"))
+    return velocity_rows(system).values(read_q(system, q), reals(t, "t"))
 
 
 def row_names(system: Model) -> tuple[tuple[str, str], ...]:
@@ -559,13 +559,13 @@ def row_names(system: Model) -> tuple[tuple[str, str], ...]:
     return tuple((r.of, r.name) for r in velocity_rows(system).names)
 
 
-@kept
+@keep_answers
 def velocity_rows(system: Model) -> VelocityRows:
     """The rows of the declared velocity constraints, recorded."""
     return _recorded(system, system.structure.table, False)
 
 
-@kept
+@keep_answers
 def tangent_rows(system: Model) -> VelocityRows:
     """The rows of all constraints, recorded: tangents of what holds positions, and velocity
     constraints.
@@ -574,7 +574,7 @@ def tangent_rows(system: Model) -> VelocityRows:
     count. One-sided rows are there, as if they were active.
     """
     m = system._mechanism
-    table = lower(
+    table = make_primitive_table(
         m,
         system.structure.topology,
         system.structure.coordinates,
@@ -587,7 +587,7 @@ def tangent_rows(system: Model) -> VelocityRows:
 def _recorded(system: Model, table: Table, positions: bool) -> VelocityRows:
     mechanism = system._mechanism
     made = _Recording(system, table, mechanism.parameters)
-    for tie in held_ties(system, table) if positions else ():
+    for tie in list_position_ties(system, table) if positions else ():
         made.tangents(tie)
     for declared in mechanism.constraints.values():
         made.velocities(declared)
@@ -638,7 +638,7 @@ class _Recording:
 
     def tangents(self, tie: Tie) -> None:
         """Add the rates of the equations of a tie."""
-        for name, form in zip(tie.rows, self._forms(tie), strict=True):
+        for name, form in zip(tie.row_names, self._forms(tie), strict=True):
             self.recorder.add_row(tie.a, tie.b, form)
             self.names.append(RowName(tie.name, name, "m", False, bool(tie.bounds)))
 
@@ -691,9 +691,9 @@ class _Recording:
         rows = [row for row in made.rows(system.dim) if row.velocity]
         if not rows:
             return
-        a, b = ends_of(system, self.recorder.table, declared)
+        a, b = find_ends(system, self.recorder.table, declared)
         seen = self.recorder.seen(a, b) if made.ends[1] is not None else None
-        numbers = numbers_of(made)
+        numbers = collect_numbers(made)
         known: dict[str, Num] = {**self.known, **numbers}
         speeds = {n + RATE: form for n, form in self.rates.items()}
         known |= dict.fromkeys(speeds, 0.0)
@@ -712,7 +712,7 @@ class _Recording:
         tape, entries = self.recorder.finish()
         turning = set(table.iv[table.kind != P].tolist())
         turning |= {v + i for v in table.iv[table.kind == Q].tolist() for i in range(3)}
-        length = characteristic_length(system)
+        length = compute_characteristic_length(system)
         units = np.array([1.0 if v in turning else length for v in range(system.nv)] + [1.0])
         return VelocityRows(
             system.structure.layout,

@@ -18,7 +18,7 @@ from kempe.equations.closure_rows import full
 from kempe.joints import P, Primitive, Q
 from kempe.model.constraint_program import Tie
 from kempe.model.coordinates import Relation
-from kempe.model.model import kept
+from kempe.model.model import keep_answers
 from kempe.model.packed_loops import PackedLoops
 from kempe.spatial import Array
 
@@ -122,7 +122,7 @@ class Edge:
 
     Bodies are given by number.
 
-    `columns` are its velocities, all of them, those that follow others or are held too.
+    `list_columns` are its velocities, all of them, those that follow others or are held too.
     """
 
     name: str
@@ -286,7 +286,7 @@ class ConstraintGraph:
 # ---- the graph of a system
 
 
-@kept
+@keep_answers
 def build_constraint_graph(system: Model) -> ConstraintGraph:
     """Build the constraint graph of a system: edges, loops, laws and clusters."""
     return _assemble_graph(system)
@@ -436,12 +436,12 @@ def _build_laws(system: Model, way: Way) -> tuple[Law, ...]:
     found: dict[tuple[int, int], tuple[Relation | Declared, list[int], list[Tie]]] = {}
     order = {c.name: i for i, c in enumerate(system._mechanism.constraints.values())}
     for tie in loops.ties:
-        places = list(range(first, first + len(tie.rows)))
-        first += len(tie.rows)
+        places = list(range(first, first + len(tie.row_names)))
+        first += len(tie.row_names)
         if tie.relation is not None:
             key = (0, system.structure.relations.index(tie.relation))
             of = tie.relation
-        elif tie.written:
+        elif tie.user_written:
             key = (1, order[tie.name])
             of = system._mechanism.constraints[tie.name]
         else:
@@ -468,11 +468,11 @@ def _build_law(
     ties: list[Tie],
     edges: tuple[int, ...],
 ) -> Law:
-    support = {v for k, tie in enumerate(loops.ties) if tie in ties for v in loops.columns(k)}
+    support = {v for k, tie in enumerate(loops.ties) if tie in ties for v in loops.list_columns(k)}
     tapes = [t.tape for t in ties]
     linear = all(
         t.relation is not None
-        or (r is not None and not r.moved and r.tape.linear_in(r.tape.inputs))
+        or (r is not None and not r.pose_dependent and r.tape.linear_in(r.tape.inputs))
         for t, r in zip(ties, tapes, strict=True)
     )
     name = of.of if isinstance(of, Relation) else of.name

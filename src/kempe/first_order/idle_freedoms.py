@@ -18,7 +18,7 @@ from kempe.first_order.rank import Rank
 from kempe.first_order.screws import Screws
 from kempe.forward.fk import fk
 from kempe.joints import P, Q
-from kempe.model.model import keep, kept
+from kempe.model.model import keep_answers, store_answer
 from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array, skew
 from kempe.words import InWords
@@ -109,7 +109,7 @@ class Surroundings(NamedTuple):
     uses: np.ndarray
 
 
-@kept
+@keep_answers
 def find_surroundings(system: Model) -> Surroundings:
     """Find the edges at each body, rigid parts, edges in loops and the use of each velocity."""
     s = build_constraint_graph(system)
@@ -365,7 +365,7 @@ def find_spin_groups(system: Model, at: Screws, driven: frozenset[int], known: b
     if found is None:
         ends = _find_ends(system, at, driven)
         found = [*_find_sliding_groups(system, at, ends), *_find_ball_groups(system, ends, known)]
-        keep(answers, (driven, known), found)
+        store_answer(answers, (driven, known), found)
     return found
 
 

@@ -232,7 +232,9 @@ def compute_written_rows(system: Model, q: Array) -> dict[str, Array]:
     steps = np.concatenate(
         [np.zeros((1, system.nv)), AROUND * rng.normal(size=(POINTS, system.nv)) * scale]
     )
-    there = system.structure.layout.integrate(np.broadcast_to(q, (len(steps), len(q))), steps)
+    there = system.structure.layout.integrate_velocity(
+        np.broadcast_to(q, (len(steps), len(q))), steps
+    )
     J = closure_rows.evaluate(system, there, True, True)[1]
     out: dict[str, Array] = {}
     for law in laws:

@@ -21,8 +21,13 @@ from kempe.description.parts import Declared, Joint
 from kempe.first_order.constraint_graph import Edge, build_constraint_graph
 from kempe.first_order.rank import ClusterRank, Rank, compute_loop_rows
 from kempe.first_order.screws import Screws
-from kempe.model.implicit_form import ImplicitForm, implicit_form, screw, slides_along_z
-from kempe.model.structural_order import natural
+from kempe.model.implicit_form import (
+    ImplicitForm,
+    find_implicit_form,
+    find_screw_pitch,
+    has_slide_along_z,
+)
+from kempe.model.structural_order import make_sort_key
 from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 from kempe.words import InWords, counted, in_words
@@ -134,7 +139,7 @@ class _JointReaction:
             if self.passive
             else 2
         )
-        return kind, natural(self.owner)
+        return kind, make_sort_key(self.owner)
 
 
 def find_redundancy(system: Model, rank: Rank) -> Redundancy:
@@ -253,13 +258,13 @@ def compute_joint_directions(
 def _find_implicit_form(edge: Edge, dim: int) -> ImplicitForm | None:
     """Find the implicit form of the equations of a joint; None where there is none."""
     assert isinstance(edge.of, Joint)
-    return implicit_form(edge.of.type, dim, edge.particle)
+    return find_implicit_form(edge.of.type, dim, edge.particle)
 
 
 def _is_slider(edge: Edge, dim: int) -> bool:
     """Return whether a planar joint slides along z of its frame F."""
     assert isinstance(edge.of, Joint)
-    return slides_along_z(edge.of.type, dim, edge.particle)
+    return has_slide_along_z(edge.of.type, dim, edge.particle)
 
 
 def _find_free_directions(edge: Edge, dim: int) -> frozenset[str] | None:
@@ -270,7 +275,9 @@ def _find_free_directions(edge: Edge, dim: int) -> frozenset[str] | None:
     assert isinstance(edge.of, Joint)
     form = _find_implicit_form(edge, dim)
     if form is None:
-        return frozenset({"rz"}) if dim == 3 and screw(edge.of.type) is not None else None
+        return (
+            frozenset({"rz"}) if dim == 3 and find_screw_pitch(edge.of.type) is not None else None
+        )
     slides = {how for _, how in form.readings if how in DIRECTIONS}
     if _is_slider(edge, dim):
         return frozenset({"z"})

@@ -287,9 +287,9 @@ class Wrenches:
             name = tie.name if tie.relation is None else f"coupling of {tie.relation.of}"
             out += [
                 _WrenchRow(name, row, packed.units[k + i], True, J[k + i])
-                for i, row in enumerate(tie.rows)
+                for i, row in enumerate(tie.row_names)
             ]
-            k += len(tie.rows)
+            k += len(tie.row_names)
         order = {
             n: i
             for i, n in enumerate((*self.system.structure.joints, *self._mechanism.constraints))
@@ -306,7 +306,7 @@ class Wrenches:
             J = sided.rates(Q, declared=True)[1] / self._scale / sided.scale[:n, None]
             assert sided.loops is not None
             tied: list[tuple[str, str]] = [
-                (t.name, row) for t in sided.loops.ties for row in t.rows
+                (t.name, row) for t in sided.loops.ties for row in t.row_names
             ]
             chosen: list[int] = sided.chosen[:n].tolist()
             for i, which in enumerate(chosen):

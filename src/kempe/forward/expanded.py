@@ -11,7 +11,7 @@ from kempe.description.mechanism import Mechanism, unused_name
 from kempe.description.parts import Body, Coupling, Joint
 from kempe.errors import InputError
 from kempe.joints import Primitive, Prismatic, Q, R, Revolute, Spherical
-from kempe.model.coordinates import coordinate_names
+from kempe.model.coordinates import list_coordinate_names
 from kempe.poses import Placement, place
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def expanded(system: SystemType) -> SystemType:
 def _parts(m: Mechanism, joint: Joint) -> list[_SingleJoint]:
     """The turns and slides of a joint; those of a quaternion with three angles, in postures, too."""
     keys, steps = joint.type.layout(m.dim, m.bodies[joint.child].particle)
-    names = coordinate_names(m, joint)
+    names = list_coordinate_names(m, joint)
     out = list[_SingleJoint]()
     for p in steps:
         if p.kind != Q:

@@ -16,9 +16,9 @@ from kempe.arguments import explained, known, quiet
 from kempe.errors import InputError, UnknownNameError, shown
 from kempe.kernels.compiled import bound, chain, maker, table_sweep
 from kempe.kernels.forward.table_layout import BODY, WORLD, WORLD_ALIGNED, fuse
-from kempe.model.configurations import as_q
-from kempe.model.gauge import regauge
-from kempe.model.model import kept
+from kempe.model.configurations import read_q
+from kempe.model.gauge import regauge_table
+from kempe.model.model import keep_answers
 from kempe.numerics.pool import over_chunks
 from kempe.spatial import Array, matrix_to_quat_wxyz
 
@@ -70,12 +70,14 @@ FORMS = {
 TYPES = ("float64", "float32")
 
 
-@kept
+@keep_answers
 def chain_table(system: Model, frame: str) -> tuple[np.ndarray, Array]:
     """The chain that leads to a frame, packed for the kernels that compute chains in the cheapest
     form.
     """
-    return regauge(*system.structure.table.pack([frame], system.structure.table.path(frame)))
+    return regauge_table(
+        *system.structure.table.pack_arrays([frame], system.structure.table.find_path(frame))
+    )
 
 
 @quiet
@@ -98,7 +100,7 @@ def in_form(
         kind = np.dtype(object)
     if kind.name not in TYPES:
         raise InputError(f"dtype is {shown(dtype)}; allowed: {', '.join(TYPES)}")
-    q = as_q(system, q)
+    q = read_q(system, q)
     one: Any = frame
     several = frame is None or isinstance(frame, (list, tuple))
     base = None if relative_to is None else system.structure.frame_name(relative_to)
@@ -304,8 +306,8 @@ class _ChainQuery:
         self.system = system
         self.name = name
         self.form = (form, dtype)
-        self.ints, self.floats = system.structure.table.pack(
-            [name], system.structure.table.path(name)
+        self.ints, self.floats = system.structure.table.pack_arrays(
+            [name], system.structure.table.find_path(name)
         )
         self.tables = {key: fuse(self.ints, self.floats, kind) for key, kind in IN_FRAMES.items()}
         self.regauged = chain_table(system, name)
@@ -322,7 +324,7 @@ class _ChainQuery:
         return query(self.system, self.name, *self.form)
 
     def pose(self, q: Any, out: Array | None, threads: int | None) -> Array:
-        q = as_q(self.system, q)
+        q = read_q(self.system, q)
         out, q = _out(out, (*q.shape[:-1], 4, 4)), _apart(q, out)
         if q.ndim == 1:
             if bound.pose(self.tables["world_aligned"], q, out):
@@ -344,7 +346,7 @@ class _ChainQuery:
         kind = IN_FRAMES.get(in_frame) if isinstance(in_frame, str) else None
         if kind is None:
             raise UnknownNameError("frame of expression", in_frame, IN_FRAMES)
-        q = as_q(self.system, q)
+        q = read_q(self.system, q)
         nv = self.system.nv
         pose = np.empty((*q.shape[:-1], 4, 4))
         columns = _out(out, (*q.shape[:-1], 6, nv))
@@ -376,9 +378,9 @@ def _query(system: Model, frame: FrameLike) -> Any:
     return found
 
 
-@kept
+@keep_answers
 def _packed(system: Model, frames: tuple[str, ...] | None) -> tuple[np.ndarray, Array]:
-    return system.structure.table.pack(system.body_names if frames is None else frames)
+    return system.structure.table.pack_arrays(system.body_names if frames is None else frames)
 
 
 # ---- `fk` and `jacobian`
@@ -418,7 +420,7 @@ def fk(
         return _query(system, frame)(None, q, out, threads)
     key = None if frame is None else tuple(system.structure.frame_name(f) for f in frame)
     ints, floats = _packed(system, key)
-    q = as_q(system, q)
+    q = read_q(system, q)
     k = len(system.body_names) if key is None else len(key)
     out, q = _out(out, (*q.shape[:-1], k, 4, 4)), _apart(q, out)
     if q.ndim == 1:
@@ -463,7 +465,7 @@ def jacobian(
         of_frame = _query(system, frame)
         return of_frame.jacobian(q, in_frame, threads=threads)
     of_frames = [_query(system, system.structure.frame_name(f)) for f in frame]
-    q = as_q(system, q)
+    q = read_q(system, q)
     out = np.empty((*q.shape[:-1], len(of_frames), 6, system.nv))
     for k, of_frame in enumerate(of_frames):
         out[..., k, :, :] = of_frame.jacobian(q, in_frame, threads=threads)

@@ -8,7 +8,7 @@ import numpy as np
 
 from kempe.errors import UnsupportedError
 from kempe.forward.fk import fk, jacobian
-from kempe.model.primitive_table import local_chain
+from kempe.model.primitive_table import extract_chain
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ def joint_lines_of(system: Model, frame: str) -> tuple[list[JointLine], Array]:
     Joints that their limits hold are left out. Errors: `UnsupportedError` for other joints than
     turns and slides, each with one coordinate.
     """
-    table, q_index, v_index = local_chain(system.structure.table, frame)
+    table, q_index, v_index = extract_chain(system.structure.table, frame)
     if len(table.iv) != len(v_index) or len(q_index) != len(v_index):
         raise UnsupportedError(
             f"the chain of {frame!r} has joints that follow each other, or have quaternions"

@@ -19,9 +19,9 @@ from kempe import spatial
 from kempe.arguments import explained, numbers
 from kempe.errors import InputError
 from kempe.forward.fk import fk
-from kempe.model.characteristic_length import origin_of
-from kempe.model.configurations import as_q, home_of, q_from_dict
-from kempe.model.model import kept
+from kempe.model.characteristic_length import choose_origin
+from kempe.model.configurations import find_home, make_q, read_q
+from kempe.model.model import keep_answers
 from kempe.poses import arrays, sound
 from kempe.spatial import Array
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 @explained
-@kept
+@keep_answers
 def maximal(system: SystemType) -> SystemType:
     """The system in maximal coordinates: each body hangs on a free joint from the ground, and all
     joints are cut.
@@ -48,7 +48,7 @@ def maximal(system: SystemType) -> SystemType:
     m.name = f"{m.name}, maximal"
     m.bodies = {body: m.bodies[body] for body in system.body_names}
     taken = {*joints, *m.constraints}
-    origin = origin_of(system)[: system.dim]
+    origin = choose_origin(system)[: system.dim]
     for body in system.body_names[1:]:
         name = body
         number = 2
@@ -58,8 +58,8 @@ def maximal(system: SystemType) -> SystemType:
         m.free(name, m.ground, body, at=origin)
         taken.add(name)
     m.joints |= {name: replace(joint, cut=True) for name, joint in joints.items()}
-    at = {"closed": home_of(system)} | {
-        name: q_from_dict(system, name) for name in system.structure.posture_names
+    at = {"closed": find_home(system)} | {
+        name: make_q(system, name) for name in system.structure.posture_names
     }
     m.postures = {}
     names = type(system)(m).coordinate_names
@@ -86,13 +86,13 @@ def maximal_q(system: Model, q: Any = None, poses: ArrayLike | None = None) -> A
     Without `q` the joints are at home; without poses the bodies are where `q` puts them. Nothing
     needs to be closed.
     """
-    q = home_of(system) if q is None else as_q(system, q)
+    q = find_home(system) if q is None else read_q(system, q)
     return _joined(system, q, to_maximal(system, q) if poses is None else as_poses(system, poses))
 
 
 def _joined(system: Model, q: Array, poses: Array) -> Array:
     points = [system.mechanism.bodies[b].particle for b in system.body_names[1:]]
-    poses = poses - np.pad(origin_of(system)[:, None], ((0, 1), (3, 0)))
+    poses = poses - np.pad(choose_origin(system)[:, None], ((0, 1), (3, 0)))
     parts = [
         x
         for i, p in enumerate(points)

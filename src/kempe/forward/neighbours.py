@@ -20,8 +20,8 @@ from kempe.arrays import reals
 from kempe.errors import InputError, UnknownNameError
 from kempe.forward.fk import fk
 from kempe.joints import Q, R
-from kempe.model.configurations import FIT, as_q, one, q_from_dict, refuse_misfit
-from kempe.model.coordinates import Follower, coordinate_name
+from kempe.model.configurations import FIT, make_q, read_one_q, read_q, refuse_misfit
+from kempe.model.coordinates import Follower, format_coordinate_name
 from kempe.spatial import Array
 from kempe.words import counted
 
@@ -168,7 +168,7 @@ class Ours(NamedTuple):
 
 def _ours(system: Model, joint: Joint) -> Ours:
     names, primitives = joint.type.layout(system.dim, joint.of_particle)
-    full = [coordinate_name(joint.name, n) for n in names]
+    full = [format_coordinate_name(joint.name, n) for n in names]
     parts: list[tuple[str, list[str]]] = []
     i = 0
     while i < len(full):
@@ -358,12 +358,12 @@ class Correspondence:
         """The numbers of a quaternion, whose first coordinate has this name."""
         (i, k), held = self._source(first)
         for n, axis in enumerate("wxyz"):
-            name = coordinate_name(joint, f"q{axis}")
+            name = format_coordinate_name(joint, f"q{axis}")
             follower = held and self._source(name, float(n == 0))[1]
             at = place.q + int(self._order[n])
             self._entries.append(Entry(BALL, at, name, i + n * (held is None), follower))
         for n, axis in enumerate("xyz"):
-            name = coordinate_name(joint, f"w{axis}")
+            name = format_coordinate_name(joint, f"w{axis}")
             self._rates.append(Entry(NUMBER, place.v + n, name, k + n * (held is None), held))
 
     def _source(self, name: str, fixed: float = 0.0) -> tuple[tuple[int, int], Follower | None]:
@@ -382,7 +382,7 @@ class Correspondence:
         """Keep where a free joint begins, if that is not the frame of the ground."""
         system = self.system
         parameters = system.structure.parameters
-        if system.structure.table.path(joint.parent):
+        if system.structure.table.find_path(joint.parent):
             raise InputError(
                 f"joint {joint.name!r} is free and begins on {joint.parent!r}, which moves; in "
                 f"{self.library} it begins on the ground"
@@ -429,7 +429,7 @@ class Correspondence:
         """The configuration (..., nq of the model) that one of the system is; with `partial`, all
         else as in `base`, one of the model.
         """
-        values = self._values(as_q(self.system, q))
+        values = self._values(read_q(self.system, q))
         if base is None and self._whole < self.nq:
             raise InputError(
                 f"base is None; it must be a configuration of the {self.library} model, for "
@@ -453,7 +453,7 @@ class Correspondence:
         else as in `base`, one of the system, or neutral.
         """
         values = self._read(q)
-        start = self.system.neutral if base is None else as_q(self.system, base)
+        start = self.system.neutral if base is None else read_q(self.system, base)
         lead = together({"q": values.shape[:-1], "base": start.shape[:-1]})
         out = np.broadcast_to(start, (*lead, self.system.nq)).copy()
         out[..., self._source_of[self._own]] = values[..., self._own]
@@ -530,7 +530,7 @@ class Correspondence:
     def to_v(self, q: Any, v: ArrayLike) -> Array:
         """The velocity (..., nv of the model) that one of the system is at its configuration `q`."""
         v = numbers(v, "v", self.system.nv)
-        values = self._values(as_q(self.system, q))
+        values = self._values(read_q(self.system, q))
         out = np.zeros((*_lead(v.shape[:-1], values), self.nv))
         out[..., self._rate_at] = v @ self._spread.T
         for at, turn in self._turns(values):
@@ -560,7 +560,7 @@ class Correspondence:
         """
         J = numbers(jacobian, "jacobian")
         _check_columns(J, self.system.nv)
-        values = self._values(as_q(self.system, q))
+        values = self._values(read_q(self.system, q))
         out = np.zeros((*_lead(J.shape[:-2], values), J.shape[-2], self.nv))
         out[..., self._rate_at[self._rate_own]] = J[..., self._rate_source[self._rate_own]]
         for at, turn in self._turns(values):
@@ -733,7 +733,7 @@ def to_joint_state(system: Model, q: Any, message: Any, v: ArrayLike | None = No
     its body.
     Errors: `UnknownNameError` for a name of the message that is no coordinate.
     """
-    q = one(system, q)
+    q = read_one_q(system, q)
     laws = {name: Follower(name, 1.0, 0.0) for name in system.coordinate_names}
     laws |= system.structure.couplings
     known = [n for joint in system.structure.joints.values() for n in _single(system, joint)]
@@ -774,7 +774,7 @@ def from_joint_state(
     What it does not name is neutral, or as in `base`, and at rest. `System.q` takes messages, too.
     Errors: `UnknownNameError`; `InputError` for followers that do not fit, with the numbers.
     """
-    q = q_from_dict(system, message, base)
+    q = make_q(system, message, base)
     if not velocity:
         return q
     names = [str(n) for n in message.name]

@@ -13,9 +13,9 @@ from kempe.arguments import explained, explained_methods
 from kempe.arrays import reals, within_range
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.kernels.compiled import table_sweep
-from kempe.model.configurations import as_q
+from kempe.model.configurations import read_q
 from kempe.model.model import FrameLike, SystemType
-from kempe.model.primitive_table import lower
+from kempe.model.primitive_table import make_primitive_table
 from kempe.spatial import Array
 from kempe.values import Expression
 
@@ -62,7 +62,7 @@ class Designs(Generic[SystemType]):
                     f"the coupling of {coupling.of!r} depends on {', '.join(sorted(used))}: "
                     "a batch of designs must share its couplings"
                 )
-        self._table = lower(
+        self._table = make_primitive_table(
             system.mechanism,
             system.structure.topology,
             system.structure.coordinates,
@@ -76,8 +76,8 @@ class Designs(Generic[SystemType]):
         of each design.
         """
         name = self.system.structure.frame_name(frame)
-        ints, floats = self._table.pack([name])
-        q = as_q(self.system, q)
+        ints, floats = self._table.pack_arrays([name])
+        q = read_q(self.system, q)
         k = len(self.shape)
         if q.ndim == 1:
             q = np.broadcast_to(q, (*self.shape, self.system.nq))

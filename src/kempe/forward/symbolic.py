@@ -18,7 +18,7 @@ from kempe.arguments import explained
 from kempe.description.parts import Joint
 from kempe.errors import InputError, MissingExtraError, UnknownNameError, UnsupportedError
 from kempe.joints import Q, R
-from kempe.model.coordinates import coordinate_names
+from kempe.model.coordinates import list_coordinate_names
 from kempe.poses import Placement
 from kempe.values import FUNCTIONS, Expression, Value
 
@@ -408,7 +408,7 @@ def joint_motions(
     """The motions of a joint from its frame F to M, or back."""
     mechanism = system.mechanism
     subject = f"joint {joint.name!r}"
-    names = coordinate_names(mechanism, joint)
+    names = list_coordinate_names(mechanism, joint)
     primitives = joint.type.layout(mechanism.dim, mechanism.bodies[joint.child].particle)[1]
     sign = -1 if backwards else 1
     for p in reversed(primitives) if backwards else primitives:
@@ -589,7 +589,7 @@ def _turning(system: Model) -> set[str]:
     mechanism = system.mechanism
     out: set[str] = set()
     for joint in mechanism.joints.values():
-        names = coordinate_names(mechanism, joint)
+        names = list_coordinate_names(mechanism, joint)
         primitives = joint.type.layout(mechanism.dim, mechanism.bodies[joint.child].particle)[1]
         out |= {names[p.coordinate] for p in primitives if p.kind == R}
     return out

@@ -26,8 +26,8 @@ from kempe.forward.symbolic import (
     sympy,
     way_to,
 )
-from kempe.model.implicit_form import ImplicitForm, implicit_form, slides_along_z
-from kempe.model.packed_loops import must_be_explicit
+from kempe.model.implicit_form import ImplicitForm, find_implicit_form, has_slide_along_z
+from kempe.model.packed_loops import find_explicit_joints
 from kempe.poses import placement_of_pose
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ def symbolic_closure(
     """
     leaves = SymbolLeaves(system, symbols or {}, snap)
     m = system.mechanism
-    explicit = must_be_explicit(system)
+    explicit = find_explicit_joints(system)
     out = dict[str, Any]()
     for name in system.structure.closures:
         out[name] = _of_joint(system, m.joints[name], name in explicit, leaves)
@@ -106,7 +106,7 @@ def _of_joint(system: Model, joint: Joint, explicit: bool, leaves: SymbolLeaves)
     dim = system.dim
     subject = f"joint {joint.name!r}"
     particle = m.bodies[joint.child].particle
-    form = None if explicit else implicit_form(joint.type, dim, particle)
+    form = None if explicit else find_implicit_form(joint.type, dim, particle)
     F = [*_way(system, joint.parent, leaves), *placement_steps(joint.X_PF, subject, leaves)]
     M = [*_way(system, joint.child, leaves), *placement_steps(joint.X_CM, subject, leaves)]
     if form is None:  # F is led on by the joint's own motion, and all of M is held there
@@ -118,7 +118,7 @@ def _of_joint(system: Model, joint: Joint, explicit: bool, leaves: SymbolLeaves)
     R = X_F[:3, :3]
     if len(form.position) == dim:
         places = list(gap[:dim, :])
-    elif slides_along_z(joint.type, dim, particle):
+    elif has_slide_along_z(joint.type, dim, particle):
         places = [-R[1, 2] * gap[0] + R[0, 2] * gap[1]]
     else:
         places = [R[:, "xyz".index(axis)].dot(gap) for axis in form.position]

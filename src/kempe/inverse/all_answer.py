@@ -20,7 +20,7 @@ from kempe.inverse.closed_forms.branch_names import Kind, branch_names, kind_of,
 from kempe.inverse.closed_forms.chain_lines import Lines
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.forward.table_layout import SLIDE
-from kempe.model.configurations import units
+from kempe.model.configurations import list_units
 from kempe.numerics.rank import Level, Spectrum
 from kempe.report import ROWS, Table, by_code
 from kempe.spatial import Array
@@ -652,7 +652,7 @@ class Solutions(ConfigurationList, Answer):
             }
             for family in (self.families if self.single else ())
         ]
-        unit = units(self.system)
+        unit = list_units(self.system)
         held = {name: Quantity(x, unit[name]) for name, x in self.held.items()}
         goal = {"frame": self.problem.frame, "task": self.problem.task}
         out = goal | super()._data() | {"held": held}

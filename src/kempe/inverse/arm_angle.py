@@ -34,8 +34,8 @@ from kempe.errors import InputError, UnsupportedError
 from kempe.inverse.closed_forms.chain_lines import Lines, chain_lines
 from kempe.inverse.closed_forms.structure import Axes, keeps_point, meeting
 from kempe.kernels.forward.table_layout import TURN
-from kempe.model.configurations import as_q
-from kempe.model.model import kept
+from kempe.model.configurations import read_q
+from kempe.model.model import keep_answers
 from kempe.numerics.intervals import arcs, joined
 from kempe.spatial import Array
 from kempe.words import counted
@@ -158,7 +158,7 @@ def find_arm(system: Model, frame: str, reference: ArrayLike | None = None) -> A
     return _usual_arm(system, frame)
 
 
-@kept
+@keep_answers
 def _usual_arm(system: Model, frame: str) -> Arm | str:
     return arm_of(chain_lines(system, frame, Z_AXIS))
 
@@ -187,7 +187,7 @@ def arm_angle(system: Model, q: Any, frame: FrameLike, reference: ArrayLike | No
     `InputError`.
     """
     arm = required_arm(system, system.structure.frame_name(frame), reference)
-    theta = arm.lines.theta(as_q(system, q)[..., arm.lines.q_index])
+    theta = arm.lines.theta(read_q(system, q)[..., arm.lines.q_index])
     R = np.eye(3)
     for i in SHOULDER:
         R = R @ turns(arm.lines.h[i], theta[..., i])

@@ -110,7 +110,7 @@ class Stage(NamedTuple):
 class Left(NamedTuple):
     """What constraints leave of the velocities at a configuration: a `basis` (nv, k) of what
     equations do, velocities (nv,) that these ask for at `rest`, and between what declared one-sided
-    `rows` (m, nv) of them stay for dt.
+    `row_names` (m, nv) of them stay for dt.
     """
 
     basis: Array
@@ -453,7 +453,7 @@ class ConstrainedSteps:
         def along(ways: Array) -> Array:
             size = np.abs(ways).max(axis=1)
             moves = (DIFFERENCE / np.where(size > 0.0, size, 1.0))[:, None] * (ways @ N.T)
-            ends = self.system.structure.layout.integrate(
+            ends = self.system.structure.layout.integrate_velocity(
                 q, np.concatenate([moves, -moves]) * self.scale
             )
             per = (size / (2.0 * DIFFERENCE))[:, None, None]
@@ -505,7 +505,7 @@ class ConstrainedSteps:
             Spectrum(held.T).solve(pull, Level.CLOSED)[: len(rows)] if len(held) else np.zeros(0)
         )
         moves = DIFFERENCE * N.T * self.scale
-        ends = self.system.structure.layout.integrate(q, np.concatenate([moves, -moves]))
+        ends = self.system.structure.layout.integrate_velocity(q, np.concatenate([moves, -moves]))
         pulled, kept = push(ends, at(ends)[: len(stages)])
         pulled = pulled - np.einsum("i,...ij->...j", forces, kept)
         H = (pulled[len(moves) :] - pulled[: len(moves)]) @ N / (2.0 * DIFFERENCE)
@@ -529,7 +529,7 @@ class ConstrainedSteps:
         By the smallest corrections (Newton), bounded where these would leave the box.
         """
         system = self.system
-        x = self.system.structure.layout.integrate(
+        x = self.system.structure.layout.integrate_velocity(
             q, (self.bent(q, u, dt) if self.rolls else u) * self.scale * dt
         )
         before = self.bounds.beyond(q, declared=True) if self.bounds.declared else x
@@ -537,14 +537,14 @@ class ConstrainedSteps:
             error, C = self._missed(x, before)
             if np.abs(error).max(initial=0.0) <= CLOSED:
                 return self._inside(q, x)
-            moved = system.structure.layout.difference(q, x) / self.scale
+            moved = system.structure.layout.compute_difference(q, x) / self.scale
             least = np.minimum(low * dt - moved, 0.0)
             most = np.maximum(high * dt - moved, 0.0)
             more = -Spectrum(C).inverse(Level.CLOSED) @ error
             if (more < least).any() or (more > most).any():
                 H = C.T @ C + LEAST**2 * np.eye(len(more))
                 more = least_in_box(H, -C.T @ error, least, most)[0]
-            x = system.structure.layout.integrate(x, more * self.scale)
+            x = system.structure.layout.integrate_velocity(x, more * self.scale)
         return None
 
     def bent(self, q: Array, u: Array, dt: float) -> Array:
@@ -553,7 +553,7 @@ class ConstrainedSteps:
         """
         A, b = hard_rows(
             self.system,
-            self.system.structure.layout.integrate(q, 0.5 * dt * u * self.scale),
+            self.system.structure.layout.integrate_velocity(q, 0.5 * dt * u * self.scale),
             self.scale,
         )
         return u - Spectrum(A).inverse(Level.CLOSED) @ (A @ u - b)
@@ -691,7 +691,7 @@ def stages_of(problem: Demands, q: Array, dt: float) -> list[Stage]:
     loops = problem.packed.loops
     error, J = packed.evaluate(q, problem.pins)
     levels, strengths, *_ = problem.levels
-    counts = np.array([len(t.rows) for t in loops.ties])
+    counts = np.array([len(t.row_names) for t in loops.ties])
     own = packed.rows >= 0
     level, hard = (np.repeat(x, counts)[own] for x in levels.reshape(2, -1))
     weight = np.repeat(np.sqrt(strengths[:, 0]), counts)[own]

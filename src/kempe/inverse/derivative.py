@@ -145,7 +145,9 @@ def _one(problem: Demands, q: Array) -> dict[str, Array]:
         )
 
     steps = REAL_STEP * np.concatenate([np.eye(system.nv), -np.eye(system.nv)]) * scale
-    near = slope(_rows(problem, system.structure.layout.integrate(q, steps), problem.pins, counts))
+    near = slope(
+        _rows(problem, system.structure.layout.integrate_velocity(q, steps), problem.pins, counts)
+    )
     second = (near[: system.nv] - near[system.nv :]) / (2.0 * REAL_STEP)
     second = 0.5 * (second + second.T)
     free = _free(problem, q, at.H)
@@ -179,7 +181,7 @@ def _active(problem: Demands, q: Array) -> tuple[np.ndarray, np.ndarray, Array]:
     error, _ = packed.evaluate(q, problem.pins)
     low, high = packed.ends
     levels, strengths, *_ = problem.levels
-    counts = [len(t.rows) for t in packed.loops.ties]
+    counts = [len(t.row_names) for t in packed.loops.ties]
     own = packed.rows >= 0
     level, hard = (np.repeat(x, counts)[own] for x in levels.reshape(2, -1))
     at_bound = (low == high) | (np.minimum(error - low, high - error) < AT_BOUND)
@@ -203,7 +205,9 @@ def _rows(
     S = J[..., soft, :] * (weight[soft, None] * ((low == high)[soft] | (miss != 0.0))[..., None])
     if problem.mode == AHEAD and problem.aim is not None:
         miss = (
-            problem.system.structure.layout.difference(np.broadcast_to(problem.aim[0], q.shape), q)
+            problem.system.structure.layout.compute_difference(
+                np.broadcast_to(problem.aim[0], q.shape), q
+            )
             / packed.scale
         )
         S = np.broadcast_to(

@@ -46,7 +46,7 @@ from kempe.kernels.forward.table_layout import (
     placements_of,
     rows_of,
 )
-from kempe.model.configurations import random
+from kempe.model.configurations import sample_configurations
 from kempe.numerics.clock import TimeLimit
 from kempe.numerics.rank import Level, Spectrum
 from kempe.poses import sound
@@ -178,7 +178,7 @@ def rank_of(task: FrameProblem) -> tuple[int, int]:
     system = task.system
     rows = sum(map(bool, task.mask))
     wanted = 2 * bool(any(task.mask[:3])) + bool(any(task.mask[3:])) if system.dim == 2 else rows
-    return wanted, _rows(task, random(system, 0, 16), Level.GENERIC)
+    return wanted, _rows(task, sample_configurations(system, 0, 16), Level.GENERIC)
 
 
 def _over_determined(task: FrameProblem, target: Array) -> Evidence | None:
@@ -241,7 +241,7 @@ def _singular(task: FrameProblem, q: Array) -> bool:
     """Whether the chain moves the frame in fewer freedoms at q (n,) than elsewhere."""
     full = task.chain.base[0].copy()
     full[task.chain.q_index] = q
-    generic = _rows(task, random(task.system, 0, 16), Level.ROUGH)
+    generic = _rows(task, sample_configurations(task.system, 0, 16), Level.ROUGH)
     return _rows(task, full[None], Level.ROUGH) < generic
 
 

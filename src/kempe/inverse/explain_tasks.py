@@ -26,7 +26,7 @@ from kempe.inverse.tasks.demands import STARTS
 from kempe.inverse.tasks.freedoms import Local, analyse
 from kempe.inverse.tasks.reach_bounds import beyond
 from kempe.inverse.tasks.search import judge
-from kempe.model.characteristic_length import characteristic_length
+from kempe.model.characteristic_length import compute_characteristic_length
 from kempe.spatial import Array
 from kempe.status import Status
 
@@ -83,7 +83,9 @@ def sentence(answer: Reached, index: tuple[int, ...]) -> str:
     why = _reasons(problem, q)
     if failing and any(isinstance(x, Evidence) and x.figures.get("rank") for x in why):
         worst = np.max([misses[t.label] for t in failing], axis=0)
-        why += [rounded(float(worst[0]), float(worst[1]), characteristic_length(problem.system))]
+        why += [
+            rounded(float(worst[0]), float(worst[1]), compute_characteristic_length(problem.system))
+        ]
     still = immovable(problem.system)
     return wording.failed(wording.given_up("reached", starts), what, *why, near, soft, still)
 

@@ -20,7 +20,7 @@ import numpy as np
 from kempe import spatial
 from kempe.forward.fk import query
 from kempe.inverse.chain.serial_chain import chain_of
-from kempe.model.characteristic_length import characteristic_length
+from kempe.model.characteristic_length import compute_characteristic_length
 from kempe.numerics.least_squares import (
     NEAR,
     NOISE,
@@ -427,7 +427,7 @@ class Servo:
         self.plain = len(limited) == len(self.v)
         self.ahead, self.behind = np.arange(2 * len(self.v)).reshape(2, -1)
         self.names = [system.structure.velocity_names[int(i)] for i in self.v]
-        length = characteristic_length(system)
+        length = compute_characteristic_length(system)
         slides = ~system.structure.coordinates.turning[self.v]
         slides[~np.isin(self.v, system.structure.layout.vector_v)] = False
         self.metric = np.array([1.0 / length] * 3 + [1.0] * 3)
@@ -506,7 +506,9 @@ class Servo:
             size = np.abs(ways / self.unit).max(axis=1)
             steps = np.zeros((len(ways), self.system.nv))
             steps[:, self.v] = (DIFFERENCE / np.where(size > 0.0, size, 1.0))[:, None] * ways
-            ends = self.system.structure.layout.integrate(q, np.concatenate([steps, -steps]))
+            ends = self.system.structure.layout.integrate_velocity(
+                q, np.concatenate([steps, -steps])
+            )
             J = self.query.pose_and_jacobian(ends)[1][:, :, self.v]
             out = (J[: len(ways)] - J[len(ways) :]) * (size / (2.0 * DIFFERENCE))[:, None, None]
             return out if weights is None else weights[:, None] * out
@@ -532,12 +534,12 @@ class Servo:
         moves = np.zeros((2 * n, self.system.nv))
         moves[range(n), self.v] = step
         moves[range(n, 2 * n), self.v] = -step
-        return self.system.structure.layout.integrate(q, moves)
+        return self.system.structure.layout.integrate_velocity(q, moves)
 
     def after(self, q: Array, velocity: Array, dt: float) -> Array:
         """The configuration (nq,) after dt, limits kept to the last bit where q kept them."""
         if not self.plain:
-            out = self.system.structure.layout.integrate(q, velocity * dt)
+            out = self.system.structure.layout.integrate_velocity(q, velocity * dt)
         else:
             out = q.copy()
             out[self.at_q] += velocity[self.v] * dt

@@ -36,7 +36,7 @@ from kempe.inverse.numeric import BATCH, BY_TASKS, METHODS, SOLVERS, USUAL, with
 from kempe.kernels.base.search_layout import ANSWER, STATUS
 from kempe.kernels.compiled import maker, schedule
 from kempe.kernels.forward.table_layout import HAS_QUATERNION
-from kempe.model.configurations import as_start
+from kempe.model.configurations import read_start
 from kempe.numerics.clock import TimeLimit
 from kempe.spatial import Array
 from kempe.status import Status, member
@@ -285,7 +285,7 @@ def _of_frame(
     said, axis = task_and_axis(task)
     requested, targets, lead = _checked(system, name, target, said, axis)
     if start is not None:
-        targets, lead, start = _together(targets, lead, as_start(system, start))
+        targets, lead, start = _together(targets, lead, read_start(system, start))
     if method not in METHODS:
         raise InputError(f"method is {method!r}; it must be one of {', '.join(map(repr, METHODS))}")
     if prefer is not None and method != "numeric":

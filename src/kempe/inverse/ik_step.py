@@ -20,9 +20,9 @@ from kempe.inverse.chain.serial_chain import obstacle
 from kempe.inverse.constrained_step import ConstrainedSteps, Stage, stages_of
 from kempe.inverse.frame_step import SLOW, Move, Servo, pose_error
 from kempe.kernels.forward.table_layout import BALL, TURN
-from kempe.model.configurations import as_q
-from kempe.model.model import kept
-from kempe.model.own_tree import own_tree
+from kempe.model.configurations import read_q
+from kempe.model.model import keep_answers
+from kempe.model.own_tree import remove_cut_marks
 from kempe.poses import arrays, sound
 from kempe.report import brief, by_code
 from kempe.spatial import Array
@@ -162,7 +162,7 @@ def ik_step(
     sizes are measured in radians and characteristic lengths, and damping relative to the largest
     singular value. Errors: `InputError`, also where the loops are open.
     """
-    q = as_q(system, q)
+    q = read_q(system, q)
     if q.ndim != 1 or not (0.0 < dt < math.inf and 0.0 <= damping < math.inf):
         raise InputError(
             f"q has shape {q.shape}, dt is {dt!r}, damping {damping!r}; needed are one "
@@ -270,7 +270,7 @@ def steady(after: Callable[[float], Array], velocity: Array, fastest: Array) -> 
     return part
 
 
-@kept
+@keep_answers
 def _servo(system: Model, frame: str) -> Servo:
     return Servo(system, frame)
 
@@ -398,7 +398,7 @@ def posed(system: Model, wanted: Any, q: Array) -> Demands:
     return problem
 
 
-@kept
+@keep_answers
 def _closed(system: Model) -> Any:
 
     return ConstrainedSteps(system)
@@ -433,7 +433,7 @@ def _is_pose(x: Array) -> bool:
     return off < SKEW and math.isfinite(x[:3, 3].sum()) and float(R[2] @ np.cross(R[0], R[1])) > 0.0
 
 
-@kept
+@keep_answers
 def speeds(system: Model) -> Array:
     """Largest speeds (nv,) of the steps, in rad/s and m/s: the system's velocity limits, else
     `TURNING` and `SLIDING`.
@@ -441,7 +441,7 @@ def speeds(system: Model) -> Array:
     The defaults hold for coupled joints too: a coordinate is so slow that none of its followers
     exceeds them.
     """
-    table = own_tree(system).structure.table
+    table = remove_cut_marks(system).structure.table
     given = system.structure.velocity_limits
     usual = np.where(system.structure.coordinates.turning, TURNING, SLIDING)
     usual[system.structure.layout.quaternion_v[:, None] + np.arange(3)] = TURNING

@@ -26,8 +26,8 @@ from kempe.kernels.base.search_layout import (
 )
 from kempe.kernels.compiled import schedule
 from kempe.kernels.forward.table_layout import HAS_QUATERNION
-from kempe.model.characteristic_length import characteristic_length
-from kempe.model.configurations import as_start, refuse_far
+from kempe.model.characteristic_length import compute_characteristic_length
+from kempe.model.configurations import read_start, refuse_far
 from kempe.numerics.pool import over_chunks
 from kempe.spatial import Array
 from kempe.status import Status
@@ -168,7 +168,7 @@ def _nearest(
     from kempe.kernels.compiled import fallback
 
     n = out.shape[1] - ANSWER
-    length = characteristic_length(problem.system)
+    length = compute_characteristic_length(problem.system)
     nearest: Callable[..., int] = fallback.approach
     out[rows, n + LINEAR] = np.inf  # energies in another unit: descents begin there
 
@@ -349,7 +349,7 @@ def seeds_of(system: Model, chain: Chain, start: Any, lead: tuple[int, ...]) -> 
     """
     if start is None:
         return chain.base, chain.no_seed
-    base = as_start(system, start)
+    base = read_start(system, start)
     base = np.array(base.reshape(math.prod(base.shape[:-1]), system.nq))
     if not lead and not np.all(np.abs(base) < LARGEST):
         refuse_far(system, base, "start")

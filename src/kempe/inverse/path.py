@@ -30,7 +30,7 @@ from kempe.inverse.chain.serial_chain import inside, of_loops, shared_by
 from kempe.inverse.tasks.demands import STARTS, Demands, apart
 from kempe.inverse.tasks.search import judge, pose_problem
 from kempe.kernels.base.search_layout import SOLVED
-from kempe.model.configurations import random, ranges_table, refuse_far
+from kempe.model.configurations import make_ranges_table, refuse_far, sample_configurations
 from kempe.numerics.clock import BROKEN_OFF, LONG, TimeLimit, partial
 from kempe.numerics.newton import gauss_newton, least_squares
 from kempe.numerics.rank import Level, Spectrum
@@ -139,7 +139,7 @@ class PathSteps:
         self.rows = _Targets(self.problem)
         packed = problem.packed
         equal = np.repeat(
-            [not t.bounds for t in packed.loops.ties], [len(t.rows) for t in packed.loops.ties]
+            [not t.bounds for t in packed.loops.ties], [len(t.row_names) for t in packed.loops.ties]
         )
         hard = [i for i, t in enumerate(tasks) if t.weight is None]
         own = packed.rows >= 0
@@ -239,15 +239,17 @@ class PathSteps:
         """As `coast`, then corrected in the regular directions only; None where the configuration
         is off the target.
         """
-        x = self.system.structure.layout.integrate(q, before * self.scale)
+        x = self.system.structure.layout.integrate_velocity(q, before * self.scale)
         for _ in range(TRUNCATED):
-            x = self.system.structure.layout.integrate(
+            x = self.system.structure.layout.integrate_velocity(
                 x, self.first_order(problem, x, SINGULAR).ahead * self.scale
             )
             x = inside(self.system, x[None])[0] if problem.limits else x
         return (
             x
-            if self.smooth(self.system.structure.layout.difference(q, x) / self.scale, before)
+            if self.smooth(
+                self.system.structure.layout.compute_difference(q, x) / self.scale, before
+            )
             else None
         )
 
@@ -292,7 +294,7 @@ class PathSteps:
             if np.abs(x).max(initial=0.0) <= self.max_step
         ]
         found = [(np.abs(moved).max(initial=0.0), x, moved) for x, moved in tried if x is not None]
-        integrate = self.system.structure.layout.integrate
+        integrate = self.system.structure.layout.integrate_velocity
         for most, x, moved in sorted(found, key=lambda f: float(f[0])):
             if most <= self.max_step and all(
                 np.linalg.norm(
@@ -345,11 +347,11 @@ class PathSteps:
         scaled step there.
         """
         self.budget.check()
-        start = self.system.structure.layout.integrate(q, ahead * self.scale)[None]
+        start = self.system.structure.layout.integrate_velocity(q, ahead * self.scale)[None]
         found, info = replace(problem, starts=1).run(
             inside(self.system, start) if problem.limits else start
         )
-        moved = self.system.structure.layout.difference(q, found[0]) / self.scale
+        moved = self.system.structure.layout.compute_difference(q, found[0]) / self.scale
         return found[0] if info[0, 0] == SOLVED else None, moved
 
     def follow(self, i: int, q: Array, before: Array, last: float) -> tuple[Array, float, float]:
@@ -476,9 +478,9 @@ def _step(way: PathSteps, i: int, part: float, q: Array) -> Array | None:
     problem = way.at(i, part)
 
     def both(d: Array) -> tuple[Array, Array]:
-        e, J = way.missing(problem, system.structure.layout.integrate(q, d * way.scale))
+        e, J = way.missing(problem, system.structure.layout.integrate_velocity(q, d * way.scale))
         A, b = hard_rows(
-            system, system.structure.layout.integrate(q, 0.5 * d * way.scale), way.scale
+            system, system.structure.layout.integrate_velocity(q, 0.5 * d * way.scale), way.scale
         )
         return np.concatenate([e, np.full(len(A), np.inf) if b.any() else A @ d]), np.concatenate(
             [J, A]
@@ -494,7 +496,7 @@ def _step(way: PathSteps, i: int, part: float, q: Array) -> Array | None:
 
     found = gauss_newton(both, np.zeros(system.nv), ITERATIONS - 1, step=newton, met=HELD, last=0.0)
     layout = system.structure.layout
-    x = layout.integrate(q, found.x * way.scale)
+    x = layout.integrate_velocity(q, found.x * way.scale)
     v = layout.vector_v
     at = layout.vector_q
     inside = (x[at] >= system.lower[v] - HELD) & (x[at] <= system.upper[v] + HELD)
@@ -569,7 +571,7 @@ class IkPath(Configurations):
         """The range of each coordinate, and its largest step between two targets."""
         if not np.isfinite(self.q).any():
             return []
-        return [ranges_table(self.system, self.q, steps=True)]
+        return [make_ranges_table(self.system, self.q, steps=True)]
 
     def _reasons(self) -> list[str]:
         """Nothing: the headline says where the path ends, and why."""
@@ -744,10 +746,10 @@ class _FollowedPath(PathSteps):
         name = ""
         if not packed.closed:
             return ""
-        ties = [t.name for t in packed.loops.ties for _ in t.rows]
+        ties = [t.name for t in packed.loops.ties for _ in t.row_names]
         names = [t for t, row in zip(ties, packed.rows, strict=True) if row == -1]
         aside = 0.2 * np.random.default_rng(0).normal(size=self.system.nv)
-        near = self.system.structure.layout.integrate(q, aside * self.scale)
+        near = self.system.structure.layout.integrate_velocity(q, aside * self.scale)
         other = assemble(self.system, start=near)
         for x in (q, other.q) if other.success else ():
             J = self.missing(problem, x)[1]
@@ -777,7 +779,7 @@ class _FollowedPath(PathSteps):
     def elsewhere(self, i: int, q: Array) -> list[Array]:
         """Configurations found that hold target i, from many starts, the nearest to q first."""
         row = self.rows[i]
-        seeds = np.concatenate([q[None], random(self.system, row.rng, TRIED - 1)])
+        seeds = np.concatenate([q[None], sample_configurations(self.system, row.rng, TRIED - 1)])
         untouched = apart(row.packed, row.pins)
         seeds[:, untouched] = q[untouched]
         found, info = replace(row, lead=(TRIED,), starts=max(1, row.starts // TRIED)).run(seeds)
@@ -785,7 +787,7 @@ class _FollowedPath(PathSteps):
         return sorted(
             good,
             key=lambda x: float(
-                np.linalg.norm(self.system.structure.layout.difference(q, x) / self.scale)
+                np.linalg.norm(self.system.structure.layout.compute_difference(q, x) / self.scale)
             ),
         )
 
@@ -900,7 +902,7 @@ class _FollowedPath(PathSteps):
                 found = others[0]
                 q = others[0]
             if way > STAYS:  # else the target stays, and one goes on as before it
-                moved = self.system.structure.layout.difference(q, found) / self.scale
+                moved = self.system.structure.layout.compute_difference(q, found) / self.scale
                 before = moved if not before.any() else moved + self.calm * (before - moved)
                 last = way
             q = self.away(i, found, self.avoids) if self.avoids else found
@@ -923,7 +925,7 @@ def _sentence(system: Model, i: int, why: str, q: Array, others: list[Array], re
     )
     if not others:
         return f"{where}; target {i} was not reached from {TRIED} other starts either"
-    change = np.abs(system.structure.layout.difference(q, others[0]))
+    change = np.abs(system.structure.layout.compute_difference(q, others[0]))
     far = int(np.argmax(change))
     name = system.structure.velocity_names[far]
     known = "" if restart else "; whether a way without a jump exists is not known"
@@ -970,7 +972,9 @@ def _farthest(path: IkPath) -> int:
 def _length(path: IkPath) -> float:
     q = path.q[path.success]
     return float(
-        np.linalg.norm(path.system.structure.layout.difference(q[:-1], q[1:]), axis=-1).sum()
+        np.linalg.norm(
+            path.system.structure.layout.compute_difference(q[:-1], q[1:]), axis=-1
+        ).sum()
     )
 
 

@@ -24,7 +24,7 @@ from kempe.forward.fk import fk
 from kempe.inverse.tasks.freedoms import Local
 from kempe.inverse.tasks.search import judge, pose_problem
 from kempe.kernels.base.search_layout import SOLVED
-from kempe.model.configurations import as_q
+from kempe.model.configurations import read_q
 from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, begun_within
 from kempe.numerics.curves import NONE, Node, walk
 from kempe.report import brief
@@ -135,7 +135,7 @@ def self_motion(
     leave no freedom to first order, or more than one without a direction; `UnsupportedError` where
     velocity constraints do not allow the motion.
     """
-    q = as_q(system, q)
+    q = read_q(system, q)
     if q.ndim != 1:
         raise InputError(f"q has shape {q.shape}; needed is one configuration ({system.nq},)")
     wanted = _wanted(system, q, tasks, *task_and_axis(task))
@@ -402,10 +402,10 @@ class _Direction:
 
     def _short(self, a: Array, b: Array) -> Array:
         """The shortest step (nv,) from a to b; unlimited joints turn the short way."""
-        from kempe.model.configurations import circles
+        from kempe.model.configurations import find_free_angles
 
-        v = self.problem.system.structure.layout.difference(a, b)
-        round_ = circles(self.problem.system)
+        v = self.problem.system.structure.layout.compute_difference(a, b)
+        round_ = find_free_angles(self.problem.system)
         v[round_] -= 2.0 * np.pi * np.round(v[round_] / (2.0 * np.pi))
         return v / self.problem.packed.scale
 
@@ -418,7 +418,7 @@ def _stop(problem: Demands, q: Array, t: Array, ahead: float) -> str:
     scale = problem.packed.scale
     if names := _at_limits(system, q, t, ahead * scale):
         return f"the limit of {names[0]!r}"
-    there = system.structure.layout.integrate(q, ahead * t * scale)
+    there = system.structure.layout.integrate_velocity(q, ahead * t * scale)
     rows = problem.packed.one_sided
     beyond = np.append(rows.beyond(there, declared=True) * rows.scale[: rows.declared], 0.0)
     if beyond.max() > 0.01 * ahead:

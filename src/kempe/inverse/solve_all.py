@@ -29,7 +29,7 @@ from kempe.inverse.closed_forms.solve import TOLERANCE, attainable, solve_held
 from kempe.inverse.spare_joints import look_further
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.compiled import maker
-from kempe.model.configurations import winding_angles
+from kempe.model.configurations import find_winding_angles
 from kempe.poses import sound
 from kempe.spatial import Array
 from kempe.words import joined
@@ -77,7 +77,7 @@ def obeying(solutions: Solutions) -> Solutions:
 def _wound(solutions: Solutions) -> list[str]:
     """The coordinates of the chain without limits whose whole turns a constraint tells apart."""
     names = solutions.system.structure.velocity_names
-    endless = winding_angles(solutions.system)
+    endless = find_winding_angles(solutions.system)
     return [names[int(v)] for v in solutions.plan.lines.v_index if endless[v]]
 
 

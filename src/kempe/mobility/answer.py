@@ -17,7 +17,7 @@ from kempe.first_order.rank import Rank
 from kempe.first_order.redundant_constraints import Redundancy
 from kempe.first_order.wrenches import Wrenches
 from kempe.mobility.one_sided import OneSidedReport
-from kempe.model.configurations import by_name
+from kempe.model.configurations import name_values
 from kempe.report import Nearest, Report
 from kempe.spatial import Array
 from kempe.status import Status
@@ -242,7 +242,7 @@ def data(m: Mobility) -> dict[str, Any]:
     return {
         "system": m.name,
         "dim": m.dim,
-        "q": by_name(m.system, m.q),
+        "q": name_values(m.system, m.q),
         "closed": m.closed,
         "residual": m.residual,
         "given_residual": m.given_residual,

@@ -21,7 +21,7 @@ from kempe.equations.velocity import VelocityRows, tangent_rows
 from kempe.errors import InputError, shown
 from kempe.mobility.growth_vectors import Distribution, Growth, distribution, growth
 from kempe.mobility.one_sided import OneSidedReport, if_any
-from kempe.model.configurations import by_name, distance, one_finite
+from kempe.model.configurations import compute_distance, name_values, read_finite_q
 from kempe.numerics.clock import SHORT, TimeLimit, time_limited, time_of
 from kempe.numerics.rank import Level, Spectrum
 from kempe.report import Nearest, Report
@@ -185,7 +185,7 @@ def data(c: Classification) -> dict[str, Any]:
     """All numbers and texts as plain Python, ready for JSON."""
     return {
         "system": c.name,
-        "q": by_name(c.system, c.q),
+        "q": name_values(c.system, c.q),
         "kind": c.kind,
         "position_dof": c.position_dof,
         "velocity_dof": c.velocity_dof,
@@ -413,7 +413,7 @@ def random_place(place: EvaluationPoint, rng: np.random.Generator) -> Evaluation
     step = STEP
     for _ in range(TRIES):
         z = basis @ rng.normal(size=len(basis.T))
-        q = place.closed(place.rows.layout.integrate(place.q, step * units * z))
+        q = place.closed(place.rows.layout.integrate_velocity(place.q, step * units * z))
         if q is not None:
             return place.at(q)
         step *= 0.6
@@ -459,7 +459,7 @@ def moved_place(
             rate, (0.0, STEP), begin, "DOP853", rtol=EXACT, atol=EXACT
         )
         end = solved.y[:, -1]
-        start = layout.integrate(end[:-1], np.zeros(layout.nv))
+        start = layout.integrate_velocity(end[:-1], np.zeros(layout.nv))
         state[-1] = end[-1]
     return replace(place, q=start, t=float(state[-1]), error=DRIFT)
 
@@ -557,13 +557,13 @@ def classify(
     time_of(USUAL).put_in_order()  # there is nothing to do afterwards
     if not is_real(t):
         raise InputError(f"t is {shown(t)}; it must be one number")
-    given = None if q is None else one_finite(system, q)
+    given = None if q is None else read_finite_q(system, q)
     at = find_closed(system) if given is None else close(system, given)
     if not at.closed:
         raise InputError(
             f"the mechanism cannot be closed here (residual {at.residual:.2g}): {at.why}"
         )
-    moved = 0.0 if given is None else float(distance(system, given, at.q))
+    moved = 0.0 if given is None else float(compute_distance(system, given, at.q))
     if at.given > NEAR and given is not None and not project:
         raise InputError(
             f"q misses what holds positions by {at.given:.3g} (radians and characteristic "

@@ -25,8 +25,8 @@ from kempe.equations.closure_rows import evaluate, scales
 from kempe.errors import InputError, UnknownNameError
 from kempe.forward.fk import fk, jacobian
 from kempe.mobility.mobility import mobility
-from kempe.model.configurations import as_q, one_finite
-from kempe.model.own_tree import own_tree
+from kempe.model.configurations import read_finite_q, read_q
+from kempe.model.own_tree import remove_cut_marks
 from kempe.numerics.newton import gauss_newton
 from kempe.numerics.rank import Level, Spectrum
 from kempe.report import Report
@@ -82,7 +82,10 @@ def _change(
     """
     steps = DIFFERENCE * scale * (along @ null_space.T)
     J = evaluate(
-        system, system.structure.layout.integrate(q, np.concatenate([steps, -steps])), True, True
+        system,
+        system.structure.layout.integrate_velocity(q, np.concatenate([steps, -steps])),
+        True,
+        True,
     )[1]
     return left.T @ ((J[: len(steps)] - J[len(steps) :]) / (2.0 * DIFFERENCE)) @ null_space
 
@@ -157,10 +160,10 @@ class Chart(Report):
 
     def u(self, q: Any) -> Array:
         """The independent coordinates (..., p) of configurations (..., nq)."""
-        q = as_q(self.system, q)
+        q = read_q(self.system, q)
         if self._plain:
             return q[..., [self.system.coordinate_names.index(n) for n in self.independent]]
-        way = self.system.structure.layout.difference(self.origin, q)
+        way = self.system.structure.layout.compute_difference(self.origin, q)
         way[..., self.system.structure.layout.vector_v] = q[
             ..., self.system.structure.layout.vector_q
         ]
@@ -221,7 +224,7 @@ class Chart(Report):
         system = self.system
         rows = self._rows(names)
         out = np.eye(system.nv)
-        way = system.structure.layout.difference(self.origin, q)
+        way = system.structure.layout.compute_difference(self.origin, q)
         for i in system.structure.layout.quaternion_v.tolist():
             out[i : i + 3, i : i + 3] = _of_log(way[i : i + 3])
         return out[rows]
@@ -233,7 +236,7 @@ class Chart(Report):
         system = self.system
         scale = scales(self.system)
         rows = self._rows(given)
-        start = as_q(system, near)
+        start = read_q(system, near)
         lead = np.broadcast_shapes(u.shape[:-1], start.shape[:-1])
         starts = np.broadcast_to(start, (*lead, system.nq)).reshape(-1, system.nq)
         wanted = np.broadcast_to(u, (*lead, len(given))).reshape(-1, len(given))
@@ -253,7 +256,7 @@ class Chart(Report):
                 TRIES,
                 level=Level.CLOSED,
                 longest=LONGEST,
-                move=lambda q, y: system.structure.layout.integrate(q, scale * y),
+                move=lambda q, y: system.structure.layout.integrate_velocity(q, scale * y),
             ).x
         return out.reshape(*lead, system.nq)
 
@@ -265,7 +268,7 @@ class Chart(Report):
         N = scale[:, None] * N
         if self._plain:
             return N @ np.linalg.inv(N[self._rows()])
-        return N @ np.linalg.inv(self._rates(as_q(self.system, q), self.independent) @ N)
+        return N @ np.linalg.inv(self._rates(read_q(self.system, q), self.independent) @ N)
 
     def condition(self, q: Any) -> float:
         """How well the independent coordinates move all others at a closed q (nq,): 1 best, 0 not
@@ -277,8 +280,8 @@ class Chart(Report):
         N, scale = tangent_space(self.system, q, self.dim)
         if self._plain:
             return _quality(N, self._rows())
-        q = as_q(self.system, q)
-        way = self.system.structure.layout.difference(self.origin, q)
+        q = read_q(self.system, q)
+        way = self.system.structure.layout.compute_difference(self.origin, q)
         rows = {*self._rows()}
         own = {
             i
@@ -341,7 +344,7 @@ def independent(
         if not answer:
             raise InputError(f"{system.name} could not be assembled: {answer.status}")
         q = answer.q
-    q = as_q(system, q)
+    q = read_q(system, q)
     N, scale = tangent_space(system, q)
     p = N.shape[1]
     wish = listed(prefer, "prefer")
@@ -425,7 +428,7 @@ def _idle_part(
     """Of a basis (nv, p) of scaled velocities at q (nq,), the combinations (p, k), orthonormal,
     that are idle spins.
     """
-    tree = own_tree(system)
+    tree = remove_cut_marks(system)
     parts = [np.zeros((N.shape[1], 0))]
     for spin in spins:
         rests = N[~spin.moving_velocities]
@@ -476,7 +479,7 @@ def tangent_space(system: Model, q: Any, dim: int | None = None) -> tuple[Array,
     Slides are measured in characteristic lengths: velocities in units are ``scale * N``. Errors:
     `InputError` if q is not closed.
     """
-    q = one_finite(system, q)
+    q = read_finite_q(system, q)
     error, J = evaluate(system, q, True, True)
     if not np.linalg.norm(error) <= 10.0 * TOLERANCE:
         raise InputError(

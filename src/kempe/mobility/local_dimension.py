@@ -17,10 +17,10 @@ from kempe.mobility import lyapunov_schmidt
 from kempe.mobility.dof_proofs import Proof, Prover
 from kempe.mobility.local_equations import Equations
 from kempe.mobility.lyapunov_schmidt import Split
-from kempe.model.ball_angles import back, regular_chart
-from kempe.model.configurations import as_q
-from kempe.model.model import kept
-from kempe.model.own_tree import own_tree
+from kempe.model.ball_angles import convert_from_chart, make_regular_chart
+from kempe.model.configurations import read_q
+from kempe.model.model import keep_answers
+from kempe.model.own_tree import remove_cut_marks
 from kempe.numerics.clock import TimeLimit
 from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
@@ -651,7 +651,7 @@ def local_dimension(
     >>> flat.rank_dim, flat.dim, flat.branch_dims
     (2, 1, (1, 1))
     """
-    q = as_q(system, q)
+    q = read_q(system, q)
     if q.ndim != 1:
         raise InputError(
             f"q has shape {q.shape}; the local dimension is found at one configuration (nq,)"
@@ -662,7 +662,7 @@ def local_dimension(
         raise InputError(
             f"tolerance is {tolerance!r}; it must be a part of one, such as {Level.GENERIC:g}"
         )
-    other, there, turned = regular_chart(own_tree(system), q)
+    other, there, turned = make_regular_chart(remove_cut_marks(system), q)
     rng = np.random.default_rng(rng)
     return in_chart(system, _found(other, there, order, rng, tolerance, sampling, time), turned)
 
@@ -671,8 +671,8 @@ def in_chart(system: Model, found: LocalDimension, turned: dict[str, Array]) -> 
     """The answer with its configurations in the coordinates of the system itself."""
     if not turned:
         return found
-    own = tuple(replace(b, q=back(system, b.q, turned)) for b in found.branches)
-    return replace(found, branches=own, q=back(system, found.q, turned))
+    own = tuple(replace(b, q=convert_from_chart(system, b.q, turned)) for b in found.branches)
+    return replace(found, branches=own, q=convert_from_chart(system, found.q, turned))
 
 
 def _found(
@@ -762,7 +762,7 @@ def _doubts(at: Split) -> list[str]:
     return []
 
 
-@kept
+@keep_answers
 def _equations(system: Model) -> Equations:
     """The packed equations of a system."""
     return Equations(system)

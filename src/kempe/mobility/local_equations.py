@@ -17,8 +17,8 @@ from kempe.errors import UnsupportedError
 from kempe.first_order.constraint_graph import NO_SERIES, list_function_constraints
 from kempe.kernels.constraints.loop_layout import LINEAR
 from kempe.kernels.forward.table_layout import KIND, N_OUT, N_ROWS, SLIDE, TURN, V_INDEX, rows_of
-from kempe.model.configurations import as_q
-from kempe.model.packed_loops import laid_out, loops_of
+from kempe.model.configurations import read_q
+from kempe.model.packed_loops import get_packed_loops, pack_tapes
 from kempe.numerics.clock import TimeLimit
 from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
@@ -72,7 +72,7 @@ class Equations:
 
     def __init__(self, system: Model):
         self.system = system
-        self._loops = loops_of(system, frozenset(system.structure.closures))
+        self._loops = get_packed_loops(system, frozenset(system.structure.closures))
         self.names = self._loops.names
         found = list_function_constraints(system)
         if found:
@@ -116,7 +116,7 @@ class Equations:
         first = self.system.structure.coordinates.first
         for tie in self._loops.ties:
             count = 0
-            size = len(tie.rows)
+            size = len(tie.row_names)
             number = tie.number
             start = len(entries)
             if tie.relation is not None:
@@ -134,7 +134,8 @@ class Equations:
                 data = len(recorded)
                 number = 1.0 / self.length if tie.tape.unit == "m" else 1.0
                 inputs = (
-                    [tie.tape.input(n), *first.get(n, (-1, -1))] for n in tie.tape.tape.inputs
+                    [tie.tape.encode_input(n), *first.get(n, (-1, -1))]
+                    for n in tie.tape.tape.inputs
                 )
                 recorded.append((*tie.tape.tape.arrays(), [x for item in inputs for x in item]))
             heads.append(
@@ -151,7 +152,7 @@ class Equations:
             numbers.append(number)
             row += size
         at = 1 + sum(len(item) for group in (heads, entries) for item in group)
-        read, starts = laid_out(recorded, at, len(numbers) + len(factors))
+        read, starts = pack_tapes(recorded, at, len(numbers) + len(factors))
         for head in heads:
             head[-1] = starts[head[-1]] if head[-1] >= 0 else -1
         flat = [x for group in (heads, entries) for item in group for x in item]
@@ -163,7 +164,7 @@ class Equations:
 
     def linearise(self, q: Any) -> tuple[Array, Array]:
         """Values (N, m) and Jacobian (N, m, nv), to scaled coordinates, at q (N, nq)."""
-        q = np.array(as_q(self.system, q))
+        q = np.array(read_q(self.system, q))
         q = q.reshape(math.prod(q.shape[:-1]), self.nq)
         landing = self._project(q, q, 0.0, 0)
         return landing.value, landing.jacobian
@@ -265,13 +266,13 @@ class Equations:
 
     def move(self, q: Array, x: Array) -> Array:
         """Configurations (..., nq) reached from q (..., nq) by scaled tangent vectors x (..., nv)."""
-        return self.system.structure.layout.integrate(q, np.asarray(x) * self.scale)
+        return self.system.structure.layout.integrate_velocity(q, np.asarray(x) * self.scale)
 
     def offset(self, q0: Array, q: Array) -> Array:
         """Tangent vectors (..., nv) from configurations q0 to q (..., nq), in units of `scale`
         (nv,).
         """
-        return self.system.structure.layout.difference(q0, q) / self.scale
+        return self.system.structure.layout.compute_difference(q0, q) / self.scale
 
     def series(self, q: Array, n: int, order: int) -> Series:
         """Taylor series, up to `order`, of the equations along n curves of configurations.
@@ -287,9 +288,9 @@ class Equations:
         out: dict[str, np.ndarray] = {}
         row = 0
         for tie in self._loops.ties:
-            if tie.relation is None and not tie.written:
-                out[tie.name] = np.arange(row, row + len(tie.rows))
-            row += len(tie.rows)
+            if tie.relation is None and not tie.user_written:
+                out[tie.name] = np.arange(row, row + len(tie.row_names))
+            row += len(tie.row_names)
         return out
 
     @cached_property

@@ -32,9 +32,9 @@ from kempe.mobility.answer import ClusterMobility, Mobility, dimensions
 from kempe.mobility.dof_proofs import regular
 from kempe.mobility.growth_vectors import distribution
 from kempe.mobility.one_sided import if_any
-from kempe.model.ball_angles import regular_chart
-from kempe.model.configurations import as_q, home_of
-from kempe.model.own_tree import own_tree
+from kempe.model.ball_angles import make_regular_chart
+from kempe.model.configurations import find_home, read_q
+from kempe.model.own_tree import remove_cut_marks
 from kempe.numerics.clock import SHORT, TimeLimit, time_limited, time_of
 from kempe.spatial import Array
 
@@ -48,12 +48,12 @@ USUAL = Usual("mobility", time_limit=SHORT)
 def _counted(time: TimeLimit, system: Model, q: Any = None, *_: Any, **__: Any) -> Mobility:
     """The count alone: the time was up before more was known."""
     given = None if q is None else _given(system, q)
-    tree = own_tree(system)
+    tree = remove_cut_marks(system)
     why = (
         f"the time limit of {time.limit:g} s came before a closed configuration and its ranks were "
         "known"
     )
-    at = NearestClosed(home_of(tree) if given is None else given, False, math.nan, math.nan, why)
+    at = NearestClosed(find_home(tree) if given is None else given, False, math.nan, math.nan, why)
     return replace(_open(tree, system, at), late=True)
 
 
@@ -85,7 +85,7 @@ def mobility(
     time = time_of(USUAL)
     time.put_in_order()  # there is nothing to do afterwards
     shown = system
-    system = own_tree(system)
+    system = remove_cut_marks(system)
     find_driven_velocities(system, actuated)  # a wrong name is refused before any work
     given = None if q is None else _given(system, q)
     return _looked_at(system, shown, given, actuated, local, generator(rng), time)
@@ -104,7 +104,7 @@ def _looked_at(
     at = close(system, given) if given is not None else find_closed(system)
     if not at.closed:
         return _open(system, shown, at)
-    other, q, turned = regular_chart(system, at.q)
+    other, q, turned = make_regular_chart(system, at.q)
     if turned:  # angles of a ball have velocities there that move nothing
         found = _found(other, shown, replace(at, q=q), actuated, local, rng, time)
         from kempe.mobility.local_dimension import in_chart
@@ -180,7 +180,7 @@ def _found(
 
 
 def _given(system: Model, q: Any) -> Array:
-    given = as_q(system, q)
+    given = read_q(system, q)
     if given.ndim != 1:
         raise InputError(
             f"q has shape {given.shape}; mobility is found at one configuration ({system.nq},)"

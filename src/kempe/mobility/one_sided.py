@@ -19,7 +19,7 @@ from kempe.equations.one_sided import CLOSED, OneSided, one_sided_rows
 from kempe.equations.velocity import rates, velocity_rows
 from kempe.errors import InputError
 from kempe.forward.fk import jacobian
-from kempe.model.configurations import as_q
+from kempe.model.configurations import read_q
 from kempe.numerics.rank import Level, Spectrum
 from kempe.report import Report
 from kempe.spatial import Array
@@ -420,7 +420,7 @@ def one_sided(system: Model, q: Any = None, *, tolerance: float = CLOSED) -> One
     """
     from kempe.assemble.generic_configurations import find_closed
 
-    at = as_q(system, q) if q is not None else find_closed(system).q
+    at = read_q(system, q) if q is not None else find_closed(system).q
     if at.ndim != 1:
         raise InputError(
             f"q has shape {at.shape}; one-sided constraints are looked at in one configuration"

@@ -15,8 +15,8 @@ from kempe.equations.closure import Closure
 from kempe.errors import InputError, UnsupportedError
 from kempe.first_order.rank import compute_allowed_velocities, compute_rank
 from kempe.forward.fk import fk, jacobian
-from kempe.model.characteristic_length import characteristic_length
-from kempe.model.configurations import as_q
+from kempe.model.characteristic_length import compute_characteristic_length
+from kempe.model.configurations import read_q
 from kempe.numerics.rank import Level, Spectrum
 from kempe.report import Nearest, Report
 from kempe.spatial import Array
@@ -110,7 +110,7 @@ def relative_motion(
     >>> print(relative_motion(slider, slider.neutral, "B5", "B0"))
     1 DoF of B5 relative to B0: a slide along x
     """
-    found = as_q(system, q)
+    found = read_q(system, q)
     if found.shape != (system.nq,):
         raise InputError(f"q has shape {found.shape}; it must be one configuration ({system.nq},)")
     names = [system.structure.frame_name(x) for x in (body, to)]
@@ -118,7 +118,7 @@ def relative_motion(
         if system.structure.table.at[name][2]:
             raise UnsupportedError(f"{name!r} is on a particle, which has no orientation")
     closure = Closure(system)
-    size = characteristic_length(system)
+    size = compute_characteristic_length(system)
     basis, origin = _basis(closure, found, names, size)
     around = [
         _basis(closure, r.q, names, size)[0].shape[1]

@@ -16,8 +16,8 @@ import numpy as np
 from kempe import spatial
 from kempe.description.parts import Joint
 from kempe.joints import R
-from kempe.model.implicit_form import plain
-from kempe.model.model import kept
+from kempe.model.implicit_form import has_own_coordinates
+from kempe.model.model import keep_answers
 from kempe.poses import place
 from kempe.spatial import Array
 
@@ -28,7 +28,7 @@ NEAR = 0.1
 """Cosine of the second angle below which angles are measured from here instead."""
 
 
-def regular_chart(
+def make_regular_chart(
     system: SystemType, q: Array, held: Collection[str] = ()
 ) -> tuple[SystemType, Array, dict[str, Array]]:
     """The system and q (nq,), with the angles of balls near the singularity of their chart measured
@@ -40,7 +40,7 @@ def regular_chart(
     turned, by name of the joint.
     """
     turned: dict[str, Array] = {}
-    for name, at in _balls(system).items():
+    for name, at in _find_ball_angles(system).items():
         z, y, x = q[at].tolist()
         if abs(np.cos(y)) < NEAR and not any(system.coordinate_names[i] in held for i in at):
             turned[name] = spatial.rot_z(z) @ spatial.rot_y(y) @ spatial.rot_x(x)
@@ -53,17 +53,17 @@ def regular_chart(
     other = type(system)(mechanism)
     values = np.array(q)
     for name in turned:
-        values[_balls(system)[name]] = 0.0
+        values[_find_ball_angles(system)[name]] = 0.0
     return other, values, turned
 
 
-def back(system: Model, q: Array, turned: dict[str, Array]) -> Array:
+def convert_from_chart(system: Model, q: Array, turned: dict[str, Array]) -> Array:
     """The configuration (nq,) in coordinates of the system itself for `q` in the chart of
-    `regular_chart`.
+    `make_regular_chart`.
     """
     q = np.array(q)
     for name, turn in turned.items():
-        at = _balls(system)[name]
+        at = _find_ball_angles(system)[name]
         z, y, x = q[at]
         q[at] = spatial.matrix_to_rpy(
             spatial.rot_z(z) @ spatial.rot_y(y) @ spatial.rot_x(x) @ turn
@@ -71,8 +71,8 @@ def back(system: Model, q: Array, turned: dict[str, Array]) -> Array:
     return q
 
 
-@kept
-def _balls(system: Model) -> dict[str, list[int]]:
+@keep_answers
+def _find_ball_angles(system: Model) -> dict[str, list[int]]:
     """Indices in q of the three angles of each ball joint given by angles, by joint name."""
     names = {n: i for i, n in enumerate(system.coordinate_names)}
     related = {f.source for f in system.structure.couplings.values()} | set(
@@ -83,7 +83,7 @@ def _balls(system: Model) -> dict[str, list[int]]:
     for joint in system.structure.joints.values():
         particle = system._mechanism.bodies[joint.child].particle
         own, steps = joint.type.layout(system.dim, particle)
-        last = steps[-3:] if plain(steps) else ()
+        last = steps[-3:] if has_own_coordinates(steps) else ()
         angles = [f"{joint.name}.{own[p.coordinate]}" for p in last if p.kind == R]
         if [p.axis for p in last] == ["z", "y", "x"] and len(angles) == 3:
             if set(angles) <= set(names) and not related & set(angles):

@@ -12,8 +12,8 @@ import numpy as np
 
 from kempe.arrays import median
 from kempe.joints import Fixed
-from kempe.model.model import kept
-from kempe.model.own_tree import own_tree
+from kempe.model.model import keep_answers
+from kempe.model.own_tree import remove_cut_marks
 from kempe.model.primitive_table import Table
 
 if TYPE_CHECKING:
@@ -33,8 +33,8 @@ FAR = 10.0
 from there."""
 
 
-@kept
-def characteristic_length(system: Model) -> float:
+@keep_answers
+def compute_characteristic_length(system: Model) -> float:
     """A typical length of a link in metres; 1 if all is 0.
 
     The median over the links of how far apart their joints are (for two, their distance): it
@@ -42,9 +42,9 @@ def characteristic_length(system: Model) -> float:
     two, the mean distance of frames from the joint before them.
     """
     found: list[float] = []
-    for links in _links(system).values():
+    for links in _group_joint_points(system).values():
         points = np.array(links)
-        unit = _unit(points)
+        unit = _choose_unit(points)
         off = (points - points.mean(axis=0)) / unit
         spread = unit * float(2.0 * np.sqrt((off**2).sum(axis=-1).mean()))
         if spread > NOTHING * (1.0 + float(np.abs(points).max())):
@@ -52,48 +52,54 @@ def characteristic_length(system: Model) -> float:
     if found:
         least = SHORT * sorted(found)[-2:][0]
         return median([x for x in found if x > least])
-    table = own_tree(system).structure.table
-    found = _lengths(table.placement[..., :3, 3]).ravel().tolist()
-    found += [float(_lengths(np.asarray(X)[..., :3, 3]).max()) for _, X, _ in table.at.values()]
+    table = remove_cut_marks(system).structure.table
+    found = _compute_lengths(table.placement[..., :3, 3]).ravel().tolist()
+    found += [
+        float(_compute_lengths(np.asarray(X)[..., :3, 3]).max()) for _, X, _ in table.at.values()
+    ]
     real = [x for x in found if x > NOTHING * (1.0 + max(found))]
     return float(np.mean(real)) if real else 1.0
 
 
-def _unit(v: np.ndarray) -> float:
+def _choose_unit(v: np.ndarray) -> float:
     """A power of two by which vectors are divided before they are squared: 1 unless squares would
     be infinite.
     """
     return 2.0**600 if np.abs(v).max(initial=0.0) > 1e150 else 1.0
 
 
-def _lengths(v: np.ndarray) -> np.ndarray:
+def _compute_lengths(v: np.ndarray) -> np.ndarray:
     """Lengths (...) of vectors (..., 3)."""
-    unit = _unit(v)
+    unit = _choose_unit(v)
     return unit * np.linalg.norm(v / unit, axis=-1)
 
 
-def as_large_as(system: SystemType, other: Model) -> SystemType:
+def adopt_characteristic_length(system: SystemType, other: Model) -> SystemType:
     """The system, measured by the characteristic length of another one, of which it is a small
     change.
     """
-    system._kept.setdefault(LENGTH, {})[()] = characteristic_length(other)
+    system._kept.setdefault(LENGTH, {})[()] = compute_characteristic_length(other)
     return system
 
 
-LENGTH: Any = characteristic_length.__wrapped__  # type: ignore[attr-defined]
+LENGTH: Any = compute_characteristic_length.__wrapped__  # type: ignore[attr-defined]
 """What the characteristic length is kept by."""
 
 
-def origin_of(system: Model) -> np.ndarray:
+def choose_origin(system: Model) -> np.ndarray:
     """Where (3,) to measure loops from, so that a mechanism far from the ground's origin loses no
     digits.
     """
-    points = _links(system).get(-1, [])
+    points = _group_joint_points(system).get(-1, [])
     center = np.mean(points, axis=0) if len(points) else np.zeros(3)
-    return center if np.linalg.norm(center) > FAR * characteristic_length(system) else np.zeros(3)
+    return (
+        center
+        if np.linalg.norm(center) > FAR * compute_characteristic_length(system)
+        else np.zeros(3)
+    )
 
 
-def moved(table: Table, by: np.ndarray) -> Table:
+def move_table(table: Table, by: np.ndarray) -> Table:
     """The table with everything that hangs on the ground moved."""
     X = np.eye(4)
     X[:3, 3] = by
@@ -107,20 +113,20 @@ def moved(table: Table, by: np.ndarray) -> Table:
     return replace(table, placement=placement, at=at)
 
 
-@kept
-def _links(system: Model) -> dict[int, list[np.ndarray]]:
+@keep_answers
+def _group_joint_points(system: Model) -> dict[int, list[np.ndarray]]:
     """For each row of the table (-1 is the ground) where joints and constraints sit on it; fixed
     joints are none.
     """
-    system = own_tree(system)
+    system = remove_cut_marks(system)
     out: dict[int, list[np.ndarray]] = {}
-    for body, point in _ends(system):
+    for body, point in _iterate_joint_points(system):
         row, X, _ = system.structure.table.at[body]
         out.setdefault(row, []).append(np.asarray(X)[:3, :3] @ point + np.asarray(X)[:3, 3])
     return out
 
 
-def _ends(system: Model) -> Iterator[tuple[str, np.ndarray]]:
+def _iterate_joint_points(system: Model) -> Iterator[tuple[str, np.ndarray]]:
     mechanism = system._mechanism
     for j in mechanism.joints.values():
         if not isinstance(j.type, Fixed):

@@ -18,12 +18,12 @@ from kempe.model.coordinates import (
     OF_BALL,
     PART_OF_BALL,
     Follower,
-    coordinate_name,
-    distinct,
-    returning,
+    find_periodic_angles,
+    find_wound_coordinates,
+    format_coordinate_name,
 )
-from kempe.model.model import kept
-from kempe.model.structural_order import natural
+from kempe.model.model import keep_answers
+from kempe.model.structural_order import make_sort_key
 from kempe.report import Table
 from kempe.spatial import Array
 from kempe.words import ByName, Quantity, counted
@@ -43,7 +43,7 @@ relative to 1 and itself."""
 WANTED = "an array of real numbers or a dict by coordinate name"
 
 
-def as_q(system: Model, q: Any) -> Array:
+def read_q(system: Model, q: Any) -> Array:
     """`q` as an aligned, C-contiguous float64 array (..., nq): the one place where configurations
     are read.
 
@@ -53,21 +53,21 @@ def as_q(system: Model, q: Any) -> Array:
     Errors: `InputError` for a wrong length or type, and for named values that close no loop;
     `UnknownNameError`.
     """
-    return _read(system, q, closed_from)
+    return _read_configuration(system, q, close_from_start)
 
 
-def as_start(system: Model, q: Any) -> Array:
-    """Start of a search (..., nq), read as by `as_q`.
+def read_start(system: Model, q: Any) -> Array:
+    """Start of a search (..., nq), read as by `read_q`.
 
     Coordinates that are not named are as at home; no loop is closed. A text is the name of a
     posture.
     """
     if isinstance(q, str):
-        return q_from_dict(system, q, home_of(system))
-    return _read(system, q, from_home, "start")
+        return make_q(system, q, find_home(system))
+    return _read_configuration(system, q, set_from_home, "start")
 
 
-def _read(
+def _read_configuration(
     system: Model,
     q: Any,
     complete: Callable[[Model, Mapping[str, Any]], Array],
@@ -82,7 +82,7 @@ def _read(
                 return complete(system, coordinates)
             rows = rows_of(q)
             if rows is not None:
-                return np.stack([_read(system, row, complete, word) for row in rows])
+                return np.stack([_read_configuration(system, row, complete, word) for row in rows])
         array = np.require(reals(q, word, WANTED), np.float64, ["C", "A"])
     if array.ndim == 0 or array.shape[-1] != system.nq:
         names = ", ".join(system.coordinate_names[:12]) + (", ..." if system.nq > 12 else "")
@@ -91,7 +91,7 @@ def _read(
     return array
 
 
-@kept
+@keep_answers
 def has_loops(system: Model) -> bool:
     """Whether q has to fulfil equations: of loops, declared constraints, or relations of several
     coordinates.
@@ -102,33 +102,33 @@ def has_loops(system: Model) -> bool:
     )
 
 
-def home_of(system: Model) -> Array:
+def find_home(system: Model) -> Array:
     """Default start (nq,) of a search: the posture 'closed' if it exists, else a point inside the
     limits.
     """
     if "closed" in system.structure.posture_names:
-        return q_from_dict(system, "closed")
-    return mid(system).copy()
+        return make_q(system, "closed")
+    return compute_mid_configuration(system).copy()
 
 
-def from_home(system: Model, coordinates: Mapping[str, Any]) -> Array:
+def set_from_home(system: Model, coordinates: Mapping[str, Any]) -> Array:
     """Configuration (..., nq) with the named values, perhaps not closed.
 
     Other coordinates are neutral, or as at home where the system has loops.
     """
-    return q_from_dict(system, coordinates, home_of(system) if has_loops(system) else None)
+    return make_q(system, coordinates, find_home(system) if has_loops(system) else None)
 
 
-def closed_from(system: Model, coordinates: Mapping[str, Any], start: Any = None) -> Array:
+def close_from_start(system: Model, coordinates: Mapping[str, Any], start: Any = None) -> Array:
     """Configuration (..., nq) with the named values; in a system with loops these are closed.
 
     The search starts at `start`, else at home. Where all coordinates are named nothing is searched
     for. Errors: `InputError` where no closed configuration was found, with the reason.
     """
-    q = q_from_dict(system, coordinates, start)  # refuses names and numbers
+    q = make_q(system, coordinates, start)  # refuses names and numbers
     if not has_loops(system):
         return q
-    given = independent_values(system, named(coordinates) or {})
+    given = compute_source_values(system, named(coordinates) or {})
     if len(given) == system.nq:
         return q
     answer = late("assemble")(system, given, start)
@@ -147,15 +147,15 @@ def closed_from(system: Model, coordinates: Mapping[str, Any], start: Any = None
     )
 
 
-@kept
-def _places(system: Model) -> dict[str, int]:
+@keep_answers
+def _index_coordinates(system: Model) -> dict[str, int]:
     return {n: i for i, n in enumerate(system.coordinate_names)}
 
 
-def _posture(system: Model, name: str) -> dict[str, float]:
+def _read_posture(system: Model, name: str) -> dict[str, float]:
     """Values of a named posture, of those coordinates that are in `q`. Errors: `UnknownNameError`."""
     postures = system._mechanism.postures
-    index = _places(system)
+    index = _index_coordinates(system)
     return {
         n: x
         for n, x in postures[known("posture", name, postures, system.name)].items()
@@ -163,20 +163,20 @@ def _posture(system: Model, name: str) -> dict[str, float]:
     }
 
 
-def source_names(system: Model, names: Iterable[str]) -> tuple[str, ...]:
+def list_sources(system: Model, names: Iterable[str]) -> tuple[str, ...]:
     """The coordinates of `q` that named coordinates are, or follow, each once."""
     couplings = system.structure.couplings
     sources = (couplings[name].source if name in couplings else name for name in names)
     return tuple(dict.fromkeys(source for source in sources if source is not None))
 
 
-def independent_values(system: Model, given: Mapping[str, Any]) -> Mapping[str, Any]:
+def compute_source_values(system: Model, given: Mapping[str, Any]) -> Mapping[str, Any]:
     """Values of coordinates of `q` from values that may also be of their followers, which must fit.
 
     A follower whose leader is not named gives the leader its value. Errors: `UnknownNameError`;
     `InputError` for followers and locked coordinates that do not fit.
     """
-    index = _places(system)
+    index = _index_coordinates(system)
     if index.keys() >= given.keys():
         return given
     for name in given:
@@ -226,7 +226,7 @@ def refuse_misfit(
 
 
 @explained
-def q_from_dict(
+def make_q(
     system: Model, coordinates: Mapping[str, Any] | str, base: ArrayLike | None = None
 ) -> Array:
     """Configuration (..., nq) from values by coordinate name, or of the posture of a name.
@@ -234,12 +234,14 @@ def q_from_dict(
     What is not named is neutral, or as in `base` (..., nq). A coordinate that follows another may be
     named, too, with the value that it has then.
     """
-    given = _posture(system, coordinates) if isinstance(coordinates, str) else named(coordinates)
+    given = (
+        _read_posture(system, coordinates) if isinstance(coordinates, str) else named(coordinates)
+    )
     if given is None:
         needed = "a dict by coordinate name, or the name of a posture"
         raise InputError(f"coordinates are {type(coordinates).__name__}; they must be {needed}")
-    given = independent_values(system, given)
-    index = _places(system)
+    given = compute_source_values(system, given)
+    index = _index_coordinates(system)
     single = True
     values: list[float | Array] = []
     for name, number in given.items():
@@ -250,7 +252,7 @@ def q_from_dict(
             else reals(number, f"coordinate {name!r}", "a number, or an array of them")
         )
         single = single and one_number
-    start = system.neutral if base is None else as_q(system, base)
+    start = system.neutral if base is None else read_q(system, base)
     if single:
         q = start.copy()
         for name, x in zip(given, values, strict=True):
@@ -272,24 +274,24 @@ def q_from_dict(
 
 
 @explained
-def q_dict(system: Model, q: Any) -> dict[str, float]:
+def make_q_dict(system: Model, q: Any) -> dict[str, float]:
     """Values by coordinate name of one configuration (nq,)."""
-    return dict(zip(system.coordinate_names, one(system, q).tolist(), strict=True))
+    return dict(zip(system.coordinate_names, read_one_q(system, q).tolist(), strict=True))
 
 
-def one(system: Model, q: Any) -> Array:
+def read_one_q(system: Model, q: Any) -> Array:
     """The argument as one configuration (nq,). Errors: `InputError`."""
-    array = as_q(system, q)
+    array = read_q(system, q)
     if array.ndim != 1:
         raise InputError(f"q has shape {array.shape}; it must be one configuration ({system.nq},)")
     return array
 
 
-def one_finite(system: Model, q: Any, what: str = "q") -> Array:
+def read_finite_q(system: Model, q: Any, what: str = "q") -> Array:
     """The argument as one configuration (nq,) of numbers that a search can begin with. Errors:
     `InputError`.
     """
-    array = as_q(system, q)
+    array = read_q(system, q)
     if array.shape != (system.nq,):
         raise InputError(
             f"{what} has shape {array.shape}; it must be one configuration ({system.nq},)"
@@ -337,7 +339,7 @@ def refuse_wound_angle(angle: float, what: str) -> None:
 # ---- random and special configurations
 
 
-def mid(system: Model) -> Array:
+def compute_mid_configuration(system: Model) -> Array:
     """A configuration (nq,) inside the limits: mid-range; zero, or the nearest allowed, where a
     limit is missing.
 
@@ -355,7 +357,7 @@ def mid(system: Model) -> Array:
 
 
 @explained
-def random(
+def sample_configurations(
     system: Model, rng: np.random.Generator | int | None, shape: int | tuple[int, ...] = ()
 ) -> Array:
     """Configurations (*shape, nq), uniform inside the limits.
@@ -382,22 +384,23 @@ def random(
         raise InputError(
             f"shape is {shape}; this memory does not hold so many configurations"
         ) from None
-    low, high = sampling_box(system)
+    low, high = compute_sampling_box(system)
     order = sorted(
-        range(len(layout.vector_v)), key=lambda i: natural(names[int(layout.vector_v[i])])
+        range(len(layout.vector_v)), key=lambda i: make_sort_key(names[int(layout.vector_v[i])])
     )
     for i in order:
         iv = layout.vector_v[i]
         u = rng.random(size=shape)
         q[..., layout.vector_q[i]] = np.clip((1.0 - u) * low[iv] + u * high[iv], low[iv], high[iv])
     balls = sorted(
-        range(len(layout.quaternion_v)), key=lambda i: natural(names[int(layout.quaternion_v[i])])
+        range(len(layout.quaternion_v)),
+        key=lambda i: make_sort_key(names[int(layout.quaternion_v[i])]),
     )
-    layout.random_quaternions(q, rng, np.array(balls, dtype=np.int64))
+    layout.randomize_quaternions(q, rng, np.array(balls, dtype=np.int64))
     return q
 
 
-def sampling_box(system: Model) -> tuple[Array, Array]:
+def compute_sampling_box(system: Model) -> tuple[Array, Array]:
     """Finite bounds (nv,) to draw from: the limits, and where one is missing a turn or a length of
     1 m on each side.
     """
@@ -418,7 +421,7 @@ def sampling_box(system: Model) -> tuple[Array, Array]:
 
 
 @explained
-def integrate(system: Model, q: Any, v: ArrayLike) -> Array:
+def integrate_velocity(system: Model, q: Any, v: ArrayLike) -> Array:
     """Configuration (..., nq) reached from `q` by the tangent vector `v` (..., nv) in one unit of
     time.
     """
@@ -428,28 +431,28 @@ def integrate(system: Model, q: Any, v: ArrayLike) -> Array:
         raise InputError(
             f"v has {got}; {system.name} has {counted(system.nv, 'velocity coordinate')}"
         )
-    q = as_q(system, q)
+    q = read_q(system, q)
     if q.shape != v.shape and q.ndim + v.ndim > 2:
         together({"q": q.shape[:-1], "v": v.shape[:-1]})
-    return system.structure.layout.integrate(q, v)
+    return system.structure.layout.integrate_velocity(q, v)
 
 
 @explained
-def difference(system: Model, q0: Any, q1: Any) -> Array:
+def compute_difference(system: Model, q0: Any, q1: Any) -> Array:
     """Shortest tangent vector (..., nv) from `q0` to `q1`: quaternions and unlimited joints go the
     short way.
 
-    `integrate` leads from `q0` by it to `q1`, up to whole turns of unlimited joints. Turns that a
+    `integrate_velocity` leads from `q0` by it to `q1`, up to whole turns of unlimited joints. Turns that a
     constraint tells apart count.
     """
-    a = as_q(system, q0)
-    b = as_q(system, q1)
+    a = read_q(system, q0)
+    b = read_q(system, q1)
     if a.shape != b.shape:
         together({"q0": a.shape[:-1], "q1": b.shape[:-1]})
-    return by_short_turns(system.structure.layout.difference(a, b), circles(system))
+    return shorten_turns(system.structure.layout.compute_difference(a, b), find_free_angles(system))
 
 
-def by_short_turns(v: Array, circle: np.ndarray) -> Array:
+def shorten_turns(v: Array, circle: np.ndarray) -> Array:
     """Tangent vectors `v` (..., nv), changed in place: where `circle` (nv,) says so, angles turn by
     at most pi.
     """
@@ -457,45 +460,45 @@ def by_short_turns(v: Array, circle: np.ndarray) -> Array:
     return v
 
 
-def circles(system: Model) -> np.ndarray:
+def find_free_angles(system: Model) -> np.ndarray:
     """Which velocity coordinates (nv,) are angles without limits, so that a full turn changes
     nothing.
     """
-    return returning(system._mechanism, system.structure.coordinates)
+    return find_periodic_angles(system._mechanism, system.structure.coordinates)
 
 
-def winding_angles(system: Model) -> np.ndarray:
+def find_winding_angles(system: Model) -> np.ndarray:
     """Which velocity coordinates (nv,) are angles without limits of which a constraint tells whole
     turns apart.
     """
     coordinates = system.structure.coordinates
     endless = coordinates.turning & np.isinf(system.lower) & np.isinf(system.upper)
-    return endless & distinct(system._mechanism, coordinates)
+    return endless & find_wound_coordinates(system._mechanism, coordinates)
 
 
 @explained
-def interpolate(system: Model, q0: Any, q1: Any, t: ArrayLike) -> Array:
+def interpolate_configurations(system: Model, q0: Any, q1: Any, t: ArrayLike) -> Array:
     """Configuration (..., nq) at fraction `t` (...) of the way; quaternions and unlimited joints go
     the short way.
     """
     t = numbers(t, "t")
-    v = difference(system, q0, q1)
+    v = compute_difference(system, q0, q1)
     together({"t": t.shape, "q0 and q1": v.shape[:-1]})
-    return integrate(system, q0, t[..., None] * v)
+    return integrate_velocity(system, q0, t[..., None] * v)
 
 
 @explained
-def distance(system: Model, q0: Any, q1: Any) -> Array:
+def compute_distance(system: Model, q0: Any, q1: Any) -> Array:
     """Euclidean length (...) of the shortest tangent vector, angles in radians and lengths in
     metres.
     """
-    return np.linalg.norm(difference(system, q0, q1), axis=-1)
+    return np.linalg.norm(compute_difference(system, q0, q1), axis=-1)
 
 
 # ---- units and names of coordinates
 
 
-def units(system: Model) -> dict[str, str]:
+def list_units(system: Model) -> dict[str, str]:
     """Unit of every coordinate and velocity coordinate by name: 'rad', 'm', or '' in a quaternion."""
     out: dict[str, str] = {}
     bodies = system._mechanism.bodies
@@ -505,33 +508,33 @@ def units(system: Model) -> dict[str, str]:
         own = {p.coordinate: "m" for p in primitives if p.kind == P}
         own |= {p.coordinate: "rad" for p in primitives if p.kind == R}  # of a screw, too
         for i, name in enumerate(names):
-            out[coordinate_name(joint.name, name)] = own.get(i, "")
+            out[format_coordinate_name(joint.name, name)] = own.get(i, "")
         for name in joint.type.velocities(system.dim, particle):
-            out.setdefault(coordinate_name(joint.name, name), "rad")
+            out.setdefault(format_coordinate_name(joint.name, name), "rad")
     return out
 
 
-def limits_by_name(system: Model) -> dict[str, Quantity]:
+def list_limits(system: Model) -> dict[str, Quantity]:
     """The limits of each coordinate of q by its name, infinite where it has none."""
-    unit = units(system)
+    unit = list_units(system)
     structure = system.structure
     known = dict(zip(structure.velocity_names, structure.limits.tolist(), strict=True))
     free = (-math.inf, math.inf)
     return {n: Quantity(known.get(n, free), unit[n]) for n in system.coordinate_names}
 
 
-def by_name(system: Model, q: Any) -> ByName:
+def name_values(system: Model, q: Any) -> ByName:
     """Configurations (..., nq) by the names of coordinates, with their units."""
-    unit = units(system)
+    unit = list_units(system)
     names = system.coordinate_names
     return ByName(names, [unit[name] for name in names], q)
 
 
-def ranges_table(system: Model, q: Any, steps: bool = False) -> Table:
+def make_ranges_table(system: Model, q: Any, steps: bool = False) -> Table:
     """The least and the largest value of each coordinate in configurations (n, nq) that are
     numbers; with `steps` also its largest step from one to the next.
     """
-    unit = units(system)
+    unit = list_units(system)
     rows: list[tuple[Any, ...]] = []
     for name, x in zip(system.coordinate_names, np.asarray(q).T, strict=True):
         values = [np.nanmin(x), np.nanmax(x)]
@@ -543,7 +546,7 @@ def ranges_table(system: Model, q: Any, steps: bool = False) -> Table:
     return Table(heads[: 4 if steps else 3], rows, grid=True, printed=False)
 
 
-def check_read(system: Model, names: Iterable[str], what: str) -> None:
+def refuse_unreadable(system: Model, names: Iterable[str], what: str) -> None:
     """Refuse coordinates that do not exist or are parts of quaternions. Errors: `UnknownNameError`,
     `InputError`.
     """

@@ -17,7 +17,7 @@ from kempe.description.parts import Declared, Joint
 from kempe.errors import InputError
 from kempe.kernels.constraints import loop_layout as L
 from kempe.kernels.constraints import tape_layout as TL
-from kempe.model.configurations import check_read
+from kempe.model.configurations import refuse_unreadable
 from kempe.model.coordinates import Relation
 from kempe.model.kernel_functions import Callback
 from kempe.model.primitive_table import Table
@@ -46,7 +46,7 @@ class CompiledFunction(Protocol):
     """A function of q in compiled form: `address` of void(double* q, double* value, double*
     columns, int64 flag).
 
-    It writes its `rows` values at q, and with the flag the columns (n, rows) of its Jacobian in
+    It writes its `row_names` values at q, and with the flag the columns (n, rows) of its Jacobian in
     scaled velocities.
     """
 
@@ -87,23 +87,25 @@ class RecordedRows:
     given: tuple[str, ...] = ()
     """Inputs that are numbers of the call."""
 
-    def input(self, name: str) -> int:
+    def encode_input(self, name: str) -> int:
         """Number of the input `name`, as `loop_layout` encodes it."""
         if name in self.given:
             return L.GIVEN
         return L.PLACE + POSE.index(name) if self.posed and name in POSE else L.COORDINATE
 
     @property
-    def moved(self) -> bool:
+    def pose_dependent(self) -> bool:
         """Whether the expression depends on the pose of B in A."""
-        return any(self.input(n) < L.COORDINATE for n in self.tape.inputs)
+        return any(self.encode_input(n) < L.COORDINATE for n in self.tape.inputs)
 
     @property
     def coordinates(self) -> tuple[str, ...]:
         """Names of the coordinates that the expression depends on."""
-        return tuple(n for n in self.tape.inputs if self.input(n) == L.COORDINATE)
+        return tuple(n for n in self.tape.inputs if self.encode_input(n) == L.COORDINATE)
 
-    def over(self, sources: Mapping[str, tuple[str | None, float, float]]) -> RecordedRows:
+    def substitute_sources(
+        self, sources: Mapping[str, tuple[str | None, float, float]]
+    ) -> RecordedRows:
         """The expression with coupled coordinates replaced by their sources: (source, multiplier,
         offset) by name.
         """
@@ -145,12 +147,12 @@ class Tie:
     tape: RecordedRows | None = None
 
     @property
-    def written(self) -> bool:
+    def user_written(self) -> bool:
         """Whether its equations are an expression or a function."""
         return self.tape is not None or self.function is not None
 
     @property
-    def plain(self) -> bool:
+    def unscaled(self) -> bool:
         """Whether its equations are plain numbers, neither metres nor radians of a pose."""
         return (
             self.relation is not None
@@ -159,7 +161,7 @@ class Tie:
         )
 
     @property
-    def rows(self) -> list[str]:
+    def row_names(self) -> list[str]:
         """Names of its equations."""
         if self.turns in ONE_ROW:
             return [ONE_ROW[self.turns]]
@@ -189,21 +191,25 @@ BELOW = (-np.inf, 0.0)
 """Bounds of what is measured from a lower, or from an upper bound."""
 
 
-def declared_ties(system: Model, table: Table, one_sided: bool = False) -> list[Tie]:
+def list_declared_ties(system: Model, table: Table, one_sided: bool = False) -> list[Tie]:
     """The ties of all declared constraints whose rows hold at a value, or with `one_sided` between
     two, too.
     """
-    every = (t for c in system._mechanism.constraints.values() for t in ties_of(system, table, c))
+    every = (
+        t
+        for c in system._mechanism.constraints.values()
+        for t in make_declared_ties(system, table, c)
+    )
     return [t for t in every if one_sided or not t.bounds]
 
 
-def ties_of(system: Model, table: Table, declared: Declared) -> list[Tie]:
+def make_declared_ties(system: Model, table: Table, declared: Declared) -> list[Tie]:
     """The ties of a declared constraint, one-sided ones with their bounds."""
     made = resolved(declared, system._mechanism.parameters, system.dim)
-    return ties(system, declared.name, made, *ends_of(system, table, declared))
+    return make_ties(system, declared.name, made, *find_ends(system, table, declared))
 
 
-def ends_of(system: Model, table: Table, declared: Declared) -> tuple[End, End]:
+def find_ends(system: Model, table: Table, declared: Declared) -> tuple[End, End]:
     """Frames A and B of a declared constraint; the ground twice for one of coordinates."""
     if not declared.parent:
         return GROUND, GROUND
@@ -218,7 +224,7 @@ def ends_of(system: Model, table: Table, declared: Declared) -> tuple[End, End]:
     return a, b
 
 
-def ties(
+def make_ties(
     system: Model,
     name: str,
     made: Constraint,
@@ -234,12 +240,12 @@ def ties(
     of frame B. Errors: `InputError` for a value or bounds of a row that cannot have them.
     """
     out: list[Tie] = []
-    for side in sides_of(made, system.dim, requested):
-        out += _placed_ties(name, side, system.dim, a, b, centre)
-        out += _distance_ties(name, side, a, b)
-        out += _recorded_ties(name, side, system, a, b)
-        out += _function_ties(name, side, system, a, b)
-        out += _coordinate_ties(name, side)
+    for side in list_sides(made, system.dim, requested):
+        out += _make_pose_ties(name, side, system.dim, a, b, centre)
+        out += _make_distance_ties(name, side, a, b)
+        out += _make_tape_ties(name, side, system, a, b)
+        out += _make_function_ties(name, side, system, a, b)
+        out += _make_coordinate_ties(name, side)
     return out
 
 
@@ -255,27 +261,27 @@ class Side(NamedTuple):
     requested: bool
     end: str = ""
 
-    def number(self, row: Row) -> str:
+    def find_number_name(self, row: Row) -> str:
         """Name of the number that a row is measured from; "" where it is measured from zero."""
         field = getattr(row, self.end) if self.end else held(self.made, row)
-        return input_name(field, row.part)
+        return format_input_name(field, row.part)
 
-    def bounds(self, rows: list[Row]) -> tuple[tuple[float, float], ...]:
+    def list_bounds(self, rows: list[Row]) -> tuple[tuple[float, float], ...]:
         """The bounds of some of the rows, measured from their numbers; none where these are values."""
         if not self.sided:
             return ()
         if self.end:
             return (ABOVE if self.end == "low" else BELOW,) * len(rows)
-        return tuple(between(self.made, r) for r in rows)
+        return tuple(get_row_bounds(self.made, r) for r in rows)
 
 
-def sides_of(made: Constraint, dim: int, requested: bool) -> list[Side]:
+def list_sides(made: Constraint, dim: int, requested: bool) -> list[Side]:
     """The rows of position: at values, between fixed bounds, and on each side of bounds that come
     with the call. Errors: `InputError` for a value or bounds of a row that cannot have them.
     """
     rows = [r for r in made.rows(dim) if not r.velocity]
     for row in rows:
-        _refuse_no_number(made, row, requested)
+        _check_row_number(made, row, requested)
     varied_rows = [r for r in rows if requested and has_varied_bounds(made, r)]
     fixed_rows = [r for r in rows if one_sided(made, r) and r not in varied_rows]
     sides = [
@@ -283,7 +289,7 @@ def sides_of(made: Constraint, dim: int, requested: bool) -> list[Side]:
         Side(made, fixed_rows, True, requested),
     ]
     for end in ("low", "high"):
-        rows_with_end = [r for r in varied_rows if end in varied_ends(made, r)]
+        rows_with_end = [r for r in varied_rows if end in list_varied_ends(made, r)]
         sides.append(Side(made, rows_with_end, True, requested, end))
     return [side for side in sides if side.rows]
 
@@ -296,7 +302,7 @@ def has_varied_bounds(made: Constraint, row: Row) -> bool:
     return any([field and np.ndim(getattr(made, field)) > plain for field in (row.low, row.high)])
 
 
-def varied_ends(made: Constraint, row: Row) -> tuple[str, ...]:
+def list_varied_ends(made: Constraint, row: Row) -> tuple[str, ...]:
     """Which of the ends "low" and "high" of a row some target has, where these differ from target to
     target.
     """
@@ -305,13 +311,13 @@ def varied_ends(made: Constraint, row: Row) -> tuple[str, ...]:
     out: list[str] = []
     for end in ("low", "high"):
         field = getattr(row, end)
-        x = number_of(made, field, row.part) if field else None
+        x = get_field_number(made, field, row.part) if field else None
         if x is not None and not np.isinf(x).all():
             out.append(end)
     return tuple(out)
 
 
-def _refuse_no_number(made: Constraint, row: Row, requested: bool) -> None:
+def _check_row_number(made: Constraint, row: Row, requested: bool) -> None:
     value = held(made, row)
     whole = row.op in TURNS and (value or one_sided(made, row))
     if whole or (value and row.op is Op.CALL) or (row.op is Op.COORDINATE and not requested):
@@ -325,7 +331,7 @@ def _refuse_no_number(made: Constraint, row: Row, requested: bool) -> None:
         )
 
 
-def _placed_ties(
+def _make_pose_ties(
     name: str, side: Side, dim: int, a: End, b: End, centre: Centre | None
 ) -> list[Tie]:
     """The ties of the rows of a position and of a rotation: one, or two where B looks at A."""
@@ -337,11 +343,11 @@ def _placed_ties(
     if axes or turns != L.NO_TURN:
         axes.sort(key=lambda r: r.args[0])
         mask = sum(1 << r.args[0] for r in axes)
-        shift = tuple(side.number(r) for r in axes)
+        shift = tuple(side.find_number_name(r) for r in axes)
         A = a
         if not pin and any(shift):
             there = np.eye(4)
-            there[[r.args[0] for r in axes], 3] = [value_of(side.made, r) for r in axes]
+            there[[r.args[0] for r in axes], 3] = [get_row_value(side.made, r) for r in axes]
             A = (a[0], a[1] @ there, a[2])
         out.append(
             Tie(
@@ -351,7 +357,7 @@ def _placed_ties(
                 mask,
                 L.NO_TURN if look else turns,
                 pin=pin,
-                bounds=side.bounds(axes),
+                bounds=side.list_bounds(axes),
                 centre=centre,
                 shift=shift if pin and any(shift) else (),
             )
@@ -361,11 +367,11 @@ def _placed_ties(
     return out
 
 
-def _distance_ties(name: str, side: Side, a: End, b: End) -> list[Tie]:
+def _make_distance_ties(name: str, side: Side, a: End, b: End) -> list[Tie]:
     """A tie for each row of a distance."""
     out: list[Tie] = []
     for row in (r for r in side.rows if r.op is Op.DISTANCE):
-        number = side.number(row)
+        number = side.find_number_name(row)
         call = side.requested and number
         out.append(
             Tie(
@@ -373,16 +379,16 @@ def _distance_ties(name: str, side: Side, a: End, b: End) -> list[Tie]:
                 a,
                 b,
                 turns=L.DISTANCE,
-                number=0.0 if side.sided or call else value_of(side.made, row),
+                number=0.0 if side.sided or call else get_row_value(side.made, row),
                 pin=side.requested,
-                bounds=side.bounds([row]),
+                bounds=side.list_bounds([row]),
                 numbers=(number,) if call else (),
             )
         )
     return out
 
 
-def _recorded_ties(name: str, side: Side, system: Model, a: End, b: End) -> list[Tie]:
+def _make_tape_ties(name: str, side: Side, system: Model, a: End, b: End) -> list[Tie]:
     """A tie for the rows of each recorded expression, over coordinates that are in q.
 
     Rows with values, and bounds that come with the call, are expressions that are to be zero, or
@@ -391,18 +397,18 @@ def _recorded_ties(name: str, side: Side, system: Model, a: End, b: End) -> list
     made = side.made
     rows: list[Row] = []
     for row in (r for r in side.rows if r.op is Op.TAPE):
-        number = side.number(row)
+        number = side.find_number_name(row)
         if number:
-            off = _off(*row.args, number, side.end == "high", (*POSE, *made.reads))
+            off = _make_excess_tape(*row.args, number, side.end == "high", (*POSE, *made.reads))
             row = Row(Op.TAPE, (off, 0), row.name, row.unit)
         rows.append(row)
     sources = {n: (f.source, f.multiplier, f.offset) for n, f in system.structure.couplings.items()}
     out: list[Tie] = []
     for tape, unit in dict.fromkeys((r.args[0], r.unit) for r in rows):
         alike = [r for r in rows if (r.args[0], r.unit) == (tape, unit)]
-        recording = recorded(made, alike, system.dim, side.requested)
-        check_read(system, recording.coordinates, made.label)
-        bounds = (ABOVE,) * len(alike) if side.end else side.bounds(alike)
+        recording = record_rows(made, alike, system.dim, side.requested)
+        refuse_unreadable(system, recording.coordinates, made.label)
+        bounds = (ABOVE,) * len(alike) if side.end else side.list_bounds(alike)
         out.append(
             Tie(
                 name,
@@ -411,14 +417,14 @@ def _recorded_ties(name: str, side: Side, system: Model, a: End, b: End) -> list
                 turns=L.TAPE,
                 pin=side.requested and recording.posed,
                 bounds=bounds,
-                tape=recording.over(sources),
+                tape=recording.substitute_sources(sources),
                 numbers=recording.given,
             )
         )
     return out
 
 
-def _function_ties(name: str, side: Side, system: Model, a: End, b: End) -> list[Tie]:
+def _make_function_ties(name: str, side: Side, system: Model, a: End, b: End) -> list[Tie]:
     """A tie for the rows of each Python function."""
     out: list[Tie] = []
     calls = [r for r in side.rows if r.op is Op.CALL]
@@ -427,13 +433,15 @@ def _function_ties(name: str, side: Side, system: Model, a: End, b: End) -> list
         which = [r.args[1] for r in alike]
         bound = getattr(what, "callback", None)  # a function of the whole configuration
         call = (
-            bound(which) if bound else Callback.of_call(system, what, which, numbers_of(side.made))
+            bound(which)
+            if bound
+            else Callback.from_call(system, what, which, collect_numbers(side.made))
         )
-        out.append(Tie(name, a, b, turns=L.FUNCTION, bounds=side.bounds(alike), function=call))
+        out.append(Tie(name, a, b, turns=L.FUNCTION, bounds=side.list_bounds(alike), function=call))
     return out
 
 
-def _coordinate_ties(name: str, side: Side) -> list[Tie]:
+def _make_coordinate_ties(name: str, side: Side) -> list[Tie]:
     """A tie for each coordinate, or quaternion, that is held at numbers of the call."""
     out: list[Tie] = []
     for v, _, number, ball in (r.args for r in side.rows if r.op is Op.COORDINATE):
@@ -442,7 +450,9 @@ def _coordinate_ties(name: str, side: Side) -> list[Tie]:
 
 
 @lru_cache(maxsize=256)
-def _off(tape: Tape, output: int, end: str, turned: bool, varying: tuple[str, ...]) -> Tape:
+def _make_excess_tape(
+    tape: Tape, output: int, end: str, turned: bool, varying: tuple[str, ...]
+) -> Tape:
     """How far an output is above an end, which is an input; `turned`: below. All but `varying` is
     constant.
     """
@@ -453,13 +463,13 @@ def _off(tape: Tape, output: int, end: str, turned: bool, varying: tuple[str, ..
     return build.finish([build.binary(TL.SUB, *((place, value) if turned else (value, place)))])
 
 
-def recorded(made: Constraint, rows: list[Row], dim: int, given: bool = False) -> RecordedRows:
+def record_rows(made: Constraint, rows: list[Row], dim: int, given: bool = False) -> RecordedRows:
     """Rows of one expression, with the constraint's numbers put in; `given`: those of its fields
     come with the call.
     """
     tape = rows[0].args[0].part([r.args[1] for r in rows])
-    own = {n: input_of(made, n) for n in recorded_numbers(made, dim, tape)}
-    numbers = numbers_of(made) | ({TIME: 0.0} if getattr(made, "time", False) else {}) | own
+    own = {n: get_input_number(made, n) for n in list_recorded_numbers(made, dim, tape)}
+    numbers = collect_numbers(made) | ({TIME: 0.0} if getattr(made, "time", False) else {}) | own
     fixed = {k: x for k, x in numbers.items() if k in tape.inputs and not (given and k in own)}
     names = tuple(r.name for r in rows)
     unit = rows[0].unit
@@ -469,36 +479,36 @@ def recorded(made: Constraint, rows: list[Row], dim: int, given: bool = False) -
     )
 
 
-def recorded_numbers(made: Constraint, dim: int, tape: Tape) -> list[str]:
+def list_recorded_numbers(made: Constraint, dim: int, tape: Tape) -> list[str]:
     """The inputs of an expression that are numbers of the constraint: its fields, or parts of these."""
     ends = {n for r in made.rows(dim) for n in (r.equal, r.low, r.high)}
     fields = {*numbers_in(made), *ends} - {"", *made.reads}
     return [n for n in tape.inputs if n.partition("[")[0] in fields]
 
 
-def value_of(made: Constraint, row: Row) -> float:
+def get_row_value(made: Constraint, row: Row) -> float:
     """What a row is held at."""
-    return float(number_of(made, name, row.part)) if (name := held(made, row)) else 0.0
+    return float(get_field_number(made, name, row.part)) if (name := held(made, row)) else 0.0
 
 
-def number_of(made: Constraint, field: str, part: int | None = None) -> Any:
+def get_field_number(made: Constraint, field: str, part: int | None = None) -> Any:
     """What a field gives, or one of several numbers that it holds."""
     x = getattr(made, field)
     return x if part is None or np.ndim(x) == 0 else np.asarray(x)[..., part]
 
 
-def input_name(field: str, part: int | None = None) -> str:
+def format_input_name(field: str, part: int | None = None) -> str:
     """Name of a number of a field: "low", or "low[1]" for one of several; "" where there is no field."""
     return field if not field or part is None else f"{field}[{part}]"
 
 
-def input_of(made: Constraint, name: str) -> Any:
-    """What a field gives for a number that is named as by `input_name`."""
+def get_input_number(made: Constraint, name: str) -> Any:
+    """What a field gives for a number that is named as by `format_input_name`."""
     field, _, part = name.partition("[")
-    return number_of(made, field, int(part[:-1]) if part else None)
+    return get_field_number(made, field, int(part[:-1]) if part else None)
 
 
-def numbers_of(made: Constraint) -> dict[str, float]:
+def collect_numbers(made: Constraint) -> dict[str, float]:
     """The numbers of a constraint, parameters among them, by the names that expressions have for
     them.
     """
@@ -511,9 +521,11 @@ def numbers_of(made: Constraint) -> dict[str, float]:
     return {k: float(x) for k, x in given.items() if k not in made.reads}
 
 
-def between(made: Constraint, row: Row) -> tuple[float, float]:
+def get_row_bounds(made: Constraint, row: Row) -> tuple[float, float]:
     """Between what a one-sided row holds."""
-    ends = (number_of(made, field, row.part) if field else None for field in (row.low, row.high))
+    ends = (
+        get_field_number(made, field, row.part) if field else None for field in (row.low, row.high)
+    )
     low, high = (
         infinity if x is None else float(x)
         for x, infinity in zip(ends, (-np.inf, np.inf), strict=True)

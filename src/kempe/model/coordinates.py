@@ -51,10 +51,10 @@ class Layout:
         q.setflags(write=False)
         return q
 
-    def _quaternions(self, q: spatial.Array) -> spatial.Array:
+    def _select_quaternions(self, q: spatial.Array) -> spatial.Array:
         return q[..., self.quaternion_q[:, None] + np.arange(4)]
 
-    def integrate(self, q: ArrayLike, v: ArrayLike) -> spatial.Array:
+    def integrate_velocity(self, q: ArrayLike, v: ArrayLike) -> spatial.Array:
         """Configuration (..., nq) reached from `q` by the tangent vector `v` (..., nv) in one unit
         of time.
         """
@@ -67,13 +67,13 @@ class Layout:
         if self.quaternion_q.size:
             w = v[..., self.quaternion_v[:, None] + np.arange(3)]
             turned = spatial.quat_wxyz_multiply(
-                spatial.unit(self._quaternions(q)), spatial.quat_wxyz_exp(w)
+                spatial.unit(self._select_quaternions(q)), spatial.quat_wxyz_exp(w)
             )
             out[..., self.quaternion_q[:, None] + np.arange(4)] = spatial.unit(turned)
         return out
 
-    def difference(self, q0: ArrayLike, q1: ArrayLike) -> spatial.Array:
-        """Tangent vector (..., nv) that `integrate` needs to go from `q0` to `q1`; rotations go the
+    def compute_difference(self, q0: ArrayLike, q1: ArrayLike) -> spatial.Array:
+        """Tangent vector (..., nv) that `integrate_velocity` needs to go from `q0` to `q1`; rotations go the
         short way.
         """
         q0 = reals(q0, "q0")
@@ -81,13 +81,13 @@ class Layout:
         out = np.zeros((*np.broadcast_shapes(q0.shape[:-1], q1.shape[:-1]), self.nv))
         out[..., self.vector_v] = q1[..., self.vector_q] - q0[..., self.vector_q]
         if self.quaternion_q.size:
-            a = spatial.unit(self._quaternions(q0))
-            b = spatial.unit(self._quaternions(q1))
+            a = spatial.unit(self._select_quaternions(q0))
+            b = spatial.unit(self._select_quaternions(q1))
             w = spatial.quat_wxyz_log(spatial.quat_wxyz_multiply(spatial.quat_wxyz_conjugate(a), b))
             out[..., self.quaternion_v[:, None] + np.arange(3)] = w
         return out
 
-    def random_quaternions(
+    def randomize_quaternions(
         self, q: spatial.Array, rng: np.random.Generator, order: np.ndarray | None = None
     ) -> None:
         """Fill the quaternions of `q` (..., nq), in place, with uniformly distributed rotations."""
@@ -96,7 +96,7 @@ class Layout:
             q[..., i : i + 4] = spatial.unit(rng.normal(size=(*q.shape[:-1], 4)))
 
 
-def layout_of(primitives: list[tuple[int, int, int]], nq: int, nv: int) -> Layout:
+def make_layout(primitives: list[tuple[int, int, int]], nq: int, nv: int) -> Layout:
     """`Layout` of (kind, first coordinate, first velocity) triples, one for each independent
     primitive.
     """
@@ -161,20 +161,23 @@ class Coordinates:
         return out
 
 
-def coordinate_names(mechanism: Mechanism, joint: Joint) -> list[str]:
+def list_coordinate_names(mechanism: Mechanism, joint: Joint) -> list[str]:
     """Full names of a joint's coordinates: the joint's name, or 'joint.x' where it has several."""
     particle = mechanism.bodies[joint.child].particle
-    return [coordinate_name(joint.name, c) for c in joint.type.coordinates(mechanism.dim, particle)]
+    return [
+        format_coordinate_name(joint.name, c)
+        for c in joint.type.coordinates(mechanism.dim, particle)
+    ]
 
 
-def coordinate_name(joint: str, coordinate: str) -> str:
+def format_coordinate_name(joint: str, coordinate: str) -> str:
     """The full name of a joint's coordinate, which has a name of its own where the joint has
     several.
     """
     return f"{joint}.{coordinate}" if coordinate else joint
 
 
-def coordinates_of(mechanism: Mechanism) -> Coordinates:
+def make_coordinates(mechanism: Mechanism) -> Coordinates:
     """Coordinate layout of a mechanism. Errors: `DescriptionError` for couplings, locks and limits
     that do not fit.
     """
@@ -185,7 +188,7 @@ def coordinates_of(mechanism: Mechanism) -> Coordinates:
         particle = mechanism.bodies[joint.child].particle
         names, primitives = joint.type.layout(mechanism.dim, particle)
         for name in dict.fromkeys(names + joint.type.velocities(mechanism.dim, particle)):
-            full = coordinate_name(joint.name, name)
+            full = format_coordinate_name(joint.name, name)
             if full in taken:
                 refuse(
                     f"joint {joint.name!r}",
@@ -195,14 +198,15 @@ def coordinates_of(mechanism: Mechanism) -> Coordinates:
                 )
             taken[full] = joint.name
         for name in names:
-            every[coordinate_name(joint.name, name)] = joint
+            every[format_coordinate_name(joint.name, name)] = joint
         for p in primitives:
             if p.kind == Q:
                 balls |= {
-                    coordinate_name(joint.name, n) for n in names[p.coordinate : p.coordinate + 4]
+                    format_coordinate_name(joint.name, n)
+                    for n in names[p.coordinate : p.coordinate + 4]
                 }
-    followers, relations = _resolve(mechanism, every, balls)
-    _check_written(mechanism, every, balls)
+    followers, relations = _resolve_followers(mechanism, every, balls)
+    _check_equations(mechanism, every, balls)
     every_name: list[str] = []
     velocity_names: list[str] = []
     first: dict[str, tuple[int, int]] = {}
@@ -212,22 +216,24 @@ def coordinates_of(mechanism: Mechanism) -> Coordinates:
         local, primitives = joint.type.layout(mechanism.dim, particle)
         kinds = {p.coordinate: p.kind for p in primitives}
         # a screw, or a turn that is geared down, counts as a slide: it returns only by going back
-        kinds |= {p.coordinate: P for p in primitives if p.kind != Q and not _returns(p, 1.0)}
+        kinds |= {
+            p.coordinate: P for p in primitives if p.kind != Q and not _is_unchanged_by_turn(p, 1.0)
+        }
         for i, name in enumerate(local):
-            full = coordinate_name(joint.name, name)
+            full = format_coordinate_name(joint.name, name)
             if full in followers or i not in kinds:
                 continue
             size = 4 if kinds[i] == Q else 1
             first[full] = (len(every_name), len(velocity_names))
             triples.append((kinds[i], len(every_name), len(velocity_names)))
-            every_name += [coordinate_name(joint.name, n) for n in local[i : i + size]]
+            every_name += [format_coordinate_name(joint.name, n) for n in local[i : i + size]]
             velocity_names += (
                 [full]
                 if size == 1
-                else [coordinate_name(joint.name, w) for w in ("wx", "wy", "wz")]
+                else [format_coordinate_name(joint.name, w) for w in ("wx", "wy", "wz")]
             )
-    layout = layout_of(triples, len(every_name), len(velocity_names))
-    lower, upper, speed = _limits(mechanism, velocity_names, followers)
+    layout = make_layout(triples, len(every_name), len(velocity_names))
+    lower, upper, speed = _collect_limits(mechanism, velocity_names, followers)
     turning = np.zeros(len(velocity_names), dtype=bool)
     turning[[iv for kind, _, iv in triples if kind == R]] = True
     for array in (lower, upper, speed, turning):
@@ -246,14 +252,14 @@ def coordinates_of(mechanism: Mechanism) -> Coordinates:
     )
 
 
-def _resolve(
+def _resolve_followers(
     mechanism: Mechanism, every: dict[str, Joint], balls: set[str]
 ) -> tuple[dict[str, Follower], tuple[Relation, ...]]:
     """Followers by repeated substitution, without recursion; relations of several sources stay
     rows.
     """
     followers: dict[str, Follower] = {}
-    for name, number in _locks(mechanism, every, balls).items():
+    for name, number in _read_locks(mechanism, every, balls).items():
         followers[name] = Follower(None, 0.0, number)
     pending: dict[str, tuple[dict[str, float], float]] = {}
     for coupling in mechanism.couplings.values():
@@ -264,7 +270,7 @@ def _resolve(
         sources = {k: float(evaluate(v, mechanism.parameters)) for k, v in coupling.sources.items()}
         pending[coupling.of] = (sources, float(evaluate(coupling.offset, mechanism.parameters)))
     relations: list[Relation] = []
-    for of in _in_order(mechanism, pending):
+    for of in _sort_couplings(mechanism, pending):
         sources, offset = pending[of]
         flat: dict[str, float] = {}
         for name, factor in sources.items():
@@ -292,7 +298,7 @@ def _resolve(
     return followers, tuple(relations)
 
 
-def _check_written(mechanism: Mechanism, every: dict[str, Joint], balls: set[str]) -> None:
+def _check_equations(mechanism: Mechanism, every: dict[str, Joint], balls: set[str]) -> None:
     """Refuse coordinates in equations that do not exist, or that equations cannot read."""
     for c in (c for c in mechanism.constraints.values() if c.of.reads):
         reads = [n for n in c.of.reads if n not in mechanism.parameters]
@@ -323,7 +329,7 @@ PART_OF_BALL = "{!r} is part of a quaternion, which equations of positions do no
 OF_BALL = "use a joint with angles=True, or a constraint on a frame"
 
 
-def _in_order(
+def _sort_couplings(
     mechanism: Mechanism, pending: dict[str, tuple[dict[str, float], float]]
 ) -> list[str]:
     """Couplings so that each comes after those it depends on (depth first, by hand). Errors: a
@@ -384,7 +390,7 @@ def _check_coupling(
                     )
 
 
-def _locks(mechanism: Mechanism, every: dict[str, Joint], balls: set[str]) -> dict[str, float]:
+def _read_locks(mechanism: Mechanism, every: dict[str, Joint], balls: set[str]) -> dict[str, float]:
     for name, number in mechanism.locks.items():
         subject = f"lock of {name!r}"
         if name not in every:
@@ -393,7 +399,7 @@ def _locks(mechanism: Mechanism, every: dict[str, Joint], balls: set[str]) -> di
         if name in balls:
             missing = [
                 c
-                for c in coordinate_names(mechanism, joint)
+                for c in list_coordinate_names(mechanism, joint)
                 if c in balls and c not in mechanism.locks
             ]
             if missing:
@@ -403,7 +409,7 @@ def _locks(mechanism: Mechanism, every: dict[str, Joint], balls: set[str]) -> di
                     None,
                 )
             if not any(
-                mechanism.locks[c] for c in coordinate_names(mechanism, joint) if c in balls
+                mechanism.locks[c] for c in list_coordinate_names(mechanism, joint) if c in balls
             ):
                 refuse(subject, "the quaternion is zero; (1, 0, 0, 0) is no rotation", None)
         local = name[len(joint.name) + 1 :]
@@ -413,7 +419,7 @@ def _locks(mechanism: Mechanism, every: dict[str, Joint], balls: set[str]) -> di
     return mechanism.locks
 
 
-def _limits(
+def _collect_limits(
     mechanism: Mechanism, velocity_names: list[str], followers: dict[str, Follower]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Limits of the coordinates, those of their followers brought back to them."""
@@ -424,7 +430,7 @@ def _limits(
     setter: list[str] = [""] * len(index)
     for joint in mechanism.joints.values():
         for local in joint.type.velocities(mechanism.dim, mechanism.bodies[joint.child].particle):
-            name = coordinate_name(joint.name, local)
+            name = format_coordinate_name(joint.name, local)
             low, high = joint.limits.get(local, (-math.inf, math.inf))
             fast = joint.velocity_limits.get(local, math.inf)
             follower = followers.get(name)
@@ -490,37 +496,37 @@ def _refuse_limits(
     )
 
 
-def relation_text(relation: Relation) -> str:
+def format_relation(relation: Relation) -> str:
     """The relation as an equation."""
     terms = " + ".join(f"{m:g} {s}" for s, m in relation.sources.items())
     return f"{relation.of} = {terms}" + (f" + {relation.offset:g}" if relation.offset else "")
 
 
-def _returns(p: Primitive, multiplier: float) -> bool:
+def _is_unchanged_by_turn(p: Primitive, multiplier: float) -> bool:
     """Whether a primitive is as before after a full turn of what moves it by `multiplier`."""
     return p.kind == R and (p.multiplier * multiplier).is_integer()
 
 
-def returning(mechanism: Mechanism, c: Coordinates) -> np.ndarray:
+def find_periodic_angles(mechanism: Mechanism, c: Coordinates) -> np.ndarray:
     """Which velocity coordinates (nv,) are angles without limits, so that a full turn changes
     nothing.
     """
     back = c.turning & np.isinf(c.lower) & np.isinf(c.upper)
     number = {name: i for i, name in enumerate(c.velocity_names)}
     for joint in mechanism.joints.values() if c.followers else ():
-        names = coordinate_names(mechanism, joint)
+        names = list_coordinate_names(mechanism, joint)
         for p in joint.type.layout(mechanism.dim, mechanism.bodies[joint.child].particle)[1]:
             follower = c.followers.get(names[p.coordinate])
             # it must return after a full turn, too
             if follower is not None and follower.source is not None:
-                back[number[follower.source]] &= _returns(p, follower.multiplier)
+                back[number[follower.source]] &= _is_unchanged_by_turn(p, follower.multiplier)
     for relation in c.relations:
         for name in (relation.of, *relation.sources):
             back[number[name]] = False
-    return back & ~distinct(mechanism, c)
+    return back & ~find_wound_coordinates(mechanism, c)
 
 
-def distinct(mechanism: Mechanism, c: Coordinates) -> np.ndarray:
+def find_wound_coordinates(mechanism: Mechanism, c: Coordinates) -> np.ndarray:
     """Velocity coordinates (nv,) that declared laws of positions read themselves: these may tell
     whole turns apart.
     """

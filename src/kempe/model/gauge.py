@@ -38,13 +38,13 @@ SKEW = 0.5
 away."""
 
 
-def _unit(c: float, s: float) -> tuple[float, float]:
+def _normalize_direction(c: float, s: float) -> tuple[float, float]:
     """The direction (c, s) scaled to length one; (1, 0) for no direction."""
     length = math.hypot(c, s)
     return (c / length, s / length) if length > 0.0 else (1.0, 0.0)
 
 
-def _turn(c: float, s: float) -> np.ndarray:
+def _make_rotation(c: float, s: float) -> np.ndarray:
     """The 3x3 rotation about z by the angle with cosine c and sine s."""
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
@@ -63,13 +63,13 @@ def split_turns(
     sine = math.hypot(rotation[0, 2], rotation[1, 2])
     if sine > PARALLEL:
         sine = math.copysign(sine, -rotation[1, 2])
-        a = _unit(-rotation[1, 2] / sine, rotation[0, 2] / sine)
+        a = _normalize_direction(-rotation[1, 2] / sine, rotation[0, 2] / sine)
     else:
         sine = 0.0
-        a = _unit(origin[0], origin[1])
-    rest = _turn(*a).T @ placement
-    b = _unit(rest[0, 0], -rest[0, 1])
-    cosine, sine = _unit(rotation[2, 2], sine)
+        a = _normalize_direction(origin[0], origin[1])
+    rest = _make_rotation(*a).T @ placement
+    b = _normalize_direction(rest[0, 0], -rest[0, 1])
+    cosine, sine = _normalize_direction(rotation[2, 2], sine)
     middle = np.column_stack(
         [[[1.0, 0.0, 0.0], [0.0, cosine, -sine], [0.0, sine, cosine]], rest[:, 3]]
     )
@@ -78,7 +78,7 @@ def split_turns(
     return a, middle, b
 
 
-def _flatten(middle: np.ndarray) -> float:
+def _compute_flattening_slide(middle: np.ndarray) -> float:
     """Slide of the frame along its z axis that makes p_y = 0 in `middle` = [Rx | p]; 0 where it is
     far.
     """
@@ -92,7 +92,7 @@ def _flatten(middle: np.ndarray) -> float:
     return slide
 
 
-def regauge(ints: np.ndarray, floats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def regauge_table(ints: np.ndarray, floats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A table of the same chain, as many of its rows as possible in form RX or RX_FLAT.
 
     Poses and Jacobians are the same up to rounding, a few 1e-16 of the size of the robot. Turns
@@ -116,7 +116,7 @@ def regauge(ints: np.ndarray, floats: np.ndarray) -> tuple[np.ndarray, np.ndarra
     slide = 0.0
     for r in range(n_rows):
         kind = row_ints[r, KIND]
-        placement = _turn(*carried) @ rows[r, :12].reshape(3, 4)
+        placement = _make_rotation(*carried) @ rows[r, :12].reshape(3, 4)
         placement[2, 3] -= slide
         carried = (1.0, 0.0)
         slide = 0.0
@@ -127,7 +127,7 @@ def regauge(ints: np.ndarray, floats: np.ndarray) -> tuple[np.ndarray, np.ndarra
             if after_turn:
                 gauges[r - 1] *= complex(*a)
             if kind != BALL:
-                slide = _flatten(middle)
+                slide = _compute_flattening_slide(middle)
             if kind == TURN:
                 gauges[r] *= complex(*b)
             else:
@@ -137,7 +137,7 @@ def regauge(ints: np.ndarray, floats: np.ndarray) -> tuple[np.ndarray, np.ndarra
         rows[r, :12] = placement.ravel()
         row_ints[r, FORM] = form
     output = floats[ROW_FLOATS * n_rows :][:OUTPUT_FLOATS].reshape(3, 4)
-    output[:] = _turn(*carried) @ output
+    output[:] = _make_rotation(*carried) @ output
     output[2, 3] -= slide
     turning = row_ints[:, KIND] == TURN
     gauges[turning] /= np.abs(gauges[turning])

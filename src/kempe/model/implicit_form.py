@@ -40,7 +40,9 @@ class ImplicitForm(NamedTuple):
     readings: tuple[tuple[int, str], ...]
 
 
-def implicit_form(kind: JointType, dim: int = 3, particle: bool = False) -> ImplicitForm | None:
+def find_implicit_form(
+    kind: JointType, dim: int = 3, particle: bool = False
+) -> ImplicitForm | None:
     """The implicit form of a joint type; None where it has none. In the plane a slide along z is
     one along x there.
 
@@ -56,7 +58,11 @@ def implicit_form(kind: JointType, dim: int = 3, particle: bool = False) -> Impl
         if [p.kind for p in turns] == [Q]
         else "".join("?" if p.kind == Q else p.axis for p in turns)
     )
-    if about not in TURNS or len({p.axis for p in slides}) < len(slides) or not plain(primitives):
+    if (
+        about not in TURNS
+        or len({p.axis for p in slides}) < len(slides)
+        or not has_own_coordinates(primitives)
+    ):
         return None
     late = [
         p
@@ -79,19 +85,19 @@ def implicit_form(kind: JointType, dim: int = 3, particle: bool = False) -> Impl
     return ImplicitForm(position, "" if particle else held, tuple(sorted(readings)))
 
 
-def plain(primitives: tuple[Primitive, ...]) -> bool:
+def has_own_coordinates(primitives: tuple[Primitive, ...]) -> bool:
     """Whether each primitive has a coordinate of its own, and is as large as that."""
     return all(p.multiplier == 1.0 for p in primitives) and len(
         {p.coordinate for p in primitives}
     ) == len(primitives)
 
 
-def slides_along_z(kind: JointType, dim: int, particle: bool) -> bool:
+def has_slide_along_z(kind: JointType, dim: int, particle: bool) -> bool:
     """Whether a joint of the plane slides along z of its frame F, which then lies in the plane."""
     return dim == 2 and any(p.kind == P and p.axis == "z" for p in kind.layout(2, particle)[1])
 
 
-def flat_frame(X: np.ndarray) -> np.ndarray:
+def turn_flat_frame(X: np.ndarray) -> np.ndarray:
     """A frame of the plane turned so that x is what was z, a direction in the plane, and z is the
     plane's normal.
     """
@@ -100,7 +106,7 @@ def flat_frame(X: np.ndarray) -> np.ndarray:
     return X @ spatial.pose(np.stack([x, np.cross(normal, x), normal], axis=1))
 
 
-def screw(kind: JointType) -> float | None:
+def find_screw_pitch(kind: JointType) -> float | None:
     """The pitch, in metres a radian, of a joint in space that turns about z and slides along it by
     one coordinate.
     """

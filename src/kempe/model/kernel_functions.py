@@ -41,7 +41,7 @@ class KernelFunction:
     ):
         self.work = work
         self.keep = keep
-        self._called = _KIND(self._call)
+        self._called = _KIND(self._call_work)
         self._address = int(ctypes.cast(self._called, ctypes.c_void_p).value or 0)
         _all.add(self)
 
@@ -53,7 +53,7 @@ class KernelFunction:
             sys.unraisablehook = _keep_interrupt
         return self._address
 
-    def _call(self, q: Any, out: Any, columns: Any, flag: int) -> None:
+    def _call_work(self, q: Any, out: Any, columns: Any, flag: int) -> None:
         with self:
             self.work(q, out, columns, flag)
 
@@ -75,7 +75,7 @@ def _keep_interrupt(lost: sys.UnraisableHookArgs) -> None:
         for function in _all:
             is_it = getattr(lost.object, "__self__", None) is function
             # from Python 3.13 on it is in the text
-            if is_it or repr(function._call) in (lost.err_msg or ""):
+            if is_it or repr(function._call_work) in (lost.err_msg or ""):
                 function.keep(lost.exc_value)
                 return
     # none where the other hook calls this one
@@ -116,7 +116,7 @@ class Callback:
         own = list(self.support)
         shape = (len(self.support), rows)
 
-        def work(q: Any, value: Any, columns: Any, flag: int) -> None:
+        def write_values(q: Any, value: Any, columns: Any, flag: int) -> None:
             out = np.ctypeslib.as_array(value, (rows,))
             out[:] = np.nan  # what stays where it raises
             if self.error is not None:  # the kernel goes on, and ends sooner
@@ -131,13 +131,13 @@ class Callback:
                 np.ctypeslib.as_array(columns, shape)[:] = (J * self.scale[own]).T
             out[:] = found
 
-        self._called = KernelFunction(work, self._keep)
+        self._called = KernelFunction(write_values, self._keep_error)
         self.address = self._called.address
 
-    def _keep(self, error: BaseException) -> None:
+    def _keep_error(self, error: BaseException) -> None:
         self.error = self.error or error
 
-    def made_by(self, maker: Callable[..., Callback], *of: Any) -> Callback:
+    def remember_maker(self, maker: Callable[..., Callback], *of: Any) -> Callback:
         """The same, with what makes it again."""
         self.maker = maker
         self.of = of
@@ -147,7 +147,7 @@ class Callback:
         return self.maker, self.of, {"scale": self.scale}
 
     @classmethod
-    def of_call(
+    def from_call(
         cls, system: Model, call: Call, rows: Sequence[int], numbers: Mapping[str, float]
     ) -> Callback:
         """Some numbers of a function of named coordinates; derivatives by differences."""
@@ -164,14 +164,14 @@ class Callback:
         used = list(dict.fromkeys(i for i, _, _ in read.values() if i >= 0))
         own = list(rows)
 
-        def values(q: Array) -> Array:
+        def compute_values(q: Array) -> Array:
             given = {
                 n: m * (q[i] if i >= 0 else 0.0) + offset for n, (i, m, offset) in read.items()
             }
             return call({**numbers, **given})[own]
 
-        def both(q: Array) -> tuple[Array, Array]:
-            found = values(q)
+        def compute_derivatives(q: Array) -> tuple[Array, Array]:
+            found = compute_values(q)
             J = np.empty((len(own), len(used)))
             for k, i in enumerate(used):
                 unit = STEP * made.scale[places[i]]
@@ -179,12 +179,12 @@ class Callback:
                 total = np.zeros(len(own))
                 for n, weight in WEIGHTS:
                     q[i] = x + n * unit
-                    total += weight * values(q)
+                    total += weight * compute_values(q)
                     q[i] = x - n * unit
-                    total -= weight * values(q)
+                    total -= weight * compute_values(q)
                 q[i] = x
                 J[:, k] = total / unit
             return found, J
 
-        made = cls(system, len(own), both, [places[i] for i in used], values)
-        return made.made_by(cls.of_call, system, call, rows, numbers)
+        made = cls(system, len(own), compute_derivatives, [places[i] for i in used], compute_values)
+        return made.remember_maker(cls.from_call, system, call, rows, numbers)

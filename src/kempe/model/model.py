@@ -17,9 +17,15 @@ from kempe.budget import look
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Body, Frame, Joint, ReadOnlyDict
 from kempe.errors import DescriptionError, Fault, UnknownNameError
-from kempe.model.coordinates import Coordinates, Layout, Relation, coordinate_names, coordinates_of
-from kempe.model.primitive_table import Table, lower
-from kempe.model.topology import Topology, spanning_tree
+from kempe.model.coordinates import (
+    Coordinates,
+    Layout,
+    Relation,
+    list_coordinate_names,
+    make_coordinates,
+)
+from kempe.model.primitive_table import Table, make_primitive_table
+from kempe.model.topology import Topology, find_spanning_tree
 from kempe.spatial import Array
 from kempe.words import counted
 
@@ -34,7 +40,7 @@ Keys = ParamSpec("Keys")
 T = TypeVar("T")
 
 
-def kept(
+def keep_answers(
     function: Callable[Concatenate[SystemType, Keys], T],
 ) -> Callable[Concatenate[SystemType, Keys], T]:
     """A decorator for functions of a system and keys: an answer is kept, and returned again for
@@ -44,7 +50,7 @@ def kept(
     """
 
     @wraps(function)
-    def call(system: SystemType, *keys: Any) -> T:
+    def find_answer(system: SystemType, *keys: Any) -> T:
         answers = system._kept.get(function)
         if answers is None:
             answers = system._kept[function] = {}
@@ -52,12 +58,12 @@ def kept(
         if found is not answers:
             return found
         look()
-        return keep(answers, keys, function(system, *keys))  # type: ignore[call-arg]
+        return store_answer(answers, keys, function(system, *keys))  # type: ignore[call-arg]
 
-    return call  # type: ignore[return-value]
+    return find_answer  # type: ignore[return-value]
 
 
-def keep(answers: dict[Any, Any], key: Any, answer: T, most: int = MOST) -> T:
+def store_answer(answers: dict[Any, Any], key: Any, answer: T, most: int = MOST) -> T:
     """The answer, kept under `key` in a store of at most `most` answers, where it replaces the
     oldest.
     """
@@ -141,7 +147,7 @@ class Structure:
 
     @property
     def velocity_names(self) -> tuple[str, ...]:
-        """A name for each velocity coordinate: as `System.coordinate_names`, but 'joint.wx', ...
+        """A name for each velocity coordinate: as `System.list_coordinate_names`, but 'joint.wx', ...
         for quaternions.
         """
         return self.coordinates.velocity_names
@@ -177,7 +183,7 @@ class Structure:
         part of `q`.
         """
         m = self._mechanism
-        return coordinate_names(m, m.joints[known("joint", name, m.joints, m.name)])
+        return list_coordinate_names(m, m.joints[known("joint", name, m.joints, m.name)])
 
     def frame_name(self, frame: FrameLike) -> str:
         """Name of a frame or body of this system, checked. Errors: `UnknownNameError` with the
@@ -196,7 +202,7 @@ class Structure:
         """Digest, as text, of all content of the system: equal systems have equal digests, in every
         process.
         """
-        return _digest(self._mechanism.content())
+        return _compute_digest(self._mechanism.content())
 
     @cached_property
     def hash(self) -> str:
@@ -206,7 +212,7 @@ class Structure:
         m = self._mechanism
         joints = [(j.name, j.type.type_name, j.parent, j.child) for j in m.joints.values()]
         constraints = [(c.name, c.kind, c.parent, c.child) for c in m.constraints.values()]
-        return _digest(
+        return _compute_digest(
             (m.dim, self.topology, joints, constraints, self.coordinates.names, tuple(m.frames))
         )
 
@@ -234,28 +240,28 @@ class Model:
     _ideal: Any = None
     """What this system is the nearest one of, an `Idealised`; None where it is the given one."""
     _kept: dict[Any, dict[Any, Any]]
-    """Answers of functions that are `kempe.model.model.kept`."""
+    """Answers of functions that are `kempe.model.model.keep_answers`."""
 
     def __init__(
         self, mechanism: Mechanism, topology: Topology | None = None, table: Table | None = None
     ):
         own = vars(self)  # attributes cannot be set: the system is frozen
         own["_mechanism"] = mechanism = mechanism.copy()
-        own["_topology"] = spanning_tree(mechanism) if topology is None else topology
-        own["_coordinates"] = coordinates_of(mechanism)
+        own["_topology"] = find_spanning_tree(mechanism) if topology is None else topology
+        own["_coordinates"] = make_coordinates(mechanism)
         own["_table"] = (
-            lower(mechanism, self._topology, self._coordinates, mechanism.parameters)
+            make_primitive_table(mechanism, self._topology, self._coordinates, mechanism.parameters)
             if table is None
             else table
         )
         own["_queries"] = {}
         own["_kept"] = {}
-        self._check()
+        self._check_placements()
 
     def __setattr__(self, name: str, value: object) -> None:
         raise AttributeError(f"{self!r} is frozen: change its mechanism and build another")
 
-    def _check(self) -> None:
+    def _check_placements(self) -> None:
         problem = "placement is not a number with these parameters"
         for name, (_, X, _p) in self._table.at.items():
             if not np.isfinite(X).all():
@@ -400,7 +406,7 @@ SystemType = TypeVar("SystemType", bound=Model)
 """The class of a system, for functions that make another one of the same class."""
 
 
-def _digest(content: object) -> str:
+def _compute_digest(content: object) -> str:
     """Digest of what a tuple prints as."""
     from hashlib import sha256
 

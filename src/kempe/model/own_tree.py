@@ -12,15 +12,15 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from kempe.model.model import kept
-from kempe.model.topology import Topology, spanning_tree
+from kempe.model.model import keep_answers
+from kempe.model.topology import Topology, find_spanning_tree
 
 if TYPE_CHECKING:
     from kempe.model.model import Model, SystemType
 
 
-@kept
-def own_tree(system: SystemType) -> SystemType:
+@keep_answers
+def remove_cut_marks(system: SystemType) -> SystemType:
     """The system itself, or, where marks `cut` change its tree, the same without marks; coordinates
     are the same.
     """
@@ -30,15 +30,15 @@ def own_tree(system: SystemType) -> SystemType:
     mechanism.joints |= {
         name: replace(joint, cut=False) for name, joint in mechanism.joints.items()
     }
-    tree = spanning_tree(mechanism)
+    tree = find_spanning_tree(mechanism)
     return (
         system
-        if tree == system.structure.topology or _keeps_free(system, tree)
+        if tree == system.structure.topology or _has_kept_free_joint(system, tree)
         else type(system)(mechanism, tree)
     )
 
 
-def _keeps_free(system: Model, tree: Topology) -> bool:
+def _has_kept_free_joint(system: Model, tree: Topology) -> bool:
     """Whether the system's tree has a joint that holds nothing and that the other tree leaves out."""
     m = system._mechanism
     joints = (m.joints[name] for name in {*tree.closures} - {*system.structure.closures})

@@ -17,18 +17,22 @@ from kempe.description.parts import Joint
 from kempe.joints import P, Q, R
 from kempe.kernels.constraints import loop_layout as L
 from kempe.kernels.forward.table_layout import HEADER, NV, OUTPUT_INTS, ROW_INTS
-from kempe.model.characteristic_length import characteristic_length, moved, origin_of
+from kempe.model.characteristic_length import (
+    choose_origin,
+    compute_characteristic_length,
+    move_table,
+)
 from kempe.model.constraint_program import (
     Centre,
     CompiledFunction,
     RecordedRows,
     Tie,
-    declared_ties,
+    list_declared_ties,
 )
-from kempe.model.coordinates import Relation, coordinate_names, returning
-from kempe.model.implicit_form import ImplicitForm, implicit_form, slides_along_z
-from kempe.model.model import kept
-from kempe.model.primitive_table import End, Table, lower
+from kempe.model.coordinates import Relation, find_periodic_angles, list_coordinate_names
+from kempe.model.implicit_form import ImplicitForm, find_implicit_form, has_slide_along_z
+from kempe.model.model import keep_answers
+from kempe.model.primitive_table import End, Table, make_primitive_table
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
@@ -69,7 +73,7 @@ class PackedLoops:
         return tuple(
             "m" if i < n else "rad" if t.tape is None else t.tape.unit
             for t, n in zip(self.ties, self.lengths, strict=True)
-            for i in range(len(t.rows))
+            for i in range(len(t.row_names))
         )
 
     @property
@@ -79,7 +83,7 @@ class PackedLoops:
         first = int(self.plan[L.AT_BOUNDS])
         at = 0
         for k, tie in enumerate(self.ties):
-            n = len(tie.rows)
+            n = len(tie.row_names)
             if tie.bounds:
                 place = first + int(self.plan[self.plan[L.AT_TIES] + L.TIE_INTS * k + L.BOUND])
                 ends[at : at + n] = self.weights[place : place + 2 * n].reshape(n, 2)
@@ -87,7 +91,7 @@ class PackedLoops:
         return ends.T
 
     @property
-    def read_coordinates(self) -> list[list[int]]:
+    def tie_coordinates(self) -> list[list[int]]:
         """For each tie the unknown velocity coordinates that its equations depend on."""
         unknown = set(self.unknown.tolist())
         out = list[list[int]]()
@@ -114,7 +118,7 @@ class PackedLoops:
         """The user's functions among the constraints, compiled."""
         return tuple(t.function for t in self.ties if t.function is not None)
 
-    def check(self) -> None:
+    def raise_function_error(self) -> None:
         """Raise the error that a user's function raised while a kernel called it, if any."""
         for f in self.functions:
             if f.error is not None:
@@ -122,7 +126,7 @@ class PackedLoops:
                 f.error = None
                 raise error
 
-    def columns(self, k: int) -> list[int]:
+    def list_columns(self, k: int) -> list[int]:
         """Indices of the velocity coordinates that the equations of tie k (a loop closure or
         constraint) depend on.
         """
@@ -149,15 +153,17 @@ READINGS = {
 }
 
 
-def _readings(system: Model, joint: Joint) -> list[tuple[int, int]]:
+def _list_readings(system: Model, joint: Joint) -> list[tuple[int, int]]:
     """For each coordinate of a joint how it is read off the pose of M in F, and its place in q."""
-    names = coordinate_names(system._mechanism, joint)
+    names = list_coordinate_names(system._mechanism, joint)
     first = system.structure.coordinates.first
-    form = implicit_form(joint.type, system.dim, system._mechanism.bodies[joint.child].particle)
+    form = find_implicit_form(
+        joint.type, system.dim, system._mechanism.bodies[joint.child].particle
+    )
     return [(READINGS[how], first[names[k]][0]) for k, how in (form.readings if form else ())]
 
 
-def moving(a: int, b: int, parent: np.ndarray) -> list[tuple[float, int]]:
+def find_moving_rows(a: int, b: int, parent: np.ndarray) -> list[tuple[float, int]]:
     """Rows that move row b against row a, with the sign of their motion; -1 is the ground."""
     ways: list[list[int]] = []
     for row in (a, b):
@@ -175,7 +181,7 @@ def moving(a: int, b: int, parent: np.ndarray) -> list[tuple[float, int]]:
     ]
 
 
-def laid_out(
+def pack_tapes(
     recorded: list[tuple[np.ndarray, np.ndarray, list[int]]], at: int, numbers_at: int
 ) -> tuple[np.ndarray, list[int]]:
     """The integers of TAPE ties, as `loop_layout` says, to stand at `at`, and where those of each
@@ -229,7 +235,7 @@ class LoopPlan:
         self.place[system.structure.layout.vector_v] = system.structure.layout.vector_q
         self.place[system.structure.layout.quaternion_v] = system.structure.layout.quaternion_q
         self.sort[self.turns] = L.BOUND_TURN
-        self.sort[returning(system._mechanism, c)] = L.CIRCLE
+        self.sort[find_periodic_angles(system._mechanism, c)] = L.CIRCLE
         self.wide = np.zeros(system.nv, dtype=bool) if wide is None else wide
         self.sort[self.wide] = L.CIRCLE
         for iv in system.structure.layout.quaternion_v:
@@ -241,19 +247,23 @@ class LoopPlan:
         self.recorded: list[tuple[np.ndarray, np.ndarray, list[int]]] = []
         """Of each TAPE tie the integers and numbers of its tape, and what its inputs are."""
 
-    def tie(self, k: int, tie: Tie) -> list[int]:
+    def pack_tie(self, k: int, tie: Tie) -> list[int]:
         """The integers of tie k; appends its entries and locals."""
         entry = len(self.entries)
         local = len(self.locals)
         columns: dict[int, int] = {}
         if tie.relation is not None:
-            self._linear(k, tie.relation, columns)
+            self._pack_relation(k, tie.relation, columns)
         elif tie.turns == L.OWN:
             columns.update({tie.own + n: n for n in range(3 if tie.ball else 1)})
         elif tie.function is not None:
             columns.update({v: n for n, v in enumerate(tie.function.support)})
         else:
-            for sign, row in self._rows(k, tie) if tie.tape is None or tie.tape.moved else ():
+            for sign, row in (
+                self._list_moving_rows(k, tie)
+                if tie.tape is None or tie.tape.pose_dependent
+                else ()
+            ):
                 kind = int(self.rows[row, 0])
                 iv = int(self.rows[row, 3])
                 if self.held[iv]:
@@ -264,14 +274,14 @@ class LoopPlan:
                 self.entries.append((row, first))
                 self.factors.append(sign)
         if tie.tape is not None:
-            self._record(tie.tape, columns)
+            self._record_tape(tie.tape, columns)
         self.locals += list(columns)
         for v, column in columns.items():
             if not self.held[v]:
                 self.uses[v].append((k, column))
         return [len(self.entries) - entry, entry, len(columns), local]
 
-    def _record(self, recorded: RecordedRows, columns: dict[int, int]) -> None:
+    def _record_tape(self, recorded: RecordedRows, columns: dict[int, int]) -> None:
         """Collect what a TAPE tie reads: its tape, and for each input what it is."""
         ints, floats = recorded.tape.arrays()
         first = self.system.structure.coordinates.first
@@ -279,7 +289,7 @@ class LoopPlan:
         for name in recorded.tape.inputs:
             place = -1
             column = -1
-            if (what := recorded.input(name)) == L.COORDINATE:
+            if (what := recorded.encode_input(name)) == L.COORDINATE:
                 place, v = first[name]
                 column = -1 if self.held[v] else columns.setdefault(v, len(columns))
             elif what == L.GIVEN:
@@ -287,7 +297,7 @@ class LoopPlan:
             inputs += [what, place, column]
         self.recorded.append((ints, floats, inputs))
 
-    def _linear(self, k: int, relation: Relation, columns: dict[int, int]) -> None:
+    def _pack_relation(self, k: int, relation: Relation, columns: dict[int, int]) -> None:
         first = self.system.structure.coordinates.first
         terms = {relation.of: 1.0}
         for name, m in relation.sources.items():
@@ -300,18 +310,18 @@ class LoopPlan:
             self.entries.append((first[name][0], 0))
             self.factors.append(factor / norm)
 
-    def _rows(self, k: int, tie: Tie) -> list[tuple[float, int]]:
+    def _list_moving_rows(self, k: int, tie: Tie) -> list[tuple[float, int]]:
         """The rows that move B against A, with signs; a centre is moved by all that carry mass, and
         A moves apart.
         """
         if tie.centre is None:
-            return self._moving(k)
-        share = self._shares(tie.centre)
-        return [(-s, r) for s, r in moving(int(self.outputs[2 * k, 0]), -1, self.rows[:, 1])] + [
-            (1.0, r) for r in range(len(share)) if share[r] > 0.0
-        ]
+            return self._find_rows_between(k)
+        share = self._sum_moved_masses(tie.centre)
+        return [
+            (-s, r) for s, r in find_moving_rows(int(self.outputs[2 * k, 0]), -1, self.rows[:, 1])
+        ] + [(1.0, r) for r in range(len(share)) if share[r] > 0.0]
 
-    def _shares(self, centre: Centre) -> np.ndarray:
+    def _sum_moved_masses(self, centre: Centre) -> np.ndarray:
         """For each row (n,) the mass of all that it moves."""
         share = centre.rows[:, 0].copy()
         for r in range(len(share) - 1, -1, -1):
@@ -319,10 +329,12 @@ class LoopPlan:
                 share[self.rows[r, 1]] += share[r]
         return share
 
-    def _moving(self, k: int) -> list[tuple[float, int]]:
-        return moving(int(self.outputs[2 * k, 0]), int(self.outputs[2 * k + 1, 0]), self.rows[:, 1])
+    def _find_rows_between(self, k: int) -> list[tuple[float, int]]:
+        return find_moving_rows(
+            int(self.outputs[2 * k, 0]), int(self.outputs[2 * k + 1, 0]), self.rows[:, 1]
+        )
 
-    def arrays(self) -> tuple[np.ndarray, np.ndarray]:
+    def make_arrays(self) -> tuple[np.ndarray, np.ndarray]:
         """The two arrays."""
         first_row = 0
         block = 0
@@ -332,8 +344,8 @@ class LoopPlan:
         bounds: list[float] = []
         centres: list[np.ndarray] = []
         for k, tie in enumerate(self.ties):
-            n_entries, entry, n_locals, local = self.tie(k, tie)
-            rows = len(tie.rows)
+            n_entries, entry, n_locals, local = self.pack_tie(k, tie)
+            rows = len(tie.row_names)
             data = tie.function.address if tie.function is not None else tie.own
             work = 0
             if tie.tape is not None:
@@ -351,7 +363,7 @@ class LoopPlan:
                     local,
                     block,
                     pin if tie.pin else -1,
-                    self._lengths(tie),
+                    self._count_lengths(tie),
                     given if tie.numbers else -1,
                     len(bounds) if tie.bounds else -1,
                     len(centres) if tie.centre is not None else -1,
@@ -362,18 +374,18 @@ class LoopPlan:
             given = given + (4 if tie.ball else len(tie.numbers))
             first_row = first_row + rows
             block = block + rows * n_locals + work
-            unit = self.length if self._lengths(tie) else 1.0
+            unit = self.length if self._count_lengths(tie) else 1.0
             bounds += [x / unit for low, high in tie.bounds for x in (low, high)]
             if tie.centre is not None:
-                rows_ = np.column_stack([tie.centre.rows, self._shares(tie.centre)])
+                rows_ = np.column_stack([tie.centre.rows, self._sum_moved_masses(tie.centre)])
                 centres += [np.concatenate([rows_.ravel(), tie.centre.rest])]
         reading = [
             (code, iq, k)
             for k, t in enumerate(self.ties)
             if t.joint is not None
-            for code, iq in _readings(self.system, t.joint)
+            for code, iq in _list_readings(self.system, t.joint)
         ]
-        envelope, size = self._envelope(ties)
+        envelope, size = self._compute_envelope(ties)
         starts = np.concatenate([[0], np.cumsum([len(u) for u in self.uses])])
         lists = [
             ties,
@@ -391,7 +403,7 @@ class LoopPlan:
             sum(len(x) for x in (self.number, self.factors, bounds)) + 2 + 5 * self.system.nv
         )
         numbers_at += sum(len(c) for c in centres)
-        read, starts_at = laid_out(self.recorded, int(places[-1]), numbers_at)
+        read, starts_at = pack_tapes(self.recorded, int(places[-1]), numbers_at)
         for t, tie in zip(flat[0].reshape(-1, L.TIE_INTS), self.ties, strict=True):
             if tie.tape is not None:
                 t[L.DATA] = starts_at[t[L.DATA]]
@@ -399,26 +411,26 @@ class LoopPlan:
         head = [len(ties), first_row, len(reading), pin, block, size, *places[:8].tolist()]
         lists = [
             [1.0 / self.length, self.length],
-            [*self.scale, *self._ranges()],
+            [*self.scale, *self._list_ranges()],
             self.number,
             self.factors,
             bounds,
         ]
         at = np.cumsum([len(x) for x in lists])
-        head += [*at[1:].tolist(), *self._base()]
+        head += [*at[1:].tolist(), *self._find_base_tie()]
         lists += [*centres, *(x for _, x, _ in self.recorded)]
         weights = np.concatenate([np.array(x, dtype=float) for x in lists])
         return np.concatenate([np.array(head, dtype=np.int64), *flat]), weights
 
-    def _lengths(self, tie: Tie) -> int:
+    def _count_lengths(self, tie: Tie) -> int:
         """How many of its rows, the first ones, are lengths."""
         if tie.turns == L.OWN:
             return int(self.sort[tie.own] == L.SLIDE)
         if tie.tape is not None:
-            return len(tie.rows) * (tie.tape.unit == "m")
+            return len(tie.row_names) * (tie.tape.unit == "m")
         return tie.mask.bit_count() + (tie.turns == L.DISTANCE)
 
-    def _base(self) -> tuple[int, int]:
+    def _find_base_tie(self) -> tuple[int, int]:
         """A tie that holds, in the ground, a frame of what a free joint moves, and the first of
         that joint's rows.
         """
@@ -433,12 +445,12 @@ class LoopPlan:
                 held = (
                     tie.mask == 7 and tie.turns == turns and not tie.bounds and tie.centre is None
                 )
-                way = [r for _, r in self._moving(k)] if tie.pin and held else []
+                way = [r for _, r in self._find_rows_between(k)] if tie.pin and held else []
                 if self.outputs[2 * k, 0] < 0 and set(range(4)) <= set(way):
                     return k, 0
         return -1, -1
 
-    def _ranges(self) -> list[float]:
+    def _list_ranges(self) -> list[float]:
         """Limits, and where to draw random coordinates from."""
         low = self.system.structure.coordinates.lower
         high = self.system.structure.coordinates.upper
@@ -458,7 +470,7 @@ class LoopPlan:
             *draw_high,
         ]
 
-    def _envelope(self, ties: list[list[int]]) -> tuple[list[tuple[int, int]], int]:
+    def _compute_envelope(self, ties: list[list[int]]) -> tuple[list[tuple[int, int]], int]:
         """For each row of J J^T its first column that is not zero, and where the row begins."""
         own = [t[L.FIRST_ROW] for t in ties]
         first = own.copy()
@@ -483,7 +495,7 @@ Places = dict[str, tuple[int, int]]
 TURNS = {"": L.NO_TURN, "z": L.ANGLE, "xy": L.ALIGN, "x.y": L.CROSS, "xyz": L.FULL}
 
 
-def must_be_explicit(system: Model, known: Iterable[str] = ()) -> frozenset[str]:
+def find_explicit_joints(system: Model, known: Iterable[str] = ()) -> frozenset[str]:
     """The explicit loop joints: those cut without an implicit form, or with known, limited or
     coupled coordinates.
     """
@@ -496,7 +508,7 @@ def must_be_explicit(system: Model, known: Iterable[str] = ()) -> frozenset[str]
     out: set[str] = set()
     for name in system.structure.closures:
         names = system.structure.coordinates_of_joint(name)
-        none = _implicit(system, system.structure.joints[name]) is None
+        none = _find_implicit_form(system, system.structure.joints[name]) is None
         if none or any(
             c in system.structure.couplings
             or c in related
@@ -507,7 +519,7 @@ def must_be_explicit(system: Model, known: Iterable[str] = ()) -> frozenset[str]
     return frozenset(out)
 
 
-def loops_of(
+def get_packed_loops(
     system: Model,
     explicit: frozenset[str],
     held: frozenset[str] = frozenset(),
@@ -523,11 +535,11 @@ def loops_of(
     says so). Equations and unknowns are scaled by `length` (default: the characteristic length);
     with length 1 they are in metres.
     """
-    return _packed(system, explicit, held, pins, length, one_sided)
+    return _pack_once(system, explicit, held, pins, length, one_sided)
 
 
-@kept
-def _packed(
+@keep_answers
+def _pack_once(
     system: Model,
     explicit: frozenset[str],
     held: frozenset[str],
@@ -535,10 +547,10 @@ def _packed(
     length: float | None,
     one_sided: bool,
 ) -> PackedLoops:
-    return pack(system, explicit, held, pins, length, one_sided=one_sided)
+    return pack_loops(system, explicit, held, pins, length, one_sided=one_sided)
 
 
-def pack(
+def pack_loops(
     system: Model,
     explicit: frozenset[str],
     held: frozenset[str] = frozenset(),
@@ -550,7 +562,7 @@ def pack(
     one_sided: bool = False,
     drawn: Model | None = None,
 ) -> PackedLoops:
-    """The packed loops as `loops_of` gives them, but packed anew, with `further` ties over the rows
+    """The packed loops as `get_packed_loops` gives them, but packed anew, with `further` ties over the rows
     of the table.
 
     `wide` (nv,) marks angles whose limits do not count, for whole turns lead back into them. Ties
@@ -558,16 +570,22 @@ def pack(
     yield. The frames of `further` ties are those of the `drawn` system, where given: it has the
     same coordinates, and other dimensions.
     """
-    size = characteristic_length(system) if length is None else length
-    origin = origin_of(system)
-    table = _lowered(system, {n: n in explicit for n in system.structure.closures}, origin)
+    size = compute_characteristic_length(system) if length is None else length
+    origin = choose_origin(system)
+    table = _make_loop_table(system, {n: n in explicit for n in system.structure.closures}, origin)
     frames = table
     if drawn is not None:
-        table, frames = _side_by_side(_lowered(drawn, {}, origin), table)
-    ties = _ties(system, table, explicit, pins, one_sided) + (further(frames) if further else [])
-    ties = [t for t in ties if t.rows or t.joint]
+        table, frames = _join_tables(_make_loop_table(drawn, {}, origin), table)
+    ties = _list_ties(system, table, explicit, pins, one_sided) + (
+        further(frames) if further else []
+    )
+    ties = [t for t in ties if t.row_names or t.joint]
     first = system.structure.coordinates.first
-    ties = _by_level(ties, table, level, first) if level else _in_order(ties, table, first)
+    ties = (
+        _order_ties_by_level(ties, table, level, first)
+        if level
+        else _order_ties(ties, table, first)
+    )
     at = dict(table.at)
     for k, tie in enumerate(ties):
         at["tie", k, 0] = tie.a
@@ -575,29 +593,33 @@ def pack(
     table = replace(table, at=at)
     # a centre is moved by all that has mass
     every = range(len(table.kind)) if any(t.centre for t in ties) else None
-    ints, floats = table.pack([("tie", k, end) for k in range(len(ties)) for end in (0, 1)], every)
-    plan, weights = LoopPlan(system, ties, ints, held, size, length is None, wide).arrays()
+    ints, floats = table.pack_arrays(
+        [("tie", k, end) for k in range(len(ties)) for end in (0, 1)], every
+    )
+    plan, weights = LoopPlan(system, ties, ints, held, size, length is None, wide).make_arrays()
     for tie in ties:
         if tie.function is not None:
             tie.function.scale = L.velocity_lists(weights, system.nv)[0]
-    names = tuple((t.name, row) for t in ties for row in t.rows)
+    names = tuple((t.name, row) for t in ties for row in t.row_names)
     unknown = np.array(
         [i for i, n in enumerate(system.structure.velocity_names) if n not in held], dtype=np.int64
     )
     return PackedLoops(tuple(ties), names, ints, floats, plan, weights, unknown, size, origin)
 
 
-def _lowered(system: Model, ends: dict[str, bool], origin: np.ndarray) -> Table:
+def _make_loop_table(system: Model, ends: dict[str, bool], origin: np.ndarray) -> Table:
     """The table of a system with the ends of joints that the tree left out, measured from `origin`
     (3,).
     """
     mechanism = system._mechanism
     given = system.structure
-    table = lower(mechanism, given.topology, given.coordinates, mechanism.parameters, ends)
-    return moved(table, -origin) if origin.any() else table
+    table = make_primitive_table(
+        mechanism, given.topology, given.coordinates, mechanism.parameters, ends
+    )
+    return move_table(table, -origin) if origin.any() else table
 
 
-def _side_by_side(first: Table, second: Table) -> tuple[Table, Table]:
+def _join_tables(first: Table, second: Table) -> tuple[Table, Table]:
     """The rows of two tables over the same coordinates as one table: with the ends of the second,
     and of the first.
     """
@@ -631,17 +653,17 @@ def _side_by_side(first: Table, second: Table) -> tuple[Table, Table]:
 # does a joint type that has no implicit form (`kempe.model.implicit_form`).
 
 
-def held_ties(system: Model, table: Table) -> list[Tie]:
+def list_position_ties(system: Model, table: Table) -> list[Tie]:
     """All ties that hold positions: of joints that the tree left out, in explicit form, and of
     declared constraints.
 
     One-sided constraints are among them. `table` has the frames of these joints, led on through
     their motion.
     """
-    return _ties(system, table, frozenset(system.structure.closures), (), True)
+    return _list_ties(system, table, frozenset(system.structure.closures), (), True)
 
 
-def _ties(
+def _list_ties(
     system: Model,
     table: Table,
     explicit: frozenset[str],
@@ -650,10 +672,10 @@ def _ties(
 ) -> list[Tie]:
     mechanism = system._mechanism
     ties = [
-        _of_joint(system, table, mechanism.joints[n], n in explicit)
+        _make_joint_tie(system, table, mechanism.joints[n], n in explicit)
         for n in system.structure.closures
     ]
-    ties += declared_ties(system, table, one_sided)
+    ties += list_declared_ties(system, table, one_sided)
     ground = (-1, np.eye(4), False)
     for relation in system.structure.relations:
         ties.append(
@@ -667,24 +689,24 @@ def _ties(
             )
         )
     for frame, turned in pins:
-        mask = _mask("xyz"[: system.dim])
+        mask = _make_axis_mask("xyz"[: system.dim])
         turns = L.NO_TURN if not turned else L.ANGLE if system.dim == 2 else L.FULL
         ties.append(Tie(frame, ground, table.at[frame], mask, turns, pin=True))
     return ties
 
 
-def _flat(end: End, of: End, table: Table) -> End:
+def _flatten_end(end: End, of: End, table: Table) -> End:
     """The end turned so that x is what was z of `of`, and z the plane's normal: a slide of the
     plane is along z.
     """
-    z = plane_normal(of, table)
+    z = compute_plane_normal(of, table)
     x = np.array([0.0, 0.0, 1.0])
     C = np.eye(4)
     C[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
     return end[0], end[1] @ C, end[2]
 
 
-def plane_normal(end: End, table: Table) -> np.ndarray:
+def compute_plane_normal(end: End, table: Table) -> np.ndarray:
     """The normal of the plane of a planar system, in axes of a frame: the same in all
     configurations.
     """
@@ -699,31 +721,33 @@ def plane_normal(end: End, table: Table) -> np.ndarray:
     return z
 
 
-def _of_joint(system: Model, table: Table, joint: Joint, explicit: bool) -> Tie:
+def _make_joint_tie(system: Model, table: Table, joint: Joint, explicit: bool) -> Tie:
     """The tie of a joint that the tree left out."""
     a = table.at[joint.name, "F"]
     b = table.at[joint.name, "M"]
-    if slides_along_z(joint.type, system.dim, b[2]):
-        a = _flat(a, b, table)
-        b = _flat(b, b, table)
+    if has_slide_along_z(joint.type, system.dim, b[2]):
+        a = _flatten_end(a, b, table)
+        b = _flatten_end(b, b, table)
     if explicit:
         turns = "" if b[2] else "z" if system.dim == 2 else "xyz"
-        return Tie(joint.name, a, b, _mask("xyz"[: system.dim]), TURNS[turns])
-    form = _implicit(system, joint)
+        return Tie(joint.name, a, b, _make_axis_mask("xyz"[: system.dim]), TURNS[turns])
+    form = _find_implicit_form(system, joint)
     assert form is not None, f"joint {joint.name!r} must be explicit"
-    return Tie(joint.name, a, b, _mask(form.position), TURNS[form.turns], joint=joint)
+    return Tie(joint.name, a, b, _make_axis_mask(form.position), TURNS[form.turns], joint=joint)
 
 
-def _implicit(system: Model, joint: Joint) -> ImplicitForm | None:
-    return implicit_form(joint.type, system.dim, system._mechanism.bodies[joint.child].particle)
+def _find_implicit_form(system: Model, joint: Joint) -> ImplicitForm | None:
+    return find_implicit_form(
+        joint.type, system.dim, system._mechanism.bodies[joint.child].particle
+    )
 
 
-def _mask(axes: str) -> int:
+def _make_axis_mask(axes: str) -> int:
     """The bits of some axes, as one integer."""
     return sum(1 << "xyz".index(a) for a in axes)
 
 
-def _in_order(ties: list[Tie], table: Table, first: Places) -> list[Tie]:
+def _order_ties(ties: list[Tie], table: Table, first: Places) -> list[Tie]:
     """The ties so that those that share coordinates are near each other: it keeps the envelope of J
     J^T small.
     """
@@ -733,7 +757,7 @@ def _in_order(ties: list[Tie], table: Table, first: Places) -> list[Tie]:
 
     users: dict[int, list[int]] = {}
     for k, tie in enumerate(ties):
-        for v in _coordinates_of(tie, table, first):
+        for v in _find_tie_coordinates(tie, table, first):
             users.setdefault(v, []).append(k)
     pairs = [(i, j) for use in users.values() for i in use for j in use]
     if not pairs:
@@ -744,7 +768,7 @@ def _in_order(ties: list[Tie], table: Table, first: Places) -> list[Tie]:
     return [ties[int(k)] for k in order]
 
 
-def _by_level(
+def _order_ties_by_level(
     ties: list[Tie], table: Table, level: Callable[[Tie], int], first: Places
 ) -> list[Tie]:
     """The ties in the order of levels, each in an order of its own, so that it is the same without
@@ -760,14 +784,14 @@ def _by_level(
         for n in sorted({level(t) for t in ties})
     ]
     out: list[Tie] = []
-    for tie in (t for group in groups for t in _in_order(group, table, first)):
-        moved_by = _coordinates_of(tie, table, first)
+    for tie in (t for group in groups for t in _order_ties(group, table, first)):
+        moved_by = _find_tie_coordinates(tie, table, first)
         out += [*(t for t in loose if t.own in moved_by), tie]
         loose = [t for t in loose if t.own not in moved_by]
     return out + loose
 
 
-def _coordinates_of(tie: Tie, table: Table, first: Places) -> set[int]:
+def _find_tie_coordinates(tie: Tie, table: Table, first: Places) -> set[int]:
     """Velocity coordinates that the equations of a tie depend on, by which its neighbours in the
     order are found.
 
@@ -781,10 +805,10 @@ def _coordinates_of(tie: Tie, table: Table, first: Places) -> set[int]:
         return set(table.iv.tolist())
     if tie.tape is not None:
         own = {first[name][1] for name in tie.tape.coordinates}
-        return own | (_between(tie, table) if tie.tape.moved else set())
-    return _between(tie, table)
+        return own | (_find_moving_coordinates(tie, table) if tie.tape.pose_dependent else set())
+    return _find_moving_coordinates(tie, table)
 
 
-def _between(tie: Tie, table: Table) -> set[int]:
+def _find_moving_coordinates(tie: Tie, table: Table) -> set[int]:
     """Velocity coordinates that move frame B of a tie against its frame A."""
-    return {int(table.iv[row]) for _, row in moving(tie.a[0], tie.b[0], table.parent)}
+    return {int(table.iv[row]) for _, row in find_moving_rows(tie.a[0], tie.b[0], table.parent)}

@@ -28,7 +28,7 @@ from kempe.kernels.forward.table_layout import (
     ROW_INTS,
     SIN_OFFSET,
 )
-from kempe.model.coordinates import Coordinates, coordinate_names
+from kempe.model.coordinates import Coordinates, list_coordinate_names
 from kempe.model.topology import Topology
 
 _AXES = {axis: spatial.pose(rotation) for axis, rotation in AXIS_ROTATIONS.items()}
@@ -60,7 +60,7 @@ class Table:
     nq: int
     nv: int
 
-    def path(self, name: Any) -> list[int]:
+    def find_path(self, name: Any) -> list[int]:
         """Rows from the ground to the body or frame."""
         row = self.at[name][0]
         rows: list[int] = []
@@ -69,7 +69,7 @@ class Table:
             row = int(self.parent[row])
         return rows[::-1]
 
-    def pack(
+    def pack_arrays(
         self, names: Sequence[Any], rows: Sequence[int] | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
         """Arrays (ints, floats) for the kernels: the rows that move the named outputs, and the
@@ -107,9 +107,9 @@ class Table:
         tail = ints[HEADER + ROW_INTS * n :].reshape(k, OUTPUT_INTS)
         tail[:, 0] = out_rows
         tail[:, 1] = [self.at[m][2] for m in names]
-        return ints, self._floats(rows, names)
+        return ints, self._pack_floats(rows, names)
 
-    def _floats(self, rows: Sequence[int], names: Sequence[Any]) -> np.ndarray:
+    def _pack_floats(self, rows: Sequence[int], names: Sequence[Any]) -> np.ndarray:
         n = len(rows)
         k = len(names)
         lead = self.placement.shape[:-3]
@@ -134,7 +134,7 @@ class _TableRows:
         self.coordinates = coordinates
         self.rows: list[tuple[int, int, int, int, object, object, np.ndarray]] = []
 
-    def motion(
+    def add_primitive(
         self, at: tuple[int, np.ndarray], primitive: Primitive, name: str, sign: float
     ) -> tuple[int, np.ndarray]:
         """Row and placement reached after a primitive of the coordinate `name`, from `at` (row,
@@ -165,23 +165,23 @@ class _TableRows:
             X = _EYE
         return row, X @ _AXES_BACK[primitive.axis]
 
-    def joint(
+    def add_joint(
         self, mechanism: Mechanism, joint: Joint, at: tuple[int, np.ndarray], backwards: bool
     ) -> tuple[int, np.ndarray]:
         """Row and placement reached after a joint's motion from `at` (row, placement); `backwards`:
         from M to F.
         """
-        names = coordinate_names(mechanism, joint)
+        names = list_coordinate_names(mechanism, joint)
         primitives = joint.type.layout(mechanism.dim, mechanism.bodies[joint.child].particle)[1]
         sign = -1.0 if backwards else 1.0
         for p in reversed(primitives) if backwards else primitives:
             if p.kind == Q:
-                at = self.ball(at, names[p.coordinate : p.coordinate + 4], sign)
+                at = self.add_ball(at, names[p.coordinate : p.coordinate + 4], sign)
             else:
-                at = self.motion(at, p, names[p.coordinate], sign)
+                at = self.add_primitive(at, p, names[p.coordinate], sign)
         return at
 
-    def ball(
+    def add_ball(
         self, at: tuple[int, np.ndarray], names: Sequence[str], sign: float
     ) -> tuple[int, np.ndarray]:
         """Row and placement reached after a rotation by a quaternion, constant where the joint is
@@ -197,7 +197,7 @@ class _TableRows:
         return len(self.rows) - 1, _EYE
 
 
-def lower(
+def make_primitive_table(
     mechanism: Mechanism,
     topology: Topology,
     coordinates: Coordinates,
@@ -227,16 +227,16 @@ def lower(
         X_CM = joint.X_CM.evaluate(parameters)
         first, last = (X_CM, X_PF) if backwards else (X_PF, X_CM)
         row, X = where[topology.bodies[parent]]
-        row, X = rows.joint(mechanism, joint, (row, X @ first), backwards)
+        row, X = rows.add_joint(mechanism, joint, (row, X @ first), backwards)
         steps = (joint.X_PF if backwards else joint.X_CM).steps
         if steps not in inverses:  # many joints have the same one
             inverses[steps] = spatial.inverse(last)
         where[body] = (row, X @ inverses[steps])
-    ends = _ends(mechanism, rows, where, parameters, explicit or {})
-    return _finish(mechanism, rows, where, parameters, coordinates, ends)
+    ends = _place_joint_ends(mechanism, rows, where, parameters, explicit or {})
+    return _finish_table(mechanism, rows, where, parameters, coordinates, ends)
 
 
-def _ends(
+def _place_joint_ends(
     mechanism: Mechanism,
     rows: _TableRows,
     where: dict[str, tuple[int, np.ndarray]],
@@ -251,7 +251,7 @@ def _ends(
         joint = mechanism.joints[name]
         row, X = where[joint.parent]
         here = row, X @ joint.X_PF.evaluate(parameters)
-        row, X = rows.joint(mechanism, joint, here, False) if through else here
+        row, X = rows.add_joint(mechanism, joint, here, False) if through else here
         at[name, "F"] = row, X, False
         row, X = where[joint.child]
         at[name, "M"] = (
@@ -262,7 +262,7 @@ def _ends(
     return at
 
 
-def _finish(
+def _finish_table(
     mechanism: Mechanism,
     rows: _TableRows,
     where: dict[str, tuple[int, np.ndarray]],
@@ -303,11 +303,11 @@ def _finish(
     )
 
 
-def local_chain(table: Table, name: str) -> tuple[Table, np.ndarray, np.ndarray]:
+def extract_chain(table: Table, name: str) -> tuple[Table, np.ndarray, np.ndarray]:
     """The table of one chain with coordinates renumbered from 0, and the indices (into q, into v)
     they stand for.
     """
-    path = table.path(name)
+    path = table.find_path(name)
     kind = table.kind[path]
     iq = table.iq[path]
     iv = table.iv[path]

@@ -28,7 +28,7 @@ DIGITS = 9
 rotation."""
 
 
-def natural(name: str) -> tuple[Any, ...]:
+def make_sort_key(name: str) -> tuple[Any, ...]:
     """Sort key by which 'J2' comes before 'J10'."""
     parts = ((p, p.lstrip("0")) for p in re.split(r"(\d+)", name) if p)
     return tuple((0, len(d), d) if p.isdecimal() else (1, 0, p) for p, d in parts) + (
@@ -36,7 +36,7 @@ def natural(name: str) -> tuple[Any, ...]:
     )
 
 
-def structural_order(
+def order_joints(
     mechanism: Mechanism, level: Mapping[str, int], first: Mapping[str, Any]
 ) -> dict[str, int]:
     """Place of each joint of `first` in an order that names decide last.
@@ -52,7 +52,7 @@ def structural_order(
     """
     joints = [mechanism.joints[name] for name in first]
     colours = _Colours(mechanism, joints, level)
-    coupled = _coupled(mechanism)
+    coupled = _list_couplings(mechanism)
     labels: dict[str, list[Any]] = {
         j.name: [
             first[j.name],
@@ -62,25 +62,25 @@ def structural_order(
         ]
         for j in joints
     }
-    colours.refine(labels)
-    if not colours.all_differ(labels):
-        size = _largest(mechanism)
+    colours.refine_colours(labels)
+    if not colours.can_tell_joints_apart(labels):
+        size = _find_largest_coordinate(mechanism)
         for j in joints:
-            labels[j.name] += [_seen(j.X_PF, size), _seen(j.X_CM, size)]
-        colours.refine(labels)
-    if not colours.all_differ(labels):
+            labels[j.name] += [_round_placement(j.X_PF, size), _round_placement(j.X_CM, size)]
+        colours.refine_colours(labels)
+    if not colours.can_tell_joints_apart(labels):
         for j in joints:
             labels[j.name].append(
                 sorted((name, low, high) for name, (low, high) in j.limits.items())
             )
-        colours.refine(labels)
-    alike = not colours.all_differ(labels)
+        colours.refine_colours(labels)
+    alike = not colours.can_tell_joints_apart(labels)
     key: dict[str, tuple[Any, ...]] = {
         j.name: (
             labels[j.name],
             colours.of[j.parent],
             colours.of[j.child],
-            (str(j.X_PF), str(j.X_CM), natural(j.name)) if alike else (),
+            (str(j.X_PF), str(j.X_CM), make_sort_key(j.name)) if alike else (),
         )
         for j in joints
     }
@@ -108,10 +108,10 @@ class _Colours:
         self.own = {b: (mechanism.bodies[b].particle, sorted(ties[b])) for b in self.at}
         before = 0
         for layer in self.layers:
-            self._colour(layer, self.own, before)
+            self._colour_layer(layer, self.own, before)
             before += len(layer)
 
-    def _colour(self, layer: list[str], key: Mapping[str, Any], before: int) -> None:
+    def _colour_layer(self, layer: list[str], key: Mapping[str, Any], before: int) -> None:
         """Give the bodies of a layer the number of bodies whose keys are smaller, those of layers
         before included.
         """
@@ -123,7 +123,7 @@ class _Colours:
                 last = key[body]
             self.of[body] = colour
 
-    def refine(self, labels: Mapping[str, Any]) -> None:
+    def refine_colours(self, labels: Mapping[str, Any]) -> None:
         """Refine the colours by joints with these labels until their number stays, layer by layer,
         out and back.
         """
@@ -149,23 +149,23 @@ class _Colours:
                         )
                         for b in layer
                     }
-                    self._colour(layer, key, before[k])
+                    self._colour_layer(layer, key, before[k])
             if len(set(self.of.values())) == count:
                 return
 
-    def all_differ(self, labels: Mapping[str, Any]) -> bool:
+    def can_tell_joints_apart(self, labels: Mapping[str, Any]) -> bool:
         """Whether no two joints have the same label and ends of the same colours."""
         keys = {(repr(labels[j.name]), self.of[j.parent], self.of[j.child]) for j in self.joints}
         return len(keys) == len(self.joints)
 
 
-def _coupled(mechanism: Mechanism) -> dict[str, list[Any]]:
+def _list_couplings(mechanism: Mechanism) -> dict[str, list[Any]]:
     """For each joint in which couplings it takes part, and by which factors."""
     out: dict[str, list[Any]] = defaultdict(list)
     for coupling in mechanism.couplings.values():
         terms = [
             (coupling.of, True, -1.0),
-            *((c, False, _number(x)) for c, x in coupling.sources.items()),
+            *((c, False, _evaluate_number(x)) for c, x in coupling.sources.items()),
         ]
         factors = sorted(factor for _, _, factor in terms[1:])
         for name, of, factor in terms:
@@ -176,7 +176,7 @@ def _coupled(mechanism: Mechanism) -> dict[str, list[Any]]:
     return out
 
 
-def _number(x: Value) -> float:
+def _evaluate_number(x: Value) -> float:
     """A number of the description, with all parameters taken as 1: so neither their names nor
     values decide.
     """
@@ -184,25 +184,25 @@ def _number(x: Value) -> float:
     return found if math.isfinite(found) else 0.0
 
 
-def _pose(placement: Placement) -> list[float]:
+def _evaluate_placement(placement: Placement) -> list[float]:
     """The first three rows of a placement with all parameters taken as 1."""
     X = placement.evaluate(dict.fromkeys(placement.names, 1.0))[:3].ravel().tolist()
     return [x if math.isfinite(x) else 0.0 for x in X]
 
 
-def _largest(mechanism: Mechanism) -> float:
+def _find_largest_coordinate(mechanism: Mechanism) -> float:
     """The largest coordinate of a joint's frames on their bodies, at least a little above zero."""
-    poses = (_pose(X) for j in mechanism.joints.values() for X in (j.X_PF, j.X_CM))
+    poses = (_evaluate_placement(X) for j in mechanism.joints.values() for X in (j.X_PF, j.X_CM))
     return max((abs(x) for X in poses for x in (X[3], X[7], X[11])), default=0.0) or 1.0
 
 
-def _seen(placement: Placement, size: float) -> list[float]:
+def _round_placement(placement: Placement, size: float) -> list[float]:
     """The numbers of a placement, rounded so that the same placement written in another way is the
     same.
 
     Position first, the largest x first: the legs of most parallel robots are counted from the one
     on the x axis.
     """
-    X = _pose(placement)
+    X = _evaluate_placement(placement)
     position = [round(-X[k] / size, DIGITS) + 0.0 for k in (3, 7, 11)]
     return position + [round(-x, DIGITS) + 0.0 for k, x in enumerate(X) if k % 4 != 3]

@@ -16,13 +16,13 @@ from kempe.constraints.base import Constraint
 from kempe.constraints.tape import TIME
 from kempe.description.mechanism import Mechanism, unused_name
 from kempe.errors import InputError
-from kempe.model.model import kept
+from kempe.model.model import keep_answers
 
 if TYPE_CHECKING:
     from kempe.model.model import Model, SystemType
 
 
-def timed(system: Model) -> tuple[str, ...]:
+def list_timed_constraints(system: Model) -> tuple[str, ...]:
     """Names of the constraints on positions that depend on time."""
     held = system._mechanism.constraints.values()
     return tuple(
@@ -33,66 +33,70 @@ def timed(system: Model) -> tuple[str, ...]:
 
 
 @explained
-def at_time(system: SystemType, t: float) -> SystemType:
+def fix_time(system: SystemType, t: float) -> SystemType:
     """The system as it is at the time t, with the same coordinates. Errors: `InputError`."""
     if np.ndim(t) or not np.isfinite(numbers(t, "t")):
         raise InputError(
             f"t is {t!r}; it must be one time, a finite number: many are for drive(times=...)"
         )
-    if not t or not timed(system):
+    if not t or not list_timed_constraints(system):
         return system
     within_range(np.asarray(t), f"parameter {TIME!r}")
-    zero = _at_zero(system)
+    zero = _add_time_parameter(system)
     mechanism = zero.mechanism
     mechanism.parameters[TIME] = float(t)
     return type(zero)(mechanism, zero.structure.topology)
 
 
-def known_time(
+def fix_known_time(
     system: SystemType, known: Mapping[str, Any]
 ) -> tuple[SystemType, Mapping[str, Any]]:
     """The system at the time that is `known` as "t", and what else is known. Errors: `InputError`."""
-    if TIME in system.coordinate_names or TIME in system.frame_names or not timed(system):
+    if (
+        TIME in system.coordinate_names
+        or TIME in system.frame_names
+        or not list_timed_constraints(system)
+    ):
         return system, known
-    return at_time(system, known[TIME]), {name: x for name, x in known.items() if name != TIME}
+    return fix_time(system, known[TIME]), {name: x for name, x in known.items() if name != TIME}
 
 
-@kept
-def _at_zero(system: SystemType) -> SystemType:
-    m = _plain(system, ())
+@keep_answers
+def _add_time_parameter(system: SystemType) -> SystemType:
+    m = _make_time_an_input(system, ())
     m.parameter(TIME, 0.0)
     return type(system)(m)
 
 
-@kept
-def clocked(system: SystemType) -> SystemType:
+@keep_answers
+def add_time_coordinate(system: SystemType) -> SystemType:
     """The system with the time as its last coordinate, a prismatic one that appears in no pose,
     only in equations.
     """
-    m = _plain(system, (TIME,))
+    m = _make_time_an_input(system, (TIME,))
     m.prismatic(TIME, m.ground, m.body(unused_name(m, "clock")), axis="x")
     return type(system)(m)
 
 
-def _plain(system: Model, more: tuple[str, ...]) -> Mechanism:
+def _make_time_an_input(system: Model, more: tuple[str, ...]) -> Mechanism:
     """The mechanism with the time as an ordinary name in its equations, and among their coordinates
     `more`.
     """
     m = system.mechanism
-    names = timed(system)
+    names = list_timed_constraints(system)
     if TIME in m.parameters or TIME in m.joints or TIME in m.constraints:
         raise InputError(
             f"constraint {names[0]!r} depends on the time {TIME!r}, and something else is called "
             "so: rename that"
         )
     m.constraints = {
-        n: replace(c, of=_untimed(c.of, more)) if n in names else c
+        n: replace(c, of=_add_time_to_constraint(c.of, more)) if n in names else c
         for n, c in m.constraints.items()
     }
     return m
 
 
-def _untimed(of: Any, more: tuple[str, ...]) -> Constraint:
+def _add_time_to_constraint(of: Any, more: tuple[str, ...]) -> Constraint:
     expression = of.expression
     from kempe.constraints.equations import Call
 
@@ -100,7 +104,7 @@ def _untimed(of: Any, more: tuple[str, ...]) -> Constraint:
         names = (*expression.inputs, TIME)
         expression = replace(
             expression,
-            function=_with_time(expression.function),
+            function=_add_time_to_function(expression.function),
             inputs=names,
             of=(*expression.of, TIME),
             time=False,
@@ -108,10 +112,10 @@ def _untimed(of: Any, more: tuple[str, ...]) -> Constraint:
     return replace(of, expression=expression, of=(*of.of, *more), time=False)
 
 
-def _with_time(function: Callable[..., Any]) -> Callable[..., Any]:
+def _add_time_to_function(function: Callable[..., Any]) -> Callable[..., Any]:
     """The function with the time among its named inputs."""
 
-    def called(x: Mapping[str, float]) -> Any:
+    def call_with_time(x: Mapping[str, float]) -> Any:
         return function({n: v for n, v in x.items() if n != TIME}, x[TIME])
 
-    return called
+    return call_with_time

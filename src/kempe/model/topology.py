@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Joint
 from kempe.errors import DescriptionError, Fault
-from kempe.model.structural_order import structural_order
+from kempe.model.structural_order import order_joints
 
 # ---- spanning trees with short loops
 
@@ -49,12 +49,12 @@ class Branch(NamedTuple):
     worst: int
     """The member that is left out before the others."""
 
-    def beyond(self, body: int) -> int:
+    def get_other_end(self, body: int) -> int:
         """The other end."""
         return self.ends[1] if self.ends[0] == body else self.ends[0]
 
 
-def edges_left_out(
+def find_left_out_edges(
     ends: Sequence[tuple[int, int]], grade: Sequence[Any], order: Sequence[int]
 ) -> set[int]:
     """Edges that a spanning tree with short loops leaves out.
@@ -70,15 +70,15 @@ def edges_left_out(
         For each edge its place in the order of preference, each another number: among choices with
         loops of the same total length, edges that come late are left out.
     """
-    branches, out = _branches(ends, grade, order)
+    branches, out = _find_branches(ends, grade, order)
     if branches:
         # from here on a branch's number is its preference
         branches.sort(key=lambda b: order[b.worst])
-        out |= _Search(branches, [grade[b.worst] for b in branches]).left_out()
+        out |= _Search(branches, [grade[b.worst] for b in branches]).find_left_out_edges()
     return out
 
 
-def _branches(
+def _find_branches(
     ends: Sequence[tuple[int, int]], grade: Sequence[Any], order: Sequence[int]
 ) -> tuple[list[Branch], set[int]]:
     """The branches of the graph, and the edges left out of rings that hang on one body at most."""
@@ -138,30 +138,34 @@ class _Search:
             for body in branch.ends:
                 self.at[body].append(k)
 
-    def left_out(self) -> set[int]:
+    def find_left_out_edges(self) -> set[int]:
         """Edges that the best tree found leaves out."""
-        use = self._use()
+        use = self._count_short_loops()
         every = range(len(self.branches))
         found = [
-            self._improved(
-                self._kruskal([(self.grade[k], -use[k], self.length[k], k) for k in every])
+            self._improve_tree(
+                self._find_cheapest_tree(
+                    [(self.grade[k], -use[k], self.length[k], k) for k in every]
+                )
             )
         ]
         if len(self.branches) <= FEW:
-            found.append(self._improved(self._kruskal([(self.grade[k], k) for k in every])))
+            found.append(
+                self._improve_tree(self._find_cheapest_tree([(self.grade[k], k) for k in every]))
+            )
         _, cut = min(found)
         return {self.branches[k].worst for k in cut}
 
-    def _use(self) -> list[int]:
+    def _count_short_loops(self) -> list[int]:
         """For each branch on how many short loops it lies: on shortest ones through some branch."""
-        loops = {loop for k in range(len(self.branches)) if (loop := self._shortest_loop(k))}
+        loops = {loop for k in range(len(self.branches)) if (loop := self._find_shortest_loop(k))}
         use = [0] * len(self.branches)
         for loop in loops:
             for k in loop:
                 use[k] += 1
         return use
 
-    def _shortest_loop(self, k: int) -> frozenset[int]:
+    def _find_shortest_loop(self, k: int) -> frozenset[int]:
         """Branches of a shortest loop through branch k; none where there is none within `REACH`
         (Dijkstra, 1959).
         """
@@ -178,32 +182,32 @@ class _Search:
                 loop = {k}
                 while here != start:
                     loop.add(came[here])
-                    here = self.branches[came[here]].beyond(here)
+                    here = self.branches[came[here]].get_other_end(here)
                 return frozenset(loop)
             for j in self.at[here]:
-                there = self.branches[j].beyond(here)
+                there = self.branches[j].get_other_end(here)
                 if j != k and there not in came:
                     heapq.heappush(front, (far + self.length[j], j, there))
         return frozenset()
 
-    def _kruskal(self, cost: list[Any]) -> list[int]:
+    def _find_cheapest_tree(self, cost: list[Any]) -> list[int]:
         """Branches of the spanning tree of least cost (Kruskal, 1956)."""
         root: dict[int, int] = {}
 
-        def find(body: int) -> int:
+        def find_root(body: int) -> int:
             while (up := root.get(body, body)) != body:
                 root[body] = body = root.get(up, up)
             return body
 
         kept: list[int] = []
         for k in sorted(range(len(self.branches)), key=cost.__getitem__):
-            a, b = (find(body) for body in self.branches[k].ends)
+            a, b = (find_root(body) for body in self.branches[k].ends)
             if a != b:
                 root[a] = b
                 kept.append(k)
         return kept
 
-    def _loops(self, kept: list[int]) -> dict[int, set[int]]:
+    def _find_loops(self, kept: list[int]) -> dict[int, set[int]]:
         """For each branch that is left out the branches of the tree that close its loop."""
         ways: dict[int, list[int]] = defaultdict(list)
         for k in kept:
@@ -218,7 +222,7 @@ class _Search:
             while stack:
                 here = stack.pop()
                 for k in ways[here]:
-                    there = self.branches[k].beyond(here)
+                    there = self.branches[k].get_other_end(here)
                     if there not in up:
                         up[there] = (up[here][0] + 1, k, here)
                         stack.append(there)
@@ -233,7 +237,7 @@ class _Search:
                 a = up[a][2]
         return loops
 
-    def _improved(self, kept: list[int]) -> tuple[int, list[int]]:
+    def _improve_tree(self, kept: list[int]) -> tuple[int, list[int]]:
         """Total length of the loops, and what is left out, after exchanges that make the length
         less.
 
@@ -241,7 +245,7 @@ class _Search:
         e's loop: it becomes longer by the length of e's loop less twice what the two share.
         Exchanges of the same length are made where the branch that comes in is preferred.
         """
-        loops = self._loops(kept)
+        loops = self._find_loops(kept)
         through: dict[int, set[int]] = defaultdict(set)
         for e, loop in loops.items():
             for f in loop:
@@ -265,11 +269,11 @@ class _Search:
                     if self.grade[f] == self.grade[e]
                 ]
                 if gains and min(gains) < (0, -e):
-                    self._exchange(e, -min(gains)[1], loops, through, size)
+                    self._exchange_branches(e, -min(gains)[1], loops, through, size)
                     better = True
         return sum(size.values()), sorted(loops)
 
-    def _exchange(
+    def _exchange_branches(
         self,
         e: int,
         f: int,
@@ -328,7 +332,7 @@ class Topology:
     closures: tuple[str, ...]
 
 
-def spanning_tree(mechanism: Mechanism) -> Topology:
+def find_spanning_tree(mechanism: Mechanism) -> Topology:
     """Spanning tree and loop closures of a mechanism. Errors: `DescriptionError` naming bodies
     without a way to it.
     """
@@ -337,9 +341,9 @@ def spanning_tree(mechanism: Mechanism) -> Topology:
     for joint in mechanism.joints.values():
         neighbours[joint.parent].append((joint.child, joint))
         neighbours[joint.child].append((joint.parent, joint))
-    level = _levels(mechanism, ground, neighbours)
+    level = _compute_levels(mechanism, ground, neighbours)
     _refuse_detached(mechanism, level)
-    kept = _kept(mechanism, level)
+    kept = _choose_tree_joints(mechanism, level)
     came: dict[str, tuple[str, Joint]] = {}
     queue = deque([ground])
     while queue:
@@ -348,7 +352,7 @@ def spanning_tree(mechanism: Mechanism) -> Topology:
             if joint.name in kept and there != ground and there not in came:
                 came[there] = (here, joint)
                 queue.append(there)
-    order = _number(mechanism, came)
+    order = _number_bodies(mechanism, came)
     index = {b: i for i, b in enumerate(order)}
     moving = order[1:]
     return Topology(
@@ -360,7 +364,7 @@ def spanning_tree(mechanism: Mechanism) -> Topology:
     )
 
 
-def _levels(
+def _compute_levels(
     mechanism: Mechanism, ground: str, neighbours: dict[str, list[tuple[str, Joint]]]
 ) -> dict[str, int]:
     level = {ground: 0}
@@ -391,7 +395,7 @@ def _refuse_detached(mechanism: Mechanism, level: dict[str, int]) -> None:
         )
 
 
-def _kept(mechanism: Mechanism, level: dict[str, int]) -> set[str]:
+def _choose_tree_joints(mechanism: Mechanism, level: dict[str, int]) -> set[str]:
     """Names of the tree's joints."""
     joints = mechanism.joints
     if len(joints) < len(mechanism.bodies):  # a tree needs no choice
@@ -416,10 +420,10 @@ def _kept(mechanism: Mechanism, level: dict[str, int]) -> set[str]:
             level[joint.parent] + level[joint.child],
             second_way_in,
         )
-    order = structural_order(mechanism, level, first)
+    order = order_joints(mechanism, level, first)
     number = {b: k for k, b in enumerate(mechanism.bodies)}
     names = [n for n, j in joints.items() if not mechanism.bodies[j.child].particle]
-    out = edges_left_out(
+    out = find_left_out_edges(
         [(number[joints[n].parent], number[joints[n].child]) for n in names],
         [grade[n] for n in names],
         [order[n] for n in names],
@@ -433,7 +437,7 @@ def _kept(mechanism: Mechanism, level: dict[str, int]) -> set[str]:
     return kept | set(held.values())
 
 
-def _number(mechanism: Mechanism, came: dict[str, tuple[str, Joint]]) -> list[str]:
+def _number_bodies(mechanism: Mechanism, came: dict[str, tuple[str, Joint]]) -> list[str]:
     """Bodies in the order of declaration, except that a child waits for its parent."""
     names = list(mechanism.bodies)
     declared = {b: i for i, b in enumerate(names)}

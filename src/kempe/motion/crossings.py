@@ -426,7 +426,9 @@ class Germ:
         """The same germ as near to a point (nq,) as whole periods (nv,) lead."""
         y = equations.between(self.x, x) * equations.unit
         turns = np.round(np.divide(y, period, out=np.zeros_like(y), where=period > 0.0))
-        return replace(self, x=equations.system.structure.layout.integrate(self.x, turns * period))
+        return replace(
+            self, x=equations.system.structure.layout.integrate_velocity(self.x, turns * period)
+        )
 
     def half_of(self, equations: Closure, points: Sequence[Array]) -> int | None:
         """The half-branch on which points (nq,) at different distances from `x` lie; None where

@@ -28,8 +28,8 @@ from kempe.equations.one_sided import one_sided_rows
 from kempe.equations.slip import rolls, slip_of
 from kempe.equations.velocity import rates
 from kempe.errors import InputError, UnsupportedError
-from kempe.model.configurations import as_q, home_of, refuse_wound_angle
-from kempe.model.time_coordinate import clocked, timed
+from kempe.model.configurations import find_home, read_q, refuse_wound_angle
+from kempe.model.time_coordinate import add_time_coordinate, list_timed_constraints
 from kempe.motion.crossings import branch_lines, hold_rank, locate, singular_node
 from kempe.motion.events import AWKWARD, OneSidedEnds, checked, root
 from kempe.motion.path import Event
@@ -701,9 +701,9 @@ def _not_begun(
     `start` is, or home.
     """
     near = (
-        home_of(system)
+        find_home(system)
         if start is None or isinstance(start, str) or is_mapping(start)
-        else as_q(system, start)
+        else read_q(system, start)
     )
     clock, samples = _samples(inputs, times)
     requested = {n: np.array([v]) for n, v in zip(inputs, samples(0, 1)[-1].tolist(), strict=True)}
@@ -780,7 +780,7 @@ def drive(
         )
     flag(limits, "limits")
     spend = USUAL.of(budget)
-    if timed(system):
+    if list_timed_constraints(system):
         return _in_time(system, inputs, times, start, hold, toward, limits, budget)
     names = list(inputs)
     index = [angle_or_slide(system, n) for n in names]
@@ -841,7 +841,7 @@ def _in_time(
     clock, _ = _samples({**inputs, TIME: 0.0}, times)
     found = until_interrupt(
         drive,
-        clocked(system),
+        add_time_coordinate(system),
         {**inputs, TIME: clock},
         clock,
         _with_time(start, clock),

@@ -199,9 +199,9 @@ def home(equations: Closure, a: Node, b: Node, start: Node, periods: Array) -> N
     `periods` (nv,) are 0 for coordinates that do not come back by turning on.
     """
     shift = periods * np.round(_ratio(equations.between(b.x, start.x) * equations.unit, periods))
-    there = equations.system.structure.layout.integrate(start.x, -shift)
+    there = equations.system.structure.layout.integrate_velocity(start.x, -shift)
     if isinstance(start, SingularNode):
-        moved = [equations.system.structure.layout.integrate(n.x, shift) for n in (a, b)]
+        moved = [equations.system.structure.layout.integrate_velocity(n.x, shift) for n in (a, b)]
         if not start.may_be(equations, moved):
             return None
     if np.linalg.norm(equations.between(b.x, there)) < (

@@ -23,8 +23,8 @@ from kempe.equations.one_sided import one_sided_rows
 from kempe.equations.velocity import row_names
 from kempe.errors import InputError, KempeError, UnknownNameError, UnsupportedError
 from kempe.mobility.classify import classify
-from kempe.model.configurations import as_q, has_loops, q_from_dict, refuse_far
-from kempe.model.model import kept
+from kempe.model.configurations import has_loops, make_q, read_q, refuse_far
+from kempe.model.model import keep_answers
 from kempe.motion.reeds_shepp import QUARTER, ways, wrapped
 from kempe.motion.rolling import slip
 from kempe.motion.wheeled import Axle, axle_of
@@ -188,7 +188,7 @@ class ExactManoeuvre:
         self.starts = np.array([p.start for p in pieces])
         self.total = pieces[-1].start + pieces[-1].duration
         self.gone = np.append(0.0, np.cumsum([abs(p.length) for p in pieces]))
-        move = axle.system.structure.layout.integrate
+        move = axle.system.structure.layout.integrate_velocity
         self.Q = np.empty((len(pieces), len(q)))
         self.V = np.tile(idle / self.total, (len(pieces), 1))
         self.places = np.empty((len(pieces), 3))
@@ -214,7 +214,7 @@ class ExactManoeuvre:
         k = np.clip(np.searchsorted(self.starts, t, side="right") - 1, 0, len(self.starts) - 1)
         past = t - self.starts[k]
         v = self.V[k]
-        q = axle.system.structure.layout.integrate(self.Q[k], v * past[:, None])
+        q = axle.system.structure.layout.integrate_velocity(self.Q[k], v * past[:, None])
         q = axle.put(q, _along_arc(self.places[k], self.forward[k] * past, self.turning[k] * past))
         v[:, list(axle.own)] = axle.own_rates(q, self.forward[k], self.turning[k])
         return q, v
@@ -392,7 +392,7 @@ def _signed_length(
         return np.full(len(bound), np.nan) if out is None else out[bound]
 
     by_length = rates(ahead)
-    far = axle.system.structure.layout.difference(q, goal)[[axle.driven[k] for k in bound]]
+    far = axle.system.structure.layout.compute_difference(q, goal)[[axle.driven[k] for k in bound]]
     missing = far - rates(turn) * angle
     size = float(by_length @ by_length)
     length = float(by_length @ missing) / size if size > 0.0 else 0.0
@@ -585,9 +585,7 @@ def _one(system: Model, q: Any, what: str) -> Array:
     if q is None:
         q = system.neutral
     given = named(q)
-    array = (
-        as_q(system, q) if given is None or not has_loops(system) else q_from_dict(system, given)
-    )
+    array = read_q(system, q) if given is None or not has_loops(system) else make_q(system, given)
     if array.shape != (system.nq,):
         raise InputError(
             f"{what} has shape {array.shape}; it must be one configuration ({system.nq},)"
@@ -640,7 +638,7 @@ def _exact(axle: Axle, q: Array, goal: Array, plan: Plan) -> ExactManoeuvre | No
             pieces.append(Piece(kind, 0.0, time, move.length / time, move.angle / time, 0.0))
     idle = np.zeros(system.nv)
     own = list(axle.idle)
-    idle[own] = system.structure.layout.difference(q, goal)[own]
+    idle[own] = system.structure.layout.compute_difference(q, goal)[own]
     if not pieces and idle.any():
         pieces.append(Piece("rest", 0.0, float(np.abs(idle).max()), 0.0, 0.0, 0.0))
     if not pieces:
@@ -724,7 +722,7 @@ def _arrive(
     i = axle.own_q[2]
     turns = round(float(axle.gear * (x[-1, i] - goal[i])) / (2.0 * math.pi))
     end[i] += 2.0 * math.pi * turns / axle.gear
-    off = np.abs(system.structure.layout.difference(x[-1], end))
+    off = np.abs(system.structure.layout.compute_difference(x[-1], end))
     size = float(np.abs(x[:, system.structure.layout.vector_q]).max(initial=0.0))
     if off.max() > 1e-12 * (1.0 + size + motion.total):
         v = int(np.argmax(off))
@@ -757,7 +755,7 @@ def way_there(system: Model) -> str:
     return f"; {_motions_there(system).format(hold=f'{said} {hold} on the way')}"
 
 
-@kept
+@keep_answers
 def _motions_there(system: Model) -> str:
     """What is known of motions to other configurations, with a field {hold} for the constraints."""
     unknown = "{hold}: whether a motion gets there is not known"

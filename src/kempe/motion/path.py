@@ -19,7 +19,7 @@ from kempe.arrays import is_whole
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.equations.closure import Closure
 from kempe.errors import InputError, shown
-from kempe.model.configurations import q_dict, ranges_table, units
+from kempe.model.configurations import list_units, make_q_dict, make_ranges_table
 from kempe.motion.crossings import SingularNode
 from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit
 from kempe.numerics.curves import BLUNT
@@ -56,7 +56,7 @@ def elsewhere(path: Path) -> tuple[str, Array]:
     nothing = ("", np.zeros((0, path.system.nq)))
     if not system.structure.closures or not path.success or len(path.track.s) < 2:
         return nothing
-    start = q_dict(system, path.q[0])
+    start = make_q_dict(system, path.q[0])
     held = {name: start[name] for name in path.held}
     for name in [path.driver] if path.driver in start else start:
         plan = None if name in held else closed_form(system, (name, *held))
@@ -235,9 +235,9 @@ class Path(Motion):
     @property
     def unit_length(self) -> float:
         """Metres of a slide that count as one unit of arc length."""
-        from kempe.model.characteristic_length import characteristic_length
+        from kempe.model.characteristic_length import compute_characteristic_length
 
-        return characteristic_length(self.system)
+        return compute_characteristic_length(self.system)
 
     @property
     def turns(self) -> dict[str, int]:
@@ -378,10 +378,10 @@ class Path(Motion):
         """The range of each coordinate, with its extremes between the points."""
         if len(self) < 2:
             return []
-        return [ranges_table(self.system, np.vstack([self.q, *(e.q for e in self.extremes)]))]
+        return [make_ranges_table(self.system, np.vstack([self.q, *(e.q for e in self.extremes)]))]
 
     def _notes(self, degrees: bool = False) -> Sequence[str]:
-        unit = units(self.system)
+        unit = list_units(self.system)
         lines = cut([e.text(unit, degrees) for e in self.turning_points], EVENTS)
         lines += [str(event) for event in self.singular_points]
         lines += [f"another branch: {path.status}" for path in self.others]
@@ -391,7 +391,7 @@ class Path(Motion):
         return [*lines, *super()._notes()]
 
     def _data(self) -> dict[str, Any]:
-        unit = units(self.system)
+        unit = list_units(self.system)
         events = {
             name: [_event_data(e, unit, self._by_name) for e in getattr(self, name)]
             for name in ("turning_points", "singular_points", "extremes")

@@ -21,7 +21,7 @@ from kempe.equations.one_sided import one_sided_rows
 from kempe.equations.velocity import rates
 from kempe.errors import InputError, UnknownNameError, UnsupportedError, shown
 from kempe.forward.fk import jacobian
-from kempe.model.time_coordinate import clocked, timed
+from kempe.model.time_coordinate import add_time_coordinate, list_timed_constraints
 from kempe.numerics.clock import BROKEN_OFF, TimeLimit
 from kempe.numerics.newton import gauss_newton
 from kempe.numerics.rank import Level, Spectrum
@@ -71,8 +71,8 @@ class Velocities:
     def __init__(self, system: Model, inputs: Mapping[str, Any]):
         self.inputs = {name: _checked(name, u) for name, u in inputs.items()}
         self.rows = [_row(system, name) for name in inputs]
-        self.times = bool(timed(system))
-        self.system = clocked(system) if self.times else system
+        self.times = bool(list_timed_constraints(system))
+        self.system = add_time_coordinate(system) if self.times else system
         clock = [list(self.system.structure.velocity_names).index(TIME)] if self.times else []
         self.closure = Closure(self.system, clock, np.zeros(self.system.nq))
         self.loops = len(self.closure.weight)

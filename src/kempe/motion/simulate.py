@@ -23,8 +23,8 @@ from kempe.equations.one_sided import OneSided, one_sided_rows
 from kempe.equations.velocity import rates
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.forward.fk import fk, jacobian
-from kempe.model.configurations import random
-from kempe.model.time_coordinate import clocked, timed
+from kempe.model.configurations import sample_configurations
+from kempe.model.time_coordinate import add_time_coordinate, list_timed_constraints
 from kempe.motion.bounces import MOST, TOUCH, Flight, MovingFlight, Plane
 from kempe.motion.rolling import roll, slip
 from kempe.motion.start import start_of
@@ -81,7 +81,7 @@ class Falling:
         y, dy = flight.at(t)
         turning = v.copy()
         turning[self.slides_v] = 0.0
-        out = self.system.structure.layout.integrate(q, turning * t[:, None])
+        out = self.system.structure.layout.integrate_velocity(q, turning * t[:, None])
         back = np.linalg.inv(self.shape)
         out[:, self.slides_q] = y @ back.T
         rate = np.repeat(turning[None], len(t), axis=0)
@@ -95,7 +95,9 @@ def falling(system: Model, q: Array, v: Array, duration: float) -> Falling:
     """
     _no_others(system, q)
     body, point = _body(system)
-    samples = np.concatenate([q[None], random(system, np.random.default_rng(SEED), (TRIALS,))])
+    samples = np.concatenate(
+        [q[None], sample_configurations(system, np.random.default_rng(SEED), (TRIALS,))]
+    )
     J = np.asarray(jacobian(system, samples, body))
     arm = fk(system, samples, body)[:, :3, :3] @ point
     centre = J[:, :3] + np.cross(J[:, 3:], arm[:, :, None], axis=1)
@@ -126,7 +128,11 @@ def falling(system: Model, q: Array, v: Array, duration: float) -> Falling:
         )
     )
     slides_q = np.array([place[int(i)] for i in slides_v], dtype=int)
-    moving = MovingRows(system, q, slides_q, slides_v, shape, duration) if timed(system) else None
+    moving = (
+        MovingRows(system, q, slides_q, slides_v, shape, duration)
+        if list_timed_constraints(system)
+        else None
+    )
     planes = (
         _planes(system, body, q, slides_q, shape, samples)
         if moving is None
@@ -152,7 +158,7 @@ class MovingRows:
         shape: Array,
         duration: float,
     ):
-        self.rows: OneSided = one_sided_rows(clocked(system))
+        self.rows: OneSided = one_sided_rows(add_time_coordinate(system))
         self.slides_q = slides_q
         self.slides_v = slides_v
         self.back = np.linalg.inv(shape)
@@ -257,8 +263,8 @@ def start_of_flight(fall: Falling, q: Array) -> None:
 
 def _no_others(system: Model, q: Array) -> None:
     """Refuse systems on which loops or rolling act. Errors: `UnsupportedError`."""
-    if timed(system):
-        system = clocked(system)
+    if list_timed_constraints(system):
+        system = add_time_coordinate(system)
         q = np.append(q, 0.0)
     if rates(system, q)[0].shape[-2]:
         raise UnsupportedError(
@@ -274,7 +280,7 @@ def _no_others(system: Model, q: Array) -> None:
 
 def _body(system: Model) -> tuple[str, Array]:
     """The one moving body, and its centre (3,) in its axes. Errors: `UnsupportedError`."""
-    samples = random(system, np.random.default_rng(SEED), (TRIALS,))
+    samples = sample_configurations(system, np.random.default_rng(SEED), (TRIALS,))
     moving = [
         b
         for b in system.body_names[1:]
@@ -474,11 +480,11 @@ class Simulation(Motion):
         k = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.t) - 2)
         h = (self.t[k + 1] - self.t[k])[:, None]
         u = (t - self.t[k])[:, None] / h
-        way = self.system.structure.layout.difference(self.q[k], self.q[k + 1])
+        way = self.system.structure.layout.compute_difference(self.q[k], self.q[k + 1])
         a = h * self.v[k]
         b = h * self.v[k + 1]
         y = u * (1 - u) ** 2 * a + u * u * (3 - 2 * u) * way - u * u * (1 - u) * b
-        return self.system.structure.layout.integrate(self.q[k], y), (1 - u) * self.v[
+        return self.system.structure.layout.integrate_velocity(self.q[k], y), (1 - u) * self.v[
             k
         ] + u * self.v[k + 1]
 

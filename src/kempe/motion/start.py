@@ -14,8 +14,14 @@ from kempe.equations.closure import Closure, close
 from kempe.equations.one_sided import one_sided_rows
 from kempe.errors import InputError, UnknownNameError, UnsupportedError, shown
 from kempe.joints import R
-from kempe.model.configurations import as_q, home_of, q_from_dict, random, refuse_wound
-from kempe.model.coordinates import coordinate_names
+from kempe.model.configurations import (
+    find_home,
+    make_q,
+    read_q,
+    refuse_wound,
+    sample_configurations,
+)
+from kempe.model.coordinates import list_coordinate_names
 from kempe.motion.crossings import PROBE, SingularNode, branches_at, hold_rank, locate
 from kempe.motion.spin_lock import lock_spins
 from kempe.numerics.curves import Node, node
@@ -97,17 +103,17 @@ def angle_or_slide(system: Model, name: str) -> int:
 def start_of(system: Model, start: Any, hold: Mapping[str, float]) -> Array:
     """The configuration (nq,) that `start` names, before any loop is closed."""
     if start is None:
-        q = home_of(system)
+        q = find_home(system)
     elif isinstance(start, str):
-        q = q_from_dict(system, start)
+        q = make_q(system, start)
     elif is_mapping(start):
-        q = q_from_dict(system, start, home_of(system))
+        q = make_q(system, start, find_home(system))
     else:
-        q = as_q(system, start)
+        q = read_q(system, start)
     if q.shape != (system.nq,):
         raise InputError(f"start has shape {q.shape}; it must be one configuration ({system.nq},)")
     refuse_wound(system, q, "start")
-    held = q_from_dict(system, hold, q)
+    held = make_q(system, hold, q)
     if held.shape != q.shape:
         raise InputError(f"hold is {shown(hold)}; it must be one number for each coordinate")
     return refuse_wound(system, held, "hold")
@@ -155,7 +161,7 @@ def _within(
 
     rows = one_sided_rows(system)
     rng = np.random.default_rng(SEED)
-    for start in (near, *random(system, rng, (STARTS,))):
+    for start in (near, *sample_configurations(system, rng, (STARTS,))):
         answer = assemble(system, dict(hold), start)
         found = close(fixed, answer.q) if answer.success else None
         if found is not None and not rows.beyond(found).any():
@@ -211,7 +217,7 @@ def _turning(system: Model, limits: bool) -> tuple[Array, list[WoundFollower]]:
     couplings = system.structure.couplings
     never: list[WoundFollower] = []
     for joint in mechanism.joints.values() if couplings else ():
-        names = coordinate_names(mechanism, joint)
+        names = list_coordinate_names(mechanism, joint)
         for p in joint.type.layout(system.dim, mechanism.bodies[joint.child].particle)[1]:
             follower = couplings.get(names[p.coordinate])
             if follower is None or follower.source is None:
@@ -233,11 +239,11 @@ def _distinct(system: Model, period: Array) -> np.ndarray:
     rows = one_sided_rows(system)
     out = np.zeros(system.nv, dtype=bool)
     if rows.declared:
-        q = random(system, np.random.default_rng(0), 3)
+        q = sample_configurations(system, np.random.default_rng(0), 3)
         before = rows.values(q, declared=True)
         for i in np.flatnonzero(period):
             after = rows.values(
-                system.structure.layout.integrate(q, period[i] * np.eye(system.nv)[i]),
+                system.structure.layout.integrate_velocity(q, period[i] * np.eye(system.nv)[i]),
                 declared=True,
             )
             out[i] = np.any(np.abs(after - before) > SAME_VALUE * (1.0 + np.abs(before)))

@@ -22,7 +22,7 @@ from kempe.budget import Budget, TimeUp, Usual
 from kempe.equations.closure import Closure
 from kempe.equations.slip import slip_of
 from kempe.errors import InputError
-from kempe.model.configurations import as_q, home_of
+from kempe.model.configurations import find_home, read_q
 from kempe.motion.crossings import SingularNode, rank_held
 from kempe.motion.events import (
     HOME_CROSSING,
@@ -257,9 +257,9 @@ def _not_begun(
     `start` is, or at home.
     """
     near = (
-        home_of(system)
+        find_home(system)
         if start is None or isinstance(start, str) or is_mapping(start)
-        else as_q(system, start)
+        else read_q(system, start)
     )
     options = _options(system, driver, ways, limits, USUAL.of(budget))
     held = [*(hold or ())]
@@ -636,7 +636,9 @@ def _covers(equations: Closure, path: Path, first: Node, period: Array) -> bool:
         if event.node is not None and isinstance(first, SingularNode):
             other = event.node
             own = equations.move(first.x, first.germ.samples[first.half, 1])
-            back = equations.system.structure.layout.integrate(own, -np.round(turns) * period)
+            back = equations.system.structure.layout.integrate_velocity(
+                own, -np.round(turns) * period
+            )
             if gap < HOME_CROSSING and other.germ.half_of(equations, [back]) in (
                 other.half,
                 other.back().half,

@@ -23,7 +23,7 @@ from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.first_order.rank import compute_allowed_velocities
 from kempe.forward.fk import fk, jacobian
 from kempe.joints import P, R
-from kempe.model.configurations import as_q
+from kempe.model.configurations import read_q
 from kempe.motion.path import Event, Path
 from kempe.motion.start import angle_or_slide
 from kempe.numerics.rank import Level, Spectrum
@@ -129,7 +129,7 @@ def loop_jacobian(
     """
     inputs = _listed(inputs)
     outputs = _listed(outputs)
-    q = as_q(system, q)
+    q = read_q(system, q)
     closure = Closure(system)
     index = [angle_or_slide(system, n) for n in inputs]
     kinds = [_output(system, n) for n in outputs]
@@ -221,7 +221,7 @@ def mechanical_advantage(
     ground frame in which it pushes. `still` names other inputs that do not move. `tolerance` and
     errors are as those of `loop_jacobian`.
     """
-    q = as_q(system, q)
+    q = read_q(system, q)
     closure = Closure(system)
     i = angle_or_slide(system, input)
     others = [angle_or_slide(system, n) for n in listed(still, "still")]
@@ -276,7 +276,7 @@ def pressure_angle(
     Errors: `UnsupportedError`, `InputError`, `UnknownNameError`.
     """
     far, near = _dyad(system, joint, coupler, output)
-    q = as_q(system, q)
+    q = read_q(system, q)
     p = _at(system, q, joint)[..., :3, 3]
     a = _at(system, q, far)[..., :3, 3]
     base = _at(system, q, near)

@@ -21,7 +21,7 @@ from kempe.equations.one_sided import one_sided_rows
 from kempe.equations.velocity import rates
 from kempe.errors import UnsupportedError
 from kempe.forward.fk import fk, jacobian
-from kempe.model.configurations import random
+from kempe.model.configurations import sample_configurations
 from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 from kempe.words import counted
@@ -73,7 +73,7 @@ class Axle:
         """What one unit of the axle's twist and of each velocity is (3 + nv,): radians, and
         characteristic lengths.
         """
-        length = closure_rows.characteristic_length(self.system)
+        length = closure_rows.compute_characteristic_length(self.system)
         turning = self.system.structure.coordinates.turning.copy()
         turning[self.system.structure.layout.quaternion_v[:, None] + np.arange(3)] = True
         return np.concatenate([[length, length, 1.0], np.where(turning, 1.0, length)])
@@ -201,7 +201,9 @@ def binding(system: Model, q: Array) -> str | None:
     """The name of a position constraint, loop or relation that restricts configurations around q
     (nq,), if one does.
     """
-    some = np.concatenate([q[None], random(system, np.random.default_rng(SEED), (TRIALS,))])
+    some = np.concatenate(
+        [q[None], sample_configurations(system, np.random.default_rng(SEED), (TRIALS,))]
+    )
     error, J = closure_rows.evaluate(system, some)
     size = np.maximum(np.abs(error).max(axis=0), np.abs(J).max(axis=(0, 2), initial=0.0))
     rows = np.flatnonzero(size > SAME)
@@ -212,7 +214,7 @@ def _planar_body(system: Model) -> Axle:
     """The body nearest to the ground that moves in a plane by two slides and a turn, the axle at
     its origin. Errors: `UnsupportedError`.
     """
-    samples = random(system, np.random.default_rng(SEED), (TRIALS,))
+    samples = sample_configurations(system, np.random.default_rng(SEED), (TRIALS,))
     vectors = {*system.structure.layout.vector_v.tolist()}
     for body in system.body_names[1:]:
         J = np.asarray(jacobian(system, samples, body))
@@ -244,7 +246,7 @@ def _sorted_coordinates(axle: Axle, q: Array) -> Axle:
     """The axle with its driven, idle and steering coordinates. Errors: `UnsupportedError`."""
     system = axle.system
     layout = system.structure.layout
-    samples = random(system, np.random.default_rng(SEED), (TRIALS,))
+    samples = sample_configurations(system, np.random.default_rng(SEED), (TRIALS,))
     places = {v: [i] for v, i in axle.in_q.items()}
     for v, i in zip(layout.quaternion_v.tolist(), layout.quaternion_q.tolist(), strict=True):
         places |= {v + k: list(range(i, i + 4)) for k in range(3)}
@@ -307,7 +309,7 @@ def _with_mount(axle: Axle, q: Array) -> Axle:
         x = q.copy()
         if axle.steering is not None and k:
             i = axle.in_q[axle.steering]
-            x[i] = random(system, np.random.default_rng([SEED, k]))[i]
+            x[i] = sample_configurations(system, np.random.default_rng([SEED, k]))[i]
         N = axle.motions(x)
         if Spectrum(N[:3], 1.0).rank(Level.CLOSED) < N.shape[1]:
             raise UnsupportedError(
@@ -359,7 +361,9 @@ def _middle(axle: Axle, q: Array, foot: Array, forward: Array) -> tuple[Array, f
     their x axes. Where there is none, the middle is the `foot`, next to the body's origin.
     """
     system = axle.system
-    samples = np.concatenate([q[None], random(system, np.random.default_rng(SEED), (2,))])
+    samples = np.concatenate(
+        [q[None], sample_configurations(system, np.random.default_rng(SEED), (2,))]
+    )
     place = axle.place(samples)
     c = np.cos(place[:, 2])
     s = np.sin(place[:, 2])

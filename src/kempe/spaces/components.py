@@ -26,7 +26,14 @@ from kempe.assemble.same_configuration import metric_of
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.equations.one_sided import one_sided_rows
 from kempe.mobility.mobility import mobility
-from kempe.model.configurations import by_name, has_loops, mid, random, units, winding_angles
+from kempe.model.configurations import (
+    compute_mid_configuration,
+    find_winding_angles,
+    has_loops,
+    list_units,
+    name_values,
+    sample_configurations,
+)
 from kempe.motion.path import Event, Path
 from kempe.motion.trace import trace
 from kempe.numerics.clock import TIME_LIMIT, TimeLimit, partial, time_limited, time_of
@@ -157,7 +164,7 @@ def _wound(path: Path) -> dict[int, int]:
     place = dict(zip(layout.vector_v.tolist(), layout.vector_q.tolist(), strict=True))
     return {
         place[int(v)]: path.turns[names[v]]
-        for v in np.flatnonzero(winding_angles(path.system))
+        for v in np.flatnonzero(find_winding_angles(path.system))
         if path.turns.get(names[v])
     }
 
@@ -271,7 +278,7 @@ class Components(Report):
         return f"{self.system.name}: {self.status}"
 
     def _data(self) -> dict[str, Any]:
-        unit = units(self.system)
+        unit = list_units(self.system)
         parts = [
             {
                 "dimension": p.dimension,
@@ -282,7 +289,7 @@ class Components(Report):
             }
             for p in self.parts
         ]
-        singular = [by_name(self.system, q) for q in self.singular]
+        singular = [name_values(self.system, q) for q in self.singular]
         own = {
             n: getattr(self, n)
             for n in ("count", "complete", "reason", "dimension", "idle", "late", "interrupted")
@@ -327,7 +334,7 @@ def _counted(system: Model, spend: Budget, time: TimeLimit) -> Components:
             if divided
             else "a product of circles, intervals and rotations"
         )
-        if divided and not _inside(system, mid(system), spend):
+        if divided and not _inside(system, compute_mid_configuration(system), spend):
             return Components(system, 0, False, NONE_INSIDE, None)
         return Components(system, 1, not divided, why, system.nv)
     polygon = polygon_of(system)
@@ -384,7 +391,9 @@ def _inside(system: Model, home: Array, spend: Budget) -> bool:
     found = assemble(
         system,
         None,
-        random(system, np.random.default_rng(spend.rng), start_count(spend.starts, DRAWN)),
+        sample_configurations(
+            system, np.random.default_rng(spend.rng), start_count(spend.starts, DRAWN)
+        ),
     )
     ok = np.asarray(found.success, dtype=bool)
     return bool(ok.any() and manifold.inside(found.q[ok]).any())

@@ -17,14 +17,14 @@ from numpy.typing import ArrayLike
 from kempe.arguments import explained, explained_methods
 from kempe.errors import InputError
 from kempe.model.configurations import (
-    by_name,
-    difference,
-    distance,
+    compute_difference,
+    compute_distance,
+    compute_mid_configuration,
+    find_winding_angles,
     has_loops,
-    integrate,
-    interpolate,
-    mid,
-    winding_angles,
+    integrate_velocity,
+    interpolate_configurations,
+    name_values,
 )
 from kempe.report import Report, Table
 from kempe.spatial import Array
@@ -76,22 +76,22 @@ class ConfigurationSpace(Report):
 
     def integrate(self, q: Any, v: ArrayLike) -> Array:
         """Configuration (..., nq) reached from `q` by the tangent vector `v` (..., nv)."""
-        return integrate(self.system, q, v)
+        return integrate_velocity(self.system, q, v)
 
     def difference(self, q0: Any, q1: Any) -> Array:
-        """Shortest tangent vector (..., nv) from `q0` to `q1`, whose length is the `distance`.
+        """Shortest tangent vector (..., nv) from `q0` to `q1`, whose length is the `compute_distance`.
 
         ``integrate(q0, difference(q0, q1))`` is `q1`, up to whole turns of unlimited joints.
         """
-        return difference(self.system, q0, q1)
+        return compute_difference(self.system, q0, q1)
 
     def interpolate(self, q0: Any, q1: Any, t: ArrayLike) -> Array:
         """Configuration (..., nq) at the fraction `t` (...) of the straight way from `q0` to `q1`."""
-        return interpolate(self.system, q0, q1, t)
+        return interpolate_configurations(self.system, q0, q1, t)
 
     def distance(self, q0: Any, q1: Any) -> Array:
         """Length (...) of the straight way from `q0` to `q1`; unlimited joints turn the short way."""
-        return distance(self.system, q0, q1)
+        return compute_distance(self.system, q0, q1)
 
     # ---- all of it
 
@@ -168,7 +168,9 @@ class ConfigurationSpace(Report):
 
         At a singular point the dimension may differ from that of configurations nearby.
         """
-        return self._mobility.q if has_loops(self.system) else mid(self.system)
+        return (
+            self._mobility.q if has_loops(self.system) else compute_mid_configuration(self.system)
+        )
 
     @property
     def within(self) -> str:  # type: ignore[override]
@@ -193,7 +195,7 @@ class ConfigurationSpace(Report):
         return (
             {"system": self.system.name}
             | {name: getattr(self, name) for name in names}
-            | {"at": by_name(self.system, self.at)}
+            | {"at": name_values(self.system, self.at)}
         )
 
     @property
@@ -208,7 +210,7 @@ class ConfigurationSpace(Report):
 
 def configuration_space(system: Model) -> ConfigurationSpace:
     """The configuration space of a system; its dimension is found on demand."""
-    turning = (system.structure.coordinates.turning & ~winding_angles(system))[
+    turning = (system.structure.coordinates.turning & ~find_winding_angles(system))[
         system.structure.layout.vector_v
     ]
     turns = int(turning.sum())

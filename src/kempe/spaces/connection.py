@@ -17,7 +17,7 @@ from kempe.equations.judge import judge
 from kempe.errors import InputError
 from kempe.forward.limits import with_limits
 from kempe.mobility.mobility import mobility
-from kempe.model.configurations import has_loops, one_finite, random
+from kempe.model.configurations import has_loops, read_finite_q, sample_configurations
 from kempe.motion.trace import trace
 from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, time_limited, time_of
 from kempe.report import brief
@@ -149,7 +149,7 @@ def joined(
         time.check()
         one = trees[k % 2]
         other = trees[1 - k % 2]
-        aim = other.q[0] if k < 2 else random(manifold.system, rng)
+        aim = other.q[0] if k < 2 else sample_configurations(manifold.system, rng)
         here = one.grow(aim, coarse, time)
         there = other.grow(one.q[here], coarse, time)
         if manifold.apart(one.q[here][None], other.q[there][None])[0] < MET:
@@ -320,7 +320,7 @@ def path(system: Model, q0: Any, q1: Any, *, budget: Budget | None = None) -> Co
 
 
 def _end(system: Model, q: Any, name: str) -> Array:
-    q = one_finite(system, q, name)
+    q = read_finite_q(system, q, name)
     judged = judge(system, q)
     if not judged:
         raise InputError(f"{name} is not closed, {judged}; assemble closes it")

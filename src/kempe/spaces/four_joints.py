@@ -23,8 +23,8 @@ from kempe.equations.judge import motion
 from kempe.equations.one_sided import one_sided_rows
 from kempe.forward.limits import with_limits
 from kempe.joints import P, Q, R
-from kempe.model.configurations import circles, mid
-from kempe.model.model import kept
+from kempe.model.configurations import compute_mid_configuration, find_free_angles
+from kempe.model.model import keep_answers
 from kempe.spaces.manifold import Manifold
 from kempe.spaces.only_loop import loop_of, pin, primitives_of
 from kempe.spatial import Array, inverse
@@ -189,7 +189,7 @@ class FourJoints:
         return out
 
 
-@kept
+@keep_answers
 def four_joints(system: Model) -> FourJoints | str:
     """The loop of four joints that a system is, besides what hangs on it; or why it is none that can
     be decided.
@@ -201,7 +201,7 @@ def four_joints(system: Model) -> FourJoints | str:
     if one_sided_rows(system).declared or len(bodies) != 4:
         return "it has one-sided constraints, or other than four joints in its loop"
     joints = [system.structure.joints[n] for n in names]
-    turns = dict(zip(system.structure.velocity_names, circles(system), strict=True))
+    turns = dict(zip(system.structure.velocity_names, find_free_angles(system), strict=True))
     ways: list[tuple[bool, Joint, Joint, Rod]] = []
     for k in range(4):
         for step in (1, -1):
@@ -372,7 +372,7 @@ def _inside(rod: Rod, x: Array, low: float, high: float) -> Array:
     return x[(x > low) & (x < high)]
 
 
-@kept
+@keep_answers
 def _free(system: Model) -> Model:
     """The same system without limits."""
     own = {*system.coordinate_names}
@@ -381,7 +381,7 @@ def _free(system: Model) -> Model:
 
 def _aside(system: Model, names: list[str]) -> dict[str, float]:
     """Values of coordinates of joints that are not in the loop: the middle of their limits."""
-    rest = mid(system)
+    rest = compute_mid_configuration(system)
     return {
         n: float(rest[k])
         for k, n in enumerate(system.coordinate_names)

@@ -16,7 +16,7 @@ import numpy as np
 from kempe.assemble.same_configuration import metric_of
 from kempe.equations import closure_rows
 from kempe.equations.one_sided import one_sided_rows
-from kempe.model.configurations import by_short_turns, circles, random
+from kempe.model.configurations import find_free_angles, sample_configurations, shorten_turns
 from kempe.numerics.newton import gauss_newton_of_many, least_squares_of_many
 from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
@@ -57,7 +57,7 @@ class Manifold:
         self.dim = dim
         self.scale = closure_rows.scales(system)
         self.layout = system.structure.layout
-        self.circle = circles(system)
+        self.circle = find_free_angles(system)
         self.one_sided = one_sided_rows(system)
         self.metric = metric_of(system)
 
@@ -67,13 +67,13 @@ class Manifold:
 
     def move(self, q: Array, y: Array) -> Array:
         """Configurations (k, nq) reached from q (k, nq) by y (k, nv)."""
-        return self.layout.integrate(q, y * self.scale)
+        return self.layout.integrate_velocity(q, y * self.scale)
 
     def between(self, q: Array, to: Array) -> Array:
         """The shortest way (k, nv) from q (k, nq) to other configurations; what is not limited
         turns the short way.
         """
-        return by_short_turns(self.layout.difference(q, to), self.circle) / self.scale
+        return shorten_turns(self.layout.compute_difference(q, to), self.circle) / self.scale
 
     def apart(self, q: Array, to: Array) -> Array:
         """Lengths (k,) of the ways `between`."""
@@ -96,7 +96,7 @@ class Manifold:
         """Closed configurations (k, nq), those to which so many random ones lead; limits are not
         looked at.
         """
-        starts = random(self.system, rng, count)
+        starts = sample_configurations(self.system, rng, count)
         q, ok = self.closed(starts)
         if not ok.any():
             q, ok = self.closed(starts, np.inf)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from kempe.joints import Primitive
-from kempe.model.model import kept
+from kempe.model.model import keep_answers
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from kempe.model.model import Model
 
 
-@kept
+@keep_answers
 def loop_of(system: Model) -> tuple[tuple[str, ...], tuple[str, ...]] | str:
     """Bodies and joints of the only loop in their order, body k before joint k; or why there is no
     such loop.

@@ -18,7 +18,7 @@ import numpy as np
 
 from kempe.forward.fk import fk
 from kempe.joints import R
-from kempe.model.model import kept
+from kempe.model.model import keep_answers
 from kempe.spaces.only_loop import loop_of, pin, primitives_of
 from kempe.spatial import Array
 
@@ -125,7 +125,7 @@ def _angle(X: Array) -> float:
     return float(np.arctan2(X[1, 0], X[0, 0]))
 
 
-@kept
+@keep_answers
 def polygon_of(system: Model) -> Polygon | str:
     """The planar polygon of bars that a system is, besides what hangs on it; or why it is none."""
     if system.dim != 2:

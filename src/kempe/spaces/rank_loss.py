@@ -91,11 +91,11 @@ class RankLoss:
 
     def move(self, q: Array, y: Array) -> Array:
         """The configurations (k, nq) a step (k, nv) from q (k, nq)."""
-        return self.system.structure.layout.integrate(q, y * self.unit)
+        return self.system.structure.layout.integrate_velocity(q, y * self.unit)
 
     def between(self, q: Array, other: Array) -> Array:
         """The steps (k, nv) from q to other configurations."""
-        return self.system.structure.layout.difference(q, other) / self.unit
+        return self.system.structure.layout.compute_difference(q, other) / self.unit
 
     def _transposed(self, A: Array) -> Array:
         """The matrices, or their transposes where these have the smaller null space."""

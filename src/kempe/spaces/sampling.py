@@ -17,7 +17,7 @@ from kempe.budget import Budget, TimeUp, Usual
 from kempe.equations.one_sided import one_sided_rows
 from kempe.errors import InputError, UnsupportedError, shown
 from kempe.mobility.mobility import mobility
-from kempe.model.configurations import circles, has_loops, random
+from kempe.model.configurations import find_free_angles, has_loops, sample_configurations
 from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, time_limited, time_of
 from kempe.report import brief
 from kempe.spaces.components import components
@@ -243,7 +243,7 @@ def _of_tree(
     system: Model, n: int, rng: np.random.Generator, check: Callable[[int], None]
 ) -> Sample:
     v = system.structure.layout.vector_v
-    bounded = (np.isfinite(system.lower) & np.isfinite(system.upper)) | circles(system)
+    bounded = (np.isfinite(system.lower) & np.isfinite(system.upper)) | find_free_angles(system)
     _refuse([system.structure.velocity_names[int(i)] for i in v if not bounded[i]])
     rows = one_sided_rows(system)
     drawn = 0
@@ -252,7 +252,7 @@ def _of_tree(
     try:
         while sum(map(len, found)) < n:
             check(sum(map(len, found)))
-            q = random(system, rng, min(n, CHUNK))
+            q = sample_configurations(system, rng, min(n, CHUNK))
             drawn += len(q)
             found.append(
                 q[(rows.beyond(q, declared=True) <= 0.0).all(axis=1)] if rows.declared else q

@@ -21,7 +21,7 @@ from kempe.budget import Budget, TimeUp, Usual
 from kempe.errors import InputError, shown
 from kempe.forward.fk import fk, jacobian
 from kempe.late import late
-from kempe.model.configurations import by_short_turns, circles
+from kempe.model.configurations import find_free_angles, shorten_turns
 from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, partial
 from kempe.numerics.curves import Curve, Node, node, step, walk
 from kempe.numerics.curves import inside as node_between
@@ -292,7 +292,7 @@ class _CurveTracer:
         self.longest = longest
         self.limits = limits
         system = problem.system
-        self.circle = circles(system) if limits else system.structure.coordinates.turning
+        self.circle = find_free_angles(system) if limits else system.structure.coordinates.turning
         self.idle = system.nv - len(problem.columns)
         self.broken: BaseException | None = None
         """What ended the last curve before its end."""
@@ -305,9 +305,9 @@ class _CurveTracer:
         """The shortest ways (k, n) from configurations (k, nq) to others, of the coordinates that
         count.
         """
-        v = self.problem.system.structure.layout.difference(q, to)
+        v = self.problem.system.structure.layout.compute_difference(q, to)
         columns = self.problem.columns[self.problem.counts[self.problem.columns]]
-        return (by_short_turns(v, self.circle) / self.problem.unit)[:, columns]
+        return (shorten_turns(v, self.circle) / self.problem.unit)[:, columns]
 
     def on(self, q: Array, way: Array) -> bool:
         """Whether a configuration (nq,) is on a curve (n, nq)."""

@@ -19,7 +19,7 @@ from kempe.equations.closure import Closure, close
 from kempe.equations.one_sided import one_sided_rows
 from kempe.errors import InputError
 from kempe.forward.fk import fk, jacobian
-from kempe.model.configurations import by_name, random
+from kempe.model.configurations import name_values, sample_configurations
 from kempe.numerics.rank import Level, Spectrum
 from kempe.report import Report, brief
 from kempe.spaces.rank_loss import Matrices, RankLoss, generic_rank
@@ -151,7 +151,7 @@ class NearestSingular(Report):
 
     def _data(self) -> dict[str, Any]:
         names = ("distance", "kinds", "name", "lost", "gained", "self_motion", "distances")
-        return {"q": by_name(self.system, self.q)} | {n: getattr(self, n) for n in names}
+        return {"q": name_values(self.system, self.q)} | {n: getattr(self, n) for n in names}
 
 
 def changes(lost: Array, gained: Array) -> str:
@@ -225,11 +225,11 @@ class RankQuestions:
         self.system = system
         self.frame = frame
         self.inputs = inputs
-        self.length = float(closure_rows.characteristic_length(system))
+        self.length = float(closure_rows.compute_characteristic_length(system))
         equations = Closure(system)
         self.unit = equations.unit
         self.loops = bool(len(equations.weight))
-        self.starts = random(system, rng, starts)
+        self.starts = sample_configurations(system, rng, starts)
         if self.loops:
             found = [close(equations, q) for q in self.starts]
             self.starts = np.array([q for q in found if q is not None]).reshape(-1, system.nq)
@@ -293,7 +293,9 @@ class RankQuestions:
         """
         layout = self.system.structure.layout
         found = assemble(
-            self.system, None, layout.integrate(a, t[:, None] * layout.difference(a, b))
+            self.system,
+            None,
+            layout.integrate_velocity(a, t[:, None] * layout.compute_difference(a, b)),
         )
         ok = np.asarray(found.success, dtype=bool)
         q = np.where(ok[:, None], found.q, self.system.neutral)

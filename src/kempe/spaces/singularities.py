@@ -34,15 +34,15 @@ from kempe.inverse.closed_forms.chain_lines import Lines
 from kempe.inverse.closed_forms.plan import plan_or_reason
 from kempe.late import late
 from kempe.model.configurations import (
-    by_name,
-    by_short_turns,
-    circles,
+    find_free_angles,
     has_loops,
-    one_finite,
-    random,
-    units,
+    list_units,
+    name_values,
+    read_finite_q,
+    sample_configurations,
+    shorten_turns,
 )
-from kempe.model.model import kept
+from kempe.model.model import keep_answers
 from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, begun_within, partial
 from kempe.report import Report, brief
 from kempe.spaces.rank_loss import RankLoss
@@ -91,7 +91,7 @@ def names_of(system: Model, frame: str | None, q: Array) -> list[str]:
     ]
 
 
-@kept
+@keep_answers
 def _named(system: Model, frame: str) -> tuple[Kind, Lines] | None:
     """The kind of arm and its lines, None where its branches have no names."""
     plan = plan_or_reason(system, frame, "pose", Z_AXIS)
@@ -176,7 +176,7 @@ class Singularities(Report, Tabular):
         return list(self.system.coordinate_names), np.reshape(rows, (-1, self.system.nq))
 
     def _units(self) -> dict[str, str]:
-        return units(self.system)
+        return list_units(self.system)
 
     def _notes(self, degrees: bool = False) -> list[str]:
         return [
@@ -189,9 +189,9 @@ class Singularities(Report, Tabular):
         return {"system": self.system.name} | own | {"sets": [self._set_data(s) for s in self.sets]}
 
     def _set_data(self, s: SingularSet) -> dict[str, Any]:
-        unit = units(self.system)
+        unit = list_units(self.system)
         values = ByName(s.coordinates, [unit[name] for name in s.coordinates], s.values)
-        return s.data() | {"values": values, "q": by_name(self.system, s.q)}
+        return s.data() | {"values": values, "q": name_values(self.system, s.q)}
 
     def nearest(self, q: Any) -> NearestSingular:
         """The nearest singular configuration to a closed one (nq,), of each set that was found; see
@@ -200,7 +200,7 @@ class Singularities(Report, Tabular):
         It is a local minimum of the distance, found from several points of each set. Errors:
         `InputError`.
         """
-        q = one_finite(self.system, q)
+        q = read_finite_q(self.system, q)
         found = [self._nearest(s, q) for s in self.sets]
         if not found:
             none = np.zeros((0, 6))
@@ -342,7 +342,9 @@ class Singularities(Report, Tabular):
 
     def _apart(self, x: Array, q: Array) -> Array:
         """How far (k,) configurations x (k, nq) are from q, unlimited turns the short way."""
-        v = by_short_turns(self.system.structure.layout.difference(q, x), circles(self.system))
+        v = shorten_turns(
+            self.system.structure.layout.compute_difference(q, x), find_free_angles(self.system)
+        )
         return np.linalg.norm((v / self.questions.unit)[:, self.questions.columns], axis=1)
 
 
@@ -501,7 +503,9 @@ def _task(system: Model, frame: str | None, task: str | None, loops: bool) -> st
         return known("task", task, OF_FRAMES if system.dim == 3 else OF_FRAMES[:3])
     if frame is None or loops:
         return "pose"
-    joints = np.abs(jacobian(system, random(system, 0, 8), frame)).max(axis=(0, 1)) > 0.0
+    joints = (
+        np.abs(jacobian(system, sample_configurations(system, 0, 8), frame)).max(axis=(0, 1)) > 0.0
+    )
     return "pose" if joints.sum() >= (3 if system.dim == 2 else 4) else "position"
 
 
@@ -558,7 +562,7 @@ def _distinct(system: Model, x: Array, deciding: tuple[int, ...]) -> Array:
     """Values (k, n) that differ, sorted; turns that differ by full turns are the same where they
     have no limits.
     """
-    circle = circles(system)[list(deciding)]
+    circle = find_free_angles(system)[list(deciding)]
     keep: list[Array] = []
     row: Array
     for row in x[np.lexsort(np.round(x, 6).T[::-1])]:

@@ -20,8 +20,14 @@ from kempe.equations.packed_tasks import count, jacobian, units
 from kempe.errors import InputError, shown
 from kempe.forward.fk import fk
 from kempe.mobility.independent import tangent_space
-from kempe.model.characteristic_length import characteristic_length
-from kempe.model.configurations import by_name, has_loops, mid, one_finite, random
+from kempe.model.characteristic_length import compute_characteristic_length
+from kempe.model.configurations import (
+    compute_mid_configuration,
+    has_loops,
+    name_values,
+    read_finite_q,
+    sample_configurations,
+)
 from kempe.numerics.clock import SHORT, time_limited, time_of
 from kempe.numerics.rank import Level, Spectrum
 from kempe.report import Report, Table, brief
@@ -60,7 +66,7 @@ def image_ranks(
     loops = has_loops(system)
     N = np.eye(system.nv)
     scale = closure_rows.scales(system)
-    length = characteristic_length(system)
+    length = compute_characteristic_length(system)
     row_unit = np.where(metres, length, 1.0)[:, None]
     far = np.abs(fk(system, q)[..., :3, 3]).max(axis=(-2, -1), initial=0.0) / length
     for x, J, away in zip(q, rates, far.tolist(), strict=True):
@@ -182,7 +188,7 @@ class TaskSpace(Report):
             "samples",
         )
         own = {name: getattr(self, name) for name in names}
-        return {"system": self.system.name} | own | {"q": by_name(self.system, self.q)}
+        return {"system": self.system.name} | own | {"q": name_values(self.system, self.q)}
 
 
 @explained
@@ -214,7 +220,7 @@ def task_space(
     wanted, name, frame = _wanted(system, tasks, task)
     rng = generator(spend.rng)
     drawn = _drawn(system, start_count(spend.starts, DRAWN), rng)
-    at = drawn[0] if q is None else one_finite(system, q)
+    at = drawn[0] if q is None else read_finite_q(system, q)
     every = np.concatenate([at[None], drawn])
     m = sum(count(system, t) for t in wanted)
     metres = np.array([unit == "m" for t in wanted for unit in units(system, t)])
@@ -239,7 +245,11 @@ def task_space(
     image = dict[str, tuple[float, float]]()
     p = np.empty((0, 3))
     if frame is not None:
-        seen = drawn if has_loops(system) else np.concatenate([drawn, random(system, rng, SEEN)])
+        seen = (
+            drawn
+            if has_loops(system)
+            else np.concatenate([drawn, sample_configurations(system, rng, SEEN)])
+        )
         seen = seen[Manifold(system, 1).inside(seen)]
         p = fk(system, seen, frame, form="position")
     if frame is not None and len(p):
@@ -269,7 +279,7 @@ def _wanted(
     kind = "pose" if task is None else task
     if kind not in OF_FRAMES:
         raise InputError(f"task is {task!r}; it must be one of {', '.join(map(repr, OF_FRAMES))}")
-    X = fk(system, mid(system), frame)
+    X = fk(system, compute_mid_configuration(system), frame)
     made: Any = KINDS[kind]
     return [made(frame, X if kind == "pose" else X[:3, 3])], f"{kind} of {frame!r}", frame
 
@@ -277,7 +287,7 @@ def _wanted(
 def _drawn(system: Model, count: int, rng: np.random.Generator) -> Array:
     """Random configurations (k, nq), closed where there are loops."""
     if not has_loops(system):
-        return random(system, rng, count)
+        return sample_configurations(system, rng, count)
     q = Manifold(system, 1).drawn(rng, count)
     if not len(q):
         raise InputError(

@@ -23,7 +23,12 @@ from kempe.forward.fk import fk
 from kempe.inverse.ik_all import ik_all
 from kempe.mobility.independent import tangent_space
 from kempe.mobility.mobility import mobility
-from kempe.model.configurations import by_short_turns, circles, has_loops, sampling_box
+from kempe.model.configurations import (
+    compute_sampling_box,
+    find_free_angles,
+    has_loops,
+    shorten_turns,
+)
 from kempe.numerics.clock import BROKEN_OFF, TimeLimit
 from kempe.numerics.newton import gauss_newton_of_many
 from kempe.numerics.rank import Spectrum
@@ -350,14 +355,17 @@ class TwoFreedoms:
         velocity = system.structure.velocity_names
         self.at = [velocity.index(n) for n in names]
         self.columns = [system.coordinate_names.index(n) for n in names]
-        self.turns = circles(system)[self.at]
+        self.turns = find_free_angles(system)[self.at]
         for i, name in zip(self.at, names, strict=True):
-            if not circles(system)[i] and not np.isfinite([system.lower[i], system.upper[i]]).all():
+            if (
+                not find_free_angles(system)[i]
+                and not np.isfinite([system.lower[i], system.upper[i]]).all()
+            ):
                 raise InputError(
                     f"{name!r} has no limits on both sides, and a picture has an end: "
                     f"with_limits({{{name!r}: (low, high)}}) gives it one"
                 )
-        self.low, self.high = (x[self.at] for x in sampling_box(system))
+        self.low, self.high = (x[self.at] for x in compute_sampling_box(system))
         self.manifold = Manifold(system, 2)
         self.rows = one_sided_rows(system)
         self.solver = NodeSolver(self.manifold)
@@ -421,7 +429,7 @@ class TwoFreedoms:
         rates = np.eye(self.system.nv)[self.at]
 
         def missing(q: Array, node: np.ndarray) -> tuple[Array, Array]:
-            off = by_short_turns(q[:, self.columns] - values[node], turning)
+            off = shorten_turns(q[:, self.columns] - values[node], turning)
             return off / scale, np.broadcast_to(rates, (len(q), *rates.shape))
 
         return missing
@@ -700,7 +708,7 @@ def _plan(system: Model) -> Plan | None:
 def _moves(plan: Plan) -> bool:
     """Whether there are configurations over an area of the known coordinates."""
     at = [plan.system.structure.velocity_names.index(n) for n in plan.known]
-    low, high = (x[at] for x in sampling_box(plan.system))
+    low, high = (x[at] for x in compute_sampling_box(plan.system))
     return bool(plan.all(np.random.default_rng(0).uniform(low, high, (512, 2)))[1].any())
 
 
@@ -719,7 +727,7 @@ def _pair(system: Model) -> tuple[str, ...]:
     at = [[names.index(n) for n in pair] for pair in pairs]
     # the area that rates of two coordinates span: what spins idly adds nothing
     areas = [float(np.median([np.prod(Spectrum(x[i]).values[:2]) for x in N])) for i in at]
-    ended = circles(system) | (np.isfinite(system.lower) & np.isfinite(system.upper))
+    ended = find_free_angles(system) | (np.isfinite(system.lower) & np.isfinite(system.upper))
     driving = set(pairs[0]) == {names[i] for i in find_driven_velocities(system, None) or ()}
     good = [
         k

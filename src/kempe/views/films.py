@@ -14,7 +14,7 @@ import numpy as np
 from kempe.arguments import explained
 from kempe.description.source import expanded
 from kempe.errors import InputError, UnsupportedError, shown
-from kempe.model.configurations import has_loops, interpolate
+from kempe.model.configurations import has_loops, interpolate_configurations
 from kempe.spatial import Array
 from kempe.views.drawing import page
 from kempe.views.drawing.plot_request import motion_of
@@ -119,7 +119,7 @@ def _evenly(system: Model, q: Array, count: int) -> Array:
     if len(q) >= count or len(q) < 2 or has_loops(system):
         return q[at.round().astype(int)]
     low = np.minimum(at.astype(int), len(q) - 2)
-    return np.asarray(interpolate(system, q[low], q[low + 1], at - low))
+    return np.asarray(interpolate_configurations(system, q[low], q[low + 1], at - low))
 
 
 def _write(drawing: Any, subjects: list[Any], out: Path, fps: float) -> None:

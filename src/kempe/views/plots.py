@@ -18,10 +18,10 @@ from kempe.arrays import is_sequence, reals
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.forward.fk import fk
 from kempe.model.configurations import (
-    as_q,
     has_loops,
-    integrate,
-    units,
+    integrate_velocity,
+    list_units,
+    read_q,
 )
 from kempe.spatial import Array
 from kempe.views.drawing import page, style
@@ -189,7 +189,7 @@ def subject_of(
         {n: fk(system, q, n) for n in names},
         {n: fk(system, q, n) for n in axes},
         _workspace(system, options),
-        units=units(system),
+        units=list_units(system),
     )
 
 
@@ -265,7 +265,7 @@ def plot_path(
     if system is None:
         raise InputError("the path does not say which system it belongs to; give it as `system`")
     over, along = next(((n, a) for n, a in ALONG.items() if hasattr(path, a)), ("row", ""))
-    q = as_q(system, path.q)
+    q = read_q(system, path.q)
     s = (
         reals(getattr(path, along), "the arc length of the path")
         if along
@@ -284,7 +284,7 @@ def plot_path(
         if ax is None
         else page.axes_given(ax)[0]
     )
-    unit = units(system)
+    unit = list_units(system)
     for k, name in enumerate(chosen):
         i = known.index(name)
         how: dict[str, Any] = {
@@ -341,10 +341,11 @@ def _neighbours(system: Model, q: Array) -> Array:
     if has_loops(system) or not 0 < system.nv <= FEW:
         return np.zeros((0, system.nq))
     slides = [
-        unit == "m" for unit in (units(system).get(n, "") for n in system.structure.velocity_names)
+        unit == "m"
+        for unit in (list_units(system).get(n, "") for n in system.structure.velocity_names)
     ]
     steps = np.diag([SLIDE * look(system, q).size if slide else TURN for slide in slides])
-    return np.concatenate([integrate(system, q, sign * steps) for sign in (-1.0, 1.0)])
+    return np.concatenate([integrate_velocity(system, q, sign * steps) for sign in (-1.0, 1.0)])
 
 
 def plot_history(history: Any, ax: Axes | None = None) -> Axes:

@@ -18,7 +18,7 @@ from kempe.constraints.flat_tasks import FlatTask, flat_task
 from kempe.equations.judge import closure_error
 from kempe.errors import InputError, Interrupted, TimeLimitError, UnsupportedError, shown
 from kempe.forward.fk import fk, jacobian
-from kempe.model.configurations import as_q, has_loops, refuse_far, units
+from kempe.model.configurations import has_loops, list_units, read_q, refuse_far
 from kempe.motion.trace import trace
 from kempe.numerics.clock import TIME_LIMIT, TimeLimit, partial
 from kempe.spaces.two_freedoms import NEEDED, TwoFreedoms, two_freedoms
@@ -180,7 +180,7 @@ def _configurations(system: Model, q: Any) -> Array:
     """A configuration (nq,), or a line (n, nq) of an answer or an array, without rows that are NaN.
     Errors: `InputError`.
     """
-    array = as_q(system, getattr(q, "q", q))
+    array = read_q(system, getattr(q, "q", q))
     if array.ndim > 2:
         raise InputError(
             f"q has shape {array.shape}; it must be ({system.nq},) or (n, {system.nq})"
@@ -613,7 +613,7 @@ def _finish(
     space: TwoFreedoms, left: Any, right: Any, curves: Any, first: int, motions: list[Array]
 ) -> None:
     """Say what the axes, the shades and the lines are."""
-    unit = units(space.system)
+    unit = list_units(space.system)
     for ax in (left, right):
         page.light_axes(ax)
         ax.ticklabel_format(style="sci", scilimits=(-3, 4))

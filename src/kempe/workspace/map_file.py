@@ -35,7 +35,7 @@ from kempe.forward.fk import fk
 from kempe.inverse.ik import ik
 from kempe.inverse.ik_all import ik_all
 from kempe.kernels.compiled import VARIANT
-from kempe.model.configurations import as_q, as_start, has_loops, q_from_dict, units
+from kempe.model.configurations import has_loops, list_units, make_q, read_q, read_start
 from kempe.numerics.clock import BROKEN_OFF, TimeLimit, partial
 from kempe.numerics.pool import thread_count
 from kempe.report import Report, Table, brief
@@ -136,7 +136,7 @@ class RowJob:
         `InputError`.
         """
         if self.columns is None:
-            return as_q(self.system, rows)
+            return read_q(self.system, rows)
         missing = [name for name in self.system.coordinate_names if name not in self.columns]
         if missing and has_loops(self.system):
             every = ", ".join(self.system.coordinate_names)
@@ -144,7 +144,7 @@ class RowJob:
                 f"column {missing[0]!r} is missing, which the loops of {self.system.name!r} "
                 f"decide: give all of {every}, or map assemble first"
             )
-        return q_from_dict(self.system, self.by_name(rows))
+        return make_q(self.system, self.by_name(rows))
 
     def by_name(self, rows: Array) -> dict[str, Array]:
         """The columns (n,) by their names, angles in radians. Errors: `InputError`."""
@@ -152,7 +152,7 @@ class RowJob:
             raise InputError(
                 "the columns have no names: name the known coordinates by columns=(...)"
             )
-        unit = units(self.system)
+        unit = list_units(self.system)
         turns = [name for name in self.columns if self.degrees and unit.get(name) == "rad"]
         return {
             name: np.radians(x) if name in turns else x
@@ -185,7 +185,7 @@ class RowJob:
     def axes(self) -> dict[str, list[str]]:
         """What stands along the axes that have names."""
         q = list(self.system.coordinate_names)
-        unit = units(self.system)
+        unit = list_units(self.system)
         return {
             "coordinate": q,
             "unit": [unit[name] or "1" for name in q],
@@ -312,7 +312,7 @@ def job_of(
     if chosen.needs_frame and frame is None:
         raise InputError(f"{verb} needs a frame")
     if given.get("start") is not None:
-        start = as_start(system, given["start"])
+        start = read_start(system, given["start"])
         if np.ndim(start) != 1:
             raise InputError(f"start must be one configuration ({system.nq},)")
         if not np.isfinite(start).all():

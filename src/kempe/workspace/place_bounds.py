@@ -23,8 +23,8 @@ from kempe.kernels.forward.table_layout import (
     placements_of,
     rows_of,
 )
-from kempe.model.model import kept
-from kempe.model.primitive_table import local_chain
+from kempe.model.model import keep_answers
+from kempe.model.primitive_table import extract_chain
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 # reaches it.
 
 
-@kept
+@keep_answers
 def legs_of(system: Model, frame: str) -> tuple[Model, ...]:
     """The legs to a frame, each a system with that frame; none where the mechanism is not made of
     two legs or more.
@@ -120,7 +120,7 @@ class PlaceBounds(NamedTuple):
     slack: float
 
 
-@kept
+@keep_answers
 def place_bounds(system: Model, frame: str) -> tuple[PlaceBounds, ...]:
     """What bounds the places of a frame: of each leg to it, or of its chain."""
     return tuple(_bounds(part, frame) for part in legs_of(system, frame) or (system,))
@@ -141,8 +141,8 @@ def possible_places(system: Model, frame: str, points: Array) -> np.ndarray:
 
 
 def _bounds(system: Model, frame: str) -> PlaceBounds:
-    table, _, v_index = local_chain(system.structure.table, frame)
-    ints, floats = table.pack([frame])
+    table, _, v_index = extract_chain(system.structure.table, frame)
+    ints, floats = table.pack_arrays([frame])
     limits = system.structure.limits[v_index].T
     shells = tuple(b for b in reach_bounds(ints, floats, limits) if not b.point.any())
     rows = rows_of(ints)

@@ -23,8 +23,8 @@ from kempe.inverse.closed_forms.plan import plan_or_reason
 from kempe.inverse.ik import ik
 from kempe.inverse.ik_all import ik_all
 from kempe.late import late
-from kempe.model.characteristic_length import characteristic_length
-from kempe.model.configurations import by_name, has_loops, units
+from kempe.model.characteristic_length import compute_characteristic_length
+from kempe.model.configurations import has_loops, list_units, name_values
 from kempe.numerics.clock import BROKEN_OFF, TimeLimit, partial
 from kempe.numerics.clock import LONG as CLOCK_LONG
 from kempe.poses import refuse_no_poses, sound
@@ -96,7 +96,7 @@ def manipulability(system: Model, frame: str, q: Array, task: str) -> Array:
     """
     axes = twist_rows(task, system.dim)
     J = jacobian(system, q, frame, "body")[..., axes, :]
-    J[..., np.asarray(axes) < 3, :] /= float(characteristic_length(system))
+    J[..., np.asarray(axes) < 3, :] /= float(compute_characteristic_length(system))
     J = J[..., np.abs(J).reshape(-1, J.shape[-1]).max(axis=0, initial=0.0) > 0.0]
     wide = J.shape[-1] >= J.shape[-2]
     G = J @ np.swapaxes(J, -1, -2) if wide else np.swapaxes(J, -1, -2) @ J
@@ -309,7 +309,7 @@ class ReachStudy(Study, Tabular):
         return list(self.system.coordinate_names), q
 
     def _units(self) -> dict[str, str]:
-        return units(self.system)
+        return list_units(self.system)
 
     def _notes(self, degrees: bool = False) -> list[str]:
         if not self.reached.any():
@@ -326,7 +326,7 @@ class ReachStudy(Study, Tabular):
         return lines + [f"... and {len(blocked) - SHOWN} more"] * (len(blocked) > SHOWN)
 
     def _data(self) -> dict[str, Any]:
-        more = {"codes": named(self.codes), "q": by_name(self.system, self.q)}
+        more = {"codes": named(self.codes), "q": name_values(self.system, self.q)}
         reasons = {str(i): text for i, text in self.reasons.items()}
         return super()._data() | more | {"reasons": reasons}
 

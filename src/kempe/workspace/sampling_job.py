@@ -21,8 +21,14 @@ from kempe.errors import InputError
 from kempe.forward.fk import chain_table, fk
 from kempe.kernels.compiled import VARIANT, lane_positions
 from kempe.kernels.forward.table_layout import Q_INDEX, rows_of
-from kempe.model.characteristic_length import characteristic_length
-from kempe.model.configurations import circles, has_loops, mid, random, sampling_box
+from kempe.model.characteristic_length import compute_characteristic_length
+from kempe.model.configurations import (
+    compute_mid_configuration,
+    compute_sampling_box,
+    find_free_angles,
+    has_loops,
+    sample_configurations,
+)
 from kempe.spatial import Array
 from kempe.version import __version__
 from kempe.words import joined
@@ -217,7 +223,7 @@ def _mix(state: int, counter: int) -> int:
 
 def bounds_of(system: Model) -> Array:
     """Lower end and range (nq, 2) of what is drawn of each coordinate; quaternions have none."""
-    low, high = sampling_box(system)
+    low, high = compute_sampling_box(system)
     layout = system.structure.layout
     out = np.zeros((system.nq, 2))
     out[layout.vector_q, 0] = low[layout.vector_v]
@@ -242,14 +248,18 @@ def closed_configurations(
     """Random configurations (count, nq), brought to where loops are closed, and where (count,) all
     constraints hold.
     """
-    q = random(system, np.random.Generator(np.random.Philox(key=[seed, piece])), count)
+    q = sample_configurations(
+        system, np.random.Generator(np.random.Philox(key=[seed, piece])), count
+    )
     good = np.ones(len(q), dtype=bool)
     if has_loops(system):
         answer = assemble(system, None, q)
         q = answer.q
         good = np.asarray(answer.success, dtype=bool)
     rows = one_sided_rows(system)
-    good &= (rows.beyond(np.where(good[:, None], q, mid(system))) == 0.0).all(axis=1)
+    good &= (rows.beyond(np.where(good[:, None], q, compute_mid_configuration(system))) == 0.0).all(
+        axis=1
+    )
     return q, good
 
 
@@ -284,7 +294,7 @@ def recipe_of(
     if not np.isfinite(points).all():
         raise InputError(f"positions of {frame!r} are not finite: a limit is too large")
     extent = np.stack([points.min(axis=0), points.max(axis=0)])
-    length = characteristic_length(system) or 1.0
+    length = compute_characteristic_length(system) or 1.0
     if not (extent[1] - extent[0] > 1e-9 * length).any():
         where = ", ".join(f"{x:.6g}" for x in extent[0][: system.dim])
         raise InputError(f"frame {frame!r} does not move: it is always at ({where})")
@@ -342,7 +352,7 @@ def _of_orientations(cells: Any, box: Any, dim: int) -> Grid:
 def unlimited(system: Model, frame: str) -> list[str]:
     """Names of coordinates that move a frame without end."""
     layout = system.structure.layout
-    circle = circles(system)
+    circle = find_free_angles(system)
     if not has_loops(system):
         used = set(rows_of(chain_table(system, frame)[0])[:, Q_INDEX].tolist())
     else:  # what is not driven may be held by loops

@@ -23,9 +23,9 @@ from kempe.kernels.forward.table_layout import (
     rows_of,
     tip_of,
 )
-from kempe.model.gauge import regauge
-from kempe.model.model import kept
-from kempe.model.primitive_table import local_chain
+from kempe.model.gauge import regauge_table
+from kempe.model.model import keep_answers
+from kempe.model.primitive_table import extract_chain
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def chain_of(system: Model, name: str, axis: tuple[float, float, float] = Z_AXIS
     return _packed(system, name, axis)
 
 
-@kept
+@keep_answers
 def _packed(system: Model, name: str, axis: tuple[float, float, float]) -> Chain:
     return _chain(system, name) if axis == Z_AXIS else _turned(chain_of(system, name), axis)
 
@@ -77,15 +77,15 @@ def _chain(system: Model, name: str) -> Chain:
     refusal = obstacle(system, name)
     if refusal is not None:
         raise UnsupportedError(refusal)
-    table, q_index, v_index = local_chain(system.structure.table, name)
-    packed = table.pack([name], table.path(name))
+    table, q_index, v_index = extract_chain(system.structure.table, name)
+    packed = table.pack_arrays([name], table.find_path(name))
     limits = np.ascontiguousarray(system.structure.limits[v_index].T)
     largest = float(np.abs(packed[1]).max(initial=0.0))
     if not largest < LARGEST:
         raise UnsupportedError(
             f"the chain of {name!r} has a length of {largest:.3g} m; it must be below {LARGEST:g} m"
         )
-    ints, floats = regauge(*packed)
+    ints, floats = regauge_table(*packed)
     circular = np.zeros(len(v_index), dtype=np.int64)
     wide = np.subtract(limits[1], limits[0]) >= 2.0 * math.pi
     for iv in range(len(v_index)):
@@ -141,7 +141,7 @@ def of_loops(system: Model, name: str) -> bool:
     return any(words in why for words in (" moves with the loop ", " moves with the constraint "))
 
 
-@kept
+@keep_answers
 def shared_by(system: Model, frame: str) -> bool:
     """Whether two motions of the chain of a frame share a coordinate, and none is a ball."""
     if obstacle(system, frame) is not None:
@@ -150,10 +150,10 @@ def shared_by(system: Model, frame: str) -> bool:
     return not np.any(rows[:, KIND] == BALL) and len(set(rows[:, Q_INDEX].tolist())) < len(rows)
 
 
-@kept
+@keep_answers
 def obstacle(system: Model, name: str) -> str | None:
     """Why no open chain leads to a frame, such as a loop that moves it; None if one does."""
-    moving = {int(i) for i in local_chain(system.structure.table, name)[2]}
+    moving = {int(i) for i in extract_chain(system.structure.table, name)[2]}
     used = {system.structure.velocity_names[i] for i in moving}
     for closure in system.structure.closures:
         if used & loop_coordinates(system, closure):
@@ -170,7 +170,7 @@ def obstacle(system: Model, name: str) -> str | None:
     if any(c.equations(system.dim) for c in system._mechanism.constraints.values()):
         loops = full(system, False)
         for k, tie in enumerate(loops.ties):
-            if tie.name in system._mechanism.constraints and moving & set(loops.columns(k)):
+            if tie.name in system._mechanism.constraints and moving & set(loops.list_columns(k)):
                 return (
                     f"frame {name!r} moves with the constraint {tie.name!r}: no chain of its own "
                     "leads there"

@@ -29,7 +29,7 @@ from kempe.kernels.forward.table_layout import (
     placements_of,
     rows_of,
 )
-from kempe.model.model import kept
+from kempe.model.model import keep_answers
 from kempe.numerics.rank import Spectrum
 from kempe.spatial import Array
 
@@ -228,7 +228,7 @@ def _apart(h: Array, o: Array, g: Array, p: Array) -> float:
     return abs(float(n @ d)) / size
 
 
-@kept
+@keep_answers
 def chain_lines(system: Model, frame: str, axis: tuple[float, float, float]) -> Lines:
     """The lines of the frame's chain, its tip turned so that its z axis is the tool's `axis`."""
     lines = lines_of(system, frame)

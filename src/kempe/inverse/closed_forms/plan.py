@@ -23,7 +23,7 @@ from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.closed_form.analytic_layout import X_FIRST, Z_FIRST
 from kempe.kernels.compiled import candidates
 from kempe.kernels.forward.table_layout import SLIDE, TURN
-from kempe.model.model import kept
+from kempe.model.model import keep_answers
 from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 
@@ -760,7 +760,7 @@ def plan_for(
     return _plan(system, frame, task, axis, tuple(sorted(lines.names.index(n) for n in fixed)))
 
 
-@kept
+@keep_answers
 def _plan(
     system: Model, frame: str, task: str, axis: tuple[float, float, float], at: tuple[int, ...]
 ) -> ChainPlan:

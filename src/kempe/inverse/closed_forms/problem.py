@@ -12,7 +12,7 @@ import numpy as np
 
 from kempe.arrays import reals, within_range
 from kempe.errors import InputError, UnknownNameError
-from kempe.model.configurations import as_start
+from kempe.model.configurations import read_start
 from kempe.numerics.clock import TimeLimit
 from kempe.spatial import Array
 
@@ -122,7 +122,7 @@ def near_of(system: Model, near: Any, lead: tuple[int, ...] | None) -> Array | N
     """Configurations (1 or N, nq) near which angles are given; None for none. Errors: `InputError`."""
     if near is None:
         return None
-    q = as_start(system, near)
+    q = read_start(system, near)
     if q.ndim > 1 and q.shape[:-1] != (lead or ()):
         each = f" or {(*lead, system.nq)}" if lead else ""
         raise InputError(f"start has shape {q.shape}; it must be ({system.nq},){each}")

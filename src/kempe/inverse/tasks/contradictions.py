@@ -16,8 +16,8 @@ from kempe import spatial
 from kempe.constraints.base import Op
 from kempe.joints import P
 from kempe.kernels.constraints import loop_layout as L
-from kempe.model.constraint_program import between
-from kempe.model.own_tree import own_tree
+from kempe.model.constraint_program import get_row_bounds
+from kempe.model.own_tree import remove_cut_marks
 from kempe.poses import EXACT as RIGID
 from kempe.spatial import Array
 
@@ -86,7 +86,7 @@ def contradictory(problem: Demands) -> np.ndarray:
 def _held(problem: Demands, i: int) -> BodyDemand | None:
     """What a task says of one body; None for tasks of other kinds."""
     task = problem.tasks[i]
-    system = own_tree(problem.system)
+    system = remove_cut_marks(problem.system)
     goal = problem.goals[i].pose
     shape = task.frame_shape
     a, b = task.frames
@@ -103,7 +103,9 @@ def _held(problem: Demands, i: int) -> BodyDemand | None:
     point = shape.point and not task.bounded
     if shape.mask and not point:
         rows = [r for r in task.rows if r.op is Op.POINT]
-        low, high = np.array([between(task.of, r) if task.bounded else (0.0, 0.0) for r in rows]).T
+        low, high = np.array(
+            [get_row_bounds(task.of, r) if task.bounded else (0.0, 0.0) for r in rows]
+        ).T
         region = Region(shape.axes, low, high)
     local = X @ np.reshape(task.tool, (4, 4))
     axis = shape.turns == L.ALIGN
@@ -115,7 +117,7 @@ def _between(problem: Demands, a: BodyDemand, b: BodyDemand) -> list[Exclusion]:
     if a.row != b.row:
         if not (a.point and b.point):
             return []
-        longest = longest_between(own_tree(problem.system), a, b)
+        longest = longest_between(remove_cut_marks(problem.system), a, b)
         apart = np.linalg.norm(a.goal[..., :3, 3] - b.goal[..., :3, 3], axis=-1)
         slack = longest + a.linear + b.linear + SLACK * (1.0 + apart)
         return [Exclusion("links", np.where(apart > slack, apart, 0.0), longest)]

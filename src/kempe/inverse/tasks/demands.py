@@ -19,9 +19,9 @@ from kempe.equations.tasks import Goal, Task
 from kempe.inverse.chain.serial_chain import inside
 from kempe.kernels.base import search_layout as S
 from kempe.kernels.compiled import task_search
-from kempe.model.configurations import random
+from kempe.model.configurations import sample_configurations
 from kempe.model.kernel_functions import Callback
-from kempe.model.model import keep
+from kempe.model.model import store_answer
 from kempe.numerics.clock import EndReached, clock, up_at
 from kempe.numerics.pool import over_chunks
 from kempe.spatial import Array
@@ -51,7 +51,7 @@ def apart(packed: Packed, pins: Array) -> np.ndarray:
     if found is None:
         if not len(pins):
             return NONE
-        q = random(packed.system, 0, SAMPLES)
+        q = sample_configurations(packed.system, 0, SAMPLES)
         (_, tasks), (_, loops) = (packed.evaluate(q, pins[:1], c) for c in (False, True))
         if not (np.isfinite(tasks).all() and np.isfinite(loops).all()):
             return NONE
@@ -283,7 +283,7 @@ class Demands:
         if found is None:
             hard = [i for i, used in enumerate(self.use) if used and self.tasks[i].weight is None]
             allowed = np.array([self.tolerance_of(self.tasks[i]) for i in hard]).reshape(-1, 2)
-            found = keep(self.packed.stages, key, (*self._staged(), hard, allowed), KEPT)
+            found = store_answer(self.packed.stages, key, (*self._staged(), hard, allowed), KEPT)
         return found
 
     def _staged(self) -> tuple[np.ndarray, Array]:

@@ -61,7 +61,7 @@ class Local:
         self.problem = problem
         self.hard = [i for i, t in enumerate(problem.tasks) if t.weight is None and problem.use[i]]
         ties = packed.loops.ties
-        equal = np.repeat([not t.bounds for t in ties], [len(t.rows) for t in ties])[
+        equal = np.repeat([not t.bounds for t in ties], [len(t.row_names) for t in ties])[
             packed.rows >= 0
         ]
         self._use = np.isin(packed.rows[packed.rows >= 0], self.hard) & equal
@@ -100,11 +100,16 @@ class Local:
 
     def move(self, x: Array, y: Array) -> Array:
         """The configuration (nq,) a step y (nv,) from x."""
-        return self.problem.system.structure.layout.integrate(x, y * self.problem.packed.scale)
+        return self.problem.system.structure.layout.integrate_velocity(
+            x, y * self.problem.packed.scale
+        )
 
     def between(self, x: Array, other: Array) -> Array:
         """The step (nv,) from x to another configuration."""
-        return self.problem.system.structure.layout.difference(x, other) / self.problem.packed.scale
+        return (
+            self.problem.system.structure.layout.compute_difference(x, other)
+            / self.problem.packed.scale
+        )
 
     def led(self, q: Array) -> Array:
         """The nearest configuration (nq,) where the equations hold as well as they can, by least
@@ -245,7 +250,7 @@ def movers(problem: Demands, hard: list[int]) -> tuple[np.ndarray, np.ndarray]:
     Also which equations (m,) of loops and relations these velocities are in.
     """
     packed = problem.packed
-    columns = [set(packed.loops.columns(k)) for k in range(len(packed.loops.ties))]
+    columns = [set(packed.loops.list_columns(k)) for k in range(len(packed.loops.ties))]
     loops = [
         k for k in range(len(columns)) if packed.owner[k] < 0 and not packed.loops.ties[k].bounds
     ]
@@ -253,7 +258,7 @@ def movers(problem: Demands, hard: list[int]) -> tuple[np.ndarray, np.ndarray]:
     while more := {v for k in loops if columns[k] & found for v in columns[k]} - found:
         found |= more
     of_ties = np.array([bool(c & found) for c in columns], dtype=bool)
-    rows = np.repeat(of_ties, [len(t.rows) for t in packed.loops.ties])
+    rows = np.repeat(of_ties, [len(t.row_names) for t in packed.loops.ties])
     return np.array(sorted(found), dtype=np.int64), rows[packed.rows == -1]
 
 

@@ -15,9 +15,9 @@ import numpy as np
 from kempe.equations.tasks import Goal, Task
 from kempe.inverse.chain.length_bounds import ReachBound, by_lengths, reach_bounds
 from kempe.kernels.constraints import loop_layout as L
-from kempe.model.gauge import regauge
-from kempe.model.own_tree import own_tree
-from kempe.model.primitive_table import local_chain
+from kempe.model.gauge import regauge_table
+from kempe.model.own_tree import remove_cut_marks
+from kempe.model.primitive_table import extract_chain
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ def beyond(problem: Demands, task: Task, goal: Goal) -> Array:
     It is a lower bound of the error in its place; zero where lengths say nothing, or within the
     tolerances.
     """
-    system = own_tree(problem.system)
+    system = remove_cut_marks(problem.system)
     none = np.zeros((1, 2))
     shape = task.frame_shape
     pose = goal.pose
@@ -64,11 +64,11 @@ def beyond(problem: Demands, task: Task, goal: Goal) -> Array:
 
 def _bounds(system: Model, frame: str, tool: Array) -> tuple[list[ReachBound], int]:
     """Bounds for the point that a task holds, and how many coordinates move it."""
-    table, _, v_index = local_chain(system.structure.table, frame)
+    table, _, v_index = extract_chain(system.structure.table, frame)
     row, X, particle = table.at[frame]
     table = replace(table, at={frame: (row, X @ tool, particle)})
-    packed = table.pack([frame])
+    packed = table.pack_arrays([frame])
     limits = system.structure.limits[v_index].T
-    return [b for arrays in (packed, regauge(*packed)) for b in reach_bounds(*arrays, limits)], len(
-        v_index
-    )
+    return [
+        b for arrays in (packed, regauge_table(*packed)) for b in reach_bounds(*arrays, limits)
+    ], len(v_index)

@@ -29,10 +29,16 @@ from kempe.inverse.tasks.reach_bounds import unreachable
 from kempe.joints import P
 from kempe.kernels.base import search_layout as S
 from kempe.kernels.constraints import loop_layout as L
-from kempe.model.configurations import as_start, home_of, mid, random, refuse_far
+from kempe.model.configurations import (
+    compute_mid_configuration,
+    find_home,
+    read_start,
+    refuse_far,
+    sample_configurations,
+)
 from kempe.model.kernel_functions import Callback
-from kempe.model.model import keep, kept
-from kempe.model.own_tree import own_tree
+from kempe.model.model import keep_answers, store_answer
+from kempe.model.own_tree import remove_cut_marks
 from kempe.numerics.clock import EndReached, TimeLimit
 from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
@@ -56,7 +62,7 @@ def near_target(problem: Demands, home: Array) -> Array:
     So a drive over the plane begins beside its target; what is near stays. A base that flies is
     moved by the kernels.
     """
-    system = own_tree(problem.system)
+    system = remove_cut_marks(problem.system)
     base = _slides(system)
     if not len(base) or problem.packed.loops.plan[L.BASE_TIE] >= 0:
         return home[None]
@@ -91,7 +97,7 @@ def near_target(problem: Demands, home: Array) -> Array:
     return home[None]
 
 
-@kept
+@keep_answers
 def _slides(system: Model) -> list[int]:
     """Velocity coordinates without limits that slide along axes that nothing turns."""
     table = system.structure.table
@@ -126,7 +132,7 @@ def least(problem: Demands, prefer: Any) -> Callback:
     else:
         callback = Callback(problem.system, 1, _of_user(problem, prefer))
     callback.scale = problem.packed.scale
-    return callback.made_by(least, problem, prefer)
+    return callback.remember_maker(least, problem, prefer)
 
 
 def log_manipulability(problem: Demands, q: Array) -> Array:
@@ -156,7 +162,7 @@ def _with_differences(
     )
 
     def work(q: Array) -> tuple[Any, Array]:
-        f = function(system.structure.layout.integrate(q, steps))
+        f = function(system.structure.layout.integrate_velocity(q, steps))
         return f[-1:], ((f[: system.nv] - f[system.nv : -1]) / (2.0 * REAL_STEP))[None]
 
     return work
@@ -166,7 +172,7 @@ def _of_user(
     problem: Demands, function: Callable[[Array], Any]
 ) -> Callable[[Array], tuple[Any, Array]]:
     layout = problem.system.structure.layout
-    q0 = random(problem.system, 0)
+    q0 = sample_configurations(problem.system, 0)
     if checked_value("prefer", function, q0).size != 1:
         raise InputError(
             "what is preferred must be one number: a function of q (nq,) to be made least"
@@ -357,7 +363,7 @@ def packed_for(system: Model, tasks: tuple[Task, ...], turns: bool) -> Packed:
     if found is None:
         found = Packed(system, tasks, turns=turns, levels=levels, closing=ideal_of(system))
         if all(t.lasting for t in tasks):
-            keep(answers, key, found, KEPT)
+            store_answer(answers, key, found, KEPT)
     return found
 
 
@@ -369,7 +375,7 @@ def solve(
     rows: np.ndarray | None = None,
 ) -> tuple[Array, np.ndarray]:
     """Configurations (N, nq) and (status, steps, starts) (N, 3), from starts (N or 1, nq); of some
-    `rows` few starts.
+    `row_names` few starts.
 
     A soft last level behind another soft one is lowered from what is found without it.
     """
@@ -462,7 +468,7 @@ def _cut(problem: Demands, where: Callable[[Demands, TaskLevel], bool]) -> TaskL
     ends = problem.packed.stages.get(requested)
     if ends is None:
         order = sorted(set(levels))
-        ends = keep(
+        ends = store_answer(
             problem.packed.stages,
             requested,
             [end for end in order[:-1] if where(problem, end)][-1:],
@@ -503,7 +509,7 @@ def _part(problem: Demands, end: TaskLevel) -> Demands:
         packed = packed_for(
             problem.system, tuple(problem.tasks[i] for i in chosen), problem.packed.turns
         )
-        keep(problem.packed.stages, requested, (chosen, packed), KEPT)
+        store_answer(problem.packed.stages, requested, (chosen, packed), KEPT)
     tasks = tuple([problem.tasks[i] for i in chosen])
     goals = tuple([problem.goals[i] for i in chosen])
     pins = packed.pins(goals, problem.lead if lead_of(goals) else ())
@@ -559,7 +565,7 @@ def values(problem: Demands, q: Array, rows: np.ndarray) -> Array:
     at = 0
     g -= np.clip(g, *loops.bounds)
     for k, (tie, lengths) in enumerate(zip(loops.ties, loops.lengths, strict=True)):
-        count = len(tie.rows)
+        count = len(tie.row_names)
         stage = stages[k]
         error = g[:, at : at + count]
         at += count
@@ -692,7 +698,7 @@ def pose_problem(
     """
     tasks = _distinct(wanted, system)
     goals = tuple(t.goal() for t in tasks)
-    base = _home(system) if start is None else as_start(system, start)
+    base = _home(system) if start is None else read_start(system, start)
     lead = own = lead_of(goals)
     if base.ndim > 1:
         try:
@@ -727,10 +733,10 @@ def pose_problem(
     return problem, np.ascontiguousarray(starts_at)
 
 
-@kept
+@keep_answers
 def _home(system: Model) -> Array:
     """Where a search starts by default."""
-    return home_of(system)
+    return find_home(system)
 
 
 def _distinct(wanted: Any, system: Model) -> tuple[Task, ...]:
@@ -782,7 +788,7 @@ def _preferring(problem: Demands, prefer: Any, base: Array) -> Demands:
             problem, mode=S.AHEAD, aim=_home(problem.system)[None] if problem.loose else base
         )
     if prefer == "mid":
-        return replace(problem, mode=S.AHEAD, aim=mid(problem.system)[None])
+        return replace(problem, mode=S.AHEAD, aim=compute_mid_configuration(problem.system)[None])
 
     callback = least(problem, prefer)
     return replace(problem, mode=callback.address, callback=callback)

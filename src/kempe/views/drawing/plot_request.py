@@ -13,7 +13,7 @@ import numpy as np
 from kempe.arrays import is_sequence
 from kempe.equations.judge import judge
 from kempe.errors import InputError
-from kempe.model.configurations import as_q, distance, home_of, q_from_dict
+from kempe.model.configurations import compute_distance, find_home, make_q, read_q
 from kempe.spatial import Array
 from kempe.values import Expression
 from kempe.views.drawing import style
@@ -207,10 +207,10 @@ def configurations_of(system: Model, q: Any, way: Array | None) -> tuple[Array, 
         return usual_configuration(system, way)[None], ()
     titles = tuple(getattr(q, "titles", ()))
     if isinstance(q, str):
-        q = q_from_dict(system, q)
+        q = make_q(system, q)
     elif isinstance(getattr(q, "q", None), np.ndarray):
         q = q.q
-    given = as_q(system, q)
+    given = read_q(system, q)
     found = given.reshape(math.prod(given.shape[:-1]), system.nq)
     good = (np.abs(found) < FARTHEST).all(axis=1)
     if not good.all() and (np.ndim(q) == 1 or not good.any()):
@@ -229,7 +229,7 @@ def configurations_of(system: Model, q: Any, way: Array | None) -> tuple[Array, 
 
 def usual_configuration(system: Model, configurations: Array | None) -> Array:
     """The configuration that is drawn unless one is given."""
-    q = home_of(system)
+    q = find_home(system)
     if configurations is None:
         if judge(system, q):
             return q
@@ -238,7 +238,7 @@ def usual_configuration(system: Model, configurations: Array | None) -> Array:
         closed = assemble(system, start=q)
         return closed.q if closed else q
     finite = configurations[np.isfinite(configurations).all(axis=1)]
-    return finite[int(np.argmin(distance(system, finite, q)))]
+    return finite[int(np.argmin(compute_distance(system, finite, q)))]
 
 
 def motion_of(system: Model, path: Any) -> tuple[Array | None, tuple[str, ...]]:
@@ -250,7 +250,7 @@ def motion_of(system: Model, path: Any) -> tuple[Array | None, tuple[str, ...]]:
     if path is None:
         return None, ()
     way: Any = path
-    configurations = as_q(
+    configurations = read_q(
         system, path if isinstance(path, np.ndarray) else getattr(path, "q", path)
     )
     if configurations.ndim != 2 or not np.isfinite(configurations).all(axis=1).any():

@@ -15,7 +15,7 @@ import numpy as np
 from kempe import spatial
 from kempe.errors import MissingExtraError
 from kempe.forward.fk import fk
-from kempe.model.configurations import integrate
+from kempe.model.configurations import integrate_velocity
 from kempe.spatial import Array
 from kempe.views.drawing import planar, style, symbols
 from kempe.views.drawing.scene import Scene, SeenJoint, look
@@ -310,7 +310,7 @@ class RigidParts:
         system = self.system
         q = scene.q
         rng = np.random.default_rng(0)
-        other = integrate(
+        other = integrate_velocity(
             system, q, APART * rng.choice([-1.0, 1.0], system.nv) * rng.uniform(0.5, 1.0, system.nv)
         )
         first = [p for p in self._record(scene) if not p.name.startswith("open:")]
@@ -556,9 +556,9 @@ def _of_ends(ends: Array) -> Array:
 
 
 def _is_length(system: Model) -> list[bool]:
-    from kempe.model.configurations import units
+    from kempe.model.configurations import list_units
 
-    unit = units(system)
+    unit = list_units(system)
     return [unit.get(name) == "m" for name in system.coordinate_names]
 
 

@@ -20,7 +20,15 @@ from kempe.equations.judge import judge
 from kempe.errors import InputError, KempeError
 from kempe.forward.fk import fk, jacobian
 from kempe.mobility.independent import Chart, independent
-from kempe.model.configurations import as_q, distance, has_loops, mid, q_from_dict, random, units
+from kempe.model.configurations import (
+    compute_distance,
+    compute_mid_configuration,
+    has_loops,
+    list_units,
+    make_q,
+    read_q,
+    sample_configurations,
+)
 from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 from kempe.views.drawing.plot_request import configuration_of, motion_of
@@ -211,7 +219,7 @@ class Session:
         self._closes = not self._bare and bool(
             evaluate(system, system.neutral, False, True)[0].size
         )
-        self._units = units(system)
+        self._units = list_units(system)
         self.rng = np.random.default_rng(0)
         if q is not None and has_loops(system) and not judge(system, self.q):
             self._take(assemble(system, start=self.q), "closed from the q given")
@@ -338,7 +346,7 @@ class Session:
         """
         if self.chart is None:
             return 0
-        tries = () if self.chart.dependent else random(self.system, 0, 4)
+        tries = () if self.chart.dependent else sample_configurations(self.system, 0, 4)
         rows = self.system.dim if task == "position" else None
         return max(
             Spectrum(self._rates(q)[:rows], 1.0).rank(Level.GENERIC) for q in (self.q, *tries)
@@ -444,7 +452,7 @@ class Session:
         system = self.system
         q = q[np.isfinite(q).all(axis=1)]
         if not has_loops(system):
-            return q[distance(system, q, self.q) > APART] if len(q) else q
+            return q[compute_distance(system, q, self.q) > APART] if len(q) else q
         links = look(system, self.q)
         heads = [system.body_names.index(link.name) for link in links.links]
         own = [links.points(link) for link in links.links]
@@ -494,7 +502,7 @@ class Session:
         """Go to a random configuration within the limits, with closed loops."""
         said = ""
         for _ in range(TRIES):
-            start = random(self.system, self.rng)
+            start = sample_configurations(self.system, self.rng)
             if judge(self.system, start):
                 self._go(start, "a random configuration")
                 return
@@ -507,9 +515,9 @@ class Session:
 
     def go(self, name: str) -> None:
         """Go to a posture of the model, or to 'neutral' or 'mid'; loops are closed from there."""
-        own = {"neutral": self.system.neutral, "mid": mid(self.system)}
+        own = {"neutral": self.system.neutral, "mid": compute_mid_configuration(self.system)}
         named = name in self.system.structure.posture_names
-        q = own[name] if name in own and not named else q_from_dict(self.system, name)
+        q = own[name] if name in own and not named else make_q(self.system, name)
         if judge(self.system, q):
             self._go(q, f"posture {name}")
         elif answer := assemble(self.system, start=q):
@@ -524,7 +532,7 @@ class Session:
 
     def put(self, q: Any) -> None:
         """Go to a configuration (nq,), as it is."""
-        if (q := as_q(self.system, q)).shape != (self.system.nq,):
+        if (q := read_q(self.system, q)).shape != (self.system.nq,):
             raise InputError(
                 f"q has shape {q.shape}; one configuration ({self.system.nq},) is shown"
             )

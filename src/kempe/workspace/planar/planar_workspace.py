@@ -164,7 +164,7 @@ def planar_chain(system: Model, frame: str) -> tuple[PlanarChain, float]:
     `UnsupportedError`, `InputError`; see `planar_workspace`.
     """
     lines, pose = joint_lines_of(system, frame)
-    if not len(system.structure.table.path(frame)):
+    if not len(system.structure.table.find_path(frame)):
         raise InputError(f"frame {frame!r} of {system.name} does not move")
     if not lines:
         raise InputError(
