@@ -33,11 +33,11 @@ import sys, warnings
 warnings.simplefilter("error", UserWarning)
 from pathlib import Path
 import kempe
-from kempe.views.viewer.mesh_files import meshes_of
+from kempe.views.viewer.mesh_files import read_body_meshes
 robot = kempe.load(sys.argv[1])
-found, lost = meshes_of(robot)
+found, lost = read_body_meshes(robot)
 assert not lost and sorted(found) == ["a", "b", "c"], (found, lost)
-assert all(len(mesh.faces) == 1 for (mesh,) in found.values())
+assert all(len(mesh.triangles) == 1 for (mesh,) in found.values())
 robot.save_html("page.html")
 assert Path("page.html").stat().st_size > 10_000
 robot.plot().figure.savefig("robot.png")

@@ -7,6 +7,7 @@ from __future__ import annotations
 import gzip
 import html.parser
 import http.client
+import io
 import json
 import os
 import random
@@ -35,7 +36,7 @@ from websockets.sync.client import connect
 import kempe
 from kempe.views.viewer import live, mesh_files
 from kempe.views.viewer.live import Page, Viewer
-from kempe.views.viewer.mesh_files import meshes_of, read_meshes
+from kempe.views.viewer.mesh_files import read_body_meshes, read_meshes
 from kempe.views.viewer.scene_nodes import Drawn
 from kempe.views.viewer.server import Guard, PageServer
 from kempe.views.viewer.session import Session
@@ -485,9 +486,9 @@ def damaged(folder: Path) -> dict[str, str]:
 def test_meshes_that_cannot_be_read_are_named_and_the_others_are_drawn(tmp_path):
     bad = damaged(tmp_path)
     trimesh.creation.box((1, 2, 3)).export(tmp_path / "good.stl")
-    found, lost = meshes_of(robot(tmp_path, *bad, "good.stl", "good.stl"))
+    found, lost = read_body_meshes(robot(tmp_path, *bad, "good.stl", "good.stl"))
     assert set(found) == {"base", f"b{len(bad)}", f"b{len(bad) + 1}"}
-    assert np.allclose(found[f"b{len(bad)}"][0].extents, [1, 2, 3])
+    assert np.allclose(np.ptp(found[f"b{len(bad)}"][0].corners, axis=0), [1, 2, 3])
     assert len(lost) == len(bad)
     for (name, why), said in zip(bad.items(), lost, strict=True):
         assert name in said and why in said and len(said) < 500 and "\n" not in said, said
@@ -532,14 +533,14 @@ trimesh.load_mesh = trap(trimesh.load_mesh)
         "_WORKER",
         mesh_files._WORKER.replace("class Refused", f"{traps}\nclass Refused"),
     )
-    found = read_meshes(tmp_path / n for n in names)
-    said = [found[tmp_path / n] for n in names]
+    found = read_meshes((tmp_path / n, None) for n in names)
+    said = [found[tmp_path / n, None] for n in names]
     assert (
         "takes more than 1 s" in said[0]
         and "of memory" in said[1]
         and "ended the process" in said[2]
     )
-    assert np.allclose(said[3].extents, [1, 2, 3])
+    assert np.allclose(np.ptp(said[3].corners, axis=0), [1, 2, 3])
 
 
 def test_meshes_keep_their_colours_and_textures(tmp_path):
@@ -558,10 +559,14 @@ def test_meshes_keep_their_colours_and_textures(tmp_path):
         visual=trimesh.visual.TextureVisuals(uv=uv, image=picture),
     )
     textured.export(tmp_path / "texture.glb")
-    found = read_meshes(tmp_path / n for n in ("colours.ply", "texture.glb"))
-    first, second = found.values()
+    found = read_meshes((tmp_path / n, None) for n in ("colours.ply", "texture.glb"))
+    first, second = (
+        trimesh.load_mesh(io.BytesIO(mesh.glb), file_type="glb", process=False)
+        for mesh in found.values()
+    )
     assert np.allclose(first.bounds, box.bounds)
     assert (np.asarray(first.visual.vertex_colors) == [200, 30, 40, 255]).all()
+    assert [mesh.color for mesh in found.values()] == [(200, 30, 40, 255), None]
     image = second.visual.material.baseColorTexture
     assert image.size == (mesh_files.TEXTURE, 20) and image.convert("RGB").getpixel((5, 5)) == (
         10,
@@ -574,7 +579,7 @@ def test_meshes_keep_their_colours_and_textures(tmp_path):
 def test_a_dae_mesh_without_its_reader_names_the_package(tmp_path, monkeypatch):
     (tmp_path / "x.dae").write_text("<COLLADA/>")
     monkeypatch.setattr(mesh_files.importlib.util, "find_spec", lambda name: None)
-    assert "pip install 'pycollada" in read_meshes([tmp_path / "x.dae"])[tmp_path / "x.dae"]
+    assert "pip install 'pycollada" in read_meshes([(tmp_path / "x.dae", None)]).popitem()[1]
 
 
 def test_sentences_are_html_letter_by_letter():

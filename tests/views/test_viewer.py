@@ -5,6 +5,7 @@ one.
 from __future__ import annotations
 
 import http.client
+import io
 import itertools
 import json
 import socket
@@ -25,8 +26,8 @@ import kempe
 from kempe.equations.judge import judge
 from kempe.errors import InputError, UnknownNameError
 from kempe.views.drawing.scene import look
-from kempe.views.viewer.mesh_files import meshes_of
-from kempe.views.viewer.scene_nodes import Drawn, Nodes, RigidParts
+from kempe.views.viewer.mesh_files import BodyMesh, read_body_meshes
+from kempe.views.viewer.scene_nodes import Drawn, Nodes, RigidParts, write_glb
 from kempe.views.viewer.session import Session
 
 WIDE = 960
@@ -232,17 +233,18 @@ def test_shapes_are_drawn_in_their_size_place_and_colour(kind, sizes, extents, v
     m = kempe.Mechanism("m")
     m.revolute("q", m.ground, m.body("a"))
     m.shape("a", kind, **sizes, at=(5, 6, 7), color=(1, 0.5, 0, 0.25))
-    found, lost = meshes_of(m.build())
-    (mesh,) = found["a"]
+    found, lost = read_body_meshes(m.build())
+    (drawn,) = found["a"]
+    mesh = trimesh.Trimesh(drawn.corners, drawn.triangles, process=False)
     assert not lost and mesh.is_watertight
     np.testing.assert_allclose(mesh.extents, extents, rtol=0.01)
-    np.testing.assert_allclose(mesh.bounds.mean(axis=0), (5, 6, 7), rtol=0, atol=1e-9)
-    assert least * volume * (1 - 1e-9) <= mesh.volume <= volume * (1 + 1e-9)
-    assert (mesh.visual.vertex_colors == (255, 128, 0, 64)).all()
-    drawn = next(
-        s for s in Drawn(m.build(), np.zeros(1)).shapes if len(s.mesh.faces) == len(mesh.faces)
+    np.testing.assert_allclose(mesh.bounds.mean(axis=0), (5, 6, 7), rtol=0, atol=1e-6)
+    assert least * volume * (1 - 1e-6) <= mesh.volume <= volume * (1 + 1e-6)
+    assert drawn.drawn.color == (255, 128, 0, 64)
+    shape = next(
+        s for s in Drawn(m.build(), np.zeros(1)).shapes if len(s.triangles) == len(mesh.faces)
     )
-    assert drawn.opacity == 64 / 255
+    assert shape.opacity == 64 / 255
 
 
 def test_what_collides_is_drawn_where_nothing_else_is_seen():
@@ -252,12 +254,12 @@ def test_what_collides_is_drawn_where_nothing_else_is_seen():
     for name in ("seen", "hidden"):
         m.shape(name, "box", size=(1, 1, 1), visual=False)
     m.shape("seen", "sphere", radius=1, collision=False)
-    found, lost = meshes_of(m.build())
+    found, lost = read_body_meshes(m.build())
     assert not lost and {name: len(meshes) for name, meshes in found.items()} == {
         "seen": 1,
         "hidden": 1,
     }
-    assert len(found["hidden"][0].faces) == 12 and len(found["seen"][0].faces) > 12
+    assert len(found["hidden"][0].triangles) == 12 and len(found["seen"][0].triangles) > 12
 
 
 def test_colours_of_a_file_are_kept_and_others_get_that_of_the_shape(tmp_path):
@@ -270,11 +272,52 @@ def test_colours_of_a_file_are_kept_and_others_get_that_of_the_shape(tmp_path):
     m.roots = (str(tmp_path),)
     for name in ("plain.stl", "green.ply"):
         m.shape("a", "mesh", path=name, scale=2, color=(1, 0, 0))
-    found, lost = meshes_of(m.build())
+    found, lost = read_body_meshes(m.build())
     plain, green = found["a"]
-    assert not lost and (plain.visual.vertex_colors == (255, 0, 0, 255)).all()
-    assert (green.visual.vertex_colors == (0, 255, 0, 255)).all()
-    assert np.allclose(plain.extents, 2) and np.allclose(green.extents, 2)
+    assert not lost and plain.drawn.color == (255, 0, 0, 255)
+    assert green.drawn.color == (0, 255, 0, 255)
+    for mesh in (plain, green):
+        assert np.allclose(np.ptp(mesh.corners, axis=0), 2)
+        assert (as_trimesh(mesh).visual.vertex_colors == mesh.drawn.color).all()
+
+
+def as_trimesh(mesh: BodyMesh) -> trimesh.Trimesh:
+    """The GLB that a page gets, read by trimesh and placed as on the page."""
+    out = trimesh.load_mesh(io.BytesIO(mesh.drawn.glb), file_type="glb", process=False)
+    out.apply_scale(mesh.scale)
+    return out.apply_transform(mesh.X)
+
+
+def test_glb_and_triangles_are_the_same_mesh(tmp_path):
+    """Scaled by different numbers, one of them negative, and turned; written by trimesh and here."""
+    trimesh.creation.icosphere(1, 0.5).apply_translation((1, 2, 3)).export(tmp_path / "ball.stl")
+    m = kempe.Mechanism("m")
+    m.revolute("q", m.ground, m.body("a"))
+    m.roots = (str(tmp_path),)
+    at = trimesh.transformations.compose_matrix(angles=(0.1, 0.7, -1.2), translate=(4, 5, 6))
+    m.shape("a", "mesh", path="ball.stl", scale=(1, -2, 3), at=at)
+    (mesh,) = read_body_meshes(m.build())[0]["a"]
+    placed = as_trimesh(mesh)
+    there = trimesh.load_mesh(tmp_path / "ball.stl", process=False)
+    there.apply_scale((1, -2, 3)).apply_transform(at)
+    here = trimesh.Trimesh(mesh.corners, mesh.triangles, process=False)
+    assert here.is_volume == there.is_volume and here.volume > 0.0
+    assert np.allclose(here.volume, there.volume) and np.allclose(here.bounds, there.bounds)
+    assert np.allclose(placed.bounds, there.bounds)
+
+
+def test_written_glb_is_read_by_trimesh_as_it_was():
+    rng = np.random.default_rng(0)
+    corners = rng.normal(size=(30, 3))
+    a, b, c = corners.reshape(-1, 3, 3).swapaxes(0, 1)
+    normals = np.repeat(np.cross(b - a, c - a), 3, axis=0)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    colours = rng.integers(0, 256, (30, 4)).astype(np.uint8)
+    file = io.BytesIO(write_glb(corners, normals, colours))
+    mesh = trimesh.load_mesh(file, file_type="glb", process=False)
+    assert np.allclose(mesh.triangles, corners.reshape(-1, 3, 3), atol=1e-6)
+    assert np.allclose(mesh.vertex_normals, normals, atol=1e-6)
+    assert np.array_equal(mesh.visual.vertex_colors, colours)
 
 
 def test_shapes_that_a_page_cannot_hold_are_named():
@@ -282,7 +325,7 @@ def test_shapes_that_a_page_cannot_hold_are_named():
     m.revolute("q", m.ground, m.body("a"))
     m.shape("a", "cylinder", radius=1e300, length=1)
     m.shape("a", "box", size=(1, 2, 3), at=(1e10, 0, 0))
-    found, lost = meshes_of(m.build())
+    found, lost = read_body_meshes(m.build())
     assert not found and len(lost) == 2
     assert lost[0].startswith("a: the radius of its cylinder is 1e+300; it must be below 1e+09")
     assert lost[1].startswith("a: the place of its box")
@@ -294,10 +337,10 @@ def test_meshes_are_those_of_the_model_and_missing_ones_do_not_block():
     """In the package of the file all are found; without a file each is named, and links are drawn in
     their place.
     """
-    found, lost = meshes_of(kempe.load(DATA[0] / TALOS))
+    found, lost = read_body_meshes(kempe.load(DATA[0] / TALOS))
     assert len(found) > 20 and not lost
     bare = kempe.load((DATA[0] / TALOS).read_text())
-    none, lost = meshes_of(bare)
+    none, lost = read_body_meshes(bare)
     assert len(none) < 10 and len(lost) > 20 and "looked in" in lost[0]
     assert len(RigidParts(bare, bare.mid).parts) > 20
 

@@ -13,6 +13,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from kempe.errors import UnsupportedError
@@ -67,13 +68,14 @@ def run_limited(
     memory: int,
     output: int,
     cpu: float | None = None,
+    meanwhile: Callable[[], object] | None = None,
 ) -> Ended:
     """Run Python `code`, which has the `settings` as `s`, with little environment, and say how it
     ended.
 
     It may take `seconds` of waiting, and of processor time `cpu` (by default as many), `memory`
-    bytes, and write files of `output` bytes. Errors: `UnsupportedError` on systems where a process
-    cannot be limited.
+    bytes, and write files of `output` bytes. `meanwhile` is called here while it runs. Errors: `UnsupportedError` on
+    systems where a process cannot be limited.
     """
     if importlib.util.find_spec("resource") is None:
         raise UnsupportedError(
@@ -106,6 +108,8 @@ def run_limited(
             start_new_session=True,
         ) as process:
             try:
+                if meanwhile is not None:
+                    meanwhile()
                 ended = process.wait(timeout=seconds)
             except subprocess.TimeoutExpired:
                 ended = None

@@ -6,9 +6,9 @@ Importing it needs the extra [view]. Errors: `MissingExtraError` without matplot
 
 from __future__ import annotations
 
+import importlib.util
+
 from kempe.errors import MissingExtraError
 
-try:
-    import matplotlib  # noqa: F401
-except ImportError:
-    raise MissingExtraError("matplotlib", "view") from None
+if importlib.util.find_spec("matplotlib") is None:
+    raise MissingExtraError("matplotlib", "view")

@@ -17,7 +17,7 @@ from kempe.views.drawing import shapes, style, symbols
 from kempe.views.drawing.planar import Sheet, flat
 from kempe.views.drawing.plot_request import Subject, length_name, lengths_by_name, subscript
 from kempe.views.drawing.scene import SeenJoint, SeenLink
-from kempe.views.drawing.solids import Solids
+from kempe.views.drawing.solids import Solids, hull
 from kempe.views.drawing.style import GROUND, INK, MOTION
 
 ARC = 4.8
@@ -167,7 +167,7 @@ def _dimensions(sheet: Sheet, subject: Subject, link: SeenLink) -> None:
                 if 0 in (j.parent, j.child) and j.kind == "revolute"
             ]
         )
-    corners = shapes.hull(p) if len(p) else p
+    corners = hull(p) if len(p) else p
     pairs = list(zip(corners, np.roll(corners, -1, axis=0), strict=True))[
         : 1 if len(corners) == 2 else None
     ]

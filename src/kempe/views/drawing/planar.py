@@ -11,12 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.patches import PathPatch
+from matplotlib.transforms import Affine2D
 
 from kempe.joints import P, R
 from kempe.spatial import Array
 from kempe.views.drawing import shapes, style
 from kempe.views.drawing.labels import Obstacles
 from kempe.views.drawing.scene import Scene, SeenJoint, SeenLink, distinct, travel
+from kempe.views.drawing.solids import DrawnPiece, fan_triangles, hull, rgb
 from kempe.views.drawing.style import BAR, BLOCK, DRIVER, GROUND, INK, OPEN, PAPER, WRONG
 from kempe.views.drawing.symbols import SYMBOLS
 
@@ -142,6 +144,63 @@ class Sheet:
         self.ax.plot(points[:, 0], points[:, 1], gid=gid, zorder=layer, **drawn)
 
 
+class SheetRecord(Sheet):
+    """The drawing of a planar system as pieces, in layers above one another."""
+
+    def __init__(self, scene: Scene, r: float, configurations: Array | None):
+        super().__init__(None, scene, r, configurations)  # type: ignore[arg-type]
+        self.pieces: list[DrawnPiece] = []
+
+    def patch(self, path: Path, gid: str, layer: float, **how: Any) -> None:
+        """Add an outline, filled and with its line."""
+        scale = 100.0 / self.r
+        for line in path.to_polygons(Affine2D().scale(scale), closed_only=False):
+            corners = np.asarray(line) / scale
+            if len(corners) > 2 and (fill := how.get("fc", "none")) != "none":
+                self._add(gid, corners, fan_triangles(len(corners)), layer, _rgba(fill))
+            if (edge := how.get("ec", "none")) != "none":
+                self._stroke(gid, corners, layer + 0.5, _rgba(edge), how.get("lw", 0.9))
+
+    def line(self, points: Array, gid: str, layer: float, **how: Any) -> None:
+        """Add a polyline (n, 2)."""
+        colour = _rgba(how.get("color", style.INK))
+        self._stroke(
+            gid, points[np.isfinite(points).all(axis=1)], layer + 0.5, colour, how.get("lw", 1.5)
+        )
+
+    def _stroke(self, gid: str, points: Array, layer: float, colour: Any, width: float) -> None:
+        a = points[:-1]
+        b = points[1:]
+        length = np.linalg.norm(b - a, axis=1, keepdims=True)
+        a, b, along = (
+            x[length[:, 0] > 1e-12] for x in (a, b, (b - a) / np.maximum(length, 1e-300))
+        )
+        if not len(a):
+            return
+        half = 0.5 * style.POINT * width * self.r
+        side = half * np.stack([-along[:, 1], along[:, 0]], axis=1)
+        a = a - 0.6 * half * along
+        b = b + 0.6 * half * along
+        corners = np.stack([a - side, b - side, b + side, a + side], axis=1).reshape(-1, 2)
+        quads = (4 * np.arange(len(a))[:, None, None] + fan_triangles(4)).reshape(-1, 3)
+        self._add(gid, corners, quads, layer, colour)
+
+    def _add(
+        self, gid: str, corners: Array, triangles: np.ndarray, layer: float, colour: Any
+    ) -> None:
+        above = np.full((len(corners), 1), style.THICK * self.r * layer)
+        both = np.concatenate([triangles, triangles[:, ::-1]])
+        self.pieces.append(DrawnPiece(gid, np.concatenate([corners, above], axis=1), both, colour))
+
+
+def _rgba(colour: Any) -> tuple[float, float, float, float]:
+    """A colour of the drawings, with the paper mixed in where it is to be looked through."""
+    pair: Any = colour
+    if isinstance(colour, tuple):
+        return (*rgb(style.mix(pair[0], style.PAPER, 0.85 * (1.0 - float(pair[1])))), 1.0)
+    return (*rgb(colour), 1.0)
+
+
 def pin_radius(scene: Scene) -> float:
     """Radius [m] of a pin that suits the size of the drawing and its short links."""
     lengths = scene.lengths
@@ -201,7 +260,7 @@ def ghost(sheet: Sheet, scene: Scene, number: int) -> None:
         p = flat(scene.points(link))
         if len(p) > 1:
             colour = style.link_colour(link.number)
-            fill = 0.13 if len(shapes.hull(p)) == 2 else 0.05
+            fill = 0.13 if len(hull(p)) == 2 else 0.05
             look = {"fc": (colour, fill), "ec": (colour, 0.25), "lw": 0.5}
             sheet.patch(
                 shapes.rounded(p, 0.5 * BAR * sheet.r),
@@ -234,7 +293,7 @@ def _link(sheet: Sheet, link: SeenLink) -> None:
             return  # the block or the slot is all of it
         _cross(sheet, next(iter(link.bodies.values())), gid, colour)
         return
-    corners = shapes.hull(p)
+    corners = hull(p)
     dark = style.mix(colour, INK, 0.45)
     if len(corners) > 2:
         sheet.patch(

@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.path import Path
 
 from kempe.spatial import Array
+from kempe.views.drawing.solids import hull
 from kempe.views.drawing.style import GROUND_HALF, GROUND_HEIGHT, HATCH
 
 if TYPE_CHECKING:
@@ -17,31 +18,6 @@ if TYPE_CHECKING:
 
 FINE = 0.02
 """Angle between the points by which an arc is drawn."""
-
-
-def hull(points: Array) -> Array:
-    """Corners (k, 2) of the convex hull of points (n, 2), counterclockwise (Andrew's monotone
-    chain, 1979).
-    """
-    if len(points) < 3:
-        return points
-    flat = 1e-12 * max(float(np.ptp(points, axis=0).max()), 1e-300) ** 2
-    ordered = points[np.lexsort((points[:, 1], points[:, 0]))]
-
-    def half(sequence: Array) -> list[Array]:
-        out: list[Array] = []
-        for p in sequence:
-            while len(out) > 1 and cross(out[-1] - out[-2], p - out[-2]) <= flat:
-                out.pop()
-            out.append(p)
-        return out[:-1]
-
-    return np.array(half(ordered) + half(ordered[::-1]))
-
-
-def cross(a: Array, b: Array) -> float:
-    """The z component of the cross product of two vectors (2,)."""
-    return float(a[0] * b[1] - a[1] * b[0])
 
 
 def rounded(points: Array, radius: float) -> Path:

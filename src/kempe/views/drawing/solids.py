@@ -6,6 +6,8 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, field
+from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -89,7 +91,7 @@ class Solids:
         X = spatial.align_z((b - a) / length)
         angles = np.arange(sides) * (2 * np.pi / sides)
         round_ = np.stack([np.cos(angles), np.sin(angles)], axis=1) @ X[:, :2].T
-        pieces = pieces or int(np.clip(length / (6 * radius), 1, 16))
+        pieces = pieces or (int(np.clip(length / (6 * radius), 1, 16)) if self.by_depth else 1)
         radii = np.linspace(radius, radius if end_radius is None else end_radius, pieces + 1)
         rings = [
             a + (b - a) * t + r * round_
@@ -194,10 +196,97 @@ class Solids:
         )
 
 
+# ---- pieces, for pages
+
+
+class DrawnPiece(NamedTuple):
+    """Triangles (m, 3) over corners (n, 3) with a name, of one colour (4,): red, green, blue, alpha
+    from 0 to 1.
+    """
+
+    name: str
+    corners: Array
+    triangles: np.ndarray
+    colour: tuple[float, float, float, float]
+
+
+@dataclass
+class SolidRecord(Solids):
+    """Solids as pieces, without light: the page has its own."""
+
+    pieces: list[DrawnPiece] = field(default_factory=list[DrawnPiece])
+    by_depth: bool = False
+
+    def face(
+        self,
+        name: str,
+        corners: Array,
+        normal: Array,
+        colour: str,
+        alpha: float = 1.0,
+        edge: str = "",
+    ) -> None:
+        """Add a flat convex face with its outward normal, seen from both sides where it can be
+        looked through.
+        """
+        self._add(name, corners[None], normal[None], colour, alpha)
+
+    def faces_of(self, name: str, corners: Array, normals: Array, colour: str) -> None:
+        """Add solid faces, corners (k, n, 3) with outward normals (k, 3), as one piece."""
+        self._add(name, corners, normals, colour, 1.0)
+
+    def _add(self, name: str, corners: Array, normals: Array, colour: str, alpha: float) -> None:
+        k, n, _ = corners.shape
+        (a, b, c) = (corners[:, 1] - corners[:, 0]).T
+        (d, e, f) = (corners[:, -1] - corners[:, 0]).T
+        # of np.cross, which is slow
+        out = np.stack([b * f - c * e, c * d - a * f, a * e - b * d], axis=1)
+        turned = np.sum(out * normals, axis=1) < 0.0
+        fan = np.where(turned[:, None, None], fan_triangles(n)[:, ::-1], fan_triangles(n))
+        both: np.ndarray = fan
+        if alpha < 1.0:
+            both = np.concatenate([fan, fan[..., ::-1]], axis=1)
+        first = n * np.arange(k, dtype=np.int64)[:, None, None]
+        triangles = (both + first).reshape(-1, 3)
+        self.pieces.append(
+            DrawnPiece(name, corners.reshape(-1, 3), triangles, (*rgb(colour), alpha))
+        )
+
+
+@cache
+def fan_triangles(n: int) -> np.ndarray:
+    """Triangles (n - 2, 3) of a convex polygon with n corners."""
+    k = np.arange(1, n - 1)
+    return np.stack([np.zeros_like(k), k, k + 1], axis=1)
+
+
 def rgb(colour: str) -> tuple[float, float, float]:
     """Red, green and blue from 0 to 1 of '#rrggbb'."""
     red, green, blue = (int(colour[i : i + 2], 16) / 255.0 for i in (1, 3, 5))
     return red, green, blue
+
+
+def hull(points: Array) -> Array:
+    """Corners (k, 2) of the convex hull of points (n, 2), counterclockwise (Andrew's monotone
+    chain, 1979).
+    """
+    if len(points) < 3:
+        return points
+    flat = 1e-12 * max(float(np.ptp(points, axis=0).max()), 1e-300) ** 2
+    ordered = points[np.lexsort((points[:, 1], points[:, 0]))]
+
+    def half(sequence: Array) -> list[Array]:
+        out: list[Array] = []
+        for p in sequence:
+            while len(out) > 1:
+                (a, b), (c, d) = out[-1] - out[-2], p - out[-2]
+                if a * d - b * c > flat:
+                    break
+                out.pop()
+            out.append(p)
+        return out[:-1]
+
+    return np.array(half(ordered) + half(ordered[::-1]))
 
 
 def flat_hull(points: Array, tolerance: float) -> list[int] | None:
@@ -208,8 +297,6 @@ def flat_hull(points: Array, tolerance: float) -> list[int] | None:
     _, size, axes = Spectrum(points - middle).thin
     if len(points) < 3 or size[1] < tolerance or (len(size) > 2 and size[2] > tolerance):
         return None
-    from kempe.views.drawing.shapes import hull
-
     p = (points - middle) @ axes[:2].T
     corners = hull(p)
     return [int(np.argmin(np.linalg.norm(p - c, axis=1))) for c in corners]

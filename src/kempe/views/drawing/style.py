@@ -59,6 +59,10 @@ MARK = 5.0
 """Length of the axes of a frame that is marked."""
 HATCH = 0.95
 """Distance of the strokes of a hatching, and their depth."""
+THICK = 0.15
+"""Height between two layers of a planar drawing, in radii of a pin."""
+POINT = 0.085
+"""Width of a line of one point, in radii of a pin."""
 
 
 def link_colour(number: int) -> str:

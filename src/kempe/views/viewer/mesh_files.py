@@ -1,12 +1,13 @@
 """Meshes that a model names for its bodies, read where they lie in the model's folders.
 
-Files of meshes are not trusted: they are read in a process with limits, which hands back GLB.
+Files of meshes are not trusted: they are read in a process with limits, which hands back triangles
+and GLB. That process makes the simple shapes, too, so that only it needs trimesh, which takes long
+to import.
 """
 
 from __future__ import annotations
 
 import importlib.util
-import io
 import tempfile
 import time
 from collections.abc import Callable, Iterable
@@ -56,6 +57,8 @@ READERS = {
 _WORKER = """
 import io, os, zipfile
 import numpy as np
+
+sys.modules["scipy"] = None  # few files need it, and trimesh is imported in a third of the time
 import trimesh
 
 
@@ -63,7 +66,7 @@ class Refused(Exception):
     pass
 
 
-def read(path):
+def from_file(path):
     if zipfile.is_zipfile(path):
         with zipfile.ZipFile(path) as archive:
             size = sum(x.file_size for x in archive.infolist())
@@ -78,15 +81,46 @@ def read(path):
     for name in ("image", "baseColorTexture"):
         if getattr(material, name, None) is not None:
             getattr(material, name).thumbnail((s["texture"], s["texture"]))
-    return mesh.export(file_type="glb")
+    return mesh
 
 
-for k in range(s["first"], len(s["paths"])):
+def import_scipy():
+    global trimesh
+    for name in [x for x in sys.modules if x.partition(".")[0] in ("scipy", "trimesh")]:
+        del sys.modules[name]
+    import trimesh
+
+
+def read(source, color):
+    if isinstance(source, str):
+        mesh = from_file(source)
+    else:
+        name, *sizes = source
+        mesh = getattr(trimesh.creation, name)(*sizes)
+    if color is not None and not mesh.visual.defined:
+        mesh.visual.vertex_colors = np.round(255.0 * np.array(color)).astype(np.uint8)
+    each = mesh.visual.vertex_colors if mesh.visual.defined and mesh.visual.kind != "texture" else []
+    out = io.BytesIO()
+    np.savez(
+        out,
+        glb=np.frombuffer(mesh.export(file_type="glb"), np.uint8),
+        corners=np.asarray(mesh.vertices, np.float32),
+        triangles=np.asarray(mesh.faces, np.uint32),
+        color=each[0] if len(each) and (each == each[0]).all() else np.zeros(0, np.uint8),
+    )
+    return out.getvalue()
+
+
+for k in range(s["first"], len(s["wanted"])):
     used = resource.getrusage(resource.RUSAGE_SELF)
     soft, hard = int(used.ru_utime + used.ru_stime) + 1 + s["each"], resource.getrlimit(resource.RLIMIT_CPU)[1]
     resource.setrlimit(resource.RLIMIT_CPU, (soft if hard == resource.RLIM_INFINITY else min(soft, hard), hard))
     try:
-        data, kind = read(s["paths"][k]), "glb"
+        try:
+            data, kind = read(*s["wanted"][k]), "npz"
+        except ImportError:
+            import_scipy()
+            data, kind = read(*s["wanted"][k]), "npz"
         if len(data) > s["largest"]:
             raise Refused(f"its triangles take {len(data)} bytes; {s['largest']} are allowed")
     except MemoryError:
@@ -103,84 +137,104 @@ for k in range(s["first"], len(s["paths"])):
 """
 
 
-class _File(NamedTuple):
-    """A mesh of a file, scaled by (3,) and then placed by (4, 4), in a colour if it has none."""
+Source = tuple[Any, tuple[float, ...] | None]
+"""What the other process makes a mesh of: the path of a file, or the name of a function in
+trimesh's module `creation` with its arguments; and the colour of what has none."""
 
-    path: Path
+
+class Triangles(NamedTuple):
+    """Triangles (m, 3) over corners (n, 3), the same as GLB, and their colour (4,) of bytes if they
+    have one only.
+    """
+
+    glb: bytes
+    corners: Array
+    triangles: np.ndarray
+    color: tuple[int, ...] | None
+
+
+class BodyMesh(NamedTuple):
+    """Triangles that are scaled by (3,) and then placed by (4, 4) in the frame of a body."""
+
+    drawn: Triangles
     scale: Array
     X: Array
-    color: tuple[float, ...] | None
+
+    @property
+    def corners(self) -> Array:
+        """The corners (n, 3) in the frame of the body [m]."""
+        return self.scale * self.drawn.corners @ self.X[:3, :3].T + self.X[:3, 3]
+
+    @property
+    def triangles(self) -> np.ndarray:
+        """Numbers (m, 3) of the corners of each triangle, counterclockwise as seen from outside."""
+        return self.drawn.triangles[:, :: -1 if np.prod(self.scale) < 0.0 else 1]
 
 
-def meshes_of(system: Model) -> tuple[dict[str, list[Any]], list[str]]:
-    """Meshes (trimesh) by body, in the body's frame, and a sentence for each that could not be
-    shown.
+def read_body_meshes(
+    system: Model, meanwhile: Callable[[], object] | None = None
+) -> tuple[dict[str, list[BodyMesh]], list[str]]:
+    """The meshes of each body by its name, and a sentence for each mesh that cannot be shown.
+
+    `meanwhile` is called while they are read, if there are any.
     """
     mechanism = system.mechanism
     folders = Folders(mechanism.roots)
-    wanted: list[tuple[str, Any]] = []
+    wanted: list[tuple[str, Source, Array, Array]] = []
     lost: list[str] = []
     for name, body in mechanism.bodies.items():
-        for shape in drawn(body.shapes):
+        for shape in list_drawn_shapes(body.shapes):
             try:
-                wanted.append((name, _wanted(shape, mechanism, folders)))
+                wanted.append((name, *_find_source(shape, mechanism, folders)))
             except KempeError as error:
                 lost.append(f"{name}: {error}")
-    read = read_meshes(one.path for _, one in wanted if isinstance(one, _File))
-    found: dict[str, list[Any]] = {}
+    read = read_meshes((source for _, source, *_ in wanted), meanwhile)
+    meshes: dict[str, list[BodyMesh]] = {}
     total = 0
-    for name, one in wanted:
-        if not isinstance(one, _File):
-            found.setdefault(name, []).append(one)
-            continue
-        mesh = read[one.path]
+    for name, source, scale, X in wanted:
+        mesh = read[source]
         if not isinstance(mesh, str):
-            total += mesh.vertices.nbytes + mesh.faces.nbytes
+            total += mesh.corners.nbytes + mesh.triangles.nbytes
             if total > MOST:
                 mesh = f"the meshes of this model together have more than {MOST} bytes of triangles"
         if isinstance(mesh, str):
-            lost.append(f"{name}: mesh {one.path.name}: {mesh}")
-            continue
-        made = mesh.copy()
-        made.apply_scale(one.scale)
-        found.setdefault(name, []).append(_placed(made, one.X, one.color))
-    return found, lost
+            what = f"mesh {source[0].name}" if isinstance(source[0], Path) else source[0][0]
+            lost.append(f"{name}: {what}: {mesh}")
+        else:
+            meshes.setdefault(name, []).append(BodyMesh(mesh, scale, X))
+    return meshes, lost
 
 
-def drawn(shapes: Iterable[Shape]) -> list[Shape]:
+def list_drawn_shapes(shapes: Iterable[Shape]) -> list[Shape]:
     """The shapes of a body that are drawn: what is seen of it, else what it collides with."""
     given = list(shapes)
     return [s for s in given if s.visual] or given
 
 
-def _wanted(shape: Shape, mechanism: Mechanism, folders: Folders) -> Any:
-    """The mesh of a shape, or the file that holds it. Errors: `KempeError`."""
+def _find_source(
+    shape: Shape, mechanism: Mechanism, folders: Folders
+) -> tuple[Source, Array, Array]:
+    """The source of a shape, its scale (3,) and its place (4, 4). Errors: `KempeError`."""
     geometry = shape.geometry.evaluate(mechanism.parameters)
     X = shape.X_BS.evaluate(mechanism.parameters)
     _refuse_far(geometry, X)
     if isinstance(geometry, Mesh):
-        path = folders.find(geometry.path)
-        return _File(path, np.array(geometry.scale), X, shape.color)
+        return (folders.find(geometry.path), shape.color), np.array(geometry.scale), X
     if shape.kind not in PRIMITIVES:
         raise InputError(f"shapes of kind {shape.kind!r} are not drawn")
-    return _placed(PRIMITIVES[shape.kind](geometry), X, shape.color)
+    scale = np.array(geometry.radii) if shape.kind == "ellipsoid" else np.ones(3)
+    return (PRIMITIVES[shape.kind](geometry), shape.color), scale, X
 
 
-def _creation(name: str, *sizes: Any) -> Any:
-    """A mesh of `trimesh.creation`."""
-    import trimesh
-
-    return getattr(trimesh.creation, name)(*sizes)
-
-
-PRIMITIVES: dict[str, Callable[[Any], Any]] = {
-    "sphere": lambda s: _creation("icosphere", 2, s.radius),
-    "box": lambda s: _creation("box", s.size),
-    "cylinder": lambda s: _creation("cylinder", s.radius, s.length, ROUND),
-    "capsule": lambda s: _creation("capsule", s.length, s.radius, (ROUND, ROUND)),
-    "ellipsoid": lambda s: _creation("icosphere", 2, 1.0).apply_scale(s.radii),
+PRIMITIVES: dict[str, Callable[[Any], tuple[Any, ...]]] = {
+    "sphere": lambda s: ("icosphere", 2, s.radius),
+    "box": lambda s: ("box", tuple(s.size)),
+    "cylinder": lambda s: ("cylinder", s.radius, s.length, ROUND),
+    "capsule": lambda s: ("capsule", s.length, s.radius, (ROUND, ROUND)),
+    "ellipsoid": lambda s: ("icosphere", 2, 1.0),
 }
-"""The mesh of a shape with numbers for sizes, by its kind; files are read apart."""
+"""The function of trimesh that makes a shape, with its arguments, by the shape's kind;
+an ellipsoid is a scaled sphere. Files are read apart."""
 
 
 def _refuse_far(geometry: Any, X: Array) -> None:
@@ -194,40 +248,34 @@ def _refuse_far(geometry: Any, X: Array) -> None:
             )
 
 
-def _placed(mesh: Any, X: Array, color: tuple[float, ...] | None) -> Any:
-    """The mesh, placed; in the colour where it has none of its own."""
-    mesh.apply_transform(X)
-    if color is not None and not mesh.visual.defined:
-        mesh.visual.vertex_colors = np.round(255.0 * np.array(color)).astype(np.uint8)
-    return mesh
-
-
 # ---- reading in a process of its own
 
 
-def read_meshes(paths: Iterable[Path]) -> dict[Path, Any]:
-    """The mesh (trimesh) of each file, or the reason why it could not be read, as text.
+def read_meshes(
+    sources: Iterable[Source], meanwhile: Callable[[], object] | None = None
+) -> dict[Source, Triangles | str]:
+    """The triangles of each source, or the reason why it could not be read, as text.
 
     Where a file ends the process, the next one reads those that are left.
     """
-    found: dict[Path, Any] = {}
-    for path in paths:
-        if path not in found:
-            found[path] = _refused(path)
-    left = [path for path, said in found.items() if not said]
+    meshes: dict[Source, Triangles | str] = {}
+    for source in sources:
+        if source not in meshes:
+            meshes[source] = _explain_unread(source[0]) if isinstance(source[0], Path) else ""
+    left = [source for source, reason in meshes.items() if not reason]
     first = 0
     end = time.monotonic() + ALL
     with tempfile.TemporaryDirectory() as folder:
         while first < len(left):
             seconds = end - time.monotonic()
             if seconds <= 0.0:
-                found.update(
-                    (path, f"the meshes of this model take more than {ALL:g} s")
-                    for path in left[first:]
+                meshes.update(
+                    (source, f"the meshes of this model take more than {ALL:g} s")
+                    for source in left[first:]
                 )
                 break
             settings = {
-                "paths": list(map(str, left)),
+                "wanted": [(str(x) if isinstance(x, Path) else x, color) for x, color in left],
                 "first": first,
                 "folder": folder,
                 "largest": LARGEST,
@@ -236,22 +284,28 @@ def read_meshes(paths: Iterable[Path]) -> dict[Path, Any]:
                 "texture": TEXTURE,
             }
             ended = run_limited(
-                _WORKER, settings, seconds=seconds, cpu=ALL, memory=MEMORY, output=LARGEST
+                _WORKER,
+                settings,
+                seconds=seconds,
+                cpu=ALL,
+                memory=MEMORY,
+                output=LARGEST,
+                meanwhile=meanwhile if first == 0 else None,
             )
-            while first < len(left) and (said := _handed_back(Path(folder), first)) is not None:
-                found[left[first]] = said
+            while first < len(left) and (made := _load_result(Path(folder), first)) is not None:
+                meshes[left[first]] = made
                 first += 1
             if first < len(left):
-                found[left[first]] = {
+                meshes[left[first]] = {
                     "time": f"reading it takes more than {EACH} s",
                     "memory": f"reading it takes more than {MEMORY} bytes of memory",
                     "output": f"its triangles take more than {LARGEST} bytes",
                 }.get(ended.reason, f"reading it ended the process: {last_words(ended.said)}")
                 first += 1
-    return found
+    return meshes
 
 
-def _refused(path: Path) -> str:
+def _explain_unread(path: Path) -> str:
     """Why a file is not even opened; '' where it is."""
     if path.stat().st_size > LARGEST:
         return f"the file has more than {LARGEST} bytes"
@@ -268,14 +322,14 @@ def _refused(path: Path) -> str:
     return ""
 
 
-def _handed_back(folder: Path, k: int) -> Any:
-    """The mesh of file `k`, or the text about it; None where the process wrote neither."""
-    import trimesh
-
-    if (said := folder / f"{k}.txt").exists():
-        return said.read_text(encoding="utf-8", errors="replace")
-    if not (made := folder / f"{k}.glb").exists():
+def _load_result(folder: Path, k: int) -> Triangles | str | None:
+    """The triangles of source `k`, or the text about it; None where the process wrote neither."""
+    if (reason := folder / f"{k}.txt").exists():
+        return reason.read_text(encoding="utf-8", errors="replace")
+    if not (made := folder / f"{k}.npz").exists():
         return None
-    mesh = trimesh.load_mesh(io.BytesIO(made.read_bytes()), file_type="glb", process=False)
+    with np.load(made) as data:
+        color = tuple(data["color"].tolist()) or None
+        mesh = Triangles(data["glb"].tobytes(), data["corners"], data["triangles"], color)
     made.unlink()
     return mesh

@@ -5,10 +5,13 @@ The pictures are cut into parts that move as one, so that an update is a few pos
 
 from __future__ import annotations
 
+import importlib.util
+import json
+import struct
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from functools import cache, cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -17,15 +20,13 @@ from kempe.errors import MissingExtraError
 from kempe.forward.fk import fk
 from kempe.model.configurations import integrate_velocity
 from kempe.spatial import Array
-from kempe.views.drawing import planar, style, symbols
+from kempe.views.drawing import style, symbols
 from kempe.views.drawing.scene import Scene, SeenJoint, look
-from kempe.views.drawing.solids import Solids, rgb
-from kempe.views.viewer.mesh_files import meshes_of
+from kempe.views.drawing.solids import DrawnPiece, SolidRecord, fan_triangles, rgb
+from kempe.views.viewer.mesh_files import BodyMesh, read_body_meshes
 from kempe.words import counted
 
 if TYPE_CHECKING:
-    from matplotlib.path import Path
-
     from kempe.model.model import Model
     from kempe.views.viewer.overlays import Overlay
 
@@ -42,10 +43,6 @@ NEAR_PART = 1e-6
 """How far a corner may be from where a link brings it, as a part of the drawing."""
 APART = 0.03
 """Radians and characteristic lengths between the two configurations."""
-THICK = 0.15
-"""Height between two layers of a planar drawing, in radii of a pin."""
-POINT = 0.085
-"""Width of a line of one point, in radii of a pin."""
 SOLID = 1.4
 """Radius of a hinge in space, in those of a picture: a page is looked at from nearer."""
 LEAST = 1e-9
@@ -54,126 +51,6 @@ SLIDING = ("prismatic", "cylindrical", "helical")
 """Joints that slide along z of their frame."""
 OWN = ("cylinder", "neck", "rail", "rod", "line", "slot", "ground", "hatch")
 """Beginnings of names of what moves with no link, and stays with the first of its two."""
-
-
-class DrawnPiece(NamedTuple):
-    """Triangles (m, 3) over corners (n, 3) with a name, of one colour (4,): red, green, blue, alpha
-    from 0 to 1.
-    """
-
-    name: str
-    corners: Array
-    triangles: np.ndarray
-    colour: tuple[float, float, float, float]
-
-
-@dataclass
-class SolidRecord(Solids):
-    """Solids as pieces, without light: the page has its own."""
-
-    pieces: list[DrawnPiece] = field(default_factory=list[DrawnPiece])
-    by_depth: bool = False
-
-    def face(
-        self,
-        name: str,
-        corners: Array,
-        normal: Array,
-        colour: str,
-        alpha: float = 1.0,
-        edge: str = "",
-    ) -> None:
-        """Add a flat convex face with its outward normal, seen from both sides where it can be
-        looked through.
-        """
-        self._add(name, corners[None], normal[None], colour, alpha)
-
-    def faces_of(self, name: str, corners: Array, normals: Array, colour: str) -> None:
-        """Add solid faces, corners (k, n, 3) with outward normals (k, 3), as one piece."""
-        self._add(name, corners, normals, colour, 1.0)
-
-    def _add(self, name: str, corners: Array, normals: Array, colour: str, alpha: float) -> None:
-        k, n, _ = corners.shape
-        (a, b, c) = (corners[:, 1] - corners[:, 0]).T
-        (d, e, f) = (corners[:, -1] - corners[:, 0]).T
-        # of np.cross, which is slow
-        out = np.stack([b * f - c * e, c * d - a * f, a * e - b * d], axis=1)
-        turned = np.sum(out * normals, axis=1) < 0.0
-        fan = np.where(turned[:, None, None], _fan(n)[:, ::-1], _fan(n))
-        both: np.ndarray = fan
-        if alpha < 1.0:
-            both = np.concatenate([fan, fan[..., ::-1]], axis=1)
-        first = n * np.arange(k, dtype=np.int64)[:, None, None]
-        triangles = (both + first).reshape(-1, 3)
-        self.pieces.append(
-            DrawnPiece(name, corners.reshape(-1, 3), triangles, (*rgb(colour), alpha))
-        )
-
-
-class SheetRecord(planar.Sheet):
-    """The drawing of a planar system as pieces, in layers above one another."""
-
-    def __init__(self, scene: Scene, r: float, configurations: Array | None):
-        super().__init__(None, scene, r, configurations)  # type: ignore[arg-type]
-        self.pieces: list[DrawnPiece] = []
-
-    def patch(self, path: Path, gid: str, layer: float, **how: Any) -> None:
-        """Add an outline, filled and with its line."""
-        from matplotlib.transforms import Affine2D
-
-        scale = 100.0 / self.r
-        for line in path.to_polygons(Affine2D().scale(scale), closed_only=False):
-            corners = np.asarray(line) / scale
-            if len(corners) > 2 and (fill := how.get("fc", "none")) != "none":
-                self._add(gid, corners, _fan(len(corners)), layer, _rgba(fill))
-            if (edge := how.get("ec", "none")) != "none":
-                self._stroke(gid, corners, layer + 0.5, _rgba(edge), how.get("lw", 0.9))
-
-    def line(self, points: Array, gid: str, layer: float, **how: Any) -> None:
-        """Add a polyline (n, 2)."""
-        colour = _rgba(how.get("color", style.INK))
-        self._stroke(
-            gid, points[np.isfinite(points).all(axis=1)], layer + 0.5, colour, how.get("lw", 1.5)
-        )
-
-    def _stroke(self, gid: str, points: Array, layer: float, colour: Any, width: float) -> None:
-        a = points[:-1]
-        b = points[1:]
-        length = np.linalg.norm(b - a, axis=1, keepdims=True)
-        a, b, along = (
-            x[length[:, 0] > 1e-12] for x in (a, b, (b - a) / np.maximum(length, 1e-300))
-        )
-        if not len(a):
-            return
-        half = 0.5 * POINT * width * self.r
-        side = half * np.stack([-along[:, 1], along[:, 0]], axis=1)
-        a = a - 0.6 * half * along
-        b = b + 0.6 * half * along
-        corners = np.stack([a - side, b - side, b + side, a + side], axis=1).reshape(-1, 2)
-        quads = (4 * np.arange(len(a))[:, None, None] + _fan(4)).reshape(-1, 3)
-        self._add(gid, corners, quads, layer, colour)
-
-    def _add(
-        self, gid: str, corners: Array, triangles: np.ndarray, layer: float, colour: Any
-    ) -> None:
-        above = np.full((len(corners), 1), THICK * self.r * layer)
-        both = np.concatenate([triangles, triangles[:, ::-1]])
-        self.pieces.append(DrawnPiece(gid, np.concatenate([corners, above], axis=1), both, colour))
-
-
-@cache
-def _fan(n: int) -> np.ndarray:
-    """Triangles (n - 2, 3) of a convex polygon with n corners."""
-    k = np.arange(1, n - 1)
-    return np.stack([np.zeros_like(k), k, k + 1], axis=1)
-
-
-def _rgba(colour: Any) -> tuple[float, float, float, float]:
-    """A colour of the drawings, with the paper mixed in where it is to be looked through."""
-    pair: Any = colour
-    if isinstance(colour, tuple):
-        return (*rgb(style.mix(pair[0], style.PAPER, 0.85 * (1.0 - float(pair[1])))), 1.0)
-    return (*rgb(colour), 1.0)
 
 
 @dataclass(frozen=True)
@@ -234,7 +111,12 @@ class RigidParts:
         self.names = tuple(link.name for link in scene.links)
         self.rods = [(_end(system, n, 0), _end(system, n, 1)) for n, *_ in scene.rods]
         self.size = scene.size
-        self.r = planar.pin_radius(scene) if system.dim == 2 else SOLID * symbols.radius(scene)
+        if system.dim == 2:
+            from kempe.views.drawing.planar import pin_radius
+
+            self.r = pin_radius(scene)
+        else:
+            self.r = SOLID * symbols.radius(scene)
         self.slides = _slides(scene, self.r)
         self.parts = self._parts(scene)
         points = np.concatenate([np.zeros((1, 3)), *(scene.points(link) for link in scene.links)])
@@ -346,8 +228,10 @@ class RigidParts:
         wide = np.repeat(scene.q[None], 2, axis=0)
         wide[:, lengths] += np.array([[-0.5], [0.5]]) * self.size
         if self.system.dim == 2:
+            from kempe.views.drawing.planar import SheetRecord, draw
+
             sheet = SheetRecord(scene, self.r, wide)
-            planar.draw(sheet, {}, False)
+            draw(sheet, {}, False)
             return sheet.pieces
         solids = SolidRecord()
         symbols.build(solids, scene, self.r, wide)
@@ -485,14 +369,14 @@ def _between(scene: Scene, slide: Slide, r: float, R: Array) -> list[DrawnPiece]
     fill = style.mix(colour, style.PAPER, 0.45 if line else 0.25)
     dark = style.mix(colour, style.INK, 0.45)
     layer = style.POLYGONS if line else style.BARS
-    edge = 0.5 * POINT * 0.9 * r
+    edge = 0.5 * style.POINT * 0.9 * r
     up = R[2] / np.linalg.norm(R[2])
     side = np.cross([0.0, 0.0, 1.0], up)
 
     def strip(low: float, high: float, layer: float, colour: str) -> DrawnPiece:
-        x = np.array([low, high, high, low])[:, None] * side + THICK * r * layer * up
+        x = np.array([low, high, high, low])[:, None] * side + style.THICK * r * layer * up
         corners = x + np.repeat(z, 2)[:, None] * np.array([0.0, 0.0, 1.0])
-        fan = _fan(4)
+        fan = fan_triangles(4)
         return DrawnPiece(
             f"rail:{slide.name}", corners, np.concatenate([fan, fan[:, ::-1]]), (*rgb(colour), 1.0)
         )
@@ -569,10 +453,8 @@ def _joined(carrier: int, pieces: Sequence[DrawnPiece]) -> RigidPart:
     return RigidPart(carrier, np.concatenate([p.corners for p in pieces]), triangles, colours)
 
 
-try:
-    import trimesh
-except ImportError:
-    raise MissingExtraError("trimesh", "view") from None
+if importlib.util.find_spec("trimesh") is None:
+    raise MissingExtraError("trimesh", "view")
 
 
 # ---- nodes of a scene
@@ -605,11 +487,24 @@ SOFT = np.cos(np.deg2rad(35.0))
 
 
 class Shape(NamedTuple):
-    """What is drawn on a carrier: a mesh, and how much of it is seen, 1 where it is solid."""
+    """What is drawn on a carrier: a GLB, scaled by (3,) and then placed by (4, 4) on the carrier.
+
+    `corners` (n, 3) on the carrier and `triangles` (m, 3) are the same. A shape of one colour that
+    can be looked through has this colour (4,) of bytes.
+    """
 
     carrier: int
-    mesh: Any
-    opacity: float
+    glb: bytes
+    scale: Array
+    X: Array
+    corners: Array
+    triangles: np.ndarray
+    color: tuple[int, ...] | None
+
+    @property
+    def opacity(self) -> float:
+        """How much of it is seen, 1 where it is solid."""
+        return 1.0 if self.color is None else self.color[3] / 255.0
 
 
 class Drawn:
@@ -621,7 +516,8 @@ class Drawn:
 
     def __init__(self, system: Model, q: Array, way: Array | None = None):
         self.system = system
-        self.rigid = RigidParts(system, q)
+        self.q = q
+        meshes, self.lost = read_body_meshes(system, meanwhile=lambda: self.rigid)
         self.middle = self.rigid.middle
         self.size = self.rigid.size
         if way is not None:
@@ -629,25 +525,38 @@ class Drawn:
             self.middle, self.size = self.rigid.box(
                 np.concatenate([q[None], some]), self.middle[None]
             )
-        found, self.lost = meshes_of(system)
-        self.shapes = tuple(self._shapes(found, q))
+        self.shapes = tuple(self._place_shapes(meshes, q))
 
-    def _shapes(self, found: dict[str, list[Any]], q: Array) -> list[Shape]:
-        links = look(self.system, q).links
+    @cached_property
+    def rigid(self) -> RigidParts:
+        """The links, drawn at `q`."""
+        return RigidParts(self.system, self.q)
+
+    def _place_shapes(self, meshes: dict[str, list[BodyMesh]], q: Array) -> list[Shape]:
         out: list[Shape] = []
         covered: set[int] = set()
-        for link in links:
-            own = [(X, mesh) for body, X in link.bodies.items() for mesh in found.get(body, ())]
+        for link in look(self.system, q).links:
             head = np.linalg.inv(next(iter(link.bodies.values())))
-            for X, mesh in own:
-                placed = mesh.copy()
-                placed.apply_transform(head @ X)
-                out.append(Shape(link.number, placed, _opacity(placed)))
-                covered.add(link.number)
+            for body, X in link.bodies.items():
+                for mesh in meshes.get(body, ()):
+                    placed = mesh._replace(X=head @ X @ mesh.X)
+                    color = mesh.drawn.color
+                    out.append(
+                        Shape(
+                            link.number,
+                            mesh.drawn.glb,
+                            placed.scale,
+                            placed.X,
+                            placed.corners,
+                            placed.triangles,
+                            color if color and color[3] < 255 else None,
+                        )
+                    )
+                    covered.add(link.number)
         bare = (
             p for p in self.rigid.parts if not covered.intersection(self.rigid.links(p.carrier))
         )
-        return out + [Shape(p.carrier, _mesh(p), float(p.colours[:, 3].min())) for p in bare]
+        return out + [_make_shape(p) for p in bare]
 
     @property
     def lost_sentence(self) -> str:
@@ -658,11 +567,6 @@ class Drawn:
         return f"{counted(len(self.lost), 'mesh')} not drawn: {'; '.join(self.lost[:SAID])}{more}"
 
     @cached_property
-    def files(self) -> tuple[bytes, ...]:
-        """The solid shapes as GLB, which colours each triangle."""
-        return tuple(cast(bytes, s.mesh.export(file_type="glb")) for s in self.shapes)
-
-    @cached_property
     def seen(self) -> tuple[Scene, Array]:
         """The scene that was drawn, and poses (carriers, 4, 4) of the ground seen from the carriers
         in it.
@@ -671,15 +575,18 @@ class Drawn:
         return look(self.system, q), spatial.inverse(self.rigid.poses(q))
 
     @cached_property
-    def outlines(self) -> tuple[tuple[int, Any], ...]:
-        """One mesh without colours for each carrier that moves, for ghosts."""
-        by: dict[int, list[Any]] = {}
+    def outlines(self) -> tuple[tuple[int, Array, np.ndarray], ...]:
+        """The solid corners (n, 3) and triangles (m, 3) of each carrier that moves, for ghosts."""
+        by: dict[int, list[Shape]] = {}
         for shape in self.shapes:
-            if shape.carrier and shape.opacity == 1.0:
-                by.setdefault(shape.carrier, []).append(
-                    trimesh.Trimesh(shape.mesh.vertices, shape.mesh.faces, process=False)
-                )
-        return tuple((k, trimesh.util.concatenate(meshes)) for k, meshes in by.items())
+            if shape.carrier and shape.color is None:
+                by.setdefault(shape.carrier, []).append(shape)
+        out: list[tuple[int, Array, np.ndarray]] = []
+        for k, shapes in by.items():
+            first = np.cumsum([0, *(len(s.corners) for s in shapes)])
+            triangles = [s.triangles + n for s, n in zip(shapes, first, strict=False)]
+            out.append((k, np.concatenate([s.corners for s in shapes]), np.concatenate(triangles)))
+        return tuple(out)
 
     @property
     def near(self) -> float:
@@ -709,25 +616,61 @@ class Drawn:
         camera.look_at = tuple(at)
 
 
-def _opacity(mesh: Any) -> float:
-    """How much is seen of a mesh of one colour; 1 where it has several, or those of a file."""
-    if mesh.visual.kind != "vertex":
-        return 1.0
-    colours: Array = mesh.visual.vertex_colors
-    return float(colours[0, 3]) / 255.0 if (colours == colours[0]).all() else 1.0
-
-
-def _mesh(part: RigidPart) -> Any:
-    """The triangles of a part as a mesh of trimesh."""
+def _make_shape(part: RigidPart) -> Shape:
+    """A part as a shape."""
     corners = part.corners[part.triangles].reshape(-1, 3)
+    colours = _bytes(part.colours)
+    glb = write_glb(corners, soft_normals(corners), np.repeat(colours, 3, axis=0))
+    color = tuple(colours[0].tolist()) if colours[:, 3].min() < 255 else None
     triangles = np.arange(len(corners)).reshape(-1, 3)
-    return trimesh.Trimesh(
-        corners,
-        triangles,
-        face_colors=_bytes(part.colours),
-        vertex_normals=soft_normals(corners),
-        process=False,
+    return Shape(part.carrier, glb, np.ones(3), np.eye(4), corners, triangles, color)
+
+
+def write_glb(corners: Array, normals: Array, colours: np.ndarray) -> bytes:
+    """Triangles as binary glTF 2.0: every three of the corners (3 m, 3) [m] are one, with normals
+    (3 m, 3) and colours (3 m, 4) of bytes.
+    """
+    arrays = {
+        "POSITION": corners.astype("<f4"),
+        "NORMAL": normals.astype("<f4"),
+        "COLOR_0": colours.astype(np.uint8),
+    }
+    views: list[dict[str, Any]] = []
+    accessors: list[dict[str, Any]] = []
+    start = 0
+    for k, array in enumerate(arrays.values()):
+        views.append({"buffer": 0, "byteOffset": start, "byteLength": array.nbytes})
+        accessors.append(
+            {
+                "bufferView": k,
+                "componentType": 5121 if array.dtype == np.uint8 else 5126,
+                "normalized": array.dtype == np.uint8,
+                "count": len(array),
+                "type": f"VEC{array.shape[1]}",
+            }
+        )
+        start += array.nbytes
+    accessors[0]["min"], accessors[0]["max"] = (
+        extreme.tolist() for extreme in (corners.min(axis=0), corners.max(axis=0))
     )
+    scene = {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": dict(zip(arrays, range(3), strict=True))}]}],
+        "accessors": accessors,
+        "bufferViews": views,
+        "buffers": [{"byteLength": start}],
+    }
+    text = json.dumps(scene).encode()
+    text += b" " * (-len(text) % 4)
+    data = b"".join(array.tobytes() for array in arrays.values())
+    head = struct.pack("<4sII", b"glTF", 2, 28 + len(text) + len(data))
+    chunks = [
+        struct.pack("<I4s", len(x), kind) + x for x, kind in ((text, b"JSON"), (data, b"BIN\0"))
+    ]
+    return b"".join([head, *chunks])
 
 
 def soft_normals(corners: Array) -> Array:
@@ -783,20 +726,21 @@ class Nodes:
             self.frames[k] = scene.add_frame(
                 f"/system/{k}", show_axes=False, wxyz=quats[k], position=places[k]
             )
-        for i, (shape, file) in enumerate(zip(drawn.shapes, drawn.files, strict=True)):
+        for i, shape in enumerate(drawn.shapes):
             name = f"/system/{shape.carrier}/{i}"
-            scale = _along(self.lengths[shape.carrier])
-            if shape.opacity == 1.0:
-                node = scene.add_glb(name, file, scale=scale)
+            along = np.array(_along(self.lengths[shape.carrier]))
+            if shape.color is None:
+                quat, place = poses_as(shape.X)
+                scale = tuple((along * shape.scale).tolist())
+                node = scene.add_glb(name, shape.glb, scale=scale, wxyz=quat, position=place)
             else:
-                colour = tuple(int(x) for x in shape.mesh.visual.face_colors[0][:3])
                 node = scene.add_mesh_simple(
                     name,
-                    shape.mesh.vertices,
-                    shape.mesh.faces,
-                    color=colour,
+                    shape.corners,
+                    shape.triangles,
+                    color=shape.color[:3],
                     side="double",
-                    scale=scale,
+                    scale=tuple(along.tolist()),
                     opacity=shape.opacity,
                     cast_shadow=False,
                     receive_shadow=False,
@@ -909,13 +853,15 @@ class Nodes:
                 )
             )
         if len(overlay.points):
-            ball = trimesh.creation.icosphere(1, 0.5)
+            record = SolidRecord()
+            record.ball("", np.zeros(3), 0.5, style.INK)
+            (ball,) = record.pieces
             none = np.tile([1.0, 0.0, 0.0, 0.0], (len(overlay.points), 1))
             new.append(
                 scene.add_batched_meshes_simple(
                     f"{at}/points",
-                    ball.vertices,
-                    ball.faces,
+                    ball.corners,
+                    ball.triangles,
                     none,
                     overlay.points + above,
                     lod="off",
@@ -970,12 +916,12 @@ class Nodes:
         for _, node in self.ghosts:
             node.remove()
         self.ghosts = []
-        for k, mesh in self.drawn.outlines:
+        for k, corners, triangles in self.drawn.outlines:
             colour = tuple(int(255 * x) for x in rgb(style.link_colour(k)))
             node = self.scene.add_batched_meshes_simple(
                 f"/ghosts/{k}",
-                mesh.vertices,
-                mesh.faces,
+                corners,
+                triangles,
                 np.tile([1.0, 0, 0, 0], (room, 1)),
                 np.zeros((room, 3)),
                 batched_scales=np.zeros((room, 3), dtype=np.float32),
