@@ -66,9 +66,9 @@ class Symbolic(Namespace):
         With `short` a `ShortForm`: l1 c1 + l2 c12, and the legend; see
         `kempe.forward.symbolic`.
         """
-        from kempe.forward.symbolic_steps import short_fk
+        from kempe.forward.symbolic_steps import derive_short_fk
 
-        return short_fk(
+        return derive_short_fk(
             self.system, frame, short, relative_to=relative_to, symbols=symbols, snap=snap
         )
 
@@ -79,9 +79,9 @@ class Symbolic(Namespace):
         """The matrices whose product is the forward model; see
         `kempe.forward.symbolic_steps`.
         """
-        from kempe.forward.symbolic_steps import symbolic_steps
+        from kempe.forward.symbolic_steps import derive_steps
 
-        return symbolic_steps(self.system, frame, symbols=symbols, snap=snap)
+        return derive_steps(self.system, frame, symbols=symbols, snap=snap)
 
     @explained
     def jacobian(
@@ -90,20 +90,20 @@ class Symbolic(Namespace):
         """The Jacobian in symbols (sympy Matrix 6 x nv); see
         `kempe.forward.symbolic_steps`.
         """
-        from kempe.forward.symbolic_steps import symbolic_jacobian
+        from kempe.forward.symbolic_steps import derive_jacobian
 
-        return symbolic_jacobian(self.system, frame, symbols=symbols, snap=snap)
+        return derive_jacobian(self.system, frame, symbols=symbols, snap=snap)
 
     @explained
     def closure(
         self, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0
     ) -> SymbolicClosure:
         """The equations f(q) = 0 of all loops; see
-        `kempe.forward.symbolic_closure.symbolic_closure`.
+        `kempe.forward.symbolic_closure.derive_closure`.
         """
-        from kempe.forward.symbolic_closure import symbolic_closure
+        from kempe.forward.symbolic_closure import derive_closure
 
-        return symbolic_closure(self.system, symbols=symbols, snap=snap)
+        return derive_closure(self.system, symbols=symbols, snap=snap)
 
     @explained
     def to_dh(
@@ -143,9 +143,9 @@ class Symbolic(Namespace):
         """A formula with c12 for cos(q1 + q2), and the legend; see
         `kempe.forward.symbolic_steps`.
         """
-        from kempe.forward.symbolic_steps import short_form
+        from kempe.forward.symbolic_steps import shorten_formula
 
-        return short_form(self.system, formula)
+        return shorten_formula(self.system, formula)
 
 
 @dataclass(frozen=True, repr=False)

@@ -23,7 +23,7 @@ from kempe import Mechanism, System
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 
 sympy = pytest.importorskip("sympy")
-from kempe.forward.symbolic import TURN_LIMIT, symbolic_fk  # noqa: E402
+from kempe.forward.symbolic import TURN_LIMIT, derive_fk  # noqa: E402
 
 
 def numbers(formula, system: System, q, **parameters) -> np.ndarray:
@@ -422,7 +422,7 @@ def test_wrong_arguments():
         s.symbolic.fk("e", symbols={"q3": 1})
     for snap in (-1.0, math.nan, 1.0, "a", True):
         with pytest.raises(InputError, match="snap"):
-            symbolic_fk(s, "e", snap=snap)
+            derive_fk(s, "e", snap=snap)
     m = Mechanism("twice", dim=2)
     m.parameter("q", 1.0)
     m.revolute("q", m.ground, m.body("b"), at=("q", 0))

@@ -13,7 +13,7 @@ from kempe import Mechanism, spatial
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 
 sympy = pytest.importorskip("sympy")
-from kempe.forward.symbolic_steps import short_form  # noqa: E402
+from kempe.forward.symbolic_steps import shorten_formula  # noqa: E402
 
 ARM = kempe.load("two_link")
 SYSTEMS = [
@@ -50,7 +50,9 @@ def test_steps_multiply_to_the_forward_model(name):
     steps = system.symbolic.steps(frame)
     pairs = list(zip(steps.names[:-1], steps.names[1:], strict=True))
     assert len(steps.T) == len(pairs) == len(steps.R) == len(steps.p)
-    for (a, b), T, R, p, X in zip(pairs, steps.T, steps.R, steps.p, steps.numbers(q), strict=True):
+    for (a, b), T, R, p, X in zip(
+        pairs, steps.T, steps.R, steps.p, steps.evaluate_matrices(q), strict=True
+    ):
         A = system.fk(q, a) if a != steps.names[0] else np.eye(4)
         B = system.fk(q, b)
         assert np.allclose(
@@ -121,7 +123,7 @@ def test_latex_says_both_frames_at_the_left():
     ],
 )
 def test_short_names(formula, said):
-    short, legend = short_form(ARM, sympy.sympify(formula))
+    short, legend = shorten_formula(ARM, sympy.sympify(formula))
     assert str(short) == said
     assert sympy.simplify(short.xreplace(legend) - sympy.sympify(formula)) == 0
 

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from kempe import System, spatial
 from kempe.arrays import reals
 from kempe.errors import InputError
-from kempe.forward.maximal import as_poses
+from kempe.forward.maximal import read_poses
 from kempe.model.configurations import read_start
 from kempe.spatial import Array
 from oracles import pairs
@@ -48,7 +48,7 @@ def maximal_residual(system: System, poses: ArrayLike, near: Any = None) -> Arra
     configuration `near`; without it, those that fit best.
     """
     form = form_of(system)
-    poses = as_poses(system, poses)
+    poses = read_poses(system, poses)
     near = None if near is None else read_start(system, near)
     values = [pair.rows(pose_in(system, pair, poses))[0] for pair in form.pairs]
     if form.relations:
@@ -65,7 +65,7 @@ def maximal_jacobian(system: System, poses: ArrayLike, near: Any = None) -> Arra
     = 6 n_b in space.
     """
     form = form_of(system)
-    poses = as_poses(system, poses)
+    poses = read_poses(system, poses)
     near = None if near is None else read_start(system, near)
     rows = [
         pair.rows(pose_in(system, pair, poses))[1] @ motion_in(system, pair, poses)
@@ -90,7 +90,7 @@ def maximal_integrate(system: System, poses: ArrayLike, v: ArrayLike) -> Array:
     """Poses reached from `poses` by the twists `v` (..., n) in one unit of time: r + v and exp(w)
     R.
     """
-    poses = as_poses(system, poses)
+    poses = read_poses(system, poses)
     v = reals(v, "v")
     n = len(maximal_velocity_names(system))
     if v.shape[-1:] != (n,):

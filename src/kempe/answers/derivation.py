@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from kempe.errors import InputError
-from kempe.forward.symbolic import aligned, in_latex, sympy
+from kempe.forward.symbolic import align_formulas, format_latex, sympy
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -98,10 +98,10 @@ class Derivation:
             for k, s in enumerate(self.signs, 1)
         }
         lines = (
-            f"{in_latex(step.symbol)} &= {in_latex(_readable(step.formula), names)}"
+            f"{format_latex(step.symbol)} &= {format_latex(_readable(step.formula), names)}"
             for step in self.steps
         )
-        return aligned(line.replace(r"- \pm", r"\mp") for line in lines)
+        return align_formulas(line.replace(r"- \pm", r"\mp") for line in lines)
 
     def code(self) -> str:
         """A Python function of the formulas, which needs numpy alone; names that Python does not

@@ -28,7 +28,7 @@ from kempe.answers.derivation import (
 )
 from kempe.assemble.dyad_decomposition import Dyad, alone, parts_of
 from kempe.errors import UnsupportedError
-from kempe.forward.symbolic import SymbolLeaves, placement_steps, pose_of, sympy
+from kempe.forward.symbolic import SymbolLeaves, iterate_placement_steps, multiply_steps, sympy
 from kempe.joints import R
 from kempe.spatial import Array
 
@@ -136,14 +136,14 @@ class _Writing:
                 f"joint {joint.name!r} has no formulas here; loops.closed_form has numbers"
             )
         ends: list[Any] = [
-            pose_of(placement_steps(X, joint.name, self.leaves), self.leaves)
+            multiply_steps(iterate_placement_steps(X, joint.name, self.leaves), self.leaves)
             for X in (joint.X_PF, joint.X_CM)
         ]
         turns = motion is None or motion.kind == R
         axis = 0 if turns or motion is None else "xyz".index(motion.axis)
         angles = [polar((X[0, axis], X[1, axis]))[1] for X in ends]
         name = self.system.structure.coordinates_of_joint(joint.name)
-        value = self.leaves.coordinate(name[0]) if name else sympy.Integer(0)
+        value = self.leaves.express_coordinate(name[0]) if name else sympy.Integer(0)
         (a, b) = ((X[0, 3], X[1, 3]) for X in ends)
         return _Geometry(joint, turns, (a, b), (angles[0], angles[1]), value)
 

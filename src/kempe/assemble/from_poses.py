@@ -23,7 +23,7 @@ from kempe.description.parts import Joint
 from kempe.equations.closure_rows import evaluate, full, row_names
 from kempe.equations.judge import coordinate_value
 from kempe.errors import InputError
-from kempe.forward.maximal import as_poses, coordinates_of_pose, maximal, maximal_q
+from kempe.forward.maximal import list_pose_coordinates, maximal, maximal_q, read_poses
 from kempe.joints import JointType, P, Q
 from kempe.model.configurations import compute_mid_configuration, read_start, refuse_far
 from kempe.model.implicit_form import (
@@ -68,7 +68,7 @@ def from_maximal(
     constraint or a coupling by more than `tolerance` (metres or radians, by default 1e-6), naming
     it and by how much, and for matrices that are no poses.
     """
-    poses = as_poses(system, poses)
+    poses = read_poses(system, poses)
     tolerance = READ if tolerance is None else tolerance
     start = None if start is None else read_start(system, start)
     if start is not None:
@@ -185,7 +185,7 @@ def fit(
     pitch = find_screw_pitch(kind) if dim == 3 and not particle else None
     if pitch:
         near = X[..., 2, 3, None] / pitch  # the slide tells the turns
-    start = np.concatenate([*coordinates_of_pose(X, dim, particle), near], axis=-1).reshape(
+    start = np.concatenate([*list_pose_coordinates(X, dim, particle), near], axis=-1).reshape(
         math.prod(lead), system.nq
     )
     form = find_implicit_form(kind, dim, particle)

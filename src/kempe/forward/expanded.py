@@ -43,15 +43,15 @@ def expanded(system: SystemType) -> SystemType:
     m.joints = {}
     m.name = f"{m.name}, expanded"
     for joint in joints.values():
-        parts = _parts(m, joint)
+        parts = _split_joint(m, joint)
         if len(parts) == 1 and parts[0].motion.multiplier == 1.0 or not parts:
             m.joints[joint.name] = joint
         else:
-            _expand(m, joint, parts)
+            _add_joint_chain(m, joint, parts)
     return type(system)(m)
 
 
-def _parts(m: Mechanism, joint: Joint) -> list[_SingleJoint]:
+def _split_joint(m: Mechanism, joint: Joint) -> list[_SingleJoint]:
     """The turns and slides of a joint; those of a quaternion with three angles, in postures, too."""
     keys, steps = joint.type.layout(m.dim, m.bodies[joint.child].particle)
     names = list_coordinate_names(m, joint)
@@ -79,7 +79,7 @@ def _parts(m: Mechanism, joint: Joint) -> list[_SingleJoint]:
     return out
 
 
-def _expand(m: Mechanism, joint: Joint, parts: list[_SingleJoint]) -> None:
+def _add_joint_chain(m: Mechanism, joint: Joint, parts: list[_SingleJoint]) -> None:
     """Add a joint to a mechanism as a chain of turns and slides."""
     here = joint.parent
     X = joint.X_PF

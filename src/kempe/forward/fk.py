@@ -44,34 +44,34 @@ class Form(NamedTuple):
     of: Callable[[Array], Array]
 
 
-def _pose(X: Array) -> Array:
+def _select_matrix(X: Array) -> Array:
     return X
 
 
-def _upper_rows(X: Array) -> Array:
+def _select_upper_rows(X: Array) -> Array:
     return X[..., :3, :]
 
 
-def _position(X: Array) -> Array:
+def _select_position(X: Array) -> Array:
     return X[..., :3, 3]
 
 
-def _position_quat_wxyz(X: Array) -> Array:
+def _compute_position_quat_wxyz(X: Array) -> Array:
     return np.concatenate([X[..., :3, 3], matrix_to_quat_wxyz(X[..., :3, :3])], axis=-1)
 
 
 FORMS = {
-    "matrix": Form((4, 4), _pose),
-    "3x4": Form((3, 4), _upper_rows),
-    "position": Form((3,), _position),
-    "position_quat_wxyz": Form((7,), _position_quat_wxyz),
+    "matrix": Form((4, 4), _select_matrix),
+    "3x4": Form((3, 4), _select_upper_rows),
+    "position": Form((3,), _select_position),
+    "position_quat_wxyz": Form((7,), _compute_position_quat_wxyz),
 }
 """The forms by their names."""
 TYPES = ("float64", "float32")
 
 
 @keep_answers
-def chain_table(system: Model, frame: str) -> tuple[np.ndarray, Array]:
+def pack_chain(system: Model, frame: str) -> tuple[np.ndarray, Array]:
     """The chain that leads to a frame, packed for the kernels that compute chains in the cheapest
     form.
     """
@@ -81,7 +81,7 @@ def chain_table(system: Model, frame: str) -> tuple[np.ndarray, Array]:
 
 
 @quiet
-def in_form(
+def compute_poses_in_form(
     system: Model,
     q: Any,
     frame: Any,
@@ -105,7 +105,7 @@ def in_form(
     several = frame is None or isinstance(frame, (list, tuple))
     base = None if relative_to is None else system.structure.frame_name(relative_to)
 
-    def poses(at: Array) -> Array:
+    def compute_poses(at: Array) -> Array:
         X = fk(system, at, one, threads=1)
         if base is None:
             return X
@@ -113,9 +113,9 @@ def in_form(
         return (back[..., None, :, :] if several else back) @ X
 
     lead = q.shape[:-1] + ((len(system.body_names if frame is None else one),) if several else ())
-    out = _taken(out, (*lead, *wanted.shape), kind)
+    out = _prepare_typed_output(out, (*lead, *wanted.shape), kind)
     if q.ndim == 1:
-        out[...] = wanted.of(poses(q))
+        out[...] = wanted.of(compute_poses(q))
         return out
     flat = q.reshape(math.prod(q.shape[:-1]), system.nq)
     rows = out.reshape(len(flat), *out.shape[q.ndim - 1 :])
@@ -124,13 +124,13 @@ def in_form(
     table = (
         None
         if several or base is not None
-        else chain_table(system, system.structure.frame_name(one))
+        else pack_chain(system, system.structure.frame_name(one))
     )
     width = math.prod(wanted.shape)
 
-    def some(start: int, stop: int) -> int:
+    def fill_rows(start: int, stop: int) -> int:
         if table is None:
-            rows[start:stop] = wanted.of(poses(flat[start:stop]))
+            rows[start:stop] = wanted.of(compute_poses(flat[start:stop]))
             return 0
         made = rows[start:stop] if kind == np.float64 else np.empty((stop - start, *wanted.shape))
         bad = chain.chain_poses(*table, flat[start:stop], made.reshape(stop - start, width))
@@ -138,16 +138,16 @@ def in_form(
             rows[start:stop] = made
         return bad
 
-    def work(start: int, stop: int) -> int:
+    def compute_chunk(start: int, stop: int) -> int:
         if table is not None and kind == np.float64:
-            return some(start, stop)
-        return sum(some(i, min(i + FEW, stop)) for i in range(start, stop, FEW))
+            return fill_rows(start, stop)
+        return sum(fill_rows(i, min(i + FEW, stop)) for i in range(start, stop, FEW))
 
-    over_chunks(work, len(flat), FORM_CHUNK, threads, FORM_SERIAL_BELOW)
+    over_chunks(compute_chunk, len(flat), FORM_CHUNK, threads, FORM_SERIAL_BELOW)
     return out
 
 
-def _taken(out: Array | None, shape: tuple[int, ...], kind: np.dtype) -> Array:
+def _prepare_typed_output(out: Array | None, shape: tuple[int, ...], kind: np.dtype) -> Array:
     """The array `out`, checked, or a new array where `out` is None."""
     if out is None:
         return np.empty(shape, dtype=kind)
@@ -223,14 +223,14 @@ def query(system: Model, frame: FrameLike, form: str | None = None, dtype: Any =
     Errors: `UnknownNameError` for names, `InputError` for types.
     """
     if form is not None or dtype is not None:
-        in_form(system, system.neutral, frame, None, 1, form, dtype)
+        compute_poses_in_form(system, system.neutral, frame, None, 1, form, dtype)
     chain_of = _ChainQuery(system, system.structure.frame_name(frame), form, dtype)
     # a method, for it is pickled as an attribute of its object
-    bound_to: Any = MethodType(_bound_query(chain_of), chain_of)
+    bound_to: Any = MethodType(_bind_query(chain_of), chain_of)
     return bound_to
 
 
-def _bound_query(chain_of: _ChainQuery) -> Any:
+def _bind_query(chain_of: _ChainQuery) -> Any:
     """The forward model of a chain, as a function of an object that is not read, q, out and
     threads.
 
@@ -248,7 +248,7 @@ def _bound_query(chain_of: _ChainQuery) -> Any:
     jacobian_kernel = bound.jacobian
     both_kernel = bound.pose_jacobian
 
-    def pose(_: object, q: Any, out: Any = None, threads: int | None = None) -> Array:
+    def compute_pose(_: object, q: Any, out: Any = None, threads: int | None = None) -> Array:
         try:
             if q.ndim == 1:
                 X = new_pose() if out is None else out
@@ -256,9 +256,9 @@ def _bound_query(chain_of: _ChainQuery) -> Any:
                     return X
         except (TypeError, AttributeError):
             pass  # not float64, not contiguous, not a plain array
-        return chain_of.pose(q, out, threads)
+        return chain_of.compute_poses(q, out, threads)
 
-    def jacobian(
+    def compute_jacobian(
         q: Any, in_frame: str = "world_aligned", out: Any = None, threads: int | None = None
     ) -> Array:
         try:
@@ -268,9 +268,9 @@ def _bound_query(chain_of: _ChainQuery) -> Any:
                     return J
         except (TypeError, AttributeError):
             pass
-        return chain_of.jacobian(q, in_frame, out, threads)[1]
+        return chain_of.compute_jacobians(q, in_frame, out, threads)[1]
 
-    def pose_and_jacobian(
+    def compute_pose_and_jacobian(
         q: Any, in_frame: str = "world_aligned", threads: int | None = None
     ) -> tuple[Array, Array]:
         try:
@@ -281,14 +281,16 @@ def _bound_query(chain_of: _ChainQuery) -> Any:
                     return X, J
         except (TypeError, AttributeError):
             pass
-        return chain_of.jacobian(q, in_frame, None, threads)
+        return chain_of.compute_jacobians(q, in_frame, None, threads)
 
-    def formed(_: object, q: Any, out: Any = None, threads: int | None = None) -> Array:
-        return in_form(chain_of.system, q, chain_of.name, out, threads, *chain_of.form)
+    def compute_form(_: object, q: Any, out: Any = None, threads: int | None = None) -> Array:
+        return compute_poses_in_form(
+            chain_of.system, q, chain_of.name, out, threads, *chain_of.form
+        )
 
-    function: Any = pose if all(part is None for part in chain_of.form) else formed
-    function.jacobian = jacobian
-    function.pose_and_jacobian = pose_and_jacobian
+    function: Any = compute_pose if all(part is None for part in chain_of.form) else compute_form
+    function.jacobian = compute_jacobian
+    function.pose_and_jacobian = compute_pose_and_jacobian
     function.system = chain_of.system
     function.frame = chain_of.name
     function.__name__ = "query"
@@ -310,7 +312,7 @@ class _ChainQuery:
             [name], system.structure.table.find_path(name)
         )
         self.tables = {key: fuse(self.ints, self.floats, kind) for key, kind in IN_FRAMES.items()}
-        self.regauged = chain_table(system, name)
+        self.regauged = pack_chain(system, name)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _ChainQuery, (self.system, self.name, *self.form)
@@ -323,24 +325,24 @@ class _ChainQuery:
         """The bound forward model of the frame."""
         return query(self.system, self.name, *self.form)
 
-    def pose(self, q: Any, out: Array | None, threads: int | None) -> Array:
+    def compute_poses(self, q: Any, out: Array | None, threads: int | None) -> Array:
         q = read_q(self.system, q)
-        out, q = _out(out, (*q.shape[:-1], 4, 4)), _apart(q, out)
+        out, q = _prepare_output(out, (*q.shape[:-1], 4, 4)), _copy_shared_array(q, out)
         if q.ndim == 1:
             if bound.pose(self.tables["world_aligned"], q, out):
-                refuse_bad(self.system, q)
+                refuse_bad_configuration(self.system, q)
             return out
-        flat_q = _rows(q, 1)
-        flat_out = _rows(out, 2).reshape(-1, 16)
+        flat_q = _flatten_batch(q, 1)
+        flat_out = _flatten_batch(out, 2).reshape(-1, 16)
         ints, floats = self.regauged
 
-        def work(start: int, stop: int) -> int:
+        def compute_chunk(start: int, stop: int) -> int:
             return chain.chain_poses(ints, floats, flat_q[start:stop], flat_out[start:stop])
 
-        over_chunks(work, len(flat_q), CHUNK, threads, SERIAL_BELOW)
+        over_chunks(compute_chunk, len(flat_q), CHUNK, threads, SERIAL_BELOW)
         return out
 
-    def jacobian(
+    def compute_jacobians(
         self, q: Any, in_frame: str, out: Array | None, threads: int | None
     ) -> tuple[Array, Array]:
         kind = IN_FRAMES.get(in_frame) if isinstance(in_frame, str) else None
@@ -349,37 +351,37 @@ class _ChainQuery:
         q = read_q(self.system, q)
         nv = self.system.nv
         pose = np.empty((*q.shape[:-1], 4, 4))
-        columns = _out(out, (*q.shape[:-1], 6, nv))
-        q = _apart(q, out)
+        columns = _prepare_output(out, (*q.shape[:-1], 6, nv))
+        q = _copy_shared_array(q, out)
         if q.ndim == 1:
             if bound.pose_jacobian(self.tables[in_frame], q, pose, columns):
-                refuse_bad(self.system, q)
+                refuse_bad_configuration(self.system, q)
             return pose, columns
-        flat = _rows(q, 1), _rows(pose, 2), _rows(columns, 2)
+        flat = _flatten_batch(q, 1), _flatten_batch(pose, 2), _flatten_batch(columns, 2)
 
-        def work(start: int, stop: int) -> int:
+        def compute_chunk(start: int, stop: int) -> int:
             a, b, c = (x[start:stop] for x in flat)
             return table_sweep.jacobian(self.ints, self.floats, a, kind, b, c)
 
-        over_chunks(work, len(flat[0]), CHUNK, threads, SERIAL_BELOW)
+        over_chunks(compute_chunk, len(flat[0]), CHUNK, threads, SERIAL_BELOW)
         return pose, columns
 
 
-def _query(system: Model, frame: FrameLike) -> Any:
+def _find_query(system: Model, frame: FrameLike) -> Any:
     """The forward model of a frame, made once."""
     try:
         found = system._queries.get(frame)
     except TypeError:  # nothing that could be a key is a name
         found = None
     if found is None:
-        found = system._queries[frame] = _bound_query(
+        found = system._queries[frame] = _bind_query(
             _ChainQuery(system, system.structure.frame_name(frame))
         )
     return found
 
 
 @keep_answers
-def _packed(system: Model, frames: tuple[str, ...] | None) -> tuple[np.ndarray, Array]:
+def _pack_frames(system: Model, frames: tuple[str, ...] | None) -> tuple[np.ndarray, Array]:
     return system.structure.table.pack_arrays(system.body_names if frames is None else frames)
 
 
@@ -415,26 +417,26 @@ def fk(
     for names, `InputError` for shapes.
     """
     if form is not None or dtype is not None or relative_to is not None:
-        return in_form(system, q, frame, out, threads, form, dtype, relative_to)
+        return compute_poses_in_form(system, q, frame, out, threads, form, dtype, relative_to)
     if frame is not None and not isinstance(frame, (list, tuple)):
-        return _query(system, frame)(None, q, out, threads)
+        return _find_query(system, frame)(None, q, out, threads)
     key = None if frame is None else tuple(system.structure.frame_name(f) for f in frame)
-    ints, floats = _packed(system, key)
+    ints, floats = _pack_frames(system, key)
     q = read_q(system, q)
     k = len(system.body_names) if key is None else len(key)
-    out, q = _out(out, (*q.shape[:-1], k, 4, 4)), _apart(q, out)
+    out, q = _prepare_output(out, (*q.shape[:-1], k, 4, 4)), _copy_shared_array(q, out)
     if q.ndim == 1:
         if table_sweep.poses1(ints, floats, q, out):
-            refuse_bad(system, q)
+            refuse_bad_configuration(system, q)
         return out
-    flat_q = _rows(q, 1)
-    flat_out = _rows(out, 3)
+    flat_q = _flatten_batch(q, 1)
+    flat_out = _flatten_batch(out, 3)
 
-    def work(start: int, stop: int) -> int:
+    def compute_chunk(start: int, stop: int) -> int:
         return table_sweep.poses(ints, floats, flat_q[start:stop], flat_out[start:stop])
 
     over_chunks(
-        work,
+        compute_chunk,
         len(flat_q),
         max(1, min(CHUNK, 4 * CHUNK // max(k, 1))),
         threads,
@@ -462,9 +464,9 @@ def jacobian(
     Errors: as `fk`.
     """
     if not isinstance(frame, (list, tuple)):
-        of_frame = _query(system, frame)
+        of_frame = _find_query(system, frame)
         return of_frame.jacobian(q, in_frame, threads=threads)
-    of_frames = [_query(system, system.structure.frame_name(f)) for f in frame]
+    of_frames = [_find_query(system, system.structure.frame_name(f)) for f in frame]
     q = read_q(system, q)
     out = np.empty((*q.shape[:-1], len(of_frames), 6, system.nv))
     for k, of_frame in enumerate(of_frames):
@@ -475,7 +477,7 @@ def jacobian(
 # ---- checks of arguments
 
 
-def refuse_bad(system: Model, q: Array) -> None:
+def refuse_bad_configuration(system: Model, q: Array) -> None:
     """Raise an `InputError` that names what is wrong in one configuration."""
     for name, x in zip(system.coordinate_names, q.tolist(), strict=True):
         if not np.isfinite(x):
@@ -489,19 +491,19 @@ def refuse_bad(system: Model, q: Array) -> None:
     raise InputError("q leads to poses that are not finite: a coordinate is too large")
 
 
-def _rows(x: Array, core: int) -> Array:
+def _flatten_batch(x: Array, core: int) -> Array:
     """`x` with all axes before the last `core` made one; numpy's -1 cannot where some axis is
     empty.
     """
     return x.reshape(math.prod(x.shape[:-core]), *x.shape[-core:])
 
 
-def _apart(q: Array, out: Array | None) -> Array:
+def _copy_shared_array(q: Array, out: Array | None) -> Array:
     """`q`, copied where writing to `out` would change it before it is read."""
     return q.copy() if out is not None and np.may_share_memory(q, out) else q
 
 
-def _out(out: Array | None, shape: tuple[int, ...]) -> Array:
+def _prepare_output(out: Array | None, shape: tuple[int, ...]) -> Array:
     """The array `out`, checked, or a new array where `out` is None."""
     if out is None:
         return np.empty(shape)

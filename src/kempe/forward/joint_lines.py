@@ -40,7 +40,7 @@ class JointLine(NamedTuple):
         return self.coordinate.replace(".", "_")
 
 
-def zero_configuration(system: Model) -> Array:
+def make_zero_configuration(system: Model) -> Array:
     """The configuration (nq,) with all coordinates at zero, but for those that their limits hold."""
     q = system.neutral.copy()
     held = system.lower == system.upper
@@ -48,7 +48,7 @@ def zero_configuration(system: Model) -> Array:
     return q
 
 
-def joint_lines_of(system: Model, frame: str) -> tuple[list[JointLine], Array]:
+def compute_joint_lines(system: Model, frame: str) -> tuple[list[JointLine], Array]:
     """Lines (numbers) of the joints that move a frame, from the ground on, and its pose (4, 4), both
     at zero.
 
@@ -60,7 +60,7 @@ def joint_lines_of(system: Model, frame: str) -> tuple[list[JointLine], Array]:
         raise UnsupportedError(
             f"the chain of {frame!r} has joints that follow each other, or have quaternions"
         )
-    q = zero_configuration(system)
+    q = make_zero_configuration(system)
     pose = fk(system, q, frame)
     J = jacobian(system, q, frame)[:, v_index]
     lines: list[JointLine] = []

@@ -30,11 +30,11 @@ def with_limits(system: SystemType, limits: Any = None, velocity: Any = None) ->
     too. Errors: `UnknownNameError`; `InputError` for values, and where a coordinate that moves with
     a named one would not let it have the limits that are given.
     """
-    pairs = _by_name(system, limits, "limits", 2)
-    speeds = _by_name(system, velocity, "velocity", 1)
+    pairs = _read_limits(system, limits, "limits", 2)
+    speeds = _read_limits(system, velocity, "velocity", 1)
     mechanism = system.mechanism
     for name in (*pairs, *speeds):
-        joint, local = _owner(system, name)
+        joint, local = _find_joint(system, name)
         now = mechanism.joints[joint.name]
         particle = mechanism.bodies[joint.child].particle
         if name in pairs:
@@ -56,13 +56,13 @@ def with_limits(system: SystemType, limits: Any = None, velocity: Any = None) ->
         mechanism.joints[joint.name] = now
     made = type(system)(mechanism, system.structure.topology, system.structure.table)
     for name in pairs:
-        _check(made, name, mechanism.joints[_owner(system, name)[0].name])
+        _check_limits(made, name, mechanism.joints[_find_joint(system, name)[0].name])
     for name in speeds:
-        _check_speed(made, name, mechanism.joints[_owner(system, name)[0].name])
+        _check_speed(made, name, mechanism.joints[_find_joint(system, name)[0].name])
     return made
 
 
-def _by_name(system: Model, given: Any, what: str, width: int) -> dict[str, Any]:
+def _read_limits(system: Model, given: Any, what: str, width: int) -> dict[str, Any]:
     """Limits by coordinate name, from a dict or an array for all coordinates. Errors: `InputError`."""
     if given is None:
         return {}
@@ -87,7 +87,7 @@ def _by_name(system: Model, given: Any, what: str, width: int) -> dict[str, Any]
     }
 
 
-def _owner(system: Model, name: str) -> tuple[Joint, str]:
+def _find_joint(system: Model, name: str) -> tuple[Joint, str]:
     """The joint that a velocity coordinate belongs to, and its name within the joint. Errors:
     `UnknownNameError`.
     """
@@ -104,7 +104,7 @@ def _owner(system: Model, name: str) -> tuple[Joint, str]:
     raise UnknownNameError("coordinate", name, system.structure.velocity_names, system.name)
 
 
-def _led(system: Model, name: str) -> tuple[int, float, float]:
+def _find_leader(system: Model, name: str) -> tuple[int, float, float]:
     """Index, multiplier and offset of the velocity coordinate that moves the coordinate `name`."""
     follower = system.structure.couplings.get(name)
     if follower is None:
@@ -116,40 +116,40 @@ def _led(system: Model, name: str) -> tuple[int, float, float]:
     )
 
 
-def _check(made: Model, name: str, joint: Joint) -> None:
+def _check_limits(made: Model, name: str, joint: Joint) -> None:
     """Refuse limits that a coordinate cannot have, because another one moves with it."""
-    i, m, offset = _led(made, name)
+    i, m, offset = _find_leader(made, name)
     has = sorted((m * made.structure.limits[i] + offset).tolist())
-    requested = joint.limits[_local(joint, name)]
+    requested = joint.limits[_strip_joint_name(joint, name)]
     if not all(
         a == b or abs(a - b) <= HELD_TOLERANCE * (1.0 + abs(b))
         for a, b in zip(has, requested, strict=True)
     ):
         raise InputError(
             f"{name!r} cannot have the limits [{requested[0]:g}, {requested[1]:g}]: what moves "
-            f"with it leaves [{has[0]:g}, {has[1]:g}]; give limits of {_others(made, name)}, too"
+            f"with it leaves [{has[0]:g}, {has[1]:g}]; give limits of {_format_coupled_names(made, name)}, too"
         )
 
 
 def _check_speed(made: Model, name: str, joint: Joint) -> None:
     """Refuse a speed that a coordinate cannot have, because another one moves with it."""
-    i, m, _ = _led(made, name)
+    i, m, _ = _find_leader(made, name)
     has = abs(m) * float(made.structure.velocity_limits[i])
-    requested = joint.velocity_limits[_local(joint, name)]
+    requested = joint.velocity_limits[_strip_joint_name(joint, name)]
     if not (has == requested or abs(has - requested) <= HELD_TOLERANCE * (1.0 + requested)):
         raise InputError(
             f"{name!r} cannot have the speed {requested:g}: what moves with it leaves {has:g}; "
-            f"give that of {_others(made, name)}, too"
+            f"give that of {_format_coupled_names(made, name)}, too"
         )
 
 
-def _local(joint: Joint, name: str) -> str:
+def _strip_joint_name(joint: Joint, name: str) -> str:
     return name[len(joint.name) + 1 :]
 
 
-def _others(system: Model, name: str) -> str:
+def _format_coupled_names(system: Model, name: str) -> str:
     """Names, as text, of the coordinates that are coupled with this one."""
-    i = _led(system, name)[0]
+    i = _find_leader(system, name)[0]
     moved = [
         system.structure.velocity_names[i],
         *(

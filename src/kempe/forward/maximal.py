@@ -65,7 +65,12 @@ def maximal(system: SystemType) -> SystemType:
     names = type(system)(m).coordinate_names
     for name, q in at.items():
         m.posture(
-            name, dict(zip(names, _joined(system, q, to_maximal(system, q)).tolist(), strict=True))
+            name,
+            dict(
+                zip(
+                    names, _join_coordinates(system, q, to_maximal(system, q)).tolist(), strict=True
+                )
+            ),
         )
     return type(system)(m)
 
@@ -87,22 +92,24 @@ def maximal_q(system: Model, q: Any = None, poses: ArrayLike | None = None) -> A
     needs to be closed.
     """
     q = find_home(system) if q is None else read_q(system, q)
-    return _joined(system, q, to_maximal(system, q) if poses is None else as_poses(system, poses))
+    return _join_coordinates(
+        system, q, to_maximal(system, q) if poses is None else read_poses(system, poses)
+    )
 
 
-def _joined(system: Model, q: Array, poses: Array) -> Array:
+def _join_coordinates(system: Model, q: Array, poses: Array) -> Array:
     points = [system.mechanism.bodies[b].particle for b in system.body_names[1:]]
     poses = poses - np.pad(choose_origin(system)[:, None], ((0, 1), (3, 0)))
     parts = [
         x
         for i, p in enumerate(points)
-        for x in coordinates_of_pose(poses[..., i, :, :], system.dim, p)
+        for x in list_pose_coordinates(poses[..., i, :, :], system.dim, p)
     ]
     lead = np.broadcast_shapes(poses.shape[:-3], q.shape[:-1])
     return np.concatenate([np.broadcast_to(x, (*lead, x.shape[-1])) for x in (*parts, q)], axis=-1)
 
 
-def coordinates_of_pose(X: Array, dim: int, particle: bool) -> list[Array]:
+def list_pose_coordinates(X: Array, dim: int, particle: bool) -> list[Array]:
     """The coordinates of a free joint at the pose X (..., 4, 4), as a list of arrays."""
     p = X[..., :dim, 3]
     R = X[..., :3, :3]
@@ -116,7 +123,7 @@ def coordinates_of_pose(X: Array, dim: int, particle: bool) -> list[Array]:
     ]
 
 
-def as_poses(system: Model, poses: ArrayLike) -> Array:
+def read_poses(system: Model, poses: ArrayLike) -> Array:
     """Poses as an array. Errors: `InputError` where they are not of all bodies but the ground."""
     array = numbers(arrays(poses, "poses"), "poses")
     n = len(system.body_names) - 1

@@ -84,7 +84,7 @@ class Library(NamedTuple):
     """Whether a free joint is measured from the ground, wherever the description puts it."""
 
 
-def _places(kinds: str, q: int, v: int) -> list[Place]:
+def _build_places(kinds: str, q: int, v: int) -> list[Place]:
     """Parts of these kinds, one after the other."""
     out: list[Place] = []
     for kind in kinds:
@@ -98,17 +98,19 @@ PINOCCHIO_KINDS = {(7, 6): 3 * ALONG + BALL, (4, 3): BALL, (2, 1): CIRCLE}
 """Of joints with so many numbers in q and v."""
 
 
-def _of_pinocchio(model: Any) -> Iterator[Theirs]:
+def _read_pinocchio_joints(model: Any) -> Iterator[Theirs]:
     for name, joint in list(zip(model.names, model.joints, strict=True))[1:]:
         yield Theirs(
-            str(name), "", _places(_pinocchio_kinds(joint, str(name)), joint.idx_q, joint.idx_v)
+            str(name),
+            "",
+            _build_places(_find_pinocchio_kinds(joint, str(name)), joint.idx_q, joint.idx_v),
         )
 
 
-def _pinocchio_kinds(joint: Any, name: str) -> str:
+def _find_pinocchio_kinds(joint: Any, name: str) -> str:
     kind: str = joint.shortname()
     if kind.endswith("Composite"):
-        return "".join(_pinocchio_kinds(part, name) for part in joint.extract().joints)
+        return "".join(_find_pinocchio_kinds(part, name) for part in joint.extract().joints)
     if kind.endswith("Planar"):
         return 2 * ALONG + CIRCLE
     size: tuple[int, int] = (joint.nq, joint.nv)
@@ -123,26 +125,36 @@ MUJOCO_KINDS = (3 * NUMBER + BALL, BALL, NUMBER, NUMBER)
 """Of the joints free, ball, slide and hinge, by their number in `jnt_type`."""
 
 
-def _of_mujoco(model: Any) -> Iterator[Theirs]:
+def _read_mujoco_joints(model: Any) -> Iterator[Theirs]:
     """Bodies without a name have one by their number, as where Kempe reads MJCF."""
     for i in range(model.njnt):
         number = int(model.jnt_bodyid[i])
         body = str(model.body(number).name) or f"body{number}"
         kinds = MUJOCO_KINDS[int(model.jnt_type[i])]
-        at = _places(kinds, int(model.jnt_qposadr[i]), int(model.jnt_dofadr[i]))
+        at = _build_places(kinds, int(model.jnt_qposadr[i]), int(model.jnt_dofadr[i]))
         yield Theirs(str(model.joint(i).name), body, at)
 
 
 PINOCCHIO = Library(
-    "Pinocchio", "Model", ("names", "joints", "nq", "nv"), _of_pinocchio, (3, 0, 1, 2), False
+    "Pinocchio",
+    "Model",
+    ("names", "joints", "nq", "nv"),
+    _read_pinocchio_joints,
+    (3, 0, 1, 2),
+    False,
 )
 MUJOCO = Library(
-    "MuJoCo", "MjModel", ("njnt", "jnt_type", "jnt_qposadr"), _of_mujoco, (0, 1, 2, 3), True
+    "MuJoCo",
+    "MjModel",
+    ("njnt", "jnt_type", "jnt_qposadr"),
+    _read_mujoco_joints,
+    (0, 1, 2, 3),
+    True,
 )
 LIBRARIES = (PINOCCHIO, MUJOCO)
 
 
-def _library_of(model: Any) -> Library:
+def _find_library(model: Any) -> Library:
     """The library that a model is of. Errors: `InputError`."""
     for library in LIBRARIES:
         if all(hasattr(model, name) for name in library.attributes):
@@ -166,7 +178,7 @@ class Ours(NamedTuple):
         return "".join(kind for kind, _ in self.parts)
 
 
-def _ours(system: Model, joint: Joint) -> Ours:
+def _split_joint(system: Model, joint: Joint) -> Ours:
     names, primitives = joint.type.layout(system.dim, joint.of_particle)
     full = [format_coordinate_name(joint.name, n) for n in names]
     parts: list[tuple[str, list[str]]] = []
@@ -180,7 +192,7 @@ def _ours(system: Model, joint: Joint) -> Ours:
     return Ours(joint, parts)
 
 
-def _unlocked(system: Model, ours: Ours) -> Ours:
+def _remove_locked_parts(system: Model, ours: Ours) -> Ours:
     """The joint without its locked parts, which may be turns between axes that move."""
     laws = system.structure.couplings
     locked = [names[0] in laws and laws[names[0]].source is None for _, names in ours.parts]
@@ -192,14 +204,14 @@ SAME = {(NUMBER, NUMBER), (NUMBER, ALONG), (CIRCLE, NUMBER), (CIRCLE, CIRCLE), (
 """Kinds, here and there, that can mean the same."""
 
 
-def _fit(ours: Ours, places: list[Place]) -> bool:
+def _can_correspond(ours: Ours, places: list[Place]) -> bool:
     """Whether the numbers of a joint can mean the same as these; a fixed joint fits any."""
     kinds = [p.kind for p in places]
     pairs = zip(ours.kinds, kinds, strict=False)
     return not ours.parts or (len(kinds) == len(ours.parts) and SAME.issuperset(pairs))
 
 
-def _pairs(
+def _pair_joints(
     system: Model, theirs: Iterable[Theirs], library: Library, partial: bool
 ) -> list[tuple[Ours, list[Place]]]:
     """The joints of the system with the numbers of their counterparts: a joint of that name, or all
@@ -207,36 +219,40 @@ def _pairs(
 
     Errors: `InputError` that names those without a counterpart, unless `partial`.
     """
-    ours = [_ours(system, j) for j in system.structure.joints.values()]
+    ours = [_split_joint(system, j) for j in system.structure.joints.values()]
     left = [t for t in theirs if t.places]
     pairs: list[tuple[Ours, list[Place]]] = []
 
-    def by_name(mine: Ours) -> list[Theirs]:
+    def find_by_name(mine: Ours) -> list[Theirs]:
         return [t for t in left if t.name == mine.joint.name]
 
-    def by_body(mine: Ours) -> list[Theirs]:
+    def find_by_body(mine: Ours) -> list[Theirs]:
         found = [t for t in left if t.body and t.body == mine.joint.child]
         return found if len(mine.parts) > 1 or not any(t.name for t in found) else []
 
-    def by_kind(mine: Ours) -> list[Theirs]:
-        found = [t for t in left if len(t.places) > 1 and mine.parts and _fit(mine, t.places)]
+    def find_by_kind(mine: Ours) -> list[Theirs]:
+        found = [
+            t for t in left if len(t.places) > 1 and mine.parts and _can_correspond(mine, t.places)
+        ]
         alone = sum(1 for m in ours if m.kinds == mine.kinds) == 1
         return found if len(found) == 1 and alone else []
 
-    for way in (by_name, by_body, by_kind):
+    for way in (find_by_name, find_by_body, find_by_kind):
         for mine in tuple(ours):
             found = way(mine)
             places = [p for t in found for p in t.places]
-            fits = [m for m in (mine, _unlocked(system, mine)) if _fit(m, places)]
+            fits = [
+                m for m in (mine, _remove_locked_parts(system, mine)) if _can_correspond(m, places)
+            ]
             if found and fits:
                 pairs.append((fits[0], places))
                 ours.remove(mine)
                 left = [t for t in left if t not in found]
-    _refuse_alone(system, ours, left, library, partial)
+    _refuse_unpaired_joints(system, ours, left, library, partial)
     return pairs
 
 
-def _refuse_alone(
+def _refuse_unpaired_joints(
     system: Model, ours: list[Ours], theirs: list[Theirs], library: Library, partial: bool
 ) -> None:
     """Refuse, with an `InputError`, joints that move and have no counterpart; if `partial`, only
@@ -315,7 +331,7 @@ class Correspondence:
     """
 
     def __init__(self, system: Model, model: Any, tolerance: float = FIT, partial: bool = False):
-        library = _library_of(model)
+        library = _find_library(model)
         self.system = system
         self.library = library.name
         self.tolerance = float(numbers(tolerance, "tolerance"))
@@ -326,18 +342,18 @@ class Correspondence:
         self._rates: list[Entry] = []
         self._turned: list[Turned] = []
         self._begins: list[tuple[Place, Place, Array]] = []
-        for ours, places in _pairs(system, library.joints(model), library, partial):
-            self._add(ours, places)
+        for ours, places in _pair_joints(system, library.joints(model), library, partial):
+            self._add_joint_pair(ours, places)
             if library.free_on_ground and ours.kinds == 3 * NUMBER + BALL:
-                self._add_begin(ours.joint, places)
-        self._pack()
+                self._add_free_joint_origin(ours.joint, places)
+        self._pack_entries()
 
     def __repr__(self) -> str:
         return f"Correspondence of {self.system.name!r} and a model of {self.library}, nq={self.nq}"
 
     # ---- how it is made
 
-    def _add(self, ours: Ours, places: list[Place]) -> None:
+    def _add_joint_pair(self, ours: Ours, places: list[Place]) -> None:
         """The numbers of a pair of joints."""
         along: list[Place] = []
         names = [part for _, part in ours.parts] or [[ours.joint.name]] * len(places)
@@ -350,23 +366,25 @@ class Correspondence:
             if place.kind == BALL:
                 self._add_ball(ours.joint.name, name, place)
                 continue
-            (i, k), follower = self._source(name)
+            (i, k), follower = self._find_source(name)
             self._entries.append(Entry(place.kind, place.q, name, i, follower))
             self._rates.append(Entry(NUMBER, place.v, name, k, follower))
 
     def _add_ball(self, joint: str, first: str, place: Place) -> None:
         """The numbers of a quaternion, whose first coordinate has this name."""
-        (i, k), held = self._source(first)
+        (i, k), held = self._find_source(first)
         for n, axis in enumerate("wxyz"):
             name = format_coordinate_name(joint, f"q{axis}")
-            follower = held and self._source(name, float(n == 0))[1]
+            follower = held and self._find_source(name, float(n == 0))[1]
             at = place.q + int(self._order[n])
             self._entries.append(Entry(BALL, at, name, i + n * (held is None), follower))
         for n, axis in enumerate("xyz"):
             name = format_coordinate_name(joint, f"w{axis}")
             self._rates.append(Entry(NUMBER, place.v + n, name, k + n * (held is None), held))
 
-    def _source(self, name: str, fixed: float = 0.0) -> tuple[tuple[int, int], Follower | None]:
+    def _find_source(
+        self, name: str, fixed: float = 0.0
+    ) -> tuple[tuple[int, int], Follower | None]:
         """Where a coordinate is found in q and v, and how it follows from there; `fixed` is the
         number of a joint that is none here.
         """
@@ -378,7 +396,7 @@ class Correspondence:
             return (self.system.nq, self.system.nv), follower
         return first[follower.source], follower
 
-    def _add_begin(self, joint: Joint, places: list[Place]) -> None:
+    def _add_free_joint_origin(self, joint: Joint, places: list[Place]) -> None:
         """Keep where a free joint begins, if that is not the frame of the ground."""
         system = self.system
         parameters = system.structure.parameters
@@ -396,10 +414,10 @@ class Correspondence:
         if not np.array_equal(X, np.eye(4)):
             self._begins.append((places[0], places[3], X))
 
-    def _pack(self) -> None:
+    def _pack_entries(self) -> None:
         """Arrays of the entries."""
 
-        def whole(x: Iterable[int]) -> np.ndarray:
+        def make_index_array(x: Iterable[int]) -> np.ndarray:
             return np.array(list(x), dtype=np.int64)
 
         entries = self._entries
@@ -407,17 +425,17 @@ class Correspondence:
         laws = [e.follower or Follower(None, 1.0, 0.0) for e in entries]
         self._factor = np.array([law.multiplier for law in laws])
         self._offset = np.array([law.offset for law in laws])
-        self._at = whole(e.at for e in entries)
-        self._source_of = whole(e.source for e in entries)
-        self._own = whole(k for k, e in enumerate(entries) if e.follower is None)
-        self._angles = whole(k for k, e in enumerate(entries) if e.kind == CIRCLE)
-        self._balls = whole(
+        self._at = make_index_array(e.at for e in entries)
+        self._source_of = make_index_array(e.source for e in entries)
+        self._own = make_index_array(k for k, e in enumerate(entries) if e.follower is None)
+        self._angles = make_index_array(k for k, e in enumerate(entries) if e.kind == CIRCLE)
+        self._balls = make_index_array(
             k for k, e in enumerate(entries) if e.kind == BALL and e.name.endswith("qw")
         )
         self._whole = len(entries) + len(self._angles)
-        self._rate_at = whole(e.at for e in rates)
-        self._rate_source = whole(e.source for e in rates)
-        self._rate_own = whole(k for k, e in enumerate(rates) if e.follower is None)
+        self._rate_at = make_index_array(e.at for e in rates)
+        self._rate_source = make_index_array(e.source for e in rates)
+        self._rate_own = make_index_array(k for k, e in enumerate(rates) if e.follower is None)
         self._spread = np.zeros((len(rates), self.system.nv + 1))
         for k, e in enumerate(rates):
             self._spread[k, e.source] = e.follower.multiplier if e.follower else 1.0
@@ -429,7 +447,7 @@ class Correspondence:
         """The configuration (..., nq of the model) that one of the system is; with `partial`, all
         else as in `base`, one of the model.
         """
-        values = self._values(read_q(self.system, q))
+        values = self._compute_entries(read_q(self.system, q))
         if base is None and self._whole < self.nq:
             raise InputError(
                 f"base is None; it must be a configuration of the {self.library} model, for "
@@ -445,27 +463,27 @@ class Correspondence:
             out[..., at] = np.cos(angles)
             out[..., at + 1] = np.sin(angles)
         for slides, ball, X in self._begins:
-            self._move(out, slides, ball, X)
+            self._move_pose(out, slides, ball, X)
         return out
 
     def from_q(self, q: ArrayLike, base: Any = None) -> Array:
         """The configuration (..., nq) of the system that one of the model is; with `partial`, all
         else as in `base`, one of the system, or neutral.
         """
-        values = self._read(q)
+        values = self._read_entries(q)
         start = self.system.neutral if base is None else read_q(self.system, base)
         lead = together({"q": values.shape[:-1], "base": start.shape[:-1]})
         out = np.broadcast_to(start, (*lead, self.system.nq)).copy()
         out[..., self._source_of[self._own]] = values[..., self._own]
-        self._count_turns(out, values)
-        wanted = self._values(out)
+        self._add_whole_turns(out, values)
+        wanted = self._compute_entries(out)
         for k, e in enumerate(self._entries):
             if e.follower is not None:
                 turn = 2.0 * math.pi if e.kind == CIRCLE else 0.0
-                self._refuse(f"coordinate {e.name!r}", e.follower, values, wanted, k, turn)
+                self._refuse_misfit(f"coordinate {e.name!r}", e.follower, values, wanted, k, turn)
         return out
 
-    def _count_turns(self, q: Array, values: Array) -> None:
+    def _add_whole_turns(self, q: Array, values: Array) -> None:
         """Add to angles that are known by cosine and sine, in place, the whole turns that a follower
         of theirs tells.
         """
@@ -477,12 +495,12 @@ class Correspondence:
                 q[..., e.source] += 2.0 * math.pi * turns
                 angles.remove(e.source)
 
-    def _refuse(
+    def _refuse_misfit(
         self, what: str, law: Follower, given: Array, wanted: Array, k: int, turn: float = 0.0
     ) -> None:
         refuse_misfit(what, law, given[..., k], wanted[..., k], self.tolerance, turn)
 
-    def _values(self, q: Array) -> Array:
+    def _compute_entries(self, q: Array) -> Array:
         """The entries (..., n), with angles in place of cosines and sines, at q (..., nq)."""
         ended = np.concatenate([q, np.zeros((*q.shape[:-1], 1))], axis=-1)
         values = ended[..., self._source_of] * self._factor + self._offset
@@ -491,7 +509,7 @@ class Correspondence:
             values[..., at] = spatial.unit(values[..., at])
         return values
 
-    def _read(self, q: ArrayLike) -> Array:
+    def _read_entries(self, q: ArrayLike) -> Array:
         """The entries at a configuration of the model. Errors: `InputError` for lengths, and for a
         cosine and sine that are none.
         """
@@ -499,7 +517,7 @@ class Correspondence:
         if self._begins:
             q = q.copy()
         for slides, ball, X in self._begins:
-            self._move(q, slides, ball, spatial.inverse(X))
+            self._move_pose(q, slides, ball, spatial.inverse(X))
         values = q[..., self._at]
         if not self._angles.size:
             return values
@@ -517,7 +535,7 @@ class Correspondence:
         values[..., self._angles] = np.arctan2(s, c)
         return values
 
-    def _move(self, q: Array, slides: Place, ball: Place, X: Array) -> None:
+    def _move_pose(self, q: Array, slides: Place, ball: Place, X: Array) -> None:
         """Move the pose of a free joint in a configuration of the model, in place, by X (4, 4)."""
         at = slice(slides.q, slides.q + 3)
         order = ball.q + self._order
@@ -530,19 +548,21 @@ class Correspondence:
     def to_v(self, q: Any, v: ArrayLike) -> Array:
         """The velocity (..., nv of the model) that one of the system is at its configuration `q`."""
         v = numbers(v, "v", self.system.nv)
-        values = self._values(read_q(self.system, q))
-        out = np.zeros((*_lead(v.shape[:-1], values), self.nv))
+        values = self._compute_entries(read_q(self.system, q))
+        out = np.zeros((*_merge_leading_shapes(v.shape[:-1], values), self.nv))
         out[..., self._rate_at] = v @ self._spread.T
-        for at, turn in self._turns(values):
+        for at, turn in self._list_axis_turns(values):
             out[..., at] = (out[..., None, at] @ turn)[..., 0, :]
         return out
 
     def from_v(self, q: ArrayLike, v: ArrayLike) -> Array:
         """The velocity (..., nv) of the system that one of the model is at the model's `q`."""
         v = numbers(v, f"v of the {self.library} model", self.nv)
-        values = self._read(q)
-        straight = np.broadcast_to(v, (*_lead(v.shape[:-1], values), self.nv)).copy()
-        for at, turn in self._turns(values):
+        values = self._read_entries(q)
+        straight = np.broadcast_to(
+            v, (*_merge_leading_shapes(v.shape[:-1], values), self.nv)
+        ).copy()
+        for at, turn in self._list_axis_turns(values):
             straight[..., at] = (turn @ straight[..., at, None])[..., 0]
         rates = straight[..., self._rate_at]
         out = np.zeros((*rates.shape[:-1], self.system.nv))
@@ -550,7 +570,7 @@ class Correspondence:
         wanted = out @ self._spread.T
         for k, e in enumerate(self._rates):
             if e.follower is not None:
-                self._refuse(f"the velocity of {e.name!r}", e.follower, rates, wanted, k)
+                self._refuse_misfit(f"the velocity of {e.name!r}", e.follower, rates, wanted, k)
         return out
 
     def to_jacobian(self, q: Any, jacobian: ArrayLike) -> Array:
@@ -560,10 +580,10 @@ class Correspondence:
         """
         J = numbers(jacobian, "jacobian")
         _check_columns(J, self.system.nv)
-        values = self._values(read_q(self.system, q))
-        out = np.zeros((*_lead(J.shape[:-2], values), J.shape[-2], self.nv))
+        values = self._compute_entries(read_q(self.system, q))
+        out = np.zeros((*_merge_leading_shapes(J.shape[:-2], values), J.shape[-2], self.nv))
         out[..., self._rate_at[self._rate_own]] = J[..., self._rate_source[self._rate_own]]
-        for at, turn in self._turns(values):
+        for at, turn in self._list_axis_turns(values):
             out[..., at] = out[..., at] @ turn
         return out
 
@@ -576,13 +596,15 @@ class Correspondence:
         if J.ndim == self.nv == 1:
             J = J[:, None]
         _check_columns(J, self.nv)
-        values = self._read(q)
-        straight = np.broadcast_to(J, (*_lead(J.shape[:-2], values), *J.shape[-2:])).copy()
-        for at, turn in self._turns(values):
+        values = self._read_entries(q)
+        straight = np.broadcast_to(
+            J, (*_merge_leading_shapes(J.shape[:-2], values), *J.shape[-2:])
+        ).copy()
+        for at, turn in self._list_axis_turns(values):
             straight[..., at] = straight[..., at] @ np.swapaxes(turn, -1, -2)
         return straight[..., self._rate_at] @ self._spread
 
-    def _turns(self, values: Array) -> list[tuple[slice, Array]]:
+    def _list_axis_turns(self, values: Array) -> list[tuple[slice, Array]]:
         """Velocities of the model along other axes than here, and the rotations (..., n, n) that
         lead from these axes to those here.
         """
@@ -597,7 +619,7 @@ class Correspondence:
         return out
 
 
-def _lead(lead: tuple[int, ...], values: Array) -> tuple[int, ...]:
+def _merge_leading_shapes(lead: tuple[int, ...], values: Array) -> tuple[int, ...]:
     """The leading shape of velocities or Jacobians together with that of q."""
     return together({"v": lead, "q": values.shape[:-1]})
 
@@ -611,14 +633,16 @@ def _check_columns(J: Array, nv: int) -> None:
 # ---- one call each
 
 
-def _to(library: Library, system: Model, q: Any, model: Any, v: Any, base: Any) -> Any:
+def _convert_to_library(
+    library: Library, system: Model, q: Any, model: Any, v: Any, base: Any
+) -> Any:
     _check_library(library, model)
     both = Correspondence(system, model, partial=base is not None)
     at = both.to_q(q, base)
     return at if v is None else (at, both.to_v(q, v))
 
 
-def _from(
+def _convert_from_library(
     library: Library, system: Model, q: Any, model: Any, v: Any, base: Any, tolerance: float
 ) -> Any:
     _check_library(library, model)
@@ -628,7 +652,7 @@ def _from(
 
 
 def _check_library(library: Library, model: Any) -> None:
-    if _library_of(model) is not library:
+    if _find_library(model) is not library:
         raise InputError(
             f"model is {type(model).__name__}; it must be a {library.model} of {library.name}"
         )
@@ -662,7 +686,7 @@ def to_pinocchio(
     >>> kempe.convert.to_pinocchio(wheel.build(), [0.0], model)
     array([1., 0.])
     """
-    return _to(PINOCCHIO, system, q, model, v, base)
+    return _convert_to_library(PINOCCHIO, system, q, model, v, base)
 
 
 @explained
@@ -681,7 +705,7 @@ def from_pinocchio(
     rest. Errors: `InputError` for joints without a counterpart, and with the numbers for followers, locked
     and fixed joints that do not fit within `tolerance`.
     """
-    return _from(PINOCCHIO, system, q, model, v, base, tolerance)
+    return _convert_from_library(PINOCCHIO, system, q, model, v, base, tolerance)
 
 
 @explained
@@ -699,7 +723,7 @@ def to_mujoco(
     `qpos`, joints that only one side has are as there, and at rest. For Jacobians, and for many
     calls, see `Correspondence`. Errors: `InputError` that names joints without a counterpart.
     """
-    return _to(MUJOCO, system, q, model, v, base)
+    return _convert_to_library(MUJOCO, system, q, model, v, base)
 
 
 @explained
@@ -717,7 +741,7 @@ def from_mujoco(
     `base` and errors are as of `from_pinocchio`. MuJoCo holds followers by springs, so that they may
     need a larger `tolerance`.
     """
-    return _from(MUJOCO, system, q, model, v, base, tolerance)
+    return _convert_from_library(MUJOCO, system, q, model, v, base, tolerance)
 
 
 # ---- messages
@@ -736,29 +760,33 @@ def to_joint_state(system: Model, q: Any, message: Any, v: ArrayLike | None = No
     q = read_one_q(system, q)
     laws = {name: Follower(name, 1.0, 0.0) for name in system.coordinate_names}
     laws |= system.structure.couplings
-    known = [n for joint in system.structure.joints.values() for n in _single(system, joint)]
+    known = [
+        n
+        for joint in system.structure.joints.values()
+        for n in _list_scalar_coordinates(system, joint)
+    ]
     names = [str(n) for n in message.name] or known
     for name in names:
         if name not in known:
             raise UnknownNameError("coordinate", name, known, system.name)
     message.name = names
-    message.position = _followed(system.coordinate_names, q, [laws[n] for n in names])
+    message.position = _evaluate_followers(system.coordinate_names, q, [laws[n] for n in names])
     if v is not None:
         rates = numbers(v, "v", system.nv)
         still = [replace(laws[n], offset=0.0) for n in names]
-        message.velocity = _followed(system.structure.velocity_names, rates, still)
+        message.velocity = _evaluate_followers(system.structure.velocity_names, rates, still)
     return message
 
 
-def _single(system: Model, joint: Joint) -> list[str]:
+def _list_scalar_coordinates(system: Model, joint: Joint) -> list[str]:
     """The coordinates of a joint, which have velocities of the same names; none of one that has a
     quaternion.
     """
-    ours = _ours(system, joint)
+    ours = _split_joint(system, joint)
     return [] if BALL in ours.kinds else [name for _, (name,) in ours.parts]
 
 
-def _followed(names: Sequence[str], x: Array, laws: list[Follower]) -> list[float]:
+def _evaluate_followers(names: Sequence[str], x: Array, laws: list[Follower]) -> list[float]:
     """What laws give, as plain numbers, with the values of coordinates by name."""
     value: dict[str | None, float] = dict(zip(names, x.tolist(), strict=True))
     return [law.multiplier * value.get(law.source, 0.0) + law.offset for law in laws]

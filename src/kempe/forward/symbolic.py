@@ -59,7 +59,7 @@ class SymbolicStep:
     subject: str = ""
 
 
-def unwrapped(steps: Iterable[SymbolicStep]) -> list[SymbolicStep]:
+def unwrap_alignments(steps: Iterable[SymbolicStep]) -> list[SymbolicStep]:
     """The steps with 'align, motion about or along z, unalign' rewritten as that motion about or
     along the axis.
     """
@@ -100,7 +100,7 @@ class _Turn:
             return self.axis is not None and bool(self.angle.is_number)
         return not self.matrix.free_symbols
 
-    def rotation(self) -> Any:
+    def build_rotation(self) -> Any:
         """Its matrix (3, 3)."""
         if self.matrix is not None or self.axis is None:
             return sympy.eye(3) if self.matrix is None else self.matrix
@@ -120,56 +120,59 @@ class TurnProduct:
         self.turns = [_Turn(sympy.zeros(3, 1))]
         self.corner = sympy.eye(3)
 
-    def add(self, step: SymbolicStep, leaves: SymbolLeaves) -> None:
+    def add_step(self, step: SymbolicStep, leaves: SymbolLeaves) -> None:
         """Go on by a step."""
         if step.kind == "slide":
-            self.turns[-1].way += _product(self.corner, step.axis) * step.amount
+            self.turns[-1].way += _multiply_matrices(self.corner, step.axis) * step.amount
         elif step.kind == "turn":
-            self.turn(step.axis, step.amount)
+            self.add_turn(step.axis, step.amount)
         elif step.kind == "rotation":
-            self.rotate(step.amount)
+            self.add_rotation(step.amount)
         else:
             R_align = spatial.align_z([float(x) for x in step.axis])
-            self.rotate(
-                leaves.constant(R_align if step.kind == "align" else R_align.T, step.subject)
+            self.add_rotation(
+                leaves.express_constant_rotation(
+                    R_align if step.kind == "align" else R_align.T, step.subject
+                )
             )
 
-    def turn(self, axis: Any, angle: Any) -> None:
+    def add_turn(self, axis: Any, angle: Any) -> None:
         """Turn by an angle about an axis of the frame reached so far."""
         axis = self.corner * axis
         quarters = 2 * angle / sympy.pi
-        if quarters.is_Integer and _is_corner(axis):
-            self.corner = _Turn(sympy.zeros(3, 1), axis, angle).rotation() * self.corner
+        if quarters.is_Integer and _is_coordinate_axis(axis):
+            self.corner = _Turn(sympy.zeros(3, 1), axis, angle).build_rotation() * self.corner
             return
-        if _is_corner(axis) and min(axis) < 0:
+        if _is_coordinate_axis(axis) and min(axis) < 0:
             axis = -axis
             angle = -angle
         last = self.turns[-1]
         if last.axis is not None and last.axis in (axis, -axis):
             # turn(a) way turn(b) = [turn(a) way], then turn(a + b)
-            self.turns[-2].way += _product(last.rotation(), last.way)
+            self.turns[-2].way += _multiply_matrices(last.build_rotation(), last.way)
             last.way = sympy.zeros(3, 1)
             last.angle = sympy.expand(last.angle + (angle if last.axis == axis else -angle))
-            if (2 * last.angle / sympy.pi).is_Integer and _is_corner(axis):
+            if (2 * last.angle / sympy.pi).is_Integer and _is_coordinate_axis(axis):
                 self.turns.pop()
-                self.turn(self.corner.T * last.axis, last.angle)
+                self.add_turn(self.corner.T * last.axis, last.angle)
         elif angle != 0:
-            self._append(_Turn(sympy.zeros(3, 1), axis, angle))
+            self._append_factor(_Turn(sympy.zeros(3, 1), axis, angle))
 
-    def rotate(self, matrix: Any) -> None:
+    def add_rotation(self, matrix: Any) -> None:
         """Turn by a rotation matrix."""
         if all(x in (-1, 0, 1) for x in matrix):
             self.corner = self.corner * matrix
         else:
             turned = self.corner * matrix * self.corner.T
-            self._append(_Turn(sympy.zeros(3, 1), matrix=turned))
+            self._append_factor(_Turn(sympy.zeros(3, 1), matrix=turned))
 
-    def _append(self, turn: _Turn) -> None:
+    def _append_factor(self, turn: _Turn) -> None:
         last = self.turns[-1]
         if last.constant and turn.constant:  # one matrix of numbers instead of a product
-            self.turns[-2].way += _product(last.rotation(), last.way)
+            self.turns[-2].way += _multiply_matrices(last.build_rotation(), last.way)
             self.turns[-1] = _Turn(
-                sympy.zeros(3, 1), matrix=_product(last.rotation(), turn.rotation())
+                sympy.zeros(3, 1),
+                matrix=_multiply_matrices(last.build_rotation(), turn.build_rotation()),
             )
             return
         self.turns.append(turn)
@@ -178,46 +181,46 @@ class TurnProduct:
                 f"the formula has more than {TURN_LIMIT} turns of different axes; take a subchain"
             )
 
-    def pose(self) -> tuple[Any, Any]:
+    def multiply_turns(self) -> tuple[Any, Any]:
         """Rotation (3, 3) and position (3, 1)."""
         rotation = self.corner
         position = sympy.zeros(3, 1)
         for turn in reversed(self.turns):
-            R_turn = turn.rotation()
-            rotation = _product(R_turn, rotation)
-            position = _product(R_turn, turn.way + position)
+            R_turn = turn.build_rotation()
+            rotation = _multiply_matrices(R_turn, rotation)
+            position = _multiply_matrices(R_turn, turn.way + position)
         return rotation, position
 
 
-def _product(a: Any, b: Any) -> Any:
+def _multiply_matrices(a: Any, b: Any) -> Any:
     """Matrix product. Most entries are zero, and sympy asks of each factor of a zero whether it is
     finite.
     """
 
-    def entry(i: int, j: int) -> Any:
+    def compute_entry(i: int, j: int) -> Any:
         pairs = zip(a.row(i), b.col(j), strict=True)
-        return sympy.Add(*(_times(x, y) for x, y in pairs if x != 0 and y != 0))
+        return sympy.Add(*(_multiply_terms(x, y) for x, y in pairs if x != 0 and y != 0))
 
-    return sympy.Matrix(a.rows, b.cols, entry)
+    return sympy.Matrix(a.rows, b.cols, compute_entry)
 
 
-def _times(x: Any, y: Any) -> Any:
+def _multiply_terms(x: Any, y: Any) -> Any:
     """Product in which a sum of negative terms gives its sign to the other factor."""
     return (
         -x * -y if y.is_Add and all(term.could_extract_minus_sign() for term in y.args) else x * y
     )
 
 
-def _is_corner(axis: Any) -> bool:
+def _is_coordinate_axis(axis: Any) -> bool:
     return all(x in (-1, 0, 1) for x in axis)
 
 
-def pose_of(steps: Iterable[SymbolicStep], leaves: SymbolLeaves) -> Any:
+def multiply_steps(steps: Iterable[SymbolicStep], leaves: SymbolLeaves) -> Any:
     """The product of steps as a pose (4, 4)."""
     chain = TurnProduct()
-    for step in unwrapped(steps):
-        chain.add(step, leaves)
-    rotation, position = chain.pose()
+    for step in unwrap_alignments(steps):
+        chain.add_step(step, leaves)
+    rotation, position = chain.multiply_turns()
     return sympy.Matrix(
         sympy.BlockMatrix([[rotation, position], [sympy.zeros(1, 3), sympy.eye(1)]])
     )
@@ -235,26 +238,30 @@ ESCAPED = str.maketrans(
 """All that LaTeX would read as a command in a name."""
 
 
-def _hypot(x: Any, y: Any) -> Any:
+def _express_hypot(x: Any, y: Any) -> Any:
     return sympy.sqrt(x**2 + y**2)
 
 
-def _radians(x: Any) -> Any:
+def _convert_to_radians(x: Any) -> Any:
     return x * sympy.pi / 180
 
 
-def _degrees(x: Any) -> Any:
+def _convert_to_degrees(x: Any) -> Any:
     return x * 180 / sympy.pi
 
 
 _FUNCTIONS: dict[str, Callable[..., Any]] = {
     name: getattr(sympy, name) for name in FUNCTIONS if hasattr(sympy, name)
 }
-_FUNCTIONS |= {"hypot": _hypot, "radians": _radians, "degrees": _degrees}
+_FUNCTIONS |= {
+    "hypot": _express_hypot,
+    "radians": _convert_to_radians,
+    "degrees": _convert_to_degrees,
+}
 
 
 @explained
-def symbolic_fk(
+def derive_fk(
     system: Model,
     frame: FrameLike,
     *,
@@ -294,14 +301,14 @@ def symbolic_fk(
     """
     name = system.structure.frame_name(frame)
     leaves = SymbolLeaves(system, symbols or {}, snap)
-    out: Any = pose_of(_between(system, name, relative_to, leaves), leaves)
+    out: Any = multiply_steps(_list_steps_between(system, name, relative_to, leaves), leaves)
     if system.structure.table.at[name][2]:
         out[:3, :3] = sympy.eye(3)  # a particle has no orientation
     out.snapped = tuple(dict.fromkeys(leaves.snapped))
     return out
 
 
-def in_latex(formula: Any, names: Mapping[Any, str] | None = None) -> str:
+def format_latex(formula: Any, names: Mapping[Any, str] | None = None) -> str:
     """A formula in LaTeX, names of several letters upright: sympy sets them as products. `names`
     says other ones.
     """
@@ -315,12 +322,12 @@ def in_latex(formula: Any, names: Mapping[Any, str] | None = None) -> str:
     return str(sympy.latex(formula, symbol_names={**own, **(names or {})}))
 
 
-def upright(name: str) -> str:
+def format_upright_name(name: str) -> str:
     """A name of a body or frame in LaTeX, in upright letters."""
     return rf"\mathrm{{{name.translate(ESCAPED)}}}"
 
 
-def aligned(lines: Iterable[str]) -> str:
+def align_formulas(lines: Iterable[str]) -> str:
     """Formulas in LaTeX, one below the other at their `&`."""
     return "\\begin{aligned}\n" + " \\\\\n".join(lines) + "\n\\end{aligned}"
 
@@ -328,38 +335,38 @@ def aligned(lines: Iterable[str]) -> str:
 # ---- the way to a frame, as turns, slides and constant rotations
 
 
-def _between(
+def _list_steps_between(
     system: Model, name: str, base: FrameLike | None, leaves: SymbolLeaves
 ) -> list[SymbolicStep]:
     """Motions from the ground, or from a frame, to another one."""
     if base is None:
-        return [step for _, steps in way_to(system, name, leaves) for step in steps]
-    there, since = (oriented_way(system, x, leaves) for x in (name, base))
+        return [step for _, steps in list_steps_by_body(system, name, leaves) for step in steps]
+    there, since = (list_oriented_steps(system, x, leaves) for x in (name, base))
     shared = 0
     while shared < min(len(there), len(since)) and there[shared][0] == since[shared][0]:
         shared += 1
-    back = inverse_of([step for _, steps in since[shared:] for step in steps])
+    back = invert_steps([step for _, steps in since[shared:] for step in steps])
     return back + [step for _, steps in there[shared:] for step in steps]
 
 
-def oriented_way(
+def list_oriented_steps(
     system: Model, frame: FrameLike, leaves: SymbolLeaves
 ) -> list[tuple[str, list[SymbolicStep]]]:
-    """The way to a frame that has an orientation, see `way_to`; `UnsupportedError` for particles."""
+    """The way to a frame that has an orientation, see `list_steps_by_body`; `UnsupportedError` for particles."""
     name = system.structure.frame_name(frame)
     if system.structure.table.at[name][2]:
         raise UnsupportedError(
             f"{name!r} is a particle and has no orientation; symbolic.fk gives its position"
         )
-    return way_to(system, name, leaves)
+    return list_steps_by_body(system, name, leaves)
 
 
-def inverse_of(steps: Iterable[SymbolicStep]) -> list[SymbolicStep]:
+def invert_steps(steps: Iterable[SymbolicStep]) -> list[SymbolicStep]:
     """The motions that undo others."""
-    return [_inverse(step) for step in reversed(list(steps))]
+    return [_invert_step(step) for step in reversed(list(steps))]
 
 
-def _inverse(step: SymbolicStep) -> SymbolicStep:
+def _invert_step(step: SymbolicStep) -> SymbolicStep:
     """The motion that undoes another one."""
     if step.kind in ("turn", "slide"):
         return SymbolicStep(step.kind, step.axis, -step.amount, step.subject)
@@ -370,7 +377,9 @@ def _inverse(step: SymbolicStep) -> SymbolicStep:
     )
 
 
-def way_to(system: Model, name: str, leaves: SymbolLeaves) -> list[tuple[str, list[SymbolicStep]]]:
+def list_steps_by_body(
+    system: Model, name: str, leaves: SymbolLeaves
+) -> list[tuple[str, list[SymbolicStep]]]:
     """Each body on the way from the ground to a body or frame, with the motions from the body
     before it.
     """
@@ -383,26 +392,29 @@ def way_to(system: Model, name: str, leaves: SymbolLeaves) -> list[tuple[str, li
         i = number - 1
         joint = mechanism.joints[tree.parent_joints[i]]
         out.append(
-            (tree.bodies[number], list(_joint_steps(system, joint, tree.reversed_[i], leaves)))
+            (
+                tree.bodies[number],
+                list(_iterate_joint_steps(system, joint, tree.reversed_[i], leaves)),
+            )
         )
         number = tree.parent[i]
     out.reverse()
     if frame:
-        out.append((name, list(placement_steps(frame.X_BF, f"frame {name!r}", leaves))))
+        out.append((name, list(iterate_placement_steps(frame.X_BF, f"frame {name!r}", leaves))))
     return out
 
 
-def _joint_steps(
+def _iterate_joint_steps(
     system: Model, joint: Joint, backwards: bool, leaves: SymbolLeaves
 ) -> Iterator[SymbolicStep]:
     subject = f"joint {joint.name!r}"
     first, last = (joint.X_CM, joint.X_PF) if backwards else (joint.X_PF, joint.X_CM)
-    yield from placement_steps(first, subject, leaves)
-    yield from joint_motions(system, joint, backwards, leaves)
-    yield from placement_steps(last.inverse(), subject, leaves)
+    yield from iterate_placement_steps(first, subject, leaves)
+    yield from iterate_joint_motions(system, joint, backwards, leaves)
+    yield from iterate_placement_steps(last.inverse(), subject, leaves)
 
 
-def joint_motions(
+def iterate_joint_motions(
     system: Model, joint: Joint, backwards: bool, leaves: SymbolLeaves
 ) -> Iterator[SymbolicStep]:
     """The motions of a joint from its frame F to M, or back."""
@@ -413,44 +425,55 @@ def joint_motions(
     sign = -1 if backwards else 1
     for p in reversed(primitives) if backwards else primitives:
         if p.kind == Q:
-            turned = leaves.ball(names[p.coordinate : p.coordinate + 4], subject)
+            turned = leaves.express_ball_rotation(names[p.coordinate : p.coordinate + 4], subject)
             yield SymbolicStep(
                 "rotation", amount=turned.T if backwards else turned, subject=subject
             )
         else:
-            amount = sign * _number(p.multiplier) * leaves.coordinate(names[p.coordinate])
+            amount = (
+                sign
+                * _express_number(p.multiplier)
+                * leaves.express_coordinate(names[p.coordinate])
+            )
             yield SymbolicStep(
                 "turn" if p.kind == R else "slide", sympy.Matrix(AXES[p.axis]), amount, subject
             )
 
 
-def placement_steps(X: Placement, subject: str, leaves: SymbolLeaves) -> Iterator[SymbolicStep]:
+def iterate_placement_steps(
+    X: Placement, subject: str, leaves: SymbolLeaves
+) -> Iterator[SymbolicStep]:
     """The motions of a placement."""
     for motion, numbers in X.steps:
         if motion in AXES:
             yield SymbolicStep(
-                "slide", sympy.Matrix(AXES[motion]), leaves.value(numbers[0]), subject
+                "slide", sympy.Matrix(AXES[motion]), leaves.express_value(numbers[0]), subject
             )
         elif motion in ("rx", "ry", "rz"):
             yield SymbolicStep(
-                "turn", sympy.Matrix(AXES[motion[1]]), leaves.angle(numbers[0], subject), subject
+                "turn",
+                sympy.Matrix(AXES[motion[1]]),
+                leaves.express_angle(numbers[0], subject),
+                subject,
             )
         elif motion in ("align", "unalign"):
-            yield SymbolicStep(motion, leaves.direction(numbers, subject), None, subject)
+            yield SymbolicStep(motion, leaves.express_direction(numbers, subject), None, subject)
         elif motion == "quat_wxyz" and any(isinstance(x, Expression) for x in numbers):
-            any_length = [leaves.value(x) for x in numbers]
+            any_length = [leaves.express_value(x) for x in numbers]
             length = sympy.sqrt(sum(x**2 for x in any_length))
             yield SymbolicStep(
-                "rotation", amount=_ball([x / length for x in any_length]), subject=subject
+                "rotation", amount=_make_rotation([x / length for x in any_length]), subject=subject
             )
         else:
             constant = Placement(((motion, numbers),)).evaluate({})[:3, :3]
             yield SymbolicStep(
-                "rotation", amount=leaves.constant(constant, subject), subject=subject
+                "rotation",
+                amount=leaves.express_constant_rotation(constant, subject),
+                subject=subject,
             )
 
 
-def _ball(quat_wxyz: list[Any]) -> Any:
+def _make_rotation(quat_wxyz: list[Any]) -> Any:
     """Rotation of a quaternion of norm one (Euler and Rodrigues)."""
     w, x, y, z = quat_wxyz
     return sympy.Matrix([
@@ -497,52 +520,52 @@ class SymbolLeaves:
             raise InputError(
                 f"{name!r} is the name of a parameter and of a coordinate; rename one of them"
             )
-        turning = _turning(system)
+        turning = _list_angle_names(system)
         for name in system.structure.couplings:  # each comes after those that it depends on
-            self.coordinates[name] = self._follower(system, name, name in turning)
+            self.coordinates[name] = self._express_follower(system, name, name in turning)
 
-    def _follower(self, system: Model, name: str, turning: bool) -> Any:
+    def _express_follower(self, system: Model, name: str, turning: bool) -> Any:
         """The coordinate `name` in terms of what it follows."""
         mechanism = system.mechanism
-        read = self.angle if turning else self.value
+        read = self.express_angle if turning else self.express_value
         if name in mechanism.locks:
             return read(mechanism.locks[name], f"lock of {name!r}")
         coupling = mechanism.couplings[name]
         out = read(coupling.offset, f"coupling of {name!r}")
         for source, multiplier in coupling.sources.items():
-            out += self.value(multiplier) * self.coordinates[source]
+            out += self.express_value(multiplier) * self.coordinates[source]
         return out
 
-    def coordinate(self, name: str) -> Any:
+    def express_coordinate(self, name: str) -> Any:
         """A coordinate, or what it follows."""
         return self.coordinates[name]
 
-    def ball(self, names: list[str], subject: str) -> Any:
+    def express_ball_rotation(self, names: list[str], subject: str) -> Any:
         """Rotation of a quaternion coordinate, constant where that is locked."""
         if names[0] in self.locks:
-            return self.constant(
+            return self.express_constant_rotation(
                 spatial.quat_wxyz_to_matrix([self.locks[n] for n in names]), subject
             )
-        return _ball([self.coordinates[n] for n in names])
+        return _make_rotation([self.coordinates[n] for n in names])
 
-    def value(self, x: Value, subject: str = "") -> Any:
+    def express_value(self, x: Value, subject: str = "") -> Any:
         """A length or factor."""
         if not isinstance(x, Expression):
-            return _number(x)
-        return x.fold({**self.parameters, "pi": sympy.pi}, _FUNCTIONS, _number)
+            return _express_number(x)
+        return x.fold({**self.parameters, "pi": sympy.pi}, _FUNCTIONS, _express_number)
 
-    def angle(self, x: Value, subject: str) -> Any:
+    def express_angle(self, x: Value, subject: str) -> Any:
         """An angle: exact where it is a multiple of pi/12, or of pi/2 after snapping."""
         if isinstance(x, Expression):
-            formula = self.value(x)
+            formula = self.express_value(x)
             return (
-                self._exact(float(formula), subject)
+                self._make_exact_angle(float(formula), subject)
                 if formula.is_Float or formula.is_Integer
                 else formula
             )
-        return self._exact(x, subject)
+        return self._make_exact_angle(x, subject)
 
-    def _exact(self, angle: float, subject: str) -> Any:
+    def _make_exact_angle(self, angle: float, subject: str) -> Any:
         k = round(angle * 12.0 / math.pi)
         exact = sympy.pi * sympy.Rational(k, 12)
         if angle in (float(exact), k * math.pi / 12.0, k * (math.pi / 12.0)):
@@ -553,7 +576,7 @@ class SymbolLeaves:
             return quarters
         return sympy.Float(angle)
 
-    def direction(self, axis: tuple[Any, ...], subject: str) -> Any:
+    def express_direction(self, axis: tuple[Any, ...], subject: str) -> Any:
         """Unit vector of an axis, exact where its entries are whole numbers or, after snapping, all
         but one zero.
         """
@@ -567,9 +590,9 @@ class SymbolLeaves:
         if all(x.is_integer() for x in axis):
             whole = sympy.Matrix([int(x) for x in axis])
             return whole / sympy.sqrt(whole.dot(whole))
-        return sympy.Matrix([_number(x) for x in unit.tolist()])
+        return sympy.Matrix([_express_number(x) for x in unit.tolist()])
 
-    def constant(self, matrix: np.ndarray, subject: str) -> Any:
+    def express_constant_rotation(self, matrix: np.ndarray, subject: str) -> Any:
         """A constant rotation matrix: a signed permutation after snapping, if it is near enough to
         one.
         """
@@ -581,10 +604,10 @@ class SymbolLeaves:
                     f"{subject}: rotation matrix moved by {angle:.3g} rad to quarter turns"
                 )
                 matrix = nearest
-        return sympy.Matrix(3, 3, [_number(float(x)) for x in matrix.ravel()])
+        return sympy.Matrix(3, 3, [_express_number(float(x)) for x in matrix.ravel()])
 
 
-def _turning(system: Model) -> set[str]:
+def _list_angle_names(system: Model) -> set[str]:
     """Names of the coordinates that are angles."""
     mechanism = system.mechanism
     out: set[str] = set()
@@ -595,7 +618,7 @@ def _turning(system: Model) -> set[str]:
     return out
 
 
-def _number(x: Any) -> Any:
+def _express_number(x: Any) -> Any:
     """A number as sympy prints it best: whole numbers exactly, others as decimals of the same
     double.
     """

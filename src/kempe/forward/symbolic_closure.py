@@ -17,14 +17,14 @@ from kempe.errors import UnsupportedError
 from kempe.forward.symbolic import (
     SymbolicStep,
     SymbolLeaves,
-    aligned,
-    in_latex,
-    inverse_of,
-    joint_motions,
-    placement_steps,
-    pose_of,
+    align_formulas,
+    format_latex,
+    invert_steps,
+    iterate_joint_motions,
+    iterate_placement_steps,
+    list_steps_by_body,
+    multiply_steps,
     sympy,
-    way_to,
 )
 from kempe.model.implicit_form import ImplicitForm, find_implicit_form, has_slide_along_z
 from kempe.model.packed_loops import find_explicit_joints
@@ -55,7 +55,7 @@ class SymbolicClosure:
 
     def latex(self) -> str:
         """The equations in LaTeX, one line each."""
-        return aligned(f"{in_latex(f)} &= 0" for f in self.matrix)
+        return align_formulas(f"{format_latex(f)} &= 0" for f in self.matrix)
 
     def _repr_latex_(self) -> str:
         return f"$\\displaystyle {self.latex()}$"
@@ -65,7 +65,7 @@ class SymbolicClosure:
 
 
 @explained
-def symbolic_closure(
+def derive_closure(
     system: Model, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0
 ) -> SymbolicClosure:
     """The equations f(q) = 0 that closed configurations satisfy, in coordinates and named
@@ -75,7 +75,7 @@ def symbolic_closure(
     the coordinates of this joint are not needed for that they do not occur. Places are in metres,
     in axes of the ground where all of them are held, else in those of F; turns are sines of angles,
     so that they are zero half a turn off, too. A rod gives the difference of the squares of two
-    lengths. `symbols` and `snap` are those of `kempe.forward.symbolic.symbolic_fk`;
+    lengths. `symbols` and `snap` are those of `kempe.forward.symbolic.derive_fk`;
     besides its errors, `UnsupportedError` for constraints of other kinds.
 
     >>> import kempe
@@ -87,33 +87,45 @@ def symbolic_closure(
     explicit = find_explicit_joints(system)
     out = dict[str, Any]()
     for name in system.structure.closures:
-        out[name] = _of_joint(system, m.joints[name], name in explicit, leaves)
+        out[name] = _derive_joint_equations(system, m.joints[name], name in explicit, leaves)
     for constraint in m.constraints.values():
         if position_rows(constraint.of, system.dim):
-            out[constraint.name] = _of_constraint(system, constraint, leaves)
+            out[constraint.name] = _derive_constraint_equations(system, constraint, leaves)
     for r in system.structure.relations:
-        sources = sum(leaves.value(k) * leaves.coordinate(s) for s, k in r.sources.items())
-        out[r.of] = sympy.Matrix([leaves.coordinate(r.of) - sources - leaves.value(r.offset)])
+        sources = sum(
+            leaves.express_value(k) * leaves.express_coordinate(s) for s, k in r.sources.items()
+        )
+        out[r.of] = sympy.Matrix(
+            [leaves.express_coordinate(r.of) - sources - leaves.express_value(r.offset)]
+        )
     return SymbolicClosure(out)
 
 
-def _way(system: Model, body: str, leaves: SymbolLeaves) -> Steps:
-    return [step for _, steps in way_to(system, body, leaves) for step in steps]
+def _list_body_steps(system: Model, body: str, leaves: SymbolLeaves) -> Steps:
+    return [step for _, steps in list_steps_by_body(system, body, leaves) for step in steps]
 
 
-def _of_joint(system: Model, joint: Joint, explicit: bool, leaves: SymbolLeaves) -> Any:
+def _derive_joint_equations(
+    system: Model, joint: Joint, explicit: bool, leaves: SymbolLeaves
+) -> Any:
     m = system.mechanism
     dim = system.dim
     subject = f"joint {joint.name!r}"
     particle = m.bodies[joint.child].particle
     form = None if explicit else find_implicit_form(joint.type, dim, particle)
-    F = [*_way(system, joint.parent, leaves), *placement_steps(joint.X_PF, subject, leaves)]
-    M = [*_way(system, joint.child, leaves), *placement_steps(joint.X_CM, subject, leaves)]
+    F = [
+        *_list_body_steps(system, joint.parent, leaves),
+        *iterate_placement_steps(joint.X_PF, subject, leaves),
+    ]
+    M = [
+        *_list_body_steps(system, joint.child, leaves),
+        *iterate_placement_steps(joint.X_CM, subject, leaves),
+    ]
     if form is None:  # F is led on by the joint's own motion, and all of M is held there
-        F += joint_motions(system, joint, False, leaves)
+        F += iterate_joint_motions(system, joint, False, leaves)
         form = ImplicitForm("xyz"[:dim], "" if particle else "z" if dim == 2 else "xyz", ())
-    X_F = pose_of(F, leaves)
-    X_M = pose_of(M, leaves)
+    X_F = multiply_steps(F, leaves)
+    X_M = multiply_steps(M, leaves)
     gap = X_F[:3, 3] - X_M[:3, 3]
     R = X_F[:3, :3]
     if len(form.position) == dim:
@@ -122,22 +134,24 @@ def _of_joint(system: Model, joint: Joint, explicit: bool, leaves: SymbolLeaves)
         places = [-R[1, 2] * gap[0] + R[0, 2] * gap[1]]
     else:
         places = [R[:, "xyz".index(axis)].dot(gap) for axis in form.position]
-    return sympy.Matrix([sympy.expand(f) for f in [*places, *_turns(form.turns, F, M, leaves)]])
+    return sympy.Matrix(
+        [sympy.expand(f) for f in [*places, *_derive_turn_equations(form.turns, F, M, leaves)]]
+    )
 
 
-def _turns(held_turns: str, F: Steps, M: Steps, leaves: SymbolLeaves) -> list[Any]:
+def _derive_turn_equations(held_turns: str, F: Steps, M: Steps, leaves: SymbolLeaves) -> list[Any]:
     """What is zero where M is turned against F only as a joint allows; parallel turns on both ways
     are merged.
     """
     if held_turns == "z":
-        return [pose_of([*M, *inverse_of(F)], leaves)[1, 0]]
-    R = pose_of([*inverse_of(F), *M], leaves)[:3, :3] if held_turns else sympy.eye(3)
+        return [multiply_steps([*M, *invert_steps(F)], leaves)[1, 0]]
+    R = multiply_steps([*invert_steps(F), *M], leaves)[:3, :3] if held_turns else sympy.eye(3)
     if held_turns == "xyz":
         return [R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]
     return {"": [], "xy": [R[0, 2], R[1, 2]], "x.y": [R[0, 1]]}[held_turns]
 
 
-def _of_constraint(system: Model, constraint: Declared, leaves: SymbolLeaves) -> Any:
+def _derive_constraint_equations(system: Model, constraint: Declared, leaves: SymbolLeaves) -> Any:
     dim = system.dim
     of = constraint.of
     subject = f"constraint {constraint.name!r}"
@@ -157,16 +171,16 @@ def _of_constraint(system: Model, constraint: Declared, leaves: SymbolLeaves) ->
         (constraint.child, constraint.X_CM, tool),
     ):
         steps = [
-            *_way(system, body, leaves),
-            *placement_steps(X @ placement_of_pose(more), subject, leaves),
+            *_list_body_steps(system, body, leaves),
+            *iterate_placement_steps(X @ placement_of_pose(more), subject, leaves),
         ]
-        ends.append(pose_of(steps, leaves))
+        ends.append(multiply_steps(steps, leaves))
     gap = ends[1][:3, 3] - ends[0][:3, 3]
     out: list[Any] = []
     for row in rows:
         name = held(of, row)
         value: Any = getattr(of, name) if name else 0.0
-        value = leaves.value(value if row.part is None else value[row.part])
+        value = leaves.express_value(value if row.part is None else value[row.part])
         out.append(
             gap.dot(gap) - value**2
             if row.op is Op.DISTANCE

@@ -19,10 +19,10 @@ from kempe.forward.joint_lines import JointLine
 from kempe.forward.symbolic import (
     SymbolicStep,
     SymbolLeaves,
-    oriented_way,
-    pose_of,
+    list_oriented_steps,
+    multiply_steps,
     sympy,
-    unwrapped,
+    unwrap_alignments,
 )
 from kempe.poses import placement_of_pose
 from kempe.report import Report, Table
@@ -55,7 +55,7 @@ class DHTable(Report):
     base: Array
     tool: Array
 
-    def mechanism(self) -> Mechanism:
+    def to_mechanism(self) -> Mechanism:
         """The chain that `kempe.from_dh` makes of it; its frame 'tool' is where the frame was."""
         parameters = self.system.structure.parameters
         ends = (placement_of_pose(X) for X in (self.base, self.tool))
@@ -71,14 +71,16 @@ class DHTable(Report):
         for row in self.rows:
             turns = row.type == "revolute"
             theta, d = (
-                f"{_shown(x)} + {row.name}"
-                if moves and _shown(x) != "0"
+                f"{_format_entry(x)} + {row.name}"
+                if moves and _format_entry(x) != "0"
                 else row.name
                 if moves
-                else _shown(x)
+                else _format_entry(x)
                 for x, moves in ((row.theta, turns), (row.d, not turns))
             )
-            rows.append([str(row.name), _shown(row.a), _shown(row.alpha), str(d), str(theta)])
+            rows.append(
+                [str(row.name), _format_entry(row.a), _format_entry(row.alpha), str(d), str(theta)]
+            )
         return [Table(("joint", "a", "alpha", "d", "theta"), rows)]
 
     def _notes(self, degrees: bool = False) -> list[str]:
@@ -86,7 +88,11 @@ class DHTable(Report):
             ("frame 0 in the ground", self.base),
             (f"{self.frame} in the last frame", self.tool),
         )
-        return [f"{what}: {_place(X)}" for what, X in said if np.abs(X - np.eye(4)).max() > SMALL]
+        return [
+            f"{what}: {_format_placement(X)}"
+            for what, X in said
+            if np.abs(X - np.eye(4)).max() > SMALL
+        ]
 
     def _data(self) -> dict[str, Any]:
         numbers = [
@@ -132,15 +138,17 @@ def to_dh(
     given = dict(symbols or {})
     values = system.structure.parameters
     while True:
-        found = _tabled(system, name, convention, SymbolLeaves(system, given, snap))
+        found = _derive_table(system, name, convention, SymbolLeaves(system, given, snap))
         if isinstance(found, DHTable):
             return found
         given |= {str(s): values[str(s)] for s in found}  # directions depend on these lengths
 
 
-def _tabled(system: Model, frame: str, convention: str, leaves: SymbolLeaves) -> DHTable | set[Any]:
+def _derive_table(
+    system: Model, frame: str, convention: str, leaves: SymbolLeaves
+) -> DHTable | set[Any]:
     """The table, or the parameters on which directions of normals depend."""
-    axes, tip = joint_lines(system, frame, leaves)
+    axes, tip = derive_joint_lines(system, frame, leaves)
     unknown = set[Any]().union(
         tip.free_symbols, *(a.point.free_symbols | a.direction.free_symbols for a in axes)
     )
@@ -150,12 +158,14 @@ def _tabled(system: Model, frame: str, convention: str, leaves: SymbolLeaves) ->
         )
     tip_R = np.array(tip[:3, :3], dtype=float)
     lines = [*axes, JointLine(tip[:3, 3], tip[:3, 2])]
-    start, x = _first(lines[0])
+    start, x = _find_first_frame(lines[0])
     # feet of the normal on the axis and on the next one
     ends = [(start, start)]
     x_axes = [x]
     for i, (one, two) in enumerate(zip(lines[:-1], lines[1:], strict=True)):
-        foot, other, x = _normal(one, two, ends[-1][1], x_axes[-1], system, last=i == len(axes) - 1)
+        foot, other, x = _find_common_normal(
+            one, two, ends[-1][1], x_axes[-1], system, last=i == len(axes) - 1
+        )
         if x.free_symbols:
             return x.free_symbols
         ends.append((foot, other))
@@ -167,10 +177,10 @@ def _tabled(system: Model, frame: str, convention: str, leaves: SymbolLeaves) ->
         (foot, other) = ends[i + 1]
         h = axis.direction
         x = x_axes[i + 1]
-        a = _value(_chopped((other - foot).dot(x)))
-        d = _value(_chopped((foot - at).dot(h)))
-        alpha = _value(angle_about(h, lines[i + 1].direction, x))
-        theta = _value(angle_about(x_axes[i], x, h))
+        a = _to_table_entry(_drop_rounding((other - foot).dot(x)))
+        d = _to_table_entry(_drop_rounding((foot - at).dot(h)))
+        alpha = _to_table_entry(derive_angle(h, lines[i + 1].direction, x))
+        theta = _to_table_entry(derive_angle(x_axes[i], x, h))
         held = (a, alpha) if convention == "standard" else before
         before = (a, alpha)
         rows.append(
@@ -183,14 +193,16 @@ def _tabled(system: Model, frame: str, convention: str, leaves: SymbolLeaves) ->
                 limits=axis.limits if np.isfinite(axis.limits).any() else None,
             )
         )
-    base = _pose(x_axes[0], lines[0].direction, start, system)
+    base = _compute_pose(x_axes[0], lines[0].direction, start, system)
     last = ends[-1][1 if convention == "standard" else 0]
-    X_n = _pose(x_axes[-1], lines[-1 if convention == "standard" else -2].direction, last, system)
-    X_tip = spatial.pose(tip_R, _numbers(tip[:3, 3], system))
+    X_n = _compute_pose(
+        x_axes[-1], lines[-1 if convention == "standard" else -2].direction, last, system
+    )
+    X_tip = spatial.pose(tip_R, _evaluate_vector(tip[:3, 3], system))
     return DHTable(system, frame, convention, tuple(rows), base, spatial.inverse(X_n) @ X_tip)
 
 
-def joint_lines(
+def derive_joint_lines(
     system: Model, frame: str, leaves: SymbolLeaves, none: str = "there is no table"
 ) -> tuple[list[JointLine], Any]:
     """The lines of the joints at q = 0, and the pose of the frame there; directions are numbers.
@@ -198,11 +210,13 @@ def joint_lines(
     Errors: `UnsupportedError` for joints that are no turn or slide of their own, and, with the
     words `none`, where nothing moves the frame.
     """
-    steps = unwrapped(
-        step for _, motions in oriented_way(system, frame, leaves) for step in motions
+    steps = unwrap_alignments(
+        step for _, motions in list_oriented_steps(system, frame, leaves) for step in motions
     )
     names = {
-        leaves.coordinate(n): n for n in system.coordinate_names if leaves.coordinate(n).is_Symbol
+        leaves.express_coordinate(n): n
+        for n in system.coordinate_names
+        if leaves.express_coordinate(n).is_Symbol
     }
     still: list[SymbolicStep] = []
     at: list[tuple[SymbolicStep, int, int, str]] = []
@@ -211,7 +225,7 @@ def joint_lines(
         moving = [name for s, name in names.items() if amount is not None and amount.has(s)]
         if amount is not None and moving:
             rate: Any = (
-                sympy.diff(amount, leaves.coordinate(moving[0]))
+                sympy.diff(amount, leaves.express_coordinate(moving[0]))
                 if step.kind != "rotation"
                 else None
             )
@@ -225,8 +239,10 @@ def joint_lines(
     if not at:
         raise UnsupportedError(f"no joint moves {frame!r}: {none}")
     values = {sympy.Symbol(n): x for n, x in system.structure.parameters.items()}
-    poses = [pose_of(still[:k], leaves) for _, k, _, _ in at] + [pose_of(still, leaves)]
-    poses = [X.applyfunc(_decimal) for X in poses]
+    poses = [multiply_steps(still[:k], leaves) for _, k, _, _ in at] + [
+        multiply_steps(still, leaves)
+    ]
+    poses = [X.applyfunc(_evaluate_sines) for X in poses]
     directions = [
         X[:3, :3] * step.axis * rate for X, (step, _, rate, _) in zip(poses[:-1], at, strict=True)
     ]
@@ -237,17 +253,17 @@ def joint_lines(
     )
     out: list[JointLine] = []
     for X, h, (step, _, _, name) in zip(poses[:-1], directions, at, strict=True):
-        direction = tidy(h.subs(fixed))
+        direction = tidy_matrix(h.subs(fixed))
         limits = tuple(bounds[name])
         out.append(
             JointLine(X[:3, 3].subs(fixed), direction, step.kind == "turn", name, limits=limits)
         )
     tip = poses[-1].subs(fixed)
-    tip[:3, :3] = tidy(tip[:3, :3])
+    tip[:3, :3] = tidy_matrix(tip[:3, :3])
     return out, tip
 
 
-def _first(axis: JointLine) -> tuple[Any, Any]:
+def _find_first_frame(axis: JointLine) -> tuple[Any, Any]:
     """Origin and x axis of frame 0: nearest to the ground on the first axis, with x of the ground
     if it can be.
     """
@@ -255,10 +271,10 @@ def _first(axis: JointLine) -> tuple[Any, Any]:
     foot = axis.point - axis.direction * axis.direction.dot(axis.point)
     ground = sympy.Matrix([1, 0, 0] if abs(float(h[0])) < 0.9 else [0, 1, 0])
     x = ground - h * h.dot(ground)
-    return foot, tidy(x / sympy.sqrt(x.dot(x)))
+    return foot, tidy_matrix(x / sympy.sqrt(x.dot(x)))
 
 
-def _normal(
+def _find_common_normal(
     one: JointLine, two: JointLine, at: Any, x: Any, system: Model, last: bool
 ) -> tuple[Any, Any, Any]:
     """The feet of the common normal of two axes, and its direction, from the first to the second.
@@ -275,25 +291,25 @@ def _normal(
     if sine < PARALLEL:
         foot = at + h * h.dot(gap) if last else at
         other = two.point if last else two.point - k * k.dot(gap)
-        way = tidy(other - foot)
+        way = tidy_matrix(other - foot)
         if way.is_zero_matrix:
             return foot, foot, x
-        sizes = np.abs(_numbers(way, system))
+        sizes = np.abs(_evaluate_vector(way, system))
         pivot = way[int(sizes.argmax())] if sizes.max() > 0.0 else next(w for w in way if w != 0)
         ratio = sympy.simplify(way / pivot)
-        sense = -1 if float(_numbers(sympy.Matrix([pivot]), system)[0]) < 0.0 else 1
-        return foot, other, tidy(sense * ratio / sympy.sqrt(ratio.dot(ratio)))
-    n = tidy(n) if sine > NEARLY else n  # else what is tidied away may count
+        sense = -1 if float(_evaluate_vector(sympy.Matrix([pivot]), system)[0]) < 0.0 else 1
+        return foot, other, tidy_matrix(sense * ratio / sympy.sqrt(ratio.dot(ratio)))
+    n = tidy_matrix(n) if sine > NEARLY else n  # else what is tidied away may count
     size = n.dot(n)
     foot = at + h * (gap.cross(k).dot(n) / size)
     other = two.point + k * (gap.cross(h).dot(n) / size)
     unit = n / sympy.sqrt(size)
     if float(unit.dot(x)) < -SMALL:  # the sense that turns the frame least
         unit = -unit
-    return foot, other, tidy(unit)
+    return foot, other, tidy_matrix(unit)
 
 
-def angle_about(a: Any, b: Any, about: Any) -> Any:
+def derive_angle(a: Any, b: Any, about: Any) -> Any:
     """The angle from a to b about an axis that is perpendicular to both; multiples of 15 degrees
     exactly.
     """
@@ -302,50 +318,50 @@ def angle_about(a: Any, b: Any, about: Any) -> Any:
     return exact if abs(float(angle - exact)) < SMALL else angle
 
 
-def tidy(matrix: Any) -> Any:
+def tidy_matrix(matrix: Any) -> Any:
     """Expanded, without terms that are rounding."""
-    return matrix.applyfunc(_chopped)
+    return matrix.applyfunc(_drop_rounding)
 
 
-def _chopped(x: Any) -> Any:
+def _drop_rounding(x: Any) -> Any:
     x = sympy.expand(x)
     return x.xreplace({f: sympy.Integer(0) for f in x.atoms(sympy.Float) if abs(f) < SMALL})
 
 
-def _decimal(x: Any) -> Any:
+def _evaluate_sines(x: Any) -> Any:
     """Sines of numbers that sympy leaves as they are, as decimals: exact ones multiply out to
     pages.
     """
     return x.xreplace({f: f.evalf() for f in x.atoms(sympy.sin, sympy.cos) if f.is_number})
 
 
-def _value(x: Any) -> Any:
+def _to_table_entry(x: Any) -> Any:
     return str(x) if x.free_symbols or x.has(sympy.pi) else float(x)
 
 
-def _numbers(v: Any, system: Model) -> Array:
+def _evaluate_vector(v: Any, system: Model) -> Array:
     values = {sympy.Symbol(n): x for n, x in system.structure.parameters.items()}
     return np.array(v.subs(values), dtype=float).reshape(v.shape)[:, 0]
 
 
-def _pose(x: Any, z: Any, origin: Any, system: Model) -> Array:
-    across = _numbers(x, system)
-    along = _numbers(z, system)
+def _compute_pose(x: Any, z: Any, origin: Any, system: Model) -> Array:
+    across = _evaluate_vector(x, system)
+    along = _evaluate_vector(z, system)
     # of axes that are nearly parallel x is a rounded normal
     across = across - along * (along @ across)
     across = across / np.linalg.norm(across)
     axes = [across, np.cross(along, across), along]
-    return spatial.pose(np.stack(axes, axis=1), _numbers(origin, system))
+    return spatial.pose(np.stack(axes, axis=1), _evaluate_vector(origin, system))
 
 
-def _place(X: Array) -> str:
+def _format_placement(X: Array) -> str:
     """A pose as the keywords by which a frame is placed."""
     p, rpy = (
-        ", ".join(_shown(float(x)) for x in np.where(np.abs(v) < SMALL, 0.0, v))
+        ", ".join(_format_entry(float(x)) for x in np.where(np.abs(v) < SMALL, 0.0, v))
         for v in (X[:3, 3], spatial.matrix_to_rpy(X[:3, :3]))
     )
     return f"at ({p}), rpy ({rpy})"
 
 
-def _shown(x: Any) -> str:
+def _format_entry(x: Any) -> str:
     return str(x) if isinstance(x, str) else f"{x + 0.0:.6g}"

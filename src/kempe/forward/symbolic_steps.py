@@ -16,14 +16,14 @@ from kempe.arguments import explained, flag, known
 from kempe.errors import InputError, UnsupportedError, shown
 from kempe.forward.symbolic import (
     SymbolLeaves,
-    aligned,
-    in_latex,
-    oriented_way,
-    pose_of,
-    symbolic_fk,
+    align_formulas,
+    derive_fk,
+    format_latex,
+    format_upright_name,
+    list_oriented_steps,
+    multiply_steps,
     sympy,
-    unwrapped,
-    upright,
+    unwrap_alignments,
 )
 from kempe.spatial import Array
 
@@ -67,7 +67,7 @@ class SymbolicSteps:
             out.append(out[-1] * T)
         return tuple(out[1:])
 
-    def numbers(self, q: Any) -> Array:
+    def evaluate_matrices(self, q: Any) -> Array:
         """The same matrices at configurations (..., nq) as numbers (..., n, 4, 4), from `fk`."""
         from kempe.forward.fk import fk  # only here: formulas need no kernels
 
@@ -89,25 +89,32 @@ class SymbolicSteps:
         if form == "separate":
             lines: list[str] = []
             for (a, b), T in zip(ways, self.T, strict=True):
-                p = in_latex(T[:3, 3])
-                R = in_latex(T[:3, :3])
-                lines.append(f"{_left(a, b, 'p')} &= {p}, \\quad {_left(a, b, 'R')} = {R}")
-            place = _left(*ways[-1], "p")
+                p = format_latex(T[:3, 3])
+                R = format_latex(T[:3, :3])
+                lines.append(
+                    f"{_format_symbol(a, b, 'p')} &= {p}, \\quad {_format_symbol(a, b, 'R')} = {R}"
+                )
+            place = _format_symbol(*ways[-1], "p")
             for a, b in reversed(ways[:-1]):
                 place = rf"\left({place}\right)" if "+" in place else place
-                place = f"{_left(a, b, 'p')} + {_left(a, b, 'R')} {place}"
-            lines.append(f"{_left(ground, tip, 'p')} &= {place} = {in_latex(self.merged[:3, 3])}")
+                place = f"{_format_symbol(a, b, 'p')} + {_format_symbol(a, b, 'R')} {place}"
             lines.append(
-                f"{_left(ground, tip, 'R')} &= {_product(ways, 'R')} = "
-                f"{in_latex(self.merged[:3, :3])}"
+                f"{_format_symbol(ground, tip, 'p')} &= {place} = {format_latex(self.merged[:3, 3])}"
             )
-            return aligned(lines)
+            lines.append(
+                f"{_format_symbol(ground, tip, 'R')} &= {_format_product(ways, 'R')} = "
+                f"{format_latex(self.merged[:3, :3])}"
+            )
+            return align_formulas(lines)
         shown = zip([(ground, b) for _, b in ways], self.products, strict=True)
         if form == "matrices":
             shown = zip(ways, self.T, strict=True)
-        lines = [f"{_left(a, b)} &= {in_latex(T)}" for (a, b), T in shown]
-        return aligned(
-            [*lines, f"{_left(ground, tip)} &= {_product(ways)} = {in_latex(self.merged)}"]
+        lines = [f"{_format_symbol(a, b)} &= {format_latex(T)}" for (a, b), T in shown]
+        return align_formulas(
+            [
+                *lines,
+                f"{_format_symbol(ground, tip)} &= {_format_product(ways)} = {format_latex(self.merged)}",
+            ]
         )
 
     def _repr_latex_(self) -> str:
@@ -121,7 +128,7 @@ class SymbolicSteps:
 
 
 @explained
-def symbolic_steps(
+def derive_steps(
     system: Model,
     frame: FrameLike,
     *,
@@ -132,7 +139,7 @@ def symbolic_steps(
     way.
 
     A frame that is not a body adds a last matrix, of its place on the body. `symbols`, `snap` and
-    errors are those of `kempe.forward.symbolic.symbolic_fk`; besides,
+    errors are those of `kempe.forward.symbolic.derive_fk`; besides,
     `UnsupportedError` for a frame of a particle, which has no orientation.
 
     >>> from kempe import Mechanism
@@ -143,25 +150,27 @@ def symbolic_steps(
     >>> symbolic_steps(arm.build(), "lower").p[1].T
     Matrix([[l1, 0, 0]])
     """
-    merged = symbolic_fk(system, frame, symbols=symbols, snap=snap)
+    merged = derive_fk(system, frame, symbols=symbols, snap=snap)
     leaves = SymbolLeaves(system, symbols or {}, snap)
-    parts = oriented_way(system, frame, leaves)
+    parts = list_oriented_steps(system, frame, leaves)
     names = (system.structure.topology.bodies[0], *(name for name, _ in parts))
-    return SymbolicSteps(system, names, tuple(pose_of(steps, leaves) for _, steps in parts), merged)
+    return SymbolicSteps(
+        system, names, tuple(multiply_steps(steps, leaves) for _, steps in parts), merged
+    )
 
 
-def _left(upper: str, lower: str, what: str = "T") -> str:
+def _format_symbol(upper: str, lower: str, what: str = "T") -> str:
     """T, R or p with the names of its two frames at its left; of p the second one at its right."""
-    a, b = (upright(name) for name in (upper, lower))
+    a, b = (format_upright_name(name) for name in (upper, lower))
     return f"{{}}^{{{a}}}p_{{{b}}}" if what == "p" else f"{{}}^{{{a}}}_{{{b}}}{what}"
 
 
-def _product(ways: list[tuple[str, str]], what: str = "T") -> str:
-    return r" \, ".join(_left(a, b, what) for a, b in ways)
+def _format_product(ways: list[tuple[str, str]], what: str = "T") -> str:
+    return r" \, ".join(_format_symbol(a, b, what) for a, b in ways)
 
 
 @explained
-def symbolic_jacobian(
+def derive_jacobian(
     system: Model,
     frame: FrameLike,
     *,
@@ -174,15 +183,15 @@ def symbolic_jacobian(
     A joint that turns about a has the column [a x (p - c); a], with a point c of its axis; one that
     slides along a has [a; 0] (Siciliano, Sciavicco, Villani, Oriolo 2009, section 3.1). Multiplied
     with velocities it gives what `system.jacobian` gives in numbers. It is multiplied out where
-    that is short. `symbols`, `snap` and errors are those of `symbolic_steps`; besides,
+    that is short. `symbols`, `snap` and errors are those of `derive_steps`; besides,
     `UnsupportedError` where a ball with a quaternion moves the frame.
     """
     leaves = SymbolLeaves(system, {}, snap)
     given = SymbolLeaves(system, symbols or {}, snap).given
-    parts = oriented_way(system, frame, leaves)
-    steps = unwrapped(step for _, motions in parts for step in motions)
+    parts = list_oriented_steps(system, frame, leaves)
+    steps = unwrap_alignments(step for _, motions in parts for step in motions)
     names = system.structure.velocity_names
-    end: Any = pose_of(steps, leaves)[:3, 3]
+    end: Any = multiply_steps(steps, leaves)[:3, 3]
     J = sympy.zeros(6, len(names))
     for k, step in enumerate(steps):
         if step.kind == "rotation" and step.amount.has(*map(sympy.Symbol, system.coordinate_names)):
@@ -192,7 +201,7 @@ def symbolic_jacobian(
         moves = step.kind in ("turn", "slide")
         rates = [sympy.diff(step.amount, sympy.Symbol(name)) for name in names] if moves else []
         if any(rates):
-            here: Any = pose_of(steps[:k], leaves)
+            here: Any = multiply_steps(steps[:k], leaves)
             a = here[:3, :3] * step.axis
             column = [*a.cross(end - here[:3, 3]), *a] if step.kind == "turn" else [*a, 0, 0, 0]
             J += sympy.Matrix(column) * sympy.Matrix([rates])
@@ -215,13 +224,15 @@ class ShortForm(NamedTuple):
         return "\n".join(lines + [f"{short} = {long}" for short, long in self.legend.items()])
 
     def _repr_latex_(self) -> str:
-        lines = [f"& {in_latex(self.formula)}"]
-        lines += [f"{in_latex(short)} &= {in_latex(long)}" for short, long in self.legend.items()]
-        return f"$\\displaystyle {aligned(lines)}$"
+        lines = [f"& {format_latex(self.formula)}"]
+        lines += [
+            f"{format_latex(short)} &= {format_latex(long)}" for short, long in self.legend.items()
+        ]
+        return f"$\\displaystyle {align_formulas(lines)}$"
 
 
 @explained
-def short_form(system: Model, formula: Any) -> ShortForm:
+def shorten_formula(system: Model, formula: Any) -> ShortForm:
     """A formula with short names for sines and cosines of sums of coordinates: l1 c1 + l2 c12, and
     the legend.
 
@@ -248,11 +259,11 @@ def short_form(system: Model, formula: Any) -> ShortForm:
         )
     formula = read
     legend: dict[Any, Any] = {}
-    words = _words(system)
+    words = _choose_short_names(system)
     angles = dict[str, Any]()
     for found in sorted(formula.atoms(sympy.sin, sympy.cos), key=str):
         angle = found.args[0]
-        label = _label(words, angle)
+        label = _format_label(words, angle)
         if "-" in label:  # c1-2 would be a difference
             label = f"_{{{label.replace('-_', '-').lstrip('_').replace('_', ',')}}}"
         symbol = sympy.Symbol(f"{'c' if found.func == sympy.cos else 's'}{label}")
@@ -266,13 +277,13 @@ def short_form(system: Model, formula: Any) -> ShortForm:
 
 
 @explained
-def short_fk(system: Model, frame: FrameLike, short: bool, **options: Any) -> Any:
-    """`symbolic_fk`, or its `short_form`."""
-    formula = symbolic_fk(system, frame, **options)
-    return short_form(system, formula) if flag(short, "short") else formula
+def derive_short_fk(system: Model, frame: FrameLike, short: bool, **options: Any) -> Any:
+    """`derive_fk`, or its `shorten_formula`."""
+    formula = derive_fk(system, frame, **options)
+    return shorten_formula(system, formula) if flag(short, "short") else formula
 
 
-def _words(system: Model) -> dict[Any, str]:
+def _choose_short_names(system: Model) -> dict[Any, str]:
     """Short names of the coordinates, in their order: digits where no two are the same and none has
     two of them.
     """
@@ -286,7 +297,7 @@ def _words(system: Model) -> dict[Any, str]:
     }
 
 
-def _label(words: Mapping[Any, str], angle: Any) -> str:
+def _format_label(words: Mapping[Any, str], angle: Any) -> str:
     """Short name of a sum of coordinates, each with the sign plus or minus; '' for other
     expressions.
     """

@@ -34,7 +34,7 @@ from kempe.equations.closure_rows import of_system
 from kempe.errors import InputError, UnsupportedError, shown
 from kempe.forward.joint_lines import JointLine
 from kempe.forward.symbolic import SymbolLeaves, sympy
-from kempe.forward.symbolic_dh import angle_about, joint_lines, tidy
+from kempe.forward.symbolic_dh import derive_angle, derive_joint_lines, tidy_matrix
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -218,7 +218,7 @@ class ArmPlane:
         shoulder = names["shoulder"]
         x = to[0] - first.point[0]
         y = to[1] - first.point[1]
-        aside = tidy(sympy.Matrix([self.normal.dot(self.end - first.point)]))[0]
+        aside = tidy_matrix(sympy.Matrix([self.normal.dot(self.end - first.point)]))[0]
         _, zero = polar((self.out[0], self.out[1]))
         squares = sympy.expand(aside**2)
         far = "" if squares.is_zero else f"{x**2 + y**2} >= {squares}"
@@ -281,23 +281,23 @@ class ArmPlane:
         own = (
             (a, f"part of axis 6 along {called}"),
             (b, "along axis 5 at zero"),
-            (tidy(a.cross(b)), "across both"),
+            (tidy_matrix(a.cross(b)), "across both"),
         )
         far = (
             (b, f"part of {called} along axis 5 at zero, seen by the tip"),
-            (tidy(c.cross(b)), "across both"),
+            (tidy_matrix(c.cross(b)), "across both"),
         )
-        seen = R * tidy(tip.T * c)
+        seen = R * tidy_matrix(tip.T * c)
         steps = [
             FormulaStep(s, short((S * e).dot(seen)), says)
             for s, (e, says) in zip(m, own, strict=True)
         ]
         steps += [
-            FormulaStep(s, short((S * a).dot(R * tidy(tip.T * e))), says)
+            FormulaStep(s, short((S * a).dot(R * tidy_matrix(tip.T * e))), says)
             for s, (e, says) in zip(k, far, strict=True)
         ]
         some = f"{m[1]} != 0 or {m[2]} != 0"
-        bend = sympy.atan2(wrist * sympy.sqrt(m[1] ** 2 + m[2] ** 2), m[0]) - angle_about(a, c, b)
+        bend = sympy.atan2(wrist * sympy.sqrt(m[1] ** 2 + m[2] ** 2), m[0]) - derive_angle(a, c, b)
         return steps + [
             FormulaStep(sympy.Symbol(five.coordinate), bend, "+1 is no flip, -1 flip"),
             FormulaStep(turn[0], sympy.atan2(wrist * m[1], -wrist * m[2]), turn[1], some),
@@ -311,7 +311,7 @@ class ArmPlane:
 
     def flat(self, across: Any, up: Any) -> Vector:
         """Parts of a vector along `out`, and of another along z."""
-        return tidy(sympy.Matrix([self.out.dot(across)]))[0], up[2]
+        return tidy_matrix(sympy.Matrix([self.out.dot(across)]))[0], up[2]
 
     def first_turn(self) -> Any:
         """How the first body is turned (3, 3) against q = 0."""
@@ -326,7 +326,7 @@ def normal_of(joints: list[JointLine]) -> Any:
     across = turns or [Z.cross(j.direction) for j in joints if not parallel(j.direction, Z)]
     if not across:
         return None
-    normal = tidy(across[0] / sympy.sqrt(across[0].dot(across[0])))
+    normal = tidy_matrix(across[0] / sympy.sqrt(across[0].dot(across[0])))
     flat = all(
         parallel(j.direction, normal) if j.turns else upright(j.direction, normal) for j in joints
     )
@@ -343,7 +343,7 @@ def turn_about(axis: Any, angle: Any) -> Any:
 
 def short(x: Any) -> Any:
     """The expression without products by zero and rounding, terms of a target's entry together."""
-    x = tidy(sympy.Matrix([x]))[0]
+    x = tidy_matrix(sympy.Matrix([x]))[0]
     return sympy.collect(x, sorted((s for s in x.free_symbols if str(s).startswith("r_")), key=str))
 
 
@@ -352,13 +352,13 @@ def meeting(a: JointLine, b: JointLine) -> Any:
     if not (a.turns and b.turns and upright(a.direction, b.direction)):
         return None
     # where they would be nearest to each other
-    end = tidy(a.point + a.direction * (b.point - a.point).dot(a.direction))
+    end = tidy_matrix(a.point + a.direction * (b.point - a.point).dot(a.direction))
     return end if is_on(end, b) else None
 
 
 def is_on(point: Any, line: JointLine) -> bool:
     """Whether a point is on the axis of a joint."""
-    return tidy((point - line.point).cross(line.direction)).is_zero_matrix
+    return tidy_matrix((point - line.point).cross(line.direction)).is_zero_matrix
 
 
 def parallel(a: Any, b: Any) -> bool:
@@ -565,7 +565,7 @@ def symbolic_ik(
     Limits are not regarded. `ik_all` gives the solutions of other chains in numbers. `symbols` and
     `snap` are those of `symbolic_fk`.
 
-    Errors: those of `kempe.forward.symbolic.symbolic_fk`; `UnsupportedError` for other
+    Errors: those of `kempe.forward.symbolic.derive_fk`; `UnsupportedError` for other
     chains and for systems with constraints.
 
     >>> import kempe
@@ -576,7 +576,7 @@ def symbolic_ik(
     if of_system(system):
         raise UnsupportedError(f"formulas for {name!r} need an open chain; ik_all gives numbers")
     leaves = SymbolLeaves(system, symbols or {}, snap)
-    joints, tip = joint_lines(
+    joints, tip = derive_joint_lines(
         system, name, leaves, f"formulas for {name!r} need two or three joints that move it"
     )
     taken: set[Any] = {sympy.Symbol(j.name) for j in joints} | set(tip.free_symbols)
@@ -647,7 +647,7 @@ def _of_space(system: Model, arm: ArmPlane, names: dict[str, Any]) -> InverseFor
     if len(arm.joints) > 3:
         R = sympy.Matrix(3, 3, [names[word] for word in TURNED])
         inputs += list(R)
-        hand = tidy(arm.tip[:3, :3].T * (arm.end - arm.tip[:3, 3]))
+        hand = tidy_matrix(arm.tip[:3, :3].T * (arm.end - arm.tip[:3, 3]))
         if not hand.is_zero_matrix:
             steps = [
                 FormulaStep(s, w, "the wrist: the target, less the hand")

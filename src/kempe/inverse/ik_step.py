@@ -15,7 +15,7 @@ from kempe.arrays import reals
 from kempe.equations.one_sided import one_sided_rows
 from kempe.equations.slip import rolls
 from kempe.errors import InputError
-from kempe.forward.fk import query, refuse_bad
+from kempe.forward.fk import query, refuse_bad_configuration
 from kempe.inverse.chain.serial_chain import obstacle
 from kempe.inverse.constrained_step import ConstrainedSteps, Stage, stages_of
 from kempe.inverse.frame_step import SLOW, Move, Servo, pose_error
@@ -289,7 +289,7 @@ def _held_step(
 ) -> IkStep:
     """A step for a frame, or for tasks, while the system's loops and relations stay closed."""
     if not np.isfinite(q).all():
-        refuse_bad(system, q)
+        refuse_bad_configuration(system, q)
     closed = _closed(system)
     at, J, asked = _wanted(
         system, closed, q, wanted, frame, dt, np.ones(6) if weights is None else weights

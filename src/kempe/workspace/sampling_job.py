@@ -18,7 +18,7 @@ import numpy as np
 from kempe.assemble.assemble import assemble
 from kempe.equations.one_sided import one_sided_rows
 from kempe.errors import InputError
-from kempe.forward.fk import chain_table, fk
+from kempe.forward.fk import fk, pack_chain
 from kempe.kernels.compiled import VARIANT, lane_positions
 from kempe.kernels.forward.table_layout import Q_INDEX, rows_of
 from kempe.model.characteristic_length import compute_characteristic_length
@@ -143,7 +143,7 @@ class Recipe:
         """
         if self.plain:
             keys, bounds = self._drawn
-            table = chain_table(self.system, self.frame)
+            table = pack_chain(self.system, self.frame)
             lane_positions.count_cells(
                 *table, keys, bounds, first, last - first, self.grid.packed, counts.view(np.int64)
             )
@@ -309,7 +309,7 @@ def pilot_positions(system: Model, frame: str, seed: int) -> Array:
     """
     if is_plain_chain(system):
         points = np.empty((PILOT, 3))
-        table = chain_table(system, frame)
+        table = pack_chain(system, frame)
         lane_positions.random_positions(
             *table, keys_of(seed, system.nq), bounds_of(system), 0, points
         )
@@ -354,7 +354,7 @@ def unlimited(system: Model, frame: str) -> list[str]:
     layout = system.structure.layout
     circle = find_free_angles(system)
     if not has_loops(system):
-        used = set(rows_of(chain_table(system, frame)[0])[:, Q_INDEX].tolist())
+        used = set(rows_of(pack_chain(system, frame)[0])[:, Q_INDEX].tolist())
     else:  # what is not driven may be held by loops
         driven = {
             c

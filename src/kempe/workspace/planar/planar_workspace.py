@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from kempe.arguments import explained, explained_methods, numbers
 from kempe.errors import InputError, UnsupportedError
-from kempe.forward.joint_lines import joint_lines_of
+from kempe.forward.joint_lines import compute_joint_lines
 from kempe.inverse.chain.serial_chain import obstacle
 from kempe.late import late
 from kempe.report import Report, brief
@@ -163,7 +163,7 @@ def planar_chain(system: Model, frame: str) -> tuple[PlanarChain, float]:
     """The chain that moves a frame, and the angle of the frame where it is at zero. Errors:
     `UnsupportedError`, `InputError`; see `planar_workspace`.
     """
-    lines, pose = joint_lines_of(system, frame)
+    lines, pose = compute_joint_lines(system, frame)
     if not len(system.structure.table.find_path(frame)):
         raise InputError(f"frame {frame!r} of {system.name} does not move")
     if not lines:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe.errors import UnsupportedError
-from kempe.forward.joint_lines import JointLine, joint_lines_of
+from kempe.forward.joint_lines import JointLine, compute_joint_lines
 from kempe.spatial import Array
 from kempe.workspace.planar.planar_chain import PARALLEL, PlanarChain, in_plane, limits_of
 from kempe.workspace.planar.planar_workspace import MOST, ROUNDING
@@ -136,7 +136,7 @@ def swept_solid(system: Model, frame: str) -> SweptSolid | None:
     if system.structure.closures or system._mechanism.constraints or system.structure.relations:
         return None
     try:
-        lines, pose = joint_lines_of(system, frame)
+        lines, pose = compute_joint_lines(system, frame)
     except UnsupportedError:
         return None
     tip = pose[:3, 3]
