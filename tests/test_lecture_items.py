@@ -648,7 +648,7 @@ def test_66_n_matrices():
     """'forming and multiplying n 4x4 homogeneous matrices'"""
     panda = kempe.load("panda")
     q = panda.random(0)
-    T = panda.symbolic.steps("panda_link7").evaluate_matrices(q)
+    T = panda.symbolic.steps("panda_link7").numbers(q)
     assert len(T) == 7
     np.testing.assert_allclose(
         np.linalg.multi_dot(list(T)), panda.fk(q, "panda_link7"), rtol=0, atol=1e-13
@@ -676,7 +676,7 @@ def test_69_denavit_and_hartenberg(arm):
     rows = arm.symbolic.to_dh("e")
     assert "joint = q1, a = l1, alpha = 0, d = 0, theta = q1" in str(rows)
     q = arm.random(0, 20)
-    tool = rows.to_mechanism().build()
+    tool = rows.mechanism().build()
     np.testing.assert_allclose(tool.fk(q, tool.frame_names[-1]), arm.fk(q, "e"), rtol=0, atol=1e-13)
 
 

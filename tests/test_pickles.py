@@ -55,7 +55,7 @@ WITH_ARGUMENTS: dict[str, Callable[[Any], Any]] = {
     "query": lambda x: x([0.1, 0.2, 0.3, 0.4, 0.5, 0.6]),
     "query with a Jacobian": lambda x: x.jacobian([0.1, 0.2, 0.3, 0.4, 0.5, 0.6]),
     "simulate": lambda x: x.at(0.2),
-    "steps": lambda x: x.evaluate_matrices([0.1, 0.2]),
+    "steps": lambda x: x.numbers([0.1, 0.2]),
     "sweep": lambda x: x.at(0.2).q,
     "system": lambda x: x.ik(x.fk([0.1, 0.2, 0.3, 0.4, 0.5, 0.6], "tool"), "tool").q,
     "trace": lambda x: x.at(0.1),

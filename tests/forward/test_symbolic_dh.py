@@ -24,9 +24,7 @@ def back(system, frame, table, q):
     columns = [
         [n.replace(".", "_") for n in system.coordinate_names].index(row.name) for row in table.rows
     ]
-    return np.abs(
-        table.to_mechanism().build().fk(q[:, columns], "tool") - system.fk(q, frame)
-    ).max()
+    return np.abs(table.mechanism().build().fk(q[:, columns], "tool") - system.fk(q, frame)).max()
 
 
 @pytest.mark.parametrize("convention", ["standard", "modified"])
@@ -162,5 +160,5 @@ def test_axes_that_are_nearly_parallel(hunt):
         q = rng.uniform(-3, 3, 2)
         table = system.symbolic.to_dh("tool", rng.choice(["standard", "modified"]))
         X = system.fk(q, "tool")
-        Y = table.to_mechanism().build().fk(q, "tool")
+        Y = table.mechanism().build().fk(q, "tool")
         assert np.abs(X - Y)[:3, 3].max() < 2e-8 * L and np.abs(X - Y)[:3, :3].max() < 1e-8, off

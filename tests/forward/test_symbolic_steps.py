@@ -50,9 +50,7 @@ def test_steps_multiply_to_the_forward_model(name):
     steps = system.symbolic.steps(frame)
     pairs = list(zip(steps.names[:-1], steps.names[1:], strict=True))
     assert len(steps.T) == len(pairs) == len(steps.R) == len(steps.p)
-    for (a, b), T, R, p, X in zip(
-        pairs, steps.T, steps.R, steps.p, steps.evaluate_matrices(q), strict=True
-    ):
+    for (a, b), T, R, p, X in zip(pairs, steps.T, steps.R, steps.p, steps.numbers(q), strict=True):
         A = system.fk(q, a) if a != steps.names[0] else np.eye(4)
         B = system.fk(q, b)
         assert np.allclose(

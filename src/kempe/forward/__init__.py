@@ -1,1 +1,1 @@
-"""Where everything is, in numbers and in symbols."""
+"""Forward kinematics of bodies and frames, in numbers and in symbols."""

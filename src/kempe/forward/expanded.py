@@ -1,4 +1,4 @@
-"""Joints as combinations of revolute and prismatic ones, with links between them that have no size."""
+"""Systems whose joints are replaced by chains of revolute and prismatic joints."""
 
 from __future__ import annotations
 
@@ -19,9 +19,7 @@ if TYPE_CHECKING:
 
 
 class _SingleJoint(NamedTuple):
-    """One turn or slide of a joint: its coordinate by its full name and within the joint, and the
-    motion.
-    """
+    """One turn or slide of a joint: full name of its coordinate, name in the joint, primitive."""
 
     name: str
     key: str
@@ -52,7 +50,7 @@ def expanded(system: SystemType) -> SystemType:
 
 
 def _split_joint(m: Mechanism, joint: Joint) -> list[_SingleJoint]:
-    """The turns and slides of a joint; those of a quaternion with three angles, in postures, too."""
+    """Split a joint into turns and slides; a quaternion becomes three angles, in postures, too."""
     keys, steps = joint.type.layout(m.dim, m.bodies[joint.child].particle)
     names = list_coordinate_names(m, joint)
     out = list[_SingleJoint]()

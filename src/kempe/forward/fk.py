@@ -38,7 +38,7 @@ FORM_SERIAL_BELOW = 20_000
 
 
 class Form(NamedTuple):
-    """What of a pose is written: an array of this `shape`, as `of` makes it from poses (..., 4, 4)."""
+    """A form of poses in results: a function `of` poses (..., 4, 4), and its values' `shape`."""
 
     shape: tuple[int, ...]
     of: Callable[[Array], Array]
@@ -72,9 +72,7 @@ TYPES = ("float64", "float32")
 
 @keep_answers
 def pack_chain(system: Model, frame: str) -> tuple[np.ndarray, Array]:
-    """The chain that leads to a frame, packed for the kernels that compute chains in the cheapest
-    form.
-    """
+    """Pack the chain from the ground to a frame for the kernels of open chains."""
     return regauge_table(
         *system.structure.table.pack_arrays([frame], system.structure.table.find_path(frame))
     )
@@ -91,7 +89,7 @@ def compute_poses_in_form(
     dtype: Any,
     relative_to: Any = None,
 ) -> Array:
-    """Poses of a frame in a chosen form and number type; arguments and errors as in `fk.fk`."""
+    """Compute poses of a frame in a given form and number type; see `fk` for arguments and errors."""
 
     wanted = FORMS[known("form", "matrix" if form is None else form, FORMS)]
     try:
@@ -148,7 +146,7 @@ def compute_poses_in_form(
 
 
 def _prepare_typed_output(out: Array | None, shape: tuple[int, ...], kind: np.dtype) -> Array:
-    """The array `out`, checked, or a new array where `out` is None."""
+    """Return the array `out`, checked for shape and type, or a new array where `out` is None."""
     if out is None:
         return np.empty(shape, dtype=kind)
     if (
@@ -180,16 +178,18 @@ IN_FRAMES = {"world_aligned": WORLD_ALIGNED, "world": WORLD, "body": BODY}
 
 
 class Query(Protocol):
-    """Forward kinematics of one frame of one system, with names looked up and arrays packed only
-    once.
+    """Forward kinematics of one frame of one system, prepared for many calls.
+
+    Names are looked up and arrays are packed only once.
     """
 
     frame: str
     system: Model
 
     def __call__(self, q: ArrayLike, out: Array | None = None, threads: int | None = None) -> Array:
-        """Pose (..., 4, 4) of the frame in the ground frame at q (..., nq), or what the `form` of
-        the query says.
+        """Compute poses (..., 4, 4) of the frame in the ground frame at q (..., nq).
+
+        With a `form`, the result has the shape of that form.
 
         `out`, where given, is a C-contiguous array of this shape and type; it is filled and
         returned.
@@ -203,22 +203,21 @@ class Query(Protocol):
         out: Array | None = None,
         threads: int | None = None,
     ) -> Array:
-        """Jacobian (..., 6, nv) of the frame, rows [linear; angular]; see `jacobian` of this
-        module.
-        """
+        """Compute Jacobians (..., 6, nv) of the frame, rows [linear; angular]; see `jacobian`."""
         ...
 
     def pose_and_jacobian(
         self, q: ArrayLike, in_frame: str = "world_aligned", threads: int | None = None
     ) -> tuple[Array, Array]:
-        """Pose (..., 4, 4) and Jacobian (..., 6, nv) in one pass."""
+        """Compute poses (..., 4, 4) and Jacobians (..., 6, nv) in one pass."""
         ...
 
 
 @explained
 def query(system: Model, frame: FrameLike, form: str | None = None, dtype: Any = None) -> Query:
-    """A function that computes the forward kinematics of one frame, in a form and number type as of
-    `fk`.
+    """Return a function that computes the forward kinematics of one frame.
+
+    Its result has the `form` and `dtype` that `fk` explains.
 
     Errors: `UnknownNameError` for names, `InputError` for types.
     """
@@ -231,8 +230,9 @@ def query(system: Model, frame: FrameLike, form: str | None = None, dtype: Any =
 
 
 def _bind_query(chain_of: _ChainQuery) -> Any:
-    """The forward model of a chain, as a function of an object that is not read, q, out and
-    threads.
+    """Bind the forward kinematics of a chain to a function of q, out and threads.
+
+    The function's first argument is not read.
 
     A closure over the packed arrays, not an object: for one configuration the way into a method and
     back would cost as much as the forward model itself. The kernels check shapes; whatever they
@@ -300,9 +300,7 @@ def _bind_query(chain_of: _ChainQuery) -> Any:
 
 
 class _ChainQuery:
-    """The packed chain of one frame, and the general ways through it: conversions, batches,
-    threads, errors.
-    """
+    """The packed chain of one frame, with the general computations: batches, threads, errors."""
 
     def __init__(self, system: Model, name: str, form: str | None = None, dtype: Any = None):
         self.system = system
@@ -322,7 +320,7 @@ class _ChainQuery:
 
     @property
     def query(self) -> Query:
-        """The bound forward model of the frame."""
+        """The prepared forward kinematics of the frame."""
         return query(self.system, self.name, *self.form)
 
     def compute_poses(self, q: Any, out: Array | None, threads: int | None) -> Array:
@@ -368,7 +366,7 @@ class _ChainQuery:
 
 
 def _find_query(system: Model, frame: FrameLike) -> Any:
-    """The forward model of a frame, made once."""
+    """Return the prepared forward kinematics of a frame, made once."""
     try:
         found = system._queries.get(frame)
     except TypeError:  # nothing that could be a key is a name
@@ -478,7 +476,7 @@ def jacobian(
 
 
 def refuse_bad_configuration(system: Model, q: Array) -> None:
-    """Raise an `InputError` that names what is wrong in one configuration."""
+    """Raise an `InputError` that names the bad coordinate of one configuration."""
     for name, x in zip(system.coordinate_names, q.tolist(), strict=True):
         if not np.isfinite(x):
             raise InputError(f"q[{name!r}] is {x}; it must be a finite number")
@@ -492,19 +490,17 @@ def refuse_bad_configuration(system: Model, q: Array) -> None:
 
 
 def _flatten_batch(x: Array, core: int) -> Array:
-    """`x` with all axes before the last `core` made one; numpy's -1 cannot where some axis is
-    empty.
-    """
+    """Reshape `x` so that all axes before the last `core` become one, also for empty arrays."""
     return x.reshape(math.prod(x.shape[:-core]), *x.shape[-core:])
 
 
 def _copy_shared_array(q: Array, out: Array | None) -> Array:
-    """`q`, copied where writing to `out` would change it before it is read."""
+    """Return `q`, copied where it shares memory with `out`."""
     return q.copy() if out is not None and np.may_share_memory(q, out) else q
 
 
 def _prepare_output(out: Array | None, shape: tuple[int, ...]) -> Array:
-    """The array `out`, checked, or a new array where `out` is None."""
+    """Return the array `out`, checked, or a new array where `out` is None."""
     if out is None:
         return np.empty(shape)
     if not (

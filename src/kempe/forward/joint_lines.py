@@ -1,4 +1,4 @@
-"""Lines of the joints of a chain: axes of turns and ways of slides where all coordinates are zero."""
+"""Joint lines of a chain at q = 0: axes of rotation and directions of slides."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ slides along its axis."""
 
 
 class JointLine(NamedTuple):
-    """The line of a joint: an axis about which it turns, or a way along which it slides.
+    """The line of a joint: the axis of its rotation, or the direction of its slide.
 
     `point` and the unit vector `direction` are numbers (3,) or symbols, or in the plane complex
     numbers or pairs; there turns go about z, and `rate` has their sense. The joint turns or slides
@@ -36,12 +36,12 @@ class JointLine(NamedTuple):
 
     @property
     def name(self) -> str:
-        """The coordinate as a name of a joint."""
+        """Name of the coordinate with underscores in place of dots, as a joint's name."""
         return self.coordinate.replace(".", "_")
 
 
 def make_zero_configuration(system: Model) -> Array:
-    """The configuration (nq,) with all coordinates at zero, but for those that their limits hold."""
+    """Make the configuration (nq,) of zeros; coordinates fixed by equal limits keep those values."""
     q = system.neutral.copy()
     held = system.lower == system.upper
     q[held] = system.lower[held]
@@ -49,8 +49,9 @@ def make_zero_configuration(system: Model) -> Array:
 
 
 def compute_joint_lines(system: Model, frame: str) -> tuple[list[JointLine], Array]:
-    """Lines (numbers) of the joints that move a frame, from the ground on, and its pose (4, 4), both
-    at zero.
+    """Compute the lines of the joints that move a frame, and its pose (4, 4), both at q = 0.
+
+    The lines are numbers and begin at the ground.
 
     Joints that their limits hold are left out. Errors: `UnsupportedError` for other joints than
     turns and slides, each with one coordinate.

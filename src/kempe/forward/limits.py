@@ -1,4 +1,4 @@
-"""Other limits: the same system with other ranges and speeds of its coordinates."""
+"""Systems with other limits of coordinates and speeds."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ UNLIMITED = (-math.inf, math.inf)
 
 @explained
 def with_limits(system: SystemType, limits: Any = None, velocity: Any = None) -> SystemType:
-    """The system with other limits; tree, coordinates, parameters and postures are the same.
+    """Return the system with other limits; its tree, coordinates and postures stay the same.
 
     `limits` are pairs (lower, upper) in radians and metres by coordinate name, None for no limit
     (of a pair, or of one of its ends); or, as in `system.structure.limits`, an array (nv, 2) of
@@ -63,7 +63,10 @@ def with_limits(system: SystemType, limits: Any = None, velocity: Any = None) ->
 
 
 def _read_limits(system: Model, given: Any, what: str, width: int) -> dict[str, Any]:
-    """Limits by coordinate name, from a dict or an array for all coordinates. Errors: `InputError`."""
+    """Read limits by coordinate name, from a dict or an array for all coordinates.
+
+    Errors: `InputError`.
+    """
     if given is None:
         return {}
     found = named(given)
@@ -88,8 +91,9 @@ def _read_limits(system: Model, given: Any, what: str, width: int) -> dict[str, 
 
 
 def _find_joint(system: Model, name: str) -> tuple[Joint, str]:
-    """The joint that a velocity coordinate belongs to, and its name within the joint. Errors:
-    `UnknownNameError`.
+    """Find the joint of a velocity coordinate, and the coordinate's name within the joint.
+
+    Errors: `UnknownNameError`.
     """
     bodies = system.mechanism.bodies
     for joint in system.structure.joints.values():
@@ -105,7 +109,7 @@ def _find_joint(system: Model, name: str) -> tuple[Joint, str]:
 
 
 def _find_leader(system: Model, name: str) -> tuple[int, float, float]:
-    """Index, multiplier and offset of the velocity coordinate that moves the coordinate `name`."""
+    """Find index, multiplier and offset of the velocity coordinate that moves a coordinate."""
     follower = system.structure.couplings.get(name)
     if follower is None:
         return system.structure.velocity_names.index(name), 1.0, 0.0
@@ -117,7 +121,7 @@ def _find_leader(system: Model, name: str) -> tuple[int, float, float]:
 
 
 def _check_limits(made: Model, name: str, joint: Joint) -> None:
-    """Refuse limits that a coordinate cannot have, because another one moves with it."""
+    """Refuse limits that a coordinate cannot have because a coupled coordinate moves with it."""
     i, m, offset = _find_leader(made, name)
     has = sorted((m * made.structure.limits[i] + offset).tolist())
     requested = joint.limits[_strip_joint_name(joint, name)]
@@ -132,7 +136,7 @@ def _check_limits(made: Model, name: str, joint: Joint) -> None:
 
 
 def _check_speed(made: Model, name: str, joint: Joint) -> None:
-    """Refuse a speed that a coordinate cannot have, because another one moves with it."""
+    """Refuse a speed that a coordinate cannot have because a coupled coordinate moves with it."""
     i, m, _ = _find_leader(made, name)
     has = abs(m) * float(made.structure.velocity_limits[i])
     requested = joint.velocity_limits[_strip_joint_name(joint, name)]
@@ -144,11 +148,12 @@ def _check_speed(made: Model, name: str, joint: Joint) -> None:
 
 
 def _strip_joint_name(joint: Joint, name: str) -> str:
+    """Return the name of a coordinate without the name of its joint."""
     return name[len(joint.name) + 1 :]
 
 
 def _format_coupled_names(system: Model, name: str) -> str:
-    """Names, as text, of the coordinates that are coupled with this one."""
+    """Format the names of the coordinates that are coupled with a coordinate."""
     i = _find_leader(system, name)[0]
     moved = [
         system.structure.velocity_names[i],

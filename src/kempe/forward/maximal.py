@@ -1,5 +1,4 @@
-"""Maximal coordinates: every body on its own, as n_b pairs (r, R) that the joints hold together by
-m_c constraints.
+"""Maximal coordinates: each body has its own pose, and all joints are constraints.
 
 They are a system like any other: its tree is a free joint for each body, its loops are all the
 joints. So forward kinematics, closure errors, mobility and assembly of this system are the general
@@ -32,8 +31,7 @@ if TYPE_CHECKING:
 @explained
 @keep_answers
 def maximal(system: SystemType) -> SystemType:
-    """The system in maximal coordinates: each body hangs on a free joint from the ground, and all
-    joints are cut.
+    """Return the system in maximal coordinates: one free joint for each body, all joints cut.
 
     The free joints have the names of their bodies (with a number where a joint has that name) and
     come first; then come the joints of the system, as they are: `q` is the pairs, then the q of the
@@ -77,16 +75,18 @@ def maximal(system: SystemType) -> SystemType:
 
 @explained
 def to_maximal(system: Model, q: Any) -> Array:
-    """Poses (..., n_b, 4, 4) of all bodies but the ground; where loops are open, along the spanning
-    tree.
+    """Compute the poses (..., n_b, 4, 4) of all bodies but the ground at q (..., nq).
+
+    Where loops are open, the poses are those along the spanning tree.
     """
     return np.ascontiguousarray(fk(system, q)[..., 1:, :, :])
 
 
 @explained
 def maximal_q(system: Model, q: Any = None, poses: ArrayLike | None = None) -> Array:
-    """Configuration (..., nq) of `maximal(system)`: the joints as at `q`, the bodies at `poses`
-    (..., n_b, 4, 4).
+    """Return the configuration (..., nq) of `maximal(system)` for joints at `q` and given poses.
+
+    Poses are an array (..., n_b, 4, 4).
 
     Without `q` the joints are at home; without poses the bodies are where `q` puts them. Nothing
     needs to be closed.
@@ -98,6 +98,7 @@ def maximal_q(system: Model, q: Any = None, poses: ArrayLike | None = None) -> A
 
 
 def _join_coordinates(system: Model, q: Array, poses: Array) -> Array:
+    """Join the coordinates of the bodies' free joints at `poses` with the coordinates `q`."""
     points = [system.mechanism.bodies[b].particle for b in system.body_names[1:]]
     poses = poses - np.pad(choose_origin(system)[:, None], ((0, 1), (3, 0)))
     parts = [
@@ -110,7 +111,7 @@ def _join_coordinates(system: Model, q: Array, poses: Array) -> Array:
 
 
 def list_pose_coordinates(X: Array, dim: int, particle: bool) -> list[Array]:
-    """The coordinates of a free joint at the pose X (..., 4, 4), as a list of arrays."""
+    """List the coordinates of a free joint at the pose X (..., 4, 4), as arrays."""
     p = X[..., :dim, 3]
     R = X[..., :3, :3]
     if particle:
@@ -124,7 +125,10 @@ def list_pose_coordinates(X: Array, dim: int, particle: bool) -> list[Array]:
 
 
 def read_poses(system: Model, poses: ArrayLike) -> Array:
-    """Poses as an array. Errors: `InputError` where they are not of all bodies but the ground."""
+    """Read poses of all bodies but the ground as an array.
+
+    Errors: `InputError` for other shapes.
+    """
     array = numbers(arrays(poses, "poses"), "poses")
     n = len(system.body_names) - 1
     if array.ndim < 3 or array.shape[-3:] != (n, 4, 4):

@@ -1,4 +1,4 @@
-"""Configurations, velocities and Jacobians in the numbers of Pinocchio, MuJoCo and ROS.
+"""Conversion of configurations, velocities and Jacobians for Pinocchio, MuJoCo and ROS.
 
 Joints are found by name in the model object of the other library, which is read by its attributes
 and not imported.
@@ -50,7 +50,7 @@ SHOWN = 8
 
 
 class Place(NamedTuple):
-    """One part of a joint of another library: its kind, and where its numbers begin in q and v."""
+    """One part of a joint of another library: its kind, and its first indices in q and v."""
 
     kind: str
     q: int
@@ -58,7 +58,7 @@ class Place(NamedTuple):
 
 
 class Theirs(NamedTuple):
-    """A joint of another library, with the name of the body that it moves where that is known."""
+    """A joint of another library, and the name of the body that it moves, where known."""
 
     name: str
     body: str
@@ -66,13 +66,14 @@ class Theirs(NamedTuple):
 
     @property
     def kinds(self) -> str:
-        """The kinds of its parts, as a text."""
+        """Kinds of the joint's parts, as a text."""
         return "".join(p.kind for p in self.places)
 
 
 class Library(NamedTuple):
-    """Another library: what its models have, how their joints are read, and the order of w, x, y, z
-    in a quaternion.
+    """Another library: its name, attributes of its models, and a reader of their joints.
+
+    `order` is the order of w, x, y, z in its quaternions.
     """
 
     name: str
@@ -85,7 +86,7 @@ class Library(NamedTuple):
 
 
 def _build_places(kinds: str, q: int, v: int) -> list[Place]:
-    """Parts of these kinds, one after the other."""
+    """Build the parts of a joint from their kinds, with consecutive indices in q and v."""
     out: list[Place] = []
     for kind in kinds:
         out.append(Place(kind, q, v))
@@ -99,6 +100,7 @@ PINOCCHIO_KINDS = {(7, 6): 3 * ALONG + BALL, (4, 3): BALL, (2, 1): CIRCLE}
 
 
 def _read_pinocchio_joints(model: Any) -> Iterator[Theirs]:
+    """Read the joints of a Pinocchio model."""
     for name, joint in list(zip(model.names, model.joints, strict=True))[1:]:
         yield Theirs(
             str(name),
@@ -108,6 +110,10 @@ def _read_pinocchio_joints(model: Any) -> Iterator[Theirs]:
 
 
 def _find_pinocchio_kinds(joint: Any, name: str) -> str:
+    """Find the kinds of the parts of a Pinocchio joint.
+
+    Errors: `InputError` for unknown joints.
+    """
     kind: str = joint.shortname()
     if kind.endswith("Composite"):
         return "".join(_find_pinocchio_kinds(part, name) for part in joint.extract().joints)
@@ -126,7 +132,10 @@ MUJOCO_KINDS = (3 * NUMBER + BALL, BALL, NUMBER, NUMBER)
 
 
 def _read_mujoco_joints(model: Any) -> Iterator[Theirs]:
-    """Bodies without a name have one by their number, as where Kempe reads MJCF."""
+    """Read the joints of a MuJoCo model.
+
+    Bodies without a name are named by their number, as where Kempe reads MJCF.
+    """
     for i in range(model.njnt):
         number = int(model.jnt_bodyid[i])
         body = str(model.body(number).name) or f"body{number}"
@@ -155,7 +164,10 @@ LIBRARIES = (PINOCCHIO, MUJOCO)
 
 
 def _find_library(model: Any) -> Library:
-    """The library that a model is of. Errors: `InputError`."""
+    """Find the library that a model belongs to.
+
+    Errors: `InputError`.
+    """
     for library in LIBRARIES:
         if all(hasattr(model, name) for name in library.attributes):
             return library
@@ -167,18 +179,19 @@ def _find_library(model: Any) -> Library:
 
 
 class Ours(NamedTuple):
-    """A joint of a system: for each part its kind and the full names of its coordinates."""
+    """A joint of a system, with the kind and the coordinate names of each of its parts."""
 
     joint: Joint
     parts: list[tuple[str, list[str]]]
 
     @property
     def kinds(self) -> str:
-        """The kinds of its parts, as a text."""
+        """Kinds of the joint's parts, as a text."""
         return "".join(kind for kind, _ in self.parts)
 
 
 def _split_joint(system: Model, joint: Joint) -> Ours:
+    """Split a joint of a system into parts of one kind each."""
     names, primitives = joint.type.layout(system.dim, joint.of_particle)
     full = [format_coordinate_name(joint.name, n) for n in names]
     parts: list[tuple[str, list[str]]] = []
@@ -193,7 +206,7 @@ def _split_joint(system: Model, joint: Joint) -> Ours:
 
 
 def _remove_locked_parts(system: Model, ours: Ours) -> Ours:
-    """The joint without its locked parts, which may be turns between axes that move."""
+    """Return the joint without its locked parts, if any others are left."""
     laws = system.structure.couplings
     locked = [names[0] in laws and laws[names[0]].source is None for _, names in ours.parts]
     left = [part for part, held in zip(ours.parts, locked, strict=True) if not held]
@@ -205,7 +218,10 @@ SAME = {(NUMBER, NUMBER), (NUMBER, ALONG), (CIRCLE, NUMBER), (CIRCLE, CIRCLE), (
 
 
 def _can_correspond(ours: Ours, places: list[Place]) -> bool:
-    """Whether the numbers of a joint can mean the same as these; a fixed joint fits any."""
+    """Return whether a joint's coordinates can correspond to the given parts.
+
+    A fixed joint fits any.
+    """
     kinds = [p.kind for p in places]
     pairs = zip(ours.kinds, kinds, strict=False)
     return not ours.parts or (len(kinds) == len(ours.parts) and SAME.issuperset(pairs))
@@ -214,8 +230,10 @@ def _can_correspond(ours: Ours, places: list[Place]) -> bool:
 def _pair_joints(
     system: Model, theirs: Iterable[Theirs], library: Library, partial: bool
 ) -> list[tuple[Ours, list[Place]]]:
-    """The joints of the system with the numbers of their counterparts: a joint of that name, or all
-    joints of the body that it moves, or the only one of its kind that is left on both sides.
+    """Pair the joints of the system with the parts of their counterparts in the other model.
+
+    A counterpart has the same name, or is all joints of the body that the joint moves, or the only
+    one of its kind that is left on both sides.
 
     Errors: `InputError` that names those without a counterpart, unless `partial`.
     """
@@ -255,8 +273,9 @@ def _pair_joints(
 def _refuse_unpaired_joints(
     system: Model, ours: list[Ours], theirs: list[Theirs], library: Library, partial: bool
 ) -> None:
-    """Refuse, with an `InputError`, joints that move and have no counterpart; if `partial`, only
-    those of one name that do not correspond.
+    """Refuse moving joints without a counterpart, with an `InputError`.
+
+    If `partial`, refuse only joints of one name that do not correspond.
     """
     followers = system.structure.couplings
     moving = [m for m in ours if any(n not in followers for _, part in m.parts for n in part)]
@@ -289,8 +308,10 @@ def _refuse_unpaired_joints(
 
 
 class Entry(NamedTuple):
-    """A number of a model: its kind and place, the coordinate that it is, where it is found in the
-    system's array, and how it follows from there. What is held is found behind the end.
+    """One number of a model: its index, and the coordinate of the system that gives its value.
+
+    `source` is the index in the system's array, one behind the end for held coordinates; `follower`
+    is the rule by which the number follows.
     """
 
     kind: str
@@ -301,9 +322,7 @@ class Entry(NamedTuple):
 
 
 class Turned(NamedTuple):
-    """Velocities along turned axes: their first place and their number, and where the turn begins
-    among the entries.
-    """
+    """Velocities along rotated axes: first index, number, and the entry of the rotation."""
 
     first: int
     size: int
@@ -313,8 +332,9 @@ class Turned(NamedTuple):
 @explained_making
 @explained_methods
 class Correspondence:
-    """Configurations, velocities and Jacobians of a system in the numbers of a model of Pinocchio or
-    MuJoCo, and back.
+    """Conversion between a system and a model of Pinocchio or MuJoCo, in both directions.
+
+    It converts configurations, velocities and Jacobians.
 
     It is made once for many conversions; `to_pinocchio` and its like make one in each call. Joints
     are paired by name; a free base also with one of another name; and several joints of a body in
@@ -354,7 +374,7 @@ class Correspondence:
     # ---- how it is made
 
     def _add_joint_pair(self, ours: Ours, places: list[Place]) -> None:
-        """The numbers of a pair of joints."""
+        """Add the numbers of a pair of joints."""
         along: list[Place] = []
         names = [part for _, part in ours.parts] or [[ours.joint.name]] * len(places)
         for (name, *_), place in zip(names, places, strict=True):
@@ -371,7 +391,7 @@ class Correspondence:
             self._rates.append(Entry(NUMBER, place.v, name, k, follower))
 
     def _add_ball(self, joint: str, first: str, place: Place) -> None:
-        """The numbers of a quaternion, whose first coordinate has this name."""
+        """Add the numbers of a quaternion, whose first coordinate is `first`."""
         (i, k), held = self._find_source(first)
         for n, axis in enumerate("wxyz"):
             name = format_coordinate_name(joint, f"q{axis}")
@@ -385,8 +405,9 @@ class Correspondence:
     def _find_source(
         self, name: str, fixed: float = 0.0
     ) -> tuple[tuple[int, int], Follower | None]:
-        """Where a coordinate is found in q and v, and how it follows from there; `fixed` is the
-        number of a joint that is none here.
+        """Find the indices of a coordinate's source in q and v, and the rule by which it follows.
+
+        `fixed` is the value of a joint that has no coordinate here.
         """
         first = self.system.structure.coordinates.first
         if name in first:
@@ -397,7 +418,7 @@ class Correspondence:
         return first[follower.source], follower
 
     def _add_free_joint_origin(self, joint: Joint, places: list[Place]) -> None:
-        """Keep where a free joint begins, if that is not the frame of the ground."""
+        """Add the origin of a free joint, if that is not the frame of the ground."""
         system = self.system
         parameters = system.structure.parameters
         if system.structure.table.find_path(joint.parent):
@@ -415,7 +436,7 @@ class Correspondence:
             self._begins.append((places[0], places[3], X))
 
     def _pack_entries(self) -> None:
-        """Arrays of the entries."""
+        """Pack the entries into arrays."""
 
         def make_index_array(x: Iterable[int]) -> np.ndarray:
             return np.array(list(x), dtype=np.int64)
@@ -444,8 +465,9 @@ class Correspondence:
     # ---- configurations
 
     def to_q(self, q: Any, base: ArrayLike | None = None) -> Array:
-        """The configuration (..., nq of the model) that one of the system is; with `partial`, all
-        else as in `base`, one of the model.
+        """Convert configurations (..., nq) of the system to those of the model.
+
+        With `partial`, all other numbers are those of `base`, a configuration of the model.
         """
         values = self._compute_entries(read_q(self.system, q))
         if base is None and self._whole < self.nq:
@@ -467,8 +489,10 @@ class Correspondence:
         return out
 
     def from_q(self, q: ArrayLike, base: Any = None) -> Array:
-        """The configuration (..., nq) of the system that one of the model is; with `partial`, all
-        else as in `base`, one of the system, or neutral.
+        """Convert configurations of the model to those (..., nq) of the system.
+
+        With `partial`, all other coordinates are those of `base`, a configuration of the system, or
+        neutral.
         """
         values = self._read_entries(q)
         start = self.system.neutral if base is None else read_q(self.system, base)
@@ -484,9 +508,7 @@ class Correspondence:
         return out
 
     def _add_whole_turns(self, q: Array, values: Array) -> None:
-        """Add to angles that are known by cosine and sine, in place, the whole turns that a follower
-        of theirs tells.
-        """
+        """Add whole turns, in place, to angles known by cosine and sine, as a follower tells."""
         angles = {e.source for e in self._entries if e.kind == CIRCLE and e.follower is None}
         for k, e in enumerate(self._entries):
             if e.follower is not None and e.kind != CIRCLE and e.source in angles:
@@ -498,10 +520,11 @@ class Correspondence:
     def _refuse_misfit(
         self, what: str, law: Follower, given: Array, wanted: Array, k: int, turn: float = 0.0
     ) -> None:
+        """Refuse a follower whose value does not fit within the tolerance."""
         refuse_misfit(what, law, given[..., k], wanted[..., k], self.tolerance, turn)
 
     def _compute_entries(self, q: Array) -> Array:
-        """The entries (..., n), with angles in place of cosines and sines, at q (..., nq)."""
+        """Compute the entries (..., n) at q (..., nq); angles stand for cosines and sines."""
         ended = np.concatenate([q, np.zeros((*q.shape[:-1], 1))], axis=-1)
         values = ended[..., self._source_of] * self._factor + self._offset
         if self._balls.size:
@@ -510,8 +533,9 @@ class Correspondence:
         return values
 
     def _read_entries(self, q: ArrayLike) -> Array:
-        """The entries at a configuration of the model. Errors: `InputError` for lengths, and for a
-        cosine and sine that are none.
+        """Read the entries from a configuration of the model.
+
+        Errors: `InputError` for other lengths, and for numbers that are no cosine and sine.
         """
         q = numbers(q, f"q of the {self.library} model", self.nq)
         if self._begins:
@@ -546,7 +570,7 @@ class Correspondence:
     # ---- velocities and Jacobians
 
     def to_v(self, q: Any, v: ArrayLike) -> Array:
-        """The velocity (..., nv of the model) that one of the system is at its configuration `q`."""
+        """Convert velocities (..., nv) of the system at `q` to those of the model."""
         v = numbers(v, "v", self.system.nv)
         values = self._compute_entries(read_q(self.system, q))
         out = np.zeros((*_merge_leading_shapes(v.shape[:-1], values), self.nv))
@@ -556,7 +580,7 @@ class Correspondence:
         return out
 
     def from_v(self, q: ArrayLike, v: ArrayLike) -> Array:
-        """The velocity (..., nv) of the system that one of the model is at the model's `q`."""
+        """Convert velocities of the model at its `q` to those (..., nv) of the system."""
         v = numbers(v, f"v of the {self.library} model", self.nv)
         values = self._read_entries(q)
         straight = np.broadcast_to(
@@ -574,7 +598,7 @@ class Correspondence:
         return out
 
     def to_jacobian(self, q: Any, jacobian: ArrayLike) -> Array:
-        """A Jacobian (..., m, nv of the model) from one of the system at its configuration `q`.
+        """Convert Jacobians (..., m, nv) of the system at `q` to those of the model.
 
         Columns of followers are zero, for those of their leaders hold what they do.
         """
@@ -588,7 +612,7 @@ class Correspondence:
         return out
 
     def from_jacobian(self, q: ArrayLike, jacobian: ArrayLike) -> Array:
-        """A Jacobian (..., m, nv) of the system from one of the model at the model's `q`.
+        """Convert Jacobians of the model at its `q` to those (..., m, nv) of the system.
 
         Of a model with one velocity Pinocchio gives (m,), which is taken, too.
         """
@@ -605,9 +629,7 @@ class Correspondence:
         return straight[..., self._rate_at] @ self._spread
 
     def _list_axis_turns(self, values: Array) -> list[tuple[slice, Array]]:
-        """Velocities of the model along other axes than here, and the rotations (..., n, n) that
-        lead from these axes to those here.
-        """
+        """List velocities with other axes in the model, with rotations (..., n, n) to ours."""
         out = [(slice(slides.v, slides.v + 3), X[:3, :3].T) for slides, _, X in self._begins]
         for first, size, k in self._turned:
             turn = (
@@ -620,12 +642,12 @@ class Correspondence:
 
 
 def _merge_leading_shapes(lead: tuple[int, ...], values: Array) -> tuple[int, ...]:
-    """The leading shape of velocities or Jacobians together with that of q."""
+    """Merge the leading shape of velocities or Jacobians with that of q."""
     return together({"v": lead, "q": values.shape[:-1]})
 
 
 def _check_columns(J: Array, nv: int) -> None:
-    """Refuse, with an `InputError`, what is no Jacobian with so many columns."""
+    """Refuse an array that is no Jacobian with `nv` columns, with an `InputError`."""
     if J.ndim < 2 or J.shape[-1] != nv:
         raise InputError(f"jacobian has shape {J.shape}; it must be (..., m, {nv})")
 
@@ -636,6 +658,7 @@ def _check_columns(J: Array, nv: int) -> None:
 def _convert_to_library(
     library: Library, system: Model, q: Any, model: Any, v: Any, base: Any
 ) -> Any:
+    """Convert a configuration, and a velocity if given, to the numbers of a model."""
     _check_library(library, model)
     both = Correspondence(system, model, partial=base is not None)
     at = both.to_q(q, base)
@@ -645,6 +668,7 @@ def _convert_to_library(
 def _convert_from_library(
     library: Library, system: Model, q: Any, model: Any, v: Any, base: Any, tolerance: float
 ) -> Any:
+    """Convert a configuration of a model, and a velocity if given, to those of the system."""
     _check_library(library, model)
     both = Correspondence(system, model, tolerance, partial=base is not None)
     at = both.from_q(q, base)
@@ -652,6 +676,7 @@ def _convert_from_library(
 
 
 def _check_library(library: Library, model: Any) -> None:
+    """Refuse a model of another library."""
     if _find_library(model) is not library:
         raise InputError(
             f"model is {type(model).__name__}; it must be a {library.model} of {library.name}"
@@ -666,8 +691,9 @@ def to_pinocchio(
     v: ArrayLike | None = None,
     base: ArrayLike | None = None,
 ) -> Any:
-    """A configuration (..., nq) in the numbers of a Pinocchio model; with `v` (..., nv) a pair of it
-    and the velocity.
+    """Convert configurations (..., nq) to those of a Pinocchio model.
+
+    With `v` (..., nv), return a pair of configuration and velocity.
 
     Quaternions become x, y, z, w, angles of continuous joints cosine and sine, the linear velocity
     of a free base one along its own axes, and followers have their values where they are joints of
@@ -698,8 +724,9 @@ def from_pinocchio(
     base: Any = None,
     tolerance: float = FIT,
 ) -> Any:
-    """The configuration (..., nq) that one of a Pinocchio model is; with `v` a pair of it and the
-    velocity.
+    """Convert configurations of a Pinocchio model to those (..., nq) of the system.
+
+    With `v`, return a pair of configuration and velocity.
 
     With `base`, a configuration of the system, joints that only one side has are as there, and at
     rest. Errors: `InputError` for joints without a counterpart, and with the numbers for followers, locked
@@ -716,8 +743,9 @@ def to_mujoco(
     v: ArrayLike | None = None,
     base: ArrayLike | None = None,
 ) -> Any:
-    """A configuration (..., nq) as the `qpos` of a MuJoCo model (an MjModel); with `v` (..., nv) a
-    pair of it and the `qvel`.
+    """Convert configurations (..., nq) to the `qpos` of a MuJoCo model (an MjModel).
+
+    With `v` (..., nv), return a pair of `qpos` and `qvel`.
 
     Several joints of one body are found by the body that the joint here moves. With `base`, a
     `qpos`, joints that only one side has are as there, and at rest. For Jacobians, and for many
@@ -735,8 +763,9 @@ def from_mujoco(
     base: Any = None,
     tolerance: float = FIT,
 ) -> Any:
-    """The configuration (..., nq) that a `qpos` of a MuJoCo model is; with its `qvel` as `v` a pair
-    of it and the velocity.
+    """Convert the `qpos` of a MuJoCo model to configurations (..., nq) of the system.
+
+    With its `qvel` as `v`, return a pair of configuration and velocity.
 
     `base` and errors are as of `from_pinocchio`. MuJoCo holds followers by springs, so that they may
     need a larger `tolerance`.
@@ -749,8 +778,9 @@ def from_mujoco(
 
 @explained
 def to_joint_state(system: Model, q: Any, message: Any, v: ArrayLike | None = None) -> Any:
-    """The message JointState of ROS, filled with names, positions and, with `v` (nv,), velocities
-    of one configuration.
+    """Fill a ROS message JointState with names and positions of one configuration.
+
+    With `v` (nv,), fill its velocities, too. Return the message.
 
     Names that the message has are kept in their order; else they are all coordinates, followers,
     too. Joints with a quaternion have no place in it: a free base is sent as the pose of
@@ -779,15 +809,16 @@ def to_joint_state(system: Model, q: Any, message: Any, v: ArrayLike | None = No
 
 
 def _list_scalar_coordinates(system: Model, joint: Joint) -> list[str]:
-    """The coordinates of a joint, which have velocities of the same names; none of one that has a
-    quaternion.
+    """List the coordinates of a joint; none for joints with a quaternion.
+
+    Their velocities have the same names.
     """
     ours = _split_joint(system, joint)
     return [] if BALL in ours.kinds else [name for _, (name,) in ours.parts]
 
 
 def _evaluate_followers(names: Sequence[str], x: Array, laws: list[Follower]) -> list[float]:
-    """What laws give, as plain numbers, with the values of coordinates by name."""
+    """Evaluate linear rules for given values of coordinates by name."""
     value: dict[str | None, float] = dict(zip(names, x.tolist(), strict=True))
     return [law.multiplier * value.get(law.source, 0.0) + law.offset for law in laws]
 
@@ -796,8 +827,9 @@ def _evaluate_followers(names: Sequence[str], x: Array, laws: list[Follower]) ->
 def from_joint_state(
     system: Model, message: Any, base: ArrayLike | None = None, velocity: bool = False
 ) -> Any:
-    """The configuration (nq,) that a message JointState says; with `velocity` a pair of it and the
-    velocity (nv,).
+    """Convert a ROS message JointState to a configuration (nq,).
+
+    With `velocity`, return a pair of configuration and velocity (nv,).
 
     What it does not name is neutral, or as in `base`, and at rest. `System.q` takes messages, too.
     Errors: `UnknownNameError`; `InputError` for followers that do not fit, with the numbers.

@@ -1,4 +1,4 @@
-"""Other parameter values: one system, or a batch of designs that share their structure."""
+"""Systems with other parameter values: one system, or a batch of designs of one structure."""
 
 from __future__ import annotations
 
@@ -24,8 +24,9 @@ from kempe.values import Expression
 def with_parameters(
     system: SystemType, numbers: Mapping[str, Any]
 ) -> SystemType | Designs[SystemType]:
-    """The system with other parameter values, or `Designs` where a value is an array (all of one
-    broadcast shape).
+    """Return the system with other parameter values, or `Designs` where a value is an array.
+
+    All arrays have one broadcast shape.
     """
     arrays: dict[str, np.ndarray] = {}
     for name, x in numbers.items():
@@ -47,7 +48,7 @@ def with_parameters(
 
 @explained_methods
 class Designs(Generic[SystemType]):
-    """A batch of designs: a system whose parameters are arrays of one shape, `shape`."""
+    """A batch of designs: one system with arrays of parameter values of one `shape`."""
 
     def __init__(self, system: SystemType, numbers: Mapping[str, ArrayLike]):
         arrays = np.broadcast_arrays(*numbers.values())
@@ -70,7 +71,7 @@ class Designs(Generic[SystemType]):
         )
 
     def fk(self, q: Any, frame: FrameLike) -> Array:
-        """Poses (*shape, ..., 4, 4) of a frame: every design in every configuration.
+        """Compute the poses (*shape, ..., 4, 4) of a frame for every design and configuration.
 
         `q` is (nq,) for one configuration of all designs, or (*shape, ..., nq) with configurations
         of each design.
@@ -98,7 +99,7 @@ class Designs(Generic[SystemType]):
         return out.reshape(*self.shape, *inner, 4, 4)
 
     def __getitem__(self, index: Any) -> SystemType | Designs[SystemType]:
-        """One design as a `System`, or a smaller batch."""
+        """Return one design as a `System`, or a smaller batch."""
         varied = {k: v[index] for k, v in self.parameters.items() if isinstance(v, np.ndarray)}
         return with_parameters(self.system, varied)
 

@@ -1,4 +1,4 @@
-"""The forward geometric model in symbols: formulas such as l1 cos q1 + l2 cos(q1 + q2).
+"""Forward kinematics as formulas, such as l1 cos q1 + l2 cos(q1 + q2).
 
 The chain is a product of turns and slides. Neighbouring parallel turns become one.
 """
@@ -49,8 +49,9 @@ AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
 
 @dataclass(frozen=True)
 class SymbolicStep:
-    """A turn by the angle or a slide by the length `amount` about or along an axis, or a rotation
-    matrix.
+    """One motion of a chain: a turn or slide by `amount` about or along an axis, or a rotation.
+
+    The amount is an angle, a length or a rotation matrix.
     """
 
     kind: str
@@ -60,9 +61,7 @@ class SymbolicStep:
 
 
 def unwrap_alignments(steps: Iterable[SymbolicStep]) -> list[SymbolicStep]:
-    """The steps with 'align, motion about or along z, unalign' rewritten as that motion about or
-    along the axis.
-    """
+    """Replace 'align, motion about or along z, unalign' by the motion about or along the axis."""
     out: list[SymbolicStep] = []
     for step in steps:
         if step.kind == "unalign":
@@ -84,8 +83,9 @@ def unwrap_alignments(steps: Iterable[SymbolicStep]) -> list[SymbolicStep]:
 
 @dataclass
 class _Turn:
-    """A rotation (about `axis` by `angle`, or `matrix`) and the way from it to the next one, in
-    turned axes.
+    """A rotation in a product, and the displacement `way` to the next one in rotated axes.
+
+    The rotation is about `axis` by `angle`, or a `matrix`.
     """
 
     way: Any
@@ -95,13 +95,13 @@ class _Turn:
 
     @property
     def constant(self) -> bool:
-        """Whether it is a rotation by numbers, other than the ground's."""
+        """Whether the rotation is constant, and not that of the ground."""
         if self.matrix is None:
             return self.axis is not None and bool(self.angle.is_number)
         return not self.matrix.free_symbols
 
     def build_rotation(self) -> Any:
-        """Its matrix (3, 3)."""
+        """Build the rotation matrix (3, 3)."""
         if self.matrix is not None or self.axis is None:
             return sympy.eye(3) if self.matrix is None else self.matrix
         along = self.axis * self.axis.T
@@ -114,14 +114,17 @@ class _Turn:
 
 
 class TurnProduct:
-    """Orientation = turns[0] turns[1] ... corner, where `corner` is a signed permutation."""
+    """A product of turns and slides, with neighbouring parallel turns merged.
+
+    The orientation is turns[0] turns[1] ... corner, where `corner` is a signed permutation.
+    """
 
     def __init__(self) -> None:
         self.turns = [_Turn(sympy.zeros(3, 1))]
         self.corner = sympy.eye(3)
 
     def add_step(self, step: SymbolicStep, leaves: SymbolLeaves) -> None:
-        """Go on by a step."""
+        """Multiply the product by a step."""
         if step.kind == "slide":
             self.turns[-1].way += _multiply_matrices(self.corner, step.axis) * step.amount
         elif step.kind == "turn":
@@ -137,7 +140,7 @@ class TurnProduct:
             )
 
     def add_turn(self, axis: Any, angle: Any) -> None:
-        """Turn by an angle about an axis of the frame reached so far."""
+        """Multiply the product by a turn about an axis of the frame reached so far."""
         axis = self.corner * axis
         quarters = 2 * angle / sympy.pi
         if quarters.is_Integer and _is_coordinate_axis(axis):
@@ -159,7 +162,7 @@ class TurnProduct:
             self._append_factor(_Turn(sympy.zeros(3, 1), axis, angle))
 
     def add_rotation(self, matrix: Any) -> None:
-        """Turn by a rotation matrix."""
+        """Multiply the product by a rotation matrix."""
         if all(x in (-1, 0, 1) for x in matrix):
             self.corner = self.corner * matrix
         else:
@@ -167,6 +170,7 @@ class TurnProduct:
             self._append_factor(_Turn(sympy.zeros(3, 1), matrix=turned))
 
     def _append_factor(self, turn: _Turn) -> None:
+        """Append a turn to the list, merged with the last one where both are constant."""
         last = self.turns[-1]
         if last.constant and turn.constant:  # one matrix of numbers instead of a product
             self.turns[-2].way += _multiply_matrices(last.build_rotation(), last.way)
@@ -182,7 +186,7 @@ class TurnProduct:
             )
 
     def multiply_turns(self) -> tuple[Any, Any]:
-        """Rotation (3, 3) and position (3, 1)."""
+        """Multiply all turns out to a rotation (3, 3) and a position (3, 1)."""
         rotation = self.corner
         position = sympy.zeros(3, 1)
         for turn in reversed(self.turns):
@@ -193,9 +197,7 @@ class TurnProduct:
 
 
 def _multiply_matrices(a: Any, b: Any) -> Any:
-    """Matrix product. Most entries are zero, and sympy asks of each factor of a zero whether it is
-    finite.
-    """
+    """Multiply two matrices, skipping zeros, which sympy would ask about their factors."""
 
     def compute_entry(i: int, j: int) -> Any:
         pairs = zip(a.row(i), b.col(j), strict=True)
@@ -205,18 +207,19 @@ def _multiply_matrices(a: Any, b: Any) -> Any:
 
 
 def _multiply_terms(x: Any, y: Any) -> Any:
-    """Product in which a sum of negative terms gives its sign to the other factor."""
+    """Multiply two terms; a sum of negative terms gives its sign to the other factor."""
     return (
         -x * -y if y.is_Add and all(term.could_extract_minus_sign() for term in y.args) else x * y
     )
 
 
 def _is_coordinate_axis(axis: Any) -> bool:
+    """Return whether all entries of a vector are -1, 0 or 1."""
     return all(x in (-1, 0, 1) for x in axis)
 
 
 def multiply_steps(steps: Iterable[SymbolicStep], leaves: SymbolLeaves) -> Any:
-    """The product of steps as a pose (4, 4)."""
+    """Multiply steps out to a pose (4, 4)."""
     chain = TurnProduct()
     for step in unwrap_alignments(steps):
         chain.add_step(step, leaves)
@@ -269,7 +272,7 @@ def derive_fk(
     symbols: Mapping[str, Any] | None = None,
     snap: float = 0.0,
 ) -> Any:
-    """Pose of a body or frame as a sympy Matrix (4, 4), in coordinates and named parameters.
+    """Derive the pose of a body or frame as a sympy Matrix (4, 4), in coordinates and parameters.
 
     It is the pose in the ground frame, or in the frame `relative_to`, by the joints between the
     two.
@@ -309,8 +312,9 @@ def derive_fk(
 
 
 def format_latex(formula: Any, names: Mapping[Any, str] | None = None) -> str:
-    """A formula in LaTeX, names of several letters upright: sympy sets them as products. `names`
-    says other ones.
+    """Format a formula in LaTeX, with names of several letters upright.
+
+    `names` gives other names.
     """
     own = {
         s: SPECIAL.sub(
@@ -323,12 +327,12 @@ def format_latex(formula: Any, names: Mapping[Any, str] | None = None) -> str:
 
 
 def format_upright_name(name: str) -> str:
-    """A name of a body or frame in LaTeX, in upright letters."""
+    """Format the name of a body or frame in LaTeX, in upright letters."""
     return rf"\mathrm{{{name.translate(ESCAPED)}}}"
 
 
 def align_formulas(lines: Iterable[str]) -> str:
-    """Formulas in LaTeX, one below the other at their `&`."""
+    """Join formulas in LaTeX, one below the other, aligned at their `&`."""
     return "\\begin{aligned}\n" + " \\\\\n".join(lines) + "\n\\end{aligned}"
 
 
@@ -338,7 +342,7 @@ def align_formulas(lines: Iterable[str]) -> str:
 def _list_steps_between(
     system: Model, name: str, base: FrameLike | None, leaves: SymbolLeaves
 ) -> list[SymbolicStep]:
-    """Motions from the ground, or from a frame, to another one."""
+    """List the motions from the ground, or from the frame `base`, to the frame `name`."""
     if base is None:
         return [step for _, steps in list_steps_by_body(system, name, leaves) for step in steps]
     there, since = (list_oriented_steps(system, x, leaves) for x in (name, base))
@@ -352,7 +356,10 @@ def _list_steps_between(
 def list_oriented_steps(
     system: Model, frame: FrameLike, leaves: SymbolLeaves
 ) -> list[tuple[str, list[SymbolicStep]]]:
-    """The way to a frame that has an orientation, see `list_steps_by_body`; `UnsupportedError` for particles."""
+    """List the motions to a frame that has an orientation, by body.
+
+    Errors: `UnsupportedError` for particles.
+    """
     name = system.structure.frame_name(frame)
     if system.structure.table.at[name][2]:
         raise UnsupportedError(
@@ -362,12 +369,12 @@ def list_oriented_steps(
 
 
 def invert_steps(steps: Iterable[SymbolicStep]) -> list[SymbolicStep]:
-    """The motions that undo others."""
+    """Invert a sequence of motions."""
     return [_invert_step(step) for step in reversed(list(steps))]
 
 
 def _invert_step(step: SymbolicStep) -> SymbolicStep:
-    """The motion that undoes another one."""
+    """Invert one motion."""
     if step.kind in ("turn", "slide"):
         return SymbolicStep(step.kind, step.axis, -step.amount, step.subject)
     if step.kind == "rotation":
@@ -380,9 +387,7 @@ def _invert_step(step: SymbolicStep) -> SymbolicStep:
 def list_steps_by_body(
     system: Model, name: str, leaves: SymbolLeaves
 ) -> list[tuple[str, list[SymbolicStep]]]:
-    """Each body on the way from the ground to a body or frame, with the motions from the body
-    before it.
-    """
+    """List the bodies from the ground to a body or frame, each with the motions that lead to it."""
     mechanism = system.mechanism
     tree = system.structure.topology
     frame = mechanism.frames.get(name)
@@ -407,6 +412,7 @@ def list_steps_by_body(
 def _iterate_joint_steps(
     system: Model, joint: Joint, backwards: bool, leaves: SymbolLeaves
 ) -> Iterator[SymbolicStep]:
+    """Iterate over the motions of a joint between two bodies, with its placements."""
     subject = f"joint {joint.name!r}"
     first, last = (joint.X_CM, joint.X_PF) if backwards else (joint.X_PF, joint.X_CM)
     yield from iterate_placement_steps(first, subject, leaves)
@@ -417,7 +423,7 @@ def _iterate_joint_steps(
 def iterate_joint_motions(
     system: Model, joint: Joint, backwards: bool, leaves: SymbolLeaves
 ) -> Iterator[SymbolicStep]:
-    """The motions of a joint from its frame F to M, or back."""
+    """Iterate over the motions of a joint from its frame F to M, or back."""
     mechanism = system.mechanism
     subject = f"joint {joint.name!r}"
     names = list_coordinate_names(mechanism, joint)
@@ -443,7 +449,7 @@ def iterate_joint_motions(
 def iterate_placement_steps(
     X: Placement, subject: str, leaves: SymbolLeaves
 ) -> Iterator[SymbolicStep]:
-    """The motions of a placement."""
+    """Iterate over the motions of a placement."""
     for motion, numbers in X.steps:
         if motion in AXES:
             yield SymbolicStep(
@@ -474,7 +480,7 @@ def iterate_placement_steps(
 
 
 def _make_rotation(quat_wxyz: list[Any]) -> Any:
-    """Rotation of a quaternion of norm one (Euler and Rodrigues)."""
+    """Make the rotation matrix (3, 3) of a unit quaternion (Euler and Rodrigues)."""
     w, x, y, z = quat_wxyz
     return sympy.Matrix([
         [1 - 2 * (y**2 + z**2), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -487,8 +493,9 @@ def _make_rotation(quat_wxyz: list[Any]) -> Any:
 
 
 class SymbolLeaves:
-    """What the names and numbers of a description are in the formula, and the angles that were
-    snapped.
+    """Numbers, parameters and coordinates of a description as sympy expressions.
+
+    `snapped` lists the angles that were rounded.
     """
 
     def __init__(self, system: Model, symbols: Mapping[str, Any], snap: float):
@@ -525,7 +532,7 @@ class SymbolLeaves:
             self.coordinates[name] = self._express_follower(system, name, name in turning)
 
     def _express_follower(self, system: Model, name: str, turning: bool) -> Any:
-        """The coordinate `name` in terms of what it follows."""
+        """Express the coordinate `name` by the coordinates that it follows."""
         mechanism = system.mechanism
         read = self.express_angle if turning else self.express_value
         if name in mechanism.locks:
@@ -537,11 +544,11 @@ class SymbolLeaves:
         return out
 
     def express_coordinate(self, name: str) -> Any:
-        """A coordinate, or what it follows."""
+        """Return the expression of a coordinate, or of the coordinates that it follows."""
         return self.coordinates[name]
 
     def express_ball_rotation(self, names: list[str], subject: str) -> Any:
-        """Rotation of a quaternion coordinate, constant where that is locked."""
+        """Return the rotation matrix of a quaternion coordinate, constant where that is locked."""
         if names[0] in self.locks:
             return self.express_constant_rotation(
                 spatial.quat_wxyz_to_matrix([self.locks[n] for n in names]), subject
@@ -549,13 +556,13 @@ class SymbolLeaves:
         return _make_rotation([self.coordinates[n] for n in names])
 
     def express_value(self, x: Value, subject: str = "") -> Any:
-        """A length or factor."""
+        """Return the expression of a length or factor."""
         if not isinstance(x, Expression):
             return _express_number(x)
         return x.fold({**self.parameters, "pi": sympy.pi}, _FUNCTIONS, _express_number)
 
     def express_angle(self, x: Value, subject: str) -> Any:
-        """An angle: exact where it is a multiple of pi/12, or of pi/2 after snapping."""
+        """Return the expression of an angle, exact for multiples of pi/12, snapped ones of pi/2."""
         if isinstance(x, Expression):
             formula = self.express_value(x)
             return (
@@ -566,6 +573,7 @@ class SymbolLeaves:
         return self._make_exact_angle(x, subject)
 
     def _make_exact_angle(self, angle: float, subject: str) -> Any:
+        """Return a number as an exact angle, where it is near enough to one."""
         k = round(angle * 12.0 / math.pi)
         exact = sympy.pi * sympy.Rational(k, 12)
         if angle in (float(exact), k * math.pi / 12.0, k * (math.pi / 12.0)):
@@ -577,9 +585,7 @@ class SymbolLeaves:
         return sympy.Float(angle)
 
     def express_direction(self, axis: tuple[Any, ...], subject: str) -> Any:
-        """Unit vector of an axis, exact where its entries are whole numbers or, after snapping, all
-        but one zero.
-        """
+        """Return the unit vector of an axis, exact for whole or snapped entries."""
         unit = spatial.unit(axis)
         nearest = np.rint(unit)
         off = float(np.linalg.norm(unit - nearest))
@@ -593,9 +599,7 @@ class SymbolLeaves:
         return sympy.Matrix([_express_number(x) for x in unit.tolist()])
 
     def express_constant_rotation(self, matrix: np.ndarray, subject: str) -> Any:
-        """A constant rotation matrix: a signed permutation after snapping, if it is near enough to
-        one.
-        """
+        """Return a constant rotation matrix, snapped to a signed permutation where near enough."""
         nearest = np.rint(matrix)
         if self.snap and abs(np.linalg.det(nearest)) == 1.0 and not np.array_equal(nearest, matrix):
             angle = float(np.linalg.norm(spatial.log_so3(nearest.T @ matrix)))
@@ -608,7 +612,7 @@ class SymbolLeaves:
 
 
 def _list_angle_names(system: Model) -> set[str]:
-    """Names of the coordinates that are angles."""
+    """List the names of the coordinates that are angles."""
     mechanism = system.mechanism
     out: set[str] = set()
     for joint in mechanism.joints.values():
@@ -619,9 +623,7 @@ def _list_angle_names(system: Model) -> set[str]:
 
 
 def _express_number(x: Any) -> Any:
-    """A number as sympy prints it best: whole numbers exactly, others as decimals of the same
-    double.
-    """
+    """Return a number for sympy: whole numbers exactly, others as decimals of the same double."""
     if isinstance(x, str):
         return sympy.nan
     return sympy.Integer(int(x)) if float(x).is_integer() else sympy.Float(float(x))

@@ -1,6 +1,4 @@
-"""The equations f(q) = 0 of closed loops in symbols: of each joint that the tree left out, and of
-rods and slots.
-"""
+"""Loop-closure equations f(q) = 0 in symbols, of cut joints and declared constraints."""
 
 from __future__ import annotations
 
@@ -38,7 +36,9 @@ Steps = list[SymbolicStep]
 
 @dataclass(frozen=True, eq=False)
 class SymbolicClosure:
-    """The equations f(q) = 0 of a system by the names of its cut joints, constraints and relations.
+    """The loop-closure equations f(q) = 0 of a system in symbols, by name.
+
+    Names are those of cut joints, constraints and relations.
 
     Each is a sympy Matrix (m, 1) that is zero where it holds.
     """
@@ -54,7 +54,7 @@ class SymbolicClosure:
         return self.equations[name]
 
     def latex(self) -> str:
-        """The equations in LaTeX, one line each."""
+        """Return the equations in LaTeX, one line each."""
         return align_formulas(f"{format_latex(f)} &= 0" for f in self.matrix)
 
     def _repr_latex_(self) -> str:
@@ -68,8 +68,7 @@ class SymbolicClosure:
 def derive_closure(
     system: Model, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0
 ) -> SymbolicClosure:
-    """The equations f(q) = 0 that closed configurations satisfy, in coordinates and named
-    parameters.
+    """Derive the equations f(q) = 0 of closed configurations, in coordinates and parameters.
 
     A joint that the tree left out holds places and directions of its frame M in its frame F; where
     the coordinates of this joint are not needed for that they do not occur. Places are in metres,
@@ -102,12 +101,14 @@ def derive_closure(
 
 
 def _list_body_steps(system: Model, body: str, leaves: SymbolLeaves) -> Steps:
+    """List the motions from the ground to a body."""
     return [step for _, steps in list_steps_by_body(system, body, leaves) for step in steps]
 
 
 def _derive_joint_equations(
     system: Model, joint: Joint, explicit: bool, leaves: SymbolLeaves
 ) -> Any:
+    """Derive the equations of a cut joint."""
     m = system.mechanism
     dim = system.dim
     subject = f"joint {joint.name!r}"
@@ -140,8 +141,9 @@ def _derive_joint_equations(
 
 
 def _derive_turn_equations(held_turns: str, F: Steps, M: Steps, leaves: SymbolLeaves) -> list[Any]:
-    """What is zero where M is turned against F only as a joint allows; parallel turns on both ways
-    are merged.
+    """Derive the equations that keep M from turning against F except as the joint allows.
+
+    Parallel turns on both ways are merged.
     """
     if held_turns == "z":
         return [multiply_steps([*M, *invert_steps(F)], leaves)[1, 0]]
@@ -152,6 +154,7 @@ def _derive_turn_equations(held_turns: str, F: Steps, M: Steps, leaves: SymbolLe
 
 
 def _derive_constraint_equations(system: Model, constraint: Declared, leaves: SymbolLeaves) -> Any:
+    """Derive the equations of a declared constraint."""
     dim = system.dim
     of = constraint.of
     subject = f"constraint {constraint.name!r}"

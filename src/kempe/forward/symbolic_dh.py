@@ -1,6 +1,4 @@
-"""Denavit-Hartenberg tables of chains: from the lines of the axes at q = 0, lengths in named
-parameters.
-"""
+"""Denavit-Hartenberg tables of chains, with lengths in named parameters."""
 
 from __future__ import annotations
 
@@ -42,8 +40,9 @@ far away that their digits say less. Of those nearer than the second the normal 
 
 @dataclass(frozen=True, eq=False)
 class DHTable(Report):
-    """The table of a chain: a `DHRow` for each joint, with the pose of frame 0 and that of the tip
-    in the last frame.
+    """The Denavit-Hartenberg table of a chain: one `DHRow` for each joint.
+
+    `base` is the pose of frame 0 in the ground, `tool` that of the frame in the last frame.
 
     Lengths are numbers or text in parameters, angles radians; `base` and `tool` are numbers (4, 4).
     """
@@ -55,15 +54,18 @@ class DHTable(Report):
     base: Array
     tool: Array
 
-    def to_mechanism(self) -> Mechanism:
-        """The chain that `kempe.from_dh` makes of it; its frame 'tool' is where the frame was."""
+    def mechanism(self) -> Mechanism:
+        """Return the mechanism that `kempe.from_dh` makes of the table.
+
+        Its frame 'tool' is where the frame of the table was.
+        """
         parameters = self.system.structure.parameters
         ends = (placement_of_pose(X) for X in (self.base, self.tool))
         return from_dh(self.rows, self.convention, self.system.name, *ends, parameters=parameters)
 
     @property
     def status(self) -> str:
-        """What it is the table of."""
+        """Title of the report: frame, system and convention."""
         return f"{self.frame} of {self.system.name}, {self.convention} Denavit-Hartenberg"
 
     def _tables(self) -> Sequence[Table]:
@@ -117,7 +119,7 @@ def to_dh(
     symbols: Mapping[str, Any] | None = None,
     snap: float = 0.0,
 ) -> DHTable:
-    """The Denavit-Hartenberg table of the chain that moves a frame; ``print`` it.
+    """Derive the Denavit-Hartenberg table of the chain that moves a frame.
 
     Frames stand on the common normals of neighbouring axes (Denavit and Hartenberg, 1955); where
     axes are parallel, d is zero; of axes that are nearly so the common normal is far away, unless
@@ -147,7 +149,7 @@ def to_dh(
 def _derive_table(
     system: Model, frame: str, convention: str, leaves: SymbolLeaves
 ) -> DHTable | set[Any]:
-    """The table, or the parameters on which directions of normals depend."""
+    """Derive the table, or return the parameters on which directions of normals depend."""
     axes, tip = derive_joint_lines(system, frame, leaves)
     unknown = set[Any]().union(
         tip.free_symbols, *(a.point.free_symbols | a.direction.free_symbols for a in axes)
@@ -205,7 +207,9 @@ def _derive_table(
 def derive_joint_lines(
     system: Model, frame: str, leaves: SymbolLeaves, none: str = "there is no table"
 ) -> tuple[list[JointLine], Any]:
-    """The lines of the joints at q = 0, and the pose of the frame there; directions are numbers.
+    """Derive the lines of the joints at q = 0, and the pose of the frame there, in symbols.
+
+    Directions are numbers.
 
     Errors: `UnsupportedError` for joints that are no turn or slide of their own, and, with the
     words `none`, where nothing moves the frame.
@@ -264,9 +268,7 @@ def derive_joint_lines(
 
 
 def _find_first_frame(axis: JointLine) -> tuple[Any, Any]:
-    """Origin and x axis of frame 0: nearest to the ground on the first axis, with x of the ground
-    if it can be.
-    """
+    """Find origin and x axis of frame 0, near the ground and along its x axis where possible."""
     h = axis.direction
     foot = axis.point - axis.direction * axis.direction.dot(axis.point)
     ground = sympy.Matrix([1, 0, 0] if abs(float(h[0])) < 0.9 else [0, 1, 0])
@@ -277,7 +279,7 @@ def _find_first_frame(axis: JointLine) -> tuple[Any, Any]:
 def _find_common_normal(
     one: JointLine, two: JointLine, at: Any, x: Any, system: Model, last: bool
 ) -> tuple[Any, Any, Any]:
-    """The feet of the common normal of two axes, and its direction, from the first to the second.
+    """Find the common normal of two axes: its two feet, and its direction from first to second.
 
     `at` is a point of the first axis, through which the normal of parallel axes goes, and `x` the
     direction that it has where the axes are one; the last normal of parallel axes goes through the
@@ -310,8 +312,9 @@ def _find_common_normal(
 
 
 def derive_angle(a: Any, b: Any, about: Any) -> Any:
-    """The angle from a to b about an axis that is perpendicular to both; multiples of 15 degrees
-    exactly.
+    """Derive the angle from a to b about an axis perpendicular to both.
+
+    Multiples of 15 degrees are exact.
     """
     angle = sympy.atan2(about.dot(a.cross(b)), a.dot(b))
     exact = sympy.pi * sympy.Rational(round(float(angle) / math.pi * 12), 12)
@@ -319,32 +322,34 @@ def derive_angle(a: Any, b: Any, about: Any) -> Any:
 
 
 def tidy_matrix(matrix: Any) -> Any:
-    """Expanded, without terms that are rounding."""
+    """Expand the entries of a matrix and drop terms that are rounding errors."""
     return matrix.applyfunc(_drop_rounding)
 
 
 def _drop_rounding(x: Any) -> Any:
+    """Expand an expression and drop terms that are rounding errors."""
     x = sympy.expand(x)
     return x.xreplace({f: sympy.Integer(0) for f in x.atoms(sympy.Float) if abs(f) < SMALL})
 
 
 def _evaluate_sines(x: Any) -> Any:
-    """Sines of numbers that sympy leaves as they are, as decimals: exact ones multiply out to
-    pages.
-    """
+    """Replace sines and cosines of numbers by decimals."""
     return x.xreplace({f: f.evalf() for f in x.atoms(sympy.sin, sympy.cos) if f.is_number})
 
 
 def _to_table_entry(x: Any) -> Any:
+    """Return an expression as a number, or as text where it has symbols or pi."""
     return str(x) if x.free_symbols or x.has(sympy.pi) else float(x)
 
 
 def _evaluate_vector(v: Any, system: Model) -> Array:
+    """Evaluate a vector (n,) at the values of the parameters."""
     values = {sympy.Symbol(n): x for n, x in system.structure.parameters.items()}
     return np.array(v.subs(values), dtype=float).reshape(v.shape)[:, 0]
 
 
 def _compute_pose(x: Any, z: Any, origin: Any, system: Model) -> Array:
+    """Compute the pose (4, 4) of a frame from its x axis, z axis and origin."""
     across = _evaluate_vector(x, system)
     along = _evaluate_vector(z, system)
     # of axes that are nearly parallel x is a rounded normal
@@ -355,7 +360,7 @@ def _compute_pose(x: Any, z: Any, origin: Any, system: Model) -> Array:
 
 
 def _format_placement(X: Array) -> str:
-    """A pose as the keywords by which a frame is placed."""
+    """Format a pose as the keywords that place a frame."""
     p, rpy = (
         ", ".join(_format_entry(float(x)) for x in np.where(np.abs(v) < SMALL, 0.0, v))
         for v in (X[:3, 3], spatial.matrix_to_rpy(X[:3, :3]))
@@ -364,4 +369,5 @@ def _format_placement(X: Array) -> str:
 
 
 def _format_entry(x: Any) -> str:
+    """Format an entry of the table."""
     return str(x) if isinstance(x, str) else f"{x + 0.0:.6g}"

@@ -1,6 +1,4 @@
-"""The forward geometric model in symbols, step by step: the pose of each body in the body before
-it.
-"""
+"""Forward kinematics in symbols, step by step: the pose of each body in the one before."""
 
 from __future__ import annotations
 
@@ -39,8 +37,9 @@ FORMS = ("matrices", "separate", "products")
 
 @dataclass(frozen=True, eq=False)
 class SymbolicSteps:
-    """The way from the ground to a frame: `T[i]` is the pose of `names[i + 1]` in `names[i]`, a
-    sympy Matrix (4, 4).
+    """The chain from the ground to a frame: the pose of each frame in the one before, in symbols.
+
+    `T[i]` is the pose of `names[i + 1]` in `names[i]`, a sympy Matrix (4, 4).
     """
 
     system: Model
@@ -67,16 +66,17 @@ class SymbolicSteps:
             out.append(out[-1] * T)
         return tuple(out[1:])
 
-    def evaluate_matrices(self, q: Any) -> Array:
-        """The same matrices at configurations (..., nq) as numbers (..., n, 4, 4), from `fk`."""
+    def numbers(self, q: Any) -> Array:
+        """Evaluate the matrices at configurations (..., nq) as numbers (..., n, 4, 4)."""
         from kempe.forward.fk import fk  # only here: formulas need no kernels
 
         X = fk(self.system, q, list(self.names))
         return spatial.inverse(X[..., :-1, :, :]) @ X[..., 1:, :, :]
 
     def latex(self, form: str = "matrices") -> str:
-        """The model in LaTeX, with the names of both frames at the left of each symbol, and the
-        merged result.
+        """Return the forward kinematics in LaTeX, with the merged result.
+
+        The names of both frames stand at the left of each symbol.
 
         `form` "matrices" has the homogeneous matrices and their product, "separate" R and p of each
         step and how they combine, "products" the pose in the ground frame after each step. Errors:
@@ -135,8 +135,7 @@ def derive_steps(
     symbols: Mapping[str, Any] | None = None,
     snap: float = 0.0,
 ) -> SymbolicSteps:
-    """The matrices whose product is the forward model of a body or frame, one for each joint on the
-    way.
+    """Derive the matrices whose product is the pose of a body or frame, one for each joint.
 
     A frame that is not a body adds a last matrix, of its place on the body. `symbols`, `snap` and
     errors are those of `kempe.forward.symbolic.derive_fk`; besides,
@@ -160,12 +159,13 @@ def derive_steps(
 
 
 def _format_symbol(upper: str, lower: str, what: str = "T") -> str:
-    """T, R or p with the names of its two frames at its left; of p the second one at its right."""
+    """Format T, R or p in LaTeX with the names of its two frames."""
     a, b = (format_upright_name(name) for name in (upper, lower))
     return f"{{}}^{{{a}}}p_{{{b}}}" if what == "p" else f"{{}}^{{{a}}}_{{{b}}}{what}"
 
 
 def _format_product(ways: list[tuple[str, str]], what: str = "T") -> str:
+    """Format the product of the matrices of the steps in LaTeX."""
     return r" \, ".join(_format_symbol(a, b, what) for a, b in ways)
 
 
@@ -177,8 +177,9 @@ def derive_jacobian(
     symbols: Mapping[str, Any] | None = None,
     snap: float = 0.0,
 ) -> Any:
-    """Jacobian of a body or frame in symbols: a sympy Matrix (6, nv), rows [linear; angular] in
-    axes of the ground.
+    """Derive the Jacobian (6, nv) of a body or frame as a sympy Matrix, rows [linear; angular].
+
+    Axes are those of the ground.
 
     A joint that turns about a has the column [a x (p - c); a], with a point c of its axis; one that
     slides along a has [a; 0] (Siciliano, Sciavicco, Villani, Oriolo 2009, section 3.1). Multiplied
@@ -211,9 +212,7 @@ def derive_jacobian(
 
 
 class ShortForm(NamedTuple):
-    """A formula in which c1 stands for cos(q1) and s12 for sin(q1 + q2), and what each of them
-    stands for.
-    """
+    """A formula with short names, such as c1 for cos(q1) and s12 for sin(q1 + q2), and a legend."""
 
     formula: Any
     legend: dict[Any, Any]
@@ -233,8 +232,7 @@ class ShortForm(NamedTuple):
 
 @explained
 def shorten_formula(system: Model, formula: Any) -> ShortForm:
-    """A formula with short names for sines and cosines of sums of coordinates: l1 c1 + l2 c12, and
-    the legend.
+    """Shorten a formula: replace sines and cosines by short names, as in l1 c1 + l2 c12.
 
     A coordinate is named by the digit at the end of its name, where that tells it from the others,
     else after an underscore by its name. Functions of anything else, and those whose short name the
@@ -278,15 +276,13 @@ def shorten_formula(system: Model, formula: Any) -> ShortForm:
 
 @explained
 def derive_short_fk(system: Model, frame: FrameLike, short: bool, **options: Any) -> Any:
-    """`derive_fk`, or its `shorten_formula`."""
+    """Derive the formula of `derive_fk`, and shorten it if `short`."""
     formula = derive_fk(system, frame, **options)
     return shorten_formula(system, formula) if flag(short, "short") else formula
 
 
 def _choose_short_names(system: Model) -> dict[Any, str]:
-    """Short names of the coordinates, in their order: digits where no two are the same and none has
-    two of them.
-    """
+    """Choose short names of the coordinates: their last digits where these differ."""
     names = system.coordinate_names
     ends = [re.search(r"\d+$", name) for name in names]
     digits = [end[0] for end in ends if end]
@@ -298,9 +294,7 @@ def _choose_short_names(system: Model) -> dict[Any, str]:
 
 
 def _format_label(words: Mapping[Any, str], angle: Any) -> str:
-    """Short name of a sum of coordinates, each with the sign plus or minus; '' for other
-    expressions.
-    """
+    """Format the short name of a sum of coordinates with signs; '' for other expressions."""
     terms = {
         symbol: sign
         for sign, symbol in (x.as_coeff_Mul() for x in sympy.Add.make_args(sympy.expand(angle)))
