@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import fields
 from pathlib import Path
 
-from kempe.joints import TYPES, JointType, P, joint_type
+from kempe.joints import TYPES, JointType, P, make_joint_type
 
 PITCH = 0.01
 """Value of an option that is a number, so that the table shows what it does."""
@@ -107,14 +107,19 @@ def is_for_particles(kind: JointType) -> bool:
 def freedom_row(kind: JointType) -> list[str]:
     """What a joint type leaves to a body and takes away, in space and in the plane."""
     counts = [str(kind.dof()), str(kind.constraints()), *in_the_plane(kind, False)]
-    return [f"`{kind.type_name}`", kind.summary, *counts, ", ".join(kind.forbids()) or "–"]
+    return [
+        f"`{kind.type_name}`",
+        kind.summary,
+        *counts,
+        ", ".join(kind.forbids()) or "–",
+    ]
 
 
 def coordinate_row(kind: JointType) -> list[str]:
     """What a joint type is made of in space, and its coordinates."""
-    options = ", ".join(f"`{name}={getattr(kind, name)}`" for name in kind.defaults())
-    coordinates = names(kind.coordinates())
-    velocities = names(kind.velocities())
+    options = ", ".join(f"`{name}={getattr(kind, name)}`" for name in kind.list_defaults())
+    coordinates = names(kind.list_coordinate_names())
+    velocities = names(kind.list_velocity_names())
     same = velocities == coordinates
     return [
         f"`{kind.type_name}`",
@@ -127,14 +132,23 @@ def coordinate_row(kind: JointType) -> list[str]:
 
 def product_row(words: str) -> list[str]:
     """What a product in words leaves and takes away in space, and its coordinates."""
-    kind = joint_type(words)
-    return [f"`{words}`", str(kind.dof()), str(kind.constraints()), *coordinate_row(kind)[2:]]
+    kind = make_joint_type(words)
+    return [
+        f"`{words}`",
+        str(kind.dof()),
+        str(kind.constraints()),
+        *coordinate_row(kind)[2:],
+    ]
 
 
 def particle_row(kind: JointType) -> list[str]:
     """What a joint type does to a particle, in space and in the plane."""
-    counts = [str(kind.dof(3, True)), str(kind.constraints(3, True)), *in_the_plane(kind, True)]
-    return [f"`{kind.type_name}`", *counts, names(kind.coordinates(3, True))]
+    counts = [
+        str(kind.dof(3, True)),
+        str(kind.constraints(3, True)),
+        *in_the_plane(kind, True),
+    ]
+    return [f"`{kind.type_name}`", *counts, names(kind.list_coordinate_names(3, True))]
 
 
 def in_the_plane(kind: JointType, particle: bool) -> list[str]:

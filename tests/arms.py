@@ -18,7 +18,7 @@ import reference
 
 import kempe
 from kempe.description.dh import from_dh
-from kempe.poses import placement_of_pose
+from kempe.poses import make_placement_from_pose
 
 PI = math.pi
 H = math.pi / 2
@@ -191,9 +191,13 @@ def placed(name: str, frames, kinds, tool, classes: str, bound: int, order=None,
         bodies = {-1: m.ground} | {i: bodies.get(i) or m.body(f"b{i + 1}") for i in range(count)}
         for i in order or range(count):
             m.joint(
-                f"j{i + 1}", kinds[i], bodies[i - 1], bodies[i], at=placement_of_pose(frames[i])
+                f"j{i + 1}",
+                kinds[i],
+                bodies[i - 1],
+                bodies[i],
+                at=make_placement_from_pose(frames[i]),
             )
-        m.frame("tool", bodies[count - 1], at=placement_of_pose(tool))
+        m.frame("tool", bodies[count - 1], at=make_placement_from_pose(tool))
         return m
 
     steps: list = []

@@ -16,8 +16,8 @@ import reference
 from own_joints import random_product, random_type, variants
 
 from kempe import Mechanism, System
-from kempe.joints import TYPES, JointType, P, Primitive, Q, R, joint_type
-from kempe.poses import placement_of_pose
+from kempe.joints import TYPES, JointType, P, Primitive, Q, R, make_joint_type
+from kempe.poses import make_placement_from_pose
 
 ELEMENTARY = ("revolute", "prismatic", "spherical")
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
@@ -104,7 +104,10 @@ class Closed:
         for name, link in joints.items():
             names = [f"{name}.{n}" if n else name for n in link.kind.layout(self.dim)[0]]
             motions[name] = pose_of(
-                link.kind.layout(self.dim)[1], [at[n] for n in names], self.dim, link.axis
+                link.kind.layout(self.dim)[1],
+                [at[n] for n in names],
+                self.dim,
+                link.axis,
             )
         tree = system.structure
         steps = [
@@ -214,7 +217,7 @@ def random_closed(rng: np.random.Generator, own: float = 0.4) -> Closed:
         where = rng.random()
         product = where < 0.5 * own
         kinds.append(
-            joint_type(random_product(rng, dim))
+            make_joint_type(random_product(rng, dim))
             if product
             else random_type(rng, f"own{k}", dim)
             if where < own
@@ -254,7 +257,7 @@ def _places(m: Mechanism, link: Link) -> dict[str, Any]:
 
 
 def _placement(X: np.ndarray):
-    return placement_of_pose(np.asarray(X, dtype=float))
+    return make_placement_from_pose(np.asarray(X, dtype=float))
 
 
 def _firsts(primitives: Sequence[Primitive]) -> dict[int, Primitive]:

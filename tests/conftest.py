@@ -102,13 +102,13 @@ def usual_time_limits_are_far() -> Iterator[None]:
     from kempe.numerics import clock
 
     def far(limit: float | None) -> float:
-        return arguments.deadline(limit) + (
+        return arguments.compute_deadline(limit) + (
             FAR if limit is not None and limit >= clock.SHORT else 0.0
         )
 
     with pytest.MonkeyPatch.context() as patch:
         for module in (clock, numeric):
-            patch.setattr(module, "deadline", far)
+            patch.setattr(module, "compute_deadline", far)
         yield
 
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from own_joints import PRODUCTS, variants
 
 from kempe import Mechanism, System
-from kempe.joints import TYPES, P, joint_type
+from kempe.joints import TYPES, P, make_joint_type
 from kempe.model.implicit_form import has_slide_along_z
 
 KINDS: list[tuple[str, dict]] = [(name, o) for name, t in TYPES.items() for o in variants(t, 0.3)]
@@ -68,7 +68,7 @@ class Graph:
                 }
             if e.child in self.particles:
                 where = {k: v for k, v in where.items() if not k.startswith("child")}
-            if self.dim == 2 and has_slide_along_z(joint_type(e.kind, **e.options), 2, False):
+            if self.dim == 2 and has_slide_along_z(make_joint_type(e.kind, **e.options), 2, False):
                 where["axis"] = (0.6, -0.8)
             m.joint(
                 e.name,
@@ -106,9 +106,9 @@ class Graph:
     def joint_pose(self, e: Edge, values: dict[str, float]) -> np.ndarray:
         """Motion of a joint between its two placements, from the values of all coordinates by name."""
         particle = e.child in self.particles
-        names = joint_type(e.kind, **e.options).coordinates(self.dim, particle)
+        names = make_joint_type(e.kind, **e.options).list_coordinate_names(self.dim, particle)
         q = [values[f"{e.name}.{c}" if c else e.name] for c in names]
-        if self.dim == 2 and has_slide_along_z(joint_type(e.kind, **e.options), 2, False):
+        if self.dim == 2 and has_slide_along_z(make_joint_type(e.kind, **e.options), 2, False):
             return reference.slide("x", 0.6 * q[0]) @ reference.slide("y", -0.8 * q[0])
         return reference.joint_pose(e.kind, q, dim=self.dim, particle=particle, **e.options)
 
@@ -176,7 +176,7 @@ def graphs(draw: st.DrawFn, most: int = 9, loops: int = 5, dims: tuple[int, ...]
         particles.append(f"p{i}")
         for k in range(int(rng.integers(1, 3))):
             edges.append(edge(f"s{i}{k}", everyone[int(rng.integers(0, n + 1))], f"p{i}", SLIDES))
-    single = [e.name for e in edges if joint_type(e.kind).coordinates() == ("",)]
+    single = [e.name for e in edges if make_joint_type(e.kind).list_coordinate_names() == ("",)]
     rng.shuffle(single)
     while len(single) > 2 and rng.random() < 0.6:
         gears.append((single.pop(), single[0], round(rng.normal(), 3), round(rng.normal(), 3)))

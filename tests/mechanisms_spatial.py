@@ -104,7 +104,7 @@ def joint_constraints(system: System, q: np.ndarray, held: tuple[str, ...] = ())
     rows = []
     for joint in system.structure.joints.values():
         F, M = (
-            pose[body] @ X.evaluate(system.structure.parameters)
+            pose[body] @ X.evaluate_pose(system.structure.parameters)
             for body, X in ((joint.parent, joint.X_PF), (joint.child, joint.X_CM))
         )
         x = F[:3, 0]

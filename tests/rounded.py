@@ -13,7 +13,7 @@ import numpy as np
 
 import kempe
 from kempe import Mechanism, System
-from kempe.poses import Placement, place, placement_of_pose
+from kempe.poses import Placement, make_placement_from_pose, place
 from kempe.spatial import rot_x, rot_y, rot_z, xyz_rpy_from_pose
 
 
@@ -40,7 +40,7 @@ def rounded(
             at[body][: m.dim, 3] = rng.uniform(-0.3, 0.3, m.dim)
 
     def new(X: Placement, body: str) -> Placement:
-        old = X.evaluate(m.parameters)
+        old = X.evaluate_pose(m.parameters)
         inverse = np.linalg.inv(at[body])
         x = np.round(xyz_rpy_from_pose(inverse @ old), digits).tolist()
         if m.dim == 3:
@@ -51,7 +51,7 @@ def rounded(
         rest = np.eye(4)
         # the axis of a slide is in the plane: only what turns it there is rounded
         rest[:3, :3] = old[:3, :3]
-        return place(tuple(x[:2]), angle=turn) @ placement_of_pose(rest)
+        return place(tuple(x[:2]), angle=turn) @ make_placement_from_pose(rest)
 
     for name, j in m.joints.items():
         m.joints[name] = replace(j, X_PF=new(j.X_PF, j.parent), X_CM=new(j.X_CM, j.child))

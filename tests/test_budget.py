@@ -25,7 +25,7 @@ from rounded import exact, rounded
 
 import kempe
 from kempe import Budget, arguments
-from kempe.budget import TimeUp, Usual, checks, look
+from kempe.budget import TimeUp, Usual, check_for_stop, list_checks
 from kempe.errors import CallError, InputError, NoSolutionError
 from kempe.inverse import multi_start, numeric
 from kempe.inverse.closed_forms import problem as chain_problem
@@ -403,7 +403,7 @@ def test_time_limits_hold_while_the_work_is_prepared(verb, monkeypatch):
     for module in (arguments, clock, multi_start, chain_problem, search):
         monkeypatch.setattr(module, "time", counted)
     for module in (clock, numeric):
-        monkeypatch.setattr(module, "deadline", arguments.deadline)
+        monkeypatch.setattr(module, "compute_deadline", arguments.compute_deadline)
     sys.setprofile(lambda frame, event, argument: calls.update((event,)))
     try:
         LARGE[verb](system, Budget(time_limit=ALLOWED))
@@ -503,12 +503,12 @@ def test_a_block_of_time_is_over_where_it_ends():
     """Also where the same one stands in itself, and in a thread of its own."""
     time = TimeLimit(1e-9)
     with time, pytest.raises(TimeUp):
-        look()
-    look()
+        check_for_stop()
+    check_for_stop()
     again = TimeLimit(1e9)
     with again, again:
-        assert len(checks()) == 2
-    assert not checks()
+        assert len(list_checks()) == 2
+    assert not list_checks()
 
 
 def test_time_limits_stand_in_the_documentation():
@@ -606,7 +606,7 @@ def test_an_interrupt_while_a_kernel_looks_at_the_clock_is_not_lost(ask, at, mon
     a kernel.
     """
     ends = Ends(at)
-    monkeypatch.setattr(clock, "look", ends)
+    monkeypatch.setattr(clock, "check_for_stop", ends)
     with pytest.raises(KeyboardInterrupt):
         ask()
     assert ends.came

@@ -272,7 +272,7 @@ def test_errors_within_functions_of_the_caller_are_left_alone():
 
 
 def test_what_fails_with_right_arguments_is_raised_as_it_is():
-    @arguments.explained
+    @arguments.explain_errors
     def broken(system: str, starts: int = 3) -> int:
         return [][starts]
 

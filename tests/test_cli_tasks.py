@@ -12,7 +12,7 @@ from command import Result
 
 import kempe
 from kempe import tasks
-from kempe.arguments import until_interrupt
+from kempe.arguments import call_until_interrupt
 from kempe.cli import task_file
 
 HAND = "panda_link7"
@@ -265,6 +265,8 @@ def test_an_interrupted_path():
         if count == 5:
             raise KeyboardInterrupt
 
-    path = until_interrupt(panda.ik_path, targets, HAND, budget=kempe.Budget(progress=progress))
+    path = call_until_interrupt(
+        panda.ik_path, targets, HAND, budget=kempe.Budget(progress=progress)
+    )
     assert done == [2, 3, 4, 5] and path.interrupted and "interrupted" in path.status
     assert list(path.success) == [True] * 5 + [False] * 4 and np.isnan(path.q[5:]).all()

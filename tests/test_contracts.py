@@ -19,7 +19,7 @@ from hunts import some
 import kempe
 from kempe import Budget, library
 from kempe.answers.answer import Answer
-from kempe.arguments import until_interrupt
+from kempe.arguments import call_until_interrupt
 from kempe.errors import InputError, KempeError
 from kempe.namespaces import Inverse, Loops, ReachStudies
 from kempe.report import Report, Result
@@ -170,7 +170,7 @@ CASES = {
     "ik_path": Case("ik_path", lambda: ARM.ik_path(REACHED, TOOL, Q), "SOLVED"),
     "ik_path broken off": Case(
         "ik_path",
-        lambda: until_interrupt(ARM.ik_path, REACHED, TOOL, Q, budget=BROKEN),
+        lambda: call_until_interrupt(ARM.ik_path, REACHED, TOOL, Q, budget=BROKEN),
         "INTERRUPTED",
     ),
     "ik_path failing": Case("ik_path", lambda: ARM.ik_path(np.stack([X, FAR]), TOOL, Q), "PARTLY"),
@@ -312,7 +312,9 @@ CASES = {
         "trace", lambda: LINKAGE.trace(start=CLOSED, budget=AT_ONCE), "OUT_OF_TIME"
     ),
     "trace broken off": Case(
-        "trace", lambda: until_interrupt(LINKAGE.trace, start=CLOSED, budget=BROKEN), "INTERRUPTED"
+        "trace",
+        lambda: call_until_interrupt(LINKAGE.trace, start=CLOSED, budget=BROKEN),
+        "INTERRUPTED",
     ),
     "trace failing": Case("trace", lambda: apart().trace(), "NOT_FOUND"),
     "drive": Case("drive", lambda: LINKAGE.drive(held(4), start=CLOSED), "SOLVED"),
@@ -321,7 +323,7 @@ CASES = {
     ),
     "drive broken off": Case(
         "drive",
-        lambda: until_interrupt(LINKAGE.drive, held(99), start=CLOSED, budget=BROKEN),
+        lambda: call_until_interrupt(LINKAGE.drive, held(99), start=CLOSED, budget=BROKEN),
         "INTERRUPTED",
     ),
     "drive failing": Case(

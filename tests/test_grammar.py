@@ -20,7 +20,7 @@ from kempe.cli.facts import SystemFacts
 from kempe.errors import KempeError
 from kempe.library import names as library_models
 from kempe.views.overviews import tree_lines
-from kempe.words import counted, in_words, of_many, plural, verb
+from kempe.words import choose_verb, format_count, format_share, make_plural, spell_count
 
 SOURCE = Path(kempe.__file__).parent
 
@@ -72,20 +72,20 @@ def test_the_hunter_notices(text, bad):
 
 
 def test_words_agree():
-    assert [counted(n, "planar joint") for n in (0, 1, 2)] == [
+    assert [format_count(n, "planar joint") for n in (0, 1, 2)] == [
         "0 planar joints",
         "1 planar joint",
         "2 planar joints",
     ]
-    assert (counted(2, "body"), plural(1, "body"), in_words(2, "axis")) == (
+    assert (format_count(2, "body"), make_plural(1, "body"), spell_count(2, "axis")) == (
         "2 bodies",
         "body",
         "two axes",
     )
-    assert (verb(1, "is", "are"), verb(0, "is", "are")) == ("is", "are")
+    assert (choose_verb(1, "is", "are"), choose_verb(0, "is", "are")) == ("is", "are")
     assert (
-        of_many(1, 1, "targets reached") == "1 of 1 target reached"
-        and of_many(0, 2, "closed") == "0 of 2 closed"
+        format_share(1, 1, "targets reached") == "1 of 1 target reached"
+        and format_share(0, 2, "closed") == "0 of 2 closed"
     )
 
 
@@ -237,7 +237,8 @@ AT_LEAST_TWO = (
 
 
 def test_numbers_of_things_are_counted():
-    """A text that puts a number before a plural says `counted(n, "thing")`, unless the number is
+    """A text that puts a number before a plural says `format_count(n, "thing")`, unless the number
+    is
     never one.
     """
     bare: list[str] = []

@@ -46,7 +46,7 @@ from kempe.joints import (
     Q,
     R,
     Revolute,
-    joint_type,
+    make_joint_type,
 )
 from kempe.model.implicit_form import find_implicit_form
 from kempe.views.drawing import symbols
@@ -57,8 +57,8 @@ pytestmark = pytest.mark.usefixtures("solved_as_marked")
 NEAR = 0.1
 """How far starts are from a closed configuration, in radians and metres."""
 KINDS = [kind(**options) for kind in (*TYPES.values(), *OWN) for options in variants(kind, 0.3)]
-BALL = joint_type("spherical")
-KINDS += map(joint_type, PRODUCTS)
+BALL = make_joint_type("spherical")
+KINDS += map(make_joint_type, PRODUCTS)
 CASES = [
     (kind, dim)
     for kind in KINDS
@@ -415,9 +415,9 @@ def test_files_hold_registered_types():
     with pytest.raises(DescriptionError, match="not in the table of joints"):
         write_toml(m)
     with pytest.raises(UnknownNameError, match="pin_slot"):
-        from kempe.joints import joint_type
+        from kempe.joints import make_joint_type
 
-        joint_type("pin_slot")
+        make_joint_type("pin_slot")
 
 
 @pytest.mark.parametrize(
@@ -428,8 +428,8 @@ def test_files_hold_registered_types():
             (Geared(), 2),
             (Crooked(), 3),
             (BallInTube(), 3),
-            (joint_type("P(x) R(z)"), 2),
-            (joint_type("P(x) R(z) R(y)"), 3),
+            (make_joint_type("P(x) R(z)"), 2),
+            (make_joint_type("P(x) R(z) R(y)"), 3),
         ],
         3,
     ),

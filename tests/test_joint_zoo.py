@@ -33,8 +33,8 @@ from kempe.joints import (
     R,
     Revolute,
     Spherical,
-    in_zoo,
-    joint_type,
+    is_table_type,
+    make_joint_type,
 )
 
 
@@ -49,7 +49,7 @@ class Case:
 
     @property
     def kind(self) -> JointType:
-        return joint_type(self.type, **self.options)
+        return make_joint_type(self.type, **self.options)
 
     @property
     def slider(self) -> bool:
@@ -207,22 +207,28 @@ TABLE = {
 @pytest.mark.parametrize("name", TYPES)
 def test_table_of_the_lecture(name):
     dof, space, plane, text = TABLE[name]
-    kind = joint_type(name, **({"pitch": 0.25} if name == "helical" else {}))
-    assert (kind.dof(), kind.constraints(), kind.decomposition) == (dof, space, text)
+    kind = make_joint_type(name, **({"pitch": 0.25} if name == "helical" else {}))
+    assert (kind.dof(), kind.constraints(), kind.decomposition) == (
+        dof,
+        space,
+        text,
+    )
     assert kind.planar == (plane is not None)
     if plane is not None:
         assert kind.constraints(2) == plane
 
 
 def test_angles_are_three_turns():
-    assert joint_type("spherical", angles=True).decomposition == "R(z) R(y) R(x)"
-    assert joint_type("free", angles=True).decomposition == "P(x) P(y) P(z) R(z) R(y) R(x)"
+    assert make_joint_type("spherical", angles=True).decomposition == "R(z) R(y) R(x)"
+    assert make_joint_type("free", angles=True).decomposition == "P(x) P(y) P(z) R(z) R(y) R(x)"
 
 
 @every_case
 def test_the_table_tells_types_apart(case):
     assert TYPES.get(case.type, Product).__doc__ and case.kind.summary
-    assert joint_type(case.kind.type_name, **case.kind.options) == case.kind and in_zoo(case.kind)
+    assert make_joint_type(case.kind.type_name, **case.kind.options) == case.kind and is_table_type(
+        case.kind
+    )
 
 
 # ------------------------------------------------------------------ poses
@@ -468,8 +474,8 @@ def test_integrate_and_difference_are_inverse(case, seed):
 def test_random_stays_within_limits(case):
     names = [
         c
-        for c in case.kind.coordinates(case.dim, case.particle)
-        if c in case.kind.velocities(case.dim, case.particle)
+        for c in case.kind.list_coordinate_names(case.dim, case.particle)
+        if c in case.kind.list_velocity_names(case.dim, case.particle)
     ]
     bounds = {n: (0.3 * i - 1.0, 0.3 * i - 0.9) for i, n in enumerate(names)}
     system = one_joint(case, limits=bounds or None)
@@ -531,7 +537,7 @@ def test_composite_joints_are_chains_of_primitives(case):
 
 def test_what_the_lecture_says_the_composites_are():
     def kinds(name, **options):
-        return "".join("RPQ"[p.kind] for p in joint_type(name, **options).layout()[1])
+        return "".join("RPQ"[p.kind] for p in make_joint_type(name, **options).layout()[1])
 
     assert kinds("universal") == "RR"
     assert sorted(kinds("cylindrical")) == sorted("RP")
@@ -611,24 +617,24 @@ def test_locked_joint_is_a_constant(case):
 
 
 def test_every_option_is_named_and_checked():
-    assert joint_type("helical", pitch=np.float32(0.5)) == Helical(pitch=0.5)
-    assert joint_type("helical", pitch=1) == Helical(pitch=1.0)
-    assert joint_type(Spherical(), angles=True) == Spherical(angles=True)
-    assert joint_type(Spherical(angles=True)).options == {"angles": True}
+    assert make_joint_type("helical", pitch=np.float32(0.5)) == Helical(pitch=0.5)
+    assert make_joint_type("helical", pitch=1) == Helical(pitch=1.0)
+    assert make_joint_type(Spherical(), angles=True) == Spherical(angles=True)
+    assert make_joint_type(Spherical(angles=True)).options == {"angles": True}
     with pytest.raises(UnknownNameError, match="did you mean 'revolute'"):
-        joint_type("revolut")
+        make_joint_type("revolut")
     for wrong in (None, 3, ["revolute"], Revolute):
         with pytest.raises(UnknownNameError, match="joint type"):
-            joint_type(wrong)  # type: ignore[arg-type]
+            make_joint_type(wrong)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="'revolute' has no option 'pitch'; it takes no options"):
-        joint_type("revolute", pitch=0.1)
+        make_joint_type("revolute", pitch=0.1)
     with pytest.raises(InputError, match="'helical' has no option 'lead'; it takes pitch"):
-        joint_type("helical", lead=0.1)
+        make_joint_type("helical", lead=0.1)
     for wrong in ("0.1", np.nan, np.inf, True, None):
         with pytest.raises(InputError, match="'pitch'.*must be a finite number"):
-            joint_type("helical", pitch=wrong)
+            make_joint_type("helical", pitch=wrong)
     with pytest.raises(InputError, match="'angles'.*must be true or false"):
-        joint_type("spherical", angles="yes")
+        make_joint_type("spherical", angles="yes")
     m = Mechanism()
     for wrong in ("steep", np.nan):
         with pytest.raises(DescriptionError, match="joint 'h'.*pitch"):
@@ -677,12 +683,12 @@ def test_kinds_are_what_the_kernels_expect():
     ],
 )
 def test_products_in_words(words, normal, coordinates, velocities):
-    kind = joint_type(words)
-    assert (kind.type_name, kind.options) == (normal, {}) and kind == joint_type(
+    kind = make_joint_type(words)
+    assert (kind.type_name, kind.options) == (normal, {}) and kind == make_joint_type(
         normal
-    ) == joint_type(kind)
-    assert kind.coordinates() == tuple(coordinates.split() or [""])
-    assert kind.velocities() == tuple(velocities.split() or [""])
+    ) == make_joint_type(kind)
+    assert kind.list_coordinate_names() == tuple(coordinates.split() or [""])
+    assert kind.list_velocity_names() == tuple(velocities.split() or [""])
     m = Mechanism()
     m.joint("J", words, m.ground, m.body("b"))
     assert f'type = "{normal}"' in write_toml(m)
@@ -699,9 +705,12 @@ def test_products_are_the_types_that_they_spell():
         "revolute": "R(z)",
     }
     for name, words in same.items():
-        assert joint_type(name).layout() == joint_type(words).layout(), name
-    assert joint_type("helical", pitch=0.2).layout() == joint_type("H(z, 0.2)").layout()
-    assert joint_type("spherical", angles=True).layout() == joint_type("R(z) R(y) R(x)").layout()
+        assert make_joint_type(name).layout() == make_joint_type(words).layout(), name
+    assert make_joint_type("helical", pitch=0.2).layout() == make_joint_type("H(z, 0.2)").layout()
+    assert (
+        make_joint_type("spherical", angles=True).layout()
+        == make_joint_type("R(z) R(y) R(x)").layout()
+    )
 
 
 @pytest.mark.parametrize(
@@ -726,7 +735,7 @@ def test_products_are_the_types_that_they_spell():
 )
 def test_words_that_are_no_product(words, said):
     with pytest.raises((InputError, UnknownNameError), match=said):
-        joint_type(words)
+        make_joint_type(words)
     m = Mechanism()
     for options, fault in (({}, said), ({"limit": 3}, "no keyword 'limit'"), ({"pitch": 3}, said)):
         with pytest.raises(DescriptionError, match=rf"joint 'J': .*{fault}"):
@@ -743,9 +752,9 @@ def test_where_products_do_not_fit():
     with pytest.raises(
         InputError, match=r"joint type 'P\(x\) R\(z\)' has no option 'words'; it takes no options"
     ):
-        joint_type("P(x) R(z)", words="S")
+        make_joint_type("P(x) R(z)", words="S")
     with pytest.raises(UnknownNameError, match=r"'free', 'P\(x\) R\(z\)'"):
-        joint_type("knee")
+        make_joint_type("knee")
     flat = Mechanism(dim=2)
     m = Mechanism()
     for words in ("P(x) R(y)", "S", "H(z, 0.1)", "P(x) P(z)"):
@@ -794,6 +803,17 @@ def test_a_joint_is_one_of_space_where_nothing_is_said():
             }[dim]
 
     kind = Slab()
-    assert (kind.dof(), kind.constraints(), kind.forbids()) == (5, 1, ("z",))
-    assert (kind.dof(2), kind.constraints(2), kind.forbids(2)) == (2, 1, ("rz",))
-    assert kind.velocities() == ("x", "y", "wx", "wy", "wz") and len(kind.coordinates()) == 6
+    assert (kind.dof(), kind.constraints(), kind.forbids()) == (
+        5,
+        1,
+        ("z",),
+    )
+    assert (kind.dof(2), kind.constraints(2), kind.forbids(2)) == (
+        2,
+        1,
+        ("rz",),
+    )
+    assert (
+        kind.list_velocity_names() == ("x", "y", "wx", "wy", "wz")
+        and len(kind.list_coordinate_names()) == 6
+    )

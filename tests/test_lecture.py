@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 import kempe
 from kempe import Mechanism, System, spatial
 from kempe.forward.maximal import maximal_q
-from kempe.joints import TYPES, Spherical, joint_type
+from kempe.joints import TYPES, Spherical, make_joint_type
 from kempe.library import lecture
 from kempe.model.structural_order import make_sort_key
 
@@ -137,9 +137,9 @@ def test_dof_of_the_types(kind, dof):
 
 
 COMBINATIONS = [
-    (joint_type("universal"), [("revolute", "x"), ("revolute", "y")]),
-    (joint_type("cylindrical"), [("revolute", "z"), ("prismatic", "z")]),
-    (joint_type("planar"), [("prismatic", "x"), ("prismatic", "y"), ("revolute", "z")]),
+    (make_joint_type("universal"), [("revolute", "x"), ("revolute", "y")]),
+    (make_joint_type("cylindrical"), [("revolute", "z"), ("prismatic", "z")]),
+    (make_joint_type("planar"), [("prismatic", "x"), ("prismatic", "y"), ("revolute", "z")]),
     (Spherical(angles=True), [("revolute", "z"), ("revolute", "y"), ("revolute", "x")]),
 ]
 

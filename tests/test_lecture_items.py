@@ -683,7 +683,7 @@ def test_69_denavit_and_hartenberg(arm):
 def test_71_a_frame_for_each_body_and_joint(arm):
     """'associate a coordinate frame with each rigid body and/or joint'"""
     assert {"ground", "B1", "B2", "e"} <= set(arm.frame_names)
-    place = arm.structure.joints["q2"].X_PF.evaluate(arm.structure.parameters)
+    place = arm.structure.joints["q2"].X_PF.evaluate_pose(arm.structure.parameters)
     np.testing.assert_array_equal(place[:3, 3], [0.5, 0, 0])
 
 

@@ -268,8 +268,11 @@ def test_the_shaky_structures_have_no_play(name):
     """The fixed points are as far apart as the two bars are long: the pin has one place."""
     joints = kempe.load(name).structure.joints
     numbers = kempe.load(name).structure.parameters
-    ground = [joints[n].X_PF.evaluate(numbers)[:3, 3] for n in "AC"]
-    bars = [joints["B"].X_PF.evaluate(numbers)[:3, 3], joints["C"].X_CM.evaluate(numbers)[:3, 3]]
+    ground = [joints[n].X_PF.evaluate_pose(numbers)[:3, 3] for n in "AC"]
+    bars = [
+        joints["B"].X_PF.evaluate_pose(numbers)[:3, 3],
+        joints["C"].X_CM.evaluate_pose(numbers)[:3, 3],
+    ]
     lengths = np.linalg.norm(bars, axis=1)
     assert np.linalg.norm(ground[1] - ground[0]) == pytest.approx(lengths.sum(), abs=1e-16)
 

@@ -309,7 +309,7 @@ def test_the_rssr_crank_turns_fully_and_the_rocker_follows_its_equation():
     for q in found:
         values = system.q_dict(q)
         # C = pivot + r (cos, 0, -sin)(D) in the basis of the rocker's frame
-        X = system.structure.joints["D"].X_PF.evaluate(system.structure.parameters)
+        X = system.structure.joints["D"].X_PF.evaluate_pose(system.structure.parameters)
         e1 = X[:3, 0]
         e2 = X[:3, 1]
         offset = X[:3, 3] - 0.1 * np.array([np.cos(values["A"]), np.sin(values["A"]), 0])
@@ -376,9 +376,11 @@ def test_a_leg_is_as_long_as_its_coordinate(name):
     values = system.q_dict(q)
     below = {j.child: j for j in joints.values() if j.parent == "ground"}
     for i in range(1, 1 + sum(n.startswith("leg") for n in joints)):
-        foot = below[f"lower{i}"].X_PF.evaluate(system.structure.parameters)[:3, 3]
+        foot = below[f"lower{i}"].X_PF.evaluate_pose(system.structure.parameters)[:3, 3]
         hand = next(j for j in joints.values() if j.parent == "platform" and j.child == f"upper{i}")
-        head = (system.fk(q, "platform") @ hand.X_PF.evaluate(system.structure.parameters))[:3, 3]
+        head = (system.fk(q, "platform") @ hand.X_PF.evaluate_pose(system.structure.parameters))[
+            :3, 3
+        ]
         assert np.linalg.norm(head - foot) == pytest.approx(values[f"leg{i}"], abs=1e-13)
 
 
@@ -464,7 +466,7 @@ def test_dietmaiers_platform_has_forty_poses():
     base, platform = (
         np.array(
             [
-                joints[f"{kind}{i}"].X_PF.evaluate(system.structure.parameters)[:3, 3]
+                joints[f"{kind}{i}"].X_PF.evaluate_pose(system.structure.parameters)[:3, 3]
                 for i in range(1, 7)
             ]
         )

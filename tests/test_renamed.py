@@ -15,7 +15,7 @@ from shipped import shipped, with_loops
 
 import kempe
 from kempe import Mechanism, System
-from kempe.joints import joint_type
+from kempe.joints import make_joint_type
 
 NEAR = 0.1
 """How far starts are from a closed configuration, in radians and metres."""
@@ -158,7 +158,7 @@ def hunted(dim: int, bodies: int, loops: int, seed: int) -> System:
         rng,
         dim,
         bodies,
-        [joint_type(kinds[int(rng.integers(len(kinds)))]) for _ in range(bodies + loops)],
+        [make_joint_type(kinds[int(rng.integers(len(kinds)))]) for _ in range(bodies + loops)],
     )
     system = shape.system()
     m = system.mechanism

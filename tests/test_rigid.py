@@ -77,8 +77,10 @@ def _poses(rng, n):
 def test_forms_are_the_same_pose(form, hunt):
     X = _poses(hunt.rng(), 3)
     for one in X:
-        np.testing.assert_allclose(poses.arrays(FORMS[form](one), "x"), one, atol=1e-14)
-    np.testing.assert_allclose(poses.arrays([FORMS[form](one) for one in X], "x"), X, atol=1e-14)
+        np.testing.assert_allclose(poses.read_pose_array(FORMS[form](one), "x"), one, atol=1e-14)
+    np.testing.assert_allclose(
+        poses.read_pose_array([FORMS[form](one) for one in X], "x"), X, atol=1e-14
+    )
 
 
 def test_forms_of_many_at_once(hunt):
@@ -90,13 +92,13 @@ def test_forms_of_many_at_once(hunt):
         [Listed(X[0]), Listed(X[1])],
         [[pin.SE3(x) for x in row] for row in X],
     ):
-        np.testing.assert_allclose(poses.arrays(given, "x"), X, atol=1e-14)
+        np.testing.assert_allclose(poses.read_pose_array(given, "x"), X, atol=1e-14)
 
 
 def test_plane():
     X = np.array([[0.0, -1.0, 2.0], [1.0, 0.0, 3.0], [0.0, 0.0, 1.0]])
-    np.testing.assert_array_equal(poses.arrays((X[:2, 2], X[:2, :2]), "x"), X)
-    X4 = poses.arrays({"at": (2.0, 3.0), "angle": np.pi / 2}, "x")
+    np.testing.assert_array_equal(poses.read_pose_array((X[:2, 2], X[:2, :2]), "x"), X)
+    X4 = poses.read_pose_array({"at": (2.0, 3.0), "angle": np.pi / 2}, "x")
     np.testing.assert_allclose(X4[:2, [0, 1, 3]], X[:2], atol=1e-15)
     arm = kempe.Mechanism("arm", dim=2)
     last = arm.ground
@@ -129,7 +131,7 @@ def test_plane():
     ],
 )
 def test_all_else_is_left_as_it_is(given):
-    assert poses.arrays(given, "x") is given
+    assert poses.read_pose_array(given, "x") is given
 
 
 @pytest.mark.parametrize(
@@ -152,7 +154,7 @@ def test_all_else_is_left_as_it_is(given):
 )
 def test_what_is_no_pose_is_refused(given, said):
     with pytest.raises(kempe.errors.InputError, match=said):
-        poses.arrays(given, "target")
+        poses.read_pose_array(given, "target")
 
 
 ARM = kempe.load("puma560")
@@ -243,9 +245,9 @@ def test_only_those_that_are_off_are_changed(hunt):
         X[3, 0, :3] *= -1.0
         X[4, 0, 0] = np.nan
         with pytest.warns(RoundedWarning, match="in 1 of 5 cases"):
-            found = poses.sound(X, "x")
+            found = poses.correct_rotations(X, "x")
         np.testing.assert_array_equal(found[[0, 2, 3, 4]], X[[0, 2, 3, 4]])
         np.testing.assert_allclose(found[1, :3, :3], polar(X[1, :3, :3])[0], atol=1e-15)
         with pytest.warns(RoundedWarning):
-            np.testing.assert_array_equal(poses.sound(X[1], "x"), found[1])
-        assert poses.sound(X[2], "x").base is X[2].base
+            np.testing.assert_array_equal(poses.correct_rotations(X[1], "x"), found[1])
+        assert poses.correct_rotations(X[2], "x").base is X[2].base

@@ -11,7 +11,7 @@ import pytest
 
 import kempe
 from kempe.kernels.base import search_layout
-from kempe.status import MEMBERS, PROOFS, Status, member, named
+from kempe.status import MEMBERS, PROOFS, Status, name_outcomes, to_status
 
 SOURCE = Path(kempe.__file__).parent
 
@@ -54,10 +54,10 @@ def test_a_member_survives_pickling_and_says_its_name(status):
         pickle.loads(pickle.dumps(status))
         is status
         is Status(status.value)
-        is member(np.int64(status))
+        is to_status(np.int64(status))
     )
-    assert str(status) == f"{status}" == status.name == named(status)
-    assert named(np.array([[status, 0]])) == [[status.name, "SOLVED"]]
+    assert str(status) == f"{status}" == status.name == name_outcomes(status)
+    assert name_outcomes(np.array([[status, 0]])) == [[status.name, "SOLVED"]]
 
 
 def test_no_module_but_status_gives_numbers_to_outcomes():

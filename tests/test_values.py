@@ -13,8 +13,15 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from kempe.errors import InputError, UnknownNameError
-from kempe.poses import Placement, check_step, place, placement_of_pose, steps_from_data
-from kempe.values import FUNCTIONS, Expression, evaluate, negate, value, values
+from kempe.poses import Placement, check_step, make_placement_from_pose, place, read_placement_steps
+from kempe.values import (
+    FUNCTIONS,
+    Expression,
+    evaluate_value,
+    negate_value,
+    read_value,
+    read_values,
+)
 
 PARAMETERS = {"a": 0.3, "b": -1.7, "l1": 2.5}
 
@@ -157,7 +164,7 @@ def test_python_arithmetic_writes_expressions(data):
         if len(str(expression)) < 300:
             terms.append((expression, OPERATIONS[name](n1, n2)))
     for expression, number in terms:
-        assert evaluate(expression, PARAMETERS) == pytest.approx(number, rel=1e-14)
+        assert evaluate_value(expression, PARAMETERS) == pytest.approx(number, rel=1e-14)
 
 
 def test_powers_and_signs():
@@ -165,7 +172,7 @@ def test_powers_and_signs():
     assert ((-a) ** 2).evaluate({"a": 3.0}) == 9.0
     assert (2.0**a).evaluate({"a": 3.0}) == 8.0
     assert (-(a**2)).evaluate({"a": 3.0}) == -9.0
-    assert negate(negate(a)).evaluate({"a": 3.0}) == 3.0 and negate(2.0) == -2.0
+    assert negate_value(negate_value(a)).evaluate({"a": 3.0}) == 3.0 and negate_value(2.0) == -2.0
     assert (1 - (2 - a)).evaluate({"a": 3.0}) == 2.0
 
 
@@ -185,16 +192,16 @@ def test_expressions_are_values():
 )
 def test_values_must_be_numbers(bad):
     with pytest.raises(InputError, match="length is"):
-        value(bad, "length")
+        read_value(bad, "length")
 
 
 def test_numbers_become_floats():
     for number in (2, 2.0, np.float32(2), np.int64(2)):
-        assert type(value(number)) is float and value(number) == 2.0
-    assert values(np.array([1.0, 2.0]), 2, "at") == (1.0, 2.0)
+        assert type(read_value(number)) is float and read_value(number) == 2.0
+    assert read_values(np.array([1.0, 2.0]), 2, "at") == (1.0, 2.0)
     for bad in (3.0, "ab", None, (1,), (1, 2, 3, 4)):
         with pytest.raises(InputError, match="at (is|has)"):
-            values(bad, (2, 3), "at")
+            read_values(bad, (2, 3), "at")
 
 
 def test_functions_are_the_usual_ones():
@@ -227,7 +234,7 @@ def test_functions_are_the_usual_ones():
 @given(xyz=st.tuples(*[st.floats(-5, 5)] * 3), rpy=st.tuples(*[st.floats(-4, 4)] * 3))
 def test_place_is_position_then_fixed_axis_angles(xyz, rpy):
     np.testing.assert_allclose(
-        place(xyz, rpy=rpy).evaluate({}),
+        place(xyz, rpy=rpy).evaluate_pose({}),
         reference.placement(xyz, rpy).astype(float),
         rtol=0,
         atol=1e-14,
@@ -244,22 +251,22 @@ def test_all_ways_to_say_one_orientation():
         place(quat_wxyz=(w, x, y, z)),
         place(quat_wxyz=(-2 * w, -2 * x, -2 * y, -2 * z)),
         place(matrix=R.as_matrix()),
-        placement_of_pose(X),
+        make_placement_from_pose(X),
     ):
         np.testing.assert_allclose(
-            placement.evaluate({})[:3, :3], R.as_matrix(), rtol=0, atol=1e-15
+            placement.evaluate_pose({})[:3, :3], R.as_matrix(), rtol=0, atol=1e-15
         )
     np.testing.assert_allclose(
-        place(angle=0.7).evaluate({}), place(rpy=(0, 0, 0.7)).evaluate({}), atol=0
+        place(angle=0.7).evaluate_pose({}), place(rpy=(0, 0, 0.7)).evaluate_pose({}), atol=0
     )
-    np.testing.assert_allclose(place((1, 2)).evaluate({})[:3, 3], [1, 2, 0])
+    np.testing.assert_allclose(place((1, 2)).evaluate_pose({})[:3, 3], [1, 2, 0])
 
 
 def test_axis_is_read_in_the_turned_frame():
-    X = place((1, 2, 3), rpy=(0.3, -0.4, 1.2), axis=(0, 3, 4)).evaluate({})
+    X = place((1, 2, 3), rpy=(0.3, -0.4, 1.2), axis=(0, 3, 4)).evaluate_pose({})
     R = Rotation.from_euler("xyz", (0.3, -0.4, 1.2)).as_matrix()
     np.testing.assert_allclose(X[:3, 2], R @ [0, 0.6, 0.8], rtol=0, atol=1e-15)
-    assert place(axis=(0, 0, 5)).steps == () and place(axis=(1, 0)).evaluate({})[0, 2] == 1.0
+    assert place(axis=(0, 0, 5)).steps == () and place(axis=(1, 0)).evaluate_pose({})[0, 2] == 1.0
 
 
 @given(seed=st.integers(0, 10**6))
@@ -281,26 +288,26 @@ def test_inverse_undoes_every_motion(seed):
     )
     parameters = {"d": 0.4, "alpha": 1.1}
     np.testing.assert_allclose(
-        (X @ X.inverse()).evaluate(parameters), np.eye(4), rtol=0, atol=1e-14
+        (X @ X.invert_steps()).evaluate_pose(parameters), np.eye(4), rtol=0, atol=1e-14
     )
     np.testing.assert_allclose(
-        (X.inverse() @ X).evaluate(parameters), np.eye(4), rtol=0, atol=1e-14
+        (X.invert_steps() @ X).evaluate_pose(parameters), np.eye(4), rtol=0, atol=1e-14
     )
-    assert X.names == X.inverse().names == {"d", "alpha"}
-    batch = X.evaluate({"d": np.array([[0.4], [0.5]]), "alpha": np.array([1.1, 0.2, 0.3])})
+    assert X.names == X.invert_steps().names == {"d", "alpha"}
+    batch = X.evaluate_pose({"d": np.array([[0.4], [0.5]]), "alpha": np.array([1.1, 0.2, 0.3])})
     assert batch.shape == (2, 3, 4, 4)
-    np.testing.assert_allclose(batch[0, 0], X.evaluate(parameters), rtol=0, atol=1e-15)
+    np.testing.assert_allclose(batch[0, 0], X.evaluate_pose(parameters), rtol=0, atol=1e-15)
 
 
 def test_nearly_rotations_become_rotations():
     """A matrix written with ten digits is accepted, and must not leak its rounding into poses."""
     R = np.round(Rotation.from_euler("xyz", (0.3, -0.4, 1.2)).as_matrix(), 10)
-    Q = place(matrix=R).evaluate({})[:3, :3]
+    Q = place(matrix=R).evaluate_pose({})[:3, :3]
     assert np.abs(R @ R.T - np.eye(3)).max() > 1e-12
     assert np.abs(Q @ Q.T - np.eye(3)).max() < 1e-15
     np.testing.assert_allclose(Q, R, rtol=0, atol=1e-9)
     flip = [[0, 0, 1], [0, -1, 0], [1, 0, 0]]
-    np.testing.assert_array_equal(place(matrix=flip).evaluate({})[:3, :3], flip)
+    np.testing.assert_array_equal(place(matrix=flip).evaluate_pose({})[:3, :3], flip)
 
 
 @pytest.mark.parametrize(
@@ -329,20 +336,20 @@ def test_nearly_rotations_become_rotations():
         (lambda: place(matrix="eye"), "matrix is 'eye'; it must be an array of real numbers"),
         (lambda: place(matrix=[[1, 0], [0]]), "it must be an array of real numbers"),
         (
-            lambda: placement_of_pose(np.eye(3)),
+            lambda: make_placement_from_pose(np.eye(3)),
             r"the matrix of a pose has shape \(3, 3\); it must be \(4, 4\)",
         ),
         (
-            lambda: placement_of_pose(2 * np.eye(4)),
+            lambda: make_placement_from_pose(2 * np.eye(4)),
             r"last row is \[0.0, 0.0, 0.0, 2.0\]; it must be 0 0 0 1",
         ),
-        (lambda: placement_of_pose("here"), "pose is 'here'"),
-        (lambda: placement_of_pose(np.diag([1, 1, 2, 1])), "matrix is not a rotation"),
+        (lambda: make_placement_from_pose("here"), "pose is 'here'"),
+        (lambda: make_placement_from_pose(np.diag([1, 1, 2, 1])), "matrix is not a rotation"),
         (lambda: check_step("roll", (1.0,)), "unknown motion 'roll'; allowed are x, y, z, rx"),
         (lambda: check_step("rx", (1.0, 2.0)), "rx has 2 numbers; it must have 1"),
-        (lambda: steps_from_data(["rx"]), "must be a list of a motion and its numbers"),
-        (lambda: steps_from_data([["rx", None]]), "rx is None"),
-        (lambda: steps_from_data([["matrix", *["a"] * 9]]), "plain numbers only"),
+        (lambda: read_placement_steps(["rx"]), "must be a list of a motion and its numbers"),
+        (lambda: read_placement_steps([["rx", None]]), "rx is None"),
+        (lambda: read_placement_steps([["matrix", *["a"] * 9]]), "plain numbers only"),
     ],
 )
 def test_bad_placements_say_what_is_wrong(call, words):
@@ -351,11 +358,13 @@ def test_bad_placements_say_what_is_wrong(call, words):
 
 
 def test_steps_from_data():
-    X = steps_from_data([["z", "d1"], ["rx", 0.5], ["align", 0, 1, 0], ["y", 1]])
+    X = read_placement_steps([["z", "d1"], ["rx", 0.5], ["align", 0, 1, 0], ["y", 1]])
     expected = (
         reference.slide("z", 0.2)
         @ reference.turn("x", 0.5)
         @ reference.turn("x", -np.pi / 2)
         @ reference.slide("y", 1)
     )
-    np.testing.assert_allclose(X.evaluate({"d1": 0.2}), expected.astype(float), rtol=0, atol=1e-15)
+    np.testing.assert_allclose(
+        X.evaluate_pose({"d1": 0.2}), expected.astype(float), rtol=0, atol=1e-15
+    )

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from kempe import Mechanism, System
-from kempe.poses import placement_of_pose
+from kempe.poses import make_placement_from_pose
 
 X, Y, Z = np.eye(3)
 
@@ -109,7 +109,7 @@ class World:
             K = np.eye(4)
             K[:3, :3] = np.eye(3) if b in self.points else T[:3, :3] @ R
             K[:3, 3] = place(p)
-            where = {"at": placement_of_pose(K), "child_at": placement_of_pose(K)}
+            where = {"at": make_placement_from_pose(K), "child_at": make_placement_from_pose(K)}
             if d == 2:
                 where = {"at": K[:2, 3], "child_at": K[:2, 3]}
                 if kind == "prismatic":

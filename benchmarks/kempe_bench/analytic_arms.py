@@ -16,7 +16,7 @@ import numpy as np
 import kempe
 from kempe import spatial
 from kempe.description.mechanism import Mechanism
-from kempe.poses import placement_of_pose
+from kempe.poses import make_placement_from_pose
 from kempe.spatial import Array
 from kempe_bench import peers
 
@@ -172,7 +172,7 @@ def placed(X: Sequence[Array], name: str, scale: float) -> Mechanism:
     for i, here in enumerate(X, 1):
         here = spatial.pose(here[:3, :3], scale * here[:3, 3])
         child = out.body(f"link{i}")
-        out.revolute(f"q{i}", body, child, at=placement_of_pose(here))
+        out.revolute(f"q{i}", body, child, at=make_placement_from_pose(here))
         body = child
     out.frame(FRAME, body)
     return out

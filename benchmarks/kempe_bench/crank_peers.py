@@ -138,7 +138,7 @@ def place(system: System, q: Array, spot: Spot) -> Array:
     if kind == "frame":
         return system.fk(q, name)[..., :2, 3]
     joint = system.structure.joints[name]
-    X = joint.X_PF.evaluate(system.structure.parameters)
+    X = joint.X_PF.evaluate_pose(system.structure.parameters)
     parent = system.fk(q)[..., system.body_names.index(joint.parent), :, :]
     return (parent @ X)[..., :2, 3]
 

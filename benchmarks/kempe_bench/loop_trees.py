@@ -113,7 +113,8 @@ class Tree:
 
     def _link(self, joint: Joint) -> Link:
         X_a, X_b = (
-            place.evaluate(self.system.structure.parameters) for place in (joint.X_PF, joint.X_CM)
+            place.evaluate_pose(self.system.structure.parameters)
+            for place in (joint.X_PF, joint.X_CM)
         )
         return Link(joint, self.numbers[joint.parent], X_a, self.numbers[joint.child], X_b)
 
@@ -159,7 +160,7 @@ class Tree:
         """Which velocity coordinates (nv,) of the system belong to the tree."""
         cut = set()
         for link in self.cuts:
-            names = link.joint.type.velocities(self.system.dim)
+            names = link.joint.type.list_velocity_names(self.system.dim)
             cut |= {f"{link.joint.name}.{v}" if v else link.joint.name for v in names}
         return np.array([name not in cut for name in self.system.structure.velocity_names])
 

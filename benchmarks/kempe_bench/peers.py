@@ -167,14 +167,14 @@ def arm_of(system: System, frame: str, file: Path) -> Arm:
     links = []
     X = np.eye(4)
     for joint in path:
-        X = X @ joint.X_PF.evaluate(system.structure.parameters)
+        X = X @ joint.X_PF.evaluate_pose(system.structure.parameters)
         if joint.type.type_name != "fixed":
             low, high = limits[joint.name]
             links.append(Link(joint.name, X, joint.type.type_name == "prismatic", (low, high)))
             X = np.eye(4)
-        X = X @ spatial.inverse(joint.X_CM.evaluate(system.structure.parameters))
+        X = X @ spatial.inverse(joint.X_CM.evaluate_pose(system.structure.parameters))
     tool = (
-        system.structure.frames[frame].X_BF.evaluate(system.structure.parameters)
+        system.structure.frames[frame].X_BF.evaluate_pose(system.structure.parameters)
         if frame in system.structure.frames
         else np.eye(4)
     )

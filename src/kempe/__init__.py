@@ -12,7 +12,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from kempe import errors, spatial
-from kempe.arguments import explained
+from kempe.arguments import explain_errors
 from kempe.description.mechanism import Mechanism
 from kempe.errors import Interrupted, KempeError
 from kempe.system import System
@@ -50,7 +50,7 @@ __all__ = [
 ]
 
 
-@explained
+@explain_errors
 def load(
     source: str | Path | bytes,
     *,

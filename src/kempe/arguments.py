@@ -15,10 +15,17 @@ from typing import Any, ParamSpec, TypeGuard, TypeVar
 
 import numpy as np
 
-from kempe.arrays import is_array, is_whole, reals
-from kempe.errors import CallError, InputError, Interrupted, KempeError, UnknownNameError, shown
+from kempe.arrays import is_array, is_whole, read_reals
+from kempe.errors import (
+    CallError,
+    InputError,
+    Interrupted,
+    KempeError,
+    UnknownNameError,
+    format_value,
+)
 from kempe.status import Status
-from kempe.words import counted
+from kempe.words import format_count
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 Class = TypeVar("Class", bound=type)
@@ -43,14 +50,14 @@ def quiet(function: Function) -> Function:
     """
 
     @functools.wraps(function)
-    def call(*args: Any, **options: Any) -> Any:
+    def call_quietly(*args: Any, **options: Any) -> Any:
         with np.errstate(all="ignore"):
             return function(*args, **options)
 
-    return call  # type: ignore[return-value]
+    return call_quietly  # type: ignore[return-value]
 
 
-def explained(function: Function, fast: bool = False) -> Function:
+def explain_errors(function: Function, fast: bool = False) -> Function:
     """The function, in which an error that is not Kempe's own names the argument that is to blame.
 
     Arguments are looked at only after something failed. What fails with arguments that are what the
@@ -61,19 +68,19 @@ def explained(function: Function, fast: bool = False) -> Function:
     run = function if fast else quiet(function)
 
     @functools.wraps(function)
-    def call(*args: Any, **options: Any) -> Any:
+    def call_function(*args: Any, **options: Any) -> Any:
         try:
             return run(*args, **options)
         except KempeError:
             raise
         except FOREIGN as error:
-            blame(function, args, options, error)
+            blame_argument(function, args, options, error)
             raise
 
-    return call  # type: ignore[return-value]
+    return call_function  # type: ignore[return-value]
 
 
-def interruptible(verb: Callable[Options, Kept]) -> Callable[Options, Kept]:
+def raise_interrupted(verb: Callable[Options, Kept]) -> Callable[Options, Kept]:
     """A decorator for verbs that keep what is done: after Ctrl-C the kept part is the `answer` of
     an `Interrupted`.
 
@@ -83,7 +90,7 @@ def interruptible(verb: Callable[Options, Kept]) -> Callable[Options, Kept]:
     """
 
     @functools.wraps(verb)
-    def call(*args: Options.args, **options: Options.kwargs) -> Kept:
+    def call_verb(*args: Options.args, **options: Options.kwargs) -> Kept:
         try:
             answer = verb(*args, **options)
         except KeyboardInterrupt:
@@ -93,10 +100,10 @@ def interruptible(verb: Callable[Options, Kept]) -> Callable[Options, Kept]:
             raise Interrupted(answer)
         return answer
 
-    return call
+    return call_verb
 
 
-def until_interrupt(
+def call_until_interrupt(
     verb: Callable[Options, Kept], *args: Options.args, **options: Options.kwargs
 ) -> Kept:
     """The answer of a verb; after Ctrl-C the part that was done. Errors: `Interrupted` where there
@@ -111,7 +118,7 @@ def until_interrupt(
         return answer
 
 
-def with_options(cls: type) -> Callable[[Function], Function]:
+def add_signature_options(cls: type) -> Callable[[Function], Function]:
     """A decorator that writes the fields of a dataclass into the signature of a function that takes
     `**options`.
     """
@@ -122,30 +129,30 @@ def with_options(cls: type) -> Callable[[Function], Function]:
         for f in fields(cls)
     ]
 
-    def write(function: Function) -> Function:
+    def write_signature(function: Function) -> Function:
         own = signature(function)
         kept = [p for p in own.parameters.values() if p.kind is not Parameter.VAR_KEYWORD]
         function.__signature__ = own.replace(parameters=[*kept, *more])  # type: ignore[attr-defined]
         return function
 
-    return write
+    return write_signature
 
 
-def explained_methods(cls: Class) -> Class:
-    """The class with its public methods, its calls and its text `explained`."""
+def explain_method_errors(cls: Class) -> Class:
+    """The class with its public methods, its calls and its text `explain_errors`."""
     for name, value in list(vars(cls).items()):
         if isinstance(value, FunctionType) and (name[0] != "_" or name in ("__call__", "__str__")):
-            setattr(cls, name, explained(value))
+            setattr(cls, name, explain_errors(value))
     return cls
 
 
-def explained_making(cls: Class) -> Class:
-    """The class with its making `explained`."""
-    cls.__init__ = explained(cls.__init__)  # type: ignore[misc]
+def explain_init_errors(cls: Class) -> Class:
+    """The class with its making `explain_errors`."""
+    cls.__init__ = explain_errors(cls.__init__)  # type: ignore[misc]
     return cls
 
 
-def blame(
+def blame_argument(
     function: Callable[..., Any],
     args: tuple[Any, ...],
     options: Mapping[str, Any],
@@ -173,12 +180,12 @@ def blame(
         p = parameters[name]
         if p.kind in (Parameter.VAR_KEYWORD, Parameter.VAR_POSITIONAL) or value is p.default:
             continue
-        said = wrong_kind(name, p.annotation, value)
+        said = describe_expected_kind(name, p.annotation, value)
         if said:
-            raise InputError(f"{name} is {shown(value)}; it must be {said}") from error
+            raise InputError(f"{name} is {format_value(value)}; it must be {said}") from error
 
 
-def wrong_kind(name: str, annotation: object, value: object) -> str:
+def describe_expected_kind(name: str, annotation: object, value: object) -> str:
     """What an argument must be, by its annotation or its name, where its value is none of that;
     else nothing.
     """
@@ -193,22 +200,22 @@ def wrong_kind(name: str, annotation: object, value: object) -> str:
     return " or ".join(said)
 
 
-def is_numbers(x: object) -> bool:
+def is_array_like(x: object) -> bool:
     """Whether it is an array of real numbers, or becomes one."""
     try:
-        return reals(x, "").dtype == np.float64
+        return read_reals(x, "").dtype == np.float64
     except InputError:
         return False
 
 
-def _is_whole(x: object) -> bool:
+def _is_bounded_integer(x: object) -> bool:
     return is_whole(x) and abs(int(x)) < 2**62
 
 
 def _is_number(x: object) -> bool:
     given: Any = x
     real = isinstance(x, (int, float, np.number)) and not isinstance(x, (bool, np.complexfloating))
-    return real and is_numbers(given)
+    return real and is_array_like(given)
 
 
 def is_list(x: object) -> TypeGuard[Iterable[Any]]:
@@ -223,17 +230,17 @@ def _is_list_of_text(x: Any) -> bool:
     return is_list(x) and (iter(x) is x or all(isinstance(name, str) for name in x))
 
 
-def _is_a(name: str, x: object) -> bool:
+def _has_class_name(name: str, x: object) -> bool:
     return name in [c.__name__ for c in type(x).__mro__]
 
 
-def _is_place(x: object) -> bool:
+def _is_frame_like(x: object) -> bool:
     return isinstance(x, str) or isinstance(getattr(x, "name", None), str)
 
 
 KINDS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "bool": (lambda x: isinstance(x, (bool, np.bool_)), "True or False"),
-    "int": (_is_whole, "a whole number"),
+    "int": (_is_bounded_integer, "a whole number"),
     "float": (_is_number, "a number"),
     "str": (lambda x: isinstance(x, str), "text"),
     "None": (lambda x: x is None, "None"),
@@ -244,20 +251,23 @@ KINDS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "Callable": (callable, "a function"),
     "Progress": (callable, "a function"),
     "Mapping": (lambda x: isinstance(x, Mapping), "a dict by name"),
-    "ArrayLike": (is_numbers, "an array of real numbers"),
-    "Array": (lambda x: is_array(x) and is_numbers(x), "an array of real numbers"),
-    "FrameLike": (_is_place, "the name of a body or frame"),
-    "BodyLike": (_is_place, "the name of a body"),
-    "Frame": (_is_place, "the name of a frame"),
+    "ArrayLike": (is_array_like, "an array of real numbers"),
+    "Array": (lambda x: is_array(x) and is_array_like(x), "an array of real numbers"),
+    "FrameLike": (_is_frame_like, "the name of a body or frame"),
+    "BodyLike": (_is_frame_like, "the name of a body"),
+    "Frame": (_is_frame_like, "the name of a frame"),
     "Iterable[str]": (_is_list_of_text, "a list of names"),
     "Sequence[str]": (_is_list_of_text, "a list of names"),
     "Iterable": (is_list, "a list"),
     "Sequence": (is_list, "a list"),
-    "System": (lambda x: _is_a("System", x), "a System"),
-    "SystemType": (lambda x: _is_a("Model", x), "a System"),
-    "Model": (lambda x: _is_a("Model", x), "a System"),
-    "Mechanism": (lambda x: _is_a("Mechanism", x), "a Mechanism"),
-    "Constraint": (lambda x: _is_a("Constraint", x), "a task or constraint of kempe.constraints"),
+    "System": (lambda x: _has_class_name("System", x), "a System"),
+    "SystemType": (lambda x: _has_class_name("Model", x), "a System"),
+    "Model": (lambda x: _has_class_name("Model", x), "a System"),
+    "Mechanism": (lambda x: _has_class_name("Mechanism", x), "a Mechanism"),
+    "Constraint": (
+        lambda x: _has_class_name("Constraint", x),
+        "a task or constraint of kempe.constraints",
+    ),
     "np.random.Generator": (lambda x: isinstance(x, np.random.Generator), "a generator"),
 }
 """What the parts of annotations stand for: whether a value is of the kind, and the words for it."""
@@ -266,7 +276,7 @@ KINDS: dict[str, tuple[Callable[[Any], bool], str]] = {
 # ---- names
 
 
-def known(kind: str, name: object, names: Iterable[str], owner: str = "") -> str:
+def check_name(kind: str, name: object, names: Iterable[str], owner: str = "") -> str:
     """The name, if it is one of the names. Errors: `UnknownNameError`, which says what there is."""
     if isinstance(name, str) and name in names:
         return name
@@ -277,7 +287,7 @@ MOST_NAMES = 10**6
 """Names of a list at most: one that is made while it is read may have no end."""
 
 
-def listed(names: object, what: str) -> tuple[str, ...]:
+def read_names(names: object, what: str) -> tuple[str, ...]:
     """Names given as a list, or a single name. Errors: `InputError`."""
     if isinstance(names, str):
         return (names,)
@@ -288,7 +298,7 @@ def listed(names: object, what: str) -> tuple[str, ...]:
     if len(out) > MOST_NAMES:
         raise InputError(f"{what} has more than {MOST_NAMES} names")
     if not all(isinstance(name, str) for name in out):
-        raise InputError(f"{what} is {shown(names)}; it must be a list of names")
+        raise InputError(f"{what} is {format_value(names)}; it must be a list of names")
     return out  # type: ignore[return-value]
 
 
@@ -299,7 +309,7 @@ def numbers(x: Any, what: str, *core: int) -> np.ndarray:
     """Real numbers (..., *core) as an array. Errors: `InputError` for what is none, and for other
     last axes.
     """
-    array = np.array(x) if x.__class__ is float else reals(x, what)
+    array = np.array(x) if x.__class__ is float else read_reals(x, what)
     if core and array.shape[-len(core) :] != core:
         raise InputError(
             f"{what} has shape {array.shape}; it must be (..., {', '.join(map(str, core))})"
@@ -318,45 +328,49 @@ def together(shapes: Mapping[str, tuple[int, ...]]) -> tuple[int, ...]:
         raise InputError(f"leading shapes do not fit together: {said}") from None
 
 
-def generator(rng: Any) -> np.random.Generator:
+def make_generator(rng: Any) -> np.random.Generator:
     """Random numbers of a generator, of a whole number, or, for None, new ones. Errors:
     `InputError`.
     """
-    if rng is None or isinstance(rng, np.random.Generator) or (_is_whole(rng) and rng >= 0):
+    if (
+        rng is None
+        or isinstance(rng, np.random.Generator)
+        or (_is_bounded_integer(rng) and rng >= 0)
+    ):
         return np.random.default_rng(rng)
     raise InputError(
-        f"rng is {shown(rng)}; it must be a generator, a whole number, from 0 and below 2**62, or "
-        "None"
+        f"rng is {format_value(rng)}; it must be a generator, a whole number, from 0 and below "
+        "2**62, or None"
     )
 
 
 # ---- switches and places
 
 
-def flag(x: Any, what: str) -> bool:
+def read_flag(x: Any, what: str) -> bool:
     """A switch. Errors: `InputError` for anything but True and False."""
     truth: Any = x
     if isinstance(x, (bool, np.bool_)):
         return bool(truth)
-    raise InputError(f"{what} is {shown(x)}; it must be True or False")
+    raise InputError(f"{what} is {format_value(x)}; it must be True or False")
 
 
-def place_in(index: Any, shape: tuple[int, ...]) -> tuple[int, ...]:
+def read_batch_index(index: Any, shape: tuple[int, ...]) -> tuple[int, ...]:
     """The place of one answer in a batch of this shape, by whole numbers from 0. Errors:
     `InputError`.
     """
     places: Any = index
     at: tuple[Any, ...] = places if isinstance(index, tuple) else (index,)
     if len(at) == len(shape) and all(
-        _is_whole(i) and 0 <= i < n for i, n in zip(at, shape, strict=True)
+        _is_bounded_integer(i) and 0 <= i < n for i, n in zip(at, shape, strict=True)
     ):
         return tuple(int(i) for i in at)
     needed = (
-        f"{counted(len(shape), 'whole number')}, from 0 and below {shape}"
+        f"{format_count(len(shape), 'whole number')}, from 0 and below {shape}"
         if shape
         else "(), for there is one answer"
     )
-    raise InputError(f"index is {shown(places)}; it must be {needed}")
+    raise InputError(f"index is {format_value(places)}; it must be {needed}")
 
 
 # ---- starts, steps, time, seeds and tolerances
@@ -365,19 +379,21 @@ DRAWN = 10**6
 """Starts of a search that draws them all before it begins, at most."""
 
 
-def start_count(starts: object, most: int = 2**62 - 1) -> int:
+def read_start_count(starts: object, most: int = 2**62 - 1) -> int:
     """The number of starts. Errors: `InputError`."""
     if not is_whole(starts) or not 1 <= starts <= most:
         above = f" and at most {most}" if most == DRAWN else ""
-        raise InputError(f"starts is {shown(starts)}; it must be a whole number, at least 1{above}")
+        raise InputError(
+            f"starts is {format_value(starts)}; it must be a whole number, at least 1{above}"
+        )
     return int(starts)
 
 
-def step_count(iterations: object) -> int:
+def read_step_count(iterations: object) -> int:
     """The number of steps of a start. Errors: `InputError`."""
     if not is_whole(iterations) or not 1 <= iterations < 2**31:
         raise InputError(
-            f"iterations is {shown(iterations)}; it must be a whole number, at least 1"
+            f"iterations is {format_value(iterations)}; it must be a whole number, at least 1"
         )
     return int(iterations)
 
@@ -386,7 +402,7 @@ LONGEST = 1e15
 """Seconds above which a time limit is none."""
 
 
-def deadline(time_limit: Any) -> float:
+def compute_deadline(time_limit: Any) -> float:
     """When a search that begins now must end, by the clock `time.monotonic`; never without a limit
     [s].
 
@@ -400,23 +416,25 @@ def deadline(time_limit: Any) -> float:
         or not time_limit > 0.0
     ):
         raise InputError(
-            f"time_limit is {shown(time_limit)}; it must be a positive number of seconds, or None"
+            f"time_limit is {format_value(time_limit)}; it must be a positive number of seconds, "
+            "or None"
         )
     return time.monotonic() + (math.inf if time_limit > LONGEST else float(time_limit))
 
 
-def seed_number(rng: object) -> int:
+def draw_seed(rng: object) -> int:
     """A whole number to draw from, of a generator or a number. Errors: `InputError`."""
     if is_whole(rng) and 0 <= rng < 2**62:
         return int(rng)
     if isinstance(rng, np.random.Generator):
         return int(rng.integers(2**62))
     raise InputError(
-        f"rng is {shown(rng)}; it must be a generator or a whole number, from 0 and below 2**62"
+        f"rng is {format_value(rng)}; it must be a generator or a whole number, from 0 and below "
+        "2**62"
     )
 
 
-def tolerances(tolerance: Any) -> tuple[float, float]:
+def read_tolerances(tolerance: Any) -> tuple[float, float]:
     """Largest errors in metres and radians, of one number or two. Errors: `InputError`."""
     try:
         linear, angular = (tolerance, tolerance) if np.ndim(tolerance) == 0 else tolerance
@@ -425,6 +443,6 @@ def tolerances(tolerance: Any) -> tuple[float, float]:
     except (TypeError, ValueError):
         pass
     raise InputError(
-        f"tolerance is {shown(tolerance)}; it must be one or two positive numbers, in metres and "
-        "radians"
+        f"tolerance is {format_value(tolerance)}; it must be one or two positive numbers, in "
+        "metres and radians"
     )

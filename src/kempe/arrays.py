@@ -12,8 +12,8 @@ from typing import Any, TypeGuard, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from kempe.errors import InputError, shown
-from kempe.words import counted
+from kempe.errors import InputError, format_value
+from kempe.words import format_count
 
 PLAIN = frozenset({float, int, np.float64})
 """Numbers of which a sequence needs no closer look."""
@@ -39,7 +39,9 @@ KINDS = {
 """What arrays of these kinds hold that are no real numbers."""
 
 
-def reals(given: Any, what: str, wanted: str = "an array of real numbers") -> NDArray[np.float64]:
+def read_reals(
+    given: Any, what: str, wanted: str = "an array of real numbers"
+) -> NDArray[np.float64]:
     """`given` as an array of float64, the same one where it is one.
 
     Errors: `InputError` for anything but real numbers: text, truth values, dates, complex numbers,
@@ -50,22 +52,24 @@ def reals(given: Any, what: str, wanted: str = "an array of real numbers") -> ND
         return given
     if kind is float or kind is np.float64:
         return np.asarray(given, dtype=np.float64)
-    if not is_plain(given):
+    if not is_number_list(given):
         try:
-            held = next((said for part in _parts(given) if (said := _trouble(part))), "")
+            held = next(
+                (said for part in _iterate_parts(given) if (said := _explain_refusal(part))), ""
+            )
         except RecursionError:  # a list that holds itself has no end
             held = f"has lists nested more than {DEEPEST} deep"
         if held:
             raise InputError(f"{what} {held}; it must be {wanted}")
-    return converted(given, what, wanted)
+    return convert_array(given, what, wanted)
 
 
-def converted(given: Any, what: str, wanted: str) -> NDArray[np.float64]:
+def convert_array(given: Any, what: str, wanted: str) -> NDArray[np.float64]:
     """`given`, which has no names, masks or units, as an array of float64. Errors: `InputError`."""
     try:
         array = np.asarray(given)
     except (TypeError, ValueError, RuntimeError, OverflowError):
-        held = "ragged" if isinstance(given, (list, tuple)) else shown(given)
+        held = "ragged" if isinstance(given, (list, tuple)) else format_value(given)
         raise InputError(f"{what} is {held}; it must be {wanted}") from None
     if array.dtype == object and not is_array(given) and PLAIN.issuperset(map(type, array.flat)):
         try:
@@ -77,13 +81,13 @@ def converted(given: Any, what: str, wanted: str) -> NDArray[np.float64]:
     if array.dtype.kind not in "fiu":
         held = KINDS.get(array.dtype.kind, str(array.dtype))
         if given is None or not array.ndim:
-            raise InputError(f"{what} is {shown(given)}; it must be {wanted}")
+            raise InputError(f"{what} is {format_value(given)}; it must be {wanted}")
         raise InputError(f"{what} holds {held}; it must be {wanted}")
     with np.errstate(over="ignore"):
         return array.astype(np.float64, copy=False)
 
 
-def within_range(
+def check_range(
     x: NDArray[np.float64], what: str, names: Sequence[str] = (), below: float = FARTHEST
 ) -> NDArray[np.float64]:
     """The numbers `x`, which must be finite and of a size below a bound; `names` are those of the
@@ -104,7 +108,7 @@ def within_range(
     raise InputError(f"{what}{at} is {value:g}; {allowed}")
 
 
-def median(values: Iterable[float]) -> float:
+def compute_median(values: Iterable[float]) -> float:
     """The middle of numbers, at least one: the mean of the two in the middle where their count is
     even.
     """
@@ -118,7 +122,7 @@ def is_whole(x: object) -> TypeGuard[int]:
     return isinstance(x, (int, np.integer)) and not isinstance(x, bool)
 
 
-def plain(x: Any) -> Any:
+def unwrap_scalar(x: Any) -> Any:
     """A Python number in place of an array without axes; other arrays as they are."""
     return x if np.ndim(x) else np.asarray(x).item()
 
@@ -134,7 +138,7 @@ def is_real(x: object) -> TypeGuard[float]:
     return real and not (isinstance(x, Rational) and abs(x) > LARGEST)  # type: ignore[operator]
 
 
-def is_plain(given: Any) -> bool:
+def is_number_list(given: Any) -> bool:
     """Whether it is a list of numbers, or a list of such lists of one shape; the first of them
     decides.
     """
@@ -166,7 +170,7 @@ def is_array(x: object) -> TypeGuard[NDArray[Any]]:
     return isinstance(x, np.ndarray)
 
 
-def named(given: Any) -> Mapping[str, Any] | None:
+def read_mapping(given: Any) -> Mapping[str, Any] | None:
     """What is labelled by names, as a mapping from these; None for what has no names.
 
     A mapping, a record or an array of them, a series with an index, a table with columns, a message
@@ -185,13 +189,14 @@ def named(given: Any) -> Mapping[str, Any] | None:
         names: Any = getattr(whole, "_fields", None)
         return None if names is None else dict(zip(names, whole, strict=True))
     kind = type(given).__name__
-    message = _of_joints(given)
-    names = _labels(given) if message is None else message[0]
+    message = _read_joint_state(given)
+    names = _find_labels(given) if message is None else message[0]
     if names is None or names == list(range(len(names))):
         return None
     if not all(isinstance(name, str) for name in names):
         raise InputError(
-            f"the labels of the {kind} are {shown(names)}; they must be names, or 0, 1, 2, ..."
+            f"the labels of the {kind} are {format_value(names)}; they must be names, or 0, 1, 2, "
+            "..."
         )
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
@@ -204,7 +209,7 @@ def named(given: Any) -> Mapping[str, Any] | None:
     return {name: np.asarray(whole[name]) if table else whole[name] for name in names}
 
 
-def _of_joints(given: Any) -> tuple[list[Any], list[float]] | None:
+def _read_joint_state(given: Any) -> tuple[list[Any], list[float]] | None:
     """The names and positions of a message JointState; None for all else."""
     names: Any = getattr(given, "name", None)
     positions: Any = getattr(given, "position", None)
@@ -212,24 +217,24 @@ def _of_joints(given: Any) -> tuple[list[Any], list[float]] | None:
         return None
     if len(names) != len(positions):
         raise InputError(
-            f"the {type(given).__name__} has {counted(len(names), 'name')} and "
-            f"{counted(len(positions), 'position')}"
+            f"the {type(given).__name__} has {format_count(len(names), 'name')} and "
+            f"{format_count(len(positions), 'position')}"
         )
     return list(names), list(positions)
 
 
-def rows_of(given: Any) -> list[Any] | None:
+def list_named_rows(given: Any) -> list[Any] | None:
     """The entries of a list or tuple some of which have names; None for all else."""
     if given.__class__ not in LISTS:
         return None
     return (
         list(given)
-        if any(named(x) is not None for x in given if x.__class__ not in PLAIN)
+        if any(read_mapping(x) is not None for x in given if x.__class__ not in PLAIN)
         else None
     )
 
 
-def _labels(given: Any) -> list[Any] | None:
+def _find_labels(given: Any) -> list[Any] | None:
     """The labels along the last axis of an array-like, where it has some."""
     fields: Any = getattr(getattr(given, "dtype", None), "names", None)
     if isinstance(fields, tuple) and fields:
@@ -245,7 +250,7 @@ def _labels(given: Any) -> list[Any] | None:
     return list(found)
 
 
-def _parts(given: Any) -> Iterator[Any]:
+def _iterate_parts(given: Any) -> Iterator[Any]:
     """What is no plain number and no list: itself, or all that lists of lists hold; lists of
     numbers are passed by.
     """
@@ -268,7 +273,7 @@ def _parts(given: Any) -> Iterator[Any]:
     raise RecursionError
 
 
-def _trouble(x: Any) -> str:
+def _explain_refusal(x: Any) -> str:
     """Why a value is not accepted as numbers although numpy could convert it; '' where it is
     accepted.
     """
@@ -279,11 +284,11 @@ def _trouble(x: Any) -> str:
     if isinstance(x, Mapping):
         return f"is {kind}"
     whole: Any = x
-    labels = list(getattr(whole, "_fields", ())) if isinstance(x, tuple) else _labels(whole)
+    labels = list(getattr(whole, "_fields", ())) if isinstance(x, tuple) else _find_labels(whole)
     if labels and any(isinstance(label, str) for label in labels):
         return f"is a {kind} with names, which have no meaning here"
     if labels and hasattr(whole, "columns") and labels != list(range(len(labels))):
-        return f"is a {kind} whose columns are {shown(labels)}, which have no meaning here"
+        return f"is a {kind} whose columns are {format_value(labels)}, which have no meaning here"
     if not isinstance(whole, (np.generic, str, bytes)):
         unit = next(
             (

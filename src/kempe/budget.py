@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from kempe.arguments import explained_making
-from kempe.errors import InputError, shown
+from kempe.arguments import explain_init_errors
+from kempe.errors import InputError, format_value
 
 
 class Tolerance(NamedTuple):
@@ -23,7 +23,7 @@ class Tolerance(NamedTuple):
     angular: float
 
 
-@explained_making
+@explain_init_errors
 @dataclass(frozen=True)
 class Budget:
     """How much work a call may do, how finely, and how: what is left out is as the verb does it by
@@ -58,27 +58,27 @@ class TimeUp(Exception):
 _thread = threading.local()
 
 
-def checks() -> tuple[Callable[[], None], ...]:
-    """What `look` of this thread calls now."""
+def list_checks() -> tuple[Callable[[], None], ...]:
+    """What `check_for_stop` of this thread calls now."""
     return getattr(_thread, "checks", ())
 
 
 class watched_by:
-    """A block in which `look` of this thread calls further functions; they raise where the work
-    must end.
+    """A block in which `check_for_stop` of this thread calls further functions; they raise where
+    the work must end.
     """
 
     def __init__(self, *more: Callable[[], None]):
         self.more = more
 
     def __enter__(self) -> None:
-        _thread.checks = (*self.more, *checks())
+        _thread.checks = (*self.more, *list_checks())
 
     def __exit__(self, *_: object) -> None:
-        _thread.checks = checks()[len(self.more) :]
+        _thread.checks = list_checks()[len(self.more) :]
 
 
-def look() -> None:
+def check_for_stop() -> None:
     """Look whether the work of this thread must end: where the time of a call is up, `TimeUp` is
     raised.
 
@@ -98,20 +98,21 @@ class Usual:
     def __init__(self, verb: str, **reads: Any):
         self.verb = verb
         self.reads = reads
-        self.budget = _filled(reads)
+        self.budget = _make_budget(reads)
 
-    def of(self, budget: object) -> Budget:
+    def complete_budget(self, budget: object) -> Budget:
         """The budget, completed; `time_limit` is None where there is none. Errors: `InputError`."""
         if budget is None:
             return self.budget
         if not isinstance(budget, Budget):
             raise InputError(
-                f"budget is {shown(budget)}; it must be a kempe.Budget, such as "
-                f"Budget({self._such()})"
+                f"budget is {format_value(budget)}; it must be a kempe.Budget, such as "
+                f"Budget({self._describe_example()})"
             )
         if budget.progress is not None and not callable(budget.progress):
             raise InputError(
-                f"progress is {shown(budget.progress)}; it must be a function of how much is done"
+                f"progress is {format_value(budget.progress)}; it must be a function of how much "
+                "is done"
             )
         given = {f.name: x for f in fields(Budget) if (x := getattr(budget, f.name)) is not None}
         for name in given:
@@ -120,15 +121,15 @@ class Usual:
                 raise InputError(
                     f"budget has {name}, which {self.verb} does not read; it reads {read}"
                 )
-        return _filled({**self.reads, **given})
+        return _make_budget({**self.reads, **given})
 
-    def _such(self) -> str:
+    def _describe_example(self) -> str:
         return next(
             (f"{name}={x}" for name, x in self.reads.items() if x is not None),
             f"{next(iter(self.reads))}=1",
         )
 
 
-def _filled(values: dict[str, Any]) -> Budget:
+def _make_budget(values: dict[str, Any]) -> Budget:
     limit = values.get("time_limit")
     return Budget(**{**values, "time_limit": None if limit == math.inf else limit})

@@ -81,7 +81,7 @@ LONGEST = 1000
 """Characters of a line of a message at most: it may echo what was given, of any length."""
 
 
-def shortened(message: object) -> object:
+def shorten_lines(message: object) -> object:
     """A message whose long lines have their middle left out: an echo is in the middle, what is
     allowed at the end.
     """
@@ -102,7 +102,7 @@ class KempeError(Exception):
     """Base of all errors that Kempe raises on purpose."""
 
     def __init__(self, *args: object):
-        super().__init__(*map(shortened, args))
+        super().__init__(*map(shorten_lines, args))
 
     def __str__(self) -> str:
         return self.args[0] if self.args else ""
@@ -138,7 +138,8 @@ class UnknownNameError(KempeError, KeyError):
         self.allowed = tuple(allowed)
         self.owner = owner
         super().__init__(
-            f"{owner + ' has ' if owner else ''}no {kind} {shown(name)}{hint(name, self.allowed)}"
+            f"{owner + ' has ' if owner else ''}no {kind} "
+            f"{format_value(name)}{hint(name, self.allowed)}"
         )
 
     def __reduce__(self):
@@ -289,7 +290,7 @@ def warn(message: str, kind: type[Warning] = RoundedWarning) -> None:
     warnings.warn(message, kind, stacklevel=level)
 
 
-def shown(x: object) -> str:
+def format_value(x: object) -> str:
     """What was given, as short text of one line."""
     try:
         text = " ".join(_SHORT.repr(x).split())
@@ -303,7 +304,7 @@ COMPARED = 500
 """Characters of a name, and names, that are compared letter by letter: more take long."""
 
 
-def _alike(given: str, names: Iterable[str]) -> list[str]:
+def _select_similar(given: str, names: Iterable[str]) -> list[str]:
     """The names, of many only those that share the longest beginnings and ends with the one that is
     given.
     """
@@ -327,8 +328,8 @@ def hint(name: object, allowed: Iterable[str]) -> str:
 
     allowed = list(dict.fromkeys(allowed))
     folded = {str(a)[:HINTED].casefold(): a for a in reversed(allowed)}
-    given = (name if isinstance(name, str) else shown(name))[:HINTED].casefold()
-    near = difflib.get_close_matches(given, _alike(given, folded), n=3, cutoff=0.6)
+    given = (name if isinstance(name, str) else format_value(name))[:HINTED].casefold()
+    near = difflib.get_close_matches(given, _select_similar(given, folded), n=3, cutoff=0.6)
     if near:
         return f"; did you mean {' or '.join(repr(folded[n]) for n in near)}?"
     if not allowed:

@@ -5,7 +5,7 @@ A joint connects frame F on its parent body to frame M on its child body. Its po
 product of primitives: turns and slides about and along the axes x, y, z of the frame reached so
 far, and unit quaternions. Most complex joints are combinations of revolute and prismatic ones; the
 classes say which. A product without a class of its own is said in words:
-`joint_type("P(x) R(z) R(y)")`.
+`make_joint_type("P(x) R(z) R(y)")`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from kempe import spatial
 from kempe.arrays import is_real
 from kempe.errors import InputError, UnknownNameError
 from kempe.kernels.forward.table_layout import BALL, SLIDE, TURN
-from kempe.words import paragraphs
+from kempe.words import format_html_paragraphs
 
 R = TURN
 P = SLIDE
@@ -73,7 +73,7 @@ class JointType:
         """Degrees of freedom that the joint leaves, which is also its number of velocity
         coordinates.
         """
-        return sum(3 if p.kind == Q else 1 for p in _unique(self.layout(dim, particle)[1]))
+        return sum(3 if p.kind == Q else 1 for p in _select_unique(self.layout(dim, particle)[1]))
 
     def constraints(self, dim: int = 3, particle: bool = False) -> int:
         """How many freedoms the joint takes away: of 6 (in the plane 3) for a body, of 3 (2) for a
@@ -109,11 +109,11 @@ class JointType:
         still = {name for name, x in zip(MOTIONS, most, strict=True) if x < 1e-9}
         return tuple(name for name in (MOTIONS if dim == 3 else ("x", "y", "rz")) if name in still)
 
-    def coordinates(self, dim: int = 3, particle: bool = False) -> tuple[str, ...]:
+    def list_coordinate_names(self, dim: int = 3, particle: bool = False) -> tuple[str, ...]:
         """Names of the coordinates within the joint; a joint with one coordinate has the name ''."""
         return self.layout(dim, particle)[0]
 
-    def velocities(self, dim: int = 3, particle: bool = False) -> tuple[str, ...]:
+    def list_velocity_names(self, dim: int = 3, particle: bool = False) -> tuple[str, ...]:
         """Names of the velocity coordinates: as the coordinates, with wx, wy, wz (axes of M) for a
         quaternion.
         """
@@ -146,12 +146,12 @@ class JointType:
         """The letter that stands for the type in pictures, or those of its primitives; '' where
         nothing moves.
         """
-        return self.short or "".join("RPS"[p.kind] for p in _unique(self.layout()[1]))
+        return self.short or "".join("RPS"[p.kind] for p in _select_unique(self.layout()[1]))
 
     def _repr_html_(self) -> str:
         n = self.dof()
         m = self.constraints()
-        return paragraphs(
+        return format_html_paragraphs(
             [f"{self.type_name}: {self.summary}; {n} DoF, {m} constraint{'s' * (m != 1)}"]
         )
 
@@ -160,12 +160,12 @@ class JointType:
         """Settings that differ from their defaults, by name."""
         return {
             n: getattr(self, n)
-            for n, default in self.defaults().items()
+            for n, default in self.list_defaults().items()
             if getattr(self, n) != default
         }
 
     @classmethod
-    def defaults(cls) -> dict[str, object]:
+    def list_defaults(cls) -> dict[str, object]:
         """Settings that the type takes, by name, with their defaults."""
         return {f.name: f.default for f in fields(cls) if f.default is not MISSING}
 
@@ -347,18 +347,18 @@ class Product(JointType):
     def __post_init__(self) -> None:
         said = [
             letter + f"({', '.join(letters)})" * bool(letters)
-            for letter, *letters in _factors(self.words)
+            for letter, *letters in _parse_factors(self.words)
         ]
         object.__setattr__(self, "words", " ".join(said))
 
     @property
     def type_name(self) -> str:  # type: ignore[override]
-        """The product, as text that `joint_type` reads."""
+        """The product, as text that `make_joint_type` reads."""
         return self.words
 
     def layout(self, dim: int = 3, particle: bool = False):
         """Names and primitives of the product, factor by factor."""
-        return _product(self.words)
+        return _parse_product(self.words)
 
 
 _FACTOR = re.compile(
@@ -367,7 +367,7 @@ _FACTOR = re.compile(
 _LETTERS = frozenset("RPHSQ")
 
 
-def _factors(words: str) -> list[tuple[str, ...]]:
+def _parse_factors(words: str) -> list[tuple[str, ...]]:
     """Letter, axis and pitch of each factor, as text. Errors: `InputError` with the word that is
     none.
     """
@@ -396,11 +396,11 @@ def _factors(words: str) -> list[tuple[str, ...]]:
 
 
 @lru_cache(maxsize=256)
-def _product(words: str) -> tuple[tuple[str, ...], tuple[Primitive, ...]]:
+def _parse_product(words: str) -> tuple[tuple[str, ...], tuple[Primitive, ...]]:
     """Coordinate names and primitives of a product in words."""
     names: list[str] = []
     steps: list[Primitive] = []
-    for letter, *letters in _factors(words):
+    for letter, *letters in _parse_factors(words):
         i = len(names)
         if letter == "S":
             names += ["qw", "qx", "qy", "qz"]
@@ -435,7 +435,7 @@ TYPES: dict[str, type[JointType]] = {
 """The table of the zoo: one row a joint type."""
 
 
-def joint_type(name: object, **options: object) -> JointType:
+def make_joint_type(name: object, **options: object) -> JointType:
     """A joint type by its name, by a product in words (see `Product`), or another joint type with
     options.
 
@@ -450,7 +450,7 @@ def joint_type(name: object, **options: object) -> JointType:
         made = Product(name)
     else:
         raise UnknownNameError("joint type", name, (*TYPES, "P(x) R(z)"))
-    known = made.defaults()
+    known = made.list_defaults()
     options = {**made.options, **options}
     for key, given in options.items():
         if key not in known:
@@ -465,8 +465,8 @@ def joint_type(name: object, **options: object) -> JointType:
     return replace(made, **kept) if kept else made
 
 
-def in_zoo(kind: JointType) -> bool:
-    """Whether `joint_type` makes this type from its name and options, as files do."""
+def is_table_type(kind: JointType) -> bool:
+    """Whether `make_joint_type` makes this type from its name and options, as files do."""
     return TYPES.get(kind.type_name, Product) is type(kind)
 
 
@@ -479,5 +479,5 @@ AXIS_ROTATIONS = {
 along it."""
 
 
-def _unique(primitives: tuple[Primitive, ...]) -> list[Primitive]:
+def _select_unique(primitives: tuple[Primitive, ...]) -> list[Primitive]:
     return list({p.coordinate: p for p in primitives}.values())

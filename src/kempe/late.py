@@ -39,7 +39,7 @@ ROWS = {
 
 
 @cache
-def late(name: str) -> Any:
+def import_late(name: str) -> Any:
     """What a row of `ROWS` names."""
     module, _, member = ROWS[name].partition(":")
     found = import_module(module)
@@ -48,4 +48,4 @@ def late(name: str) -> Any:
 
 def call_late(name: str, *args: Any, **options: Any) -> Any:
     """What the function that a row names returns for these arguments."""
-    return late(name)(*args, **options)
+    return import_late(name)(*args, **options)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
-from kempe.arguments import explained
+from kempe.arguments import explain_errors
 from kempe.equations.closure_rows import of_system
 from kempe.model.model import FrameLike
 from kempe.spatial import Array
@@ -51,7 +51,7 @@ class Namespace:
 class Symbolic(Namespace):
     """Models of a system as formulas."""
 
-    @explained
+    @explain_errors
     def fk(
         self,
         frame: FrameLike,
@@ -72,7 +72,7 @@ class Symbolic(Namespace):
             self.system, frame, short, relative_to=relative_to, symbols=symbols, snap=snap
         )
 
-    @explained
+    @explain_errors
     def steps(
         self, frame: FrameLike, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0
     ) -> SymbolicSteps:
@@ -83,7 +83,7 @@ class Symbolic(Namespace):
 
         return derive_steps(self.system, frame, symbols=symbols, snap=snap)
 
-    @explained
+    @explain_errors
     def jacobian(
         self, frame: FrameLike, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0
     ) -> Any:
@@ -94,7 +94,7 @@ class Symbolic(Namespace):
 
         return derive_jacobian(self.system, frame, symbols=symbols, snap=snap)
 
-    @explained
+    @explain_errors
     def closure(
         self, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0
     ) -> SymbolicClosure:
@@ -105,7 +105,7 @@ class Symbolic(Namespace):
 
         return derive_closure(self.system, symbols=symbols, snap=snap)
 
-    @explained
+    @explain_errors
     def to_dh(
         self,
         frame: FrameLike,
@@ -121,7 +121,7 @@ class Symbolic(Namespace):
 
         return to_dh(self.system, frame, convention, symbols=symbols, snap=snap)
 
-    @explained
+    @explain_errors
     def ik(
         self,
         frame: FrameLike,
@@ -138,7 +138,7 @@ class Symbolic(Namespace):
 
         return symbolic_ik(self.system, frame, task, symbols=symbols, snap=snap)
 
-    @explained
+    @explain_errors
     def short(self, formula: Any) -> ShortForm:
         """A formula with c12 for cos(q1 + q2), and the legend; see
         `kempe.forward.symbolic_steps`.
@@ -154,7 +154,7 @@ class Inverse(Namespace):
     redundant chains.
     """
 
-    @explained
+    @explain_errors
     def plan(
         self,
         frame: FrameLike,
@@ -170,7 +170,7 @@ class Inverse(Namespace):
 
         return ik_plan(self.system, frame, task, fixed)
 
-    @explained
+    @explain_errors
     def sweep(
         self,
         target: ArrayLike,
@@ -201,7 +201,7 @@ class Inverse(Namespace):
             budget=budget,
         )
 
-    @explained
+    @explain_errors
     def self_motion(
         self,
         q: Any,
@@ -265,7 +265,7 @@ class Loops(Namespace):
 
         return closed_form(self.system, known)
 
-    @explained
+    @explain_errors
     def jacobian(
         self,
         q: Any,
@@ -283,7 +283,7 @@ class Loops(Namespace):
 
         return loop_jacobian(self.system, q, inputs, outputs, in_frame, tolerance=tolerance)
 
-    @explained
+    @explain_errors
     def mechanical_advantage(
         self,
         q: Any,
@@ -304,7 +304,7 @@ class Loops(Namespace):
             self.system, q, input, output, direction, still, tolerance=tolerance
         )
 
-    @explained
+    @explain_errors
     def relative_motion(
         self, q: ArrayLike, body: FrameLike, to: FrameLike, *, tolerance: float | str | None = None
     ) -> RelativeMotion:
@@ -316,7 +316,7 @@ class Loops(Namespace):
 
         return relative_motion(self.system, q, body, to, tolerance=tolerance)
 
-    @explained
+    @explain_errors
     def transmission_angle(
         self, q: Any, joint: str, coupler: str | None = None, output: str | None = None
     ) -> Any:
@@ -334,7 +334,7 @@ class ReachStudies(Namespace):
     workspaces.
     """
 
-    @explained
+    @explain_errors
     def poses(
         self,
         targets: ArrayLike,
@@ -352,7 +352,7 @@ class ReachStudies(Namespace):
 
         return reach_poses(self.system, targets, frame, task=task, budget=budget)
 
-    @explained
+    @explain_errors
     def place(
         self,
         targets: ArrayLike,
@@ -371,7 +371,7 @@ class ReachStudies(Namespace):
 
         return place_base(self.system, targets, frame, box, cells, task=task, budget=budget)
 
-    @explained
+    @explain_errors
     def capability(
         self,
         frame: FrameLike,
@@ -391,7 +391,7 @@ class ReachStudies(Namespace):
 
         return capability_map(self.system, frame, box, cells, directions, rolls, budget=budget)
 
-    @explained
+    @explain_errors
     def planar(
         self, frame: FrameLike, kind: str | None = None, orientation: Any = None
     ) -> PlanarWorkspace:

@@ -14,24 +14,24 @@ from typing import Any, cast
 import numpy as np
 
 from kempe import spatial
-from kempe.arguments import explained
+from kempe.arguments import explain_errors
 from kempe.arguments import numbers as numbers_of
 from kempe.arrays import (
     DEEPEST,
     FARTHEST,
     PLAIN,
+    check_range,
     is_array,
-    is_plain,
+    is_number_list,
     is_real,
     is_sequence,
-    reals,
-    within_range,
+    read_reals,
 )
-from kempe.errors import InputError, shown, warn
+from kempe.errors import InputError, format_value, warn
 from kempe.numerics.rank import Spectrum
 from kempe.spatial import Array
-from kempe.values import Expression, Value, evaluate, negate, value, values
-from kempe.words import counted
+from kempe.values import Expression, Value, evaluate_value, negate_value, read_value, read_values
+from kempe.words import format_count
 
 # ---- poses in many forms
 
@@ -55,7 +55,7 @@ WORDS = ("at", "rpy", "angle", "quat_wxyz", "quat_xyzw", "matrix")
 """What a pose in words can have: its place, and its orientation in one way."""
 
 
-def arrays(x: Any, what: str, depth: int = 0) -> Any:
+def read_pose_array(x: Any, what: str, depth: int = 0) -> Any:
     """What can be read as an array of poses (..., 4, 4), in the plane (..., 3, 3), rotations, or
     positions.
 
@@ -64,23 +64,23 @@ def arrays(x: Any, what: str, depth: int = 0) -> Any:
     ``{"at": (1, 0, 0), "quat_xyzw": (0, 0, 0, 1)}``, and lists of these become arrays; all else is
     given back as it is. Errors: `InputError`.
     """
-    if x.__class__ is np.ndarray or x.__class__ in PLAIN or is_plain(x):
+    if x.__class__ is np.ndarray or x.__class__ in PLAIN or is_number_list(x):
         return x
     if isinstance(x, Mapping):
-        return _in_words(cast("Mapping[str, Any]", x), what)
+        return _read_pose_mapping(cast("Mapping[str, Any]", x), what)
     if isinstance(x, (list, tuple)):
-        if (pair := _of_pair(x, what)) is not None:
+        if (pair := _read_pair(x, what)) is not None:
             return pair
         entries = cast("Sequence[Any]", x)
         if not any(
-            isinstance(e, (Mapping, list, tuple)) or _matrix(e) is not None for e in entries
+            isinstance(e, (Mapping, list, tuple)) or _find_matrix(e) is not None for e in entries
         ):
             return entries
         if depth == DEEPEST:
             raise InputError(
-                f"{what} is {shown(entries)}: lists are nested more than {DEEPEST} deep"
+                f"{what} is {format_value(entries)}: lists are nested more than {DEEPEST} deep"
             )
-        parts = [arrays(e, what, depth + 1) for e in entries]
+        parts = [read_pose_array(e, what, depth + 1) for e in entries]
         if all(a is b for a, b in zip(parts, entries, strict=True)):
             return entries
         shapes = {np.shape(p) for p in parts}
@@ -90,11 +90,11 @@ def arrays(x: Any, what: str, depth: int = 0) -> Any:
                 "one"
             )
         return np.array(parts)
-    found = _matrix(x)
+    found = _find_matrix(x)
     return x if found is None else found
 
 
-def sound(X: Array, what: str, exact: float = EXACT) -> Array:
+def correct_rotations(X: Array, what: str, exact: float = EXACT) -> Array:
     """Poses or rotations (..., n, n) of which those that are off by rounding are the nearest
     rotations, with a warning.
 
@@ -115,14 +115,16 @@ def sound(X: Array, what: str, exact: float = EXACT) -> Array:
             return X
     R = X[..., :3, :3]
     with np.errstate(invalid="ignore", over="ignore"):
-        off = _stretched(R)
+        off = _compute_rotation_defect(R)
     rounded = (off > exact) & (off <= ROUNDED)
-    if not rounded.any() or not (rounded := rounded & (rotation_error(R) <= ROUNDED)).any():
+    if not rounded.any() or not (rounded := rounded & (compute_rotation_error(R) <= ROUNDED)).any():
         return X
     out = X.copy()
     out[rounded, :3, :3] = Spectrum(R[rounded]).orthogonal
     some = (
-        "" if off.ndim == 0 else f" in {np.count_nonzero(rounded)} of {counted(off.size, 'case')}"
+        ""
+        if off.ndim == 0
+        else f" in {np.count_nonzero(rounded)} of {format_count(off.size, 'case')}"
     )
     warn(
         f"the rotation of {what} is off by {off[rounded].max():.1g} (R'R - 1){some}; the nearest "
@@ -131,7 +133,7 @@ def sound(X: Array, what: str, exact: float = EXACT) -> Array:
     return out
 
 
-def why_not_a_pose(X: Array, exact: float = EXACT) -> str:
+def explain_pose_error(X: Array, exact: float = EXACT) -> str:
     """What is wrong with a matrix (4, 4) as a pose that a search can begin with; '' where nothing
     is.
 
@@ -142,10 +144,10 @@ def why_not_a_pose(X: Array, exact: float = EXACT) -> str:
     if np.isfinite(last).all() and last != spatial.LAST_ROW:
         return f"its last row is {last}; it must be 0 0 0 1"
     try:
-        within_range(X, "its entry ")
+        check_range(X, "its entry ")
     except InputError as error:
         return str(error)
-    off = float(rotation_error(X[:3, :3]))
+    off = float(compute_rotation_error(X[:3, :3]))
     if off <= exact:
         return ""
     wrong = (
@@ -156,41 +158,43 @@ def why_not_a_pose(X: Array, exact: float = EXACT) -> str:
     return f"{wrong}, where R is its rotation; R must be orthonormal with determinant +1"
 
 
-def refuse_no_poses(X: Array, what: str, exact: float = EXACT) -> Array:
+def check_poses(X: Array, what: str, exact: float = EXACT) -> Array:
     """Poses (..., 4, 4) that a search can begin with. Errors: `InputError` that says which one is
     none, and why.
     """
     good = (X[..., 3, :] == spatial.LAST_ROW).all(axis=-1) & (np.abs(X) < FARTHEST).all(
         axis=(-1, -2)
     )
-    good &= rotation_error(X[..., :3, :3]) <= exact
+    good &= compute_rotation_error(X[..., :3, :3]) <= exact
     if not good.all():
         at = [int(i) for i in np.argwhere(~good)[0]]
-        raise InputError(f"{what}{at or ''} is not a pose: {why_not_a_pose(X[tuple(at)], exact)}")
+        raise InputError(
+            f"{what}{at or ''} is not a pose: {explain_pose_error(X[tuple(at)], exact)}"
+        )
     return X
 
 
-def _stretched(R: Array) -> Array:
+def _compute_rotation_defect(R: Array) -> Array:
     return np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max(axis=(-1, -2))
 
 
-def rotation_error(R: Array) -> Array:
+def compute_rotation_error(R: Array) -> Array:
     """How far (...) matrices (..., 3, 3) are from rotations: the largest entry of R'R - 1, at least
     2 for mirrors.
     """
     with np.errstate(invalid="ignore", over="ignore"):
-        off = _stretched(R)
+        off = _compute_rotation_defect(R)
         return np.where(np.linalg.det(R) < 0.0, np.maximum(off, 2.0), off)
 
 
-def _matrix(x: Any) -> Any:
+def _find_matrix(x: Any) -> Any:
     """The matrix that an object has, or the matrices; None where it has none."""
     if x.__class__ in PLAIN or isinstance(x, (str, np.ndarray)):
         return None
     inner = [part for name in AROUND if (part := getattr(x, name, None)) is not None]
     inner += [part for part in (getattr(e, AROUND[0], None) for e in inner) if part is not None]
     for message in (x, *inner):
-        if (found := _of_message(message)) is not None:
+        if (found := _read_message(message)) is not None:
             return found
     for name in PARTS:
         part = getattr(x, name, None)
@@ -203,7 +207,7 @@ def _matrix(x: Any) -> Any:
     return None
 
 
-def _of_message(x: Any) -> Array | None:
+def _read_message(x: Any) -> Array | None:
     """The pose that a message Pose or Transform says; None for all else."""
     for position, orientation in ROS:
         p = getattr(x, position, None)
@@ -214,13 +218,13 @@ def _of_message(x: Any) -> Array | None:
     return None
 
 
-def _of_pair(x: Any, what: str) -> Array | None:
+def _read_pair(x: Any, what: str) -> Array | None:
     """The poses of a pair of positions (..., n) and rotations (..., n, n), in either order; None
     for all else.
     """
     if len(x) != 2:
         return None
-    first, second = (_shaped(e) for e in x)
+    first, second = (_read_array(e) for e in x)
     if first is None or second is None:
         return None
     if first.shape[:-1] == second.shape[:-1] and {first.shape[-1:], second.shape[-1:]} == {
@@ -243,16 +247,16 @@ def _of_pair(x: Any, what: str) -> Array | None:
     return out
 
 
-def _shaped(x: Any) -> Array | None:
+def _read_array(x: Any) -> Array | None:
     """Numbers as an array; None for what is ragged or no numbers."""
-    found = _matrix(x)
+    found = _find_matrix(x)
     try:
-        return reals(x if found is None else found, "")
+        return read_reals(x if found is None else found, "")
     except InputError:
         return None
 
 
-def _in_words(x: Mapping[str, Any], what: str) -> Array:
+def _read_pose_mapping(x: Mapping[str, Any], what: str) -> Array:
     unknown = [n for n in x if n not in WORDS]
     ways = [n for n in x if n != "at"]
     if unknown or len(ways) > 1 or not x:
@@ -266,25 +270,25 @@ def _in_words(x: Mapping[str, Any], what: str) -> Array:
         raise InputError(
             f"{what} {wrong}; a pose in words has 'at' and one of {', '.join(WORDS[1:])}"
         )
-    at = reals(x.get("at", (0.0, 0.0, 0.0)), f"'at' of {what}")
+    at = read_reals(x.get("at", (0.0, 0.0, 0.0)), f"'at' of {what}")
     if not at.ndim or at.shape[-1] not in (2, 3):
         raise InputError(
             f"'at' of {what} has shape {at.shape}; it must be (..., 3), in the plane also (..., 2)"
         )
     p = np.zeros((*at.shape[:-1], 3))
     p[..., : at.shape[-1]] = at
-    return spatial.pose(_rotation_given(ways[0], x[ways[0]], what) if ways else np.eye(3), p)
+    return spatial.pose(_read_rotation(ways[0], x[ways[0]], what) if ways else np.eye(3), p)
 
 
-def _rotation_given(way: str, given: Any, what: str) -> Array:
+def _read_rotation(way: str, given: Any, what: str) -> Array:
     if way == "matrix":
-        found = _shaped(given)
+        found = _read_array(given)
         if found is None or found.shape[-2:] != (3, 3):
             raise InputError(
-                f"'matrix' of {what} is {shown(given)}; it must be rotations (..., 3, 3)"
+                f"'matrix' of {what} is {format_value(given)}; it must be rotations (..., 3, 3)"
             )
         return found
-    x = reals(given, f"{way!r} of {what}")
+    x = read_reals(given, f"{way!r} of {what}")
     if way == "angle":
         return spatial.rot_z(x)
     n = 3 if way == "rpy" else 4
@@ -294,7 +298,7 @@ def _rotation_given(way: str, given: Any, what: str) -> Array:
         return spatial.rpy_to_matrix(x)
     q = x if way == "quat_wxyz" else np.roll(x, 1, axis=-1)
     if not np.all(np.linalg.norm(q, axis=-1) > 0.0):
-        raise InputError(f"{way!r} of {what} is {shown(given)}; it must not be zero")
+        raise InputError(f"{way!r} of {what} is {format_value(given)}; it must not be zero")
     return spatial.quat_wxyz_to_matrix(q)
 
 
@@ -337,13 +341,13 @@ class Placement:
 
     steps: tuple[Step, ...] = ()
 
-    def evaluate(self, parameters: Mapping[str, Any]) -> spatial.Array:
+    def evaluate_pose(self, parameters: Mapping[str, Any]) -> spatial.Array:
         """Pose (4, 4), or (..., 4, 4) where parameters are arrays."""
         if not any(isinstance(x, Expression) for _, numbers in self.steps for x in numbers):
-            return _constant(self.steps)
+            return _compute_constant_pose(self.steps)
         out = np.eye(4)
         for motion, numbers in self.steps:
-            out = out @ _step_pose(motion, [evaluate(x, parameters) for x in numbers])
+            out = out @ _compute_step_pose(motion, [evaluate_value(x, parameters) for x in numbers])
         return out
 
     @cached_property
@@ -353,9 +357,9 @@ class Placement:
             n for _, xs in self.steps for x in xs if isinstance(x, Expression) for n in x.names
         )
 
-    def inverse(self) -> Placement:
+    def invert_steps(self) -> Placement:
         """The inverse placement, step by step, so that expressions stay expressions."""
-        return Placement(tuple(_inverse_step(*step) for step in reversed(self.steps)))
+        return Placement(tuple(_invert_step(*step) for step in reversed(self.steps)))
 
     def __str__(self) -> str:
         """The motions in their order: 'x = l1, rz = 0.5'; 'nothing' where they coincide."""
@@ -372,7 +376,7 @@ class Placement:
     def __matmul__(self, other: Placement) -> Placement:
         return Placement(self.steps + other.steps)
 
-    def simplified(self) -> Placement:
+    def drop_identity_steps(self) -> Placement:
         """Without steps that do nothing (slides and turns by exactly zero)."""
         return Placement(tuple(s for s in self.steps if s[0] not in _SCALAR or s[1] != (0.0,)))
 
@@ -380,7 +384,7 @@ class Placement:
 _SCALAR = ("x", "y", "z", "rx", "ry", "rz")
 
 
-@explained
+@explain_errors
 def place(
     at: object = (0.0, 0.0, 0.0),
     rpy: object = None,
@@ -391,8 +395,9 @@ def place(
 ) -> Placement:
     """Placement with the origin `at` (2 or 3 lengths) and an orientation given in at most one way.
 
-    `at` can also be a pose in any form that `kempe.poses.arrays` reads, or a `Placement`, which are
-    turned further by the rest. `rpy` are fixed-axis angles x, y, z; `angle` turns about z (planar
+    `at` can also be a pose in any form that `kempe.poses.read_pose_array` reads, or a `Placement`,
+    which are turned further by the rest. `rpy` are fixed-axis angles x, y, z; `angle` turns about z
+    (planar
     systems); `quat_wxyz` and `matrix` as named. `axis` finally turns z to this direction, read in
     the axes that the rest describes; it need not have unit length, and can be a name: "x", "-z".
     Errors: `InputError` for wrong counts, numbers that are not finite, a zero axis, a matrix that
@@ -404,15 +409,17 @@ def place(
         angle is None
         and quat_wxyz is None
         and matrix is None
-        and _floats(at)
-        and _floats(rpy)
-        and _floats(axis)
+        and _are_floats(at)
+        and _are_floats(rpy)
+        and _are_floats(axis)
     ):
-        return _plain(*(None if x is None else tuple(x) for x in (at, rpy, axis)))  # type: ignore[arg-type]
-    at = arrays(at, "at")
+        return _make_plain_placement(*(None if x is None else tuple(x) for x in (at, rpy, axis)))  # type: ignore[arg-type]
+    at = read_pose_array(at, "at")
     if (at.__class__ is not tuple or len(at) == 4) and _is_pose(at):  # type: ignore[arg-type]
-        return place(placement_of_pose(at), rpy, angle, axis, quat_wxyz, matrix)
-    steps: list[Step] = [(n, (x,)) for n, x in zip("xyz", values(at, (2, 3), "at"), strict=False)]
+        return place(make_placement_from_pose(at), rpy, angle, axis, quat_wxyz, matrix)
+    steps: list[Step] = [
+        (n, (x,)) for n, x in zip("xyz", read_values(at, (2, 3), "at"), strict=False)
+    ]
     ways = {"rpy": rpy, "angle": angle, "quat_wxyz": quat_wxyz, "matrix": matrix}
     given = [n for n, x in ways.items() if x is not None]
     if len(given) > 1:
@@ -422,32 +429,32 @@ def place(
             raise InputError(
                 f"rpy is {rpy!r}; it must have 3 numbers; one turn about z is angle={rpy!r}"
             )
-        roll, pitch, yaw = values(rpy, 3, "rpy")
+        roll, pitch, yaw = read_values(rpy, 3, "rpy")
         steps += [("rz", (yaw,)), ("ry", (pitch,)), ("rx", (roll,))]
     if angle is not None:
-        steps.append(("rz", (value(angle, "angle"),)))
+        steps.append(("rz", (read_value(angle, "angle"),)))
     if quat_wxyz is not None:
-        steps.append(("quat_wxyz", values(quat_wxyz, 4, "quat_wxyz")))
+        steps.append(("quat_wxyz", read_values(quat_wxyz, 4, "quat_wxyz")))
     if matrix is not None:
-        R = numbers_of(arrays(matrix, "matrix"), "matrix")
+        R = numbers_of(read_pose_array(matrix, "matrix"), "matrix")
         if R.shape == (4, 4):
             raise InputError(
                 "matrix is a pose (4, 4); it must be a rotation (3, 3), and a pose is given as at"
             )
-        steps.append(("matrix", values(_rotation(R).reshape(-1), 9, "matrix")))
+        steps.append(("matrix", read_values(_correct_rotation(R).reshape(-1), 9, "matrix")))
     for step in steps:
         check_step(*step)
     if axis is not None:
-        steps += axis_steps(axis)
-    return Placement(tuple(steps)).simplified()
+        steps += list_axis_steps(axis)
+    return Placement(tuple(steps)).drop_identity_steps()
 
 
-def _rotation(R: spatial.Array) -> spatial.Array:
+def _correct_rotation(R: spatial.Array) -> spatial.Array:
     """A rotation (3, 3), the nearest one where its numbers are rounded; what is none stays."""
-    return sound(R, "matrix", ROTATION_TOLERANCE) if R.shape == (3, 3) else R
+    return correct_rotations(R, "matrix", ROTATION_TOLERANCE) if R.shape == (3, 3) else R
 
 
-def _floats(x: object) -> bool:
+def _are_floats(x: object) -> bool:
     """Whether there are plain numbers, in a tuple or a list, or nothing."""
     entries: Any = x
     return x is None or (
@@ -456,18 +463,18 @@ def _floats(x: object) -> bool:
 
 
 @lru_cache(4096)
-def _plain(
+def _make_plain_placement(
     at: tuple[float, ...] | None, rpy: tuple[float, ...] | None, axis: tuple[float, ...] | None
 ) -> Placement:
     """`place` of plain numbers; many joints have the same ones."""
     steps: list[Step] = [
-        (n, (x,)) for n, x in zip("xyz", values(at, (2, 3), "at"), strict=False) if x != 0.0
+        (n, (x,)) for n, x in zip("xyz", read_values(at, (2, 3), "at"), strict=False) if x != 0.0
     ]
     if rpy is not None:
-        roll, pitch, yaw = values(rpy, 3, "rpy")
+        roll, pitch, yaw = read_values(rpy, 3, "rpy")
         steps += [(n, (x,)) for n, x in (("rz", yaw), ("ry", pitch), ("rx", roll)) if x != 0.0]
     if axis is not None:
-        steps += axis_steps(axis)
+        steps += list_axis_steps(axis)
     return Placement(tuple(steps))
 
 
@@ -478,7 +485,7 @@ def _is_pose(at: object) -> bool:
     return is_array(at) and at.shape == (4, 4)
 
 
-def direction(axis: object) -> object:
+def read_direction(axis: object) -> object:
     """`axis` as it is, or the three numbers that its name means: "x", "-z". Errors: `InputError`
     for other names.
     """
@@ -490,11 +497,11 @@ def direction(axis: object) -> object:
     return AXES[name]
 
 
-def axis_steps(axis: object) -> list[Step]:
+def list_axis_steps(axis: object) -> list[Step]:
     """The step that turns z to `axis` (2 or 3 numbers, or a name), or nothing where it is z.
     Errors: `InputError`.
     """
-    numbers = values(direction(axis) if isinstance(axis, str) else axis, (2, 3), "axis")
+    numbers = read_values(read_direction(axis) if isinstance(axis, str) else axis, (2, 3), "axis")
     if any(isinstance(x, Expression) for x in numbers):
         raise InputError(
             f"axis is {list(map(str, numbers))}; it must be plain numbers (turn the frame by rpy "
@@ -505,14 +512,14 @@ def axis_steps(axis: object) -> list[Step]:
     return [] if numbers[:2] == (0.0, 0.0) and float(numbers[2]) > 0 else [("align", numbers)]  # type: ignore[arg-type]
 
 
-def placement_of_pose(X: object) -> Placement:
+def make_placement_from_pose(X: object) -> Placement:
     """Placement of a pose given as a (4, 4) matrix. Errors: `InputError` where it is not a rigid
     motion.
     """
     X = numbers_of(X, "pose")
     if X.shape != (4, 4):
         raise InputError(f"the matrix of a pose has shape {X.shape}; it must be (4, 4)")
-    spatial._poses(X, "the matrix")
+    spatial._read_poses(X, "the matrix")
     return (
         place(X[:3, 3])
         if np.array_equal(X[:3, :3], np.eye(3))
@@ -526,7 +533,7 @@ def check_step(motion: str, numbers: tuple[Value, ...]) -> None:
         raise InputError(f"unknown motion {motion!r}; allowed are {', '.join(COUNTS)}")
     if len(numbers) != COUNTS[motion]:
         raise InputError(
-            f"{motion} has {counted(len(numbers), 'number')}; it must have {COUNTS[motion]}"
+            f"{motion} has {format_count(len(numbers), 'number')}; it must have {COUNTS[motion]}"
         )
     if motion in _SCALAR:
         if is_real(numbers[0]) and not abs(numbers[0]) < FARTHEST:
@@ -564,14 +571,14 @@ _AXES = {
 
 
 @lru_cache(1024)
-def _constant(steps: tuple[Step, ...]) -> spatial.Array:
+def _compute_constant_pose(steps: tuple[Step, ...]) -> spatial.Array:
     """Pose (4, 4), read-only, of steps without parameters."""
     rows = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]
     for motion, numbers in steps:
         place = _AXES.get(motion)
         if place is None:
             R = np.array(rows)
-            R[:, :3] = R[:, :3] @ _constant_turn(motion, numbers)
+            R[:, :3] = R[:, :3] @ _compute_constant_rotation(motion, numbers)
             rows = R.tolist()
             continue
         turns, axis = place
@@ -592,11 +599,11 @@ def _constant(steps: tuple[Step, ...]) -> spatial.Array:
 
 
 @lru_cache(1024)
-def _constant_turn(motion: str, numbers: tuple[Value, ...]) -> spatial.Array:
-    return _step_pose(motion, list(numbers))[:3, :3]
+def _compute_constant_rotation(motion: str, numbers: tuple[Value, ...]) -> spatial.Array:
+    return _compute_step_pose(motion, list(numbers))[:3, :3]
 
 
-def _step_pose(motion: str, numbers: list[Any]) -> spatial.Array:
+def _compute_step_pose(motion: str, numbers: list[Any]) -> spatial.Array:
     if motion in ("x", "y", "z"):
         zero = np.zeros_like(np.asarray(numbers[0], dtype=float))
         p = [zero, zero, zero]
@@ -618,17 +625,17 @@ def _step_pose(motion: str, numbers: list[Any]) -> spatial.Array:
     return spatial.pose(0.5 * R @ (3.0 * np.eye(3) - np.swapaxes(R, -1, -2) @ R))
 
 
-def _inverse_step(motion: str, numbers: tuple[Value, ...]) -> Step:
+def _invert_step(motion: str, numbers: tuple[Value, ...]) -> Step:
     if motion in _SCALAR:
-        return motion, (negate(numbers[0]),)
+        return motion, (negate_value(numbers[0]),)
     if motion == "quat_wxyz":
-        return motion, (numbers[0], *(negate(x) for x in numbers[1:]))
+        return motion, (numbers[0], *(negate_value(x) for x in numbers[1:]))
     if motion == "matrix":
         return motion, tuple(numbers[3 * (i % 3) + i // 3] for i in range(9))
     return {"align": "unalign", "unalign": "align"}[motion], numbers
 
 
-def steps_from_data(data: Iterable[object]) -> Placement:
+def read_placement_steps(data: Iterable[object]) -> Placement:
     """Placement from ``[["z", "d1"], ["rx", 0.5], ["align", 0, 1, 0], ...]``. Errors: `InputError`."""
     steps: list[tuple[str, tuple[Value, ...]]] = []
     for item in data:
@@ -636,14 +643,14 @@ def steps_from_data(data: Iterable[object]) -> Placement:
             raise InputError(
                 f"step {item!r} must be a list of a motion and its numbers, such as ['rx', 0.5]"
             )
-        numbers = tuple(value(x, item[0]) for x in item[1:])
+        numbers = tuple(read_value(x, item[0]) for x in item[1:])
         if (
             item[0] == "matrix"
             and len(numbers) == 9
             and not any(isinstance(x, Expression) for x in numbers)
         ):
             numbers = tuple(
-                _rotation(np.array(numbers, dtype=float).reshape(3, 3)).ravel().tolist()
+                _correct_rotation(np.array(numbers, dtype=float).reshape(3, 3)).ravel().tolist()
             )
         step = (item[0], numbers)
         check_step(*step)

@@ -13,23 +13,23 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
-from kempe.arguments import explained_methods
-from kempe.arrays import is_array, is_whole, plain
-from kempe.errors import InputError, KempeError, MissingPackageError, shown
-from kempe.status import Status, named
+from kempe.arguments import explain_method_errors
+from kempe.arrays import is_array, is_whole, unwrap_scalar
+from kempe.errors import InputError, KempeError, MissingPackageError, format_value
+from kempe.status import Status, name_outcomes
 from kempe.words import (
     Quantities,
     Quantity,
     Unit,
-    aligned,
-    by_topic,
-    fixed,
-    image_html,
-    json_text,
-    jsonable,
-    paragraphs,
-    table_html,
-    topics_html,
+    align_columns,
+    format_fixed,
+    format_html_image,
+    format_html_paragraphs,
+    format_html_table,
+    format_html_topics,
+    format_json,
+    format_topics,
+    to_json_data,
 )
 
 MOST_JUDGED = 1_000_000
@@ -79,15 +79,15 @@ class Table(NamedTuple):
         """The table of HTML."""
         heads, columns, _ = self._columns(False, not self.grid)
         title, more = self._around()
-        table = table_html(heads, zip(*columns, strict=True))
-        return paragraphs(title) + table + paragraphs(more)
+        table = format_html_table(heads, zip(*columns, strict=True))
+        return format_html_paragraphs(title) + table + format_html_paragraphs(more)
 
     def aligned(self, degrees: bool = False) -> list[str]:
         """Lines with columns of equal width, in radians or degrees."""
         heads, columns, right = self._columns(degrees)
         if sum(right) > WIDE and not self.record:
             return self._cut(_beside(heads, columns))
-        return self._cut(aligned(heads, columns, right))
+        return self._cut(align_columns(heads, columns, right))
 
     def _columns(
         self, degrees: bool, digits: bool = False
@@ -144,7 +144,7 @@ def _in(unit: str) -> str:
 
 
 def _shown_unit(unit: str | None, degrees: bool) -> str:
-    return Unit(unit or "").within(degrees)
+    return Unit(unit or "").convert_units(degrees)
 
 
 def _digits(x: Any) -> str:
@@ -162,12 +162,12 @@ def _fixed(x: Any, degrees: bool, bare: bool = False) -> str:
         return ", ".join(f"{label} {_fixed(y, degrees)}".lstrip() for label, y in x.each)
     if not isinstance(x, Quantity):
         return str(x)
-    x = x.within(degrees)
+    x = x.convert_units(degrees)
     if np.ndim(x.value):
         low, high = x.value
         unit = "" if bare else x.unit
         return f"[{low:.5g}, {high:.5g}] {unit}".rstrip() if np.isfinite(x.value).any() else ""
-    return fixed(float(x.value), 4 if x.unit == "deg" else 6)
+    return format_fixed(float(x.value), 4 if x.unit == "deg" else 6)
 
 
 def _beside(heads: Sequence[str], columns: Sequence[Sequence[str]]) -> list[str]:
@@ -178,7 +178,7 @@ def _beside(heads: Sequence[str], columns: Sequence[Sequence[str]]) -> list[str]
     for k in range(blocks):
         part = slice(k * count // blocks, (k + 1) * count // blocks)
         shown = [list(heads), *zip(*(column[part] for column in columns), strict=True)]
-        out += [""] * bool(out) + aligned((), shown, [False] + [True] * (len(shown) - 1))
+        out += [""] * bool(out) + align_columns((), shown, [False] + [True] * (len(shown) - 1))
     return out
 
 
@@ -225,7 +225,7 @@ class Nearest(Protocol):
         ...
 
 
-@explained_methods
+@explain_method_errors
 class Result:
     """Base of all results: `Answer`, which has configurations, and `Report`, which has findings.
 
@@ -253,17 +253,17 @@ class Result:
         """
         said = {
             "success": np.asarray(self.success).tolist(),
-            "code": named(self.code),
+            "code": name_outcomes(self.code),
             "status": self.status,
         }
         own = self._data()
         head = {name: own.pop(name) for name in ("system", "frame") if name in own} | self._head()
         unit = {"angle_unit": "deg" if degrees else "rad"} if self._has_angles else {}
-        return jsonable(head | unit | said | own, degrees)
+        return to_json_data(head | unit | said | own, degrees)
 
     def to_json(self, degrees: bool = False) -> str:
         """The `data` as JSON."""
-        return json_text(self.data(degrees))
+        return format_json(self.data(degrees))
 
     def to_dataframe(self, degrees: bool = False) -> Any:
         """What it has in rows, as a `DataFrame` of pandas.
@@ -332,8 +332,8 @@ class Result:
 
     def _repr_html_(self) -> str:
         tables = "".join(table.html() for table in self._tables())
-        head = paragraphs([self._headline()])
-        return head + tables + paragraphs(self._notes()) + self._image()
+        head = format_html_paragraphs([self._headline()])
+        return head + tables + format_html_paragraphs(self._notes()) + self._image()
 
     def _image(self) -> str:
         """What `plot` draws, as HTML, where `_pictured` says so; '' where nothing can be drawn."""
@@ -344,16 +344,17 @@ class Result:
             axes = self_.plot()
         except (KempeError, ValueError, ArithmeticError):
             return ""
-        return image_html(np.ravel(axes)[0].figure, self._headline())
+        return format_html_image(np.ravel(axes)[0].figure, self._headline())
 
 
 by_code: Any = property(
-    lambda self: plain(np.asarray(self.code) == Status.SOLVED), doc="Whether (...) it is answered."
+    lambda self: unwrap_scalar(np.asarray(self.code) == Status.SOLVED),
+    doc="Whether (...) it is answered.",
 )
 """The `success` of results that have only a `code`."""
 
 
-@explained_methods
+@explain_method_errors
 class Report(Result):
     """Findings about a system, with their reasons. The `sentence` is the `status`."""
 
@@ -376,7 +377,7 @@ class Report(Result):
 
     def __str__(self) -> str:
         topics = self.topics()
-        return by_topic(self._headline(), topics) if topics else super().__str__()
+        return format_topics(self._headline(), topics) if topics else super().__str__()
 
     def text(self, degrees: bool = False, width: int = 0) -> str:
         """The text with its tables in columns; with `degrees` its angles are degrees.
@@ -388,12 +389,12 @@ class Report(Result):
         if not topics:
             return super().text(degrees, width)
         width = _line_width(width)
-        return by_topic(_filled(self._headline(), width), topics, width=width)
+        return format_topics(_filled(self._headline(), width), topics, width=width)
 
     def _repr_html_(self) -> str:
         topics = self.topics()
         return (
-            paragraphs([self._headline()]) + topics_html(topics)
+            format_html_paragraphs([self._headline()]) + format_html_topics(topics)
             if topics
             else super()._repr_html_()
         )
@@ -406,7 +407,7 @@ NARROWEST = 40
 def _line_width(width: Any) -> int:
     if not is_whole(width) or width < 0:
         raise InputError(
-            f"width is {shown(width)}; it must be a whole number of columns, 0 for any"
+            f"width is {format_value(width)}; it must be a whole number of columns, 0 for any"
         )
     return max(int(width), NARROWEST) if width else 0
 
@@ -417,7 +418,7 @@ def _filled(line: str, width: int) -> str:
 
 def _cell(x: Any, degrees: bool) -> Any:
     """A cell of a `DataFrame`."""
-    return x.within(degrees).value if isinstance(x, Quantity) else x
+    return x.convert_units(degrees).value if isinstance(x, Quantity) else x
 
 
 # ---- answers on one line

@@ -68,7 +68,7 @@ def pose(R: ArrayLike | None = None, p: ArrayLike | None = None) -> Array:
     return out
 
 
-def _poses(X: ArrayLike, what: str = "X") -> Array:
+def _read_poses(X: ArrayLike, what: str = "X") -> Array:
     """Poses (..., 4, 4), read: all NaN where the last row holds a NaN. `what` names them in
     messages.
 
@@ -94,7 +94,7 @@ def _poses(X: ArrayLike, what: str = "X") -> Array:
 @quiet
 def inverse(X: ArrayLike) -> Array:
     """Inverse (..., 4, 4) of poses, by transposing the rotation."""
-    given = _poses(X)
+    given = _read_poses(X)
     R = np.swapaxes(given[..., :3, :3], -1, -2)
     return pose(R, -np.einsum("...ij,...j->...i", R, given[..., :3, 3]))
 
@@ -102,22 +102,22 @@ def inverse(X: ArrayLike) -> Array:
 @quiet
 def rot_x(angle: ArrayLike) -> Array:
     """Rotation (..., 3, 3) about x by `angle` (...)."""
-    return _rot(angle, 0)
+    return _make_rotation(angle, 0)
 
 
 @quiet
 def rot_y(angle: ArrayLike) -> Array:
     """Rotation (..., 3, 3) about y by `angle` (...)."""
-    return _rot(angle, 1)
+    return _make_rotation(angle, 1)
 
 
 @quiet
 def rot_z(angle: ArrayLike) -> Array:
     """Rotation (..., 3, 3) about z by `angle` (...)."""
-    return _rot(angle, 2)
+    return _make_rotation(angle, 2)
 
 
-def _rot(angle: ArrayLike, axis: int) -> Array:
+def _make_rotation(angle: ArrayLike, axis: int) -> Array:
     angle = numbers(angle, "angle")
     c = np.cos(angle)
     s = np.sin(angle)
@@ -290,7 +290,7 @@ def exp_se3(twist: ArrayLike) -> Array:
     v = twist[..., :3]
     w = twist[..., 3:]
     K = skew(w)
-    _, b, c = _series(np.linalg.norm(w, axis=-1))
+    _, b, c = _evaluate_series(np.linalg.norm(w, axis=-1))
     V = np.eye(3) + b[..., None, None] * K + c[..., None, None] * (K @ K)
     return pose(exp_so3(w), np.einsum("...ij,...j->...i", V, v))
 
@@ -298,10 +298,10 @@ def exp_se3(twist: ArrayLike) -> Array:
 @quiet
 def log_se3(X: ArrayLike) -> Array:
     """Twist [v; w] (..., 6) whose exponential is the pose; the rotation is at most a half turn."""
-    given = _poses(X)
+    given = _read_poses(X)
     w = log_so3(given[..., :3, :3])
     K = skew(w)
-    a, b, _ = _series(np.linalg.norm(w, axis=-1))
+    a, b, _ = _evaluate_series(np.linalg.norm(w, axis=-1))
     angle2 = np.sum(w * w, axis=-1)
     k = cast(
         Array,
@@ -313,7 +313,7 @@ def log_se3(X: ArrayLike) -> Array:
     return np.concatenate([np.einsum("...ij,...j->...i", V_inverse, given[..., :3, 3]), w], axis=-1)
 
 
-def _series(angle: Array) -> tuple[Array, Array, Array]:
+def _evaluate_series(angle: Array) -> tuple[Array, Array, Array]:
     """sin(t)/t, (1 - cos t)/t^2 and (t - sin t)/t^3, by series for small t."""
     t2 = angle * angle
     small = angle < 1e-2
@@ -326,7 +326,7 @@ def _series(angle: Array) -> tuple[Array, Array, Array]:
 @quiet
 def adjoint(X: ArrayLike) -> Array:
     """Matrix (..., 6, 6) that takes twists [v; w] seen from B to twists seen from A, for X = X_AB."""
-    given = _poses(X)
+    given = _read_poses(X)
     R = given[..., :3, :3]
     p = given[..., :3, 3]
     out = np.zeros((*given.shape[:-2], 6, 6))
@@ -346,7 +346,7 @@ def pose_from_xyz_rpy(values: ArrayLike) -> Array:
 @quiet
 def xyz_rpy_from_pose(X: ArrayLike) -> Array:
     """x, y, z, roll, pitch, yaw (..., 6) of poses."""
-    given = _poses(X)
+    given = _read_poses(X)
     return np.concatenate([given[..., :3, 3], matrix_to_rpy(given[..., :3, :3])], axis=-1)
 
 

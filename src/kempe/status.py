@@ -69,11 +69,11 @@ PROOFS = tuple(s for s in MEMBERS if s.proof)
 """Outcomes that prove that there is no answer."""
 
 
-def member(code: Any) -> Any:
+def to_status(code: Any) -> Any:
     """The member of one number; the numbers (...) of a batch as they are."""
     return MEMBERS[code] if type(code) is int else code if np.ndim(code) else MEMBERS[int(code)]
 
 
-def named(code: Any) -> Any:
+def name_outcomes(code: Any) -> Any:
     """The name of one outcome, or nested lists of those of a batch."""
-    return [named(x) for x in code] if np.ndim(code) else MEMBERS[int(code)].name
+    return [name_outcomes(x) for x in code] if np.ndim(code) else MEMBERS[int(code)].name

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.arguments import explained, quiet, with_options
+from kempe.arguments import add_signature_options, explain_errors, quiet
 from kempe.budget import Budget
 from kempe.description.mechanism import subgroup
 from kempe.description.parts import Frame, ReadOnlyDict
@@ -57,8 +57,8 @@ __all__ = ["FrameLike", "System"]
 # ---- systems with joints taken out
 
 
-@explained
-def opened(system: SystemType, joints: str | Iterable[str] | None = None) -> SystemType:
+@explain_errors
+def open_loops(system: SystemType, joints: str | Iterable[str] | None = None) -> SystemType:
     """The system without these joints, by default without those that its tree leaves out: a loop
     becomes a tree.
 
@@ -77,7 +77,7 @@ def opened(system: SystemType, joints: str | Iterable[str] | None = None) -> Sys
     for name in names:
         if name not in mechanism.joints:
             raise UnknownNameError("joint", name, tuple(mechanism.joints), system.name)
-        _keep_ends(mechanism, name)
+        _add_joint_frames(mechanism, name)
         gone = set(system.structure.coordinates_of_joint(name))
         del mechanism.joints[name]
         mechanism.postures = {
@@ -91,7 +91,7 @@ def opened(system: SystemType, joints: str | Iterable[str] | None = None) -> Sys
     return type(system)(mechanism)
 
 
-def _keep_ends(mechanism: Mechanism, name: str) -> None:
+def _add_joint_frames(mechanism: Mechanism, name: str) -> None:
     """Give the moving bodies of a joint frames where it holds them, before those that are there."""
     joint = mechanism.joints[name]
     frames = dict[str, Frame]()
@@ -113,8 +113,8 @@ def _keep_ends(mechanism: Mechanism, name: str) -> None:
 class Pictured:
     """What a system looks like. Base of `System`."""
 
-    @explained
-    @with_options(PlotOptions)
+    @explain_errors
+    @add_signature_options(PlotOptions)
     def plot(self: Any, q: Any = None, *, path: Any = None, **options: Any) -> Any:
         """Matplotlib axes with a drawing of the system at one or several configurations, or along a
         motion.
@@ -126,7 +126,7 @@ class Pictured:
 
         return plot(self, q, path=path, **options)
 
-    @explained
+    @explain_errors
     def animate(
         self: Any,
         path: Any,
@@ -142,7 +142,7 @@ class Pictured:
 
         return animate(self, path, file, frames=frames, labels=labels, seconds=seconds, fps=fps)
 
-    @explained
+    @explain_errors
     def show(
         self: Any,
         q: Any = None,
@@ -163,7 +163,7 @@ class Pictured:
             self, q, frame=frame, path=path, share=share, port=port, browser=browser, deg=deg
         )
 
-    @explained
+    @explain_errors
     def save_html(
         self: Any, file: str | FilePath, q: Any = None, *, path: Any = None, seconds: float = 6.0
     ) -> None:
@@ -174,7 +174,7 @@ class Pictured:
 
         return save_html(self, file, q, path=path, seconds=seconds)
 
-    @explained
+    @explain_errors
     def plot_tree(self: Any, ax: Axes | None = None) -> Axes:
         """Matplotlib axes with the tree of bodies and joints; see
         `kempe.views.overviews.plot_tree`.
@@ -190,7 +190,7 @@ class Pictured:
 
         return notebook_page(self)
 
-    @explained
+    @explain_errors
     def plot_spaces(
         self: Any,
         frame: FrameLike,
@@ -281,7 +281,7 @@ class System(Model, Pictured):
         """Names of joints by the name of a group, as an SRDF or `Mechanism.group` declares them."""
         return ReadOnlyDict(self._mechanism.groups)
 
-    @explained
+    @explain_errors
     def group(self, name: str) -> System:
         """The system of a group of joints.
 
@@ -319,7 +319,7 @@ class System(Model, Pictured):
 
         return configuration_space(self)
 
-    @explained
+    @explain_errors
     def task_space(
         self, tasks: Any, q: Any = None, *, task: str | None = None, budget: Budget | None = None
     ) -> TaskSpace:
@@ -330,7 +330,7 @@ class System(Model, Pictured):
 
         return task_space(self, tasks, q, task=task, budget=budget)
 
-    @explained
+    @explain_errors
     def workspace(
         self,
         frame: FrameLike,
@@ -429,7 +429,7 @@ class System(Model, Pictured):
 
         return Symbolic(self)
 
-    @partial(explained, fast=True)
+    @partial(explain_errors, fast=True)
     def ik(
         self,
         target: Any,
@@ -474,7 +474,7 @@ class System(Model, Pictured):
             history=history,
         )
 
-    @partial(explained, fast=True)
+    @partial(explain_errors, fast=True)
     def ik_all(
         self,
         target: Any,
@@ -513,7 +513,7 @@ class System(Model, Pictured):
             budget=budget,
         )
 
-    @explained
+    @explain_errors
     def ik_path(
         self,
         targets: Any,
@@ -543,7 +543,7 @@ class System(Model, Pictured):
             budget=budget,
         )
 
-    @explained
+    @explain_errors
     def ik_step(
         self,
         q: Any,
@@ -582,7 +582,7 @@ class System(Model, Pictured):
 
         return Inverse(self)
 
-    @explained
+    @explain_errors
     def singularities(
         self,
         frame: FrameLike | None = None,
@@ -612,7 +612,7 @@ class System(Model, Pictured):
 
     # ---- closed loops
 
-    @explained
+    @explain_errors
     def assemble(
         self,
         known: Mapping[str, Any] | None = None,
@@ -652,7 +652,7 @@ class System(Model, Pictured):
 
         return idealised(self, tolerance, budget=budget)
 
-    @explained
+    @explain_errors
     def assembly_modes(
         self,
         known: Mapping[str, Any] | None = None,
@@ -672,7 +672,7 @@ class System(Model, Pictured):
             self, known, start, limits=limits, frame=frame, tolerance=tolerance, budget=budget
         )
 
-    @explained
+    @explain_errors
     def independent(
         self, q: Any = None, prefer: Iterable[str] = (), *, tolerance: float | str | None = None
     ) -> Chart:
@@ -692,7 +692,7 @@ class System(Model, Pictured):
 
     # ---- degrees of freedom and motion
 
-    @explained
+    @explain_errors
     def mobility(
         self,
         q: Any = None,
@@ -730,7 +730,7 @@ class System(Model, Pictured):
 
         return classify(self, q, t=t, project=project, rng=rng, tolerance=tolerance, budget=budget)
 
-    @explained
+    @explain_errors
     def trace(
         self,
         driver: str | None = None,
@@ -760,7 +760,7 @@ class System(Model, Pictured):
             budget=budget,
         )
 
-    @explained
+    @explain_errors
     def drive(
         self,
         inputs: Mapping[str, Any],
@@ -790,7 +790,7 @@ class System(Model, Pictured):
             budget=budget,
         )
 
-    @explained
+    @explain_errors
     def manoeuvre(
         self,
         start: Any,
@@ -807,7 +807,7 @@ class System(Model, Pictured):
 
         return manoeuvre(self, start, goal, radius=radius, free=free, budget=budget)
 
-    @explained
+    @explain_errors
     def simulate(
         self,
         duration: float,
@@ -850,7 +850,7 @@ class System(Model, Pictured):
         `kempe.system`.
         """
 
-        return opened(self, joints)
+        return open_loops(self, joints)
 
     def with_limits(self, limits: Any = None, velocity: Any = None) -> System:
         """A copy of the system with other limits, by coordinate name; see

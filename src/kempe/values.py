@@ -13,8 +13,8 @@ import numpy as np
 
 from kempe.arguments import is_list
 from kempe.arrays import is_real
-from kempe.errors import InputError, UnknownNameError, shown
-from kempe.words import counted
+from kempe.errors import InputError, UnknownNameError, format_value
+from kempe.words import format_count
 
 FUNCTIONS: dict[str, Callable[..., Any]] = {
     "sin": np.sin,
@@ -68,7 +68,7 @@ class Expression:
 
     def __init__(self, text: str, length: int = LENGTH_LIMIT):
         self.text = text.strip()
-        self._tree = _parse(self.text, length)
+        self._tree = _parse_expression(self.text, length)
         self.names = tuple(
             sorted(
                 {n.id for n in ast.walk(self._tree) if isinstance(n, ast.Name)}
@@ -95,7 +95,7 @@ class Expression:
         """Value in any algebra: `names` and `functions` give the leaves, `number` turns constants
         into it.
         """
-        return _fold(self._tree.body, names, functions, number)
+        return _fold_node(self._tree.body, names, functions, number)
 
     def __repr__(self) -> str:
         return f"Expression({self.text!r})"
@@ -112,48 +112,48 @@ class Expression:
     def __reduce__(self):
         return (Expression, (self.text, max(LENGTH_LIMIT, len(self.text))))
 
-    def _with(self, form: str, other: Value) -> Expression:
-        return Expression(form.format(a=_bracket(self), b=_bracket(other)))
+    def _combine_operands(self, form: str, other: Value) -> Expression:
+        return Expression(form.format(a=_add_brackets(self), b=_add_brackets(other)))
 
     def __add__(self, other: Value) -> Expression:
-        return self._with("{a} + {b}", other)
+        return self._combine_operands("{a} + {b}", other)
 
     def __radd__(self, other: Value) -> Expression:
-        return self._with("{b} + {a}", other)
+        return self._combine_operands("{b} + {a}", other)
 
     def __sub__(self, other: Value) -> Expression:
-        return self._with("{a} - {b}", other)
+        return self._combine_operands("{a} - {b}", other)
 
     def __rsub__(self, other: Value) -> Expression:
-        return self._with("{b} - {a}", other)
+        return self._combine_operands("{b} - {a}", other)
 
     def __mul__(self, other: Value) -> Expression:
-        return self._with("{a} * {b}", other)
+        return self._combine_operands("{a} * {b}", other)
 
     def __rmul__(self, other: Value) -> Expression:
-        return self._with("{b} * {a}", other)
+        return self._combine_operands("{b} * {a}", other)
 
     def __truediv__(self, other: Value) -> Expression:
-        return self._with("{a} / {b}", other)
+        return self._combine_operands("{a} / {b}", other)
 
     def __rtruediv__(self, other: Value) -> Expression:
-        return self._with("{b} / {a}", other)
+        return self._combine_operands("{b} / {a}", other)
 
     def __pow__(self, other: Value) -> Expression:
-        return self._with("{a} ** {b}", other)
+        return self._combine_operands("{a} ** {b}", other)
 
     def __rpow__(self, other: Value) -> Expression:
-        return self._with("{b} ** {a}", other)
+        return self._combine_operands("{b} ** {a}", other)
 
     def __neg__(self) -> Expression:
-        return Expression(f"-{_bracket(self)}")
+        return Expression(f"-{_add_brackets(self)}")
 
 
 Value = float | Expression
 """What a length, an angle or a factor of a description is."""
 
 
-def value(x: object, what: str = "value") -> Value:
+def read_value(x: object, what: str = "value") -> Value:
     """`x` as a `Value`: finite numbers become floats, text becomes an expression. Errors:
     `InputError`.
     """
@@ -163,15 +163,15 @@ def value(x: object, what: str = "value") -> Value:
         return Expression(x)
     if not is_real(x):
         raise InputError(
-            f"{what} is {shown(x)}; it must be a number or an expression in parameters"
+            f"{what} is {format_value(x)}; it must be a number or an expression in parameters"
         )
     number = float(x)
     if not math.isfinite(number):
-        raise InputError(f"{what} is {shown(x)}; it must be finite")
+        raise InputError(f"{what} is {format_value(x)}; it must be finite")
     return number
 
 
-def values(xs: Any, count: int | tuple[int, ...], what: str) -> tuple[Value, ...]:
+def read_values(xs: Any, count: int | tuple[int, ...], what: str) -> tuple[Value, ...]:
     """A tuple of `Value` with one of the allowed lengths. Errors: `InputError`."""
     counts = (count,) if isinstance(count, int) else count
     given = xs
@@ -186,7 +186,7 @@ def values(xs: Any, count: int | tuple[int, ...], what: str) -> tuple[Value, ...
             return tuple(given)
     if not is_list(given):
         raise InputError(
-            f"{what} is {shown(given)}; it must have {' or '.join(map(str, counts))} numbers"
+            f"{what} is {format_value(given)}; it must have {' or '.join(map(str, counts))} numbers"
         )
     items: tuple[Any, ...] = tuple(given)
     if len(items) not in counts:
@@ -194,32 +194,32 @@ def values(xs: Any, count: int | tuple[int, ...], what: str) -> tuple[Value, ...
         raise InputError(
             f"{what} has {len(items)} number{s}; it must have {' or '.join(map(str, counts))}"
         )
-    return tuple(value(x, what) for x in items)
+    return tuple(read_value(x, what) for x in items)
 
 
-def evaluate(x: Value, parameters: Mapping[str, Any]) -> Any:
+def evaluate_value(x: Value, parameters: Mapping[str, Any]) -> Any:
     """Number (or array, where a parameter is one) that `x` stands for."""
     return x.evaluate(parameters) if isinstance(x, Expression) else x
 
 
-def negate(x: Value) -> Value:
+def negate_value(x: Value) -> Value:
     """The value with the other sign; a double minus is undone."""
     return -x
 
 
-def _bracket(x: Value) -> str:
+def _add_brackets(x: Value) -> str:
     if isinstance(x, Expression):
         simple = isinstance(x._tree.body, (ast.Name, ast.Call, ast.Constant))
         return x.text if simple else f"({x.text})"
     return repr(float(x)) if x >= 0 else f"({float(x)!r})"
 
 
-def _parse(text: str, length: int) -> ast.Expression:
+def _parse_expression(text: str, length: int) -> ast.Expression:
     if len(text) > length:
         raise InputError(f"expression of {len(text)} characters; at most {length} are allowed")
     try:
         tree = ast.parse(text, mode="eval")
-        _check(tree.body, text, 0)
+        _check_node(tree.body, text, 0)
     except (SyntaxError, ValueError, OverflowError, RecursionError, MemoryError) as error:
         if isinstance(error, InputError):
             raise
@@ -229,16 +229,16 @@ def _parse(text: str, length: int) -> ast.Expression:
     return tree
 
 
-def _check(node: ast.AST, text: str, depth: int) -> None:
+def _check_node(node: ast.AST, text: str, depth: int) -> None:
     if depth > DEPTH_LIMIT:
         raise InputError(
             f"{text[:40]!r}... has more than {DEPTH_LIMIT} operations inside each other"
         )
     if isinstance(node, ast.BinOp) and type(node.op) in _BINARY:
-        _check(node.left, text, depth + 1)
-        _check(node.right, text, depth + 1)
+        _check_node(node.left, text, depth + 1)
+        _check_node(node.right, text, depth + 1)
     elif isinstance(node, ast.UnaryOp) and type(node.op) in _UNARY:
-        _check(node.operand, text, depth + 1)
+        _check_node(node.operand, text, depth + 1)
     elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and not node.keywords:
         name = node.func.id
         if name not in FUNCTIONS:
@@ -246,10 +246,11 @@ def _check(node: ast.AST, text: str, depth: int) -> None:
         count = 2 if name in OF_TWO else 1
         if len(node.args) != count:
             raise InputError(
-                f"{text!r} calls {name} with {counted(len(node.args), 'number')}; it takes {count}"
+                f"{text!r} calls {name} with {format_count(len(node.args), 'number')}; it takes "
+                f"{count}"
             )
         for argument in node.args:
-            _check(argument, text, depth + 1)
+            _check_node(argument, text, depth + 1)
     elif isinstance(node, ast.Name) and node.id in FUNCTIONS:
         raise InputError(
             f"{text!r} uses the function {node.id!r} without its brackets, such as {node.id}(x)"
@@ -267,24 +268,24 @@ def _check(node: ast.AST, text: str, depth: int) -> None:
         )
 
 
-def _fold(
+def _fold_node(
     node: Any,
     names: Mapping[str, Any],
     functions: Mapping[str, Callable[..., Any]],
     number: Callable[..., Any],
 ) -> Any:
     if isinstance(node, ast.BinOp):
-        left = _fold(node.left, names, functions, number)
-        right = _fold(node.right, names, functions, number)
+        left = _fold_node(node.left, names, functions, number)
+        right = _fold_node(node.right, names, functions, number)
         try:
             result = _BINARY[type(node.op)](left, right)
         except (ZeroDivisionError, OverflowError):
             return number("nan")
         return number("nan") if isinstance(result, complex) else result
     if isinstance(node, ast.UnaryOp):
-        return _UNARY[type(node.op)](_fold(node.operand, names, functions, number))
+        return _UNARY[type(node.op)](_fold_node(node.operand, names, functions, number))
     if isinstance(node, ast.Call):
-        arguments = [_fold(a, names, functions, number) for a in node.args]
+        arguments = [_fold_node(a, names, functions, number) for a in node.args]
         return functions[node.func.id](*arguments)  # type: ignore[attr-defined]
     if isinstance(node, ast.Name):
         return names[node.id]

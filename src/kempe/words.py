@@ -29,7 +29,7 @@ PLURALS = {
 """Nouns whose plural has more than an s."""
 
 
-def plural(n: float, what: str) -> str:
+def make_plural(n: float, what: str) -> str:
     """A noun for a number of things, perhaps with words before it: 'start', 'planar joints',
     'bodies'.
     """
@@ -39,17 +39,17 @@ def plural(n: float, what: str) -> str:
     return f"{before} {PLURALS.get(noun, f'{noun}s')}".lstrip()
 
 
-def counted(n: int, what: str) -> str:
+def format_count(n: int, what: str) -> str:
     """A number of things in digits: '3 starts', '1 start', '2 bodies'."""
-    return f"{n} {plural(n, what)}"
+    return f"{n} {make_plural(n, what)}"
 
 
-def verb(n: int, one: str, more: str) -> str:
-    """The form of a verb for a number of things: ``verb(n, "is", "are")``."""
+def choose_verb(n: int, one: str, more: str) -> str:
+    """The form of a verb for a number of things: ``choose_verb(n, "is", "are")``."""
     return one if n == 1 else more
 
 
-def of_many(good: int, n: int, what: str) -> str:
+def format_share(good: int, n: int, what: str) -> str:
     """How many of several: '2 of 3 targets reached', '1 of 1 target reached'; the first word of
     `what` is a plural.
     """
@@ -57,22 +57,22 @@ def of_many(good: int, n: int, what: str) -> str:
     return f"{good} of {n} {first.removesuffix('s') if n == 1 else first} {rest}".rstrip()
 
 
-def in_words(n: int, what: str) -> str:
+def spell_count(n: int, what: str) -> str:
     """A number of things with small numbers written out: 'two joints'."""
-    return f"{SMALL[n] if n < len(SMALL) else n} {plural(n, what)}"
+    return f"{SMALL[n] if n < len(SMALL) else n} {make_plural(n, what)}"
 
 
-def cut(lines: list[str], most: int) -> list[str]:
+def cut_lines(lines: list[str], most: int) -> list[str]:
     """The first `most` lines, and how many more there are."""
     return lines if len(lines) <= most else [*lines[:most], f"... and {len(lines) - most} more"]
 
 
-def listed(words: Sequence[str], most: int) -> str:
+def join_first_words(words: Sequence[str], most: int) -> str:
     """The first `most` words, and dots for more: 'a, b, ...'."""
     return ", ".join([*words[:most], *(["..."] if words[most:] else [])])
 
 
-def joined(words: Sequence[str]) -> str:
+def join_words(words: Sequence[str]) -> str:
     """Words one after the other: 'a, b and c'; 'nothing' where there are none."""
     if not words:
         return "nothing"
@@ -82,7 +82,7 @@ def joined(words: Sequence[str]) -> str:
 # ---- text, HTML, JSON
 
 
-def by_topic(
+def format_topics(
     headline: str, topics: Iterable[tuple[str, Sequence[str]]], wide: int = 16, width: int = 0
 ) -> str:
     """A report as text: the headline, and under it the lines of each (title, lines) that are not
@@ -103,13 +103,13 @@ def by_topic(
     return "\n".join(out)
 
 
-def fixed(x: float, decimals: int = 6) -> str:
+def format_fixed(x: float, decimals: int = 6) -> str:
     """A number with fixed decimals, without negative zero."""
     text = f"{x:.{decimals}f}"
     return text[1:] if text.startswith("-") and not text.strip("-0.") else text
 
 
-def aligned(
+def align_columns(
     heads: Sequence[str], columns: Sequence[Sequence[str]], right: Sequence[bool] = ()
 ) -> list[str]:
     """Lines of columns of equal width under their heads, numbers on the `right`."""
@@ -126,7 +126,7 @@ def aligned(
     return [line.rstrip() for line in lines[0 if heads else 1 :]]
 
 
-def _escaped(text: str) -> str:
+def _escape_html(text: str) -> str:
     """Text as HTML shows it as it is."""
     # sentences are made at start-up, and need no HTML; so with JSON and images below
     from html import escape
@@ -134,9 +134,9 @@ def _escaped(text: str) -> str:
     return escape(text)
 
 
-def paragraphs(lines: Iterable[str]) -> str:
+def format_html_paragraphs(lines: Iterable[str]) -> str:
     """Lines as paragraphs of HTML."""
-    return "".join(f"<p>{_escaped(line)}</p>" for line in lines)
+    return "".join(f"<p>{_escape_html(line)}</p>" for line in lines)
 
 
 class InWords:
@@ -145,33 +145,35 @@ class InWords:
     __slots__ = ()
 
     def _repr_html_(self) -> str:
-        return paragraphs(str(self).splitlines())
+        return format_html_paragraphs(str(self).splitlines())
 
 
-def image_html(figure: Any, said: str) -> str:
+def format_html_image(figure: Any, said: str) -> str:
     """A figure of matplotlib as an image of HTML, with words for those who do not see it."""
     from base64 import b64encode
 
     data = io.BytesIO()
     figure.savefig(data, format="png", dpi=72, bbox_inches="tight")
     return (
-        f'<p><img alt="{_escaped(said)}" '
+        f'<p><img alt="{_escape_html(said)}" '
         f'src="data:image/png;base64,{b64encode(data.getvalue()).decode()}"/></p>'
     )
 
 
-def table_html(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+def format_html_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """A table of HTML; empty without rows."""
-    body = "".join(f"<tr>{''.join(f'<td>{_escaped(x)}</td>' for x in row)}</tr>" for row in rows)
-    top = f"<tr>{''.join(f'<th>{_escaped(h)}</th>' for h in heads)}</tr>" if heads else ""
+    body = "".join(
+        f"<tr>{''.join(f'<td>{_escape_html(x)}</td>' for x in row)}</tr>" for row in rows
+    )
+    top = f"<tr>{''.join(f'<th>{_escape_html(h)}</th>' for h in heads)}</tr>" if heads else ""
     return f"<table>{top}{body}</table>" if body else ""
 
 
-def topics_html(topics: Iterable[tuple[str, Sequence[str]]]) -> str:
+def format_html_topics(topics: Iterable[tuple[str, Sequence[str]]]) -> str:
     """The (title, lines) of a report as a table of HTML, without lines that are empty."""
     rows = "".join(
-        f"<tr><th style='text-align:left;vertical-align:top'>{_escaped(title)}</th>"
-        f"<td style='text-align:left'>{'<br>'.join(_escaped(x) for x in lines if x)}</td></tr>"
+        f"<tr><th style='text-align:left;vertical-align:top'>{_escape_html(title)}</th>"
+        f"<td style='text-align:left'>{'<br>'.join(_escape_html(x) for x in lines if x)}</td></tr>"
         for title, lines in topics
     )
     return f"<table>{rows}</table>"
@@ -180,7 +182,7 @@ def topics_html(topics: Iterable[tuple[str, Sequence[str]]]) -> str:
 _NUMBERS = re.compile(r"\[\n\s+(?:[-+.\deE]+|null)(?:,\n\s+(?:[-+.\deE]+|null))*\n\s+\]")
 
 
-def json_text(data: Any, ascii_only: bool = False) -> str:
+def format_json(data: Any, ascii_only: bool = False) -> str:
     """Data as indented JSON, with lists of numbers on one line."""
     import json
 
@@ -201,7 +203,7 @@ class Quantity(NamedTuple):
     value: Any
     unit: str = ""
 
-    def within(self, degrees: bool) -> Quantity:
+    def convert_units(self, degrees: bool) -> Quantity:
         """The same in the unit that is shown."""
         if not degrees or self.unit != "rad":
             return self
@@ -217,7 +219,7 @@ class Quantities(NamedTuple):
 class Unit(str):
     """The unit of another entry of the data: 'deg' where that one is shown in degrees."""
 
-    def within(self, degrees: bool) -> str:
+    def convert_units(self, degrees: bool) -> str:
         """The unit that is shown."""
         return "deg" if degrees and self == "rad" else str(self)
 
@@ -229,41 +231,41 @@ class ByName(NamedTuple):
     units: Sequence[str]
     values: Any
 
-    def within(self, degrees: bool) -> Any:
+    def convert_units(self, degrees: bool) -> Any:
         """The values (..., n) in the units that are shown."""
         angles = [degrees and unit == "rad" for unit in self.units]
         return np.asarray(self.values, dtype=float) / np.where(angles, DEGREE, 1.0)
 
-    def data(self, degrees: bool = False) -> Any:
+    def to_dict(self, degrees: bool = False) -> Any:
         """A dict by name, nested lists of these for several; None where all values are NaN."""
-        return self._named(self.within(degrees))
+        return self._name_values(self.convert_units(degrees))
 
-    def _named(self, values: Any) -> Any:
+    def _name_values(self, values: Any) -> Any:
         if np.ndim(values) > 1:
-            return [self._named(x) for x in values]
+            return [self._name_values(x) for x in values]
         named = dict(zip(self.names, values.tolist(), strict=True))
         return None if named and np.isnan(values).all() else named
 
 
-def jsonable(values: Any, degrees: bool = False) -> Any:
+def to_json_data(values: Any, degrees: bool = False) -> Any:
     """Values as JSON has them: arrays as nested lists of numbers, quantities without their unit, in
     degrees or radians, None in place of NaN and infinities.
     """
     if isinstance(values, dict):
         items = cast("dict[Any, Any]", values).items()
-        return {key: jsonable(value, degrees) for key, value in items}
+        return {key: to_json_data(value, degrees) for key, value in items}
     if isinstance(values, Quantity):
-        return jsonable(values.within(degrees).value)
+        return to_json_data(values.convert_units(degrees).value)
     if isinstance(values, Unit):
-        return values.within(degrees)
+        return values.convert_units(degrees)
     if isinstance(values, ByName):
-        return jsonable(values.data(degrees))
+        return to_json_data(values.to_dict(degrees))
     if isinstance(values, np.generic):
-        return jsonable(values.item())
+        return to_json_data(values.item())
     if isinstance(values, np.ndarray):
-        return jsonable(values.tolist(), degrees)
+        return to_json_data(values.tolist(), degrees)
     if isinstance(values, (list, tuple)):
-        return [jsonable(v, degrees) for v in cast("Sequence[Any]", values)]
+        return [to_json_data(v, degrees) for v in cast("Sequence[Any]", values)]
     if isinstance(values, float):
         return values + 0.0 if math.isfinite(values) else None
     return values

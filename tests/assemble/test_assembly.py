@@ -147,7 +147,7 @@ def pinocchio_tree(pin, s):
         assert not s.structure.topology.reversed_[i - 1], (
             "joints from child to parent are not written by hand"
         )
-        before = at[parent] * pin.SE3(joint.X_PF.evaluate(m.parameters))
+        before = at[parent] * pin.SE3(joint.X_PF.evaluate_pose(m.parameters))
         here = ids[parent]
         primitives = joint.type.layout(s.dim)[1]
         names = s.structure.coordinates_of_joint(name)
@@ -168,7 +168,7 @@ def pinocchio_tree(pin, s):
             index = first if size == 1 else [first + 1, first + 2, first + 3, first]  # xyzw
             place[f"{name}_{k}"] = (model.joints[here].idx_q, size, index)
         ids[i] = here
-        at[i] = before * pin.SE3(joint.X_CM.evaluate(m.parameters)).inverse()
+        at[i] = before * pin.SE3(joint.X_CM.evaluate_pose(m.parameters)).inverse()
         model.addFrame(pin.Frame(s.body_names[i], here, 0, at[i], pin.FrameType.BODY))
     return model, place
 

@@ -23,7 +23,7 @@ from rounded import FAMILIES, NAMES, exact, in_place, perturbed, rounded, spheri
 import kempe
 from kempe import Mechanism, System
 from kempe.assemble import nearest_exact
-from kempe.budget import look
+from kempe.budget import check_for_stop
 from kempe.errors import InputError, TimeLimitError
 from kempe.model.characteristic_length import compute_characteristic_length
 from kempe.numerics import clock
@@ -544,7 +544,7 @@ def test_no_verb_answers_before_it_is_decided_which_mechanism_is_closed(verb, hu
 
     def search(system: kempe.System, *_: Any, **__: Any) -> None:
         searched.append(system)
-        look()
+        check_for_stop()
         raise AssertionError("the time was up")
 
     monkeypatch.setattr(nearest_exact, "_searched", search)

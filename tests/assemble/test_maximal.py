@@ -30,7 +30,7 @@ from kempe.errors import InputError
 from kempe.first_order.counting import count_freedoms
 from kempe.forward.maximal import maximal_q, to_maximal
 from kempe.joints import Free, Revolute, Spherical
-from kempe.poses import placement_of_pose
+from kempe.poses import make_placement_from_pose
 
 
 def closed(graph: Graph, seed: int) -> tuple[System, np.ndarray]:
@@ -43,15 +43,15 @@ def closed(graph: Graph, seed: int) -> tuple[System, np.ndarray]:
         names = s.structure.coordinates_of_joint(name)
         own = np.array([coordinate_value(s, q, n) for n in names])
         X_FM = joint_pose(joint.type, own, s.dim, m.bodies[joint.child].particle)
-        X_WM = s.fk(q, joint.child) @ joint.X_CM.evaluate({})
+        X_WM = s.fk(q, joint.child) @ joint.X_CM.evaluate_pose({})
         X_PF = spatial.inverse(s.fk(q, joint.parent)) @ X_WM @ spatial.inverse(X_FM)
         if m.bodies[joint.child].particle:  # its rotation is none: keep that of F
-            F = joint.X_PF.evaluate({})
+            F = joint.X_PF.evaluate_pose({})
             X_WF = s.fk(q, joint.parent) @ F
             shift = X_WM[:3, 3] - (X_WF @ X_FM)[:3, 3]
             X_PF = np.array(F)
             X_PF[:3, 3] += s.fk(q, joint.parent)[:3, :3].T @ shift
-        m.joints[name] = replace(joint, X_PF=placement_of_pose(X_PF))
+        m.joints[name] = replace(joint, X_PF=make_placement_from_pose(X_PF))
     out = m.build()
     assert (
         out.structure.closures == s.structure.closures

@@ -15,7 +15,7 @@ import kempe
 from kempe import Mechanism, System
 from kempe.assemble.modes import assembly_modes, estimates, must_be_even, search
 from kempe.joints import JointType, P, Primitive
-from kempe.poses import placement_of_pose
+from kempe.poses import make_placement_from_pose
 from kempe.spatial import exp_se3
 
 
@@ -58,7 +58,7 @@ def rssr_system(r: Rssr, end: str = "spherical") -> System:
     K = np.eye(4)
     K[:3, :3] = r.frame()
     K[:3, 3] = r.place
-    m.joint("D", "revolute", m.ground, rocker, at=placement_of_pose(K))
+    m.joint("D", "revolute", m.ground, rocker, at=make_placement_from_pose(K))
     return m.build()
 
 
@@ -350,7 +350,7 @@ def test_angles_that_wind_up_make_no_modes(factors):
     m = Mechanism("7R with a differential")
     bodies = ["ground", *(m.body(f"b{i}") for i in range(7)), "ground"]
     for i in range(8):
-        place = placement_of_pose(exp_se3(rng.uniform(-2, 2, 6)))
+        place = make_placement_from_pose(exp_se3(rng.uniform(-2, 2, 6)))
         m.revolute(f"J{i}", bodies[i], bodies[i + 1], at=place, child_at=place)
     m.couple("J5", {"J1": factors[0], "J2": factors[1]})
     system = m.build()

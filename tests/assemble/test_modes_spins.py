@@ -12,7 +12,7 @@ import pytest
 import kempe
 from kempe import Mechanism, System
 from kempe.assemble.generic_configurations import idle_freedoms_at
-from kempe.joints import joint_type
+from kempe.joints import make_joint_type
 from kempe.spatial import exp_so3
 
 
@@ -55,7 +55,7 @@ def rods(system: System, q: np.ndarray, platform: str) -> tuple[np.ndarray, np.n
     still = {}
     top = {}
     for joint in m.joints.values():
-        X = joint.X_PF.evaluate(m.parameters)
+        X = joint.X_PF.evaluate_pose(m.parameters)
         if joint.parent == platform:
             top[joint.name[1:]] = X[:3, 3]
         elif joint.name[0] in "BU":
@@ -69,7 +69,7 @@ def rods(system: System, q: np.ndarray, platform: str) -> tuple[np.ndarray, np.n
 def on_balls(name: str) -> Mechanism:
     """A shipped mechanism with balls in place of its universal joints."""
     m = kempe.load(name).mechanism
-    ball = joint_type("spherical")
+    ball = make_joint_type("spherical")
     m.joints |= {
         n: replace(j, type=ball) for n, j in m.joints.items() if j.type.type_name == "universal"
     }

@@ -47,8 +47,8 @@ def write_rows(mechanism: Mechanism) -> str:
                 CANNOT["trees and loops"],
             )
         before, after = (
-            angle_and_shift(X.evaluate(mechanism.parameters), axis)
-            for X, axis in ((joint.X_PF, 2), (joint.X_CM.inverse(), 0))
+            angle_and_shift(X.evaluate_pose(mechanism.parameters), axis)
+            for X, axis in ((joint.X_PF, 2), (joint.X_CM.invert_steps(), 0))
         )
         lines.append(
             ",".join([joint.type.type_name, *map(repr, (*reversed(after), *reversed(before)))])

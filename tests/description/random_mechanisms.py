@@ -7,7 +7,7 @@ import math
 from hypothesis import strategies as st
 
 from kempe.description.mechanism import Mechanism, between
-from kempe.poses import Placement, place, steps_from_data
+from kempe.poses import Placement, place, read_placement_steps
 
 NAMES = st.text(
     st.characters(codec="utf-8", exclude_characters="\0"), min_size=1, max_size=6
@@ -54,7 +54,7 @@ def placements(draw, dim, parameters):
         if draw(st.booleans()):
             return place(at=(draw(one), draw(one)), angle=draw(one))
         motions = draw(st.lists(st.sampled_from(["x", "y", "rz"]), max_size=4))
-        return steps_from_data([[m, draw(one)] for m in motions])
+        return read_placement_steps([[m, draw(one)] for m in motions])
     kind = draw(st.integers(0, 4))
     at = (draw(one), draw(one), draw(one))
     if kind == 0:
@@ -65,8 +65,8 @@ def placements(draw, dim, parameters):
         return place(at=at, matrix=[[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     scalars = st.tuples(st.sampled_from(["x", "y", "z", "rx", "ry", "rz"]), one).map(list)
     aligned = st.tuples(st.sampled_from(["align", "unalign"]), AXES).map(lambda t: [t[0], *t[1]])
-    X = steps_from_data(draw(st.lists(scalars | aligned, max_size=4)))
-    return X.inverse() if kind == 4 else X
+    X = read_placement_steps(draw(st.lists(scalars | aligned, max_size=4)))
+    return X.invert_steps() if kind == 4 else X
 
 
 @st.composite
@@ -145,8 +145,8 @@ def _joint(draw, m: Mechanism, name: str, parent: str, child: str, parameters: l
     del m.joints[name]
     names = [
         c
-        for c in joint.type.velocities(m.dim, particle)
-        if c in joint.type.coordinates(m.dim, particle)
+        for c in joint.type.list_velocity_names(m.dim, particle)
+        if c in joint.type.list_coordinate_names(m.dim, particle)
     ]
     chosen = draw(st.lists(st.sampled_from(names), max_size=2, unique=True)) if names else []
     bounds = {k: {c: draw(st.floats(0.0, 9.0)) for c in chosen} for k in ("velocity", "effort")}
@@ -195,7 +195,7 @@ def _relations(draw, m: Mechanism, parameters: list[str]) -> None:
     """Couplings, postures and locks between the coordinates that are no quaternions."""
     names = []
     for joint in m.joints.values():
-        for c in joint.type.coordinates(m.dim, m.bodies[joint.child].particle):
+        for c in joint.type.list_coordinate_names(m.dim, m.bodies[joint.child].particle):
             names += [f"{joint.name}.{c}" if c else joint.name] if c[:1] != "q" else []
     if not names:
         return

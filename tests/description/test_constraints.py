@@ -34,7 +34,7 @@ def test_ends_are_bodies_or_frames():
     assert by_keyword.X_PF == by_frame.X_PF == m.frames["tip"].X_BF
     assert (by_frame.parent, by_frame.child, by_frame.kind) == ("a", "b", "distance")
     shifted = m.point_on_line("r3", m.frames["tip"], "b", at=(0, 0, 3), axis=(1, 0, 0))
-    X = shifted.X_PF.evaluate({})
+    X = shifted.X_PF.evaluate_pose({})
     np.testing.assert_allclose(X[:3, 3], [1, 2, 3], atol=1e-15)
     np.testing.assert_allclose(X[:3, 2], [1, 0, 0], atol=1e-15)
     with pytest.raises(DescriptionError, match="given twice, by frames 'tip' and 'tip'"):

@@ -79,7 +79,10 @@ def fits_sdf(m: Mechanism) -> bool:
     loops = m.joints.values() if system.structure.closures else ()
     X = {b: system.fk(system.neutral, b) for b in m.bodies}
     ends = [
-        (X[j.parent] @ j.X_PF.evaluate(m.parameters), X[j.child] @ j.X_CM.evaluate(m.parameters))
+        (
+            X[j.parent] @ j.X_PF.evaluate_pose(m.parameters),
+            X[j.child] @ j.X_CM.evaluate_pose(m.parameters),
+        )
         for j in loops
     ]
     return all(np.abs(F - M).max() < 1e-9 for F, M in ends)

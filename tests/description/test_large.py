@@ -139,7 +139,9 @@ def is_where_its_joints_put_it(n: int, shape: str) -> None:
     joints = {j.child: j for j in mechanism.joints.values()}
     while body in joints:  # the other way round, by multiplication of what the description says
         joint = joints[body]
-        expected = joint.X_PF.evaluate({}) @ np.linalg.inv(joint.X_CM.evaluate({})) @ expected
+        expected = (
+            joint.X_PF.evaluate_pose({}) @ np.linalg.inv(joint.X_CM.evaluate_pose({})) @ expected
+        )
         body = joint.parent
     np.testing.assert_allclose(at, expected, atol=1e-9 * n)
 

@@ -114,7 +114,7 @@ def test_a_joint_can_sit_on_named_frames():
         m.frame("other", "link1", at="tip")
     on_tip = m.frame("on tip", "link2", at="tip", rpy=(0, 0, 0.5))
     np.testing.assert_allclose(
-        m.build().fk(q, on_tip), s.fk(q, "tip") @ place(angle=0.5).evaluate({}), atol=1e-15
+        m.build().fk(q, on_tip), s.fk(q, "tip") @ place(angle=0.5).evaluate_pose({}), atol=1e-15
     )
 
 
@@ -1349,8 +1349,8 @@ def test_constraints_and_frames_take_all_placements():
     c = m.point_on_line("c", m.ground, "b", at=(1, 2, 3), matrix=X[:3, :3])
     f = m.frame("tip", "b", at=X)
     for placement in (a.X_PF, c.X_PF, f.X_BF):
-        np.testing.assert_allclose(placement.evaluate({}), X, rtol=0, atol=1e-15)
-    np.testing.assert_allclose(b.X_PF.evaluate({})[:3, 2], -X[:3, 1], rtol=0, atol=1e-15)
+        np.testing.assert_allclose(placement.evaluate_pose({}), X, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(b.X_PF.evaluate_pose({})[:3, 2], -X[:3, 1], rtol=0, atol=1e-15)
 
 
 @pytest.mark.parametrize(

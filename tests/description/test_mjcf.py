@@ -1,4 +1,6 @@
-"""MJCF against MuJoCo: poses of all bodies and sites, the order of q, equalities and their freedoms."""
+"""MJCF against MuJoCo: poses of all bodies and sites, the order of q, equalities and their
+freedoms.
+"""
 
 from __future__ import annotations
 
@@ -333,7 +335,7 @@ def qpos_of(system: System, model, q: np.ndarray) -> np.ndarray:
     qpos = np.zeros(model.nq)
     for j in range(model.njnt):
         own = model.joint(j)
-        names = system.mechanism.joints[own.name].type.coordinates()
+        names = system.mechanism.joints[own.name].type.list_coordinate_names()
         first = own.qposadr[0]
         for k, part in enumerate(names):
             qpos[first + k] = values[f"{own.name}.{part}" if part else own.name]
@@ -430,7 +432,7 @@ def test_geoms_are_shapes(at_once):
         .replace("</mujoco>", "</mujoco>")
     )
     for name, shape in shapes.items():
-        X = shape.X_BS.evaluate({})
+        X = shape.X_BS.evaluate_pose({})
         np.testing.assert_allclose(X[:3, 3], model.geom(name).pos, rtol=0, atol=1e-15)
         R = np.zeros(9)
         mujoco.mju_quat2Mat(R, model.geom(name).quat)

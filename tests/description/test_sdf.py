@@ -79,7 +79,7 @@ def test_poses_are_those_of_drake(case: str, tmp_path: Path):
         np.testing.assert_allclose(system.fk(system.q(q), own)[:3], X, **EXACT, err_msg=own)
     for name, (X_PF, X_CM, axis) in found["loops"].items():
         j = whole.joints[own_name(name, whole.joints, case)]
-        for mine, X in ((j.X_PF.evaluate({}), X_PF), (j.X_CM.evaluate({}), X_CM)):
+        for mine, X in ((j.X_PF.evaluate_pose({}), X_PF), (j.X_CM.evaluate_pose({}), X_CM)):
             np.testing.assert_allclose(mine[:3, 3], np.array(X)[:, 3], **EXACT)
             np.testing.assert_allclose(mine[:3, 2], np.array(X)[:, :3] @ axis, **EXACT)
     assert len(whole.build().structure.closures) == len(found["loops"])
@@ -250,7 +250,7 @@ def test_constraints_of_drake():
     text = model(link("a") + link("b") + tie + joint("base", "world", "a", "", "fixed"))
     made = read_sdf(text).joints["ball_constraint"]
     assert (made.parent, made.child, made.type.type_name) == ("a", "b", "spherical")
-    assert made.X_PF.evaluate({})[:3, 3].tolist() == [1, 0, 0]
+    assert made.X_PF.evaluate_pose({})[:3, 3].tolist() == [1, 0, 0]
     rod = tie.replace("ball_", "distance_").replace(
         "</drake:distance_constraint>",
         "<drake:distance_constraint_distance>2</drake:distance_constraint_distance>"
@@ -388,9 +388,9 @@ def test_shapes(tmp_path: Path):
         "mesh",
     ] and {s.kind for s in found} <= set(SHAPES)
     assert [s.name for s in found] == ["v0", "v1", "v2", "v3", "v4", "v5", "red", "c", "far"]
-    assert found[3].X_BS.evaluate({})[2, 3] == 3.0
+    assert found[3].X_BS.evaluate_pose({})[2, 3] == 3.0
     assert found[6].color == (1.0, 0.0, 0.5, 1.0)
-    assert found[7].X_BS.evaluate({})[:3, 3].tolist() == [1, 0, 1]
+    assert found[7].X_BS.evaluate_pose({})[:3, 3].tolist() == [1, 0, 1]
     assert (found[7].visual, found[7].collision) == (False, True)
     geometry: Any = found[8].geometry
     assert geometry.path == "package://robot/m.dae"

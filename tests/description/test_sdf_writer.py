@@ -87,7 +87,7 @@ def test_shapes_come_back():
     assert found[2:] == [(s.geometry, s.visual, s.collision) for s in given[1:]]
     assert again.bodies["a"].shapes[0].color == (1, 0, 0, 0.5)
     np.testing.assert_allclose(
-        again.bodies["a"].shapes[0].X_BS.evaluate({}), given[0].X_BS.evaluate({}), **EXACT
+        again.bodies["a"].shapes[0].X_BS.evaluate_pose({}), given[0].X_BS.evaluate_pose({}), **EXACT
     )
 
 

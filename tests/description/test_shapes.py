@@ -79,16 +79,16 @@ def test_places_may_be_said_by_a_frame_by_angles_and_by_the_axis():
     m = arm()
     m.parameter("l", 0.4)
     m.frame("tip", "b", at=("l", 0, 0), rpy=(0.1, 0.2, 0.3))
-    X = m.frames["tip"].X_BF.evaluate(m.parameters)
+    X = m.frames["tip"].X_BF.evaluate_pose(m.parameters)
     for shape in (
         m.shape("tip", "sphere", radius=1),
         m.shape("b", "sphere", radius=1, at="tip"),
         m.shape("b", "sphere", radius=1, at=("l", 0, 0), roll=0.1, pitch=0.2, yaw=0.3),
     ):
-        np.testing.assert_allclose(shape.X_BS.evaluate(m.parameters), X, rtol=0, atol=1e-15)
-    along_x = m.shape("b", "cylinder", radius=1, length=2, axis="x").X_BS.evaluate({})
+        np.testing.assert_allclose(shape.X_BS.evaluate_pose(m.parameters), X, rtol=0, atol=1e-15)
+    along_x = m.shape("b", "cylinder", radius=1, length=2, axis="x").X_BS.evaluate_pose({})
     np.testing.assert_allclose(along_x[:3, 2], [1, 0, 0], rtol=0, atol=1e-15)
-    further = m.shape("tip", "sphere", radius=1, at=(1, 0, 0)).X_BS.evaluate(m.parameters)
+    further = m.shape("tip", "sphere", radius=1, at=(1, 0, 0)).X_BS.evaluate_pose(m.parameters)
     np.testing.assert_allclose(further[:3, 3], X[:3] @ [1, 0, 0, 1], rtol=0, atol=1e-15)
 
 
@@ -305,7 +305,7 @@ def ours(system: kempe.System, use: str) -> list[Row]:
                 g = s.geometry
                 sizes = (Path(g.path).name, *g.scale) if isinstance(g, Mesh) else _sizes(g)
                 color = s.color if use == "visual" else None
-                out.append((body.name, s.kind, sizes, X @ s.X_BS.evaluate({}), color))
+                out.append((body.name, s.kind, sizes, X @ s.X_BS.evaluate_pose({}), color))
     return sorted(out, key=_key)
 
 

@@ -244,8 +244,8 @@ def fingerprint(mechanism: Mechanism) -> tuple:
             j.type.type_name,
             j.parent,
             j.child,
-            j.X_PF.evaluate({}).tobytes(),
-            j.X_CM.evaluate({}).tobytes(),
+            j.X_PF.evaluate_pose({}).tobytes(),
+            j.X_CM.evaluate_pose({}).tobytes(),
             tuple(sorted(j.limits.items())),
         )
         for j in mechanism.joints.values()

@@ -20,7 +20,7 @@ from kempe import Mechanism, System, load, spatial
 from kempe import constraints as c
 from kempe.equations import closure_rows
 from kempe.errors import InputError
-from kempe.joints import joint_type
+from kempe.joints import make_joint_type
 from kempe.model.implicit_form import find_implicit_form
 
 STEP = 1e-6
@@ -168,7 +168,9 @@ a particle."""
 def test_closures(kind, options, dim, particle, backwards, own):
     s = loop(kind, options, dim, particle, backwards)
     closure = closure_of(s, "J", own)
-    type_ = joint_type(kind, **options)  # its constraints: see TABLE in tests/test_joint_zoo.py
+    type_ = make_joint_type(
+        kind, **options
+    )  # its constraints: see TABLE in tests/test_joint_zoo.py
     explicit = own or find_implicit_form(type_, dim, particle) is None
     assert closure.size == type_.constraints(dim, particle) + (
         type_.dof(dim, particle) if explicit else 0
@@ -189,7 +191,7 @@ def test_closed_loops_have_no_residual(kind, options, dim, particle, backwards):
     X_b = m.build().fk(
         {n: v for n, v in s.q_dict(q).items() if n.split(".")[0] in ("Ja", "J")}, "b"
     )
-    X = spatial.inverse(s.structure.joints["Jb"].X_PF.evaluate({})) @ X_b
+    X = spatial.inverse(s.structure.joints["Jb"].X_PF.evaluate_pose({})) @ X_b
     if particle or dim == 2:
         values = {f"Jb.{c}": X[i, 3] for i, c in enumerate("xyz"[:dim])}
         if not particle:

@@ -17,7 +17,7 @@ from kempe import Mechanism, library
 from kempe.assemble import bound
 from kempe.cli import report
 from kempe.equations.judge import Poses, judge, motion
-from kempe.joints import TYPES, joint_type
+from kempe.joints import TYPES, make_joint_type
 from kempe.status import Status
 
 
@@ -36,7 +36,7 @@ def test_motions_of_joints(name, hunt):
     kind = TYPES[name]
     options = {"pitch": 0.3} if name == "helical" else {}
     for dim in (2, 3) if kind.planar else (3,):
-        names, primitives = joint_type(name, **options).layout(dim)
+        names, primitives = make_joint_type(name, **options).layout(dim)
         for _ in range(hunt.cases(20)):
             q = rng.uniform(-3.0, 3.0, len(names))
             wanted = reference.joint_pose(name, q.tolist(), dim=dim, **options)

@@ -18,10 +18,10 @@ from kempe.equations import closure_rows
 from kempe.first_order.constraint_graph import build_constraint_graph
 from kempe.first_order.screws import Screws, compute_screws
 from kempe.forward.maximal import maximal_q
-from kempe.joints import TYPES, JointType, P, joint_type
+from kempe.joints import TYPES, JointType, P, make_joint_type
 
 TABLE = [kind(**options) for kind in TYPES.values() for options in variants(kind, 0.3)]
-EVERY = [*TABLE, *map(joint_type, PRODUCTS), *(kind() for kind in OWN)]
+EVERY = [*TABLE, *map(make_joint_type, PRODUCTS), *(kind() for kind in OWN)]
 CASES = [
     (kind, dim)
     for kind in EVERY
@@ -136,7 +136,9 @@ def test_random_types_between_free_bodies(hunt):
     rng = hunt.rng()
     for k in range(hunt.cases(100)):
         dim = int(rng.choice([2, 3]))
-        kind = joint_type(random_product(rng, dim)) if k % 2 else random_type(rng, f"t{k}", dim)
+        kind = (
+            make_joint_type(random_product(rng, dim)) if k % 2 else random_type(rng, f"t{k}", dim)
+        )
         check(kind, dim, rng)
 
 
@@ -145,7 +147,9 @@ def test_random_types_between_free_bodies_at_length(hunt):
     rng = hunt.rng()
     for k in range(hunt.cases(1000)):
         dim = int(rng.choice([2, 3]))
-        kind = joint_type(random_product(rng, dim)) if k % 2 else random_type(rng, f"t{k}", dim)
+        kind = (
+            make_joint_type(random_product(rng, dim)) if k % 2 else random_type(rng, f"t{k}", dim)
+        )
         check(kind, dim, rng)
 
 

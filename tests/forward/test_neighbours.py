@@ -160,7 +160,7 @@ def pinocchio_zoo(pin: Any) -> Any:
     """The same, by hand, in another order of names."""
     model = pin.Model()
     robot = zoo()
-    X = np.asarray(robot.structure.joints["ball"].X_PF.evaluate({}))
+    X = np.asarray(robot.structure.joints["ball"].X_PF.evaluate_pose({}))
     composite = pin.JointModelComposite(pin.JointModelPX())
     composite.addJoint(pin.JointModelRZ())
     composite.addJoint(pin.JointModelSpherical())

@@ -292,7 +292,7 @@ def seen(system: kempe.System, q: np.ndarray, kind: str) -> str:
     """
     first = system.structure.joints["q1"]
     X = [
-        system.fk(q, first.parent) @ first.X_PF.evaluate(system.structure.parameters),
+        system.fk(q, first.parent) @ first.X_PF.evaluate_pose(system.structure.parameters),
         *system.fk(q, LINKS),
     ]
     z = [Y[:3, 2] for Y in X]

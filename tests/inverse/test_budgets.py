@@ -394,7 +394,8 @@ def test_the_time_limit_leaves_what_is_known_of_a_batch(monkeypatch):
 
 def test_the_time_limit_of_one_target():
     assert (
-        solve_all.USUAL.of(None).time_limit == 30.0 and solve_all.BATCH.of(None).time_limit is None
+        solve_all.USUAL.complete_budget(None).time_limit == 30.0
+        and solve_all.BATCH.complete_budget(None).time_limit is None
     )
 
 
@@ -543,7 +544,10 @@ def test_a_search_that_is_asked_for_its_starts_has_them():
     s = two_arms()
     wanted = [tasks.Pose("left", s.fk(s.mid, "left")), tasks.Function(lambda q: q[8] ** 2 + 0.5)]
     assert s.ik(wanted, budget=kempe.Budget(starts=7)).starts == 7
-    assert ik_tasks.USUAL.of(None).time_limit == 30.0 and ik_tasks.BATCH.of(None).time_limit is None
+    assert (
+        ik_tasks.USUAL.complete_budget(None).time_limit == 30.0
+        and ik_tasks.BATCH.complete_budget(None).time_limit is None
+    )
     plain = s.ik(tasks.Pose("left", s.fk(s.mid, "left")))
     assert plain.problem.time_limit == 30.0
 

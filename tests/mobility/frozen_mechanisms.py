@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from kempe import Mechanism, System
-from kempe.poses import placement_of_pose
+from kempe.poses import make_placement_from_pose
 
 SWAPPABLE = {"revolute", "prismatic", "spherical", "cylindrical"}
 
@@ -39,8 +39,8 @@ def joint_frames(system: System, q: np.ndarray) -> dict[str, np.ndarray]:
     pose = dict(zip(system.body_names, system.fk(q), strict=True))
     out = {}
     for joint in system.structure.joints.values():
-        F = pose[joint.parent] @ joint.X_PF.evaluate(system.structure.parameters)
-        M = pose[joint.child] @ joint.X_CM.evaluate(system.structure.parameters)
+        F = pose[joint.parent] @ joint.X_PF.evaluate_pose(system.structure.parameters)
+        M = pose[joint.child] @ joint.X_CM.evaluate_pose(system.structure.parameters)
         K = np.eye(4)
         if joint.type.type_name == "universal":
             x = F[:3, 0]
@@ -74,7 +74,7 @@ def rebuilt(system: System, q: np.ndarray, change: Change) -> System:
         ends = (name(joint.parent), name(joint.child))
         if joint.name in change.swap and kind in SWAPPABLE:
             ends = ends[::-1]
-        where = {"at": placement_of_pose(K), "child_at": placement_of_pose(K)}
+        where = {"at": make_placement_from_pose(K), "child_at": make_placement_from_pose(K)}
         if system.dim == 2:
             where = {"at": K[:2, 3], "child_at": K[:2, 3]}
             if kind == "prismatic":

@@ -320,7 +320,7 @@ def freedoms_of_bodies(m: Mechanism) -> int:
     column = {b: 3 * (i - 1) for i, b in enumerate(m.bodies)}
     G = np.zeros((2 * len(m.joints), 3 * (len(m.bodies) - 1)))
     for k, joint in enumerate(m.joints.values()):
-        x, y = joint.X_PF.evaluate({})[:2, 3]
+        x, y = joint.X_PF.evaluate_pose({})[:2, 3]
         for body, sign in ((joint.parent, -1.0), (joint.child, 1.0)):
             if column[body] >= 0:
                 G[2 * k : 2 * k + 2, column[body] : column[body] + 3] += sign * np.array(

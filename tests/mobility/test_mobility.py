@@ -376,8 +376,8 @@ def held_rows(system: System, q: np.ndarray, released: dict[str, tuple[str, ...]
     column = {b: 6 * i for i, b in enumerate(system.body_names[1:])}
     rows = []
     for joint in system.structure.joints.values():
-        F = pose[joint.parent] @ joint.X_PF.evaluate(system.structure.parameters)
-        M = pose[joint.child] @ joint.X_CM.evaluate(system.structure.parameters)
+        F = pose[joint.parent] @ joint.X_PF.evaluate_pose(system.structure.parameters)
+        M = pose[joint.child] @ joint.X_CM.evaluate_pose(system.structure.parameters)
         R = F[:3, :3]
         p = M[:3, 3]
         if joint.type.type_name == "universal":
@@ -596,7 +596,7 @@ def test_what_is_nearly_a_mechanism_is_none_for_certain_or_probably_one(off):
     pose = dict(zip(system.body_names, system.fk(system.q("closed")), strict=True))
     world = World("nearly")
     for j in system.structure.joints.values():
-        F = pose[j.parent] @ j.X_PF.evaluate(system.structure.parameters)
+        F = pose[j.parent] @ j.X_PF.evaluate_pose(system.structure.parameters)
         p = F[:3, 3] + off * rng.normal(size=3)
         z = F[:3, 2] + off * rng.normal(size=3)
         world.turn(

@@ -19,7 +19,7 @@ from kempe.first_order.rank import compute_rank
 from kempe.first_order.redundant_constraints import describe_reactions, name_pair
 from kempe.mobility.answer import Mobility
 from kempe.mobility.mobility import mobility
-from kempe.poses import placement_of_pose
+from kempe.poses import make_placement_from_pose
 from kempe.spatial import adjoint, exp_se3
 
 NAMES = [
@@ -128,7 +128,15 @@ def closed_mechanisms(draw) -> System:
         m: Mechanism, name: str, kind: str, a: str, b: str, X: np.ndarray, Y: np.ndarray
     ) -> None:
         options = {"pitch": 0.2} if kind == "helical" else {}
-        m.joint(name, kind, a, b, at=placement_of_pose(X), child_at=placement_of_pose(Y), **options)
+        m.joint(
+            name,
+            kind,
+            a,
+            b,
+            at=make_placement_from_pose(X),
+            child_at=make_placement_from_pose(Y),
+            **options,
+        )
 
     for k in range(n):
         tree.body(f"b{k}")
@@ -209,7 +217,7 @@ def test_three_loops_of_any_generic_dimension(seed, extra):
         5,
     ]
     total = extra
-    pose = lambda: placement_of_pose(exp_se3(rng.uniform(-1, 1, 6)))  # noqa: E731
+    pose = lambda: make_placement_from_pose(exp_se3(rng.uniform(-1, 1, 6)))  # noqa: E731
     world = {"hub": exp_se3(rng.uniform(-1, 1, 6))}
     for c, links in enumerate(chains):
         links += 1 if total > c else 0
@@ -221,7 +229,11 @@ def test_three_loops_of_any_generic_dimension(seed, extra):
         X = exp_se3(rng.uniform(-1, 1, 6))
         Y = _at_hub(m, before, X, world)
         m.revolute(
-            f"J{c}_{links}", before, hub, at=placement_of_pose(X), child_at=placement_of_pose(Y)
+            f"J{c}_{links}",
+            before,
+            hub,
+            at=make_placement_from_pose(X),
+            child_at=make_placement_from_pose(Y),
         )
     report = mobility(m.build(), m.build().neutral)
     assert report.closed and report.gruebler == report.rank_dof == report.dof == 4 + min(extra, 4)
@@ -236,7 +248,7 @@ def _at_hub(m: Mechanism, body: str, X: np.ndarray, world: dict) -> np.ndarray:
         chain.append(joint)
         body = joint.parent
     for joint in reversed(chain):
-        T = T @ joint.X_PF.evaluate({}) @ np.linalg.inv(joint.X_CM.evaluate({}))
+        T = T @ joint.X_PF.evaluate_pose({}) @ np.linalg.inv(joint.X_CM.evaluate_pose({}))
     out = np.linalg.inv(world["hub"]) @ T @ X
     out[3] = 0, 0, 0, 1
     return out

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from kempe import Mechanism
 from kempe.equations.judge import coordinate_value
 from kempe.errors import DescriptionError, KempeError
-from kempe.joints import P, Q, R, joint_type
+from kempe.joints import P, Q, R, make_joint_type
 from kempe.kernels.compiled import table_sweep
 from kempe.model.coordinates import Follower, format_relation
 
@@ -27,11 +27,11 @@ def test_q_holds_all_coordinates_in_the_order_of_the_joints(graph: Graph):
     names = []
     velocities = []
     for e in graph.edges:
-        kind = joint_type(e.kind, **e.options)
+        kind = make_joint_type(e.kind, **e.options)
         particle = e.child in graph.particles
-        for c in kind.coordinates(graph.dim, particle):
+        for c in kind.list_coordinate_names(graph.dim, particle):
             names += [n for n in [f"{e.name}.{c}" if c else e.name] if n not in gone]
-        for c in kind.velocities(graph.dim, particle):
+        for c in kind.list_velocity_names(graph.dim, particle):
             velocities += [n for n in [f"{e.name}.{c}" if c else e.name] if n not in gone]
     assert s.coordinate_names == tuple(names) and s.structure.velocity_names == tuple(velocities)
     assert (s.nq, s.nv) == (len(names), len(velocities)) == (len(s.neutral), len(s.lower))
@@ -77,7 +77,7 @@ def test_the_table_has_a_row_for_each_moving_primitive_of_the_tree(graph: Graph)
         if e.name in s.structure.closures or e.name in held:
             continue
         expected += len(
-            joint_type(e.kind, **e.options).layout(graph.dim, e.child in graph.particles)[1]
+            make_joint_type(e.kind, **e.options).layout(graph.dim, e.child in graph.particles)[1]
         )
     assert len(table.kind) == expected and set(table.kind) <= {R, P, Q}
     assert np.all(table.parent < np.arange(expected)) and np.all(table.parent >= -1)

@@ -15,7 +15,7 @@ from shipped import shipped, with_loops
 
 from kempe import Mechanism, System
 from kempe.errors import DescriptionError
-from kempe.joints import joint_type
+from kempe.joints import make_joint_type
 from kempe.model.characteristic_length import choose_origin
 from kempe.model.structural_order import make_sort_key
 from kempe.model.topology import Topology, find_spanning_tree
@@ -172,7 +172,7 @@ def test_on_every_loop_a_joint_of_the_least_wanted_grade_is_cut(graph):
 
     def grade(name: str) -> tuple:
         e = edges[name]
-        dof = joint_type(e.kind, **e.options).dof(graph.dim, e.child in graph.particles)
+        dof = make_joint_type(e.kind, **e.options).dof(graph.dim, e.child in graph.particles)
         return e.cut, dof > 0, not (e.actuated or name in coupled)
 
     t = system.structure.topology

@@ -10,7 +10,7 @@ from hunts import some
 from motion_linkages import TURN, circles, four_bar, ladder, linkage, same_angle, slider_crank
 
 import kempe
-from kempe.arguments import until_interrupt
+from kempe.arguments import call_until_interrupt
 from kempe.equations.closure_rows import residual
 from kempe.errors import InputError, UnsupportedError
 from kempe.motion.drive import drive
@@ -223,7 +223,7 @@ def test_an_interrupt_returns_what_was_done():
         if k > 20:
             raise KeyboardInterrupt
 
-    motion = until_interrupt(
+    motion = call_until_interrupt(
         drive,
         four_bar(1, 2.5, 2, 3),
         {"A": np.linspace(0.5, 3, 60)},

@@ -13,7 +13,7 @@ from hunts import some
 
 import kempe
 from kempe import Mechanism
-from kempe.arguments import until_interrupt
+from kempe.arguments import call_until_interrupt
 from kempe.errors import InputError
 from kempe.numerics.newton import least_squares
 
@@ -300,7 +300,7 @@ def test_an_interrupt_keeps_the_path(monkeypatch, phase):
 
     whole = s.trace()
     monkeypatch.setattr(f"kempe.motion.trace.{name}", broken)
-    path = until_interrupt(s.trace)
+    path = call_until_interrupt(s.trace)
     assert path.interrupted and not path and not path.late and "interrupted" in path.status
     assert len(path) == len(whole) if phase == "order" else 20 < len(path) < len(whole)
     assert ("where it turns back" in path.status) == (phase == "order")

@@ -31,7 +31,7 @@ from motion_linkages import (
 
 import kempe
 from kempe import Mechanism
-from kempe.arguments import until_interrupt
+from kempe.arguments import call_until_interrupt
 from kempe.equations.closure_rows import residual
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.motion import events
@@ -468,7 +468,7 @@ def test_an_interrupt_returns_what_was_done():
         if points > 40:
             raise KeyboardInterrupt
 
-    path = until_interrupt(
+    path = call_until_interrupt(
         trace, four_bar(1, 2.5, 2, 3), "A", {"A": 0.5}, budget=kempe.Budget(progress=stop)
     )
     assert path.interrupted and not path and 30 < len(path) < 80 and "interrupted" in path.status

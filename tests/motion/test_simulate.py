@@ -590,7 +590,7 @@ def test_bounces_end_by_the_time_limit_with_those_that_were_computed(monkeypatch
         if next(calls) == 51:
             raise TimeUp
 
-    monkeypatch.setattr(bounces, "look", asked)
+    monkeypatch.setattr(bounces, "check_for_stop", asked)
     ball = kempe.load("ball")
     part = ball.simulate(
         1e5, start={"flight.z": 1.1}, restitution=1.0, budget=kempe.Budget(time_limit=1000.0)

@@ -106,7 +106,7 @@ def closure_of(system: System, joint: str, own: bool = False) -> Closure | Carri
         raise UnknownNameError("joint", joint, mechanism.joints, system.name)
     j = mechanism.joints[joint]
     particle = mechanism.bodies[j.child].particle
-    X_PF, X_CM = (X.evaluate(mechanism.parameters) for X in (j.X_PF, j.X_CM))
+    X_PF, X_CM = (X.evaluate_pose(mechanism.parameters) for X in (j.X_PF, j.X_CM))
     X_PF, X_CM = pairs.frames_of(j.type, X_PF, X_CM, system.dim, particle)
     names = system.structure.coordinates_of_joint(joint)
     hold = pairs.hold_of(j.type, system.dim, particle)

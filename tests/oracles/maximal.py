@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe import System, spatial
-from kempe.arrays import reals
+from kempe.arrays import read_reals
 from kempe.errors import InputError
 from kempe.forward.maximal import read_poses
 from kempe.model.configurations import read_start
@@ -91,7 +91,7 @@ def maximal_integrate(system: System, poses: ArrayLike, v: ArrayLike) -> Array:
     R.
     """
     poses = read_poses(system, poses)
-    v = reals(v, "v")
+    v = read_reals(v, "v")
     n = len(maximal_velocity_names(system))
     if v.shape[-1:] != (n,):
         raise InputError(

@@ -152,11 +152,11 @@ def rods_by_grid(system: kempe.System, rod: float, n: int = 720) -> int:
     turn[:, 2, 2] = turn[:, 3, 3] = 1.0
 
     def circle(joint, ball, body):
-        where = (ball.X_PF if ball.parent == body else ball.X_CM).evaluate(m.parameters)[:, 3]
+        where = (ball.X_PF if ball.parent == body else ball.X_CM).evaluate_pose(m.parameters)[:, 3]
         X = (
-            joint.X_PF.evaluate(m.parameters)
+            joint.X_PF.evaluate_pose(m.parameters)
             @ turn
-            @ np.linalg.inv(joint.X_CM.evaluate(m.parameters))
+            @ np.linalg.inv(joint.X_CM.evaluate_pose(m.parameters))
         )
         return (X @ where)[:, :3]
 

@@ -10,7 +10,7 @@ from two_freedoms_in_space import lengths_of_pointer, pointer
 
 import kempe
 from kempe import Budget, Status
-from kempe.arguments import until_interrupt
+from kempe.arguments import call_until_interrupt
 from kempe.errors import InputError, UnknownNameError
 
 FIVE = kempe.load("five_bar")
@@ -277,7 +277,7 @@ def test_what_was_done_before_the_end_is_kept():
         if done == 3:
             raise KeyboardInterrupt
 
-    some = until_interrupt(found.curves, budget=Budget(progress=enough))
+    some = call_until_interrupt(found.curves, budget=Budget(progress=enough))
     assert some.code is Status.INTERRUPTED and 0 < len(some) < 4 and "interrupted" in some.status
     assert len(some.data()["curves"][0]["q"]) == len(some.curves[0])
 
@@ -300,12 +300,12 @@ def test_what_is_traced_stays_where_curves_are_broken_off(after):
     they are a part.
     """
     found = arm_of((0.5, 0.4)).singularities("tip", "position", budget=Budget(starts=8))
-    curves = until_interrupt(found.curves, budget=Budget(progress=_Ends(after)))
+    curves = call_until_interrupt(found.curves, budget=Budget(progress=_Ends(after)))
     assert curves.code is Status.INTERRUPTED and "this is the part that was done" in curves.status
     radii = {round(float(np.hypot(*c.p[0, :2])), 6) for c in curves}
     assert radii and radii <= {0.9, 0.1}
     pytest.importorskip("matplotlib")
-    last = until_interrupt(found.plot, budget=Budget(progress=_Ends(after)))[-1]
+    last = call_until_interrupt(found.plot, budget=Budget(progress=_Ends(after)))[-1]
     assert "interrupted:\nthis is the part that was done" in last.get_title() and last.get_lines()
 
 

@@ -7,7 +7,7 @@ import pytest
 
 import kempe
 from kempe import Budget, Status
-from kempe.arguments import until_interrupt
+from kempe.arguments import call_until_interrupt
 from kempe.equations.closure_rows import residual
 from kempe.errors import InputError, TimeLimitError, UnknownNameError
 
@@ -346,7 +346,9 @@ def test_what_was_found_stays_where_the_search_is_broken_off(last, progress, cod
         count = looks(10**9)
         PUMA.singularities("tool", budget=Budget(starts=40))
         looks(next(count) - last)
-    part = until_interrupt(PUMA.singularities, "tool", budget=Budget(starts=40, progress=progress))
+    part = call_until_interrupt(
+        PUMA.singularities, "tool", budget=Budget(starts=40, progress=progress)
+    )
     looks(10**9)
     whole = PUMA.singularities("tool", budget=Budget(starts=40))
     assert (

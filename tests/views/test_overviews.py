@@ -16,7 +16,7 @@ from hunts import some
 import kempe
 from kempe import library
 from kempe.errors import InputError, UnsupportedError
-from kempe.joints import TYPES, joint_type
+from kempe.joints import TYPES, make_joint_type
 
 pytest.importorskip("matplotlib")
 from kempe.views import overviews
@@ -137,7 +137,7 @@ def test_letters_of_joint_types():
         "spherical": "S",
         "free": "F",
     }
-    assert joint_type("P(x) R(z) R(y)").letter == "PRR"
+    assert make_joint_type("P(x) R(z) R(y)").letter == "PRR"
 
 
 def test_all_joint_types_in_one_picture():

@@ -58,7 +58,7 @@ def centres(system, q) -> dict[str, np.ndarray]:
     out = {}
     for name, joint in system.structure.joints.items():
         if joint.type.dof(system.dim):
-            X = system.fk(q, joint.child) @ joint.X_CM.evaluate(system.structure.parameters)
+            X = system.fk(q, joint.child) @ joint.X_CM.evaluate_pose(system.structure.parameters)
             out[name] = X[:3, 3]
     return out
 
@@ -209,7 +209,9 @@ def test_a_slider_is_a_block_on_a_hatched_rail():
     block = found[f"block:{name}"][0]
     rail = found[f"rail:{name}"][0]
     joint = system.structure.joints[name]
-    axis = (system.fk(q, joint.parent) @ joint.X_PF.evaluate(system.structure.parameters))[:2, 2]
+    axis = (system.fk(q, joint.parent) @ joint.X_PF.evaluate_pose(system.structure.parameters))[
+        :2, 2
+    ]
     centre = centres(system, q)[name][:2]
     assert np.allclose(block.get_path().vertices[:4].mean(axis=0), centre, atol=1e-12)
     ends = rail.get_path().vertices[:2]
@@ -268,7 +270,7 @@ def test_open_loops_are_shown():
     assert "open:C" not in artists(plots.plot(system))
     q[system.coordinate_names.index("A")] += 0.2
     line = artists(plots.plot(system, q))["open:C"][0].get_xydata()
-    crank = system.fk(q, "coupler") @ system.structure.joints["C"].X_PF.evaluate(
+    crank = system.fk(q, "coupler") @ system.structure.joints["C"].X_PF.evaluate_pose(
         system.structure.parameters
     )
     assert np.allclose(line, [crank[:2, 3], (0.4, 0.4)], atol=1e-12)

@@ -13,7 +13,7 @@ from kempe.cli import report
 from kempe.cli.facts import SystemFacts, error_facts
 from kempe.errors import DescriptionError, Fault, UnknownNameError, Where
 from kempe.model.configurations import list_units, name_values
-from kempe.words import fixed, json_text, jsonable
+from kempe.words import format_fixed, format_json, to_json_data
 
 
 class Terminal(io.StringIO):
@@ -66,7 +66,7 @@ def test_units_of_every_coordinate():
 
 def test_degrees_touch_angles_only():
     system = zoo().build()
-    shown = name_values(system, np.ones(system.nq)).data(degrees=True)
+    shown = name_values(system, np.ones(system.nq)).to_dict(degrees=True)
     assert shown["screw"] == pytest.approx(180.0 / np.pi)
     assert shown["sleeve.z"] == shown["ball.qx"] == 1.0
 
@@ -92,7 +92,7 @@ def test_info_says_everything():
 
 def test_facts_are_json():
     data = SystemFacts(zoo().build()).data()
-    assert json.loads(json_text(data)) == data
+    assert json.loads(format_json(data)) == data
     assert data["dof_of_tree"] == data["nv"] == 8
     assert [c["index"] for c in data["coordinates"]] == list(range(data["nq"]))
 
@@ -105,11 +105,11 @@ def test_numbers_in_json_share_a_line():
         "d": [],
         "e": ["1"],
     }
-    shown = json_text(data)
+    shown = format_json(data)
     assert (
         json.loads(shown) == data and '"a": [1.0, -2.5e-300, null],' in shown and "[3, 4]" in shown
     )
-    assert jsonable(np.array([[np.nan, np.inf], [1.0, -0.0]])) == [[None, None], [1.0, 0.0]]
+    assert to_json_data(np.array([[np.nan, np.inf], [1.0, -0.0]])) == [[None, None], [1.0, 0.0]]
 
 
 def test_empty_systems():
@@ -172,4 +172,8 @@ def test_errors_carry_their_data():
 
 
 def test_numbers_have_no_negative_zero():
-    assert (fixed(-1e-9), fixed(-0.5, 1), fixed(np.nan)) == ("0.000000", "-0.5", "nan")
+    assert (format_fixed(-1e-9), format_fixed(-0.5, 1), format_fixed(np.nan)) == (
+        "0.000000",
+        "-0.5",
+        "nan",
+    )

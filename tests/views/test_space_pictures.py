@@ -18,7 +18,7 @@ from two_freedoms_in_space import (
 
 import kempe
 from kempe import Budget
-from kempe.arguments import until_interrupt
+from kempe.arguments import call_until_interrupt
 from kempe.errors import InputError, TimeLimitError, UnknownNameError, UnsupportedError
 
 pytest.importorskip("matplotlib")
@@ -575,7 +575,7 @@ def test_a_picture_shows_what_was_done_until_an_interrupt_and_says_so():
 
     system = spherical_five_bar(*ARCS)
     budget = Budget(progress=progress)
-    left, _ = until_interrupt(
+    left, _ = call_until_interrupt(
         system.plot_spaces, "tip", task="direction", resolution=24, budget=budget
     )
     modes = shades(left)[1]

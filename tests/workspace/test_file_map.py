@@ -19,8 +19,8 @@ from interrupts import Interrupt, ended
 
 import kempe
 from kempe import Budget, Status, spatial
-from kempe.arguments import until_interrupt
-from kempe.budget import look
+from kempe.arguments import call_until_interrupt
+from kempe.budget import check_for_stop
 from kempe.errors import DamagedError, InputError, KempeError, UnknownNameError
 from kempe.numerics import clock
 from kempe.workspace import map_file, row_sources, store, workers
@@ -400,7 +400,7 @@ def whole(tmp_path, q):
 
 
 def mapped(file, path, **more):
-    return until_interrupt(kempe.map_file, PUMA, "ik", file, path, "tool", **more)
+    return call_until_interrupt(kempe.map_file, PUMA, "ik", file, path, "tool", **more)
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
@@ -423,7 +423,7 @@ def test_a_map_is_what_the_verb_answers(tmp_path, hunt, monkeypatch):
         file = written(tmp_path, f"{k}.npy", rows)
         path = tmp_path / f"{k}.zarr"
         threads = int(rng.integers(1, 4))
-        until_interrupt(
+        call_until_interrupt(
             kempe.map_file,
             system,
             "fk",
@@ -459,7 +459,7 @@ def test_an_interrupt_at_any_line(tmp_path, hunt):
     file = written(tmp_path, "x.npy", rows)
 
     def done(name):
-        return until_interrupt(
+        return call_until_interrupt(
             kempe.map_file, PUMA, "fk", file, tmp_path / name, "tool", budget=Budget(threads=2)
         )
 
@@ -556,7 +556,7 @@ def test_an_interrupt_stops_the_work_of_threads(tmp_path, monkeypatch):
 
     def answers(job, rows):
         while len(rows):
-            look()
+            check_for_stop()
         return before(job, rows)
 
     with monkeypatch.context() as patch:

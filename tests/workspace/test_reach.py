@@ -7,7 +7,7 @@ import pytest
 
 import kempe
 from kempe import Budget, spatial
-from kempe.arguments import until_interrupt
+from kempe.arguments import call_until_interrupt
 from kempe.errors import InputError, UnknownNameError
 from kempe.status import Status
 from kempe.workspace import reach
@@ -206,7 +206,7 @@ def test_what_was_done_stays_where_a_map_is_broken_off(budget, code, slices, mon
     monkeypatch.setattr(reach, "SLICE", 8)
     box = [[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]]
     part, whole = (
-        until_interrupt(PUMA.reach.capability, "tool", box, 2, 4, budget=b)
+        call_until_interrupt(PUMA.reach.capability, "tool", box, 2, 4, budget=b)
         for b in (budget, Budget(starts=4))
     )
     assert (
@@ -220,7 +220,9 @@ def test_what_was_done_stays_where_a_map_is_broken_off(budget, code, slices, mon
     np.testing.assert_array_equal(part.fraction.ravel()[:first], whole.fraction.ravel()[:first])
     ranges = {"x": (-4.0, 0.0), "y": (-0.1, 0.1)}
     part, whole = (
-        until_interrupt(UR.reach.place, UR.fk(UR.mid, "tool")[None], "tool", ranges, 4, budget=b)
+        call_until_interrupt(
+            UR.reach.place, UR.fk(UR.mid, "tool")[None], "tool", ranges, 4, budget=b
+        )
         for b in (budget, Budget(starts=4))
     )
     first = 8 * slices
@@ -229,7 +231,8 @@ def test_what_was_done_stays_where_a_map_is_broken_off(budget, code, slices, mon
     assert not slices or part.place()["x"] in part.axes["x"][:2]
     poses = UR.fk(UR.random(0, 12), "tool")
     part, whole = (
-        until_interrupt(UR.reach.poses, poses, "tool", budget=b) for b in (budget, Budget(starts=4))
+        call_until_interrupt(UR.reach.poses, poses, "tool", budget=b)
+        for b in (budget, Budget(starts=4))
     )
     assert (
         part.code == code
@@ -255,7 +258,7 @@ def test_a_search_can_be_broken_off_before_many_poses_are_tried():
             said.append(done)
             raise KeyboardInterrupt
 
-        study = until_interrupt(
+        study = call_until_interrupt(
             system.reach.poses,
             targets,
             frame,

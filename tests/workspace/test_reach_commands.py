@@ -9,7 +9,7 @@ from command import Result
 
 import kempe
 from kempe import Budget
-from kempe.arguments import until_interrupt
+from kempe.arguments import call_until_interrupt
 from kempe.cli.terminal import leave
 from kempe.workspace import base_placement
 
@@ -60,7 +60,7 @@ def interrupted(*_):
 )
 def test_what_was_interrupted_ends_with_the_code_of_ctrl_c(ask):
     arm = kempe.load("ur5")
-    answer = until_interrupt(
+    answer = call_until_interrupt(
         ask, arm, arm.fk(arm.mid, "tool")[None], Budget(starts=20, progress=interrupted)
     )
     assert "interrupted" in str(answer) or len(answer.codes) == 1

@@ -23,7 +23,7 @@ from reached_sets import shell, two_bars
 
 import kempe
 from kempe import Budget, Status
-from kempe.arguments import until_interrupt
+from kempe.arguments import call_until_interrupt
 from kempe.errors import DamagedError, InputError, KempeError, KernelsError
 from kempe.workspace import sampling_job, store, stored_map, workers
 from kempe.workspace import workspace as mapping
@@ -45,7 +45,7 @@ def small_parts(monkeypatch):
 
 
 def made(path=None, n=N, **more):
-    return until_interrupt(ARM.workspace, "tip", n=n, cells=64, path=path, **more)
+    return call_until_interrupt(ARM.workspace, "tip", n=n, cells=64, path=path, **more)
 
 
 def interrupted_after(samples, kind=KeyboardInterrupt):

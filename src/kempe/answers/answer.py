@@ -13,18 +13,18 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 
 from kempe.answers.tables import Tabular
-from kempe.arguments import explained_methods, place_in
-from kempe.arrays import is_whole, plain
+from kempe.arguments import explain_method_errors, read_batch_index
+from kempe.arrays import is_whole, unwrap_scalar
 from kempe.equations.judge import Judgement, judge
-from kempe.errors import CallError, InputError, NoSolutionError, UnknownNameError, shown
+from kempe.errors import CallError, InputError, NoSolutionError, UnknownNameError, format_value
 from kempe.forward.fk import fk
-from kempe.late import late
+from kempe.late import import_late
 from kempe.model.configurations import list_limits, list_units, make_ranges_table, name_values
 from kempe.numerics.clock import partial
 from kempe.report import MOST_JUDGED, ROWS, Nearest, Result, Table
 from kempe.spatial import Array
 from kempe.status import Status
-from kempe.words import ByName, Quantity, listed, of_many, plural
+from kempe.words import ByName, Quantity, format_share, join_first_words, make_plural
 
 if TYPE_CHECKING:
     from kempe.answers.problem import Choice
@@ -45,7 +45,7 @@ class Row:
     """Which solver answers such problems: of bound calls, whose answers do not keep the choice."""
 
 
-@explained_methods
+@explain_method_errors
 class Answer(Result, Tabular):
     """Configurations `q` (..., nq) of a `system`, with `success` (...) and, by `sentence`, why.
     Base of answers.
@@ -85,7 +85,7 @@ class Answer(Result, Tabular):
 
     def sentence(self, index: tuple[int, ...] | int = ()) -> str:
         """The sentence for one target, by its index in the batch. Errors: `InputError`."""
-        return self._sentence(place_in(index, self._shape))
+        return self._sentence(read_batch_index(index, self._shape))
 
     @property
     def _shape(self) -> tuple[int, ...]:
@@ -94,7 +94,7 @@ class Answer(Result, Tabular):
 
     @property
     def _row(self) -> Any:
-        return late(self.row)
+        return import_late(self.row)
 
     def _sentence(self, index: tuple[int, ...]) -> str:
         return self._row.sentence(self, index)
@@ -119,7 +119,7 @@ class Answer(Result, Tabular):
 
         It is NaN for configurations that are no numbers.
         """
-        return plain(np.linalg.norm(self.judged.errors, axis=-1).max(axis=0, initial=0.0))
+        return unwrap_scalar(np.linalg.norm(self.judged.errors, axis=-1).max(axis=0, initial=0.0))
 
     @cached_property
     def judged(self) -> Judgement:
@@ -175,20 +175,20 @@ class Answer(Result, Tabular):
         """Matplotlib axes with its configurations, or its motion, with the options of
         `System.plot`.
         """
-        return late("plots").plot(self.system, self, **options)
+        return import_late("plots").plot(self.system, self, **options)
 
     def plot_curve(self, names: Sequence[str] = (), ax: Any = None) -> Any:
         """Matplotlib axes with its coordinates over arc length, time, or the numbers of its rows.
 
         `names` are those that are drawn, all by default. Errors: `UnknownNameError`.
         """
-        return late("plots").plot_path(self, names=names, ax=ax)
+        return import_late("plots").plot_path(self, names=names, ax=ax)
 
     def animate(self, file: Any, **options: Any) -> Any:
         """Write its configurations as a moving picture (.gif, .mp4, .html), with the options of
         `System.animate`.
         """
-        return late("films").animate(self.system, self, file, **options)
+        return import_late("films").animate(self.system, self, file, **options)
 
     def table(self) -> tuple[list[str], Array]:
         """Names and columns (n, nq) for a file: the coordinates of each row of `q`, in radians and
@@ -242,7 +242,7 @@ class Answer(Result, Tabular):
 
     def _headline(self) -> str:
         if self._shape:
-            return of_many(int(np.sum(self.success)), np.size(self.success), self.what)
+            return format_share(int(np.sum(self.success)), np.size(self.success), self.what)
         return self.status
 
     def _tables(self) -> Sequence[Table]:
@@ -295,7 +295,7 @@ class Answer(Result, Tabular):
             for index in missed[:REASONS]
         ]
         if more := [_row_number(index) for index in missed[REASONS:]]:
-            lines.append(f"and {plural(len(more), 'row')} {listed(more, 12)}")
+            lines.append(f"and {make_plural(len(more), 'row')} {join_first_words(more, 12)}")
         return lines
 
     def _is_judged(self) -> bool:
@@ -350,11 +350,11 @@ def row_of(q: Array, k: Any) -> Array:
         if is_whole(k):  # where an iteration ends
             raise
         raise InputError(
-            f"index is {shown(k)}; it must be a whole number, a slice or an array of these"
+            f"index is {format_value(k)}; it must be a whole number, a slice or an array of these"
         ) from None
 
 
-@explained_methods
+@explain_method_errors
 class Configurations(ConfigurationList, Answer):
     """Configurations `q` (n, nq) that answer one question together: all that there are, or a way.
     Base of such answers.
@@ -397,7 +397,7 @@ class Configurations(ConfigurationList, Answer):
         return []
 
 
-@explained_methods
+@explain_method_errors
 class Motion(Configurations):
     """Configurations `q` (n, nq) that a `system` takes one after the other. Base of motions."""
 

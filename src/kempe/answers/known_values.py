@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from kempe.answers.targets import Z_AXIS, of_target
-from kempe.arrays import reals
+from kempe.arrays import read_reals
 from kempe.constraints.base import poses_of, refuse_rotations
 from kempe.errors import InputError
 from kempe.model.configurations import compute_source_values
-from kempe.poses import EXACT, arrays, refuse_no_poses, rotation_error
+from kempe.poses import EXACT, check_poses, compute_rotation_error, read_pose_array
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -27,7 +27,8 @@ def with_places(given: Mapping[str, Any], frames: Sequence[str]) -> Mapping[str,
     if not frames:
         return given
     return {
-        k: arrays(x, f"the place of frame {k!r}") if k in frames else x for k, x in given.items()
+        k: read_pose_array(x, f"the place of frame {k!r}") if k in frames else x
+        for k, x in given.items()
     }
 
 
@@ -41,11 +42,11 @@ def place_of(system: Model, frame: str, place: Any, whole: bool) -> Array:
     if whole:
         X = poses_of(place, 3, what)
         for bad in X[
-            ~(rotation_error(X[..., :3, :3]) <= EXACT) & np.isfinite(X).all(axis=(-1, -2))
+            ~(compute_rotation_error(X[..., :3, :3]) <= EXACT) & np.isfinite(X).all(axis=(-1, -2))
         ][:1]:
-            refuse_no_poses(bad, what)
+            check_poses(bad, what)
         return poses_of(X, system.dim, what)
-    x = reals(place, what, "numbers")
+    x = read_reals(place, what, "numbers")
     refuse_rotations(x, what)
     if system.dim == 2 and x.shape[-1] == 3 and np.any(np.abs(x[..., 2]) > EXACT):
         raise InputError(f"{what} leaves the plane")
@@ -59,7 +60,7 @@ def source_values(system: Model, known: Mapping[str, Any]) -> dict[str, Array]:
     value does not fit, or that is held at another value.
     """
     return {
-        name: reals(x, f"coordinate {name!r}", "a number")
+        name: read_reals(x, f"coordinate {name!r}", "a number")
         for name, x in compute_source_values(system, known).items()
     }
 

@@ -12,7 +12,7 @@ from kempe import spatial
 from kempe.description.source import expanded, no_file
 from kempe.errors import InputError
 from kempe.spatial import Array
-from kempe.words import ByName, counted, listed
+from kempe.words import ByName, format_count, join_first_words
 
 SUFFIXES = (".csv", ".npy")
 """Endings of files of numbers."""
@@ -48,7 +48,7 @@ def in_units(
 ) -> tuple[list[str], Array]:
     """Names and columns (n, k), those whose unit is "rad" in degrees where that is requested."""
     kinds = [units.get(name, "") for name in names]
-    return names, ByName(names, kinds, columns).within(degrees) if degrees else columns
+    return names, ByName(names, kinds, columns).convert_units(degrees) if degrees else columns
 
 
 def write_table(
@@ -128,7 +128,7 @@ def rows_of_text(path: Path, lines: Sequence[tuple[int, str]], width: int) -> Ar
         cells = text.split(",")
         if len(cells) != width:
             raise InputError(
-                f"{path}:{line}: {counted(len(cells), 'value')}; the first line has {width}"
+                f"{path}:{line}: {format_count(len(cells), 'value')}; the first line has {width}"
             )
         row[:] = as_numbers([_unquoted(cell) or "nan" for cell in cells], f"{path}:{line}")
     return out
@@ -174,7 +174,11 @@ def poses_of_columns(
         None,
     )
     if order is None:
-        has = counted(width, "number") if names is None else f"the columns {listed(names, 12)}"
+        has = (
+            format_count(width, "number")
+            if names is None
+            else f"the columns {join_first_words(names, 12)}"
+        )
         raise InputError(f"the target has {has}; it must be {said_columns(dim)}")
     if names is not None:
         values = values[..., [list(names).index(name) for name in order]]

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.arguments import numbers
-from kempe.arrays import is_sequence, reals
+from kempe.arrays import is_sequence, read_reals
 from kempe.constraints.base import refuse_rotations
 from kempe.errors import InputError
 from kempe.poses import (
-    arrays,
-    direction,
-    refuse_no_poses,
-    sound,
-    why_not_a_pose,
+    check_poses,
+    correct_rotations,
+    explain_pose_error,
+    read_direction,
+    read_pose_array,
 )
 from kempe.spatial import Array
 
@@ -82,10 +82,11 @@ def task_of(task: object, is_position: bool, particle: bool) -> str:
 def given_target(system: Model, target: Any) -> Any:
     """What is given as a target as an array; the name of a frame on the ground stands for its pose.
 
-    Errors: those of `kempe.poses.arrays`; `UnknownNameError`, `InputError` for frames that move.
+    Errors: those of `kempe.poses.read_pose_array`; `UnknownNameError`, `InputError` for frames that
+    move.
     """
     if not isinstance(target, str):
-        return arrays(target, "target")
+        return read_pose_array(target, "target")
     name = system.structure.frame_name(target)
     if system.structure.table.find_path(name):
         raise InputError(
@@ -105,7 +106,7 @@ def task_and_axis(task: Any) -> tuple[Any, Any]:
 
 def axis_of(axis: object) -> tuple[float, float, float]:
     """The pointing axis as a unit vector of the tool. Errors: `InputError`."""
-    v = reals(direction(axis), "axis", "three numbers: a direction in the tool's frame")
+    v = read_reals(read_direction(axis), "axis", "three numbers: a direction in the tool's frame")
     size = float(np.linalg.norm(v)) if v.shape == (3,) and np.all(np.abs(v) < 1e100) else 0.0
     if size == 0.0:
         raise InputError(
@@ -275,7 +276,7 @@ def parse_targets(
     if is_pose:
         lead = array.shape[:-2]
         if not lead:  # of many, the kernels tell those that need a closer look
-            array = sound(array, "target")
+            array = correct_rotations(array, "target")
         out = array.reshape(math.prod(lead), 4, 4)
         if (
             not lead
@@ -290,7 +291,7 @@ def parse_targets(
             out = out.copy()
             out[bad, :3] = math.nan
             if not lead:
-                refuse_no_poses(array, "target")
+                check_poses(array, "target")
         return np.require(out, requirements=["C", "A"]), lead, False
     if array.ndim and (array.shape[-1] == 3 or (planar and array.shape[-1] == 2)):
         lead = array.shape[:-1]
@@ -327,6 +328,6 @@ def not_a_pose(target: Array, other: str = "target") -> str:
 
     If the target itself is a pose, the message names `other`, the argument that was wrong instead.
     """
-    if why := why_not_a_pose(target):
+    if why := explain_pose_error(target):
         return f"target is not a pose: {why}"
     return f"{other} has entries that are not finite or too large, or a quaternion that is zero"

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.words import counted, in_words, joined, listed, verb
+from kempe.words import choose_verb, format_count, join_first_words, join_words, spell_count
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
@@ -39,7 +39,7 @@ def errors(
 
 def work(steps: int, starts: int) -> str:
     """What a search took."""
-    return f"{counted(steps, 'step')}, {counted(starts, 'start')}"
+    return f"{format_count(steps, 'step')}, {format_count(starts, 'start')}"
 
 
 def limits_of(names: Sequence[str], join: str = ", ") -> str:
@@ -91,9 +91,9 @@ def left_open(
 
     `folded` are pins that coincide, and `sure` whether these are the reason.
     """
-    said = f"; {counted(left, 'freedom')} left open"
+    said = f"; {format_count(left, 'freedom')} left open"
     if folded:
-        pins = listed([f"{a} and {b}" for a, b in folded], 3)
+        pins = join_first_words([f"{a} and {b}" for a, b in folded], 3)
         why = "the mechanism is folded or singular here, where" if sure else "it may be folded, for"
         return f"{said}, {count} {who}: {why} {pins} coincide"
     return f"{said}, {home} at home: singular here, or on another branch" if home >= 0 else said
@@ -104,14 +104,14 @@ def freedoms_left(first: int, finite: int, equations: int = 0, freedoms: int = 0
     if first == 0:
         said = "no freedom is left"
     elif finite == first:
-        said = f"{counted(finite, 'freedom')} left"
+        said = f"{format_count(finite, 'freedom')} left"
     else:
-        said = f"{counted(first, 'freedom')} to first order only"
-        said = f"{counted(finite, 'freedom')} left, {first} to first order" if finite else said
+        said = f"{format_count(first, 'freedom')} to first order only"
+        said = f"{format_count(finite, 'freedom')} left, {first} to first order" if finite else said
         said = f"{said} (the Jacobian loses rank here)"
     more = equations > freedoms
     return (
-        f"{said}, though {equations} equations meet {counted(freedoms, 'freedom')}"
+        f"{said}, though {equations} equations meet {format_count(freedoms, 'freedom')}"
         if more
         else said
     )
@@ -129,12 +129,16 @@ def failed(head: str, *parts: Any) -> str:
 
 def given_up(done: str, starts: int) -> str:
     """That something is not "reached" or "closed" after so many starts."""
-    return f"not {done} after {counted(starts, 'start')}"
+    return f"not {done} after {format_count(starts, 'start')}"
 
 
 def late(limit: float | None, starts: int, most: int | None = None, done: str = "reached") -> str:
     """That the time was up, and after how many starts, of `most` where that is known."""
-    count = counted(starts, "start") if most is None else f"{starts} of {counted(most, 'start')}"
+    count = (
+        format_count(starts, "start")
+        if most is None
+        else f"{starts} of {format_count(most, 'start')}"
+    )
     return f"not {done} within the time limit of {limit or 0.0:g} s, after {count}"
 
 
@@ -257,11 +261,13 @@ def _rank(
     and an `end`.
     """
     if not frame:
-        return f"{counted(equations, 'equation')}, but {counted(freedoms, 'freedom')}{end}"
+        return (
+            f"{format_count(equations, 'equation')}, but {format_count(freedoms, 'freedom')}{end}"
+        )
     if freedoms == 0:
         return f"no joint moves frame {frame!r}"
-    said = f"the task has {counted(equations, 'equation')}, but the chain moves this frame in"
-    said += f" {counted(freedoms, 'freedom')} only"
+    said = f"the task has {format_count(equations, 'equation')}, but the chain moves this frame in"
+    said += f" {format_count(freedoms, 'freedom')} only"
     alone = (
         ""
         if position is None
@@ -271,17 +277,17 @@ def _rank(
 
 
 def _joints(joints: int, held: bool, freedoms: int, equations: int) -> str:
-    few = f", which give it {in_words(freedoms, 'freedom')}" if freedoms < joints else ""
+    few = f", which give it {spell_count(freedoms, 'freedom')}" if freedoms < joints else ""
     return (
-        f"the chain has {counted(joints, 'joint')}{' to move' if held else ''}{few}, the task "
-        f"{counted(equations, 'equation')}: this target is not among those it can reach"
+        f"the chain has {format_count(joints, 'joint')}{' to move' if held else ''}{few}, the task "
+        f"{format_count(equations, 'equation')}: this target is not among those it can reach"
     )
 
 
 def _too_many_given(given: int, freedoms: int) -> str:
     return (
-        f"{counted(given, 'coordinate')} {verb(given, 'is', 'are')} given, but it has "
-        f"{counted(freedoms, 'freedom')}"
+        f"{format_count(given, 'coordinate')} {choose_verb(given, 'is', 'are')} given, but it has "
+        f"{format_count(freedoms, 'freedom')}"
     )
 
 
@@ -339,7 +345,8 @@ def _not_together(
     if pairs:
         names = ", ".join(f"{a!r} and {b!r}" for a, b in pairs)
         said = (
-            f"{names}: each was reached alone, but not both together in {counted(starts, 'start')}"
+            f"{names}: each was reached alone, but not both together in "
+            f"{format_count(starts, 'start')}"
         )
     elif two:
         said = f"any two of the {tasks} hard tasks were reached, but not all together"
@@ -380,7 +387,7 @@ def _tried(held: Sequence[tuple[str, float]], values: int, starts: int) -> str:
     """At which values of spare joints there is no solution."""
     joints = ", ".join(repr(name) for name, _ in held)
     where = held_at(held) if values == 1 else f"{joints} at any of {values} values tried"
-    return f"no solution with {where}, and none from {counted(starts, 'start')} of a search"
+    return f"no solution with {where}, and none from {format_count(starts, 'start')} of a search"
 
 
 # ---- all solutions of a target
@@ -411,11 +418,11 @@ def to_spare(
     """How many joints a chain has to spare, and where they are held; else than `first` after so
     many were `tried`.
     """
-    text = f"the chain has {in_words(count, 'joint')} to spare{held}"
+    text = f"the chain has {spell_count(count, 'joint')} to spare{held}"
     if tried == 1:
         return text
     if not len(first):
-        return f"{text} ({counted(tried, 'value')} {verb(tried, 'was', 'were')} tried)"
+        return f"{text} ({format_count(tried, 'value')} {choose_verb(tried, 'was', 'were')} tried)"
     there = ", ".join(map(number, first))
     return f"{text} (at {there} there is none{' inside the limits' if inside else ''})"
 
@@ -494,7 +501,7 @@ def _families(families: Sequence[tuple[int, str]]) -> str:
     out: list[str] = []
     for dimension, moves in dict.fromkeys(families):
         k = families.count((dimension, moves))
-        freedoms = in_words(dimension, "freedom")
+        freedoms = spell_count(dimension, "freedom")
         out.append(
             f"{'a family' if k == 1 else f'{k} families'} with "
             f"{freedoms}{'' if k == 1 else ' each'}: {moves}"
@@ -508,8 +515,8 @@ def linear_motion(
     rest: Sequence[tuple[str, float]],
 ) -> str:
     """A family on a straight line: equations by joint, "" for the right side, while others `rest`."""
-    text = joined([_equation(e) for e in equations] or [f"{names[0]} is free"])
-    return f"{text} while {joined([f'{n} = {number(x)}' for n, x in rest])}" if rest else text
+    text = join_words([_equation(e) for e in equations] or [f"{names[0]} is free"])
+    return f"{text} while {join_words([f'{n} = {number(x)}' for n, x in rest])}" if rest else text
 
 
 def curved_motion(
@@ -518,11 +525,13 @@ def curved_motion(
     """A family on a curve, of which the `first` joint tells the place: how it goes, and how far."""
     if turns:
         return (
-            f"{first} turns all the way round and {joined([n for n in names if n != first])} follow"
+            f"{first} turns all the way round and {join_words([n for n in names if n != first])} "
+            "follow"
         )
     how = "on a closed curve" if is_closed else "on a curve that does not close"
     return (
-        f"{joined(names)} move together {how}, {first} from {number(ends[0])} to {number(ends[1])}"
+        f"{join_words(names)} move together {how}, {first} from {number(ends[0])} to "
+        f"{number(ends[1])}"
     )
 
 

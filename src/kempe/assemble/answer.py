@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.answers.answer import Answer
-from kempe.arguments import explained_methods
+from kempe.arguments import explain_method_errors
 from kempe.forward.fk import fk
 from kempe.report import brief
 from kempe.spatial import Array
-from kempe.words import fixed
+from kempe.words import format_fixed
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
     from kempe.status import Status
 
 
-@explained_methods
+@explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Assembly(Answer):
     """Answer of `assemble`: one configuration for each set of known values.
@@ -101,7 +101,7 @@ class Assembly(Answer):
         lines: list[str] = []
         for name in places:
             p = fk(self.system, self.q, name)[: self.system.dim, 3]
-            lines.append(f"{name} is at {', '.join(fixed(x) for x in p.tolist())}")
+            lines.append(f"{name} is at {', '.join(format_fixed(x) for x in p.tolist())}")
         return [*lines, *super()._notes()]
 
     def _left(self) -> Any:

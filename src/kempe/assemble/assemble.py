@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.answers.problem import NOTHING, Problem, Solver, choose, chosen_by, takes_all
-from kempe.arguments import explained, flag, listed
-from kempe.arrays import plain
+from kempe.arguments import explain_errors, read_flag, read_names
+from kempe.arrays import unwrap_scalar
 from kempe.assemble.answer import Assembly
 from kempe.assemble.bound import LOOSEST, TOLERANCE, USUAL, Assembler, bare
 from kempe.assemble.nearest_exact import ideal_of, is_known, one_number, within
-from kempe.budget import Budget, TimeUp, checks
+from kempe.budget import Budget, TimeUp, list_checks
 from kempe.constraints.tape import TIME
 from kempe.equations.one_sided import one_sided_rows
 from kempe.equations.task_functions import held_too
@@ -23,13 +23,13 @@ from kempe.model.configurations import make_q
 from kempe.model.model import keep_answers
 from kempe.model.time_coordinate import fix_known_time
 from kempe.numerics.clock import LEAST, TimeLimit
-from kempe.status import Status, member
+from kempe.status import Status, to_status
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
 
 
-@explained
+@explain_errors
 def assemble(
     system: Model,
     known: Mapping[str, Any] | None = None,
@@ -131,8 +131,8 @@ def _within_limit(answer: Assembly, time: TimeLimit | None) -> Assembly:
 
 def _time(budget: Budget | None) -> TimeLimit:
     """The time of the call; none where another verb asks, whose time counts."""
-    asked = checks() and (budget is None or budget.time_limit is None)
-    return TimeLimit(None if asked else USUAL.of(budget).time_limit)
+    asked = list_checks() and (budget is None or budget.time_limit is None)
+    return TimeLimit(None if asked else USUAL.complete_budget(budget).time_limit)
 
 
 def _left(budget: Budget | None, time: TimeLimit) -> Budget | None:
@@ -151,7 +151,9 @@ def _unsolved(assembler: Assembler, problem: Problem) -> Assembly:
         np.asarray(answer.code) == Status.BAD_INPUT, Status.BAD_INPUT, Status.OUT_OF_TIME
     )
     return replace(
-        answer, success=plain(np.zeros(np.shape(code), dtype=bool)), code=member(plain(code))
+        answer,
+        success=unwrap_scalar(np.zeros(np.shape(code), dtype=bool)),
+        code=to_status(unwrap_scalar(code)),
     )
 
 
@@ -172,10 +174,10 @@ def allowing(system: Model, tolerance: float | str) -> tuple[Model, float]:
 # ---- the bound form, for a fixed set of known names
 
 
-@explained
+@explain_errors
 def assembler(system: Model, known: Iterable[str] = ()) -> Assembler:
     """The bound form of `assemble` for these known names. Errors: `UnknownNameError`, `InputError`."""
-    return bound(system, listed(known, "known"))
+    return bound(system, read_names(known, "known"))
 
 
 @keep_answers
@@ -211,7 +213,7 @@ def on_named_branch(problem: Problem) -> Assembly:
     )
 
     assembler = bound(problem.system, tuple(problem.known))
-    asked = USUAL.of(problem.budget)
+    asked = USUAL.complete_budget(problem.budget)
     threads = None if problem.budget is None else asked.threads
     named = problem.budget is not None and problem.budget.time_limit is not None
     many = not named and any(np.ndim(x) for x in problem.known.values())
@@ -222,7 +224,7 @@ def on_named_branch(problem: Problem) -> Assembly:
                 assembler.system, problem.known, problem.options["branch"], problem.start, threads
             )
             answer, searched, before = assembler._confirm(
-                start, flag(problem.limits, "limits"), threads
+                start, read_flag(problem.limits, "limits"), threads
             )
     except TimeUp:
         if not time.spent:
@@ -234,7 +236,7 @@ def on_named_branch(problem: Problem) -> Assembly:
         code = np.array(answer.code)
         strayed = np.any(plan.branch_of(after) != plan.branch_of(before), axis=-1)
         code.flat[searched[strayed & (code.flat[searched] == Status.SOLVED)]] = Status.OTHER_BRANCH
-        answer = replace(answer, success=plain(code == Status.SOLVED), code=member(code))
+        answer = replace(answer, success=unwrap_scalar(code == Status.SOLVED), code=to_status(code))
     return chosen_by(answer, choose(SOLVERS, problem)[1])
 
 

@@ -17,10 +17,18 @@ import numpy as np
 
 from kempe.answers.known_values import place_of, with_places
 from kempe.answers.problem import Choice, Problem, chosen_by
-from kempe.arguments import deadline, explained, flag, listed, quiet, seed_number, start_count
-from kempe.arrays import is_real, reals, within_range
+from kempe.arguments import (
+    compute_deadline,
+    draw_seed,
+    explain_errors,
+    quiet,
+    read_flag,
+    read_names,
+    read_start_count,
+)
+from kempe.arrays import check_range, is_real, read_reals
 from kempe.assemble.answer import Assembly
-from kempe.budget import Budget, TimeUp, Usual, checks, look
+from kempe.budget import Budget, TimeUp, Usual, check_for_stop, list_checks
 from kempe.equations.closure_rows import freedoms_left
 from kempe.equations.one_sided import one_sided_rows
 from kempe.errors import InputError, UnknownNameError
@@ -42,7 +50,7 @@ from kempe.model.own_tree import remove_cut_marks
 from kempe.model.packed_loops import PackedLoops, find_explicit_joints, get_packed_loops
 from kempe.numerics.clock import SHORT, TimeLimit, clock
 from kempe.numerics.pool import over_chunks
-from kempe.poses import refuse_no_poses
+from kempe.poses import check_poses
 from kempe.spatial import Array
 from kempe.status import MEMBERS, Status
 
@@ -282,9 +290,9 @@ def _spent(budget: Budget | None) -> tuple[int, int, int | None, float | None]:
     """Starts, the number that random starts are drawn by, threads and seconds: what a budget asks
     for, checked.
     """
-    spend = USUAL.of(budget)
-    deadline(spend.time_limit)
-    return start_count(spend.starts), seed_number(spend.rng), spend.threads, spend.time_limit
+    spend = USUAL.complete_budget(budget)
+    compute_deadline(spend.time_limit)
+    return read_start_count(spend.starts), draw_seed(spend.rng), spend.threads, spend.time_limit
 
 
 OUT_OF_TIME = int(Status.OUT_OF_TIME)
@@ -710,7 +718,7 @@ class Assembler:
             Problem(self.system, "one", given, start, prefer, limits, tolerance, budget)
         )
 
-    __call__ = explained(_ask, fast=True)
+    __call__ = explain_errors(_ask, fast=True)
 
     @quiet
     def _solve(self, problem: Problem) -> Assembly:
@@ -731,7 +739,7 @@ class Assembler:
                 f"tolerance is {tolerance!r}; it must be above 0 and at most {LOOSEST}"
             )
         if limits.__class__ is not bool:
-            flag(limits, "limits")
+            read_flag(limits, "limits")
         if prefer not in PREFER:
             raise InputError(
                 f"prefer is {prefer!r}; it must be one of {', '.join(map(repr, PREFER))}"
@@ -741,8 +749,8 @@ class Assembler:
         lead = ()
         if base is None:
             base, lead = self._starts(given, start)
-        if (lead or checks()) and (budget is None or budget.time_limit is None):
-            limit = BATCH.of(budget).time_limit
+        if (lead or list_checks()) and (budget is None or budget.time_limit is None):
+            limit = BATCH.complete_budget(budget).time_limit
         turned = self._turned(given) if self.frames else ()
         pins = self._pins(given, turned, lead) if turned else self.no_pins
         steps = NEAREST_STEPS if prefer == "nearest" and self.freedoms != 0 else 0
@@ -782,11 +790,11 @@ class Assembler:
     def _refuse(self, given: Mapping[str, Any], start: Any) -> None:
         """Raise an `InputError` that names the number with which nothing can be computed."""
         for name in self.coordinates:
-            within_range(reals(given[name], ""), f"the known value of {name!r}")
+            check_range(read_reals(given[name], ""), f"the known value of {name!r}")
         for frame, whole in zip(self.frames, self._turned(given), strict=True):
             place = place_of(self.system, frame, given[frame], whole)
             what = f"the place of frame {frame!r}"
-            _ = refuse_no_poses(place, what) if whole else within_range(place, what)
+            _ = check_poses(place, what) if whole else check_range(place, what)
         if start is not None:
             refuse_far(self.system, read_start(self.system, start), "start")
         raise InputError(NOT_FINITE)
@@ -868,7 +876,7 @@ class Assembler:
             residual,
             info,
         ):
-            q, residual, info = self.run(base, self.no_pins, limit=None if checks() else SHORT)
+            q, residual, info = self.run(base, self.no_pins, limit=None if list_checks() else SHORT)
         if info[0, 0] == BAD_INPUT:
             return None
         answer = self._answer(base, (), q, residual, info, True)
@@ -903,7 +911,7 @@ class Assembler:
     def _by_name(self, values: Any) -> dict[str, Any]:
         if self.frames:
             raise InputError("give the places of frames by name: a dict")
-        array = reals(values, "values")
+        array = read_reals(values, "values")
         if array.ndim == 1 and len(array) == len(self.known):
             return dict(zip(self.known, array.tolist(), strict=True))
         if array.ndim == 0 or array.shape[-1] != len(self.known):
@@ -918,7 +926,7 @@ class Assembler:
         system = self.system
         base = find_home(system) if start is None else read_start(system, start)
         columns = [
-            reals(given[k], f"the known value of {k!r}", "a number, or an array")
+            read_reals(given[k], f"the known value of {k!r}", "a number, or an array")
             for k in self.sources
         ]
         shapes = [c.shape for c in columns] + [base.shape[:-1]]
@@ -1045,7 +1053,7 @@ class LocalStarts:
         least = np.inf
         parts = STEPS // LOCAL_STEPS * max(1, tries - first - int(WHOLE * tries))
         for k in range(parts):
-            look()
+            check_for_stop()
             square = np.zeros(len(self.moved_by))
             np.add.at(square, self.of_row, self._equations(q, pin) ** 2)
             least = min(least, math.sqrt(square.sum()))
@@ -1146,11 +1154,11 @@ def bare(system: Model, known: Iterable[str] = ()) -> Assembler:
 
 @keep_answers
 def _assembler(system: Model, known: tuple[str, ...], one_sided: bool) -> Assembler:
-    return Assembler(system, listed(known, "known"), one_sided=one_sided)
+    return Assembler(system, read_names(known, "known"), one_sided=one_sided)
 
 
 def of_equations(system: Model, known: Iterable[str] = ()) -> Assembler:
     """As `assembler`, but one-sided constraints do not count: what they leave out is looked at
     elsewhere.
     """
-    return _assembler(system, listed(known, "known"), not one_sided_rows(system).declared)
+    return _assembler(system, read_names(known, "known"), not one_sided_rows(system).declared)

@@ -84,7 +84,9 @@ class Dimensions:
 
     def _motions(self, table: str, name: str, side: str) -> tuple[str, ...]:
         """Two translations and the rotation along axes of a placement that stay in the plane."""
-        X = getattr(getattr(self.mechanism, table)[name], side).evaluate(self.mechanism.parameters)
+        X = getattr(getattr(self.mechanism, table)[name], side).evaluate_pose(
+            self.mechanism.parameters
+        )
         bodies = self.system.structure.table
         normal = X[:3, :3].T @ compute_plane_normal(bodies.at[self.body(table, name, side)], bodies)
         return IN_PLANE[int(np.argmax(np.abs(normal)))]
@@ -140,7 +142,7 @@ class Dimensions:
             turned = TO_Z.get(motions[-1], Placement()) if m.dim == 2 else Placement()
             joint = m.free(here.name, self.body(table, name, side), here, angles=True)
             m.joints[joint.name] = replace(joint, X_PF=getattr(parts[name], side) @ turned)
-            parts[name] = replace(parts[name], **{end: here.name, side: turned.inverse()})
+            parts[name] = replace(parts[name], **{end: here.name, side: turned.invert_steps()})
             added += [
                 f"{joint.name}.{motion}" for motion in (IN_PLANE[2] if m.dim == 2 else IN_SPACE)
             ]
@@ -223,7 +225,7 @@ class Relations:
         self.near = near
         m = shape.mechanism
         self.given = {
-            (table, part.name, side): getattr(part, side).evaluate(m.parameters)
+            (table, part.name, side): getattr(part, side).evaluate_pose(m.parameters)
             for table, parts in (("joints", m.joints), ("constraints", m.constraints))
             for part in parts.values()
             if part.parent
@@ -368,7 +370,7 @@ def _simple(x: Value, most: float) -> Value:
 
 def _pose(steps: tuple[Any, ...]) -> Array:
     """The pose of slides and turns, one after the other."""
-    return Placement(steps).evaluate({})
+    return Placement(steps).evaluate_pose({})
 
 
 def _cross(a: Array, b: Array) -> Array:

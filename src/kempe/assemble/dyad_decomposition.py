@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kempe.budget import look
+from kempe.budget import check_for_stop
 from kempe.constraints.base import Op, position_rows
 from kempe.description.parts import Declared
 from kempe.equations.judge import joint_pose
@@ -216,7 +216,7 @@ def parts_of(system: Model) -> Parts:
         ]
         if all(f is not None and f.source is None for f in followers):
             values = np.array([f.offset for f in followers if f is not None])
-            X_PF, X_CM = (X.evaluate(mechanism.parameters) for X in (joint.X_PF, joint.X_CM))
+            X_PF, X_CM = (X.evaluate_pose(mechanism.parameters) for X in (joint.X_PF, joint.X_CM))
             X_PC = X_PF @ joint_pose(joint.type, values, 2) @ np.linalg.inv(X_CM)
             held[name] = joint.parent, joint.child, _flat(X_PC)
         elif alone(joint) is not None:
@@ -238,8 +238,8 @@ def _assemble(system: Model, held: dict[str, tuple[str, str, Pose]], moving: lis
     for joint in moving:
         (a, X_A) = at[joint.parent]
         (b, X_B) = at[joint.child]
-        X_PF = joint.X_PF.evaluate(parameters)
-        X_CM = joint.X_CM.evaluate(parameters)
+        X_PF = joint.X_PF.evaluate_pose(parameters)
+        X_CM = joint.X_CM.evaluate_pose(parameters)
         motion = alone(joint)
         assert motion is not None
         turns = motion.kind == R
@@ -495,7 +495,7 @@ class Decomposition:
     def run(self) -> list[int]:
         """Clusters, other than the ground's, that remain when no further dyad closes."""
         while self._drive() or self._relate() or self._ground() or self._floating():
-            look()
+            check_for_stop()
         return [c for c in self.members if c != GROUND]
 
     def freedom(self) -> int:

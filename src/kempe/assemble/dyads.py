@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike
 
 from kempe.answers.answer import Answer
 from kempe.answers.known_values import known_tasks, source_values
-from kempe.arguments import explained, explained_methods, listed
-from kempe.arrays import reals
+from kempe.arguments import explain_errors, explain_method_errors, read_names
+from kempe.arrays import read_reals
 from kempe.assemble.dyad_decomposition import Decomposition, Dyad, PartLine, parts_of
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.forward.fk import fk
@@ -26,8 +26,8 @@ from kempe.model.model import keep_answers
 from kempe.numerics.pool import over_chunks
 from kempe.report import Report, brief
 from kempe.spatial import Array
-from kempe.status import Status, member
-from kempe.words import counted
+from kempe.status import Status, to_status
+from kempe.words import format_count
 
 if TYPE_CHECKING:
     from kempe.assemble.dyad_formulas import DyadFormulas
@@ -79,7 +79,7 @@ class Incomplete(Report):
         return {"bodies": self.bodies}
 
 
-@explained_methods
+@explain_method_errors
 @dataclass(frozen=True, eq=False)
 class DyadAnswer(Answer):
     """Configurations `q` (..., nq) of a `plan`; which are closed (`success` or `ok`); their
@@ -117,7 +117,7 @@ class DyadAnswer(Answer):
         """The outcome (...): where this branch does not close, others may."""
         sound = np.isfinite(self.closing[1]).all(axis=-1).reshape(np.shape(self.success))
         left = np.where(sound, Status.NOT_FOUND, Status.BAD_INPUT)
-        return member(np.where(self.success, Status.SOLVED, left))
+        return to_status(np.where(self.success, Status.SOLVED, left))
 
     def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
 
@@ -134,16 +134,16 @@ class DyadAnswer(Answer):
         if code != Status.SOLVED:
             text = f"open by {gap:.6g} m on this branch; q is where it nearly touches"
             return text + (
-                f"; {counted(free, 'part')} left undetermined, which may close elsewhere"
+                f"; {format_count(free, 'part')} left undetermined, which may close elsewhere"
                 if free
                 else ""
             )
         return f"closed: open by {gap:.1e} m" + (
-            f"; {counted(free, 'part')} left undetermined" if free else ""
+            f"; {format_count(free, 'part')} left undetermined" if free else ""
         )
 
 
-@explained_methods
+@explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Plan(Report):
     """A mechanism in closed form for `known` coordinates: dyad after dyad of three rigid clusters.
@@ -172,7 +172,7 @@ class Plan(Report):
         """From what it is closed, and by how many dyads."""
         return (
             f"{self.system.name} from {', '.join(self.known) or 'nothing'}: "
-            f"{counted(len(self.dyads), 'dyad')}"
+            f"{format_count(len(self.dyads), 'dyad')}"
         )
 
     def describe(self) -> str:
@@ -364,7 +364,7 @@ class Plan(Report):
 
     def values(self, values: ArrayLike) -> tuple[Array, tuple[int, ...]]:
         """Known coordinates as (N, n_known), and their leading shape. Errors: `InputError`."""
-        array = reals(values, "values")
+        array = read_reals(values, "values")
         if array.ndim == 0 or array.shape[-1] != len(self.known):
             got = "a single number" if array.ndim == 0 else f"shape {array.shape}"
             raise InputError(
@@ -388,9 +388,9 @@ class Plan(Report):
             if isinstance(branch, str)
             else branch
         )
-        signs = reals(given, "branch", "signs, +1 or -1")
+        signs = read_reals(given, "branch", "signs, +1 or -1")
         if signs.ndim == 0 or signs.shape[-1] != self.signs or not np.all(np.abs(signs) == 1.0):
-            each = f"{counted(self.signs, 'sign')}, + or - (1 or -1), one for each dyad"
+            each = f"{format_count(self.signs, 'sign')}, + or - (1 or -1), one for each dyad"
             raise InputError(
                 f"branch is {branch!r}; it must be {each}; "
                 f"loops.closed_form({self.known}).describe() tells"
@@ -407,7 +407,7 @@ def _rows(x: Array, lead: tuple[int, ...], what: str) -> Array:
     return np.ascontiguousarray(x.reshape(math.prod(x.shape[:-1]), x.shape[-1]))
 
 
-@explained
+@explain_errors
 def closed_form(system: Model, known: Sequence[str] | str) -> Plan | Incomplete:
     """The closed form of a planar system for these known coordinates, or `Incomplete`, which says
     what is left over.
@@ -416,7 +416,7 @@ def closed_form(system: Model, known: Sequence[str] | str) -> Plan | Incomplete:
     coordinates, their followers, and dyads of three rigid clusters (Assur groups of the second
     class). Errors: `UnknownNameError` for the names, `InputError` for one that is not in q.
     """
-    return _closed_form(system, listed(known, "known"))
+    return _closed_form(system, read_names(known, "known"))
 
 
 def on_branch(

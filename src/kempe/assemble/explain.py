@@ -123,7 +123,7 @@ def _coinciding(system: Model, q: Array) -> list[tuple[str, str]]:
     bodies = fk(system, q)
     m = system.mechanism
     places = np.array(
-        [bodies[number[j.child]] @ j.X_CM.evaluate(m.parameters)[:, 3] for j in joints]
+        [bodies[number[j.child]] @ j.X_CM.evaluate_pose(m.parameters)[:, 3] for j in joints]
     )[:, :3]
     cells: dict[tuple[int, ...], list[int]] = {}
     for i, cell in enumerate(

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe import spatial
-from kempe.arguments import explained, together
+from kempe.arguments import explain_errors, together
 from kempe.assemble.assemble import assembler
 from kempe.assemble.bound import LOOSEST, TOLERANCE
 from kempe.description.mechanism import Mechanism
@@ -33,7 +33,7 @@ from kempe.model.implicit_form import (
     turn_flat_frame,
 )
 from kempe.model.model import Model
-from kempe.poses import Placement, place, refuse_no_poses
+from kempe.poses import Placement, check_poses, place
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ tells their turns."""
 FULL_TURN = 2.0 * math.pi
 
 
-@explained
+@explain_errors
 def from_maximal(
     system: Model, poses: ArrayLike, start: Any = None, tolerance: float | None = None
 ) -> Array:
@@ -128,7 +128,7 @@ def read_joints(
         for k, joint in enumerate(joints):
             ends: list[Array] = []
             for body, X_BE in ((joint.parent, joint.X_PF), (joint.child, joint.X_CM)):
-                X_BE = X_BE.evaluate(m.parameters)
+                X_BE = X_BE.evaluate_pose(m.parameters)
                 i = number(body)
                 X_BE = (
                     turn_flat_frame(X_BE) if has_slide_along_z(kind, system.dim, particle) else X_BE
@@ -359,7 +359,7 @@ def _refuse_no_poses(system: Model, poses: Array, tolerance: float) -> None:
     bodies = system.mechanism.bodies
     for i, body in enumerate(system.body_names[1:]):
         subject = f"pose of body {body!r}"
-        refuse_no_poses(poses[..., i, :, :], subject, tolerance)
+        check_poses(poses[..., i, :, :], subject, tolerance)
         if bodies[body].particle and np.any(np.abs(R[..., i, :, :] - np.eye(3)) > tolerance):
             raise InputError(
                 f"{subject}: a particle has no orientation; its rotation must be the identity"

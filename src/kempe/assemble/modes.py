@@ -18,14 +18,14 @@ from kempe.answers.answer import Configurations
 from kempe.answers.known_values import known_tasks, source_values
 from kempe.answers.problem import Problem, Solver, solve, takes_all
 from kempe.arguments import (
-    explained,
-    explained_methods,
-    flag,
-    generator,
-    interruptible,
-    start_count,
+    explain_errors,
+    explain_method_errors,
+    make_generator,
+    raise_interrupted,
+    read_flag,
+    read_start_count,
 )
-from kempe.arrays import within_range
+from kempe.arrays import check_range
 from kempe.assemble.assemble import assemble
 from kempe.assemble.bound import Assembler, of_equations
 from kempe.assemble.dyad_proofs import enclose
@@ -67,7 +67,7 @@ from kempe.numerics.rank import Level, Spectrum
 from kempe.report import ROWS, Table, brief
 from kempe.spatial import Array
 from kempe.status import Status
-from kempe.words import counted, verb
+from kempe.words import choose_verb, format_count
 
 if TYPE_CHECKING:
     from kempe.model.model import FrameLike, Model
@@ -131,7 +131,7 @@ def _points(system: Model) -> list[Array]:
         if isinstance(owner, Declared):
             places = owner.frames(m.parameters, system.dim)
         else:
-            places = owner.X_PF.evaluate(m.parameters), owner.X_CM.evaluate(m.parameters)
+            places = owner.X_PF.evaluate_pose(m.parameters), owner.X_CM.evaluate_pose(m.parameters)
         for body, X in zip((owner.parent, owner.child), places, strict=True):
             points[number[body]].append(X[:3, 3])
             along = X[:3, "xyz".index(letter)] if letter else np.zeros(3)
@@ -588,7 +588,7 @@ def _rigid(s: ModesSearch, spin: Any) -> bool:
     names = {
         f"{j.name}.{v}" if v else j.name
         for j in inside
-        for v in j.type.velocities(s.system.dim, False)
+        for v in j.type.list_velocity_names(s.system.dim, False)
     }
     return not spin.links and not (names & {*s.system.structure.velocity_names}) - s.bound.held
 
@@ -681,7 +681,7 @@ BESIDE = 128
 USUAL = Usual("assembly_modes", starts=STARTS, rng=0, time_limit=TIME_LIMIT, progress=None)
 
 
-@explained_methods
+@explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Modes(Configurations):
     """Configurations `q` (k, nq) that close the mechanism for the `known` inputs, each once.
@@ -775,7 +775,7 @@ class Modes(Configurations):
         return [*signs, *super()._notes()]
 
     def _headline(self) -> str:
-        return f"{counted(len(self), 'configuration')} of {self.system.name}; {self.status}"
+        return f"{format_count(len(self), 'configuration')} of {self.system.name}; {self.status}"
 
 
 def _not_begun(
@@ -796,8 +796,8 @@ def _not_begun(
     )
 
 
-@explained
-@interruptible
+@explain_errors
+@raise_interrupted
 @time_limited(USUAL, _not_begun)
 @tolerant()
 def assembly_modes(
@@ -843,10 +843,10 @@ def assembly_modes(
         raise InputError(
             f"start has shape {base.shape}; it must be one configuration ({system.nq},)"
         )
-    spend = USUAL.of(budget)
-    generator(spend.rng)
-    start_count(spend.starts)
-    flag(limits, "limits")
+    spend = USUAL.complete_budget(budget)
+    make_generator(spend.rng)
+    read_start_count(spend.starts)
+    read_flag(limits, "limits")
     name = None if frame is None else system.structure.frame_name(frame)
     problem = Problem(
         system, "all", dict(given), base, limits=bool(limits), budget=budget, frame=name
@@ -881,7 +881,7 @@ def by_dyads(question: Problem) -> Modes:
             raise InputError(
                 f"the known value of {name!r} has shape {x.shape}; it must be one number"
             )
-        within_range(x, f"the known value of {name!r}")
+        check_range(x, f"the known value of {name!r}")
     plan: Any = closed_form(system, tuple(values))
     signs = plan.branches()
     numbers = np.array([[float(x) for x in values.values()]] * len(signs)).reshape(
@@ -908,8 +908,8 @@ def by_dyads(question: Problem) -> Modes:
         sizes = np.concatenate([sizes, np.zeros(len(doubt.found), dtype=np.int64)])
     elif len(doubt.free):
         free = doubt.free[: len(groups)]
-    all_ = counted(len(signs), "branch")
-    do = verb(len(ok), "closes", "close")
+    all_ = format_count(len(signs), "branch")
+    do = choose_verb(len(ok), "closes", "close")
     new = len(doubt.found)
     status = f"complete: every dyad in closed form, {len(ok)} of {all_} {do}"
     if not len(q):
@@ -918,19 +918,19 @@ def by_dyads(question: Problem) -> Modes:
         )
     if len(doubt.rows):
         them = (
-            f"{counted(len(doubt.rows), 'branch')} {verb(len(doubt.rows), 'is', 'are')} "
-            f"undetermined: {doubt.why}"
+            f"{format_count(len(doubt.rows), 'branch')} "
+            f"{choose_verb(len(doubt.rows), 'is', 'are')} undetermined: {doubt.why}"
         )
         status = f"not proven complete: {len(ok)} of {all_} {do}, and {them}"
         if free.any():
-            moving = f"{int((free > 0).sum())} of {counted(len(q), 'configuration')}"
+            moving = f"{int((free > 0).sum())} of {format_count(len(q), 'configuration')}"
             status = f"not finite: {moving} can move with these inputs held; {them}"
         elif not len(q):
             status = f"none found, which proves nothing: {them}"
     if new:
-        status += f"; {counted(new, 'configuration')} found by least squares"
+        status += f"; {format_count(new, 'configuration')} found by least squares"
     if any(len(g) > 1 for g in groups):
-        status += f", {counted(sum(len(g) > 1 for g in groups), 'multiple root')}"
+        status += f", {format_count(sum(len(g) > 1 for g in groups), 'multiple root')}"
     return _answer(question, q, status, branches, sizes, free, not len(doubt.rows))
 
 
@@ -968,13 +968,13 @@ def _looked_into(
 
     tree = remove_cut_marks(system)
     before = len(clusters.members)
-    spend = USUAL.of(question.budget)
+    spend = USUAL.complete_budget(question.budget)
     bound = of_equations(tree, question.known)
     s = ModesSearch(
         tree,
         dict(question.known),
         question.start,
-        generator(spend.rng),
+        make_generator(spend.rng),
         bound,
         clusters,
         question.frame,
@@ -988,7 +988,7 @@ def _looked_into(
     ]
     continuum = bool(left) and proof.may_move(left)
     if continuum:
-        s.take(random_starts(s, min(BESIDE, start_count(spend.starts))), False)
+        s.take(random_starts(s, min(BESIDE, read_start_count(spend.starts))), False)
     else:  # near roots that merge, least squares stop at what only seems to move
         s.free = np.zeros(len(clusters.q), dtype=np.int64)
     new = np.arange(before, len(s.free))
@@ -1011,14 +1011,14 @@ def by_starts(question: Problem) -> Modes:
     """The answer of many starts: never proven complete."""
 
     system = question.system
-    spend = USUAL.of(question.budget)
+    spend = USUAL.complete_budget(question.budget)
     found = search(
         system,
         dict(question.known),
         question.start,
         question.frame,
-        generator(spend.rng),
-        start_count(spend.starts),
+        make_generator(spend.rng),
+        read_start_count(spend.starts),
         time_of(USUAL, question.budget),
         spend.progress,
         bool(question.limits),
@@ -1033,7 +1033,7 @@ def by_starts(question: Problem) -> Modes:
     expected += found.odd
     closed = int(hits.sum())
     status = (
-        f"not proven complete: {len(isolated)} found from {counted(found.tried, 'start')}, of "
+        f"not proven complete: {len(isolated)} found from {format_count(found.tried, 'start')}, of "
         f"which {closed} closed; with 95 % confidence at most {_up(100.0 * (1.0 - coverage))} % of "
         "the starts that close lead to others"
     )
@@ -1046,12 +1046,14 @@ def by_starts(question: Problem) -> Modes:
     if not closed:
         why = assemble(system, question.known, start=question.start).status
         status = (
-            f"none found, which proves nothing: of {counted(found.tried, 'start')} none closed; "
-            f"{why}"
+            f"none found, which proves nothing: of {format_count(found.tried, 'start')} none "
+            f"closed; {why}"
         )
     if len(families):
         besides = (
-            f"besides {counted(len(isolated), 'isolated configuration')}, " if len(isolated) else ""
+            f"besides {format_count(len(isolated), 'isolated configuration')}, "
+            if len(isolated)
+            else ""
         )
         left = "1 freedom" if free.max() == 1 else f"up to {free.max()} freedoms"
         status = (
@@ -1060,7 +1062,7 @@ def by_starts(question: Problem) -> Modes:
         )
         families = families[[_example(question, found.clusters, families)]]
     if found.spins:
-        status += f"; {counted(len(found.spins), 'idle spin')} left out: " + ", ".join(
+        status += f"; {format_count(len(found.spins), 'idle spin')} left out: " + ", ".join(
             map(str, found.spins[:3])
         )
         status += ", ..." if len(found.spins) > 3 else ""

@@ -15,17 +15,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from kempe.arguments import explained, explained_methods
+from kempe.arguments import explain_errors, explain_method_errors
 from kempe.arrays import is_real
 from kempe.assemble.bound import bare
 from kempe.assemble.dimensions import Dimensions, Place, Relations, with_simple_angles
 from kempe.assemble.fit import DAMPING, ENOUGH, Fit, Valley, fitted_all_along, moves_all_along
-from kempe.budget import Budget, TimeUp, Usual, checks
+from kempe.budget import Budget, TimeUp, Usual, list_checks
 from kempe.description.mechanism import components, unused_name
 from kempe.description.parts import Declared, Joint
 from kempe.equations.closure_rows import evaluate, freedoms_left, full, residual, row_names
 from kempe.equations.slip import rolls
-from kempe.errors import InputError, TimeLimitError, shown
+from kempe.errors import InputError, TimeLimitError, format_value
 from kempe.first_order.constraint_graph import build_constraint_graph
 from kempe.joints import Revolute
 from kempe.model.ball_angles import make_regular_chart
@@ -41,7 +41,7 @@ from kempe.model.time_coordinate import list_timed_constraints
 from kempe.numerics.clock import ENDLESS, LONG, TIME_LIMIT, TimeLimit, begun_within, time_limited
 from kempe.report import Nearest, Report
 from kempe.spatial import Array, log_so3, xyz_rpy_from_pose
-from kempe.words import InWords, counted
+from kempe.words import InWords, format_count
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
@@ -112,7 +112,7 @@ class Change(InWords):
         return f"{self.name!r} {where}: {self.old} -> {self.new}"
 
 
-@explained_methods
+@explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Idealised(Report):
     """The nearest mechanism found that closes exactly with `freedoms`, and how it differs from the
@@ -141,7 +141,7 @@ class Idealised(Report):
     @property
     def status(self) -> str:
         """What is true, in one sentence."""
-        return f"closed {self.least}, with {counted(self.freedoms, 'freedom')}; {self.exactly}"
+        return f"closed {self.least}, with {format_count(self.freedoms, 'freedom')}; {self.exactly}"
 
     @property
     def least(self) -> str:
@@ -222,7 +222,7 @@ def tolerance_of(system: Model, tolerance: Any) -> float:
     finest = FINEST * max(size, float(np.linalg.norm(choose_origin(system))))
     if not (is_real(tolerance) and finest <= float(tolerance) <= widest):
         raise InputError(
-            f"tolerance is {shown(tolerance)}; it must be from {finest:.2g} (rounding) to "
+            f"tolerance is {format_value(tolerance)}; it must be from {finest:.2g} (rounding) to "
             f"{widest:.2g} (a hundredth of the size of {system.name}), in metres and radians, or "
             f"{MEASURED!r}"
         )
@@ -245,7 +245,7 @@ def within(system: Model, tolerance: Any = None, time: TimeLimit = ENDLESS) -> I
     most = tolerance_of(system, tolerance)
     if not _closes(system):
         return store_answer(answers, key, None)
-    own = time is ENDLESS and not checks()
+    own = time is ENDLESS and not list_checks()
     time = TimeLimit(LONG) if own else time
     try:
         with time:
@@ -288,7 +288,7 @@ def _kept(system: Model, tolerance: Any) -> tuple[dict[Any, Any], Any, Any]:
 USUAL = Usual("idealised", time_limit=TIME_LIMIT)
 
 
-@explained
+@explain_errors
 @time_limited(USUAL)
 def idealised(
     system: Model, tolerance: float | str | None = MEASURED, *, budget: Budget | None = None
@@ -434,7 +434,7 @@ def _closes_anyway(system: Model, names: Iterable[str], most: float) -> bool:
     ends: dict[str, list[Array]] = {}
     for j in joints:
         for body, X in ((j.parent, j.X_PF), (j.child, j.X_CM)):
-            ends.setdefault(body, []).append(X.evaluate(m.parameters)[:2, 3])
+            ends.setdefault(body, []).append(X.evaluate_pose(m.parameters)[:2, 3])
     lengths = [float(np.linalg.norm(a - b)) for a, b in ends.values()]
     return min(lengths) > OPEN * most
 
@@ -697,7 +697,7 @@ def _changes(system: Model, changed: Sequence[_Found], home: Array, most: float)
                 parts[name], **{side: getattr(getattr(part.ideal.mechanism, table)[name], side)}
             )
             old, becomes = (
-                getattr(getattr(x, table)[name], side).evaluate(m.parameters) for x in (m, new)
+                getattr(getattr(x, table)[name], side).evaluate_pose(m.parameters) for x in (m, new)
             )
             before: Array = old
             between = np.linalg.inv(before) @ becomes

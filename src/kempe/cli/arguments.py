@@ -26,7 +26,7 @@ from kempe.model.configurations import (
 )
 from kempe.poses import AXES
 from kempe.spatial import Array
-from kempe.words import DEGREE, counted
+from kempe.words import DEGREE, format_count
 
 if TYPE_CHECKING:
     from kempe.assemble.answer import Assembly
@@ -81,7 +81,7 @@ def _values(system: System, word: str, degrees: bool, frames: bool) -> dict[str,
     if frames and _is_frame(system, name):
         if len(values) not in (system.dim, 3):
             needed = "x,y" if system.dim == 2 else "x,y,z"
-            has = counted(len(values), "number")
+            has = format_count(len(values), "number")
             raise InputError(f"{name!r} is a frame and has {has}; its place is {name}={needed}")
         return {name: np.array(values)}
     _check_coordinate(system, name, frames)
@@ -184,7 +184,7 @@ def _posture(system: System, name: str) -> Array:
 
 def _radians(system: System, q: Array, degrees: bool) -> Array:
     """q with its angles, given in degrees where `degrees` says so, in radians."""
-    return q / name_values(system, np.ones(system.nq)).within(degrees)
+    return q / name_values(system, np.ones(system.nq)).convert_units(degrees)
 
 
 def start(system: System, text: str | None, degrees: bool = False) -> Array | None:
@@ -199,7 +199,7 @@ def start(system: System, text: str | None, degrees: bool = False) -> Array | No
         return _posture(system, text)
     q = configurations(system, text, None, degrees, start=True)
     if q.ndim != 1:
-        many = counted(len(q), "configuration")
+        many = format_count(len(q), "configuration")
         raise InputError(f"{text}: it holds {many}; one is needed to start from")
     if not np.isfinite(q).all():
         raise InputError(f"{text}: a number to start from is not finite")
@@ -241,7 +241,7 @@ def configuration(
         return answer.q, answer
     q = configurations(system, text, posture, degrees)
     if q.ndim != 1:
-        raise InputError(f"{text}: it holds {counted(len(q), 'configuration')}; one is needed")
+        raise InputError(f"{text}: it holds {format_count(len(q), 'configuration')}; one is needed")
     return q, None
 
 
@@ -281,9 +281,9 @@ def branch(system: System, given: Mapping[str, Any], text: str | None) -> str | 
 
     plan = closed_form(system, tuple(given))
     if not isinstance(plan, Incomplete) and plan.signs != len(text):
-        needs = f"{counted(plan.signs, 'sign')} with these inputs: --modes lists its branches"
+        needs = f"{format_count(plan.signs, 'sign')} with these inputs: --modes lists its branches"
         raise InputError(
-            f"branch {text!r} has {counted(len(text), 'sign')}; {system.name} has {needs}"
+            f"branch {text!r} has {format_count(len(text), 'sign')}; {system.name} has {needs}"
         )
     return text
 
@@ -298,7 +298,8 @@ def axis(text: str) -> Array:
     values = numbers(text, "axis")
     if len(values) != 3:
         raise InputError(
-            f"the axis has {counted(len(values), 'number')}; it must be x,y,z in the tool's frame"
+            f"the axis has {format_count(len(values), 'number')}; it must be x,y,z in the tool's "
+            "frame"
         )
     return np.array(values)
 

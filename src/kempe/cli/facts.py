@@ -19,7 +19,7 @@ from kempe.model.configurations import has_loops, list_limits
 from kempe.model.coordinates import Follower, format_coordinate_name, format_relation
 from kempe.report import Report, Table
 from kempe.spatial import Array
-from kempe.words import Quantities, Quantity, Unit, counted, fixed
+from kempe.words import Quantities, Quantity, Unit, format_count, format_fixed
 
 if TYPE_CHECKING:
     from kempe.system import System
@@ -44,8 +44,8 @@ class SystemFacts(Report):
         """How many bodies and joints it has, and of which kind it is."""
         system = self.system
         place = "in the plane" if system.dim == 2 else "in space"
-        bodies = counted(len(system.body_names) - 1, "body")
-        joints = counted(len(system.structure.joints), "joint")
+        bodies = format_count(len(system.body_names) - 1, "body")
+        joints = format_count(len(system.structure.joints), "joint")
         return f"{system.name}: {bodies}, {joints}, {place}; {system.kind}"
 
     def _tables(self) -> Sequence[Table]:
@@ -89,7 +89,7 @@ class SystemFacts(Report):
             ("connectivity", f"C = {{{parents}}}  (parent of each body, 0 is the ground)"),
             ("degrees of freedom", self._freedoms()),
             ("configuration space", system.configuration_space.within),
-            ("coordinates", f"q has {counted(system.nq, 'number')}"),
+            ("coordinates", f"q has {format_count(system.nq, 'number')}"),
             ("parameters", ", ".join(parameters)),
             ("postures", ", ".join(system.structure.posture_names)),
             ("groups of joints", ", ".join(system.groups)),
@@ -106,11 +106,14 @@ class SystemFacts(Report):
             return dof if loops else f"{dof} (a tree, no loops)"
         constraints = system.mechanism.constraints.values()
         declared = sum(c.equations(system.dim) > 0 for c in constraints)
-        what = [counted(n, name) for n, name in ((loops, "loop"), (declared, "constraint")) if n]
+        what = [
+            format_count(n, name) for n, name in ((loops, "loop"), (declared, "constraint")) if n
+        ]
         of = " and ".join(what) or "coordinates that follow several others"
         return (
-            f"{dof} of the tree; {system.nv} of all joints less {counted(equations, 'equation')} of "
-            f"{of}: at least {max(system.nv - equations, 0)}; kempe dof counts them truly"
+            f"{dof} of the tree; {system.nv} of all joints less "
+            f"{format_count(equations, 'equation')} of {of}: at least "
+            f"{max(system.nv - equations, 0)}; kempe dof counts them truly"
         )
 
     def _bodies_table(self) -> Table:
@@ -226,7 +229,7 @@ def _dof_of_tree(system: System) -> int:
     names = (
         format_coordinate_name(j.name, v)
         for j in cut
-        for v in j.type.velocities(system.dim, bodies[j.child].particle)
+        for v in j.type.list_velocity_names(system.dim, bodies[j.child].particle)
     )
     return system.nv - sum(name in known for name in names)
 
@@ -345,7 +348,7 @@ class Poses(Report):
     def _notes(self, degrees: bool = False) -> list[str]:
         if self.X.ndim > 2:
             return []
-        return ["  ".join(f"{fixed(x):>10}" for x in row) for row in self.X.tolist()]
+        return ["  ".join(f"{format_fixed(x):>10}" for x in row) for row in self.X.tolist()]
 
     def _data(self) -> dict[str, Any]:
         names = [self.frame] if self.frame is not None else list(self.system.body_names)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from kempe.arguments import until_interrupt
+from kempe.arguments import call_until_interrupt
 from kempe.cli.app import (
     OPEN,
     Axis,
@@ -93,7 +93,7 @@ def map(
         given["tolerance"] = errors if verb == "ik" else errors[0]
     names = None if columns is None else [name.strip() for name in columns.split(",")]
     with progress.progress("rows") as report:
-        answer = until_interrupt(
+        answer = call_until_interrupt(
             kempe.map_file,
             system,
             verb,

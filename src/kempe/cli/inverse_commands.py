@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from kempe.answers.targets import task_of
-from kempe.arguments import until_interrupt
+from kempe.arguments import call_until_interrupt
 from kempe.budget import Budget
 from kempe.cli.app import (
     OPEN,
@@ -191,7 +191,7 @@ def path(
     options |= {} if tolerance is None else {"tolerance": arguments.tolerance(tolerance)}
     with progress.progress("targets", count) as report:
         spend = Budget(rng=rng, time_limit=time_limit, progress=report)
-        answer = until_interrupt(system.ik_path, wanted, frame, start, **options, budget=spend)
+        answer = call_until_interrupt(system.ik_path, wanted, frame, start, **options, budget=spend)
     output.save(answer)
     output.draw(system, answer, frames=[] if frame is None else [frame])
     output.end(answer)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 
-from kempe.arguments import until_interrupt
+from kempe.arguments import call_until_interrupt
 from kempe.budget import Budget
 from kempe.cli.app import (
     CLOSED,
@@ -221,7 +221,9 @@ def assemble(
     answer: Any
     if modes:
         spend = Budget(time_limit=time_limit)
-        answer = until_interrupt(system.assembly_modes, values, start, limits=limits, budget=spend)
+        answer = call_until_interrupt(
+            system.assembly_modes, values, start, limits=limits, budget=spend
+        )
     else:
         answer = system.assemble(
             values,
@@ -291,7 +293,7 @@ def trace(
     if closing is not None and not closing:
         output.end(closing)
     with progress.progress("points traced") as report:
-        path = until_interrupt(
+        path = call_until_interrupt(
             system.trace,
             driver,
             begin,
@@ -384,7 +386,7 @@ def _resampled(path: Motion, points: int, budget: Budget) -> Motion:
     """The path and its other branches, with points at equal distances."""
     if len(path) < 2:
         return path
-    found = until_interrupt(path.resample, points, budget=budget)
+    found = call_until_interrupt(path.resample, points, budget=budget)
     if not found and path:  # broken off
         return found
     return replace(found, others=tuple(_resampled(other, points, budget) for other in path.others))

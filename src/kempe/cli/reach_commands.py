@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import typer
 
-from kempe.arguments import until_interrupt
+from kempe.arguments import call_until_interrupt
 from kempe.budget import Budget
 from kempe.cli.app import (
     OPEN,
@@ -90,7 +90,7 @@ def singularities(
     if closing is not None and not closing:
         raise InputError(f"--at cannot be closed: {closing.status}")
     with _paced(starts, rng, time_limit, "starts") as budget:
-        answer = until_interrupt(
+        answer = call_until_interrupt(
             system.singularities, frame, task, inputs=driving, limits=not no_limits, budget=budget
         )
     broken: list[str] = []
@@ -99,7 +99,7 @@ def singularities(
         from kempe.views.singular_plot import curves_shown, plot_singularities
 
         with _paced(None, None, time.left, "configurations of curves") as budget:
-            curves = until_interrupt(curves_shown, answer, budget)
+            curves = call_until_interrupt(curves_shown, answer, budget)
         if curves is not None and curves.broken:
             broken.append(curves.status)
         return plot_singularities(answer, curves)
@@ -132,7 +132,7 @@ def reach(
     """
     X, task = _poses(system, poses, frame, position_only, output.deg)
     with _paced(starts, rng, time_limit, "poses") as budget:
-        answer = until_interrupt(system.reach.poses, X, frame, task=task, budget=budget)
+        answer = call_until_interrupt(system.reach.poses, X, frame, task=task, budget=budget)
     output.save(answer)
     output.draw(system, answer.q[answer.reached], answer.plot)
     output.end(answer)
@@ -158,7 +158,7 @@ def place(
     X, task = _poses(system, poses, frame, position_only, output.deg)
     ranges = _box(box, output.deg)
     with _paced(starts, rng, time_limit, "poses") as budget:
-        answer = until_interrupt(
+        answer = call_until_interrupt(
             system.reach.place, X, frame, ranges, cells, task=task, budget=budget
         )
     output.draw(system, None, answer.plot)

@@ -12,7 +12,7 @@ from rich.console import Console, Group, RenderableType
 from rich.text import Text
 
 from kempe.errors import PROBLEM_LIMIT, DescriptionError, Fault
-from kempe.words import counted, fixed
+from kempe.words import format_count, format_fixed
 
 if TYPE_CHECKING:
     from kempe.report import Result
@@ -70,8 +70,8 @@ def values_line(answer: Any, degrees: bool) -> str:
         q = q[0]
     if np.ndim(q) != 1:
         return ""
-    values = answer._by_name(q).within(degrees).tolist()
-    return f"--q {','.join(fixed(x, 9).rstrip('0').rstrip('.') for x in values)}"
+    values = answer._by_name(q).convert_units(degrees).tolist()
+    return f"--q {','.join(format_fixed(x, 9).rstrip('0').rstrip('.') for x in values)}"
 
 
 def in_options(text: str) -> str:
@@ -101,14 +101,14 @@ def clean(text: object) -> str:
 
 def findings(file: str, problems: Sequence[Fault], notes: Sequence[str] = ()) -> RenderableType:
     """What is wrong with a file: each problem with its place and a caret under it; then the notes."""
-    found = counted(len(problems), "problem") if problems else "no problems"
-    noted = f", {counted(len(notes), 'note')}" if notes else ""
+    found = format_count(len(problems), "problem") if problems else "no problems"
+    noted = f", {format_count(len(notes), 'note')}" if notes else ""
     head = Text.assemble(
         clean(file), ": ", (found, "bold red" if problems else "bold green"), noted
     )
     said = [Text.assemble(("note ", "bold cyan"), clean(note)) for note in notes[:NOTE_LIMIT]]
     if len(notes) > NOTE_LIMIT:
-        said.append(Text(f"... and {counted(len(notes) - NOTE_LIMIT, 'more note')}"))
+        said.append(Text(f"... and {format_count(len(notes) - NOTE_LIMIT, 'more note')}"))
     return Group(head, *_problems(problems), *said)
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from kempe.arguments import until_interrupt
+from kempe.arguments import call_until_interrupt
 from kempe.budget import Budget
 from kempe.cli.app import CLOSED, Output, TimeLimit, command, option, save_picture
 from kempe.cli.terminal import INCOMPLETE
@@ -60,19 +60,19 @@ def spaces(
     space = system.configuration_space
     budget = Budget(time_limit=time_limit)
     answers: dict[str, Any] = {"configuration_space": space}
-    answers["components"] = until_interrupt(space.components, budget=budget)
+    answers["components"] = call_until_interrupt(space.components, budget=budget)
     if frame is not None:
         answers["task_space"] = system.task_space(
             frame, task="position" if position_only else "pose"
         )
     if sample is not None:
-        answers["sample"] = until_interrupt(space.sample, sample, rng, budget=budget)
+        answers["sample"] = call_until_interrupt(space.sample, sample, rng, budget=budget)
     if output.plot is not None:
         from kempe.cli import progress
 
         with progress.progress("places") as report:
             spent = Budget(time_limit=time_limit, progress=report)
-            axes = until_interrupt(system.plot_spaces, frame or "", task=task, budget=spent)
+            axes = call_until_interrupt(system.plot_spaces, frame or "", task=task, budget=spent)
             save_picture(axes, output.plot)
         output.written.append(output.plot)
     if "sample" in answers:

@@ -24,7 +24,7 @@ from kempe.cli.app import (
 )
 from kempe.cli.terminal import COMPLETE, INCOMPLETE, print_json
 from kempe.description.formats import endings_written, named, read_by
-from kempe.words import listed, plural
+from kempe.words import join_first_words, make_plural
 
 if TYPE_CHECKING:
     from kempe.system import System
@@ -148,7 +148,7 @@ def fk(
     output.show(poses)
     bad = table_files.not_finite(values)
     if bad:
-        rows = f"{plural(len(bad), 'row')} {listed([str(i) for i in bad], 12)}"
+        rows = f"{make_plural(len(bad), 'row')} {join_first_words([str(i) for i in bad], 12)}"
         remark(f"q is not finite in {rows}; poses there are NaN")
     gap = facts.largest_gap(system, values)
     if gap:

@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 import typer
 from typer.core import TyperGroup
 
-from kempe.errors import KempeError, TimeLimitError, shortened
+from kempe.errors import KempeError, TimeLimitError, shorten_lines
 
 COMPLETE = 0
 INCOMPLETE = 1
@@ -107,7 +107,7 @@ def refuse(error: BaseException | str, json: bool = False) -> NoReturn:
 
 def say_error(error: BaseException | str, json: bool = False) -> None:
     """Print an error: a sentence on standard error, or JSON on standard output."""
-    error = error if isinstance(error, BaseException) else str(shortened(error))
+    error = error if isinstance(error, BaseException) else str(shorten_lines(error))
     if json:
         from kempe.cli.facts import error_facts
 
@@ -120,10 +120,10 @@ def say_error(error: BaseException | str, json: bool = False) -> None:
 
 def print_json(data: Any) -> None:
     """Print data as JSON; letters beyond ASCII are escaped where the output cannot show them."""
-    from kempe.words import json_text
+    from kempe.words import format_json
 
     encoding = getattr(sys.stdout, "encoding", None) or "ascii"
-    print(json_text(data, ascii_only=encoding.lower().replace("-", "") != "utf8"))
+    print(format_json(data, ascii_only=encoding.lower().replace("-", "") != "utf8"))
 
 
 def show(answer: Any, degrees: bool = False) -> None:

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 
-from kempe.arguments import until_interrupt
+from kempe.arguments import call_until_interrupt
 from kempe.cli.app import OPEN, Output, Scheduler, Threads, TimeLimit, command, option
 from kempe.cli.table_files import finite_numbers
 from kempe.cli.terminal import print_json
 from kempe.errors import InputError
-from kempe.words import DEGREE, counted
+from kempe.words import DEGREE, format_count
 
 if TYPE_CHECKING:
     from kempe.system import System
@@ -87,9 +87,11 @@ def workspace(
     )
     ends = None if box is None else finite_numbers(box, "--box")
     if ends is not None and len(ends) % 2:
-        raise InputError(f"--box has {counted(len(ends), 'number')}; it needs two for each axis")
+        raise InputError(
+            f"--box has {format_count(len(ends), 'number')}; it needs two for each axis"
+        )
     with progress.progress("samples") as report:
-        answer = until_interrupt(
+        answer = call_until_interrupt(
             system.workspace,
             frame,
             kind=kind,
@@ -136,7 +138,7 @@ def query(
     wanted = 1 if turned and dim == 2 else dim
     rows = [finite_numbers(p, "a point") for p in points]
     if any(len(row) != wanted for row in rows):
-        raise InputError(f"points must have {counted(wanted, 'number')}, separated by commas")
+        raise InputError(f"points must have {format_count(wanted, 'number')}, separated by commas")
     if turned:
         inside = [
             bool(space.contains(read_rotations(_turned(p, "a point", output.deg), dim)))

@@ -15,14 +15,14 @@ from typing import Any, ClassVar, NamedTuple, TypeAlias, TypeVar, dataclass_tran
 import numpy as np
 
 from kempe import spatial
-from kempe.arguments import explained_making, numbers
+from kempe.arguments import explain_init_errors, numbers
 from kempe.arrays import is_array, is_mapping, is_sequence
 from kempe.errors import INSTEAD, InputError
 from kempe.poses import EXACT as RIGID
-from kempe.poses import Placement, arrays, direction, sound
+from kempe.poses import Placement, correct_rotations, read_direction, read_pose_array
 from kempe.spatial import Array
 from kempe.values import Expression
-from kempe.words import paragraphs
+from kempe.words import format_html_paragraphs
 
 # ---- checks of what is given
 
@@ -41,7 +41,7 @@ def poses_of(x: Any, dim: int, what: str) -> Array:
     """Poses (..., 4, 4), in the plane also from (..., 3, 3); kernels check rotations. Errors:
     `InputError`.
     """
-    given = numbers_of(arrays(x, what), what)
+    given = numbers_of(read_pose_array(x, what), what)
     is_planar = dim == 2 and given.ndim >= 2 and given.shape[-2:] == (3, 3)
     X = np.zeros((*given.shape[:-2], 4, 4)) if is_planar else given
     if is_planar:
@@ -51,10 +51,10 @@ def poses_of(x: Any, dim: int, what: str) -> Array:
         X[..., 3, 3] = 1.0
     if X.ndim < 2 or X.shape[-2:] != (4, 4):
         raise InputError(f"{what} has shape {X.shape}; it must be a pose (..., 4, 4)")
-    X = spatial._poses(X, what)
+    X = spatial._read_poses(X, what)
     if dim == 2 and (np.any(np.abs(X[..., 2, 3]) > RIGID) or np.any(1.0 - X[..., 2, 2] > RIGID)):
         raise InputError(f"{what} leaves the plane of the system")
-    return sound(X, what)
+    return correct_rotations(X, what)
 
 
 def numbers_of(x: Any, what: str) -> Array:
@@ -114,7 +114,7 @@ def directions_of(x: Any, dim: int, what: str) -> Array:
     """Unit vectors (..., 3), in the plane also from (..., 2). Errors: `InputError`, also for zero
     vectors.
     """
-    p = _vectors(direction(x), dim, what)
+    p = _vectors(read_direction(x), dim, what)
     if np.any(np.all(p == 0.0, axis=-1)):
         raise InputError(f"{what} is zero; it must have a direction")
     return _in_plane(spatial.unit(p), dim, what)
@@ -431,7 +431,9 @@ class Constraint(ABC):
         return said if other is None or "{other}" in self.says else f"{said}, seen from {other}"
 
     def _repr_html_(self) -> str:
-        return paragraphs([f"{self.name}: {self.sentence}" if self.name else self.sentence])
+        return format_html_paragraphs(
+            [f"{self.name}: {self.sentence}" if self.name else self.sentence]
+        )
 
     def in_words(self, name: str) -> str:
         """The value of the field `name`, as `sentence` writes it."""
@@ -535,7 +537,7 @@ def kind(name: str, symbol: str = "mark", says: str = "") -> Callable[[_Kind], _
         made.kind = name
         made.symbol = symbol
         made.says = says
-        explained_making(made)
+        explain_init_errors(made)
         if not issubclass(made, Bounded):
             INSTEAD.update(
                 {(made.__name__, word): made.unbounded for word in ("at_least", "at_most")}

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-from kempe.arguments import flag
+from kempe.arguments import read_flag
 from kempe.constraints.base import Constraint, Frame, Number, Op, Row, kind, positive
 from kempe.constraints.tape import POSE, TWIST
 from kempe.constraints.text import from_text
@@ -108,8 +108,8 @@ class Rolls(Constraint):
     prevents: ClassVar[str] = "{name!r} does not slip"
 
     def __post_init__(self) -> None:
-        flag(self.spin, f"spin of {self.label}")
-        flag(self.one_sided, f"one_sided of {self.label}")
+        read_flag(self.spin, f"spin of {self.label}")
+        read_flag(self.one_sided, f"one_sided of {self.label}")
 
     def check(self, dim: int) -> None:
         """Refuse a negative radius."""

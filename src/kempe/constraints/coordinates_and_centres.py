@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from kempe import spatial
-from kempe.arrays import named
+from kempe.arrays import read_mapping
 from kempe.constraints.base import (
     EYE,
     Bounded,
@@ -50,12 +50,12 @@ class Posture(Constraint):
     @property
     def about(self) -> str:
         """The coordinates that are held, by name."""
-        given = named(self.q)
+        given = read_mapping(self.q)
         return "all coordinates" if given is None else ", ".join(map(repr, given))
 
     def rows(self, dim: int) -> tuple[Row, ...]:
         """One row for each named coordinate; without names, for all."""
-        given = named(self.q)
+        given = read_mapping(self.q)
         return (Row(Op.COORDINATE, () if given is None else tuple(given), "value"),)
 
 

@@ -11,8 +11,8 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from kempe import spatial
-from kempe.arguments import flag
-from kempe.arrays import reals
+from kempe.arguments import read_flag
+from kempe.arrays import read_reals
 from kempe.constraints.base import Frame, Op, Point, Row, kind, points_of
 from kempe.constraints.builder import Builder, dot, on_pieces
 from kempe.constraints.kinds import ORIGIN, Measured
@@ -51,8 +51,8 @@ class OnCurve(Measured):
     other: Frame | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
-        flag(self.closed, f"closed of {self.label}")
-        given = reals(self.points, what := f"points of {self.label}")
+        read_flag(self.closed, f"closed of {self.label}")
+        given = read_reals(self.points, what := f"points of {self.label}")
         if given.ndim != 2 or given.shape[1] not in (2, 3) or not np.isfinite(given).all():
             raise InputError(
                 f"{what} have the shape {given.shape}; they must be (n, 2) or (n, 3), and finite"

@@ -13,16 +13,16 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 import numpy as np
 
-from kempe.arguments import FOREIGN, flag, listed
+from kempe.arguments import FOREIGN, read_flag, read_names
 from kempe.arrays import is_array, is_sequence
 from kempe.constraints.base import LARGEST, Bounded, Constraint, Names, Op, Row, kind
 from kempe.constraints.builder import Builder, renamed
 from kempe.constraints.tape import RATE, TIME, Tape, quoted
 from kempe.constraints.text import from_text, is_texts, read
-from kempe.errors import InputError, KempeError, UnknownNameError, shown
+from kempe.errors import InputError, KempeError, UnknownNameError, format_value
 from kempe.kernels.constraints import tape_layout as L
 from kempe.values import Expression
-from kempe.words import counted
+from kempe.words import format_count
 
 # ---- recording functions
 
@@ -330,7 +330,8 @@ def _entries(found: Any) -> tuple[list[Any], tuple[int, ...]]:
     if isinstance(found, (int, float, np.integer, np.floating)) and not isinstance(found, bool):
         return [float(number)], ()
     raise InputError(
-        f"it returns {shown(found)}; it must return a number, a list of numbers, or rows of numbers"
+        f"it returns {format_value(found)}; it must return a number, a list of numbers, or rows of "
+        "numbers"
     )
 
 
@@ -482,7 +483,7 @@ class Call:
         found, _ = called(self.function, given, self.time, self.what)
         if len(found) != self.size:
             raise InputError(
-                f"{self.what} gave {counted(self.size, 'number')}, and gives {len(found)} at "
+                f"{self.what} gave {format_count(self.size, 'number')}, and gives {len(found)} at "
                 f"{at(given)}"
             )
         return found
@@ -527,11 +528,14 @@ def as_text(x: Any, what: str) -> str:
     if isinstance(x, (int, float, np.integer, np.floating)) and not isinstance(x, bool):
         whole_and_huge = isinstance(x, int) and abs(x) > LARGEST  # perhaps no float at all
         if whole_and_huge or abs(number := float(given)) > LARGEST:
-            raise InputError(f"{what} is {shown(given)}; its size must be at most {LARGEST:g}")
+            raise InputError(
+                f"{what} is {format_value(given)}; its size must be at most {LARGEST:g}"
+            )
         return str(int(number)) if number.is_integer() and abs(number) < 1e15 else repr(number)
     if not isinstance(x, str):
         raise InputError(
-            f"{what} is {shown(x)}; it must be text, a number, or a function of named coordinates"
+            f"{what} is {format_value(x)}; it must be text, a number, or a function of named "
+            "coordinates"
         )
     return x
 
@@ -547,7 +551,7 @@ class _WrittenKind(Constraint):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "of", self._names(self.of))
-        object.__setattr__(self, "time", flag(self.time, f"time of {self.what}"))
+        object.__setattr__(self, "time", read_flag(self.time, f"time of {self.what}"))
 
     @property
     def what(self) -> str:
@@ -564,7 +568,7 @@ class _WrittenKind(Constraint):
         return ", ".join(self.of or self.words)
 
     def _names(self, given: Any) -> tuple[str, ...]:
-        names = listed(given, f"of of {self.what}")
+        names = read_names(given, f"of of {self.what}")
         twice = [n for n in names if names.count(n) > 1]
         if twice:
             raise InputError(f"{self.what} names the coordinate {twice[0]!r} twice")
@@ -831,7 +835,7 @@ class VelocityEquation(_WrittenKind):
         if len(shape) not in (1, 2) or shape[-1] != len(self.of) or 0 in shape:
             raise InputError(
                 f"{self.what} has a matrix of the shape {shape}; each of its rows must have "
-                f"{counted(len(self.of), 'entry')}, for {', '.join(self.of)}"
+                f"{format_count(len(self.of), 'entry')}, for {', '.join(self.of)}"
             )
 
     def _as_many(self, shape: tuple[int, ...], rows: int) -> None:

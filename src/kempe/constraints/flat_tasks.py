@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kempe.arguments import known
+from kempe.arguments import check_name
 from kempe.constraints.base import Constraint
 from kempe.constraints.kinds import OnLine, Pointing, Position
 from kempe.errors import UnsupportedError
@@ -95,7 +95,7 @@ class FlatTask:
 
 def flat_task(name: object, dim: int) -> FlatTask:
     """The task by its name, None: "xy". Errors: `InputError`, `UnsupportedError`."""
-    task = "xy" if name is None else known("task", name, (*PLANES, DIRECTION))
+    task = "xy" if name is None else check_name("task", name, (*PLANES, DIRECTION))
     if dim == 2 and task != "xy":
         raise UnsupportedError(f"task is {task!r}; of a planar system 'xy' is drawn")
     return FlatTask(task, dim)

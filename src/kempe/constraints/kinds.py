@@ -42,7 +42,7 @@ from kempe.constraints.base import (
 from kempe.constraints.tape import POSE, Tape
 from kempe.constraints.text import LEAST, from_text
 from kempe.errors import InputError
-from kempe.poses import arrays
+from kempe.poses import read_pose_array
 from kempe.spatial import Array
 
 # ---- bases of kinds
@@ -227,7 +227,7 @@ class Orientation(Measured):
 
     def goal(self, dim: int) -> Array:
         """The pose or position that is held."""
-        X = numbers_of(arrays(self.target, what := f"target of {self.label}"), what)
+        X = numbers_of(read_pose_array(self.target, what := f"target of {self.label}"), what)
         return poses_of(spatial.pose(X) if X.ndim >= 2 and X.shape[-2:] == (3, 3) else X, dim, what)
 
 

@@ -23,7 +23,7 @@ from kempe.arrays import is_sequence
 from kempe.errors import InputError, UnknownNameError
 from kempe.kernels.constraints import tape_layout as L
 from kempe.values import CONSTANTS, FUNCTIONS
-from kempe.words import counted, verb
+from kempe.words import choose_verb, format_count
 
 Node = tuple[int, int, int]
 """Operation, left, right, as `tape_layout` says."""
@@ -209,7 +209,9 @@ class Tape:
         """The tape with other constants. Errors: `InputError` for another count."""
         found = tuple(float(x) for x in numbers)
         if len(found) != len(self.numbers):
-            given = f"{counted(len(found), 'number')} {verb(len(found), 'is', 'are')} given"
+            given = (
+                f"{format_count(len(found), 'number')} {choose_verb(len(found), 'is', 'are')} given"
+            )
             raise InputError(f"{given}; the tape has {len(self.numbers)}")
         return replace(self, numbers=found)
 

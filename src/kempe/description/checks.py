@@ -14,11 +14,19 @@ import numpy as np
 from kempe import spatial
 from kempe.arrays import is_mapping, is_real, is_sequence
 from kempe.description.parts import Body, Joint, Limits
-from kempe.errors import DescriptionError, Fault, InputError, UnknownNameError, Where, hint, shown
-from kempe.joints import JointType, P, Q, R, joint_type
+from kempe.errors import (
+    DescriptionError,
+    Fault,
+    InputError,
+    UnknownNameError,
+    Where,
+    format_value,
+    hint,
+)
+from kempe.joints import JointType, P, Q, R, make_joint_type
 from kempe.poses import Placement
-from kempe.values import Expression, value, values
-from kempe.words import counted, verb
+from kempe.values import Expression, read_value, read_values
+from kempe.words import choose_verb, format_count
 
 SAME_DIRECTION = 1e-12
 """How far two unit vectors may be apart and still be one direction."""
@@ -38,9 +46,9 @@ def name(given: object, kind: str) -> str:
 
 def number(x: object, what: str) -> float:
     """A finite number. Errors: `InputError`."""
-    checked = value(x, what)
+    checked = read_value(x, what)
     if isinstance(checked, Expression):
-        raise InputError(f"{what} is {shown(x)}; it must be a number")
+        raise InputError(f"{what} is {format_value(x)}; it must be a number")
     return checked
 
 
@@ -72,7 +80,7 @@ def body(
         if len(lengths) not in (2, 3):
             refuse(
                 subject,
-                f"center has {counted(len(lengths), 'number')}",
+                f"center has {format_count(len(lengths), 'number')}",
                 where,
                 "it must have 2 or 3",
             )
@@ -84,10 +92,10 @@ def color(given: object) -> tuple[float, float, float, float] | None:
     """Red, green, blue and opacity from 0 to 1; without opacity it is 1. Errors: `InputError`."""
     if given is None:
         return None
-    found = values(given, (3, 4), "color")
+    found = read_values(given, (3, 4), "color")
     if any(isinstance(x, Expression) or not 0.0 <= x <= 1.0 for x in found):
         raise InputError(
-            f"color is {shown(given)}; it must be red, green, blue and opacity from 0 to 1"
+            f"color is {format_value(given)}; it must be red, green, blue and opacity from 0 to 1"
         )
     return (*found, 1.0)[:4]  # type: ignore[return-value]
 
@@ -147,7 +155,7 @@ def slip(kind: str | JointType, options: Iterable[str], builder: Callable[..., J
     inner = {"self", "options", "where", "name", "kind", "parent", "child"}
     keywords = [k for k in inspect.signature(builder).parameters if k not in inner]
     try:
-        own = joint_type(kind).defaults()
+        own = make_joint_type(kind).list_defaults()
         is_type = True
     except (InputError, UnknownNameError):  # the type itself is wrong, too
         own = {}
@@ -195,7 +203,10 @@ def fault_of(type_: JointType, dim: int, particle: bool) -> str:
         if what not in (R, P, Q) or axis not in ("x", "y", "z"):
             return f"{primitives[k]} is not R, P or Q about or along x, y or z"
         if not 0 <= first <= len(names) - size:
-            there = f"there {verb(len(names), 'is', 'are')} {counted(len(names), 'coordinate')}"
+            there = (
+                f"there {choose_verb(len(names), 'is', 'are')} "
+                f"{format_count(len(names), 'coordinate')}"
+            )
             return f"{primitives[k]} is of coordinate {first}, but {there}"
         if not math.isfinite(multiplier) or (what == Q and multiplier != 1.0):
             return f"{primitives[k]} has the multiplier {multiplier:g}"
@@ -206,7 +217,7 @@ def fault_of(type_: JointType, dim: int, particle: bool) -> str:
         return f"no primitive has its coordinate {idle[0]!r}"
     if any(len(own) > 1 for own in owners) or sum(p.kind == Q for p in primitives) > 1:
         return "a quaternion shares no coordinate, and there is at most one"
-    given = type_.velocities(dim, particle)
+    given = type_.list_velocity_names(dim, particle)
     return (
         ""
         if len(set(given)) == len(given)
@@ -292,8 +303,8 @@ def limits(
 
     None is no limit on that side. A quaternion has no limits by coordinate.
     """
-    coordinates = type_.coordinates(dim, particle)
-    names = tuple(v for v in type_.velocities(dim, particle) if v in coordinates)
+    coordinates = type_.list_coordinate_names(dim, particle)
+    names = tuple(v for v in type_.list_velocity_names(dim, particle) if v in coordinates)
     out: dict[str, Limits] = {}
     for key, pair in _by_name(subject, "limits", given, names, where):
         plain = pair.__class__ is np.ndarray and pair.ndim == 1 and pair.dtype != object
@@ -305,7 +316,7 @@ def limits(
             )
         if len(numbers) != 2 or not all(is_real(x) for x in numbers):
             allowed = "they must be a pair (lower, upper), None where there is none"
-            refuse(subject, f"limits are {shown(pair)}", where, allowed)
+            refuse(subject, f"limits are {format_value(pair)}", where, allowed)
         lower = float(numbers[0])
         upper = float(numbers[1])
         if math.isnan(lower) or math.isnan(upper) or lower == math.inf or upper == -math.inf:

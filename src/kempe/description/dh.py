@@ -10,13 +10,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.arguments import explained
+from kempe.arguments import explain_errors
 from kempe.arrays import is_array, is_mapping
 from kempe.description.mechanism import BodyLike, Mechanism
 from kempe.errors import InputError, hint
-from kempe.poses import Placement, direction, place, placement_of_pose, steps_from_data
-from kempe.values import Expression, Value, value, values
-from kempe.words import counted
+from kempe.poses import (
+    Placement,
+    make_placement_from_pose,
+    place,
+    read_direction,
+    read_placement_steps,
+)
+from kempe.values import Expression, Value, read_value, read_values
+from kempe.words import format_count
 
 # ---- rows of Denavit-Hartenberg tables
 
@@ -135,7 +141,7 @@ def _plain(row: Any, number: int, columns: tuple[str, ...]) -> dict[str, Any]:
     if len(entries) != len(names):
         also = ", and the type where it is not revolute" if columns == ORDER else ""
         raise InputError(
-            f"row {number} has {counted(len(entries), 'entry')}; it must have "
+            f"row {number} has {format_count(len(entries), 'entry')}; it must have "
             f"{', '.join(columns)}{also}"
         )
     return {name: _own(x) for name, x in zip(names, entries, strict=True)}
@@ -198,7 +204,7 @@ def counts_turns(rows: Iterable[DHRow]) -> bool:
     beyond = 0
     for i, row in enumerate(rows, 1):
         for k in ("alpha", "theta", *(("offset",) if row.type == "revolute" else ())):
-            x = value(getattr(row, k), f"row {i}: {k}")
+            x = read_value(getattr(row, k), f"row {i}: {k}")
             number = not isinstance(x, Expression)
             beyond += number and abs(x) > ONE_TURN
             within += not number or SHARE <= abs(x) <= ONE_TURN
@@ -232,7 +238,7 @@ def in_radians(row: DHRow, number: int, deg: bool, winds: bool = True) -> DHRow:
 
 
 def _angle(given: Value | str, what: str, deg: bool, winds: bool) -> Value:
-    x = value(given, what)
+    x = read_value(given, what)
     if isinstance(x, Expression):
         if not deg:
             return x
@@ -355,7 +361,7 @@ class ScrewRow:
     actuated: bool | None = None
 
 
-@explained
+@explain_errors
 def from_dh(
     rows: Any,
     convention: str = "standard",
@@ -385,7 +391,7 @@ def from_dh(
     beyond one turn than within (below 0.1 they do not count; a single one is allowed).
 
     >>> arm = from_dh([{"a": 0.5}, {"a": "l2"}], parameters={"l2": 0.4})
-    >>> float(arm.joints["q2"].X_CM.evaluate(arm.parameters)[0, 3])
+    >>> float(arm.joints["q2"].X_CM.evaluate_pose(arm.parameters)[0, 3])
     -0.4
     >>> from_dh([(0, 90, 0.4, 0), (0.5, 0, 0, 30)], deg=True)
     Mechanism('arm', dim=3, bodies=2, joints=2)
@@ -430,14 +436,14 @@ def add_dh(
         if row.type not in JOINT_TYPES:
             raise InputError(f"row {i}: type is {row.type!r}; it must be {', '.join(JOINT_TYPES)}")
         row = in_radians(row, i, deg, winds)
-        a, alpha, d, theta, offset = (value(getattr(row, k), f"row {i}: {k}") for k in NUMBERS)
+        a, alpha, d, theta, offset = (read_value(getattr(row, k), f"row {i}: {k}") for k in NUMBERS)
         if offset != 0.0:
             theta, d = (theta + offset, d) if row.type == "revolute" else (theta, d + offset)
-        along_x = Placement((("rx", (alpha,)), ("x", (a,)))).simplified()
-        along_z = Placement((("rz", (theta,)), ("z", (d,)))).simplified()
+        along_x = Placement((("rx", (alpha,)), ("x", (a,)))).drop_identity_steps()
+        along_z = Placement((("rz", (theta,)), ("z", (d,)))).drop_identity_steps()
         if convention == "standard":
             X_PF = before @ along_z
-            X_CM = along_x.inverse()
+            X_CM = along_x.invert_steps()
         else:
             X_PF = before @ along_x @ along_z
             X_CM = Placement()
@@ -451,7 +457,7 @@ def add_dh(
     mechanism.notes += [note] if note else []
 
 
-@explained
+@explain_errors
 def from_screws(
     screws: Iterable[ScrewRow | Mapping[str, Any] | ArrayLike],
     home: object = None,
@@ -543,10 +549,10 @@ def _screw(row: ScrewRow, number: int) -> tuple[str, Placement, dict[str, Any]]:
             )
         pitch = float(row.pitch)
         kind = "prismatic" if math.isinf(pitch) else "helical" if pitch else "revolute"
-        axis = values(direction(row.axis), 3, f"{label}: axis")
-        X = place(values(row.point, 3, f"{label}: point"), axis=axis)
+        axis = read_values(read_direction(row.axis), 3, f"{label}: axis")
+        X = place(read_values(row.point, 3, f"{label}: point"), axis=axis)
         return kind, X, {"pitch": pitch} if kind == "helical" else {}
-    twist = values(row.twist, 6, f"{label}: twist")  # type: ignore[arg-type]
+    twist = read_values(row.twist, 6, f"{label}: twist")  # type: ignore[arg-type]
     if not all(isinstance(x, float) for x in twist):
         raise InputError(
             f"{label}: a twist must be plain numbers; with parameters use axis and point"
@@ -600,5 +606,5 @@ def _placement(X: object, what: str) -> Placement:
         for key in X:
             if key not in known:
                 raise InputError(f"{what} has an unknown entry {key!r}{hint(key, known)}")
-        return steps_from_data(X["steps"]) if "steps" in X else place(**X)
-    return placement_of_pose(X)
+        return read_placement_steps(X["steps"]) if "steps" in X else place(**X)
+    return make_placement_from_pose(X)

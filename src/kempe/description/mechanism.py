@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe import constraints
-from kempe.arguments import explained, explained_methods, flag
+from kempe.arguments import explain_errors, explain_method_errors, read_flag
 from kempe.arrays import is_sequence
 from kempe.constraints.base import (
     Constraint,
@@ -40,12 +40,12 @@ from kempe.errors import (
     KempeError,
     UnknownNameError,
     Where,
-    shown,
+    format_value,
 )
-from kempe.joints import Fixed, JointType, joint_type
-from kempe.late import late
+from kempe.joints import Fixed, JointType, make_joint_type
+from kempe.late import import_late
 from kempe.poses import AXES, Placement, place
-from kempe.values import Expression, Value, evaluate, value
+from kempe.values import Expression, Value, evaluate_value, read_value
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -69,7 +69,7 @@ Placed = tuple[Any, object, Mapping[str, object]]
 def declare(mechanism: Mechanism, given: object, name: str, where: Where | None = None) -> Declared:
     """Add a constraint to a mechanism; see `Mechanism.constrain`."""
     if not isinstance(given, Constraint):
-        raise InputError(f"{shown(given)} is no constraint; see kempe.constraints")
+        raise InputError(f"{format_value(given)} is no constraint; see kempe.constraints")
     if isinstance(name, str):
         name = name or given.name or given.label
     subject = f"constraint {name!r}"
@@ -132,7 +132,7 @@ def between(
         checks.refuse(subject, f"{kind} takes no length", where, "only a distance must have one")
     if rod:
         try:
-            length = _checked(mechanism, value(length, "length"), "length", subject, where)
+            length = _checked(mechanism, read_value(length, "length"), "length", subject, where)
         except InputError as error:
             if isinstance(error, DescriptionError):
                 raise
@@ -225,7 +225,7 @@ def _read(x: Any, what: str) -> Any:
     if is_sequence(given):
         items = tuple(_read(item, what) for item in given)
         return given if all(a is b for a, b in zip(items, given, strict=True)) else items
-    return value(given, what) if isinstance(given, (str, Expression)) else given
+    return read_value(given, what) if isinstance(given, (str, Expression)) else given
 
 
 def check(mechanism: Mechanism, made: Declared) -> None:
@@ -282,7 +282,7 @@ def resolved(made: Declared, parameters: Mapping[str, float], dim: int) -> Const
         rows = numbers.rows(dim)
         for key, x in numbers_in(numbers).items():
             if x is not None and _not_a_number(x):
-                raise InputError(f"{key} is {shown(x)}; it must be numbers")
+                raise InputError(f"{key} is {format_value(x)}; it must be numbers")
         _lengths(made, numbers, rows)
         numbers.check(dim)
         numbers.goal(dim)
@@ -507,7 +507,7 @@ class ConstraintMethods:
 # ---- the builder
 
 
-@explained_methods
+@explain_method_errors
 class Mechanism(ConstraintMethods):
     """A system under construction: bodies, joints between any two of them, frames, couplings,
     limits, parameters.
@@ -525,7 +525,7 @@ class Mechanism(ConstraintMethods):
     0.9
     """
 
-    @explained
+    @explain_errors
     def __init__(self, name: str = "mechanism", dim: int = 3, ground: str = "ground"):
         if dim not in (2, 3):
             raise InputError(f"dim is {dim!r}; a system lives in the plane (2) or in space (3)")
@@ -697,7 +697,10 @@ class Mechanism(ConstraintMethods):
         on = self.bodies[end.body]
         if on.particle:
             checks.refuse(subject, f"{on.name!r} is a particle, which has no extent", where)
-        uses = flag(visual, f"visual of {subject}"), flag(collision, f"collision of {subject}")
+        uses = (
+            read_flag(visual, f"visual of {subject}"),
+            read_flag(collision, f"collision of {subject}"),
+        )
         if not any(uses):
             checks.refuse(
                 subject, "it is neither visual nor collision", where, "one of them must be True"
@@ -711,7 +714,9 @@ class Mechanism(ConstraintMethods):
         returns it as a value.
         """
         parsed = (
-            value(name, "parameter name") if isinstance(name, str) and name.isidentifier() else None
+            read_value(name, "parameter name")
+            if isinstance(name, str) and name.isidentifier()
+            else None
         )
         if not isinstance(parsed, Expression) or parsed.names != (name,):
             raise InputError(
@@ -763,7 +768,7 @@ class Mechanism(ConstraintMethods):
         subject = f"joint {name!r}"
         self._free_joint_name(checks.name(name, "joint"), subject, where)
         try:
-            type_ = joint_type(kind, **options)
+            type_ = make_joint_type(kind, **options)
         except UnknownNameError as error:
             checks.refuse(subject, str(error), where)
         except InputError as error:
@@ -789,7 +794,7 @@ class Mechanism(ConstraintMethods):
         }
         X_CM = self._place(child_at, turn, subject, where, to)
         checks.ends(self.dim, subject, type_, X_PF, X_CM, to, where)
-        names = type_.velocities(self.dim, to.particle)
+        names = type_.list_velocity_names(self.dim, to.particle)
         self.joints[name] = Joint(
             name,
             type_,
@@ -800,8 +805,8 @@ class Mechanism(ConstraintMethods):
             checks.limits(subject, limits, type_, self.dim, to.particle, where),
             checks.bounds(subject, "velocity", velocity, names, where),
             checks.bounds(subject, "effort", effort, names, where),
-            actuated if actuated is None else flag(actuated, f"actuated of {subject}"),
-            flag(cut, f"cut of {subject}"),
+            actuated if actuated is None else read_flag(actuated, f"actuated of {subject}"),
+            read_flag(cut, f"cut of {subject}"),
             where,
             dim=self.dim,
             of_particle=to.particle,
@@ -884,8 +889,8 @@ class Mechanism(ConstraintMethods):
         if not sources:
             checks.refuse(subject, "it has no source coordinate", where)
         try:
-            checked = {str(k): value(v, "multiplier") for k, v in sources.items()}
-            self.couplings[of] = Coupling(of, checked, value(offset, "offset"), where)
+            checked = {str(k): read_value(v, "multiplier") for k, v in sources.items()}
+            self.couplings[of] = Coupling(of, checked, read_value(offset, "offset"), where)
         except InputError as error:
             checks.refuse(subject, str(error), where)
         return self.couplings[of]
@@ -979,13 +984,13 @@ class Mechanism(ConstraintMethods):
     def build(self) -> System:
         """The compiled `System`. Errors: `DescriptionError` that names what does not fit together."""
         with collecting_later(len(self.bodies)):
-            return late("System")(self)
+            return import_late("System")(self)
 
     def save(self, path: str | Path) -> Path:
         """Write the mechanism to a file, in the format of its ending (.toml holds everything);
         returns the path.
         """
-        return late("write")(self, path)
+        return import_late("write")(self, path)
 
     def __repr__(self) -> str:
         return (
@@ -1117,7 +1122,7 @@ def attach(
             "equal"
         )
     if not isinstance(prefix, str):
-        raise InputError(f"prefix is {shown(prefix)}; it must be text")
+        raise InputError(f"prefix is {format_value(prefix)}; it must be text")
     _refuse_clashes(host, guest, prefix)
     trial = host.copy()
     name = str(to) if to is not None else host.ground.name
@@ -1257,7 +1262,7 @@ def subgroup(mechanism: Mechanism, name: str, held: Mapping[str, float]) -> Mech
 
 def _coordinates(mechanism: Mechanism, joint: Joint) -> list[str]:
     """Names of the coordinates of a joint."""
-    of = joint.type.coordinates(mechanism.dim, mechanism.bodies[joint.child].particle)
+    of = joint.type.list_coordinate_names(mechanism.dim, mechanism.bodies[joint.child].particle)
     return [f"{joint.name}.{c}" if c else joint.name for c in of]
 
 
@@ -1329,7 +1334,7 @@ def _follow_inside(
     if sources:
         out.couplings[coupling.of] = replace(coupling, sources=sources, offset=offset)
     else:
-        out.locks[coupling.of] = float(evaluate(offset, mechanism.parameters))
+        out.locks[coupling.of] = float(evaluate_value(offset, mechanism.parameters))
 
 
 def _came_by(mechanism: Mechanism, base: str, end: str = "") -> dict[str, Joint | None]:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from kempe.joints import joint_type
+from kempe.joints import make_joint_type
 from kempe.poses import Placement, place
 from kempe.spatial import Array, matrix_to_rpy, pose
 
@@ -125,7 +125,9 @@ def product_of(joints: Sequence[dict[str, Any]], qpos0: Sequence[float]) -> Prod
             f.add(f"{kind}({name})", -ref)
     words = " ".join(f.words)
     last = place(pose(f.R, f.p)) @ back
-    return Product(words, first, last, joint_type(words).coordinates(), of_joint, f.held)
+    return Product(
+        words, first, last, make_joint_type(words).list_coordinate_names(), of_joint, f.held
+    )
 
 
 def _step(kind: str, letter: str, x: float) -> Placement:

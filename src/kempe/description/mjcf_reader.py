@@ -22,7 +22,7 @@ from kempe.description.source import Findings, folders_of
 from kempe.errors import Where
 from kempe.poses import place
 from kempe.spatial import pose, quat_wxyz_to_matrix
-from kempe.words import counted
+from kempe.words import format_count
 
 Row = dict[str, Any]
 _KINDS: Mapping[str, Any] = KINDS
@@ -160,12 +160,16 @@ class _Reader:
         where = self._where(joint)
         if kind == "free":
             m.free(name, m.ground, child, where=where)
-            self._place_in_q(joint, [f"{name}.{c}" for c in m.joints[name].type.coordinates()])
+            self._place_in_q(
+                joint, [f"{name}.{c}" for c in m.joints[name].type.list_coordinate_names()]
+            )
             return
         on_body = place(tuple(body["pos"]), **_turn(body)) @ place(tuple(joint["pos"]))
         if kind == "ball":
             m.spherical(name, parent, child, at=on_body, child_at=joint["pos"], where=where)
-            self._place_in_q(joint, [f"{name}.{c}" for c in m.joints[name].type.coordinates()])
+            self._place_in_q(
+                joint, [f"{name}.{c}" for c in m.joints[name].type.list_coordinate_names()]
+            )
             self._note_ball(name, joint)
             return
         ref = self.t["qpos0"][joint["address"]]
@@ -435,7 +439,7 @@ class _Reader:
         here = self.merged.where(0)
         for word in ("actuators", "sensors"):
             if t[word]:
-                said = f"{counted(t[word], word[:-1])} of the simulator left out"
+                said = f"{format_count(t[word], word[:-1])} of the simulator left out"
                 self.findings.note(said, where=here)
         for word in ("flexes", "plugins"):
             for name in t[word]:

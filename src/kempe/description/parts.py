@@ -15,7 +15,7 @@ from kempe.joints import Helical, JointType, P, R, Translation
 from kempe.poses import Placement
 from kempe.spatial import Array
 from kempe.values import Expression, Value
-from kempe.words import joined, listed, paragraphs, verb
+from kempe.words import choose_verb, format_html_paragraphs, join_first_words, join_words
 
 if TYPE_CHECKING:
     from kempe.description.shapes import Geometry
@@ -51,7 +51,7 @@ class InSentence:
         raise NotImplementedError
 
     def _repr_html_(self) -> str:
-        return paragraphs([self.sentence])
+        return format_html_paragraphs([self.sentence])
 
 
 SAID = 4
@@ -117,7 +117,11 @@ class Body(InSentence):
             if self.center is None
             else f", centre of mass at ({', '.join(f'{x:.6g}' for x in self.center)}) m"
         )
-        shapes = f"; its shapes: {listed(list(map(str, self.shapes)), SAID)}" if self.shapes else ""
+        shapes = (
+            f"; its shapes: {join_first_words(list(map(str, self.shapes)), SAID)}"
+            if self.shapes
+            else ""
+        )
         return f"{self.name}: {kind}{mass}{at}{shapes}"
 
     def __str__(self) -> str:
@@ -191,7 +195,7 @@ class Joint(InSentence):
             if group
         ]
         said = f"cannot {', nor '.join(parts)} of {of}" if parts else "can move freely"
-        total = f"{taken} of {whole} freedoms {verb(taken, 'is', 'are')} taken away"
+        total = f"{taken} of {whole} freedoms {choose_verb(taken, 'is', 'are')} taken away"
         more = taken - len(names)
         more_said = f", {more} of them by a relation or about an axis that moves" if more else ""
         return f"{self.child} {said}: {total}{more_said}"
@@ -203,7 +207,7 @@ class Joint(InSentence):
         In the plane x of a joint that slides along z of F is its slide, as in `JointType.forbids`.
         """
         turns = Placement(tuple(step for step in self.X_PF.steps if step[0] not in ("x", "y", "z")))
-        R = np.eye(3) if turns.names else turns.evaluate({})[:3, :3]
+        R = np.eye(3) if turns.names else turns.evaluate_pose({})[:3, :3]
         if dim == 2 and any(p.kind == P and p.axis == "z" for p in self.type.layout(2)[1]):
             rail = R[:, 2]
             R = np.stack([rail, np.cross((0.0, 0.0, 1.0), rail), (0.0, 0.0, 1.0)], axis=1)
@@ -240,7 +244,7 @@ class Joint(InSentence):
         turns = Placement(tuple(step for step in self.X_PF.steps if step[0] not in ("x", "y", "z")))
         if turns.names:
             return f"z of its frame on {self.parent}"
-        z = turns.evaluate({})[:3, 2]
+        z = turns.evaluate_pose({})[:3, 2]
         k = int(np.abs(z).argmax())
         if abs(z[k]) > 1.0 - 1e-12:
             return f"{'-' if z[k] < 0 else ''}{'xyz'[k]} of {self.parent}"
@@ -260,7 +264,7 @@ class Joint(InSentence):
                 f"{word} {x:.6g}" for word, x in (("from", low), ("to", high)) if math.isfinite(x)
             ]
             out += [f"{name} {' '.join(ends)} {unit}".lstrip()] if ends else []
-        return joined(out) if out else "without limits"
+        return join_words(out) if out else "without limits"
 
     def __str__(self) -> str:
         return self.name
@@ -323,8 +327,8 @@ class Declared(InSentence):
     def frames(self, parameters: Mapping[str, float], dim: int) -> tuple[Array, Array]:
         """The poses (4, 4) of frame A on the body `parent`, and of frame B on the body `child`."""
         made = with_numbers(self.of, parameters)
-        B = self.X_CM.evaluate(parameters) @ np.reshape(made.tool(dim), (4, 4))
-        return self.X_PF.evaluate(parameters) @ made.goal(dim), B
+        B = self.X_CM.evaluate_pose(parameters) @ np.reshape(made.tool(dim), (4, 4))
+        return self.X_PF.evaluate_pose(parameters) @ made.goal(dim), B
 
     def length(self, parameters: Mapping[str, float]) -> float:
         """The length of a rod, in metres."""

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from kempe.arguments import explained
+from kempe.arguments import explain_errors
 from kempe.description.formats import (
     DEFAULT,
     FORMATS,
@@ -72,7 +72,7 @@ class Check(NamedTuple):
     notes: tuple[str, ...]
 
 
-@explained
+@explain_errors
 def read(
     source: str | Path | bytes,
     *,

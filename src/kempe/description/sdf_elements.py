@@ -341,7 +341,7 @@ def read_inertial(
             inertial.where,
         )
         return None, None
-    return mass, tuple(X.evaluate({})[:3, 3].tolist())
+    return mass, tuple(X.evaluate_pose({})[:3, 3].tolist())
 
 
 # ---- axes

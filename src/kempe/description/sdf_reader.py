@@ -40,7 +40,7 @@ from kempe.description.xml import XmlElement, parse_xml
 from kempe.errors import InputError, UnknownNameError
 from kempe.poses import Placement, place
 from kempe.spatial import Array
-from kempe.words import counted, listed, verb
+from kempe.words import choose_verb, format_count, join_first_words
 
 ORTHOGONAL = 1e-9
 """Cosine up to which two axes are orthogonal."""
@@ -108,10 +108,10 @@ def _outermost(
     models = {m.attributes.get("name", "").strip(): m for m in sdf.of("model")}
     if model is None and len(worlds) + len(sdf.of("model")) > 1:
         raise fail(
-            f"the file has {counted(len(worlds), 'world')} and "
-            f"{counted(len(sdf.of('model')), 'model')}",
+            f"the file has {format_count(len(worlds), 'world')} and "
+            f"{format_count(len(sdf.of('model')), 'model')}",
             (worlds + sdf.of("model"))[1].where,
-            f"choose one by model=: {listed([repr(n) for n in models], 8)}"
+            f"choose one by model=: {join_first_words([repr(n) for n in models], 8)}"
             if models
             else "a file has one of them",
         )
@@ -273,7 +273,7 @@ class _Reader:
                 return exact
             back = scope.between(link, key)
             if back is not None:
-                return back.inverse()
+                return back.invert_steps()
         X_W = scope.in_world(name)
         return place(X_W if link == GROUND else spatial.inverse(found[0].in_world(link)) @ X_W)
 
@@ -556,7 +556,7 @@ class _Reader:
                 link,
             }:
                 continue
-            z = (self._place_of(joint.parent) @ joint.X_PF.evaluate({}))[:3, 2]
+            z = (self._place_of(joint.parent) @ joint.X_PF.evaluate_pose({}))[:3, 2]
             sense = 1.0 if joint.child == link else -1.0
             for sign in (1.0, -1.0):
                 if np.abs(z - sign * axis).max() < PARALLEL:
@@ -654,11 +654,11 @@ class _Reader:
                     parts.tie(body, GROUND)
                     held += [body] * (not static)
         if held and not free:
-            names = listed([repr(n) for n in held], 8)
+            names = join_first_words([repr(n) for n in held], 8)
             self.findings.note(
                 f"nothing ties {names} to the world: held where the file places "
-                f"{verb(len(held), 'it, while it moves', 'them, while they move')} freely in Gazebo "
-                "and Drake; base='free' reads it so",
+                f"{choose_verb(len(held), 'it, while it moves', 'them, while they move')} freely "
+                "in Gazebo and Drake; base='free' reads it so",
                 where=self.outer.element.where,
             )
 
@@ -706,4 +706,4 @@ class _Parts:
 
 def _coordinates(joint: Joint) -> Iterator[str]:
     """Names of the coordinates within a joint."""
-    yield from joint.type.coordinates(3, False)
+    yield from joint.type.list_coordinate_names(3, False)

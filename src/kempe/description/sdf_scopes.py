@@ -421,7 +421,7 @@ class Scope:
             if name:
                 self.unknown("placement_frame", name, where)
             return X
-        return X @ self.on_root(name).inverse()
+        return X @ self.on_root(name).invert_steps()
 
     @cached_property
     def relative(self) -> tuple[str, Where]:
@@ -447,7 +447,7 @@ class Scope:
                     where,
                     "outside of a world there is no frame but the world's",
                 )
-            return self.X_outer.evaluate({})
+            return self.X_outer.evaluate_pose({})
         return self.outer.X_W @ self.outer.pose(self.name)
 
     def find(self, name: str) -> str | None:
@@ -551,7 +551,7 @@ class Scope:
         key = self.find(name) or self.root
         for part in reversed(self._up(key, sys.maxsize)):
             node = self._node(part)
-            self._poses[part] = self._poses[node.base] @ node.X.evaluate({})
+            self._poses[part] = self._poses[node.base] @ node.X.evaluate_pose({})
         return self._poses[key]
 
     def on_root(self, name: str) -> Placement:

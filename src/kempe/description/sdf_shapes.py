@@ -21,7 +21,7 @@ from kempe.description.source import Findings, parse_numbers
 from kempe.description.urdf_shapes import USES, only_shape, subject_of
 from kempe.description.xml import XmlElement
 from kempe.poses import Placement
-from kempe.words import counted
+from kempe.words import format_count
 
 KINDS: dict[str, tuple[type[Geometry], Mapping[str, int]]] = {
     "box": (Box, {"size": 3}),
@@ -135,5 +135,5 @@ def note_others(link: XmlElement, seen: dict[str, list[XmlElement]]) -> None:
 def others_said(seen: Mapping[str, list[XmlElement]], findings: Findings) -> None:
     """Note the collected shapes, once for each kind."""
     for tag, elements in seen.items():
-        said = f"{counted(len(elements), f'shape <{tag}>')} not read: shapes are "
+        said = f"{format_count(len(elements), f'shape <{tag}>')} not read: shapes are "
         findings.note(said + ", ".join(KINDS), "", elements[0].where)

@@ -20,7 +20,7 @@ from kempe.description.urdf_writer import UrdfWriter, fresh
 from kempe.errors import InputError
 from kempe.poses import Placement
 from kempe.spatial import Array
-from kempe.words import listed
+from kempe.words import join_first_words
 
 CLOSED = 1e-9
 """How far the two frames of a joint may be apart where all coordinates are zero."""
@@ -123,14 +123,16 @@ class _SdfWriter(UrdfWriter):
                 there = joint.child if joint.parent == here else joint.parent
                 if there in self.poses:
                     continue
-                X_PC = (self.on_parent(joint) @ joint.X_CM.inverse()).evaluate(self.m.parameters)
+                X_PC = (self.on_parent(joint) @ joint.X_CM.invert_steps()).evaluate_pose(
+                    self.m.parameters
+                )
                 forward = joint.parent == here
                 self.poses[there] = self.poses[here] @ (X_PC if forward else spatial.inverse(X_PC))
                 self.placed[there] = joint
                 queue.append(there)
         lost = [b for b in self.m.bodies if b not in self.poses]
         if lost:
-            shown = listed([*map(repr, lost)], 8)
+            shown = join_first_words([*map(repr, lost)], 8)
             self.findings.add(
                 f"no joints lead from the ground to {shown}",
                 "mechanism",
@@ -181,7 +183,7 @@ class _SdfWriter(UrdfWriter):
         joint = self.placed.get(body.name)
         if joint is not None:
             forward = joint.child == body.name
-            X = joint.X_CM.inverse() if forward else self.on_parent(joint).inverse()
+            X = joint.X_CM.invert_steps() if forward else self.on_parent(joint).invert_steps()
             seat = joint.name
             if joint.name in self.seats:  # a joint of Drake is no frame of SDF
                 seat = self.seats[joint.name][not forward]
@@ -313,8 +315,8 @@ class _SdfWriter(UrdfWriter):
         """Refuse a joint whose two frames do not coincide where all coordinates are zero."""
         if joint.parent not in self.poses or joint.child not in self.poses:
             return
-        F = self.poses[joint.parent] @ self.on_parent(joint).evaluate(self.m.parameters)
-        M = self.poses[joint.child] @ joint.X_CM.evaluate(self.m.parameters)
+        F = self.poses[joint.parent] @ self.on_parent(joint).evaluate_pose(self.m.parameters)
+        M = self.poses[joint.child] @ joint.X_CM.evaluate_pose(self.m.parameters)
         apart = float(np.abs(F - M).max())
         if not apart <= CLOSED:
             self.findings.add(

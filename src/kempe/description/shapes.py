@@ -13,9 +13,9 @@ from functools import cache
 from typing import Any, ClassVar
 
 from kempe.arrays import is_real, is_sequence
-from kempe.errors import InputError, UnknownNameError, shown
-from kempe.values import Expression, Value, evaluate, value, values
-from kempe.words import joined
+from kempe.errors import InputError, UnknownNameError, format_value
+from kempe.values import Expression, Value, evaluate_value, read_value, read_values
+from kempe.words import join_words
 
 Triple = tuple[Value, Value, Value]
 """Three numbers, or expressions in parameters."""
@@ -23,7 +23,7 @@ Triple = tuple[Value, Value, Value]
 
 def _length(given: Any, what: str) -> Value:
     """A length above zero."""
-    found = value(given, what)
+    found = read_value(given, what)
     if not isinstance(found, Expression) and not found > 0.0:
         raise InputError(f"{what} is {found:g}; it must be above zero")
     return found
@@ -31,7 +31,7 @@ def _length(given: Any, what: str) -> Value:
 
 def _lengths(given: Any, what: str) -> tuple[Value, ...]:
     """Three lengths above zero."""
-    found = values(given, 3, what)
+    found = read_values(given, 3, what)
     if any(not isinstance(x, Expression) and not x > 0.0 for x in found):
         raise InputError(f"{what} is {_said(found)}; its three lengths must be above zero")
     return found
@@ -40,7 +40,7 @@ def _lengths(given: Any, what: str) -> tuple[Value, ...]:
 def _scale(given: Any, what: str) -> tuple[Value, ...]:
     """Three factors that are not zero; one number stands for three equal ones."""
     alike = is_real(given) or isinstance(given, (str, Expression))
-    found = values((given, given, given) if alike else given, 3, what)
+    found = read_values((given, given, given) if alike else given, 3, what)
     if 0.0 in found:
         raise InputError(f"{what} is {_said(found)}; its three factors must not be zero")
     return found
@@ -49,7 +49,7 @@ def _scale(given: Any, what: str) -> tuple[Value, ...]:
 def _path(given: Any, what: str) -> str:
     """The path of a file, as text."""
     if not isinstance(given, str) or not given.strip():
-        raise InputError(f"{what} is {shown(given)}; it must be text, not empty")
+        raise InputError(f"{what} is {format_value(given)}; it must be text, not empty")
     return given
 
 
@@ -95,9 +95,9 @@ class Geometry:
         numbers: dict[str, Any] = {}
         for name, x in self.sizes.items():
             if is_sequence(x):
-                numbers[name] = tuple(float(evaluate(v, parameters)) for v in x)
+                numbers[name] = tuple(float(evaluate_value(v, parameters)) for v in x)
             elif isinstance(x, Expression):
-                numbers[name] = float(evaluate(x, parameters))
+                numbers[name] = float(evaluate_value(x, parameters))
         return replace(self, **numbers)
 
     def _expressions(self) -> list[Expression]:
@@ -215,7 +215,7 @@ def geometry(kind: object, given: Mapping[str, Any]) -> Geometry:
         raise UnknownNameError("kind of shape", kind, SHAPES)
     needed = [f.name for f in fields(made) if f.default is MISSING]
     optional = [name for name in sizes_of(made) if name not in needed]
-    allowed = f"it must have {joined(needed)}" + "".join(f" and may have {x}" for x in optional)
+    allowed = f"it must have {join_words(needed)}" + "".join(f" and may have {x}" for x in optional)
     for name in sizes:
         if name not in sizes_of(made):
             raise InputError(f"{_a(made)} has no {name}; {allowed}")

@@ -25,8 +25,8 @@ from kempe.errors import (
     InputError,
     UnknownNameError,
     Where,
+    format_value,
     hint,
-    shown,
 )
 
 SIZE_LIMIT = 32 * 2**20
@@ -217,7 +217,7 @@ def folders_of(given: Any) -> tuple[Path, ...]:
     single = isinstance(given, (str, Path)) or not isinstance(given, Iterable)
     paths: tuple[Any, ...] = (entries,) if single else tuple(entries)
     if not all(isinstance(path, (str, Path)) for path in paths):
-        raise InputError(f"package_dirs is {shown(entries)}; it must be a list of folders")
+        raise InputError(f"package_dirs is {format_value(entries)}; it must be a list of folders")
     return tuple(expanded(path) for path in paths)
 
 
@@ -229,10 +229,10 @@ def expanded(path: str | Path) -> Path:
     text: object = os.fspath(path) if isinstance(given, os.PathLike) else given
     if not isinstance(text, str):
         raise InputError(
-            f"path is {shown(given)}; it must be the path of a file, as text or a Path"
+            f"path is {format_value(given)}; it must be the path of a file, as text or a Path"
         )
     if "\0" in text:
-        raise InputError(f"{shown(text)} holds a zero byte, which no name of a file has")
+        raise InputError(f"{format_value(text)} holds a zero byte, which no name of a file has")
     scheme = _SCHEME.match(text)
     if scheme:
         # a Path keeps one slash

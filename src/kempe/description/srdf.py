@@ -15,7 +15,7 @@ from kempe.description.source import Findings, fail, find_intended, shorten
 from kempe.description.urdf_elements import numbers
 from kempe.description.xacro import XACRO_ADVICE
 from kempe.description.xml import XmlElement, parse_xml
-from kempe.words import counted, listed
+from kempe.words import format_count, join_first_words
 
 ELEMENTS = (
     "group",
@@ -271,8 +271,8 @@ class Srdf:
                 values |= self._values(mechanism, mechanism.joints[joint], child, subject)
         group = mechanism.groups.get(element.attributes.get("group", ""), tuple(joints))
         if other := [joint for joint in joints if joint not in group]:
-            names = listed([*map(repr, other)], FEW)
-            said = f"{counted(len(other), 'joint')} not in the group: {names}"
+            names = join_first_words([*map(repr, other)], FEW)
+            said = f"{format_count(len(other), 'joint')} not in the group: {names}"
             self.findings.note(said, subject, element.where)
         self._drop_followers(mechanism, values, subject, element)
         return values
@@ -281,7 +281,9 @@ class Srdf:
         self, mechanism: Mechanism, joint: Joint, element: XmlElement, subject: str
     ) -> dict[str, float]:
         """Values of a joint by the names of its coordinates."""
-        names = joint.type.coordinates(mechanism.dim, mechanism.bodies[joint.child].particle)
+        names = joint.type.list_coordinate_names(
+            mechanism.dim, mechanism.bodies[joint.child].particle
+        )
         order = ORDERS.get(joint.type.type_name, names)
         if not names:
             said = f"joint {joint.name!r} does not move: its value is not used"
@@ -365,10 +367,10 @@ class Srdf:
             mechanism.ignore_pair(*pair, reason=reason)
         if absent:
             name, element = next(iter(absent.items()))
-            names = listed([*map(repr, absent)], FEW)
+            names = join_first_words([*map(repr, absent)], FEW)
             self.findings.note(
-                f"pairs of {counted(len(absent), 'link')} that the robot does not have are not "
-                f"used: {names}{self.findings.hint(name, mechanism.bodies)}",
+                f"pairs of {format_count(len(absent), 'link')} that the robot does not have are "
+                f"not used: {names}{self.findings.hint(name, mechanism.bodies)}",
                 f"<{element.tag}>",
                 element.where,
             )

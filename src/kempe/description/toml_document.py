@@ -399,7 +399,7 @@ def joint_options() -> tuple[str, ...]:
 
 @lru_cache(maxsize=8)
 def _options(types: tuple[type[JointType], ...]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(name for type_ in types for name in type_.defaults()))
+    return tuple(dict.fromkeys(name for type_ in types for name in type_.list_defaults()))
 
 
 def _plain(data: Any) -> bool:

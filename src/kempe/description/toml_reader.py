@@ -21,8 +21,8 @@ from kempe.description.toml_document import PLACE, Document, Path, joint_options
 from kempe.description.urdf_shapes import USES, read_materials, read_shape
 from kempe.description.xml import parse_xml
 from kempe.errors import DescriptionError, InputError, UnknownNameError
-from kempe.joints import TYPES, joint_type
-from kempe.poses import Placement, place, steps_from_data
+from kempe.joints import TYPES, make_joint_type
+from kempe.poses import Placement, place, read_placement_steps
 from kempe.values import Expression
 
 
@@ -187,7 +187,7 @@ class _TomlReader:
         kind = table.get("type")
         if kind is not None and (not isinstance(kind, str) or kind not in TYPES):
             try:
-                joint_type(kind)
+                make_joint_type(kind)
             except UnknownNameError as error:
                 said = (
                     "unknown joint type "
@@ -450,7 +450,7 @@ class _TomlReader:
                     "placement"
                 )
         if "steps" in given:
-            return self.checked(steps_from_data(given["steps"]))
+            return self.checked(read_placement_steps(given["steps"]))
         return self.checked(place(**settings))
 
     def checked(self, X: Placement) -> Placement:
@@ -464,6 +464,8 @@ def _coordinates(mechanism: Mechanism) -> dict[str, None]:
     """Names of all joint coordinates."""
     out: dict[str, None] = {}
     for joint in mechanism.joints.values():
-        for local in joint.type.coordinates(mechanism.dim, mechanism.bodies[joint.child].particle):
+        for local in joint.type.list_coordinate_names(
+            mechanism.dim, mechanism.bodies[joint.child].particle
+        ):
             out[f"{joint.name}.{local}" if local else joint.name] = None
     return out

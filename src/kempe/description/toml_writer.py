@@ -18,7 +18,7 @@ from kempe.description.parts import Body, Declared, Frame, Joint, Shape
 from kempe.description.source import Findings
 from kempe.description.toml_document import FORMAT, NEWEST
 from kempe.errors import DescriptionError, Fault, InputError
-from kempe.joints import in_zoo
+from kempe.joints import is_table_type
 from kempe.poses import Placement, place
 from kempe.values import Expression
 
@@ -73,7 +73,7 @@ def write_toml(mechanism: Mechanism) -> str:
     bodies = (b for b in m.bodies.values() if replace(b, shapes=()) != plain)
     blocks += [_block("body", _body(b)) for b in bodies]
     for joint in m.joints.values():
-        if in_zoo(joint.type):
+        if is_table_type(joint.type):
             blocks.append(_block("joint", _joint(joint, m.dim)))
             continue
         allowed = TOML.cannot["joints of types that are not in the table of joints"]

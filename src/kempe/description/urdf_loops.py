@@ -9,7 +9,7 @@ from kempe.description.mechanism import Mechanism
 from kempe.description.source import Findings, fresh_name, shorten
 from kempe.description.urdf_elements import check_known, numbers
 from kempe.description.xml import XmlElement
-from kempe.words import counted
+from kempe.words import format_count
 
 BALL = "drake:ball_constraint"
 BODIES = (f"{BALL}_body_A", f"{BALL}_body_B")
@@ -80,7 +80,7 @@ def _read_loop_joint(element: XmlElement, mechanism: Mechanism, findings: Findin
     ends = [child for child in element.children if child.tag in ("link1", "link2")]
     if len(ends) != 2:
         findings.add(
-            f"it has {counted(len(ends), 'end')}",
+            f"it has {format_count(len(ends), 'end')}",
             subject,
             element.where,
             "a loop joint has two: <link1 link=... xyz=... rpy=.../> and <link2 .../>",

@@ -31,7 +31,7 @@ from kempe.description.urdf_shapes import read_materials, read_shapes
 from kempe.description.xacro import XACRO_ADVICE
 from kempe.description.xml import XmlElement, parse_xml
 from kempe.errors import InputError, UnknownNameError
-from kempe.words import counted
+from kempe.words import format_count
 
 # ---- the graph of links
 
@@ -319,7 +319,11 @@ def _no_links(robot: XmlElement, beside: tuple[str, ...]) -> Exception:
             robot.where,
             "load the URDF of the robot that it belongs to, with this file as srdf=(...)",
         )
-    holds = f"only {counted(joints, 'joint')}" if joints else "nothing but an empty <robot> element"
+    holds = (
+        f"only {format_count(joints, 'joint')}"
+        if joints
+        else "nothing but an empty <robot> element"
+    )
     message = (
         f"there is no robot in this file: it holds {holds}, and without a <link> there is no body "
         "to move"

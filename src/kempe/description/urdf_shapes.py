@@ -23,7 +23,7 @@ from kempe.description.urdf_elements import numbers, read_origin
 from kempe.description.xml import XmlElement
 from kempe.errors import InputError
 from kempe.poses import place
-from kempe.words import counted
+from kempe.words import format_count
 
 Color = tuple[float, float, float, float]
 
@@ -85,7 +85,7 @@ def read_materials(outer: XmlElement, findings: Findings) -> dict[str, Color | N
                 out[name] = _color(element, f"material {shorten(name)}", noted)
     textures = [texture for element in [*own, *inside] for texture in element.of("texture")]
     for first in textures[:1]:
-        said = f"{counted(len(textures), 'texture')} not read: a shape has one colour"
+        said = f"{format_count(len(textures), 'texture')} not read: a shape has one colour"
         findings.note(said, "", first.where)
     return out
 

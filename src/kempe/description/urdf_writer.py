@@ -21,8 +21,8 @@ from kempe.description.urdf_shapes import NEWER, shape_lines, writable
 from kempe.errors import InputError
 from kempe.joints import Q, R
 from kempe.poses import Placement
-from kempe.values import evaluate
-from kempe.words import counted, listed
+from kempe.values import evaluate_value
+from kempe.words import format_count, join_first_words
 
 ON_AXIS = 1e-12
 """Metres that a body's origin may lie off the axis of its joint and still count as on it."""
@@ -73,7 +73,7 @@ class UrdfWriter:
         left_out = [f"posture {name!r}" for name in self.m.postures]
         left_out += [f"group {name!r}" for name in self.m.groups]
         if pairs := len(self.m.ignored_pairs):
-            left_out.append(counted(pairs, "ignored pair"))
+            left_out.append(format_count(pairs, "ignored pair"))
         if left_out:
             said = ", ".join(left_out).replace("--", "- -")
             self.lines.append(f"  <!-- left out, since URDF cannot say it: {said} -->")
@@ -130,7 +130,7 @@ class UrdfWriter:
         reached = reachable(ground, ((j.parent, j.child) for j in self.m.joints.values()))
         lost = [b for b in self.m.bodies if b not in reached]
         if lost and not loops:
-            shown = listed([*map(repr, lost)], 8)
+            shown = join_first_words([*map(repr, lost)], 8)
             self.findings.add(
                 f"no joints lead from the ground to {shown} in their own direction, from parent to "
                 "child",
@@ -170,8 +170,10 @@ class UrdfWriter:
         while True:
             open_: dict[str, tuple[dict[str, float], float]] = {}
             for of, c in pending.items():
-                sources = {k: float(evaluate(v, self.m.parameters)) for k, v in c.sources.items()}
-                offset = float(evaluate(c.offset, self.m.parameters))
+                sources = {
+                    k: float(evaluate_value(v, self.m.parameters)) for k, v in c.sources.items()
+                }
+                offset = float(evaluate_value(c.offset, self.m.parameters))
                 offset += sum(v * self.held[k] for k, v in sources.items() if k in self.held)
                 free = {k: v for k, v in sources.items() if k not in self.held}
                 if of not in self.held and not free:
@@ -264,7 +266,7 @@ class UrdfWriter:
         """Write a joint."""
         coordinates = self.coordinates(joint)
         if self.is_held(joint):
-            X_PC = joint.X_PF @ self.locked_pose(joint, coordinates) @ joint.X_CM.inverse()
+            X_PC = joint.X_PF @ self.locked_pose(joint, coordinates) @ joint.X_CM.invert_steps()
             self.fixed(
                 joint.name,
                 joint.parent,
@@ -296,12 +298,12 @@ class UrdfWriter:
             (0.0, 0.0, 1.0),
             inside,
         )
-        end = self.origin(joint.X_CM.inverse())
+        end = self.origin(joint.X_CM.invert_steps())
         self.fixed(fresh(f"{joint.name}_fixed", self.joints), between, joint.child, end)
 
     def coordinates(self, joint: Joint) -> list[str]:
         """Names of the coordinates of a joint."""
-        names = joint.type.coordinates(self.m.dim, self.m.bodies[joint.child].particle)
+        names = joint.type.list_coordinate_names(self.m.dim, self.m.bodies[joint.child].particle)
         return [f"{joint.name}.{n}" if n else joint.name for n in names]
 
     def locked_pose(self, joint: Joint, coordinates: list[str]) -> Placement:
@@ -372,7 +374,7 @@ class UrdfWriter:
             motion, numbers = on_child[0] if on_child else ("align", (0.0, 0.0, 1.0))
             if motion == "align" and kind not in WITHOUT_AXIS:
                 return self.origin(Placement(before)), [float(x) for x in numbers]  # type: ignore[arg-type]
-        X_CM = joint.X_CM.evaluate(self.m.parameters)
+        X_CM = joint.X_CM.evaluate_pose(self.m.parameters)
         a = X_CM[:3, 2]
         p = X_CM[:3, 3]
         fits = {
@@ -384,20 +386,20 @@ class UrdfWriter:
         }
         if not fits["revolute" if kind == "continuous" else kind]:
             return None
-        return self.origin(joint.X_PF @ joint.X_CM.inverse()), a.tolist()
+        return self.origin(joint.X_PF @ joint.X_CM.invert_steps()), a.tolist()
 
     # ---- elements
 
     def origin(self, X: Placement) -> _Origin:
         """Numbers of a placement: its own where it is a shift, roll, pitch, yaw; else worked out."""
-        steps = X.simplified().steps
+        steps = X.drop_identity_steps().steps
         if [s[0] for s in steps] == [
             k for k in ("x", "y", "z", "rz", "ry", "rx") if k in dict(steps)
         ]:
-            given = {k: float(evaluate(v[0], self.m.parameters)) for k, v in steps}
+            given = {k: float(evaluate_value(v[0], self.m.parameters)) for k, v in steps}
             numbers = [given.get(k, 0.0) for k in ("x", "y", "z", "rx", "ry", "rz")]
         else:
-            numbers = spatial.xyz_rpy_from_pose(X.evaluate(self.m.parameters)).tolist()
+            numbers = spatial.xyz_rpy_from_pose(X.evaluate_pose(self.m.parameters)).tolist()
         if not all(map(math.isfinite, numbers)):
             raise FloatingPointError("its placement is not a number with these parameters")
         return _Origin(numbers[:3], numbers[3:])
@@ -439,7 +441,7 @@ def _difference(joint: Joint) -> Placement:
     while a and b and a[-1] == b[-1]:
         a = a[:-1]
         b = b[:-1]
-    return Placement(a) @ Placement(b).inverse()
+    return Placement(a) @ Placement(b).invert_steps()
 
 
 def fresh(name: str, taken: set[str]) -> str:

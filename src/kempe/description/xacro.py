@@ -25,7 +25,7 @@ from kempe.errors import (
     MissingExtraError,
     UnknownNameError,
     Where,
-    shown,
+    format_value,
 )
 
 SECONDS = 20
@@ -102,7 +102,7 @@ def xacro_arguments(given: Any) -> dict[str, str] | None:
     values: Any = given
     if not isinstance(values, Mapping):
         raise InputError(
-            f"xacro is {shown(given)}; it must be True, or a dict with values of the file's "
+            f"xacro is {format_value(given)}; it must be True, or a dict with values of the file's "
             "<xacro:arg> elements by their names"
         )
     return {_name(name): _text(name, value) for name, value in values.items()}  # type: ignore[misc]
@@ -110,7 +110,7 @@ def xacro_arguments(given: Any) -> dict[str, str] | None:
 
 def _name(name: object) -> str:
     if not isinstance(name, str):
-        raise InputError(f"xacro has the key {shown(name)}; names of arguments are texts")
+        raise InputError(f"xacro has the key {format_value(name)}; names of arguments are texts")
     return name
 
 
@@ -121,7 +121,8 @@ def _text(name: object, value: object) -> str:
     if isinstance(value, (str, Real)):
         return str(value)
     raise InputError(
-        f"xacro argument {name!r} is {shown(value)}; it must be a text, a number, True or False"
+        f"xacro argument {name!r} is {format_value(value)}; it must be a text, a number, True or "
+        "False"
     )
 
 

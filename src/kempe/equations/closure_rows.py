@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.arguments import explained, flag
+from kempe.arguments import explain_errors, read_flag
 from kempe.kernels.compiled import closure_batch
 from kempe.model.characteristic_length import compute_characteristic_length
 from kempe.model.configurations import read_q
@@ -140,7 +140,7 @@ class SystemConstraint:
         return evaluate(system, q, loops=self.loops)[1][..., list(self.rows), :]
 
 
-@explained
+@explain_errors
 def of_system(system: Model, own: bool = True) -> list[SystemConstraint]:
     """The constraints of a system: its closures, the declared ones, the relations of several
     coordinates.
@@ -150,7 +150,7 @@ def of_system(system: Model, own: bool = True) -> list[SystemConstraint]:
     """
     loops = (
         full(system, False)
-        if flag(own, "own")
+        if read_flag(own, "own")
         else get_packed_loops(system, find_explicit_joints(system), length=1.0)
     )
     rows: dict[tuple[str, bool], list[int]] = {}

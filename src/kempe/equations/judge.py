@@ -15,8 +15,8 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from kempe import spatial
-from kempe.arguments import explained
-from kempe.arrays import plain, reals
+from kempe.arguments import explain_errors
+from kempe.arrays import read_reals, unwrap_scalar
 from kempe.constraints.base import Constraint, Op, Row, held, one_sided, tilt_of
 from kempe.constraints.tape import POSE, TIME
 from kempe.description.mechanism import Mechanism, resolved
@@ -51,7 +51,7 @@ def coordinate_value(system: Model, q: spatial.Array, name: str) -> spatial.Arra
     return np.broadcast_to(follower.multiplier * source + follower.offset, q.shape[:-1])
 
 
-@explained
+@explain_errors
 def closure_error(system: Model, q: Any) -> spatial.Array:
     """How far each loop is open (..., len(closures), 6).
 
@@ -87,14 +87,16 @@ def closure_error(system: Model, q: Any) -> spatial.Array:
 def placements(system: Model, joint: str) -> tuple[Array, Array]:
     """Poses (4, 4) of the frames F of a joint on its parent body and M on its child."""
     m = system._mechanism
-    return m.joints[joint].X_PF.evaluate(m.parameters), m.joints[joint].X_CM.evaluate(m.parameters)
+    return m.joints[joint].X_PF.evaluate_pose(m.parameters), m.joints[joint].X_CM.evaluate_pose(
+        m.parameters
+    )
 
 
 @keep_answers
 def placement_of_frame(system: Model, frame: str) -> Array:
     """Pose (4, 4) of a declared frame on its body."""
     m = system._mechanism
-    return m.frames[frame].X_BF.evaluate(m.parameters)
+    return m.frames[frame].X_BF.evaluate_pose(m.parameters)
 
 
 def joint_pose(
@@ -490,7 +492,7 @@ class Judgement(InWords):
     @property
     def holds(self) -> Any:
         """Whether (...) all constraints and tasks hold."""
-        return plain(~self.missed.any(axis=0))
+        return unwrap_scalar(~self.missed.any(axis=0))
 
     def of(self, which: np.ndarray) -> Judgement:
         """The judgement of some of the configurations only: those where `which` (...) is true."""
@@ -553,7 +555,7 @@ def judge(
     is declared is judged in its dimensions, and what is required in those of `system`.
     """
     q = read_q(system, q)
-    t = reals(t, "t")
+    t = read_reals(t, "t")
     at = drawn = Poses(system, q, t)
     if closing is not None and closing is not system:
         system = closing

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe import spatial
-from kempe.arguments import explained
-from kempe.arrays import within_range
+from kempe.arguments import explain_errors
+from kempe.arrays import check_range
 from kempe.constraints.base import Constraint
 from kempe.equations.one_sided import one_sided_rows
 from kempe.equations.tasks import TILTS, Goal, Task
@@ -21,7 +21,7 @@ from kempe.model.coordinates import find_wound_coordinates
 from kempe.model.own_tree import remove_cut_marks
 from kempe.model.packed_loops import PackedLoops, pack_loops
 from kempe.model.primitive_table import Table
-from kempe.poses import refuse_no_poses
+from kempe.poses import check_poses
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -34,9 +34,9 @@ ROUNDING = 1e-9
 def refuse(goal: Goal, what: str) -> None:
     """Say what is wrong with a goal that a kernel refused. Errors: `InputError`."""
     if goal.pose is not None:
-        refuse_no_poses(goal.pose, f"the goal of {what}")
+        check_poses(goal.pose, f"the goal of {what}")
     for number in goal.numbers.values():
-        within_range(number, f"the goal of {what}")
+        check_range(number, f"the goal of {what}")
 
 
 def lead_of(goals: Sequence[Goal]) -> tuple[int, ...]:
@@ -244,7 +244,7 @@ def _pinned(tie: Tie, goal: Goal) -> Array:
 # ---- one constraint: values, derivatives and units
 
 
-@explained
+@explain_errors
 def error(system: Model, constraint: Constraint, q: Any) -> Array:
     """Equations (..., m) of a constraint at q (..., nq), in metres and radians, before bounds; zero
     where they hold.
@@ -252,26 +252,26 @@ def error(system: Model, constraint: Constraint, q: Any) -> Array:
     return _alone(system, constraint).evaluate(q)[0]
 
 
-@explained
+@explain_errors
 def jacobian(system: Model, constraint: Constraint, q: Any) -> Array:
     """Derivatives (..., m, nv) of `error` by the velocity coordinates, exact."""
     return _alone(system, constraint).evaluate(q)[1]
 
 
-@explained
+@explain_errors
 def count(system: Model, constraint: Constraint) -> int:
     """Number of equations of a constraint, inequalities included."""
     return _alone(system, constraint).count([0], True)
 
 
-@explained
+@explain_errors
 def units(system: Model, constraint: Constraint) -> tuple[str, ...]:
     """The unit of each equation of `error`: "m", "rad" or "1"."""
     alone = _alone(system, constraint)
     return tuple(unit for unit, row in zip(alone.loops.units, alone.rows, strict=True) if row >= 0)
 
 
-@explained
+@explain_errors
 def miss(system: Model, constraint: Constraint, q: Any) -> tuple[Array, Array]:
     """How far (...) a constraint is missed at q (..., nq), in metres and in radians, judged by the
     forward model.

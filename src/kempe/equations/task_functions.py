@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe import spatial
-from kempe.arguments import listed
-from kempe.arrays import is_sequence, named, reals
+from kempe.arguments import read_names
+from kempe.arrays import is_sequence, read_mapping, read_reals
 from kempe.constraints.base import Constraint, Op, Row, ends_of, numbers_of
 from kempe.constraints.coordinates_and_centres import Function
 from kempe.description.parts import Declared
-from kempe.errors import InputError, shown
+from kempe.errors import InputError, format_value
 from kempe.forward.fk import fk
 from kempe.forward.fk import jacobian as frame_jacobian
 from kempe.model.characteristic_length import compute_characteristic_length
@@ -25,7 +25,7 @@ from kempe.model.configurations import make_q, read_q, sample_configurations
 from kempe.model.coordinates import Layout
 from kempe.model.kernel_functions import Callback
 from kempe.spatial import Array
-from kempe.words import counted
+from kempe.words import format_count
 
 if TYPE_CHECKING:
     from kempe.model.model import Model, SystemType
@@ -94,7 +94,7 @@ def jacobian_of(
 ) -> Array:
     """Derivatives (m, nv) of a function of q in the way that `how` says."""
     if derivative is not None:
-        return reals(derivative(q), "the Jacobian of a constraint")
+        return read_reals(derivative(q), "the Jacobian of a constraint")
     return (
         complex_steps(function, layout, q) if how == COMPLEX else differences(function, layout, q)
     )
@@ -121,7 +121,7 @@ def checked_value(name: str, function: Callable[[Array], Any], q: Array) -> Arra
     """
     found = function(q)
     try:
-        value = reals(found, "the value")
+        value = read_reals(found, "the value")
     except InputError:
         value = np.full((), np.nan)
     if value.ndim > 1 or not np.isfinite(value).all():
@@ -141,7 +141,7 @@ def check_supplied(
 ) -> None:
     """Refuse a supplied Jacobian that differs from central differences at q, with its worst entry."""
     real = np.atleast_2d(differences(function, layout, q))
-    given = reals(derivative(q), f"constraint {name!r}: its Jacobian")
+    given = read_reals(derivative(q), f"constraint {name!r}: its Jacobian")
     if given.shape != real.shape:
         raise InputError(
             f"constraint {name!r}: its Jacobian has shape {given.shape}; it must have {real.shape}"
@@ -179,10 +179,10 @@ class Whole:
         self.given = of.function
         self.supplied = of.derivative
         self.frames = tuple(
-            system.structure.frame_name(f) for f in listed(of.frames, f"frames of {of.label}")
+            system.structure.frame_name(f) for f in read_names(of.frames, f"frames of {of.label}")
         )
         takes = (
-            f"of {counted(len(self.frames), 'pose')} (4, 4)"
+            f"of {format_count(len(self.frames), 'pose')} (4, 4)"
             if self.frames
             else f"of q ({system.nq},)"
         )
@@ -190,7 +190,7 @@ class Whole:
             raise InputError(f"{of.label} is given {of.function!r}; it must be a function {takes}")
         if not _takes(of.function, len(self.frames) or 1):
             given = (
-                f"{counted(len(self.frames), 'pose')}, of {', '.join(self.frames)}"
+                f"{format_count(len(self.frames), 'pose')}, of {', '.join(self.frames)}"
                 if self.frames
                 else f"q ({system.nq},)"
             )
@@ -241,7 +241,7 @@ class Whole:
             raise InputError(
                 f"{self.label} gives {np.size(found)} numbers, but gave {self.count} before"
             )
-        return reals(found, f"the value of {self.label}").reshape(self.count)
+        return read_reals(found, f"the value of {self.label}").reshape(self.count)
 
     def jacobian(self, q: Array) -> Array:
         """The derivatives (m, nv) at q.
@@ -252,7 +252,7 @@ class Whole:
         shape = (self.count, self.system.nv)
         if self.how:
             layout = self.system.structure.layout
-            return reals(
+            return read_reals(
                 jacobian_of(self.raw, self.supplied and self.derivative, self.how, layout, q),
                 f"the Jacobian of {self.label}",
             ).reshape(shape)
@@ -270,7 +270,9 @@ class Whole:
         return J
 
     def _along(self, poses: Array, twists: Array) -> Array:
-        """Derivatives (m, n) of the function of poses (k, 4, 4) along world-aligned twists (n, k, 6)."""
+        """Derivatives (m, n) of the function of poses (k, 4, 4) along world-aligned twists (n, k,
+        6).
+        """
         out = np.empty((self.count, len(twists)))
         for i, twist in enumerate(REAL_STEP * twists):
             ahead, back = (self._checked(self.given(*_moved(poses, x))) for x in (twist, -twist))
@@ -402,7 +404,7 @@ def coordinate_values(system: Model, made: Constraint) -> CoordinateValues:
     items: list[CoordinateItem] = [(names[i], i, v, False) for i, v in vectors]
     items += [(names[i], i, v, True) for i, v in balls]
     items.sort(key=lambda item: item[1])
-    values = named(given)
+    values = read_mapping(given)
     if values is None:
         return CoordinateValues(system, read_q(system, given), tuple(items), name=made.label)
     # refuses names that are none, or follow others
@@ -451,7 +453,7 @@ def held_too(system: SystemType, further: Any) -> SystemType:
         made = Function(c) if callable(c) and not isinstance(c, Constraint) else c
         if not isinstance(made, Constraint):
             raise InputError(
-                f"also holds {shown(c)}, which is no constraint of kempe.constraints and no "
+                f"also holds {format_value(c)}, which is no constraint of kempe.constraints and no "
                 "function"
             )
         name = made.name or (made.about if made is not c else made.label)

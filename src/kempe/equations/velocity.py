@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.arguments import explained
-from kempe.arrays import reals
+from kempe.arguments import explain_errors
+from kempe.arrays import read_reals
 from kempe.constraints.builder import Builder
 from kempe.constraints.tape import BINARY, POSE, RATE, TIME, TWIST, UNARY, Tape
 from kempe.description.mechanism import resolved
@@ -543,7 +543,7 @@ class Seen:
 # ---- rows of a system
 
 
-@explained
+@explain_errors
 def rates(system: Model, q: Any, t: ArrayLike = 0.0) -> tuple[Array, Array]:
     """The rows A (..., m, nv) and b (..., m) of the velocity constraints A(q) v = b at q (..., nq)
     and times t (...).
@@ -551,7 +551,7 @@ def rates(system: Model, q: Any, t: ArrayLike = 0.0) -> tuple[Array, Array]:
     Rows are in the order of `row_names`, those that slip in m/s, those that turn in rad/s. A system
     without such constraints has none. Errors: `InputError`.
     """
-    return velocity_rows(system).values(read_q(system, q), reals(t, "t"))
+    return velocity_rows(system).values(read_q(system, q), read_reals(t, "t"))
 
 
 def row_names(system: Model) -> tuple[tuple[str, str], ...]:

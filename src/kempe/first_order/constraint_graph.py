@@ -341,7 +341,7 @@ def _build_edges(system: Model) -> list[Edge]:
                 values.append((in_q[_format_full_name(joint.name, name)], 1.0, 0.0))
             else:
                 values.append((in_q[f.source] if f.source else -1, f.multiplier, f.offset))
-        velocities = joint.type.velocities(dim, particle)
+        velocities = joint.type.list_velocity_names(dim, particle)
         drives = tuple(
             velocities.index("wx" if p.kind == Q else names[p.coordinate]) for p in primitives
         )
@@ -361,8 +361,8 @@ def _build_edges(system: Model) -> list[Edge]:
                 columns.append(Column(full, in_v[f.source], f.multiplier, slides))
             else:
                 columns.append(Column(full, -1, 0.0, slides))
-        X_PF = joint.X_PF.evaluate(m.parameters)
-        X_CM = joint.X_CM.evaluate(m.parameters)
+        X_PF = joint.X_PF.evaluate_pose(m.parameters)
+        X_CM = joint.X_CM.evaluate_pose(m.parameters)
         out.append(
             Edge(
                 joint.name,

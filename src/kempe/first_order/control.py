@@ -13,7 +13,7 @@ from kempe.first_order.constraint_graph import build_constraint_graph
 from kempe.first_order.rank import Rank
 from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
-from kempe.words import InWords, counted
+from kempe.words import InWords, format_count
 
 if TYPE_CHECKING:
     from kempe.first_order.idle_freedoms import IdleFreedom
@@ -53,7 +53,7 @@ class Control(InWords):
     def __str__(self) -> str:
         who = " and ".join(self.actuated) if len(self.actuated) < 3 else ", ".join(self.actuated)
         one = len(self.actuated) == 1
-        useful = counted(self.useful, "freedom")
+        useful = format_count(self.useful, "freedom")
         if not self.actuated:
             return "no joint is actuated" + (f": {useful} not controlled" if self.useful else "")
         if self.complete:

@@ -24,7 +24,7 @@ from kempe.first_order.constraint_graph import (
 )
 from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
-from kempe.words import InWords, counted, verb
+from kempe.words import InWords, choose_verb, format_count
 
 if TYPE_CHECKING:
     from kempe.first_order.screws import Screws
@@ -143,7 +143,7 @@ def _count_other_constraints(s: ConstraintGraph, system: Model) -> list[tuple[in
 def _describe_free_bodies(
     bodies: int, points: int, whole: int, point: int, free: int, dim: int
 ) -> str:
-    who = [counted(n, what) for n, what in ((bodies, "body"), (points, "particle")) if n]
+    who = [format_count(n, what) for n, what in ((bodies, "body"), (points, "particle")) if n]
     if not who:
         return "There is no body that moves: 0 DoF."
     sums = " + ".join(f"{n} x {k}" for n, k in ((bodies, whole), (points, point)) if n)
@@ -159,13 +159,13 @@ def _describe_removed_freedoms(
     gruebler: int,
 ) -> str:
     groups = Counter((what, n) for n, what, _ in takes)
-    parts = [f"{counted(k, what)} x {n}" for (what, n), k in groups.items()]
-    parts += [f"{counted(n, what)} x 1" for n, what in held]
+    parts = [f"{format_count(k, what)} x {n}" for (what, n), k in groups.items()]
+    parts += [f"{format_count(n, what)} x 1" for n, what in held]
     first = next(iter(groups.values())) if groups else held[0][0] if held else 0
     if not parts:
         return ""
     sums = f"{' + '.join(parts)} = {taken}, which leaves {free} - {taken} = {gruebler}"
-    return f"Taken away {verb(first, 'is', 'are')} {sums}."
+    return f"Taken away {choose_verb(first, 'is', 'are')} {sums}."
 
 
 def _describe_lecture_count(
@@ -196,13 +196,13 @@ def _describe_lecture_count(
     elif loops:
         who = (
             f"Each body is held by one joint, and {loops} more "
-            f"{verb(loops, 'closes a loop', 'close loops')}"
+            f"{choose_verb(loops, 'closes a loop', 'close loops')}"
         )
     else:
         who = "Each body is held by one joint"
     if held:
         how = "take away one each" if more > 1 else "takes away one"
-        who += f", and {' and '.join(counted(n, what) for n, what in held)} {how}"
+        who += f", and {' and '.join(format_count(n, what) for n, what in held)} {how}"
     return f"{who}: {text} = {gruebler}."
 
 

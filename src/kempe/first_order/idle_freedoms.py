@@ -589,7 +589,7 @@ def _make_idle_freedom(system: Model, rank: Rank, spin: Spin) -> IdleFreedom | N
     for frame in system._mechanism.frames.values():
         body = names.index(frame.body)
         if body in bodies or body in links:
-            place = poses[body] @ frame.X_BF.evaluate(system._mechanism.parameters)
+            place = poses[body] @ frame.X_BF.evaluate_pose(system._mechanism.parameters)
             away = (place[:3, 3] - at.center) / at.length - links.get(body, spin.point)
             if body in bodies:
                 away = away - (away @ spin.direction) * spin.direction

@@ -30,7 +30,7 @@ from kempe.model.implicit_form import (
 from kempe.model.structural_order import make_sort_key
 from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
-from kempe.words import InWords, counted, in_words
+from kempe.words import InWords, format_count, spell_count
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
@@ -111,7 +111,7 @@ class Redundancy(InWords):
     def __str__(self) -> str:
         if not self.number:
             return "no constraint is redundant"
-        lines = [f"{counted(self.number, 'redundant constraint')}; released by"]
+        lines = [f"{format_count(self.number, 'redundant constraint')}; released by"]
         return "\n".join(lines + [f"  {r}" for r in self.releases])
 
 
@@ -424,4 +424,4 @@ def describe_reactions(reactions: Sequence[str]) -> str:
     """Describe reactions, such as 'two moments and one force' for ('Mx', 'My', 'Fz')."""
     moments = sum(r.startswith("M") for r in reactions)
     parts = [(moments, "moment"), (len(reactions) - moments, "force")]
-    return " and ".join(in_words(n, what) for n, what in parts if n)
+    return " and ".join(spell_count(n, what) for n, what in parts if n)

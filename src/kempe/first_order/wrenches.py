@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from kempe.arguments import explained_methods, numbers
+from kempe.arguments import explain_method_errors, numbers
 from kempe.equations import closure_rows
 from kempe.equations.one_sided import one_sided_rows
 from kempe.equations.velocity import velocity_rows
@@ -24,7 +24,7 @@ from kempe.forward.fk import fk, jacobian
 from kempe.forward.maximal import maximal, maximal_q
 from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
-from kempe.words import InWords, cut, listed
+from kempe.words import InWords, cut_lines, join_first_words
 
 if TYPE_CHECKING:
     from kempe.description.mechanism import Mechanism
@@ -68,7 +68,7 @@ class SelfStress(InWords):
     def __str__(self) -> str:
         parts = [f"{name}: {_format_wrench(w)}" for name, w in self.wrenches.items()]
         return "; ".join(
-            cut(parts + [f"{name}: {x:.4g}" for name, x in self.multipliers.items()], SHOWN)
+            cut_lines(parts + [f"{name}: {x:.4g}" for name, x in self.multipliers.items()], SHOWN)
         )
 
 
@@ -92,7 +92,7 @@ class Reactions(InWords):
         return "\n".join(lines + [f"effort of {name}: {x:.6g}" for name, x in self.efforts.items()])
 
 
-@explained_methods
+@explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Wrenches:
     """The wrenches that joints and constraints can transmit at a closed configuration `q` (nq,).
@@ -106,7 +106,7 @@ class Wrenches:
     q: Array
 
     def __repr__(self) -> str:
-        return f"Wrenches of {self.system.name!r}: {listed(self.names, SHOWN)}"
+        return f"Wrenches of {self.system.name!r}: {join_first_words(self.names, SHOWN)}"
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -227,7 +227,7 @@ class Wrenches:
             "reactions in balance without a load, on the child at the origin of its M, in axes of "
             "the ground:"
         )
-        return [head, *cut([str(s) for s in self.stresses], SHOWN)] if self.stresses else []
+        return [head, *cut_lines([str(s) for s in self.stresses], SHOWN)] if self.stresses else []
 
     def export_stresses(self) -> list[dict[str, Any]]:
         """Return the states of self-stress as plain data; none for systems of many equations."""
@@ -388,7 +388,7 @@ class Wrenches:
             if of.parent:
                 given: Any = of
                 M = (
-                    given.X_CM.evaluate(m.parameters)
+                    given.X_CM.evaluate_pose(m.parameters)
                     if of.name in m.joints
                     else given.frames(m.parameters, self.system.dim)[1]
                 )

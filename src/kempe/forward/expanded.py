@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from kempe import spatial
-from kempe.arguments import explained
+from kempe.arguments import explain_errors
 from kempe.description.mechanism import Mechanism, unused_name
 from kempe.description.parts import Body, Coupling, Joint
 from kempe.errors import InputError
@@ -26,7 +26,7 @@ class _SingleJoint(NamedTuple):
     motion: Primitive
 
 
-@explained
+@explain_errors
 def expanded(system: SystemType) -> SystemType:
     """The same system made of revolute and prismatic joints only, with links without size between
     them.

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe import spatial
-from kempe.arguments import explained, known, quiet
-from kempe.errors import InputError, UnknownNameError, shown
+from kempe.arguments import check_name, explain_errors, quiet
+from kempe.errors import InputError, UnknownNameError, format_value
 from kempe.kernels.compiled import bound, chain, maker, table_sweep
 from kempe.kernels.forward.table_layout import BODY, WORLD, WORLD_ALIGNED, fuse
 from kempe.model.configurations import read_q
@@ -91,13 +91,13 @@ def compute_poses_in_form(
 ) -> Array:
     """Compute poses of a frame in a given form and number type; see `fk` for arguments and errors."""
 
-    wanted = FORMS[known("form", "matrix" if form is None else form, FORMS)]
+    wanted = FORMS[check_name("form", "matrix" if form is None else form, FORMS)]
     try:
         kind = np.dtype(dtype)  # of None float64
     except (TypeError, ValueError, SyntaxError):
         kind = np.dtype(object)
     if kind.name not in TYPES:
-        raise InputError(f"dtype is {shown(dtype)}; allowed: {', '.join(TYPES)}")
+        raise InputError(f"dtype is {format_value(dtype)}; allowed: {', '.join(TYPES)}")
     q = read_q(system, q)
     one: Any = frame
     several = frame is None or isinstance(frame, (list, tuple))
@@ -213,7 +213,7 @@ class Query(Protocol):
         ...
 
 
-@explained
+@explain_errors
 def query(system: Model, frame: FrameLike, form: str | None = None, dtype: Any = None) -> Query:
     """Return a function that computes the forward kinematics of one frame.
 
@@ -386,7 +386,7 @@ def _pack_frames(system: Model, frames: tuple[str, ...] | None) -> tuple[np.ndar
 # ---- `fk` and `jacobian`
 
 
-@partial(explained, fast=True)
+@partial(explain_errors, fast=True)
 def fk(
     system: Model,
     q: Any,
@@ -443,7 +443,7 @@ def fk(
     return out
 
 
-@partial(explained, fast=True)
+@partial(explain_errors, fast=True)
 def jacobian(
     system: Model,
     q: Any,

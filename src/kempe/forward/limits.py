@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from kempe.arguments import explained
-from kempe.arrays import named, reals
+from kempe.arguments import explain_errors
+from kempe.arrays import read_mapping, read_reals
 from kempe.description import checks
 from kempe.description.parts import Joint
 from kempe.errors import InputError, UnknownNameError
@@ -19,7 +19,7 @@ from kempe.model.model import Model, SystemType
 UNLIMITED = (-math.inf, math.inf)
 
 
-@explained
+@explain_errors
 def with_limits(system: SystemType, limits: Any = None, velocity: Any = None) -> SystemType:
     """Return the system with other limits; its tree, coordinates and postures stay the same.
 
@@ -49,7 +49,7 @@ def with_limits(system: SystemType, limits: Any = None, velocity: Any = None) ->
                 f"velocity of {name!r}",
                 "velocity",
                 {local: speed},
-                joint.type.velocities(system.dim, particle),
+                joint.type.list_velocity_names(system.dim, particle),
                 None,
             )
             now = replace(now, velocity_limits={**now.velocity_limits, **found})
@@ -69,10 +69,10 @@ def _read_limits(system: Model, given: Any, what: str, width: int) -> dict[str, 
     """
     if given is None:
         return {}
-    found = named(given)
+    found = read_mapping(given)
     if found is not None:
         return dict(found)
-    array = reals(given, what, "a dict by coordinate name, or an array")
+    array = read_reals(given, what, "a dict by coordinate name, or an array")
     shape = (system.nv, 2)[:width]
     if width == 1 and not array.ndim:
         array = np.broadcast_to(array, shape)
@@ -97,7 +97,7 @@ def _find_joint(system: Model, name: str) -> tuple[Joint, str]:
     """
     bodies = system.mechanism.bodies
     for joint in system.structure.joints.values():
-        for local in joint.type.velocities(system.dim, bodies[joint.child].particle):
+        for local in joint.type.list_velocity_names(system.dim, bodies[joint.child].particle):
             if name == (f"{joint.name}.{local}" if local else joint.name):
                 follower = system.structure.couplings.get(name)
                 if follower is not None and follower.source is None:

@@ -15,20 +15,20 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe import spatial
-from kempe.arguments import explained, numbers
+from kempe.arguments import explain_errors, numbers
 from kempe.errors import InputError
 from kempe.forward.fk import fk
 from kempe.model.characteristic_length import choose_origin
 from kempe.model.configurations import find_home, make_q, read_q
 from kempe.model.model import keep_answers
-from kempe.poses import arrays, sound
+from kempe.poses import correct_rotations, read_pose_array
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.model import Model, SystemType
 
 
-@explained
+@explain_errors
 @keep_answers
 def maximal(system: SystemType) -> SystemType:
     """Return the system in maximal coordinates: one free joint for each body, all joints cut.
@@ -73,7 +73,7 @@ def maximal(system: SystemType) -> SystemType:
     return type(system)(m)
 
 
-@explained
+@explain_errors
 def to_maximal(system: Model, q: Any) -> Array:
     """Compute the poses (..., n_b, 4, 4) of all bodies but the ground at q (..., nq).
 
@@ -82,7 +82,7 @@ def to_maximal(system: Model, q: Any) -> Array:
     return np.ascontiguousarray(fk(system, q)[..., 1:, :, :])
 
 
-@explained
+@explain_errors
 def maximal_q(system: Model, q: Any = None, poses: ArrayLike | None = None) -> Array:
     """Return the configuration (..., nq) of `maximal(system)` for joints at `q` and given poses.
 
@@ -129,11 +129,11 @@ def read_poses(system: Model, poses: ArrayLike) -> Array:
 
     Errors: `InputError` for other shapes.
     """
-    array = numbers(arrays(poses, "poses"), "poses")
+    array = numbers(read_pose_array(poses, "poses"), "poses")
     n = len(system.body_names) - 1
     if array.ndim < 3 or array.shape[-3:] != (n, 4, 4):
         raise InputError(
             f"poses have shape {array.shape}; {system.name} needs (..., {n}, 4, 4): all bodies but "
             "the ground"
         )
-    return sound(array, "poses")
+    return correct_rotations(array, "poses")

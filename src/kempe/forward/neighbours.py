@@ -15,15 +15,21 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe import spatial
-from kempe.arguments import explained, explained_making, explained_methods, numbers, together
-from kempe.arrays import reals
+from kempe.arguments import (
+    explain_errors,
+    explain_init_errors,
+    explain_method_errors,
+    numbers,
+    together,
+)
+from kempe.arrays import read_reals
 from kempe.errors import InputError, UnknownNameError
 from kempe.forward.fk import fk
 from kempe.joints import Q, R
 from kempe.model.configurations import FIT, make_q, read_one_q, read_q, refuse_misfit
 from kempe.model.coordinates import Follower, format_coordinate_name
 from kempe.spatial import Array
-from kempe.words import counted
+from kempe.words import format_count
 
 if TYPE_CHECKING:
     from kempe.description.parts import Joint
@@ -287,8 +293,9 @@ def _refuse_unpaired_joints(
         if name in size:
             n = sum(len(part) for _, part in mine.parts)
             said.append(
-                f"joint {name!r} has {counted(n, 'coordinate')}, and {counted(size[name], 'number')} "
-                f"in the {library.name} model: these do not correspond"
+                f"joint {name!r} has {format_count(n, 'coordinate')}, and "
+                f"{format_count(size[name], 'number')} in the {library.name} model: these do not "
+                "correspond"
             )
         elif not partial:
             loop = name in system.structure.closures
@@ -329,8 +336,8 @@ class Turned(NamedTuple):
     turn: int
 
 
-@explained_making
-@explained_methods
+@explain_init_errors
+@explain_method_errors
 class Correspondence:
     """Conversion between a system and a model of Pinocchio or MuJoCo, in both directions.
 
@@ -426,12 +433,12 @@ class Correspondence:
                 f"joint {joint.name!r} is free and begins on {joint.parent!r}, which moves; in "
                 f"{self.library} it begins on the ground"
             )
-        if not np.array_equal(joint.X_CM.evaluate(parameters), np.eye(4)):
+        if not np.array_equal(joint.X_CM.evaluate_pose(parameters), np.eye(4)):
             raise InputError(
                 f"joint {joint.name!r} is free and does not end in the frame of {joint.child!r}, "
                 f"where it ends in {self.library}"
             )
-        X = fk(system, system.neutral, joint.parent) @ joint.X_PF.evaluate(parameters)
+        X = fk(system, system.neutral, joint.parent) @ joint.X_PF.evaluate_pose(parameters)
         if not np.array_equal(X, np.eye(4)):
             self._begins.append((places[0], places[3], X))
 
@@ -553,8 +560,8 @@ class Correspondence:
             where = tuple(np.argwhere(off)[0])
             name = self._entries[self._angles[where[-1]]].name
             raise InputError(
-                f"coordinate {name!r} has the cosine {c[where]:.9g} and the sine {s[where]:.9g}; the "
-                "sum of their squares must be 1"
+                f"coordinate {name!r} has the cosine {c[where]:.9g} and the sine {s[where]:.9g}; "
+                "the sum of their squares must be 1"
             )
         values[..., self._angles] = np.arctan2(s, c)
         return values
@@ -683,7 +690,7 @@ def _check_library(library: Library, model: Any) -> None:
         )
 
 
-@explained
+@explain_errors
 def to_pinocchio(
     system: Model,
     q: Any,
@@ -715,7 +722,7 @@ def to_pinocchio(
     return _convert_to_library(PINOCCHIO, system, q, model, v, base)
 
 
-@explained
+@explain_errors
 def from_pinocchio(
     system: Model,
     q: ArrayLike,
@@ -735,7 +742,7 @@ def from_pinocchio(
     return _convert_from_library(PINOCCHIO, system, q, model, v, base, tolerance)
 
 
-@explained
+@explain_errors
 def to_mujoco(
     system: Model,
     q: Any,
@@ -754,7 +761,7 @@ def to_mujoco(
     return _convert_to_library(MUJOCO, system, q, model, v, base)
 
 
-@explained
+@explain_errors
 def from_mujoco(
     system: Model,
     q: ArrayLike,
@@ -776,7 +783,7 @@ def from_mujoco(
 # ---- messages
 
 
-@explained
+@explain_errors
 def to_joint_state(system: Model, q: Any, message: Any, v: ArrayLike | None = None) -> Any:
     """Fill a ROS message JointState with names and positions of one configuration.
 
@@ -823,7 +830,7 @@ def _evaluate_followers(names: Sequence[str], x: Array, laws: list[Follower]) ->
     return [law.multiplier * value.get(law.source, 0.0) + law.offset for law in laws]
 
 
-@explained
+@explain_errors
 def from_joint_state(
     system: Model, message: Any, base: ArrayLike | None = None, velocity: bool = False
 ) -> Any:
@@ -838,10 +845,11 @@ def from_joint_state(
     if not velocity:
         return q
     names = [str(n) for n in message.name]
-    rates = reals(list(message.velocity), "velocity of the message")
+    rates = read_reals(list(message.velocity), "velocity of the message")
     if rates.shape != (len(names),):
         raise InputError(
-            f"the message has {counted(len(names), 'name')} and {counted(rates.size, 'velocity')}"
+            f"the message has {format_count(len(names), 'name')} and "
+            f"{format_count(rates.size, 'velocity')}"
         )
     index = {name: k for k, name in enumerate(system.structure.velocity_names)}
     v = np.zeros(system.nv)

@@ -9,8 +9,8 @@ from typing import Any, Generic
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.arguments import explained, explained_methods
-from kempe.arrays import reals, within_range
+from kempe.arguments import explain_errors, explain_method_errors
+from kempe.arrays import check_range, read_reals
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.kernels.compiled import table_sweep
 from kempe.model.configurations import read_q
@@ -20,7 +20,7 @@ from kempe.spatial import Array
 from kempe.values import Expression
 
 
-@explained
+@explain_errors
 def with_parameters(
     system: SystemType, numbers: Mapping[str, Any]
 ) -> SystemType | Designs[SystemType]:
@@ -32,8 +32,8 @@ def with_parameters(
     for name, x in numbers.items():
         if name not in system.structure.parameters:
             raise UnknownNameError("parameter", name, system.structure.parameters, system.name)
-        arrays[name] = reals(x, f"parameter {name!r}", "a number or an array of numbers")
-        within_range(arrays[name], f"parameter {name!r}")
+        arrays[name] = read_reals(x, f"parameter {name!r}", "a number or an array of numbers")
+        check_range(arrays[name], f"parameter {name!r}")
     try:
         shape = np.broadcast_shapes(*(x.shape for x in arrays.values()))
     except ValueError:
@@ -46,7 +46,7 @@ def with_parameters(
     return type(system)(mechanism, system.structure.topology)
 
 
-@explained_methods
+@explain_method_errors
 class Designs(Generic[SystemType]):
     """A batch of designs: one system with arrays of parameter values of one `shape`."""
 

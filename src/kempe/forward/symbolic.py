@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe import spatial
-from kempe.arguments import explained
+from kempe.arguments import explain_errors
 from kempe.description.parts import Joint
 from kempe.errors import InputError, MissingExtraError, UnknownNameError, UnsupportedError
 from kempe.joints import Q, R
@@ -263,7 +263,7 @@ _FUNCTIONS |= {
 }
 
 
-@explained
+@explain_errors
 def derive_fk(
     system: Model,
     frame: FrameLike,
@@ -417,7 +417,7 @@ def _iterate_joint_steps(
     first, last = (joint.X_CM, joint.X_PF) if backwards else (joint.X_PF, joint.X_CM)
     yield from iterate_placement_steps(first, subject, leaves)
     yield from iterate_joint_motions(system, joint, backwards, leaves)
-    yield from iterate_placement_steps(last.inverse(), subject, leaves)
+    yield from iterate_placement_steps(last.invert_steps(), subject, leaves)
 
 
 def iterate_joint_motions(
@@ -471,7 +471,7 @@ def iterate_placement_steps(
                 "rotation", amount=_make_rotation([x / length for x in any_length]), subject=subject
             )
         else:
-            constant = Placement(((motion, numbers),)).evaluate({})[:3, :3]
+            constant = Placement(((motion, numbers),)).evaluate_pose({})[:3, :3]
             yield SymbolicStep(
                 "rotation",
                 amount=leaves.express_constant_rotation(constant, subject),

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.arguments import explained
+from kempe.arguments import explain_errors
 from kempe.constraints.base import Op, held, position_rows, with_numbers
 from kempe.description.parts import Declared, Joint
 from kempe.errors import UnsupportedError
@@ -26,7 +26,7 @@ from kempe.forward.symbolic import (
 )
 from kempe.model.implicit_form import ImplicitForm, find_implicit_form, has_slide_along_z
 from kempe.model.packed_loops import find_explicit_joints
-from kempe.poses import placement_of_pose
+from kempe.poses import make_placement_from_pose
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
@@ -64,7 +64,7 @@ class SymbolicClosure:
         return "\n".join(f"{name}: {f} = 0" for name, own in self.equations.items() for f in own)
 
 
-@explained
+@explain_errors
 def derive_closure(
     system: Model, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0
 ) -> SymbolicClosure:
@@ -175,7 +175,7 @@ def _derive_constraint_equations(system: Model, constraint: Declared, leaves: Sy
     ):
         steps = [
             *_list_body_steps(system, body, leaves),
-            *iterate_placement_steps(X @ placement_of_pose(more), subject, leaves),
+            *iterate_placement_steps(X @ make_placement_from_pose(more), subject, leaves),
         ]
         ends.append(multiply_steps(steps, leaves))
     gap = ends[1][:3, 3] - ends[0][:3, 3]

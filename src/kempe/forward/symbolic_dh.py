@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe import spatial
-from kempe.arguments import explained, known
+from kempe.arguments import check_name, explain_errors
 from kempe.description.dh import CONVENTIONS, DHRow, from_dh
 from kempe.errors import UnsupportedError
 from kempe.forward.joint_lines import JointLine
@@ -22,7 +22,7 @@ from kempe.forward.symbolic import (
     sympy,
     unwrap_alignments,
 )
-from kempe.poses import placement_of_pose
+from kempe.poses import make_placement_from_pose
 from kempe.report import Report, Table
 from kempe.spatial import Array
 
@@ -60,7 +60,7 @@ class DHTable(Report):
         Its frame 'tool' is where the frame of the table was.
         """
         parameters = self.system.structure.parameters
-        ends = (placement_of_pose(X) for X in (self.base, self.tool))
+        ends = (make_placement_from_pose(X) for X in (self.base, self.tool))
         return from_dh(self.rows, self.convention, self.system.name, *ends, parameters=parameters)
 
     @property
@@ -110,7 +110,7 @@ class DHTable(Report):
         }
 
 
-@explained
+@explain_errors
 def to_dh(
     system: Model,
     frame: FrameLike,
@@ -135,7 +135,7 @@ def to_dh(
       joint = q1, a = l1, alpha = 0, d = 0, theta = q1
       joint = q2, a = l2, alpha = 0, d = 0, theta = q2
     """
-    convention = known("convention", convention, CONVENTIONS)
+    convention = check_name("convention", convention, CONVENTIONS)
     name = system.structure.frame_name(frame)
     given = dict(symbols or {})
     values = system.structure.parameters

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from kempe import spatial
-from kempe.arguments import explained, flag, known
-from kempe.errors import InputError, UnsupportedError, shown
+from kempe.arguments import check_name, explain_errors, read_flag
+from kempe.errors import InputError, UnsupportedError, format_value
 from kempe.forward.symbolic import (
     SymbolLeaves,
     align_formulas,
@@ -85,7 +85,7 @@ class SymbolicSteps:
         ground = self.names[0]
         tip = self.names[-1]
         ways = list(zip(self.names[:-1], self.names[1:], strict=True))
-        form = known("form", form, FORMS)
+        form = check_name("form", form, FORMS)
         if form == "separate":
             lines: list[str] = []
             for (a, b), T in zip(ways, self.T, strict=True):
@@ -127,7 +127,7 @@ class SymbolicSteps:
         return "\n".join(lines)
 
 
-@explained
+@explain_errors
 def derive_steps(
     system: Model,
     frame: FrameLike,
@@ -169,7 +169,7 @@ def _format_product(ways: list[tuple[str, str]], what: str = "T") -> str:
     return r" \, ".join(_format_symbol(a, b, what) for a, b in ways)
 
 
-@explained
+@explain_errors
 def derive_jacobian(
     system: Model,
     frame: FrameLike,
@@ -230,7 +230,7 @@ class ShortForm(NamedTuple):
         return f"$\\displaystyle {align_formulas(lines)}$"
 
 
-@explained
+@explain_errors
 def shorten_formula(system: Model, formula: Any) -> ShortForm:
     """Shorten a formula: replace sines and cosines by short names, as in l1 c1 + l2 c12.
 
@@ -253,7 +253,7 @@ def shorten_formula(system: Model, formula: Any) -> ShortForm:
         read = None
     if not isinstance(read, (sympy.Expr, sympy.Rel, sympy.MatrixBase)):
         raise InputError(
-            f"formula is {shown(formula)}; it must be an expression or a matrix of sympy"
+            f"formula is {format_value(formula)}; it must be an expression or a matrix of sympy"
         )
     formula = read
     legend: dict[Any, Any] = {}
@@ -274,11 +274,11 @@ def shorten_formula(system: Model, formula: Any) -> ShortForm:
     return ShortForm(formula.xreplace({found: symbol for symbol, found in legend.items()}), legend)
 
 
-@explained
+@explain_errors
 def derive_short_fk(system: Model, frame: FrameLike, short: bool, **options: Any) -> Any:
     """Derive the formula of `derive_fk`, and shorten it if `short`."""
     formula = derive_fk(system, frame, **options)
-    return shorten_formula(system, formula) if flag(short, "short") else formula
+    return shorten_formula(system, formula) if read_flag(short, "short") else formula
 
 
 def _choose_short_names(system: Model) -> dict[Any, str]:

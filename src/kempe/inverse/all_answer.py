@@ -12,7 +12,7 @@ import numpy as np
 
 from kempe.answers.answer import Answer, ConfigurationList, Row
 from kempe.answers.targets import TASKS, Z_AXIS, frame_of, of_target
-from kempe.arguments import explained_methods
+from kempe.arguments import explain_method_errors
 from kempe.equations.tasks import Task
 from kempe.errors import InputError
 from kempe.forward.fk import fk, jacobian
@@ -24,8 +24,8 @@ from kempe.model.configurations import list_units
 from kempe.numerics.rank import Level, Spectrum
 from kempe.report import ROWS, Table, by_code
 from kempe.spatial import Array
-from kempe.status import Status, member
-from kempe.words import Quantity, counted
+from kempe.status import Status, to_status
+from kempe.words import Quantity, format_count
 
 if TYPE_CHECKING:
     from kempe.inverse.closed_forms.plan import ChainPlan
@@ -179,7 +179,7 @@ class Bound(Protocol):
         ...
 
 
-@explained_methods
+@explain_method_errors
 class Solutions(ConfigurationList, Answer):
     """All configurations that reach a target, or each of a batch of targets.
 
@@ -526,7 +526,7 @@ class Solutions(ConfigurationList, Answer):
         is `complete`.
         """
         code = codes(self)
-        return member(code[0]) if self._lead is None else code.reshape(self._lead)
+        return to_status(code[0]) if self._lead is None else code.reshape(self._lead)
 
     def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
         return goals(self)
@@ -542,7 +542,7 @@ class Solutions(ConfigurationList, Answer):
         """
         if not 0 <= index < len(self._rows):
             raise InputError(
-                f"index is {index}; there are {counted(len(self._rows), 'target')}, from 0"
+                f"index is {index}; there are {format_count(len(self._rows), 'target')}, from 0"
             )
         return self._row.nearest(self, index)
 
@@ -594,8 +594,8 @@ class Solutions(ConfigurationList, Answer):
         return out
 
     def __repr__(self) -> str:
-        what = counted(len(self) if self.single else int(self._used.sum()), "solution")
-        of = "" if self.single else f" of {counted(len(self._rows), 'target')}"
+        what = format_count(len(self) if self.single else int(self._used.sum()), "solution")
+        of = "" if self.single else f" of {format_count(len(self._rows), 'target')}"
         return f"Solutions({self.system.name!r}, {self.problem.frame!r}, {what}{of})"
 
     row = "answers of ik_all"
@@ -615,7 +615,7 @@ class Solutions(ConfigurationList, Answer):
 
     def _headline(self) -> str:
         text = super()._headline() + (
-            "" if self.single else f", {counted(int(self._used.sum()), 'solution')}"
+            "" if self.single else f", {format_count(int(self._used.sum()), 'solution')}"
         )
         return f"{text}; {self._row.held(self)}" if self.spare and not self.single else text
 

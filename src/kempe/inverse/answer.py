@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from kempe.answers.answer import Answer, Row
-from kempe.arguments import explained_methods, place_in
-from kempe.arrays import plain
+from kempe.arguments import explain_method_errors, read_batch_index
+from kempe.arrays import unwrap_scalar
 from kempe.equations.slip import rolls
 from kempe.errors import InputError
 from kempe.kernels.base.search_layout import ANGULAR, ANSWER, LINEAR, STARTS, STATUS, STEPS
-from kempe.late import late
+from kempe.late import import_late
 from kempe.report import Report, brief
 from kempe.spatial import Array
 from kempe.status import MEMBERS, PROOFS, Status
-from kempe.words import counted, cut
+from kempe.words import cut_lines, format_count
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -55,7 +55,7 @@ class SolutionRow(Row):
     """Equations, freedoms, rank of the equations and self-motions of one answer."""
 
 
-@explained_methods
+@explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Solution(Answer):
     """Answer of the inverse model: one configuration for each target.
@@ -145,7 +145,7 @@ class Solution(Answer):
         """Error (...) of each configuration: the norm of its position error [m] and orientation
         error [rad].
         """
-        return plain(np.hypot(self.position_error, self.orientation_error))
+        return unwrap_scalar(np.hypot(self.position_error, self.orientation_error))
 
     @property
     def proven(self) -> Any:
@@ -158,7 +158,7 @@ class Solution(Answer):
         out = np.array(np.isin(self.code, PROOFS))
         for index in np.argwhere(np.asarray(self.code) == Status.NOT_FOUND):
             out[tuple(index)] = bool(self._proofs(tuple(index.tolist())))
-        return plain(out)
+        return unwrap_scalar(out)
 
     def proofs(self, index: tuple[int, ...] | int = ()) -> tuple[Any, ...]:
         """What proves that there is no answer for one question, as data; empty where nothing does.
@@ -166,7 +166,7 @@ class Solution(Answer):
         Each is an `Evidence` (`kempe.answers.evidence`), with figures and a `text`.
         Errors: `InputError` for a place that is not in the batch.
         """
-        return self._proofs(place_in(index, self._shape))
+        return self._proofs(read_batch_index(index, self._shape))
 
     def _proofs(self, index: tuple[int, ...]) -> tuple[Any, ...]:
         return self._row.proofs(self, index)
@@ -252,13 +252,13 @@ class Solution(Answer):
         """
         if not np.asarray(self.success)[index] or not rolls(self.system):
             return ""
-        return late("way_there")(self.system)
+        return import_late("way_there")(self.system)
 
 
 # ---- the answer for several tasks
 
 
-@explained_methods
+@explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Reached(Solution):
     """Answer of `System.ik` for tasks.
@@ -335,8 +335,8 @@ class IkHistory(Report):
         kept = "" if self.starts <= MOST_STARTS else f", the first {MOST_STARTS} of {self.starts}"
         count = int(self.start[-1]) + 1
         return (
-            f"{counted(len(self.q) - count, 'step')} of {counted(count, 'start')}{kept}: at last "
-            f"{last}"
+            f"{format_count(len(self.q) - count, 'step')} of {format_count(count, 'start')}{kept}: "
+            f"at last {last}"
         )
 
     @property
@@ -353,7 +353,7 @@ class IkHistory(Report):
             f"start {s}, step {k}: {p:.3g} m" + f", {a:.3g} rad" * self._turns
             for s, k, p, a in rows
         ]
-        return cut(lines, MOST_LINES)
+        return cut_lines(lines, MOST_LINES)
 
     def _data(self) -> dict[str, Any]:
         names = ("q", "position_error", "orientation_error", "start", "step", "starts")
@@ -365,4 +365,4 @@ class IkHistory(Report):
 
         The iterates themselves are drawn by ``system.plot(history.q)``.
         """
-        return late("plots").plot_history(self, ax)
+        return import_late("plots").plot_history(self, ax)

@@ -28,8 +28,8 @@ from numpy.typing import ArrayLike
 
 from kempe import spatial
 from kempe.answers.targets import Z_AXIS
-from kempe.arguments import explained
-from kempe.arrays import reals
+from kempe.arguments import explain_errors
+from kempe.arrays import read_reals
 from kempe.errors import InputError, UnsupportedError
 from kempe.inverse.closed_forms.chain_lines import Lines, chain_lines
 from kempe.inverse.closed_forms.structure import Axes, keeps_point, meeting
@@ -38,7 +38,7 @@ from kempe.model.configurations import read_q
 from kempe.model.model import keep_answers
 from kempe.numerics.intervals import arcs, joined
 from kempe.spatial import Array
-from kempe.words import counted
+from kempe.words import format_count
 
 if TYPE_CHECKING:
     from kempe.model.model import FrameLike, Model
@@ -106,7 +106,7 @@ def arm_of(lines: Lines, reference: ArrayLike | None = None) -> Arm | str:
     reference.
     """
     if len(lines) != 7:
-        return f"it has {counted(len(lines), 'joint')}, not seven"
+        return f"it has {format_count(len(lines), 'joint')}, not seven"
     if np.any(lines.kinds != TURN):
         return "not all of its joints turn"
     axes = Axes(lines.kinds, lines.h, lines.o)
@@ -142,7 +142,7 @@ def arm_of(lines: Lines, reference: ArrayLike | None = None) -> Arm | str:
 def _reference(lines: Lines, given: ArrayLike | None) -> Array:
     if given is None:
         return lines.h[0]
-    z = reals(given, "reference")
+    z = read_reals(given, "reference")
     size = float(np.linalg.norm(z)) if z.shape == (3,) else math.nan
     if not (math.isfinite(size) and size > 0.0):
         raise InputError(
@@ -177,7 +177,7 @@ def no_arm(system: Model, frame: str, why: str) -> str:
     return f"the chain of {frame!r} has no arm angle: {why}; name one of its joints: {names}"
 
 
-@explained
+@explain_errors
 def arm_angle(system: Model, q: Any, frame: FrameLike, reference: ArrayLike | None = None) -> Any:
     """Arm angle (...) of configurations q (..., nq), in (-pi, pi]; a float for one. See the module
     for what it is.

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.answers.targets import axis_for, task_and_axis, task_of
-from kempe.arguments import explained, listed
+from kempe.arguments import explain_errors, read_names
 from kempe.errors import UnsupportedError
 from kempe.inverse.closed_forms.chain_lines import Lines, chain_lines, sweep
 from kempe.inverse.closed_forms.plan import (
@@ -37,7 +37,7 @@ from kempe.kernels.closed_form.analytic_layout import AT_REST, COUPLED, PLANE, X
 from kempe.kernels.forward.table_layout import SLIDE
 from kempe.report import Report
 from kempe.spatial import Array
-from kempe.words import by_topic, counted, joined
+from kempe.words import format_count, format_topics, join_words
 
 if TYPE_CHECKING:
     from kempe.inverse.formulas import InverseFormulas
@@ -107,11 +107,11 @@ def _run(lines: Lines, axes: Axes, first: int, last: int) -> list[str]:
     """Facts about joints of one direction."""
     turns = [i for i in range(first, last + 1) if axes.kinds[i] != SLIDE]
     slides = [i for i in range(first, last + 1) if axes.kinds[i] == SLIDE]
-    sliding = joined([lines.names[i] for i in slides]) if slides else ""
+    sliding = join_words([lines.names[i] for i in slides]) if slides else ""
     verb = "slides" if len(slides) == 1 else "slide"
     if not turns:
         return [f"{sliding} slide in one direction"]
-    names = joined([lines.names[i] for i in turns])
+    names = join_words([lines.names[i] for i in turns])
     if len(turns) == 1:
         return [f"{sliding} {verb} along the axis of {names}"]
     gaps = [apart(axes, i, j) for i, j in zip(turns, turns[1:], strict=False)]
@@ -131,7 +131,7 @@ def _run(lines: Lines, axes: Axes, first: int, last: int) -> list[str]:
 
 
 def _ball(lines: Lines, axes: Axes, first: int, last: int) -> str:
-    names = joined([lines.names[i] for i in range(first, last + 1)])
+    names = join_words([lines.names[i] for i in range(first, last + 1)])
     right = all(abs(float(axes.h[i] @ axes.h[i + 1])) <= EXACT for i in range(first, last))
     return f"the axes of {names} meet in one point" + (
         ", neighbours at right angles" if right else ""
@@ -183,7 +183,7 @@ def _missed_ball(lines: Lines, axes: Axes, i: int) -> str:
     )
     if not EXACT < gap <= NEAR:
         return ""
-    names = joined(lines.names[i : i + 3])
+    names = join_words(lines.names[i : i + 3])
     return f"the axes of {names} miss a common point by {_metres(lines, gap)}: {AS_IT_IS}"
 
 
@@ -229,7 +229,7 @@ class Step(NamedTuple):
     values: int
 
     def __str__(self) -> str:
-        of = f"{joined(list(self.joints))}: " if self.joints else ""
+        of = f"{join_words(list(self.joints))}: " if self.joints else ""
         return f"{of}{self.equation}" + (f", {self.values} values" if self.values > 1 else "")
 
 
@@ -254,7 +254,7 @@ def list_steps(plan: ChainPlan, fixed: frozenset[str]) -> tuple[Step, ...]:
     rank = freedoms(plan.lines, free_lines(plan.lines, plan.task, plan.planar), unknown)
     if (left := (3 if plan.planar else 6) - rank) > 0:
         them = "it" if left == 1 else "them"
-        equations = counted(left, "equation")
+        equations = format_count(left, "equation")
         out.append(Step((), f"{equations} left over: targets that miss {them} are out of reach", 1))
     return tuple(out)
 
@@ -311,7 +311,7 @@ def _list_closed_form_steps(plan: ChainPlan, way: Strategy) -> list[Step]:
                 out.append(Step(names[place], ORDERS[1 if linear else 2], values))
     if out:
         s = "s" * (len(inner) == 1)
-        who = joined(list(inner))
+        who = join_words(list(inner))
         still = f"plane that {who} move{s} in itself"
         if way.what != PLANE:
             still = f"point that {who} leave{s} in place"
@@ -414,10 +414,10 @@ class Recognised(Report):
         ]
 
     def __str__(self) -> str:
-        return by_topic(self.status, self.topics(), 11, WIDTH)
+        return format_topics(self.status, self.topics(), 11, WIDTH)
 
 
-@explained
+@explain_errors
 def ik_plan(
     system: Model,
     frame: FrameLike,
@@ -444,13 +444,13 @@ def ik_plan(
     note = ""
     if task is None and what == "pose" and len(lines) <= system.dim:
         n = 3 * (system.dim - 1)
-        count = counted(len(lines), "joint")
+        count = format_count(len(lines), "joint")
         what = "position"
         note = (
             f"a pose has {n} equations, more than the chain has joints ({count}): the position is "
             "planned"
         )
-    given = held(name, lines.names, dict.fromkeys(listed(fixed, "fixed"), 0.0))
+    given = held(name, lines.names, dict.fromkeys(read_names(fixed, "fixed"), 0.0))
     plan = plan_for(system, name, lines, what, direction, tuple(given))
     kinds = tuple("slides" if kind == SLIDE else "turns" for kind in lines.kinds)
     return Recognised(

@@ -49,7 +49,7 @@ from kempe.kernels.forward.table_layout import (
 from kempe.model.configurations import sample_configurations
 from kempe.numerics.clock import TimeLimit
 from kempe.numerics.rank import Level, Spectrum
-from kempe.poses import sound
+from kempe.poses import correct_rotations
 from kempe.spatial import Array
 from kempe.status import Status
 
@@ -347,7 +347,7 @@ def _all_outside(task: FrameProblem, target: Array) -> Evidence | None:
         goal = np.eye(4)
         goal[: system.dim, 3] = target[0, : system.dim, 3]
     else:
-        goal = sound(target[0], "target")
+        goal = correct_rotations(target[0], "target")
     problem = Problem(
         system,
         "all",

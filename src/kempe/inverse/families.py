@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.answers import wording
-from kempe.arguments import explained_methods
-from kempe.arrays import is_whole, reals
+from kempe.arguments import explain_method_errors
+from kempe.arrays import is_whole, read_reals
 from kempe.errors import InputError
 from kempe.inverse.closed_forms.descent import Aim
 from kempe.inverse.closed_forms.plan import SEARCH
@@ -28,7 +28,7 @@ from kempe.numerics.curves import NONE, Curve, Node, step, walk
 from kempe.numerics.newton import GaussNewtonEnd, gauss_newton, gauss_newton_of_many
 from kempe.numerics.rank import Spectrum
 from kempe.spatial import Array
-from kempe.words import InWords, in_words, joined
+from kempe.words import InWords, join_words, spell_count
 
 if TYPE_CHECKING:
     from kempe.inverse.all_answer import Solutions
@@ -388,7 +388,7 @@ class SolutionSet(Curve):
 # ---- a family
 
 
-@explained_methods
+@explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Family(InWords):
     """A connected set of infinitely many configurations that reach a target; limits are ignored.
@@ -472,7 +472,7 @@ class Family(InWords):
 
         Angles count modulo turns.
         """
-        q = reals(q, "q")
+        q = read_reals(q, "q")
         lines = self._set.aim.lines
         theta = lines.theta(q[..., lines.q_index]).reshape(-1, len(lines))
         far = np.array([np.abs(self._gap(x) / lines.multiplier).max() for x in theta])
@@ -516,7 +516,7 @@ class Family(InWords):
         lines = self._set.aim.lines
         names = list(self.joints)
         if self.freedoms > 1:
-            return f"{joined(names)} can move"
+            return f"{join_words(names)} can move"
         place = [lines.names.index(name) for name in names]
         x = self._theta[:, place] - self._theta[0, place]
         way = x[np.argmax(np.abs(x).sum(axis=1))]
@@ -548,7 +548,7 @@ class Family(InWords):
         return [i for i, v in zip(at_rest, speeds, strict=True) if np.abs(v).max() > CONDITION]
 
     def __str__(self) -> str:
-        return f"{self.text}: {in_words(self.freedoms, 'freedom')}"
+        return f"{self.text}: {spell_count(self.freedoms, 'freedom')}"
 
 
 def _equations(names: list[str], slopes: Array, values: Array) -> list[dict[str, float]]:

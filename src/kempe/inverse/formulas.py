@@ -28,10 +28,10 @@ from kempe.answers.derivation import (
     two_circles,
     two_lines,
 )
-from kempe.arguments import explained, numbers
+from kempe.arguments import explain_errors, numbers
 from kempe.arrays import is_whole
 from kempe.equations.closure_rows import of_system
-from kempe.errors import InputError, UnsupportedError, shown
+from kempe.errors import InputError, UnsupportedError, format_value
 from kempe.forward.joint_lines import JointLine
 from kempe.forward.symbolic import SymbolLeaves, sympy
 from kempe.forward.symbolic_dh import derive_angle, derive_joint_lines, tidy_matrix
@@ -511,10 +511,12 @@ class InverseFormulas(Derivation):
         signs: list[Any] = list(many) if several else [many] * most
         if not all(is_whole(s) and s in (-1, 1) for s in signs):
             elbows = (" (elbow up)", " (elbow down)") if len(self.signs) < 2 else ("", "")
-            raise InputError(f"sign is {shown(sign)}; it must be -1{elbows[0]} or 1{elbows[1]}")
+            raise InputError(
+                f"sign is {format_value(sign)}; it must be -1{elbows[0]} or 1{elbows[1]}"
+            )
         if len(signs) != most:
             raise InputError(
-                f"sign is {shown(sign)}; it must be one number, or {len(self.signs)}: "
+                f"sign is {format_value(sign)}; it must be one number, or {len(self.signs)}: "
                 f"{', '.join(map(str, self.signs))}"
             )
         signs = signs[: len(self.signs)]
@@ -536,7 +538,7 @@ class InverseFormulas(Derivation):
         return np.concatenate([place, angle[..., None]], axis=-1)[..., : len(self.given)]
 
 
-@explained
+@explain_errors
 def symbolic_ik(
     system: Model,
     frame: FrameLike,

@@ -25,7 +25,7 @@ from kempe.answers.targets import (
     task_and_axis,
     task_of,
 )
-from kempe.arguments import explained, flag, quiet, together
+from kempe.arguments import explain_errors, quiet, read_flag, together
 from kempe.budget import Budget, TimeUp
 from kempe.errors import InputError, TimeLimitError
 from kempe.inverse import multi_start
@@ -39,7 +39,7 @@ from kempe.kernels.forward.table_layout import HAS_QUATERNION
 from kempe.model.configurations import read_start
 from kempe.numerics.clock import TimeLimit
 from kempe.spatial import Array
-from kempe.status import Status, member
+from kempe.status import Status, to_status
 
 if TYPE_CHECKING:
     from kempe.model.model import FrameLike, Model
@@ -185,13 +185,15 @@ class BoundIk:
         codes = np.array([Status.NOT_FOUND])
         quiet(problem.look_closer)(task, codes)
         linear, angular, _, steps, starts = row[n:].tolist()
-        return Solution(q, False, member(codes[0]), linear, angular, int(steps), int(starts), task)
+        return Solution(
+            q, False, to_status(codes[0]), linear, angular, int(steps), int(starts), task
+        )
 
 
 # ---- the general call
 
 
-@explained
+@explain_errors
 def ik(
     system: Model,
     target: Any,
@@ -211,8 +213,9 @@ def ik(
     Without a frame `target` are tasks, see `kempe.inverse.tasks.search.reach`.
     `target` is a pose (..., 4, 4) in the ground frame (in planar systems also (..., 3, 3), and,
     with ``task="pose"``, x, y and angle (..., 3)), or a position (..., 3) (in planar systems also
-    (..., 2)), or an object or words that say one (`kempe.poses.arrays`), or the name of a frame on
-    the ground. `task` says what of it counts: "pose", "position", "orientation", "direction" (of
+    (..., 2)), or an object or words that say one (`kempe.poses.read_pose_array`), or the name of a
+    frame on the ground. `task` says what of it counts: "pose", "position", "orientation",
+    "direction" (of
     the tool's z axis, or of another one in a pair such as ("direction", (1, 0, 0))),
     "position_axis" (both). `tolerance` is the largest position error [m] and rotation angle [rad],
     1e-6 each.
@@ -312,7 +315,7 @@ def _of_frame(
     answer = chosen_by(solver.run(problem), choice)
     if not lead and task is said and solver is not BY_TASKS:
         bind(answer.task, said, np.shape(target))
-    return with_history(answer, problem) if flag(history, "history") else answer
+    return with_history(answer, problem) if read_flag(history, "history") else answer
 
 
 def _together(
@@ -332,7 +335,7 @@ def _together(
 
 def _planned(problem: Problem) -> tuple[Solver, Choice, Problem]:
     """Who answers, and by which method: numbers where the time does not last to plan a closed form."""
-    time = TimeLimit((BATCH if problem.lead else USUAL).of(problem.budget).time_limit)
+    time = TimeLimit((BATCH if problem.lead else USUAL).complete_budget(problem.budget).time_limit)
     time.put_in_order()  # a plan is made as a whole, or not at all
     problem = problem._replace(options={"end": time.end})
     try:

@@ -20,7 +20,7 @@ from kempe.answers.targets import (
     task_and_axis,
     task_of,
 )
-from kempe.arguments import explained
+from kempe.arguments import explain_errors
 from kempe.arrays import FARTHEST
 from kempe.budget import Budget
 from kempe.errors import InputError
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 LIMITS = (False, True, "turns")
 
 
-@explained
+@explain_errors
 def ik_all(
     system: Model,
     target: ArrayLike,
@@ -104,7 +104,7 @@ def ik_all(
         targets=targets,
         lead=lead,
     )
-    time = TimeLimit((BATCH if lead else USUAL).of(budget).time_limit)
+    time = TimeLimit((BATCH if lead else USUAL).complete_budget(budget).time_limit)
     time.put_in_order()  # a plan is made as a whole, or not at all
     with begun_within(USUAL, time):
         solver, choice = choose(SOLVERS, problem)

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.answers.answer import Answer
-from kempe.arguments import explained, explained_methods
-from kempe.arrays import reals
+from kempe.arguments import explain_errors, explain_method_errors
+from kempe.arrays import read_reals
 from kempe.equations.one_sided import one_sided_rows
 from kempe.equations.slip import rolls
 from kempe.errors import InputError
@@ -23,7 +23,7 @@ from kempe.kernels.forward.table_layout import BALL, TURN
 from kempe.model.configurations import read_q
 from kempe.model.model import keep_answers
 from kempe.model.own_tree import remove_cut_marks
-from kempe.poses import arrays, sound
+from kempe.poses import correct_rotations, read_pose_array
 from kempe.report import brief, by_code
 from kempe.spatial import Array
 from kempe.status import Status
@@ -49,7 +49,7 @@ BESIDE = 1e-12
 """How near to a bound a velocity is at it, where it is a sum of others."""
 
 
-@explained_methods
+@explain_method_errors
 @dataclass(frozen=True, eq=False)
 class IkStep(Answer):
     """Velocities of one step: `q` (nq,) after it, `velocity` (nv,), and the `twist` (6,) that they
@@ -108,7 +108,7 @@ class IkStep(Answer):
         return np.array(False)  # a step is of first order: how far it leads away is its residual
 
 
-@explained
+@explain_errors
 def ik_step(
     system: Model,
     q: Any,
@@ -412,12 +412,14 @@ def _part(had: Array, requested: Array) -> float:
 
 def _motion(wanted: Any) -> Array:
     """The twist (6,) or pose (4, 4) that is wanted, checked."""
-    x = reals(
-        arrays(wanted, "the wanted motion"), "the wanted motion", "a twist (6,) or a pose (4, 4)"
+    x = read_reals(
+        read_pose_array(wanted, "the wanted motion"),
+        "the wanted motion",
+        "a twist (6,) or a pose (4, 4)",
     )
     good = x.shape == (6,) and math.isfinite(x.dot(x))
     if x.shape == (4, 4) and not (good := _is_pose(x)):
-        x = sound(x, "the wanted motion")
+        x = correct_rotations(x, "the wanted motion")
         good = _is_pose(x)
     if not good:
         raise InputError(
@@ -455,7 +457,7 @@ def speeds(system: Model) -> Array:
 
 def _numbers(x: Any, n: int, what: str, finite: bool = False) -> Array:
     try:
-        out = np.broadcast_to(reals(x, what, f"a number or ({n},) numbers"), (n,))
+        out = np.broadcast_to(read_reals(x, what, f"a number or ({n},) numbers"), (n,))
     except InputError:
         raise
     except ValueError:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.answers.targets import targets_with_axis
-from kempe.budget import look
+from kempe.budget import check_for_stop
 from kempe.inverse.chain.problem import FEW, FrameProblem, misses, outside, rows_of
 from kempe.inverse.chain.serial_chain import Chain, inside
 from kempe.kernels.base.search_layout import (
@@ -183,7 +183,7 @@ def _nearest(
             _end(problem, targets, some, out)
             return len(some)
         for only in each:
-            look()
+            check_for_stop()
             if only > 1 and time.monotonic() >= problem.end:
                 _end(problem, targets, some, out)
                 return len(some)
@@ -228,7 +228,7 @@ def _some(
 
     def work(i: int, j: int) -> int:
         for k in range(i, j, piece):
-            look()
+            check_for_stop()
             if time.monotonic() >= problem.end:
                 break
             last = min(k + piece, j)

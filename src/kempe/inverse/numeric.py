@@ -14,7 +14,13 @@ import numpy as np
 
 from kempe.answers.problem import Problem, Solver
 from kempe.answers.targets import not_a_pose, of_target, targets_with_axis
-from kempe.arguments import deadline, seed_number, start_count, step_count, tolerances
+from kempe.arguments import (
+    compute_deadline,
+    draw_seed,
+    read_start_count,
+    read_step_count,
+    read_tolerances,
+)
 from kempe.budget import Usual
 from kempe.equations.one_sided import one_sided_rows
 from kempe.errors import InputError
@@ -37,9 +43,9 @@ from kempe.inverse.multi_start import run, seeds_of
 from kempe.kernels.base.search_layout import SOLVED, STEPS
 from kempe.model.configurations import refuse_far
 from kempe.numerics.clock import SHORT, TimeLimit
-from kempe.poses import sound
+from kempe.poses import correct_rotations
 from kempe.spatial import Array
-from kempe.status import Status, member
+from kempe.status import Status, to_status
 
 # ---- the nearest of all solutions in closed form
 
@@ -224,7 +230,7 @@ def _of_chain(problem: Problem, plan: ChainPlan | None) -> Solution:
     system = problem.system
     name = str(problem.frame)
     lead = problem.lead
-    spend = (BATCH if lead else USUAL).of(problem.budget)
+    spend = (BATCH if lead else USUAL).complete_budget(problem.budget)
     usual = problem.budget is None or problem.budget.time_limit is None
     chain = chain_of(system, name, problem.task[1])
     tolerance = problem.tolerance
@@ -234,13 +240,13 @@ def _of_chain(problem: Problem, plan: ChainPlan | None) -> Solution:
         name,
         problem.targets,
         *problem.task,
-        PROBLEM_TOLERANCE if tolerance is None else tolerances(tolerance),
-        start_count(spend.starts),
-        seed_number(spend.rng),
+        PROBLEM_TOLERANCE if tolerance is None else read_tolerances(tolerance),
+        read_start_count(spend.starts),
+        draw_seed(spend.rng),
         chain,
-        step_count(spend.iterations),
+        read_step_count(spend.iterations),
         spend.time_limit,
-        problem.options["end"] if problem.options else deadline(spend.time_limit),
+        problem.options["end"] if problem.options else compute_deadline(spend.time_limit),
         usual,
     )
     packed_problem, (q, residual, info) = _run(
@@ -306,7 +312,7 @@ def _run(
     if (
         lead
         and (found[2][:, 0] == Status.BAD_INPUT).any()
-        and (mended := sound(targets, "target")) is not targets
+        and (mended := correct_rotations(targets, "target")) is not targets
     ):
         return _run(replace(problem, targets=mended), plan, base, seeds, threads, lead)
     return problem, found
@@ -325,7 +331,7 @@ def _nearest(
     """The answer of a batch as of `run`, with what is nearest to the targets that are out of reach."""
     far = np.flatnonzero(info[:, 0] == Status.OUT_OF_REACH)
     some = seeds[far] if len(seeds) > 1 else seeds
-    anew = replace(problem, end=deadline(problem.time_limit))
+    anew = replace(problem, end=compute_deadline(problem.time_limit))
     q[far], residual[far], info[far] = run(anew, some, threads, targets=problem.targets[far])
     return _judged(problem, base, q, residual, info, lead, seeds, threads)
 
@@ -375,4 +381,4 @@ def _answer(
     fields = [x.reshape(lead) if lead else x[0].item() for x in columns]
     success, code_, position, angle, steps, starts = fields
     q = q.reshape(*lead, problem.system.nq)
-    return Solution(q, success, member(code_), position, angle, steps, starts, problem)
+    return Solution(q, success, to_status(code_), position, angle, steps, starts, problem)

@@ -16,8 +16,8 @@ from kempe.answers.answer import Configurations
 from kempe.answers.evidence import outside_limits
 from kempe.answers.problem import NOTHING, Problem, Solver, solve, takes_all
 from kempe.answers.targets import Z_AXIS, of_target, parse_targets
-from kempe.arguments import explained, explained_methods, interruptible
-from kempe.arrays import reals
+from kempe.arguments import explain_errors, explain_method_errors, raise_interrupted
+from kempe.arrays import read_reals
 from kempe.assemble.assemble import assemble
 from kempe.assemble.nearest_exact import decided_within
 from kempe.budget import Budget, Usual
@@ -34,11 +34,11 @@ from kempe.model.configurations import make_ranges_table, refuse_far, sample_con
 from kempe.numerics.clock import BROKEN_OFF, LONG, TimeLimit, partial
 from kempe.numerics.newton import gauss_newton, least_squares
 from kempe.numerics.rank import Level, Spectrum
-from kempe.poses import arrays, refuse_no_poses, sound
+from kempe.poses import check_poses, correct_rotations, read_pose_array
 from kempe.report import Table, brief
 from kempe.spatial import Array
 from kempe.status import Status
-from kempe.words import counted
+from kempe.words import format_count
 
 if TYPE_CHECKING:
     from kempe.model.model import FrameLike, Model
@@ -429,7 +429,7 @@ def without_slip(way: PathSteps, path: IkPath, begin: int) -> IkPath:
     q = path.q.copy()
     reached = _led(way, q, begin)
     if reached == len(q) - 1:
-        status = f"{len(q) - begin} of {counted(len(q), 'target')} followed, without slip"
+        status = f"{len(q) - begin} of {format_count(len(q), 'target')} followed, without slip"
         return replace(path, q=q, success=np.arange(len(q)) >= begin, jumps=(), reason=status)
     return _broken(path, slip, int(good[0]))
 
@@ -442,7 +442,7 @@ def _broken(path: IkPath, slip: Slip, first: int) -> IkPath:
     q[k:] = np.nan
     success[k:] = False
     many = int(success.sum())
-    followed = f"{many} of {counted(len(q), 'target')} followed"
+    followed = f"{many} of {format_count(len(q), 'target')} followed"
     status = (
         f"{followed}; stops before target {k}: on the way there it {slip.text}; getting there is a "
         "manoeuvre"
@@ -516,7 +516,7 @@ TRIED = 16
 """Seeds that are tried where another start or a way on is looked for."""
 
 
-@explained_methods
+@explain_method_errors
 @dataclass(frozen=True, eq=False)
 class IkPath(Configurations):
     """Configurations `q` (n, nq) that follow n targets, NaN where not `success` (n,).
@@ -578,8 +578,8 @@ class IkPath(Configurations):
         return []
 
 
-@explained
-@interruptible
+@explain_errors
+@raise_interrupted
 def ik_path(
     system: Model,
     targets: Any,
@@ -645,7 +645,7 @@ def by_steps(problem: Problem) -> IkPath:
     system = problem.system
     start = problem.start
     options = problem.options
-    spend = USUAL.of(problem.budget)
+    spend = USUAL.complete_budget(problem.budget)
     tolerance = TOLERANCE if problem.tolerance is None else problem.tolerance
     restart = options["restart"]
     time = TimeLimit(spend.time_limit)
@@ -695,9 +695,9 @@ def by_steps(problem: Problem) -> IkPath:
 
 
 def _held(system: Model, targets: Any, frame: FrameLike) -> Constraint:
-    poses, lead, is_position = parse_targets(system, arrays(targets, "targets"))
-    poses = sound(poses, "targets")
-    refuse_no_poses(poses, "targets")
+    poses, lead, is_position = parse_targets(system, read_pose_array(targets, "targets"))
+    poses = correct_rotations(poses, "targets")
+    check_poses(poses, "targets")
     poses = poses.reshape(*lead, 4, 4)
     name = system.structure.frame_name(frame)
     is_position = is_position or bool(system.structure.table.at[name][2])
@@ -841,7 +841,7 @@ class _FollowedPath(PathSteps):
         untouched = apart(self.problem.packed, self.problem.pins)
         out[:, untouched] = q[untouched]  # to the last bit
         success = self._checked(out)
-        status = f"{success.sum()} of {counted(n, 'target')} followed"
+        status = f"{success.sum()} of {format_count(n, 'target')} followed"
         jumped = (
             f" with {len(jumps)} jump{'s' if len(jumps) > 1 else ''}" if jumps and restart else ""
         )
@@ -945,7 +945,7 @@ def _all(problem: Problem, row: Demands, begin: int, q: Array) -> list[Array]:
     from kempe.inverse.ik_all import ik_all
 
     try:
-        found = ik_all(problem.system, reals(problem.targets, "targets")[begin], problem.frame)
+        found = ik_all(problem.system, read_reals(problem.targets, "targets")[begin], problem.frame)
     except UnsupportedError:
         return []
     starts = found.q[found.inside]

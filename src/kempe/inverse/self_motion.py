@@ -13,7 +13,7 @@ from kempe.answers import wording
 from kempe.answers.answer import Configurations
 from kempe.answers.problem import NOTHING, Problem, Solver, solve, takes_all
 from kempe.answers.targets import axis_of, of_target, points_along, task_and_axis, task_of
-from kempe.arguments import explained, explained_methods, interruptible
+from kempe.arguments import explain_errors, explain_method_errors, raise_interrupted
 from kempe.arrays import is_whole
 from kempe.budget import Budget, Usual
 from kempe.constraints.base import Constraint, numbers_of
@@ -29,7 +29,7 @@ from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, begun_within
 from kempe.numerics.curves import NONE, Node, walk
 from kempe.report import brief
 from kempe.spatial import Array, ArrayLike
-from kempe.words import counted, joined
+from kempe.words import format_count, join_words
 
 if TYPE_CHECKING:
     from kempe.inverse.tasks.demands import Demands
@@ -54,7 +54,7 @@ LEAST_PART = 0.05
 """Part of the wished direction that the freedoms must still have for the way to go on."""
 
 
-@explained_methods
+@explain_method_errors
 @dataclass(frozen=True, eq=False)
 class SelfMotion(Configurations):
     """A family of configurations `q` (n, nq) in which tasks hold, in the order in which they are
@@ -103,14 +103,14 @@ class SelfMotion(Configurations):
         if not self.freedoms:
             return f"1 configuration, no motion: {self.ends[0]}"
         many = (
-            f"{counted(len(self.q), 'configuration')} of a self-motion with "
-            f"{counted(self.freedoms, 'freedom')}"
+            f"{format_count(len(self.q), 'configuration')} of a self-motion with "
+            f"{format_count(self.freedoms, 'freedom')}"
         )
         return f"{many}: {how}{self._partial()}"
 
 
-@explained
-@interruptible
+@explain_errors
+@raise_interrupted
 def self_motion(
     system: Model,
     q: Any,
@@ -147,7 +147,7 @@ def self_motion(
 
 def by_tangents(problem: Problem) -> SelfMotion:
     """The configurations, each a step along the tangent of the one before, led back."""
-    spend: Any = USUAL.of(problem.budget)
+    spend: Any = USUAL.complete_budget(problem.budget)
     system = problem.system
     direction = problem.options["direction"]
     steps = spend.points
@@ -235,7 +235,9 @@ def _begin(system: Model, q: Array, wanted: Any) -> tuple[Demands, Array]:
     if not at:
         over = [name for name, far in zip(rows.names, rows.beyond(q), strict=True) if far]
         if over:
-            raise InputError(f"q is outside the limits of {joined([repr(name) for name in over])}")
+            raise InputError(
+                f"q is outside the limits of {join_words([repr(name) for name in over])}"
+            )
         raise InputError(
             f"the tasks do not hold at q: they are missed by {at.position_error} m, "
             f"{at.orientation_error} rad"
@@ -248,8 +250,8 @@ def _wish(system: Model, direction: Any, local: Local, problem: Demands) -> Arra
     if direction is None:
         if local.finite > 1:
             raise InputError(
-                f"the tasks leave {counted(local.finite, 'freedom')}: say by `direction` which way "
-                "to go"
+                f"the tasks leave {format_count(local.finite, 'freedom')}: say by `direction` "
+                "which way to go"
             )
         found = local.motions
         if (np.abs(found @ found[0]) < ALIKE).any():
@@ -263,7 +265,7 @@ def _wish(system: Model, direction: Any, local: Local, problem: Demands) -> Arra
             )
         at = system.structure.velocity_names.index(direction)
         if at not in local.movers:
-            own = joined([repr(system.structure.velocity_names[int(v)]) for v in local.movers])
+            own = join_words([repr(system.structure.velocity_names[int(v)]) for v in local.movers])
             raise InputError(
                 f"direction is {direction!r}, which does not move what the tasks hold; {own} do"
             )
@@ -353,7 +355,9 @@ class _Direction:
             if names := _at_limits(system, b.x, a.t):
                 return _HalfCurve(out, False, f"the limit of {names[0]!r}", a.t)
             if len(out) == steps:
-                return _HalfCurve(out, False, f"the last of {counted(steps, 'step')}", a.t, True)
+                return _HalfCurve(
+                    out, False, f"the last of {format_count(steps, 'step')}", a.t, True
+                )
             if b.sigma < LEAST_PART:
                 return nothing._replace(t=b.t)
             a = b

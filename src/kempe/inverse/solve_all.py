@@ -30,9 +30,9 @@ from kempe.inverse.spare_joints import look_further
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.compiled import maker
 from kempe.model.configurations import find_winding_angles
-from kempe.poses import sound
+from kempe.poses import correct_rotations
 from kempe.spatial import Array
-from kempe.words import joined
+from kempe.words import join_words
 
 if TYPE_CHECKING:
     from kempe.assemble.modes import Modes
@@ -69,7 +69,9 @@ def obeying(solutions: Solutions) -> Solutions:
         dropped = bad.any(axis=-1)
         counts = solutions._counts.copy()
         counts[dropped, 1] += 1
-        texts[dropped] += f", at other whole turns of {joined(list(map(repr, names)))} they may not"
+        texts[dropped] += (
+            f", at other whole turns of {join_words(list(map(repr, names)))} they may not"
+        )
         out._counts = counts
     return out
 
@@ -109,7 +111,7 @@ def all_modes(problem: Problem, moving: str = "loops") -> Modes:
             f"{what}; `ik` can"
         )
     X = targets[0] if task == "pose" else targets[0, : system.dim, 3]
-    limit = LOOPS.of(problem.budget).time_limit
+    limit = LOOPS.complete_budget(problem.budget).time_limit
     spend = Budget(time_limit=math.inf if limit is None else limit)
     known = {**problem.known, str(frame): X}
     from kempe.assemble.modes import assembly_modes  # only here: frames of chains never need it
@@ -157,7 +159,7 @@ def by_chain(problem: Problem) -> Solutions:
     targets = problem.targets
     single = problem.lead == ()
     lines = chain_lines(system, name, direction)
-    spend = (USUAL if single else BATCH).of(problem.budget)
+    spend = (USUAL if single else BATCH).complete_budget(problem.budget)
     values = held(name, lines.names, problem.known)
     threads = spend.threads
     watch = Watch(problem.options["time"], len(targets))
@@ -190,7 +192,7 @@ def by_chain(problem: Problem) -> Solutions:
     if (
         not single
         and (answer._counts[:, 0] < 0).any()
-        and (mended := sound(targets, "target")) is not targets
+        and (mended := correct_rotations(targets, "target")) is not targets
     ):
         answer = solve(replace(packed_problem, targets=mended), plan, near, values, threads)
     if single and answer._counts[0, 0] < 0:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kempe.answers.targets import targets_with_axis
-from kempe.budget import look
+from kempe.budget import check_for_stop
 from kempe.inverse.chain.problem import FEW, ITERATIONS, MOST, outside, rows_of
 from kempe.inverse.closed_forms.descent import Aim, descend, limits_of
 from kempe.inverse.closed_forms.plan import SEARCH, ChainPlan, within_domains
@@ -240,7 +240,7 @@ class _Targets:
 
         def pieces(i: int, j: int) -> int:
             for k in range(i, j, PIECE):
-                look()
+                check_for_stop()
                 last = min(k + PIECE, j)
                 if self.problem.stopped(which[k:last]):
                     out[k:last] = np.nan

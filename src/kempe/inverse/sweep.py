@@ -25,11 +25,11 @@ from kempe.answers.targets import (
     task_and_axis,
 )
 from kempe.answers.targets import task_of as task_of_targets
-from kempe.arguments import explained, explained_methods
-from kempe.arrays import FARTHEST, is_whole, reals
-from kempe.budget import Budget, TimeUp, Usual, look
+from kempe.arguments import explain_errors, explain_method_errors
+from kempe.arrays import FARTHEST, is_whole, read_reals
+from kempe.budget import Budget, TimeUp, Usual, check_for_stop
 from kempe.equations.tasks import Task
-from kempe.errors import InputError, UnknownNameError, UnsupportedError, shown
+from kempe.errors import InputError, UnknownNameError, UnsupportedError, format_value
 from kempe.forward.fk import fk
 from kempe.inverse.arm_angle import BRANCHES, ELBOW, Arm, Posed, find_arm, no_arm, required_arm
 from kempe.inverse.chain.serial_chain import inside
@@ -41,11 +41,11 @@ from kempe.inverse.sweep_curves import ChainMotion, CurvePiece, arcs_through
 from kempe.kernels.forward.table_layout import SLIDE
 from kempe.numerics.clock import SHARE, SHORT, TimeLimit, time_limited, time_of
 from kempe.numerics.intervals import Intervals, spelled, union
-from kempe.poses import arrays, refuse_no_poses
+from kempe.poses import check_poses, read_pose_array
 from kempe.report import Table, brief, by_code
 from kempe.spatial import Array, log_so3
-from kempe.status import Status, member
-from kempe.words import counted
+from kempe.status import Status, to_status
+from kempe.words import format_count
 
 if TYPE_CHECKING:
     from kempe.model.model import FrameLike, Model
@@ -108,7 +108,7 @@ class Best(NamedTuple):
     score: float
 
 
-@explained_methods
+@explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Slice(ConfigurationList, Answer):
     """All solutions at one value of the parameter of a `sweep`, or at each of many.
@@ -142,7 +142,7 @@ class Slice(ConfigurationList, Answer):
     def code(self) -> Any:
         """The outcome (...): the sweep is in closed form, so that there is no solution is proven."""
         there = np.where(self.mask.any(axis=-1), Status.OUTSIDE_LIMITS, Status.NONE_EXISTS)
-        return member(np.where(self.inside.any(axis=-1), Status.SOLVED, there))
+        return to_status(np.where(self.inside.any(axis=-1), Status.SOLVED, there))
 
     def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
         return self.sweep._goals()
@@ -155,12 +155,12 @@ class Slice(ConfigurationList, Answer):
         good = int(self.inside[index].sum())
         value = float(np.asarray(self.value)[index])
         return (
-            f"{counted(count, 'solution')} at {self.sweep.parameter} = {value:.9g}, {good} inside "
-            "limits"
+            f"{format_count(count, 'solution')} at {self.sweep.parameter} = {value:.9g}, {good} "
+            "inside limits"
         )
 
 
-@explained_methods
+@explain_method_errors
 @dataclass(frozen=True, eq=False, repr=False)
 class Sweep(Answer):
     """The solutions of a chain with one freedom to spare, over a `parameter`: a joint, or
@@ -233,7 +233,7 @@ class Sweep(Answer):
 
         Errors: `InputError` for values that are not finite.
         """
-        x = reals(value, "value", "a finite number, or an array (m,) of them")
+        x = read_reals(value, "value", "a finite number, or an array (m,) of them")
         if x.ndim > 1 or not np.isfinite(x).all():
             raise InputError(
                 f"value is {value!r}; it must be a finite number, or an array (m,) of them"
@@ -273,7 +273,7 @@ class Sweep(Answer):
         lines = self.curves.lines
         rows: list[tuple[Array, np.ndarray]] = []
         for k in range(0, max(len(values), 1), PIECE):
-            look()
+            check_for_stop()
             rows.append(self.curves.rows(values[k : k + PIECE], branch))
         chain = np.concatenate([x for x, _ in rows])
         mask = np.concatenate([x for _, x in rows])
@@ -312,11 +312,11 @@ class Sweep(Answer):
         rows = np.flatnonzero((mask & fits)[:, 0])
         if not rows.size:
             return best
-        scores = reals(score(q[rows, 0]), "the score")
+        scores = read_reals(score(q[rows, 0]), "the score")
         if scores.shape != rows.shape:
             raise InputError(
                 f"the objective gives an array {scores.shape} for "
-                f"{counted(len(rows), 'configuration')}"
+                f"{format_count(len(rows), 'configuration')}"
             )
         k = int(np.argmax(scores))
         if best is not None and scores[k] <= best.score:
@@ -438,7 +438,7 @@ def turned(
     fits = np.empty(mask.shape, dtype=bool)
     last = np.broadcast_to(near, q.shape[1:])
     for i in range(len(q)):
-        look()
+        check_for_stop()
         out[i], fits[i] = _turned(lines, q[i], last, period)
         last = np.where(mask[i][:, None], out[i], near)
     return out, fits & mask
@@ -481,7 +481,7 @@ and at most."""
 USUAL = Usual("ik_sweep", points=SAMPLES, time_limit=SHORT)
 
 
-@explained
+@explain_errors
 @time_limited(USUAL)
 def ik_sweep(
     system: Model,
@@ -526,14 +526,17 @@ def ik_sweep(
     with_reference = isinstance(parameter, (tuple, list))
     if with_reference and len(parameter) != 2:
         raise InputError(
-            f"the parameter is {shown(parameter)}; it must be a name, or a name and a direction"
+            f"the parameter is {format_value(parameter)}; it must be a name, or a name and a "
+            "direction"
         )
     parameter, reference = parameter if with_reference else (parameter, None)
     if reference is not None:
-        reference = tuple(reals(reference, "the reference of the arm angle").ravel().tolist())
-    _count(USUAL.of(budget).points)
+        reference = tuple(read_reals(reference, "the reference of the arm angle").ravel().tolist())
+    _count(USUAL.complete_budget(budget).points)
     direction = axis_for(axis, said)
-    targets, lead, is_position = targets_of(system, arrays(target, "target"), said, direction)
+    targets, lead, is_position = targets_of(
+        system, read_pose_array(target, "target"), said, direction
+    )
     if lead != ():
         raise InputError(f"target has the leading shape {lead}; a sweep has one target")
     if not np.all(np.abs(targets) < FARTHEST):
@@ -554,7 +557,7 @@ def ik_sweep(
     options = {
         "base": base,
         "n": None if n is None else _count(n),
-        "given": reals(target, "target"),
+        "given": read_reals(target, "target"),
     }
     problem = Problem(
         system,
@@ -601,7 +604,7 @@ def by_arm_angle(problem: Problem) -> Sweep:
 def by_joint(problem: Problem) -> Sweep:
     """The branches over a joint, from solutions at many of its values."""
     over = _sweep_problem(problem)
-    points = _count(USUAL.of(problem.budget).points)
+    points = _count(USUAL.complete_budget(problem.budget).points)
     return _sweep(over, _joint_curves(over, problem.parameter[0], points), problem.options["n"])
 
 
@@ -642,7 +645,7 @@ def _sweep_problem(problem: Problem) -> SweepProblem:
 
 
 def _refuse_no_rotation(R: Array) -> None:
-    refuse_no_poses(spatial.pose(R), "target")
+    check_poses(spatial.pose(R), "target")
 
 
 def _count(n: object) -> int:
@@ -816,8 +819,8 @@ class JointCurves:
         self.unit = float(motion.unit[motion.p])
         self.labels = tuple(f"branch {k + 1}" for k in range(len(arcs)))
         self.reason = (
-            f"none of {counted(samples, 'value')} has one; it may be that the target alone decides "
-            "it"
+            f"none of {format_count(samples, 'value')} has one; it may be that the target alone "
+            "decides it"
         )
 
     def intervals(self, limited: bool) -> list[list[tuple[float, float]]]:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.answers.targets import TASKS, frame_of, points_along
-from kempe.budget import TimeUp, look
+from kempe.budget import TimeUp, check_for_stop
 from kempe.forward.fk import fk, jacobian
 from kempe.inverse.closed_forms.chain_lines import Lines
 from kempe.kernels.forward.table_layout import SLIDE
@@ -507,7 +507,7 @@ class Net:
 
         Its pieces are kept in `up`, `head`, `foot` and `loose`.
         """
-        look()
+        check_for_stop()
         motion = self.motion
         i = int(self.level[a])
         j = i + int(sense)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from kempe.errors import InputError, shown
+from kempe.errors import InputError, format_value
 
 HERE = Path(__file__).parent
 
@@ -105,7 +105,7 @@ def chosen(number: int | None) -> tuple[Section, ...]:
         return every
     if number not in range(1, len(every) + 1):
         titles = "; ".join(f"{x.number} {x.title}" for x in every)
-        raise InputError(f"section is {shown(number)}; there are: {titles}")
+        raise InputError(f"section is {format_value(number)}; there are: {titles}")
     return (every[number - 1],)
 
 

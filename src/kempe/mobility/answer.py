@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from kempe.arguments import explained_methods
+from kempe.arguments import explain_method_errors
 from kempe.errors import InputError
 from kempe.first_order.constraint_graph import NO_SERIES
 from kempe.first_order.control import Control
@@ -21,7 +21,7 @@ from kempe.model.configurations import name_values
 from kempe.report import Nearest, Report
 from kempe.spatial import Array
 from kempe.status import Status
-from kempe.words import counted, cut, verb
+from kempe.words import choose_verb, cut_lines, format_count
 
 if TYPE_CHECKING:
     from kempe.mobility.local_dimension import LocalDimension
@@ -56,14 +56,14 @@ def sentence(m: Mobility) -> str:
     if (m.redundant or 0) > false:
         some = f", {false} of them to first order only" if false else ""
         why.append(
-            f"{counted(m.redundant or 0, 'constraint')} {'is' if m.redundant == 1 else 'are'} "
+            f"{format_count(m.redundant or 0, 'constraint')} {'is' if m.redundant == 1 else 'are'} "
             f"redundant{some}"
         )
     if m.local is not None and len({b.dim for b in m.local.branches}) > 1:
         meet = "that meet here" if m.local.counted else "found here"
         why.append(
             f"the largest of {len(m.local.branches)} branches {meet} has "
-            f"{counted(m.dof, 'dimension')}"
+            f"{format_count(m.dof, 'dimension')}"
         )
     doubtful = (
         m.local is None
@@ -139,11 +139,12 @@ def rank_text(m: Mobility) -> str:
     equations = sum(len(c.jacobian) for c in r.clusters)
     if not equations:
         return (
-            f"{counted(len(r.units), 'coordinate')}, no equations: {counted(r.nullity, 'freedom')}"
+            f"{format_count(len(r.units), 'coordinate')}, no equations: "
+            f"{format_count(r.nullity, 'freedom')}"
         )
-    many = counted(len(r.units), "coordinate")
-    left = counted(r.nullity, "freedom")
-    text = f"{many} - rank {r.rank} of {counted(equations, 'equation')} = {left}"
+    many = format_count(len(r.units), "coordinate")
+    left = format_count(r.nullity, "freedom")
+    text = f"{many} - rank {r.rank} of {format_count(equations, 'equation')} = {left}"
     text += " to first order"
     gap = (
         "" if r.gap == float("inf") else f" (singular values fall by a factor of {r.gap:.1g} there)"
@@ -174,9 +175,9 @@ def _of_velocity(m: Mobility) -> list[str]:
         ]
     taken = m.rank_dof - m.velocity_dof
     return [
-        f"{counted(m.rank_dof, 'freedom')} of position, {m.velocity_dof} of velocity: constraints "
-        f"of velocity take {taken} of them at every moment; what motions reach all the same says "
-        "`classify`"
+        f"{format_count(m.rank_dof, 'freedom')} of position, {m.velocity_dof} of velocity: "
+        f"constraints of velocity take {taken} of them at every moment; what motions reach all the "
+        "same says `classify`"
     ]
 
 
@@ -186,9 +187,9 @@ def lines(m: Mobility) -> list[tuple[str, list[str]]]:
     if m.dim == 2 and m.gruebler_spatial != m.gruebler:
         out[0][1].append(f"Built in space, the same count is {m.gruebler_spatial}.")
     if m.loops:
-        out.append(("loops", cut([str(x) for x in m.loops], SHOWN)))
+        out.append(("loops", cut_lines([str(x) for x in m.loops], SHOWN)))
     if len(m.clusters) > 1:
-        out.append(("groups of loops", cut([_cluster(c) for c in m.clusters], SHOWN)))
+        out.append(("groups of loops", cut_lines([_cluster(c) for c in m.clusters], SHOWN)))
     if not m.closed:
         return out
     if m.given_residual > 1e-9:
@@ -199,12 +200,12 @@ def lines(m: Mobility) -> list[tuple[str, list[str]]]:
             )
         )
     if m.within is not None:
-        out.append(("within", cut(m.within.lines, SHOWN)))
+        out.append(("within", cut_lines(m.within.lines, SHOWN)))
     out.append(("rank", [rank_text(m)]))
     if m.dof is not None:
         useful = f", {m.useful or 'none'} of them useful" if m.idle else ""
         useful = ", which is idle" if m.idle == m.dof == 1 else useful
-        out.append(("truth", [f"{counted(m.dof, 'degree')} of freedom{useful}", how_known(m)]))
+        out.append(("truth", [f"{format_count(m.dof, 'degree')} of freedom{useful}", how_known(m)]))
     if m.velocity_dof is not None:
         out.append(("velocity", _of_velocity(m)))
     if m.called:
@@ -219,15 +220,15 @@ def lines(m: Mobility) -> list[tuple[str, list[str]]]:
     if m.redundant_here and m.wrenches is not None:
         out.append(("self-stress", m.wrenches.describe_stresses()))
     if m.idle:
-        out.append((f"idle: {m.idle}", cut([str(f) for f in m.idle_freedoms], SHOWN)))
+        out.append((f"idle: {m.idle}", cut_lines([str(f) for f in m.idle_freedoms], SHOWN)))
     if m.singular:
         out.append(("singular", [m.kind]))
     if m.one_sided is not None:
-        out.append(("one-sided", cut([m.one_sided.sentence, *m.one_sided.lines], SHOWN)))
+        out.append(("one-sided", cut_lines([m.one_sided.sentence, *m.one_sided.lines], SHOWN)))
     if m.control is not None:
         out.append(("control", str(m.control).split("\n")))
         if m.dof is not None and (m.rank_dof or 0) > m.dof:
-            seen = counted(m.rank_dof or 0, "freedom")
+            seen = format_count(m.rank_dof or 0, "freedom")
             out[-1][1].append(
                 f"counted to first order, where the rank sees {seen}; truly {_are(m.dof)}"
             )
@@ -355,7 +356,7 @@ class ClusterMobility:
     redundant: int | None
 
 
-@explained_methods
+@explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Mobility(Report):
     """Degrees of freedom of a mechanism at a configuration, with the reasoning; ``print`` it.
@@ -478,7 +479,7 @@ class Mobility(Report):
         if bent:
             return (
                 f"no bound is known of how {', '.join(map(repr, bent))} "
-                f"{verb(len(bent), 'bends', 'bend')}"
+                f"{choose_verb(len(bent), 'bends', 'bend')}"
             )
         return "a singular value is too near zero to be distinguished from it"
 

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from kempe.arguments import explained, explained_methods, generator
+from kempe.arguments import explain_errors, explain_method_errors, make_generator
 from kempe.arrays import is_real
 from kempe.assemble.generic_configurations import NEAR, close, find_closed
 from kempe.assemble.nearest_exact import said, tolerant
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.description.parts import ReadOnlyDict
 from kempe.equations.velocity import VelocityRows, tangent_rows
-from kempe.errors import InputError, shown
+from kempe.errors import InputError, format_value
 from kempe.mobility.growth_vectors import Distribution, Growth, distribution, growth
 from kempe.mobility.one_sided import OneSidedReport, if_any
 from kempe.model.configurations import compute_distance, name_values, read_finite_q
@@ -27,7 +27,7 @@ from kempe.numerics.rank import Level, Spectrum
 from kempe.report import Nearest, Report
 from kempe.spatial import Array
 from kempe.status import Status
-from kempe.words import InWords, counted, cut, verb
+from kempe.words import InWords, choose_verb, cut_lines, format_count
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
@@ -56,26 +56,26 @@ def sentence(c: Classification) -> str:
 
 
 def _sentence(c: Classification) -> str:
-    both = f"{counted(c.position_dof, 'freedom')} of position, {c.velocity_dof} of velocity"
+    both = f"{format_count(c.position_dof, 'freedom')} of position, {c.velocity_dof} of velocity"
     if c.kind in ("", "unilateral") or (c.kind == "holonomic" and c.position_dof == c.velocity_dof):
         return both + (f"; {c.why}" if c.why else "")
     if c.doubtful and c.reachable_dimension is not None and c.reachable_dimension < c.position_dof:
         least = (
-            f"motions reach at least {counted(c.reachable_dimension, 'dimension')} of "
+            f"motions reach at least {format_count(c.reachable_dimension, 'dimension')} of "
             f"{c.position_dof}"
         )
         return f"{both}: {least}, whether more is beyond the digits of numbers"
     if c.kind == "integrable":
         lost = c.integrals or 0
         keep = "keeps its value" if lost == 1 else "keep their values"
-        return f"{both}: integrable, {counted(lost, 'function')} of position {keep}"
+        return f"{both}: integrable, {format_count(lost, 'function')} of position {keep}"
     if c.reachable_dimension is None:
         return f"{both}: nonholonomic; {c.why}"
     if c.reachable_dimension == c.position_dof:
         return f"{both}: nonholonomic, motions reach every configuration around"
     return (
-        f"{both}: nonholonomic, motions reach {counted(c.reachable_dimension, 'dimension')} of "
-        f"{c.position_dof}"
+        f"{both}: nonholonomic, motions reach {format_count(c.reachable_dimension, 'dimension')} "
+        f"of {c.position_dof}"
     )
 
 
@@ -85,14 +85,14 @@ def of_one(c: ConstraintKind) -> str:
 
 
 def _of_one(c: ConstraintKind) -> str:
-    count = counted(len(c.rows), "row")
+    count = format_count(len(c.rows), "row")
     if c.kind == "unilateral":
         return (
             f"unilateral: {count} held on one side, which takes no freedom while it does not touch"
         )
     if c.kind == "holonomic":
         takes = (
-            f"takes {counted(c.independent, 'freedom')}"
+            f"takes {format_count(c.independent, 'freedom')}"
             if c.independent
             else "redundant, takes no freedom"
         )
@@ -103,23 +103,23 @@ def _of_one(c: ConstraintKind) -> str:
     if c.doubtful:
         least = (
             "alone, brackets of its velocities reach at least "
-            f"{counted(c.reaches or 0, 'dimension')}, {growth}"
+            f"{format_count(c.reaches or 0, 'dimension')}, {growth}"
         )
         return f"{least}; whether it is integrable is beyond the digits of numbers"
     if c.kind == "integrable":
-        held = counted(c.independent, "function")
-        stay = counted(c.reaches or 0, "dimension")
+        held = format_count(c.independent, "function")
+        stay = format_count(c.reaches or 0, "dimension")
         alone = f"integrable: alone, brackets of its velocities add nothing, {growth}"
         return f"{alone}: it holds {held} of position, so motions stay in {stay}"
     part = ""
     if c.integrable:
         part = (
-            f"; {c.integrable} of its {counted(c.independent, 'freedom')} "
-            f"{verb(c.integrable, 'is', 'are')} integrable"
+            f"; {c.integrable} of its {format_count(c.independent, 'freedom')} "
+            f"{choose_verb(c.integrable, 'is', 'are')} integrable"
         )
     return (
         "nonholonomic: alone, brackets of its velocities reach "
-        f"{counted(c.reaches or 0, 'dimension')}, {growth}{part}"
+        f"{format_count(c.reaches or 0, 'dimension')}, {growth}{part}"
     )
 
 
@@ -175,7 +175,7 @@ def lines(c: Classification) -> list[tuple[str, list[str]]]:
             0, ("start", [f"q is {c.moved:.3g} away from what was given, which was not closed"])
         )
     each = [str(x) for x in c.constraints.values()]
-    out.append(("constraints", cut(each, SHOWN)))
+    out.append(("constraints", cut_lines(each, SHOWN)))
     if c.one_sided is not None:
         out.append(("one-sided", [c.one_sided.sentence, *c.one_sided.lines]))
     return [(title, own) for title, own in out if own]
@@ -255,7 +255,7 @@ class ConstraintKind(InWords):
         return f"{self.name}: {self.sentence}"
 
 
-@explained_methods
+@explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Classification(Report):
     """What the constraints of a system are, each alone and all together, with the reasoning;
@@ -526,7 +526,7 @@ def _less(found: Growth, extra: int) -> tuple[int, ...]:
 USUAL = Usual("classify", time_limit=SHORT)
 
 
-@explained
+@explain_errors
 @time_limited(USUAL)
 @tolerant("q")
 def classify(
@@ -556,7 +556,7 @@ def classify(
     """
     time_of(USUAL).put_in_order()  # there is nothing to do afterwards
     if not is_real(t):
-        raise InputError(f"t is {shown(t)}; it must be one number")
+        raise InputError(f"t is {format_value(t)}; it must be one number")
     given = None if q is None else read_finite_q(system, q)
     at = find_closed(system) if given is None else close(system, given)
     if not at.closed:
@@ -570,7 +570,7 @@ def classify(
             f"lengths); the nearest closed configuration found is {moved:.3g} away: project=True "
             "takes it"
         )
-    found = _Classifier(system, at.q, float(t), generator(rng), time_of(USUAL)).found()
+    found = _Classifier(system, at.q, float(t), make_generator(rng), time_of(USUAL)).found()
     return replace(found, one_sided=if_any(system, at.q), moved=moved)
 
 
@@ -624,7 +624,7 @@ class _Classifier:
             "velocity_dof": free,
         }
         if away < whole.dimension:
-            count = f"{counted(positions, 'freedom')}, around {away - place.extra}"
+            count = f"{format_count(positions, 'freedom')}, around {away - place.extra}"
             why = f"q is a singular point of what holds positions, which leaves {count}"
             return self._without(why, made, around)
         if place.extra and not np.any(np.abs(place.null_space(which).basis[-1]) > 1e-9):

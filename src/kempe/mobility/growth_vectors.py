@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from kempe.budget import look
+from kempe.budget import check_for_stop
 from kempe.equations.velocity import VelocityRows
 from kempe.kernels.compiled import lie_brackets
 from kempe.numerics.rank import LARGE, Level, Spectrum
@@ -139,7 +139,7 @@ def _pivots(matrix: Array, count: int) -> np.ndarray:
     taken: list[int] = []
     for _ in range(count):
         if rest.size > LARGE:
-            look()
+            check_for_stop()
         lengths = np.sum(rest * rest, axis=0)
         lengths[taken] = -1.0
         k = int(np.argmax(lengths))
@@ -196,7 +196,7 @@ class Words:
         noise = np.empty((count, length))
         piece = max(1, int(PIECE / ((len(self.order) + 1) * 3.0**length)))
         for i in range(0, count, piece):
-            look()
+            check_for_stop()
             lie_brackets.words(
                 *at.rows.packed,
                 self.order,

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.arguments import explained, explained_methods, listed, numbers
-from kempe.arrays import plain
+from kempe.arguments import explain_errors, explain_method_errors, numbers, read_names
+from kempe.arrays import unwrap_scalar
 from kempe.assemble.answer import Assembly
 from kempe.assemble.assemble import assemble
 from kempe.assemble.bound import TOLERANCE
@@ -31,8 +31,8 @@ from kempe.numerics.newton import gauss_newton
 from kempe.numerics.rank import Level, Spectrum
 from kempe.report import Report
 from kempe.spatial import Array, skew
-from kempe.status import Status, member
-from kempe.words import counted, verb
+from kempe.status import Status, to_status
+from kempe.words import choose_verb, format_count
 
 if TYPE_CHECKING:
     from kempe.assemble.nearest_exact import Idealised
@@ -119,7 +119,7 @@ WORST = 0.02
 less is usual."""
 
 
-@explained_methods
+@explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Chart(Report):
     """Independent coordinates of a system about a closed configuration.
@@ -208,7 +208,9 @@ class Chart(Report):
         own = self.system.structure.velocity_names
         # rotation vectors are given, too: they leave nothing open
         bound.held |= {own[i] for i in self._rows(given)}
-        return replace(answer, success=plain(success), code=member(code), assembler=bound)
+        return replace(
+            answer, success=unwrap_scalar(success), code=to_status(code), assembler=bound
+        )
 
     def _rows(self, names: Iterable[str] | None = None) -> list[int]:
         """Velocity indices of the independent coordinates, or of others."""
@@ -306,7 +308,7 @@ class Chart(Report):
         """Which coordinates are independent, and how well they move the others."""
         idle = f"; idle: {', '.join(self.idle)}" if self.idle else ""
         return (
-            f"{counted(self.dim, 'independent coordinate')}: "
+            f"{format_count(self.dim, 'independent coordinate')}: "
             f"{', '.join(self.useful) or 'none'}{idle} (conditioning {self.quality:.2g}); "
             f"dependent: {', '.join(self.dependent) or 'none'}{said(self.within)}"
         )
@@ -320,7 +322,7 @@ class Chart(Report):
         }
 
 
-@explained
+@explain_errors
 @tolerant("q")
 def independent(
     system: Model,
@@ -347,12 +349,15 @@ def independent(
     q = read_q(system, q)
     N, scale = tangent_space(system, q)
     p = N.shape[1]
-    wish = listed(prefer, "prefer")
+    wish = read_names(prefer, "prefer")
     rows = _wished(system, wish) if wish else []
     if len(set(rows)) < len(rows) or len(rows) > p:
-        given = f"{counted(len(rows), 'coordinate')} {verb(len(rows), 'is', 'are')} preferred"
+        given = (
+            f"{format_count(len(rows), 'coordinate')} {choose_verb(len(rows), 'is', 'are')} "
+            "preferred"
+        )
         raise InputError(
-            f"{given}; {counted(p, 'freedom')} can be chosen here{', each once' * (p > 1)}"
+            f"{given}; {format_count(p, 'freedom')} can be chosen here{', each once' * (p > 1)}"
         )
     least = _worst(p, system.nv)
     if rows and _quality(N, rows) < least:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.arguments import explained, generator
+from kempe.arguments import explain_errors, make_generator
 from kempe.assemble.generic_configurations import NearestClosed, around, close, find_closed
 from kempe.assemble.nearest_exact import tolerant
 from kempe.budget import Budget, TimeUp, Usual
@@ -57,7 +57,7 @@ def _counted(time: TimeLimit, system: Model, q: Any = None, *_: Any, **__: Any) 
     return replace(_open(tree, system, at), late=True)
 
 
-@explained
+@explain_errors
 @time_limited(USUAL, _counted)
 @tolerant()
 def mobility(
@@ -88,7 +88,7 @@ def mobility(
     system = remove_cut_marks(system)
     find_driven_velocities(system, actuated)  # a wrong name is refused before any work
     given = None if q is None else _given(system, q)
-    return _looked_at(system, shown, given, actuated, local, generator(rng), time)
+    return _looked_at(system, shown, given, actuated, local, make_generator(rng), time)
 
 
 def _looked_at(

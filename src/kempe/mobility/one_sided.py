@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.arguments import explained, explained_methods
+from kempe.arguments import explain_errors, explain_method_errors
 from kempe.equations.closure_rows import evaluate, full
 from kempe.equations.one_sided import CLOSED, OneSided, one_sided_rows
 from kempe.equations.velocity import rates, velocity_rows
@@ -23,7 +23,7 @@ from kempe.model.configurations import read_q
 from kempe.numerics.rank import Level, Spectrum
 from kempe.report import Report
 from kempe.spatial import Array
-from kempe.words import InWords, Quantity, Unit, counted
+from kempe.words import InWords, Quantity, Unit, format_count
 
 if TYPE_CHECKING:
     from kempe.model.model import FrameLike, Model
@@ -278,7 +278,7 @@ class Side(InWords):
         return f"{self.name}: closed, {self.ways}" + (f" ({self.why})" if self.why else "")
 
 
-@explained_methods
+@explain_method_errors
 @dataclass(frozen=True, eq=False)
 class OneSidedReport(Report):
     """One-sided constraints of a system at `q` (nq,), limits of coordinates among them; ``print``
@@ -349,11 +349,13 @@ class OneSidedReport(Report):
         if declared:
             verb = "are" if touching > 1 else "is"
             parts.append(
-                f"{touching or 'none'} of {counted(len(declared), 'one-sided constraint')} {verb} "
-                "closed"
+                f"{touching or 'none'} of {format_count(len(declared), 'one-sided constraint')} "
+                f"{verb} closed"
             )
         if reached:
-            parts.append(f"{counted(reached, 'limit')} {'is' if reached == 1 else 'are'} reached")
+            parts.append(
+                f"{format_count(reached, 'limit')} {'is' if reached == 1 else 'are'} reached"
+            )
         text = " and ".join(parts) or "no limit is reached"
         return text + (f": {self._left()}" if self.active else "")
 
@@ -365,7 +367,7 @@ class OneSidedReport(Report):
         how = (
             f"{self.lineality} both ways and {one_way} one way only" if one_way else "all both ways"
         )
-        return f"what may move has {counted(self.dimension, 'dimension')}, {how}"
+        return f"what may move has {format_count(self.dimension, 'dimension')}, {how}"
 
     def _data(self) -> dict[str, Any]:
         return {
@@ -409,7 +411,7 @@ class OneSidedReport(Report):
         return self.lines
 
 
-@explained
+@explain_errors
 def one_sided(system: Model, q: Any = None, *, tolerance: float = CLOSED) -> OneSidedReport:
     """What one-sided constraints leave at a configuration: which are closed, by how much others are
     open.

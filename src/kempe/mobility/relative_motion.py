@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.arguments import explained
+from kempe.arguments import explain_errors
 from kempe.assemble.generic_configurations import nearby
 from kempe.assemble.nearest_exact import said, tolerant
 from kempe.equations.closure import Closure
@@ -87,7 +87,7 @@ class RelativeMotion(Report):
         return f"a screw of {pitch:.4g} m a radian about {at}"
 
 
-@explained
+@explain_errors
 @tolerant("q")
 def relative_motion(
     system: Model,

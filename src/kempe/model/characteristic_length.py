@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.arrays import median
+from kempe.arrays import compute_median
 from kempe.joints import Fixed
 from kempe.model.model import keep_answers
 from kempe.model.own_tree import remove_cut_marks
@@ -51,7 +51,7 @@ def compute_characteristic_length(system: Model) -> float:
             found.append(spread)
     if found:
         least = SHORT * sorted(found)[-2:][0]
-        return median([x for x in found if x > least])
+        return compute_median([x for x in found if x > least])
     table = remove_cut_marks(system).structure.table
     found = _compute_lengths(table.placement[..., :3, 3]).ravel().tolist()
     found += [
@@ -130,8 +130,8 @@ def _iterate_joint_points(system: Model) -> Iterator[tuple[str, np.ndarray]]:
     mechanism = system._mechanism
     for j in mechanism.joints.values():
         if not isinstance(j.type, Fixed):
-            yield j.parent, j.X_PF.evaluate(mechanism.parameters)[:3, 3]
-            yield j.child, j.X_CM.evaluate(mechanism.parameters)[:3, 3]
+            yield j.parent, j.X_PF.evaluate_pose(mechanism.parameters)[:3, 3]
+            yield j.child, j.X_CM.evaluate_pose(mechanism.parameters)[:3, 3]
     for c in (c for c in mechanism.constraints.values() if c.parent):
         A, B = c.frames(mechanism.parameters, system.dim)
         yield c.parent, A[:3, 3]

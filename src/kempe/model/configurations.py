@@ -9,11 +9,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.arguments import explained, generator, known, numbers, together
-from kempe.arrays import converted, is_plain, is_real, named, plain, reals, rows_of, within_range
+from kempe.arguments import check_name, explain_errors, make_generator, numbers, together
+from kempe.arrays import (
+    check_range,
+    convert_array,
+    is_number_list,
+    is_real,
+    list_named_rows,
+    read_mapping,
+    read_reals,
+    unwrap_scalar,
+)
 from kempe.errors import InputError, UnknownNameError
 from kempe.joints import P, R
-from kempe.late import late
+from kempe.late import import_late
 from kempe.model.coordinates import (
     OF_BALL,
     PART_OF_BALL,
@@ -26,7 +35,7 @@ from kempe.model.model import keep_answers
 from kempe.model.structural_order import make_sort_key
 from kempe.report import Table
 from kempe.spatial import Array
-from kempe.words import ByName, Quantity, counted
+from kempe.words import ByName, Quantity, format_count
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
@@ -73,20 +82,20 @@ def _read_configuration(
     complete: Callable[[Model, Mapping[str, Any]], Array],
     word: str = "q",
 ) -> Array:
-    if is_plain(q):
-        array = converted(q, word, WANTED)
+    if is_number_list(q):
+        array = convert_array(q, word, WANTED)
     else:
         if q.__class__ is not np.ndarray or q.dtype.names:
-            coordinates = named(q)
+            coordinates = read_mapping(q)
             if coordinates is not None:
                 return complete(system, coordinates)
-            rows = rows_of(q)
+            rows = list_named_rows(q)
             if rows is not None:
                 return np.stack([_read_configuration(system, row, complete, word) for row in rows])
-        array = np.require(reals(q, word, WANTED), np.float64, ["C", "A"])
+        array = np.require(read_reals(q, word, WANTED), np.float64, ["C", "A"])
     if array.ndim == 0 or array.shape[-1] != system.nq:
         names = ", ".join(system.coordinate_names[:12]) + (", ..." if system.nq > 12 else "")
-        got = "a single number" if array.ndim == 0 else counted(array.shape[-1], "coordinate")
+        got = "a single number" if array.ndim == 0 else format_count(array.shape[-1], "coordinate")
         raise InputError(f"{word} has {got}; {system.name} needs {system.nq}: {names}")
     return array
 
@@ -128,10 +137,10 @@ def close_from_start(system: Model, coordinates: Mapping[str, Any], start: Any =
     q = make_q(system, coordinates, start)  # refuses names and numbers
     if not has_loops(system):
         return q
-    given = compute_source_values(system, named(coordinates) or {})
+    given = compute_source_values(system, read_mapping(coordinates) or {})
     if len(given) == system.nq:
         return q
-    answer = late("assemble")(system, given, start)
+    answer = import_late("assemble")(system, given, start)
     if np.all(answer.success):
         return answer.q
     why = answer.status
@@ -158,7 +167,7 @@ def _read_posture(system: Model, name: str) -> dict[str, float]:
     index = _index_coordinates(system)
     return {
         n: x
-        for n, x in postures[known("posture", name, postures, system.name)].items()
+        for n, x in postures[check_name("posture", name, postures, system.name)].items()
         if n in index
     }
 
@@ -186,12 +195,12 @@ def compute_source_values(system: Model, given: Mapping[str, Any]) -> Mapping[st
     for name, follower in system.structure.couplings.items():
         if name not in given:
             continue
-        x = reals(given[name], f"coordinate {name!r}", "a number, or an array of them")
+        x = read_reals(given[name], f"coordinate {name!r}", "a number, or an array of them")
         source = follower.source
         if source is not None and source not in out:
-            out[source] = plain((x - follower.offset) / follower.multiplier)
+            out[source] = unwrap_scalar((x - follower.offset) / follower.multiplier)
             continue
-        leader = 0.0 if source is None else reals(out[source], f"coordinate {source!r}")
+        leader = 0.0 if source is None else read_reals(out[source], f"coordinate {source!r}")
         together({f"coordinate {name!r}": x.shape, f"coordinate {source!r}": np.shape(leader)})
         if source is not None and np.ndim(leader) < x.ndim:
             out[source] = leader + np.zeros(x.shape)
@@ -225,7 +234,7 @@ def refuse_misfit(
         raise InputError(f"{subject} is {x[at]:.9g}{row}; it {why} {wanted[at]:.9g}")
 
 
-@explained
+@explain_errors
 def make_q(
     system: Model, coordinates: Mapping[str, Any] | str, base: ArrayLike | None = None
 ) -> Array:
@@ -235,7 +244,9 @@ def make_q(
     named, too, with the value that it has then.
     """
     given = (
-        _read_posture(system, coordinates) if isinstance(coordinates, str) else named(coordinates)
+        _read_posture(system, coordinates)
+        if isinstance(coordinates, str)
+        else read_mapping(coordinates)
     )
     if given is None:
         needed = "a dict by coordinate name, or the name of a posture"
@@ -249,7 +260,7 @@ def make_q(
         values.append(
             number
             if one_number
-            else reals(number, f"coordinate {name!r}", "a number, or an array of them")
+            else read_reals(number, f"coordinate {name!r}", "a number, or an array of them")
         )
         single = single and one_number
     start = system.neutral if base is None else read_q(system, base)
@@ -273,7 +284,7 @@ def make_q(
     return q
 
 
-@explained
+@explain_errors
 def make_q_dict(system: Model, q: Any) -> dict[str, float]:
     """Values by coordinate name of one configuration (nq,)."""
     return dict(zip(system.coordinate_names, read_one_q(system, q).tolist(), strict=True))
@@ -304,7 +315,7 @@ def refuse_far(system: Model, q: Array, what: str) -> Array:
 
     Errors: `InputError` that names the first other one.
     """
-    within_range(q, what, system.coordinate_names)
+    check_range(q, what, system.coordinate_names)
     for i in system.structure.layout.quaternion_q:
         if not np.all(np.any(q[..., i : i + 4], axis=-1)):
             raise InputError(
@@ -356,7 +367,7 @@ def compute_mid_configuration(system: Model) -> Array:
     return q
 
 
-@explained
+@explain_errors
 def sample_configurations(
     system: Model, rng: np.random.Generator | int | None, shape: int | tuple[int, ...] = ()
 ) -> Array:
@@ -375,7 +386,7 @@ def sample_configurations(
             f"shape is {shape!r}; it must be a whole number or a tuple of them, not negative"
         )
     shape = tuple(int(n) for n in sizes)
-    rng = generator(rng)
+    rng = make_generator(rng)
     layout = system.structure.layout
     names = system.structure.velocity_names
     try:
@@ -420,16 +431,16 @@ def compute_sampling_box(system: Model) -> tuple[Array, Array]:
 # ---- differences and distances
 
 
-@explained
+@explain_errors
 def integrate_velocity(system: Model, q: Any, v: ArrayLike) -> Array:
     """Configuration (..., nq) reached from `q` by the tangent vector `v` (..., nv) in one unit of
     time.
     """
     v = numbers(v, "v")
     if v.ndim == 0 or v.shape[-1] != system.nv:
-        got = "a single number" if v.ndim == 0 else counted(v.shape[-1], "coordinate")
+        got = "a single number" if v.ndim == 0 else format_count(v.shape[-1], "coordinate")
         raise InputError(
-            f"v has {got}; {system.name} has {counted(system.nv, 'velocity coordinate')}"
+            f"v has {got}; {system.name} has {format_count(system.nv, 'velocity coordinate')}"
         )
     q = read_q(system, q)
     if q.shape != v.shape and q.ndim + v.ndim > 2:
@@ -437,7 +448,7 @@ def integrate_velocity(system: Model, q: Any, v: ArrayLike) -> Array:
     return system.structure.layout.integrate_velocity(q, v)
 
 
-@explained
+@explain_errors
 def compute_difference(system: Model, q0: Any, q1: Any) -> Array:
     """Shortest tangent vector (..., nv) from `q0` to `q1`: quaternions and unlimited joints go the
     short way.
@@ -476,7 +487,7 @@ def find_winding_angles(system: Model) -> np.ndarray:
     return endless & find_wound_coordinates(system._mechanism, coordinates)
 
 
-@explained
+@explain_errors
 def interpolate_configurations(system: Model, q0: Any, q1: Any, t: ArrayLike) -> Array:
     """Configuration (..., nq) at fraction `t` (...) of the way; quaternions and unlimited joints go
     the short way.
@@ -487,7 +498,7 @@ def interpolate_configurations(system: Model, q0: Any, q1: Any, t: ArrayLike) ->
     return integrate_velocity(system, q0, t[..., None] * v)
 
 
-@explained
+@explain_errors
 def compute_distance(system: Model, q0: Any, q1: Any) -> Array:
     """Euclidean length (...) of the shortest tangent vector, angles in radians and lengths in
     metres.
@@ -509,7 +520,7 @@ def list_units(system: Model) -> dict[str, str]:
         own |= {p.coordinate: "rad" for p in primitives if p.kind == R}  # of a screw, too
         for i, name in enumerate(names):
             out[format_coordinate_name(joint.name, name)] = own.get(i, "")
-        for name in joint.type.velocities(system.dim, particle):
+        for name in joint.type.list_velocity_names(system.dim, particle):
             out.setdefault(format_coordinate_name(joint.name, name), "rad")
     return out
 

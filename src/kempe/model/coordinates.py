@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe import spatial
-from kempe.arrays import reals
+from kempe.arrays import read_reals
 from kempe.constraints.base import Op
 from kempe.constraints.tape import TIME
 from kempe.description.checks import refuse
@@ -21,7 +21,7 @@ from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Coupling, Joint
 from kempe.errors import UnknownNameError
 from kempe.joints import P, Primitive, Q, R
-from kempe.values import Expression, evaluate
+from kempe.values import Expression, evaluate_value
 
 # ---- the layout of q
 
@@ -58,8 +58,8 @@ class Layout:
         """Configuration (..., nq) reached from `q` by the tangent vector `v` (..., nv) in one unit
         of time.
         """
-        q = reals(q, "q")
-        v = reals(v, "v")
+        q = read_reals(q, "q")
+        v = read_reals(v, "v")
         out = np.array(
             np.broadcast_to(q, (*np.broadcast_shapes(q.shape[:-1], v.shape[:-1]), self.nq))
         )
@@ -76,8 +76,8 @@ class Layout:
         """Tangent vector (..., nv) that `integrate_velocity` needs to go from `q0` to `q1`; rotations go the
         short way.
         """
-        q0 = reals(q0, "q0")
-        q1 = reals(q1, "q1")
+        q0 = read_reals(q0, "q0")
+        q1 = read_reals(q1, "q1")
         out = np.zeros((*np.broadcast_shapes(q0.shape[:-1], q1.shape[:-1]), self.nv))
         out[..., self.vector_v] = q1[..., self.vector_q] - q0[..., self.vector_q]
         if self.quaternion_q.size:
@@ -166,7 +166,7 @@ def list_coordinate_names(mechanism: Mechanism, joint: Joint) -> list[str]:
     particle = mechanism.bodies[joint.child].particle
     return [
         format_coordinate_name(joint.name, c)
-        for c in joint.type.coordinates(mechanism.dim, particle)
+        for c in joint.type.list_coordinate_names(mechanism.dim, particle)
     ]
 
 
@@ -187,7 +187,7 @@ def make_coordinates(mechanism: Mechanism) -> Coordinates:
     for joint in mechanism.joints.values():
         particle = mechanism.bodies[joint.child].particle
         names, primitives = joint.type.layout(mechanism.dim, particle)
-        for name in dict.fromkeys(names + joint.type.velocities(mechanism.dim, particle)):
+        for name in dict.fromkeys(names + joint.type.list_velocity_names(mechanism.dim, particle)):
             full = format_coordinate_name(joint.name, name)
             if full in taken:
                 refuse(
@@ -267,8 +267,13 @@ def _resolve_followers(
         if coupling.of in followers:
             said = f"it is locked, but follows {', '.join(coupling.sources)}"
             refuse(f"coordinate {coupling.of!r}", said, coupling.where, "lock what it follows")
-        sources = {k: float(evaluate(v, mechanism.parameters)) for k, v in coupling.sources.items()}
-        pending[coupling.of] = (sources, float(evaluate(coupling.offset, mechanism.parameters)))
+        sources = {
+            k: float(evaluate_value(v, mechanism.parameters)) for k, v in coupling.sources.items()
+        }
+        pending[coupling.of] = (
+            sources,
+            float(evaluate_value(coupling.offset, mechanism.parameters)),
+        )
     relations: list[Relation] = []
     for of in _sort_couplings(mechanism, pending):
         sources, offset = pending[of]
@@ -429,7 +434,9 @@ def _collect_limits(
     speed = np.full(len(index), math.inf)
     setter: list[str] = [""] * len(index)
     for joint in mechanism.joints.values():
-        for local in joint.type.velocities(mechanism.dim, mechanism.bodies[joint.child].particle):
+        for local in joint.type.list_velocity_names(
+            mechanism.dim, mechanism.bodies[joint.child].particle
+        ):
             name = format_coordinate_name(joint.name, local)
             low, high = joint.limits.get(local, (-math.inf, math.inf))
             fast = joint.velocity_limits.get(local, math.inf)

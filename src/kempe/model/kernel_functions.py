@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.budget import look
+from kempe.budget import check_for_stop
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -121,7 +121,7 @@ class Callback:
             out[:] = np.nan  # what stays where it raises
             if self.error is not None:  # the kernel goes on, and ends sooner
                 return
-            look()
+            check_for_stop()
             x = np.ctypeslib.as_array(q, (nq,)).copy()
             if alone is not None and not flag:
                 out[:] = alone(x)

@@ -12,8 +12,8 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 
-from kempe.arguments import known
-from kempe.budget import look
+from kempe.arguments import check_name
+from kempe.budget import check_for_stop
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Body, Frame, Joint, ReadOnlyDict
 from kempe.errors import DescriptionError, Fault, UnknownNameError
@@ -27,7 +27,7 @@ from kempe.model.coordinates import (
 from kempe.model.primitive_table import Table, make_primitive_table
 from kempe.model.topology import Topology, find_spanning_tree
 from kempe.spatial import Array
-from kempe.words import counted
+from kempe.words import format_count
 
 # ---- results kept with a system
 
@@ -57,7 +57,7 @@ def keep_answers(
         found = answers.get(keys, answers)  # it never holds itself
         if found is not answers:
             return found
-        look()
+        check_for_stop()
         return store_answer(answers, keys, function(system, *keys))  # type: ignore[call-arg]
 
     return find_answer  # type: ignore[return-value]
@@ -183,7 +183,7 @@ class Structure:
         part of `q`.
         """
         m = self._mechanism
-        return list_coordinate_names(m, m.joints[known("joint", name, m.joints, m.name)])
+        return list_coordinate_names(m, m.joints[check_name("joint", name, m.joints, m.name)])
 
     def frame_name(self, frame: FrameLike) -> str:
         """Name of a frame or body of this system, checked. Errors: `UnknownNameError` with the
@@ -218,11 +218,11 @@ class Structure:
 
     def __repr__(self) -> str:
         counts = (
-            f"{counted(len(self.topology.parent), 'body')}, "
-            f"{counted(len(self._mechanism.joints), 'joint')}"
+            f"{format_count(len(self.topology.parent), 'body')}, "
+            f"{format_count(len(self._mechanism.joints), 'joint')}"
         )
         cut = f", loops closed by {', '.join(map(repr, self.closures))}" if self.closures else ""
-        tied = f", {counted(len(self.relations), 'relation')}" if self.relations else ""
+        tied = f", {format_count(len(self.relations), 'relation')}" if self.relations else ""
         return f"Structure of {self._mechanism.name!r}: {counts}{cut}{tied}"
 
 

@@ -223,8 +223,8 @@ def make_primitive_table(
     )
     for body, parent, joint_name, backwards in tree:
         joint = mechanism.joints[joint_name]
-        X_PF = joint.X_PF.evaluate(parameters)
-        X_CM = joint.X_CM.evaluate(parameters)
+        X_PF = joint.X_PF.evaluate_pose(parameters)
+        X_CM = joint.X_CM.evaluate_pose(parameters)
         first, last = (X_CM, X_PF) if backwards else (X_PF, X_CM)
         row, X = where[topology.bodies[parent]]
         row, X = rows.add_joint(mechanism, joint, (row, X @ first), backwards)
@@ -250,13 +250,13 @@ def _place_joint_ends(
     for name, through in explicit.items():
         joint = mechanism.joints[name]
         row, X = where[joint.parent]
-        here = row, X @ joint.X_PF.evaluate(parameters)
+        here = row, X @ joint.X_PF.evaluate_pose(parameters)
         row, X = rows.add_joint(mechanism, joint, here, False) if through else here
         at[name, "F"] = row, X, False
         row, X = where[joint.child]
         at[name, "M"] = (
             row,
-            X @ joint.X_CM.evaluate(parameters),
+            X @ joint.X_CM.evaluate_pose(parameters),
             mechanism.bodies[joint.child].particle,
         )
     return at
@@ -277,7 +277,7 @@ def _finish_table(
         row, X = where[frame.body]
         at[frame.name] = (
             row,
-            X @ frame.X_BF.evaluate(parameters),
+            X @ frame.X_BF.evaluate_pose(parameters),
             mechanism.bodies[frame.body].particle,
         )
     at |= ends

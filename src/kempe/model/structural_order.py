@@ -19,7 +19,7 @@ from kempe.constraints.base import content
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Joint
 from kempe.poses import Placement
-from kempe.values import Expression, Value, evaluate
+from kempe.values import Expression, Value, evaluate_value
 
 SWEEPS = 16
 """Refinements at most of one stage, each from the ground outwards and back; two are usual."""
@@ -180,13 +180,15 @@ def _evaluate_number(x: Value) -> float:
     """A number of the description, with all parameters taken as 1: so neither their names nor
     values decide.
     """
-    found = float(evaluate(x, dict.fromkeys(x.names, 1.0) if isinstance(x, Expression) else {}))
+    found = float(
+        evaluate_value(x, dict.fromkeys(x.names, 1.0) if isinstance(x, Expression) else {})
+    )
     return found if math.isfinite(found) else 0.0
 
 
 def _evaluate_placement(placement: Placement) -> list[float]:
     """The first three rows of a placement with all parameters taken as 1."""
-    X = placement.evaluate(dict.fromkeys(placement.names, 1.0))[:3].ravel().tolist()
+    X = placement.evaluate_pose(dict.fromkeys(placement.names, 1.0))[:3].ravel().tolist()
     return [x if math.isfinite(x) else 0.0 for x in X]
 
 

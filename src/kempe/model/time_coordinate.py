@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.arguments import explained, numbers
-from kempe.arrays import within_range
+from kempe.arguments import explain_errors, numbers
+from kempe.arrays import check_range
 from kempe.constraints.base import Constraint
 from kempe.constraints.tape import TIME
 from kempe.description.mechanism import Mechanism, unused_name
@@ -32,7 +32,7 @@ def list_timed_constraints(system: Model) -> tuple[str, ...]:
     )
 
 
-@explained
+@explain_errors
 def fix_time(system: SystemType, t: float) -> SystemType:
     """The system as it is at the time t, with the same coordinates. Errors: `InputError`."""
     if np.ndim(t) or not np.isfinite(numbers(t, "t")):
@@ -41,7 +41,7 @@ def fix_time(system: SystemType, t: float) -> SystemType:
         )
     if not t or not list_timed_constraints(system):
         return system
-    within_range(np.asarray(t), f"parameter {TIME!r}")
+    check_range(np.asarray(t), f"parameter {TIME!r}")
     zero = _add_time_parameter(system)
     mechanism = zero.mechanism
     mechanism.parameters[TIME] = float(t)

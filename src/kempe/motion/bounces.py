@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, Protocol, cast
 
 import numpy as np
 
-from kempe.budget import look
+from kempe.budget import check_for_stop
 from kempe.numerics.clock import TimeLimit
 from kempe.numerics.rank import Level, Spectrum
 from kempe.numerics.roots import sign_change
@@ -143,7 +143,7 @@ class Flight:
             v, a, held = self._pressed(v, touching)
             self.arcs.append(Parabola(time, y, v, a))
             self.known = time
-            look()
+            check_for_stop()
             step, hit = self._next(y, v, a, touching, held)
             settling = self._settling(y, v, a, touching - held, held)
             if settling is not None and time + settling[0] < duration:

@@ -18,8 +18,14 @@ from numpy.typing import ArrayLike
 from kempe.answers.answer import Motion
 from kempe.answers.known_values import known_tasks
 from kempe.answers.tables import in_units, write_table
-from kempe.arguments import explained, explained_methods, flag, interruptible, until_interrupt
-from kempe.arrays import is_mapping, reals, within_range
+from kempe.arguments import (
+    call_until_interrupt,
+    explain_errors,
+    explain_method_errors,
+    raise_interrupted,
+    read_flag,
+)
+from kempe.arrays import check_range, is_mapping, read_reals
 from kempe.assemble.nearest_exact import tolerant
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.constraints.tape import TIME
@@ -61,7 +67,7 @@ from kempe.numerics.curves import (
 from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 from kempe.status import Status
-from kempe.words import InWords, counted
+from kempe.words import InWords, format_count
 
 if TYPE_CHECKING:
     from kempe.model.model import FrameLike, Model
@@ -341,7 +347,8 @@ def _land_on_crossing(
 # ---- inputs of what rolls
 
 # All else follows by integration, and the motion must not slip. The velocities satisfy the inputs
-# and the loops; among those that do, the ones that slip least are taken. After each sample the inputs
+# and the loops; among those that do, the ones that slip least are taken. After each sample the
+# inputs
 # have their values and the loops are closed. Whether the motion slips is decided by its samples.
 
 STEP = 0.02
@@ -587,7 +594,7 @@ class Toggle(InWords):
         return f"{_samples_text(self.first, self.last)}: held at {at}: {self.reason}"
 
 
-@explained_methods
+@explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Drive(Motion):
     """The motion of a mechanism whose inputs were prescribed.
@@ -620,7 +627,7 @@ class Drive(Motion):
 
     def __repr__(self) -> str:
         return (
-            f"Drive({self.system.name!r}, {counted(len(self.q), 'sample')}, "
+            f"Drive({self.system.name!r}, {format_count(len(self.q), 'sample')}, "
             f"held={int(self.held.sum())})"
         )
 
@@ -667,14 +674,14 @@ class Drive(Motion):
         if self.reason:
             return self.reason
         text = (
-            f"{counted(len(self), 'sample')}, {counted(len(self.singular_points), 'change point')} "
-            "passed"
+            f"{format_count(len(self), 'sample')}, "
+            f"{format_count(len(self.singular_points), 'change point')} passed"
         )
         if self.toggles:
             count = int(self.held.sum())
             text += (
-                f"; at {counted(count, 'sample')} the inputs cannot be reached and the last pose "
-                "is held"
+                f"; at {format_count(count, 'sample')} the inputs cannot be reached and the last "
+                "pose is held"
             )
         if self.jumps:
             text += f"; it jumps at samples {', '.join(str(k) for k, _ in self.jumps)}"
@@ -726,8 +733,8 @@ def _not_begun(
     )
 
 
-@explained
-@interruptible
+@explain_errors
+@raise_interrupted
 @time_limited(USUAL, _not_begun)
 @tolerant()
 def drive(
@@ -778,8 +785,8 @@ def drive(
         raise InputError(
             f"inputs is {type(inputs).__name__}; it must be a dict of values by coordinate name"
         )
-    flag(limits, "limits")
-    spend = USUAL.of(budget)
+    read_flag(limits, "limits")
+    spend = USUAL.complete_budget(budget)
     if list_timed_constraints(system):
         return _in_time(system, inputs, times, start, hold, toward, limits, budget)
     names = list(inputs)
@@ -839,7 +846,7 @@ def _in_time(
     if TIME in inputs and TIME not in system.coordinate_names:
         raise InputError(f"{TIME!r} is the time and no input; give it by `times`")
     clock, _ = _samples({**inputs, TIME: 0.0}, times)
-    found = until_interrupt(
+    found = call_until_interrupt(
         drive,
         add_time_coordinate(system),
         {**inputs, TIME: clock},
@@ -945,7 +952,7 @@ def _samples(
         )
     full = {n: np.broadcast_to(a, clock.shape) for n, a in arrays.items()}
     for name, a in {"times": clock, **{f"input {n!r}": a for n, a in full.items()}}.items():
-        within_range(a, name)
+        check_range(a, name)
     for n in angles & full.keys():
         refuse_wound_angle(float(np.abs(full[n]).max()), f"input {n!r}")
 
@@ -957,7 +964,7 @@ def _samples(
                 raise InputError(
                     f"input {name!r} at time {t:g} has shape {found.shape}; it must be one number"
                 )
-            number = float(within_range(found, f"input {name!r} at time {t:g}").item())
+            number = float(check_range(found, f"input {name!r} at time {t:g}").item())
             if name in angles:
                 refuse_wound_angle(number, f"input {name!r} at time {t:g}")
             return number
@@ -974,7 +981,7 @@ def _samples(
 
 
 def _numbers(values: Any, subject: str) -> Array:
-    return reals(values, subject, "numbers")
+    return read_reals(values, subject, "numbers")
 
 
 def _begin(

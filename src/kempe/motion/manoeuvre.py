@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.answers.answer import Motion
-from kempe.arguments import explained, explained_methods, listed, numbers
-from kempe.arrays import is_real, is_whole, named
+from kempe.arguments import explain_errors, explain_method_errors, numbers, read_names
+from kempe.arrays import is_real, is_whole, read_mapping
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.equations.one_sided import one_sided_rows
 from kempe.equations.velocity import row_names
@@ -31,7 +31,7 @@ from kempe.motion.wheeled import Axle, axle_of
 from kempe.numerics.clock import SHORT, TimeLimit, begun_within
 from kempe.numerics.roots import sign_change
 from kempe.spatial import Array
-from kempe.words import counted
+from kempe.words import format_count
 
 if TYPE_CHECKING:
     from kempe.model.model import FrameLike, Model
@@ -79,7 +79,7 @@ class Piece(NamedTuple):
         return f"{abs(self.length):.6g} m {self.kind}{arc}{side}"
 
 
-@explained_methods
+@explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Manoeuvre(Motion):
     """The way from a configuration to another one that obeys all velocity constraints.
@@ -123,7 +123,10 @@ class Manoeuvre(Motion):
         return sum(a != b for a, b in zip(signs, signs[1:], strict=False))
 
     def __repr__(self) -> str:
-        what = f"{counted(len(self.pieces), 'piece')}, length={self.length:.6g}, cusps={self.cusps}"
+        what = (
+            f"{format_count(len(self.pieces), 'piece')}, length={self.length:.6g}, "
+            f"cusps={self.cusps}"
+        )
         return f"Manoeuvre({self.system.name!r}, {what})"
 
     def at(self, t: ArrayLike) -> Array:
@@ -158,13 +161,14 @@ class Manoeuvre(Motion):
         if not self.pieces:
             return "start and goal are the same"
         text = (
-            f"{counted(len(self.pieces), 'piece')}, {self.length:.6g} m in {self.duration:.6g} s, "
+            f"{format_count(len(self.pieces), 'piece')}, {self.length:.6g} m in "
+            f"{self.duration:.6g} s, "
         )
         text += f"{self.cusps or 'no'} cusp{'s' * (self.cusps != 1)}"
         if self.turns:
             text += (
-                f"; the heading ends {counted(abs(self.turns), 'whole turn')} from the number of "
-                "the goal"
+                f"; the heading ends {format_count(abs(self.turns), 'whole turn')} from the number "
+                "of the goal"
             )
         return text
 
@@ -488,7 +492,7 @@ MOST = 10**6
 USUAL = Usual("manoeuvre", points=200, time_limit=SHORT)
 
 
-@explained
+@explain_errors
 def manoeuvre(
     system: Model,
     start: ArrayLike | Mapping[str, float] | None,
@@ -523,7 +527,7 @@ def manoeuvre(
         raise InputError(
             f"radius is {radius!r}; it must be a length in metres, or 0 for turns on the spot"
         )
-    spend = USUAL.of(budget)
+    spend = USUAL.complete_budget(budget)
     samples = spend.points
     time = TimeLimit(spend.time_limit)
     if not is_whole(samples) or not 2 <= samples <= MOST:
@@ -584,7 +588,7 @@ def _one(system: Model, q: Any, what: str) -> Array:
     """One configuration (nq,), closed or not. Errors: `InputError`."""
     if q is None:
         q = system.neutral
-    given = named(q)
+    given = read_mapping(q)
     array = read_q(system, q) if given is None or not has_loops(system) else make_q(system, given)
     if array.shape != (system.nq,):
         raise InputError(
@@ -605,7 +609,7 @@ def _loose(system: Model, goal: Any, free: Iterable[str], axle: Axle) -> tuple[i
     """Velocity indices of what may end anywhere. Errors: `InputError`, `UnknownNameError`."""
     names = list(system.structure.velocity_names)
     out: list[int] = []
-    for name in listed(free, "free"):
+    for name in read_names(free, "free"):
         if name not in names:
             raise UnknownNameError("coordinate", name, names, system.name)
         if names.index(name) not in axle.driven:
@@ -614,7 +618,7 @@ def _loose(system: Model, goal: Any, free: Iterable[str], axle: Axle) -> tuple[i
                 f"{name!r} does not roll along, so its goal counts; those that do: {those}"
             )
         out.append(names.index(name))
-    given = named(goal)
+    given = read_mapping(goal)
     return (*out, *(v for v in axle.driven if given is not None and names[v] not in given))
 
 

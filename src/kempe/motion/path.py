@@ -14,11 +14,11 @@ from numpy.typing import ArrayLike
 from kempe.answers.answer import Motion
 from kempe.answers.tables import in_units, write_table
 from kempe.answers.wording import immovable
-from kempe.arguments import explained_methods, interruptible, numbers
+from kempe.arguments import explain_method_errors, numbers, raise_interrupted
 from kempe.arrays import is_whole
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.equations.closure import Closure
-from kempe.errors import InputError, shown
+from kempe.errors import InputError, format_value
 from kempe.model.configurations import list_units, make_q_dict, make_ranges_table
 from kempe.motion.crossings import SingularNode
 from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit
@@ -26,7 +26,7 @@ from kempe.numerics.curves import BLUNT
 from kempe.numerics.newton import gauss_newton_of_many
 from kempe.report import Table
 from kempe.spatial import Array
-from kempe.words import InWords, Quantity, Unit, counted, cut
+from kempe.words import InWords, Quantity, Unit, cut_lines, format_count
 
 if TYPE_CHECKING:
     from kempe.model.model import FrameLike, Model
@@ -121,7 +121,7 @@ class Event(InWords):
     def text(self, unit: Mapping[str, str], degrees: bool) -> str:
         """Where it is and what happens there; the value of its coordinate in its unit."""
         if self.coordinate:
-            value = Quantity(self.value, unit.get(self.coordinate, "")).within(degrees)
+            value = Quantity(self.value, unit.get(self.coordinate, "")).convert_units(degrees)
             shown = f"{value.value:.9g} {value.unit}".rstrip()
             return f"s = {self.s:.6g}: {self.kind}, {self.coordinate!r} = {shown}"
         lines = 0 if self.directions is None else len(self.directions)
@@ -129,7 +129,7 @@ class Event(InWords):
         return f"s = {self.s:.6g}: {self.kind}{where}, {self.nullity} first-order motions"
 
 
-@explained_methods
+@explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Track:
     """The nodes that a path was computed at: configurations, arc lengths, unit tangents, and their
@@ -177,7 +177,7 @@ class Track:
         return x
 
 
-@explained_methods
+@explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Path(Motion):
     """A curve of closed configurations of a mechanism with one degree of freedom.
@@ -254,7 +254,9 @@ class Path(Motion):
         }
 
     def __repr__(self) -> str:
-        what = f"{counted(len(self.q), 'point')}, length={self.length:.6g}, closed={self.closed}"
+        what = (
+            f"{format_count(len(self.q), 'point')}, length={self.length:.6g}, closed={self.closed}"
+        )
         return f"Path({self.system.name!r}, {what})"
 
     def at(self, s: ArrayLike) -> Array:
@@ -278,7 +280,7 @@ class Path(Motion):
         out = self.track.at(np.clip(flat - rounds * length, 0.0, length)) + rounds[:, None] * change
         return out.reshape(*s.shape, self.system.nq)
 
-    @interruptible
+    @raise_interrupted
     def resample(self, n: int, *, budget: Budget | None = None) -> Path:
         """The same path with `n` points at equal distances of arc length, its ends included.
 
@@ -286,10 +288,10 @@ class Path(Motion):
         the time limit, or Ctrl-C, leaves those points that were done, see `late`, `remark` and
         `kempe.Interrupted`. Errors: `InputError`.
         """
-        spend = USUAL.of(budget)
+        spend = USUAL.complete_budget(budget)
         if not is_whole(n) or not 2 <= n <= MOST:
             raise InputError(
-                f"n is {shown(n)}; it must be a whole number, at least 2 and at most {MOST}"
+                f"n is {format_value(n)}; it must be a whole number, at least 2 and at most {MOST}"
             )
         time = TimeLimit(spend.time_limit)
         broken = None
@@ -314,7 +316,9 @@ class Path(Motion):
         if broken is None:
             return replace(self, q=q, s=s)
         more = "; ".join(
-            filter(None, [self.remark, f"{len(q)} of {counted(n, 'point')} at equal distances"])
+            filter(
+                None, [self.remark, f"{len(q)} of {format_count(n, 'point')} at equal distances"]
+            )
         )
         late = isinstance(broken, TimeUp)
         interrupted = isinstance(broken, KeyboardInterrupt)
@@ -367,8 +371,8 @@ class Path(Motion):
             still = immovable(self.system)
             return self.ends[1] + (f"; {still}" if still else "")
         what = "closed curve" if self.closed else "curve"
-        text = f"{what} of length {self.length:.6g} through {counted(len(self), 'point')}"
-        turning = [f"{counted(abs(k), 'turn')} of {name!r}" for name, k in self.turns.items()]
+        text = f"{what} of length {self.length:.6g} through {format_count(len(self), 'point')}"
+        turning = [f"{format_count(abs(k), 'turn')} of {name!r}" for name, k in self.turns.items()]
         text += f", {', '.join(turning[:4])}{', ...' * (len(turning) > 4)}" if turning else ""
         if not self.closed:
             text += f"; it ends at {self.ends[0]} and at {self.ends[1]}"
@@ -382,11 +386,11 @@ class Path(Motion):
 
     def _notes(self, degrees: bool = False) -> Sequence[str]:
         unit = list_units(self.system)
-        lines = cut([e.text(unit, degrees) for e in self.turning_points], EVENTS)
+        lines = cut_lines([e.text(unit, degrees) for e in self.turning_points], EVENTS)
         lines += [str(event) for event in self.singular_points]
         lines += [f"another branch: {path.status}" for path in self.others]
         if said := self.hint:
-            other = self._by_name(self.elsewhere[0]).within(degrees)
+            other = self._by_name(self.elsewhere[0]).convert_units(degrees)
             lines.append(f"{said}: start=({', '.join(f'{x:.9g}' for x in other.tolist())})")
         return [*lines, *super()._notes()]
 

@@ -19,7 +19,7 @@ from kempe.constraints.tape import TIME, TWIST
 from kempe.equations.closure import Closure
 from kempe.equations.one_sided import one_sided_rows
 from kempe.equations.velocity import rates
-from kempe.errors import InputError, UnknownNameError, UnsupportedError, shown
+from kempe.errors import InputError, UnknownNameError, UnsupportedError, format_value
 from kempe.forward.fk import jacobian
 from kempe.model.time_coordinate import add_time_coordinate, list_timed_constraints
 from kempe.numerics.clock import BROKEN_OFF, TimeLimit
@@ -85,9 +85,13 @@ class Velocities:
             return u
         x = u(t)
         if not is_real(x) and not (is_array(x) and x.ndim == 0):
-            raise InputError(f"input {name!r} at time {t:g} is {shown(x)}; it must be one number")
+            raise InputError(
+                f"input {name!r} at time {t:g} is {format_value(x)}; it must be one number"
+            )
         if not math.isfinite(float(x)):
-            raise InputError(f"input {name!r} at time {t:g} is {shown(x)}; it must be finite")
+            raise InputError(
+                f"input {name!r} at time {t:g} is {format_value(x)}; it must be finite"
+            )
         return float(x)
 
     def at(self, q: Array, t: float) -> Array:
@@ -198,7 +202,7 @@ def _checked(name: str, u: Any) -> Input:
         return u
     if not is_real(u) or not math.isfinite(float(u)):
         raise InputError(
-            f"input {name!r} is {shown(u)}; it must be a finite number or a function of time"
+            f"input {name!r} is {format_value(u)}; it must be a finite number or a function of time"
         )
     return float(u)
 

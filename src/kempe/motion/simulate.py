@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.answers.answer import Motion
-from kempe.arguments import explained, explained_methods, interruptible, numbers
-from kempe.arrays import is_mapping, is_real, is_whole, named, reals
+from kempe.arguments import explain_errors, explain_method_errors, numbers, raise_interrupted
+from kempe.arrays import is_mapping, is_real, is_whole, read_mapping, read_reals
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.equations import closure_rows
 from kempe.equations.one_sided import OneSided, one_sided_rows
@@ -32,7 +32,7 @@ from kempe.motion.wheeled import binding
 from kempe.numerics.clock import BROKEN_OFF, LONG, TimeLimit, begun_within
 from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
-from kempe.words import InWords, counted
+from kempe.words import InWords, format_count
 
 if TYPE_CHECKING:
     from kempe.model.model import FrameLike, Model
@@ -418,7 +418,7 @@ class Bounce(InWords):
         return f"{self.time:.10g} s: {self.kind} on {where} with {-self.before:.6g} m/s{rebound}"
 
 
-@explained_methods
+@explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Simulation(Motion):
     """A motion in time: configurations `q` (n, nq) and velocities `v` (n, nv) at times `t` (n,)
@@ -446,8 +446,8 @@ class Simulation(Motion):
 
     def __repr__(self) -> str:
         return (
-            f"Simulation({self.system.name!r}, {counted(len(self.t), 'sample')}, "
-            f"{counted(len(self.events), 'event')})"
+            f"Simulation({self.system.name!r}, {format_count(len(self.t), 'sample')}, "
+            f"{format_count(len(self.events), 'event')})"
         )
 
     def at(self, t: ArrayLike) -> Array:
@@ -493,10 +493,10 @@ class Simulation(Motion):
         return self._columns("time", self.t, frames)
 
     def _sentence(self, index: tuple[int, ...]) -> str:
-        text = f"{self.t[-1]:.6g} s in {counted(len(self.t), 'sample')}"
+        text = f"{self.t[-1]:.6g} s in {format_count(len(self.t), 'sample')}"
         bounces = sum(e.kind == "bounce" for e in self.events)
         if self.events:
-            text += f", {counted(bounces, 'bounce')}"
+            text += f", {format_count(bounces, 'bounce')}"
             ends = [e for e in self.events if e.kind != "bounce"]
             text += (
                 f"; from {ends[-1].time:.10g} s on it stays on "
@@ -513,8 +513,8 @@ class Simulation(Motion):
         return [*lines, *super()._notes()]
 
 
-@explained
-@interruptible
+@explain_errors
+@raise_interrupted
 def simulate(
     system: Model,
     duration: float,
@@ -556,7 +556,7 @@ def simulate(
         raise InputError(
             f"duration is {duration!r}; it must be a time in seconds, positive and finite"
         )
-    spend = USUAL.of(budget)
+    spend = USUAL.complete_budget(budget)
     samples = spend.points
     if not is_whole(samples) or not 2 <= samples <= MOST_SAMPLES:
         raise InputError(
@@ -668,7 +668,7 @@ def _rolls(
 def _velocity(system: Model, velocity: Any) -> Array:
     """Velocities (nv,) at the start. Errors: `InputError`, `UnknownNameError`."""
     v = np.zeros(system.nv)
-    given = None if velocity is None else named(velocity)
+    given = None if velocity is None else read_mapping(velocity)
     names = list(system.structure.velocity_names)
     if given is not None:
         for name, x in given.items():
@@ -678,7 +678,7 @@ def _velocity(system: Model, velocity: Any) -> Array:
                 raise InputError(f"the velocity of {name!r} is {x!r}; it must be a number")
             v[names.index(name)] = x
     elif velocity is not None:
-        v = reals(velocity, "velocity").astype(float)
+        v = read_reals(velocity, "velocity").astype(float)
     if v.shape != (system.nv,) or not np.isfinite(v).all():
         raise InputError(
             f"velocity has shape {v.shape}; it must be ({system.nv},) finite numbers: "
@@ -691,7 +691,7 @@ def _acceleration(system: Model, acceleration: Any) -> Array:
     """The acceleration (3,) of what falls. Errors: `InputError`."""
     if acceleration is None:
         return np.array([0.0, 0.0, -GRAVITY] if system.dim == 3 else [0.0, -GRAVITY, 0.0])
-    a = reals(acceleration, "acceleration").astype(float)
+    a = read_reals(acceleration, "acceleration").astype(float)
     if system.dim == 2 and a.shape == (2,):
         a = np.append(a, 0.0)
     if a.shape != (3,) or not np.isfinite(a).all():

@@ -12,7 +12,7 @@ import numpy as np
 from kempe.arrays import is_mapping, is_real
 from kempe.equations.closure import Closure, close
 from kempe.equations.one_sided import one_sided_rows
-from kempe.errors import InputError, UnknownNameError, UnsupportedError, shown
+from kempe.errors import InputError, UnknownNameError, UnsupportedError, format_value
 from kempe.joints import R
 from kempe.model.configurations import (
     find_home,
@@ -27,7 +27,7 @@ from kempe.motion.spin_lock import lock_spins
 from kempe.numerics.curves import Node, node
 from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
-from kempe.words import counted
+from kempe.words import format_count
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
@@ -115,7 +115,7 @@ def start_of(system: Model, start: Any, hold: Mapping[str, float]) -> Array:
     refuse_wound(system, q, "start")
     held = make_q(system, hold, q)
     if held.shape != q.shape:
-        raise InputError(f"hold is {shown(hold)}; it must be one number for each coordinate")
+        raise InputError(f"hold is {format_value(hold)}; it must be one number for each coordinate")
     return refuse_wound(system, held, "hold")
 
 
@@ -337,8 +337,8 @@ def too_free(equations: Closure, matrix: Array, drivers: Sequence[str]) -> str:
     own = null_space[:, [n in named for n in system.structure.velocity_names]]
     enough = Spectrum(own, 1.0).rank(Level.GENERIC) >= many if named else False
     head = (
-        f"to first order {system.name} has {counted(count, 'freedom')} here, more than are driven; "
-        f"{still}: "
+        f"to first order {system.name} has {format_count(count, 'freedom')} here, more than are "
+        f"driven; {still}: "
     )
     if not named:
         return (

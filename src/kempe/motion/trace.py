@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.arguments import explained, flag, interruptible
+from kempe.arguments import explain_errors, raise_interrupted, read_flag
 from kempe.arrays import is_mapping, is_whole
 from kempe.assemble.nearest_exact import tolerant
 from kempe.budget import Budget, TimeUp, Usual
@@ -53,7 +53,7 @@ from kempe.motion.start import (
 from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, time_limited, time_of
 from kempe.numerics.curves import Node, arc, bend, node, step
 from kempe.spatial import Array
-from kempe.words import plural
+from kempe.words import make_plural
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
@@ -131,7 +131,7 @@ class Endless:
         name = self.equations.system.structure.velocity_names[i]
         turns = round(self.periods[i] / (2.0 * math.pi))
         done = f"{self._turned(b, i) / (2.0 * math.pi):.4g}"
-        after = f"{done} {plural(float(done), 'turn')} of {name!r}"
+        after = f"{done} {make_plural(float(done), 'turn')} of {name!r}"
         return f", after {after}: by its gear ratios all is as before after {turns}"
 
     def _turned(self, b: Node, i: int) -> float:
@@ -261,7 +261,7 @@ def _not_begun(
         if start is None or isinstance(start, str) or is_mapping(start)
         else read_q(system, start)
     )
-    options = _options(system, driver, ways, limits, USUAL.of(budget))
+    options = _options(system, driver, ways, limits, USUAL.complete_budget(budget))
     held = [*(hold or ())]
     equations = Closure(system, [angle_or_slide(system, n) for n in held], near)
     said = (
@@ -270,8 +270,8 @@ def _not_begun(
     return replace(_failed(equations, options, said, near), late=True)
 
 
-@explained
-@interruptible
+@explain_errors
+@raise_interrupted
 @time_limited(USUAL, _not_begun)
 @tolerant()
 def trace(
@@ -318,7 +318,7 @@ def trace(
     >>> path.closed, [round(e.value, 9) for e in path.turning_points]
     (True, [3.0, 1.0])
     """
-    options = _options(system, driver, ways, limits, USUAL.of(budget))
+    options = _options(system, driver, ways, limits, USUAL.complete_budget(budget))
     held = dict(hold or {})
     equations, q = begin(system, start, held)
     if q is None:
@@ -388,7 +388,7 @@ def branches(
 
 
 def _options(system: Model, driver: str | None, ways: str, limits: bool, spend: Budget) -> _Options:
-    flag(limits, "limits")
+    read_flag(limits, "limits")
     if ways not in WAYS:
         raise InputError(f"ways is {ways!r}; it must be one of {', '.join(map(repr, WAYS))}")
     if driver is not None:

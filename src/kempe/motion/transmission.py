@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.arguments import explained, explained_methods, listed
-from kempe.arrays import reals
+from kempe.arguments import explain_errors, explain_method_errors, read_names
+from kempe.arrays import read_reals
 from kempe.assemble.nearest_exact import said, tolerant
 from kempe.constraints.tape import TWIST
 from kempe.equations.closure import Closure
@@ -29,14 +29,14 @@ from kempe.motion.start import angle_or_slide
 from kempe.numerics.rank import Level, Spectrum
 from kempe.report import Nearest, Report, Table, brief
 from kempe.spatial import Array
-from kempe.status import Status, member
-from kempe.words import Quantity, counted
+from kempe.status import Status, to_status
+from kempe.words import Quantity, format_count
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
 
 
-@explained_methods
+@explain_method_errors
 @dataclass(frozen=True, eq=False)
 class LoopJacobian(Report):
     """Velocities of outputs by those of inputs, through closed loops.
@@ -75,7 +75,7 @@ class LoopJacobian(Report):
 
     def _sentence(self, code: Any, rank: int, nullity: int) -> str:
         names = " and ".join(map(repr, self.inputs))
-        motions = counted(nullity, "first-order motion")
+        motions = format_count(nullity, "first-order motion")
         if code == Status.SOLVED:
             return f"{names} determine{'s' * (len(self.inputs) == 1)} the outputs ({motions})"
         if code == Status.DEAD_POINT:
@@ -88,7 +88,7 @@ class LoopJacobian(Report):
 
     def _headline(self) -> str:
         if np.ndim(self.code):
-            many = counted(np.size(self.code), "configuration")
+            many = format_count(np.size(self.code), "configuration")
             return f"{int(np.sum(self.success))} of {many}: the outputs are determined"
         return self.status
 
@@ -106,7 +106,7 @@ class LoopJacobian(Report):
         }
 
 
-@explained
+@explain_errors
 @tolerant("q")
 def loop_jacobian(
     system: Model,
@@ -167,13 +167,13 @@ def loop_jacobian(
             matrix[i] = out @ driven.inverse(Level.CLOSED) / closure.unit[index]
     if not lead:
         return LoopJacobian(
-            matrix, tuple(inputs), rows, int(rank), int(nullity), float(margin), member(code)
+            matrix, tuple(inputs), rows, int(rank), int(nullity), float(margin), to_status(code)
         )
     return LoopJacobian(matrix, tuple(inputs), rows, rank, nullity, margin, code)
 
 
 def _listed(names: Sequence[str]) -> list[str]:
-    out = list(listed(names, "inputs or outputs"))
+    out = list(read_names(names, "inputs or outputs"))
     if not out:
         raise InputError("inputs and outputs must each name at least one coordinate or frame")
     return out
@@ -200,7 +200,7 @@ def _output(system: Model, name: str) -> tuple[str, str]:
     return ("joint", name) if coordinate else ("frame", name)
 
 
-@explained
+@explain_errors
 @tolerant("q")
 def mechanical_advantage(
     system: Model,
@@ -224,13 +224,13 @@ def mechanical_advantage(
     q = read_q(system, q)
     closure = Closure(system)
     i = angle_or_slide(system, input)
-    others = [angle_or_slide(system, n) for n in listed(still, "still")]
+    others = [angle_or_slide(system, n) for n in read_names(still, "still")]
     kind, name = _output(system, output)
     if (kind == "frame") != (direction is not None):
         raise InputError(
             f"output {name!r} is a {kind}; a frame needs a direction, a coordinate none"
         )
-    push = np.zeros(3) if direction is None else reals(direction, "direction")
+    push = np.zeros(3) if direction is None else read_reals(direction, "direction")
     if kind == "frame" and (push.shape != (3,) or not np.linalg.norm(push) > 0.0):
         raise InputError(f"direction is {direction!r}; it must be three numbers, not all zero")
     out = np.full(q.shape[:-1], np.nan)
@@ -289,7 +289,7 @@ def pressure_angle(
     return float(angle) if angle.ndim == 0 else angle
 
 
-@explained
+@explain_errors
 def transmission_angle(
     system: Model, q: ArrayLike, joint: str, coupler: str | None = None, output: str | None = None
 ) -> Any:
@@ -357,4 +357,4 @@ def _dyad(system: Model, joint: str, coupler: str | None, output: str | None) ->
 def _at(system: Model, q: Array, name: str) -> Array:
     """Pose (..., 4, 4) of frame F of a joint."""
     joint = system.structure.joints[name]
-    return fk(system, q, joint.parent) @ joint.X_PF.evaluate(system.structure.parameters)
+    return fk(system, q, joint.parent) @ joint.X_PF.evaluate_pose(system.structure.parameters)

@@ -24,7 +24,7 @@ from kempe.forward.fk import fk, jacobian
 from kempe.model.configurations import sample_configurations
 from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
-from kempe.words import counted
+from kempe.words import format_count
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
@@ -169,7 +169,9 @@ class Axle:
 
 
 def axle_of(system: Model, q: Array) -> Axle:
-    """The axle of a system that rolls, beside its configuration q (nq,). Errors: `UnsupportedError`."""
+    """The axle of a system that rolls, beside its configuration q (nq,). Errors:
+    `UnsupportedError`.
+    """
     A, b = rates(system, q)
     tie = binding(system, q)
     if not A.shape[-2]:
@@ -327,7 +329,7 @@ def _with_mount(axle: Axle, q: Array) -> Axle:
     if left == 0 or (left == 1 and axle.steering is None):
         raise UnsupportedError(
             f"{system.name}: the velocity constraints leave {axle.body!r} "
-            f"{counted(left, 'freedom')} of motion: it moves along one curve only"
+            f"{format_count(left, 'freedom')} of motion: it moves along one curve only"
         )
     rows = Spectrum(np.concatenate(twists, axis=1).T).null(Level.CLOSED)
     if rows.shape[1] != 1:

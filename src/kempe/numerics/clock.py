@@ -11,8 +11,8 @@ from collections.abc import Callable, Generator
 from functools import cache
 from typing import Any, TypeVar
 
-from kempe.arguments import deadline
-from kempe.budget import Budget, TimeUp, Usual, checks, look, watched_by
+from kempe.arguments import compute_deadline
+from kempe.budget import Budget, TimeUp, Usual, check_for_stop, list_checks, watched_by
 from kempe.errors import TimeLimitError
 from kempe.model.kernel_functions import KernelFunction
 
@@ -34,14 +34,15 @@ SHARE = 0.8
 class TimeLimit(watched_by):
     """The time of one call [s], None for as long as it takes. Errors: `InputError`.
 
-    As a block: what is done in it ends with `TimeUp` at the next `look`, on whichever layer that
-    is. It comes once in each thread, so that what was done can be put in order by whoever catches
+    As a block: what is done in it ends with `TimeUp` at the next `check_for_stop`, on whichever
+    layer that is. It comes once in each thread, so that what was done can be put in order by
+    whoever catches
     it; `spent` says that it came.
     """
 
     def __init__(self, limit: Any):
         self.limit = limit
-        self.end = deadline(limit)
+        self.end = compute_deadline(limit)
         self._told: set[int] = set()
         self.soon = self.end - (1.0 - SHARE) * (limit or 0.0)
         super().__init__(*(() if limit is None else (self._once,)))
@@ -64,7 +65,7 @@ class TimeLimit(watched_by):
 
     def check(self) -> None:
         """Raise `TimeUp` if the time of the call is spent, or that of a verb which asks it."""
-        look()
+        check_for_stop()
         if self.limit is not None and time.monotonic() >= self.soon:
             self._told.add(threading.get_ident())
             raise TimeUp
@@ -100,8 +101,8 @@ def time_limited(
         def call(*args: Any, **options: Any) -> Any:
             budget = options.get("budget")
             outer = getattr(_running, "call", None)
-            limit = usual.of(budget).time_limit
-            if checks() and (budget is None or budget.time_limit is None):
+            limit = usual.complete_budget(budget).time_limit
+            if list_checks() and (budget is None or budget.time_limit is None):
                 limit = None
             time = TimeLimit(limit)
             _running.call = usual, time
@@ -147,7 +148,7 @@ def time_of(usual: Usual, budget: Budget | None = None) -> TimeLimit:
     budget.
     """
     verb, time = getattr(_running, "call", None) or (None, ENDLESS)
-    return time if verb is usual else TimeLimit(usual.of(budget).time_limit)
+    return time if verb is usual else TimeLimit(usual.complete_budget(budget).time_limit)
 
 
 class EndReached(TimeUp):
@@ -175,7 +176,7 @@ def partial(interrupted: bool, late: bool) -> str:
 
 
 class Clock:
-    """The function `look` as kernels call it: it writes 1 where the work must end.
+    """The function `check_for_stop` as kernels call it: it writes 1 where the work must end.
 
     What it raises is kept for the thread until it is `taken` after the kernel.
     """
@@ -184,7 +185,7 @@ class Clock:
         def work(_q: Any, out: Any, _columns: Any, _flag: int) -> None:
             out[0] = 1.0  # what stays where it raises, and until the error is taken
             if getattr(self._thread, "error", None) is None:
-                look()
+                check_for_stop()
                 out[0] = 0.0
 
         self._thread = threading.local()

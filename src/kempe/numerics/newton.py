@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kempe.budget import look
+from kempe.budget import check_for_stop
 from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 
@@ -138,7 +138,7 @@ def least_squares_of_many(A: Array, b: Array, level: float = Level.CLOSED) -> Ar
             ]
         )
     if m > LARGE:
-        look()
+        check_for_stop()
     At = np.swapaxes(A, -1, -2)
     wide = A.shape[-2] < A.shape[-1]
     G = A @ At if wide else At @ A
@@ -154,7 +154,7 @@ def least_squares_of_many(A: Array, b: Array, level: float = Level.CLOSED) -> Ar
         bad = ~(np.linalg.norm(found[..., 1], axis=-1) * scale < WELL)
         y[:] = np.einsum("kmn,km->kn", A, found[..., 0]) if wide else found[..., 0]
     for k in np.flatnonzero(bad):
-        look()
+        check_for_stop()
         y[k] = _by_values(A[k], b[k], level)
     return y
 
@@ -189,7 +189,7 @@ def gauss_newton(
     k = 0
     while True:
         if len(x) > LARGE:
-            look()
+            check_for_stop()
         r, J = equations(x)
         if k == tries or before <= last or not met < float(np.abs(r).max(initial=0.0)) < math.inf:
             break
@@ -225,7 +225,7 @@ def gauss_newton_of_many(
     """
     x, left = np.array(x), np.arange(len(x))
     for _ in range(tries):
-        look()
+        check_for_stop()
         r, J = equations(x[left], left)
         size = np.abs(r).max(axis=1, initial=0.0)
         x[left[~np.isfinite(size)]] = np.nan

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 from kempe.arguments import quiet
 from kempe.arrays import is_whole
-from kempe.budget import checks, look, watched_by
-from kempe.errors import InputError, shown
+from kempe.budget import check_for_stop, list_checks, watched_by
+from kempe.errors import InputError, format_value
 
 if TYPE_CHECKING:  # it imports what one thread does not need
     from concurrent.futures import ThreadPoolExecutor
@@ -50,8 +50,8 @@ def thread_count(threads: Any) -> int:
     """How many threads are wanted. Errors: `InputError`."""
     if threads is not None and not (is_whole(threads) and 1 <= threads <= MOST_THREADS):
         raise InputError(
-            f"threads is {shown(threads)}; it must be None (all processors) or a whole number, at "
-            f"least 1 and at most {MOST_THREADS}"
+            f"threads is {format_value(threads)}; it must be None (all processors) or a whole "
+            f"number, at least 1 and at most {MOST_THREADS}"
         )
     return int(threads or processors())
 
@@ -82,14 +82,14 @@ def over_chunks(
         piece = max(chunk, serial_below)  # between two of them Python sees an interrupt
         total = 0
         for i in range(0, max(count, 1), piece):
-            look()
+            check_for_stop()
             total += work(i, min(i + piece, count))
         return total
     starts = iter(range(0, count, chunk))
-    watching = checks()
+    watching = list_checks()
 
     def take(i: int) -> int:
-        look()
+        check_for_stop()
         return work(i, min(i + chunk, count))
 
     @quiet

@@ -15,7 +15,7 @@ from typing import Any, Literal, cast, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from kempe.budget import look
+from kempe.budget import check_for_stop
 from kempe.errors import InputError
 
 Array = NDArray[np.float64]
@@ -285,7 +285,7 @@ def svd(A: Any, full_matrices: bool = True, compute_uv: bool = True) -> Any:
         For matrices with entries that are not finite.
     """
     if getattr(A, "size", 0) > LARGE:
-        look()
+        check_for_stop()
     numpys: Any = np.linalg
     try:
         return numpys.svd(A, full_matrices=full_matrices, compute_uv=compute_uv)

@@ -12,11 +12,11 @@ import numpy as np
 
 from kempe.arguments import (
     DRAWN,
-    explained,
-    explained_methods,
-    interruptible,
-    start_count,
-    until_interrupt,
+    call_until_interrupt,
+    explain_errors,
+    explain_method_errors,
+    raise_interrupted,
+    read_start_count,
 )
 from kempe.assemble.assemble import assemble
 from kempe.assemble.dyads import closed_form
@@ -44,7 +44,7 @@ from kempe.spaces.manifold import Manifold
 from kempe.spaces.polygons import polygon_of
 from kempe.spatial import Array
 from kempe.status import Status
-from kempe.words import InWords, Quantity, counted
+from kempe.words import InWords, Quantity, format_count
 
 if TYPE_CHECKING:
     from kempe.mobility.answer import Mobility
@@ -144,15 +144,15 @@ class Component(InWords):
         kind = "closed curve" if first.closed else "curve"
         if first.closed and _wound(first):
             kind = "endless curve that repeats with a period"
-        turns = [f"{counted(abs(k), 'turn')} of {n!r}" for n, k in first.turns.items()]
+        turns = [f"{format_count(abs(k), 'turn')} of {n!r}" for n, k in first.turns.items()]
         text = (
             f"{kind} of length {first.length:.6g}"
             if len(self.paths) == 1
-            else f"{counted(len(self.paths), 'curve')} of total length {self.length:.6g}"
+            else f"{format_count(len(self.paths), 'curve')} of total length {self.length:.6g}"
         )
         text += f", {', '.join(turns)}" if turns and len(self.paths) == 1 else ""
         points = len(self.singular_points)
-        return text + (f", {counted(points, 'singular point')}" if points else "")
+        return text + (f", {format_count(points, 'singular point')}" if points else "")
 
 
 def _wound(path: Path) -> dict[int, int]:
@@ -219,7 +219,7 @@ def _nearest(path: Path, q: Array, useful: np.ndarray) -> tuple[Array, Array]:
     )
 
 
-@explained_methods
+@explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Components(Report):
     """The connected components of a configuration space.
@@ -262,14 +262,16 @@ class Components(Report):
         """How many there are, and why these are all or are not."""
         few = "" if self.complete or not self.count else "at least "
         proven = "proven" if self.complete else "a lower bound"
-        idle = f", {counted(self.idle, 'idle spin')} left out" if self.idle else ""
-        said = f"{few}{counted(self.count, 'connected component')}{idle}; {proven}: {self.reason}"
+        idle = f", {format_count(self.idle, 'idle spin')} left out" if self.idle else ""
+        said = (
+            f"{few}{format_count(self.count, 'connected component')}{idle}; {proven}: {self.reason}"
+        )
         return said + partial(self.interrupted, self.late)
 
     def _notes(self, degrees: bool = False) -> list[str]:
         lines = [f"{k + 1}: {part}" for k, part in enumerate(self.parts)]
         return lines + (
-            [f"{counted(len(self.singular), 'singular point')} of the space"]
+            [f"{format_count(len(self.singular), 'singular point')} of the space"]
             if len(self.singular)
             else []
         )
@@ -297,8 +299,8 @@ class Components(Report):
         return {"system": self.system.name} | own | {"parts": parts, "singular": singular}
 
 
-@explained
-@interruptible
+@explain_errors
+@raise_interrupted
 @time_limited(USUAL)
 def components(system: Model, *, budget: Budget | None = None) -> Components:
     """The connected components of the configuration space, with the proof, or as a lower bound with
@@ -315,7 +317,7 @@ def components(system: Model, *, budget: Budget | None = None) -> Components:
     Systems with several freedoms have at least one. Of the `budget` are read: starts (256), rng
     (0), time_limit (120 s).
     """
-    spend = USUAL.of(budget)
+    spend = USUAL.complete_budget(budget)
     time = time_of(USUAL, budget)
     try:
         return _counted(system, spend, time)
@@ -353,7 +355,7 @@ def _counted(system: Model, spend: Budget, time: TimeLimit) -> Components:
         if not isinstance(proof, str):
             count, why = proof.count, proof.reason
         elif _inside(system, freedoms.q, spend):
-            several = counted(freedoms.dof or 0, "freedom")
+            several = format_count(freedoms.dof or 0, "freedom")
             count, why = 1, f"no theorem is known here for {several}; one configuration is known"
         else:
             return Components(system, 0, False, NONE_INSIDE, None, freedoms.idle)
@@ -392,7 +394,7 @@ def _inside(system: Model, home: Array, spend: Budget) -> bool:
         system,
         None,
         sample_configurations(
-            system, np.random.default_rng(spend.rng), start_count(spend.starts, DRAWN)
+            system, np.random.default_rng(spend.rng), read_start_count(spend.starts, DRAWN)
         ),
     )
     ok = np.asarray(found.success, dtype=bool)
@@ -415,7 +417,7 @@ class Traced:
         text = (
             ""
             if known in (None, len(self.parts))
-            else f"; {counted(len(self.parts), 'curve')} traced"
+            else f"; {format_count(len(self.parts), 'curve')} traced"
         )
         dims = " or ".join(map(str, sorted(self.several)))
         return text + (f"; configurations with {dims} freedoms were found, too" if dims else "")
@@ -425,7 +427,7 @@ def _lower_bound(system: Model, traced: Traced) -> tuple[int, str]:
     """The least number of components, and the evidence."""
     alone = sum(part.alone for part in traced.parts)
     met = len(traced.parts) - alone
-    curves = counted(len(traced.parts), "curve")
+    curves = format_count(len(traced.parts), "curve")
     why = f"{curves} traced, which is evidence and no proof"
     why += ": limits cut curves, and" if one_sided_rows(system).names else ":"
     why += " a curve that no start led to may be missed"
@@ -452,7 +454,7 @@ def _traced(
         left = time.left
         if left is not None and left <= 0.0:
             return Traced(tuple(parts), several, True)
-        path = until_interrupt(
+        path = call_until_interrupt(
             trace, system, start=q[0], ways="branches", budget=Budget(time_limit=left)
         )
         late |= path.late
@@ -483,7 +485,7 @@ def _starts(system: Model, home: Array, spend: Budget) -> Array:
     rng = np.random.default_rng(spend.rng)
     manifold = Manifold(system, 1)
     found = [home[None]]
-    q = manifold.drawn(rng, start_count(spend.starts, DRAWN))
+    q = manifold.drawn(rng, read_start_count(spend.starts, DRAWN))
     found.append(q)
     for name in system.coordinate_names if system.dim == 2 else ():
         k = system.coordinate_names.index(name)

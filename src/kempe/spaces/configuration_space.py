@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.arguments import explained, explained_methods
+from kempe.arguments import explain_errors, explain_method_errors
 from kempe.errors import InputError
 from kempe.model.configurations import (
     compute_difference,
@@ -29,8 +29,8 @@ from kempe.model.configurations import (
 from kempe.report import Report, Table
 from kempe.spatial import Array
 from kempe.status import Status
-from kempe.words import InWords, counted
-from kempe.words import listed as listed_words
+from kempe.words import InWords, format_count
+from kempe.words import join_first_words as listed_words
 
 if TYPE_CHECKING:
     from kempe.budget import Budget
@@ -182,7 +182,7 @@ class ConfigurationSpace(Report):
             return text
         return (
             f"the subset of {text}, that satisfies "
-            f"{counted(self.constraints, 'constraint equation')}"
+            f"{format_count(self.constraints, 'constraint equation')}"
         )
 
     @property
@@ -262,7 +262,7 @@ class Parametrization(NamedTuple):
         return None if self.rank is None else self.numbers - self.rank
 
 
-@explained_methods
+@explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Parametrizations(Report):
     """Ways to parametrize the configuration space of a system, as one table; ``print`` it.
@@ -303,9 +303,10 @@ class Parametrizations(Report):
     @property
     def status(self) -> str:
         """The lecture's sentence: n_b pairs with m_c constraints, or n generalized positions."""
-        known = self.why or f"n = {counted(self.n or 0, 'generalized position')}"
+        known = self.why or f"n = {format_count(self.n or 0, 'generalized position')}"
         pairs = (
-            f"n_b = {counted(self.n_b, 'pair')} (r, R) with m_c = {counted(self.m_c, 'constraint')}"
+            f"n_b = {format_count(self.n_b, 'pair')} (r, R) with m_c = "
+            f"{format_count(self.m_c, 'constraint')}"
         )
         return f"{self.system.name}: {pairs}, or {known}"
 
@@ -327,7 +328,7 @@ class Parametrizations(Report):
         }
 
 
-@explained
+@explain_errors
 def parametrizations(system: Model, q: Any = None) -> Parametrizations:
     """How many numbers say where all bodies are, in pairs with constraints and in generalized
     positions.

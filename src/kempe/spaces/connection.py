@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.answers.answer import Configurations
-from kempe.arguments import explained, explained_methods, generator, interruptible
+from kempe.arguments import explain_errors, explain_method_errors, make_generator, raise_interrupted
 from kempe.arrays import is_real
 from kempe.assemble.generic_configurations import idle_coordinates
 from kempe.budget import Budget, TimeUp, Usual
@@ -224,7 +224,7 @@ lengths."""
 USUAL = Usual("path", step=STEP, rng=0, iterations=4000, time_limit=TIME_LIMIT)
 
 
-@explained_methods
+@explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Connection(Configurations):
     """A continuous motion `q` (n, nq) between two configurations, in steps up to `step`; empty
@@ -266,8 +266,8 @@ class Connection(Configurations):
         return float(manifold.apart(self.q[:-1], self.q[1:]).sum()) if len(self.q) > 1 else 0.0
 
 
-@explained
-@interruptible
+@explain_errors
+@raise_interrupted
 @time_limited(USUAL)
 def path(system: Model, q0: Any, q1: Any, *, budget: Budget | None = None) -> Connection:
     """A continuous motion from q0 to q1 (nq,) within limits and on all constraints, or why there is
@@ -281,7 +281,7 @@ def path(system: Model, q0: Any, q1: Any, *, budget: Budget | None = None) -> Co
     (0.1 of arc length between two points, at most), rng (0), iterations (4000 branches), time_limit
     (120 s). Errors: `InputError` where q0 or q1 is no single configuration, or is not closed.
     """
-    spend = USUAL.of(budget)
+    spend = USUAL.complete_budget(budget)
     if not is_real(spend.step) or not 1e-4 <= spend.step <= 1.0:
         raise InputError(
             f"step is {spend.step!r}; it must be between 1e-4 and 1, in radians and characteristic "
@@ -289,7 +289,7 @@ def path(system: Model, q0: Any, q1: Any, *, budget: Budget | None = None) -> Co
         )
     time = time_of(USUAL, budget)
     step = float(spend.step)
-    rng = generator(spend.rng)
+    rng = make_generator(spend.rng)
     try:
         a = _end(system, q0, "q0")
         b = _end(system, q1, "q1")

@@ -28,7 +28,7 @@ from kempe.model.model import keep_answers
 from kempe.spaces.manifold import Manifold
 from kempe.spaces.only_loop import loop_of, pin, primitives_of
 from kempe.spatial import Array, inverse
-from kempe.words import counted
+from kempe.words import format_count
 
 if TYPE_CHECKING:
     from kempe.description.parts import Joint
@@ -140,10 +140,11 @@ class FourJoints:
     @property
     def reason(self) -> str:
         """Why there are so many."""
-        said = f"{counted(len(self.dead), 'dead point')} over {self.first!r}"
+        said = f"{format_count(len(self.dead), 'dead point')} over {self.first!r}"
         if len(self.touching):
             said += (
-                f", and {counted(len(self.touching), 'place')} where branches touch, to rounding"
+                f", and {format_count(len(self.touching), 'place')} where branches touch, to "
+                "rounding"
             )
         cut = len(self.cuts) - 2 - len(self.dead) - len(self.touching)
         said += "; cut by limits" if cut > 0 else ""
@@ -213,7 +214,10 @@ def four_joints(system: Model) -> FourJoints | str:
             if rod is not None and _single_valued(system, order):
                 ways.append((not turns[order[0].name], order[0], order[3], rod))
     if not ways:
-        return "it is no rod between two points that cranks or slides guide, nor four turns of a sphere"
+        return (
+            "it is no rod between two points that cranks or slides guide, nor four turns of a "
+            "sphere"
+        )
     ways.sort(key=lambda way: (len(way[3].p) == 2, way[0]))
     for _, first, last, rod in ways:
         found = _decided(system, rod, first.name, last.name, list(names))
@@ -478,8 +482,8 @@ def _path(system: Model, joint: Joint, base: str, point: Array, weight: float) -
     """Coefficients of 1, cos and sin, or of 1 and the slide, of a point (or, of weight 0, a
     direction) on a crank or a slide, seen from the base.
     """
-    F = joint.X_PF.evaluate(system._mechanism.parameters)
-    M = joint.X_CM.evaluate(system._mechanism.parameters)
+    F = joint.X_PF.evaluate_pose(system._mechanism.parameters)
+    M = joint.X_CM.evaluate_pose(system._mechanism.parameters)
     turns = primitives_of(system, joint)[0].kind == R
     at = 2.0 * np.pi / 3.0 * np.arange(3.0) if turns else np.array([0.0, 1.0])
     X = F @ motion(primitives_of(system, joint), at[:, None]) @ inverse(M)

@@ -51,5 +51,7 @@ def primitives_of(system: Model, joint: Joint) -> list[Primitive]:
 
 def pin(system: Model, joint: Joint, body: str) -> tuple[Array, Array]:
     """Where a joint is on one of its bodies (3,), and its frame there (4, 4)."""
-    X = (joint.X_PF if joint.parent == body else joint.X_CM).evaluate(system._mechanism.parameters)
+    X = (joint.X_PF if joint.parent == body else joint.X_CM).evaluate_pose(
+        system._mechanism.parameters
+    )
     return X[:3, 3], X

@@ -114,8 +114,8 @@ class Polygon:
         turn = dict(zip(self.bodies, turn - turn[0], strict=True))
         for name in self.joints:
             joint = m.joints[name]
-            F = joint.X_PF.evaluate(m.parameters)
-            M = joint.X_CM.evaluate(m.parameters)
+            F = joint.X_PF.evaluate_pose(m.parameters)
+            M = joint.X_CM.evaluate_pose(m.parameters)
             angle = turn[joint.child] - turn[joint.parent] + _angle(M) - _angle(F)
             q[self.system.coordinate_names.index(name)] = np.arctan2(np.sin(angle), np.cos(angle))
         return q

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.answers.answer import Configurations
-from kempe.arguments import explained, explained_methods, generator, interruptible
+from kempe.arguments import explain_errors, explain_method_errors, make_generator, raise_interrupted
 from kempe.arrays import is_real
 from kempe.assemble.assemble import assemble
 from kempe.assemble.modes import assembly_modes
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.equations.one_sided import one_sided_rows
-from kempe.errors import InputError, UnsupportedError, shown
+from kempe.errors import InputError, UnsupportedError, format_value
 from kempe.mobility.mobility import mobility
 from kempe.model.configurations import find_free_angles, has_loops, sample_configurations
 from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, time_limited, time_of
@@ -23,7 +23,7 @@ from kempe.report import brief
 from kempe.spaces.components import components
 from kempe.spaces.manifold import Frames, Manifold
 from kempe.spatial import Array
-from kempe.words import counted
+from kempe.words import format_count
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
@@ -134,7 +134,7 @@ FAR = 1e3
 USUAL = Usual("sample", time_limit=TIME_LIMIT, progress=None)
 
 
-@explained_methods
+@explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Sample(Configurations):
     """Random configurations `q` (n, nq), uniform in the `measure` that the sentence states.
@@ -168,7 +168,7 @@ def _made(
     system: Model, n: int, q: Array, measure: str, exact: bool, how: str, taken: float = 1.0
 ) -> Sample:
     said = (
-        f"{counted(len(q), 'configuration')}{'' if len(q) == n else f' of {n}'}, uniform in "
+        f"{format_count(len(q), 'configuration')}{'' if len(q) == n else f' of {n}'}, uniform in "
         f"{measure}: {how}"
     )
     return Sample(q, measure, exact, said, taken, n, system)
@@ -182,8 +182,8 @@ def _not_begun(time: TimeLimit, system: Model, n: float, *_: Any, **__: Any) -> 
     )
 
 
-@explained
-@interruptible
+@explain_errors
+@raise_interrupted
 @time_limited(USUAL, _not_begun)
 def sample(
     system: Model,
@@ -207,10 +207,10 @@ def sample(
     """
     if not (is_real(n) and 1 <= n <= MOST and n == int(n)):
         raise InputError(
-            f"n is {shown(n)}; it must be a whole number of configurations, from 1 to {MOST}"
+            f"n is {format_value(n)}; it must be a whole number of configurations, from 1 to {MOST}"
         )
-    rng = generator(rng)
-    spend = USUAL.of(budget)
+    rng = make_generator(rng)
+    spend = USUAL.complete_budget(budget)
     n = int(n)
     time = time_of(USUAL, budget)
 
@@ -271,7 +271,7 @@ def _of_points(system: Model, n: int, rng: np.random.Generator) -> Sample:
     modes = assembly_modes(system)
     q = modes.q[rng.integers(len(modes.q), size=n)] if len(modes.q) else modes.q
     how = (
-        f"{counted(len(modes.q), 'assembly mode')} of a structure that does not move; "
+        f"{format_count(len(modes.q), 'assembly mode')} of a structure that does not move; "
         f"{modes.status}"
     )
     return _made(system, n, q, "the count of assembly modes", modes.complete, how)
@@ -296,7 +296,7 @@ def _of_curves(system: Model, n: int, rng: np.random.Generator, spend: Budget) -
         q[which == k] = path.at(at[which == k])
     q = Manifold(system, 1).metric.representatives(q, None)
     how = (
-        f"drawn independently along {counted(len(paths), 'traced curve')} of total length "
+        f"drawn independently along {format_count(len(paths), 'traced curve')} of total length "
         f"{length.sum():.6g}"
     )
     how += "" if found.complete else "; curves may have been missed"
@@ -335,8 +335,8 @@ def _by_walk(
     q = np.concatenate([np.empty((0, system.nq)), *kept])[:n]
     measure = "area" if dim == 2 else f"volume of dimension {dim}"
     each = walkers.steps // len(walkers.q)
-    starts = f"{'each of ' * (len(walkers.q) > 1)}{counted(len(walkers.q), 'assembly')}"
-    how = f"a random walk of {counted(each, 'step')} from {starts}"
+    starts = f"{'each of ' * (len(walkers.q) > 1)}{format_count(len(walkers.q), 'assembly')}"
+    how = f"a random walk of {format_count(each, 'step')} from {starts}"
     how += f", {walkers.taken:.2g} of them taken"
     return _broken(_made(system, n, q, measure, False, how, walkers.taken), why)
 

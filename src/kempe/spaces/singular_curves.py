@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.arguments import explained_methods, interruptible, numbers
+from kempe.arguments import explain_method_errors, numbers, raise_interrupted
 from kempe.assemble.dyads import source_values
 from kempe.budget import Budget, TimeUp, Usual
-from kempe.errors import InputError, shown
+from kempe.errors import InputError, format_value
 from kempe.forward.fk import fk, jacobian
-from kempe.late import late
+from kempe.late import import_late
 from kempe.model.configurations import find_free_angles, shorten_turns
 from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, partial
 from kempe.numerics.curves import Curve, Node, node, step, walk
@@ -30,7 +30,7 @@ from kempe.spaces.rank_loss import Equations, RankLoss
 from kempe.spaces.singular_types import inside_limits
 from kempe.spatial import Array
 from kempe.status import Status
-from kempe.words import InWords, counted
+from kempe.words import InWords, format_count
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -77,14 +77,16 @@ class SingularCurve(InWords):
 
     def __str__(self) -> str:
         closed = ", closed" if self.closed else ""
-        return f"{self.name or ' and '.join(self.kinds)}: {counted(len(self), 'point')}{closed}"
+        return (
+            f"{self.name or ' and '.join(self.kinds)}: {format_count(len(self), 'point')}{closed}"
+        )
 
     def data(self) -> dict[str, Any]:
         """Its numbers and names."""
         return {n: getattr(self, n) for n in ("kinds", "name", "q", "p", "closed")}
 
 
-@explained_methods
+@explain_method_errors
 @dataclass(frozen=True, eq=False)
 class SingularCurves(Report):
     """The `curves` of singular configurations that were found; that there are no others is not
@@ -112,7 +114,7 @@ class SingularCurves(Report):
         """How many curves were found."""
         held = f" with {', '.join(self.held)} held" if self.held else ""
         tail = partial(self.broken is Status.INTERRUPTED, self.broken is Status.OUT_OF_TIME)
-        found = counted(len(self.curves), "curve") if self.curves else "no curve"
+        found = format_count(len(self.curves), "curve") if self.curves else "no curve"
         return f"{self.system.name}: {found} of singular configurations found{held}{tail}"
 
     def __len__(self) -> int:
@@ -127,7 +129,7 @@ class SingularCurves(Report):
 
         Errors: `InputError` where there are no curves, or no frame.
         """
-        return late("plots of singularities").plot_curves(self, ax)
+        return import_late("plots of singularities").plot_curves(self, ax)
 
     def _notes(self, degrees: bool = False) -> list[str]:
         return [str(c) for c in self.curves]
@@ -141,7 +143,7 @@ Start = tuple[tuple[str, ...], str, Array]
 """The kinds, the name, and the singular configuration (nq,) from which a curve is followed."""
 
 
-@interruptible
+@raise_interrupted
 def singular_curves(
     found: Singularities,
     problems: dict[str, RankLoss],
@@ -153,7 +155,7 @@ def singular_curves(
     """The curves of `problems` through `starts`, in the time of the `clock`; see
     `Singularities.curves`.
     """
-    spend = USUAL.of(budget)
+    spend = USUAL.complete_budget(budget)
     system = found.system
     curves = list[SingularCurve]()
     sizes = set[int]()
@@ -180,7 +182,7 @@ def singular_curves(
     except BROKEN_OFF as error:
         broken = Status.OUT_OF_TIME if isinstance(error, TimeUp) else Status.INTERRUPTED
     if sizes and min(sizes) > 1 and broken is None:
-        more = counted(min(sizes) - 1, "further coordinate")
+        more = format_count(min(sizes) - 1, "further coordinate")
         hint = (
             ", or the orientation"
             if system.dim == 2 and found.frame is not None and not held
@@ -242,7 +244,7 @@ def _angle(found: Singularities, orientation: Any) -> float:
     angle = numbers(orientation, "orientation")
     if angle.ndim or not np.isfinite(angle):
         raise InputError(
-            f"orientation is {shown(orientation)}; it must be one finite angle in radians"
+            f"orientation is {format_value(orientation)}; it must be one finite angle in radians"
         )
     return float(angle)
 

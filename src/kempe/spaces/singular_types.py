@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.answers.targets import twist_rows
-from kempe.arguments import explained_methods
+from kempe.arguments import explain_method_errors
 from kempe.assemble.assemble import assemble
 from kempe.constraints.flat_tasks import DIRECTION, PLANES
 from kempe.equations import closure_rows
@@ -25,7 +25,7 @@ from kempe.report import Report, brief
 from kempe.spaces.rank_loss import Matrices, RankLoss, generic_rank
 from kempe.spatial import Array
 from kempe.status import Status
-from kempe.words import InWords, counted, joined
+from kempe.words import InWords, format_count, join_words
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
@@ -81,8 +81,10 @@ class SingularSet(InWords):
     def __str__(self) -> str:
         head = self.name or " and ".join(self.kinds)
         if not len(self.values):
-            single = f": {counted(len(self.q), 'configuration')}" if self.dimension == 0 else ""
-            return f"{head} ({joined(self.coordinates)})" if self.coordinates else head + single
+            single = (
+                f": {format_count(len(self.q), 'configuration')}" if self.dimension == 0 else ""
+            )
+            return f"{head} ({join_words(self.coordinates)})" if self.coordinates else head + single
         if len(self.coordinates) == 1:
             return (
                 f"{head} ({self.coordinates[0]} = "
@@ -110,7 +112,7 @@ class SingularSet(InWords):
         return values | {n: [np.asarray(x) for x in values[n]] for n in several}
 
 
-@explained_methods
+@explain_method_errors
 @dataclass(frozen=True, eq=False)
 class NearestSingular(Report):
     """The singular configuration `q` (nq,) that is nearest to one, of those found, at a `distance`.
@@ -156,8 +158,8 @@ class NearestSingular(Report):
 
 def changes(lost: Array, gained: Array) -> str:
     """How many directions are lost and gained, in words."""
-    said = [f"{counted(len(lost), 'direction')} lost"] if len(lost) else []
-    said += [f"{counted(len(gained), 'direction')} gained"] if len(gained) else []
+    said = [f"{format_count(len(lost), 'direction')} lost"] if len(lost) else []
+    said += [f"{format_count(len(gained), 'direction')} gained"] if len(gained) else []
     return " and ".join(said) or "no direction of a frame lost or gained"
 
 
@@ -238,7 +240,7 @@ class RankQuestions:
         if not len(self.starts):
             raise InputError(
                 f"{system.name}: no configuration with closed loops was found in "
-                f"{counted(starts, 'start')}"
+                f"{format_count(starts, 'start')}"
             )
         self.of_axis = task == DIRECTION
         words = "orientation" if self.of_axis else "position" if task in PLANES else task

@@ -15,14 +15,14 @@ from kempe.answers.tables import Tabular
 from kempe.answers.targets import Z_AXIS
 from kempe.arguments import (
     DRAWN,
-    explained,
-    explained_methods,
-    flag,
-    generator,
-    interruptible,
-    known,
-    start_count,
-    until_interrupt,
+    call_until_interrupt,
+    check_name,
+    explain_errors,
+    explain_method_errors,
+    make_generator,
+    raise_interrupted,
+    read_flag,
+    read_start_count,
 )
 from kempe.assemble.same_configuration import metric_of
 from kempe.budget import Budget, TimeUp, Usual
@@ -32,7 +32,7 @@ from kempe.forward.fk import jacobian
 from kempe.inverse.closed_forms.branch_names import Kind, branch_names, kind_of
 from kempe.inverse.closed_forms.chain_lines import Lines
 from kempe.inverse.closed_forms.plan import plan_or_reason
-from kempe.late import late
+from kempe.late import import_late
 from kempe.model.configurations import (
     find_free_angles,
     has_loops,
@@ -62,7 +62,7 @@ from kempe.spaces.singular_types import (
 )
 from kempe.spatial import Array
 from kempe.status import Status
-from kempe.words import ByName, counted
+from kempe.words import ByName, format_count
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -124,7 +124,7 @@ to the set."""
 FULL_TURN = 2.0 * np.pi
 
 
-@explained_methods
+@explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Singularities(Report, Tabular):
     """The singular configurations of a frame of `system`, as `sets` that are singular in the same
@@ -162,12 +162,12 @@ class Singularities(Report, Tabular):
         if not self.sets:
             return (
                 f"{of}: no singular configuration found{within}, from "
-                f"{counted(self.starts, 'start')}{tail}"
+                f"{format_count(self.starts, 'start')}{tail}"
             )
-        found = counted(len(self.sets), "set")
+        found = format_count(len(self.sets), "set")
         return (
             f"{of}: {found} of singular configurations{within}, from "
-            f"{counted(self.starts, 'start')}{tail}"
+            f"{format_count(self.starts, 'start')}{tail}"
         )
 
     def table(self) -> tuple[list[str], Array]:
@@ -248,8 +248,8 @@ class Singularities(Report, Tabular):
         `Interrupted`); `options` are those of `System.plot`.
         Errors: `InputError` where no set was found.
         """
-        plots = late("plots of singularities")
-        curves = until_interrupt(plots.curves_shown, self, budget)
+        plots = import_late("plots of singularities")
+        curves = call_until_interrupt(plots.curves_shown, self, budget)
         axes = plots.plot_singularities(self, curves, ax=ax, **options)
         if curves is not None and curves.broken is Status.INTERRUPTED:
             raise Interrupted(axes)
@@ -273,7 +273,7 @@ class Singularities(Report, Tabular):
         which is called with the number of configurations done and that of all. Errors: `InputError`
         where the sets are larger than curves; `UnknownNameError`.
         """
-        clock = TimeLimit(CURVES_USUAL.of(budget).time_limit)
+        clock = TimeLimit(CURVES_USUAL.complete_budget(budget).time_limit)
         rows, held = held_equations(self, hold, orientation)
         problems = {kind: replace(p, further=rows) for kind, p in self.problems.items()}
         starts = [(s.kinds, s.name, q) for s in self.sets for q in s.q]
@@ -355,8 +355,8 @@ Found = dict[Key, list[Row]]
 set."""
 
 
-@explained
-@interruptible
+@explain_errors
+@raise_interrupted
 def singularities(
     system: Model,
     frame: FrameLike | None = None,
@@ -386,8 +386,8 @@ def singularities(
     time_limit (120 s), and progress(starts done, all).
     Errors: `InputError`, `UnknownNameError`.
     """
-    spend = USUAL.of(budget)
-    limits = flag(limits, "limits")
+    spend = USUAL.complete_budget(budget)
+    limits = read_flag(limits, "limits")
     name = None if frame is None else system.structure.frame_name(frame)
     loops = has_loops(system)
     if name is None and not loops:
@@ -482,13 +482,15 @@ def _questions_of(
     Its pose has three equations, and so lacks a direction everywhere.
     """
     loops = has_loops(system)
-    starts = start_count(spend.starts, DRAWN)
+    starts = read_start_count(spend.starts, DRAWN)
     word = _task(system, frame, task, loops)
-    questions = RankQuestions(system, frame, word, driving, generator(spend.rng), starts, limits)
+    questions = RankQuestions(
+        system, frame, word, driving, make_generator(spend.rng), starts, limits
+    )
     if task is None and loops and system.dim == 2 and questions.frame_rank == 2:
         try:
             place = RankQuestions(
-                system, frame, "position", driving, generator(spend.rng), starts, limits
+                system, frame, "position", driving, make_generator(spend.rng), starts, limits
             )
         except InputError:  # it turns about its origin
             return word, questions
@@ -500,7 +502,7 @@ def _questions_of(
 def _task(system: Model, frame: str | None, task: str | None, loops: bool) -> str:
     """The task by its name, or that which the chain is for. Errors: `InputError`."""
     if task is not None:
-        return known("task", task, OF_FRAMES if system.dim == 3 else OF_FRAMES[:3])
+        return check_name("task", task, OF_FRAMES if system.dim == 3 else OF_FRAMES[:3])
     if frame is None or loops:
         return "pose"
     joints = (

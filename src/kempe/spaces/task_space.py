@@ -11,13 +11,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.arguments import DRAWN, explained, explained_methods, generator, start_count
-from kempe.budget import Budget, TimeUp, Usual, look
+from kempe.arguments import (
+    DRAWN,
+    explain_errors,
+    explain_method_errors,
+    make_generator,
+    read_start_count,
+)
+from kempe.budget import Budget, TimeUp, Usual, check_for_stop
 from kempe.constraints import KINDS
 from kempe.constraints.base import Constraint
 from kempe.equations import closure_rows
 from kempe.equations.packed_tasks import count, jacobian, units
-from kempe.errors import InputError, shown
+from kempe.errors import InputError, format_value
 from kempe.forward.fk import fk
 from kempe.mobility.independent import tangent_space
 from kempe.model.characteristic_length import compute_characteristic_length
@@ -34,7 +40,7 @@ from kempe.report import Report, Table, brief
 from kempe.spaces.manifold import Manifold
 from kempe.spatial import Array
 from kempe.status import Status
-from kempe.words import counted, verb
+from kempe.words import choose_verb, format_count
 
 if TYPE_CHECKING:
     from kempe.model.model import FrameLike, Model
@@ -89,7 +95,7 @@ SOME = 8
 """Configurations whose ranks are found between two looks at the clock."""
 
 
-@explained_methods
+@explain_method_errors
 @dataclass(frozen=True, eq=False)
 class TaskSpace(Report):
     """What of a configuration space of dimension `n` is seen in a task of `m` constraints.
@@ -139,14 +145,17 @@ class TaskSpace(Report):
         n = self.n
         counts = f"m = n = {n}" if m == n else f"m = {m} {'<' if m < n else '>'} n = {n}"
         if m > n:
-            lucky = f"unless the {counted(m, 'constraint')} {verb(m, 'is', 'are')} dependent"
+            lucky = (
+                f"unless the {format_count(m, 'constraint')} {choose_verb(m, 'is', 'are')} "
+                "dependent"
+            )
             said = f"no solution {lucky}: what can be reached has dimension {k}"
         elif k < m:
-            said = f"{counted(m - k, 'constraint')} of the task cannot be set independently"
+            said = f"{format_count(m - k, 'constraint')} of the task cannot be set independently"
         elif n > k:
             said = (
-                f"redundant by {counted(n - k, 'freedom')}: infinitely many configurations reach "
-                "what is reached"
+                f"redundant by {format_count(n - k, 'freedom')}: infinitely many configurations "
+                "reach what is reached"
             )
         else:
             said = "isolated configurations reach what is reached, but for singular ones"
@@ -155,7 +164,7 @@ class TaskSpace(Report):
             if self.singular
             else ""
         )
-        seen = counted(self.samples, "random configuration")
+        seen = format_count(self.samples, "random configuration")
         late = f"; the time limit ended the work after {seen}" if self.late else ""
         return f"{self.task}: {counts}, rank {k}; {said}{here}{late}"
 
@@ -191,7 +200,7 @@ class TaskSpace(Report):
         return {"system": self.system.name} | own | {"q": name_values(self.system, self.q)}
 
 
-@explained
+@explain_errors
 @time_limited(USUAL)
 def task_space(
     system: Model,
@@ -216,10 +225,10 @@ def task_space(
     >>> print(task_space(load("two_link"), "e", task="position").status)
     position of 'e': m = n = 2, rank 2; isolated configurations reach what is reached, but for singular ones
     """
-    spend = USUAL.of(budget)
+    spend = USUAL.complete_budget(budget)
     wanted, name, frame = _wanted(system, tasks, task)
-    rng = generator(spend.rng)
-    drawn = _drawn(system, start_count(spend.starts, DRAWN), rng)
+    rng = make_generator(spend.rng)
+    drawn = _drawn(system, read_start_count(spend.starts, DRAWN), rng)
     at = drawn[0] if q is None else read_finite_q(system, q)
     every = np.concatenate([at[None], drawn])
     m = sum(count(system, t) for t in wanted)
@@ -230,7 +239,7 @@ def task_space(
     time.put_in_order()
     try:
         for k in range(0, len(every), SOME):
-            look()
+            check_for_stop()
             some = every[k : k + SOME]
             rates = np.concatenate([jacobian(system, t, some) for t in wanted], axis=-2)
             found, freedoms = image_ranks(system, some, rates, metres)
@@ -273,7 +282,7 @@ def _wanted(
         given: list[Any] = [tasks] if isinstance(tasks, Constraint) else list(name)
         wrong = [t for t in given if not isinstance(t, Constraint)]
         if wrong:
-            raise InputError(f"{shown(wrong[0])} is no task; see kempe.tasks")
+            raise InputError(f"{format_value(wrong[0])} is no task; see kempe.tasks")
         return given, ", ".join(t.label for t in given), None
     frame = system.structure.frame_name(name)
     kind = "pose" if task is None else task

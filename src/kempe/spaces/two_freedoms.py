@@ -35,7 +35,7 @@ from kempe.numerics.rank import Spectrum
 from kempe.spaces.manifold import CLOSED, Manifold
 from kempe.spatial import Array
 from kempe.status import Status
-from kempe.words import counted
+from kempe.words import format_count
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
@@ -673,8 +673,8 @@ def two_freedoms(
         )
     idle = found.idle if found else 0
     if freedoms - idle != 2 or (not loops and len(system.structure.layout.vector_q) != 2):
-        what = counted(freedoms - idle, "freedom" if loops else "coordinate")
-        left_out = f", {counted(idle, 'idle spin')} left out" if idle else ""
+        what = format_count(freedoms - idle, "freedom" if loops else "coordinate")
+        left_out = f", {format_count(idle, 'idle spin')} left out" if idle else ""
         raise UnsupportedError(
             f"{NEEDED}; {system.name} has {what}{' and loops' if loops else ''}{left_out}"
         )

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.arguments import explained
+from kempe.arguments import explain_errors
 from kempe.description.source import expanded
-from kempe.errors import InputError, UnsupportedError, shown
+from kempe.errors import InputError, UnsupportedError, format_value
 from kempe.model.configurations import has_loops, interpolate_configurations
 from kempe.spatial import Array
 from kempe.views.drawing import page
@@ -21,7 +21,7 @@ from kempe.views.drawing.plot_request import motion_of
 from kempe.views.drawing.scene import look
 from kempe.views.plot_options import PlotOptions
 from kempe.views.plots import drawing_of, subject_of
-from kempe.words import counted
+from kempe.words import format_count
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
@@ -65,7 +65,7 @@ def _packed_ffmpeg() -> bool:
     return True
 
 
-@explained
+@explain_errors
 def animate(
     system: Model,
     path: Any,
@@ -87,13 +87,13 @@ def animate(
     """
     if not seconds > 0.0 or not 0.0 < fps <= 60.0:
         raise InputError(
-            f"seconds is {shown(seconds)} and fps {shown(fps)}; both must be positive, fps at most "
-            "60"
+            f"seconds is {format_value(seconds)} and fps {format_value(fps)}; both must be "
+            "positive, fps at most 60"
         )
     count = round(seconds * fps)
     if not 2 <= count <= MOST:
         raise InputError(
-            f"seconds * fps is {counted(count, 'picture')}; they must be from 2 to {MOST}"
+            f"seconds * fps is {format_count(count, 'picture')}; they must be from 2 to {MOST}"
         )
     out = film_file(file)
     way, drivers = motion_of(system, path)

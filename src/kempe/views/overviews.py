@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe import library
-from kempe.arguments import explained
+from kempe.arguments import explain_errors
 from kempe.description.read import read
 from kempe.equations.velocity import velocity_rows
 from kempe.errors import InputError, KempeError
 from kempe.joints import TYPES
 from kempe.model.configurations import has_loops
-from kempe.words import counted, cut, image_html
+from kempe.words import cut_lines, format_count, format_html_image
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -95,7 +95,7 @@ def _places(system: Model) -> np.ndarray:
     return at
 
 
-@explained
+@explain_errors
 def plot_tree(system: Model, ax: Axes | None = None) -> Axes:
     """Axes with the tree: bodies as circles by depth, joints as lines with their letters, C below.
 
@@ -275,7 +275,7 @@ def joint_rows() -> list[dict[str, Any]]:
     return out
 
 
-@explained
+@explain_errors
 def plot_joints(names: Sequence[str] = ()) -> tuple[Axes, ...]:
     """Axes with all joint types, or those that are named: both bodies, an arrow for each freedom,
     and neighbours.
@@ -299,7 +299,7 @@ def plot_joints(names: Sequence[str] = ()) -> tuple[Axes, ...]:
         )
         ax.set_axis_off()
         ax.set_title(
-            f"{name}, {counted(TYPES[name]().dof(), 'freedom')}",
+            f"{name}, {format_count(TYPES[name]().dof(), 'freedom')}",
             size=style.FONT + 1,
             color=style.INK,
             y=0.97,
@@ -314,12 +314,12 @@ def plot_joints(names: Sequence[str] = ()) -> tuple[Axes, ...]:
 
 def notebook_page(system: Model) -> str:
     """The system as HTML: a picture, its freedoms, its tree. What cannot be had is left out."""
-    count = counted(len(system.parent), "body")
+    count = format_count(len(system.parent), "body")
     kind = "in the plane" if system.dim == 2 else "in space"
-    head = f"{system.name}: {count}, {counted(len(system.joint_names), 'joint')}, {kind}"
+    head = f"{system.name}: {count}, {format_count(len(system.joint_names), 'joint')}, {kind}"
     parts = [f"<p>{html.escape(head)}</p>", _picture(system)]
     parts.append(f"<p>{html.escape(_freedoms(system))}</p>")
-    lines = cut(tree_lines(system), MOST_LINES)
+    lines = cut_lines(tree_lines(system), MOST_LINES)
     return "".join([*parts, f"<pre>{html.escape(chr(10).join(lines))}</pre>"])
 
 
@@ -331,7 +331,7 @@ def _freedoms(system: Model) -> str:
         from kempe.spaces.configuration_space import configuration_space
 
         within = configuration_space(system).within
-        said = f"{counted(system.nv, 'degree')} of freedom, configuration space {within}"
+        said = f"{format_count(system.nv, 'degree')} of freedom, configuration space {within}"
         return said + _of_velocity(system)
     try:
         return _counted(system).sentence
@@ -369,4 +369,4 @@ def _picture(system: Model) -> str:
         figure: Any = bare(system).figure
     except (KempeError, ValueError, ArithmeticError):
         return ""
-    return image_html(figure, f"picture of {system.name}")
+    return format_html_image(figure, f"picture of {system.name}")

@@ -8,9 +8,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from kempe.arguments import flag, listed
+from kempe.arguments import read_flag, read_names
 from kempe.arrays import is_whole
-from kempe.errors import InputError, shown
+from kempe.errors import InputError, format_value
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -52,10 +52,10 @@ class PlotOptions:
 
     def __post_init__(self) -> None:
         for name in ("dimensions", "motion", "side_by_side"):
-            flag(getattr(self, name), name)
+            read_flag(getattr(self, name), name)
         if not is_whole(self.ghosts) or self.ghosts < 0:
             raise InputError(
-                f"ghosts is {shown(self.ghosts)}; it must be a whole number, not negative"
+                f"ghosts is {format_value(self.ghosts)}; it must be a whole number, not negative"
             )
         unknown = [word for word in self.words if word not in LABELS]
         if unknown:
@@ -63,7 +63,7 @@ class PlotOptions:
             raise InputError(
                 f"labels has {unknown[0]!r}; allowed are {allowed}, 'all', True and False"
             )
-        listed(self.titles, "titles")
+        read_names(self.titles, "titles")
 
     @property
     def words(self) -> frozenset[str]:
@@ -71,4 +71,4 @@ class PlotOptions:
         if isinstance(self.labels, bool):
             return frozenset(LABELS[:2]) if self.labels else frozenset()
         every = isinstance(self.labels, str) and self.labels == "all"
-        return frozenset(LABELS if every else listed(self.labels, "labels"))
+        return frozenset(LABELS if every else read_names(self.labels, "labels"))

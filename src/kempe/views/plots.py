@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.arguments import explained, listed, with_options
-from kempe.arrays import is_sequence, reals
+from kempe.arguments import add_signature_options, explain_errors, read_names
+from kempe.arrays import is_sequence, read_reals
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.forward.fk import fk
 from kempe.model.configurations import (
@@ -34,7 +34,7 @@ from kempe.views.drawing.plot_request import (
 )
 from kempe.views.drawing.scene import look
 from kempe.views.plot_options import PlotOptions
-from kempe.words import counted
+from kempe.words import format_count
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -56,8 +56,8 @@ SLIDE = 0.08
 of the drawing."""
 
 
-@explained
-@with_options(PlotOptions)
+@explain_errors
+@add_signature_options(PlotOptions)
 def plot(system: Model, q: Any = None, *, path: Any = None, **options: Any) -> Any:
     """Axes with a drawing of the system; ``.figure.savefig("name.png")`` or ``.svg`` writes it.
 
@@ -86,11 +86,12 @@ def plot(system: Model, q: Any = None, *, path: Any = None, **options: Any) -> A
         q, path = None, q
     way, drivers = motion_of(system, path)
     several, titles = configurations_of(system, q, way)
-    given = tuple(listed(chosen.titles, "titles"))
+    given = tuple(read_names(chosen.titles, "titles"))
     if given and len(given) != len(several):
         raise InputError(
-            f"titles has {counted(len(given), 'name')}, and "
-            f"{counted(len(several), 'configuration')} {'is' if len(several) == 1 else 'are'} drawn"
+            f"titles has {format_count(len(given), 'name')}, and "
+            f"{format_count(len(several), 'configuration')} {'is' if len(several) == 1 else 'are'} "
+            "drawn"
         )
     if chosen.ghosts and way is None:
         raise InputError(f"ghosts is {chosen.ghosts}, and there is no motion: path gives one")
@@ -267,7 +268,7 @@ def plot_path(
     over, along = next(((n, a) for n, a in ALONG.items() if hasattr(path, a)), ("row", ""))
     q = read_q(system, path.q)
     s = (
-        reals(getattr(path, along), "the arc length of the path")
+        read_reals(getattr(path, along), "the arc length of the path")
         if along
         else np.arange(float(len(q)))
     )
@@ -414,7 +415,7 @@ def plot_history(history: Any, ax: Axes | None = None) -> Axes:
         bbox_to_anchor=(1.01, 1.0),
         fontsize=style.FONT - 1,
         frameon=False,
-        title=f"of {counted(len(starts), 'start')}" if len(starts) > MOST_NAMED else None,
+        title=f"of {format_count(len(starts), 'start')}" if len(starts) > MOST_NAMED else None,
     )
     return ax
 

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.arguments import explained, flag, numbers, until_interrupt
+from kempe.arguments import call_until_interrupt, explain_errors, numbers, read_flag
 from kempe.arrays import is_real, is_whole
 from kempe.budget import Budget, Usual
 from kempe.constraints.flat_tasks import FlatTask, flat_task
 from kempe.equations.judge import closure_error
-from kempe.errors import InputError, Interrupted, TimeLimitError, UnsupportedError, shown
+from kempe.errors import InputError, Interrupted, TimeLimitError, UnsupportedError, format_value
 from kempe.forward.fk import fk, jacobian
 from kempe.model.configurations import has_loops, list_units, read_q, refuse_far
 from kempe.motion.trace import trace
@@ -59,7 +59,7 @@ FLAT = 1e-12
 USUAL = Usual("plot_spaces", time_limit=TIME_LIMIT, progress=None)
 
 
-@explained
+@explain_errors
 def plot_spaces(
     system: Model,
     frame: FrameLike,
@@ -104,13 +104,14 @@ def plot_spaces(
     """
     name = system.structure.frame_name(frame)
     seen = flat_task(task, system.dim)
-    spend = USUAL.of(budget)
+    spend = USUAL.complete_budget(budget)
     targets = _targets(points, seen)
     if not is_whole(resolution) or not COARSEST <= resolution <= FINEST:
         raise InputError(
-            f"resolution is {shown(resolution)}; it must be a whole number, {COARSEST} to {FINEST}"
+            f"resolution is {format_value(resolution)}; it must be a whole number, {COARSEST} to "
+            f"{FINEST}"
         )
-    lines = flag(grid, "grid")
+    lines = read_flag(grid, "grid")
     given = [_configurations(system, x) for x in _several(q)]
     dots = [x for x in given if x.ndim == 1]
     motions = [x for x in given if x.ndim == 2]
@@ -240,7 +241,7 @@ def _singular_curves(space: TwoFreedoms) -> Any:
     # where all is singular there are no lines
     if min((s.dimension for s in found.sets), default=0) > 1:
         return ()
-    curves = until_interrupt(found.curves, budget=Budget(time_limit=space.clock.left))
+    curves = call_until_interrupt(found.curves, budget=Budget(time_limit=space.clock.left))
     if curves.broken is Status.INTERRUPTED:
         space.clock.end = (
             space.clock.soon
@@ -594,7 +595,7 @@ def _draw_arm(space: TwoFreedoms, ax: Any, q: Array, colour: str, gid: str, line
         at = system.body_names.index(body) - 1
         joint = m.joints[tree.parent_joints[at]]
         own = joint.X_CM if joint.child == body else joint.X_PF
-        ends.append((fk(system, q, body) @ own.evaluate(m.parameters))[:3, 3])
+        ends.append((fk(system, q, body) @ own.evaluate_pose(m.parameters))[:3, 3])
         body = system.body_names[system.parent[at]]
     ax.plot(
         *np.array(ends)[:, axes].T,

@@ -15,17 +15,17 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.arguments import explained, explained_methods
-from kempe.arrays import reals
+from kempe.arguments import explain_errors, explain_method_errors
+from kempe.arrays import read_reals
 from kempe.description.source import expanded
 from kempe.errors import InputError, MissingExtraError, UnsupportedError
 from kempe.forward.fk import jacobian
-from kempe.late import call_late, late
+from kempe.late import call_late, import_late
 from kempe.report import Report, Table
 from kempe.spaces.task_space import image_ranks
 from kempe.spatial import Array
 from kempe.status import Status
-from kempe.words import counted, plural
+from kempe.words import format_count, make_plural
 from kempe.workspace.cell_map import CellMap, Grid
 from kempe.workspace.kinds import (
     DEXTEROUS,
@@ -298,7 +298,7 @@ LOOKED = 64
 """Configurations at which the dimension is found."""
 
 
-@explained_methods
+@explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Workspace(Report):
     """The places that a frame reaches, as counts of random samples in the cells of a box.
@@ -564,7 +564,7 @@ class Workspace(Report):
         if self.kind == ORIENTATION:
             R = read_rotations(points, self.system.dim, "points")
             return coordinates_of(R, self.system.dim).reshape(-1, 3), R.shape[:-2]
-        x = reals(points, "points")
+        x = read_reals(points, "points")
         dim = self.system.dim
         if x.ndim == 0 or x.shape[-1] != dim:
             raise InputError(f"points have shape {x.shape}; they must be (..., {dim})")
@@ -592,7 +592,7 @@ class Workspace(Report):
 
     def plot(self, at: Any = None, ax: Any = None) -> Any:
         """Matplotlib axes with the map; see `kempe.views.workspace_plot.plot_workspace`."""
-        return late("plots of workspaces").plot_workspace(self, at, ax)
+        return import_late("plots of workspaces").plot_workspace(self, at, ax)
 
     # ---- in words
 
@@ -607,18 +607,19 @@ class Workspace(Report):
         edges = " x ".join(f"{part * x:.4g}" for x in self.map.cell)
         size = "" if self.kind == ORIENTATION else f" of {edges} {unit}"
         cells = (
-            f"{found} of {counted(of, 'cell')}{size}: each of these holds a point that is reached"
+            f"{found} of {format_count(of, 'cell')}{size}: each of these holds a point that is "
+            "reached"
         )
         if not wanted.tried:
             return (
-                f"{self.samples:.6g} {plural(self.samples, 'sample')}{left} of frame "
+                f"{self.samples:.6g} {make_plural(self.samples, 'sample')}{left} of frame "
                 f"{self.frame!r} fell into {cells}"
             )
         many = f" in all {len(wanted.turns)} orientations" if len(wanted.turns) > 1 else ""
         hits = int(self.map.counts.sum())
         return (
-            f"{self.kind}: {hits} of {counted(self.samples, wanted.noun)}{left} that were tried "
-            f"are reached by frame {self.frame!r}{many}, in {cells}"
+            f"{self.kind}: {hits} of {format_count(self.samples, wanted.noun)}{left} that were "
+            f"tried are reached by frame {self.frame!r}{many}, in {cells}"
         )
 
     def _tables(self) -> Sequence[Table]:
@@ -649,12 +650,12 @@ class Workspace(Report):
                 ("bounds", f"{least}, {most}"),
             ]
         rows = [("box", box), *said]
-        rows += [("outside the box", counted(self.outside, "sample"))] * bool(self.outside)
+        rows += [("outside the box", format_count(self.outside, "sample"))] * bool(self.outside)
         rows += [
             (
                 "left out",
-                f"{counted(self.left_out, 'sample')} that could not be closed within all limits "
-                "and constraints",
+                f"{format_count(self.left_out, 'sample')} that could not be closed within all "
+                "limits and constraints",
             )
         ] * bool(self.left_out and not self.question.tried)
         rows += [("redone", "the map on disk was damaged")] * bool(self.redone)
@@ -686,7 +687,7 @@ class Workspace(Report):
         }
 
 
-@explained
+@explain_errors
 def open_workspace(path: str | Path, system: Model | None = None) -> Workspace:
     """The `Workspace` that was written to a path.
 

@@ -11,15 +11,21 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe import spatial
-from kempe.arguments import explained, explained_methods, interruptible, known, numbers
+from kempe.arguments import (
+    check_name,
+    explain_errors,
+    explain_method_errors,
+    numbers,
+    raise_interrupted,
+)
 from kempe.arrays import is_mapping, is_whole
 from kempe.budget import Budget, Usual
 from kempe.errors import InputError
-from kempe.late import late
+from kempe.late import import_late
 from kempe.numerics.clock import LONG
 from kempe.spatial import Array
 from kempe.status import Status
-from kempe.words import Quantity, counted
+from kempe.words import Quantity, format_count
 from kempe.workspace.reach import MOST, Study, checked_poses, reached_from, refuse_many
 
 if TYPE_CHECKING:
@@ -31,7 +37,7 @@ USUAL = Usual("reach.place", starts=64, rng=0, threads=None, progress=None, time
 AXES = ("x", "y", "z", "yaw")
 
 
-@explained_methods
+@explain_method_errors
 @dataclass(frozen=True, eq=False)
 class BasePlacement(Study):
     """Places of the base, as a map over `axes` (name to values), and how well a list of poses is
@@ -86,7 +92,7 @@ class BasePlacement(Study):
         """
         if not 0 <= rank < self.fraction.size:
             raise InputError(
-                f"rank is {rank}; there are {counted(self.fraction.size, 'place')}, from 0"
+                f"rank is {rank}; there are {format_count(self.fraction.size, 'place')}, from 0"
             )
         index = np.unravel_index(int(self.order[rank]), self.fraction.shape)
         here = {n: float(v[i]) for (n, v), i in zip(self.axes.items(), index, strict=True)}
@@ -103,7 +109,7 @@ class BasePlacement(Study):
 
         Over a single axis it is a curve.
         """
-        return late("plots of workspaces").plot_placement(self, ax)
+        return import_late("plots of workspaces").plot_placement(self, ax)
 
     @property
     def status(self) -> str:
@@ -111,11 +117,11 @@ class BasePlacement(Study):
         n = round(float(np.nan_to_num(self.fraction).max()) * self.poses)
         where = ", ".join(f"{k} = {v:.4g}" for k, v in self.place().items() if k in self.axes)
         full = int((self.fraction == 1.0).sum())
-        tried = counted(int(np.isfinite(self.fraction).sum()), "place")
+        tried = format_count(int(np.isfinite(self.fraction).sum()), "place")
         if not n:
-            none = f"none of {counted(self.poses, 'pose')} reached from any of {tried}"
+            none = f"none of {format_count(self.poses, 'pose')} reached from any of {tried}"
             return f"{self._subject}: {none}{self._tail}"
-        some = f"{n} of {counted(self.poses, 'pose')} reached from the best place ({where})"
+        some = f"{n} of {format_count(self.poses, 'pose')} reached from the best place ({where})"
         return f"{self._subject}: {some}; all from {full} of {tried}{self._tail}"
 
     def _data(self) -> dict[str, Any]:
@@ -135,8 +141,8 @@ def base_pose(places: Array) -> Array:
     return spatial.pose_from_xyz_rpy(full)
 
 
-@explained
-@interruptible
+@explain_errors
+@raise_interrupted
 def place_base(
     system: Model,
     targets: ArrayLike,
@@ -157,7 +163,7 @@ def place_base(
     done, after Ctrl-C the `answer` of the
     `Interrupted`. Errors: `InputError`, `UnknownNameError`.
     """
-    spend = USUAL.of(budget)
+    spend = USUAL.complete_budget(budget)
     name = system.structure.frame_name(frame)
     X = numbers(targets, "targets")
     if X.ndim != 3 or X.shape[1:] != (4, 4) or not len(X):
@@ -198,7 +204,7 @@ def _axes(
     axes: dict[str, Array] = {}
     fixed: dict[str, float] = {}
     for name, value in box.items():
-        known("coordinate of the base", name, allowed, system.name)
+        check_name("coordinate of the base", name, allowed, system.name)
         v = numbers(value, f"box: {name}")
         if not np.isfinite(v).all() or v.shape not in ((), (2,)) or (v.shape and not v[0] < v[1]):
             raise InputError(

@@ -15,16 +15,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.answers.targets import Z_AXIS, frame_of, of_target
-from kempe.arguments import explained, explained_methods, interruptible, numbers
+from kempe.arguments import explain_errors, explain_method_errors, numbers, raise_interrupted
 from kempe.arrays import is_sequence, is_whole
 from kempe.budget import Budget, Usual
 from kempe.errors import InputError, TimeLimitError
-from kempe.late import late
+from kempe.late import import_late
 from kempe.numerics.clock import LONG
 from kempe.spaces.task_space import task_space
 from kempe.spatial import Array
 from kempe.status import Status
-from kempe.words import counted
+from kempe.words import format_count
 from kempe.workspace.reach import MOST, UNKNOWN, Study, reached_from, refuse_many
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 USUAL = Usual("reach.capability", starts=32, rng=0, threads=None, progress=None, time_limit=LONG)
 
 
-@explained_methods
+@explain_method_errors
 @dataclass(frozen=True, eq=False)
 class CapabilityMap(Study):
     """What a frame can do in the cells of a box, found backward: by the inverse model at the
@@ -83,8 +83,8 @@ class CapabilityMap(Study):
         """How many cells are reached at all, and in all directions."""
         some = int((self.fraction > 0.0).sum())
         whole = int((self.fraction == 1.0).sum())
-        cells = counted(int(np.isfinite(self.fraction).sum()), "cell")
-        directions = counted(len(self.directions), "direction")
+        cells = format_count(int(np.isfinite(self.fraction).sum()), "cell")
+        directions = format_count(len(self.directions), "direction")
         said = (
             f"{self._subject}: {some} of {cells} reached, {whole} in all {directions}{self._tail}"
         )
@@ -108,14 +108,15 @@ class CapabilityMap(Study):
         what = "a position and a direction have" if free else "a pose has"
         return (
             f"{what} {found.m} equations, and this frame moves in "
-            f"{counted(found.generic_rank, 'freedom')} only: give the directions that it can have"
+            f"{format_count(found.generic_rank, 'freedom')} only: give the directions that it can "
+            "have"
         )
 
     def plot(self, ax: Axes | None = None, height: float | None = None) -> Axes:
         """Matplotlib axes with the fraction over x and y, at the layer of cells nearest to a height
         (the middle).
         """
-        return late("plots of workspaces").plot_capability(self, ax, height)
+        return import_late("plots of workspaces").plot_capability(self, ax, height)
 
 
 def spread_directions(n: int) -> Array:
@@ -130,8 +131,8 @@ def spread_directions(n: int) -> Array:
     return np.column_stack([r * np.cos(turn), r * np.sin(turn), z])
 
 
-@explained
-@interruptible
+@explain_errors
+@raise_interrupted
 def capability_map(
     system: Model,
     frame: FrameLike,
@@ -152,7 +153,7 @@ def capability_map(
     threads, progress, time_limit (600 s); after that the map has what was done, after Ctrl-C the
     `answer` of the `Interrupted`. Errors: `InputError`, `UnknownNameError`.
     """
-    spend = USUAL.of(budget)
+    spend = USUAL.complete_budget(budget)
     name = system.structure.frame_name(frame)
     dim = system.dim
     axes = _cells(box, cells, dim)

@@ -12,8 +12,8 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import KDTree
 
-from kempe.arrays import is_whole, reals
-from kempe.errors import InputError, shown
+from kempe.arrays import is_whole, read_reals
+from kempe.errors import InputError, format_value
 from kempe.spatial import Array
 
 AXES = ("x", "y", "z")
@@ -192,10 +192,11 @@ def grid_of(
         low[k] = extent[0, k] - margin[k]
         high[k] = extent[1, k] + margin[k]
     if box is not None:
-        ends = reals(box, "box", "pairs (lower, upper) of metres, one an axis")
+        ends = read_reals(box, "box", "pairs (lower, upper) of metres, one an axis")
         if ends.shape != (dim, 2):
             raise InputError(
-                f"box is {shown(box)}; it must be {dim} pairs (lower, upper) of metres, of {names}"
+                f"box is {format_value(box)}; it must be {dim} pairs (lower, upper) of metres, of "
+                f"{names}"
             )
         for name, (a, b) in zip(AXES, ends.tolist(), strict=False):
             if not -np.inf < a < b < np.inf:
@@ -212,8 +213,8 @@ def grid_of(
         numbers[k] = count
     if math.prod(numbers) > MOST_CELLS:
         raise InputError(
-            f"cells are {shown(cells)}: {math.prod(numbers):.3g} cells; at most {MOST_CELLS:.3g} "
-            "are held"
+            f"cells are {format_value(cells)}: {math.prod(numbers):.3g} cells; at most "
+            f"{MOST_CELLS:.3g} are held"
         )
     return Grid(tuple(low.tolist()), tuple(high.tolist()), tuple(numbers), axes)
 
@@ -234,4 +235,4 @@ def cell_counts(
     if len(given) == len(axes) and all(is_whole(c) and 1 <= c <= MOST_CELLS for c in given):
         return [int(c) for c in given]
     needed = f"a whole number, at least 1, or {len(axes)} of them, for {', '.join(axes)}"
-    raise InputError(f"cells is {shown(several)}; it must be {needed}")
+    raise InputError(f"cells is {format_value(several)}; it must be {needed}")

@@ -13,13 +13,13 @@ import numpy as np
 
 from kempe import spatial
 from kempe.answers.targets import Z_AXIS
-from kempe.arguments import known, numbers
+from kempe.arguments import check_name, numbers
 from kempe.budget import Budget
-from kempe.errors import InputError, shown
+from kempe.errors import InputError, format_value
 from kempe.inverse.closed_forms.plan import plan_or_reason
 from kempe.inverse.ik import ik
 from kempe.inverse.ik_all import ik_all
-from kempe.poses import EXACT, rotation_error
+from kempe.poses import EXACT, compute_rotation_error
 from kempe.spatial import Array
 from kempe.workspace.place_bounds import legs_of, possible_places
 
@@ -214,9 +214,9 @@ def read_rotations(x: Any, dim: int, what: str = "orientation") -> Array:
         else:
             raise InputError(f"{what} has shape {R.shape}; it must be {needed}")
     if not np.isfinite(R).all() or R.size == 0:
-        raise InputError(f"{what} is {shown(x)}; it must be finite {needed}, at least one")
+        raise InputError(f"{what} is {format_value(x)}; it must be finite {needed}, at least one")
     about_z = dim == 3 or bool((np.abs(R[..., 2, 2] - 1.0) < EXACT).all())
-    if (rotation_error(R) > EXACT).any() or not about_z:
+    if (compute_rotation_error(R) > EXACT).any() or not about_z:
         raise InputError(
             f"{what} is no rotation{'' if about_z else ' of the plane'}; it must be {needed}"
         )
@@ -236,7 +236,7 @@ def question_of(
         )
         kind = ORIENTATION if at is not None else REACHABLE if orientation is None else CONSTANT
         kind = DEXTEROUS if several else kind
-    word = known("kind", kind, KINDS)
+    word = check_name("kind", kind, KINDS)
     if (at is not None) != (word == ORIENTATION):
         raise InputError(
             f"kind {word!r} {'needs' if at is None else 'reads no'} at, the place of the frame's "
@@ -253,8 +253,8 @@ def question_of(
         p = numbers(at, "at")
         if p.shape != (system.dim,) or not np.isfinite(p).all():
             raise InputError(
-                f"at is {shown(at)}; it must be one place ({system.dim},) of finite numbers in "
-                "metres"
+                f"at is {format_value(at)}; it must be one place ({system.dim},) of finite numbers "
+                "in metres"
             )
         if orientation is not None:
             raise InputError("kind 'orientation' looks for orientations: it reads none")

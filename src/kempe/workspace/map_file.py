@@ -19,13 +19,13 @@ import numpy as np
 from kempe.answers.tables import PLACE, QUATERNION, poses_of_columns, said_columns
 from kempe.answers.targets import task_of
 from kempe.arguments import (
-    explained,
-    explained_methods,
-    flag,
-    interruptible,
-    known,
-    listed,
-    seed_number,
+    check_name,
+    draw_seed,
+    explain_errors,
+    explain_method_errors,
+    raise_interrupted,
+    read_flag,
+    read_names,
 )
 from kempe.assemble.assemble import assemble
 from kempe.budget import Budget, Usual
@@ -42,7 +42,7 @@ from kempe.report import Report, Table, brief
 from kempe.spatial import Array
 from kempe.status import MEMBERS, Status
 from kempe.version import __version__
-from kempe.words import counted, jsonable
+from kempe.words import format_count, to_json_data
 from kempe.workspace.row_sources import RowSource, open_rows
 from kempe.workspace.store import (
     add_array,
@@ -93,7 +93,7 @@ class RowJob:
         `InputError`.
         """
         try:
-            options = json.loads(json.dumps(jsonable(self.options)))
+            options = json.loads(json.dumps(to_json_data(self.options)))
         except (TypeError, ValueError):
             raise InputError(
                 "options hold more than numbers and names, which cannot be written beside a map"
@@ -303,10 +303,10 @@ def job_of(
     """A verb with what it needs, checked on no rows. Errors: `InputError`, `UnknownNameError`,
     those of the verb.
     """
-    chosen = VERBS[known("verb", verb, VERBS)]
+    chosen = VERBS[check_name("verb", verb, VERBS)]
     given = dict(options or {})
     for name in given:
-        known(f"option of map {verb}", name, chosen.options)
+        check_name(f"option of map {verb}", name, chosen.options)
     if verb == "assemble" and frame is not None:
         raise InputError("assemble needs no frame: known are coordinates")
     if chosen.needs_frame and frame is None:
@@ -545,7 +545,7 @@ MANY = 2**16
 """Chunks from which on they are made larger, as far as `CHUNK_BYTES` allows."""
 
 
-@explained_methods
+@explain_method_errors
 @dataclass(frozen=True, eq=False)
 class FileMap(Report):
     """What a verb answered to the rows of a file, and where that is.
@@ -582,7 +582,7 @@ class FileMap(Report):
     @property
     def status(self) -> str:
         """How many rows are done, and what became of them."""
-        of = f"{self.rows} of {counted(self.requested, 'row')}"
+        of = f"{self.rows} of {format_count(self.requested, 'row')}"
         found = ", ".join(f"{n} {name}" for name, n in self.outcomes.items())
         return (
             f"{self.verb} of {of} of {self.source.name}: "
@@ -590,10 +590,10 @@ class FileMap(Report):
         )
 
     def _tables(self) -> Sequence[Table]:
-        rows = [("answers", str(self.path)), ("chunks", f"{counted(self.chunk, 'row')} each")]
-        rows += [("redone", f"{counted(self.redone, 'chunk')} that was damaged on disk")] * bool(
-            self.redone
-        )
+        rows = [("answers", str(self.path)), ("chunks", f"{format_count(self.chunk, 'row')} each")]
+        rows += [
+            ("redone", f"{format_count(self.redone, 'chunk')} that was damaged on disk")
+        ] * bool(self.redone)
         return [Table((), rows, record=True)]
 
     def _data(self) -> dict[str, Any]:
@@ -603,8 +603,8 @@ class FileMap(Report):
         }
 
 
-@explained
-@interruptible
+@explain_errors
+@raise_interrupted
 def map_file(
     system: Model,
     verb: str,
@@ -647,13 +647,13 @@ def map_file(
     path; those of the verb for its options; `DiskError`; `DamagedError` for a source that cannot be
     read; `MissingExtraError` without the extra [scale].
     """
-    spend = USUAL.of(budget)
+    spend = USUAL.complete_budget(budget)
     own = isinstance(client, str)
     clock = TimeLimit(spend.time_limit)
     threads = thread_count(spend.threads)
-    rows = open_rows(source, None if columns is None else listed(columns, "columns"))
+    rows = open_rows(source, None if columns is None else read_names(columns, "columns"))
     job = job_of(
-        system, verb, frame, options, rows, flag(degrees, "degrees"), seed_number(spend.rng)
+        system, verb, frame, options, rows, read_flag(degrees, "degrees"), draw_seed(spend.rng)
     )
     store = RowStore(expanded(path), job, rows, _chunk(job, rows))
     client = None if client is None else connected(client)

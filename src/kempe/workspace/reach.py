@@ -14,24 +14,24 @@ from numpy.typing import ArrayLike
 
 from kempe.answers.tables import Tabular
 from kempe.answers.targets import axis_for, task_and_axis, task_of, twist_rows
-from kempe.arguments import explained, explained_methods, interruptible, numbers
-from kempe.arrays import within_range
+from kempe.arguments import explain_errors, explain_method_errors, numbers, raise_interrupted
+from kempe.arrays import check_range
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.errors import InputError
 from kempe.forward.fk import jacobian
 from kempe.inverse.closed_forms.plan import plan_or_reason
 from kempe.inverse.ik import ik
 from kempe.inverse.ik_all import ik_all
-from kempe.late import late
+from kempe.late import import_late
 from kempe.model.characteristic_length import compute_characteristic_length
 from kempe.model.configurations import has_loops, list_units, name_values
 from kempe.numerics.clock import BROKEN_OFF, TimeLimit, partial
 from kempe.numerics.clock import LONG as CLOCK_LONG
-from kempe.poses import refuse_no_poses, sound
+from kempe.poses import check_poses, correct_rotations
 from kempe.report import Report, brief
 from kempe.spatial import Array
-from kempe.status import Status, named
-from kempe.words import counted
+from kempe.status import Status, name_outcomes
+from kempe.words import format_count
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -83,8 +83,8 @@ def checked_poses(X: Array) -> Array:
     Errors: `InputError` that says which one has entries that are not finite, or is no pose.
     """
     if X.ndim == 3 and X.shape[1:] == (4, 4):
-        return refuse_no_poses(sound(X, "targets"), "targets")
-    return within_range(X, "targets")
+        return check_poses(correct_rotations(X, "targets"), "targets")
+    return check_range(X, "targets")
 
 
 def manipulability(system: Model, frame: str, q: Array, task: str) -> Array:
@@ -224,7 +224,7 @@ class Study(Report):
         return {"system": self.system.name, "frame": self.frame} | shown
 
 
-@explained_methods
+@explain_method_errors
 @dataclass(frozen=True, eq=False)
 class ReachStudy(Study, Tabular):
     """Which of a list of poses a frame reaches, how well, and what blocks the others.
@@ -267,7 +267,7 @@ class ReachStudy(Study, Tabular):
         """How many are reached."""
         n = int(self.reached.sum())
         tried = int(self.tried.sum())
-        return f"{self._subject}: {n} of {counted(tried, 'pose')} reached{self._tail}"
+        return f"{self._subject}: {n} of {format_count(tried, 'pose')} reached{self._tail}"
 
     @property
     def tried(self) -> np.ndarray:
@@ -280,7 +280,7 @@ class ReachStudy(Study, Tabular):
 
         Reached ones are dots, others crosses, those that were not tried rings.
         """
-        return late("plots of workspaces").plot_reach(self, ax)
+        return import_late("plots of workspaces").plot_reach(self, ax)
 
     def reason(self, index: int) -> str:
         """What blocks a pose, or how it is reached, as the sentence of `System.ik`. Errors:
@@ -288,7 +288,7 @@ class ReachStudy(Study, Tabular):
         """
         if not 0 <= index < len(self.reached):
             raise InputError(
-                f"index is {index}; there are {counted(len(self.reached), 'pose')}, from 0"
+                f"index is {index}; there are {format_count(len(self.reached), 'pose')}, from 0"
             )
         return str(
             ik(
@@ -326,13 +326,13 @@ class ReachStudy(Study, Tabular):
         return lines + [f"... and {len(blocked) - SHOWN} more"] * (len(blocked) > SHOWN)
 
     def _data(self) -> dict[str, Any]:
-        more = {"codes": named(self.codes), "q": name_values(self.system, self.q)}
+        more = {"codes": name_outcomes(self.codes), "q": name_values(self.system, self.q)}
         reasons = {str(i): text for i, text in self.reasons.items()}
         return super()._data() | more | {"reasons": reasons}
 
 
-@explained
-@interruptible
+@explain_errors
+@raise_interrupted
 def reach_poses(
     system: Model,
     targets: ArrayLike,
@@ -352,7 +352,7 @@ def reach_poses(
 
     Errors: `InputError`, `UnknownNameError`.
     """
-    spend = USUAL.of(budget)
+    spend = USUAL.complete_budget(budget)
     name = system.structure.frame_name(frame)
     X = numbers(targets, "targets")
     if X.ndim < 2 or (X.ndim == 2 and X.shape == (4, 4)):

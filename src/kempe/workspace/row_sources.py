@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 
 from kempe.answers.tables import header_of, rows_of_text
-from kempe.arguments import known
+from kempe.arguments import check_name
 from kempe.arrays import KINDS
 from kempe.description.source import expanded
 from kempe.errors import UNREADABLE, DamagedError, InputError, KempeError, MissingExtraError
 from kempe.spatial import Array
-from kempe.words import counted, joined, verb
+from kempe.words import choose_verb, format_count, join_words
 from kempe.workspace.store import zarr_library
 
 BLOCK_ROWS = 2**16
@@ -102,7 +102,9 @@ def open_rows(path: str | Path, columns: Sequence[str] | None = None) -> RowSour
         raise InputError(f"{path}: there is no such file")
     reader = READERS.get(path.suffix.lower(), _of_folder(path) if path.is_dir() else None)
     if reader is None:
-        raise InputError(f"{path}: rows are read from Zarr, and from {joined(list(READERS))} files")
+        raise InputError(
+            f"{path}: rows are read from Zarr, and from {join_words(list(READERS))} files"
+        )
     try:
         source = reader(path, columns)
     except KempeError:
@@ -112,7 +114,10 @@ def open_rows(path: str | Path, columns: Sequence[str] | None = None) -> RowSour
         raise InputError(f"{path}: this cannot be read as {kind}: {error}") from error
     if columns is not None and source.names is None:
         if source.tail != (len(columns),):
-            named = f"{counted(len(columns), 'column')} {verb(len(columns), 'is', 'are')} named"
+            named = (
+                f"{format_count(len(columns), 'column')} {choose_verb(len(columns), 'is', 'are')} "
+                "named"
+            )
             raise InputError(f"{path}: a row is of shape {source.tail}, and {named}")
         source.names = tuple(columns)
     return source
@@ -134,7 +139,7 @@ def _chosen(path: Path, has: Sequence[str], columns: Sequence[str] | None) -> tu
     wanted = Counter(names)
     for name in names:
         if name not in given:
-            known("column", name, has, str(path))
+            check_name("column", name, has, str(path))
         if wanted[name] > 1 or given[name] > 1:
             raise InputError(f"{path}: a column {name!r} appears twice")
     return names
@@ -253,7 +258,9 @@ def _parquet(path: Path, columns: Sequence[str] | None) -> RowSource:
     for p, file in zip(paths, files, strict=True):
         schema = file.schema_arrow
         for name in names:
-            dtype = schema.field(known("column", name, schema.names, str(p))).type.to_pandas_dtype()
+            dtype = schema.field(
+                check_name("column", name, schema.names, str(p))
+            ).type.to_pandas_dtype()
             _numeric(p, np.dtype(dtype), f"column {name!r}")
     groups = [(file, k) for file in files for k in range(file.num_row_groups)]
     rows = [int(file.metadata.row_group(k).num_rows) for file, k in groups]

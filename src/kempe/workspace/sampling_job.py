@@ -31,7 +31,7 @@ from kempe.model.configurations import (
 )
 from kempe.spatial import Array
 from kempe.version import __version__
-from kempe.words import joined
+from kempe.words import join_words
 from kempe.workspace.cell_map import FEW_CELLS, USUAL_CELLS, Grid, cell_counts, grid_of
 from kempe.workspace.kinds import ORIENTATION, RANGES, TURNED, WorkspaceKind
 from kempe.workspace.stored_map import AFTER
@@ -285,9 +285,9 @@ def recipe_of(
         if turns.issuperset(names):
             so = f"a constraint tells {'its' if len(names) == 1 else 'their'} whole turns apart"
         raise InputError(
-            f"{joined(list(map(repr, names)))} {'has' if len(names) == 1 else 'have'} no limits, "
-            f"and {so}: give a box, or limits, such as system.with_limits({{{names[0]!r}: (-1.0, "
-            "1.0)})"
+            f"{join_words(list(map(repr, names)))} {'has' if len(names) == 1 else 'have'} no "
+            f"limits, and {so}: give a box, or limits, such as system.with_limits({{{names[0]!r}: "
+            "(-1.0, 1.0)})"
         )
     question = replace(question, tried=True) if names else question
     points = pilot_positions(system, frame, seed)

@@ -13,11 +13,11 @@ from typing import Any, TypeVar
 
 from kempe.arguments import quiet
 from kempe.budget import watched_by
-from kempe.errors import InputError, KernelsError, MissingExtraError, shown, warn
+from kempe.errors import InputError, KernelsError, MissingExtraError, format_value, warn
 from kempe.kernels.compiled import VARIANT
 from kempe.numerics.clock import BROKEN_OFF, TimeLimit
 from kempe.version import __version__
-from kempe.words import counted
+from kempe.words import format_count
 
 WAKE = 0.2
 """Seconds between two looks at the clock."""
@@ -48,7 +48,7 @@ END: Any = object()
 
 
 class Stopped(Exception):
-    """Raised by `look` in a thread whose work is to be left."""
+    """Raised by `check_for_stop` in a thread whose work is to be left."""
 
 
 def work_in_threads(
@@ -62,8 +62,8 @@ def work_in_threads(
 
     Threads take the items in their order, one at a time, and call `work(number of the thread,
     item)`. This thread calls `check(number of items done)` now and then, which may raise what ends
-    the work. Items that are begun by then are finished; with `stops` the next `look` in them raises
-    `Stopped`. Errors: the first one that an item raised.
+    the work. Items that are begun by then are finished; with `stops` the next `check_for_stop` in
+    them raises `Stopped`. Errors: the first one that an item raised.
     """
     from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 
@@ -145,8 +145,8 @@ def connected(client: Any) -> Any:
         return Client(client, timeout=PATIENCE, set_as_default=False)
     if not isinstance(client, Client):
         raise InputError(
-            f"client is {shown(client)}; it must be a distributed.Client, or the address of a "
-            "scheduler"
+            f"client is {format_value(client)}; it must be a distributed.Client, or the address of "
+            "a scheduler"
         )
     if client.status != "running":
         raise InputError(f"the client is {client.status}: it has no scheduler")
@@ -175,7 +175,7 @@ def refuse_address(address: str) -> None:
             pool.submit(asyncio.run, reach()).result()
     except (OSError, ValueError, TypeError, RuntimeError, ImportError, MemoryError) as error:
         raise InputError(
-            f"no scheduler answers at {shown(address)}: {error}; give an address {SUCH}"
+            f"no scheduler answers at {format_value(address)}: {error}; give an address {SUCH}"
         ) from None
 
 
@@ -274,7 +274,7 @@ def refuse_workers(client: Any) -> None:
         elif tuple(answer) != (VARIANT, __version__):
             wrong.append(f"worker {worker} has Kempe {answer[1]} with the kernels {answer[0]!r}")
     if wrong:
-        more = [f"and {counted(len(wrong) - SHOWN, 'other worker')}"] * (len(wrong) > SHOWN)
+        more = [f"and {format_count(len(wrong) - SHOWN, 'other worker')}"] * (len(wrong) > SHOWN)
         raise KernelsError(
             f"{'; '.join([*wrong[:SHOWN], *more])}. Each worker needs Kempe {__version__} with the "
             f"extra [scale] and the kernels {VARIANT!r} (KEMPE_KERNELS={VARIANT})"

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.arguments import explained, interruptible, seed_number
+from kempe.arguments import draw_seed, explain_errors, raise_interrupted
 from kempe.arrays import is_real
 from kempe.budget import Budget, Usual
 from kempe.description.source import expanded
-from kempe.errors import DamagedError, InputError, shown
+from kempe.errors import DamagedError, InputError, format_value
 from kempe.numerics.clock import BROKEN_OFF, TimeLimit, begun_within
 from kempe.numerics.pool import thread_count
 from kempe.workspace.answer import Workspace
@@ -46,8 +46,8 @@ SPARE = 10.0
 """For how many times as long as a map is written samples are drawn before it is written again."""
 
 
-@explained
-@interruptible
+@explain_errors
+@raise_interrupted
 def workspace(
     system: Model,
     frame: FrameLike,
@@ -97,11 +97,11 @@ def workspace(
     `client` and `path`.
     """
     name = system.structure.frame_name(frame)
-    spend = USUAL.of(budget)
+    spend = USUAL.complete_budget(budget)
     clock = TimeLimit(spend.time_limit)
     if n is not None and not (is_real(n) and 1 <= n <= MOST and n == int(n)):
         raise InputError(
-            f"n is {shown(n)}; it must be a whole number of samples, from 1 to {MOST:.2g}"
+            f"n is {format_value(n)}; it must be a whole number of samples, from 1 to {MOST:.2g}"
         )
     with begun_within(USUAL, clock):
         question = question_of(system, name, kind, orientation, at)
@@ -112,7 +112,7 @@ def workspace(
         own = False
     try:
         with begun_within(USUAL, clock):
-            recipe = recipe_of(system, name, seed_number(spend.rng), cells, box, question)
+            recipe = recipe_of(system, name, draw_seed(spend.rng), cells, box, question)
         return _answer(
             recipe,
             None if path is None else expanded(path),

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kempe.arrays import median
+from kempe.arrays import compute_median
 from kempe.kernels.forward.table_layout import (
     KIND,
     MULTIPLIER,
@@ -101,7 +101,7 @@ def span_of(ints: np.ndarray, floats: np.ndarray) -> Span:
     p = p[p.max(axis=1) > NOISE * p.max(initial=0.0)]
     if not p.any():
         return Span(0.0, 0.0, 0.0, away)
-    return Span(float(p[p > 0.0].min()), float(p.max()), median(p.max(axis=1)), away)
+    return Span(float(p[p > 0.0].min()), float(p.max()), compute_median(p.max(axis=1)), away)
 
 
 def offsets(ints: np.ndarray, floats: np.ndarray) -> Array:
@@ -124,7 +124,7 @@ def evened(ints: np.ndarray, floats: np.ndarray) -> Array | None:
     steps = np.abs(p).max(axis=1)
     if not steps.any():
         return None
-    middle = median(steps[steps > NOISE * steps.max()])
+    middle = compute_median(steps[steps > NOISE * steps.max()])
     p = np.where(np.abs(p) > NOTHING * middle, p, 0.0)
     sizes = np.abs(p[np.nonzero(p)])
     if middle / EVEN <= sizes.min() and sizes.max() <= middle * EVEN:

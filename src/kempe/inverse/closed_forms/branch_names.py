@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kempe.arguments import listed
+from kempe.arguments import read_names
 from kempe.errors import InputError, UnknownNameError
 from kempe.inverse.closed_forms.chain_lines import Lines, sweep
 from kempe.inverse.closed_forms.plan import ChainPlan
@@ -179,7 +179,7 @@ def named(kind: Kind | None, names: np.ndarray, words: str | Iterable[str]) -> n
             "the branches of this chain have no names; `branch` has their numbers where there are "
             "any"
         )
-    wanted = words.split(",") if isinstance(words, str) else listed(words, "words")
+    wanted = words.split(",") if isinstance(words, str) else read_names(words, "words")
     wanted = [word.strip() for word in wanted]
     known = kind.known
     spelled = {_plain(word): word for word in known}

@@ -15,7 +15,7 @@ import numpy as np
 
 from kempe import spatial
 from kempe.answers.targets import TASKS
-from kempe.budget import look
+from kempe.budget import check_for_stop
 from kempe.errors import UnsupportedError
 from kempe.inverse.closed_forms.chain_lines import Lines, chain_lines, jacobians, motion, sweep
 from kempe.inverse.closed_forms.structure import Axes, Strategy, ways
@@ -341,7 +341,7 @@ def make(
         return plan
     unknown = [i for i in range(len(lines)) if i not in locked]
     for extra in itertools.islice(_completions(lines, task, unknown, planar, but), ELIMINATIONS):
-        look()
+        check_for_stop()
         plan = _by_elimination(lines, task, unknown, locked, extra)
         if plan is not None:
             return plan
@@ -360,7 +360,7 @@ def in_closed_form(
             "no joint is left to move: all of the chain are held, or do nothing for this task"
         )
     for extra in _completions(lines, task, unknown, planar, but):
-        look()
+        check_for_stop()
         for way in _ways(lines, unknown, locked, extra):
             plan = pack(lines, task, locked, extra, way)
             if (off := _error(plan)) < max(AGAIN, lines.span.blur):
@@ -608,7 +608,7 @@ def plan_holding(lines: Lines, task: str, fixed: tuple[int, ...], planar: bool) 
             if p.method != SEARCH
         ]
         for k, bare in enumerate(plans):
-            look()
+            check_for_stop()
             plan = replace(bare, first=_first(bare, fixed))
             key = (METHODS.index(plan.method), -round(_share(plan) / STEP), k)
             if best is None or key < best[0]:
@@ -646,7 +646,7 @@ def _able(
         itertools.islice(itertools.combinations(order, extra), MOST_CHOICES),
     )
     for choice in every:
-        look()
+        check_for_stop()
         key = frozenset(choice)
         if key not in seen and freedoms(lines, free, [i for i in unknown if i not in key]) == rank:
             seen.add(key)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.arrays import reals, within_range
+from kempe.arrays import check_range, read_reals
 from kempe.errors import InputError, UnknownNameError
 from kempe.model.configurations import read_start
 from kempe.numerics.clock import TimeLimit
@@ -112,7 +112,7 @@ def held(frame: str, names: tuple[str, ...], fixed: object) -> dict[str, Array]:
     for name, value in held_by(fixed).items():
         if name not in names:
             raise UnknownNameError("joint", str(name), names, f"the chain of {frame!r}")
-        out[name] = reals(
+        out[name] = read_reals(
             value, f"the value of {name!r}, which is held,", "a number, or one for each target"
         )
     return out
@@ -126,5 +126,5 @@ def near_of(system: Model, near: Any, lead: tuple[int, ...] | None) -> Array | N
     if q.ndim > 1 and q.shape[:-1] != (lead or ()):
         each = f" or {(*lead, system.nq)}" if lead else ""
         raise InputError(f"start has shape {q.shape}; it must be ({system.nq},){each}")
-    within_range(q, "start", system.coordinate_names, FARTHEST)
+    check_range(q, "start", system.coordinate_names, FARTHEST)
     return q.reshape(math.prod(q.shape[:-1]), system.nq)

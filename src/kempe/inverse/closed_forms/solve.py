@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from kempe.answers.targets import targets_with_axis
-from kempe.budget import look
+from kempe.budget import check_for_stop
 from kempe.inverse.closed_forms.chain_lines import Lines
 from kempe.inverse.closed_forms.plan import SEARCH, ChainPlan
 from kempe.inverse.closed_forms.problem import ChainProblem
@@ -80,7 +80,7 @@ def solve_held(
 
     def pieces(i: int, j: int) -> int:
         for k in range(i, j, piece):
-            look()
+            check_for_stop()
             last = min(k + piece, j)
             if problem.stopped(slice(k, last)):
                 out[k:last, :, -A.INFO + A.CODE] = A.UNUSED

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.arguments import tolerances
+from kempe.arguments import read_tolerances
 from kempe.assemble.bound import TOLERANCE as CLOSED
 from kempe.assemble.bound import limitless
-from kempe.budget import checks, watched_by
+from kempe.budget import list_checks, watched_by
 from kempe.equations.judge import Numbers
 from kempe.equations.packed_tasks import Packed
 from kempe.equations.tasks import Goal, Task
@@ -147,7 +147,7 @@ class Demands:
 
     def tolerance_of(self, task: Task) -> tuple[float, float]:
         """Largest error of a hard task in metres and radians."""
-        return self.tolerance if task.tolerance is None else tolerances(task.tolerance)
+        return self.tolerance if task.tolerance is None else read_tolerances(task.tolerance)
 
     @property
     def hard_tasks(self) -> list[tuple[Task, Goal, tuple[float, float]]]:
@@ -209,7 +209,7 @@ class Demands:
         info = np.empty((n, 3), dtype=np.int64)
         aim = starts if self.aim is None else self.aim
         pins = self.pins
-        timed = self.end < math.inf or self.effort is not None or checks()
+        timed = self.end < math.inf or self.effort is not None or list_checks()
         stop = clock().address if timed else 0
         if rows is not None:
             starts, aim, pins = (x[rows] if len(x) > 1 else x for x in (starts, aim, pins))

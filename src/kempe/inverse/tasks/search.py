@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.answers.problem import Problem
-from kempe.arguments import seed_number, start_count, step_count, tolerances
+from kempe.arguments import draw_seed, read_start_count, read_step_count, read_tolerances
 from kempe.arrays import is_sequence, is_whole
 from kempe.assemble.bound import TOLERANCE as CLOSED
 from kempe.assemble.nearest_exact import decided_within, ideal_of
@@ -20,7 +20,7 @@ from kempe.constraints.base import Constraint
 from kempe.equations.packed_tasks import Packed, lead_of, refuse
 from kempe.equations.task_functions import REAL_STEP, checked_value, jacobian_of, way_of
 from kempe.equations.tasks import Task
-from kempe.errors import InputError, shown
+from kempe.errors import InputError, format_value
 from kempe.forward.fk import fk, jacobian
 from kempe.inverse.answer import Reached
 from kempe.inverse.tasks.contradictions import contradictory
@@ -630,19 +630,19 @@ def reach(problem: Problem) -> Reached:
     """
     system = problem.system
     prefer = problem.prefer
-    spend = BATCH.of(problem.budget)
+    spend = BATCH.complete_budget(problem.budget)
     if not (
         prefer is None or callable(prefer) or (isinstance(prefer, str) and prefer in PREFERRED)
     ):
         raise InputError(
-            f"prefer is {shown(prefer)}; it must be {', '.join(map(repr, PREFERRED))} or a "
+            f"prefer is {format_value(prefer)}; it must be {', '.join(map(repr, PREFERRED))} or a "
             "function of q"
         )
     tolerance = TOLERANCE if problem.tolerance is None else problem.tolerance
     starts = spend.starts
     threads = spend.threads
     turns = prefer is None or prefer == "nearest"
-    time = TimeLimit(USUAL.of(problem.budget).time_limit)
+    time = TimeLimit(USUAL.complete_budget(problem.budget).time_limit)
     decided_within(USUAL, time, system)
     demands, base = pose_problem(
         system, problem.wanted, problem.start, tolerance, starts, spend.rng, turns
@@ -652,7 +652,7 @@ def reach(problem: Problem) -> Reached:
     if spend.iterations != STEPS or limit is not None:
         end = math.inf if limit is None else time.end
         demands = replace(
-            demands, iterations=step_count(spend.iterations), time_limit=limit, end=end
+            demands, iterations=read_step_count(spend.iterations), time_limit=limit, end=end
         )
     # it depends on the goal, of which each row has its own
     if prefer == "manipulability" and demands.lead:
@@ -711,7 +711,7 @@ def pose_problem(
     packed = packed_for(system, tasks, turns)
     pins = packed.pins(goals, lead if own else ())
     use = (True,) * len(tasks)
-    most = most_starts(system, packed) if starts is None else start_count(starts)
+    most = most_starts(system, packed) if starts is None else read_start_count(starts)
     problem = Demands(
         system,
         tasks,
@@ -719,9 +719,9 @@ def pose_problem(
         goals,
         pins,
         lead,
-        TOLERANCE if tolerance is TOLERANCE else tolerances(tolerance),
+        TOLERANCE if tolerance is TOLERANCE else read_tolerances(tolerance),
         most,
-        seed_number(rng),
+        draw_seed(rng),
         use,
         loose=start is None,
     )
@@ -744,7 +744,7 @@ def _distinct(wanted: Any, system: Model) -> tuple[Task, ...]:
     single = isinstance(wanted, Constraint)
     given: tuple[Any, ...] = (wanted,) if single else tuple(wanted) if is_sequence(wanted) else ()
     if not given or not all([isinstance(t, Constraint) for t in given]):
-        what = "an empty list" if is_sequence(wanted) and not wanted else shown(wanted)
+        what = "an empty list" if is_sequence(wanted) and not wanted else format_value(wanted)
         raise InputError(
             "without a frame the target must be a task of kempe.tasks or a list of them; it is "
             f"{what}"
@@ -766,7 +766,7 @@ def _distinct(wanted: Any, system: Model) -> tuple[Task, ...]:
         if not isinstance(task.name, str):
             raise InputError(f"name of a task is {task.name!r}; it must be text")
         if task.tolerance is not None:
-            allowed = tolerances(task.tolerance)
+            allowed = read_tolerances(task.tolerance)
             task = (
                 task
                 if task.tolerance.__class__ in (int, float)

@@ -217,7 +217,7 @@ def look(system: Model, q: Array, drivers: tuple[str, ...] = ()) -> Scene:
     for joint in mechanism.joints.values():
         if not joint.type.dof(system.dim, mechanism.bodies[joint.child].particle):
             continue
-        X_PF, X_CM = (X.evaluate(mechanism.parameters) for X in (joint.X_PF, joint.X_CM))
+        X_PF, X_CM = (X.evaluate_pose(mechanism.parameters) for X in (joint.X_PF, joint.X_CM))
         ends = number[joint.parent], number[joint.child]
         for end in ends:
             mine.setdefault(end, []).append(len(joints))
@@ -243,7 +243,7 @@ def look(system: Model, q: Array, drivers: tuple[str, ...] = ()) -> Scene:
     for k in range(max(number.values()) + 1):
         bodies = {b: poses[b] for b in system.body_names if number[b] == k}
         frames = {
-            f.name: poses[f.body] @ f.X_BF.evaluate(mechanism.parameters)
+            f.name: poses[f.body] @ f.X_BF.evaluate_pose(mechanism.parameters)
             for f in mechanism.frames.values()
             if f.body in bodies
         }

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from kempe import spatial
-from kempe.arguments import flag
+from kempe.arguments import read_flag
 from kempe.arrays import is_whole
 from kempe.errors import InputError, KempeError, warn
 from kempe.model.configurations import has_loops
@@ -698,7 +698,7 @@ def show(
     end of Python. A `UserWarning` names the meshes that are not drawn. Errors: `InputError` for
     shapes and a port that is in use; `UnknownNameError` for a frame.
     """
-    opened = flag(browser, "browser")
+    opened = read_flag(browser, "browser")
     viewer = serve(system, q, frame, path, share, port, deg)
     if said := viewer.drawn.lost_sentence:
         warn(said, UserWarning)
@@ -717,8 +717,8 @@ def serve(
     deg: bool = False,
 ) -> Viewer:
     """A `Viewer` as `show` makes it, without a browser and without a warning about meshes."""
-    shared = flag(share, "share")
-    degrees = flag(deg, "deg")
+    shared = read_flag(share, "share")
+    degrees = read_flag(deg, "deg")
     return Viewer(Session(system, q, frame, path), shared, _checked(port), degrees)
 
 

@@ -20,7 +20,7 @@ from kempe.description.limited import last_words, run_limited
 from kempe.description.packages import Folders
 from kempe.description.parts import Shape
 from kempe.description.shapes import Mesh
-from kempe.errors import InputError, KempeError, requirement, shown
+from kempe.errors import InputError, KempeError, format_value, requirement
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -216,7 +216,7 @@ def _find_source(
 ) -> tuple[Source, Array, Array]:
     """The source of a shape, its scale (3,) and its place (4, 4). Errors: `KempeError`."""
     geometry = shape.geometry.evaluate(mechanism.parameters)
-    X = shape.X_BS.evaluate(mechanism.parameters)
+    X = shape.X_BS.evaluate_pose(mechanism.parameters)
     _refuse_far(geometry, X)
     if isinstance(geometry, Mesh):
         return (folders.find(geometry.path), shape.color), np.array(geometry.scale), X
@@ -243,8 +243,8 @@ def _refuse_far(geometry: Any, X: Array) -> None:
     for name, x in given.items():
         if not isinstance(x, str) and not (np.abs(x) < FARTHEST).all():
             raise InputError(
-                f"the {name} of its {geometry.kind} is {shown(x)}; it must be below {FARTHEST:g} in "
-                "size"
+                f"the {name} of its {geometry.kind} is {format_value(x)}; it must be below "
+                f"{FARTHEST:g} in size"
             )
 
 

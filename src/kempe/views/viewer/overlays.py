@@ -21,7 +21,7 @@ from kempe.spatial import Array
 from kempe.views.drawing import shapes
 from kempe.views.drawing.solids import rgb
 from kempe.views.viewer.session import MOTION_PATIENCE
-from kempe.words import counted
+from kempe.words import format_count
 
 if TYPE_CHECKING:
     from kempe.views.viewer.session import Session
@@ -270,7 +270,7 @@ def _singular(session: Session) -> Iterator[Overlay]:
             colours.append(np.tile(rgb(KINDS[word]), (len(points[-1]), 1)))
             said.append(f"{name} ({word})")
         every = np.concatenate(points)
-        what = f"{', '.join(said) or 'none'} found from {counted(total, 'start')}"
+        what = f"{', '.join(said) or 'none'} found from {format_count(total, 'start')}"
         yield Overlay(
             f"{frame} at singular configurations: {what}",
             every,

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.arrays import reals
+from kempe.arrays import read_reals
 from kempe.description.source import expanded
-from kempe.errors import InputError, shown, warn
+from kempe.errors import InputError, format_value, warn
 from kempe.views.viewer.scene_nodes import Drawn, Nodes
 from kempe.views.viewer.server import POLICY, PageServer, quiet
 from kempe.views.viewer.session import Session
@@ -54,7 +54,7 @@ def write_page(
     not.
     """
     out = page_file(file)
-    seconds = float(reals(seconds, "seconds"))
+    seconds = float(read_reals(seconds, "seconds"))
     if not 0.0 < seconds <= 600.0:
         raise InputError(f"seconds is {seconds:g}; it must be more than 0, and 600 at most")
     session = Session(system, q, None, path)
@@ -66,7 +66,7 @@ def write_page(
 def page_file(file: Any) -> Path:
     """The path of a page. Errors: `InputError` for other endings and folders that do not exist."""
     if not isinstance(file, (str, Path)):
-        raise InputError(f"file is {shown(file)}; it must be the name of a file")
+        raise InputError(f"file is {format_value(file)}; it must be the name of a file")
     out = expanded(file)
     if out.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"{out}: a page ends in .html")

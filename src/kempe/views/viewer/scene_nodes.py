@@ -24,7 +24,7 @@ from kempe.views.drawing import style, symbols
 from kempe.views.drawing.scene import Scene, SeenJoint, look
 from kempe.views.drawing.solids import DrawnPiece, SolidRecord, fan_triangles, rgb
 from kempe.views.viewer.mesh_files import BodyMesh, read_body_meshes
-from kempe.words import counted
+from kempe.words import format_count
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
@@ -316,7 +316,7 @@ def _slides(scene: Scene, r: float) -> list[Slide]:
             continue
         joint = mechanism.joints[seen.name]
         links = (seen.parent, seen.child)
-        X_PF, X_CM = (X.evaluate(mechanism.parameters) for X in (joint.X_PF, joint.X_CM))
+        X_PF, X_CM = (X.evaluate_pose(mechanism.parameters) for X in (joint.X_PF, joint.X_CM))
         a = (number(joint.parent), X_PF)
         b = (number(joint.child), X_CM)
         if scene.telescopic(seen, r):
@@ -564,7 +564,9 @@ class Drawn:
         if not self.lost:
             return ""
         more = f"; and {len(self.lost) - SAID} more" if len(self.lost) > SAID else ""
-        return f"{counted(len(self.lost), 'mesh')} not drawn: {'; '.join(self.lost[:SAID])}{more}"
+        return (
+            f"{format_count(len(self.lost), 'mesh')} not drawn: {'; '.join(self.lost[:SAID])}{more}"
+        )
 
     @cached_property
     def seen(self) -> tuple[Scene, Array]:

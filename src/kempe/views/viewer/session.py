@@ -33,7 +33,7 @@ from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 from kempe.views.drawing.plot_request import configuration_of, motion_of
 from kempe.views.drawing.scene import links_of, look
-from kempe.words import counted
+from kempe.words import format_count
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
@@ -475,7 +475,7 @@ class Session:
         """Go to one of the other configurations; the one that was left takes its place among them."""
         if not 0 <= k < len(self.solutions):
             raise InputError(
-                f"{k} is none of {counted(len(self.solutions), f'other {KINDS[self.kind]}')}"
+                f"{k} is none of {format_count(len(self.solutions), f'other {KINDS[self.kind]}')}"
             )
         solutions = np.array(self.solutions)
         solutions[k], self.q = self.q, np.array(solutions[k])

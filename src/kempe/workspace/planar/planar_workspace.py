@@ -14,15 +14,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.arguments import explained, explained_methods, numbers
+from kempe.arguments import explain_errors, explain_method_errors, numbers
 from kempe.errors import InputError, UnsupportedError
 from kempe.forward.joint_lines import compute_joint_lines
 from kempe.inverse.chain.serial_chain import obstacle
-from kempe.late import late
+from kempe.late import import_late
 from kempe.report import Report, brief
 from kempe.spatial import Array
 from kempe.status import Status
-from kempe.words import counted, joined
+from kempe.words import format_count, join_words
 from kempe.workspace.kinds import (
     CONSTANT,
     DEXTEROUS,
@@ -91,9 +91,9 @@ def planar_region(
         wrist = wrist_of(chain)
         if wrist is None:
             raise UnsupportedError(
-                f"the last joint before {frame!r} of {system.name}, or of a leg of it, does not turn "
-                "without limits, or is all that moves it: where orientations count, its workspace "
-                "has other curves"
+                f"the last joint before {frame!r} of {system.name}, or of a leg of it, does not "
+                "turn without limits, or is all that moves it: where orientations count, its "
+                "workspace has other curves"
             )
         inner, way = wrist
         if not question.all_turns(2):
@@ -178,7 +178,8 @@ def planar_chain(system: Model, frame: str) -> tuple[PlanarChain, float]:
     for line in lines:
         if not line.turns and not np.isfinite(line.limits).all():
             raise InputError(
-                f"slide {line.coordinate!r} has no limits, so the workspace has no end: give it some"
+                f"slide {line.coordinate!r} has no limits, so the workspace has no end: give it "
+                "some"
             )
     joints = [j for line in lines if (j := in_plane(line, np.eye(3), np.zeros(3)))]
     return (
@@ -214,7 +215,7 @@ class SolutionRegion:
     loops: tuple[tuple[PlaneCurve, ...], ...] = field(repr=False)
 
 
-@explained_methods
+@explain_method_errors
 @dataclass(frozen=True, eq=False)
 class PlanarWorkspace(Report):
     """The points of the plane that the origin of a frame reaches, within the limits, exactly.
@@ -376,7 +377,7 @@ class PlanarWorkspace(Report):
         """Matplotlib axes with the regions, darker where there are more solutions, and the
         boundary.
         """
-        return late("plots of workspaces").plot_planar(self, ax)
+        return import_late("plots of workspaces").plot_planar(self, ax)
 
     @property
     def status(self) -> str:
@@ -389,8 +390,8 @@ class PlanarWorkspace(Report):
         if not self.regions:
             return f"{of}: no place is reached"
         kinds = Counter(p.kind for p in self.boundary)
-        pieces = joined([counted(n, kind) for kind, n in sorted(kinds.items())])
-        voids = f", with {counted(len(self.voids), 'void')}" if self.voids else ""
+        pieces = join_words([format_count(n, kind) for kind, n in sorted(kinds.items())])
+        voids = f", with {format_count(len(self.voids), 'void')}" if self.voids else ""
         if isinstance(self.region, PlatformRegion):
             area = f"area {self.area:.5g} +- {self.error:.2g} m^2 (sampled)"
             return f"{of}: {area}, bounded by {pieces}{voids} (traced)"
@@ -399,7 +400,7 @@ class PlanarWorkspace(Report):
     def _notes(self, degrees: bool = False) -> list[str]:
         return [
             f"{word_of(r, self.kind)}: {r.area:.{5 if self.error else 9}g} m^2, "
-            f"{counted(sum(loop_area(x) > 0.0 for x in r.loops), 'part')}"
+            f"{format_count(sum(loop_area(x) > 0.0 for x in r.loops), 'part')}"
             for r in self.regions
         ]
 
@@ -421,7 +422,7 @@ class PlanarWorkspace(Report):
 def word_of(region: SolutionRegion, kind: str) -> str:
     """How often the points of a region are reached."""
     if region.solutions is not None:
-        return counted(region.solutions, "solution")
+        return format_count(region.solutions, "solution")
     return "in all orientations" if kind == DEXTEROUS else "infinitely many solutions"
 
 
@@ -458,7 +459,7 @@ def _loops(
     return tuple(out)
 
 
-@explained
+@explain_errors
 def planar_workspace(
     system: Model, frame: FrameLike, kind: str | None = None, orientation: Any = None
 ) -> PlanarWorkspace:
