@@ -62,7 +62,7 @@ def from_maximal(
     """Configuration (..., nq) of the poses (..., n_b, 4, 4), each coordinate read off where its
     joint's bodies are.
 
-    Angles are those nearest to the configuration `start` (default: `System.compute_mid_configuration`), and so are the
+    Angles are those nearest to the configuration `start` (default: `System.mid`), and so are the
     signs of quaternions; a driver has made the full turns that those which follow it tell. Limits
     and one-sided rows are not looked at. Errors: `InputError` for poses that violate a joint, a
     constraint or a coupling by more than `tolerance` (metres or radians, by default 1e-6), naming

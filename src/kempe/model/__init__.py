@@ -1,1 +1,1 @@
-"""Mechanism -> System: spanning tree, coordinates, primitive table."""
+"""Compilation of a mechanism to a system: spanning tree, coordinates, primitive table."""

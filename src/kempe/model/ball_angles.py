@@ -1,4 +1,4 @@
-"""The same mechanism in angles that are regular where those of its balls are not.
+"""Charts of ball joints: angles measured from a posture, so that they are not singular there.
 
 Three angles of one ball joint are coordinates of its rotation, and fail where the second is +-90
 degrees: there they have a velocity that moves nothing. That is no freedom of the mechanism. Three
@@ -31,8 +31,9 @@ NEAR = 0.1
 def make_regular_chart(
     system: SystemType, q: Array, held: Collection[str] = ()
 ) -> tuple[SystemType, Array, dict[str, Array]]:
-    """The system and q (nq,), with the angles of balls near the singularity of their chart measured
-    from q.
+    """Return the system with ball angles measured from q where they are nearly singular.
+
+    The configuration q (nq,) in these angles is returned, too.
 
     The frame M of such a ball is turned on its child so that the angles are 0 at q; nothing else
     changes, neither names nor numbers. Balls with an angle that is coupled, or one of `held`, stay,
@@ -58,9 +59,7 @@ def make_regular_chart(
 
 
 def convert_from_chart(system: Model, q: Array, turned: dict[str, Array]) -> Array:
-    """The configuration (nq,) in coordinates of the system itself for `q` in the chart of
-    `make_regular_chart`.
-    """
+    """Return the system's own configuration (nq,) for `q` in the chart of `make_regular_chart`."""
     q = np.array(q)
     for name, turn in turned.items():
         at = _find_ball_angles(system)[name]
@@ -73,7 +72,7 @@ def convert_from_chart(system: Model, q: Array, turned: dict[str, Array]) -> Arr
 
 @keep_answers
 def _find_ball_angles(system: Model) -> dict[str, list[int]]:
-    """Indices in q of the three angles of each ball joint given by angles, by joint name."""
+    """Return, by joint name, the indices in q of the three angles of each ball joint."""
     names = {n: i for i, n in enumerate(system.coordinate_names)}
     related = {f.source for f in system.structure.couplings.values()} | set(
         system.structure.couplings

@@ -1,6 +1,4 @@
-"""How large a mechanism is and where it stands: what tolerances, and the digits of its loops, are
-measured by.
-"""
+"""Size and place of a mechanism: its characteristic length, and the origin of its loops."""
 
 from __future__ import annotations
 
@@ -35,7 +33,9 @@ from there."""
 
 @keep_answers
 def compute_characteristic_length(system: Model) -> float:
-    """A typical length of a link in metres; 1 if all is 0.
+    """Compute the characteristic length of a system: a typical length of a link in metres.
+
+    The length is 1 if all lengths are 0.
 
     The median over the links of how far apart their joints are (for two, their distance): it
     depends neither on where loops are cut nor on where bodies have their origins. Where no link has
@@ -62,22 +62,21 @@ def compute_characteristic_length(system: Model) -> float:
 
 
 def _choose_unit(v: np.ndarray) -> float:
-    """A power of two by which vectors are divided before they are squared: 1 unless squares would
-    be infinite.
+    """Choose a power of two, by which vectors are divided before they are squared.
+
+    It is 1 unless squares would be infinite.
     """
     return 2.0**600 if np.abs(v).max(initial=0.0) > 1e150 else 1.0
 
 
 def _compute_lengths(v: np.ndarray) -> np.ndarray:
-    """Lengths (...) of vectors (..., 3)."""
+    """Compute the lengths (...) of vectors (..., 3)."""
     unit = _choose_unit(v)
     return unit * np.linalg.norm(v / unit, axis=-1)
 
 
 def adopt_characteristic_length(system: SystemType, other: Model) -> SystemType:
-    """The system, measured by the characteristic length of another one, of which it is a small
-    change.
-    """
+    """Give a system the characteristic length of another one, of which it is a small change."""
     system._kept.setdefault(LENGTH, {})[()] = compute_characteristic_length(other)
     return system
 
@@ -87,8 +86,10 @@ LENGTH: Any = compute_characteristic_length.__wrapped__  # type: ignore[attr-def
 
 
 def choose_origin(system: Model) -> np.ndarray:
-    """Where (3,) to measure loops from, so that a mechanism far from the ground's origin loses no
-    digits.
+    """Choose the point (3,) from which positions in loop equations are measured.
+
+    For a mechanism far from the ground's origin it is the mean of its joints on the ground, so that
+    no digits are lost.
     """
     points = _group_joint_points(system).get(-1, [])
     center = np.mean(points, axis=0) if len(points) else np.zeros(3)
@@ -100,7 +101,7 @@ def choose_origin(system: Model) -> np.ndarray:
 
 
 def move_table(table: Table, by: np.ndarray) -> Table:
-    """The table with everything that hangs on the ground moved."""
+    """Return the table with all that is attached to the ground moved by a vector (3,) in metres."""
     X = np.eye(4)
     X[:3, 3] = by
     placement = table.placement.copy()
@@ -115,8 +116,9 @@ def move_table(table: Table, by: np.ndarray) -> Table:
 
 @keep_answers
 def _group_joint_points(system: Model) -> dict[int, list[np.ndarray]]:
-    """For each row of the table (-1 is the ground) where joints and constraints sit on it; fixed
-    joints are none.
+    """List, for each row of the table, the places (3,) of joints and constraints on it.
+
+    Row -1 is the ground; fixed joints do not count.
     """
     system = remove_cut_marks(system)
     out: dict[int, list[np.ndarray]] = {}
@@ -127,6 +129,7 @@ def _group_joint_points(system: Model) -> dict[int, list[np.ndarray]]:
 
 
 def _iterate_joint_points(system: Model) -> Iterator[tuple[str, np.ndarray]]:
+    """Iterate over the bodies that joints and constraints connect, with the place (3,) on each."""
     mechanism = system._mechanism
     for j in mechanism.joints.values():
         if not isinstance(j.type, Fixed):

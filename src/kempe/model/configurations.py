@@ -1,4 +1,4 @@
-"""Configurations `q` of a system: reading them, random and special ones, differences, distances."""
+"""Configurations `q` of a system: how they are read, sampled, integrated, subtracted and named."""
 
 from __future__ import annotations
 
@@ -53,8 +53,7 @@ WANTED = "an array of real numbers or a dict by coordinate name"
 
 
 def read_q(system: Model, q: Any) -> Array:
-    """`q` as an aligned, C-contiguous float64 array (..., nq): the one place where configurations
-    are read.
+    """Read configurations as an aligned, C-contiguous float64 array (..., nq).
 
     An array is taken as it is. What is given by names (a dict, a pandas Series or DataFrame, a list
     of them) is read by name; what is not named is neutral, and in a system with closed loops or
@@ -66,7 +65,7 @@ def read_q(system: Model, q: Any) -> Array:
 
 
 def read_start(system: Model, q: Any) -> Array:
-    """Start of a search (..., nq), read as by `read_q`.
+    """Read the start of a search, an array (..., nq), as `read_q` does.
 
     Coordinates that are not named are as at home; no loop is closed. A text is the name of a
     posture.
@@ -82,6 +81,10 @@ def _read_configuration(
     complete: Callable[[Model, Mapping[str, Any]], Array],
     word: str = "q",
 ) -> Array:
+    """Read configurations (..., nq) from an array, a dict by name, a posture's name or a message.
+
+    `complete` makes a configuration of named values; `word` names the argument in messages.
+    """
     if is_number_list(q):
         array = convert_array(q, word, WANTED)
     else:
@@ -102,9 +105,7 @@ def _read_configuration(
 
 @keep_answers
 def has_loops(system: Model) -> bool:
-    """Whether q has to fulfil equations: of loops, declared constraints, or relations of several
-    coordinates.
-    """
+    """Tell whether q has to satisfy equations: of loops, constraints, or relations of coordinates."""
     tied = system.structure.closures or system.structure.relations
     return bool(tied) or any(
         c.equations(system.dim) for c in system._mechanism.constraints.values()
@@ -112,16 +113,14 @@ def has_loops(system: Model) -> bool:
 
 
 def find_home(system: Model) -> Array:
-    """Default start (nq,) of a search: the posture 'closed' if it exists, else a point inside the
-    limits.
-    """
+    """Return the home (nq,): the posture 'closed' if there is one, else a point inside the limits."""
     if "closed" in system.structure.posture_names:
         return make_q(system, "closed")
     return compute_mid_configuration(system).copy()
 
 
 def set_from_home(system: Model, coordinates: Mapping[str, Any]) -> Array:
-    """Configuration (..., nq) with the named values, perhaps not closed.
+    """Return the home with the named coordinates set, an array (..., nq) that may not be closed.
 
     Other coordinates are neutral, or as at home where the system has loops.
     """
@@ -129,7 +128,7 @@ def set_from_home(system: Model, coordinates: Mapping[str, Any]) -> Array:
 
 
 def close_from_start(system: Model, coordinates: Mapping[str, Any], start: Any = None) -> Array:
-    """Configuration (..., nq) with the named values; in a system with loops these are closed.
+    """Return a configuration (..., nq) with the named values, closed if the system has loops.
 
     The search starts at `start`, else at home. Where all coordinates are named nothing is searched
     for. Errors: `InputError` where no closed configuration was found, with the reason.
@@ -158,11 +157,15 @@ def close_from_start(system: Model, coordinates: Mapping[str, Any], start: Any =
 
 @keep_answers
 def _index_coordinates(system: Model) -> dict[str, int]:
+    """Return the index in q of each coordinate by its name."""
     return {n: i for i, n in enumerate(system.coordinate_names)}
 
 
 def _read_posture(system: Model, name: str) -> dict[str, float]:
-    """Values of a named posture, of those coordinates that are in `q`. Errors: `UnknownNameError`."""
+    """Return the values of a named posture for the coordinates that are in `q`.
+
+    Errors: `UnknownNameError`.
+    """
     postures = system._mechanism.postures
     index = _index_coordinates(system)
     return {
@@ -173,14 +176,14 @@ def _read_posture(system: Model, name: str) -> dict[str, float]:
 
 
 def list_sources(system: Model, names: Iterable[str]) -> tuple[str, ...]:
-    """The coordinates of `q` that named coordinates are, or follow, each once."""
+    """List the coordinates of `q` that determine the named coordinates, each once."""
     couplings = system.structure.couplings
     sources = (couplings[name].source if name in couplings else name for name in names)
     return tuple(dict.fromkeys(source for source in sources if source is not None))
 
 
 def compute_source_values(system: Model, given: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Values of coordinates of `q` from values that may also be of their followers, which must fit.
+    """Compute values of coordinates of `q` from values that may also be those of their followers.
 
     A follower whose leader is not named gives the leader its value. Errors: `UnknownNameError`;
     `InputError` for followers and locked coordinates that do not fit.
@@ -218,7 +221,7 @@ def refuse_misfit(
     tolerance: float = FIT,
     turn: float = 0.0,
 ) -> None:
-    """Refuse, with an `InputError`, values (...) of a follower that are not the `wanted` ones.
+    """Refuse values (...) of a follower that are not the `wanted` ones, with an `InputError`.
 
     With `turn` they count as equal where they differ by a multiple of it.
     """
@@ -238,7 +241,7 @@ def refuse_misfit(
 def make_q(
     system: Model, coordinates: Mapping[str, Any] | str, base: ArrayLike | None = None
 ) -> Array:
-    """Configuration (..., nq) from values by coordinate name, or of the posture of a name.
+    """Return a configuration (..., nq) from values by coordinate name, or from a named posture.
 
     What is not named is neutral, or as in `base` (..., nq). A coordinate that follows another may be
     named, too, with the value that it has then.
@@ -286,12 +289,12 @@ def make_q(
 
 @explain_errors
 def make_q_dict(system: Model, q: Any) -> dict[str, float]:
-    """Values by coordinate name of one configuration (nq,)."""
+    """Return the values of one configuration (nq,) by coordinate name."""
     return dict(zip(system.coordinate_names, read_one_q(system, q).tolist(), strict=True))
 
 
 def read_one_q(system: Model, q: Any) -> Array:
-    """The argument as one configuration (nq,). Errors: `InputError`."""
+    """Read the argument as one configuration (nq,). Errors: `InputError`."""
     array = read_q(system, q)
     if array.ndim != 1:
         raise InputError(f"q has shape {array.shape}; it must be one configuration ({system.nq},)")
@@ -299,8 +302,9 @@ def read_one_q(system: Model, q: Any) -> Array:
 
 
 def read_finite_q(system: Model, q: Any, what: str = "q") -> Array:
-    """The argument as one configuration (nq,) of numbers that a search can begin with. Errors:
-    `InputError`.
+    """Read the argument as one configuration (nq,) of finite numbers, to start a search with.
+
+    Errors: `InputError`.
     """
     array = read_q(system, q)
     if array.shape != (system.nq,):
@@ -311,7 +315,7 @@ def read_finite_q(system: Model, q: Any, what: str = "q") -> Array:
 
 
 def refuse_far(system: Model, q: Array, what: str) -> Array:
-    """Configurations (..., nq) whose numbers a search can begin with.
+    """Refuse configurations (..., nq) with numbers too large for a search; return the others.
 
     Errors: `InputError` that names the first other one.
     """
@@ -326,9 +330,7 @@ def refuse_far(system: Model, q: Array, what: str) -> Array:
 
 
 def refuse_wound(system: Model, q: Array, what: str) -> Array:
-    """As `refuse_far`, for a configuration (nq,) in a motion: its angles must be below
-    `MOST_WOUND`.
-    """
+    """Refuse a configuration (nq,) of a motion with angles above `MOST_WOUND`; see `refuse_far`."""
     refuse_far(system, q, what)
     layout = system.structure.layout
     turning = system.structure.coordinates.turning
@@ -339,7 +341,10 @@ def refuse_wound(system: Model, q: Array, what: str) -> Array:
 
 
 def refuse_wound_angle(angle: float, what: str) -> None:
-    """Refuse, with an `InputError`, an angle in a motion whose steps would be lost in its rounding."""
+    """Refuse an angle so large that steps of the motion would be lost in its rounding.
+
+    Errors: `InputError`.
+    """
     if not abs(angle) < MOST_WOUND:
         raise InputError(
             f"{what} is {angle:g} rad; angles of a motion must be below {MOST_WOUND:g} rad in "
@@ -351,8 +356,9 @@ def refuse_wound_angle(angle: float, what: str) -> None:
 
 
 def compute_mid_configuration(system: Model) -> Array:
-    """A configuration (nq,) inside the limits: mid-range; zero, or the nearest allowed, where a
-    limit is missing.
+    """Return the configuration (nq,) in the middle of the limits.
+
+    Where a limit is missing it has zero, or the allowed value nearest to zero.
 
     It is read-only: `copy` gives one to change.
     """
@@ -371,7 +377,7 @@ def compute_mid_configuration(system: Model) -> Array:
 def sample_configurations(
     system: Model, rng: np.random.Generator | int | None, shape: int | tuple[int, ...] = ()
 ) -> Array:
-    """Configurations (*shape, nq), uniform inside the limits.
+    """Sample configurations (*shape, nq) uniformly inside the limits.
 
     Angles without limits are in [-pi, pi), lengths without limits within 1 m of zero, screws within
     1 rad; a coordinate with one limit is as near to that. Rotations are uniform. Numbers are drawn
@@ -412,8 +418,9 @@ def sample_configurations(
 
 
 def compute_sampling_box(system: Model) -> tuple[Array, Array]:
-    """Finite bounds (nv,) to draw from: the limits, and where one is missing a turn or a length of
-    1 m on each side.
+    """Return finite lower and upper bounds (nv,) within which coordinates are sampled.
+
+    They are the limits; where one is missing, a turn or a length of 1 m on each side.
     """
     lower = system.lower
     upper = system.upper
@@ -433,9 +440,7 @@ def compute_sampling_box(system: Model) -> tuple[Array, Array]:
 
 @explain_errors
 def integrate_velocity(system: Model, q: Any, v: ArrayLike) -> Array:
-    """Configuration (..., nq) reached from `q` by the tangent vector `v` (..., nv) in one unit of
-    time.
-    """
+    """Return the configuration (..., nq) after 1 s from `q` at the velocity `v` (..., nv)."""
     v = numbers(v, "v")
     if v.ndim == 0 or v.shape[-1] != system.nv:
         got = "a single number" if v.ndim == 0 else format_count(v.shape[-1], "coordinate")
@@ -450,8 +455,9 @@ def integrate_velocity(system: Model, q: Any, v: ArrayLike) -> Array:
 
 @explain_errors
 def compute_difference(system: Model, q0: Any, q1: Any) -> Array:
-    """Shortest tangent vector (..., nv) from `q0` to `q1`: quaternions and unlimited joints go the
-    short way.
+    """Compute the shortest tangent vector (..., nv) from `q0` to `q1`.
+
+    Quaternions and unlimited joints go the short way.
 
     `integrate_velocity` leads from `q0` by it to `q1`, up to whole turns of unlimited joints. Turns that a
     constraint tells apart count.
@@ -464,24 +470,21 @@ def compute_difference(system: Model, q0: Any, q1: Any) -> Array:
 
 
 def shorten_turns(v: Array, circle: np.ndarray) -> Array:
-    """Tangent vectors `v` (..., nv), changed in place: where `circle` (nv,) says so, angles turn by
-    at most pi.
+    """Reduce turns in tangent vectors `v` (..., nv) to at most pi, in place.
+
+    This is done where `circle` (nv,) is true.
     """
     v[..., circle] -= 2.0 * math.pi * np.round(v[..., circle] / (2.0 * math.pi))
     return v
 
 
 def find_free_angles(system: Model) -> np.ndarray:
-    """Which velocity coordinates (nv,) are angles without limits, so that a full turn changes
-    nothing.
-    """
+    """Return a mask (nv,) of the angles without limits, for which a full turn changes nothing."""
     return find_periodic_angles(system._mechanism, system.structure.coordinates)
 
 
 def find_winding_angles(system: Model) -> np.ndarray:
-    """Which velocity coordinates (nv,) are angles without limits of which a constraint tells whole
-    turns apart.
-    """
+    """Return a mask (nv,) of the angles without limits whose whole turns a constraint tells apart."""
     coordinates = system.structure.coordinates
     endless = coordinates.turning & np.isinf(system.lower) & np.isinf(system.upper)
     return endless & find_wound_coordinates(system._mechanism, coordinates)
@@ -489,8 +492,9 @@ def find_winding_angles(system: Model) -> np.ndarray:
 
 @explain_errors
 def interpolate_configurations(system: Model, q0: Any, q1: Any, t: ArrayLike) -> Array:
-    """Configuration (..., nq) at fraction `t` (...) of the way; quaternions and unlimited joints go
-    the short way.
+    """Return the configuration (..., nq) at fraction `t` (...) of the way from `q0` to `q1`.
+
+    Quaternions and unlimited joints go the short way.
     """
     t = numbers(t, "t")
     v = compute_difference(system, q0, q1)
@@ -500,8 +504,9 @@ def interpolate_configurations(system: Model, q0: Any, q1: Any, t: ArrayLike) ->
 
 @explain_errors
 def compute_distance(system: Model, q0: Any, q1: Any) -> Array:
-    """Euclidean length (...) of the shortest tangent vector, angles in radians and lengths in
-    metres.
+    """Compute the length (...) of the shortest tangent vector from `q0` to `q1`.
+
+    Angles count in radians, lengths in metres.
     """
     return np.linalg.norm(compute_difference(system, q0, q1), axis=-1)
 
@@ -510,7 +515,7 @@ def compute_distance(system: Model, q0: Any, q1: Any) -> Array:
 
 
 def list_units(system: Model) -> dict[str, str]:
-    """Unit of every coordinate and velocity coordinate by name: 'rad', 'm', or '' in a quaternion."""
+    """Return the unit of each coordinate and velocity by name: 'rad', 'm', or '' in a quaternion."""
     out: dict[str, str] = {}
     bodies = system._mechanism.bodies
     for joint in system.structure.joints.values():
@@ -526,7 +531,7 @@ def list_units(system: Model) -> dict[str, str]:
 
 
 def list_limits(system: Model) -> dict[str, Quantity]:
-    """The limits of each coordinate of q by its name, infinite where it has none."""
+    """Return the limits of each coordinate of q by its name, infinite where it has none."""
     unit = list_units(system)
     structure = system.structure
     known = dict(zip(structure.velocity_names, structure.limits.tolist(), strict=True))
@@ -535,15 +540,17 @@ def list_limits(system: Model) -> dict[str, Quantity]:
 
 
 def name_values(system: Model, q: Any) -> ByName:
-    """Configurations (..., nq) by the names of coordinates, with their units."""
+    """Return configurations (..., nq) as values by coordinate name, with their units."""
     unit = list_units(system)
     names = system.coordinate_names
     return ByName(names, [unit[name] for name in names], q)
 
 
 def make_ranges_table(system: Model, q: Any, steps: bool = False) -> Table:
-    """The least and the largest value of each coordinate in configurations (n, nq) that are
-    numbers; with `steps` also its largest step from one to the next.
+    """Make a table of the least and the largest value of each coordinate in configurations (n, nq).
+
+    With `steps` it has the largest step of each from one configuration to the next, too.
+    Configurations that are not numbers are left out.
     """
     unit = list_units(system)
     rows: list[tuple[Any, ...]] = []
@@ -558,8 +565,9 @@ def make_ranges_table(system: Model, q: Any, steps: bool = False) -> Table:
 
 
 def refuse_unreadable(system: Model, names: Iterable[str], what: str) -> None:
-    """Refuse coordinates that do not exist or are parts of quaternions. Errors: `UnknownNameError`,
-    `InputError`.
+    """Refuse coordinates that do not exist or are parts of quaternions.
+
+    Errors: `UnknownNameError`, `InputError`.
     """
     known = [*system.coordinate_names, *system.structure.couplings]
     for name in names:

@@ -1,4 +1,4 @@
-"""Declared constraints as ties: rows of position between two frames, in the form kernels need."""
+"""Ties of declared constraints: their position equations between two frames, for the kernels."""
 
 from __future__ import annotations
 
@@ -43,8 +43,9 @@ ONE_ROW = {L.DISTANCE: "distance", L.LINEAR: "relation"}
 
 
 class CompiledFunction(Protocol):
-    """A function of q in compiled form: `address` of void(double* q, double* value, double*
-    columns, int64 flag).
+    """A function of q that compiled kernels call at its `address`.
+
+    The signature is void(double* q, double* value, double* columns, int64 flag).
 
     It writes its `row_names` values at q, and with the flag the columns (n, rows) of its Jacobian in
     scaled velocities.
@@ -62,8 +63,9 @@ class CompiledFunction(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Centre:
-    """A centre of masses whose sum is 1: for each row of the table (n, 4) mass and first moment in
-    its axes.
+    """A centre of masses whose sum is 1.
+
+    `rows` (n, 4) are mass and first moment of each row of the table, in its axes.
 
     `rest` (3,) is the first moment of what stands on the ground.
     """
@@ -74,8 +76,9 @@ class Centre:
 
 @dataclass(frozen=True, eq=False)
 class RecordedRows:
-    """Rows that are outputs of a recorded expression: of the pose of B in A (where `posed`), else
-    of coordinates.
+    """Rows that are outputs of a recorded expression.
+
+    The expression reads the pose of B in A (where `posed`), else coordinates.
 
     Inputs that start with no other meaning are coordinates by name.
     """
@@ -88,7 +91,7 @@ class RecordedRows:
     """Inputs that are numbers of the call."""
 
     def encode_input(self, name: str) -> int:
-        """Number of the input `name`, as `loop_layout` encodes it."""
+        """Return the integer by which `loop_layout` encodes the input `name`."""
         if name in self.given:
             return L.GIVEN
         return L.PLACE + POSE.index(name) if self.posed and name in POSE else L.COORDINATE
@@ -106,8 +109,9 @@ class RecordedRows:
     def substitute_sources(
         self, sources: Mapping[str, tuple[str | None, float, float]]
     ) -> RecordedRows:
-        """The expression with coupled coordinates replaced by their sources: (source, multiplier,
-        offset) by name.
+        """Return the expression with coupled coordinates replaced by their sources.
+
+        `sources` are (source, multiplier, offset) by name.
         """
         return replace(
             self,
@@ -117,8 +121,9 @@ class RecordedRows:
 
 @dataclass(frozen=True, eq=False)
 class Tie:
-    """Equations that hold a frame B in a frame A: name, both ends (row, placement, particle), and
-    what they hold.
+    """Equations that hold a frame B in a frame A, or coordinates, as kernels read them.
+
+    `a` and `b` are the ends: row of the table, placement (4, 4), whether it is a particle.
     """
 
     name: str
@@ -148,12 +153,12 @@ class Tie:
 
     @property
     def user_written(self) -> bool:
-        """Whether its equations are an expression or a function."""
+        """Whether the equations of the tie are an expression or a function that the user wrote."""
         return self.tape is not None or self.function is not None
 
     @property
     def unscaled(self) -> bool:
-        """Whether its equations are plain numbers, neither metres nor radians of a pose."""
+        """Whether the equations of the tie are plain numbers, neither metres nor radians of a pose."""
         return (
             self.relation is not None
             or self.function is not None
@@ -162,7 +167,7 @@ class Tie:
 
     @property
     def row_names(self) -> list[str]:
-        """Names of its equations."""
+        """Names of the equations of the tie."""
         if self.turns in ONE_ROW:
             return [ONE_ROW[self.turns]]
         if self.tape is not None:
@@ -192,8 +197,9 @@ BELOW = (-np.inf, 0.0)
 
 
 def list_declared_ties(system: Model, table: Table, one_sided: bool = False) -> list[Tie]:
-    """The ties of all declared constraints whose rows hold at a value, or with `one_sided` between
-    two, too.
+    """List the ties of all declared constraints that hold at a value.
+
+    With `one_sided`, those that hold between two bounds are listed, too.
     """
     every = (
         t
@@ -204,13 +210,13 @@ def list_declared_ties(system: Model, table: Table, one_sided: bool = False) -> 
 
 
 def make_declared_ties(system: Model, table: Table, declared: Declared) -> list[Tie]:
-    """The ties of a declared constraint, one-sided ones with their bounds."""
+    """Make the ties of a declared constraint; one-sided ones have their bounds."""
     made = resolved(declared, system._mechanism.parameters, system.dim)
     return make_ties(system, declared.name, made, *find_ends(system, table, declared))
 
 
 def find_ends(system: Model, table: Table, declared: Declared) -> tuple[End, End]:
-    """Frames A and B of a declared constraint; the ground twice for one of coordinates."""
+    """Return the frames A and B of a declared constraint: the ground twice if it reads coordinates."""
     if not declared.parent:
         return GROUND, GROUND
     ends = (
@@ -233,7 +239,7 @@ def make_ties(
     requested: bool = False,
     centre: Centre | None = None,
 ) -> list[Tie]:
-    """The ties of the rows of position of a constraint between two ends, as few as can hold them.
+    """Make the ties of a constraint's position rows between two ends, as few as possible.
 
     The pose of frame A and the numbers of a constraint that is `requested` of one call come with
     the call, except bounds that are the same for all targets. A `centre` of masses takes the place
@@ -262,12 +268,15 @@ class Side(NamedTuple):
     end: str = ""
 
     def find_number_name(self, row: Row) -> str:
-        """Name of the number that a row is measured from; "" where it is measured from zero."""
+        """Return the name of the number that a row is measured from, "" where that is zero."""
         field = getattr(row, self.end) if self.end else held(self.made, row)
         return format_input_name(field, row.part)
 
     def list_bounds(self, rows: list[Row]) -> tuple[tuple[float, float], ...]:
-        """The bounds of some of the rows, measured from their numbers; none where these are values."""
+        """List the bounds of some rows, measured from their numbers.
+
+        It is empty for rows that hold at values.
+        """
         if not self.sided:
             return ()
         if self.end:
@@ -276,8 +285,10 @@ class Side(NamedTuple):
 
 
 def list_sides(made: Constraint, dim: int, requested: bool) -> list[Side]:
-    """The rows of position: at values, between fixed bounds, and on each side of bounds that come
-    with the call. Errors: `InputError` for a value or bounds of a row that cannot have them.
+    """Group the position rows of a constraint by how their values are given.
+
+    Rows hold at values, between fixed bounds, or on one side of a bound that comes with the call.
+    Errors: `InputError` for a value or bounds of a row that cannot have them.
     """
     rows = [r for r in made.rows(dim) if not r.velocity]
     for row in rows:
@@ -295,7 +306,7 @@ def list_sides(made: Constraint, dim: int, requested: bool) -> list[Side]:
 
 
 def has_varied_bounds(made: Constraint, row: Row) -> bool:
-    """Whether a row is held between bounds that differ from target to target."""
+    """Tell whether a row is held between bounds that differ from target to target."""
     if not one_sided(made, row):
         return False
     plain = 0 if row.part is None else 1
@@ -303,9 +314,7 @@ def has_varied_bounds(made: Constraint, row: Row) -> bool:
 
 
 def list_varied_ends(made: Constraint, row: Row) -> tuple[str, ...]:
-    """Which of the ends "low" and "high" of a row some target has, where these differ from target to
-    target.
-    """
+    """List which bounds of a row, "low" or "high", differ from target to target and are finite."""
     if not has_varied_bounds(made, row):
         return ()
     out: list[str] = []
@@ -318,6 +327,7 @@ def list_varied_ends(made: Constraint, row: Row) -> tuple[str, ...]:
 
 
 def _check_row_number(made: Constraint, row: Row, requested: bool) -> None:
+    """Refuse a value or bounds for a row that cannot have them. Errors: `InputError`."""
     value = held(made, row)
     whole = row.op in TURNS and (value or one_sided(made, row))
     if whole or (value and row.op is Op.CALL) or (row.op is Op.COORDINATE and not requested):
@@ -334,7 +344,7 @@ def _check_row_number(made: Constraint, row: Row, requested: bool) -> None:
 def _make_pose_ties(
     name: str, side: Side, dim: int, a: End, b: End, centre: Centre | None
 ) -> list[Tie]:
-    """The ties of the rows of a position and of a rotation: one, or two where B looks at A."""
+    """Make the tie of position and rotation rows, or two ties where B looks at A."""
     axes = [r for r in side.rows if r.op is Op.POINT]
     turns = next((TURNS[r.op][dim] for r in side.rows if r.op in TURNS), L.NO_TURN)
     pin = side.requested
@@ -368,7 +378,7 @@ def _make_pose_ties(
 
 
 def _make_distance_ties(name: str, side: Side, a: End, b: End) -> list[Tie]:
-    """A tie for each row of a distance."""
+    """Make a tie for each row of a distance."""
     out: list[Tie] = []
     for row in (r for r in side.rows if r.op is Op.DISTANCE):
         number = side.find_number_name(row)
@@ -389,7 +399,7 @@ def _make_distance_ties(name: str, side: Side, a: End, b: End) -> list[Tie]:
 
 
 def _make_tape_ties(name: str, side: Side, system: Model, a: End, b: End) -> list[Tie]:
-    """A tie for the rows of each recorded expression, over coordinates that are in q.
+    """Make a tie for the rows of each recorded expression, over coordinates that are in q.
 
     Rows with values, and bounds that come with the call, are expressions that are to be zero, or
     not negative.
@@ -425,7 +435,7 @@ def _make_tape_ties(name: str, side: Side, system: Model, a: End, b: End) -> lis
 
 
 def _make_function_ties(name: str, side: Side, system: Model, a: End, b: End) -> list[Tie]:
-    """A tie for the rows of each Python function."""
+    """Make a tie for the rows of each Python function."""
     out: list[Tie] = []
     calls = [r for r in side.rows if r.op is Op.CALL]
     for what in dict.fromkeys(r.args[0] for r in calls):
@@ -442,7 +452,7 @@ def _make_function_ties(name: str, side: Side, system: Model, a: End, b: End) ->
 
 
 def _make_coordinate_ties(name: str, side: Side) -> list[Tie]:
-    """A tie for each coordinate, or quaternion, that is held at numbers of the call."""
+    """Make a tie for each coordinate or quaternion that is held at numbers of the call."""
     out: list[Tie] = []
     for v, _, number, ball in (r.args for r in side.rows if r.op is Op.COORDINATE):
         out.append(Tie(name, GROUND, GROUND, turns=L.OWN, own=v, ball=ball, numbers=(number,)))
@@ -453,8 +463,9 @@ def _make_coordinate_ties(name: str, side: Side) -> list[Tie]:
 def _make_excess_tape(
     tape: Tape, output: int, end: str, turned: bool, varying: tuple[str, ...]
 ) -> Tape:
-    """How far an output is above an end, which is an input; `turned`: below. All but `varying` is
-    constant.
+    """Make the tape of how far an output is above a bound, which is an input of the tape.
+
+    With `turned` it is how far the output is below. All inputs but `varying` are constant.
     """
     inputs = list(dict.fromkeys([*tape.inputs, end]))
     build = Builder(inputs, [n for n in inputs if n not in varying])
@@ -464,8 +475,9 @@ def _make_excess_tape(
 
 
 def record_rows(made: Constraint, rows: list[Row], dim: int, given: bool = False) -> RecordedRows:
-    """Rows of one expression, with the constraint's numbers put in; `given`: those of its fields
-    come with the call.
+    """Record rows of one expression, with the numbers of the constraint inserted.
+
+    With `given`, the numbers of its fields stay inputs that come with each call.
     """
     tape = rows[0].args[0].part([r.args[1] for r in rows])
     own = {n: get_input_number(made, n) for n in list_recorded_numbers(made, dim, tape)}
@@ -480,38 +492,39 @@ def record_rows(made: Constraint, rows: list[Row], dim: int, given: bool = False
 
 
 def list_recorded_numbers(made: Constraint, dim: int, tape: Tape) -> list[str]:
-    """The inputs of an expression that are numbers of the constraint: its fields, or parts of these."""
+    """List the inputs of an expression that are numbers in fields of the constraint."""
     ends = {n for r in made.rows(dim) for n in (r.equal, r.low, r.high)}
     fields = {*numbers_in(made), *ends} - {"", *made.reads}
     return [n for n in tape.inputs if n.partition("[")[0] in fields]
 
 
 def get_row_value(made: Constraint, row: Row) -> float:
-    """What a row is held at."""
+    """Return the value at which a row is held."""
     return float(get_field_number(made, name, row.part)) if (name := held(made, row)) else 0.0
 
 
 def get_field_number(made: Constraint, field: str, part: int | None = None) -> Any:
-    """What a field gives, or one of several numbers that it holds."""
+    """Return the number in a field, or one of several numbers in it."""
     x = getattr(made, field)
     return x if part is None or np.ndim(x) == 0 else np.asarray(x)[..., part]
 
 
 def format_input_name(field: str, part: int | None = None) -> str:
-    """Name of a number of a field: "low", or "low[1]" for one of several; "" where there is no field."""
+    """Return the name of a number of a field: "low", or "low[1]" for one of several.
+
+    The name is "" where there is no field.
+    """
     return field if not field or part is None else f"{field}[{part}]"
 
 
 def get_input_number(made: Constraint, name: str) -> Any:
-    """What a field gives for a number that is named as by `format_input_name`."""
+    """Return the number of a field by a name from `format_input_name`."""
     field, _, part = name.partition("[")
     return get_field_number(made, field, int(part[:-1]) if part else None)
 
 
 def collect_numbers(made: Constraint) -> dict[str, float]:
-    """The numbers of a constraint, parameters among them, by the names that expressions have for
-    them.
-    """
+    """Return the numbers and parameters of a constraint, by the names that expressions use."""
     own = {
         k: x
         for k, x in numbers_in(made).items()
@@ -522,7 +535,7 @@ def collect_numbers(made: Constraint) -> dict[str, float]:
 
 
 def get_row_bounds(made: Constraint, row: Row) -> tuple[float, float]:
-    """Between what a one-sided row holds."""
+    """Return the lower and the upper bound of a one-sided row. Errors: `InputError`."""
     ends = (
         get_field_number(made, field, row.part) if field else None for field in (row.low, row.high)
     )

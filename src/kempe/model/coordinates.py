@@ -1,4 +1,4 @@
-"""The coordinates of a system: which joint coordinates make up `q`, and which follow from them.
+"""Coordinates of a system: which joint coordinates make up `q`, and which follow from them.
 
 Couplings and locks decide this; limits are brought back to the coordinates in `q`.
 """
@@ -28,8 +28,9 @@ from kempe.values import Expression, evaluate_value
 
 @dataclass(frozen=True)
 class Layout:
-    """How an array `q` is made up: plain coordinates, and unit quaternions (w, x, y, z) whose
-    velocities are angular.
+    """Layout of an array `q`: plain coordinates, and unit quaternions (w, x, y, z).
+
+    Velocities of a quaternion are angular velocities (3,).
 
     `vector_q[i]` is the coordinate whose velocity is `vector_v[i]`; a quaternion starts at
     `quaternion_q[k]`, its three angular velocities, in the axes of the turned frame, at
@@ -52,12 +53,11 @@ class Layout:
         return q
 
     def _select_quaternions(self, q: spatial.Array) -> spatial.Array:
+        """Return the quaternions (..., n, 4) of configurations (..., nq)."""
         return q[..., self.quaternion_q[:, None] + np.arange(4)]
 
     def integrate_velocity(self, q: ArrayLike, v: ArrayLike) -> spatial.Array:
-        """Configuration (..., nq) reached from `q` by the tangent vector `v` (..., nv) in one unit
-        of time.
-        """
+        """Return the configuration (..., nq) after 1 s from `q` at the velocity `v` (..., nv)."""
         q = read_reals(q, "q")
         v = read_reals(v, "v")
         out = np.array(
@@ -73,8 +73,9 @@ class Layout:
         return out
 
     def compute_difference(self, q0: ArrayLike, q1: ArrayLike) -> spatial.Array:
-        """Tangent vector (..., nv) that `integrate_velocity` needs to go from `q0` to `q1`; rotations go the
-        short way.
+        """Compute the tangent vector (..., nv) that `integrate_velocity` needs from `q0` to `q1`.
+
+        Rotations go the short way.
         """
         q0 = read_reals(q0, "q0")
         q1 = read_reals(q1, "q1")
@@ -97,9 +98,7 @@ class Layout:
 
 
 def make_layout(primitives: list[tuple[int, int, int]], nq: int, nv: int) -> Layout:
-    """`Layout` of (kind, first coordinate, first velocity) triples, one for each independent
-    primitive.
-    """
+    """Make the `Layout` of primitives, each (kind, first coordinate, first velocity)."""
     vectors = [(iq, iv) for kind, iq, iv in primitives if kind != Q]
     balls = [(iq, iv) for kind, iq, iv in primitives if kind == Q]
     vector = np.array(vectors, dtype=np.int64).reshape(-1, 2)
@@ -118,8 +117,9 @@ multiplier."""
 
 @dataclass(frozen=True)
 class Follower:
-    """A coordinate that is not in `q`: multiplier * source + offset, or the constant `offset` where
-    source is None.
+    """A coordinate that is not in `q` and follows from a `source`: multiplier * source + offset.
+
+    Where `source` is None, its value is the constant `offset`.
     """
 
     source: str | None
@@ -129,7 +129,7 @@ class Follower:
 
 @dataclass(frozen=True)
 class Relation:
-    """A linear relation with several sources: the row  q[of] - sum multiplier * q[source] - offset = 0."""
+    """A linear relation with several sources, q[of] - sum multiplier * q[source] - offset = 0."""
 
     of: str
     sources: dict[str, float]
@@ -138,9 +138,7 @@ class Relation:
 
 @dataclass(frozen=True)
 class Coordinates:
-    """The coordinates of a system in the order of `q` (and of velocities), with their limits and
-    dependencies.
-    """
+    """Coordinates of a system in the order of `q` and of velocities, with limits and dependencies."""
 
     names: tuple[str, ...]
     velocity_names: tuple[str, ...]
@@ -162,7 +160,7 @@ class Coordinates:
 
 
 def list_coordinate_names(mechanism: Mechanism, joint: Joint) -> list[str]:
-    """Full names of a joint's coordinates: the joint's name, or 'joint.x' where it has several."""
+    """List the names of a joint's coordinates: the joint's name, or 'joint.x' if it has several."""
     particle = mechanism.bodies[joint.child].particle
     return [
         format_coordinate_name(joint.name, c)
@@ -171,15 +169,14 @@ def list_coordinate_names(mechanism: Mechanism, joint: Joint) -> list[str]:
 
 
 def format_coordinate_name(joint: str, coordinate: str) -> str:
-    """The full name of a joint's coordinate, which has a name of its own where the joint has
-    several.
-    """
+    """Return the full name of a coordinate: the joint's name, or 'joint.x' if it has several."""
     return f"{joint}.{coordinate}" if coordinate else joint
 
 
 def make_coordinates(mechanism: Mechanism) -> Coordinates:
-    """Coordinate layout of a mechanism. Errors: `DescriptionError` for couplings, locks and limits
-    that do not fit.
+    """Make the coordinates of a mechanism.
+
+    Errors: `DescriptionError` for couplings, locks and limits that do not fit.
     """
     balls: set[str] = set()
     every: dict[str, Joint] = {}
@@ -255,9 +252,7 @@ def make_coordinates(mechanism: Mechanism) -> Coordinates:
 def _resolve_followers(
     mechanism: Mechanism, every: dict[str, Joint], balls: set[str]
 ) -> tuple[dict[str, Follower], tuple[Relation, ...]]:
-    """Followers by repeated substitution, without recursion; relations of several sources stay
-    rows.
-    """
+    """Express followers by coordinates of q; relations of several sources stay equations."""
     followers: dict[str, Follower] = {}
     for name, number in _read_locks(mechanism, every, balls).items():
         followers[name] = Follower(None, 0.0, number)
@@ -337,8 +332,9 @@ OF_BALL = "use a joint with angles=True, or a constraint on a frame"
 def _sort_couplings(
     mechanism: Mechanism, pending: dict[str, tuple[dict[str, float], float]]
 ) -> list[str]:
-    """Couplings so that each comes after those it depends on (depth first, by hand). Errors: a
-    cycle, printed.
+    """Sort couplings so that each comes after those it depends on (depth first).
+
+    Errors: `DescriptionError` for couplings in a cycle, with the cycle.
     """
     done: dict[str, bool] = {}
     order: list[str] = []
@@ -373,6 +369,7 @@ def _sort_couplings(
 def _check_coupling(
     mechanism: Mechanism, coupling: Coupling, every: dict[str, Joint], balls: set[str]
 ) -> None:
+    """Refuse a coupling of coordinates that do not exist, or cannot be coupled."""
     subject = f"coupling of {coupling.of!r}"
     for name in (coupling.of, *coupling.sources):
         if name not in every:
@@ -396,6 +393,7 @@ def _check_coupling(
 
 
 def _read_locks(mechanism: Mechanism, every: dict[str, Joint], balls: set[str]) -> dict[str, float]:
+    """Return the value of each locked coordinate. Errors: `DescriptionError`."""
     for name, number in mechanism.locks.items():
         subject = f"lock of {name!r}"
         if name not in every:
@@ -427,7 +425,7 @@ def _read_locks(mechanism: Mechanism, every: dict[str, Joint], balls: set[str]) 
 def _collect_limits(
     mechanism: Mechanism, velocity_names: list[str], followers: dict[str, Follower]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Limits of the coordinates, those of their followers brought back to them."""
+    """Collect the limits of the coordinates; limits of followers become limits of their sources."""
     index = {n: i for i, n in enumerate(velocity_names)}
     lower = np.full(len(index), -math.inf)
     upper = np.full(len(index), math.inf)
@@ -490,9 +488,7 @@ def _refuse_limits(
     name: str,
     swap: bool,
 ):
-    """Refuse limits of two joints that one coordinate moves; the one that follows is named as the
-    subject.
-    """
+    """Refuse limits of two joints that leave no value to the coordinate that moves both."""
     a, b = ((first, before), (second, now)) if swap else ((second, now), (first, before))
     refuse(
         f"joint {a[0].name!r}",
@@ -504,13 +500,16 @@ def _refuse_limits(
 
 
 def format_relation(relation: Relation) -> str:
-    """The relation as an equation."""
+    """Return the relation as text of an equation."""
     terms = " + ".join(f"{m:g} {s}" for s, m in relation.sources.items())
     return f"{relation.of} = {terms}" + (f" + {relation.offset:g}" if relation.offset else "")
 
 
 def _is_unchanged_by_turn(p: Primitive, multiplier: float) -> bool:
-    """Whether a primitive is as before after a full turn of what moves it by `multiplier`."""
+    """Tell whether a primitive is as before after a full turn of the coordinate that drives it.
+
+    `multiplier` is the number of turns of the primitive for one turn of the coordinate.
+    """
     return p.kind == R and (p.multiplier * multiplier).is_integer()
 
 
@@ -534,8 +533,9 @@ def find_periodic_angles(mechanism: Mechanism, c: Coordinates) -> np.ndarray:
 
 
 def find_wound_coordinates(mechanism: Mechanism, c: Coordinates) -> np.ndarray:
-    """Velocity coordinates (nv,) that declared laws of positions read themselves: these may tell
-    whole turns apart.
+    """Return a mask (nv,) of coordinates that declared position equations read directly.
+
+    Such an equation may tell whole turns apart.
     """
     out = np.zeros(len(c.velocity_names), dtype=bool)
     number = {name: i for i, name in enumerate(c.velocity_names)}

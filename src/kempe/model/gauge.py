@@ -1,4 +1,4 @@
-"""Tables of chains in the cheapest equivalent form.
+"""Primitive tables of chains in an equivalent form that kernels evaluate fastest.
 
 The frame that a row is written in may be turned about and slid along the row's axis without any
 effect: the freedom of Denavit and Hartenberg (1955), used so that most placements become [Rx(alpha)
@@ -39,21 +39,22 @@ away."""
 
 
 def _normalize_direction(c: float, s: float) -> tuple[float, float]:
-    """The direction (c, s) scaled to length one; (1, 0) for no direction."""
+    """Return the direction (c, s) scaled to length 1, or (1, 0) where it is zero."""
     length = math.hypot(c, s)
     return (c / length, s / length) if length > 0.0 else (1.0, 0.0)
 
 
 def _make_rotation(c: float, s: float) -> np.ndarray:
-    """The 3x3 rotation about z by the angle with cosine c and sine s."""
+    """Return the rotation (3, 3) about z by the angle with cosine c and sine s."""
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def split_turns(
     placement: np.ndarray,
 ) -> tuple[tuple[float, float], np.ndarray, tuple[float, float]]:
-    """(cos a, sin a), M and (cos b, sin b) with placement = Rz(a) M Rz(b), M = [Rx(alpha) | p], all
-    3x4.
+    """Factor a placement (3, 4) into Rz(a) M Rz(b) with M = [Rx(alpha) | p].
+
+    Returned are (cos a, sin a), M (3, 4) and (cos b, sin b).
 
     Euler angles z, x, z, with sin(alpha) of either sign and cos(a) not negative. Where the axes are
     parallel, a is free and taken such that p_y = 0.
@@ -79,8 +80,9 @@ def split_turns(
 
 
 def _compute_flattening_slide(middle: np.ndarray) -> float:
-    """Slide of the frame along its z axis that makes p_y = 0 in `middle` = [Rx | p]; 0 where it is
-    far.
+    """Compute the slide of a frame along its z that makes p_y = 0 in `middle` = [Rx | p].
+
+    The slide is in metres, and 0 where it would be far.
     """
     sine = middle[2, 1]
     cosine = middle[2, 2]
@@ -93,7 +95,7 @@ def _compute_flattening_slide(middle: np.ndarray) -> float:
 
 
 def regauge_table(ints: np.ndarray, floats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A table of the same chain, as many of its rows as possible in form RX or RX_FLAT.
+    """Return a table of the same chain with as many rows as possible in form RX or RX_FLAT.
 
     Poses and Jacobians are the same up to rounding, a few 1e-16 of the size of the robot. Turns
     about an axis are folded into the offsets of turning rows and carried on through sliding ones. A

@@ -1,5 +1,4 @@
-"""The form of an implicit loop joint: what it holds of its frame M in its frame F, without
-coordinates.
+"""Implicit loop joints: what a joint holds of its frame M in its frame F, without coordinates.
 
 It follows from the primitives alone, so nothing is to be declared. A joint whose hold has no fixed
 axes in F, or whose coordinates cannot be read off one by one, has none: it is explicit (see
@@ -27,7 +26,7 @@ is read."""
 
 
 class ImplicitForm(NamedTuple):
-    """What a joint holds of M in F, in axes of F, and how its coordinates follow from the pose.
+    """Equations of a joint on the pose of M in F, and how its coordinates follow from the pose.
 
     `position`: the axes along which M stays at the origin of F. `turns`: "xyz" all, "xy" z of M
     stays parallel to z of F, "x.y" y of M stays normal to x of F, "z" the angle in the plane, ""
@@ -43,8 +42,9 @@ class ImplicitForm(NamedTuple):
 def find_implicit_form(
     kind: JointType, dim: int = 3, particle: bool = False
 ) -> ImplicitForm | None:
-    """The implicit form of a joint type; None where it has none. In the plane a slide along z is
-    one along x there.
+    """Return the implicit form of a joint type, or None where it has none.
+
+    In the plane, a slide along z is one along x of its frame.
 
     Such a form needs a coordinate of its own for each primitive, in its unit; slides along
     different axes before all turns (or along z, where it turns about z only); and turns about z,
@@ -86,20 +86,21 @@ def find_implicit_form(
 
 
 def has_own_coordinates(primitives: tuple[Primitive, ...]) -> bool:
-    """Whether each primitive has a coordinate of its own, and is as large as that."""
+    """Tell whether each primitive has a coordinate of its own, with multiplier 1."""
     return all(p.multiplier == 1.0 for p in primitives) and len(
         {p.coordinate for p in primitives}
     ) == len(primitives)
 
 
 def has_slide_along_z(kind: JointType, dim: int, particle: bool) -> bool:
-    """Whether a joint of the plane slides along z of its frame F, which then lies in the plane."""
+    """Tell whether a planar joint slides along z of its frame F, which then lies in the plane."""
     return dim == 2 and any(p.kind == P and p.axis == "z" for p in kind.layout(2, particle)[1])
 
 
 def turn_flat_frame(X: np.ndarray) -> np.ndarray:
-    """A frame of the plane turned so that x is what was z, a direction in the plane, and z is the
-    plane's normal.
+    """Turn a planar frame so that its z is the plane's normal and its x is what was z.
+
+    The old z is a direction in the plane.
     """
     normal = X[2, :3]
     x = np.array([0.0, 0.0, 1.0])
@@ -107,9 +108,7 @@ def turn_flat_frame(X: np.ndarray) -> np.ndarray:
 
 
 def find_screw_pitch(kind: JointType) -> float | None:
-    """The pitch, in metres a radian, of a joint in space that turns about z and slides along it by
-    one coordinate.
-    """
+    """Return the pitch of a screw joint about z, in metres a radian; None for other joints."""
     primitives = kind.layout()[1]
     turn, slide = sorted(primitives, key=lambda p: p.kind) if len(primitives) == 2 else (None, None)
     if turn is None or slide is None or (turn.kind, slide.kind) != (R, P) or turn.multiplier != 1.0:

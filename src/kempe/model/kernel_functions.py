@@ -1,4 +1,4 @@
-"""Python functions as kernels call them."""
+"""Python functions that compiled kernels can call."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _KIND = ctypes.CFUNCTYPE(None, _NUMBERS, _NUMBERS, _NUMBERS, ctypes.c_int64)
 
 
 class KernelFunction:
-    """A Python function of three arrays and a flag at an `address` that kernels can call.
+    """A Python function of three arrays and a flag, at an `address` that kernels can call.
 
     No exception passes through a kernel: what the function raises is given to `keep`. So is Ctrl-C
     that comes while the kernel works: Python raises it before the first line of the function, and
@@ -47,13 +47,14 @@ class KernelFunction:
 
     @property
     def address(self) -> int:
-        """The address, as kernels take it."""
+        """The memory address of the function, as kernels take it."""
         if sys.unraisablehook is not _keep_interrupt:
             _others[:] = [sys.unraisablehook]
             sys.unraisablehook = _keep_interrupt
         return self._address
 
     def _call_work(self, q: Any, out: Any, columns: Any, flag: int) -> None:
+        """Call the Python function, and keep what it raises."""
         with self:
             self.work(q, out, columns, flag)
 
@@ -70,7 +71,7 @@ _others: list[Callable[[sys.UnraisableHookArgs], object]] = []
 
 
 def _keep_interrupt(lost: sys.UnraisableHookArgs) -> None:
-    """The hook for exceptions that Python cannot raise: an interrupt of a `KernelFunction` is kept."""
+    """Keep an interrupt of a `KernelFunction`: the hook for exceptions that Python cannot raise."""
     if isinstance(lost.exc_value, KeyboardInterrupt):
         for function in _all:
             is_it = getattr(lost.object, "__self__", None) is function
@@ -87,8 +88,7 @@ def _keep_interrupt(lost: sys.UnraisableHookArgs) -> None:
 
 
 class Callback:
-    """A function of q (nq,) that gives values (rows,) and derivatives (rows, n), as kernels call
-    it.
+    """A function of q (nq,) that gives values (rows,) and derivatives (rows, n) to kernels.
 
     `alone` gives the values only. What it raises is kept in `error`, for no exception passes
     through a kernel. `scale` (nv,) are the units of the velocities, `support` the n of them that it
@@ -117,6 +117,7 @@ class Callback:
         shape = (len(self.support), rows)
 
         def write_values(q: Any, value: Any, columns: Any, flag: int) -> None:
+            """Write the values at q into `value`, and with the flag the derivatives into `columns`."""
             out = np.ctypeslib.as_array(value, (rows,))
             out[:] = np.nan  # what stays where it raises
             if self.error is not None:  # the kernel goes on, and ends sooner
@@ -135,10 +136,11 @@ class Callback:
         self.address = self._called.address
 
     def _keep_error(self, error: BaseException) -> None:
+        """Keep the first error, which is raised after the kernel."""
         self.error = self.error or error
 
     def remember_maker(self, maker: Callable[..., Callback], *of: Any) -> Callback:
-        """The same, with what makes it again."""
+        """Remember the function and arguments that make this callback again when it is unpickled."""
         self.maker = maker
         self.of = of
         return self
@@ -150,7 +152,10 @@ class Callback:
     def from_call(
         cls, system: Model, call: Call, rows: Sequence[int], numbers: Mapping[str, float]
     ) -> Callback:
-        """Some numbers of a function of named coordinates; derivatives by differences."""
+        """Make a callback of some numbers of a function of named coordinates.
+
+        Derivatives are by differences.
+        """
         first = system.structure.coordinates.first
         followers = system.structure.couplings
         read: dict[str, tuple[int, float, float]] = {}
@@ -165,12 +170,14 @@ class Callback:
         own = list(rows)
 
         def compute_values(q: Array) -> Array:
+            """Compute the values at q."""
             given = {
                 n: m * (q[i] if i >= 0 else 0.0) + offset for n, (i, m, offset) in read.items()
             }
             return call({**numbers, **given})[own]
 
         def compute_derivatives(q: Array) -> tuple[Array, Array]:
+            """Compute the values at q, and their derivatives by differences."""
             found = compute_values(q)
             J = np.empty((len(own), len(used)))
             for k, i in enumerate(used):

@@ -1,4 +1,4 @@
-"""A compiled model: its structure (tree, coordinates, primitive table, limits) and its identity.
+"""Compiled models: structure (tree, coordinates, primitive table, limits) and identity.
 
 Results that follow from a model alone are kept with it.
 """
@@ -43,14 +43,14 @@ T = TypeVar("T")
 def keep_answers(
     function: Callable[Concatenate[SystemType, Keys], T],
 ) -> Callable[Concatenate[SystemType, Keys], T]:
-    """A decorator for functions of a system and keys: an answer is kept, and returned again for
-    equal arguments.
+    """Decorate a function of a system and keys so that its answers are kept with the system.
 
     Before an answer is worked out, the clock is looked at: of large systems it may take long.
     """
 
     @wraps(function)
     def find_answer(system: SystemType, *keys: Any) -> T:
+        """Return the kept answer for these keys, computed in the first call."""
         answers = system._kept.get(function)
         if answers is None:
             answers = system._kept[function] = {}
@@ -64,8 +64,9 @@ def keep_answers(
 
 
 def store_answer(answers: dict[Any, Any], key: Any, answer: T, most: int = MOST) -> T:
-    """The answer, kept under `key` in a store of at most `most` answers, where it replaces the
-    oldest.
+    """Keep an answer under `key` in a store of at most `most` answers, and return it.
+
+    A full store loses its oldest answer.
     """
     while len(answers) >= most:
         answers.pop(next(iter(list(answers)), None), None)
@@ -80,8 +81,7 @@ FrameLike = Body | Frame | str
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Structure:
-    """The parts of a system: the description, and the spanning tree, coordinates and primitive
-    table made from it.
+    """Structure of a system: its description, spanning tree, coordinates and primitive table.
 
     It is read-only. The names and sizes that every computation needs are attributes of the `System`
     itself.
@@ -121,14 +121,12 @@ class Structure:
 
     @property
     def tolerance(self) -> float | str | None:
-        """Tolerance of the dimensions in metres and radians, as described; None: the loops close up
-        to rounding.
-        """
+        """Tolerance of the dimensions in metres and radians; None where loops close up to rounding."""
         return self._mechanism.tolerance
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Remarks of the reader of a file, such as on parts that it left out."""
+        """Remarks of the reader of a file, such as on parts that were left out."""
         return tuple(self._mechanism.notes)
 
     # ---- the tree
@@ -147,8 +145,9 @@ class Structure:
 
     @property
     def velocity_names(self) -> tuple[str, ...]:
-        """A name for each velocity coordinate: as `System.list_coordinate_names`, but 'joint.wx', ...
-        for quaternions.
+        """Names of the nv velocity coordinates.
+
+        They are as in `System.coordinate_names`, but 'joint.wx', ... for quaternions.
         """
         return self.coordinates.velocity_names
 
@@ -159,9 +158,7 @@ class Structure:
 
     @property
     def couplings(self) -> dict[str, Any]:
-        """Coupled coordinates by name: each is a multiple of another plus an offset, or held; they
-        are not in `q`.
-        """
+        """Coupled coordinates by name, which are not in `q`: a multiple of another plus an offset."""
         return ReadOnlyDict(self.coordinates.followers)
 
     @property
@@ -179,15 +176,14 @@ class Structure:
         return self.coordinates.velocity
 
     def coordinates_of_joint(self, name: str) -> list[str]:
-        """Names of all coordinates of a joint, also of those that are coupled or locked and not
-        part of `q`.
-        """
+        """Names of all coordinates of a joint, also of coupled or locked ones that are not in `q`."""
         m = self._mechanism
         return list_coordinate_names(m, m.joints[check_name("joint", name, m.joints, m.name)])
 
     def frame_name(self, frame: FrameLike) -> str:
-        """Name of a frame or body of this system, checked. Errors: `UnknownNameError` with the
-        nearest names.
+        """Name of a frame or body of this system, checked.
+
+        Errors: `UnknownNameError` with the nearest names.
         """
         name = frame if isinstance(frame, str) else getattr(frame, "name", frame)
         if not isinstance(name, str) or name not in self.table.at:
@@ -199,15 +195,17 @@ class Structure:
 
     @cached_property
     def content_hash(self) -> str:
-        """Digest, as text, of all content of the system: equal systems have equal digests, in every
-        process.
+        """Digest of all content of the system, as text: equal systems have equal digests.
+
+        It is the same in every process.
         """
         return _compute_digest(self._mechanism.content())
 
     @cached_property
     def hash(self) -> str:
-        """Digest, as text, of bodies, joints and tree without numbers: equal for all designs of one
-        structure.
+        """Digest of bodies, joints and tree without numbers, as text.
+
+        It is equal for all designs of one structure.
         """
         m = self._mechanism
         joints = [(j.name, j.type.type_name, j.parent, j.child) for j in m.joints.values()]
@@ -227,8 +225,9 @@ class Structure:
 
 
 class Model:
-    """A mechanism, compiled: spanning tree, loop closures, coordinates, primitive table; frozen.
-    Base of `System`.
+    """A compiled mechanism: spanning tree, loop closures, coordinates, primitive table.
+
+    It is frozen, and the base of `System`.
     """
 
     _mechanism: Mechanism
@@ -262,6 +261,7 @@ class Model:
         raise AttributeError(f"{self!r} is frozen: change its mechanism and build another")
 
     def _check_placements(self) -> None:
+        """Refuse placements of bodies and frames that are not finite numbers."""
         problem = "placement is not a number with these parameters"
         for name, (_, X, _p) in self._table.at.items():
             if not np.isfinite(X).all():
@@ -303,7 +303,7 @@ class Model:
 
     @property
     def kind(self) -> str:
-        """What joints connect the bodies to: 'serial chain', 'tree', '1 loop', '2 loops', ...
+        """Kind of the system: 'serial chain', 'tree', '1 loop', '2 loops', ...
 
         A constraint that ties two bodies closes a loop, too.
         """
@@ -333,9 +333,7 @@ class Model:
 
     @property
     def coordinate_names(self) -> tuple[str, ...]:
-        """Names of the nq entries of `q`: that of the joint if it has one coordinate, else
-        'joint.x', ...
-        """
+        """Names of the entries of `q`: the joint's name if it has one coordinate, else 'joint.x'."""
         return self._coordinates.names
 
     @property
@@ -345,13 +343,14 @@ class Model:
 
     @property
     def nq(self) -> int:
-        """Number nq of entries of a configuration `q`."""
+        """Number of entries of a configuration `q`."""
         return self._coordinates.layout.nq
 
     @property
     def nv(self) -> int:
-        """Number of velocity coordinates: the freedoms of all joints in the tree. A quaternion has
-        3, and 4 in `nq`.
+        """Number of velocity coordinates: the freedoms of all joints in the tree.
+
+        A quaternion has 3 of them, and 4 in `nq`.
         """
         return self._coordinates.layout.nv
 
@@ -359,22 +358,25 @@ class Model:
 
     @property
     def lower(self) -> Array:
-        """Lower limits (nv,) of the velocity coordinates, -inf where there is none; read-only: see
-        `with_limits`.
+        """Lower limits (nv,) of the velocity coordinates, -inf where there is none.
+
+        The array is read-only: see `with_limits`.
         """
         return self._coordinates.lower
 
     @property
     def upper(self) -> Array:
-        """Upper limits (nv,) of the velocity coordinates, inf where there is none; read-only: see
-        `with_limits`.
+        """Upper limits (nv,) of the velocity coordinates, inf where there is none.
+
+        The array is read-only: see `with_limits`.
         """
         return self._coordinates.upper
 
     @property
     def neutral(self) -> Array:
-        """Zero angles and lengths, identity quaternions (nq,), even where that is outside the
-        limits; read-only.
+        """Neutral configuration (nq,): zero angles and lengths, identity quaternions.
+
+        It may be outside the limits, and is read-only.
         """
         return self._coordinates.layout.neutral
 
@@ -407,7 +409,7 @@ SystemType = TypeVar("SystemType", bound=Model)
 
 
 def _compute_digest(content: object) -> str:
-    """Digest of what a tuple prints as."""
+    """Compute the digest of the text that a tuple prints as."""
     from hashlib import sha256
 
     return sha256(repr(content).encode()).hexdigest()

@@ -21,8 +21,9 @@ if TYPE_CHECKING:
 
 @keep_answers
 def remove_cut_marks(system: SystemType) -> SystemType:
-    """The system itself, or, where marks `cut` change its tree, the same without marks; coordinates
-    are the same.
+    """Return the system without marks `cut` where they change its tree, else the system itself.
+
+    Its coordinates are the same.
     """
     if not any(joint.cut for joint in system._mechanism.joints.values()):
         return system
@@ -39,7 +40,7 @@ def remove_cut_marks(system: SystemType) -> SystemType:
 
 
 def _has_kept_free_joint(system: Model, tree: Topology) -> bool:
-    """Whether the system's tree has a joint that holds nothing and that the other tree leaves out."""
+    """Tell whether the system's tree has a free joint that the other tree leaves out."""
     m = system._mechanism
     joints = (m.joints[name] for name in {*tree.closures} - {*system.structure.closures})
     return any(j.type.constraints(m.dim, m.bodies[j.child].particle) <= 0 for j in joints)

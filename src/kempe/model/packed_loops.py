@@ -1,4 +1,4 @@
-"""Loops as data: ties between frames over coordinates, packed as arrays for the kernels.
+"""Loops packed for the kernels: ties between frames over coordinates, as arrays.
 
 A tie is one constraint between two frames: of a cut joint, a declared constraint, a frame held in
 place, or a linear relation of coordinates.
@@ -60,7 +60,7 @@ class PackedLoops:
     """Where (3,) the origin of the table is in the ground: pins are placed from there."""
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """What was pickled: functions have other addresses in this process."""
+        """Set the pickled state; functions have other addresses in this process."""
         vars(self).update(state)
         for k, tie in enumerate(self.ties):
             if tie.function is not None:
@@ -78,7 +78,7 @@ class PackedLoops:
 
     @property
     def bounds(self) -> np.ndarray:
-        """Low and high ends (2, m) of the equations, as scaled there; zero where they hold exactly."""
+        """Lower and upper bounds (2, m) of the scaled equations; zero for those that hold exactly."""
         ends = np.zeros((len(self.names), 2))
         first = int(self.plan[L.AT_BOUNDS])
         at = 0
@@ -92,7 +92,7 @@ class PackedLoops:
 
     @property
     def tie_coordinates(self) -> list[list[int]]:
-        """For each tie the unknown velocity coordinates that its equations depend on."""
+        """For each tie, the unknown velocity coordinates that its equations depend on."""
         unknown = set(self.unknown.tolist())
         out = list[list[int]]()
         for tie in self.plan[self.plan[L.AT_TIES] :][: L.TIE_INTS * len(self.ties)].reshape(
@@ -104,7 +104,7 @@ class PackedLoops:
 
     @property
     def lengths(self) -> list[int]:
-        """How many of the first equations of each tie are lengths."""
+        """For each tie, how many of its first equations are lengths."""
         at = int(self.plan[L.AT_TIES]) + L.LENGTHS
         return self.plan[at : at + L.TIE_INTS * len(self.ties) : L.TIE_INTS].tolist()
 
@@ -115,11 +115,11 @@ class PackedLoops:
 
     @cached_property
     def functions(self) -> tuple[CompiledFunction, ...]:
-        """The user's functions among the constraints, compiled."""
+        """Compiled functions of the user among the constraints."""
         return tuple(t.function for t in self.ties if t.function is not None)
 
     def raise_function_error(self) -> None:
-        """Raise the error that a user's function raised while a kernel called it, if any."""
+        """Raise the error, if any, that a user's function raised while a kernel called it."""
         for f in self.functions:
             if f.error is not None:
                 error = f.error
@@ -127,9 +127,7 @@ class PackedLoops:
                 raise error
 
     def list_columns(self, k: int) -> list[int]:
-        """Indices of the velocity coordinates that the equations of tie k (a loop closure or
-        constraint) depend on.
-        """
+        """List the velocity coordinates that the equations of tie k depend on."""
         tie = self.plan[self.plan[L.AT_TIES] + L.TIE_INTS * k :]
         at = int(self.plan[L.AT_LOCALS] + tie[L.LOCAL])
         return self.plan[at : at + int(tie[L.LOCALS])].tolist()
@@ -154,7 +152,7 @@ READINGS = {
 
 
 def _list_readings(system: Model, joint: Joint) -> list[tuple[int, int]]:
-    """For each coordinate of a joint how it is read off the pose of M in F, and its place in q."""
+    """List how each coordinate of a joint is read off the pose of M in F, with its place in q."""
     names = list_coordinate_names(system._mechanism, joint)
     first = system.structure.coordinates.first
     form = find_implicit_form(
@@ -164,7 +162,10 @@ def _list_readings(system: Model, joint: Joint) -> list[tuple[int, int]]:
 
 
 def find_moving_rows(a: int, b: int, parent: np.ndarray) -> list[tuple[float, int]]:
-    """Rows that move row b against row a, with the sign of their motion; -1 is the ground."""
+    """Return the rows that move row b against row a, with the sign of their motion.
+
+    Row -1 is the ground.
+    """
     ways: list[list[int]] = []
     for row in (a, b):
         way: list[int] = []
@@ -184,8 +185,7 @@ def find_moving_rows(a: int, b: int, parent: np.ndarray) -> list[tuple[float, in
 def pack_tapes(
     recorded: list[tuple[np.ndarray, np.ndarray, list[int]]], at: int, numbers_at: int
 ) -> tuple[np.ndarray, list[int]]:
-    """The integers of TAPE ties, as `loop_layout` says, to stand at `at`, and where those of each
-    begin.
+    """Pack the integers of TAPE ties as `loop_layout` says, and where those of each tie begin.
 
     The numbers of their tapes stand at `numbers_at`, one after the other.
     """
@@ -201,7 +201,7 @@ def pack_tapes(
 
 
 class LoopPlan:
-    """The integers and numbers of `loop_layout`, being collected."""
+    """The integers and numbers of `loop_layout`, as they are collected."""
 
     def __init__(
         self,
@@ -248,7 +248,7 @@ class LoopPlan:
         """Of each TAPE tie the integers and numbers of its tape, and what its inputs are."""
 
     def pack_tie(self, k: int, tie: Tie) -> list[int]:
-        """The integers of tie k; appends its entries and locals."""
+        """Return the integers of tie k, and append its entries and locals."""
         entry = len(self.entries)
         local = len(self.locals)
         columns: dict[int, int] = {}
@@ -282,7 +282,7 @@ class LoopPlan:
         return [len(self.entries) - entry, entry, len(columns), local]
 
     def _record_tape(self, recorded: RecordedRows, columns: dict[int, int]) -> None:
-        """Collect what a TAPE tie reads: its tape, and for each input what it is."""
+        """Collect the tape of a TAPE tie and the meaning of each of its inputs."""
         ints, floats = recorded.tape.arrays()
         first = self.system.structure.coordinates.first
         inputs: list[int] = []
@@ -298,6 +298,7 @@ class LoopPlan:
         self.recorded.append((ints, floats, inputs))
 
     def _pack_relation(self, k: int, relation: Relation, columns: dict[int, int]) -> None:
+        """Append the terms of a linear relation of coordinates, scaled to unit size."""
         first = self.system.structure.coordinates.first
         terms = {relation.of: 1.0}
         for name, m in relation.sources.items():
@@ -311,8 +312,9 @@ class LoopPlan:
             self.factors.append(factor / norm)
 
     def _list_moving_rows(self, k: int, tie: Tie) -> list[tuple[float, int]]:
-        """The rows that move B against A, with signs; a centre is moved by all that carry mass, and
-        A moves apart.
+        """List the rows that move B against A, with signs.
+
+        A centre of mass is moved by all rows that carry mass, and A moves apart.
         """
         if tie.centre is None:
             return self._find_rows_between(k)
@@ -322,7 +324,7 @@ class LoopPlan:
         ] + [(1.0, r) for r in range(len(share)) if share[r] > 0.0]
 
     def _sum_moved_masses(self, centre: Centre) -> np.ndarray:
-        """For each row (n,) the mass of all that it moves."""
+        """Return, for each row (n,), the mass of all that the row moves."""
         share = centre.rows[:, 0].copy()
         for r in range(len(share) - 1, -1, -1):
             if self.rows[r, 1] >= 0:
@@ -330,12 +332,13 @@ class LoopPlan:
         return share
 
     def _find_rows_between(self, k: int) -> list[tuple[float, int]]:
+        """Return the rows that move frame B of tie k against its frame A, with signs."""
         return find_moving_rows(
             int(self.outputs[2 * k, 0]), int(self.outputs[2 * k + 1, 0]), self.rows[:, 1]
         )
 
     def make_arrays(self) -> tuple[np.ndarray, np.ndarray]:
-        """The two arrays."""
+        """Return the integer array and the number array of `loop_layout`."""
         first_row = 0
         block = 0
         pin = 0
@@ -423,7 +426,7 @@ class LoopPlan:
         return np.concatenate([np.array(head, dtype=np.int64), *flat]), weights
 
     def _count_lengths(self, tie: Tie) -> int:
-        """How many of its rows, the first ones, are lengths."""
+        """Count the first equations of a tie that are lengths."""
         if tie.turns == L.OWN:
             return int(self.sort[tie.own] == L.SLIDE)
         if tie.tape is not None:
@@ -431,8 +434,9 @@ class LoopPlan:
         return tie.mask.bit_count() + (tie.turns == L.DISTANCE)
 
     def _find_base_tie(self) -> tuple[int, int]:
-        """A tie that holds, in the ground, a frame of what a free joint moves, and the first of
-        that joint's rows.
+        """Find a tie that holds a frame, carried by a free joint, in the ground.
+
+        Returned are the tie and the first of that joint's rows, or -1, -1.
         """
         if (
             len(self.rows) < 4
@@ -451,7 +455,7 @@ class LoopPlan:
         return -1, -1
 
     def _list_ranges(self) -> list[float]:
-        """Limits, and where to draw random coordinates from."""
+        """List the limits of coordinates, then the ranges in which random ones are drawn."""
         low = self.system.structure.coordinates.lower
         high = self.system.structure.coordinates.upper
         reach = np.where(self.turns, np.pi, self.length)
@@ -471,7 +475,7 @@ class LoopPlan:
         ]
 
     def _compute_envelope(self, ties: list[list[int]]) -> tuple[list[tuple[int, int]], int]:
-        """For each row of J J^T its first column that is not zero, and where the row begins."""
+        """Compute the first nonzero column of each row of J J^T, and where the row begins."""
         own = [t[L.FIRST_ROW] for t in ties]
         first = own.copy()
         for use in self.uses:
@@ -496,8 +500,9 @@ TURNS = {"": L.NO_TURN, "z": L.ANGLE, "xy": L.ALIGN, "x.y": L.CROSS, "xyz": L.FU
 
 
 def find_explicit_joints(system: Model, known: Iterable[str] = ()) -> frozenset[str]:
-    """The explicit loop joints: those cut without an implicit form, or with known, limited or
-    coupled coordinates.
+    """Find the cut joints that must be explicit loop joints.
+
+    They have no implicit form, or known, limited or coupled coordinates.
     """
     related = {n for r in system.structure.relations for n in (r.of, *r.sources)} | set(known)
     related |= {n for c in system._mechanism.constraints.values() for n in c.of.reads}
@@ -527,8 +532,9 @@ def get_packed_loops(
     length: float | None = None,
     one_sided: bool = False,
 ) -> PackedLoops:
-    """The packed loops of a system; with `one_sided` those declared constraints, too, that hold
-    between bounds.
+    """Return the packed loops of a system.
+
+    With `one_sided`, declared constraints that hold between bounds are included.
 
     `explicit` names the left-out joints in explicit form, `held` the velocity coordinates that are
     no unknowns, `pins` the frames that are held in place (with their orientation where the flag
@@ -547,6 +553,7 @@ def _pack_once(
     length: float | None,
     one_sided: bool,
 ) -> PackedLoops:
+    """Return the packed loops of a system, packed in the first call with these arguments."""
     return pack_loops(system, explicit, held, pins, length, one_sided=one_sided)
 
 
@@ -562,8 +569,7 @@ def pack_loops(
     one_sided: bool = False,
     drawn: Model | None = None,
 ) -> PackedLoops:
-    """The packed loops as `get_packed_loops` gives them, but packed anew, with `further` ties over the rows
-    of the table.
+    """Pack the loops of a system anew, with `further` ties over the rows of the table.
 
     `wide` (nv,) marks angles whose limits do not count, for whole turns lead back into them. Ties
     of a lower `level` stand before others, so that of rows that depend on each other the later ones
@@ -608,9 +614,7 @@ def pack_loops(
 
 
 def _make_loop_table(system: Model, ends: dict[str, bool], origin: np.ndarray) -> Table:
-    """The table of a system with the ends of joints that the tree left out, measured from `origin`
-    (3,).
-    """
+    """Make the primitive table with the ends of cut joints, measured from `origin` (3,)."""
     mechanism = system._mechanism
     given = system.structure
     table = make_primitive_table(
@@ -620,8 +624,9 @@ def _make_loop_table(system: Model, ends: dict[str, bool], origin: np.ndarray) -
 
 
 def _join_tables(first: Table, second: Table) -> tuple[Table, Table]:
-    """The rows of two tables over the same coordinates as one table: with the ends of the second,
-    and of the first.
+    """Join two tables over the same coordinates to one, with the ends of each of them.
+
+    The first one returned has the ends of the second, the other one those of the first.
     """
     n = len(first.kind)
     behind = np.where(second.parent < 0, -1, second.parent + n)
@@ -654,8 +659,7 @@ def _join_tables(first: Table, second: Table) -> tuple[Table, Table]:
 
 
 def list_position_ties(system: Model, table: Table) -> list[Tie]:
-    """All ties that hold positions: of joints that the tree left out, in explicit form, and of
-    declared constraints.
+    """List all ties that hold positions: of cut joints, explicit, and of declared constraints.
 
     One-sided constraints are among them. `table` has the frames of these joints, led on through
     their motion.
@@ -670,6 +674,7 @@ def _list_ties(
     pins: tuple[tuple[str, bool], ...],
     one_sided: bool,
 ) -> list[Tie]:
+    """List the ties of cut joints, declared constraints, relations and pinned frames."""
     mechanism = system._mechanism
     ties = [
         _make_joint_tie(system, table, mechanism.joints[n], n in explicit)
@@ -696,9 +701,7 @@ def _list_ties(
 
 
 def _flatten_end(end: End, of: End, table: Table) -> End:
-    """The end turned so that x is what was z of `of`, and z the plane's normal: a slide of the
-    plane is along z.
-    """
+    """Turn an end so that x is what was z of `of`, and z the plane's normal."""
     z = compute_plane_normal(of, table)
     x = np.array([0.0, 0.0, 1.0])
     C = np.eye(4)
@@ -707,8 +710,9 @@ def _flatten_end(end: End, of: End, table: Table) -> End:
 
 
 def compute_plane_normal(end: End, table: Table) -> np.ndarray:
-    """The normal of the plane of a planar system, in axes of a frame: the same in all
-    configurations.
+    """Compute the normal (3,) of the plane of a planar system, in axes of a frame.
+
+    It is the same in all configurations.
     """
     z = np.array([0.0, 0.0, 1.0])
     row = end[0]
@@ -722,7 +726,7 @@ def compute_plane_normal(end: End, table: Table) -> np.ndarray:
 
 
 def _make_joint_tie(system: Model, table: Table, joint: Joint, explicit: bool) -> Tie:
-    """The tie of a joint that the tree left out."""
+    """Make the tie of a cut joint."""
     a = table.at[joint.name, "F"]
     b = table.at[joint.name, "M"]
     if has_slide_along_z(joint.type, system.dim, b[2]):
@@ -737,19 +741,21 @@ def _make_joint_tie(system: Model, table: Table, joint: Joint, explicit: bool) -
 
 
 def _find_implicit_form(system: Model, joint: Joint) -> ImplicitForm | None:
+    """Return the implicit form of a joint of the system, or None."""
     return find_implicit_form(
         joint.type, system.dim, system._mechanism.bodies[joint.child].particle
     )
 
 
 def _make_axis_mask(axes: str) -> int:
-    """The bits of some axes, as one integer."""
+    """Return the bits of some axes as one integer."""
     return sum(1 << "xyz".index(a) for a in axes)
 
 
 def _order_ties(ties: list[Tie], table: Table, first: Places) -> list[Tie]:
-    """The ties so that those that share coordinates are near each other: it keeps the envelope of J
-    J^T small.
+    """Order ties so that those that share coordinates are near each other.
+
+    The envelope of J J^T is then small.
     """
     if len(ties) < 8:
         return ties
@@ -771,8 +777,9 @@ def _order_ties(ties: list[Tie], table: Table, first: Places) -> list[Tie]:
 def _order_ties_by_level(
     ties: list[Tie], table: Table, level: Callable[[Tie], int], first: Places
 ) -> list[Tie]:
-    """The ties in the order of levels, each in an order of its own, so that it is the same without
-    the last level.
+    """Order ties by levels, and within each level so that the envelope of J J^T is small.
+
+    The order of the others is the same without the last level.
 
     Those of the last level that hold one coordinate each stand before the first other one that it
     moves: this keeps the envelope small.
@@ -792,8 +799,7 @@ def _order_ties_by_level(
 
 
 def _find_tie_coordinates(tie: Tie, table: Table, first: Places) -> set[int]:
-    """Velocity coordinates that the equations of a tie depend on, by which its neighbours in the
-    order are found.
+    """Return the velocity coordinates that the equations of a tie depend on.
 
     `table` holds the rows of the tree, `first` the places of coordinates by name.
     """
@@ -810,5 +816,5 @@ def _find_tie_coordinates(tie: Tie, table: Table, first: Places) -> set[int]:
 
 
 def _find_moving_coordinates(tie: Tie, table: Table) -> set[int]:
-    """Velocity coordinates that move frame B of a tie against its frame A."""
+    """Return the velocity coordinates that move frame B of a tie against its frame A."""
     return {int(table.iv[row]) for _, row in find_moving_rows(tie.a[0], tie.b[0], table.parent)}

@@ -1,4 +1,4 @@
-"""Lowering: joints -> primitive rows whose axis is z, bodies -> (row, constant placement).
+"""Primitive tables: joints as rows of primitives about z, bodies and frames as places on rows.
 
 The packed form, one int64 and one float64 array, is described in
 `kempe.kernels.forward.table_layout`. Constants (offsets of mimic joints, locked coordinates, fixed
@@ -41,7 +41,7 @@ End = tuple[int, np.ndarray, bool]
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """The primitive rows of a system, and where bodies and frames sit on them.
+    """The primitive table of a system: its rows, and where bodies and frames sit on them.
 
     Rows: `kind`, `parent` row (-1 ground), `iq`, `iv`, `multiplier`, `offset` angle (..., n),
     `placement` (..., n, 4, 4).
@@ -61,7 +61,7 @@ class Table:
     nv: int
 
     def find_path(self, name: Any) -> list[int]:
-        """Rows from the ground to the body or frame."""
+        """Return the rows from the ground to a body or frame."""
         row = self.at[name][0]
         rows: list[int] = []
         while row >= 0:
@@ -72,8 +72,7 @@ class Table:
     def pack_arrays(
         self, names: Sequence[Any], rows: Sequence[int] | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Arrays (ints, floats) for the kernels: the rows that move the named outputs, and the
-        outputs.
+        """Pack the rows that move the named outputs, and the outputs, as arrays (ints, floats).
 
         Leading axes of a batch of designs stay on `floats`.
         """
@@ -110,6 +109,7 @@ class Table:
         return ints, self._pack_floats(rows, names)
 
     def _pack_floats(self, rows: Sequence[int], names: Sequence[Any]) -> np.ndarray:
+        """Pack the numbers of rows and of named outputs (..., n) as kernels read them."""
         n = len(rows)
         k = len(names)
         lead = self.placement.shape[:-3]
@@ -128,7 +128,7 @@ class Table:
 
 
 class _TableRows:
-    """Rows being collected, and the state of the walk along one joint."""
+    """Rows of a table as they are collected along one joint after the other."""
 
     def __init__(self, coordinates: Coordinates):
         self.coordinates = coordinates
@@ -137,8 +137,9 @@ class _TableRows:
     def add_primitive(
         self, at: tuple[int, np.ndarray], primitive: Primitive, name: str, sign: float
     ) -> tuple[int, np.ndarray]:
-        """Row and placement reached after a primitive of the coordinate `name`, from `at` (row,
-        placement).
+        """Add the row of a primitive, and return the row and placement reached from `at`.
+
+        `name` is the coordinate that moves it.
         """
         row, X = at
         X = X @ _AXES[primitive.axis]
@@ -168,8 +169,9 @@ class _TableRows:
     def add_joint(
         self, mechanism: Mechanism, joint: Joint, at: tuple[int, np.ndarray], backwards: bool
     ) -> tuple[int, np.ndarray]:
-        """Row and placement reached after a joint's motion from `at` (row, placement); `backwards`:
-        from M to F.
+        """Add the rows of a joint, and return the row and placement reached from `at`.
+
+        With `backwards` the way is from M to F.
         """
         names = list_coordinate_names(mechanism, joint)
         primitives = joint.type.layout(mechanism.dim, mechanism.bodies[joint.child].particle)[1]
@@ -184,8 +186,9 @@ class _TableRows:
     def add_ball(
         self, at: tuple[int, np.ndarray], names: Sequence[str], sign: float
     ) -> tuple[int, np.ndarray]:
-        """Row and placement reached after a rotation by a quaternion, constant where the joint is
-        locked.
+        """Add the row of a quaternion, and return the row and placement reached from `at`.
+
+        Where the joint is locked the rotation is constant.
         """
         row, X = at
         locked = [self.coordinates.followers.get(n) for n in names]
@@ -204,8 +207,9 @@ def make_primitive_table(
     parameters: Mapping[str, Any],
     explicit: Mapping[str, bool] | None = None,
 ) -> Table:
-    """The table of a mechanism for these parameters, which may be arrays of one shape (a batch of
-    designs).
+    """Make the primitive table of a mechanism.
+
+    Parameters may be arrays of one shape: a batch of designs.
 
     For each joint in `explicit` that the tree left out, `at` has its frames too: (name, "M") on the
     child, and (name, "F") on the parent, led on through the joint's own motion where
@@ -243,8 +247,9 @@ def _place_joint_ends(
     parameters: Mapping[str, Any],
     explicit: Mapping[str, bool],
 ) -> dict[Any, End]:
-    """Both frames of each joint in `explicit`: F, led on through the joint where it is explicit,
-    and M.
+    """Return the frames F and M of each joint in `explicit`.
+
+    F is moved through the joint where it is explicit.
     """
     at: dict[Any, End] = {}
     for name, through in explicit.items():
@@ -270,6 +275,7 @@ def _finish_table(
     c: Coordinates,
     ends: dict[Any, End],
 ) -> Table:
+    """Make the table of the rows, with bodies and frames where the walk reached them."""
     at: dict[Any, End] = {
         b: (row, X, mechanism.bodies[b].particle) for b, (row, X) in where.items()
     }
@@ -304,8 +310,9 @@ def _finish_table(
 
 
 def extract_chain(table: Table, name: str) -> tuple[Table, np.ndarray, np.ndarray]:
-    """The table of one chain with coordinates renumbered from 0, and the indices (into q, into v)
-    they stand for.
+    """Return the table of one chain, and the indices of its coordinates in q and in v.
+
+    Its coordinates count from 0.
     """
     path = table.find_path(name)
     kind = table.kind[path]

@@ -1,5 +1,4 @@
-"""An order of joints that follows from the structure of a mechanism: names decide only between
-joints that are alike.
+"""An order of joints by the structure of a mechanism; names decide only between equal joints.
 
 Bodies get colours that are refined until neighbours tell nothing new (Weisfeiler and Leman, 1968):
 first by what is connected to what by which type of joint, then by the placements of joints, then by
@@ -29,7 +28,7 @@ rotation."""
 
 
 def make_sort_key(name: str) -> tuple[Any, ...]:
-    """Sort key by which 'J2' comes before 'J10'."""
+    """Return a sort key of a name by which 'J2' comes before 'J10'."""
     parts = ((p, p.lstrip("0")) for p in re.split(r"(\d+)", name) if p)
     return tuple((0, len(d), d) if p.isdecimal() else (1, 0, p) for p, d in parts) + (
         (-1, 0, name),
@@ -39,7 +38,7 @@ def make_sort_key(name: str) -> tuple[Any, ...]:
 def order_joints(
     mechanism: Mechanism, level: Mapping[str, int], first: Mapping[str, Any]
 ) -> dict[str, int]:
-    """Place of each joint of `first` in an order that names decide last.
+    """Number the joints of `first` by structure; names decide last.
 
     Parameters
     ----------
@@ -88,7 +87,10 @@ def order_joints(
 
 
 class _Colours:
-    """Colours of bodies, `of`, as numbers; those of a level closer to the ground are smaller."""
+    """Colours of bodies as numbers, in `of`: bodies with equal structure have equal colours.
+
+    Those of a level closer to the ground are smaller.
+    """
 
     def __init__(self, mechanism: Mechanism, joints: list[Joint], level: Mapping[str, int]):
         self.joints = joints
@@ -112,8 +114,9 @@ class _Colours:
             before += len(layer)
 
     def _colour_layer(self, layer: list[str], key: Mapping[str, Any], before: int) -> None:
-        """Give the bodies of a layer the number of bodies whose keys are smaller, those of layers
-        before included.
+        """Colour the bodies of a layer by the number of bodies with smaller keys.
+
+        Those of earlier layers count.
         """
         last: Any = None
         colour = before
@@ -124,8 +127,9 @@ class _Colours:
             self.of[body] = colour
 
     def refine_colours(self, labels: Mapping[str, Any]) -> None:
-        """Refine the colours by joints with these labels until their number stays, layer by layer,
-        out and back.
+        """Refine the colours by labels of joints until their number stays the same.
+
+        Layers are refined from the ground outwards and back.
         """
         places = {repr(x): x for x in labels.values()}
         number = {text: k for k, text in enumerate(sorted(places, key=places.__getitem__))}
@@ -154,13 +158,13 @@ class _Colours:
                 return
 
     def can_tell_joints_apart(self, labels: Mapping[str, Any]) -> bool:
-        """Whether no two joints have the same label and ends of the same colours."""
+        """Tell whether no two joints have the same label and ends of the same colours."""
         keys = {(repr(labels[j.name]), self.of[j.parent], self.of[j.child]) for j in self.joints}
         return len(keys) == len(self.joints)
 
 
 def _list_couplings(mechanism: Mechanism) -> dict[str, list[Any]]:
-    """For each joint in which couplings it takes part, and by which factors."""
+    """List, for each joint, the couplings it takes part in, with their factors."""
     out: dict[str, list[Any]] = defaultdict(list)
     for coupling in mechanism.couplings.values():
         terms = [
@@ -177,8 +181,9 @@ def _list_couplings(mechanism: Mechanism) -> dict[str, list[Any]]:
 
 
 def _evaluate_number(x: Value) -> float:
-    """A number of the description, with all parameters taken as 1: so neither their names nor
-    values decide.
+    """Evaluate a number of the description with all parameters taken as 1.
+
+    So neither names nor values of parameters decide.
     """
     found = float(
         evaluate_value(x, dict.fromkeys(x.names, 1.0) if isinstance(x, Expression) else {})
@@ -187,20 +192,19 @@ def _evaluate_number(x: Value) -> float:
 
 
 def _evaluate_placement(placement: Placement) -> list[float]:
-    """The first three rows of a placement with all parameters taken as 1."""
+    """Evaluate the first three rows of a placement with all parameters taken as 1."""
     X = placement.evaluate_pose(dict.fromkeys(placement.names, 1.0))[:3].ravel().tolist()
     return [x if math.isfinite(x) else 0.0 for x in X]
 
 
 def _find_largest_coordinate(mechanism: Mechanism) -> float:
-    """The largest coordinate of a joint's frames on their bodies, at least a little above zero."""
+    """Return the largest coordinate of a joint's frames on their bodies, in metres; 1 if all are 0."""
     poses = (_evaluate_placement(X) for j in mechanism.joints.values() for X in (j.X_PF, j.X_CM))
     return max((abs(x) for X in poses for x in (X[3], X[7], X[11])), default=0.0) or 1.0
 
 
 def _round_placement(placement: Placement, size: float) -> list[float]:
-    """The numbers of a placement, rounded so that the same placement written in another way is the
-    same.
+    """Round the numbers of a placement, so that it is the same however it was written.
 
     Position first, the largest x first: the legs of most parallel robots are counted from the one
     on the x axis.

@@ -1,6 +1,4 @@
-"""Systems whose equations depend on time: the time as a number, or as a coordinate that can be
-driven.
-"""
+"""Systems whose equations depend on time: the time as a fixed number, or as a coordinate."""
 
 from __future__ import annotations
 
@@ -23,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def list_timed_constraints(system: Model) -> tuple[str, ...]:
-    """Names of the constraints on positions that depend on time."""
+    """List the names of position constraints that depend on time."""
     held = system._mechanism.constraints.values()
     return tuple(
         c.name
@@ -34,7 +32,7 @@ def list_timed_constraints(system: Model) -> tuple[str, ...]:
 
 @explain_errors
 def fix_time(system: SystemType, t: float) -> SystemType:
-    """The system as it is at the time t, with the same coordinates. Errors: `InputError`."""
+    """Return the system at the time t in seconds, with the same coordinates. Errors: `InputError`."""
     if np.ndim(t) or not np.isfinite(numbers(t, "t")):
         raise InputError(
             f"t is {t!r}; it must be one time, a finite number: many are for drive(times=...)"
@@ -51,7 +49,10 @@ def fix_time(system: SystemType, t: float) -> SystemType:
 def fix_known_time(
     system: SystemType, known: Mapping[str, Any]
 ) -> tuple[SystemType, Mapping[str, Any]]:
-    """The system at the time that is `known` as "t", and what else is known. Errors: `InputError`."""
+    """Return the system at the time that is `known` as "t", and the other known values.
+
+    Errors: `InputError`.
+    """
     if (
         TIME in system.coordinate_names
         or TIME in system.frame_names
@@ -63,6 +64,7 @@ def fix_known_time(
 
 @keep_answers
 def _add_time_parameter(system: SystemType) -> SystemType:
+    """Return the system with the time as a parameter, 0 at first."""
     m = _make_time_an_input(system, ())
     m.parameter(TIME, 0.0)
     return type(system)(m)
@@ -70,8 +72,9 @@ def _add_time_parameter(system: SystemType) -> SystemType:
 
 @keep_answers
 def add_time_coordinate(system: SystemType) -> SystemType:
-    """The system with the time as its last coordinate, a prismatic one that appears in no pose,
-    only in equations.
+    """Return the system with the time as its last coordinate.
+
+    It is a prismatic coordinate that appears in equations only, in no pose.
     """
     m = _make_time_an_input(system, (TIME,))
     m.prismatic(TIME, m.ground, m.body(unused_name(m, "clock")), axis="x")
@@ -79,8 +82,9 @@ def add_time_coordinate(system: SystemType) -> SystemType:
 
 
 def _make_time_an_input(system: Model, more: tuple[str, ...]) -> Mechanism:
-    """The mechanism with the time as an ordinary name in its equations, and among their coordinates
-    `more`.
+    """Return the mechanism with the time as an ordinary name in its equations.
+
+    `more` are added to the coordinates of these equations.
     """
     m = system.mechanism
     names = list_timed_constraints(system)
@@ -97,6 +101,7 @@ def _make_time_an_input(system: Model, more: tuple[str, ...]) -> Mechanism:
 
 
 def _add_time_to_constraint(of: Any, more: tuple[str, ...]) -> Constraint:
+    """Return a constraint that reads the time as an ordinary name."""
     expression = of.expression
     from kempe.constraints.equations import Call
 
@@ -113,9 +118,10 @@ def _add_time_to_constraint(of: Any, more: tuple[str, ...]) -> Constraint:
 
 
 def _add_time_to_function(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The function with the time among its named inputs."""
+    """Return the function with the time among its named inputs."""
 
     def call_with_time(x: Mapping[str, float]) -> Any:
+        """Call the function with its inputs and the time."""
         return function({n: v for n, v in x.items() if n != TIME}, x[TIME])
 
     return call_with_time

@@ -1,4 +1,4 @@
-"""The spanning tree of a mechanism: its joints, those that close loops, and numbers of bodies.
+"""Spanning trees of mechanisms: tree joints, cut joints, and numbers of bodies.
 
 The loops that the cut joints close are short.
 """
@@ -40,8 +40,9 @@ FEW = 200
 
 
 class Branch(NamedTuple):
-    """A row of joints between two bodies where loops meet; a tree leaves out one joint of a branch,
-    or none.
+    """A chain of joints between two bodies where loops meet.
+
+    A tree leaves out one joint of a branch, or none.
     """
 
     ends: tuple[int, int]
@@ -50,14 +51,14 @@ class Branch(NamedTuple):
     """The member that is left out before the others."""
 
     def get_other_end(self, body: int) -> int:
-        """The other end."""
+        """Return the end of the branch that is not `body`."""
         return self.ends[1] if self.ends[0] == body else self.ends[0]
 
 
 def find_left_out_edges(
     ends: Sequence[tuple[int, int]], grade: Sequence[Any], order: Sequence[int]
 ) -> set[int]:
-    """Edges that a spanning tree with short loops leaves out.
+    """Find the edges that a spanning tree with short loops leaves out.
 
     Parameters
     ----------
@@ -81,7 +82,10 @@ def find_left_out_edges(
 def _find_branches(
     ends: Sequence[tuple[int, int]], grade: Sequence[Any], order: Sequence[int]
 ) -> tuple[list[Branch], set[int]]:
-    """The branches of the graph, and the edges left out of rings that hang on one body at most."""
+    """Find the branches of the graph, and the edges to leave out of rings.
+
+    These rings are attached to the rest by one body at most.
+    """
     at: dict[int, list[int]] = defaultdict(list)
     for edge, (a, b) in enumerate(ends):
         at[a].append(edge)
@@ -125,8 +129,9 @@ def _find_branches(
 
 
 class _Search:
-    """A tree of branches, improved by exchanges; branches come in the order of preference, kept
-    ones first.
+    """A tree of branches that is improved by exchanges.
+
+    Branches come in the order of preference: those to keep come first.
     """
 
     def __init__(self, branches: list[Branch], grade: list[Any]):
@@ -139,7 +144,7 @@ class _Search:
                 self.at[body].append(k)
 
     def find_left_out_edges(self) -> set[int]:
-        """Edges that the best tree found leaves out."""
+        """Return the edges that the best tree found leaves out."""
         use = self._count_short_loops()
         every = range(len(self.branches))
         found = [
@@ -157,7 +162,7 @@ class _Search:
         return {self.branches[k].worst for k in cut}
 
     def _count_short_loops(self) -> list[int]:
-        """For each branch on how many short loops it lies: on shortest ones through some branch."""
+        """Count, for each branch, the shortest loops through some branch that it lies on."""
         loops = {loop for k in range(len(self.branches)) if (loop := self._find_shortest_loop(k))}
         use = [0] * len(self.branches)
         for loop in loops:
@@ -166,8 +171,9 @@ class _Search:
         return use
 
     def _find_shortest_loop(self, k: int) -> frozenset[int]:
-        """Branches of a shortest loop through branch k; none where there is none within `REACH`
-        (Dijkstra, 1959).
+        """Find the branches of a shortest loop through branch k (Dijkstra, 1959).
+
+        The set is empty where there is no loop within `REACH`.
         """
         # an end that numbers do not choose
         start, goal = sorted(self.branches[k].ends, key=lambda body: self.at[body])
@@ -191,10 +197,11 @@ class _Search:
         return frozenset()
 
     def _find_cheapest_tree(self, cost: list[Any]) -> list[int]:
-        """Branches of the spanning tree of least cost (Kruskal, 1956)."""
+        """Find the branches of the spanning tree of least cost (Kruskal, 1956)."""
         root: dict[int, int] = {}
 
         def find_root(body: int) -> int:
+            """Return the body that stands for the connected part of a body."""
             while (up := root.get(body, body)) != body:
                 root[body] = body = root.get(up, up)
             return body
@@ -208,7 +215,7 @@ class _Search:
         return kept
 
     def _find_loops(self, kept: list[int]) -> dict[int, set[int]]:
-        """For each branch that is left out the branches of the tree that close its loop."""
+        """Find, for each branch that is left out, the branches of the tree that close its loop."""
         ways: dict[int, list[int]] = defaultdict(list)
         for k in kept:
             for body in self.branches[k].ends:
@@ -238,8 +245,9 @@ class _Search:
         return loops
 
     def _improve_tree(self, kept: list[int]) -> tuple[int, list[int]]:
-        """Total length of the loops, and what is left out, after exchanges that make the length
-        less.
+        """Exchange branches while this shortens the loops.
+
+        Returned are the total length of the loops, and the branches left out.
 
         Branch e comes in for f of its loop. Each other loop through f then goes round the rest of
         e's loop: it becomes longer by the length of e's loop less twice what the two share.
@@ -333,8 +341,9 @@ class Topology:
 
 
 def find_spanning_tree(mechanism: Mechanism) -> Topology:
-    """Spanning tree and loop closures of a mechanism. Errors: `DescriptionError` naming bodies
-    without a way to it.
+    """Find the spanning tree and the loop closures of a mechanism.
+
+    Errors: `DescriptionError`, with bodies that no joint connects.
     """
     ground = mechanism.ground.name
     neighbours: dict[str, list[tuple[str, Joint]]] = {b: [] for b in mechanism.bodies}
@@ -367,6 +376,7 @@ def find_spanning_tree(mechanism: Mechanism) -> Topology:
 def _compute_levels(
     mechanism: Mechanism, ground: str, neighbours: dict[str, list[tuple[str, Joint]]]
 ) -> dict[str, int]:
+    """Compute the number of joints on a shortest way from the ground to each body."""
     level = {ground: 0}
     queue = deque([ground])
     while queue:
@@ -380,6 +390,7 @@ def _compute_levels(
 
 
 def _refuse_detached(mechanism: Mechanism, level: dict[str, int]) -> None:
+    """Refuse bodies that no joints connect to the ground. Errors: `DescriptionError`."""
     detached = [b for b in mechanism.bodies.values() if b.name not in level]
     if detached:
         names = ", ".join(repr(b.name) for b in detached[:8]) + (
@@ -396,7 +407,7 @@ def _refuse_detached(mechanism: Mechanism, level: dict[str, int]) -> None:
 
 
 def _choose_tree_joints(mechanism: Mechanism, level: dict[str, int]) -> set[str]:
-    """Names of the tree's joints."""
+    """Choose the names of the joints of the tree."""
     joints = mechanism.joints
     if len(joints) < len(mechanism.bodies):  # a tree needs no choice
         return set(joints)
@@ -438,7 +449,7 @@ def _choose_tree_joints(mechanism: Mechanism, level: dict[str, int]) -> set[str]
 
 
 def _number_bodies(mechanism: Mechanism, came: dict[str, tuple[str, Joint]]) -> list[str]:
-    """Bodies in the order of declaration, except that a child waits for its parent."""
+    """List the bodies in the order of declaration, each one after its parent."""
     names = list(mechanism.bodies)
     declared = {b: i for i, b in enumerate(names)}
     children: dict[str, list[str]] = {b: [] for b in names}
