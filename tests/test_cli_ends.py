@@ -123,8 +123,8 @@ def test_assembly_modes(tmp_path):
             "--modes",
             "-o",
             out,
-            before=at_call("kempe.assemble.modes.share_found", 1)
-            + at_call("kempe.assemble.modes.mixed", 1),
+            before=at_call("kempe.assemble.modes.estimate_share_found", 1)
+            + at_call("kempe.assemble.modes.mix_configurations", 1),
         )
     )
     assert done.returncode == 130 and "interrupted" in done.stdout, (done.stdout, done.stderr)

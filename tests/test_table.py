@@ -162,7 +162,7 @@ def test_closed_forms_and_many_starts_find_the_same_modes(name):
     problem = Problem(system, "all", known=known, budget=kempe.Budget(starts=256))
     assert modes.no_dyads(problem) is None
     exact = modes.by_dyads(problem)
-    found = modes.by_starts(problem)
+    found = modes.find_modes_by_starts(problem)
     assert len(exact) == len(found)
     for q in exact.q:
         assert np.abs(np.exp(1j * found.q) - np.exp(1j * q)).max(axis=-1).min() < 1e-7

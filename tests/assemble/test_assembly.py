@@ -768,7 +768,7 @@ def test_held_balls_keep_their_known_quaternions():
     none = np.zeros(0)
     q = np.arange(9.0)[None]
     known = -1.0 - np.arange(9.0)[None]
-    found = OneSidedAssembly(s, loops, none, 0, 0.0, 0, None)._with_known(q, known)
+    found = OneSidedAssembly(s, loops, none, 0, 0.0, 0, None)._copy_held_coordinates(q, known)
     assert found.tolist() == [[-1.0, 1.0, 2.0, 3.0, 4.0, -6.0, -7.0, -8.0, -9.0]]
 
 
@@ -834,7 +834,9 @@ def test_the_usual_call_of_a_bound_assembler_is_one_call_of_the_kernel(searched,
     bound({"A": 0.4}, q)
     general = bound([0.4], q)
     searched.clear()
-    monkeypatch.setattr(Assembler, "_solve", lambda *args: pytest.fail("this is for other calls"))
+    monkeypatch.setattr(
+        Assembler, "_solve_problem", lambda *args: pytest.fail("this is for other calls")
+    )
     usual = bound({"A": 0.4}, q)
     public = s.assemble({"A": 0.4}, q)
     np.testing.assert_array_equal(usual.q, general.q)

@@ -63,7 +63,7 @@ def one_by_one(clusters: Clusters, q: np.ndarray, tolerance: np.ndarray) -> list
     firsts = []
     out = []
     for i in range(len(q)):
-        apart = [float(clusters.distances(q[[i]], q[[k]])[0]) for k in firsts]
+        apart = [float(clusters.compute_distances(q[[i]], q[[k]])[0]) for k in firsts]
         near = [n for n, d in enumerate(apart) if d <= max(tolerance[i], tolerance[firsts[n]])]
         if not near:
             firsts.append(i)
@@ -86,7 +86,9 @@ def check(hunt: Hunt, name: str, cases: int) -> None:
         )
         tolerance = 10.0 ** rng.uniform(-6, -4, 40)
         batches = np.split(np.arange(40), np.sort(rng.integers(41, size=2)))
-        found = np.concatenate([clusters.add(q[b], tolerance[b]) for b in batches if len(b)])
+        found = np.concatenate(
+            [clusters.add_configurations(q[b], tolerance[b]) for b in batches if len(b)]
+        )
         assert found.tolist() == one_by_one(clusters, q, tolerance)
         assert sorted(i for m in clusters.members for i in m) == list(range(40))
         assert clusters.hits.tolist() == np.bincount(found).tolist()
@@ -115,12 +117,15 @@ def test_keys_differ_by_no_more_than_configurations(size, name, hunt):
         q, rng.uniform(-1, 1, (len(q), system.nv)) * size * metric.scale
     )
     to = np.array([images(system, rng, x, metric.period) for x in to])
-    apart = np.abs(metric.keys(to) - metric.keys(q))
-    assert (apart <= metric.steepest * metric.distances(to, q) + 1e-12).all()
+    apart = np.abs(metric.compute_keys(to) - metric.compute_keys(q))
+    assert (apart <= metric.steepest * metric.compute_distances(to, q) + 1e-12).all()
 
 
 def test_no_configurations_are_sorted_into_no_clusters():
     """With frames and without."""
     system = balls()
     for frames in ((), (system.body_names[-1],)):
-        assert len(Clusters(system, frames).add(np.empty((0, system.nq)), np.empty(0))) == 0
+        assert (
+            len(Clusters(system, frames).add_configurations(np.empty((0, system.nq)), np.empty(0)))
+            == 0
+        )

@@ -46,13 +46,13 @@ def test_derivatives_by_dimensions_are_those_by_differences(system, hunt):
     )
 
     def equations(p: np.ndarray) -> np.ndarray:
-        changed = shape.changed(p)
+        changed = shape.change_dimensions(p)
         loops = get_packed_loops(
             changed, frozenset(changed.structure.closures), length=shape.length
         )
         return evaluate(changed, q, False, loops=loops)[0]
 
-    found = shape.derivative(p, q)
+    found = shape.differentiate_equations(p, q)
     some = rng.choice(shape.size, min(shape.size, 24), replace=False)
     for k, e in zip(some, np.eye(shape.size)[some], strict=True):
         wanted = (equations(p + STEP * e) - equations(p - STEP * e)) / (2.0 * STEP)
@@ -63,10 +63,12 @@ def test_derivatives_by_dimensions_are_those_by_differences(system, hunt):
 def test_changes_of_a_planar_mechanism_stay_in_the_plane(name, hunt):
     """Of slides, too, whose direction is the z of their frames."""
     shape = Dimensions(kempe.load(name))
-    system = shape.changed(0.1 * hunt.rng().normal(size=shape.size))
+    system = shape.change_dimensions(0.1 * hunt.rng().normal(size=shape.size))
     X = system.fk(system.random(0, 5))
     assert np.abs(X[..., 2, :2]).max() < 1e-12 and np.abs(X[..., 2, 3]).max() < 1e-12
-    rows = np.linalg.matrix_rank(shape.derivative(np.zeros(shape.size), system.random(0, 1))[0])
+    rows = np.linalg.matrix_rank(
+        shape.differentiate_equations(np.zeros(shape.size), system.random(0, 1))[0]
+    )
     assert rows == len(evaluate(system, system.neutral, False, True)[0])
 
 
@@ -77,10 +79,11 @@ def test_derivatives_of_relations_are_those_by_differences(name, hunt):
     shape = Dimensions(kempe.load(name))
     relations = Relations(shape, 1e-3)
     p = 0.01 * hunt.rng().normal(size=shape.size)
-    values = relations.values(p)
-    found = relations.derivative(p)
+    values = relations.compute_values(p)
+    found = relations.differentiate_values(p)
     assert len(values) == len(found) > 0
     wanted = [
-        relations.values(p + STEP * e) - relations.values(p - STEP * e) for e in np.eye(shape.size)
+        relations.compute_values(p + STEP * e) - relations.compute_values(p - STEP * e)
+        for e in np.eye(shape.size)
     ]
     assert np.abs(found - np.stack(wanted, axis=-1) / (2.0 * STEP)).max() < 1e-6

@@ -547,7 +547,7 @@ def test_no_verb_answers_before_it_is_decided_which_mechanism_is_closed(verb, hu
         check_for_stop()
         raise AssertionError("the time was up")
 
-    monkeypatch.setattr(nearest_exact, "_searched", search)
+    monkeypatch.setattr(nearest_exact, "_search_nearest", search)
     monkeypatch.setattr(
         clock, "time", SimpleNamespace(monotonic=lambda: math.inf if searched else -math.inf)
     )
@@ -564,7 +564,7 @@ def test_loops_that_close_with_any_dimensions_are_not_searched(monkeypatch):
     def search(*_: Any) -> None:
         raise AssertionError("it is searched")
 
-    monkeypatch.setattr(nearest_exact, "_starts", search)
+    monkeypatch.setattr(nearest_exact, "_find_starts", search)
     m = Mechanism("four-bar", dim=2)
     a, b, c = (m.body(x) for x in "abc")
     m.revolute("A", m.ground, a)

@@ -22,11 +22,11 @@ from kempe.assemble.modes import (
     Modes,
     assembly_modes,
     by_dyads,
-    by_starts,
-    estimates,
+    estimate_coverage,
+    find_modes_by_starts,
     no_dyads,
 )
-from kempe.assemble.same_configuration import metric_of
+from kempe.assemble.same_configuration import get_metric
 from kempe.errors import InputError, UnknownNameError
 from kempe.numerics import clock
 
@@ -245,7 +245,7 @@ def drawn(*joints: tuple[str, str, str, tuple[float, float], float | None]) -> S
 
 def holds(modes: Modes, q: np.ndarray) -> bool:
     """Whether a configuration is among the modes."""
-    return bool(len(modes) and metric_of(modes.system).distances(modes.q, q).min() < 1e-5)
+    return bool(len(modes) and get_metric(modes.system).compute_distances(modes.q, q).min() < 1e-5)
 
 
 def test_hunt_a_root_at_the_square_root_of_rounding_is_kept(hunt):
@@ -491,7 +491,7 @@ def test_shaky_is_not_called_moving():
     m.revolute("B", a, b, at=(1, 0))
     m.revolute("C", b, m.ground, at=(1, 0), child_at=(2, 0))
     question = question_of(m.build(), {})
-    modes = by_starts(question)
+    modes = find_modes_by_starts(question)
     assert not modes.freedoms.any() and len(modes) == 1
     assert no_dyads(question) is None and len(by_dyads(question)) == 1
 
@@ -540,11 +540,11 @@ def test_a_frame_can_be_known():
 
 def test_estimates():
     """Good-Turing and Chao1 by hand: two modes seen once, one twice, one five times."""
-    coverage, expected = estimates(np.array([1, 1, 2, 5]))
+    coverage, expected = estimate_coverage(np.array([1, 1, 2, 5]))
     x = 1.0 - coverage  # two or less of nine have probability 5 %
     assert abs((1 - x) ** 9 + 9 * x * (1 - x) ** 8 + 36 * x**2 * (1 - x) ** 7 - 0.05) < 1e-9
     assert expected == 4 + 2 * 1 / (2 * 2)
-    assert estimates(np.array([], dtype=int)) == (0.0, 0.0)
+    assert estimate_coverage(np.array([], dtype=int)) == (0.0, 0.0)
 
 
 # ---- the interface

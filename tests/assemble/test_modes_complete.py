@@ -13,7 +13,7 @@ from own_joints import registered
 
 import kempe
 from kempe import Mechanism, System
-from kempe.assemble.modes import assembly_modes, estimates, must_be_even, search
+from kempe.assemble.modes import assembly_modes, estimate_coverage, has_even_count, search_modes
 from kempe.joints import JointType, P, Primitive
 from kempe.poses import make_placement_from_pose
 from kempe.spatial import exp_se3
@@ -151,19 +151,21 @@ def test_a_search_that_ends_early_has_all_mirror_images():
 
 
 def found(system, known=None, frame=None):
-    return search(system, known or {}, None, frame, np.random.default_rng(0), 128)
+    return search_modes(system, known or {}, None, frame, np.random.default_rng(0), 128)
 
 
 def test_where_the_number_is_even_by_theorem():
     rng = np.random.default_rng(0)
-    assert must_be_even(found(k33(rng).system()))
+    assert has_even_count(found(k33(rng).system()))
     system, known = six_sps(rng, False)
-    assert must_be_even(found(system, known)) and not must_be_even(found(system, known, "platform"))
+    assert has_even_count(found(system, known)) and not has_even_count(
+        found(system, known, "platform")
+    )
     system = kempe.load("three_rrr")
-    assert must_be_even(
+    assert has_even_count(
         found(system, {n: system.q_dict(system.q("closed"))[n] for n in ("A1", "A2", "A3")})
     )
-    assert must_be_even(found(kempe.load("rssr"), {"A": 0.4}))
+    assert has_even_count(found(kempe.load("rssr"), {"A": 0.4}))
 
 
 @dataclass(frozen=True)
@@ -181,7 +183,7 @@ class Sledge(JointType):
 def test_places_of_particles_are_known_by_what_their_joints_do():
     framework = k33(np.random.default_rng(0))
     with registered([Sledge]):
-        assert must_be_even(found(framework.system("sledge")))
+        assert has_even_count(found(framework.system("sledge")))
 
 
 def test_where_it_need_not_be():
@@ -191,7 +193,7 @@ def test_where_it_need_not_be():
         m.prismatic(f"P{b}", a, m.body(b), axis=axis)
     m.fixed("F", m.ground, "z", at=(0.1, 0.2, 0.3))
     s = found(m.build())
-    assert len(s.clusters.q) == 1 and not must_be_even(s) and not s.odd
+    assert len(s.clusters.q) == 1 and not has_even_count(s) and not s.odd
     modes = assembly_modes(m.build())
     assert len(modes) == 1 and "missing" not in modes.status
 
@@ -203,7 +205,7 @@ def test_an_odd_number_is_called_incomplete(monkeypatch):
     from kempe.assemble import modes as many
 
     f = k33(np.random.default_rng([1, 0]))
-    monkeypatch.setattr(many.ModesSearch, "complete", lambda self: False)
+    monkeypatch.setattr(many.ModesSearch, "try_suggested_modes", lambda self: False)
     modes = assembly_modes(f.system(), budget=kempe.Budget(starts=128))
     assert len(modes) == 7 and modes.expected >= 8
     assert "one is missing at least, since their number is even" in modes.status
@@ -266,7 +268,7 @@ def test_hunt_limits_hide_no_mode_from_a_search_without_them(hunt):
 @pytest.mark.parametrize("n", [1, 20, 128, 5000])
 def test_the_bound_is_the_exact_one_for_nothing_new(n):
     """Not one of n starts led elsewhere: probability (1 - x)^n = 5 %."""
-    coverage, expected = estimates(np.array([n] if n > 1 else [2]))
+    coverage, expected = estimate_coverage(np.array([n] if n > 1 else [2]))
     n = max(n, 2)
     assert abs(coverage - 0.05 ** (1 / n)) < 1e-9 and expected == 1
 
@@ -279,7 +281,7 @@ def test_the_bound_holds_as_often_as_it_says():
     for _ in range(cases):
         shares = rng.dirichlet(np.full(12, 0.4))
         hits = np.bincount(rng.choice(12, size=100, p=shares), minlength=12)
-        wrong += shares[hits == 0].sum() > 1.0 - estimates(hits[hits > 0])[0]
+        wrong += shares[hits == 0].sum() > 1.0 - estimate_coverage(hits[hits > 0])[0]
     assert wrong < 0.06 * cases
 
 

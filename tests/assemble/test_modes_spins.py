@@ -11,7 +11,7 @@ import pytest
 
 import kempe
 from kempe import Mechanism, System
-from kempe.assemble.generic_configurations import idle_freedoms_at
+from kempe.assemble.generic_configurations import find_idle_freedoms_at
 from kempe.joints import make_joint_type
 from kempe.spatial import exp_so3
 
@@ -146,7 +146,7 @@ def test_modes_read_the_idle_freedoms_of_mobility(name):
     system = kempe.load(name)
     q = system.assemble().q
     report = system.mobility(q, local=False)
-    idle = idle_freedoms_at(system, q)
+    idle = find_idle_freedoms_at(system, q)
     assert idle == report.idle_freedoms
     assert all(
         np.array_equal(a.velocity, b.velocity)

@@ -18,7 +18,7 @@ from world_mechanisms import World, Z, loop, unit
 
 import kempe
 from kempe import Mechanism, System
-from kempe.assemble.generic_configurations import nearby
+from kempe.assemble.generic_configurations import sample_nearby_ranks
 from kempe.equations.closure_rows import residual
 from kempe.equations.judge import closure_error
 from kempe.errors import InputError, UnknownNameError
@@ -286,7 +286,12 @@ def test_a_spin_in_one_position_only_is_not_idle():
 
 def test_a_rigid_structure_has_no_generic_neighbours():
     system = kempe.load("shaky_3r")
-    assert nearby(system, compute_rank(system, mobility(system).q), np.random.default_rng(0)) == []
+    assert (
+        sample_nearby_ranks(
+            system, compute_rank(system, mobility(system).q), np.random.default_rng(0)
+        )
+        == []
+    )
 
 
 def test_a_regular_configuration_is_generic_itself():
@@ -295,7 +300,9 @@ def test_a_regular_configuration_is_generic_itself():
     """
     for name, least, most in (("four_bar", 1, 1), ("bennett", 2, 99)):
         system = kempe.load(name)
-        found = nearby(system, compute_rank(system, mobility(system).q), np.random.default_rng(0))
+        found = sample_nearby_ranks(
+            system, compute_rank(system, mobility(system).q), np.random.default_rng(0)
+        )
         assert least <= len(found) <= most and all(r.nullity == 1 for r in found)
 
 

@@ -12,7 +12,7 @@ import pytest
 
 import kempe
 from kempe import Mechanism
-from kempe.assemble.generic_configurations import nearby
+from kempe.assemble.generic_configurations import sample_nearby_ranks
 from kempe.equations.velocity import tangent_rows
 from kempe.first_order.constraint_graph import build_constraint_graph
 from kempe.first_order.idle_freedoms import find_common_point, find_spin_groups
@@ -77,7 +77,10 @@ def test_a_joint_that_can_make_every_motion_holds_nothing():
 def test_a_regular_configuration_has_one_neighbour():
     s = kempe.load("four_bar")
     regular = compute_rank(s, s.assemble({"A": 1.0}).q)
-    assert regular.n_dependent == 0 and len(nearby(s, regular, np.random.default_rng(0))) == 1
+    assert (
+        regular.n_dependent == 0
+        and len(sample_nearby_ranks(s, regular, np.random.default_rng(0))) == 1
+    )
 
 
 # ---- local dimensions

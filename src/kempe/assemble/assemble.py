@@ -12,8 +12,13 @@ from kempe.answers.problem import NOTHING, Problem, Solver, choose, chosen_by, t
 from kempe.arguments import explain_errors, read_flag, read_names
 from kempe.arrays import unwrap_scalar
 from kempe.assemble.answer import Assembly
-from kempe.assemble.bound import LOOSEST, TOLERANCE, USUAL, Assembler, bare
-from kempe.assemble.nearest_exact import ideal_of, is_known, one_number, within
+from kempe.assemble.bound import LOOSEST, TOLERANCE, USUAL, Assembler, get_assembler_as_given
+from kempe.assemble.nearest_exact import (
+    choose_smaller_tolerance,
+    find_ideal_system,
+    find_nearest_exact,
+    is_known,
+)
 from kempe.budget import Budget, TimeUp, list_checks
 from kempe.constraints.tape import TIME
 from kempe.equations.one_sided import one_sided_rows
@@ -84,10 +89,10 @@ def assemble(
     if TIME in given:
         system, given = fix_known_time(system, given)
     signs = branch is not None and branch not in system.structure.posture_names
-    time = None if is_known(system, tolerance) else _time(budget)
+    time = None if is_known(system, tolerance) else _make_time_limit(budget)
     if time is not None:
         try:
-            within(system, tolerance, time)
+            find_nearest_exact(system, tolerance, time)
         except TimeUp:
             if not time.spent:
                 raise
@@ -97,10 +102,14 @@ def assemble(
                 else start
             )
             problem = Problem(system, "one", given, q, None, limits, TOLERANCE)
-            return replace(_unsolved(bare(system, given), problem), late=True, limit=time.limit)
-        budget = _left(budget, time)
+            return replace(
+                _make_late_answer(get_assembler_as_given(system, given), problem),
+                late=True,
+                limit=time.limit,
+            )
+        budget = _reduce_budget(budget, time)
     if tolerance is not None:
-        system, tolerance = allowing(system, tolerance)
+        system, tolerance = choose_tolerated_system(system, tolerance)
     if (
         branch is None
         and prefer is None
@@ -108,9 +117,9 @@ def assemble(
         and tolerance is None
         and budget is None
     ):
-        answer = bound(system, tuple(given))._usual(given, start)
+        answer = get_assembler(system, tuple(given))._answer_usual_call(given, start)
         if answer is not None:
-            return _within_limit(answer, time)
+            return _note_time_limit(answer, time)
     options = NOTHING
     if signs:
         options = {"branch": branch}
@@ -119,32 +128,32 @@ def assemble(
     problem = Problem(
         system, "one", given, start, prefer, limits, tolerance or TOLERANCE, budget, options
     )
-    return _within_limit(choose(SOLVERS, problem)[0].run(problem), time)
+    return _note_time_limit(choose(SOLVERS, problem)[0].run(problem), time)
 
 
-def _within_limit(answer: Assembly, time: TimeLimit | None) -> Assembly:
+def _note_time_limit(answer: Assembly, time: TimeLimit | None) -> Assembly:
     """The answer, which names the time of the whole call where that may have ended it."""
     if time is not None and answer.limit is not None:
         answer.__dict__["limit"] = time.limit
     return answer
 
 
-def _time(budget: Budget | None) -> TimeLimit:
+def _make_time_limit(budget: Budget | None) -> TimeLimit:
     """The time of the call; none where another verb asks, whose time counts."""
     asked = list_checks() and (budget is None or budget.time_limit is None)
     return TimeLimit(None if asked else USUAL.complete_budget(budget).time_limit)
 
 
-def _left(budget: Budget | None, time: TimeLimit) -> Budget | None:
+def _reduce_budget(budget: Budget | None, time: TimeLimit) -> Budget | None:
     """The budget with what is left of the time."""
     return budget if time.limit is None else replace(budget or Budget(), time_limit=time.left)
 
 
-def _unsolved(assembler: Assembler, problem: Problem) -> Assembly:
+def _make_late_answer(assembler: Assembler, problem: Problem) -> Assembly:
     """The answer where the time was up before it was known what closes, or configurations on a
     named branch.
     """
-    answer = assembler._solve(
+    answer = assembler._solve_problem(
         problem._replace(prefer=None, budget=Budget(starts=1, time_limit=LEAST))
     )
     code = np.where(
@@ -157,17 +166,17 @@ def _unsolved(assembler: Assembler, problem: Problem) -> Assembly:
     )
 
 
-def allowing(system: Model, tolerance: float | str) -> tuple[Model, float]:
+def choose_tolerated_system(system: Model, tolerance: float | str) -> tuple[Model, float]:
     """The system to assemble within a tolerance, and the largest residual that counts as success.
 
     A near mechanism that closes exactly takes the place of the given one; without one, the
     tolerance is that residual.
     """
-    found = within(system, tolerance)
+    found = find_nearest_exact(system, tolerance)
     if found is not None:
         return found.system, TOLERANCE
     return system, TOLERANCE if isinstance(tolerance, str) else min(
-        float(one_number(tolerance)), LOOSEST
+        float(choose_smaller_tolerance(tolerance)), LOOSEST
     )
 
 
@@ -177,59 +186,59 @@ def allowing(system: Model, tolerance: float | str) -> tuple[Model, float]:
 @explain_errors
 def assembler(system: Model, known: Iterable[str] = ()) -> Assembler:
     """The bound form of `assemble` for these known names. Errors: `UnknownNameError`, `InputError`."""
-    return bound(system, read_names(known, "known"))
+    return get_assembler(system, read_names(known, "known"))
 
 
 @keep_answers
-def bound(system: Model, known: tuple[str, ...]) -> Assembler:
+def get_assembler(system: Model, known: tuple[str, ...]) -> Assembler:
     """The assembler for the mechanism that replaces this one in computations, such as with exact
     dimensions.
     """
-    return bare(ideal_of(system), known)
+    return get_assembler_as_given(find_ideal_system(system), known)
 
 
 # ---- the solvers, and how one is chosen
 
 
-def _no_signs(problem: Problem) -> str | None:
+def _explain_missing_signs(problem: Problem) -> str | None:
     return None if "branch" in problem.options else "no branch is named by signs"
 
 
-def _no_bounds(problem: Problem) -> str | None:
+def _explain_missing_bounds(problem: Problem) -> str | None:
     bounded = one_sided_rows(problem.system).declared
     return None if bounded else "the system has no one-sided constraints"
 
 
-def _of_known(problem: Problem) -> Assembly:
+def _assemble_known(problem: Problem) -> Assembly:
     """The answer by the bound form for the names that are known."""
-    return bound(problem.system, tuple(problem.known))._solve(problem)
+    return get_assembler(problem.system, tuple(problem.known))._solve_problem(problem)
 
 
-def on_named_branch(problem: Problem) -> Assembly:
+def assemble_named_branch(problem: Problem) -> Assembly:
     """The answer on a branch named by the signs of its dyads: closed form, polished and checked."""
     from kempe.assemble.dyads import (  # only here: other calls do not need them
         closed_form,
         on_branch,
     )
 
-    assembler = bound(problem.system, tuple(problem.known))
+    assembler = get_assembler(problem.system, tuple(problem.known))
     asked = USUAL.complete_budget(problem.budget)
     threads = None if problem.budget is None else asked.threads
     named = problem.budget is not None and problem.budget.time_limit is not None
     many = not named and any(np.ndim(x) for x in problem.known.values())
-    time = TimeLimit(None) if many else _time(problem.budget)
+    time = TimeLimit(None) if many else _make_time_limit(problem.budget)
     try:
         with time:
             start = on_branch(
                 assembler.system, problem.known, problem.options["branch"], problem.start, threads
             )
-            answer, searched, before = assembler._confirm(
+            answer, searched, before = assembler._confirm_closed_form(
                 start, read_flag(problem.limits, "limits"), threads
             )
     except TimeUp:
         if not time.spent:
             raise
-        return replace(_unsolved(assembler, problem), limit=time.limit)
+        return replace(_make_late_answer(assembler, problem), limit=time.limit)
     if len(searched):  # the others are as the closed form gave them
         plan: Any = closed_form(assembler.system, assembler.sources)
         after = answer.q.reshape(-1, assembler.system.nq)[searched]
@@ -244,20 +253,20 @@ SOLVERS = (
     Solver(
         "dyads",
         "closed form on the branch with these signs, then least squares",
-        _no_signs,
-        on_named_branch,
+        _explain_missing_signs,
+        assemble_named_branch,
     ),
     Solver(
         "active set",
         "damped least squares in which bounds are taken up and released",
-        _no_bounds,
-        _of_known,
+        _explain_missing_bounds,
+        _assemble_known,
     ),
     Solver(
         "least squares",
         "damped least squares of the closure equations, with steps of minimum norm",
         takes_all,
-        _of_known,
+        _assemble_known,
     ),
 )
 """Who answers for one closed configuration."""

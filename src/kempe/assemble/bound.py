@@ -85,11 +85,11 @@ class OneSidedAssembly:
     threads: int | None
 
     @property
-    def held(self) -> np.ndarray:
+    def held_mask(self) -> np.ndarray:
         """Which velocity coordinates (nv,) stay as they are given."""
         return np.isin(np.arange(self.system.nv), self.loops.unknown, invert=True)
 
-    def assemble(
+    def assemble_batch(
         self, starts: Array, pins: Array, tries: int, q: Array, residual: Array, info: np.ndarray
     ) -> None:
         """Write configurations (N, nq), residuals (N,) and (status, steps, starts) (N, 3), as
@@ -98,31 +98,33 @@ class OneSidedAssembly:
         Where `TimeUp` ends it, what was found by then is written.
         """
         try:
-            self._search(starts, pins, tries, 0, q, info)
+            self._search_batch(starts, pins, tries, 0, q, info)
         finally:
-            residual[:] = self.residuals(q, pins)
+            residual[:] = self.compute_residuals(q, pins)
 
-    def follow(
+    def assemble_sequence(
         self, starts: Array, pins: Array, tries: int, q: Array, residual: Array, info: np.ndarray
     ) -> None:
         """The same, each row started where the two before it lead, with its own held coordinates."""
         try:
-            self._follow(starts, pins, tries, q, info)
+            self._search_sequence(starts, pins, tries, q, info)
         finally:
-            residual[:] = self.residuals(q, pins)
+            residual[:] = self.compute_residuals(q, pins)
 
-    def _follow(self, starts: Array, pins: Array, tries: int, q: Array, info: np.ndarray) -> None:
+    def _search_sequence(
+        self, starts: Array, pins: Array, tries: int, q: Array, info: np.ndarray
+    ) -> None:
         for i in range(len(starts)):
             first = starts[i : i + 1]
             if i:
                 ahead = self.system.structure.layout.compute_difference(q[max(i - 2, 0)], q[i - 1])
-                first = self._with_known(
+                first = self._copy_held_coordinates(
                     self.system.structure.layout.integrate_velocity(q[i - 1], ahead)[None], first
                 )
             own = pins[i : i + 1] if len(pins) > 1 else pins
-            self._search(first, own, tries, i, q[i : i + 1], info[i : i + 1])
+            self._search_batch(first, own, tries, i, q[i : i + 1], info[i : i + 1])
 
-    def residuals(self, q: Array, pins: Array) -> Array:
+    def compute_residuals(self, q: Array, pins: Array) -> Array:
         """Norm (N,) of what equations and bounds miss at configurations, in radians and
         characteristic lengths.
         """
@@ -143,17 +145,17 @@ class OneSidedAssembly:
         )
         return np.linalg.norm(g - np.clip(g, *loops.bounds), axis=1)
 
-    def _search(
+    def _search_batch(
         self, starts: Array, pins: Array, tries: int, offset: int, q: Array, info: np.ndarray
     ) -> None:
         """Write configurations and (status, steps, starts), from starts drawn wider and wider about
         those given.
         """
-        self._solve(starts, starts, pins, q, info)
+        self._solve_starts(starts, starts, pins, q, info)
         left = np.flatnonzero(info[:, 0] == S.NOT_FOUND)
         nv = self.system.nv
-        least = self.residuals(q, pins)
-        scale = self.loops.scale * ~self.held
+        least = self.compute_residuals(q, pins)
+        scale = self.loops.scale * ~self.held_mask
         count = 1
         while count < tries and len(left):
             each = [
@@ -170,9 +172,9 @@ class OneSidedAssembly:
             # until these starts are made
             before = info[left, 0]
             info[left, 0] = S.NOT_FOUND + S.LATE
-            self._solve(begin, starts[left], some, found, more)
+            self._solve_starts(begin, starts[left], some, found, more)
             info[left, 0] = before
-            size = self.residuals(found, some)
+            size = self.compute_residuals(found, some)
             better = (more[:, 0] == S.SOLVED) | (size < least[left])
             q[left[better]] = found[better]
             least[left[better]] = size[better]
@@ -181,7 +183,9 @@ class OneSidedAssembly:
             left = left[more[:, 0] == S.NOT_FOUND]
             count = count + 1
 
-    def _solve(self, starts: Array, goals: Array, pins: Array, q: Array, info: np.ndarray) -> None:
+    def _solve_starts(
+        self, starts: Array, goals: Array, pins: Array, q: Array, info: np.ndarray
+    ) -> None:
         """Write the ends of one start each; what is found is led towards the goals. It may end by
         `TimeUp`.
         """
@@ -194,7 +198,7 @@ class OneSidedAssembly:
         # each start is short, else
         stop = clock().address if len(loops.names) >= BOUNDED_MANY or loops.functions else 0
 
-        def work(i: int, j: int) -> int:
+        def solve_chunk(i: int, j: int) -> int:
             left = task_search.solve(
                 loops.ints,
                 loops.floats,
@@ -218,12 +222,12 @@ class OneSidedAssembly:
                 raise error
             return left
 
-        over_chunks(work, len(starts), BOUNDED_CHUNK, self.threads, BOUNDED_SERIAL_BELOW)
+        over_chunks(solve_chunk, len(starts), BOUNDED_CHUNK, self.threads, BOUNDED_SERIAL_BELOW)
 
-    def _with_known(self, q: Array, known: Array) -> Array:
+    def _copy_held_coordinates(self, q: Array, known: Array) -> Array:
         """Configurations with the held coordinates of others."""
         layout = self.system.structure.layout
-        held = self.held
+        held = self.held_mask
         out = q.copy()
         at = layout.vector_q[held[layout.vector_v]]
         out[:, at] = known[:, at]
@@ -279,14 +283,14 @@ searched one by one."""
 CONTINUED = Choice(
     "dyads", "closed form on the branch of the first row, which no row comes near to leaving", ()
 )
-"""Who answers for a sequence that `_along` follows."""
+"""Who answers for a sequence that `_continue_closed_form` follows."""
 PLAIN_NUMBERS = {float, int, np.float64}
 FLOAT = np.dtype(np.float64)
 FEW = 300
 """Equations up to which the freedoms that are left are counted: it takes a dense decomposition."""
 
 
-def _spent(budget: Budget | None) -> tuple[int, int, int | None, float | None]:
+def _read_budget(budget: Budget | None) -> tuple[int, int, int | None, float | None]:
     """Starts, the number that random starts are drawn by, threads and seconds: what a budget asks
     for, checked.
     """
@@ -296,7 +300,7 @@ def _spent(budget: Budget | None) -> tuple[int, int, int | None, float | None]:
 
 
 OUT_OF_TIME = int(Status.OUT_OF_TIME)
-SPENT = _spent(None)
+SPENT = _read_budget(None)
 """The same for calls without a budget, found once."""
 
 
@@ -320,16 +324,16 @@ class Assembler:
             k for k in self.known if k not in system.frame_names or k in system.coordinate_names
         ]
         self.frames = tuple(k for k in self.known if k not in coordinates)
-        self._places(coordinates)
+        self._find_known_places(coordinates)
         self.explicit = find_explicit_joints(self.tree, self.sources)
-        self.loops = self._loops((False,) * len(self.frames))
+        self.loops = self._pack_loops((False,) * len(self.frames))
         self.no_pins = np.zeros((1, 12 * len(self.frames)))
         self.quick = self.one_sided is None and self._is_quick(self.loops)
 
     def __repr__(self) -> str:
         return f"Assembler of {self.system.name!r} from {', '.join(self.known) or 'nothing known'}"
 
-    def _places(self, names: list[str]) -> None:
+    def _find_known_places(self, names: list[str]) -> None:
         """Find the places in q of the known coordinates, of a coupled one that of its source.
 
         Sets `places`, `sources`, `held`, and the limits `low` and `high`. Errors:
@@ -374,7 +378,7 @@ class Assembler:
         self.bounds = list(zip(self.low.tolist(), self.high.tolist(), strict=True))
         self.limited = bool(np.isfinite(limits).any())
 
-    def _loops(self, turned: tuple[bool, ...], whole: bool = False) -> PackedLoops:
+    def _pack_loops(self, turned: tuple[bool, ...], whole: bool = False) -> PackedLoops:
         """The packed loops, with the known frames held in place, and in orientation where `turned`.
 
         `whole`: the coordinates of all joints are unknowns, also of those that the tree left out,
@@ -427,7 +431,7 @@ class Assembler:
         if loops is None:
             loops = self.loops
             few = self.quick and n <= CHUNK and not (follow or nearest)
-        weights = loops.weights if limits else limitless(self.system, loops)
+        weights = loops.weights if limits else remove_limits(self.system, loops)
         if few and not loop_closing.assemble(
             loops.ints,
             loops.floats,
@@ -456,7 +460,7 @@ class Assembler:
             and self.one_sided is None
         )
 
-        def work(i: int, j: int, first: int, most: int, steps: int, stop: int) -> int:
+        def close_chunk(i: int, j: int, first: int, most: int, steps: int, stop: int) -> int:
             before = info[i:j, 1].copy() if first else 0
             left = loop_closing.assemble(
                 loops.ints,
@@ -513,19 +517,19 @@ class Assembler:
             with time:
                 if few:
                     for i in np.flatnonzero(info[:, 0] != SOLVED).tolist() if tries > 1 else ():
-                        work(i, i + 1, 1, tries, 0, stop)
+                        close_chunk(i, i + 1, 1, tries, 0, stop)
                 elif self.one_sided is not None:
                     bounded = OneSidedAssembly(
                         self.system, loops, weights, STEPS, tolerance, rng, threads
                     )
-                    (bounded.follow if follow else bounded.assemble)(
+                    (bounded.assemble_sequence if follow else bounded.assemble_batch)(
                         starts, pins, tries, q, residual, info
                     )
                 elif n <= CHUNK or follow:
-                    work(0, n, 0, 1 if by_parts else tries, nearest, stop)
+                    close_chunk(0, n, 0, 1 if by_parts else tries, nearest, stop)
                 else:
                     over_chunks(
-                        lambda i, j: work(i, j, 0, 1 if by_parts else tries, nearest, stop),
+                        lambda i, j: close_chunk(i, j, 0, 1 if by_parts else tries, nearest, stop),
                         n,
                         CHUNK,
                         threads,
@@ -534,11 +538,11 @@ class Assembler:
                 loops.raise_function_error()
                 if by_parts:
                     search = LocalStarts(self.system, loops, weights, tolerance)
-                    search.close_all(starts, pins, tries, rng, q, residual, info)
+                    search.close_rows(starts, pins, tries, rng, q, residual, info)
         except TimeUp:
             if not time.spent:
                 raise
-            self._end(loops, weights, starts, pins, q, residual, info, by_parts)
+            self._complete_late_rows(loops, weights, starts, pins, q, residual, info, by_parts)
         info[info[:, 0] == NOT_FOUND + LATE, 0] = OUT_OF_TIME
         return q, residual, info
 
@@ -548,7 +552,7 @@ class Assembler:
         """
         return len(loops.names) < MANY and len(loops.ties) < LARGE and not loops.functions
 
-    def _end(
+    def _complete_late_rows(
         self,
         loops: PackedLoops,
         weights: Array,
@@ -582,14 +586,14 @@ class Assembler:
     # ---- configurations of closed forms
 
     @cached_property
-    def _bounded(self) -> tuple[np.ndarray, Array, Array]:
+    def _limited_unknowns(self) -> tuple[np.ndarray, Array, Array]:
         """Places in q of the unknowns with limits, and these."""
         layout = self.system.structure.layout
         low, high = velocity_lists(self.loops.weights, self.system.nv)[1:3, layout.vector_v]
         free = ~np.isin(layout.vector_q, self.places) & ((low > -LARGEST) | (high < LARGEST))
         return layout.vector_q[free], low[free], high[free]
 
-    def _equations(
+    def _find_closed_rows(
         self, q: Array, residual: Array, limits: bool, threads: int | None
     ) -> np.ndarray:
         """Which (N,) of the configurations q (N, nq) are closed and inside the limits; writes the
@@ -598,9 +602,9 @@ class Assembler:
         loops = self.loops
         none = np.empty((0, len(self.loops.names), self.system.nv))
         good = np.empty(len(q), dtype=bool)
-        places, low, high = self._bounded
+        places, low, high = self._limited_unknowns
 
-        def work(first: int, last: int) -> int:
+        def evaluate_chunk(first: int, last: int) -> int:
             for i in range(first, last, PIECE):
                 x = q[i : min(i + PIECE, last)]
                 rows = np.empty((len(x), len(loops.names)))
@@ -615,11 +619,11 @@ class Assembler:
                     good[there] &= np.all((x[:, places] >= low) & (x[:, places] <= high), axis=1)
             return 0
 
-        over_chunks(work, len(q), 2 * PIECE, threads, CONFIRMED_BELOW)
+        over_chunks(evaluate_chunk, len(q), 2 * PIECE, threads, CONFIRMED_BELOW)
         loops.raise_function_error()
         return good
 
-    def _confirm(
+    def _confirm_closed_form(
         self, starts: Array, limits: bool, threads: int | None
     ) -> tuple[Assembly, np.ndarray, Array]:
         """The answer for configurations (..., nq) of a closed form, the rows that were searched,
@@ -635,7 +639,7 @@ class Assembler:
         info = np.empty((len(q), 3), dtype=np.int64)
         info[:] = SOLVED, 0, 1
         if self.one_sided is None and len(q):
-            searched = np.flatnonzero(~self._equations(q, residual, limits, threads))
+            searched = np.flatnonzero(~self._find_closed_rows(q, residual, limits, threads))
         else:
             searched = np.arange(len(q))
         before = q[searched]
@@ -643,7 +647,7 @@ class Assembler:
             q[searched], residual[searched], info[searched] = self.run(
                 before, self.no_pins, 1, threads=threads, limits=limits
             )
-        return self._answer(q, lead, q, residual, info, limits), searched, before
+        return self._make_answer(q, lead, q, residual, info, limits), searched, before
 
     @cached_property
     def _units(self) -> tuple[Array, np.ndarray]:
@@ -655,7 +659,7 @@ class Assembler:
         unit[layout.vector_q] = self.loops.scale[layout.vector_v]
         return unit, layout.vector_q[find_free_angles(self.system)[layout.vector_v]]
 
-    def _along(
+    def _continue_closed_form(
         self, starts: Array, tries: int, rng: int, limits: bool, tolerance: float
     ) -> tuple[Array, Array, np.ndarray] | None:
         """As `run` with `follow`, by the closed form of dyads; None where that does not say how all
@@ -689,12 +693,12 @@ class Assembler:
             x = plan._continued(
                 np.ascontiguousarray(starts[i:j, self.places]), q[i - 1], unit, turns
             )
-            if x is None or not self._equations(x, residual[i:j], limits, 1).all():
+            if x is None or not self._find_closed_rows(x, residual[i:j], limits, 1).all():
                 return None
             q[i:j] = x
         return q, residual, info
 
-    def _ask(
+    def _assemble_values(
         self,
         values: Any = (),
         start: Any = None,
@@ -709,19 +713,19 @@ class Assembler:
         """
         given: Any = values
         if prefer is None and limits is True and tolerance is TOLERANCE and budget is None:
-            answer = self._usual(values, start)
+            answer = self._answer_usual_call(values, start)
             if answer is not None:
                 return answer
         named = values.__class__ is dict or isinstance(values, Mapping)
-        given = given if named else self._by_name(values)
-        return self._solve(
+        given = given if named else self._name_values(values)
+        return self._solve_problem(
             Problem(self.system, "one", given, start, prefer, limits, tolerance, budget)
         )
 
-    __call__ = explain_errors(_ask, fast=True)
+    __call__ = explain_errors(_assemble_values, fast=True)
 
     @quiet
-    def _solve(self, problem: Problem) -> Assembly:
+    def _solve_problem(self, problem: Problem) -> Assembly:
         """The answer for a problem with these names known."""
         limits: Any
         given: Any
@@ -733,7 +737,7 @@ class Assembler:
             raise InputError(f"values are given for {said}; needed are {self.known}")
         named = given
         if not self.plain:
-            given = self._of_sources(given)
+            given = self._convert_to_sources(given)
         if not (isinstance(tolerance, (int, float)) and 0.0 < tolerance <= LOOSEST):
             raise InputError(
                 f"tolerance is {tolerance!r}; it must be above 0 and at most {LOOSEST}"
@@ -744,19 +748,19 @@ class Assembler:
             raise InputError(
                 f"prefer is {prefer!r}; it must be one of {', '.join(map(repr, PREFER))}"
             )
-        tries, number, threads, limit = SPENT if budget is None else _spent(budget)
-        base = self._single(given, start)
+        tries, number, threads, limit = SPENT if budget is None else _read_budget(budget)
+        base = self._read_single_start(given, start)
         lead = ()
         if base is None:
-            base, lead = self._starts(given, start)
+            base, lead = self._make_starts(given, start)
         if (lead or list_checks()) and (budget is None or budget.time_limit is None):
             limit = BATCH.complete_budget(budget).time_limit
-        turned = self._turned(given) if self.frames else ()
-        pins = self._pins(given, turned, lead) if turned else self.no_pins
+        turned = self._find_oriented_frames(given) if self.frames else ()
+        pins = self._read_pin_poses(given, turned, lead) if turned else self.no_pins
         steps = NEAREST_STEPS if prefer == "nearest" and self.freedoms != 0 else 0
         follow = prefer == "continuous" and len(base) > 1
         along = (
-            self._along(base, tries, number, limits, tolerance)
+            self._continue_closed_form(base, tries, number, limits, tolerance)
             if follow and len(base) >= LONG
             else None
         )
@@ -770,28 +774,28 @@ class Assembler:
             limits,
             tolerance,
             follow,
-            self._loops(turned, steps > 0) if turned or steps else None,
+            self._pack_loops(turned, steps > 0) if turned or steps else None,
             limit,
         )
         if not lead and int(info[0, 0]) == BAD_INPUT:
-            self._refuse(named, start)
-        answer = self._answer(base, lead, q, residual, info, limits)
+            self._refuse_values(named, start)
+        answer = self._make_answer(base, lead, q, residual, info, limits)
         if lead or answer.code is Status.OUT_OF_TIME:
             answer.__dict__["limit"] = limit
         return chosen_by(answer, CONTINUED) if along else answer
 
-    def _of_sources(self, given: Mapping[str, Any]) -> dict[str, Any]:
+    def _convert_to_sources(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """Known values of coordinates of q, and of frames. Errors: `InputError` for followers that
         do not fit.
         """
         own = {name: given[name] for name in self.coordinates}
         return {**compute_source_values(self.system, own), **{f: given[f] for f in self.frames}}
 
-    def _refuse(self, given: Mapping[str, Any], start: Any) -> None:
+    def _refuse_values(self, given: Mapping[str, Any], start: Any) -> None:
         """Raise an `InputError` that names the number with which nothing can be computed."""
         for name in self.coordinates:
             check_range(read_reals(given[name], ""), f"the known value of {name!r}")
-        for frame, whole in zip(self.frames, self._turned(given), strict=True):
+        for frame, whole in zip(self.frames, self._find_oriented_frames(given), strict=True):
             place = place_of(self.system, frame, given[frame], whole)
             what = f"the place of frame {frame!r}"
             _ = check_poses(place, what) if whole else check_range(place, what)
@@ -799,7 +803,7 @@ class Assembler:
             refuse_far(self.system, read_start(self.system, start), "start")
         raise InputError(NOT_FINITE)
 
-    def _answer(
+    def _make_answer(
         self,
         base: Array,
         lead: tuple[int, ...],
@@ -825,14 +829,16 @@ class Assembler:
             )
         code = info[:, 0]
         if self.limited and limits:
-            code = np.where(self._outside(base) & (code != BAD_INPUT), Status.OUTSIDE_LIMITS, code)
+            code = np.where(
+                self._find_outside_limits(base) & (code != BAD_INPUT), Status.OUTSIDE_LIMITS, code
+            )
         good, code, residual, steps, starts = (
             x.reshape(lead) for x in (code == SOLVED, code, residual, info[:, 1], info[:, 2])
         )
         return Assembly(q.reshape(*lead, self.system.nq), good, code, residual, steps, starts, self)
 
     @cached_property
-    def _by_kernel(self) -> bool:
+    def _solvable_by_kernel(self) -> bool:
         """Whether one call of the kernel answers for known coordinates as they are given."""
         loops = self.loops
         more = (
@@ -840,15 +846,19 @@ class Assembler:
         )
         return self.plain and not more
 
-    def _usual(self, given: Any, start: Any) -> Assembly | None:
+    def _answer_usual_call(self, given: Any, start: Any) -> Assembly | None:
         """The answer to the usual call, one array and plain numbers by name, in a fraction of the
         time; else None.
 
         None leaves to `_solve` what it is to be said of other arguments.
         """
-        if not self._by_kernel or given.__class__ is not dict or len(given) != len(self.known):
+        if (
+            not self._solvable_by_kernel
+            or given.__class__ is not dict
+            or len(given) != len(self.known)
+        ):
             return None
-        base = self._single(given, start)
+        base = self._read_single_start(given, start)
         if base is None:
             return None
         loops = self.loops
@@ -879,12 +889,12 @@ class Assembler:
             q, residual, info = self.run(base, self.no_pins, limit=None if list_checks() else SHORT)
         if info[0, 0] == BAD_INPUT:
             return None
-        answer = self._answer(base, (), q, residual, info, True)
+        answer = self._make_answer(base, (), q, residual, info, True)
         if answer.code is Status.OUT_OF_TIME:
             answer.__dict__["limit"] = SHORT
         return answer
 
-    def _single(self, given: Mapping[str, Any], start: Any) -> Array | None:
+    def _read_single_start(self, given: Mapping[str, Any], start: Any) -> Array | None:
         """The start (1, nq) of the usual call, an array and plain numbers, in a fraction of the
         time; else None.
         """
@@ -908,7 +918,7 @@ class Assembler:
             row[place] = x
         return base
 
-    def _by_name(self, values: Any) -> dict[str, Any]:
+    def _name_values(self, values: Any) -> dict[str, Any]:
         if self.frames:
             raise InputError("give the places of frames by name: a dict")
         array = read_reals(values, "values")
@@ -921,7 +931,7 @@ class Assembler:
             )
         return {k: array[..., i] for i, k in enumerate(self.known)}
 
-    def _starts(self, given: Mapping[str, Any], start: Any) -> tuple[Array, tuple[int, ...]]:
+    def _make_starts(self, given: Mapping[str, Any], start: Any) -> tuple[Array, tuple[int, ...]]:
         """Starts (N, nq) with the known values written in, and the leading shape of the answer."""
         system = self.system
         base = find_home(system) if start is None else read_start(system, start)
@@ -932,7 +942,7 @@ class Assembler:
         shapes = [c.shape for c in columns] + [base.shape[:-1]]
         shapes += [
             np.shape(given[f])[: -2 if t else -1]
-            for f, t in zip(self.frames, self._turned(given), strict=True)
+            for f, t in zip(self.frames, self._find_oriented_frames(given), strict=True)
         ]
         try:
             lead = np.broadcast_shapes(*shapes) if any(shapes) else ()
@@ -948,7 +958,7 @@ class Assembler:
             starts[..., self.places[k]] = np.where(np.isfinite(at), column, np.nan)
         return starts.reshape(math.prod(lead), system.nq), lead
 
-    def _turned(self, given: Mapping[str, Any]) -> tuple[bool, ...]:
+    def _find_oriented_frames(self, given: Mapping[str, Any]) -> tuple[bool, ...]:
         """For each known frame whether its orientation is given too."""
         size = self.system.dim
         out: list[bool] = []
@@ -965,7 +975,7 @@ class Assembler:
                 )
         return tuple(out)
 
-    def _pins(
+    def _read_pin_poses(
         self, given: Mapping[str, Any], turned: tuple[bool, ...], lead: tuple[int, ...]
     ) -> Array:
         """Poses (N, 12 k) of the known frames."""
@@ -982,7 +992,7 @@ class Assembler:
         pins[..., 3] -= self.loops.origin
         return pins.reshape(n, 12 * len(self.frames))
 
-    def _outside(self, starts: Array) -> np.ndarray:
+    def _find_outside_limits(self, starts: Array) -> np.ndarray:
         x = starts[:, self.places]
         return np.any((x < self.low) | (x > self.high), axis=-1)
 
@@ -1017,7 +1027,7 @@ class LocalStarts:
         self.range = high - low
         self.reached: tuple[Array, float, np.ndarray]
 
-    def close_all(
+    def close_rows(
         self,
         starts: Array,
         pins: Array,
@@ -1033,13 +1043,13 @@ class LocalStarts:
         for i in np.flatnonzero(info[:, 0] == NOT_FOUND).tolist():
             self.reached = q[i], float(residual[i]), info[i]
             try:
-                self.reached = self.close(
+                self.reached = self.close_row(
                     starts[i], q[i], pins[i] if len(pins) > 1 else pins[0], tries, rng, i, info[i]
                 )
             finally:
                 q[i], residual[i], info[i] = self.reached
 
-    def close(
+    def close_row(
         self, start: Array, q: Array, pin: Array, tries: int, rng: int, row: int, before: np.ndarray
     ) -> tuple[Array, float, np.ndarray]:
         """Configuration, residual and (status, steps, starts), from what a first start came to and
@@ -1055,17 +1065,17 @@ class LocalStarts:
         for k in range(parts):
             check_for_stop()
             square = np.zeros(len(self.moved_by))
-            np.add.at(square, self.of_row, self._equations(q, pin) ** 2)
+            np.add.at(square, self.of_row, self._evaluate_equations(q, pin) ** 2)
             least = min(least, math.sqrt(square.sum()))
             self.reached = (
                 q,
                 least,
                 np.array([NOT_FOUND + LATE, steps, first + k * LOCAL_STEPS // STEPS]),
             )
-            there = self._changed(
+            there = self._randomize_near_tie(
                 q, int(random.choice(len(square), p=square / square.sum())), random
             )
-            found, residual, info = self._run(there, pin, 1, LOCAL_STEPS, rng, row)
+            found, residual, info = self._call_kernel(there, pin, 1, LOCAL_STEPS, rng, row)
             steps += int(info[1])
             if residual < least:
                 q = found
@@ -1074,14 +1084,16 @@ class LocalStarts:
                 return q, residual, np.array([SOLVED, steps, first + 1 + k * LOCAL_STEPS // STEPS])
         count = first + parts * LOCAL_STEPS // STEPS
         self.reached = q, least, np.array([NOT_FOUND + LATE, steps, count])
-        found, residual, info = self._run(start, pin, 1 + max(0, tries - count), STEPS, rng, row)
+        found, residual, info = self._call_kernel(
+            start, pin, 1 + max(0, tries - count), STEPS, rng, row
+        )
         code = int(info[0])
         if residual > least:
             found = q
             residual = least
         return found, residual, np.array([code, steps + int(info[1]), count + int(info[2]) - 1])
 
-    def _changed(self, q: Array, tie: int, random: np.random.Generator) -> Array:
+    def _randomize_near_tie(self, q: Array, tie: int, random: np.random.Generator) -> Array:
         """The configuration with random coordinates near a tie."""
         near = {tie}
         for _ in range(int(random.integers(1, HOPS + 1))):
@@ -1092,7 +1104,7 @@ class LocalStarts:
         velocity[changed] = spread * self.range[changed] * random.uniform(-0.5, 0.5, len(changed))
         return self.system.structure.layout.integrate_velocity(q, velocity)
 
-    def _equations(self, q: Array, pin: Array) -> Array:
+    def _evaluate_equations(self, q: Array, pin: Array) -> Array:
         """The equations (m,) at q."""
         loops = self.loops
         out = np.empty((1, len(self.loops.names)))
@@ -1101,7 +1113,7 @@ class LocalStarts:
         closure_batch.equations(*packed, pin[None], q[None], False, out, columns)
         return out[0]
 
-    def _run(
+    def _call_kernel(
         self, start: Array, pin: Array, tries: int, steps: int, rng: int, row: int
     ) -> tuple[Array, float, np.ndarray]:
         """Configuration, residual and (status, steps, starts) of the kernel."""
@@ -1138,27 +1150,27 @@ class LocalStarts:
 # ---- how assemblers are made
 
 
-def limitless(system: Model, loops: PackedLoops) -> Array:
+def remove_limits(system: Model, loops: PackedLoops) -> Array:
     """The weights of loops without limits."""
     weights = loops.weights.copy()
     velocity_lists(weights, system.nv)[1:3] = [[-np.inf], [np.inf]]
     return weights
 
 
-def bare(system: Model, known: Iterable[str] = ()) -> Assembler:
+def get_assembler_as_given(system: Model, known: Iterable[str] = ()) -> Assembler:
     """The assembler for the mechanism exactly as it is given, without any tolerance of its
     dimensions.
     """
-    return _assembler(system, tuple(known), True)
+    return _make_assembler(system, tuple(known), True)
 
 
 @keep_answers
-def _assembler(system: Model, known: tuple[str, ...], one_sided: bool) -> Assembler:
+def _make_assembler(system: Model, known: tuple[str, ...], one_sided: bool) -> Assembler:
     return Assembler(system, read_names(known, "known"), one_sided=one_sided)
 
 
-def of_equations(system: Model, known: Iterable[str] = ()) -> Assembler:
+def get_equation_assembler(system: Model, known: Iterable[str] = ()) -> Assembler:
     """As `assembler`, but one-sided constraints do not count: what they leave out is looked at
     elsewhere.
     """
-    return _assembler(system, read_names(known, "known"), not one_sided_rows(system).declared)
+    return _make_assembler(system, read_names(known, "known"), not one_sided_rows(system).declared)

@@ -68,8 +68,10 @@ class Dimensions:
         declared = [("constraints", c.name) for c in m.constraints.values() if c.parent]
         every = [(*part, side) for part in joints + declared for side in ("X_PF", "X_CM")]
         # which is its only point
-        places = [place for place in every if not m.bodies[self.body(*place)].particle]
-        self.places = {place: self._motions(*place) if m.dim == 2 else IN_SPACE for place in places}
+        places = [place for place in every if not m.bodies[self.find_body(*place)].particle]
+        self.places = {
+            place: self._choose_motions(*place) if m.dim == 2 else IN_SPACE for place in places
+        }
         of = (x for motions in self.places.values() for x in motions)
         self.unit = np.array([self.length if len(x) == 1 else 1.0 for x in of])
         self.size = len(self.unit)
@@ -77,25 +79,29 @@ class Dimensions:
         self._last: tuple[Array, Model] | None = None
         self.part = {place: slice(each * k, each * (k + 1)) for k, place in enumerate(self.places)}
 
-    def body(self, table: str, name: str, side: str) -> str:
+    def find_body(self, table: str, name: str, side: str) -> str:
         """The body that a placement is on."""
         part = getattr(self.mechanism, table)[name]
         return part.parent if side == "X_PF" else part.child
 
-    def _motions(self, table: str, name: str, side: str) -> tuple[str, ...]:
+    def _choose_motions(self, table: str, name: str, side: str) -> tuple[str, ...]:
         """Two translations and the rotation along axes of a placement that stay in the plane."""
         X = getattr(getattr(self.mechanism, table)[name], side).evaluate_pose(
             self.mechanism.parameters
         )
         bodies = self.system.structure.table
-        normal = X[:3, :3].T @ compute_plane_normal(bodies.at[self.body(table, name, side)], bodies)
+        normal = X[:3, :3].T @ compute_plane_normal(
+            bodies.at[self.find_body(table, name, side)], bodies
+        )
         return IN_PLANE[int(np.argmax(np.abs(normal)))]
 
-    def steps(self, p: Array) -> dict[Place, Steps]:
+    def compute_steps(self, p: Array) -> dict[Place, Steps]:
         """The steps that follow each placement that changes, in metres and radians."""
-        return {place: found for place in self.places if (found := self.steps_of(place, p))}
+        return {
+            place: found for place in self.places if (found := self.compute_place_steps(place, p))
+        }
 
-    def steps_of(self, place: Place, p: Array) -> Steps:
+    def compute_place_steps(self, place: Place, p: Array) -> Steps:
         """The steps that follow one placement, in metres and radians."""
         part = self.part[place]
         changes = (p[part] * self.unit[part]).tolist()
@@ -103,7 +109,7 @@ class Dimensions:
             (motion, (x,)) for motion, x in zip(self.places[place], changes, strict=True) if x
         )
 
-    def changed(self, p: Array, system: Model | None = None) -> Model:
+    def change_dimensions(self, p: Array, system: Model | None = None) -> Model:
         """The system, or `system`, with its dimensions changed by p (size,); its spanning tree is
         kept.
         """
@@ -112,7 +118,7 @@ class Dimensions:
             return self._last[1]
         given = self.system if system is None else system
         m = given.mechanism
-        for (table, name, side), more in self.steps(p).items():
+        for (table, name, side), more in self.compute_steps(p).items():
             parts = getattr(m, table)
             parts[name] = replace(
                 parts[name], **{side: Placement(getattr(parts[name], side).steps + more)}
@@ -123,7 +129,7 @@ class Dimensions:
         return found
 
     @cached_property
-    def _freed(self) -> tuple[PackedLoops, Model, np.ndarray, np.ndarray, np.ndarray]:
+    def _extended_loops(self) -> tuple[PackedLoops, Model, np.ndarray, np.ndarray, np.ndarray]:
         """The packed loops of the mechanism with a joint at each place, whose coordinates are the
         changes, and it.
 
@@ -140,7 +146,7 @@ class Dimensions:
             end = "parent" if side == "X_PF" else "child"
             here = m.body(unused_name(m, f"{ADDED}{k}"))
             turned = TO_Z.get(motions[-1], Placement()) if m.dim == 2 else Placement()
-            joint = m.free(here.name, self.body(table, name, side), here, angles=True)
+            joint = m.free(here.name, self.find_body(table, name, side), here, angles=True)
             m.joints[joint.name] = replace(joint, X_PF=getattr(parts[name], side) @ turned)
             parts[name] = replace(parts[name], **{end: here.name, side: turned.invert_steps()})
             added += [
@@ -153,8 +159,10 @@ class Dimensions:
         )
         loops = get_packed_loops(system, frozenset(system.structure.closures))
         first = system.structure.coordinates.first
-        rows = {row: i for i, row in enumerate(_numbered(loops.names))}
-        order = np.array([rows[row] for row in _numbered(full(self.system, True).names)], dtype=int)
+        rows = {row: i for i, row in enumerate(_number_names(loops.names))}
+        order = np.array(
+            [rows[row] for row in _number_names(full(self.system, True).names)], dtype=int
+        )
         return (
             loops,
             system,
@@ -163,37 +171,37 @@ class Dimensions:
             order,
         )
 
-    def equations(self, p: Array) -> Equations:
+    def bind_equations(self, p: Array) -> Equations:
         """The loop equations at the changes p, as a function of configurations q (N, nq), without
         another system.
         """
-        loops, system, own, (iq, _), order = self._freed
+        loops, system, own, (iq, _), order = self._extended_loops
         names = system.structure.velocity_names
         columns = np.array(
             [names.index(name) for name in self.system.structure.velocity_names], dtype=int
         )
 
-        def at(q: Array, with_jacobian: bool = True) -> tuple[Array, Array]:
+        def evaluate_equations(q: Array, with_jacobian: bool = True) -> tuple[Array, Array]:
             x = np.empty((*q.shape[:-1], system.nq))
             x[..., own] = q
             x[..., iq] = p * self.unit
             f, J = evaluate(system, x, with_jacobian, loops=loops)
             return f[..., order], J[..., order, :][..., columns] if with_jacobian else J
 
-        return at
+        return evaluate_equations
 
-    def derivative(self, p: Array, q: Array) -> Array:
+    def differentiate_equations(self, p: Array, q: Array) -> Array:
         """Derivatives (N, m, size) of the m loop equations, at configurations q (N, nq), with
         respect to p (size,).
         """
-        loops, system, own, (iq, iv), order = self._freed
+        loops, system, own, (iq, iv), order = self._extended_loops
         x = np.empty((len(q), system.nq))
         x[:, own] = q
         x[:, iq] = p * self.unit
         return evaluate(system, x, loops=loops)[1][:, order][..., iv]
 
 
-def _numbered(names: Iterable[tuple[str, str]]) -> list[tuple[str, str, int]]:
+def _number_names(names: Iterable[tuple[str, str]]) -> list[tuple[str, str, int]]:
     """The names of equations, numbered where one occurs several times."""
     seen: Counter[tuple[str, str]] = Counter()
     out: list[tuple[str, str, int]] = []
@@ -240,58 +248,64 @@ class Relations:
         lengths: list[tuple[float, Values]] = []
         for places in bodies.values():
             for a, b in itertools.combinations(places, 2):
-                lengths += self._pair(a, b)
+                lengths += self._relate_axes(a, b)
             for three in itertools.combinations(places, 3):
-                self._add(_flat(*three, shape.length)) if m.dim == 2 else None
+                self._add_relation(
+                    _make_collinear_relation(*three, shape.length)
+                ) if m.dim == 2 else None
         for j in m.joints.values() if m.dim == 3 else ():
             if isinstance(j.type, Revolute):
                 own = ("joints", j.name, "X_PF"), ("joints", j.name, "X_CM")
                 others = ([x for x in bodies[b] if x not in own] for b in (j.parent, j.child))
                 for a, b in itertools.product(*others):
-                    if self._skew(own[0], a) and self._skew(own[1], b):
-                        self._add(_offset(own, (a, b), shape.length))
+                    if self._are_skew(own[0], a) and self._are_skew(own[1], b):
+                        self._add_relation(_make_axis_offset(own, (a, b), shape.length))
         lengths.sort(key=lambda x: x[0])
         for (x, f), (y, g) in itertools.pairwise(lengths):
             if y - x < near:
-                self.rows.append(_same(f, g))
+                self.rows.append(_make_difference(f, g))
 
-    def _add(self, row: Values) -> bool:
+    def _add_relation(self, row: Values) -> bool:
         """Take a relation where it nearly holds."""
         holds = bool(np.abs(row(self.given)).max() < self.near)
         if holds:
             self.rows.append(row)
         return holds
 
-    def _skew(self, a: Place, b: Place) -> bool:
+    def _are_skew(self, a: Place, b: Place) -> bool:
         """Whether two axes of a body are not nearly parallel."""
-        return bool(np.abs(_parallel(a, b)(self.given)).max() >= self.near)
+        return bool(np.abs(_make_parallel_relation(a, b)(self.given)).max() >= self.near)
 
-    def _pair(self, a: Place, b: Place) -> list[tuple[float, Values]]:
+    def _relate_axes(self, a: Place, b: Place) -> list[tuple[float, Values]]:
         """Take what nearly holds between two axes of a body; the length between them, if there is
         one.
         """
         length = self.shape.length
         if self.shape.mechanism.dim == 2:
-            far = _apart(a, b, length)
+            far = _make_distance(a, b, length)
             return [(float(far(self.given)[0]), far)]
-        if self._add(_parallel(a, b)):
-            far = _across(a, b, length)
+        if self._add_relation(_make_parallel_relation(a, b)):
+            far = _make_axis_distance(a, b, length)
         else:
             angle = math.acos(
                 float(np.clip(self.given[a][:3, 2] @ self.given[b][:3, 2], -1.0, 1.0))
             )
-            self._add(_inclined(a, b, math.cos(STEP * round(angle / STEP))))
-            far = _normal(a, b, length)
-        return [] if self._add(far) else [(abs(float(far(self.given)[0])), _size(far))]
+            self._add_relation(_make_angle_relation(a, b, math.cos(STEP * round(angle / STEP))))
+            far = _make_normal_length(a, b, length)
+        return (
+            []
+            if self._add_relation(far)
+            else [(abs(float(far(self.given)[0])), _make_absolute_value(far))]
+        )
 
-    def values(self, p: Array) -> Array:
+    def compute_values(self, p: Array) -> Array:
         """Values (k,) of all relations at the changes p."""
-        poses = self._poses(p)
+        poses = self._compute_poses(p)
         return np.concatenate([np.zeros(0), *(np.atleast_1d(row(poses)) for row in self.rows)])
 
-    def derivative(self, p: Array) -> Array:
-        """Derivative (k, size) of `values` at the changes p, by central differences."""
-        poses = self._poses(p)
+    def differentiate_values(self, p: Array) -> Array:
+        """Derivative (k, size) of `compute_values` at the changes p, by central differences."""
+        poses = self._compute_poses(p)
         read = [_Read(poses) for _ in self.rows]
         sizes = [np.size(row(at)) for row, at in zip(self.rows, read, strict=True)]
         ends = np.cumsum([0, *sizes])
@@ -301,7 +315,7 @@ class Relations:
             part = self.shape.part[spot]
             for k in range(part.start, part.stop) if users else ():
                 above, below = (
-                    self._beside(poses, spot, p, k, s * DIFFERENCE) for s in (1.0, -1.0)
+                    self._change_pose(poses, spot, p, k, s * DIFFERENCE) for s in (1.0, -1.0)
                 )
                 for i in users:
                     out[ends[i] : ends[i + 1], k] = (self.rows[i](above) - self.rows[i](below)) / (
@@ -309,19 +323,22 @@ class Relations:
                     )
         return out
 
-    def _poses(self, p: Array) -> dict[Place, Array]:
+    def _compute_poses(self, p: Array) -> dict[Place, Array]:
         """All placements at the changes p."""
         return self.given | {
-            place: self.given[place] @ _pose(d) for place, d in self.shape.steps(p).items()
+            place: self.given[place] @ _compute_pose(d)
+            for place, d in self.shape.compute_steps(p).items()
         }
 
-    def _beside(
+    def _change_pose(
         self, poses: dict[Place, Array], place: Place, p: Array, k: int, by: float
     ) -> dict[Place, Array]:
         """The poses where change k, which is one of this place, is larger by a number."""
         changed = p.copy()
         changed[k] += by
-        return poses | {place: self.given[place] @ _pose(self.shape.steps_of(place, changed))}
+        return poses | {
+            place: self.given[place] @ _compute_pose(self.shape.compute_place_steps(place, changed))
+        }
 
 
 class _Read(dict[Place, Array]):
@@ -336,7 +353,7 @@ class _Read(dict[Place, Array]):
         return super().__getitem__(place)
 
 
-def with_simple_angles(system: Model, most: float) -> Model | None:
+def simplify_angles(system: Model, most: float) -> Model | None:
     """The system with angles that are within `most` of simple fractions of pi made these; None
     where there is none.
     """
@@ -348,7 +365,8 @@ def with_simple_angles(system: Model, most: float) -> Model | None:
             for side in ("X_PF", "X_CM"):
                 old = getattr(part, side).steps
                 new = tuple(
-                    (k, tuple(_simple(x, most) for x in xs) if k in TURNS else xs) for k, xs in old
+                    (k, tuple(_simplify_angle(x, most) for x in xs) if k in TURNS else xs)
+                    for k, xs in old
                 )
                 if new != old:
                     part = table[name] = replace(part, **{side: Placement(new)})
@@ -360,7 +378,7 @@ def with_simple_angles(system: Model, most: float) -> Model | None:
     )
 
 
-def _simple(x: Value, most: float) -> Value:
+def _simplify_angle(x: Value, most: float) -> Value:
     """The multiple of `STEP` that an angle is meant to be, where it is near one; 0 is one."""
     if isinstance(x, Expression):
         return x
@@ -368,53 +386,55 @@ def _simple(x: Value, most: float) -> Value:
     return nice if abs(nice - x) <= most else x
 
 
-def _pose(steps: tuple[Any, ...]) -> Array:
+def _compute_pose(steps: tuple[Any, ...]) -> Array:
     """The pose of slides and turns, one after the other."""
     return Placement(steps).evaluate_pose({})
 
 
-def _cross(a: Array, b: Array) -> Array:
+def _compute_cross_product(a: Array, b: Array) -> Array:
     """The cross product of two vectors (3,), for which numpy's `cross` takes ten times as long."""
     (ax, ay, az) = a.tolist()
     (bx, by, bz) = b.tolist()
     return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 
 
-def _parallel(a: Place, b: Place) -> Values:
-    return lambda at: _cross(at[a][:3, 2], at[b][:3, 2])
+def _make_parallel_relation(a: Place, b: Place) -> Values:
+    return lambda at: _compute_cross_product(at[a][:3, 2], at[b][:3, 2])
 
 
-def _inclined(a: Place, b: Place, cosine: float) -> Values:
+def _make_angle_relation(a: Place, b: Place, cosine: float) -> Values:
     return lambda at: np.array([at[a][:3, 2] @ at[b][:3, 2] - cosine])
 
 
-def _apart(a: Place, b: Place, length: float) -> Values:
+def _make_distance(a: Place, b: Place, length: float) -> Values:
     return lambda at: np.array([np.linalg.norm(at[b][:3, 3] - at[a][:3, 3]) / length])
 
 
-def _across(a: Place, b: Place, length: float) -> Values:
+def _make_axis_distance(a: Place, b: Place, length: float) -> Values:
     """Distance of parallel axes."""
     return lambda at: np.array(
-        [np.linalg.norm(_cross(at[b][:3, 3] - at[a][:3, 3], at[a][:3, 2])) / length]
+        [np.linalg.norm(_compute_cross_product(at[b][:3, 3] - at[a][:3, 3], at[a][:3, 2])) / length]
     )
 
 
-def _normal(a: Place, b: Place, length: float) -> Values:
+def _make_normal_length(a: Place, b: Place, length: float) -> Values:
     """Length of the common normal of two axes, with a sign."""
 
-    def value(at: dict[Place, Array]) -> Array:
-        n = _cross(at[a][:3, 2], at[b][:3, 2])
+    def compute_length(at: dict[Place, Array]) -> Array:
+        n = _compute_cross_product(at[a][:3, 2], at[b][:3, 2])
         return np.array([(at[b][:3, 3] - at[a][:3, 3]) @ n / (np.linalg.norm(n) * length)])
 
-    return value
+    return compute_length
 
 
-def _offset(own: tuple[Place, Place], others: tuple[Place, Place], length: float) -> Values:
+def _make_axis_offset(
+    own: tuple[Place, Place], others: tuple[Place, Place], length: float
+) -> Values:
     """Distance along the axis of a hinge between its common normals with an axis on each of its
     bodies.
     """
 
-    def value(at: dict[Place, Array]) -> Array:
+    def compute_offset(at: dict[Place, Array]) -> Array:
         feet: list[Any] = []
         for a, b in zip(own, others, strict=True):
             X = np.linalg.inv(at[a]) @ at[b]
@@ -423,13 +443,13 @@ def _offset(own: tuple[Place, Place], others: tuple[Place, Place], length: float
             feet.append((p[2] - u[2] * (u @ p)) / (1.0 - u[2] ** 2))
         return np.array([(feet[0] - feet[1]) / length])
 
-    return value
+    return compute_offset
 
 
-def _flat(a: Place, b: Place, c: Place, length: float) -> Values:
+def _make_collinear_relation(a: Place, b: Place, c: Place, length: float) -> Values:
     """How far three points of a plane are from one line."""
 
-    def value(at: dict[Place, Array]) -> Array:
+    def compute_height(at: dict[Place, Array]) -> Array:
         u, v = (at[x][:2, 3] - at[a][:2, 3] for x in (b, c))
         return np.array(
             [
@@ -438,12 +458,12 @@ def _flat(a: Place, b: Place, c: Place, length: float) -> Values:
             ]
         )
 
-    return value
+    return compute_height
 
 
-def _size(f: Values) -> Values:
+def _make_absolute_value(f: Values) -> Values:
     return lambda at: np.abs(f(at))
 
 
-def _same(f: Values, g: Values) -> Values:
+def _make_difference(f: Values, g: Values) -> Values:
     return lambda at: f(at) - g(at)

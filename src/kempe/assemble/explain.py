@@ -15,8 +15,8 @@ from kempe.answers.evidence import Evidence, evidence, outside_limits
 from kempe.answers.problem import Choice, Problem, choose
 from kempe.answers.wording import immovable
 from kempe.assemble.answer import Assembly
-from kempe.assemble.bound import LOOSEST, Assembler, bare, of_equations
-from kempe.assemble.nearest_exact import ideal_of, nearly
+from kempe.assemble.bound import LOOSEST, Assembler, get_assembler_as_given, get_equation_assembler
+from kempe.assemble.nearest_exact import find_ideal_system, find_nearest_soon
 from kempe.equations import closure_rows
 from kempe.forward.fk import fk
 from kempe.model.configurations import sample_configurations
@@ -43,7 +43,7 @@ LATE = (
 """The answer where this search did not end."""
 
 
-def choice(answer: Assembly) -> Choice:
+def choose_solver(answer: Assembly) -> Choice:
     """Which solver closes the loops of such problems."""
     from kempe.assemble.assemble import SOLVERS
 
@@ -51,13 +51,13 @@ def choice(answer: Assembly) -> Choice:
     return choose(SOLVERS, Problem(assembler.system, "one", dict.fromkeys(assembler.known)))[1]
 
 
-def sentence(answer: Assembly, index: tuple[int, ...]) -> str:
+def describe_configuration(answer: Assembly, index: tuple[int, ...]) -> str:
     """The sentence for one configuration of an assembly."""
     undecided = answer.late and np.asarray(answer.code)[index] == Status.OUT_OF_TIME
-    return LATE.format(answer.limit) if undecided else _sentence(answer, index)
+    return LATE.format(answer.limit) if undecided else _describe_outcome(answer, index)
 
 
-def _sentence(answer: Assembly, index: tuple[int, ...]) -> str:
+def _describe_outcome(answer: Assembly, index: tuple[int, ...]) -> str:
     bound: Assembler = answer.assembler
     code, residual, steps, starts = (
         np.asarray(x)[index].item()
@@ -67,29 +67,37 @@ def _sentence(answer: Assembly, index: tuple[int, ...]) -> str:
     if code == Status.BAD_INPUT:
         return "known values, places or start have numbers that are not finite or too large"
     if code == Status.SOLVED:
-        return wording.closed(residual, steps, starts, _left(bound, q))
+        return wording.closed(residual, steps, starts, _describe_freedoms(bound, q))
     if code == Status.OUTSIDE_LIMITS:
-        return f"a known value is outside its limits: {_outside(bound, q)}"
+        return f"a known value is outside its limits: {_describe_outside_limits(bound, q)}"
     if code == Status.OTHER_BRANCH:
         return "the branch requested cannot be closed with these values; q is closed on another one"
     if code == Status.OUT_OF_TIME:
         said = wording.late(answer.limit, starts, done="closed")
-        return wording.failed(said, _open(bound, q, residual), "q is the nearest to closing so far")
-    why: Any = _one_sided(bound, q) or _limits(bound, q) or _too_many(bound)
+        return wording.failed(
+            said,
+            _describe_largest_violation(bound, q, residual),
+            "q is the nearest to closing so far",
+        )
+    why: Any = (
+        _find_one_sided_evidence(bound, q)
+        or _find_limit_evidence(bound, q)
+        or _find_excess_evidence(bound)
+    )
     why = why or "with these values no closed configuration was found"
-    wider = nearly(bound.system) if residual < NEARLY else None
+    wider = find_nearest_soon(bound.system) if residual < NEARLY else None
     loose = ""
     if wider is not None:
         loose = f"it closes {wider.least}: give a larger tolerance"
     elif residual <= LOOSEST / 2.0:
         loose = f"with tolerance={1.1 * residual:.2g} it counts as closed as it is"
-    what = _open(bound, q, residual)
+    what = _describe_largest_violation(bound, q, residual)
     near = "q is the nearest to closing"
     still = immovable(bound.system)
     return wording.failed(wording.given_up("closed", starts), what, why, loose, near, still)
 
 
-def _left(bound: Assembler, q: Array) -> str:
+def _describe_freedoms(bound: Assembler, q: Array) -> str:
     """How many freedoms are left open, with a warning where these are more than the mechanism is
     for.
     """
@@ -108,13 +116,13 @@ def _left(bound: Assembler, q: Array) -> str:
         somewhere = sample_configurations(system, np.random.default_rng(0))
         count = closure_rows.freedoms_left(system, somewhere, bound.held)
         who = "in general"
-    folded = _coinciding(system, q) if count < left else []
+    folded = _find_coinciding_joints(system, q) if count < left else []
     return wording.left_open(
         left, count, who, folded, sure, bound.freedoms if bound.freedoms < left else -1
     )
 
 
-def _coinciding(system: Model, q: Array) -> list[tuple[str, str]]:
+def _find_coinciding_joints(system: Model, q: Array) -> list[tuple[str, str]]:
     """Pairs of joints at one place that no body holds there: neither both of them nor others at the
     same place.
     """
@@ -142,7 +150,7 @@ def _coinciding(system: Model, q: Array) -> list[tuple[str, str]]:
     return out
 
 
-def _outside(bound: Assembler, q: Array) -> str:
+def _describe_outside_limits(bound: Assembler, q: Array) -> str:
     texts: list[str] = []
     for name, i, low, high in zip(bound.sources, bound.places, bound.low, bound.high, strict=True):
         if not low <= q[i] <= high:
@@ -150,7 +158,7 @@ def _outside(bound: Assembler, q: Array) -> str:
     return ", ".join(texts)
 
 
-def _open(bound: Assembler, q: Array, missed: float) -> str:
+def _describe_largest_violation(bound: Assembler, q: Array, missed: float) -> str:
     """What is violated most, in metres and radians; `missed` is the norm of all residuals."""
     from kempe.equations.closure_rows import residual, row_names
 
@@ -196,7 +204,7 @@ def _open(bound: Assembler, q: Array, missed: float) -> str:
     return text
 
 
-def _one_sided(bound: Assembler, q: Array) -> Evidence | None:
+def _find_one_sided_evidence(bound: Assembler, q: Array) -> Evidence | None:
     """Whether the equations alone can be closed with what is known, and which one-sided constraints
     are then violated.
 
@@ -205,7 +213,9 @@ def _one_sided(bound: Assembler, q: Array) -> Evidence | None:
     if bound.one_sided is None or bound.frames:
         return None
     answer = (
-        of_equations(bound.system, bound.known)(q[bound.places] * 1.0, q) if bound.plain else None
+        get_equation_assembler(bound.system, bound.known)(q[bound.places] * 1.0, q)
+        if bound.plain
+        else None
     )
     violated = (
         [v.text for v in bound.one_sided.violations(answer.q)]
@@ -218,7 +228,7 @@ def _one_sided(bound: Assembler, q: Array) -> Evidence | None:
     return evidence("one-sided", violated=violated, done="closes", known=known)
 
 
-def _limits(bound: Assembler, q: Array) -> Evidence | None:
+def _find_limit_evidence(bound: Assembler, q: Array) -> Evidence | None:
     """Whether it closes without the limits, and which coordinates are then outside."""
     if bound.frames or not np.isfinite(bound.system.structure.limits).any():
         return None
@@ -227,13 +237,13 @@ def _limits(bound: Assembler, q: Array) -> Evidence | None:
     return evidence("limits", names=names, done="closes") if names else None
 
 
-def _too_many(bound: Assembler) -> Evidence | None:
+def _find_excess_evidence(bound: Assembler) -> Evidence | None:
     """Whether more is given than the system has freedoms where it is closed."""
-    freedoms = bare(ideal_of(bound.system)).freedoms
+    freedoms = get_assembler_as_given(find_ideal_system(bound.system)).freedoms
     if not bound.held or not 0 <= freedoms < len(bound.held):
         return None
     return evidence("too many given", given=len(bound.held), freedoms=freedoms)
 
 
-ROW = Row(sentence, choice)
+ROW = Row(describe_configuration, choose_solver)
 """What `assemble` says of its answers."""

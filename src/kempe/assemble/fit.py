@@ -80,16 +80,16 @@ class Valley:
         self.scale = scales(tree)
         self.equations: Equations = equations or partial(evaluate, tree, scaled=True)
 
-    def spectrum(self, q: Array) -> Spectrum:
+    def compute_spectrum(self, q: Array) -> Spectrum:
         """Singular values and vectors of the equations' derivatives at q (..., nq)."""
         return Spectrum(self.equations(q)[1])
 
-    def converge(self, q: Array, rounds: int = 12) -> Array:
+    def converge_to_valley(self, q: Array, rounds: int = 12) -> Array:
         """The configurations of the valley that Gauss-Newton steps lead to from q (N, nq)."""
         r = self.rank
         system = self.system
 
-        def step(f: Array, J: Array) -> Array:
+        def compute_step(f: Array, J: Array) -> Array:
             U, s, Vt = Spectrum(J).thin
             part = np.einsum("kmr,km->kr", U[..., :r], f) / np.maximum(s[..., :r], TINY)
             return -np.einsum("krn,kr->kn", Vt[..., :r, :], part)
@@ -98,33 +98,33 @@ class Valley:
             lambda q, _: self.equations(q),
             q,
             rounds,
-            step=step,
+            step=compute_step,
             longest=0.3,
             move=lambda q, y: system.structure.layout.integrate_velocity(q, self.scale * y),
         )
 
-    def residual(self, q: Array) -> Array:
+    def compute_residual(self, q: Array) -> Array:
         """Norms (...) of the residual at configurations (..., nq)."""
         return np.linalg.norm(self.equations(q, False)[0], axis=-1)
 
-    def regular(self, spectrum: Spectrum) -> np.ndarray:
+    def is_regular(self, spectrum: Spectrum) -> np.ndarray:
         """Whether (...) the combinations that count are independent where the spectrum is."""
         s = spectrum.values
         return s[..., max(self.rank - 1, 0)] > REGULAR * s[..., 0]
 
-    def between(self, q: Array) -> Array:
+    def sample_between(self, q: Array) -> Array:
         """Regular configurations (k, nq) some way along the valley from q (N, nq)."""
         if self.rank == self.system.nv:
             return q[:0]
-        ways = self.spectrum(q).right[:, -1]
+        ways = self.compute_spectrum(q).right[:, -1]
         there = self.system.structure.layout.integrate_velocity(
             q, 0.37 * STRIDE * self.scale * ways
         )
-        there = self.converge(there)
+        there = self.converge_to_valley(there)
         there = there[np.isfinite(there).all(axis=1)]
-        return there[self.regular(self.spectrum(there))]
+        return there[self.is_regular(self.compute_spectrum(there))]
 
-    def walk(self, q: Array, most: float, rng: np.random.Generator) -> Array:
+    def walk_valley(self, q: Array, most: float, rng: np.random.Generator) -> Array:
         """Regular configurations (N, nq) along the valley on both sides of q, where at most `most`
         stays open.
 
@@ -133,7 +133,7 @@ class Valley:
         that are closest to closed, the steps went over to another valley: a way ends there.
         """
         freedoms = self.system.nv - self.rank
-        null_space = self.spectrum(q).right[self.rank :]
+        null_space = self.compute_spectrum(q).right[self.rank :]
         ways = (
             null_space
             if freedoms == 1
@@ -143,7 +143,7 @@ class Valley:
         ways = np.stack([ways, -ways], axis=1).reshape(-1, self.system.nv)
         found: list[tuple[float, Array]] = []
         for length in STRIDES:
-            found = self._ahead(q, ways, length, most, FAR if freedoms == 1 else NEAR)
+            found = self._walk_directions(q, ways, length, most, FAR if freedoms == 1 else NEAR)
             if len(found) >= ENOUGH:
                 break
         if len(found) > ENOUGH:
@@ -151,19 +151,21 @@ class Valley:
         near = [x for left, x in found if left <= most]
         return np.array(near).reshape(len(near), self.system.nq)
 
-    def _ahead(
+    def _walk_directions(
         self, q: Array, ways: Array, length: float, most: float, steps: int
     ) -> list[tuple[float, Array]]:
         """Regular configurations along ways (W, n) from q (nq,), those after the fewest steps first,
         each with what stays open at most on the way to it.
         """
         layout = self.system.structure.layout
-        start = float(self.residual(q))
-        found = [(start, q)] if self.regular(self.spectrum(q)) else []
+        start = float(self.compute_residual(q))
+        found = [(start, q)] if self.is_regular(self.compute_spectrum(q)) else []
         q = np.tile(q, (len(ways), 1))
         left = np.full(len(ways), start)
         for _ in range(steps):
-            there = self.converge(layout.integrate_velocity(q, self.scale * ways * length))
+            there = self.converge_to_valley(
+                layout.integrate_velocity(q, self.scale * ways * length)
+            )
             kept = np.isfinite(there).all(axis=1)
             q = q[kept]
             there = there[kept]
@@ -183,7 +185,7 @@ class Valley:
             q = there[kept]
             ways = onward[kept]
             left = left[kept]
-            regular = self.regular(spectrum)[kept]
+            regular = self.is_regular(spectrum)[kept]
             found += zip(left[regular].tolist(), q[regular], strict=True)
         return found
 
@@ -205,7 +207,7 @@ class Fit(NamedTuple):
     left: float
 
 
-def fitted_all_along(
+def fit_whole_motion(
     shape: Dimensions,
     rank: int,
     q: Array,
@@ -214,7 +216,7 @@ def fitted_all_along(
     also: Relations | None = None,
     tries: int = len(DAMPING),
 ) -> Fit:
-    """As `fitted`, of configurations q (N, nq) that begin with the nearest ones.
+    """As `fit_dimensions`, of configurations q (N, nq) that begin with the nearest ones.
 
     What closes along a part of a motion closes all along, so that a fit to the nearest is enough,
     unless it leaves dimensions undetermined. Far ones may lie on another motion, which crosses the
@@ -223,22 +225,22 @@ def fitted_all_along(
     are enough, too.
     """
     first = q[:AT_FIRST] if rank == shape.system.nv - 1 else q
-    near = fitted(shape, rank, first, most, time, also, tries)
-    for part in _sides(shape, rank, q) if tries > 1 else ():
+    near = fit_dimensions(shape, rank, first, most, time, also, tries)
+    for part in _split_sides(shape, rank, q) if tries > 1 else ():
         if near.closed:
             break
-        near = fitted(shape, rank, part, most, time, also, tries)
+        near = fit_dimensions(shape, rank, part, most, time, also, tries)
     if (
         not near.closed
         or len(q) <= len(first)
-        or moves_all_along(Valley(shape.changed(near.p), rank), q)
+        or closes_along_valley(Valley(shape.change_dimensions(near.p), rank), q)
     ):
         return near
-    far = fitted(shape, rank, q, most, time, also, tries)
+    far = fit_dimensions(shape, rank, q, most, time, also, tries)
     return far if far.closed and np.abs(far.p).max() <= MUCH * np.abs(near.p).max() else near
 
 
-def _sides(shape: Dimensions, rank: int, q: Array) -> list[Array]:
+def _split_sides(shape: Dimensions, rank: int, q: Array) -> list[Array]:
     """Of configurations q (N, nq) along a motion of one freedom those on each side of the first, as
     many as needed.
     """
@@ -248,14 +250,14 @@ def _sides(shape: Dimensions, rank: int, q: Array) -> list[Array]:
     along = (
         shape.system.structure.layout.compute_difference(np.tile(q[0], (len(q), 1)), q)
         / valley.scale
-        @ valley.spectrum(q[0]).right[-1]
+        @ valley.compute_spectrum(q[0]).right[-1]
     )
     return [
         side for sign in (1.0, -1.0) if len(side := q[sign * along >= 0.0][:AT_FIRST]) >= ENOUGH
     ]
 
 
-def fitted(
+def fit_dimensions(
     shape: Dimensions,
     rank: int,
     q: Array,
@@ -277,26 +279,28 @@ def fitted(
     left = np.inf
     for _ in range(TRIES):
         for damped in DAMPING[:tries]:
-            end = _fit(shape, rank, p, q, most, time, damped, also)
+            end = _solve_changes(shape, rank, p, q, most, time, damped, also)
             if not CLOSED < end[2] < HOPEFUL:
                 break
         if CLOSED < end[2] < LITTLE:  # the last digits, without damping
-            end = _fit(shape, rank, end[0], end[1], most, time, 0.0, also)
+            end = _solve_changes(shape, rank, end[0], end[1], most, time, 0.0, also)
         p, q, left = end
         if left > CLOSED or np.abs(p * shape.unit).max(initial=0.0) > most:
             break
-        valley = Valley(shape.changed(p), rank)
-        every = valley.converge(every)
-        if not moves(valley, q) or not np.isfinite(every).all():
+        valley = Valley(shape.change_dimensions(p), rank)
+        every = valley.converge_to_valley(every)
+        if not keeps_rank(valley, q) or not np.isfinite(every).all():
             break
-        between = valley.between(q)
-        if valley.residual(np.array([*every, *between])).max() <= CLOSED and moves(valley, every):
+        between = valley.sample_between(q)
+        if valley.compute_residual(np.array([*every, *between])).max() <= CLOSED and keeps_rank(
+            valley, every
+        ):
             return Fit(True, p, every, left)
         q = np.array([*every, *between])
     return Fit(False, p, q, left)
 
 
-def _fit(
+def _solve_changes(
     shape: Dimensions,
     rank: int,
     p: Array,
@@ -318,10 +322,10 @@ def _fit(
     left = np.inf
     for k in range(ROUNDS):
         time.check()
-        valley = Valley(shape.system, rank, shape.equations(p))
-        q = valley.converge(q, 4)
+        valley = Valley(shape.system, rank, shape.bind_equations(p))
+        q = valley.converge_to_valley(q, 4)
         F, J = valley.equations(q)
-        h = also.values(p) if also is not None else np.zeros(0)
+        h = also.compute_values(p) if also is not None else np.zeros(0)
         left = float(max(np.linalg.norm(F, axis=-1).max(), np.abs(h).max(initial=0.0)))
         # one more for the last digit
         if not left < 0.9 * before[-PATIENCE] or (left <= EXACT and before[-1] <= EXACT):
@@ -331,9 +335,9 @@ def _fit(
         before.append(left)
         # the last digits count where roots are nearly double
         if np.abs(p - at).max() > (1e-6 if damped else 0.0):
-            P = shape.derivative(p, q)
+            P = shape.differentiate_equations(p, q)
             at = p
-            H = also.derivative(p) if also is not None else H
+            H = also.differentiate_values(p) if also is not None else H
         U = Spectrum(J).left[:, :, rank:]
         G = np.concatenate([*(np.swapaxes(U, -1, -2) @ P), H])
         g = np.concatenate([*(np.swapaxes(U, -1, -2) @ F[..., None])[..., 0], h])
@@ -346,16 +350,16 @@ def _fit(
     return p, q, left
 
 
-def moves(valley: Valley, q: Array) -> bool:
+def keeps_rank(valley: Valley, q: Array) -> bool:
     """Whether the equations have no more than their rank at all configurations q (N, nq)."""
-    return not np.any(valley.spectrum(q).ranks(ZERO) > valley.rank)
+    return not np.any(valley.compute_spectrum(q).ranks(ZERO) > valley.rank)
 
 
-def moves_all_along(valley: Valley, q: Array) -> bool:
+def closes_along_valley(valley: Valley, q: Array) -> bool:
     """Whether loops close exactly along the valley near configurations q (N, nq), and between, with
     its freedoms.
     """
-    q = valley.converge(q)
-    return bool(valley.residual(np.array([*q, *valley.between(q)])).max() <= CLOSED) and moves(
-        valley, q
-    )
+    q = valley.converge_to_valley(q)
+    return bool(
+        valley.compute_residual(np.array([*q, *valley.sample_between(q)])).max() <= CLOSED
+    ) and keeps_rank(valley, q)

@@ -80,20 +80,24 @@ def from_maximal(
         system, poses, compute_mid_configuration(system) if start is None else start, tolerance
     )
     for name, (_, length, angle) in read.items():
-        _refuse_far(
+        _refuse_violations(
             f"joint {name!r} ({joints[name].type.type_name})",
             {"m": length, "rad": angle},
             tolerance,
         )
     values = {
-        n: x for name, (own, *_) in read.items() for n, x in _by_name(system, name, own).items()
+        n: x
+        for name, (own, *_) in read.items()
+        for n, x in _name_coordinates(system, name, own).items()
     }
-    _refuse_held(system, values, tolerance)
-    relations = _relations(system)
-    find_turns(relations, values, tolerance)
+    _refuse_held_rotations(system, values, tolerance)
+    relations = _list_relations(system)
+    add_full_turns(relations, values, tolerance)
     for r in relations:
-        off = {"rad" if r.turns else "m": off_by(r, values)}
-        _refuse_far(f"coordinate {r.name!r}, which is tied to others or held,", off, tolerance)
+        off = {"rad" if r.turns else "m": measure_violation(r, values)}
+        _refuse_violations(
+            f"coordinate {r.name!r}, which is tied to others or held,", off, tolerance
+        )
     q = np.empty((*lead, system.nq))
     for i, name in enumerate(system.coordinate_names):
         q[..., i] = values[name]
@@ -144,7 +148,7 @@ def read_joints(
                     np.stack(values, axis=-1) if values else near[..., :0], (*lead, len(values))
                 )
             )
-        found = fit(kind, system.dim, particle, X, np.stack(at), tolerance)
+        found = fit_joint(kind, system.dim, particle, X, np.stack(at), tolerance)
         out |= {
             joint.name: (own, length, angle)
             for joint, own, length, angle in zip(joints, *found, strict=True)
@@ -152,24 +156,24 @@ def read_joints(
     return {name: out[name] for name in m.joints}
 
 
-def coordinates_at(system: Model, poses: Array, near: Array) -> Array:
+def read_configurations(system: Model, poses: Array, near: Array) -> Array:
     """Configurations (..., nq) near others (..., nq), with the joints as the poses say; these may
     violate them.
     """
     values: dict[str, Array] = {}
     for name, (own, *_) in read_joints(system, poses, near).items():
-        values |= _by_name(system, name, own)
+        values |= _name_coordinates(system, name, own)
     out = np.empty((*np.broadcast_shapes(poses.shape[:-3], near.shape[:-1]), system.nq))
     for k, name in enumerate(system.coordinate_names):
         out[..., k] = values[name]
     return out
 
 
-def _by_name(system: Model, joint: str, own: Array) -> dict[str, Array]:
+def _name_coordinates(system: Model, joint: str, own: Array) -> dict[str, Array]:
     return {n: own[..., i] for i, n in enumerate(system.structure.coordinates_of_joint(joint))}
 
 
-def fit(
+def fit_joint(
     kind: JointType, dim: int, particle: bool, X: Array, near: Array, tolerance: float = TOLERANCE
 ) -> tuple[Array, Array, Array]:
     """Coordinates (..., n) of a joint whose frame M is at X (..., 4, 4) in F, and the length and
@@ -178,7 +182,7 @@ def fit(
     Of several the ones found from `near` (..., n). In the plane a joint that slides along z does so
     along x of X.
     """
-    system, free, lengths = _apart(kind, dim, particle)
+    system, free, lengths = _isolate_joint(kind, dim, particle)
     lead = X.shape[:-2]
     n = len(free)
     own = near.shape[-1]
@@ -203,7 +207,7 @@ def fit(
         if how == f"turn {a}"
     ]
     if angles:
-        found[:, angles] = _three_angles(
+        found[:, angles] = _choose_three_angles(
             X[..., :3, :3].reshape(-1, 3, 3), found[:, angles], start[:, angles]
         )
     off = evaluate(system, found, False)[0].reshape(*lead, len(lengths))
@@ -212,7 +216,9 @@ def fit(
 
 
 @lru_cache(maxsize=256)
-def _apart(kind: JointType, dim: int, particle: bool) -> tuple[Any, tuple[str, ...], np.ndarray]:
+def _isolate_joint(
+    kind: JointType, dim: int, particle: bool
+) -> tuple[Any, tuple[str, ...], np.ndarray]:
     """A body that a joint of this kind ties to the ground, the coordinates of its pose, and which
     rows are lengths.
     """
@@ -226,7 +232,7 @@ def _apart(kind: JointType, dim: int, particle: bool) -> tuple[Any, tuple[str, .
     return system, names, np.array([row in "xyz" for _, row in row_names(system)])
 
 
-def _three_angles(R: Array, angles: Array, near: Array) -> Array:
+def _choose_three_angles(R: Array, angles: Array, near: Array) -> Array:
     """Turns (N, 3) about z, y', x'': of the two ways to say a rotation the one that is nearest."""
     a, b, c = np.moveaxis(angles, -1, 0)
     locked = np.cos(b) < ANGLES_SINGULAR
@@ -263,7 +269,7 @@ class LinearRow(NamedTuple):
     periods: tuple[tuple[str, float], ...]
 
 
-def _relations(system: Model) -> list[LinearRow]:
+def _list_relations(system: Model) -> list[LinearRow]:
     """What couplings, locks and relations say, but for quaternions that are held."""
     followers = system.structure.couplings
     turning: set[str] = set()
@@ -305,19 +311,19 @@ def _relations(system: Model) -> list[LinearRow]:
     ]
 
 
-def off_by(relation: LinearRow, values: dict[str, Array]) -> Array:
+def measure_violation(relation: LinearRow, values: dict[str, Array]) -> Array:
     """How far a relation is violated."""
     return np.asarray(sum(m * values[n] for n, m in relation.terms) - relation.offset)
 
 
-def _turn_counts(n: int) -> Array:
+def _list_turn_counts(n: int) -> Array:
     """Numbers of full turns (k, n) of n coordinates that are tried, those of few turns first."""
     most = TURNS[n] if n < len(TURNS) else 0
     found = sorted(product(range(-most, most + 1), repeat=n), key=lambda ks: sum(map(abs, ks)))
     return np.array(found, dtype=float).reshape(len(found), n)
 
 
-def find_turns(relations: list[LinearRow], values: dict[str, Array], tolerance: float) -> None:
+def add_full_turns(relations: list[LinearRow], values: dict[str, Array], tolerance: float) -> None:
     """Give coordinates full turns, few against those that they have, with which all that depends on
     them is right.
 
@@ -329,23 +335,28 @@ def find_turns(relations: list[LinearRow], values: dict[str, Array], tolerance: 
         if not r.free and r.periods:
             followers.setdefault(r.terms[1][0], []).append(r)
     for driver, mine in followers.items():
-        given = values[driver][..., None] + FULL_TURN * _turn_counts(1)[:, 0]
+        given = values[driver][..., None] + FULL_TURN * _list_turn_counts(1)[:, 0]
         off = [values[r.name][..., None] + r.terms[1][1] * given - r.offset for r in mine]
-        good = [np.abs(_within(x, r.turns)) <= tolerance for x, r in zip(off, mine, strict=True)]
+        good = [
+            np.abs(_remove_full_turns(x, r.turns)) <= tolerance
+            for x, r in zip(off, mine, strict=True)
+        ]
         first = np.argmax(np.all(good, axis=0), axis=-1)[..., None]
         values[driver] = np.take_along_axis(given, first, axis=-1)[..., 0]
     for r in relations:
         moving = [(n, m) for n, m in r.periods if n not in followers]
-        counts = _turn_counts(len(moving))
-        off = off_by(r, values)[..., None] + FULL_TURN * (counts @ np.array([m for _, m in moving]))
-        first = np.argmax(np.abs(_within(off, r.turns)) <= tolerance, axis=-1)
+        counts = _list_turn_counts(len(moving))
+        off = measure_violation(r, values)[..., None] + FULL_TURN * (
+            counts @ np.array([m for _, m in moving])
+        )
+        first = np.argmax(np.abs(_remove_full_turns(off, r.turns)) <= tolerance, axis=-1)
         for i, (n, _) in enumerate(moving):
             values[n] = values[n] + FULL_TURN * counts[first, i]
-        off = off_by(r, values)
-        values[r.name] = values[r.name] - off + _within(off, r.turns)
+        off = measure_violation(r, values)
+        values[r.name] = values[r.name] - off + _remove_full_turns(off, r.turns)
 
 
-def _within(off: Array, turns: bool) -> Array:
+def _remove_full_turns(off: Array, turns: bool) -> Array:
     return off - FULL_TURN * np.round(off / FULL_TURN) if turns else off
 
 
@@ -382,10 +393,10 @@ def _refuse_constraints(system: Model, poses: Array, q: Array, tolerance: float)
             if n == name and what != "relation":
                 rows.setdefault(units[i], []).append(i)
         sizes = {unit: np.linalg.norm(off[..., at], axis=-1) for unit, at in rows.items()}
-        _refuse_far(f"constraint {name!r} ({made.kind})", sizes, tolerance)
+        _refuse_violations(f"constraint {name!r} ({made.kind})", sizes, tolerance)
 
 
-def _refuse_held(system: Model, values: dict[str, Array], tolerance: float) -> None:
+def _refuse_held_rotations(system: Model, values: dict[str, Array], tolerance: float) -> None:
     """Refuse rotations that are not those of quaternions that are held."""
     for joint in system.mechanism.joints.values():
         names = [
@@ -402,10 +413,10 @@ def _refuse_held(system: Model, values: dict[str, Array], tolerance: float) -> N
                 found = spatial.quat_wxyz_to_matrix(np.stack([values[n] for n in four], axis=-1))
                 turn = spatial.log_so3(spatial.quat_wxyz_to_matrix(spatial.unit(quat)).T @ found)
                 subject = f"joint {joint.name!r} ({joint.type.type_name}) is locked"
-                _refuse_far(subject, {"rad": np.linalg.norm(turn, axis=-1)}, tolerance)
+                _refuse_violations(subject, {"rad": np.linalg.norm(turn, axis=-1)}, tolerance)
 
 
-def _refuse_far(subject: str, sizes: Mapping[str, Array], tolerance: float) -> None:
+def _refuse_violations(subject: str, sizes: Mapping[str, Array], tolerance: float) -> None:
     """Refuse what is violated by more than the tolerance, by its sizes (...) by unit."""
     parts = [(float(np.abs(x).max(initial=0.0)), unit) for unit, x in sizes.items()]
     if any(size > tolerance for size, _ in parts):

@@ -61,18 +61,18 @@ class NearestClosed:
     why: str = ""
 
 
-def close(system: Model, q: Array) -> NearestClosed:
+def close_configuration(system: Model, q: Array) -> NearestClosed:
     """The configuration (nq,) with its loops closed to machine precision, as near to `q` as may be."""
-    given = _residual(system, refuse_far(system, q, "q"))
+    given = _compute_residual(system, refuse_far(system, q, "q"))
     if not np.isfinite(given):
         raise InputError(
             "q leads to residuals of the loops that are not finite: a coordinate is too large"
         )
     if given <= EXACT:
         return NearestClosed(q, True, given, given)
-    from kempe.assemble.bound import of_equations
+    from kempe.assemble.bound import get_equation_assembler
 
-    answer = of_equations(system)(
+    answer = get_equation_assembler(system)(
         start=q, limits=False, prefer="nearest" if given > NEAR else None, budget=Budget(starts=1)
     )
     if answer.success:
@@ -80,11 +80,11 @@ def close(system: Model, q: Array) -> NearestClosed:
     return NearestClosed(answer.q, False, given, float(answer.residual), str(answer.status))
 
 
-def find_closed(system: Model) -> NearestClosed:
+def find_closed_configuration(system: Model) -> NearestClosed:
     """A closed configuration: the posture 'closed', the middle of the limits, or else one that is
     searched.
     """
-    at = close(
+    at = close_configuration(
         system,
         make_q(system, "closed")
         if "closed" in system.structure.posture_names
@@ -96,101 +96,103 @@ def find_closed(system: Model) -> NearestClosed:
 
     answer = assemble(system, limits=False)
     if answer.success:
-        return close(system, answer.q)
+        return close_configuration(system, answer.q)
     if at.closed:
         return at
     return NearestClosed(answer.q, False, at.given, float(answer.residual), str(answer.status))
 
 
-def _residual(system: Model, q: Array) -> float:
+def _compute_residual(system: Model, q: Array) -> float:
     values = evaluate(system, q, False, True)[0]
     return float(np.linalg.norm(values))
 
 
 @quiet
-def idle_freedoms_at(system: Model, q: Array) -> tuple[IdleFreedom, ...]:
+def find_idle_freedoms_at(system: Model, q: Array) -> tuple[IdleFreedom, ...]:
     """Idle freedoms at the closed configuration nearest to q (nq,); none where the loops cannot be
     closed.
 
     Joints are driven that are marked so. Velocities are those of the angles in which balls are
     regular there.
     """
-    at = close(system, q)
+    at = close_configuration(system, q)
     if not at.closed:
         return ()
     system, q, _ = make_regular_chart(system, at.q)
     motors = find_driven_velocities(system, None)
     rank = compute_rank(system, q)
     return find_idle_freedoms(
-        system, [rank, *around(system, rank, motors, np.random.default_rng(0))], motors
+        system, [rank, *sample_useful_ranks(system, rank, motors, np.random.default_rng(0))], motors
     )
 
 
-def idle_freedoms_of(system: Model, q: Array | None = None) -> tuple[IdleFreedom, ...]:
+def get_idle_freedoms(system: Model, q: Array | None = None) -> tuple[IdleFreedom, ...]:
     """The idle freedoms of a system, looked for once, at a closed configuration that a search finds;
     where it finds none, those at q (nq,).
     """
     tree = remove_cut_marks(system)
-    found = _idle_at_home(tree)
+    found = _find_idle_at_home(tree)
     if found is None:
-        return () if q is None else idle_freedoms_at(tree, q)
+        return () if q is None else find_idle_freedoms_at(tree, q)
     return found
 
 
 @keep_answers
-def _idle_at_home(system: Model) -> tuple[IdleFreedom, ...] | None:
-    at = find_closed(system)
-    return idle_freedoms_at(system, at.q) if at.closed else None
+def _find_idle_at_home(system: Model) -> tuple[IdleFreedom, ...] | None:
+    at = find_closed_configuration(system)
+    return find_idle_freedoms_at(system, at.q) if at.closed else None
 
 
-def idle_coordinates(system: Model, q: Array | None = None) -> np.ndarray:
+def find_idle_coordinates(system: Model, q: Array | None = None) -> np.ndarray:
     """Which velocity coordinates (nv,) idle freedoms change (mask); of a rotation, all three."""
-    moves = [f.moving_velocities for f in idle_freedoms_of(system, q)] if has_loops(system) else []
+    moves = [f.moving_velocities for f in get_idle_freedoms(system, q)] if has_loops(system) else []
     out = np.any([np.zeros(system.nv, dtype=bool), *moves], axis=0)
     for iv in system.structure.layout.quaternion_v:
         out[iv : iv + 3] = out[iv : iv + 3].any()
     return np.asarray(out)
 
 
-def idle_rates(system: Model, q: Array) -> Array:
+def compute_idle_rates(system: Model, q: Array) -> Array:
     """Rows (k, s, nv) by which velocities at q (k, nq) give the rates of the s idle spins [rad/s]."""
     tree = remove_cut_marks(system)
-    found = idle_freedoms_of(system) if system.dim == 3 else ()
+    found = get_idle_freedoms(system) if system.dim == 3 else ()
     rows = [f.in_body[1] @ jacobian(tree, q, f.bodies[0], "body")[:, 3:] for f in found]
     return np.stack(rows, axis=1) if rows else np.zeros((len(q), 0, system.nv))
 
 
-def around(
+def sample_useful_ranks(
     system: Model, rank: Rank, motors: Iterable[int] | None, rng: np.random.Generator
 ) -> list[Rank]:
-    """Ranks `nearby`, where these may tell more than that at one configuration; `motors` are driven
+    """Ranks `sample_nearby_ranks`, where these may tell more than that at one configuration; `motors` are driven
     velocities.
     """
     return (
-        nearby(system, rank, rng)
+        sample_nearby_ranks(system, rank, rng)
         if rank.n_dependent or motors or can_have_idle_freedom(system, rank, motors)
         else []
     )
 
 
-def nearby(system: Model, rank: Rank, rng: np.random.Generator) -> list[Rank]:
+def sample_nearby_ranks(system: Model, rank: Rank, rng: np.random.Generator) -> list[Rank]:
     """Ranks at closed configurations some way along the null space, drawn at random; none if it
     always snaps back.
     """
     if not rank.nullity:
         return []
     # a point of full rank is generic itself
-    found = _draw_nearby(system, rank, rng, POINTS if rank.n_dependent else 1)
+    found = _step_to_nearby_ranks(system, rank, rng, POINTS if rank.n_dependent else 1)
     if rank.n_dependent and (len(found) < POINTS or any(r.nullity != rank.nullity for r in found)):
-        found += _draw_nearby(system, rank, rng, MORE)
+        found += _step_to_nearby_ranks(system, rank, rng, MORE)
     return found
 
 
-def _draw_nearby(system: Model, rank: Rank, rng: np.random.Generator, count: int) -> list[Rank]:
+def _step_to_nearby_ranks(
+    system: Model, rank: Rank, rng: np.random.Generator, count: int
+) -> list[Rank]:
     """Ranks at the closed configurations next to random steps along the null space, each one step:
     where the rank drops there is no curve to be followed.
     """
-    from kempe.assemble.bound import of_equations
+    from kempe.assemble.bound import get_equation_assembler
 
     z = rng.normal(size=(count, rank.nullity)) @ rank.null_space.T
     size = STEP * np.sqrt(rank.nullity)
@@ -198,7 +200,7 @@ def _draw_nearby(system: Model, rank: Rank, rng: np.random.Generator, count: int
     starts = system.structure.layout.integrate_velocity(
         np.broadcast_to(rank.q, (count, system.nq)), z * rank.units
     )
-    answer = of_equations(system)(start=starts, limits=False, budget=Budget(starts=1))
+    answer = get_equation_assembler(system)(start=starts, limits=False, budget=Budget(starts=1))
     moved = np.linalg.norm(
         system.structure.layout.compute_difference(rank.q, answer.q) / rank.units, axis=1
     )

@@ -27,13 +27,13 @@ from kempe.arguments import (
 )
 from kempe.arrays import check_range
 from kempe.assemble.assemble import assemble
-from kempe.assemble.bound import Assembler, of_equations
+from kempe.assemble.bound import Assembler, get_equation_assembler
 from kempe.assemble.dyad_proofs import enclose
 from kempe.assemble.dyads import CLOSED, MOST_SIGNS, DyadAnswer, Incomplete, Plan, closed_form
-from kempe.assemble.from_poses import coordinates_at
-from kempe.assemble.generic_configurations import idle_freedoms_at
-from kempe.assemble.nearest_exact import ideal_of, tolerant
-from kempe.assemble.same_configuration import INSIDE, SAME, Clusters, metric_of
+from kempe.assemble.from_poses import read_configurations
+from kempe.assemble.generic_configurations import find_idle_freedoms_at
+from kempe.assemble.nearest_exact import answer_within_tolerance, find_ideal_system
+from kempe.assemble.same_configuration import INSIDE, SAME, Clusters, get_metric
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.constraints.tape import TIME
 from kempe.description.parts import Declared
@@ -81,25 +81,25 @@ if TYPE_CHECKING:
 # to the image as may be; whoever reads these configurations closes them, so nothing rests on them.
 
 
-def mirrored(system: Model, q: Array) -> Array:
+def mirror_configurations(system: Model, q: Array) -> Array:
     """Configurations (n, nq) near the mirror images of others in the plane of the ground's points;
     none if these points lie in no plane.
     """
-    plane = _plane(system)
+    plane = _find_ground_plane(system)
     if plane is None or not len(q):
         return np.empty((0, system.nq))
     center, normal = plane
     poses = fk(system, q)[:, 1:]
     out = poses.copy()
-    for i, points in enumerate(_points(system)[1:]):
+    for i, points in enumerate(_list_body_points(system)[1:]):
         image = poses[:, i, :3, :3] @ points.T + poses[:, i, :3, 3:]  # (n, 3, points)
         image = image - 2.0 * normal[:, None] * (normal @ (image - center[:, None]))[:, None, :]
-        out[:, i] = _fitted(system, i + 1, points, np.swapaxes(image, 1, 2), poses[:, i])
-    found = coordinates_at(system, out, q)
+        out[:, i] = _fit_poses(system, i + 1, points, np.swapaxes(image, 1, 2), poses[:, i])
+    found = read_configurations(system, out, q)
     return found[np.isfinite(found).all(axis=1)]
 
 
-def mixed(system: Model, q: Array, n: int, rng: np.random.Generator) -> Array:
+def mix_configurations(system: Model, q: Array, n: int, rng: np.random.Generator) -> Array:
     """Configurations (n, nq) whose joints stand as in one or another of some configurations (k,
     nq).
     """
@@ -110,7 +110,7 @@ def mixed(system: Model, q: Array, n: int, rng: np.random.Generator) -> Array:
 
 
 @keep_answers
-def _points(system: Model) -> list[Array]:
+def _list_body_points(system: Model) -> list[Array]:
     """For each body the points (k, 3) of joints and constraints on it, in its axes; of hinges and
     slides a second one on their axis, which a mirror image must keep as well.
     """
@@ -141,11 +141,11 @@ def _points(system: Model) -> list[Array]:
 
 
 @keep_answers
-def _plane(system: Model) -> tuple[Array, Array] | None:
+def _find_ground_plane(system: Model) -> tuple[Array, Array] | None:
     """A point and the normal of the plane, in a planar system of the line, that the ground's points
     lie in.
     """
-    points = _points(system)[0]
+    points = _list_body_points(system)[0]
     dim = system.dim
     if not len(points):
         return None
@@ -157,7 +157,7 @@ def _plane(system: Model) -> tuple[Array, Array] | None:
     return center, np.append(normal, np.zeros(3 - dim))
 
 
-def _fitted(system: Model, body: int, points: Array, image: Array, poses: Array) -> Array:
+def _fit_poses(system: Model, body: int, points: Array, image: Array, poses: Array) -> Array:
     """Poses (n, 4, 4) that bring points (k, 3) of a body as near to their images (n, k, 3) as may
     be (Kabsch, 1976).
     """
@@ -261,13 +261,13 @@ class ModesSearch:
             np.int64
         )[np.unique(self.twin[isolated])]
 
-    def copy(self) -> ModesSearch:
+    def copy_search(self) -> ModesSearch:
         """What was found so far, which later rounds leave as it is."""
         clusters = copy.copy(self.clusters)
         clusters.members = [list(m) for m in clusters.members]
         return replace(self, clusters=clusters, twin=self.twin.copy())
 
-    def take(self, q: Array, counted: bool) -> tuple[np.ndarray, np.ndarray]:
+    def close_configurations(self, q: Array, counted: bool) -> tuple[np.ndarray, np.ndarray]:
         """Close configurations (n, nq) and sort them in; which of them closed (n,), and their
         clusters.
         """
@@ -275,26 +275,29 @@ class ModesSearch:
         if np.shape(answer.success) != (len(q),):
             raise InputError("known coordinates must be single numbers, known frames single places")
         good = np.asarray(answer.success)
-        found = self.clusters.metric.representatives(np.asarray(answer.q)[good], self.near)
+        found = self.clusters.metric.choose_representatives(np.asarray(answer.q)[good], self.near)
         tolerance = np.maximum(SAME, 10.0 * np.sqrt(np.asarray(answer.residual)[good]))
-        where = self.clusters.add(found, tolerance, counted)
-        self._look(len(self.free))
+        where = self.clusters.add_configurations(found, tolerance, counted)
+        self._count_cluster_freedoms(len(self.free))
         if counted and self.frame is None and not self.requested and self.free.any():
             self.requested = True
-            self._leave_out_spins(found, tolerance)
+            self._ignore_idle_spins(found, tolerance)
         return good, where
 
-    def _look(self, first: int) -> None:
+    def _count_cluster_freedoms(self, first: int) -> None:
         """Find the freedoms of the clusters from the first new one on, each its own twin."""
-        new = freedoms(self.system, self.bound, self.known, self.clusters, self.clusters.q[first:])
+        new = count_freedoms(
+            self.system, self.bound, self.known, self.clusters, self.clusters.q[first:]
+        )
         self.free = np.concatenate([self.free[:first], new])
         self.twin = np.concatenate([self.twin[:first], np.arange(first, len(self.free))])
 
-    def _leave_out_spins(self, q: Array, tolerance: Array) -> None:
+    def _ignore_idle_spins(self, q: Array, tolerance: Array) -> None:
         """Count configurations that differ only by idle spins as one, from here on."""
         held = [self.system.structure.velocity_names.index(n) for n in self.bound.held]
-        idle = idle_freedoms_at(
-            remove_cut_marks(ideal_of(self.system)), self.clusters.q[int(np.argmax(self.free > 0))]
+        idle = find_idle_freedoms_at(
+            remove_cut_marks(find_ideal_system(self.system)),
+            self.clusters.q[int(np.argmax(self.free > 0))],
         )
         self.spins = tuple(f for f in idle if not f.velocity[held].any())
         moved = {b for f in self.spins for b in (*f.bodies, *f.links)}
@@ -302,11 +305,11 @@ class ModesSearch:
         if self.spins and rest:
             before = self.clusters
             self.clusters = Clusters(self.system, rest)
-            self.clusters.add(q, tolerance)
-            self.clusters.add(before.q, before.tolerance, False)
-            self._look(0)
+            self.clusters.add_configurations(q, tolerance)
+            self.clusters.add_configurations(before.q, before.tolerance, False)
+            self._count_cluster_freedoms(0)
 
-    def complete(self) -> bool:
+    def try_suggested_modes(self) -> bool:
         """Look for modes where those found suggest some, mirror images last; whether there are new
         ones.
         """
@@ -315,8 +318,8 @@ class ModesSearch:
         if not len(modes):
             return False
         if len(modes) > 1:
-            self.take(
-                mixed(
+            self.close_configurations(
+                mix_configurations(
                     self.system,
                     modes,
                     min(MIXED, 4 * len(modes)),
@@ -326,16 +329,16 @@ class ModesSearch:
             )
         isolated = np.flatnonzero(self.free == 0)
         modes = self.clusters.q[isolated]
-        images = mirrored(self.system, modes)
+        images = mirror_configurations(self.system, modes)
         if len(images) == len(modes):
             error = np.linalg.norm(evaluate(self.system, images, False, True)[0], axis=1)
-            good, where = self.take(images, False)
+            good, where = self.close_configurations(images, False)
             exact = error[good] < SAME
             for i, k in zip(isolated[good][exact], where[exact], strict=True):
                 self.twin[self.twin == self.twin[max(i, k)]] = self.twin[min(i, k)]
         return len(self.free) > before
 
-    def decided(self) -> bool:
+    def is_decided(self) -> bool:
         """Whether each mode was found often, others were looked for in vain, and their number is
         not against it.
         """
@@ -343,14 +346,14 @@ class ModesSearch:
             self.tried < LEAST
             or not len(self.free)
             or not np.all(self.hits >= SEEN_OFTEN)
-            or self.complete()
+            or self.try_suggested_modes()
         ):
             return False
-        return not self.is_odd() and (
+        return not self.has_odd_count() and (
             len(self.free) % 2 == 0 or bool(self.free.any()) or self.tried >= LONGER
         )
 
-    def is_odd(self) -> bool:
+    def has_odd_count(self) -> bool:
         """Whether the number of modes is odd, and must be even: of all modes, so not where limits
         leave some out.
         """
@@ -358,11 +361,11 @@ class ModesSearch:
             not self.bounded
             and not self.free.any()
             and len(self.free) % 2 == 1
-            and must_be_even(self)
+            and has_even_count(self)
         )
 
 
-def search(
+def search_modes(
     system: Model,
     known: dict[str, Any],
     near: Array | None,
@@ -380,23 +383,23 @@ def search(
     before found.
     """
     system = remove_cut_marks(system)
-    bound = of_equations(system, known)
+    bound = get_equation_assembler(system, known)
     s = ModesSearch(
         system,
         known,
         near,
         rng,
         bound,
-        Clusters(system, _places(system, frame)),
+        Clusters(system, _choose_frames(system, frame)),
         frame,
         limits=limits,
     )
     while s.tried < starts:
-        before = s.copy()
+        before = s.copy_search()
         try:
             with budget:
                 budget.check()
-                done = _one_round(s, starts)
+                done = _search_one_round(s, starts)
             before = s  # the round is done
             if progress is not None:
                 progress(s.tried, len(s.free))
@@ -407,28 +410,28 @@ def search(
         if done:
             break
     else:
-        s.complete()  # what those found suggest costs next to nothing
-    s.odd = s.is_odd()
+        s.try_suggested_modes()  # what those found suggest costs next to nothing
+    s.odd = s.has_odd_count()
     return s
 
 
-def _one_round(s: ModesSearch, starts: int) -> bool:
+def _search_one_round(s: ModesSearch, starts: int) -> bool:
     """Whether the search may end after one more round of starts."""
     system = s.system
     near = s.near
     n = min(ROUND, starts - s.tried)
-    start = random_starts(s, n)
+    start = sample_starts(s, n)
     if s.tried == 0:
         start[0] = find_home(system) if near is None else near
     s.tried += n
-    s.take(start, True)
-    if s.decided():
+    s.close_configurations(start, True)
+    if s.is_decided():
         return True
     hits = s.hits
-    return bool(s.tried >= MANY and len(hits) and share_found(hits) < HOPELESS)
+    return bool(s.tried >= MANY and len(hits) and estimate_share_found(hits) < HOPELESS)
 
 
-def _places(system: Model, frame: str | None) -> tuple[str, ...]:
+def _choose_frames(system: Model, frame: str | None) -> tuple[str, ...]:
     """The frames whose poses tell modes apart; none where coordinates do.
 
     Angles in a relation of several wind up: after full turns of some of them all bodies are where
@@ -447,7 +450,7 @@ def _places(system: Model, frame: str | None) -> tuple[str, ...]:
     return tuple(system.body_names[1:]) if winds else ()
 
 
-def random_starts(s: ModesSearch, n: int) -> Array:
+def sample_starts(s: ModesSearch, n: int) -> Array:
     """Starts (n, nq): angles over their period, free lengths up to two characteristic ones; all
     inside the limits, if these count, else every other one: in the rest angles run over their
     period, and lengths beyond their limits.
@@ -480,7 +483,7 @@ def random_starts(s: ModesSearch, n: int) -> Array:
 # ---- freedoms left at a mode
 
 
-def freedoms(
+def count_freedoms(
     system: Model, bound: Assembler, known: dict[str, Any], clusters: Clusters, q: Array
 ) -> np.ndarray:
     """Freedoms (k,) that are left at configurations: nullities of the Jacobian, where a step along
@@ -505,7 +508,9 @@ def freedoms(
             null_space = np.random.default_rng(0).normal(size=(2, len(free)))
             size = np.ones(2)
         else:
-            null_space, size = _moving(system, clusters, q[k], free, space[ranks[k] :])
+            null_space, size = _find_moving_directions(
+                system, clusters, q[k], free, space[ranks[k] :]
+            )
         owner += [k] * (2 * len(null_space))
         kicks += [*null_space, *-null_space]
         sizes += [*size, *size]
@@ -519,14 +524,16 @@ def freedoms(
         limits=False,
         budget=ONCE,
     )
-    moved = clusters.distances(np.asarray(answer.q), q[owner]) > STAYED * KICK * np.array(sizes)
+    moved = clusters.compute_distances(np.asarray(answer.q), q[owner]) > STAYED * KICK * np.array(
+        sizes
+    )
     moved &= np.asarray(answer.success)
     found = np.unique(np.array(owner, dtype=np.int64)[moved])
     out[found] = 1 if bound.frames else np.bincount(owner, minlength=len(q))[found] // 2
     return out
 
 
-def _moving(
+def _find_moving_directions(
     system: Model, clusters: Clusters, q: Array, free: list[int], null_space: Array
 ) -> tuple[Array, Array]:
     """Directions (k, n) in a null space (rows) that move what counts, and how far they move it."""
@@ -549,7 +556,7 @@ def _moving(
 # differentiable viewpoint, 1965).
 
 
-def must_be_even(s: ModesSearch) -> bool:
+def has_even_count(s: ModesSearch) -> bool:
     """Whether the number of modes is even for sure, all found being regular solutions of as many
     equations as unknowns.
 
@@ -571,15 +578,18 @@ def must_be_even(s: ModesSearch) -> bool:
     if (
         J.shape[1] + len(s.spins) != J.shape[2]
         or not J.size
-        or not all(_rigid(s, f) for f in s.spins)
+        or not all(_is_rigid_spin(s, f) for f in s.spins)
     ):
         return False
     if np.any(Spectrum(J).ranks(Level.ROUGH) < J.shape[1]):
         return False
-    return all(metric.period[i] > 0.0 or _round(system, i) or _tied(system, i) for i in free)
+    return all(
+        metric.period[i] > 0.0 or _is_quaternion_velocity(system, i) or _is_tied_particle(system, i)
+        for i in free
+    )
 
 
-def _rigid(s: ModesSearch, spin: Any) -> bool:
+def _is_rigid_spin(s: ModesSearch, spin: Any) -> bool:
     """Whether what spins is one part with the known coordinates held, and has no further links in
     its balls.
     """
@@ -593,7 +603,7 @@ def _rigid(s: ModesSearch, spin: Any) -> bool:
     return not spin.links and not (names & {*s.system.structure.velocity_names}) - s.bound.held
 
 
-def _round(system: Model, i: int) -> bool:
+def _is_quaternion_velocity(system: Model, i: int) -> bool:
     """Whether a velocity is one of a quaternion, which runs around a sphere."""
     return bool(
         np.any(
@@ -603,17 +613,17 @@ def _round(system: Model, i: int) -> bool:
     )
 
 
-def _equations(system: Model) -> list[Declared]:
+def _list_equations(system: Model) -> list[Declared]:
     """The declared constraints that are equations."""
     return [c for c in system._mechanism.constraints.values() if c.equations(system.dim)]
 
 
-def _tied(system: Model, i: int) -> bool:
+def _is_tied_particle(system: Model, i: int) -> bool:
     """Whether a velocity is one of a particle's place, and distances are the only constraints: as
     some solution is regular, these tie it to what stays near.
     """
     mechanism = system.mechanism
-    kinds = {c.rod for c in _equations(system)}
+    kinds = {c.rod for c in _list_equations(system)}
     joint = mechanism.joints.get(system.structure.velocity_names[i].rpartition(".")[0])
     if (
         joint is None
@@ -627,14 +637,14 @@ def _tied(system: Model, i: int) -> bool:
     return len(names) == len(primitives) and slides == [(P, axis) for axis in "xyz"[: system.dim]]
 
 
-def share_found(hits: np.ndarray) -> float:
+def estimate_share_found(hits: np.ndarray) -> float:
     """Share of starts, by estimate, that lead to what was found: 1 - f1 / n, with f1 found once
     (Good, 1953).
     """
     return 1.0 - float(np.sum(hits == 1)) / max(float(np.sum(hits)), 1.0)
 
 
-def estimates(hits: np.ndarray) -> tuple[float, float]:
+def estimate_coverage(hits: np.ndarray) -> tuple[float, float]:
     """Coverage and number of modes, from how often (k,) each was found; of coverage a lower bound.
 
     The share of starts that lead to others is estimated as f1 / n, with f1 modes found once, and n
@@ -647,10 +657,10 @@ def estimates(hits: np.ndarray) -> tuple[float, float]:
     twice = int(np.sum(hits == 2))
     if not n:
         return 0.0, 0.0
-    return 1.0 - _upper(once, n), len(hits) + once * (once - 1) / (2.0 * (twice + 1))
+    return 1.0 - _bound_share(once, n), len(hits) + once * (once - 1) / (2.0 * (twice + 1))
 
 
-def _upper(seen: int, n: int) -> float:
+def _bound_share(seen: int, n: int) -> float:
     """The largest share at which no more than `seen` of `n` would still be seen with probability 1
     - CONFIDENCE.
     """
@@ -778,7 +788,7 @@ class Modes(Configurations):
         return f"{format_count(len(self), 'configuration')} of {self.system.name}; {self.status}"
 
 
-def _not_begun(
+def _make_late_answer(
     time: TimeLimit,
     system: Model,
     known: Mapping[str, Any] | None = None,
@@ -792,14 +802,14 @@ def _not_begun(
     said = f"none is known: {time.reason(TimeUp())} came first"
     problem = Problem(system, "all", dict(known or {}), None, limits=bool(limits))
     return replace(
-        _answer(problem, np.empty((0, system.nq)), said, [], none, none, False), late=True
+        _make_answer(problem, np.empty((0, system.nq)), said, [], none, none, False), late=True
     )
 
 
 @explain_errors
 @raise_interrupted
-@time_limited(USUAL, _not_begun)
-@tolerant()
+@time_limited(USUAL, _make_late_answer)
+@answer_within_tolerance()
 def assembly_modes(
     system: Model,
     known: Mapping[str, Any] | None = None,
@@ -891,13 +901,13 @@ def by_dyads(question: Problem) -> Modes:
     names = ["".join("+" if s > 0 else "-" for s in row) for row in signs]
     ok = np.flatnonzero(closed.ok)
     clusters = Clusters(system, () if question.frame is None else (question.frame,))
-    clusters.add(closed.q[ok], np.full(len(ok), SAME))
+    clusters.add_configurations(closed.q[ok], np.full(len(ok), SAME))
     groups = [ok[members] for members in clusters.members]
     q = closed.q[[g[0] for g in groups]]
     free = np.zeros(len(groups), dtype=np.int64)
-    branches = [_merged([names[i] for i in g]) for g in groups]
+    branches = [_merge_branch_names([names[i] for i in g]) for g in groups]
     sizes = np.array([len(g) for g in groups], dtype=np.int64)
-    doubt = _looked_into(question, plan, numbers[0], closed, clusters)
+    doubt = _examine_doubtful_branches(question, plan, numbers[0], closed, clusters)
     if doubt.found:
         shown = [*range(len(groups)), *doubt.found]
         q = np.concatenate([q, clusters.q[list(doubt.found)]])
@@ -931,7 +941,7 @@ def by_dyads(question: Problem) -> Modes:
         status += f"; {format_count(new, 'configuration')} found by least squares"
     if any(len(g) > 1 for g in groups):
         status += f", {format_count(sum(len(g) > 1 for g in groups), 'multiple root')}"
-    return _answer(question, q, status, branches, sizes, free, not len(doubt.rows))
+    return _make_answer(question, q, status, branches, sizes, free, not len(doubt.rows))
 
 
 class _Doubt(NamedTuple):
@@ -945,7 +955,7 @@ class _Doubt(NamedTuple):
     free: np.ndarray = np.zeros(0, dtype=np.int64)
 
 
-def _looked_into(
+def _examine_doubtful_branches(
     question: Problem, plan: Plan, values: Array, closed: DyadAnswer, clusters: Clusters
 ) -> _Doubt:
     """Which branches are not proven to close nowhere, or in one place; further configurations go
@@ -969,7 +979,7 @@ def _looked_into(
     tree = remove_cut_marks(system)
     before = len(clusters.members)
     spend = USUAL.complete_budget(question.budget)
-    bound = of_equations(tree, question.known)
+    bound = get_equation_assembler(tree, question.known)
     s = ModesSearch(
         tree,
         dict(question.known),
@@ -980,7 +990,7 @@ def _looked_into(
         question.frame,
         limits=bool(question.limits),
     )
-    s.take(closed.q[proof.branch[~ok]], False)
+    s.close_configurations(closed.q[proof.branch[~ok]], False)
     left = [
         k
         for k in np.flatnonzero(wide | ~ok).tolist()
@@ -988,18 +998,18 @@ def _looked_into(
     ]
     continuum = bool(left) and proof.may_move(left)
     if continuum:
-        s.take(random_starts(s, min(BESIDE, read_start_count(spend.starts))), False)
+        s.close_configurations(sample_starts(s, min(BESIDE, read_start_count(spend.starts))), False)
     else:  # near roots that merge, least squares stop at what only seems to move
         s.free = np.zeros(len(clusters.q), dtype=np.int64)
     new = np.arange(before, len(s.free))
     found = new[s.free[new] == 0].tolist()
     moving = new[s.free[new] > 0]
     if len(moving) and not s.free[:before].any():
-        found.append(int(moving[_example(question, clusters, moving)]))
+        found.append(int(moving[_choose_example(question, clusters, moving)]))
     return _Doubt(proof.branch[left], proof.reason(left), tuple(found), s.free)
 
 
-def _merged(names: list[str]) -> str:
+def _merge_branch_names(names: list[str]) -> str:
     """The name of branches that meet: their common signs, 0 for the others."""
     return "".join(c[0] if len(set(c)) == 1 else "0" for c in zip(*names, strict=True))
 
@@ -1007,12 +1017,12 @@ def _merged(names: list[str]) -> str:
 # ---- solver: many starts
 
 
-def by_starts(question: Problem) -> Modes:
+def find_modes_by_starts(question: Problem) -> Modes:
     """The answer of many starts: never proven complete."""
 
     system = question.system
     spend = USUAL.complete_budget(question.budget)
-    found = search(
+    found = search_modes(
         system,
         dict(question.known),
         question.start,
@@ -1028,13 +1038,13 @@ def by_starts(question: Problem) -> Modes:
     free = found.free
     isolated = np.flatnonzero(free == 0)
     families = np.flatnonzero(free > 0)
-    coverage, expected = estimates(found.hits)
+    coverage, expected = estimate_coverage(found.hits)
     expected *= len(isolated) / max(len(found.hits), 1)  # mirror images are counted together
     expected += found.odd
     closed = int(hits.sum())
     status = (
         f"not proven complete: {len(isolated)} found from {format_count(found.tried, 'start')}, of "
-        f"which {closed} closed; with 95 % confidence at most {_up(100.0 * (1.0 - coverage))} % of "
+        f"which {closed} closed; with 95 % confidence at most {_format_rounded_up(100.0 * (1.0 - coverage))} % of "
         "the starts that close lead to others"
     )
     if expected > len(isolated) + 0.5:
@@ -1060,7 +1070,7 @@ def by_starts(question: Problem) -> Modes:
             f"not finite: {besides}there are some with {left} left, of which one is shown; give "
             "more inputs"
         )
-        families = families[[_example(question, found.clusters, families)]]
+        families = families[[_choose_example(question, found.clusters, families)]]
     if found.spins:
         status += f"; {format_count(len(found.spins), 'idle spin')} left out: " + ", ".join(
             map(str, found.spins[:3])
@@ -1070,23 +1080,23 @@ def by_starts(question: Problem) -> Modes:
     guess = (coverage, float(expected))
     interrupted, late = (isinstance(found.broken, kind) for kind in BROKEN_OFF)
     status += partial(interrupted, late)
-    answer = _answer(
+    answer = _make_answer(
         question, q[keep], status, [""] * len(keep), hits[keep], free[keep], False, guess
     )
     return replace(answer, interrupted=interrupted, late=late)
 
 
-def _example(question: Problem, clusters: Clusters, which: np.ndarray) -> int:
+def _choose_example(question: Problem, clusters: Clusters, which: np.ndarray) -> int:
     """Of some clusters the place in the list of the one that is shown: inside the limits, if one
     is, and near home.
     """
     q = clusters.q[which]
     near = find_home(question.system) if question.start is None else question.start
-    away = clusters.metric.distances(q, near)
-    return int(np.argmin(np.where(_inside(question.system, q), away, away + 1e9)))
+    away = clusters.metric.compute_distances(q, near)
+    return int(np.argmin(np.where(_find_inside_limits(question.system, q), away, away + 1e9)))
 
 
-def _up(percent: float) -> str:
+def _format_rounded_up(percent: float) -> str:
     """A percentage with two digits, rounded up."""
     if percent <= 0.0:
         return "0"
@@ -1097,14 +1107,14 @@ def _up(percent: float) -> str:
 # ---- steps of both solvers
 
 
-def _inside(system: Model, q: Array) -> np.ndarray:
+def _find_inside_limits(system: Model, q: Array) -> np.ndarray:
     """Which configurations (n, nq) are inside the limits (n,)."""
     v = q[:, system.structure.layout.vector_q]
     low, high = (x[system.structure.layout.vector_v] for x in (system.lower, system.upper))
     return np.all((v >= low - INSIDE) & (v <= high + INSIDE), axis=-1)
 
 
-def _answer(
+def _make_answer(
     question: Problem,
     q: Array,
     status: str,
@@ -1116,7 +1126,7 @@ def _answer(
 ) -> Modes:
     """The modes, sorted, with what is outside the limits dropped or flagged."""
     system = question.system
-    inside = _inside(system, q)
+    inside = _find_inside_limits(system, q)
     bounds = one_sided_rows(system)
     left_out = 0
     keep = np.flatnonzero(inside) if question.limits else np.arange(len(q))
@@ -1128,7 +1138,9 @@ def _answer(
         keep = keep[holds[keep]]
         status += bounds.left_out(beyond)
     if question.start is not None:
-        keep = keep[np.argsort(metric_of(system).distances(q[keep], question.start), kind="stable")]
+        keep = keep[
+            np.argsort(get_metric(system).compute_distances(q[keep], question.start), kind="stable")
+        ]
     outside = len(q) - int(inside.sum()) - left_out
     if outside:
         status += f"; {outside} {'are' if outside > 1 else 'is'} outside the limits"
@@ -1154,7 +1166,7 @@ SOLVERS = (
         "many starts",
         "assembly from random starts, from mirror images and mixtures of what is found",
         takes_all,
-        by_starts,
+        find_modes_by_starts,
     ),
 )
 """Who answers for all assembly modes."""

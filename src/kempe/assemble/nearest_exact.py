@@ -17,9 +17,9 @@ import numpy as np
 
 from kempe.arguments import explain_errors, explain_method_errors
 from kempe.arrays import is_real
-from kempe.assemble.bound import bare
-from kempe.assemble.dimensions import Dimensions, Place, Relations, with_simple_angles
-from kempe.assemble.fit import DAMPING, ENOUGH, Fit, Valley, fitted_all_along, moves_all_along
+from kempe.assemble.bound import get_assembler_as_given
+from kempe.assemble.dimensions import Dimensions, Place, Relations, simplify_angles
+from kempe.assemble.fit import DAMPING, ENOUGH, Fit, Valley, closes_along_valley, fit_whole_motion
 from kempe.budget import Budget, TimeUp, Usual, list_checks
 from kempe.description.mechanism import components, unused_name
 from kempe.description.parts import Declared, Joint
@@ -191,7 +191,9 @@ class Idealised(Report):
         flat = q.reshape(-1, self.system.nq)
         out = q.reshape(-1, self.system.nq).copy()
         for i in np.flatnonzero(near.ravel()):
-            answer = bare(self.system)(start=flat[i], limits=False, budget=Budget(starts=1))
+            answer = get_assembler_as_given(self.system)(
+                start=flat[i], limits=False, budget=Budget(starts=1)
+            )
             out[i] = answer.q if answer.success else flat[i]
         return out.reshape(q.shape)
 
@@ -202,14 +204,14 @@ class Idealised(Report):
         return self.lines[1:]
 
 
-def one_number(tolerance: Any) -> Any:
+def choose_smaller_tolerance(tolerance: Any) -> Any:
     """The smaller one of a pair of metres and radians; anything else as it is."""
     given: Any = tolerance
     pair = isinstance(tolerance, tuple) and len(given) == 2 and all(map(is_real, given))
     return min(given) if pair else given
 
 
-def tolerance_of(system: Model, tolerance: Any) -> float:
+def read_requested_tolerance(system: Model, tolerance: Any) -> float:
     """The tolerance that was requested, in metres and radians. Errors: `InputError` with both
     bounds.
     """
@@ -229,7 +231,9 @@ def tolerance_of(system: Model, tolerance: Any) -> float:
     return float(tolerance)
 
 
-def within(system: Model, tolerance: Any = None, time: TimeLimit = ENDLESS) -> Idealised | None:
+def find_nearest_exact(
+    system: Model, tolerance: Any = None, time: TimeLimit = ENDLESS
+) -> Idealised | None:
     """The nearest mechanism within a tolerance; None where the given one closes as it is, or where
     there is none.
 
@@ -238,18 +242,18 @@ def within(system: Model, tolerance: Any = None, time: TimeLimit = ENDLESS) -> I
     `time` ends the search, of which nothing is kept then; without one, and where no verb with a
     time limit asks, `TimeLimitError` after 600 s.
     """
-    answers, key, tolerance = _kept(system, tolerance)
+    answers, key, tolerance = _get_kept_answers(system, tolerance)
     found = answers.get(key, answers)  # it never holds itself
     if found is not answers:
         return found
-    most = tolerance_of(system, tolerance)
-    if not _closes(system):
+    most = read_requested_tolerance(system, tolerance)
+    if not _has_closures(system):
         return store_answer(answers, key, None)
     own = time is ENDLESS and not list_checks()
     time = TimeLimit(LONG) if own else time
     try:
         with time:
-            return store_answer(answers, key, _searched(system, most, time=time))
+            return store_answer(answers, key, _search_nearest(system, most, time=time))
     except TimeUp:
         if own:
             raise TimeLimitError(
@@ -258,31 +262,33 @@ def within(system: Model, tolerance: Any = None, time: TimeLimit = ENDLESS) -> I
         raise
 
 
-def decided_within(usual: Usual, time: TimeLimit, system: Model) -> None:
+def decide_nearest_exact(usual: Usual, time: TimeLimit, system: Model) -> None:
     """Decide within the time of a verb which mechanism answers for the system. Errors:
     `TimeLimitError`.
     """
-    if _closes(system) and not is_known(system):
+    if _has_closures(system) and not is_known(system):
         with begun_within(usual, time):
-            within(system)
+            find_nearest_exact(system)
 
 
-def _closes(system: Model) -> bool:
+def _has_closures(system: Model) -> bool:
     """Whether there is anything that has to close."""
     return bool(system.structure.closures or system._mechanism.constraints)
 
 
 def is_known(system: Model, tolerance: Any = None) -> bool:
-    """Whether `within` need not search."""
-    answers, key, _ = _kept(system, tolerance)
+    """Whether `find_nearest_exact` need not search."""
+    answers, key, _ = _get_kept_answers(system, tolerance)
     return key in answers
 
 
-def _kept(system: Model, tolerance: Any) -> tuple[dict[Any, Any], Any, Any]:
-    """What `within` has found, the key of a tolerance in it, and the tolerance itself."""
-    tolerance = system.structure.tolerance if tolerance is None else one_number(tolerance)
+def _get_kept_answers(system: Model, tolerance: Any) -> tuple[dict[Any, Any], Any, Any]:
+    """What `find_nearest_exact` has found, the key of a tolerance in it, and the tolerance itself."""
+    tolerance = (
+        system.structure.tolerance if tolerance is None else choose_smaller_tolerance(tolerance)
+    )
     key = tolerance if tolerance.__class__ in (float, int, str) else repr(tolerance)
-    return system._kept.setdefault(within, {}), key, tolerance
+    return system._kept.setdefault(find_nearest_exact, {}), key, tolerance
 
 
 USUAL = Usual("idealised", time_limit=TIME_LIMIT)
@@ -301,45 +307,51 @@ def idealised(
     size. Of the `budget` the time_limit (120 s) is read. Errors: `InputError`, `TimeLimitError`
     where the search did not end by then.
     """
-    return within(system, tolerance)
+    return find_nearest_exact(system, tolerance)
 
 
-def nearly(system: Model) -> Idealised | None:
-    """As `within` what is measured, but found in a short time or not at all: for a hint."""
-    return system._kept.get(within, {}).get(MEASURED) or _soon(system)
+def find_nearest_soon(system: Model) -> Idealised | None:
+    """As `find_nearest_exact` what is measured, but found in a short time or not at all: for a hint."""
+    return system._kept.get(find_nearest_exact, {}).get(MEASURED) or _search_nearest_soon(system)
 
 
 @keep_answers
-def _soon(system: Model) -> Idealised | None:
-    return _searched(system, tolerance_of(system, MEASURED), False)
+def _search_nearest_soon(system: Model) -> Idealised | None:
+    return _search_nearest(system, read_requested_tolerance(system, MEASURED), False)
 
 
-def ideal_of(system: Model, tolerance: Any = None) -> Model:
+def find_ideal_system(system: Model, tolerance: Any = None) -> Model:
     """The system that answers for this one: the nearest within its tolerance, or itself."""
-    found = within(system, tolerance)
+    found = find_nearest_exact(system, tolerance)
     return system if found is None else found.system
 
 
-def said(found: Nearest | None) -> str:
+def describe_nearest(found: Nearest | None) -> str:
     """What an answer adds to its sentence."""
     return "" if found is None else f"; {found.sentence}"
 
 
-def _searched(
+def _search_nearest(
     system: Model, most: float, thorough: bool = True, time: TimeLimit = ENDLESS
 ) -> Idealised | None:
-    if system._ideal is not None or not _closes(system):
+    if system._ideal is not None or not _has_closures(system):
         return None
     if not system.nv or list_timed_constraints(system) or rolls(system):
         return None
     tree = remove_cut_marks(system)
-    parts = _parts(tree, most)
+    parts = _split_parts(tree, most)
     if not parts:
         return None
     home = find_home(tree)
     scaled = most / compute_characteristic_length(tree) + most
-    found = [_of_part(part, home[index], most, scaled, thorough, time) for part, index in parts]
-    return _changes(tree, [x for x in found if x is not None], home, most) if any(found) else None
+    found = [
+        _idealise_part(part, home[index], most, scaled, thorough, time) for part, index in parts
+    ]
+    return (
+        _make_idealised(tree, [x for x in found if x is not None], home, most)
+        if any(found)
+        else None
+    )
 
 
 class _Found(NamedTuple):
@@ -356,7 +368,7 @@ class _Found(NamedTuple):
 # ---- parts that move independently
 
 
-def _parts(system: Model, most: float) -> list[tuple[Model, np.ndarray]]:
+def _split_parts(system: Model, most: float) -> list[tuple[Model, np.ndarray]]:
     """The clusters of loops that may need other dimensions, as systems, and the places (nq,) of
     their coordinates in q of the whole.
 
@@ -376,16 +388,16 @@ def _parts(system: Model, most: float) -> list[tuple[Model, np.ndarray]]:
         if not joints:  # equations of coordinates have no dimensions
             continue
         alone = len(cluster.loops) == 1 and not constraints and not laws
-        if alone and _closes_anyway(system, joints, most):
+        if alone and _needs_no_change(system, joints, most):
             continue
         joints |= {owner[system.structure.velocity_names[v]] for v in cluster.velocities.tolist()}
-        part = _part(system, joints, constraints)
+        part = _make_part(system, joints, constraints)
         index = [places[name] for name in part.coordinate_names]
         out.append((part, np.array(index, dtype=int)))
     return out
 
 
-def _part(system: Model, joints: set[str], constraints: Collection[str]) -> Model:
+def _make_part(system: Model, joints: set[str], constraints: Collection[str]) -> Model:
     """The system of these joints and constraints alone, and of the joints that they follow.
 
     Bodies that no joint leads to from the ground are held there.
@@ -415,7 +427,7 @@ def _part(system: Model, joints: set[str], constraints: Collection[str]) -> Mode
     return type(system)(m)
 
 
-def _closes_anyway(system: Model, names: Iterable[str], most: float) -> bool:
+def _needs_no_change(system: Model, names: Iterable[str], most: float) -> bool:
     """Whether no change of dimensions gives a loop in the plane more freedoms than it has: one of
     hinges.
 
@@ -445,7 +457,7 @@ def _closes_anyway(system: Model, names: Iterable[str], most: float) -> bool:
 # its joints by at most this tolerance, in metres and radians, make it close exactly with them.
 
 
-def _of_part(
+def _idealise_part(
     system: Model, home: Array, most: float, scaled: float, thorough: bool, time: TimeLimit
 ) -> _Found | None:
     """What a part becomes; None where it closes as it is, or nothing near does."""
@@ -456,18 +468,18 @@ def _of_part(
         or any(t.function is not None for t in equations.ties)
     ):
         return None
-    starts = _starts(system, home, scaled)
+    starts = _find_starts(system, home, scaled)
     moving = [(rank, q) for rank, q in starts if rank < system.nv]
-    found = _first(system, moving, most, scaled, thorough, time)
+    found = _try_starts(system, moving, most, scaled, thorough, time)
     if found is not None or len(moving) == len(starts):
         return found
-    rigid = _first(
+    rigid = _try_starts(
         system, [(rank, q) for rank, q in starts if rank == system.nv], most, scaled, thorough, time
     )
-    return None if rigid is None or _moves_within_more(system, home, most, time) else rigid
+    return None if rigid is None or _moves_with_larger_changes(system, home, most, time) else rigid
 
 
-def _first(
+def _try_starts(
     system: Model,
     starts: Sequence[tuple[int, Array]],
     most: float,
@@ -480,13 +492,13 @@ def _first(
     """
     for rank, q in starts:
         time.check()
-        found = _with_rank(system, rank, q, most, scaled, thorough, time)
+        found = _idealise_with_rank(system, rank, q, most, scaled, thorough, time)
         if found is not None:
             return found
     return None
 
 
-def _moves_within_more(system: Model, home: Array, most: float, time: TimeLimit) -> bool:
+def _moves_with_larger_changes(system: Model, home: Array, most: float, time: TimeLimit) -> bool:
     """Whether larger changes than those allowed, up to the largest tolerance, make a part close and
     move.
 
@@ -498,11 +510,11 @@ def _moves_within_more(system: Model, home: Array, most: float, time: TimeLimit)
     if most >= widest:
         return False
     scaled = widest / size + widest
-    moving = [(rank, q) for rank, q in _starts(system, home, scaled) if rank < system.nv]
-    return _first(system, moving, widest, scaled, False, time) is not None
+    moving = [(rank, q) for rank, q in _find_starts(system, home, scaled) if rank < system.nv]
+    return _try_starts(system, moving, widest, scaled, False, time) is not None
 
 
-def _starts(system: Model, home: Array, scaled: float) -> list[tuple[int, Array]]:
+def _find_starts(system: Model, home: Array, scaled: float) -> list[tuple[int, Array]]:
     """Ranks that the equations may have, the lowest first, and where to look for a motion: first
     about home.
     """
@@ -523,9 +535,9 @@ def _starts(system: Model, home: Array, scaled: float) -> list[tuple[int, Array]
             start = system.structure.layout.integrate_velocity(
                 home, valley.scale * rng.normal(size=system.nv) * ASIDE
             )
-        q = bare(system)(start=start, budget=Budget(starts=FEW)).q
-        left = float(valley.residual(q))
-        s = _relative(valley.spectrum(q).values, system.nv)
+        q = get_assembler_as_given(system)(start=start, budget=Budget(starts=FEW)).q
+        left = float(valley.compute_residual(q))
+        s = _scale_singular_values(valley.compute_spectrum(q).values, system.nv)
         if not left <= limit:
             if not k:
                 return []
@@ -541,18 +553,18 @@ def _starts(system: Model, home: Array, scaled: float) -> list[tuple[int, Array]
         if left > exact or np.any((s > exact) & (s < limit)):
             least = max(0.1 * min(left, scaled), EXACT)
             top = system.nv + (left > exact)
-            for at in _where(valley, start, q, limit):
-                here = _relative(valley.spectrum(at).values, system.nv)
+            for at in _choose_rank_configurations(valley, start, q, limit):
+                here = _scale_singular_values(valley.compute_spectrum(at).values, system.nv)
                 held = min(held, int(np.sum(here >= limit)))
-                out += [(r, at) for r in _ranks(here, top, limit, least)]
+                out += [(r, at) for r in _list_possible_ranks(here, top, limit, least)]
     # of this rank no equation is too many, or nothing moves
     top = min(system.nv, equations)
     if held < top - 1:
-        out += _beside(valley, home, held, top, limit, rng)
-    return [] if regular == looked - 1 > 0 else _apart(system, out, valley.scale)
+        out += _find_starts_beside(valley, home, held, top, limit, rng)
+    return [] if regular == looked - 1 > 0 else _drop_close_starts(system, out, valley.scale)
 
 
-def _beside(
+def _find_starts_beside(
     valley: Valley, home: Array, held: int, top: int, limit: float, rng: np.random.Generator
 ) -> list[tuple[int, Array]]:
     """Ranks from `held` to below `top`, and where to look for a motion, beside a home that is
@@ -562,7 +574,7 @@ def _beside(
     ones come first on which least stays open.
     """
     system = valley.system
-    null_space = valley.spectrum(home).right[held:]
+    null_space = valley.compute_spectrum(home).right[held:]
     ways = rng.normal(size=(WAYS, len(null_space))) @ null_space
     ways *= 2.0 * ASIDE / np.linalg.norm(ways, axis=1, keepdims=True)
     starts = system.structure.layout.integrate_velocity(
@@ -571,20 +583,22 @@ def _beside(
     out: list[tuple[int, Array]] = []
     for r in range(max(held, 1), top):
         along = Valley(system, r)
-        found = along.converge(starts)
+        found = along.converge_to_valley(starts)
         found = found[np.isfinite(found).all(axis=1)]
-        left = valley.residual(found)
+        left = valley.compute_residual(found)
         fit: list[tuple[int, Array]] = []
         for q in found[np.argsort(left)[: int(np.sum(left <= limit))]]:
-            spectrum = along.spectrum(q)
-            ranks = _ranks(_relative(spectrum.values, system.nv), r + 1, limit, EXACT)
-            if r in ranks and along.regular(spectrum):
+            spectrum = along.compute_spectrum(q)
+            ranks = _list_possible_ranks(
+                _scale_singular_values(spectrum.values, system.nv), r + 1, limit, EXACT
+            )
+            if r in ranks and along.is_regular(spectrum):
                 fit.append((r, q))
         out += fit[:FEW]
     return out
 
 
-def _apart(
+def _drop_close_starts(
     system: Model, starts: Sequence[tuple[int, Array]], scale: Array
 ) -> list[tuple[int, Array]]:
     """The ranks and places without those that are close to one before them."""
@@ -598,14 +612,16 @@ def _apart(
     return out
 
 
-def _relative(s: Array, n: int) -> Array:
+def _scale_singular_values(s: Array, n: int) -> Array:
     """Singular values (n,) of equations of n unknowns as parts of the largest; missing ones are
     zero.
     """
     return np.append(s, np.zeros(max(n - len(s), 0)))[:n] / max(float(s[0]), 1e-300)
 
 
-def _where(valley: Valley, start: Array, q: Array, limit: float) -> list[Array]:
+def _choose_rank_configurations(
+    valley: Valley, start: Array, q: Array, limit: float
+) -> list[Array]:
     """Where to read a rank: at the start, if little is open there, and where the given numbers
     close best, `q`.
 
@@ -613,13 +629,13 @@ def _where(valley: Valley, start: Array, q: Array, limit: float) -> list[Array]:
     other ranks are near.
     """
     layout = valley.system.structure.layout
-    if valley.residual(start) > limit:
+    if valley.compute_residual(start) > limit:
         return [q]
     far = np.abs(layout.compute_difference(start, q) / valley.scale).max() > ASIDE
     return [start, q] if far else [start]
 
 
-def _ranks(s: Array, top: int, limit: float, least: float) -> list[int]:
+def _list_possible_ranks(s: Array, top: int, limit: float, least: float) -> list[int]:
     """Ranks below `top` at which relative singular values (n,) may part what moves from what is
     held.
     """
@@ -629,7 +645,7 @@ def _ranks(s: Array, top: int, limit: float, least: float) -> list[int]:
     ]
 
 
-def _with_rank(
+def _idealise_with_rank(
     system: Model, rank: int, q: Array, most: float, scaled: float, thorough: bool, time: TimeLimit
 ) -> _Found | None:
     """The nearest mechanism whose equations have this rank along its motion near q; None if there
@@ -639,33 +655,35 @@ def _with_rank(
     freedoms = system.nv - rank
     limit = OPEN * scaled
     valley = Valley(shape.system, rank)
-    q = valley.converge(q[None])[0]
-    if not valley.residual(q) <= limit:
+    q = valley.converge_to_valley(q[None])[0]
+    if not valley.compute_residual(q) <= limit:
         return None
-    points = valley.walk(q, limit, np.random.default_rng(0)) if freedoms else q[None]
+    points = valley.walk_valley(q, limit, np.random.default_rng(0)) if freedoms else q[None]
     if freedoms and len(points) < ENOUGH:
         return None
-    off = float(Valley(shape.system, rank).residual(points).max())
+    off = float(Valley(shape.system, rank).compute_residual(points).max())
     if off <= EXACT:
         return None
-    nice = with_simple_angles(system, min(most, NEARLY * off))
-    if nice is not None and moves_all_along(Valley(nice, rank), points):
+    nice = simplify_angles(system, min(most, NEARLY * off))
+    if nice is not None and closes_along_valley(Valley(nice, rank), points):
         return _Found(nice, tuple(shape.places), points, freedoms)
-    found = fitted_all_along(shape, rank, points, most, time, tries=len(DAMPING) if thorough else 1)
+    found = fit_whole_motion(shape, rank, points, most, time, tries=len(DAMPING) if thorough else 1)
     if thorough:
-        found = _best(found, shape, rank, points, most, time)
+        found = _choose_best_fit(found, shape, rank, points, most, time)
     return (
-        _Found(shape.changed(found.p, system), tuple(shape.places), found.q, freedoms)
+        _Found(shape.change_dimensions(found.p, system), tuple(shape.places), found.q, freedoms)
         if found.closed
         else None
     )
 
 
-def _best(found: Fit, shape: Dimensions, rank: int, q: Array, most: float, time: TimeLimit) -> Fit:
+def _choose_best_fit(
+    found: Fit, shape: Dimensions, rank: int, q: Array, most: float, time: TimeLimit
+) -> Fit:
     """Of what was found, and what obeys relations that nearly hold, the latter if it closes with
     small changes.
     """
-    off = float(Valley(shape.system, rank).residual(q).max())
+    off = float(Valley(shape.system, rank).compute_residual(q).max())
     size = float(np.abs(found.p).max()) if found.closed else off
     if size <= EXACT or off <= EXACT or not found.closed and found.left > NEARLY_CLOSED:
         return found
@@ -673,7 +691,7 @@ def _best(found: Fit, shape: Dimensions, rank: int, q: Array, most: float, time:
     if not relations.rows:
         return found
     largest = min(most, NEARLY * size * shape.unit.max()) if found.closed else most
-    nicer = fitted_all_along(
+    nicer = fit_whole_motion(
         shape, rank, q, largest, time, relations, 1 if found.closed else len(DAMPING)
     )
     return nicer if nicer.closed else found
@@ -682,7 +700,9 @@ def _best(found: Fit, shape: Dimensions, rank: int, q: Array, most: float, time:
 # ---- differences between two mechanisms, in words
 
 
-def _changes(system: Model, changed: Sequence[_Found], home: Array, most: float) -> Idealised:
+def _make_idealised(
+    system: Model, changed: Sequence[_Found], home: Array, most: float
+) -> Idealised:
     """What was found, with what differs."""
     m = system.mechanism
     new = system.mechanism
@@ -714,7 +734,7 @@ def _changes(system: Model, changed: Sequence[_Found], home: Array, most: float)
             if name in own:
                 absorbed[name] = max(x, absorbed.get(name, 0.0))
     reported = [
-        Change(name, side, *_texts(old, becomes, m.dim, SHOWN * size), *by)
+        Change(name, side, *_format_pose_change(old, becomes, m.dim, SHOWN * size), *by)
         for name, side, old, becomes, *by in changes
         if max(by) >= SHOWN * size
     ]
@@ -733,7 +753,7 @@ def _changes(system: Model, changed: Sequence[_Found], home: Array, most: float)
     return answer
 
 
-def _texts(old: Array, new: Array, dim: int, least: float) -> tuple[str, str]:
+def _format_pose_change(old: Array, new: Array, dim: int, least: float) -> tuple[str, str]:
     """The numbers of two poses that differ by at least so much, as x, y, z and fixed-axis angles."""
     names = ("x", "y", "z", "roll", "pitch", "yaw") if dim == 3 else ("x", "y", "", "", "", "angle")
     a = xyz_rpy_from_pose(old)
@@ -741,13 +761,13 @@ def _texts(old: Array, new: Array, dim: int, least: float) -> tuple[str, str]:
     digits = max(3, 2 - math.floor(math.log10(least)))
     differ = [i for i in range(6) if abs(a[i] - b[i]) >= least] or [int(np.argmax(np.abs(a - b)))]
     said = [
-        ", ".join(f"{names[i]} {_number(x[i], i > 2, digits)}" for i in differ if names[i])
+        ", ".join(f"{names[i]} {_format_number(x[i], i > 2, digits)}" for i in differ if names[i])
         for x in (a, b)
     ]
     return said[0], said[1]
 
 
-def _number(x: float, is_angle: bool, digits: int) -> str:
+def _format_number(x: float, is_angle: bool, digits: int) -> str:
     """The number as text; angles that are simple fractions of pi by name."""
     from fractions import Fraction
 
@@ -762,7 +782,7 @@ def _number(x: float, is_angle: bool, digits: int) -> str:
 # ---- verbs that answer within a tolerance
 
 
-def tolerant(*closed: str) -> Callable[[Function], Function]:
+def answer_within_tolerance(*closed: str) -> Callable[[Function], Function]:
     """A verb that answers for the nearest mechanism within its `tolerance`, and says so by `within`
     of its answer.
 
@@ -770,10 +790,10 @@ def tolerant(*closed: str) -> Callable[[Function], Function]:
     where that one does.
     """
 
-    def of(function: Function) -> Function:
+    def wrap_function(function: Function) -> Function:
         @functools.wraps(function)
-        def call(system: Model, *args: Any, **options: Any) -> Any:
-            found = within(system, options.pop("tolerance", None))
+        def call_on_nearest(system: Model, *args: Any, **options: Any) -> Any:
+            found = find_nearest_exact(system, options.pop("tolerance", None))
             if found is None:
                 return function(system, *args, **options)
             for name in closed:
@@ -785,6 +805,6 @@ def tolerant(*closed: str) -> Callable[[Function], Function]:
             named = {f.name for f in fields(answer)} if is_dataclass(answer) else ()
             return replace(answer, within=found) if "within" in named else answer  # type: ignore[type-var]
 
-        return call  # type: ignore[return-value]
+        return call_on_nearest  # type: ignore[return-value]
 
-    return of
+    return wrap_function

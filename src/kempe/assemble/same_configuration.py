@@ -47,14 +47,14 @@ class Metric:
         self.length = compute_characteristic_length(system)
         self.scale = np.where(system.structure.coordinates.turning, 1.0, self.length)
         self.scale[(system.structure.layout.quaternion_v[:, None] + np.arange(3)).ravel()] = 1.0
-        self.period = _periods(system)
+        self.period = _compute_periods(system)
         self._weights = np.random.default_rng(0).uniform(0.5, 1.0, size=(system.nq + 4, 4))
         self.steepest = float(
             np.pi * system.nq + np.sum(2.0 * np.pi / self.period[self.period > 0.0]) + system.nq
         )
         """What keys of configurations that are 1 apart differ by at most."""
 
-    def keys(self, q: Array) -> Array:
+    def compute_keys(self, q: Array) -> Array:
         """Numbers (n,) that are nearly equal for configurations (n, nq) that are nearly one: what
         differs, differs.
         """
@@ -75,7 +75,7 @@ class Metric:
             out += np.sum((p @ (A + A.T)) * p, axis=1) / 8.0
         return out
 
-    def distances(self, q: Array, to: Array, counts: Any = slice(None)) -> Array:
+    def compute_distances(self, q: Array, to: Array, counts: Any = slice(None)) -> Array:
         """Largest difference (...) in any coordinate that `counts` (nv,), in radians and
         characteristic lengths.
         """
@@ -84,18 +84,18 @@ class Metric:
         v[..., back] -= self.period[back] * np.round(v[..., back] / self.period[back])
         return np.abs(v / self.scale)[..., counts].max(axis=-1, initial=0.0)
 
-    def unique(self, q: Array, tolerance: float, counts: Any = slice(None)) -> np.ndarray:
+    def find_unique(self, q: Array, tolerance: float, counts: Any = slice(None)) -> np.ndarray:
         """Numbers of the configurations (n, nq) that are nearer than a tolerance to none before them.
 
         `counts` (nv,) are the velocity coordinates that tell them apart: all, if not given.
         """
         keep: list[int] = []
         for k, x in enumerate(q):
-            if not (keep and (self.distances(q[keep], x, counts) < tolerance).any()):
+            if not (keep and (self.compute_distances(q[keep], x, counts) < tolerance).any()):
                 keep.append(k)
         return np.array(keep, dtype=int)
 
-    def representatives(self, q: Array, near: Array | None) -> Array:
+    def choose_representatives(self, q: Array, near: Array | None) -> Array:
         """The configurations (n, nq), each angle turned to be nearest to `near`, or to zero, and
         inside its limits.
 
@@ -136,12 +136,12 @@ class Metric:
 
 
 @keep_answers
-def metric_of(system: Model) -> Metric:
+def get_metric(system: Model) -> Metric:
     """The metric of a system."""
     return Metric(system)
 
 
-def _periods(system: Model) -> Array:
+def _compute_periods(system: Model) -> Array:
     """For each velocity coordinate (nv,) the turn after which everything is as before; 0 where
     there is none.
 
@@ -180,7 +180,7 @@ class Clusters:
     def __init__(self, system: Model, frames: tuple[str, ...] = ()):
         self.system = system
         self.frames = frames
-        self.metric = metric_of(system)
+        self.metric = get_metric(system)
         self.q = np.empty((0, system.nq))
         self.poses = np.empty((0, len(frames), 3, 4))
         self.keys = np.empty(0)
@@ -193,19 +193,20 @@ class Clusters:
         """Number (k,) of configurations in each cluster."""
         return np.array([len(m) for m in self.members], dtype=np.int64)
 
-    def add(self, q: Array, tolerance: Array, counted: bool = True) -> np.ndarray:
+    def add_configurations(self, q: Array, tolerance: Array, counted: bool = True) -> np.ndarray:
         """Numbers (n,) of the clusters into which configurations (n, nq) are sorted, new ones where
         needed.
 
         `tolerance` (n,) is the distance below which each is the same as another. Those that are not
         `counted` do not become members.
         """
-        X = self._placed(q)
-        keys = self._keys(q, X)
-        out = self._nearest(q, X, keys, tolerance)
+        X = self._locate_frames(q)
+        keys = self._compute_keys(q, X)
+        out = self._find_nearest_clusters(q, X, keys, tolerance)
         rest = np.flatnonzero(out < 0)
         first, place = np.unique(
-            self._first(q[rest], X[rest], keys[rest], tolerance[rest]), return_inverse=True
+            self._find_first_same(q[rest], X[rest], keys[rest], tolerance[rest]),
+            return_inverse=True,
         )
         out[rest] = len(self.members) + place
         new = rest[first]
@@ -222,21 +223,23 @@ class Clusters:
                 self.count += 1
         return out
 
-    def _keys(self, q: Array, X: Array) -> Array:
+    def _compute_keys(self, q: Array, X: Array) -> Array:
         """Numbers (n,) that differ by no more than `steepest` times the distance of configurations."""
         if not self.frames:
-            return self.metric.keys(q)
+            return self.metric.compute_keys(q)
         X = X.copy()
         X[..., 3] /= self.metric.length
         return X.reshape(len(q), int(np.prod(X.shape[1:]))).mean(axis=1) * np.sqrt(12.0)
 
-    def _nearest(self, q: Array, X: Array, keys: Array, tolerance: Array) -> np.ndarray:
+    def _find_nearest_clusters(
+        self, q: Array, X: Array, keys: Array, tolerance: Array
+    ) -> np.ndarray:
         """Numbers (n,) of the nearest clusters that configurations are the same as; -1: none."""
         out = np.full(len(q), -1)
         if not len(self.members) or not len(q):
             return out
         order = np.argsort(self.keys, kind="stable")
-        reach = self._reach(max(float(tolerance.max()), float(self.tolerance.max())))
+        reach = self._bound_key_difference(max(float(tolerance.max()), float(self.tolerance.max())))
         low = np.searchsorted(self.keys[order], keys - reach, "left")
         high = np.searchsorted(self.keys[order], keys + reach, "right")
         count = high - low
@@ -248,7 +251,7 @@ class Clusters:
         for i in range(0, len(who), step):
             a = who[i : i + step]
             b = with_[i : i + step]
-            apart[i : i + step] = self._apart(q[a], X[a], self.q[b], self.poses[b])
+            apart[i : i + step] = self._measure_distances(q[a], X[a], self.q[b], self.poses[b])
         same = apart <= np.maximum(self.tolerance[with_], tolerance[who])
         who = who[same]
         with_ = with_[same]
@@ -257,7 +260,7 @@ class Clusters:
         out[who[best]] = with_[best]
         return out
 
-    def _first(self, q: Array, X: Array, keys: Array, tolerance: Array) -> np.ndarray:
+    def _find_first_same(self, q: Array, X: Array, keys: Array, tolerance: Array) -> np.ndarray:
         """For each configuration (n,) the number of the first that it is the same as, itself where
         there is none.
         """
@@ -265,37 +268,42 @@ class Clusters:
         if len(q) < 2:
             return out
         order = np.argsort(keys, kind="stable")
-        ends = np.flatnonzero(np.diff(keys[order]) > self._reach(float(tolerance.max()))) + 1
+        ends = (
+            np.flatnonzero(
+                np.diff(keys[order]) > self._bound_key_difference(float(tolerance.max()))
+            )
+            + 1
+        )
         for group in np.split(order, ends):
             left = np.sort(group)
             while len(left) > 1:
                 k = left[0]
                 left = left[1:]
-                apart = self._apart(q[left], X[left], q[k : k + 1], X[k : k + 1])
+                apart = self._measure_distances(q[left], X[left], q[k : k + 1], X[k : k + 1])
                 same = apart <= np.maximum(tolerance[left], tolerance[k])
                 out[left[same]] = k
                 left = left[~same]
         return out
 
-    def _reach(self, tolerance: float) -> float:
+    def _bound_key_difference(self, tolerance: float) -> float:
         """How far keys may be apart of configurations that are this far apart, with a margin for
         rounding.
         """
         return 1e-12 + 1.01 * tolerance * (np.sqrt(12.0) if self.frames else self.metric.steepest)
 
-    def distances(self, q: Array, to: Array) -> Array:
+    def compute_distances(self, q: Array, to: Array) -> Array:
         """How far configurations (n, nq) are from others, in radians and characteristic lengths."""
-        return self._apart(q, self._placed(q), to, self._placed(to))
+        return self._measure_distances(q, self._locate_frames(q), to, self._locate_frames(to))
 
-    def _placed(self, q: Array) -> Array:
+    def _locate_frames(self, q: Array) -> Array:
         """Places (n, frames, 3, 4) of the frames."""
         if not self.frames:
             return np.empty((len(q), 0, 3, 4))
         return np.stack([fk(self.system, q, f)[:, :3] for f in self.frames], axis=1)
 
-    def _apart(self, q: Array, X: Array, to: Array, Y: Array) -> Array:
+    def _measure_distances(self, q: Array, X: Array, to: Array, Y: Array) -> Array:
         if not self.frames:
-            return self.metric.distances(q, to)
+            return self.metric.compute_distances(q, to)
         error = Y - X
         error[..., 3] /= self.metric.length
         return np.linalg.norm(error, axis=(-2, -1)).max(axis=-1)

@@ -152,7 +152,7 @@ def _within(system: System, tolerance: str | None) -> System:
     """The system with this tolerance. Errors: `InputError`."""
     if tolerance is None:
         return system
-    from kempe.assemble.nearest_exact import MEASURED, tolerance_of
+    from kempe.assemble.nearest_exact import MEASURED, read_requested_tolerance
 
     mechanism = system.mechanism
     try:
@@ -161,7 +161,7 @@ def _within(system: System, tolerance: str | None) -> System:
         raise InputError(
             f"--tolerance is {tolerance!r}; it must be a number or {MEASURED!r}"
         ) from None
-    tolerance_of(system, mechanism.tolerance)
+    read_requested_tolerance(system, mechanism.tolerance)
     return mechanism.build()
 
 

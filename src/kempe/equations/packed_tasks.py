@@ -78,7 +78,7 @@ class Packed:
     number of the task of each tie, -1 for a loop. With `turns`, angles with limits a whole turn
     apart or more count as having none (`wide`): `inside` brings them back. `levels` are those of
     the tasks: ties stand in their order, loops with the first. Tasks are about the frames of
-    `system`, loops are those of `closing`, by default the same (see `ideal_of`).
+    `system`, loops are those of `closing`, by default the same (see `find_ideal_system`).
     """
 
     def __init__(

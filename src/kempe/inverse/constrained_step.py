@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from kempe.assemble.nearest_exact import ideal_of
+from kempe.assemble.nearest_exact import find_ideal_system
 from kempe.equations.closure_rows import evaluate, full
 from kempe.equations.one_sided import one_sided_rows
 from kempe.equations.slip import at_rest, hard_rows, rolls
@@ -129,7 +129,7 @@ class ConstrainedSteps:
     def __init__(self, system: Model):
         self.system = system
         layout = system.structure.layout
-        self.closing = ideal_of(system)
+        self.closing = find_ideal_system(system)
         loops = full(self.closing, True)
         self.length = loops.length
         self.names = loops.names

@@ -19,7 +19,7 @@ from kempe.answers.targets import Z_AXIS, of_target, parse_targets
 from kempe.arguments import explain_errors, explain_method_errors, raise_interrupted
 from kempe.arrays import read_reals
 from kempe.assemble.assemble import assemble
-from kempe.assemble.nearest_exact import decided_within
+from kempe.assemble.nearest_exact import decide_nearest_exact
 from kempe.budget import Budget, Usual
 from kempe.constraints.base import Constraint
 from kempe.equations.packed_tasks import refuse
@@ -650,7 +650,7 @@ def by_steps(problem: Problem) -> IkPath:
     restart = options["restart"]
     time = TimeLimit(spend.time_limit)
     time.put_in_order()  # there is nothing to do afterwards
-    decided_within(USUAL, time, system)
+    decide_nearest_exact(USUAL, time, system)
     demands, first = pose_problem(system, problem.wanted, start, tolerance, spend.starts, spend.rng)
     refuse_far(system, first, "start")
     if len(demands.lead) != 1 or not demands.lead[0] or len(first) > 1:

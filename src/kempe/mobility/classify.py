@@ -13,8 +13,12 @@ import numpy as np
 
 from kempe.arguments import explain_errors, explain_method_errors, make_generator
 from kempe.arrays import is_real
-from kempe.assemble.generic_configurations import NEAR, close, find_closed
-from kempe.assemble.nearest_exact import said, tolerant
+from kempe.assemble.generic_configurations import (
+    NEAR,
+    close_configuration,
+    find_closed_configuration,
+)
+from kempe.assemble.nearest_exact import answer_within_tolerance, describe_nearest
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.description.parts import ReadOnlyDict
 from kempe.equations.velocity import VelocityRows, tangent_rows
@@ -52,7 +56,7 @@ def sentence(c: Classification) -> str:
     """The result in one sentence, and within which tolerance it holds."""
     doubt = "; a rank is doubtful" if c.doubtful and "beyond the digits" not in _sentence(c) else ""
     ended = f"; {LATE}" if c.late and not c.why else ""
-    return _sentence(c) + doubt + ended + said(c.within)
+    return _sentence(c) + doubt + ended + describe_nearest(c.within)
 
 
 def _sentence(c: Classification) -> str:
@@ -528,7 +532,7 @@ USUAL = Usual("classify", time_limit=SHORT)
 
 @explain_errors
 @time_limited(USUAL)
-@tolerant("q")
+@answer_within_tolerance("q")
 def classify(
     system: Model,
     q: Any = None,
@@ -558,7 +562,7 @@ def classify(
     if not is_real(t):
         raise InputError(f"t is {format_value(t)}; it must be one number")
     given = None if q is None else read_finite_q(system, q)
-    at = find_closed(system) if given is None else close(system, given)
+    at = find_closed_configuration(system) if given is None else close_configuration(system, given)
     if not at.closed:
         raise InputError(
             f"the mechanism cannot be closed here (residual {at.residual:.2g}): {at.why}"
@@ -600,7 +604,7 @@ class _Classifier:
     def _closed(self, q: Array) -> Array | None:
         if not self.place.holding:
             return q
-        at = close(self.system, q)
+        at = close_configuration(self.system, q)
         return at.q if at.closed else None
 
     def velocity_rows(self, names: Iterable[str]) -> list[int]:

@@ -18,8 +18,8 @@ from kempe.arrays import unwrap_scalar
 from kempe.assemble.answer import Assembly
 from kempe.assemble.assemble import assemble
 from kempe.assemble.bound import TOLERANCE
-from kempe.assemble.generic_configurations import idle_freedoms_of
-from kempe.assemble.nearest_exact import said, tolerant
+from kempe.assemble.generic_configurations import get_idle_freedoms
+from kempe.assemble.nearest_exact import answer_within_tolerance, describe_nearest
 from kempe.budget import Budget
 from kempe.equations.closure_rows import evaluate, scales
 from kempe.errors import InputError, UnknownNameError
@@ -310,7 +310,7 @@ class Chart(Report):
         return (
             f"{format_count(self.dim, 'independent coordinate')}: "
             f"{', '.join(self.useful) or 'none'}{idle} (conditioning {self.quality:.2g}); "
-            f"dependent: {', '.join(self.dependent) or 'none'}{said(self.within)}"
+            f"dependent: {', '.join(self.dependent) or 'none'}{describe_nearest(self.within)}"
         )
 
     def _data(self) -> dict[str, Any]:
@@ -323,7 +323,7 @@ class Chart(Report):
 
 
 @explain_errors
-@tolerant("q")
+@answer_within_tolerance("q")
 def independent(
     system: Model,
     q: Any = None,
@@ -373,7 +373,7 @@ def independent(
     quality = _quality(N, found)
     sure = len(found) == p and quality >= least
     if not sure or (1 < p < system.nv < MANY and system.dim == 3):
-        spins = idle_freedoms_of(system, q)
+        spins = get_idle_freedoms(system, q)
         if spins or not sure:
             found, idle = _in_turn(N, rows, plain, spins, _idle_part(system, q, N, scale, spins))
             quality = _quality(N, found)

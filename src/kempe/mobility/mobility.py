@@ -12,8 +12,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.arguments import explain_errors, make_generator
-from kempe.assemble.generic_configurations import NearestClosed, around, close, find_closed
-from kempe.assemble.nearest_exact import tolerant
+from kempe.assemble.generic_configurations import (
+    NearestClosed,
+    close_configuration,
+    find_closed_configuration,
+    sample_useful_ranks,
+)
+from kempe.assemble.nearest_exact import answer_within_tolerance
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.equations.velocity import tangent_rows, velocity_rows
 from kempe.errors import InputError
@@ -59,7 +64,7 @@ def _counted(time: TimeLimit, system: Model, q: Any = None, *_: Any, **__: Any) 
 
 @explain_errors
 @time_limited(USUAL, _counted)
-@tolerant()
+@answer_within_tolerance()
 def mobility(
     system: Model,
     q: Any = None,
@@ -101,7 +106,11 @@ def _looked_at(
     time: TimeLimit,
 ) -> Mobility:
     """Everything, at the closed configuration that is given, or one that is searched."""
-    at = close(system, given) if given is not None else find_closed(system)
+    at = (
+        close_configuration(system, given)
+        if given is not None
+        else find_closed_configuration(system)
+    )
     if not at.closed:
         return _open(system, shown, at)
     other, q, turned = make_regular_chart(system, at.q)
@@ -129,7 +138,7 @@ def _found(
     s = build_constraint_graph(system)
     motors = find_driven_velocities(system, actuated)
     rank = compute_rank(system, at.q)
-    generic = around(system, rank, motors, rng)
+    generic = sample_useful_ranks(system, rank, motors, rng)
     truth = None
     late = False
     try:

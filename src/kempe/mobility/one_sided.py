@@ -420,9 +420,9 @@ def one_sided(system: Model, q: Any = None, *, tolerance: float = CLOSED) -> One
     Sides within `tolerance` of their bound, in radians and characteristic lengths, count as closed.
     Limits of coordinates are among them. Errors: `InputError`.
     """
-    from kempe.assemble.generic_configurations import find_closed
+    from kempe.assemble.generic_configurations import find_closed_configuration
 
-    at = read_q(system, q) if q is not None else find_closed(system).q
+    at = read_q(system, q) if q is not None else find_closed_configuration(system).q
     if at.ndim != 1:
         raise InputError(
             f"q has shape {at.shape}; one-sided constraints are looked at in one configuration"

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.arguments import explain_errors
-from kempe.assemble.generic_configurations import nearby
-from kempe.assemble.nearest_exact import said, tolerant
+from kempe.assemble.generic_configurations import sample_nearby_ranks
+from kempe.assemble.nearest_exact import answer_within_tolerance, describe_nearest
 from kempe.equations.closure import Closure
 from kempe.errors import InputError, UnsupportedError
 from kempe.first_order.rank import compute_allowed_velocities, compute_rank
@@ -62,7 +62,12 @@ class RelativeMotion(Report):
         head = f"{self.dof} DoF of {self.body} relative to {self.to}"
         more = f", {self.slides} of them by sliding alone" if self.dof else ""
         here = f"; to first order here, around here {self.around}" if self.around > self.dof else ""
-        return head + (f": {self._single()}" if self.dof == 1 else more) + here + said(self.within)
+        return (
+            head
+            + (f": {self._single()}" if self.dof == 1 else more)
+            + here
+            + describe_nearest(self.within)
+        )
 
     def _headline(self) -> str:
         return self.status
@@ -88,7 +93,7 @@ class RelativeMotion(Report):
 
 
 @explain_errors
-@tolerant("q")
+@answer_within_tolerance("q")
 def relative_motion(
     system: Model,
     q: ArrayLike,
@@ -122,7 +127,7 @@ def relative_motion(
     basis, origin = _basis(closure, found, names, size)
     around = [
         _basis(closure, r.q, names, size)[0].shape[1]
-        for r in nearby(system, compute_rank(system, found), np.random.default_rng(0))
+        for r in sample_nearby_ranks(system, compute_rank(system, found), np.random.default_rng(0))
     ]
     dof = basis.shape[1]
     turning = Spectrum(basis[3:], 1.0).rank(Level.CLOSED)

@@ -26,7 +26,7 @@ from kempe.arguments import (
     read_flag,
 )
 from kempe.arrays import check_range, is_mapping, read_reals
-from kempe.assemble.nearest_exact import tolerant
+from kempe.assemble.nearest_exact import answer_within_tolerance
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.constraints.tape import TIME
 from kempe.equations.closure import Closure, DrivenClosure, close
@@ -736,7 +736,7 @@ def _not_begun(
 @explain_errors
 @raise_interrupted
 @time_limited(USUAL, _not_begun)
-@tolerant()
+@answer_within_tolerance()
 def drive(
     system: Model,
     inputs: Mapping[str, ArrayLike | Callable[[float], float]],

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kempe.assemble.generic_configurations import idle_freedoms_of
+from kempe.assemble.generic_configurations import get_idle_freedoms
 from kempe.first_order.idle_freedoms import IdleFreedom
 from kempe.forward.fk import query
 from kempe.spatial import Array, unit
@@ -114,7 +114,7 @@ def lock_spins(equations: Closure, q: Array, requested: Iterable[int]) -> bool:
     velocities; whether there are others.
     """
     keep = [*equations.held, *requested]
-    spins = [f for f in idle_freedoms_of(equations.tree, q) if not f.moving_velocities[keep].any()]
+    spins = [f for f in get_idle_freedoms(equations.tree, q) if not f.moving_velocities[keep].any()]
     if spins and spin_lock_of(equations) is None:
         equations.add(SpinLock(equations.tree, spins, q))
     return bool(spins)

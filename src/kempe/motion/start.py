@@ -137,11 +137,11 @@ def begin(system: Model, start: Any, hold: Mapping[str, float]) -> tuple[Closure
     q = None if known else close(fixed, near)
     if q is None:
         from kempe.assemble.assemble import assemble
-        from kempe.assemble.bound import TOLERANCE, of_equations
+        from kempe.assemble.bound import TOLERANCE, get_equation_assembler
 
         answer = assemble(system, known={**hold, **known}, start=near)
         if not answer.success:  # what is one-sided is then reported
-            answer = of_equations(system, {**hold, **known})({**hold, **known}, near)
+            answer = get_equation_assembler(system, {**hold, **known})({**hold, **known}, near)
         q = close(fixed, answer.q) if answer.success else None
         if q is None and answer.success:
             equations.closed = fixed.closed = TOLERANCE

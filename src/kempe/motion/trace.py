@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from kempe.arguments import explain_errors, raise_interrupted, read_flag
 from kempe.arrays import is_mapping, is_whole
-from kempe.assemble.nearest_exact import tolerant
+from kempe.assemble.nearest_exact import answer_within_tolerance
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.equations.closure import Closure
 from kempe.equations.slip import slip_of
@@ -273,7 +273,7 @@ def _not_begun(
 @explain_errors
 @raise_interrupted
 @time_limited(USUAL, _not_begun)
-@tolerant()
+@answer_within_tolerance()
 def trace(
     system: Model,
     driver: str | None = None,

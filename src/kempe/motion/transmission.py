@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from kempe.arguments import explain_errors, explain_method_errors, read_names
 from kempe.arrays import read_reals
-from kempe.assemble.nearest_exact import said, tolerant
+from kempe.assemble.nearest_exact import answer_within_tolerance, describe_nearest
 from kempe.constraints.tape import TWIST
 from kempe.equations.closure import Closure
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
@@ -65,9 +65,9 @@ class LoopJacobian(Report):
     def status(self) -> Any:
         """The sentence for one configuration, an array of them for several."""
         if np.ndim(self.code) == 0:
-            return self._sentence(int(self.code), int(self.rank), int(self.nullity)) + said(
-                self.within
-            )
+            return self._sentence(
+                int(self.code), int(self.rank), int(self.nullity)
+            ) + describe_nearest(self.within)
         out = np.empty(np.shape(self.code), dtype=object)
         for i in np.ndindex(out.shape):
             out[i] = self._sentence(int(self.code[i]), int(self.rank[i]), int(self.nullity[i]))
@@ -107,7 +107,7 @@ class LoopJacobian(Report):
 
 
 @explain_errors
-@tolerant("q")
+@answer_within_tolerance("q")
 def loop_jacobian(
     system: Model,
     q: ArrayLike,
@@ -201,7 +201,7 @@ def _output(system: Model, name: str) -> tuple[str, str]:
 
 
 @explain_errors
-@tolerant("q")
+@answer_within_tolerance("q")
 def mechanical_advantage(
     system: Model,
     q: ArrayLike,

@@ -20,9 +20,9 @@ from kempe.arguments import (
 )
 from kempe.assemble.assemble import assemble
 from kempe.assemble.dyads import closed_form
-from kempe.assemble.generic_configurations import idle_coordinates
+from kempe.assemble.generic_configurations import find_idle_coordinates
 from kempe.assemble.modes import assembly_modes
-from kempe.assemble.same_configuration import metric_of
+from kempe.assemble.same_configuration import get_metric
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.equations.one_sided import one_sided_rows
 from kempe.mobility.mobility import mobility
@@ -113,7 +113,7 @@ class Component(InWords):
         system = self.paths[0].system
         events = [e for p in self.paths for e in p.singular_points]
         q = np.array([e.q for e in events]).reshape(-1, system.nq)
-        numbers: list[int] = metric_of(system).unique(q, SAME).tolist()
+        numbers: list[int] = get_metric(system).find_unique(q, SAME).tolist()
         return tuple(events[k] for k in numbers)
 
     def place(self, q: Array) -> tuple[np.ndarray, Array, Array]:
@@ -377,7 +377,7 @@ def _counted(system: Model, spend: Budget, time: TimeLimit) -> Components:
         freedoms.dof,
         freedoms.idle,
         traced.parts,
-        singular[metric_of(system).unique(singular, SAME)],
+        singular[get_metric(system).find_unique(singular, SAME)],
         traced.late,
         traced.interrupted,
     )
@@ -443,7 +443,7 @@ def _traced(
     random ones.
     """
     home = freedoms.q
-    still = idle_coordinates(system, home)
+    still = find_idle_coordinates(system, home)
     starts = np.empty((0, system.nq)) if isinstance(loop, str) else loop.starts
     whole = not isinstance(loop, str) and len(starts) == loop.count
     q = starts if whole else _starts(system, home, spend)
@@ -499,5 +499,5 @@ def _starts(system: Model, home: Array, spend: Budget) -> Array:
             )
             for x in low + (np.arange(VALUES) + rng.random()) / VALUES * (high - low):
                 found.append(assembly_modes(system, {name: x}).q)
-    q = manifold.metric.representatives(np.concatenate(found), None)
+    q = manifold.metric.choose_representatives(np.concatenate(found), None)
     return q[manifold.inside(q)]

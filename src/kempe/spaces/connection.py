@@ -11,7 +11,7 @@ import numpy as np
 from kempe.answers.answer import Configurations
 from kempe.arguments import explain_errors, explain_method_errors, make_generator, raise_interrupted
 from kempe.arrays import is_real
-from kempe.assemble.generic_configurations import idle_coordinates
+from kempe.assemble.generic_configurations import find_idle_coordinates
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.equations.judge import judge
 from kempe.errors import InputError
@@ -380,7 +380,7 @@ def _closed(
 def _curve(system: Model, a: Array, spend: Budget) -> Component:
     """The component of a, as far as it can be traced."""
     first = trace(system, start=a, ways="branches", budget=Budget(time_limit=spend.time_limit))
-    return Component((first, *first.others), idle_coordinates(system, a))
+    return Component((first, *first.others), find_idle_coordinates(system, a))
 
 
 def _elsewhere(part: Component, ends: Array) -> tuple[Status, str] | None:
@@ -446,7 +446,7 @@ def _route(
             elif (
                 q is not None
                 and point is not None
-                and metric.distances(q[None], point[None])[0] < SAME
+                and metric.compute_distances(q[None], point[None])[0] < SAME
             ):
                 legs = [0.0]
             for leg in legs:

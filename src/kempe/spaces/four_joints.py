@@ -161,7 +161,7 @@ class FourJoints:
             x[c] = 0.5 * (self.cuts[i] + self.cuts[i + 1])
             sign[c] = 1.0 - 2.0 * k
         q, ok = _configurations(self.system, self.rod, self.first, self.last, x, sign)
-        return Manifold(self.system, 1).metric.representatives(q[ok], None)
+        return Manifold(self.system, 1).metric.choose_representatives(q[ok], None)
 
     @property
     def singular(self) -> Array:
@@ -423,7 +423,7 @@ def _met(rod: Rod, x: Array) -> Array:
 
 def _within(system: Model, q: Array, names: list[str]) -> np.ndarray:
     """Whether (k,) the joints of the loop are within their limits."""
-    q = Manifold(system, 1).metric.representatives(q, None)
+    q = Manifold(system, 1).metric.choose_representatives(q, None)
     out = np.ones(len(q), dtype=bool)
     for name in names:
         if name in system.coordinate_names and name in system.structure.velocity_names:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from kempe.assemble.same_configuration import metric_of
+from kempe.assemble.same_configuration import get_metric
 from kempe.equations import closure_rows
 from kempe.equations.one_sided import one_sided_rows
 from kempe.model.configurations import find_free_angles, sample_configurations, shorten_turns
@@ -59,7 +59,7 @@ class Manifold:
         self.layout = system.structure.layout
         self.circle = find_free_angles(system)
         self.one_sided = one_sided_rows(system)
-        self.metric = metric_of(system)
+        self.metric = get_metric(system)
 
     def equations(self, q: Array) -> tuple[Array, Array]:
         """What is missing (k, m) in the equations at q (k, nq), and the derivatives (k, m, nv)."""

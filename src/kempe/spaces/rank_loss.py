@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kempe.assemble.generic_configurations import idle_coordinates, idle_rates
+from kempe.assemble.generic_configurations import compute_idle_rates, find_idle_coordinates
 from kempe.equations import closure_rows
 from kempe.numerics.newton import gauss_newton_of_many
 from kempe.numerics.rank import Level, Spectrum
@@ -65,7 +65,7 @@ class RankLoss:
     @cached_property
     def counts(self) -> np.ndarray:
         """Which velocity coordinates (nv,) idle spins leave alone."""
-        return ~idle_coordinates(self.system)
+        return ~find_idle_coordinates(self.system)
 
     @cached_property
     def spins(self) -> bool:
@@ -80,7 +80,7 @@ class RankLoss:
         if self.closed:
             rows = closure_rows.evaluate(self.system, q, with_jacobian, scaled=True)
             if self.spins:
-                still = idle_rates(self.system, q) * self.unit
+                still = compute_idle_rates(self.system, q) * self.unit
                 F = np.concatenate([rows[0], np.zeros(still.shape[:2])], axis=1)
                 rows = F, np.concatenate([rows[1], still], axis=1) if with_jacobian else rows[1]
         if self.further is None:

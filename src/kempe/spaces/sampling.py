@@ -294,7 +294,7 @@ def _of_curves(system: Model, n: int, rng: np.random.Generator, spend: Budget) -
     q = np.empty((n, system.nq))
     for k, path in enumerate(paths):
         q[which == k] = path.at(at[which == k])
-    q = Manifold(system, 1).metric.representatives(q, None)
+    q = Manifold(system, 1).metric.choose_representatives(q, None)
     how = (
         f"drawn independently along {format_count(len(paths), 'traced curve')} of total length "
         f"{length.sum():.6g}"
@@ -329,7 +329,7 @@ def _by_walk(
         while sum(map(len, kept)) < n:
             if kept:
                 walkers.walk(EACH, lambda: check(sum(map(len, kept))))
-            kept.append(manifold.metric.representatives(walkers.q, None))
+            kept.append(manifold.metric.choose_representatives(walkers.q, None))
     except BROKEN_OFF as error:
         why = error
     q = np.concatenate([np.empty((0, system.nq)), *kept])[:n]
@@ -343,7 +343,7 @@ def _by_walk(
 
 def _starts(manifold: Manifold, count: int, home: Array, rng: np.random.Generator) -> Array:
     """Closed configurations (k, nq) inside the limits, from random ones."""
-    q = manifold.metric.representatives(manifold.drawn(rng, STARTS * count), None)
+    q = manifold.metric.choose_representatives(manifold.drawn(rng, STARTS * count), None)
     q = q[manifold.inside(q)] if len(q) else q
     if not len(q):
         q = home[None] if manifold.inside(home[None])[0] else q

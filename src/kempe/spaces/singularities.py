@@ -24,7 +24,7 @@ from kempe.arguments import (
     read_flag,
     read_start_count,
 )
-from kempe.assemble.same_configuration import metric_of
+from kempe.assemble.same_configuration import get_metric
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.errors import InputError, Interrupted
 from kempe.first_order.control import find_driven_velocities
@@ -545,7 +545,7 @@ def _set(system: Model, key: Key, rows: list[Row], problems: list[RankLoss]) -> 
     if deciding and dimension == len(columns) - len(deciding) and (at >= 0).all():
         values = _distinct(system, q[:, at], deciding)
     if dimension == 0:
-        keep = metric_of(system).unique(q, SAME).tolist()
+        keep = get_metric(system).find_unique(q, SAME).tolist()
         rows = [rows[i] for i in keep]
         q = q[keep]
     return SingularSet(

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from kempe.assemble.dyads import Incomplete, Plan, closed_form
-from kempe.assemble.generic_configurations import idle_coordinates, idle_rates
+from kempe.assemble.generic_configurations import compute_idle_rates, find_idle_coordinates
 from kempe.budget import TimeUp
 from kempe.constraints.flat_tasks import FlatTask
 from kempe.equations.one_sided import one_sided_rows
@@ -91,7 +91,7 @@ class NodeSolver:
 
     def __init__(self, manifold: Manifold):
         self.manifold = manifold
-        self.counts = ~idle_coordinates(manifold.system)
+        self.counts = ~find_idle_coordinates(manifold.system)
         self.spins = not self.counts.all()
 
     def solved(
@@ -105,7 +105,7 @@ class NodeSolver:
         def equations(x: Array, at: np.ndarray) -> tuple[Array, Array]:
             (F, J) = M.equations(x)
             (f, j) = missing(x, node[at])
-            still = idle_rates(M.system, x) if self.spins else J[:, :0]
+            still = compute_idle_rates(M.system, x) if self.spins else J[:, :0]
             zero = np.zeros(still.shape[:2])
             return np.concatenate([F, f, zero], axis=1), np.concatenate(
                 [J, j, still * M.scale], axis=1
@@ -121,7 +121,7 @@ class NodeSolver:
 
     def apart(self, q: Array, to: Array) -> Array:
         """How far (...) configurations (..., nq) are from others."""
-        return self.manifold.metric.distances(q, to, self.counts)
+        return self.manifold.metric.compute_distances(q, to, self.counts)
 
     def same(self, q: Array, to: Array) -> np.ndarray:
         """Whether (...) configurations (..., nq) are the same as others."""
@@ -543,7 +543,7 @@ class TwoFreedoms:
         """
         flat = np.array(q.reshape(-1, self.system.nq))
         ok = np.array(mask.ravel())
-        flat[ok] = self.manifold.metric.representatives(flat[ok], None)
+        flat[ok] = self.manifold.metric.choose_representatives(flat[ok], None)
         ok[ok] = (self.rows.beyond(flat[ok]) <= INSIDE).all(axis=-1)
         return flat.reshape(q.shape), ok.reshape(mask.shape)
 
@@ -654,7 +654,7 @@ class Dyads(TwoFreedoms):
         if self.placed is None:
             return super().solutions(p)
         q, mask = self.reaching(p)
-        return q[mask][self.manifold.metric.unique(q[mask], SAME, self.solver.counts)]
+        return q[mask][self.manifold.metric.find_unique(q[mask], SAME, self.solver.counts)]
 
 
 def two_freedoms(

@@ -11,7 +11,7 @@ import numpy as np
 
 from kempe.arguments import read_tolerances
 from kempe.assemble.bound import TOLERANCE as CLOSED
-from kempe.assemble.bound import limitless
+from kempe.assemble.bound import remove_limits
 from kempe.budget import list_checks, watched_by
 from kempe.equations.judge import Numbers
 from kempe.equations.packed_tasks import Packed
@@ -204,7 +204,7 @@ class Demands:
         loops = self.packed.loops
         n = math.prod(self.lead) if rows is None else len(rows)
         stages, strengths, *_ = self.levels
-        weights = loops.weights if self.limits else limitless(self.system, loops)
+        weights = loops.weights if self.limits else remove_limits(self.system, loops)
         q = np.empty((n, self.system.nq))
         info = np.empty((n, 3), dtype=np.int64)
         aim = starts if self.aim is None else self.aim

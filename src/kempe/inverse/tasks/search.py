@@ -14,7 +14,7 @@ from kempe.answers.problem import Problem
 from kempe.arguments import draw_seed, read_start_count, read_step_count, read_tolerances
 from kempe.arrays import is_sequence, is_whole
 from kempe.assemble.bound import TOLERANCE as CLOSED
-from kempe.assemble.nearest_exact import decided_within, ideal_of
+from kempe.assemble.nearest_exact import decide_nearest_exact, find_ideal_system
 from kempe.budget import Usual
 from kempe.constraints.base import Constraint
 from kempe.equations.packed_tasks import Packed, lead_of, refuse
@@ -361,7 +361,7 @@ def packed_for(system: Model, tasks: tuple[Task, ...], turns: bool) -> Packed:
     answers = system._kept.setdefault(packed_for, {})
     found = answers.get(key)
     if found is None:
-        found = Packed(system, tasks, turns=turns, levels=levels, closing=ideal_of(system))
+        found = Packed(system, tasks, turns=turns, levels=levels, closing=find_ideal_system(system))
         if all(t.lasting for t in tasks):
             store_answer(answers, key, found, KEPT)
     return found
@@ -643,7 +643,7 @@ def reach(problem: Problem) -> Reached:
     threads = spend.threads
     turns = prefer is None or prefer == "nearest"
     time = TimeLimit(USUAL.complete_budget(problem.budget).time_limit)
-    decided_within(USUAL, time, system)
+    decide_nearest_exact(USUAL, time, system)
     demands, base = pose_problem(
         system, problem.wanted, problem.start, tolerance, starts, spend.rng, turns
     )
