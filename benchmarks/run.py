@@ -59,7 +59,7 @@ def main() -> int:
             if out is not None:
                 out.write_text(page(tables, given.peer), encoding="utf-8")
             if not given.json:
-                report.write(shown(table))
+                report.print_text(shown(table))
     except UnknownNameError as error:
         say(str(error))
         return 2

@@ -7,7 +7,14 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from kempe.description.formats import DEFAULT, FORMATS, Format, endings_written, named, read_by
+from kempe.description.formats import (
+    DEFAULT,
+    FORMATS,
+    Format,
+    join_titles,
+    list_readable_formats,
+    list_writable_endings,
+)
 
 HEAD = """\
 ---
@@ -76,7 +83,7 @@ def page() -> str:
     general = (
         f"\nA text of which neither tells the format is read as {DEFAULT.title}. Files in a format "
         "that is not read\nare refused, and the message names those that are: "
-        f"{named(read_by(), 'and')}. What is written ends in {endings_written()}.\n"
+        f"{join_titles(list_readable_formats(), 'and')}. What is written ends in {list_writable_endings()}.\n"
     )
     cannot = table(
         ("format", "what it lacks", "instead"),
@@ -87,7 +94,8 @@ def page() -> str:
     )
     options = dict.fromkeys(option for f in rows for option in f.options if option != "beside")
     taken = table(
-        ("option", "read with it"), ((f"`{o}`", named(read_by(o), "and")) for o in options)
+        ("option", "read with it"),
+        ((f"`{o}`", join_titles(list_readable_formats(o), "and")) for o in options),
     )
     return f"{HEAD}{formats}{general}{EXAMPLE}{CANNOT}{cannot}{LOSES}{loses}{OPTIONS}{taken}"
 

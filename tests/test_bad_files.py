@@ -17,7 +17,7 @@ from bad_file_cases import MJCF_CASES, SDF_CASES, TOML_CASES, URDF_CASES, Case
 from hunts import some
 from robots import BROKEN, good_urdf_files, urdf_files
 
-from kempe.description.read import check, read
+from kempe.description.read import check_description, read_mechanism
 from kempe.description.sdf_reader import read_sdf
 from kempe.description.toml_reader import read_toml
 from kempe.description.urdf_reader import read_urdf
@@ -65,7 +65,7 @@ def answer(case: Case, folder: Path, data: bytes) -> tuple[str, KempeError | Non
     here = os.getcwd()
     os.chdir(folder)
     try:
-        mechanism = read(f"file{case.suffix}")
+        mechanism = read_mechanism(f"file{case.suffix}")
         mechanism.build()
         assert case.holds(mechanism)
         return "\n".join(mechanism.notes), None
@@ -114,7 +114,7 @@ def is_refused_as(case: Case, said: str, error: KempeError | None) -> None:
 
 def test_caret_stands_under_the_place(tmp_path: Path):
     case = next(c for c in URDF_CASES if c.title == "a comma for the decimal point")
-    problem = check(case.text).problems[0]
+    problem = check_description(case.text).problems[0]
     line, caret = problem.caret().splitlines()
     assert line[caret.index("^") :].startswith("0 0 1,5")
 
@@ -262,13 +262,13 @@ WRONG = {n: p for n, p in urdf_files().items() if p.name in BROKEN}
 
 @pytest.mark.parametrize("path", some(good_urdf_files().values(), 3), ids=list(good_urdf_files()))
 def test_real_robots_are_read(path: Path):
-    assert read(path).build().body_names
+    assert read_mechanism(path).build().body_names
 
 
 @pytest.mark.parametrize("path", WRONG.values(), ids=list(WRONG))
 def test_wrong_files_of_real_robots_are_refused(path: Path):
     with pytest.raises(DescriptionError) as caught:
-        read(path)
+        read_mechanism(path)
     where, *more = REFUSED[path.name]
     assert str(caught.value).startswith(f"{path}{where}")
     assert all(piece in str(caught.value) for piece in more)

@@ -19,8 +19,8 @@ from typer.main import get_command
 
 import kempe
 from kempe.cli import app
-from kempe.cli.report import in_options
-from kempe.cli.terminal import at_home
+from kempe.cli.report import translate_keywords
+from kempe.cli.terminal import expand_home
 from kempe.kernels.compiled import VARIANT
 from kempe.library import names as library_models
 
@@ -198,7 +198,7 @@ def test_as_a_process(arm, tmp_path):
     ],
 )
 def test_messages_name_options_of_commands(said: str, words: str):
-    assert in_options(said) == words
+    assert translate_keywords(said) == words
     commands = get_command(app).commands.values()  # type: ignore[attr-defined]
     options = {option for command in commands for p in command.params for option in p.opts}
     assert set(re.findall(r"--[a-z-]+", words)) <= options
@@ -296,7 +296,7 @@ def matrices(x):
 )
 def test_files_of_the_home_folder(given: str, wanted: str, monkeypatch):
     monkeypatch.setenv("HOME", "HOME")
-    assert at_home(given) == wanted
+    assert expand_home(given) == wanted
 
 
 # ---- info

@@ -17,7 +17,7 @@ from command import Result
 import kempe
 from kempe import Budget
 from kempe.cli.facts import Poses, SystemFacts
-from kempe.cli.report import clean
+from kempe.cli.report import clean_text
 from kempe.words import DEGREE
 
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
@@ -201,7 +201,7 @@ def test_a_command_prints_the_answer(case: Case, folder):
     degrees = "--deg" in words
     answer = case.call()
     shown = Result(*words)
-    text = clean(answer.text(degrees))
+    text = clean_text(answer.text(degrees))
     assert NUMBER.sub("#", shown.out).startswith(NUMBER.sub("#", text)), shown.out + shown.err
     data = Result(*words, "--json")
     same(data.json(), json.loads(json.dumps(answer.data(degrees))) | {"written": []})

@@ -19,7 +19,7 @@ from hunts import some
 
 import kempe
 from kempe import arguments
-from kempe.description.read import check, read, write
+from kempe.description.read import check_description, read_mechanism, write_mechanism
 from kempe.description.xacro import expand_xacro
 from kempe.errors import DescriptionError, InputError
 
@@ -221,8 +221,8 @@ def odd_files(folder: Path, ending: str) -> dict[str, Path]:
 def test_what_is_no_file_is_not_read(tmp_path, ending):
     for what, path in odd_files(tmp_path, ending).items():
         with pytest.raises(DescriptionError, match=f"this is a {what}"):
-            read(path, xacro=ending.endswith("xacro"))
-        assert f"this is a {what}" in str(check(path).problems[0])
+            read_mechanism(path, xacro=ending.endswith("xacro"))
+        assert f"this is a {what}" in str(check_description(path).problems[0])
 
 
 def test_what_is_no_file_is_not_written(tmp_path):
@@ -230,7 +230,7 @@ def test_what_is_no_file_is_not_written(tmp_path):
     for what, path in odd_files(tmp_path, ".toml").items():
         if path.suffix == ".toml":
             with pytest.raises(InputError, match=f"this is a {what}"):
-                write(mechanism, path)
+                write_mechanism(mechanism, path)
 
 
 @pytest.mark.parametrize(

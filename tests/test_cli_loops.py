@@ -277,13 +277,13 @@ def test_narrow_terminals_get_all_digits(monkeypatch):
     for made in (answer, system.trace()):
         wide = io.StringIO()
         narrow = Terminal()
-        report.show(made, file=wide)
-        report.show(made, file=narrow)
+        report.print_answer(made, file=wide)
+        report.print_answer(made, file=narrow)
         numbers = [x for x in wide.getvalue().split() if re.fullmatch(r"-?\d+\.\d{6}", x)]
         assert len(numbers) >= 4 and all(x in narrow.getvalue().split() for x in numbers)
     copy = "--q " + ",".join(f"{x:.9f}".rstrip("0") for x in answer.q)
     out = Terminal()
-    report.show(answer, file=out)
+    report.print_answer(answer, file=out)
     assert copy in out.getvalue(), "the line to copy has no breaks in it"
 
 

@@ -96,7 +96,7 @@ def test_every_type_is_read(folder):
         "centre_of_mass": "target = [0.3, 0, 0.5]\nwithin = 0.1",
         "posture": "q = {panda_joint1 = 0.3}",
     }
-    assert set(body) <= set(task_file.types())
+    assert set(body) <= set(task_file.list_constraint_types())
     for name, lines in body.items():
         if name == "centre_of_mass" and not any(b.mass for b in panda.mechanism.bodies.values()):
             continue
@@ -106,10 +106,10 @@ def test_every_type_is_read(folder):
             else f'frame = "{HAND}"\n'
         )
         file = write(f"{name}.toml", f'[[task]]\ntype = "{name}"\nweight = 2.0\n{frame}{lines}\n')
-        (made,) = task_file.read(panda, Path(file)).tasks
-        assert task_file.types()[name] is type(made) and made.weight == 2.0
+        (made,) = task_file.read_tasks(panda, Path(file)).tasks
+        assert task_file.list_constraint_types()[name] is type(made) and made.weight == 2.0
         assert np.isfinite(tasks.error(panda, made, panda.mid)).all()
-    (made,) = task_file.read(panda, Path("pose.toml"), degrees=True).tasks
+    (made,) = task_file.read_tasks(panda, Path("pose.toml"), degrees=True).tasks
     np.testing.assert_allclose(made.target[:3, 3], [0.3, 0.1, 0.5])
     np.testing.assert_allclose(made.target[1, 0] / made.target[0, 0], np.tan(np.deg2rad(0.3)))
 

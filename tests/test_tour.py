@@ -186,7 +186,7 @@ def test_enter_goes_on_and_q_ends(keys, shown, monkeypatch, capsys):
     monkeypatch.setattr(library_commands.sys, "stdin", Terminal())
     monkeypatch.setattr(library_commands.sys.stdout, "isatty", lambda: True, raising=False)
     monkeypatch.setattr(lecture, "walk", lambda section, pictures: [("text", section.title)])
-    library_commands.tour()
+    library_commands.run_tour()
     out = capsys.readouterr().out
     assert [x.number for x in SECTIONS if f"{x.number} {x.title}\n-" in out] == list(
         range(1, shown + 1)

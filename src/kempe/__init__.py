@@ -77,9 +77,9 @@ def load(
     is the SRDF of a URDF, with groups, postures, end effectors and how the base moves. Errors:
     `DescriptionError` with file, line and what is allowed.
     """
-    from kempe.description.source import collecting_later
+    from kempe.description.source import pause_garbage_collection
 
-    with collecting_later():
+    with pause_garbage_collection():
         return read(
             source,
             format=format,
@@ -108,7 +108,7 @@ def read(
     """As `load`, but the `Mechanism`: to change it before it is built, or to write it in another
     format.
     """
-    from kempe.description.read import read as read_mechanism
+    from kempe.description.read import read_mechanism
 
     return read_mechanism(
         source,

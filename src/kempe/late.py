@@ -23,7 +23,7 @@ ROWS = {
     "write_sdf": "kempe.description.sdf_writer:write_sdf",
     "read_toml": "kempe.description.toml_reader:read_toml",
     "write_toml": "kempe.description.toml_writer:write_toml",
-    "write": "kempe.description.read:write",
+    "write": "kempe.description.read:write_mechanism",
     "assemble": "kempe.assemble.assemble:assemble",
     "way_there": "kempe.motion.manoeuvre:way_there",
     "answers of assemble": "kempe.assemble.explain:ROW",

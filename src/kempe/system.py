@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from kempe.arguments import add_signature_options, explain_errors, quiet
 from kempe.budget import Budget
-from kempe.description.mechanism import subgroup
+from kempe.description.mechanism import extract_group
 from kempe.description.parts import Frame, ReadOnlyDict
 from kempe.errors import InputError, UnknownNameError
 from kempe.model import configurations
@@ -306,7 +306,7 @@ class System(Model, Pictured):
         DescriptionError
             Where a coordinate of the group follows one outside.
         """
-        return type(self)(subgroup(self.mechanism, name, self.q_dict(self.neutral)))
+        return type(self)(extract_group(self.mechanism, name, self.q_dict(self.neutral)))
 
     # ---- the space of configurations
 

@@ -12,7 +12,7 @@ import numpy as np
 from kempe.description.dh import from_dh
 from kempe.description.formats import Format
 from kempe.description.mechanism import Mechanism
-from kempe.description.source import Findings, decode
+from kempe.description.source import Findings, decode_text
 
 HEAD = ("type", "a", "alpha", "d", "theta")
 CANNOT = {
@@ -23,7 +23,7 @@ CANNOT = {
 
 def read_rows(text: str | bytes, source: str) -> Mechanism:
     """The chain of a table."""
-    rows = csv.DictReader(io.StringIO(decode(text, source)))
+    rows = csv.DictReader(io.StringIO(decode_text(text, source)))
     number = {key: float for key in HEAD[1:]}
     return from_dh([{k: number.get(k, str)(v) for k, v in row.items()} for row in rows])
 

@@ -6,7 +6,7 @@ import math
 
 from hypothesis import strategies as st
 
-from kempe.description.mechanism import Mechanism, between
+from kempe.description.mechanism import Mechanism, declare_placed_constraint
 from kempe.poses import Placement, place, read_placement_steps
 
 NAMES = st.text(
@@ -188,7 +188,9 @@ def _constraints(draw, m: Mechanism, parameters: list[str]) -> None:
         if length and parameters:
             length = draw(st.sampled_from([length, f"2 + sin({parameters[0]})"]))
         if name not in m.joints:
-            between(m, name, kind, (a, X_PF, {"axis": axis}), (b, X_CM, {}), length, None)
+            declare_placed_constraint(
+                m, name, kind, (a, X_PF, {"axis": axis}), (b, X_CM, {}), length, None
+            )
 
 
 def _relations(draw, m: Mechanism, parameters: list[str]) -> None:

@@ -27,7 +27,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent))
 from robots import DATA
 
 import kempe
-from kempe.description.read import read
+from kempe.description.read import read_mechanism
 from kempe.errors import DescriptionError
 from kempe.spatial import quat_wxyz_to_matrix
 
@@ -259,7 +259,7 @@ def judge(path: Path, rng: np.random.Generator) -> Answer:
     fail.
     """
     try:
-        mechanism = read(path)
+        mechanism = read_mechanism(path)
     except DescriptionError as error:
         return Answer("refused", "", str(error.problems[0]).removeprefix(f"{path.parent}/"))
     system = mechanism.build()

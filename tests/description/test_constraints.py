@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kempe import Mechanism, System, constraints
-from kempe.description.mechanism import between
+from kempe.description.mechanism import declare_placed_constraint
 from kempe.description.toml_reader import read_toml
 from kempe.description.toml_writer import write_toml
 from kempe.description.urdf_writer import write_urdf
@@ -67,11 +67,11 @@ def test_ends_are_bodies_or_frames():
         (lambda m: m.distance("r", "a", "b", 1.0, at=(math.nan, 0)), "at is nan"),
         (lambda m: m.distance("r", "a", "b", 1.0, at="nowhere"), "no frame 'nowhere'"),
         (
-            lambda m: between(m, "r", "distanc", *ENDS, None, None),
+            lambda m: declare_placed_constraint(m, "r", "distanc", *ENDS, None, None),
             "no kind of constraint .distanc.; did you mean",
         ),
         (
-            lambda m: between(m, "r", "point_on_line", *ENDS, 1.0, None),
+            lambda m: declare_placed_constraint(m, "r", "point_on_line", *ENDS, 1.0, None),
             "point_on_line takes no length",
         ),
         (lambda m: m.point_on_line("r", "a", "b", axis=(0, 0, 0)), "axis is 0.0 0.0 0.0"),

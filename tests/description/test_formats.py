@@ -17,9 +17,9 @@ from shipped import shipped
 
 import kempe
 from kempe.description.dh import from_dh
-from kempe.description.formats import DEFAULT, FORMATS, Format, named, read_by
+from kempe.description.formats import DEFAULT, FORMATS, Format, join_titles, list_readable_formats
 from kempe.description.mechanism import Mechanism
-from kempe.description.read import check, read
+from kempe.description.read import check_description, read_mechanism
 from kempe.errors import DescriptionError, InputError, KempeError, UnsupportedError
 from kempe.joints import Revolute
 
@@ -108,7 +108,7 @@ MODELS = [
 )
 def test_other_models_of_the_library_are_refused_by_name(name: str, model: str, tmp_path: Path):
     row = FORMATS[name]
-    m = read(model)
+    m = read_mechanism(model)
     path = tmp_path / f"m{row.endings[0]}"
     with pytest.raises(DescriptionError) as caught:
         m.save(path)
@@ -123,7 +123,7 @@ def test_other_models_of_the_library_are_refused_by_name(name: str, model: str, 
 )
 def test_models_of_the_library_come_back(name: str, model: str, tmp_path: Path):
     row = FORMATS[name]
-    m = read(model)
+    m = read_mechanism(model)
     path = tmp_path / f"m{row.endings[0]}"
     m.save(path)
     again = kempe.load(path)
@@ -250,11 +250,11 @@ def test_options_are_taken_or_refused(name: str, option: str):
     assert row.write is not None
     text = row.write(hinge())
     if option in row.options:
-        assert read(text, **{option: OPTIONS[option]}).joints
+        assert read_mechanism(text, **{option: OPTIONS[option]}).joints
     else:
-        words = f"the option {option!r} is for {named(read_by(option))}, and this is {row.title}"
+        words = f"the option {option!r} is for {join_titles(list_readable_formats(option))}, and this is {row.title}"
         with pytest.raises(InputError, match=words):
-            read(text, **{option: OPTIONS[option]})
+            read_mechanism(text, **{option: OPTIONS[option]})
 
 
 @pytest.mark.parametrize("name", FORMATS)
@@ -270,7 +270,7 @@ def test_endings_tell_the_format(name: str, tmp_path: Path):
             hinge().save(path)
         if name == "mjcf":
             pytest.importorskip("mujoco")
-        assert "j" in read(path).joints
+        assert "j" in read_mechanism(path).joints
 
 
 def test_a_format_that_is_only_known_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -278,12 +278,12 @@ def test_a_format_that_is_only_known_by_name(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setitem(FORMATS, "later", row)
     path = tmp_path / "m.later"
     path.write_text("no text of any format")
-    words = f"LATER files are not read; Kempe reads {named(read_by(), 'and')}"
+    words = f"LATER files are not read; Kempe reads {join_titles(list_readable_formats(), 'and')}"
     for source in (path, "later\n", b"later\n"):
         with pytest.raises(UnsupportedError, match=re.escape(words)):
-            read(source)
+            read_mechanism(source)
     with pytest.raises(InputError, match="format is 'later'; it must be 'urdf', 'toml', "):
-        read(path, format="later")
+        read_mechanism(path, format="later")
 
 
 @pytest.mark.parametrize(
@@ -329,7 +329,7 @@ def test_contents_and_endings_together(
             monkeypatch.setattr("kempe.description.read.DEFAULT", changed)
     (tmp_path / f"m{ending}").write_text(text)
     with pytest.raises(UnsupportedError) as caught:
-        read(tmp_path / f"m{ending}")
+        read_mechanism(tmp_path / f"m{ending}")
     assert (
         str(caught.value).removeprefix(f"{tmp_path / f'm{ending}'}: ").partition(" files")[0]
         == title
@@ -357,8 +357,8 @@ def test_a_format_of_ones_own_is_loaded_saved_and_converted(own: Format, tmp_pat
         np.testing.assert_allclose(
             kempe.load(source).fk(q, "tool"), arm.build().fk(q, "tool"), rtol=0, atol=1e-14
         )
-    assert read(path, format="rows") == read(text)
-    assert check(path) == ((), ())
+    assert read_mechanism(path, format="rows") == read_mechanism(text)
+    assert check_description(path) == ((), ())
     for ending in (".csv", ".toml", ".urdf"):
         out = tmp_path / f"converted{ending}"
         result = Result("convert", str(path), str(out))
@@ -375,20 +375,23 @@ def test_a_format_of_ones_own_is_in_the_messages(own: Format, tmp_path: Path, mo
     monkeypatch.chdir(tmp_path)
     from_dh(DH).save("arm.csv")
     said: list[tuple[Callable[[], object], str]] = [
-        (lambda: read("amr.csv"), "there is no such file; did you mean 'arm.csv'?"),
-        (lambda: read("."), "this is a folder; give one of its files: arm.csv"),
-        (lambda: read("arm.csv", format="cvs"), "or 'rows'"),
+        (lambda: read_mechanism("amr.csv"), "there is no such file; did you mean 'arm.csv'?"),
+        (lambda: read_mechanism("."), "this is a folder; give one of its files: arm.csv"),
+        (lambda: read_mechanism("arm.csv", format="cvs"), "or 'rows'"),
         (
-            lambda: read("arm.csv", base="free"),
+            lambda: read_mechanism("arm.csv", base="free"),
             "the option 'base' is for URDF or SDF, and this is rows of a DH table",
         ),
-        (lambda: read(""), f"it must hold a description ({named(read_by())})"),
+        (
+            lambda: read_mechanism(""),
+            f"it must hold a description ({join_titles(list_readable_formats())})",
+        ),
         (lambda: hinge().save("m.odt"), "it must be .urdf, .toml, .sdf, .world or .csv"),
         (
-            lambda: read("four_bar").save("m.csv"),
+            lambda: read_mechanism("four_bar").save("m.csv"),
             "it leaves the chain; each body of a chain carries one joint at most",
         ),
-        (lambda: read("ball").save("m.csv"), "a row turns about z or slides along it"),
+        (lambda: read_mechanism("ball").save("m.csv"), "a row turns about z or slides along it"),
     ]
     for call, words in said:
         with pytest.raises(KempeError) as caught:

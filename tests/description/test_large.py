@@ -18,8 +18,8 @@ from hunts import some
 import kempe
 from kempe import Mechanism
 from kempe.description import toml_document
-from kempe.description.read import read
-from kempe.description.source import Source, collecting_later
+from kempe.description.read import read_mechanism
+from kempe.description.source import Source, pause_garbage_collection
 from kempe.description.toml_document import Places
 from kempe.description.toml_writer import write_toml
 from kempe.errors import DescriptionError
@@ -90,8 +90,8 @@ def calls(function, *given) -> int:
 
 
 WAYS = {
-    "URDF": lambda n, shape: (read, urdf(n, shape)),
-    "TOML": lambda n, shape: (read, write_toml(read(urdf(n, shape)))),
+    "URDF": lambda n, shape: (read_mechanism, urdf(n, shape)),
+    "TOML": lambda n, shape: (read_mechanism, write_toml(read_mechanism(urdf(n, shape)))),
     "calls": lambda n, shape: (built, n, shape),
     "build": lambda n, shape: (built(n, shape).build,),
     "fk": lambda n, shape: (lambda s: s.fk(s.neutral), built(n, shape).build()),
@@ -147,13 +147,13 @@ def is_where_its_joints_put_it(n: int, shape: str) -> None:
 
 
 def test_garbage_is_collected_again_after_errors():
-    with pytest.raises(DescriptionError), collecting_later(10**6):
+    with pytest.raises(DescriptionError), pause_garbage_collection(10**6):
         assert not gc.isenabled()
-        read("<robot name='x'>")
+        read_mechanism("<robot name='x'>")
     assert gc.isenabled()
     gc.disable()
     try:
-        with collecting_later(10**6):
+        with pause_garbage_collection(10**6):
             pass
         assert not gc.isenabled()
     finally:
@@ -295,7 +295,7 @@ def test_lines_are_read_as_tomllib_reads_them(hunt, monkeypatch):
         except ValueError as error:
             expected = str(error)
         try:
-            found, places = toml_document.loads(text)
+            found, places = toml_document.parse_toml(text)
         except ValueError as error:
             assert str(error) == expected, text
             continue
@@ -316,16 +316,16 @@ def test_lines_are_read_as_tomllib_reads_them(hunt, monkeypatch):
 def test_models_of_the_library_are_read_line_by_line(name, monkeypatch):
     text = model_path(name).read_text(encoding="utf-8")
     monkeypatch.setattr(toml_document, "MANY", 0)
-    found, _ = toml_document.loads(text)
+    found, _ = toml_document.parse_toml(text)
     assert alike(found, tomllib.loads(text))
 
 
 def test_dates_are_still_refused_with_their_line():
     text = (
-        write_toml(read(urdf(60, "chain")))
+        write_toml(read_mechanism(urdf(60, "chain")))
         + "\n[[frame]]\nname = 'f'\nbody = 'l1'\nat = 1979-05-27\n"
     )
     line = text.split("\n").index("at = 1979-05-27") + 1
     assert isinstance(tomllib.loads(text)["frame"][0]["at"], datetime.date)
     with pytest.raises(DescriptionError, match=rf"<text>:{line}: .*is a date"):
-        read(text)
+        read_mechanism(text)

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from kempe.description import mjcf_reader, mjcf_text, mjcf_worker
-from kempe.description.read import read
+from kempe.description.read import read_mechanism
 from kempe.description.shapes import Mesh
 from kempe.errors import DescriptionError, KempeError, MissingExtraError
 from kempe.system import System
@@ -127,7 +127,7 @@ def at_once(monkeypatch):
     def compiled(merged: mjcf_text.Merged):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of MuJoCo, on inertia
-            return json.loads(json.dumps(mjcf_worker.compiled(merged.text, merged.files)))
+            return json.loads(json.dumps(mjcf_worker.compile_model(merged.text, merged.files)))
 
     monkeypatch.setattr(mjcf_reader, "compile_mjcf", compiled)
 
@@ -169,7 +169,7 @@ def poses_are_equal(system: System, text: str | Path, count: int = 3) -> None:
 
 @pytest.mark.parametrize("text", TREES.values(), ids=list(TREES))
 def test_poses_and_order_of_q(text: str, at_once):
-    poses_are_equal(read(text).build(), text)
+    poses_are_equal(read_mechanism(text).build(), text)
 
 
 def random_joints(rng: random.Random) -> str:
@@ -193,20 +193,20 @@ def test_products_of_random_joints(seed: int, at_once):
     rng = random.Random(seed)
     bodies = [body(f"b{k}", random_joints(rng), more='euler="9 8 7"') for k in range(40)]
     text = mjcf(*bodies, compiler='<compiler angle="radian"/>')
-    m = read(text)
+    m = read_mechanism(text)
     assert len(m.joints) == 40
     poses_are_equal(m.build(), text)
 
 
 def test_shipped_file_and_all_that_it_holds_come_back_from_toml(tmp_path: Path):
     path = Path(mujoco.__file__).parent / "testdata" / "model.xml"
-    mechanism = read(path)
+    mechanism = read_mechanism(path)
     poses_are_equal(mechanism.build(), path)
-    assert read(mechanism.save(tmp_path / "m.toml")) == mechanism
+    assert read_mechanism(mechanism.save(tmp_path / "m.toml")) == mechanism
 
 
 def test_joints_of_one_body_are_one_joint_in_their_order(at_once):
-    m = read(TREES["axes that are oblique and do not meet"])
+    m = read_mechanism(TREES["axes that are oblique and do not meet"])
     assert list(m.joints) == ["a"]
     system = m.build()
     assert len(system.coordinate_names) == 3 and system.mobility().dof == 3
@@ -214,12 +214,12 @@ def test_joints_of_one_body_are_one_joint_in_their_order(at_once):
 
 
 def test_natural_axes_have_natural_names(at_once):
-    m = read(TREES["three hinges of one point"])
+    m = read_mechanism(TREES["three hinges of one point"])
     assert m.joints["a"].type.type_name == "R(z) R(y) R(x)" and not m.locks
     assert m.build().coordinate_names == ("a.rz", "a.ry", "a.rx")
-    assert not read(TREES["a left-handed triple"]).locks
+    assert not read_mechanism(TREES["a left-handed triple"]).locks
     slides = mjcf(body("a", slide("u"), slide("v", "0 1 0", 0.3), hinge("w", "0 0 1", ref=20)))
-    assert not read(slides).locks
+    assert not read_mechanism(slides).locks
 
 
 def test_ranges(at_once):
@@ -228,7 +228,7 @@ def test_ranges(at_once):
         body("c", '<joint name="x" range="-10 20"/>', hinge("y", "0 1 0")),
         body("d", '<joint type="ball" name="ball" range="0 50"/>'),
     )
-    m = read(text)
+    m = read_mechanism(text)
     np.testing.assert_allclose(m.joints["h"].limits[""], np.radians((-30, 40)))
     assert not m.joints["n"].limits
     assert list(m.joints["c"].limits) == ["rz"]
@@ -248,7 +248,7 @@ def test_masses_are_those_of_mujoco(at_once):
         '<geom type="mesh" mesh="box"/></body>',
         more='<asset><mesh name="box" file="box.stl"/></asset>',
     )
-    m = read(text)
+    m = read_mechanism(text)
     model, _ = model_of(
         text.replace('<geom type="mesh" mesh="box"/>', "")
         .replace("<mesh", "<!--")
@@ -351,7 +351,7 @@ def test_equalities_are_closed_for_mujoco(
         bodies.replace('ref="0"', f'ref="{reference}"'),
         more=f"{TENDONS}<equality>{given}</equality><option jacobian='dense'/>",
     )
-    system = read(text).build()
+    system = read_mechanism(text).build()
     assert system.kind == kind
     model, data = model_of(text)
     answer = system.assemble(start=system.random(0))
@@ -366,13 +366,13 @@ def test_equalities_are_closed_for_mujoco(
 def test_equalities_are_saved_as_text(tmp_path: Path, at_once):
     for name in ("polynomial", "two tendons", "weld of points only", "circle of linear ones"):
         bodies, given, _ = EQUALITIES[name]
-        m = read(mjcf(bodies, more=f"{TENDONS}<equality>{given}</equality>"))
-        assert read(m.save(tmp_path / "m.toml")) == m
+        m = read_mechanism(mjcf(bodies, more=f"{TENDONS}<equality>{given}</equality>"))
+        assert read_mechanism(m.save(tmp_path / "m.toml")) == m
 
 
 def test_range_of_a_fixed_tendon_is_an_inequality(at_once):
     tendons = TENDONS.replace('name="t"', 'name="t" range="-0.1 0.2"')
-    system = read(mjcf(ARM, more=tendons)).build()
+    system = read_mechanism(mjcf(ARM, more=tendons)).build()
     held = system.mechanism.constraints["t"]
     assert held.kind == "inequality" and held.bounds(3) == 2
     answer = system.assemble(start=[1.0, 0.0, 0.0])
@@ -386,7 +386,7 @@ def test_names_of_any_kind_stand_in_equations(at_once):
         more="<equality><joint joint1='sin' joint2='left/finger joint.1' polycoef='0 1 1 0 0'/>"
         "</equality>",
     )
-    system = read(text).build()
+    system = read_mechanism(text).build()
     values = system.assemble(start=system.random(0)).q
     by = dict(zip(system.coordinate_names, values, strict=True))
     x = by["left/finger joint.1"]
@@ -410,7 +410,7 @@ def test_geoms_are_shapes(at_once):
         '<mesh name="inline" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/></asset>',
         compiler='<compiler meshdir="meshes"/>',
     )
-    m = read(text)
+    m = read_mechanism(text)
     shapes = {shape.name: shape for shape in m.ground.shapes}
     assert {name: str(shape.geometry) for name, shape in shapes.items()} == {
         "s": "sphere of radius 0.1 m",
@@ -457,7 +457,7 @@ def test_keyframes_are_postures(at_once):
         '<keyframe><key name="home" qpos="1 2 3 0.6 0.8 0 0 0.1 0.1 0.3"/>'
         '<key qpos="0 0 0 1 0 0 0 0 0 0"/></keyframe>',
     )
-    m = read(text)
+    m = read_mechanism(text)
     assert list(m.postures) == ["qpos0", "home", "key1"]
     system = m.build()
     np.testing.assert_allclose(
@@ -501,7 +501,7 @@ LEFT_OUT = {
 
 @pytest.mark.parametrize(("bodies", "more", "note"), LEFT_OUT.values(), ids=list(LEFT_OUT))
 def test_what_is_left_out_is_noted_by_name(bodies: str, more: str, note: str, at_once):
-    m = read(mjcf(bodies, more=more))
+    m = read_mechanism(mjcf(bodies, more=more))
     assert any(note in n for n in m.notes), m.notes
     assert not m.constraints and m.build()
 
@@ -545,7 +545,7 @@ def test_includes_and_attached_models(tmp_path: Path):
         "</worldbody></mujocoinclude>",
         **{"..__common": '<x><site name="tip" pos="1 2 3"/></x>'},
     )
-    m = read(path)
+    m = read_mechanism(path)
     (tmp_path / "robots" / "one" / "parts" / "x.stl").write_bytes(TETRAHEDRON)
     poses_are_equal(m.build(), path)
     assert m.bodies["sub root"].shapes[1].geometry == Mesh("parts/x.stl", (1.0, 1.0, 1.0))
@@ -557,7 +557,7 @@ def test_includes_and_attached_models(tmp_path: Path):
 
 def refused(path: Path | str) -> str:
     with pytest.raises(DescriptionError) as caught:
-        read(path)
+        read_mechanism(path)
     return str(caught.value)
 
 
@@ -620,17 +620,18 @@ def test_assets_are_never_read(tmp_path: Path):
         '<texture name="t" type="2d" file="/etc/shadow"/><texture type="skybox" file="no.png"/>'
         '<material name="t" texture="t"/><skin name="s" file="no.skn"/></asset>',
     )
-    assert read(text).build().coordinate_names == ("h",)
+    assert read_mechanism(text).build().coordinate_names == ("h",)
 
 
 def test_endings_and_contents(tmp_path: Path):
     for name in ("m.xml", "m.mjcf", "m.urdf", "m"):
         (tmp_path / name).write_text(TREES["a chain"])
     assert all(
-        list(read(tmp_path / n).joints) == ["h", "s", "c_fixed"] for n in ("m.xml", "m.mjcf")
+        list(read_mechanism(tmp_path / n).joints) == ["h", "s", "c_fixed"]
+        for n in ("m.xml", "m.mjcf")
     )
-    assert list(read(tmp_path / "m").joints) == ["h", "s", "c_fixed"]
-    assert list(read(TREES["a chain"].encode("utf-16"), format="mjcf").joints)
+    assert list(read_mechanism(tmp_path / "m").joints) == ["h", "s", "c_fixed"]
+    assert list(read_mechanism(TREES["a chain"].encode("utf-16"), format="mjcf").joints)
 
 
 def test_without_mujoco_the_extra_is_named(monkeypatch):
@@ -641,7 +642,7 @@ def test_without_mujoco_the_extra_is_named(monkeypatch):
 
     monkeypatch.setattr(importlib.util, "find_spec", none)
     with pytest.raises(MissingExtraError, match=r"'mujoco' \(extra kempe\[mjcf\]\)"):
-        read(TREES["a chain"])
+        read_mechanism(TREES["a chain"])
 
 
 def test_a_compiler_without_end_is_stopped(monkeypatch):
@@ -673,7 +674,7 @@ def test_damaged_files_never_crash():
         at = rng.randrange(len(text))
         text = text[:at] + rng.choice(marks) + text[at + rng.choice([0, 1, 3]) :]
         try:
-            read(text, format="mjcf").build()
+            read_mechanism(text, format="mjcf").build()
             loaded += 1
         except KempeError as error:
             assert str(error)

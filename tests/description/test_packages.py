@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from kempe.description.packages import Folders, folders_around
+from kempe.description.packages import Folders, list_folders_around
 from kempe.errors import InputError
 
 NAMED = "<package><!-- <name>other</name> --><name> {} </name></package>"
@@ -88,13 +88,13 @@ def test_without_roots():
 def test_packages_above_the_file(tmp_path):
     made(tmp_path, "ws/arm/urdf/x.urdf", "ws/arm/meshes/a.stl", "ws/hand/meshes/b.stl", "c.stl")
     urdf = tmp_path / "ws/arm/urdf"
-    assert folders_around(urdf) == [urdf, urdf.parent]
+    assert list_folders_around(urdf) == [urdf, urdf.parent]
     assert found("package://arm/meshes/a.stl", urdf).name == "a.stl"
     assert found("../meshes/a.stl", urdf).name == "a.stl"
     with pytest.raises(InputError, match="leads out"):
         found("../../hand/meshes/b.stl", urdf)
     made(tmp_path, "ws/arm/package.xml=left_arm", "ws/hand/package.xml=left_hand")
-    assert folders_around(urdf) == [urdf, tmp_path / "ws/arm", tmp_path / "ws"]
+    assert list_folders_around(urdf) == [urdf, tmp_path / "ws/arm", tmp_path / "ws"]
     for path in (
         "package://arm/meshes/a.stl",
         "package://left_arm/meshes/a.stl",
@@ -110,8 +110,8 @@ def test_packages_above_the_file(tmp_path):
 def test_a_home_folder_is_no_package(tmp_path, monkeypatch):
     home = made(tmp_path, "home/u/package.xml=u", "home/u/d/x.urdf") / "home/u"
     monkeypatch.setenv("HOME", str(home))
-    assert folders_around(home) == []
-    assert folders_around(home / "d") == [home / "d"]
+    assert list_folders_around(home) == []
+    assert list_folders_around(home / "d") == [home / "d"]
     assert "u" not in Folders([home / "d"]).packages
 
 

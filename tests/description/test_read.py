@@ -17,54 +17,54 @@ from bad_file_cases import SHOULDER, TOML_CASES, URDF_CASES, WRIST, joint, robot
 from robots import urdf_files
 
 from kempe import library
-from kempe.description.formats import OTHER_KINDS, other_kind
-from kempe.description.read import check, read
+from kempe.description.formats import OTHER_KINDS, find_other_kind
+from kempe.description.read import check_description, read_mechanism
 from kempe.description.toml_writer import write_toml
 from kempe.errors import DescriptionError, InputError
 from kempe.library import names as library_models
 
 URDF = robot(SHOULDER, WRIST)
-TOML = write_toml(read(URDF))
+TOML = write_toml(read_mechanism(URDF))
 
 
 @pytest.mark.parametrize("text", [URDF, TOML], ids=["urdf", "toml"])
 @pytest.mark.parametrize("suffix", [".right", ".txt", ""])
 def test_text_bytes_and_files(text: str, suffix: str, tmp_path: Path):
-    expected = read(URDF)
+    expected = read_mechanism(URDF)
     right = ".urdf" if text == URDF else ".toml"
     path = tmp_path / f"model{suffix.replace('.right', right)}"
     path.write_text(text, encoding="utf-16" if text == URDF else "utf-8")
     for source in (text, text.encode(), "\n" + text if text == TOML else text, path, str(path)):
-        assert read(source) == expected
-    assert read(path, format=right[1:]) == expected
-    assert read(path, package_dirs=["/meshes"]).roots == (str(tmp_path), "/meshes")
-    assert read(text).roots == ()
+        assert read_mechanism(source) == expected
+    assert read_mechanism(path, format=right[1:]) == expected
+    assert read_mechanism(path, package_dirs=["/meshes"]).roots == (str(tmp_path), "/meshes")
+    assert read_mechanism(text).roots == ()
 
 
 def test_options_of_urdf_reach_the_reader():
-    assert read(URDF, base="free").ground.name == "world"
+    assert read_mechanism(URDF, base="free").ground.name == "world"
     with pytest.raises(InputError, match="the option 'base' is for URDF or SDF, and this is TOML"):
-        read(TOML, base="free")
+        read_mechanism(TOML, base="free")
     with pytest.raises(InputError, match="format is 'usd'; it must be 'urdf', 'toml'"):
-        read(URDF, format="usd")
+        read_mechanism(URDF, format="usd")
     with pytest.raises(InputError, match="it must be a path, text or bytes"):
-        read(5)  # type: ignore[arg-type]
+        read_mechanism(5)  # type: ignore[arg-type]
 
 
 def test_models_of_the_library():
     for name in library_models():
-        assert read(name).build().nq >= 0
+        assert read_mechanism(name).build().nq >= 0
     if library_models():
         name = library_models()[0]
         with pytest.raises(DescriptionError, match=f"did you mean .*{name!r}"):
-            read(name + "x")
+            read_mechanism(name + "x")
 
 
 def test_a_file_goes_before_a_model_of_the_library(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("kempe.description.read.library_models", lambda: ("arm",))
     Path("arm").write_text(URDF)
-    assert read("arm").name == "r"
+    assert read_mechanism("arm").name == "r"
 
 
 @pytest.mark.parametrize(
@@ -92,7 +92,7 @@ def test_files_that_are_not_there(source: str, words: str, tmp_path, monkeypatch
     if source.endswith(".xacro"):
         Path(source).write_text(URDF)
     with pytest.raises((DescriptionError, InputError), match=words):
-        read(source)
+        read_mechanism(source)
 
 
 @pytest.mark.skipif(
@@ -103,25 +103,25 @@ def test_files_without_permission(tmp_path):
     path.write_text(URDF)
     path.chmod(0)
     with pytest.raises(DescriptionError, match="cannot be read: Permission denied"):
-        read(path)
+        read_mechanism(path)
 
 
 @pytest.mark.skipif(not Path("/dev/zero").exists(), reason="needs /dev/zero")
 def test_endless_files():
     with pytest.raises(DescriptionError, match="this is a device"):
-        read("/dev/zero")
+        read_mechanism("/dev/zero")
 
 
 def test_check_collects_what_reading_and_building_find(tmp_path):
-    good = check(robot(joint("j", ""), WRIST))
+    good = check_description(robot(joint("j", ""), WRIST))
     assert good.problems == () and len(good.notes) == 1
-    bad = check(URDF.replace('"arm"/>', '"amr"/>', 1))
+    bad = check_description(URDF.replace('"arm"/>', '"amr"/>', 1))
     assert [p.where.line for p in bad.problems if p.where] == [5, 6] and bad.notes == ()
-    (problem,) = check("format = 1\n[[body]]\nname = 'lost'\n").problems
+    (problem,) = check_description("format = 1\n[[body]]\nname = 'lost'\n").problems
     assert problem.where is not None and problem.where.line == 2
-    (problem,) = check(tmp_path / "nothing.urdf").problems
+    (problem,) = check_description(tmp_path / "nothing.urdf").problems
     assert "no such file" in problem.message
-    (problem,) = check(URDF, root="x").problems
+    (problem,) = check_description(URDF, root="x").problems
     assert "no link 'x'" in problem.message
 
 
@@ -251,7 +251,7 @@ def test_a_file_of_another_kind_is_named(what: str, advice: str, data: bytes, tm
         sources = [s for s in sources if not str(s[0]).endswith(".toml") and s[2] != "toml"]
     for place, source, format in sources:
         with pytest.raises(DescriptionError) as caught:
-            read(source, format=format)  # type: ignore[arg-type]
+            read_mechanism(source, format=format)  # type: ignore[arg-type]
         (problem,) = caught.value.problems
         assert problem.message.startswith("this is a") and what in problem.message, (
             source,
@@ -263,7 +263,7 @@ def test_a_file_of_another_kind_is_named(what: str, advice: str, data: bytes, tm
 
 
 def test_each_other_kind_has_an_example():
-    kinds = {kind.what for _, _, data in OTHERS if (kind := other_kind(data))}
+    kinds = {kind.what for _, _, data in OTHERS if (kind := find_other_kind(data))}
     assert kinds == {kind.what for kind in OTHER_KINDS}
 
 
@@ -282,7 +282,7 @@ def test_meshes_that_trimesh_writes_are_named(name: str, what: str):
     if name == "dae":
         pytest.importorskip("collada")
     made = scene(name) if name != "gltf" else scene("glb")[20:].lstrip()
-    kind = other_kind(made)
+    kind = find_other_kind(made)
     assert kind is not None and what in kind.what
 
 
@@ -295,7 +295,7 @@ def test_no_valid_file_is_taken_for_another_kind(hunt):
     texts += [path.read_text(encoding="utf-8", errors="replace") for path in urdf_files().values()]
     texts += [case.text for case in (*URDF_CASES, *TOML_CASES) if case.says is None]
     for text in texts:
-        assert other_kind(text) is None and other_kind(text.encode()) is None
+        assert find_other_kind(text) is None and find_other_kind(text.encode()) is None
     words = [
         data.decode("latin-1").replace("\0", "").replace("--", "").strip() for _, _, data in OTHERS
     ]
@@ -308,8 +308,11 @@ def test_no_valid_file_is_taken_for_another_kind(hunt):
             comment = f"# {word}\n"
         changed = rng.choice(["", "\n", " \r\n\t"]) + comment + text
         encoding = str(rng.choice(["utf-8", "utf-8-sig", "utf-16"]))
-        assert other_kind(changed) is None, changed[:200]
-        assert other_kind(changed.encode(encoding, "replace")) is None, (encoding, changed[:200])
+        assert find_other_kind(changed) is None, changed[:200]
+        assert find_other_kind(changed.encode(encoding, "replace")) is None, (
+            encoding,
+            changed[:200],
+        )
 
 
 @pytest.mark.parametrize("text", ["<sdf version='1.9'/>", "<mjcf/>"])
@@ -327,12 +330,12 @@ def test_a_message_names_the_path_once(text: str, tmp_path: Path, monkeypatch: p
         "folder",
     ):
         for given in ({}, {"xacro": False}):
-            (problem,) = check(source, **given).problems
+            (problem,) = check_description(source, **given).problems
             assert (
                 str(problem).count("m.xml") == (source != "folder")
                 and str(problem).count("folder") < 3
             ), str(problem)
-    (problem,) = check(text).problems
+    (problem,) = check_description(text).problems
     assert str(problem).count("<text>") == 1
 
 
@@ -341,16 +344,16 @@ def test_files_of_the_home_folder(tmp_path, monkeypatch):
     (tmp_path / "m.urdf").write_text(URDF)
     (tmp_path / "models").mkdir()
     for source in ("~/m.urdf", Path("~/m.urdf")):
-        m = read(source, package_dirs=["~/models"])
-        assert m == read(tmp_path / "m.urdf") and m.roots == (
+        m = read_mechanism(source, package_dirs=["~/models"])
+        assert m == read_mechanism(tmp_path / "m.urdf") and m.roots == (
             str(tmp_path),
             str(tmp_path / "models"),
         )
-    assert check("~/m.urdf").problems == ()
+    assert check_description("~/m.urdf").problems == ()
     with pytest.raises(DescriptionError, match=f"{tmp_path}/no.urdf: there is no such file"):
-        read("~/no.urdf")
+        read_mechanism("~/no.urdf")
     with pytest.raises(DescriptionError, match="there is no"):
-        read("~nobody-of-this-name/m.urdf")
+        read_mechanism("~nobody-of-this-name/m.urdf")
 
 
 @pytest.mark.parametrize(
@@ -371,12 +374,12 @@ def test_files_of_the_home_folder(tmp_path, monkeypatch):
 )
 def test_a_url_is_called_one(source, words: str):
     with pytest.raises(InputError, match=words):
-        read(source)
-    assert "is a URL" in str(check(source).problems[0])
+        read_mechanism(source)
+    assert "is a URL" in str(check_description(source).problems[0])
     with pytest.raises(InputError, match="is a URL"):
-        read("m.urdf", package_dirs=[source])
+        read_mechanism("m.urdf", package_dirs=[source])
 
 
 def test_lenient_limits_are_for_urdf():
     with pytest.raises(InputError, match="the option 'lenient_limits' is for URDF"):
-        read(TOML, lenient_limits=True)
+        read_mechanism(TOML, lenient_limits=True)

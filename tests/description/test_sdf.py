@@ -17,7 +17,7 @@ import kempe
 from kempe import spatial
 from kempe.description.formats import SDF
 from kempe.description.mechanism import Mechanism
-from kempe.description.read import read
+from kempe.description.read import read_mechanism
 from kempe.description.sdf_reader import read_sdf
 from kempe.description.sdf_scopes import DEEPEST
 from kempe.description.shapes import SHAPES
@@ -63,7 +63,7 @@ def coordinates(kind: str, name: str, values: list[float]) -> dict[str, float]:
 def test_poses_are_those_of_drake(case: str, tmp_path: Path):
     found = DRAKE[case]
     path = write(FILES[case], tmp_path)
-    m = read(path)
+    m = read_mechanism(path)
     whole = m.copy()
     for name in found["loops"]:
         del m.joints[own_name(name, m.joints, case)]
@@ -409,7 +409,7 @@ def test_meshes_of_included_models_are_found(tmp_path: Path):
         "robot/model.sdf": robot,
     }
     write(files, tmp_path)
-    m = read(tmp_path / "world" / "main.sdf")
+    m = read_mechanism(tmp_path / "world" / "main.sdf")
     geometry: Any = m.bodies["robot::x"].shapes[0].geometry
     assert (tmp_path / "world" / geometry.path).resolve() == tmp_path / "robot/meshes/a.stl"
 
@@ -423,11 +423,11 @@ def test_included_files_are_found_in_folders_only(tmp_path: Path, monkeypatch: p
     write({"main.sdf": world("<include><uri>model://arm</uri></include>")}, home)
     write({"arm/model.config": CONFIG, "arm/model.sdf": ARM, "arm/old.sdf": "<sdf/>"}, other)
     with pytest.raises(DescriptionError, match="'model://arm': there is no such model; looked in"):
-        read(home / "main.sdf")
+        read_mechanism(home / "main.sdf")
     for given in (other, other / "arm"):
-        assert "arm::tip" in read(home / "main.sdf", package_dirs=[given]).bodies
+        assert "arm::tip" in read_mechanism(home / "main.sdf", package_dirs=[given]).bodies
     monkeypatch.setenv("GZ_SIM_RESOURCE_PATH", f"/no/folder{os.pathsep}{other}")
-    assert "arm::tip" in read(home / "main.sdf").bodies
+    assert "arm::tip" in read_mechanism(home / "main.sdf").bodies
 
 
 @pytest.mark.parametrize(
@@ -460,14 +460,14 @@ def test_what_includes_may_not_name(uri: str, said: str, tmp_path: Path):
     write({"arm/model.config": CONFIG, "arm/model.sdf": ARM}, tmp_path / "b" / "models")
     (home / "link").symlink_to(tmp_path / "b" / "models" / "arm")
     with pytest.raises(DescriptionError, match=said):
-        read(home / "main.sdf")
+        read_mechanism(home / "main.sdf")
 
 
 def test_includes_that_never_end(tmp_path: Path):
     again = "<include><uri>main.sdf</uri><name>{}</name></include>"
     path = write({"main.sdf": model(again.format("x") + again.format("y"))}, tmp_path)
     with pytest.raises(DescriptionError, match=f"nested more than {DEEPEST} deep"):
-        read(path)
+        read_mechanism(path)
 
 
 def test_includes_that_grow_without_bound(tmp_path: Path):
@@ -482,7 +482,7 @@ def test_includes_that_grow_without_bound(tmp_path: Path):
     files |= {"f12.sdf": model(link("a")), "main.sdf": files["f0.sdf"]}
     path = write(files, tmp_path)
     with pytest.raises(DescriptionError, match="more than 10000 models are included"):
-        read(path)
+        read_mechanism(path)
 
 
 def test_lights_are_passed_over(tmp_path: Path):
@@ -490,7 +490,7 @@ def test_lights_are_passed_over(tmp_path: Path):
         "main.sdf": world(f'<include><uri>sun</uri></include><model name="m">{link("a")}</model>'),
         "sun/model.sdf": sdf('<light name="sun" type="directional"/>'),
     }
-    assert list(read(write(files, tmp_path)).bodies) == ["world", "m::a"]
+    assert list(read_mechanism(write(files, tmp_path)).bodies) == ["world", "m::a"]
 
 
 # ---- the row of the table

@@ -13,7 +13,7 @@ from sdf_files import write as write_files
 
 import kempe
 from kempe.description.mechanism import Mechanism
-from kempe.description.read import read
+from kempe.description.read import read_mechanism
 from kempe.description.sdf_reader import read_sdf
 from kempe.description.sdf_writer import write_sdf
 from kempe.errors import DescriptionError
@@ -120,7 +120,7 @@ def test_loops_that_zero_closes():
 
 def test_files_of_gazebo_come_back(tmp_path: Path):
     for case in ("frames", "version_1_4", "types", "loop"):
-        comes_back(read(write_files(FILES[case], tmp_path)))
+        comes_back(read_mechanism(write_files(FILES[case], tmp_path)))
 
 
 def test_all_that_cannot_be_said_is_listed(tmp_path: Path):
@@ -137,7 +137,7 @@ def test_all_that_cannot_be_said_is_listed(tmp_path: Path):
 
 @pytest.mark.parametrize("path", list(good_urdf_files().values())[:12])
 def test_robots_come_back(path: Path):
-    m = read(path)
+    m = read_mechanism(path)
     try:
         text = write_sdf(m)
     except DescriptionError as error:

@@ -12,7 +12,7 @@ from robots import urdf_files
 
 import kempe
 from kempe.description import srdf as srdf_module
-from kempe.description.read import check, read
+from kempe.description.read import check_description, read_mechanism
 from kempe.description.toml_writer import write_toml
 from kempe.errors import DescriptionError, InputError, UnknownNameError
 
@@ -118,14 +118,14 @@ def test_groups_without_a_system():
         robot.group("lft")
     with pytest.raises(DescriptionError, match="it follows fa, outside the chain"):
         robot.group("fingers")
-    m = read(URDF)
+    m = read_mechanism(URDF)
     m.group("none", [])
     with pytest.raises(InputError, match="group 'none' has no joints"):
         m.build().group("none")
 
 
 def test_groups_of_the_builder():
-    m = read(URDF)
+    m = read_mechanism(URDF)
     m.group("arm", ["la", "lb", "la"])
     assert m.groups == {"arm": ("la", "lb")}
     with pytest.raises(InputError, match="group 'arm' exists already"):
@@ -137,7 +137,7 @@ def test_groups_of_the_builder():
     with pytest.raises(DescriptionError, match="no body 'l'"):
         m.ignore_pair("l1", "l")
     m.ignore_pair("l2", "l1", "Never")
-    assert m != read(URDF) and m.copy() == m
+    assert m != read_mechanism(URDF) and m.copy() == m
     m.copy().group("new", ["la"])
     assert "new" not in m.groups
     host = kempe.Mechanism("host")
@@ -149,9 +149,9 @@ def test_groups_of_the_builder():
 
 
 def test_groups_and_pairs_in_toml():
-    m = read(URDF, srdf=SRDF)
+    m = read_mechanism(URDF, srdf=SRDF)
     text = write_toml(m)
-    assert read(text) == m
+    assert read_mechanism(text) == m
     for old, new, words in (
         (
             'left = ["la", "lb", "flange"]',
@@ -165,7 +165,7 @@ def test_groups_and_pairs_in_toml():
     ):
         assert old in text
         with pytest.raises(DescriptionError, match=words):
-            read(text.replace(old, new))
+            read_mechanism(text.replace(old, new))
 
 
 def test_default_collisions():
@@ -173,7 +173,7 @@ def test_default_collisions():
         '<disable_default_collisions link="tool"/><enable_collisions link1="tool" link2="r1"/>'
         '<disable_collisions link1="tool" link2="l1" reason="Never"/></robot>'
     )
-    pairs = read(URDF, srdf=SRDF.replace("</robot>", more)).ignored_pairs
+    pairs = read_mechanism(URDF, srdf=SRDF.replace("</robot>", more)).ignored_pairs
     others = ("base", "torso", "l1", "l2", "r2", "f1", "f2")
     assert {frozenset(pair) for pair in pairs if "tool" in pair} == {
         frozenset((name, "tool")) for name in others
@@ -184,11 +184,11 @@ def test_default_collisions():
 def test_hostile_groups(monkeypatch):
     monkeypatch.setattr(srdf_module, "MOST", 18)
     with pytest.raises(DescriptionError, match="the groups hold more than 18 joints") as caught:
-        read(URDF, srdf=SRDF.replace('<joint name="waist"/>', '<group name="both"/>'))
+        read_mechanism(URDF, srdf=SRDF.replace('<joint name="waist"/>', '<group name="both"/>'))
     assert len(caught.value.problems) < 20
     more = "".join(f'<disable_default_collisions link="{name}"/>' for name in ("l1", "l2", "r1"))
     with pytest.raises(DescriptionError, match="it disables more than 18 pairs"):
-        read(URDF, srdf=f'<robot name="two arms">{more}</robot>')
+        read_mechanism(URDF, srdf=f'<robot name="two arms">{more}</robot>')
 
 
 # ---- bases
@@ -265,7 +265,7 @@ def test_values_of_a_free_base():
 )
 def test_what_is_noted(old: str, new: str, note: str):
     assert old in SRDF
-    notes = read(URDF, srdf=SRDF.replace(old, new, 1)).notes
+    notes = read_mechanism(URDF, srdf=SRDF.replace(old, new, 1)).notes
     assert note in "\n".join(notes) and notes[0].startswith("<srdf>:")
 
 
@@ -303,13 +303,13 @@ def test_what_is_refused(old: str, new: str, words: str, tmp_path: Path):
     with pytest.raises(DescriptionError) as caught:
         kempe.load(URDF, srdf=path)
     assert words in str(caught.value) and str(caught.value).startswith(f"{path}:")
-    assert check(URDF, srdf=path).problems == caught.value.problems
+    assert check_description(URDF, srdf=path).problems == caught.value.problems
 
 
 def test_all_problems_are_named_at_once():
     text = SRDF.replace('name="ra"', 'name="rx"').replace('parent_link="tool"', 'parent_link="x"')
     with pytest.raises(DescriptionError) as caught:
-        read(URDF, srdf=text.replace('link name="r2"', 'link name="r3"'))
+        read_mechanism(URDF, srdf=text.replace('link name="r2"', 'link name="r3"'))
     assert [p.where.line for p in caught.value.problems if p.where] == [4, 4, 12]
 
 

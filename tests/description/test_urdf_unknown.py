@@ -15,7 +15,7 @@ from bad_file_cases import LIMIT, LINKS, joint, mimic, robot
 from robots import good_urdf_files
 
 from kempe.description.mechanism import Mechanism
-from kempe.description.urdf_elements import MOTION, check_known
+from kempe.description.urdf_elements import MOTION, check_known_name
 from kempe.description.urdf_reader import read_urdf
 from kempe.errors import DescriptionError
 
@@ -375,5 +375,7 @@ def test_the_check_of_names_takes_long_names():
     from kempe.description.xml import parse_xml
 
     findings = Findings()
-    check_known("element", "x" * 5000, ("link",), findings, "", parse_xml(f"<{'x' * 5000}/>", "t"))
+    check_known_name(
+        "element", "x" * 5000, ("link",), findings, "", parse_xml(f"<{'x' * 5000}/>", "t")
+    )
     assert len(findings.notes[0]) < 200

@@ -11,7 +11,7 @@ from bad_file_cases import LIMIT, joint
 
 import kempe
 from kempe.description import xacro as xacro_module
-from kempe.description.read import check, read
+from kempe.description.read import check_description, read_mechanism
 from kempe.description.xacro import expand_xacro
 from kempe.errors import DescriptionError, InputError, MissingExtraError, UnknownNameError
 
@@ -39,13 +39,13 @@ def test_xacro_is_expanded_on_request(tmp_path):
             + joint("j", '<origin xyz="${2*l} 0 0"/>' + LIMIT, parent="a", child="leg1")
         )
     )
-    m = read(path, xacro=True)
+    m = read_mechanism(path, xacro=True)
     assert m.joints["j"].X_PF.steps[0] == ("x", (0.5,)) and m.roots == (str(tmp_path),)
     assert m.joints["j"].where is not None and m.joints["j"].where.file.endswith(
         "m.urdf.xacro (expanded)"
     )
     with pytest.raises(InputError, match="from a file, not from text"):
-        read(path.read_text(), xacro=True)
+        read_mechanism(path.read_text(), xacro=True)
 
 
 LEG = '<xacro:macro name="leg" params="n"><link name="leg${n}"/></xacro:macro>'
@@ -139,7 +139,7 @@ def test_arguments_given_to_load(arm):
     system = kempe.load(arm, xacro=given)
     assert system.body_names == ("base", "fore", "hand")
     assert np.allclose(system.fk(system.neutral, "hand")[:3, 3], [0.25, 0, 0], atol=1e-15)
-    assert check(arm, xacro=given) == ((), ())
+    assert check_description(arm, xacro=given) == ((), ())
     assert kempe.load(arm, xacro={**given, "hand": np.False_}).body_names == ("base", "fore")
 
 
@@ -188,9 +188,9 @@ def test_arguments_given_to_load(arm):
 )
 def test_arguments_that_xacro_cannot_use(given, error, words: str, arm):
     with pytest.raises(error, match=re.escape(words)):
-        read(arm, xacro=given)
+        read_mechanism(arm, xacro=given)
     if error is DescriptionError:
-        (problem,) = check(arm, xacro=given).problems
+        (problem,) = check_description(arm, xacro=given).problems
         assert problem.where and problem.where.file == str(arm)
 
 

@@ -23,7 +23,7 @@ from kempe.status import Status
 
 def text(answer) -> str:
     file = io.StringIO()
-    report.show(answer, file=file)
+    report.print_answer(answer, file=file)
     return file.getvalue()
 
 

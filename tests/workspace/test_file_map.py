@@ -938,7 +938,7 @@ def test_damaged_npy_files_are_refused_in_words(tmp_path, hunt, read):
             if read == "map":
                 row_sources.open_rows(file).read(0, 1)
             else:
-                table_files.read(file)
+                table_files.read_table(file)
         except KempeError as error:
             refused.append(str(error))
     assert refused and all(str(file) in words for words in refused)

@@ -10,7 +10,7 @@ from command import Result
 import kempe
 from kempe import Budget
 from kempe.arguments import call_until_interrupt
-from kempe.cli.terminal import leave
+from kempe.cli.terminal import end_incomplete_command
 from kempe.workspace import base_placement
 
 
@@ -65,7 +65,7 @@ def test_what_was_interrupted_ends_with_the_code_of_ctrl_c(ask):
     )
     assert "interrupted" in str(answer) or len(answer.codes) == 1
     with pytest.raises(typer.Exit) as end:
-        leave(answer)
+        end_incomplete_command(answer)
     assert end.value.exit_code == 130
 
 

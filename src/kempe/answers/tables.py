@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from kempe import spatial
-from kempe.description.source import expanded, no_file
+from kempe.description.source import describe_special_file, expand_path
 from kempe.errors import InputError
 from kempe.spatial import Array
 from kempe.words import ByName, format_count, join_first_words
@@ -60,7 +60,7 @@ def write_table(
     Errors: `InputError`.
     """
     path = table_file(path)
-    if what := no_file(path):
+    if what := describe_special_file(path):
         raise InputError(f"{path}: this is {what}; name a plain file")
     try:
         if path.suffix.lower() == ".npy":
@@ -79,7 +79,7 @@ def table_file(path: str | Path) -> Path:
     """The path of a file of numbers. Errors: `InputError` where its ending is neither .csv nor
     .npy.
     """
-    path = expanded(path)
+    path = expand_path(path)
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(f"{path}: results are written to {' or '.join(SUFFIXES)} files")
     return path

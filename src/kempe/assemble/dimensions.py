@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.description.mechanism import unused_name
+from kempe.description.mechanism import choose_unused_name
 from kempe.equations.closure_rows import evaluate, full
 from kempe.joints import Fixed, Revolute
 from kempe.model.characteristic_length import (
@@ -144,7 +144,7 @@ class Dimensions:
         for k, ((table, name, side), motions) in enumerate(self.places.items()):
             parts = getattr(m, table)
             end = "parent" if side == "X_PF" else "child"
-            here = m.body(unused_name(m, f"{ADDED}{k}"))
+            here = m.body(choose_unused_name(m, f"{ADDED}{k}"))
             turned = TO_Z.get(motions[-1], Placement()) if m.dim == 2 else Placement()
             joint = m.free(here.name, self.find_body(table, name, side), here, angles=True)
             m.joints[joint.name] = replace(joint, X_PF=getattr(parts[name], side) @ turned)

@@ -21,7 +21,7 @@ from kempe.assemble.bound import get_assembler_as_given
 from kempe.assemble.dimensions import Dimensions, Place, Relations, simplify_angles
 from kempe.assemble.fit import DAMPING, ENOUGH, Fit, Valley, closes_along_valley, fit_whole_motion
 from kempe.budget import Budget, TimeUp, Usual, list_checks
-from kempe.description.mechanism import components, unused_name
+from kempe.description.mechanism import choose_unused_name, number_components
 from kempe.description.parts import Declared, Joint
 from kempe.equations.closure_rows import evaluate, freedoms_left, full, residual, row_names
 from kempe.equations.slip import rolls
@@ -418,12 +418,12 @@ def _make_part(system: Model, joints: set[str], constraints: Collection[str]) ->
     ends = [(j.parent, j.child) for j in m.joints.values()]
     bodies = {m.ground.name}.union(*ends)
     m.bodies = {name: b for name, b in m.bodies.items() if name in bodies}
-    of_body = components(m.bodies, ends)
+    of_body = number_components(m.bodies, ends)
     held = {of_body[m.ground.name]}
     for body, number in of_body.items():
         if number not in held and not m.bodies[body].particle:
             held.add(number)
-            m.fixed(unused_name(m, HELD), m.ground, body)
+            m.fixed(choose_unused_name(m, HELD), m.ground, body)
     return type(system)(m)
 
 

@@ -47,11 +47,11 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-    _bound_width()
+    _limit_columns()
     app(prog_name="kempe")
 
 
-def _bound_width() -> None:
+def _limit_columns() -> None:
     """Let COLUMNS, by which help and tables are made, be a width that can be read and held in
     memory.
     """

@@ -25,14 +25,14 @@ from kempe.cli.terminal import (
     COMPLETE,
     Commands,
     UsageError,
-    guarded,
-    leave,
+    end_incomplete_command,
+    print_answer,
     print_json,
-    refuse,
-    show,
+    refuse_question,
+    report_errors,
 )
-from kempe.description.formats import named, read_by
-from kempe.description.source import expanded, no_file
+from kempe.description.formats import join_titles, list_readable_formats
+from kempe.description.source import describe_special_file, expand_path
 from kempe.errors import InputError, KernelsError
 from kempe.version import __version__
 
@@ -45,13 +45,13 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
     context_settings={"help_option_names": ["-h", "--help"]},
-    epilog=f"FILE is a file in {named(read_by())}, or the name of a shipped model. "
+    epilog=f"FILE is a file in {join_titles(list_readable_formats())}, or the name of a shipped model. "
     "Exit codes: 0 complete, 1 no solution, problems or a time limit, 2 wrong usage or unreadable "
     "file, 130 Ctrl-C.",
 )
 
 
-def option(flags: str, help: str, metavar: str | None = None, panel: str | None = None) -> Any:
+def make_option(flags: str, help: str, metavar: str | None = None, panel: str | None = None) -> Any:
     """An option of a command, without `metavar` a switch that takes no value."""
     return typer.Option(*flags.split(","), help=help, metavar=metavar or "", rich_help_panel=panel)
 
@@ -66,89 +66,109 @@ MODELS = "Models"
 
 TimeLimit = Annotated[
     float | None,
-    option("--time-limit", "Seconds after which it ends with what was done.", "SECONDS"),
+    make_option("--time-limit", "Seconds after which it ends with what was done.", "SECONDS"),
 ]
 
-Threads = Annotated[int | None, option("--threads", "Threads; all processors if not given.", "N")]
+Threads = Annotated[
+    int | None, make_option("--threads", "Threads; all processors if not given.", "N")
+]
 Scheduler = Annotated[
-    str | None, option("--scheduler", "Address of the scheduler of a Dask cluster.", "ADDRESS")
+    str | None, make_option("--scheduler", "Address of the scheduler of a Dask cluster.", "ADDRESS")
 ]
 
 _READ = "How FILE is read"
 File = Annotated[
     str,
-    typer.Argument(metavar="FILE", help=f"File in {named(read_by())}, or a shipped model's name."),
+    typer.Argument(
+        metavar="FILE",
+        help=f"File in {join_titles(list_readable_formats())}, or a shipped model's name.",
+    ),
 ]
-Json = Annotated[bool, option("--json", "Print JSON.")]
-Deg = Annotated[bool, option("--deg", "Angles are degrees, read and printed; lengths stay metres.")]
+Json = Annotated[bool, make_option("--json", "Print JSON.")]
+Deg = Annotated[
+    bool, make_option("--deg", "Angles are degrees, read and printed; lengths stay metres.")
+]
 Out = Annotated[
-    Path | None, option("-o,--out", "Write the results to a .csv or .npy file.", "FILE")
+    Path | None, make_option("-o,--out", "Write the results to a .csv or .npy file.", "FILE")
 ]
-InPlace = Annotated[Path | None, option("-o,--out", "The file to write, in place of OUT.", "FILE")]
-_FREE = f"'free': what nothing ties to the ground moves freely ({named(read_by('base'))})."
-Base = Annotated[str | None, option("--base", _FREE, "free", _READ)]
+InPlace = Annotated[
+    Path | None, make_option("-o,--out", "The file to write, in place of OUT.", "FILE")
+]
+_FREE = f"'free': what nothing ties to the ground moves freely ({join_titles(list_readable_formats('base'))})."
+Base = Annotated[str | None, make_option("--base", _FREE, "free", _READ)]
 Root = Annotated[
-    str | None, option("--root", "Link to take as root where FILE leaves it open.", "LINK", _READ)
+    str | None,
+    make_option("--root", "Link to take as root where FILE leaves it open.", "LINK", _READ),
 ]
-_MODEL = f"The model to read where FILE has several ({named(read_by('model'))})."
-Model = Annotated[str | None, option("--model", _MODEL, "NAME", _READ)]
+_MODEL = (
+    f"The model to read where FILE has several ({join_titles(list_readable_formats('model'))})."
+)
+Model = Annotated[str | None, make_option("--model", _MODEL, "NAME", _READ)]
 Dirs = Annotated[
     list[Path] | None,
-    option("--package-dir", "Folder with packages or meshes; can be repeated.", "FOLDER", _READ),
+    make_option(
+        "--package-dir", "Folder with packages or meshes; can be repeated.", "FOLDER", _READ
+    ),
 ]
 Xacro = Annotated[
-    bool, option("--xacro", "Expand xacro first: a program, so only if you trust it.", None, _READ)
+    bool,
+    make_option("--xacro", "Expand xacro first: a program, so only if you trust it.", None, _READ),
 ]
 _ARGUMENT = "Value of a <xacro:arg> of FILE, which is then expanded; can be repeated."
-XacroArguments = Annotated[list[str] | None, option("--xacro-arg", _ARGUMENT, "NAME=VALUE", _READ)]
+XacroArguments = Annotated[
+    list[str] | None, make_option("--xacro-arg", _ARGUMENT, "NAME=VALUE", _READ)
+]
 _LENIENT = (
     "Limits without a range (no bounds, or swapped), and negative ones of effort, are none "
-    f"({named(read_by('lenient_limits'))})."
+    f"({join_titles(list_readable_formats('lenient_limits'))})."
 )
-Lenient = Annotated[bool, option("--lenient-limits", _LENIENT, None, _READ)]
+Lenient = Annotated[bool, make_option("--lenient-limits", _LENIENT, None, _READ)]
 _SRDF = "SRDF of the robot: groups, postures, end effectors, how the base moves."
-SrdfFile = Annotated[Path | None, option("--srdf", _SRDF, "FILE", _READ)]
+SrdfFile = Annotated[Path | None, make_option("--srdf", _SRDF, "FILE", _READ)]
 
 FrameOrAll = Annotated[
-    str | None, option("--frame", "Body or frame; all bodies if not given.", "NAME")
+    str | None, make_option("--frame", "Body or frame; all bodies if not given.", "NAME")
 ]
 Values = Annotated[
     str | None,
-    option(
+    make_option(
         "--q", "a,b,c or name=value,... or a .csv or .npy file, one configuration a row.", "VALUES"
     ),
 ]
 Posture = Annotated[
     str | None,
-    option(
+    make_option(
         "--posture", "A posture of FILE, 'neutral' or 'mid'; --q name=value changes it.", "NAME"
     ),
 ]
 _ROWS = "x,y,z,roll,pitch,yaw (fixed axes) or x,y,z; or a .csv or .npy file."
 FrameOrTasks = Annotated[
-    str | None, option("--frame", "Body or frame that shall reach the target.", "NAME")
+    str | None, make_option("--frame", "Body or frame that shall reach the target.", "NAME")
 ]
-TargetOrTasks = Annotated[str | None, option("--target", _ROWS, "VALUES")]
+TargetOrTasks = Annotated[str | None, make_option("--target", _ROWS, "VALUES")]
 PathTargets = Annotated[
     str | None,
-    option("--targets,--target", "A .csv or .npy file, a target a row, as for ik.", "FILE"),
+    make_option("--targets,--target", "A .csv or .npy file, a target a row, as for ik.", "FILE"),
 ]
 Tasks = Annotated[
     Path | None,
-    option("--tasks", "Several tasks in place of a frame and its target: a .toml file.", "FILE"),
+    make_option(
+        "--tasks", "Several tasks in place of a frame and its target: a .toml file.", "FILE"
+    ),
 ]
 Prefer = Annotated[
     str | None,
-    option("--prefer", "What tasks leave free: 'nearest', 'mid' or 'manipulability'.", "WHAT"),
+    make_option("--prefer", "What tasks leave free: 'nearest', 'mid' or 'manipulability'.", "WHAT"),
 ]
-PositionOnly = Annotated[bool, option("--position-only", "Leave the orientation free.")]
+PositionOnly = Annotated[bool, make_option("--position-only", "Leave the orientation free.")]
 Seed = Annotated[
-    str | None, option("--start,--seed", "Configuration to start from, as --q of fk.", "VALUES")
+    str | None,
+    make_option("--start,--seed", "Configuration to start from, as --q of fk.", "VALUES"),
 ]
-Rng = Annotated[int | None, option("--rng", "Number that fixes the random starts (0).", "N")]
+Rng = Annotated[int | None, make_option("--rng", "Number that fixes the random starts (0).", "N")]
 Tolerance = Annotated[
     str | None,
-    option(
+    make_option(
         "--tolerance",
         "Largest errors accepted, metres and radians (1e-6; with --all 1e-9).",
         "M[,RAD]",
@@ -156,37 +176,42 @@ Tolerance = Annotated[
 ]
 PathTolerance = Annotated[
     str | None,
-    option("--tolerance", "Largest errors accepted, metres and radians (1e-10).", "M[,RAD]"),
+    make_option("--tolerance", "Largest errors accepted, metres and radians (1e-10).", "M[,RAD]"),
 ]
 _ALL = "All solutions"
 All = Annotated[
-    bool, option("--all", "All configurations that reach the target, in closed form.", None, _ALL)
+    bool,
+    make_option("--all", "All configurations that reach the target, in closed form.", None, _ALL),
 ]
 Task = Annotated[
     str | None,
-    option(
+    make_option(
         "--task", "What counts: pose, position, orientation, direction or position_axis.", "TASK"
     ),
 ]
 Axis = Annotated[
     str | None,
-    option("--axis", "Axis of the tool for the last two tasks: z, -x or x,y,z (z).", "AXIS"),
+    make_option("--axis", "Axis of the tool for the last two tasks: z, -x or x,y,z (z).", "AXIS"),
 ]
 Hold = Annotated[
     list[str] | None,
-    option("--hold", "Hold a joint of a redundant chain; can be repeated.", "NAME=VALUE", _ALL),
+    make_option(
+        "--hold", "Hold a joint of a redundant chain; can be repeated.", "NAME=VALUE", _ALL
+    ),
 ]
-NoLimits = Annotated[bool, option("--no-limits", "Leave joint limits out.")]
+NoLimits = Annotated[bool, make_option("--no-limits", "Leave joint limits out.")]
 PICTURES = (".png", ".svg", ".pdf")
 Picture = Annotated[
-    Path | None, option("--plot", "Draw a .png, .svg or .pdf file (needs matplotlib).", "FILE")
+    Path | None, make_option("--plot", "Draw a .png, .svg or .pdf file (needs matplotlib).", "FILE")
 ]
 Film = Annotated[
-    Path | None, option("--gif,--mp4", "Write the motion as a .gif or .mp4 file.", "FILE")
+    Path | None, make_option("--gif,--mp4", "Write the motion as a .gif or .mp4 file.", "FILE")
 ]
 Page = Annotated[
     Path | None,
-    option("--html", "Write a page in which it can be turned, and moves, without network.", "FILE"),
+    make_option(
+        "--html", "Write a page in which it can be turned, and moves, without network.", "FILE"
+    ),
 ]
 
 
@@ -197,7 +222,7 @@ class Reading(dict[str, Any]):
     """The options with which `kempe.load` reads FILE, without those that were not given."""
 
 
-def _reading(
+def _make_reading(
     base: Base = None,
     root: Root = None,
     model: Model = None,
@@ -212,14 +237,14 @@ def _reading(
         "root": root,
         "model": model,
         "package_dirs": package_dir,
-        "xacro": _values(xacro_arg, "--xacro-arg") if xacro_arg else xacro,
+        "xacro": _parse_assignments(xacro_arg, "--xacro-arg") if xacro_arg else xacro,
         "lenient_limits": lenient_limits,
         "srdf": srdf,
     }
     return Reading((name, value) for name, value in given.items() if value)
 
 
-def _values(given: list[str], flag: str) -> dict[str, str]:
+def _parse_assignments(given: list[str], flag: str) -> dict[str, str]:
     """The values of an option that is repeated as NAME=VALUE. Errors: `UsageError`."""
     values: dict[str, str] = {}
     for text in given:
@@ -232,7 +257,7 @@ def _values(given: list[str], flag: str) -> dict[str, str]:
     return values
 
 
-def _output(
+def _make_output(
     out: Out = None,
     plot: Picture = None,
     gif: Film = None,
@@ -243,43 +268,44 @@ def _output(
     return Output(out, plot, gif, html, deg, json)
 
 
-def command(panel: str, output: str = "json", **settings: Any) -> Callable[[Any], Any]:
+def register_command(panel: str, output: str = "json", **settings: Any) -> Callable[[Any], Any]:
     """Register a function as a command, in a `panel` of the help, with the options of its `output`.
 
-    Its parameters are options and arguments; in place of `system` the command takes FILE and how it
-    is read, in place of `reading` the latter only, in place of `output` the options named. Errors
-    are one sentence, or JSON.
+    The command of a function `run_x` is called x. Parameters of the function are options and
+    arguments; in place of `system` the command takes FILE and how it is read, in place of `reading`
+    the latter only, in place of `output` the options named. Errors are one sentence, or JSON.
     """
 
-    def register(function: Callable[..., None]) -> Callable[..., None]:
+    def wrap_function(function: Callable[..., None]) -> Callable[..., None]:
         # commands name the type of their system for type checkers only
         own = inspect.signature(function, eval_str=True, locals={"System": object}).parameters
-        shown = _options(_output, output.split())
-        read = _options(_reading, None if {"system", "reading"} & set(own) else ())
+        shown = _select_parameters(_make_output, output.split())
+        read = _select_parameters(_make_reading, None if {"system", "reading"} & set(own) else ())
         file = inspect.Parameter("file", POSITIONAL, annotation=File)
         first = [file if n == "system" else p for n, p in own.items() if n not in INJECTED]
         parameters = [*first, *shown, *read]
 
         @functools.wraps(function)
-        def run(**options: Any) -> None:
-            def taken(group: list[inspect.Parameter]) -> dict[str, Any]:
+        def run_function(**options: Any) -> None:
+            def take_options(group: list[inspect.Parameter]) -> dict[str, Any]:
                 return {p.name: options.pop(p.name, p.default) for p in group}
 
-            made = _output(**taken(shown))
-            with guarded(made.json):
-                reading = _reading(**taken(read))
+            made = _make_output(**take_options(shown))
+            with report_errors(made.json):
+                reading = _make_reading(**take_options(read))
                 made.check(options.values())
                 if "system" in own:
-                    options["system"] = load(options.pop("file"), reading)
+                    options["system"] = load_system(options.pop("file"), reading)
                 if "reading" in own:
                     options["reading"] = reading
                 function(**options, output=made)
 
-        run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-        run.__annotations__ = {p.name: p.annotation for p in parameters}
-        return app.command(rich_help_panel=panel, **settings)(run)
+        run_function.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        run_function.__annotations__ = {p.name: p.annotation for p in parameters}
+        name = function.__name__.removeprefix("run_")
+        return app.command(name, rich_help_panel=panel, **settings)(run_function)
 
-    return register
+    return wrap_function
 
 
 POSITIONAL = inspect.Parameter.POSITIONAL_OR_KEYWORD
@@ -287,7 +313,9 @@ INJECTED = ("reading", "output")
 """Parameters of commands that are made of several options."""
 
 
-def _options(function: Callable[..., Any], names: Sequence[str] | None) -> list[inspect.Parameter]:
+def _select_parameters(
+    function: Callable[..., Any], names: Sequence[str] | None
+) -> list[inspect.Parameter]:
     """The parameters of a function with these names, all where None."""
     each = inspect.signature(function, eval_str=True).parameters.values()
     return [p for p in each if names is None or p.name in names]
@@ -296,21 +324,21 @@ def _options(function: Callable[..., Any], names: Sequence[str] | None) -> list[
 # ---- files and remarks
 
 
-def load(file: str, reading: Reading) -> System:
+def load_system(file: str, reading: Reading) -> System:
     """The system of a file."""
     import kempe
 
     system = kempe.load(file, **reading)
     if still := immovable(system, unstated=True):
-        remark(still)
+        print_remark(still)
     return system
 
 
 @app.callback(invoke_without_command=True)
-def main_options(
+def handle_main_options(
     context: typer.Context,
     version: Annotated[
-        bool, option("--version", "Print the version, and which kernels run.")
+        bool, make_option("--version", "Print the version, and which kernels run.")
     ] = False,
 ) -> None:
     """Analyse the kinematics of mechanisms: where bodies are, what reaches a pose, how closed loops
@@ -321,7 +349,7 @@ def main_options(
             from kempe.kernels.compiled import VARIANT
         except KernelsError as error:
             print(f"kempe {__version__}")
-            refuse(error)
+            refuse_question(error)
         print(f"kempe {__version__}, kernels {VARIANT}")
     elif context.invoked_subcommand is None:
         print(context.get_help())
@@ -330,13 +358,13 @@ def main_options(
     raise typer.Exit(COMPLETE)
 
 
-def writable(path: Path | None) -> None:
+def check_output_file(path: Path | None) -> None:
     """Refuse a file that cannot be written, before any work. Errors: `InputError`."""
     if path is None:
         return
     if path.is_dir():
         raise InputError(f"{path}: this is a folder; name a file in it")
-    if what := no_file(path):
+    if what := describe_special_file(path):
         raise InputError(f"{path}: this is {what}; name a plain file")
     if not path.parent.is_dir():
         raise InputError(f"{path}: there is no folder {str(path.parent)!r}")
@@ -344,14 +372,14 @@ def writable(path: Path | None) -> None:
         raise InputError(f"{path}: it may not be written")
 
 
-def remark(text: str) -> None:
+def print_remark(text: str) -> None:
     """Say something beside the answer, on standard error."""
-    from kempe.cli.report import in_options
+    from kempe.cli.report import translate_keywords
 
-    print(f"kempe: {in_options(text)}", file=sys.stderr, flush=True)
+    print(f"kempe: {translate_keywords(text)}", file=sys.stderr, flush=True)
 
 
-def written_to(out: Path | None, option: Path | None) -> Path:
+def choose_output_file(out: Path | None, option: Path | None) -> Path:
     """The file to write, given as an argument or as the option -o. Errors: `InputError`."""
     if (out is None) == (option is None):
         raise UsageError(
@@ -379,23 +407,23 @@ class Output:
         """
         if self.out is not None:
             table_file(self.out)
-            writable(self.out)
+            check_output_file(self.out)
             if self.out.exists():
-                self._refuse_input(given)
+                self._refuse_input_file(given)
         if self.plot is not None:
-            picture_file(self.plot)
+            check_picture_file(self.plot)
         if self.film is not None:
             from kempe.views.films import film_file
 
             film_file(self.film)
-            writable(self.film)
+            check_output_file(self.film)
         if self.page is not None:
             from kempe.views.viewer.pages import page_file
 
             page_file(self.page)
-            writable(self.page)
+            check_output_file(self.page)
 
-    def _refuse_input(self, given: Iterable[object]) -> None:
+    def _refuse_input_file(self, given: Iterable[object]) -> None:
         """Refuse to write over a file that is read. Errors: `InputError`."""
         assert self.out is not None
         words: list[Any] = []
@@ -404,7 +432,7 @@ class Output:
         for word in words:
             if not isinstance(word, (str, Path)) or Path(word).suffix.lower() not in SUFFIXES:
                 continue
-            path = expanded(word)
+            path = expand_path(word)
             if path.exists() and self.out.samefile(path):
                 raise InputError(
                     f"{self.out}: the command reads this file; write the results to another one"
@@ -442,7 +470,7 @@ class Output:
             why = (
                 "one configuration does not move" if finite else "there is no configuration to draw"
             )
-            remark(f"{path} is not written: {why}")
+            print_remark(f"{path} is not written: {why}")
         files -= left
         if self.plot is not None and self.plot in files:
             axes = system.plot(shown, **options) if draw is None else draw()
@@ -454,7 +482,7 @@ class Output:
             from kempe.views.viewer.pages import write_page
 
             if said := write_page(system, self.page, path=way).lost_sentence:
-                remark(said)
+                print_remark(said)
         each = (self.plot, self.film, self.page)
         self.written += [path for path in each if path is not None and path in files]
 
@@ -469,25 +497,25 @@ class Output:
             print_json(data | {"written": files})
             return
         if answer is not None:
-            show(answer, self.deg)
+            print_answer(answer, self.deg)
         for name, other in more.items():
             if answer is None:
                 print(name.replace("_", " "), end=": ")
-            show(other, self.deg)
+            print_answer(other, self.deg)
         for path in files:
             print(f"written to {path}")
 
     def end(self, answer: Any) -> None:
         """Print an answer, and leave with its exit code."""
         self.show(answer)
-        leave(answer)
+        end_incomplete_command(answer)
 
 
-def picture_file(path: Path) -> None:
+def check_picture_file(path: Path) -> None:
     """Refuse a picture that cannot be written, before any work. Errors: `InputError`, ..."""
     if path.suffix.lower() not in PICTURES:
         raise InputError(f"{path}: pictures are .png, .svg or .pdf files")
-    writable(path)
+    check_output_file(path)
     import kempe.views.drawing  # noqa: F401  it refuses where matplotlib is missing
 
 

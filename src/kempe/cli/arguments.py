@@ -10,8 +10,8 @@ import numpy as np
 
 from kempe.answers.tables import poses_of_columns
 from kempe.cli import table_files
-from kempe.cli.table_files import is_file, numbers
-from kempe.description.source import expanded
+from kempe.cli.table_files import is_table_file, parse_numbers
+from kempe.description.source import expand_path
 from kempe.errors import InputError, UnknownNameError
 from kempe.model.configurations import (
     close_from_start,
@@ -39,7 +39,7 @@ SPECIAL = ("neutral", "mid")
 # ---- values by name
 
 
-def known(
+def parse_known_values(
     system: System, words: Iterable[str], degrees: bool = False, frames: bool = True
 ) -> dict[str, Any]:
     """Known coordinates and places of frames, from 'name=value' and 'frame=x,y,z', or a .csv with
@@ -50,12 +50,12 @@ def known(
     """
     given: dict[str, Any] = {}
     for word in words:
-        for name, value in _values(system, word, degrees, frames).items():
+        for name, value in _read_values(system, word, degrees, frames).items():
             if name in given:
                 raise InputError(f"{name!r} is given twice")
             if not np.isfinite(value).all():
                 raise InputError(
-                    f"{name}: {_not_finite(value, '=' not in word)} is not a finite number"
+                    f"{name}: {_describe_nonfinite_number(value, '=' not in word)} is not a finite number"
                 )
             given[name] = value
     places = {name: x for name, x in given.items() if _is_frame(system, name)}
@@ -63,21 +63,21 @@ def known(
     return {**compute_source_values(system, rest), **places}
 
 
-def _not_finite(value: Any, rows: bool) -> str:
+def _describe_nonfinite_number(value: Any, rows: bool) -> str:
     """The first number that is not finite, and in which of `rows` it is."""
     k = int(np.flatnonzero(~np.isfinite(np.ravel(value)))[0])
     return f"{np.ravel(value)[k]}" + f" in row {k}" * rows
 
 
-def _values(system: System, word: str, degrees: bool, frames: bool) -> dict[str, Any]:
+def _read_values(system: System, word: str, degrees: bool, frames: bool) -> dict[str, Any]:
     """The values that a word names: of a coordinate, of a frame, or in the columns of a file."""
     name, sign, text = (part.strip() for part in word.partition("="))
-    if not sign and is_file(word):
-        return _columns(system, expanded(word), degrees)
+    if not sign and is_table_file(word):
+        return _read_columns(system, expand_path(word), degrees)
     if not sign or not name:
         example = "name=value, or frame=x,y,z" if frames else "name=value"
         raise InputError(f"{word!r} is no known value: write {example}")
-    values = numbers(text, name)
+    values = parse_numbers(text, name)
     if frames and _is_frame(system, name):
         if len(values) not in (system.dim, 3):
             needed = "x,y" if system.dim == 2 else "x,y,z"
@@ -87,44 +87,44 @@ def _values(system: System, word: str, degrees: bool, frames: bool) -> dict[str,
     _check_coordinate(system, name, frames)
     if len(values) != 1:
         raise InputError(f"{name!r} has {len(values)} values; a coordinate has one")
-    return {name: values[0] * _factor(system, name, degrees)}
+    return {name: values[0] * _choose_unit_factor(system, name, degrees)}
 
 
-def _coordinates(system: System) -> tuple[str, ...]:
+def _list_coordinates(system: System) -> tuple[str, ...]:
     """The names of coordinates of q, and of those that follow them."""
     return (*system.coordinate_names, *system.structure.couplings)
 
 
 def _is_frame(system: System, name: str) -> bool:
-    return name in system.frame_names and name not in _coordinates(system)
+    return name in system.frame_names and name not in _list_coordinates(system)
 
 
 def _check_coordinate(system: System, name: str, frames: bool = False) -> None:
-    names = _coordinates(system)
+    names = _list_coordinates(system)
     if name not in names:
         what = "coordinate or frame" if frames else "coordinate"
         places = system.structure.frames if frames else ()
         raise UnknownNameError(what, name, (*names, *places), system.name)
 
 
-def _factor(system: System, name: str, degrees: bool) -> float:
+def _choose_unit_factor(system: System, name: str, degrees: bool) -> float:
     return DEGREE if degrees and list_units(system).get(name) == "rad" else 1.0
 
 
-def _columns(system: System, path: Path, degrees: bool) -> dict[str, Array]:
+def _read_columns(system: System, path: Path, degrees: bool) -> dict[str, Array]:
     """Values (n,) of the coordinates that the first line of a .csv names."""
-    names, rows = table_files.read(path)
+    names, rows = table_files.read_table(path)
     if names is None:
         raise InputError(f"{path}: its first line must name the known coordinates")
     if len(set(names)) < len(names):
         raise InputError(f"{path}: a column appears twice")
     for name in names:
         _check_coordinate(system, name)
-    factors = [_factor(system, name, degrees) for name in names]
+    factors = [_choose_unit_factor(system, name, degrees) for name in names]
     return {n: x * f for n, x, f in zip(names, rows.T, factors, strict=True)}
 
 
-def joints(system: System, flag: str, text: str | None) -> list[str] | None:
+def parse_joint_names(system: System, flag: str, text: str | None) -> list[str] | None:
     """The names in 'A,B', None where nothing is given. Errors: `InputError` where it has none."""
     if text is None:
         return None
@@ -137,7 +137,7 @@ def joints(system: System, flag: str, text: str | None) -> list[str] | None:
 # ---- configurations and starts
 
 
-def configurations(
+def read_configurations(
     system: System,
     text: str | None,
     posture: str | None = None,
@@ -151,20 +151,20 @@ def configurations(
     the system, or is 'neutral' or 'mid'. Of a `start` no loop is closed.
     Errors: `InputError`, `UnknownNameError`.
     """
-    base = None if posture is None else _posture(system, posture)
+    base = None if posture is None else _find_posture(system, posture)
     if text is None:
         return system.neutral.copy() if base is None else base
-    if is_file(text):
-        names, rows = table_files.read(expanded(text))
+    if is_table_file(text):
+        names, rows = table_files.read_table(expand_path(text))
         if names is None:
-            return _radians(system, read_q(system, rows), degrees)
-        values = _columns(system, expanded(text), degrees)
+            return _convert_to_radians(system, read_q(system, rows), degrees)
+        values = _read_columns(system, expand_path(text), degrees)
         return (set_from_home if start else close_from_start)(system, values)
     if "=" not in text:
-        return _radians(system, read_q(system, numbers(text, "q")), degrees)
+        return _convert_to_radians(system, read_q(system, parse_numbers(text, "q")), degrees)
     values: dict[str, Any] = {}
     for word in text.split(","):
-        for name, value in _values(system, word, degrees, False).items():
+        for name, value in _read_values(system, word, degrees, False).items():
             if name in values:
                 raise InputError(f"{name!r} is given twice")
             values[name] = value
@@ -173,7 +173,7 @@ def configurations(
     return set_from_home(system, values) if base is None else make_q(system, values, base)
 
 
-def _posture(system: System, name: str) -> Array:
+def _find_posture(system: System, name: str) -> Array:
     if name in SPECIAL and name not in system.structure.posture_names:
         return (system.neutral if name == "neutral" else compute_mid_configuration(system)).copy()
     if name not in system.structure.posture_names:
@@ -182,12 +182,12 @@ def _posture(system: System, name: str) -> Array:
     return make_q(system, name)
 
 
-def _radians(system: System, q: Array, degrees: bool) -> Array:
+def _convert_to_radians(system: System, q: Array, degrees: bool) -> Array:
     """q with its angles, given in degrees where `degrees` says so, in radians."""
     return q / name_values(system, np.ones(system.nq)).convert_units(degrees)
 
 
-def start(system: System, text: str | None, degrees: bool = False) -> Array | None:
+def read_start(system: System, text: str | None, degrees: bool = False) -> Array | None:
     """A start (nq,) given as the name of a posture, or as values; None where nothing is given.
 
     What 'name=value' leaves open is as at home. Errors: `InputError`, `UnknownNameError`.
@@ -196,8 +196,8 @@ def start(system: System, text: str | None, degrees: bool = False) -> Array | No
         return None
     is_name = not any(c in text for c in ",=.") and not text.strip().lstrip("+-").isdigit()
     if is_name or text in system.structure.posture_names:
-        return _posture(system, text)
-    q = configurations(system, text, None, degrees, start=True)
+        return _find_posture(system, text)
+    q = read_configurations(system, text, None, degrees, start=True)
     if q.ndim != 1:
         many = format_count(len(q), "configuration")
         raise InputError(f"{text}: it holds {many}; one is needed to start from")
@@ -206,63 +206,69 @@ def start(system: System, text: str | None, degrees: bool = False) -> Array | No
     return q
 
 
-def first(
+def find_motion_start(
     system: System, text: str | None, held: Mapping[str, Any], degrees: bool = False
 ) -> tuple[Array | None, Assembly | None]:
-    """Where a motion starts, as `start`; with 'name=value,...' or held coordinates closed, then
+    """Where a motion starts, as `read_start`; with 'name=value,...' or held coordinates closed, then
     with the assembly.
     """
-    is_named = text is not None and "=" in text and not is_file(text)
-    named = known(system, text.split(","), degrees, frames=False) if text and is_named else {}
+    is_named = text is not None and "=" in text and not is_table_file(text)
+    named = (
+        parse_known_values(system, text.split(","), degrees, frames=False)
+        if text and is_named
+        else {}
+    )
     for name in named:
         if name in held:
             raise InputError(f"{name!r} is held and given as a start, too: leave one out")
-    near = None if is_named else start(system, text, degrees)
+    near = None if is_named else read_start(system, text, degrees)
     if not named and not held:
         return near, None
     answer = system.assemble({**held, **named}, near)
     return answer.q, answer
 
 
-def configuration(
+def read_configuration(
     system: System, text: str | None, posture: str | None, degrees: bool = False
 ) -> tuple[Array | None, Assembly | None]:
     """A configuration (nq,) from the command line; None where nothing is given.
 
-    As `configurations`, but where 'name=value,...' is given of a system with loops, these are
+    As `read_configurations`, but where 'name=value,...' is given of a system with loops, these are
     closed, started at the posture: then the assembly is the second answer. Errors: as there, and
     `InputError` for several rows.
     """
     if text is None and posture is None:
         return None, None
-    if text is not None and "=" in text and not is_file(text) and has_loops(system):
-        near = None if posture is None else _posture(system, posture)
-        answer = system.assemble(known(system, text.split(","), degrees, frames=False), near)
+    if text is not None and "=" in text and not is_table_file(text) and has_loops(system):
+        near = None if posture is None else _find_posture(system, posture)
+        answer = system.assemble(
+            parse_known_values(system, text.split(","), degrees, frames=False), near
+        )
         return answer.q, answer
-    q = configurations(system, text, posture, degrees)
+    q = read_configurations(system, text, posture, degrees)
     if q.ndim != 1:
         raise InputError(f"{text}: it holds {format_count(len(q), 'configuration')}; one is needed")
     return q, None
 
 
-def target(system: System, text: str, degrees: bool = False) -> tuple[Array, bool]:
+def read_target(system: System, text: str, degrees: bool = False) -> tuple[Array, bool]:
     """Target poses (..., 4, 4) from the command line, and whether only their position counts.
 
     'x,y,z,roll,pitch,yaw' (fixed axes, as in URDF), 'x,y,z,qw,qx,qy,qz' or 'x,y,z'; of planar
     systems 'x,y,angle' and 'x,y' in place of 'x,y,z'; or a file of such rows, where a .npy may also
     hold (n, 4, 4) matrices.
     """
-    if is_file(text):
-        names, rows = table_files.read(expanded(text), matrices=True)
+    if is_table_file(text):
+        names, rows = table_files.read_table(expand_path(text), matrices=True)
     else:
         names = None
-        rows = np.array(numbers(text, "target"))
+        rows = np.array(parse_numbers(text, "target"))
     if rows.ndim == 3:
         return rows, False
     return poses_of_columns(system.dim, rows, names, degrees)
 
 
-def branch(system: System, given: Mapping[str, Any], text: str | None) -> str | None:
+def parse_branch(system: System, given: Mapping[str, Any], text: str | None) -> str | None:
     """A branch: signs of dyads, or the name of a posture. Errors: `InputError` where it is neither."""
     if text is None or text in system.structure.posture_names:
         return text
@@ -291,11 +297,11 @@ def branch(system: System, given: Mapping[str, Any], text: str | None) -> str | 
 # ---- axis and tolerance
 
 
-def axis(text: str) -> Array:
+def parse_axis(text: str) -> Array:
     """The tool's axis (3,) from three numbers or a name such as '-z'. Errors: `InputError`."""
     if text.strip().lower() in AXES:
         return np.array(AXES[text.strip().lower()])
-    values = numbers(text, "axis")
+    values = parse_numbers(text, "axis")
     if len(values) != 3:
         raise InputError(
             f"the axis has {format_count(len(values), 'number')}; it must be x,y,z in the tool's "
@@ -304,9 +310,9 @@ def axis(text: str) -> Array:
     return np.array(values)
 
 
-def tolerance(text: str) -> tuple[float, float]:
+def parse_tolerance(text: str) -> tuple[float, float]:
     """Largest errors in metres and radians, from 'm' (for both) or 'm,rad'."""
-    values = numbers(text, "tolerance")
+    values = parse_numbers(text, "tolerance")
     if len(values) not in (1, 2) or not all(v > 0.0 for v in values):
         raise InputError(
             f"tolerance is {text!r}; it must be one or two positive numbers, in metres and radians"
@@ -314,9 +320,9 @@ def tolerance(text: str) -> tuple[float, float]:
     return values[0], values[-1]
 
 
-def one_tolerance(text: str) -> float:
+def parse_single_tolerance(text: str) -> float:
     """The largest error of a solution, in metres and radians. Errors: `InputError`."""
-    values = numbers(text, "tolerance")
+    values = parse_numbers(text, "tolerance")
     if len(values) != 1 or not values[0] > 0.0:
         raise InputError(
             f"tolerance is {text!r}; for --all it must be one positive number, for metres and "

@@ -51,14 +51,19 @@ class SystemFacts(Report):
     def _tables(self) -> Sequence[Table]:
         system = self.system
         s = system.structure
-        tables = [Table((), self._overview(), record=True), self._bodies_table()]
+        tables = [Table((), self._make_overview(), record=True), self._make_bodies_table()]
         loops = [
-            (j.name, _kind(j), f"{j.parent} - {j.child}", *self._of_joint(j))
+            (
+                j.name,
+                _describe_joint_type(j),
+                f"{j.parent} - {j.child}",
+                *self._describe_joint_coordinates(j),
+            )
             for j in (s.joints[name] for name in s.closures)
         ]
         title = "Loops, closed by the joints that the tree leaves out"
         tables.append(Table(("joint", "type", "bodies", "q", "limits"), loops, title=title))
-        declared = [_constraint(system, c) for c in system.mechanism.constraints.values()]
+        declared = [_describe_constraint(system, c) for c in system.mechanism.constraints.values()]
         rows = [
             (
                 c["name"],
@@ -70,7 +75,7 @@ class SystemFacts(Report):
         ]
         heads = ("constraint", "type", "of", "what it asks")
         tables.append(Table(heads, rows, title="Declared constraints"))
-        follow = [_follower(of, f) for of, f in s.couplings.items()]
+        follow = [_format_follower(of, f) for of, f in s.couplings.items()]
         follow += [format_relation(r) for r in s.relations]
         frames = [f"{f.name} on {f.body}" for f in s.frames.values()]
         for title, lines in (
@@ -81,13 +86,13 @@ class SystemFacts(Report):
             tables.append(Table(("",), [(f"  {line}",) for line in lines], title=title))
         return [table for table in tables if table.rows]
 
-    def _overview(self) -> list[tuple[str, str]]:
+    def _make_overview(self) -> list[tuple[str, str]]:
         system = self.system
         parameters = [f"{k} = {v:g}" for k, v in system.structure.parameters.items()]
         parents = ", ".join(map(str, system.parent))
         rows = [
             ("connectivity", f"C = {{{parents}}}  (parent of each body, 0 is the ground)"),
-            ("degrees of freedom", self._freedoms()),
+            ("degrees of freedom", self._describe_freedoms()),
             ("configuration space", system.configuration_space.within),
             ("coordinates", f"q has {format_count(system.nq, 'number')}"),
             ("parameters", ", ".join(parameters)),
@@ -96,12 +101,12 @@ class SystemFacts(Report):
         ]
         return [row for row in rows if row[1]]
 
-    def _freedoms(self) -> str:
+    def _describe_freedoms(self) -> str:
         """Freedoms of the tree, and what equations leave at least."""
         system = self.system
         equations = system.configuration_space.constraints
         loops = len(system.structure.closures)
-        dof = str(_dof_of_tree(system))
+        dof = str(_count_tree_freedoms(system))
         if not equations:
             return dof if loops else f"{dof} (a tree, no loops)"
         constraints = system.mechanism.constraints.values()
@@ -116,19 +121,21 @@ class SystemFacts(Report):
             f"{max(system.nv - equations, 0)}; kempe dof counts them truly"
         )
 
-    def _bodies_table(self) -> Table:
+    def _make_bodies_table(self) -> Table:
         system = self.system
         names = system.body_names
         rows: list[tuple[Any, ...]] = [(0, names[0], "", "", "ground", "", "")]
         each = zip(names[1:], system.parent, system.structure.parent_joints, strict=True)
         for i, (name, parent, joint_name) in enumerate(each, start=1):
             joint = system.structure.joints[joint_name]
-            kind = _kind(joint) + " (walked backwards)" * (joint.child != name)
+            kind = _describe_joint_type(joint) + " (walked backwards)" * (joint.child != name)
             shown = name + " (particle)" * system.mechanism.bodies[name].particle
-            rows.append((i, shown, parent, joint.name, kind, *self._of_joint(joint)))
+            rows.append(
+                (i, shown, parent, joint.name, kind, *self._describe_joint_coordinates(joint))
+            )
         return Table(("#", "body", "parent", "joint", "type", "q", "limits"), rows)
 
-    def _of_joint(self, joint: Joint) -> tuple[str, Quantities]:
+    def _describe_joint_coordinates(self, joint: Joint) -> tuple[str, Quantities]:
         """Indices in q of a joint's coordinates, and their limits."""
         system = self.system
         names = system.structure.coordinates_of_joint(joint.name)
@@ -157,7 +164,7 @@ class SystemFacts(Report):
             "parent": list(system.parent),
             "nq": system.nq,
             "nv": system.nv,
-            "dof_of_tree": _dof_of_tree(system),
+            "dof_of_tree": _count_tree_freedoms(system),
             "configuration_space": {
                 "shape": space.shape,
                 "ambient_dimension": space.ambient_dimension,
@@ -210,7 +217,9 @@ class SystemFacts(Report):
                 for of, f in s.couplings.items()
             ],
             "relations": [format_relation(r) for r in s.relations],
-            "constraints": [_constraint(system, c) for c in system.mechanism.constraints.values()],
+            "constraints": [
+                _describe_constraint(system, c) for c in system.mechanism.constraints.values()
+            ],
             "postures": list(s.posture_names),
             "groups": {name: list(joints) for name, joints in system.groups.items()},
             "parameters": s.parameters,
@@ -218,7 +227,7 @@ class SystemFacts(Report):
         }
 
 
-def _dof_of_tree(system: System) -> int:
+def _count_tree_freedoms(system: System) -> int:
     """Degrees of freedom of the tree: those of all joints without those of the joints that it left
     out.
     """
@@ -234,7 +243,7 @@ def _dof_of_tree(system: System) -> int:
     return system.nv - sum(name in known for name in names)
 
 
-def _kind(joint: Joint) -> str:
+def _describe_joint_type(joint: Joint) -> str:
     """The type of a joint with its options."""
     unit = {"pitch": " m/rad"}
     options = [
@@ -244,7 +253,7 @@ def _kind(joint: Joint) -> str:
     return ", ".join([joint.type.type_name, *options])
 
 
-def _follower(name: str, f: Follower) -> str:
+def _format_follower(name: str, f: Follower) -> str:
     """A coordinate that follows another, as an equation."""
     if f.source is None:
         return f"{name} = {f.offset:g} (held)"
@@ -254,7 +263,7 @@ def _follower(name: str, f: Follower) -> str:
     return f"{name} = {factor}{f.source}{offset}"
 
 
-def _constraint(system: System, c: Declared) -> dict[str, Any]:
+def _describe_constraint(system: System, c: Declared) -> dict[str, Any]:
     """A declared constraint with the freedoms of position that it takes away, and its number of
     one-sided rows.
     """
@@ -271,7 +280,7 @@ def _constraint(system: System, c: Declared) -> dict[str, Any]:
     } | ({"of": list(reads)} if (reads := c.of.reads) else {})
 
 
-def largest_gap(system: System, q: Any) -> str:
+def describe_largest_gap(system: System, q: Any) -> str:
     """What is open most at q, and by how much: "'C' is open by 0.3 m"; '' where everything is
     closed.
     """
@@ -321,14 +330,14 @@ class Poses(Report):
         what = self.frame or "all bodies"
         return f"{what} of {self.system.name}, seen from {self.system.body_names[0]}"
 
-    def _numbers(self) -> Array:
+    def _compute_pose_rows(self) -> Array:
         """Rows (n, 6): x, y, z, roll, pitch, yaw."""
         X = self.X.reshape(-1, 4, 4)
         out = spatial.xyz_rpy_from_pose(X)
         out[np.isnan(X).any(axis=(-2, -1))] = np.nan
         return out
 
-    def _labels(self) -> tuple[list[str], list[list[Any]]]:
+    def _make_row_labels(self) -> tuple[list[str], list[list[Any]]]:
         """Heads and texts of the columns before the numbers of each row."""
         names = [self.frame] if self.frame is not None else list(self.system.body_names)
         count = len(self.X) if self.several else 1
@@ -338,10 +347,10 @@ class Poses(Report):
         return heads, [a + b for a in q for b in bodies]
 
     def _tables(self) -> Sequence[Table]:
-        heads, labels = self._labels()
+        heads, labels = self._make_row_labels()
         rows = [
             (*label, *(Quantity(x, unit) for x, unit in zip(row, COLUMNS.values(), strict=True)))
-            for label, row in zip(labels, self._numbers().tolist(), strict=True)
+            for label, row in zip(labels, self._compute_pose_rows().tolist(), strict=True)
         ]
         return [Table((*heads, *COLUMNS), rows, grid=True)]
 
@@ -352,7 +361,7 @@ class Poses(Report):
 
     def _data(self) -> dict[str, Any]:
         names = [self.frame] if self.frame is not None else list(self.system.body_names)
-        rows = zip(self._numbers(), self.X.reshape(-1, 4, 4), strict=True)
+        rows = zip(self._compute_pose_rows(), self.X.reshape(-1, 4, 4), strict=True)
         poses = [
             {
                 "frame": names[i % len(names)],
@@ -373,7 +382,7 @@ class Poses(Report):
         line; of all bodies lines begin with the numbers of the configuration and of the body.
         """
         names = list(COLUMNS)
-        rows = self._numbers()
+        rows = self._compute_pose_rows()
         if self.frame is None:
             index = np.indices((len(self.X) if self.several else 1, self.X.shape[-3]))
             rows = np.concatenate([index.reshape(2, -1).T.astype(float), rows], axis=1)
@@ -384,7 +393,7 @@ class Poses(Report):
 # ---- problems and errors
 
 
-def problem_facts(problem: Fault) -> dict[str, Any]:
+def make_problem_facts(problem: Fault) -> dict[str, Any]:
     """A finding about a file: its place, what it is about, what is wrong, what is allowed."""
     where = problem.where
     return {
@@ -398,13 +407,13 @@ def problem_facts(problem: Fault) -> dict[str, Any]:
     }
 
 
-def error_facts(error: BaseException | str) -> dict[str, Any]:
+def make_error_facts(error: BaseException | str) -> dict[str, Any]:
     """An error as data: its sentence under 'error', and what it carries."""
     out: dict[str, Any] = {"error": str(error), "type": type(error).__name__}
     if isinstance(error, str):
         out["type"] = "UsageError"
     elif isinstance(error, DescriptionError):
-        out["problems"] = [problem_facts(p) for p in error.problems]
+        out["problems"] = [make_problem_facts(p) for p in error.problems]
     elif isinstance(error, KempeError) and hasattr(error, "allowed"):
         out["allowed"] = list(error.allowed)  # type: ignore[attr-defined]
     return out

@@ -19,8 +19,8 @@ from kempe.cli.app import (
     Threads,
     TimeLimit,
     Tolerance,
-    command,
-    option,
+    make_option,
+    register_command,
 )
 from kempe.errors import InputError
 
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from kempe.system import System
 
 
-@command(OPEN, "deg json")
-def map(
+@register_command(OPEN, "deg json")
+def run_map(
     verb: Annotated[str, typer.Argument(metavar="VERB", help="fk, ik, ik_all or assemble.")],
     system: System,
     output: Output,
@@ -40,22 +40,24 @@ def map(
         ),
     ],
     out: Annotated[
-        Path, option("-o,--out", "The answers to write or to go on with (Zarr).", "ANSWERS")
+        Path, make_option("-o,--out", "The answers to write or to go on with (Zarr).", "ANSWERS")
     ],
     frame: Annotated[
-        str | None, option("--frame", "Body or frame; of fk all bodies if not given.", "NAME")
+        str | None, make_option("--frame", "Body or frame; of fk all bodies if not given.", "NAME")
     ] = None,
     columns: Annotated[
         str | None,
-        option(
+        make_option(
             "--columns", "Columns that count, or the names of columns that have none.", "A,B,..."
         ),
     ] = None,
     form: Annotated[
         str | None,
-        option("--form", "Of fk: matrix, 3x4, position or position_quat_wxyz (matrix).", "FORM"),
+        make_option(
+            "--form", "Of fk: matrix, 3x4, position or position_quat_wxyz (matrix).", "FORM"
+        ),
     ] = None,
-    float32: Annotated[bool, option("--float32", "Of fk: write numbers of 32 bits.")] = False,
+    float32: Annotated[bool, make_option("--float32", "Of fk: write numbers of 32 bits.")] = False,
     task: Task = None,
     axis: Axis = None,
     start: Seed = None,
@@ -75,24 +77,26 @@ def map(
     import kempe
     from kempe.budget import Budget
     from kempe.cli import arguments, progress
-    from kempe.cli.inverse_commands import task_argument
+    from kempe.cli.inverse_commands import make_task_argument
 
     deg = output.deg
     given: dict[str, Any] = {
         "form": form,
         "dtype": "float32" if float32 else None,
-        "task": task_argument(task, axis),
+        "task": make_task_argument(task, axis),
     }
     given["start"] = (
-        None if start is None else arguments.configurations(system, start, None, deg, start=True)
+        None
+        if start is None
+        else arguments.read_configurations(system, start, None, deg, start=True)
     )
     if tolerance is not None:
-        errors = arguments.tolerance(tolerance)
+        errors = arguments.parse_tolerance(tolerance)
         if verb != "ik" and "," in tolerance:
             raise InputError(f"--tolerance is {tolerance!r}; of {verb} it is one number")
         given["tolerance"] = errors if verb == "ik" else errors[0]
     names = None if columns is None else [name.strip() for name in columns.split(",")]
-    with progress.progress("rows") as report:
+    with progress.show_progress("rows") as report:
         answer = call_until_interrupt(
             kempe.map_file,
             system,

@@ -26,8 +26,8 @@ from kempe.cli.app import (
     Tasks,
     TimeLimit,
     Tolerance,
-    command,
-    option,
+    make_option,
+    register_command,
 )
 from kempe.cli.terminal import UsageError
 from kempe.errors import InputError
@@ -37,8 +37,8 @@ if TYPE_CHECKING:
     from kempe.system import System
 
 
-@command(OPEN, "out plot gif html deg json")
-def ik(
+@register_command(OPEN, "out plot gif html deg json")
+def run_ik(
     system: System,
     output: Output,
     frame: FrameOrTasks = None,
@@ -80,20 +80,22 @@ def ik(
         wanted: Any = _read_tasks(system, tasks, deg).tasks
         options["prefer"] = prefer
     else:
-        wanted, position = arguments.target(system, target, deg)
-        options["task"] = _task(task, axis, position or position_only)
-    start = None if seed is None else arguments.configurations(system, seed, None, deg, start=True)
+        wanted, position = arguments.read_target(system, target, deg)
+        options["task"] = _choose_task(task, axis, position or position_only)
+    start = (
+        None if seed is None else arguments.read_configurations(system, seed, None, deg, start=True)
+    )
     if all:
         answer: Any = system.ik_all(
             wanted,
             frame or "",
             start,
-            fixed=arguments.known(system, hold or [], deg, frames=False),
-            tolerance=None if tolerance is None else arguments.one_tolerance(tolerance),
+            fixed=arguments.parse_known_values(system, hold or [], deg, frames=False),
+            tolerance=None if tolerance is None else arguments.parse_single_tolerance(tolerance),
             **options,
         )
     else:
-        errors = arguments.tolerance("1e-6" if tolerance is None else tolerance)
+        errors = arguments.parse_tolerance("1e-6" if tolerance is None else tolerance)
         spend = Budget(rng=rng)
         answer = system.ik(wanted, frame, start=start, tolerance=errors, budget=spend, **options)
     output.save(answer)
@@ -117,20 +119,20 @@ def _read_tasks(system: System, path: Path | None, deg: bool) -> FileTasks:
     from kempe.cli import task_file
 
     assert path is not None
-    return task_file.read(system, path, deg)
+    return task_file.read_tasks(system, path, deg)
 
 
-def _task(task: str | None, axis: str | None, position: bool) -> Any:
+def _choose_task(task: str | None, axis: str | None, position: bool) -> Any:
     """What of the target counts: a task, or a task with the axis of the tool that it points; a
     target that is a position may be enough.
     """
     task_of(task, position, False)  # a wrong name is reported first
     if position and task not in (None, "position"):
         raise InputError(f"--task {task} needs a target with an orientation: x,y,z,roll,pitch,yaw")
-    return task_argument("position" if position else task, axis)
+    return make_task_argument("position" if position else task, axis)
 
 
-def task_argument(task: str | None, axis: str | None) -> Any:
+def make_task_argument(task: str | None, axis: str | None) -> Any:
     """What of the target counts: a task, or a task with the axis of the tool that it points."""
     from kempe.cli import arguments
 
@@ -138,11 +140,11 @@ def task_argument(task: str | None, axis: str | None) -> Any:
         return task
     if task not in ("direction", "position_axis"):
         raise InputError("--axis is for the tasks direction and position_axis")
-    return task, arguments.axis(axis)
+    return task, arguments.parse_axis(axis)
 
 
-@command(OPEN, "out plot gif html deg json")
-def path(
+@register_command(OPEN, "out plot gif html deg json")
+def run_path(
     system: System,
     output: Output,
     frame: FrameOrTasks = None,
@@ -152,11 +154,13 @@ def path(
     position_only: PositionOnly = False,
     max_step: Annotated[
         float | None,
-        option("--max-step", "Largest step, radians and characteristic lengths (0.5).", "X"),
+        make_option("--max-step", "Largest step, radians and characteristic lengths (0.5).", "X"),
     ] = None,
-    restart: Annotated[bool, option("--restart", "Where the path stops, go on by a jump.")] = False,
+    restart: Annotated[
+        bool, make_option("--restart", "Where the path stops, go on by a jump.")
+    ] = False,
     branches: Annotated[
-        bool, option("--branches", "Try several starts; the best path is the answer.")
+        bool, make_option("--branches", "Try several starts; the best path is the answer.")
     ] = False,
     rng: Rng = None,
     tolerance: PathTolerance = None,
@@ -173,7 +177,9 @@ def path(
     single = {"--frame": frame, "--targets": target}
     _refuse_mixture(tasks, single, {"--position-only": position_only})
     deg = output.deg
-    start = None if seed is None else arguments.configurations(system, seed, None, deg, start=True)
+    start = (
+        None if seed is None else arguments.read_configurations(system, seed, None, deg, start=True)
+    )
     wanted: Any
     if frame is None or target is None:
         read = _read_tasks(system, tasks, deg)
@@ -181,15 +187,15 @@ def path(
         count = read.rows
     else:
         system.structure.frame_name(frame)
-        wanted, position = arguments.target(system, target, deg)
+        wanted, position = arguments.read_target(system, target, deg)
         count = len(wanted) if wanted.ndim > 2 else None
         wanted = wanted[..., :3, 3] if position or position_only else wanted
     if count is None:
         raise InputError("a path needs a .csv or .npy file of targets, one a row")
     options: dict[str, Any] = {"restart": restart, "branches": branches}
     options |= {} if max_step is None else {"max_step": max_step}
-    options |= {} if tolerance is None else {"tolerance": arguments.tolerance(tolerance)}
-    with progress.progress("targets", count) as report:
+    options |= {} if tolerance is None else {"tolerance": arguments.parse_tolerance(tolerance)}
+    with progress.show_progress("targets", count) as report:
         spend = Budget(rng=rng, time_limit=time_limit, progress=report)
         answer = call_until_interrupt(system.ik_path, wanted, frame, start, **options, budget=spend)
     output.save(answer)
@@ -197,16 +203,20 @@ def path(
     output.end(answer)
 
 
-@command(OPEN)
-def plan(
+@register_command(OPEN)
+def run_plan(
     system: System,
     output: Output,
-    frame: Annotated[str, option("--frame", "Body or frame that shall reach targets.", "NAME")],
+    frame: Annotated[
+        str, make_option("--frame", "Body or frame that shall reach targets.", "NAME")
+    ],
     task: Task = None,
     axis: Axis = None,
     hold: Annotated[
         list[str] | None,
-        option("--hold", "Joint that is held, as for ik --all; can be repeated.", "NAME[=VALUE]"),
+        make_option(
+            "--hold", "Joint that is held, as for ik --all; can be repeated.", "NAME[=VALUE]"
+        ),
     ] = None,
 ) -> None:
     """Say what a chain's axes have in common, and how all its configurations are found.
@@ -217,5 +227,5 @@ def plan(
 
     system.structure.frame_name(frame)
     words = [w if "=" in w else f"{w}=0" for w in hold or []]
-    held = tuple(arguments.known(system, words, False, frames=False))
-    output.end(system.inverse.plan(frame, task_argument(task, axis), held))
+    held = tuple(arguments.parse_known_values(system, words, False, frames=False))
+    output.end(system.inverse.plan(frame, make_task_argument(task, axis), held))

@@ -8,14 +8,21 @@ from typing import Annotated
 
 import typer
 
-from kempe.cli.app import MODELS, Output, command, option, picture_file, save_picture
+from kempe.cli.app import (
+    MODELS,
+    Output,
+    check_picture_file,
+    make_option,
+    register_command,
+    save_picture,
+)
 from kempe.cli.terminal import print_json
 from kempe.errors import InputError
 from kempe.report import Table
 
 
-@command(MODELS)
-def library(
+@register_command(MODELS)
+def run_library(
     output: Output,
     name: Annotated[
         str | None, typer.Argument(metavar="NAME", help="Print this model's TOML.")
@@ -38,8 +45,8 @@ def library(
         print("\n".join(Table(("model", "what it is"), rows).aligned()))
 
 
-@command(MODELS, "plot json")
-def joints(output: Output) -> None:
+@register_command(MODELS, "plot json")
+def run_joints(output: Output) -> None:
     """List the joint types: letters, freedoms, constraints, what they are made of; or draw them all
     in one picture.
 
@@ -61,15 +68,15 @@ def joints(output: Output) -> None:
     output.show()
 
 
-@command(MODELS)
-def tour(
+@register_command(MODELS)
+def run_tour(
     output: Output,
     number: Annotated[
-        int | None, option("--section", "Only the section of this number.", "N")
+        int | None, make_option("--section", "Only the section of this number.", "N")
     ] = None,
-    every: Annotated[bool, option("--all", "Print all sections without pauses.")] = False,
+    every: Annotated[bool, make_option("--all", "Print all sections without pauses.")] = False,
     pictures: Annotated[
-        Path | None, option("--pictures", "Draw the pictures into this folder.", "FOLDER")
+        Path | None, make_option("--pictures", "Draw the pictures into this folder.", "FOLDER")
     ] = None,
 ) -> None:
     """Walk through the lecture: its sections, their code, and what comes out. Enter goes on, q
@@ -86,7 +93,7 @@ def tour(
                 f"{pictures}: this is no folder; --pictures names the folder of the pictures"
             )
         pictures.mkdir(parents=True, exist_ok=True)
-        picture_file(pictures / "01.png")
+        check_picture_file(pictures / "01.png")
     if output.json:
         parts = [
             {
@@ -100,7 +107,7 @@ def tour(
         return
     pause = not every and sys.stdin.isatty() and sys.stdout.isatty()
     for i, x in enumerate(found):
-        if i and pause and _ended():
+        if i and pause and _is_tour_ended():
             return
         heading = f"{x.number} {x.title}"
         print(f"{heading}\n{'-' * len(heading)}\n")
@@ -116,7 +123,7 @@ def tour(
             print()
 
 
-def _ended() -> bool:
+def _is_tour_ended() -> bool:
     """Whether the reader ends the tour here."""
     try:
         return input("Enter goes on, q ends: ").strip().lower().startswith("q")

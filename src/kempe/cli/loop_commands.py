@@ -19,14 +19,14 @@ from kempe.cli.app import (
     Output,
     Posture,
     TimeLimit,
-    command,
-    option,
-    picture_file,
-    remark,
+    check_picture_file,
+    choose_output_file,
+    make_option,
+    print_remark,
+    register_command,
     save_picture,
-    written_to,
 )
-from kempe.cli.terminal import INCOMPLETE, leave
+from kempe.cli.terminal import INCOMPLETE, end_incomplete_command
 from kempe.errors import InputError
 
 if TYPE_CHECKING:
@@ -48,13 +48,13 @@ Known = Annotated[
 ]
 At = Annotated[
     str | None,
-    option(
+    make_option(
         "--q", "name=value,... (the loops are closed around these), or all of q as a,b,c.", "VALUES"
     ),
 ]
 Where = Annotated[
     list[str] | None,
-    option(
+    make_option(
         "--where",
         "An equation that holds, too, in radians and metres: 'A = 2*B'. May be repeated.",
         "EQUATION",
@@ -62,20 +62,21 @@ Where = Annotated[
 ]
 Near = Annotated[
     str | None,
-    option(
+    make_option(
         "--start,--near", "Where the search starts: a posture or values, as --q of fk.", "START"
     ),
 ]
 Curves = Annotated[
-    list[str] | None, option("--frame", "Frame whose curve is wanted; can be repeated.", "NAME")
+    list[str] | None,
+    make_option("--frame", "Frame whose curve is wanted; can be repeated.", "NAME"),
 ]
 Marks = Annotated[
     list[str] | None,
-    option("--frame", "Body or frame whose axes are drawn; can be repeated.", "NAME"),
+    make_option("--frame", "Body or frame whose axes are drawn; can be repeated.", "NAME"),
 ]
 Tolerance = Annotated[
     str | None,
-    option(
+    make_option(
         "--tolerance",
         "What dimensions may be off by, in metres and radians, or 'measured'.",
         "NUMBER",
@@ -83,20 +84,20 @@ Tolerance = Annotated[
 ]
 
 
-@command(CLOSED, "plot html deg json")
-def dof(
+@register_command(CLOSED, "plot html deg json")
+def run_dof(
     system: System,
     output: Output,
     q: At = None,
     posture: Posture = None,
     actuated: Annotated[
         str | None,
-        option(
+        make_option(
             "--actuated", "Driven joints: do they control it? Default: as FILE says.", "A,B,..."
         ),
     ] = None,
     fast: Annotated[
-        bool, option("--fast", "Counting and rank only, not the true local dimension.")
+        bool, make_option("--fast", "Counting and rank only, not the true local dimension.")
     ] = False,
     tolerance: Tolerance = None,
 ) -> None:
@@ -106,23 +107,25 @@ def dof(
     """
     from kempe.cli import arguments
 
-    driven = arguments.joints(system, "--actuated", actuated)
-    system = _within(system, tolerance)
-    answer = system.mobility(_closed(system, q, posture, output), driven, local=not fast)
+    driven = arguments.parse_joint_names(system, "--actuated", actuated)
+    system = _apply_tolerance(system, tolerance)
+    answer = system.mobility(
+        _close_configuration(system, q, posture, output), driven, local=not fast
+    )
     output.draw(system, answer.q, motion=True)
     output.show(answer)
     if not answer.closed:
         raise typer.Exit(INCOMPLETE)
 
 
-@command(CLOSED, "plot html deg json")
-def classify(
+@register_command(CLOSED, "plot html deg json")
+def run_classify(
     system: System,
     output: Output,
     q: At = None,
     posture: Posture = None,
     project: Annotated[
-        bool, option("--project", "Where q is not closed, take the nearest that is.")
+        bool, make_option("--project", "Where q is not closed, take the nearest that is.")
     ] = False,
     tolerance: Tolerance = None,
 ) -> None:
@@ -130,25 +133,25 @@ def classify(
 
     Example: kempe classify car
     """
-    system = _within(system, tolerance)
-    answer = system.classify(_closed(system, q, posture, output), project=project)
+    system = _apply_tolerance(system, tolerance)
+    answer = system.classify(_close_configuration(system, q, posture, output), project=project)
     output.draw(system, answer.q, motion=True)
     output.show(answer)
 
 
-def _closed(system: System, q: str | None, posture: str | None, output: Output) -> Any:
+def _close_configuration(system: System, q: str | None, posture: str | None, output: Output) -> Any:
     """The configuration that is given, with its loops closed; where they do not close, the command
     ends with the answer that says so.
     """
     from kempe.cli import arguments
 
-    there, closing = arguments.configuration(system, q, posture, output.deg)
+    there, closing = arguments.read_configuration(system, q, posture, output.deg)
     if closing is not None and not closing:
         output.end(closing)
     return there
 
 
-def _within(system: System, tolerance: str | None) -> System:
+def _apply_tolerance(system: System, tolerance: str | None) -> System:
     """The system with this tolerance. Errors: `InputError`."""
     if tolerance is None:
         return system
@@ -165,7 +168,7 @@ def _within(system: System, tolerance: str | None) -> System:
     return mechanism.build()
 
 
-def _under(system: System, equations: list[str]) -> System:
+def _add_equations(system: System, equations: list[str]) -> System:
     """The system under further equations, which are called as they are written."""
     if not equations:
         return system
@@ -176,8 +179,8 @@ def _under(system: System, equations: list[str]) -> System:
     return mechanism.build()
 
 
-@command(CLOSED, "out plot gif html deg json")
-def assemble(
+@register_command(CLOSED, "out plot gif html deg json")
+def run_assemble(
     system: System,
     output: Output,
     known: Known = None,
@@ -185,16 +188,16 @@ def assemble(
     where: Where = None,
     branch: Annotated[
         str | None,
-        option("--branch", "A branch by its signs (see --modes), or a posture.", "+-..."),
+        make_option("--branch", "A branch by its signs (see --modes), or a posture.", "+-..."),
     ] = None,
     modes: Annotated[
-        bool, option("--modes", "All assembly modes, not only the one near the start.")
+        bool, make_option("--modes", "All assembly modes, not only the one near the start.")
     ] = False,
     nearest: Annotated[
-        bool, option("--nearest", "Where freedoms are left: the nearest to the start.")
+        bool, make_option("--nearest", "Where freedoms are left: the nearest to the start.")
     ] = False,
     continuous: Annotated[
-        bool, option("--continuous", "Rows of a file: each starts where the last two lead.")
+        bool, make_option("--continuous", "Rows of a file: each starts where the last two lead.")
     ] = False,
     no_limits: NoLimits = False,
     time_limit: TimeLimit = None,
@@ -214,9 +217,9 @@ def assemble(
         raise InputError("--nearest and --continuous are two ways to choose; give one of them")
     if time_limit is not None and not modes:
         raise InputError("--time-limit is for --modes: one assembly takes milliseconds")
-    system = _under(_within(system, tolerance), where or [])
-    values = arguments.known(system, known or [], output.deg)
-    start = arguments.start(system, near, output.deg)
+    system = _add_equations(_apply_tolerance(system, tolerance), where or [])
+    values = arguments.parse_known_values(system, known or [], output.deg)
+    start = arguments.read_start(system, near, output.deg)
     limits = not no_limits
     answer: Any
     if modes:
@@ -228,7 +231,7 @@ def assemble(
         answer = system.assemble(
             values,
             start,
-            branch=arguments.branch(system, values, branch),
+            branch=arguments.parse_branch(system, values, branch),
             limits=limits,
             prefer="nearest" if nearest else "continuous" if continuous else None,
         )
@@ -241,35 +244,35 @@ def assemble(
         output.save(answer)
     output.draw(system, answer, side_by_side=modes and 1 < len(answer) <= BESIDE)
     output.show(answer)
-    _not_written(output)
+    _explain_missing_file(output)
     if modes and answer.late:
         raise typer.Exit(INCOMPLETE)
-    leave(answer)
+    end_incomplete_command(answer)
 
 
-@command(CLOSED, "out plot gif html deg json")
-def trace(
+@register_command(CLOSED, "out plot gif html deg json")
+def run_trace(
     system: System,
     output: Output,
     driver: Annotated[
-        str | None, option("--driver", "Coordinate that counts as the input.", "NAME")
+        str | None, make_option("--driver", "Coordinate that counts as the input.", "NAME")
     ] = None,
     frame: Curves = None,
     start: Annotated[
         str | None,
-        option(
+        make_option(
             "--start,--near", "Where it starts: a posture, name=value,... or all of q.", "START"
         ),
     ] = None,
     hold: Annotated[
-        list[str] | None, option("--hold", "Hold a coordinate; can be repeated.", "NAME=VALUE")
+        list[str] | None, make_option("--hold", "Hold a coordinate; can be repeated.", "NAME=VALUE")
     ] = None,
     branches: Annotated[
-        bool, option("--branches", "Trace the branches met at bifurcations, too.")
+        bool, make_option("--branches", "Trace the branches met at bifurcations, too.")
     ] = False,
     points: Annotated[
         int | None,
-        option("--points", "Write this many points, at equal distances of arc length.", "N"),
+        make_option("--points", "Write this many points, at equal distances of arc length.", "N"),
     ] = None,
     no_limits: NoLimits = False,
     time_limit: TimeLimit = None,
@@ -286,13 +289,13 @@ def trace(
 
     if points is not None and points < 2:
         raise InputError(f"--points is {points}; it must be at least 2")
-    system = _within(system, tolerance)
+    system = _apply_tolerance(system, tolerance)
     names = [system.structure.frame_name(f) for f in frame or ()]
-    held = arguments.known(system, hold or [], output.deg, frames=False)
-    begin, closing = arguments.first(system, start, held, output.deg)
+    held = arguments.parse_known_values(system, hold or [], output.deg, frames=False)
+    begin, closing = arguments.find_motion_start(system, start, held, output.deg)
     if closing is not None and not closing:
         output.end(closing)
-    with progress.progress("points traced") as report:
+    with progress.show_progress("points traced") as report:
         path = call_until_interrupt(
             system.trace,
             driver,
@@ -306,18 +309,18 @@ def trace(
     path = replace(path, frames=names, others=others)
     shown = path
     if points is not None:
-        with progress.progress("points", points) as report:
-            shown = _resampled(path, points, Budget(time_limit=time_limit, progress=report))
+        with progress.show_progress("points", points) as report:
+            shown = _resample_path(path, points, Budget(time_limit=time_limit, progress=report))
     if path or path.interrupted or path.late:
         output.save(shown, branches=branches)
-    output.draw(system, shown, lambda: _drawing(system, shown, names), frames=names)
+    output.draw(system, shown, lambda: _build_drawing(system, shown, names), frames=names)
     output.show(shown)
-    _not_written(output)
-    leave(shown if path else path)
+    _explain_missing_file(output)
+    end_incomplete_command(shown if path else path)
 
 
-@command(CLOSED, "deg json")
-def plot(
+@register_command(CLOSED, "deg json")
+def run_plot(
     system: System,
     output: Output,
     out: Annotated[
@@ -330,21 +333,25 @@ def plot(
     frame: Marks = None,
     labels: Annotated[
         str | None,
-        option("--labels", "joints, frames, bodies, coordinates, parameters; or all.", "A,B,..."),
+        make_option(
+            "--labels", "joints, frames, bodies, coordinates, parameters; or all.", "A,B,..."
+        ),
     ] = None,
     axes: Annotated[
-        list[str] | None, option("--axes", "Draw and name its axes; or all; repeated.", "NAME")
+        list[str] | None, make_option("--axes", "Draw and name its axes; or all; repeated.", "NAME")
     ] = None,
     angles: Annotated[
-        bool, option("--angles", "Arcs of the coordinates, from where they are measured.")
+        bool, make_option("--angles", "Arcs of the coordinates, from where they are measured.")
     ] = False,
-    dimensions: Annotated[bool, option("--dimensions", "Lengths of the links.")] = False,
-    motion: Annotated[bool, option("--motion", "Arrows for the freedoms of the joints.")] = False,
+    dimensions: Annotated[bool, make_option("--dimensions", "Lengths of the links.")] = False,
+    motion: Annotated[
+        bool, make_option("--motion", "Arrows for the freedoms of the joints.")
+    ] = False,
     workspace: Annotated[
-        str | None, option("--workspace", "Shade what this frame reaches.", "NAME")
+        str | None, make_option("--workspace", "Shade what this frame reaches.", "NAME")
     ] = None,
     tree: Annotated[
-        bool, option("--tree", "In place of that the tree of bodies and joints.")
+        bool, make_option("--tree", "In place of that the tree of bodies and joints.")
     ] = False,
 ) -> None:
     """Draw a system at a configuration, or its tree.
@@ -353,14 +360,14 @@ def plot(
     """
     from kempe.cli import arguments
 
-    picture = written_to(out, file_out)
-    picture_file(picture)
+    picture = choose_output_file(out, file_out)
+    check_picture_file(picture)
     names = [system.structure.frame_name(f) for f in frame or ()]
     closing = None
     if tree:
         drawing = system.plot_tree()
     else:
-        there, closing = arguments.configuration(system, q, posture, output.deg)
+        there, closing = arguments.read_configuration(system, q, posture, output.deg)
         drawing = system.plot(
             there,
             frames=names,
@@ -375,24 +382,26 @@ def plot(
     output.written.append(picture)
     output.show()
     if closing is not None and not closing:
-        remark(str(closing.status))
+        print_remark(str(closing.status))
         raise typer.Exit(INCOMPLETE)
 
 
 # ---- pictures and messages
 
 
-def _resampled(path: Motion, points: int, budget: Budget) -> Motion:
+def _resample_path(path: Motion, points: int, budget: Budget) -> Motion:
     """The path and its other branches, with points at equal distances."""
     if len(path) < 2:
         return path
     found = call_until_interrupt(path.resample, points, budget=budget)
     if not found and path:  # broken off
         return found
-    return replace(found, others=tuple(_resampled(other, points, budget) for other in path.others))
+    return replace(
+        found, others=tuple(_resample_path(other, points, budget) for other in path.others)
+    )
 
 
-def _drawing(system: System, path: Motion, names: list[str]) -> Any:
+def _build_drawing(system: System, path: Motion, names: list[str]) -> Any:
     """The drawing of a path, with the curves of its other branches: a row of NaN lifts the pen
     between them.
     """
@@ -402,7 +411,7 @@ def _drawing(system: System, path: Motion, names: list[str]) -> Any:
     return system.plot(path=all_of_it, frames=names, ghosts=0 if names or len(path) < 2 else 5)
 
 
-def _not_written(output: Output) -> None:
+def _explain_missing_file(output: Output) -> None:
     """Say of a file that was requested why there is none."""
     if output.out is not None and output.out not in output.written:
-        remark(f"{output.out} is not written: nothing is closed")
+        print_remark(f"{output.out} is not written: nothing is closed")

@@ -10,7 +10,7 @@ from datetime import timedelta
 
 
 @contextlib.contextmanager
-def progress(
+def show_progress(
     what: str, count: int | None = None
 ) -> Generator[Callable[..., None] | None, None, None]:
     """What long work calls with how much is done, and with of how many, or an arc length; nothing
@@ -30,7 +30,7 @@ def progress(
         begin = time.monotonic()
         first: list[float] = []  # what an earlier call did is not of this pace
 
-        def report(done: float, more: float | None = None) -> None:
+        def report_progress(done: float, more: float | None = None) -> None:
             total = more if isinstance(more, int) else count
             first.append(done)
             rate = (done - first[0]) / max(time.monotonic() - begin, 1e-9)
@@ -42,4 +42,4 @@ def progress(
             del first[1:]
             bar.update(task, completed=done, total=total, pace=pace)
 
-        yield report
+        yield report_progress

@@ -18,11 +18,11 @@ from kempe.cli.app import (
     PositionOnly,
     Rng,
     TimeLimit,
-    command,
-    option,
-    remark,
+    make_option,
+    print_remark,
+    register_command,
 )
-from kempe.cli.terminal import INCOMPLETE, leave
+from kempe.cli.terminal import INCOMPLETE, end_incomplete_command
 from kempe.errors import InputError
 from kempe.words import DEGREE
 
@@ -36,32 +36,40 @@ Poses = Annotated[
     str,
     typer.Argument(metavar="POSES", help="A .csv or .npy file, a pose a row, as targets of ik."),
 ]
-Reaching = Annotated[str, option("--frame", "Body or frame that shall reach the poses.", "NAME")]
+Reaching = Annotated[
+    str, make_option("--frame", "Body or frame that shall reach the poses.", "NAME")
+]
 Ranges = Annotated[
     list[str],
-    option("--box", "Where the base may be: x, y, z or yaw. Can be repeated.", "NAME=LOW,HIGH"),
+    make_option(
+        "--box", "Where the base may be: x, y, z or yaw. Can be repeated.", "NAME=LOW,HIGH"
+    ),
 ]
-Cells = Annotated[int, option("--cells", "Values that are tried along each range (11).", "N")]
-Frame = Annotated[str | None, option("--frame", "Body or frame that loses directions.", "NAME")]
+Cells = Annotated[int, make_option("--cells", "Values that are tried along each range (11).", "N")]
+Frame = Annotated[
+    str | None, make_option("--frame", "Body or frame that loses directions.", "NAME")
+]
 FrameTask = Annotated[
     str | None,
-    option("--task", "What counts: pose, position, orientation, xy, xz, yz or direction.", "TASK"),
+    make_option(
+        "--task", "What counts: pose, position, orientation, xy, xz, yz or direction.", "TASK"
+    ),
 ]
 Inputs = Annotated[
     str | None,
-    option("--inputs", "Driven coordinates of closed loops. Default: as FILE says.", "A,B"),
+    make_option("--inputs", "Driven coordinates of closed loops. Default: as FILE says.", "A,B"),
 ]
 From = Annotated[
     list[str] | None,
-    option(
+    make_option(
         "--at", "Configuration from which the nearest is wanted; can be repeated.", "NAME=VALUE"
     ),
 ]
-Starts = Annotated[int | None, option("--starts", "Random starts of the search (64).", "N")]
+Starts = Annotated[int | None, make_option("--starts", "Random starts of the search (64).", "N")]
 
 
-@command(OPEN, "out plot gif html deg json")
-def singularities(
+@register_command(OPEN, "out plot gif html deg json")
+def run_singularities(
     system: System,
     output: Output,
     frame: Frame = None,
@@ -85,20 +93,22 @@ def singularities(
     from kempe.numerics.clock import TimeLimit
 
     time = TimeLimit(time_limit)
-    driving = arguments.joints(system, "--inputs", inputs)
-    near, closing = arguments.configuration(system, ",".join(at) if at else None, None, output.deg)
+    driving = arguments.parse_joint_names(system, "--inputs", inputs)
+    near, closing = arguments.read_configuration(
+        system, ",".join(at) if at else None, None, output.deg
+    )
     if closing is not None and not closing:
         raise InputError(f"--at cannot be closed: {closing.status}")
-    with _paced(starts, rng, time_limit, "starts") as budget:
+    with _make_budget(starts, rng, time_limit, "starts") as budget:
         answer = call_until_interrupt(
             system.singularities, frame, task, inputs=driving, limits=not no_limits, budget=budget
         )
     broken: list[str] = []
 
-    def draw() -> tuple[Axes, ...]:
+    def draw_curves() -> tuple[Axes, ...]:
         from kempe.views.singular_plot import curves_shown, plot_singularities
 
-        with _paced(None, None, time.left, "configurations of curves") as budget:
+        with _make_budget(None, None, time.left, "configurations of curves") as budget:
             curves = call_until_interrupt(curves_shown, answer, budget)
         if curves is not None and curves.broken:
             broken.append(curves.status)
@@ -106,17 +116,17 @@ def singularities(
 
     output.save(answer)
     each = np.reshape([s.q[0] for s in answer.sets], (-1, system.nq))
-    output.draw(system, each, draw)
+    output.draw(system, each, draw_curves)
     output.show(answer, **({} if near is None else {"nearest": answer.nearest(near)}))
     for why in broken:
-        remark(why)
-    leave(answer)
+        print_remark(why)
+    end_incomplete_command(answer)
     if broken:
         raise typer.Exit(INCOMPLETE)
 
 
-@command(OPEN, "out plot gif html deg json")
-def reach(
+@register_command(OPEN, "out plot gif html deg json")
+def run_reach(
     system: System,
     output: Output,
     poses: Poses,
@@ -130,16 +140,16 @@ def reach(
 
     Example: kempe reach ur5 weld.csv --frame tool
     """
-    X, task = _poses(system, poses, frame, position_only, output.deg)
-    with _paced(starts, rng, time_limit, "poses") as budget:
+    X, task = _read_poses(system, poses, frame, position_only, output.deg)
+    with _make_budget(starts, rng, time_limit, "poses") as budget:
         answer = call_until_interrupt(system.reach.poses, X, frame, task=task, budget=budget)
     output.save(answer)
     output.draw(system, answer.q[answer.reached], answer.plot)
     output.end(answer)
 
 
-@command(OPEN, "plot deg json")
-def place(
+@register_command(OPEN, "plot deg json")
+def run_place(
     system: System,
     output: Output,
     poses: Poses,
@@ -155,9 +165,9 @@ def place(
 
     Example: kempe place ur5 weld.csv --frame tool --box x=-1,1 --box y=-1,1 --box z=0.2
     """
-    X, task = _poses(system, poses, frame, position_only, output.deg)
-    ranges = _box(box, output.deg)
-    with _paced(starts, rng, time_limit, "poses") as budget:
+    X, task = _read_poses(system, poses, frame, position_only, output.deg)
+    ranges = _parse_ranges(box, output.deg)
+    with _make_budget(starts, rng, time_limit, "poses") as budget:
         answer = call_until_interrupt(
             system.reach.place, X, frame, ranges, cells, task=task, budget=budget
         )
@@ -166,30 +176,30 @@ def place(
 
 
 @contextmanager
-def _paced(
+def _make_budget(
     starts: int | None, rng: int | None, time_limit: float | None, of: str
 ) -> Generator[Budget]:
     """The budget of a command, which shows how many of what are done where the terminal is one."""
     from kempe.cli import progress
 
-    with progress.progress(of) as report:
+    with progress.show_progress(of) as report:
         yield Budget(starts=starts, rng=rng, time_limit=time_limit, progress=report)
 
 
-def _poses(
+def _read_poses(
     system: System, text: str, frame: str, position_only: bool, deg: bool
 ) -> tuple[Array, str | None]:
     """Poses (n, 4, 4) of a file, and the task. Errors: `InputError`, `UnknownNameError`."""
     from kempe.cli import arguments, table_files
 
     system.structure.frame_name(frame)  # a wrong name is reported before any work
-    if not table_files.is_file(text):
+    if not table_files.is_table_file(text):
         raise InputError(f"POSES is {text!r}; it must be a .csv or .npy file of poses, one a row")
-    X, position = arguments.target(system, text, deg)
+    X, position = arguments.read_target(system, text, deg)
     return X.reshape(-1, 4, 4), "position" if position or position_only else None
 
 
-def _box(words: list[str], deg: bool) -> dict[str, object]:
+def _parse_ranges(words: list[str], deg: bool) -> dict[str, object]:
     """Ranges by name: of a number that, of two a pair. Errors: `InputError`."""
     from kempe.cli import table_files
 
@@ -201,6 +211,6 @@ def _box(words: list[str], deg: bool) -> dict[str, object]:
         if name.strip() in out:
             raise InputError(f"--box gives {name.strip()!r} twice")
         factor = DEGREE if deg and name.strip() == "yaw" else 1.0
-        numbers = [x * factor for x in table_files.numbers(value, f"--box {name}")]
+        numbers = [x * factor for x in table_files.parse_numbers(value, f"--box {name}")]
         out[name.strip()] = numbers[0] if len(numbers) == 1 else numbers
     return out

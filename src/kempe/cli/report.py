@@ -31,33 +31,33 @@ _CONTROL = {i: f"\\x{i:02x}" for i in (*range(32), *range(127, 160)) if i not in
 """Control characters, which a name from a file must not send to the terminal."""
 
 
-def console(file: TextIO | None = None) -> Console:
+def make_console(file: TextIO | None = None) -> Console:
     """A rich console that takes text literally, colours terminals only, and wraps nothing."""
     return Console(
         file=file or sys.stdout, markup=False, emoji=False, highlight=False, soft_wrap=True
     )
 
 
-def write(text: RenderableType, file: TextIO | None = None) -> None:
+def print_text(text: RenderableType, file: TextIO | None = None) -> None:
     """Print text to `file` (standard output unless given)."""
-    console(file).print(text)
+    make_console(file).print(text)
 
 
-def show(answer: Result, degrees: bool = False, file: TextIO | None = None) -> None:
+def print_answer(answer: Result, degrees: bool = False, file: TextIO | None = None) -> None:
     """Print an answer: its first line in colour, and of one configuration a line that can be given
     to `kempe fk`.
 
     Sentences are broken at the width of a terminal, tables are not: no digit is cut off.
     """
-    printer = console(file)
-    text = clean(answer.text(degrees, printer.width if printer.is_terminal else 0))
+    printer = make_console(file)
+    text = clean_text(answer.text(degrees, printer.width if printer.is_terminal else 0))
     style = "bold green" if answer else "bold yellow" if np.any(answer.success) else "bold red"
     head, line, rest = text.partition("\n")
-    copy = values_line(answer, degrees)
+    copy = format_configuration(answer, degrees)
     printer.print(Text.assemble((head, style), line, rest, (copy and f"\n\n{copy}", "dim")))
 
 
-def values_line(answer: Any, degrees: bool) -> str:
+def format_configuration(answer: Any, degrees: bool) -> str:
     """The configuration of an answer, of several the first inside the limits, as `kempe fk` takes
     it; '' where there is none.
     """
@@ -74,13 +74,13 @@ def values_line(answer: Any, degrees: bool) -> str:
     return f"--q {','.join(format_fixed(x, 9).rstrip('0').rstrip('.') for x in values)}"
 
 
-def in_options(text: str) -> str:
+def translate_keywords(text: str) -> str:
     """A message of the library with the options of commands in place of the same keyword arguments.
 
     `root='base'` becomes `--root base`, which can be typed; the names are the same.
     """
 
-    def option(found: re.Match[str]) -> str:
+    def format_option(found: re.Match[str]) -> str:
         flag = f"--{(found[1] or found[2]).replace('_', '-')}"
         if found[3] in (None, "True", "(...)"):
             return flag
@@ -88,52 +88,54 @@ def in_options(text: str) -> str:
         flag = "--xacro-arg" if flag == "--xacro" else flag
         return f"{flag} {value.replace(', ', ',')}"
 
-    return _KEYWORD.sub(option, text) if "=" in text else text
+    return _KEYWORD.sub(format_option, text) if "=" in text else text
 
 
-def clean(text: object) -> str:
+def clean_text(text: object) -> str:
     """`text` with control characters made visible, and options in place of keyword arguments."""
-    return in_options(str(text)).translate(_CONTROL)
+    return translate_keywords(str(text)).translate(_CONTROL)
 
 
 # ---- problems of files, and errors
 
 
-def findings(file: str, problems: Sequence[Fault], notes: Sequence[str] = ()) -> RenderableType:
+def format_findings(
+    file: str, problems: Sequence[Fault], notes: Sequence[str] = ()
+) -> RenderableType:
     """What is wrong with a file: each problem with its place and a caret under it; then the notes."""
     found = format_count(len(problems), "problem") if problems else "no problems"
     noted = f", {format_count(len(notes), 'note')}" if notes else ""
     head = Text.assemble(
-        clean(file), ": ", (found, "bold red" if problems else "bold green"), noted
+        clean_text(file), ": ", (found, "bold red" if problems else "bold green"), noted
     )
-    said = [Text.assemble(("note ", "bold cyan"), clean(note)) for note in notes[:NOTE_LIMIT]]
+    said = [Text.assemble(("note ", "bold cyan"), clean_text(note)) for note in notes[:NOTE_LIMIT]]
     if len(notes) > NOTE_LIMIT:
         said.append(Text(f"... and {format_count(len(notes) - NOTE_LIMIT, 'more note')}"))
-    return Group(head, *_problems(problems), *said)
+    return Group(head, *_format_problems(problems), *said)
 
 
-def error(problem: BaseException | str) -> RenderableType:
+def format_error(problem: BaseException | str) -> RenderableType:
     """An error as one sentence; a description's problems each with its place and a caret."""
     head = Text("error: ", style="bold red")
     if isinstance(problem, DescriptionError):
-        first, *rest = _problems(problem.problems)
+        first, *rest = _format_problems(problem.problems)
         return Group(head + first, *rest)
-    return head + Text(clean(problem))
+    return head + Text(clean_text(problem))
 
 
-def _problems(problems: Sequence[Fault]) -> list[Text]:
+def _format_problems(problems: Sequence[Fault]) -> list[Text]:
     """The first problems, and how many more there are."""
-    shown = [_problem(p) for p in problems[:PROBLEM_LIMIT]]
+    shown = [_format_problem(p) for p in problems[:PROBLEM_LIMIT]]
     more = len(problems) - len(shown)
     return [*shown, *([Text(f"... and {more} more")] if more else [])]
 
 
-def _problem(problem: Fault) -> Text:
-    text = Text(clean(problem))
+def _format_problem(problem: Fault) -> Text:
+    text = Text(clean_text(problem))
     if problem.where:
         text.stylize("bold", 0, len(str(problem.where)))
     caret = problem.caret()
     if caret:
-        line, mark = clean(caret).rsplit("\n", 1)
+        line, mark = clean_text(caret).rsplit("\n", 1)
         text.append(f"\n{line}\n", "dim").append(mark, "bold red")
     return text

@@ -10,7 +10,7 @@ import typer
 
 from kempe.arguments import call_until_interrupt
 from kempe.budget import Budget
-from kempe.cli.app import CLOSED, Output, TimeLimit, command, option, save_picture
+from kempe.cli.app import CLOSED, Output, TimeLimit, make_option, register_command, save_picture
 from kempe.cli.terminal import INCOMPLETE
 from kempe.errors import InputError
 
@@ -18,27 +18,27 @@ if TYPE_CHECKING:
     from kempe.system import System
 
 
-@command(CLOSED, "out plot deg json")
-def spaces(
+@register_command(CLOSED, "out plot deg json")
+def run_spaces(
     system: System,
     output: Output,
     frame: Annotated[
-        str | None, option("--frame", "Frame whose task space is wanted.", "NAME")
+        str | None, make_option("--frame", "Frame whose task space is wanted.", "NAME")
     ] = None,
     task: Annotated[
         str | None,
-        option(
+        make_option(
             "--task", "What of the frame is drawn: xy, xz, yz or direction (of its z axis).", "NAME"
         ),
     ] = None,
     position_only: Annotated[
-        bool, option("--position-only", "Only its position counts, not its pose.")
+        bool, make_option("--position-only", "Only its position counts, not its pose.")
     ] = False,
     sample: Annotated[
         float | None,
-        option("--sample", "So many random configurations, uniform in a stated measure.", "N"),
+        make_option("--sample", "So many random configurations, uniform in a stated measure.", "N"),
     ] = None,
-    rng: Annotated[int, option("--rng", "Number that fixes what is random (0).", "N")] = 0,
+    rng: Annotated[int, make_option("--rng", "Number that fixes what is random (0).", "N")] = 0,
     time_limit: TimeLimit = None,
 ) -> None:
     """Say what the configuration space is: dimension, components, samples; and the task space of a
@@ -70,7 +70,7 @@ def spaces(
     if output.plot is not None:
         from kempe.cli import progress
 
-        with progress.progress("places") as report:
+        with progress.show_progress("places") as report:
             spent = Budget(time_limit=time_limit, progress=report)
             axes = call_until_interrupt(system.plot_spaces, frame or "", task=task, budget=spent)
             save_picture(axes, output.plot)

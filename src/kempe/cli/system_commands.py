@@ -17,13 +17,13 @@ from kempe.cli.app import (
     Posture,
     Reading,
     Values,
-    command,
-    option,
-    remark,
-    written_to,
+    choose_output_file,
+    make_option,
+    print_remark,
+    register_command,
 )
 from kempe.cli.terminal import COMPLETE, INCOMPLETE, print_json
-from kempe.description.formats import endings_written, named, read_by
+from kempe.description.formats import join_titles, list_readable_formats, list_writable_endings
 from kempe.words import join_first_words, make_plural
 
 if TYPE_CHECKING:
@@ -32,12 +32,12 @@ if TYPE_CHECKING:
 # ---- describe and convert
 
 
-@command(DESCRIBE, "plot html deg json")
-def info(
+@register_command(DESCRIBE, "plot html deg json")
+def run_info(
     system: System,
     output: Output,
     tree: Annotated[
-        bool, option("--tree", "Only the tree of bodies and joints, and what closes loops.")
+        bool, make_option("--tree", "Only the tree of bodies and joints, and what closes loops.")
     ] = False,
 ) -> None:
     """Say what a system is: bodies, joints, loops, limits, frames; or draw it, or its tree.
@@ -48,19 +48,20 @@ def info(
 
     output.draw(system, None, system.plot_tree if tree else None)
     if tree and not output.json:
-        from kempe.cli.report import clean
+        from kempe.cli.report import clean_text
         from kempe.views.overviews import tree_lines
 
-        print(clean("\n".join(tree_lines(system))))
+        print(clean_text("\n".join(tree_lines(system))))
         output.show()
     else:
         output.show(SystemFacts(system))
 
 
-@command(DESCRIBE)
-def check(
+@register_command(DESCRIBE)
+def run_check(
     files: Annotated[
-        list[str], typer.Argument(metavar="FILE...", help=f"Files in {named(read_by())}.")
+        list[str],
+        typer.Argument(metavar="FILE...", help=f"Files in {join_titles(list_readable_formats())}."),
     ],
     reading: Reading,
     output: Output,
@@ -70,7 +71,7 @@ def check(
     Example: kempe check robots/*.urdf
     """
     from kempe.cli import facts, report
-    from kempe.description.read import check as check_
+    from kempe.description.read import check_description as check_
 
     found: list[dict[str, Any]] = []
     for file in files:
@@ -79,12 +80,12 @@ def check(
             {
                 "file": file,
                 "ok": not problems,
-                "problems": [facts.problem_facts(p) for p in problems],
+                "problems": [facts.make_problem_facts(p) for p in problems],
                 "notes": list(notes),
             }
         )
         if not output.json:
-            report.write(report.findings(file, problems, notes))
+            report.print_text(report.format_findings(file, problems, notes))
     if output.json:
         print_json(found)
     elif len(found) > 1:
@@ -93,14 +94,16 @@ def check(
     raise typer.Exit(COMPLETE if all(r["ok"] for r in found) else INCOMPLETE)
 
 
-@command(DESCRIBE)
-def convert(
+@register_command(DESCRIBE)
+def run_convert(
     file: File,
     reading: Reading,
     output: Output,
     out: Annotated[
         Path | None,
-        typer.Argument(metavar="OUT", help=f"File to write: {endings_written()}; or -o FILE."),
+        typer.Argument(
+            metavar="OUT", help=f"File to write: {list_writable_endings()}; or -o FILE."
+        ),
     ] = None,
     file_out: InPlace = None,
 ) -> None:
@@ -109,12 +112,12 @@ def convert(
     Example: kempe convert panda.urdf panda.toml
     """
     import kempe
-    from kempe.description.read import write
+    from kempe.description.read import write_mechanism
 
-    out = written_to(out, file_out)
+    out = choose_output_file(out, file_out)
     mechanism = kempe.read(file, **reading)
     mechanism.build()
-    write(mechanism, out)
+    write_mechanism(mechanism, out)
     if output.json:
         notes = list(mechanism.notes)
         print_json({"name": mechanism.name, "notes": notes, "written": [str(out)]})
@@ -125,8 +128,8 @@ def convert(
 # ---- forward model
 
 
-@command(OPEN, "out plot gif html deg json")
-def fk(
+@register_command(OPEN, "out plot gif html deg json")
+def run_fk(
     system: System,
     output: Output,
     frame: FrameOrAll = None,
@@ -141,17 +144,17 @@ def fk(
 
     if frame is not None:
         system.structure.frame_name(frame)  # a wrong name is reported before kernels are compiled
-    values = arguments.configurations(system, q, posture, output.deg)
+    values = arguments.read_configurations(system, q, posture, output.deg)
     poses = facts.Poses(system, frame, system.fk(values, frame))
     output.save(poses)
     output.draw(system, values, frames=[] if frame is None else [frame])
     output.show(poses)
-    bad = table_files.not_finite(values)
+    bad = table_files.find_nonfinite_rows(values)
     if bad:
         rows = f"{make_plural(len(bad), 'row')} {join_first_words([str(i) for i in bad], 12)}"
-        remark(f"q is not finite in {rows}; poses there are NaN")
-    gap = facts.largest_gap(system, values)
+        print_remark(f"q is not finite in {rows}; poses there are NaN")
+    gap = facts.describe_largest_gap(system, values)
     if gap:
-        remark(f"loops are open here, {gap}: kempe assemble closes them")
+        print_remark(f"loops are open here, {gap}: kempe assemble closes them")
     if bad:
         raise typer.Exit(INCOMPLETE)

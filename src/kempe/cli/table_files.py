@@ -8,26 +8,26 @@ from pathlib import Path
 import numpy as np
 
 from kempe.answers.tables import SUFFIXES, as_numbers
-from kempe.description.source import no_file
+from kempe.description.source import describe_special_file
 from kempe.errors import InputError
 from kempe.spatial import Array
 from kempe.workspace.row_sources import open_rows
 
 
-def is_file(text: str) -> bool:
+def is_table_file(text: str) -> bool:
     """Whether a value given as text names a file of rows."""
     return Path(text).suffix.lower() in SUFFIXES
 
 
-def numbers(text: str, what: str) -> list[float]:
+def parse_numbers(text: str, what: str) -> list[float]:
     """The numbers of 'a,b,c'. Errors: `InputError` naming the one that is none."""
     return as_numbers(text.split(","), what)
 
 
-def finite_numbers(text: str, what: str) -> list[float]:
+def parse_finite_numbers(text: str, what: str) -> list[float]:
     """The numbers of 'a,b,c', all of them finite. Errors: `InputError`."""
     try:
-        values = numbers(text, what)
+        values = parse_numbers(text, what)
     except InputError:
         raise InputError(f"{what} is {text!r}; it must be numbers, separated by commas") from None
     if bad := [x for x in values if not math.isfinite(x)]:
@@ -35,21 +35,21 @@ def finite_numbers(text: str, what: str) -> list[float]:
     return values
 
 
-def refuse_no_file(path: Path) -> None:
+def check_input_file(path: Path) -> None:
     """Refuse, with an `InputError`, a path at which there is no plain file to read."""
-    if what := no_file(path):
+    if what := describe_special_file(path):
         raise InputError(f"{path}: this is {what}; give the path of a plain file")
     if not path.is_file():
         raise InputError(f"{path}: there is no such file")
 
 
-def read(path: Path, matrices: bool = False) -> tuple[list[str] | None, Array]:
+def read_table(path: Path, matrices: bool = False) -> tuple[list[str] | None, Array]:
     """Rows (n, k) of a .csv or .npy file, and the names in the first line of a .csv if it has them.
 
     A .npy may hold (n, 4, 4) matrices where `matrices` allows. Errors: `InputError` with the file
     and the line.
     """
-    refuse_no_file(path)
+    check_input_file(path)
     source = open_rows(path)
     if not source.n:
         raise InputError(f"{path}: it holds no rows of numbers")
@@ -63,6 +63,6 @@ def read(path: Path, matrices: bool = False) -> tuple[list[str] | None, Array]:
     return None if names is None else list(names), source.read(0, source.n)
 
 
-def not_finite(q: Array) -> list[int]:
+def find_nonfinite_rows(q: Array) -> list[int]:
     """Numbers of the rows of q (n, nq) that hold NaN or infinities; none of a single configuration."""
     return np.flatnonzero(~np.isfinite(q).all(axis=-1)).tolist() if q.ndim > 1 else []

@@ -16,7 +16,7 @@ import numpy as np
 from kempe import spatial
 from kempe.cli import arguments, table_files
 from kempe.constraints import KINDS, Constraint
-from kempe.description.source import Source, decode, expanded, shorten
+from kempe.description.source import Source, decode_text, expand_path, shorten_text
 from kempe.description.toml_document import Document
 from kempe.equations.tasks import Task
 from kempe.errors import InputError, UnknownNameError, hint
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from kempe.system import System
 
 
-def types() -> dict[str, type[Constraint]]:
+def list_constraint_types() -> dict[str, type[Constraint]]:
     """The kinds that can be requested, by name: 'pose', 'look_at', ... Functions of the user are
     for Python.
     """
@@ -50,16 +50,16 @@ class FileTasks(NamedTuple):
     rows: int | None
 
 
-def read(system: System, path: Path, degrees: bool = False) -> FileTasks:
+def read_tasks(system: System, path: Path, degrees: bool = False) -> FileTasks:
     """The tasks of a TOML file, each checked with the system.
 
     A value that names a .csv or .npy file, seen from the folder of this one, has an entry in each
     of its rows: these make a batch. Errors: `DescriptionError` with all problems, each with its
     line.
     """
-    path = expanded(path)
-    table_files.refuse_no_file(path)
-    document = Document(Source(str(path), decode(path.read_bytes(), str(path))))
+    path = expand_path(path)
+    table_files.check_input_file(path)
+    document = Document(Source(str(path), decode_text(path.read_bytes(), str(path))))
     tasks = _TaskReader(system, document, path.parent, degrees).all()
     document.findings.finish()
     return tasks
@@ -83,7 +83,7 @@ class _TaskReader:
         where = self.document.where
         for key in self.document.data:
             if key != "task":
-                add(f"unknown key {shorten(key)}", "", where(key), ABOVE)
+                add(f"unknown key {shorten_text(key)}", "", where(key), ABOVE)
         tables = self.document.array("task")
         if not tables and not self.document.findings.problems:
             add("there are no tasks", "", where(), ABOVE)
@@ -102,19 +102,22 @@ class _TaskReader:
         before = len(findings.problems)
         place = ("task", index)
         name = table.get("type")
-        subject = f"task {shorten(table.get('name') or name or index + 1)}"
+        subject = f"task {shorten_text(table.get('name') or name or index + 1)}"
 
-        def add(message: str, allowed: str, *key: str) -> None:
+        def add_problem(message: str, allowed: str, *key: str) -> None:
             findings.add(message, subject, self.document.where(*place, *key), allowed)
 
         if name is None:
-            add("the key 'type' is missing", f"it must be one of {', '.join(types())}")
+            add_problem(
+                "the key 'type' is missing",
+                f"it must be one of {', '.join(list_constraint_types())}",
+            )
             return None
-        if not isinstance(name, str) or name not in types():
-            close = hint(str(name), types()).lstrip("; ")
-            add(f"unknown type of task {shorten(name)}", close, "type")
+        if not isinstance(name, str) or name not in list_constraint_types():
+            close = hint(str(name), list_constraint_types()).lstrip("; ")
+            add_problem(f"unknown type of task {shorten_text(name)}", close, "type")
             return None
-        kind = types()[name]
+        kind = list_constraint_types()[name]
         names = [f.name for f in sorted(fields(kind), key=lambda f: f.kw_only is True) if f.init]
         needed = [
             f.name
@@ -126,7 +129,7 @@ class _TaskReader:
             if key == "type":
                 continue
             if key not in names:
-                add(f"unknown key {shorten(key)}{hint(key, names)}", "", key)
+                add_problem(f"unknown key {shorten_text(key)}{hint(key, names)}", "", key)
                 continue
             with findings.guard(subject, self.document.where(*place, key)):
                 given[key] = self.value(kind, key, value)
@@ -134,7 +137,7 @@ class _TaskReader:
                     self.counts.append(len(given[key]))
         for key in needed:
             if key not in table:
-                add(f"the key {key!r} is missing", f"it needs {', '.join(needed)}")
+                add_problem(f"the key {key!r} is missing", f"it needs {', '.join(needed)}")
         if len(findings.problems) > before:
             return None
         try:
@@ -145,8 +148,8 @@ class _TaskReader:
         except (InputError, UnknownNameError) as error:
             about = [k for k in given if re.search(rf"\b{k}\b", str(error))]
             if isinstance(error, UnknownNameError):
-                about = [k for k, v in given.items() if v == error.name or _holds(v, error.name)]
-            add(str(error), "", *about[:1])
+                about = [k for k, v in given.items() if v == error.name or _has_name(v, error.name)]
+            add_problem(str(error), "", *about[:1])
             return None
         return made
 
@@ -154,17 +157,17 @@ class _TaskReader:
         """A parameter as the class takes it. Errors: `InputError`."""
         if key in TEXT:
             if not isinstance(value, str):
-                raise InputError(f"{key} is {shorten(value)}; it must be text in quotes")
+                raise InputError(f"{key} is {shorten_text(value)}; it must be text in quotes")
             return value
         if _names_file(key, value):
             return self.from_file(kind, key, self.folder / value)
         if key in NUMBERS and not _is_number(value):
-            raise InputError(f"{key} is {shorten(value)}; it must be a number")
+            raise InputError(f"{key} is {shorten_text(value)}; it must be a number")
         if key == "priority" and type(value) is not int:
-            raise InputError(f"priority is {shorten(value)}; it must be a whole number")
+            raise InputError(f"priority is {shorten_text(value)}; it must be a whole number")
         if key == "tolerance" and not (_is_number(value) or _are_numbers(value, 2)):
             raise InputError(
-                f"tolerance is {shorten(value)}; it must be one or two numbers, in metres and "
+                f"tolerance is {shorten_text(value)}; it must be one or two numbers, in metres and "
                 "radians"
             )
         if key == "frames":
@@ -172,14 +175,14 @@ class _TaskReader:
             good = isinstance(value, list) and all(isinstance(x, str) for x in given)
             if not good and not (isinstance(value, dict) and all(map(_is_number, given.values()))):
                 raise InputError(
-                    f"frames is {shorten(given)}; it must be a list of names, or a table of weights"
+                    f"frames is {shorten_text(given)}; it must be a list of names, or a table of weights"
                 )
             return given
         if key == "q":
             return self.posture(value)
         if (turned := self.turned(kind, key)) is not None:
-            return turned(np.asarray(_numbers(key, value), dtype=float))
-        return _numbers(key, value)
+            return turned(np.asarray(_check_numbers(key, value), dtype=float))
+        return _check_numbers(key, value)
 
     def turned(
         self, kind: type[Constraint], key: str
@@ -224,7 +227,7 @@ class _TaskReader:
     def posture(self, value: Any) -> Any:
         """Values by name, or a configuration, or the name of a posture, with angles in radians."""
         if isinstance(value, str):
-            return arguments.configurations(self.system, None, value)
+            return arguments.read_configurations(self.system, None, value)
         if isinstance(value, Mapping):
             flat = self.document.flat(value, (), "q")
             if not all(map(_is_number, flat.values())):
@@ -233,16 +236,16 @@ class _TaskReader:
                 )
             unit = list_units(self.system)
             return {k: x * (self.angle if unit.get(k) == "rad" else 1.0) for k, x in flat.items()}
-        return arguments.configurations(
-            self.system, ",".join(map(str, _numbers("q", value))), None, self.degrees
+        return arguments.read_configurations(
+            self.system, ",".join(map(str, _check_numbers("q", value))), None, self.degrees
         )
 
     def from_file(self, kind: type[Constraint], key: str, path: Path) -> spatial.Array:
         """Values (n, ...) of the rows of a file."""
         if key == "q":
-            return arguments.configurations(self.system, str(path), None, self.degrees)
+            return arguments.read_configurations(self.system, str(path), None, self.degrees)
         turned = self.turned(kind, key)
-        _, table = table_files.read(path, matrices=turned is not None)
+        _, table = table_files.read_table(path, matrices=turned is not None)
         if turned is not None:
             return turned(table)
         single = table.shape[1] == 1 and key in ("radius", "value", "margin", "at_least", "at_most")
@@ -250,7 +253,7 @@ class _TaskReader:
 
 
 def _names_file(key: str, value: Any) -> bool:
-    return key not in TEXT and isinstance(value, str) and table_files.is_file(value)
+    return key not in TEXT and isinstance(value, str) and table_files.is_table_file(value)
 
 
 def _is_number(x: Any) -> bool:
@@ -262,7 +265,7 @@ def _are_numbers(x: Any, n: int) -> bool:
     return isinstance(x, list) and len(entries) == n and all(map(_is_number, entries))
 
 
-def _numbers(key: str, value: Any) -> Any:
+def _check_numbers(key: str, value: Any) -> Any:
     """A number, or numbers in lists. Errors: `InputError`."""
     try:
         good = np.asarray(value).dtype.kind in "fiu"
@@ -270,11 +273,11 @@ def _numbers(key: str, value: Any) -> Any:
         good = False
     if not good or isinstance(value, bool):
         raise InputError(
-            f"{key} is {shorten(value)}; it must be a number, a list of numbers, or a .csv or .npy "
+            f"{key} is {shorten_text(value)}; it must be a number, a list of numbers, or a .csv or .npy "
             "file"
         )
     return value
 
 
-def _holds(value: Any, name: object) -> bool:
+def _has_name(value: Any, name: object) -> bool:
     return isinstance(value, (list, dict)) and name in value

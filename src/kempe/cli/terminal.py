@@ -32,7 +32,7 @@ class Commands(TyperGroup):
         """Run the command line `args`; ends the process with an exit code unless `standalone_mode`
         is off.
         """
-        args = [at_home(arg) for arg in (sys.argv[1:] if args is None else args)]
+        args = [expand_home(arg) for arg in (sys.argv[1:] if args is None else args)]
         try:
             code = super().main(args, *rest, standalone_mode=False, **extra)
         except UsageError as error:
@@ -44,7 +44,7 @@ class Commands(TyperGroup):
             )
             path = " ".join(["kempe", *words])
             message = getattr(error, "format_message", error.__str__)()
-            say_error(f"{message} (see '{path} --help')", "--json" in args)
+            print_error(f"{message} (see '{path} --help')", "--json" in args)
             code = REFUSED
         except typer.Abort:
             code = INTERRUPTED
@@ -53,7 +53,7 @@ class Commands(TyperGroup):
         return code
 
 
-def at_home(argument: str) -> str:
+def expand_home(argument: str) -> str:
     """An argument with the ``~`` of its file expanded, which a shell leaves alone after ``=``."""
     option, sign, file = argument.partition("=")
     if not argument.startswith("--"):
@@ -64,7 +64,7 @@ def at_home(argument: str) -> str:
     return option + sign + os.path.expanduser(file)
 
 
-def leave(answer: Any) -> None:
+def end_incomplete_command(answer: Any) -> None:
     """End the command where its answer is not complete: by the code for Ctrl-C where that broke it
     off.
     """
@@ -80,7 +80,7 @@ def leave(answer: Any) -> None:
 
 
 @contextlib.contextmanager
-def guarded(json: bool) -> Generator[None]:
+def report_errors(json: bool) -> Generator[None]:
     """Make errors one sentence, or `json`, and exit code 2.
 
     Where the time limit was over before anything was known, it is 1: the question stands.
@@ -88,34 +88,34 @@ def guarded(json: bool) -> Generator[None]:
     try:
         yield
     except TimeLimitError as error:
-        say_error(error, json)
+        print_error(error, json)
         raise typer.Exit(INCOMPLETE) from None
     except KempeError as error:
-        refuse(error, json)
+        refuse_question(error, json)
     except BrokenPipeError:
         raise
     except OSError as error:
         named = f"{error.filename}: " if error.filename else ""
-        refuse(f"{named}{error.strerror or error}", json)
+        refuse_question(f"{named}{error.strerror or error}", json)
 
 
-def refuse(error: BaseException | str, json: bool = False) -> NoReturn:
+def refuse_question(error: BaseException | str, json: bool = False) -> NoReturn:
     """Say why the question cannot be posed, and end the command with exit code 2."""
-    say_error(error, json)
+    print_error(error, json)
     raise typer.Exit(REFUSED)
 
 
-def say_error(error: BaseException | str, json: bool = False) -> None:
+def print_error(error: BaseException | str, json: bool = False) -> None:
     """Print an error: a sentence on standard error, or JSON on standard output."""
     error = error if isinstance(error, BaseException) else str(shorten_lines(error))
     if json:
-        from kempe.cli.facts import error_facts
+        from kempe.cli.facts import make_error_facts
 
-        print_json(error_facts(error))
+        print_json(make_error_facts(error))
     else:
         from kempe.cli import report
 
-        report.write(report.error(error), sys.stderr)
+        report.print_text(report.format_error(error), sys.stderr)
 
 
 def print_json(data: Any) -> None:
@@ -126,8 +126,8 @@ def print_json(data: Any) -> None:
     print(format_json(data, ascii_only=encoding.lower().replace("-", "") != "utf8"))
 
 
-def show(answer: Any, degrees: bool = False) -> None:
+def print_answer(answer: Any, degrees: bool = False) -> None:
     """Print an answer, its first line in colour."""
     from kempe.cli import report
 
-    report.show(answer, degrees)
+    report.print_answer(answer, degrees)

@@ -7,7 +7,16 @@ import webbrowser
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from kempe.cli.app import DESCRIBE, MODELS, Output, Posture, Values, command, option, remark
+from kempe.cli.app import (
+    DESCRIBE,
+    MODELS,
+    Output,
+    Posture,
+    Values,
+    make_option,
+    print_remark,
+    register_command,
+)
 from kempe.cli.terminal import print_json
 
 if TYPE_CHECKING:
@@ -17,19 +26,23 @@ DEMO = "panda"
 """The model that `kempe demo` shows."""
 
 Frame = Annotated[
-    str | None, option("--frame", "Body or frame that is dragged (the last one declared).", "NAME")
+    str | None,
+    make_option("--frame", "Body or frame that is dragged (the last one declared).", "NAME"),
 ]
 Port = Annotated[
-    int | None, option("--port", "Port of the page (8080, or the next that is free).", "N")
+    int | None, make_option("--port", "Port of the page (8080, or the next that is free).", "N")
 ]
-NoBrowser = Annotated[bool, option("--no-browser", "Open no browser: only say where the page is.")]
+NoBrowser = Annotated[
+    bool, make_option("--no-browser", "Open no browser: only say where the page is.")
+]
 Html = Annotated[
-    Path | None, option("-o,--html", "Write a page that opens from disk, and serve none.", "FILE")
+    Path | None,
+    make_option("-o,--html", "Write a page that opens from disk, and serve none.", "FILE"),
 ]
 
 
-@command(DESCRIBE, "deg json")
-def view(
+@register_command(DESCRIBE, "deg json")
+def run_view(
     system: System,
     output: Output,
     frame: Frame = None,
@@ -50,7 +63,7 @@ def view(
     start = (
         None
         if q is None and posture is None
-        else arguments.configurations(system, q, posture, output.deg)
+        else arguments.read_configurations(system, q, posture, output.deg)
     )
     if html is not None:
         from kempe.views.viewer.pages import write_page
@@ -61,7 +74,7 @@ def view(
             return
         print(f"written to {html}")
         if drawn.lost:
-            remark(drawn.lost_sentence)
+            print_remark(drawn.lost_sentence)
         return
     from kempe.views.viewer.live import serve
 
@@ -71,19 +84,19 @@ def view(
         else:
             print(f"{system.name}: {viewer.url} (Ctrl-C ends it)")
             if viewer.drawn.lost:
-                remark(viewer.drawn.lost_sentence)
+                print_remark(viewer.drawn.lost_sentence)
         sys.stdout.flush()
         if not no_browser:
             webbrowser.open(viewer.url)
         viewer.wait()
 
 
-@command(MODELS)
-def demo(
+@register_command(MODELS)
+def run_demo(
     output: Output, html: Html = None, port: Port = None, no_browser: NoBrowser = False
 ) -> None:
     """Show a shipped arm in the browser.
 
     Example: kempe demo
     """
-    view(file=DEMO, html=html, port=port, no_browser=no_browser, json=output.json)
+    run_view(file=DEMO, html=html, port=port, no_browser=no_browser, json=output.json)

@@ -9,8 +9,8 @@ import numpy as np
 import typer
 
 from kempe.arguments import call_until_interrupt
-from kempe.cli.app import OPEN, Output, Scheduler, Threads, TimeLimit, command, option
-from kempe.cli.table_files import finite_numbers
+from kempe.cli.app import OPEN, Output, Scheduler, Threads, TimeLimit, make_option, register_command
+from kempe.cli.table_files import parse_finite_numbers
 from kempe.cli.terminal import print_json
 from kempe.errors import InputError
 from kempe.words import DEGREE, format_count
@@ -19,31 +19,31 @@ if TYPE_CHECKING:
     from kempe.system import System
 
 
-def _turned(text: str, what: str, deg: bool) -> Any:
+def _parse_orientation(text: str, what: str, deg: bool) -> Any:
     """An angle, several, or roll, pitch and yaw. Errors: `InputError`."""
-    angles = [x * DEGREE if deg else x for x in finite_numbers(text, what)]
+    angles = [x * DEGREE if deg else x for x in parse_finite_numbers(text, what)]
     return angles[0] if len(angles) == 1 else angles
 
 
-@command(OPEN, "plot deg json")
-def workspace(
+@register_command(OPEN, "plot deg json")
+def run_workspace(
     system: System,
     output: Output,
-    frame: Annotated[str, option("--frame", "Body or frame whose places are wanted.", "NAME")],
+    frame: Annotated[str, make_option("--frame", "Body or frame whose places are wanted.", "NAME")],
     n: Annotated[
-        float | None, option("-n,--samples", "How many samples are drawn: 1e8 (1e7).", "N")
+        float | None, make_option("-n,--samples", "How many samples are drawn: 1e8 (1e7).", "N")
     ] = None,
     cells: Annotated[
         str | None,
-        option("--cells", "Cells along the longest edge, or along each: 64 or 64,64,32.", "N"),
+        make_option("--cells", "Cells along the longest edge, or along each: 64 or 64,64,32.", "N"),
     ] = None,
     box: Annotated[
         str | None,
-        option("--box", "The box in metres: xmin,xmax,ymin,ymax[,zmin,zmax].", "NUMBERS"),
+        make_option("--box", "The box in metres: xmin,xmax,ymin,ymax[,zmin,zmax].", "NUMBERS"),
     ] = None,
     kind: Annotated[
         str | None,
-        option(
+        make_option(
             "--kind",
             "Which places: reachable, constant-orientation, dexterous; or orientation.",
             "KIND",
@@ -51,20 +51,23 @@ def workspace(
     ] = None,
     orientation: Annotated[
         str | None,
-        option(
+        make_option(
             "--orientation",
             "The orientation that counts: roll,pitch,yaw; in the plane angles.",
             "ANGLES",
         ),
     ] = None,
     at: Annotated[
-        str | None, option("--at", "The place x,y[,z] at which orientations are wanted.", "POINT")
+        str | None,
+        make_option("--at", "The place x,y[,z] at which orientations are wanted.", "POINT"),
     ] = None,
     out: Annotated[
-        Path | None, option("-o,--out", "The map to write or to go on with (Zarr).", "MAP")
+        Path | None, make_option("-o,--out", "The map to write or to go on with (Zarr).", "MAP")
     ] = None,
     scheduler: Scheduler = None,
-    rng: Annotated[int | None, option("--rng", "Number that fixes the samples (0).", "N")] = None,
+    rng: Annotated[
+        int | None, make_option("--rng", "Number that fixes the samples (0).", "N")
+    ] = None,
     threads: Threads = None,
     time_limit: TimeLimit = None,
 ) -> None:
@@ -83,20 +86,22 @@ def workspace(
     along: Any = (
         None
         if cells is None
-        else [int(x) if x == int(x) else x for x in finite_numbers(cells, "--cells")]
+        else [int(x) if x == int(x) else x for x in parse_finite_numbers(cells, "--cells")]
     )
-    ends = None if box is None else finite_numbers(box, "--box")
+    ends = None if box is None else parse_finite_numbers(box, "--box")
     if ends is not None and len(ends) % 2:
         raise InputError(
             f"--box has {format_count(len(ends), 'number')}; it needs two for each axis"
         )
-    with progress.progress("samples") as report:
+    with progress.show_progress("samples") as report:
         answer = call_until_interrupt(
             system.workspace,
             frame,
             kind=kind,
-            orientation=None if orientation is None else _turned(orientation, "--orientation", deg),
-            at=None if at is None else finite_numbers(at, "--at"),
+            orientation=None
+            if orientation is None
+            else _parse_orientation(orientation, "--orientation", deg),
+            at=None if at is None else parse_finite_numbers(at, "--at"),
             n=n,
             cells=along[0] if along is not None and len(along) == 1 else along,
             box=None if ends is None else np.reshape(ends, (-1, 2)),
@@ -110,8 +115,8 @@ def workspace(
     output.end(answer)
 
 
-@command(OPEN, "deg json", context_settings={"ignore_unknown_options": True})
-def query(
+@register_command(OPEN, "deg json", context_settings={"ignore_unknown_options": True})
+def run_query(
     output: Output,
     path: Annotated[
         Path, typer.Argument(metavar="MAP", help="A map that 'kempe workspace' wrote.")
@@ -136,12 +141,12 @@ def query(
     turned = space.kind == "orientation"
     dim = space.system.dim
     wanted = 1 if turned and dim == 2 else dim
-    rows = [finite_numbers(p, "a point") for p in points]
+    rows = [parse_finite_numbers(p, "a point") for p in points]
     if any(len(row) != wanted for row in rows):
         raise InputError(f"points must have {format_count(wanted, 'number')}, separated by commas")
     if turned:
         inside = [
-            bool(space.contains(read_rotations(_turned(p, "a point", output.deg), dim)))
+            bool(space.contains(read_rotations(_parse_orientation(p, "a point", output.deg), dim)))
             for p in points
         ]
         far: Any = [None] * len(rows)

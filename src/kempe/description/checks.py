@@ -32,19 +32,19 @@ SAME_DIRECTION = 1e-12
 """How far two unit vectors may be apart and still be one direction."""
 
 
-def refuse(subject: str, message: str, where: Where | None, allowed: str = "") -> NoReturn:
+def raise_problem(subject: str, message: str, where: Where | None, allowed: str = "") -> NoReturn:
     """Raise the `DescriptionError` of one problem."""
     raise DescriptionError(Fault(message, subject, where, allowed))
 
 
-def name(given: object, kind: str) -> str:
+def check_name(given: object, kind: str) -> str:
     """The name of a body, joint or frame: text, not empty. Errors: `InputError`."""
     if not isinstance(given, str) or not given.strip():
         raise InputError(f"{kind} name is {given!r}; it must be text, not empty")
     return given
 
 
-def number(x: object, what: str) -> float:
+def check_number(x: object, what: str) -> float:
     """A finite number. Errors: `InputError`."""
     checked = read_value(x, what)
     if isinstance(checked, Expression):
@@ -52,14 +52,14 @@ def number(x: object, what: str) -> float:
     return checked
 
 
-def numbers(given: object, what: str) -> dict[str, float]:
+def check_numbers(given: object, what: str) -> dict[str, float]:
     """Finite numbers by coordinate name. Errors: `InputError`."""
     if not is_mapping(given):
         raise InputError(f"{what} is {given!r}; it must be a dict of numbers by coordinate name")
-    return {str(k): number(v, f"{what}: {k!r}") for k, v in given.items()}
+    return {str(k): check_number(v, f"{what}: {k!r}") for k, v in given.items()}
 
 
-def body(
+def make_body(
     given: str,
     particle: bool,
     mass: object,
@@ -67,18 +67,18 @@ def body(
     where: Where | None,
 ) -> Body:
     """A `Body` with its name, mass (kg, not negative) and centre of mass (2 or 3 lengths) checked."""
-    subject = f"body {name(given, 'body')!r}"
+    subject = f"body {check_name(given, 'body')!r}"
     if mass is not None:
-        mass = number(mass, f"{subject}: mass")
+        mass = check_number(mass, f"{subject}: mass")
         if mass < 0:
-            refuse(subject, f"mass is {mass:g}", where, "it must not be negative")
+            raise_problem(subject, f"mass is {mass:g}", where, "it must not be negative")
     coordinates: Any = center
     if center is not None:
         if isinstance(center, str) or not isinstance(center, Iterable):
-            refuse(subject, f"center is {center!r}", where, "it must have 2 or 3 numbers")
-        lengths = [number(c, f"{subject}: center") for c in coordinates]
+            raise_problem(subject, f"center is {center!r}", where, "it must have 2 or 3 numbers")
+        lengths = [check_number(c, f"{subject}: center") for c in coordinates]
         if len(lengths) not in (2, 3):
-            refuse(
+            raise_problem(
                 subject,
                 f"center has {format_count(len(lengths), 'number')}",
                 where,
@@ -88,7 +88,7 @@ def body(
     return Body(given, particle, mass, center, where=where)  # type: ignore[arg-type]
 
 
-def color(given: object) -> tuple[float, float, float, float] | None:
+def check_color(given: object) -> tuple[float, float, float, float] | None:
     """Red, green, blue and opacity from 0 to 1; without opacity it is 1. Errors: `InputError`."""
     if given is None:
         return None
@@ -100,32 +100,34 @@ def color(given: object) -> tuple[float, float, float, float] | None:
     return (*found, 1.0)[:4]  # type: ignore[return-value]
 
 
-def kind(
+def check_joint_type(
     dim: int, subject: str, type_: JointType, parent: Body, child: Body, where: Where | None
 ) -> None:
     """Refuse a joint type that cannot be used in the plane, or between these bodies. Errors:
     `DescriptionError`.
     """
     if dim == 2 and not type_.planar:
-        refuse(
+        raise_problem(
             subject,
             f"a {type_.type_name} joint does not exist in the plane",
             where,
             "planar systems take revolute, prismatic, planar, translation, fixed and free",
         )
     if parent.particle:
-        refuse(
+        raise_problem(
             subject,
             f"its parent {parent.name!r} is a particle, which has no orientation",
             where,
             "make the particle the child",
         )
-    fault = fault_of(type_, dim, child.particle)
+    fault = find_type_fault(type_, dim, child.particle)
     if fault:
-        refuse(subject, f"joint type {type_.type_name!r} is not declared well: {fault}", where)
+        raise_problem(
+            subject, f"joint type {type_.type_name!r} is not declared well: {fault}", where
+        )
     primitives = type_.layout(dim, child.particle)[1]
     if child.particle and any(p.kind != P for p in primitives):
-        refuse(
+        raise_problem(
             subject,
             f"a {type_.type_name} joint turns, but {child.name!r} is a particle",
             where,
@@ -136,7 +138,7 @@ def kind(
             p.kind == R and p.axis == "z" or p.kind == P and p.axis != "z" for p in primitives
         )
         if not flat and any(p.kind != P or p.axis != "z" for p in primitives):
-            refuse(
+            raise_problem(
                 subject,
                 f"a {type_.type_name} joint leaves the plane",
                 where,
@@ -145,7 +147,9 @@ def kind(
             )
 
 
-def slip(kind: str | JointType, options: Iterable[str], builder: Callable[..., Joint]) -> str:
+def explain_unknown_option(
+    kind: str | JointType, options: Iterable[str], builder: Callable[..., Joint]
+) -> str:
     """Message about an option that the joint type does not have; empty where it has all of them.
 
     It names the keyword that is meant, or all keywords that joints take.
@@ -190,7 +194,7 @@ FOREIGN_KEYWORDS = {
 
 
 @lru_cache(maxsize=256)
-def fault_of(type_: JointType, dim: int, particle: bool) -> str:
+def find_type_fault(type_: JointType, dim: int, particle: bool) -> str:
     """Fault of the coordinates and primitives that a joint type declares, as text; '' where there
     is none.
     """
@@ -225,7 +229,7 @@ def fault_of(type_: JointType, dim: int, particle: bool) -> str:
     )
 
 
-def ends(
+def check_joint_frames(
     dim: int,
     subject: str,
     type_: JointType,
@@ -242,7 +246,7 @@ def ends(
     3. Errors: `DescriptionError`.
     """
     if child.particle and any(motion in ("x", "y", "z") for motion, _ in X_CM.steps):
-        refuse(
+        raise_problem(
             subject,
             f"a particle ({child.name!r}) has no extent: the joint must sit on it",
             where,
@@ -251,13 +255,13 @@ def ends(
     if dim == 3:
         return
     if not any(p.kind == P and p.axis == "z" for p in type_.layout(dim, child.particle)[1]):
-        flat(subject, X_PF, where)
-        flat(subject, X_CM, where)
+        check_planar_placement(subject, X_PF, where)
+        check_planar_placement(subject, X_CM, where)
         return
     out_of_plane = f"a {type_.type_name} joint slides along z, out of the plane"
-    directions = [axis_in_plane(subject, X, out_of_plane, where) for X in (X_PF, X_CM)]
+    directions = [find_planar_axis(subject, X, out_of_plane, where) for X in (X_PF, X_CM)]
     if np.abs(directions[1] - directions[0]).max() > SAME_DIRECTION:
-        refuse(
+        raise_problem(
             subject,
             "its axis differs on the two bodies",
             where,
@@ -265,16 +269,16 @@ def ends(
         )
 
 
-def axis_in_plane(
+def find_planar_axis(
     subject: str, X: Placement, out_of_plane: str, where: Where | None
 ) -> spatial.Array:
     """Direction of z of a placement whose last step turns z into the plane of a planar system."""
     if not X.steps or X.steps[-1][0] != "align":
-        refuse(subject, out_of_plane, where, "give its axis=(x, y)")
-    flat(subject, Placement(X.steps[:-1]), where)
+        raise_problem(subject, out_of_plane, where, "give its axis=(x, y)")
+    check_planar_placement(subject, Placement(X.steps[:-1]), where)
     axis = spatial.unit([float(x) for x in X.steps[-1][1]])  # type: ignore[arg-type]
     if axis[2] != 0.0:
-        refuse(
+        raise_problem(
             subject,
             f"its axis has z = {axis[2]:g}, out of the plane",
             where,
@@ -283,11 +287,11 @@ def axis_in_plane(
     return axis
 
 
-def flat(subject: str, X: Placement, where: Where | None) -> None:
+def check_planar_placement(subject: str, X: Placement, where: Where | None) -> None:
     """Refuse, with a `DescriptionError`, a placement of a planar system that leaves the xy-plane."""
     for motion, _ in X.steps:
         if motion not in ("x", "y", "rz"):
-            refuse(
+            raise_problem(
                 subject,
                 f"{motion} leaves the plane",
                 where,
@@ -295,7 +299,7 @@ def flat(subject: str, X: Placement, where: Where | None) -> None:
             )
 
 
-def limits(
+def check_limits(
     subject: str, given: object, type_: JointType, dim: int, particle: bool, where: Where | None
 ) -> dict[str, Limits]:
     """Limits by coordinate: (lower, upper) with None where there is none, or a dict of such pairs
@@ -306,7 +310,7 @@ def limits(
     coordinates = type_.list_coordinate_names(dim, particle)
     names = tuple(v for v in type_.list_velocity_names(dim, particle) if v in coordinates)
     out: dict[str, Limits] = {}
-    for key, pair in _by_name(subject, "limits", given, names, where):
+    for key, pair in _list_coordinate_values(subject, "limits", given, names, where):
         plain = pair.__class__ is np.ndarray and pair.ndim == 1 and pair.dtype != object
         numbers: tuple[Any, ...] = tuple(pair) if plain or is_sequence(pair) else ()
         if len(numbers) == 2:
@@ -316,40 +320,40 @@ def limits(
             )
         if len(numbers) != 2 or not all(is_real(x) for x in numbers):
             allowed = "they must be a pair (lower, upper), None where there is none"
-            refuse(subject, f"limits are {format_value(pair)}", where, allowed)
+            raise_problem(subject, f"limits are {format_value(pair)}", where, allowed)
         lower = float(numbers[0])
         upper = float(numbers[1])
         if math.isnan(lower) or math.isnan(upper) or lower == math.inf or upper == -math.inf:
-            refuse(subject, f"limits are ({lower}, {upper})", where, "they must be numbers")
+            raise_problem(subject, f"limits are ({lower}, {upper})", where, "they must be numbers")
         if lower > upper:
             said = f"lower limit {lower:g} is above upper limit {upper:g}"
-            refuse(subject, said, where, "lower must not be above upper")
+            raise_problem(subject, said, where, "lower must not be above upper")
         out[key] = (lower, upper)
     return out
 
 
-def bounds(
+def check_bounds(
     subject: str, what: str, given: object, names: tuple[str, ...], where: Where | None
 ) -> dict[str, float]:
     """Largest speeds or efforts by velocity coordinate: checked numbers >= 0, also infinite."""
     out: dict[str, float] = {}
-    for key, bound in _by_name(subject, what, given, names, where):
+    for key, bound in _list_coordinate_values(subject, what, given, names, where):
         if not is_real(bound) or not float(bound) >= 0:  # type: ignore[arg-type]
-            refuse(
+            raise_problem(
                 subject, f"{what} limit is {bound!r}", where, "it must be a number, not negative"
             )
         out[key] = float(bound)  # type: ignore[arg-type]
     return out
 
 
-def _by_name(
+def _list_coordinate_values(
     subject: str, what: str, given: object, names: tuple[str, ...], where: Where | None
 ) -> list[tuple[str, Any]]:
     if given is None:
         return []
     if not is_mapping(given):
         if names != ("",):
-            refuse(
+            raise_problem(
                 subject,
                 f"{what} given as {given!r}",
                 where,
@@ -358,5 +362,5 @@ def _by_name(
         return [("", given)]
     for key in given:
         if key not in names:
-            refuse(subject, str(UnknownNameError("coordinate", key, names, "it")), where)
+            raise_problem(subject, str(UnknownNameError("coordinate", key, names, "it")), where)
     return list(given.items())

@@ -60,13 +60,15 @@ QUARTER = 1e-4
 """How near to a quarter turn in radians a number must be, not to be taken for degrees."""
 
 
-def rows_of(rows: Any, columns: Sequence[str], known: tuple[str, ...]) -> tuple[list[Any], str]:
+def normalize_rows(
+    rows: Any, columns: Sequence[str], known: tuple[str, ...]
+) -> tuple[list[Any], str]:
     """The rows as dicts (or as they are, where they name their entries), and a note on what was
     assumed of them.
 
     Errors: `InputError` for tables of another form, and for columns that are not `known`.
     """
-    columns = _checked_columns(columns, known)
+    columns = _check_columns(columns, known)
     table: Any = rows
     if isinstance(table, memoryview):  # one of two axes cannot be gone through
         rows = table = np.asarray(table)
@@ -80,7 +82,7 @@ def rows_of(rows: Any, columns: Sequence[str], known: tuple[str, ...]) -> tuple[
     if names is not None:
         if columns != ORDER:
             raise InputError("columns are given, but the table names its own; leave columns out")
-        return _named(rows, list(names), known), ""
+        return _read_named_table(rows, list(names), known), ""
     if (
         isinstance(rows, (str, bytes))
         or not isinstance(rows, Iterable)
@@ -93,12 +95,12 @@ def rows_of(rows: Any, columns: Sequence[str], known: tuple[str, ...]) -> tuple[
     plain = False
     out: list[Any] = []
     for i, row in enumerate(table, 1):
-        keys = _keys(row)
+        keys = _list_entry_names(row)
         entries = row
         own = keys is None and isinstance(row, (list, tuple, np.ndarray))
         plain |= own
         out.append(
-            _plain(row, i, columns)
+            _convert_plain_row(row, i, columns)
             if own
             else row
             if keys is None
@@ -109,7 +111,7 @@ def rows_of(rows: Any, columns: Sequence[str], known: tuple[str, ...]) -> tuple[
     return out, f"plain rows of the table were read as {', '.join(columns)}" if plain else ""
 
 
-def _keys(row: Any) -> list[str] | None:
+def _list_entry_names(row: Any) -> list[str] | None:
     """Names of the entries of a row that is no dict but names them: a named tuple, a record or a
     series.
     """
@@ -121,7 +123,7 @@ def _keys(row: Any) -> list[str] | None:
     return [str(name) for name in named]
 
 
-def _checked_columns(columns: Any, known: tuple[str, ...]) -> tuple[str, ...]:
+def _check_columns(columns: Any, known: tuple[str, ...]) -> tuple[str, ...]:
     given: Any = columns
     if isinstance(columns, str) or not isinstance(columns, Iterable):
         raise InputError(f"columns are {columns!r}; they must be a list of names, such as {ORDER}")
@@ -134,7 +136,7 @@ def _checked_columns(columns: Any, known: tuple[str, ...]) -> tuple[str, ...]:
     return names
 
 
-def _plain(row: Any, number: int, columns: tuple[str, ...]) -> dict[str, Any]:
+def _convert_plain_row(row: Any, number: int, columns: tuple[str, ...]) -> dict[str, Any]:
     """A row without names as a dict."""
     entries = list(row)
     names = (*columns, "type") if columns == ORDER and len(entries) == 5 else columns
@@ -144,10 +146,10 @@ def _plain(row: Any, number: int, columns: tuple[str, ...]) -> dict[str, Any]:
             f"row {number} has {format_count(len(entries), 'entry')}; it must have "
             f"{', '.join(columns)}{also}"
         )
-    return {name: _own(x) for name, x in zip(names, entries, strict=True)}
+    return {name: _convert_numpy_scalar(x) for name, x in zip(names, entries, strict=True)}
 
 
-def _named(table: Any, names: list[Any], known: tuple[str, ...]) -> list[dict[str, Any]]:
+def _read_named_table(table: Any, names: list[Any], known: tuple[str, ...]) -> list[dict[str, Any]]:
     """Rows of a table with named columns; entries that are missing (None, NaN where no number is
     due) are left out.
     """
@@ -172,14 +174,14 @@ def _named(table: Any, names: list[Any], known: tuple[str, ...]) -> list[dict[st
         raise InputError(f"the columns have different lengths: {said}")
     rows: list[dict[str, Any]] = []
     for entries in zip(*columns, strict=True):
-        row = {field: _own(x) for field, x in zip(fields, entries, strict=True)}
+        row = {field: _convert_numpy_scalar(x) for field, x in zip(fields, entries, strict=True)}
         rows.append(
             {k: x for k, x in row.items() if not (x is None or (k not in ORDER and _is_nan(x)))}
         )
     return rows
 
 
-def _own(x: Any) -> Any:
+def _convert_numpy_scalar(x: Any) -> Any:
     """A number or text of numpy as one of Python."""
     given: Any = x
     return given.item() if isinstance(x, np.generic) else x
@@ -192,7 +194,7 @@ def _is_nan(x: Any) -> bool:
 # ---- angles in radians
 
 
-def counts_turns(rows: Iterable[DHRow]) -> bool:
+def has_counted_turns(rows: Iterable[DHRow]) -> bool:
     """Whether angles beyond a turn, in a table of radians, can be turns that a controller has
     counted.
 
@@ -211,8 +213,8 @@ def counts_turns(rows: Iterable[DHRow]) -> bool:
     return beyond <= max(1, within)
 
 
-def in_radians(row: DHRow, number: int, deg: bool, winds: bool = True) -> DHRow:
-    """The row with its angles in radians; `winds` is what `counts_turns` says of the table.
+def convert_to_radians(row: DHRow, number: int, deg: bool, winds: bool = True) -> DHRow:
+    """The row with its angles in radians; `winds` is what `has_counted_turns` says of the table.
 
     Errors: `InputError` for angles that are clearly in the other unit.
     """
@@ -227,17 +229,17 @@ def in_radians(row: DHRow, number: int, deg: bool, winds: bool = True) -> DHRow:
         )
     angles = ("alpha", "theta", "offset") if turns else ("alpha", "theta")
     changed: dict[str, Any] = {
-        k: _angle(getattr(row, k), f"row {number}: {k}", deg, winds and k != "alpha")
+        k: _convert_angle(getattr(row, k), f"row {number}: {k}", deg, winds and k != "alpha")
         for k in angles
     }
     if turns:
-        changed["limits"] = _limits(row.limits, f"row {number}: limits", deg)
+        changed["limits"] = _convert_limits(row.limits, f"row {number}: limits", deg)
         if deg and isinstance(row.velocity, (int, float, np.number)):
             changed["velocity"] = row.velocity * DEGREE
     return replace(row, **changed)
 
 
-def _angle(given: Value | str, what: str, deg: bool, winds: bool) -> Value:
+def _convert_angle(given: Value | str, what: str, deg: bool, winds: bool) -> Value:
     x = read_value(given, what)
     if isinstance(x, Expression):
         if not deg:
@@ -256,7 +258,7 @@ def _angle(given: Value | str, what: str, deg: bool, winds: bool) -> Value:
             )
         return Expression(f"radians({x.text})")
     if not deg:
-        if abs(x) > ONE_TURN and not (winds and abs(x) <= MOST_TURNS and not _is_round(x)):
+        if abs(x) > ONE_TURN and not (winds and abs(x) <= MOST_TURNS and not _is_round_number(x)):
             same = x - 2.0 * math.pi * round(x / (2.0 * math.pi))
             raise InputError(
                 f"{what} is {x:g}, which is {abs(x) / (2.0 * math.pi):.1f} turns in radians; for "
@@ -272,14 +274,14 @@ def _angle(given: Value | str, what: str, deg: bool, winds: bool) -> Value:
     return x * DEGREE
 
 
-def _is_round(x: float) -> bool:
+def _is_round_number(x: float) -> bool:
     """Whether a number is one that people write in degrees: a whole or half one, or nearly a
     multiple of 45.
     """
     return (2.0 * x) % 1.0 == 0.0 or abs(x - ROUND * round(x / ROUND)) < NEAR_ROUND
 
 
-def _limits(given: Any, what: str, deg: bool) -> Any:
+def _convert_limits(given: Any, what: str, deg: bool) -> Any:
     """Limits of a turning joint in radians; what is no pair is left to the joint, which refuses it."""
     entries: Any = given
     if not isinstance(given, (list, tuple, np.ndarray)):
@@ -399,11 +401,11 @@ def from_dh(
     out = Mechanism(name)
     for key, number in (parameters or {}).items():
         out.parameter(key, number)
-    add_dh(out, rows, convention, base=base, tool=tool, deg=deg, columns=columns)
+    add_dh_chain(out, rows, convention, base=base, tool=tool, deg=deg, columns=columns)
     return out
 
 
-def add_dh(
+def add_dh_chain(
     mechanism: Mechanism,
     rows: Any,
     convention: str = "standard",
@@ -424,18 +426,18 @@ def add_dh(
         raise InputError(
             f"convention is {convention!r}; it must be {' or '.join(map(repr, CONVENTIONS))}"
         )
-    before = _placement(base, "base")
+    before = _make_placement(base, "base")
     here = on if on is not None else mechanism.ground
-    table, note = rows_of(rows, columns, tuple(f.name for f in fields(DHRow)))
-    checked = [_row(DHRow, row, i) for i, row in enumerate(table, 1)]
+    table, note = normalize_rows(rows, columns, tuple(f.name for f in fields(DHRow)))
+    checked = [_make_row(DHRow, row, i) for i, row in enumerate(table, 1)]
     if not checked:
         raise InputError("the table has no rows; it must have one for each joint")
-    winds = counts_turns(checked)
+    winds = has_counted_turns(checked)
     places = list(wheres) or [None] * len(checked)
     for i, (row, where) in enumerate(zip(checked, places, strict=True), 1):
         if row.type not in JOINT_TYPES:
             raise InputError(f"row {i}: type is {row.type!r}; it must be {', '.join(JOINT_TYPES)}")
-        row = in_radians(row, i, deg, winds)
+        row = convert_to_radians(row, i, deg, winds)
         a, alpha, d, theta, offset = (read_value(getattr(row, k), f"row {i}: {k}") for k in NUMBERS)
         if offset != 0.0:
             theta, d = (theta + offset, d) if row.type == "revolute" else (theta, d + offset)
@@ -451,9 +453,9 @@ def add_dh(
             over = place(axis="-z")
             X_PF = X_PF @ over
             X_CM = X_CM @ over
-        here = _add(mechanism, row, i, row.type, here, X_PF, X_CM, where, {})
+        here = _add_link(mechanism, row, i, row.type, here, X_PF, X_CM, where, {})
         before = Placement()
-    mechanism.frame("tool", here, at=_placement(tool, "tool"))
+    mechanism.frame("tool", here, at=_make_placement(tool, "tool"))
     mechanism.notes += [note] if note else []
 
 
@@ -479,11 +481,11 @@ def from_screws(
     out = Mechanism(name)
     for key, number in (parameters or {}).items():
         out.parameter(key, number)
-    add_screws(out, screws, home)
+    add_screw_chain(out, screws, home)
     return out
 
 
-def add_screws(
+def add_screw_chain(
     mechanism: Mechanism,
     screws: Iterable[ScrewRow | Mapping[str, Any] | ArrayLike],
     home: object = None,
@@ -491,7 +493,7 @@ def add_screws(
 ) -> None:
     """Add a chain of screw axes to `mechanism`, on its ground; arguments as in `from_screws`."""
     checked = [
-        _row(ScrewRow, s if isinstance(s, (ScrewRow, Mapping)) else {"twist": s}, i)
+        _make_row(ScrewRow, s if isinstance(s, (ScrewRow, Mapping)) else {"twist": s}, i)
         for i, s in enumerate(screws, 1)
     ]
     if not checked:
@@ -499,12 +501,12 @@ def add_screws(
     places = list(wheres) or [None] * len(checked)
     here: BodyLike = mechanism.ground
     for i, (row, where) in enumerate(zip(checked, places, strict=True), 1):
-        kind, X, options = _screw(row, i)
-        here = _add(mechanism, row, i, kind, here, X, X, where, options)
-    mechanism.frame("tool", here, at=_placement(home, "home"))
+        kind, X, options = _resolve_screw(row, i)
+        here = _add_link(mechanism, row, i, kind, here, X, X, where, options)
+    mechanism.frame("tool", here, at=_make_placement(home, "home"))
 
 
-def _add(
+def _add_link(
     mechanism: Mechanism,
     row: DHRow | ScrewRow,
     number: int,
@@ -533,7 +535,7 @@ def _add(
     return child
 
 
-def _screw(row: ScrewRow, number: int) -> tuple[str, Placement, dict[str, Any]]:
+def _resolve_screw(row: ScrewRow, number: int) -> tuple[str, Placement, dict[str, Any]]:
     """Joint type, placement of its frames in the ground frame at q = 0, and options."""
     label = f"screw {number}"
     if (row.twist is None) == (row.axis is None):
@@ -580,7 +582,7 @@ def _screw(row: ScrewRow, number: int) -> tuple[str, Placement, dict[str, Any]]:
     return "helical", X, {"pitch": pitch}
 
 
-def _row(kind: Any, row: Any, number: int) -> Any:
+def _make_row(kind: Any, row: Any, number: int) -> Any:
     if isinstance(row, kind):
         return row
     known = [f.name for f in fields(kind)]
@@ -595,7 +597,7 @@ def _row(kind: Any, row: Any, number: int) -> Any:
     return kind(**row)
 
 
-def _placement(X: object, what: str) -> Placement:
+def _make_placement(X: object, what: str) -> Placement:
     """Placement of a matrix, a `Placement`, or a dict of keywords of `place` (or of steps)."""
     if X is None:
         return Placement()

@@ -26,7 +26,7 @@ class Format:
     """A file format.
 
     A reader is called as ``read(text, source, **options)`` with text or bytes
-    (`kempe.description.source.decode` gives text), the name of their source for messages, and those
+    (`kempe.description.source.decode_text` gives text), the name of their source for messages, and those
     of `options` that were given. A writer takes the mechanism and gives text. Both raise
     `DescriptionError` with all that is wrong.
     """
@@ -54,7 +54,7 @@ class Format:
     equal mechanism."""
 
 
-def root_element(text: str) -> str:
+def find_root_element(text: str) -> str:
     """Name of the outermost element of a text that is XML, else empty."""
     found = _ROOT.match(text, 0, 65536) if text.startswith("<") else None
     return found[1] if found else ""
@@ -290,11 +290,11 @@ OTHER_KINDS = (
 takes."""
 
 
-def other_kind(data: str | bytes) -> OtherKind | None:
+def find_other_kind(data: str | bytes) -> OtherKind | None:
     """The kind of a file that is no description, by its first bytes or characters; None where it
     may be one.
     """
-    text = data[:HEAD] if isinstance(data, str) else decoded_head(data)
+    text = data[:HEAD] if isinstance(data, str) else decode_head(data)
     text = text.removeprefix("\ufeff").lstrip()
     head = (
         text.encode("utf-8", "replace")
@@ -302,7 +302,7 @@ def other_kind(data: str | bytes) -> OtherKind | None:
         else data[:HEAD]
     )
     head = head.removeprefix(codecs.BOM_UTF8).lstrip()
-    element = root_element(text).lower()
+    element = find_root_element(text).lower()
     return next(
         (k for k in OTHER_KINDS if element in k.elements or re.match(k.signature, head, re.DOTALL)),
         None,
@@ -312,12 +312,12 @@ def other_kind(data: str | bytes) -> OtherKind | None:
 UTF16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
-def decoded_head(data: bytes) -> str:
+def decode_head(data: bytes) -> str:
     """The beginning of a file as text, whatever its bytes: enough to recognise a format."""
     return data[:HEAD].decode("utf-16" if data[:2] in UTF16_MARKS else "utf-8", "replace")
 
 
-def by_ending(name: str) -> Format | None:
+def find_format_by_ending(name: str) -> Format | None:
     """The format of a file with this name, by its ending; None where the ending is of no known
     format.
     """
@@ -325,15 +325,15 @@ def by_ending(name: str) -> Format | None:
     return next((f for f in reversed(FORMATS.values()) if name.endswith(f.endings)), None)
 
 
-def by_contents(start: str) -> Format | None:
+def find_format_by_contents(start: str) -> Format | None:
     """The format of a text, by its beginning; None where no format is recognised."""
     start = start.removeprefix("\ufeff").lstrip()
-    name = root_element(start)
+    name = find_root_element(start)
     rows = reversed(FORMATS.values())
     return next((f for f in rows if name in f.elements or f.recognises(start)), None)
 
 
-def root_fault(name: str) -> str:
+def describe_root_fault(name: str) -> str:
     """What is said of an outermost element that is not that of the format: '<sdf>: it is a file in
     SDF'.
     """
@@ -342,22 +342,22 @@ def root_fault(name: str) -> str:
     return f"the outermost element is <{name}>{said}"
 
 
-def named(kinds: Iterable[Format], last: str = "or") -> str:
+def join_titles(kinds: Iterable[Format], last: str = "or") -> str:
     """Titles of formats in a sentence: 'URDF or TOML'."""
-    return joined([f.title for f in kinds], last)
+    return join_words([f.title for f in kinds], last)
 
 
-def joined(words: Iterable[str], last: str = "or") -> str:
+def join_words(words: Iterable[str], last: str = "or") -> str:
     """Words in a sentence: 'a, b or c'."""
     *before, end = words
     return f"{', '.join(before)} {last} {end}" if before else end
 
 
-def read_by(option: str = "") -> list[Format]:
+def list_readable_formats(option: str = "") -> list[Format]:
     """The formats that can be read; with an `option`, those whose reader takes it."""
     return [f for f in FORMATS.values() if f.read and (not option or option in f.options)]
 
 
-def endings_written() -> str:
+def list_writable_endings() -> str:
     """Endings of the files that can be written, in a sentence."""
-    return joined([ending for f in FORMATS.values() if f.write for ending in f.endings])
+    return join_words([ending for f in FORMATS.values() if f.write for ending in f.endings])

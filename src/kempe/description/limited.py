@@ -60,7 +60,7 @@ class Ended(NamedTuple):
     code: int | None
 
 
-def run_limited(
+def run_limited_code(
     code: str,
     settings: dict[str, Any],
     *,
@@ -122,10 +122,10 @@ def run_limited(
         complaints.seek(0)
         text = out.read(output + 1)
         said = complaints.read(MOST_SAID).decode("utf-8", "replace").strip()
-    return Ended(_reason(ended, said), text, said, ended)
+    return Ended(_find_stop_reason(ended, said), text, said, ended)
 
 
-def _reason(code: int | None, said: str) -> str:
+def _find_stop_reason(code: int | None, said: str) -> str:
     if code in (None, -signal.SIGXCPU, -signal.SIGKILL):
         return "time"
     if code == -signal.SIGXFSZ or "File too large" in said:
@@ -135,7 +135,7 @@ def _reason(code: int | None, said: str) -> str:
     return "failed" if code != 0 else ""
 
 
-def last_words(said: str) -> str:
+def extract_last_lines(said: str) -> str:
     """The lines of a traceback that say what happened, in 300 letters."""
     lines = [line.strip() for line in said.splitlines() if line.strip()]
     first = next(

@@ -32,7 +32,7 @@ from kempe.constraints.base import (
 from kempe.constraints.tape import POSE, TWIST
 from kempe.description import checks
 from kempe.description.parts import Body, Coupling, Declared, Frame, Joint, Shape
-from kempe.description.source import collecting_later
+from kempe.description.source import pause_garbage_collection
 from kempe.errors import (
     DescriptionError,
     Fault,
@@ -66,14 +66,16 @@ Placed = tuple[Any, object, Mapping[str, object]]
 """A body or frame, a place on it, and how it is turned there."""
 
 
-def declare(mechanism: Mechanism, given: object, name: str, where: Where | None = None) -> Declared:
+def declare_constraint(
+    mechanism: Mechanism, given: object, name: str, where: Where | None = None
+) -> Declared:
     """Add a constraint to a mechanism; see `Mechanism.constrain`."""
     if not isinstance(given, Constraint):
         raise InputError(f"{format_value(given)} is no constraint; see kempe.constraints")
     if isinstance(name, str):
         name = name or given.name or given.label
     subject = f"constraint {name!r}"
-    mechanism._free_joint_name(checks.name(name, "constraint"), subject, where)
+    mechanism._check_joint_name(checks.check_name(name, "constraint"), subject, where)
     names = ("weight", "priority", "tolerance")
     demands = [
         f
@@ -81,25 +83,25 @@ def declare(mechanism: Mechanism, given: object, name: str, where: Where | None 
         if getattr(given, f) not in (getattr(Constraint, f), getattr(type(given), f))
     ]
     if demands:
-        checks.refuse(
+        checks.raise_problem(
             subject,
             f"{demands[0]} is what ik reads of a wish",
             where,
             "a mechanism always holds it: leave it out",
         )
-    made = _with_values(mechanism, given, subject, where).knowing(mechanism.parameters)
+    made = _convert_fields(mechanism, given, subject, where).knowing(mechanism.parameters)
     made = replace(made, name="") if made.name else made
     if made.ends[1] is None:
         record = Declared(name, made, "", "", where=where)
     else:
-        ends = [_end(mechanism, e, subject, where) for e in made.ends]
+        ends = [_resolve_end(mechanism, e, subject, where) for e in made.ends]
         record = Declared(name, made, ends[0].body, ends[1].body, ends[0].X, ends[1].X, where)
-    check(mechanism, record)
+    check_constraint(mechanism, record)
     mechanism.constraints[name] = record
     return record
 
 
-def between(
+def declare_placed_constraint(
     mechanism: Mechanism,
     name: str,
     kind: str,
@@ -110,69 +112,77 @@ def between(
 ) -> Declared:
     """Add a constraint of `BETWEEN` with its ends placed on bodies; see `Mechanism.point_on_line`."""
     subject = f"constraint {name!r}"
-    mechanism._free_joint_name(checks.name(name, "constraint"), subject, where)
+    mechanism._check_joint_name(checks.check_name(name, "constraint"), subject, where)
     if kind not in BETWEEN:
-        checks.refuse(subject, str(UnknownNameError("kind of constraint", kind, BETWEEN)), where)
-    A, B = (_placed(mechanism, p, subject, where) for p in (parent, child))
+        checks.raise_problem(
+            subject, str(UnknownNameError("kind of constraint", kind, BETWEEN)), where
+        )
+    A, B = (_place_end(mechanism, p, subject, where) for p in (parent, child))
     rod = BETWEEN[kind] == "distance"
     if A.body == B.body:
-        checks.refuse(
+        checks.raise_problem(
             subject, f"it ties body {A.body!r} to itself", where, "it must tie two bodies"
         )
     if mechanism.dim == 2 and BETWEEN[kind] == "on_plane":
-        checks.refuse(
+        checks.raise_problem(
             subject,
             f"{kind} does not exist in the plane",
             where,
             "planar systems take distance and point_on_line",
         )
     if rod and length is None:
-        checks.refuse(subject, "it has no length", where, "give the length of the rod in metres")
+        checks.raise_problem(
+            subject, "it has no length", where, "give the length of the rod in metres"
+        )
     if not rod and length is not None:
-        checks.refuse(subject, f"{kind} takes no length", where, "only a distance must have one")
+        checks.raise_problem(
+            subject, f"{kind} takes no length", where, "only a distance must have one"
+        )
     if rod:
         try:
-            length = _checked(mechanism, read_value(length, "length"), "length", subject, where)
+            length = _check_values(
+                mechanism, read_value(length, "length"), "length", subject, where
+            )
         except InputError as error:
             if isinstance(error, DescriptionError):
                 raise
-            checks.refuse(subject, str(error), where)
-        return declare(mechanism, constraints.Distance(B, A, length), name, where)
+            checks.raise_problem(subject, str(error), where)
+        return declare_constraint(mechanism, constraints.Distance(B, A, length), name, where)
     direction: Any = (0.0, 0.0, 1.0)
     if mechanism.dim == 2 and kind == "point_on_line":
-        checks.axis_in_plane(subject, A.X, "its line is z of the frame, out of the plane", where)
+        checks.find_planar_axis(subject, A.X, "its line is z of the frame, out of the plane", where)
         A, direction = End(A.body, Placement(A.X.steps[:-1])), A.X.steps[-1][1]
     made: Any = constraints.KINDS[BETWEEN[kind]]
     turned = {"direction": direction} if BETWEEN[kind] == "on_line" else {}
-    return declare(mechanism, made(B, other=A, **turned), name, where)
+    return declare_constraint(mechanism, made(B, other=A, **turned), name, where)
 
 
-def _placed(mechanism: Mechanism, placed: Placed, subject: str, where: Where | None) -> End:
+def _place_end(mechanism: Mechanism, placed: Placed, subject: str, where: Where | None) -> End:
     """An end of a constraint as a placement on a body; a frame stands for its placement."""
     thing, at, turn = placed
     frame = mechanism.frames.get(str(thing)) if isinstance(thing, (Frame, str)) else None
     if frame is None:
-        on = mechanism._body(thing, subject, where)  # type: ignore[arg-type]
-        return End(on.name, mechanism._place(at, turn, subject, where, on))
+        on = mechanism._find_body(thing, subject, where)  # type: ignore[arg-type]
+        return End(on.name, mechanism._make_placement(at, turn, subject, where, on))
     if isinstance(at, (Frame, str)):
-        checks.refuse(
+        checks.raise_problem(
             subject,
             f"its point is given twice, by frames {frame.name!r} and {str(at)!r}",
             where,
             "name the frame once",
         )
     on = mechanism.bodies[frame.body]
-    return End(on.name, frame.X_BF @ mechanism._place(at, turn, subject, where, on))
+    return End(on.name, frame.X_BF @ mechanism._make_placement(at, turn, subject, where, on))
 
 
-def _end(mechanism: Mechanism, end: object, subject: str, where: Where | None) -> End:
+def _resolve_end(mechanism: Mechanism, end: object, subject: str, where: Where | None) -> End:
     """An end of a constraint as a placement on a body: None is the ground, text is a frame or a
     body.
     """
     if end is None:
         return End(mechanism.ground.name)
     if isinstance(end, End):
-        mechanism._body(end.body, subject, where)
+        mechanism._find_body(end.body, subject, where)
         return end
     name = end.name if isinstance(end, (Body, Frame)) else end
     frame = mechanism.frames.get(name) if isinstance(name, str) else None
@@ -181,12 +191,12 @@ def _end(mechanism: Mechanism, end: object, subject: str, where: Where | None) -
     if isinstance(name, str) and name in mechanism.bodies:
         return End(name)
     known = [*mechanism.frames, *mechanism.bodies]
-    checks.refuse(
+    checks.raise_problem(
         subject, str(UnknownNameError("frame or body", name, known, mechanism.name)), where
     )
 
 
-def _with_values(
+def _convert_fields(
     mechanism: Mechanism, given: Constraint, subject: str, where: Where | None
 ) -> Constraint:
     """The constraint with text in its fields of numbers as expressions in known parameters."""
@@ -194,16 +204,18 @@ def _with_values(
     for key, x in numbers_in(given).items():
         if isinstance(x, str) and x in AXES:
             continue
-        read = _checked(mechanism, x, key, subject, where)
+        read = _check_values(mechanism, x, key, subject, where)
         if read is not x:
             changed[key] = read
     return replace(given, **changed) if changed else given
 
 
-def _checked(mechanism: Mechanism, x: Any, what: str, subject: str, where: Where | None) -> Any:
+def _check_values(
+    mechanism: Mechanism, x: Any, what: str, subject: str, where: Where | None
+) -> Any:
     """Numbers, or expressions in known parameters that are finite with their values."""
     try:
-        read = _read(x, what)
+        read = _parse_values(x, what)
         for e in expressions_in(read):
             for name in e.names:
                 if name not in mechanism.parameters:
@@ -213,36 +225,36 @@ def _checked(mechanism: Mechanism, x: Any, what: str, subject: str, where: Where
                 raise InputError(f"{what} is {float(number)} ({what} = {e}); it must be finite")
     except (InputError, UnknownNameError) as error:
         text = str(error) if isinstance(error, InputError) else f"{what} is {x!s}: {error}"
-        checks.refuse(subject, text, where)
+        checks.raise_problem(subject, text, where)
     return read
 
 
-def _read(x: Any, what: str) -> Any:
+def _parse_values(x: Any, what: str) -> Any:
     """Numbers, lists of numbers or expressions as values."""
     given: Any = x
     if isinstance(x, (np.ndarray, np.generic)):
         given = given.tolist()
     if is_sequence(given):
-        items = tuple(_read(item, what) for item in given)
+        items = tuple(_parse_values(item, what) for item in given)
         return given if all(a is b for a, b in zip(items, given, strict=True)) else items
     return read_value(given, what) if isinstance(given, (str, Expression)) else given
 
 
-def check(mechanism: Mechanism, made: Declared) -> None:
+def check_constraint(mechanism: Mechanism, made: Declared) -> None:
     """Refuse ends, frames and numbers that the constraint cannot have."""
     subject = f"constraint {made.name!r}"
     where = made.where
     dim = mechanism.dim
     if made.parent and made.parent == made.child:
-        checks.refuse(
+        checks.raise_problem(
             subject, f"it ties body {made.parent!r} to itself", where, "it must tie two bodies"
         )
-    numbers = resolved(made, mechanism.parameters, dim)
+    numbers = evaluate_constraint(made, mechanism.parameters, dim)
     rows = numbers.rows(dim)
     tool = numbers.tool(dim)
     if not made.parent:
         if not made.of.reads:
-            checks.refuse(
+            checks.raise_problem(
                 subject,
                 f"{made.of.label} is requested in one call of ik, not held always",
                 where,
@@ -251,29 +263,29 @@ def check(mechanism: Mechanism, made: Declared) -> None:
         return
     a, b = (mechanism.bodies[n] for n in (made.parent, made.child))
     if a.particle and any(r.op is not Op.DISTANCE for r in rows):
-        checks.refuse(
+        checks.raise_problem(
             subject,
             f"its parent {a.name!r} is a particle, which has no axes",
             where,
             "make the particle the child",
         )
     if b.particle and (any(map(reads_axes, rows)) or any(tool[k] for k in (3, 7, 11))):
-        checks.refuse(
+        checks.raise_problem(
             subject, f"{b.name!r} is a particle, which has no axes and no extent", where, ""
         )
     for on, X in ((a, made.X_PF), (b, made.X_CM)):
         if on.particle and X.steps:
-            checks.refuse(
+            checks.raise_problem(
                 subject,
                 f"a particle ({on.name!r}) has no extent: the point must sit on it",
                 where,
                 "leave out its at and its axis",
             )
         if dim == 2:
-            checks.flat(subject, X, where)
+            checks.check_planar_placement(subject, X, where)
 
 
-def resolved(made: Declared, parameters: Mapping[str, float], dim: int) -> Constraint:
+def evaluate_constraint(made: Declared, parameters: Mapping[str, float], dim: int) -> Constraint:
     """The constraint with its expressions evaluated at the parameters, checked. Errors:
     `DescriptionError`.
     """
@@ -281,20 +293,20 @@ def resolved(made: Declared, parameters: Mapping[str, float], dim: int) -> Const
     try:
         rows = numbers.rows(dim)
         for key, x in numbers_in(numbers).items():
-            if x is not None and _not_a_number(x):
+            if x is not None and _has_nan(x):
                 raise InputError(f"{key} is {format_value(x)}; it must be numbers")
-        _lengths(made, numbers, rows)
+        _refuse_zero_lengths(made, numbers, rows)
         numbers.check(dim)
         numbers.goal(dim)
         numbers.tool(dim)
     except InputError as error:
         if isinstance(error, DescriptionError):
             raise
-        checks.refuse(f"constraint {made.name!r}", str(error), made.where)
+        checks.raise_problem(f"constraint {made.name!r}", str(error), made.where)
     return numbers
 
 
-def _not_a_number(x: Any) -> bool:
+def _has_nan(x: Any) -> bool:
     """Whether NaN is among numbers, or a whole number that no float holds."""
     try:
         return bool(np.isnan(np.asarray(x, dtype=float)).any())
@@ -312,7 +324,7 @@ def reads_axes(row: Row) -> bool:
     return row.op not in (Op.DISTANCE, Op.POINT)
 
 
-def _lengths(made: Declared, numbers: Constraint, rows: tuple[Row, ...]) -> None:
+def _refuse_zero_lengths(made: Declared, numbers: Constraint, rows: tuple[Row, ...]) -> None:
     """Refuse lengths that no rod has: points that coincide are a joint."""
     for row in rows:
         name = held(numbers, row) if row.op is Op.DISTANCE else ""
@@ -323,7 +335,7 @@ def _lengths(made: Declared, numbers: Constraint, rows: tuple[Row, ...]) -> None
             allowed = "it must be above zero" + (
                 "; points that coincide are a joint" if float(length) == 0.0 else ""
             )
-            checks.refuse(
+            checks.raise_problem(
                 f"constraint {made.name!r}",
                 f"its length is {float(length):g}{text}",
                 made.where,
@@ -331,7 +343,7 @@ def _lengths(made: Declared, numbers: Constraint, rows: tuple[Row, ...]) -> None
             )
 
 
-def renamed(
+def rename_constraint(
     made: Declared, bodies: Mapping[str, str], frames: Mapping[str, str], prefix: str
 ) -> Declared:
     """The same constraint with other names of bodies and frames, and a prefix for its own name and
@@ -339,10 +351,10 @@ def renamed(
     """
     both = {**bodies, **frames}
 
-    def other(x: Any) -> Any:
+    def rename_end(x: Any) -> Any:
         return replace(x, body=bodies[x.body]) if isinstance(x, End) else both.get(x, x)
 
-    of = replace(made.of, **{k: other(x) for k, x in frames_of(made.of).items()})
+    of = replace(made.of, **{k: rename_end(x) for k, x in frames_of(made.of).items()})
     own = {"name": prefix + made.name, "of": of.prefixed(prefix)}
     return replace(
         made, **own, parent=bodies.get(made.parent, ""), child=bodies.get(made.child, "")
@@ -367,7 +379,7 @@ class ConstraintMethods:
         besides, `free` where nothing else holds them. What only `ik` reads (`weight`, `priority`,
         `tolerance`) is refused. Errors: `DescriptionError` with what is wrong and what is allowed.
         """
-        return declare(self, constraint, name, where)
+        return declare_constraint(self, constraint, name, where)
 
     def distance(
         self: Any,
@@ -386,7 +398,9 @@ class ConstraintMethods:
         them. The rod is no connection: both bodies need joints besides, `free` where nothing else
         holds them.
         """
-        return between(self, name, "distance", (a, at, {}), (b, child_at, {}), length, where)
+        return declare_placed_constraint(
+            self, name, "distance", (a, at, {}), (b, child_at, {}), length, where
+        )
 
     def point_on_line(
         self: Any,
@@ -401,7 +415,9 @@ class ConstraintMethods:
         """Point `child_at` of `b` stays on the line through `at` of `a` along z (or `axis`, as in
         `joint`).
         """
-        return between(self, name, "point_on_line", (a, at, turn), (b, child_at, {}), None, where)
+        return declare_placed_constraint(
+            self, name, "point_on_line", (a, at, turn), (b, child_at, {}), None, where
+        )
 
     def point_on_plane(
         self: Any,
@@ -416,7 +432,9 @@ class ConstraintMethods:
         """Point `child_at` of `b` stays in the plane through `at` of `a` across z (or `axis`, as in
         `joint`).
         """
-        return between(self, name, "point_on_plane", (a, at, turn), (b, child_at, {}), None, where)
+        return declare_placed_constraint(
+            self, name, "point_on_plane", (a, at, turn), (b, child_at, {}), None, where
+        )
 
     def no_sideslip(
         self: Any, name: str, frame: BodyLike | Frame, speed: Value | str = 0.0
@@ -548,7 +566,7 @@ class Mechanism(ConstraintMethods):
         self.tolerance: float | str | None = None
         """What its dimensions may be off by: metres and radians, or "measured"; see
         `kempe.assemble.nearest_exact`."""
-        self._add_body(Body(checks.name(ground, "body")))
+        self._add_body(Body(checks.check_name(ground, "body")))
         self._ground = ground
 
     # ---- bodies and frames
@@ -568,16 +586,16 @@ class Mechanism(ConstraintMethods):
         """A new rigid body; `mass` in kg and `center` of mass (x, y, z) in the body's frame are
         optional.
         """
-        return self._add_body(checks.body(name, False, mass, center, where))
+        return self._add_body(checks.make_body(name, False, mass, center, where))
 
     def particle(self, name: str, mass: float | None = None, where: Where | None = None) -> Body:
         """A new particle: a point mass without orientation. Attach it by a prismatic, translation
         or free joint.
         """
-        return self._add_body(checks.body(name, True, mass, None, where))
+        return self._add_body(checks.make_body(name, True, mass, None, where))
 
     def _add_body(self, body: Body) -> Body:
-        self._free_name(body.name, "body", body.where)
+        self._check_free_name(body.name, "body", body.where)
         self.bodies[body.name] = body
         return body
 
@@ -592,19 +610,19 @@ class Mechanism(ConstraintMethods):
         """A new named frame on a body, placed by `at`, `rpy`, `angle`, `axis`, `quat_wxyz`,
         `matrix` as in `place`.
         """
-        on = self._body(body, f"frame {name!r}", where)
-        self._free_name(checks.name(name, "frame"), "frame", where)
-        X_BF = self._place(at, turn, f"frame {name!r}", where, on)
+        on = self._find_body(body, f"frame {name!r}", where)
+        self._check_free_name(checks.check_name(name, "frame"), "frame", where)
+        X_BF = self._make_placement(at, turn, f"frame {name!r}", where, on)
         if self.dim == 2:
-            checks.flat(f"frame {name!r}", X_BF, where)
+            checks.check_planar_placement(f"frame {name!r}", X_BF, where)
         if on.particle and any(s[0] not in "xyz" for s in X_BF.steps):
-            checks.refuse(
+            checks.raise_problem(
                 f"frame {name!r}",
                 f"a particle ({on.name!r}) has no orientation to turn from",
                 where,
             )
         if on.particle and X_BF.steps:
-            checks.refuse(
+            checks.raise_problem(
                 f"frame {name!r}",
                 f"a particle ({on.name!r}) has no extent: the frame must sit on it",
                 where,
@@ -678,31 +696,31 @@ class Mechanism(ConstraintMethods):
         >>> m.shape("link", "box", size=(0.1, 0.1, 0.02), collision=False).visual
         True
         """
-        from kempe.description.shapes import geometry  # only here: many mechanisms have none
+        from kempe.description.shapes import make_geometry  # only here: many mechanisms have none
 
         subject = f"shape {name!r}" if name else f"a shape of {str(body)!r}"
         sizes = {"radius": radius, "length": length, "size": size, "radii": radii}
         try:
-            made = geometry(kind, {**sizes, "path": path, "scale": scale})
-            self._known_parameters(made.names)
+            made = make_geometry(kind, {**sizes, "path": path, "scale": scale})
+            self._check_parameters(made.names)
             made.evaluate(self.parameters)
             if any(x != 0.0 for x in (roll, pitch, yaw)):
                 if "rpy" in turn:
                     raise InputError("orientation given twice, by rpy and roll, pitch, yaw")
                 turn = {**turn, "rpy": (roll, pitch, yaw)}
-            rgba = checks.color(color)
+            rgba = checks.check_color(color)
         except (InputError, UnknownNameError) as error:
-            checks.refuse(subject, str(error), where)
-        end = _placed(self, (body, at, turn), subject, where)
+            checks.raise_problem(subject, str(error), where)
+        end = _place_end(self, (body, at, turn), subject, where)
         on = self.bodies[end.body]
         if on.particle:
-            checks.refuse(subject, f"{on.name!r} is a particle, which has no extent", where)
+            checks.raise_problem(subject, f"{on.name!r} is a particle, which has no extent", where)
         uses = (
             read_flag(visual, f"visual of {subject}"),
             read_flag(collision, f"collision of {subject}"),
         )
         if not any(uses):
-            checks.refuse(
+            checks.raise_problem(
                 subject, "it is neither visual nor collision", where, "one of them must be True"
             )
         shape = Shape(made, end.X, *uses, rgba, str(name), where)
@@ -724,7 +742,7 @@ class Mechanism(ConstraintMethods):
             )
         if name in self.parameters:
             raise InputError(f"parameter {name!r} exists already")
-        self.parameters[name] = checks.number(number, f"parameter {name!r}")
+        self.parameters[name] = checks.check_number(number, f"parameter {name!r}")
         return parsed
 
     # ---- joints
@@ -766,25 +784,29 @@ class Mechanism(ConstraintMethods):
         (`pitch`, `angles`). Errors: `DescriptionError` with what is wrong and what is allowed.
         """
         subject = f"joint {name!r}"
-        self._free_joint_name(checks.name(name, "joint"), subject, where)
+        self._check_joint_name(checks.check_name(name, "joint"), subject, where)
         try:
             type_ = make_joint_type(kind, **options)
         except UnknownNameError as error:
-            checks.refuse(subject, str(error), where)
+            checks.raise_problem(subject, str(error), where)
         except InputError as error:
-            checks.refuse(subject, checks.slip(kind, options, Mechanism.joint) or str(error), where)
-        on = self._body(parent, subject, where)
-        to = self._body(child, subject, where)
+            checks.raise_problem(
+                subject,
+                checks.explain_unknown_option(kind, options, Mechanism.joint) or str(error),
+                where,
+            )
+        on = self._find_body(parent, subject, where)
+        to = self._find_body(child, subject, where)
         if on.name == to.name:
-            checks.refuse(
+            checks.raise_problem(
                 subject,
                 f"it connects body {on.name!r} to itself",
                 where,
                 "it must connect two bodies",
             )
-        checks.kind(self.dim, subject, type_, on, to, where)
+        checks.check_joint_type(self.dim, subject, type_, on, to, where)
         turn = {"rpy": rpy, "angle": angle, "axis": axis, "quat_wxyz": quat_wxyz, "matrix": matrix}
-        X_PF = self._place(at, turn, subject, where, on)
+        X_PF = self._make_placement(at, turn, subject, where, on)
         turn = {
             "rpy": child_rpy,
             "angle": child_angle,
@@ -792,8 +814,8 @@ class Mechanism(ConstraintMethods):
             "quat_wxyz": child_quat_wxyz,
             "matrix": child_matrix,
         }
-        X_CM = self._place(child_at, turn, subject, where, to)
-        checks.ends(self.dim, subject, type_, X_PF, X_CM, to, where)
+        X_CM = self._make_placement(child_at, turn, subject, where, to)
+        checks.check_joint_frames(self.dim, subject, type_, X_PF, X_CM, to, where)
         names = type_.list_velocity_names(self.dim, to.particle)
         self.joints[name] = Joint(
             name,
@@ -802,9 +824,9 @@ class Mechanism(ConstraintMethods):
             to.name,
             X_PF,
             X_CM,
-            checks.limits(subject, limits, type_, self.dim, to.particle, where),
-            checks.bounds(subject, "velocity", velocity, names, where),
-            checks.bounds(subject, "effort", effort, names, where),
+            checks.check_limits(subject, limits, type_, self.dim, to.particle, where),
+            checks.check_bounds(subject, "velocity", velocity, names, where),
+            checks.check_bounds(subject, "effort", effort, names, where),
             actuated if actuated is None else read_flag(actuated, f"actuated of {subject}"),
             read_flag(cut, f"cut of {subject}"),
             where,
@@ -878,21 +900,21 @@ class Mechanism(ConstraintMethods):
         of = str(of)
         subject = f"coupling of {of!r}"
         if not isinstance(sources, Mapping):
-            checks.refuse(
+            checks.raise_problem(
                 subject,
                 f"its sources are {sources!r}",
                 where,
                 "they must be a dict of multipliers by name",
             )
         if of in self.couplings:
-            checks.refuse(subject, "the coordinate follows others already", where)
+            checks.raise_problem(subject, "the coordinate follows others already", where)
         if not sources:
-            checks.refuse(subject, "it has no source coordinate", where)
+            checks.raise_problem(subject, "it has no source coordinate", where)
         try:
             checked = {str(k): read_value(v, "multiplier") for k, v in sources.items()}
             self.couplings[of] = Coupling(of, checked, read_value(offset, "offset"), where)
         except InputError as error:
-            checks.refuse(subject, str(error), where)
+            checks.raise_problem(subject, str(error), where)
         return self.couplings[of]
 
     def gear(
@@ -905,14 +927,14 @@ class Mechanism(ConstraintMethods):
         """Declare a named posture: values of some coordinates by name, the others neutral."""
         if name in self.postures:
             raise InputError(f"posture {name!r} exists already")
-        self.postures[name] = checks.numbers(coordinates, f"posture {name!r}")
+        self.postures[name] = checks.check_numbers(coordinates, f"posture {name!r}")
 
     def group(self, name: str, joints: Iterable[str]) -> None:
         """Declare a named group of joints, of which `System.group` makes a system.
 
         Errors: `UnknownNameError`; `InputError` where the name is taken.
         """
-        if checks.name(name, "group") in self.groups:
+        if checks.check_name(name, "group") in self.groups:
             raise InputError(f"group {name!r} exists already")
         names = tuple(map(str, joints))
         for joint in names:
@@ -926,15 +948,17 @@ class Mechanism(ConstraintMethods):
         Errors: `DescriptionError` for unknown bodies.
         """
         subject = "ignored pair"
-        names = {self._body(body, subject, None).name for body in (a, b)}
+        names = {self._find_body(body, subject, None).name for body in (a, b)}
         if len(names) == 1:
-            checks.refuse(subject, f"both bodies are {str(a)!r}", None, "a pair has two bodies")
+            checks.raise_problem(
+                subject, f"both bodies are {str(a)!r}", None, "a pair has two bodies"
+            )
         pair = tuple(name for name in self.bodies if name in names)
         self.ignored_pairs[pair] = str(reason)  # type: ignore[index]
 
     def lock(self, coordinates: Mapping[str, float]) -> Mechanism:
         """Hold coordinates at values: they leave the configuration. Returns the mechanism itself."""
-        self.locks |= checks.numbers(coordinates, "lock")
+        self.locks |= checks.check_numbers(coordinates, "lock")
         return self
 
     # ---- composition
@@ -954,13 +978,13 @@ class Mechanism(ConstraintMethods):
         shared.
         """
 
-        attach(self, _mechanism_of(other), to, prefix, placement)
+        attach_mechanism(self, _get_mechanism(other), to, prefix, placement)
         return self
 
     def subchain(self, base: BodyLike, tip: BodyLike | Frame) -> Mechanism:
         """A new mechanism: the bodies and joints between `base`, its new ground, and `tip`."""
 
-        return subchain(self, str(base), str(tip))
+        return extract_subchain(self, str(base), str(tip))
 
     def copy(self) -> Mechanism:
         """An independent copy."""
@@ -983,7 +1007,7 @@ class Mechanism(ConstraintMethods):
 
     def build(self) -> System:
         """The compiled `System`. Errors: `DescriptionError` that names what does not fit together."""
-        with collecting_later(len(self.bodies)):
+        with pause_garbage_collection(len(self.bodies)):
             return import_late("System")(self)
 
     def save(self, path: str | Path) -> Path:
@@ -1036,45 +1060,45 @@ class Mechanism(ConstraintMethods):
 
     # ---- checks
 
-    def _free_name(self, name: str, kind: str, where: Where | None) -> None:
+    def _check_free_name(self, name: str, kind: str, where: Where | None) -> None:
         taken = self.bodies.get(name) or self.frames.get(name)
         if taken is not None:
             what = "body" if name in self.bodies else "frame"
             first = f" ({taken.where})" if taken.where else ""
-            checks.refuse(
+            checks.raise_problem(
                 f"{kind} {name!r}",
                 f"there is another {what} of this name{first}",
                 where,
                 "names must be unique",
             )
 
-    def _known_parameters(self, names: Iterable[str]) -> None:
+    def _check_parameters(self, names: Iterable[str]) -> None:
         """Refuse names that are no parameters. Errors: `UnknownNameError`."""
         for name in sorted(names):
             if name not in self.parameters:
                 raise UnknownNameError("parameter", name, self.parameters, self.name)
 
-    def _free_joint_name(self, name: str, subject: str, where: Where | None) -> None:
+    def _check_joint_name(self, name: str, subject: str, where: Where | None) -> None:
         taken = self.joints.get(name) or self.constraints.get(name)
         if taken is not None:
             what = "joint" if name in self.joints else "constraint"
             first = f" ({taken.where})" if taken.where else ""
-            checks.refuse(
+            checks.raise_problem(
                 subject,
                 f"there is another {what} of this name{first}",
                 where,
                 "names must be unique",
             )
 
-    def _body(self, body: BodyLike, subject: str, where: Where | None) -> Body:
+    def _find_body(self, body: BodyLike, subject: str, where: Where | None) -> Body:
         name = body.name if isinstance(body, Body) else body
         if not isinstance(name, str) or name not in self.bodies:
-            checks.refuse(
+            checks.raise_problem(
                 subject, str(UnknownNameError("body", name, self.bodies, self.name)), where
             )
         return self.bodies[name]
 
-    def _place(
+    def _make_placement(
         self, at: object, turn: Mapping[str, Any], subject: str, where: Where | None, on: Body
     ) -> Placement:
         try:
@@ -1085,20 +1109,20 @@ class Mechanism(ConstraintMethods):
                     raise UnknownNameError("frame", str(at), names, f"body {on.name!r}")
                 at = frame.X_BF
             X = place(at, **turn)
-            self._known_parameters(X.names)
+            self._check_parameters(X.names)
         except (InputError, UnknownNameError) as error:
-            checks.refuse(subject, str(error), where)
+            checks.raise_problem(subject, str(error), where)
         return X
 
 
-def unused_name(m: Mechanism, name: str) -> str:
+def choose_unused_name(m: Mechanism, name: str) -> str:
     """Return the name, with dashes behind it where a body, a frame, a joint or a constraint has it."""
     while any(name in parts for parts in (m.bodies, m.frames, m.joints, m.constraints)):
         name += "'"
     return name
 
 
-def _mechanism_of(thing: Mechanism | System) -> Mechanism:
+def _get_mechanism(thing: Mechanism | System) -> Mechanism:
     mechanism = thing if isinstance(thing, Mechanism) else getattr(thing, "mechanism", None)
     if not isinstance(mechanism, Mechanism):
         raise InputError(f"{thing!r} is no Mechanism or System; read a file with kempe.read first")
@@ -1108,7 +1132,7 @@ def _mechanism_of(thing: Mechanism | System) -> Mechanism:
 # ---- mounting mechanisms, and cutting out chains
 
 
-def attach(
+def attach_mechanism(
     host: Mechanism,
     guest: Mechanism,
     to: Body | Frame | str | None,
@@ -1166,7 +1190,9 @@ def attach(
         )
     for constraint in guest.constraints.values():
         bodies, frames = ({n: prefix + n for n in names} for names in (guest.bodies, guest.frames))
-        trial.constraints[prefix + constraint.name] = renamed(constraint, bodies, frames, prefix)
+        trial.constraints[prefix + constraint.name] = rename_constraint(
+            constraint, bodies, frames, prefix
+        )
     for key, posture in guest.postures.items():
         trial.postures[prefix + key] = {prefix + k: v for k, v in posture.items()}
     for key, joints in guest.groups.items():
@@ -1207,7 +1233,7 @@ def _refuse_clashes(host: Mechanism, guest: Mechanism, prefix: str) -> None:
         )
 
 
-def subchain(mechanism: Mechanism, base: str, tip: str) -> Mechanism:
+def extract_subchain(mechanism: Mechanism, base: str, tip: str) -> Mechanism:
     """The bodies and joints on the shortest path from body `base` to body or frame `tip`, as a
     mechanism.
 
@@ -1223,16 +1249,16 @@ def subchain(mechanism: Mechanism, base: str, tip: str) -> Mechanism:
             "body or frame", tip, [*mechanism.bodies, *mechanism.frames], mechanism.name
         )
     end = mechanism.frames[tip].body if tip in mechanism.frames else tip
-    path = joints_between(mechanism, base, end)
-    return _part(mechanism, f"{base} to {tip}", base, path)
+    path = find_path_joints(mechanism, base, end)
+    return _extract_part(mechanism, f"{base} to {tip}", base, path)
 
 
-def subgroup(mechanism: Mechanism, name: str, held: Mapping[str, float]) -> Mechanism:
+def extract_group(mechanism: Mechanism, name: str, held: Mapping[str, float]) -> Mechanism:
     """The bodies and joints of a group, as a mechanism.
 
     Its ground is the body from which all its joints branch off. Joints on the way to them that are
     not in the group are locked at the values `held`; bodies that are fixed to moving ones come
-    along, and what `subchain` keeps.
+    along, and what `extract_subchain` keeps.
     Errors: `UnknownNameError`, `DescriptionError`; `InputError` for a group without joints.
     """
     if name not in mechanism.groups:
@@ -1240,8 +1266,8 @@ def subgroup(mechanism: Mechanism, name: str, held: Mapping[str, float]) -> Mech
     own = [mechanism.joints[joint] for joint in mechanism.groups[name]]
     if not own:
         raise InputError(f"group {name!r} has no joints")
-    came = _came_by(mechanism, mechanism.ground.name)
-    ways = [_way(came, body) for joint in own for body in (joint.parent, joint.child)]
+    came = _find_shortest_paths(mechanism, mechanism.ground.name)
+    ways = [_list_path_bodies(came, body) for joint in own for body in (joint.parent, joint.child)]
     shared = [bodies for bodies in zip(*ways, strict=False) if len(set(bodies)) == 1]
     base = shared[-1][0] if shared else mechanism.ground.name
     kept = {body: came[body] for way in ways for body in way[len(shared) :]}
@@ -1251,22 +1277,22 @@ def subgroup(mechanism: Mechanism, name: str, held: Mapping[str, float]) -> Mech
             if other in kept:
                 kept[body] = joint
     path = list(dict.fromkeys([*(j for j in kept.values() if j is not None), *own]))
-    out = _part(mechanism, name, base, path)
+    out = _extract_part(mechanism, name, base, path)
     for joint in path:
         if joint.name not in mechanism.groups[name]:
-            for coordinate in _coordinates(mechanism, joint):
+            for coordinate in _list_coordinates(mechanism, joint):
                 if coordinate in held:
                     out.locks.setdefault(coordinate, held[coordinate])
     return out
 
 
-def _coordinates(mechanism: Mechanism, joint: Joint) -> list[str]:
+def _list_coordinates(mechanism: Mechanism, joint: Joint) -> list[str]:
     """Names of the coordinates of a joint."""
     of = joint.type.list_coordinate_names(mechanism.dim, mechanism.bodies[joint.child].particle)
     return [f"{joint.name}.{c}" if c else joint.name for c in of]
 
 
-def _way(came: Mapping[str, Joint | None], body: str) -> list[str]:
+def _list_path_bodies(came: Mapping[str, Joint | None], body: str) -> list[str]:
     """The bodies from the ground to a body."""
     way = [body]
     while (joint := came[way[-1]]) is not None:
@@ -1274,7 +1300,7 @@ def _way(came: Mapping[str, Joint | None], body: str) -> list[str]:
     return way[::-1]
 
 
-def _part(mechanism: Mechanism, name: str, base: str, path: Iterable[Joint]) -> Mechanism:
+def _extract_part(mechanism: Mechanism, name: str, base: str, path: Iterable[Joint]) -> Mechanism:
     """A part of a mechanism: these joints, their bodies, and what belongs to them alone."""
     path = list(path)
     kept = {base} | {b for j in path for b in (j.parent, j.child)}
@@ -1291,13 +1317,13 @@ def _part(mechanism: Mechanism, name: str, base: str, path: Iterable[Joint]) -> 
     out.constraints = {
         n: c for n, c in mechanism.constraints.items() if {c.parent, c.child} <= kept
     }
-    coordinates = {c for j in path for c in _coordinates(mechanism, j)}
+    coordinates = {c for j in path for c in _list_coordinates(mechanism, j)}
     for coupling in mechanism.couplings.values():
         inside = [c in coordinates for c in (coupling.of, *coupling.sources)]
         if all(inside):
             out.couplings[coupling.of] = coupling
         elif inside[0]:
-            _follow_inside(mechanism, out, coupling, coordinates)
+            _keep_coupling(mechanism, out, coupling, coordinates)
     out.locks |= {k: v for k, v in mechanism.locks.items() if k in coordinates}
     for name, posture in mechanism.postures.items():
         out.postures[name] = {k: v for k, v in posture.items() if k in coordinates}
@@ -1306,7 +1332,7 @@ def _part(mechanism: Mechanism, name: str, base: str, path: Iterable[Joint]) -> 
     return out
 
 
-def _follow_inside(
+def _keep_coupling(
     mechanism: Mechanism, out: Mechanism, coupling: Coupling, coordinates: set[str]
 ) -> None:
     """Keep a coupling that reaches outside the chain, where it does so only through locks and other
@@ -1337,7 +1363,7 @@ def _follow_inside(
         out.locks[coupling.of] = float(evaluate_value(offset, mechanism.parameters))
 
 
-def _came_by(mechanism: Mechanism, base: str, end: str = "") -> dict[str, Joint | None]:
+def _find_shortest_paths(mechanism: Mechanism, base: str, end: str = "") -> dict[str, Joint | None]:
     """Bodies by nearness to `base`, as far as `end`, each with the joint by which the shortest path
     comes to it.
     """
@@ -1358,9 +1384,9 @@ def _came_by(mechanism: Mechanism, base: str, end: str = "") -> dict[str, Joint 
     return came
 
 
-def joints_between(mechanism: Mechanism, base: str, end: str) -> list[Joint]:
+def find_path_joints(mechanism: Mechanism, base: str, end: str) -> list[Joint]:
     """The joints on the shortest path from a body to another. Errors: `DescriptionError`."""
-    came = _came_by(mechanism, base, end)
+    came = _find_shortest_paths(mechanism, base, end)
     if end not in came:
         raise DescriptionError(
             Fault(f"no joints lead from {base!r} to {end!r}", f"mechanism {mechanism.name!r}")
@@ -1372,7 +1398,7 @@ def joints_between(mechanism: Mechanism, base: str, end: str) -> list[Joint]:
     return path
 
 
-def components(bodies: Iterable[str], ends: Iterable[tuple[str, str]]) -> dict[str, int]:
+def number_components(bodies: Iterable[str], ends: Iterable[tuple[str, str]]) -> dict[str, int]:
     """For each body the number of the connected part that it belongs to."""
     neighbours: dict[str, list[str]] = {b: [] for b in bodies}
     for a, b in ends:

@@ -87,20 +87,20 @@ class _Factors:
         """A constant turn."""
         if abs(angle) > EXACT:
             self.add(f"R({'xyz'[letter]})", angle)
-            self.R = self.R @ _about(letter, angle)
+            self.R = self.R @ _make_rotation(letter, angle)
 
 
-def product_of(joints: Sequence[dict[str, Any]], qpos0: Sequence[float]) -> Product:
+def make_product(joints: Sequence[dict[str, Any]], qpos0: Sequence[float]) -> Product:
     """The product of joints (hinges, slides, and a ball at the end) of one body.
 
     A joint moves the body by N E(q - ref) N^-1, where N is a frame on its axis and E its turn or
-    slide: from one N to the next lead constant slides and turns, of which `frame_along` needs few.
+    slide: from one N to the next lead constant slides and turns, of which `make_axes_frame` needs few.
     """
     axes = [np.array(j["axis"]) for j in joints if j["kind"] != "ball"]
     turning = [np.array(j["pos"]) for j in joints if j["kind"] != "slide"]
     has_ball = len(axes) < len(joints)
     f = _Factors(
-        np.eye(3) if has_ball else frame_along(axes), turning[0] if turning else np.zeros(3)
+        np.eye(3) if has_ball else make_axes_frame(axes), turning[0] if turning else np.zeros(3)
     )
     first = place(pose(f.R, f.p))
     of_joint: list[int] = []
@@ -117,10 +117,10 @@ def product_of(joints: Sequence[dict[str, Any]], qpos0: Sequence[float]) -> Prod
         # slides that no turn precedes can change places
         ahead = kind == "P" and all(word.startswith("P") for word in f.words)
         if ref and (ahead or not f.words):
-            first = first @ _step(kind, name, -ref)
+            first = first @ _make_step(kind, name, -ref)
             ref = 0.0
         of_joint.append(f.add(f"{kind}({name})"))
-        back = _step(kind, name, ref)
+        back = _make_step(kind, name, ref)
         if ref and k < len(joints) - 1:
             f.add(f"{kind}({name})", -ref)
     words = " ".join(f.words)
@@ -130,12 +130,12 @@ def product_of(joints: Sequence[dict[str, Any]], qpos0: Sequence[float]) -> Prod
     )
 
 
-def _step(kind: str, letter: str, x: float) -> Placement:
+def _make_step(kind: str, letter: str, x: float) -> Placement:
     """A constant turn or slide as a placement."""
     return Placement(((letter if kind == "P" else f"r{letter}", (x,)),)) if x else Placement()
 
 
-def frame_along(axes: Sequence[Array]) -> Array:
+def make_axes_frame(axes: Sequence[Array]) -> Array:
     """A rotation whose columns are as many of the axes as can be, natural letters first."""
     columns: dict[int, Array] = {}
     for a in axes:
@@ -160,7 +160,7 @@ def frame_along(axes: Sequence[Array]) -> Array:
     return R
 
 
-def _about(letter: int, angle: float) -> Array:
+def _make_rotation(letter: int, angle: float) -> Array:
     c, s = math.cos(angle), math.sin(angle)
     R = np.eye(3)
     m, n = (letter + 1) % 3, (letter + 2) % 3

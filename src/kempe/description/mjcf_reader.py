@@ -16,9 +16,9 @@ import numpy as np
 
 from kempe.constraints import KINDS
 from kempe.description.mechanism import Mechanism
-from kempe.description.mjcf_product import product_of
+from kempe.description.mjcf_product import make_product
 from kempe.description.mjcf_text import Merged, compile_mjcf
-from kempe.description.source import Findings, folders_of
+from kempe.description.source import Findings, list_folders
 from kempe.errors import Where
 from kempe.poses import place
 from kempe.spatial import pose, quat_wxyz_to_matrix
@@ -55,7 +55,7 @@ def read_mjcf(
     merged = Merged(text, source, package_dirs)
     reader = _Reader(compile_mjcf(merged), merged)
     mechanism = reader.run()
-    mechanism.roots = tuple(map(str, folders_of(package_dirs)))
+    mechanism.roots = tuple(map(str, list_folders(package_dirs)))
     return mechanism
 
 
@@ -66,8 +66,8 @@ class _Reader:
         self.t = tables
         self.merged = merged
         self.findings = Findings()
-        self.bodies = _names(tables["bodies"], "body", set())
-        self.sites = _names(tables["sites"], "site", set(self.bodies))
+        self.bodies = _choose_names(tables["bodies"], "body", set())
+        self.sites = _choose_names(tables["sites"], "site", set(self.bodies))
         self.m = Mechanism(tables["name"] or "mjcf", ground=self.bodies[0])
         self.joints_of: dict[int, list[tuple[int, Row]]] = {}
         for j, row in enumerate(tables["joints"]):
@@ -84,31 +84,31 @@ class _Reader:
         self._check_numbers()
         self.findings.finish()
         for b, row in enumerate(self.t["bodies"][1:], 1):
-            with self.findings.guard(f"body {self.bodies[b]!r}", self._where(row)):
-                self._body(b, row)
+            with self.findings.guard(f"body {self.bodies[b]!r}", self._locate_row(row)):
+                self._read_body(b, row)
         for name, row in zip(self.sites, self.t["sites"], strict=True):
             self.m.frame(
                 name,
                 self.bodies[int(row["body"])],
                 at=tuple(row["pos"]),
-                where=self._where(row),
-                **_turn(row),
+                where=self._locate_row(row),
+                **_make_turn(row),
             )
         self.findings.finish()
         for row in self.t["geoms"]:
-            self._shape(row)
-        self._equalities()
-        self._tendon_ranges()
-        self._postures()
-        self._note_rest()
+            self._read_shape(row)
+        self._read_equalities()
+        self._read_tendon_ranges()
+        self._read_postures()
+        self._note_unread_elements()
         self.findings.finish()
         self.m.notes = self.findings.notes
         return self.m
 
-    def _where(self, row: Row) -> Where:
+    def _locate_row(self, row: Row) -> Where:
         return self.merged.where(row["line"])
 
-    def _name(self, *wishes: str) -> str:
+    def _choose_name(self, *wishes: str) -> str:
         """A name of a joint or constraint that none has: the first wish that is free."""
         name = next((w for w in wishes if w and w not in self.taken), wishes[-1])
         while name in self.taken:
@@ -125,7 +125,7 @@ class _Reader:
                         self.findings.add(
                             f"{what} has a number that is not finite",
                             f"{word} {row['name']!r}",
-                            self._where(row),
+                            self._locate_row(row),
                             "it must be finite numbers",
                         )
         if not np.isfinite(self.t["qpos0"]).all():
@@ -135,42 +135,48 @@ class _Reader:
 
     # ---- bodies and joints
 
-    def _body(self, b: int, row: Row) -> None:
+    def _read_body(self, b: int, row: Row) -> None:
         m = self.m
         name = self.bodies[b]
-        where = self._where(row)
+        where = self._locate_row(row)
         parent = self.bodies[int(row["parent"])]
         center = row["center"] if row["mass"] is not None else None
         m.body(name, mass=row["mass"], center=center, where=where)
         joints = self.joints_of.get(b, [])
         if not joints:
-            m.fixed(self._name(f"{name}_fixed"), parent, name, at=tuple(row["pos"]), **_turn(row))
+            m.fixed(
+                self._choose_name(f"{name}_fixed"),
+                parent,
+                name,
+                at=tuple(row["pos"]),
+                **_make_turn(row),
+            )
             if row["mocap"]:
                 said = "it is a mocap body, which a program moves; it is held where it stands"
                 self.findings.note(said, f"body {name!r}", where)
         elif len(joints) == 1:
-            self._one_joint(parent, name, row, *joints[0])
+            self._read_joint(parent, name, row, *joints[0])
         else:
-            self._product(parent, name, row, joints)
+            self._read_joint_product(parent, name, row, joints)
 
-    def _one_joint(self, parent: str, child: str, body: Row, j: int, joint: Row) -> None:
+    def _read_joint(self, parent: str, child: str, body: Row, j: int, joint: Row) -> None:
         m = self.m
         kind = joint["kind"]
-        name = self._name(joint["name"], child)
-        where = self._where(joint)
+        name = self._choose_name(joint["name"], child)
+        where = self._locate_row(joint)
         if kind == "free":
             m.free(name, m.ground, child, where=where)
-            self._place_in_q(
+            self._add_addresses(
                 joint, [f"{name}.{c}" for c in m.joints[name].type.list_coordinate_names()]
             )
             return
-        on_body = place(tuple(body["pos"]), **_turn(body)) @ place(tuple(joint["pos"]))
+        on_body = place(tuple(body["pos"]), **_make_turn(body)) @ place(tuple(joint["pos"]))
         if kind == "ball":
             m.spherical(name, parent, child, at=on_body, child_at=joint["pos"], where=where)
-            self._place_in_q(
+            self._add_addresses(
                 joint, [f"{name}.{c}" for c in m.joints[name].type.list_coordinate_names()]
             )
-            self._note_ball(name, joint)
+            self._note_ball_range(name, joint)
             return
         ref = self.t["qpos0"][joint["address"]]
         along = place(axis=tuple(joint["axis"]))
@@ -186,14 +192,16 @@ class _Reader:
             where=where,
         )
         self.coordinates[j] = name
-        self._place_in_q(joint, [name])
+        self._add_addresses(joint, [name])
 
-    def _product(self, parent: str, child: str, body: Row, joints: list[tuple[int, Row]]) -> None:
+    def _read_joint_product(
+        self, parent: str, child: str, body: Row, joints: list[tuple[int, Row]]
+    ) -> None:
         """Several joints of a body: one joint, whose coordinates are theirs in their order."""
-        where = self._where(joints[0][1])
-        name = self._name(child)
-        product = product_of([row for _, row in joints], self.t["qpos0"])
-        on_body = place(tuple(body["pos"]), **_turn(body))
+        where = self._locate_row(joints[0][1])
+        name = self._choose_name(child)
+        product = make_product([row for _, row in joints], self.t["qpos0"])
+        on_body = place(tuple(body["pos"]), **_make_turn(body))
         own = [product.names[i] for i in product.of_joint]
         m = self.m
         limits: dict[str, Any] = {}
@@ -214,31 +222,31 @@ class _Reader:
         said: list[str] = []
         for (j, row), part, i in zip(joints, own, product.of_joint, strict=True):
             if row["kind"] == "ball":
-                self._place_in_q(row, [f"{name}.{c}" for c in product.names[i : i + 4]])
-                self._note_ball(name, row)
+                self._add_addresses(row, [f"{name}.{c}" for c in product.names[i : i + 4]])
+                self._note_ball_range(name, row)
                 said.append(f"{row['name'] or 'the ball'} is {name}.qw, qx, qy, qz")
             else:
                 self.coordinates[j] = f"{name}.{part}"
-                self._place_in_q(row, [f"{name}.{part}"])
+                self._add_addresses(row, [f"{name}.{part}"])
                 said.append(f"{row['name'] or 'a ' + row['kind']} is {name}.{part}")
         self.findings.note(
             f"its {len(joints)} joints are one: {', '.join(said)}", f"body {child!r}", where
         )
 
-    def _place_in_q(self, joint: Row, names: Sequence[str]) -> None:
+    def _add_addresses(self, joint: Row, names: Sequence[str]) -> None:
         self.addresses += [(joint["address"] + k, name) for k, name in enumerate(names)]
 
-    def _note_ball(self, name: str, joint: Row) -> None:
+    def _note_ball_range(self, name: str, joint: Row) -> None:
         if joint["range"] is not None:
             said = f"its range of {joint['range'][1]:.6g} rad about any axis is left out"
-            self.findings.note(said, f"joint {joint['name'] or name!r}", self._where(joint))
+            self.findings.note(said, f"joint {joint['name'] or name!r}", self._locate_row(joint))
 
     # ---- shapes
 
-    def _shape(self, row: Row) -> None:
+    def _read_shape(self, row: Row) -> None:
         """A geom as a shape: what touches nothing is only seen, and groups from 3 on are not seen."""
         on = self.bodies[int(row["body"])]
-        where = self._where(row)
+        where = self._locate_row(row)
         subject = f"geom {row['name']!r}" if row["name"] else f"a geom of body {on!r}"
         color = row["color"]
         visual = row["group"] < HIDDEN_GROUP and (color is None or color[3] > 0)
@@ -258,14 +266,18 @@ class _Reader:
         if said or sizes is None:
             self.findings.note(said, subject, where)
             return
-        given = {"path": self._path(mesh), "scale": mesh["scale"]} if mesh else sizes(row["size"])
+        given = (
+            {"path": self._make_mesh_path(mesh), "scale": mesh["scale"]}
+            if mesh
+            else sizes(row["size"])
+        )
         with self.findings.guard(subject, where):
             self.m.shape(
                 on,
                 row["kind"],
                 **given,
                 at=tuple(row["pos"]),
-                **_turn(row),
+                **_make_turn(row),
                 visual=visual,
                 collision=row["touches"],
                 color=None if color is None else np.clip(color, 0.0, 1.0).tolist(),
@@ -273,7 +285,7 @@ class _Reader:
                 where=where,
             )
 
-    def _path(self, mesh: Row) -> str:
+    def _make_mesh_path(self, mesh: Row) -> str:
         """The path of a mesh from the folder of the model."""
         file = os.path.basename(mesh["file"]) if mesh["strip"] else mesh["file"]
         return os.path.normpath(
@@ -282,16 +294,16 @@ class _Reader:
 
     # ---- equalities and tendons
 
-    def _equalities(self) -> None:
+    def _read_equalities(self) -> None:
         for e, row in enumerate(self.t["equalities"]):
-            name = self._name(row["name"], f"equality{e}")
+            name = self._choose_name(row["name"], f"equality{e}")
             subject = f"equality {name!r}"
-            where = self._where(row)
+            where = self._locate_row(row)
             make = {
-                "connect": self._connect,
-                "weld": self._weld,
-                "joint": self._joint_equality,
-                "tendon": self._tendon_equality,
+                "connect": self._read_connect,
+                "weld": self._read_weld,
+                "joint": self._read_joint_equality,
+                "tendon": self._read_tendon_equality,
             }.get(row["kind"])
             if not row["active"]:
                 self.findings.note("it is not active, and is left out", subject, where)
@@ -301,21 +313,21 @@ class _Reader:
                 with self.findings.guard(subject, where):
                     make(name, row, where)
 
-    def _ends(self, row: Row) -> tuple[str, str]:
+    def _list_ends(self, row: Row) -> tuple[str, str]:
         names = self.sites if row["sites"] else self.bodies
         return names[int(row["a"])], names[int(row["b"])]
 
-    def _connect(self, name: str, row: Row, where: Where) -> None:
-        a, b = self._ends(row)
+    def _read_connect(self, name: str, row: Row, where: Where) -> None:
+        a, b = self._list_ends(row)
         d = row["data"]
         at_a, at_b = ((0.0, 0.0, 0.0),) * 2 if row["sites"] else (tuple(d[0:3]), tuple(d[3:6]))
         self.m.constrain(_KINDS["position"](a, at_b, at_a, other=b), name, where)
 
-    def _weld(self, name: str, row: Row, where: Where) -> None:
+    def _read_weld(self, name: str, row: Row, where: Where) -> None:
         """Point d[3:6] of body a is d[0:3] of body b, which is turned by the quaternion d[6:10];
         with a torque scale of 0 it may turn.
         """
-        a, b = self._ends(row)
+        a, b = self._list_ends(row)
         d = row["data"]
         R = np.eye(3) if row["sites"] else quat_wxyz_to_matrix(d[6:10])
         anchor = np.zeros(3) if row["sites"] else np.array(d[0:3])
@@ -327,26 +339,26 @@ class _Reader:
             X = pose(R, there - R @ anchor)
             self.m.constrain(_KINDS["pose"](b, X, other=a), name, where)
 
-    def _joint_equality(self, name: str, row: Row, where: Where) -> None:
+    def _read_joint_equality(self, name: str, row: Row, where: Where) -> None:
         """Coordinate a = polynomial of coordinate b, both counted from their references."""
         a = self.coordinates[row["a"]]
         b = self.coordinates.get(row["b"])
         c = row["data"][0:5]
-        ref_a = self._ref(row["a"])
-        ref_b = self._ref(row["b"]) if b else 0.0
+        ref_a = self._get_reference(row["a"])
+        ref_b = self._get_reference(row["b"]) if b else 0.0
         single = a not in self.m.couplings and a not in self.m.locks
         if single and (b is None or not any(c[1:])):
             self.m.lock({a: ref_a + c[0]})
-        elif single and b is not None and not any(c[2:]) and not self._follows(b, a):
+        elif single and b is not None and not any(c[2:]) and not self._is_follower(b, a):
             self.m.couple(a, {b: c[1]}, ref_a + c[0] - c[1] * ref_b, where)
         else:
             of_b = [] if b is None else [(b, 1.0)]
-            self._relation(name, [(a, 1.0)], ref_a, of_b, ref_b, c, where)
+            self._add_relation(name, [(a, 1.0)], ref_a, of_b, ref_b, c, where)
 
-    def _ref(self, j: int) -> float:
+    def _get_reference(self, j: int) -> float:
         return float(self.t["qpos0"][self.t["joints"][j]["address"]])
 
-    def _follows(self, name: str, other: str) -> bool:
+    def _is_follower(self, name: str, other: str) -> bool:
         """Whether the coordinate `name` is `other`, or follows it."""
         while name != other:
             if name not in self.m.couplings:
@@ -354,7 +366,7 @@ class _Reader:
             name = next(iter(self.m.couplings[name].sources))
         return True
 
-    def _tendon_equality(self, name: str, row: Row, where: Where) -> None:
+    def _read_tendon_equality(self, name: str, row: Row, where: Where) -> None:
         first = self.t["tendons"][row["a"]]
         second = self.t["tendons"][row["b"]] if row["b"] >= 0 else None
         if first["joints"] is None or (second and second["joints"] is None):
@@ -364,20 +376,20 @@ class _Reader:
                 where,
             )
             return
-        self._relation(
+        self._add_relation(
             name,
-            self._terms(first),
+            self._list_terms(first),
             first["length"],
-            self._terms(second) if second else [],
+            self._list_terms(second) if second else [],
             second["length"] if second else 0.0,
             row["data"][0:5],
             where,
         )
 
-    def _terms(self, tendon: Row) -> list[tuple[str, float]]:
+    def _list_terms(self, tendon: Row) -> list[tuple[str, float]]:
         return [(self.coordinates[j], float(w)) for j, w in tendon["joints"]]
 
-    def _relation(
+    def _add_relation(
         self,
         name: str,
         left: list[tuple[str, float]],
@@ -388,34 +400,34 @@ class _Reader:
         where: Where,
     ) -> None:
         """The equation left - rest = c0 + c1 (right - rest) + c2 (right - rest)^2 + ..."""
-        text = f"{_sum(left)}{-left_rest - c[0]:+.17g}"
-        other = f"({_sum(right)}{-right_rest:+.17g})" if right else ""
+        text = f"{_format_sum(left)}{-left_rest - c[0]:+.17g}"
+        other = f"({_format_sum(right)}{-right_rest:+.17g})" if right else ""
         for power, factor in enumerate(c[1:], 1):
             if other and factor:
                 text += f"{-factor:+.17g}*{other}" + (f"^{power}" if power > 1 else "")
         self.m.constrain(_KINDS["equation"](text), name, where)
 
-    def _tendon_ranges(self) -> None:
+    def _read_tendon_ranges(self) -> None:
         """Ranges of fixed tendons become inequalities."""
         for k, row in enumerate(self.t["tendons"]):
             name = row["name"] or f"tendon{k}"
-            where = self._where(row)
+            where = self._locate_row(row)
             if row["joints"] is None:
                 what = "" if row["range"] is None else ", and so is its range"
                 said = f"it runs in space: it moves no body, and is left out{what}"
                 self.findings.note(said, f"tendon {name!r}", where)
             elif row["range"] is not None and row["joints"]:
                 low, high = row["range"]
-                length = _sum(self._terms(row))
+                length = _format_sum(self._list_terms(row))
                 texts = (f"{length}{-low:+.17g}", f"{high:.17g}-({length})")
                 with self.findings.guard(f"tendon {name!r}", where):
                     self.m.constrain(
-                        _KINDS["inequality"](texts), self._name(name, f"{name}_range"), where
+                        _KINDS["inequality"](texts), self._choose_name(name, f"{name}_range"), where
                     )
 
     # ---- postures and notes
 
-    def _postures(self) -> None:
+    def _read_postures(self) -> None:
         neutral = [1.0 if name.endswith(".qw") else 0.0 for _, name in self.addresses]
         at_rest = [self.t["qpos0"][a] for a, _ in self.addresses]
         keys = [(row["name"] or f"key{k}", row["qpos"]) for k, row in enumerate(self.t["keys"])]
@@ -434,7 +446,7 @@ class _Reader:
                     },
                 )
 
-    def _note_rest(self) -> None:
+    def _note_unread_elements(self) -> None:
         t = self.t
         here = self.merged.where(0)
         for word in ("actuators", "sensors"):
@@ -453,7 +465,7 @@ class _Reader:
             self.findings.note(said, f"bodies {', '.join(map(repr, without))}", here)
 
 
-def _names(rows: Iterable[Row], word: str, taken: set[str]) -> list[str]:
+def _choose_names(rows: Iterable[Row], word: str, taken: set[str]) -> list[str]:
     """Names that differ, in order; what has none gets a word and its number."""
     out: list[str] = []
     for i, row in enumerate(rows):
@@ -467,12 +479,12 @@ def _names(rows: Iterable[Row], word: str, taken: set[str]) -> list[str]:
     return out
 
 
-def _turn(row: Row) -> Row:
+def _make_turn(row: Row) -> Row:
     """The orientation of a row as a keyword of `place`, none where it is not turned."""
     quat = tuple(row["quat"])
     return {} if quat == (1.0, 0.0, 0.0, 0.0) else {"quat_wxyz": quat}
 
 
-def _sum(terms: Iterable[tuple[str, float]]) -> str:
+def _format_sum(terms: Iterable[tuple[str, float]]) -> str:
     """A sum of coordinates as text of an equation."""
     return "".join(f"{w:+.17g}*`{name}`" for name, w in terms).removeprefix("+") or "0"

@@ -17,19 +17,19 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from kempe.description import mjcf_worker
-from kempe.description.formats import root_fault
-from kempe.description.limited import last_words, run_limited
+from kempe.description.formats import describe_root_fault
+from kempe.description.limited import extract_last_lines, run_limited_code
 from kempe.description.packages import Folders
 from kempe.description.source import (
     SIZE_LIMIT,
     Findings,
     Source,
-    fail,
-    folders_of,
-    read_bounded,
-    shorten,
+    list_folders,
+    make_error,
+    read_bounded_file,
+    shorten_text,
 )
-from kempe.description.xml import parse_xml, xml_source
+from kempe.description.xml import make_xml_source, parse_xml
 from kempe.errors import DescriptionError, MissingExtraError, UnsupportedError, Where
 
 SECONDS = 30
@@ -72,11 +72,11 @@ class Merged:
     """
 
     def __init__(self, data: bytes | str, source: str, package_dirs: Iterable[str | Path] = ()):
-        self.main = xml_source(data, source)
+        self.main = make_xml_source(data, source)
         self.sources = [self.main]
         self.files: dict[str, bytes] = {}
         self.text = ""
-        self._given = [folder.resolve() for folder in folders_of(package_dirs)]
+        self._given = [folder.resolve() for folder in list_folders(package_dirs)]
         self._readable = Folders(self._given)
         self._home = self._given[0] if self._given else None
         self._starts: list[int] = []
@@ -94,34 +94,34 @@ class Merged:
         """The place of a line of the text, in the file that it came from."""
         if line < 1:
             return Where(self.main.name)
-        k = self._piece_at(line)
+        k = self._find_piece(line)
         piece = self._pieces[k]
         return piece.source.where(piece.line + line - self._starts[k])
 
     def folder(self, line: int) -> str:
         """From the folder of the main model the way to that of the model which a line is of."""
-        there = self._folders[self._piece_at(line)] if self._pieces else None
+        there = self._folders[self._find_piece(line)] if self._pieces else None
         return "" if there == self._home or not there else os.path.relpath(there, self._home)
 
-    def _piece_at(self, line: int) -> int:
+    def _find_piece(self, line: int) -> int:
         return max(bisect_right(self._starts, line) - 1, 0)
 
     def _add_model(self, name: str, source: Source, folder: Path | None) -> None:
-        text = _checked(source)
-        pieces = self._pieces_of(source, text, (0, len(text)), [folder], {source.name})
+        text = _check_text(source)
+        pieces = self._split_pieces(source, text, (0, len(text)), [folder], {source.name})
         before = self._lines
         for piece in pieces:
             self._starts.append(self._lines + 1)
             self._pieces.append(piece)
             self._folders.append(folder)
             self._lines += piece.text.count("\n") + 1
-        whole = "\n" * before + "\n".join(self._renamed(piece, folder) for piece in pieces)
+        whole = "\n" * before + "\n".join(self._rename_files(piece, folder) for piece in pieces)
         if name:
             self.files[name] = whole.encode()
         else:
             self.text = whole
 
-    def _pieces_of(
+    def _split_pieces(
         self,
         source: Source,
         text: str,
@@ -137,31 +137,31 @@ class Merged:
             if named is None:
                 continue
             where = source.where_offset(match.start())
-            path = self._find("include", named[2], folders, where)
+            path = self._find_file("include", named[2], folders, where)
             if str(path) in seen:
-                raise fail(
+                raise make_error(
                     f"the file {named[2]!r} is included twice", where, "include each file once"
                 )
             seen.add(str(path))
-            inner = self._source(path, named[2], source, where)
-            inner_text = _checked(inner)
-            pieces.append(_piece(source, text, start, match.start()))
-            pieces += self._pieces_of(
+            inner = self._read_source(path, named[2], source, where)
+            inner_text = _check_text(inner)
+            pieces.append(_make_piece(source, text, start, match.start()))
+            pieces += self._split_pieces(
                 inner,
                 inner_text,
-                _children(inner, inner_text),
+                _find_children(inner, inner_text),
                 [folders[0], path.parent],
                 seen,
             )
             start = match.end()
-        return [*pieces, _piece(source, text, start, stop)]
+        return [*pieces, _make_piece(source, text, start, stop)]
 
-    def _renamed(self, piece: _Piece, folder: Path | None) -> str:
+    def _rename_files(self, piece: _Piece, folder: Path | None) -> str:
         """The text of a piece in which the models and meshes that MuJoCo reads while it parses have
         names of `files`.
         """
 
-        def named(match: re.Match[str]) -> str:
+        def replace_name(match: re.Match[str]) -> str:
             tag = match[0]
             file = _FILE.search(tag)
             if file is None:
@@ -170,21 +170,21 @@ class Merged:
             mesh = _FOLDER.search("".join(p.text for p in self._pieces))
             beside = folder / mesh[2] if folder and mesh else folder
             folders = [folder] if match[1] == "model" else [beside, folder]
-            path = self._find(match[1], file[2], folders, where)
+            path = self._find_file(match[1], file[2], folders, where)
             if path not in self._names:
                 self._names[path] = f"file{len(self._names)}{path.suffix}"
                 if match[1] == "model":
-                    inner = self._source(path, file[2], piece.source, where)
+                    inner = self._read_source(path, file[2], piece.source, where)
                     self._models.append((self._names[path], inner, path.parent))
                 else:
-                    self.files[self._names[path]] = self._read(path, where)
+                    self.files[self._names[path]] = self._read_bytes(path, where)
             return tag[: file.start(2)] + self._names[path] + tag[file.end(2) :]
 
-        return _WITH_FILE.sub(named, piece.text)
+        return _WITH_FILE.sub(replace_name, piece.text)
 
     # ---- files
 
-    def _find(self, tag: str, name: str, folders: list[Path | None], where: Where) -> Path:
+    def _find_file(self, tag: str, name: str, folders: list[Path | None], where: Where) -> Path:
         """The file that an element names, in the folders of the model. Errors:
         `DescriptionError`.
         """
@@ -193,40 +193,42 @@ class Merged:
         if found is not None:
             return found
         if outside is not None:
-            raise fail(
-                f"<{tag}> names {shorten(name)}, which lies outside the folders of the model",
+            raise make_error(
+                f"<{tag}> names {shorten_text(name)}, which lies outside the folders of the model",
                 where,
                 "name its folder by package_dirs, if you trust it",
             )
-        raise fail(
-            f"<{tag}> names {shorten(name)}, and there is no such file",
+        raise make_error(
+            f"<{tag}> names {shorten_text(name)}, and there is no such file",
             where,
             "it must lie in the folder of the model, or in one that package_dirs names",
         )
 
-    def _source(self, path: Path, name: str, of: Source, where: Where) -> Source:
+    def _read_source(self, path: Path, name: str, of: Source, where: Where) -> Source:
         """The text of a file, called as the user would call it."""
         called = os.path.normpath(os.path.join(os.path.dirname(of.name), name))
         if os.path.realpath(called) != str(path):
             called = str(path)
-        made = xml_source(self._read(path, where), called)
+        made = make_xml_source(self._read_bytes(path, where), called)
         self.sources.append(made)
         if len(self.sources) > FILE_LIMIT:
-            raise fail(f"more than {FILE_LIMIT} files are included", where, "this is no robot")
+            raise make_error(
+                f"more than {FILE_LIMIT} files are included", where, "this is no robot"
+            )
         return made
 
-    def _read(self, path: Path, where: Where) -> bytes:
+    def _read_bytes(self, path: Path, where: Where) -> bytes:
         try:
-            data = read_bounded(path)
+            data = read_bounded_file(path)
         except OSError as error:
-            raise fail(
-                f"{shorten(path, 200)} cannot be read: {error.strerror or error}",
+            raise make_error(
+                f"{shorten_text(path, 200)} cannot be read: {error.strerror or error}",
                 where,
                 "check its permissions",
             ) from None
         self._size += len(data)
         if self._size > SIZE_LIMIT:
-            raise fail(
+            raise make_error(
                 f"the files of the model have more than {SIZE_LIMIT >> 20} MiB",
                 where,
                 "a description is smaller than that",
@@ -234,36 +236,36 @@ class Merged:
         return data
 
 
-def blanked(text: str) -> str:
+def blank_comments(text: str) -> str:
     """The text with blanks in place of comments and declarations, every character in its place."""
     return _BLANKED.sub(lambda m: re.sub(r"[^\r\n]", " ", m[0]), text)
 
 
 def _check_is_mjcf(source: Source) -> None:
-    opening = _OPENING.search(blanked(source.text))
+    opening = _OPENING.search(blank_comments(source.text))
     if opening is None:
         said = (
             "there is no element in it" if "<" in source.text else "the file holds no XML element"
         )
-        raise fail(said, source.where(1), "MJCF starts with <mujoco>")
+        raise make_error(said, source.where(1), "MJCF starts with <mujoco>")
     tag = opening[1]
     if tag == "mujoco":
         return
     where = source.where_offset(opening.start())
     if tag == "mujocoinclude":
-        raise fail(
+        raise make_error(
             "this is a part of models, <mujocoinclude>", where, "load the model that includes it"
         )
-    raise fail(root_fault(tag), where, "MJCF starts with <mujoco>")
+    raise make_error(describe_root_fault(tag), where, "MJCF starts with <mujoco>")
 
 
-def _checked(source: Source) -> str:
+def _check_text(source: Source) -> str:
     """The text of a source without comments. Errors: `DescriptionError` for a DTD, and for numbers
     that are none.
     """
-    text = blanked(source.text)
+    text = blank_comments(source.text)
     if (at := text.find("<!DOCTYPE")) >= 0:
-        raise fail(
+        raise make_error(
             "the file has a DTD (<!DOCTYPE ...>)",
             source.where_offset(at),
             "remove it: a DTD can pull in other files or grow without bound, and is never read",
@@ -279,7 +281,7 @@ def _refuse_nan(source: Source, text: str) -> None:
         if len(words) > 1 or match[1] in ("ref", "coef", "mass"):
             bad = next((w for w in words if w.lower().strip("+-") == "nan"), None)
             if bad and all(map(_is_number, words)):
-                raise fail(
+                raise make_error(
                     f"{match[1]} holds {bad!r}",
                     source.where_offset(match.start(3)),
                     "it must be finite numbers",
@@ -294,12 +296,12 @@ def _is_number(word: str) -> bool:
     return True
 
 
-def _piece(source: Source, text: str, start: int, stop: int) -> _Piece:
+def _make_piece(source: Source, text: str, start: int, stop: int) -> _Piece:
     line = source.where_offset(start).line
     return _Piece(source, line, text[start:stop].replace("\r\n", "\n").replace("\r", "\n"))
 
 
-def _children(source: Source, text: str) -> tuple[int, int]:
+def _find_children(source: Source, text: str) -> tuple[int, int]:
     """Where the children of the outermost element of a file begin and end."""
     opening = _OPENING.search(text)
     if opening and not opening[0].endswith("/>"):
@@ -307,7 +309,7 @@ def _children(source: Source, text: str) -> tuple[int, int]:
         if stop > opening.end():
             return opening.end(), stop
     parse_xml(source.text, source.name, Findings())
-    raise fail(
+    raise make_error(
         "this file is included, and there is nothing in it", source.where(1), "an include has parts"
     )
 
@@ -326,9 +328,9 @@ def compile_mjcf(merged: Merged) -> dict[str, Any]:
     code = (
         f"space = {{'__name__': 'worker'}}\n"
         f"exec(compile({inspect.getsource(mjcf_worker)!r}, 'worker', 'exec'), space)\n"
-        "space['main'](s)\n"
+        "space['write_compiled_model'](s)\n"
     )
-    ended = run_limited(
+    ended = run_limited_code(
         code,
         {"text": merged.text, "files": files},
         seconds=SECONDS,
@@ -336,24 +338,26 @@ def compile_mjcf(merged: Merged) -> dict[str, Any]:
         output=2 * SIZE_LIMIT,
     )
     if ended.reason:
-        raise _stopped(ended.reason, ended.code, ended.said, merged)
+        raise _make_stop_error(ended.reason, ended.code, ended.said, merged)
     answer: dict[str, Any] = json.loads(ended.output)
     if "missing" in answer:
         raise UnsupportedError(f"{answer['missing']}; a version of at least 3.6 is needed")
     if "error" in answer:
-        raise _refused(answer["error"], merged)
+        raise _make_compiler_error(answer["error"], merged)
     return answer
 
 
-def _stopped(reason: str, code: int | None, said: str, merged: Merged) -> DescriptionError:
+def _make_stop_error(reason: str, code: int | None, said: str, merged: Merged) -> DescriptionError:
     limits = {
         "time": f"MuJoCo's compiler did not finish in {SECONDS} s",
         "memory": f"MuJoCo's compiler needs more than {MEMORY >> 30} GiB of memory",
         "output": f"the compiled model has more than {2 * SIZE_LIMIT >> 20} MiB",
     }
     crashed = f"MuJoCo's compiler crashed (signal {-code})" if code is not None and code < 0 else ""
-    message = limits.get(reason) or crashed or f"MuJoCo's compiler failed: {last_words(said)}"
-    return fail(message, merged.where(0), "a smaller model must be given")
+    message = (
+        limits.get(reason) or crashed or f"MuJoCo's compiler failed: {extract_last_lines(said)}"
+    )
+    return make_error(message, merged.where(0), "a smaller model must be given")
 
 
 _MESSAGES: tuple[tuple[str, str, str], ...] = (
@@ -419,7 +423,7 @@ _NAME = re.compile(r"^Element name '(.*)', id -?\d+(?:, line (\d+))?", re.MULTIL
 _LINE = re.compile(r"Line number=(\d+)")
 
 
-def _refused(said: str, merged: Merged) -> DescriptionError:
+def _make_compiler_error(said: str, merged: Merged) -> DescriptionError:
     """The error for what MuJoCo's compiler says."""
     if "XML parse error" in said:
         for source in merged.sources:
@@ -438,5 +442,5 @@ def _refused(said: str, merged: Merged) -> DescriptionError:
         if found := re.fullmatch(pattern, first):
             words = found.groups()
             text = message.format(*words, tag=tag[1] if tag else "")
-            return fail(text, where, allowed.format(*words), subject)
-    return fail(f"MuJoCo's compiler says: {first}", where, REFERENCE, subject)
+            return make_error(text, where, allowed.format(*words), subject)
+    return make_error(f"MuJoCo's compiler says: {first}", where, REFERENCE, subject)

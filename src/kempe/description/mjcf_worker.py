@@ -21,7 +21,7 @@ TETRAHEDRON = [0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1]
 """Vertices that stand for those of a mesh, which is not read."""
 
 
-def compiled(text: str, files: dict[str, bytes]) -> dict[str, Any]:
+def compile_model(text: str, files: dict[str, bytes]) -> dict[str, Any]:
     """The tables of a model, or ``{"error": ...}`` with what MuJoCo says, or ``{"missing": ...}``
     where its version lacks something; `files` by name are those that the text needs while it is
     parsed.
@@ -29,16 +29,16 @@ def compiled(text: str, files: dict[str, bytes]) -> dict[str, Any]:
     mujoco: Any = import_module("mujoco")
     try:
         spec = mujoco.MjSpec.from_string(text, include=files)
-        what = _strip(mujoco, spec)
+        what = _strip_spec(mujoco, spec)
         model = spec.compile()
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         return {"error": str(error)}
     except AttributeError as error:
         return {"missing": f"mujoco {mujoco.__version__}: {error}"}
-    return _tables(mujoco, spec, model, what)
+    return _build_tables(mujoco, spec, model, what)
 
 
-def _strip(mujoco: Any, spec: Any) -> dict[str, Any]:
+def _strip_spec(mujoco: Any, spec: Any) -> dict[str, Any]:
     """Take out of a spec what would be read from files or cost time; returns what was there."""
     for mesh in spec.meshes:
         # older versions name a mesh after its file no sooner than they read it
@@ -48,8 +48,8 @@ def _strip(mujoco: Any, spec: Any) -> dict[str, Any]:
         "sensors": len(spec.sensors),
         "flexes": [f.name for f in spec.flexes],
         "plugins": [p.name or p.plugin_name for p in spec.plugins],
-        "meshes": {m.name: _mesh(spec, m) for m in spec.meshes},
-        "shapes": [_without_mesh(mujoco, g) for g in spec.geoms],
+        "meshes": {m.name: _describe_mesh(spec, m) for m in spec.meshes},
+        "shapes": [_replace_mesh_geom(mujoco, g) for g in spec.geoms],
     }
     for size in ("memory", "nstack", "njmax", "nconmax"):
         # the memory of a simulation; not all versions leave all of it open
@@ -66,16 +66,16 @@ def _strip(mujoco: Any, spec: Any) -> dict[str, Any]:
     for key in spec.keys:
         key.ctrl = key.act = []
     for mesh in spec.meshes:
-        _without_file(mesh)
+        _remove_mesh_file(mesh)
     for texture in spec.textures:
-        _plain(mujoco, texture)
+        _simplify_texture(mujoco, texture)
     plugged = [x for x in (*spec.actuators, *spec.sensors) if x.plugin.active]
     for item in (*plugged, *spec.skins, *spec.hfields):
         spec.delete(item)
     return out
 
 
-def _without_file(mesh: Any) -> None:
+def _remove_mesh_file(mesh: Any) -> None:
     if mesh.file or mesh.plugin.active:
         mesh.plugin.active = False
         mesh.file = ""
@@ -85,7 +85,7 @@ def _without_file(mesh: Any) -> None:
         mesh.userface = mesh.usernormal = mesh.usertexcoord = []
 
 
-def _plain(mujoco: Any, texture: Any) -> None:
+def _simplify_texture(mujoco: Any, texture: Any) -> None:
     """Replace a texture of a file by one of a single colour."""
     if not texture.file and not any(texture.cubefiles):
         return
@@ -99,19 +99,19 @@ def _plain(mujoco: Any, texture: Any) -> None:
     texture.nchannel = 3
 
 
-def _mesh(spec: Any, mesh: Any) -> dict[str, Any]:
+def _describe_mesh(spec: Any, mesh: Any) -> dict[str, Any]:
     moved = [*mesh.refpos, *mesh.refquat] != [0, 0, 0, 1, 0, 0, 0]
     return {
         "file": mesh.file,
         "folder": mesh.compiler.meshdir,
         "strip": bool(getattr(spec, "strippath", False)),
         "scale": [float(x) for x in mesh.scale],
-        "line": _line(mesh),
+        "line": _get_line(mesh),
         "moved": moved,
     }
 
 
-def _without_mesh(mujoco: Any, geom: Any) -> dict[str, Any]:
+def _replace_mesh_geom(mujoco: Any, geom: Any) -> dict[str, Any]:
     """Replace what a geom reads from files by a small sphere, which keeps its frame."""
     types = mujoco.mjtGeom
     kind = geom.type
@@ -135,25 +135,25 @@ def _without_mesh(mujoco: Any, geom: Any) -> dict[str, Any]:
     }
 
 
-def _line(element: Any) -> int:
+def _get_line(element: Any) -> int:
     """The line of an element, 0 where there is none."""
     words = element.info.replace(",", " ").split()
     return int(words[words.index("line") + 1]) if "line" in words else 0
 
 
-def _tables(mujoco: Any, spec: Any, model: Any, what: dict[str, Any]) -> dict[str, Any]:
+def _build_tables(mujoco: Any, spec: Any, model: Any, what: dict[str, Any]) -> dict[str, Any]:
     types = mujoco.mjtObj
 
-    def name(kind: Any, i: int) -> str:
+    def get_name(kind: Any, i: int) -> str:
         return mujoco.mj_id2name(model, kind, i) or ""
 
-    def lines(elements: Any) -> dict[int, int]:
-        return {e.id: _line(e) for e in elements}
+    def list_lines(elements: Any) -> dict[int, int]:
+        return {e.id: _get_line(e) for e in elements}
 
-    joint_lines = lines(spec.joints)
+    joint_lines = list_lines(spec.joints)
     joints = [
         {
-            "name": name(types.mjOBJ_JOINT, j),
+            "name": get_name(types.mjOBJ_JOINT, j),
             "kind": ("free", "ball", "slide", "hinge")[int(model.jnt_type[j])],
             "body": int(model.jnt_bodyid[j]),
             "address": int(model.jnt_qposadr[j]),
@@ -164,24 +164,24 @@ def _tables(mujoco: Any, spec: Any, model: Any, what: dict[str, Any]) -> dict[st
         }
         for j in range(model.njnt)
     ]
-    weightless = _without_weight(spec, what["shapes"])
+    weightless = _list_weightless_bodies(spec, what["shapes"])
     bodies = [
         {
-            "name": name(types.mjOBJ_BODY, b.id),
+            "name": get_name(types.mjOBJ_BODY, b.id),
             "parent": int(model.body_parentid[b.id]),
             "pos": model.body_pos[b.id].tolist(),
             "quat": model.body_quat[b.id].tolist(),
-            "mass": _mass(model, b, weightless),
+            "mass": _get_mass(model, b, weightless),
             "center": model.body_ipos[b.id].tolist(),
             "mocap": int(model.body_mocapid[b.id]) >= 0,
-            "line": _line(b),
+            "line": _get_line(b),
         }
         for b in sorted(spec.bodies, key=lambda b: b.id)
     ]
-    site_lines = lines(spec.sites)
+    site_lines = list_lines(spec.sites)
     sites = [
         {
-            "name": name(types.mjOBJ_SITE, s),
+            "name": get_name(types.mjOBJ_SITE, s),
             "body": int(model.site_bodyid[s]),
             "pos": model.site_pos[s].tolist(),
             "quat": model.site_quat[s].tolist(),
@@ -190,16 +190,16 @@ def _tables(mujoco: Any, spec: Any, model: Any, what: dict[str, Any]) -> dict[st
         for s in range(model.nsite)
     ]
     shapes = {shape.pop("element").id: shape for shape in what.pop("shapes")}
-    geom_lines = lines(spec.geoms)
+    geom_lines = list_lines(spec.geoms)
     geoms = [
         {
             **shapes[g],
-            "name": name(types.mjOBJ_GEOM, g),
+            "name": get_name(types.mjOBJ_GEOM, g),
             "body": int(model.geom_bodyid[g]),
             "size": model.geom_size[g].tolist(),
             "pos": model.geom_pos[g].tolist(),
             "quat": model.geom_quat[g].tolist(),
-            "color": _color(model, g),
+            "color": _find_color(model, g),
             "group": int(model.geom_group[g]),
             "touches": bool(model.geom_contype[g] or model.geom_conaffinity[g]),
             "line": geom_lines.get(g, 0),
@@ -207,11 +207,11 @@ def _tables(mujoco: Any, spec: Any, model: Any, what: dict[str, Any]) -> dict[st
         for g in range(model.ngeom)
         if g in shapes
     ]
-    equality_lines = lines(spec.equalities)
+    equality_lines = list_lines(spec.equalities)
     disabled = bool(model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_EQUALITY)
     equalities = [
         {
-            "name": name(types.mjOBJ_EQUALITY, e),
+            "name": get_name(types.mjOBJ_EQUALITY, e),
             "kind": str(mujoco.mjtEq(int(model.eq_type[e]))).rpartition("_")[2].lower(),
             "active": bool(model.eq_active0[e]) and not disabled,
             "a": int(model.eq_obj1id[e]),
@@ -222,21 +222,21 @@ def _tables(mujoco: Any, spec: Any, model: Any, what: dict[str, Any]) -> dict[st
         }
         for e in range(model.neq)
     ]
-    tendon_lines = lines(spec.tendons)
+    tendon_lines = list_lines(spec.tendons)
     tendons = [
         {
-            "name": name(types.mjOBJ_TENDON, t),
-            "joints": _fixed_tendon(mujoco, model, t),
+            "name": get_name(types.mjOBJ_TENDON, t),
+            "joints": _list_tendon_joints(mujoco, model, t),
             "length": float(model.tendon_length0[t]),
             "range": model.tendon_range[t].tolist() if model.tendon_limited[t] else None,
             "line": tendon_lines.get(t, 0),
         }
         for t in range(model.ntendon)
     ]
-    key_lines = lines(spec.keys)
+    key_lines = list_lines(spec.keys)
     keys = [
         {
-            "name": name(types.mjOBJ_KEY, k),
+            "name": get_name(types.mjOBJ_KEY, k),
             "qpos": model.key_qpos[k].tolist(),
             "line": key_lines.get(k, 0),
         }
@@ -256,7 +256,7 @@ def _tables(mujoco: Any, spec: Any, model: Any, what: dict[str, Any]) -> dict[st
     }
 
 
-def _color(model: Any, g: int) -> list[float] | None:
+def _find_color(model: Any, g: int) -> list[float] | None:
     """The colour of a geom, else that of its material; None for the one that MuJoCo gives to all."""
     own = model.geom_rgba[g].tolist()
     material = int(model.geom_matid[g])
@@ -265,14 +265,14 @@ def _color(model: Any, g: int) -> list[float] | None:
     return model.mat_rgba[material].tolist() if material >= 0 else None
 
 
-def _without_weight(spec: Any, shapes: list[dict[str, Any]]) -> set[int]:
+def _list_weightless_bodies(spec: Any, shapes: list[dict[str, Any]]) -> set[int]:
     """Ids of the bodies whose mass is not known, since a mesh is not read."""
     found = {shape["element"].parent.id for shape in shapes if shape["weighs"]}
     scaled = found and spec.compiler.settotalmass > 0
     return {body.id for body in spec.bodies} if scaled else found
 
 
-def _mass(model: Any, body: Any, weightless: set[int]) -> float | None:
+def _get_mass(model: Any, body: Any, weightless: set[int]) -> float | None:
     """The mass of a body, None where it has none or where it follows from a mesh."""
     stated = body.explicitinertial and int(body.compiler.inertiafromgeom) != 1
     stated = stated and body.compiler.settotalmass <= 0
@@ -280,7 +280,7 @@ def _mass(model: Any, body: Any, weightless: set[int]) -> float | None:
     return None if mass <= 2 * TINY or (body.id in weightless and not stated) else mass
 
 
-def _fixed_tendon(mujoco: Any, model: Any, t: int) -> list[tuple[int, float]] | None:
+def _list_tendon_joints(mujoco: Any, model: Any, t: int) -> list[tuple[int, float]] | None:
     """The joints of a fixed tendon with their coefficients, None for a spatial one."""
     first = int(model.tendon_adr[t])
     parts = range(first, first + int(model.tendon_num[t]))
@@ -289,7 +289,7 @@ def _fixed_tendon(mujoco: Any, model: Any, t: int) -> list[tuple[int, float]] | 
     return [(int(model.wrap_objid[i]), float(model.wrap_prm[i])) for i in parts]
 
 
-def main(settings: dict[str, Any]) -> None:
+def write_compiled_model(settings: dict[str, Any]) -> None:
     """Compile what the settings hold, and write the answer to the output.
 
     From the import of MuJoCo on the process can open no file: what the text names is in `settings`,
@@ -300,6 +300,6 @@ def main(settings: dict[str, Any]) -> None:
     import_module("mujoco")
     files = {name: base64.b64decode(data) for name, data in settings["files"].items()}
     resource.setrlimit(resource.RLIMIT_NOFILE, (0, 0))
-    answer = compiled(settings["text"], files)
+    answer = compile_model(settings["text"], files)
     sys.stdout.buffer.write(json.dumps(answer).encode())
     sys.stdout.flush()

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 
-from kempe.description.source import shorten
+from kempe.description.source import shorten_text
 from kempe.errors import InputError
 
 MANIFEST = "package.xml"
@@ -26,7 +26,7 @@ _SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://")
 _ABSOLUTE = re.compile(r"[/\\~]|[A-Za-z]:")
 
 
-def folders_around(folder: Path) -> list[Path]:
+def list_folders_around(folder: Path) -> list[Path]:
     """Folders that belong to a folder with a robot's file: itself, its package, and the folder with
     the package and its neighbours.
 
@@ -34,20 +34,20 @@ def folders_around(folder: Path) -> list[Path]:
     and the first level of a disk are never taken as a whole.
     """
     package = next((d for d in (folder, *folder.parents) if _is_package(d)), folder)
-    return [d for d in dict.fromkeys((folder, package, package.parent)) if is_whole(d)]
+    return [d for d in dict.fromkeys((folder, package, package.parent)) if can_search_folder(d)]
 
 
 def _is_package(folder: Path) -> bool:
     return os.path.isfile(folder / MANIFEST)
 
 
-def is_whole(folder: Path) -> bool:
+def can_search_folder(folder: Path) -> bool:
     """Whether a folder can be taken as a whole: no home folder, or first level of a disk."""
     home = Path.home()
     return len(folder.parts) > 2 and folder not in (home, *home.parents)
 
 
-def ros_folders() -> list[Path]:
+def list_ros_folders() -> list[Path]:
     """Folders of packages that ROS names in the environment."""
     listed = {
         name: [Path(d) for d in os.environ.get(name, "").split(os.pathsep) if d]
@@ -66,7 +66,7 @@ class Folders:
 
     def __init__(self, roots: Iterable[str | Path]):
         self.roots = list(dict.fromkeys(Path(root).resolve() for root in roots))
-        around = (d for root in self.roots for d in folders_around(root))
+        around = (d for root in self.roots for d in list_folders_around(root))
         self.readable = list(dict.fromkeys((*self.roots, *around)))
 
     @cached_property
@@ -76,12 +76,12 @@ class Folders:
         They are above the roots, in readable folders, and at some depth below the roots and the
         folders of ROS.
         """
-        above = [d for root in self.roots for d in (root, *root.parents) if is_whole(d)]
-        near = [*above, *(d for folder in self.readable for d in _inside(folder))]
-        below = _manifests([*filter(is_whole, self.roots), *ros_folders()])
+        above = [d for root in self.roots for d in (root, *root.parents) if can_search_folder(d)]
+        near = [*above, *(d for folder in self.readable for d in _list_subfolders(folder))]
+        below = _iterate_packages([*filter(can_search_folder, self.roots), *list_ros_folders()])
         found: dict[str, Path] = {}
         for folder in (*filter(_is_package, near), *below):
-            found.setdefault(_name_of(folder), folder)
+            found.setdefault(_read_package_name(folder), folder)
         for folder in near:
             found.setdefault(folder.name, folder)
         return found
@@ -107,7 +107,7 @@ class Folders:
         one of the roots. Errors: `InputError` for absolute paths, other schemes than package, files
         that do not exist, and files outside the folders, links and ``..`` followed.
         """
-        subject = f"{subject} {shorten(path)}"
+        subject = f"{subject} {shorten_text(path)}"
         scheme = _SCHEME.match(path)
         advice = "a mesh is package://name/... or relative to the model"
         if scheme and scheme[1] != "package":
@@ -137,7 +137,7 @@ class Folders:
         )
 
 
-def _inside(folder: Path) -> list[Path]:
+def _list_subfolders(folder: Path) -> list[Path]:
     """The folders directly in a folder, without hidden ones and links; none where it cannot be
     listed.
     """
@@ -150,7 +150,7 @@ def _inside(folder: Path) -> list[Path]:
         return []
 
 
-def _manifests(roots: Iterable[Path]) -> Iterator[Path]:
+def _iterate_packages(roots: Iterable[Path]) -> Iterator[Path]:
     """Packages below folders, level by level; a package holds no others."""
     level = list(dict.fromkeys(roots))
     seen = 0
@@ -161,11 +161,11 @@ def _manifests(roots: Iterable[Path]) -> Iterator[Path]:
             if _is_package(folder):
                 yield folder
             else:
-                further += _inside(folder)
+                further += _list_subfolders(folder)
         level = further
 
 
-def _name_of(package: Path) -> str:
+def _read_package_name(package: Path) -> str:
     """The name that a package.xml gives; the folder's where it gives none."""
     try:
         with open(package / MANIFEST, encoding="utf-8", errors="replace") as file:

@@ -30,13 +30,15 @@ Limits = tuple[float, float]
 class ReadOnlyDict(dict[Any, Any]):
     """A dict that can only be read, since it belongs to an immutable object."""
 
-    def _refuse(self, *_: Any, **__: Any) -> NoReturn:
+    def _refuse_change(self, *_: Any, **__: Any) -> NoReturn:
         raise TypeError(
             "this dict is read-only: nothing would change; change a Mechanism, or make another "
             "System by with_limits, with_parameters or lock"
         )
 
-    __setitem__ = __delitem__ = __ior__ = update = setdefault = pop = popitem = clear = _refuse  # type: ignore[assignment]
+    __setitem__ = __delitem__ = __ior__ = update = setdefault = pop = popitem = clear = (
+        _refuse_change  # type: ignore[assignment]
+    )
 
     def __reduce__(self) -> tuple[Any, ...]:
         return ReadOnlyDict, (dict(self),)
@@ -162,11 +164,13 @@ class Joint(InSentence):
         """The joint in words: its type, the bodies, the axis, the limits, who drives it, and what
         it forbids.
         """
-        limits = "" if not self.type.dof(self.dim, self.of_particle) else f", {self._limits_said()}"
+        limits = (
+            "" if not self.type.dof(self.dim, self.of_particle) else f", {self._describe_limits()}"
+        )
         driven = {True: ", driven by a motor", False: ", passive", None: ""}[self.actuated]
         return (
             f"{self.name}: a {self.type.type_name} joint between {self.parent} and "
-            f"{self.child}{self._motion_said()}{limits}{driven}; {self.forbids()}"
+            f"{self.child}{self._describe_motion()}{limits}{driven}; {self.forbids()}"
         )
 
     def forbids(self, dim: int | None = None, particle: bool | None = None) -> str:
@@ -182,7 +186,7 @@ class Joint(InSentence):
         taken = self.type.constraints(dim, particle)
         whole = dim if particle else 3 * (dim - 1)
         names = [name for name in self.type.forbids(dim) if not (particle and name[0] == "r")]
-        axes, of = self._axes(dim)
+        axes, of = self._name_axes(dim)
         groups = [
             sorted(axes[n[-1]] for n in names if (n[0] == "r") == turning)
             for turning in (False, True)
@@ -200,7 +204,7 @@ class Joint(InSentence):
         more_said = f", {more} of them by a relation or about an axis that moves" if more else ""
         return f"{self.child} {said}: {total}{more_said}"
 
-    def _axes(self, dim: int) -> tuple[dict[str, str], str]:
+    def _name_axes(self, dim: int) -> tuple[dict[str, str], str]:
         """For x, y, z of frame F the axis of the parent along which it lies, and the parent; F's
         own if oblique.
 
@@ -218,7 +222,7 @@ class Joint(InSentence):
             name: "xyz"[k] for name, k in zip("xyz", nearest.argmax(axis=0).tolist(), strict=True)
         }, self.parent
 
-    def _motion_said(self) -> str:
+    def _describe_motion(self) -> str:
         """About or along which axis it moves: ", turns about -z of ground"; of several axes what
         they do.
         """
@@ -236,10 +240,10 @@ class Joint(InSentence):
             frame = "" if ends or "any" in moves.split() else f" of its frame on {self.parent}"
             return f", which allows: {moves}{ends}{frame}"
         if isinstance(self.type, Helical):
-            return f", screws along {self._axis_said()} by {self.type.pitch:.6g} m a rad"
-        return f", {' and '.join(MOVES[kind] for kind in kinds)} {self._axis_said()}"
+            return f", screws along {self._describe_axis()} by {self.type.pitch:.6g} m a rad"
+        return f", {' and '.join(MOVES[kind] for kind in kinds)} {self._describe_axis()}"
 
-    def _axis_said(self) -> str:
+    def _describe_axis(self) -> str:
         """The axis z of frame F as the parent sees it: "-z of ground", "(0.6, 0.8, 0) of arm"."""
         turns = Placement(tuple(step for step in self.X_PF.steps if step[0] not in ("x", "y", "z")))
         if turns.names:
@@ -253,7 +257,7 @@ class Joint(InSentence):
             f"{self.parent}"
         )
 
-    def _limits_said(self) -> str:
+    def _describe_limits(self) -> str:
         """The limits: "from -1 to 1 rad", by coordinate where there are several; "without limits"."""
         names, primitives = self.type.layout(self.dim, self.of_particle)
         turning = {names[p.coordinate] for p in reversed(primitives) if p.kind == R}

@@ -17,23 +17,23 @@ from kempe.description.formats import (
     TOML,
     URDF,
     Format,
-    by_contents,
-    by_ending,
-    decoded_head,
-    endings_written,
-    joined,
-    named,
-    read_by,
+    decode_head,
+    find_format_by_contents,
+    find_format_by_ending,
+    join_titles,
+    join_words,
+    list_readable_formats,
+    list_writable_endings,
 )
 from kempe.description.mechanism import Mechanism
 from kempe.description.source import (
-    collecting_later,
-    expanded,
-    fail,
-    folders_of,
-    no_file,
-    read_bounded,
-    shorten,
+    describe_special_file,
+    expand_path,
+    list_folders,
+    make_error,
+    pause_garbage_collection,
+    read_bounded_file,
+    shorten_text,
 )
 from kempe.errors import (
     DescriptionError,
@@ -50,7 +50,7 @@ from kempe.library import path as library_path
 
 
 class _How(NamedTuple):
-    """How a description is read: in which format, and the options of `read` that were given.
+    """How a description is read: in which format, and the options of `read_mechanism` that were given.
 
     `folders` are those for meshes; with a file, its own is the first of them, and also `home`;
     `arguments` are those of xacro, None where nothing is expanded.
@@ -64,7 +64,7 @@ class _How(NamedTuple):
 
 
 class Check(NamedTuple):
-    """What `check` found: `problems`, which keep a description from being used, and `notes`, which
+    """What `check_description` found: `problems`, which keep a description from being used, and `notes`, which
     do not.
     """
 
@@ -73,7 +73,7 @@ class Check(NamedTuple):
 
 
 @explain_errors
-def read(
+def read_mechanism(
     source: str | Path | bytes,
     *,
     format: str | None = None,
@@ -99,9 +99,9 @@ def read(
     """
     allowed = [name for name, f in FORMATS.items() if f.read]
     if format is not None and format not in allowed:
-        raise InputError(f"format is {format!r}; it must be {joined(map(repr, allowed))}")
-    folders = folders_of(package_dirs)
-    arguments = _arguments(xacro)
+        raise InputError(f"format is {format!r}; it must be {join_words(map(repr, allowed))}")
+    folders = list_folders(package_dirs)
+    arguments = _check_xacro_arguments(xacro)
     options = {
         "base": base,
         "root": root,
@@ -118,7 +118,7 @@ def read(
         return _read_text(source, "<text>", how)
     if not isinstance(source, (str, Path)):
         raise InputError(f"source is a {type(source).__name__}; it must be a path, text or bytes")
-    path = expanded(source)
+    path = expand_path(source)
     if isinstance(source, str) and not os.path.exists(path) and source in library_models():
         return _read_text(
             library_path(source).read_bytes(), f"{source}.toml", how._replace(format=TOML)
@@ -126,7 +126,7 @@ def read(
     return _read_file(path, how, arguments)
 
 
-def check(
+def check_description(
     source: str | Path | bytes,
     *,
     format: str | None = None,
@@ -138,9 +138,9 @@ def check(
     lenient_limits: bool = False,
     srdf: str | Path | None = None,
 ) -> Check:
-    """All problems and notes of a description, which is read and compiled; arguments as in `read`."""
+    """All problems and notes of a description, which is read and compiled; arguments as in `read_mechanism`."""
     try:
-        mechanism = read(
+        mechanism = read_mechanism(
             source,
             format=format,
             base=base,
@@ -158,11 +158,11 @@ def check(
         where = Where(
             "<text>" if isinstance(source, bytes) or _is_text(str(source)) else str(source)
         )
-        return Check((Fault(_without_place(str(error), where), "", where),), ())
+        return Check((Fault(_remove_place(str(error), where), "", where),), ())
     return Check((), tuple(mechanism.notes))
 
 
-def _without_place(message: str, where: Where) -> str:
+def _remove_place(message: str, where: Where) -> str:
     """A message without the path at its start, which the place of a `Fault` says again."""
     for path in (
         where.file,
@@ -178,24 +178,24 @@ def _without_place(message: str, where: Where) -> str:
 def _is_text(source: str) -> bool:
     """Whether a string is a description itself rather than a path to one."""
     start = source.removeprefix("\ufeff").lstrip()
-    return "\n" in source or not start or by_contents(start) is not None
+    return "\n" in source or not start or find_format_by_contents(start) is not None
 
 
-def _arguments(xacro: bool | Mapping[str, str | float]) -> dict[str, str] | None:
+def _check_xacro_arguments(xacro: bool | Mapping[str, str | float]) -> dict[str, str] | None:
     """The arguments of a xacro file; None where nothing is to be expanded."""
     if xacro is False:
         return None
-    from kempe.description.xacro import xacro_arguments
+    from kempe.description.xacro import check_xacro_arguments
 
-    return xacro_arguments(xacro)
+    return check_xacro_arguments(xacro)
 
 
 def _read_file(path: Path, how: _How, arguments: dict[str, str] | None) -> Mechanism:
-    data = _bytes_of(path)
+    data = _read_bytes(path)
     if path.suffix == ".xacro" and arguments is None:
         from kempe.description.xacro import XACRO_ADVICE
 
-        raise fail(
+        raise make_error(
             "this is a xacro file, a program that writes URDF", Where(str(path)), XACRO_ADVICE
         )
     text = data
@@ -208,54 +208,56 @@ def _read_file(path: Path, how: _How, arguments: dict[str, str] | None) -> Mecha
         how = how._replace(format=URDF)
     how = how._replace(
         arguments=arguments,
-        format=how.format or by_ending(path.name),
+        format=how.format or find_format_by_ending(path.name),
         folders=(path.parent, *how.folders),
         home=path.parent,
     )
     return _read_text(text, name, how)
 
 
-def _bytes_of(path: Path) -> bytes:
+def _read_bytes(path: Path) -> bytes:
     """Contents of a file, of bounded size. Errors: `DescriptionError` that names what lies near."""
     where = Where(str(path))
     if os.path.isdir(path):
-        inside = _models_in(path)
+        inside = _list_model_files(path)
         shown = (
             f"give one of its files: {', '.join(inside[:8])}"
             if inside
             else "give the path of a file"
         )
-        raise fail("this is a folder", where, shown)
-    if what := no_file(path):
-        raise fail(f"this is {what}", where, "give the path of a plain file")
+        raise make_error("this is a folder", where, shown)
+    if what := describe_special_file(path):
+        raise make_error(f"this is {what}", where, "give the path of a plain file")
     try:
-        return read_bounded(path)
+        return read_bounded_file(path)
     except FileNotFoundError:
-        raise fail("there is no such file", where, _near(path)) from None
+        raise make_error("there is no such file", where, _suggest_files(path)) from None
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-        where = Where(shorten(path, 200))
-        raise fail(
+        where = Where(shorten_text(path, 200))
+        raise make_error(
             f"the file cannot be read: {reason}", where, "check its name and permissions"
         ) from None
 
 
-def _models_in(folder: Path) -> list[str]:
+def _list_model_files(folder: Path) -> list[str]:
     """Names of the files in a folder that may describe a robot; none where it cannot be listed."""
     try:
-        return sorted(n for n in os.listdir(folder) if n.endswith(".xacro") or by_ending(n))
+        return sorted(
+            n for n in os.listdir(folder) if n.endswith(".xacro") or find_format_by_ending(n)
+        )
     except OSError:
         return []
 
 
-def _near(path: Path) -> str:
+def _suggest_files(path: Path) -> str:
     """What to try instead of a file that does not exist."""
     folder = path.parent
     if not os.path.isdir(folder):
         return f"there is no folder {str(folder)!r} either"
     names = [
         *(library_models() if folder == Path(".") and not path.suffix else ()),
-        *_models_in(folder),
+        *_list_model_files(folder),
     ]
     import difflib  # only here: most files exist
 
@@ -271,55 +273,57 @@ def _near(path: Path) -> str:
 
 
 def _read_text(text: str | bytes, name: str, how: _How) -> Mechanism:
-    format = _format_of(text, how.format)
+    format = _choose_format(text, how.format)
     if format.read is None:
         raise UnsupportedError(
-            f"{name}: {format.title} files are not read; Kempe reads {named(read_by(), 'and')}"
+            f"{name}: {format.title} files are not read; Kempe reads {join_titles(list_readable_formats(), 'and')}"
         )
     for option in how.options:
         if option not in format.options:
             raise InputError(
-                f"the option {option!r} is for {named(read_by(option))}, and this is {format.title}"
+                f"the option {option!r} is for {join_titles(list_readable_formats(option))}, and this is {format.title}"
             )
     options = dict(how.options)
     if "package_dirs" in format.options:
         options["package_dirs"] = how.folders
     if "srdf" in options:
-        options["srdf"] = _srdf(options["srdf"], how)
+        options["srdf"] = _read_srdf_source(options["srdf"], how)
     if "beside" in format.options and how.home:
         own = Path(name).name
         options["beside"] = tuple(
-            n for n in _models_in(how.home) if n.lower().endswith(format.endings) and n != own
+            n
+            for n in _list_model_files(how.home)
+            if n.lower().endswith(format.endings) and n != own
         )
-    with collecting_later(len(text) >> 8):
+    with pause_garbage_collection(len(text) >> 8):
         return format.read(text, name, **options)
 
 
-def _srdf(source: str | Path | bytes, how: _How) -> Any:
+def _read_srdf_source(source: str | Path | bytes, how: _How) -> Any:
     """An SRDF that is read from a file or a text; a xacro file is expanded as that of the robot is."""
     from kempe.description.srdf import read_srdf
 
     if isinstance(source, bytes) or (isinstance(source, str) and _is_text(source)):
         return read_srdf(source, "<srdf>")
-    path = expanded(source)
-    data = _bytes_of(path)
+    path = expand_path(source)
+    data = _read_bytes(path)
     if path.suffix != ".xacro":
         return read_srdf(data, str(path))
     from kempe.description.xacro import XACRO_ADVICE, expand_xacro
 
     if how.arguments is None:
-        raise fail(
+        raise make_error(
             "this is a xacro file, a program that writes SRDF", Where(str(path)), XACRO_ADVICE
         )
     text = expand_xacro(path, arguments=how.arguments, package_dirs=how.folders, strict=False)
     return read_srdf(text, f"{path} (expanded)")
 
 
-def _format_of(text: str | bytes, given: Format | None) -> Format:
+def _choose_format(text: str | bytes, given: Format | None) -> Format:
     """The format that is given, if it is read; else that of the contents, which also tell a format
     that is not read.
     """
-    found = by_contents(text if isinstance(text, str) else decoded_head(text))
+    found = find_format_by_contents(text if isinstance(text, str) else decode_head(text))
     if given and given.read and not (found and not found.read):
         return given
     return found or given or DEFAULT
@@ -328,19 +332,19 @@ def _format_of(text: str | bytes, given: Format | None) -> Format:
 # ---- writing
 
 
-def write(mechanism: Mechanism, path: str | Path) -> Path:
+def write_mechanism(mechanism: Mechanism, path: str | Path) -> Path:
     """The path written, in the format of `kempe.description.formats.FORMATS` that its ending names.
 
     Errors: `InputError` for another ending, `DescriptionError` listing what the format cannot say;
     nothing is written then.
     """
-    path = expanded(path)
-    format = by_ending(path.name)
+    path = expand_path(path)
+    format = find_format_by_ending(path.name)
     if format is None or format.write is None:
         raise InputError(
-            f"{path}: the ending decides on the format; it must be {endings_written()}"
+            f"{path}: the ending decides on the format; it must be {list_writable_endings()}"
         )
-    if what := no_file(path):
+    if what := describe_special_file(path):
         raise InputError(f"{path}: this is {what}; name a plain file")
     text = format.write(mechanism)
     try:

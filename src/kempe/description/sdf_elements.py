@@ -12,8 +12,8 @@ from typing import Any
 
 from kempe.description.source import (
     Findings,
-    find_intended,
-    shorten,
+    find_intended_name,
+    shorten_text,
 )
 from kempe.description.xml import XmlElement
 from kempe.errors import Where
@@ -183,7 +183,7 @@ FORCES = ("drake:rotor_inertia", "drake:gear_ratio", "drake:controller_gains")
 """Elements of Drake inside of joints that change no motion."""
 
 
-def check_known(
+def check_known_children(
     element: XmlElement, findings: Findings, subject: str, extra: tuple[str, ...] = ()
 ) -> None:
     """Refuse children and attributes that look like a slip of known ones, and second ones of those
@@ -204,7 +204,7 @@ def check_known(
                 "one is allowed",
             )
         if child.tag not in known and child is first:
-            _note_unknown("element", child.tag, known, findings, subject, child.where)
+            _note_unknown_name("element", child.tag, known, findings, subject, child.where)
         check_attributes(child, findings, subject)
 
 
@@ -213,10 +213,10 @@ def check_attributes(element: XmlElement, findings: Findings, subject: str) -> N
     known = ATTRIBUTES.get(element.tag)
     for key in element.attributes if known is not None else ():
         if known is not None and key not in known:
-            _note_unknown("attribute", key, known, findings, subject, element.where_of(key))
+            _note_unknown_name("attribute", key, known, findings, subject, element.where_of(key))
 
 
-def _note_unknown(
+def _note_unknown_name(
     kind: str,
     name: str,
     known: tuple[str, ...],
@@ -226,25 +226,25 @@ def _note_unknown(
 ) -> None:
     if name.startswith("xmlns") or name in FORCES:
         return
-    near = None if ":" in name else find_intended(name[:60].casefold(), known)
+    near = None if ":" in name else find_intended_name(name[:60].casefold(), known)
     if name not in NOT_READ and near:
-        findings.add(f"unknown {kind} {shorten(name)}; did you mean {near!r}?", subject, where)
+        findings.add(f"unknown {kind} {shorten_text(name)}; did you mean {near!r}?", subject, where)
         return
     reason = f": {NOT_READ[name]}" if name in NOT_READ else ""
-    findings.note(f"the {kind} {shorten(name)} is not read{reason}", subject, where)
+    findings.note(f"the {kind} {shorten_text(name)} is not read{reason}", subject, where)
 
 
 # ---- texts and numbers
 
 
-def first(element: XmlElement | None, tag: str) -> XmlElement | None:
+def find_first_child(element: XmlElement | None, tag: str) -> XmlElement | None:
     """The first child with this tag."""
     return (element.of(tag) or [None])[0] if element is not None else None
 
 
-def text_of(element: XmlElement | None, tag: str) -> str:
+def get_child_text(element: XmlElement | None, tag: str) -> str:
     """The text in the first child with this tag; '' without one."""
-    child = first(element, tag)
+    child = find_first_child(element, tag)
     return child.content if child is not None and not child.children else ""
 
 
@@ -260,18 +260,20 @@ def read_number(
     holder: XmlElement, tag: str, default: float, findings: Findings, subject: str
 ) -> float | None:
     """The finite number in a child, its default without one, None where it is wrong."""
-    child = first(holder, tag)
+    child = find_first_child(holder, tag)
     if child is None:
         return default
     found = read_numbers(child, 1, findings, subject)
     return None if found is None else found[0]
 
 
-def truth(text: str | None, where: Where, findings: Findings, subject: str, what: str) -> bool:
+def parse_truth(
+    text: str | None, where: Where, findings: Findings, subject: str, what: str
+) -> bool:
     """Whether a text says yes: true, 1, in any letters; None and '' say no."""
     given = (text or "").strip().casefold()
     if given not in ("", "true", "false", "1", "0"):
-        findings.add(f"{what} is {shorten(text)}", subject, where, "it must be true or false")
+        findings.add(f"{what} is {shorten_text(text)}", subject, where, "it must be true or false")
     return given in ("true", "1")
 
 
@@ -284,7 +286,7 @@ def read_pose(
     """The placement that the <pose> of an element gives, the name of the frame that it is relative
     to ('' where that is left open), and the <pose>.
     """
-    pose = first(holder, "pose")
+    pose = find_first_child(holder, "pose")
     if pose is None:
         return Placement(), "", None
     given = pose.attributes
@@ -294,13 +296,15 @@ def read_pose(
     form = given.get("rotation_format", "euler_rpy")
     if form not in ("euler_rpy", "quat_xyzw"):
         findings.add(
-            f"rotation_format is {shorten(form)}",
+            f"rotation_format is {shorten_text(form)}",
             subject,
             pose.where_of("rotation_format"),
             "it must be euler_rpy or quat_xyzw",
         )
         return Placement(), relative, pose
-    degrees = truth(given.get("degrees"), pose.where_of("degrees"), findings, subject, "degrees")
+    degrees = parse_truth(
+        given.get("degrees"), pose.where_of("degrees"), findings, subject, "degrees"
+    )
     found = read_numbers(pose, 6 if form == "euler_rpy" else 7, findings, subject)
     if found is None:
         return Placement(), relative, pose
@@ -320,10 +324,10 @@ def read_inertial(
     link: XmlElement, findings: Findings, subject: str
 ) -> tuple[float | None, tuple[float, ...] | None]:
     """Mass and centre of mass of a link, None where they are not given."""
-    inertial = first(link, "inertial")
+    inertial = find_first_child(link, "inertial")
     if inertial is None:
         return None, None
-    check_known(inertial, findings, subject)
+    check_known_children(inertial, findings, subject)
     X, relative, pose = read_pose(inertial, findings, subject)
     if relative and pose is not None:
         findings.add(
@@ -334,7 +338,7 @@ def read_inertial(
         )
     mass = read_number(inertial, "mass", 1.0, findings, subject)
     where = inertial.where_of("auto")
-    if truth(inertial.attributes.get("auto"), where, findings, subject, "auto"):
+    if parse_truth(inertial.attributes.get("auto"), where, findings, subject, "auto"):
         findings.note(
             "its mass follows from its shapes (<inertial auto='true'>) and is not computed",
             subject,
@@ -367,19 +371,19 @@ def read_axis(
     `version` is that of its file, `lenient` reads a lower limit above the upper one as no limit.
     """
     before = len(findings.problems)
-    check_known(axis, findings, subject)
-    out = Axis(where=axis.where, mimic=first(axis, "mimic"))
-    xyz = first(axis, "xyz")
+    check_known_children(axis, findings, subject)
+    out = Axis(where=axis.where, mimic=find_first_child(axis, "mimic"))
+    xyz = find_first_child(axis, "xyz")
     if xyz is not None:
         out.xyz = read_numbers(xyz, 3, findings, subject) or out.xyz
         out.expressed_in = xyz.attributes.get("expressed_in", "")
         out.where = xyz.where_content
-        _check_length(out.xyz, xyz, findings, subject)
-    flag = first(axis, "use_parent_model_frame")
+        _check_axis_length(out.xyz, xyz, findings, subject)
+    flag = find_first_child(axis, "use_parent_model_frame")
     said = "use_parent_model_frame"
     if version < (1, 5):
         out.expressed_in = "__model__"
-    elif flag is not None and truth(flag.content, flag.where, findings, subject, said):
+    elif flag is not None and parse_truth(flag.content, flag.where, findings, subject, said):
         if version < (1, 7):
             out.expressed_in = "__model__"
         else:
@@ -389,20 +393,20 @@ def read_axis(
                 subject,
                 flag.where,
             )
-    limit = first(axis, "limit")
+    limit = find_first_child(axis, "limit")
     if limit is not None:
-        check_known(limit, findings, subject)
-        out.keywords = _limits(limit, findings, subject, lenient)
+        check_known_children(limit, findings, subject)
+        out.keywords = _read_limits(limit, findings, subject, lenient)
     return out if len(findings.problems) == before else None
 
 
-def _check_length(
+def _check_axis_length(
     xyz: tuple[float, ...], element: XmlElement, findings: Findings, subject: str
 ) -> None:
     length = math.hypot(*xyz)
     if length < 1e-150:
         findings.add(
-            f"its axis is {shorten(element.content)}",
+            f"its axis is {shorten_text(element.content)}",
             subject,
             element.where_content,
             "it must not be zero: an axis has a direction, such as 0 0 1",
@@ -414,17 +418,19 @@ def _check_length(
         )
 
 
-def _limits(limit: XmlElement, findings: Findings, subject: str, lenient: bool) -> dict[str, Any]:
+def _read_limits(
+    limit: XmlElement, findings: Findings, subject: str, lenient: bool
+) -> dict[str, Any]:
     """Keywords `limits`, `velocity` and `effort`; what is missing or negative is no bound."""
     ends = {"lower": -math.inf, "upper": math.inf, "velocity": math.inf, "effort": math.inf}
-    bounds = {key: _bound(limit, key, end, findings, subject) for key, end in ends.items()}
+    bounds = {key: _read_bound(limit, key, end, findings, subject) for key, end in ends.items()}
     out: dict[str, Any] = {}
     for key in ("velocity", "effort"):
         if 0.0 <= bounds[key] < math.inf:
             out[key] = bounds[key]
     lower = bounds["lower"]
     upper = bounds["upper"]
-    both = f"lower {text_of(limit, 'lower')}, upper {text_of(limit, 'upper')}"
+    both = f"lower {get_child_text(limit, 'lower')}, upper {get_child_text(limit, 'upper')}"
     if lower > upper and lenient:
         said = f"its limits are swapped ({both}); it is read as unlimited, as requested"
         findings.note(said, subject, limit.where)
@@ -440,11 +446,13 @@ def _limits(limit: XmlElement, findings: Findings, subject: str, lenient: bool) 
     return out
 
 
-def _bound(limit: XmlElement, tag: str, default: float, findings: Findings, subject: str) -> float:
+def _read_bound(
+    limit: XmlElement, tag: str, default: float, findings: Findings, subject: str
+) -> float:
     """A bound: a number, where infinity or a huge one stands for none; the default where it is
     missing.
     """
-    element = first(limit, tag)
+    element = find_first_child(limit, tag)
     if element is None:
         return default
     found = findings.bound(element.content, UNLIMITED, tag, subject, lambda: element.where_content)
@@ -473,20 +481,20 @@ def read_mimic(element: XmlElement, findings: Findings, subject: str) -> Mimic |
         findings.add("its <mimic> names no joint", subject, element.where, "write joint=...")
     if axis not in ("axis", "axis2"):
         findings.add(
-            f"it mimics the axis {shorten(axis)}",
+            f"it mimics the axis {shorten_text(axis)}",
             subject,
             element.where_of("axis"),
             "it must be axis or axis2",
         )
     if element.tag == "mimic":
-        check_known(element, findings, subject)
+        check_known_children(element, findings, subject)
         multiplier, offset, reference = (
             read_number(element, tag, default, findings, subject)
             for tag, default in (("multiplier", 1.0), ("offset", 0.0), ("reference", 0.0))
         )
     else:
         multiplier, offset = (
-            _attribute(element, key, default, findings, subject)
+            _read_attribute(element, key, default, findings, subject)
             for key, default in (("multiplier", 1.0), ("offset", 0.0))
         )
         reference = 0.0
@@ -495,7 +503,7 @@ def read_mimic(element: XmlElement, findings: Findings, subject: str) -> Mimic |
     return Mimic(leader, axis, multiplier, offset - multiplier * reference, element.where)
 
 
-def _attribute(
+def _read_attribute(
     element: XmlElement, key: str, default: float, findings: Findings, subject: str
 ) -> float | None:
     if key not in element.attributes:
@@ -509,7 +517,7 @@ def _attribute(
 # ---- versions
 
 
-def version_in(text: str) -> Version:
+def parse_version(text: str) -> Version:
     """A version as two numbers; 0.0 where the text is none."""
     found = re.fullmatch(r"\s*0*(\d{1,9})\.0*(\d{1,9})(?:\.\d+)?\s*", text, re.ASCII)
     return (int(found[1]), int(found[2])) if found else (0, 0)
@@ -518,10 +526,10 @@ def version_in(text: str) -> Version:
 def read_version(sdf: XmlElement, findings: Findings) -> Version:
     """The version of a file as two numbers; one that is not read is recorded as a problem."""
     given = sdf.attributes.get("version")
-    version = version_in(given or "")
+    version = parse_version(given or "")
     if OLDEST <= version <= NEWEST:
         return version
-    said = "it has no version" if given is None else f"the version is {shorten(given)}"
+    said = "it has no version" if given is None else f"the version is {shorten_text(given)}"
     findings.add(
         said,
         "sdf",

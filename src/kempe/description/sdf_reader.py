@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from kempe import spatial
-from kempe.description.formats import root_fault
+from kempe.description.formats import describe_root_fault
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Joint
 from kempe.description.sdf_elements import (
@@ -22,20 +22,26 @@ from kempe.description.sdf_elements import (
     TYPES,
     Axis,
     Version,
-    check_known,
-    first,
+    check_known_children,
+    find_first_child,
+    get_child_text,
+    parse_truth,
     read_axis,
     read_inertial,
     read_mimic,
     read_number,
     read_numbers,
     read_version,
-    text_of,
-    truth,
 )
-from kempe.description.sdf_scopes import GROUND, Files, Scope, gazebo_folders
-from kempe.description.sdf_shapes import note_others, others_said, read_shapes
-from kempe.description.source import Findings, fail, folders_of, fresh_name, shorten
+from kempe.description.sdf_scopes import GROUND, Files, Scope, list_gazebo_folders
+from kempe.description.sdf_shapes import collect_unread_shapes, note_unread_shapes, read_shapes
+from kempe.description.source import (
+    Findings,
+    choose_numbered_name,
+    list_folders,
+    make_error,
+    shorten_text,
+)
 from kempe.description.xml import XmlElement, parse_xml
 from kempe.errors import InputError, UnknownNameError
 from kempe.poses import Placement, place
@@ -77,11 +83,11 @@ def read_sdf(
     sdf = parse_xml(text, source, findings)
     _check_is_sdf(sdf)
     version = read_version(sdf, findings)
-    check_known(sdf, findings, "sdf")
-    roots = (*folders_of(package_dirs), *gazebo_folders())
+    check_known_children(sdf, findings, "sdf")
+    roots = (*list_folders(package_dirs), *list_gazebo_folders())
     home = Path(source).parent if source != "<text>" and Path(source).is_file() else None
     files = Files(roots, findings)
-    outer = _outermost(sdf, model, version, home, files)
+    outer = _open_outermost_scope(sdf, model, version, home, files)
     mechanism = Mechanism(outer.name or "sdf", ground=GROUND)
     _Reader(outer, mechanism, findings, lenient_limits, home).read(base == "free")
     findings.finish()
@@ -93,21 +99,21 @@ def read_sdf(
 def _check_is_sdf(sdf: XmlElement) -> None:
     if sdf.tag == "sdf":
         return
-    raise fail(
-        root_fault(sdf.tag),
+    raise make_error(
+        describe_root_fault(sdf.tag),
         sdf.where,
         f"SDF starts with <sdf version='{NEWEST[0]}.{NEWEST[1]}'>",
     )
 
 
-def _outermost(
+def _open_outermost_scope(
     sdf: XmlElement, model: str | None, version: Version, home: Path | None, files: Files
 ) -> Scope:
     """The model or world that is read, with all that stands in it."""
     worlds = sdf.of("world")
     models = {m.attributes.get("name", "").strip(): m for m in sdf.of("model")}
     if model is None and len(worlds) + len(sdf.of("model")) > 1:
-        raise fail(
+        raise make_error(
             f"the file has {format_count(len(worlds), 'world')} and "
             f"{format_count(len(sdf.of('model')), 'model')}",
             (worlds + sdf.of("model"))[1].where,
@@ -116,7 +122,7 @@ def _outermost(
             else "a file has one of them",
         )
     if not worlds and not models:
-        raise fail(
+        raise make_error(
             "there is no model in this file",
             sdf.where,
             "SDF has a <model> or a <world> with models directly in <sdf>",
@@ -134,7 +140,7 @@ def _outermost(
         if model in world.models:
             return world.models[model]
         inside = [*element.of("model"), *element.of("include")]
-        known += [m.attributes.get("name", "") or text_of(m, "name") for m in inside]
+        known += [m.attributes.get("name", "") or get_child_text(m, "name") for m in inside]
     files.findings.finish()
     raise UnknownNameError("model", model, [n for n in known if n], sdf.source.name)
 
@@ -177,9 +183,9 @@ class _Reader:
         scopes = [*self.outer.all()]
         for scope in scopes:
             for name, element in scope.links.items():
-                self._link(scope, name, element)
+                self._read_link(scope, name, element)
         if not self.links and not self.findings.problems:
-            raise fail(
+            raise make_error(
                 "there is no link in this file",
                 self.outer.element.where,
                 "a model has at least one <link name=...>",
@@ -193,36 +199,36 @@ class _Reader:
                 if element.attributes.get("type", "").strip().lower() == "gearbox":
                     gearboxes.append((scope, name, element))
                 elif not scope.static:
-                    self._joint(scope, name, element)
-            self._drake(scope)
+                    self._read_joint(scope, name, element)
+            self._read_drake_elements(scope)
         for scope, name, element in gearboxes:
-            self._gearbox(scope, name, element)
+            self._read_gearbox(scope, name, element)
         for scope, joint, axis, element in self.followers:
-            self._follower(scope, joint, axis, element)
-        self._hold(free)
-        others_said(self.others, self.findings)
+            self._read_follower(scope, joint, axis, element)
+        self._connect_to_ground(free)
+        note_unread_shapes(self.others, self.findings)
         for scope in scopes:
             for name, element in scope.frames.items():
-                self._frame(scope, name, element)
+                self._read_frame(scope, name, element)
 
-    def _link(self, scope: Scope, name: str, element: XmlElement) -> None:
+    def _read_link(self, scope: Scope, name: str, element: XmlElement) -> None:
         subject = scope.within("link", name)
-        check_known(element, self.findings, subject)
+        check_known_children(element, self.findings, subject)
         mass, center = read_inertial(element, self.findings, subject)
         full = scope.prefix + name
         scope.in_world(name)
 
-        def placed(frame: str, at: XmlElement) -> Placement | None:
+        def place_shape(frame: str, at: XmlElement) -> Placement | None:
             if scope.find(frame) is None:
                 scope.unknown("relative_to", frame, at.where_of("relative_to"), subject)
                 return None
-            return self._on(scope, frame, (scope, name), name)
+            return self._place_frame(scope, frame, (scope, name), name)
 
         with self.findings.guard(subject, element.where):
             self.mechanism.body(full, mass, center, where=element.where)
             self.links[full] = scope, name
-        folder = self._folder(scope)
-        for shape in read_shapes(element, subject, placed, folder, self.findings):
+        folder = self._find_folder(scope)
+        for shape in read_shapes(element, subject, place_shape, folder, self.findings):
             with self.findings.guard(subject, shape.where):
                 self.mechanism.shape(
                     full,
@@ -234,37 +240,41 @@ class _Reader:
                     name=shape.name,
                     where=shape.where,
                 )
-        note_others(element, self.others)
+        collect_unread_shapes(element, self.others)
 
-    def _folder(self, scope: Scope) -> str:
+    def _find_folder(self, scope: Scope) -> str:
         """The folder of a scope's file, seen from that of the outermost one."""
         if scope.folder is None or self.home is None:
             return ""
         return Path(os.path.relpath(scope.folder.resolve(), self.home.resolve())).as_posix()
 
-    def _frame(self, scope: Scope, name: str, element: XmlElement) -> None:
+    def _read_frame(self, scope: Scope, name: str, element: XmlElement) -> None:
         subject = scope.within("frame", name)
-        check_known(element, self.findings, subject)
+        check_known_children(element, self.findings, subject)
         found = scope.link_of(name, element.where, subject)
         if found is None:
             return
-        body, link = self._body(found)
+        body, link = self._name_body(found)
         full = scope.prefix + name
         if full in self.mechanism.bodies:
-            full = fresh_name(f"{full}_frame", {**self.mechanism.bodies, **self.mechanism.frames})
+            full = choose_numbered_name(
+                f"{full}_frame", {**self.mechanism.bodies, **self.mechanism.frames}
+            )
             self.findings.note(
                 f"a link has its name; it is called {full!r}", subject, element.where
             )
         with self.findings.guard(subject, element.where):
-            X = self._on(scope, name, found, link)
+            X = self._place_frame(scope, name, found, link)
             self.mechanism.frame(full, body, at=X, where=element.where)
 
-    def _body(self, found: tuple[Scope, str]) -> tuple[str, str]:
+    def _name_body(self, found: tuple[Scope, str]) -> tuple[str, str]:
         """Names of a body and of its link in its scope."""
         scope, link = found
         return (scope.prefix + link, link) if link else (GROUND, GROUND)
 
-    def _on(self, scope: Scope, name: str, found: tuple[Scope, str], link: str) -> Placement:
+    def _place_frame(
+        self, scope: Scope, name: str, found: tuple[Scope, str], link: str
+    ) -> Placement:
         """The placement of a frame of a scope on a link, or on the ground."""
         key = scope.find(name)
         if found[0] is scope and key is not None and link != GROUND:
@@ -279,43 +289,47 @@ class _Reader:
 
     # joints
 
-    def _joint(self, scope: Scope, name: str, element: XmlElement) -> None:
+    def _read_joint(self, scope: Scope, name: str, element: XmlElement) -> None:
         findings = self.findings
         subject = scope.within("joint", name)
-        check_known(element, findings, subject, ("drake:mimic",))
+        check_known_children(element, findings, subject, ("drake:mimic",))
         kind = element.attributes.get("type", "").strip().lower()
         if kind not in TYPES:
             given = element.attributes.get("type")
             said = findings.hint(kind, TYPES) if given else ""
-            wrong = "it has no type" if given is None else f"unknown type {shorten(given)}{said}"
+            wrong = (
+                "it has no type" if given is None else f"unknown type {shorten_text(given)}{said}"
+            )
             allowed = "" if "did you mean" in said else f"SDF has {', '.join(TYPES)}"
             findings.add(wrong, subject, element.where_of("type"), allowed)
-        ends = self._ends(scope, name, element, subject)
-        axes = self._axes(scope, element, kind, subject)
+        ends = self._read_ends(scope, name, element, subject)
+        axes = self._read_axes(scope, element, kind, subject)
         if kind not in TYPES or ends is None or axes is None:
             return
         with findings.guard(subject, element.where):
-            made = self._made(scope, name, element, kind, ends, axes)
+            made = self._make_joints(scope, name, element, kind, ends, axes)
             for tag in axes:
                 mimic = axes[tag].mimic
                 if mimic is not None:
                     self.followers.append((scope, name, tag, mimic))
             for mimic in element.of("drake:mimic")[:1]:
                 self.followers.append((scope, name, "axis", mimic))
-            names = [f"{j.name}.{c}" if c else j.name for j in made for c in _coordinates(j)]
+            names = [f"{j.name}.{c}" if c else j.name for j in made for c in _list_coordinates(j)]
             if kind not in ("ball", "fixed"):
                 for tag, coordinate in zip(("axis", "axis2"), names, strict=False):
                     self.coordinates[scope.prefix + name, tag] = coordinate
 
-    def _ends(self, scope: Scope, name: str, element: XmlElement, subject: str) -> _Ends | None:
+    def _read_ends(
+        self, scope: Scope, name: str, element: XmlElement, subject: str
+    ) -> _Ends | None:
         found: list[tuple[Scope, str]] = []
         for tag in ("parent", "child"):
-            end = self._end(scope, element, tag, subject)
+            end = self._read_end(scope, element, tag, subject)
             if end is not None:
                 found.append(end)
         if len(found) < 2:
             return None
-        (parent, P), (child, C) = map(self._body, found)
+        (parent, P), (child, C) = map(self._name_body, found)
         if parent == child:
             self.findings.add(
                 f"it connects {parent!r} to itself",
@@ -325,16 +339,17 @@ class _Reader:
             )
             return None
         X_PJ, X_CJ = (
-            self._on(scope, name, end, link) for end, link in zip(found, (P, C), strict=True)
+            self._place_frame(scope, name, end, link)
+            for end, link in zip(found, (P, C), strict=True)
         )
         return _Ends(parent, child, X_PJ, X_CJ)
 
-    def _end(
+    def _read_end(
         self, scope: Scope, element: XmlElement, tag: str, subject: str
     ) -> tuple[Scope, str] | None:
         """The link that an end of a joint names, by its own name or that of a frame."""
-        holder = first(element, tag)
-        given = text_of(element, tag) if holder is not None else ""
+        holder = find_first_child(element, tag)
+        given = get_child_text(element, tag) if holder is not None else ""
         if holder is None or not given:
             self.findings.add(
                 f"it has no <{tag}>",
@@ -356,7 +371,7 @@ class _Reader:
             return None
         return scope.link_of(given, where, subject)
 
-    def _axes(
+    def _read_axes(
         self, scope: Scope, element: XmlElement, kind: str, subject: str
     ) -> dict[str, Axis] | None:
         """The axes of a joint, in its own frame, or None after recording what is wrong."""
@@ -364,7 +379,7 @@ class _Reader:
         out: dict[str, Axis] = {}
         before = len(self.findings.problems)
         for count, tag in enumerate(("axis", "axis2"), 1):
-            given = first(element, tag)
+            given = find_first_child(element, tag)
             if given is None and count <= needed:
                 said = f"a {kind} joint has no <{tag}>"
                 allowed = f"write <{tag}><xyz>0 0 1</xyz></{tag}>, for example"
@@ -382,18 +397,18 @@ class _Reader:
                 if scope.find(axis.expressed_in) is None:
                     scope.unknown("expressed_in", axis.expressed_in, where, subject)
                 else:
-                    axis.xyz = self._turned(scope, element, axis)
+                    axis.xyz = self._turn_axis(scope, element, axis)
             if axis is not None:
                 out[tag] = axis
         return out if len(self.findings.problems) == before else None
 
-    def _turned(self, scope: Scope, element: XmlElement, axis: Axis) -> tuple[float, ...]:
+    def _turn_axis(self, scope: Scope, element: XmlElement, axis: Axis) -> tuple[float, ...]:
         """The direction of an axis in its joint's frame."""
         R_ME = scope.pose(axis.expressed_in)[:3, :3]
         R_MJ = scope.pose(element.attributes["name"].strip())[:3, :3]
         return tuple((R_MJ.T @ (R_ME @ np.array(axis.xyz))).tolist())
 
-    def _made(
+    def _make_joints(
         self,
         scope: Scope,
         name: str,
@@ -404,9 +419,9 @@ class _Reader:
     ) -> list[Joint]:
         """The joints that are made for a joint of the file: one, or two in series."""
         full = scope.prefix + name
-        options: dict[str, Any] = {"where": element.where, "cut": self._is_cut(element, full)}
+        options: dict[str, Any] = {"where": element.where, "cut": self._is_cut_joint(element, full)}
         if kind in ("universal", "revolute2"):
-            return self._two_axes(full, ends, axes, options)
+            return self._make_universal_joint(full, ends, axes, options)
         at: dict[str, Any] = {"at": ends.X_PJ, "child_at": ends.X_CJ}
         if "axis" in axes:
             options |= axes["axis"].keywords
@@ -418,26 +433,28 @@ class _Reader:
                 )
                 self.findings.note(said, f"joint {full!r}", element.where)
         if kind == "screw":
-            options["pitch"] = self._pitch(element, f"joint {full!r}")
+            options["pitch"] = self._read_pitch(element, f"joint {full!r}")
         types = {"continuous": "revolute", "ball": "spherical", "screw": "helical"}
         type_ = types.get(kind, kind)
         return [self.mechanism.joint(full, type_, ends.parent, ends.child, **at, **options)]
 
-    def _is_cut(self, element: XmlElement, full: str) -> bool:
+    def _is_cut_joint(self, element: XmlElement, full: str) -> bool:
         """Whether the file asks that a loop be opened at this joint."""
-        simbody = first(first(element, "physics"), "simbody")
-        cut = first(simbody, "must_be_loop_joint")
+        simbody = find_first_child(find_first_child(element, "physics"), "simbody")
+        cut = find_first_child(simbody, "must_be_loop_joint")
         if cut is None:
             return False
         said = "must_be_loop_joint"
-        return truth(cut.content, cut.where_content, self.findings, f"joint {full!r}", said)
+        return parse_truth(cut.content, cut.where_content, self.findings, f"joint {full!r}", said)
 
-    def _pitch(self, element: XmlElement, subject: str) -> float:
+    def _read_pitch(self, element: XmlElement, subject: str) -> float:
         """Metres a radian: <screw_thread_pitch> is metres a turn, the older <thread_pitch> radians
         a metre of a left-handed thread.
         """
         per_turn = read_number(element, "screw_thread_pitch", 1.0, self.findings, subject)
-        if first(element, "screw_thread_pitch") is None and first(element, "thread_pitch"):
+        if find_first_child(element, "screw_thread_pitch") is None and find_first_child(
+            element, "thread_pitch"
+        ):
             per_metre = read_number(element, "thread_pitch", 1.0, self.findings, subject)
             if per_metre == 0.0:
                 where = element.of("thread_pitch")[0].where_content
@@ -446,18 +463,18 @@ class _Reader:
             return -1.0 / per_metre if per_metre else 1.0
         return (per_turn or 0.0) / (2.0 * np.pi)
 
-    def _two_axes(
+    def _make_universal_joint(
         self, full: str, ends: _Ends, axes: dict[str, Axis], options: dict[str, Any]
     ) -> list[Joint]:
         """A universal joint; two revolute ones where the axes are not orthogonal."""
         a, b = (spatial.unit(axes[tag].xyz) for tag in ("axis", "axis2"))
         m = self.mechanism
         if abs(a @ b) > ORTHOGONAL:
-            cross = m.body(fresh_name(f"{full}_cross", m.bodies), where=options["where"])
+            cross = m.body(choose_numbered_name(f"{full}_cross", m.bodies), where=options["where"])
             one, two = (axes[tag] for tag in ("axis", "axis2"))
             return [
                 m.revolute(
-                    fresh_name(f"{full}_axis", m.joints),
+                    choose_numbered_name(f"{full}_axis", m.joints),
                     ends.parent,
                     cross,
                     at=ends.X_PJ,
@@ -466,7 +483,7 @@ class _Reader:
                     **options,
                 ),
                 m.revolute(
-                    fresh_name(f"{full}_axis2", m.joints),
+                    choose_numbered_name(f"{full}_axis2", m.joints),
                     cross,
                     ends.child,
                     child_at=ends.X_CJ,
@@ -485,7 +502,7 @@ class _Reader:
 
     # coordinates that follow others
 
-    def _follower(self, scope: Scope, joint: str, axis: str, element: XmlElement) -> None:
+    def _read_follower(self, scope: Scope, joint: str, axis: str, element: XmlElement) -> None:
         subject = scope.within("joint", joint)
         mimic = read_mimic(element, self.findings, subject)
         if mimic is None:
@@ -496,9 +513,9 @@ class _Reader:
             said = self.findings.hint(mimic.joint, scope.joints, but=joint)
             known = mimic.joint in scope.joints
             self.findings.add(
-                f"it mimics {mimic.axis} of joint {shorten(mimic.joint)}, which has no such axis"
+                f"it mimics {mimic.axis} of joint {shorten_text(mimic.joint)}, which has no such axis"
                 if known
-                else f"it mimics joint {shorten(mimic.joint)}, which does not exist{said}",
+                else f"it mimics joint {shorten_text(mimic.joint)}, which does not exist{said}",
                 subject,
                 mimic.where,
                 "joints with an axis can mimic each other" if known else "",
@@ -509,27 +526,27 @@ class _Reader:
                     of, {leader: mimic.multiplier}, mimic.offset, where=mimic.where
                 )
 
-    def _gearbox(self, scope: Scope, name: str, element: XmlElement) -> None:
+    def _read_gearbox(self, scope: Scope, name: str, element: XmlElement) -> None:
         """A gearbox: it connects nothing, and couples the joints that lead from its reference body
         to its parent and its child.
         """
         findings = self.findings
         subject = scope.within("joint", name)
-        check_known(element, findings, subject)
+        check_known_children(element, findings, subject)
         before = len(findings.problems)
         ratio = read_number(element, "gearbox_ratio", 1.0, findings, subject)
-        axes = self._axes(scope, element, "gearbox", subject)
+        axes = self._read_axes(scope, element, "gearbox", subject)
         ends = [
-            self._end(scope, element, tag, subject)
+            self._read_end(scope, element, tag, subject)
             for tag in ("gearbox_reference_body", "parent", "child")
         ]
         if len(findings.problems) > before or axes is None or ratio is None or None in ends:
             return
-        reference, parent, child = (self._body(end)[0] for end in ends if end is not None)
+        reference, parent, child = (self._name_body(end)[0] for end in ends if end is not None)
         R_WJ = scope.in_world(name)[:3, :3]
         turns: list[tuple[str, float]] = []
         for link, tag in ((parent, "axis"), (child, "axis2")):
-            turn = self._turn(reference, link, R_WJ @ spatial.unit(axes[tag].xyz))
+            turn = self._find_gear_joint(reference, link, R_WJ @ spatial.unit(axes[tag].xyz))
             if turn is not None:
                 turns.append(turn)
                 continue
@@ -546,7 +563,7 @@ class _Reader:
                 factor = -ratio * sense * other
                 self.mechanism.couple(of, {leader: factor}, where=element.where)
 
-    def _turn(self, reference: str, link: str, axis: Array) -> tuple[str, float] | None:
+    def _find_gear_joint(self, reference: str, link: str, axis: Array) -> tuple[str, float] | None:
         """The revolute joint between two bodies about an axis, and 1.0 where it turns the link
         about this axis as the reference sees it, else -1.0.
         """
@@ -556,14 +573,14 @@ class _Reader:
                 link,
             }:
                 continue
-            z = (self._place_of(joint.parent) @ joint.X_PF.evaluate_pose({}))[:3, 2]
+            z = (self._compute_body_pose(joint.parent) @ joint.X_PF.evaluate_pose({}))[:3, 2]
             sense = 1.0 if joint.child == link else -1.0
             for sign in (1.0, -1.0):
                 if np.abs(z - sign * axis).max() < PARALLEL:
                     return joint.name, sign * sense
         return None
 
-    def _place_of(self, body: str) -> Array:
+    def _compute_body_pose(self, body: str) -> Array:
         """Where the file places a body in the world."""
         if body == GROUND:
             return np.eye(4)
@@ -572,31 +589,35 @@ class _Reader:
 
     # Drake's own elements
 
-    def _drake(self, scope: Scope) -> None:
+    def _read_drake_elements(self, scope: Scope) -> None:
         for element in scope.element.children if not scope.is_world else ():
             name = element.attributes.get("name", "").strip()
             if element.tag == "drake:joint" and not scope.static:
-                self._drake_joint(scope, name, element)
+                self._read_drake_joint(scope, name, element)
             elif element.tag in ("drake:ball_constraint", "drake:distance_constraint"):
-                self._drake_constraint(scope, element)
+                self._read_drake_constraint(scope, element)
 
-    def _drake_joint(self, scope: Scope, name: str, element: XmlElement) -> None:
+    def _read_drake_joint(self, scope: Scope, name: str, element: XmlElement) -> None:
         subject = scope.within("joint", name)
         kind = element.attributes.get("type", "")
         if kind != "planar" or not name:
             self.findings.add(
-                f"<drake:joint> of type {shorten(kind)} is not read" if name else "it has no name",
+                f"<drake:joint> of type {shorten_text(kind)} is not read"
+                if name
+                else "it has no name",
                 subject,
                 element.where,
                 "planar ones are" if name else "every joint needs a name of its own",
             )
             return
-        found = [self._end(scope, element, f"drake:{tag}", subject) for tag in ("parent", "child")]
+        found = [
+            self._read_end(scope, element, f"drake:{tag}", subject) for tag in ("parent", "child")
+        ]
         if found[0] is None or found[1] is None:
             return
-        (parent, P), (child, C) = (self._body(end) for end in found if end is not None)
+        (parent, P), (child, C) = (self._name_body(end) for end in found if end is not None)
         X = [
-            self._on(scope, text_of(element, f"drake:{tag}"), end, link)
+            self._place_frame(scope, get_child_text(element, f"drake:{tag}"), end, link)
             for tag, end, link in zip(("parent", "child"), found, (P, C), strict=True)
             if end is not None
         ]
@@ -605,21 +626,22 @@ class _Reader:
                 scope.prefix + name, parent, child, at=X[0], child_at=X[1], where=element.where
             )
 
-    def _drake_constraint(self, scope: Scope, element: XmlElement) -> None:
+    def _read_drake_constraint(self, scope: Scope, element: XmlElement) -> None:
         """Points that coincide, or whose distance is fixed."""
         kind = element.tag.removeprefix("drake:")
         subject = f"<{element.tag}>"
         before = len(self.findings.problems)
-        if kind == "distance_constraint" and first(element, f"{element.tag}_stiffness"):
+        if kind == "distance_constraint" and find_first_child(element, f"{element.tag}_stiffness"):
             said = "it is a spring, which holds nothing: it is not read"
             self.findings.note(said, subject, element.where)
             return
         ends = [
-            self._end(scope, element, f"{element.tag}_body_{letter}", subject) for letter in "AB"
+            self._read_end(scope, element, f"{element.tag}_body_{letter}", subject)
+            for letter in "AB"
         ]
         points: list[tuple[float, ...]] = []
         for tag in (f"{element.tag}_p_AP", f"{element.tag}_p_BQ"):
-            given = first(element, tag)
+            given = find_first_child(element, tag)
             if given is None:
                 self.findings.add(f"it has no <{tag}>", subject, element.where, "give the point")
             else:
@@ -627,9 +649,9 @@ class _Reader:
         length = read_number(element, f"{element.tag}_distance", 0.0, self.findings, subject)
         if len(self.findings.problems) > before or None in ends:
             return
-        a, b = (self._body(end)[0] for end in ends if end is not None)
+        a, b = (self._name_body(end)[0] for end in ends if end is not None)
         m = self.mechanism
-        name = fresh_name(scope.prefix + kind, {**m.joints, **m.constraints})
+        name = choose_numbered_name(scope.prefix + kind, {**m.joints, **m.constraints})
         with self.findings.guard(subject, element.where):
             at: dict[str, Any] = {"at": points[0], "child_at": points[1], "where": element.where}
             if kind == "ball_constraint":
@@ -639,18 +661,18 @@ class _Reader:
 
     # what nothing ties to the ground
 
-    def _hold(self, free: bool) -> None:
+    def _connect_to_ground(self, free: bool) -> None:
         """Join what no joint ties to the ground to it: by fixed joints, or free ones."""
         parts = _Parts(self.mechanism)
         children = {j.child for j in self.mechanism.joints.values()}
-        first_ones = [b for b in map(self._canonical, self.outer.all()) if b is not None]
+        first_ones = [b for b in map(self._find_canonical_body, self.outer.all()) if b is not None]
         everything = [*first_ones, *self.links]
         held: list[str] = []
         for static in (True, False):
             for body in [b for b in everything if b not in children] + everything:
                 scope, _ = self.links[body]
                 if scope.static >= static and not parts.tied(body, GROUND):
-                    self._tie(scope, body, free and not static)
+                    self._tie_body(scope, body, free and not static)
                     parts.tie(body, GROUND)
                     held += [body] * (not static)
         if held and not free:
@@ -662,18 +684,20 @@ class _Reader:
                 where=self.outer.element.where,
             )
 
-    def _canonical(self, scope: Scope) -> str | None:
+    def _find_canonical_body(self, scope: Scope) -> str | None:
         """The body with which the own frame of a model moves."""
         if scope.is_world or scope.canonical is None:
             return None
         found = scope.link_of(scope.canonical, scope.element.where, scope.subject)
-        body = self._body(found)[0] if found is not None else None
+        body = self._name_body(found)[0] if found is not None else None
         return body if body in self.links else None
 
-    def _tie(self, scope: Scope, body: str, free: bool) -> None:
+    def _tie_body(self, scope: Scope, body: str, free: bool) -> None:
         m = self.mechanism
-        name = fresh_name(f"{scope.prefix}base", {**m.joints, **m.constraints})
-        m.joint(name, "free" if free else "fixed", GROUND, body, at=place(self._place_of(body)))
+        name = choose_numbered_name(f"{scope.prefix}base", {**m.joints, **m.constraints})
+        m.joint(
+            name, "free" if free else "fixed", GROUND, body, at=place(self._compute_body_pose(body))
+        )
 
 
 class _Parts:
@@ -684,7 +708,7 @@ class _Parts:
         for joint in mechanism.joints.values():
             self.tie(joint.parent, joint.child)
 
-    def _top(self, body: str) -> str:
+    def _find_top(self, body: str) -> str:
         path: list[str] = []
         while body in self._next:
             path.append(body)
@@ -695,15 +719,15 @@ class _Parts:
 
     def tied(self, a: str, b: str) -> bool:
         """Whether joints lead from one body to the other."""
-        return self._top(a) == self._top(b)
+        return self._find_top(a) == self._find_top(b)
 
     def tie(self, a: str, b: str) -> None:
         """Let two bodies hang together."""
-        one, two = self._top(a), self._top(b)
+        one, two = self._find_top(a), self._find_top(b)
         if one != two:
             self._next[one] = two
 
 
-def _coordinates(joint: Joint) -> Iterator[str]:
+def _list_coordinates(joint: Joint) -> Iterator[str]:
     """Names of the coordinates within a joint."""
     yield from joint.type.list_coordinate_names(3, False)

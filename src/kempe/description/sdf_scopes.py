@@ -19,15 +19,15 @@ from kempe.description.sdf_elements import (
     NEWEST,
     Version,
     check_attributes,
-    check_known,
-    first,
+    check_known_children,
+    find_first_child,
+    get_child_text,
+    parse_truth,
+    parse_version,
     read_pose,
     read_version,
-    text_of,
-    truth,
-    version_in,
 )
-from kempe.description.source import Findings, read_bounded, shorten
+from kempe.description.source import Findings, read_bounded_file, shorten_text
 from kempe.description.xml import XmlElement, parse_xml
 from kempe.errors import DescriptionError, Where
 from kempe.poses import Placement, place
@@ -42,7 +42,7 @@ ENVIRONMENT = ("GZ_SIM_RESOURCE_PATH", "SDF_PATH", "IGN_GAZEBO_RESOURCE_PATH", "
 """Names of lists of folders with models."""
 
 
-def gazebo_folders() -> list[Path]:
+def list_gazebo_folders() -> list[Path]:
     """Folders of models that Gazebo names in the environment."""
     listed = (os.environ.get(name, "") for name in ENVIRONMENT)
     return [Path(d) for text in listed for d in text.split(os.pathsep) if d and os.path.isdir(d)]
@@ -67,16 +67,16 @@ class Files:
 
     def include(self, element: XmlElement, folder: Path | None, subject: str) -> Include | None:
         """What an <include> in a file of the `folder` names; None after recording why nothing."""
-        uri = first(element, "uri")
+        uri = find_first_child(element, "uri")
         allowed = "write <include><uri>model://name</uri></include>"
         if uri is None or not uri.content:
             self.findings.add("it has no <uri>", subject, element.where, allowed)
             return None
         before = len(self.findings.problems)
-        path = self._found(uri, folder, subject)
+        path = self._find_file(uri, folder, subject)
         if path is None:
             return None
-        sdf = self._parsed(path, uri, subject)
+        sdf = self._parse_file(path, uri, subject)
         if sdf is None:
             return None
         self.count += 1
@@ -92,7 +92,7 @@ class Files:
         if len(models) > 1 or (not models and not (sdf.of("light") or sdf.of("actor"))):
             count = len(models) or "no"
             self.findings.add(
-                f"{shorten(path)} has {count} models",
+                f"{shorten_text(path)} has {count} models",
                 subject,
                 uri.where_content,
                 "an included file has one <model> directly in <sdf>",
@@ -101,26 +101,26 @@ class Files:
             return None
         return Include(sdf, models[0] if models else None, path.parent)
 
-    def _parsed(self, path: Path, uri: XmlElement, subject: str) -> XmlElement | None:
+    def _parse_file(self, path: Path, uri: XmlElement, subject: str) -> XmlElement | None:
         if path in self._read:
             return self._read[path]
         try:
-            sdf = parse_xml(read_bounded(path), str(path), self.findings)
+            sdf = parse_xml(read_bounded_file(path), str(path), self.findings)
         except DescriptionError as error:
             self.findings.problems += error.problems
             return None
         except OSError as error:
-            said = f"{shorten(path)} cannot be read: {error.strerror or error}"
+            said = f"{shorten_text(path)} cannot be read: {error.strerror or error}"
             self.findings.add(said, subject, uri.where_content, "check its permissions")
             return None
         if sdf.tag != "sdf":
-            said = f"{shorten(path)} is no SDF: its outermost element is <{sdf.tag}>"
+            said = f"{shorten_text(path)} is no SDF: its outermost element is <{sdf.tag}>"
             self.findings.add(said, subject, uri.where_content, "include SDF files")
             return None
         self._read[path] = sdf
         return sdf
 
-    def _found(self, uri: XmlElement, folder: Path | None, subject: str) -> Path | None:
+    def _find_file(self, uri: XmlElement, folder: Path | None, subject: str) -> Path | None:
         """The file that a <uri> in a file of the `folder` means; None after recording why none."""
         text = uri.content
         scheme, colon, rest = text.partition("://")
@@ -141,7 +141,7 @@ class Files:
             near = [folder] if folder is not None else []
             relative = [d.joinpath(*parts) for d in (*near, *self.folders.roots)]
             order = [*named, *relative] if scheme in ("model", "package") else [*relative, *named]
-            places = (file for file in map(_file_of, order) if file is not None)
+            places = (file for file in map(_find_sdf_file, order) if file is not None)
             found, outside = self.folders.first_file(places, package)
             if found is not None:
                 return found
@@ -150,11 +150,11 @@ class Files:
             )
             looked = ", ".join(repr(str(d)) for d in self.folders.readable) or "no folder"
             allowed = f"looked in {looked}; name others by package_dirs"
-        self.findings.add(f"{shorten(text, 200)}: {said}", subject, uri.where_content, allowed)
+        self.findings.add(f"{shorten_text(text, 200)}: {said}", subject, uri.where_content, allowed)
         return None
 
 
-def _file_of(path: Path) -> Path | None:
+def _find_sdf_file(path: Path) -> Path | None:
     """The SDF file that a path means: itself, or the newest one that the model.config of a folder
     names.
     """
@@ -165,12 +165,12 @@ def _file_of(path: Path) -> Path | None:
         if not os.path.isfile(config):
             inside = path / "model.sdf"
             return inside if os.path.isfile(inside) else None
-        names = parse_xml(read_bounded(config), str(config)).of("sdf")
+        names = parse_xml(read_bounded_file(config), str(config)).of("sdf")
     except (OSError, ValueError, DescriptionError):
         return None
     best: tuple[Version, Path] | None = None
     for name in names:
-        version = version_in(name.attributes.get("version", "1.0"))
+        version = parse_version(name.attributes.get("version", "1.0"))
         file_path = path / name.content
         if version <= NEWEST and os.path.isfile(file_path) and (best is None or version > best[0]):
             best = version, file_path
@@ -271,9 +271,9 @@ class Scope:
         outer = self.outer is not None and self.outer.static
         if outer or self.merged or self.is_world:
             return outer
-        holder = self.placing if first(self.placing, "static") else self.element
-        element = first(holder, "static")
-        return element is not None and truth(
+        holder = self.placing if find_first_child(self.placing, "static") else self.element
+        element = find_first_child(holder, "static")
+        return element is not None and parse_truth(
             element.content, element.where_content, self.findings, self.subject, "static"
         )
 
@@ -281,20 +281,20 @@ class Scope:
 
     def scan(self, only: str | None = None) -> None:
         """Find the links, joints, frames and models; of a world `only` the model of this name."""
-        check_known(self.element, self.findings, self.subject, DRAKE)
+        check_known_children(self.element, self.findings, self.subject, DRAKE)
         check_attributes(self.element, self.findings, self.subject)
         for child in self.element.children:
             if child.tag == "include":
-                self._include(child, only)
+                self._include_model(child, only)
             elif child.tag in ("link", "joint", "frame", "model"):
                 name = child.attributes.get("name", "").strip()
                 if only is not None and (child.tag != "model" or name != only):
                     continue
-                self._add(child, name, only)
+                self._add_element(child, name, only)
         if not self.is_world:
-            self._check_placing()
+            self._check_placement_frame()
 
-    def _add(self, child: XmlElement, name: str, only: str | None) -> None:
+    def _add_element(self, child: XmlElement, name: str, only: str | None) -> None:
         findings = self.findings
         if not name:
             findings.add(f"a {child.tag} has no name", self.subject, child.where, NAMED)
@@ -316,15 +316,17 @@ class Scope:
                 child.where_of("name"),
                 "rename it: '::' stands between the names of nested models",
             )
-        elif self._is_new(child, name, subject):
+        elif self._is_new_name(child, name, subject):
             if child.tag == "model":
-                self._nest(Scope(child, name, self, self.version, self.folder, self.files), only)
+                self._nest_model(
+                    Scope(child, name, self, self.version, self.folder, self.files), only
+                )
             else:
                 table = {"link": self.links, "joint": self.joints, "frame": self.frames}[child.tag]
                 table[name] = child
                 self._order += [name] * (child.tag == "link")
 
-    def _is_new(self, child: XmlElement, name: str, subject: str) -> bool:
+    def _is_new_name(self, child: XmlElement, name: str, subject: str) -> bool:
         """Whether no other part has this name; before version 1.7 only parts of one kind count."""
         tables = {"link": self.links, "joint": self.joints, "frame": self.frames}
         for kind, table in {**tables, "model": self.models}.items():
@@ -337,7 +339,7 @@ class Scope:
                 return False
         return True
 
-    def _nest(self, inner: Scope, only: str | None) -> None:
+    def _nest_model(self, inner: Scope, only: str | None) -> None:
         """Add a nested model; the `only` one has names without a prefix."""
         if inner.depth > DEEPEST:
             self.findings.add(
@@ -353,13 +355,13 @@ class Scope:
         self._order += [inner.name] * inner.merged
         inner.scan()
 
-    def _include(self, element: XmlElement, only: str | None) -> None:
+    def _include_model(self, element: XmlElement, only: str | None) -> None:
         findings = self.findings
-        given = text_of(element, "name")
+        given = get_child_text(element, "name")
         subject = f"include {given!r}" if given else "include"
         if only is not None and given and given != only:
             return
-        check_known(element, findings, subject)
+        check_known_children(element, findings, subject)
         check_attributes(element, findings, subject)
         for child in element.of("experimental:params"):
             findings.add(
@@ -381,13 +383,13 @@ class Scope:
         inner = Scope(found.model, name, self, version, found.folder, self.files)
         inner.placing = element
         merge = element.attributes.get("merge")
-        inner.merged = truth(merge, element.where_of("merge"), findings, subject, "merge")
+        inner.merged = parse_truth(merge, element.where_of("merge"), findings, subject, "merge")
         if inner.merged:
             inner.name = f"_merged__{name}__model__"
         if not name:
             findings.add("the included model has no name", subject, element.where, NAMED)
-        elif self._is_new(found.model, inner.name, subject):
-            self._nest(inner, only)
+        elif self._is_new_name(found.model, inner.name, subject):
+            self._nest_model(inner, only)
         if inner.merged and self.is_world and (inner.links or inner.frames.keys() & self.frames):
             findings.add(
                 "it merges links into a world",
@@ -398,7 +400,7 @@ class Scope:
 
     # frames
 
-    def _check_placing(self) -> None:
+    def _check_placement_frame(self) -> None:
         attribute = self.element.attributes.get("canonical_link")
         if attribute and self.find(attribute) is None:
             self.unknown("canonical_link", attribute, self.element.where_of("canonical_link"))
@@ -409,10 +411,10 @@ class Scope:
         one.
         """
         holder = self.placing
-        if first(holder, "pose") is None and self.placing is not self.element:
+        if find_first_child(holder, "pose") is None and self.placing is not self.element:
             holder = self.element
         X = read_pose(holder, self.findings, self.subject)[0]
-        name = text_of(self.placing, "placement_frame")
+        name = get_child_text(self.placing, "placement_frame")
         where = self.placing.where
         if not name:
             name = self.element.attributes.get("placement_frame", "")
@@ -426,8 +428,10 @@ class Scope:
     @cached_property
     def relative(self) -> tuple[str, Where]:
         """Name of the frame that the model's <pose> is relative to, and where it is named."""
-        holder = self.placing if first(self.placing, "pose") is not None else self.element
-        pose = first(holder, "pose")
+        holder = (
+            self.placing if find_first_child(self.placing, "pose") is not None else self.element
+        )
+        pose = find_first_child(holder, "pose")
         if pose is None:
             return "", holder.where
         given = pose.attributes
@@ -470,54 +474,57 @@ class Scope:
         names = [*self.links, *self.frames, *self.joints, *self.models]
         said = self.findings.hint(name, names)
         self.findings.add(
-            f"{what} is {shorten(name)}, which is no frame of {self.subject}{said}",
+            f"{what} is {shorten_text(name)}, which is no frame of {self.subject}{said}",
             subject or self.subject,
             where,
             "" if said else "it must name a link, frame, joint or model of the same model",
         )
 
-    def _node(self, key: str) -> Node:
+    def _find_node(self, key: str) -> Node:
         """The frame of a key, read when it is first needed."""
         node = self._nodes.get(key)
         if node is None:
-            node = self._nodes[key] = self._made(key)
+            node = self._nodes[key] = self._make_node(key)
         return node
 
-    def _made(self, key: str) -> Node:
+    def _make_node(self, key: str) -> Node:
         head, separator, rest = key.partition("::")
         if key in self.links:
-            return self._placed(key, self.links[key], "link", self.root, "")
+            return self._place_node(key, self.links[key], "link", self.root, "")
         if key in self.models:
             inner = self.models[key]
             name, where = inner.relative
-            base = self._reference("relative_to", name, where, inner.subject) or self.root
+            base = self._resolve_reference("relative_to", name, where, inner.subject) or self.root
             return Node(inner.X_outer, base, f"{key}::{MODEL}", where)
         if key in self.frames:
             element = self.frames[key]
             given = element.attributes.get("attached_to", "")
             subject = self.within("frame", key)
             where = element.where_of("attached_to")
-            on = self._reference("attached_to", given, where, subject) or self.root
-            return self._placed(key, element, "frame", on, on)
+            on = self._resolve_reference("attached_to", given, where, subject) or self.root
+            return self._place_node(key, element, "frame", on, on)
         if key in self.joints:
             element = self.joints[key]
-            child = first(element, "child")
+            child = find_first_child(element, "child")
             where = child.where_content if child is not None else element.where
             subject = self.within("joint", key)
-            on = self._reference("child", text_of(element, "child"), where, subject) or self.root
-            return self._placed(key, element, "joint", on, on)
+            on = (
+                self._resolve_reference("child", get_child_text(element, "child"), where, subject)
+                or self.root
+            )
+            return self._place_node(key, element, "joint", on, on)
         assert separator, "find gives no other keys"
         inner = self.models[head]
         return Node(inner.on_root(rest), head, key, inner.element.where)
 
-    def _placed(self, key: str, element: XmlElement, kind: str, default: str, on: str) -> Node:
+    def _place_node(self, key: str, element: XmlElement, kind: str, default: str, on: str) -> Node:
         subject = self.within(kind, key)
         X, relative, pose = read_pose(element, self.findings, subject)
         where = pose.where if pose is not None else element.where
-        base = self._reference("relative_to", relative, where, subject) or default
+        base = self._resolve_reference("relative_to", relative, where, subject) or default
         return Node(X, base, on, where)
 
-    def _reference(self, what: str, name: str, where: Where, subject: str) -> str:
+    def _resolve_reference(self, what: str, name: str, where: Where, subject: str) -> str:
         """The key of a frame that is named in the file, '' where none is or it is wrong."""
         if not name:
             return ""
@@ -526,7 +533,7 @@ class Scope:
             self.unknown(what, name, where, subject)
         return key or ""
 
-    def _up(self, key: str, most: int) -> list[str]:
+    def _list_ancestors(self, key: str, most: int) -> list[str]:
         """The keys from a frame down to the scope's own one, along the frames on which they sit; no
         more than `most` of them.
         """
@@ -538,19 +545,19 @@ class Scope:
                 self.findings.add(
                     f"its pose is relative to itself: {shown}",
                     f"frame {self.prefix + key!r}",
-                    self._node(key).where,
+                    self._find_node(key).where,
                     "the frames of a model sit on one another, and the first one on the model",
                 )
                 self.findings.finish()
             out[key] = None
-            key = self._node(key).base
+            key = self._find_node(key).base
         return [*out]
 
     def pose(self, name: str) -> Array:
         """The pose of a frame, seen from the scope's own frame."""
         key = self.find(name) or self.root
-        for part in reversed(self._up(key, sys.maxsize)):
-            node = self._node(part)
+        for part in reversed(self._list_ancestors(key, sys.maxsize)):
+            node = self._find_node(part)
             self._poses[part] = self._poses[node.base] @ node.X.evaluate_pose({})
         return self._poses[key]
 
@@ -573,7 +580,7 @@ class Scope:
                 return out
             if key == self.root:
                 return None
-            node = self._node(key)
+            node = self._find_node(key)
             out = node.X @ out
             key = node.base
         return None
@@ -614,7 +621,7 @@ class Scope:
                 scope = scope.models[key]
                 key = MODEL
             else:
-                key = scope._node(key).on
+                key = scope._find_node(key).on
         if key is not None:
             said = f"{name!r} is attached to itself"
             allowed = "frames are attached to one another, and the first one to a link"

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from kempe.description.parts import Shape
-from kempe.description.sdf_elements import first, read_numbers, read_pose
+from kempe.description.sdf_elements import find_first_child, read_numbers, read_pose
 from kempe.description.shapes import (
     Box,
     Capsule,
@@ -18,7 +18,7 @@ from kempe.description.shapes import (
     Sphere,
 )
 from kempe.description.source import Findings, parse_numbers
-from kempe.description.urdf_shapes import USES, only_shape, subject_of
+from kempe.description.urdf_shapes import USES, find_only_shape, format_subject
 from kempe.description.xml import XmlElement
 from kempe.poses import Placement
 from kempe.words import format_count
@@ -50,31 +50,31 @@ def read_shapes(
     for element in link.children:
         if element.tag not in USES:
             continue
-        subject = subject_of(element, owner)
+        subject = format_subject(element, owner)
         before = len(findings.problems)
         X, relative, pose = read_pose(element, findings, subject)
         if relative and pose is not None:
             X = (placed(relative, pose) or Placement()) @ X
-        geometry = _geometry(element, folder, findings, subject)
+        geometry = _read_geometry(element, folder, findings, subject)
         if geometry is None or len(findings.problems) > before:
             continue
         visual, collision = USES[element.tag]
-        color = _color(element) if visual else None
+        color = _read_color(element) if visual else None
         name = element.attributes.get("name", "")
         yield Shape(geometry, X, visual, collision, color, name, element.where)
 
 
-def _geometry(
+def _read_geometry(
     element: XmlElement, folder: str, findings: Findings, subject: str
 ) -> Geometry | None:
     """The shape itself; None where there is none that is read."""
-    shape = only_shape(element, KINDS, findings, subject)
+    shape = find_only_shape(element, KINDS, findings, subject)
     if shape is None:
         return None
     kind, sizes = KINDS[shape.tag]
     given: dict[str, Any] = {}
     for tag, count in sizes.items():
-        part = first(shape, tag)
+        part = find_first_child(shape, tag)
         if part is not None:
             found = read_numbers(part, count, findings, subject)
             if found is None:
@@ -85,7 +85,7 @@ def _geometry(
                 1.0 if count == 1 else (1.0, 1.0, 1.0)
             )  # what SDF takes where it is left out
     if kind is Mesh:
-        path = _path(shape, folder)
+        path = _make_mesh_path(shape, folder)
         if not path:
             findings.note("its mesh names no file, and is left out", subject, shape.where)
             return None
@@ -98,9 +98,9 @@ def _geometry(
     return None
 
 
-def _path(mesh: XmlElement, folder: str) -> str:
+def _make_mesh_path(mesh: XmlElement, folder: str) -> str:
     """The path of a mesh as the mechanism has it: in a package, or relative to the outermost file."""
-    uri = first(mesh, "uri")
+    uri = find_first_child(mesh, "uri")
     text = uri.content if uri is not None else ""
     scheme, colon, rest = text.partition("://")
     if colon and scheme in ("model", "package"):
@@ -110,11 +110,11 @@ def _path(mesh: XmlElement, folder: str) -> str:
     return f"{folder}/{path}" if relative else path
 
 
-def _color(visual: XmlElement) -> tuple[float, float, float, float] | None:
+def _read_color(visual: XmlElement) -> tuple[float, float, float, float] | None:
     """The colour of a visual: that of its material in light from all sides, else the ambient one."""
     for material in visual.of("material"):
         for tag in ("diffuse", "ambient"):
-            part = first(material, tag)
+            part = find_first_child(material, tag)
             text = part.content if part is not None else ""
             for count in (4, 3):
                 found = parse_numbers(text, count)
@@ -123,7 +123,7 @@ def _color(visual: XmlElement) -> tuple[float, float, float, float] | None:
     return None
 
 
-def note_others(link: XmlElement, seen: dict[str, list[XmlElement]]) -> None:
+def collect_unread_shapes(link: XmlElement, seen: dict[str, list[XmlElement]]) -> None:
     """Collect the shapes of a link whose kinds are not read, by kind."""
     for element in link.children:
         for holder in element.of("geometry") if element.tag in USES else ():
@@ -132,7 +132,7 @@ def note_others(link: XmlElement, seen: dict[str, list[XmlElement]]) -> None:
                     seen.setdefault(part.tag, []).append(part)
 
 
-def others_said(seen: Mapping[str, list[XmlElement]], findings: Findings) -> None:
+def note_unread_shapes(seen: Mapping[str, list[XmlElement]], findings: Findings) -> None:
     """Note the collected shapes, once for each kind."""
     for tag, elements in seen.items():
         said = f"{format_count(len(elements), f'shape <{tag}>')} not read: shapes are "

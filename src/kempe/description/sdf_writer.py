@@ -15,8 +15,8 @@ from kempe.description.formats import SDF
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Body, Joint, Shape
 from kempe.description.sdf_scopes import GROUND, MODEL
-from kempe.description.shapes import Mesh, sizes_of
-from kempe.description.urdf_writer import UrdfWriter, fresh
+from kempe.description.shapes import Mesh, list_size_names
+from kempe.description.urdf_writer import UrdfWriter, reserve_name
 from kempe.errors import InputError
 from kempe.poses import Placement
 from kempe.spatial import Array
@@ -59,13 +59,13 @@ class _SdfWriter(UrdfWriter):
         needed = name != GROUND or bool(m.ground.shapes or m.ground.mass is not None)
         needed |= any(f.body == name for f in m.frames.values())
         needed |= any(j.child == name for j in m.joints.values())
-        self.ground = (fresh("world_link", self.links) if name == GROUND else name) * needed
+        self.ground = (reserve_name("world_link", self.links) if name == GROUND else name) * needed
         self.taken = self.links | self.joints
         self.placed: dict[str, Joint] = {}
         self.poses: dict[str, Array] = {name: np.eye(4)}
         self.spread()
         self.seats = {
-            j.name: [fresh(f"{j.name}_{end}", self.taken) for end in ("parent", "child")]
+            j.name: [reserve_name(f"{j.name}_{end}", self.taken) for end in ("parent", "child")]
             for j in m.joints.values()
             if j.type.type_name == "planar" or (j.type.type_name == "free" and m.dim == 2)
         }
@@ -74,7 +74,7 @@ class _SdfWriter(UrdfWriter):
             if body is not m.ground or needed:
                 self.body(body)
         if needed:
-            joint = fresh(f"{self.ground}_fixed", self.taken)
+            joint = reserve_name(f"{self.ground}_fixed", self.taken)
             ends = f"<parent>{GROUND}</parent><child>{self.said(self.ground)}</child>"
             self.lines.append(f"    <joint name={self.quoted(joint)} type='fixed'>{ends}</joint>")
         for joint in m.joints.values():
@@ -172,7 +172,7 @@ class _SdfWriter(UrdfWriter):
         if not any(numbers) and not relative:
             return ""
         of = f" relative_to={self.quoted(relative)}" if relative else ""
-        return f"<pose{of}>{_said(numbers)}</pose>"
+        return f"<pose{of}>{_format_numbers(numbers)}</pose>"
 
     def body(self, body: Body) -> None:
         subject = f"body {body.name!r}"
@@ -189,7 +189,11 @@ class _SdfWriter(UrdfWriter):
                 seat = self.seats[joint.name][not forward]
             inside.append(self.pose(X, seat, subject))
         if body.mass is not None or body.center is not None:
-            center = f"<pose>{_said([*body.center, 0.0, 0.0, 0.0])}</pose>" if body.center else ""
+            center = (
+                f"<pose>{_format_numbers([*body.center, 0.0, 0.0, 0.0])}</pose>"
+                if body.center
+                else ""
+            )
             inside.append(f"<inertial><mass>{(body.mass or 0.0)!r}</mass>{center}</inertial>")
         taken: dict[str, set[str]] = {"visual": set(), "collision": set()}
         for shape in body.shapes:
@@ -205,19 +209,21 @@ class _SdfWriter(UrdfWriter):
         except InputError as error:
             self.findings.add(str(error), subject, shape.where, "check its parameters")
             return
-        sizes: dict[str, Any] = {n: getattr(geometry, n) for n in sizes_of(type(shape.geometry))}
+        sizes: dict[str, Any] = {
+            n: getattr(geometry, n) for n in list_size_names(type(shape.geometry))
+        }
         uri = f"<uri>{self.said(sizes.pop('path'))}</uri>" if isinstance(geometry, Mesh) else ""
         inside = uri + "".join(
-            f"<{n}>{_said(x if np.ndim(x) else [x])}</{n}>" for n, x in sizes.items()
+            f"<{n}>{_format_numbers(x if np.ndim(x) else [x])}</{n}>" for n, x in sizes.items()
         )
         inside = f"<geometry><{shape.kind}>{inside}</{shape.kind}></geometry>"
         for use, flag in (("visual", shape.visual), ("collision", shape.collision)):
             color = shape.color if use == "visual" else None
-            said = _said(color or ())
+            said = _format_numbers(color or ())
             light = f"<ambient>{said}</ambient><diffuse>{said}</diffuse>"
             material = f"<material>{light}</material>" if color else ""
             if flag:
-                name = self.quoted(fresh(shape.name or use, taken[use]))
+                name = self.quoted(reserve_name(shape.name or use, taken[use]))
                 yield f"<{use} name={name}>{pose}{inside}{material}</{use}>"
 
     # ---- joints
@@ -328,6 +334,6 @@ class _SdfWriter(UrdfWriter):
             )
 
 
-def _said(numbers: Iterable[Any]) -> str:
+def _format_numbers(numbers: Iterable[Any]) -> str:
     """Numbers, with blanks between them."""
     return " ".join(repr(float(x)) for x in numbers)

@@ -21,7 +21,7 @@ Triple = tuple[Value, Value, Value]
 """Three numbers, or expressions in parameters."""
 
 
-def _length(given: Any, what: str) -> Value:
+def _check_length(given: Any, what: str) -> Value:
     """A length above zero."""
     found = read_value(given, what)
     if not isinstance(found, Expression) and not found > 0.0:
@@ -29,38 +29,38 @@ def _length(given: Any, what: str) -> Value:
     return found
 
 
-def _lengths(given: Any, what: str) -> tuple[Value, ...]:
+def _check_lengths(given: Any, what: str) -> tuple[Value, ...]:
     """Three lengths above zero."""
     found = read_values(given, 3, what)
     if any(not isinstance(x, Expression) and not x > 0.0 for x in found):
-        raise InputError(f"{what} is {_said(found)}; its three lengths must be above zero")
+        raise InputError(f"{what} is {_format_sizes(found)}; its three lengths must be above zero")
     return found
 
 
-def _scale(given: Any, what: str) -> tuple[Value, ...]:
+def _check_scale(given: Any, what: str) -> tuple[Value, ...]:
     """Three factors that are not zero; one number stands for three equal ones."""
     alike = is_real(given) or isinstance(given, (str, Expression))
     found = read_values((given, given, given) if alike else given, 3, what)
     if 0.0 in found:
-        raise InputError(f"{what} is {_said(found)}; its three factors must not be zero")
+        raise InputError(f"{what} is {_format_sizes(found)}; its three factors must not be zero")
     return found
 
 
-def _path(given: Any, what: str) -> str:
+def _check_path(given: Any, what: str) -> str:
     """The path of a file, as text."""
     if not isinstance(given, str) or not given.strip():
         raise InputError(f"{what} is {format_value(given)}; it must be text, not empty")
     return given
 
 
-def _said(xs: Any, unit: str = "") -> str:
+def _format_sizes(xs: Any, unit: str = "") -> str:
     """Numbers in words, with a unit where none is an expression: '0.1 x 0.2 x 0.3 m', 'l/2'."""
     given = xs if is_sequence(xs) else (xs,)
     texts = [x.text if isinstance(x, Expression) else f"{x:.6g}" for x in given]
     return " x ".join(texts) + unit * all(isinstance(x, float) for x in given)
 
 
-def _checked_by(check: Callable[[Any, str], Any], **usual: Any) -> Any:
+def _make_checked_field(check: Callable[[Any, str], Any], **usual: Any) -> Any:
     """A field with the function that checks its value."""
     return field(metadata={"check": check}, **usual)
 
@@ -73,7 +73,7 @@ class Geometry:
     """Its name in calls and files."""
 
     def __post_init__(self) -> None:
-        for name, check, what in _checks(type(self)):
+        for name, check, what in _list_checks(type(self)):
             object.__setattr__(self, name, check(getattr(self, name), what))
 
     @property
@@ -84,13 +84,13 @@ class Geometry:
     @property
     def names(self) -> frozenset[str]:
         """Names of the parameters that its sizes use."""
-        return frozenset(n for x in self._expressions() for n in x.names)
+        return frozenset(n for x in self._list_expressions() for n in x.names)
 
     def evaluate(self, parameters: Mapping[str, Any]) -> Any:
         """The same shape with numbers in place of expressions. Errors: `InputError` for sizes that
         are not above zero.
         """
-        if not self._expressions():
+        if not self._list_expressions():
             return self
         numbers: dict[str, Any] = {}
         for name, x in self.sizes.items():
@@ -100,7 +100,7 @@ class Geometry:
                 numbers[name] = float(evaluate_value(x, parameters))
         return replace(self, **numbers)
 
-    def _expressions(self) -> list[Expression]:
+    def _list_expressions(self) -> list[Expression]:
         given: list[Any] = []
         for x in self.sizes.values():
             given += x if is_sequence(x) else (x,)
@@ -108,19 +108,21 @@ class Geometry:
 
     def __str__(self) -> str:
         """The kind with its sizes: 'capsule of radius 0.04 m and length 0.4 m'."""
-        sizes = [f"{name} {_said(x, ' m')}" for name, x in self.sizes.items()]
+        sizes = [f"{name} {_format_sizes(x, ' m')}" for name, x in self.sizes.items()]
         return f"{self.kind} of {' and '.join(sizes)}"
 
 
-def _a(kind: type[Geometry]) -> str:
+def _add_article(kind: type[Geometry]) -> str:
     """The kind in a sentence: 'a box', 'an ellipsoid'."""
     return f"{'an' if kind.kind[:1] in 'aeio' else 'a'} {kind.kind}"
 
 
 @cache
-def _checks(kind: type[Geometry]) -> list[tuple[str, Callable[[Any, str], Any], str]]:
+def _list_checks(kind: type[Geometry]) -> list[tuple[str, Callable[[Any, str], Any], str]]:
     """The sizes of a kind: for each its name, its check, and what it is called in messages."""
-    return [(f.name, f.metadata["check"], f"the {f.name} of {_a(kind)}") for f in fields(kind)]
+    return [
+        (f.name, f.metadata["check"], f"the {f.name} of {_add_article(kind)}") for f in fields(kind)
+    ]
 
 
 @dataclass(frozen=True)
@@ -128,7 +130,7 @@ class Sphere(Geometry):
     """A ball."""
 
     kind: ClassVar[str] = "sphere"
-    radius: Value = _checked_by(_length)
+    radius: Value = _make_checked_field(_check_length)
 
 
 @dataclass(frozen=True)
@@ -136,7 +138,7 @@ class Box(Geometry):
     """A box; `size` holds its whole extents along x, y and z."""
 
     kind: ClassVar[str] = "box"
-    size: Triple = _checked_by(_lengths)
+    size: Triple = _make_checked_field(_check_lengths)
 
 
 @dataclass(frozen=True)
@@ -144,8 +146,8 @@ class Cylinder(Geometry):
     """A cylinder along z; `length` is its whole height."""
 
     kind: ClassVar[str] = "cylinder"
-    radius: Value = _checked_by(_length)
-    length: Value = _checked_by(_length)
+    radius: Value = _make_checked_field(_check_length)
+    length: Value = _make_checked_field(_check_length)
 
 
 @dataclass(frozen=True)
@@ -155,8 +157,8 @@ class Capsule(Geometry):
     """
 
     kind: ClassVar[str] = "capsule"
-    radius: Value = _checked_by(_length)
-    length: Value = _checked_by(_length)
+    radius: Value = _make_checked_field(_check_length)
+    length: Value = _make_checked_field(_check_length)
 
 
 @dataclass(frozen=True)
@@ -164,7 +166,7 @@ class Ellipsoid(Geometry):
     """An ellipsoid with semi-axes `radii` along x, y and z."""
 
     kind: ClassVar[str] = "ellipsoid"
-    radii: Triple = _checked_by(_lengths)
+    radii: Triple = _make_checked_field(_check_lengths)
 
 
 @dataclass(frozen=True)
@@ -175,14 +177,14 @@ class Mesh(Geometry):
     """
 
     kind: ClassVar[str] = "mesh"
-    path: str = _checked_by(_path)
-    scale: Triple = _checked_by(_scale, default=(1.0, 1.0, 1.0))
+    path: str = _make_checked_field(_check_path)
+    scale: Triple = _make_checked_field(_check_scale, default=(1.0, 1.0, 1.0))
 
     def __str__(self) -> str:
         """The path, and the scale where it is not 1: 'mesh arm.stl scaled by 0.001 x 0.001 x
         0.001'.
         """
-        scaled = "" if self.scale == (1.0, 1.0, 1.0) else f" scaled by {_said(self.scale)}"
+        scaled = "" if self.scale == (1.0, 1.0, 1.0) else f" scaled by {_format_sizes(self.scale)}"
         return f"mesh {self.path}{scaled}"
 
 
@@ -192,12 +194,12 @@ SHAPES: dict[str, type[Geometry]] = {
 """The kinds of shapes by name."""
 
 
-def sizes_of(kind: type[Geometry]) -> tuple[str, ...]:
+def list_size_names(kind: type[Geometry]) -> tuple[str, ...]:
     """Names of the sizes of a kind of shapes."""
     return tuple(f.name for f in fields(kind))
 
 
-def geometry(kind: object, given: Mapping[str, Any]) -> Geometry:
+def make_geometry(kind: object, given: Mapping[str, Any]) -> Geometry:
     """The shape of a kind with these sizes; None stands for one that is not given.
 
     Errors: `UnknownNameError` for the kind; `InputError` for sizes that are missing, wrong, or of
@@ -214,12 +216,12 @@ def geometry(kind: object, given: Mapping[str, Any]) -> Geometry:
     if made is None:
         raise UnknownNameError("kind of shape", kind, SHAPES)
     needed = [f.name for f in fields(made) if f.default is MISSING]
-    optional = [name for name in sizes_of(made) if name not in needed]
+    optional = [name for name in list_size_names(made) if name not in needed]
     allowed = f"it must have {join_words(needed)}" + "".join(f" and may have {x}" for x in optional)
     for name in sizes:
-        if name not in sizes_of(made):
-            raise InputError(f"{_a(made)} has no {name}; {allowed}")
+        if name not in list_size_names(made):
+            raise InputError(f"{_add_article(made)} has no {name}; {allowed}")
     for name in needed:
         if name not in sizes:
-            raise InputError(f"the {name} of {_a(made)} is missing; {allowed}")
+            raise InputError(f"the {name} of {_add_article(made)} is missing; {allowed}")
     return made(**sizes)

@@ -17,7 +17,7 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
-from kempe.description.formats import HEAD, named, other_kind, read_by
+from kempe.description.formats import HEAD, find_other_kind, join_titles, list_readable_formats
 from kempe.errors import (
     PROBLEM_LIMIT,
     DescriptionError,
@@ -60,7 +60,7 @@ _KINDS = (
 )
 
 
-def no_file(path: str | Path) -> str:
+def describe_special_file(path: str | Path) -> str:
     """What a path is if not a plain file, such as a folder; '' for a plain file and where nothing
     exists.
     """
@@ -72,7 +72,7 @@ def no_file(path: str | Path) -> str:
 
 
 @contextmanager
-def collecting_later(count: int = MANY_BODIES) -> Generator[None, None, None]:
+def pause_garbage_collection(count: int = MANY_BODIES) -> Generator[None, None, None]:
     """Switch the garbage collector of Python off while `count` bodies are made, and on again
     afterwards.
 
@@ -98,7 +98,7 @@ class Source:
         self.text = text
 
     @cached_property
-    def _starts(self) -> list[int]:
+    def _line_starts(self) -> list[int]:
         return [0, *(m.end() for m in _LINE_END.finditer(self.text))]
 
     @cached_property
@@ -113,12 +113,12 @@ class Source:
 
     def offset(self, line: int, column: int) -> int:
         """Index into `text` of a line and column, both counted from 1."""
-        return self._starts[line - 1] + column - 1
+        return self._line_starts[line - 1] + column - 1
 
     def where_offset(self, offset: int) -> Where:
         """The place of an index into `text`."""
-        line = bisect_right(self._starts, offset)
-        return self.where(line, offset - self._starts[line - 1] + 1)
+        line = bisect_right(self._line_starts, offset)
+        return self.where(line, offset - self._line_starts[line - 1] + 1)
 
 
 class Findings:
@@ -181,7 +181,12 @@ class Findings:
         found = parse_numbers(text, count)
         if not isinstance(found, str):
             return found
-        self.add(f"{what} is {shorten(text)}: {found}", subject, where(), numbers_allowed(count))
+        self.add(
+            f"{what} is {shorten_text(text)}: {found}",
+            subject,
+            where(),
+            describe_allowed_numbers(count),
+        )
         return None
 
     def bound(
@@ -190,7 +195,7 @@ class Findings:
         """The bound in a text, infinite where it says so or is not below `unlimited`; None after
         recording what is wrong with it.
         """
-        special = special_number(text.strip())
+        special = parse_special_number(text.strip())
         if special is not None and not math.isnan(special):
             return special
         found = self.numbers(text, 1, what, subject, where)
@@ -206,22 +211,24 @@ class Findings:
             )
 
 
-def fail(message: str, where: Where, allowed: str = "", subject: str = "") -> DescriptionError:
+def make_error(
+    message: str, where: Where, allowed: str = "", subject: str = ""
+) -> DescriptionError:
     """The error for a problem after which reading cannot go on."""
     return DescriptionError(Fault(message, subject, where, allowed))
 
 
-def folders_of(given: Any) -> tuple[Path, ...]:
+def list_folders(given: Any) -> tuple[Path, ...]:
     """Folders given as a list of paths, or a single path. Errors: `InputError`."""
     entries: Any = given
     single = isinstance(given, (str, Path)) or not isinstance(given, Iterable)
     paths: tuple[Any, ...] = (entries,) if single else tuple(entries)
     if not all(isinstance(path, (str, Path)) for path in paths):
         raise InputError(f"package_dirs is {format_value(entries)}; it must be a list of folders")
-    return tuple(expanded(path) for path in paths)
+    return tuple(expand_path(path) for path in paths)
 
 
-def expanded(path: str | Path) -> Path:
+def expand_path(path: str | Path) -> Path:
     """The path of a file, a leading ``~`` replaced by the home folder. Errors: `InputError` for a
     URL.
     """
@@ -236,7 +243,7 @@ def expanded(path: str | Path) -> Path:
     scheme = _SCHEME.match(text)
     if scheme:
         # a Path keeps one slash
-        url = shorten(text if "://" in text else text.replace(":/", "://", 1), 200)
+        url = shorten_text(text if "://" in text else text.replace(":/", "://", 1), 200)
         advice = {
             "file": "give the path alone, without file://",
             "package": "give the path of the file",
@@ -251,19 +258,19 @@ def expanded(path: str | Path) -> Path:
         return Path(text)
 
 
-def read_bounded(path: Path) -> bytes:
+def read_bounded_file(path: Path) -> bytes:
     """The bytes of a file, one more than `SIZE_LIMIT` at most. Errors: `OSError`."""
     with open(path, "rb") as file:
         return file.read(SIZE_LIMIT + 1)
 
 
-def shorten(text: object, limit: int = 60) -> str:
+def shorten_text(text: object, limit: int = 60) -> str:
     """`text` quoted, cut where it is long."""
     text = str(text)
     return repr(text if len(text) <= limit else text[: limit - 3] + "...")
 
 
-def fresh_name(name: str, taken: Container[str]) -> str:
+def choose_numbered_name(name: str, taken: Container[str]) -> str:
     """`name`, with a number where it is taken."""
     number = 1
     out = name
@@ -278,7 +285,7 @@ SLIP = 0.8
 
 
 @lru_cache(maxsize=1024)
-def find_intended(name: str, known: tuple[str, ...]) -> str | None:
+def find_intended_name(name: str, known: tuple[str, ...]) -> str | None:
     """The known name that this one is a slip of. A name that holds a known one among its words is
     no slip.
     """
@@ -288,9 +295,9 @@ def find_intended(name: str, known: tuple[str, ...]) -> str | None:
         return swapped[0]
     import difflib  # only here: most names are known
 
-    mine = _words(name)
+    mine = _split_words(name)
     for k in difflib.get_close_matches(name, known, n=3, cutoff=SLIP):
-        own = _words(k)
+        own = _split_words(k)
         if len(own) == len(mine) or not any(
             mine[i : i + len(own)] == own for i in range(len(mine))
         ):
@@ -298,7 +305,7 @@ def find_intended(name: str, known: tuple[str, ...]) -> str | None:
     return None
 
 
-def _words(name: str) -> list[str]:
+def _split_words(name: str) -> list[str]:
     return [w for w in re.split(r"[_\-.\s]+", name) if w]
 
 
@@ -314,10 +321,10 @@ def parse_numbers(text: str, count: int) -> tuple[float, ...] | str:
     """The finite numbers in a text, separated by blanks; what is wrong, as text, where they are not
     `count`.
     """
-    return _kept_numbers(text, count) if len(text) < LONG else _numbers(text, count)
+    return _kept_numbers(text, count) if len(text) < LONG else _split_numbers(text, count)
 
 
-def _numbers(text: str, count: int) -> tuple[float, ...] | str:
+def _split_numbers(text: str, count: int) -> tuple[float, ...] | str:
     if _PLAIN.fullmatch(text):
         try:
             found = tuple(map(float, text.split()))
@@ -329,32 +336,32 @@ def _numbers(text: str, count: int) -> tuple[float, ...] | str:
     for piece in pieces:
         if _NUMBER.fullmatch(piece):
             if math.isinf(float(piece)):
-                return f"{shorten(piece)} is not finite"
-        elif special_number(piece) is not None:
-            return f"{shorten(piece)} is not finite"
+                return f"{shorten_text(piece)} is not finite"
+        elif parse_special_number(piece) is not None:
+            return f"{shorten_text(piece)} is not finite"
         elif re.fullmatch(r"[+-]?[0-9]+,[0-9]+", piece):
             return f"{piece!r} is not a number (decimals take a point: {piece.replace(',', '.')})"
         elif "," in piece:
-            return f"{shorten(piece)} is not a number (no commas between numbers)"
+            return f"{shorten_text(piece)} is not a number (no commas between numbers)"
         else:
-            return f"{shorten(piece)} is not a number"
+            return f"{shorten_text(piece)} is not a number"
     if len(pieces) != count:
         return f"{len(pieces)} number{'s' if len(pieces) != 1 else ''}"
     return tuple(float(p) for p in pieces)
 
 
-_kept_numbers = lru_cache(4096)(_numbers)
+_kept_numbers = lru_cache(4096)(_split_numbers)
 """Many elements of a file have the same numbers."""
 
 
-def numbers_allowed(count: int) -> str:
+def describe_allowed_numbers(count: int) -> str:
     """What is allowed where `count` numbers stand, for messages."""
     if count == 1:
         return "it must be a finite number"
     return f"it must be {count} finite numbers separated by blanks"
 
 
-def special_number(piece: str) -> float | None:
+def parse_special_number(piece: str) -> float | None:
     """Infinity or NaN where the text says so, in any of the usual spellings."""
     match = re.fullmatch(r"([+-]?)(inf|infinity|nan)", piece, re.IGNORECASE)
     return float(match[0]) if match else None
@@ -365,13 +372,13 @@ def refuse_other_kinds(data: bytes | str, name: str) -> None:
 
     Errors: `DescriptionError` that says what the file is, and what to do.
     """
-    if kind := other_kind(data):
+    if kind := find_other_kind(data):
         start = data[:HEAD] if isinstance(data, str) else data[:200].decode("ascii", "replace")
         line = "".join(c if c.isprintable() else "\ufffd" for c in _LINE_END.split(start)[0][:200])
-        raise fail(f"this is {kind.what}", Where(name, 1, 1, line), kind.advice)
+        raise make_error(f"this is {kind.what}", Where(name, 1, 1, line), kind.advice)
 
 
-def decode(data: bytes | str, name: str, declared: re.Pattern[bytes] | None = None) -> str:
+def decode_text(data: bytes | str, name: str, declared: re.Pattern[bytes] | None = None) -> str:
     """Text of a file's bytes: UTF-8, UTF-16 with a byte order mark, or what the pattern `declared`
     finds.
 
@@ -379,41 +386,47 @@ def decode(data: bytes | str, name: str, declared: re.Pattern[bytes] | None = No
     """
     if len(data) > SIZE_LIMIT:
         allowed = "a description is smaller than that"
-        raise fail(f"the file has more than {SIZE_LIMIT >> 20} MiB", Where(name), allowed)
-    text = data if isinstance(data, str) else _text_of(data, name, declared)
+        raise make_error(f"the file has more than {SIZE_LIMIT >> 20} MiB", Where(name), allowed)
+    text = data if isinstance(data, str) else _decode_bytes(data, name, declared)
     text = text.removeprefix("\ufeff")
     if not text.strip():
         what = "empty" if not text else "nothing but blanks"
-        raise fail(
-            f"the file is {what}", Where(name), f"it must hold a description ({named(read_by())})"
+        raise make_error(
+            f"the file is {what}",
+            Where(name),
+            f"it must hold a description ({join_titles(list_readable_formats())})",
         )
     return text
 
 
-def _text_of(data: bytes, name: str, declared: re.Pattern[bytes] | None) -> str:
+def _decode_bytes(data: bytes, name: str, declared: re.Pattern[bytes] | None) -> str:
     first = Where(
         name, 1, 1, re.split(rb"[\r\n]", data[:200])[0].decode("ascii", "replace").replace("\0", "")
     )
     for mark, encoding, refused in _BYTE_ORDER_MARKS:
         if data.startswith(mark):
             if refused:
-                raise fail(f"the file is {refused}", first, "save it as UTF-8")
-            _check_declared(data[len(mark) :], encoding, first, declared)
-            return _decode(data[len(mark) :], encoding, name, "the byte order mark at its start")
+                raise make_error(f"the file is {refused}", first, "save it as UTF-8")
+            _check_declared_encoding(data[len(mark) :], encoding, first, declared)
+            return _apply_codec(
+                data[len(mark) :], encoding, name, "the byte order mark at its start"
+            )
     if b"\0" in data:
         if [byte == 0 for byte in data[:4]] in ([False, True] * 2, [True, False] * 2):
-            raise fail(
+            raise make_error(
                 "the file looks like UTF-16 without its byte order mark", first, "save it as UTF-8"
             )
-        raise fail(
+        raise make_error(
             "the file is binary data and no text: it holds zero bytes",
             first,
             "load the robot description",
         )
     match = declared.match(data[:300]) if declared else None
     if match is None:
-        return _decode(data, "utf-8", name, "")
-    return _decode(data, _codec(match[1].decode("ascii"), first), name, "its first line")
+        return _apply_codec(data, "utf-8", name, "")
+    return _apply_codec(
+        data, _choose_codec(match[1].decode("ascii"), first), name, "its first line"
+    )
 
 
 _CODECS = {
@@ -430,7 +443,7 @@ _CODECS = {
 _ADVICE = "save it as UTF-8 and declare that, or nothing"
 
 
-def _check_declared(
+def _check_declared_encoding(
     data: bytes, encoding: str, first: Where, declared: re.Pattern[bytes] | None
 ) -> None:
     head = data[:600].decode(encoding, "replace").encode("utf-8", "replace")
@@ -441,19 +454,21 @@ def _check_declared(
         said = (
             f"its first line declares the encoding {given!r}, but its byte order mark says {actual}"
         )
-        raise fail(said, first, "correct the declaration")
+        raise make_error(said, first, "correct the declaration")
 
 
-def _codec(given: str, first: Where) -> str:
+def _choose_codec(given: str, first: Where) -> str:
     said = f"its first line declares the encoding {given!r}"
     if given.lower().startswith("utf-16"):
-        raise fail(f"{said}, but the bytes are not UTF-16 with a byte order mark", first, _ADVICE)
+        raise make_error(
+            f"{said}, but the bytes are not UTF-16 with a byte order mark", first, _ADVICE
+        )
     if given.lower() not in _CODECS:
-        raise fail(f"{said}, which is not read", first, _ADVICE)
+        raise make_error(f"{said}, which is not read", first, _ADVICE)
     return _CODECS[given.lower()]
 
 
-def _decode(data: bytes, encoding: str, name: str, claim: str) -> str:
+def _apply_codec(data: bytes, encoding: str, name: str, claim: str) -> str:
     try:
         return data.decode(encoding)
     except UnicodeDecodeError as error:
@@ -463,7 +478,7 @@ def _decode(data: bytes, encoding: str, name: str, claim: str) -> str:
         where = Where(name, len(lines), len(lines[-1]) + 1, lines[-1] + rest)
         said = f" (as {claim} says)" if claim else ""
         if error.end >= len(data) and "16" in encoding:
-            raise fail(
+            raise make_error(
                 f"the file ends inside a character of {encoding[:6].upper()}{said}: it is "
                 "truncated",
                 where,
@@ -474,4 +489,4 @@ def _decode(data: bytes, encoding: str, name: str, claim: str) -> str:
         if encoding in ("utf-8", "ascii") and byte >= 0xA0:
             advice += f" (in Latin-1 this byte would be {chr(byte)!r})"
         label = "UTF-8" if encoding == "utf-8" else encoding.upper()
-        raise fail(f"byte 0x{byte:02x} is not {label}{said}", where, advice) from None
+        raise make_error(f"byte 0x{byte:02x} is not {label}{said}", where, advice) from None

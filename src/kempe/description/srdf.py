@@ -8,11 +8,11 @@ from collections.abc import Collection
 from dataclasses import dataclass, replace
 from graphlib import CycleError, TopologicalSorter
 
-from kempe.description.formats import root_fault
-from kempe.description.mechanism import Mechanism, joints_between
+from kempe.description.formats import describe_root_fault
+from kempe.description.mechanism import Mechanism, find_path_joints
 from kempe.description.parts import Coupling, Joint
-from kempe.description.source import Findings, fail, find_intended, shorten
-from kempe.description.urdf_elements import numbers
+from kempe.description.source import Findings, find_intended_name, make_error, shorten_text
+from kempe.description.urdf_elements import read_numbers
 from kempe.description.xacro import XACRO_ADVICE
 from kempe.description.xml import XmlElement, parse_xml
 from kempe.words import format_count, join_first_words
@@ -68,21 +68,21 @@ def read_srdf(text: str | bytes, source: str) -> Srdf:
     findings = Findings()
     root = parse_xml(text, source, findings)
     if root.tag != "robot":
-        raise fail(
-            root_fault(root.tag),
+        raise make_error(
+            describe_root_fault(root.tag),
             root.where,
             "SRDF starts with <robot name=...>",
         )
     for element in root.walk():
         if element.tag.startswith("xacro:"):
-            raise fail(
+            raise make_error(
                 f"this is xacro, a program that writes SRDF: <{element.tag}> has to be expanded "
                 "first",
                 element.where,
                 XACRO_ADVICE,
             )
     if links := root.of("link"):
-        raise fail(
+        raise make_error(
             "this is no SRDF, but a URDF: it has links",
             links[0].where,
             "give the file of the robot first, and its SRDF by srdf=(...)",
@@ -103,18 +103,18 @@ class Srdf:
         """The virtual joint of the robot's root link."""
         found: VirtualJoint | None = None
         for element in self.root.of("virtual_joint"):
-            name = self._name(element, "virtual_joint")
+            name = self._read_name(element, "virtual_joint")
             subject = f"virtual_joint {name!r}"
-            given = self._attributes(element, subject, "type", "parent_frame", "child_link")
+            given = self._read_attributes(element, subject, "type", "parent_frame", "child_link")
             if name is None or given is None:
                 continue
             kind, ground, child = given
             if kind not in BASES:
-                said = f"unknown type {shorten(kind)}{self.findings.hint(kind, BASES)}"
+                said = f"unknown type {shorten_text(kind)}{self.findings.hint(kind, BASES)}"
                 self.findings.add(said, subject, element.where_of("type"))
             elif child != link:
                 self.findings.note(
-                    f"it is not used: its child link {shorten(child)} is not {link!r}, the root of "
+                    f"it is not used: its child link {shorten_text(child)} is not {link!r}, the root of "
                     "the robot",
                     subject,
                     element.where_of("child_link"),
@@ -141,43 +141,49 @@ class Srdf:
         Errors: `DescriptionError` with all problems of the SRDF.
         """
         self._check_names(mechanism)
-        self._groups(mechanism)
-        self._postures(mechanism)
+        self._declare_groups(mechanism)
+        self._declare_postures(mechanism)
         for element in self.root.of("passive_joint"):
-            name = self._known(element, "name", mechanism.joints, "joint", "passive_joint")
+            name = self._read_known_name(
+                element, "name", mechanism.joints, "joint", "passive_joint"
+            )
             if name is not None:
                 mechanism.joints[name] = replace(mechanism.joints[name], actuated=False)
         for element in self.root.of("end_effector"):
-            self._end_effector(mechanism, element)
-        self._pairs(mechanism)
+            self._add_end_effector(mechanism, element)
+        self._ignore_pairs(mechanism)
         self.findings.finish()
         mechanism.notes += self.findings.notes
 
     def _check_names(self, mechanism: Mechanism) -> None:
         given = self.root.attributes.get("name", "").strip()
         if given and given != mechanism.name:
-            said = f"it is written for the robot {shorten(given)}, and this is {mechanism.name!r}"
+            said = (
+                f"it is written for the robot {shorten_text(given)}, and this is {mechanism.name!r}"
+            )
             self.findings.note(said, "", self.root.where_of("name"))
         seen: dict[str, XmlElement] = {}
         for element in self.root.children:
             if element.tag not in ELEMENTS:
                 seen.setdefault(element.tag, element)
         for element in seen.values():
-            self._unknown(element, ELEMENTS, "")
+            self._check_unknown_element(element, ELEMENTS, "")
 
     # ---- groups
 
-    def _groups(self, mechanism: Mechanism) -> None:
+    def _declare_groups(self, mechanism: Mechanism) -> None:
         """Declare all groups, each after those that are parts of it."""
         elements: dict[str, XmlElement] = {}
         for element in self.root.of("group"):
-            name = self._name(element, "group")
+            name = self._read_name(element, "group")
             if name in elements:
                 said = f"there is another group of this name, at {elements[name].where}"
                 self.findings.add(said, f"group {name!r}", element.where, "names must be unique")
             elif name is not None:
                 elements[name] = element
-        parts = {name: self._parts(name, element, elements) for name, element in elements.items()}
+        parts = {
+            name: self._list_parts(name, element, elements) for name, element in elements.items()
+        }
         try:
             order = [*TopologicalSorter(parts).static_order()]
         except CycleError as error:
@@ -186,7 +192,7 @@ class Srdf:
             where = elements[cycle[0]].where
             self.findings.add(f"it holds itself: {shown}", f"group {cycle[0]!r}", where)
             return
-        found = {name: self._joints(name, elements[name], mechanism) for name in order}
+        found = {name: self._list_joints(name, elements[name], mechanism) for name in order}
         total = 0
         for name in order:
             for part in parts[name]:
@@ -201,47 +207,48 @@ class Srdf:
                 self.findings.note("it holds no joint", f"group {name!r}", elements[name].where)
             mechanism.group(name, [joint for joint in mechanism.joints if joint in found[name]])
 
-    def _parts(self, name: str, element: XmlElement, elements: Collection[str]) -> list[str]:
+    def _list_parts(self, name: str, element: XmlElement, elements: Collection[str]) -> list[str]:
         subject = f"group {name!r}"
         for child in element.children:
             if child.tag not in IN_GROUP:
-                self._unknown(child, IN_GROUP, subject)
+                self._check_unknown_element(child, IN_GROUP, subject)
         known = [
-            self._known(child, "name", elements, "group", subject) for child in element.of("group")
+            self._read_known_name(child, "name", elements, "group", subject)
+            for child in element.of("group")
         ]
         return [part for part in known if part is not None]
 
-    def _joints(self, name: str, element: XmlElement, mechanism: Mechanism) -> set[str]:
+    def _list_joints(self, name: str, element: XmlElement, mechanism: Mechanism) -> set[str]:
         """The joints of a group, without those of its parts."""
         subject = f"group {name!r}"
         found: set[str] = set()
         for child in element.of("joint"):
-            if joint := self._known(child, "name", mechanism.joints, "joint", subject):
+            if joint := self._read_known_name(child, "name", mechanism.joints, "joint", subject):
                 found.add(joint)
         for child in element.of("link"):
-            if link := self._known(child, "name", mechanism.bodies, "link", subject):
+            if link := self._read_known_name(child, "name", mechanism.bodies, "link", subject):
                 above = [j for j in mechanism.joints.values() if j.child == link]
                 found.update(j.name for j in sorted(above, key=lambda j: j.cut)[:1])
         for child in element.of("chain"):
             ends = [
-                self._known(child, key, mechanism.bodies, "link", subject)
+                self._read_known_name(child, key, mechanism.bodies, "link", subject)
                 for key in ("base_link", "tip_link")
             ]
             if None not in ends:
                 with self.findings.guard(subject, child.where):
-                    found.update(j.name for j in joints_between(mechanism, *ends))  # type: ignore[arg-type]
+                    found.update(j.name for j in find_path_joints(mechanism, *ends))  # type: ignore[arg-type]
         return found
 
     # ---- postures
 
-    def _postures(self, mechanism: Mechanism) -> None:
+    def _declare_postures(self, mechanism: Mechanism) -> None:
         """Declare the states of groups as postures, such as "arm/home"."""
         for element in self.root.of("group_state"):
-            name = self._name(element, "group_state")
+            name = self._read_name(element, "group_state")
             subject = f"group_state {name!r}"
             group = None
             if "group" in element.attributes:
-                group = self._known(element, "group", mechanism.groups, "group", subject)
+                group = self._read_known_name(element, "group", mechanism.groups, "group", subject)
             else:
                 said = "it names no group: the posture is called as it is"
                 self.findings.note(said, subject, element.where)
@@ -252,23 +259,27 @@ class Srdf:
                 said = f"there is another posture {posture!r}"
                 self.findings.add(said, subject, element.where, "names must be unique")
                 continue
-            mechanism.posture(posture, self._state(mechanism, element, f"posture {posture!r}"))
+            mechanism.posture(posture, self._read_state(mechanism, element, f"posture {posture!r}"))
 
-    def _state(self, mechanism: Mechanism, element: XmlElement, subject: str) -> dict[str, float]:
+    def _read_state(
+        self, mechanism: Mechanism, element: XmlElement, subject: str
+    ) -> dict[str, float]:
         """The values of a posture by coordinate name."""
         values: dict[str, float] = {}
         joints: list[str] = []
         for child in element.children:
             if child.tag != "joint":
-                self._unknown(child, ("joint",), subject)
+                self._check_unknown_element(child, ("joint",), subject)
                 continue
             name = child.attributes.get("name")
             if name == ROOT_JOINT and name not in mechanism.joints:
                 said = f"the value of {ROOT_JOINT!r} is not used: base='free' lets the root move"
                 self.findings.note(said, subject, child.where)
-            elif joint := self._known(child, "name", mechanism.joints, "joint", subject):
+            elif joint := self._read_known_name(child, "name", mechanism.joints, "joint", subject):
                 joints.append(joint)
-                values |= self._values(mechanism, mechanism.joints[joint], child, subject)
+                values |= self._read_joint_values(
+                    mechanism, mechanism.joints[joint], child, subject
+                )
         group = mechanism.groups.get(element.attributes.get("group", ""), tuple(joints))
         if other := [joint for joint in joints if joint not in group]:
             names = join_first_words([*map(repr, other)], FEW)
@@ -277,7 +288,7 @@ class Srdf:
         self._drop_followers(mechanism, values, subject, element)
         return values
 
-    def _values(
+    def _read_joint_values(
         self, mechanism: Mechanism, joint: Joint, element: XmlElement, subject: str
     ) -> dict[str, float]:
         """Values of a joint by the names of its coordinates."""
@@ -292,7 +303,7 @@ class Srdf:
         if "value" not in element.attributes:
             self.findings.add(f"joint {joint.name!r} has no value", subject, element.where)
             return {}
-        found = numbers(element, "value", len(order), self.findings, subject)
+        found = read_numbers(element, "value", len(order), self.findings, subject)
         return {
             f"{joint.name}.{name}" if name else joint.name: x
             for name, x in zip(order, found or (), strict=False)
@@ -303,7 +314,7 @@ class Srdf:
     ) -> None:
         """Leave out, with a note, values of followers that contradict what these follow."""
         for name in [name for name in values if name in mechanism.couplings]:
-            needed = _followed(mechanism.couplings[name], values)
+            needed = _evaluate_coupling(mechanism.couplings[name], values)
             if needed is not None and abs(needed - values[name]) > CLOSE:
                 said = (
                     f"the value {values[name]:g} of {name!r} is not used: it follows "
@@ -314,15 +325,15 @@ class Srdf:
 
     # ---- end effectors and pairs
 
-    def _end_effector(self, mechanism: Mechanism, element: XmlElement) -> None:
+    def _add_end_effector(self, mechanism: Mechanism, element: XmlElement) -> None:
         """A frame of the end effector's name on its parent link."""
-        name = self._name(element, "end_effector")
+        name = self._read_name(element, "end_effector")
         subject = f"end_effector {name!r}"
-        link = self._known(element, "parent_link", mechanism.bodies, "link", subject)
+        link = self._read_known_name(element, "parent_link", mechanism.bodies, "link", subject)
         for key in ("group", "parent_group"):
             group = element.attributes.get(key, "")
             if group and group not in mechanism.groups:
-                said = f"there is no group {shorten(group)}"
+                said = f"there is no group {shorten_text(group)}"
                 hint = self.findings.hint(group, mechanism.groups)
                 self.findings.note(f"{said}{hint}", subject, element.where_of(key))
         if name is None or link is None:
@@ -335,12 +346,16 @@ class Srdf:
         with self.findings.guard(subject, element.where):
             mechanism.frame(name, link, where=element.where)
 
-    def _pairs(self, mechanism: Mechanism) -> None:
+    def _ignore_pairs(self, mechanism: Mechanism) -> None:
         """Ignore pairs of links that are not checked for collisions."""
         without = {
             link
             for element in self.root.of("disable_default_collisions")
-            if (link := self._known(element, "link", mechanism.bodies, "link", element.tag))
+            if (
+                link := self._read_known_name(
+                    element, "link", mechanism.bodies, "link", element.tag
+                )
+            )
         }
         if len(without) * len(mechanism.bodies) > MOST:
             where = self.root.of("disable_default_collisions")[0].where
@@ -351,7 +366,7 @@ class Srdf:
         absent: dict[str, XmlElement] = {}
         for tag in ("enable_collisions", "disable_collisions"):
             for element in self.root.of(tag):
-                ends = self._attributes(element, f"<{tag}>", "link1", "link2")
+                ends = self._read_attributes(element, f"<{tag}>", "link1", "link2")
                 if ends is None:
                     continue
                 if lost := [link for link in ends if link not in mechanism.bodies]:
@@ -377,45 +392,49 @@ class Srdf:
 
     # ---- names
 
-    def _unknown(self, element: XmlElement, known: tuple[str, ...], subject: str) -> None:
+    def _check_unknown_element(
+        self, element: XmlElement, known: tuple[str, ...], subject: str
+    ) -> None:
         """Refuse an element that looks like a slip of a known one; note any other."""
         tag = element.tag
-        if near := find_intended(tag[:60], known):
-            said = f"unknown element {shorten(tag)}; did you mean {near!r}?"
+        if near := find_intended_name(tag[:60], known):
+            said = f"unknown element {shorten_text(tag)}; did you mean {near!r}?"
             self.findings.add(said, subject, element.where)
         else:
-            self.findings.note(f"the element {shorten(tag)} is not read", subject, element.where)
+            self.findings.note(
+                f"the element {shorten_text(tag)} is not read", subject, element.where
+            )
 
-    def _name(self, element: XmlElement, subject: str) -> str | None:
+    def _read_name(self, element: XmlElement, subject: str) -> str | None:
         name = element.attributes.get("name", "")
         if name.strip():
             return name
         self.findings.add("it has no name", f"<{subject}>", element.where, "write name=")
         return None
 
-    def _attributes(self, element: XmlElement, subject: str, *keys: str) -> list[str] | None:
+    def _read_attributes(self, element: XmlElement, subject: str, *keys: str) -> list[str] | None:
         """The values of attributes; None after recording which are missing."""
         missing = [key for key in keys if not element.attributes.get(key)]
         for key in missing:
             self.findings.add(f"it has no {key}", subject, element.where, f"write {key}=")
         return None if missing else [element.attributes[key] for key in keys]
 
-    def _known(
+    def _read_known_name(
         self, element: XmlElement, key: str, known: Collection[str], kind: str, subject: str
     ) -> str | None:
         """The name that an attribute gives; None after recording that nothing is called so."""
-        given = self._attributes(element, subject, key)
+        given = self._read_attributes(element, subject, key)
         if given is None or given[0] in known:
             return given[0] if given else None
         self.findings.add(
-            f"there is no {kind} {shorten(given[0])}{self.findings.hint(given[0], known)}",
+            f"there is no {kind} {shorten_text(given[0])}{self.findings.hint(given[0], known)}",
             subject,
             element.where_of(key),
         )
         return None
 
 
-def _followed(coupling: Coupling, values: dict[str, float]) -> float | None:
+def _evaluate_coupling(coupling: Coupling, values: dict[str, float]) -> float | None:
     """The value of a coordinate that follows others, where these have values."""
     if any(name not in values for name in coupling.sources):
         return None

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 
 from kempe import constraints
 from kempe.constraints.base import fields_of
-from kempe.description.shapes import SHAPES, sizes_of
-from kempe.description.source import Findings, Source, fail, shorten
+from kempe.description.shapes import SHAPES, list_size_names
+from kempe.description.source import Findings, Source, make_error, shorten_text
 from kempe.errors import Where, hint
 from kempe.joints import TYPES, JointType
 
@@ -49,7 +49,7 @@ class Places:
 
     @cached_property
     def _offsets(self) -> dict[Path, int]:
-        return _scan(self.source.text)
+        return _scan_offsets(self.source.text)
 
     def where(self, *path: str | int) -> Where:
         """The place of the value at `path`."""
@@ -61,7 +61,7 @@ class Places:
         return self.source.where_offset(self._offsets.get(path, 0))
 
 
-def _tokens(text: str) -> Iterator[_Token]:
+def _iterate_tokens(text: str) -> Iterator[_Token]:
     for match in _TOKEN.finditer(text):
         kind = match.lastgroup or ""
         if kind != "comment":
@@ -69,32 +69,32 @@ def _tokens(text: str) -> Iterator[_Token]:
     yield _Token("newline", "", len(text))
 
 
-def _scan(text: str) -> dict[Path, int]:
+def _scan_offsets(text: str) -> dict[Path, int]:
     """Offsets by path, of a text that is valid TOML."""
     offsets: dict[Path, int] = {}
     counts: dict[Path, int] = {}
     section: Path = ()
-    tokens = _tokens(text)
+    tokens = _iterate_tokens(text)
     for token in tokens:
         if token.kind == "newline":
             continue
         if token.text == "[":
-            section = _header(token, tokens, counts)
+            section = _parse_header(token, tokens, counts)
             for depth in range(1, len(section) + 1):
                 offsets.setdefault(section[:depth], token.offset)
             continue
-        path = (*section, *_key(token, tokens, "="))
+        path = (*section, *_parse_key(token, tokens, "="))
         for depth in range(len(section) + 1, len(path)):
             offsets.setdefault(path[:depth], token.offset)
-        _value(path, tokens, offsets)
+        _record_value(path, tokens, offsets)
     return offsets
 
 
-def _header(start: _Token, tokens: Iterator[_Token], counts: dict[Path, int]) -> Path:
+def _parse_header(start: _Token, tokens: Iterator[_Token], counts: dict[Path, int]) -> Path:
     """Path of ``[a.b]`` or ``[[a.b]]``; a name of an array of tables stands for its last element."""
     first = next(tokens)
     array = first.text == "[" and first.offset == start.offset + 1
-    names = _key(next(tokens) if array else first, tokens, "]")
+    names = _parse_key(next(tokens) if array else first, tokens, "]")
     path: Path = ()
     for i, name in enumerate(names):
         path = (*path, name)
@@ -108,7 +108,7 @@ def _header(start: _Token, tokens: Iterator[_Token], counts: dict[Path, int]) ->
     return path
 
 
-def _key(token: _Token, tokens: Iterator[_Token], stop: str) -> list[str]:
+def _parse_key(token: _Token, tokens: Iterator[_Token], stop: str) -> list[str]:
     """The first names of a dotted key, which `token` begins and `stop` ends."""
     names: list[str] = []
     while token.text != stop or token.kind == "string":
@@ -125,7 +125,7 @@ def _key(token: _Token, tokens: Iterator[_Token], stop: str) -> list[str]:
     return names
 
 
-def _value(path: Path, tokens: Iterator[_Token], offsets: dict[Path, int]) -> None:
+def _record_value(path: Path, tokens: Iterator[_Token], offsets: dict[Path, int]) -> None:
     """Record where a value and, in an array, its elements start; go on to the end of its line."""
     depth = 0
     index = 0
@@ -192,38 +192,38 @@ class _Other(Exception):
     """The text is not of the form that is read here."""
 
 
-def loads(text: str) -> tuple[dict[str, Any], dict[Path, int] | None]:
+def parse_toml(text: str) -> tuple[dict[str, Any], dict[Path, int] | None]:
     """The data of a TOML text, as of `tomllib.loads`, and where its tables begin; None where that
     is not known.
 
     Errors: those of `tomllib`.
     """
     if _LONG_KEY.search(text) and (
-        found := _LONG_KEY.search(_STRING_OR_COMMENT.sub(_hollow, text))
+        found := _LONG_KEY.search(_STRING_OR_COMMENT.sub(_blank_match, text))
     ):
         line = found.string.count("\n", 0, found.start()) + 1
         raise ValueError(f"a dotted key of more than {MOST_NAMES} names (at line {line}, column 1)")
     if text.count("\n[") >= MANY:
         with contextlib.suppress(_Other, ValueError, RecursionError):
-            return _loads(text)
+            return _parse_tables(text)
     return tomllib.loads(text), None
 
 
-def _hollow(found: re.Match[str]) -> str:
+def _blank_match(found: re.Match[str]) -> str:
     """What stands for a string or a comment where only keys are looked for: as many lines."""
     return f'"{chr(10) * found[0].count(chr(10))}"' if found[0][0] != "#" else ""
 
 
-def _loads(text: str) -> tuple[dict[str, Any], dict[Path, int]]:
+def _parse_tables(text: str) -> tuple[dict[str, Any], dict[Path, int]]:
     heads = list(_HEADER.finditer(text))
-    out = _table(text[: heads[0].start() if heads else len(text)])
+    out = _parse_table(text[: heads[0].start() if heads else len(text)])
     places: dict[Path, int] = {}
     arrays: dict[str, list[Any]] = {}
     for head, following in zip(heads, [*heads[1:], None], strict=True):
         double, name, end = head.groups()
         if len(double) != len(end):
             raise _Other
-        table = _table(text[head.end() : following.start() if following else len(text)])
+        table = _parse_table(text[head.end() : following.start() if following else len(text)])
         if double and (name in arrays or name not in out):
             if name not in out:
                 out[name] = arrays[name] = []
@@ -237,7 +237,7 @@ def _loads(text: str) -> tuple[dict[str, Any], dict[Path, int]]:
     return out, places
 
 
-def _table(text: str) -> dict[str, Any]:
+def _parse_table(text: str) -> dict[str, Any]:
     """The keys between two headers."""
     out: dict[str, Any] = {}
     for line in text.split("\n"):
@@ -245,7 +245,7 @@ def _table(text: str) -> dict[str, Any]:
             continue
         match = _LINE.fullmatch(line)
         if match is None:
-            return _whole(text)
+            return _parse_full_table(text)
         key, quoted, number, truth, array = match.groups()
         if key is None:
             continue
@@ -254,29 +254,29 @@ def _table(text: str) -> dict[str, Any]:
         if quoted is not None:
             out[key] = quoted
         elif number is not None:
-            found = _number(number)
+            found = _parse_number(number)
             if found is None:
-                return _whole(text)
+                return _parse_full_table(text)
             out[key] = found
         elif truth is not None:
             out[key] = truth == "true"
         else:
             items = array.strip(" \t").removesuffix(",").split(",") if array.strip(" \t") else []
-            numbers = [_number(x.strip(" \t")) for x in items]
+            numbers = [_parse_number(x.strip(" \t")) for x in items]
             if None in numbers:
-                return _whole(text)
+                return _parse_full_table(text)
             out[key] = numbers
     return out
 
 
-def _number(text: str) -> int | float | None:
+def _parse_number(text: str) -> int | float | None:
     """The number, None where it is none or one of the rarer forms."""
     if _FLOAT.fullmatch(text):
         return float(text)
     return int(text) if _WHOLE.fullmatch(text) else None
 
 
-def _whole(text: str) -> dict[str, Any]:
+def _parse_full_table(text: str) -> dict[str, Any]:
     """The keys of a table that has others than the plainest lines. What may be a header is of
     another table.
     """
@@ -336,7 +336,7 @@ KEYS = {
     "shape": (
         "body",
         "type",
-        *dict.fromkeys(size for kind in SHAPES.values() for size in sizes_of(kind)),
+        *dict.fromkeys(size for kind in SHAPES.values() for size in list_size_names(kind)),
         *PLACE,
         "visual",
         "collision",
@@ -356,7 +356,7 @@ KEYS = {
     "dh": ("convention", "rows", "on", "base", "tool", "deg", "columns"),
     "screws": ("rows", "home"),
 }
-"""Keys that each table knows; joints besides those of `joint_options`."""
+"""Keys that each table knows; joints besides those of `list_joint_options`."""
 
 REQUIRED = {
     "body": ("name",),
@@ -392,17 +392,17 @@ _VALUES: dict[str, tuple[type, str]] = {
 _AT_LINE = re.compile(r" \(at line (\d+), column (\d+)\)$")
 
 
-def joint_options() -> tuple[str, ...]:
+def list_joint_options() -> tuple[str, ...]:
     """Names of the options of all joint types."""
-    return _options(tuple(TYPES.values()))
+    return _list_type_options(tuple(TYPES.values()))
 
 
 @lru_cache(maxsize=8)
-def _options(types: tuple[type[JointType], ...]) -> tuple[str, ...]:
+def _list_type_options(types: tuple[type[JointType], ...]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name for type_ in types for name in type_.list_defaults()))
 
 
-def _plain(data: Any) -> bool:
+def _is_plain_data(data: Any) -> bool:
     """Whether there is nothing in it but tables, lists, text and numbers of at most 64 bits."""
     stack = [data]
     while stack:
@@ -422,7 +422,7 @@ class Document:
 
     def __init__(self, source: Source):
         self.source = source
-        self.data, tables = _parse(source)
+        self.data, tables = _parse_source(source)
         self.places = Places(source, tables)
         self.findings = Findings()
 
@@ -436,20 +436,20 @@ class Document:
         """
         given = self.data.get("format")
         if given is None:
-            raise fail(
+            raise make_error(
                 "the file has no line 'format = 1'",
                 self.where(),
                 "every mechanism file starts with it",
             )
         if type(given) is not int or not FORMAT <= given <= NEWEST:
             allowed = f"this version of Kempe reads format {FORMAT} and {NEWEST}"
-            raise fail(f"format is {given!r}", self.where("format"), allowed)
-        if not _plain(self.data):
-            self._refuse_others()
+            raise make_error(f"format is {given!r}", self.where("format"), allowed)
+        if not _is_plain_data(self.data):
+            self._refuse_other_values()
         self.findings.finish()
         self.check("", self.data, ())
 
-    def _refuse_others(self) -> None:
+    def _refuse_other_values(self) -> None:
         """Record what is neither text, number, list nor table."""
         stack: list[tuple[Path, Any]] = [((), self.data)]
         while stack:
@@ -464,13 +464,13 @@ class Document:
                     "an integer of more than 64 bits", "", self.where(*path), "write it as 1e20"
                 )
             elif not isinstance(item, (int, float, str)):
-                message = f"{shorten(item)} is a date or a time"
+                message = f"{shorten_text(item)} is a date or a time"
                 self.findings.add(message, "", self.where(*path), "write text in quotes")
 
     def check(self, kind: str, table: Mapping[str, Any], path: Path, subject: str = "") -> bool:
         """Whether a table has all keys that it must have and no others, with the right types."""
         before = len(self.findings.problems)
-        known = KEYS[kind] + (joint_options() if kind == "joint" else ())
+        known = KEYS[kind] + (list_joint_options() if kind == "joint" else ())
         if (
             kind == "constraint"
             and "parent" not in table
@@ -486,11 +486,11 @@ class Document:
             if key not in known:
                 place = self.where(*path, key)
                 self.findings.add(
-                    f"unknown key {shorten(key)}{hint(key[:60], known)}", subject, place
+                    f"unknown key {shorten_text(key)}{hint(key[:60], known)}", subject, place
                 )
             elif not isinstance(item, wanted) or (wanted is int and isinstance(item, bool)):
                 self.findings.add(
-                    f"{key} is {shorten(item)}",
+                    f"{key} is {shorten_text(item)}",
                     subject,
                     self.where(*path, key),
                     f"it must be {said}",
@@ -530,7 +530,7 @@ class Document:
         table: Any = found
         if not isinstance(found, dict):
             allowed = "it must be a table by coordinate name, such as {A = 0.3}"
-            self.findings.add(f"{what} is {shorten(found)}", "", self.where(*path), allowed)
+            self.findings.add(f"{what} is {shorten_text(found)}", "", self.where(*path), allowed)
             return {}
         out: dict[str, Any] = {}
         stack: list[tuple[Any, Any]] = list(reversed(table.items()))
@@ -548,11 +548,11 @@ class Document:
         return out
 
 
-def _parse(source: Source) -> tuple[dict[str, Any], dict[Path, int] | None]:
+def _parse_source(source: Source) -> tuple[dict[str, Any], dict[Path, int] | None]:
     try:
-        return loads(source.text)
+        return parse_toml(source.text)
     except RecursionError:
-        raise fail(
+        raise make_error(
             "arrays or tables are nested too deep", source.where(1), "this is no mechanism"
         ) from None
     except ValueError as error:  # TOMLDecodeError, and integers of too many digits
@@ -570,4 +570,6 @@ def _parse(source: Source) -> tuple[dict[str, Any], dict[Path, int] | None]:
         elif "end of document" in text:
             allowed = "the file may be truncated"
         text = _AT_LINE.sub("", text).removesuffix(" (at end of document)")
-        raise fail(f"this is not TOML: {text[:1].lower()}{text[1:]}", where, allowed) from None
+        raise make_error(
+            f"this is not TOML: {text[:1].lower()}{text[1:]}", where, allowed
+        ) from None

@@ -14,10 +14,17 @@ from typing import Any, cast
 
 from kempe import constraints
 from kempe.constraints.base import FRAMES, NUMBERS, End, fields_of, needed_by
-from kempe.description.mechanism import BETWEEN, Mechanism, between
+from kempe.description.mechanism import BETWEEN, Mechanism, declare_placed_constraint
 from kempe.description.parts import Body
-from kempe.description.source import Source, decode, fail, folders_of, refuse_other_kinds, shorten
-from kempe.description.toml_document import PLACE, Document, Path, joint_options
+from kempe.description.source import (
+    Source,
+    decode_text,
+    list_folders,
+    make_error,
+    refuse_other_kinds,
+    shorten_text,
+)
+from kempe.description.toml_document import PLACE, Document, Path, list_joint_options
 from kempe.description.urdf_shapes import USES, read_materials, read_shape
 from kempe.description.xml import parse_xml
 from kempe.errors import DescriptionError, InputError, UnknownNameError
@@ -35,23 +42,25 @@ def read_toml(
     problems, each with its line; unknown keys are problems.
     """
     refuse_other_kinds(text, source)
-    document = Document(Source(source, decode(text, source)))
+    document = Document(Source(source, decode_text(text, source)))
     document.check_format()
     head: dict[str, Any] = {"name": "mechanism", "dim": 3, "ground": "ground", "notes": []}
     head |= {k: v for k, v in document.data.items() if k in head and type(v) is type(head[k])}
     try:
         mechanism = Mechanism(head["name"], head["dim"], head["ground"])
     except InputError as error:
-        raise fail(str(error), document.where("dim" if "dim" in str(error) else "ground")) from None
-    mechanism.tolerance = _tolerance(document)
+        raise make_error(
+            str(error), document.where("dim" if "dim" in str(error) else "ground")
+        ) from None
+    mechanism.tolerance = _read_tolerance(document)
     _TomlReader(document, mechanism).read()
     document.findings.finish()
     mechanism.notes = [*head["notes"], *mechanism.notes, *document.findings.notes]
-    mechanism.roots = tuple(map(str, folders_of(package_dirs)))
+    mechanism.roots = tuple(map(str, list_folders(package_dirs)))
     return mechanism
 
 
-def _tolerance(document: Document) -> float | str | None:
+def _read_tolerance(document: Document) -> float | str | None:
     """What the dimensions may be off by, where the file says it."""
     said = document.data.get("tolerance")
     if said is None or said == "measured" or (type(said) in (int, float) and 0.0 < said < math.inf):
@@ -59,15 +68,15 @@ def _tolerance(document: Document) -> float | str | None:
     text = (
         f"tolerance is {said!r}; it must be a positive number of metres and radians, or 'measured'"
     )
-    raise fail(text, document.where("tolerance"))
+    raise make_error(text, document.where("tolerance"))
 
 
-def _names(given: Any) -> list[str]:
+def _check_names(given: Any) -> list[str]:
     """A list of names. Errors: `InputError`."""
     names = cast("list[Any]", given)
     if isinstance(given, list) and all(isinstance(name, str) for name in names):
         return names
-    raise InputError(f"it is {shorten(names)}; it must be a list of names")
+    raise InputError(f"it is {shorten_text(names)}; it must be a list of names")
 
 
 class _TomlReader:
@@ -99,7 +108,7 @@ class _TomlReader:
         )
         for kind, add in steps:
             if kind == "coupling":
-                self.coordinates = _coordinates(self.mechanism)
+                self.coordinates = _list_coordinates(self.mechanism)
             for i, table in enumerate(self.document.array(kind)):
                 subject = f"{kind} {table.get('of' if kind == 'coupling' else 'name', i + 1)!r}"
                 add(table, (kind, i), subject, self.document.check(kind, table, (kind, i), subject))
@@ -108,10 +117,10 @@ class _TomlReader:
 
     def chain(self, kind: str, table: dict[str, Any]) -> None:
         """Read the bodies and joints of [dh] or [screws]."""
-        from kempe.description.dh import add_dh, add_screws
+        from kempe.description.dh import add_dh_chain, add_screw_chain
 
         rows = table["rows"]
-        add = add_dh if kind == "dh" else add_screws
+        add = add_dh_chain if kind == "dh" else add_screw_chain
         wheres = [self.where(kind, "rows", i) for i in range(len(rows))]
         settings = {k: v for k, v in table.items() if k != "rows"}
         try:
@@ -156,7 +165,9 @@ class _TomlReader:
         """Read a <visual> element of URDF, which files of before [[shape]] hold as text."""
         element = parse_xml(text, subject)
         if element.tag not in USES:
-            raise InputError(f"a text of visuals is {shorten(text)}; it must be a <visual> element")
+            raise InputError(
+                f"a text of visuals is {shorten_text(text)}; it must be a <visual> element"
+            )
         shape = read_shape(element, subject, read_materials(element, self.findings), self.findings)
         if shape is not None:
             on = self.mechanism.bodies[name]
@@ -191,7 +202,7 @@ class _TomlReader:
             except UnknownNameError as error:
                 said = (
                     "unknown joint type "
-                    f"{shorten(kind)}{self.findings.hint(str(kind), error.allowed)}"
+                    f"{shorten_text(kind)}{self.findings.hint(str(kind), error.allowed)}"
                 )
                 self.findings.add(said, subject, self.where(*path, "type"))
                 good = False
@@ -205,7 +216,7 @@ class _TomlReader:
         self.failed.add(str(table.get("name")))
         if not good or X_PF is None or X_CM is None:
             return
-        options = ("limits", "velocity", "effort", "actuated", "cut", *joint_options())
+        options = ("limits", "velocity", "effort", "actuated", "cut", *list_joint_options())
         given = {k: table[k] for k in options if k in table}
         try:
             self.mechanism.joint(
@@ -271,17 +282,17 @@ class _TomlReader:
                 )
             if not isinstance(x, str):
                 raise InputError(
-                    f"{key} is {shorten(x)}; it must be the name of a frame or body, or a table"
+                    f"{key} is {shorten_text(x)}; it must be the name of a frame or body, or a table"
                 )
         if how in ("bool", "str") and type(x).__name__ != how:
             raise InputError(
-                f"{key} is {shorten(x)}; it must be {'true or false' if how == 'bool' else 'text'}"
+                f"{key} is {shorten_text(x)}; it must be {'true or false' if how == 'bool' else 'text'}"
             )
         if how == "Names" and not (
             isinstance(x, list) and all(isinstance(n, str) for n in entries)
         ):
             raise InputError(
-                f"{key} is {shorten(entries)}; it must be a list of names of coordinates"
+                f"{key} is {shorten_text(entries)}; it must be a list of names of coordinates"
             )
         return tuple(entries) if isinstance(x, list) and how not in NUMBERS else entries
 
@@ -299,7 +310,7 @@ class _TomlReader:
         kind = table.get("type")
         if kind is not None and kind not in BETWEEN:
             said = self.findings.hint(str(kind), [*BETWEEN, *constraints.KINDS])
-            message = f"unknown type of constraint {shorten(kind)}{said}"
+            message = f"unknown type of constraint {shorten_text(kind)}{said}"
             self.findings.add(message, subject, self.where(*path, "type"))
             good = False
         X_PF = self.placement(table, "", path, subject, table.get("parent"))
@@ -309,7 +320,7 @@ class _TomlReader:
         try:
             none: dict[str, Any] = {}
             ends = (table["parent"], X_PF, none), (table["child"], X_CM, none)
-            between(
+            declare_placed_constraint(
                 self.mechanism,
                 table["name"],
                 table["type"],
@@ -331,7 +342,9 @@ class _TomlReader:
         if key in table:
             said = self.findings.hint(str(name), self.mechanism.bodies)
             self.findings.add(
-                f"{key} is {shorten(name)}, which is no body{said}", subject, self.where(*path, key)
+                f"{key} is {shorten_text(name)}, which is no body{said}",
+                subject,
+                self.where(*path, key),
             )
         return False
 
@@ -370,15 +383,17 @@ class _TomlReader:
     def groups_and_pairs(self) -> None:
         for name, joints in self.document.table("groups").items():
             with self.findings.guard(f"group {name!r}", self.where("groups", name)):
-                known = [joint for joint in _names(joints) if joint not in self.failed]
+                known = [joint for joint in _check_names(joints) if joint not in self.failed]
                 self.mechanism.group(name, known)
         given = self.document.data.get("ignored_pairs")
         pairs = cast("list[Any]", given) if isinstance(given, list) else []
         for i, pair in enumerate(pairs):
             with self.findings.guard("ignored pair", self.where("ignored_pairs", i)):
-                names = _names(pair)
+                names = _check_names(pair)
                 if len(names) not in (2, 3):
-                    raise InputError(f"it is {shorten(names)}; it must be two bodies and a reason")
+                    raise InputError(
+                        f"it is {shorten_text(names)}; it must be two bodies and a reason"
+                    )
                 self.mechanism.ignore_pair(*names)
 
     def known_coordinates(self, names: Iterable[str], subject: str, path: Path) -> bool:
@@ -392,7 +407,7 @@ class _TomlReader:
         for name in unknown:
             said = self.findings.hint(name, self.coordinates)
             self.findings.add(
-                f"{shorten(name)} is no coordinate{said}", subject, self.where(*path, name)
+                f"{shorten_text(name)} is no coordinate{said}", subject, self.where(*path, name)
             )
         return not unknown
 
@@ -430,7 +445,7 @@ class _TomlReader:
             ):
                 or_name = " or a name, such as 'z'" if key == "axis" else ""
                 raise InputError(
-                    f"{prefix}{key} is {shorten(item)}; it must be a list, such as [0, 0, "
+                    f"{prefix}{key} is {shorten_text(item)}; it must be a list, such as [0, 0, "
                     f"1]{or_name}"
                 )
             elif key == "matrix":
@@ -460,7 +475,7 @@ class _TomlReader:
         return X
 
 
-def _coordinates(mechanism: Mechanism) -> dict[str, None]:
+def _list_coordinates(mechanism: Mechanism) -> dict[str, None]:
     """Names of all joint coordinates."""
     out: dict[str, None] = {}
     for joint in mechanism.joints.values():

@@ -48,8 +48,8 @@ def write_toml(mechanism: Mechanism) -> str:
     constraints: list[dict[str, Any]] = []
     for c in m.constraints.values():
         with findings.guard(f"constraint {c.name!r}", c.where):
-            constraints.append(_constraint(c, m.dim))
-    shapes = [_shape(b.name, s, m.dim) for b in m.bodies.values() for s in b.shapes]
+            constraints.append(_make_constraint_table(c, m.dim))
+    shapes = [_make_shape_table(b.name, s, m.dim) for b in m.bodies.values() for s in b.shapes]
     newer = (
         shapes or m.groups or m.ignored_pairs or any("parent" not in table for table in constraints)
     )
@@ -66,46 +66,46 @@ def write_toml(mechanism: Mechanism) -> str:
         pairs = m.ignored_pairs.items()
         head["ignored_pairs"] = [(*pair, reason) if reason else pair for pair, reason in pairs]
     head |= {} if m.tolerance is None else {"tolerance": m.tolerance}
-    blocks = [_lines({k: v for k, v in head.items() if defaults.get(k) != v})]
+    blocks = [_format_lines({k: v for k, v in head.items() if defaults.get(k) != v})]
     if m.parameters:
-        blocks.append("[parameters]\n" + _lines(m.parameters))
+        blocks.append("[parameters]\n" + _format_lines(m.parameters))
     plain = Body(m.ground.name)
     bodies = (b for b in m.bodies.values() if replace(b, shapes=()) != plain)
-    blocks += [_block("body", _body(b)) for b in bodies]
+    blocks += [_format_block("body", _make_body_table(b)) for b in bodies]
     for joint in m.joints.values():
         if is_table_type(joint.type):
-            blocks.append(_block("joint", _joint(joint, m.dim)))
+            blocks.append(_format_block("joint", _make_joint_table(joint, m.dim)))
             continue
         allowed = TOML.cannot["joints of types that are not in the table of joints"]
         said = f"type {joint.type.type_name!r} is not in the table of joints"
         findings.add(said, f"joint {joint.name!r}", joint.where, allowed)
-    blocks += [_block("frame", _frame(f, m.dim)) for f in m.frames.values()]
-    blocks += [_block("shape", table) for table in shapes]
-    blocks += [_block("constraint", table) for table in constraints]
+    blocks += [_format_block("frame", _make_frame_table(f, m.dim)) for f in m.frames.values()]
+    blocks += [_format_block("shape", table) for table in shapes]
+    blocks += [_format_block("constraint", table) for table in constraints]
     for c in m.couplings.values():
         table = {"of": c.of, "sources": c.sources} | (
             {"offset": c.offset} if c.offset != 0.0 else {}
         )
-        blocks.append(_block("coupling", table))
+        blocks.append(_format_block("coupling", table))
     if m.postures:
-        blocks.append("[postures]\n" + _lines(m.postures))
+        blocks.append("[postures]\n" + _format_lines(m.postures))
     if m.groups:
-        blocks.append("[groups]\n" + _lines(m.groups))
+        blocks.append("[groups]\n" + _format_lines(m.groups))
     if m.locks:
-        blocks.append("[locks]\n" + _lines(m.locks))
+        blocks.append("[locks]\n" + _format_lines(m.locks))
     findings.finish()
     return "\n".join(blocks)
 
 
-def _block(kind: str, table: Mapping[str, Any]) -> str:
-    return f"[[{kind}]]\n{_lines(table)}"
+def _format_block(kind: str, table: Mapping[str, Any]) -> str:
+    return f"[[{kind}]]\n{_format_lines(table)}"
 
 
-def _lines(table: Mapping[str, Any]) -> str:
-    return "".join(f"{_key(k)} = {_value(v)}\n" for k, v in table.items())
+def _format_lines(table: Mapping[str, Any]) -> str:
+    return "".join(f"{_format_key(k)} = {_format_value(v)}\n" for k, v in table.items())
 
 
-def _body(body: Body) -> dict[str, Any]:
+def _make_body_table(body: Body) -> dict[str, Any]:
     given = {
         "name": body.name,
         "particle": body.particle or None,
@@ -115,31 +115,31 @@ def _body(body: Body) -> dict[str, Any]:
     return {k: v for k, v in given.items() if v is not None}
 
 
-def _frame(frame: Frame, dim: int) -> dict[str, Any]:
-    return {"name": frame.name, "body": frame.body, **_placement(frame.X_BF, dim)}
+def _make_frame_table(frame: Frame, dim: int) -> dict[str, Any]:
+    return {"name": frame.name, "body": frame.body, **_make_placement_keys(frame.X_BF, dim)}
 
 
-def _shape(body: str, shape: Shape, dim: int) -> dict[str, Any]:
+def _make_shape_table(body: str, shape: Shape, dim: int) -> dict[str, Any]:
     out: dict[str, Any] = {"body": body, "type": shape.kind}
     out |= {"name": shape.name} if shape.name else {}
     usual = {f.name: f.default for f in fields(shape.geometry)}
     out |= {name: x for name, x in shape.geometry.sizes.items() if x != usual[name]}
-    out |= _placement(shape.X_BS, dim)
+    out |= _make_placement_keys(shape.X_BS, dim)
     for key in ("visual", "collision"):
         if not getattr(shape, key):
             out[key] = False
     return out | ({"color": shape.color} if shape.color else {})
 
 
-def _joint(joint: Joint, dim: int) -> dict[str, Any]:
+def _make_joint_table(joint: Joint, dim: int) -> dict[str, Any]:
     out: dict[str, Any] = {
         "name": joint.name,
         "type": joint.type.type_name,
         "parent": joint.parent,
         "child": joint.child,
     }
-    on_parent = _placement(joint.X_PF, dim)
-    on_child = _placement(joint.X_CM, dim)
+    on_parent = _make_placement_keys(joint.X_PF, dim)
+    on_child = _make_placement_keys(joint.X_CM, dim)
     # the child's axis is the parent's unless given
     if on_parent.get("axis") == on_child.get("axis"):
         on_child.pop("axis", None)
@@ -161,7 +161,7 @@ def _joint(joint: Joint, dim: int) -> dict[str, Any]:
     return out | joint.type.options
 
 
-def _constraint(constraint: Declared, dim: int) -> dict[str, Any]:
+def _make_constraint_table(constraint: Declared, dim: int) -> dict[str, Any]:
     """A constraint; those that `Mechanism.constraint` places on bodies with the keys of joints."""
     out: dict[str, Any] = {"name": constraint.name}
     placed = next((k for k, kind in BETWEEN.items() if constraint.of.kind == kind), "")
@@ -177,8 +177,10 @@ def _constraint(constraint: Declared, dim: int) -> dict[str, Any]:
             1.0,
         ):
             X_PF = X_PF @ Placement((("align", tuple(own["direction"])),))
-        out |= _placement(X_PF, dim)
-        return out | {f"child_{k}": v for k, v in _placement(constraint.X_CM, dim).items()}
+        out |= _make_placement_keys(X_PF, dim)
+        return out | {
+            f"child_{k}": v for k, v in _make_placement_keys(constraint.X_CM, dim).items()
+        }
     out["type"] = constraint.kind
     usual = {f.name: f.default for f in fields(constraint.of)}
     for key, how in fields_of(type(constraint.of)).items():
@@ -186,14 +188,14 @@ def _constraint(constraint: Declared, dim: int) -> dict[str, Any]:
         if x is not None and not (
             isinstance(x, (str, bool, int, float, tuple)) and x == usual[key]
         ):
-            out[key] = _field(x, how, dim)
+            out[key] = _convert_field(x, how, dim)
     return out
 
 
-def _field(x: Any, how: str, dim: int) -> Any:
+def _convert_field(x: Any, how: str, dim: int) -> Any:
     """A field of a constraint as TOML can hold it."""
     if isinstance(x, End):
-        return {"body": x.body, **_placement(x.X, dim)}
+        return {"body": x.body, **_make_placement_keys(x.X, dim)}
     if how in NUMBERS and not isinstance(x, (str, Expression)):
         return x if is_sequence(x) and expressions_in(x) else np.asarray(x).tolist()
     if callable(x):
@@ -209,9 +211,9 @@ def _field(x: Any, how: str, dim: int) -> Any:
     return str(x) if isinstance(x, (Body, Frame)) else x
 
 
-def _placement(X: Placement, dim: int) -> dict[str, Any]:
+def _make_placement_keys(X: Placement, dim: int) -> dict[str, Any]:
     """Keys that say a placement: `at`, an orientation and `axis` where they can, else `steps`."""
-    form = _plain_form(X, dim)
+    form = _find_plain_form(X, dim)
     try:
         if place(**form) == X:
             return form
@@ -220,7 +222,7 @@ def _placement(X: Placement, dim: int) -> dict[str, Any]:
     return {"steps": [[motion, *numbers] for motion, numbers in X.steps]}
 
 
-def _plain_form(X: Placement, dim: int) -> dict[str, Any]:
+def _find_plain_form(X: Placement, dim: int) -> dict[str, Any]:
     """The arguments of `place` that X's steps suggest."""
     form: dict[str, Any] = {}
     found = {motion: numbers for motion, numbers in X.steps}
@@ -244,29 +246,29 @@ def _plain_form(X: Placement, dim: int) -> dict[str, Any]:
 # ---- syntax of TOML
 
 
-def _key(key: str) -> str:
-    return key if _BARE.fullmatch(key) else _quoted(key)
+def _format_key(key: str) -> str:
+    return key if _BARE.fullmatch(key) else _quote_text(key)
 
 
-def _text(text: str) -> str:
+def _format_text(text: str) -> str:
     if "\n" in text and not _NOT_LITERAL.search(text):
         return f"'''\n{text}'''"
-    return _quoted(text)
+    return _quote_text(text)
 
 
-def _quoted(text: str) -> str:
+def _quote_text(text: str) -> str:
     return '"' + _NEEDS_ESCAPE.sub(lambda m: _ESCAPES.get(m[0], f"\\u{ord(m[0]):04x}"), text) + '"'
 
 
-def _value(x: Any) -> str:
+def _format_value(x: Any) -> str:
     if isinstance(x, bool):
         return "true" if x else "false"
     if isinstance(x, (int, float)):
         return repr(x)
     if isinstance(x, Expression):
-        return _text(x.text)
+        return _format_text(x.text)
     if isinstance(x, str):
-        return _text(x)
+        return _format_text(x)
     if is_mapping(x):
-        return "{" + ", ".join(f"{_key(k)} = {_value(v)}" for k, v in x.items()) + "}"
-    return "[" + ", ".join(map(_value, x)) + "]"
+        return "{" + ", ".join(f"{_format_key(k)} = {_format_value(v)}" for k, v in x.items()) + "}"
+    return "[" + ", ".join(map(_format_value, x)) + "]"

@@ -13,8 +13,8 @@ from typing import Any
 from kempe.description.parts import Body, Shape
 from kempe.description.source import (
     Findings,
-    find_intended,
-    shorten,
+    find_intended_name,
+    shorten_text,
 )
 from kempe.description.xml import XmlElement
 from kempe.poses import place
@@ -141,9 +141,9 @@ def check_version(robot: XmlElement, findings: Findings) -> None:
     1.0.
     """
     given = robot.attributes.get("version")
-    if given is not None and _version(robot) not in VERSIONS:
+    if given is not None and _read_version(robot) not in VERSIONS:
         findings.add(
-            f"the version is {shorten(given)}",
+            f"the version is {shorten_text(given)}",
             "robot",
             robot.where_of("version"),
             f"it is the version of URDF, not of the robot, and one of {', '.join(VERSIONS)} (1.0 "
@@ -153,10 +153,10 @@ def check_version(robot: XmlElement, findings: Findings) -> None:
 
 def has_quaternions(robot: XmlElement) -> bool:
     """Whether the file is of a version that has `quat_xyzw`."""
-    return _version(robot) != "1.0"
+    return _read_version(robot) != "1.0"
 
 
-def _version(robot: XmlElement) -> str:
+def _read_version(robot: XmlElement) -> str:
     """The version as two numbers: '1.00' is 1.0, as ROS reads it."""
     given = robot.attributes.get("version", "1.0").strip()
     found = re.fullmatch(r"0*(\d{1,9})\.0*(\d{1,9})", given, re.ASCII)
@@ -166,7 +166,7 @@ def _version(robot: XmlElement) -> str:
 # ---- unknown names
 
 
-def check_known(
+def check_known_name(
     kind: str,
     name: str,
     known: tuple[str, ...],
@@ -186,17 +186,17 @@ def check_known(
     where = element.where_of(name)
     if local != name and local in _NOT_READ:
         findings.add(
-            f"the {kind} {shorten(name)} is not read, for its prefix",
+            f"the {kind} {shorten_text(name)} is not read, for its prefix",
             subject,
             where,
             f"write {local}",
         )
-    elif near := find_intended(
+    elif near := find_intended_name(
         local[:60].casefold(), known if local == name else tuple(k for k in known if k in _NOT_READ)
     ):
-        findings.add(f"unknown {kind} {shorten(name)}; did you mean {near!r}?", subject, where)
+        findings.add(f"unknown {kind} {shorten_text(name)}; did you mean {near!r}?", subject, where)
     else:
-        findings.note(f"the {kind} {shorten(name)} is not read", subject, where)
+        findings.note(f"the {kind} {shorten_text(name)} is not read", subject, where)
 
 
 def _check_element(
@@ -211,20 +211,20 @@ def _check_element(
             if local in known
             else MOTION[local]
         )
-        findings.add(said + _speaks_of(element), subject, where, f"{advice}; or remove it")
+        findings.add(said + _describe_contents(element), subject, where, f"{advice}; or remove it")
         return
     used = tuple(k for k in known if k in MOTION or k in ("inertial", "visual"))
-    if near := find_intended(local[:60].casefold(), used):
-        findings.add(f"unknown element {shorten(tag)}; did you mean {near!r}?", subject, where)
+    if near := find_intended_name(local[:60].casefold(), used):
+        findings.add(f"unknown element {shorten_text(tag)}; did you mean {near!r}?", subject, where)
     else:
-        reported = _speaks_of(element) if _SPEAKS.search(local) else ""
-        findings.note(f"the element {shorten(tag)} is not read{reported}", subject, where)
+        reported = _describe_contents(element) if _SPEAKS.search(local) else ""
+        findings.note(f"the element {shorten_text(tag)} is not read{reported}", subject, where)
 
 
 # ---- children of <robot>, and of elements that are not read
 
 
-def check_top(
+def check_robot_children(
     robot: XmlElement, links: Collection[str], joints: Mapping[str, XmlElement], findings: Findings
 ) -> None:
     """Judge what a robot holds beside its links and joints: the names of its `links`, and its
@@ -233,15 +233,15 @@ def check_top(
     names = {*links, *joints}
     for element in robot.children:
         if element.tag in ("link", "joint", *LOOPS):
-            _check_inside(element, findings)
+            _check_nested_elements(element, findings)
             continue
         local = element.tag.rpartition(":")[2]
         ties = _TIES.search(local.lower()) or (
             local not in MOTION
             and element.tag != "gazebo"
-            and _held(element) >= {"parent", "child"}
+            and _list_child_names(element) >= {"parent", "child"}
         )
-        tied = [n for n in _named(element) if n in names] if ties else []
+        tied = [n for n in _iterate_texts(element) if n in names] if ties else []
         if tied:
             shown = " and ".join(map(repr, dict.fromkeys(tied[:4])))
             findings.add(
@@ -252,8 +252,8 @@ def check_top(
                 "give a second <joint> to a link where it closes a loop, or use TOML; or remove it",
             )
         else:
-            check_known("element", element.tag, TOP, findings, "", element)
-        _check_inside(element, findings)
+            check_known_name("element", element.tag, TOP, findings, "", element)
+        _check_nested_elements(element, findings)
         if element.tag == "gazebo":
             _note_followers(element, joints, findings)
         elif element.tag in SIMULATORS:
@@ -268,7 +268,7 @@ def _note_followers(
     """
     for element in block.walk():
         if element.tag not in MOTION and _FOLLOWS.search(element.tag):
-            reported = [n for n in _named(element) if n in joints]
+            reported = [n for n in _iterate_texts(element) if n in joints]
             if not reported or any(not joints[n].of("mimic") for n in reported):
                 said = (
                     f"<{element.tag}> in a <gazebo> block is not "
@@ -287,17 +287,17 @@ def _note_ties(block: XmlElement, names: Collection[str], findings: Findings) ->
         if id(element) in seen or element is block or not _TIES.search(local.lower()):
             continue
         seen |= {id(part) for part in element.walk()}
-        tied = [n for n in _named(element) if n in names]
+        tied = [n for n in _iterate_texts(element) if n in names]
         if tied:
             shown = " and ".join(map(repr, dict.fromkeys(tied[:4])))
             said = (
-                f"<{element.tag}> in a <{block.tag}> block is not read{_speaks_of(element)}; there "
+                f"<{element.tag}> in a <{block.tag}> block is not read{_describe_contents(element)}; there "
                 f"it ties {shown}"
             )
             findings.note(said, "", element.where)
 
 
-def _check_inside(outer: XmlElement, findings: Findings) -> None:
+def _check_nested_elements(outer: XmlElement, findings: Findings) -> None:
     """Refuse definitions of links, joints and followers deeper than they are read; note them in
     <gazebo> blocks.
     """
@@ -306,19 +306,19 @@ def _check_inside(outer: XmlElement, findings: Findings) -> None:
     for holder in holders:  # what stands directly in a link or joint is judged with it
         for element in holder.children:
             if joint or element.tag in MOTION or ":" in element.tag:
-                _judge_inside(outer, holder, element, findings)
+                _judge_nested_element(outer, holder, element, findings)
             if element.children:
                 holders.append(element)
 
 
-def _judge_inside(
+def _judge_nested_element(
     outer: XmlElement, holder: XmlElement, element: XmlElement, findings: Findings
 ) -> None:
     local = element.tag.rpartition(":")[2]
     joint = outer.tag == "joint"
-    defines = local in MOTION and (joint or _defines(element, local))
+    defines = local in MOTION and (joint or _is_definition(element, local))
     urdf = (
-        local in MOTION and local not in _ELSEWHERE.get(holder.tag, ()) and _in_urdf_form(element)
+        local in MOTION and local not in _ELSEWHERE.get(holder.tag, ()) and _has_urdf_form(element)
     )
     if not (defines or joint or urdf):
         return
@@ -327,49 +327,49 @@ def _judge_inside(
         if outer.attributes.get("name")
         else f"<{outer.tag}>"
     )
-    said = f"<{element.tag}> inside <{holder.tag}> is not read{_speaks_of(element)}"
+    said = f"<{element.tag}> inside <{holder.tag}> is not read{_describe_contents(element)}"
     if defines and outer.tag != "gazebo":
         findings.add(said, subject, element.where, MOTION[local])
     elif joint or urdf:
         findings.note(said, subject, element.where)
 
 
-def _held(element: XmlElement) -> set[str]:
+def _list_child_names(element: XmlElement) -> set[str]:
     """Names of its children, without prefixes."""
     return {child.tag.rpartition(":")[2] for child in element.children}
 
 
-def _defines(element: XmlElement, local: str) -> bool:
+def _is_definition(element: XmlElement, local: str) -> bool:
     """Whether an element says what a link or joint is, rather than naming one."""
     if local == "joint":
-        return _held(element) >= {"parent", "child"}
+        return _list_child_names(element) >= {"parent", "child"}
     if local == "link":
-        return bool(_held(element) & {"inertial", "visual", "collision"})
+        return bool(_list_child_names(element) & {"inertial", "visual", "collision"})
     return local == "mimic" and "joint" in element.attributes
 
 
-def _in_urdf_form(element: XmlElement) -> bool:
+def _has_urdf_form(element: XmlElement) -> bool:
     """Whether an element has what URDF writes in attributes, where SDF in <gazebo> blocks has
     elements.
     """
     return any(key in element.attributes for key in _NOT_READ if key not in ("name", "type"))
 
 
-def _named(element: XmlElement) -> Iterator[str]:
+def _iterate_texts(element: XmlElement) -> Iterator[str]:
     """Values of all attributes, and all texts between tags, of an element and those below it."""
     for part in element.walk():
         yield from part.attributes.values()
     yield from (text.strip() for text in _CONTENT.findall(element.text))
 
 
-def _speaks_of(element: XmlElement) -> str:
+def _describe_contents(element: XmlElement) -> str:
     """The tail of a message: what an element that is not read says, as far as that fits into a
     line.
     """
     said = [
-        f"{p.tag.rpartition(':')[2]} {k}={shorten(v, 30)}"
+        f"{p.tag.rpartition(':')[2]} {k}={shorten_text(v, 30)}"
         if p is not element
-        else f"{k}={shorten(v, 30)}"
+        else f"{k}={shorten_text(v, 30)}"
         for p in element.walk()
         for k, v in p.attributes.items()
         if not k.startswith("xmlns") and p.tag not in ("mass", "inertia", "mesh", "material")
@@ -447,7 +447,7 @@ ATTRIBUTES = {
 # ---- numbers
 
 
-def numbers(
+def read_numbers(
     element: XmlElement, attribute: str, count: int, findings: Findings, subject: str
 ) -> tuple[float, ...] | None:
     """The finite numbers of an attribute, or None after recording what is wrong with it."""
@@ -456,7 +456,9 @@ def numbers(
     return findings.numbers(text, count, what, subject, lambda: element.where_of(attribute))
 
 
-def _bound(element: XmlElement, attribute: str, findings: Findings, subject: str) -> float | None:
+def _read_bound(
+    element: XmlElement, attribute: str, findings: Findings, subject: str
+) -> float | None:
     """A limit: a number, where infinity or a huge one stands for none; None where it is missing or
     wrong.
     """
@@ -485,7 +487,7 @@ def read_link(
                 child.where,
             )
         else:
-            check_known("element", child.tag, _IN_LINK, findings, subject, child)
+            check_known_name("element", child.tag, _IN_LINK, findings, subject, child)
     inertials = element.of("inertial")
     if len(inertials) > 1:
         findings.note(
@@ -494,7 +496,9 @@ def read_link(
     for inertial in inertials[:1]:
         for part in inertial.of("mass")[:1]:
             found = (
-                numbers(part, "value", 1, findings, subject) if "value" in part.attributes else None
+                read_numbers(part, "value", 1, findings, subject)
+                if "value" in part.attributes
+                else None
             )
             mass = found[0] if found else None
             if mass is not None and mass < 0.0:
@@ -504,7 +508,7 @@ def read_link(
         center = (0.0, 0.0, 0.0)
         for part in inertial.of("origin")[:1]:
             if "xyz" in part.attributes:
-                center = numbers(part, "xyz", 3, findings, subject)
+                center = read_numbers(part, "xyz", 3, findings, subject)
     return Body(name, False, mass, center, shapes, element.where)  # type: ignore[arg-type]
 
 
@@ -530,10 +534,10 @@ def read_joint(
     before = len(findings.problems)
     _check_joint(kind, element, findings, subject)
     out = read_origin(element, findings, subject, quaternions)
-    out["axis"] = _axis(kind, element, findings, subject)
+    out["axis"] = _read_axis(kind, element, findings, subject)
     if kind == "screw":
-        out["pitch"] = _pitch(element, findings, subject)
-    out |= _limit(kind, element, findings, subject, lenient)
+        out["pitch"] = _read_pitch(element, findings, subject)
+    out |= _read_limit(kind, element, findings, subject, lenient)
     return out if len(findings.problems) == before else None
 
 
@@ -546,7 +550,7 @@ def read_origin(
     out: dict[str, Any] = {}
     for origin in element.of("origin")[:1]:
         given = {
-            k: numbers(origin, k, n, findings, subject)
+            k: read_numbers(origin, k, n, findings, subject)
             for k, n in (("xyz", 3), ("rpy", 3), ("quat_xyzw", 4))
             if k in origin.attributes
         }
@@ -572,7 +576,7 @@ def read_origin(
     return out
 
 
-def _axis(
+def _read_axis(
     kind: str, joint: XmlElement, findings: Findings, subject: str
 ) -> tuple[float, ...] | None:
     """Direction of the axis where the type has one; the default is x."""
@@ -584,13 +588,13 @@ def _axis(
         )
         return None
     if axis is not None:
-        found = numbers(axis, "xyz", 3, findings, subject)
+        found = read_numbers(axis, "xyz", 3, findings, subject)
     if kind in WITHOUT_AXIS or found is None or axis is None:
         return None if kind in WITHOUT_AXIS else found
     length = math.hypot(*found)
     if length < 1e-150:
         findings.add(
-            f"its axis is {shorten(axis.attributes['xyz'])}",
+            f"its axis is {shorten_text(axis.attributes['xyz'])}",
             subject,
             axis.where_of("xyz"),
             "it must not be zero: an axis has a direction, such as 0 0 1",
@@ -606,11 +610,11 @@ def _axis(
     return found
 
 
-def _pitch(joint: XmlElement, findings: Findings, subject: str) -> float | None:
+def _read_pitch(joint: XmlElement, findings: Findings, subject: str) -> float | None:
     """How far a screw advances, in metres for each radian; Drake says it for each turn."""
     for element in joint.of(PITCH)[:1]:
         if "value" in element.attributes:
-            found = numbers(element, "value", 1, findings, subject)
+            found = read_numbers(element, "value", 1, findings, subject)
             if found and not found[0]:
                 where = element.where_of("value")
                 findings.add("its thread pitch is 0", subject, where, "it must not be zero")
@@ -621,7 +625,7 @@ def _pitch(joint: XmlElement, findings: Findings, subject: str) -> float | None:
     return None
 
 
-def _limit(
+def _read_limit(
     kind: str, joint: XmlElement, findings: Findings, subject: str, lenient: bool
 ) -> dict[str, Any]:
     """Keywords `limits`, `velocity`, `effort` and `unstated`."""
@@ -635,7 +639,7 @@ def _limit(
             )
         return {}
     bounds = {
-        key: _bound(limit, key, findings, subject)
+        key: _read_bound(limit, key, findings, subject)
         for key in ("lower", "upper", "velocity", "effort")
     }
     if kind in WITHOUT_LIMIT:
@@ -669,10 +673,10 @@ def _limit(
                 limit.where,
             )
         return out
-    return out | _range(limit, bounds, findings, subject, lenient)
+    return out | _read_range(limit, bounds, findings, subject, lenient)
 
 
-def _range(
+def _read_range(
     limit: XmlElement,
     bounds: dict[str, float | None],
     findings: Findings,
@@ -685,7 +689,7 @@ def _range(
     given = [key for key in ("lower", "upper") if key in limit.attributes]
     lower = bounds["lower"] or 0.0
     upper = bounds["upper"] or 0.0
-    both = " ".join(f"{key}={shorten(limit.attributes[key])}" for key in given)
+    both = " ".join(f"{key}={shorten_text(limit.attributes[key])}" for key in given)
     if lenient and (not given or lower > upper):
         said = f"its limits are swapped ({both})" if given else "its <limit> has no lower and upper"
         findings.note(f"{said}; it is read as unlimited, as requested", subject, limit.where)
@@ -721,11 +725,11 @@ def _check_joint(kind: str, joint: XmlElement, findings: Findings, subject: str)
     allowed = (*_IN_JOINT, PITCH) if kind == "screw" else _IN_JOINT
     for part in (joint, *joint.children):
         if part is not joint and part.tag not in allowed:
-            check_known("element", part.tag, allowed, findings, subject, part)
+            check_known_name("element", part.tag, allowed, findings, subject, part)
         known = ATTRIBUTES.get(part.tag)
         for key in part.attributes if known else ():
             if key not in known:  # type: ignore[operator]
-                check_known(f"{part.tag} attribute", key, known, findings, subject, part)  # type: ignore[arg-type]
+                check_known_name(f"{part.tag} attribute", key, known, findings, subject, part)  # type: ignore[arg-type]
     tags = [child.tag for child in joint.children]
     for tag in _ONCE if len(set(tags)) < len(tags) else ():
         found = joint.of(tag)

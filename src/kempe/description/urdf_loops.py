@@ -6,8 +6,8 @@ from typing import Any
 
 from kempe.constraints import KINDS
 from kempe.description.mechanism import Mechanism
-from kempe.description.source import Findings, fresh_name, shorten
-from kempe.description.urdf_elements import check_known, numbers
+from kempe.description.source import Findings, choose_numbered_name, shorten_text
+from kempe.description.urdf_elements import check_known_name, read_numbers
 from kempe.description.xml import XmlElement
 from kempe.words import format_count
 
@@ -33,25 +33,27 @@ _OF_END = ("link", "xyz", "rpy")
 def read_loops(robot: XmlElement, mechanism: Mechanism, findings: Findings) -> None:
     """Add what closes loops to a mechanism that has its bodies and joints."""
     for element in robot.of(BALL):
-        _read_ball(element, mechanism, findings)
+        _read_ball_constraint(element, mechanism, findings)
     for element in robot.of("loop_joint"):
         _read_loop_joint(element, mechanism, findings)
 
 
-def _read_ball(element: XmlElement, mechanism: Mechanism, findings: Findings) -> None:
+def _read_ball_constraint(element: XmlElement, mechanism: Mechanism, findings: Findings) -> None:
     """Two points that coincide: a constraint, which has no coordinates of its own."""
-    name = element.attributes.get("name", "") or fresh_name(
+    name = element.attributes.get("name", "") or choose_numbered_name(
         "ball_constraint", mechanism.constraints
     )
     subject = f"constraint {name!r}"
     for child in element.children:
-        check_known("element", child.tag, (*BODIES, *POINTS), findings, subject, child)
+        check_known_name("element", child.tag, (*BODIES, *POINTS), findings, subject, child)
     bodies: Any = [
-        _body(_only(element, tag, findings, subject), "name", mechanism, findings, subject)
+        _read_body_name(
+            _find_only_child(element, tag, findings, subject), "name", mechanism, findings, subject
+        )
         for tag in BODIES
     ]
     points = [
-        _numbers(_only(element, tag, findings, subject), "value", findings, subject)
+        _read_numbers(_find_only_child(element, tag, findings, subject), "value", findings, subject)
         for tag in POINTS
     ]
     if None in bodies or None in points:
@@ -72,11 +74,11 @@ def _read_loop_joint(element: XmlElement, mechanism: Mechanism, findings: Findin
         )
     kind = element.attributes.get("type")
     if kind not in LOOP_TYPES:
-        said = "it has no type" if kind is None else f"unknown type {shorten(kind)}"
+        said = "it has no type" if kind is None else f"unknown type {shorten_text(kind)}"
         allowed = f"a <loop_joint> has {', '.join(LOOP_TYPES)}"
         findings.add(said, subject, element.where_of("type"), allowed)
     for child in element.children:
-        check_known("element", child.tag, _IN_LOOP, findings, subject, child)
+        check_known_name("element", child.tag, _IN_LOOP, findings, subject, child)
     ends = [child for child in element.children if child.tag in ("link1", "link2")]
     if len(ends) != 2:
         findings.add(
@@ -86,11 +88,11 @@ def _read_loop_joint(element: XmlElement, mechanism: Mechanism, findings: Findin
             "a loop joint has two: <link1 link=... xyz=... rpy=.../> and <link2 .../>",
         )
         return
-    bodies: list[Any] = [_body(end, "link", mechanism, findings, subject) for end in ends]
-    places: list[Any] = [_place(end, findings, subject) for end in ends]
+    bodies: list[Any] = [_read_body_name(end, "link", mechanism, findings, subject) for end in ends]
+    places: list[Any] = [_read_place(end, findings, subject) for end in ends]
     axis: Any = (1.0, 0.0, 0.0)
     for child in element.of("axis")[:1]:
-        axis = _numbers(child, "xyz", findings, subject)
+        axis = _read_numbers(child, "xyz", findings, subject)
     if not name or kind not in LOOP_TYPES or axis is None or None in (*bodies, *places):
         return
     (at, rpy), (child_at, child_rpy) = places
@@ -111,19 +113,21 @@ def _read_loop_joint(element: XmlElement, mechanism: Mechanism, findings: Findin
         )
 
 
-def _place(end: XmlElement, findings: Findings, subject: str) -> Any:
+def _read_place(end: XmlElement, findings: Findings, subject: str) -> Any:
     """The position and the angles of an end in the frame of its link; None where they are wrong."""
     for key in end.attributes:
         if key not in _OF_END:
-            check_known(f"{end.tag} attribute", key, _OF_END, findings, subject, end)
+            check_known_name(f"{end.tag} attribute", key, _OF_END, findings, subject, end)
     found = [
-        _numbers(end, key, findings, subject) if key in end.attributes else (0.0, 0.0, 0.0)
+        _read_numbers(end, key, findings, subject) if key in end.attributes else (0.0, 0.0, 0.0)
         for key in ("xyz", "rpy")
     ]
     return None if None in found else found
 
 
-def _only(element: XmlElement, tag: str, findings: Findings, subject: str) -> XmlElement | None:
+def _find_only_child(
+    element: XmlElement, tag: str, findings: Findings, subject: str
+) -> XmlElement | None:
     """The child with this tag; a problem where there are none or several."""
     found = element.of(tag)
     if len(found) == 1:
@@ -133,7 +137,7 @@ def _only(element: XmlElement, tag: str, findings: Findings, subject: str) -> Xm
     return None
 
 
-def _body(
+def _read_body_name(
     element: XmlElement | None,
     attribute: str,
     mechanism: Mechanism,
@@ -147,7 +151,7 @@ def _body(
     if name in mechanism.bodies:
         return name
     said = (
-        f"its link {shorten(name)} does not exist{findings.hint(name, mechanism.bodies)}"
+        f"its link {shorten_text(name)} does not exist{findings.hint(name, mechanism.bodies)}"
         if name
         else f"its <{element.tag}> names no link"
     )
@@ -155,7 +159,7 @@ def _body(
     return None
 
 
-def _numbers(
+def _read_numbers(
     element: XmlElement | None, attribute: str, findings: Findings, subject: str
 ) -> tuple[float, ...] | None:
     """Three numbers of an attribute; None after recording what is wrong."""
@@ -164,4 +168,4 @@ def _numbers(
     if attribute not in element.attributes:
         findings.add(f"its <{element.tag}> has no {attribute}", subject, element.where, "give it")
         return None
-    return numbers(element, attribute, 3, findings, subject)
+    return read_numbers(element, attribute, 3, findings, subject)

@@ -11,19 +11,25 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from kempe.description.formats import joined, root_fault
-from kempe.description.mechanism import Mechanism, components
+from kempe.description.formats import describe_root_fault, join_words
+from kempe.description.mechanism import Mechanism, number_components
 from kempe.description.parts import Body
-from kempe.description.source import Findings, fail, folders_of, fresh_name, shorten
+from kempe.description.source import (
+    Findings,
+    choose_numbered_name,
+    list_folders,
+    make_error,
+    shorten_text,
+)
 from kempe.description.srdf import ROOT_JOINT, Srdf, VirtualJoint
 from kempe.description.urdf_elements import (
     ATTRIBUTES,
-    check_top,
+    check_robot_children,
     check_version,
     has_quaternions,
-    numbers,
     read_joint,
     read_link,
+    read_numbers,
     strip_namespaces,
 )
 from kempe.description.urdf_loops import read_loops
@@ -54,7 +60,7 @@ def choose_root(
         return None
     children = {child for _, child in ends.values()}
     roots = [root] if root is not None else [n for n in links if n not in children]
-    parts = components(links, ends.values())
+    parts = number_components(links, ends.values())
     if not roots:
         cycle = find_cycle(links, ends)
         shown = " -> ".join(map(repr, cycle))
@@ -63,7 +69,7 @@ def choose_root(
         findings.add(message, "robot", links[cycle[0]].where, allowed)
         return None
     if len(roots) > 1:
-        listed = _listed(roots, links)
+        listed = _format_links(roots, links)
         separate = len({parts[n] for n in roots}) > 1
         cure = (
             "join them by joints (type fixed where they do not move)"
@@ -79,7 +85,7 @@ def choose_root(
         return None
     detached = [n for n in links if parts[n] != parts[roots[0]]]
     if detached:
-        message = f"no joints lead from the root {roots[0]!r} to {_listed(detached, links)}"
+        message = f"no joints lead from the root {roots[0]!r} to {_format_links(detached, links)}"
         findings.add(
             message, "robot", links[detached[0]].where, "join them by joints, or remove them"
         )
@@ -87,7 +93,7 @@ def choose_root(
     return roots[0]
 
 
-def _listed(names: list[str], links: Mapping[str, XmlElement]) -> str:
+def _format_links(names: list[str], links: Mapping[str, XmlElement]) -> str:
     shown = ", ".join(f"{n!r} (line {links[n].where.line})" for n in names[:8])
     return shown + (f", ... ({len(names)} in all)" if len(names) > 8 else "")
 
@@ -109,7 +115,7 @@ def find_cycle(bodies: Iterable[str], ends: Mapping[str, tuple[str, str]]) -> li
     return [*cycle, cycle[0]] if len(cycle) <= 10 else [*cycle[:9], "...", cycle[0]]
 
 
-def reachable(start: str, ends: Iterable[tuple[str, str]]) -> set[str]:
+def find_reachable_bodies(start: str, ends: Iterable[tuple[str, str]]) -> set[str]:
     """The bodies that can be reached from `start`, walking joints from parent to child only."""
     children: dict[str, list[str]] = {}
     for a, b in ends:
@@ -215,26 +221,26 @@ def read_urdf(
     _refuse_xacro(robot)
     urdf = _Urdf(robot, bool(lenient_limits), findings)
     check_version(robot, urdf.findings)
-    _scan_top(urdf)
+    _scan_links_and_joints(urdf)
     if not urdf.links and not urdf.findings.problems:
-        raise _no_links(robot, tuple(beside))
+        raise _make_no_links_error(robot, tuple(beside))
     if root is not None and root not in urdf.links:
         raise UnknownNameError("link", root, urdf.links, source)
     _scan_joints(urdf)
     # where a joint's ends are wrong, links that look detached may not be
     sound = len(urdf.ends) == len(robot.of("joint"))
     ground = choose_root(urdf.links, urdf.ends, urdf.findings if sound else Findings(), root)
-    mechanism = _assemble(urdf, ground, _base(ground, base, srdf))
-    _note_unused(urdf)
+    mechanism = _build_mechanism(urdf, ground, _choose_base(ground, base, srdf))
+    _note_unused_blocks(urdf)
     urdf.findings.finish()
     mechanism.notes = urdf.findings.notes
-    mechanism.roots = tuple(map(str, folders_of(package_dirs)))
+    mechanism.roots = tuple(map(str, list_folders(package_dirs)))
     if srdf is not None:
         srdf.apply(mechanism)
     return mechanism
 
 
-def _base(ground: str | None, base: str | None, srdf: Srdf | None) -> VirtualJoint | None:
+def _choose_base(ground: str | None, base: str | None, srdf: Srdf | None) -> VirtualJoint | None:
     """How the root link moves, as the option `base` and an SRDF say; None: it is the ground."""
     found = srdf.base(ground) if srdf is not None and ground is not None else None
     if base is None:
@@ -254,14 +260,14 @@ def _base(ground: str | None, base: str | None, srdf: Srdf | None) -> VirtualJoi
 def _check_is_urdf(robot: XmlElement) -> None:
     if robot.tag == "robot":
         return
-    raise fail(
-        root_fault(robot.tag),
+    raise make_error(
+        describe_root_fault(robot.tag),
         robot.where,
         "URDF starts with <robot name=...>",
     )
 
 
-def _marked(text: str) -> bool:
+def _has_xacro_marks(text: str) -> bool:
     """Whether a text may be xacro."""
     return any(mark in text for mark in _MARKS)
 
@@ -271,7 +277,7 @@ def _refuse_xacro(robot: XmlElement) -> None:
     number.
     """
     text = robot.source.text
-    if not _marked(text) or not _marked(_COMMENT.sub("", text)):
+    if not _has_xacro_marks(text) or not _has_xacro_marks(_COMMENT.sub("", text)):
         return
     for element in robot.walk():
         found = where = None
@@ -281,11 +287,11 @@ def _refuse_xacro(robot: XmlElement) -> None:
         elif element.tag in (*ATTRIBUTES, "link", "robot"):
             for key, text in element.attributes.items():
                 if not key.startswith("xmlns") and _XACRO.search(text):
-                    found = f"{key}={shorten(text)}"
+                    found = f"{key}={shorten_text(text)}"
                     where = element.where_of(key)
                     break
         if found and where:
-            raise fail(
+            raise make_error(
                 f"this is xacro, a program that writes URDF: {found} has to be expanded first",
                 where,
                 XACRO_ADVICE,
@@ -308,12 +314,12 @@ _SRDF = {
 URDF."""
 
 
-def _no_links(robot: XmlElement, beside: tuple[str, ...]) -> Exception:
+def _make_no_links_error(robot: XmlElement, beside: tuple[str, ...]) -> Exception:
     generated = _GENERATED.search(robot.source.text)
     joints = len(robot.of("joint"))
     if found := sorted({e.tag for e in robot.children} & _SRDF):
-        parts = joined([f"<{tag}>" for tag in found], "and")
-        return fail(
+        parts = join_words([f"<{tag}>" for tag in found], "and")
+        return make_error(
             f"this is an SRDF: groups, postures and pairs of links ({parts}), but no links or "
             "joints",
             robot.where,
@@ -338,13 +344,13 @@ def _no_links(robot: XmlElement, beside: tuple[str, ...]) -> Exception:
         )
     if beside:
         allowed += f", or load another file of the same folder: {', '.join(sorted(beside)[:8])}"
-    return fail(message, robot.where, allowed)
+    return make_error(message, robot.where, allowed)
 
 
 # ---- names and connections
 
 
-def _scan_top(urdf: _Urdf) -> None:
+def _scan_links_and_joints(urdf: _Urdf) -> None:
     """Fill `links` and `joints`: unique, non-empty names."""
     findings = urdf.findings
     if not urdf.robot.attributes.get("name", "").strip():
@@ -372,17 +378,17 @@ def _scan_top(urdf: _Urdf) -> None:
             )
         else:
             table[name] = element
-    check_top(urdf.robot, urdf.links, urdf.joints, findings)
+    check_robot_children(urdf.robot, urdf.links, urdf.joints, findings)
 
 
 def _scan_joints(urdf: _Urdf) -> None:
     """Fill `types` and `ends` (parent and child) of the joints that have sound ones."""
     findings = urdf.findings
-    _add_world(urdf)
+    _add_world_link(urdf)
     for name, element in urdf.joints.items():
         subject = f"joint {name!r}"
         _scan_type(urdf, name, element, subject)
-        ends = [_end(urdf, element, tag, subject) for tag in ("parent", "child")]
+        ends = [_read_end(urdf, element, tag, subject) for tag in ("parent", "child")]
         if None in ends:
             continue
         if ends[0] == ends[1]:
@@ -402,7 +408,7 @@ def _scan_type(urdf: _Urdf, name: str, element: XmlElement, subject: str) -> Non
     known = DRAKE_TYPES if element in urdf.of_drake else TYPES
     if given not in known:
         said = urdf.findings.hint(given, known) if given else ""
-        wrong = "it has no type" if given is None else f"unknown type {shorten(given)}{said}"
+        wrong = "it has no type" if given is None else f"unknown type {shorten_text(given)}{said}"
         allowed = f"URDF has {', '.join(TYPES)} (TOML has more)"
         if known is DRAKE_TYPES:
             allowed = f"a <{DRAKE_JOINT}> has {', '.join(known)}, a <joint> has the others"
@@ -423,7 +429,7 @@ def _scan_type(urdf: _Urdf, name: str, element: XmlElement, subject: str) -> Non
         urdf.findings.note(said, subject, element.where)
 
 
-def _add_world(urdf: _Urdf) -> None:
+def _add_world_link(urdf: _Urdf) -> None:
     """Add the link 'world' where a joint's parent is called so and no link is, in whatever letters."""
     if any(name.casefold() == WORLD for name in urdf.links):
         return
@@ -439,7 +445,7 @@ def _add_world(urdf: _Urdf) -> None:
                 return
 
 
-def _end(urdf: _Urdf, joint: XmlElement, tag: str, subject: str) -> str | None:
+def _read_end(urdf: _Urdf, joint: XmlElement, tag: str, subject: str) -> str | None:
     element = (joint.of(tag) or [None])[0]
     link = element.attributes.get("link") if element is not None else None
     if element is None or not link:
@@ -453,7 +459,7 @@ def _end(urdf: _Urdf, joint: XmlElement, tag: str, subject: str) -> str | None:
         return None
     if link not in urdf.links:
         urdf.findings.add(
-            f"its {tag} link {shorten(link)} does not exist{urdf.findings.hint(link, urdf.links)}",
+            f"its {tag} link {shorten_text(link)} does not exist{urdf.findings.hint(link, urdf.links)}",
             subject,
             element.where_of("link"),
         )
@@ -464,19 +470,19 @@ def _end(urdf: _Urdf, joint: XmlElement, tag: str, subject: str) -> str | None:
 # ---- the mechanism
 
 
-def _assemble(urdf: _Urdf, ground: str | None, base: VirtualJoint | None) -> Mechanism:
+def _build_mechanism(urdf: _Urdf, ground: str | None, base: VirtualJoint | None) -> Mechanism:
     """The mechanism with everything that is sound; what is not goes to the findings."""
     name = urdf.robot.attributes.get("name", "").strip() or "robot"
-    bodies = _bodies(urdf)
+    bodies = _read_bodies(urdf)
     root = ground if ground is not None else next(iter(bodies), "ground")
-    mechanism = Mechanism(name, ground=fresh_name(base.ground, bodies) if base else root)
+    mechanism = Mechanism(name, ground=choose_numbered_name(base.ground, bodies) if base else root)
     for link, body in bodies.items():
         if link == mechanism.ground.name:
             mechanism.bodies[link] = body
         else:
             mechanism._add_body(body)
     if base:
-        name = fresh_name(base.name, urdf.joints)
+        name = choose_numbered_name(base.name, urdf.joints)
         mechanism.joint(name, base.kind, mechanism.ground, root)
     for joint, element in urdf.joints.items():
         kind = urdf.types.get(joint, "fixed")
@@ -488,12 +494,12 @@ def _assemble(urdf: _Urdf, ground: str | None, base: VirtualJoint | None) -> Mec
                     joint, ALL_TYPES[kind], *urdf.ends[joint], where=element.where, **settings
                 )
                 mechanism.joints[joint] = replace(made, unstated=True) if unstated else made
-    _mimics(urdf, mechanism)
+    _add_mimics(urdf, mechanism)
     read_loops(urdf.robot, mechanism, urdf.findings)
     return mechanism
 
 
-def _bodies(urdf: _Urdf) -> dict[str, Body]:
+def _read_bodies(urdf: _Urdf) -> dict[str, Body]:
     """The bodies of all links, with their shapes."""
     materials = read_materials(urdf.robot, urdf.findings)
     out: dict[str, Body] = {}
@@ -506,7 +512,7 @@ def _bodies(urdf: _Urdf) -> dict[str, Body]:
 # ---- mimic joints
 
 
-def _mimics(urdf: _Urdf, mechanism: Mechanism) -> None:
+def _add_mimics(urdf: _Urdf, mechanism: Mechanism) -> None:
     findings = urdf.findings
     follows: dict[str, tuple[str, XmlElement]] = {}
     for name, element in urdf.joints.items():
@@ -521,18 +527,20 @@ def _mimics(urdf: _Urdf, mechanism: Mechanism) -> None:
             )
             continue
         factor, offset = (
-            numbers(mimic, key, 1, findings, subject) if key in mimic.attributes else (default,)
+            read_numbers(mimic, key, 1, findings, subject)
+            if key in mimic.attributes
+            else (default,)
             for key, default in (("multiplier", 1.0), ("offset", 0.0))
         )
         if leader not in urdf.joints:
             said = findings.hint(leader, urdf.joints, but=name)
-            message = f"it mimics joint {shorten(leader)}, which does not exist{said}"
+            message = f"it mimics joint {shorten_text(leader)}, which does not exist{said}"
             findings.add(message, subject, mimic.where_of("joint"))
         elif urdf.types.get(name) == "fixed":
             findings.note(
                 "a fixed joint does not move: its <mimic> is not used", subject, mimic.where
             )
-        elif _one_coordinate(urdf, name, leader, subject, mimic):
+        elif _has_one_coordinate(urdf, name, leader, subject, mimic):
             follows[name] = (leader, mimic)
             if factor and offset:
                 with findings.guard(subject, mimic.where):
@@ -544,7 +552,9 @@ SEVERAL = ("planar", "floating", "spherical", "ball", "universal")
 """Types of joints with several coordinates."""
 
 
-def _one_coordinate(urdf: _Urdf, name: str, leader: str, subject: str, mimic: XmlElement) -> bool:
+def _has_one_coordinate(
+    urdf: _Urdf, name: str, leader: str, subject: str, mimic: XmlElement
+) -> bool:
     for joint, role in ((name, "it"), (leader, f"joint {leader!r}")):
         kind = urdf.types.get(joint)
         if kind in ("fixed", *SEVERAL):
@@ -586,7 +596,7 @@ def _refuse_cycles(follows: Mapping[str, tuple[str, XmlElement]], findings: Find
 # ---- blocks that are not read
 
 
-def _note_unused(urdf: _Urdf) -> None:
+def _note_unused_blocks(urdf: _Urdf) -> None:
     """Note blocks that speak of joints: those of missing joints, and joints that only simulators
     know.
     """
@@ -606,6 +616,6 @@ def _note_unused(urdf: _Urdf) -> None:
                 )
             elif name not in urdf.joints and block.tag != "gazebo":
                 urdf.findings.note(
-                    f"a <{block.tag}> speaks of joint {shorten(name)}, which does not exist",
+                    f"a <{block.tag}> speaks of joint {shorten_text(name)}, which does not exist",
                     where=joint.where,
                 )

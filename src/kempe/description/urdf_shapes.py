@@ -18,8 +18,8 @@ from kempe.description.shapes import (
     Mesh,
     Sphere,
 )
-from kempe.description.source import Findings, shorten
-from kempe.description.urdf_elements import numbers, read_origin
+from kempe.description.source import Findings, shorten_text
+from kempe.description.urdf_elements import read_numbers, read_origin
 from kempe.description.xml import XmlElement
 from kempe.errors import InputError
 from kempe.poses import place
@@ -82,7 +82,7 @@ def read_materials(outer: XmlElement, findings: Findings) -> dict[str, Color | N
         for element in elements:
             name = element.attributes.get("name", "")
             if name not in out and (element.children or elements is own):
-                out[name] = _color(element, f"material {shorten(name)}", noted)
+                out[name] = _read_color(element, f"material {shorten_text(name)}", noted)
     textures = [texture for element in [*own, *inside] for texture in element.of("texture")]
     for first in textures[:1]:
         said = f"{format_count(len(textures), 'texture')} not read: a shape has one colour"
@@ -119,26 +119,26 @@ def read_shape(
     of radius 0, and kinds of shapes that are not known, are left out with a note.
     """
     name = element.attributes.get("name", "")
-    subject = subject_of(element, owner)
+    subject = format_subject(element, owner)
     before = len(findings.problems)
     given = read_origin(element, findings, subject, quaternions)
-    geometry = _geometry(element, findings, subject)
+    geometry = _read_geometry(element, findings, subject)
     visual, collision = USES[element.tag]
     color = None
     for material in element.of("material")[:1] if visual else ():
-        color = _color_of(material, subject, materials, findings)
+        color = _find_color(material, subject, materials, findings)
     if geometry is None or len(findings.problems) > before:
         return None
     return Shape(geometry, _placed(**given), visual, collision, color, name, element.where)
 
 
-def subject_of(element: XmlElement, owner: str) -> str:
+def format_subject(element: XmlElement, owner: str) -> str:
     """A <visual> or <collision> in messages: "visual 'hand' of link 'arm'"."""
     name = element.attributes.get("name", "")
-    return f"{element.tag}{f' {shorten(name)}' if name else ''} of {owner}"
+    return f"{element.tag}{f' {shorten_text(name)}' if name else ''} of {owner}"
 
 
-def only_shape(
+def find_only_shape(
     element: XmlElement, known: Container[str], findings: Findings, subject: str
 ) -> XmlElement | None:
     """The element inside <geometry> whose kind is known. More than one is a problem: readers differ
@@ -155,7 +155,7 @@ def only_shape(
     return found[0] if len(found) == 1 else None
 
 
-def _geometry(element: XmlElement, findings: Findings, subject: str) -> Geometry | None:
+def _read_geometry(element: XmlElement, findings: Findings, subject: str) -> Geometry | None:
     """The shape itself; None where there is none that is read."""
     inside = [part for holder in element.of("geometry") for part in holder.children]
     for part in inside:
@@ -164,11 +164,11 @@ def _geometry(element: XmlElement, findings: Findings, subject: str) -> Geometry
             findings.note(said, subject, part.where)
     if not inside:
         findings.note("it has no <geometry> with a shape, and is left out", subject, element.where)
-    shape = only_shape(element, ELEMENTS, findings, subject)
-    return None if shape is None else _made(shape, findings, subject)
+    shape = find_only_shape(element, ELEMENTS, findings, subject)
+    return None if shape is None else _make_geometry(shape, findings, subject)
 
 
-def _made(element: XmlElement, findings: Findings, subject: str) -> Geometry | None:
+def _make_geometry(element: XmlElement, findings: Findings, subject: str) -> Geometry | None:
     row = ELEMENTS[element.tag]
     given: dict[str, Any] = {}
     for name, attributes in row.sizes.items():
@@ -188,9 +188,11 @@ def _made(element: XmlElement, findings: Findings, subject: str) -> Geometry | N
             text = element.attributes[attribute]
             if name in row.uniform and len(text.split()) == 1:
                 count = 1
-                said = f"its {attribute} is one number, {shorten(text)}, taken for all directions"
+                said = (
+                    f"its {attribute} is one number, {shorten_text(text)}, taken for all directions"
+                )
                 findings.note(said, subject, element.where_of(attribute))
-            read = numbers(element, attribute, count, findings, subject) if count else (text,)
+            read = read_numbers(element, attribute, count, findings, subject) if count else (text,)
             if read is None:
                 return None
             found += read
@@ -206,36 +208,36 @@ def _made(element: XmlElement, findings: Findings, subject: str) -> Geometry | N
     return None
 
 
-def _color_of(
+def _find_color(
     material: XmlElement, subject: str, materials: Mapping[str, Color | None], findings: Findings
 ) -> Color | None:
     """The colour of a <material> in a visual: that of its name, whose first definition counts, as
     in ROS; its own where it has no name.
     """
     name = material.attributes.get("name", "")
-    own = _color(material, subject, findings) if material.children else None
+    own = _read_color(material, subject, findings) if material.children else None
     if not name:
         return own
     if own is not None and own != materials.get(name, own):
-        said = (
-            f"its material {shorten(name)} has another colour before, which is used, as ROS does it"
-        )
+        said = f"its material {shorten_text(name)} has another colour before, which is used, as ROS does it"
         findings.note(said, subject, material.where)
     elif name not in materials:
-        said = f"its material {shorten(name)} is not defined{findings.hint(name, materials)}"
+        said = f"its material {shorten_text(name)} is not defined{findings.hint(name, materials)}"
         findings.note(said, subject, material.where)
     return materials.get(name)
 
 
-def _color(material: XmlElement, subject: str, findings: Findings) -> Color | None:
+def _read_color(material: XmlElement, subject: str, findings: Findings) -> Color | None:
     """Red, green, blue and opacity of a <material>; what is no colour is noted, and left out."""
     for element in material.of("color")[:1]:
         wrong = Findings()
         text = element.attributes.setdefault("rgba", "")
-        found = numbers(element, "rgba", 4, wrong, subject)
+        found = read_numbers(element, "rgba", 4, wrong, subject)
         if found is not None and all(0.0 <= x <= 1.0 for x in found):
             return found  # type: ignore[return-value]
-        said = f"its color is {shorten(text)}, which is not 4 numbers from 0 to 1; it is not used"
+        said = (
+            f"its color is {shorten_text(text)}, which is not 4 numbers from 0 to 1; it is not used"
+        )
         findings.note(said, subject, element.where)
     return None
 
@@ -245,12 +247,12 @@ def _color(material: XmlElement, subject: str, findings: Findings) -> Color | No
 _STANDARD = {row.kind.kind: tag for tag, row in ELEMENTS.items() if row.standard}
 
 
-def writable(shape: Shape) -> bool:
+def is_writable_shape(shape: Shape) -> bool:
     """Whether URDF has the kind of shape."""
     return shape.kind in _STANDARD
 
 
-def shape_lines(
+def format_shape(
     shape: Shape, origin: str, parameters: Mapping[str, float], quoted: Any
 ) -> Iterator[str]:
     """A <visual>, a <collision>, or both. `origin` is the text of the element <origin>, and `quoted`
@@ -263,10 +265,10 @@ def shape_lines(
     said = ""
     for name, x in geometry.sizes.items():
         (attribute,) = ELEMENTS[tag].sizes[name]
-        said += f" {attribute}={quoted(_text(x))}"
+        said += f" {attribute}={quoted(_format_attribute(x))}"
     named = f" name={quoted(shape.name)}" if shape.name else ""
     color = (
-        f'<material name="rgba {_text(shape.color)}"><color rgba="{_text(shape.color)}"/>'
+        f'<material name="rgba {_format_attribute(shape.color)}"><color rgba="{_format_attribute(shape.color)}"/>'
         if shape.color
         else ""
     )
@@ -276,7 +278,7 @@ def shape_lines(
             yield f"<{use}{named}>{origin}<geometry><{tag}{said}/></geometry>{material}</{use}>"
 
 
-def _text(x: Any) -> str:
+def _format_attribute(x: Any) -> str:
     """A text, a number or numbers as an attribute has them."""
     if isinstance(x, str):
         return x

@@ -14,10 +14,10 @@ from kempe import spatial
 from kempe.description.formats import URDF
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Body, Joint, Shape
-from kempe.description.source import Findings, fresh_name
+from kempe.description.source import Findings, choose_numbered_name
 from kempe.description.urdf_elements import UNLIMITED, WITHOUT_AXIS
-from kempe.description.urdf_reader import reachable
-from kempe.description.urdf_shapes import NEWER, shape_lines, writable
+from kempe.description.urdf_reader import find_reachable_bodies
+from kempe.description.urdf_shapes import NEWER, format_shape, is_writable_shape
 from kempe.errors import InputError
 from kempe.joints import Q, R
 from kempe.poses import Placement
@@ -89,7 +89,9 @@ class UrdfWriter:
         for frame in self.m.frames.values():
             self.link(frame.name)
             origin = self.origin(frame.X_BF)
-            self.fixed(fresh(f"{frame.name}_fixed", self.joints), frame.body, frame.name, origin)
+            self.fixed(
+                reserve_name(f"{frame.name}_fixed", self.joints), frame.body, frame.name, origin
+            )
         self.findings.finish()
         newer = any(s.kind in NEWER for body in self.m.bodies.values() for s in body.shapes)
         version = ' version="1.1"' if newer else ""
@@ -127,7 +129,9 @@ class UrdfWriter:
                     last.where,
                     allowed,
                 )
-        reached = reachable(ground, ((j.parent, j.child) for j in self.m.joints.values()))
+        reached = find_reachable_bodies(
+            ground, ((j.parent, j.child) for j in self.m.joints.values())
+        )
         lost = [b for b in self.m.bodies if b not in reached]
         if lost and not loops:
             shown = join_first_words([*map(repr, lost)], 8)
@@ -239,7 +243,9 @@ class UrdfWriter:
             )
         inside: list[str] = []
         if body.mass is not None or body.center is not None:
-            center = f'<origin xyz="{_numbers(body.center)}"/>' if body.center is not None else ""
+            center = (
+                f'<origin xyz="{_format_numbers(body.center)}"/>' if body.center is not None else ""
+            )
             mass = f'<mass value="{(body.mass or 0.0)!r}"/>'
             inertia = '<inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/>'
             inside.append(f"<inertial>{center}{mass}{inertia}</inertial>")
@@ -249,13 +255,13 @@ class UrdfWriter:
 
     def shape(self, shape: Shape, subject: str) -> list[str]:
         """The elements of a shape."""
-        if not writable(shape):
+        if not is_writable_shape(shape):
             said = f"{shape.kind} does not exist in URDF as a shape"
             self.findings.add(said, subject, shape.where, self.format.cannot["ellipsoids"])
             return []
         try:
-            origin = origin_element(self.origin(shape.X_BS)) if shape.X_BS.steps else ""
-            return list(shape_lines(shape, origin, self.m.parameters, self.quoted))
+            origin = format_origin(self.origin(shape.X_BS)) if shape.X_BS.steps else ""
+            return list(format_shape(shape, origin, self.m.parameters, self.quoted))
         except (FloatingPointError, InputError) as error:
             self.findings.add(str(error), subject, shape.where, "check its parameters")
             return []
@@ -271,7 +277,7 @@ class UrdfWriter:
                 joint.name,
                 joint.parent,
                 joint.child,
-                self.origin(X_PC if coordinates else _difference(joint)),
+                self.origin(X_PC if coordinates else _compute_fixed_placement(joint)),
             )
             return
         kind = self.urdf_type(joint)
@@ -287,7 +293,7 @@ class UrdfWriter:
         if direct is not None:
             self.write(joint.name, kind, joint.parent, joint.child, *direct, inside)
             return
-        between = fresh(f"{joint.name}_frame", self.links)
+        between = reserve_name(f"{joint.name}_frame", self.links)
         self.link(between)
         self.write(
             joint.name,
@@ -299,7 +305,7 @@ class UrdfWriter:
             inside,
         )
         end = self.origin(joint.X_CM.invert_steps())
-        self.fixed(fresh(f"{joint.name}_fixed", self.joints), between, joint.child, end)
+        self.fixed(reserve_name(f"{joint.name}_fixed", self.joints), between, joint.child, end)
 
     def coordinates(self, joint: Joint) -> list[str]:
         """Names of the coordinates of a joint."""
@@ -427,14 +433,14 @@ class UrdfWriter:
         self.lines.append(
             f"    <parent link={self.quoted(parent)}/><child link={self.quoted(child)}/>"
         )
-        self.lines.append(f"    {origin_element(origin)}")
+        self.lines.append(f"    {format_origin(origin)}")
         if axis is not None and kind not in WITHOUT_AXIS:
-            self.lines.append(f'    <axis xyz="{_numbers(axis)}"/>')
+            self.lines.append(f'    <axis xyz="{_format_numbers(axis)}"/>')
         self.lines += [f"    {line}" for line in inside]
         self.lines.append("  </joint>")
 
 
-def _difference(joint: Joint) -> Placement:
+def _compute_fixed_placement(joint: Joint) -> Placement:
     """X_PF X_CM^-1 of a fixed joint, without what cancels."""
     a = joint.X_PF.steps
     b = joint.X_CM.steps
@@ -444,17 +450,17 @@ def _difference(joint: Joint) -> Placement:
     return Placement(a) @ Placement(b).invert_steps()
 
 
-def fresh(name: str, taken: set[str]) -> str:
+def reserve_name(name: str, taken: set[str]) -> str:
     """`name`, with a number where it is taken; from now on it is taken."""
-    out = fresh_name(name, taken)
+    out = choose_numbered_name(name, taken)
     taken.add(out)
     return out
 
 
-def origin_element(origin: _Origin) -> str:
+def format_origin(origin: _Origin) -> str:
     """The element <origin>."""
-    return f'<origin xyz="{_numbers(origin.xyz)}" rpy="{_numbers(origin.rpy)}"/>'
+    return f'<origin xyz="{_format_numbers(origin.xyz)}" rpy="{_format_numbers(origin.rpy)}"/>'
 
 
-def _numbers(numbers: Iterable[float]) -> str:
+def _format_numbers(numbers: Iterable[float]) -> str:
     return " ".join(repr(float(x)) for x in numbers)

@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from kempe.description.formats import joined
-from kempe.description.limited import last_words, run_limited
-from kempe.description.packages import Folders, is_whole, ros_folders
-from kempe.description.source import SIZE_LIMIT, fail, folders_of, shorten
+from kempe.description.formats import join_words
+from kempe.description.limited import extract_last_lines, run_limited_code
+from kempe.description.packages import Folders, can_search_folder, list_ros_folders
+from kempe.description.source import SIZE_LIMIT, list_folders, make_error, shorten_text
 from kempe.errors import (
     DescriptionError,
     InputError,
@@ -91,7 +91,7 @@ sys.stdout.buffer.write(document.dom.toprettyxml(indent="  ").encode("utf-8"))
 """
 
 
-def xacro_arguments(given: Any) -> dict[str, str] | None:
+def check_xacro_arguments(given: Any) -> dict[str, str] | None:
     """The texts of the arguments that the option `xacro` gives: True is none, False and None are no
     expansion.
 
@@ -105,16 +105,16 @@ def xacro_arguments(given: Any) -> dict[str, str] | None:
             f"xacro is {format_value(given)}; it must be True, or a dict with values of the file's "
             "<xacro:arg> elements by their names"
         )
-    return {_name(name): _text(name, value) for name, value in values.items()}  # type: ignore[misc]
+    return {_check_name(name): _format_argument(name, value) for name, value in values.items()}  # type: ignore[misc]
 
 
-def _name(name: object) -> str:
+def _check_name(name: object) -> str:
     if not isinstance(name, str):
         raise InputError(f"xacro has the key {format_value(name)}; names of arguments are texts")
     return name
 
 
-def _text(name: object, value: object) -> str:
+def _format_argument(name: object, value: object) -> str:
     """The value of an argument as xacro reads it: its true and false are written small."""
     if isinstance(value, (bool, np.bool_)):
         return "true" if value else "false"
@@ -146,8 +146,8 @@ def expand_xacro(
         raise MissingExtraError("xacrodoc", "xacro")
     where = Where(str(path))
     path = Path(path).resolve()
-    package_dirs = folders_of(package_dirs)
-    values = xacro_arguments(arguments) or {}
+    package_dirs = list_folders(package_dirs)
+    values = check_xacro_arguments(arguments) or {}
     folders = Folders((path.parent, *package_dirs))
     named = Folders(package_dirs).roots
     settings = {
@@ -157,44 +157,46 @@ def expand_xacro(
         "packages": {name: str(folder) for name, folder in folders.packages.items()},
         "roots": [
             str(d)
-            for d in (*folders.readable, *ros_folders())
-            if d != path.parent or d in named or is_whole(d)
+            for d in (*folders.readable, *list_ros_folders())
+            if d != path.parent or d in named or can_search_folder(d)
         ],
         "beside": str(path.parent),
     }
-    ended = run_limited(_WORKER, settings, seconds=seconds, memory=MEMORY, output=SIZE_LIMIT)
+    ended = run_limited_code(_WORKER, settings, seconds=seconds, memory=MEMORY, output=SIZE_LIMIT)
     if ended.reason == "time":
-        raise fail(
+        raise make_error(
             f"xacro did not finish in {seconds:g} s", where, "it may call itself without end"
         )
     if ended.reason == "output":
-        raise fail(
+        raise make_error(
             f"xacro wrote more than {SIZE_LIMIT >> 20} MiB", where, "it may call itself without end"
         )
     if ended.reason == "memory":
-        raise fail(
+        raise make_error(
             f"xacro needs more than {MEMORY >> 30} GiB of memory",
             where,
             "it may call itself without end",
         )
     if "RecursionError" in ended.said:
-        raise fail(
+        raise make_error(
             "xacro calls itself without end (RecursionError)",
             where,
             "look for a macro that calls itself",
         )
     head, _, text = ended.output.partition(b"\n")
-    defaults = _declared(json.loads(head)) if head else {}
+    defaults = _parse_declared_arguments(json.loads(head)) if head else {}
     unknown = [name for name in values if name not in defaults]
     if ended.reason:
-        listed = _listed(defaults, unknown)
-        raise _failed(last_words(ended.said), where, package_dirs, defaults, listed)
+        listed = _format_arguments(defaults, unknown)
+        raise _make_xacro_error(
+            extract_last_lines(ended.said), where, package_dirs, defaults, listed
+        )
     if unknown and strict:
         raise UnknownNameError("xacro argument", unknown[0], defaults, str(where))
     return text.decode("utf-8", "replace")
 
 
-def _declared(mentions: Iterable[str]) -> dict[str, str | None]:
+def _parse_declared_arguments(mentions: Iterable[str]) -> dict[str, str | None]:
     """The arguments of a file with their defaults, None where there is none, by what names them."""
     defaults: dict[str, str | None] = {}
     for text in mentions:
@@ -208,17 +210,17 @@ def _declared(mentions: Iterable[str]) -> dict[str, str | None]:
     return {name: defaults[name] for name in defaults if name}
 
 
-def _listed(defaults: Mapping[str, str | None], unknown: list[str]) -> str:
+def _format_arguments(defaults: Mapping[str, str | None], unknown: list[str]) -> str:
     """The arguments of a file with plain defaults, and those given that were not met."""
     listed = [
-        name if not default or "$" in default else f"{name} (default {shorten(default, 40)})"
+        name if not default or "$" in default else f"{name} (default {shorten_text(default, 40)})"
         for name, default in defaults.items()
     ]
     shown = ", ".join([*listed[:_FEW], "..."] if len(listed) > _FEW else listed)
-    return f"{shown or 'none'}{f'; not {joined(map(repr, unknown))}' if unknown else ''}"
+    return f"{shown or 'none'}{f'; not {join_words(map(repr, unknown))}' if unknown else ''}"
 
 
-def _failed(
+def _make_xacro_error(
     said: str,
     where: Where,
     package_dirs: tuple[str | Path, ...],
@@ -228,7 +230,7 @@ def _failed(
     """The error with what xacro says: which argument it needs, or which package it does not find."""
     if needed := _NOT_GIVEN.search(said):
         late = defaults.get(needed[1]) is not None
-        return fail(
+        return make_error(
             f"xacro needs the argument {needed[1]!r}"
             + (", used before its <xacro:arg>" if late else ""),
             where,
@@ -236,13 +238,13 @@ def _failed(
         )
     if missing := _PACKAGE.search(said):
         looked = ", ".join(repr(str(d)) for d in package_dirs)
-        return fail(
+        return make_error(
             f"xacro finds no package {missing[1]!r}" + (f" in {looked}" if looked else ""),
             where,
             "name by package_dirs a folder that holds one of this name, with or without a "
             "package.xml",
         )
-    return fail(
+    return make_error(
         f"xacro failed: {said}",
         where,
         "correct the file, or name its folders by package_dirs"

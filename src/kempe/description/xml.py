@@ -9,7 +9,14 @@ import re
 from collections.abc import Iterator
 from xml.parsers import expat
 
-from kempe.description.source import Findings, Source, decode, fail, refuse_other_kinds, shorten
+from kempe.description.source import (
+    Findings,
+    Source,
+    decode_text,
+    make_error,
+    refuse_other_kinds,
+    shorten_text,
+)
 from kempe.errors import DescriptionError, Where
 
 DEPTH_LIMIT = 100
@@ -30,7 +37,7 @@ _PIECE = re.compile(r"<!\[CDATA\[(.*?)\]\]>|<!--.*?-->|<[^>]*>|&[^;]*;", re.DOTA
 """What is not plain text inside an element."""
 
 
-def _character_data(piece: re.Match[str]) -> str:
+def _decode_piece(piece: re.Match[str]) -> str:
     """The characters that a piece of `_PIECE` stands for."""
     if piece[0].startswith("&"):
         return html.unescape(piece[0])
@@ -114,21 +121,21 @@ class XmlElement:
     @property
     def content(self) -> str:
         """The text inside an element without children: no comments, and no blanks at its ends."""
-        inner = self._inner[1]
+        inner = self._inner_text[1]
         if "<" in inner or "&" in inner:
-            inner = _PIECE.sub(_character_data, inner)
+            inner = _PIECE.sub(_decode_piece, inner)
         return inner.strip()
 
     @property
     def where_content(self) -> Where:
         """The place where its text begins; of its tag where it has none."""
-        start, inner = self._inner
+        start, inner = self._inner_text
         if not inner.strip():
             return self.where
         return self.source.where_offset(start + len(inner) - len(inner.lstrip()))
 
     @property
-    def _inner(self) -> tuple[int, str]:
+    def _inner_text(self) -> tuple[int, str]:
         """Where the text between its tags begins, and that text."""
         tag = _TAG_END.match(self.source.text, self._start)
         assert tag is not None, "expat accepted the tag"
@@ -158,7 +165,7 @@ def parse_xml(data: bytes | str, name: str, findings: Findings | None = None) ->
     over, else they are refused. Errors: `DescriptionError` with line and column for what is not
     well-formed, truncated, too large or too deep, and for every DTD and entity declaration.
     """
-    source = xml_source(data, name)
+    source = make_xml_source(data, name)
     text = source.text
     if findings is not None and (late := _LATE.match(text)):
         findings.note(
@@ -174,24 +181,24 @@ def parse_xml(data: bytes | str, name: str, findings: Findings | None = None) ->
         dashes = [c for c in _COMMENT.finditer(source.text) if "--" in c[1]]
         if findings is None or not dashes:
             raise
-    root = _XmlBuilder(Source(name, _COMMENT.sub(_without_dashes, source.text))).run()
+    root = _XmlBuilder(Source(name, _COMMENT.sub(_replace_dashes, source.text))).run()
     said = "a comment holds '--', which XML forbids; it is passed over"
     findings.note(said, where=source.where_offset(dashes[0].start()))
     return root
 
 
-def _without_dashes(comment: re.Match[str]) -> str:
+def _replace_dashes(comment: re.Match[str]) -> str:
     """A comment of the same length that XML allows."""
     return f"<!--{comment[1].replace('-', ' ')}-->"
 
 
-def xml_source(data: bytes | str, name: str) -> Source:
+def make_xml_source(data: bytes | str, name: str) -> Source:
     """The text of an XML file, decoded; `name` is the file's name, for messages.
 
     Errors: `DescriptionError` for what is no text, and for files of other kinds.
     """
     refuse_other_kinds(data, name)
-    return Source(name, decode(data, name, _DECLARED))
+    return Source(name, decode_text(data, name, _DECLARED))
 
 
 class _XmlBuilder:
@@ -207,11 +214,11 @@ class _XmlBuilder:
         self.byte = 0
         self.character = 0
         self.parser = expat.ParserCreate("utf-8")
-        self.parser.StartElementHandler = self._start
-        self.parser.EndElementHandler = self._end
-        self.parser.StartDoctypeDeclHandler = self._doctype
+        self.parser.StartElementHandler = self._start_element
+        self.parser.EndElementHandler = self._end_element
+        self.parser.StartDoctypeDeclHandler = self._refuse_doctype
 
-    def _here(self) -> int:
+    def _find_position(self) -> int:
         """Index into the source's text of where the parser is; it only goes forwards."""
         byte = self.parser.CurrentByteIndex
         if self.ascii:
@@ -220,8 +227,8 @@ class _XmlBuilder:
         self.byte = byte
         return self.character
 
-    def _start(self, tag: str, attributes: dict[str, str]) -> None:
-        element = XmlElement(tag, attributes, self.source, self._here())
+    def _start_element(self, tag: str, attributes: dict[str, str]) -> None:
+        element = XmlElement(tag, attributes, self.source, self._find_position())
         if self.stack:
             self.stack[-1].children.append(element)
         else:
@@ -229,25 +236,25 @@ class _XmlBuilder:
         self.stack.append(element)
         self.count += 1
         if self.count > ELEMENT_LIMIT:
-            raise fail(
+            raise make_error(
                 f"the file has more than {ELEMENT_LIMIT} elements",
                 element.where,
                 "this is no robot's file",
             )
         if len(self.stack) > DEPTH_LIMIT:
-            raise fail(
+            raise make_error(
                 f"elements are nested more than {DEPTH_LIMIT} deep",
                 element.where,
                 "this is no robot's file",
             )
 
-    def _end(self, tag: str) -> None:
-        self.stack.pop()._end = self._here()
+    def _end_element(self, tag: str) -> None:
+        self.stack.pop()._end = self._find_position()
 
-    def _doctype(self, name: str, *_: object) -> None:
-        raise fail(
+    def _refuse_doctype(self, name: str, *_: object) -> None:
+        raise make_error(
             "the file has a DTD (<!DOCTYPE ...>)",
-            self.source.where_offset(self._here()),
+            self.source.where_offset(self._find_position()),
             "remove it: a DTD can pull in other files or grow without bound, and is never read",
         )
 
@@ -257,9 +264,9 @@ class _XmlBuilder:
             self.ascii = len(self.data) == len(self.source.text)
             self.parser.Parse(self.data, True)
         except expat.ExpatError as error:
-            raise self._explain(error) from None
+            raise self._explain_error(error) from None
         except UnicodeEncodeError as error:
-            raise fail(
+            raise make_error(
                 "the text holds half of a surrogate pair, which is no character",
                 self.source.where_offset(error.start),
                 "remove it",
@@ -272,30 +279,32 @@ class _XmlBuilder:
         assert self.root is not None, "expat refuses a text without elements"
         return self.root
 
-    def _explain(self, error: expat.ExpatError) -> DescriptionError:
+    def _explain_error(self, error: expat.ExpatError) -> DescriptionError:
         where = self.source.where(error.lineno, error.offset + 1)
         inner = self.stack[-1] if self.stack else None
         if "<" not in self.source.text:
-            return fail(
+            return make_error(
                 "the file holds no XML element",
                 self.source.where(1),
                 "URDF starts with <robot name=...>",
             )
         if error.code in _TRUNCATED:
             inside = f" inside <{inner.tag}> opened on line {inner.where.line}" if inner else ""
-            return fail(f"the file ends{inside}: it is truncated", where, "get the whole file")
+            return make_error(
+                f"the file ends{inside}: it is truncated", where, "get the whole file"
+            )
         if error.code == _CODES[expat.errors.XML_ERROR_TAG_MISMATCH] and inner is not None:
             close = re.match(
                 r"</[^\s>]*", self.source.text[self.source.offset(where.line, where.column) - 2 :]
             )
-            found = shorten(close[0] + ">") if close else "another closing tag"
-            return fail(
+            found = shorten_text(close[0] + ">") if close else "another closing tag"
+            return make_error(
                 f"{found} closes <{inner.tag}> opened on line {inner.where.line}",
                 where,
                 f"close it by </{inner.tag}>",
             )
         if error.code in _EXPLANATIONS:
             message, allowed = _EXPLANATIONS[error.code]
-            return fail(message, where, allowed)
+            return make_error(message, where, allowed)
         text = expat.errors.messages.get(error.code, "unknown error")
-        return fail(f"this is not XML ({text})", where, "see the caret" if where.text else "")
+        return make_error(f"this is not XML ({text})", where, "see the caret" if where.text else "")

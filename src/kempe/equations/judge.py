@@ -19,7 +19,7 @@ from kempe.arguments import explain_errors
 from kempe.arrays import read_reals, unwrap_scalar
 from kempe.constraints.base import Constraint, Op, Row, held, one_sided, tilt_of
 from kempe.constraints.tape import POSE, TIME
-from kempe.description.mechanism import Mechanism, resolved
+from kempe.description.mechanism import Mechanism, evaluate_constraint
 from kempe.description.parts import Declared, Joint
 from kempe.forward.fk import fk
 from kempe.joints import JointType, P, Primitive, R
@@ -431,7 +431,7 @@ class Poses:
         """Errors (...) of the position rows of a declared constraint, in metres and in radians."""
         m = self.mechanism
         dim = self.system.dim
-        made = resolved(declared, m.parameters, dim)
+        made = evaluate_constraint(declared, m.parameters, dim)
         A = None
         B = None
         if declared.parent:

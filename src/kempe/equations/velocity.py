@@ -14,7 +14,7 @@ from kempe.arguments import explain_errors
 from kempe.arrays import read_reals
 from kempe.constraints.builder import Builder
 from kempe.constraints.tape import BINARY, POSE, RATE, TIME, TWIST, UNARY, Tape
-from kempe.description.mechanism import resolved
+from kempe.description.mechanism import evaluate_constraint
 from kempe.description.parts import Declared
 from kempe.errors import UnsupportedError
 from kempe.joints import P, Q
@@ -687,7 +687,7 @@ class _Recording:
     def velocities(self, declared: Declared) -> None:
         """Add the rows of velocity of a declared constraint."""
         system = self.system
-        made = resolved(declared, self.parameters, system.dim)
+        made = evaluate_constraint(declared, self.parameters, system.dim)
         rows = [row for row in made.rows(system.dim) if row.velocity]
         if not rows:
             return

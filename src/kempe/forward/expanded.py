@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from kempe import spatial
 from kempe.arguments import explain_errors
-from kempe.description.mechanism import Mechanism, unused_name
+from kempe.description.mechanism import Mechanism, choose_unused_name
 from kempe.description.parts import Body, Coupling, Joint
 from kempe.errors import InputError
 from kempe.joints import Primitive, Prismatic, Q, R, Revolute, Spherical
@@ -84,12 +84,12 @@ def _add_joint_chain(m: Mechanism, joint: Joint, parts: list[_SingleJoint]) -> N
     for k, (name, key, motion) in enumerate(parts):
         last = k == len(parts) - 1
         axis = place(axis=motion.axis)
-        there = joint.child if last else unused_name(m, f"{joint.name} {k + 1}")
+        there = joint.child if last else choose_unused_name(m, f"{joint.name} {k + 1}")
         if not last:
             m.bodies[there] = Body(there)
         follows = name in m.joints
         if follows:
-            name, source = unused_name(m, f"{name} slide"), name
+            name, source = choose_unused_name(m, f"{name} slide"), name
             m.couplings[name] = Coupling(name, {source: motion.multiplier})
         tables: tuple[Mapping[str, Any], ...] = (
             joint.limits,

@@ -41,11 +41,11 @@ def with_limits(system: SystemType, limits: Any = None, velocity: Any = None) ->
             pair = UNLIMITED if pairs[name] is None else pairs[name]
             subject = f"limits of {name!r}"
             names = {local: pair}
-            found = checks.limits(subject, names, joint.type, system.dim, particle, None)
+            found = checks.check_limits(subject, names, joint.type, system.dim, particle, None)
             now = replace(now, limits={**now.limits, **found})
         if name in speeds:
             speed = math.inf if speeds[name] is None else speeds[name]
-            found = checks.bounds(
+            found = checks.check_bounds(
                 f"velocity of {name!r}",
                 "velocity",
                 {local: speed},

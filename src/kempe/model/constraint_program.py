@@ -12,7 +12,7 @@ import numpy as np
 from kempe.constraints.base import Constraint, Op, Row, held, numbers_in, one_sided
 from kempe.constraints.builder import Builder, substituted
 from kempe.constraints.tape import POSE, TIME, Tape
-from kempe.description.mechanism import resolved
+from kempe.description.mechanism import evaluate_constraint
 from kempe.description.parts import Declared, Joint
 from kempe.errors import InputError
 from kempe.kernels.constraints import loop_layout as L
@@ -211,7 +211,7 @@ def list_declared_ties(system: Model, table: Table, one_sided: bool = False) -> 
 
 def make_declared_ties(system: Model, table: Table, declared: Declared) -> list[Tie]:
     """Make the ties of a declared constraint; one-sided ones have their bounds."""
-    made = resolved(declared, system._mechanism.parameters, system.dim)
+    made = evaluate_constraint(declared, system._mechanism.parameters, system.dim)
     return make_ties(system, declared.name, made, *find_ends(system, table, declared))
 
 

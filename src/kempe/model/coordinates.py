@@ -16,7 +16,7 @@ from kempe import spatial
 from kempe.arrays import read_reals
 from kempe.constraints.base import Op
 from kempe.constraints.tape import TIME
-from kempe.description.checks import refuse
+from kempe.description.checks import raise_problem
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Coupling, Joint
 from kempe.errors import UnknownNameError
@@ -187,7 +187,7 @@ def make_coordinates(mechanism: Mechanism) -> Coordinates:
         for name in dict.fromkeys(names + joint.type.list_velocity_names(mechanism.dim, particle)):
             full = format_coordinate_name(joint.name, name)
             if full in taken:
-                refuse(
+                raise_problem(
                     f"joint {joint.name!r}",
                     f"its coordinate {full!r} has the same name as one of joint {taken[full]!r}",
                     joint.where,
@@ -261,7 +261,9 @@ def _resolve_followers(
         _check_coupling(mechanism, coupling, every, balls)
         if coupling.of in followers:
             said = f"it is locked, but follows {', '.join(coupling.sources)}"
-            refuse(f"coordinate {coupling.of!r}", said, coupling.where, "lock what it follows")
+            raise_problem(
+                f"coordinate {coupling.of!r}", said, coupling.where, "lock what it follows"
+            )
         sources = {
             k: float(evaluate_value(v, mechanism.parameters)) for k, v in coupling.sources.items()
         }
@@ -285,7 +287,7 @@ def _resolve_followers(
                     )
         flat = {k: v for k, v in flat.items() if v != 0.0}
         if not (math.isfinite(offset) and all(map(math.isfinite, flat.values()))):
-            refuse(
+            raise_problem(
                 f"coupling of {of!r}",
                 "its multiplier or offset is not a number",
                 mechanism.couplings[of].where,
@@ -307,17 +309,17 @@ def _check_equations(mechanism: Mechanism, every: dict[str, Joint], balls: set[s
             subject = f"constraint {c.name!r}"
             if name not in every:
                 allowed = "for the time say time=True" if name == TIME else ""
-                refuse(
+                raise_problem(
                     subject,
                     str(UnknownNameError("coordinate", name, every, mechanism.name)),
                     c.where,
                     allowed,
                 )
             if name in balls and Op.VELOCITY not in operations:
-                refuse(subject, PART_OF_BALL.format(name), c.where, OF_BALL)
+                raise_problem(subject, PART_OF_BALL.format(name), c.where, OF_BALL)
         both = [n for n in mechanism.parameters if n in every and n in getattr(c.of, "words", ())]
         if both:
-            refuse(
+            raise_problem(
                 f"constraint {c.name!r}",
                 f"{both[0]!r} is a coordinate and a parameter",
                 c.where,
@@ -350,7 +352,7 @@ def _sort_couplings(
                     path = [n for n, _ in stack]
                     cycle = " -> ".join([*path[path.index(source) :], source])
                     where = mechanism.couplings[source].where
-                    refuse(
+                    raise_problem(
                         f"coordinate {source!r}",
                         f"it follows itself: {cycle}",
                         where,
@@ -373,19 +375,19 @@ def _check_coupling(
     subject = f"coupling of {coupling.of!r}"
     for name in (coupling.of, *coupling.sources):
         if name not in every:
-            refuse(
+            raise_problem(
                 subject,
                 str(UnknownNameError("coordinate", name, every, mechanism.name)),
                 coupling.where,
             )
         if name in balls:
             said = f"{name!r} is part of a quaternion"
-            refuse(subject, said, coupling.where, "only angles and lengths can be coupled")
+            raise_problem(subject, said, coupling.where, "only angles and lengths can be coupled")
     for v in (*coupling.sources.values(), coupling.offset):
         if isinstance(v, Expression):
             for name in v.names:
                 if name not in mechanism.parameters:
-                    refuse(
+                    raise_problem(
                         subject,
                         str(UnknownNameError("parameter", name, mechanism.parameters)),
                         coupling.where,
@@ -397,7 +399,9 @@ def _read_locks(mechanism: Mechanism, every: dict[str, Joint], balls: set[str]) 
     for name, number in mechanism.locks.items():
         subject = f"lock of {name!r}"
         if name not in every:
-            refuse(subject, str(UnknownNameError("coordinate", name, every, mechanism.name)), None)
+            raise_problem(
+                subject, str(UnknownNameError("coordinate", name, every, mechanism.name)), None
+            )
         joint = every[name]
         if name in balls:
             missing = [
@@ -406,7 +410,7 @@ def _read_locks(mechanism: Mechanism, every: dict[str, Joint], balls: set[str]) 
                 if c in balls and c not in mechanism.locks
             ]
             if missing:
-                refuse(
+                raise_problem(
                     subject,
                     f"a quaternion is locked as a whole; missing are {', '.join(missing)}",
                     None,
@@ -414,11 +418,11 @@ def _read_locks(mechanism: Mechanism, every: dict[str, Joint], balls: set[str]) 
             if not any(
                 mechanism.locks[c] for c in list_coordinate_names(mechanism, joint) if c in balls
             ):
-                refuse(subject, "the quaternion is zero; (1, 0, 0, 0) is no rotation", None)
+                raise_problem(subject, "the quaternion is zero; (1, 0, 0, 0) is no rotation", None)
         local = name[len(joint.name) + 1 :]
         lower, upper = joint.limits.get(local, (-math.inf, math.inf))
         if not lower <= number <= upper:
-            refuse(subject, f"{number:g} is outside the limits [{lower:g}, {upper:g}]", None)
+            raise_problem(subject, f"{number:g} is outside the limits [{lower:g}, {upper:g}]", None)
     return mechanism.locks
 
 
@@ -445,7 +449,7 @@ def _collect_limits(
                 if follower.source is None:
                     slack = HELD_TOLERANCE * (1.0 + abs(follower.offset))
                     if not low - slack <= follower.offset <= high + slack:
-                        refuse(
+                        raise_problem(
                             f"coordinate {name!r}",
                             f"it is held at {follower.offset:g}, outside its limits "
                             f"[{low:g}, {high:g}]",
@@ -490,7 +494,7 @@ def _refuse_limits(
 ):
     """Refuse limits of two joints that leave no value to the coordinate that moves both."""
     a, b = ((first, before), (second, now)) if swap else ((second, now), (first, before))
-    refuse(
+    raise_problem(
         f"joint {a[0].name!r}",
         f"its limits leave nothing to {name!r}, which drives it: they ask for {name!r} in "
         f"[{a[1][0]:g}, {a[1][1]:g}], those of joint {b[0].name!r} for [{b[1][0]:g}, {b[1][1]:g}]",

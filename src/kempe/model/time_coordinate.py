@@ -12,7 +12,7 @@ from kempe.arguments import explain_errors, numbers
 from kempe.arrays import check_range
 from kempe.constraints.base import Constraint
 from kempe.constraints.tape import TIME
-from kempe.description.mechanism import Mechanism, unused_name
+from kempe.description.mechanism import Mechanism, choose_unused_name
 from kempe.errors import InputError
 from kempe.model.model import keep_answers
 
@@ -77,7 +77,7 @@ def add_time_coordinate(system: SystemType) -> SystemType:
     It is a prismatic coordinate that appears in equations only, in no pose.
     """
     m = _make_time_an_input(system, (TIME,))
-    m.prismatic(TIME, m.ground, m.body(unused_name(m, "clock")), axis="x")
+    m.prismatic(TIME, m.ground, m.body(choose_unused_name(m, "clock")), axis="x")
     return type(system)(m)
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.arguments import explain_errors
-from kempe.description.source import expanded
+from kempe.description.source import expand_path
 from kempe.errors import InputError, UnsupportedError, format_value
 from kempe.model.configurations import has_loops, interpolate_configurations
 from kempe.spatial import Array
@@ -38,7 +38,7 @@ def film_file(file: str | Path) -> Path:
     """
     from matplotlib import animation
 
-    path = expanded(file)
+    path = expand_path(file)
     writer = ENDINGS.get(path.suffix.lower())
     if writer is None:
         raise InputError(f"{path}: moving pictures are {', '.join(ENDINGS)} files")

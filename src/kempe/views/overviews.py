@@ -10,7 +10,7 @@ import numpy as np
 
 from kempe import library
 from kempe.arguments import explain_errors
-from kempe.description.read import read
+from kempe.description.read import read_mechanism
 from kempe.equations.velocity import velocity_rows
 from kempe.errors import InputError, KempeError
 from kempe.joints import TYPES
@@ -292,7 +292,7 @@ def plot_joints(names: Sequence[str] = ()) -> tuple[Axes, ...]:
     axes: list[Axes] = []
     for k, name in enumerate(shown):
         ax: Any = figure.add_subplot(rows, columns, k + 1, projection="3d")
-        system = read(f"joint_{name}").build()
+        system = read_mechanism(f"joint_{name}").build()
         plot(system, motion=True, labels=False, ax=ax)
         ax.set_box_aspect(
             [np.ptp(x) for x in (ax.get_xlim(), ax.get_ylim(), ax.get_zlim())], zoom=1.25

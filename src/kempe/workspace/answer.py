@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from kempe.arguments import explain_errors, explain_method_errors
 from kempe.arrays import read_reals
-from kempe.description.source import expanded
+from kempe.description.source import expand_path
 from kempe.errors import InputError, MissingExtraError, UnsupportedError
 from kempe.forward.fk import jacobian
 from kempe.late import call_late, import_late
@@ -586,7 +586,7 @@ class Workspace(Report):
 
     def save(self, path: str | Path) -> Path:
         """The path, to which the map is written as Zarr: `kempe.open_workspace` and xarray read it."""
-        path = expanded(path)
+        path = expand_path(path)
         write_map(path, self.system, self.sample_counts)
         return path
 
@@ -695,16 +695,16 @@ def open_workspace(path: str | Path, system: Model | None = None) -> Workspace:
     where it is of another system, or where it has none in it and none is given; `DamagedError`
     where the file is not what was written.
     """
-    samples, toml = read_map(expanded(path))
+    samples, toml = read_map(expand_path(path))
     if system is None:
         if toml is None:
             raise InputError(
                 f"{path} does not hold its system, which no file can describe: give it, too"
             )
-        from kempe.description.source import collecting_later
+        from kempe.description.source import pause_garbage_collection
         from kempe.description.toml_reader import read_toml
 
-        with collecting_later():
+        with pause_garbage_collection():
             own: Model = call_late("System", read_toml(toml))
             system = own
     refuse_other(samples.said, {"system": system.structure.content_hash}, str(path))

@@ -29,7 +29,7 @@ from kempe.arguments import (
 )
 from kempe.assemble.assemble import assemble
 from kempe.budget import Budget, Usual
-from kempe.description.source import expanded
+from kempe.description.source import expand_path
 from kempe.errors import UNREADABLE, DamagedError, InputError
 from kempe.forward.fk import fk
 from kempe.inverse.ik import ik
@@ -655,7 +655,7 @@ def map_file(
     job = job_of(
         system, verb, frame, options, rows, read_flag(degrees, "degrees"), draw_seed(spend.rng)
     )
-    store = RowStore(expanded(path), job, rows, _chunk(job, rows))
+    store = RowStore(expand_path(path), job, rows, _chunk(job, rows))
     client = None if client is None else connected(client)
     broken = None
     try:

@@ -14,7 +14,7 @@ import numpy as np
 from kempe.answers.tables import header_of, rows_of_text
 from kempe.arguments import check_name
 from kempe.arrays import KINDS
-from kempe.description.source import expanded
+from kempe.description.source import expand_path
 from kempe.errors import UNREADABLE, DamagedError, InputError, KempeError, MissingExtraError
 from kempe.spatial import Array
 from kempe.words import choose_verb, format_count, join_words
@@ -97,7 +97,7 @@ def open_rows(path: str | Path, columns: Sequence[str] | None = None) -> RowSour
     Errors: `InputError` for what is no such file, `UnknownNameError` for columns,
     `MissingExtraError`.
     """
-    path = expanded(path)
+    path = expand_path(path)
     if not path.exists():
         raise InputError(f"{path}: there is no such file")
     reader = READERS.get(path.suffix.lower(), _of_folder(path) if path.is_dir() else None)

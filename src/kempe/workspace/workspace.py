@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from kempe.arguments import draw_seed, explain_errors, raise_interrupted
 from kempe.arrays import is_real
 from kempe.budget import Budget, Usual
-from kempe.description.source import expanded
+from kempe.description.source import expand_path
 from kempe.errors import DamagedError, InputError, format_value
 from kempe.numerics.clock import BROKEN_OFF, TimeLimit, begun_within
 from kempe.numerics.pool import thread_count
@@ -115,7 +115,7 @@ def workspace(
             recipe = recipe_of(system, name, draw_seed(spend.rng), cells, box, question)
         return _answer(
             recipe,
-            None if path is None else expanded(path),
+            None if path is None else expand_path(path),
             int(n or recipe.usual),
             client,
             spend,

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from kempe.description.limited import last_words, run_limited
+from kempe.description.limited import extract_last_lines, run_limited_code
 from kempe.description.packages import Folders
 from kempe.description.parts import Shape
 from kempe.description.shapes import Mesh
@@ -283,7 +283,7 @@ def read_meshes(
                 "memory": MEMORY,
                 "texture": TEXTURE,
             }
-            ended = run_limited(
+            ended = run_limited_code(
                 _WORKER,
                 settings,
                 seconds=seconds,
@@ -300,7 +300,9 @@ def read_meshes(
                     "time": f"reading it takes more than {EACH} s",
                     "memory": f"reading it takes more than {MEMORY} bytes of memory",
                     "output": f"its triangles take more than {LARGEST} bytes",
-                }.get(ended.reason, f"reading it ended the process: {last_words(ended.said)}")
+                }.get(
+                    ended.reason, f"reading it ended the process: {extract_last_lines(ended.said)}"
+                )
                 first += 1
     return meshes
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.arrays import read_reals
-from kempe.description.source import expanded
+from kempe.description.source import expand_path
 from kempe.errors import InputError, format_value, warn
 from kempe.views.viewer.scene_nodes import Drawn, Nodes
 from kempe.views.viewer.server import POLICY, PageServer, quiet
@@ -67,7 +67,7 @@ def page_file(file: Any) -> Path:
     """The path of a page. Errors: `InputError` for other endings and folders that do not exist."""
     if not isinstance(file, (str, Path)):
         raise InputError(f"file is {format_value(file)}; it must be the name of a file")
-    out = expanded(file)
+    out = expand_path(file)
     if out.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"{out}: a page ends in .html")
     if not out.parent.is_dir():
