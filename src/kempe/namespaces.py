@@ -132,11 +132,11 @@ class Symbolic(Namespace):
     ) -> InverseFormulas:
         """The inverse model of a planar arm, or of one in space that ends in a wrist, as formulas.
 
-        See `kempe.inverse.formulas.symbolic_ik`.
+        See `kempe.inverse.formulas.derive_ik`.
         """
-        from kempe.inverse.formulas import symbolic_ik
+        from kempe.inverse.formulas import derive_ik
 
-        return symbolic_ik(self.system, frame, task, symbols=symbols, snap=snap)
+        return derive_ik(self.system, frame, task, symbols=symbols, snap=snap)
 
     @explain_errors
     def short(self, formula: Any) -> ShortForm:
@@ -166,9 +166,9 @@ class Inverse(Namespace):
 
         See `kempe.inverse.describe`.
         """
-        from kempe.inverse.describe import ik_plan
+        from kempe.inverse.describe import describe_plan
 
-        return ik_plan(self.system, frame, task, fixed)
+        return describe_plan(self.system, frame, task, fixed)
 
     @explain_errors
     def sweep(
@@ -224,9 +224,9 @@ class Inverse(Namespace):
 
         See `kempe.inverse.arm_angle`.
         """
-        from kempe.inverse.arm_angle import arm_angle
+        from kempe.inverse.arm_angle import compute_arm_angle
 
-        return arm_angle(self.system, q, frame, reference)
+        return compute_arm_angle(self.system, q, frame, reference)
 
 
 @dataclass(frozen=True, repr=False)

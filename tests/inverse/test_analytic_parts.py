@@ -17,10 +17,10 @@ from scipy.spatial.transform import Rotation
 import kempe
 from kempe.inverse import families, spare_joints
 from kempe.inverse.all_answer import Solutions
-from kempe.inverse.arm_angle import reference_plane
+from kempe.inverse.arm_angle import compute_reference_direction
 from kempe.inverse.closed_forms import descent
 from kempe.inverse.closed_forms import plan as choice
-from kempe.inverse.closed_forms.plan import spread
+from kempe.inverse.closed_forms.plan import sample_variables
 from kempe.inverse.explain_all import ROW
 from kempe.inverse.families import SolutionSet
 from kempe.kernels.forward.table_layout import SLIDE
@@ -37,7 +37,7 @@ def test_rotation_vectors():
         [angle * np.array(axis) / np.linalg.norm(axis) for angle in ANGLES for axis in AXES]
     )
     found = np.concatenate(
-        [descent._rotation_vector(R[None]) for R in Rotation.from_rotvec(v).as_matrix()]
+        [descent._compute_rotation_vectors(R[None]) for R in Rotation.from_rotvec(v).as_matrix()]
     )
     np.testing.assert_allclose(found, v, rtol=1e-11, atol=1e-15)
 
@@ -56,7 +56,7 @@ def test_a_descent_ends_in_the_least_squares_solution_however_badly_it_is_condit
     x = np.array([0.3, -0.2, 0.4])
     across = np.linalg.svd(A)[0][:, 3]
     free = np.full(3, math.inf)
-    found = descent.descend(linear(A, A @ x + 0.01 * across), np.zeros((2, 3)), -free, free)
+    found = descent.run_descent(linear(A, A @ x + 0.01 * across), np.zeros((2, 3)), -free, free)
     np.testing.assert_allclose(found, [x, x], atol=1e-7)
 
 
@@ -70,7 +70,7 @@ def test_a_descent_leaves_joints_at_the_limits_on_which_they_press(sign):
     high = np.array([high, 1.0])
     expected = lsq_linear(A, b, (low, high), tol=1e-14).x
     assert expected[0] == pytest.approx(0.0, abs=1e-9)
-    found = descent.descend(linear(A, b), np.zeros((1, 2)), low, high)
+    found = descent.run_descent(linear(A, b), np.zeros((1, 2)), low, high)
     np.testing.assert_allclose(found[0], expected, atol=1e-9)
 
 
@@ -91,7 +91,7 @@ def test_a_configuration_is_polished_onto_its_target():
 def test_random_samples_of_a_chain_turn_to_any_angle_and_slide_as_far_as_it_is_long():
     arm = kempe.load("stanford")
     lines = arm.ik_all(arm.fk(arm.mid, "tool"), "tool").plan.lines
-    most = np.abs(spread(lines, np.random.default_rng(0), 1000)).max(axis=0)
+    most = np.abs(sample_variables(lines, np.random.default_rng(0), 1000)).max(axis=0)
     slides = lines.kinds == SLIDE
     assert slides.any() and (0.9 < most[slides]).all() and (most[slides] <= 1.0).all()
     assert (3.0 < most[~slides]).all() and (most[~slides] <= math.pi).all()
@@ -116,9 +116,9 @@ def test_where_axes_line_up_joints_are_held_aside_of_zero_inside_the_limits(
         lines, limits=np.tile(np.array(limits)[:, None], 6), multiplier=np.full(6, -1.0)
     )
     counts = iter([3, 0])  # at zero, elsewhere
-    monkeypatch.setattr(choice, "_aligned", lambda plan, theta: next(counts))
+    monkeypatch.setattr(choice, "_count_aligned_joints", lambda plan, theta: next(counts))
     plan: Any = SimpleNamespace(lines=lines, method=choice.ELIMINATION, locked=(2,))
-    assert choice._first(plan, ()) == (expected,) * 6
+    assert choice._choose_held_values(plan, ()) == (expected,) * 6
 
 
 X, Y, Z = np.eye(3)
@@ -140,7 +140,7 @@ OBLIQUE = np.array([0.95, math.sqrt(1.0 - 0.95**2), 0.0])
 )
 def test_the_plane_from_which_arm_angles_count(z, v, expected):
     np.testing.assert_allclose(
-        reference_plane(z, np.stack([v, v])), [expected, expected], atol=1e-15
+        compute_reference_direction(z, np.stack([v, v])), [expected, expected], atol=1e-15
     )
 
 
@@ -172,7 +172,7 @@ def test_families_are_not_looked_for_where_nothing_is_singular(monkeypatch):
 def test_nothing_is_left_out_where_there_was_room():
     arm = kempe.load("puma560")
     answer = arm.ik_all(arm.fk([0.3, -0.7, 0.4, 0.5, 0.0, -0.2], "tool"), "tool")
-    assert families._left_out(answer, 0).shape == (0, 6)
+    assert families._read_left_out_samples(answer, 0).shape == (0, 6)
 
 
 def test_curves_cross_where_the_second_singular_value_vanishes():
@@ -182,9 +182,12 @@ def test_curves_cross_where_the_second_singular_value_vanishes():
     way = np.tile([1.0, 0.0], (9, 1))
     chain: Any = SimpleNamespace(
         aim=SimpleNamespace(moves=np.arange(2)),
-        lead=lambda p, t: SimpleNamespace(x=p, J=p),
-        both_of_many=lambda p: (None, p),
-        spectrum=lambda p: (np.abs(np.stack([0.0 * p[..., 0], p[..., 0] - 0.47], axis=-1)), None),
+        minimise_error=lambda p, t: SimpleNamespace(x=p, J=p),
+        evaluate_batch=lambda p: (None, p),
+        decompose_jacobians=lambda p: (
+            np.abs(np.stack([0.0 * p[..., 0], p[..., 0] - 0.47], axis=-1)),
+            None,
+        ),
     )
-    (crossing,) = SolutionSet.crossings(chain, theta, way[:, None])
+    (crossing,) = SolutionSet.find_crossings(chain, theta, way[:, None])
     np.testing.assert_allclose(crossing, [0.47, 0.0], atol=1e-6)

@@ -10,7 +10,7 @@ import pytest
 import kempe
 from kempe import spatial
 from kempe.errors import InputError, UnknownNameError
-from kempe.inverse.closed_forms.branch_names import NEITHER, SEVEN, SLIDING, SPATIAL, branch_names
+from kempe.inverse.closed_forms.branch_names import NEITHER, SEVEN, SLIDING, SPATIAL, name_branches
 
 WORDS = [word for choice in SPATIAL for word in choice[:2]]
 LINKS = [f"link{k}" for k in range(1, 6)]
@@ -25,7 +25,7 @@ def names_of(system: kempe.System, frame: str, Q: np.ndarray) -> list[str]:
     a = system.ik_all(system.fk(Q[0], frame), frame)
     lines = a.plan.lines
     assert a._kind is not None
-    return branch_names(a._kind, lines, lines.theta(Q[:, lines.q_index])).tolist()
+    return name_branches(a._kind, lines, lines.compute_theta(Q[:, lines.q_index])).tolist()
 
 
 # ---- the arm of the lecture

@@ -426,9 +426,9 @@ def test_chains_that_are_singular_everywhere_take_no_numerical_search_at_each_va
     seconds.
     """
     searches = []
-    before = start_search._solutions
+    before = start_search._find_solutions
     monkeypatch.setattr(
-        start_search, "_solutions", lambda *args: searches.append(1) or before(*args)
+        start_search, "_find_solutions", lambda *args: searches.append(1) or before(*args)
     )
     h = np.pi / 2
     rows = [(0.35, -h, 0.1, h, "prismatic"), (0.5, h, 0.0, 0.0, "prismatic"), (0.5, -h, -0.2, h, "revolute"),

@@ -13,7 +13,7 @@ import pytest
 
 import kempe
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
-from kempe.inverse.describe import ik_plan
+from kempe.inverse.describe import describe_plan
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 import arms
@@ -56,7 +56,7 @@ CLASSES = {
 
 def recognised(name: str):
     arm = arms.arms()[name]
-    return ik_plan(arm.system, arm.frame, (arm.task, arm.axis), tuple(arm.held))
+    return describe_plan(arm.system, arm.frame, (arm.task, arm.axis), tuple(arm.held))
 
 
 @pytest.mark.parametrize("name", CLASSES)
@@ -75,7 +75,7 @@ def test_no_more_solutions_are_known_than_promised(name):
 
 
 def test_puma():
-    answer = ik_plan(kempe.load("puma560"), "tool")
+    answer = describe_plan(kempe.load("puma560"), "tool")
     assert answer.relations == (
         "the axes of q1 and q2 meet at right angles",
         "the axes of q2 and q3 are parallel, 0.4318 m apart",
@@ -91,7 +91,7 @@ def test_puma():
 
 
 def test_three_parallel_axes():
-    answer = ik_plan(kempe.load("ur5"), "tool")
+    answer = describe_plan(kempe.load("ur5"), "tool")
     assert "the axes of shoulder_lift, elbow and wrist_1 are parallel" in answer.relations
     assert [step.values for step in answer.steps] == [2, 2, 1, 2]
     assert answer.steps[0].equation.endswith(
@@ -141,7 +141,7 @@ def test_two_turns(second, said):
         ("revolute", second),
         ("revolute", {"at": (0.4, 0.5, 0), "rpy": (0, 0.9, 0)}),
     )
-    assert ik_plan(system, "tool", "position").relations[0] == said
+    assert describe_plan(system, "tool", "position").relations[0] == said
 
 
 def test_slides():
@@ -152,7 +152,7 @@ def test_slides():
         ("prismatic", {}),
         ("prismatic", {"rpy": (H, 0, 0)}),
     )
-    assert ik_plan(system, "tool").relations == (
+    assert describe_plan(system, "tool").relations == (
         "the axes of j2 and j3 are parallel, 0.4 m apart, and j1 and j4 slide along them",
         "j4 and j5 slide at right angles to each other",
     )
@@ -170,14 +170,14 @@ def test_a_wrist_that_misses():
         ("revolute", {"at": (0, 0, 0.4), **OVER}),
         ("revolute", {"at": (0.4, 0.1, 0)}),
     ]
-    answer = ik_plan(chain(*arm, *wrist), "tool")
+    answer = describe_plan(chain(*arm, *wrist), "tool")
     assert any(
         r.startswith("the axes of j4, j5 and j6 miss a common point by 0.0003 m")
         for r in answer.relations
     )
     assert answer.method == "elimination" and answer.most == 16
     wrist[2] = ("revolute", {"rpy": (-H, 0, 0)})
-    answer = ik_plan(chain(*arm, *wrist), "tool")
+    answer = describe_plan(chain(*arm, *wrist), "tool")
     assert (
         "the axes of j4, j5 and j6 meet in one point, neighbours at right angles"
         in answer.relations
@@ -199,7 +199,7 @@ def test_the_facts_do_not_depend_on_frames():
         ("revolute", {"at": (0, 0, -0.3), **OVER}),
         ("revolute", {"at": (0.4, 0.1, 5.0)}),
     ]
-    one, other = (ik_plan(chain(*joints), "tool", "position") for joints in (plain, shifted))
+    one, other = (describe_plan(chain(*joints), "tool", "position") for joints in (plain, shifted))
     assert [
         r.replace("j3", "j4").replace("j2", "j3").replace("j1", "j2") for r in one.relations
     ] == list(other.relations)
@@ -207,27 +207,33 @@ def test_the_facts_do_not_depend_on_frames():
 
 def test_redundant_and_short_chains():
     iiwa = kempe.load("iiwa14")
-    assert ik_plan(iiwa, "tool").held == ("q5",)
-    assert ik_plan(iiwa, "tool", fixed=["q3"]).steps[0] == (("q3",), "held at given values", 1)
-    assert ik_plan(iiwa, "tool", fixed={"q3": 0.1}).held == ("q3",)
-    scara = ik_plan(kempe.load("cobra600"), "tool")
+    assert describe_plan(iiwa, "tool").held == ("q5",)
+    assert describe_plan(iiwa, "tool", fixed=["q3"]).steps[0] == (
+        ("q3",),
+        "held at given values",
+        1,
+    )
+    assert describe_plan(iiwa, "tool", fixed={"q3": 0.1}).held == ("q3",)
+    scara = describe_plan(kempe.load("cobra600"), "tool")
     assert scara.steps[-1].equation.startswith("2 equations left over")
-    assert all(step.joints for step in ik_plan(iiwa, "tool", "position").steps)
+    assert all(step.joints for step in describe_plan(iiwa, "tool", "position").steps)
     planar = kempe.load("two_link")
-    assert ik_plan(planar, "e", "position").steps == ((("q1", "q2"), "motion within the plane", 2),)
+    assert describe_plan(planar, "e", "position").steps == (
+        (("q1", "q2"), "motion within the plane", 2),
+    )
 
 
 def test_one_joint_and_two_joints():
     """A pose fixes one or two joints that do not move as one; a point in space two circles."""
     one = chain(("revolute", {}))
     two = chain(("revolute", {}), ("revolute", {"at": (0.4, 0, 0)}))
-    assert [ik_plan(one, "tool", task).most for task in ("pose", "position")] == [1, 1]
-    assert [ik_plan(two, "tool", task).most for task in ("pose", "position")] == [1, 2]
-    assert ik_plan(one, "tool").relations == ("j1 is the only joint",)
+    assert [describe_plan(one, "tool", task).most for task in ("pose", "position")] == [1, 1]
+    assert [describe_plan(two, "tool", task).most for task in ("pose", "position")] == [1, 2]
+    assert describe_plan(one, "tool").relations == ("j1 is the only joint",)
 
 
 def test_text_html_data():
-    answer = ik_plan(kempe.load("puma560"), "tool", ("position_axis", (1, 0, 0)))
+    answer = describe_plan(kempe.load("puma560"), "tool", ("position_axis", (1, 0, 0)))
     text = str(answer)
     assert text.startswith(
         "inverse model of tool of puma560, task position_axis\n  joints     q1, q2"
@@ -243,22 +249,22 @@ def test_text_html_data():
         and data["joints"] == [f"q{k}" for k in range(1, 7)]
         and data["method"] == "closed form"
     )
-    assert answer == ik_plan(kempe.load("puma560"), "tool", ("position_axis", (1, 0, 0)))
+    assert answer == describe_plan(kempe.load("puma560"), "tool", ("position_axis", (1, 0, 0)))
 
 
 def test_what_is_refused():
     puma = kempe.load("puma560")
     with pytest.raises(InputError, match="task"):
-        ik_plan(puma, "tool", "poses")
+        describe_plan(puma, "tool", "poses")
     with pytest.raises(UnknownNameError, match="q9"):
-        ik_plan(puma, "tool", fixed=["q9"])
+        describe_plan(puma, "tool", fixed=["q9"])
     with pytest.raises(UnknownNameError, match="tol"):
-        ik_plan(puma, "tol")
+        describe_plan(puma, "tol")
     with pytest.raises(UnsupportedError, match="loop"):
-        ik_plan(kempe.load("five_bar"), "tip")
+        describe_plan(kempe.load("five_bar"), "tip")
 
 
 def test_names_of_held_joints_only_count():
-    assert ik_plan(kempe.load("panda"), "panda_hand_tcp", fixed=["panda_joint7"]) == ik_plan(
-        kempe.load("panda"), "panda_hand_tcp", fixed={"panda_joint7": np.pi}
-    )
+    assert describe_plan(
+        kempe.load("panda"), "panda_hand_tcp", fixed=["panda_joint7"]
+    ) == describe_plan(kempe.load("panda"), "panda_hand_tcp", fixed={"panda_joint7": np.pi})

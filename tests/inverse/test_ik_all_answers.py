@@ -16,7 +16,7 @@ import kempe
 from kempe import spatial
 from kempe.errors import InputError
 from kempe.inverse.closed_forms.plan import SEARCH
-from kempe.inverse.closed_forms.solve import solve_held
+from kempe.inverse.closed_forms.solve import solve_locked_chain
 from kempe.kernels.forward.table_layout import TURN
 
 ARMS = arms.arms()
@@ -35,7 +35,7 @@ def shuffled(answer, rng):
     rows[..., : len(lines)] += turns * rng.integers(-2, 3, (*rows.shape[:2], len(lines)))
     for x in rows:
         x[:] = x[rng.permutation(len(x))]
-    return answer._with(rows, None)
+    return answer._replace_rows(rows, None)
 
 
 def modulo_turns(answer):
@@ -43,7 +43,7 @@ def modulo_turns(answer):
     use.
     """
     lines = answer.plan.lines
-    theta = lines.theta(answer.q[..., lines.q_index])
+    theta = lines.compute_theta(answer.q[..., lines.q_index])
     turning = lines.kinds == TURN
     both = np.concatenate(
         [np.where(turning, np.cos(theta), theta), np.where(turning, np.sin(theta), 0.0)], axis=-1
@@ -66,7 +66,7 @@ def test_rows_continue_along_trajectories(name, hidden):
     first = answer.along()
     if hidden:
         first._rows[3:7, 1, -1] = first._rows[14:20, 0, -1] = -1.0
-        first = answer._with(first._rows, None)
+        first = answer._replace_rows(first._rows, None)
     found = shuffled(first, rng).along()
     a = modulo_turns(first)
     b = modulo_turns(found)
@@ -97,7 +97,7 @@ def test_rows_of_one_trajectory_do_not_depend_on_another():
     both = shuffled(system.ik_all(system.fk(q, "tool"), "tool"), np.random.default_rng(0))
     for i in (0, 1):
         alone = system.ik_all(system.fk(q[i], "tool"), "tool")
-        alone = alone._with(both._rows.reshape(2, 6, *both._rows.shape[1:])[i], None)
+        alone = alone._replace_rows(both._rows.reshape(2, 6, *both._rows.shape[1:])[i], None)
         np.testing.assert_array_equal(both.along().q[i], alone.along().q)
 
 
@@ -203,7 +203,7 @@ def test_many_starts_find_what_closed_forms_find(name):
     targets[1, 0, 0] = math.nan
     problem = replace(truth.problem, targets=targets)
     plan = replace(truth.plan, method=SEARCH)
-    rows, counts = solve_held(problem, plan, near, locked, None)
+    rows, counts = solve_locked_chain(problem, plan, near, locked, None)
     n = len(plan.lines)
     assert counts[1, 0] == -1 and (rows[1, :, n + 1] < 0.0).all() and (counts[:, 1] == 1).all()
     expected = ask(arm, X, q, start=start)

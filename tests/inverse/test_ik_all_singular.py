@@ -16,7 +16,7 @@ from linkages import planar_arm
 
 import kempe
 from kempe.errors import InputError
-from kempe.inverse.explain_all import status
+from kempe.inverse.explain_all import explain_target
 from kempe.inverse.families import find_families
 from kempe.inverse.nearest import nearest
 
@@ -233,7 +233,7 @@ def test_elbow_stretched_is_a_double_root():
     assert families == [] and (rows == -1).all()
     k = int(np.argmin([apart(x, q) for x in a]))
     assert apart(a[k], q) < 1e-6 and a.multiplicity[k] == 2
-    assert status(a, 0).startswith("5 solutions, all of them, 1 of them a double root")
+    assert explain_target(a, 0).startswith("5 solutions, all of them, 1 of them a double root")
 
 
 def test_puma_elbow_is_a_double_root():
@@ -442,7 +442,7 @@ def test_two_links_out_of_reach(target):
     wanted = max(d - l1 - l2, l1 - l2 - d)
     assert len(a) == 0 and position == pytest.approx(wanted, abs=1e-9) and angle == 0.0
     assert np.linalg.norm(s.fk(q, "tip")[:2, 3] - target) == pytest.approx(wanted, abs=1e-9)
-    text = status(a, 0)
+    text = explain_target(a, 0)
     assert text.startswith(
         f"no solution: outside the workspace by at least {wanted:.6g} m, by the lengths of the lin"
     )
@@ -464,7 +464,7 @@ def test_a_direction_beyond_a_limit():
     assert angle == pytest.approx(math.pi / 2 - 0.5, abs=1e-10)
     assert (
         f"none inside the limits (the nearest to them has 'A' {math.pi / 2 - 0.5:.6g} rad beyond"
-        in status(a, 0)
+        in explain_target(a, 0)
     )
 
 
@@ -481,7 +481,7 @@ def test_a_tilted_direction():
     assert q[0] == pytest.approx(-math.pi / 2, abs=1e-6)
     assert (
         "the chain has 1 joint, the task 2 equations: this target is not among those it can reach"
-        in status(a, 0)
+        in explain_target(a, 0)
     )
 
 
@@ -505,17 +505,17 @@ def test_sentences_of_what_is_reached():
     s = system("puma560")
     plain = "axes 4, 5, 6 meet in a point (closed form)"
     assert (
-        status(s.ik_all(s.fk(q, "tool"), "tool"), 0)
+        explain_target(s.ik_all(s.fk(q, "tool"), "tool"), 0)
         == f"8 solutions, all of them, 4 inside the limits: {plain}"
     )
     q[4] = 0.0
-    text = status(s.ik_all(s.fk(q, "tool"), "tool"), 0)
+    text = explain_target(s.ik_all(s.fk(q, "tool"), "tool"), 0)
     assert text == (
         "6 solutions, all of them, 3 inside the limits, and a family with one freedom: q4 + q6 = 1 "
         "while q5 = 0"
     )
     u = system("ur5")
-    assert status(u.ik_all(u.fk([0.1, -0.7, 0.9, 0.4, 0.3, 0.6], "tool"), "tool"), 0) == (
+    assert explain_target(u.ik_all(u.fk([0.1, -0.7, 0.9, 0.4, 0.3, 0.6], "tool"), "tool"), 0) == (
         "8 solutions, all of them: axes 2, 3, 4 are parallel (closed form)"
     )
 
@@ -528,13 +528,13 @@ def test_sentences_of_what_is_not():
     X = s.fk([0.1, 0.2, 0.3, 0.4, 0.5, 0.6], "tool")
     X[:3, 3] = 0.9, 0.0, 0.8
     over = math.hypot(0.9, 0.8) - math.hypot(0.4318 + math.hypot(0.4318, 0.0203), 0.15005)
-    text = status(s.ik_all(X, "tool"), 0)
+    text = explain_target(s.ik_all(X, "tool"), 0)
     assert (
         f"no angle of 'q3' brings the point where axes 4, 5, 6 meet to its distance: {over:.6g} m "
         "too far" in text
     )
     X[:3, 3] = 0.03, 0.04, 0.5
-    text = status(s.ik_all(X, "tool"), 0)
+    text = explain_target(s.ik_all(X, "tool"), 0)
     assert (
         "no angle of 'q1' brings the point where axes 4, 5, 6 meet to its height: 0.10005 m off"
         in text
@@ -548,12 +548,12 @@ def test_sentence_of_a_chain_with_few_joints():
     X[:3, 3] += 0.0, 0.02, 0.01
     assert (
         "the chain has 5 joints, the task 6 equations: this target is not among those it can reach"
-        in status(s.ik_all(X, "tool"), 0)
+        in explain_target(s.ik_all(X, "tool"), 0)
     )
 
 
 def test_sentence_of_a_planar_system():
-    assert "outside the plane of the system by 0.1 m" in status(
+    assert "outside the plane of the system by 0.1 m" in explain_target(
         planar_arm(0.5, 0.5).ik_all([0.3, 0.2, 0.1], "tip"), 0
     )
 

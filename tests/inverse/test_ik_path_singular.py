@@ -9,7 +9,7 @@ import pytest
 
 import kempe
 from kempe import Mechanism, System, tasks
-from kempe.inverse.chain.serial_chain import chain_of
+from kempe.inverse.chain.serial_chain import find_chain
 
 ARMS = ("puma560", "ur5", "stanford", "irb6640", "crx10ia", "xarm6", "hc10", "jaco2", "ur10e")
 
@@ -21,7 +21,7 @@ def robots() -> dict[str, System]:
 
 def tip(system: System) -> str:
     names = system.frame_names
-    return max(names, key=lambda f: (len(chain_of(system, f).v_index), names.index(f)))
+    return max(names, key=lambda f: (len(find_chain(system, f).v_index), names.index(f)))
 
 
 def line(system: System, rng: np.random.Generator, count: int, middle: float = 0.0) -> np.ndarray:

@@ -15,7 +15,7 @@ from scipy.optimize import minimize
 
 import kempe
 from kempe import Mechanism, System, spatial, tasks
-from kempe.inverse.chain.serial_chain import chain_of
+from kempe.inverse.chain.serial_chain import find_chain
 from kempe.inverse.ik_step import SLIDING, TURNING, speeds
 from kempe.model.characteristic_length import compute_characteristic_length
 
@@ -49,7 +49,7 @@ def robots() -> dict[str, System]:
 def tip(system: System) -> str:
     """The frame that most joints move."""
     names = system.frame_names
-    return max(names, key=lambda f: (len(chain_of(system, f).v_index), names.index(f)))
+    return max(names, key=lambda f: (len(find_chain(system, f).v_index), names.index(f)))
 
 
 def motion(system: System, q, wanted, frame=None, dt=0.01, time=5.0, **options) -> np.ndarray:
@@ -143,7 +143,7 @@ def settles_at_a_minimum(s: System, rng: np.random.Generator) -> bool:
     X = s.fk(s.random(rng), frame)
     far = 10.0 ** rng.uniform(-2.0, 0.0)
     way = rng.normal(size=3) * ([1.0, 1.0, 0.0] if s.dim == 2 else 1.0)
-    reach = min((b.largest for b in chain_of(s, frame).bounds), default=1.0)
+    reach = min((b.largest for b in find_chain(s, frame).bounds), default=1.0)
     X[:3, 3] = (
         way / np.linalg.norm(way) * (reach + far) if rng.random() < 0.7 else X[:3, 3] + far * way
     )

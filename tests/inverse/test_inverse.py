@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 import kempe
 from kempe import Mechanism
 from kempe.errors import InputError, NoSolutionError, UnknownNameError, UnsupportedError
-from kempe.inverse.chain.serial_chain import chain_of
+from kempe.inverse.chain.serial_chain import find_chain
 from kempe.status import Status
 
 
@@ -149,7 +149,7 @@ def test_a_pose_may_be_proven_out_of_reach_by_its_last_axis(below):
     robot = kempe.load("iiwa14")
     radius = 0.82
     frame = robot.frame_names[-1]
-    bound = min(b.largest for b in chain_of(robot, frame).bounds)
+    bound = min(b.largest for b in find_chain(robot, frame).bounds)
     assert bound == pytest.approx(radius, abs=1e-12)
     far = np.eye(4)
     far[:3, 3] = [0.0, 0.0, 0.36 + radius + 0.126 - below]  # the wrist is inside the sphere

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from kempe import Mechanism
-from kempe.inverse.chain.serial_chain import chain_of, moved_by
+from kempe.inverse.chain.serial_chain import find_chain, find_motion_masks
 
 
 def test_a_screw_turns_and_slides():
@@ -13,8 +13,8 @@ def test_a_screw_turns_and_slides():
     m.helical("h", "a", m.body("b"), pitch=0.1)
     m.prismatic("s", "b", m.body("c"), axis=(1, 0, 0))
     m.cylindrical("c", "c", m.body("d"))
-    chain = chain_of(m.build(), "d")
-    turns, slides = moved_by(chain)
+    chain = find_chain(m.build(), "d")
+    turns, slides = find_motion_masks(chain)
     assert turns.tolist() == [True, True, False, True, False] or turns.tolist() == [
         True,
         True,

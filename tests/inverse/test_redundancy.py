@@ -15,7 +15,7 @@ import kempe
 from kempe import spatial
 from kempe.description.dh import from_dh
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
-from kempe.inverse.arm_angle import arm_angle, three_turns, turns
+from kempe.inverse.arm_angle import compute_arm_angle, compute_rotations, solve_three_turns
 from kempe.inverse.sweep import ik_sweep
 from kempe.numerics.intervals import arcs, joined, union
 
@@ -105,7 +105,7 @@ def test_the_test_model_is_the_iiwa():
     rng = np.random.default_rng(1)
     for q in system.random(rng, 20):
         T = system.fk(q, "tool")
-        some = iiwa_at(T, arm_angle(system, q, "tool"))
+        some = iiwa_at(T, compute_arm_angle(system, q, "tool"))
         assert apart([q], some[[np.abs(wrapped(some - q)).max(axis=1).argmin()]]) < 1e-9
         assert deviation(system, "tool", some, T) < 1e-12
 
@@ -129,10 +129,10 @@ def test_arm_angle_against_the_elbow_on_its_circle(seed):
         assert good.any() == lies_in(sweep.feasible, psi, 2 * PI), psi
     for i in range(0, 181, 20):
         assert apart(sweep.q[i], iiwa_at(T, sweep.values[i])) < 1e-7
-    at = sweep.at(arm_angle(system, q, "tool"))
+    at = sweep.at(compute_arm_angle(system, q, "tool"))
     assert np.abs(at.q - q).max(axis=1).min() < 1e-8 and at.residual.max() < 1e-9
     assert np.all(np.diff(at.inside.astype(int)) <= 0)
-    assert np.allclose(arm_angle(system, at.q, "tool"), at.value, atol=1e-8)
+    assert np.allclose(compute_arm_angle(system, at.q, "tool"), at.value, atol=1e-8)
 
 
 @pytest.mark.parametrize("seed", range(10, 16))
@@ -180,7 +180,9 @@ def test_base_and_tool_change_nothing():
     for q in plain.random(rng, 4):
         a = ik_sweep(plain, plain.fk(q, "tool"), "tool", n=50)
         b = ik_sweep(moved, moved.fk(q, "tool"), "tool", n=50)
-        assert arm_angle(plain, q, "tool") == pytest.approx(arm_angle(moved, q, "tool"), abs=1e-9)
+        assert compute_arm_angle(plain, q, "tool") == pytest.approx(
+            compute_arm_angle(moved, q, "tool"), abs=1e-9
+        )
         assert np.abs(wrapped(a.q - b.q)).max() < 1e-8
         for rows, others in zip(a.intervals, b.intervals, strict=True):
             assert np.allclose(rows, others, atol=1e-8)
@@ -212,7 +214,7 @@ def test_odd_angles_and_offsets(seed):
     T = system.fk(q, "tool")
     sweep = ik_sweep(system, T, "tool", start=q, n=1001)
     assert deviation(system, "tool", sweep.q[sweep.mask], T) < 1e-9
-    psi = arm_angle(system, q, "tool")
+    psi = compute_arm_angle(system, q, "tool")
     at = sweep.at(psi)
     assert np.abs(wrapped(at.q - q)).max(axis=1).min() < 1e-7 and lies_in(
         sweep.feasible, psi, 2 * PI
@@ -244,7 +246,7 @@ def test_the_arm_angle_and_the_joint_agree(seed):
     joint = ik_sweep(system, T, "tool", "q3", n=101)
     q = joint.q[joint.inside]
     assert len(q) > 10 and deviation(system, "tool", joint.q[joint.mask], T) < 1e-9
-    for x in arm_angle(system, q, "tool"):
+    for x in compute_arm_angle(system, q, "tool"):
         assert lies_in([(a - 1e-7, b + 1e-7) for a, b in arm.feasible], x, 2 * PI)
     wide = [(k, a, b) for k, rows in enumerate(arm.intervals) for a, b in rows]
     third = np.concatenate([arm.at(np.linspace(a, b, 50)[1:-1]).q[:, k, 2] for k, a, b in wide])
@@ -260,11 +262,13 @@ def test_stretched_arm_and_wrist_above_the_shoulder():
         [0.4, 0.0, 0.7, 0.0, 0.2, 0.0, 0.1],
     ):
         T = system.fk(q, "tool")
-        psi = arm_angle(system, q, "tool")
+        psi = compute_arm_angle(system, q, "tool")
         at = ik_sweep(system, T, "tool").at([psi, 0.4, -2.5])
         assert at.mask.any(axis=1).all() and deviation(system, "tool", at.q[at.mask], T) < 1e-9
         for row, mask, value in zip(at.q, at.mask, at.value, strict=True):
-            assert np.abs(wrapped(arm_angle(system, row[mask], "tool") - value)).max() < 1e-5
+            assert (
+                np.abs(wrapped(compute_arm_angle(system, row[mask], "tool") - value)).max() < 1e-5
+            )
     stretched = system.fk([0.3, 0.7, 0.2, 0.0, -0.4, 0.9, 0.1], "tool")
     # both ways to bend the elbow have merged
     assert len(ik_sweep(system, stretched, "tool").at(0.5)) == 4
@@ -276,7 +280,9 @@ def test_the_arm_angle_of_a_stretched_arm_is_a_limit():
     """
     system = iiwa()
     for q in system.random(np.random.default_rng(6), 5):
-        a, b, c = (arm_angle(system, [*q[:3], x, *q[4:]], "tool") for x in (0.0, 1e-7, -1e-7))
+        a, b, c = (
+            compute_arm_angle(system, [*q[:3], x, *q[4:]], "tool") for x in (0.0, 1e-7, -1e-7)
+        )
         assert abs(wrapped(a - b)) < 1e-5 and abs(abs(wrapped(a - c)) - PI) < 1e-5
 
 
@@ -294,7 +300,7 @@ def test_another_reference():
     q = system.random(5)
     T = system.fk(q, "tool")
     a, b = (ik_sweep(system, T, "tool", ("arm_angle", z)) for z in (None, (1.0, 0.2, 0.0)))
-    x, y = (arm_angle(system, q, "tool", reference=z) for z in (None, (1.0, 0.2, 0.0)))
+    x, y = (compute_arm_angle(system, q, "tool", reference=z) for z in (None, (1.0, 0.2, 0.0)))
     assert apart(a.at(x).q, b.at(y).q) < 1e-9 and abs(x - y) > 1e-3
     shift = wrapped(y - x)
     for rows, others in zip(a.intervals, b.intervals, strict=True):
@@ -460,7 +466,7 @@ def test_what_is_refused():
     with pytest.raises(UnsupportedError, match="no arm angle.*last three axes do not meet"):
         ik_sweep(panda, T, "tool", "arm_angle")
     with pytest.raises(UnsupportedError, match="no arm angle"):
-        arm_angle(panda, panda.neutral, "tool")
+        compute_arm_angle(panda, panda.neutral, "tool")
     with pytest.raises(UnsupportedError, match="no freedom to spare"):
         ik_sweep(six, six.fk(six.random(0), "tool"), "tool")
     with pytest.raises(UnsupportedError, match="arm angle is for poses"):
@@ -503,9 +509,17 @@ def test_three_turns():
         h = rng.normal(size=(3, 3))
         h /= np.linalg.norm(h, axis=1, keepdims=True)
         angles = rng.uniform(-PI, PI, (50, 3))
-        R = turns(h[0], angles[:, 0]) @ turns(h[1], angles[:, 1]) @ turns(h[2], angles[:, 2])
-        found, d2 = three_turns(h, R)
-        again = turns(h[0], found[..., 0]) @ turns(h[1], found[..., 1]) @ turns(h[2], found[..., 2])
+        R = (
+            compute_rotations(h[0], angles[:, 0])
+            @ compute_rotations(h[1], angles[:, 1])
+            @ compute_rotations(h[2], angles[:, 2])
+        )
+        found, d2 = solve_three_turns(h, R)
+        again = (
+            compute_rotations(h[0], found[..., 0])
+            @ compute_rotations(h[1], found[..., 1])
+            @ compute_rotations(h[2], found[..., 2])
+        )
         assert np.all(d2 > -1e-12) and np.abs(again - R[:, None]).max() < 1e-9
         assert np.abs(wrapped(found - angles[:, None])).max(axis=-1).min(axis=-1).max() < 1e-5
 

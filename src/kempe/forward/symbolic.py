@@ -297,7 +297,7 @@ def derive_fk(
     >>> l1 = arm.parameter("l1", 0.5)
     >>> _ = arm.revolute("q1", arm.ground, arm.body("upper"))
     >>> _ = arm.revolute("q2", "upper", arm.body("lower"), at=(l1, 0))
-    >>> symbolic_fk(arm.build(), "lower")[:2, 3]
+    >>> derive_fk(arm.build(), "lower")[:2, 3]
     Matrix([
     [l1*cos(q1)],
     [l1*sin(q1)]])

@@ -78,7 +78,7 @@ def derive_closure(
     besides its errors, `UnsupportedError` for constraints of other kinds.
 
     >>> import kempe
-    >>> symbolic_closure(kempe.load("four_bar"))["C"][0]
+    >>> derive_closure(kempe.load("four_bar"))["C"][0]
     a*cos(A) + b*cos(A + B) - c*cos(D) - d
     """
     leaves = SymbolLeaves(system, symbols or {}, snap)

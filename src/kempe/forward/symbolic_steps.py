@@ -146,7 +146,7 @@ def derive_steps(
     >>> l1 = arm.parameter("l1", 0.5)
     >>> _ = arm.revolute("q1", arm.ground, arm.body("upper"))
     >>> _ = arm.revolute("q2", "upper", arm.body("lower"), at=(l1, 0))
-    >>> symbolic_steps(arm.build(), "lower").p[1].T
+    >>> derive_steps(arm.build(), "lower").p[1].T
     Matrix([[l1, 0, 0]])
     """
     merged = derive_fk(system, frame, symbols=symbols, snap=snap)
@@ -241,7 +241,7 @@ def shorten_formula(system: Model, formula: Any) -> ShortForm:
 
     >>> import kempe
     >>> arm = kempe.load("two_link")
-    >>> short_form(arm, arm.symbolic.fk("e")[0, 3]).formula
+    >>> shorten_formula(arm, arm.symbolic.fk("e")[0, 3]).formula
     c1*l1 + c12*l2
     """
     # one of numpy, which older versions of sympy do not read

@@ -16,7 +16,12 @@ from kempe.arguments import explain_method_errors
 from kempe.equations.tasks import Task
 from kempe.errors import InputError
 from kempe.forward.fk import fk, jacobian
-from kempe.inverse.closed_forms.branch_names import Kind, branch_names, kind_of, named
+from kempe.inverse.closed_forms.branch_names import (
+    Kind,
+    match_branch_names,
+    name_branches,
+    recognise_kind,
+)
 from kempe.inverse.closed_forms.chain_lines import Lines
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.forward.table_layout import SLIDE
@@ -36,14 +41,14 @@ if TYPE_CHECKING:
 # ---- status of each target, and goals of its solutions
 
 
-def codes(solutions: Solutions) -> np.ndarray:
+def compute_status_codes(solutions: Solutions) -> np.ndarray:
     """The `Status` numbers (N,): that there is no solution is proven where the answer is complete.
 
     Solutions that were left out, of a whole answer, are outside of limits or of one-sided
     constraints. What is known of curves of solutions is no proof.
     """
     whole = solutions if solutions._whole is None else solutions._whole
-    used = whole._used
+    used = whole._used_rows
     multiplicity = whole._code // int(A.MULTIPLICITY_UNIT)
     curves = (used & (multiplicity == 0)).any(axis=1)
     none = np.where(used.any(axis=1), Status.OUTSIDE_LIMITS, Status.NONE_EXISTS)
@@ -55,7 +60,7 @@ def codes(solutions: Solutions) -> np.ndarray:
     return np.where((solutions._code % 2 == 1).any(axis=1), Status.SOLVED, none)
 
 
-def goals(solutions: Solutions) -> list[tuple[Any, Any, Any]]:
+def list_goals(solutions: Solutions) -> list[tuple[Any, Any, Any]]:
     """Tasks, goals and tolerances of the target, for each of its solutions."""
     problem = solutions.problem
     lead = solutions._lead
@@ -76,24 +81,24 @@ MOST_ROWS = 20_000
 """Rows of one target, at most: limits of many turns multiply."""
 
 
-def inside_rows(rows: Array, single: bool) -> Array:
+def select_inside_rows(rows: Array, single: bool) -> Array:
     """The rows (N, K, n + 2) with those outside the limits not in use; of a single target these
     come last.
     """
     code = rows[..., -A.INFO + A.CODE]
     out = rows.copy()
     out[(code >= 0.0) & (code.astype(np.int64) % 2 == 0), -A.INFO + A.CODE] = A.UNUSED
-    return packed(out) if single else out
+    return pack_rows(out) if single else out
 
 
-def packed(rows: Array) -> Array:
+def pack_rows(rows: Array) -> Array:
     """The rows (N, K, n + 2) with those in use first, in their order."""
     unused = rows[..., -A.INFO + A.CODE] < 0.0
     order = np.argsort(unused, axis=1, kind="stable")
     return np.take_along_axis(rows, order[..., None], axis=1)
 
 
-def expanded(rows: Array, lines: Lines) -> Array:
+def expand_rows(rows: Array, lines: Lines) -> Array:
     """The rows (N, K, n + 2) with every turn of each angle that is inside the limits; what is
     outside stays as it is.
 
@@ -122,13 +127,13 @@ def expanded(rows: Array, lines: Lines) -> Array:
         more[..., -A.INFO + A.CODE] = np.where(
             turns <= last[..., None], more[..., -A.INFO + A.CODE], A.UNUSED
         )
-        rows = packed(more.reshape(len(rows), -1, rows.shape[2]))
+        rows = pack_rows(more.reshape(len(rows), -1, rows.shape[2]))
         used = rows[..., -A.INFO + A.CODE] >= 0.0
         rows = rows[:, : max(int(used.sum(axis=1).max(initial=0)), 1)]
     return rows
 
 
-def followed(rows: Array, lines: Lines, length: int) -> Array:
+def follow_branches(rows: Array, lines: Lines, length: int) -> Array:
     """The rows (N, K, n + 2) of trajectories of `length` targets, each in the place of the one that
     it continues.
     """
@@ -174,7 +179,7 @@ class Bound(Protocol):
 
     system: Model
 
-    def problem(self, target: Array) -> ChainProblem:
+    def make_problem(self, target: Array) -> ChainProblem:
         """The problem that was solved."""
         ...
 
@@ -230,7 +235,7 @@ class Solutions(ConfigurationList, Answer):
         """The problem that was solved."""
         if isinstance(self._problem, tuple):
             bound, target = self._problem
-            return bound.problem(target)
+            return bound.make_problem(target)
         return self._problem
 
     @property
@@ -252,39 +257,39 @@ class Solutions(ConfigurationList, Answer):
         return np.where(code >= 0.0, code, 0.0).astype(np.int64)
 
     @cached_property
-    def _used(self) -> np.ndarray:
+    def _used_rows(self) -> np.ndarray:
         """Which rows (N, K) are in use."""
         return self._rows[..., len(self.plan.lines) + A.CODE] >= 0.0
 
     @cached_property
     def mask(self) -> np.ndarray:
         """Which rows (..., K) of a batch are in use; of a single target all (k,)."""
-        return self._pick(self._used)
+        return self._reshape_rows(self._used_rows)
 
-    def _pick(self, rows: Array) -> Any:
+    def _reshape_rows(self, rows: Array) -> Any:
         """Rows (N, K, ...) in the shape of the answer."""
         if self._lead is None:
-            return rows[0, : int(self._used[0].sum()) if self._count is None else self._count]
+            return rows[0, : int(self._used_rows[0].sum()) if self._count is None else self._count]
         return rows.reshape(*self._lead, *rows.shape[1:])
 
-    def _of(self, values: Array) -> Array:
+    def _reshape_values(self, values: Array) -> Array:
         """Numbers (N, K, ...) in the shape of the answer, NaN in rows not in use."""
-        if self._lead is not None and not self._used.all():
-            shape = (*self._used.shape, *[1] * (values.ndim - 2))
-            values = np.where(self._used.reshape(shape), values, np.nan)
-        return self._pick(values)
+        if self._lead is not None and not self._used_rows.all():
+            shape = (*self._used_rows.shape, *[1] * (values.ndim - 2))
+            values = np.where(self._used_rows.reshape(shape), values, np.nan)
+        return self._reshape_rows(values)
 
     @cached_property
     def q(self) -> Array:
         """Configurations (k, nq), or (..., K, nq) of a batch."""
-        return self._of(self._full())
+        return self._reshape_values(self._fill_configurations())
 
-    def _full(self) -> Array:
+    def _fill_configurations(self) -> Array:
         """Configurations (N, K, nq) of all rows."""
         n = self.system.nq
         index = self.plan.lines.q_index
         own = self._rows[..., : len(index)]
-        if self.plan.plain and len(index) == n:
+        if self.plan.has_system_coordinates and len(index) == n:
             return own
         full = np.empty((*own.shape[:2], n))
         full[:] = self._base[:, None]
@@ -294,23 +299,23 @@ class Solutions(ConfigurationList, Answer):
     @cached_property
     def residual(self) -> Array:
         """Norm (k,) or (..., K) of position error [m] and orientation error [rad]."""
-        return self._of(self._rows[..., len(self.plan.lines) + A.ERROR])
+        return self._reshape_values(self._rows[..., len(self.plan.lines) + A.ERROR])
 
     @cached_property
     def inside(self) -> np.ndarray:
         """Whether each is inside the limits, (k,) or (..., K)."""
-        return self._pick(self._code % 2 == 1)
+        return self._reshape_rows(self._code % 2 == 1)
 
     @cached_property
     def multiplicity(self) -> np.ndarray:
         """How many roots each is, (k,) or (..., K); 0 for one of a family, and in rows not in use."""
-        return self._pick(self._code // int(A.MULTIPLICITY_UNIT))
+        return self._reshape_rows(self._code // int(A.MULTIPLICITY_UNIT))
 
     @cached_property
     def branch(self) -> np.ndarray:
         """Number of the branch of each, (k,) or (..., K), -1 where there is none."""
         unit = int(A.SLOT_UNIT)
-        return self._pick(self._code % int(A.MULTIPLICITY_UNIT) // unit - 1)
+        return self._reshape_rows(self._code % int(A.MULTIPLICITY_UNIT) // unit - 1)
 
     def table(self) -> tuple[list[str], Array]:
         """Names and columns for a file: a row a solution, of a batch with the number of its target
@@ -327,7 +332,7 @@ class Solutions(ConfigurationList, Answer):
     # ---- joints that are held
 
     @property
-    def _where(self) -> tuple[Array | None, Array | None, np.ndarray | None]:
+    def _held_values(self) -> tuple[Array | None, Array | None, np.ndarray | None]:
         """Where joints are held, where they were held first, and how many values were tried."""
         return self._locked, self._first, self._tried
 
@@ -337,7 +342,7 @@ class Solutions(ConfigurationList, Answer):
         the caller.
         """
         plan = self.plan
-        return tuple(plan.lines.names[i] for i in plan.spare)
+        return tuple(plan.lines.names[i] for i in plan.spare_joints)
 
     @cached_property
     def held(self) -> dict[str, Any]:
@@ -363,7 +368,7 @@ class Solutions(ConfigurationList, Answer):
 
     @cached_property
     def _kind(self) -> Kind | None:
-        return kind_of(self.plan, self.system.dim == 2)
+        return recognise_kind(self.plan, self.system.dim == 2)
 
     @property
     def titles(self) -> tuple[str, ...]:
@@ -382,12 +387,12 @@ class Solutions(ConfigurationList, Answer):
         arms, and seven turns with a spherical shoulder and wrist ("elbow +").
         """
         lines = self.plan.lines
-        out = np.full(self._used.shape, "", dtype=object)
-        if self._kind is not None and self._used.any():
-            theta = lines.theta(self._rows[self._used][:, : len(lines)])
-            merged = self._code[self._used] // int(A.MULTIPLICITY_UNIT) != 1
-            out[self._used] = branch_names(self._kind, lines, theta, merged)
-        return self._pick(out)
+        out = np.full(self._used_rows.shape, "", dtype=object)
+        if self._kind is not None and self._used_rows.any():
+            theta = lines.compute_theta(self._rows[self._used_rows][:, : len(lines)])
+            merged = self._code[self._used_rows] // int(A.MULTIPLICITY_UNIT) != 1
+            out[self._used_rows] = name_branches(self._kind, lines, theta, merged)
+        return self._reshape_rows(out)
 
     def named(self, words: str | Iterable[str]) -> np.ndarray:
         """Which solutions have these words in their names, (k,) or (..., K):
@@ -396,7 +401,7 @@ class Solutions(ConfigurationList, Answer):
         Errors: `InputError` where the branches of the chain have no names, `UnknownNameError` for
         other words.
         """
-        return named(self._kind, self.names, words)
+        return match_branch_names(self._kind, self.names, words)
 
     # ---- what is found out on demand
 
@@ -410,7 +415,7 @@ class Solutions(ConfigurationList, Answer):
         """
         problem = self.problem
         plan = self.plan
-        own = np.where(self._used[..., None], self._rows[..., : len(plan.lines)], 0.0)
+        own = np.where(self._used_rows[..., None], self._rows[..., : len(plan.lines)], 0.0)
         q = np.broadcast_to(self._base[:, None], (*own.shape[:2], self.system.nq)).copy()
         q[..., plan.lines.q_index] = own
         J = jacobian(self.system, q, problem.frame, "body")[..., plan.lines.v_index]
@@ -419,7 +424,7 @@ class Solutions(ConfigurationList, Answer):
             J = np.concatenate([R @ J[..., :3, :], R @ J[..., 3:, :]], axis=-2)
         J = J * np.array(TASKS[plan.task], dtype=float)[:, None]
         J[..., list(plan.locked)] = 0.0
-        return self._of(J)
+        return self._reshape_values(J)
 
     @cached_property
     def condition(self) -> Array:
@@ -485,8 +490,8 @@ class Solutions(ConfigurationList, Answer):
     def _families(self) -> list[tuple[list[Any], np.ndarray]]:
         """Families of each target, and the family of each row (-1: none)."""
         spare = self.plan.locked != self.plan.fixed
-        weak = [spare or bool(row.any()) for row in self._used & (self._code % 4 >= 2)]
-        none: tuple[list[Any], np.ndarray] = ([], np.full(len(self._used.T), -1))
+        weak = [spare or bool(row.any()) for row in self._used_rows & (self._code % 4 >= 2)]
+        none: tuple[list[Any], np.ndarray] = ([], np.full(len(self._used_rows.T), -1))
         return [self._row.families(self, i) if weak[i] else none for i in range(len(weak))]
 
     @property
@@ -506,7 +511,9 @@ class Solutions(ConfigurationList, Answer):
         """Number of the family that each is a member of, (k,) or (..., K), -1 for isolated
         solutions.
         """
-        return self._pick(np.array([rows for _, rows in self._families]).reshape(self._used.shape))
+        return self._reshape_rows(
+            np.array([rows for _, rows in self._families]).reshape(self._used_rows.shape)
+        )
 
     @property
     def _shape(self) -> tuple[int, ...]:
@@ -525,11 +532,11 @@ class Solutions(ConfigurationList, Answer):
         """The outcome (...): solved where a solution is inside the limits, failures proven where it
         is `complete`.
         """
-        code = codes(self)
+        code = compute_status_codes(self)
         return to_status(code[0]) if self._lead is None else code.reshape(self._lead)
 
     def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
-        return goals(self)
+        return list_goals(self)
 
     def _claimed(self) -> np.ndarray:
         return self.mask
@@ -553,10 +560,10 @@ class Solutions(ConfigurationList, Answer):
 
         rows = self._rows
         if inside_only:
-            rows = inside_rows(rows, self.single)
+            rows = select_inside_rows(rows, self.single)
         if expand_turns:
-            rows = expanded(rows, self.plan.lines)
-        return self._with(rows, self)
+            rows = expand_rows(rows, self.plan.lines)
+        return self._replace_rows(rows, self)
 
     def along(self) -> Solutions:
         """The same batch with its rows in the order in which branches continue along the last axis
@@ -569,10 +576,10 @@ class Solutions(ConfigurationList, Answer):
 
         if self._lead is None or not self._lead:
             return self
-        rows = followed(self._rows, self.plan.lines, self._lead[-1])
-        return self._with(rows, self._whole, self._left_out)
+        rows = follow_branches(self._rows, self.plan.lines, self._lead[-1])
+        return self._replace_rows(rows, self._whole, self._left_out)
 
-    def _with(
+    def _replace_rows(
         self, rows: Array, whole: Solutions | None, left_out: np.ndarray | None = None
     ) -> Solutions:
         """The same answer with other rows; what is said is about the `whole`, and what was left
@@ -586,7 +593,7 @@ class Solutions(ConfigurationList, Answer):
             self._counts,
             self._lead,
             None,
-            *self._where,
+            *self._held_values,
             late=self._ended,
         )
         out._whole = whole
@@ -594,7 +601,7 @@ class Solutions(ConfigurationList, Answer):
         return out
 
     def __repr__(self) -> str:
-        what = format_count(len(self) if self.single else int(self._used.sum()), "solution")
+        what = format_count(len(self) if self.single else int(self._used_rows.sum()), "solution")
         of = "" if self.single else f" of {format_count(len(self._rows), 'target')}"
         return f"Solutions({self.system.name!r}, {self.problem.frame!r}, {what}{of})"
 
@@ -615,7 +622,7 @@ class Solutions(ConfigurationList, Answer):
 
     def _headline(self) -> str:
         text = super()._headline() + (
-            "" if self.single else f", {format_count(int(self._used.sum()), 'solution')}"
+            "" if self.single else f", {format_count(int(self._used_rows.sum()), 'solution')}"
         )
         return f"{text}; {self._row.held(self)}" if self.spare and not self.single else text
 
@@ -629,7 +636,7 @@ class Solutions(ConfigurationList, Answer):
         rows: list[tuple[Any, ...]] = []
         for target, q, *facts in zip(targets[:ROWS], *columns, strict=False):
             first = () if self.single else (target,)
-            rows.append((*first, *self._quantities(q, places), _remark(*facts) or "-"))
+            rows.append((*first, *self._quantities(q, places), _format_remark(*facts) or "-"))
         heads: list[str] = [self.system.coordinate_names[i] for i in places]
         heads = [*([] if self.single else ["target"]), *heads, "note"]
         if all(row[-1] == "-" for row in rows):
@@ -659,7 +666,7 @@ class Solutions(ConfigurationList, Answer):
         return out | {"families": families} if self.single else out
 
 
-def _remark(name: str, inside: bool, multiplicity: int) -> str:
+def _format_remark(name: str, inside: bool, multiplicity: int) -> str:
     """What is special of a solution: its branch, limits, how many roots it is."""
     notes = [name] if name else []
     notes += [] if inside else ["outside limits"]

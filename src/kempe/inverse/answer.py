@@ -28,14 +28,14 @@ if TYPE_CHECKING:
     from kempe.model.model import Model
 
 
-def _member(number: float) -> Status:
+def _find_status(number: float) -> Status:
     return MEMBERS[int(number)]
 
 
 _MEASURED: dict[str, tuple[int, Callable[..., Any]]] = {
     "iterations": (STEPS, int),
     "starts": (STARTS, int),
-    "code": (STATUS, _member),
+    "code": (STATUS, _find_status),
     "position_error": (LINEAR, float),
     "orientation_error": (ANGULAR, float),
 }
@@ -177,7 +177,7 @@ class Solution(Answer):
         return self.task.system
 
     @cached_property
-    def _local(self) -> tuple[int, int, int, Array]:
+    def _local_analysis(self) -> tuple[int, int, int, Array]:
         """(m, n, rank, basis): equations, freedoms, rank of the equations, and an orthonormal basis
         of self-motions.
         """
@@ -191,7 +191,7 @@ class Solution(Answer):
     @property
     def m(self) -> int:
         """Number of equations of the hard tasks, inequalities left out."""
-        return self._local[0]
+        return self._local_analysis[0]
 
     @property
     def n(self) -> int:
@@ -200,14 +200,14 @@ class Solution(Answer):
 
         Their velocity coordinates, less the rank of the loops and relations that these are in.
         """
-        return self._local[1]
+        return self._local_analysis[1]
 
     @property
     def rank(self) -> int:
         """Rank of the hard tasks' Jacobian at the answer, restricted to velocities that keep the
         loops closed.
         """
-        return self._local[2]
+        return self._local_analysis[2]
 
     @property
     def redundancy(self) -> int:
@@ -219,7 +219,7 @@ class Solution(Answer):
         """Orthonormal basis (nv, k) of velocities that keep loops and tasks, in radians and
         characteristic lengths.
         """
-        return self._local[3]
+        return self._local_analysis[3]
 
     def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
         from kempe.answers.targets import of_target
@@ -244,9 +244,9 @@ class Solution(Answer):
         return self._row.derive(self)
 
     def _sentence(self, index: tuple[int, ...]) -> str:
-        return self._row.sentence(self, index) + self._way_there(index)
+        return self._row.sentence(self, index) + self._describe_manoeuvre(index)
 
-    def _way_there(self, index: tuple[int, ...]) -> str:
+    def _describe_manoeuvre(self, index: tuple[int, ...]) -> str:
         """End of a success sentence: under velocity constraints, that driving there needs a
         manoeuvre; else ''.
         """
@@ -330,7 +330,7 @@ class IkHistory(Report):
         """How many steps and starts there are, and how the errors fell."""
         last = (
             f"{self.position_error[-1]:.2g} m"
-            + f" and {self.orientation_error[-1]:.2g} rad" * self._turns
+            + f" and {self.orientation_error[-1]:.2g} rad" * self._has_orientation
         )
         kept = "" if self.starts <= MOST_STARTS else f", the first {MOST_STARTS} of {self.starts}"
         count = int(self.start[-1]) + 1
@@ -340,7 +340,7 @@ class IkHistory(Report):
         )
 
     @property
-    def _turns(self) -> bool:
+    def _has_orientation(self) -> bool:
         return bool(np.any(self.orientation_error > 0.0))
 
     def _notes(self, degrees: bool = False) -> list[str]:
@@ -350,7 +350,7 @@ class IkHistory(Report):
         if self.start[-1] > 0:  # of each of several starts the last step
             rows = [rows[k] for k in (*(np.flatnonzero(np.diff(self.start))), -1)]
         lines = [
-            f"start {s}, step {k}: {p:.3g} m" + f", {a:.3g} rad" * self._turns
+            f"start {s}, step {k}: {p:.3g} m" + f", {a:.3g} rad" * self._has_orientation
             for s, k, p, a in rows
         ]
         return cut_lines(lines, MOST_LINES)

@@ -31,8 +31,8 @@ from kempe.answers.targets import Z_AXIS
 from kempe.arguments import explain_errors
 from kempe.arrays import read_reals
 from kempe.errors import InputError, UnsupportedError
-from kempe.inverse.closed_forms.chain_lines import Lines, chain_lines
-from kempe.inverse.closed_forms.structure import Axes, keeps_point, meeting
+from kempe.inverse.closed_forms.chain_lines import Lines, find_chain_lines
+from kempe.inverse.closed_forms.structure import Axes, find_meeting_point, keeps_point
 from kempe.kernels.forward.table_layout import TURN
 from kempe.model.configurations import read_q
 from kempe.model.model import keep_answers
@@ -89,19 +89,19 @@ class Arm:
     cosine: float
     sine: float
 
-    def upper(self, theta: Array) -> tuple[Array, Array]:
+    def compute_upper_arm(self, theta: Array) -> tuple[Array, Array]:
         """(W - S, E - S), both (..., 3), with the elbow at theta (...) and the shoulder at rest."""
         o = self.elbow
-        W = o + turns(self.lines.h[ELBOW], theta) @ (self.wrist - o)
+        W = o + compute_rotations(self.lines.h[ELBOW], theta) @ (self.wrist - o)
         return W - self.shoulder, np.broadcast_to(o - self.shoulder, W.shape)
 
     @property
-    def stretched(self) -> float:
+    def stretched_angle(self) -> float:
         """The elbow's angle at which the arm is longest."""
         return math.atan2(self.sine, self.cosine)
 
 
-def arm_of(lines: Lines, reference: ArrayLike | None = None) -> Arm | str:
+def recognise_arm(lines: Lines, reference: ArrayLike | None = None) -> Arm | str:
     """The arm that a chain is, or a sentence that says why it is none. Errors: `InputError` for the
     reference.
     """
@@ -114,8 +114,8 @@ def arm_of(lines: Lines, reference: ArrayLike | None = None) -> Arm | str:
         return "its first three axes do not meet in a point"
     if not keeps_point(axes, 4):
         return "its last three axes do not meet in a point"
-    S = meeting(axes, SHOULDER)
-    W = meeting(axes, WRIST)
+    S = find_meeting_point(axes, SHOULDER)
+    W = find_meeting_point(axes, WRIST)
     assert S is not None and W is not None
     h = lines.h[ELBOW]
     o = lines.o[ELBOW]
@@ -132,14 +132,14 @@ def arm_of(lines: Lines, reference: ArrayLike | None = None) -> Arm | str:
         S,
         E,
         W,
-        _reference(lines, reference),
+        _read_reference(lines, reference),
         float(up @ up + out @ out),
         float(cosine),
         float(sine),
     )
 
 
-def _reference(lines: Lines, given: ArrayLike | None) -> Array:
+def _read_reference(lines: Lines, given: ArrayLike | None) -> Array:
     if given is None:
         return lines.h[0]
     z = read_reals(given, "reference")
@@ -154,31 +154,33 @@ def _reference(lines: Lines, given: ArrayLike | None) -> Array:
 def find_arm(system: Model, frame: str, reference: ArrayLike | None = None) -> Arm | str:
     """The arm that moves a frame, or why there is none. Errors: `InputError`."""
     if reference is not None:
-        return arm_of(chain_lines(system, frame, Z_AXIS), reference)
-    return _usual_arm(system, frame)
+        return recognise_arm(find_chain_lines(system, frame, Z_AXIS), reference)
+    return _find_default_arm(system, frame)
 
 
 @keep_answers
-def _usual_arm(system: Model, frame: str) -> Arm | str:
-    return arm_of(chain_lines(system, frame, Z_AXIS))
+def _find_default_arm(system: Model, frame: str) -> Arm | str:
+    return recognise_arm(find_chain_lines(system, frame, Z_AXIS))
 
 
-def required_arm(system: Model, frame: str, reference: ArrayLike | None = None) -> Arm:
+def require_arm(system: Model, frame: str, reference: ArrayLike | None = None) -> Arm:
     """The arm that moves a frame. Errors: `UnsupportedError` for other chains, with the reason."""
     arm = find_arm(system, frame, reference)
     if isinstance(arm, str):
-        raise UnsupportedError(no_arm(system, frame, arm))
+        raise UnsupportedError(explain_missing_arm(system, frame, arm))
     return arm
 
 
-def no_arm(system: Model, frame: str, why: str) -> str:
+def explain_missing_arm(system: Model, frame: str, why: str) -> str:
     """The sentence that a frame's chain has no arm angle."""
-    names = ", ".join(chain_lines(system, frame, Z_AXIS).names)
+    names = ", ".join(find_chain_lines(system, frame, Z_AXIS).names)
     return f"the chain of {frame!r} has no arm angle: {why}; name one of its joints: {names}"
 
 
 @explain_errors
-def arm_angle(system: Model, q: Any, frame: FrameLike, reference: ArrayLike | None = None) -> Any:
+def compute_arm_angle(
+    system: Model, q: Any, frame: FrameLike, reference: ArrayLike | None = None
+) -> Any:
     """Arm angle (...) of configurations q (..., nq), in (-pi, pi]; a float for one. See the module
     for what it is.
 
@@ -186,33 +188,33 @@ def arm_angle(system: Model, q: Any, frame: FrameLike, reference: ArrayLike | No
     `UnsupportedError` for chains that are not shoulder, elbow and wrist of seven joints,
     `InputError`.
     """
-    arm = required_arm(system, system.structure.frame_name(frame), reference)
-    theta = arm.lines.theta(read_q(system, q)[..., arm.lines.q_index])
+    arm = require_arm(system, system.structure.frame_name(frame), reference)
+    theta = arm.lines.compute_theta(read_q(system, q)[..., arm.lines.q_index])
     R = np.eye(3)
     for i in SHOULDER:
-        R = R @ turns(arm.lines.h[i], theta[..., i])
-    along, out = _directions(arm, theta[..., ELBOW])
-    v = _applied(R, along)
-    e = _applied(R, out)
-    r = reference_plane(arm.reference, v)
+        R = R @ compute_rotations(arm.lines.h[i], theta[..., i])
+    along, out = _compute_directions(arm, theta[..., ELBOW])
+    v = _apply_rotations(R, along)
+    e = _apply_rotations(R, out)
+    r = compute_reference_direction(arm.reference, v)
     psi = np.arctan2(np.sum(e * np.cross(v, r), axis=-1), np.sum(e * r, axis=-1))
     return float(psi) if psi.ndim == 0 else psi
 
 
-def _applied(R: Array, x: Array) -> Array:
+def _apply_rotations(R: Array, x: Array) -> Array:
     return np.einsum("...ij,...j->...i", R, x)
 
 
-def _directions(arm: Arm, theta: Array) -> tuple[Array, Array]:
+def _compute_directions(arm: Arm, theta: Array) -> tuple[Array, Array]:
     """Unit vectors (..., 3) from S to W, and across that to E, with the elbow at theta and the
     shoulder at rest.
     """
-    u, e = arm.upper(theta)
+    u, e = arm.compute_upper_arm(theta)
     u = u / np.linalg.norm(u, axis=-1, keepdims=True)
     out = e - u * np.sum(u * e, axis=-1, keepdims=True)
     size = np.linalg.norm(out, axis=-1, keepdims=True)
     h = arm.lines.h[ELBOW]
-    bent, over = arm.upper(np.array(arm.stretched + 1e-3))
+    bent, over = arm.compute_upper_arm(np.array(arm.stretched_angle + 1e-3))
     across = np.cross(h, u)
     across = across * np.sign(np.cross(h, bent) @ over)
     out = np.where(size > STRETCHED, out / np.maximum(size, STRETCHED), across)
@@ -220,7 +222,7 @@ def _directions(arm: Arm, theta: Array) -> tuple[Array, Array]:
     return u, out / np.linalg.norm(out, axis=-1, keepdims=True)
 
 
-def reference_plane(z: Array, v: Array) -> Array:
+def compute_reference_direction(z: Array, v: Array) -> Array:
     """The unit vector (..., 3) across v (..., 3) towards z (3,), or the ground's x or y where v
     lies along z.
     """
@@ -235,7 +237,7 @@ def reference_plane(z: Array, v: Array) -> Array:
     return out
 
 
-def turns(h: Array, theta: Any) -> Array:
+def compute_rotations(h: Array, theta: Any) -> Array:
     """Rotations (..., 3, 3) about the unit vector h (3,) by theta (...)."""
     theta = np.asarray(theta, dtype=float)[..., None, None]
     K = spatial.skew(h)
@@ -245,7 +247,7 @@ def turns(h: Array, theta: Any) -> Array:
 # ---- angles of three axes that meet in a point
 
 
-def three_turns(h: Array, R: Array) -> tuple[Array, Array]:
+def solve_three_turns(h: Array, R: Array) -> tuple[Array, Array]:
     """Angles (..., 2, 3) with E_a E_b E_c = R, and the discriminant (...) of the two solutions,
     negative for none.
 
@@ -270,13 +272,19 @@ def three_turns(h: Array, R: Array) -> tuple[Array, Array]:
     out = np.empty((*R.shape[:-2], 2, 3))
     for i, sign in enumerate((1.0, -1.0)):
         middle = np.arctan2(y * k + sign * x * d, x * k - sign * y * d)
-        first = _onto(a, _applied(turns(b, middle), np.broadcast_to(c, w.shape)), w)
-        back = np.einsum("...ji,...j->...i", R, turns(a, first) @ b)
-        out[..., i, 0], out[..., i, 1], out[..., i, 2] = first, middle, _onto(c, back, b)
+        first = _compute_turn_angle(
+            a, _apply_rotations(compute_rotations(b, middle), np.broadcast_to(c, w.shape)), w
+        )
+        back = np.einsum("...ji,...j->...i", R, compute_rotations(a, first) @ b)
+        out[..., i, 0], out[..., i, 1], out[..., i, 2] = (
+            first,
+            middle,
+            _compute_turn_angle(c, back, b),
+        )
     return out, d2
 
 
-def _onto(h: Array, u: Array, v: Array) -> Array:
+def _compute_turn_angle(h: Array, u: Array, v: Array) -> Array:
     """The angle (...) about h (3,) that brings u into the half plane of v; 0 where one of them lies
     along h.
     """
@@ -307,12 +315,12 @@ class Turning:
     cosine: Array
     sine: Array
 
-    def at(self, psi: Array) -> Array:
+    def evaluate_rotation(self, psi: Array) -> Array:
         """Rotations (..., 3, 3) at psi (...)."""
         psi = psi[..., None, None]
         return self.constant + self.cosine * np.cos(psi) + self.sine * np.sin(psi)
 
-    def reaches(self, p: Array, x: Array, k: float) -> list[float]:
+    def find_angles(self, p: Array, x: Array, k: float) -> list[float]:
         """Arm angles at which p . R x = k: none, or two."""
         a = float(p @ self.cosine @ x)
         b = float(p @ self.sine @ x)
@@ -325,7 +333,7 @@ class Turning:
         return [middle - half, middle + half]
 
 
-def events(h: Array, R: Turning, limits: list[tuple[int, float]]) -> list[float]:
+def find_events(h: Array, R: Turning, limits: list[tuple[int, float]]) -> list[float]:
     """Arm angles at which three joints a, b, c with E_a E_b E_c = R(psi) reach limits, or their
     branches merge.
 
@@ -335,14 +343,14 @@ def events(h: Array, R: Turning, limits: list[tuple[int, float]]) -> list[float]
     out: list[float] = []
     for j, angle in limits:
         if j == 0:
-            out += R.reaches(turns(a, angle) @ b, c, float(b @ c))
+            out += R.find_angles(compute_rotations(a, angle) @ b, c, float(b @ c))
         elif j == 1:
-            out += R.reaches(a, c, float(a @ turns(b, angle) @ c))
+            out += R.find_angles(a, c, float(a @ compute_rotations(b, angle) @ c))
         else:
-            out += R.reaches(a, turns(c, -angle) @ b, float(a @ b))
+            out += R.find_angles(a, compute_rotations(c, -angle) @ b, float(a @ b))
     r = float(np.linalg.norm(np.cross(a, b)) * np.linalg.norm(np.cross(b, c)))
     middle = float((a @ b) * (b @ c))
-    return out + R.reaches(a, c, middle + r) + R.reaches(a, c, middle - r)
+    return out + R.find_angles(a, c, middle + r) + R.find_angles(a, c, middle - r)
 
 
 # ---- configurations of an arm at a pose
@@ -380,21 +388,22 @@ class Posed:
             half = math.acos(math.copysign(1.0, k) if merged else k / r)
             signs = (1.0,) if merged else (1.0, -1.0)
             v = to / self.distance
-            across = reference_plane(arm.reference, v)
+            across = compute_reference_direction(arm.reference, v)
             frame = np.stack([v, across, np.cross(v, across)], axis=1)
             self.halves = [
-                (i, _half(arm, goal, frame, arm.stretched + s * half)) for i, s in enumerate(signs)
+                (i, _make_half(arm, goal, frame, arm.stretched_angle + s * half))
+                for i, s in enumerate(signs)
             ]
 
-    def theta(self, psi: Array) -> tuple[Array, np.ndarray]:
+    def solve_branches(self, psi: Array) -> tuple[Array, np.ndarray]:
         """Variables (m, 8, 7) of the branches at arm angles psi (m,), and which are there (m, 8)."""
         psi = np.asarray(psi, dtype=float)
         out = np.full((len(psi), 8, 7), np.nan)
         found = np.zeros((len(psi), 8), dtype=bool)
         h = self.arm.lines.h
         for i, half in self.halves:
-            shoulder, d2 = three_turns(h[:3], half.shoulder.at(psi))
-            wrist, e2 = three_turns(h[4:], half.wrist.at(psi))
+            shoulder, d2 = solve_three_turns(h[:3], half.shoulder.evaluate_rotation(psi))
+            wrist, e2 = solve_three_turns(h[4:], half.wrist.evaluate_rotation(psi))
             rows = out[:, 4 * i : 4 * i + 4].reshape(len(psi), 2, 2, 7)
             rows[..., :3] = shoulder[:, :, None]
             rows[..., 3] = half.theta
@@ -403,7 +412,7 @@ class Posed:
             found[:, 4 * i : 4 * i + 4] = ((d2 >= -MERGED) & (e2 >= -MERGED))[:, None]
         return out, found
 
-    def intervals(self, limited: bool = True) -> list[list[tuple[float, float]]]:
+    def find_intervals(self, limited: bool = True) -> list[list[tuple[float, float]]]:
         """For each branch, intervals of the arm angle in which it exists, and is inside the limits
         if `limited`.
 
@@ -411,16 +420,16 @@ class Posed:
         """
         out: list[list[tuple[float, float]]] = [[] for _ in BRANCHES]
         for i, half in self.halves:
-            marks = self._marks(half, limited)
+            marks = self._find_arcs(half, limited)
             middles = np.array([0.5 * (a + b) for a, b in marks])
-            theta, good = self.theta(middles)
+            theta, good = self.solve_branches(middles)
             if limited:
-                good &= inside(self.arm.lines, theta)
+                good &= is_inside_limits(self.arm.lines, theta)
             for k in range(4 * i, 4 * i + 4):
                 out[k] = joined(marks, good[:, k].tolist())
         return out
 
-    def _marks(self, half: Half, limited: bool) -> list[tuple[float, float]]:
+    def _find_arcs(self, half: Half, limited: bool) -> list[tuple[float, float]]:
         """Arcs of the circle between the events of one way to bend the elbow."""
         lines = self.arm.lines
         found: list[float] = []
@@ -428,40 +437,42 @@ class Posed:
             limits: list[tuple[int, float]] = []
             for j, i in enumerate(places):
                 ends = (
-                    lines.theta(np.broadcast_to(lines.limits[:, i, None], (2, 7)))[:, i]
+                    lines.compute_theta(np.broadcast_to(lines.limits[:, i, None], (2, 7)))[:, i]
                     if limited
                     else ()
                 )
                 limits += [(j, float(x)) for x in ends if math.isfinite(x)]
-            found += events(lines.h[list(places)], R, limits)
+            found += find_events(lines.h[list(places)], R, limits)
         return arcs(found)
 
 
-def _half(arm: Arm, goal: Array, frame: Array, theta: float) -> Half:
+def _make_half(arm: Arm, goal: Array, frame: Array, theta: float) -> Half:
     """What shoulder and wrist have to be, with the elbow at theta; columns of frame: v, the
     reference, the third.
     """
-    u, e = _directions(arm, np.array(theta))
+    u, e = _compute_directions(arm, np.array(theta))
     back = np.stack([u, e, np.cross(u, e)])  # rows: the transposed frame of the upper arm
     v, x, y = frame.T
     cosine = np.outer(x, back[1]) + np.outer(y, back[2])
     parts = (np.outer(v, back[0]), cosine, np.outer(y, back[1]) - np.outer(x, back[2]))
-    E4 = turns(arm.lines.h[ELBOW], theta)
+    E4 = compute_rotations(arm.lines.h[ELBOW], theta)
     return Half(theta, Turning(*parts), Turning(*((M @ E4).T @ goal[:3, :3] for M in parts)))
 
 
-def inside(lines: Lines, theta: Array, slack: float = FITS) -> np.ndarray:
+def is_inside_limits(lines: Lines, theta: Array, slack: float = FITS) -> np.ndarray:
     """Whether all joints (..., n) are inside their limits (...), by whichever turn."""
     q = (theta - lines.offset) / lines.multiplier
     low, high = lines.limits
     period = TWO_PI / np.abs(lines.multiplier)
     turned = (
-        low + np.mod(q - low, period) if np.isfinite(low).all() else _lifted(q, low, high, period)
+        low + np.mod(q - low, period)
+        if np.isfinite(low).all()
+        else _add_turns(q, low, high, period)
     )
     return np.all((turned <= high + slack) | (turned - period >= low - slack), axis=-1)
 
 
-def _lifted(q: Array, low: Array, high: Array, period: Array) -> Array:
+def _add_turns(q: Array, low: Array, high: Array, period: Array) -> Array:
     """q with whole turns added to be just above the lower limit, or just below the upper where
     there is no lower.
     """

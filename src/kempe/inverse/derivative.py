@@ -25,7 +25,7 @@ AT_LIMIT = 1e-9
 """How near to a limit a coordinate is at it."""
 
 
-def derivative(solution: Solution) -> Array:
+def compute_derivative(solution: Solution) -> Array:
     """dq (..., nv, 6) for a twist [linear; angular] of the target, ground axes, at its origin; NaN
     where not reached.
 
@@ -85,7 +85,7 @@ class _DerivativeRows(NamedTuple):
     S: Array
 
 
-def derivative_of_tasks(answer: Reached) -> dict[str, Array]:
+def compute_task_derivatives(answer: Reached) -> dict[str, Array]:
     """For each task, by its label, dq (..., nv, k) for motions of its goal; NaN where not reached.
 
     The first six columns, of a task whose goal is placed, are for the twist [linear; angular] of
@@ -113,9 +113,9 @@ def derivative_of_tasks(answer: Reached) -> dict[str, Array]:
             "'nearest' or 'mid' in place of these"
         )
     if not good.ndim:
-        return _one(problem, answer.q)
+        return _differentiate_answer(problem, answer.q)
     rows = [
-        _one(problem.of(i), q) if fine else None
+        _differentiate_answer(problem.of(i), q) if fine else None
         for i, (fine, q) in enumerate(
             zip(good.ravel(), answer.q.reshape(-1, answer.q.shape[-1]), strict=True)
         )
@@ -129,28 +129,30 @@ def derivative_of_tasks(answer: Reached) -> dict[str, Array]:
     }
 
 
-def _one(problem: Demands, q: Array) -> dict[str, Array]:
+def _differentiate_answer(problem: Demands, q: Array) -> dict[str, Array]:
     """The derivatives of one answer."""
     system = problem.system
     scale = problem.packed.scale
-    counts = _active(problem, q)
-    at = _rows(problem, q, problem.pins, counts)
+    counts = _find_active_rows(problem, q)
+    at = _compute_rows(problem, q, problem.pins, counts)
     g = at.S.T @ at.soft
     multipliers = Spectrum(at.H.T).solve(-g, Level.CLOSED)
 
-    def slope(rows: _DerivativeRows) -> Array:
+    def compute_gradients(rows: _DerivativeRows) -> Array:
         """Gradients (n, nv) of the Lagrangian."""
         return np.einsum("nij,ni->nj", rows.S, rows.soft) + np.einsum(
             "nij,i->nj", rows.H, multipliers
         )
 
     steps = REAL_STEP * np.concatenate([np.eye(system.nv), -np.eye(system.nv)]) * scale
-    near = slope(
-        _rows(problem, system.structure.layout.integrate_velocity(q, steps), problem.pins, counts)
+    near = compute_gradients(
+        _compute_rows(
+            problem, system.structure.layout.integrate_velocity(q, steps), problem.pins, counts
+        )
     )
     second = (near[: system.nv] - near[system.nv :]) / (2.0 * REAL_STEP)
     second = 0.5 * (second + second.T)
-    free = _free(problem, q, at.H)
+    free = _find_free_coordinates(problem, q, at.H)
     n = int(free.sum())
     m = len(at.H)
     K = np.zeros((n + m, n + m))
@@ -162,20 +164,20 @@ def _one(problem: Demands, q: Array) -> dict[str, Array]:
     for k, task in enumerate(problem.tasks):
         moved = [
             problem.packed.pins([*problem.goals[:k], goal, *problem.goals[k + 1 :]])
-            for goal in _moved(problem.goals[k])
+            for goal in _perturb_goal(problem.goals[k])
         ]
         dq = np.zeros((system.nv, len(moved) // 2))
         if moved:
             pins = np.concatenate(moved)
-            rows = _rows(problem, np.broadcast_to(q, (len(pins), len(q))), pins, counts)
-            change = np.concatenate([slope(rows)[:, free], rows.held], axis=1)
+            rows = _compute_rows(problem, np.broadcast_to(q, (len(pins), len(q))), pins, counts)
+            change = np.concatenate([compute_gradients(rows)[:, free], rows.held], axis=1)
             rate = (change[0::2] - change[1::2]) / (2.0 * REAL_STEP)
             dq[free] = scale[free, None] * -(inverse @ rate.T)
         out[task.label] = dq
     return out
 
 
-def _active(problem: Demands, q: Array) -> tuple[np.ndarray, np.ndarray, Array]:
+def _find_active_rows(problem: Demands, q: Array) -> tuple[np.ndarray, np.ndarray, Array]:
     """Which of the tasks' rows (m,) are held, which are lowered, and the roots of their weights."""
     packed = problem.packed
     error, _ = packed.evaluate(q, problem.pins)
@@ -192,7 +194,7 @@ def _active(problem: Demands, q: Array) -> tuple[np.ndarray, np.ndarray, Array]:
     )
 
 
-def _rows(
+def _compute_rows(
     problem: Demands, q: Array, pins: Array, counts: tuple[np.ndarray, np.ndarray, Array]
 ) -> _DerivativeRows:
     """What is held and what is lowered at q (..., nq), for pins (n or 1, k)."""
@@ -221,7 +223,7 @@ def _rows(
     )
 
 
-def _free(problem: Demands, q: Array, H: Array) -> np.ndarray:
+def _find_free_coordinates(problem: Demands, q: Array, H: Array) -> np.ndarray:
     """Which velocity coordinates (nv,) move: not those at a limit, unless the others cannot do
     without them.
     """
@@ -239,17 +241,18 @@ def _free(problem: Demands, q: Array, H: Array) -> np.ndarray:
     return free if enough else np.ones(system.nv, dtype=bool)
 
 
-def _moved(goal: Goal) -> list[Goal]:
+def _perturb_goal(goal: Goal) -> list[Goal]:
     """The goal moved there and back by a small step along each of its freedoms."""
     out: list[Goal] = []
     pose = goal.pose
     if pose is not None:
         for twist in REAL_STEP * np.eye(6):
             out += [
-                goal._replace(pose=_turned(pose, pose[:3, 3], sign * twist)) for sign in (1.0, -1.0)
+                goal._replace(pose=_move_pose(pose, pose[:3, 3], sign * twist))
+                for sign in (1.0, -1.0)
             ]
     for name, number in goal.numbers.items():
-        for step in REAL_STEP * _freedoms(number):
+        for step in REAL_STEP * _list_goal_freedoms(number):
             out += [
                 goal._replace(numbers=goal.numbers | {name: number + sign * step})
                 for sign in (1.0, -1.0)
@@ -257,13 +260,13 @@ def _moved(goal: Goal) -> list[Goal]:
     return out
 
 
-def _turned(X: Array, origin: Array, twist: Array) -> Array:
+def _move_pose(X: Array, origin: Array, twist: Array) -> Array:
     """The pose X (4, 4) after a small motion about a point."""
     R = spatial.exp_so3(twist[3:])
     return spatial.pose(R @ X[:3, :3], origin + R @ (X[:3, 3] - origin) + twist[:3])
 
 
-def _freedoms(number: Array) -> Array:
+def _list_goal_freedoms(number: Array) -> Array:
     """How the numbers (k,) of a goal can change: each alone, a quaternion by turns about its own
     axes.
     """

@@ -1,4 +1,4 @@
-"""`ik_plan`: what is recognised in a chain, and how its inverse model is solved, in words."""
+"""`describe_plan`: what is recognised in a chain, and how its inverse model is solved, in words."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from numpy.typing import ArrayLike
 from kempe.answers.targets import axis_for, task_and_axis, task_of
 from kempe.arguments import explain_errors, read_names
 from kempe.errors import UnsupportedError
-from kempe.inverse.closed_forms.chain_lines import Lines, chain_lines, sweep
+from kempe.inverse.closed_forms.chain_lines import Lines, compute_line_placements, find_chain_lines
 from kempe.inverse.closed_forms.plan import (
     ChainPlan,
     compute_outer_terms,
-    free_lines,
-    freedoms,
-    plan_for,
-    spread,
+    count_chain_freedoms,
+    find_plan,
+    make_free_lines,
+    sample_variables,
 )
-from kempe.inverse.closed_forms.problem import held
+from kempe.inverse.closed_forms.problem import read_held_joints
 from kempe.inverse.closed_forms.structure import (
     EXACT,
     Axes,
     Strategy,
-    apart,
+    are_parallel,
+    compute_line_distance,
+    find_meeting_point,
     keeps_point,
-    meeting,
-    parallel,
 )
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.closed_form.analytic_layout import AT_REST, COUPLED, PLANE, X_FIRST
@@ -55,7 +55,7 @@ counts as missed."""
 AS_IT_IS = "solved as what they are"
 
 
-def relations(lines: Lines) -> tuple[str, ...]:
+def list_axis_relations(lines: Lines) -> tuple[str, ...]:
     """Facts about consecutive axes of a chain, in its order; they hold in every configuration.
 
     Structures are those that `structure.EXACT` accepts; what misses one by less than `NEAR` is
@@ -68,42 +68,42 @@ def relations(lines: Lines) -> tuple[str, ...]:
     if n == 1:
         return (f"{lines.names[0]} is the only joint",)
     while i < n - 1:
-        end = _last_parallel(axes, i)
+        end = _find_last_parallel(axes, i)
         if end > i:
-            out += _run(lines, axes, i, end)
+            out += _describe_parallel_joints(lines, axes, i, end)
             i = end
             continue
-        end = _last_meeting(axes, i)
+        end = _find_last_meeting(axes, i)
         if end > i + 1:
-            out.append(_ball(lines, axes, i, end))
+            out.append(_describe_ball(lines, axes, i, end))
             i = end
             continue
-        out.append(_pair(lines, axes, i))
-        missed = _missed_ball(lines, axes, i)
+        out.append(_describe_pair(lines, axes, i))
+        missed = _describe_near_ball(lines, axes, i)
         if missed:
             out.append(missed)
         i += 1
     return tuple(out)
 
 
-def _last_parallel(axes: Axes, i: int) -> int:
+def _find_last_parallel(axes: Axes, i: int) -> int:
     j = i
-    while j + 1 < len(axes.kinds) and parallel(axes.h[j], axes.h[j + 1]):
+    while j + 1 < len(axes.kinds) and are_parallel(axes.h[j], axes.h[j + 1]):
         j += 1
     return j
 
 
-def _last_meeting(axes: Axes, i: int) -> int:
+def _find_last_meeting(axes: Axes, i: int) -> int:
     """The last of the consecutive turns from i that meet in one point, neighbours not parallel."""
     j = i + 1
     while j + 1 < len(axes.kinds) and keeps_point(axes, j - 1):
-        if meeting(axes, tuple(range(i, j + 2))) is None:
+        if find_meeting_point(axes, tuple(range(i, j + 2))) is None:
             break
         j += 1
     return j
 
 
-def _run(lines: Lines, axes: Axes, first: int, last: int) -> list[str]:
+def _describe_parallel_joints(lines: Lines, axes: Axes, first: int, last: int) -> list[str]:
     """Facts about joints of one direction."""
     turns = [i for i in range(first, last + 1) if axes.kinds[i] != SLIDE]
     slides = [i for i in range(first, last + 1) if axes.kinds[i] == SLIDE]
@@ -114,12 +114,12 @@ def _run(lines: Lines, axes: Axes, first: int, last: int) -> list[str]:
     names = join_words([lines.names[i] for i in turns])
     if len(turns) == 1:
         return [f"{sliding} {verb} along the axis of {names}"]
-    gaps = [apart(axes, i, j) for i, j in zip(turns, turns[1:], strict=False)]
+    gaps = [compute_line_distance(axes, i, j) for i, j in zip(turns, turns[1:], strict=False)]
     if max(gaps) <= EXACT:
         fact = f"the axes of {names} are one line"
         them = "it"
     else:
-        size = f", {_metres(lines, gaps[0])} apart" if len(turns) == 2 else ""
+        size = f", {_format_metres(lines, gaps[0])} apart" if len(turns) == 2 else ""
         fact = f"the axes of {names} are parallel{size}"
         them = "them"
     out = [fact + (f", and {sliding} {verb} along {them}" if slides else "")]
@@ -130,7 +130,7 @@ def _run(lines: Lines, axes: Axes, first: int, last: int) -> list[str]:
     return out
 
 
-def _ball(lines: Lines, axes: Axes, first: int, last: int) -> str:
+def _describe_ball(lines: Lines, axes: Axes, first: int, last: int) -> str:
     names = join_words([lines.names[i] for i in range(first, last + 1)])
     right = all(abs(float(axes.h[i] @ axes.h[i + 1])) <= EXACT for i in range(first, last))
     return f"the axes of {names} meet in one point" + (
@@ -138,11 +138,11 @@ def _ball(lines: Lines, axes: Axes, first: int, last: int) -> str:
     )
 
 
-def _pair(lines: Lines, axes: Axes, i: int) -> str:
+def _describe_pair(lines: Lines, axes: Axes, i: int) -> str:
     """The fact about two neighbours that are not parallel."""
     a = lines.names[i]
     b = lines.names[i + 1]
-    angle, sine = _angle(axes.h[i], axes.h[i + 1])
+    angle, sine = _compute_angle(axes.h[i], axes.h[i + 1])
     at = (
         "right angles"
         if abs(float(axes.h[i] @ axes.h[i + 1])) <= EXACT
@@ -157,51 +157,52 @@ def _pair(lines: Lines, axes: Axes, i: int) -> str:
     if any(sliding):
         slide, turn = (a, b) if sliding[0] else (b, a)
         return f"{slide} slides at {at} to the axis of {turn}"
-    gap = apart(axes, i, i + 1)
+    gap = compute_line_distance(axes, i, i + 1)
     if gap <= EXACT:
         return f"the axes of {a} and {b} meet at {at}"
     if gap <= NEAR:
-        return (
-            f"the axes of {a} and {b} miss each other by {_metres(lines, gap)}, at {at}: {AS_IT_IS}"
-        )
-    return f"the axes of {a} and {b} pass each other at {at}, {_metres(lines, gap)} apart"
+        return f"the axes of {a} and {b} miss each other by {_format_metres(lines, gap)}, at {at}: {AS_IT_IS}"
+    return f"the axes of {a} and {b} pass each other at {at}, {_format_metres(lines, gap)} apart"
 
 
-def _missed_ball(lines: Lines, axes: Axes, i: int) -> str:
+def _describe_near_ball(lines: Lines, axes: Axes, i: int) -> str:
     """The fact that three axes nearly meet in one point; '' where they do not."""
     if i + 2 >= len(axes.kinds) or np.any(axes.kinds[i : i + 3] == SLIDE):
         return ""
     points: list[Array] = []
     for j in (i, i + 1):
-        if _angle(axes.h[j], axes.h[j + 1])[1] <= NEAR or apart(axes, j, j + 1) > NEAR:
+        if (
+            _compute_angle(axes.h[j], axes.h[j + 1])[1] <= NEAR
+            or compute_line_distance(axes, j, j + 1) > NEAR
+        ):
             return ""
-        points.append(_foot(axes, j + 1 if j == i else j, j if j == i else j + 1))
+        points.append(_find_foot(axes, j + 1 if j == i else j, j if j == i else j + 1))
     gap = max(
         float(np.linalg.norm(points[1] - points[0])),
-        apart(axes, i, i + 1),
-        apart(axes, i + 1, i + 2),
+        compute_line_distance(axes, i, i + 1),
+        compute_line_distance(axes, i + 1, i + 2),
     )
     if not EXACT < gap <= NEAR:
         return ""
     names = join_words(lines.names[i : i + 3])
-    return f"the axes of {names} miss a common point by {_metres(lines, gap)}: {AS_IT_IS}"
+    return f"the axes of {names} miss a common point by {_format_metres(lines, gap)}: {AS_IT_IS}"
 
 
-def _foot(axes: Axes, i: int, j: int) -> Array:
+def _find_foot(axes: Axes, i: int, j: int) -> Array:
     """The point (3,) of axis i nearest to axis j."""
     n = np.cross(axes.h[i], axes.h[j])
     d = axes.o[j] - axes.o[i]
     return axes.o[i] + axes.h[i] * (np.cross(d, axes.h[j]) @ n) / (n @ n)
 
 
-def _angle(g: Array, h: Array) -> tuple[float, float]:
+def _compute_angle(g: Array, h: Array) -> tuple[float, float]:
     """The angle between two axes, at most a right angle, and its sine."""
     sine = float(np.linalg.norm(np.cross(g, h)))
     cosine = abs(float(g @ h))
     return math.atan2(sine, cosine), sine
 
 
-def _metres(lines: Lines, distance: float) -> str:
+def _format_metres(lines: Lines, distance: float) -> str:
     return f"{distance * lines.length:.4g} m"
 
 
@@ -251,7 +252,9 @@ def list_steps(plan: ChainPlan, fixed: frozenset[str]) -> tuple[Step, ...]:
             else "search"
         )
         out.append(Step(tuple(names[i] for i in unknown), method, _bound_by_slides(plan)))
-    rank = freedoms(plan.lines, free_lines(plan.lines, plan.task, plan.planar), unknown)
+    rank = count_chain_freedoms(
+        plan.lines, make_free_lines(plan.lines, plan.task, plan.planar), unknown
+    )
     if (left := (3 if plan.planar else 6) - rank) > 0:
         them = "it" if left == 1 else "them"
         equations = format_count(left, "equation")
@@ -331,9 +334,11 @@ def _measure_factors(plan: ChainPlan) -> Array:
     """Largest size (2, 2, 2) of the factors of x and z (rows) in both measures, over some targets."""
     rng = np.random.default_rng(13)
     lines = plan.lines
-    theta = spread(lines, rng, 4)
+    theta = sample_variables(lines, rng, 4)
     theta[1:, list(plan.locked)] = theta[0, list(plan.locked)]
-    terms = [compute_outer_terms(plan, theta[0], X) for X in sweep(lines, theta[1:])[0]]
+    terms = [
+        compute_outer_terms(plan, theta[0], X) for X in compute_line_placements(lines, theta[1:])[0]
+    ]
     return np.abs(terms)[..., 1:].max(axis=0)
 
 
@@ -348,7 +353,7 @@ class Recognised(Report):
     """What is known about the inverse geometric model of a `frame` for a `task`.
 
     `joints` are those that move the frame, from the ground to it, `kinds` whether each "turns" or
-    "slides". `relations` are facts about consecutive axes, those that a structure misses by little
+    "slides". `list_axis_relations` are facts about consecutive axes, those that a structure misses by little
     among them. `steps` are the rows of a table, in the order in which joints are solved: the
     `joints`, the `equation` that gives them, and the largest number of their `values`. `method` is
     "closed form", "elimination" or "search". `most` is the largest number of isolated
@@ -378,11 +383,11 @@ class Recognised(Report):
 
     def formulas(self, *, symbols: Mapping[str, Any] | None = None) -> InverseFormulas:
         """The inverse model as formulas; see
-        `kempe.inverse.formulas.symbolic_ik`.
+        `kempe.inverse.formulas.derive_ik`.
 
         Errors: `UnsupportedError` where there are no short ones, with the reason.
         """
-        from kempe.inverse.formulas import symbolic_ik
+        from kempe.inverse.formulas import derive_ik
 
         if self.of is None or self.held:
             why = (
@@ -391,7 +396,7 @@ class Recognised(Report):
                 else "without the system"
             )
             raise UnsupportedError(f"there are no formulas {why}")
-        return symbolic_ik(self.of, self.frame, self.task, symbols=symbols)
+        return derive_ik(self.of, self.frame, self.task, symbols=symbols)
 
     def _data(self) -> dict[str, Any]:
         own = {name: x for name, x in vars(self).items() if name != "of"}
@@ -418,7 +423,7 @@ class Recognised(Report):
 
 
 @explain_errors
-def ik_plan(
+def describe_plan(
     system: Model,
     frame: FrameLike,
     task: str | tuple[str, ArrayLike] | None = None,
@@ -432,15 +437,15 @@ def ik_plan(
     shared coordinates, `InputError`, `UnknownNameError`.
 
     >>> import kempe
-    >>> from kempe.inverse.describe import ik_plan
-    >>> print(ik_plan(kempe.load("puma560"), "tool").most)
+    >>> from kempe.inverse.describe import describe_plan
+    >>> print(describe_plan(kempe.load("puma560"), "tool").most)
     8
     """
     name = system.structure.frame_name(frame)
     said, axis = task_and_axis(task)
     what = task_of(said, False, bool(system.structure.table.at[name][2]))
     direction = axis_for(axis, what)
-    lines = chain_lines(system, name, direction)
+    lines = find_chain_lines(system, name, direction)
     note = ""
     if task is None and what == "pose" and len(lines) <= system.dim:
         n = 3 * (system.dim - 1)
@@ -450,8 +455,8 @@ def ik_plan(
             f"a pose has {n} equations, more than the chain has joints ({count}): the position is "
             "planned"
         )
-    given = held(name, lines.names, dict.fromkeys(read_names(fixed, "fixed"), 0.0))
-    plan = plan_for(system, name, lines, what, direction, tuple(given))
+    given = read_held_joints(name, lines.names, dict.fromkeys(read_names(fixed, "fixed"), 0.0))
+    plan = find_plan(system, name, lines, what, direction, tuple(given))
     kinds = tuple("slides" if kind == SLIDE else "turns" for kind in lines.kinds)
     return Recognised(
         system.name,
@@ -459,7 +464,7 @@ def ik_plan(
         what,
         lines.names,
         kinds,
-        relations(lines),
+        list_axis_relations(lines),
         list_steps(plan, frozenset(given)),
         bound_solutions(plan),
         plan.method.word,

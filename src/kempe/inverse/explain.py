@@ -24,16 +24,22 @@ from kempe.arguments import quiet
 from kempe.errors import UnsupportedError
 from kempe.forward.fk import jacobian
 from kempe.inverse.answer import Solution, SolutionRow
-from kempe.inverse.chain.problem import ITERATIONS, MOST, TOLERANCE, FrameProblem, past_lengths
+from kempe.inverse.chain.problem import (
+    ITERATIONS,
+    MOST,
+    TOLERANCE,
+    FrameProblem,
+    measure_length_excess,
+)
 from kempe.inverse.chain.serial_chain import (
     Chain,
-    chain_of,
-    moved_by,
-    of_loops,
-    shared_by,
-    slides_of,
+    find_chain,
+    find_motion_masks,
+    has_shared_coordinates,
+    is_moved_by_loop,
+    list_slides,
 )
-from kempe.inverse.derivative import derivative
+from kempe.inverse.derivative import compute_derivative
 from kempe.inverse.multi_start import run
 from kempe.inverse.numeric import SOLVERS
 from kempe.inverse.tasks import freedoms
@@ -73,7 +79,7 @@ ROUNDING = 1e-14
 """What rounding makes of a configuration that reaches a target, in parts of its size."""
 
 
-def sentence(solution: Solution, index: tuple[int, ...]) -> str:
+def explain_target(solution: Solution, index: tuple[int, ...]) -> str:
     """The sentence for one target of a solution."""
     task = solution.task
     figures = (
@@ -98,19 +104,21 @@ def sentence(solution: Solution, index: tuple[int, ...]) -> str:
         else 0.0
     )
     if code == Status.OUT_OF_REACH:
-        return wording.failed("", beyond(task, target), near)
+        return wording.failed("", prove_beyond_lengths(task, target), near)
     if tilt > max(task.tolerance[1], TILTED):
         return wording.failed("", evidence("tilted", angle=tilt), near)
     if code == Status.OUT_OF_TIME:
         return wording.failed("", wording.late(task.time_limit, starts, task.starts), near)
     if position <= ROUNDING * (1.0 + float(np.linalg.norm(target[0, :3, 3]))) and angle <= ROUNDING:
         return wording.failed("the tolerance is finer than rounding", near)
-    why = _reasons(task, target, np.asarray(solution.q)[index][task.chain.q_index], position, angle)
+    why = _list_reasons(
+        task, target, np.asarray(solution.q)[index][task.chain.q_index], position, angle
+    )
     still = immovable(task.system, task.chain.v_index)
     return wording.failed(wording.given_up("reached", starts), *why, near, still)
 
 
-def proofs(solution: Solution, index: tuple[int, ...]) -> tuple[Evidence, ...]:
+def list_proofs(solution: Solution, index: tuple[int, ...]) -> tuple[Evidence, ...]:
     """What proves that there is no answer for one target of a solution."""
     task = solution.task
     code = np.asarray(solution.code)
@@ -118,37 +126,41 @@ def proofs(solution: Solution, index: tuple[int, ...]) -> tuple[Evidence, ...]:
     target = task.targets[at : at + 1]
     if code[index] not in (Status.OUT_OF_REACH, Status.NOT_FOUND):
         return ()
-    proof = beyond(task, target) if code[index] == Status.OUT_OF_REACH else shut_out(task, target)
+    proof = (
+        prove_beyond_lengths(task, target)
+        if code[index] == Status.OUT_OF_REACH
+        else prove_unreachable(task, target)
+    )
     return (proof,) if proof else ()
 
 
-def beyond(task: FrameProblem, target: Array) -> Evidence | None:
+def prove_beyond_lengths(task: FrameProblem, target: Array) -> Evidence | None:
     """How far a target (1, 4, 4) is out of reach at least, by the lengths of the links."""
     off = abs(float(target[0, 2, 3])) if task.system.dim == 2 else 0.0
-    place, turned = past_lengths(task, target)[0].tolist()
+    place, turned = measure_length_excess(task, target)[0].tolist()
     return lengths(
         task.system,
         place,
         turned,
         off if off > task.tolerance[0] else 0.0,
         point=task.name == "position",
-        slides=slides_of(task.system, task.frame),
+        slides=list_slides(task.system, task.frame),
     )
 
 
-def _reasons(
+def _list_reasons(
     task: FrameProblem, target: Array, q: Array, position: float, angle: float
 ) -> list[Any]:
     """What speaks for there being no answer; q (n,) is the nearest found, with its errors."""
     span = task.chain.span
-    found = span.sentence() if span.wide else _again(task, target, q)
-    found = found or _limits(task, target, q)
-    if not found and (rank := _over_determined(task, target)):
-        return [rank, rank.freedoms and rounded(position, angle, span.largest)]
-    return [found or _close(task, position, angle) or _not_found(task)]
+    found = span.explain_rounding() if span.wide else _retry_search(task, target, q)
+    found = found or _find_blocking_limits(task, target, q)
+    if not found and (rank := _prove_overdetermined(task, target)):
+        return [rank, rank.freedoms and suggest_tolerance(position, angle, span.largest)]
+    return [found or _explain_near_miss(task, position, angle) or _explain_not_found(task)]
 
 
-def _solved(
+def _solve_target(
     task: FrameProblem, target: Array, limits: Array | None = None, near: Array | None = None
 ) -> Array | None:
     """The configuration (n,) of the chain that reaches a target (1, 4, 4), from `start` first; None
@@ -159,7 +171,7 @@ def _solved(
     return q[0] if info[0, 0] == Status.SOLVED else None
 
 
-def _rows(task: FrameProblem, q: Array, level: float) -> int:
+def _compute_rank(task: FrameProblem, q: Array, level: float) -> int:
     """Largest rank, over configurations (N, nq), of those rows of the frame's Jacobian that the
     task uses.
     """
@@ -171,33 +183,37 @@ def _rows(task: FrameProblem, q: Array, level: float) -> int:
     return int(Spectrum(J).ranks(level).max())
 
 
-def rank_of(task: FrameProblem) -> tuple[int, int]:
+def count_equations_and_freedoms(task: FrameProblem) -> tuple[int, int]:
     """The equations of a task, and the freedoms in which the chain moves its frame at random
     configurations.
     """
     system = task.system
     rows = sum(map(bool, task.mask))
     wanted = 2 * bool(any(task.mask[:3])) + bool(any(task.mask[3:])) if system.dim == 2 else rows
-    return wanted, _rows(task, sample_configurations(system, 0, 16), Level.GENERIC)
+    return wanted, _compute_rank(task, sample_configurations(system, 0, 16), Level.GENERIC)
 
 
-def _over_determined(task: FrameProblem, target: Array) -> Evidence | None:
+def _prove_overdetermined(task: FrameProblem, target: Array) -> Evidence | None:
     """Whether the task asks for more than the chain can do anywhere: rank of the Jacobian at random
     configurations.
     """
-    equations, freedoms = rank_of(task)
+    equations, freedoms = count_equations_and_freedoms(task)
     if freedoms >= max(equations, 1):
         return None
     alone = None
     if freedoms and task.name in ("pose", "position_axis"):
-        place = replace(task, name="position", axis=Z_AXIS, chain=chain_of(task.system, task.frame))
-        alone = _solved(place, target) is not None
+        place = replace(
+            task, name="position", axis=Z_AXIS, chain=find_chain(task.system, task.frame)
+        )
+        alone = _solve_target(place, target) is not None
     return evidence(
         "rank", equations=equations, freedoms=freedoms, frame=task.frame, position=alone
     )
 
 
-def rounded(position: float, angle: float, length: float, one: bool = False) -> Evidence | None:
+def suggest_tolerance(
+    position: float, angle: float, length: float, one: bool = False
+) -> Evidence | None:
     """Of a target with more equations than freedoms: the tolerance that accepts it, if it may have
     been rounded.
 
@@ -207,10 +223,12 @@ def rounded(position: float, angle: float, length: float, one: bool = False) -> 
     """
     if position > ROUNDED * length or angle > ROUNDED:
         return None
-    return evidence("rounded", metres=_above(position), radians=_above(angle), one=one)
+    return evidence(
+        "rounded", metres=_round_up_error(position), radians=_round_up_error(angle), one=one
+    )
 
 
-def _above(error: float) -> float:
+def _round_up_error(error: float) -> float:
     """A round number above an error: one digit, and at least the usual tolerance."""
     if error <= TOLERANCE[0]:
         return TOLERANCE[0]
@@ -218,7 +236,7 @@ def _above(error: float) -> float:
     return float(f"{math.ceil(error / unit * 1.001) * unit:.0e}")
 
 
-def _many(task: FrameProblem) -> FrameProblem:
+def _raise_starts(task: FrameProblem) -> FrameProblem:
     """The same with as many starts as are given by default, at least, and no limit of time."""
     return replace(
         task,
@@ -228,24 +246,24 @@ def _many(task: FrameProblem) -> FrameProblem:
     )
 
 
-def _again(task: FrameProblem, target: Array, nearest: Array) -> Evidence | None:
+def _retry_search(task: FrameProblem, target: Array, nearest: Array) -> Evidence | None:
     """That other starts find an answer, and where the search was stuck, if it was: `nearest` (n,)
     is what it found.
     """
-    if _solved(replace(_many(task), rng=task.rng + 1), target) is None:
+    if _solve_target(replace(_raise_starts(task), rng=task.rng + 1), target) is None:
         return None
-    return evidence("more starts", singular=_singular(task, nearest))
+    return evidence("more starts", singular=_is_singular(task, nearest))
 
 
-def _singular(task: FrameProblem, q: Array) -> bool:
+def _is_singular(task: FrameProblem, q: Array) -> bool:
     """Whether the chain moves the frame in fewer freedoms at q (n,) than elsewhere."""
     full = task.chain.base[0].copy()
     full[task.chain.q_index] = q
-    generic = _rows(task, sample_configurations(task.system, 0, 16), Level.ROUGH)
-    return _rows(task, full[None], Level.ROUGH) < generic
+    generic = _compute_rank(task, sample_configurations(task.system, 0, 16), Level.ROUGH)
+    return _compute_rank(task, full[None], Level.ROUGH) < generic
 
 
-def _limits(task: FrameProblem, target: Array, nearest: Array) -> Evidence | None:
+def _find_blocking_limits(task: FrameProblem, target: Array, nearest: Array) -> Evidence | None:
     """Which limits block the target, or may do so, by solving without them; `nearest` (n,) is what
     came nearest.
 
@@ -254,40 +272,48 @@ def _limits(task: FrameProblem, target: Array, nearest: Array) -> Evidence | Non
     chain = task.chain
     bounded = np.flatnonzero(np.isfinite(chain.limits).any(axis=0) & (chain.circular == 0))
     open_ = np.stack([np.full(len(chain.v_index), -np.inf), np.full(len(chain.v_index), np.inf)])
-    many = _many(task)
-    free = _solved(many, target, open_) if bounded.size else None
+    many = _raise_starts(task)
+    free = _solve_target(many, target, open_) if bounded.size else None
     if free is None:
         return None
-    if _solved(replace(many, rng=task.rng + 1), target, None, free) is not None:
+    if _solve_target(replace(many, rng=task.rng + 1), target, None, free) is not None:
         return evidence("more starts")
     suspects = list(
-        bounded if len(bounded) <= FEW_LIMITS else _suspects(chain, bounded, nearest, free)
+        bounded
+        if len(bounded) <= FEW_LIMITS
+        else _find_suspect_limits(chain, bounded, nearest, free)
     )
     few = replace(
         many, starts=min(many.starts, STARTS * FEW_LIMITS // max(FEW_LIMITS, len(suspects)))
     )
 
-    def without(lifted: Sequence[Any]) -> bool:
+    def can_solve_without(lifted: Sequence[Any]) -> bool:
         limits = chain.limits.copy()
         limits[:, lifted] = open_[:, lifted]
-        return _solved(few, target, limits, free) is not None
+        return _solve_target(few, target, limits, free) is not None
 
-    alone = [i for i in suspects if without([i])]
+    alone = [i for i in suspects if can_solve_without([i])]
     lifted = (
         suspects
-        if len(suspects) < len(bounded) and not alone and without(suspects)
+        if len(suspects) < len(bounded) and not alone and can_solve_without(suspects)
         else list(bounded)
     )
     for i in [] if alone else list(lifted):  # what is left cannot be done without
         rest = [k for k in lifted if k != i]
-        lifted = rest if without(rest) else lifted
+        lifted = rest if can_solve_without(rest) else lifted
     names = [task.system.structure.velocity_names[int(chain.v_index[i])] for i in alone or lifted]
     return evidence(
-        "limits", names=names, together=not alone, each=bool(alone), proof=shut_out(task, target)
+        "limits",
+        names=names,
+        together=not alone,
+        each=bool(alone),
+        proof=prove_unreachable(task, target),
     )
 
 
-def _suspects(chain: Chain, bounded: np.ndarray, nearest: Array, free: Array) -> np.ndarray:
+def _find_suspect_limits(
+    chain: Chain, bounded: np.ndarray, nearest: Array, free: Array
+) -> np.ndarray:
     """Of the bounded coordinates those that are at a limit in `nearest`, or beyond one in `free`."""
     if len(chain.q_index) != len(chain.v_index):
         return bounded
@@ -296,7 +322,7 @@ def _suspects(chain: Chain, bounded: np.ndarray, nearest: Array, free: Array) ->
     return bounded[at[bounded]]
 
 
-def _close(task: FrameProblem, position: float, angle: float) -> Evidence | None:
+def _explain_near_miss(task: FrameProblem, position: float, angle: float) -> Evidence | None:
     """What a near miss means, where it is one: by then neither the search nor the workspace is
     known to end there.
     """
@@ -307,7 +333,7 @@ def _close(task: FrameProblem, position: float, angle: float) -> Evidence | None
     return evidence("near miss", place=position, turn=turn, longest=longest, small=longest <= SMALL)
 
 
-def _not_found(task: FrameProblem) -> Evidence:
+def _explain_not_found(task: FrameProblem) -> Evidence:
     """What is left where nothing else was found out."""
     limits = bool(np.isfinite(task.chain.limits).any())
     return evidence("not found", limits=limits, place=any(task.mask[:3]), turn=any(task.mask[3:]))
@@ -325,21 +351,21 @@ other."""
 
 
 @quiet
-def shut_out(task: FrameProblem, target: Array) -> Evidence | None:
+def prove_unreachable(task: FrameProblem, target: Array) -> Evidence | None:
     """What proves that a target (1, 4, 4) has no answer inside the limits; None where that is not
     proven.
     """
-    return _slides_end(task, target) or _all_outside(task, target)
+    return _prove_slides_too_short(task, target) or _prove_outside_limits(task, target)
 
 
-def _all_outside(task: FrameProblem, target: Array) -> Evidence | None:
+def _prove_outside_limits(task: FrameProblem, target: Array) -> Evidence | None:
     """Whether all the answers there are without limits are outside them."""
     system = task.system
     chain = task.chain
     plain = np.all(np.abs(numbers_of(task.chain.ints, task.chain.floats)[:, MULTIPLIER]) == 1.0)
     if max(task.tolerance) > CLEAR * CLEAR or len(chain.q_index) != len(chain.v_index) or not plain:
         return None
-    if of_loops(system, task.frame) or shared_by(system, task.frame):
+    if is_moved_by_loop(system, task.frame) or has_shared_coordinates(system, task.frame):
         return None
     from kempe.inverse.solve_all import SINGLE, by_chain
 
@@ -364,17 +390,17 @@ def _all_outside(task: FrameProblem, target: Array) -> Evidence | None:
     if not found.complete or not len(found.q) or found.families:
         return None
     size = 1.0 + float(np.linalg.norm(target[0, :3, 3]))
-    beyond = min(_beyond(chain, q[chain.q_index]) for q in found.q)
+    beyond = min(_measure_limit_excess(chain, q[chain.q_index]) for q in found.q)
     if not beyond > CLEAR * size:
         return None
     return evidence("outside", count=len(found.q))
 
 
-def _beyond(chain: Chain, q: Array) -> float:
+def _measure_limit_excess(chain: Chain, q: Array) -> float:
     """How far the coordinate that is farthest outside its limits is outside, whatever whole turns
     are added.
     """
-    turning, sliding = moved_by(chain)
+    turning, sliding = find_motion_masks(chain)
     (low, high) = chain.limits
     turns = 2.0 * np.pi * (turning & ~sliding)
     above = np.maximum(q - high, 0.0)
@@ -388,7 +414,7 @@ def _beyond(chain: Chain, q: Array) -> float:
     return float(off.max(initial=0.0))
 
 
-def _slides_end(task: FrameProblem, target: Array) -> Evidence | None:
+def _prove_slides_too_short(task: FrameProblem, target: Array) -> Evidence | None:
     """Whether slides which nothing turns end too far from the target, along some direction,
     whatever the rest does.
     """
@@ -434,14 +460,14 @@ def _slides_end(task: FrameProblem, target: Array) -> Evidence | None:
 # ---- the row of the answer
 
 
-def choice(solution: Solution) -> Choice:
+def describe_solver(solution: Solution) -> Choice:
     """Which solver searches for answers to such problems."""
     task = solution.task
     problem = Problem(task.system, "one", frame=task.frame, task=(task.name, task.axis))
     return choose(SOLVERS, problem)[1]
 
 
-def analyse(solution: Solution) -> tuple[int, int, int, Array]:
+def analyse_answer(solution: Solution) -> tuple[int, int, int, Array]:
     """Equations m, freedoms n, rank, and orthonormal basis (nv, k) of self-motions of one answer,
     scaled.
     """
@@ -453,5 +479,5 @@ def analyse(solution: Solution) -> tuple[int, int, int, Array]:
     return freedoms.analyse(pose_problem(task.system, goals, solution.q)[0], solution.q)
 
 
-ROW = SolutionRow(sentence, choice, proofs, derivative, analyse)
+ROW = SolutionRow(explain_target, describe_solver, list_proofs, compute_derivative, analyse_answer)
 """What `ik` says of its answers."""

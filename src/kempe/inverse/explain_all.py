@@ -13,13 +13,13 @@ from kempe.answers.problem import Choice, Problem, choose
 from kempe.answers.targets import not_a_pose
 from kempe.answers.wording import immovable
 from kempe.inverse.all_answer import SolutionsRow
-from kempe.inverse.chain.length_bounds import by_lengths
+from kempe.inverse.chain.length_bounds import measure_bound_excess
 from kempe.inverse.chain.problem import MOST
-from kempe.inverse.chain.serial_chain import chain_of, slides_of
-from kempe.inverse.closed_forms.plan import ChainPlan, compute_outer_terms, free_lines
-from kempe.inverse.closed_forms.plan import freedoms as rank_of
+from kempe.inverse.chain.serial_chain import find_chain, list_slides
+from kempe.inverse.closed_forms.plan import ChainPlan, compute_outer_terms, make_free_lines
+from kempe.inverse.closed_forms.plan import count_chain_freedoms as rank_of
 from kempe.inverse.closed_forms.structure import Strategy
-from kempe.inverse.explain import rounded
+from kempe.inverse.explain import suggest_tolerance
 from kempe.inverse.families import Family, find_families
 from kempe.inverse.nearest import aim_of, held_coordinates, nearest
 from kempe.kernels.base.search_layout import LARGEST
@@ -52,7 +52,7 @@ NO_ROOT = {
 """What is said of a method that found nothing."""
 
 
-def status(solutions: Solutions, index: int) -> str:
+def explain_target(solutions: Solutions, index: int) -> str:
     """The sentence for target number `index`: how many solutions and why these are all, or why
     there are none.
     """
@@ -63,8 +63,8 @@ def status(solutions: Solutions, index: int) -> str:
         if solutions._ended is None
         else (solutions._ended[0], solutions._ended[1][index])
     )
-    if solutions._used[index].any():
-        return _reached(solutions, index) + (wording.ended(limit) if late else "")
+    if solutions._used_rows[index].any():
+        return _describe_found(solutions, index) + (wording.ended(limit) if late else "")
     if late:
         return wording.none_in_time(limit)
     size = float(np.abs(solutions.problem.targets[index]).max())
@@ -76,14 +76,18 @@ def status(solutions: Solutions, index: int) -> str:
     _, position, angle = nearest(solutions, index)
     problem = solutions.problem
     plan = solutions.plan
-    spare = plan.spare
+    spare = plan.spare_joints
     miss = math.hypot(position, angle)
     why: list[Any]
-    why, proven = _reasons(solutions, index)
+    why, proven = _list_reasons(solutions, index)
     if spare and not proven:
         tried = int(np.ravel(solutions.tried)[index])
         head = ""
-        why = [evidence("tried", held=_held(solutions, index, spare), values=tried, starts=MOST)]
+        why = [
+            evidence(
+                "tried", held=_list_held_values(solutions, index, spare), values=tried, starts=MOST
+            )
+        ]
     else:
         head = "no solution"
     if miss <= REACHED:
@@ -93,8 +97,8 @@ def status(solutions: Solutions, index: int) -> str:
         )
     if why[0].__class__ is Evidence and why[0].kind == "joints":
         why.append(
-            rounded(
-                position, angle, chain_of(solutions.system, problem.frame).span.largest, one=True
+            suggest_tolerance(
+                position, angle, find_chain(solutions.system, problem.frame).span.largest, one=True
             )
         )
     limits = " inside the limits" if np.isfinite(plan.lines.limits).any() else ""
@@ -104,7 +108,7 @@ def status(solutions: Solutions, index: int) -> str:
     return wording.failed(head, *why, f"the closest configuration found{limits} misses it by {off}")
 
 
-def held_sentence(solutions: Solutions) -> str:
+def describe_held_joints(solutions: Solutions) -> str:
     """Which joints a redundant chain has to spare, and where they are held for the targets; '' for
     other chains.
     """
@@ -112,7 +116,7 @@ def held_sentence(solutions: Solutions) -> str:
         return ""
     parts: list[str] = []
     for name in solutions.spare:
-        values = np.ravel(solutions.held[name])[solutions._used.any(axis=1)]
+        values = np.ravel(solutions.held[name])[solutions._used_rows.any(axis=1)]
         if len(values):
             place, count = np.unique(values, return_counts=True)
             usual = float(place[np.argmax(count)])
@@ -124,15 +128,15 @@ def held_sentence(solutions: Solutions) -> str:
 # ---- targets with solutions
 
 
-def _reached(solutions: Solutions, index: int) -> str:
+def _describe_found(solutions: Solutions, index: int) -> str:
     """What was found."""
     plan = solutions.plan
-    spare = plan.spare
-    deficient = bool(spare) and not more_than_enough(plan)
+    spare = plan.spare_joints
+    deficient = bool(spare) and not has_spare_joints(plan)
     none: list[Family] = []
-    unknown: tuple[list[Family], np.ndarray] = (none, np.full(len(solutions._used.T), -1))
+    unknown: tuple[list[Family], np.ndarray] = (none, np.full(len(solutions._used_rows.T), -1))
     families, member = unknown if spare and not deficient else solutions._families[index]
-    alone = solutions._used[index] & (member < 0)
+    alone = solutions._used_rows[index] & (member < 0)
     code = solutions._code[index, alone]
     inside = int((code % 2).sum())
     times = code // int(A.MULTIPLICITY_UNIT)
@@ -143,13 +147,15 @@ def _reached(solutions: Solutions, index: int) -> str:
         not solutions._counts[index, 1],
         bool(spare),
         times[times > 1].tolist(),
-        _beyond(solutions, index, alone) if len(code) and not inside and not families else "",
+        _describe_violated_limit(solutions, index, alone)
+        if len(code) and not inside and not families
+        else "",
         [(f.freedoms, f.text) for f in families],
-        _ground(plan),
+        _explain_closed_form(plan),
     )
     if not spare or deficient and not len(code):
         return text
-    now = _held(solutions, index, spare)
+    now = _list_held_values(solutions, index, spare)
     first = solutions._first
     tried = int(np.ravel(solutions.tried)[index])
     if first is None:
@@ -159,22 +165,24 @@ def _reached(solutions: Solutions, index: int) -> str:
     return f"{text}; {wording.to_spare(len(spare), f': {wording.held_at(now)}', first_values, tried, inside > 0)}"
 
 
-def more_than_enough(plan: ChainPlan) -> bool:
+def has_spare_joints(plan: ChainPlan) -> bool:
     """Whether the chain has more joints than the task has equations: else freedoms to spare come
     from its lengths.
     """
-    free = free_lines(plan.lines, plan.task, plan.planar)
+    free = make_free_lines(plan.lines, plan.task, plan.planar)
     return len(plan.lines) - len(plan.fixed) + len(free.kinds) > (3 if plan.planar else 6)
 
 
-def _held(solutions: Solutions, index: int, joints: list[int]) -> list[tuple[str, float]]:
+def _list_held_values(
+    solutions: Solutions, index: int, joints: list[int]
+) -> list[tuple[str, float]]:
     """The joints with the values at which they are held for target number `index`."""
     q = held_coordinates(solutions, index)
     names = solutions.plan.lines.names
     return [(names[i], float(q[i])) for i in joints]
 
 
-def _ground(plan: ChainPlan) -> str:
+def _explain_closed_form(plan: ChainPlan) -> str:
     """Why there is a closed form."""
     way = plan.way
     inner = sorted(way.order[way.inner : way.inner + 3]) if way is not None else []
@@ -183,7 +191,7 @@ def _ground(plan: ChainPlan) -> str:
     return wording.closed_form(inner, way.what == POINT)
 
 
-def _beyond(solutions: Solutions, index: int, alone: np.ndarray) -> str:
+def _describe_violated_limit(solutions: Solutions, index: int, alone: np.ndarray) -> str:
     """Which limit the solution violates that is the least beyond its limits."""
     lines = solutions.plan.lines
     q = solutions._rows[index, alone, : len(lines)]
@@ -203,7 +211,7 @@ CONSTANT = 1e-9
 """Factor of an unknown below which an equation does not depend on it."""
 
 
-def _reasons(solutions: Solutions, index: int) -> tuple[list[Any], bool]:
+def _list_reasons(solutions: Solutions, index: int) -> tuple[list[Any], bool]:
     """What is to be said of a target without solutions, and whether it holds wherever spare joints
     are held.
     """
@@ -217,29 +225,29 @@ def _reasons(solutions: Solutions, index: int) -> tuple[list[Any], bool]:
         off = abs(float(target[0, 2, 3])) if system.dim == 2 else 0.0
         if off > tolerance:
             return [lengths(system, plane=off, point=problem.task == "position")], True
-        bounds = chain_of(system, problem.frame).bounds
-        off = float(by_lengths(bounds, target, (tolerance, tolerance), False)[0, 0])
-        far = lengths(system, off, slides=slides_of(system, problem.frame))
+        bounds = find_chain(system, problem.frame).bounds
+        off = float(measure_bound_excess(bounds, target, (tolerance, tolerance), False)[0, 0])
+        far = lengths(system, off, slides=list_slides(system, problem.frame))
     wide = plan.lines.span.wide
     failed = (
         None
-        if wide or plan.spare or plan.method.word != "closed form"
-        else _without_root(solutions, index)
+        if wide or plan.spare_joints or plan.method.word != "closed form"
+        else _prove_no_root(solutions, index)
     )
     if far or failed:
         return [x for x in (far, failed) if x], far is not None
-    over = _overdetermined(solutions)
+    over = _prove_overdetermined(solutions)
     if wide and not over:
-        return [plan.lines.span.sentence()], True
+        return [plan.lines.span.explain_rounding()], True
     return [over or NO_ROOT[plan.method.word]], over is not None
 
 
-def _overdetermined(solutions: Solutions) -> Evidence | None:
+def _prove_overdetermined(solutions: Solutions) -> Evidence | None:
     """Whether the task asks for more than the chain can do anywhere."""
     plan = solutions.plan
     planar = solutions.system.dim == 2
     unknown = [i for i in range(len(plan.lines)) if i not in plan.fixed]
-    free = free_lines(plan.lines, plan.task, planar)
+    free = make_free_lines(plan.lines, plan.task, planar)
     full = 3 if planar else 6
     rank = rank_of(plan.lines, free, unknown)
     others = len(free.kinds)
@@ -251,13 +259,13 @@ def _overdetermined(solutions: Solutions) -> Evidence | None:
     )
 
 
-def _without_root(solutions: Solutions, index: int) -> Evidence | None:
+def _prove_no_root(solutions: Solutions, index: int) -> Evidence | None:
     """The equation of a closed form that has no root; None where there is none of one unknown."""
     plan = solutions.plan
     way = solutions.plan.way
     if way is None or way.mode in (AT_REST, COUPLED):
         return None
-    theta = plan.lines.theta(held_coordinates(solutions, index))
+    theta = plan.lines.compute_theta(held_coordinates(solutions, index))
     terms = compute_outer_terms(plan, theta, aim_of(solutions, index).target)
     slides = np.concatenate([plan.lines.kinds, plan.extra.kinds]) == SLIDE
     first, second = (0, 1) if way.mode == X_FIRST else (1, 0)
@@ -266,24 +274,27 @@ def _without_root(solutions: Solutions, index: int) -> Evidence | None:
     # the other joint does not appear in the first measure: its constant is what is wanted
     t = terms[first, measures[0]]
     wanted = terms[second, measures[0], 0]
-    roots = _roots(t, wanted, bool(slides[joint[first]]))
+    roots = _find_roots(t, wanted, bool(slides[joint[first]]))
     if not len(roots):
-        return _named(solutions, way, joint[first], measures[0], t, wanted)
+        return _make_root_evidence(solutions, way, joint[first], measures[0], t, wanted)
     found: list[tuple[float, Evidence | None]] = []
     for f, g in roots:
         if math.isnan(f):
             return None
         known = terms[first, measures[1]] @ (1.0, f, g)
         t = terms[second, measures[1]]
-        if len(_roots(t, known, bool(slides[joint[second]]))):
+        if len(_find_roots(t, known, bool(slides[joint[second]]))):
             return None
         found.append(
-            (_range(t, known)[0], _named(solutions, way, joint[second], measures[1], t, known))
+            (
+                _compute_range(t, known)[0],
+                _make_root_evidence(solutions, way, joint[second], measures[1], t, known),
+            )
         )
     return min(found, key=lambda x: x[0])[1]
 
 
-def _range(t: Array, wanted: float) -> tuple[float, float, float]:
+def _compute_range(t: Array, wanted: float) -> tuple[float, float, float]:
     """How far a turn's t0 + t1 cos + t2 sin stays from a value, and the least and the largest that
     it reaches.
     """
@@ -291,7 +302,7 @@ def _range(t: Array, wanted: float) -> tuple[float, float, float]:
     return max(t[0] - size - wanted, wanted - t[0] - size, 0.0), t[0] - size, t[0] + size
 
 
-def _roots(t: Array, wanted: float, slides: bool) -> list[tuple[float, float]]:
+def _find_roots(t: Array, wanted: float, slides: bool) -> list[tuple[float, float]]:
     """Solutions (f, g) of t0 + t1 f + t2 g = wanted: f, g are cosine and sine of a turn, d and d^2
     of a slide.
 
@@ -313,7 +324,7 @@ def _roots(t: Array, wanted: float, slides: bool) -> list[tuple[float, float]]:
     return [(math.cos(middle + s * half), math.sin(middle + s * half)) for s in (1.0, -1.0)]
 
 
-def _named(
+def _make_root_evidence(
     solutions: Solutions, way: Strategy, joint: int, measure: int, t: Array, wanted: float
 ) -> Evidence | None:
     """That a joint cannot bring what the inner joints keep to where the target wants it; None for
@@ -324,7 +335,7 @@ def _named(
     length = plan.lines.length
     if joint >= n or plan.lines.kinds[joint] == SLIDE:
         return None
-    _, low, high = _range(t, wanted)
+    _, low, high = _compute_range(t, wanted)
     inner = sorted(i for i in way.order[way.inner : way.inner + 3] if i < n)
     middle = way.order[(way.inner + 4) % 6]
     turning = (
@@ -352,7 +363,7 @@ def _named(
 # ---- choice of the solver
 
 
-def choice(solutions: Solutions) -> Choice:
+def describe_solver(solutions: Solutions) -> Choice:
     """Which solver finds all answers to such problems."""
     from kempe.inverse.solve_all import SOLVERS
 
@@ -368,5 +379,5 @@ def choice(solutions: Solutions) -> Choice:
     return choose(SOLVERS, verb_problem)[1]
 
 
-ROW = SolutionsRow(status, choice, held_sentence, nearest, find_families)
+ROW = SolutionsRow(explain_target, describe_solver, describe_held_joints, nearest, find_families)
 """What `ik_all` says of its answers."""

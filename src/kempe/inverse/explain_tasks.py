@@ -18,8 +18,8 @@ from kempe.answers.evidence import Evidence, evidence, lengths, outside_limits
 from kempe.answers.problem import Choice, Problem, choose
 from kempe.answers.wording import immovable
 from kempe.inverse.answer import Reached, SolutionRow
-from kempe.inverse.chain.serial_chain import slides_of
-from kempe.inverse.explain import rounded
+from kempe.inverse.chain.serial_chain import list_slides
+from kempe.inverse.explain import suggest_tolerance
 from kempe.inverse.numeric import SOLVERS
 from kempe.inverse.tasks.contradictions import contradictions
 from kempe.inverse.tasks.demands import STARTS
@@ -41,7 +41,7 @@ MOST_PAIRS = 45
 """Pairs of tasks that are tried before they are no longer requested."""
 
 
-def sentence(answer: Reached, index: tuple[int, ...]) -> str:
+def explain_target(answer: Reached, index: tuple[int, ...]) -> str:
     """The sentence for one problem of an answer."""
     figures = (answer.code, answer.iterations, answer.starts)
     number, steps, starts = (int(np.asarray(x)[index]) for x in figures)
@@ -55,7 +55,9 @@ def sentence(answer: Reached, index: tuple[int, ...]) -> str:
     q = answer.q[index]
     misses = {t.label: answer.errors[t.label][index] for t in problem.tasks}
     soft = ", ".join(
-        f"{t.label!r} stays off by {_off(t, misses)}" for t in problem.tasks if t.weight is not None
+        f"{t.label!r} stays off by {_describe_miss(t, misses)}"
+        for t in problem.tasks
+        if t.weight is not None
     )
     hard = [t for t in problem.tasks if t.weight is None]
     if code is Status.SOLVED:
@@ -65,13 +67,16 @@ def sentence(answer: Reached, index: tuple[int, ...]) -> str:
             said = "no hard tasks" if cut else "lowered as far as the system allows"
             return wording.failed("", f"{said} ({work})", cut, soft)
         worst = np.max([misses[t.label] for t in hard], axis=0)
-        left = _left(problem, q)
+        left = _describe_freedoms(problem, q)
         return wording.failed(
-            "", wording.hard_tasks_hold(*_counting(hard, worst), work, left), cut, soft
+            "", wording.hard_tasks_hold(*_merge_errors(hard, worst), work, left), cut, soft
         )
-    failing = [t for t in hard if not _within(problem, t, misses[t.label])]
-    what = ", ".join(f"{t.label!r} is missed by {_off(t, misses)}" for t in failing)
-    what = what or f"the hard tasks hold, but {_violated(problem, q) or 'not with closed loops'}"
+    failing = [t for t in hard if not _is_within_tolerance(problem, t, misses[t.label])]
+    what = ", ".join(f"{t.label!r} is missed by {_describe_miss(t, misses)}" for t in failing)
+    what = (
+        what
+        or f"the hard tasks hold, but {_describe_violations(problem, q) or 'not with closed loops'}"
+    )
     near = "q is the nearest found"
     if code is Status.OUT_OF_TIME:
         return wording.failed(
@@ -80,17 +85,19 @@ def sentence(answer: Reached, index: tuple[int, ...]) -> str:
     if problem.given_up:
         calls = wording.calls_in_vain(problem.given_up)
         return wording.failed(wording.given_up("reached", starts), what, calls, near, soft)
-    why = _reasons(problem, q)
+    why = _list_reasons(problem, q)
     if failing and any(isinstance(x, Evidence) and x.figures.get("rank") for x in why):
         worst = np.max([misses[t.label] for t in failing], axis=0)
         why += [
-            rounded(float(worst[0]), float(worst[1]), compute_characteristic_length(problem.system))
+            suggest_tolerance(
+                float(worst[0]), float(worst[1]), compute_characteristic_length(problem.system)
+            )
         ]
     still = immovable(problem.system)
     return wording.failed(wording.given_up("reached", starts), what, *why, near, soft, still)
 
 
-def _left(problem: Demands, q: Array) -> str:
+def _describe_freedoms(problem: Demands, q: Array) -> str:
     """How many freedoms the hard tasks leave; '' for large systems."""
     if problem.system.nv > MOST_COORDINATES:
         return ""
@@ -99,7 +106,7 @@ def _left(problem: Demands, q: Array) -> str:
     return wording.freedoms_left(first, local.finite if first else 0, local.m, local.n)
 
 
-def _counting(tasks: Sequence[Task], error: Array) -> tuple[float | None, float | None]:
+def _merge_errors(tasks: Sequence[Task], error: Array) -> tuple[float | None, float | None]:
     """Errors in metres and radians, None for those that tasks do not have."""
     return (
         float(error[0]) if any(t.lengths for t in tasks) else None,
@@ -107,23 +114,23 @@ def _counting(tasks: Sequence[Task], error: Array) -> tuple[float | None, float 
     )
 
 
-def _off(task: Task, misses: dict[str, Array]) -> str:
+def _describe_miss(task: Task, misses: dict[str, Array]) -> str:
     """By how much a task is missed."""
-    return wording.errors(*_counting([task], misses[task.label]), radians=".3g", by=" and ")
+    return wording.errors(*_merge_errors([task], misses[task.label]), radians=".3g", by=" and ")
 
 
-def _within(problem: Demands, task: Task, error: Array) -> bool:
+def _is_within_tolerance(problem: Demands, task: Task, error: Array) -> bool:
     linear, angular = problem.tolerance_of(task)
     return bool(error[0] <= linear * 1.000001 and error[1] <= angular * 1.000001)
 
 
-def _violated(problem: Demands, q: Array) -> str:
+def _describe_violations(problem: Demands, q: Array) -> str:
     """Which declared one-sided constraints are violated at q (nq,), and by how much."""
     which = ", ".join(v.text for v in problem.packed.one_sided.violations(q))
     return f"violating {which}" if which else ""
 
 
-def _solved(
+def _solve_tasks(
     problem: Demands, q: Array, tasks: list[int], limits: bool = True, one_sided: bool = True
 ) -> Array | None:
     """A configuration (nq,) that holds only these hard tasks, or None."""
@@ -132,19 +139,21 @@ def _solved(
     return found[0] if judge(part, found, info) else None
 
 
-def _reasons(problem: Demands, q: Array) -> list[Any]:
+def _list_reasons(problem: Demands, q: Array) -> list[Any]:
     """Why the hard tasks of one problem do not hold together; q (nq,) is the nearest found."""
     hard = [i for i, t in enumerate(problem.tasks) if t.weight is None]
-    proofs = [proof for i in hard if (proof := _out_of_reach(problem, i))] or _contradicting(
-        problem
+    proofs = [
+        proof for i in hard if (proof := _prove_out_of_reach(problem, i))
+    ] or _find_contradictions(problem)
+    above = (
+        _solve_tasks(problem, q, hard, True, False) if problem.packed.one_sided.declared else None
     )
-    above = _solved(problem, q, hard, True, False) if problem.packed.one_sided.declared else None
     if above is not None and not proofs and (over := problem.packed.one_sided.violations(above)):
         return [evidence("one-sided", violated=[v.text for v in over])]
-    free = _solved(problem, q, hard, False)
+    free = _solve_tasks(problem, q, hard, False)
     names = outside_limits(problem.system, free) if free is not None else []
     # where a task tells turns apart
-    if free is not None and not names and _solved(problem, free, hard) is None:
+    if free is not None and not names and _solve_tasks(problem, free, hard) is None:
         names = outside_limits(problem.system, free, turns=False)
     if names:
         return [
@@ -155,12 +164,12 @@ def _reasons(problem: Demands, q: Array) -> list[Any]:
         ]
     if proofs or free is not None:
         return proofs or [evidence("more starts")]
-    alone = [i for i in hard if len(hard) == 1 or _solved(problem, q, [i]) is None]
+    alone = [i for i in hard if len(hard) == 1 or _solve_tasks(problem, q, [i]) is None]
     if alone:
-        return [_alone(problem, q, i, len(hard) > 1) for i in alone]
+        return [_explain_single_task(problem, q, i, len(hard) > 1) for i in alone]
     few = len(hard) * (len(hard) - 1) // 2 <= MOST_PAIRS
     against = [
-        (i, j) for i, j in combinations(hard, 2) if few and _solved(problem, q, [i, j]) is None
+        (i, j) for i, j in combinations(hard, 2) if few and _solve_tasks(problem, q, [i, j]) is None
     ]
     pairs = [(problem.tasks[i].label, problem.tasks[j].label) for i, j in against]
     return [
@@ -169,28 +178,28 @@ def _reasons(problem: Demands, q: Array) -> list[Any]:
             pairs=pairs,
             starts=min(problem.starts, STARTS),
             tasks=len(hard),
-            rank=_rank(problem, q, hard),
+            rank=_prove_overdetermined(problem, q, hard),
             two=few and len(hard) > 2,
         )
     ]
 
 
-def proofs(answer: Reached, index: tuple[int, ...]) -> tuple[Evidence, ...]:
+def list_proofs(answer: Reached, index: tuple[int, ...]) -> tuple[Evidence, ...]:
     """What proves that the tasks of one problem of an answer do not hold together."""
     row = int(np.ravel_multi_index(index, np.shape(answer.code))) if index else 0
     code = np.asarray(answer.code)[index]
     problem = answer.problem.of(row)
     if code == Status.CONTRADICTORY:
-        return tuple(_contradicting(problem))
+        return tuple(_find_contradictions(problem))
     hard = (
         [i for i, t in enumerate(problem.tasks) if t.weight is None]
         if code == Status.OUT_OF_REACH
         else []
     )
-    return tuple(proof for i in hard if (proof := _out_of_reach(problem, i)))
+    return tuple(proof for i in hard if (proof := _prove_out_of_reach(problem, i)))
 
 
-def _contradicting(problem: Demands) -> list[Evidence]:
+def _find_contradictions(problem: Demands) -> list[Evidence]:
     """For each two tasks of one problem that exclude each other, how they do, first found."""
     out: dict[tuple[int, int], Evidence] = {}
     for i, j, found in contradictions(problem):
@@ -209,7 +218,7 @@ def _contradicting(problem: Demands) -> list[Evidence]:
     return list(out.values())
 
 
-def _out_of_reach(problem: Demands, i: int) -> Evidence | None:
+def _prove_out_of_reach(problem: Demands, i: int) -> Evidence | None:
     """That lengths put a task out of reach, and how far."""
     task = problem.tasks[i]
     place, turned = beyond(problem, task, problem.goals[i]).reshape(-1, 2)[0].tolist()
@@ -219,21 +228,23 @@ def _out_of_reach(problem: Demands, i: int) -> Evidence | None:
             name: None
             for end in task.frames
             if end is not None
-            for name in slides_of(problem.system, end)
+            for name in list_slides(problem.system, end)
         }
     return lengths(problem.system, place, turned, task=task.label, slides=list(slides))
 
 
-def _alone(problem: Demands, q: Array, i: int, among: bool) -> Evidence:
+def _explain_single_task(problem: Demands, q: Array, i: int, among: bool) -> Evidence:
     """Why one task is not reached even alone."""
     label = problem.tasks[i].label
-    free = _solved(problem, q, [i], False)
+    free = _solve_tasks(problem, q, [i], False)
     if free is not None and (names := outside_limits(problem.system, free)):
         return evidence("limits", names=names, task=label)
-    return evidence("not alone", task=label if among else "", rank=_rank(problem, q, [i]))
+    return evidence(
+        "not alone", task=label if among else "", rank=_prove_overdetermined(problem, q, [i])
+    )
 
 
-def _rank(problem: Demands, q: Array, tasks: list[int]) -> Evidence | None:
+def _prove_overdetermined(problem: Demands, q: Array, tasks: list[int]) -> Evidence | None:
     """Whether tasks have more equations than the system has freedoms; None for large systems, too."""
     if problem.system.nv > MOST_COORDINATES:
         return None
@@ -243,22 +254,24 @@ def _rank(problem: Demands, q: Array, tasks: list[int]) -> Evidence | None:
     )
 
 
-def choice(answer: Reached) -> Choice:
+def describe_solver(answer: Reached) -> Choice:
     """Which solver searches for answers to such problems."""
     return choose(SOLVERS, Problem(answer.problem.system, "one"))[1]
 
 
-def _derive(answer: Reached) -> dict[str, Array]:
+def _compute_derivatives(answer: Reached) -> dict[str, Array]:
     from kempe.inverse.derivative import (
-        derivative_of_tasks,  # only here: it is long, and seldom asked for
+        compute_task_derivatives,  # only here: it is long, and seldom asked for
     )
 
-    return derivative_of_tasks(answer)
+    return compute_task_derivatives(answer)
 
 
-def _analyse(answer: Reached) -> tuple[int, int, int, Array]:
+def _analyse_answer(answer: Reached) -> tuple[int, int, int, Array]:
     return analyse(answer.problem, answer.q)
 
 
-ROW = SolutionRow(sentence, choice, proofs, _derive, _analyse)
+ROW = SolutionRow(
+    explain_target, describe_solver, list_proofs, _compute_derivatives, _analyse_answer
+)
 """What `ik` says of its answers for tasks."""

@@ -118,14 +118,14 @@ class SolutionSet(Curve):
     lever: Array
 
     @classmethod
-    def of(cls, solutions: Solutions, index: int) -> SolutionSet:
+    def from_solutions(cls, solutions: Solutions, index: int) -> SolutionSet:
         """The set for target number `index`; joints that were held only since they are to spare may
         move.
         """
         aim = aim_of(solutions, index, spare=True)
         lines = aim.lines
         lever = lines.tip[:3, :3].T @ (lines.tip[:3, 3] - lines.o[-1])
-        if len(aim.rows) < 6 or aim.slides[-1] or np.linalg.norm(lever) <= LONG:
+        if len(aim.rows) < 6 or aim.slide_mask[-1] or np.linalg.norm(lever) <= LONG:
             return cls(aim, solutions.problem.tolerance, np.zeros(3))
         back = np.eye(4)
         back[:3, 3] = -lever
@@ -137,21 +137,21 @@ class SolutionSet(Curve):
         """How many joints the chain has."""
         return len(self.aim.lines)
 
-    def both_of_many(self, theta: Array) -> tuple[Array, Array]:
+    def evaluate_batch(self, theta: Array) -> tuple[Array, Array]:
         """Residuals (N, m) and Jacobians (N, m, n) at theta (N, n); columns of joints that are held
         are zero.
         """
-        e, columns = self.aim.at(theta)
+        e, columns = self.aim.linearise_errors(theta)
         J = np.zeros((*e.shape, self.n))
         J[..., self.aim.moves] = columns
         return -e, J
 
     def both(self, x: Array) -> tuple[Array, Array]:
         """Residual (m,) and Jacobian (m, n) at a configuration (n,)."""
-        r, J = self.both_of_many(x[None])
+        r, J = self.evaluate_batch(x[None])
         return r[0], J[0]
 
-    def error(self, r: Array) -> float:
+    def measure_error(self, r: Array) -> float:
         """The larger of the errors of position [m], at the tip and where it is measured, and of
         orientation [rad].
         """
@@ -161,12 +161,12 @@ class SolutionSet(Curve):
             size = max(size, float(np.linalg.norm(r[:3] + np.cross(r[3:], self.lever))))
         return max(size * self.aim.lines.length, float(np.linalg.norm(r[~place])))
 
-    def gap(self, a: Array, b: Array) -> Array:
+    def compute_difference(self, a: Array, b: Array) -> Array:
         """Difference a - b (..., n), of angles the shortest."""
         d = a - b
-        return np.where(self.aim.slides, d, d - 2.0 * math.pi * np.round(d / (2.0 * math.pi)))
+        return np.where(self.aim.slide_mask, d, d - 2.0 * math.pi * np.round(d / (2.0 * math.pi)))
 
-    def spectrum(self, J: Array) -> tuple[Array, Array]:
+    def decompose_jacobians(self, J: Array) -> tuple[Array, Array]:
         """Singular values (..., k) of Jacobians by the joints that may move, the least first, and
         their directions (..., k, n).
         """
@@ -180,45 +180,45 @@ class SolutionSet(Curve):
         directions[..., moves] = Vt
         return values[..., ::-1], directions[..., ::-1, :]
 
-    def free(self, x: Array, least: int = 1) -> Array:
+    def find_free_directions(self, x: Array, least: int = 1) -> Array:
         """Orthonormal directions (d, n), at least so many, in which the tip hardly moves at x (n,),
         the freest first.
         """
-        s, directions = self.spectrum(self.both(x)[1])
+        s, directions = self.decompose_jacobians(self.both(x)[1])
         return directions[: max(least, int((s <= SINGULAR).sum()))]
 
-    def tangents(self, x: Array, toward: Array) -> Array:
+    def compute_tangents(self, x: Array, toward: Array) -> Array:
         """Orthonormal tangents (d, n) of a family at x (n,), nearest to directions `toward` (d, n)."""
-        free = self.free(x, len(toward))
+        free = self.find_free_directions(x, len(toward))
         U, s, Vt = Spectrum(toward @ free.T @ free).thin
         return U @ Vt if s[-1] > 0.1 else toward
 
     def node(self, x: Array, toward: Array, J: Array) -> Node:
         """The node at a point of a curve, its tangent in the sense of `toward` (n,)."""
         way = toward / np.linalg.norm(toward)
-        return Node(x, self.tangents(x, way[None])[0], 1.0, 1, NONE, NONE)
+        return Node(x, self.compute_tangents(x, way[None])[0], 1.0, 1, NONE, NONE)
 
-    def lead(self, x: Array, across: Array) -> GaussNewtonEnd:
+    def minimise_error(self, x: Array, across: Array) -> GaussNewtonEnd:
         """Where x (n,) comes to, moved across directions `across` (d, n) until the error is least."""
         still = np.zeros(len(across))
 
-        def both(x: Array) -> tuple[Array, Array]:
+        def evaluate_rows(x: Array) -> tuple[Array, Array]:
             r, J = self.both(x)
             return np.append(r, still), np.vstack([J, across])
 
-        x, r, J = gauss_newton(both, x, CORRECTIONS, met=ROUNDING)
+        x, r, J = gauss_newton(evaluate_rows, x, CORRECTIONS, met=ROUNDING)
         return GaussNewtonEnd(x, r[: -len(across)], J[: -len(across)])
 
     def corrected(self, x: Array, across: Array) -> GaussNewtonEnd | None:
         """What is on target near x (n,), moved across a direction (n,), or several (d, n); or None."""
-        end = self.lead(x, np.atleast_2d(across))
-        return end if self.error(end.r) <= SLACK * self.allowed else None
+        end = self.minimise_error(x, np.atleast_2d(across))
+        return end if self.measure_error(end.r) <= SLACK * self.allowed else None
 
     # ---- around a configuration
 
-    def neighbours(self, x: Array, distance: float) -> Array:
+    def find_neighbours(self, x: Array, distance: float) -> Array:
         """Configurations (k, n) on target at a distance from x (n,), apart from each other."""
-        free = self.free(x)
+        free = self.find_free_directions(x)
         if len(free) == 1:
             ways = np.concatenate([free, -free])
         else:
@@ -228,67 +228,69 @@ class SolutionSet(Curve):
                 c = np.stack([np.cos(angle), np.sin(angle)], axis=1)
             ways = c @ free / np.linalg.norm(c, axis=1, keepdims=True)
 
-        def both(theta: Array, _: np.ndarray) -> tuple[Array, Array]:
+        def evaluate_rows(theta: Array, _: np.ndarray) -> tuple[Array, Array]:
             away = theta - x
             size = np.linalg.norm(away, axis=1)
-            r, J = self.both_of_many(theta)
+            r, J = self.evaluate_batch(theta)
             r[~((size > 0.3 * distance) & (size < 3.0 * distance))] = np.nan
             rows = np.concatenate([J, (away / size[:, None])[:, None]], axis=1)
             return np.concatenate([r, (size - distance)[:, None]], axis=1), rows
 
-        theta = gauss_newton_of_many(both, x + distance * ways, 2 * CORRECTIONS)
+        theta = gauss_newton_of_many(evaluate_rows, x + distance * ways, 2 * CORRECTIONS)
         out: list[Array] = []
         for y in theta[np.isfinite(theta[:, 0])]:
-            on_target = self.error(self.both(y)[0]) <= SLACK * self.allowed
+            on_target = self.measure_error(self.both(y)[0]) <= SLACK * self.allowed
             if on_target and all(np.abs(y - z).max() >= 0.05 * distance for z in out):
                 out.append(y)
         return np.reshape(out, (-1, self.n))
 
-    def freedoms(self, x: Array, distance: float) -> Array:
+    def find_family_directions(self, x: Array, distance: float) -> Array:
         """Orthonormal directions (d, n) of the family around x (n,): those in which others are on
         target.
 
         They are the null space of the Jacobian, or a part of it where roots have merged.
         """
-        free = self.free(x)
+        free = self.find_free_directions(x)
         if len(free) == 1:
             return free
-        near = self.neighbours(x, STRIDE * distance)
+        near = self.find_neighbours(x, STRIDE * distance)
         if not len(near):
             return free[:1]
         ways = (near - x) / np.linalg.norm(near - x, axis=1, keepdims=True)
         return Spectrum(ways).row_space(SPANNED).T[: len(free)]
 
-    def families(self, x: Array, base: Array, known: Sequence[Family]) -> list[Family]:
+    def find_families(self, x: Array, base: Array, known: Sequence[Family]) -> list[Family]:
         """The families on which a configuration (n,) lies, those `known` left out; none where it is
         isolated.
         """
-        s, _ = self.spectrum(self.both(x)[1])
+        s, _ = self.decompose_jacobians(self.both(x)[1])
         if s[0] > SINGULAR:
             return []
         distance = REACH
-        near = self.neighbours(x, distance)
-        if not len(near) and s[0] < self.undetermined:
+        near = self.find_neighbours(x, distance)
+        if not len(near) and s[0] < self.singular_level:
             distance = NEAR
-            near = self.neighbours(x, distance)
+            near = self.find_neighbours(x, distance)
         found = list(known)
         for y in near:
-            if any(family.contains(y) for family in found):
+            if any(family.contains_configuration(y) for family in found):
                 continue
-            ways = self.freedoms(y, distance)
+            ways = self.find_family_directions(y, distance)
             way = (y - x) / np.linalg.norm(y - x)
             samples = (
-                (*self.wander(y, ways, SAMPLES), False)
+                (*self.walk_randomly(y, ways, SAMPLES), False)
                 if len(ways) > 1
-                else self.trace(x if (s <= SINGULAR).sum() == 1 else y, way)
+                else self.trace_curve(x if (s <= SINGULAR).sum() == 1 else y, way)
             )
             # merged roots are known better once they are samples
-            if samples and not any(family.contains(samples[0][0]) for family in found):
-                found.append(Family.of(self, base, *samples))
+            if samples and not any(
+                family.contains_configuration(samples[0][0]) for family in found
+            ):
+                found.append(Family.from_samples(self, base, *samples))
         return found[len(known) :]
 
     @property
-    def undetermined(self) -> float:
+    def singular_level(self) -> float:
         """The smallest singular value of solutions that are not determined; less for long chains,
         whose tolerance is.
         """
@@ -296,42 +298,42 @@ class SolutionSet(Curve):
 
     # ---- samples
 
-    def wander(self, x: Array, frame: Array, count: int) -> tuple[Array, Array]:
+    def walk_randomly(self, x: Array, frame: Array, count: int) -> tuple[Array, Array]:
         """Samples (m, n) of a random walk from x (n,), with tangents (m, d, n) that begin as
         `frame`.
         """
         rng = np.random.default_rng(2)
-        x = self.lead(x, frame).x
-        frame = self.tangents(x, frame)
+        x = self.minimise_error(x, frame).x
+        frame = self.compute_tangents(x, frame)
         out = [(x, frame)]
         for _ in range(count):
             way = rng.normal(size=len(frame)) @ frame
             end = self.corrected(x + 0.6 * rng.random() * way / np.linalg.norm(way), frame)
             if end is not None:
                 x = end.x
-                frame = self.tangents(x, frame)
+                frame = self.compute_tangents(x, frame)
                 out.append((x, frame))
         return np.array([x for x, _ in out]), np.array([frame for _, frame in out])
 
-    def trace(self, x: Array, way: Array) -> tuple[Array, Array, bool] | None:
+    def trace_curve(self, x: Array, way: Array) -> tuple[Array, Array, bool] | None:
         """Samples (m, n) and tangents (m, 1, n) of the curve through x (n,), and whether it closes;
         None if it leaves the target.
         """
-        x, _, J = self.lead(x, way[None])
+        x, _, J = self.minimise_error(x, way[None])
         first = self.node(x, way, J)
-        nodes, end = self._half(first)
+        nodes, end = self._trace_half(first)
         other = end
         if end != "closed":
-            back, other = self._half(first.reversed())
+            back, other = self._trace_half(first.reversed())
             nodes = [*(a.reversed() for a in back[:0:-1]), *nodes]
         theta = np.array([a.x for a in nodes])
-        if "off" in (end, other) and self.spectrum(J)[0][0] > self.undetermined:
-            worst = max(map(self.error, self.both_of_many(theta)[0]))
+        if "off" in (end, other) and self.decompose_jacobians(J)[0][0] > self.singular_level:
+            worst = max(map(self.measure_error, self.evaluate_batch(theta)[0]))
             if worst > 1e-3 * self.allowed:
                 return None
         return theta, np.array([a.t[None] for a in nodes]), end == "closed"
 
-    def _half(self, first: Node) -> tuple[list[Node], str]:
+    def _trace_half(self, first: Node) -> tuple[list[Node], str]:
         """Nodes one way, and how they end: "closed", "far", or "off" the target."""
         nodes = [first]
 
@@ -340,49 +342,54 @@ class SolutionSet(Curve):
             return None if b is None else [b]
 
         for b in walk(first, take_step, LONGEST, REACH):
-            if len(nodes) > 3 and self._passes(nodes[-1], b, first):
+            if len(nodes) > 3 and self._passes_node(nodes[-1], b, first):
                 return nodes, "closed"
             nodes.append(b)
-            if np.abs(b.x - first.x)[self.aim.slides].max(initial=0.0) > FAR:
+            if np.abs(b.x - first.x)[self.aim.slide_mask].max(initial=0.0) > FAR:
                 return nodes, "far"
             if len(nodes) == MOST_STEPS:
                 break
         return nodes, "off"
 
-    def _passes(self, a: Node, b: Node, first: Node) -> bool:
+    def _passes_node(self, a: Node, b: Node, first: Node) -> bool:
         """Whether the step from a to b passes the first node."""
-        rest = self.gap(first.x, a.x)
+        rest = self.compute_difference(first.x, a.x)
         h = float((b.x - a.x) @ a.t)
         along = float(rest @ a.t)
         aside = float(np.linalg.norm(rest - along * a.t))
         if not -0.01 * h < along <= 1.01 * h or a.t @ first.t < 0.8 or aside > 0.3 * h:
             return False
-        there = self.lead(a.x + along * a.t, a.t[None]).x
-        return bool(np.linalg.norm(self.gap(first.x, there)) < 0.02 * h)
+        there = self.minimise_error(a.x + along * a.t, a.t[None]).x
+        return bool(np.linalg.norm(self.compute_difference(first.x, there)) < 0.02 * h)
 
-    def crossings(self, theta: Array, tangents: Array) -> Iterator[Array]:
+    def find_crossings(self, theta: Array, tangents: Array) -> Iterator[Array]:
         """Points (n,) of a curve in which others may cross it: its Jacobian loses one more rank."""
         from scipy import optimize  # only here: most targets have no families
 
         if len(self.aim.moves) < 2:
             return
-        size = self.spectrum(self.both_of_many(theta)[1])[0][:, 1]
+        size = self.decompose_jacobians(self.evaluate_batch(theta)[1])[0][:, 1]
         before = np.roll(size, 1)
         after = np.roll(size, -1)
         steep = size <= np.maximum(before, after) - size  # a zero nearby leaves such a kink
         for k in np.flatnonzero((size <= before) & (size <= after) & (size < CLOSE) & steep):
 
-            def point(s: float, x: Array = theta[k], way: Array = tangents[k]) -> GaussNewtonEnd:
-                return self.lead(x + s * way[0], way)
+            def compute_point(
+                s: float, x: Array = theta[k], way: Array = tangents[k]
+            ) -> GaussNewtonEnd:
+                return self.minimise_error(x + s * way[0], way)
 
-            def second(s: float, point: Any = point) -> float:
-                return float(self.spectrum(point(s).J)[0][1])
+            def compute_second_value(s: float, point: Any = compute_point) -> float:
+                return float(self.decompose_jacobians(point(s).J)[0][1])
 
             least = cast(Any, optimize).minimize_scalar(
-                second, bounds=(-LONGEST, LONGEST), method="bounded", options={"xatol": 1e-8}
+                compute_second_value,
+                bounds=(-LONGEST, LONGEST),
+                method="bounded",
+                options={"xatol": 1e-8},
             )
             if least.fun < SINGULAR:
-                yield point(least.x).x
+                yield compute_point(least.x).x
 
 
 # ---- a family
@@ -415,7 +422,7 @@ class Family(InWords):
     """How far from its samples joints may be that rest (radians, lengths of the chain)."""
 
     @classmethod
-    def of(
+    def from_samples(
         cls, target: SolutionSet, base: Array, theta: Array, tangents: Array, closed: bool
     ) -> Family:
         """The family with samples theta (m, n) and tangents (m, d, n); joints outside the chain are
@@ -426,12 +433,12 @@ class Family(InWords):
         basis = np.zeros((freedoms, len(base)))
         basis[:, lines.q_index] = tangents[0] / lines.multiplier
         basis /= np.linalg.norm(basis, axis=1, keepdims=True)
-        merged = len(target.free(theta[0])) > freedoms
+        merged = len(target.find_free_directions(theta[0])) > freedoms
         width = MERGED if merged else STRAIGHT
         moved = np.ptp(theta, axis=0) > width
         joints = tuple(n for n, m in zip(lines.names, moved, strict=True) if m)
-        residual = max(map(target.error, target.both_of_many(theta)[0]))
-        q = _full(target, theta, base)
+        residual = max(map(target.measure_error, target.evaluate_batch(theta)[0]))
+        q = _fill_configurations(target, theta, base)
         return cls(
             freedoms, q, closed, basis, joints, residual, target, theta, tangents, base, width
         )
@@ -450,12 +457,12 @@ class Family(InWords):
             members = self._theta[:1]
             while len(members) < n:
                 count = 2 * max(n, len(members))
-                members = target.wander(self._theta[0], self._tangents[0], count)[0]
-            return _full(target, members[:n], self._base)
+                members = target.walk_randomly(self._theta[0], self._tangents[0], count)[0]
+            return _fill_configurations(target, members[:n], self._base)
         x = self._theta
         t = self._tangents
         if self.closed:
-            x = np.vstack([x, x[-1] + target.gap(x[0], x[-1])])
+            x = np.vstack([x, x[-1] + target.compute_difference(x[0], x[-1])])
             t = np.concatenate([t, t[:1]])
         arc = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(x, axis=0), axis=1)))
         theta: list[Array] = []
@@ -463,8 +470,8 @@ class Family(InWords):
         for i in range(n):
             s = float(arc[-1]) * i / ends
             k = int(np.sum(arc <= s)) - 1
-            theta.append(target.lead(x[k] + (s - arc[k]) * t[k, 0], t[k]).x)
-        return _full(target, np.array(theta), self._base)
+            theta.append(target.minimise_error(x[k] + (s - arc[k]) * t[k, 0], t[k]).x)
+        return _fill_configurations(target, np.array(theta), self._base)
 
     def distance(self, q: ArrayLike) -> Any:
         """How far configurations (..., nq) are from the family: the largest difference of a joint
@@ -474,26 +481,28 @@ class Family(InWords):
         """
         q = read_reals(q, "q")
         lines = self._set.aim.lines
-        theta = lines.theta(q[..., lines.q_index]).reshape(-1, len(lines))
-        far = np.array([np.abs(self._gap(x) / lines.multiplier).max() for x in theta])
+        theta = lines.compute_theta(q[..., lines.q_index]).reshape(-1, len(lines))
+        far = np.array(
+            [np.abs(self._compute_difference(x) / lines.multiplier).max() for x in theta]
+        )
         return float(far[0]) if q.ndim == 1 else far.reshape(q.shape[:-1])
 
-    def contains(self, theta: Array) -> bool:
+    def contains_configuration(self, theta: Array) -> bool:
         """Whether variables (n,) of the chain are those of a member."""
-        away = np.abs(self._set.gap(self._theta, theta)).max(axis=1).min()
+        away = np.abs(self._set.compute_difference(self._theta, theta)).max(axis=1).min()
         if self.freedoms == 1 and away > 1.0:
             return False
-        return bool(np.abs(self._gap(theta)).max() < max(ON, self._width))
+        return bool(np.abs(self._compute_difference(theta)).max() < max(ON, self._width))
 
-    def _gap(self, theta: Array) -> Array:
+    def _compute_difference(self, theta: Array) -> Array:
         """Difference (n,) from the next member, to which a walk leads from the nearest sample."""
         target = self._set
-        away = target.gap(theta, self._theta)
+        away = target.compute_difference(theta, self._theta)
         k = int(np.argmin((away**2).sum(axis=1)))
         x = self._theta[k]
         frame = self._tangents[k]
         for _ in range(MOST_STEPS):
-            rest = target.gap(theta, x)
+            rest = target.compute_difference(theta, x)
             way = (frame @ rest) @ frame
             size = float(np.linalg.norm(way))
             if not size > max(1e-12, 1e-6 * float(np.linalg.norm(rest))):
@@ -502,16 +511,16 @@ class Family(InWords):
             if end is None:
                 break
             x = end.x
-            frame = target.tangents(x, frame)
-        return target.gap(theta, x)
+            frame = target.compute_tangents(x, frame)
+        return target.compute_difference(theta, x)
 
     @cached_property
     def text(self) -> str:
         """What moves, and how: "q4 + q6 = 1.234 while q5 = 0"."""
-        text = self._motion()
+        text = self._describe_motion()
         return text if self.residual <= EXACT else f"{text} (on target within {self.residual:.1g})"
 
-    def _motion(self) -> str:
+    def _describe_motion(self) -> str:
         """What moves, and how, were it exact."""
         lines = self._set.aim.lines
         names = list(self.joints)
@@ -524,13 +533,13 @@ class Family(InWords):
         q = self.q[0, lines.q_index]
         if np.abs(x - np.outer(x @ way, way)).max() <= STRAIGHT:
             slopes = way / lines.multiplier[place]
-            at_rest = {lines.names[i]: float(q[i]) for i in self._conditions()}
+            at_rest = {lines.names[i]: float(q[i]) for i in self._list_conditions()}
             return wording.linear_motion(
                 names,
-                _equations(names, slopes, q[place]),
+                _fit_equations(names, slopes, q[place]),
                 [(name, 0.0 if abs(x) < AT_ZERO else x) for name, x in at_rest.items()],
             )
-        way_round = self._theta[-1] - self._set.gap(self._theta[-1], self._theta[0])
+        way_round = self._theta[-1] - self._set.compute_difference(self._theta[-1], self._theta[0])
         turns = [round(float(x) / (2.0 * math.pi)) for x in (way_round - self._theta[0])[place]]
         once = [i for i, k in enumerate(turns) if abs(k) == 1]
         turning = self.closed and bool(once)
@@ -539,19 +548,19 @@ class Family(InWords):
         ends = float(values.min()), float(values.max())
         return wording.curved_motion(names, names[first], turning, self.closed, ends)
 
-    def _conditions(self) -> list[int]:
+    def _list_conditions(self) -> list[int]:
         """Joints at rest that must be where they are."""
         names = self._set.aim.lines.names
         at_rest = [i for i in self._set.aim.moves.tolist() if names[i] not in self.joints]
         others = self._theta[0] + PERTURBED * np.eye(self._set.n)[at_rest]
-        speeds = self._set.both_of_many(others)[1] @ self._tangents[0, 0]
+        speeds = self._set.evaluate_batch(others)[1] @ self._tangents[0, 0]
         return [i for i, v in zip(at_rest, speeds, strict=True) if np.abs(v).max() > CONDITION]
 
     def __str__(self) -> str:
         return f"{self.text}: {spell_count(self.freedoms, 'freedom')}"
 
 
-def _equations(names: list[str], slopes: Array, values: Array) -> list[dict[str, float]]:
+def _fit_equations(names: list[str], slopes: Array, values: Array) -> list[dict[str, float]]:
     """Linear equations of a straight line, each of two joints: coefficients by joint, and "" for the
     right side.
     """
@@ -564,7 +573,7 @@ def _equations(names: list[str], slopes: Array, values: Array) -> list[dict[str,
     return out
 
 
-def _full(target: SolutionSet, theta: Array, base: Array) -> Array:
+def _fill_configurations(target: SolutionSet, theta: Array, base: Array) -> Array:
     """Configurations (m, nq) of variables (m, n); other joints as in `base` (nq,)."""
     lines = target.aim.lines
     q = np.tile(base, (len(theta), 1))
@@ -585,45 +594,47 @@ def find_families(solutions: Solutions, index: int) -> tuple[list[Family], np.nd
     locked only because the chain has more than it needs may move.
     """
     numbers = np.full(len(solutions._rows[index]), -1, dtype=np.int64)
-    used = np.flatnonzero(solutions._used[index])
+    used = np.flatnonzero(solutions._used_rows[index])
     if not len(used):
         return [], numbers
-    target = SolutionSet.of(solutions, index)
+    target = SolutionSet.from_solutions(solutions, index)
     if not len(target.aim.moves):
         return [], numbers
     lines = target.aim.lines
-    theta = lines.theta(solutions._rows[index][used, : len(lines)])
-    weak = target.spectrum(target.both_of_many(theta)[1])[0][:, 0] < SINGULAR
+    theta = lines.compute_theta(solutions._rows[index][used, : len(lines)])
+    weak = target.decompose_jacobians(target.evaluate_batch(theta)[1])[0][:, 0] < SINGULAR
     base = solutions._base[index if len(solutions._base) > 1 else 0]
     families: list[Family] = []
 
-    def number_of(x: Array) -> int:
-        return next((i for i, family in enumerate(families) if family.contains(x)), -1)
+    def find_family_number(x: Array) -> int:
+        return next(
+            (i for i, family in enumerate(families) if family.contains_configuration(x)), -1
+        )
 
-    for x in (*theta[weak], *_left_out(solutions, index)):
-        starts = [x] if number_of(x) < 0 else []
+    for x in (*theta[weak], *_read_left_out_samples(solutions, index)):
+        starts = [x] if find_family_number(x) < 0 else []
         while starts and len(families) < MOST:
-            for family in target.families(starts.pop(), base, families):
+            for family in target.find_families(starts.pop(), base, families):
                 families.append(family)
                 if family.freedoms == 1:
-                    starts += target.crossings(family._theta, family._tangents)
-    numbers[used[weak]] = [number_of(x) for x in theta[weak]]
+                    starts += target.find_crossings(family._theta, family._tangents)
+    numbers[used[weak]] = [find_family_number(x) for x in theta[weak]]
     return families, numbers
 
 
-def _left_out(solutions: Solutions, index: int) -> Array:
+def _read_left_out_samples(solutions: Solutions, index: int) -> Array:
     """Variables (k, n) of samples of families for which the answer had no room, others among them."""
     plan = solutions.plan
     n = len(plan.lines)
-    sampled = solutions._used[index] & (solutions._code[index] < A.MULTIPLICITY_UNIT)
-    if plan.method == SEARCH or not (sampled.any() and solutions._used[index].all()):
+    sampled = solutions._used_rows[index] & (solutions._code[index] < A.MULTIPLICITY_UNIT)
+    if plan.method == SEARCH or not (sampled.any() and solutions._used_rows[index].all()):
         return np.zeros((0, n))
     target = aim_of(solutions, index).target[None]
     near = solutions._base[index if len(solutions._base) > 1 else 0]
     target[0, :3, 3] = target[0, :3, 3] * plan.lines.length + plan.lines.origin
     out = np.empty((1, ROOM, n + A.INFO))
     tolerance = solutions.problem.tolerance
-    plan.fill(
+    plan.fill_solutions(
         target,
         np.ascontiguousarray(near[plan.lines.q_index])[None],
         held_coordinates(solutions, index)[None],
@@ -635,4 +646,4 @@ def _left_out(solutions: Solutions, index: int) -> Array:
         np.zeros((1, 2), dtype=np.int64),
     )
     code = out[0, :, n + A.CODE]
-    return plan.lines.theta(out[0, (code >= 0.0) & (code < A.MULTIPLICITY_UNIT), :n])
+    return plan.lines.compute_theta(out[0, (code >= 0.0) & (code < A.MULTIPLICITY_UNIT), :n])

@@ -1,4 +1,4 @@
-"""`symbolic_ik`: the inverse model as formulas, in the steps of its derivation on paper.
+"""`derive_ik`: the inverse model as formulas, in the steps of its derivation on paper.
 
 It knows planar arms, SCARAs, and arms in space with a wrist or with parallel axes.
 """
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 ELBOW = "-1 is elbow up, +1 elbow down"
 
 
-def planar_line(joint: JointLine) -> JointLine:
+def make_planar_line(joint: JointLine) -> JointLine:
     """The line of a joint of the plane z = 0, as pairs of x and y; `rate` is the sense of a turn."""
     return joint._replace(
         point=(joint.point[0], joint.point[1]),
@@ -57,7 +57,7 @@ def planar_line(joint: JointLine) -> JointLine:
     )
 
 
-def in_plane(
+def solve_planar_pose(
     n: Names,
     arm: list[JointLine],
     to: Vector,
@@ -66,7 +66,7 @@ def in_plane(
     names: list[Any],
     elbow: str = ELBOW,
 ) -> tuple[list[FormulaStep], list[Any]]:
-    """Steps and coordinates as `solved`; of a pose from the place of a last joint that turns,
+    """Steps and coordinates as `solve_planar_arm`; of a pose from the place of a last joint that turns,
     called `names`.
     """
     steps = list[FormulaStep]()
@@ -79,11 +79,11 @@ def in_plane(
             ]
             to = (steps[0].symbol, steps[1].symbol)
         end = arm[-1].point
-    more, found = solved(n, arm, to, end, angle, elbow)
+    more, found = solve_planar_arm(n, arm, to, end, angle, elbow)
     return steps + more, found
 
 
-def solved(
+def solve_planar_arm(
     n: Names, arm: list[JointLine], to: Vector, end: Vector, angle: Any, elbow: str
 ) -> tuple[list[FormulaStep], list[Any]]:
     """Steps and coordinates: of joints that bring the point `end` to `to`, the last body turned by
@@ -106,11 +106,11 @@ def solved(
         (l2, at2) = polar(minus(end, two.point))
         steps, first, bend = two_circles(n, minus(to, one.point), l1, l2, elbow, int(one.rate))
         turns = [first - at1, bend - (at2 - at1)]
-        return steps, _turns(arm, turns, angle)
+        return steps, _list_turn_coordinates(arm, turns, angle)
     if kinds in ("RP", "RPR"):
         gap = minus(end, one.point)
         (_, at) = polar(two.direction)
-        ahead, aside = _parts(gap, two.direction)
+        ahead, aside = _split_vector(gap, two.direction)
         steps, u, rail = turning_slide(n, minus(to, one.point), aside)
         turn = rail - at
         return steps, [
@@ -149,13 +149,13 @@ def solved(
     )
 
 
-def _turns(arm: list[JointLine], turns: list[Any], angle: Any) -> list[Any]:
+def _list_turn_coordinates(arm: list[JointLine], turns: list[Any], angle: Any) -> list[Any]:
     """Coordinates of joints that turn: by these, the last one by what is left of the angle."""
     last = [] if angle is None else [angle - sum(turns)]
     return [j.rate * x for j, x in zip(arm, [*turns, *last], strict=True)]
 
 
-def _parts(v: Vector, along: Vector) -> tuple[Any, Any]:
+def _split_vector(v: Vector, along: Vector) -> tuple[Any, Any]:
     """Parts of a vector along a direction and to the left of it."""
     return v[0] * along[0] + v[1] * along[1], along[0] * v[1] - along[1] * v[0]
 
@@ -199,17 +199,19 @@ class ArmPlane:
     tip: Any
 
     @property
-    def out(self) -> Any:
+    def outward_direction(self) -> Any:
         """The horizontal direction in the plane: turns about the normal lead from it upwards."""
         return Z.cross(self.normal)
 
-    def steps(self, to: list[Any], R: Any, names: dict[str, Any], n: Names) -> list[FormulaStep]:
+    def list_solution_steps(
+        self, to: list[Any], R: Any, names: dict[str, Any], n: Names
+    ) -> list[FormulaStep]:
         """The steps to a place `to` (3,) of the end, and to the orientation R (3, 3) of the tip if
         it has a wrist.
         """
         raise NotImplementedError
 
-    def turned_to(self, to: list[Any], names: dict[str, Any]) -> list[FormulaStep]:
+    def derive_first_turn(self, to: list[Any], names: dict[str, Any]) -> list[FormulaStep]:
         """The distance in the plane of the arm, and the first coordinate, which turns that plane to
         the target.
         """
@@ -219,7 +221,7 @@ class ArmPlane:
         x = to[0] - first.point[0]
         y = to[1] - first.point[1]
         aside = tidy_matrix(sympy.Matrix([self.normal.dot(self.end - first.point)]))[0]
-        _, zero = polar((self.out[0], self.out[1]))
+        _, zero = polar((self.outward_direction[0], self.outward_direction[1]))
         squares = sympy.expand(aside**2)
         far = "" if squares.is_zero else f"{x**2 + y**2} >= {squares}"
         says = "distance from axis 1 in the plane of the arm, -1 over the shoulder"
@@ -236,7 +238,7 @@ class ArmPlane:
         )
         return steps
 
-    def placed(
+    def derive_planar_joints(
         self, count: int, height: Any, angle: Any, names: dict[str, Any], n: Names
     ) -> list[FormulaStep]:
         """The coordinates of the `count` joints after the first: the end at a distance `rho` from
@@ -247,14 +249,14 @@ class ArmPlane:
         joints = self.joints[1 : 1 + count]
         arm = [
             j._replace(
-                point=self.flat(j.point - self.joints[0].point, j.point),
-                direction=self.flat(j.direction, j.direction),
+                point=self.project_to_plane(j.point - self.joints[0].point, j.point),
+                direction=self.project_to_plane(j.direction, j.direction),
                 rate=-1 if j.turns and float(j.direction.dot(self.normal)) < 0.0 else 1,
             )
             for j in joints
         ]
-        end = self.flat(self.end - self.joints[0].point, self.end)
-        steps, found = in_plane(
+        end = self.project_to_plane(self.end - self.joints[0].point, self.end)
+        steps, found = solve_planar_pose(
             n, arm, (names["rho"], height), end, angle, [names["h_x"], names["h_z"]], BEND
         )
         return steps + [
@@ -262,7 +264,7 @@ class ArmPlane:
             for j, x, place in zip(joints, found, PLACES[1:], strict=False)
         ]
 
-    def wrist(
+    def derive_wrist(
         self, S: Any, a: Any, called: str, turn: tuple[Any, str], R: Any, names: dict[str, Any]
     ) -> list[FormulaStep]:
         """The last two coordinates, and the turn about the direction `a` before them, by the
@@ -289,11 +291,11 @@ class ArmPlane:
         )
         seen = R * tidy_matrix(tip.T * c)
         steps = [
-            FormulaStep(s, short((S * e).dot(seen)), says)
+            FormulaStep(s, simplify_expression((S * e).dot(seen)), says)
             for s, (e, says) in zip(m, own, strict=True)
         ]
         steps += [
-            FormulaStep(s, short((S * a).dot(R * tidy_matrix(tip.T * e))), says)
+            FormulaStep(s, simplify_expression((S * a).dot(R * tidy_matrix(tip.T * e))), says)
             for s, (e, says) in zip(k, far, strict=True)
         ]
         some = f"{m[1]} != 0 or {m[2]} != 0"
@@ -309,31 +311,34 @@ class ArmPlane:
             ),
         ]
 
-    def flat(self, across: Any, up: Any) -> Vector:
+    def project_to_plane(self, across: Any, up: Any) -> Vector:
         """Parts of a vector along `out`, and of another along z."""
-        return tidy_matrix(sympy.Matrix([self.out.dot(across)]))[0], up[2]
+        return tidy_matrix(sympy.Matrix([self.outward_direction.dot(across)]))[0], up[2]
 
-    def first_turn(self) -> Any:
+    def build_first_rotation(self) -> Any:
         """How the first body is turned (3, 3) against q = 0."""
-        return turn_about(Z, self.joints[0].direction[2] * sympy.Symbol(self.joints[0].coordinate))
+        return build_rotation(
+            Z, self.joints[0].direction[2] * sympy.Symbol(self.joints[0].coordinate)
+        )
 
 
-def normal_of(joints: list[JointLine]) -> Any:
+def find_normal(joints: list[JointLine]) -> Any:
     """The horizontal normal (3,) of the plane in which joints turn and slide; None if there is no
     one plane.
     """
     turns = [j.direction for j in joints if j.turns]
-    across = turns or [Z.cross(j.direction) for j in joints if not parallel(j.direction, Z)]
+    across = turns or [Z.cross(j.direction) for j in joints if not are_parallel(j.direction, Z)]
     if not across:
         return None
     normal = tidy_matrix(across[0] / sympy.sqrt(across[0].dot(across[0])))
     flat = all(
-        parallel(j.direction, normal) if j.turns else upright(j.direction, normal) for j in joints
+        are_parallel(j.direction, normal) if j.turns else are_perpendicular(j.direction, normal)
+        for j in joints
     )
-    return normal if flat and upright(normal, Z) else None
+    return normal if flat and are_perpendicular(normal, Z) else None
 
 
-def turn_about(axis: Any, angle: Any) -> Any:
+def build_rotation(axis: Any, angle: Any) -> Any:
     """The matrix (3, 3) of a turn about a unit vector (Rodrigues, 1840)."""
     x, y, z = axis
     along = axis * axis.T
@@ -341,32 +346,32 @@ def turn_about(axis: Any, angle: Any) -> Any:
     return along + sympy.cos(angle) * (sympy.eye(3) - along) + sympy.sin(angle) * across
 
 
-def short(x: Any) -> Any:
+def simplify_expression(x: Any) -> Any:
     """The expression without products by zero and rounding, terms of a target's entry together."""
     x = tidy_matrix(sympy.Matrix([x]))[0]
     return sympy.collect(x, sorted((s for s in x.free_symbols if str(s).startswith("r_")), key=str))
 
 
-def meeting(a: JointLine, b: JointLine) -> Any:
+def find_meeting_point(a: JointLine, b: JointLine) -> Any:
     """The point (3,) in which two axes at right angles meet; None for others."""
-    if not (a.turns and b.turns and upright(a.direction, b.direction)):
+    if not (a.turns and b.turns and are_perpendicular(a.direction, b.direction)):
         return None
     # where they would be nearest to each other
     end = tidy_matrix(a.point + a.direction * (b.point - a.point).dot(a.direction))
-    return end if is_on(end, b) else None
+    return end if is_on_axis(end, b) else None
 
 
-def is_on(point: Any, line: JointLine) -> bool:
+def is_on_axis(point: Any, line: JointLine) -> bool:
     """Whether a point is on the axis of a joint."""
     return tidy_matrix((point - line.point).cross(line.direction)).is_zero_matrix
 
 
-def parallel(a: Any, b: Any) -> bool:
+def are_parallel(a: Any, b: Any) -> bool:
     """Whether two unit vectors are parallel, in either sense."""
     return max(abs(float(x)) for x in a.cross(b)) < SMALL
 
 
-def upright(a: Any, b: Any) -> bool:
+def are_perpendicular(a: Any, b: Any) -> bool:
     """Whether two unit vectors are at right angles."""
     return abs(float(a.dot(b))) < SMALL
 
@@ -385,28 +390,34 @@ class ParallelArm(ArmPlane):
     """Three joints in the plane that the first turns, and two turns whose axes meet in the end."""
 
     @classmethod
-    def of(cls, joints: list[JointLine], tip: Any) -> ParallelArm | None:
+    def from_joints(cls, joints: list[JointLine], tip: Any) -> ParallelArm | None:
         """The arm of six joints; None if it is not of this kind."""
-        if len(joints) != 6 or not joints[0].turns or not parallel(joints[0].direction, Z):
+        if len(joints) != 6 or not joints[0].turns or not are_parallel(joints[0].direction, Z):
             return None
-        normal = normal_of(joints[1:4])
-        end = meeting(*joints[4:])
-        if normal is None or end is None or not upright(joints[4].direction, normal):
+        normal = find_normal(joints[1:4])
+        end = find_meeting_point(*joints[4:])
+        if normal is None or end is None or not are_perpendicular(joints[4].direction, normal):
             return None
         return cls(tuple(joints), normal, end, tip)
 
-    def steps(self, to: list[Any], R: Any, names: dict[str, Any], n: Names) -> list[FormulaStep]:
+    def list_solution_steps(
+        self, to: list[Any], R: Any, names: dict[str, Any], n: Names
+    ) -> list[FormulaStep]:
         """The first coordinate, the last two, and those between."""
         lift = names["phi"]
-        hand = self.wrist(
-            self.first_turn(),
+        hand = self.derive_wrist(
+            self.build_first_rotation(),
             self.normal,
             "the normal of the plane",
             (lift, "turn of the fourth body in the plane"),
             R,
             names,
         )
-        return [*self.turned_to(to, names), *hand, *self.placed(3, to[2], lift, names, n)]
+        return [
+            *self.derive_first_turn(to, names),
+            *hand,
+            *self.derive_planar_joints(3, to[2], lift, names, n),
+        ]
 
 
 # ---- arms in space of three joints, or six with a wrist
@@ -420,24 +431,35 @@ class SpatialArm(ArmPlane):
     """Three joints, which place the tip or the point in which the axes of the last three meet."""
 
     @classmethod
-    def of(cls, joints: list[JointLine], tip: Any) -> SpatialArm | None:
+    def from_joints(cls, joints: list[JointLine], tip: Any) -> SpatialArm | None:
         """The arm of three joints, or of six that end in a wrist; None if it is not of this kind."""
-        if len(joints) not in (3, 6) or not joints[0].turns or not parallel(joints[0].direction, Z):
+        if (
+            len(joints) not in (3, 6)
+            or not joints[0].turns
+            or not are_parallel(joints[0].direction, Z)
+        ):
             return None
-        normal = normal_of(joints[1:3])
-        end = tip[:3, 3] if len(joints) == 3 else _centre(*joints[3:])
+        normal = find_normal(joints[1:3])
+        end = tip[:3, 3] if len(joints) == 3 else _find_wrist_centre(*joints[3:])
         return None if normal is None or end is None else cls(tuple(joints), normal, end, tip)
 
-    def steps(self, to: list[Any], R: Any, names: dict[str, Any], n: Names) -> list[FormulaStep]:
+    def list_solution_steps(
+        self, to: list[Any], R: Any, names: dict[str, Any], n: Names
+    ) -> list[FormulaStep]:
         """The first three coordinates, and those of the wrist."""
-        three = [*self.turned_to(to, names), *self.placed(2, to[2], None, names, n)]
+        three = [
+            *self.derive_first_turn(to, names),
+            *self.derive_planar_joints(2, to[2], None, names, n),
+        ]
         if not R:
             return three
         four = self.joints[3]
         turn = (sympy.Symbol(four.coordinate), "the fourth coordinate")
-        return three + self.wrist(self._third(), four.direction, "axis 4", turn, R, names)
+        return three + self.derive_wrist(
+            self._build_third_rotation(), four.direction, "axis 4", turn, R, names
+        )
 
-    def _third(self) -> Any:
+    def _build_third_rotation(self) -> Any:
         """How the third body is turned (3, 3) against q = 0."""
         lift = sum(
             (
@@ -447,17 +469,20 @@ class SpatialArm(ArmPlane):
             ),
             sympy.Integer(0),
         )
-        return self.first_turn() * turn_about(self.normal, lift)
+        return self.build_first_rotation() * build_rotation(self.normal, lift)
 
 
-def _centre(a: JointLine, b: JointLine, c: JointLine) -> Any:
+def _find_wrist_centre(a: JointLine, b: JointLine, c: JointLine) -> Any:
     """The point (3,) in which the axes of a wrist meet, the middle one at right angles to both;
     None for others.
     """
-    end = meeting(a, b)
+    end = find_meeting_point(a, b)
     return (
         end
-        if end is not None and c.turns and upright(b.direction, c.direction) and is_on(end, c)
+        if end is not None
+        and c.turns
+        and are_perpendicular(b.direction, c.direction)
+        and is_on_axis(end, c)
         else None
     )
 
@@ -504,7 +529,7 @@ class InverseFormulas(Derivation):
             X = numbers(p, "p", 4, 4)
             at = np.concatenate([X[..., :3, 3], X[..., :3, :3].reshape(*X.shape[:-2], 9)], axis=-1)
         else:
-            at = numbers(self._of_poses(p), "p", len(self.given))
+            at = numbers(self._read_poses(p), "p", len(self.given))
         many: Any = sign
         several = isinstance(sign, (tuple, list, np.ndarray))
         most = max(len(self.signs), 1)
@@ -524,7 +549,7 @@ class InverseFormulas(Derivation):
             at, np.broadcast_to(np.array(signs, dtype=float), at.shape[:-1] + (len(signs),))
         )
 
-    def _of_poses(self, p: ArrayLike) -> ArrayLike:
+    def _read_poses(self, p: ArrayLike) -> ArrayLike:
         """The numbers that the formulas take of poses (..., 4, 4); what is none, as it is."""
         X = np.asarray(p)
         if (
@@ -539,7 +564,7 @@ class InverseFormulas(Derivation):
 
 
 @explain_errors
-def symbolic_ik(
+def derive_ik(
     system: Model,
     frame: FrameLike,
     task: str | None = None,
@@ -571,7 +596,7 @@ def symbolic_ik(
     chains and for systems with constraints.
 
     >>> import kempe
-    >>> print(symbolic_ik(kempe.load("two_link"), "e").steps[1].formula)
+    >>> print(derive_ik(kempe.load("two_link"), "e").steps[1].formula)
     (-l1**2 - l2**2 + r2)/(2*l1*l2)
     """
     name = system.structure.frame_name(frame)
@@ -588,9 +613,9 @@ def symbolic_ik(
         word: next(s for e in endings() if (s := sympy.Symbol(f"{word}{e}")) not in taken)
         for word in words
     }
-    if _is_planar(joints, tip, task):
-        return _of_plane(system, joints, tip, task, free)
-    arm = SpatialArm.of(joints, tip) or ParallelArm.of(joints, tip)
+    if _is_planar_arm(joints, tip, task):
+        return _derive_planar_formulas(system, joints, tip, task, free)
+    arm = SpatialArm.from_joints(joints, tip) or ParallelArm.from_joints(joints, tip)
     if arm is None or task not in (None, SPATIAL[len(joints)]):
         raise UnsupportedError(
             f"formulas for {name!r} need two joints to a position, or three to a pose, that turn "
@@ -600,12 +625,12 @@ def symbolic_ik(
             "right angles that meet, or three such joints and two turns about axes at right "
             "angles that meet, the first at right angles to that direction; ik_all gives numbers"
         )
-    return _of_space(system, arm, free)
+    return _derive_spatial_formulas(system, arm, free)
 
 
-def _is_planar(joints: list[JointLine], tip: Any, task: str | None) -> bool:
+def _is_planar_arm(joints: list[JointLine], tip: Any, task: str | None) -> bool:
     """Whether two or three joints move the frame in a plane across z, and at most one along z."""
-    arm = [j for j in joints if not _lifts(j)]
+    arm = [j for j in joints if not _is_vertical_slide(j)]
     what = task or TASKS.get(len(arm), "position")
     planar = all(
         bool(j.direction[0] == 0 == j.direction[1]) if j.turns else bool(j.direction[2] == 0)
@@ -615,31 +640,33 @@ def _is_planar(joints: list[JointLine], tip: Any, task: str | None) -> bool:
     return TASKS.get(len(arm)) == what and planar and len(joints) <= len(arm) + 1 and bool(upright)
 
 
-def _of_plane(
+def _derive_planar_formulas(
     system: Model, joints: list[JointLine], tip: Any, task: str | None, names: dict[str, Any]
 ) -> InverseFormulas:
     """Formulas of a planar arm with at most one slide along z; `names` are the symbols by their
     words.
     """
-    arm = [j for j in joints if not _lifts(j)]
-    lifts = [j for j in joints if _lifts(j)]
+    arm = [j for j in joints if not _is_vertical_slide(j)]
+    lifts = [j for j in joints if _is_vertical_slide(j)]
     what = task or TASKS[len(arm)]
     x, y, z, phi, *last = (names[word] for word in OWN[:-1])
     inputs: list[Any] = [x, y, *([z] if lifts else []), *([phi] if what == "pose" else [])]
     n = Names.among(names)
     angle = phi - sympy.atan2(tip[1, 0], tip[0, 0]) if what == "pose" else None
-    flat = [planar_line(j) for j in arm]
-    steps, coordinates = in_plane(n, flat, (x, y), (tip[0, 3], tip[1, 3]), angle, last)
+    flat = [make_planar_line(j) for j in arm]
+    steps, coordinates = solve_planar_pose(n, flat, (x, y), (tip[0, 3], tip[1, 3]), angle, last)
     found: dict[str, Any] = {j.coordinate: x for j, x in zip(flat, coordinates, strict=True)}
     # no other joint changes the height
     found |= {j.coordinate: j.direction[2] * (z - tip[2, 3]) for j in lifts}
     for j, place in zip(joints, PLACES, strict=False):
-        says = f"the {place} coordinate" + ", from the height" * _lifts(j)
+        says = f"the {place} coordinate" + ", from the height" * _is_vertical_slide(j)
         steps.append(FormulaStep(sympy.Symbol(j.coordinate), found[j.coordinate], says))
-    return _formulas(system, steps, inputs, [n.sign], joints)
+    return _make_formulas(system, steps, inputs, [n.sign], joints)
 
 
-def _of_space(system: Model, arm: ArmPlane, names: dict[str, Any]) -> InverseFormulas:
+def _derive_spatial_formulas(
+    system: Model, arm: ArmPlane, names: dict[str, Any]
+) -> InverseFormulas:
     """Formulas of an arm in space; `names` are the symbols by their words."""
     x, y, z, _, *place = (names[word] for word in OWN)
     inputs = [x, y, z]
@@ -656,8 +683,8 @@ def _of_space(system: Model, arm: ArmPlane, names: dict[str, Any]) -> InverseFor
                 for s, w in zip(place, sympy.Matrix(to) + R * hand, strict=True)
             ]
             to = place
-    steps += arm.steps(to, R, names, Names.among(names)._replace(sign=names["elbow"]))
-    return _formulas(
+    steps += arm.list_solution_steps(to, R, names, Names.among(names)._replace(sign=names["elbow"]))
+    return _make_formulas(
         system,
         steps,
         inputs,
@@ -666,7 +693,7 @@ def _of_space(system: Model, arm: ArmPlane, names: dict[str, Any]) -> InverseFor
     )
 
 
-def _formulas(
+def _make_formulas(
     system: Model,
     steps: list[FormulaStep],
     inputs: list[Any],
@@ -680,6 +707,6 @@ def _formulas(
     )
 
 
-def _lifts(joint: JointLine) -> bool:
+def _is_vertical_slide(joint: JointLine) -> bool:
     """Whether a joint slides along z of the ground."""
     return not joint.turns and bool(joint.direction[0] == 0 == joint.direction[1])

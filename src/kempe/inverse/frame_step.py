@@ -19,7 +19,7 @@ import numpy as np
 
 from kempe import spatial
 from kempe.forward.fk import query
-from kempe.inverse.chain.serial_chain import chain_of
+from kempe.inverse.chain.serial_chain import find_chain
 from kempe.model.characteristic_length import compute_characteristic_length
 from kempe.numerics.least_squares import (
     NEAR,
@@ -406,7 +406,7 @@ class Servo:
         self.system = system
         self.frame = frame
         self.query = query(system, frame)
-        chain = chain_of(system, frame)
+        chain = find_chain(system, frame)
         self.v = chain.v_index
         reach = min((b.largest for b in chain.bounds), default=math.inf)
         self.near = NEAR * min(1.0, reach) if reach > 0.0 else NEAR

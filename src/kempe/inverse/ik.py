@@ -84,7 +84,7 @@ class BoundIk:
     def __init__(self, question: FrameProblem, shape: tuple[int, ...]):
         self.requested = question
         self.chain = question.chain
-        self.rows = problem.rows_of(question)
+        self.rows = problem.pack_row_flags(question)
         system = question.system
         self.size = len(question.chain.q_index)
         self.nq = system.nq
@@ -183,7 +183,7 @@ class BoundIk:
             return Solution.reached((self, X), q, row)
         task = self.task(X)
         codes = np.array([Status.NOT_FOUND])
-        quiet(problem.look_closer)(task, codes)
+        quiet(problem.mark_unreachable_targets)(task, codes)
         linear, angular, _, steps, starts = row[n:].tolist()
         return Solution(
             q, False, to_status(codes[0]), linear, angular, int(steps), int(starts), task

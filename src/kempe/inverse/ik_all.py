@@ -25,7 +25,7 @@ from kempe.arrays import FARTHEST
 from kempe.budget import Budget
 from kempe.errors import InputError
 from kempe.inverse.all_answer import Solutions
-from kempe.inverse.closed_forms.problem import held_by
+from kempe.inverse.closed_forms.problem import read_fixed_values
 from kempe.inverse.solve_all import BATCH, SOLVERS, USUAL
 from kempe.numerics.clock import TimeLimit, begun_within
 
@@ -89,7 +89,7 @@ def ik_all(
     refuse_position(task, is_position, system.dim)
     if lead == () and not np.all(np.abs(targets) < FARTHEST):
         raise InputError(not_a_pose(targets[0]))
-    known = held_by(fixed)
+    known = read_fixed_values(fixed)
     problem = Problem(
         system,
         "all",

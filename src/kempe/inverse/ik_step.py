@@ -16,7 +16,7 @@ from kempe.equations.one_sided import one_sided_rows
 from kempe.equations.slip import rolls
 from kempe.errors import InputError
 from kempe.forward.fk import query, refuse_bad_configuration
-from kempe.inverse.chain.serial_chain import obstacle
+from kempe.inverse.chain.serial_chain import find_obstacle
 from kempe.inverse.constrained_step import ConstrainedSteps, Stage, stages_of
 from kempe.inverse.frame_step import SLOW, Move, Servo, pose_error
 from kempe.kernels.forward.table_layout import BALL, TURN
@@ -183,7 +183,7 @@ def ik_step(
             )
         return _held_step(system, q, wanted, None, dt, speed, default, damping, False, None)
     name = system.structure.frame_name(frame)
-    if rolls(system) or obstacle(system, name) or one_sided_rows(system).declared:
+    if rolls(system) or find_obstacle(system, name) or one_sided_rows(system).declared:
         return _held_step(system, q, wanted, name, dt, speed, default, damping, keep_direction, w)
     servo = _servo(system, name)
     x = _motion(wanted)

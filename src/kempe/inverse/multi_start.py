@@ -11,8 +11,14 @@ import numpy as np
 
 from kempe.answers.targets import targets_with_axis
 from kempe.budget import check_for_stop
-from kempe.inverse.chain.problem import FEW, FrameProblem, misses, outside, rows_of
-from kempe.inverse.chain.serial_chain import Chain, inside
+from kempe.inverse.chain.problem import (
+    FEW,
+    FrameProblem,
+    compute_errors,
+    measure_reach_excess,
+    pack_row_flags,
+)
+from kempe.inverse.chain.serial_chain import Chain, move_inside_limits
 from kempe.kernels.base.search_layout import (
     ANSWER,
     DESCENTS,
@@ -78,7 +84,7 @@ def answered(
         chain.ints,
         chain.floats,
         limits,
-        rows_of(problem),
+        pack_row_flags(problem),
         targets_with_axis(targets, problem.axis),
         seeds,
         problem.rng,
@@ -99,7 +105,7 @@ def answered(
     far = 0
     if postpone:
         left = left[out[left, n + STATUS] == NOT_FOUND]
-        beyond = left[outside(problem, targets[left]) > 0.0]
+        beyond = left[measure_reach_excess(problem, targets[left]) > 0.0]
         out[beyond, n + STATUS] = Status.OUT_OF_REACH
         far = len(beyond)
     return go_on(problem, targets, head, count, out, threads) + far + len(unbegun)
@@ -133,7 +139,7 @@ def go_on(
         return 0
     # before lengths are asked
     left, done = _up_to(problem, head, left, done, min(problem.starts, FEW), out, threads)
-    left = left[outside(problem, targets[left]) == 0.0]
+    left = left[measure_reach_excess(problem, targets[left]) == 0.0]
     linear, angular = problem.tolerance
     if max(linear, angular) > LOOSE and any(problem.mask[:3]) and any(problem.mask[3:]):
         for share in SHARES:
@@ -304,7 +310,9 @@ def _end(
     """Measure these rows as they are: the time is up. Whether their configurations are all `alike`."""
     n = out.shape[1] - ANSWER
     out[left, n + STATUS] = Status.OUT_OF_TIME
-    out[left, n : n + STATUS] = misses(problem, targets[left], out[left[:1] if alike else left, :n])
+    out[left, n : n + STATUS] = compute_errors(
+        problem, targets[left], out[left[:1] if alike else left, :n]
+    )
 
 
 def _search(chain: Chain) -> Callable[..., int]:
@@ -355,4 +363,4 @@ def seeds_of(system: Model, chain: Chain, start: Any, lead: tuple[int, ...]) -> 
         refuse_far(system, base, "start")
     # the kernel brings them inside, circles by turns
     seeds = np.ascontiguousarray(base[:, None, chain.q_index])
-    return inside(system, base), seeds
+    return move_inside_limits(system, base), seeds

@@ -10,7 +10,7 @@ import numpy as np
 from kempe.answers.problem import Problem, solve
 from kempe.answers.targets import Z_AXIS, targets_of
 from kempe.arguments import quiet
-from kempe.inverse.closed_forms.descent import Aim, closest
+from kempe.inverse.closed_forms.descent import Aim, find_closest
 from kempe.inverse.numeric import SOLVERS
 from kempe.kernels.base.search_layout import LARGEST
 from kempe.spatial import Array
@@ -27,7 +27,9 @@ def aim_of(solutions: Solutions, index: int, spare: bool = False) -> Aim:
     """
     problem = solutions.problem
     plan = solutions.plan
-    return Aim.of(problem, plan, problem.targets[index], plan.fixed if spare else plan.locked)
+    return Aim.from_target(
+        problem, plan, problem.targets[index], plan.fixed if spare else plan.locked
+    )
 
 
 def held_coordinates(solutions: Solutions, index: int) -> Array:
@@ -68,11 +70,11 @@ def nearest(solutions: Solutions, index: int) -> tuple[Array, float, float]:
         answer = _by_numbers(problem, target, base)
         return answer.q, answer.position_error, answer.orientation_error
     aim = aim_of(solutions, index, spare=True)
-    theta = closest(aim, plan.lines.theta(held_coordinates(solutions, index)))
+    theta = find_closest(aim, plan.lines.compute_theta(held_coordinates(solutions, index)))
     q = base.copy()
     q[plan.lines.q_index] = (theta - plan.lines.offset) / plan.lines.multiplier
-    R, p, _, _ = aim.sweep(theta[None])
-    e = aim.errors(R, p)[0]
+    R, p, _, _ = aim.compute_line_placements(theta[None])
+    e = aim.compute_errors(R, p)[0]
     return q, float(np.linalg.norm(e[:3])) * plan.lines.length, float(np.linalg.norm(e[3:]))
 
 

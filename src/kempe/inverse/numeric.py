@@ -30,13 +30,13 @@ from kempe.inverse.chain.problem import (
     ITERATIONS,
     MOST,
     FrameProblem,
-    look_closer,
-    misses,
-    rows_of,
+    compute_errors,
+    mark_unreachable_targets,
+    pack_row_flags,
 )
 from kempe.inverse.chain.problem import TOLERANCE as PROBLEM_TOLERANCE
-from kempe.inverse.chain.serial_chain import chain_of, obstacle
-from kempe.inverse.closed_forms.plan import ChainPlan, plan_or_reason
+from kempe.inverse.chain.serial_chain import find_chain, find_obstacle
+from kempe.inverse.closed_forms.plan import ChainPlan, find_plan_or_reason
 from kempe.inverse.closed_forms.problem import ChainProblem, Watch
 from kempe.inverse.closed_forms.solve import TOLERANCE
 from kempe.inverse.multi_start import run, seeds_of
@@ -120,7 +120,7 @@ def _solved(
     residual = np.zeros((n, 2))
     at = {int(x): i for i, x in enumerate(plan.lines.q_index)}
     q = own[np.arange(n), best][:, [at[int(x)] for x in chain.q_index]]
-    residual[there] = misses(problem, problem.targets[there], q[there])
+    residual[there] = compute_errors(problem, problem.targets[there], q[there])
     return q, residual, there
 
 
@@ -146,7 +146,7 @@ def _of_starts(problem: FrameProblem, base: Array, seeds: Array, starts: int) ->
         problem.chain.ints,
         problem.chain.floats,
         problem.chain.limits,
-        rows_of(problem),
+        pack_row_flags(problem),
         targets_with_axis(problem.targets, problem.axis),
         seeds,
         problem.rng,
@@ -162,7 +162,7 @@ def _of_starts(problem: FrameProblem, base: Array, seeds: Array, starts: int) ->
             rows.append(found[:n])
             at.append((start, steps))
     chain = np.array(rows)
-    missed = misses(problem, np.repeat(problem.targets, len(chain), axis=0), chain)
+    missed = compute_errors(problem, np.repeat(problem.targets, len(chain), axis=0), chain)
     q = np.repeat(base, len(chain), axis=0)
     q[:, problem.chain.q_index] = chain
     number, step = np.array(at).T
@@ -192,7 +192,7 @@ def _no_closed_form(problem: Problem) -> str | None:
             f"method 'analytic' does not hold one-sided constraints, such as {bounds.names[0]!r}; "
             "leave it out, or take one of the solutions of ik_all, which do"
         )
-    plan = plan_or_reason(system, frame, *problem.task)
+    plan = find_plan_or_reason(system, frame, *problem.task)
     return plan if isinstance(plan, str) else None
 
 
@@ -207,7 +207,7 @@ def _no_chain(problem: Problem) -> str | None:
         return (
             f"it does not hold one-sided constraints, such as {one_sided_rows(system).names[0]!r}"
         )
-    return obstacle(system, frame)
+    return find_obstacle(system, frame)
 
 
 def _no_tasks(problem: Problem) -> str | None:
@@ -216,7 +216,7 @@ def _no_tasks(problem: Problem) -> str | None:
 
 def by_closed_form(problem: Problem) -> Solution:
     """The answer in closed form, by the frame's own chain; by numbers where there is none."""
-    plan: Any = plan_or_reason(problem.system, str(problem.frame), *problem.task)
+    plan: Any = find_plan_or_reason(problem.system, str(problem.frame), *problem.task)
     return _of_chain(problem, plan)
 
 
@@ -232,7 +232,7 @@ def _of_chain(problem: Problem, plan: ChainPlan | None) -> Solution:
     lead = problem.lead
     spend = (BATCH if lead else USUAL).complete_budget(problem.budget)
     usual = problem.budget is None or problem.budget.time_limit is None
-    chain = chain_of(system, name, problem.task[1])
+    chain = find_chain(system, name, problem.task[1])
     tolerance = problem.tolerance
     base, seeds = seeds_of(system, chain, problem.start, lead)
     packed_problem = FrameProblem(
@@ -361,7 +361,7 @@ def _judged(
     full[:] = base
     full[:, problem.chain.q_index] = q
     if code.any():
-        look_closer(problem, code)
+        mark_unreachable_targets(problem, code)
         full[code == Status.BAD_INPUT] = math.nan
     if not lead and code[0] == Status.BAD_INPUT:
         refuse_far(system, base, "start")

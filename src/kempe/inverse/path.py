@@ -26,7 +26,11 @@ from kempe.equations.packed_tasks import refuse
 from kempe.equations.slip import Slip, hard_rows, rolls, slip_of
 from kempe.equations.tasks import Goal
 from kempe.errors import InputError, UnsupportedError
-from kempe.inverse.chain.serial_chain import inside, of_loops, shared_by
+from kempe.inverse.chain.serial_chain import (
+    has_shared_coordinates,
+    is_moved_by_loop,
+    move_inside_limits,
+)
 from kempe.inverse.tasks.demands import STARTS, Demands, apart
 from kempe.inverse.tasks.search import judge, pose_problem
 from kempe.kernels.base.search_layout import SOLVED
@@ -244,7 +248,7 @@ class PathSteps:
             x = self.system.structure.layout.integrate_velocity(
                 x, self.first_order(problem, x, SINGULAR).ahead * self.scale
             )
-            x = inside(self.system, x[None])[0] if problem.limits else x
+            x = move_inside_limits(self.system, x[None])[0] if problem.limits else x
         return (
             x
             if self.smooth(
@@ -349,7 +353,7 @@ class PathSteps:
         self.budget.check()
         start = self.system.structure.layout.integrate_velocity(q, ahead * self.scale)[None]
         found, info = replace(problem, starts=1).run(
-            inside(self.system, start) if problem.limits else start
+            move_inside_limits(self.system, start) if problem.limits else start
         )
         moved = self.system.structure.layout.compute_difference(q, found[0]) / self.scale
         return found[0] if info[0, 0] == SOLVED else None, moved
@@ -938,8 +942,8 @@ def _all(problem: Problem, row: Demands, begin: int, q: Array) -> list[Array]:
     """
     if (
         problem.frame is None
-        or of_loops(problem.system, problem.frame)
-        or shared_by(problem.system, problem.frame)
+        or is_moved_by_loop(problem.system, problem.frame)
+        or has_shared_coordinates(problem.system, problem.frame)
     ):
         return []
     from kempe.inverse.ik_all import ik_all

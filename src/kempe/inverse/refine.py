@@ -13,11 +13,11 @@ import numpy as np
 from kempe import spatial
 from kempe.answers.targets import frame_of, points_along
 from kempe.forward.fk import fk, jacobian
-from kempe.inverse.chain.problem import FrameProblem, misses
-from kempe.inverse.chain.serial_chain import moved_by
-from kempe.inverse.closed_forms.plan import ChainPlan, plan_or_reason
+from kempe.inverse.chain.problem import FrameProblem, compute_errors
+from kempe.inverse.chain.serial_chain import find_motion_masks
+from kempe.inverse.closed_forms.plan import ChainPlan, find_plan_or_reason
 from kempe.inverse.closed_forms.problem import ChainProblem
-from kempe.inverse.closed_forms.solve import attainable, solve_held
+from kempe.inverse.closed_forms.solve import estimate_attainable_error, solve_locked_chain
 from kempe.kernels.base.search_layout import ANSWER, LINEAR, NOT_FOUND, SOLVED, STATUS
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.compiled import schedule
@@ -96,7 +96,7 @@ def _by_equations(problem: FrameProblem, targets: Array, q: Array) -> Array:
     else q (N, n).
     """
 
-    plan = plan_or_reason(problem.system, problem.frame, problem.name, problem.axis)
+    plan = find_plan_or_reason(problem.system, problem.frame, problem.name, problem.axis)
     return q if isinstance(plan, str) else kept(problem, plan, targets, q)
 
 
@@ -105,18 +105,18 @@ def sharpen(problem: FrameProblem, targets: Array, q: Array, limits: Array) -> t
     their errors (N, 2).
     """
     best = q.copy()
-    least = misses(problem, targets, q)
+    least = compute_errors(problem, targets, q)
     score = np.max(least / problem.tolerance, axis=1)
     left = np.flatnonzero(np.isfinite(score))
     x = q[np.isfinite(score)]
-    turns = moved_by(problem.chain)[0]
+    turns = find_motion_masks(problem.chain)[0]
     for _ in range(STEPS):
         if not len(left):
             break
         step = _step(problem, targets[left], x)
         far = np.abs(step * turns).max(axis=1, initial=LONGEST)
         x = np.clip(x + step * (LONGEST / far)[:, None], *limits)
-        error = misses(problem, targets[left], x)
+        error = compute_errors(problem, targets[left], x)
         value = np.max(error / problem.tolerance, axis=1)
         better = value < score[left]
         at = left[better]
@@ -167,7 +167,7 @@ def kept(problem: FrameProblem, plan: ChainPlan, targets: Array, q: Array) -> Ar
     """
     lines = plan.lines
     base = problem.chain.base[:, plan.lines.q_index]
-    sure = max(*problem.tolerance, attainable(targets, lines))
+    sure = max(*problem.tolerance, estimate_attainable_error(targets, lines))
     chain_problem = ChainProblem(
         problem.system,
         problem.frame,
@@ -178,7 +178,7 @@ def kept(problem: FrameProblem, plan: ChainPlan, targets: Array, q: Array) -> Ar
         sure,
         max(problem.tolerance),
     )
-    rows, _ = solve_held(chain_problem, plan, base, base, 1)
+    rows, _ = solve_locked_chain(chain_problem, plan, base, base, 1)
     code = rows[..., len(lines) + A.CODE]
     error = np.where((code >= 0.0) & (code % 2.0 == 1.0), rows[..., len(lines) + A.ERROR], np.inf)
     best = np.argmin(error, axis=1)

@@ -20,12 +20,26 @@ from kempe.arrays import FARTHEST
 from kempe.budget import Budget, Usual
 from kempe.equations.one_sided import one_sided_rows
 from kempe.errors import InputError, UnsupportedError
-from kempe.inverse.all_answer import Solutions, packed
-from kempe.inverse.chain.serial_chain import inside, of_loops, shared_by
-from kempe.inverse.closed_forms.chain_lines import chain_lines
-from kempe.inverse.closed_forms.plan import METHODS, SEARCH, ChainPlan, Method, plan_for
-from kempe.inverse.closed_forms.problem import ChainProblem, Watch, held, near_of, within
-from kempe.inverse.closed_forms.solve import TOLERANCE, attainable, solve_held
+from kempe.inverse.all_answer import Solutions, pack_rows
+from kempe.inverse.chain.serial_chain import (
+    has_shared_coordinates,
+    is_moved_by_loop,
+    move_inside_limits,
+)
+from kempe.inverse.closed_forms.chain_lines import find_chain_lines
+from kempe.inverse.closed_forms.plan import METHODS, SEARCH, ChainPlan, Method, find_plan
+from kempe.inverse.closed_forms.problem import (
+    ChainProblem,
+    Watch,
+    read_held_joints,
+    read_near_configurations,
+    read_solution_tolerance,
+)
+from kempe.inverse.closed_forms.solve import (
+    TOLERANCE,
+    estimate_attainable_error,
+    solve_locked_chain,
+)
 from kempe.inverse.spare_joints import look_further
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.compiled import maker
@@ -53,18 +67,18 @@ def obeying(solutions: Solutions) -> Solutions:
     bounds = one_sided_rows(solutions.system)
     if not bounds.declared:
         return solutions
-    used = solutions._used
-    q = np.where(used[..., None], solutions._full(), solutions.system.neutral)
+    used = solutions._used_rows
+    q = np.where(used[..., None], solutions._fill_configurations(), solutions.system.neutral)
     beyond = used[..., None] & (bounds.beyond(q, declared=True) > 0.0)
     bad = np.any(beyond, axis=-1)
     if not bad.any():
         return solutions
     rows = solutions._rows.copy()
     rows[bad, -A.INFO + A.CODE] = A.UNUSED
-    rows = packed(rows) if solutions.single else rows
+    rows = pack_rows(rows) if solutions.single else rows
     texts = np.empty(len(beyond), dtype=object)
     texts[:] = [bounds.left_out(each) for each in beyond]
-    out = solutions._with(rows, solutions, texts)
+    out = solutions._replace_rows(rows, solutions, texts)
     if names := _wound(solutions):
         dropped = bad.any(axis=-1)
         counts = solutions._counts.copy()
@@ -148,7 +162,11 @@ def _of_loops(problem: Problem) -> Modes:
 
 def _moving(problem: Problem) -> str:
     """What a frame moves with that has no chain of independent joints."""
-    return "loops" if of_loops(problem.system, str(problem.frame)) else "joints that follow others"
+    return (
+        "loops"
+        if is_moved_by_loop(problem.system, str(problem.frame))
+        else "joints that follow others"
+    )
 
 
 def by_chain(problem: Problem) -> Solutions:
@@ -158,14 +176,14 @@ def by_chain(problem: Problem) -> Solutions:
     (task, direction) = problem.task
     targets = problem.targets
     single = problem.lead == ()
-    lines = chain_lines(system, name, direction)
+    lines = find_chain_lines(system, name, direction)
     spend = (USUAL if single else BATCH).complete_budget(problem.budget)
-    values = held(name, lines.names, problem.known)
+    values = read_held_joints(name, lines.names, problem.known)
     threads = spend.threads
     watch = Watch(problem.options["time"], len(targets))
     plan = _plan_of(problem, values)
-    wanted = TOLERANCE if problem.tolerance is None else within(problem.tolerance)
-    sure = max(wanted, attainable(targets, lines))
+    wanted = TOLERANCE if problem.tolerance is None else read_solution_tolerance(problem.tolerance)
+    sure = max(wanted, estimate_attainable_error(targets, lines))
     packed_problem = ChainProblem(
         system,
         name,
@@ -187,7 +205,7 @@ def by_chain(problem: Problem) -> Solutions:
         and (name,) not in system._queries
     ):
         bind(system, name)
-    near = near_of(system, problem.start, packed_problem.lead)
+    near = read_near_configurations(system, problem.start, packed_problem.lead)
     answer = solve(packed_problem, plan, near, values, threads)
     if (
         not single
@@ -208,7 +226,7 @@ def by_chain(problem: Problem) -> Solutions:
 def _no_loops(problem: Problem) -> str | None:
     system = problem.system
     frame = str(problem.frame)
-    if of_loops(system, frame) or shared_by(system, frame):
+    if is_moved_by_loop(system, frame) or has_shared_coordinates(system, frame):
         return None
     return "the frame does not move with loops, or with joints that follow others"
 
@@ -217,14 +235,14 @@ def _plan_of(problem: Problem, values: Mapping[str, Any]) -> ChainPlan:
     """The plan of a frame's chain with joints held at `values`."""
     frame = str(problem.frame)
     task, direction = problem.task
-    lines = chain_lines(problem.system, frame, direction)
-    return plan_for(problem.system, frame, lines, task, direction, tuple(values))
+    lines = find_chain_lines(problem.system, frame, direction)
+    return find_plan(problem.system, frame, lines, task, direction, tuple(values))
 
 
 def _refuse_others(problem: Problem, method: Method) -> str | None:
     """Why a problem is not for a method: its plan is for another one."""
-    lines = chain_lines(problem.system, str(problem.frame), problem.task[1])
-    names = held(str(problem.frame), lines.names, dict.fromkeys(problem.known, 0.0))
+    lines = find_chain_lines(problem.system, str(problem.frame), problem.task[1])
+    names = read_held_joints(str(problem.frame), lines.names, dict.fromkeys(problem.known, 0.0))
     return None if _plan_of(problem, names).method == method else method.unfit
 
 
@@ -261,7 +279,7 @@ class BoundIkAll:
         self.frame = frame
         self.plan = plan
         self.kernel = kernel
-        self.base = inside(system, system.neutral[None].copy())
+        self.base = move_inside_limits(system, system.neutral[None].copy())
         self.near = np.ascontiguousarray(system.neutral[None, plan.lines.q_index])
         self.counts = np.zeros((1, 2), dtype=np.int64)
         self.ints = plan.ints
@@ -272,7 +290,7 @@ class BoundIkAll:
     def __reduce__(self) -> tuple[Any, ...]:
         return bind, (self.system, self.frame)
 
-    def problem(self, target: Array) -> ChainProblem:
+    def make_problem(self, target: Array) -> ChainProblem:
         """The problem that was solved."""
         return ChainProblem(self.system, self.frame, "pose", Z_AXIS, target[None], None, TOLERANCE)
 
@@ -294,8 +312,8 @@ class BoundIkAll:
 
 def bind(system: Model, frame: str) -> BoundIkAll | None:
     """The bound form for poses of a frame, None where there is none; made once."""
-    lines = chain_lines(system, frame, Z_AXIS)
-    plan = plan_for(system, frame, lines, "pose", Z_AXIS, ())
+    lines = find_chain_lines(system, frame, Z_AXIS)
+    plan = find_plan(system, frame, lines, "pose", Z_AXIS, ())
     blocks = None if plan.locked or system.structure.table.at[frame][2] else plan.method.blocks
     bound = None if blocks is None else BoundIkAll(system, frame, plan, blocks())
     system._queries[(frame,)] = None if bound is None else bound.__call__
@@ -314,10 +332,10 @@ def solve(
     system = problem.system
     base = system.neutral[None] if near is None else near
     chain_near = np.ascontiguousarray(base[:, lines.q_index])
-    base = inside(system, base.copy())
+    base = move_inside_limits(system, base.copy())
     start = np.array([plan.first]) if near is None and plan.first else chain_near
     first = _locked(problem, plan, start, values) if plan.locked else chain_near
-    out, counts = solve_held(problem, plan, chain_near, first, threads)
+    out, counts = solve_locked_chain(problem, plan, chain_near, first, threads)
     decided = plan.locked == plan.fixed and not lines.span.wide
     if problem.lead is None and not decided:
         code = float(out[0, 0, -A.INFO + A.CODE])
@@ -339,7 +357,7 @@ def solve(
 
     def at(some: ChainProblem, near: Array, locked: Array) -> tuple[Array, np.ndarray]:
         # of which there are many for all values
-        return solve_held(some, plan, near, locked, threads, starts=False)
+        return solve_locked_chain(some, plan, near, locked, threads, starts=False)
 
     held_at = look_further(problem, plan, chain_near, first, out, counts, at, threads)
     _outside(plan, out)

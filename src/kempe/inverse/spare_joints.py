@@ -15,11 +15,11 @@ import numpy as np
 
 from kempe.answers.targets import targets_with_axis
 from kempe.budget import check_for_stop
-from kempe.inverse.chain.problem import FEW, ITERATIONS, MOST, outside, rows_of
-from kempe.inverse.closed_forms.descent import Aim, descend, limits_of
-from kempe.inverse.closed_forms.plan import SEARCH, ChainPlan, within_domains
+from kempe.inverse.chain.problem import FEW, ITERATIONS, MOST, measure_reach_excess, pack_row_flags
+from kempe.inverse.closed_forms.descent import Aim, compute_limits, run_descent
+from kempe.inverse.closed_forms.plan import SEARCH, ChainPlan, scale_to_domains
 from kempe.inverse.closed_forms.problem import ChainProblem
-from kempe.inverse.closed_forms.start_search import frame_problem, places_in
+from kempe.inverse.closed_forms.start_search import find_chain_columns, make_frame_problem
 from kempe.inverse.multi_start import answered
 from kempe.kernels.base.search_layout import ANGULAR, ANSWER, LINEAR, SOLVED, STATUS
 from kempe.kernels.closed_form import analytic_layout as A
@@ -99,10 +99,10 @@ def look_further(
     )
     left = many.searched(left, FEW, problem.tolerance, True)
     if len(left):
-        left = left[outside(frame_problem(problem), problem.targets[left]) == 0.0]
+        left = left[measure_reach_excess(make_frame_problem(problem), problem.targets[left]) == 0.0]
     if not len(left):
         return SpareJoints(many.locked, tried)
-    if plan.method != SEARCH and plan.spare:
+    if plan.method != SEARCH and plan.spare_joints:
         left = many.stepped(left)
     left = many.searched(left, MOST, problem.tolerance, True)
     left = many.searched(left, MOST, max(problem.tolerance, LOOSE), True)
@@ -163,13 +163,13 @@ class _Targets:
 
     def stepped(self, left: np.ndarray) -> np.ndarray:
         """The targets of `left` that have no solution inside the limits at any of VALUES values."""
-        values = spare_values(self.plan, self.plan.spare)
+        values = spare_values(self.plan, self.plan.spare_joints)
         k = 0
         while k < len(values) and len(left) and not self.problem.stopped(left):
             some = values[k : k + max(1, ROOM // len(left))]
             which = np.repeat(left, len(some))
             locked = self.locked[which]
-            locked[:, self.plan.spare] = np.tile(some, (len(left), 1))
+            locked[:, self.plan.spare_joints] = np.tile(some, (len(left), 1))
             same = len(some) == 1 and not np.ptp(locked, axis=0).any()
             rows, counts = self.solutions_at(which, locked[:1] if same else locked)
             grade = (2 * _reached(rows) + _used(rows)).reshape(len(left), len(some))
@@ -199,7 +199,7 @@ class _Targets:
         error = error[found]
         if len(which):
             locked = self.locked[which]
-            locked[:, self.plan.spare] = q[:, self.plan.spare]
+            locked[:, self.plan.spare_joints] = q[:, self.plan.spare_joints]
             rows, counts = self.solutions_at(which, locked)
             for i in np.flatnonzero(~(_reached(rows) if limited else _used(rows))):
                 _put(rows[i], counts[i], q[i], error[i], limited, self.problem.lead is None)
@@ -214,10 +214,10 @@ class _Targets:
         of the problem.
         """
         lines = self.plan.lines
-        task = frame_problem(self.problem)
+        task = make_frame_problem(self.problem)
         m = len(which)
         chain = task.chain
-        at = places_in(chain, lines)
+        at = find_chain_columns(chain, lines)
         goals = targets_with_axis(self.problem.targets[which], self.problem.axis)
         pins = list(self.plan.fixed)
         pinned = self.locked[which][:, pins]
@@ -230,7 +230,7 @@ class _Targets:
             starts=starts,
             tolerance=(tolerance, min(tolerance, max(self.problem.angular, LOOSE))),
         )
-        wanted = rows_of(task)
+        wanted = pack_row_flags(task)
         limits = chain.limits.copy() if limited else np.tile([[-np.inf], [np.inf]], len(lines))
         near = self.near if len(self.near) == 1 else self.near[which]
         seeds = np.empty((len(near), 1, len(lines)))
@@ -290,14 +290,14 @@ class _Targets:
         """A configuration (n,) on the target as nearly as can be, and its error."""
         lines = self.plan.lines
         target = self.problem.targets[index]
-        aim = Aim.of(self.problem, self.plan, target, self.plan.fixed)
-        low, high = limits_of(lines) if limited else np.tile([[-np.inf], [np.inf]], len(lines))
-        theta = lines.theta(q)[None]
+        aim = Aim.from_target(self.problem, self.plan, target, self.plan.fixed)
+        low, high = compute_limits(lines) if limited else np.tile([[-np.inf], [np.inf]], len(lines))
+        theta = lines.compute_theta(q)[None]
         error = np.inf
         for _ in range(POLISHES):  # where the chain is singular a step halves the way
-            theta = descend(aim, theta, low[aim.moves], high[aim.moves], BRISK)
-            R, p, _, _ = aim.sweep(theta)
-            e = aim.errors(R, p)[0]
+            theta = run_descent(aim, theta, low[aim.moves], high[aim.moves], BRISK)
+            R, p, _, _ = aim.compute_line_placements(theta)
+            e = aim.compute_errors(R, p)[0]
             error = float(np.hypot(np.linalg.norm(e[:3]) * lines.length, np.linalg.norm(e[3:])))
             if error <= 0.1 * self.problem.tolerance:
                 break
@@ -326,7 +326,7 @@ def spare_values(plan: ChainPlan, spare: list[int]) -> Array:
         shares = (0.5 + np.arange(1, count + 1)[:, None] * root ** -np.arange(1.0, k + 1)) % 1.0
     full = np.full((count, len(lines)), 0.5)
     full[:, spare] = shares
-    return within_domains(lines, full)[:, spare]
+    return scale_to_domains(lines, full)[:, spare]
 
 
 def _put(row: Array, count: np.ndarray, q: Array, error: float, inside: bool, first: bool) -> None:

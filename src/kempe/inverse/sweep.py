@@ -31,11 +31,19 @@ from kempe.budget import Budget, TimeUp, Usual, check_for_stop
 from kempe.equations.tasks import Task
 from kempe.errors import InputError, UnknownNameError, UnsupportedError, format_value
 from kempe.forward.fk import fk
-from kempe.inverse.arm_angle import BRANCHES, ELBOW, Arm, Posed, find_arm, no_arm, required_arm
-from kempe.inverse.chain.serial_chain import inside
-from kempe.inverse.closed_forms.chain_lines import Lines, chain_lines
-from kempe.inverse.closed_forms.plan import domains, plan_for
-from kempe.inverse.closed_forms.problem import held, near_of
+from kempe.inverse.arm_angle import (
+    BRANCHES,
+    ELBOW,
+    Arm,
+    Posed,
+    explain_missing_arm,
+    find_arm,
+    require_arm,
+)
+from kempe.inverse.chain.serial_chain import move_inside_limits
+from kempe.inverse.closed_forms.chain_lines import Lines, find_chain_lines
+from kempe.inverse.closed_forms.plan import compute_domains, find_plan
+from kempe.inverse.closed_forms.problem import read_held_joints, read_near_configurations
 from kempe.inverse.ik_all import ik_all
 from kempe.inverse.sweep_curves import ChainMotion, CurvePiece, arcs_through
 from kempe.kernels.forward.table_layout import SLIDE
@@ -543,15 +551,15 @@ def ik_sweep(
         raise InputError(not_a_pose(targets[0]))
     task = task_of_targets(said, is_position, bool(system.structure.table.at[name][2]))
     refuse_position(task, is_position, system.dim)
-    given_near = near_of(system, start, None)
+    given_near = read_near_configurations(system, start, None)
     near = system.neutral[None] if given_near is None else given_near
-    lines = chain_lines(system, name, Z_AXIS)
-    base = inside(system, near.copy())[0]
+    lines = find_chain_lines(system, name, Z_AXIS)
+    base = move_inside_limits(system, near.copy())[0]
     # which chooses among turns, also from outside the limits
     base[lines.q_index] = near[0, lines.q_index]
     if task != "position" and system.dim == 3:
         _refuse_no_rotation(targets[0, :3, :3])
-    given = held(name, lines.names, fixed)
+    given = read_held_joints(name, lines.names, fixed)
     if any(v.ndim for v in given.values()):
         raise InputError("a sweep holds joints at single numbers")
     options = {
@@ -581,13 +589,13 @@ def _no_arm(problem: Problem) -> str | None:
     system = problem.system
     frame = str(problem.frame)
     parameter, reference = problem.parameter
-    joints = ", ".join(chain_lines(system, frame, Z_AXIS).names)
+    joints = ", ".join(find_chain_lines(system, frame, Z_AXIS).names)
     if parameter not in (None, ARM_ANGLE):
         return f"joint {parameter!r} is named as the parameter"
     if problem.task[0] != "pose" or problem.known:
         return f"the arm angle is for poses, with no joint held; name a joint: {joints}"
     arm = find_arm(system, frame, reference)
-    return no_arm(system, frame, arm) if isinstance(arm, str) else None
+    return explain_missing_arm(system, frame, arm) if isinstance(arm, str) else None
 
 
 def _no_joint(problem: Problem) -> str | None:
@@ -597,7 +605,7 @@ def _no_joint(problem: Problem) -> str | None:
 def by_arm_angle(problem: Problem) -> Sweep:
     """The branches of an arm over its arm angle, in closed form."""
     over = _sweep_problem(problem)
-    arm = required_arm(problem.system, over.frame, problem.parameter[1])
+    arm = require_arm(problem.system, over.frame, problem.parameter[1])
     return _sweep(over, ArmCurves(over, arm), problem.options["n"])
 
 
@@ -628,7 +636,7 @@ SOLVERS = (
 def _sweep_problem(problem: Problem) -> SweepProblem:
     (task, axis) = problem.task
     given = problem.options["given"]
-    lines = chain_lines(problem.system, str(problem.frame), Z_AXIS)
+    lines = find_chain_lines(problem.system, str(problem.frame), Z_AXIS)
     return SweepProblem(
         problem.system,
         str(problem.frame),
@@ -677,8 +685,8 @@ class SweepProblem:
 
     def locked(self, fixed: Mapping[str, Any]) -> tuple[int, ...]:
         """Joints that `ik_all` holds, with these `fixed`."""
-        lines = chain_lines(self.system, self.frame, self.axis)
-        return plan_for(self.system, self.frame, lines, self.task, self.axis, tuple(fixed)).locked
+        lines = find_chain_lines(self.system, self.frame, self.axis)
+        return find_plan(self.system, self.frame, lines, self.task, self.axis, tuple(fixed)).locked
 
     def place(self) -> Array:
         """Configuration (nq,) where joints are held that nobody named: near, inside the limits, or
@@ -779,13 +787,13 @@ class ArmCurves:
 
     def intervals(self, limited: bool) -> list[list[tuple[float, float]]]:
         """For each branch, where it exists, inside the limits where `limited`."""
-        return self.posed.intervals(limited)
+        return self.posed.find_intervals(limited)
 
     def rows(self, values: Array, branch: int | None = None) -> tuple[Array, np.ndarray]:
         """Coordinates (m, 8, 7), and which branches are there (m, 8); (m, 1, 7) and (m, 1) of one
         branch.
         """
-        theta, found = self.posed.theta(values)
+        theta, found = self.posed.solve_branches(values)
         if branch is not None:
             theta = theta[:, [branch]]
             found = found[:, [branch]]
@@ -865,7 +873,7 @@ def _joint_curves(over: SweepProblem, parameter: str | None, samples: int) -> Jo
         q = over.place()
         others |= {n: float(q[lines.q_index[lines.names.index(n)]]) for n in left}
     i = lines.names.index(name)
-    first, last = domains(lines)[:, i].tolist()
+    first, last = compute_domains(lines)[:, i].tolist()
     domain: tuple[float, float] = first, last
     shift = (domain[1] - domain[0]) * 0.381966 / samples  # arms tend to be singular at round values
     inner = np.linspace(domain[0], domain[1], samples)[:-1] + shift

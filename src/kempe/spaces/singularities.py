@@ -29,9 +29,9 @@ from kempe.budget import Budget, TimeUp, Usual
 from kempe.errors import InputError, Interrupted
 from kempe.first_order.control import find_driven_velocities
 from kempe.forward.fk import jacobian
-from kempe.inverse.closed_forms.branch_names import Kind, branch_names, kind_of
+from kempe.inverse.closed_forms.branch_names import Kind, name_branches, recognise_kind
 from kempe.inverse.closed_forms.chain_lines import Lines
-from kempe.inverse.closed_forms.plan import plan_or_reason
+from kempe.inverse.closed_forms.plan import find_plan_or_reason
 from kempe.late import import_late
 from kempe.model.configurations import (
     find_free_angles,
@@ -83,8 +83,8 @@ def names_of(system: Model, frame: str | None, q: Array) -> list[str]:
     if named is None or not len(q):
         return [""] * len(q)
     kind, lines = named
-    theta = lines.theta(q[:, lines.q_index])
-    found = branch_names(kind, lines, theta, np.ones(len(q), dtype=bool))
+    theta = lines.compute_theta(q[:, lines.q_index])
+    found = name_branches(kind, lines, theta, np.ones(len(q), dtype=bool))
     return [
         " and ".join(w.removesuffix(BORDER) for w in name.split(", ") if w.endswith(BORDER))
         for name in found
@@ -94,10 +94,10 @@ def names_of(system: Model, frame: str | None, q: Array) -> list[str]:
 @keep_answers
 def _named(system: Model, frame: str) -> tuple[Kind, Lines] | None:
     """The kind of arm and its lines, None where its branches have no names."""
-    plan = plan_or_reason(system, frame, "pose", Z_AXIS)
+    plan = find_plan_or_reason(system, frame, "pose", Z_AXIS)
     if isinstance(plan, str):
         return None
-    kind = kind_of(plan, system.dim == 2)
+    kind = recognise_kind(plan, system.dim == 2)
     return None if kind is None else (kind, plan.lines)
 
 

@@ -16,7 +16,7 @@ from kempe.answers.targets import Z_AXIS
 from kempe.arguments import check_name, numbers
 from kempe.budget import Budget
 from kempe.errors import InputError, format_value
-from kempe.inverse.closed_forms.plan import plan_or_reason
+from kempe.inverse.closed_forms.plan import find_plan_or_reason
 from kempe.inverse.ik import ik
 from kempe.inverse.ik_all import ik_all
 from kempe.poses import EXACT, compute_rotation_error
@@ -121,7 +121,7 @@ def reached(system: Model, X: Array, frame: str, task: str, seed: int) -> np.nda
         for leg in legs:
             out[out] = reached(leg, X[out], frame, task, seed)
         return out
-    if not isinstance(plan_or_reason(system, frame, task, Z_AXIS), str):
+    if not isinstance(find_plan_or_reason(system, frame, task, Z_AXIS), str):
         goals = X[:, : system.dim, 3] if task == "position" else X
         every: Any = ik_all(system, goals, frame, task=task, limits=True)
         out = np.asarray(every.mask.any(axis=-1))

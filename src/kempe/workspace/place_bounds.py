@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from kempe.inverse.chain.length_bounds import ReachBound, reach_bounds
+from kempe.inverse.chain.length_bounds import ReachBound, compute_reach_bounds
 from kempe.kernels.forward.table_layout import (
     COS_OFFSET,
     KIND,
@@ -144,7 +144,7 @@ def _bounds(system: Model, frame: str) -> PlaceBounds:
     table, _, v_index = extract_chain(system.structure.table, frame)
     ints, floats = table.pack_arrays([frame])
     limits = system.structure.limits[v_index].T
-    shells = tuple(b for b in reach_bounds(ints, floats, limits) if not b.point.any())
+    shells = tuple(b for b in compute_reach_bounds(ints, floats, limits) if not b.point.any())
     rows = rows_of(ints)
     numbers = numbers_of(ints, floats)
     placements = placements_of(ints, floats)

@@ -19,7 +19,7 @@ from kempe.arrays import check_range
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.errors import InputError
 from kempe.forward.fk import jacobian
-from kempe.inverse.closed_forms.plan import plan_or_reason
+from kempe.inverse.closed_forms.plan import find_plan_or_reason
 from kempe.inverse.ik import ik
 from kempe.inverse.ik_all import ik_all
 from kempe.late import import_late
@@ -129,7 +129,7 @@ def reached(system: Model, targets: Array, frame: str, task: Any, budget: Budget
     q = single.q[:, None]
     mask = np.array(single.success)[:, None]
     solutions = np.where(mask[:, 0], UNKNOWN, np.where(np.isin(single.code, PROVEN), 0, UNKNOWN))
-    if not isinstance(plan_or_reason(system, frame, name, axis_for(axis, said)), str):
+    if not isinstance(find_plan_or_reason(system, frame, name, axis_for(axis, said)), str):
         every: Any = ik_all(system, targets, frame, task=task, limits=True)
         solutions = np.where(every.complete, every.mask.sum(axis=-1), UNKNOWN)
         q = np.concatenate([q, every.q], axis=1)

@@ -77,7 +77,7 @@ class Span(NamedTuple):
         """Rounding error of angles, where one long link makes short ones imprecise."""
         return BLUR * EPSILON * (self.largest / self.middle) ** 2 if self.middle > 0.0 else 0.0
 
-    def figures(self) -> str:
+    def format_ratio(self) -> str:
         """Text with the ratio of the lengths, and the rounding error of positions."""
         largest = max(self.largest, self.away)
         orders = math.log10(largest) - math.log10(self.smallest)
@@ -88,14 +88,14 @@ class Span(NamedTuple):
             f"{self.rounding:.1g} m"
         )
 
-    def sentence(self) -> str:
+    def explain_rounding(self) -> str:
         """Sentence of caution, on rounding, for an answer that was not found."""
-        return f"{self.figures()}, and solutions may be missed"
+        return f"{self.format_ratio()}, and solutions may be missed"
 
 
-def span_of(ints: np.ndarray, floats: np.ndarray) -> Span:
+def measure_span(ints: np.ndarray, floats: np.ndarray) -> Span:
     """The span of a table of a chain."""
-    p = np.abs(offsets(ints, floats))
+    p = np.abs(compute_offsets(ints, floats))
     away = float(p[0].max())
     p = p[1:]
     p = p[p.max(axis=1) > NOISE * p.max(initial=0.0)]
@@ -104,7 +104,7 @@ def span_of(ints: np.ndarray, floats: np.ndarray) -> Span:
     return Span(float(p[p > 0.0].min()), float(p.max()), compute_median(p.max(axis=1)), away)
 
 
-def offsets(ints: np.ndarray, floats: np.ndarray) -> Array:
+def compute_offsets(ints: np.ndarray, floats: np.ndarray) -> Array:
     """Offsets (n + 1, 3) of the joints and the tip, each seen from the joint before, without what
     is rounding.
     """
@@ -112,14 +112,14 @@ def offsets(ints: np.ndarray, floats: np.ndarray) -> Array:
     return np.where(np.abs(p) > NOISE * np.abs(p).max(axis=1, keepdims=True), p, 0.0)
 
 
-def evened(ints: np.ndarray, floats: np.ndarray) -> Array | None:
+def even_out_offsets(ints: np.ndarray, floats: np.ndarray) -> Array | None:
     """Offsets (n + 1, 3) of a chain with the same axes and no length far from the others; None
     where none is.
 
     What freedoms a chain has does not depend on how large its lengths are, only on which are zero:
     so they are counted with lengths of one size. The first joint stands at the origin.
     """
-    p = offsets(ints, floats)
+    p = compute_offsets(ints, floats)
     p[0] = 0.0
     steps = np.abs(p).max(axis=1)
     if not steps.any():
@@ -150,7 +150,7 @@ class ReachBound(NamedTuple):
     """The point of the frame (3,), in its axes: its origin, or one of the last axis."""
 
 
-def reach_bounds(ints: np.ndarray, floats: np.ndarray, limits: Array) -> list[ReachBound]:
+def compute_reach_bounds(ints: np.ndarray, floats: np.ndarray, limits: Array) -> list[ReachBound]:
     """Bounds for the tip, and for the last axis if it turns: a pose of the tip says where that is,
     by less lengths.
 
@@ -174,7 +174,7 @@ def reach_bounds(ints: np.ndarray, floats: np.ndarray, limits: Array) -> list[Re
     if n and kinds[0] == TURN:
         start = start + p[1, 2] * R[0, :, 2]
         p[1, 2] = 0.0
-    out = [_bound(start, p[1:], slides, bool(np.any(kinds == SLIDE)), np.zeros(3))]
+    out = [_compute_bound(start, p[1:], slides, bool(np.any(kinds == SLIDE)), np.zeros(3))]
     if n and kinds[-1] == TURN:
         along = 0.0
         if n > 2:
@@ -182,11 +182,13 @@ def reach_bounds(ints: np.ndarray, floats: np.ndarray, limits: Array) -> list[Re
             along = -float(p[n - 1] @ axis)
             p[n - 1] = p[n - 1] + along * axis
         point = R[n].T @ (np.array([0.0, 0.0, along]) - rows[n, :, 3])
-        out.append(_bound(start, p[1:n], slides, bool(np.any(kinds[:-1] == SLIDE)), point))
+        out.append(_compute_bound(start, p[1:n], slides, bool(np.any(kinds[:-1] == SLIDE)), point))
     return [b for b in out if math.isfinite(b.largest)]
 
 
-def _bound(start: Array, p: Array, slides: float, any_slide: bool, point: Array) -> ReachBound:
+def _compute_bound(
+    start: Array, p: Array, slides: float, any_slide: bool, point: Array
+) -> ReachBound:
     """The bound by the lengths of steps p (n, 3), of which a single long one may keep the point
     away.
     """
@@ -202,7 +204,7 @@ ROUNDING = 1e-14
 """What rounding makes of lengths, in parts of them."""
 
 
-def by_lengths(
+def measure_bound_excess(
     bounds: Sequence[ReachBound],
     X: Array,
     tolerance: tuple[float, float],

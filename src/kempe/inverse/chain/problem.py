@@ -10,7 +10,7 @@ import numpy as np
 
 from kempe import spatial
 from kempe.answers.targets import TASKS, points_along
-from kempe.inverse.chain.length_bounds import by_lengths
+from kempe.inverse.chain.length_bounds import measure_bound_excess
 from kempe.inverse.chain.serial_chain import Chain
 from kempe.spatial import Array
 from kempe.status import Status
@@ -76,14 +76,14 @@ class FrameProblem:
         return TASKS[self.name]
 
 
-def rows_of(problem: FrameProblem) -> np.ndarray:
+def pack_row_flags(problem: FrameProblem) -> np.ndarray:
     """What the kernel reads of a problem: six rows, whether an axis is pointed, circular coordinates."""
     pointed = points_along(problem.name)
     rows = (*problem.mask[:5], 1, 1) if pointed else (*problem.mask, 0)
     return np.concatenate([np.array(rows, dtype=np.int64), problem.chain.circular])
 
 
-def misses(problem: FrameProblem, targets: Array, q: Array) -> Array:
+def compute_errors(problem: FrameProblem, targets: Array, q: Array) -> Array:
     """Linear and angular errors (N, 2), by the forward model, of a chain's configurations (N or 1,
     n).
     """
@@ -105,7 +105,7 @@ def misses(problem: FrameProblem, targets: Array, q: Array) -> Array:
     return out
 
 
-def outside(problem: FrameProblem, targets: Array) -> Array:
+def measure_reach_excess(problem: FrameProblem, targets: Array) -> Array:
     """How far (N,) targets are outside the reach bounds, in metres, for a point of the frame that
     each one fixes.
 
@@ -116,22 +116,22 @@ def outside(problem: FrameProblem, targets: Array) -> Array:
         return np.zeros(len(targets))
     out = np.abs(targets[:, 2, 3]) if problem.system.dim == 2 else np.zeros(len(targets))
     out[out <= problem.tolerance[0]] = 0.0
-    return np.maximum(out, past_lengths(problem, targets).max(axis=-1))
+    return np.maximum(out, measure_length_excess(problem, targets).max(axis=-1))
 
 
-def look_closer(problem: FrameProblem, code: np.ndarray) -> None:
+def mark_unreachable_targets(problem: FrameProblem, code: np.ndarray) -> None:
     """Tell, in place, targets that lengths alone put out of reach from those that were not found."""
     failed = np.flatnonzero((code == Status.NOT_FOUND) | (code == Status.OUT_OF_TIME))
-    code[failed[outside(problem, problem.targets[failed]) > 0.0]] = Status.OUT_OF_REACH
+    code[failed[measure_reach_excess(problem, problem.targets[failed]) > 0.0]] = Status.OUT_OF_REACH
 
 
-def past_lengths(problem: FrameProblem, targets: Array) -> Array:
+def measure_length_excess(problem: FrameProblem, targets: Array) -> Array:
     """How far (N, 2) in metres targets are past what the lengths of the links reach; see
-    `length_bounds.by_lengths`.
+    `length_bounds.measure_bound_excess`.
     """
     # else that is the reason
     free = len(problem.chain.v_index) >= (3 if problem.system.dim == 2 else sum(problem.mask))
     along = np.array(problem.axis) if free and points_along(problem.name) else None
-    return by_lengths(
+    return measure_bound_excess(
         problem.chain.bounds, targets, problem.tolerance, free and all(problem.mask), along=along
     )

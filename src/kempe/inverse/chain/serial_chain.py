@@ -11,7 +11,7 @@ import numpy as np
 from kempe.answers.targets import Z_AXIS, frame_of
 from kempe.equations.closure_rows import full
 from kempe.errors import UnsupportedError
-from kempe.inverse.chain.length_bounds import ReachBound, Span, reach_bounds, span_of
+from kempe.inverse.chain.length_bounds import ReachBound, Span, compute_reach_bounds, measure_span
 from kempe.kernels.base.search_layout import LARGEST
 from kempe.kernels.forward.table_layout import (
     BALL,
@@ -52,20 +52,22 @@ class Chain:
     span: Span
 
 
-def chain_of(system: Model, name: str, axis: tuple[float, float, float] = Z_AXIS) -> Chain:
+def find_chain(system: Model, name: str, axis: tuple[float, float, float] = Z_AXIS) -> Chain:
     """The packed chain of a frame, its z axis turned to `axis`.
 
     Errors: `UnsupportedError` where loops, declared constraints or relations move it.
     """
-    return _packed(system, name, axis)
+    return _pack_chain(system, name, axis)
 
 
 @keep_answers
-def _packed(system: Model, name: str, axis: tuple[float, float, float]) -> Chain:
-    return _chain(system, name) if axis == Z_AXIS else _turned(chain_of(system, name), axis)
+def _pack_chain(system: Model, name: str, axis: tuple[float, float, float]) -> Chain:
+    return (
+        _build_chain(system, name) if axis == Z_AXIS else _turn_tip(find_chain(system, name), axis)
+    )
 
 
-def _turned(chain: Chain, axis: tuple[float, float, float]) -> Chain:
+def _turn_tip(chain: Chain, axis: tuple[float, float, float]) -> Chain:
     floats = chain.floats.copy()
     turn = frame_of(np.array(axis))
     tip = tip_of(chain.ints, floats)
@@ -73,8 +75,8 @@ def _turned(chain: Chain, axis: tuple[float, float, float]) -> Chain:
     return replace(chain, floats=floats)
 
 
-def _chain(system: Model, name: str) -> Chain:
-    refusal = obstacle(system, name)
+def _build_chain(system: Model, name: str) -> Chain:
+    refusal = find_obstacle(system, name)
     if refusal is not None:
         raise UnsupportedError(refusal)
     table, q_index, v_index = extract_chain(system.structure.table, name)
@@ -96,8 +98,10 @@ def _chain(system: Model, name: str) -> Chain:
             and abs(rows[0]) == 1.0
             and table.kind[table.iv == iv][0] == TURN
         )
-    bounds = tuple(b for arrays in (packed, (ints, floats)) for b in reach_bounds(*arrays, limits))
-    base = inside(system, system.neutral[None].copy())
+    bounds = tuple(
+        b for arrays in (packed, (ints, floats)) for b in compute_reach_bounds(*arrays, limits)
+    )
+    base = move_inside_limits(system, system.neutral[None].copy())
     no_seed = np.empty((1, 0, len(q_index)))
     return Chain(
         ints,
@@ -109,11 +113,11 @@ def _chain(system: Model, name: str) -> Chain:
         base,
         no_seed,
         bounds,
-        span_of(ints, floats),
+        measure_span(ints, floats),
     )
 
 
-def moved_by(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
+def find_motion_masks(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
     """Masks (n,) of the chain's coordinates that rotate something and of those that translate it;
     screws do both.
     """
@@ -123,40 +127,40 @@ def moved_by(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
     return turns, slides
 
 
-def slides_of(system: Model, frame: str) -> list[str]:
+def list_slides(system: Model, frame: str) -> list[str]:
     """Names of the sliding coordinates of the chain of a frame, whose limits bound its reach; none
     without a chain.
     """
-    if obstacle(system, frame) is not None:
+    if find_obstacle(system, frame) is not None:
         return []
-    chain = chain_of(system, frame)
+    chain = find_chain(system, frame)
     rows = rows_of(chain.ints)
     local = sorted(set(rows[rows[:, KIND] == SLIDE, V_INDEX].tolist()))
     return [system.structure.velocity_names[int(chain.v_index[v])] for v in local]
 
 
-def of_loops(system: Model, name: str) -> bool:
+def is_moved_by_loop(system: Model, name: str) -> bool:
     """Whether the motion of a frame depends on a closed loop, or on a declared constraint f(q) = 0."""
-    why = obstacle(system, name) or ""
+    why = find_obstacle(system, name) or ""
     return any(words in why for words in (" moves with the loop ", " moves with the constraint "))
 
 
 @keep_answers
-def shared_by(system: Model, frame: str) -> bool:
+def has_shared_coordinates(system: Model, frame: str) -> bool:
     """Whether two motions of the chain of a frame share a coordinate, and none is a ball."""
-    if obstacle(system, frame) is not None:
+    if find_obstacle(system, frame) is not None:
         return False
-    rows = rows_of(chain_of(system, frame).ints)
+    rows = rows_of(find_chain(system, frame).ints)
     return not np.any(rows[:, KIND] == BALL) and len(set(rows[:, Q_INDEX].tolist())) < len(rows)
 
 
 @keep_answers
-def obstacle(system: Model, name: str) -> str | None:
+def find_obstacle(system: Model, name: str) -> str | None:
     """Why no open chain leads to a frame, such as a loop that moves it; None if one does."""
     moving = {int(i) for i in extract_chain(system.structure.table, name)[2]}
     used = {system.structure.velocity_names[i] for i in moving}
     for closure in system.structure.closures:
-        if used & loop_coordinates(system, closure):
+        if used & list_loop_coordinates(system, closure):
             return (
                 f"frame {name!r} moves with the loop that joint {closure!r} closes: no chain of "
                 "its own leads there"
@@ -178,7 +182,7 @@ def obstacle(system: Model, name: str) -> str | None:
     return None
 
 
-def loop_coordinates(system: Model, closure: str) -> set[str]:
+def list_loop_coordinates(system: Model, closure: str) -> set[str]:
     """Velocity coordinates of the joints of the loop that a left-out joint closes, its own
     included.
     """
@@ -202,7 +206,7 @@ def loop_coordinates(system: Model, closure: str) -> set[str]:
     return names
 
 
-def inside(system: Model, q: Array) -> Array:
+def move_inside_limits(system: Model, q: Array) -> Array:
     """The configurations (N, nq) with every limited coordinate brought inside its limits, in place."""
     at_q = system.structure.layout.vector_q
     at_v = system.structure.layout.vector_v

@@ -16,9 +16,15 @@ import numpy as np
 
 from kempe.arguments import read_names
 from kempe.errors import InputError, UnknownNameError
-from kempe.inverse.closed_forms.chain_lines import Lines, sweep
+from kempe.inverse.closed_forms.chain_lines import Lines, compute_line_placements
 from kempe.inverse.closed_forms.plan import ChainPlan
-from kempe.inverse.closed_forms.structure import EXACT, Axes, keeps_point, meets, parallel
+from kempe.inverse.closed_forms.structure import (
+    EXACT,
+    Axes,
+    are_parallel,
+    do_axes_meet,
+    keeps_point,
+)
 from kempe.kernels.forward.table_layout import SLIDE, TURN
 from kempe.spatial import Array
 
@@ -71,50 +77,54 @@ class Kind:
     three_parallel: bool = False
 
     @property
-    def known(self) -> list[str]:
+    def allowed_words(self) -> list[str]:
         """All words that its names can have."""
         return [word for choice in self.words for word in choice] + list(NEITHER) * (
             self.words == SPATIAL
         )
 
 
-def kind_of(plan: ChainPlan, planar: bool) -> Kind | None:
+def recognise_kind(plan: ChainPlan, planar: bool) -> Kind | None:
     """The kind of arm of a plan, None where its branches have no names."""
     lines = plan.lines
     n = len(lines)
     turns = np.flatnonzero(lines.kinds == TURN)
     if n == len(turns) == 7 and plan.task == "pose":
-        return _seven(lines)
+        return _recognise_seven_turns(lines)
     if plan.locked:
         return None
     if planar:
         bends = (n, plan.task) in ((2, "position"), (2, "pose"), (3, "pose"))
         return Kind(PLANAR) if bends and len(turns) == n else None
     axes = Axes(lines.kinds, lines.h, lines.o)
-    if all(parallel(h, axes.h[0]) for h in axes.h):  # as of a SCARA
+    if all(are_parallel(h, axes.h[0]) for h in axes.h):  # as of a SCARA
         bends = (len(turns), plan.task) in ((2, "position"), (3, "pose")) and n <= len(turns) + 1
         return Kind(PLANAR) if bends else None
     if len(turns) < n:
-        return _sliding(plan, axes)
+        return _recognise_sliding_kind(plan, axes)
     if (
         n != 6
         or plan.task != "pose"
-        or parallel(axes.h[0], axes.h[1])
-        or not parallel(axes.h[1], axes.h[2])
+        or are_parallel(axes.h[0], axes.h[1])
+        or not are_parallel(axes.h[1], axes.h[2])
     ):
         return None
-    three = parallel(axes.h[2], axes.h[3])
+    three = are_parallel(axes.h[2], axes.h[3])
     wrist = keeps_point(axes, 3) or (
-        three and not parallel(axes.h[3], axes.h[4]) and meets(axes, 4, 5)
+        three and not are_parallel(axes.h[3], axes.h[4]) and do_axes_meet(axes, 4, 5)
     )
     if not wrist:
         return None
     kind = Kind(SPATIAL, three and not keeps_point(axes, 3))
-    _, h, o = sweep(lines, np.zeros((1, n)))
-    return kind if all(float(size[0]) > MERGED for size in _measures(kind, h, o)[1]) else None
+    _, h, o = compute_line_placements(lines, np.zeros((1, n)))
+    return (
+        kind
+        if all(float(size[0]) > MERGED for size in _compute_branch_measures(kind, h, o)[1])
+        else None
+    )
 
 
-def _sliding(plan: ChainPlan, axes: Axes) -> Kind | None:
+def _recognise_sliding_kind(plan: ChainPlan, axes: Axes) -> Kind | None:
     """The kind of an arm of six joints with slides: turn, turn and slide, or three slides, before a
     spherical wrist.
     """
@@ -123,42 +133,46 @@ def _sliding(plan: ChainPlan, axes: Axes) -> Kind | None:
     before = axes.kinds[:3]
     if np.all(before == SLIDE):
         return Kind(WRIST)
-    across = not parallel(axes.h[0], axes.h[1]) and abs(float(axes.h[1] @ axes.h[2])) <= EXACT
+    across = not are_parallel(axes.h[0], axes.h[1]) and abs(float(axes.h[1] @ axes.h[2])) <= EXACT
     return Kind(SLIDING) if before.tolist() == [TURN, TURN, SLIDE] and across else None
 
 
-def _seven(lines: Lines) -> Kind | None:
+def _recognise_seven_turns(lines: Lines) -> Kind | None:
     """The kind of an arm of seven turns: with names where the first three meet in a point, and the
     last three do.
     """
     axes = Axes(lines.kinds, lines.h, lines.o)
     if not (keeps_point(axes, 0) and keeps_point(axes, 4)):
         return None
-    _, h, o = sweep(lines, np.zeros((1, 7)))
-    return Kind(SEVEN) if all(float(size[0]) > MERGED for size in _of_seven(h, o)[1]) else None
+    _, h, o = compute_line_placements(lines, np.zeros((1, 7)))
+    return (
+        Kind(SEVEN)
+        if all(float(size[0]) > MERGED for size in _measure_seven_turns(h, o)[1])
+        else None
+    )
 
 
-def branch_names(
+def name_branches(
     kind: Kind, lines: Lines, theta: Array, merged: np.ndarray | None = None
 ) -> np.ndarray:
     """Names (m,) of configurations theta (m, n) of an arm; `merged` (m,) says where solutions have
     merged.
     """
-    tip, h, o = sweep(lines, theta)
+    tip, h, o = compute_line_placements(lines, theta)
     border = np.where(np.zeros(len(theta), bool) if merged is None else merged, MERGED, BORDER)
     bend: Array | None = None
     if kind.words == PLANAR:
-        signs = [_bend_in_plane(h, o, tip[:, :3, 3], np.flatnonzero(lines.kinds == TURN))]
+        signs = [_measure_planar_bend(h, o, tip[:, :3, 3], np.flatnonzero(lines.kinds == TURN))]
     elif kind.words == WRIST:
-        signs = [_turned(h, 3)]
+        signs = [_measure_middle_turn(h, 3)]
     elif kind.words == SEVEN:
-        signs = list(_of_seven(h, o)[0])
+        signs = list(_measure_seven_turns(h, o)[0])
     elif kind.words == SLIDING:  # the wrist is ahead of axis 2, or on the other side of it
-        slid = np.einsum("mi,mi->m", _centre(h, o) - o[:, 1], h[:, 2])
-        signs = [_shoulder(h, o, _centre(h, o)), slid, _turned(h, 3)]
+        slid = np.einsum("mi,mi->m", _find_centre(h, o) - o[:, 1], h[:, 2])
+        signs = [_measure_shoulder(h, o, _find_centre(h, o)), slid, _measure_middle_turn(h, 3)]
     else:
-        (shoulder, bend, turn), _ = _measures(kind, h, o)
-        signs = [shoulder, np.sign(_ahead(h, o)) * bend, turn]
+        (shoulder, bend, turn), _ = _compute_branch_measures(kind, h, o)
+        signs = [shoulder, np.sign(_measure_wrist_offset(h, o)) * bend, turn]
     columns: list[Array] = []
     for sign, (above, below, on) in zip(signs, kind.words, strict=True):
         side = np.where(sign > 0.0, above, below)
@@ -170,7 +184,9 @@ def branch_names(
     return np.array([", ".join(row) for row in zip(*columns, strict=True)], dtype=object)
 
 
-def named(kind: Kind | None, names: np.ndarray, words: str | Iterable[str]) -> np.ndarray:
+def match_branch_names(
+    kind: Kind | None, names: np.ndarray, words: str | Iterable[str]
+) -> np.ndarray:
     """Which of the names hold all these words, hyphens and spaces alike. Errors: `InputError`,
     `UnknownNameError`.
     """
@@ -181,24 +197,24 @@ def named(kind: Kind | None, names: np.ndarray, words: str | Iterable[str]) -> n
         )
     wanted = words.split(",") if isinstance(words, str) else read_names(words, "words")
     wanted = [word.strip() for word in wanted]
-    known = kind.known
-    spelled = {_plain(word): word for word in known}
+    known = kind.allowed_words
+    spelled = {_normalise_word(word): word for word in known}
     for word in wanted:
-        if _plain(word) not in spelled:
+        if _normalise_word(word) not in spelled:
             raise UnknownNameError("branch", word, known, "the chain")
-    wanted = [spelled[_plain(word)] for word in wanted]
+    wanted = [spelled[_normalise_word(word)] for word in wanted]
     flat = [all(word in name.split(", ") for word in wanted) for name in names.ravel()]
     return np.array(flat, dtype=bool).reshape(names.shape)
 
 
-def _plain(word: str) -> str:
+def _normalise_word(word: str) -> str:
     """A word as it is compared: hyphens between letters become spaces, and spaces single; "elbow -"
     keeps its sign.
     """
     return " ".join(re.sub(r"(?<=\w)-(?=\w)", " ", word).split())
 
 
-def _bend_in_plane(h: Array, o: Array, tip: Array, turns: np.ndarray) -> Array:
+def _measure_planar_bend(h: Array, o: Array, tip: Array, turns: np.ndarray) -> Array:
     """Positive (m,) where the elbow lies to the left of the way from the first axis to the third,
     or to the tip.
 
@@ -214,7 +230,7 @@ def _bend_in_plane(h: Array, o: Array, tip: Array, turns: np.ndarray) -> Array:
     return np.where(size > CENTRED, sine, np.nan)
 
 
-def _centre(h: Array, o: Array, k: int = 4) -> Array:
+def _find_centre(h: Array, o: Array, k: int = 4) -> Array:
     """The point (m, 3) in which axes k and k + 1 (from 0) meet: the one of the first that is next
     to the other.
     """
@@ -228,14 +244,14 @@ def _centre(h: Array, o: Array, k: int = 4) -> Array:
     )
 
 
-def _ahead(h: Array, o: Array) -> Array:
+def _measure_wrist_offset(h: Array, o: Array) -> Array:
     """How far (m,) the wrist is from axis 1 along h1 x h2: zero where the turn of axis 1 moves it
     along axis 2.
     """
-    return np.einsum("mi,mi->m", _centre(h, o) - o[:, 0], np.cross(h[:, 0], h[:, 1]))
+    return np.einsum("mi,mi->m", _find_centre(h, o) - o[:, 0], np.cross(h[:, 0], h[:, 1]))
 
 
-def _shoulder(h: Array, o: Array, centre: Array) -> Array:
+def _measure_shoulder(h: Array, o: Array, centre: Array) -> Array:
     """Positive (m,) where the arm passes axis 1 on the right.
 
     It counts the offset of the arm from axis 1, so that the sense of axis 2 does not matter where
@@ -249,17 +265,17 @@ def _shoulder(h: Array, o: Array, centre: Array) -> Array:
         * (np.einsum("mi,mi->m", np.cross(o[:, 1] - o[:, 0], h[:, 1]), across) / size2)[:, None]
     )
     offset = np.einsum("mi,mi->m", centre - foot, h[:, 1])
-    return -np.where(np.abs(offset) > CENTRED, np.sign(offset), 1.0) * _ahead(h, o)
+    return -np.where(np.abs(offset) > CENTRED, np.sign(offset), 1.0) * _measure_wrist_offset(h, o)
 
 
-def _turned(h: Array, k: int) -> Array:
+def _measure_middle_turn(h: Array, k: int) -> Array:
     """The sine (m,) by which axis k + 1 turns axis k towards axis k + 2, in parts of the largest."""
     turn = np.einsum("mi,mi->m", h[:, k + 1], np.cross(h[:, k], h[:, k + 2]))
     parts = (np.linalg.norm(np.cross(h[:, i], h[:, i + 1]), axis=1) for i in (k, k + 1))
     return turn / np.prod(list(parts), axis=0)
 
 
-def _bend(h: Array, upper: Array, lower: Array) -> tuple[Array, tuple[Array, Array]]:
+def _measure_bend(h: Array, upper: Array, lower: Array) -> tuple[Array, tuple[Array, Array]]:
     """The sine (m,) of the turn about h from one way to the next, seen along h, and the lengths
     (m,) of both ways.
     """
@@ -269,20 +285,22 @@ def _bend(h: Array, upper: Array, lower: Array) -> tuple[Array, tuple[Array, Arr
         return np.einsum("mi,mi->m", h, np.cross(upper, lower)) / (lengths[0] * lengths[1]), lengths
 
 
-def _of_seven(h: Array, o: Array) -> tuple[tuple[Array, Array, Array], tuple[Array, Array]]:
+def _measure_seven_turns(
+    h: Array, o: Array
+) -> tuple[tuple[Array, Array, Array], tuple[Array, Array]]:
     """Signed measures (m,) of shoulder, elbow and wrist of an arm of seven turns, and lengths (m,)
     of its links.
 
     Sines of the turns of joints 2, 4 and 6 from where the arm is stretched (Shimizu and others,
     2008, equation 4).
     """
-    shoulder = _centre(h, o, 0)
-    wrist = _centre(h, o)
-    bend, lengths = _bend(h[:, 3], o[:, 3] - shoulder, wrist - o[:, 3])
-    return (_turned(h, 0), bend, _turned(h, 4)), lengths
+    shoulder = _find_centre(h, o, 0)
+    wrist = _find_centre(h, o)
+    bend, lengths = _measure_bend(h[:, 3], o[:, 3] - shoulder, wrist - o[:, 3])
+    return (_measure_middle_turn(h, 0), bend, _measure_middle_turn(h, 4)), lengths
 
 
-def _measures(
+def _compute_branch_measures(
     kind: Kind, h: Array, o: Array
 ) -> tuple[tuple[Array, Array, Array], tuple[Array, Array]]:
     """Signed measures (m,) of shoulder, elbow and wrist, and the lengths (m,) of the two links of
@@ -290,8 +308,8 @@ def _measures(
 
     The elbow is that of the plane across axis 2, seen from the side to which axis 2 points.
     """
-    centre = _centre(h, o)
-    bend, lengths = _bend(
+    centre = _find_centre(h, o)
+    bend, lengths = _measure_bend(
         h[:, 1], o[:, 2] - o[:, 1], (o[:, 3] if kind.three_parallel else centre) - o[:, 2]
     )
-    return (_shoulder(h, o, centre), -bend, _turned(h, 3)), lengths
+    return (_measure_shoulder(h, o, centre), -bend, _measure_middle_turn(h, 3)), lengths

@@ -15,8 +15,8 @@ import numpy as np
 from kempe import spatial
 from kempe.answers.targets import Z_AXIS, frame_of
 from kempe.errors import UnsupportedError
-from kempe.inverse.chain.length_bounds import Span, evened
-from kempe.inverse.chain.serial_chain import chain_of
+from kempe.inverse.chain.length_bounds import Span, even_out_offsets
+from kempe.inverse.chain.serial_chain import find_chain
 from kempe.kernels.forward.table_layout import (
     BALL,
     COS_OFFSET,
@@ -79,16 +79,16 @@ class Lines:
     def __len__(self) -> int:
         return len(self.kinds)
 
-    def theta(self, q: Array) -> Array:
+    def compute_theta(self, q: Array) -> Array:
         """Variables (..., n) of the lines at coordinates q (..., n) of the chain."""
         return q * self.multiplier + self.offset
 
 
-def lines_of(system: Model, frame: str) -> Lines:
+def build_lines(system: Model, frame: str) -> Lines:
     """The lines of the chain that moves a frame. Errors: `UnsupportedError` for loops, balls and
     shared coordinates.
     """
-    chain = chain_of(system, frame)
+    chain = find_chain(system, frame)
     ints = chain.ints
     floats = chain.floats
     rows = rows_of(ints)
@@ -111,9 +111,9 @@ def lines_of(system: Model, frame: str) -> Lines:
     placements = placements_of(ints, floats)
     if chain.span.rounding > chain.span.largest > 0.0:
         raise UnsupportedError(
-            f"all of the chain of {frame!r} is smaller than rounding: {chain.span.figures()}"
+            f"all of the chain of {frame!r} is smaller than rounding: {chain.span.format_ratio()}"
         )
-    h, o, tip = _carried(placements)
+    h, o, tip = _compute_lines(placements)
     order = np.argsort(rows[:, Q_INDEX])
     if not np.array_equal(rows[order, Q_INDEX], np.arange(n)):
         raise UnsupportedError(f"the coordinates of {frame!r} are not one for each joint")
@@ -124,8 +124,8 @@ def lines_of(system: Model, frame: str) -> Lines:
         kinds == SLIDE, 0.0, np.arctan2(numbers[:, SIN_OFFSET], numbers[:, COS_OFFSET])
     )
 
-    def scaled(h: Array, o: Array, tip: Array, even: Lines | None) -> Lines:
-        origin, length = _unit_of(kinds, h, o, tip[:3, 3], chain.limits[:, at])
+    def scale_lines(h: Array, o: Array, tip: Array, even: Lines | None) -> Lines:
+        origin, length = _choose_unit(kinds, h, o, tip[:3, 3], chain.limits[:, at])
         tip[:3, 3] = (tip[:3, 3] - origin) / length
         return Lines(
             kinds,
@@ -144,36 +144,39 @@ def lines_of(system: Model, frame: str) -> Lines:
             even,
         )
 
-    p = evened(ints, floats)
+    p = even_out_offsets(ints, floats)
     even = (
         None
         if p is None
-        else scaled(*_carried([_at(x, y) for x, y in zip(placements, p, strict=True)]), None)
+        else scale_lines(
+            *_compute_lines([_shift_placement(x, y) for x, y in zip(placements, p, strict=True)]),
+            None,
+        )
     )
-    return scaled(h, o, tip, even)
+    return scale_lines(h, o, tip, even)
 
 
-def _carried(placements: Iterable[np.ndarray]) -> tuple[Array, Array, Array]:
+def _compute_lines(placements: Iterable[np.ndarray]) -> tuple[Array, Array, Array]:
     """Directions and points (n, 3) of the axes and the pose (4, 4) of the tip, from placements
     (12,) one by one.
     """
-    poses = list(itertools.accumulate(map(_pose, placements), np.matmul))
+    poses = list(itertools.accumulate(map(_build_pose, placements), np.matmul))
     X = np.array(poses[:-1])
     return X[:, :3, 2].copy(), X[:, :3, 3].copy(), poses[-1]
 
 
-def _at(placement: np.ndarray, p: Array) -> np.ndarray:
+def _shift_placement(placement: np.ndarray, p: Array) -> np.ndarray:
     """The placement (12,) at another point (3,)."""
     rows = placement.reshape(3, 4).copy()
     rows[:, 3] = p
     return rows.ravel()
 
 
-def _pose(rows: np.ndarray) -> Array:
+def _build_pose(rows: np.ndarray) -> Array:
     return np.vstack([rows.reshape(3, 4), [0.0, 0.0, 0.0, 1.0]])
 
 
-def _unit_of(
+def _choose_unit(
     kinds: np.ndarray, h: Array, o: Array, tip: Array, limits: Array
 ) -> tuple[Array, float]:
     """A point near the axes that turn, and a length: the way from axis to axis.
@@ -196,12 +199,12 @@ def _unit_of(
     origin = Spectrum(across.sum(axis=0)).solve(total, PARALLEL)
     free = o - origin
     away = np.linalg.norm(free - h * np.sum(h * free, axis=-1)[:, None], axis=-1)
-    steps = [_apart(h[i], o[i], h[i + 1], o[i + 1]) for i in range(len(h) - 1)]
+    steps = [_compute_distance(h[i], o[i], h[i + 1], o[i + 1]) for i in range(len(h) - 1)]
     size = max(sum(steps), float(away.max()))
     noise = NOISE * max(float(np.linalg.norm(x)) for x in (free, origin))
     alone = not (size > noise and math.isfinite(size))
     if slides.size:
-        travel = _travel(
+        travel = _estimate_travel(
             limits[1, slides] - limits[0, slides], all_points[slides] - origin, tip - origin
         )
         size = travel if alone else max(size, LITTLE * travel)
@@ -210,7 +213,7 @@ def _unit_of(
     return origin, size if size > noise and math.isfinite(size) else 1.0
 
 
-def _travel(ranges: Array, offsets: Array, tip: Array) -> float:
+def _estimate_travel(ranges: Array, offsets: Array, tip: Array) -> float:
     """How far slides may go: by their limits, else by how far from the turning axes slides are, or
     the tip is.
     """
@@ -218,7 +221,7 @@ def _travel(ranges: Array, offsets: Array, tip: Array) -> float:
     return by_limits if by_limits > 0.0 else max(float(np.linalg.norm(x)) for x in (*offsets, tip))
 
 
-def _apart(h: Array, o: Array, g: Array, p: Array) -> float:
+def _compute_distance(h: Array, o: Array, g: Array, p: Array) -> float:
     """The distance between two lines."""
     n = np.cross(h, g)
     d = p - o
@@ -229,9 +232,9 @@ def _apart(h: Array, o: Array, g: Array, p: Array) -> float:
 
 
 @keep_answers
-def chain_lines(system: Model, frame: str, axis: tuple[float, float, float]) -> Lines:
+def find_chain_lines(system: Model, frame: str, axis: tuple[float, float, float]) -> Lines:
     """The lines of the frame's chain, its tip turned so that its z axis is the tool's `axis`."""
-    lines = lines_of(system, frame)
+    lines = build_lines(system, frame)
     if axis == Z_AXIS:
         return lines
     tip = lines.tip.copy()
@@ -242,7 +245,7 @@ def chain_lines(system: Model, frame: str, axis: tuple[float, float, float]) -> 
 # ---- motions of lines
 
 
-def sweep(lines: Lines, theta: Array) -> tuple[Array, Array, Array]:
+def compute_line_placements(lines: Lines, theta: Array) -> tuple[Array, Array, Array]:
     """Tip poses (m, 4, 4), and directions and points (m, n, 3) of the lines, at theta (m, n)."""
     m, n = theta.shape
     h = np.empty((m, n, 3))
@@ -266,9 +269,9 @@ def sweep(lines: Lines, theta: Array) -> tuple[Array, Array, Array]:
     return T, h, o
 
 
-def jacobians(lines: Lines, theta: Array) -> Array:
+def compute_jacobians(lines: Lines, theta: Array) -> Array:
     """Jacobians (m, 6, n) [linear; angular] in the tip's frame at theta (m, n)."""
-    T, h, o = sweep(lines, theta)
+    T, h, o = compute_line_placements(lines, theta)
     slides = (lines.kinds == SLIDE)[:, None]
     v = np.where(slides, h, np.cross(h, T[:, None, :3, 3] - o))
     w = np.where(slides, 0.0, h)
@@ -276,7 +279,7 @@ def jacobians(lines: Lines, theta: Array) -> Array:
     return np.concatenate([back @ np.swapaxes(v, 1, 2), back @ np.swapaxes(w, 1, 2)], axis=1)
 
 
-def motion(kind: int, h: Array, o: Array, theta: float) -> Array:
+def compute_motion(kind: int, h: Array, o: Array, theta: float) -> Array:
     """Pose (4, 4) of a turn about a line or a slide along it."""
     X = np.eye(4)
     if kind == SLIDE:

@@ -41,7 +41,7 @@ class Aim:
     moves: np.ndarray
 
     @classmethod
-    def of(
+    def from_target(
         cls, problem: ChainProblem, plan: ChainPlan, target: Array, held: tuple[int, ...]
     ) -> Aim:
         """What a target (4, 4) of a problem asks of the chain of a plan, with joints `held`."""
@@ -52,19 +52,19 @@ class Aim:
         return cls(lines, np.flatnonzero(TASKS[plan.task]), X, moves)
 
     @cached_property
-    def slides(self) -> np.ndarray:
+    def slide_mask(self) -> np.ndarray:
         """Which joints (n,) slide."""
         return self.lines.kinds == SLIDE
 
     @cached_property
-    def _parts(self) -> tuple[Array, Array]:
+    def _motion_matrices(self) -> tuple[Array, Array]:
         """Matrices (n, 4, 16) of which 1, sine, cosine and value of a variable make its motion; the
         lines (n, 4, 2).
 
         A turn is 1 + sin K + (1 - cos) K^2 (Rodrigues, 1840).
         """
         lines = self.lines
-        turns = ~self.slides
+        turns = ~self.slide_mask
         C = np.zeros((len(lines), 4, 4, 4))
         K = spatial.skew(lines.h) * turns[:, None, None]
         C[:, 1, :3, :3] = K
@@ -79,12 +79,12 @@ class Aim:
         axes[:, 3, 1] = 1.0
         return C.reshape(len(lines), 4, 16), axes
 
-    def sweep(self, theta: Array) -> tuple[Array, Array, Array, Array]:
+    def compute_line_placements(self, theta: Array) -> tuple[Array, Array, Array, Array]:
         """Rotation (N, 3, 3) and position (N, 3) of the tip, directions and points (N, n, 3) of the
         lines there.
         """
         (N, n) = theta.shape
-        (parts, axes) = self._parts
+        (parts, axes) = self._motion_matrices
         terms = np.ones((N, n, 1, 4))
         terms[..., 0, 1], terms[..., 0, 2], terms[..., 0, 3] = np.sin(theta), np.cos(theta), theta
         E = (terms @ parts).reshape(N, n, 4, 4)
@@ -104,44 +104,48 @@ class Aim:
         there = X[:, :n] @ axes
         return T[:, :3, :3], T[:, :3, 3], there[..., :3, 0], there[..., :3, 1]
 
-    def errors(self, R: Array, p: Array) -> Array:
+    def compute_errors(self, R: Array, p: Array) -> Array:
         """What is missing (N, 6) at poses of the tip; zero in rows that do not count."""
         back = np.swapaxes(R, 1, 2)
         full = np.zeros((len(R), 6))
         full[:, :3] = (back @ (self.target[:3, 3] - p)[..., None])[..., 0]
         if self.rows[-1] >= 3:
             D = back @ self.target[:3, :3]
-            full[:, 3:] = _pointing(D[:, :, 2]) if len(self.rows) in (2, 5) else _rotation_vector(D)
+            full[:, 3:] = (
+                _compute_pointing_vectors(D[:, :, 2])
+                if len(self.rows) in (2, 5)
+                else _compute_rotation_vectors(D)
+            )
         out = np.zeros((len(R), 6))
         out[:, self.rows] = full[:, self.rows]
         return out
 
-    def at(self, theta: Array) -> tuple[Array, Array]:
+    def linearise_errors(self, theta: Array) -> tuple[Array, Array]:
         """Errors (N, m) of the rows that count and the Jacobian (N, m, k) of the moving joints, at
         theta (N, n).
         """
-        R, p, h, o = self.sweep(theta)
+        R, p, h, o = self.compute_line_placements(theta)
         h = h[:, self.moves]
         o = o[:, self.moves]
-        slides = self.slides[self.moves, None]
-        v = np.where(slides, h, _cross(h, p[:, None] - o))
+        slides = self.slide_mask[self.moves, None]
+        v = np.where(slides, h, _compute_cross_product(h, p[:, None] - o))
         w = np.where(slides, 0.0, h)
         J = np.concatenate([np.swapaxes(v @ R, 1, 2), np.swapaxes(w @ R, 1, 2)], axis=1)
-        return self.errors(R, p)[:, self.rows], J[:, self.rows]
+        return self.compute_errors(R, p)[:, self.rows], J[:, self.rows]
 
-    def energy(self, theta: Array) -> tuple[float, Array]:
+    def compute_energy(self, theta: Array) -> tuple[float, Array]:
         """Half the square of the error, and its gradient by the joints that may move, at theta
         (n,).
         """
-        e, J = (x[0] for x in self.at(theta[None]))
+        e, J = (x[0] for x in self.linearise_errors(theta[None]))
         return 0.5 * float(e @ e), -(e @ J)
 
 
-def _cross(a: Array, b: Array) -> Array:
+def _compute_cross_product(a: Array, b: Array) -> Array:
     return a[..., [1, 2, 0]] * b[..., [2, 0, 1]] - a[..., [2, 0, 1]] * b[..., [1, 2, 0]]
 
 
-def _pointing(z: Array) -> Array:
+def _compute_pointing_vectors(z: Array) -> Array:
     """Rotation vectors (N, 3) that turn the z axis to the unit vectors z (N, 3)."""
     sine = np.hypot(z[:, 0], z[:, 1])
     angle = np.arctan2(sine, z[:, 2])
@@ -150,7 +154,7 @@ def _pointing(z: Array) -> Array:
     return np.stack([np.where(none, angle, -z[:, 1] * f), z[:, 0] * f, np.zeros(len(z))], axis=1)
 
 
-def _rotation_vector(D: Array) -> Array:
+def _compute_rotation_vectors(D: Array) -> Array:
     """Rotation vectors (N, 3) of rotations."""
     v = 0.5 * np.stack(
         [D[:, 2, 1] - D[:, 1, 2], D[:, 0, 2] - D[:, 2, 0], D[:, 1, 0] - D[:, 0, 1]], axis=1
@@ -162,13 +166,13 @@ def _rotation_vector(D: Array) -> Array:
     return spatial.log_so3(D)
 
 
-def limits_of(lines: Lines) -> tuple[Array, Array]:
+def compute_limits(lines: Lines) -> tuple[Array, Array]:
     """Lower and upper limits (n,) of the variables."""
     ends = np.sort(lines.limits * lines.multiplier + lines.offset, axis=0)
     return ends[0], ends[1]
 
 
-def descend(aim: Aim, theta: Array, low: Array, high: Array, first: float = 1e-2) -> Array:
+def run_descent(aim: Aim, theta: Array, low: Array, high: Array, first: float = 1e-2) -> Array:
     """Variables (N, n) after damped Gauss-Newton steps inside the limits; joints that press on a
     limit stay there.
 
@@ -176,7 +180,7 @@ def descend(aim: Aim, theta: Array, low: Array, high: Array, first: float = 1e-2
     """
     moves = aim.moves
     damping = np.full(len(theta), first)
-    e, J = aim.at(theta)
+    e, J = aim.linearise_errors(theta)
     for _ in range(STEPS):
         slope = np.einsum("Nmk,Nm->Nk", J, e)
         x = theta[:, moves]
@@ -187,7 +191,7 @@ def descend(aim: Aim, theta: Array, low: Array, high: Array, first: float = 1e-2
         step = np.linalg.solve(A_, np.where(pressed, 0.0, slope)[..., None])[..., 0]
         trial = theta.copy()
         trial[:, moves] = np.clip(x + np.clip(step, -1.0, 1.0), low, high)
-        new, J_new = aim.at(trial)
+        new, J_new = aim.linearise_errors(trial)
         better = (new * new).sum(axis=1) < (e * e).sum(axis=1)
         theta = np.where(better[:, None], trial, theta)
         e = np.where(better[:, None], new, e)
@@ -196,14 +200,14 @@ def descend(aim: Aim, theta: Array, low: Array, high: Array, first: float = 1e-2
     return theta
 
 
-def closest(aim: Aim, first: Array) -> Array:
+def find_closest(aim: Aim, first: Array) -> Array:
     """Variables (n,) inside the limits where the error is smallest."""
     from scipy import optimize  # only here: most targets are reached
 
-    low, high = (x[aim.moves] for x in limits_of(aim.lines))
+    low, high = (x[aim.moves] for x in compute_limits(aim.lines))
     rng = np.random.default_rng(0)
     k = len(aim.moves)
-    wide = np.where(aim.slides[aim.moves], 2.0, math.pi)
+    wide = np.where(aim.slide_mask[aim.moves], 2.0, math.pi)
     left = np.where(np.isfinite(low), low, -wide)
     right = np.where(np.isfinite(high), high, wide)
     theta = np.tile(first, (STARTS, 1))
@@ -211,22 +215,27 @@ def closest(aim: Aim, first: Array) -> Array:
         np.minimum(left, right), np.maximum(left, right), (STARTS - 1, k)
     )
     theta[:, aim.moves] = np.clip(theta[:, aim.moves], low, high)
-    theta = descend(aim, theta, low, high)
-    e, _ = aim.at(theta)
+    theta = run_descent(aim, theta, low, high)
+    e, _ = aim.linearise_errors(theta)
     order = np.argsort((e * e).sum(axis=1))
     best = theta[order[0]]
     least = math.inf
     for start in theta[order[:BEST]]:
 
-        def energy(x: Array, start: Array = start) -> tuple[float, Array]:
+        def evaluate_energy(x: Array, start: Array = start) -> tuple[float, Array]:
             full = start.copy()
             full[aim.moves] = x
-            return aim.energy(full)
+            return aim.compute_energy(full)
 
         options = {"maxiter": 500, "ftol": 1e-18, "gtol": 1e-13}
         bounds = list(zip(low, high, strict=True))
         found = cast(Any, optimize).minimize(
-            energy, start[aim.moves], jac=True, method="L-BFGS-B", bounds=bounds, options=options
+            evaluate_energy,
+            start[aim.moves],
+            jac=True,
+            method="L-BFGS-B",
+            bounds=bounds,
+            options=options,
         )
         if found.fun < least:
             best = start.copy()

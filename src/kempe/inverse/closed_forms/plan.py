@@ -17,8 +17,14 @@ from kempe import spatial
 from kempe.answers.targets import TASKS
 from kempe.budget import check_for_stop
 from kempe.errors import UnsupportedError
-from kempe.inverse.closed_forms.chain_lines import Lines, chain_lines, jacobians, motion, sweep
-from kempe.inverse.closed_forms.structure import Axes, Strategy, ways
+from kempe.inverse.closed_forms.chain_lines import (
+    Lines,
+    compute_jacobians,
+    compute_line_placements,
+    compute_motion,
+    find_chain_lines,
+)
+from kempe.inverse.closed_forms.structure import Axes, Strategy, find_strategies
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.closed_form.analytic_layout import X_FIRST, Z_FIRST
 from kempe.kernels.compiled import candidates
@@ -48,19 +54,19 @@ AGAIN = 1e-6
 # ---- how a plan can be carried out
 
 
-def _closed() -> Callable[..., None]:
+def _load_closed_kernel() -> Callable[..., None]:
     from kempe.kernels.compiled import every_solution
 
     return every_solution.closed
 
 
-def _blocks() -> Callable[..., int]:
+def _load_block_kernel() -> Callable[..., int]:
     from kempe.kernels.compiled import candidate_blocks
 
     return candidate_blocks.closed_side_by_side
 
 
-def _eliminate() -> Callable[..., None]:
+def _load_elimination_kernel() -> Callable[..., None]:
     from kempe.kernels.compiled import elimination_ik
 
     return elimination_ik.general
@@ -92,15 +98,15 @@ SIDE_BY_SIDE = Method(
     "closed form",
     slots=EIGHT,
     piece=2**62,
-    kernel=_closed,
-    blocks=_blocks,
+    kernel=_load_closed_kernel,
+    blocks=_load_block_kernel,
 )
 CLOSED_FORM = Method(
     "closed form",
     "subproblems of the lines of the chain, and of lines that stand in for what the task leaves",
     "no three neighbouring axes of the chain meet or are parallel, or as it takes",
     "closed form",
-    kernel=_closed,
+    kernel=_load_closed_kernel,
 )
 ELIMINATION = Method(
     "elimination",
@@ -108,7 +114,7 @@ ELIMINATION = Method(
     "its lines are not general enough to find random configurations again",
     "elimination",
     piece=64,
-    kernel=_eliminate,
+    kernel=_load_elimination_kernel,
 )
 SEARCH = Method("search", "many starts: what is found, with no claim that it is all", "", "search")
 METHODS = (SIDE_BY_SIDE, CLOSED_FORM, ELIMINATION, SEARCH)
@@ -150,24 +156,24 @@ class ChainPlan:
     blurred: bool = False
 
     @property
-    def spare(self) -> list[int]:
+    def spare_joints(self) -> list[int]:
         """Joints that are locked only because the chain has more than the task needs."""
         return [i for i in self.locked if i not in self.fixed]
 
     @property
-    def rests(self) -> bool:
+    def has_resting_lines(self) -> bool:
         """Whether the chain has fewer joints than the task equations: lines that must stay at rest
         stand in.
         """
         return bool(np.any(self.extra.roles == A.REST)) and not self.planar
 
     @cached_property
-    def other(self) -> ChainPlan | None:
+    def alternative_plan(self) -> ChainPlan | None:
         """Another plan for the same, with other lines at rest; None where there is none."""
-        found = make(self.lines, self.task, self.locked, self.planar, self.extra)
+        found = make_plan(self.lines, self.task, self.locked, self.planar, self.extra)
         return None if found.method == SEARCH else found
 
-    def fill(self, *given: Any) -> None:
+    def fill_solutions(self, *given: Any) -> None:
         """Write the solutions of targets, one after the other.
 
         Given are targets (N, 4, 4), coordinates near which angles are given and those of locked
@@ -178,21 +184,23 @@ class ChainPlan:
         self.method.kernel()(self.ints, self.floats, *given)
 
     @cached_property
-    def plain(self) -> bool:
+    def has_system_coordinates(self) -> bool:
         """Whether the chain's coordinates are the system's, in their order."""
         return bool(np.array_equal(self.lines.q_index, np.arange(len(self.lines))))
 
 
-def targets_at(lines: Lines, extra: Extra, q: Array) -> Array:
+def compute_targets(lines: Lines, extra: Extra, q: Array) -> Array:
     """Targets (m, 4, 4) in the ground frame, in metres, that coordinates q (m, n) reach, random in
     what is free.
     """
-    T = sweep(lines, lines.theta(q))[0] @ freed(lines, extra, len(q))
+    T = compute_line_placements(lines, lines.compute_theta(q))[0] @ sample_free_motions(
+        lines, extra, len(q)
+    )
     T[:, :3, 3] = T[:, :3, 3] * lines.length + lines.origin
     return T
 
 
-def freed(lines: Lines, extra: Extra, count: int) -> Array:
+def sample_free_motions(lines: Lines, extra: Extra, count: int) -> Array:
     """Random motions (count, 4, 4) in the tip's frame that the task allows: those of the free
     lines.
 
@@ -202,17 +210,17 @@ def freed(lines: Lines, extra: Extra, count: int) -> Array:
     rng = np.random.default_rng(13)
     M = lines.tip
     out = np.tile(np.eye(4), (count, 1, 1))
-    for kind, h, o, role in zip(*_parts(extra), strict=True):
+    for kind, h, o, role in zip(*_unpack_extra(extra), strict=True):
         if role == A.FREE:
             ways = rng.uniform(-1.0, 1.0, count) * (1.0 if kind == SLIDE else np.pi)
-            out = out @ np.array([motion(int(kind), h, o, float(way)) for way in ways])
+            out = out @ np.array([compute_motion(int(kind), h, o, float(way)) for way in ways])
     return spatial.inverse(M) @ out @ M
 
 
 # ---- lines that complete a chain to six joints
 
 
-def free_lines(lines: Lines, task: str, planar: bool) -> Extra:
+def make_free_lines(lines: Lines, task: str, planar: bool) -> Extra:
     """Lines at the tip that may move freely, for what the task does not ask."""
     R = lines.tip[:3, :3]
     p = lines.tip[:3, 3]
@@ -232,7 +240,7 @@ def free_lines(lines: Lines, task: str, planar: bool) -> Extra:
     )
 
 
-def screws(extra: Extra, tip: Array) -> Array:
+def compute_extra_screws(extra: Extra, tip: Array) -> Array:
     """Columns (6, k) of extra lines in the tip's frame: constant, for they come last."""
     R = tip[:3, :3].T
     p = tip[:3, 3]
@@ -246,7 +254,7 @@ def screws(extra: Extra, tip: Array) -> Array:
     return J
 
 
-def spread(lines: Lines, rng: np.random.Generator, count: int) -> Array:
+def sample_variables(lines: Lines, rng: np.random.Generator, count: int) -> Array:
     """Random theta (count, n): any angle, slides of the size of the chain."""
     shape = (count, len(lines))
     return np.where(
@@ -254,7 +262,9 @@ def spread(lines: Lines, rng: np.random.Generator, count: int) -> Array:
     )
 
 
-def resting(lines: Lines, free: Extra, unknown: list[int], planar: bool) -> Iterator[Extra]:
+def iterate_resting_lines(
+    lines: Lines, free: Extra, unknown: list[int], planar: bool
+) -> Iterator[Extra]:
     """Sets of lines that complete the unknown joints and the free lines to six, the best
     conditioned first.
     """
@@ -264,11 +274,11 @@ def resting(lines: Lines, free: Extra, unknown: list[int], planar: bool) -> Iter
             np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.int64)
         )
         return
-    kinds, h, o = _pool(lines, unknown, planar)
+    kinds, h, o = _collect_candidate_lines(lines, unknown, planar)
     rng = np.random.default_rng(5)
-    samples = jacobians(lines, spread(lines, rng, 5))[:, :, unknown]
-    at_tip = screws(free, lines.tip)
-    pool = screws(Extra(kinds, h, o, kinds), lines.tip)
+    samples = compute_jacobians(lines, sample_variables(lines, rng, 5))[:, :, unknown]
+    at_tip = compute_extra_screws(free, lines.tip)
+    pool = compute_extra_screws(Extra(kinds, h, o, kinds), lines.tip)
     choices = list(itertools.combinations(range(len(kinds)), count))
     J = np.zeros((len(choices), len(samples), 6, 6))
     J[..., : len(unknown)] = samples
@@ -283,7 +293,9 @@ def resting(lines: Lines, free: Extra, unknown: list[int], planar: bool) -> Iter
         yield Extra(kinds[at], h[at], o[at], np.full(len(at), A.REST))
 
 
-def _pool(lines: Lines, unknown: list[int], planar: bool) -> tuple[np.ndarray, Array, Array]:
+def _collect_candidate_lines(
+    lines: Lines, unknown: list[int], planar: bool
+) -> tuple[np.ndarray, Array, Array]:
     """Lines to choose from: turns through a point of the last axis, slides, turns through another
     point.
     """
@@ -304,7 +316,7 @@ def _pool(lines: Lines, unknown: list[int], planar: bool) -> tuple[np.ndarray, A
     return kinds, np.array([u, w, h, u, w, h, u, w]), np.array([on, on, on, on, on, off, off, off])
 
 
-def freedoms(lines: Lines, free: Extra, unknown: list[int]) -> int:
+def count_chain_freedoms(lines: Lines, free: Extra, unknown: list[int]) -> int:
     """Rank of the Jacobian of the unknown joints and the free lines at random configurations."""
     if not unknown:
         return len(free.kinds)
@@ -313,7 +325,7 @@ def freedoms(lines: Lines, free: Extra, unknown: list[int]) -> int:
             lines.even,
             replace(free, o=np.tile(lines.even.tip[:3, 3], (len(free.kinds), 1))),
         )
-    T, h, o = sweep(lines, spread(lines, np.random.default_rng(7), 4))
+    T, h, o = compute_line_placements(lines, sample_variables(lines, np.random.default_rng(7), 4))
     X = T @ spatial.inverse(lines.tip)
     turns = np.concatenate([lines.kinds[unknown], free.kinds]) != SLIDE
     h = np.concatenate([h[:, unknown], np.einsum("mij,kj->mki", X[:, :3, :3], free.h)], axis=1)
@@ -329,89 +341,96 @@ def freedoms(lines: Lines, free: Extra, unknown: list[int]) -> int:
 # ---- how plans are made
 
 
-def make(
+def make_plan(
     lines: Lines, task: str, locked: tuple[int, ...], planar: bool, but: Extra | None = None
 ) -> ChainPlan:
     """The plan for a chain of which so many joints are locked that the others are not redundant.
 
     but: lines that complete it in a plan that is known; then another one is made.
     """
-    plan = in_closed_form(lines, task, locked, planar, but)
+    plan = find_closed_form_plan(lines, task, locked, planar, but)
     if plan is not None:
         return plan
     unknown = [i for i in range(len(lines)) if i not in locked]
-    for extra in itertools.islice(_completions(lines, task, unknown, planar, but), ELIMINATIONS):
+    for extra in itertools.islice(
+        _iterate_completions(lines, task, unknown, planar, but), ELIMINATIONS
+    ):
         check_for_stop()
-        plan = _by_elimination(lines, task, unknown, locked, extra)
+        plan = _make_elimination_plan(lines, task, unknown, locked, extra)
         if plan is not None:
             return plan
-    return pack(lines, task, locked, Extra(*_parts(free_lines(lines, task, planar))), None)
+    return pack_plan(
+        lines, task, locked, Extra(*_unpack_extra(make_free_lines(lines, task, planar))), None
+    )
 
 
-def in_closed_form(
+def find_closed_form_plan(
     lines: Lines, task: str, locked: tuple[int, ...], planar: bool, but: Extra | None = None
 ) -> ChainPlan | None:
     """The plan that solves the joints that are not locked in closed form, None where there is none;
-    see `make`.
+    see `make_plan`.
     """
     unknown = [i for i in range(len(lines)) if i not in locked]
     if not unknown:
         raise UnsupportedError(
             "no joint is left to move: all of the chain are held, or do nothing for this task"
         )
-    for extra in _completions(lines, task, unknown, planar, but):
+    for extra in _iterate_completions(lines, task, unknown, planar, but):
         check_for_stop()
-        for way in _ways(lines, unknown, locked, extra):
-            plan = pack(lines, task, locked, extra, way)
-            if (off := _error(plan)) < max(AGAIN, lines.span.blur):
+        for way in _find_common_strategies(lines, unknown, locked, extra):
+            plan = pack_plan(lines, task, locked, extra, way)
+            if (off := _estimate_error(plan)) < max(AGAIN, lines.span.blur):
                 return replace(plan, blurred=off >= AGAIN)
     return None
 
 
-def _completions(
+def _iterate_completions(
     lines: Lines, task: str, unknown: list[int], planar: bool, but: Extra | None
 ) -> Iterator[Extra]:
     """Lines that complete the unknown joints to six: free ones for what the task does not ask,
     others at rest.
     """
-    free = free_lines(lines, task, planar)
-    for rest in resting(lines, free, unknown, planar):
+    free = make_free_lines(lines, task, planar)
+    for rest in iterate_resting_lines(lines, free, unknown, planar):
         extra = Extra(
-            *(np.concatenate([a, b]) for a, b in zip(_parts(free), _parts(rest), strict=True))
+            *(
+                np.concatenate([a, b])
+                for a, b in zip(_unpack_extra(free), _unpack_extra(rest), strict=True)
+            )
         )
         if but is None or not (np.array_equal(extra.h, but.h) and np.array_equal(extra.o, but.o)):
             yield extra
 
 
-def _by_elimination(
+def _make_elimination_plan(
     lines: Lines, task: str, unknown: list[int], locked: tuple[int, ...], extra: Extra
 ) -> ChainPlan | None:
     """The plan that takes the six lines as general ones; None where no formulation suits them."""
     from kempe.kernels.closed_form.analytic_layout import FORMULATIONS
     from kempe.kernels.compiled import elimination_score
 
-    theta = spread(lines, np.random.default_rng(11), 1)[0]
+    theta = sample_variables(lines, np.random.default_rng(11), 1)[0]
     places = [*unknown, *range(len(lines), len(lines) + len(extra.kinds))]
-    axes, _ = carried_lines(lines, locked, extra, theta)
+    axes, _ = compute_carried_lines(lines, locked, extra, theta)
     scores = np.zeros(FORMULATIONS)
     elimination_score.score(
-        axes.kinds[places].astype(np.int64), axes.packed().reshape(-1, 8)[places], scores
+        axes.kinds[places].astype(np.int64), axes.pack_lines().reshape(-1, 8)[places], scores
     )
     best = [int(f) for f in np.argsort(-scores, kind="stable") if scores[f] > 0.0][:MOST_FORMS]
     if not best:
         return None
-    plan = pack(lines, task, locked, extra, None, (tuple(places), best))
-    return plan if _error(plan) < AGAIN else None
+    plan = pack_plan(lines, task, locked, extra, None, (tuple(places), best))
+    return plan if _estimate_error(plan) < AGAIN else None
 
 
 # ---- kernels, and arrays packed for them
 
 
-def _parts(extra: Extra) -> tuple[np.ndarray, Array, Array, np.ndarray]:
+def _unpack_extra(extra: Extra) -> tuple[np.ndarray, Array, Array, np.ndarray]:
     return extra.kinds, extra.h, extra.o, extra.roles
 
 
-def _ways(
+def _find_common_strategies(
     lines: Lines, unknown: list[int], locked: tuple[int, ...], extra: Extra
 ) -> list[Strategy]:
     """Ways for the six lines, as they are common to two positions of the locked joints."""
@@ -420,25 +439,27 @@ def _ways(
     goals = list[list[Array]]()
     places = [*unknown, *range(len(lines), len(lines) + len(extra.kinds))]
     for _ in range(2 if locked else 1):
-        theta = spread(lines, rng, 4)
+        theta = sample_variables(lines, rng, 4)
         theta[1:, list(locked)] = theta[0, list(locked)]
-        axes, shift = carried_lines(lines, locked, extra, theta[0])
+        axes, shift = compute_carried_lines(lines, locked, extra, theta[0])
         variants.append(Axes(axes.kinds[places], axes.h[places], axes.o[places]))
-        T = sweep(lines, theta[1:])[0] @ freed(lines, extra, len(theta) - 1)
+        T = compute_line_placements(lines, theta[1:])[0] @ sample_free_motions(
+            lines, extra, len(theta) - 1
+        )
         G = T @ spatial.inverse(lines.tip) @ spatial.inverse(shift)
         goals.append([np.ascontiguousarray(g[:3]).ravel() for g in G])
     at_rest = {
         i for i, j in enumerate(places) if j >= len(lines) and extra.roles[j - len(lines)] == A.REST
     }
-    found = ways(variants, goals, at_rest)
-    return [Strategy(tuple(places[i] for i in w.order), *_tail(w)) for w in found]
+    found = find_strategies(variants, goals, at_rest)
+    return [Strategy(tuple(places[i] for i in w.order), *_extract_settings(w)) for w in found]
 
 
-def _tail(w: Strategy) -> tuple[int, int, int, int, int]:
+def _extract_settings(w: Strategy) -> tuple[int, int, int, int, int]:
     return w.inner, w.what, w.mode, w.measure, w.option
 
 
-def carried_lines(
+def compute_carried_lines(
     lines: Lines, locked: tuple[int, ...], extra: Extra, theta: Array
 ) -> tuple[Axes, Array]:
     """All lines as the locked joints carry them, and the motion (4, 4) of all locked joints."""
@@ -448,7 +469,7 @@ def carried_lines(
     o = np.vstack([lines.o, extra.o])
     for i in range(len(kinds)):
         if i in locked:
-            X = X @ motion(kinds[i], h[i], o[i], theta[i])
+            X = X @ compute_motion(kinds[i], h[i], o[i], theta[i])
         else:
             h[i], o[i] = X[:3, :3] @ h[i], X[:3, :3] @ o[i] + X[:3, 3]
     return Axes(kinds, h, o), X
@@ -462,16 +483,16 @@ def compute_outer_terms(plan: ChainPlan, theta: Array, X: Array) -> Array:
     """
     way = plan.way
     assert way is not None
-    axes, shift = carried_lines(plan.lines, plan.locked, plan.extra, theta)
-    six = axes.ordered(way.order)
+    axes, shift = compute_carried_lines(plan.lines, plan.locked, plan.extra, theta)
+    six = axes.reorder_lines(way.order)
     goal = X @ spatial.inverse(plan.lines.tip) @ spatial.inverse(shift)
     out = np.empty(12)
     flat = np.ascontiguousarray(goal[:3]).ravel()
-    candidates.outer_terms(six.kinds, six.packed(), flat, way.inner, way.what, way.option, out)
+    candidates.outer_terms(six.kinds, six.pack_lines(), flat, way.inner, way.what, way.option, out)
     return out.reshape(2, 2, 3)
 
 
-def pack(
+def pack_plan(
     lines: Lines,
     task: str,
     locked: tuple[int, ...],
@@ -488,7 +509,7 @@ def pack(
     ints[[A.N_LINES, A.N_JOINTS, A.N_LOCKED]] = n + k, n, len(locked)
     order = () if forms is None else forms[0]
     if way is not None:
-        ints[[A.INNER, A.WHAT, A.MODE, A.MEASURE, A.OPTION]] = _tail(way)
+        ints[[A.INNER, A.WHAT, A.MODE, A.MEASURE, A.OPTION]] = _extract_settings(way)
         order = way.order
     if forms is not None:
         ints[A.N_FORMS] = len(forms[1])
@@ -501,14 +522,14 @@ def pack(
     head = np.concatenate([lines.tip[:3].ravel(), TASKS[task], [lines.length], lines.origin])
     axes = Axes(np.zeros(n + k), np.vstack([lines.h, extra.h]), np.vstack([lines.o, extra.o]))
     joints = np.column_stack([lines.offset, lines.multiplier, *lines.limits]).ravel()
-    floats = np.concatenate([head, axes.packed(), joints])
+    floats = np.concatenate([head, axes.pack_lines(), joints])
     method = SEARCH if forms is None else ELIMINATION
     if way is not None:
-        method = SIDE_BY_SIDE if _in_blocks(lines, task, way) else CLOSED_FORM
+        method = SIDE_BY_SIDE if _can_solve_in_blocks(lines, task, way) else CLOSED_FORM
     return ChainPlan(lines, task, locked, method, way, extra, ints, floats)
 
 
-def _in_blocks(lines: Lines, task: str, way: Strategy) -> bool:
+def _can_solve_in_blocks(lines: Lines, task: str, way: Strategy) -> bool:
     """Whether several targets are solved side by side: six turning joints, an equation in one
     unknown.
     """
@@ -519,11 +540,11 @@ def _in_blocks(lines: Lines, task: str, way: Strategy) -> bool:
     return (way.inner, way.option) not in ((1, 0), (2, 1))
 
 
-def _error(plan: ChainPlan) -> float:
+def _estimate_error(plan: ChainPlan) -> float:
     """The angle or length up to which the plan finds four of five random configurations again."""
     lines = plan.lines
     rng = np.random.default_rng(3)
-    theta = spread(lines, rng, TRIALS)
+    theta = sample_variables(lines, rng, TRIALS)
     q = (theta - lines.offset) / lines.multiplier
     n = len(lines)
     floats = plan.floats.copy()  # limits do not matter here
@@ -533,11 +554,11 @@ def _error(plan: ChainPlan) -> float:
     if plan.method.blocks is not None:
         kernel = plan.method.blocks()
         q[:, list(plan.locked)] = q[0, list(plan.locked)]
-        kernel(plan.ints, floats, targets_at(lines, plan.extra, q), q, q[:1], 0, out, numbers)
+        kernel(plan.ints, floats, compute_targets(lines, plan.extra, q), q, q[:1], 0, out, numbers)
     else:
         counts = np.empty((TRIALS, 2), dtype=np.int64)
-        replace(plan, floats=floats).fill(
-            targets_at(lines, plan.extra, q),
+        replace(plan, floats=floats).fill_solutions(
+            compute_targets(lines, plan.extra, q),
             q,
             q,
             1e-9,
@@ -578,49 +599,51 @@ NEARLY = 1e-3
 with two axes."""
 
 
-def plan_holding(lines: Lines, task: str, fixed: tuple[int, ...], planar: bool) -> ChainPlan:
+def make_locked_plan(lines: Lines, task: str, fixed: tuple[int, ...], planar: bool) -> ChainPlan:
     """The plan with as many joints locked, beside those `fixed`, as the chain has too many.
 
     Best is to hold slides that carry an arm of turns: a rail, a torso. Then what counts is how the
     rest is solved (side by side, in closed form, by elimination), and how many random poses have a
     solution inside the limits with the joints held where they are held first.
     """
-    free = free_lines(lines, task, planar)
+    free = make_free_lines(lines, task, planar)
     unknown = [i for i in range(len(lines)) if i not in fixed]
-    rank = freedoms(lines, free, unknown)
+    rank = count_chain_freedoms(lines, free, unknown)
     extra = len(unknown) + len(free.kinds) - rank
     if extra <= 0:
-        return make(lines, task, fixed, planar)
+        return make_plan(lines, task, fixed, planar)
     best: tuple[tuple[float, ...], ChainPlan] | None = None
-    choices = list(_able(lines, task, free, unknown, extra, rank))
+    choices = list(_iterate_lock_choices(lines, task, free, unknown, extra, rank))
     for carried, some in itertools.groupby(
-        choices, lambda choice: _carries(lines, unknown, choice)
+        choices, lambda choice: _holds_all_slides(lines, unknown, choice)
     ):
         group = [tuple(sorted((*fixed, *choice))) for choice in some]
         plans = [
             p
-            for p in (in_closed_form(lines, task, locked, planar) for locked in group)
+            for p in (find_closed_form_plan(lines, task, locked, planar) for locked in group)
             if p is not None
         ]
         plans = plans or [
             p
-            for p in (make(lines, task, x, planar) for x in group[:ELIMINATED])
+            for p in (make_plan(lines, task, x, planar) for x in group[:ELIMINATED])
             if p.method != SEARCH
         ]
         for k, bare in enumerate(plans):
             check_for_stop()
-            plan = replace(bare, first=_first(bare, fixed))
-            key = (METHODS.index(plan.method), -round(_share(plan) / STEP), k)
+            plan = replace(bare, first=_choose_held_values(bare, fixed))
+            key = (METHODS.index(plan.method), -round(_estimate_solved_share(plan) / STEP), k)
             if best is None or key < best[0]:
                 best = key, plan
         if carried and best is not None:
             break
     if best is not None:
         return best[1]
-    return make(lines, task, tuple(sorted((*fixed, *choices[0]))) if choices else fixed, planar)
+    return make_plan(
+        lines, task, tuple(sorted((*fixed, *choices[0]))) if choices else fixed, planar
+    )
 
 
-def _able(
+def _iterate_lock_choices(
     lines: Lines, task: str, free: Extra, unknown: list[int], extra: int, rank: int
 ) -> Iterator[tuple[int, ...]]:
     """Choices that leave the chain all of its freedoms, those that carry an arm of turns first, the
@@ -648,20 +671,23 @@ def _able(
     for choice in every:
         check_for_stop()
         key = frozenset(choice)
-        if key not in seen and freedoms(lines, free, [i for i in unknown if i not in key]) == rank:
+        if (
+            key not in seen
+            and count_chain_freedoms(lines, free, [i for i in unknown if i not in key]) == rank
+        ):
             seen.add(key)
             yield choice
         if len(seen) >= MOST_CHOICES:
             return
 
 
-def _carries(lines: Lines, unknown: list[int], choice: tuple[int, ...]) -> bool:
+def _holds_all_slides(lines: Lines, unknown: list[int], choice: tuple[int, ...]) -> bool:
     """Whether the choice holds all slides of the chain, and leaves an arm of turns."""
     slides = [i for i in unknown if lines.kinds[i] == SLIDE]
     return bool(slides) and set(slides) <= set(choice)
 
 
-def _first(plan: ChainPlan, fixed: tuple[int, ...]) -> tuple[float, ...]:
+def _choose_held_values(plan: ChainPlan, fixed: tuple[int, ...]) -> tuple[float, ...]:
     """Coordinates (n,) at which joints are held by choice where nobody says where: zero, inside the
     limits.
 
@@ -674,20 +700,20 @@ def _first(plan: ChainPlan, fixed: tuple[int, ...]) -> tuple[float, ...]:
     if plan.method != ELIMINATION:
         return tuple(zero.tolist())
     rng = np.random.default_rng(23)
-    theta = spread(lines, rng, 2)
-    theta[1, list(plan.locked)] = lines.theta(zero)[list(plan.locked)]
-    if _aligned(plan, theta[1]) <= _aligned(plan, theta[0]):
+    theta = sample_variables(lines, rng, 2)
+    theta[1, list(plan.locked)] = lines.compute_theta(zero)[list(plan.locked)]
+    if _count_aligned_joints(plan, theta[1]) <= _count_aligned_joints(plan, theta[0]):
         return tuple(zero.tolist())
     aside = np.clip(ASIDE / np.abs(lines.multiplier), *lines.limits)
     there = np.where(aside > zero, aside, np.clip(-ASIDE / np.abs(lines.multiplier), *lines.limits))
     return tuple(there.tolist())
 
 
-def _aligned(plan: ChainPlan, theta: Array) -> int:
+def _count_aligned_joints(plan: ChainPlan, theta: Array) -> int:
     """How many joints that move have an axis nearly parallel to the next one's, or nearly meeting
     it, at theta (n,).
     """
-    axes, _ = carried_lines(plan.lines, plan.locked, plan.extra, theta)
+    axes, _ = compute_carried_lines(plan.lines, plan.locked, plan.extra, theta)
     moving = [i for i in range(len(plan.lines)) if i not in plan.locked]
     count = 0
     for i, j in itertools.pairwise(moving):
@@ -697,19 +723,19 @@ def _aligned(plan: ChainPlan, theta: Array) -> int:
     return count
 
 
-def _share(plan: ChainPlan) -> float:
+def _estimate_solved_share(plan: ChainPlan) -> float:
     """The share of random poses that have a solution inside the limits with the locked joints where
     they are first.
     """
     lines = plan.lines
     n = len(plan.lines)
-    q = within_domains(lines, np.random.default_rng(17).random((SAMPLES, n)))
+    q = scale_to_domains(lines, np.random.default_rng(17).random((SAMPLES, n)))
     held = np.array([plan.first])
     out = np.empty((SAMPLES, A.SLOTS, n + A.INFO))
     counts = np.empty((SAMPLES, 2), dtype=np.int64)
     tolerance = 1e-9 * max(lines.length, 1.0)
-    plan.fill(
-        targets_at(lines, plan.extra, q),
+    plan.fill_solutions(
+        compute_targets(lines, plan.extra, q),
         held,
         held,
         tolerance,
@@ -723,7 +749,7 @@ def _share(plan: ChainPlan) -> float:
     return float(((code >= 0.0) & (code.astype(np.int64) % 2 == 1)).any(axis=1).mean())
 
 
-def domains(lines: Lines) -> Array:
+def compute_domains(lines: Lines) -> Array:
     """Values (2, n) between which joints are looked at: limits; else a turn, or two lengths of the
     chain each way.
     """
@@ -737,18 +763,18 @@ def domains(lines: Lines) -> Array:
     return np.stack([first, last])
 
 
-def within_domains(lines: Lines, shares: Array) -> Array:
+def scale_to_domains(lines: Lines, shares: Array) -> Array:
     """Coordinates (m, n) at these shares (m, n) of the ways from the first to the last values of
-    `domains`.
+    `compute_domains`.
     """
-    first, last = domains(lines)
+    first, last = compute_domains(lines)
     return first + shares * (last - first)
 
 
 # ---- the plan of a task
 
 
-def plan_for(
+def find_plan(
     system: Model,
     frame: str,
     lines: Lines,
@@ -757,25 +783,29 @@ def plan_for(
     fixed: tuple[str, ...],
 ) -> ChainPlan:
     """The plan for a task with these joints held; of redundant chains more are held, by choice."""
-    return _plan(system, frame, task, axis, tuple(sorted(lines.names.index(n) for n in fixed)))
+    return _build_plan(
+        system, frame, task, axis, tuple(sorted(lines.names.index(n) for n in fixed))
+    )
 
 
 @keep_answers
-def _plan(
+def _build_plan(
     system: Model, frame: str, task: str, axis: tuple[float, float, float], at: tuple[int, ...]
 ) -> ChainPlan:
     planar = system.dim == 2
     return replace(
-        plan_holding(chain_lines(system, frame, axis), task, at, planar), fixed=at, planar=planar
+        make_locked_plan(find_chain_lines(system, frame, axis), task, at, planar),
+        fixed=at,
+        planar=planar,
     )
 
 
-def plan_or_reason(
+def find_plan_or_reason(
     system: Model, frame: str, task: str, axis: tuple[float, float, float]
 ) -> ChainPlan | str:
     """The plan that answers a task of a frame, or why numbers have to."""
     try:
-        plan = plan_for(system, frame, chain_lines(system, frame, axis), task, axis, ())
+        plan = find_plan(system, frame, find_chain_lines(system, frame, axis), task, axis, ())
     except UnsupportedError as error:
         return str(error)
     if plan.method != SEARCH and not plan.locked:

@@ -35,7 +35,7 @@ class Watch:
         self.late = np.zeros(count, dtype=bool)
 
     @property
-    def over(self) -> bool:
+    def is_over(self) -> bool:
         """Whether the time is up."""
         return time.monotonic() >= self.limit.end
 
@@ -66,7 +66,7 @@ class ChainProblem:
         """Whether the time is up, which is noted of the targets `which`: a number, a slice, or an
         array of numbers.
         """
-        if self.watch is None or not self.watch.over:
+        if self.watch is None or not self.watch.is_over:
             return False
         self.watch.late[which if self.numbers is None else self.numbers[which]] = True
         return True
@@ -82,7 +82,7 @@ class ChainProblem:
         return max(self.requested, min(self.tolerance, ANGULAR))
 
 
-def within(tolerance: Any) -> float:
+def read_solution_tolerance(tolerance: Any) -> float:
     """The tolerance of a solution. Errors: `InputError`."""
     number: Any = tolerance
     if isinstance(tolerance, (int, float, np.number)) and 0.0 < number < math.inf:
@@ -92,7 +92,7 @@ def within(tolerance: Any) -> float:
     )
 
 
-def held_by(fixed: Any) -> Mapping[str, Any]:
+def read_fixed_values(fixed: Any) -> Mapping[str, Any]:
     """Values of held joints by name, unchecked; empty for None. Errors: `InputError` for what is no
     mapping.
     """
@@ -104,12 +104,12 @@ def held_by(fixed: Any) -> Mapping[str, Any]:
     return names or {}
 
 
-def held(frame: str, names: tuple[str, ...], fixed: object) -> dict[str, Array]:
+def read_held_joints(frame: str, names: tuple[str, ...], fixed: object) -> dict[str, Array]:
     """Values of joints of the chain that are held, by name. Errors: `InputError`,
     `UnknownNameError`.
     """
     out: dict[str, Array] = {}
-    for name, value in held_by(fixed).items():
+    for name, value in read_fixed_values(fixed).items():
         if name not in names:
             raise UnknownNameError("joint", str(name), names, f"the chain of {frame!r}")
         out[name] = read_reals(
@@ -118,7 +118,9 @@ def held(frame: str, names: tuple[str, ...], fixed: object) -> dict[str, Array]:
     return out
 
 
-def near_of(system: Model, near: Any, lead: tuple[int, ...] | None) -> Array | None:
+def read_near_configurations(
+    system: Model, near: Any, lead: tuple[int, ...] | None
+) -> Array | None:
     """Configurations (1 or N, nq) near which angles are given; None for none. Errors: `InputError`."""
     if near is None:
         return None

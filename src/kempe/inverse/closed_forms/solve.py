@@ -32,7 +32,7 @@ NONE = np.zeros(0, dtype=np.int64)
 """No targets."""
 
 
-def attainable(targets: Array, lines: Lines) -> float:
+def estimate_attainable_error(targets: Array, lines: Lines) -> float:
     """The error [m] that rounding leaves, given the size of targets and chain: far away it is above
     the tolerance.
     """
@@ -48,7 +48,7 @@ def attainable(targets: Array, lines: Lines) -> float:
     )
 
 
-def solve_held(
+def solve_locked_chain(
     problem: ChainProblem,
     plan: ChainPlan,
     chain_near: Array,
@@ -69,16 +69,16 @@ def solve_held(
     out = np.empty((n, plan.method.slots, len(lines) + A.INFO))
     counts = np.zeros((n, 2), dtype=np.int64)
     if plan.method == SEARCH:
-        from kempe.inverse.closed_forms.start_search import search
+        from kempe.inverse.closed_forms.start_search import search_targets
 
-        search(problem, plan, chain_near, locked, out, counts, np.arange(n))
+        search_targets(problem, plan, chain_near, locked, out, counts, np.arange(n))
         return out, counts
     blocks = None if plan.method.blocks is None else plan.method.blocks()
     piece = plan.method.piece
     if not plan.locked:
         locked = locked[:1]
 
-    def pieces(i: int, j: int) -> int:
+    def solve_pieces(i: int, j: int) -> int:
         for k in range(i, j, piece):
             check_for_stop()
             last = min(k + piece, j)
@@ -86,10 +86,10 @@ def solve_held(
                 out[k:last, :, -A.INFO + A.CODE] = A.UNUSED
                 counts[k:last, 1] = 1
             else:
-                work(k, last)
+                solve_chunk(k, last)
         return 0
 
-    def work(i: int, j: int) -> int:
+    def solve_chunk(i: int, j: int) -> int:
         some = chain_near[i:j] if len(chain_near) > 1 else chain_near
         held_at = locked[i:j] if len(locked) > 1 else locked
         which = np.arange(j - i)
@@ -105,7 +105,7 @@ def solve_held(
             if left <= 0:
                 return 0
             which = which[:left].copy()
-        plan.fill(
+        plan.fill_solutions(
             targets[i:j],
             some,
             held_at,
@@ -118,18 +118,18 @@ def solve_held(
         )
         return 0
 
-    over_chunks(pieces, n, CHUNK, threads, SERIAL_BELOW)
+    over_chunks(solve_pieces, n, CHUNK, threads, SERIAL_BELOW)
     maybe_none = n != 1 or counts.item(0) == 0
     if (lines.kinds == SLIDE).any():
         counts[np.linalg.norm(targets[:, :3, 3] - lines.origin, axis=1) > FAR * lines.length, 1] = 1
-    none = np.flatnonzero(counts[:, 0] == 0) if maybe_none and plan.rests else NONE
-    if len(none) and (other := plan.other) is not None:  # two completions have to agree
+    none = np.flatnonzero(counts[:, 0] == 0) if maybe_none and plan.has_resting_lines else NONE
+    if len(none) and (other := plan.alternative_plan) is not None:  # two completions have to agree
         for k in range(0, len(none), ELIMINATED):
             some = none[k : k + ELIMINATED]
             if problem.stopped(some):
                 counts[some, 1] = 1
                 continue
-            other.fill(
+            other.fill_solutions(
                 targets,
                 chain_near,
                 locked,
@@ -144,9 +144,9 @@ def solve_held(
         np.flatnonzero((counts[:, 1] == 1) & (counts[:, 0] == 0)) if maybe_none and starts else NONE
     )
     if len(lost):  # the equations said nothing: starts may
-        from kempe.inverse.closed_forms.start_search import search
+        from kempe.inverse.closed_forms.start_search import search_targets
 
-        search(problem, plan, chain_near, locked, out, counts, lost)
+        search_targets(problem, plan, chain_near, locked, out, counts, lost)
     if lines.span.wide or plan.blurred:  # a structure may be there by rounding alone
         counts[:, 1] = 1
     return out, counts

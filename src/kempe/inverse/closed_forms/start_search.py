@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe.answers.targets import targets_with_axis
-from kempe.inverse.chain.problem import ITERATIONS, MOST, FrameProblem, rows_of
-from kempe.inverse.chain.serial_chain import chain_of
+from kempe.inverse.chain.problem import ITERATIONS, MOST, FrameProblem, pack_row_flags
+from kempe.inverse.chain.serial_chain import find_chain
 from kempe.inverse.closed_forms.descent import Aim
 from kempe.inverse.closed_forms.plan import ChainPlan
 from kempe.inverse.closed_forms.problem import ChainProblem
@@ -48,7 +48,7 @@ APART = 1e-6
 """Solutions nearer than this are one."""
 
 
-def search(
+def search_targets(
     problem: ChainProblem,
     plan: ChainPlan,
     near: Array,
@@ -72,30 +72,32 @@ def search(
             counts[i, 0] = -1
             continue
         at = i if len(locked) > 1 else 0
-        found, error = _solutions(problem, plan, target, locked[at])
-        _write(plan, found, error, near[i if len(near) > 1 else 0], out[i], problem.lead is None)
+        found, error = _find_solutions(problem, plan, target, locked[at])
+        _write_rows(
+            plan, found, error, near[i if len(near) > 1 else 0], out[i], problem.lead is None
+        )
         counts[i, 0] = int((out[i, :, -A.INFO + A.CODE] >= 0.0).sum())
 
 
-def _solutions(
+def _find_solutions(
     problem: ChainProblem, plan: ChainPlan, target: Array, locked: Array
 ) -> tuple[Array, Array]:
     """Variables (k, n) of distinct solutions, and their errors (k,)."""
     lines = plan.lines
     rng = np.random.default_rng(0)
-    aim = Aim.of(problem, plan, target, plan.locked)
+    aim = Aim.from_target(problem, plan, target, plan.locked)
     theta = np.where(
         lines.kinds == SLIDE,
         rng.uniform(-2.0, 2.0, (STARTS, len(lines))),
         rng.uniform(-np.pi, np.pi, (STARTS, len(lines))),
     )
-    theta[:, list(plan.locked)] = lines.theta(locked)[list(plan.locked)]
+    theta[:, list(plan.locked)] = lines.compute_theta(locked)[list(plan.locked)]
     if not lines.span.wide:
-        theta = _reached(problem, plan, target, theta)
+        theta = _search_from_starts(problem, plan, target, theta)
     if not len(theta):
         return theta, np.zeros(0)
 
-    def damped(e: Array, J: Array) -> Array:
+    def compute_damped_step(e: Array, J: Array) -> Array:
         damping = np.minimum(0.05 * (e * e).sum(axis=1), 0.1) + FLOOR
         N = np.swapaxes(J, 1, 2) @ J
         damping += FLOOR * np.trace(N, axis1=1, axis2=2)  # else LU may find it singular
@@ -105,13 +107,19 @@ def _solutions(
         return y
 
     theta = gauss_newton_of_many(
-        lambda x, _: aim.at(x), theta, STEPS, step=damped, met=1e-15, last=0.0, longest=LONGEST
+        lambda x, _: aim.linearise_errors(x),
+        theta,
+        STEPS,
+        step=compute_damped_step,
+        met=1e-15,
+        last=0.0,
+        longest=LONGEST,
     )
-    size = np.linalg.norm(aim.at(theta)[0], axis=1)
+    size = np.linalg.norm(aim.linearise_errors(theta)[0], axis=1)
     found: list[Array] = []
     error: list[float] = []
     for k in np.flatnonzero(size <= problem.tolerance / max(lines.length, 1.0)):
-        if all(_gap(lines, theta[k], x) > APART for x in found):
+        if all(_compute_gap(lines, theta[k], x) > APART for x in found):
             found.append(theta[k])
             error.append(size[k] * max(lines.length, 1.0))
         if len(found) == plan.method.slots:
@@ -119,9 +127,9 @@ def _solutions(
     return np.array(found, dtype=float).reshape(-1, len(lines)), np.array(error)
 
 
-def frame_problem(problem: ChainProblem) -> FrameProblem:
+def make_frame_problem(problem: ChainProblem) -> FrameProblem:
     """The problem, as numerical solvers read it."""
-    chain = chain_of(problem.system, problem.frame, problem.axis)
+    chain = find_chain(problem.system, problem.frame, problem.axis)
     tolerance = (problem.tolerance, problem.angular)
     return FrameProblem(
         problem.system,
@@ -136,20 +144,22 @@ def frame_problem(problem: ChainProblem) -> FrameProblem:
     )
 
 
-def places_in(chain: Chain, lines: Lines) -> np.ndarray:
+def find_chain_columns(chain: Chain, lines: Lines) -> np.ndarray:
     """Of each line (n,) the coordinate of the packed chain."""
     return np.argsort(chain.q_index)[np.argsort(np.argsort(lines.q_index))]
 
 
-def _reached(problem: ChainProblem, plan: ChainPlan, target: Array, theta: Array) -> Array:
+def _search_from_starts(
+    problem: ChainProblem, plan: ChainPlan, target: Array, theta: Array
+) -> Array:
     """Variables (k, n) from which the target is a few steps, and which differ, of searches from
     theta (m, n).
     """
     lines = plan.lines
-    task = frame_problem(problem)
+    task = make_frame_problem(problem)
     chain = task.chain
     n = len(lines)
-    at = places_in(chain, lines)
+    at = find_chain_columns(chain, lines)
     pins = list(plan.locked)
     goal = targets_with_axis(target[None], problem.axis)
     seeds = np.empty((len(theta), 1, n))
@@ -158,7 +168,7 @@ def _reached(problem: ChainProblem, plan: ChainPlan, target: Array, theta: Array
     seeds[:, 0, at] = (theta - lines.offset) / lines.multiplier
     limits[:, at[pins]] = seeds[0, 0, at[pins]]
     circular[at[pins]] = 0
-    wanted = rows_of(replace(task, chain=replace(chain, circular=circular)))
+    wanted = pack_row_flags(replace(task, chain=replace(chain, circular=circular)))
     goals = np.repeat(goal, len(theta), axis=0)
     out = np.empty((len(theta), n + ANSWER))
     schedule.reach(
@@ -177,26 +187,26 @@ def _reached(problem: ChainProblem, plan: ChainPlan, target: Array, theta: Array
         0.0,
         out,
     )
-    found = lines.theta(out[out[:, n + STATUS] == SOLVED][:, at])
+    found = lines.compute_theta(out[out[:, n + STATUS] == SOLVED][:, at])
     kept: list[Array] = []
     for x in found:
-        if all(_gap(lines, x, y) > ALIKE for y in kept):
+        if all(_compute_gap(lines, x, y) > ALIKE for y in kept):
             kept.append(x)
         if len(kept) == MANY:
             break
     return np.array(kept).reshape(-1, n)
 
 
-def _gap(lines: Lines, x: Array, y: Array) -> float:
+def _compute_gap(lines: Lines, x: Array, y: Array) -> float:
     """The largest difference of a joint between two configurations."""
-    return float(np.abs(np.where(lines.kinds == SLIDE, x - y, _wrapped(x - y))).max())
+    return float(np.abs(np.where(lines.kinds == SLIDE, x - y, _wrap_angles(x - y))).max())
 
 
-def _wrapped(x: Array) -> Array:
+def _wrap_angles(x: Array) -> Array:
     return x - 2.0 * math.pi * np.round(x / (2.0 * math.pi))
 
 
-def _write(
+def _write_rows(
     plan: ChainPlan, found: Array, error: Array, near: Array, out: Array, sort: bool
 ) -> None:
     """Write the rows of one target, of each angle the turn inside the limits that is nearest to

@@ -44,12 +44,12 @@ class Axes:
     h: Array
     o: Array
 
-    def ordered(self, order: tuple[int, ...]) -> Axes:
+    def reorder_lines(self, order: tuple[int, ...]) -> Axes:
         """The same lines in another order."""
         at = list(order)
         return Axes(self.kinds[at], self.h[at], self.o[at])
 
-    def packed(self) -> Array:
+    def pack_lines(self) -> Array:
         """The lines as kernels read them."""
         out = np.zeros((len(self.kinds), 8))
         out[:, :3] = self.h
@@ -74,12 +74,12 @@ class Strategy:
     option: int
 
 
-def parallel(g: Array, h: Array) -> bool:
+def are_parallel(g: Array, h: Array) -> bool:
     """Whether two unit vectors are parallel, of either sense."""
     return float(np.linalg.norm(np.cross(g, h))) <= EXACT
 
 
-def apart(axes: Axes, i: int, j: int) -> float:
+def compute_line_distance(axes: Axes, i: int, j: int) -> float:
     """The distance between two lines."""
     n = np.cross(axes.h[i], axes.h[j])
     d = axes.o[j] - axes.o[i]
@@ -89,12 +89,12 @@ def apart(axes: Axes, i: int, j: int) -> float:
     return abs(float(n @ d)) / size
 
 
-def meets(axes: Axes, i: int, j: int) -> bool:
+def do_axes_meet(axes: Axes, i: int, j: int) -> bool:
     """Whether two axes that are not parallel meet."""
-    return not parallel(axes.h[i], axes.h[j]) and apart(axes, i, j) <= EXACT
+    return not are_parallel(axes.h[i], axes.h[j]) and compute_line_distance(axes, i, j) <= EXACT
 
 
-def meeting(axes: Axes, places: tuple[int, ...]) -> Array | None:
+def find_meeting_point(axes: Axes, places: tuple[int, ...]) -> Array | None:
     """The point (3,) in which these axes meet, None where they do not (or are all parallel)."""
     across = np.eye(3) - axes.h[list(places), :, None] * axes.h[list(places), None, :]
     total: Array = across.sum(axis=0)
@@ -108,10 +108,11 @@ def meeting(axes: Axes, places: tuple[int, ...]) -> Array | None:
 
 def keeps_point(axes: Axes, k: int) -> bool:
     """Whether turns k, k + 1, k + 2 meet in a point, and can give any rotation near most positions."""
-    if np.any(axes.kinds[k : k + 3] == SLIDE) or parallel(axes.h[k], axes.h[k + 1]):
+    if np.any(axes.kinds[k : k + 3] == SLIDE) or are_parallel(axes.h[k], axes.h[k + 1]):
         return False
     return (
-        not parallel(axes.h[k + 1], axes.h[k + 2]) and meeting(axes, (k, k + 1, k + 2)) is not None
+        not are_parallel(axes.h[k + 1], axes.h[k + 2])
+        and find_meeting_point(axes, (k, k + 1, k + 2)) is not None
     )
 
 
@@ -119,20 +120,20 @@ def keeps_plane(axes: Axes, k: int) -> bool:
     """Whether joints k, k + 1, k + 2 move one plane in itself, with three freedoms."""
     turns = [i for i in range(k, k + 3) if axes.kinds[i] == TURN]
     slides = [i for i in range(k, k + 3) if axes.kinds[i] == SLIDE]
-    if not turns or any(not parallel(axes.h[i], axes.h[turns[0]]) for i in turns[1:]):
+    if not turns or any(not are_parallel(axes.h[i], axes.h[turns[0]]) for i in turns[1:]):
         return False
     if any(abs(float(axes.h[i] @ axes.h[turns[0]])) > EXACT for i in slides):
         return False
     if (
         len(slides) == 2
         and axes.kinds[k + 1] == SLIDE
-        and parallel(axes.h[slides[0]], axes.h[slides[1]])
+        and are_parallel(axes.h[slides[0]], axes.h[slides[1]])
     ):
         return False
-    return not any(i + 1 in turns and apart(axes, i, i + 1) <= EXACT for i in turns)
+    return not any(i + 1 in turns and compute_line_distance(axes, i, i + 1) <= EXACT for i in turns)
 
 
-def swaps(axes: Axes, i: int) -> bool:
+def can_swap_lines(axes: Axes, i: int) -> bool:
     """Whether lines i and i + 1 can change places: two slides, or a slide and a turn along its
     direction.
     """
@@ -140,27 +141,27 @@ def swaps(axes: Axes, i: int) -> bool:
     b = axes.kinds[i + 1]
     if a == SLIDE and b == SLIDE:
         return True
-    return a != b and parallel(axes.h[i], axes.h[i + 1])
+    return a != b and are_parallel(axes.h[i], axes.h[i + 1])
 
 
-def orders(variants: list[Axes]) -> Iterator[tuple[int, ...]]:
+def iterate_orders(variants: list[Axes]) -> Iterator[tuple[int, ...]]:
     """Orders of the lines that are the same chain, the given one first."""
     n = len(variants[0].kinds)
     seen = [tuple(range(n))]
     for order in seen:
         yield order
-        now = [axes.ordered(order) for axes in variants]
+        now = [axes.reorder_lines(order) for axes in variants]
         for i in range(n - 1):
             other = (*order[:i], order[i + 1], order[i], *order[i + 2 :])
             if (
                 other not in seen
                 and len(seen) < TURNED_OVER
-                and all(swaps(axes, i) for axes in now)
+                and all(can_swap_lines(axes, i) for axes in now)
             ):
                 seen.append(other)
 
 
-def ways(variants: list[Axes], goals: list[Any], at_rest: set[int]) -> list[Strategy]:
+def find_strategies(variants: list[Axes], goals: list[Any], at_rest: set[int]) -> list[Strategy]:
     """All ways to solve six lines in closed form, the best first.
 
     variants: the lines for several positions of locked joints, of which the structure must be
@@ -168,8 +169,8 @@ def ways(variants: list[Axes], goals: list[Any], at_rest: set[int]) -> list[Stra
     joint and must stay at zero.
     """
     found: list[tuple[int, Strategy]] = []
-    for order in orders(variants):
-        now = [axes.ordered(order) for axes in variants]
+    for order in iterate_orders(variants):
+        now = [axes.reorder_lines(order) for axes in variants]
         for k in range(4):
             outer = {order[(k + 3 + i) % 6] for i in range(3)}
             for what, keeps in ((POINT, keeps_point), (PLANE, keeps_plane)):
@@ -183,12 +184,12 @@ def ways(variants: list[Axes], goals: list[Any], at_rest: set[int]) -> list[Stra
                 ):
                     found += [
                         (rank, Strategy(order, k, what, *how))
-                        for rank, how in _outer(now, goals, k, what)
+                        for rank, how in _iterate_outer_solutions(now, goals, k, what)
                     ]
     return [way for _, way in sorted(found, key=lambda pair: pair[0])]
 
 
-def _outer(
+def _iterate_outer_solutions(
     now: list[Axes], goals: list[Array], k: int, what: int
 ) -> Iterator[tuple[int, tuple[int, int, int]]]:
     """How the outer joints can be solved: (rank, (mode, measure, option)), rank 0 the best."""
@@ -196,7 +197,7 @@ def _outer(
         size = np.zeros((2, 2, 2))  # joint x or z, measure, largest or smallest over the goals
         size[..., 1] = np.inf
         for axes, some in zip(now, goals, strict=True):
-            lines = axes.packed()
+            lines = axes.pack_lines()
             for goal in some:
                 terms = np.empty(12)
                 candidates.outer_terms(axes.kinds, lines, goal, k, what, option, terms)

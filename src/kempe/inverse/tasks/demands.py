@@ -16,7 +16,7 @@ from kempe.budget import list_checks, watched_by
 from kempe.equations.judge import Numbers
 from kempe.equations.packed_tasks import Packed
 from kempe.equations.tasks import Goal, Task
-from kempe.inverse.chain.serial_chain import inside
+from kempe.inverse.chain.serial_chain import move_inside_limits
 from kempe.kernels.base import search_layout as S
 from kempe.kernels.compiled import task_search
 from kempe.model.configurations import sample_configurations
@@ -263,7 +263,7 @@ class Demands:
             return q
         untouched = apart(self.packed, self.pins)
         if untouched.size and not (q[:, untouched] == starts[:, untouched]).all():
-            own = inside(self.system, starts.copy()) if self.limits else starts
+            own = move_inside_limits(self.system, starts.copy()) if self.limits else starts
             sound = ~np.isnan(q).any(axis=1)
             q[np.ix_(sound, untouched)] = (own if len(own) == 1 else own[sound])[:, untouched]
         return q

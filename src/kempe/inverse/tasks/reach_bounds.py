@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe.equations.tasks import Goal, Task
-from kempe.inverse.chain.length_bounds import ReachBound, by_lengths, reach_bounds
+from kempe.inverse.chain.length_bounds import ReachBound, compute_reach_bounds, measure_bound_excess
 from kempe.kernels.constraints import loop_layout as L
 from kempe.model.gauge import regauge_table
 from kempe.model.own_tree import remove_cut_marks
@@ -59,7 +59,7 @@ def beyond(problem: Demands, task: Task, goal: Goal) -> Array:
     # else that is the reason
     turned = shape.turned and freedoms >= (3 if system.dim == 2 else 6)
     axes = sorted(shape.axes)
-    return by_lengths(bounds, pose, problem.tolerance_of(task), turned, axes, system.dim)
+    return measure_bound_excess(bounds, pose, problem.tolerance_of(task), turned, axes, system.dim)
 
 
 def _bounds(system: Model, frame: str, tool: Array) -> tuple[list[ReachBound], int]:
@@ -70,5 +70,7 @@ def _bounds(system: Model, frame: str, tool: Array) -> tuple[list[ReachBound], i
     packed = table.pack_arrays([frame])
     limits = system.structure.limits[v_index].T
     return [
-        b for arrays in (packed, regauge_table(*packed)) for b in reach_bounds(*arrays, limits)
+        b
+        for arrays in (packed, regauge_table(*packed))
+        for b in compute_reach_bounds(*arrays, limits)
     ], len(v_index)

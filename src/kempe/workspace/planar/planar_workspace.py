@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from kempe.arguments import explain_errors, explain_method_errors, numbers
 from kempe.errors import InputError, UnsupportedError
 from kempe.forward.joint_lines import compute_joint_lines
-from kempe.inverse.chain.serial_chain import obstacle
+from kempe.inverse.chain.serial_chain import find_obstacle
 from kempe.late import import_late
 from kempe.report import Report, brief
 from kempe.spatial import Array
@@ -74,7 +74,7 @@ def planar_region(
             f"constraint {declared!r} of {system.name} may bound the workspace by other curves"
         )
     legs = legs_of(system, frame)
-    if not legs and (why := obstacle(system, frame)) is not None:
+    if not legs and (why := find_obstacle(system, frame)) is not None:
         raise UnsupportedError(why)
     chains = [planar_chain(leg, frame) for leg in legs or (system,)]
     if question.kind == REACHABLE:
