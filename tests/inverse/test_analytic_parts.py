@@ -46,7 +46,8 @@ def linear(A: np.ndarray, b: np.ndarray) -> Any:
     """An aim whose errors are b - A x."""
     n = A.shape[1]
     return SimpleNamespace(
-        moves=np.arange(n), linearise_errors=lambda x: (b - x @ A.T, np.broadcast_to(A, (len(x), *A.shape)))
+        moves=np.arange(n),
+        linearise_errors=lambda x: (b - x @ A.T, np.broadcast_to(A, (len(x), *A.shape))),
     )
 
 

@@ -42,7 +42,9 @@ if TYPE_CHECKING:
 
 
 def compute_status_codes(solutions: Solutions) -> np.ndarray:
-    """The `Status` numbers (N,): that there is no solution is proven where the answer is complete.
+    """Compute the `Status` numbers (N,) of the targets.
+
+    That there is no solution is proven where the answer is complete.
 
     Solutions that were left out, of a whole answer, are outside of limits or of one-sided
     constraints. What is known of curves of solutions is no proof.
@@ -61,7 +63,7 @@ def compute_status_codes(solutions: Solutions) -> np.ndarray:
 
 
 def list_goals(solutions: Solutions) -> list[tuple[Any, Any, Any]]:
-    """Tasks, goals and tolerances of the target, for each of its solutions."""
+    """List tasks, goals and tolerances of the target, for each of its solutions."""
     problem = solutions.problem
     lead = solutions._lead
     X = problem.targets[0] if lead is None else problem.targets.reshape(*lead, 1, 4, 4)
@@ -82,8 +84,9 @@ MOST_ROWS = 20_000
 
 
 def select_inside_rows(rows: Array, single: bool) -> Array:
-    """The rows (N, K, n + 2) with those outside the limits not in use; of a single target these
-    come last.
+    """Select rows (N, K, n + 2) of solutions inside the limits; mark the others as unused.
+
+    Of a single target the unused rows come last.
     """
     code = rows[..., -A.INFO + A.CODE]
     out = rows.copy()
@@ -92,15 +95,16 @@ def select_inside_rows(rows: Array, single: bool) -> Array:
 
 
 def pack_rows(rows: Array) -> Array:
-    """The rows (N, K, n + 2) with those in use first, in their order."""
+    """Move the used rows (N, K, n + 2) to the front, in their order."""
     unused = rows[..., -A.INFO + A.CODE] < 0.0
     order = np.argsort(unused, axis=1, kind="stable")
     return np.take_along_axis(rows, order[..., None], axis=1)
 
 
 def expand_rows(rows: Array, lines: Lines) -> Array:
-    """The rows (N, K, n + 2) with every turn of each angle that is inside the limits; what is
-    outside stays as it is.
+    """Add a row (N, K, n + 2) for every further turn of an angle that is inside the limits.
+
+    Solutions outside the limits stay as they are.
 
     Errors: `InputError` where one target would have more than MOST_ROWS.
     """
@@ -134,8 +138,9 @@ def expand_rows(rows: Array, lines: Lines) -> Array:
 
 
 def follow_branches(rows: Array, lines: Lines, length: int) -> Array:
-    """The rows (N, K, n + 2) of trajectories of `length` targets, each in the place of the one that
-    it continues.
+    """Reorder rows (N, K, n + 2) so that each place follows one branch along a trajectory.
+
+    Trajectories have `length` targets.
     """
     from scipy import optimize
 
@@ -163,7 +168,10 @@ def follow_branches(rows: Array, lines: Lines, length: int) -> Array:
 
 @dataclass(frozen=True)
 class SolutionsRow(Row):
-    """What `ik_all` says of its answers; targets are numbered along all axes of a batch."""
+    """Functions that describe answers of `ik_all`.
+
+    Targets are numbered along all axes of a batch.
+    """
 
     held: Callable[[Any], str]
     """Where joints are held, in a sentence."""
@@ -175,18 +183,18 @@ class SolutionsRow(Row):
 
 
 class Bound(Protocol):
-    """The bound form of a plain call, which tells the problem that was solved for a pose (4, 4)."""
+    """The prepared form of a plain call, which can make the problem of a pose (4, 4)."""
 
     system: Model
 
     def make_problem(self, target: Array) -> ChainProblem:
-        """The problem that was solved."""
+        """Make the problem of a target (4, 4)."""
         ...
 
 
 @explain_method_errors
 class Solutions(ConfigurationList, Answer):
-    """All configurations that reach a target, or each of a batch of targets.
+    """All configurations that reach a target, or each target of a batch.
 
     For one target: `q` (k, nq), those inside the limits first, each group sorted by nearness to
     `start`. For a batch: `q` (..., K, nq), NaN where `mask` (..., K) is False; along a trajectory a
@@ -250,30 +258,31 @@ class Solutions(ConfigurationList, Answer):
 
     @cached_property
     def _code(self) -> np.ndarray:
-        """Codes of all rows (N, K), see `kempe.kernels.closed_form.analytic_layout`; 0 for rows not
-        in use.
+        """Codes of all rows (N, K); 0 for unused rows.
+
+        See `kempe.kernels.closed_form.analytic_layout`.
         """
         code = self._rows[..., len(self.plan.lines) + A.CODE]
         return np.where(code >= 0.0, code, 0.0).astype(np.int64)
 
     @cached_property
     def _used_rows(self) -> np.ndarray:
-        """Which rows (N, K) are in use."""
+        """Mask (N, K) of the rows in use."""
         return self._rows[..., len(self.plan.lines) + A.CODE] >= 0.0
 
     @cached_property
     def mask(self) -> np.ndarray:
-        """Which rows (..., K) of a batch are in use; of a single target all (k,)."""
+        """Mask (..., K) of the rows of a batch that are in use; all (k,) for a single target."""
         return self._reshape_rows(self._used_rows)
 
     def _reshape_rows(self, rows: Array) -> Any:
-        """Rows (N, K, ...) in the shape of the answer."""
+        """Reshape rows (N, K, ...) to the shape of the answer."""
         if self._lead is None:
             return rows[0, : int(self._used_rows[0].sum()) if self._count is None else self._count]
         return rows.reshape(*self._lead, *rows.shape[1:])
 
     def _reshape_values(self, values: Array) -> Array:
-        """Numbers (N, K, ...) in the shape of the answer, NaN in rows not in use."""
+        """Reshape numbers (N, K, ...) to the shape of the answer, NaN in unused rows."""
         if self._lead is not None and not self._used_rows.all():
             shape = (*self._used_rows.shape, *[1] * (values.ndim - 2))
             values = np.where(self._used_rows.reshape(shape), values, np.nan)
@@ -285,7 +294,7 @@ class Solutions(ConfigurationList, Answer):
         return self._reshape_values(self._fill_configurations())
 
     def _fill_configurations(self) -> Array:
-        """Configurations (N, K, nq) of all rows."""
+        """Fill the configurations (N, K, nq) of all rows."""
         n = self.system.nq
         index = self.plan.lines.q_index
         own = self._rows[..., : len(index)]
@@ -303,23 +312,24 @@ class Solutions(ConfigurationList, Answer):
 
     @cached_property
     def inside(self) -> np.ndarray:
-        """Whether each is inside the limits, (k,) or (..., K)."""
+        """Whether each solution is inside the limits, (k,) or (..., K)."""
         return self._reshape_rows(self._code % 2 == 1)
 
     @cached_property
     def multiplicity(self) -> np.ndarray:
-        """How many roots each is, (k,) or (..., K); 0 for one of a family, and in rows not in use."""
+        """Multiplicity of each solution as a root, (k,) or (..., K); 0 for members of a family."""
         return self._reshape_rows(self._code // int(A.MULTIPLICITY_UNIT))
 
     @cached_property
     def branch(self) -> np.ndarray:
-        """Number of the branch of each, (k,) or (..., K), -1 where there is none."""
+        """Number of the branch of each solution, (k,) or (..., K); -1 where there is none."""
         unit = int(A.SLOT_UNIT)
         return self._reshape_rows(self._code % int(A.MULTIPLICITY_UNIT) // unit - 1)
 
     def table(self) -> tuple[list[str], Array]:
-        """Names and columns for a file: a row a solution, of a batch with the number of its target
-        before it.
+        """Return names and columns for a file: one row for each solution.
+
+        Of a batch the number of the target comes first.
         """
         names = list(self.system.coordinate_names)
         mask = self.mask
@@ -333,22 +343,18 @@ class Solutions(ConfigurationList, Answer):
 
     @property
     def _held_values(self) -> tuple[Array | None, Array | None, np.ndarray | None]:
-        """Where joints are held, where they were held first, and how many values were tried."""
+        """Values of held joints, values at first, and numbers of values that were tried."""
         return self._locked, self._first, self._tried
 
     @property
     def spare(self) -> tuple[str, ...]:
-        """Names of the joints that are held since the chain has more than the task needs, not by
-        the caller.
-        """
+        """Names of joints held because the chain has more than the task needs, not by the caller."""
         plan = self.plan
         return tuple(plan.lines.names[i] for i in plan.spare_joints)
 
     @cached_property
     def held(self) -> dict[str, Any]:
-        """Where joints are held, by name: a number, or an array (...) with one for each target of a
-        batch.
-        """
+        """Values of held joints by name: a number, or an array (...) for the targets of a batch."""
         out: dict[str, Any] = {}
         locked = self._base[:, self.plan.lines.q_index] if self._locked is None else self._locked
         for i in self.plan.locked:
@@ -360,25 +366,28 @@ class Solutions(ConfigurationList, Answer):
 
     @property
     def tried(self) -> Any:
-        """At how many values of the `spare` joints solutions were requested: an int, or an array
-        (...) of a batch.
+        """Number of values of the `spare` joints at which solutions were computed.
+
+        An int, or an array (...) of a batch.
         """
         tried = np.ones(len(self._rows), dtype=np.int64) if self._tried is None else self._tried
         return int(tried[0]) if self._lead is None else tried.reshape(self._lead)
 
     @cached_property
     def _kind(self) -> Kind | None:
+        """Kind of arm whose branches have names; None for others."""
         return recognise_kind(self.plan, self.system.dim == 2)
 
     @property
     def titles(self) -> tuple[str, ...]:
-        """Names of the configurations in pictures: of their branches, else numbers."""
+        """Names of the configurations in pictures: names of branches, or else numbers."""
         return tuple(name or str(k) for k, name in enumerate(np.ravel(self.names).tolist(), 1))
 
     @cached_property
     def names(self) -> np.ndarray:
-        """Name of the branch of each, (k,) or (..., K): "elbow-up", or "shoulder left, elbow up, no
-        flip".
+        """Name of the branch of each solution, (k,) or (..., K), such as "elbow-up".
+
+        Arms in space have names such as "shoulder left, elbow up, no flip".
 
         A name depends on the configuration alone, and says "singular" on the border of two
         branches. It is "" where there is none: for other chains than planar arms, SCARAs, those of
@@ -395,8 +404,9 @@ class Solutions(ConfigurationList, Answer):
         return self._reshape_rows(out)
 
     def named(self, words: str | Iterable[str]) -> np.ndarray:
-        """Which solutions have these words in their names, (k,) or (..., K):
-        ``a.q[a.named("elbow up, no flip")]``.
+        """Return a mask (k,) or (..., K) of the solutions whose names contain all given words.
+
+        For example ``a.q[a.named("elbow up, no flip")]``.
 
         Errors: `InputError` where the branches of the chain have no names, `UnknownNameError` for
         other words.
@@ -407,8 +417,7 @@ class Solutions(ConfigurationList, Answer):
 
     @cached_property
     def jacobian(self) -> Array:
-        """Jacobians (k, 6, n) or (..., K, 6, n) of the chain's joints at the solutions, rows in the
-        frame of the tip.
+        """Jacobians (k, 6, n) or (..., K, 6, n) of the chain at the solutions, in the tip's frame.
 
         Rows that the task does not read and columns of joints that are held are zero; in metres and
         radians.
@@ -428,8 +437,9 @@ class Solutions(ConfigurationList, Answer):
 
     @cached_property
     def condition(self) -> Array:
-        """Condition numbers (k,) or (..., K) of the Jacobian, lengths measured by the chain's;
-        infinite if singular.
+        """Condition numbers (k,) or (..., K) of the Jacobian; infinite if singular.
+
+        Lengths are measured by that of the chain.
         """
         plan = self.plan
         J = np.nan_to_num(self.jacobian)
@@ -450,8 +460,9 @@ class Solutions(ConfigurationList, Answer):
 
     @cached_property
     def derivative(self) -> Array:
-        """dq (k, nv, 6) or (..., K, nv, 6) for a twist [linear; angular] of the target, ground
-        axes, at its origin.
+        """Derivatives dq (k, nv, 6) or (..., K, nv, 6) for a twist [linear; angular] of the target.
+
+        In ground axes, at the target's origin.
 
         The pseudoinverse of the Jacobian where the task asks for less than a pose, or the chain has
         fewer joints.
@@ -472,15 +483,16 @@ class Solutions(ConfigurationList, Answer):
 
     @cached_property
     def complete(self) -> Any:
-        """Whether there are no other isolated solutions: bool, or (...) of a batch."""
+        """Whether no other isolated solutions exist: bool, or (...) of a batch."""
         proven = self.plan.method.word != "search" and self.plan.locked == self.plan.fixed
         sure = (self._counts[:, 1] == 0) & proven & (self._counts[:, 0] >= 0)
         return bool(sure[0]) if self._lead is None else sure.reshape(self._lead)
 
     @property
     def late(self) -> Any:
-        """Whether the time limit ended the work, so that there may be other solutions: bool, or
-        (...) of a batch.
+        """Whether the time limit ended the search early: bool, or (...) of a batch.
+
+        Then there may be other solutions.
         """
         if self._ended is None:
             return False if self._lead is None else np.zeros(self._lead, dtype=bool)
@@ -496,9 +508,7 @@ class Solutions(ConfigurationList, Answer):
 
     @property
     def families(self) -> Any:
-        """Self-motions, curves of solutions: a list of `Family`; of a batch an array (...) of
-        lists.
-        """
+        """Families of solutions, which are self-motions: a list of `Family`, (...) for a batch."""
         if self._lead is None:
             return self._families[0][0]
         out = np.empty(len(self._families), dtype=object)
@@ -508,9 +518,7 @@ class Solutions(ConfigurationList, Answer):
 
     @property
     def family(self) -> np.ndarray:
-        """Number of the family that each is a member of, (k,) or (..., K), -1 for isolated
-        solutions.
-        """
+        """Number of the family of each solution, (k,) or (..., K); -1 for isolated solutions."""
         return self._reshape_rows(
             np.array([rows for _, rows in self._families]).reshape(self._used_rows.shape)
         )
@@ -529,8 +537,9 @@ class Solutions(ConfigurationList, Answer):
 
     @cached_property
     def code(self) -> Any:
-        """The outcome (...): solved where a solution is inside the limits, failures proven where it
-        is `complete`.
+        """Status (...) of each target: solved where a solution is inside the limits.
+
+        Failures are proven where the answer is `complete`.
         """
         code = compute_status_codes(self)
         return to_status(code[0]) if self._lead is None else code.reshape(self._lead)
@@ -542,8 +551,9 @@ class Solutions(ConfigurationList, Answer):
         return self.mask
 
     def nearest(self, index: int = 0) -> tuple[Array, float, float]:
-        """The configuration (nq,) inside the limits that comes closest to a target, and how far it
-        is off: [m], [rad].
+        """Return the configuration (nq,) inside the limits closest to a target, and its errors.
+
+        Errors are in [m] and [rad].
 
         index: number of the target in a batch, counted along all its axes.
         """
@@ -554,9 +564,7 @@ class Solutions(ConfigurationList, Answer):
         return self._row.nearest(self, index)
 
     def chosen(self, expand_turns: bool, inside_only: bool) -> Solutions:
-        """The same answer with every turn inside the limits listed, or without what is outside
-        them.
-        """
+        """Return the answer with every turn inside the limits listed, or only solutions inside."""
 
         rows = self._rows
         if inside_only:
@@ -566,8 +574,9 @@ class Solutions(ConfigurationList, Answer):
         return self._replace_rows(rows, self)
 
     def along(self) -> Solutions:
-        """The same batch with its rows in the order in which branches continue along the last axis
-        of the targets.
+        """Return the batch with rows ordered so that each row follows one branch along the targets.
+
+        Along the last axis of the targets.
 
         Where branches have names (`branch`), rows do so already; others are matched by the smallest
         change of the joints from one target to the next. A branch that ends leaves its row to the
@@ -582,8 +591,9 @@ class Solutions(ConfigurationList, Answer):
     def _replace_rows(
         self, rows: Array, whole: Solutions | None, left_out: np.ndarray | None = None
     ) -> Solutions:
-        """The same answer with other rows; what is said is about the `whole`, and what was left
-        out.
+        """Return the same answer with other rows.
+
+        Sentences describe the answer `whole`, and `left_out` what was left out.
         """
         out = Solutions(
             self._problem,
@@ -627,7 +637,7 @@ class Solutions(ConfigurationList, Answer):
         return f"{text}; {self._row.held(self)}" if self.spare and not self.single else text
 
     def _tables(self) -> Sequence[Table]:
-        """A row for each solution: coordinates of the chain, and what is special."""
+        """Table with one row for each solution: coordinates of the chain, and remarks."""
         if not self.mask.any():
             return []
         targets = np.nonzero(self.mask.reshape(-1, self.mask.shape[-1]))[0].tolist()
@@ -667,7 +677,7 @@ class Solutions(ConfigurationList, Answer):
 
 
 def _format_remark(name: str, inside: bool, multiplicity: int) -> str:
-    """What is special of a solution: its branch, limits, how many roots it is."""
+    """Format the remark on a solution: branch, limits, multiplicity."""
     notes = [name] if name else []
     notes += [] if inside else ["outside limits"]
     many = f"{multiplicity} roots" if multiplicity else "one of a family"

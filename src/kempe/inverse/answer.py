@@ -1,4 +1,4 @@
-"""Answers of `ik`: configurations, how well they solve the task, and a sentence that says so."""
+"""Answers of `ik`: configurations, their errors, and sentences on success or failure."""
 
 from __future__ import annotations
 
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 
 def _find_status(number: float) -> Status:
+    """Find the status of a number."""
     return MEMBERS[int(number)]
 
 
@@ -45,7 +46,7 @@ read."""
 
 @dataclass(frozen=True)
 class SolutionRow(Row):
-    """What `ik` says of its answers."""
+    """Functions that describe answers of `ik`."""
 
     proofs: Callable[[Any, tuple[int, ...]], tuple[Any, ...]]
     """What proves that there is no answer for one target."""
@@ -58,7 +59,7 @@ class SolutionRow(Row):
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Solution(Answer):
-    """Answer of the inverse model: one configuration for each target.
+    """Answer of `ik` for targets of a frame: one configuration for each target.
 
     `q` (..., nq) solves the task where `success`; elsewhere it is the nearest configuration found
     inside the limits (NaN for targets that are not numbers). `position_error` in metres and
@@ -91,8 +92,7 @@ class Solution(Answer):
 
     @classmethod
     def reached(cls, problem: Any, q: Array, measured: Array) -> Solution:
-        """The answer for a single target that was reached, in a fraction of the time that a frozen
-        class takes.
+        """Make the answer for a single target that was reached, without the usual checks.
 
         `measured` ends with errors, status, steps and starts, as the kernels leave them: they
         become fields when one is requested.
@@ -109,8 +109,9 @@ class Solution(Answer):
     def postponed(
         cls, code: np.ndarray, problem: Any, later: tuple[Callable[..., Solution], Any]
     ) -> Solution:
-        """The answer for a batch of which only codes (...) are known yet; ``later[0](*later[1])``
-        computes the rest.
+        """Make the answer for a batch with codes (...) only; other fields are computed on demand.
+
+        They come from ``later[0](*later[1])``.
         """
         out = object.__new__(cls)
         out.__dict__.update(success=code == Status.SOLVED, code=code, problem=problem, _later=later)
@@ -142,15 +143,14 @@ class Solution(Answer):
 
     @cached_property
     def residual(self) -> Any:
-        """Error (...) of each configuration: the norm of its position error [m] and orientation
-        error [rad].
-        """
+        """Error (...) of each configuration: norm of position error [m] and rotation error [rad]."""
         return unwrap_scalar(np.hypot(self.position_error, self.orientation_error))
 
     @property
     def proven(self) -> Any:
-        """Where (...) it is proven that no solution exists; elsewhere a failure only means that no
-        start found one.
+        """Mask (...) of targets proven to have no solution.
+
+        Elsewhere a failure only means that no start found one.
 
         Proofs are lengths, two tasks that contradict each other, and limits outside of which all
         the answers are.
@@ -161,7 +161,7 @@ class Solution(Answer):
         return unwrap_scalar(out)
 
     def proofs(self, index: tuple[int, ...] | int = ()) -> tuple[Any, ...]:
-        """What proves that there is no answer for one question, as data; empty where nothing does.
+        """Return the proofs that one target has no solution, as data; empty where there is none.
 
         Each is an `Evidence` (`kempe.answers.evidence`), with figures and a `text`.
         Errors: `InputError` for a place that is not in the batch.
@@ -173,14 +173,12 @@ class Solution(Answer):
 
     @property
     def system(self) -> Model:
-        """The system that was solved for."""
+        """The system of the problem."""
         return self.task.system
 
     @cached_property
     def _local_analysis(self) -> tuple[int, int, int, Array]:
-        """(m, n, rank, basis): equations, freedoms, rank of the equations, and an orthonormal basis
-        of self-motions.
-        """
+        """(m, n, rank, basis): equations, freedoms, rank, and an orthonormal basis of self-motions."""
         if np.ndim(self.success):
             raise InputError(
                 "m, n, rank and self_motion are those of one answer: ask for one problem, not for "
@@ -195,8 +193,9 @@ class Solution(Answer):
 
     @property
     def n(self) -> int:
-        """Freedoms, at the answer, of the joints that move the tasks' frames, directly or through
-        loops.
+        """Number of freedoms of the joints that move the tasks' frames, directly or through loops.
+
+        At the answer.
 
         Their velocity coordinates, less the rank of the loops and relations that these are in.
         """
@@ -204,20 +203,22 @@ class Solution(Answer):
 
     @property
     def rank(self) -> int:
-        """Rank of the hard tasks' Jacobian at the answer, restricted to velocities that keep the
-        loops closed.
+        """Rank of the Jacobian of the hard tasks at the answer.
+
+        It is restricted to velocities that keep the loops closed.
         """
         return self._local_analysis[2]
 
     @property
     def redundancy(self) -> int:
-        """Freedoms that the hard tasks leave to the joints that move their frames, n - rank."""
+        """Number of freedoms that the hard tasks leave to the joints, n - rank."""
         return self.n - self.rank
 
     @property
     def self_motion(self) -> Array:
-        """Orthonormal basis (nv, k) of velocities that keep loops and tasks, in radians and
-        characteristic lengths.
+        """Orthonormal basis (nv, k) of velocities that keep loops and tasks.
+
+        In radians and characteristic lengths.
         """
         return self._local_analysis[3]
 
@@ -231,15 +232,19 @@ class Solution(Answer):
         return [(Task(task.system, c), None, task.tolerance) for c in made]
 
     def plot_history(self, ax: Any = None) -> Any:
-        """Matplotlib axes with the errors over the steps; for answers of ``ik(..., history=True)``."""
+        """Plot the errors over the steps on Matplotlib axes.
+
+        For answers of ``ik(..., history=True)``.
+        """
         if self.history is None:
             raise InputError("this answer has no history; ask for it by ik(..., history=True)")
         return self.history.plot(ax)
 
     @cached_property
     def derivative(self) -> Any:
-        """dq (..., nv, 6) for a twist [linear; angular] of the target; see
-        `kempe.inverse.derivative`.
+        """Derivatives dq (..., nv, 6) for a twist [linear; angular] of the target.
+
+        See `kempe.inverse.derivative`.
         """
         return self._row.derive(self)
 
@@ -247,9 +252,7 @@ class Solution(Answer):
         return self._row.sentence(self, index) + self._describe_manoeuvre(index)
 
     def _describe_manoeuvre(self, index: tuple[int, ...]) -> str:
-        """End of a success sentence: under velocity constraints, that driving there needs a
-        manoeuvre; else ''.
-        """
+        """End a success sentence: under velocity constraints, that driving there needs a manoeuvre."""
         if not np.asarray(self.success)[index] or not rolls(self.system):
             return ""
         return import_late("way_there")(self.system)
@@ -261,7 +264,7 @@ class Solution(Answer):
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Reached(Solution):
-    """Answer of `System.ik` for tasks.
+    """Answer of `System.ik` for a list of tasks.
 
     As `Solution`; `position_error` and `orientation_error` are the largest among the hard tasks.
     `errors` gives for each task, by its label, how far it is missed (..., 2) in metres and radians.
@@ -286,7 +289,7 @@ class Reached(Solution):
 
     @cached_property
     def derivative(self) -> dict[str, Array]:
-        """For each task, by its label, dq (..., nv, k) for motions of its goal.
+        """Derivatives dq (..., nv, k) for motions of the goal of each task, by the task's label.
 
         See `kempe.inverse.derivative`.
         """
@@ -303,7 +306,7 @@ MOST_LINES = 32
 
 @dataclass(frozen=True, eq=False)
 class IkHistory(Report):
-    """What a search found after each of its steps, one row each.
+    """Errors of a search after each of its steps, one row each.
 
     `q` (k, nq) is the nearest configuration that its start had found by then (steps that lead away
     are taken, too, and repeat the row before), `position_error` (k,) in metres, `orientation_error`
@@ -322,12 +325,12 @@ class IkHistory(Report):
 
     @property
     def errors(self) -> Array:
-        """Position and orientation error (k, 2)."""
+        """Position and orientation error (k, 2) after each step."""
         return np.stack([self.position_error, self.orientation_error], axis=-1)
 
     @property
     def status(self) -> str:
-        """How many steps and starts there are, and how the errors fell."""
+        """Numbers of steps and starts, and how the errors fell."""
         last = (
             f"{self.position_error[-1]:.2g} m"
             + f" and {self.orientation_error[-1]:.2g} rad" * self._has_orientation
@@ -341,6 +344,7 @@ class IkHistory(Report):
 
     @property
     def _has_orientation(self) -> bool:
+        """Whether the task has an orientation error."""
         return bool(np.any(self.orientation_error > 0.0))
 
     def _notes(self, degrees: bool = False) -> list[str]:
@@ -360,8 +364,9 @@ class IkHistory(Report):
         return {name: getattr(self, name) for name in names}
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Matplotlib axes with the errors over the steps, a line for each start; see
-        `kempe.views.plots.plot_history`.
+        """Plot the errors over the steps on Matplotlib axes, one line for each start.
+
+        See `kempe.views.plots.plot_history`.
 
         The iterates themselves are drawn by ``system.plot(history.q)``.
         """

@@ -1,4 +1,4 @@
-"""Arms with a shoulder and a wrist: all configurations for a pose, over the arm angle.
+"""Arms of seven joints with shoulder and wrist: all configurations, over the arm angle.
 
 Seven turns: three axes that meet in the shoulder point S, the elbow axis, three axes that meet in
 the wrist point W. A pose fixes W, and |SW| the elbow's angle; the arm can still turn about the line
@@ -76,8 +76,9 @@ TWO_PI = 2.0 * math.pi
 
 @dataclass(frozen=True, eq=False)
 class Arm:
-    """An arm: its lines, the points S, E and W at theta = 0, the reference, and |SW|^2 = size +
-    cosine c4 + sine s4.
+    """An arm of seven joints: its lines, points S, E and W at theta = 0, and its reference.
+
+    The distance of shoulder and wrist is |SW|^2 = size + cosine c4 + sine s4.
     """
 
     lines: Lines
@@ -90,20 +91,21 @@ class Arm:
     sine: float
 
     def compute_upper_arm(self, theta: Array) -> tuple[Array, Array]:
-        """(W - S, E - S), both (..., 3), with the elbow at theta (...) and the shoulder at rest."""
+        """Compute W - S and E - S, (..., 3), for the elbow at theta (...), the shoulder at rest."""
         o = self.elbow
         W = o + compute_rotations(self.lines.h[ELBOW], theta) @ (self.wrist - o)
         return W - self.shoulder, np.broadcast_to(o - self.shoulder, W.shape)
 
     @property
     def stretched_angle(self) -> float:
-        """The elbow's angle at which the arm is longest."""
+        """Angle of the elbow at which the arm is longest."""
         return math.atan2(self.sine, self.cosine)
 
 
 def recognise_arm(lines: Lines, reference: ArrayLike | None = None) -> Arm | str:
-    """The arm that a chain is, or a sentence that says why it is none. Errors: `InputError` for the
-    reference.
+    """Recognise the arm of a chain, or return the reason why it is none.
+
+    Errors: `InputError` for the reference.
     """
     if len(lines) != 7:
         return f"it has {format_count(len(lines), 'joint')}, not seven"
@@ -140,6 +142,7 @@ def recognise_arm(lines: Lines, reference: ArrayLike | None = None) -> Arm | str
 
 
 def _read_reference(lines: Lines, given: ArrayLike | None) -> Array:
+    """Read the reference direction as a unit vector (3,)."""
     if given is None:
         return lines.h[0]
     z = read_reals(given, "reference")
@@ -152,7 +155,10 @@ def _read_reference(lines: Lines, given: ArrayLike | None) -> Array:
 
 
 def find_arm(system: Model, frame: str, reference: ArrayLike | None = None) -> Arm | str:
-    """The arm that moves a frame, or why there is none. Errors: `InputError`."""
+    """Find the arm that moves a frame, or the reason why there is none.
+
+    Errors: `InputError`.
+    """
     if reference is not None:
         return recognise_arm(find_chain_lines(system, frame, Z_AXIS), reference)
     return _find_default_arm(system, frame)
@@ -160,11 +166,15 @@ def find_arm(system: Model, frame: str, reference: ArrayLike | None = None) -> A
 
 @keep_answers
 def _find_default_arm(system: Model, frame: str) -> Arm | str:
+    """Find the arm of a frame with the default reference, once."""
     return recognise_arm(find_chain_lines(system, frame, Z_AXIS))
 
 
 def require_arm(system: Model, frame: str, reference: ArrayLike | None = None) -> Arm:
-    """The arm that moves a frame. Errors: `UnsupportedError` for other chains, with the reason."""
+    """Return the arm that moves a frame.
+
+    Errors: `UnsupportedError` for other chains, with the reason.
+    """
     arm = find_arm(system, frame, reference)
     if isinstance(arm, str):
         raise UnsupportedError(explain_missing_arm(system, frame, arm))
@@ -172,7 +182,7 @@ def require_arm(system: Model, frame: str, reference: ArrayLike | None = None) -
 
 
 def explain_missing_arm(system: Model, frame: str, why: str) -> str:
-    """The sentence that a frame's chain has no arm angle."""
+    """Write the sentence that a frame's chain has no arm angle."""
     names = ", ".join(find_chain_lines(system, frame, Z_AXIS).names)
     return f"the chain of {frame!r} has no arm angle: {why}; name one of its joints: {names}"
 
@@ -181,8 +191,9 @@ def explain_missing_arm(system: Model, frame: str, why: str) -> str:
 def compute_arm_angle(
     system: Model, q: Any, frame: FrameLike, reference: ArrayLike | None = None
 ) -> Any:
-    """Arm angle (...) of configurations q (..., nq), in (-pi, pi]; a float for one. See the module
-    for what it is.
+    """Compute the arm angle (...) of configurations q (..., nq), in (-pi, pi]; a float for one.
+
+    The module defines the angle.
 
     reference: a direction (3,) in ground axes, by default that of the first joint's axis. Errors:
     `UnsupportedError` for chains that are not shoulder, elbow and wrist of seven joints,
@@ -202,12 +213,14 @@ def compute_arm_angle(
 
 
 def _apply_rotations(R: Array, x: Array) -> Array:
+    """Apply rotations (..., 3, 3) to vectors (..., 3)."""
     return np.einsum("...ij,...j->...i", R, x)
 
 
 def _compute_directions(arm: Arm, theta: Array) -> tuple[Array, Array]:
-    """Unit vectors (..., 3) from S to W, and across that to E, with the elbow at theta and the
-    shoulder at rest.
+    """Compute unit vectors (..., 3) from S to W, and across it to E.
+
+    The elbow is at theta and the shoulder at rest.
     """
     u, e = arm.compute_upper_arm(theta)
     u = u / np.linalg.norm(u, axis=-1, keepdims=True)
@@ -223,8 +236,9 @@ def _compute_directions(arm: Arm, theta: Array) -> tuple[Array, Array]:
 
 
 def compute_reference_direction(z: Array, v: Array) -> Array:
-    """The unit vector (..., 3) across v (..., 3) towards z (3,), or the ground's x or y where v
-    lies along z.
+    """Compute the unit vector (..., 3) across v (..., 3) towards z (3,).
+
+    Where v lies along z, towards the ground's x or y.
     """
     out = np.zeros_like(v)
     left = np.ones(v.shape[:-1], dtype=bool)
@@ -238,7 +252,7 @@ def compute_reference_direction(z: Array, v: Array) -> Array:
 
 
 def compute_rotations(h: Array, theta: Any) -> Array:
-    """Rotations (..., 3, 3) about the unit vector h (3,) by theta (...)."""
+    """Compute rotations (..., 3, 3) about the unit vector h (3,) by theta (...)."""
     theta = np.asarray(theta, dtype=float)[..., None, None]
     K = spatial.skew(h)
     return np.eye(3) + np.sin(theta) * K + 2.0 * np.sin(0.5 * theta) ** 2 * (K @ K)
@@ -248,8 +262,9 @@ def compute_rotations(h: Array, theta: Any) -> Array:
 
 
 def solve_three_turns(h: Array, R: Array) -> tuple[Array, Array]:
-    """Angles (..., 2, 3) with E_a E_b E_c = R, and the discriminant (...) of the two solutions,
-    negative for none.
+    """Solve E_a E_b E_c = R for angles (..., 2, 3), with the discriminant (...).
+
+    The discriminant is negative where there is no solution.
 
     h (3, 3): the axes; R (..., 3, 3). The first has the middle angle turned in its positive sense.
     Where the outer axes fall together the first angle is zero. Source: the problems 1 and 4 of
@@ -285,8 +300,9 @@ def solve_three_turns(h: Array, R: Array) -> tuple[Array, Array]:
 
 
 def _compute_turn_angle(h: Array, u: Array, v: Array) -> Array:
-    """The angle (...) about h (3,) that brings u into the half plane of v; 0 where one of them lies
-    along h.
+    """Compute the angle (...) about h (3,) that brings u into the half plane of v.
+
+    It is 0 where one of them lies along h.
     """
     # now no digits are lost where they come close to h
     u = u - (u @ h)[..., None] * h
@@ -307,8 +323,9 @@ def _compute_turn_angle(h: Array, u: Array, v: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Turning:
-    """A rotation that depends on the arm angle: constant + cosine cos(psi) + sine sin(psi), each
-    (3, 3).
+    """A rotation as a function of the arm angle psi.
+
+    constant + cosine cos(psi) + sine sin(psi), each (3, 3).
     """
 
     constant: Array
@@ -316,12 +333,12 @@ class Turning:
     sine: Array
 
     def evaluate_rotation(self, psi: Array) -> Array:
-        """Rotations (..., 3, 3) at psi (...)."""
+        """Evaluate the rotations (..., 3, 3) at arm angles psi (...)."""
         psi = psi[..., None, None]
         return self.constant + self.cosine * np.cos(psi) + self.sine * np.sin(psi)
 
     def find_angles(self, p: Array, x: Array, k: float) -> list[float]:
-        """Arm angles at which p . R x = k: none, or two."""
+        """Find the arm angles at which p . R x = k: none, or two."""
         a = float(p @ self.cosine @ x)
         b = float(p @ self.sine @ x)
         m = float(p @ self.constant @ x)
@@ -334,8 +351,9 @@ class Turning:
 
 
 def find_events(h: Array, R: Turning, limits: list[tuple[int, float]]) -> list[float]:
-    """Arm angles at which three joints a, b, c with E_a E_b E_c = R(psi) reach limits, or their
-    branches merge.
+    """Find arm angles at which three joints with E_a E_b E_c = R(psi) reach limits or merge.
+
+    Merging means that two branches meet.
 
     h (3, 3): the axes; limits: (joint 0 to 2, angle).
     """
@@ -358,7 +376,7 @@ def find_events(h: Array, R: Turning, limits: list[tuple[int, float]]) -> list[f
 
 @dataclass(frozen=True, eq=False)
 class Half:
-    """One of the two ways to bend the elbow: its angle, and what shoulder and wrist have to be."""
+    """One of the two ways to bend the elbow: its angle, and the rotations of shoulder and wrist."""
 
     theta: float
     shoulder: Turning
@@ -366,7 +384,7 @@ class Half:
 
 
 class Posed:
-    """An arm whose tip is held at a pose (4, 4): its configurations are functions of the arm angle.
+    """An arm with its tip at a pose (4, 4): configurations as functions of the arm angle.
 
     `halves` has the ways to bend the elbow, with their place 0 or 1: two, one where the arm is
     stretched or folded, or none where the pose is out of reach.
@@ -396,7 +414,10 @@ class Posed:
             ]
 
     def solve_branches(self, psi: Array) -> tuple[Array, np.ndarray]:
-        """Variables (m, 8, 7) of the branches at arm angles psi (m,), and which are there (m, 8)."""
+        """Solve for the variables (m, 8, 7) of the branches at arm angles psi (m,).
+
+        Also return the mask (m, 8) of the branches that exist.
+        """
         psi = np.asarray(psi, dtype=float)
         out = np.full((len(psi), 8, 7), np.nan)
         found = np.zeros((len(psi), 8), dtype=bool)
@@ -413,8 +434,9 @@ class Posed:
         return out, found
 
     def find_intervals(self, limited: bool = True) -> list[list[tuple[float, float]]]:
-        """For each branch, intervals of the arm angle in which it exists, and is inside the limits
-        if `limited`.
+        """Find, for each branch, the intervals of the arm angle in which it exists.
+
+        If `limited`, those inside the limits.
 
         low is in [-pi, pi), high may be beyond pi; (-pi, pi) is the whole circle.
         """
@@ -430,7 +452,7 @@ class Posed:
         return out
 
     def _find_arcs(self, half: Half, limited: bool) -> list[tuple[float, float]]:
-        """Arcs of the circle between the events of one way to bend the elbow."""
+        """Find the arcs of the circle between the events of one way to bend the elbow."""
         lines = self.arm.lines
         found: list[float] = []
         for places, R in ((SHOULDER, half.shoulder), (WRIST, half.wrist)):
@@ -447,8 +469,9 @@ class Posed:
 
 
 def _make_half(arm: Arm, goal: Array, frame: Array, theta: float) -> Half:
-    """What shoulder and wrist have to be, with the elbow at theta; columns of frame: v, the
-    reference, the third.
+    """Compute the rotations of shoulder and wrist for an elbow at theta.
+
+    Columns of `frame`: v, the reference, the third.
     """
     u, e = _compute_directions(arm, np.array(theta))
     back = np.stack([u, e, np.cross(u, e)])  # rows: the transposed frame of the upper arm
@@ -460,7 +483,7 @@ def _make_half(arm: Arm, goal: Array, frame: Array, theta: float) -> Half:
 
 
 def is_inside_limits(lines: Lines, theta: Array, slack: float = FITS) -> np.ndarray:
-    """Whether all joints (..., n) are inside their limits (...), by whichever turn."""
+    """Return whether all joints (..., n) are inside their limits (...), by any turn."""
     q = (theta - lines.offset) / lines.multiplier
     low, high = lines.limits
     period = TWO_PI / np.abs(lines.multiplier)
@@ -473,9 +496,7 @@ def is_inside_limits(lines: Lines, theta: Array, slack: float = FITS) -> np.ndar
 
 
 def _add_turns(q: Array, low: Array, high: Array, period: Array) -> Array:
-    """q with whole turns added to be just above the lower limit, or just below the upper where
-    there is no lower.
-    """
+    """Add whole turns to q, so that it is just above the lower limit, or below the upper one."""
     with np.errstate(invalid="ignore"):
         above = low + np.mod(q - low, period)
         below = high - np.mod(high - q, period)

@@ -1,4 +1,4 @@
-"""Derivatives of answers of `ik` with respect to their targets, and to the goals of tasks."""
+"""Derivatives of answers of `ik` with respect to targets, and to the goals of tasks."""
 
 from __future__ import annotations
 
@@ -26,8 +26,9 @@ AT_LIMIT = 1e-9
 
 
 def compute_derivative(solution: Solution) -> Array:
-    """dq (..., nv, 6) for a twist [linear; angular] of the target, ground axes, at its origin; NaN
-    where not reached.
+    """Compute dq (..., nv, 6) for a twist [linear; angular] of the target; NaN where not reached.
+
+    In ground axes, at the target's origin.
 
     By the implicit function theorem, the pseudoinverse of the rows of the Jacobian that the task
     reads: least squares of the velocities where the chain has more freedoms than those. Coordinates
@@ -75,9 +76,7 @@ lengths."""
 
 
 class _DerivativeRows(NamedTuple):
-    """Equations (..., m) and Jacobians (..., m, nv) that hold, and those, weighted, whose squares
-    are least.
-    """
+    """Equations (..., m) that hold, weighted terms with least squares, and their Jacobians."""
 
     held: Array
     H: Array
@@ -86,7 +85,7 @@ class _DerivativeRows(NamedTuple):
 
 
 def compute_task_derivatives(answer: Reached) -> dict[str, Array]:
-    """For each task, by its label, dq (..., nv, k) for motions of its goal; NaN where not reached.
+    """Compute dq (..., nv, k) for motions of each task's goal, by label; NaN where not reached.
 
     The first six columns, of a task whose goal is placed, are for the twist [linear; angular] of
     the goal, at its origin, in ground axes or those of the frame that it hangs on; one column for
@@ -130,7 +129,7 @@ def compute_task_derivatives(answer: Reached) -> dict[str, Array]:
 
 
 def _differentiate_answer(problem: Demands, q: Array) -> dict[str, Array]:
-    """The derivatives of one answer."""
+    """Compute the derivatives of one answer."""
     system = problem.system
     scale = problem.packed.scale
     counts = _find_active_rows(problem, q)
@@ -178,7 +177,7 @@ def _differentiate_answer(problem: Demands, q: Array) -> dict[str, Array]:
 
 
 def _find_active_rows(problem: Demands, q: Array) -> tuple[np.ndarray, np.ndarray, Array]:
-    """Which of the tasks' rows (m,) are held, which are lowered, and the roots of their weights."""
+    """Find the rows (m,) of tasks that hold, those that are minimised, and roots of weights."""
     packed = problem.packed
     error, _ = packed.evaluate(q, problem.pins)
     low, high = packed.ends
@@ -197,7 +196,7 @@ def _find_active_rows(problem: Demands, q: Array) -> tuple[np.ndarray, np.ndarra
 def _compute_rows(
     problem: Demands, q: Array, pins: Array, counts: tuple[np.ndarray, np.ndarray, Array]
 ) -> _DerivativeRows:
-    """What is held and what is lowered at q (..., nq), for pins (n or 1, k)."""
+    """Compute equations and weighted terms at q (..., nq), for pins (n or 1, k)."""
     packed = problem.packed
     (held, soft, weight) = counts
     error, J = packed.evaluate(q, pins)
@@ -224,8 +223,9 @@ def _compute_rows(
 
 
 def _find_free_coordinates(problem: Demands, q: Array, H: Array) -> np.ndarray:
-    """Which velocity coordinates (nv,) move: not those at a limit, unless the others cannot do
-    without them.
+    """Find the velocity coordinates (nv,) that move.
+
+    Those at a limit rest, unless the others cannot do without them.
     """
     system = problem.system
     v = problem.system.structure.layout.vector_v
@@ -242,7 +242,7 @@ def _find_free_coordinates(problem: Demands, q: Array, H: Array) -> np.ndarray:
 
 
 def _perturb_goal(goal: Goal) -> list[Goal]:
-    """The goal moved there and back by a small step along each of its freedoms."""
+    """Move the goal by a small step, forth and back, along each of its freedoms."""
     out: list[Goal] = []
     pose = goal.pose
     if pose is not None:
@@ -261,14 +261,15 @@ def _perturb_goal(goal: Goal) -> list[Goal]:
 
 
 def _move_pose(X: Array, origin: Array, twist: Array) -> Array:
-    """The pose X (4, 4) after a small motion about a point."""
+    """Move the pose X (4, 4) by a small twist about a point."""
     R = spatial.exp_so3(twist[3:])
     return spatial.pose(R @ X[:3, :3], origin + R @ (X[:3, 3] - origin) + twist[:3])
 
 
 def _list_goal_freedoms(number: Array) -> Array:
-    """How the numbers (k,) of a goal can change: each alone, a quaternion by turns about its own
-    axes.
+    """List the ways in which the numbers (k,) of a goal can change.
+
+    Each changes alone; a quaternion turns about its own axes.
     """
     if len(number) != 4:
         return np.eye(len(number))

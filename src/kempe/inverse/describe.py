@@ -1,4 +1,4 @@
-"""`describe_plan`: what is recognised in a chain, and how its inverse model is solved, in words."""
+"""Description of a chain's structure, and of how its inverse kinematics is solved, in words."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ AS_IT_IS = "solved as what they are"
 
 
 def list_axis_relations(lines: Lines) -> tuple[str, ...]:
-    """Facts about consecutive axes of a chain, in its order; they hold in every configuration.
+    """List facts about consecutive axes of a chain that hold in every configuration.
 
     Structures are those that `structure.EXACT` accepts; what misses one by less than `NEAR` is
     reported with its size.
@@ -87,6 +87,7 @@ def list_axis_relations(lines: Lines) -> tuple[str, ...]:
 
 
 def _find_last_parallel(axes: Axes, i: int) -> int:
+    """Find the last of the consecutive axes from i that are parallel."""
     j = i
     while j + 1 < len(axes.kinds) and are_parallel(axes.h[j], axes.h[j + 1]):
         j += 1
@@ -94,7 +95,10 @@ def _find_last_parallel(axes: Axes, i: int) -> int:
 
 
 def _find_last_meeting(axes: Axes, i: int) -> int:
-    """The last of the consecutive turns from i that meet in one point, neighbours not parallel."""
+    """Find the last of the consecutive turns from i that meet in one point.
+
+    Neighbours are not parallel.
+    """
     j = i + 1
     while j + 1 < len(axes.kinds) and keeps_point(axes, j - 1):
         if find_meeting_point(axes, tuple(range(i, j + 2))) is None:
@@ -104,7 +108,7 @@ def _find_last_meeting(axes: Axes, i: int) -> int:
 
 
 def _describe_parallel_joints(lines: Lines, axes: Axes, first: int, last: int) -> list[str]:
-    """Facts about joints of one direction."""
+    """Describe consecutive joints of one direction."""
     turns = [i for i in range(first, last + 1) if axes.kinds[i] != SLIDE]
     slides = [i for i in range(first, last + 1) if axes.kinds[i] == SLIDE]
     sliding = join_words([lines.names[i] for i in slides]) if slides else ""
@@ -131,6 +135,7 @@ def _describe_parallel_joints(lines: Lines, axes: Axes, first: int, last: int) -
 
 
 def _describe_ball(lines: Lines, axes: Axes, first: int, last: int) -> str:
+    """Describe consecutive turns that meet in one point."""
     names = join_words([lines.names[i] for i in range(first, last + 1)])
     right = all(abs(float(axes.h[i] @ axes.h[i + 1])) <= EXACT for i in range(first, last))
     return f"the axes of {names} meet in one point" + (
@@ -139,7 +144,7 @@ def _describe_ball(lines: Lines, axes: Axes, first: int, last: int) -> str:
 
 
 def _describe_pair(lines: Lines, axes: Axes, i: int) -> str:
-    """The fact about two neighbours that are not parallel."""
+    """Describe two neighbouring axes that are not parallel."""
     a = lines.names[i]
     b = lines.names[i + 1]
     angle, sine = _compute_angle(axes.h[i], axes.h[i + 1])
@@ -166,7 +171,7 @@ def _describe_pair(lines: Lines, axes: Axes, i: int) -> str:
 
 
 def _describe_near_ball(lines: Lines, axes: Axes, i: int) -> str:
-    """The fact that three axes nearly meet in one point; '' where they do not."""
+    """Describe three axes that nearly meet in one point; '' for others."""
     if i + 2 >= len(axes.kinds) or np.any(axes.kinds[i : i + 3] == SLIDE):
         return ""
     points: list[Array] = []
@@ -189,20 +194,21 @@ def _describe_near_ball(lines: Lines, axes: Axes, i: int) -> str:
 
 
 def _find_foot(axes: Axes, i: int, j: int) -> Array:
-    """The point (3,) of axis i nearest to axis j."""
+    """Find the point (3,) of axis i nearest to axis j."""
     n = np.cross(axes.h[i], axes.h[j])
     d = axes.o[j] - axes.o[i]
     return axes.o[i] + axes.h[i] * (np.cross(d, axes.h[j]) @ n) / (n @ n)
 
 
 def _compute_angle(g: Array, h: Array) -> tuple[float, float]:
-    """The angle between two axes, at most a right angle, and its sine."""
+    """Compute the angle between two axes, at most a right angle, and its sine."""
     sine = float(np.linalg.norm(np.cross(g, h)))
     cosine = abs(float(g @ h))
     return math.atan2(sine, cosine), sine
 
 
 def _format_metres(lines: Lines, distance: float) -> str:
+    """Format a distance of the chain in metres."""
     return f"{distance * lines.length:.4g} m"
 
 
@@ -221,9 +227,7 @@ ORDERS = {1: "linear equation", 2: "quadratic equation", 4: "quartic equation"}
 
 
 class Step(NamedTuple):
-    """A step of an inverse model: the `joints` that it gives, by which `equation`, and the largest
-    number of their `values`.
-    """
+    """A step of inverse kinematics: the joints it solves, the equation, and the number of values."""
 
     joints: tuple[str, ...]
     equation: str
@@ -235,7 +239,7 @@ class Step(NamedTuple):
 
 
 def list_steps(plan: ChainPlan, fixed: frozenset[str]) -> tuple[Step, ...]:
-    """The steps from a target to all configurations; joints `fixed` are held by the caller."""
+    """List the steps from a target to all configurations; the caller holds the joints `fixed`."""
     names = plan.lines.names
     held = [names[i] for i in plan.locked]
     by_caller = tuple(name for name in held if name in fixed)
@@ -263,9 +267,7 @@ def list_steps(plan: ChainPlan, fixed: frozenset[str]) -> tuple[Step, ...]:
 
 
 def bound_solutions(plan: ChainPlan) -> int:
-    """The largest number of isolated configurations, turns by 2 pi not counted; held joints stay at
-    their values.
-    """
+    """Bound the number of isolated configurations, without turns by 2 pi, for fixed held joints."""
     unknown = len(plan.lines) - len(plan.locked)
     # else the joints would move as one
     if unknown == 1 or (unknown == 2 and plan.task == "pose"):
@@ -275,14 +277,14 @@ def bound_solutions(plan: ChainPlan) -> int:
 
 
 def _bound_by_slides(plan: ChainPlan) -> int:
-    """The largest number of configurations of any six joints of which as many slide."""
+    """Bound the number of configurations of six general joints by their number of slides."""
     unknown = [i for i in range(len(plan.lines)) if i not in plan.locked]
     kinds = np.concatenate([plan.lines.kinds[unknown], plan.extra.kinds])
     return BY_SLIDES.get(int((kinds == SLIDE).sum()), 1) if len(kinds) <= 6 else BY_SLIDES[0]
 
 
 def _list_closed_form_steps(plan: ChainPlan, way: Strategy) -> list[Step]:
-    """The steps of a closed form: two equations of the outer joints x and z, and the inner joints."""
+    """List the steps of a closed form: equations of the outer joints x and z, then inner joints."""
     n = len(plan.lines)
     order = [way.order[(way.inner + k) % 6] for k in range(6)]
     roles = [A.JOINT if j < n else int(plan.extra.roles[j - n]) for j in order]
@@ -331,7 +333,7 @@ def _list_closed_form_steps(plan: ChainPlan, way: Strategy) -> list[Step]:
 
 
 def _measure_factors(plan: ChainPlan) -> Array:
-    """Largest size (2, 2, 2) of the factors of x and z (rows) in both measures, over some targets."""
+    """Measure the largest size (2, 2, 2) of the factors of x and z (rows) over some targets."""
     rng = np.random.default_rng(13)
     lines = plan.lines
     theta = sample_variables(lines, rng, 4)
@@ -350,7 +352,7 @@ WIDTH = 110
 
 @dataclass(frozen=True)
 class Recognised(Report):
-    """What is known about the inverse geometric model of a `frame` for a `task`.
+    """The structure of the chain of a `frame`, and how its inverse kinematics is solved.
 
     `joints` are those that move the frame, from the ground to it, `kinds` whether each "turns" or
     "slides". `list_axis_relations` are facts about consecutive axes, those that a structure misses by little
@@ -378,12 +380,11 @@ class Recognised(Report):
 
     @property
     def status(self) -> str:
-        """What it is about."""
+        """Title of the report: frame, system and task."""
         return f"inverse model of {self.frame} of {self.system}, task {self.task}"
 
     def formulas(self, *, symbols: Mapping[str, Any] | None = None) -> InverseFormulas:
-        """The inverse model as formulas; see
-        `kempe.inverse.formulas.derive_ik`.
+        """Derive the inverse kinematics as formulas; see `kempe.inverse.formulas.derive_ik`.
 
         Errors: `UnsupportedError` where there are no short ones, with the reason.
         """
@@ -403,7 +404,7 @@ class Recognised(Report):
         return {**own, "steps": [step._asdict() for step in self.steps]}
 
     def topics(self) -> list[tuple[str, tuple[str, ...]]]:
-        """The report as (title, lines)."""
+        """Return the report as (title, lines)."""
         joints = ", ".join(f"{n} {k}" for n, k in zip(self.joints, self.kinds, strict=True))
         if set(self.kinds) == {"turns"} and len(self.joints) > 1:
             joints = f"{', '.join(self.joints)}: all turn"
@@ -429,7 +430,7 @@ def describe_plan(
     task: str | tuple[str, ArrayLike] | None = None,
     fixed: Iterable[str] = (),
 ) -> Recognised:
-    """What is recognised in the chain that moves `frame`, and how `ik_all` solves it.
+    """Describe the structure of the chain that moves `frame`, and how `ik_all` solves it.
 
     Arguments as those of `kempe.inverse.ik_all.ik_all`; without a `task` that of a pose,
     or of a position where the chain has no more joints than that has equations. `fixed` are the

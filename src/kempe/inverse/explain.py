@@ -1,5 +1,4 @@
-"""Why a target was not reached: by a proof, or by asking again with more starts, without limits,
-without orientation.
+"""Reasons why a target was not reached: proofs, or findings of further searches.
 
 Proofs are lengths, and limits where all answers are known to be outside them. Else what is found by
 asking again is true, and what is not found is evidence: it is said with the number of starts, and
@@ -80,7 +79,7 @@ ROUNDING = 1e-14
 
 
 def explain_target(solution: Solution, index: tuple[int, ...]) -> str:
-    """The sentence for one target of a solution."""
+    """Write the sentence about one target of a solution."""
     task = solution.task
     figures = (
         solution.code,
@@ -119,7 +118,7 @@ def explain_target(solution: Solution, index: tuple[int, ...]) -> str:
 
 
 def list_proofs(solution: Solution, index: tuple[int, ...]) -> tuple[Evidence, ...]:
-    """What proves that there is no answer for one target of a solution."""
+    """List the proofs that one target of a solution has no answer."""
     task = solution.task
     code = np.asarray(solution.code)
     at = int(np.ravel_multi_index(index, code.shape)) if index else 0
@@ -135,7 +134,10 @@ def list_proofs(solution: Solution, index: tuple[int, ...]) -> tuple[Evidence, .
 
 
 def prove_beyond_lengths(task: FrameProblem, target: Array) -> Evidence | None:
-    """How far a target (1, 4, 4) is out of reach at least, by the lengths of the links."""
+    """Prove that a target (1, 4, 4) is out of reach, by the lengths of the links.
+
+    None where they do not prove it.
+    """
     off = abs(float(target[0, 2, 3])) if task.system.dim == 2 else 0.0
     place, turned = measure_length_excess(task, target)[0].tolist()
     return lengths(
@@ -151,7 +153,7 @@ def prove_beyond_lengths(task: FrameProblem, target: Array) -> Evidence | None:
 def _list_reasons(
     task: FrameProblem, target: Array, q: Array, position: float, angle: float
 ) -> list[Any]:
-    """What speaks for there being no answer; q (n,) is the nearest found, with its errors."""
+    """List reasons why a target has no answer; q (n,) is the nearest found, with its errors."""
     span = task.chain.span
     found = span.explain_rounding() if span.wide else _retry_search(task, target, q)
     found = found or _find_blocking_limits(task, target, q)
@@ -163,8 +165,9 @@ def _list_reasons(
 def _solve_target(
     task: FrameProblem, target: Array, limits: Array | None = None, near: Array | None = None
 ) -> Array | None:
-    """The configuration (n,) of the chain that reaches a target (1, 4, 4), from `start` first; None
-    if none does.
+    """Solve for a configuration (n,) that reaches a target (1, 4, 4); None where none is found.
+
+    The first start is `near`.
     """
     seeds = task.chain.no_seed if near is None else near.reshape(1, 1, -1)
     q, _, info = run(task, seeds, 1, limits, target)
@@ -172,9 +175,7 @@ def _solve_target(
 
 
 def _compute_rank(task: FrameProblem, q: Array, level: float) -> int:
-    """Largest rank, over configurations (N, nq), of those rows of the frame's Jacobian that the
-    task uses.
-    """
+    """Compute the largest rank, over configurations (N, nq), of the task's rows of the Jacobian."""
     J = jacobian(task.system, q, task.frame, "body")
     J[:, 3:] = frame_of(np.array(task.axis)).T @ J[:, 3:]
     J = J[:, [i for i, used in enumerate(task.mask) if used]]
@@ -184,9 +185,7 @@ def _compute_rank(task: FrameProblem, q: Array, level: float) -> int:
 
 
 def count_equations_and_freedoms(task: FrameProblem) -> tuple[int, int]:
-    """The equations of a task, and the freedoms in which the chain moves its frame at random
-    configurations.
-    """
+    """Count the equations of a task, and the freedoms of the chain at random configurations."""
     system = task.system
     rows = sum(map(bool, task.mask))
     wanted = 2 * bool(any(task.mask[:3])) + bool(any(task.mask[3:])) if system.dim == 2 else rows
@@ -194,9 +193,7 @@ def count_equations_and_freedoms(task: FrameProblem) -> tuple[int, int]:
 
 
 def _prove_overdetermined(task: FrameProblem, target: Array) -> Evidence | None:
-    """Whether the task asks for more than the chain can do anywhere: rank of the Jacobian at random
-    configurations.
-    """
+    """Prove that a task has more equations than the chain has freedoms, from the rank."""
     equations, freedoms = count_equations_and_freedoms(task)
     if freedoms >= max(equations, 1):
         return None
@@ -214,8 +211,9 @@ def _prove_overdetermined(task: FrameProblem, target: Array) -> Evidence | None:
 def suggest_tolerance(
     position: float, angle: float, length: float, one: bool = False
 ) -> Evidence | None:
-    """Of a target with more equations than freedoms: the tolerance that accepts it, if it may have
-    been rounded.
+    """Suggest the tolerance that accepts a target which may have been rounded.
+
+    For tasks with more equations than freedoms; None for others.
 
     `position` and `angle` are the errors of the nearest found; None where these are more than
     rounding of figures, seen from a robot with links of this `length`. With `one` the tolerance is
@@ -229,7 +227,7 @@ def suggest_tolerance(
 
 
 def _round_up_error(error: float) -> float:
-    """A round number above an error: one digit, and at least the usual tolerance."""
+    """Round an error up to one digit, at least the usual tolerance."""
     if error <= TOLERANCE[0]:
         return TOLERANCE[0]
     unit = 10.0 ** math.floor(math.log10(error))
@@ -237,7 +235,7 @@ def _round_up_error(error: float) -> float:
 
 
 def _raise_starts(task: FrameProblem) -> FrameProblem:
-    """The same with as many starts as are given by default, at least, and no limit of time."""
+    """Return the task with at least the default number of starts, and no time limit."""
     return replace(
         task,
         starts=max(MOST, task.starts),
@@ -247,8 +245,9 @@ def _raise_starts(task: FrameProblem) -> FrameProblem:
 
 
 def _retry_search(task: FrameProblem, target: Array, nearest: Array) -> Evidence | None:
-    """That other starts find an answer, and where the search was stuck, if it was: `nearest` (n,)
-    is what it found.
+    """Search again with other starts, and report where the first search was stuck.
+
+    `nearest` (n,) is the configuration that it found.
     """
     if _solve_target(replace(_raise_starts(task), rng=task.rng + 1), target) is None:
         return None
@@ -256,7 +255,7 @@ def _retry_search(task: FrameProblem, target: Array, nearest: Array) -> Evidence
 
 
 def _is_singular(task: FrameProblem, q: Array) -> bool:
-    """Whether the chain moves the frame in fewer freedoms at q (n,) than elsewhere."""
+    """Return whether the chain has fewer freedoms at q (n,) than elsewhere."""
     full = task.chain.base[0].copy()
     full[task.chain.q_index] = q
     generic = _compute_rank(task, sample_configurations(task.system, 0, 16), Level.ROUGH)
@@ -264,8 +263,7 @@ def _is_singular(task: FrameProblem, q: Array) -> bool:
 
 
 def _find_blocking_limits(task: FrameProblem, target: Array, nearest: Array) -> Evidence | None:
-    """Which limits block the target, or may do so, by solving without them; `nearest` (n,) is what
-    came nearest.
+    """Find the limits that block the target, or may do so, by solving without limits.
 
     Or that they do not, for all starts may fail where there is an answer.
     """
@@ -314,7 +312,7 @@ def _find_blocking_limits(task: FrameProblem, target: Array, nearest: Array) -> 
 def _find_suspect_limits(
     chain: Chain, bounded: np.ndarray, nearest: Array, free: Array
 ) -> np.ndarray:
-    """Of the bounded coordinates those that are at a limit in `nearest`, or beyond one in `free`."""
+    """Find bounded coordinates that are at a limit in `nearest`, or beyond one in `free`."""
     if len(chain.q_index) != len(chain.v_index):
         return bounded
     low, high = chain.limits
@@ -323,9 +321,7 @@ def _find_suspect_limits(
 
 
 def _explain_near_miss(task: FrameProblem, position: float, angle: float) -> Evidence | None:
-    """What a near miss means, where it is one: by then neither the search nor the workspace is
-    known to end there.
-    """
+    """Explain a near miss; None for larger errors."""
     if not any(task.mask[:3]) or position > NEAR_MISS or angle > NEAR_TURN:
         return None
     longest = task.chain.span.largest
@@ -334,7 +330,7 @@ def _explain_near_miss(task: FrameProblem, position: float, angle: float) -> Evi
 
 
 def _explain_not_found(task: FrameProblem) -> Evidence:
-    """What is left where nothing else was found out."""
+    """Explain a failure without a known reason."""
     limits = bool(np.isfinite(task.chain.limits).any())
     return evidence("not found", limits=limits, place=any(task.mask[:3]), turn=any(task.mask[3:]))
 
@@ -352,14 +348,12 @@ other."""
 
 @quiet
 def prove_unreachable(task: FrameProblem, target: Array) -> Evidence | None:
-    """What proves that a target (1, 4, 4) has no answer inside the limits; None where that is not
-    proven.
-    """
+    """Prove that a target (1, 4, 4) has no answer inside the limits; None without a proof."""
     return _prove_slides_too_short(task, target) or _prove_outside_limits(task, target)
 
 
 def _prove_outside_limits(task: FrameProblem, target: Array) -> Evidence | None:
-    """Whether all the answers there are without limits are outside them."""
+    """Prove that all answers that exist without limits are outside the limits."""
     system = task.system
     chain = task.chain
     plain = np.all(np.abs(numbers_of(task.chain.ints, task.chain.floats)[:, MULTIPLIER]) == 1.0)
@@ -397,9 +391,7 @@ def _prove_outside_limits(task: FrameProblem, target: Array) -> Evidence | None:
 
 
 def _measure_limit_excess(chain: Chain, q: Array) -> float:
-    """How far the coordinate that is farthest outside its limits is outside, whatever whole turns
-    are added.
-    """
+    """Measure how far the worst coordinate is outside its limits, by any whole turns."""
     turning, sliding = find_motion_masks(chain)
     (low, high) = chain.limits
     turns = 2.0 * np.pi * (turning & ~sliding)
@@ -415,9 +407,7 @@ def _measure_limit_excess(chain: Chain, q: Array) -> float:
 
 
 def _prove_slides_too_short(task: FrameProblem, target: Array) -> Evidence | None:
-    """Whether slides which nothing turns end too far from the target, along some direction,
-    whatever the rest does.
-    """
+    """Prove that slides which nothing turns end too far from the target along a direction."""
     chain = task.chain
     table = rows_of(task.chain.ints)
     rows = placements_of(chain.ints, chain.floats)
@@ -461,16 +451,14 @@ def _prove_slides_too_short(task: FrameProblem, target: Array) -> Evidence | Non
 
 
 def describe_solver(solution: Solution) -> Choice:
-    """Which solver searches for answers to such problems."""
+    """Describe the solver that searches for answers to such problems."""
     task = solution.task
     problem = Problem(task.system, "one", frame=task.frame, task=(task.name, task.axis))
     return choose(SOLVERS, problem)[1]
 
 
 def analyse_answer(solution: Solution) -> tuple[int, int, int, Array]:
-    """Equations m, freedoms n, rank, and orthonormal basis (nv, k) of self-motions of one answer,
-    scaled.
-    """
+    """Compute equations m, freedoms n, rank, and a basis (nv, k) of self-motions of one answer."""
     from kempe.answers.targets import of_target
     from kempe.inverse.tasks.search import pose_problem
 

@@ -1,4 +1,4 @@
-"""What `ik_all` says of a target: how many solutions, why these are all, or why there are none."""
+"""Sentences of `ik_all`: how many solutions a target has, and why it has no others, or none."""
 
 from __future__ import annotations
 
@@ -53,9 +53,7 @@ NO_ROOT = {
 
 
 def explain_target(solutions: Solutions, index: int) -> str:
-    """The sentence for target number `index`: how many solutions and why these are all, or why
-    there are none.
-    """
+    """Write the sentence about target number `index`: its solutions, or why it has none."""
     if solutions._counts[index, 0] < 0:
         return not_a_pose(solutions.problem.targets[index])
     limit, late = (
@@ -109,9 +107,7 @@ def explain_target(solutions: Solutions, index: int) -> str:
 
 
 def describe_held_joints(solutions: Solutions) -> str:
-    """Which joints a redundant chain has to spare, and where they are held for the targets; '' for
-    other chains.
-    """
+    """Describe which joints of a redundant chain are held, and where; '' for other chains."""
     if not solutions.spare:
         return ""
     parts: list[str] = []
@@ -129,7 +125,7 @@ def describe_held_joints(solutions: Solutions) -> str:
 
 
 def _describe_found(solutions: Solutions, index: int) -> str:
-    """What was found."""
+    """Describe the solutions that were found."""
     plan = solutions.plan
     spare = plan.spare_joints
     deficient = bool(spare) and not has_spare_joints(plan)
@@ -166,9 +162,7 @@ def _describe_found(solutions: Solutions, index: int) -> str:
 
 
 def has_spare_joints(plan: ChainPlan) -> bool:
-    """Whether the chain has more joints than the task has equations: else freedoms to spare come
-    from its lengths.
-    """
+    """Return whether the chain has more joints than the task has equations."""
     free = make_free_lines(plan.lines, plan.task, plan.planar)
     return len(plan.lines) - len(plan.fixed) + len(free.kinds) > (3 if plan.planar else 6)
 
@@ -176,14 +170,14 @@ def has_spare_joints(plan: ChainPlan) -> bool:
 def _list_held_values(
     solutions: Solutions, index: int, joints: list[int]
 ) -> list[tuple[str, float]]:
-    """The joints with the values at which they are held for target number `index`."""
+    """List the held joints with their values for target number `index`."""
     q = held_coordinates(solutions, index)
     names = solutions.plan.lines.names
     return [(names[i], float(q[i])) for i in joints]
 
 
 def _explain_closed_form(plan: ChainPlan) -> str:
-    """Why there is a closed form."""
+    """Explain why there is a closed form."""
     way = plan.way
     inner = sorted(way.order[way.inner : way.inner + 3]) if way is not None else []
     if way is None or inner[-1] >= len(plan.lines) or np.any(plan.lines.kinds[inner] == SLIDE):
@@ -192,7 +186,7 @@ def _explain_closed_form(plan: ChainPlan) -> str:
 
 
 def _describe_violated_limit(solutions: Solutions, index: int, alone: np.ndarray) -> str:
-    """Which limit the solution violates that is the least beyond its limits."""
+    """Describe the limit that the solution with the smallest violation exceeds."""
     lines = solutions.plan.lines
     q = solutions._rows[index, alone, : len(lines)]
     over = np.maximum(q - lines.limits[1], lines.limits[0] - q)
@@ -212,9 +206,7 @@ CONSTANT = 1e-9
 
 
 def _list_reasons(solutions: Solutions, index: int) -> tuple[list[Any], bool]:
-    """What is to be said of a target without solutions, and whether it holds wherever spare joints
-    are held.
-    """
+    """List reasons why a target has no solutions, and whether they hold for all held values."""
     problem = solutions.problem
     plan = solutions.plan
     system = solutions.system
@@ -243,7 +235,7 @@ def _list_reasons(solutions: Solutions, index: int) -> tuple[list[Any], bool]:
 
 
 def _prove_overdetermined(solutions: Solutions) -> Evidence | None:
-    """Whether the task asks for more than the chain can do anywhere."""
+    """Prove that the task has more equations than the chain has freedoms."""
     plan = solutions.plan
     planar = solutions.system.dim == 2
     unknown = [i for i in range(len(plan.lines)) if i not in plan.fixed]
@@ -260,7 +252,7 @@ def _prove_overdetermined(solutions: Solutions) -> Evidence | None:
 
 
 def _prove_no_root(solutions: Solutions, index: int) -> Evidence | None:
-    """The equation of a closed form that has no root; None where there is none of one unknown."""
+    """Prove that the equation of a closed form has no root; None without such a proof."""
     plan = solutions.plan
     way = solutions.plan.way
     if way is None or way.mode in (AT_REST, COUPLED):
@@ -295,16 +287,15 @@ def _prove_no_root(solutions: Solutions, index: int) -> Evidence | None:
 
 
 def _compute_range(t: Array, wanted: float) -> tuple[float, float, float]:
-    """How far a turn's t0 + t1 cos + t2 sin stays from a value, and the least and the largest that
-    it reaches.
-    """
+    """Compute the range of t0 + t1 cos + t2 sin of a turn, and its distance from a value."""
     size = math.hypot(t[1], t[2])
     return max(t[0] - size - wanted, wanted - t[0] - size, 0.0), t[0] - size, t[0] + size
 
 
 def _find_roots(t: Array, wanted: float, slides: bool) -> list[tuple[float, float]]:
-    """Solutions (f, g) of t0 + t1 f + t2 g = wanted: f, g are cosine and sine of a turn, d and d^2
-    of a slide.
+    """Find solutions (f, g) of t0 + t1 f + t2 g = wanted.
+
+    f and g are cosine and sine of a turn, d and d^2 of a slide.
 
     NaN where any value solves it.
     """
@@ -327,9 +318,7 @@ def _find_roots(t: Array, wanted: float, slides: bool) -> list[tuple[float, floa
 def _make_root_evidence(
     solutions: Solutions, way: Strategy, joint: int, measure: int, t: Array, wanted: float
 ) -> Evidence | None:
-    """That a joint cannot bring what the inner joints keep to where the target wants it; None for
-    joints of nobody.
-    """
+    """Make the evidence that a joint cannot bring the inner joints to the target."""
     plan = solutions.plan
     n = len(plan.lines)
     length = plan.lines.length
@@ -364,7 +353,7 @@ def _make_root_evidence(
 
 
 def describe_solver(solutions: Solutions) -> Choice:
-    """Which solver finds all answers to such problems."""
+    """Describe the solver that finds all answers to such problems."""
     from kempe.inverse.solve_all import SOLVERS
 
     problem = solutions.problem

@@ -1,4 +1,4 @@
-"""Why tasks do not hold: which fail and by how much, and what is proven or speaks for it.
+"""Reasons why tasks do not hold together: which fail, by how much, and proofs.
 
 Proofs are the lengths of links and tasks that contradict each other. Else one asks again: all
 without the limits, each hard task alone, two at a time. What is then found is true, what is not
@@ -42,7 +42,7 @@ MOST_PAIRS = 45
 
 
 def explain_target(answer: Reached, index: tuple[int, ...]) -> str:
-    """The sentence for one problem of an answer."""
+    """Write the sentence about one problem of an answer."""
     figures = (answer.code, answer.iterations, answer.starts)
     number, steps, starts = (int(np.asarray(x)[index]) for x in figures)
     code = Status(number)
@@ -98,7 +98,7 @@ def explain_target(answer: Reached, index: tuple[int, ...]) -> str:
 
 
 def _describe_freedoms(problem: Demands, q: Array) -> str:
-    """How many freedoms the hard tasks leave; '' for large systems."""
+    """Describe how many freedoms the hard tasks leave; '' for large systems."""
     if problem.system.nv > MOST_COORDINATES:
         return ""
     local = Local(problem, q)
@@ -107,7 +107,7 @@ def _describe_freedoms(problem: Demands, q: Array) -> str:
 
 
 def _merge_errors(tasks: Sequence[Task], error: Array) -> tuple[float | None, float | None]:
-    """Errors in metres and radians, None for those that tasks do not have."""
+    """Merge the errors of tasks into one in metres and one in radians; None where there is none."""
     return (
         float(error[0]) if any(t.lengths for t in tasks) else None,
         float(error[1]) if any(t.angles for t in tasks) else None,
@@ -115,17 +115,18 @@ def _merge_errors(tasks: Sequence[Task], error: Array) -> tuple[float | None, fl
 
 
 def _describe_miss(task: Task, misses: dict[str, Array]) -> str:
-    """By how much a task is missed."""
+    """Describe by how much a task is missed."""
     return wording.errors(*_merge_errors([task], misses[task.label]), radians=".3g", by=" and ")
 
 
 def _is_within_tolerance(problem: Demands, task: Task, error: Array) -> bool:
+    """Return whether the error of a task is within its tolerance."""
     linear, angular = problem.tolerance_of(task)
     return bool(error[0] <= linear * 1.000001 and error[1] <= angular * 1.000001)
 
 
 def _describe_violations(problem: Demands, q: Array) -> str:
-    """Which declared one-sided constraints are violated at q (nq,), and by how much."""
+    """Describe declared one-sided constraints that are violated at q (nq,), and by how much."""
     which = ", ".join(v.text for v in problem.packed.one_sided.violations(q))
     return f"violating {which}" if which else ""
 
@@ -133,14 +134,14 @@ def _describe_violations(problem: Demands, q: Array) -> str:
 def _solve_tasks(
     problem: Demands, q: Array, tasks: list[int], limits: bool = True, one_sided: bool = True
 ) -> Array | None:
-    """A configuration (nq,) that holds only these hard tasks, or None."""
+    """Solve for a configuration (nq,) that holds only the given hard tasks, or None."""
     part = problem.only(tasks, limits, one_sided)
     found, info = part.run(q[None])
     return found[0] if judge(part, found, info) else None
 
 
 def _list_reasons(problem: Demands, q: Array) -> list[Any]:
-    """Why the hard tasks of one problem do not hold together; q (nq,) is the nearest found."""
+    """List reasons why the hard tasks do not hold together; q (nq,) is the nearest found."""
     hard = [i for i, t in enumerate(problem.tasks) if t.weight is None]
     proofs = [
         proof for i in hard if (proof := _prove_out_of_reach(problem, i))
@@ -185,7 +186,7 @@ def _list_reasons(problem: Demands, q: Array) -> list[Any]:
 
 
 def list_proofs(answer: Reached, index: tuple[int, ...]) -> tuple[Evidence, ...]:
-    """What proves that the tasks of one problem of an answer do not hold together."""
+    """List the proofs that the tasks of one problem do not hold together."""
     row = int(np.ravel_multi_index(index, np.shape(answer.code))) if index else 0
     code = np.asarray(answer.code)[index]
     problem = answer.problem.of(row)
@@ -200,7 +201,7 @@ def list_proofs(answer: Reached, index: tuple[int, ...]) -> tuple[Evidence, ...]
 
 
 def _find_contradictions(problem: Demands) -> list[Evidence]:
-    """For each two tasks of one problem that exclude each other, how they do, first found."""
+    """Find pairs of tasks that exclude each other, with the reason."""
     out: dict[tuple[int, int], Evidence] = {}
     for i, j, found in contradictions(problem):
         off = float(np.ravel(found.off)[0])
@@ -219,7 +220,7 @@ def _find_contradictions(problem: Demands) -> list[Evidence]:
 
 
 def _prove_out_of_reach(problem: Demands, i: int) -> Evidence | None:
-    """That lengths put a task out of reach, and how far."""
+    """Prove that lengths put a task out of reach, and by how much."""
     task = problem.tasks[i]
     place, turned = beyond(problem, task, problem.goals[i]).reshape(-1, 2)[0].tolist()
     slides: dict[str, None] = {}
@@ -234,7 +235,7 @@ def _prove_out_of_reach(problem: Demands, i: int) -> Evidence | None:
 
 
 def _explain_single_task(problem: Demands, q: Array, i: int, among: bool) -> Evidence:
-    """Why one task is not reached even alone."""
+    """Explain why one task is not reached even alone."""
     label = problem.tasks[i].label
     free = _solve_tasks(problem, q, [i], False)
     if free is not None and (names := outside_limits(problem.system, free)):
@@ -245,7 +246,7 @@ def _explain_single_task(problem: Demands, q: Array, i: int, among: bool) -> Evi
 
 
 def _prove_overdetermined(problem: Demands, q: Array, tasks: list[int]) -> Evidence | None:
-    """Whether tasks have more equations than the system has freedoms; None for large systems, too."""
+    """Prove that tasks have more equations than the system has freedoms; None for large systems."""
     if problem.system.nv > MOST_COORDINATES:
         return None
     equations, freedoms = analyse(problem.only(tasks), q)[:2]
@@ -255,7 +256,7 @@ def _prove_overdetermined(problem: Demands, q: Array, tasks: list[int]) -> Evide
 
 
 def describe_solver(answer: Reached) -> Choice:
-    """Which solver searches for answers to such problems."""
+    """Describe the solver that searches for answers to such problems."""
     return choose(SOLVERS, Problem(answer.problem.system, "one"))[1]
 
 

@@ -1,4 +1,4 @@
-"""Families of `ik_all`: connected sets of infinitely many configurations that reach one target.
+"""Families of solutions of `ik_all`: self-motions, along which a target stays reached.
 
 A solution whose Jacobian is singular lies on a family if there are others on target around it, in
 more than two places. Curves are followed by the tracer of `kempe.numerics.curves`, surfaces are
@@ -107,7 +107,9 @@ root of rounding."""
 
 @dataclass(frozen=True, eq=False)
 class SolutionSet(Curve):
-    """The configurations theta (n,) of a chain that reach a target with the `allowed` error [m, rad].
+    """The set of configurations theta (n,) of a chain that reach a target.
+
+    `allowed` is the error [m, rad] that is tolerated.
 
     `lever` (3,) leads from the point of the tip's body at which errors of `aim` are measured to the
     tip, in the tip's axes.
@@ -119,8 +121,9 @@ class SolutionSet(Curve):
 
     @classmethod
     def from_solutions(cls, solutions: Solutions, index: int) -> SolutionSet:
-        """The set for target number `index`; joints that were held only since they are to spare may
-        move.
+        """Make the set of target number `index`.
+
+        Joints that were held only because they are spare may move.
         """
         aim = aim_of(solutions, index, spare=True)
         lines = aim.lines
@@ -134,12 +137,13 @@ class SolutionSet(Curve):
 
     @property
     def n(self) -> int:
-        """How many joints the chain has."""
+        """Number of joints of the chain."""
         return len(self.aim.lines)
 
     def evaluate_batch(self, theta: Array) -> tuple[Array, Array]:
-        """Residuals (N, m) and Jacobians (N, m, n) at theta (N, n); columns of joints that are held
-        are zero.
+        """Compute residuals (N, m) and Jacobians (N, m, n) at theta (N, n).
+
+        Columns of held joints are zero.
         """
         e, columns = self.aim.linearise_errors(theta)
         J = np.zeros((*e.shape, self.n))
@@ -147,13 +151,14 @@ class SolutionSet(Curve):
         return -e, J
 
     def both(self, x: Array) -> tuple[Array, Array]:
-        """Residual (m,) and Jacobian (m, n) at a configuration (n,)."""
+        """Compute residual (m,) and Jacobian (m, n) at a configuration (n,)."""
         r, J = self.evaluate_batch(x[None])
         return r[0], J[0]
 
     def measure_error(self, r: Array) -> float:
-        """The larger of the errors of position [m], at the tip and where it is measured, and of
-        orientation [rad].
+        """Return the larger of position error [m] and orientation error [rad] of a residual.
+
+        The position is taken at the tip and where it is measured.
         """
         place = self.aim.rows < 3
         size = float(np.linalg.norm(r[place]))
@@ -162,13 +167,14 @@ class SolutionSet(Curve):
         return max(size * self.aim.lines.length, float(np.linalg.norm(r[~place])))
 
     def compute_difference(self, a: Array, b: Array) -> Array:
-        """Difference a - b (..., n), of angles the shortest."""
+        """Compute the difference a - b (..., n); of angles the shortest."""
         d = a - b
         return np.where(self.aim.slide_mask, d, d - 2.0 * math.pi * np.round(d / (2.0 * math.pi)))
 
     def decompose_jacobians(self, J: Array) -> tuple[Array, Array]:
-        """Singular values (..., k) of Jacobians by the joints that may move, the least first, and
-        their directions (..., k, n).
+        """Compute singular values (..., k) of Jacobians, ascending, and directions (..., k, n).
+
+        Only joints that may move count.
         """
         moves = self.aim.moves
         spectrum = Spectrum(J[..., moves])
@@ -181,25 +187,26 @@ class SolutionSet(Curve):
         return values[..., ::-1], directions[..., ::-1, :]
 
     def find_free_directions(self, x: Array, least: int = 1) -> Array:
-        """Orthonormal directions (d, n), at least so many, in which the tip hardly moves at x (n,),
-        the freest first.
+        """Find orthonormal directions (d, n) in which the tip hardly moves at x (n,), freest first.
+
+        At least `least` of them.
         """
         s, directions = self.decompose_jacobians(self.both(x)[1])
         return directions[: max(least, int((s <= SINGULAR).sum()))]
 
     def compute_tangents(self, x: Array, toward: Array) -> Array:
-        """Orthonormal tangents (d, n) of a family at x (n,), nearest to directions `toward` (d, n)."""
+        """Compute orthonormal tangents (d, n) of a family at x (n,), nearest to `toward` (d, n)."""
         free = self.find_free_directions(x, len(toward))
         U, s, Vt = Spectrum(toward @ free.T @ free).thin
         return U @ Vt if s[-1] > 0.1 else toward
 
     def node(self, x: Array, toward: Array, J: Array) -> Node:
-        """The node at a point of a curve, its tangent in the sense of `toward` (n,)."""
+        """Make the node at a point of a curve, its tangent in the sense of `toward` (n,)."""
         way = toward / np.linalg.norm(toward)
         return Node(x, self.compute_tangents(x, way[None])[0], 1.0, 1, NONE, NONE)
 
     def minimise_error(self, x: Array, across: Array) -> GaussNewtonEnd:
-        """Where x (n,) comes to, moved across directions `across` (d, n) until the error is least."""
+        """Minimise the error from x (n,), moving only across directions `across` (d, n)."""
         still = np.zeros(len(across))
 
         def evaluate_rows(x: Array) -> tuple[Array, Array]:
@@ -210,14 +217,14 @@ class SolutionSet(Curve):
         return GaussNewtonEnd(x, r[: -len(across)], J[: -len(across)])
 
     def corrected(self, x: Array, across: Array) -> GaussNewtonEnd | None:
-        """What is on target near x (n,), moved across a direction (n,), or several (d, n); or None."""
+        """Return the point on target near x (n,), moved across `across` (n,) or (d, n); or None."""
         end = self.minimise_error(x, np.atleast_2d(across))
         return end if self.measure_error(end.r) <= SLACK * self.allowed else None
 
     # ---- around a configuration
 
     def find_neighbours(self, x: Array, distance: float) -> Array:
-        """Configurations (k, n) on target at a distance from x (n,), apart from each other."""
+        """Find distinct configurations (k, n) on target at a distance from x (n,)."""
         free = self.find_free_directions(x)
         if len(free) == 1:
             ways = np.concatenate([free, -free])
@@ -245,8 +252,7 @@ class SolutionSet(Curve):
         return np.reshape(out, (-1, self.n))
 
     def find_family_directions(self, x: Array, distance: float) -> Array:
-        """Orthonormal directions (d, n) of the family around x (n,): those in which others are on
-        target.
+        """Find orthonormal directions (d, n) of the family around x (n,).
 
         They are the null space of the Jacobian, or a part of it where roots have merged.
         """
@@ -260,9 +266,7 @@ class SolutionSet(Curve):
         return Spectrum(ways).row_space(SPANNED).T[: len(free)]
 
     def find_families(self, x: Array, base: Array, known: Sequence[Family]) -> list[Family]:
-        """The families on which a configuration (n,) lies, those `known` left out; none where it is
-        isolated.
-        """
+        """Find families through a configuration (n,), other than `known`; none if isolated."""
         s, _ = self.decompose_jacobians(self.both(x)[1])
         if s[0] > SINGULAR:
             return []
@@ -291,17 +295,13 @@ class SolutionSet(Curve):
 
     @property
     def singular_level(self) -> float:
-        """The smallest singular value of solutions that are not determined; less for long chains,
-        whose tolerance is.
-        """
+        """Singular value below which a solution is not determined; lower for long chains."""
         return UNDETERMINED / max(1.0, self.aim.lines.length)
 
     # ---- samples
 
     def walk_randomly(self, x: Array, frame: Array, count: int) -> tuple[Array, Array]:
-        """Samples (m, n) of a random walk from x (n,), with tangents (m, d, n) that begin as
-        `frame`.
-        """
+        """Sample a random walk (m, n) from x (n,), with tangents (m, d, n) that begin as `frame`."""
         rng = np.random.default_rng(2)
         x = self.minimise_error(x, frame).x
         frame = self.compute_tangents(x, frame)
@@ -316,7 +316,8 @@ class SolutionSet(Curve):
         return np.array([x for x, _ in out]), np.array([frame for _, frame in out])
 
     def trace_curve(self, x: Array, way: Array) -> tuple[Array, Array, bool] | None:
-        """Samples (m, n) and tangents (m, 1, n) of the curve through x (n,), and whether it closes;
+        """Trace the curve through x (n,): samples (m, n), tangents (m, 1, n), whether it closes.
+
         None if it leaves the target.
         """
         x, _, J = self.minimise_error(x, way[None])
@@ -334,7 +335,7 @@ class SolutionSet(Curve):
         return theta, np.array([a.t[None] for a in nodes]), end == "closed"
 
     def _trace_half(self, first: Node) -> tuple[list[Node], str]:
-        """Nodes one way, and how they end: "closed", "far", or "off" the target."""
+        """Trace nodes one way, with their end: "closed", "far", or "off" the target."""
         nodes = [first]
 
         def take_step(a: Node, h: float) -> list[Node] | None:
@@ -352,7 +353,7 @@ class SolutionSet(Curve):
         return nodes, "off"
 
     def _passes_node(self, a: Node, b: Node, first: Node) -> bool:
-        """Whether the step from a to b passes the first node."""
+        """Return whether the step from a to b passes the first node."""
         rest = self.compute_difference(first.x, a.x)
         h = float((b.x - a.x) @ a.t)
         along = float(rest @ a.t)
@@ -363,7 +364,10 @@ class SolutionSet(Curve):
         return bool(np.linalg.norm(self.compute_difference(first.x, there)) < 0.02 * h)
 
     def find_crossings(self, theta: Array, tangents: Array) -> Iterator[Array]:
-        """Points (n,) of a curve in which others may cross it: its Jacobian loses one more rank."""
+        """Find points (n,) of a curve at which others may cross it.
+
+        The Jacobian loses one more rank there.
+        """
         from scipy import optimize  # only here: most targets have no families
 
         if len(self.aim.moves) < 2:
@@ -398,7 +402,7 @@ class SolutionSet(Curve):
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Family(InWords):
-    """A connected set of infinitely many configurations that reach a target; limits are ignored.
+    """A connected set of infinitely many configurations that reach a target, limits ignored.
 
     `freedoms` is its dimension, `q` (m, nq) are samples: along a curve in their order, angles
     continuous, and if it is `closed` the first one follows the last; of a family with more freedoms
@@ -425,8 +429,9 @@ class Family(InWords):
     def from_samples(
         cls, target: SolutionSet, base: Array, theta: Array, tangents: Array, closed: bool
     ) -> Family:
-        """The family with samples theta (m, n) and tangents (m, d, n); joints outside the chain are
-        as in `base` (nq,).
+        """Make the family with samples theta (m, n) and tangents (m, d, n).
+
+        Joints outside the chain are as in `base` (nq,).
         """
         lines = target.aim.lines
         freedoms = tangents.shape[1]
@@ -447,9 +452,7 @@ class Family(InWords):
         return len(self.q)
 
     def sample(self, n: int) -> Array:
-        """Members (n, nq): of a curve spaced evenly along it, of other families those of a random
-        walk.
-        """
+        """Sample members (n, nq): evenly along a curve, by a random walk in other families."""
         if not is_whole(n) or n < 1:
             raise InputError(f"n is {n!r}; it must be a whole number from 1")
         target = self._set
@@ -474,8 +477,9 @@ class Family(InWords):
         return _fill_configurations(target, np.array(theta), self._base)
 
     def distance(self, q: ArrayLike) -> Any:
-        """How far configurations (..., nq) are from the family: the largest difference of a joint
-        [rad, m].
+        """Compute the distance of configurations (..., nq) from the family.
+
+        It is the largest difference of a joint [rad, m].
 
         Angles count modulo turns.
         """
@@ -488,14 +492,14 @@ class Family(InWords):
         return float(far[0]) if q.ndim == 1 else far.reshape(q.shape[:-1])
 
     def contains_configuration(self, theta: Array) -> bool:
-        """Whether variables (n,) of the chain are those of a member."""
+        """Return whether variables (n,) of the chain are those of a member."""
         away = np.abs(self._set.compute_difference(self._theta, theta)).max(axis=1).min()
         if self.freedoms == 1 and away > 1.0:
             return False
         return bool(np.abs(self._compute_difference(theta)).max() < max(ON, self._width))
 
     def _compute_difference(self, theta: Array) -> Array:
-        """Difference (n,) from the next member, to which a walk leads from the nearest sample."""
+        """Compute the difference (n,) of theta from the nearest member, found by a walk."""
         target = self._set
         away = target.compute_difference(theta, self._theta)
         k = int(np.argmin((away**2).sum(axis=1)))
@@ -516,12 +520,12 @@ class Family(InWords):
 
     @cached_property
     def text(self) -> str:
-        """What moves, and how: "q4 + q6 = 1.234 while q5 = 0"."""
+        """Description of the motion, such as "q4 + q6 = 1.234 while q5 = 0"."""
         text = self._describe_motion()
         return text if self.residual <= EXACT else f"{text} (on target within {self.residual:.1g})"
 
     def _describe_motion(self) -> str:
-        """What moves, and how, were it exact."""
+        """Describe the motion of the family as if it were exact."""
         lines = self._set.aim.lines
         names = list(self.joints)
         if self.freedoms > 1:
@@ -549,7 +553,7 @@ class Family(InWords):
         return wording.curved_motion(names, names[first], turning, self.closed, ends)
 
     def _list_conditions(self) -> list[int]:
-        """Joints at rest that must be where they are."""
+        """List joints at rest whose values the family requires."""
         names = self._set.aim.lines.names
         at_rest = [i for i in self._set.aim.moves.tolist() if names[i] not in self.joints]
         others = self._theta[0] + PERTURBED * np.eye(self._set.n)[at_rest]
@@ -561,8 +565,9 @@ class Family(InWords):
 
 
 def _fit_equations(names: list[str], slopes: Array, values: Array) -> list[dict[str, float]]:
-    """Linear equations of a straight line, each of two joints: coefficients by joint, and "" for the
-    right side.
+    """Fit linear equations, each of two joints, to a straight line.
+
+    Coefficients are by joint, the right side under "".
     """
     out: list[dict[str, float]] = []
     for name, slope, value in zip(names[1:], slopes[1:], values[1:], strict=True):
@@ -574,7 +579,7 @@ def _fit_equations(names: list[str], slopes: Array, values: Array) -> list[dict[
 
 
 def _fill_configurations(target: SolutionSet, theta: Array, base: Array) -> Array:
-    """Configurations (m, nq) of variables (m, n); other joints as in `base` (nq,)."""
+    """Fill configurations (m, nq) with variables (m, n); other joints are as in `base` (nq,)."""
     lines = target.aim.lines
     q = np.tile(base, (len(theta), 1))
     q[:, lines.q_index] = (theta - lines.offset) / lines.multiplier
@@ -585,8 +590,9 @@ def _fill_configurations(target: SolutionSet, theta: Array, base: Array) -> Arra
 
 
 def find_families(solutions: Solutions, index: int) -> tuple[list[Family], np.ndarray]:
-    """The families of target number `index`, and for each row (K,) of its answer the number of its
-    family, or -1.
+    """Find the families of target number `index`, and the family's number of each row (K,).
+
+    The number is -1 for isolated solutions.
 
     A row belongs to a family if the Jacobian of the task is singular there and the chain can move
     away from it without leaving the target: exactly, or within the tolerance, all the way round or,
@@ -623,7 +629,10 @@ def find_families(solutions: Solutions, index: int) -> tuple[list[Family], np.nd
 
 
 def _read_left_out_samples(solutions: Solutions, index: int) -> Array:
-    """Variables (k, n) of samples of families for which the answer had no room, others among them."""
+    """Read variables (k, n) of family samples for which the answer had no room.
+
+    Isolated solutions may be among them.
+    """
     plan = solutions.plan
     n = len(plan.lines)
     sampled = solutions._used_rows[index] & (solutions._code[index] < A.MULTIPLICITY_UNIT)

@@ -1,4 +1,4 @@
-"""`derive_ik`: the inverse model as formulas, in the steps of its derivation on paper.
+"""Inverse kinematics as formulas, in the steps of a derivation on paper.
 
 It knows planar arms, SCARAs, and arms in space with a wrist or with parallel axes.
 """
@@ -49,7 +49,10 @@ ELBOW = "-1 is elbow up, +1 elbow down"
 
 
 def make_planar_line(joint: JointLine) -> JointLine:
-    """The line of a joint of the plane z = 0, as pairs of x and y; `rate` is the sense of a turn."""
+    """Make the line of a joint of the plane z = 0, with pairs of x and y.
+
+    `rate` is the sense of a turn.
+    """
     return joint._replace(
         point=(joint.point[0], joint.point[1]),
         direction=(joint.direction[0], joint.direction[1]),
@@ -66,8 +69,9 @@ def solve_planar_pose(
     names: list[Any],
     elbow: str = ELBOW,
 ) -> tuple[list[FormulaStep], list[Any]]:
-    """Steps and coordinates as `solve_planar_arm`; of a pose from the place of a last joint that turns,
-    called `names`.
+    """Solve a planar arm for a pose, from the place of its last joint, which turns.
+
+    Steps and coordinates are as in `solve_planar_arm`; `names` are names of that place.
     """
     steps = list[FormulaStep]()
     if angle is not None and arm[-1].turns:
@@ -86,8 +90,9 @@ def solve_planar_pose(
 def solve_planar_arm(
     n: Names, arm: list[JointLine], to: Vector, end: Vector, angle: Any, elbow: str
 ) -> tuple[list[FormulaStep], list[Any]]:
-    """Steps and coordinates: of joints that bring the point `end` to `to`, the last body turned by
-    `angle`.
+    """Solve two or three joints that bring the point `end` to `to`: steps and coordinates.
+
+    The last body is turned by `angle`.
 
     `elbow` says what the sign of two turns is.
     """
@@ -150,13 +155,13 @@ def solve_planar_arm(
 
 
 def _list_turn_coordinates(arm: list[JointLine], turns: list[Any], angle: Any) -> list[Any]:
-    """Coordinates of joints that turn: by these, the last one by what is left of the angle."""
+    """List the coordinates of turning joints, the last one from the remaining angle."""
     last = [] if angle is None else [angle - sum(turns)]
     return [j.rate * x for j, x in zip(arm, [*turns, *last], strict=True)]
 
 
 def _split_vector(v: Vector, along: Vector) -> tuple[Any, Any]:
-    """Parts of a vector along a direction and to the left of it."""
+    """Split a vector into its parts along a direction and to the left of it."""
     return v[0] * along[0] + v[1] * along[1], along[0] * v[1] - along[1] * v[0]
 
 
@@ -187,8 +192,9 @@ PLACES = ("first", "second", "third", "fourth")
 
 @dataclass(frozen=True)
 class ArmPlane:
-    """The lines of an arm at q = 0: the plane of the joints after the first has the `normal`, and
-    `out` is in it.
+    """The lines of an arm at q = 0: joints after the first move in one plane.
+
+    The plane has the `normal`.
 
     `end` is the point that they place.
     """
@@ -200,21 +206,20 @@ class ArmPlane:
 
     @property
     def outward_direction(self) -> Any:
-        """The horizontal direction in the plane: turns about the normal lead from it upwards."""
+        """Horizontal direction in the plane; turns about the normal lead upwards from it."""
         return Z.cross(self.normal)
 
     def list_solution_steps(
         self, to: list[Any], R: Any, names: dict[str, Any], n: Names
     ) -> list[FormulaStep]:
-        """The steps to a place `to` (3,) of the end, and to the orientation R (3, 3) of the tip if
-        it has a wrist.
+        """List the steps to a place `to` (3,) of the end and an orientation R (3, 3) of the tip.
+
+        Only arms with a wrist have the orientation.
         """
         raise NotImplementedError
 
     def derive_first_turn(self, to: list[Any], names: dict[str, Any]) -> list[FormulaStep]:
-        """The distance in the plane of the arm, and the first coordinate, which turns that plane to
-        the target.
-        """
+        """Derive the distance in the arm's plane, and the first coordinate, which turns the plane."""
         first = self.joints[0]
         rho = names["rho"]
         shoulder = names["shoulder"]
@@ -241,8 +246,9 @@ class ArmPlane:
     def derive_planar_joints(
         self, count: int, height: Any, angle: Any, names: dict[str, Any], n: Names
     ) -> list[FormulaStep]:
-        """The coordinates of the `count` joints after the first: the end at a distance `rho` from
-        axis 1, and a height.
+        """Derive the `count` coordinates after the first.
+
+        The end is at the distance `rho` from axis 1, and at a height.
 
         Three of them turn their last body by an angle, too.
         """
@@ -267,8 +273,7 @@ class ArmPlane:
     def derive_wrist(
         self, S: Any, a: Any, called: str, turn: tuple[Any, str], R: Any, names: dict[str, Any]
     ) -> list[FormulaStep]:
-        """The last two coordinates, and the turn about the direction `a` before them, by the
-        orientation R of the tip.
+        """Derive the last two coordinates, and the turn about `a` before them, from orientation R.
 
         S (3, 3) is how that is turned which `a`, `called` so, turns in; `turn` is the symbol of the
         turn, and in words.
@@ -312,20 +317,18 @@ class ArmPlane:
         ]
 
     def project_to_plane(self, across: Any, up: Any) -> Vector:
-        """Parts of a vector along `out`, and of another along z."""
+        """Project vectors to the plane: `across` to the outward direction, `up` to z."""
         return tidy_matrix(sympy.Matrix([self.outward_direction.dot(across)]))[0], up[2]
 
     def build_first_rotation(self) -> Any:
-        """How the first body is turned (3, 3) against q = 0."""
+        """Build the rotation (3, 3) of the first body against q = 0."""
         return build_rotation(
             Z, self.joints[0].direction[2] * sympy.Symbol(self.joints[0].coordinate)
         )
 
 
 def find_normal(joints: list[JointLine]) -> Any:
-    """The horizontal normal (3,) of the plane in which joints turn and slide; None if there is no
-    one plane.
-    """
+    """Find the horizontal normal (3,) of the plane in which joints move; None if there is none."""
     turns = [j.direction for j in joints if j.turns]
     across = turns or [Z.cross(j.direction) for j in joints if not are_parallel(j.direction, Z)]
     if not across:
@@ -339,7 +342,7 @@ def find_normal(joints: list[JointLine]) -> Any:
 
 
 def build_rotation(axis: Any, angle: Any) -> Any:
-    """The matrix (3, 3) of a turn about a unit vector (Rodrigues, 1840)."""
+    """Build the matrix (3, 3) of a turn about a unit vector (Rodrigues, 1840)."""
     x, y, z = axis
     along = axis * axis.T
     across = sympy.Matrix([[0, -z, y], [z, 0, -x], [-y, x, 0]])
@@ -347,13 +350,13 @@ def build_rotation(axis: Any, angle: Any) -> Any:
 
 
 def simplify_expression(x: Any) -> Any:
-    """The expression without products by zero and rounding, terms of a target's entry together."""
+    """Simplify an expression: no products by zero, no rounding, terms of an entry together."""
     x = tidy_matrix(sympy.Matrix([x]))[0]
     return sympy.collect(x, sorted((s for s in x.free_symbols if str(s).startswith("r_")), key=str))
 
 
 def find_meeting_point(a: JointLine, b: JointLine) -> Any:
-    """The point (3,) in which two axes at right angles meet; None for others."""
+    """Find the point (3,) in which two perpendicular axes meet; None for others."""
     if not (a.turns and b.turns and are_perpendicular(a.direction, b.direction)):
         return None
     # where they would be nearest to each other
@@ -362,17 +365,17 @@ def find_meeting_point(a: JointLine, b: JointLine) -> Any:
 
 
 def is_on_axis(point: Any, line: JointLine) -> bool:
-    """Whether a point is on the axis of a joint."""
+    """Return whether a point is on the axis of a joint."""
     return tidy_matrix((point - line.point).cross(line.direction)).is_zero_matrix
 
 
 def are_parallel(a: Any, b: Any) -> bool:
-    """Whether two unit vectors are parallel, in either sense."""
+    """Return whether two unit vectors are parallel, in either sense."""
     return max(abs(float(x)) for x in a.cross(b)) < SMALL
 
 
 def are_perpendicular(a: Any, b: Any) -> bool:
-    """Whether two unit vectors are at right angles."""
+    """Return whether two unit vectors are perpendicular."""
     return abs(float(a.dot(b))) < SMALL
 
 
@@ -387,11 +390,11 @@ def are_perpendicular(a: Any, b: Any) -> bool:
 
 
 class ParallelArm(ArmPlane):
-    """Three joints in the plane that the first turns, and two turns whose axes meet in the end."""
+    """An arm of six joints: three parallel axes, and two wrist axes that meet in the end."""
 
     @classmethod
     def from_joints(cls, joints: list[JointLine], tip: Any) -> ParallelArm | None:
-        """The arm of six joints; None if it is not of this kind."""
+        """Make the arm from its six joints; None if it is not of this kind."""
         if len(joints) != 6 or not joints[0].turns or not are_parallel(joints[0].direction, Z):
             return None
         normal = find_normal(joints[1:4])
@@ -403,7 +406,7 @@ class ParallelArm(ArmPlane):
     def list_solution_steps(
         self, to: list[Any], R: Any, names: dict[str, Any], n: Names
     ) -> list[FormulaStep]:
-        """The first coordinate, the last two, and those between."""
+        """List the steps: the first coordinate, the last two, and those between."""
         lift = names["phi"]
         hand = self.derive_wrist(
             self.build_first_rotation(),
@@ -428,11 +431,11 @@ class ParallelArm(ArmPlane):
 
 
 class SpatialArm(ArmPlane):
-    """Three joints, which place the tip or the point in which the axes of the last three meet."""
+    """An arm of three joints that place the tip, or the centre of a spherical wrist."""
 
     @classmethod
     def from_joints(cls, joints: list[JointLine], tip: Any) -> SpatialArm | None:
-        """The arm of three joints, or of six that end in a wrist; None if it is not of this kind."""
+        """Make the arm from three joints, or six with a wrist; None if it is not of this kind."""
         if (
             len(joints) not in (3, 6)
             or not joints[0].turns
@@ -446,7 +449,7 @@ class SpatialArm(ArmPlane):
     def list_solution_steps(
         self, to: list[Any], R: Any, names: dict[str, Any], n: Names
     ) -> list[FormulaStep]:
-        """The first three coordinates, and those of the wrist."""
+        """List the steps: the first three coordinates, and those of the wrist."""
         three = [
             *self.derive_first_turn(to, names),
             *self.derive_planar_joints(2, to[2], None, names, n),
@@ -460,7 +463,7 @@ class SpatialArm(ArmPlane):
         )
 
     def _build_third_rotation(self) -> Any:
-        """How the third body is turned (3, 3) against q = 0."""
+        """Build the rotation (3, 3) of the third body against q = 0."""
         lift = sum(
             (
                 int(round(float(j.direction.dot(self.normal)))) * sympy.Symbol(j.coordinate)
@@ -473,8 +476,9 @@ class SpatialArm(ArmPlane):
 
 
 def _find_wrist_centre(a: JointLine, b: JointLine, c: JointLine) -> Any:
-    """The point (3,) in which the axes of a wrist meet, the middle one at right angles to both;
-    None for others.
+    """Find the point (3,) in which the axes of a wrist meet; None for others.
+
+    The middle axis is perpendicular to both others.
     """
     end = find_meeting_point(a, b)
     return (
@@ -501,8 +505,9 @@ TURNED = tuple(f"r_{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3))
 
 @dataclass(frozen=True, eq=False)
 class InverseFormulas(Derivation):
-    """Formulas of the solutions; the symbol `sign` is -1 for elbow up and +1 for elbow down, as
-    `ik_all` names them.
+    """Formulas of inverse kinematics, with symbols for the target and for signs of branches.
+
+    The symbol `sign` is -1 for elbow up and +1 for elbow down, as `ik_all` names them.
 
     Of an arm with a slide it is +1 where that is farther than where both solutions meet; two slides
     have one solution. An arm in space has up to three: `shoulder`, `elbow` (or its slide) and
@@ -511,14 +516,13 @@ class InverseFormulas(Derivation):
 
     @property
     def target(self) -> tuple[Any, ...]:
-        """Symbols of the wanted position, p_x and p_y, in space p_z, and of a pose phi, or r_11 to
-        r_33.
-        """
+        """Symbols of the target: p_x and p_y, in space p_z, and of a pose phi, or r_11 to r_33."""
         return self.given
 
     def __call__(self, p: ArrayLike, sign: Any = 1) -> Array:
-        """The coordinates (..., n), radians and metres, for positions (..., 2) or x, y and angle
-        (..., 3).
+        """Evaluate the coordinates (..., n), radians and metres, for positions or planar poses.
+
+        Positions are (..., 2), planar poses x, y and angle (..., 3).
 
         Where a joint slides along z the height comes after x and y: (..., 3) or x, y, z and angle
         (..., 4). The angle is that of the frame's x axis. Of an arm in space targets are positions
@@ -550,7 +554,7 @@ class InverseFormulas(Derivation):
         )
 
     def _read_poses(self, p: ArrayLike) -> ArrayLike:
-        """The numbers that the formulas take of poses (..., 4, 4); what is none, as it is."""
+        """Read the numbers of the formulas from poses (..., 4, 4); return other input unchanged."""
         X = np.asarray(p)
         if (
             X.shape[-2:] != (4, 4)
@@ -572,8 +576,9 @@ def derive_ik(
     symbols: Mapping[str, Any] | None = None,
     snap: float = 0.0,
 ) -> InverseFormulas:
-    """Formulas of the inverse model: of planar arms, SCARAs, and arms in space with a wrist or
-    three parallel axes.
+    """Derive formulas of inverse kinematics for planar arms, SCARAs and simple arms in space.
+
+    Arms in space need a wrist or three parallel axes.
 
     In the plane two joints reach a "position", three a "pose" x, y, angle: they turn about z or -z
     of the ground, or slide across it. One more may slide along it, at any place, as of a SCARA,
@@ -629,7 +634,7 @@ def derive_ik(
 
 
 def _is_planar_arm(joints: list[JointLine], tip: Any, task: str | None) -> bool:
-    """Whether two or three joints move the frame in a plane across z, and at most one along z."""
+    """Return whether two or three joints move the frame in a plane, and at most one along z."""
     arm = [j for j in joints if not _is_vertical_slide(j)]
     what = task or TASKS.get(len(arm), "position")
     planar = all(
@@ -643,8 +648,9 @@ def _is_planar_arm(joints: list[JointLine], tip: Any, task: str | None) -> bool:
 def _derive_planar_formulas(
     system: Model, joints: list[JointLine], tip: Any, task: str | None, names: dict[str, Any]
 ) -> InverseFormulas:
-    """Formulas of a planar arm with at most one slide along z; `names` are the symbols by their
-    words.
+    """Derive formulas of a planar arm with at most one slide along z.
+
+    `names` are the symbols by their words.
     """
     arm = [j for j in joints if not _is_vertical_slide(j)]
     lifts = [j for j in joints if _is_vertical_slide(j)]
@@ -667,7 +673,7 @@ def _derive_planar_formulas(
 def _derive_spatial_formulas(
     system: Model, arm: ArmPlane, names: dict[str, Any]
 ) -> InverseFormulas:
-    """Formulas of an arm in space; `names` are the symbols by their words."""
+    """Derive formulas of an arm in space; `names` are the symbols by their words."""
     x, y, z, _, *place = (names[word] for word in OWN)
     inputs = [x, y, z]
     to = [x, y, z]
@@ -700,7 +706,7 @@ def _make_formulas(
     signs: list[Any],
     joints: list[JointLine],
 ) -> InverseFormulas:
-    """The formulas, with those of the signs that they have."""
+    """Make the formulas, with only those signs that occur."""
     signs = [sign for sign in signs if any(s.formula.has(sign) for s in steps)]
     return InverseFormulas(
         system, tuple(steps), tuple(inputs), tuple(signs), tuple(j.coordinate for j in joints)
@@ -708,5 +714,5 @@ def _make_formulas(
 
 
 def _is_vertical_slide(joint: JointLine) -> bool:
-    """Whether a joint slides along z of the ground."""
+    """Return whether a joint slides along z of the ground."""
     return not joint.turns and bool(joint.direction[0] == 0 == joint.direction[1])

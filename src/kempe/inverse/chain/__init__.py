@@ -1,1 +1,1 @@
-"""One frame at the end of a chain, numerically."""
+"""Numerical inverse kinematics of one frame at the end of a serial chain."""

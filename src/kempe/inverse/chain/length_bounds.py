@@ -1,4 +1,4 @@
-"""Lengths of a chain: how many orders of magnitude they span, and how far the chain can reach."""
+"""Lengths of a chain: their range of magnitudes, and how far the chain can reach."""
 
 from __future__ import annotations
 
@@ -47,8 +47,9 @@ EPSILON = float(np.finfo(float).eps)
 
 
 class Span(NamedTuple):
-    """The smallest and the largest length between the joints of a chain and to its tip, in metres;
-    0, 0 without any.
+    """Smallest and largest length between the joints of a chain and to its tip, in metres.
+
+    Both are 0 where there is no length.
 
     `middle` is the median of the steps from joint to joint, `away` how far from the ground's origin
     the first stands.
@@ -61,7 +62,7 @@ class Span(NamedTuple):
 
     @property
     def wide(self) -> bool:
-        """Whether a length is too large beside the others for answers without a word of caution.
+        """Whether lengths differ so much that rounding errors may spoil answers.
 
         Small ones do no harm: calibrated arms have some that are nearly zero.
         """
@@ -74,11 +75,11 @@ class Span(NamedTuple):
 
     @property
     def blur(self) -> float:
-        """Rounding error of angles, where one long link makes short ones imprecise."""
+        """Rounding error of angles, which grows where one long link makes short links imprecise."""
         return BLUR * EPSILON * (self.largest / self.middle) ** 2 if self.middle > 0.0 else 0.0
 
     def format_ratio(self) -> str:
-        """Text with the ratio of the lengths, and the rounding error of positions."""
+        """Format the ratio of the lengths, and the rounding error of positions."""
         largest = max(self.largest, self.away)
         orders = math.log10(largest) - math.log10(self.smallest)
         what = "the distance of the base" if self.away > self.largest else "the longest"
@@ -89,12 +90,12 @@ class Span(NamedTuple):
         )
 
     def explain_rounding(self) -> str:
-        """Sentence of caution, on rounding, for an answer that was not found."""
+        """Write the warning about rounding for an answer that was not found."""
         return f"{self.format_ratio()}, and solutions may be missed"
 
 
 def measure_span(ints: np.ndarray, floats: np.ndarray) -> Span:
-    """The span of a table of a chain."""
+    """Measure the smallest and largest length of a packed chain."""
     p = np.abs(compute_offsets(ints, floats))
     away = float(p[0].max())
     p = p[1:]
@@ -105,16 +106,18 @@ def measure_span(ints: np.ndarray, floats: np.ndarray) -> Span:
 
 
 def compute_offsets(ints: np.ndarray, floats: np.ndarray) -> Array:
-    """Offsets (n + 1, 3) of the joints and the tip, each seen from the joint before, without what
-    is rounding.
+    """Compute the offsets (n + 1, 3) of the joints and the tip, each from the joint before.
+
+    Rounding errors are set to zero.
     """
     p = placements_of(ints, floats)[..., 3]
     return np.where(np.abs(p) > NOISE * np.abs(p).max(axis=1, keepdims=True), p, 0.0)
 
 
 def even_out_offsets(ints: np.ndarray, floats: np.ndarray) -> Array | None:
-    """Offsets (n + 1, 3) of a chain with the same axes and no length far from the others; None
-    where none is.
+    """Compute offsets (n + 1, 3) of a chain with the same axes and lengths of similar size.
+
+    None where no length is far from the others.
 
     What freedoms a chain has does not depend on how large its lengths are, only on which are zero:
     so they are counted with lengths of one size. The first joint stands at the origin.
@@ -138,9 +141,7 @@ def even_out_offsets(ints: np.ndarray, floats: np.ndarray) -> Array | None:
 
 
 class ReachBound(NamedTuple):
-    """What lengths alone say: how far and how near a point of the frame can be to a point of the
-    ground.
-    """
+    """Bounds, from lengths alone, of the distance between a point of the frame and the ground."""
 
     centre: Array
     """The point of the ground (3,)."""
@@ -151,8 +152,9 @@ class ReachBound(NamedTuple):
 
 
 def compute_reach_bounds(ints: np.ndarray, floats: np.ndarray, limits: Array) -> list[ReachBound]:
-    """Bounds for the tip, and for the last axis if it turns: a pose of the tip says where that is,
-    by less lengths.
+    """Compute bounds of the reach of the tip, and of the last axis if its joint turns.
+
+    A pose of the tip determines where the last axis is, and fewer lengths lead there.
 
     Of an axis that turns the best point counts: of the first the one nearest to the second joint,
     of the last the one nearest to the joint before.
@@ -189,9 +191,7 @@ def compute_reach_bounds(ints: np.ndarray, floats: np.ndarray, limits: Array) ->
 def _compute_bound(
     start: Array, p: Array, slides: float, any_slide: bool, point: Array
 ) -> ReachBound:
-    """The bound by the lengths of steps p (n, 3), of which a single long one may keep the point
-    away.
-    """
+    """Compute the bound from the lengths of steps p (n, 3) between joints."""
     lengths = np.sqrt((p * p).sum(axis=-1))
     total = float(lengths.sum()) + slides
     longest = 0.0 if any_slide else float(lengths.max(initial=0.0))
@@ -213,7 +213,7 @@ def measure_bound_excess(
     dim: int = 3,
     along: Array | None = None,
 ) -> Array:
-    """How far (..., 2) in metres poses X (..., 4, 4) of a frame are past the bounds of its chain.
+    """Measure how far (..., 2) in metres poses X (..., 4, 4) of a frame exceed reach bounds.
 
     First as to the place, then together with the orientation, where that is `turned`, or points
     `along` an axis (3,) of the frame. `axes` of the pose are those along which its place counts:

@@ -1,4 +1,4 @@
-"""The search for configurations that reach single targets: rounds of starts, then what is nearest."""
+"""The numerical inverse problem of one frame: its data, errors and reach."""
 
 from __future__ import annotations
 
@@ -38,7 +38,10 @@ in these."""
 
 @dataclass(frozen=True, eq=False)
 class FrameProblem:
-    """What was required of the solver: kept with the answer, so that it can say why it failed."""
+    """An inverse problem of one frame: targets, tolerances, starts and time limit.
+
+    The answer keeps it, to explain failures.
+    """
 
     system: Model
     frame: str
@@ -61,32 +64,30 @@ class FrameProblem:
 
     @property
     def share(self) -> int:
-        """How many times as long a start takes as of a chain that is not long."""
+        """Time of one start, relative to a start of a short chain."""
         return max(1, len(self.chain.q_index) // LONG) ** 2
 
     @property
     def round(self) -> int | None:
-        """Starts between two looks at the clock; None: as many as come next."""
+        """Number of starts between two checks of the clock; None for no limit."""
         no = self.time_limit is None or (self.usual and self.share == 1)
         return None if no else max(1, ROUND // self.share)
 
     @property
     def mask(self) -> tuple[int, ...]:
-        """Which errors [linear; angular] in the frame of the tip count, its z axis being `axis`."""
+        """Rows of the error [linear; angular] in the frame of the tip that count in the task."""
         return TASKS[self.name]
 
 
 def pack_row_flags(problem: FrameProblem) -> np.ndarray:
-    """What the kernel reads of a problem: six rows, whether an axis is pointed, circular coordinates."""
+    """Pack the rows that count, whether an axis is pointed, and circular coordinates, for kernels."""
     pointed = points_along(problem.name)
     rows = (*problem.mask[:5], 1, 1) if pointed else (*problem.mask, 0)
     return np.concatenate([np.array(rows, dtype=np.int64), problem.chain.circular])
 
 
 def compute_errors(problem: FrameProblem, targets: Array, q: Array) -> Array:
-    """Linear and angular errors (N, 2), by the forward model, of a chain's configurations (N or 1,
-    n).
-    """
+    """Compute linear and angular errors (N, 2) of configurations (N or 1, n) of a chain."""
     from kempe.forward.fk import fk
 
     full = np.repeat(problem.chain.base, len(q), axis=0)
@@ -106,8 +107,9 @@ def compute_errors(problem: FrameProblem, targets: Array, q: Array) -> Array:
 
 
 def measure_reach_excess(problem: FrameProblem, targets: Array) -> Array:
-    """How far (N,) targets are outside the reach bounds, in metres, for a point of the frame that
-    each one fixes.
+    """Measure how far (N,) in metres targets are outside the reach bounds of the chain.
+
+    Measured at a point of the frame that each target fixes.
 
     Zero within what the tolerances allow. With the target's orientation, it is a lower bound of the
     position error.
@@ -120,14 +122,15 @@ def measure_reach_excess(problem: FrameProblem, targets: Array) -> Array:
 
 
 def mark_unreachable_targets(problem: FrameProblem, code: np.ndarray) -> None:
-    """Tell, in place, targets that lengths alone put out of reach from those that were not found."""
+    """Mark, in place, failed targets that the lengths of the links put out of reach."""
     failed = np.flatnonzero((code == Status.NOT_FOUND) | (code == Status.OUT_OF_TIME))
     code[failed[measure_reach_excess(problem, problem.targets[failed]) > 0.0]] = Status.OUT_OF_REACH
 
 
 def measure_length_excess(problem: FrameProblem, targets: Array) -> Array:
-    """How far (N, 2) in metres targets are past what the lengths of the links reach; see
-    `length_bounds.measure_bound_excess`.
+    """Measure how far (N, 2) in metres targets exceed the reach of the links.
+
+    See `length_bounds.measure_bound_excess`.
     """
     # else that is the reason
     free = len(problem.chain.v_index) >= (3 if problem.system.dim == 2 else sum(problem.mask))

@@ -1,4 +1,4 @@
-"""The chain that moves one frame, packed for the kernels of the numerical inverse model."""
+"""The serial chain that moves one frame, packed for numerical kernels."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """The chain that moves one frame, packed for the kernel with coordinates of its own.
+    """The serial chain that moves one frame, packed with coordinates of its own.
 
     `q_index` and `v_index` say which entries of the system's `q` and velocities they are.
     """
@@ -53,7 +53,7 @@ class Chain:
 
 
 def find_chain(system: Model, name: str, axis: tuple[float, float, float] = Z_AXIS) -> Chain:
-    """The packed chain of a frame, its z axis turned to `axis`.
+    """Find the packed chain of a frame, with its z axis turned to `axis`.
 
     Errors: `UnsupportedError` where loops, declared constraints or relations move it.
     """
@@ -62,12 +62,14 @@ def find_chain(system: Model, name: str, axis: tuple[float, float, float] = Z_AX
 
 @keep_answers
 def _pack_chain(system: Model, name: str, axis: tuple[float, float, float]) -> Chain:
+    """Pack the chain of a frame for a pointing axis, once."""
     return (
         _build_chain(system, name) if axis == Z_AXIS else _turn_tip(find_chain(system, name), axis)
     )
 
 
 def _turn_tip(chain: Chain, axis: tuple[float, float, float]) -> Chain:
+    """Return the chain with its tip turned so that z points along `axis`."""
     floats = chain.floats.copy()
     turn = frame_of(np.array(axis))
     tip = tip_of(chain.ints, floats)
@@ -76,6 +78,10 @@ def _turn_tip(chain: Chain, axis: tuple[float, float, float]) -> Chain:
 
 
 def _build_chain(system: Model, name: str) -> Chain:
+    """Build the packed chain of a frame.
+
+    Errors: `UnsupportedError` where no open chain leads to the frame.
+    """
     refusal = find_obstacle(system, name)
     if refusal is not None:
         raise UnsupportedError(refusal)
@@ -118,8 +124,9 @@ def _build_chain(system: Model, name: str) -> Chain:
 
 
 def find_motion_masks(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
-    """Masks (n,) of the chain's coordinates that rotate something and of those that translate it;
-    screws do both.
+    """Find masks (n,) of the chain's coordinates that rotate a body, and that translate one.
+
+    Screws do both.
     """
     rows = rows_of(chain.ints)
     each = np.arange(len(chain.v_index))
@@ -128,9 +135,7 @@ def find_motion_masks(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
 
 
 def list_slides(system: Model, frame: str) -> list[str]:
-    """Names of the sliding coordinates of the chain of a frame, whose limits bound its reach; none
-    without a chain.
-    """
+    """List the sliding coordinates of a frame's chain, whose limits bound its reach."""
     if find_obstacle(system, frame) is not None:
         return []
     chain = find_chain(system, frame)
@@ -140,14 +145,14 @@ def list_slides(system: Model, frame: str) -> list[str]:
 
 
 def is_moved_by_loop(system: Model, name: str) -> bool:
-    """Whether the motion of a frame depends on a closed loop, or on a declared constraint f(q) = 0."""
+    """Return whether the motion of a frame depends on a closed loop or a declared constraint."""
     why = find_obstacle(system, name) or ""
     return any(words in why for words in (" moves with the loop ", " moves with the constraint "))
 
 
 @keep_answers
 def has_shared_coordinates(system: Model, frame: str) -> bool:
-    """Whether two motions of the chain of a frame share a coordinate, and none is a ball."""
+    """Return whether two motions of a frame's chain share a coordinate other than a quaternion."""
     if find_obstacle(system, frame) is not None:
         return False
     rows = rows_of(find_chain(system, frame).ints)
@@ -156,7 +161,7 @@ def has_shared_coordinates(system: Model, frame: str) -> bool:
 
 @keep_answers
 def find_obstacle(system: Model, name: str) -> str | None:
-    """Why no open chain leads to a frame, such as a loop that moves it; None if one does."""
+    """Find the reason why no open chain leads to a frame; None if one does."""
     moving = {int(i) for i in extract_chain(system.structure.table, name)[2]}
     used = {system.structure.velocity_names[i] for i in moving}
     for closure in system.structure.closures:
@@ -183,9 +188,7 @@ def find_obstacle(system: Model, name: str) -> str | None:
 
 
 def list_loop_coordinates(system: Model, closure: str) -> set[str]:
-    """Velocity coordinates of the joints of the loop that a left-out joint closes, its own
-    included.
-    """
+    """List the velocity coordinates of the joints of a loop, by the cut joint that closes it."""
     number = {b: i for i, b in enumerate(system.body_names)}
     joint = system.structure.joints[closure]
     ways: list[set[int]] = []
@@ -207,7 +210,7 @@ def list_loop_coordinates(system: Model, closure: str) -> set[str]:
 
 
 def move_inside_limits(system: Model, q: Array) -> Array:
-    """The configurations (N, nq) with every limited coordinate brought inside its limits, in place."""
+    """Move every limited coordinate of configurations (N, nq) inside its limits, in place."""
     at_q = system.structure.layout.vector_q
     at_v = system.structure.layout.vector_v
     q[:, at_q] = np.clip(q[:, at_q], system.lower[at_v], system.upper[at_v])

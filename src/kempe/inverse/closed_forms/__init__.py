@@ -1,1 +1,1 @@
-"""Plans by which a chain is solved in closed form or by elimination."""
+"""Inverse kinematics of serial chains in closed form, by elimination, or by search for all."""

@@ -1,5 +1,4 @@
-"""Names of branches: on which side of its singular configurations an arm is, from its axes as they
-lie at q.
+"""Names of branches, such as elbow up, from the joint axes of an arm at a configuration.
 
 Each word is the sign of one factor of the determinant of the Jacobian, so it changes at a singular
 configuration and nowhere else. Nothing of it depends on where the joints have their zero, on the
@@ -69,23 +68,21 @@ shoulder is singular."""
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of arm whose branches have names: the `words` of each choice, and whether three axes
-    are parallel.
-    """
+    """A kind of arm whose branches have names: the `words` of each choice."""
 
     words: tuple[tuple[str, str, str], ...]
     three_parallel: bool = False
 
     @property
     def allowed_words(self) -> list[str]:
-        """All words that its names can have."""
+        """All words that names of branches can contain."""
         return [word for choice in self.words for word in choice] + list(NEITHER) * (
             self.words == SPATIAL
         )
 
 
 def recognise_kind(plan: ChainPlan, planar: bool) -> Kind | None:
-    """The kind of arm of a plan, None where its branches have no names."""
+    """Recognise the kind of arm of a plan; None where its branches have no names."""
     lines = plan.lines
     n = len(lines)
     turns = np.flatnonzero(lines.kinds == TURN)
@@ -125,9 +122,7 @@ def recognise_kind(plan: ChainPlan, planar: bool) -> Kind | None:
 
 
 def _recognise_sliding_kind(plan: ChainPlan, axes: Axes) -> Kind | None:
-    """The kind of an arm of six joints with slides: turn, turn and slide, or three slides, before a
-    spherical wrist.
-    """
+    """Recognise an arm of six joints with slides before a spherical wrist."""
     if len(axes.kinds) != 6 or plan.task != "pose" or not keeps_point(axes, 3):
         return None
     before = axes.kinds[:3]
@@ -138,9 +133,7 @@ def _recognise_sliding_kind(plan: ChainPlan, axes: Axes) -> Kind | None:
 
 
 def _recognise_seven_turns(lines: Lines) -> Kind | None:
-    """The kind of an arm of seven turns: with names where the first three meet in a point, and the
-    last three do.
-    """
+    """Recognise an arm of seven turns with a spherical shoulder and a spherical wrist."""
     axes = Axes(lines.kinds, lines.h, lines.o)
     if not (keeps_point(axes, 0) and keeps_point(axes, 4)):
         return None
@@ -155,8 +148,9 @@ def _recognise_seven_turns(lines: Lines) -> Kind | None:
 def name_branches(
     kind: Kind, lines: Lines, theta: Array, merged: np.ndarray | None = None
 ) -> np.ndarray:
-    """Names (m,) of configurations theta (m, n) of an arm; `merged` (m,) says where solutions have
-    merged.
+    """Name the branches (m,) of configurations theta (m, n) of an arm.
+
+    `merged` (m,) marks merged solutions.
     """
     tip, h, o = compute_line_placements(lines, theta)
     border = np.where(np.zeros(len(theta), bool) if merged is None else merged, MERGED, BORDER)
@@ -187,8 +181,9 @@ def name_branches(
 def match_branch_names(
     kind: Kind | None, names: np.ndarray, words: str | Iterable[str]
 ) -> np.ndarray:
-    """Which of the names hold all these words, hyphens and spaces alike. Errors: `InputError`,
-    `UnknownNameError`.
+    """Return a mask of the names that contain all given words.
+
+    Hyphens and spaces are alike. Errors: `InputError`, `UnknownNameError`.
     """
     if kind is None:
         raise InputError(
@@ -208,15 +203,15 @@ def match_branch_names(
 
 
 def _normalise_word(word: str) -> str:
-    """A word as it is compared: hyphens between letters become spaces, and spaces single; "elbow -"
-    keeps its sign.
+    """Normalise a word for comparison: hyphens between letters become single spaces.
+
+    "elbow -" keeps its sign.
     """
     return " ".join(re.sub(r"(?<=\w)-(?=\w)", " ", word).split())
 
 
 def _measure_planar_bend(h: Array, o: Array, tip: Array, turns: np.ndarray) -> Array:
-    """Positive (m,) where the elbow lies to the left of the way from the first axis to the third,
-    or to the tip.
+    """Measure the bend (m,) of a planar elbow: positive to the left of the way to the tip.
 
     Of the joints `turns` turn; it is seen from where the first axis points to.
     """
@@ -231,9 +226,7 @@ def _measure_planar_bend(h: Array, o: Array, tip: Array, turns: np.ndarray) -> A
 
 
 def _find_centre(h: Array, o: Array, k: int = 4) -> Array:
-    """The point (m, 3) in which axes k and k + 1 (from 0) meet: the one of the first that is next
-    to the other.
-    """
+    """Find the point (m, 3) in which axes k and k + 1 (from 0) meet."""
     a = h[:, k]
     b = h[:, k + 1]
     d = o[:, k + 1] - o[:, k]
@@ -245,14 +238,15 @@ def _find_centre(h: Array, o: Array, k: int = 4) -> Array:
 
 
 def _measure_wrist_offset(h: Array, o: Array) -> Array:
-    """How far (m,) the wrist is from axis 1 along h1 x h2: zero where the turn of axis 1 moves it
-    along axis 2.
+    """Measure the distance (m,) of the wrist from axis 1 along h1 x h2.
+
+    It is zero where the turn of axis 1 moves the wrist along axis 2.
     """
     return np.einsum("mi,mi->m", _find_centre(h, o) - o[:, 0], np.cross(h[:, 0], h[:, 1]))
 
 
 def _measure_shoulder(h: Array, o: Array, centre: Array) -> Array:
-    """Positive (m,) where the arm passes axis 1 on the right.
+    """Measure the side (m,) on which the arm passes axis 1: positive on the right.
 
     It counts the offset of the arm from axis 1, so that the sense of axis 2 does not matter where
     there is one.
@@ -269,16 +263,14 @@ def _measure_shoulder(h: Array, o: Array, centre: Array) -> Array:
 
 
 def _measure_middle_turn(h: Array, k: int) -> Array:
-    """The sine (m,) by which axis k + 1 turns axis k towards axis k + 2, in parts of the largest."""
+    """Measure the sine (m,) by which axis k + 1 turns axis k towards axis k + 2, relative."""
     turn = np.einsum("mi,mi->m", h[:, k + 1], np.cross(h[:, k], h[:, k + 2]))
     parts = (np.linalg.norm(np.cross(h[:, i], h[:, i + 1]), axis=1) for i in (k, k + 1))
     return turn / np.prod(list(parts), axis=0)
 
 
 def _measure_bend(h: Array, upper: Array, lower: Array) -> tuple[Array, tuple[Array, Array]]:
-    """The sine (m,) of the turn about h from one way to the next, seen along h, and the lengths
-    (m,) of both ways.
-    """
+    """Measure the sine (m,) of the turn about h between two links, and their lengths (m,)."""
     upper, lower = (v - h * np.einsum("mi,mi->m", v, h)[:, None] for v in (upper, lower))
     lengths = np.linalg.norm(upper, axis=1), np.linalg.norm(lower, axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -288,8 +280,7 @@ def _measure_bend(h: Array, upper: Array, lower: Array) -> tuple[Array, tuple[Ar
 def _measure_seven_turns(
     h: Array, o: Array
 ) -> tuple[tuple[Array, Array, Array], tuple[Array, Array]]:
-    """Signed measures (m,) of shoulder, elbow and wrist of an arm of seven turns, and lengths (m,)
-    of its links.
+    """Measure shoulder, elbow and wrist (m,) of an arm of seven turns, and its link lengths (m,).
 
     Sines of the turns of joints 2, 4 and 6 from where the arm is stretched (Shimizu and others,
     2008, equation 4).
@@ -303,8 +294,7 @@ def _measure_seven_turns(
 def _compute_branch_measures(
     kind: Kind, h: Array, o: Array
 ) -> tuple[tuple[Array, Array, Array], tuple[Array, Array]]:
-    """Signed measures (m,) of shoulder, elbow and wrist, and the lengths (m,) of the two links of
-    the elbow.
+    """Compute signed measures (m,) of shoulder, elbow and wrist, and lengths (m,) of the links.
 
     The elbow is that of the plane across axis 2, seen from the side to which axis 2 points.
     """

@@ -1,6 +1,4 @@
-"""A chain as lines: its joint axes in ground axes at the reference configuration, and the pose of
-its tip there; where joints move both.
-"""
+"""A serial chain as lines: its joint axes and tip at the reference configuration."""
 
 from __future__ import annotations
 
@@ -50,8 +48,9 @@ LITTLE = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Lines:
-    """A serial chain T(theta) = E_1 ... E_n M, each joint a turn about a line or a slide along its
-    direction.
+    """The joint lines of a serial chain T(theta) = E_1 ... E_n M.
+
+    Each joint is a turn about a line or a slide along its direction.
 
     `kinds` (n,) TURN or SLIDE, `h` (n, 3) unit directions, `o` (n, 3) points, `tip` (4, 4) the pose
     M at theta = 0, all seen from `origin` (3,) in the ground's axes and measured in `length` [m].
@@ -80,13 +79,14 @@ class Lines:
         return len(self.kinds)
 
     def compute_theta(self, q: Array) -> Array:
-        """Variables (..., n) of the lines at coordinates q (..., n) of the chain."""
+        """Compute the variables (..., n) of the lines at coordinates q (..., n) of the chain."""
         return q * self.multiplier + self.offset
 
 
 def build_lines(system: Model, frame: str) -> Lines:
-    """The lines of the chain that moves a frame. Errors: `UnsupportedError` for loops, balls and
-    shared coordinates.
+    """Build the lines of the chain that moves a frame.
+
+    Errors: `UnsupportedError` for loops, balls and shared coordinates.
     """
     chain = find_chain(system, frame)
     ints = chain.ints
@@ -157,29 +157,28 @@ def build_lines(system: Model, frame: str) -> Lines:
 
 
 def _compute_lines(placements: Iterable[np.ndarray]) -> tuple[Array, Array, Array]:
-    """Directions and points (n, 3) of the axes and the pose (4, 4) of the tip, from placements
-    (12,) one by one.
-    """
+    """Compute directions and points (n, 3) of the axes and the pose (4, 4) of the tip."""
     poses = list(itertools.accumulate(map(_build_pose, placements), np.matmul))
     X = np.array(poses[:-1])
     return X[:, :3, 2].copy(), X[:, :3, 3].copy(), poses[-1]
 
 
 def _shift_placement(placement: np.ndarray, p: Array) -> np.ndarray:
-    """The placement (12,) at another point (3,)."""
+    """Return the placement (12,) at another point (3,)."""
     rows = placement.reshape(3, 4).copy()
     rows[:, 3] = p
     return rows.ravel()
 
 
 def _build_pose(rows: np.ndarray) -> Array:
+    """Build a pose (4, 4) from its upper rows (12,)."""
     return np.vstack([rows.reshape(3, 4), [0.0, 0.0, 0.0, 1.0]])
 
 
 def _choose_unit(
     kinds: np.ndarray, h: Array, o: Array, tip: Array, limits: Array
 ) -> tuple[Array, float]:
-    """A point near the axes that turn, and a length: the way from axis to axis.
+    """Choose a point near the turning axes as origin, and a length as unit.
 
     Where that is zero it is how far slides may go, and 1 without slides. Neither changes if the
     points slide along their axes or the base moves. What slides go is no part of the way: where
@@ -214,15 +213,13 @@ def _choose_unit(
 
 
 def _estimate_travel(ranges: Array, offsets: Array, tip: Array) -> float:
-    """How far slides may go: by their limits, else by how far from the turning axes slides are, or
-    the tip is.
-    """
+    """Estimate how far slides may move: by their limits, or else by distances of the chain."""
     by_limits = float(np.where(np.isfinite(ranges), ranges, 0.0).max())
     return by_limits if by_limits > 0.0 else max(float(np.linalg.norm(x)) for x in (*offsets, tip))
 
 
 def _compute_distance(h: Array, o: Array, g: Array, p: Array) -> float:
-    """The distance between two lines."""
+    """Compute the distance between two lines."""
     n = np.cross(h, g)
     d = p - o
     size = float(np.linalg.norm(n))
@@ -233,7 +230,7 @@ def _compute_distance(h: Array, o: Array, g: Array, p: Array) -> float:
 
 @keep_answers
 def find_chain_lines(system: Model, frame: str, axis: tuple[float, float, float]) -> Lines:
-    """The lines of the frame's chain, its tip turned so that its z axis is the tool's `axis`."""
+    """Find the lines of a frame's chain, its tip turned so that z is the tool's `axis`."""
     lines = build_lines(system, frame)
     if axis == Z_AXIS:
         return lines
@@ -246,7 +243,7 @@ def find_chain_lines(system: Model, frame: str, axis: tuple[float, float, float]
 
 
 def compute_line_placements(lines: Lines, theta: Array) -> tuple[Array, Array, Array]:
-    """Tip poses (m, 4, 4), and directions and points (m, n, 3) of the lines, at theta (m, n)."""
+    """Compute tip poses (m, 4, 4), and directions and points (m, n, 3) of lines at theta (m, n)."""
     m, n = theta.shape
     h = np.empty((m, n, 3))
     o = np.empty((m, n, 3))
@@ -270,7 +267,7 @@ def compute_line_placements(lines: Lines, theta: Array) -> tuple[Array, Array, A
 
 
 def compute_jacobians(lines: Lines, theta: Array) -> Array:
-    """Jacobians (m, 6, n) [linear; angular] in the tip's frame at theta (m, n)."""
+    """Compute Jacobians (m, 6, n) [linear; angular] in the tip's frame at theta (m, n)."""
     T, h, o = compute_line_placements(lines, theta)
     slides = (lines.kinds == SLIDE)[:, None]
     v = np.where(slides, h, np.cross(h, T[:, None, :3, 3] - o))
@@ -280,7 +277,7 @@ def compute_jacobians(lines: Lines, theta: Array) -> Array:
 
 
 def compute_motion(kind: int, h: Array, o: Array, theta: float) -> Array:
-    """Pose (4, 4) of a turn about a line or a slide along it."""
+    """Compute the pose (4, 4) of a turn about a line, or of a slide along its direction."""
     X = np.eye(4)
     if kind == SLIDE:
         X[:3, 3] = theta * h

@@ -1,4 +1,4 @@
-"""Descents of a chain towards a target: errors, Jacobians, and the closest that they come."""
+"""Descents of a serial chain towards a target: errors, Jacobians, closest configurations."""
 
 from __future__ import annotations
 
@@ -30,9 +30,10 @@ SMALL_SINE = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Aim:
-    """What one target asks of a chain: `lines`, `rows` of the task that count, `target` (4, 4)
-    scaled as the lines, and the joints `moves` that may move. Errors are [linear; angular] in the
-    frame of the tip.
+    """The equations of one target for a chain, as errors [linear; angular] in the tip's frame.
+
+    `rows` are those that the task asks for, `target` (4, 4) is scaled as `lines`, and `moves` are
+    the joints that may move.
     """
 
     lines: Lines
@@ -44,7 +45,7 @@ class Aim:
     def from_target(
         cls, problem: ChainProblem, plan: ChainPlan, target: Array, held: tuple[int, ...]
     ) -> Aim:
-        """What a target (4, 4) of a problem asks of the chain of a plan, with joints `held`."""
+        """Make the equations of a target (4, 4) of a problem, with joints `held`."""
         lines = plan.lines
         X = targets_with_axis(target, problem.axis).copy()
         X[:3, 3] = (X[:3, 3] - lines.origin) / lines.length
@@ -53,13 +54,12 @@ class Aim:
 
     @cached_property
     def slide_mask(self) -> np.ndarray:
-        """Which joints (n,) slide."""
+        """Mask (n,) of the joints that slide."""
         return self.lines.kinds == SLIDE
 
     @cached_property
     def _motion_matrices(self) -> tuple[Array, Array]:
-        """Matrices (n, 4, 16) of which 1, sine, cosine and value of a variable make its motion; the
-        lines (n, 4, 2).
+        """Matrices (n, 4, 16) that map 1, sine, cosine and value to motions; lines (n, 4, 2).
 
         A turn is 1 + sin K + (1 - cos) K^2 (Rodrigues, 1840).
         """
@@ -80,9 +80,7 @@ class Aim:
         return C.reshape(len(lines), 4, 16), axes
 
     def compute_line_placements(self, theta: Array) -> tuple[Array, Array, Array, Array]:
-        """Rotation (N, 3, 3) and position (N, 3) of the tip, directions and points (N, n, 3) of the
-        lines there.
-        """
+        """Compute rotation (N, 3, 3) and position (N, 3) of the tip, and lines (N, n, 3) there."""
         (N, n) = theta.shape
         (parts, axes) = self._motion_matrices
         terms = np.ones((N, n, 1, 4))
@@ -105,7 +103,7 @@ class Aim:
         return T[:, :3, :3], T[:, :3, 3], there[..., :3, 0], there[..., :3, 1]
 
     def compute_errors(self, R: Array, p: Array) -> Array:
-        """What is missing (N, 6) at poses of the tip; zero in rows that do not count."""
+        """Compute the errors (N, 6) at poses of the tip; rows that do not count are zero."""
         back = np.swapaxes(R, 1, 2)
         full = np.zeros((len(R), 6))
         full[:, :3] = (back @ (self.target[:3, 3] - p)[..., None])[..., 0]
@@ -121,9 +119,7 @@ class Aim:
         return out
 
     def linearise_errors(self, theta: Array) -> tuple[Array, Array]:
-        """Errors (N, m) of the rows that count and the Jacobian (N, m, k) of the moving joints, at
-        theta (N, n).
-        """
+        """Compute the errors (N, m) and their Jacobian (N, m, k) by moving joints, at theta (N, n)."""
         R, p, h, o = self.compute_line_placements(theta)
         h = h[:, self.moves]
         o = o[:, self.moves]
@@ -134,19 +130,18 @@ class Aim:
         return self.compute_errors(R, p)[:, self.rows], J[:, self.rows]
 
     def compute_energy(self, theta: Array) -> tuple[float, Array]:
-        """Half the square of the error, and its gradient by the joints that may move, at theta
-        (n,).
-        """
+        """Compute half the square of the error, and its gradient, at theta (n,)."""
         e, J = (x[0] for x in self.linearise_errors(theta[None]))
         return 0.5 * float(e @ e), -(e @ J)
 
 
 def _compute_cross_product(a: Array, b: Array) -> Array:
+    """Compute cross products of vectors (..., 3)."""
     return a[..., [1, 2, 0]] * b[..., [2, 0, 1]] - a[..., [2, 0, 1]] * b[..., [1, 2, 0]]
 
 
 def _compute_pointing_vectors(z: Array) -> Array:
-    """Rotation vectors (N, 3) that turn the z axis to the unit vectors z (N, 3)."""
+    """Compute rotation vectors (N, 3) that turn the z axis to unit vectors z (N, 3)."""
     sine = np.hypot(z[:, 0], z[:, 1])
     angle = np.arctan2(sine, z[:, 2])
     none = sine < 1e-300
@@ -155,7 +150,7 @@ def _compute_pointing_vectors(z: Array) -> Array:
 
 
 def _compute_rotation_vectors(D: Array) -> Array:
-    """Rotation vectors (N, 3) of rotations."""
+    """Compute the rotation vectors (N, 3) of rotation matrices (N, 3, 3)."""
     v = 0.5 * np.stack(
         [D[:, 2, 1] - D[:, 1, 2], D[:, 0, 2] - D[:, 2, 0], D[:, 1, 0] - D[:, 0, 1]], axis=1
     )
@@ -167,14 +162,15 @@ def _compute_rotation_vectors(D: Array) -> Array:
 
 
 def compute_limits(lines: Lines) -> tuple[Array, Array]:
-    """Lower and upper limits (n,) of the variables."""
+    """Compute lower and upper limits (n,) of the variables of the lines."""
     ends = np.sort(lines.limits * lines.multiplier + lines.offset, axis=0)
     return ends[0], ends[1]
 
 
 def run_descent(aim: Aim, theta: Array, low: Array, high: Array, first: float = 1e-2) -> Array:
-    """Variables (N, n) after damped Gauss-Newton steps inside the limits; joints that press on a
-    limit stay there.
+    """Run damped Gauss-Newton steps inside the limits from theta (N, n), and return the ends.
+
+    Joints that press on a limit stay there.
 
     first: damping of the first step.
     """
@@ -201,7 +197,7 @@ def run_descent(aim: Aim, theta: Array, low: Array, high: Array, first: float = 
 
 
 def find_closest(aim: Aim, first: Array) -> Array:
-    """Variables (n,) inside the limits where the error is smallest."""
+    """Find the variables (n,) inside the limits where the error is smallest."""
     from scipy import optimize  # only here: most targets are reached
 
     low, high = (x[aim.moves] for x in compute_limits(aim.lines))

@@ -1,4 +1,4 @@
-"""The plan of an analytical inverse model: what is unknown, and how it is solved.
+"""Plans of analytical inverse kinematics: which joints are unknown, and how they are solved.
 
 Lines complete the unknown joints to six. Which joints a redundant chain holds is chosen here, too.
 """
@@ -73,7 +73,7 @@ def _load_elimination_kernel() -> Callable[..., None]:
 
 
 class Method(NamedTuple):
-    """A way to solve the lines of a chain: a row of the solvers of `ik_all`.
+    """A method to solve the lines of a chain: a row in the table of solvers of `ik_all`.
 
     `name` and `how` are those of the row, `unfit` says why it is not for a chain, `word` is its
     short name. Its answers have `slots` rows; `piece` is how many targets it solves between two
@@ -123,7 +123,7 @@ METHODS = (SIDE_BY_SIDE, CLOSED_FORM, ELIMINATION, SEARCH)
 
 @dataclass(frozen=True, eq=False)
 class Extra:
-    """Lines that complete a chain, in its frame of reference: roles say whether they may move."""
+    """Auxiliary lines that complete a chain to six joints; their roles say whether they move."""
 
     kinds: np.ndarray
     h: Array
@@ -133,8 +133,7 @@ class Extra:
 
 @dataclass(frozen=True, eq=False)
 class ChainPlan:
-    """How a chain's inverse model is solved: packed for the kernels, with what a reader wants to
-    know.
+    """The plan of a chain's inverse kinematics, packed for the kernels.
 
     `method` says how it is carried out; `locked` are the joints held at values: those
     `fixed` by whoever asks, and others where the chain has more than the task needs, which are at
@@ -157,24 +156,22 @@ class ChainPlan:
 
     @property
     def spare_joints(self) -> list[int]:
-        """Joints that are locked only because the chain has more than the task needs."""
+        """Joints that are locked only because the chain has more joints than the task needs."""
         return [i for i in self.locked if i not in self.fixed]
 
     @property
     def has_resting_lines(self) -> bool:
-        """Whether the chain has fewer joints than the task equations: lines that must stay at rest
-        stand in.
-        """
+        """Whether auxiliary lines at rest stand for missing joints: fewer joints than equations."""
         return bool(np.any(self.extra.roles == A.REST)) and not self.planar
 
     @cached_property
     def alternative_plan(self) -> ChainPlan | None:
-        """Another plan for the same, with other lines at rest; None where there is none."""
+        """Another plan for the same task, with other auxiliary lines; None where there is none."""
         found = make_plan(self.lines, self.task, self.locked, self.planar, self.extra)
         return None if found.method == SEARCH else found
 
     def fill_solutions(self, *given: Any) -> None:
-        """Write the solutions of targets, one after the other.
+        """Write the solutions of targets into arrays, one target after the other.
 
         Given are targets (N, 4, 4), coordinates near which angles are given and those of locked
         joints (1 or N, n), tolerances of positions and angles, whether the target is a single one,
@@ -185,13 +182,14 @@ class ChainPlan:
 
     @cached_property
     def has_system_coordinates(self) -> bool:
-        """Whether the chain's coordinates are the system's, in their order."""
+        """Whether the chain's coordinates are the system's, in the same order."""
         return bool(np.array_equal(self.lines.q_index, np.arange(len(self.lines))))
 
 
 def compute_targets(lines: Lines, extra: Extra, q: Array) -> Array:
-    """Targets (m, 4, 4) in the ground frame, in metres, that coordinates q (m, n) reach, random in
-    what is free.
+    """Compute targets (m, 4, 4) in the ground frame, in metres, reached at coordinates q (m, n).
+
+    Motions that the task leaves free are random.
     """
     T = compute_line_placements(lines, lines.compute_theta(q))[0] @ sample_free_motions(
         lines, extra, len(q)
@@ -201,8 +199,7 @@ def compute_targets(lines: Lines, extra: Extra, q: Array) -> Array:
 
 
 def sample_free_motions(lines: Lines, extra: Extra, count: int) -> Array:
-    """Random motions (count, 4, 4) in the tip's frame that the task allows: those of the free
-    lines.
+    """Sample random motions (count, 4, 4) of the tip that the task leaves free.
 
     A target says nothing of what its task does not ask: its rotation or position there is any, not
     that of the chain.
@@ -221,7 +218,7 @@ def sample_free_motions(lines: Lines, extra: Extra, count: int) -> Array:
 
 
 def make_free_lines(lines: Lines, task: str, planar: bool) -> Extra:
-    """Lines at the tip that may move freely, for what the task does not ask."""
+    """Make auxiliary lines at the tip for the motions that the task leaves free."""
     R = lines.tip[:3, :3]
     p = lines.tip[:3, 3]
     turns = {"position": (0, 1, 2), "direction": (2,), "position_axis": (2,)}.get(task, ())
@@ -241,7 +238,7 @@ def make_free_lines(lines: Lines, task: str, planar: bool) -> Extra:
 
 
 def compute_extra_screws(extra: Extra, tip: Array) -> Array:
-    """Columns (6, k) of extra lines in the tip's frame: constant, for they come last."""
+    """Compute the constant screws (6, k) of auxiliary lines in the tip's frame."""
     R = tip[:3, :3].T
     p = tip[:3, 3]
     J = np.zeros((6, len(extra.kinds)))
@@ -255,7 +252,7 @@ def compute_extra_screws(extra: Extra, tip: Array) -> Array:
 
 
 def sample_variables(lines: Lines, rng: np.random.Generator, count: int) -> Array:
-    """Random theta (count, n): any angle, slides of the size of the chain."""
+    """Sample random variables (count, n): any angle, slides of the size of the chain."""
     shape = (count, len(lines))
     return np.where(
         lines.kinds == SLIDE, rng.uniform(-1.0, 1.0, shape), rng.uniform(-np.pi, np.pi, shape)
@@ -265,9 +262,7 @@ def sample_variables(lines: Lines, rng: np.random.Generator, count: int) -> Arra
 def iterate_resting_lines(
     lines: Lines, free: Extra, unknown: list[int], planar: bool
 ) -> Iterator[Extra]:
-    """Sets of lines that complete the unknown joints and the free lines to six, the best
-    conditioned first.
-    """
+    """Iterate over sets of lines at rest that complete a chain to six, best conditioned first."""
     count = 6 - len(unknown) - len(free.kinds)
     if count == 0:
         yield Extra(
@@ -296,9 +291,7 @@ def iterate_resting_lines(
 def _collect_candidate_lines(
     lines: Lines, unknown: list[int], planar: bool
 ) -> tuple[np.ndarray, Array, Array]:
-    """Lines to choose from: turns through a point of the last axis, slides, turns through another
-    point.
-    """
+    """Collect candidates for auxiliary lines: turns through two points, and slides."""
     if planar:
         R = np.eye(3)
         at = np.zeros((6, 3))
@@ -317,7 +310,10 @@ def _collect_candidate_lines(
 
 
 def count_chain_freedoms(lines: Lines, free: Extra, unknown: list[int]) -> int:
-    """Rank of the Jacobian of the unknown joints and the free lines at random configurations."""
+    """Count the freedoms of the unknown joints and the free lines: the rank of their Jacobian.
+
+    At random configurations.
+    """
     if not unknown:
         return len(free.kinds)
     if lines.even is not None:
@@ -344,7 +340,7 @@ def count_chain_freedoms(lines: Lines, free: Extra, unknown: list[int]) -> int:
 def make_plan(
     lines: Lines, task: str, locked: tuple[int, ...], planar: bool, but: Extra | None = None
 ) -> ChainPlan:
-    """The plan for a chain of which so many joints are locked that the others are not redundant.
+    """Make the plan of a chain that is not redundant with the joints `locked`.
 
     but: lines that complete it in a plan that is known; then another one is made.
     """
@@ -367,8 +363,9 @@ def make_plan(
 def find_closed_form_plan(
     lines: Lines, task: str, locked: tuple[int, ...], planar: bool, but: Extra | None = None
 ) -> ChainPlan | None:
-    """The plan that solves the joints that are not locked in closed form, None where there is none;
-    see `make_plan`.
+    """Find the plan that solves the unlocked joints in closed form; None where there is none.
+
+    See `make_plan`.
     """
     unknown = [i for i in range(len(lines)) if i not in locked]
     if not unknown:
@@ -387,9 +384,7 @@ def find_closed_form_plan(
 def _iterate_completions(
     lines: Lines, task: str, unknown: list[int], planar: bool, but: Extra | None
 ) -> Iterator[Extra]:
-    """Lines that complete the unknown joints to six: free ones for what the task does not ask,
-    others at rest.
-    """
+    """Iterate over auxiliary lines that complete the unknown joints to six."""
     free = make_free_lines(lines, task, planar)
     for rest in iterate_resting_lines(lines, free, unknown, planar):
         extra = Extra(
@@ -405,7 +400,7 @@ def _iterate_completions(
 def _make_elimination_plan(
     lines: Lines, task: str, unknown: list[int], locked: tuple[int, ...], extra: Extra
 ) -> ChainPlan | None:
-    """The plan that takes the six lines as general ones; None where no formulation suits them."""
+    """Make the plan that solves six general lines by elimination; None where that fails."""
     from kempe.kernels.closed_form.analytic_layout import FORMULATIONS
     from kempe.kernels.compiled import elimination_score
 
@@ -427,13 +422,14 @@ def _make_elimination_plan(
 
 
 def _unpack_extra(extra: Extra) -> tuple[np.ndarray, Array, Array, np.ndarray]:
+    """Unpack the arrays of auxiliary lines."""
     return extra.kinds, extra.h, extra.o, extra.roles
 
 
 def _find_common_strategies(
     lines: Lines, unknown: list[int], locked: tuple[int, ...], extra: Extra
 ) -> list[Strategy]:
-    """Ways for the six lines, as they are common to two positions of the locked joints."""
+    """Find closed forms of six lines that are common to two positions of the locked joints."""
     rng = np.random.default_rng(11)
     variants = list[Axes]()
     goals = list[list[Array]]()
@@ -456,13 +452,14 @@ def _find_common_strategies(
 
 
 def _extract_settings(w: Strategy) -> tuple[int, int, int, int, int]:
+    """Extract the settings of a strategy for the kernels."""
     return w.inner, w.what, w.mode, w.measure, w.option
 
 
 def compute_carried_lines(
     lines: Lines, locked: tuple[int, ...], extra: Extra, theta: Array
 ) -> tuple[Axes, Array]:
-    """All lines as the locked joints carry them, and the motion (4, 4) of all locked joints."""
+    """Compute all lines as locked joints carry them, and the motion (4, 4) of all of these."""
     X = np.eye(4)
     kinds = np.concatenate([lines.kinds, extra.kinds])
     h = np.vstack([lines.h, extra.h])
@@ -476,7 +473,9 @@ def compute_carried_lines(
 
 
 def compute_outer_terms(plan: ChainPlan, theta: Array, X: Array) -> Array:
-    """Constant and factors (2, 2, 3) of the outer joints x and z in both measures of a closed form.
+    """Compute constants and factors (2, 2, 3) of the outer joints x and z of a closed form.
+
+    In both measures.
 
     X (4, 4) is a pose of the tip, scaled as the lines; locked joints are as in theta (n,). See
     `kempe.kernels.closed_form.arm_part`.
@@ -500,8 +499,9 @@ def pack_plan(
     way: Strategy | None,
     forms: tuple[tuple[int, ...], list[int]] | None = None,
 ) -> ChainPlan:
-    """The plan and its arrays (`kempe.kernels.closed_form.analytic_layout`); forms: orders and ways
-    to eliminate.
+    """Pack a plan and its arrays for the kernels.
+
+    Layout: `kempe.kernels.closed_form.analytic_layout`; `forms` are orders and ways to eliminate.
     """
     n = len(lines)
     k = len(extra.kinds)
@@ -530,8 +530,9 @@ def pack_plan(
 
 
 def _can_solve_in_blocks(lines: Lines, task: str, way: Strategy) -> bool:
-    """Whether several targets are solved side by side: six turning joints, an equation in one
-    unknown.
+    """Return whether kernels can solve several targets side by side with a strategy.
+
+    They need six turning joints and an equation in one unknown.
     """
     if task != "pose" or way.mode not in (X_FIRST, Z_FIRST) or np.any(lines.kinds == SLIDE):
         return False
@@ -541,7 +542,10 @@ def _can_solve_in_blocks(lines: Lines, task: str, way: Strategy) -> bool:
 
 
 def _estimate_error(plan: ChainPlan) -> float:
-    """The angle or length up to which the plan finds four of five random configurations again."""
+    """Estimate the error with which the plan finds random configurations again.
+
+    An angle or length that four of five of them stay below.
+    """
     lines = plan.lines
     rng = np.random.default_rng(3)
     theta = sample_variables(lines, rng, TRIALS)
@@ -600,7 +604,7 @@ with two axes."""
 
 
 def make_locked_plan(lines: Lines, task: str, fixed: tuple[int, ...], planar: bool) -> ChainPlan:
-    """The plan with as many joints locked, beside those `fixed`, as the chain has too many.
+    """Make the plan of a redundant chain, with as many more joints locked as are redundant.
 
     Best is to hold slides that carry an arm of turns: a rail, a torso. Then what counts is how the
     rest is solved (side by side, in closed form, by elimination), and how many random poses have a
@@ -646,8 +650,9 @@ def make_locked_plan(lines: Lines, task: str, fixed: tuple[int, ...], planar: bo
 def _iterate_lock_choices(
     lines: Lines, task: str, free: Extra, unknown: list[int], extra: int, rank: int
 ) -> Iterator[tuple[int, ...]]:
-    """Choices that leave the chain all of its freedoms, those that carry an arm of turns first, the
-    last joints first.
+    """Iterate over choices of locked joints that leave the chain all of its freedoms.
+
+    Those that leave an arm of turns come first, the last joints first.
 
     Where the task asks for an orientation alone the first joints come first, since the last are
     those that turn the tip. Of many spare joints, the choices come first that leave joints in a
@@ -682,14 +687,13 @@ def _iterate_lock_choices(
 
 
 def _holds_all_slides(lines: Lines, unknown: list[int], choice: tuple[int, ...]) -> bool:
-    """Whether the choice holds all slides of the chain, and leaves an arm of turns."""
+    """Return whether a choice of locked joints holds all slides and leaves an arm of turns."""
     slides = [i for i in unknown if lines.kinds[i] == SLIDE]
     return bool(slides) and set(slides) <= set(choice)
 
 
 def _choose_held_values(plan: ChainPlan, fixed: tuple[int, ...]) -> tuple[float, ...]:
-    """Coordinates (n,) at which joints are held by choice where nobody says where: zero, inside the
-    limits.
+    """Choose coordinates (n,) at which joints are held by default: zero, inside the limits.
 
     An elimination takes long where axes line up that do not otherwise; there they are held aside of
     zero.
@@ -710,9 +714,7 @@ def _choose_held_values(plan: ChainPlan, fixed: tuple[int, ...]) -> tuple[float,
 
 
 def _count_aligned_joints(plan: ChainPlan, theta: Array) -> int:
-    """How many joints that move have an axis nearly parallel to the next one's, or nearly meeting
-    it, at theta (n,).
-    """
+    """Count moving joints whose axis is nearly parallel to the next, or nearly meets it."""
     axes, _ = compute_carried_lines(plan.lines, plan.locked, plan.extra, theta)
     moving = [i for i in range(len(plan.lines)) if i not in plan.locked]
     count = 0
@@ -724,9 +726,7 @@ def _count_aligned_joints(plan: ChainPlan, theta: Array) -> int:
 
 
 def _estimate_solved_share(plan: ChainPlan) -> float:
-    """The share of random poses that have a solution inside the limits with the locked joints where
-    they are first.
-    """
+    """Estimate the share of random poses that have a solution inside the limits."""
     lines = plan.lines
     n = len(plan.lines)
     q = scale_to_domains(lines, np.random.default_rng(17).random((SAMPLES, n)))
@@ -750,9 +750,7 @@ def _estimate_solved_share(plan: ChainPlan) -> float:
 
 
 def compute_domains(lines: Lines) -> Array:
-    """Values (2, n) between which joints are looked at: limits; else a turn, or two lengths of the
-    chain each way.
-    """
+    """Compute ranges (2, n) of the joints: limits, else one turn, or two lengths each way."""
     half = np.where(lines.kinds == SLIDE, 2.0, np.pi) / np.abs(lines.multiplier)
     low, high = lines.limits
     with np.errstate(invalid="ignore"):
@@ -764,9 +762,7 @@ def compute_domains(lines: Lines) -> Array:
 
 
 def scale_to_domains(lines: Lines, shares: Array) -> Array:
-    """Coordinates (m, n) at these shares (m, n) of the ways from the first to the last values of
-    `compute_domains`.
-    """
+    """Scale shares (m, n) from 0 to 1 to coordinates (m, n) in the ranges of `compute_domains`."""
     first, last = compute_domains(lines)
     return first + shares * (last - first)
 
@@ -782,7 +778,7 @@ def find_plan(
     axis: tuple[float, float, float],
     fixed: tuple[str, ...],
 ) -> ChainPlan:
-    """The plan for a task with these joints held; of redundant chains more are held, by choice."""
+    """Find the plan for a task with given joints held; redundant chains hold more by choice."""
     return _build_plan(
         system, frame, task, axis, tuple(sorted(lines.names.index(n) for n in fixed))
     )
@@ -792,6 +788,7 @@ def find_plan(
 def _build_plan(
     system: Model, frame: str, task: str, axis: tuple[float, float, float], at: tuple[int, ...]
 ) -> ChainPlan:
+    """Build the plan of a frame and task, once."""
     planar = system.dim == 2
     return replace(
         make_locked_plan(find_chain_lines(system, frame, axis), task, at, planar),
@@ -803,7 +800,7 @@ def _build_plan(
 def find_plan_or_reason(
     system: Model, frame: str, task: str, axis: tuple[float, float, float]
 ) -> ChainPlan | str:
-    """The plan that answers a task of a frame, or why numbers have to."""
+    """Find the plan for a task of a frame, or the reason why there is none."""
     try:
         plan = find_plan(system, frame, find_chain_lines(system, frame, axis), task, axis, ())
     except UnsupportedError as error:

@@ -1,4 +1,4 @@
-"""The packed problem of `ik_all` for a chain: targets, task, tolerance, time; joints that are held."""
+"""The problem that `ik_all` solves for a chain: targets, task, tolerance, time limit, held joints."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ ANGULAR = 1e-6
 
 
 class Watch:
-    """The time limit of a call, and the targets whose work it ended, `late` (N,)."""
+    """The time limit of a call, and the mask `late` (N,) of the targets that it stopped."""
 
     def __init__(self, limit: TimeLimit, count: int):
         self.limit = limit
@@ -42,7 +42,7 @@ class Watch:
 
 @dataclass(frozen=True, eq=False)
 class ChainProblem:
-    """All configurations of a chain are requested that reach targets (N, 4, 4) of a frame.
+    """The problem of all configurations of a chain that reach targets (N, 4, 4) of a frame.
 
     `lead` is the leading shape of the targets, None for a single one.
     """
@@ -63,8 +63,9 @@ class ChainProblem:
     one."""
 
     def stopped(self, which: Any) -> bool:
-        """Whether the time is up, which is noted of the targets `which`: a number, a slice, or an
-        array of numbers.
+        """Return whether the time is up, and record this for the targets `which`.
+
+        They are given by a number, a slice, or an array of numbers.
         """
         if self.watch is None or not self.watch.is_over:
             return False
@@ -72,18 +73,21 @@ class ChainProblem:
         return True
 
     def of(self, which: np.ndarray, lead: tuple[int, ...] | None) -> ChainProblem:
-        """The same problem for the targets `which` (m,) alone."""
+        """Return the same problem for the targets `which` (m,) alone."""
         numbers = which if self.numbers is None else self.numbers[which]
         return replace(self, targets=self.targets[which], lead=lead, numbers=numbers)
 
     @property
     def angular(self) -> float:
-        """The tolerance of angles [rad], which rounding of positions leaves mostly alone."""
+        """Tolerance of angles [rad], which does not grow with the rounding of positions."""
         return max(self.requested, min(self.tolerance, ANGULAR))
 
 
 def read_solution_tolerance(tolerance: Any) -> float:
-    """The tolerance of a solution. Errors: `InputError`."""
+    """Read the tolerance of a solution.
+
+    Errors: `InputError`.
+    """
     number: Any = tolerance
     if isinstance(tolerance, (int, float, np.number)) and 0.0 < number < math.inf:
         return float(number)
@@ -93,8 +97,9 @@ def read_solution_tolerance(tolerance: Any) -> float:
 
 
 def read_fixed_values(fixed: Any) -> Mapping[str, Any]:
-    """Values of held joints by name, unchecked; empty for None. Errors: `InputError` for what is no
-    mapping.
+    """Read values of held joints by name, unchecked; empty for None.
+
+    Errors: `InputError` for what is no mapping.
     """
     names: Any = fixed
     if fixed is not None and not isinstance(fixed, Mapping):
@@ -105,8 +110,9 @@ def read_fixed_values(fixed: Any) -> Mapping[str, Any]:
 
 
 def read_held_joints(frame: str, names: tuple[str, ...], fixed: object) -> dict[str, Array]:
-    """Values of joints of the chain that are held, by name. Errors: `InputError`,
-    `UnknownNameError`.
+    """Read the values of held joints of the chain, by name.
+
+    Errors: `InputError`, `UnknownNameError`.
     """
     out: dict[str, Array] = {}
     for name, value in read_fixed_values(fixed).items():
@@ -121,7 +127,10 @@ def read_held_joints(frame: str, names: tuple[str, ...], fixed: object) -> dict[
 def read_near_configurations(
     system: Model, near: Any, lead: tuple[int, ...] | None
 ) -> Array | None:
-    """Configurations (1 or N, nq) near which angles are given; None for none. Errors: `InputError`."""
+    """Read configurations (1 or N, nq) near which angles are returned; None for none.
+
+    Errors: `InputError`.
+    """
     if near is None:
         return None
     q = read_start(system, near)

@@ -1,4 +1,4 @@
-"""Every configuration in which a frame reaches a target, by the plan of its chain."""
+"""All configurations in which a frame reaches its targets, by the plan of its chain."""
 
 from __future__ import annotations
 
@@ -33,8 +33,9 @@ NONE = np.zeros(0, dtype=np.int64)
 
 
 def estimate_attainable_error(targets: Array, lines: Lines) -> float:
-    """The error [m] that rounding leaves, given the size of targets and chain: far away it is above
-    the tolerance.
+    """Estimate the error [m] that rounding leaves, from the size of targets and chain.
+
+    Far away it exceeds the tolerance.
     """
     if len(targets) == 1:  # in Python: for three numbers arrays cost more
         far = max([abs(x) for x in targets[0, :3, 3].tolist() if math.isfinite(x)], default=0.0)
@@ -56,8 +57,9 @@ def solve_locked_chain(
     threads: int | None,
     starts: bool = True,
 ) -> tuple[Array, np.ndarray]:
-    """Rows (N, K, n + 2) and counts (N, 2) of the kernels with joints locked at their values in
-    `locked` (1 or N, n).
+    """Solve a chain with locked joints: rows (N, K, n + 2) and counts (N, 2) of the kernels.
+
+    `locked` (1 or N, n) are the values of locked joints.
 
     chain_near: (1 or N, n) coordinates of the chain, near which angles are given. With `starts` a
     search looks for solutions where the equations say nothing.

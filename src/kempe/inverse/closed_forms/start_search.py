@@ -1,5 +1,6 @@
-"""Solutions by many starts, for chains with neither a closed form nor an elimination: never known
-to be complete.
+"""Solutions found by many starts, for chains without closed form or elimination.
+
+They are never known to be complete.
 
 The search of `ik`, without limits, leads each start to the target or gives it up; what is reached
 is made exact.
@@ -57,9 +58,7 @@ def search_targets(
     counts: np.ndarray,
     which: np.ndarray,
 ) -> None:
-    """Fill the rows `out` (N, K, n + 2) and `counts` (N, 2) of the targets whose numbers are in
-    `which`.
-    """
+    """Search for solutions of the targets `which`; fill `out` (N, K, n + 2) and `counts` (N, 2)."""
     out[which, :, -A.INFO + A.CODE] = A.UNUSED
     counts[which, 1] = 1
     for k, i in enumerate(which):
@@ -82,7 +81,7 @@ def search_targets(
 def _find_solutions(
     problem: ChainProblem, plan: ChainPlan, target: Array, locked: Array
 ) -> tuple[Array, Array]:
-    """Variables (k, n) of distinct solutions, and their errors (k,)."""
+    """Find distinct solutions (k, n) of a target, and their errors (k,)."""
     lines = plan.lines
     rng = np.random.default_rng(0)
     aim = Aim.from_target(problem, plan, target, plan.locked)
@@ -128,7 +127,7 @@ def _find_solutions(
 
 
 def make_frame_problem(problem: ChainProblem) -> FrameProblem:
-    """The problem, as numerical solvers read it."""
+    """Make the problem in the form that numerical solvers read."""
     chain = find_chain(problem.system, problem.frame, problem.axis)
     tolerance = (problem.tolerance, problem.angular)
     return FrameProblem(
@@ -145,16 +144,14 @@ def make_frame_problem(problem: ChainProblem) -> FrameProblem:
 
 
 def find_chain_columns(chain: Chain, lines: Lines) -> np.ndarray:
-    """Of each line (n,) the coordinate of the packed chain."""
+    """Find, for each line (n,), the coordinate of the packed chain."""
     return np.argsort(chain.q_index)[np.argsort(np.argsort(lines.q_index))]
 
 
 def _search_from_starts(
     problem: ChainProblem, plan: ChainPlan, target: Array, theta: Array
 ) -> Array:
-    """Variables (k, n) from which the target is a few steps, and which differ, of searches from
-    theta (m, n).
-    """
+    """Search from starts theta (m, n); return distinct variables (k, n) close to the target."""
     lines = plan.lines
     task = make_frame_problem(problem)
     chain = task.chain
@@ -198,20 +195,19 @@ def _search_from_starts(
 
 
 def _compute_gap(lines: Lines, x: Array, y: Array) -> float:
-    """The largest difference of a joint between two configurations."""
+    """Compute the largest difference of a joint between two configurations."""
     return float(np.abs(np.where(lines.kinds == SLIDE, x - y, _wrap_angles(x - y))).max())
 
 
 def _wrap_angles(x: Array) -> Array:
+    """Wrap angles to [-pi, pi]."""
     return x - 2.0 * math.pi * np.round(x / (2.0 * math.pi))
 
 
 def _write_rows(
     plan: ChainPlan, found: Array, error: Array, near: Array, out: Array, sort: bool
 ) -> None:
-    """Write the rows of one target, of each angle the turn inside the limits that is nearest to
-    `near`.
-    """
+    """Write the rows of one target, each angle with the turn inside the limits nearest to `near`."""
     lines = plan.lines
     period = np.where(lines.kinds == SLIDE, np.inf, 2.0 * math.pi / np.abs(lines.multiplier))
     low, high = lines.limits

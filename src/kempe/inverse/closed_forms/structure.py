@@ -1,4 +1,4 @@
-"""What the axes of six joints have in common, and by which subproblems that solves the chain."""
+"""Geometry of six joint axes, and the closed forms that it allows."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ class Axes:
     o: Array
 
     def reorder_lines(self, order: tuple[int, ...]) -> Axes:
-        """The same lines in another order."""
+        """Return the lines in another order."""
         at = list(order)
         return Axes(self.kinds[at], self.h[at], self.o[at])
 
     def pack_lines(self) -> Array:
-        """The lines as kernels read them."""
+        """Pack the lines as kernels read them."""
         out = np.zeros((len(self.kinds), 8))
         out[:, :3] = self.h
         out[:, 4:7] = self.o
@@ -59,9 +59,10 @@ class Axes:
 
 @dataclass(frozen=True)
 class Strategy:
-    """A way to solve six lines in closed form: their `order`, the place `inner` of the three joints
-    that leave `what` (POINT or PLANE) in place, and how the outer three are solved: `mode`,
-    `measure`, `option`.
+    """A closed form of six lines: their order, the inner three joints, and the outer equations.
+
+    `inner` is the place of the three joints that leave `what` (POINT or PLANE) in place; `mode`,
+    `measure` and `option` say how the outer three are solved.
 
     See `kempe.kernels.closed_form.arm_part`.
     """
@@ -75,12 +76,12 @@ class Strategy:
 
 
 def are_parallel(g: Array, h: Array) -> bool:
-    """Whether two unit vectors are parallel, of either sense."""
+    """Return whether two unit vectors are parallel, of either sense."""
     return float(np.linalg.norm(np.cross(g, h))) <= EXACT
 
 
 def compute_line_distance(axes: Axes, i: int, j: int) -> float:
-    """The distance between two lines."""
+    """Compute the distance between two lines."""
     n = np.cross(axes.h[i], axes.h[j])
     d = axes.o[j] - axes.o[i]
     size = float(np.linalg.norm(n))
@@ -90,12 +91,12 @@ def compute_line_distance(axes: Axes, i: int, j: int) -> float:
 
 
 def do_axes_meet(axes: Axes, i: int, j: int) -> bool:
-    """Whether two axes that are not parallel meet."""
+    """Return whether two axes that are not parallel meet."""
     return not are_parallel(axes.h[i], axes.h[j]) and compute_line_distance(axes, i, j) <= EXACT
 
 
 def find_meeting_point(axes: Axes, places: tuple[int, ...]) -> Array | None:
-    """The point (3,) in which these axes meet, None where they do not (or are all parallel)."""
+    """Find the point (3,) in which axes meet; None where they do not, or are all parallel."""
     across = np.eye(3) - axes.h[list(places), :, None] * axes.h[list(places), None, :]
     total: Array = across.sum(axis=0)
     if Spectrum(total).smallest <= NO_POINT:
@@ -107,7 +108,10 @@ def find_meeting_point(axes: Axes, places: tuple[int, ...]) -> Array | None:
 
 
 def keeps_point(axes: Axes, k: int) -> bool:
-    """Whether turns k, k + 1, k + 2 meet in a point, and can give any rotation near most positions."""
+    """Return whether turns k, k + 1, k + 2 meet in a point, as a spherical joint does.
+
+    They must allow any rotation near most positions.
+    """
     if np.any(axes.kinds[k : k + 3] == SLIDE) or are_parallel(axes.h[k], axes.h[k + 1]):
         return False
     return (
@@ -117,7 +121,7 @@ def keeps_point(axes: Axes, k: int) -> bool:
 
 
 def keeps_plane(axes: Axes, k: int) -> bool:
-    """Whether joints k, k + 1, k + 2 move one plane in itself, with three freedoms."""
+    """Return whether joints k, k + 1, k + 2 move a plane in itself with three freedoms."""
     turns = [i for i in range(k, k + 3) if axes.kinds[i] == TURN]
     slides = [i for i in range(k, k + 3) if axes.kinds[i] == SLIDE]
     if not turns or any(not are_parallel(axes.h[i], axes.h[turns[0]]) for i in turns[1:]):
@@ -134,8 +138,9 @@ def keeps_plane(axes: Axes, k: int) -> bool:
 
 
 def can_swap_lines(axes: Axes, i: int) -> bool:
-    """Whether lines i and i + 1 can change places: two slides, or a slide and a turn along its
-    direction.
+    """Return whether lines i and i + 1 can change places.
+
+    Two slides can, and a slide and a turn along its direction.
     """
     a = axes.kinds[i]
     b = axes.kinds[i + 1]
@@ -145,7 +150,7 @@ def can_swap_lines(axes: Axes, i: int) -> bool:
 
 
 def iterate_orders(variants: list[Axes]) -> Iterator[tuple[int, ...]]:
-    """Orders of the lines that are the same chain, the given one first."""
+    """Iterate over orders of the lines that describe the same chain, the given one first."""
     n = len(variants[0].kinds)
     seen = [tuple(range(n))]
     for order in seen:
@@ -162,7 +167,7 @@ def iterate_orders(variants: list[Axes]) -> Iterator[tuple[int, ...]]:
 
 
 def find_strategies(variants: list[Axes], goals: list[Any], at_rest: set[int]) -> list[Strategy]:
-    """All ways to solve six lines in closed form, the best first.
+    """Find all closed forms of six lines, the best first.
 
     variants: the lines for several positions of locked joints, of which the structure must be
     common; goals: for each some goals (m, 12) that can be reached; at_rest: lines that stand for no
@@ -192,7 +197,10 @@ def find_strategies(variants: list[Axes], goals: list[Any], at_rest: set[int]) -
 def _iterate_outer_solutions(
     now: list[Axes], goals: list[Array], k: int, what: int
 ) -> Iterator[tuple[int, tuple[int, int, int]]]:
-    """How the outer joints can be solved: (rank, (mode, measure, option)), rank 0 the best."""
+    """Iterate over ways to solve the outer joints, as (rank, (mode, measure, option)).
+
+    Rank 0 is the best.
+    """
     for option in (0, 1):
         size = np.zeros((2, 2, 2))  # joint x or z, measure, largest or smallest over the goals
         size[..., 1] = np.inf
