@@ -121,7 +121,7 @@ class Emitter:
             no_cfunc_wrapper=True,
             pipeline_class=EntryCompiler,
         )(entry.function)
-        dispatcher.compile(_jit.signature_of(entry))
+        dispatcher.compile(_jit.make_signature(entry))
         dispatcher.disable_compile()
         (result,) = dispatcher.overloads.values()
         module = result.library._final_module

@@ -280,10 +280,10 @@ def sources() -> str:
     """Digests of the sources of all kernels, as the package computes them."""
     sys.path.insert(0, str(HERE.parent / "src"))
     try:
-        from kempe.kernels.digest import source_digests
+        from kempe.kernels.digest import compute_source_digests
     finally:
         sys.path.pop(0)
-    return source_digests(KERNELS)
+    return compute_source_digests(KERNELS)
 
 
 def is_current() -> bool:

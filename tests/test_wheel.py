@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from copies import of_all_processes, once
 
-from kempe.kernels.digest import source_digests
+from kempe.kernels.digest import compute_source_digests
 
 pytestmark = [
     pytest.mark.slow,
@@ -183,7 +183,7 @@ def test_an_environment_without_numba_runs_it(fresh):
     file, *variants = first.split()
     assert (
         str(fresh.parent.parent) in file
-        and sources == source_digests().strip()
+        and sources == compute_source_digests().strip()
         and tuple(variants) == VARIANTS
     )
     for arguments, shown in (

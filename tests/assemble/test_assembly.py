@@ -93,7 +93,7 @@ def test_convergence_is_quadratic(name):
     sizes = []
     arrays = b.loops.ints, b.loops.floats, b.loops.plan, b.loops.weights
     for limit in range(4):
-        kernel.assemble(
+        kernel.assemble_loops(
             *arrays, start, b.no_pins, 0, 1, limit, 1e100, 0, 0, 0, False, 0, q, r, info
         )
         sizes.append(r[0])
@@ -783,9 +783,9 @@ def searched(monkeypatch):
 
     def assemble(*args):
         rows.append(len(args[4]))
-        return kernel.assemble(*args)
+        return kernel.assemble_loops(*args)
 
-    monkeypatch.setattr(assembler_module, "loop_closing", SimpleNamespace(assemble=assemble))
+    monkeypatch.setattr(assembler_module, "loop_closing", SimpleNamespace(assemble_loops=assemble))
     return rows
 
 
@@ -798,13 +798,15 @@ def test_a_named_branch_is_evaluated_once_and_not_searched(searched, monkeypatch
     evaluated = []
     s.assemble({"A": 0.3})
     searched.clear()
-    equations = assembler_module.closure_batch.equations
+    equations = assembler_module.closure_batch.evaluate_equations
 
     def counted(*args):
         evaluated.append((len(args[5]), args[6]))
         return equations(*args)
 
-    monkeypatch.setattr(assembler_module, "closure_batch", SimpleNamespace(equations=counted))
+    monkeypatch.setattr(
+        assembler_module, "closure_batch", SimpleNamespace(evaluate_equations=counted)
+    )
     monkeypatch.setattr(Plan, "branch_of", lambda self, q: pytest.fail("no row was searched"))
     answer = s.assemble({"A": np.linspace(0.0, 20.0, n)}, branch="+")
     assert answer.success.all() and not searched

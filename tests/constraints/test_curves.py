@@ -46,7 +46,7 @@ def run(t: Tape, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     ints, floats = t.arrays()
     values = np.empty((len(p), len(t.outputs)))
     gradients = np.empty((len(p), len(t.outputs), p.shape[1]))
-    kernel.tapes(ints, floats, np.ascontiguousarray(p), values, gradients)
+    kernel.evaluate_tape_gradients(ints, floats, np.ascontiguousarray(p), values, gradients)
     return values, gradients
 
 
@@ -149,7 +149,7 @@ def test_series_by_values_along_a_line(dim):
     found = np.empty((60, len(t.outputs), order + 1))
     given[:, :, 0], given[:, :, 1] = p, way
     ints, floats = t.arrays()
-    kernel.tape_series(ints, floats, order, given, found)
+    kernel.evaluate_tape_series(ints, floats, order, given, found)
     later = judged(t, p + h * way)
     off = np.abs(found @ h ** np.arange(order + 1) - later).max(axis=1)
     # some lines cross into another piece

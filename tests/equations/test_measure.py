@@ -102,7 +102,7 @@ def test_a_kernel_that_closes_nothing_is_exposed(monkeypatch):
         info[:] = (Status.SOLVED, 1, 1)
         return 0
 
-    monkeypatch.setattr(bound.loop_closing, "assemble", blind)
+    monkeypatch.setattr(bound.loop_closing, "assemble_loops", blind)
     answer = system.assemble({"A": 0.3}, start=system.neutral)
     assert answer.success and answer.residual == 0.0 and not answer.judged.holds
     said = "success is contradicted, judged by poses multiplied out in numpy: 'C' is missed by"

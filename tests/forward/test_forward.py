@@ -22,7 +22,7 @@ from kempe import Mechanism, System, spatial
 from kempe.errors import InputError, UnknownNameError
 from kempe.forward.fk import SERIAL_BELOW
 from kempe.kernels.compiled import bound
-from kempe.kernels.forward.table_layout import fuse
+from kempe.kernels.forward.table_layout import fuse_table
 from kempe.model.primitive_table import extract_chain
 
 FRAMES = ("world_aligned", "world", "body")
@@ -98,7 +98,7 @@ def test_a_chain_alone_is_the_chain_in_its_system(graph: Graph, seed):
         table, to_q, to_v = extract_chain(s.structure.table, name)
         pose = np.empty((4, 4))
         columns = np.zeros((6, table.nv))
-        assert bound.pose(fuse(*table.pack_arrays([name])), q[to_q], pose) == 0
+        assert bound.compute_pose(fuse_table(*table.pack_arrays([name])), q[to_q], pose) == 0
         np.testing.assert_allclose(pose, s.fk(q, name), rtol=0, atol=1e-14)
         whole = s.jacobian(q, name)
         others = np.setdiff1d(np.arange(s.nv), to_v)

@@ -616,18 +616,18 @@ def kernel_calls(monkeypatch):
     """
     calls: list[tuple[str, int, int]] = []
     search = multi_start.schedule
-    nearest = fallback.approach
+    nearest = fallback.approach_goals
 
     def reach(*args):
         calls.append(("search", len(args[4]), args[8]))
-        return search.reach(*args)
+        return search.reach_goals(*args)
 
     def approach(*args):
         calls.append(("descents", len(args[4]), 0))
         return nearest(*args)
 
-    monkeypatch.setattr(multi_start, "schedule", SimpleNamespace(reach=reach))
-    monkeypatch.setattr("kempe.kernels.compiled.fallback", SimpleNamespace(approach=approach))
+    monkeypatch.setattr(multi_start, "schedule", SimpleNamespace(reach_goals=reach))
+    monkeypatch.setattr("kempe.kernels.compiled.fallback", SimpleNamespace(approach_goals=approach))
     return calls
 
 

@@ -111,10 +111,12 @@ def solve(
         out,
     )
     balls = any(r.kind == BALL for r in chain.table.rows)
-    if (compiled.scalar_search.reach_one_by_one if balls or slow else compiled.schedule.reach)(
-        *arguments
-    ):
-        compiled.fallback.approach(*arguments)
+    if (
+        compiled.scalar_search.reach_goals_singly
+        if balls or slow
+        else compiled.schedule.reach_goals
+    )(*arguments):
+        compiled.fallback.approach_goals(*arguments)
     missed = int((out[:, nq + STATUS] != 0).sum())
     q = out[:, :nq].copy()
     residual = out[:, nq : nq + STATUS].copy()

@@ -83,17 +83,19 @@ class StandIns(SimpleNamespace):
 STAND_INS: dict[str, Any] = {
     "_jit": SimpleNamespace(device=_as_it_is, routine=_as_it_is, kernel=lambda *_, **__: _as_it_is),
     "scratch": SimpleNamespace(
-        beyond=lambda p, n: Pointer(p.array, p.at + int(n)), copy=_copy, aligned=_as_it_is
+        advance_pointer=lambda p, n: Pointer(p.array, p.at + int(n)),
+        copy_numbers=_copy,
+        align_pointer=_as_it_is,
     ),
     "vectors": StandIns(
         LANES=4,
-        pack4=lambda *x: np.array(x),
+        pack_four=lambda *x: np.array(x),
         load4=lambda p, k: np.array([p[k + i] for i in range(4)]),
-        entry=lambda v, i: v[i],
+        extract_entry=lambda v, i: v[i],
         last_of=lambda v: v[3],
-        negative=lambda x: np.signbit(x),
-        where=lambda c, a, b: a if c else b,
-        with_sign_of=lambda a, b: np.copysign(a, b),
+        is_negative=lambda x: np.signbit(x),
+        select_where=lambda c, a, b: a if c else b,
+        copy_sign=lambda a, b: np.copysign(a, b),
     ),
     "goals": StandIns(),
 }

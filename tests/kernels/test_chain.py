@@ -12,7 +12,7 @@ SIZES = (0, 1, 7, 8, 9, 63, 64, 65, 200)
 
 def swept(table, q):
     out = np.full((len(q), 4, 4), 7.0)
-    return chain.chain_poses(*table.pack(), q, out.reshape(len(q), 16)), out
+    return chain.compute_chain_poses(*table.pack(), q, out.reshape(len(q), 16)), out
 
 
 def expected(table, q):
@@ -106,7 +106,7 @@ WIDTHS = {
 
 def written(table, q, width):
     out = np.full((len(q), width), 7.0)
-    return chain.chain_poses(*table.pack(), q, out), out
+    return chain.compute_chain_poses(*table.pack(), q, out), out
 
 
 def part(width, X):

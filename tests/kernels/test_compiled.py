@@ -23,8 +23,8 @@ from hypothesis import strategies as st
 
 import kempe
 from kempe.kernels import compiled
-from kempe.kernels.digest import source_digests
-from kempe.kernels.forward.table_layout import fuse
+from kempe.kernels.digest import compute_source_digests
+from kempe.kernels.forward.table_layout import fuse_table
 
 native = pytest.mark.skipif(
     compiled.VARIANT == compiled.JIT, reason="kernels are compiled in this process"
@@ -86,7 +86,7 @@ def test_sources_of_kernels_are_for_the_compiler_only(path):
 
 @native
 def test_the_library_is_that_of_the_sources():
-    assert compiled._native.SOURCES == source_digests()
+    assert compiled._native.SOURCES == compute_source_digests()
     assert (
         compiled.VARIANT in compiled._native.VARIANTS
         and compiled._native.VARIANTS[compiled.VARIANT]
@@ -102,9 +102,12 @@ def edited(tmp_path):
     package = copied(tmp_path)
     helper = package / "kernels" / "forward" / "table_sweep.py"
     text = helper.read_text()
-    assert text.count("slid(multiplier * q[index], c)") == 1
+    assert text.count("prepend_slide(multiplier * q[index], c)") == 1
     helper.write_text(
-        text.replace("slid(multiplier * q[index], c)", "slid(2.0 * multiplier * q[index], c)")
+        text.replace(
+            "prepend_slide(multiplier * q[index], c)",
+            "prepend_slide(2.0 * multiplier * q[index], c)",
+        )
     )
     return package
 
@@ -384,7 +387,7 @@ def one_frame() -> tuple[np.ndarray, np.ndarray]:
     ints = np.zeros(10, dtype=np.int64)
     ints[1] = 1
     ints[8] = -1
-    return fuse(ints, np.eye(3, 4).ravel()), np.empty(0)
+    return fuse_table(ints, np.eye(3, 4).ravel()), np.empty(0)
 
 
 @pytest.mark.parametrize("writeable", [True, False])
@@ -392,7 +395,7 @@ def test_read_only_inputs_pass(writeable):
     table, q = one_frame()
     table.setflags(write=writeable)
     out = np.empty((4, 4))
-    assert compiled.bound.pose(table, q, out) == 0 and np.array_equal(out, np.eye(4))
+    assert compiled.bound.compute_pose(table, q, out) == 0 and np.array_equal(out, np.eye(4))
 
 
 @native
@@ -404,7 +407,7 @@ def test_subclasses_are_left_to_those_who_call():
 
     table, q = one_frame()
     with pytest.raises(TypeError, match="table must be"):
-        compiled.bound.pose(table.view(Mine), q, np.empty((4, 4)))
+        compiled.bound.compute_pose(table.view(Mine), q, np.empty((4, 4)))
 
 
 @native
@@ -418,14 +421,14 @@ def test_calls_keep_no_references():
     kept = (table, q, out, many, none, ints, floats)
     before = [sys.getrefcount(x) for x in kept]
     for _ in range(1000):
-        assert compiled.bound.pose(table, q, out) == 0
-        assert compiled.table_sweep.poses(ints, floats, none, many[:, None]) == 0
+        assert compiled.bound.compute_pose(table, q, out) == 0
+        assert compiled.table_sweep.compute_poses(ints, floats, none, many[:, None]) == 0
         with pytest.raises(TypeError):
-            compiled.bound.pose(table, q, None)
+            compiled.bound.compute_pose(table, q, None)
         with pytest.raises(TypeError):
-            compiled.bound.pose(table, q, out.T)
+            compiled.bound.compute_pose(table, q, out.T)
         with pytest.raises(ValueError, match="axis 0 of out"):
-            compiled.table_sweep.poses(ints, floats, none, np.empty((2, 1, 4, 4)))
+            compiled.table_sweep.compute_poses(ints, floats, none, np.empty((2, 1, 4, 4)))
     assert [sys.getrefcount(x) for x in kept] == before
 
 
@@ -434,23 +437,25 @@ def test_scratch_that_does_not_fit_into_memory_is_a_memory_error():
     ints = np.zeros(10, dtype=np.int64)
     ints[0] = 2**57  # rows, for which scratch is allocated before they are read
     with pytest.raises(MemoryError):
-        compiled.table_sweep.poses1(ints, np.zeros(12), np.empty(0), np.empty((1, 4, 4)))
+        compiled.table_sweep.compute_single_poses(
+            ints, np.zeros(12), np.empty(0), np.empty((1, 4, 4))
+        )
 
 
 def test_made_arrays_are_ordinary_ones():
     for shape in ((), (0,), (4, 4), (1, 2, 3)):
-        made = compiled.maker(*shape)()
+        made = compiled.make_allocator(*shape)()
         assert (
             made.shape == shape
             and made.dtype == float
             and made.flags.owndata
             and made.flags.c_contiguous
         )
-    new = compiled.maker(2)
+    new = compiled.make_allocator(2)
     assert new() is not new()
     for wrong in ((-1,), ("a",), (1.5,), (1,) * 9 + (-1,)):
         with pytest.raises((TypeError, ValueError)):
-            compiled.maker(*wrong)()
+            compiled.make_allocator(*wrong)()
 
 
 def test_answers_of_plain_calls_can_be_pickled():
@@ -519,12 +524,12 @@ from kempe.kernels.compiled import elimination_ik
 robot = kempe.load("jaco2"); tip = robot.frame_names[-1]
 X = np.tile(robot.fk(robot.random(1, 1000), tip), (100, 1, 1))
 robot.ik_all(X[:10], tip)
-done, kernel = [], elimination_ik.general
+done, kernel = [], elimination_ik.find_general_solutions
 def counted(*arguments):
     if len(done) == 1:
         signal.raise_signal(signal.SIGINT)
     kernel(*arguments); done.append(len(arguments[2]))
-elimination_ik.general = counted
+elimination_ik.find_general_solutions = counted
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a process in the background may begin without
 try:
     robot.ik_all(X, tip, budget=kempe.Budget(threads={threads}))
@@ -540,11 +545,11 @@ except KeyboardInterrupt:
 BEYOND = """
 import numpy as np
 from kempe.kernels import compiled
-from kempe.kernels.forward.table_layout import HEADER, N_OUT, N_ROWS, NQ, NV, Q_INDEX, ROW_FLOATS, ROW_INTS, fuse
+from kempe.kernels.forward.table_layout import HEADER, N_OUT, N_ROWS, NQ, NV, Q_INDEX, ROW_FLOATS, ROW_INTS, fuse_table
 ints, floats = np.zeros(HEADER + ROW_INTS + 2, dtype=np.int64), np.zeros(ROW_FLOATS + 12)
 ints[[N_ROWS, N_OUT, NQ, NV]] = 1
 ints[HEADER : HEADER + 4] = 0, -1, {index}, 0
-print(compiled.bound.pose(fuse(ints, floats), np.zeros(1), np.empty((4, 4))))
+print(compiled.bound.compute_pose(fuse_table(ints, floats), np.zeros(1), np.empty((4, 4))))
 """
 """A joint whose coordinate is entry `index` of a configuration with one entry."""
 
@@ -573,11 +578,11 @@ plan[L.{size}] -= {less}
 from kempe.kernels.compiled import closure_batch, loop_closing
 if "{size}" == "BLOCKS":
     out, J = np.empty((1, plan[L.N_ROWS])), np.empty((1, plan[L.N_ROWS], system.nv))
-    closure_batch.equations(loops.ints, loops.floats, plan, loops.weights, pins, q, True, out, J)
+    closure_batch.evaluate_equations(loops.ints, loops.floats, plan, loops.weights, pins, q, True, out, J)
 else:
     to, residual, info = np.empty((1, system.nq)), np.empty(1), np.empty((1, 3), dtype=np.int64)
-    loop_closing.assemble(loops.ints, loops.floats, plan, loops.weights, q, pins, 0, 3, 50, 1e-9, 0, 0, 0, False, 0,
-                          to, residual, info)
+    loop_closing.assemble_loops(loops.ints, loops.floats, plan, loops.weights, q, pins, 0, 3, 50, 1e-9, 0, 0, 0,
+                                False, 0, to, residual, info)
 print("done")
 """
 """A kernel whose plan says that its scratch is smaller than what it writes there."""

@@ -15,7 +15,7 @@ def eigenvalues(matrices) -> np.ndarray:
     re = np.empty(A.shape[:2])
     im = np.empty(A.shape[:2])
     missed = np.empty(len(A), np.int64)
-    assert elimination_batch.eigenvalues_each(A, re, im, missed) == 0 and not missed.any()
+    assert elimination_batch.compute_all_eigenvalues(A, re, im, missed) == 0 and not missed.any()
     return re + 1j * im
 
 
@@ -125,6 +125,6 @@ def test_not_finite_and_huge():
     re = np.empty((4, 16))
     im = np.empty((4, 16))
     missed = np.empty(4, np.int64)
-    assert elimination_batch.eigenvalues_each(A, re, im, missed) == 2
+    assert elimination_batch.compute_all_eigenvalues(A, re, im, missed) == 2
     assert missed.tolist() == [16, 16, 0, 0]
     assert np.isnan(re[:2]).all() and np.isfinite(re[2:]).all() and np.isfinite(im[2:]).all()

@@ -161,7 +161,7 @@ def postures(n, seed=0, kinds=TURNS) -> np.ndarray:
 def best_forms(lines, kinds=TURNS) -> list[int]:
     """Formulations with a score, best first."""
     scores = np.empty(FORMULATIONS)
-    useful = elimination_score.score(kinds, lines, scores)
+    useful = elimination_score.score_formulations(kinds, lines, scores)
     assert useful == (scores > 0).sum() and (scores <= 1.0).all()
     return [int(f) for f in np.argsort(-scores, kind="stable") if scores[f] > 0.0]
 
@@ -172,7 +172,7 @@ def run(lines, goals, formulation, kinds=TURNS):
     thetas = np.full((n, CANDIDATES, 6), np.nan)
     counts = np.empty(n, np.int64)
     suspects = np.empty(n, np.int64)
-    found = elimination_batch.eliminate_each(
+    found = elimination_batch.eliminate_goals(
         kinds, lines, goals, formulation, thetas, counts, suspects
     )
     assert found == (suspects != 0).sum()

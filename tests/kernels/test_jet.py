@@ -19,7 +19,7 @@ from kempe.kernels.constraints.loop_layout import (
     NO_TURN,
 )
 from kempe.kernels.forward.table_layout import BALL, SLIDE, TURN
-from kempe.kernels.series.jet_layout import POSE_SIZE, scratch_width
+from kempe.kernels.series.jet_layout import POSE_SIZE, compute_scratch_width
 
 ORDER = 8
 RADIUS = 0.15
@@ -125,12 +125,14 @@ def run(table, ties, numbers, m, q, v, steps=((0, ORDER),)):
     n_rows = max(len(table.rows), 1)
     depth = v.shape[1]
     poses = np.zeros((n, n_rows, depth, POSE_SIZE))
-    extra = np.zeros((n, n_rows, depth, scratch_width(depth - 1)))
+    extra = np.zeros((n, n_rows, depth, compute_scratch_width(depth - 1)))
     frames = np.zeros((n, len(table.outputs), depth, 12))
     out = np.zeros((n, depth, m))
     for first, last in steps:
         tapes = np.zeros((len(v), 0, depth))
-        jet.jets(ints, floats, ties, numbers, q, v, first, last, poses, extra, frames, tapes, out)
+        jet.compute_jets(
+            ints, floats, ties, numbers, q, v, first, last, poses, extra, frames, tapes, out
+        )
     return frames, out
 
 
@@ -248,7 +250,7 @@ def test_values_and_jacobian_are_orders_0_and_1(seed):
 
 
 def places_of(table):
-    """Where velocity coordinates sit in q, as `project` wants it."""
+    """Where velocity coordinates sit in q, as `project_configurations` wants it."""
     places = np.full(table.nv, -(10**9), dtype=np.int64)
     for r in table.rows:
         places[r.iv] = -1 - r.iq if r.kind == BALL else r.iq
@@ -263,7 +265,7 @@ def projected(table, ties, numbers, m, places, start, centers, radius, iteration
     info = np.zeros((n, 3))
     value = np.zeros((n, m))
     J = np.zeros((n, m, table.nv))
-    projection.project(
+    projection.project_configurations(
         *table.pack(),
         ties,
         numbers,

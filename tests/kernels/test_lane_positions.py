@@ -54,7 +54,7 @@ def test_samples_are_a_function_of_key_and_number(seed, n, first):
     table = random_table(rng, 6, chain=True, forms=all_forms())
     bounds = limits(rng, table.nq)
     out = np.full((n, 3), 7.0)
-    lane_positions.random_positions(*table.pack(), KEYS[: table.nq], bounds, first, out)
+    lane_positions.sample_positions(*table.pack(), KEYS[: table.nq], bounds, first, out)
     assert np.abs(out - positions_of(table, drawn(table, bounds, first, n))).max() < 1e-12
 
 
@@ -64,7 +64,7 @@ def test_cells_are_those_of_numpy(n):
     table = random_table(rng, 4, chain=True, forms=all_forms())
     bounds = limits(rng, table.nq)
     points = np.empty((n, 3))
-    lane_positions.random_positions(*table.pack(), KEYS[: table.nq], bounds, 9, points)
+    lane_positions.sample_positions(*table.pack(), KEYS[: table.nq], bounds, 9, points)
     grid = np.array([[-1.0, 3.0, 6], [-0.5, 4.0, 5], [-2.0, 2.0, 7]])
     counts = np.zeros(6 * 5 * 7 // 2 + 1, dtype=np.int64)
     lane_positions.count_cells(*table.pack(), KEYS[: table.nq], bounds, 9, n, grid, counts)
@@ -94,7 +94,7 @@ def test_a_slide_is_uniform():
     row = table.rows[0]
     out = np.empty((20000, 3))
     bounds = np.tile([0.0, 1.0 / abs(row.multiplier)], (table.nq, 1))
-    lane_positions.random_positions(*table.pack(), KEYS[: table.nq], bounds, 0, out)
+    lane_positions.sample_positions(*table.pack(), KEYS[: table.nq], bounds, 0, out)
     away = np.linalg.norm(out - positions_of(table, [np.zeros(table.nq)]), axis=1)
     assert stats.kstest(away, "uniform").pvalue > 0.01
 
@@ -106,7 +106,7 @@ def test_a_ball_turns_uniformly():
     rng = np.random.default_rng(6)
     table = random_table(rng, 1, chain=True, kinds=(BALL,), forms=(GENERAL,))
     out = np.empty((20000, 3))
-    lane_positions.random_positions(
+    lane_positions.sample_positions(
         *table.pack(), KEYS[: table.nq], np.zeros((table.nq, 2)), 0, out
     )
     away = out - table.rows[0].X[:3, 3]

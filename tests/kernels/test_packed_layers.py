@@ -130,7 +130,7 @@ def check_envelope(plan: np.ndarray, nv: int, rng: np.random.Generator) -> None:
     y = rng.normal(size=m)
     x = float(rng.normal())
     v = int(rng.integers(nv))
-    assert kernel.product(p.loops, v, Pointer(y)) == pytest.approx(p.J[:, v] @ y, abs=1e-10)
+    assert kernel.multiply_column(p.loops, v, Pointer(y)) == pytest.approx(p.J[:, v] @ y, abs=1e-10)
     to = pointer(y)
     kernel.add_product(p.loops, v, x, to, 1)
     assert np.allclose(to.array, y + x * p.J[:, v], atol=1e-10)
@@ -139,19 +139,19 @@ def check_envelope(plan: np.ndarray, nv: int, rng: np.random.Generator) -> None:
     a = room(p.size)
     column = room(m)
     step = pointer(np.where(out, np.nan, 0.0))
-    kernel.normal(p.loops, step, damping, a, column)
+    kernel.write_normal_matrix(p.loops, step, damping, a, column)
     used = np.where(out, 0.0, p.J)
     whole = used @ used.T + damping * np.eye(m)
     assert np.allclose(within(a.array, plan), np.tril(whole), atol=1e-10), (
         "or the envelope does not hold it"
     )
-    kernel.factor(p.loops, a, 1e-14)
+    kernel.factor_envelope(p.loops, a, 1e-14)
     lower = within(a.array, plan)
     D = np.diag(lower).copy()
     lower = np.tril(lower, -1) + np.eye(m)
     assert np.allclose(lower * D @ lower.T, whole, atol=1e-8) and np.all(D > 0.0)
     solved = pointer(y)
-    kernel.solve(p.loops, a, solved)
+    kernel.solve_envelope(p.loops, a, solved)
     assert np.allclose(
         whole @ solved.array,
         y,
@@ -183,8 +183,8 @@ def test_a_pivot_that_is_rounding_becomes_the_least():
     p = packed(plan, 3, rng)
     p.loops.blocks.array[1::2] = p.loops.blocks.array[::2]
     a = room(p.size)
-    plain("envelope").normal(p.loops, pointer(np.zeros(3)), 0.0, a, room(2))
-    plain("envelope").factor(p.loops, a, 1e-14)
+    plain("envelope").write_normal_matrix(p.loops, pointer(np.zeros(3)), 0.0, a, room(2))
+    plain("envelope").factor_envelope(p.loops, a, 1e-14)
     assert within(a.array, plan)[1, 1] == 1e-14
 
 
@@ -249,7 +249,7 @@ def test_the_active_set_is_the_best_of_all_sets(seed, ties, nv):
     q = rng.normal(size=nv)
     ends = np.array([-rng.uniform(0.05, 1.0, nv), rng.uniform(0.05, 1.0, nv)])
     weights = np.zeros(L.SCALES + 5 * nv)
-    L.velocity_lists(weights, nv)[:3] = np.ones(nv), q + ends[0], q + ends[1]
+    L.view_velocity_lists(weights, nv)[:3] = np.ones(nv), q + ends[0], q + ends[1]
     p.loops.q = pointer(q)
     p.loops.weights = pointer(weights)
     value = rng.normal(size=m)
@@ -276,8 +276,8 @@ def test_the_active_set_is_the_best_of_all_sets(seed, ties, nv):
         a=room(p.size),
     )
     p.loops.error.array[:] = outside
-    kernel.free_all(p.loops, work)
-    kernel.step_to(p.loops, work, 4 * (nv + m) + 8, True, True)
+    kernel.free_coordinates(p.loops, work)
+    kernel.write_step(p.loops, work, 4 * (nv + m) + 8, True, True)
     best = exhaustive(p.J, value, weak, low, high, wish, ends)
     assert np.allclose(work.step.array, best, atol=1e-6)
 
@@ -320,7 +320,7 @@ def test_united_rows_are_those_of_comparing_all_pairs(seed, count, n):
     thetas += np.where(slides, 0.0, 2.0 * np.pi * rng.integers(-1, 2, thetas.shape))
     rows[:count, merging.SOLUTION :] = thetas
     found.rows.array[:] = rows.ravel()
-    left = merging.united(found, count)
+    left = merging.unite_solutions(found, count)
     after = found.rows.array.reshape(rows.shape)[:left]
     weak = rows[:count, merging.WEAKEST] < merging.MERGED
     assert after[:, merging.TURNS].sum() == rows[:count, merging.TURNS].sum()
@@ -353,7 +353,7 @@ def test_a_coordinate_is_the_turn_inside_the_limits_that_is_nearest(seed, slides
     numbers[[A.FACTOR, A.OFFSET, A.LOW, A.HIGH]] = factor, offset, low, low + rng.uniform(0.5, 9.0)
     theta = rng.uniform(-np.pi, np.pi)
     near = float(rng.uniform(-9.0, 9.0))
-    q, inside = merging.coordinate(slides, theta, Pointer(numbers), near, merging.EDGE)
+    q, inside = merging.choose_coordinate(slides, theta, Pointer(numbers), near, merging.EDGE)
     every = (theta - offset + 2.0 * np.pi * (np.zeros(1) if slides else np.arange(-9, 10))) / factor
     fitting = every[(every >= numbers[A.LOW]) & (every <= numbers[A.HIGH])]
     assert inside == bool(len(fitting))
@@ -379,7 +379,7 @@ def test_rows_are_arranged_as_sorting_them_does(seed, slots, n):
     far = ((joints[:, A.FACTOR] * (used[:, :n] - near)) ** 2).sum(axis=1)
     wanted = used[np.lexsort([far, used[:, n + A.CODE] % 2 == 0])]
     to = pointer(out.ravel())
-    assert merging.arrange(n, Pointer(joints.ravel()), Pointer(near), to, slots) == len(used)
+    assert merging.sort_rows(n, Pointer(joints.ravel()), Pointer(near), to, slots) == len(used)
     assert np.array_equal(to.array.reshape(out.shape)[: len(used)], wanted)
 
 
@@ -388,7 +388,7 @@ def test_rows_are_arranged_as_sorting_them_does(seed, slots, n):
 
 def test_memory_is_checked():
     block = pointer([1.0, 2.0])
-    further = plain("scratch").beyond(block, 1)
+    further = plain("scratch").advance_pointer(block, 1)
     assert further[0] == 2.0 and further[-1] == 1.0
     with pytest.raises(IndexError, match="entry 2 of 2"):
         further[1] = 0.0

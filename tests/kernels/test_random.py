@@ -1,11 +1,11 @@
 import numpy as np
 
-from kempe.kernels.base.random import mix, unit
+from kempe.kernels.base.random import mix_bits, to_unit_interval
 
 
 def numbers(state, count):
     with np.errstate(over="ignore"):
-        return [mix.py_func(np.uint64(state), np.uint64(i)) for i in range(count)]
+        return [mix_bits.py_func(np.uint64(state), np.uint64(i)) for i in range(count)]
 
 
 def test_published_sequence():
@@ -20,18 +20,18 @@ def test_published_sequence():
 
 
 def test_uniform_and_inside_the_unit_interval():
-    x = np.array([unit.py_func(b) for b in numbers(0, 4000)])
+    x = np.array([to_unit_interval.py_func(b) for b in numbers(0, 4000)])
     assert x.min() >= 0.0 and x.max() < 1.0
     # Kolmogorov and Smirnov, 1 %
     assert np.abs(np.sort(x) - np.linspace(0, 1, 4000)).max() < 1.63 / np.sqrt(4000)
-    assert unit.py_func(np.uint64(2**64 - 1)) < 1.0
+    assert to_unit_interval.py_func(np.uint64(2**64 - 1)) < 1.0
 
 
 def test_nested_sequences_are_unrelated():
     with np.errstate(over="ignore"):
         x = np.array(
             [
-                [unit.py_func(mix.py_func(key, np.uint64(i))) for i in range(60)]
+                [to_unit_interval.py_func(mix_bits.py_func(key, np.uint64(i))) for i in range(60)]
                 for key in numbers(3, 60)
             ]
         )

@@ -24,17 +24,22 @@ from scipy.spatial.transform import Rotation
 
 from kempe.kernels.base._jit import kernel
 from kempe.kernels.base.declare import OUT, F, I
-from kempe.kernels.base.vectors import keep, raw
+from kempe.kernels.base.vectors import get_pointer, keep_alive
 from kempe.kernels.forward.table_layout import SLIDE, TURN
 from kempe.kernels.one_frame.descent import fill_hessian
 from kempe.kernels.one_frame.ik_problem import (
-    aim,
     count_columns,
-    problem_floats,
-    problem_ints,
-    problem_of,
+    count_problem_floats,
+    count_problem_ints,
+    make_ik_problem,
+    set_goal,
 )
-from kempe.kernels.one_frame.residual import JACOBIAN_STRIDE, error, fill_jacobian, trace
+from kempe.kernels.one_frame.residual import (
+    JACOBIAN_STRIDE,
+    compute_error,
+    fill_jacobian,
+    trace_chain,
+)
 
 pytestmark = pytest.mark.slow  # a kernel is compiled
 LENGTH = 0.7
@@ -42,12 +47,12 @@ LENGTH = 0.7
 
 def look(ints, floats, limits, task, targets, q, out, e, J, H):
     """Error (6,), Jacobian (6, nv) and Hessian (nv, nv) at one configuration q (1, 1, nq)."""
-    columns = count_columns(raw(ints))
+    columns = count_columns(get_pointer(ints))
     nq = ints[2]
     nv = ints[3]
-    notes = np.empty(problem_ints(columns, nv), np.int64)
-    block = np.empty(problem_floats(columns, nq, nv))
-    problem = problem_of(
+    notes = np.empty(count_problem_ints(columns, nv), np.int64)
+    block = np.empty(count_problem_floats(columns, nq, nv))
+    problem = make_ik_problem(
         ints,
         floats,
         limits,
@@ -63,23 +68,23 @@ def look(ints, floats, limits, task, targets, q, out, e, J, H):
         0.7,
         out,
         columns,
-        raw(notes),
-        raw(block),
+        get_pointer(notes),
+        get_pointer(block),
     )
     chain = problem.chain
-    aim(chain, problem.targets, 0)
+    set_goal(chain, problem.targets, 0)
     for i in range(nq):
         chain.q[i] = q[0, 0, i]
-    tip = trace(chain)
-    found = error(chain.goal, tip)
+    tip = trace_chain(chain)
+    found = compute_error(chain.goal, tip)
     fill_jacobian(chain, tip)
-    fill_hessian(chain, found, tip, raw(H))
+    fill_hessian(chain, found, tip, get_pointer(H))
     for i in range(6):
         e[i] = found[i]
         for v in range(nv):
             J[i, v] = chain.jacobian[JACOBIAN_STRIDE * v + i]
-    keep(notes)
-    keep(block)
+    keep_alive(notes)
+    keep_alive(block)
 
 
 @functools.cache

@@ -48,14 +48,14 @@ def chain_without_balls(seed, n=8, limit=2.0, **options):
 
 
 def raw_answers(chain, targets, starts, seeds=None):
-    """q and status as `reach` leaves them, without the nearest of what was not reached."""
+    """q and status as `reach_goals` leaves them, without the nearest of what was not reached."""
     n = len(targets)
     nq = chain.table.nq
     seeds = np.empty((1, 0, nq)) if seeds is None else seeds
     out = np.full((n, nq + ANSWER), 7.0)
     limits = np.array([chain.lower, chain.upper])
     task = np.r_[np.array((*POSE, 0)), chain.circular]
-    schedule.reach(
+    schedule.reach_goals(
         *chain.table.pack(), limits, task, targets, seeds, 1, 0, starts, 20, 1e-6, 1e-6, 0.0, out
     )
     return out
@@ -133,7 +133,7 @@ def test_the_answer_is_that_of_the_first_start_that_reaches_the_goal():
         limits = np.array([chain.lower, chain.upper])
         task = np.r_[np.array((*POSE, 0)), chain.circular]
         for tries, expected in ((n - 1, NOT_FOUND), (n, SOLVED), (n + 1, SOLVED), (10 * n, SOLVED)):
-            schedule.reach(
+            schedule.reach_goals(
                 *chain.table.pack(),
                 limits,
                 task,
@@ -152,7 +152,7 @@ def test_the_answer_is_that_of_the_first_start_that_reaches_the_goal():
             if expected == SOLVED:
                 assert np.array_equal(out[0], whole[i])
         for first in range(n):  # starts that have been tried are left out
-            schedule.reach(
+            schedule.reach_goals(
                 *chain.table.pack(),
                 limits,
                 task,

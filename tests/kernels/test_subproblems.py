@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kempe import spatial
-from kempe.kernels.base.scratch import beyond
-from kempe.kernels.base.vectors import raw
+from kempe.kernels.base.scratch import advance_pointer
+from kempe.kernels.base.vectors import get_pointer
 from kempe.kernels.closed_form import arm_part, candidates, subproblems, wrist_part
 from kempe.kernels.forward.table_layout import SLIDE, TURN
 
@@ -23,50 +23,60 @@ SMALL = st.sampled_from([1e-3, 1e-6, 1e-8, 1e-10, 1e-12])
 
 @numba.njit
 def trig_roots(a, b, k):
-    return subproblems.trig_roots(a, b, k)
+    return subproblems.find_trig_roots(a, b, k)
 
 
 @numba.njit
 def align(h, u, v):
-    return subproblems.align(h, u, v)
+    return subproblems.find_aligning_turn(h, u, v)
 
 
 @numba.njit
 def cone_roots(k, h, n, w):
-    return subproblems.cone_roots(k, h, n, w)
+    return subproblems.find_cone_turns(k, h, n, w)
 
 
 @numba.njit
 def parabola_roots(a, b, k):
-    return subproblems.parabola_roots(a, b, k)
+    return subproblems.find_parabola_roots(a, b, k)
 
 
 @numba.njit
 def quartic_roots(p, out):
-    return candidates.quartic_roots(raw(p), raw(out))
+    return candidates.find_quartic_roots(get_pointer(p), get_pointer(out))
 
 
 @numba.njit
 def one_unknown(slides, a, b, k, wide, out):
-    return arm_part.one_unknown(slides, a, b, k, wide, 0.0, raw(out))
+    return arm_part.solve_one_unknown(slides, a, b, k, wide, 0.0, get_pointer(out))
 
 
 @numba.njit
 def coupled(x_slides, z_slides, terms, work, x, z):
-    return candidates.coupled_pairs(
-        x_slides, z_slides, raw(terms), beyond(raw(terms), 6), raw(work), raw(x), raw(z)
+    return candidates.find_coupled_pairs(
+        x_slides,
+        z_slides,
+        get_pointer(terms),
+        advance_pointer(get_pointer(terms), 6),
+        get_pointer(work),
+        get_pointer(x),
+        get_pointer(z),
     )
 
 
 @numba.njit
 def ball_triple(a, b, c, d, work, out):
-    return wrist_part.ball_triple(a, b, c, raw(d), 1e-5, raw(work), raw(out))
+    return wrist_part.find_ball_turns(
+        a, b, c, get_pointer(d), 1e-5, get_pointer(work), get_pointer(out)
+    )
 
 
 @numba.njit
 def planar_triple(kinds, a, oa, b, ob, c, oc, d, work, out):
     axes = (kinds[0], a, oa, kinds[1], b, ob, kinds[2], c, oc)
-    return wrist_part.planar_triple(*axes, raw(d), 1e-5, raw(work), raw(out))
+    return wrist_part.solve_planar_triple(
+        *axes, get_pointer(d), 1e-5, get_pointer(work), get_pointer(out)
+    )
 
 
 def unit(v) -> tuple[float, float, float]:

@@ -3,7 +3,15 @@ import pytest
 from primitive_tables import Row, Table, pose, random_pose, random_table
 
 from kempe.kernels.compiled import bound, table_sweep
-from kempe.kernels.forward.table_layout import BALL, BODY, SLIDE, TURN, WORLD, WORLD_ALIGNED, fuse
+from kempe.kernels.forward.table_layout import (
+    BALL,
+    BODY,
+    SLIDE,
+    TURN,
+    WORLD,
+    WORLD_ALIGNED,
+    fuse_table,
+)
 
 FRAMES = (WORLD_ALIGNED, WORLD, BODY)
 SIZES = (0, 1, 2, 5, 8, 13, 40)
@@ -11,13 +19,13 @@ SIZES = (0, 1, 2, 5, 8, 13, 40)
 
 def all_poses(table, q):
     out = np.full((len(q), len(table.outputs), 4, 4), 7.0)
-    return table_sweep.poses(*table.pack(), q, out), out
+    return table_sweep.compute_poses(*table.pack(), q, out), out
 
 
 def all_jacobians(table, q, frame):
     T = np.full((len(q), 4, 4), 7.0)
     J = np.full((len(q), 6, table.nv), 7.0)
-    return table_sweep.jacobian(*table.pack(), q, frame, T, J), T, J
+    return table_sweep.compute_jacobians(*table.pack(), q, frame, T, J), T, J
 
 
 def close(a, b, scale=1.0):
@@ -34,8 +42,12 @@ def test_poses_of_random_tables(n_rows, chain):
     assert bad == 0 and close(out, np.array([table.poses(x) for x in q]))
     single = np.empty(out.shape[1:])
     for i, x in enumerate(q):
-        assert table_sweep.poses1(*table.pack(), x, single) == 0 and np.array_equal(single, out[i])
-        assert bound.pose(fuse(*table.pack()), x, single[0]) == 0 and close(single[0], out[i, 0])
+        assert table_sweep.compute_single_poses(*table.pack(), x, single) == 0 and np.array_equal(
+            single, out[i]
+        )
+        assert bound.compute_pose(fuse_table(*table.pack()), x, single[0]) == 0 and close(
+            single[0], out[i, 0]
+        )
 
 
 @pytest.mark.parametrize("frame", FRAMES)
@@ -50,9 +62,11 @@ def test_jacobians_of_random_tables(n_rows, chain, frame):
     assert close(J, np.array([table.jacobian(x, frame) for x in q]), 100.0)
     T1 = np.empty((4, 4))
     J1 = np.empty((6, table.nv))
-    assert bound.pose_jacobian(fuse(*table.pack(), frame), q[0], T1, J1) == 0
+    assert bound.compute_pose_jacobian(fuse_table(*table.pack(), frame), q[0], T1, J1) == 0
     only = np.empty_like(J1)
-    assert bound.jacobian(fuse(*table.pack(), frame), q[0], only) == 0 and np.array_equal(only, J1)
+    assert bound.compute_jacobian(
+        fuse_table(*table.pack(), frame), q[0], only
+    ) == 0 and np.array_equal(only, J1)
     assert np.array_equal(T1, T[0]) and np.array_equal(J1, J[0])
 
 
@@ -66,14 +80,14 @@ def test_jacobians_are_derivatives_of_poses_on_the_manifold(seed, frame):
     h = 1e-6
     T = np.empty((4, 4))
     J = np.empty((6, table.nv))
-    bound.pose_jacobian(fuse(*packed, frame), q, T, J)
+    bound.compute_pose_jacobian(fuse_table(*packed, frame), q, T, J)
     p = T[:3, 3]
     R = T[:3, :3]
     there = np.empty((4, 4))
     back = np.empty((4, 4))
     for i, v in enumerate(np.eye(table.nv)):
-        bound.pose(fuse(*packed), table.moved(q, h * v), there)
-        bound.pose(fuse(*packed), table.moved(q, -h * v), back)
+        bound.compute_pose(fuse_table(*packed), table.moved(q, h * v), there)
+        bound.compute_pose(fuse_table(*packed), table.moved(q, -h * v), back)
         rate = (there - back) / (2 * h)
         W = rate[:3, :3] @ R.T
         linear = rate[:3, 3]
@@ -140,10 +154,12 @@ def test_bad_coordinates_spoil_what_depends_on_them_and_nothing_else(value):
         assert not np.isnan(out[[0, 2]]).any()
         T = np.empty((4, 4))
         J = np.empty((6, table.nv))
-        assert bound.pose_jacobian(fuse(*table.pack(), WORLD_ALIGNED), q, T, J) == int(spoilt[0])
+        assert bound.compute_pose_jacobian(
+            fuse_table(*table.pack(), WORLD_ALIGNED), q, T, J
+        ) == int(spoilt[0])
         assert np.isnan(T[:3]).all() == np.isnan(J).all() == spoilt[0]
         assert np.isnan(T[:3]).any() == np.isnan(J).any() == spoilt[0]
-        assert bound.pose(fuse(*table.pack()), q, T) == int(spoilt[0])
+        assert bound.compute_pose(fuse_table(*table.pack()), q, T) == int(spoilt[0])
 
 
 @pytest.mark.parametrize("turn", [1e8, -1e8, 3e12])

@@ -31,7 +31,7 @@ def run(t, inputs):
     n = len(inputs)
     values = np.full((n, len(t.outputs)), 7e77)
     gradients = np.full((n, len(t.outputs), len(t.inputs)), 7e77)
-    tape_evaluation.tapes(
+    tape_evaluation.evaluate_tape_gradients(
         ints, floats, np.ascontiguousarray(inputs, dtype=float), values, gradients
     )
     return values, gradients
@@ -42,7 +42,7 @@ def series(t, inputs):
     ints, floats = t.arrays()
     inputs = np.ascontiguousarray(inputs, dtype=float)
     out = np.full((len(inputs), len(t.outputs), inputs.shape[2]), 7e77)
-    tape_evaluation.tape_series(ints, floats, inputs.shape[2] - 1, inputs, out)
+    tape_evaluation.evaluate_tape_series(ints, floats, inputs.shape[2] - 1, inputs, out)
     return out
 
 

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kempe.kernels.base._jit import FLAGS
-from kempe.kernels.base.trig import REACH, atan2, sincos, sincos_any
-from kempe.kernels.base.vectors import LANES, load_lanes, raw, store
+from kempe.kernels.base.trig import REACH, atan2, compute_sincos, sincos
+from kempe.kernels.base.vectors import LANES, get_pointer, load_lanes, store_value
 
 compiled = numba.njit(fastmath=FLAGS, error_model="numpy")
 
@@ -18,21 +18,23 @@ compiled = numba.njit(fastmath=FLAGS, error_model="numpy")
 @compiled
 def sincos_vectors(x, s, c):
     for i in range(0, x.size, LANES):
-        a, b = sincos(load_lanes(raw(x), i))
-        store(raw(s), i, a)
-        store(raw(c), i, b)
+        a, b = sincos(load_lanes(get_pointer(x), i))
+        store_value(get_pointer(s), i, a)
+        store_value(get_pointer(c), i, b)
 
 
 @compiled
 def sincos_floats(x, s, c):
     for i in range(x.size):
-        s[i], c[i] = sincos_any(x[i])
+        s[i], c[i] = compute_sincos(x[i])
 
 
 @compiled
 def atan2_vectors(y, x, out):
     for i in range(0, x.size, LANES):
-        store(raw(out), i, atan2(load_lanes(raw(y), i), load_lanes(raw(x), i)))
+        store_value(
+            get_pointer(out), i, atan2(load_lanes(get_pointer(y), i), load_lanes(get_pointer(x), i))
+        )
 
 
 @compiled

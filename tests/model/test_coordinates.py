@@ -106,7 +106,7 @@ def test_packs_hold_what_moves_their_outputs(graph: Graph, seed):
     assert len(ints) == 8 + 6 * len(rows) + 2 * 3 and len(floats) == 16 * len(rows) + 12 * 3
     q = s.random(rng)
     out = np.empty((3, 4, 4))
-    assert table_sweep.poses1(ints, floats, q, out) == 0
+    assert table_sweep.compute_single_poses(ints, floats, q, out) == 0
     np.testing.assert_allclose(out, s.fk(q, names), rtol=0, atol=1e-14)
     ints, floats = s.structure.table.pack_arrays(names[:1], s.structure.table.find_path(names[0]))
     assert ints[4] == 1, "the way to one body is a chain"

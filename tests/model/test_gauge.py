@@ -39,9 +39,9 @@ def differences(table, n=40):
     for packed in (before, after):
         T = np.empty((n, 4, 4))
         J = np.empty((n, 6, table.nv))
-        table_sweep.jacobian(*packed, q, 0, T, J)
+        table_sweep.compute_jacobians(*packed, q, 0, T, J)
         C = np.empty((n, 4, 4))
-        chain.chain_poses(*packed, q, C.reshape(n, 16))
+        chain.compute_chain_poses(*packed, q, C.reshape(n, 16))
         results += [(T, J, C)]
     return after[0], [np.abs(a - b).max() / size for a, b in zip(*results, strict=True)]
 

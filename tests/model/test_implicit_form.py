@@ -87,7 +87,7 @@ def evaluated(system: System, loops: PackedLoops, q: np.ndarray) -> tuple[np.nda
     """Residual and Jacobian of packed loops at configurations (n, nq)."""
     out = np.empty((len(q), len(loops.names)))
     columns = np.empty((len(q), len(loops.names), system.nv))
-    closure_batch.equations(
+    closure_batch.evaluate_equations(
         loops.ints, loops.floats, loops.plan, loops.weights, np.zeros((1, 0)), q, True, out, columns
     )
     return out, columns

@@ -36,7 +36,7 @@ from kempe.kernels.base import search_layout as S
 from kempe.kernels.base.search_layout import BAD_INPUT, LARGEST, LATE, NOT_FOUND, SOLVED, UNFINISHED
 from kempe.kernels.compiled import closure_batch, loop_closing, task_search
 from kempe.kernels.constraints import loop_layout as L
-from kempe.kernels.constraints.loop_layout import velocity_lists
+from kempe.kernels.constraints.loop_layout import view_velocity_lists
 from kempe.model.configurations import (
     compute_source_values,
     find_free_angles,
@@ -132,7 +132,7 @@ class OneSidedAssembly:
         m = len(self.loops.names)
         g = np.empty((len(q), m))
         none = np.empty((0, m, 0))
-        closure_batch.equations(
+        closure_batch.evaluate_equations(
             loops.ints,
             loops.floats,
             loops.plan,
@@ -199,7 +199,7 @@ class OneSidedAssembly:
         stop = clock().address if len(loops.names) >= BOUNDED_MANY or loops.functions else 0
 
         def solve_chunk(i: int, j: int) -> int:
-            left = task_search.solve(
+            left = task_search.solve_tasks(
                 loops.ints,
                 loops.floats,
                 loops.plan,
@@ -432,7 +432,7 @@ class Assembler:
             loops = self.loops
             few = self.quick and n <= CHUNK and not (follow or nearest)
         weights = loops.weights if limits else remove_limits(self.system, loops)
-        if few and not loop_closing.assemble(
+        if few and not loop_closing.assemble_loops(
             loops.ints,
             loops.floats,
             loops.plan,
@@ -462,7 +462,7 @@ class Assembler:
 
         def close_chunk(i: int, j: int, first: int, most: int, steps: int, stop: int) -> int:
             before = info[i:j, 1].copy() if first else 0
-            left = loop_closing.assemble(
+            left = loop_closing.assemble_loops(
                 loops.ints,
                 loops.floats,
                 loops.plan,
@@ -580,7 +580,7 @@ class Assembler:
             out = np.empty((len(unknown), m))
             none = np.empty((0, m, self.system.nv))
             own = pins[unknown] if len(pins) > 1 else pins
-            closure_batch.equations(*packed, own, q[unknown], False, out, none)
+            closure_batch.evaluate_equations(*packed, own, q[unknown], False, out, none)
             residual[unknown] = np.linalg.norm(out, axis=-1)
 
     # ---- configurations of closed forms
@@ -589,7 +589,7 @@ class Assembler:
     def _limited_unknowns(self) -> tuple[np.ndarray, Array, Array]:
         """Places in q of the unknowns with limits, and these."""
         layout = self.system.structure.layout
-        low, high = velocity_lists(self.loops.weights, self.system.nv)[1:3, layout.vector_v]
+        low, high = view_velocity_lists(self.loops.weights, self.system.nv)[1:3, layout.vector_v]
         free = ~np.isin(layout.vector_q, self.places) & ((low > -LARGEST) | (high < LARGEST))
         return layout.vector_q[free], low[free], high[free]
 
@@ -610,7 +610,7 @@ class Assembler:
                 rows = np.empty((len(x), len(loops.names)))
                 there = slice(i, i + len(x))
                 packed = loops.ints, loops.floats, loops.plan, loops.weights
-                closure_batch.equations(*packed, self.no_pins, x, False, rows, none)
+                closure_batch.evaluate_equations(*packed, self.no_pins, x, False, rows, none)
                 np.sqrt(np.einsum("ij,ij->i", rows, rows), out=residual[there])
                 good[there] = residual[there] <= ROUNDING
                 if not max(float(x.max()), -float(x.min())) < LARGEST:
@@ -866,7 +866,7 @@ class Assembler:
         q = np.empty((1, self.shape[0]))
         residual = np.empty(1)
         info = np.empty((1, 3), np.int64)
-        if loop_closing.assemble(
+        if loop_closing.assemble_loops(
             loops.ints,
             loops.floats,
             loops.plan,
@@ -1023,7 +1023,7 @@ class LocalStarts:
         self.of_row = np.repeat(
             np.arange(len(loops.ties)), [len(tie.row_names) for tie in loops.ties]
         )
-        low, high = velocity_lists(loops.weights, system.nv)[3:5]
+        low, high = view_velocity_lists(loops.weights, system.nv)[3:5]
         self.range = high - low
         self.reached: tuple[Array, float, np.ndarray]
 
@@ -1110,7 +1110,7 @@ class LocalStarts:
         out = np.empty((1, len(self.loops.names)))
         columns = np.empty((0, out.shape[1], self.system.nv))
         packed = loops.ints, loops.floats, loops.plan, self.weights
-        closure_batch.equations(*packed, pin[None], q[None], False, out, columns)
+        closure_batch.evaluate_equations(*packed, pin[None], q[None], False, out, columns)
         return out[0]
 
     def _call_kernel(
@@ -1121,7 +1121,7 @@ class LocalStarts:
         q = np.empty((1, self.system.nq))
         residual = np.empty(1)
         info = np.empty((1, 3), dtype=np.int64)
-        loop_closing.assemble(
+        loop_closing.assemble_loops(
             loops.ints,
             loops.floats,
             loops.plan,
@@ -1153,7 +1153,7 @@ class LocalStarts:
 def remove_limits(system: Model, loops: PackedLoops) -> Array:
     """The weights of loops without limits."""
     weights = loops.weights.copy()
-    velocity_lists(weights, system.nv)[1:3] = [[-np.inf], [np.inf]]
+    view_velocity_lists(weights, system.nv)[1:3] = [[-np.inf], [np.inf]]
     return weights
 
 

@@ -357,7 +357,7 @@ class Plan(Report):
 
         def work(i: int, j: int) -> int:
             s, t = (a if len(a) == 1 else a[i:j] for a in (signs, targets))
-            return dyads.solve(ints, floats, values[i:j], s, t, q[i:j], status[i:j])
+            return dyads.run_program(ints, floats, values[i:j], s, t, q[i:j], status[i:j])
 
         over_chunks(work, len(values), CHUNK, threads, SERIAL_BELOW)
         return q, status

@@ -83,7 +83,7 @@ def evaluate(
     columns = np.empty((len(flat) if with_jacobian else 0, m, system.nv))
     pins = np.zeros((1, 0))
     packed = loops.ints, loops.floats, loops.plan, loops.weights
-    closure_batch.equations(*packed, pins, flat, with_jacobian, out, columns)
+    closure_batch.evaluate_equations(*packed, pins, flat, with_jacobian, out, columns)
     loops.raise_function_error()
     return out.reshape(*lead, m), columns.reshape(*lead, m, system.nv) if with_jacobian else columns
 

@@ -169,7 +169,7 @@ class OneSided:
             columns = np.empty((len(J), m, nv))
             none = np.zeros((1, 0))
             packed = loops.ints, loops.floats, loops.plan, loops.weights
-            closure_batch.equations(*packed, none, flat, rates, out, columns)
+            closure_batch.evaluate_equations(*packed, none, flat, rates, out, columns)
             values[:, :n] = out[:, self.chosen] / self.scale[:n]
             J[:, :n] = columns[:, self.chosen]
         if not declared:

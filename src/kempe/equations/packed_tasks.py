@@ -218,7 +218,7 @@ class Packed:
             pins = self.pins(goals, lead if lead_of(goals) else ())
         out = np.empty((len(flat_q), m))
         J = np.empty((len(flat_q), m, self.system.nv))
-        closure_batch.equations(
+        closure_batch.evaluate_equations(
             loops.ints, loops.floats, loops.plan, loops.weights, pins, flat_q, True, out, J
         )
         loops.raise_function_error()

@@ -101,7 +101,9 @@ class VelocityRows:
         points[:, :-1] = np.broadcast_to(q, (*shape, self.layout.nq)).reshape(n, self.layout.nq)
         points[:, -1] = np.broadcast_to(t, shape).reshape(n)
         found = np.empty((n, len(self.entries)))
-        tape.tape_outputs(*self.packed, np.ascontiguousarray(points[:, self.inputs]), found)
+        tape.evaluate_tape_outputs(
+            *self.packed, np.ascontiguousarray(points[:, self.inputs]), found
+        )
         whole = np.zeros((n, len(self.names), self.layout.nv + 1))
         whole[:, self.entries[:, 0], self.entries[:, 1]] = found
         whole = whole.reshape(*shape, len(self.names), self.layout.nv + 1)

@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 from kempe import spatial
 from kempe.arguments import check_name, explain_errors, quiet
 from kempe.errors import InputError, UnknownNameError, format_value
-from kempe.kernels.compiled import bound, chain, maker, table_sweep
-from kempe.kernels.forward.table_layout import BODY, WORLD, WORLD_ALIGNED, fuse
+from kempe.kernels.compiled import bound, chain, make_allocator, table_sweep
+from kempe.kernels.forward.table_layout import BODY, WORLD, WORLD_ALIGNED, fuse_table
 from kempe.model.configurations import read_q
 from kempe.model.gauge import regauge_table
 from kempe.model.model import keep_answers
@@ -131,7 +131,7 @@ def compute_poses_in_form(
             rows[start:stop] = wanted.of(compute_poses(flat[start:stop]))
             return 0
         made = rows[start:stop] if kind == np.float64 else np.empty((stop - start, *wanted.shape))
-        bad = chain.chain_poses(*table, flat[start:stop], made.reshape(stop - start, width))
+        bad = chain.compute_chain_poses(*table, flat[start:stop], made.reshape(stop - start, width))
         if kind != np.float64:
             rows[start:stop] = made
         return bad
@@ -238,15 +238,15 @@ def _bind_query(chain_of: _ChainQuery) -> Any:
     back would cost as much as the forward model itself. The kernels check shapes; whatever they
     refuse goes the general way.
     """
-    new_pose = maker(4, 4)
-    new_columns = maker(6, chain_of.system.nv)
+    new_pose = make_allocator(4, 4)
+    new_columns = make_allocator(6, chain_of.system.nv)
     tables = chain_of.tables
     usual = "world_aligned"
     table = tables[usual]
     table_in = tables.get
-    pose_kernel = bound.pose
-    jacobian_kernel = bound.jacobian
-    both_kernel = bound.pose_jacobian
+    pose_kernel = bound.compute_pose
+    jacobian_kernel = bound.compute_jacobian
+    both_kernel = bound.compute_pose_jacobian
 
     def compute_pose(_: object, q: Any, out: Any = None, threads: int | None = None) -> Array:
         try:
@@ -309,7 +309,9 @@ class _ChainQuery:
         self.ints, self.floats = system.structure.table.pack_arrays(
             [name], system.structure.table.find_path(name)
         )
-        self.tables = {key: fuse(self.ints, self.floats, kind) for key, kind in IN_FRAMES.items()}
+        self.tables = {
+            key: fuse_table(self.ints, self.floats, kind) for key, kind in IN_FRAMES.items()
+        }
         self.regauged = pack_chain(system, name)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -327,7 +329,7 @@ class _ChainQuery:
         q = read_q(self.system, q)
         out, q = _prepare_output(out, (*q.shape[:-1], 4, 4)), _copy_shared_array(q, out)
         if q.ndim == 1:
-            if bound.pose(self.tables["world_aligned"], q, out):
+            if bound.compute_pose(self.tables["world_aligned"], q, out):
                 refuse_bad_configuration(self.system, q)
             return out
         flat_q = _flatten_batch(q, 1)
@@ -335,7 +337,7 @@ class _ChainQuery:
         ints, floats = self.regauged
 
         def compute_chunk(start: int, stop: int) -> int:
-            return chain.chain_poses(ints, floats, flat_q[start:stop], flat_out[start:stop])
+            return chain.compute_chain_poses(ints, floats, flat_q[start:stop], flat_out[start:stop])
 
         over_chunks(compute_chunk, len(flat_q), CHUNK, threads, SERIAL_BELOW)
         return out
@@ -352,14 +354,14 @@ class _ChainQuery:
         columns = _prepare_output(out, (*q.shape[:-1], 6, nv))
         q = _copy_shared_array(q, out)
         if q.ndim == 1:
-            if bound.pose_jacobian(self.tables[in_frame], q, pose, columns):
+            if bound.compute_pose_jacobian(self.tables[in_frame], q, pose, columns):
                 refuse_bad_configuration(self.system, q)
             return pose, columns
         flat = _flatten_batch(q, 1), _flatten_batch(pose, 2), _flatten_batch(columns, 2)
 
         def compute_chunk(start: int, stop: int) -> int:
             a, b, c = (x[start:stop] for x in flat)
-            return table_sweep.jacobian(self.ints, self.floats, a, kind, b, c)
+            return table_sweep.compute_jacobians(self.ints, self.floats, a, kind, b, c)
 
         over_chunks(compute_chunk, len(flat[0]), CHUNK, threads, SERIAL_BELOW)
         return pose, columns
@@ -424,14 +426,14 @@ def fk(
     k = len(system.body_names) if key is None else len(key)
     out, q = _prepare_output(out, (*q.shape[:-1], k, 4, 4)), _copy_shared_array(q, out)
     if q.ndim == 1:
-        if table_sweep.poses1(ints, floats, q, out):
+        if table_sweep.compute_single_poses(ints, floats, q, out):
             refuse_bad_configuration(system, q)
         return out
     flat_q = _flatten_batch(q, 1)
     flat_out = _flatten_batch(out, 3)
 
     def compute_chunk(start: int, stop: int) -> int:
-        return table_sweep.poses(ints, floats, flat_q[start:stop], flat_out[start:stop])
+        return table_sweep.compute_poses(ints, floats, flat_q[start:stop], flat_out[start:stop])
 
     over_chunks(
         compute_chunk,

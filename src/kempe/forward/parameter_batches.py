@@ -95,7 +95,7 @@ class Designs(Generic[SystemType]):
         )
         out = np.empty((designs, each, 1, 4, 4))
         for i in range(designs):
-            table_sweep.poses(ints, floats[i], flat_q[i], out[i])
+            table_sweep.compute_poses(ints, floats[i], flat_q[i], out[i])
         return out.reshape(*self.shape, *inner, 4, 4)
 
     def __getitem__(self, index: Any) -> SystemType | Designs[SystemType]:

@@ -47,9 +47,9 @@ from kempe.kernels.forward.table_layout import (
     MULTIPLIER,
     SLIDE,
     V_INDEX,
-    numbers_of,
-    placements_of,
-    rows_of,
+    copy_placements,
+    get_row_integers,
+    get_row_numbers,
 )
 from kempe.model.configurations import sample_configurations
 from kempe.numerics.clock import TimeLimit
@@ -356,7 +356,9 @@ def _prove_outside_limits(task: FrameProblem, target: Array) -> Evidence | None:
     """Prove that all answers that exist without limits are outside the limits."""
     system = task.system
     chain = task.chain
-    plain = np.all(np.abs(numbers_of(task.chain.ints, task.chain.floats)[:, MULTIPLIER]) == 1.0)
+    plain = np.all(
+        np.abs(get_row_numbers(task.chain.ints, task.chain.floats)[:, MULTIPLIER]) == 1.0
+    )
     if max(task.tolerance) > CLEAR * CLEAR or len(chain.q_index) != len(chain.v_index) or not plain:
         return None
     if is_moved_by_loop(system, task.frame) or has_shared_coordinates(system, task.frame):
@@ -409,9 +411,9 @@ def _measure_limit_excess(chain: Chain, q: Array) -> float:
 def _prove_slides_too_short(task: FrameProblem, target: Array) -> Evidence | None:
     """Prove that slides which nothing turns end too far from the target along a direction."""
     chain = task.chain
-    table = rows_of(task.chain.ints)
-    rows = placements_of(chain.ints, chain.floats)
-    factors = numbers_of(chain.ints, chain.floats)[:, MULTIPLIER]
+    table = get_row_integers(task.chain.ints)
+    rows = copy_placements(chain.ints, chain.floats)
+    factors = get_row_numbers(chain.ints, chain.floats)[:, MULTIPLIER]
     R = np.eye(3)
     place = np.zeros(3)
     reach = 0.0

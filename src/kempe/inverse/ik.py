@@ -34,7 +34,7 @@ from kempe.inverse.chain import problem
 from kempe.inverse.chain.problem import FEW, ITERATIONS, MOST, TOLERANCE, FrameProblem
 from kempe.inverse.numeric import BATCH, BY_TASKS, METHODS, SOLVERS, USUAL, with_history
 from kempe.kernels.base.search_layout import ANSWER, STATUS
-from kempe.kernels.compiled import maker, schedule
+from kempe.kernels.compiled import make_allocator, schedule
 from kempe.kernels.forward.table_layout import HAS_QUATERNION
 from kempe.model.configurations import read_start
 from kempe.numerics.clock import TimeLimit
@@ -100,8 +100,8 @@ class BoundIk:
         self.unmoved = np.eye(4)[None]
         self.shape = shape
         self.posed = len(shape) == 2
-        self.new = maker(1, self.size + ANSWER)
-        self.reach = schedule.reach
+        self.new = make_allocator(1, self.size + ANSWER)
+        self.reach = schedule.reach_goals
         self.base = self.chain.base[0]
         self.no_seed = self.chain.no_seed
 

@@ -175,7 +175,7 @@ def _nearest(
 
     n = out.shape[1] - ANSWER
     length = compute_characteristic_length(problem.system)
-    nearest: Callable[..., int] = fallback.approach
+    nearest: Callable[..., int] = fallback.approach_goals
     out[rows, n + LINEAR] = np.inf  # energies in another unit: descents begin there
 
     each = [0] if problem.share == 1 else range(1, min(problem.starts, DESCENTS) + 1)
@@ -320,8 +320,8 @@ def _search(chain: Chain) -> Callable[..., int]:
     if chain.ints[HAS_QUATERNION]:
         from kempe.kernels.compiled import scalar_search
 
-        return scalar_search.reach_one_by_one
-    return schedule.reach
+        return scalar_search.reach_goals_singly
+    return schedule.reach_goals
 
 
 # ---- all targets of a problem, and their starts

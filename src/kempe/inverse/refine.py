@@ -21,7 +21,7 @@ from kempe.inverse.closed_forms.solve import estimate_attainable_error, solve_lo
 from kempe.kernels.base.search_layout import ANSWER, LINEAR, NOT_FOUND, SOLVED, STATUS
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.compiled import schedule
-from kempe.kernels.forward.table_layout import tip_of
+from kempe.kernels.forward.table_layout import get_tip_placement
 from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 
@@ -51,7 +51,7 @@ def search_again(problem: FrameProblem, targets: Array, head: tuple[Any, ...], o
     if problem.name == "pose" and not np.any(rows[6]):
         floats = floats.copy()
         goals = goals.copy()
-        tip = tip_of(ints, floats)
+        tip = get_tip_placement(ints, floats)
         goals[:, :3, 3] -= (goals[:, :3, :3] @ (tip[:, :3].T @ tip[:, 3])[:, None])[..., 0]
         tip[:, 3] = 0.0
     left = np.flatnonzero(out[:, n + STATUS] == NOT_FOUND)
@@ -64,7 +64,7 @@ def search_again(problem: FrameProblem, targets: Array, head: tuple[Any, ...], o
         elif k:
             own = seeds[left] if len(seeds) > 1 else seeds
             found = np.empty((len(left), out.shape[1]))
-            schedule.reach(
+            schedule.reach_goals(
                 ints,
                 floats,
                 limits,

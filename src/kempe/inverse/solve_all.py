@@ -42,7 +42,7 @@ from kempe.inverse.closed_forms.solve import (
 )
 from kempe.inverse.spare_joints import look_further
 from kempe.kernels.closed_form import analytic_layout as A
-from kempe.kernels.compiled import maker
+from kempe.kernels.compiled import make_allocator
 from kempe.model.configurations import find_winding_angles
 from kempe.poses import correct_rotations
 from kempe.spatial import Array
@@ -285,7 +285,7 @@ class BoundIkAll:
         self.ints = plan.ints
         self.floats = plan.floats
         self.left = np.zeros(1, dtype=np.int64)  # written, never read
-        self.new = maker(1, plan.method.slots, len(plan.lines) + A.INFO)
+        self.new = make_allocator(1, plan.method.slots, len(plan.lines) + A.INFO)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return bind, (self.system, self.frame)

@@ -254,7 +254,7 @@ class _Targets:
             first = seeds[i:j] if len(seeds) > 1 else seeds
             if chain.span.wide:
                 return answered(task, self.problem.targets[which[i:j]], first, limits, out[i:j])
-            return schedule.reach(
+            return schedule.reach_goals(
                 chain.ints,
                 chain.floats,
                 limits,

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from kempe.errors import KernelsError
-from kempe.kernels.digest import first_difference, source_digests, sources
+from kempe.kernels.digest import compute_source_digests, find_first_difference, list_sources
 
 VARIABLE = "KEMPE_KERNELS"
 JIT = "jit"
@@ -37,9 +37,9 @@ _HELP = (
 )
 
 
-def _library() -> Any:
-    """The library of kernels, at the variant that is wanted; None where to compile. Errors:
-    `KernelsError`.
+def _load_library() -> Any:
+    """Load the library of kernels, at the variant that is requested; None where kernels are
+    compiled in the process. Errors: `KernelsError`.
     """
     wanted = os.environ.get(VARIABLE, "")
     guard = os.environ.get("KEMPE_GUARD", "")
@@ -57,11 +57,11 @@ def _library() -> Any:
             raise KernelsError(
                 f"the library of kernels cannot be loaded: {error}; {how}"
             ) from error
-        sources = source_digests()
+        sources = compute_source_digests()
         if sources in (_native.SOURCES, ""):
-            _native.use(_chosen(_native.VARIANTS, wanted))
+            _native.use(_choose_variant(_native.VARIANTS, wanted))
             return _native
-        changed = first_difference(_native.SOURCES, sources)
+        changed = find_first_difference(_native.SOURCES, sources)
         why = f"the sources of the kernels were edited after they were compiled ({changed})"
     if wanted not in ("", JIT):
         raise KernelsError(f"{VARIABLE} is {wanted!r}, but {why}; {_HELP}")
@@ -76,9 +76,9 @@ def _library() -> Any:
     return None
 
 
-def _chosen(variants: dict[str, bool], wanted: str) -> str:
-    """The variant to take, of those that the library has, best first, with whether this processor
-    runs them.
+def _choose_variant(variants: dict[str, bool], wanted: str) -> str:
+    """Choose the variant that runs: the requested one, else the best that this processor runs.
+    Errors: `KernelsError`.
     """
     running = [name for name, runs in variants.items() if runs]
     if wanted and wanted not in running:
@@ -92,13 +92,13 @@ def _chosen(variants: dict[str, bool], wanted: str) -> str:
     return wanted or running[0]
 
 
-_native = _library()
+_native = _load_library()
 VARIANT: str = JIT if _native is None else _native.variant()
 """Which variant of the kernels this process runs."""
 
 
-def _entry_points() -> dict[str, SimpleNamespace]:
-    """For each module of kernels its entry points in the library."""
+def _group_entry_points() -> dict[str, SimpleNamespace]:
+    """Group the entry points of the library by their module of kernels."""
     modules: dict[str, dict[str, Any]] = {}
     for key in filter(lambda key: "__" in key.strip("_"), dir(_native)):
         module, _, name = key.partition("__")
@@ -107,18 +107,18 @@ def _entry_points() -> dict[str, SimpleNamespace]:
 
 
 if _native is not None:
-    globals().update(_entry_points())
+    globals().update(_group_entry_points())
 
 
 def __getattr__(name: str) -> Any:
     """A module of kernels, compiled now."""
-    if _native is None and (place := sources().get(name)):
+    if _native is None and (place := list_sources().get(name)):
         return importlib.import_module(f"{__package__}.{place}")
     raise AttributeError(f"there are no kernels {name!r}")
 
 
-def maker(*shape: int) -> Callable[[], np.ndarray]:
-    """A function that makes new float64 arrays (shape), their entries unset; faster than
+def make_allocator(*shape: int) -> Callable[[], np.ndarray]:
+    """Make a function that allocates float64 arrays of this shape, their entries unset; faster than
     numpy's `empty`.
     """
     return partial(np.empty, shape) if _native is None else _native.maker(shape)

@@ -1,4 +1,4 @@
-"""Which sources a library of kernels was built from."""
+"""Digests of the sources of the kernels, which tell from which sources a library was built."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from pathlib import Path
 HERE = Path(__file__).parent
 
 
-def sources(folder: Path = HERE) -> dict[str, str]:
-    """For each source of kernels by its name, which is unique, the name of the module from the
+def list_sources(folder: Path = HERE) -> dict[str, str]:
+    """Return, for each source of kernels by its unique name, the name of the module from the
     package on.
 
     Files whose names no import could name, as editors leave them, do not count.
@@ -26,25 +26,25 @@ def sources(folder: Path = HERE) -> dict[str, str]:
     return found
 
 
-def source_digests(folder: Path = HERE) -> str:
-    """A line for each source of kernels: name and digest (SHA-256) of what it says; empty where
-    there are none.
+def compute_source_digests(folder: Path = HERE) -> str:
+    """Return a text with a line for each source of kernels, its name and digest (SHA-256); empty
+    where there are no sources.
     """
     lines = []
-    for name in sources(folder).values():
+    for name in list_sources(folder).values():
         path = name.replace(".", "/")
-        lines.append(f"{path} {_digest(folder / f'{path}.py')}\n")
+        lines.append(f"{path} {_compute_digest(folder / f'{path}.py')}\n")
     return "".join(lines)
 
 
-def _digest(path: Path) -> str:
+def _compute_digest(path: Path) -> str:
     try:
         return hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError as error:
         return f"unreadable: {error.strerror}"
 
 
-def first_difference(before: str, now: str) -> str:
-    """The name of the first source that is not in both of two such texts with the same digest."""
+def find_first_difference(before: str, now: str) -> str:
+    """Return the name of the first source whose digest differs between two texts of digests."""
     (name, *_) = sorted(set(before.splitlines()) ^ set(now.splitlines()))[0].split()
     return f"{name.replace('.', '/')}.py"

@@ -197,7 +197,7 @@ class Words:
         piece = max(1, int(PIECE / ((len(self.order) + 1) * 3.0**length)))
         for i in range(0, count, piece):
             check_for_stop()
-            lie_brackets.words(
+            lie_brackets.evaluate_words(
                 *at.rows.packed,
                 self.order,
                 self.entries,

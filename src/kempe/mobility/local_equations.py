@@ -16,7 +16,15 @@ import numpy as np
 from kempe.errors import UnsupportedError
 from kempe.first_order.constraint_graph import NO_SERIES, list_function_constraints
 from kempe.kernels.constraints.loop_layout import LINEAR
-from kempe.kernels.forward.table_layout import KIND, N_OUT, N_ROWS, SLIDE, TURN, V_INDEX, rows_of
+from kempe.kernels.forward.table_layout import (
+    KIND,
+    N_OUT,
+    N_ROWS,
+    SLIDE,
+    TURN,
+    V_INDEX,
+    get_row_integers,
+)
 from kempe.model.configurations import read_q
 from kempe.model.packed_loops import get_packed_loops, pack_tapes
 from kempe.numerics.clock import TimeLimit
@@ -102,7 +110,7 @@ class Equations:
         """Velocity coordinates that move primitives of a kind; those of screws turn and slide, and
         are angles.
         """
-        rows = rows_of(self.ints)
+        rows = get_row_integers(self.ints)
         return rows[rows[:, KIND] == kind, V_INDEX].tolist()
 
     def _pack(self) -> tuple[np.ndarray, Array]:
@@ -246,7 +254,7 @@ class Equations:
         info = np.zeros((len(q), 3))
         value = np.zeros((len(q), self.m))
         J = np.zeros((len(q), self.m, self.nv))
-        projection.project(
+        projection.project_configurations(
             self.ints,
             self.floats,
             self.ties,
@@ -303,7 +311,7 @@ class Series:
     """Taylor series of equations and frames along curves q0 (+) v(t), computed order by order."""
 
     def __init__(self, equations: Equations, q: Array, order: int):
-        from kempe.kernels.series.jet_layout import POSE_SIZE, scratch_width
+        from kempe.kernels.series.jet_layout import POSE_SIZE, compute_scratch_width
 
         self.equations = equations
         self.order = order
@@ -312,7 +320,7 @@ class Series:
         depth = order + 1
         self._q = np.ascontiguousarray(q)
         self._poses = np.zeros((n, rows, depth, POSE_SIZE))
-        self._extra = np.zeros((n, rows, depth, scratch_width(order)))
+        self._extra = np.zeros((n, rows, depth, compute_scratch_width(order)))
         self._frames = np.zeros((n, outputs, depth, 12))
         self._v = np.zeros((n, depth, equations.nv))
         self._tapes = np.zeros((n, equations.tape_size, depth))
@@ -330,7 +338,7 @@ class Series:
         from kempe.kernels.compiled import jet
 
         e = self.equations
-        jet.jets(
+        jet.compute_jets(
             e.ints,
             e.floats,
             e.ties,

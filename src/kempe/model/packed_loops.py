@@ -111,7 +111,7 @@ class PackedLoops:
     @property
     def scale(self) -> np.ndarray:
         """Unit (nv,) of each velocity coordinate in the kernels, in radians or metres; a view."""
-        return L.velocity_lists(self.weights, int(self.ints[NV]))[0]
+        return L.view_velocity_lists(self.weights, int(self.ints[NV]))[0]
 
     @cached_property
     def functions(self) -> tuple[CompiledFunction, ...]:
@@ -605,7 +605,7 @@ def pack_loops(
     plan, weights = LoopPlan(system, ties, ints, held, size, length is None, wide).make_arrays()
     for tie in ties:
         if tie.function is not None:
-            tie.function.scale = L.velocity_lists(weights, system.nv)[0]
+            tie.function.scale = L.view_velocity_lists(weights, system.nv)[0]
     names = tuple((t.name, row) for t in ties for row in t.row_names)
     unknown = np.array(
         [i for i, n in enumerate(system.structure.velocity_names) if n not in held], dtype=np.int64

@@ -19,9 +19,9 @@ from kempe.kernels.forward.table_layout import (
     SLIDE,
     TURN,
     V_INDEX,
-    numbers_of,
-    placements_of,
-    rows_of,
+    copy_placements,
+    get_row_integers,
+    get_row_numbers,
 )
 from kempe.model.model import keep_answers
 from kempe.model.primitive_table import extract_chain
@@ -145,9 +145,9 @@ def _bounds(system: Model, frame: str) -> PlaceBounds:
     ints, floats = table.pack_arrays([frame])
     limits = system.structure.limits[v_index].T
     shells = tuple(b for b in compute_reach_bounds(ints, floats, limits) if not b.point.any())
-    rows = rows_of(ints)
-    numbers = numbers_of(ints, floats)
-    placements = placements_of(ints, floats)
+    rows = get_row_integers(ints)
+    numbers = get_row_numbers(ints, floats)
+    placements = copy_placements(ints, floats)
     box = np.tile(placements[-1][:, 3], (2, 1))
     for row, own, X in zip(rows[::-1], numbers[::-1], placements[-2::-1], strict=True):
         if row[KIND] == TURN:

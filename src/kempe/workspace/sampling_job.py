@@ -20,7 +20,7 @@ from kempe.equations.one_sided import one_sided_rows
 from kempe.errors import InputError
 from kempe.forward.fk import fk, pack_chain
 from kempe.kernels.compiled import VARIANT, lane_positions
-from kempe.kernels.forward.table_layout import Q_INDEX, rows_of
+from kempe.kernels.forward.table_layout import Q_INDEX, get_row_integers
 from kempe.model.characteristic_length import compute_characteristic_length
 from kempe.model.configurations import (
     compute_mid_configuration,
@@ -310,7 +310,7 @@ def pilot_positions(system: Model, frame: str, seed: int) -> Array:
     if is_plain_chain(system):
         points = np.empty((PILOT, 3))
         table = pack_chain(system, frame)
-        lane_positions.random_positions(
+        lane_positions.sample_positions(
             *table, keys_of(seed, system.nq), bounds_of(system), 0, points
         )
         return points
@@ -354,7 +354,7 @@ def unlimited(system: Model, frame: str) -> list[str]:
     layout = system.structure.layout
     circle = find_free_angles(system)
     if not has_loops(system):
-        used = set(rows_of(pack_chain(system, frame)[0])[:, Q_INDEX].tolist())
+        used = set(get_row_integers(pack_chain(system, frame)[0])[:, Q_INDEX].tolist())
     else:  # what is not driven may be held by loops
         driven = {
             c

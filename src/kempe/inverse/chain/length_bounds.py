@@ -15,9 +15,9 @@ from kempe.kernels.forward.table_layout import (
     SLIDE,
     TURN,
     V_INDEX,
-    numbers_of,
-    placements_of,
-    rows_of,
+    copy_placements,
+    get_row_integers,
+    get_row_numbers,
 )
 from kempe.spatial import Array
 
@@ -110,7 +110,7 @@ def compute_offsets(ints: np.ndarray, floats: np.ndarray) -> Array:
 
     Rounding errors are set to zero.
     """
-    p = placements_of(ints, floats)[..., 3]
+    p = copy_placements(ints, floats)[..., 3]
     return np.where(np.abs(p) > NOISE * np.abs(p).max(axis=1, keepdims=True), p, 0.0)
 
 
@@ -159,8 +159,8 @@ def compute_reach_bounds(ints: np.ndarray, floats: np.ndarray, limits: Array) ->
     Of an axis that turns the best point counts: of the first the one nearest to the second joint,
     of the last the one nearest to the joint before.
     """
-    table = rows_of(ints)
-    rows = placements_of(ints, floats)
+    table = get_row_integers(ints)
+    rows = copy_placements(ints, floats)
     R = rows[..., :3]
     p = rows[..., 3].copy()
     n = len(table)
@@ -170,7 +170,9 @@ def compute_reach_bounds(ints: np.ndarray, floats: np.ndarray, limits: Array) ->
     for row in np.flatnonzero(kinds == SLIDE):
         slides += float(
             np.max(
-                np.abs(numbers_of(ints, floats)[row, MULTIPLIER] * limits[:, table[row, V_INDEX]])
+                np.abs(
+                    get_row_numbers(ints, floats)[row, MULTIPLIER] * limits[:, table[row, V_INDEX]]
+                )
             )
         )
     if n and kinds[0] == TURN:

@@ -20,8 +20,8 @@ from kempe.kernels.forward.table_layout import (
     SLIDE,
     TURN,
     V_INDEX,
-    rows_of,
-    tip_of,
+    get_row_integers,
+    get_tip_placement,
 )
 from kempe.model.gauge import regauge_table
 from kempe.model.model import keep_answers
@@ -72,7 +72,7 @@ def _turn_tip(chain: Chain, axis: tuple[float, float, float]) -> Chain:
     """Return the chain with its tip turned so that z points along `axis`."""
     floats = chain.floats.copy()
     turn = frame_of(np.array(axis))
-    tip = tip_of(chain.ints, floats)
+    tip = get_tip_placement(chain.ints, floats)
     tip[:, :3] = tip[:, :3] @ turn
     return replace(chain, floats=floats)
 
@@ -128,7 +128,7 @@ def find_motion_masks(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
 
     Screws do both.
     """
-    rows = rows_of(chain.ints)
+    rows = get_row_integers(chain.ints)
     each = np.arange(len(chain.v_index))
     turns, slides = (np.isin(each, rows[rows[:, KIND] == kind, V_INDEX]) for kind in (TURN, SLIDE))
     return turns, slides
@@ -139,7 +139,7 @@ def list_slides(system: Model, frame: str) -> list[str]:
     if find_obstacle(system, frame) is not None:
         return []
     chain = find_chain(system, frame)
-    rows = rows_of(chain.ints)
+    rows = get_row_integers(chain.ints)
     local = sorted(set(rows[rows[:, KIND] == SLIDE, V_INDEX].tolist()))
     return [system.structure.velocity_names[int(chain.v_index[v])] for v in local]
 
@@ -155,7 +155,7 @@ def has_shared_coordinates(system: Model, frame: str) -> bool:
     """Return whether two motions of a frame's chain share a coordinate other than a quaternion."""
     if find_obstacle(system, frame) is not None:
         return False
-    rows = rows_of(find_chain(system, frame).ints)
+    rows = get_row_integers(find_chain(system, frame).ints)
     return not np.any(rows[:, KIND] == BALL) and len(set(rows[:, Q_INDEX].tolist())) < len(rows)
 
 

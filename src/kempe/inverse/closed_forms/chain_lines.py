@@ -23,9 +23,9 @@ from kempe.kernels.forward.table_layout import (
     Q_INDEX,
     SIN_OFFSET,
     SLIDE,
-    numbers_of,
-    placements_of,
-    rows_of,
+    copy_placements,
+    get_row_integers,
+    get_row_numbers,
 )
 from kempe.model.model import keep_answers
 from kempe.numerics.rank import Spectrum
@@ -91,8 +91,8 @@ def build_lines(system: Model, frame: str) -> Lines:
     chain = find_chain(system, frame)
     ints = chain.ints
     floats = chain.floats
-    rows = rows_of(ints)
-    numbers = numbers_of(ints, floats)
+    rows = get_row_integers(ints)
+    numbers = get_row_numbers(ints, floats)
     n = len(rows)
     names = tuple(system.structure.velocity_names[int(i)] for i in chain.v_index)
     if n == 0:
@@ -108,7 +108,7 @@ def build_lines(system: Model, frame: str) -> Lines:
             "joint that follows another): there is no plan for that; `ik` solves it, and `ik_all` "
             "by `assembly_modes`"
         )
-    placements = placements_of(ints, floats)
+    placements = copy_placements(ints, floats)
     if chain.span.rounding > chain.span.largest > 0.0:
         raise UnsupportedError(
             f"all of the chain of {frame!r} is smaller than rounding: {chain.span.format_ratio()}"

@@ -57,19 +57,19 @@ AGAIN = 1e-6
 def _load_closed_kernel() -> Callable[..., None]:
     from kempe.kernels.compiled import every_solution
 
-    return every_solution.closed
+    return every_solution.find_closed_form_solutions
 
 
 def _load_block_kernel() -> Callable[..., int]:
     from kempe.kernels.compiled import candidate_blocks
 
-    return candidate_blocks.closed_side_by_side
+    return candidate_blocks.find_plain_solutions
 
 
 def _load_elimination_kernel() -> Callable[..., None]:
     from kempe.kernels.compiled import elimination_ik
 
-    return elimination_ik.general
+    return elimination_ik.find_general_solutions
 
 
 class Method(NamedTuple):
@@ -408,7 +408,7 @@ def _make_elimination_plan(
     places = [*unknown, *range(len(lines), len(lines) + len(extra.kinds))]
     axes, _ = compute_carried_lines(lines, locked, extra, theta)
     scores = np.zeros(FORMULATIONS)
-    elimination_score.score(
+    elimination_score.score_formulations(
         axes.kinds[places].astype(np.int64), axes.pack_lines().reshape(-1, 8)[places], scores
     )
     best = [int(f) for f in np.argsort(-scores, kind="stable") if scores[f] > 0.0][:MOST_FORMS]
@@ -487,7 +487,9 @@ def compute_outer_terms(plan: ChainPlan, theta: Array, X: Array) -> Array:
     goal = X @ spatial.inverse(plan.lines.tip) @ spatial.inverse(shift)
     out = np.empty(12)
     flat = np.ascontiguousarray(goal[:3]).ravel()
-    candidates.outer_terms(six.kinds, six.pack_lines(), flat, way.inner, way.what, way.option, out)
+    candidates.write_outer_terms(
+        six.kinds, six.pack_lines(), flat, way.inner, way.what, way.option, out
+    )
     return out.reshape(2, 2, 3)
 
 

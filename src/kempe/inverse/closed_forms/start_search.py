@@ -168,7 +168,7 @@ def _search_from_starts(
     wanted = pack_row_flags(replace(task, chain=replace(chain, circular=circular)))
     goals = np.repeat(goal, len(theta), axis=0)
     out = np.empty((len(theta), n + ANSWER))
-    schedule.reach(
+    schedule.reach_goals(
         chain.ints,
         chain.floats,
         limits,

@@ -208,7 +208,7 @@ def _iterate_outer_solutions(
             lines = axes.pack_lines()
             for goal in some:
                 terms = np.empty(12)
-                candidates.outer_terms(axes.kinds, lines, goal, k, what, option, terms)
+                candidates.write_outer_terms(axes.kinds, lines, goal, k, what, option, terms)
                 amplitude = np.linalg.norm(terms.reshape(2, 2, 3)[..., 1:], axis=-1)
                 size[..., 0] = np.maximum(size[..., 0], amplitude)
                 size[..., 1] = np.minimum(size[..., 1], amplitude)

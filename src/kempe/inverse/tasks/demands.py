@@ -220,7 +220,7 @@ class Demands:
 
         def work(i: int, j: int) -> int:
             with watched_by(up_at(self.end), *(() if self.effort is None else (self.effort,))):
-                left = task_search.solve(
+                left = task_search.solve_tasks(
                     loops.ints,
                     loops.floats,
                     loops.plan,

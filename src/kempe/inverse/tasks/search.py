@@ -283,7 +283,7 @@ def most_starts(system: Model, packed: Packed) -> int:
         nv = system.nv
         places = plan[plan[L.AT_PLACES] :][: L.PLACE_INTS * nv].reshape(nv, L.PLACE_INTS)
         moves = np.diff(plan[plan[L.AT_VARS] :][: nv + 1]) > 0
-        _, low, high, *_ = L.velocity_lists(weights, nv)
+        _, low, high, *_ = L.view_velocity_lists(weights, nv)
         limited = np.isfinite(low) | np.isfinite(high)
         count = int(np.sum(moves & limited & (places[:, 1] <= L.BOUND_TURN) & (places[:, 2] == 0)))
         found = packed.stages[most_starts] = min(max(EACH * count * count, 5 * FIRST), MOST)
@@ -550,7 +550,7 @@ def values(problem: Demands, q: Array, rows: np.ndarray) -> Array:
     g = np.empty((len(q), m))
     none = np.empty((0, m, 0))
     ties = len(loops.ties)
-    closure_batch.equations(
+    closure_batch.evaluate_equations(
         loops.ints,
         loops.floats,
         loops.plan,

@@ -1,5 +1,5 @@
-"""The one way to compile: one signature each, safe fast-math flags. Only builds and edited
-checkouts come here.
+"""Compile kernels with Numba: one signature for each kernel, and fast-math flags that keep NaN.
+Only builds and edited checkouts import this module.
 
 What is said of a kernel (`declare`) is turned into Numba's types, and helpers are compiled into the
 kernels that call them (`_link`). The builder of the library takes over at `compile_entry`; without
@@ -27,7 +27,8 @@ from kempe.kernels.base.declare import Array, Entry, Number
 # Compile helpers cheaply: their code is optimised where it is used, once a kernel, and not at
 # every level of calls.
 #
-# Numba makes of each compiled function a library that holds all its callees, optimises it as a whole
+# Numba makes of each compiled function a library that holds all its callees, optimises it as a
+# whole
 # and emits machine code, also where only another compiled function calls it: what lies n calls deep
 # is optimised n times. Here a helper's library keeps the helper's own code and the list of what it
 # needs, and hands out all of it to the kernel that asks. Numba's passes for what no helper here
@@ -65,13 +66,13 @@ class CodeOnly(_Library):
     """Code of which no machine code is made in this process."""
 
     def get_pointer_to_function(self, name: str) -> int:
-        """No address: it is never called here."""
+        """Return 0: the code is never called in this process."""
         self._ensure_finalized()
         return 0
 
     @property
     def codegen(self) -> NoEngine:
-        """What stands for the engine that runs code."""
+        """The stand-in for Numba's engine, which would run the code."""
         return NoEngine()
 
 
@@ -83,9 +84,7 @@ class _HelperLibrary(CodeOnly):
         self._finalized = True
 
     def _optimize_functions(self, module: Any) -> None:
-        """Optimise all functions with one manager of passes, none that is but declared; else as
-        Numba does.
-        """
+        """Optimise all functions that have a body, with one manager of passes."""
         module.data_layout = self._codegen._data_layout
         manager, builder = self._codegen._function_pass_manager()
         for function in module.functions:
@@ -93,7 +92,7 @@ class _HelperLibrary(CodeOnly):
                 manager.run(function, builder)
 
     def _get_module_for_linking(self) -> Any:
-        """The helper's code with all that it calls, at any depth."""
+        """Return the code of the helper and of all functions that it calls, at any depth."""
         self._ensure_finalized()
         if self._shared_module is None:
             whole = self._final_module.clone()
@@ -118,7 +117,7 @@ class _HelperLibrary(CodeOnly):
 
 
 class HelperCompiler(_Compiler):
-    """Numba's compiler for what only compiled code calls."""
+    """Numba's compiler for functions that only compiled code calls."""
 
     def __init__(self, typing: Any, target: Any, library: Any, *rest: Any):
         if library is None:
@@ -126,7 +125,7 @@ class HelperCompiler(_Compiler):
         super().__init__(typing, target, library, *rest)
 
     def define_pipelines(self) -> list[Any]:
-        """Numba's passes without those that are not needed."""
+        """Return Numba's passes without those that find nothing to do in kernels."""
         (whole,) = super().define_pipelines()
         short = PassManager(whole.pipeline_name)
         short.passes = [one for one in whole.passes if one[0].__name__ not in _NOT_NEEDED]
@@ -141,24 +140,24 @@ _TYPES = {"f": types.float64, "i": types.int64, "b": types.boolean}
 _lock = threading.Lock()
 
 
-def type_of(taken: Array | Number) -> types.Type:
-    """Numba's type of an argument; arrays that are only read may be read-only."""
+def make_numba_type(taken: Array | Number) -> types.Type:
+    """Return Numba's type of an argument. An array that the kernel only reads may be read-only."""
     entry = _TYPES[taken.entry]
     if isinstance(taken, Number):
         return entry
     return types.Array(entry, len(taken.shape), "C", readonly=not taken.written)
 
 
-def signature_of(entry: Entry) -> Any:
-    """Numba's signature of an entry point."""
+def make_signature(entry: Entry) -> Any:
+    """Return Numba's signature of an entry point."""
     result = types.int64 if entry.returns else types.void
-    return result(*[type_of(taken) for taken in entry.takes])
+    return result(*[make_numba_type(taken) for taken in entry.takes])
 
 
 @contextmanager
-def garbage_stays() -> Iterator[None]:
-    """Collect no garbage meanwhile: the compiler's many objects live on, and to walk them takes a
-    tenth of its time.
+def pause_garbage_collection() -> Iterator[None]:
+    """Pause Python's garbage collector: to scan the compiler's many objects would take a tenth of
+    its time.
     """
     was_on = gc.isenabled()
     gc.disable()
@@ -169,21 +168,22 @@ def garbage_stays() -> Iterator[None]:
             gc.enable()
 
 
-def in_memory(entry: Entry) -> Callable:
-    """The entry point, compiled for this process."""
+def compile_in_memory(entry: Entry) -> Callable:
+    """Compile the entry point for this process only."""
     dispatcher = numba.njit(nogil=entry.nogil, fastmath=FLAGS, error_model="numpy")(entry.function)
-    with _lock, garbage_stays():
-        dispatcher.compile(signature_of(entry))
+    with _lock, pause_garbage_collection():
+        dispatcher.compile(make_signature(entry))
         dispatcher.disable_compile()
     return dispatcher
 
 
-compile_entry: Callable[[Entry], Callable] = in_memory
+compile_entry: Callable[[Entry], Callable] = compile_in_memory
 """What makes a kernel of a declaration."""
 
 
 def kernel(*takes: Array | Number, returns: bool = True, nogil: bool = True) -> Callable:
-    """Decorator: an entry point that takes exactly this and returns a whole number, or nothing.
+    """Make an entry point (decorator) that takes exactly these arguments and returns a whole
+    number, or nothing.
 
     `nogil=False` is for kernels of a fraction of a microsecond: to hand the lock over and back
     costs 40 ns.
@@ -202,12 +202,13 @@ _HELPER = {
 
 
 def device(function: Callable) -> Callable:
-    """Decorator: a helper that kernels call; compiled into each caller."""
+    """Make a helper (decorator) that is compiled into each kernel that calls it."""
     return numba.njit(forceinline=True, **_HELPER)(function)
 
 
 def routine(function: Callable) -> Callable:
-    """Decorator: a helper too large to be copied into callers; compiled once a kernel.
+    """Make a helper (decorator) that is compiled once for each kernel, since it is too large to be
+    copied to each call.
 
     `forceinline` is said aloud, for Numba hands a `device`'s wish to be copied down to all that it
     calls. Constants among its arguments are numbers like others: Numba would compile it again for

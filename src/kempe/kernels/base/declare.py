@@ -1,5 +1,5 @@
-"""What an entry point takes and returns, said once: for the compiler, and for the C layer that is
-made of it.
+"""Declarations of entry points: the types and shapes of their arguments. The compiler and the
+builder of the C layer read them.
 """
 
 from __future__ import annotations
@@ -34,29 +34,29 @@ FLAG = Number("b")
 
 
 def F(*shape: Length) -> Array:
-    """Floats that are read."""
+    """Declare an array of float64 that the kernel reads."""
     return Array("f", shape)
 
 
 def I(*shape: Length) -> Array:  # noqa: E743
-    """Integers that are read."""
+    """Declare an array of int64 that the kernel reads."""
     return Array("i", shape)
 
 
 def OUT(*shape: Length) -> Array:
-    """Floats that are written."""
+    """Declare an array of float64 that the kernel writes."""
     return Array("f", shape, written=True)
 
 
 def OUTI(*shape: Length) -> Array:
-    """Integers that are written."""
+    """Declare an array of int64 that the kernel writes."""
     return Array("i", shape, written=True)
 
 
 @dataclass(frozen=True)
 class Entry:
-    """An entry point: its function, what it takes, whether it returns a whole number, whether other
-    threads may run.
+    """A declared entry point: its function, its arguments, whether it returns a whole number, and
+    whether other threads may run meanwhile.
     """
 
     function: Callable
@@ -66,5 +66,5 @@ class Entry:
 
     @property
     def name(self) -> str:
-        """ "module__function", unique among all kernels."""
+        """The name in the library, "module__function", unique among all kernels."""
         return f"{self.function.__module__.rpartition('.')[2]}__{self.function.__name__}"

@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 
 from kempe.kernels.base._jit import device, routine
-from kempe.kernels.base.row_reduction import total
-from kempe.kernels.base.scratch import beyond
-from kempe.kernels.base.vectors import LANES, load_lanes, spread_lanes, store, where
+from kempe.kernels.base.row_reduction import sum_entries
+from kempe.kernels.base.scratch import advance_pointer
+from kempe.kernels.base.vectors import LANES, load_lanes, select_where, spread_lanes, store_value
 
 EPS = 2.220446049250313e-16
 """Spacing of the numbers at 1."""
@@ -35,9 +35,9 @@ SWEEPS = 8
 
 
 @routine
-def balance(a, n, stride):
-    """Scale rows and columns by powers of two until they weigh alike; the diagonal and so the
-    eigenvalues stay.
+def balance_matrix(a, n, stride):
+    """Scale rows and columns by powers of two until their norms are alike; the diagonal and the
+    eigenvalues do not change.
 
     Parlett and Reinsch 1969, "Balancing a matrix for calculation of eigenvalues and eigenvectors".
     """
@@ -73,7 +73,7 @@ def balance(a, n, stride):
 
 
 @routine
-def hessenberg(a, n, stride, v):
+def reduce_to_hessenberg(a, n, stride, v):
     """Overwrite a with a similar matrix that is zero below the first subdiagonal (Householder
     1958).
 
@@ -98,39 +98,39 @@ def hessenberg(a, n, stride, v):
         # the reflection is 1 - v v^T / half, and takes the column to (size, 0, 0, ...)
         half = size * (size - first)
         start = (k + 1) // LANES * LANES
-        _reflect(a, n, stride, v, k, start, 1.0 / half)
+        _apply_reflection(a, n, stride, v, k, start, 1.0 / half)
         a[(k + 1) * stride + k] = size
         for i in range(k + 2, n):
             a[i * stride + k] = 0.0
 
 
 @routine
-def _reflect(a, n, stride, v, k, start, scale):
+def _apply_reflection(a, n, stride, v, k, start, scale):
     """Apply 1 - scale v v^T from both sides to the columns from `start` on, v being zero up to
     entry k.
     """
-    w = beyond(v, LARGEST_SIZE)
+    w = advance_pointer(v, LARGEST_SIZE)
     for c in range(start, n, LANES):
         sum_ = spread_lanes(0.0)
         for i in range(k + 1, n):
             sum_ = sum_ + v[i] * load_lanes(a, i * stride + c)
-        store(w, c, sum_ * scale)
+        store_value(w, c, sum_ * scale)
     for i in range(n):
         dot = spread_lanes(0.0)
         x = v[i]
         for c in range(start, n, LANES):
             row = load_lanes(a, i * stride + c) - x * load_lanes(w, c)
-            store(a, i * stride + c, row)
+            store_value(a, i * stride + c, row)
             dot = dot + row * load_lanes(v, c)
-        y = total(dot) * scale
+        y = sum_entries(dot) * scale
         for c in range(start, n, LANES):
-            store(a, i * stride + c, load_lanes(a, i * stride + c) - y * load_lanes(v, c))
+            store_value(a, i * stride + c, load_lanes(a, i * stride + c) - y * load_lanes(v, c))
 
 
 @device
-def _three(p, q, r):
-    """(x, y, z, u, v, size): the reflection 1 - (x, y, z)^T (1, u, v) takes (p, q, r) to (size, 0,
-    0).
+def _make_reflection(p, q, r):
+    """Return (x, y, z, u, v, size) of the Householder reflection 1 - (x, y, z)^T (1, u, v) that
+    takes (p, q, r) to (size, 0, 0).
     """
     square = p * p + q * q + r * r
     if not TINY * TINY < square < HUGE * HUGE:
@@ -154,9 +154,9 @@ def _three(p, q, r):
 
 
 @routine
-def _qr_step(a, stride, low, high, x, y, w, numbers):
-    """Take an implicit QR step on rows low to high, shifts of sum x + y and product x y - w
-    (Francis 1961).
+def _take_qr_step(a, stride, low, high, x, y, w, numbers):
+    """Take an implicit QR step on rows low to high, with two shifts of sum x + y and product x y -
+    w (Francis 1961).
     """
     m = high - 2
     p = q = r = 0.0
@@ -176,21 +176,21 @@ def _qr_step(a, stride, low, high, x, y, w, numbers):
         m -= 1
     before = a[m * stride + m - 1] if m > low else 0.0
     for k in range(m, high - 1):
-        f, g, h, u, v, size = _three(p, q, r)
-        p, q, r = _bulge(a, stride, low, high, k, f, g, h, u, v, numbers)
+        f, g, h, u, v, size = _make_reflection(p, q, r)
+        p, q, r = _chase_bulge(a, stride, low, high, k, f, g, h, u, v, numbers)
         if k > low:
             a[k * stride + k - 1] = size if k > m else before * (1.0 - f)
             a[(k + 1) * stride + k - 1] = 0.0
             a[(k + 2) * stride + k - 1] = 0.0
     k = high - 1
-    f, g, h, u, v, size = _three(p, q, 0.0)
+    f, g, h, u, v, size = _make_reflection(p, q, 0.0)
     for c in range(k // LANES * LANES, high + 1, LANES):
         i = k * stride + c
         a0 = load_lanes(a, i)
         a1 = load_lanes(a, i + stride)
         s = a0 + u * a1
-        store(a, i, a0 - f * s)
-        store(a, i + stride, a1 - g * s)
+        store_value(a, i, a0 - f * s)
+        store_value(a, i + stride, a1 - g * s)
     if k > low:
         a[k * stride + k - 1] = size
         a[high * stride + k - 1] = 0.0
@@ -201,9 +201,9 @@ def _qr_step(a, stride, low, high, x, y, w, numbers):
 
 
 @device
-def _bulge(a, stride, low, high, k, f, g, h, u, v, numbers):
-    """What the next reflection has to clear; applies 1 - (f, g, h)^T (1, u, v) at k, from both
-    sides.
+def _chase_bulge(a, stride, low, high, k, f, g, h, u, v, numbers):
+    """Apply the reflection 1 - (f, g, h)^T (1, u, v) at row k from both sides, and return the
+    entries that the next reflection clears.
 
     Rows k to k + 3, which the next step reads as vectors, are written as vectors: a vector read
     from memory that was just written number by number would have to wait. So their part of the
@@ -233,16 +233,20 @@ def _bulge(a, stride, low, high, k, f, g, h, u, v, numbers):
     for c in range(k // LANES * LANES, high + 1, LANES):
         i = k * stride + c
         place = load_lanes(numbers, c) - k
-        row = where(place == 0.0, 1.0, where(place == 1.0, u, where(place == 2.0, v, 0.0 * place)))
+        row = select_where(
+            place == 0.0,
+            1.0,
+            select_where(place == 1.0, u, select_where(place == 2.0, v, 0.0 * place)),
+        )
         a0 = load_lanes(a, i)
         a1 = load_lanes(a, i + stride)
         a2 = load_lanes(a, i + 2 * stride)
         s = a0 + u * a1 + v * a2
-        store(a, i, a0 - f * s - t0 * row)
-        store(a, i + stride, a1 - g * s - t1 * row)
-        store(a, i + 2 * stride, a2 - h * s - t2 * row)
+        store_value(a, i, a0 - f * s - t0 * row)
+        store_value(a, i + stride, a1 - g * s - t1 * row)
+        store_value(a, i + 2 * stride, a2 - h * s - t2 * row)
         if more:
-            store(a, i + 3 * stride, load_lanes(a, i + 3 * stride) - t3 * row)
+            store_value(a, i + 3 * stride, load_lanes(a, i + 3 * stride) - t3 * row)
     for i in range(low, k):
         s = a[i * stride + k] * f + a[i * stride + k + 1] * g + a[i * stride + k + 2] * h
         a[i * stride + k] -= s
@@ -252,9 +256,9 @@ def _bulge(a, stride, low, high, k, f, g, h, u, v, numbers):
 
 
 @device
-def _pair(x, y, w):
-    """Real parts and imaginary parts of a 2x2 block's eigenvalues: diagonal y, x, and w the product
-    of the others.
+def _compute_block_eigenvalues(x, y, w):
+    """Compute the eigenvalues of a 2x2 block with diagonal y, x and product w of the other two
+    entries: real parts, then imaginary parts.
     """
     p = 0.5 * (y - x)
     q = p * p + w
@@ -267,9 +271,9 @@ def _pair(x, y, w):
 
 
 @routine
-def shifted_qr(a, n, stride, re, im, numbers):
-    """Eigenvalues that were not found, 0 as a rule; writes those of the Hessenberg matrix a, which
-    is lost.
+def find_hessenberg_eigenvalues(a, n, stride, re, im, numbers):
+    """Write the eigenvalues of the Hessenberg matrix a, which is overwritten; return how many were
+    not found, as a rule 0.
 
     Wilkinson's shifts, and exceptional ones after 10, 20 and 30 steps (Martin, Peters and Wilkinson
     1970, "The QR algorithm for real Hessenberg matrices"). Eigenvalues that were not found are NaN.
@@ -309,7 +313,7 @@ def shifted_qr(a, n, stride, re, im, numbers):
         y = a[(high - 1) * stride + high - 1]
         w = a[high * stride + high - 1] * a[(high - 1) * stride + high]
         if low == high - 1:
-            r0, r1, i0, i1 = _pair(x, y, w)
+            r0, r1, i0, i1 = _compute_block_eigenvalues(x, y, w)
             re[low] = unit * (r0 + shift)
             re[high] = unit * (r1 + shift)
             im[low] = unit * i0
@@ -327,21 +331,22 @@ def shifted_qr(a, n, stride, re, im, numbers):
             x = y = 0.75 * s
             w = -0.4375 * s * s
         steps += 1
-        _qr_step(a, stride, low, high, x, y, w, numbers)
+        _take_qr_step(a, stride, low, high, x, y, w, numbers)
     return 0
 
 
 EIGEN_SCRATCH = 2 * LARGEST_SIZE
-"""Numbers of scratch that `eigenvalues` needs."""
+"""Numbers of scratch that `compute_eigenvalues` needs."""
 
 
 @routine
-def eigenvalues(a, n, stride, re, im, scratch):
-    """Eigenvalues that were not found, 0 as a rule; writes the n eigenvalues of a, which is lost.
+def compute_eigenvalues(a, n, stride, re, im, scratch):
+    """Write the n eigenvalues of the matrix a, which is overwritten; return how many were not
+    found, as a rule 0.
 
     Pairs of conjugates stand together, the positive imaginary part first. A matrix that is not
     finite gives NaN.
     """
-    balance(a, n, stride)
-    hessenberg(a, n, stride, scratch)
-    return shifted_qr(a, n, stride, re, im, scratch)
+    balance_matrix(a, n, stride)
+    reduce_to_hessenberg(a, n, stride, scratch)
+    return find_hessenberg_eigenvalues(a, n, stride, re, im, scratch)

@@ -6,8 +6,8 @@ from kempe.kernels.base._jit import device
 
 
 @device
-def solve6(a, b):
-    """Solution (6 numbers) of A y = b by A = L D L^T, A symmetric positive definite.
+def solve_definite_six(a, b):
+    """Solve A y = b for 6 unknowns by A = L D L^T, with A symmetric and positive definite.
 
     a: its lower triangle, row by row (21 numbers)."""
     (
@@ -81,9 +81,9 @@ def solve6(a, b):
 
 
 @device
-def factor(a, n):
-    """Whether the symmetric n by n matrix a is positive definite; overwrites its lower triangle
-    with L and D.
+def factor_matrix(a, n):
+    """Overwrite the lower triangle of a symmetric n by n matrix with its factors L and D; return
+    whether it is positive definite.
 
     a: pointer to n * n numbers, row by row; A = L D L^T, D on the diagonal.
     """
@@ -103,8 +103,8 @@ def factor(a, n):
 
 
 @device
-def back(a, n, b):
-    """Overwrite b with the solution of A x = b, a as `factor` leaves it."""
+def substitute_back(a, n, b):
+    """Overwrite b with the solution of A x = b, a as `factor_matrix` leaves it."""
     for i in range(n):
         for k in range(i):
             b[i] -= a[i * n + k] * b[k]

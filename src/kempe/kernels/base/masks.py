@@ -9,13 +9,13 @@ from kempe.kernels.base.vectors import Mask, intrinsic
 
 
 @intrinsic
-def bits(typingctx, mask):
-    """The truth values as one whole number: bit l is that of lane l."""
+def pack_mask(typingctx, mask):
+    """Pack the truth values of the lanes into one whole number: bit l is the value of lane l."""
     if not isinstance(mask, Mask):
         return None
 
-    def codegen(context, builder, sig, args):
+    def emit_code(context, builder, sig, args):
         whole = builder.bitcast(args[0], ir.IntType(sig.args[0].width))
         return builder.zext(whole, ir.IntType(64))
 
-    return types.int64(mask), codegen
+    return types.int64(mask), emit_code

@@ -22,9 +22,9 @@ _S11 = np.uint64(11)
 
 
 @device
-def mix(state, counter):
-    """Number `counter` of the sequence from `state`, all uint64; it can be the state of another
-    sequence.
+def mix_bits(state, counter):
+    """Return number `counter` of the random sequence that belongs to `state`, both uint64; the
+    result can be the state of another sequence.
     """
     z = state + _STEP * (counter + _ONE)
     z = (z ^ (z >> _S30)) * _MUL_A
@@ -33,6 +33,6 @@ def mix(state, counter):
 
 
 @device
-def unit(bits):
-    """Number in [0, 1) from the upper 53 bits of a uint64."""
+def to_unit_interval(bits):
+    """Convert the upper 53 bits of a uint64 to a number in [0, 1)."""
     return np.float64(bits >> _S11) * (1.0 / 9007199254740992.0)

@@ -9,13 +9,15 @@ import math
 import numpy as np
 
 from kempe.kernels.base._jit import device
-from kempe.kernels.base.random import mix, unit
+from kempe.kernels.base.random import mix_bits, to_unit_interval
 from kempe.kernels.base.trig import atan2
 
 
 @device
-def logarithm(m):
-    """Rotation vector of a 3x3 rotation (9 numbers, row by row), right at all angles from 0 to pi."""
+def compute_rotation_vector(m):
+    """Compute the rotation vector of a rotation matrix (9 numbers, row by row), accurate at all
+    angles from 0 to pi.
+    """
     x = 0.5 * (m[7] - m[5])
     y = 0.5 * (m[2] - m[6])
     z = 0.5 * (m[3] - m[1])
@@ -51,8 +53,8 @@ def logarithm(m):
 
 
 @device
-def turn_ball(q, i, x, y, z):
-    """Write quaternion * exp((x, y, z)) to q[i : i + 4], of norm 1."""
+def turn_quaternion(q, i, x, y, z):
+    """Write the quaternion q multiplied by exp((x, y, z)) to q[i : i + 4], with norm 1."""
     x = 0.5 * x
     y = 0.5 * y
     z = 0.5 * z
@@ -78,14 +80,14 @@ def turn_ball(q, i, x, y, z):
 
 
 @device
-def draw_ball(q, i, key):
+def draw_quaternion(q, i, key):
     """Write a uniformly distributed unit quaternion to q[i : i + 4] (Shoemake 1992)."""
     zero = np.uint64(0)
     one = np.uint64(1)
     two = np.uint64(2)
-    u = unit(mix(key, zero))
-    a = 2.0 * math.pi * unit(mix(key, one))
-    b = 2.0 * math.pi * unit(mix(key, two))
+    u = to_unit_interval(mix_bits(key, zero))
+    a = 2.0 * math.pi * to_unit_interval(mix_bits(key, one))
+    b = 2.0 * math.pi * to_unit_interval(mix_bits(key, two))
     q[i] = math.sqrt(1.0 - u) * math.sin(a)
     q[i + 1] = math.sqrt(1.0 - u) * math.cos(a)
     q[i + 2] = math.sqrt(u) * math.sin(b)

@@ -1,4 +1,6 @@
-"""One number from all entries of a vector: their sum, their largest, and where it stands."""
+"""Reductions of a vector to one number: the sum of its entries, the largest entry, and the place of
+an entry.
+"""
 
 from __future__ import annotations
 
@@ -8,49 +10,49 @@ from numba import types
 from kempe.kernels.base.vectors import INT64, LANES, Vec, intrinsic
 
 
-def _halves(builder, value):
-    """The lower and the upper half of a vector."""
+def _split_halves(builder, value):
+    """Split a vector into its lower and its upper half."""
     width = value.type.count // 2
     for start in (0, width):
         order = ir.Constant(ir.VectorType(ir.IntType(32), width), list(range(start, start + width)))
         yield builder.shuffle_vector(value, value, order)
 
 
-def _reduced(builder, value, join):
-    """The entry that is left after joining halves."""
+def _reduce_vector(builder, value, join):
+    """Join the halves of a vector until one entry is left, and return it."""
     while value.type.count > 1:
-        value = join(*_halves(builder, value))
+        value = join(*_split_halves(builder, value))
     return builder.extract_element(value, ir.Constant(ir.IntType(32), 0))
 
 
 @intrinsic
-def total(typingctx, vector):
-    """The sum of a vector's entries, halves added first."""
+def sum_entries(typingctx, vector):
+    """Return the sum of a vector's entries, halves added first."""
 
-    def codegen(context, builder, sig, args):
-        return _reduced(builder, args[0], builder.fadd)
+    def emit_code(context, builder, sig, args):
+        return _reduce_vector(builder, args[0], builder.fadd)
 
-    return types.float64(vector), codegen
+    return types.float64(vector), emit_code
 
 
 @intrinsic
-def largest(typingctx, vector):
-    """The largest of a vector's entries; anything where one is NaN."""
+def find_maximum(typingctx, vector):
+    """Return the largest entry of a vector without NaN."""
 
-    def codegen(context, builder, sig, args):
-        def join(a, b):
+    def emit_code(context, builder, sig, args):
+        def select_larger(a, b):
             return builder.select(builder.fcmp_ordered(">", a, b), a, b)
 
-        return _reduced(builder, args[0], join)
+        return _reduce_vector(builder, args[0], select_larger)
 
-    return types.float64(vector), codegen
+    return types.float64(vector), emit_code
 
 
 @intrinsic
-def lane_of(typingctx, vector, value):
-    """The first lane that holds `value`; LANES or more if none does."""
+def find_lane(typingctx, vector, value):
+    """Return the first lane that holds `value`; LANES or more if no lane does."""
 
-    def codegen(context, builder, sig, args):
+    def emit_code(context, builder, sig, args):
         vector, value = args
         spread = ir.Constant(vector.type, ir.Undefined)
         spread = builder.insert_element(spread, value, ir.Constant(ir.IntType(32), 0))
@@ -62,4 +64,4 @@ def lane_of(typingctx, vector, value):
             builder.or_(bits, ir.Constant(INT64, 1 << LANES)), ir.Constant(ir.IntType(1), 0)
         )
 
-    return types.int64(Vec(LANES), types.float64), codegen
+    return types.int64(Vec(LANES), types.float64), emit_code

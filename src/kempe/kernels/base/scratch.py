@@ -1,4 +1,6 @@
-"""Scratch: pointers into one block, for a kernel allocates once, and copies of what lies in it."""
+"""Pointers into one block of scratch memory, since a kernel allocates once, and copies inside the
+block.
+"""
 
 from __future__ import annotations
 
@@ -10,13 +12,15 @@ from kempe.kernels.base.vectors import intrinsic
 
 
 @intrinsic
-def beyond(typingctx, pointer, count):
-    """The pointer to what lies `count` numbers after where `pointer` points."""
+def advance_pointer(typingctx, pointer, count):
+    """Return the pointer to the number that lies `count` numbers after the one that `pointer`
+    points to.
+    """
 
-    def codegen(context, builder, sig, args):
+    def emit_code(context, builder, sig, args):
         return builder.gep(args[0], [args[1]])
 
-    return pointer(pointer, types.int64), codegen
+    return pointer(pointer, types.int64), emit_code
 
 
 ALIGNMENT = 64
@@ -24,21 +28,19 @@ ALIGNMENT = 64
 
 
 @intrinsic
-def aligned(typingctx, pointer):
-    """The first place from where the pointer points on that lies at a border; up to 7 numbers are
-    passed over.
-    """
+def align_pointer(typingctx, pointer):
+    """Return the first aligned address at or after the pointer; up to 7 numbers are skipped."""
 
-    def codegen(context, builder, sig, args):
+    def emit_code(context, builder, sig, args):
         whole = ir.IntType(64)
         place = builder.add(builder.ptrtoint(args[0], whole), ir.Constant(whole, ALIGNMENT - 1))
         return builder.inttoptr(builder.and_(place, ir.Constant(whole, -ALIGNMENT)), args[0].type)
 
-    return pointer(pointer), codegen
+    return pointer(pointer), emit_code
 
 
 @device
-def copy(target, source, start, count):
-    """Copy source[start : start + count]."""
+def copy_numbers(target, source, start, count):
+    """Copy the numbers source[start : start + count] to the same places of target."""
     for k in range(count):
         target[k] = source[start + k]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 from kempe.kernels.base._jit import device
-from kempe.kernels.base.vectors import negative, where, with_sign_of
+from kempe.kernels.base.vectors import copy_sign, is_negative, select_where
 
 REACH = 1e8
 """Largest |x| for which `sincos` is right; there the quarter turns are counted exactly (fewer than
@@ -43,8 +43,8 @@ C5 = -1.1358537420591712e-11
 
 @device
 def sincos(x):
-    """(sin x, cos x) of a float or vector, |x| <= REACH; error below 1.8e-16. NaN and infinity give
-    NaN.
+    """Return sin x and cos x of a float or vector, |x| <= REACH, with an error below 1.8e-16; NaN
+    and infinity give NaN.
 
     Beyond REACH the result is meaningless: there use `sincos_far`. The sign of sin(-0.0) is lost.
     """
@@ -66,8 +66,10 @@ def sincos(x):
 
 
 @device
-def sincos_any(x):
-    """(sin x, cos x) of any float: the polynomial up to REACH, the C library beyond it."""
+def compute_sincos(x):
+    """Return sin x and cos x of any float: by the polynomial up to REACH, by the C library beyond
+    it.
+    """
     if abs(x) <= REACH:
         return sincos(x)
     return math.sin(x), math.cos(x)
@@ -101,8 +103,8 @@ A14 = -0.0019014914592634848
 
 @device
 def atan2(y, x):
-    """Angle of the point (x, y) in [-pi, pi], of floats or vectors; error below 2 ulp, signed zeros
-    as in C.
+    """Return the angle of the point (x, y) in [-pi, pi], for floats or vectors; error below 2 ulp,
+    signed zeros as in C.
 
     NaN gives NaN, and so do arguments that are infinite or have an infinite sum (where C gives an
     angle).
@@ -110,12 +112,12 @@ def atan2(y, x):
     ax = abs(x)
     ay = abs(y)
     steep = ay > ax
-    small = where(steep, ax, ay)
-    large = where(steep, ay, ax)
+    small = select_where(steep, ax, ay)
+    large = select_where(steep, ay, ax)
     bent = small * (1.0 / BEND) > large  # rounds to the safe side at the smallest numbers
-    top = where(bent, small - large, small)
-    bottom = where(bent, small + large, large)
-    t = top / where(bottom == 0.0, 1.0, bottom)
+    top = select_where(bent, small - large, small)
+    bottom = select_where(bent, small + large, large)
+    t = top / select_where(bottom == 0.0, 1.0, bottom)
     z = t * t
     p = A8 + z * (A9 + z * (A10 + z * (A11 + z * (A12 + z * (A13 + z * A14)))))
     p = A0 + z * (A1 + z * (A2 + z * (A3 + z * (A4 + z * (A5 + z * (A6 + z * (A7 + z * p)))))))
@@ -123,10 +125,10 @@ def atan2(y, x):
     angle = t + (t * z * p + 0.0 * bottom)
     # the angle is eighths * pi/4 +- that, with the signs of the reflections at the diagonal and at
     # the y axis
-    left = negative(x)
-    eighths = where(bent, 1.0, 0.0)
-    eighths = where(steep, 2.0 - eighths, eighths)
-    angle = where(steep, -angle, angle)
-    eighths = where(left, 4.0 - eighths, eighths)
-    angle = where(left, -angle, angle)
-    return with_sign_of(eighths * EIGHTH_1 + (eighths * EIGHTH_2 + angle), y)
+    left = is_negative(x)
+    eighths = select_where(bent, 1.0, 0.0)
+    eighths = select_where(steep, 2.0 - eighths, eighths)
+    angle = select_where(steep, -angle, angle)
+    eighths = select_where(left, 4.0 - eighths, eighths)
+    angle = select_where(left, -angle, angle)
+    return copy_sign(eighths * EIGHTH_1 + (eighths * EIGHTH_2 + angle), y)

@@ -3,10 +3,12 @@ shuffles.
 
 LLVM's loop vectoriser gives up on most loops over two-dimensional arrays, and straight-line code
 stays scalar. Here a kernel says outright what is one vector: four columns of a matrix row (`load4`,
-`pack4`) or `LANES` configurations side by side (`load_lanes`, `gather`). Formulas written with + -
-* / abs and `where` hold for plain floats too, so that none is written twice. Loads and stores take
-the pointer that `raw` makes of a C-contiguous array, and a flat index: arrays handed on cost
-reference counting in loops, pointers nothing. Nothing checks bounds.
+`pack_four`) or `LANES` configurations side by side (`load_lanes`, `gather_lanes`). Formulas written
+with + -
+* / abs and `select_where` hold for plain floats too, so that none is written twice. Loads and
+  stores take
+the pointer that `get_pointer` makes of a C-contiguous array, and a flat index: arrays handed on
+cost reference counting in loops, pointers nothing. Nothing checks bounds.
 """
 
 from __future__ import annotations
@@ -35,8 +37,10 @@ INT64 = ir.IntType(64)
 SIGN_BIT = -(2**63)
 
 
-def _lanes() -> int:
-    """Configurations swept side by side: eight with 512-bit registers, else four."""
+def _count_lanes() -> int:
+    """Return how many configurations are swept side by side: eight with 512-bit registers, else
+    four.
+    """
     if (
         settings.CPU_NAME or settings.CPU_FEATURES
     ):  # the user compiles for another processor than this
@@ -46,7 +50,7 @@ def _lanes() -> int:
     return 8 if wide else 4
 
 
-LANES = _lanes()
+LANES = _count_lanes()
 """Width of the vectors that hold one number of several configurations."""
 
 
@@ -81,29 +85,29 @@ register_model(Vec)(_VectorModel)  # pyright: ignore
 register_model(Mask)(_VectorModel)  # pyright: ignore
 
 
-def _pack(builder, values):
-    """The vector with these entries."""
+def _pack_vector(builder, values):
+    """Emit the vector with these entries."""
     vector = ir.Constant(ir.VectorType(DOUBLE, len(values)), ir.Undefined)
     for i, value in enumerate(values):
         vector = builder.insert_element(vector, value, ir.Constant(ir.IntType(32), i))
     return vector
 
 
-def _splat(builder, value, width: int):
-    """The vector whose entries are all `value`."""
-    one = _pack(builder, [value])
-    return _shuffle(builder, one, one, [0] * width)
+def _spread_value(builder, value, width: int):
+    """Emit the vector whose entries are all `value`."""
+    one = _pack_vector(builder, [value])
+    return _shuffle_entries(builder, one, one, [0] * width)
 
 
-def _shuffle(builder, a, b, order: list[int]):
-    """Entries `order` of a and b laid end to end."""
+def _shuffle_entries(builder, a, b, order: list[int]):
+    """Emit the entries `order` of the vectors a and b laid end to end."""
     return builder.shuffle_vector(
         a, b, ir.Constant(ir.VectorType(ir.IntType(32), len(order)), order)
     )
 
 
-def _llvm(builder, name: str, value):
-    """LLVM's own function `name` of a number or vector."""
+def _call_llvm(builder, name: str, value):
+    """Emit a call of LLVM's function `name` for a number or vector."""
     lanes = f"v{value.type.count}" if isinstance(value.type, ir.VectorType) else ""
     call = ir.FunctionType(value.type, [value.type])
     return builder.call(
@@ -111,15 +115,15 @@ def _llvm(builder, name: str, value):
     )
 
 
-def _like(context, builder, value, its_type, width: int):
-    """`value` as a vector: vectors stay, numbers are spread."""
+def _convert_to_vector(context, builder, value, its_type, width: int):
+    """Emit `value` as a vector: a vector stays as it is, a number is repeated in all entries."""
     if isinstance(its_type, Vec):
         return value
-    return _splat(builder, context.cast(builder, value, its_type, types.float64), width)
+    return _spread_value(builder, context.cast(builder, value, its_type, types.float64), width)
 
 
-def _binary(operation, emit, result) -> None:
-    """Declare `operation` for (Vec, Vec), (Vec, number) and (number, Vec)."""
+def _declare_binary(operation, emit, result) -> None:
+    """Declare the operator for two vectors, and for a vector and a number in either order."""
 
     @infer_global(operation)
     class _Template(AbstractTemplate):
@@ -133,17 +137,20 @@ def _binary(operation, emit, result) -> None:
                     return signature(result(width), *args)
             return None
 
-    def lower(context, builder, sig, args):
+    def lower_operation(context, builder, sig, args):
         width = next(a.width for a in sig.args if isinstance(a, Vec))
-        a, b = (_like(context, builder, v, t, width) for v, t in zip(args, sig.args, strict=True))
+        a, b = (
+            _convert_to_vector(context, builder, v, t, width)
+            for v, t in zip(args, sig.args, strict=True)
+        )
         return emit(builder, a, b)
 
     for pair in ((Vec, Vec), (Vec, types.Number), (types.Number, Vec)):
-        lower_builtin(operation, *pair)(lower)
+        lower_builtin(operation, *pair)(lower_operation)
 
 
-def _unary(operation, emit) -> None:
-    """Declare `operation` for Vec."""
+def _declare_unary(operation, emit) -> None:
+    """Declare the operator for a vector."""
 
     @infer_global(operation)
     class _Template(AbstractTemplate):
@@ -155,91 +162,92 @@ def _unary(operation, emit) -> None:
     lower_builtin(operation, Vec)(lambda context, builder, sig, args: emit(builder, args[0]))
 
 
-_binary(operator.add, lambda builder, a, b: builder.fadd(a, b), Vec)
-_binary(operator.sub, lambda builder, a, b: builder.fsub(a, b), Vec)
-_binary(operator.mul, lambda builder, a, b: builder.fmul(a, b), Vec)
-_binary(operator.truediv, lambda builder, a, b: builder.fdiv(a, b), Vec)
-_binary(operator.gt, lambda builder, a, b: builder.fcmp_ordered(">", a, b), Mask)
-_binary(operator.eq, lambda builder, a, b: builder.fcmp_ordered("==", a, b), Mask)
-_unary(operator.neg, lambda builder, a: builder.fneg(a))
-_unary(abs, lambda builder, a: _llvm(builder, "fabs", a))
+_declare_binary(operator.add, lambda builder, a, b: builder.fadd(a, b), Vec)
+_declare_binary(operator.sub, lambda builder, a, b: builder.fsub(a, b), Vec)
+_declare_binary(operator.mul, lambda builder, a, b: builder.fmul(a, b), Vec)
+_declare_binary(operator.truediv, lambda builder, a, b: builder.fdiv(a, b), Vec)
+_declare_binary(operator.gt, lambda builder, a, b: builder.fcmp_ordered(">", a, b), Mask)
+_declare_binary(operator.eq, lambda builder, a, b: builder.fcmp_ordered("==", a, b), Mask)
+_declare_unary(operator.neg, lambda builder, a: builder.fneg(a))
+_declare_unary(abs, lambda builder, a: _call_llvm(builder, "fabs", a))
 
 
 FLOATS = types.CPointer(types.float64)
 
 
 @intrinsic
-def raw(typingctx, array):
-    """Pointer to the first entry of a C-contiguous array; p[k] is entry k of the flattened array.
+def get_pointer(typingctx, array):
+    """Return the pointer to the first entry of a C-contiguous array; p[k] is entry k of the
+    flattened array.
 
     The pointer does not keep the array alive: a scratch array must be named again after its last
-    use: `keep`.
+    use: `keep_alive`.
     """
     if not (isinstance(array, types.Array) and array.layout == "C"):
         return None
 
-    def codegen(context, builder, sig, args):
+    def emit_code(context, builder, sig, args):
         return context.make_array(sig.args[0])(context, builder, args[0]).data
 
-    return types.CPointer(array.dtype)(array), codegen
+    return types.CPointer(array.dtype)(array), emit_code
 
 
 @intrinsic
-def keep(typingctx, array):
-    """Keep the array alive until here."""
+def keep_alive(typingctx, array):
+    """Keep the memory of the array allocated until this call."""
 
-    def codegen(context, builder, sig, args):
+    def emit_code(context, builder, sig, args):
         return context.get_dummy_value()
 
-    return types.void(array), codegen
+    return types.void(array), emit_code
 
 
-def _loader(width: int):
-    """Intrinsic that reads `width` consecutive numbers."""
+def _make_loader(width: int):
+    """Make the function that reads `width` consecutive numbers as a vector."""
 
     @intrinsic
-    def load(typingctx, pointer, index):
-        def codegen(context, builder, sig, args):
+    def load_vector(typingctx, pointer, index):
+        def emit_code(context, builder, sig, args):
             place = builder.gep(args[0], [args[1]])
             vector = ir.VectorType(DOUBLE, width)
             return builder.load(builder.bitcast(place, vector.as_pointer()), align=8)
 
-        return Vec(width)(FLOATS, types.int64), codegen
+        return Vec(width)(FLOATS, types.int64), emit_code
 
-    return load
+    return load_vector
 
 
-load4 = _loader(4)
+load4 = _make_loader(4)
 """load4(p, k): the vector p[k : k + 4]."""
-load_lanes = _loader(LANES)
+load_lanes = _make_loader(LANES)
 """load_lanes(p, k): the vector p[k : k + LANES]."""
 
 
 @intrinsic
-def store(typingctx, pointer, index, value):
-    """Write a number or a vector from p[k] on."""
+def store_value(typingctx, pointer, index, value):
+    """Write a number, or the entries of a vector, to p[k] and the places after it."""
     if not (value == types.float64 or isinstance(value, Vec)):
         return None
 
-    def codegen(context, builder, sig, args):
+    def emit_code(context, builder, sig, args):
         place = builder.gep(args[0], [args[1]])
         builder.store(args[2], builder.bitcast(place, args[2].type.as_pointer()), align=8)
         return context.get_dummy_value()
 
-    return types.void(FLOATS, types.int64, value), codegen
+    return types.void(FLOATS, types.int64, value), emit_code
 
 
 @intrinsic
-def gather(typingctx, pointer, index, stride):
-    """The lanes p[k], p[k + stride], p[k + 2 stride], …"""
+def gather_lanes(typingctx, pointer, index, stride):
+    """Read the vector of the numbers p[k], p[k + stride], p[k + 2 stride], ..."""
 
-    def codegen(context, builder, sig, args):
+    def emit_code(context, builder, sig, args):
         places = [builder.gep(args[0], [args[1]])]
         for _ in range(LANES - 1):
             places.append(builder.gep(places[-1], [args[2]]))
-        return _pack(builder, [builder.load(place) for place in places])
+        return _pack_vector(builder, [builder.load(place) for place in places])
 
-    return Vec(LANES)(FLOATS, types.int64, types.int64), codegen
+    return Vec(LANES)(FLOATS, types.int64, types.int64), emit_code
 
 
 @intrinsic
@@ -250,11 +258,14 @@ def store_columns(typingctx, pointer, index, stride, a, b, c, d):
     if any(v != Vec(LANES) for v in (a, b, c, d)):
         return None
 
-    def codegen(context, builder, sig, args):
+    def emit_code(context, builder, sig, args):
         a, b, c, d = args[3:]
         even = [i + j for i in range(0, LANES, 2) for j in (0, LANES)]
         odd = [i + 1 for i in even]
-        pairs = [(_shuffle(builder, a, b, o), _shuffle(builder, c, d, o)) for o in (even, odd)]
+        pairs = [
+            (_shuffle_entries(builder, a, b, o), _shuffle_entries(builder, c, d, o))
+            for o in (even, odd)
+        ]
         place = builder.gep(args[0], [args[1]])
         vector = ir.VectorType(DOUBLE, 4).as_pointer()
         for lane in range(LANES):
@@ -262,129 +273,131 @@ def store_columns(typingctx, pointer, index, stride, a, b, c, d):
             # lanes l and l + 2 leave one 512-bit shuffle together, the halves are stored apart
             first = lane // 4 * 4
             order = [i for k in (first, first + 2) for i in (k, k + 1, LANES + k, LANES + k + 1)]
-            both = _shuffle(builder, ab, cd, order)
-            half = _shuffle(builder, both, both, [0, 1, 2, 3] if lane % 4 < 2 else [4, 5, 6, 7])
+            both = _shuffle_entries(builder, ab, cd, order)
+            half = _shuffle_entries(
+                builder, both, both, [0, 1, 2, 3] if lane % 4 < 2 else [4, 5, 6, 7]
+            )
             builder.store(half, builder.bitcast(place, vector), align=8)
             place = builder.gep(place, [args[2]])
         return context.get_dummy_value()
 
-    return types.void(FLOATS, types.int64, types.int64, a, b, c, d), codegen
+    return types.void(FLOATS, types.int64, types.int64, a, b, c, d), emit_code
 
 
 @intrinsic
 def spread_lanes(typingctx, value):
-    """The vector of LANES entries `value`."""
+    """Return the vector whose LANES entries are all `value`."""
 
-    def codegen(context, builder, sig, args):
-        return _splat(builder, args[0], LANES)
+    def emit_code(context, builder, sig, args):
+        return _spread_value(builder, args[0], LANES)
 
-    return Vec(LANES)(types.float64), codegen
+    return Vec(LANES)(types.float64), emit_code
 
 
 @intrinsic
-def pack4(typingctx, a, b, c, d):
-    """The vector (a, b, c, d)."""
+def pack_four(typingctx, a, b, c, d):
+    """Return the vector with the entries a, b, c, d."""
 
-    def codegen(context, builder, sig, args):
-        return _pack(builder, args)
+    def emit_code(context, builder, sig, args):
+        return _pack_vector(builder, args)
 
-    return Vec(4)(*[types.float64] * 4), codegen
+    return Vec(4)(*[types.float64] * 4), emit_code
 
 
-def _shuffler(order: list[int]):
-    """Intrinsic that picks four entries of a vector of four, or zeros (4 to 7)."""
+def _make_shuffler(order: list[int]):
+    """Make the function that picks four entries of a vector of four, or zeros (4 to 7)."""
 
     @intrinsic
-    def shuffled(typingctx, row):
-        def codegen(context, builder, sig, args):
-            return _shuffle(builder, args[0], ir.Constant(args[0].type, [0.0] * 4), order)
+    def shuffle_row(typingctx, row):
+        def emit_code(context, builder, sig, args):
+            return _shuffle_entries(builder, args[0], ir.Constant(args[0].type, [0.0] * 4), order)
 
-        return Vec(4)(Vec(4)), codegen
+        return Vec(4)(Vec(4)), emit_code
 
-    return shuffled
+    return shuffle_row
 
 
-last_of = _shuffler([4, 5, 6, 3])
+last_of = _make_shuffler([4, 5, 6, 3])
 """last_of(row): the vector (0, 0, 0, row[3])."""
-swapped = _shuffler([1, 0, 2, 3])
+swapped = _make_shuffler([1, 0, 2, 3])
 """swapped(row): the vector (row[1], row[0], row[2], row[3])."""
 
 
 @intrinsic
-def entry(typingctx, vector, index):
-    """Entry `index` of a vector as a number."""
+def extract_entry(typingctx, vector, index):
+    """Return entry `index` of a vector as a number."""
 
-    def codegen(context, builder, sig, args):
+    def emit_code(context, builder, sig, args):
         return builder.extract_element(args[0], args[1])
 
-    return types.float64(vector, types.int64), codegen
+    return types.float64(vector, types.int64), emit_code
 
 
 @intrinsic
-def square_root(typingctx, value):
-    """The square root of a number, or of each entry of a vector."""
+def compute_square_root(typingctx, value):
+    """Return the square root of a number, or of each entry of a vector."""
     kind = value if isinstance(value, Vec) else types.float64
 
-    def codegen(context, builder, sig, args):
-        return _llvm(builder, "sqrt", args[0])
+    def emit_code(context, builder, sig, args):
+        return _call_llvm(builder, "sqrt", args[0])
 
-    return kind(kind), codegen
+    return kind(kind), emit_code
 
 
 @intrinsic
-def all_between(typingctx, low, value, high):
-    """Whether low <= value <= high in every lane (False with NaN in one); low and high are numbers."""
+def are_all_between(typingctx, low, value, high):
+    """Return whether low <= value <= high in every lane (False with NaN in a lane); low and high
+    are numbers.
+    """
     if not isinstance(value, Vec):
         return None
 
-    def codegen(context, builder, sig, args):
+    def emit_code(context, builder, sig, args):
         low, value, high = args
         width = sig.args[1].width
-        above = builder.fcmp_ordered(">=", value, _splat(builder, low, width))
-        below = builder.fcmp_ordered("<=", value, _splat(builder, high, width))
+        above = builder.fcmp_ordered(">=", value, _spread_value(builder, low, width))
+        below = builder.fcmp_ordered("<=", value, _spread_value(builder, high, width))
         bits = builder.bitcast(builder.and_(above, below), ir.IntType(width))
         return builder.icmp_unsigned("==", bits, ir.Constant(ir.IntType(width), -1))
 
-    return types.boolean(types.float64, value, types.float64), codegen
+    return types.boolean(types.float64, value, types.float64), emit_code
 
 
 @intrinsic
-def rarely(typingctx, condition):
-    """The condition itself, with word to the compiler that it is nearly always false."""
+def expect_false(typingctx, condition):
+    """Return the condition, and tell the compiler that it is nearly always false."""
 
-    def codegen(context, builder, sig, args):
+    def emit_code(context, builder, sig, args):
         bit = ir.IntType(1)
         expect = cgutils.get_or_insert_function(
             builder.module, ir.FunctionType(bit, [bit, bit]), "llvm.expect.i1"
         )
         return builder.call(expect, [args[0], ir.Constant(bit, 0)])
 
-    return types.boolean(types.boolean), codegen
+    return types.boolean(types.boolean), emit_code
 
 
 @intrinsic
-def where(typingctx, condition, yes, no):
-    """`yes` where the condition holds, else `no`: a selection, never a branch. Of numbers or
-    vectors.
-    """
+def select_where(typingctx, condition, yes, no):
+    """Return `yes` where the condition holds, else `no`, without a branch; for numbers or vectors."""
     widths = [v.width for v in (condition, yes, no) if isinstance(v, (Vec, Mask))]
     result = Vec(widths[0]) if widths else types.float64
 
-    def codegen(context, builder, sig, args):
+    def emit_code(context, builder, sig, args):
         yes, no = args[1:]
         if widths:
             yes, no = (
-                _like(context, builder, v, t, widths[0])
+                _convert_to_vector(context, builder, v, t, widths[0])
                 for v, t in zip(args[1:], sig.args[1:], strict=True)
             )
         return builder.select(args[0], yes, no)
 
     pair = [v if isinstance(v, Vec) else types.float64 for v in (yes, no)]
-    return result(condition, *pair), codegen
+    return result(condition, *pair), emit_code
 
 
-def _as_integer(builder, value):
-    """The bits of a number or a vector."""
+def _cast_to_integer(builder, value):
+    """Emit the bits of a number or a vector as integers."""
     if isinstance(value.type, ir.VectorType):
         integer = ir.VectorType(INT64, value.type.count)
         return builder.bitcast(value, integer), lambda k: ir.Constant(
@@ -394,26 +407,26 @@ def _as_integer(builder, value):
 
 
 @intrinsic
-def negative(typingctx, x):
-    """Whether the sign bit is set: true for -0.0."""
+def is_negative(typingctx, x):
+    """Return whether the sign bit is set: True for -0.0."""
     result = Mask(x.width) if isinstance(x, Vec) else types.boolean
 
-    def codegen(context, builder, sig, args):
-        bits, constant = _as_integer(builder, args[0])
+    def emit_code(context, builder, sig, args):
+        bits, constant = _cast_to_integer(builder, args[0])
         return builder.icmp_signed("<", bits, constant(0))
 
-    return result(x if isinstance(x, Vec) else types.float64), codegen
+    return result(x if isinstance(x, Vec) else types.float64), emit_code
 
 
 @intrinsic
-def with_sign_of(typingctx, size, x):
-    """`size`, which is not negative, with the sign bit of x."""
+def copy_sign(typingctx, size, x):
+    """Return `size`, which is not negative, with the sign of x."""
     kind = x if isinstance(x, Vec) else types.float64
 
-    def codegen(context, builder, sig, args):
-        bits, constant = _as_integer(builder, args[1])
-        size, _ = _as_integer(builder, args[0])
+    def emit_code(context, builder, sig, args):
+        bits, constant = _cast_to_integer(builder, args[1])
+        size, _ = _cast_to_integer(builder, args[0])
         signed = builder.or_(size, builder.and_(bits, constant(SIGN_BIT)))
         return builder.bitcast(signed, args[0].type)
 
-    return kind(kind, kind), codegen
+    return kind(kind, kind), emit_code

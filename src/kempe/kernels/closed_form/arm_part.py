@@ -1,5 +1,5 @@
-"""Three joints that must bring a point or a plane back: the outer half of a closed-form inverse
-model.
+"""The outer half of a closed-form inverse model: the values of three joints that bring a point or a
+plane back to its place.
 
 Where three consecutive axes meet in a point, or all lie across one plane, that point or plane does
 not feel these joints. Along the loop that the target closes, the other three joints x, y, z then
@@ -20,14 +20,23 @@ import math
 from typing import NamedTuple
 
 from kempe.kernels.base._jit import device, routine
-from kempe.kernels.base.lines import LINE_STRIDE, cross, dot, foot, minus, plus, three, turned
+from kempe.kernels.base.lines import (
+    LINE_STRIDE,
+    add_scaled,
+    cross,
+    dot,
+    find_foot_point,
+    read_vector,
+    rotate_about_axis,
+    subtract_vectors,
+)
 from kempe.kernels.closed_form.analytic_layout import PLANE
 from kempe.kernels.closed_form.subproblems import (
-    align,
-    cone_roots,
-    orbit,
-    parabola_roots,
-    trig_roots,
+    compute_orbit,
+    find_aligning_turn,
+    find_cone_turns,
+    find_parabola_roots,
+    find_trig_roots,
 )
 from kempe.kernels.forward.table_layout import SLIDE
 
@@ -63,17 +72,20 @@ class PointOrPlane(NamedTuple):
 
 
 @device
-def carried(kind, h, o, e, c, s, theta):
-    """The element moved by a joint."""
+def carry_element(kind, h, o, e, c, s, theta):
+    """Return the point or plane `e` after the motion of a joint."""
     if kind == SLIDE:
-        return PointOrPlane(plus(e.p, theta, h), e.n)
-    return PointOrPlane(plus(o, 1.0, turned(h, minus(e.p, o), c, s)), turned(h, e.n, c, s))
+        return PointOrPlane(add_scaled(e.p, theta, h), e.n)
+    return PointOrPlane(
+        add_scaled(o, 1.0, rotate_about_axis(h, subtract_vectors(e.p, o), c, s)),
+        rotate_about_axis(h, e.n, c, s),
+    )
 
 
 @device
-def measures(kind, what, h, o, option, hx, kx, hz, kz):
-    """Two vectors: what y measures. A turning y: its axis h and point; a sliding y: two directions
-    across it.
+def compute_measure_vectors(kind, what, h, o, option, hx, kx, hz, kz):
+    """Return the two vectors by which the joint y measures a point or plane: for a turning y its
+    axis h and a point, for a sliding y two directions across it.
     """
     if kind != SLIDE:
         return h, o
@@ -89,8 +101,8 @@ def measures(kind, what, h, o, option, hx, kx, hz, kz):
     elif slides:
         first = across
     else:
-        first = minus(other, plus((0.0, 0.0, 0.0), dot(other, h), h))
-    first = plus((0.0, 0.0, 0.0), 1.0 / math.sqrt(dot(first, first)), first)
+        first = subtract_vectors(other, add_scaled((0.0, 0.0, 0.0), dot(other, h), h))
+    first = add_scaled((0.0, 0.0, 0.0), 1.0 / math.sqrt(dot(first, first)), first)
     second = cross(h, first)
     if what == PLANE and dot(second, second) < 1e-18:
         second = (
@@ -100,15 +112,15 @@ def measures(kind, what, h, o, option, hx, kx, hz, kz):
 
 
 @routine
-def terms(kind, h, o, e, sign, what, y_slides, first, second, out):
-    """Write to out[0:3], out[3:6] the constant, first and second factor of both measures of the
-    element under a joint.
+def write_measure_terms(kind, h, o, e, sign, what, y_slides, first, second, out):
+    """Write the constant, first and second factor of both measures, as functions of one joint's
+    variable, to out[0:3] and out[3:6].
 
     The factors belong to cos and sin of a turn, to d and d^2 of a slide; `sign` -1 for the inverse
     motion.
     """
     if kind == SLIDE:
-        v = plus((0.0, 0.0, 0.0), sign, h)
+        v = add_scaled((0.0, 0.0, 0.0), sign, h)
         x = e.n if what == PLANE else e.p
         out[0] = dot(first, x)
         out[1] = 0.0 if what == PLANE else dot(first, v)
@@ -118,19 +130,19 @@ def terms(kind, h, o, e, sign, what, y_slides, first, second, out):
             out[3] = dot(second, x)
             out[4] = 0.0 if what == PLANE else dot(second, v)
         elif what == PLANE:
-            out[3] = dot(e.n, minus(second, e.p))
+            out[3] = dot(e.n, subtract_vectors(second, e.p))
             out[4] = -dot(e.n, v)
         else:
-            r = minus(e.p, second)
+            r = subtract_vectors(e.p, second)
             out[3] = dot(r, r)
             out[4] = 2.0 * dot(r, v)
             out[5] = 1.0
         return
     if what == PLANE:
-        m, u, w = orbit(h, e.n)
+        m, u, w = compute_orbit(h, e.n)
     else:
-        m, u, w = orbit(h, minus(e.p, o))
-        m = plus(m, 1.0, o)
+        m, u, w = compute_orbit(h, subtract_vectors(e.p, o))
+        m = add_scaled(m, 1.0, o)
     out[0] = dot(first, m)
     out[1] = dot(first, u)
     out[2] = sign * dot(first, w)
@@ -139,20 +151,20 @@ def terms(kind, h, o, e, sign, what, y_slides, first, second, out):
         out[4] = dot(second, u)
         out[5] = sign * dot(second, w)
     elif what == PLANE:
-        d = minus(second, o)
-        out[3] = dot(m, d) + dot(e.n, minus(o, e.p))
+        d = subtract_vectors(second, o)
+        out[3] = dot(m, d) + dot(e.n, subtract_vectors(o, e.p))
         out[4] = dot(u, d)
         out[5] = sign * dot(w, d)
     else:
-        d = minus(m, second)
+        d = subtract_vectors(m, second)
         out[3] = dot(d, d) + dot(u, u)
         out[4] = 2.0 * dot(d, u)
         out[5] = 2.0 * sign * dot(d, w)
 
 
 @device
-def put(out, k, a, b, theta, sampled):
-    """Write one value of a joint."""
+def write_joint_value(out, k, a, b, theta, sampled):
+    """Write one value of a joint to place k of `out`."""
     at = VALUE_STRIDE * k
     out[at] = a
     out[at + 1] = b
@@ -161,15 +173,15 @@ def put(out, k, a, b, theta, sampled):
 
 
 @device
-def put_angle(out, k, c, s, sampled):
-    """Write one angle."""
-    put(out, k, c, s, math.atan2(s, c), sampled)
+def write_angle(out, k, c, s, sampled):
+    """Write one angle of a joint, by its cosine and sine."""
+    write_joint_value(out, k, c, s, math.atan2(s, c), sampled)
 
 
 @routine
-def put_samples(slides, count, out, mark, centre):
-    """New number of values of a joint that is free: a few more, of which no two differ by half a
-    turn.
+def write_samples(slides, count, out, mark, centre):
+    """Write a few samples of a joint that is free, no two of which differ by half a turn; return
+    the new number of values.
 
     centre: near which a slide has to be for the other joints to reach.
     """
@@ -177,16 +189,16 @@ def put_samples(slides, count, out, mark, centre):
         x = 0.35 - 1.3 * k + 0.37 * (k // 2)
         if slides:
             x += centre + 1.3
-            put(out, count + k, x, x * x, x, mark)
+            write_joint_value(out, count + k, x, x * x, x, mark)
         else:
-            put_angle(out, count + k, math.cos(x), math.sin(x), mark)
+            write_angle(out, count + k, math.cos(x), math.sin(x), mark)
     return count + SAMPLES
 
 
 @routine
-def one_unknown(slides, a, b, k, wide, centre, out):
-    """Number of solutions of a f + b g = k, written to out; f, g = cos, sin of a turn, or d, d^2 of
-    a slide.
+def solve_one_unknown(slides, a, b, k, wide, centre, out):
+    """Solve a f + b g = k, where f, g are cos, sin of a turn or d, d^2 of a slide; return the
+    number of solutions written to `out`.
 
     wide: how far beyond its edge the equation may be. centre: where a free slide is tried.
     """
@@ -196,28 +208,28 @@ def one_unknown(slides, a, b, k, wide, centre, out):
         return 0
     if size > NOTHING:
         if slides:
-            x0, x1, d2 = parabola_roots(b, a, -k)
+            x0, x1, d2 = find_parabola_roots(b, a, -k)
             if d2 < -wide * (size * size + abs(b * k)):
                 return 0
-            put(out, 0, x0, x0 * x0, x0, 0.0)
-            put(out, 1, x1, x1 * x1, x1, 0.0)
+            write_joint_value(out, 0, x0, x0 * x0, x0, 0.0)
+            write_joint_value(out, 1, x1, x1 * x1, x1, 0.0)
             count = 1 if abs(b) <= 1e-14 * (size + abs(k)) else 2
         else:
             if abs(k) > size + wide:
                 return 0
-            c0, s0, c1, s1, _ = trig_roots(a, b, k)
-            put_angle(out, 0, c0, s0, 0.0)
-            put_angle(out, 1, c1, s1, 0.0)
+            c0, s0, c1, s1, _ = find_trig_roots(a, b, k)
+            write_angle(out, 0, c0, s0, 0.0)
+            write_angle(out, 1, c1, s1, 0.0)
             count = 2
-    return put_samples(slides, count, out, 1.0, centre) if size <= VOID else count
+    return write_samples(slides, count, out, 1.0, centre) if size <= VOID else count
 
 
 @routine
-def cone(k, h, n, w, sign, wide, out):
-    """Number of turns about h (inverse turns for `sign` -1) that make the angle of n with k that of
-    w with k.
+def solve_cone(k, h, n, w, sign, wide, out):
+    """Find the turns about h after which n makes the same angle with k as w does (inverse turns for
+    `sign` -1); return their number.
     """
-    c0, s0, c1, s1, d2 = cone_roots(k, h, n, w)
+    c0, s0, c1, s1, d2 = find_cone_turns(k, h, n, w)
     a = cross(k, h)
     b = cross(h, n)
     size = math.sqrt(dot(a, a) * dot(b, b))
@@ -227,14 +239,16 @@ def cone(k, h, n, w, sign, wide, out):
     if size > NOTHING:
         if d2 < -wide * size:
             return 0
-        put_angle(out, 0, c0, sign * s0, 0.0)
-        put_angle(out, 1, c1, sign * s1, 0.0)
+        write_angle(out, 0, c0, sign * s0, 0.0)
+        write_angle(out, 1, c1, sign * s1, 0.0)
         count = 2
-    return put_samples(False, count, out, 1.0, 0.0) if size <= VOID else count
+    return write_samples(False, count, out, 1.0, 0.0) if size <= VOID else count
 
 
 class Outer(NamedTuple):
-    """The outer problem: joints x, y, z as (kind, h, o), elements, what is kept, the measures of y."""
+    """The outer problem: the joints x, y, z as (kind, h, o), the moved points or planes, and the
+    measures that y keeps.
+    """
 
     what: int
     kx: int
@@ -253,22 +267,22 @@ class Outer(NamedTuple):
 
 
 @device
-def outer_of(what, kinds, lines, x, y, z, option, p0, n0, p1, n1):
-    """The outer problem of the joints at places x, y, z of `lines`."""
+def make_outer_problem(what, kinds, lines, x, y, z, option, p0, n0, p1, n1):
+    """Make the outer problem of the joints at places x, y, z of `lines`."""
     kx = kinds[x]
     ky = kinds[y]
     kz = kinds[z]
-    hx = three(lines, LINE_STRIDE * x)
-    ox = three(lines, LINE_STRIDE * x + 4)
-    hy = three(lines, LINE_STRIDE * y)
-    oy = three(lines, LINE_STRIDE * y + 4)
-    hz = three(lines, LINE_STRIDE * z)
-    oz = three(lines, LINE_STRIDE * z + 4)
+    hx = read_vector(lines, LINE_STRIDE * x)
+    ox = read_vector(lines, LINE_STRIDE * x + 4)
+    hy = read_vector(lines, LINE_STRIDE * y)
+    oy = read_vector(lines, LINE_STRIDE * y + 4)
+    hz = read_vector(lines, LINE_STRIDE * z)
+    oz = read_vector(lines, LINE_STRIDE * z + 4)
     if option == 0:
-        oy = foot(oy, hy, oz, hz)
+        oy = find_foot_point(oy, hy, oz, hz)
     else:
-        oy = foot(oy, hy, ox, hx)
-    first, second = measures(ky, what, hy, oy, option, hx, kx, hz, kz)
+        oy = find_foot_point(oy, hy, ox, hx)
+    first, second = compute_measure_vectors(ky, what, hy, oy, option, hx, kx, hz, kz)
     return Outer(
         what,
         kx,
@@ -288,96 +302,108 @@ def outer_of(what, kinds, lines, x, y, z, option, p0, n0, p1, n1):
 
 
 @device
-def x_terms(o, out):
-    """Write the terms of x, six numbers."""
-    terms(o.kx, o.hx, o.ox, o.e0, -1.0, o.what, o.ky == SLIDE, o.first, o.second, out)
+def write_x_terms(o, out):
+    """Write the six terms of the joint x: constant, first and second factor of both measures."""
+    write_measure_terms(o.kx, o.hx, o.ox, o.e0, -1.0, o.what, o.ky == SLIDE, o.first, o.second, out)
 
 
 @device
-def z_terms(o, out):
-    """Write the terms of z, six numbers."""
-    terms(o.kz, o.hz, o.oz, o.e1, 1.0, o.what, o.ky == SLIDE, o.first, o.second, out)
+def write_z_terms(o, out):
+    """Write the six terms of the joint z: constant, first and second factor of both measures."""
+    write_measure_terms(o.kz, o.hz, o.oz, o.e1, 1.0, o.what, o.ky == SLIDE, o.first, o.second, out)
 
 
 @device
-def x_centre(o):
-    """Where a sliding x brings its element nearest to y."""
-    return dot(o.hx, minus(o.e0.p, o.oy))
+def find_x_centre(o):
+    """Return the slide of a sliding x at which its point is nearest to the axis of y."""
+    return dot(o.hx, subtract_vectors(o.e0.p, o.oy))
 
 
 @device
-def z_centre(o):
-    """Where a sliding z brings its element nearest to y."""
-    return dot(o.hz, minus(o.oy, o.e1.p))
+def find_z_centre(o):
+    """Return the slide of a sliding z at which its point is nearest to the axis of y."""
+    return dot(o.hz, subtract_vectors(o.oy, o.e1.p))
 
 
 @device
-def cones(o, j, kind):
-    """Whether measure j is the angle of a plane's normal with a turning y, under a turning joint."""
+def is_cone_measure(o, j, kind):
+    """Return whether measure j is the angle between a plane's normal and the axis of a turning y,
+    under a turning joint.
+    """
     return o.what == PLANE and j == 0 and o.ky != SLIDE and kind != SLIDE
 
 
 @routine
-def first_values(o, mode, j, tx, tz, out):
-    """Number of values of the joint that measure j determines alone."""
+def find_first_values(o, mode, j, tx, tz, out):
+    """Find the values of the joint that measure j determines alone; return their number."""
     k = 3 * j
     if mode == 0:
-        if cones(o, j, o.kx):
-            return cone(o.hy, o.hx, o.e0.n, o.e1.n, -1.0, WIDE, out)
-        return one_unknown(
-            o.kx == SLIDE, tx[k + 1], tx[k + 2], tz[k] - tx[k], WIDE, x_centre(o), out
+        if is_cone_measure(o, j, o.kx):
+            return solve_cone(o.hy, o.hx, o.e0.n, o.e1.n, -1.0, WIDE, out)
+        return solve_one_unknown(
+            o.kx == SLIDE, tx[k + 1], tx[k + 2], tz[k] - tx[k], WIDE, find_x_centre(o), out
         )
-    if cones(o, j, o.kz):
-        return cone(o.hy, o.hz, o.e1.n, o.e0.n, 1.0, WIDE, out)
-    return one_unknown(o.kz == SLIDE, tz[k + 1], tz[k + 2], tx[k] - tz[k], WIDE, z_centre(o), out)
+    if is_cone_measure(o, j, o.kz):
+        return solve_cone(o.hy, o.hz, o.e1.n, o.e0.n, 1.0, WIDE, out)
+    return solve_one_unknown(
+        o.kz == SLIDE, tz[k + 1], tz[k + 2], tx[k] - tz[k], WIDE, find_z_centre(o), out
+    )
 
 
 @routine
-def second_values(o, mode, j, tx, tz, first, out):
-    """Number of values of the other joint, given those of the first: measure 1 - j."""
+def find_second_values(o, mode, j, tx, tz, first, out):
+    """Find the values of the other joint by measure 1 - j, given those of the first joint; return
+    their number.
+    """
     k = 3 - 3 * j
     if mode == 0:
-        e = carried(o.kx, o.hx, o.ox, o.e0, first[0], -first[1], -first[2])
-        if cones(o, 1 - j, o.kz):
-            return cone(o.hy, o.hz, o.e1.n, e.n, 1.0, WIDE, out)
+        e = carry_element(o.kx, o.hx, o.ox, o.e0, first[0], -first[1], -first[2])
+        if is_cone_measure(o, 1 - j, o.kz):
+            return solve_cone(o.hy, o.hz, o.e1.n, e.n, 1.0, WIDE, out)
         known = tx[k] + tx[k + 1] * first[0] + tx[k + 2] * first[1]
-        return one_unknown(
-            o.kz == SLIDE, tz[k + 1], tz[k + 2], known - tz[k], WIDE, z_centre(o), out
+        return solve_one_unknown(
+            o.kz == SLIDE, tz[k + 1], tz[k + 2], known - tz[k], WIDE, find_z_centre(o), out
         )
-    e = carried(o.kz, o.hz, o.oz, o.e1, first[0], first[1], first[2])
-    if cones(o, 1 - j, o.kx):
-        return cone(o.hy, o.hx, o.e0.n, e.n, -1.0, WIDE, out)
+    e = carry_element(o.kz, o.hz, o.oz, o.e1, first[0], first[1], first[2])
+    if is_cone_measure(o, 1 - j, o.kx):
+        return solve_cone(o.hy, o.hx, o.e0.n, e.n, -1.0, WIDE, out)
     known = tz[k] + tz[k + 1] * first[0] + tz[k + 2] * first[1]
-    return one_unknown(o.kx == SLIDE, tx[k + 1], tx[k + 2], known - tx[k], WIDE, x_centre(o), out)
+    return solve_one_unknown(
+        o.kx == SLIDE, tx[k + 1], tx[k + 2], known - tx[k], WIDE, find_x_centre(o), out
+    )
 
 
 @routine
-def middle_values(o, x, z, out):
-    """Number of values of y once x and z are known: one, or samples where it is free."""
-    left = carried(o.kx, o.hx, o.ox, o.e0, x[0], -x[1], -x[2])
-    right = carried(o.kz, o.hz, o.oz, o.e1, z[0], z[1], z[2])
+def find_middle_values(o, x, z, out):
+    """Find the values of y for known x and z: one, or samples where y is free; return their number."""
+    left = carry_element(o.kx, o.hx, o.ox, o.e0, x[0], -x[1], -x[2])
+    right = carry_element(o.kz, o.hz, o.oz, o.e1, z[0], z[1], z[2])
     if o.ky == SLIDE:
-        d = minus(left.p, right.p)
+        d = subtract_vectors(left.p, right.p)
         nearest = dot(o.hy, d)
         t = nearest
         slope = 1.0
         if o.what == PLANE:
             slope = abs(dot(left.n, o.hy))
             t = dot(left.n, d) / dot(left.n, o.hy) if slope > NOTHING else nearest
-        put(out, 0, t, t * t, t, 0.0)
+        write_joint_value(out, 0, t, t * t, t, 0.0)
         count = 1 if slope > NOTHING else 0
         return (
             count
             if slope > FAINT
-            else put_samples(True, count, out, OPEN if slope > VOID else 1.0, nearest)
+            else write_samples(True, count, out, OPEN if slope > VOID else 1.0, nearest)
         )
-    u, v = (right.n, left.n) if o.what == PLANE else (minus(right.p, o.oy), minus(left.p, o.oy))
-    c, s, size = align(o.hy, u, v)
+    u, v = (
+        (right.n, left.n)
+        if o.what == PLANE
+        else (subtract_vectors(right.p, o.oy), subtract_vectors(left.p, o.oy))
+    )
+    c, s, size = find_aligning_turn(o.hy, u, v)
     size = math.sqrt(size)
     count = 0
     if size > NOTHING:
-        put_angle(out, 0, c, s, 0.0)
+        write_angle(out, 0, c, s, 0.0)
         count = 1
     if size > FAINT:
         return count
-    return put_samples(False, count, out, OPEN if size > VOID else 1.0, 0.0)
+    return write_samples(False, count, out, OPEN if size > VOID else 1.0, 0.0)

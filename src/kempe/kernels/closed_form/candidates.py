@@ -16,19 +16,19 @@ from kempe.kernels.base._jit import device, kernel, routine
 from kempe.kernels.base.declare import INT, OUT, F, I
 from kempe.kernels.base.lines import (
     LINE_STRIDE,
+    add_scaled,
+    append_motion,
     cross,
     dot,
-    follow,
-    identity,
-    minus,
-    plus,
-    three,
-    unmapped,
-    unrotated,
-    write3,
+    read_vector,
+    subtract_vectors,
+    transform_point_back,
+    unrotate_vector,
+    write_identity,
+    write_vector,
 )
-from kempe.kernels.base.scratch import beyond
-from kempe.kernels.base.vectors import keep, raw
+from kempe.kernels.base.scratch import advance_pointer
+from kempe.kernels.base.vectors import get_pointer, keep_alive
 from kempe.kernels.closed_form.analytic_layout import AT_REST, COUPLED, PLANE, POINT, Z_FIRST
 from kempe.kernels.closed_form.arm_part import (
     FAINT,
@@ -40,21 +40,21 @@ from kempe.kernels.closed_form.arm_part import (
     VALUE_STRIDE,
     VOID,
     WIDE,
-    first_values,
-    middle_values,
-    one_unknown,
-    outer_of,
-    put,
-    put_angle,
-    put_samples,
-    second_values,
-    x_centre,
-    x_terms,
-    z_centre,
-    z_terms,
+    find_first_values,
+    find_middle_values,
+    find_second_values,
+    find_x_centre,
+    find_z_centre,
+    make_outer_problem,
+    solve_one_unknown,
+    write_angle,
+    write_joint_value,
+    write_samples,
+    write_x_terms,
+    write_z_terms,
 )
 from kempe.kernels.closed_form.subproblems import TINY
-from kempe.kernels.closed_form.wrist_part import ANY, ball_triple, planar_triple
+from kempe.kernels.closed_form.wrist_part import ANY, find_ball_turns, solve_planar_triple
 from kempe.kernels.forward.table_layout import SLIDE
 
 # ---- quartic
@@ -75,8 +75,8 @@ SMALL = 1e-3
 
 
 @device
-def value_and_slope(p, x):
-    """p(x) and p'(x) of a polynomial of degree four, p[k] the factor of x^k."""
+def evaluate_quartic(p, x):
+    """Return p(x) and p'(x) of a polynomial of degree four, p[k] the coefficient of x^k."""
     v = p[4] + 0.0 * x
     d = 0.0 * x
     for k in range(3, -1, -1):
@@ -86,9 +86,9 @@ def value_and_slope(p, x):
 
 
 @routine
-def quartic_roots(p, roots):
-    """Number of real roots of p[0] + ... + p[4] x^4, written to roots (4): double ones twice, p[4]
-    not zero.
+def find_quartic_roots(p, roots):
+    """Find the real roots of p[0] + ... + p[4] x^4, p[4] not zero; return their number. Double
+    roots are written twice to `roots` (4).
 
     All four roots together by the method of Ehrlich (1967) and Aberth (1973), from points on a
     circle.
@@ -108,7 +108,7 @@ def quartic_roots(p, roots):
     for _ in range(TURNS):
         change = 0.0
         for _root in range(4):
-            v, slope = value_and_slope(p, a)
+            v, slope = evaluate_quartic(p, a)
             others = 0.0j
             for z in (b, c, d):
                 gap = a - z
@@ -129,8 +129,10 @@ def quartic_roots(p, roots):
 
 
 @device
-def eliminated(t, other):
-    """(P0, P1, P2), two numbers each: both factors of one joint as P0 + P1 f + P2 g of the other's."""
+def eliminate_joint(t, other):
+    """Return both factors of one joint as P0 + P1 f + P2 g in the factors f, g of the other joint:
+    (P0, P1, P2), two numbers each.
+    """
     det = t[1] * t[5] - t[2] * t[4]
     a = t[5] / det
     b = -t[2] / det
@@ -146,32 +148,30 @@ def eliminated(t, other):
 
 
 @device
-def steadiness(t):
-    """Sine of the angle between the two rows of factors of one joint, 0 to 1; less where a row is
-    below SMALL.
+def compute_steadiness(t):
+    """Return the sine, 0 to 1, of the angle between the two rows of factors of one joint; less
+    where a row is below SMALL.
     """
     size = max(math.hypot(t[1], t[2]), SMALL) * max(math.hypot(t[4], t[5]), SMALL)
     return abs(t[1] * t[5] - t[2] * t[4]) / size
 
 
 @device
-def faint(t):
-    """Whether a joint hardly moves what is measured: rounding of the square roots then leaves its
-    value open.
-    """
+def is_faint(t):
+    """Return whether a joint hardly changes the measures, so that rounding leaves its value open."""
     return math.hypot(t[1], t[2]) + math.hypot(t[4], t[5]) < FAINT
 
 
 @routine
-def pairs_of(gone_slides, kept_slides, gone, kept, work, out_gone, out_kept):
-    """Number of pairs of values that satisfy both equations, the joint `gone` eliminated; up to
-    four.
+def find_pairs(gone_slides, kept_slides, gone, kept, work, out_gone, out_kept):
+    """Find up to four pairs of values that satisfy both equations, with the joint `gone`
+    eliminated; return their number.
 
     gone, kept: terms of the two joints. Both factors f, g of `gone` are linear in those of `kept`;
     f^2 + g^2 = 1 for a turn, g = f^2 for a slide, is then a polynomial of degree four in the slide
     or in the tangent of the half angle.
     """
-    p0, p1, p2 = eliminated(gone, kept)
+    p0, p1, p2 = eliminate_joint(gone, kept)
     if gone_slides:  # f^2 - g
         q00 = p0[0] * p0[0] - p0[1]
         q10 = 2.0 * p0[0] * p1[0] - p1[1]
@@ -216,7 +216,7 @@ def pairs_of(gone_slides, kept_slides, gone, kept, work, out_gone, out_kept):
         p[4] = q00 - q10 + q20
     if abs(p[4]) <= VOID * (abs(p[0]) + abs(p[1]) + abs(p[2]) + abs(p[3])):
         p[4] = VOID * (abs(p[0]) + abs(p[1]) + abs(p[2]) + abs(p[3])) + 1e-300
-    count = quartic_roots(p, roots)
+    count = find_quartic_roots(p, roots)
     found = 0
     for k in range(count):
         x = roots[k]
@@ -232,29 +232,29 @@ def pairs_of(gone_slides, kept_slides, gone, kept, work, out_gone, out_kept):
         u = p0[0] + p1[0] * f + p2[0] * g
         v = p0[1] + p1[1] * f + p2[1] * g
         size = math.hypot(u, v)
-        if not gone_slides and size < 0.5 and not faint(gone):
+        if not gone_slides and size < 0.5 and not is_faint(gone):
             continue
         at = out_kept
         if kept_slides:
-            put(at, found, f, g, f, 0.0)
+            write_joint_value(at, found, f, g, f, 0.0)
         else:
-            put_angle(at, found, f, g, 0.0)
+            write_angle(at, found, f, g, 0.0)
         if gone_slides:
-            put(out_gone, found, u, u * u, u, 0.0)
+            write_joint_value(out_gone, found, u, u * u, u, 0.0)
         else:
-            put_angle(out_gone, found, u / max(size, TINY), v / max(size, TINY), 0.0)
+            write_angle(out_gone, found, u / max(size, TINY), v / max(size, TINY), 0.0)
         found += 1
     return found
 
 
 @device
-def coupled_pairs(x_slides, z_slides, tx, tz, work, out_x, out_z):
-    """Number of pairs of values of x and z that satisfy both outer equations; writes them to out_x
-    and out_z.
+def find_coupled_pairs(x_slides, z_slides, tx, tz, work, out_x, out_z):
+    """Find the pairs of values of x and z that satisfy both outer equations, written to out_x and
+    out_z; return their number.
     """
-    if steadiness(tx) >= steadiness(tz):
-        return pairs_of(x_slides, z_slides, tx, tz, work, out_x, out_z)
-    return pairs_of(z_slides, x_slides, tz, tx, work, out_z, out_x)
+    if compute_steadiness(tx) >= compute_steadiness(tz):
+        return find_pairs(x_slides, z_slides, tx, tz, work, out_x, out_z)
+    return find_pairs(z_slides, x_slides, tz, tx, work, out_z, out_x)
 
 
 UNCOUPLED = 1e-2
@@ -263,8 +263,10 @@ be solved apart."""
 
 
 @device
-def least_row(t):
-    """The combination (2) of the two rows of factors of one joint that has the least of this joint."""
+def find_least_combination(t):
+    """Return the combination (2 numbers) of the two rows of one joint in which this joint has the
+    smallest factors.
+    """
     p = t[1] * t[1] + t[2] * t[2]
     q = t[1] * t[4] + t[2] * t[5]
     r = t[4] * t[4] + t[5] * t[5]
@@ -273,32 +275,32 @@ def least_row(t):
 
 
 @device
-def combined(w, t):
-    """Constant, first and second factor of one joint in a combination of both equations."""
+def combine_rows(w, t):
+    """Return constant, first and second factor of one joint in a combination of both equations."""
     return w[0] * t[0] + w[1] * t[3], w[0] * t[1] + w[1] * t[4], w[0] * t[2] + w[1] * t[5]
 
 
 @device
-def amplitude(row):
-    """The size of the factors of a joint in one equation."""
+def compute_amplitude(row):
+    """Return the norm of the factors of a joint in one equation."""
     return math.hypot(row[1], row[2])
 
 
 @device
-def uncoupled(tx, tz):
-    """Whether a combination of the equations has hardly anything of z, and another one hardly
-    anything of x.
+def is_uncoupled(tx, tz):
+    """Return whether one combination of the equations is nearly free of z, and another one nearly
+    free of x.
 
     The polynomial of degree four then nearly is a square: its roots lie in pairs, which rounding
     moves by its root, and with each root the other joint has two values, between which the pair
     decides.
     """
-    without_x = least_row(tx)
-    without_z = least_row(tz)
-    x_alone = amplitude(combined(without_z, tx))
-    z_alone = amplitude(combined(without_x, tz))
-    z_left = amplitude(combined(without_z, tz))
-    x_left = amplitude(combined(without_x, tx))
+    without_x = find_least_combination(tx)
+    without_z = find_least_combination(tz)
+    x_alone = compute_amplitude(combine_rows(without_z, tx))
+    z_alone = compute_amplitude(combine_rows(without_x, tz))
+    z_left = compute_amplitude(combine_rows(without_z, tz))
+    x_left = compute_amplitude(combine_rows(without_x, tx))
     return (
         x_left < UNCOUPLED * x_alone
         and z_left < UNCOUPLED * z_alone
@@ -307,31 +309,33 @@ def uncoupled(tx, tz):
 
 
 @routine
-def uncoupled_pairs(x_slides, z_slides, tx, tz, x_centre, z_centre, work, out_x, out_z):
-    """Number of pairs of values of x and z, up to four, that satisfy both equations where these are
-    `uncoupled`.
+def find_uncoupled_pairs(x_slides, z_slides, tx, tz, x_centre, z_centre, work, out_x, out_z):
+    """Find up to four pairs of values of x and z that satisfy both equations where `is_uncoupled`
+    holds; return their number.
 
     Either has one unknown if the little that the other joint adds is left out of that for x: pairs
     to be polished.
     """
-    without_x = least_row(tx)
-    without_z = least_row(tz)
-    x = combined(without_z, tx)
-    z = combined(without_z, tz)
-    own_x = combined(without_x, tx)
-    own_z = combined(without_x, tz)
+    without_x = find_least_combination(tx)
+    without_z = find_least_combination(tz)
+    x = combine_rows(without_z, tx)
+    z = combine_rows(without_z, tz)
+    own_x = combine_rows(without_x, tx)
+    own_z = combine_rows(without_x, tz)
     firsts = work
-    seconds = beyond(work, VALUE_STRIDE * MOST)
+    seconds = advance_pointer(work, VALUE_STRIDE * MOST)
     found = 0
-    for i in range(one_unknown(x_slides, x[1], x[2], z[0] - x[0], WIDE, x_centre, firsts)):
-        first = beyond(firsts, VALUE_STRIDE * i)
+    for i in range(solve_one_unknown(x_slides, x[1], x[2], z[0] - x[0], WIDE, x_centre, firsts)):
+        first = advance_pointer(firsts, VALUE_STRIDE * i)
         known = own_x[0] + own_x[1] * first[0] + own_x[2] * first[1]
         for j in range(
-            one_unknown(z_slides, own_z[1], own_z[2], known - own_z[0], WIDE, z_centre, seconds)
+            solve_one_unknown(
+                z_slides, own_z[1], own_z[2], known - own_z[0], WIDE, z_centre, seconds
+            )
         ):
-            second = beyond(seconds, VALUE_STRIDE * j)
-            put(out_x, found, first[0], first[1], first[2], REPEATED)
-            put(out_z, found, second[0], second[1], second[2], 0.0)
+            second = advance_pointer(seconds, VALUE_STRIDE * j)
+            write_joint_value(out_x, found, first[0], first[1], first[2], REPEATED)
+            write_joint_value(out_z, found, second[0], second[1], second[2], 0.0)
             found += 1
     return found
 
@@ -369,62 +373,68 @@ a motion, doubt, samples, values of two equations that are solved apart."""
 
 
 @device
-def meeting_point(lines, a, b):
-    """The point halfway between the nearest points of two lines that are not parallel."""
-    h = three(lines, LINE_STRIDE * a)
-    o = three(lines, LINE_STRIDE * a + 4)
-    g = three(lines, LINE_STRIDE * b)
-    p = three(lines, LINE_STRIDE * b + 4)
+def find_meeting_point(lines, a, b):
+    """Return the midpoint between the nearest points of two lines that are not parallel."""
+    h = read_vector(lines, LINE_STRIDE * a)
+    o = read_vector(lines, LINE_STRIDE * a + 4)
+    g = read_vector(lines, LINE_STRIDE * b)
+    p = read_vector(lines, LINE_STRIDE * b + 4)
     n = cross(h, g)
-    d = minus(p, o)
+    d = subtract_vectors(p, o)
     square = dot(n, n)
     x = dot(cross(d, g), n) / square
     y = dot(cross(d, h), n) / square
-    return plus(plus((0.0, 0.0, 0.0), 0.5, plus(o, x, h)), 0.5, plus(p, y, g))
+    return add_scaled(
+        add_scaled((0.0, 0.0, 0.0), 0.5, add_scaled(o, x, h)), 0.5, add_scaled(p, y, g)
+    )
 
 
 @device
-def ball_centre(lines, k):
-    """Where the axes k, k + 1, k + 2 meet; neighbours may coincide with none of the others only."""
-    h = three(lines, LINE_STRIDE * k)
-    g = three(lines, LINE_STRIDE * (k + 1))
+def find_ball_centre(lines, k):
+    """Return the point where the axes k, k + 1, k + 2 meet; two neighbouring axes may coincide."""
+    h = read_vector(lines, LINE_STRIDE * k)
+    g = read_vector(lines, LINE_STRIDE * (k + 1))
     n = cross(h, g)
     if dot(n, n) > 1e-6:
-        return meeting_point(lines, k, k + 1)
-    return meeting_point(lines, k + 1, k + 2)
+        return find_meeting_point(lines, k, k + 1)
+    return find_meeting_point(lines, k + 1, k + 2)
 
 
 @routine
-def loop_lines(lines, goal, first, out):
-    """Write the lines to out, those of joints before `first` taken round the goal: mapped by its
-    inverse.
+def write_loop_lines(lines, goal, first, out):
+    """Write the lines of the loop to `out`; those of joints before `first` are mapped by the
+    inverse of the goal.
     """
     for i in range(6):
         at = LINE_STRIDE * i
-        h = three(lines, at)
-        o = three(lines, at + 4)
+        h = read_vector(lines, at)
+        o = read_vector(lines, at + 4)
         if i < first:
-            h = unrotated(goal, h)
-            o = unmapped(goal, o)
-        write3(out, at, h)
-        write3(out, at + 4, o)
+            h = unrotate_vector(goal, h)
+            o = transform_point_back(goal, o)
+        write_vector(out, at, h)
+        write_vector(out, at + 4, o)
 
 
 @device
-def plane_normal(kinds, lines, k):
-    """The normal of the plane in which joints k, k + 1, k + 2 move, and a point of it."""
+def compute_plane_normal(kinds, lines, k):
+    """Return the normal of the plane in which joints k, k + 1, k + 2 move, and a point of the
+    plane.
+    """
     for i in range(k, k + 3):
         if kinds[i] != SLIDE:
-            return three(lines, LINE_STRIDE * i), three(lines, LINE_STRIDE * i + 4)
-    return three(lines, LINE_STRIDE * k), three(lines, LINE_STRIDE * k + 4)
+            return read_vector(lines, LINE_STRIDE * i), read_vector(lines, LINE_STRIDE * i + 4)
+    return read_vector(lines, LINE_STRIDE * k), read_vector(lines, LINE_STRIDE * k + 4)
 
 
 @routine
-def inner_values(kinds, lines, goal, k, what, x, y, z, scratch):
-    """Number of solutions of the inner joints, given values of the outer ones; three values each."""
-    d = beyond(scratch, AT_MOTION)
-    around = beyond(scratch, AT_LINES)
-    identity(d)
+def find_inner_values(kinds, lines, goal, k, what, x, y, z, scratch):
+    """Find the values of the three inner joints for given values of the outer ones; return the
+    number of solutions.
+    """
+    d = advance_pointer(scratch, AT_MOTION)
+    around = advance_pointer(scratch, AT_LINES)
+    write_identity(d)
     # I3 = G (Ex Ey Ez)^-1, built from the right: d = G Ez^-1 Ey^-1 Ex^-1
     for i in range(12):
         d[i] = goal[i]
@@ -432,25 +442,35 @@ def inner_values(kinds, lines, goal, k, what, x, y, z, scratch):
         j = (k + 5 - i) % 6
         v = z if i == 0 else y if i == 1 else x
         at = LINE_STRIDE * j
-        follow(d, three(around, at), three(around, at + 4), kinds[j] == SLIDE, -v[2], v[0], -v[1])
+        append_motion(
+            d,
+            read_vector(around, at),
+            read_vector(around, at + 4),
+            kinds[j] == SLIDE,
+            -v[2],
+            v[0],
+            -v[1],
+        )
     a = LINE_STRIDE * k
     b = LINE_STRIDE * (k + 1)
     c = LINE_STRIDE * (k + 2)
-    work = beyond(scratch, AT_WORK)
-    out = beyond(scratch, AT_INNER)
+    work = advance_pointer(scratch, AT_WORK)
+    out = advance_pointer(scratch, AT_INNER)
     wide = ANY if x[SAMPLED] + y[SAMPLED] + z[SAMPLED] > REPEATED else WIDE
     if what == POINT:
-        return ball_triple(three(lines, a), three(lines, b), three(lines, c), d, wide, work, out)
-    return planar_triple(
+        return find_ball_turns(
+            read_vector(lines, a), read_vector(lines, b), read_vector(lines, c), d, wide, work, out
+        )
+    return solve_planar_triple(
         kinds[k],
-        three(lines, a),
-        three(lines, a + 4),
+        read_vector(lines, a),
+        read_vector(lines, a + 4),
         kinds[k + 1],
-        three(lines, b),
-        three(lines, b + 4),
+        read_vector(lines, b),
+        read_vector(lines, b + 4),
         kinds[k + 2],
-        three(lines, c),
-        three(lines, c + 4),
+        read_vector(lines, c),
+        read_vector(lines, c + 4),
         d,
         wide,
         work,
@@ -459,12 +479,14 @@ def inner_values(kinds, lines, goal, k, what, x, y, z, scratch):
 
 
 @routine
-def emit(kinds, lines, goal, k, what, x, y, z, slot, scratch, out, count):
-    """New number of candidates, after those that belong to one set of outer values."""
-    n = inner_values(kinds, lines, goal, k, what, x, y, z, scratch)
+def write_candidates(kinds, lines, goal, k, what, x, y, z, slot, scratch, out, count):
+    """Write the candidates that belong to one set of outer values; return the new number of
+    candidates.
+    """
+    n = find_inner_values(kinds, lines, goal, k, what, x, y, z, scratch)
     if n < 0:
         scratch[AT_DOUBT] = 1.0
-    inner = beyond(scratch, AT_INNER)
+    inner = advance_pointer(scratch, AT_INNER)
     for i in range(n):
         if count >= MOST_CANDIDATES:
             break
@@ -483,18 +505,18 @@ def emit(kinds, lines, goal, k, what, x, y, z, slot, scratch, out, count):
 
 
 @routine
-def with_middles(kinds, lines, goal, k, outer, x, z, slot, scratch, out, count):
-    """New number of candidates, after those for one pair of values of x and z."""
-    y = beyond(scratch, AT_Y)
-    for i in range(middle_values(outer, x, z, y)):
-        count = emit(
+def write_middle_candidates(kinds, lines, goal, k, outer, x, z, slot, scratch, out, count):
+    """Write the candidates for one pair of values of x and z; return the new number of candidates."""
+    y = advance_pointer(scratch, AT_Y)
+    for i in range(find_middle_values(outer, x, z, y)):
+        count = write_candidates(
             kinds,
             lines,
             goal,
             k,
             outer.what,
             x,
-            beyond(y, VALUE_STRIDE * i),
+            advance_pointer(y, VALUE_STRIDE * i),
             z,
             slot,
             scratch,
@@ -505,9 +527,9 @@ def with_middles(kinds, lines, goal, k, outer, x, z, slot, scratch, out, count):
 
 
 @device
-def nearly_silent(t):
-    """Whether an equation says hardly anything of a joint: that there is no solution is then not to
-    be trusted.
+def is_nearly_silent(t):
+    """Return whether an equation hardly depends on a joint, so that a missing solution proves
+    nothing.
     """
     a = math.hypot(t[1], t[2])
     b = math.hypot(t[4], t[5])
@@ -515,28 +537,31 @@ def nearly_silent(t):
 
 
 @routine
-def closed_candidates(kinds, lines, goal, k, what, mode, measure, option, scratch, out):
-    """(number of candidates, doubt) for E_1 ... E_6 = G, CANDIDATE numbers each in out.
+def find_candidates(kinds, lines, goal, k, what, mode, measure, option, scratch, out):
+    """Find the candidates for E_1 ... E_6 = G, CANDIDATE numbers each in `out`; return their number
+    and whether one may be missing.
 
     In doubt are goals for which the equations degenerate in a way that is not taken apart here.
 
     k: place of the first inner joint; what: POINT or PLANE; mode, measure, option: how the outer
     equations are solved, see `arm_part`. scratch: SCRATCH numbers.
     """
-    around = beyond(scratch, AT_LINES)
-    loop_lines(lines, goal, k, around)
-    xs = beyond(scratch, AT_X)
-    zs = beyond(scratch, AT_Z)
+    around = advance_pointer(scratch, AT_LINES)
+    write_loop_lines(lines, goal, k, around)
+    xs = advance_pointer(scratch, AT_X)
+    zs = advance_pointer(scratch, AT_Z)
     scratch[AT_DOUBT] = 0.0
     if mode == AT_REST:
         for i in range(VALUE_STRIDE):
             xs[i] = 1.0 if i == 0 else 0.0
-        count = emit(kinds, lines, goal, k, what, xs, xs, xs, 0, scratch, out, 0)
+        count = write_candidates(kinds, lines, goal, k, what, xs, xs, xs, 0, scratch, out, 0)
         return count, scratch[AT_DOUBT] != 0.0
     n, p = (
-        plane_normal(kinds, lines, k) if what == PLANE else (three(lines, 0), ball_centre(lines, k))
+        compute_plane_normal(kinds, lines, k)
+        if what == PLANE
+        else (read_vector(lines, 0), find_ball_centre(lines, k))
     )
-    outer = outer_of(
+    outer = make_outer_problem(
         what,
         kinds,
         around,
@@ -546,87 +571,95 @@ def closed_candidates(kinds, lines, goal, k, what, mode, measure, option, scratc
         option,
         p,
         n,
-        unmapped(goal, p),
-        unrotated(goal, n),
+        transform_point_back(goal, p),
+        unrotate_vector(goal, n),
     )
-    tx = beyond(scratch, AT_TERMS)
-    tz = beyond(scratch, AT_TERMS + 6)
-    x_terms(outer, tx)
-    z_terms(outer, tz)
+    tx = advance_pointer(scratch, AT_TERMS)
+    tz = advance_pointer(scratch, AT_TERMS + 6)
+    write_x_terms(outer, tx)
+    write_z_terms(outer, tz)
     count = 0
     if mode == COUPLED:
-        pairs = coupled_pairs(
-            outer.kx == SLIDE, outer.kz == SLIDE, tx, tz, beyond(scratch, AT_WORK), xs, zs
+        pairs = find_coupled_pairs(
+            outer.kx == SLIDE, outer.kz == SLIDE, tx, tz, advance_pointer(scratch, AT_WORK), xs, zs
         )
         for i in range(pairs):
-            x = beyond(xs, VALUE_STRIDE * i)
-            z = beyond(zs, VALUE_STRIDE * i)
+            x = advance_pointer(xs, VALUE_STRIDE * i)
+            z = advance_pointer(zs, VALUE_STRIDE * i)
             # the roots of a quartic have no names: a slot below zero
-            count = with_middles(kinds, lines, goal, k, outer, x, z, -1 - i, scratch, out, count)
-            some = beyond(scratch, AT_SOME)
-            if faint(tx):
-                for j in range(put_samples(outer.kx == SLIDE, 0, some, OPEN, x[2])):
-                    x = beyond(some, VALUE_STRIDE * j)
-                    count = with_middles(
+            count = write_middle_candidates(
+                kinds, lines, goal, k, outer, x, z, -1 - i, scratch, out, count
+            )
+            some = advance_pointer(scratch, AT_SOME)
+            if is_faint(tx):
+                for j in range(write_samples(outer.kx == SLIDE, 0, some, OPEN, x[2])):
+                    x = advance_pointer(some, VALUE_STRIDE * j)
+                    count = write_middle_candidates(
                         kinds, lines, goal, k, outer, x, z, -1 - i, scratch, out, count
                     )
-            elif faint(tz):
-                for j in range(put_samples(outer.kz == SLIDE, 0, some, OPEN, z[2])):
-                    z = beyond(some, VALUE_STRIDE * j)
-                    count = with_middles(
+            elif is_faint(tz):
+                for j in range(write_samples(outer.kz == SLIDE, 0, some, OPEN, z[2])):
+                    z = advance_pointer(some, VALUE_STRIDE * j)
+                    count = write_middle_candidates(
                         kinds, lines, goal, k, outer, x, z, -1 - i, scratch, out, count
                     )
-        apart = uncoupled(tx, tz)
+        apart = is_uncoupled(tx, tz)
         if apart:
-            work = beyond(scratch, AT_APART)
-            pairs = uncoupled_pairs(
+            work = advance_pointer(scratch, AT_APART)
+            pairs = find_uncoupled_pairs(
                 outer.kx == SLIDE,
                 outer.kz == SLIDE,
                 tx,
                 tz,
-                x_centre(outer),
-                z_centre(outer),
+                find_x_centre(outer),
+                find_z_centre(outer),
                 work,
                 xs,
                 zs,
             )
             for i in range(pairs):
-                x = beyond(xs, VALUE_STRIDE * i)
-                z = beyond(zs, VALUE_STRIDE * i)
-                count = with_middles(
+                x = advance_pointer(xs, VALUE_STRIDE * i)
+                z = advance_pointer(zs, VALUE_STRIDE * i)
+                count = write_middle_candidates(
                     kinds, lines, goal, k, outer, x, z, -1 - i, scratch, out, count
                 )
-        dependent = not apart and max(steadiness(tx), steadiness(tz)) < DEPENDENT
+        dependent = not apart and max(compute_steadiness(tx), compute_steadiness(tz)) < DEPENDENT
         return count, dependent or scratch[AT_DOUBT] != 0.0
     firsts = zs if mode == Z_FIRST else xs
     seconds = xs if mode == Z_FIRST else zs
-    for i in range(first_values(outer, mode, measure, tx, tz, firsts)):
-        first = beyond(firsts, VALUE_STRIDE * i)
-        for j in range(second_values(outer, mode, measure, tx, tz, first, seconds)):
-            second = beyond(seconds, VALUE_STRIDE * j)
+    for i in range(find_first_values(outer, mode, measure, tx, tz, firsts)):
+        first = advance_pointer(firsts, VALUE_STRIDE * i)
+        for j in range(find_second_values(outer, mode, measure, tx, tz, first, seconds)):
+            second = advance_pointer(seconds, VALUE_STRIDE * j)
             x, z = (second, first) if mode == Z_FIRST else (first, second)
             slot = (0 if first[SAMPLED] != 0.0 else 2 * (i % 2)) + (
                 0 if second[SAMPLED] != 0.0 else j % 2
             )
-            count = with_middles(kinds, lines, goal, k, outer, x, z, slot, scratch, out, count)
-    unsure = count == 0 and (nearly_silent(tx) or nearly_silent(tz))
+            count = write_middle_candidates(
+                kinds, lines, goal, k, outer, x, z, slot, scratch, out, count
+            )
+    unsure = count == 0 and (is_nearly_silent(tx) or is_nearly_silent(tz))
     return count, unsure or scratch[AT_DOUBT] != 0.0
 
 
 @kernel(I(6), F(6 * LINE_STRIDE), F(12), INT, INT, INT, OUT(12), returns=False)
-def outer_terms(kinds, lines, goal, k, what, option, out):
-    """Write the terms of x and of z (6, 6) for one goal: a plan sees by them which unknowns are
+def write_outer_terms(kinds, lines, goal, k, what, option, out):
+    """Write the terms of x and of z (6, 6) for one goal, by which a plan sees which unknowns are
     missing.
     """
     scratch = np.empty(SCRATCH)
-    around = raw(scratch)
-    l_ = raw(lines)
-    g_ = raw(goal)
-    loop_lines(l_, g_, k, around)
-    n, p = plane_normal(raw(kinds), l_, k) if what == PLANE else (three(l_, 0), ball_centre(l_, k))
-    outer = outer_of(
+    around = get_pointer(scratch)
+    l_ = get_pointer(lines)
+    g_ = get_pointer(goal)
+    write_loop_lines(l_, g_, k, around)
+    n, p = (
+        compute_plane_normal(get_pointer(kinds), l_, k)
+        if what == PLANE
+        else (read_vector(l_, 0), find_ball_centre(l_, k))
+    )
+    outer = make_outer_problem(
         what,
-        raw(kinds),
+        get_pointer(kinds),
         around,
         (k + 3) % 6,
         (k + 4) % 6,
@@ -634,9 +667,9 @@ def outer_terms(kinds, lines, goal, k, what, option, out):
         option,
         p,
         n,
-        unmapped(g_, p),
-        unrotated(g_, n),
+        transform_point_back(g_, p),
+        unrotate_vector(g_, n),
     )
-    x_terms(outer, raw(out))
-    z_terms(outer, beyond(raw(out), 6))
-    keep(scratch)
+    write_x_terms(outer, get_pointer(out))
+    write_z_terms(outer, advance_pointer(get_pointer(out), 6))
+    keep_alive(scratch)

@@ -1,5 +1,5 @@
-"""Every configuration that reaches a target, one target after the other: the careful path, which
-takes any plan.
+"""Closed-form search of every configuration that reaches a target, for any plan, one target after
+the other.
 """
 
 from __future__ import annotations
@@ -8,8 +8,8 @@ import numpy as np
 
 from kempe.kernels.base._jit import device, kernel
 from kempe.kernels.base.declare import FLOAT, INT, OUT, OUTI, F, I
-from kempe.kernels.base.scratch import beyond
-from kempe.kernels.base.vectors import keep, raw
+from kempe.kernels.base.scratch import advance_pointer
+from kempe.kernels.base.vectors import get_pointer, keep_alive
 from kempe.kernels.closed_form.analytic_layout import (
     INFO,
     INNER,
@@ -26,7 +26,7 @@ from kempe.kernels.closed_form.candidates import (
     MOST_CANDIDATES,
     SAMPLE,
     SCRATCH,
-    closed_candidates,
+    find_candidates,
 )
 from kempe.kernels.closed_form.merging import (
     ERROR,
@@ -37,22 +37,22 @@ from kempe.kernels.closed_form.merging import (
     TURNS,
     UNSURE,
     WEAKEST,
-    listed,
-    split,
+    count_listed_solutions,
+    split_merged_roots,
 )
 from kempe.kernels.closed_form.one_target import (
-    begin,
-    end,
-    take_candidates,
-    target_scratch,
-    target_scratch_size,
+    add_candidates,
+    begin_target,
+    count_target_scratch,
+    finish_target,
+    make_target_scratch,
 )
 
 
 @device
-def led_nowhere(d, candidates, count):
-    """Whether a joint was free, or nearly, but the values that were tried lead to no singular
-    solution.
+def has_failed_samples(d, candidates, count):
+    """Return whether a joint was free, or nearly free, but none of its sampled values led to a
+    singular solution.
 
     Or to samples on target within the tolerance only: then there are roots somewhere.
     """
@@ -62,12 +62,12 @@ def led_nowhere(d, candidates, count):
     for k in range(candidates):
         tried = tried or d.candidates[CANDIDATE * k + SAMPLE] > REPEATED
     for k in range(count):
-        row = beyond(d.found.rows, (SOLUTION + d.n) * k)
+        row = advance_pointer(d.found.rows, (SOLUTION + d.n) * k)
         if row[TURNS] == 0.0:
             exact = exact and max(row[ERROR], row[ERROR + 1]) <= UNSURE
         elif row[WEAKEST] < MERGED:
             singular = True
-    sampled = listed(d.found, count) < count
+    sampled = count_listed_solutions(d.found, count) < count
     return tried and not singular and not (sampled and exact)
 
 
@@ -85,7 +85,9 @@ def led_nowhere(d, candidates, count):
     OUTI("N", 2),
     returns=False,
 )
-def closed(ints, floats, targets, near, locked, tol_linear, tol_angular, sort, which, out, counts):
+def find_closed_form_solutions(
+    ints, floats, targets, near, locked, tol_linear, tol_angular, sort, which, out, counts
+):
     """Find all solutions by closed form of the targets whose numbers are in `which`.
 
     ints, floats: plan, see `analytic_layout`. targets: (N, 4, 4). near: (1 or N, n), of each angle
@@ -96,18 +98,25 @@ def closed(ints, floats, targets, near, locked, tol_linear, tol_angular, sort, w
     """
     n = ints[N_JOINTS]
     slots = out.shape[1]
-    block = np.empty(target_scratch_size(n) + SCRATCH)
+    block = np.empty(count_target_scratch(n) + SCRATCH)
     flags = np.empty(6 + slots, np.int64)
-    d = target_scratch(raw(ints), raw(floats), raw(block), raw(flags), tol_linear, tol_angular)
-    scratch = beyond(raw(block), target_scratch_size(n))
+    d = make_target_scratch(
+        get_pointer(ints),
+        get_pointer(floats),
+        get_pointer(block),
+        get_pointer(flags),
+        tol_linear,
+        tol_angular,
+    )
+    scratch = advance_pointer(get_pointer(block), count_target_scratch(n))
     for i in which:
-        close_to = beyond(raw(near), n * i if near.shape[0] > 1 else 0)
-        held = beyond(raw(locked), n * i if locked.shape[0] > 1 else 0)
-        sound = begin(d, beyond(raw(targets), 16 * i), close_to, held)
+        close_to = advance_pointer(get_pointer(near), n * i if near.shape[0] > 1 else 0)
+        held = advance_pointer(get_pointer(locked), n * i if locked.shape[0] > 1 else 0)
+        sound = begin_target(d, advance_pointer(get_pointer(targets), 16 * i), close_to, held)
         count = 0
         doubt = False
         if sound:
-            k, doubt = closed_candidates(
+            k, doubt = find_candidates(
                 d.kinds,
                 d.six,
                 d.goal,
@@ -119,17 +128,24 @@ def closed(ints, floats, targets, near, locked, tol_linear, tol_angular, sort, w
                 scratch,
                 d.candidates,
             )
-            count = take_candidates(d, beyond(d.ints, ORDER), 0, k, ROOT, 0)
-            doubt = doubt or led_nowhere(d, k, count)
-            count = split(d.found, count)
+            count = add_candidates(d, advance_pointer(d.ints, ORDER), 0, k, ROOT, 0)
+            doubt = doubt or has_failed_samples(d, k, count)
+            count = split_merged_roots(d.found, count)
             doubt = (
                 doubt
-                or listed(d.found, count) > slots
+                or count_listed_solutions(d.found, count) > slots
                 or count == MOST_SOLUTIONS
                 or k == MOST_CANDIDATES
             )
-        written = end(d, count, close_to, beyond(raw(out), slots * (n + INFO) * i), slots, sort)
+        written = finish_target(
+            d,
+            count,
+            close_to,
+            advance_pointer(get_pointer(out), slots * (n + INFO) * i),
+            slots,
+            sort,
+        )
         counts[i, 0] = written if sound else -1
         counts[i, 1] = int(doubt)
-    keep(block)
-    keep(flags)
+    keep_alive(block)
+    keep_alive(flags)

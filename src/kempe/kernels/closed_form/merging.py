@@ -1,5 +1,5 @@
-"""Solutions of one target, each once: candidates polished, judged, merged, and turned into
-coordinates.
+"""Merging of candidates: each solution of one target is polished, judged, listed once, and turned
+into coordinates.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ import math
 from typing import NamedTuple
 
 from kempe.kernels.base._jit import device, routine
-from kempe.kernels.base.scratch import beyond
+from kempe.kernels.base.scratch import advance_pointer
 from kempe.kernels.closed_form.analytic_layout import (
     CODE,
     FACTOR,
@@ -21,13 +21,13 @@ from kempe.kernels.closed_form.analytic_layout import (
 from kempe.kernels.closed_form.polish import (
     AT_AXES,
     Model,
-    columns_at,
-    error_at,
-    orthogonal_step,
-    polish,
-    sharpen,
-    tangent,
-    weakest,
+    compute_error,
+    compute_orthogonal_step,
+    find_smallest_pivot,
+    find_tangent,
+    polish_solution,
+    sharpen_solution,
+    write_columns,
 )
 from kempe.kernels.forward.table_layout import SLIDE
 
@@ -74,8 +74,8 @@ TWO_PI = 2.0 * math.pi
 
 
 class FoundSolutions(NamedTuple):
-    """Solutions found so far: `rows` of SOLUTION + n numbers, with scratch for one more; the
-    tolerances.
+    """The solutions found so far: `rows` of SOLUTION + n numbers, with scratch for one more, and
+    the tolerances.
     """
 
     model: Model
@@ -85,8 +85,8 @@ class FoundSolutions(NamedTuple):
 
 
 @device
-def gap(slides, a, b):
-    """a - b, of angles the shortest."""
+def compute_gap(slides, a, b):
+    """Return the difference a - b; of angles the shortest one."""
     d = a - b
     if slides:
         return d
@@ -94,41 +94,41 @@ def gap(slides, a, b):
 
 
 @routine
-def distance(m, a, b):
-    """The largest difference of a joint between two configurations."""
+def compute_largest_gap(m, a, b):
+    """Return the largest difference of a joint between two configurations."""
     size = 0.0
     for i in range(m.n):
-        size = max(size, abs(gap(m.kinds[i] == SLIDE, a[i], b[i])))
+        size = max(size, abs(compute_gap(m.kinds[i] == SLIDE, a[i], b[i])))
     return size
 
 
 @device
-def sampled_already(found, count, slot):
-    """Whether there is a sample of the family of this slot: one is enough."""
+def has_sample(found, count, slot):
+    """Return whether the family of solutions of this slot has a sample already."""
     for k in range(count):
-        row = beyond(found.rows, (SOLUTION + found.model.n) * k)
+        row = advance_pointer(found.rows, (SOLUTION + found.model.n) * k)
         if row[TURNS] == 0.0 and row[SIGNS] == slot:
             return True
     return False
 
 
 @routine
-def made_exact(found, theta, kind):
-    """(linear, angular, bound of the smallest singular value squared, kind) of a candidate that is
-    polished in place.
+def polish_candidate(found, theta, kind):
+    """Polish a candidate in place; return its errors (linear, angular), a bound of the smallest
+    singular value squared, and its kind.
 
     Errors are infinite for one that is still on its way.
     """
     m = found.model
-    linear, angular = polish(m, theta)
+    linear, angular = polish_solution(m, theta)
     if not max(linear, angular) <= max(CLOSE, found.linear, found.angular):
         return math.inf, math.inf, 0.0, kind
-    weak = weakest(m)
+    weak = find_smallest_pivot(m)
     if kind == OPENED:
         kind = SAMPLED if max(linear, angular) <= UNSURE else AGAIN
     if weak < MERGED:
-        linear, angular = sharpen(m, theta)
-        weak = weakest(m)
+        linear, angular = sharpen_solution(m, theta)
+        weak = find_smallest_pivot(m)
     if kind == AGAIN and weak < MERGED and max(linear, angular) > UNSURE:
         return math.inf, math.inf, 0.0, kind
     if (
@@ -139,24 +139,24 @@ def made_exact(found, theta, kind):
 
 
 @routine
-def add(found, count, theta, slot, kind):
-    """New number of solutions, after a candidate was polished in place and judged.
+def add_solution(found, count, theta, slot, kind):
+    """Polish and judge a candidate, and add it to the solutions; return their new number.
 
     kind: ROOT, each counts towards the multiplicity of a solution; AGAIN, roots that were counted
     before; SAMPLED.
     """
     m = found.model
     stride = SOLUTION + found.model.n
-    linear, angular, weak, kind = made_exact(found, theta, kind)
+    linear, angular, weak, kind = polish_candidate(found, theta, kind)
     if not (linear <= found.linear and angular <= found.angular):
         return count
-    spare = beyond(found.rows, stride * MOST_SOLUTIONS)
+    spare = advance_pointer(found.rows, stride * MOST_SOLUTIONS)
     k = -1
     while k + 1 < count:
         k += 1
-        row = beyond(found.rows, stride * k)
-        other = beyond(row, SOLUTION)
-        d = distance(m, theta, other)
+        row = advance_pointer(found.rows, stride * k)
+        other = advance_pointer(row, SOLUTION)
+        d = compute_largest_gap(m, theta, other)
         if d > NEAR:
             continue
         this = max(linear, angular)
@@ -164,22 +164,22 @@ def add(found, count, theta, slot, kind):
         if d > EQUAL and this > max(STUCK, 10.0 * that):
             return count
         if d > EQUAL and that > max(STUCK, 10.0 * this):
-            drop(found, count, k)
+            drop_solution(found, count, k)
             count -= 1
             k -= 1
             continue
         if d > EQUAL:
             for i in range(m.n):
-                spare[i] = other[i] + 0.5 * gap(m.kinds[i] == SLIDE, theta[i], other[i])
-            middle_linear, middle_angular = error_at(m, spare)
+                spare[i] = other[i] + 0.5 * compute_gap(m.kinds[i] == SLIDE, theta[i], other[i])
+            middle_linear, middle_angular = compute_error(m, spare)
             if d > SAME and max(middle_linear, middle_angular) > max(INDISTINCT, 2.0 * that):
                 continue
             if kind != ROOT:  # what was met before moves nothing
                 return count
             share = 1.0 / (row[TURNS] + 1.0)
             for i in range(m.n):
-                spare[i] = other[i] + share * gap(m.kinds[i] == SLIDE, theta[i], other[i])
-            row[ERROR], row[ERROR + 1] = error_at(m, spare)
+                spare[i] = other[i] + share * compute_gap(m.kinds[i] == SLIDE, theta[i], other[i])
+            row[ERROR], row[ERROR + 1] = compute_error(m, spare)
             for i in range(m.n):
                 other[i] = spare[i]
         if (
@@ -187,9 +187,9 @@ def add(found, count, theta, slot, kind):
         ):  # where the Jacobian is regular a root is simple
             row[TURNS] += 1.0
         return count
-    if count >= MOST_SOLUTIONS or (kind == SAMPLED and sampled_already(found, count, slot)):
+    if count >= MOST_SOLUTIONS or (kind == SAMPLED and has_sample(found, count, slot)):
         return count
-    row = beyond(found.rows, stride * count)
+    row = advance_pointer(found.rows, stride * count)
     row[ERROR] = linear
     row[ERROR + 1] = angular
     row[TURNS] = 0.0 if kind == SAMPLED else 1.0
@@ -201,19 +201,23 @@ def add(found, count, theta, slot, kind):
 
 
 @routine
-def united(found, count):
-    """New number of solutions: those that came to be the same, as means of roots that merge moved,
-    are one.
+def unite_solutions(found, count):
+    """Unite solutions that have become equal, as means of merging roots were moved; return the new
+    number of solutions.
     """
     m = found.model
     stride = SOLUTION + found.model.n
     k = 1
     while k < count:
-        row = beyond(found.rows, stride * k)
+        row = advance_pointer(found.rows, stride * k)
         same = -1
         for j in range(k if row[WEAKEST] < MERGED else 0):
             if (
-                distance(m, beyond(row, SOLUTION), beyond(found.rows, stride * j + SOLUTION))
+                compute_largest_gap(
+                    m,
+                    advance_pointer(row, SOLUTION),
+                    advance_pointer(found.rows, stride * j + SOLUTION),
+                )
                 <= SAME
             ):
                 same = j
@@ -221,32 +225,32 @@ def united(found, count):
             k += 1
             continue
         found.rows[stride * same + TURNS] += row[TURNS]
-        drop(found, count, k)
+        drop_solution(found, count, k)
         count -= 1
     return count
 
 
 @device
-def listed(found, count):
-    """How many solutions an answer must have room for: samples of curves stand for others anyway."""
+def count_listed_solutions(found, count):
+    """Count the solutions that an answer must have room for; samples of curves may be left out."""
     rows = 0
     for k in range(count):
-        rows += int(beyond(found.rows, (SOLUTION + found.model.n) * k)[TURNS] > 0.0)
+        rows += int(advance_pointer(found.rows, (SOLUTION + found.model.n) * k)[TURNS] > 0.0)
     return rows
 
 
 @device
-def drop(found, count, k):
-    """Drop solution k: the last one takes its place."""
+def drop_solution(found, count, k):
+    """Drop solution k; the last solution takes its place."""
     stride = SOLUTION + found.model.n
     for i in range(stride):
         found.rows[stride * k + i] = found.rows[stride * (count - 1) + i]
 
 
 @device
-def coordinate(slides, theta, numbers, near, edge):
-    """(q, inside): the coordinate of a variable, of all turns the one inside the limits and nearest
-    to `near`.
+def choose_coordinate(slides, theta, numbers, near, edge):
+    """Choose the coordinate of a variable among its whole turns: inside the limits, and nearest to
+    `near`; return it and whether it is inside.
 
     What is beyond a limit by no more than `edge` is put on it; slides of a chain that is longer
     than 1 by as much more as the chain is longer, since rounding is.
@@ -272,71 +276,73 @@ def coordinate(slides, theta, numbers, near, edge):
 
 
 @routine
-def within(m, joints, row, near, edge, q):
-    """Whether all are inside the limits, or beyond by `edge`; writes the coordinates of one
-    solution.
+def write_row_coordinates(m, joints, row, near, edge, q):
+    """Write the coordinates of one solution; return whether all are inside the limits, or beyond by
+    at most `edge`.
     """
     inside = True
     for i in range(m.n):
         slides = m.kinds[i] == SLIDE
-        numbers = beyond(joints, JOINT_FLOATS * i)
-        q[i], fits = coordinate(slides, row[SOLUTION + i], numbers, near[i], edge)
+        numbers = advance_pointer(joints, JOINT_FLOATS * i)
+        q[i], fits = choose_coordinate(slides, row[SOLUTION + i], numbers, near[i], edge)
         inside = inside and fits
     return inside
 
 
 @routine
-def onto_limits(found, joints, row, near, q, out):
-    """Whether a double root nearer than SAME to the limits reaches the target inside them; writes
-    that solution to out.
+def move_to_limits(found, joints, row, near, q, out):
+    """Return whether a double root nearer than SAME to the limits reaches the target inside them;
+    write this solution to `out`.
 
     The tip does not feel a motion along its tangent: along it goes what is farthest beyond its
     limit, all the way.
     """
     m = found.model
-    theta = beyond(out, SOLUTION)
-    if not within(m, joints, row, near, SAME, q):
+    theta = advance_pointer(out, SOLUTION)
+    if not write_row_coordinates(m, joints, row, near, SAME, q):
         return False
-    error_at(m, beyond(row, SOLUTION))
-    if not tangent(m, theta):
+    compute_error(m, advance_pointer(row, SOLUTION))
+    if not find_tangent(m, theta):
         return False
     farthest = 0.0
     way = 0.0
     for i in range(m.n):
         limit = joints[JOINT_FLOATS * i + FACTOR] * q[i] + joints[JOINT_FLOATS * i + OFFSET]
-        d = gap(m.kinds[i] == SLIDE, limit, row[SOLUTION + i])
+        d = compute_gap(m.kinds[i] == SLIDE, limit, row[SOLUTION + i])
         if abs(d) > farthest and abs(theta[i]) > SAME:
             farthest = abs(d)
             way = d / theta[i]
     for i in range(m.n):
         theta[i] = row[SOLUTION + i] + way * theta[i]
-    linear, angular = error_at(m, theta)
+    linear, angular = compute_error(m, theta)
     out[ERROR] = linear
     out[ERROR + 1] = angular
     return (
         linear <= found.linear
         and angular <= found.angular
-        and within(m, joints, out, near, EDGE, q)
+        and write_row_coordinates(m, joints, out, near, EDGE, q)
     )
 
 
 @routine
-def coordinates(found, joints, row, near, q):
-    """Whether all are inside the limits; writes the coordinates of one solution."""
+def write_coordinates(found, joints, row, near, q):
+    """Write the coordinates of one solution; return whether all are inside the limits."""
     m = found.model
-    spare = beyond(found.rows, (SOLUTION + found.model.n) * MOST_SOLUTIONS)
-    if within(m, joints, row, near, EDGE, q):
+    spare = advance_pointer(found.rows, (SOLUTION + found.model.n) * MOST_SOLUTIONS)
+    if write_row_coordinates(m, joints, row, near, EDGE, q):
         return True
-    if row[WEAKEST] < MERGED and onto_limits(found, joints, row, near, q, spare):
+    if row[WEAKEST] < MERGED and move_to_limits(found, joints, row, near, q, spare):
         row[ERROR] = spare[ERROR]
         row[ERROR + 1] = spare[ERROR + 1]
         return True
-    return within(m, joints, row, near, EDGE, q)
+    return write_row_coordinates(m, joints, row, near, EDGE, q)
 
 
 @device
-def precedes(n, joints, near, a, b):
-    """Whether row a of an answer comes before row b: inside the limits first, then the nearer."""
+def is_row_before(n, joints, near, a, b):
+    """Return whether row a of an answer comes before row b: inside the limits first, then nearer to
+    `near`.
+    """
     inside_a = int(a[n + CODE]) % 2
     inside_b = int(b[n + CODE]) % 2
     if inside_a != inside_b:
@@ -350,27 +356,31 @@ def precedes(n, joints, near, a, b):
 
 
 @routine
-def arrange(n, joints, near, out, slots):
-    """Number of rows in use; puts them first, in order."""
+def sort_rows(n, joints, near, out, slots):
+    """Sort the rows in use and put them first; return their number."""
     width = n + INFO
     used = 0
     for k in range(slots):
         if out[width * k + n + CODE] < 0.0:
             continue
-        swap(out, width, used, k)
+        swap_rows(out, width, used, k)
         at = used
         used += 1
-        while at > 0 and precedes(
-            n, joints, near, beyond(out, width * at), beyond(out, width * (at - 1))
+        while at > 0 and is_row_before(
+            n,
+            joints,
+            near,
+            advance_pointer(out, width * at),
+            advance_pointer(out, width * (at - 1)),
         ):
-            swap(out, width, at, at - 1)
+            swap_rows(out, width, at, at - 1)
             at -= 1
     return used
 
 
 @device
-def swap(out, width, a, b):
-    """Exchange the rows a and b."""
+def swap_rows(out, width, a, b):
+    """Exchange rows a and b."""
     if a != b:
         for i in range(width):
             out[width * a + i], out[width * b + i] = out[width * b + i], out[width * a + i]
@@ -393,22 +403,22 @@ BETTER = 0.1
 
 
 @routine
-def one_side(m, start, sign, theta):
-    """The error where undamped steps lead from a point aside of `start`, written to theta, infinite
-    if they leave.
+def polish_from_side(m, start, sign, theta):
+    """Polish from a point beside `start` by undamped steps, written to `theta`; return the error,
+    infinite where the steps diverge.
     """
-    error_at(m, start)
-    if not tangent(m, theta):
+    compute_error(m, start)
+    if not find_tangent(m, theta):
         return math.inf
-    step = beyond(m.scratch, AT_AXES + 12 * m.n + m.n * m.n)
+    step = advance_pointer(m.scratch, AT_AXES + 12 * m.n + m.n * m.n)
     for i in range(m.n):
         theta[i] = start[i] + sign * ASIDE * theta[i]
     for _ in range(STEPS):
-        error_at(m, theta)
-        n = columns_at(m)
+        compute_error(m, theta)
+        n = write_columns(m)
         k = 0
         size = 0.0
-        if not orthogonal_step(m, n, False):
+        if not compute_orthogonal_step(m, n, False):
             break
         for i in range(n):
             size = max(size, abs(step[i]))
@@ -418,19 +428,21 @@ def one_side(m, start, sign, theta):
             if m.moves[i] != 0:
                 theta[i] += step[k]
                 k += 1
-    linear, angular = error_at(m, theta)
+    linear, angular = compute_error(m, theta)
     return math.hypot(linear, angular)
 
 
 @routine
-def split(found, count):
-    """New number of solutions: of those that stand between two roots, both roots."""
+def split_merged_roots(found, count):
+    """Replace each solution that stands between two roots by both roots; return the new number of
+    solutions.
+    """
     m = found.model
     stride = SOLUTION + found.model.n
     first = count
-    spare = beyond(found.rows, stride * MOST_SOLUTIONS)
+    spare = advance_pointer(found.rows, stride * MOST_SOLUTIONS)
     for k in range(first):
-        row = beyond(found.rows, stride * k)
+        row = advance_pointer(found.rows, stride * k)
         roots = 0
         error = math.hypot(row[ERROR], row[ERROR + 1])
         if (
@@ -440,13 +452,20 @@ def split(found, count):
             or count == MOST_SOLUTIONS
         ):
             continue
-        other = beyond(found.rows, stride * count)
+        other = advance_pointer(found.rows, stride * count)
         for side in range(2):
-            theta = beyond(other if side == 0 else spare, SOLUTION)
+            theta = advance_pointer(other if side == 0 else spare, SOLUTION)
             roots += int(
-                one_side(m, beyond(row, SOLUTION), 1.0 - 2.0 * side, theta) < BETTER * error
+                polish_from_side(m, advance_pointer(row, SOLUTION), 1.0 - 2.0 * side, theta)
+                < BETTER * error
             )
-        if roots < 2 or distance(m, beyond(other, SOLUTION), beyond(spare, SOLUTION)) <= SAME:
+        if (
+            roots < 2
+            or compute_largest_gap(
+                m, advance_pointer(other, SOLUTION), advance_pointer(spare, SOLUTION)
+            )
+            <= SAME
+        ):
             continue
         for i in range(SOLUTION):
             other[i] = row[i]
@@ -454,7 +473,7 @@ def split(found, count):
         row[TURNS] = max(1.0, row[TURNS] - other[TURNS])
         for i in range(m.n):
             row[SOLUTION + i] = spare[SOLUTION + i]
-        row[ERROR], row[ERROR + 1] = error_at(m, beyond(row, SOLUTION))
-        other[ERROR], other[ERROR + 1] = error_at(m, beyond(other, SOLUTION))
+        row[ERROR], row[ERROR + 1] = compute_error(m, advance_pointer(row, SOLUTION))
+        other[ERROR], other[ERROR + 1] = compute_error(m, advance_pointer(other, SOLUTION))
         count += 1
     return count

@@ -8,17 +8,17 @@ from typing import NamedTuple
 from kempe.kernels.base._jit import device, routine
 from kempe.kernels.base.lines import (
     LINE_STRIDE,
+    append_motion,
     dot,
-    follow,
-    identity,
-    mapped,
-    minus,
-    rotated,
-    three,
-    translation,
-    write3,
+    read_translation,
+    read_vector,
+    rotate_vector,
+    subtract_vectors,
+    transform_point,
+    write_identity,
+    write_vector,
 )
-from kempe.kernels.base.scratch import beyond
+from kempe.kernels.base.scratch import advance_pointer
 from kempe.kernels.closed_form.analytic_layout import (
     CODE,
     FACTOR,
@@ -59,12 +59,12 @@ from kempe.kernels.closed_form.merging import (
     TURNS,
     WEAKEST,
     FoundSolutions,
-    add,
-    arrange,
-    coordinates,
-    united,
+    add_solution,
+    sort_rows,
+    unite_solutions,
+    write_coordinates,
 )
-from kempe.kernels.closed_form.polish import Model, model_scratch
+from kempe.kernels.closed_form.polish import Model, count_model_scratch
 from kempe.kernels.forward.table_layout import SLIDE
 
 OFF_ZERO = 0.2
@@ -79,9 +79,9 @@ ROTATION_TOLERANCE = 1e-6
 
 
 @routine
-def take_target(targets, k, floats, out):
-    """Whether the 4x4 pose at targets[k:] is sound; writes its rows, seen from the plan's origin in
-    its length.
+def read_target(targets, k, floats, out):
+    """Read the 4x4 pose at targets[k:], seen from the plan's origin in units of its length; return
+    whether it is a valid pose.
     """
     sound = True
     for i in range(3):
@@ -103,56 +103,56 @@ def take_target(targets, k, floats, out):
 
 
 @device
-def goal_of(target, tip, goal):
-    """Write G = T M^-1."""
+def write_goal(target, tip, goal):
+    """Write the goal G = T M^-1 of the target T and the tip's pose M."""
     for i in range(3):
-        row = three(target, 4 * i)
+        row = read_vector(target, 4 * i)
         for j in range(3):
-            goal[4 * i + j] = dot(row, three(tip, 4 * j))
-    p = minus(translation(target), rotated(goal, translation(tip)))
+            goal[4 * i + j] = dot(row, read_vector(tip, 4 * j))
+    p = subtract_vectors(read_translation(target), rotate_vector(goal, read_translation(tip)))
     goal[3] = p[0]
     goal[7] = p[1]
     goal[11] = p[2]
 
 
 @routine
-def six_lines(ints, floats, moves, theta, goal, shift, six, kinds):
-    """Write the six lines of the plan with the locked joints at their values, and the goal without
-    these.
+def write_six_lines(ints, floats, moves, theta, goal, shift, six, kinds):
+    """Write the six lines of the plan, with the locked joints at their values, and the goal without
+    the locked joints.
 
     A locked joint carries all lines that follow it: E_1 E_l E_2 = E_1 (E_l E_2 E_l^-1) E_l.
     """
     n = ints[N_JOINTS]
-    identity(shift)
+    write_identity(shift)
     for i in range(ints[N_LINES]):
         at = LINES + LINE_STRIDE * i
-        h = three(floats, at)
-        o = three(floats, at + 4)
+        h = read_vector(floats, at)
+        o = read_vector(floats, at + 4)
         if i < n and moves[i] == 0:
             slides = ints[PLAN_HEADER + i] == SLIDE
-            follow(shift, h, o, slides, theta[i], math.cos(theta[i]), math.sin(theta[i]))
+            append_motion(shift, h, o, slides, theta[i], math.cos(theta[i]), math.sin(theta[i]))
             continue
         for k in range(6):
             if ints[ORDER + k] == i:
                 kinds[k] = ints[PLAN_HEADER + i]
-                write3(six, LINE_STRIDE * k, rotated(shift, h))
-                write3(six, LINE_STRIDE * k + 4, mapped(shift, o))
+                write_vector(six, LINE_STRIDE * k, rotate_vector(shift, h))
+                write_vector(six, LINE_STRIDE * k + 4, transform_point(shift, o))
     # goal A^-1: its rotation R A_R^T, and what is left of its translation
-    p = translation(goal)
+    p = read_translation(goal)
     for i in range(3):
-        row = three(goal, 4 * i)
+        row = read_vector(goal, 4 * i)
         for j in range(3):
-            goal[4 * i + j] = dot(row, three(shift, 4 * j))
-    p = minus(p, rotated(goal, translation(shift)))
+            goal[4 * i + j] = dot(row, read_vector(shift, 4 * j))
+    p = subtract_vectors(p, rotate_vector(goal, read_translation(shift)))
     goal[3] = p[0]
     goal[7] = p[1]
     goal[11] = p[2]
 
 
 @device
-def rank_of(row):
-    """0 for a solution that is isolated beyond doubt, 1 for one that may lie on a curve of them, 2
-    for a sample.
+def rank_solution(row):
+    """Return 0 for a solution that is certainly isolated, 1 for one that may lie on a curve of
+    solutions, 2 for a sample of a curve.
     """
     if row[TURNS] == 0.0:
         return 2
@@ -160,9 +160,9 @@ def rank_of(row):
 
 
 @routine
-def write_out(found, floats, joints, count, near, out, slots, placed):
-    """Number of rows written: each solution in the row of its slot where that is free, else in the
-    first free one.
+def write_solutions(found, floats, joints, count, near, out, slots, placed):
+    """Write each solution to the row of its slot where that is free, else to the first free row;
+    return the number of rows.
     """
     m = found.model
     stride = SOLUTION + found.model.n
@@ -175,12 +175,13 @@ def write_out(found, floats, joints, count, near, out, slots, placed):
     written = 0
     for rank in range(
         3
-        # what may lie on a curve of solutions comes after the isolated ones, as far as there is room
+        # what may lie on a curve of solutions comes after the isolated ones, as far as there is
+        # room
     ):
         for k in range(count):
-            row = beyond(found.rows, stride * k)
+            row = advance_pointer(found.rows, stride * k)
             sampled = int(rank == 2)
-            if rank_of(row) != rank or written == slots:
+            if rank_solution(row) != rank or written == slots:
                 continue
             at = int(row[SIGNS]) if sampled == 0 else 0
             if at < 0 or at >= slots:
@@ -188,8 +189,8 @@ def write_out(found, floats, joints, count, near, out, slots, placed):
             while placed[at] != 0:
                 at = (at + 1) % slots
             placed[at] = 1
-            q = beyond(out, width * at)
-            inside = coordinates(found, joints, row, near, q)
+            q = advance_pointer(out, width * at)
+            inside = write_coordinates(found, joints, row, near, q)
             code = MULTIPLICITY_UNIT * row[TURNS] + SLOT_UNIT * (
                 max(row[SIGNS] + 1.0, 0.0) if sampled == 0 else 0.0
             )
@@ -201,7 +202,7 @@ def write_out(found, floats, joints, count, near, out, slots, placed):
 
 
 class TargetScratch(NamedTuple):
-    """What the work on one target after the other needs: plan, scratch and results; pointers."""
+    """Pointers to the plan, the scratch and the results of the work on one target after the other."""
 
     ints: object
     floats: object
@@ -220,37 +221,39 @@ class TargetScratch(NamedTuple):
 
 
 @device
-def target_scratch_size(n):
-    """Numbers of scratch that a target needs."""
+def count_target_scratch(n):
+    """Return the number of floats of scratch that a target needs."""
     return (
         CANDIDATE * MOST_CANDIDATES
         + (SOLUTION + n) * (MOST_SOLUTIONS + 1)
-        + model_scratch(n)
+        + count_model_scratch(n)
         + 2 * n
         + 96
     )
 
 
 @device
-def target_scratch(ints, floats, block, flags, tol_linear, tol_angular):
-    """The scratch of one target in a block of `target_scratch_size` numbers and 6 + SLOTS flags."""
+def make_target_scratch(ints, floats, block, flags, tol_linear, tol_angular):
+    """Divide a block of `count_target_scratch` floats and 6 + SLOTS flags into the scratch of one
+    target.
+    """
     n = ints[N_JOINTS]
     goal = block
     stride = SOLUTION + n
-    theta = beyond(goal, 96)
-    fixed = beyond(goal, 96 + n)
-    candidates = beyond(fixed, n)
-    rows = beyond(candidates, CANDIDATE * MOST_CANDIDATES)
-    moves = beyond(ints, PLAN_HEADER + ints[N_LINES])
-    joints = beyond(floats, LINES + LINE_STRIDE * ints[N_LINES])
+    theta = advance_pointer(goal, 96)
+    fixed = advance_pointer(goal, 96 + n)
+    candidates = advance_pointer(fixed, n)
+    rows = advance_pointer(candidates, CANDIDATE * MOST_CANDIDATES)
+    moves = advance_pointer(ints, PLAN_HEADER + ints[N_LINES])
+    joints = advance_pointer(floats, LINES + LINE_STRIDE * ints[N_LINES])
     model = Model(
-        beyond(ints, PLAN_HEADER),
-        beyond(floats, LINES),
+        advance_pointer(ints, PLAN_HEADER),
+        advance_pointer(floats, LINES),
         moves,
-        beyond(floats, TIP),
-        beyond(floats, TASK),
-        beyond(goal, 12),
-        beyond(rows, stride * (MOST_SOLUTIONS + 1)),
+        advance_pointer(floats, TIP),
+        advance_pointer(floats, TASK),
+        advance_pointer(goal, 12),
+        advance_pointer(rows, stride * (MOST_SOLUTIONS + 1)),
         n,
     )
     found = FoundSolutions(model, rows, tol_linear / floats[LENGTH], tol_angular)
@@ -260,22 +263,22 @@ def target_scratch(ints, floats, block, flags, tol_linear, tol_angular):
         moves,
         joints,
         goal,
-        beyond(goal, 24),
-        beyond(goal, 36),
+        advance_pointer(goal, 24),
+        advance_pointer(goal, 36),
         theta,
         fixed,
         candidates,
         flags,
-        beyond(flags, 6),
+        advance_pointer(flags, 6),
         found,
         n,
     )
 
 
 @routine
-def begin(d, target, near, locked):
-    """Whether the target is sound; prepares goal and lines."""
-    sound = take_target(target, 0, d.floats, d.found.model.target)
+def begin_target(d, target, near, locked):
+    """Prepare goal and lines of a target; return whether it is a valid pose."""
+    sound = read_target(target, 0, d.floats, d.found.model.target)
     for j in range(d.n):
         at = JOINT_FLOATS * j
         d.fixed[j] = (
@@ -283,35 +286,35 @@ def begin(d, target, near, locked):
         )
         sound = sound and abs(d.fixed[j]) < 1e15 and abs(near[j]) < 1e15
     if sound:
-        goal_of(d.found.model.target, d.found.model.tip, d.goal)
-        six_lines(d.ints, d.floats, d.moves, d.fixed, d.goal, d.shift, d.six, d.kinds)
+        write_goal(d.found.model.target, d.found.model.tip, d.goal)
+        write_six_lines(d.ints, d.floats, d.moves, d.fixed, d.goal, d.shift, d.six, d.kinds)
     return sound
 
 
 @routine
-def end(d, count, near, out, slots, sort):
-    """Number of rows written."""
-    count = united(d.found, count)
+def finish_target(d, count, near, out, slots, sort):
+    """Write the answer of a target; return the number of rows."""
+    count = unite_solutions(d.found, count)
     for i in range(6):
         if (
             d.ints[ROLES + i] != JOINT
         ):  # lines that stand for no joint have double zeros, or two ways, of their own
             for k in range(count):
-                row = beyond(d.found.rows, (SOLUTION + d.n) * k)
+                row = advance_pointer(d.found.rows, (SOLUTION + d.n) * k)
                 row[TURNS] = min(row[TURNS], 2.0)
-    written = write_out(d.found, d.floats, d.joints, count, near, out, slots, d.placed)
+    written = write_solutions(d.found, d.floats, d.joints, count, near, out, slots, d.placed)
     if sort != 0:
-        arrange(d.n, d.joints, near, out, slots)
+        sort_rows(d.n, d.joints, near, out, slots)
     return written
 
 
 @routine
-def take_candidates(d, order, first, last, kind, count):
-    """New number of solutions after the candidates from `first` to before `last`; `kind` as in
-    `merging.add`.
+def add_candidates(d, order, first, last, kind, count):
+    """Add the solutions of candidates `first` to `last` - 1; return their new number. `kind`: as in
+    `merging.add_solution`.
     """
     for k in range(first, last):
-        row = beyond(d.candidates, CANDIDATE * k)
+        row = advance_pointer(d.candidates, CANDIDATE * k)
         for i in range(d.n):
             d.theta[i] = d.fixed[i]
         sound = True
@@ -329,5 +332,5 @@ def take_candidates(d, order, first, last, kind, count):
                 sound = sound and abs(row[i]) <= OFF_ZERO
             sound = sound and abs(row[i]) < 1e15
         if sound:
-            count = add(d.found, count, d.theta, row[CANDIDATE_SLOT], of)
+            count = add_solution(d.found, count, d.theta, row[CANDIDATE_SLOT], of)
     return count

@@ -1,5 +1,5 @@
-"""Candidates made exact on the chain itself, and judged: damped Newton steps on the product of
-exponentials.
+"""Damped Newton steps on the product of exponentials, which make candidates exact and tell how
+exact they are.
 
 Damping: Levenberg (1944). A step counts only if it brings the tip nearer, so a candidate that is
 exact stays as it is.
@@ -11,22 +11,22 @@ import math
 from typing import NamedTuple
 
 from kempe.kernels.base._jit import device, routine
-from kempe.kernels.base.linear import back, factor
+from kempe.kernels.base.linear import factor_matrix, substitute_back
 from kempe.kernels.base.lines import (
     LINE_STRIDE,
+    append_motion,
     cross,
-    follow,
-    identity,
-    mapped,
-    minus,
-    rotated,
-    three,
-    translation,
-    unrotated,
-    write3,
+    read_translation,
+    read_vector,
+    rotate_vector,
+    subtract_vectors,
+    transform_point,
+    unrotate_vector,
+    write_identity,
+    write_vector,
 )
-from kempe.kernels.base.rotations import logarithm
-from kempe.kernels.base.scratch import beyond
+from kempe.kernels.base.rotations import compute_rotation_vector
+from kempe.kernels.base.scratch import advance_pointer
 from kempe.kernels.forward.table_layout import SLIDE
 
 STEPS = 40
@@ -49,7 +49,7 @@ DAMPING = 1e-3
 
 
 class Model(NamedTuple):
-    """A chain to be polished; pointers. `moves`: joints that are unknown; `rows`: which of the six
+    """Pointers to a chain that is polished. `moves`: the unknown joints; `rows`: which of the six
     errors count.
 
     Rows are [linear; angular] in the frame of the tip; with rows 3 and 4 but not 5, the direction
@@ -75,26 +75,24 @@ the joints."""
 
 
 @device
-def model_scratch(n):
-    """Numbers of scratch for a chain of n joints: axes, Jacobian, equations, right side, order,
-    kept variables.
-    """
+def count_model_scratch(n):
+    """Return the number of floats of scratch for a chain of n joints."""
     return AT_AXES + 6 * n + 6 * n + n * n + 3 * n
 
 
 @routine
-def place(m, theta):
-    """Write axes, points and the pose of the tip at theta to the scratch."""
-    g = beyond(m.scratch, AT_POSE)
-    axes = beyond(m.scratch, AT_AXES)
-    identity(g)
+def place_axes(m, theta):
+    """Write axes, points and the pose of the tip at the joint values theta to the scratch."""
+    g = advance_pointer(m.scratch, AT_POSE)
+    axes = advance_pointer(m.scratch, AT_AXES)
+    write_identity(g)
     for i in range(m.n):
-        h = three(m.lines, LINE_STRIDE * i)
-        o = three(m.lines, LINE_STRIDE * i + 4)
-        write3(axes, 6 * i, rotated(g, h))
-        write3(axes, 6 * i + 3, mapped(g, o))
+        h = read_vector(m.lines, LINE_STRIDE * i)
+        o = read_vector(m.lines, LINE_STRIDE * i + 4)
+        write_vector(axes, 6 * i, rotate_vector(g, h))
+        write_vector(axes, 6 * i + 3, transform_point(g, o))
         slides = m.kinds[i] == SLIDE
-        follow(
+        append_motion(
             g,
             h,
             o,
@@ -103,10 +101,10 @@ def place(m, theta):
             1.0 if slides else math.cos(theta[i]),
             0.0 if slides else math.sin(theta[i]),
         )
-    here = beyond(m.scratch, AT_HERE)
-    p = mapped(g, translation(m.tip))
+    here = advance_pointer(m.scratch, AT_HERE)
+    p = transform_point(g, read_translation(m.tip))
     for j in range(3):
-        column = rotated(g, (m.tip[j], m.tip[4 + j], m.tip[8 + j]))
+        column = rotate_vector(g, (m.tip[j], m.tip[4 + j], m.tip[8 + j]))
         here[j] = column[0]
         here[4 + j] = column[1]
         here[8 + j] = column[2]
@@ -116,21 +114,21 @@ def place(m, theta):
 
 
 @routine
-def error_at(m, theta):
-    """(linear, angular): how far the tip is from the target; the six errors are left in the
-    scratch.
+def compute_error(m, theta):
+    """Compute the (linear, angular) distance of the tip from the target; the six errors are left in
+    the scratch.
     """
-    place(m, theta)
-    here = beyond(m.scratch, AT_HERE)
-    e = beyond(m.scratch, AT_ERROR)
+    place_axes(m, theta)
+    here = advance_pointer(m.scratch, AT_HERE)
+    e = advance_pointer(m.scratch, AT_ERROR)
     t = m.target
     rows = m.rows
-    linear = unrotated(here, minus(translation(t), translation(here)))
-    x = unrotated(here, (t[0], t[4], t[8]))
-    y = unrotated(here, (t[1], t[5], t[9]))
-    z = unrotated(here, (t[2], t[6], t[10]))
+    linear = unrotate_vector(here, subtract_vectors(read_translation(t), read_translation(here)))
+    x = unrotate_vector(here, (t[0], t[4], t[8]))
+    y = unrotate_vector(here, (t[1], t[5], t[9]))
+    z = unrotate_vector(here, (t[2], t[6], t[10]))
     if rows[5] != 0.0:
-        angular = logarithm((x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2]))
+        angular = compute_rotation_vector((x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2]))
     else:
         sine = math.hypot(z[0], z[1])
         f = math.atan2(sine, z[2]) / sine if sine > 1e-300 else (0.0 if z[2] > 0.0 else math.pi)
@@ -146,25 +144,27 @@ def error_at(m, theta):
 
 
 @routine
-def columns_at(m):
-    """Number of unknowns; writes their columns of the Jacobian, rows in the frame of the tip, six
-    numbers each.
+def write_columns(m):
+    """Write the columns of the Jacobian of the unknowns, six numbers each in the frame of the tip;
+    return the number of unknowns.
     """
-    axes = beyond(m.scratch, AT_AXES)
-    here = beyond(m.scratch, AT_HERE)
-    jacobian = beyond(m.scratch, AT_AXES + 6 * m.n)
-    p = translation(here)
+    axes = advance_pointer(m.scratch, AT_AXES)
+    here = advance_pointer(m.scratch, AT_HERE)
+    jacobian = advance_pointer(m.scratch, AT_AXES + 6 * m.n)
+    p = read_translation(here)
     count = 0
     for i in range(m.n):
         if m.moves[i] == 0:
             continue
-        w = three(axes, 6 * i)
+        w = read_vector(axes, 6 * i)
         turn = (0.0, 0.0, 0.0)
         if m.kinds[i] == SLIDE:
-            move = unrotated(here, w)
+            move = unrotate_vector(here, w)
         else:
-            move = unrotated(here, cross(w, minus(p, three(axes, 6 * i + 3))))
-            turn = unrotated(here, w)
+            move = unrotate_vector(
+                here, cross(w, subtract_vectors(p, read_vector(axes, 6 * i + 3)))
+            )
+            turn = unrotate_vector(here, w)
         for k in range(3):
             jacobian[6 * count + k] = m.rows[k] * move[k]
             jacobian[6 * count + 3 + k] = m.rows[3 + k] * turn[k]
@@ -173,12 +173,14 @@ def columns_at(m):
 
 
 @routine
-def normal_equations(m, n, damping):
-    """Whether they could be solved; the step of the unknowns is left in the scratch."""
-    e = beyond(m.scratch, AT_ERROR)
-    jacobian = beyond(m.scratch, AT_AXES + 6 * m.n)
-    matrix = beyond(m.scratch, AT_AXES + 12 * m.n)
-    right = beyond(matrix, m.n * m.n)
+def solve_normal_equations(m, n, damping):
+    """Solve the damped normal equations for the step, left in the scratch; return whether they
+    could be solved.
+    """
+    e = advance_pointer(m.scratch, AT_ERROR)
+    jacobian = advance_pointer(m.scratch, AT_AXES + 6 * m.n)
+    matrix = advance_pointer(m.scratch, AT_AXES + 12 * m.n)
+    right = advance_pointer(matrix, m.n * m.n)
     for i in range(n):
         right[i] = 0.0
         for k in range(6):
@@ -189,25 +191,27 @@ def normal_equations(m, n, damping):
                 s += jacobian[6 * i + k] * jacobian[6 * j + k]
             matrix[i * n + j] = s
         matrix[i * n + i] += damping
-    if not factor(matrix, n):
+    if not factor_matrix(matrix, n):
         return False
-    back(matrix, n, right)
+    substitute_back(matrix, n, right)
     return True
 
 
 @routine
-def polish(m, theta):
-    """(linear, angular) errors after the steps; theta is replaced by the best found."""
-    linear, angular = error_at(m, theta)
+def polish_solution(m, theta):
+    """Take damped steps, and replace theta by the best values found; return their (linear, angular)
+    errors.
+    """
+    linear, angular = compute_error(m, theta)
     best = math.sqrt(linear * linear + angular * angular)
-    step = beyond(m.scratch, AT_AXES + 12 * m.n + m.n * m.n)
-    kept = beyond(m.scratch, AT_AXES + 13 * m.n + m.n * m.n)
+    step = advance_pointer(m.scratch, AT_AXES + 12 * m.n + m.n * m.n)
+    kept = advance_pointer(m.scratch, AT_AXES + 13 * m.n + m.n * m.n)
     more = 1.0
     for _ in range(STEPS):
         if best <= EXACT:
             break
-        n = columns_at(m)
-        if not normal_equations(m, n, more * (FLOOR + DAMPING * min(best * best, 1.0))):
+        n = write_columns(m)
+        if not solve_normal_equations(m, n, more * (FLOOR + DAMPING * min(best * best, 1.0))):
             break
         size = 0.0
         for i in range(n):
@@ -219,7 +223,7 @@ def polish(m, theta):
             if m.moves[i] != 0:
                 theta[i] += scale * step[k]
                 k += 1
-        new_linear, new_angular = error_at(m, theta)
+        new_linear, new_angular = compute_error(m, theta)
         new = math.sqrt(new_linear * new_linear + new_angular * new_angular)
         if new < best:
             slow = new > 0.5 * best
@@ -232,7 +236,7 @@ def polish(m, theta):
             continue
         for i in range(m.n):
             theta[i] = kept[i]
-        error_at(m, theta)
+        compute_error(m, theta)
         if best < 1e-12 or more >= 1e12:
             break
         more = max(1e3 * more, 1e3)
@@ -240,19 +244,19 @@ def polish(m, theta):
 
 
 @routine
-def orthogonal_step(m, n, along):
-    """Whether there is one; the undamped step of the unknowns is left in the scratch, the Jacobian
-    is lost.
+def compute_orthogonal_step(m, n, along):
+    """Compute the undamped step by an orthogonal factorization, left in the scratch; return whether
+    it exists. The Jacobian is overwritten.
 
     There is none for want of rank. Gram-Schmidt's method, modified, the longest column first: the
     normal equations would square what is small. With `along` it is not the step to the target, but
     one that moves the tip least.
     """
-    e = beyond(m.scratch, AT_ERROR)
-    jacobian = beyond(m.scratch, AT_AXES + 6 * m.n)
-    r = beyond(m.scratch, AT_AXES + 12 * m.n)
-    step = beyond(r, m.n * m.n)
-    order = beyond(r, m.n * m.n + m.n)
+    e = advance_pointer(m.scratch, AT_ERROR)
+    jacobian = advance_pointer(m.scratch, AT_AXES + 6 * m.n)
+    r = advance_pointer(m.scratch, AT_AXES + 12 * m.n)
+    step = advance_pointer(r, m.n * m.n)
+    order = advance_pointer(r, m.n * m.n + m.n)
     first = 0.0
     for i in range(n):
         order[i] = float(i)
@@ -260,7 +264,7 @@ def orthogonal_step(m, n, along):
         longest = -1.0
         place = k
         for i in range(k, n):
-            size = product(jacobian, 6 * int(order[i]), jacobian, 6 * int(order[i]))
+            size = compute_dot_product(jacobian, 6 * int(order[i]), jacobian, 6 * int(order[i]))
             if size > longest:
                 longest = size
                 place = i
@@ -271,11 +275,11 @@ def orthogonal_step(m, n, along):
         pivot = 6 * int(order[k])
         for i in range(k + 1, n):
             column = 6 * int(order[i])
-            f = product(jacobian, pivot, jacobian, column) / longest
+            f = compute_dot_product(jacobian, pivot, jacobian, column) / longest
             r[n * int(order[k]) + int(order[i])] = f
             for j in range(6):
                 jacobian[column + j] -= f * jacobian[pivot + j]
-        f = product(jacobian, pivot, e, 0) / longest
+        f = compute_dot_product(jacobian, pivot, e, 0) / longest
         step[int(order[k])] = (1.0 if k == n - 1 else 0.0) if along else f
         for j in range(6):
             e[j] -= f * jacobian[pivot + j]
@@ -287,8 +291,8 @@ def orthogonal_step(m, n, along):
 
 
 @device
-def product(a, i, b, j):
-    """The scalar product of six numbers at a[i:] and at b[j:]."""
+def compute_dot_product(a, i, b, j):
+    """Return the scalar product of the six numbers at a[i:] and at b[j:]."""
     return (
         a[i] * b[j]
         + a[i + 1] * b[j + 1]
@@ -299,27 +303,27 @@ def product(a, i, b, j):
 
 
 @routine
-def sharpen(m, theta):
-    """(linear, angular) errors after undamped steps; theta is replaced by the nearest met, given up
-    after IDLE steps.
+def sharpen_solution(m, theta):
+    """Take undamped steps until IDLE of them do not improve, and replace theta by the nearest
+    values; return their (linear, angular) errors.
 
     For a theta that is polished but close to where roots meet: there it is off by the square root
     of its error. Near a curve of solutions too, along which the root may be far. On the way a step
     may bring the tip farther away: damped steps make that good, which lead back to the curve or
     valley but hardly along it.
     """
-    step = beyond(m.scratch, AT_AXES + 12 * m.n + m.n * m.n)
-    kept = beyond(m.scratch, AT_AXES + 14 * m.n + m.n * m.n)
-    linear, angular = error_at(m, theta)
+    step = advance_pointer(m.scratch, AT_AXES + 12 * m.n + m.n * m.n)
+    kept = advance_pointer(m.scratch, AT_AXES + 14 * m.n + m.n * m.n)
+    linear, angular = compute_error(m, theta)
     least = math.hypot(linear, angular)
     idle = 0
     for i in range(m.n):
         kept[i] = theta[i]
     for _ in range(STEPS):
-        n = columns_at(m)
+        n = write_columns(m)
         k = 0
         size = 0.0
-        if not orthogonal_step(m, n, False):
+        if not compute_orthogonal_step(m, n, False):
             break
         for i in range(n):
             size = max(size, abs(step[i]))
@@ -330,9 +334,9 @@ def sharpen(m, theta):
             if m.moves[i] != 0:
                 theta[i] += step[k] * (longest / max(size, longest))
                 k += 1
-        linear, angular = error_at(m, theta)
+        linear, angular = compute_error(m, theta)
         if math.hypot(linear, angular) > least:
-            linear, angular = polish(m, theta)
+            linear, angular = polish_solution(m, theta)
         idle += 1
         if math.hypot(linear, angular) < least:
             least = math.hypot(linear, angular)
@@ -343,20 +347,20 @@ def sharpen(m, theta):
             break
     for i in range(m.n):
         theta[i] = kept[i]
-    return error_at(m, theta)
+    return compute_error(m, theta)
 
 
 @routine
-def tangent(m, out):
-    """Whether there is one; writes the unit vector of motion (n) that moves the tip least. It has
-    to be placed.
+def find_tangent(m, out):
+    """Write the unit vector of joint velocities (n) that moves the tip least, after `place_axes`;
+    return whether it exists.
     """
-    n = columns_at(m)
+    n = write_columns(m)
     k = 0
     square = 0.0
-    if not orthogonal_step(m, n, True):
+    if not compute_orthogonal_step(m, n, True):
         return False
-    step = beyond(m.scratch, AT_AXES + 12 * m.n + m.n * m.n)
+    step = advance_pointer(m.scratch, AT_AXES + 12 * m.n + m.n * m.n)
     for i in range(n):
         square += step[i] * step[i]
     for i in range(m.n):
@@ -368,16 +372,16 @@ def tangent(m, out):
 
 
 @routine
-def weakest(m):
-    """The smallest pivot of the normal equations: an upper bound of the square of the smallest
-    singular value.
+def find_smallest_pivot(m):
+    """Return the smallest pivot of the normal equations, an upper bound of the smallest singular
+    value squared.
 
-    The tip has to have been placed before, which `polish` does.
+    The tip has to have been placed before, which `polish_solution` does.
     """
-    n = columns_at(m)
-    if n == 0 or not normal_equations(m, n, 1e-30):
+    n = write_columns(m)
+    if n == 0 or not solve_normal_equations(m, n, 1e-30):
         return 0.0
-    matrix = beyond(m.scratch, AT_AXES + 12 * m.n)
+    matrix = advance_pointer(m.scratch, AT_AXES + 12 * m.n)
     least = math.inf
     for i in range(n):
         least = min(least, matrix[i * n + i])

@@ -15,9 +15,9 @@ import math
 from typing import NamedTuple
 
 from kempe.kernels.base._jit import device, routine
-from kempe.kernels.base.rotations import logarithm
+from kempe.kernels.base.rotations import compute_rotation_vector
 from kempe.kernels.base.trig import atan2
-from kempe.kernels.base.vectors import entry, last_of, pack4
+from kempe.kernels.base.vectors import extract_entry, last_of, pack_four
 from kempe.kernels.constraints import loop_layout as L
 from kempe.kernels.forward.table_layout import (
     BALL,
@@ -34,7 +34,7 @@ from kempe.kernels.forward.table_layout import (
     SLIDE,
     TURN,
 )
-from kempe.kernels.forward.table_rows import placed, placement
+from kempe.kernels.forward.table_rows import prepend_placement, read_placement
 
 ANTIPODE = 1e-12
 """Square of the sine below which two axes count as opposite: the way back is arbitrary there, its
@@ -44,7 +44,7 @@ MEETS = 1e-12
 
 
 class LoopScratch(NamedTuple):
-    """Packed loops with the scratch of their solver; everything but the numbers is a pointer."""
+    """Packed loops with the scratch of their solver; all fields but the numbers are pointers."""
 
     ints: object
     floats: object
@@ -65,49 +65,49 @@ class LoopScratch(NamedTuple):
 
 
 @device
-def frame_of(loops, output):
-    """The rows of the pose of an output."""
+def read_output_pose(loops, output):
+    """Read the rows of the pose of an output."""
     k = HEADER + ROW_INTS * loops.n_rows + OUTPUT_INTS * output
     row = loops.ints[k + ROW]
-    a, b, c = placement(loops.floats, ROW_FLOATS * loops.n_rows + OUTPUT_FLOATS * output)
+    a, b, c = read_placement(loops.floats, ROW_FLOATS * loops.n_rows + OUTPUT_FLOATS * output)
     if row >= 0:
-        a, b, c = placed(loops.poses, OUTPUT_FLOATS * row, a, b, c)
+        a, b, c = prepend_placement(loops.poses, OUTPUT_FLOATS * row, a, b, c)
     if loops.ints[k + PARTICLE] != 0:  # a particle: only its place counts
-        a = unturned(a, 0)
-        b = unturned(b, 1)
-        c = unturned(c, 2)
+        a = drop_rotation(a, 0)
+        b = drop_rotation(b, 1)
+        c = drop_rotation(c, 2)
     return a, b, c
 
 
 @device
-def unturned(row, i):
-    """A row of a pose with the identity in place of its rotation."""
-    zero = entry(row, 3) * 0.0
+def drop_rotation(row, i):
+    """Return row i of a pose with the identity in place of its rotation."""
+    zero = extract_entry(row, 3) * 0.0
     x = zero + (1.0 if i == 0 else 0.0)
     y = zero + (1.0 if i == 1 else 0.0)
     z = zero + (1.0 if i == 2 else 0.0)
-    return pack4(x, y, z, entry(row, 3))
+    return pack_four(x, y, z, extract_entry(row, 3))
 
 
 @device
-def matrix(a, b, c):
-    """The nine entries of the rotation in the rows a, b, c."""
+def pack_rotation(a, b, c):
+    """Return the nine entries of the rotation in the rows a, b, c."""
     return (
-        entry(a, 0),
-        entry(a, 1),
-        entry(a, 2),
-        entry(b, 0),
-        entry(b, 1),
-        entry(b, 2),
-        entry(c, 0),
-        entry(c, 1),
-        entry(c, 2),
+        extract_entry(a, 0),
+        extract_entry(a, 1),
+        extract_entry(a, 2),
+        extract_entry(b, 0),
+        extract_entry(b, 1),
+        extract_entry(b, 2),
+        extract_entry(c, 0),
+        extract_entry(c, 1),
+        extract_entry(c, 2),
     )
 
 
 @device
-def back(r, x, y, z):
-    """R^T (x, y, z)."""
+def rotate_vector_back(r, x, y, z):
+    """Return R^T (x, y, z), the vector under the inverse rotation."""
     return (
         r[0] * x + r[3] * y + r[6] * z,
         r[1] * x + r[4] * y + r[7] * z,
@@ -116,8 +116,8 @@ def back(r, x, y, z):
 
 
 @device
-def relative(r, s):
-    """R^T S of two rotations."""
+def compute_relative_rotation(r, s):
+    """Return R^T S, the rotation S seen from R."""
     return (
         r[0] * s[0] + r[3] * s[3] + r[6] * s[6], r[0] * s[1] + r[3] * s[4] + r[6] * s[7],
         r[0] * s[2] + r[3] * s[5] + r[6] * s[8],
@@ -129,37 +129,39 @@ def relative(r, s):
 
 
 @device
-def on(row, a, b, c):
-    """The row `row` of [...] @ [a; b; c; 0 0 0 1]."""
-    return entry(row, 0) * a + (entry(row, 1) * b + (entry(row, 2) * c + last_of(row)))
+def multiply_row(row, a, b, c):
+    """Return the row `row` times the matrix [a; b; c; 0 0 0 1]."""
+    return extract_entry(row, 0) * a + (
+        extract_entry(row, 1) * b + (extract_entry(row, 2) * c + last_of(row))
+    )
 
 
 @routine
-def ends_of(loops, k):
-    """Rotation of A, position of A, rotation and position of B of tie k, as numbers."""
+def read_tie_ends(loops, k):
+    """Return rotation and position of frame A, and rotation and position of frame B, of tie k."""
     pin = loops.plan[loops.plan[L.AT_TIES] + L.TIE_INTS * k + L.PIN]
     if pin < 0:
-        a, b, c = frame_of(loops, 2 * k)
+        a, b, c = read_output_pose(loops, 2 * k)
     else:
-        a, b, c = placement(loops.pins, 12 * pin)
+        a, b, c = read_placement(loops.pins, 12 * pin)
         if (
             loops.ints[HEADER + ROW_INTS * loops.n_rows + OUTPUT_INTS * 2 * k] >= 0
         ):  # pinned to a body that moves
-            d, e, f = frame_of(loops, 2 * k)
-            a, b, c = on(d, a, b, c), on(e, a, b, c), on(f, a, b, c)
-    d, e, f = frame_of(loops, 2 * k + 1)
+            d, e, f = read_output_pose(loops, 2 * k)
+            a, b, c = multiply_row(d, a, b, c), multiply_row(e, a, b, c), multiply_row(f, a, b, c)
+    d, e, f = read_output_pose(loops, 2 * k + 1)
     return (
-        matrix(a, b, c),
-        (entry(a, 3), entry(b, 3), entry(c, 3)),
-        matrix(d, e, f),
-        (entry(d, 3), entry(e, 3), entry(f, 3)),
+        pack_rotation(a, b, c),
+        (extract_entry(a, 3), extract_entry(b, 3), extract_entry(c, 3)),
+        pack_rotation(d, e, f),
+        (extract_entry(d, 3), extract_entry(e, 3), extract_entry(f, 3)),
     )
 
 
 @device
-def lengthening(x, y, c):
-    """What makes (x, y), as long as the sine of an angle of cosine c, as long as twice the sine of
-    its half.
+def compute_lengthening(x, y, c):
+    """Return the factor that makes (x, y), as long as the sine of an angle with cosine c, as long
+    as twice the sine of half the angle.
 
     Zero where the axes are opposite: there (2, 0) takes its place.
     """
@@ -172,20 +174,18 @@ def lengthening(x, y, c):
 
 
 @device
-def lengthened(x, y, c):
-    """The vector of a tilt: as long as twice the sine of half the angle."""
-    k = lengthening(x, y, c)
+def lengthen_tilt(x, y, c):
+    """Return the vector of a tilt, as long as twice the sine of half the angle."""
+    k = compute_lengthening(x, y, c)
     if k == 0.0:
         return 2.0, 0.0
     return x * k, y * k
 
 
 @device
-def lengthened_rates(x, y, c, dx, dy, dc):
-    """The rates of `lengthened`; where the axes are opposite, those of a way back that no simple
-    mechanism lacks.
-    """
-    k = lengthening(x, y, c)
+def compute_lengthened_rates(x, y, c, dx, dy, dc):
+    """Return the rates of `lengthen_tilt`; where the axes are opposite, the rates of one way back."""
+    k = compute_lengthening(x, y, c)
     if k == 0.0:
         return 0.8 * dx + 0.6 * dy, 0.8 * dy - 0.6 * dx
     change = -0.25 * k * k * k * dc
@@ -193,11 +193,9 @@ def lengthened_rates(x, y, c, dx, dy, dc):
 
 
 @device
-def sight(p, r):
-    """Distance from B to A and the unit vector there in axes of B; where they meet, the axis counts
-    as opposite.
-    """
-    x, y, z = back(r, -p[0], -p[1], -p[2])
+def compute_sight_line(p, r):
+    """Return the distance from B to A, and the unit vector from B to A in axes of B."""
+    x, y, z = rotate_vector_back(r, -p[0], -p[1], -p[2])
     far = math.sqrt(x * x + y * y + z * z)
     if far < MEETS:
         return 1.0, 0.0, 0.0, -1.0
@@ -206,8 +204,8 @@ def sight(p, r):
 
 @routine
 def write_error(loops, tie, at, p, r):
-    """Write the equations of one tie, p and R the pose of B in A; returns what `add_rates` needs of
-    it.
+    """Write the equations of one tie, p and R the pose of B in A; return the numbers that
+    `add_rates` needs.
 
     That is the rotation vector where all is held, and p where B looks at A.
     """
@@ -221,26 +219,28 @@ def write_error(loops, tie, at, p, r):
             e[at] = p[i] * short
             at += 1
     if turns == L.FULL:
-        phi = logarithm(r)
+        phi = compute_rotation_vector(r)
         e[at] = phi[0]
         e[at + 1] = phi[1]
         e[at + 2] = phi[2]
     elif turns == L.ALIGN:
-        e[at], e[at + 1] = lengthened(-r[5], r[2], r[8])
+        e[at], e[at + 1] = lengthen_tilt(-r[5], r[2], r[8])
     elif turns == L.ANGLE:
         e[at] = atan2(r[3] - r[1], r[0] + r[4])
     elif turns == L.CROSS:
         e[at] = r[1]
     elif turns == L.LOOK:
         phi = p
-        _, x, y, z = sight(p, r)
-        e[at], e[at + 1] = lengthened(-y, x, z)
+        _, x, y, z = compute_sight_line(p, r)
+        e[at], e[at + 1] = lengthen_tilt(-y, x, z)
     return phi
 
 
 @device
-def inverse_left(phi, w):
-    """The rate of the rotation vector phi under the angular velocity w (Bullo and Murray, 1995)."""
+def compute_vector_rate(phi, w):
+    """Return the rate of the rotation vector phi under the angular velocity w (Bullo and Murray,
+    1995).
+    """
     square = phi[0] * phi[0] + phi[1] * phi[1] + phi[2] * phi[2]
     if square < 1e-8:
         rest = 1.0 / 12.0
@@ -273,7 +273,7 @@ def add_rates(loops, tie, at, r, phi, v, w):
             j[at] += v[i] * short
             at += 1
     if turns == L.FULL:
-        rate = inverse_left(phi, w)
+        rate = compute_vector_rate(phi, w)
         j[at] += rate[0]
         j[at + 1] += rate[1]
         j[at + 2] += rate[2]
@@ -281,7 +281,7 @@ def add_rates(loops, tie, at, r, phi, v, w):
         x = w[1] * r[8] - w[2] * r[5]
         y = w[2] * r[2] - w[0] * r[8]
         z = w[0] * r[5] - w[1] * r[2]
-        rates = lengthened_rates(-r[5], r[2], r[8], -y, x, z)
+        rates = compute_lengthened_rates(-r[5], r[2], r[8], -y, x, z)
         j[at] += rates[0]
         j[at + 1] += rates[1]
     elif turns == L.ANGLE:
@@ -289,49 +289,57 @@ def add_rates(loops, tie, at, r, phi, v, w):
     elif turns == L.CROSS:
         j[at] += w[1] * r[7] - w[2] * r[4]
     elif turns == L.LOOK:
-        far, x, y, z = sight(phi, r)
+        far, x, y, z = compute_sight_line(phi, r)
         c = (
             w[1] * phi[2] - w[2] * phi[1],
             w[2] * phi[0] - w[0] * phi[2],
             w[0] * phi[1] - w[1] * phi[0],
         )
-        dx, dy, dz = back(r, (c[0] - v[0]) / far, (c[1] - v[1]) / far, (c[2] - v[2]) / far)
+        dx, dy, dz = rotate_vector_back(
+            r, (c[0] - v[0]) / far, (c[1] - v[1]) / far, (c[2] - v[2]) / far
+        )
         along = x * dx + y * dy + z * dz
-        rates = lengthened_rates(-y, x, z, along * y - dy, dx - along * x, dz - along * z)
+        rates = compute_lengthened_rates(-y, x, z, along * y - dy, dx - along * x, dz - along * z)
         j[at] += rates[0]
         j[at + 1] += rates[1]
 
 
 @device
-def axes_of(loops, row):
-    """Three axes and their point of a row: of its frame, or for a reversed ball of the frame before
-    its motion.
+def read_row_axes(loops, row):
+    """Return the three axes of a row and the point on them: of its frame, or for a reversed ball of
+    the frame before its motion.
     """
     k = HEADER + ROW_INTS * row
     f = ROW_FLOATS * row
     if loops.ints[k + KIND] == BALL and loops.floats[f + MULTIPLIER] < 0.0:
-        a, b, c = placement(loops.floats, f)
+        a, b, c = read_placement(loops.floats, f)
         if loops.ints[k + PARENT] >= 0:
-            a, b, c = placed(loops.poses, OUTPUT_FLOATS * loops.ints[k + PARENT], a, b, c)
+            a, b, c = prepend_placement(
+                loops.poses, OUTPUT_FLOATS * loops.ints[k + PARENT], a, b, c
+            )
         return a, b, c
-    return placement(loops.poses, OUTPUT_FLOATS * row)
+    return read_placement(loops.poses, OUTPUT_FLOATS * row)
 
 
 @device
-def lever(loops, tie, row, sign, a, b, c, p_b):
-    """Which part of B the row moves, all or its share of the mass, and that part times the arm from
-    the row's point.
+def compute_lever(loops, tie, row, sign, a, b, c, p_b):
+    """Return the share of B's mass that the row moves (1 for a frame), and this share times the arm
+    from the row's point.
     """
     centre = loops.plan[tie + L.CENTRE]
     if centre < 0 or sign < 0.0:
-        return 1.0, (p_b[0] - entry(a, 3), p_b[1] - entry(b, 3), p_b[2] - entry(c, 3))
+        return 1.0, (
+            p_b[0] - extract_entry(a, 3),
+            p_b[1] - extract_entry(b, 3),
+            p_b[2] - extract_entry(c, 3),
+        )
     at = loops.plan[L.AT_CENTRES] + (L.CENTRE_FLOATS * loops.n_rows + 3) * centre
     share = loops.weights[at + L.CENTRE_FLOATS * row + 4]
     s = loops.scratch
     return share, (
-        s[3 * row] - share * entry(a, 3),
-        s[3 * row + 1] - share * entry(b, 3),
-        s[3 * row + 2] - share * entry(c, 3),
+        s[3 * row] - share * extract_entry(a, 3),
+        s[3 * row + 1] - share * extract_entry(b, 3),
+        s[3 * row + 2] - share * extract_entry(c, 3),
     )
 
 
@@ -355,17 +363,17 @@ def fill_block(loops, k, r_a, p_b, r, phi):
         kind = loops.ints[HEADER + ROW_INTS * row + KIND]
         multiplier = loops.floats[f]
         factor = weights[plan[L.AT_FACTORS] + i] * multiplier
-        a, b, c = axes_of(loops, row)
-        share, arm = lever(loops, tie, row, weights[plan[L.AT_FACTORS] + i], a, b, c, p_b)
+        a, b, c = read_row_axes(loops, row)
+        share, arm = compute_lever(loops, tie, row, weights[plan[L.AT_FACTORS] + i], a, b, c, p_b)
         there = block + rows * column
         if kind != BALL:
             factor *= weights[L.SCALES + plan[local + column]]
         for n in range(
             0 if kind == BALL else 2, 3
         ):  # a ball turns about three axes, all others are about z
-            x = factor * entry(a, n)
-            y = factor * entry(b, n)
-            z = factor * entry(c, n)
+            x = factor * extract_entry(a, n)
+            y = factor * extract_entry(b, n)
+            z = factor * extract_entry(c, n)
             if kind == SLIDE:
                 v = (share * x, share * y, share * z)
                 w = (0.0, 0.0, 0.0)
@@ -373,13 +381,19 @@ def fill_block(loops, k, r_a, p_b, r, phi):
                 v = (y * arm[2] - z * arm[1], z * arm[0] - x * arm[2], x * arm[1] - y * arm[0])
                 w = (x, y, z)
             add_rates(
-                loops, tie, there, r, phi, back(r_a, v[0], v[1], v[2]), back(r_a, w[0], w[1], w[2])
+                loops,
+                tie,
+                there,
+                r,
+                phi,
+                rotate_vector_back(r_a, v[0], v[1], v[2]),
+                rotate_vector_back(r_a, w[0], w[1], w[2]),
             )
             there += rows
 
 
 @routine
-def fill_along(loops, k, x, p_b):
+def fill_rod_block(loops, k, x, p_b):
     """Write the block of a rod of direction x."""
     plan = loops.plan
     weights = loops.weights
@@ -396,8 +410,8 @@ def fill_along(loops, k, x, p_b):
         kind = loops.ints[HEADER + ROW_INTS * row + KIND]
         multiplier = loops.floats[ROW_FLOATS * row + MULTIPLIER]
         factor = weights[plan[L.AT_FACTORS] + i] * multiplier * weights[L.INVERSE_LENGTH]
-        a, b, c = axes_of(loops, row)
-        share, arm = lever(loops, tie, row, weights[plan[L.AT_FACTORS] + i], a, b, c, p_b)
+        a, b, c = read_row_axes(loops, row)
+        share, arm = compute_lever(loops, tie, row, weights[plan[L.AT_FACTORS] + i], a, b, c, p_b)
         # x . (z x arm) = z . (arm x x)
         m = (
             arm[1] * x[2] - arm[2] * x[1],
@@ -406,21 +420,25 @@ def fill_along(loops, k, x, p_b):
         )
         if kind == BALL:
             for n in range(3):
-                rate = entry(a, n) * m[0] + entry(b, n) * m[1] + entry(c, n) * m[2]
+                rate = (
+                    extract_entry(a, n) * m[0]
+                    + extract_entry(b, n) * m[1]
+                    + extract_entry(c, n) * m[2]
+                )
                 loops.blocks[block + column + n] += factor * rate
             continue
         if kind != TURN:
             m = (share * x[0], share * x[1], share * x[2])
         factor *= weights[L.SCALES + plan[local + column]]
         loops.blocks[block + column] += factor * (
-            entry(a, 2) * m[0] + entry(b, 2) * m[1] + entry(c, 2) * m[2]
+            extract_entry(a, 2) * m[0] + extract_entry(b, 2) * m[1] + extract_entry(c, 2) * m[2]
         )
 
 
 @routine
-def fill_twist(loops, k, r_a, p_b, along, about, row):
-    """Add to one row of the block of tie k what (along, about) makes of the twist of B against A,
-    in axes of A.
+def add_twist_rates(loops, k, r_a, p_b, along, about, row):
+    """Add to one row of the block of tie k the rates that (along, about) give for the twist of B
+    against A, in axes of A.
     """
     plan = loops.plan
     weights = loops.weights
@@ -436,23 +454,27 @@ def fill_twist(loops, k, r_a, p_b, along, about, row):
         f = ROW_FLOATS * table_row + MULTIPLIER
         kind = loops.ints[HEADER + ROW_INTS * table_row + KIND]
         factor = weights[plan[L.AT_FACTORS] + i] * loops.floats[f]
-        a, b, c = axes_of(loops, table_row)
-        arm = (p_b[0] - entry(a, 3), p_b[1] - entry(b, 3), p_b[2] - entry(c, 3))
+        a, b, c = read_row_axes(loops, table_row)
+        arm = (
+            p_b[0] - extract_entry(a, 3),
+            p_b[1] - extract_entry(b, 3),
+            p_b[2] - extract_entry(c, 3),
+        )
         there = block + rows * column + row
         if kind != BALL:
             factor *= weights[L.SCALES + plan[local + column]]
         for n in range(0 if kind == BALL else 2, 3):
-            x = factor * entry(a, n)
-            y = factor * entry(b, n)
-            z = factor * entry(c, n)
+            x = factor * extract_entry(a, n)
+            y = factor * extract_entry(b, n)
+            z = factor * extract_entry(c, n)
             if kind == SLIDE:
-                v = back(r_a, x, y, z)
+                v = rotate_vector_back(r_a, x, y, z)
                 loops.blocks[there] += along[0] * v[0] + along[1] * v[1] + along[2] * v[2]
             else:
-                v = back(
+                v = rotate_vector_back(
                     r_a, y * arm[2] - z * arm[1], z * arm[0] - x * arm[2], x * arm[1] - y * arm[0]
                 )
-                w = back(r_a, x, y, z)
+                w = rotate_vector_back(r_a, x, y, z)
                 loops.blocks[there] += along[0] * v[0] + along[1] * v[1] + along[2] * v[2]
                 loops.blocks[there] += about[0] * w[0] + about[1] * w[1] + about[2] * w[2]
             there += rows

@@ -1,18 +1,16 @@
-"""J J^T of packed loops within its envelope (Jennings, 1966), and its factors: what shares nothing
-costs nothing.
-"""
+"""The matrix J J^T of packed loops within its envelope (Jennings, 1966), and its factors."""
 
 from __future__ import annotations
 
 from kempe.kernels.base._jit import device, routine
-from kempe.kernels.base.scratch import beyond
-from kempe.kernels.base.vectors import entry, load4, pack4
+from kempe.kernels.base.scratch import advance_pointer
+from kempe.kernels.base.vectors import extract_entry, load4, pack_four
 from kempe.kernels.constraints import loop_layout as L
 
 
 @device
-def product(loops, v, y):
-    """Column v of the scaled Jacobian times y."""
+def multiply_column(loops, v, y):
+    """Return the product of column v of the scaled Jacobian with y."""
     plan = loops.plan
     total = 0.0
     at = plan[L.AT_VARS] + v
@@ -45,7 +43,7 @@ def add_product(loops, v, x, y, stride):
 
 
 @routine
-def normal(loops, step, damping, a, column):
+def write_normal_matrix(loops, step, damping, a, column):
     """Write the lower triangle of J J^T + damping I, row by row within its envelope; without
     columns marked NaN.
 
@@ -83,8 +81,8 @@ def normal(loops, step, damping, a, column):
             x = column[i]
             if x != 0.0:
                 k = rows_at + L.ENVELOPE_INTS * i
-                row = beyond(a, plan[k + 1] + low - plan[k])
-                there = beyond(column, low)
+                row = advance_pointer(a, plan[k + 1] + low - plan[k])
+                there = advance_pointer(column, low)
                 for j in range(i + 1 - low):
                     row[j] += x * there[j]
         for i in range(low, high):
@@ -93,19 +91,21 @@ def normal(loops, step, damping, a, column):
 
 @device
 def dot(a, b, n):
-    """The scalar product of n numbers each, in four sums."""
-    sums = pack4(0.0, 0.0, 0.0, 0.0)
+    """Return the scalar product of two arrays of n numbers, in four partial sums."""
+    sums = pack_four(0.0, 0.0, 0.0, 0.0)
     whole = n & ~3
     for k in range(0, whole, 4):
         sums = sums + load4(a, k) * load4(b, k)
-    total = (entry(sums, 0) + entry(sums, 1)) + (entry(sums, 2) + entry(sums, 3))
+    total = (extract_entry(sums, 0) + extract_entry(sums, 1)) + (
+        extract_entry(sums, 2) + extract_entry(sums, 3)
+    )
     for k in range(whole, n):
         total += a[k] * b[k]
     return total
 
 
 @routine
-def factor(loops, a, least):
+def factor_envelope(loops, a, least):
     """Overwrite the matrix by L and D, A = L D L^T; pivots below `least` are rounding and become
     it.
     """
@@ -120,7 +120,9 @@ def factor(loops, a, least):
             start = max(first, plan[k])
             other = plan[k + 1] - plan[k]
             if start < j:  # L_ij D_j until the row is done
-                a[row + j] -= dot(beyond(a, row + start), beyond(a, other + start), j - start)
+                a[row + j] -= dot(
+                    advance_pointer(a, row + start), advance_pointer(a, other + start), j - start
+                )
         d = a[row + i]
         for j in range(first, i):
             k = rows_at + L.ENVELOPE_INTS * j
@@ -132,7 +134,7 @@ def factor(loops, a, least):
 
 
 @routine
-def solve(loops, a, y):
+def solve_envelope(loops, a, y):
     """Overwrite y by the solution of L D L^T x = y."""
     plan = loops.plan
     rows_at = plan[L.AT_ROWS]

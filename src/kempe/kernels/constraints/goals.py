@@ -1,5 +1,5 @@
-"""All equations at one configuration: those between frames (`constraint_rows`), rods, relations,
-own coordinates, functions, and ties whose end B is a centre of mass.
+"""All constraint equations at one configuration: of frames (`constraint_rows`), rods, relations,
+coordinates, functions, and centres of mass.
 """
 
 from __future__ import annotations
@@ -10,50 +10,52 @@ from llvmlite import ir
 from numba import types
 
 from kempe.kernels.base._jit import device, routine
-from kempe.kernels.base.scratch import beyond
-from kempe.kernels.base.vectors import FLOATS, entry, intrinsic
+from kempe.kernels.base.scratch import advance_pointer
+from kempe.kernels.base.vectors import FLOATS, extract_entry, intrinsic
 from kempe.kernels.constraints import loop_layout as L
 from kempe.kernels.constraints.constraint_rows import (
-    back,
-    ends_of,
-    fill_along,
+    add_twist_rates,
+    compute_relative_rotation,
+    compute_vector_rate,
     fill_block,
-    fill_twist,
-    inverse_left,
-    relative,
+    fill_rod_block,
+    read_tie_ends,
+    rotate_vector_back,
     write_error,
 )
-from kempe.kernels.constraints.tape_evaluation import tape_gradient, tape_values
+from kempe.kernels.constraints.tape_evaluation import evaluate_nodes, write_gradient
 from kempe.kernels.constraints.tape_layout import N_INPUTS, N_NODES, TAPE_HEAD
 from kempe.kernels.forward.table_layout import HEADER, OUTPUT_FLOATS, PARENT, ROW_INTS
-from kempe.kernels.forward.table_rows import placement
+from kempe.kernels.forward.table_rows import read_placement
 
 
 @intrinsic
-def call(typingctx, address, q, out, columns, flag):
+def call_address(typingctx, address, q, out, columns, flag):
     """Call the C function void(double*, double*, double*, int64) at an address."""
 
-    def codegen(context, builder, sig, args):
+    def emit_code(context, builder, sig, args):
         kinds = [context.get_value_type(t) for t in sig.args[1:]]
         function = ir.FunctionType(ir.VoidType(), kinds).as_pointer()
         builder.call(builder.inttoptr(args[0], function), args[1:])
         return context.get_dummy_value()
 
-    return types.void(types.int64, FLOATS, FLOATS, FLOATS, types.int64), codegen
+    return types.void(types.int64, FLOATS, FLOATS, FLOATS, types.int64), emit_code
 
 
 @routine
 def is_late(loops, stop, flag, spare):
-    """Whether the work must end, as the function at the address `stop` writes to `flag`; 0 is none."""
+    """Return whether the work must end, as the function at the address `stop` writes to `flag`;
+    address 0 is no function.
+    """
     flag[0] = 0.0
     if stop != 0:
-        call(stop, loops.q, flag, spare, 0)
+        call_address(stop, loops.q, flag, spare, 0)
     return flag[0] != 0.0
 
 
 @device
-def number_of(loops, k):
-    """The number that tie k is given."""
+def read_given_number(loops, k):
+    """Return the given number of tie k: a target or a length."""
     at = loops.plan[loops.plan[L.AT_TIES] + L.TIE_INTS * k + L.NUMBER]
     if at >= 0:
         return loops.pins[12 * loops.plan[L.N_PINS] + at]
@@ -61,9 +63,9 @@ def number_of(loops, k):
 
 
 @routine
-def centre_of(loops, centre):
-    """Where a centre is; writes the first moment of all that a row moves to scratch[3 * row:], in
-    place of angles.
+def compute_centre(loops, centre):
+    """Return the centre of mass; write the first moment of all that a row moves to scratch[3 *
+    row:], where angles were.
     """
     n = loops.n_rows
     w = loops.weights
@@ -71,14 +73,29 @@ def centre_of(loops, centre):
     at = loops.plan[L.AT_CENTRES] + (L.CENTRE_FLOATS * n + 3) * centre
     for row in range(n):
         k = at + L.CENTRE_FLOATS * row
-        a, b, c = placement(loops.poses, OUTPUT_FLOATS * row)
+        a, b, c = read_placement(loops.poses, OUTPUT_FLOATS * row)
         mass = w[k]
         x = w[k + 1]
         y = w[k + 2]
         z = w[k + 3]
-        s[3 * row] = mass * entry(a, 3) + x * entry(a, 0) + y * entry(a, 1) + z * entry(a, 2)
-        s[3 * row + 1] = mass * entry(b, 3) + x * entry(b, 0) + y * entry(b, 1) + z * entry(b, 2)
-        s[3 * row + 2] = mass * entry(c, 3) + x * entry(c, 0) + y * entry(c, 1) + z * entry(c, 2)
+        s[3 * row] = (
+            mass * extract_entry(a, 3)
+            + x * extract_entry(a, 0)
+            + y * extract_entry(a, 1)
+            + z * extract_entry(a, 2)
+        )
+        s[3 * row + 1] = (
+            mass * extract_entry(b, 3)
+            + x * extract_entry(b, 0)
+            + y * extract_entry(b, 1)
+            + z * extract_entry(b, 2)
+        )
+        s[3 * row + 2] = (
+            mass * extract_entry(c, 3)
+            + x * extract_entry(c, 0)
+            + y * extract_entry(c, 1)
+            + z * extract_entry(c, 2)
+        )
     k = at + L.CENTRE_FLOATS * n
     x = w[k]
     y = w[k + 1]
@@ -97,33 +114,33 @@ def centre_of(loops, centre):
 
 
 @device
-def end_of(loops, k, p_b):
-    """Where B of tie k is: its origin p_b, or a centre."""
+def find_end_point(loops, k, p_b):
+    """Return the position of the end B of tie k: its origin p_b, or a centre of mass."""
     centre = loops.plan[loops.plan[L.AT_TIES] + L.TIE_INTS * k + L.CENTRE]
-    return centre_of(loops, centre) if centre >= 0 else p_b
+    return compute_centre(loops, centre) if centre >= 0 else p_b
 
 
 @routine
 def fill_distance(loops, k, at, with_blocks):
-    """Write the equation, and the block, of a rod: (|p_B - p_A| - length) / L."""
+    """Write the equation of a rod, (|p_B - p_A| - length) / L, and its block of the Jacobian."""
     short = loops.weights[L.INVERSE_LENGTH]
-    _, p_a, _, p_b = ends_of(loops, k)
-    p_b = end_of(loops, k, p_b)
+    _, p_a, _, p_b = read_tie_ends(loops, k)
+    p_b = find_end_point(loops, k, p_b)
     d = (p_b[0] - p_a[0], p_b[1] - p_a[1], p_b[2] - p_a[2])
     far = math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
-    loops.error[at] = (far - number_of(loops, k)) * short
+    loops.error[at] = (far - read_given_number(loops, k)) * short
     if with_blocks:
         far = max(far, 1e-300)
         x = d[0] / far
         y = d[1] / far
         z = d[2] / far
         # the rate of the distance is the first row of a frame whose x points from A to B
-        fill_along(loops, k, (x, y, z), p_b)
+        fill_rod_block(loops, k, (x, y, z), p_b)
 
 
 @routine
 def fill_linear(loops, k, at, with_blocks):
-    """Write the equation, and the block, of a linear relation."""
+    """Write the equation of a linear relation of coordinates, and its block of the Jacobian."""
     plan = loops.plan
     weights = loops.weights
     tie = plan[L.AT_TIES] + L.TIE_INTS * k
@@ -139,9 +156,9 @@ def fill_linear(loops, k, at, with_blocks):
 
 
 @routine
-def fill_own(loops, k, at, with_blocks):
-    """Write the equations, and the block, of a coordinate held at a number, or a ball at a
-    quaternion.
+def fill_coordinate(loops, k, at, with_blocks):
+    """Write the equations that hold a coordinate at a number, or a ball at a quaternion, and their
+    block of the Jacobian.
     """
     plan = loops.plan
     q = loops.q
@@ -152,13 +169,13 @@ def fill_own(loops, k, at, with_blocks):
     i = plan[place]
     sort = plan[place + 1]
     if sort != L.BALL_FIRST:
-        x = q[i] - number_of(loops, k)
+        x = q[i] - read_given_number(loops, k)
         if sort == L.CIRCLE:
             x -= 2.0 * math.pi * math.floor(x / (2.0 * math.pi) + 0.5)
         loops.error[at] = x / loops.weights[L.SCALES + v]
         loops.blocks[block] = 1.0
         return
-    to = beyond(loops.pins, 12 * plan[L.N_PINS] + plan[tie + L.NUMBER])
+    to = advance_pointer(loops.pins, 12 * plan[L.N_PINS] + plan[tie + L.NUMBER])
     w = to[0] * q[i] + to[1] * q[i + 1] + to[2] * q[i + 2] + to[3] * q[i + 3]
     x = to[0] * q[i + 1] - to[1] * q[i] - to[2] * q[i + 3] + to[3] * q[i + 2]
     y = to[0] * q[i + 2] - to[2] * q[i] - to[3] * q[i + 1] + to[1] * q[i + 3]
@@ -172,13 +189,13 @@ def fill_own(loops, k, at, with_blocks):
             unit = (1.0 if n == 0 else 0.0, 1.0 if n == 1 else 0.0, 1.0 if n == 2 else 0.0)
             # the ball turns in its own axes: the rate from the right is that from the left of the
             # opposite vector
-            rate = inverse_left((-phi[0], -phi[1], -phi[2]), unit)
+            rate = compute_vector_rate((-phi[0], -phi[1], -phi[2]), unit)
             for j in range(3):
                 loops.blocks[block + 3 * n + j] = rate[j]
 
 
 @routine
-def read_inputs(loops, k, data, p, r, work):
+def write_tape_inputs(loops, k, data, p, r, work):
     """Write the inputs of the tape of tie k: the pose (p, R) of B in A, coordinates, numbers of the
     call.
     """
@@ -200,23 +217,23 @@ def read_inputs(loops, k, data, p, r, work):
 
 @routine
 def fill_tape(loops, k, at, with_blocks):
-    """Write the equations, and the block, of a recorded expression."""
+    """Write the equations of a recorded expression, and their block of the Jacobian."""
     plan = loops.plan
     weights = loops.weights
     tie = plan[L.AT_TIES] + L.TIE_INTS * k
     data = plan[tie + L.DATA]
     rows = plan[tie + L.ROWS]
     block = plan[tie + L.BLOCK]
-    work = beyond(loops.blocks, block + rows * plan[tie + L.LOCALS])
+    work = advance_pointer(loops.blocks, block + rows * plan[tie + L.LOCALS])
     tape = plan[data + L.TAPE_INTS]
     floats = plan[data + L.TAPE_FLOATS]
-    adjoint = beyond(work, plan[tape + N_NODES])
+    adjoint = advance_pointer(work, plan[tape + N_NODES])
     unit = weights[L.INVERSE_LENGTH] if plan[tie + L.LENGTHS] > 0 else 1.0
-    r_a, p_a, r_b, p_b = ends_of(loops, k)
-    p = back(r_a, p_b[0] - p_a[0], p_b[1] - p_a[1], p_b[2] - p_a[2])
-    r = relative(r_a, r_b)
-    read_inputs(loops, k, data, p, r, work)
-    tape_values(plan, tape, weights, floats, work)
+    r_a, p_a, r_b, p_b = read_tie_ends(loops, k)
+    p = rotate_vector_back(r_a, p_b[0] - p_a[0], p_b[1] - p_a[1], p_b[2] - p_a[2])
+    r = compute_relative_rotation(r_a, r_b)
+    write_tape_inputs(loops, k, data, p, r, work)
+    evaluate_nodes(plan, tape, weights, floats, work)
     for o in range(rows):
         loops.error[at + o] = work[plan[tape + TAPE_HEAD + o]] * unit
     if not with_blocks:
@@ -225,7 +242,7 @@ def fill_tape(loops, k, at, with_blocks):
         loops.blocks[block + i] = 0.0
     local = plan[L.AT_LOCALS] + plan[tie + L.LOCAL]
     for o in range(rows):
-        tape_gradient(plan, tape, weights, floats, o, work, adjoint)
+        write_gradient(plan, tape, weights, floats, o, work, adjoint)
         v0 = 0.0
         v1 = 0.0
         v2 = 0.0
@@ -262,13 +279,13 @@ def fill_tape(loops, k, at, with_blocks):
                 loops.blocks[block + rows * column + o] += (
                     g * weights[L.SCALES + plan[local + column]]
                 )
-        fill_twist(loops, k, r_a, p_b, (v0, v1, v2), (w0, w1, w2), o)
+        add_twist_rates(loops, k, r_a, p_b, (v0, v1, v2), (w0, w1, w2), o)
 
 
 @routine
-def fill(loops, with_blocks):
-    """Square of the residual at the poses last written; writes it and, if requested, the Jacobian's
-    blocks.
+def fill_equations(loops, with_blocks):
+    """Write the residual at the poses last written and, if requested, the Jacobian's blocks; return
+    the residual's square.
     """
     plan = loops.plan
     for k in range(plan[L.N_TIES]):
@@ -280,17 +297,23 @@ def fill(loops, with_blocks):
         elif turns == L.DISTANCE:
             fill_distance(loops, k, at, with_blocks)
         elif turns == L.OWN:
-            fill_own(loops, k, at, with_blocks)
+            fill_coordinate(loops, k, at, with_blocks)
         elif turns == L.TAPE:
             fill_tape(loops, k, at, with_blocks)
         elif turns == L.FUNCTION:
-            block = beyond(loops.blocks, plan[tie + L.BLOCK])
-            call(plan[tie + L.DATA], loops.q, beyond(loops.error, at), block, int(with_blocks))
+            block = advance_pointer(loops.blocks, plan[tie + L.BLOCK])
+            call_address(
+                plan[tie + L.DATA],
+                loops.q,
+                advance_pointer(loops.error, at),
+                block,
+                int(with_blocks),
+            )
         else:
-            r_a, p_a, r_b, p_b = ends_of(loops, k)
-            p_b = end_of(loops, k, p_b)
-            p = back(r_a, p_b[0] - p_a[0], p_b[1] - p_a[1], p_b[2] - p_a[2])
-            r = relative(r_a, r_b)
+            r_a, p_a, r_b, p_b = read_tie_ends(loops, k)
+            p_b = find_end_point(loops, k, p_b)
+            p = rotate_vector_back(r_a, p_b[0] - p_a[0], p_b[1] - p_a[1], p_b[2] - p_a[2])
+            r = compute_relative_rotation(r_a, r_b)
             phi = write_error(loops, tie, at, p, r)
             if with_blocks:
                 fill_block(loops, k, r_a, p_b, r, phi)

@@ -16,30 +16,36 @@ import numpy as np
 
 from kempe.kernels.base._jit import kernel, routine
 from kempe.kernels.base.declare import FLAG, FLOAT, INT, OUT, OUTI, F, I
-from kempe.kernels.base.random import mix
-from kempe.kernels.base.rotations import turn_ball
-from kempe.kernels.base.scratch import beyond, copy
+from kempe.kernels.base.random import mix_bits
+from kempe.kernels.base.rotations import turn_quaternion
+from kempe.kernels.base.scratch import advance_pointer, copy_numbers
 from kempe.kernels.base.search_layout import BAD_INPUT, LARGEST, LATE, NOT_FOUND, SOLVED, UNFINISHED
-from kempe.kernels.base.vectors import keep, raw
+from kempe.kernels.base.vectors import get_pointer, keep_alive
 from kempe.kernels.constraints import loop_layout as L
 from kempe.kernels.constraints.constraint_rows import LoopScratch
-from kempe.kernels.constraints.envelope import add_product, factor, normal, product, solve
-from kempe.kernels.constraints.goals import fill, is_late
+from kempe.kernels.constraints.envelope import (
+    add_product,
+    factor_envelope,
+    multiply_column,
+    solve_envelope,
+    write_normal_matrix,
+)
+from kempe.kernels.constraints.goals import fill_equations, is_late
 from kempe.kernels.constraints.loop_coordinates import (
-    distance,
-    draw,
+    compute_home_distance,
+    draw_configuration,
+    extrapolate_unknowns,
+    find_place,
     is_held,
-    lead_on,
-    number,
-    place_of,
-    read_off,
-    sort_of,
-    sound,
+    prepare_start,
+    read_sort,
+    read_velocity_number,
+    write_cut_coordinates,
 )
 from kempe.kernels.constraints.loop_layout import DAMPING, LONGEST, MOST_DAMPING, WIDER
 from kempe.kernels.forward.table_layout import N_ROWS as TABLE_ROWS
 from kempe.kernels.forward.table_layout import NQ, NV
-from kempe.kernels.forward.table_rows import poses_at, row_poses, scratch_size
+from kempe.kernels.forward.table_rows import count_sweep_scratch, locate_poses, write_row_poses
 
 FLOOR = 1e-30
 """Square of the scaled residual below which rounding is all there is."""
@@ -53,8 +59,8 @@ LONGEST_SLIDE = 2.0
 
 
 class ClosingScratch(NamedTuple):
-    """Pointers to the scratch of a solver: steps, the way home, two columns of J J^T's size, the
-    matrix, two q's.
+    """Pointers to the scratch of a solver: steps, the way home, two columns, the matrix J J^T, two
+    configurations.
     """
 
     step: object
@@ -67,79 +73,79 @@ class ClosingScratch(NamedTuple):
 
 
 @routine
-def evaluate(loops, with_blocks):
-    """Square of the scaled residual at q."""
-    row_poses(loops.ints, loops.floats, loops.q, 0, loops.scratch)
-    return fill(loops, with_blocks)
+def evaluate_residual(loops, with_blocks):
+    """Return the square of the scaled residual at q; write the residual."""
+    write_row_poses(loops.ints, loops.floats, loops.q, 0, loops.scratch)
+    return fill_equations(loops, with_blocks)
 
 
 @routine
-def mark(loops, step):
-    """Mark NaN the steps of coordinates that stay: held ones, and those at a limit that the
-    gradient pushes out.
+def mark_held_steps(loops, step):
+    """Mark with NaN the steps of coordinates that do not move: held ones, and those that the
+    gradient pushes out of a limit.
     """
     for v in range(loops.nv):
         step[v] = 0.0
         if is_held(loops, v):
             step[v] = np.nan
             continue
-        if sort_of(loops, v) >= L.BALL_FIRST:
+        if read_sort(loops, v) >= L.BALL_FIRST:
             continue
-        x = loops.q[place_of(loops, v)]
-        low = number(loops, 1, v)
-        high = number(loops, 2, v)
+        x = loops.q[find_place(loops, v)]
+        low = read_velocity_number(loops, 1, v)
+        high = read_velocity_number(loops, 2, v)
         if x <= low or x >= high:
-            push = -product(loops, v, loops.error)
+            push = -multiply_column(loops, v, loops.error)
             if (x <= low and push <= 0.0) or (x >= high and push >= 0.0):
                 step[v] = np.nan
 
 
 @routine
-def move(loops, step, y, target, with_target):
-    """Size of the step -J^T y (+ target), as a part of the longest; takes it, cut to that and at
-    the limits.
+def take_step(loops, step, y, target, with_target):
+    """Take the step -J^T y (+ target), cut to the longest step and at the limits; return its size
+    as a part of the longest.
     """
     size = 0.0
     for v in range(loops.nv):
         if step[v] == step[v]:
-            step[v] = -product(loops, v, y)
+            step[v] = -multiply_column(loops, v, y)
             if with_target:
                 step[v] += target[v]
             size = max(
-                size, abs(step[v]) / (LONGEST_SLIDE if sort_of(loops, v) == L.SLIDE else LONGEST)
+                size, abs(step[v]) / (LONGEST_SLIDE if read_sort(loops, v) == L.SLIDE else LONGEST)
             )
     part = 1.0 / max(size, 1.0)
     q = loops.q
     for v in range(loops.nv):
         if step[v] != step[v]:
             continue
-        sort = sort_of(loops, v)
-        i = place_of(loops, v)
+        sort = read_sort(loops, v)
+        i = find_place(loops, v)
         if sort == L.BALL_FIRST:
-            turn_ball(q, i, part * step[v], part * step[v + 1], part * step[v + 2])
+            turn_quaternion(q, i, part * step[v], part * step[v + 1], part * step[v + 2])
         elif sort != L.BALL_MORE:
-            x = q[i] + part * step[v] * number(loops, 0, v)
-            q[i] = min(max(x, number(loops, 1, v)), number(loops, 2, v))
+            x = q[i] + part * step[v] * read_velocity_number(loops, 0, v)
+            q[i] = min(max(x, read_velocity_number(loops, 1, v)), read_velocity_number(loops, 2, v))
     return size
 
 
 @routine
-def damped_step(loops, work, damping):
-    """Size of the step -J^T (J J^T + damping I)^-1 phi, which is taken; for the equations written
-    last.
+def take_damped_step(loops, work, damping):
+    """Take the step -J^T (J J^T + damping I)^-1 phi for the equations written last; return its
+    size.
     """
-    mark(loops, work.step)
-    normal(loops, work.step, damping, work.a, work.column)
-    factor(loops, work.a, LEAST)
-    copy(work.y, loops.error, 0, loops.plan[L.N_ROWS])
-    solve(loops, work.a, work.y)
-    return move(loops, work.step, work.y, work.step, False)
+    mark_held_steps(loops, work.step)
+    write_normal_matrix(loops, work.step, damping, work.a, work.column)
+    factor_envelope(loops, work.a, LEAST)
+    copy_numbers(work.y, loops.error, 0, loops.plan[L.N_ROWS])
+    solve_envelope(loops, work.a, work.y)
+    return take_step(loops, work.step, work.y, work.step, False)
 
 
 @routine
-def close(loops, work, limit, accepted, kept, stop):
-    """Least square of the residual reached from q, steps taken, and whether it was the last one
-    evaluated.
+def close_loops(loops, work, limit, accepted, kept, stop):
+    """Close the loops from q; return the least square of the residual, the number of steps, and
+    whether the last evaluation was the least.
 
     `kept` is where it was reached; where it was the last one, poses and equations are those of that
     configuration.
@@ -151,20 +157,20 @@ def close(loops, work, limit, accepted, kept, stop):
     m = loops.plan[L.N_ROWS]
     often = stop if m >= MANY else 0
     while True:
-        square = evaluate(loops, True)
+        square = evaluate_residual(loops, True)
         if not square < LARGEST:
             break
         last = square
         if square < best:
             best = square
-            copy(kept, loops.q, 0, loops.nq)
+            copy_numbers(kept, loops.q, 0, loops.nq)
         if square <= FLOOR or (square <= accepted and square > 0.1 * before) or steps >= limit:
             break
         if often != 0 and is_late(loops, often, work.column, work.y):
             break
         before = square
         damping = min(DAMPING * square / m, MOST_DAMPING) + LEAST
-        size = damped_step(loops, work, damping)
+        size = take_damped_step(loops, work, damping)
         steps += 1
         last = np.inf
         if size < 1e-15:
@@ -173,40 +179,40 @@ def close(loops, work, limit, accepted, kept, stop):
 
 
 @routine
-def descend(loops, work, limit, kept, stop):
-    """Least square of the residual near q and steps taken, where it does not vanish; `kept` is
-    where.
+def minimize_residual(loops, work, limit, kept, stop):
+    """Minimise the residual near q where it does not vanish; return its least square and the number
+    of steps. `kept` is the minimum.
 
     Damped steps that are taken back where they lead up (Levenberg, 1944; Marquardt, 1963).
     """
-    copy(kept, loops.q, 0, loops.nq)
-    best = evaluate(loops, True)
+    copy_numbers(kept, loops.q, 0, loops.nq)
+    best = evaluate_residual(loops, True)
     damping = 1.0
     steps = 0
     often = stop if loops.plan[L.N_ROWS] >= MANY else 0
     while steps < limit and damping < 1e12:
         if often != 0 and is_late(loops, often, work.column, work.y):
             break
-        size = damped_step(loops, work, damping)
+        size = take_damped_step(loops, work, damping)
         steps += 1
-        square = evaluate(loops, True)
+        square = evaluate_residual(loops, True)
         if square < best:
             best = square
             damping = max(0.3 * damping, LEAST)
-            copy(kept, loops.q, 0, loops.nq)
+            copy_numbers(kept, loops.q, 0, loops.nq)
         else:
             damping *= 4.0
-            copy(loops.q, kept, 0, loops.nq)
-            evaluate(loops, True)
+            copy_numbers(loops.q, kept, 0, loops.nq)
+            evaluate_residual(loops, True)
         if size < 1e-12:
             break
     return best, steps
 
 
 @routine
-def approach(loops, work, limit, accepted, kept, stop):
-    """Steps taken along the closed configurations towards the one nearest to `home`, from the
-    closed one in `kept`.
+def approach_home(loops, work, limit, accepted, kept, stop):
+    """Move along the closed configurations from the one in `kept` towards the one nearest to
+    `home`; return the number of steps.
 
     Each goes the way to `home` as far as the tangent space allows, shortened where that leads away,
     and is closed again (a projected gradient: Luenberger, 1972). `kept` is where it ends.
@@ -214,44 +220,44 @@ def approach(loops, work, limit, accepted, kept, stop):
     m = loops.plan[L.N_ROWS]
     steps = 0
     rounds = 0
-    copy(loops.q, kept, 0, loops.nq)
-    least = distance(loops, work.home, work.target)
+    copy_numbers(loops.q, kept, 0, loops.nq)
+    least = compute_home_distance(loops, work.home, work.target)
     part = 1.0
     size = 1.0
     while rounds < limit and part > 0.05 and size > 1e-9:
         if is_late(loops, stop, work.column, work.y):
             break
         rounds += 1
-        evaluate(loops, True)
-        distance(loops, work.home, work.target)
-        mark(loops, work.step)
+        evaluate_residual(loops, True)
+        compute_home_distance(loops, work.home, work.target)
+        mark_held_steps(loops, work.step)
         for i in range(m):
             work.y[i] = 0.0
         for v in range(loops.nv):
             work.target[v] *= part
             if work.step[v] == work.step[v]:
                 add_product(loops, v, work.target[v], work.y, 1)
-        normal(loops, work.step, LEAST, work.a, work.column)
-        factor(loops, work.a, LEAST)
-        solve(loops, work.a, work.y)
-        size = move(loops, work.step, work.y, work.target, True)
-        square, used, _ = close(loops, work, limit, accepted, loops.q, stop)
+        write_normal_matrix(loops, work.step, LEAST, work.a, work.column)
+        factor_envelope(loops, work.a, LEAST)
+        solve_envelope(loops, work.a, work.y)
+        size = take_step(loops, work.step, work.y, work.target, True)
+        square, used, _ = close_loops(loops, work, limit, accepted, loops.q, stop)
         steps += 1 + used
-        far = distance(loops, work.home, work.target)
+        far = compute_home_distance(loops, work.home, work.target)
         if square <= accepted and far < least:
             least = far
             part = min(1.0, 2.0 * part)
-            copy(kept, loops.q, 0, loops.nq)
+            copy_numbers(kept, loops.q, 0, loops.nq)
         else:
             part *= 0.5
-            copy(loops.q, kept, 0, loops.nq)
+            copy_numbers(loops.q, kept, 0, loops.nq)
     return steps
 
 
 @routine
-def search(loops, work, key, first, tries, limit, accepted, nearest, best_q, stop):
-    """Square of the residual, steps, starts of the assembly that begins at q, and whether the time
-    was up.
+def search_closure(loops, work, key, first, tries, limit, accepted, nearest, best_q, stop):
+    """Search for a closed configuration from q and other starts; return the residual's square,
+    steps, starts, and whether the time was up.
 
     `best_q` is where it ends, and, of an assembly that goes on after `first` starts, where these
     have led.
@@ -261,43 +267,45 @@ def search(loops, work, key, first, tries, limit, accepted, nearest, best_q, sto
     count = first
     current = False
     late = False
-    if not sound(loops, work.home):
+    if not prepare_start(loops, work.home):
         return best, steps, count, late
     if first > 0 or tries == 0:
-        copy(loops.q, best_q, 0, loops.nq)
-        square = evaluate(loops, False)
+        copy_numbers(loops.q, best_q, 0, loops.nq)
+        square = evaluate_residual(loops, False)
         best = square if square < LARGEST else np.inf
     while count < tries and not best <= accepted:
         if count > 0:
             late = is_late(loops, stop, work.column, work.y)
             if late:
                 break
-            draw(loops, work.home, min(1.0, WIDER * count), mix(key, np.uint64(count)))
-        square, used, last = close(loops, work, limit, accepted, work.kept, stop)
+            draw_configuration(
+                loops, work.home, min(1.0, WIDER * count), mix_bits(key, np.uint64(count))
+            )
+        square, used, last = close_loops(loops, work, limit, accepted, work.kept, stop)
         steps += used
         count += 1
         current = last and square < best
         if square < best:
             best = square
-            copy(best_q, work.kept, 0, loops.nq)
+            copy_numbers(best_q, work.kept, 0, loops.nq)
     if not best < np.inf:
         return best, steps, count, late
-    copy(loops.q, best_q, 0, loops.nq)
+    copy_numbers(loops.q, best_q, 0, loops.nq)
     if best > accepted:
         current = False
         if nearest != UNFINISHED and not late:
             late = is_late(loops, stop, work.column, work.y)
             if not late:
-                best, used = descend(loops, work, 10 * limit, best_q, stop)
+                best, used = minimize_residual(loops, work, 10 * limit, best_q, stop)
                 steps += used
     elif nearest > 0:
-        steps += approach(loops, work, nearest, accepted, best_q, stop)
+        steps += approach_home(loops, work, nearest, accepted, best_q, stop)
         current = False
     if not current:
-        copy(loops.q, best_q, 0, loops.nq)
-        best = evaluate(loops, False)
-    read_off(loops, work.home)
-    copy(best_q, loops.q, 0, loops.nq)
+        copy_numbers(loops.q, best_q, 0, loops.nq)
+        best = evaluate_residual(loops, False)
+    write_cut_coordinates(loops, work.home)
+    copy_numbers(best_q, loops.q, 0, loops.nq)
     return best, steps, count, late
 
 
@@ -321,7 +329,7 @@ def search(loops, work, key, first, tries, limit, accepted, nearest, best_q, sto
     OUT("N"),
     OUTI("N", 3),
 )
-def assemble(
+def assemble_loops(
     ints,
     floats,
     plan,
@@ -341,7 +349,7 @@ def assemble(
     out_residual,
     info,
 ):
-    """Number of starts that were not closed.
+    """Assemble all configurations; return the number of starts that were not closed.
 
     ints, floats: the table; plan, weights: the loops (`loop_layout`). starts: (N, nq), with the
     held coordinates. pins: (N or 1, 12 pins) the poses (3x4) of pinned frames. tries: starts at
@@ -360,49 +368,49 @@ def assemble(
     nv = ints[NV]
     n_rows = ints[TABLE_ROWS]
     m = plan[L.N_ROWS]
-    sweep = scratch_size(n_rows)
+    sweep = count_sweep_scratch(n_rows)
     block = np.empty(sweep + 4 * nq + 2 * nv + 3 * m + plan[L.BLOCKS] + plan[L.ENVELOPE] + 8)
-    scratch = raw(block)
-    q = beyond(scratch, sweep)
-    step = beyond(q, 4 * nq)
-    error = beyond(step, 2 * nv)
-    blocks = beyond(error, 3 * m)
+    scratch = get_pointer(block)
+    q = advance_pointer(scratch, sweep)
+    step = advance_pointer(q, 4 * nq)
+    error = advance_pointer(step, 2 * nv)
+    blocks = advance_pointer(error, 3 * m)
     work = ClosingScratch(
         step,
-        beyond(step, nv),
-        beyond(error, m),
-        beyond(error, 2 * m),
-        beyond(blocks, plan[L.BLOCKS]),
-        beyond(q, nq),
-        beyond(q, 2 * nq),
+        advance_pointer(step, nv),
+        advance_pointer(error, m),
+        advance_pointer(error, 2 * m),
+        advance_pointer(blocks, plan[L.BLOCKS]),
+        advance_pointer(q, nq),
+        advance_pointer(q, 2 * nq),
     )
-    best_q = beyond(q, 3 * nq)
+    best_q = advance_pointer(q, 3 * nq)
     accepted = tolerance * tolerance
     missed = 0
     ended = False
     for i in range(starts.shape[0]):
-        pin = beyond(raw(pins), i * pins.shape[1] if pins.shape[0] > 1 else 0)
+        pin = advance_pointer(get_pointer(pins), i * pins.shape[1] if pins.shape[0] > 1 else 0)
         loops = LoopScratch(
-            raw(ints),
-            raw(floats),
-            raw(plan),
-            raw(weights),
+            get_pointer(ints),
+            get_pointer(floats),
+            get_pointer(plan),
+            get_pointer(weights),
             pin,
             q,
             scratch,
-            beyond(scratch, poses_at(n_rows)),
+            advance_pointer(scratch, locate_poses(n_rows)),
             error,
             blocks,
             n_rows,
             nq,
             nv,
         )
-        copy(q, beyond(raw(starts), i * nq), 0, nq)
+        copy_numbers(q, advance_pointer(get_pointer(starts), i * nq), 0, nq)
         if follow and i > 0:
-            lead_on(loops, raw(out_q), i)
-        key = mix(mix(np.uint64(0), np.uint64(seed)), np.uint64(offset + i))
-        copy(best_q, beyond(raw(out_q), i * nq) if first > 0 else q, 0, nq)
-        best, steps, count, late = search(
+            extrapolate_unknowns(loops, get_pointer(out_q), i)
+        key = mix_bits(mix_bits(np.uint64(0), np.uint64(seed)), np.uint64(offset + i))
+        copy_numbers(best_q, advance_pointer(get_pointer(out_q), i * nq) if first > 0 else q, 0, nq)
+        best, steps, count, late = search_closure(
             loops,
             work,
             key,
@@ -425,5 +433,5 @@ def assemble(
         info[i, 1] = steps
         info[i, 2] = count
         missed += int(status != SOLVED)
-    keep(block)
+    keep_alive(block)
     return missed

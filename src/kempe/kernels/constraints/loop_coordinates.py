@@ -1,5 +1,5 @@
-"""The coordinates of packed loops: where they are and how far apart, where starts are drawn, how
-they are read off.
+"""The coordinates of packed loops: their places in q, distances, random starts, and values of cut
+joints.
 """
 
 from __future__ import annotations
@@ -9,45 +9,49 @@ import math
 import numpy as np
 
 from kempe.kernels.base._jit import device, routine
-from kempe.kernels.base.random import mix, unit
-from kempe.kernels.base.rotations import draw_ball, turn_ball
-from kempe.kernels.base.scratch import beyond, copy
+from kempe.kernels.base.random import mix_bits, to_unit_interval
+from kempe.kernels.base.rotations import draw_quaternion, turn_quaternion
+from kempe.kernels.base.scratch import advance_pointer, copy_numbers
 from kempe.kernels.base.search_layout import LARGEST
 from kempe.kernels.base.trig import atan2
 from kempe.kernels.constraints import loop_layout as L
-from kempe.kernels.constraints.constraint_rows import back, ends_of, relative
+from kempe.kernels.constraints.constraint_rows import (
+    compute_relative_rotation,
+    read_tie_ends,
+    rotate_vector_back,
+)
 
 """Size from which a number is no coordinate."""
 
 
 @device
-def sort_of(loops, v):
-    """Sort of velocity coordinate v."""
+def read_sort(loops, v):
+    """Return the sort of velocity coordinate v: turn, slide, or part of a ball."""
     return loops.plan[loops.plan[L.AT_PLACES] + L.PLACE_INTS * v + 1]
 
 
 @device
-def place_of(loops, v):
-    """Place in q of velocity coordinate v, for a ball of its quaternion."""
+def find_place(loops, v):
+    """Return the index in q of velocity coordinate v; for a ball, of its quaternion."""
     return loops.plan[loops.plan[L.AT_PLACES] + L.PLACE_INTS * v]
 
 
 @device
 def is_held(loops, v):
-    """Whether v is no unknown."""
+    """Return whether velocity coordinate v is held, and so no unknown."""
     return loops.plan[loops.plan[L.AT_PLACES] + L.PLACE_INTS * v + 2] != 0
 
 
 @device
-def number(loops, list_, v):
-    """Entry v of a list of velocities in `weights`: 0 scales, 1 lower, 2 upper limits, 3 and 4 ends
-    to draw from.
+def read_velocity_number(loops, list_, v):
+    """Return entry v of a list in `weights`: 0 scales, 1 lower and 2 upper limits, 3 and 4 ends of
+    the range of random starts.
     """
     return loops.weights[L.SCALES + list_ * loops.nv + v]
 
 
 @device
-def ball_difference(q, home, i, to, at):
+def write_ball_difference(q, home, i, to, at):
     """Write the rotation vector from the quaternion at q[i:] to that at home[i:] to to[at:]."""
     w = q[i]
     x = -q[i + 1]
@@ -70,32 +74,32 @@ def ball_difference(q, home, i, to, at):
 
 
 @routine
-def distance(loops, home, target):
-    """Square of the distance from q to `home`, scaled; writes the way there to `target`. Held ones
-    do not count.
+def compute_home_distance(loops, home, target):
+    """Return the square of the scaled distance from q to `home`; write the difference to `target`.
+    Held coordinates do not count.
     """
     far = 0.0
     for v in range(loops.nv):
         if is_held(loops, v):
             target[v] = 0.0
-        elif sort_of(loops, v) == L.BALL_FIRST:
-            ball_difference(loops.q, home, place_of(loops, v), target, v)
-        elif sort_of(loops, v) != L.BALL_MORE:
-            i = place_of(loops, v)
-            target[v] = (home[i] - loops.q[i]) / number(loops, 0, v)
+        elif read_sort(loops, v) == L.BALL_FIRST:
+            write_ball_difference(loops.q, home, find_place(loops, v), target, v)
+        elif read_sort(loops, v) != L.BALL_MORE:
+            i = find_place(loops, v)
+            target[v] = (home[i] - loops.q[i]) / read_velocity_number(loops, 0, v)
     for v in range(loops.nv):
         far += target[v] * target[v]
     return far
 
 
 @device
-def nearest_turn(x, to):
-    """The angle x plus whole turns, as near as can be to the angle `to`."""
+def choose_nearest_angle(x, to):
+    """Return the angle x plus whole turns, as near as possible to the angle `to`."""
     return x - 2.0 * math.pi * math.ceil((x - to) / (2.0 * math.pi) - 0.5)
 
 
 @device
-def quaternion_of(r, q, i, home):
+def write_quaternion(r, q, i, home):
     """Write the unit quaternion of the rotation r to q[i:], of the sign that is nearer to home[i:]."""
     if r[0] + r[4] + r[8] > 0.0:
         w = 1.0 + r[0] + r[4] + r[8]
@@ -127,9 +131,8 @@ def quaternion_of(r, q, i, home):
 
 
 @routine
-def read_off(loops, home):
-    """Write the coordinates of cut joints to q, and bring angles that a turn brings back near to
-    `home`.
+def write_cut_coordinates(loops, home):
+    """Write the coordinates of cut joints to q, with angles shifted by whole turns near to `home`.
 
     The poses must be those of q. Angles of crosses and of three turns are as in `joints`.
     """
@@ -139,13 +142,13 @@ def read_off(loops, home):
         k = plan[L.AT_READINGS] + L.READING_INTS * n
         code = plan[k]
         i = plan[k + 1]
-        r_a, p_a, r_b, p_b = ends_of(loops, plan[k + 2])
-        p = back(r_a, p_b[0] - p_a[0], p_b[1] - p_a[1], p_b[2] - p_a[2])
-        r = relative(r_a, r_b)
+        r_a, p_a, r_b, p_b = read_tie_ends(loops, plan[k + 2])
+        p = rotate_vector_back(r_a, p_b[0] - p_a[0], p_b[1] - p_a[1], p_b[2] - p_a[2])
+        r = compute_relative_rotation(r_a, r_b)
         if code <= L.READ_Z:
             q[i] = p[code]
         elif code == L.READ_QUATERNION:
-            quaternion_of(r, q, i, home)
+            write_quaternion(r, q, i, home)
         else:
             # READ_ANGLE
             sine = r[3] - r[1]
@@ -165,55 +168,63 @@ def read_off(loops, home):
             elif code == L.READ_ROLL:
                 sine = r[7]
                 cosine = r[8]
-            q[i] = nearest_turn(atan2(sine, cosine), home[i])
+            q[i] = choose_nearest_angle(atan2(sine, cosine), home[i])
     for v in range(loops.nv):
-        if sort_of(loops, v) == L.CIRCLE and not is_held(loops, v):
-            i = place_of(loops, v)
-            q[i] = nearest_turn(q[i], home[i])
+        if read_sort(loops, v) == L.CIRCLE and not is_held(loops, v):
+            i = find_place(loops, v)
+            q[i] = choose_nearest_angle(q[i], home[i])
 
 
 @routine
-def draw(loops, home, spread, key):
+def draw_configuration(loops, home, spread, key):
     """Write a random configuration to q: unknowns within `spread` of their range about `home`, or
     anywhere for 1.
     """
     q = loops.q
-    copy(q, home, 0, loops.nq)
+    copy_numbers(q, home, 0, loops.nq)
     for v in range(loops.nv):
         if is_held(loops, v):
             continue
-        sort = sort_of(loops, v)
-        i = place_of(loops, v)
-        fresh = mix(key, np.uint64(v))
+        sort = read_sort(loops, v)
+        i = find_place(loops, v)
+        fresh = mix_bits(key, np.uint64(v))
         if sort == L.BALL_FIRST:
             if spread >= 1.0:
-                draw_ball(q, i, fresh)
+                draw_quaternion(q, i, fresh)
             else:
                 t = 2.0 * math.pi * spread
-                a = mix(fresh, np.uint64(0))
-                b = mix(fresh, np.uint64(1))
-                c = mix(fresh, np.uint64(2))
-                turn_ball(q, i, t * (unit(a) - 0.5), t * (unit(b) - 0.5), t * (unit(c) - 0.5))
+                a = mix_bits(fresh, np.uint64(0))
+                b = mix_bits(fresh, np.uint64(1))
+                c = mix_bits(fresh, np.uint64(2))
+                turn_quaternion(
+                    q,
+                    i,
+                    t * (to_unit_interval(a) - 0.5),
+                    t * (to_unit_interval(b) - 0.5),
+                    t * (to_unit_interval(c) - 0.5),
+                )
         elif sort != L.BALL_MORE:
-            low = number(loops, 3, v)
-            high = number(loops, 4, v)
+            low = read_velocity_number(loops, 3, v)
+            high = read_velocity_number(loops, 4, v)
             if spread >= 1.0:
-                q[i] = low + (high - low) * unit(fresh)
+                q[i] = low + (high - low) * to_unit_interval(fresh)
             else:
-                x = home[i] + spread * (high - low) * (unit(fresh) - 0.5)
-                q[i] = min(max(x, number(loops, 1, v)), number(loops, 2, v))
+                x = home[i] + spread * (high - low) * (to_unit_interval(fresh) - 0.5)
+                q[i] = min(
+                    max(x, read_velocity_number(loops, 1, v)), read_velocity_number(loops, 2, v)
+                )
 
 
 @routine
-def sound(loops, home):
-    """Whether the start at q is finite; brings unknowns inside their limits, quaternions to norm 1,
-    keeps `home`.
+def prepare_start(loops, home):
+    """Bring the unknowns at q inside their limits, and quaternions to norm 1; return whether the
+    start is finite.
     """
     q = loops.q
     good = True
     for v in range(loops.nv):
-        sort = sort_of(loops, v)
-        i = place_of(loops, v)
+        sort = read_sort(loops, v)
+        i = find_place(loops, v)
         if sort == L.BALL_FIRST:
             w = q[i]
             x = q[i + 1]
@@ -225,23 +236,25 @@ def sound(loops, home):
         elif sort != L.BALL_MORE:
             good = good and abs(q[i]) < LARGEST
             if not is_held(loops, v):
-                q[i] = min(max(q[i], number(loops, 1, v)), number(loops, 2, v))
-    copy(home, q, 0, loops.nq)
+                q[i] = min(
+                    max(q[i], read_velocity_number(loops, 1, v)), read_velocity_number(loops, 2, v)
+                )
+    copy_numbers(home, q, 0, loops.nq)
     return good
 
 
 @device
-def lead_on(loops, done, i):
-    """Write to the unknowns of q where rows i - 2 and i - 1 of `done` lead."""
+def extrapolate_unknowns(loops, done, i):
+    """Extrapolate the unknowns of q from rows i - 2 and i - 1 of `done`."""
     last = (i - 1) * loops.nq
     nq = loops.nq
     for v in range(loops.nv):
         if is_held(loops, v):
             continue
-        sort = sort_of(loops, v)
-        k = place_of(loops, v)
+        sort = read_sort(loops, v)
+        k = find_place(loops, v)
         if sort == L.BALL_FIRST:
-            copy(beyond(loops.q, k), done, last + k, 4)
+            copy_numbers(advance_pointer(loops.q, k), done, last + k, 4)
         elif sort != L.BALL_MORE:
             before = done[last - nq + k] if i > 1 else done[last + k]
             loops.q[k] = 2.0 * done[last + k] - before

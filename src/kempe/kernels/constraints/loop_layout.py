@@ -77,9 +77,9 @@ SCALES = 2
 """Places in `weights`; the five lists of velocities follow from SCALES on."""
 
 
-def velocity_lists(weights: np.ndarray, nv: int) -> np.ndarray:
-    """Scales, lower and upper limits, low and high ends to draw from (5, nv) of all velocities; a
-    view.
+def view_velocity_lists(weights: np.ndarray, nv: int) -> np.ndarray:
+    """Return the scales, lower and upper limits, and low and high ends of random starts (5, nv) of
+    all velocities, as a view.
     """
     return weights[SCALES : SCALES + 5 * nv].reshape(5, nv)
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from kempe.kernels.base._jit import device, kernel, routine
 from kempe.kernels.base.declare import INT, OUT, F, I
-from kempe.kernels.base.vectors import keep, raw
+from kempe.kernels.base.vectors import get_pointer, keep_alive
 from kempe.kernels.constraints.tape_layout import (
     ACOS,
     ACOSH,
@@ -69,20 +69,22 @@ REFINEMENTS = 60
 
 
 @device
-def piece_of(n, s):
-    """The piece of a parameter; the first or last beyond them."""
+def find_piece(n, s):
+    """Return the piece of a curve that a parameter lies on; the first or last piece beyond the
+    ends.
+    """
     return 0 if not s > 0.0 else n - 1 if s >= n else int(s)
 
 
 @routine
-def entry_of(floats, at, n, s):
-    """The entry of a table of n numbers for a parameter."""
-    return floats[at + piece_of(n, s)]
+def find_table_entry(floats, at, n, s):
+    """Return the entry of a table of n numbers that belongs to a parameter."""
+    return floats[at + find_piece(n, s)]
 
 
 @device
-def cubic(floats, at, u):
-    """A polynomial, and its first two derivatives."""
+def evaluate_cubic(floats, at, u):
+    """Return a cubic polynomial and its first two derivatives at u."""
     a = floats[at]
     b = floats[at + 1]
     c = floats[at + 2]
@@ -91,11 +93,13 @@ def cubic(floats, at, u):
 
 
 @routine
-def square_to(floats, at, u, x, y, z):
-    """Square of the distance from the point of a piece, and half its first two derivatives."""
-    cx, dx, ddx = cubic(floats, at, u)
-    cy, dy, ddy = cubic(floats, at + 4, u)
-    cz, dz, ddz = cubic(floats, at + 8, u)
+def compute_squared_distance(floats, at, u, x, y, z):
+    """Return the square of the distance from (x, y, z) to the point u of a piece of a curve, and
+    half its first two derivatives.
+    """
+    cx, dx, ddx = evaluate_cubic(floats, at, u)
+    cy, dy, ddy = evaluate_cubic(floats, at + 4, u)
+    cz, dz, ddz = evaluate_cubic(floats, at + 8, u)
     ex = x - cx
     ey = y - cy
     ez = z - cz
@@ -108,11 +112,13 @@ def square_to(floats, at, u, x, y, z):
 
 
 @routine
-def refined(floats, p, low, high, x, y, z):
-    """Where the distance from a piece is least between two parameters, at which it falls and grows."""
+def refine_parameter(floats, p, low, high, x, y, z):
+    """Return the parameter between `low` and `high` at which the distance from a piece of a curve
+    is least.
+    """
     u = 0.5 * (low + high)
     for _ in range(REFINEMENTS):  # Newton's method within a shrinking interval
-        _, slope, bend = square_to(floats, p, u, x, y, z)
+        _, slope, bend = compute_squared_distance(floats, p, u, x, y, z)
         if slope < 0.0:
             low = u
         else:
@@ -128,9 +134,9 @@ def refined(floats, p, low, high, x, y, z):
 
 
 @routine
-def nearest_on_curve(floats, first, count, x, y, z):
-    """The parameter of the point of a curve nearest to (x, y, z), its table being floats[first :
-    first + count].
+def find_nearest_parameter(floats, first, count, x, y, z):
+    """Return the parameter of the point of a curve nearest to (x, y, z); the table of the curve is
+    floats[first : first + count].
     """
     n = (count - 1) // PIECE
     endless = floats[first] != 0.0
@@ -138,10 +144,10 @@ def nearest_on_curve(floats, first, count, x, y, z):
     s = 0.0
     for i in range(n):
         p = first + 1 + PIECE * i
-        far, before, bend = square_to(floats, p, 0.0, x, y, z)
+        far, before, bend = compute_squared_distance(floats, p, 0.0, x, y, z)
         if endless and (i == 0 or i == n - 1):
             u = min(-before / bend, 1.0) if i == 0 else max(-before / bend, 0.0)
-            far, _, _ = square_to(floats, p, u, x, y, z)
+            far, _, _ = compute_squared_distance(floats, p, u, x, y, z)
             if far < best:
                 best = far
                 s = i + u
@@ -155,10 +161,10 @@ def nearest_on_curve(floats, first, count, x, y, z):
             if far < best:
                 best = far
                 s = i + k / SAMPLES
-            far, after, _ = square_to(floats, p, (k + 1) / SAMPLES, x, y, z)
+            far, after, _ = compute_squared_distance(floats, p, (k + 1) / SAMPLES, x, y, z)
             if before < 0.0 and after > 0.0:
-                u = refined(floats, p, k / SAMPLES, (k + 1) / SAMPLES, x, y, z)
-                least, _, _ = square_to(floats, p, u, x, y, z)
+                u = refine_parameter(floats, p, k / SAMPLES, (k + 1) / SAMPLES, x, y, z)
+                least, _, _ = compute_squared_distance(floats, p, u, x, y, z)
                 if least < best:
                     best = least
                     s = i + u
@@ -167,14 +173,14 @@ def nearest_on_curve(floats, first, count, x, y, z):
 
 
 @device
-def node_at(ints, at, i):
-    """Where in `ints` the node at place i lies."""
+def locate_node(ints, at, i):
+    """Return the index in `ints` of the node at place i."""
     return at + TAPE_HEAD + ints[at + N_OUTPUTS] + NODE_INTS * (i - ints[at + N_INPUTS])
 
 
 @routine
-def function_value(op, x):
-    """The function `op` of one number; NaN where it has no finite value."""
+def evaluate_function(op, x):
+    """Return the function `op` of one number, or NaN where its value is not finite."""
     if op == SIN:
         return math.sin(x)
     if op == COS:
@@ -209,36 +215,38 @@ def function_value(op, x):
 
 
 @routine
-def leaf_value(ints, at, floats, fat, i, width, work):
-    """The value of what has no rates of its own, or of the node NEAREST; operands are at `width`
+def evaluate_leaf(ints, at, floats, fat, i, width, work):
+    """Return the value of a node without rates, or of the node NEAREST; operands are at `width`
     times their place.
     """
-    k = node_at(ints, at, i)
+    k = locate_node(ints, at, i)
     op = ints[k + OP]
     left = ints[k + LEFT]
     right = ints[k + RIGHT]
     if op == NUMBER:
         return floats[fat + left]
     if op == LOOKUP:
-        table = node_at(ints, at, right)
-        return entry_of(floats, fat + ints[table + LEFT], ints[table + RIGHT], work[width * left])
+        table = locate_node(ints, at, right)
+        return find_table_entry(
+            floats, fat + ints[table + LEFT], ints[table + RIGHT], work[width * left]
+        )
     if op != NEAREST:
         return 0.0
-    second = node_at(ints, at, left)
-    first = node_at(ints, at, ints[second + LEFT])
-    table = node_at(ints, at, ints[first + LEFT])
+    second = locate_node(ints, at, left)
+    first = locate_node(ints, at, ints[second + LEFT])
+    table = locate_node(ints, at, ints[first + LEFT])
     x = work[width * ints[first + RIGHT]]
     y = work[width * ints[second + RIGHT]]
     z = work[width * right]
-    return nearest_on_curve(floats, fat + ints[table + LEFT], ints[table + RIGHT], x, y, z)
+    return find_nearest_parameter(floats, fat + ints[table + LEFT], ints[table + RIGHT], x, y, z)
 
 
 @routine
-def tape_values(ints, at, floats, fat, work):
+def evaluate_nodes(ints, at, floats, fat, work):
     """Fill work[: n_nodes] with the values of all nodes; work[: n_inputs] holds the inputs."""
     n = ints[at + N_INPUTS]
     for i in range(n, ints[at + N_NODES]):
-        k = node_at(ints, at, i)
+        k = locate_node(ints, at, i)
         op = ints[k + OP]
         left = ints[k + LEFT]
         right = ints[k + RIGHT]
@@ -259,22 +267,22 @@ def tape_values(ints, at, floats, fat, work):
         elif op == HYPOT:
             work[i] = math.hypot(work[left], work[right])
         elif op > NEAREST:
-            work[i] = function_value(op, work[left])
+            work[i] = evaluate_function(op, work[left])
         else:
-            work[i] = leaf_value(ints, at, floats, fat, i, 1, work)
+            work[i] = evaluate_leaf(ints, at, floats, fat, i, 1, work)
 
 
 @routine
-def power_rates(ints, at, i, right, base, exponent, value):
-    """The derivatives of base ** exponent by both; zero by an exponent that is a number."""
+def compute_power_rates(ints, at, i, right, base, exponent, value):
+    """Return the derivatives of base ** exponent by both; zero by an exponent that is a constant."""
     by_base = exponent * base ** (exponent - 1.0) if exponent != 0.0 else 0.0 * base
-    if right >= ints[at + N_INPUTS] and ints[node_at(ints, at, right)] == NUMBER:
+    if right >= ints[at + N_INPUTS] and ints[locate_node(ints, at, right)] == NUMBER:
         return by_base, 0.0
     return by_base, value * math.log(base) if base > 0.0 else math.nan
 
 
 @routine
-def tape_gradient(ints, at, floats, fat, output, work, adjoint):
+def write_gradient(ints, at, floats, fat, output, work, adjoint):
     """Write the gradient of an output by the inputs to adjoint[: n_inputs]; `work` holds the values
     of all nodes.
 
@@ -290,7 +298,7 @@ def tape_gradient(ints, at, floats, fat, output, work, adjoint):
     adjoint[last] = 1.0
     adjoint[marks + last] = 1.0
     for i in range(last, n - 1, -1):
-        k = node_at(ints, at, i)
+        k = locate_node(ints, at, i)
         op = ints[k + OP]
         left = ints[k + LEFT]
         right = ints[k + RIGHT]
@@ -313,7 +321,9 @@ def tape_gradient(ints, at, floats, fat, output, work, adjoint):
             adjoint[left] += a / work[right]
             adjoint[right] -= a * work[i] / work[right]
         elif op == POW:
-            by_base, by_exponent = power_rates(ints, at, i, right, work[left], work[right], work[i])
+            by_base, by_exponent = compute_power_rates(
+                ints, at, i, right, work[left], work[right], work[i]
+            )
             adjoint[left] += a * by_base
             adjoint[right] += a * by_exponent
         elif op == NEG:
@@ -326,8 +336,8 @@ def tape_gradient(ints, at, floats, fat, output, work, adjoint):
 
 
 @device
-def product_order(k, width, series, left, right):
-    """Order k of the product of two series."""
+def compute_product_order(k, width, series, left, right):
+    """Return coefficient k of the Taylor series of a product."""
     total = 0.0
     for j in range(k + 1):
         total += series[width * left + j] * series[width * right + k - j]
@@ -335,8 +345,10 @@ def product_order(k, width, series, left, right):
 
 
 @device
-def chain_order(k, width, series, operand, derivative):
-    """Order k of what has this derivative by this operand, k > 0."""
+def compute_chain_order(k, width, series, operand, derivative):
+    """Return coefficient k > 0 of the Taylor series of a function, from those of its operand and of
+    its derivative.
+    """
     total = 0.0
     for j in range(1, k + 1):
         total += j * series[width * operand + j] * series[width * derivative + k - j]
@@ -344,8 +356,9 @@ def chain_order(k, width, series, operand, derivative):
 
 
 @routine
-def power_order(k, width, series, i, left, right):
-    """Order k of a power with a constant exponent c, k > 0; the power of order 0 is there.
+def compute_power_order(k, width, series, i, left, right):
+    """Return coefficient k > 0 of the Taylor series of a power with a constant exponent;
+    coefficient 0 is known.
 
     A base that begins at order m is t^m u(t), and its power t^(m c) u^c; c u' w = u w' holds for w
     = u^c.
@@ -374,15 +387,15 @@ def power_order(k, width, series, i, left, right):
 
 
 @routine
-def tape_order(ints, at, floats, fat, k, width, series):
-    """Write order k of the Taylor series of all nodes: series[width * place + k].
+def write_tape_order(ints, at, floats, fat, k, width, series):
+    """Write coefficient k of the Taylor series of all nodes, to series[width * place + k].
 
     Orders 0 ... k of the inputs and orders 0 ... k - 1 of the nodes are there; width is at least k
     + 1.
     """
     n = ints[at + N_INPUTS]
     for i in range(n, ints[at + N_NODES]):
-        p = node_at(ints, at, i)
+        p = locate_node(ints, at, i)
         op = ints[p + OP]
         left = ints[p + LEFT]
         right = ints[p + RIGHT]
@@ -396,7 +409,7 @@ def tape_order(ints, at, floats, fat, k, width, series):
         elif op == NEG:
             series[y] = -series[a]
         elif op == MUL:
-            series[y] = product_order(k, width, series, left, right)
+            series[y] = compute_product_order(k, width, series, left, right)
         elif op == DIV:
             total = series[a]
             for j in range(1, k + 1):
@@ -406,7 +419,7 @@ def tape_order(ints, at, floats, fat, k, width, series):
             if k == 0:
                 series[y] = series[a] ** series[b]
             else:
-                series[y] = power_order(k, width, series, i, left, right)
+                series[y] = compute_power_order(k, width, series, i, left, right)
         elif k == 0 and (op == ATAN2 or op == HYPOT):
             series[y] = (
                 math.atan2(series[a], series[b])
@@ -415,79 +428,79 @@ def tape_order(ints, at, floats, fat, k, width, series):
             )
         elif op <= NEAREST:
             if k == 0:
-                series[y] = leaf_value(ints, at, floats, fat, i, width, series)
+                series[y] = evaluate_leaf(ints, at, floats, fat, i, width, series)
             elif op < ATAN2:
                 series[y] = 0.0
             else:
                 first = ints[p + NODE_INTS + LEFT]
                 second = ints[p + NODE_INTS + RIGHT]
-                series[y] = chain_order(k, width, series, left, first) + chain_order(
-                    k, width, series, right, second
-                )
+                series[y] = compute_chain_order(
+                    k, width, series, left, first
+                ) + compute_chain_order(k, width, series, right, second)
         elif k == 0:
-            series[y] = function_value(op, series[a])
+            series[y] = evaluate_function(op, series[a])
         else:
-            series[y] = chain_order(k, width, series, left, right) + 0.0 * series[y - k]
+            series[y] = compute_chain_order(k, width, series, left, right) + 0.0 * series[y - k]
 
 
 @kernel(I("_"), F("_"), F("N", "n"), OUT("N", "m"), OUT("N", "m", "n"), returns=False)
-def tapes(ints, floats, inputs, values, gradients):
+def evaluate_tape_gradients(ints, floats, inputs, values, gradients):
     """Write the outputs of a tape at N points, and their gradients by the n inputs."""
-    ints_ = raw(ints)
-    floats_ = raw(floats)
+    ints_ = get_pointer(ints)
+    floats_ = get_pointer(floats)
     n = ints[N_INPUTS]
     scratch = np.empty(3 * ints[N_NODES] + 1)
     work = scratch[: ints[N_NODES]]
     adjoint = scratch[ints[N_NODES] :]
-    work_ = raw(work)
-    adjoint_ = raw(adjoint)
+    work_ = get_pointer(work)
+    adjoint_ = get_pointer(adjoint)
     for b in range(inputs.shape[0]):
         for i in range(n):
             work[i] = inputs[b, i]
-        tape_values(ints_, 0, floats_, 0, work_)
+        evaluate_nodes(ints_, 0, floats_, 0, work_)
         for o in range(ints[N_OUTPUTS]):
             values[b, o] = work[ints[TAPE_HEAD + o]]
-            tape_gradient(ints_, 0, floats_, 0, o, work_, adjoint_)
+            write_gradient(ints_, 0, floats_, 0, o, work_, adjoint_)
             for i in range(n):
                 gradients[b, o, i] = adjoint[i]
-    keep(scratch)
+    keep_alive(scratch)
 
 
 @kernel(I("_"), F("_"), INT, F("N", "n", "k"), OUT("N", "m", "k"), returns=False)
-def tape_series(ints, floats, order, inputs, outputs):
+def evaluate_tape_series(ints, floats, order, inputs, outputs):
     """Write orders 0 ... order, which is below k, of the outputs of a tape along N curves given by
     their series.
     """
-    ints_ = raw(ints)
-    floats_ = raw(floats)
+    ints_ = get_pointer(ints)
+    floats_ = get_pointer(floats)
     n = ints[N_INPUTS]
     width = inputs.shape[2]
     series = np.empty(ints[N_NODES] * width + 1)
-    series_ = raw(series)
+    series_ = get_pointer(series)
     for b in range(inputs.shape[0]):
         for i in range(n):
             for k in range(width):
                 series[width * i + k] = inputs[b, i, k]
         for k in range(order + 1):
-            tape_order(ints_, 0, floats_, 0, k, width, series_)
+            write_tape_order(ints_, 0, floats_, 0, k, width, series_)
         for o in range(ints[N_OUTPUTS]):
             for k in range(order + 1):
                 outputs[b, o, k] = series[width * ints[TAPE_HEAD + o] + k]
-    keep(series)
+    keep_alive(series)
 
 
 @kernel(I("_"), F("_"), F("N", "n"), OUT("N", "m"), returns=False)
-def tape_outputs(ints, floats, inputs, values):
+def evaluate_tape_outputs(ints, floats, inputs, values):
     """Write the outputs of a tape at N points."""
-    ints_ = raw(ints)
-    floats_ = raw(floats)
+    ints_ = get_pointer(ints)
+    floats_ = get_pointer(floats)
     n = ints[N_INPUTS]
     block = np.empty(ints[N_NODES] + 1)
-    work = raw(block)
+    work = get_pointer(block)
     for b in range(inputs.shape[0]):
         for i in range(n):
             work[i] = inputs[b, i]
-        tape_values(ints_, 0, floats_, 0, work)
+        evaluate_nodes(ints_, 0, floats_, 0, work)
         for o in range(ints[N_OUTPUTS]):
             values[b, o] = work[ints[TAPE_HEAD + o]]
-    keep(block)
+    keep_alive(block)

@@ -1,15 +1,17 @@
 """All postures of a chain of six joints that reach a pose: the complete solver for general
 geometry.
 
-`eliminate` solves E_1 ... E_6 = G by one of 36 formulations: equations without the removed joint
-and without the pair (`elimination_loop`), a 16x16 or 24x24 matrix whose eigenvalues are the hidden
+`eliminate_unknowns` solves E_1 ... E_6 = G by one of 36 formulations: equations without the removed
+joint and without the pair (`elimination_loop`), a 16x16 or 24x24 matrix whose eigenvalues are the
+hidden
 joint's values (`elimination_pencil`), null vectors that give the other two joints of the triple
 (`elimination_null`), then the pair and the removed joint (`elimination_pair`), and a few Newton
 steps (`elimination_polish`).
 
 What special geometry does to a formulation: two postures may share the hidden joint's value (the
-null space is a plane, and `split` finds both), roots without postures may appear, or the equations
-may become dependent, so that it is useless. `elimination_score` tells which formulations suit a
+null space is a plane, and `split_null_vectors` finds both), roots without postures may appear, or
+the equations may become dependent, so that it is useless. `elimination_score` tells which
+formulations suit a
 chain.
 """
 
@@ -19,11 +21,17 @@ import math
 from typing import NamedTuple
 
 from kempe.kernels.base._jit import device, routine
-from kempe.kernels.base.eigen import EIGEN_SCRATCH, balance, eigenvalues, hessenberg, shifted_qr
-from kempe.kernels.base.row_reduction import total
-from kempe.kernels.base.scratch import beyond
+from kempe.kernels.base.eigen import (
+    EIGEN_SCRATCH,
+    balance_matrix,
+    compute_eigenvalues,
+    find_hessenberg_eigenvalues,
+    reduce_to_hessenberg,
+)
+from kempe.kernels.base.row_reduction import sum_entries
+from kempe.kernels.base.scratch import advance_pointer
 from kempe.kernels.base.trig import sincos
-from kempe.kernels.base.vectors import LANES, load_lanes, store
+from kempe.kernels.base.vectors import LANES, load_lanes, store_value
 from kempe.kernels.elimination.elimination_loop import (
     EQUATIONS,
     FANS_SIZE,
@@ -36,14 +44,14 @@ from kempe.kernels.elimination.elimination_loop import (
     SOURCE,
     TARGET,
     TRIPLE,
-    arrange,
-    fan,
-    fourteen,
-    hidden_of,
-    line_of,
+    arrange_loop,
+    find_hidden_joint,
+    find_removed_joint,
     remove_pair,
-    removed_of,
-    sample,
+    sample_loop,
+    write_fan,
+    write_line,
+    write_line_numbers,
 )
 from kempe.kernels.elimination.elimination_pencil import (
     FLOOR,
@@ -53,20 +61,20 @@ from kempe.kernels.elimination.elimination_pencil import (
     SIZE,
     STRIDE,
     WIDE,
-    angles_of,
-    assemble,
-    clear,
-    companion,
-    entry_of_a,
-    entry_of_b,
-    largest_entry,
-    lead,
-    matrix_at,
-    null_at_i,
-    null_vectors,
-    pivot_ratio,
-    split,
-    vector,
+    assemble_pencil,
+    clear_column,
+    compute_pivot_ratio,
+    evaluate_pencil,
+    find_largest_entry,
+    find_null_vectors,
+    find_vectors_at_i,
+    read_a_entry,
+    read_angles,
+    read_b_entry,
+    solve_leading_matrix,
+    split_null_vectors,
+    write_companion_matrix,
+    write_null_vector,
 )
 from kempe.kernels.elimination.elimination_polish import (
     CLAIMED,
@@ -76,13 +84,13 @@ from kempe.kernels.elimination.elimination_polish import (
     RAW_ERROR,
     START,
     TWIST,
-    accept,
-    compare,
-    disturb,
+    accept_candidate,
+    accept_twin,
+    compare_goal,
+    disturb_goal,
     is_singular,
-    trace,
-    twin,
-    wrapped,
+    trace_lines,
+    wrap_angle,
 )
 
 # ---- elimination pair
@@ -101,7 +109,7 @@ PAIR_SIZE = 32 + 8 * COLUMN + 32
 
 
 @device
-def _carry(line, theta, here):
+def _move_line(line, theta, here):
     """Move the line here (l, p) by the joint's motion, in place."""
     hx = line[0]
     hy = line[1]
@@ -130,7 +138,7 @@ def _carry(line, theta, here):
 
 
 @device
-def _split(columns, slides, to, sign):
+def _split_samples(columns, slides, to, sign):
     """Turn three samples in columns 5, 6, 7 into coefficients in columns `to` and `to + 1`, and the
     constant in 4.
     """
@@ -146,24 +154,24 @@ def _split(columns, slides, to, sign):
             a = 0.5 * (f0 + f2)
             b = 0.5 * (f0 - f2)
             c = f1 - a
-        store(columns, to * COLUMN + i, sign * b)
-        store(columns, (to + 1) * COLUMN + i, sign * c)
-        store(columns, 4 * COLUMN + i, load_lanes(columns, 4 * COLUMN + i) - sign * a)
+        store_value(columns, to * COLUMN + i, sign * b)
+        store_value(columns, (to + 1) * COLUMN + i, sign * c)
+        store_value(columns, 4 * COLUMN + i, load_lanes(columns, 4 * COLUMN + i) - sign * a)
 
 
 @device
-def _dot(columns, j, k):
-    """Product of columns j and k."""
+def _multiply_columns(columns, j, k):
+    """Return the scalar product of columns j and k."""
     sum_ = load_lanes(columns, j * COLUMN) * load_lanes(columns, k * COLUMN)
     for i in range(LANES, COLUMN, LANES):
         sum_ = sum_ + load_lanes(columns, j * COLUMN + i) * load_lanes(columns, k * COLUMN + i)
-    return total(sum_)
+    return sum_entries(sum_)
 
 
 @routine
-def _four(columns, y):
-    """Least sine between a column and those before it; y: the four unknowns of columns 0 to 3
-    against column 4.
+def _solve_four(columns, y):
+    """Solve columns 0 to 3 against column 4 for four unknowns y; return the least sine between a
+    column and those before it.
 
     Modified Gram-Schmidt. A column that is next to nothing beside the largest counts by its size
     instead.
@@ -171,19 +179,19 @@ def _four(columns, y):
     least = 1.0
     largest = 0.0
     for k in range(4):
-        y[4 + k] = _dot(columns, k, k)
+        y[4 + k] = _multiply_columns(columns, k, k)
         largest = max(largest, y[4 + k])
     for k in range(4):
-        size = _dot(columns, k, k)
+        size = _multiply_columns(columns, k, k)
         if not size > 0.0:
             return 0.0
         least = min(least, size / (y[4 + k] if y[4 + k] > NOTHING * largest else largest))
         for j in range(k + 1, 5):
-            f = _dot(columns, k, j) / size
+            f = _multiply_columns(columns, k, j) / size
             y[8 + 5 * k + j] = f
             for i in range(0, COLUMN, LANES):
                 x = load_lanes(columns, j * COLUMN + i) - f * load_lanes(columns, k * COLUMN + i)
-                store(columns, j * COLUMN + i, x)
+                store_value(columns, j * COLUMN + i, x)
     for back in range(4):
         k = 3 - back
         value = y[8 + 5 * k + 4]
@@ -194,32 +202,35 @@ def _four(columns, y):
 
 
 @routine
-def pair_of(loop, theta, work):
-    """How well the pair is determined, 0 to 1; writes its coordinates, given those of the triple.
+def solve_pair(loop, theta, work):
+    """Write the coordinates of the pair, given those of the triple; return how well they are
+    determined, 0 to 1.
 
     Y_2 (X_1 X_2 X_3 source) = Y_1^-1 target: fourteen equations that are linear in cosines and
     sines.
     """
     here = work
-    fans = beyond(work, 8)
-    columns = beyond(work, 32)
-    y = beyond(columns, 8 * COLUMN)
+    fans = advance_pointer(work, 8)
+    columns = advance_pointer(work, 32)
+    y = advance_pointer(columns, 8 * COLUMN)
     for i in range(8 * COLUMN):
         columns[i] = 0.0
-    line_of(loop, SOURCE, here)
+    write_line(loop, SOURCE, here)
     for i in range(3):
         k = TRIPLE + LINE_STRIDE * (2 - i)
-        _carry(beyond(loop, k), theta[int(loop[k + NUMBER])], here)
+        _move_line(advance_pointer(loop, k), theta[int(loop[k + NUMBER])], here)
     for side in range(2):
         k = PAIR + LINE_STRIDE * (1 - side)
         if side == 1:
-            line_of(loop, TARGET, here)
+            write_line(loop, TARGET, here)
         sign = 1.0 - 2.0 * side
-        fan(beyond(loop, k), sign, here, fans)
+        write_fan(advance_pointer(loop, k), sign, here, fans)
         for i in range(3):
-            fourteen(beyond(fans, 6 * i), beyond(columns, (5 + i) * COLUMN), 1)
-        _split(columns, loop[k + IS_SLIDE] != 0.0, 2 * side, sign)
-    quality = _four(columns, y)
+            write_line_numbers(
+                advance_pointer(fans, 6 * i), advance_pointer(columns, (5 + i) * COLUMN), 1
+            )
+        _split_samples(columns, loop[k + IS_SLIDE] != 0.0, 2 * side, sign)
+    quality = _solve_four(columns, y)
     for side in range(2):
         k = PAIR + LINE_STRIDE * (1 - side)
         a = y[2 * side]
@@ -229,13 +240,13 @@ def pair_of(loop, theta, work):
 
 
 @device
-def removed_turn(kinds, lines, goal, removed, theta, work):
-    """Angle of the removed turn, the others given: D = E(h, angle) where h is its axis as it
-    stands.
+def compute_removed_turn(kinds, lines, goal, removed, theta, work):
+    """Return the angle of the removed turn, given the other joints: D = E(h, angle), where h is the
+    joint's present axis.
     """
     theta[removed] = 0.0
-    trace(kinds, lines, theta, work)
-    _, trace_ = compare(goal, work)
+    trace_lines(kinds, lines, theta, work)
+    _, trace_ = compare_goal(goal, work)
     sine = 0.0
     for i in range(3):
         sine += work[JACOBIAN * i + removed] * work[JACOBIAN * i + TWIST]
@@ -248,8 +259,10 @@ def removed_turn(kinds, lines, goal, removed, theta, work):
 # space at once.
 #
 # At a value that m roots share the null space of the 12x12 matrix has up to m dimensions, and its
-# vectors are mixtures of those of the postures. On the postures' own vectors v it holds that W v = x
-# U v, where U and W are the u and the w part of joint a (or b) and x = w/u its value there: so in the
+# vectors are mixtures of those of the postures. On the postures' own vectors v it holds that W v =
+# x
+# U v, where U and W are the u and the w part of joint a (or b) and x = w/u its value there: so in
+# the
 # null space N the matrix (U N)^+ W N has the values as eigenvalues and the postures' mixtures as
 # eigenvectors. A combination of the two joints' matrices tells postures apart that share one of the
 # values (Moeller and Stetter 1995, "Multivariate polynomial equations with multiple zeros solved by
@@ -273,13 +286,13 @@ _CLUSTER_MATRIX = MOST * ROW
 _CLUSTER_WORK = _CLUSTER_MATRIX + 2 * MOST * ROW
 _VALUES = _CLUSTER_WORK + 3 * MOST * ROW
 CLUSTER_SCRATCH = _VALUES + 2 * MOST + EIGEN_SCRATCH + ROW
-"""Numbers of scratch that `postures_at` needs."""
+"""Numbers of scratch that `find_postures` needs."""
 
 
 @routine
-def null_space(m, count, mask, order, x):
-    """(largest entry left over, last pivot), over the first pivot; writes `count` null vectors, ROW
-    numbers each.
+def compute_null_space(m, count, mask, order, x):
+    """Write `count` null vectors, ROW numbers each; return the largest entry left over and the last
+    pivot, both relative to the first pivot.
 
     Gauss-Jordan elimination with complete pivoting of m (12 rows of stride ROW, lost), SIZE - count
     steps. mask: 2 ROW numbers. order: 2 SIZE numbers.
@@ -289,7 +302,7 @@ def null_space(m, count, mask, order, x):
         mask[ROW + j] = 1.0
     first = last = 0.0
     for k in range(SIZE - count):
-        best, row, column = largest_entry(m, m, mask)
+        best, row, column = find_largest_entry(m, m, mask)
         last = math.sqrt(max(best, 0.0))
         if k == 0:
             first = max(last, FLOOR)
@@ -299,26 +312,26 @@ def null_space(m, count, mask, order, x):
         order[2 * k + 1] = float(row)
         mask[column] = 0.0
         mask[ROW + row] = 0.0
-        clear(m, row, column)
-    best, _, _ = largest_entry(m, m, mask)
+        clear_column(m, row, column)
+    best, _, _ = find_largest_entry(m, m, mask)
     left = 0
     for c in range(SIZE):
         if mask[c] != 0.0:
-            vector(m, order, SIZE - count, c, beyond(x, ROW * left))
+            write_null_vector(m, order, SIZE - count, c, advance_pointer(x, ROW * left))
             left += 1
     return math.sqrt(max(best, 0.0)) / first, last / first
 
 
 @device
-def _entry(x, joint, i, j):
-    """(u part, w part) of the vector x for joint a (0) or b (1)."""
-    return entry_of_a(x, i, j) if joint == 0 else entry_of_b(x, i, j)
+def _read_entry(x, joint, i, j):
+    """Return the u part and the w part of an entry of the vector x, for joint a (0) or b (1)."""
+    return read_a_entry(x, i, j) if joint == 0 else read_b_entry(x, i, j)
 
 
 @routine
-def _solved(a, b, n):
-    """Least over largest pivot of the matrix a (n rows of stride ROW, lost); b becomes a^-1 b.
-    Gauss-Jordan.
+def _solve_matrix(a, b, n):
+    """Replace b by a^-1 b (Gauss-Jordan; a has n rows of stride ROW and is lost); return the ratio
+    of least to largest pivot.
     """
     least = math.inf
     largest = 0.0
@@ -349,7 +362,7 @@ def _solved(a, b, n):
 
 
 @routine
-def _values_of(space, n, joint, half, left, right):
+def _write_value_matrix(space, n, joint, half, left, right):
     """Pivot ratio; `right` becomes the matrix of a joint's values w'/u', its zero moved by `half`:
     n rows of ROW.
     """
@@ -362,25 +375,25 @@ def _values_of(space, n, joint, half, left, right):
         for j in range(3 if joint == 0 else 2):
             f = 2.0 if joint == 0 and i == 1 else 1.0
             for p in range(n):
-                u, w = _entry(beyond(space, ROW * p), joint, i, j)
+                u, w = _read_entry(advance_pointer(space, ROW * p), joint, i, j)
                 up = f * (c * u + s * w)
                 for q in range(n):
-                    u, w = _entry(beyond(space, ROW * q), joint, i, j)
+                    u, w = _read_entry(advance_pointer(space, ROW * q), joint, i, j)
                     left[p * ROW + q] += up * (c * u + s * w)
                     right[p * ROW + q] += up * (c * w - s * u)
-    return _solved(left, right, n)
+    return _solve_matrix(left, right, n)
 
 
 @routine
-def _best_values(space, n, joint, out, work):
-    """Pivot ratio; writes the matrix of a joint's values for the zero at which these are best
-    determined.
+def _choose_value_matrix(space, n, joint, out, work):
+    """Write the matrix of a joint's values, with the zero of the joint at which it is best
+    determined; return the pivot ratio.
     """
     best = -1.0
     for k in range(PLACES):
         left = work
-        right = beyond(work, MOST * ROW)
-        ratio = _values_of(space, n, joint, 0.3 + k * math.pi / PLACES, left, right)
+        right = advance_pointer(work, MOST * ROW)
+        ratio = _write_value_matrix(space, n, joint, 0.3 + k * math.pi / PLACES, left, right)
         if ratio > best:
             best = ratio
             for i in range(n * ROW):
@@ -389,37 +402,40 @@ def _best_values(space, n, joint, out, work):
 
 
 @routine
-def postures_at(m, count, mask, order, x, scratch):
-    """(vectors, error, margin): writes a vector, ROW numbers, for each real posture among `count`
-    roots at one value.
+def find_postures(m, count, mask, order, x, scratch):
+    """Write a vector (ROW numbers) for each real posture among `count` roots at one value; return
+    (vectors, error, margin).
 
     The error is that of a null space of `count` dimensions; the margin is the least imaginary part
     of a posture that is complex, relative to its size, 1 where there is none. m: the 12x12 matrix
-    there (12 rows of stride ROW, lost). x: count ROW numbers. mask, order: as of `null_space`.
-    scratch: CLUSTER_SCRATCH numbers.
+    there (12 rows of stride ROW, lost). x: count ROW numbers. mask, order: as of
+    `compute_null_space`. scratch: CLUSTER_SCRATCH numbers.
     """
-    space = beyond(scratch, _SPACE)
-    matrix = beyond(scratch, _CLUSTER_MATRIX)
-    work = beyond(scratch, _CLUSTER_WORK)
+    space = advance_pointer(scratch, _SPACE)
+    matrix = advance_pointer(scratch, _CLUSTER_MATRIX)
+    work = advance_pointer(scratch, _CLUSTER_WORK)
     for i in range(CLUSTER_SCRATCH):
         scratch[i] = 0.0
-    residue, last = null_space(m, count, mask, order, space)
-    other = beyond(matrix, MOST * ROW)
+    residue, last = compute_null_space(m, count, mask, order, space)
+    other = advance_pointer(matrix, MOST * ROW)
     if not residue < last:
         return 0, math.inf, 0.0
     error = residue / last
     margin = 1.0
     if not (
-        _best_values(space, count, 0, matrix, work) > 0.0
-        and _best_values(space, count, 1, other, work) > 0.0
+        _choose_value_matrix(space, count, 0, matrix, work) > 0.0
+        and _choose_value_matrix(space, count, 1, other, work) > 0.0
     ):
         return 0, math.inf, 0.0
     for i in range(count * ROW):
         matrix[i] += MIX * other[i]
         work[i] = matrix[i]
-    re = beyond(scratch, _VALUES)
-    im = beyond(scratch, _VALUES + MOST)
-    if eigenvalues(work, count, ROW, re, im, beyond(scratch, _VALUES + 2 * MOST)) > 0:
+    re = advance_pointer(scratch, _VALUES)
+    im = advance_pointer(scratch, _VALUES + MOST)
+    if (
+        compute_eigenvalues(work, count, ROW, re, im, advance_pointer(scratch, _VALUES + 2 * MOST))
+        > 0
+    ):
         return 0, math.inf, 0.0
     vectors = 0
     for k in range(count):
@@ -431,18 +447,18 @@ def postures_at(m, count, mask, order, x, scratch):
             for j in range(ROW):
                 work[i * ROW + j] = matrix[i * ROW + j] if j < count else 0.0
             work[i * ROW + i] -= re[k]
-        _combined(work, space, count, beyond(x, ROW * vectors))
+        _combine_vectors(work, space, count, advance_pointer(x, ROW * vectors))
         vectors += 1
     return vectors, error, margin
 
 
 @device
-def _combined(a, space, n, out):
+def _combine_vectors(a, space, n, out):
     """Write the mixture of the space's vectors that the matrix a (n rows of stride ROW, lost) takes
     to zero.
     """
-    y = beyond(a, MOST * ROW)
-    order = beyond(a, MOST * ROW + ROW)
+    y = advance_pointer(a, MOST * ROW)
+    order = advance_pointer(a, MOST * ROW + ROW)
     for j in range(n):
         order[j] = -1.0
     taken = 0
@@ -483,7 +499,8 @@ def _combined(a, space, n, out):
 # The roots of the hidden joint one by one: which of them share a value, and whether each has a
 # posture of its own.
 #
-# Roots and postures are matched one to one by the hidden joint's value. So where roots are close, or
+# Roots and postures are matched one to one by the hidden joint's value. So where roots are close,
+# or
 # the same, their number counts, and it does not matter from which of them Newton's steps came to a
 # posture.
 
@@ -518,9 +535,9 @@ posture."""
 
 
 @device
-def at_infinity(slides, angle):
-    """Whether a joint's value is that of a slide at infinity."""
-    return slides and abs(wrapped(angle - math.pi)) < FAR
+def is_at_infinity(slides, angle):
+    """Return whether a joint's value stands for a slide at infinity."""
+    return slides and abs(wrap_angle(angle - math.pi)) < FAR
 
 
 @device
@@ -532,53 +549,53 @@ def write_roots(re, im, n, half, narrower, slides, roots):
     """
     for i in range(n):
         t = re[i]
-        root = beyond(roots, ROOT * i)
+        root = advance_pointer(roots, ROOT * i)
         root[IMAGINARY] = 2.0 * im[i] / (1.0 + t * t) / narrower
         size = abs(root[IMAGINARY])
         root[STANDS_FOR] = EXPECTED if size < TOGETHER else OPTIONAL if size < NEARLY else NONE
         root[ANGLE] = 2.0 * (half + math.atan2(t, 1.0)) if size < NEARLY else 0.0
-        if at_infinity(slides, root[ANGLE]):
+        if is_at_infinity(slides, root[ANGLE]):
             root[STANDS_FOR] = NONE
 
 
 @device
-def is_with(roots, j, i):
-    """Whether root j shares the value of root i, which is real."""
+def is_same_value(roots, j, i):
+    """Return whether root j has the same value as root i, which is real."""
     d = roots[ROOT * j + ANGLE] - roots[ROOT * i + ANGLE]
-    return abs(roots[ROOT * j + IMAGINARY]) < TOGETHER and abs(wrapped(d)) < TOGETHER
+    return abs(roots[ROOT * j + IMAGINARY]) < TOGETHER and abs(wrap_angle(d)) < TOGETHER
 
 
 @device
-def together(roots, n, i):
-    """(number of roots that share the value of root i; whether one comes before it; mean difference
-    from its value).
+def count_sharing_roots(roots, n, i):
+    """Return how many roots share the value of root i, whether one of them comes before it, and
+    their mean difference from its value.
     """
     count = 0
     mean = 0.0
     met = False
     for j in range(n):
-        if is_with(roots, j, i):
+        if is_same_value(roots, j, i):
             count = count + 1
-            mean = mean + wrapped(roots[ROOT * j + ANGLE] - roots[ROOT * i + ANGLE])
+            mean = mean + wrap_angle(roots[ROOT * j + ANGLE] - roots[ROOT * i + ANGLE])
             met = met or j < i
     return count, met, mean / max(count, 1)
 
 
 @device
-def stand_for(roots, n, i, postures):
+def mark_expected_roots(roots, n, i, postures):
     """Mark the first `postures` of the roots that share the value of root i as EXPECTED, the others
-    of them as NONE.
+    as NONE.
     """
     left = postures
     for j in range(n):
-        if is_with(roots, j, i):
+        if is_same_value(roots, j, i):
             roots[ROOT * j + STANDS_FOR] = EXPECTED if left > 0 else NONE
             left -= 1
 
 
 @device
-def expected(roots, n):
-    """How many roots are expected to have a posture."""
+def count_expected_roots(roots, n):
+    """Count the roots that are expected to have a posture."""
     count = 0
     for i in range(n):
         count += int(roots[ROOT * i + STANDS_FOR] == EXPECTED)
@@ -586,15 +603,15 @@ def expected(roots, n):
 
 
 @device
-def matched(roots, n, angle):
-    """Whether a root is left for a posture with this value of the hidden joint; the nearest is
-    marked as used.
+def claim_nearest_root(roots, n, angle):
+    """Mark the nearest free root with this value of the hidden joint as used by a posture; return
+    whether there was one.
     """
     best = 0.0
     at = -1
     for i in range(n):
         what = roots[ROOT * i + STANDS_FOR]
-        d = abs(wrapped(roots[ROOT * i + ANGLE] - angle))
+        d = abs(wrap_angle(roots[ROOT * i + ANGLE] - angle))
         if what != NONE and d < NEARLY and what - d > best:
             best = what - d
             at = i
@@ -696,32 +713,32 @@ _ROOTS = _CLUSTER + CLUSTER_SCRATCH
 FOUNDLINGS = _ROOTS + ROOT * STRIDE
 """Place of the candidates in scratch."""
 ELIMINATION_SCRATCH = FOUNDLINGS + FOUND * (CANDIDATES + 2)
-"""Numbers of scratch that `eliminate` needs."""
+"""Numbers of scratch that `eliminate_unknowns` needs."""
 
 
 @routine
-def matrix_of(kinds, lines, goal, formulation, w):
-    """(rows, half the angle of zero, pivot ratio); writes the matrix with the hidden joint's roots
-    t as eigenvalues.
+def write_root_matrix(kinds, lines, goal, formulation, w):
+    """Write the matrix whose eigenvalues are the hidden joint's roots t; return (rows, half the
+    angle of zero, pivot ratio).
     """
-    table = beyond(w, _TABLE)
-    forms = beyond(w, _FORMS)
-    re = beyond(w, _RE)
-    im = beyond(w, _IM)
-    free = beyond(w, _FREE)
-    wide = beyond(w, _WIDE)
-    m = beyond(w, _MATRIX)
-    fans = beyond(w, _FANS)
-    arrange(kinds, lines, goal, formulation, w)
-    sample(w, fans, table)
+    table = advance_pointer(w, _TABLE)
+    forms = advance_pointer(w, _FORMS)
+    re = advance_pointer(w, _RE)
+    im = advance_pointer(w, _IM)
+    free = advance_pointer(w, _FREE)
+    wide = advance_pointer(w, _WIDE)
+    m = advance_pointer(w, _MATRIX)
+    fans = advance_pointer(w, _FANS)
+    arrange_loop(kinds, lines, goal, formulation, w)
+    sample_loop(w, fans, table)
     remove_pair(table, fans)
-    hidden = hidden_of(formulation)
-    assemble(table, w, hidden, forms)
+    hidden = find_hidden_joint(formulation)
+    assemble_pencil(table, w, hidden, forms)
     lost = 0
     if (
         hidden == 0
         and w[TRIPLE + IS_SLIDE] == 0.0
-        and null_at_i(forms, re, im, free, beyond(w, _MASK))
+        and find_vectors_at_i(forms, re, im, free, advance_pointer(w, _MASK))
     ):
         lost = LOST
     for i in range(SIZE if lost == 0 else 0):
@@ -730,86 +747,95 @@ def matrix_of(kinds, lines, goal, formulation, w):
     best = -1.0
     for k in range(REFERENCES):
         angle = 0.35 + k * math.pi / REFERENCES
-        matrix_at(forms, -math.sin(angle), math.cos(angle), m)
-        ratio = pivot_ratio(m)
+        evaluate_pencil(forms, -math.sin(angle), math.cos(angle), m)
+        ratio = compute_pivot_ratio(m)
         if ratio > best:
             half = angle
             best = ratio
         if ratio > GOOD_REFERENCE:
             break
-    ratio = lead(forms, math.cos(half), math.sin(half), free, SIZE - lost, wide)
+    ratio = solve_leading_matrix(forms, math.cos(half), math.sin(half), free, SIZE - lost, wide)
     if ratio > NO_MATRIX:
-        companion(wide, re, im, free, lost, m)
+        write_companion_matrix(wide, re, im, free, lost, m)
     return 2 * (SIZE - lost), half, ratio
 
 
 @device
-def _coordinate(w, place, angle):
-    """The joint's coordinate: the angle, or the slide that it stands for."""
+def _convert_coordinate(w, place, angle):
+    """Return the joint's coordinate: the angle, or the slide that the angle stands for."""
     return angle if w[place + IS_SLIDE] == 0.0 else math.tan(0.5 * angle)
 
 
 @device
-def _eigenvalues(n, w):
-    """Eigenvalues of the hidden joint's matrix that were not found; writes the others."""
-    m = beyond(w, _MATRIX)
-    scratch = beyond(w, _EIGEN)
-    balance(m, n, STRIDE)
-    hessenberg(m, n, STRIDE, scratch)
-    return shifted_qr(m, n, STRIDE, beyond(w, _REAL_PARTS), beyond(w, _IMAGINARY_PARTS), scratch)
+def _compute_eigenvalues(n, w):
+    """Write the eigenvalues of the hidden joint's matrix; return how many were not found."""
+    m = advance_pointer(w, _MATRIX)
+    scratch = advance_pointer(w, _EIGEN)
+    balance_matrix(m, n, STRIDE)
+    reduce_to_hessenberg(m, n, STRIDE, scratch)
+    return find_hessenberg_eigenvalues(
+        m, n, STRIDE, advance_pointer(w, _REAL_PARTS), advance_pointer(w, _IMAGINARY_PARTS), scratch
+    )
 
 
 @device
-def _vectors_at(angle, alike, w):
+def _find_null_vectors(angle, alike, w):
     """(vectors, suspicion, proven, last but one pivot over the first); writes the null vectors of
     `alike` roots.
 
     Proven is that there are no more postures than vectors.
     """
-    m = beyond(w, _MATRIX)
-    x = beyond(w, _VECTORS)
-    matrix_at(beyond(w, _FORMS), math.cos(0.5 * angle), math.sin(0.5 * angle), m)
+    m = advance_pointer(w, _MATRIX)
+    x = advance_pointer(w, _VECTORS)
+    evaluate_pencil(advance_pointer(w, _FORMS), math.cos(0.5 * angle), math.sin(0.5 * angle), m)
     if alike > MOST:
         return 0, ILL_NULL, False, 0.0
     if alike > 2:
-        vectors, error, margin = postures_at(
-            m, alike, beyond(w, _MASK), beyond(w, _FREE), x, beyond(w, _CLUSTER)
+        vectors, error, margin = find_postures(
+            m,
+            alike,
+            advance_pointer(w, _MASK),
+            advance_pointer(w, _FREE),
+            x,
+            advance_pointer(w, _CLUSTER),
         )
         return vectors, 0 if error < BLURRED else ILL_NULL, SURELY * error < margin, 0.0
-    vectors, third, second = null_vectors(m, beyond(w, _MASK), beyond(w, _FREE), x)
+    vectors, third, second = find_null_vectors(
+        m, advance_pointer(w, _MASK), advance_pointer(w, _FREE), x
+    )
     if vectors < 2:
         return vectors, 0 if vectors == 1 else ILL_NULL, False, second
-    vectors, separation = split(x, beyond(w, _WORK))
+    vectors, separation = split_null_vectors(x, advance_pointer(w, _WORK))
     ill = 0 if third > NULL and separation > SEPARATE else ILL_NULL
     return vectors, ill, min(separation, 1.0) * third > SURELY * (second + NULL), second
 
 
 @routine
-def _posture(s, angle, k, theta):
-    """(how far null vector k is from one of a posture, infinite at infinity; how well it determines
-    the pair).
+def _read_posture(s, angle, k, theta):
+    """Read the values of the joint pair from null vector k; return its distance from a vector of a
+    posture, infinite at infinity, and how well it is determined.
 
     Writes the six coordinates.
     """
     w = s.w
-    work = beyond(s.w, _WORK)
-    hidden = hidden_of(s.formulation)
-    removed = removed_of(s.formulation)
-    first, second, defect = angles_of(beyond(w, _VECTORS + ROW * k))
+    work = advance_pointer(s.w, _WORK)
+    hidden = find_hidden_joint(s.formulation)
+    removed = find_removed_joint(s.formulation)
+    first, second, defect = read_angles(advance_pointer(w, _VECTORS + ROW * k))
     for joint in range(3):
         place = TRIPLE + LINE_STRIDE * joint
         x = angle if joint == hidden else first if joint == (1 if hidden == 0 else 0) else second
-        if at_infinity(w[place + IS_SLIDE] != 0.0, x):
+        if is_at_infinity(w[place + IS_SLIDE] != 0.0, x):
             return math.inf, 1.0
-        theta[int(w[place + NUMBER])] = _coordinate(w, place, x)
-    quality = pair_of(w, theta, work)
-    theta[removed] = removed_turn(s.kinds, s.lines, s.near, removed, theta, work)
+        theta[int(w[place + NUMBER])] = _convert_coordinate(w, place, x)
+    quality = solve_pair(w, theta, work)
+    theta[removed] = compute_removed_turn(s.kinds, s.lines, s.near, removed, theta, work)
     return defect, quality
 
 
 class EliminationScratch(NamedTuple):
-    """A chain with its goal, the goal whose roots are taken, the formulation, scratch and result;
-    pointers.
+    """Pointers to a chain with its goal, the goal whose roots are taken, the formulation, scratch
+    and result.
     """
 
     kinds: object
@@ -822,70 +848,72 @@ class EliminationScratch(NamedTuple):
 
 
 @device
-def _hidden_value(s, k):
-    """The hidden joint's value in posture k as an angle."""
-    place = TRIPLE + LINE_STRIDE * hidden_of(s.formulation)
+def _read_hidden_value(s, k):
+    """Return the value of the hidden joint in posture k, as an angle."""
+    place = TRIPLE + LINE_STRIDE * find_hidden_joint(s.formulation)
     x = s.w[FOUNDLINGS + FOUND * k + int(s.w[place + NUMBER])]
     return x if s.w[place + IS_SLIDE] == 0.0 else 2.0 * math.atan2(x, 1.0)
 
 
 @device
-def _claimed_twice(s, k, angle):
-    """Whether posture k is that of a root with this value of the hidden joint, and was that of
-    another one before.
+def _is_claimed_twice(s, k, angle):
+    """Return whether posture k belongs to a root with this value of the hidden joint, and to
+    another root before.
     """
-    posture = beyond(s.w, FOUNDLINGS + FOUND * k)
-    here = abs(wrapped(_hidden_value(s, k) - angle)) < NEARLY
+    posture = advance_pointer(s.w, FOUNDLINGS + FOUND * k)
+    here = abs(wrap_angle(_read_hidden_value(s, k) - angle)) < NEARLY
     before = posture[CLAIMED] != 0.0
     posture[CLAIMED] = 1.0 if here else posture[CLAIMED]
     return here and before
 
 
 @device
-def _unmatched(s, n, count):
-    """Whether a root that is expected to have a posture, or a posture, has no partner; a singular
-    posture has two.
+def _has_unmatched_root(s, n, count):
+    """Return whether a root that is expected to have a posture, or a posture, has no partner; a
+    singular posture has two.
     """
-    roots = beyond(s.w, _ROOTS)
+    roots = advance_pointer(s.w, _ROOTS)
     alone = False
     for again in range(2):
         for k in range(count):
             if again == 0:
-                alone = alone or not matched(roots, n, _hidden_value(s, k))
-            elif is_singular(beyond(s.w, FOUNDLINGS), k):
-                matched(roots, n, _hidden_value(s, k))
-    return alone or expected(roots, n) > 0
+                alone = alone or not claim_nearest_root(roots, n, _read_hidden_value(s, k))
+            elif is_singular(advance_pointer(s.w, FOUNDLINGS), k):
+                claim_nearest_root(roots, n, _read_hidden_value(s, k))
+    return alone or count_expected_roots(roots, n) > 0
 
 
 @routine
-def _add(s, i, n, twins, count, strays):
-    """(postures, strays, suspicion) with those of root i of n added.
+def _add_postures(s, i, n, twins, count, strays):
+    """Add the postures of root i of n; return (postures, strays, suspicion).
 
     A stray is a start that was close, but Newton's steps led astray: written to `out`, from its
     end.
     """
-    found = beyond(s.w, FOUNDLINGS)
-    work = beyond(s.w, _WORK)
-    roots = beyond(s.w, _ROOTS)
+    found = advance_pointer(s.w, FOUNDLINGS)
+    work = advance_pointer(s.w, _WORK)
+    roots = advance_pointer(s.w, _ROOTS)
     imaginary = roots[ROOT * i + IMAGINARY]
     angle = roots[ROOT * i + ANGLE]
     none = 0
-    alike, met, aside = together(roots, n, i) if imaginary < TOGETHER else (1, False, 0.0)
+    alike, met, aside = (
+        count_sharing_roots(roots, n, i) if imaginary < TOGETHER else (1, False, 0.0)
+    )
     if alike > 2 and met:
         return count, strays, 0
     angle += aside if alike > 2 else 0.0
-    vectors, suspect, proven, second = _vectors_at(angle, alike, s.w)
+    vectors, suspect, proven, second = _find_null_vectors(angle, alike, s.w)
     proven = suspect == 0 and imaginary < TOGETHER and (proven or vectors == 1)
     for k in range(vectors):
         if count == CANDIDATES:
             return count, strays, suspect | ILL_NULL
-        theta = beyond(found, FOUND * count)
-        defect, quality = _posture(s, angle, k, theta)
+        theta = advance_pointer(found, FOUND * count)
+        defect, quality = _read_posture(s, angle, k, theta)
         other = vectors == 1 and second > SIMPLE and imaginary == 0.0 and defect * second > NOISE
         none += int(other or defect == math.inf)
         if defect == math.inf:
             continue
-        state = accept(s.kinds, s.lines, s.goal, found, count, work)
+        state = accept_candidate(s.kinds, s.lines, s.goal, found, count, work)
         suspect |= SINGULAR if state > 0 and is_singular(found, count) else 0
         suspect |= SHARED if state >= 0 and quality < DETERMINED else 0
         if state < 0 and not other:
@@ -897,46 +925,56 @@ def _add(s, i, n, twins, count, strays):
         if state < 0 or other:
             count += max(state, 0)
             continue
-        again = _claimed_twice(s, int(theta[KNOWN]), angle) and twins
+        again = _is_claimed_twice(s, int(theta[KNOWN]), angle) and twins
         merging = vectors == 1 and (imaginary > 0.0 or again)
         source = count
         count = count + state
         if merging and count < CANDIDATES:
-            state = twin(s.kinds, s.lines, s.goal, found, source, count, work)
+            state = accept_twin(s.kinds, s.lines, s.goal, found, source, count, work)
             suspect |= SINGULAR if state > 0 and is_singular(found, count) else 0
             suspect |= TWICE if state < 1 and imaginary < DOUBT else 0
             count += max(state, 0)
     if proven and (alike > 2 or none > 0 or vectors == 0):
-        stand_for(roots, n, i, vectors - none)
+        mark_expected_roots(roots, n, i, vectors - none)
     return count, strays, suspect
 
 
 @routine
-def _postures(s, n, half, disturbed, count, strays):
-    """(postures, strays, suspicion) with those of the n roots added; of a pair of conjugates the
-    first is enough.
+def _collect_postures(s, n, half, disturbed, count, strays):
+    """Add the postures of the n roots, one of each pair of conjugates; return (postures, strays,
+    suspicion).
     """
     suspect = 0
-    roots = beyond(s.w, _ROOTS)
+    roots = advance_pointer(s.w, _ROOTS)
     narrower = 1.0 if disturbed == 0 else WIDER
-    slides = s.w[TRIPLE + LINE_STRIDE * hidden_of(s.formulation) + IS_SLIDE] != 0.0
+    slides = s.w[TRIPLE + LINE_STRIDE * find_hidden_joint(s.formulation) + IS_SLIDE] != 0.0
     write_roots(
-        beyond(s.w, _REAL_PARTS), beyond(s.w, _IMAGINARY_PARTS), n, half, narrower, slides, roots
+        advance_pointer(s.w, _REAL_PARTS),
+        advance_pointer(s.w, _IMAGINARY_PARTS),
+        n,
+        half,
+        narrower,
+        slides,
+        roots,
     )
     for i in range(n):
-        if 0.0 <= roots[ROOT * i + IMAGINARY] < NEARLY and not at_infinity(
+        if 0.0 <= roots[ROOT * i + IMAGINARY] < NEARLY and not is_at_infinity(
             slides, roots[ROOT * i + ANGLE]
         ):
-            count, strays, doubt = _add(s, i, n, disturbed == 0, count, strays)
+            count, strays, doubt = _add_postures(s, i, n, disturbed == 0, count, strays)
             suspect |= doubt
-    lost = _unmatched(s, n, count) if disturbed == 0 else expected(roots, n) != count
+    lost = (
+        _has_unmatched_root(s, n, count)
+        if disturbed == 0
+        else count_expected_roots(roots, n) != count
+    )
     return count, strays, suspect | (UNMATCHED if lost else 0)
 
 
 @routine
-def eliminate(kinds, lines, goal, formulation, w, out):
-    """(count, strays, suspect); writes `count` candidates, six coordinates each, angles in (-pi,
-    pi].
+def eliminate_unknowns(kinds, lines, goal, formulation, w, out):
+    """Write candidates, six coordinates each with angles in (-pi, pi]; return (count, strays,
+    suspect).
 
     kinds, lines: the chain, LINE_STRIDE numbers a joint. goal: rows of G (12 numbers). w:
     ELIMINATION_SCRATCH numbers. out: room for CANDIDATES candidates. Each candidate fulfils the
@@ -949,7 +987,7 @@ def eliminate(kinds, lines, goal, formulation, w, out):
     though hardly any goal nearby does. Then a disturbed goal's postures are where Newton's steps
     begin.
     """
-    found = beyond(w, FOUNDLINGS)
+    found = advance_pointer(w, FOUNDLINGS)
     count = 0
     strays = 0
     suspect = DEGENERATE
@@ -959,17 +997,17 @@ def eliminate(kinds, lines, goal, formulation, w, out):
             break
         near = goal
         if disturbed == 1:
-            near = beyond(w, _GOAL)
-            disturb(goal, near)
+            near = advance_pointer(w, _GOAL)
+            disturb_goal(goal, near)
         s = EliminationScratch(kinds, lines, goal, near, w, out, formulation)
-        n, half, ratio = matrix_of(kinds, lines, near, formulation, w)
+        n, half, ratio = write_root_matrix(kinds, lines, near, formulation, w)
         suspect = UNUSABLE | suspect & SINGULAR
         least = min(least, ratio)
         if not ratio > NO_MATRIX:
             continue
         suspect = suspect & SINGULAR | (0 if ratio > GOOD_LEAD else ILL_LEAD)
-        suspect |= NO_EIGENVALUES if _eigenvalues(n, w) > 0 else 0
-        count, strays, doubt = _postures(s, n, half, disturbed, count, strays)
+        suspect |= NO_EIGENVALUES if _compute_eigenvalues(n, w) > 0 else 0
+        count, strays, doubt = _collect_postures(s, n, half, disturbed, count, strays)
         suspect |= doubt
     strays = min(strays, CANDIDATES - count)
     for k in range(strays):  # those that came first stand last

@@ -1,5 +1,5 @@
-"""The loop equations of a chain of six joints, one joint removed: samples of them, and the six
-without the pair.
+"""The loop equations of a chain of six joints with one joint removed, and the six equations without
+the pair.
 
 A solution closes the loop E_1 ... E_6 G^-1 = 1. Without joint r it says that the product of the
 other five carries r's line, seen from one side, onto the same line, seen from the other. Of the
@@ -24,8 +24,8 @@ from __future__ import annotations
 import math
 
 from kempe.kernels.base._jit import device, routine
-from kempe.kernels.base.scratch import beyond
-from kempe.kernels.base.vectors import LANES, load_lanes, spread_lanes, store
+from kempe.kernels.base.scratch import advance_pointer
+from kempe.kernels.base.vectors import LANES, load_lanes, spread_lanes, store_value
 from kempe.kernels.forward.table_layout import SLIDE
 
 LINE_STRIDE = 8
@@ -58,19 +58,19 @@ FANS_SIZE = 6 * (3 + 9 + 27) + 16
 
 
 @device
-def removed_of(formulation):
-    """Number of the joint that the formulation removes."""
+def find_removed_joint(formulation):
+    """Return the number of the joint that the formulation removes."""
     return formulation % 6
 
 
 @device
-def hidden_of(formulation):
-    """Which joint of the triple stays in the eigenproblem: 0, 1 or 2."""
+def find_hidden_joint(formulation):
+    """Return which joint of the triple stays in the eigenproblem: 0, 1 or 2."""
     return formulation // 6 % 3
 
 
 @device
-def _copy(lines, i, sign, loop, k):
+def _copy_line(lines, i, sign, loop, k):
     """Write line i with its direction times `sign` to loop[k:]."""
     for j in range(3):
         loop[k + j] = sign * lines[LINE_STRIDE * i + j]
@@ -78,7 +78,7 @@ def _copy(lines, i, sign, loop, k):
 
 
 @device
-def _back(goal, loop, k):
+def _move_line_back(goal, loop, k):
     """Move the line loop[k:] by the inverse of the goal."""
     hx = loop[k]
     hy = loop[k + 1]
@@ -92,33 +92,33 @@ def _back(goal, loop, k):
 
 
 @routine
-def arrange(kinds, lines, goal, formulation, loop):
+def arrange_loop(kinds, lines, goal, formulation, loop):
     """Write the loop of this formulation (LOOP_SIZE numbers).
 
     Joints before the removed one come after the goal's inverse, which is moved to the right through
     them. The loop walked backwards is a loop again: of inverse motions, hence of flipped lines.
     """
-    removed = removed_of(formulation)
+    removed = find_removed_joint(formulation)
     backwards = formulation // 18 == 1
     sign = -1.0 if backwards else 1.0
     for place in range(5):
         i = (removed + 1 + place) % 6
         k = LINE_STRIDE * (4 - place if backwards else place)
-        _copy(lines, i, sign, loop, k)
+        _copy_line(lines, i, sign, loop, k)
         if i < removed:
-            _back(goal, loop, k)
+            _move_line_back(goal, loop, k)
         loop[k + NUMBER] = float(i)
         loop[k + IS_SLIDE] = 1.0 if kinds[i] == SLIDE else 0.0
     near, far = (SOURCE, TARGET) if backwards else (TARGET, SOURCE)
-    _copy(lines, removed, 1.0, loop, near)
-    _copy(lines, removed, 1.0, loop, far)
-    _back(goal, loop, far)
+    _copy_line(lines, removed, 1.0, loop, near)
+    _copy_line(lines, removed, 1.0, loop, far)
+    _move_line_back(goal, loop, far)
 
 
 @routine
-def fan(line, sign, here, there):
-    """Write the line here (l, p: 6 numbers), moved by a joint, to `there`: at 0, pi/2 and pi, or 0,
-    1 and -1.
+def write_fan(line, sign, here, there):
+    """Write three positions of the line here (l, p: 6 numbers), moved by a joint, to `there`: at 0,
+    pi/2 and pi, or at 0, 1 and -1.
     """
     hx = sign * line[0]
     hy = sign * line[1]
@@ -173,8 +173,10 @@ def fan(line, sign, here, there):
 
 
 @routine
-def fourteen(line, out, stride):
-    """Write the fourteen numbers of a line (l, p: 6 numbers) to out, `stride` apart."""
+def write_line_numbers(line, out, stride):
+    """Write the fourteen numbers of a line (l, p: 6 numbers) in the loop equations to `out`,
+    `stride` apart.
+    """
     lx = line[0]
     ly = line[1]
     lz = line[2]
@@ -200,7 +202,7 @@ def fourteen(line, out, stride):
 
 
 @routine
-def line_of(loop, k, out):
+def write_line(loop, k, out):
     """Write direction and point of the line loop[k:] side by side."""
     for j in range(3):
         out[j] = loop[k + j]
@@ -208,40 +210,51 @@ def line_of(loop, k, out):
 
 
 @routine
-def sample(loop, fans, table):
+def sample_loop(loop, fans, table):
     """Fill the table: samples 9 i3 + 3 i2 + i1 of the triple, and eight of the pair, all less the
     pair's first.
     """
-    line_of(loop, TARGET, fans)
-    fan(beyond(loop, PAIR), -1.0, fans, beyond(fans, 6))
+    write_line(loop, TARGET, fans)
+    write_fan(advance_pointer(loop, PAIR), -1.0, fans, advance_pointer(fans, 6))
     for i in range(3):
-        fan(
-            beyond(loop, PAIR + LINE_STRIDE),
+        write_fan(
+            advance_pointer(loop, PAIR + LINE_STRIDE),
             -1.0,
-            beyond(fans, 6 + 6 * i),
-            beyond(fans, 24 + 18 * i),
+            advance_pointer(fans, 6 + 6 * i),
+            advance_pointer(fans, 24 + 18 * i),
         )
-    constant = beyond(fans, FANS)
-    fourteen(beyond(fans, 24), constant, 1)
+    constant = advance_pointer(fans, FANS)
+    write_line_numbers(advance_pointer(fans, 24), constant, 1)
     for i in range(1, 9):
-        fourteen(beyond(fans, 24 + 6 * i), beyond(table, DIFFERENCES + i - 1), SAMPLE_STRIDE)
-    line_of(loop, SOURCE, fans)
-    fan(beyond(loop, TRIPLE + 2 * LINE_STRIDE), 1.0, fans, beyond(fans, 27 * 6))
+        write_line_numbers(
+            advance_pointer(fans, 24 + 6 * i),
+            advance_pointer(table, DIFFERENCES + i - 1),
+            SAMPLE_STRIDE,
+        )
+    write_line(loop, SOURCE, fans)
+    write_fan(
+        advance_pointer(loop, TRIPLE + 2 * LINE_STRIDE), 1.0, fans, advance_pointer(fans, 27 * 6)
+    )
     for i in range(3):
-        fan(
-            beyond(loop, TRIPLE + LINE_STRIDE),
+        write_fan(
+            advance_pointer(loop, TRIPLE + LINE_STRIDE),
             1.0,
-            beyond(fans, (27 + i) * 6),
-            beyond(fans, (30 + 3 * i) * 6),
+            advance_pointer(fans, (27 + i) * 6),
+            advance_pointer(fans, (30 + 3 * i) * 6),
         )
     for i in range(9):
-        fan(beyond(loop, TRIPLE), 1.0, beyond(fans, (30 + i) * 6), beyond(fans, 18 * i))
+        write_fan(
+            advance_pointer(loop, TRIPLE),
+            1.0,
+            advance_pointer(fans, (30 + i) * 6),
+            advance_pointer(fans, 18 * i),
+        )
     for i in range(27):
-        fourteen(beyond(fans, 6 * i), beyond(table, i), SAMPLE_STRIDE)
+        write_line_numbers(advance_pointer(fans, 6 * i), advance_pointer(table, i), SAMPLE_STRIDE)
     for e in range(EQUATIONS):
         for c in range(0, SAMPLE_STRIDE, LANES):
             k = e * SAMPLE_STRIDE + c
-            store(table, k, load_lanes(table, k) - constant[e])
+            store_value(table, k, load_lanes(table, k) - constant[e])
 
 
 @routine
@@ -270,4 +283,4 @@ def remove_pair(table, v):
             sum_ = sum_ * scale
             for e in range(k, EQUATIONS):
                 i = e * SAMPLE_STRIDE + c
-                store(table, i, load_lanes(table, i) - v[e] * sum_)
+                store_value(table, i, load_lanes(table, i) - v[e] * sum_)

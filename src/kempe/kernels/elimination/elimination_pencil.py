@@ -12,8 +12,8 @@ With w = t u the roots are the eigenvalues of a 24x24 companion matrix (Manocha 
 "Efficient inverse kinematics for general 6R manipulators"). If the triple's outer joint (X_1) is
 hidden and turns, t = i and t = -i belong to no posture and are there four times each: an invariant
 subspace of dimension eight, known from the null space of a complex 12x12 matrix. The quotient by it
-is a 16x16 matrix, which `companion` writes down at once. If another joint is hidden, the eight
-roots too many are anywhere off the real axis, and the matrix keeps its 24 rows.
+is a 16x16 matrix, which `write_companion_matrix` writes down at once. If another joint is hidden,
+the eight roots too many are anywhere off the real axis, and the matrix keeps its 24 rows.
 """
 
 from __future__ import annotations
@@ -21,9 +21,16 @@ from __future__ import annotations
 import math
 
 from kempe.kernels.base._jit import device, routine
-from kempe.kernels.base.row_reduction import lane_of, largest
-from kempe.kernels.base.scratch import beyond
-from kempe.kernels.base.vectors import LANES, entry, load_lanes, spread_lanes, store, where
+from kempe.kernels.base.row_reduction import find_lane, find_maximum
+from kempe.kernels.base.scratch import advance_pointer
+from kempe.kernels.base.vectors import (
+    LANES,
+    extract_entry,
+    load_lanes,
+    select_where,
+    spread_lanes,
+    store_value,
+)
 from kempe.kernels.elimination.elimination_loop import (
     EQUATIONS,
     IS_SLIDE,
@@ -63,7 +70,7 @@ ROOT_1_2 = math.sqrt(0.5)
 
 
 @device
-def _forms(t, k, step, slides, factor):
+def _convert_to_forms(t, k, step, slides, factor):
     """Turn the samples t[k], t[k + step], t[k + 2 step] of a joint into its quadratic form's
     coefficients, in place.
     """
@@ -78,39 +85,39 @@ def _forms(t, k, step, slides, factor):
 
 
 @device
-def power_of_3(k):
-    """3^k for k = 0, 1, 2."""
+def compute_power_of_three(k):
+    """Return 3^k for k = 0, 1, 2."""
     return 1 + 2 * k + 2 * k * (k - 1)
 
 
 @routine
-def assemble(table, loop, hidden, forms):
+def assemble_pencil(table, loop, hidden, forms):
     """Write P, Q, R (FORMS numbers): rows u_a, w_a times six equations, columns 3 i + j of cubic i,
     quadratic j.
     """
     a = 1 if hidden == 0 else 0
     b = 1 if hidden == 2 else 2
-    hs = power_of_3(hidden)
-    as_ = power_of_3(a)
-    bs = power_of_3(b)
+    hs = compute_power_of_three(hidden)
+    as_ = compute_power_of_three(a)
+    bs = compute_power_of_three(b)
     slides_h = loop[TRIPLE + LINE_STRIDE * hidden + IS_SLIDE] != 0.0
     slides_a = loop[TRIPLE + LINE_STRIDE * a + IS_SLIDE] != 0.0
     slides_b = loop[TRIPLE + LINE_STRIDE * b + IS_SLIDE] != 0.0
     for i in range(FORMS):
         forms[i] = 0.0
     for e in range(6):
-        t = beyond(table, (EQUATIONS - 6 + e) * SAMPLE_STRIDE)
+        t = advance_pointer(table, (EQUATIONS - 6 + e) * SAMPLE_STRIDE)
         for i in range(3):
             for j in range(3):
-                _forms(t, i * as_ + j * bs, hs, slides_h, 1.0)
+                _convert_to_forms(t, i * as_ + j * bs, hs, slides_h, 1.0)
         for i in range(3):
             for j in range(3):
-                _forms(t, i * hs + j * bs, as_, slides_a, ROOT_1_2)
+                _convert_to_forms(t, i * hs + j * bs, as_, slides_a, ROOT_1_2)
         for i in range(3):
             for j in range(3):
-                _forms(t, i * hs + j * as_, bs, slides_b, ROOT_1_2)
+                _convert_to_forms(t, i * hs + j * as_, bs, slides_b, ROOT_1_2)
         for i in range(3):
-            m = beyond(forms, i * SIZE * ROW + e * ROW)
+            m = advance_pointer(forms, i * SIZE * ROW + e * ROW)
             for j in range(3):
                 c0 = t[i * hs + j * bs]
                 c1 = t[i * hs + as_ + j * bs]
@@ -121,13 +128,13 @@ def assemble(table, loop, hidden, forms):
 
 
 @device
-def matrix_at(forms, u, w, out):
+def evaluate_pencil(forms, u, w, out):
     """Write P u^2 + Q u w + R w^2 (12 rows of stride ROW)."""
     uu = u * u
     uw = u * w
     ww = w * w
     for i in range(0, SIZE * ROW, LANES):
-        store(
+        store_value(
             out,
             i,
             uu * load_lanes(forms, i)
@@ -137,9 +144,9 @@ def matrix_at(forms, u, w, out):
 
 
 @routine
-def pivot_ratio(m):
-    """Least over largest pivot of the matrix m (12 rows of stride ROW), which is lost: 0 if it is
-    singular.
+def compute_pivot_ratio(m):
+    """Return the ratio of least to largest pivot of the matrix m (12 rows of stride ROW), which is
+    lost: 0 if it is singular.
     """
     least = math.inf
     largest = 0.0
@@ -158,19 +165,21 @@ def pivot_ratio(m):
         if place != k:
             for c in range(0, ROW, LANES):
                 x = load_lanes(m, k * ROW + c)
-                store(m, k * ROW + c, load_lanes(m, place * ROW + c))
-                store(m, place * ROW + c, x)
+                store_value(m, k * ROW + c, load_lanes(m, place * ROW + c))
+                store_value(m, place * ROW + c, x)
         over = 1.0 / m[k * ROW + k]
         for i in range(k + 1, SIZE):
             f = m[i * ROW + k] * over
             for c in range(0, ROW, LANES):
-                store(m, i * ROW + c, load_lanes(m, i * ROW + c) - f * load_lanes(m, k * ROW + c))
+                store_value(
+                    m, i * ROW + c, load_lanes(m, i * ROW + c) - f * load_lanes(m, k * ROW + c)
+                )
     return least / largest
 
 
 @routine
-def null_at_i(forms, re, im, free, mask):
-    """Whether P - R + i Q has LOST null vectors; reduces it to find them.
+def find_vectors_at_i(forms, re, im, free, mask):
+    """Reduce the matrix P - R + i Q to find its null vectors; return whether it has LOST of them.
 
     Gauss-Jordan elimination with complete pivoting, SIZE - LOST steps, on re and im (12 rows of
     stride ROW each). free: 2 * SIZE numbers: for each step its pivot's column and row, then the
@@ -178,15 +187,15 @@ def null_at_i(forms, re, im, free, mask):
     of row[f] x_f: pivot rows have been divided.
     """
     for i in range(0, SIZE * ROW, LANES):
-        store(re, i, load_lanes(forms, P + i) - load_lanes(forms, R + i))
-        store(im, i, load_lanes(forms, Q + i))
+        store_value(re, i, load_lanes(forms, P + i) - load_lanes(forms, R + i))
+        store_value(im, i, load_lanes(forms, Q + i))
     for j in range(ROW):
         mask[j] = 1.0 if j < SIZE else 0.0
         mask[ROW + j] = 1.0
     first = 0.0
     steps = SIZE - LOST
     for k in range(steps + 1):
-        best, row, column = largest_entry(re, im, mask)
+        best, row, column = find_largest_entry(re, im, mask)
         if k == 0:
             first = max(best, FLOOR)
         if k == steps or not best > 0.0:
@@ -200,7 +209,7 @@ def null_at_i(forms, re, im, free, mask):
         free[2 * k + 1] = float(row)
         mask[column] = 0.0
         mask[ROW + row] = 0.0
-        _divide(re, im, row, re[row * ROW + column], im[row * ROW + column])
+        _divide_row(re, im, row, re[row * ROW + column], im[row * ROW + column])
         for i in range(SIZE):
             if i != row:
                 fr = re[i * ROW + column]
@@ -208,13 +217,13 @@ def null_at_i(forms, re, im, free, mask):
                 for c in range(0, ROW, LANES):
                     pr = load_lanes(re, row * ROW + c)
                     pi = load_lanes(im, row * ROW + c)
-                    store(re, i * ROW + c, load_lanes(re, i * ROW + c) - fr * pr + fi * pi)
-                    store(im, i * ROW + c, load_lanes(im, i * ROW + c) - fr * pi - fi * pr)
+                    store_value(re, i * ROW + c, load_lanes(re, i * ROW + c) - fr * pr + fi * pi)
+                    store_value(im, i * ROW + c, load_lanes(im, i * ROW + c) - fr * pi - fi * pr)
     return False
 
 
 @device
-def _divide(re, im, row, x, y):
+def _divide_row(re, im, row, x, y):
     """Divide a row by x + i y."""
     size = 1.0 / (x * x + y * y)
     x = x * size
@@ -222,14 +231,14 @@ def _divide(re, im, row, x, y):
     for c in range(0, ROW, LANES):
         a = load_lanes(re, row * ROW + c)
         b = load_lanes(im, row * ROW + c)
-        store(re, row * ROW + c, x * a - y * b)
-        store(im, row * ROW + c, x * b + y * a)
+        store_value(re, row * ROW + c, x * a - y * b)
+        store_value(im, row * ROW + c, x * b + y * a)
 
 
 @device
-def largest_entry(re, im, mask):
-    """(squared size, row, column) of the largest entry in rows and columns that the mask (2 ROW
-    numbers) leaves.
+def find_largest_entry(re, im, mask):
+    """Return (squared size, row, column) of the largest entry in the rows and columns that the mask
+    (2 ROW numbers) leaves.
     """
     best = spread_lanes(-1.0)
     place = spread_lanes(0.0)
@@ -240,16 +249,16 @@ def largest_entry(re, im, mask):
                 y = load_lanes(im, i * ROW + c)
                 size = (x * x + y * y) * load_lanes(mask, c)
                 better = size > best
-                best = where(better, size, best)
-                place = where(better, float(i * ROW + c), place)
-    size = largest(best)
-    lane = min(lane_of(best, size), LANES - 1)
-    place = int(entry(place, lane)) + lane
+                best = select_where(better, size, best)
+                place = select_where(better, float(i * ROW + c), place)
+    size = find_maximum(best)
+    lane = min(find_lane(best, size), LANES - 1)
+    place = int(extract_entry(place, lane)) + lane
     return size, place // ROW, place % ROW
 
 
 @routine
-def lead(forms, c, s, kept, count, wide):
+def solve_leading_matrix(forms, c, s, kept, count, wide):
     """Pivot ratio of the leading matrix with the joint's zero moved; writes H = -R'^-1 [P' Q']
     right of it.
 
@@ -288,36 +297,38 @@ def lead(forms, c, s, kept, count, wide):
         if place != k:
             for j in range(0, width, LANES):
                 x = load_lanes(wide, k * WIDE + j)
-                store(wide, k * WIDE + j, load_lanes(wide, place * WIDE + j))
-                store(wide, place * WIDE + j, x)
+                store_value(wide, k * WIDE + j, load_lanes(wide, place * WIDE + j))
+                store_value(wide, place * WIDE + j, x)
         over = 1.0 / wide[k * WIDE + k]
         for i in range(k + 1, SIZE):
             f = wide[i * WIDE + k] * over
             for j in range(k // LANES * LANES, width, LANES):
-                store(
+                store_value(
                     wide,
                     i * WIDE + j,
                     load_lanes(wide, i * WIDE + j) - f * load_lanes(wide, k * WIDE + j),
                 )
-    _substitute(wide, width)
+    _substitute_back(wide, width)
     return least / largest
 
 
 @device
-def _substitute(wide, width):
+def _substitute_back(wide, width):
     """Solve the triangular system in `wide` for the columns from ROW on."""
     for back in range(SIZE):
         k = SIZE - 1 - back
         over = 1.0 / wide[k * WIDE + k]
         for j in range(ROW, width, LANES):
             x = load_lanes(wide, k * WIDE + j) * over
-            store(wide, k * WIDE + j, x)
+            store_value(wide, k * WIDE + j, x)
             for i in range(k):
-                store(wide, i * WIDE + j, load_lanes(wide, i * WIDE + j) - wide[i * WIDE + k] * x)
+                store_value(
+                    wide, i * WIDE + j, load_lanes(wide, i * WIDE + j) - wide[i * WIDE + k] * x
+                )
 
 
 @routine
-def companion(wide, re, im, free, lost, a):
+def write_companion_matrix(wide, re, im, free, lost, a):
     """Write the companion matrix, 2 (12 - lost) rows of stride STRIDE, without the `lost` null
     vectors at t = i.
 
@@ -337,8 +348,8 @@ def companion(wide, re, im, free, lost, a):
                 h = load_lanes(wide, f * WIDE + ROW + j)
                 upper = upper + im[row * ROW + f] * h
                 lower = lower + re[row * ROW + f] * h
-            store(a, i * STRIDE + j, upper)
-            store(a, (count + i) * STRIDE + j, lower)
+            store_value(a, i * STRIDE + j, upper)
+            store_value(a, (count + i) * STRIDE + j, lower)
     for i in range(count):
         a[i * STRIDE + count + i] += 1.0
 
@@ -354,20 +365,22 @@ for."""
 
 
 @device
-def clear(m, row, column):
+def clear_column(m, row, column):
     """Divide a row by its pivot and clear the pivot's column in the others."""
     over = 1.0 / m[row * ROW + column]
     for c in range(0, ROW, LANES):
-        store(m, row * ROW + c, over * load_lanes(m, row * ROW + c))
+        store_value(m, row * ROW + c, over * load_lanes(m, row * ROW + c))
     for i in range(SIZE):
         if i != row:
             f = m[i * ROW + column]
             for c in range(0, ROW, LANES):
-                store(m, i * ROW + c, load_lanes(m, i * ROW + c) - f * load_lanes(m, row * ROW + c))
+                store_value(
+                    m, i * ROW + c, load_lanes(m, i * ROW + c) - f * load_lanes(m, row * ROW + c)
+                )
 
 
 @device
-def vector(m, order, steps, column, x):
+def write_null_vector(m, order, steps, column, x):
     """Write the vector that m, reduced by `steps` pivots, takes to zero: 1 at `column`, 0 at the
     others left over.
     """
@@ -379,7 +392,7 @@ def vector(m, order, steps, column, x):
 
 
 @routine
-def null_vectors(m, mask, order, x):
+def find_null_vectors(m, mask, order, x):
     """(vectors, third last pivot, last but one), over the first; writes one null vector, or two at
     x and x + ROW.
 
@@ -393,7 +406,7 @@ def null_vectors(m, mask, order, x):
     first = third = second = 0.0
     vectors = 1
     for k in range(SIZE - 1):
-        best, row, column = largest_entry(m, m, mask)
+        best, row, column = find_largest_entry(m, m, mask)
         size = math.sqrt(max(best, 0.0))
         if k == 0:
             first = max(size, FLOOR)
@@ -408,18 +421,19 @@ def null_vectors(m, mask, order, x):
         order[2 * k + 1] = float(row)
         mask[column] = 0.0
         mask[ROW + row] = 0.0
-        clear(m, row, column)
+        clear_column(m, row, column)
     left = 0
     for c in range(SIZE):
         if mask[c] != 0.0 and left < vectors:
-            vector(m, order, SIZE - vectors, c, beyond(x, ROW * left))
+            write_null_vector(m, order, SIZE - vectors, c, advance_pointer(x, ROW * left))
             left += 1
     return vectors, third / first, second / first
 
 
 @routine
-def angles_of(x):
-    """(angle of a, angle of b, defect) that the null vector x stands for; slides as 2 atan d.
+def read_angles(x):
+    """Return (angle of a, angle of b, defect) that the null vector x stands for; a slide d is the
+    angle 2 atan d.
 
     x[3 i + j] is (u^3, sqrt(3) u^2 w, sqrt(3) u w^2, w^3)_i of joint a times (u^2, sqrt(2) u w,
     w^2)_j of joint b. Of vectors (u, w) along one line with a = sum u u, b = sum u w and d = sum w
@@ -451,8 +465,8 @@ def angles_of(x):
 
 
 @device
-def entry_of_a(x, i, j):
-    """(u part, w part) of null vector x at place i < 3 of joint a's cubic form, j < 3 of b's
+def read_a_entry(x, i, j):
+    """Return (u part, w part) of null vector x at place i < 3 of joint a's cubic form, j < 3 of b's
     quadratic form.
     """
     left = x[3 * i + j] if i == 0 else ROOT_1_3 * x[3 * i + j]
@@ -461,8 +475,8 @@ def entry_of_a(x, i, j):
 
 
 @device
-def entry_of_b(x, i, j):
-    """(u part, w part) of null vector x at place i < 4 of joint a's cubic form, j < 2 of b's
+def read_b_entry(x, i, j):
+    """Return (u part, w part) of null vector x at place i < 4 of joint a's cubic form, j < 2 of b's
     quadratic form.
     """
     left = x[3 * i] if j == 0 else ROOT_1_2 * x[3 * i + 1]
@@ -471,22 +485,22 @@ def entry_of_b(x, i, j):
 
 
 @routine
-def _products(x, joint, out):
+def _write_products(x, joint, out):
     """Write U^T U, U^T W and W^T W (2x2 each) of two null vectors' u and w parts, for joint a (0)
     or b (1).
     """
-    y = beyond(x, ROW)
+    y = advance_pointer(x, ROW)
     for k in range(12):
         out[k] = 0.0
     for i in range(3 if joint == 0 else 4):
         for j in range(3 if joint == 0 else 2):
             if joint == 0:
-                u0, w0 = entry_of_a(x, i, j)
-                u1, w1 = entry_of_a(y, i, j)
+                u0, w0 = read_a_entry(x, i, j)
+                u1, w1 = read_a_entry(y, i, j)
                 f = 2.0 if i == 1 else 1.0
             else:
-                u0, w0 = entry_of_b(x, i, j)
-                u1, w1 = entry_of_b(y, i, j)
+                u0, w0 = read_b_entry(x, i, j)
+                u1, w1 = read_b_entry(y, i, j)
                 f = 1.0
             out[0] = out[0] + f * u0 * u0
             out[1] = out[1] + f * u0 * u1
@@ -503,7 +517,7 @@ def _products(x, joint, out):
 
 
 @device
-def _pencil(products, c, s, out):
+def _project_pencil(products, c, s, out):
     """Condition of the projection on (c U + s W); writes (c U + s W)^T U and (c U + s W)^T W, 2x2
     each.
     """
@@ -521,7 +535,7 @@ def _pencil(products, c, s, out):
 
 
 @routine
-def split(x, work):
+def split_null_vectors(x, work):
     """(vectors, separation): two null vectors become the real products of forms that lie in their
     plane, if any.
 
@@ -534,15 +548,17 @@ def split(x, work):
     separation = 0.0
     joint = 0
     for k in range(2):
-        _products(x, k, work)
+        _write_products(x, k, work)
         for trial in range(3):
             half = 0.3 + trial * math.pi / 3.0
-            condition = _pencil(work, math.cos(half), math.sin(half), beyond(work, 12))
+            condition = _project_pencil(
+                work, math.cos(half), math.sin(half), advance_pointer(work, 12)
+            )
             if condition > best or trial == 0:
                 best = condition
                 for i in range(8):
                     work[20 + 8 * k + i] = work[12 + i]
-        alpha, beta, gamma = _quadratic(beyond(work, 20 + 8 * k))
+        alpha, beta, gamma = _expand_determinant(advance_pointer(work, 20 + 8 * k))
         size = beta * beta + 2.0 * alpha * alpha + 2.0 * gamma * gamma + FLOOR
         value = (beta * beta - 4.0 * alpha * gamma) / size
         if abs(value) > abs(separation):
@@ -550,14 +566,14 @@ def split(x, work):
             joint = k
     if not separation > 0.0:
         return 0, -separation
-    m = beyond(work, 20 + 8 * joint)
-    alpha, beta, gamma = _quadratic(m)
+    m = advance_pointer(work, 20 + 8 * joint)
+    alpha, beta, gamma = _expand_determinant(m)
     # alpha w^2 + beta u w + gamma u^2 = 0: (u, w) = (2 alpha, q) and (q, 2 gamma), without
     # cancellation
     root = math.sqrt(beta * beta - 4.0 * alpha * gamma)
     q = -beta - root if beta > 0.0 else -beta + root
-    _combine(x, m, 2.0 * alpha, q, work)
-    _combine(x, m, q, 2.0 * gamma, beyond(work, ROW + 24))
+    _combine_vectors(x, m, 2.0 * alpha, q, work)
+    _combine_vectors(x, m, q, 2.0 * gamma, advance_pointer(work, ROW + 24))
     for j in range(SIZE):
         x[j] = work[j]
         x[ROW + j] = work[ROW + 24 + j]
@@ -565,8 +581,8 @@ def split(x, work):
 
 
 @device
-def _quadratic(m):
-    """Coefficients of w^2, u w and u^2 in the determinant of w m[0:4] - u m[4:8]."""
+def _expand_determinant(m):
+    """Return the coefficients of w^2, u w and u^2 in the determinant of w m[0:4] - u m[4:8]."""
     return (
         m[0] * m[3] - m[1] * m[2],
         m[1] * m[6] + m[2] * m[5] - m[0] * m[7] - m[3] * m[4],
@@ -575,7 +591,7 @@ def _quadratic(m):
 
 
 @device
-def _combine(x, m, u, w, out):
+def _combine_vectors(x, m, u, w, out):
     """Write y_0 x + y_1 (x + ROW), where (w m[0:4] - u m[4:8]) y = 0."""
     a = w * m[0] - u * m[4]
     b = w * m[1] - u * m[5]

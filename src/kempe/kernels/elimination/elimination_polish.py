@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 from kempe.kernels.base._jit import device, routine
-from kempe.kernels.base.scratch import beyond
+from kempe.kernels.base.scratch import advance_pointer
 from kempe.kernels.base.trig import sincos
-from kempe.kernels.base.vectors import LANES, load_lanes, store
+from kempe.kernels.base.vectors import LANES, load_lanes, store_value
 from kempe.kernels.elimination.elimination_loop import LINE_STRIDE
 from kempe.kernels.forward.table_layout import SLIDE
 
@@ -39,7 +39,7 @@ LONGEST_STEP = 0.5
 
 
 @routine
-def trace(kinds, lines, theta, work):
+def trace_lines(kinds, lines, theta, work):
     """Write the product E_1(theta_1) ... E_6(theta_6) and the Jacobian: column i is the twist
     [direction; moment] of i.
 
@@ -140,7 +140,7 @@ def trace(kinds, lines, theta, work):
 
 
 @routine
-def compare(goal, work):
+def compare_goal(goal, work):
     """(size, trace of the rotation) of D = goal . reached^-1; writes its twist beside the Jacobian,
     in column 6.
 
@@ -173,8 +173,9 @@ def compare(goal, work):
 
 
 @routine
-def solve_six(m):
-    """Least over largest pivot; solves the six equations in place, column 6 becomes the solution.
+def solve_six_equations(m):
+    """Solve six linear equations in place, column 6 becomes the solution; return the ratio of least
+    to largest pivot.
 
     Gauss-Jordan elimination with partial pivoting, on six rows of stride JACOBIAN.
     """
@@ -194,23 +195,23 @@ def solve_six(m):
         largest = max(largest, best)
         for c in range(0, JACOBIAN, LANES):
             row = load_lanes(m, place * JACOBIAN + c)
-            store(m, place * JACOBIAN + c, load_lanes(m, k * JACOBIAN + c))
-            store(m, k * JACOBIAN + c, row)
+            store_value(m, place * JACOBIAN + c, load_lanes(m, k * JACOBIAN + c))
+            store_value(m, k * JACOBIAN + c, row)
         over = 1.0 / m[k * JACOBIAN + k]
         for c in range(0, JACOBIAN, LANES):
-            store(m, k * JACOBIAN + c, over * load_lanes(m, k * JACOBIAN + c))
+            store_value(m, k * JACOBIAN + c, over * load_lanes(m, k * JACOBIAN + c))
         for i in range(6):
             if i != k:
                 f = m[i * JACOBIAN + k]
                 for c in range(0, JACOBIAN, LANES):
                     row = load_lanes(m, i * JACOBIAN + c) - f * load_lanes(m, k * JACOBIAN + c)
-                    store(m, i * JACOBIAN + c, row)
+                    store_value(m, i * JACOBIAN + c, row)
     return least / largest
 
 
 @device
-def wrapped(x):
-    """The angle x in (-pi, pi]."""
+def wrap_angle(x):
+    """Return the angle x in (-pi, pi]."""
     if -math.pi < x <= math.pi:
         return x
     y = x - 2.0 * math.pi * math.floor((x + math.pi) / (2.0 * math.pi))
@@ -218,9 +219,9 @@ def wrapped(x):
 
 
 @routine
-def polish(kinds, lines, goal, theta, work, steps):
-    """(error at first, error at last, pivot ratio) of `steps` Newton steps at most; improves the
-    six numbers theta.
+def polish_posture(kinds, lines, goal, theta, work, steps):
+    """Improve the six numbers theta by at most `steps` Newton steps; return (error at first, error
+    at last, pivot ratio).
 
     Ends once the error is ENOUGH, or close to that and no longer halved by a step. The pivot ratio
     is the Jacobian's where it was last solved with: near 0 the posture is singular.
@@ -228,15 +229,15 @@ def polish(kinds, lines, goal, theta, work, steps):
     begin = before = now = math.inf
     ratio = 0.0
     for step in range(steps + 1):
-        trace(kinds, lines, theta, work)
-        now, _ = compare(goal, work)
+        trace_lines(kinds, lines, theta, work)
+        now, _ = compare_goal(goal, work)
         if step == 0:
             begin = now
         done = not now > ENOUGH or (now < NEARLY_ENOUGH and now > 0.5 * before) or step == steps
         if done and step > 0:
             break
         before = now
-        ratio = solve_six(work)
+        ratio = solve_six_equations(work)
         largest = 0.0
         for i in range(6):
             largest = max(largest, abs(work[JACOBIAN * i + TWIST]))
@@ -249,8 +250,8 @@ def polish(kinds, lines, goal, theta, work, steps):
 
 
 @routine
-def disturb(goal, out):
-    """Write the goal, moved a little in no special direction."""
+def disturb_goal(goal, out):
+    """Write the goal, moved a little in a fixed, arbitrary direction."""
     x = 0.55 * DISTURBANCE
     y = -0.71 * DISTURBANCE
     z = 0.44 * DISTURBANCE
@@ -303,12 +304,12 @@ APART = 1e-6
 
 
 @routine
-def accept(kinds, lines, goal, found, count, work):
-    """Candidate `count` becomes a new posture (1), one of those before (0), or none (-1)."""
-    theta = beyond(found, FOUND * count)
+def accept_candidate(kinds, lines, goal, found, count, work):
+    """Add candidate `count` to the postures: 1 for a new one, 0 for one that is known, -1 for none."""
+    theta = advance_pointer(found, FOUND * count)
     for j in range(6):
         theta[START + j] = theta[j]
-    begin, end, ratio = polish(kinds, lines, goal, theta, work, STEPS)
+    begin, end, ratio = polish_posture(kinds, lines, goal, theta, work, STEPS)
     theta[RAW_ERROR] = begin
     theta[PIVOTS] = ratio
     theta[KNOWN] = float(count)
@@ -317,12 +318,12 @@ def accept(kinds, lines, goal, found, count, work):
         return -1
     for j in range(6):
         if kinds[j] != SLIDE:
-            theta[j] = wrapped(theta[j])
+            theta[j] = wrap_angle(theta[j])
     for k in range(count):
         far = 0.0
         for j in range(6):
             d = theta[j] - found[FOUND * k + j]
-            far = max(far, abs(d if kinds[j] == SLIDE else wrapped(d)))
+            far = max(far, abs(d if kinds[j] == SLIDE else wrap_angle(d)))
         if far < APART:
             theta[KNOWN] = float(k)
             return 0
@@ -330,22 +331,22 @@ def accept(kinds, lines, goal, found, count, work):
 
 
 @routine
-def twin(kinds, lines, goal, found, source, count, work):
-    """What `accept` says of candidate `count`, begun at the mirror image of candidate `source`
-    about its own start.
+def accept_twin(kinds, lines, goal, found, source, count, work):
+    """Add the posture reached from the mirror image of candidate `source` about its own start; the
+    result is that of `accept_candidate`.
 
     Two postures that are about to merge lie on both sides of where their common root, or two close
     ones, point.
     """
-    one = beyond(found, FOUND * source)
-    other = beyond(found, FOUND * count)
+    one = advance_pointer(found, FOUND * source)
+    other = advance_pointer(found, FOUND * count)
     for j in range(6):
         d = one[j] - one[START + j]
-        other[j] = one[START + j] - (d if kinds[j] == SLIDE else wrapped(d))
-    return accept(kinds, lines, goal, found, count, work)
+        other[j] = one[START + j] - (d if kinds[j] == SLIDE else wrap_angle(d))
+    return accept_candidate(kinds, lines, goal, found, count, work)
 
 
 @device
 def is_singular(found, k):
-    """Whether candidate k is a singular posture."""
+    """Return whether candidate k is a singular posture."""
     return not found[FOUND * k + PIVOTS] > SINGULAR_RATIO

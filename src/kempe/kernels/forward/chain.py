@@ -15,25 +15,25 @@ from kempe.kernels.base.declare import OUT, F, I
 from kempe.kernels.base.trig import REACH
 from kempe.kernels.base.vectors import (
     LANES,
-    all_between,
-    gather,
-    keep,
+    are_all_between,
+    compute_square_root,
+    expect_false,
+    gather_lanes,
+    get_pointer,
+    keep_alive,
     load_lanes,
-    rarely,
-    raw,
+    select_where,
     spread_lanes,
-    square_root,
-    store,
     store_columns,
-    where,
+    store_value,
 )
 from kempe.kernels.forward.chain_positions import (
     LARGEST_SQUARE,
     SMALLEST_SQUARE,
-    position_lanes,
-    sincos_of,
+    compute_row_sincos,
+    read_unit_quaternions,
     store_points,
-    unit_quaternion,
+    sweep_positions,
 )
 from kempe.kernels.forward.table_layout import (
     BALL,
@@ -52,8 +52,8 @@ from kempe.kernels.forward.table_layout import (
     SLIDE,
     TURN,
 )
-from kempe.kernels.forward.table_rows import rotation
-from kempe.kernels.forward.table_sweep import pose_at
+from kempe.kernels.forward.table_rows import make_rotation
+from kempe.kernels.forward.table_sweep import evaluate_pose
 
 POSE = 16
 ROWS = 12
@@ -65,7 +65,7 @@ position."""
 
 @device
 def spread_row(floats, k):
-    """A matrix row of a placement in all lanes."""
+    """Return a matrix row of the placement at floats[k:], in all lanes."""
     return (
         spread_lanes(floats[k]),
         spread_lanes(floats[k + 1]),
@@ -75,8 +75,8 @@ def spread_row(floats, k):
 
 
 @device
-def times_general(t, f, k):
-    """Row t of T @ X, X any placement at f[k:]."""
+def append_general_placement(t, f, k):
+    """Return row t of T @ X, X any placement at f[k:]."""
     x, y, z, p = t
     return (
         x * f[k] + (y * f[k + 4] + z * f[k + 8]),
@@ -87,38 +87,38 @@ def times_general(t, f, k):
 
 
 @device
-def times_rx(t, f, k):
-    """Row t of T @ [Rx | p]."""
+def append_x_turn(t, f, k):
+    """Return row t of T @ [Rx | p], Rx a turn about x."""
     x, y, z, p = t
     p = x * f[k + 3] + (y * f[k + 7] + (z * f[k + 11] + p))
     return x, y * f[k + 5] + z * f[k + 9], y * f[k + 6] + z * f[k + 10], p
 
 
 @device
-def times_rx_flat(t, f, k):
-    """Row t of T @ [Rx | px 0 pz]."""
+def append_flat_x_turn(t, f, k):
+    """Return row t of T @ [Rx | px 0 pz], Rx a turn about x."""
     x, y, z, p = t
     p = x * f[k + 3] + (z * f[k + 11] + p)
     return x, y * f[k + 5] + z * f[k + 9], y * f[k + 6] + z * f[k + 10], p
 
 
 @device
-def times_turn(t, s, c):
-    """Row t of T @ Rz."""
+def append_turn(t, s, c):
+    """Return row t of T @ Rz, Rz the turn about z with sine s and cosine c."""
     x, y, z, p = t
     return c * x + s * y, c * y - s * x, z, p
 
 
 @device
-def times_slide(t, theta):
-    """Row t of T @ Tz."""
+def append_slide(t, theta):
+    """Return row t of T @ Tz, Tz the slide along z by theta."""
     x, y, z, p = t
     return x, y, z, p + z * theta
 
 
 @device
-def times_ball(t, r):
-    """Row t of T @ R, r the nine entries of R, row by row."""
+def append_ball(t, r):
+    """Return row t of T @ R, r the nine entries of the rotation R, row by row."""
     x, y, z, p = t
     return (
         x * r[0] + (y * r[3] + z * r[6]),
@@ -129,19 +129,25 @@ def times_ball(t, r):
 
 
 @device
-def times_placement(form, u, v, w, f, k):
-    """The three rows of T @ X, from rows u, v, w of T; the placement X at f[k:] is of this `form`."""
+def append_placement(form, u, v, w, f, k):
+    """Return the three rows of T @ X, from rows u, v, w of T; the placement X at f[k:] is of this
+    `form`.
+    """
     if form == RX_FLAT:
-        return times_rx_flat(u, f, k), times_rx_flat(v, f, k), times_rx_flat(w, f, k)
+        return append_flat_x_turn(u, f, k), append_flat_x_turn(v, f, k), append_flat_x_turn(w, f, k)
     if form == RX:
-        return times_rx(u, f, k), times_rx(v, f, k), times_rx(w, f, k)
-    return times_general(u, f, k), times_general(v, f, k), times_general(w, f, k)
+        return append_x_turn(u, f, k), append_x_turn(v, f, k), append_x_turn(w, f, k)
+    return (
+        append_general_placement(u, f, k),
+        append_general_placement(v, f, k),
+        append_general_placement(w, f, k),
+    )
 
 
 @device
 def count_variables(ints):
-    """How many numbers `read_variables` keeps of a configuration: two of a turn, one of a slide,
-    four of a ball.
+    """Count the numbers that `read_variables` keeps of a configuration: two of a turn, one of a
+    slide, four of a ball.
     """
     total = 0
     for row in range(ints[N_ROWS]):
@@ -152,8 +158,8 @@ def count_variables(ints):
 
 @device
 def read_variables(ints, floats, q, start, nq, variables):
-    """Whether all lanes can be swept; `variables` gets sine and cosine, slide, or quaternion of
-    each row.
+    """Write sine and cosine, slide, or quaternion of each row to `variables`; return whether all
+    lanes can be swept.
     """
     near = True
     far = spread_lanes(0.0)
@@ -164,30 +170,30 @@ def read_variables(ints, floats, q, start, nq, variables):
         kx = ROW_FLOATS * row
         multiplier = floats[kx + MULTIPLIER]
         if kind == BALL:
-            sound, (w, x, y, z) = unit_quaternion(q, index, nq, multiplier)
+            sound, (w, x, y, z) = read_unit_quaternions(q, index, nq, multiplier)
             near &= sound
-            store(variables, k, w)
-            store(variables, k + LANES, x)
-            store(variables, k + 2 * LANES, y)
-            store(variables, k + 3 * LANES, z)
+            store_value(variables, k, w)
+            store_value(variables, k + LANES, x)
+            store_value(variables, k + 2 * LANES, y)
+            store_value(variables, k + 3 * LANES, z)
             k += 4 * LANES
             continue
-        theta = multiplier * gather(q, index, nq)
+        theta = multiplier * gather_lanes(q, index, nq)
         far = far + abs(theta)
         if kind == TURN:
-            s, c = sincos_of(floats, kx, theta)
-            store(variables, k, s)
-            store(variables, k + LANES, c)
+            s, c = compute_row_sincos(floats, kx, theta)
+            store_value(variables, k, s)
+            store_value(variables, k + LANES, c)
             k += 2 * LANES
         else:
-            store(variables, k, theta)
+            store_value(variables, k, theta)
             k += LANES
-    return near and all_between(0.0, far, REACH)
+    return near and are_all_between(0.0, far, REACH)
 
 
 @device
-def strays(ints, floats, q, start):
-    """Whether a coordinate of q[start:] makes `read_variables` refuse the lane."""
+def has_stray_coordinate(ints, floats, q, start):
+    """Return whether a coordinate of q[start:] makes `read_variables` refuse the lane."""
     for row in range(ints[N_ROWS]):
         index = start + ints[HEADER + ROW_INTS * row + Q_INDEX]
         if ints[HEADER + ROW_INTS * row + KIND] == BALL:
@@ -204,7 +210,7 @@ def strays(ints, floats, q, start):
 
 @device
 def sweep_lanes(ints, floats, variables):
-    """The matrix rows of LANES poses, from `variables` as `read_variables` wrote them."""
+    """Return the matrix rows of LANES poses, from `variables` as `read_variables` writes them."""
     n_rows = ints[N_ROWS]
     u = spread_row(floats, 0)
     v = spread_row(floats, 4)
@@ -216,28 +222,28 @@ def sweep_lanes(ints, floats, variables):
         if kind == TURN:
             c = load_lanes(variables, k + LANES)
             k += 2 * LANES
-            u = times_turn(u, a, c)
-            v = times_turn(v, a, c)
-            w = times_turn(w, a, c)
+            u = append_turn(u, a, c)
+            v = append_turn(v, a, c)
+            w = append_turn(w, a, c)
         elif kind == SLIDE:
             k += LANES
-            u = times_slide(u, a)
-            v = times_slide(v, a)
-            w = times_slide(w, a)
+            u = append_slide(u, a)
+            v = append_slide(v, a)
+            w = append_slide(w, a)
         else:
             x = load_lanes(variables, k + LANES)
             y = load_lanes(variables, k + 2 * LANES)
-            r = rotation(a, x, y, load_lanes(variables, k + 3 * LANES))
+            r = make_rotation(a, x, y, load_lanes(variables, k + 3 * LANES))
             k += 4 * LANES
-            u = times_ball(u, r)
-            v = times_ball(v, r)
-            w = times_ball(w, r)
+            u = append_ball(u, r)
+            v = append_ball(v, r)
+            w = append_ball(w, r)
         row += 1
         if row == n_rows:
             break
         form = ints[HEADER + ROW_INTS * row + FORM]
-        u, v, w = times_placement(form, u, v, w, floats, ROW_FLOATS * row)
-    u, v, w = times_placement(GENERAL, u, v, w, floats, ROW_FLOATS * n_rows)
+        u, v, w = append_placement(form, u, v, w, floats, ROW_FLOATS * row)
+    u, v, w = append_placement(GENERAL, u, v, w, floats, ROW_FLOATS * n_rows)
     if ints[HEADER + ROW_INTS * n_rows + PARTICLE]:
         zero = spread_lanes(0.0)
         one = spread_lanes(1.0)
@@ -248,9 +254,9 @@ def sweep_lanes(ints, floats, variables):
 
 
 @device
-def quaternion(u, v, w):
-    """Unit quaternion wxyz, w >= 0, of the rotation in matrix rows, by the largest component
-    (Shepperd 1978).
+def compute_quaternion(u, v, w):
+    """Return the unit quaternion wxyz, w >= 0, of the rotation in matrix rows, by the largest
+    component (Shepperd 1978).
     """
     a = u[0]
     b = v[1]
@@ -265,32 +271,32 @@ def quaternion(u, v, w):
     xx = 1.0 + a - b - c
     yy = 1.0 - a + b - c
     zz = 1.0 - a - b + c
-    best, p, q, r, s = larger(xx, wx, xx, xy, xz, ww, ww, wx, wy, wz)
-    best, p, q, r, s = larger(yy, wy, xy, yy, yz, best, p, q, r, s)
-    best, p, q, r, s = larger(zz, wz, xz, yz, zz, best, p, q, r, s)
-    scale = 0.5 / square_root(best)
-    scale = where(0.0 > p, -scale, scale)
+    best, p, q, r, s = select_larger(xx, wx, xx, xy, xz, ww, ww, wx, wy, wz)
+    best, p, q, r, s = select_larger(yy, wy, xy, yy, yz, best, p, q, r, s)
+    best, p, q, r, s = select_larger(zz, wz, xz, yz, zz, best, p, q, r, s)
+    scale = 0.5 / compute_square_root(best)
+    scale = select_where(0.0 > p, -scale, scale)
     return p * scale, q * scale, r * scale, s * scale
 
 
 @device
-def larger(new, p, q, r, s, best, a, b, c, d):
-    """The first five numbers where `new` is larger than `best`, else the others."""
+def select_larger(new, p, q, r, s, best, a, b, c, d):
+    """Return the first five numbers where `new` is larger than `best`, else the others."""
     take = new > best
     return (
-        where(take, new, best),
-        where(take, p, a),
-        where(take, q, b),
-        where(take, r, c),
-        where(take, s, d),
+        select_where(take, new, best),
+        select_where(take, p, a),
+        select_where(take, q, b),
+        select_where(take, r, c),
+        select_where(take, s, d),
     )
 
 
 @device
-def write_lanes(width, u, v, w, out, first):
+def write_lane_poses(width, u, v, w, out, first):
     """Write `width` numbers of each of LANES poses from out[first:] on."""
     if width == POSITION_QUATERNION:
-        a, b, c, d = quaternion(u, v, w)
+        a, b, c, d = compute_quaternion(u, v, w)
         store_columns(out, first, width, u[3], v[3], w[3], a)
         store_columns(out, first + 3, width, a, b, c, d)
         return
@@ -304,7 +310,7 @@ def write_lanes(width, u, v, w, out, first):
 
 
 @device
-def write_one(width, pose, out, first):
+def write_one_pose(width, pose, out, first):
     """Write `width` numbers of one pose (4, 4) from out[first:] on."""
     if width >= ROWS:
         for k in range(width):
@@ -315,7 +321,7 @@ def write_one(width, pose, out, first):
     if width == POSITION_QUATERNION:
         u = (pose[0], pose[1], pose[2], 0.0)
         v = (pose[4], pose[5], pose[6], 0.0)
-        a, b, c, d = quaternion(u, v, (pose[8], pose[9], pose[10], 0.0))
+        a, b, c, d = compute_quaternion(u, v, (pose[8], pose[9], pose[10], 0.0))
         out[first + 3] = a
         out[first + 4] = b
         out[first + 5] = c
@@ -323,9 +329,9 @@ def write_one(width, pose, out, first):
 
 
 @kernel(I("_"), F("_"), F("N", "_"), OUT("N", "_"))
-def chain_poses(ints, floats, q, out):
-    """Number of bad configurations; writes w numbers of the poses of a chain's one output at q (N,
-    nq) to out (N, w).
+def compute_chain_poses(ints, floats, q, out):
+    """Write w numbers of the pose of a chain's tip at each q (N, nq) to out (N, w); return the
+    number of bad configurations.
 
     What these are w says: `POSE`, `ROWS`, `POSITION_QUATERNION`, `POSITION`. A last block that is
     not full begins earlier and repeats some; fewer configurations than lanes are repeated, too, so
@@ -337,43 +343,43 @@ def chain_poses(ints, floats, q, out):
     total = count_variables(ints)
     few = 0 < n < LANES
     scratch = np.empty(total * LANES + 4 * LANES + POSE + (LANES * (nq + width) if few else 0))
-    i_ = raw(ints)
-    f_ = raw(floats)
-    q_ = raw(q)
-    out_ = raw(out)
-    variables = raw(scratch)
-    spare = raw(scratch[total * LANES :])
-    alone = raw(scratch[total * LANES + 4 * LANES :])
-    held = raw(scratch[total * LANES + 4 * LANES + POSE :])
+    i_ = get_pointer(ints)
+    f_ = get_pointer(floats)
+    q_ = get_pointer(q)
+    out_ = get_pointer(out)
+    variables = get_pointer(scratch)
+    spare = get_pointer(scratch[total * LANES :])
+    alone = get_pointer(scratch[total * LANES + 4 * LANES :])
+    held = get_pointer(scratch[total * LANES + 4 * LANES + POSE :])
     count = n
     if few:
         for i in range(LANES):
             for k in range(nq):
                 held[i * nq + k] = q_[min(i, n - 1) * nq + k]
         q_ = held
-        out_ = raw(scratch[total * LANES + 4 * LANES + POSE + LANES * nq :])
+        out_ = get_pointer(scratch[total * LANES + 4 * LANES + POSE + LANES * nq :])
         count = LANES
     side_by_side = ints[N_ROWS] > 0
     strayed = count if side_by_side else 0  # where to begin to look for those that go alone
     for block in range(0, strayed, LANES):
         start = min(block, count - LANES)
         if width == POSITION:
-            near, p = position_lanes(i_, f_, q_, start * nq, nq)
+            near, p = sweep_positions(i_, f_, q_, start * nq, nq)
             store_points(out_, start * width, count - start, p, spare)
         else:
             near = read_variables(i_, f_, q_, start * nq, nq, variables)
             u, v, w = sweep_lanes(i_, f_, variables)
-            write_lanes(width, u, v, w, out_, start * width)
-        if rarely(not near):
+            write_lane_poses(width, u, v, w, out_, start * width)
+        if expect_false(not near):
             strayed = min(strayed, start)
     bad = 0
     for i in range(strayed, n):
-        if not side_by_side or strays(i_, f_, q_, i * nq):
-            bad += pose_at(i_, f_, q_, i * nq, alone, 0)
-            write_one(width, alone, out_, i * width)
+        if not side_by_side or has_stray_coordinate(i_, f_, q_, i * nq):
+            bad += evaluate_pose(i_, f_, q_, i * nq, alone, 0)
+            write_one_pose(width, alone, out_, i * width)
     if few:
-        target = raw(out)
+        target = get_pointer(out)
         for k in range(n * width):
             target[k] = out_[k]
-    keep(scratch)
+    keep_alive(scratch)
     return bad

@@ -11,10 +11,10 @@ from kempe.kernels.base._jit import device
 from kempe.kernels.base.trig import REACH, sincos
 from kempe.kernels.base.vectors import (
     LANES,
-    all_between,
-    gather,
+    are_all_between,
+    compute_square_root,
+    gather_lanes,
     spread_lanes,
-    square_root,
     store_columns,
 )
 from kempe.kernels.forward.table_layout import (
@@ -34,7 +34,7 @@ from kempe.kernels.forward.table_layout import (
     SIN_OFFSET,
     TURN,
 )
-from kempe.kernels.forward.table_rows import rotation, with_offset
+from kempe.kernels.forward.table_rows import add_offset, make_rotation
 
 SMALLEST_SQUARE = 1e-200
 LARGEST_SQUARE = 1e200
@@ -42,29 +42,27 @@ LARGEST_SQUARE = 1e200
 
 
 @device
-def sincos_of(floats, k, theta):
-    """Sine and cosine of the turn of the row at floats[k:] by theta, the offset added where there
-    is one.
-    """
+def compute_row_sincos(floats, k, theta):
+    """Return sine and cosine of the turn of the row at floats[k:] by theta plus its offset."""
     s, c = sincos(theta)
     if floats[k + SIN_OFFSET] != 0.0 or floats[k + COS_OFFSET] != 1.0:
-        s, c = with_offset(floats, k, s, c)
+        s, c = add_offset(floats, k, s, c)
     return s, c
 
 
 @device
-def unit_quaternion(q, index, nq, inverse):
-    """Whether lanes can be normalised, and the unit quaternion at q[index:], its inverse for a
-    negative number.
+def read_unit_quaternions(q, index, nq, inverse):
+    """Return whether the lanes can be normalised, and the unit quaternions at q[index:], inverted
+    for a reversed joint.
     """
-    w = gather(q, index, nq)
-    x = gather(q, index + 1, nq)
-    y = gather(q, index + 2, nq)
-    z = gather(q, index + 3, nq)
+    w = gather_lanes(q, index, nq)
+    x = gather_lanes(q, index + 1, nq)
+    y = gather_lanes(q, index + 2, nq)
+    z = gather_lanes(q, index + 3, nq)
     square = w * w + x * x + y * y + z * z
-    scale = 1.0 / square_root(square)
+    scale = 1.0 / compute_square_root(square)
     sign = -scale if inverse < 0.0 else scale
-    return all_between(SMALLEST_SQUARE, square, LARGEST_SQUARE), (
+    return are_all_between(SMALLEST_SQUARE, square, LARGEST_SQUARE), (
         w * scale,
         x * sign,
         y * sign,
@@ -73,30 +71,30 @@ def unit_quaternion(q, index, nq, inverse):
 
 
 @device
-def tip(ints, floats):
-    """The position of the output on the last row."""
+def read_tip_position(ints, floats):
+    """Return the position of the output on the last row."""
     k = ROW_FLOATS * ints[N_ROWS]
     return spread_lanes(floats[k + 3]), spread_lanes(floats[k + 7]), spread_lanes(floats[k + 11])
 
 
 @device
-def by_number(ints, floats, row, theta, p):
-    """The point p under the motion of a row that turns or slides by theta, and its placement."""
+def move_point_by_number(ints, floats, row, theta, p):
+    """Return the point p moved by a row that turns or slides by theta, and by its placement."""
     x, y, z = p
     if ints[HEADER + ROW_INTS * row + KIND] == TURN:
-        s, c = sincos_of(floats, ROW_FLOATS * row, theta)
+        s, c = compute_row_sincos(floats, ROW_FLOATS * row, theta)
         x, y = c * x - s * y, s * x + c * y
     else:
         z = z + theta
-    return placed(ints, floats, row, x, y, z)
+    return place_point(ints, floats, row, x, y, z)
 
 
 @device
-def by_quaternion(ints, floats, row, unit, p):
-    """The point p under the motion of a row that turns by a unit quaternion, and its placement."""
-    r = rotation(unit[0], unit[1], unit[2], unit[3])
+def move_point_by_quaternion(ints, floats, row, unit, p):
+    """Return the point p moved by a row that turns by a unit quaternion, and by its placement."""
+    r = make_rotation(unit[0], unit[1], unit[2], unit[3])
     (x, y, z) = p
-    return placed(
+    return place_point(
         ints,
         floats,
         row,
@@ -107,8 +105,8 @@ def by_quaternion(ints, floats, row, unit, p):
 
 
 @device
-def placed(ints, floats, row, x, y, z):
-    """The point (x, y, z) under the placement of a row."""
+def place_point(ints, floats, row, x, y, z):
+    """Return the point (x, y, z) moved by the placement of a row."""
     form = ints[HEADER + ROW_INTS * row + FORM]
     f = floats
     k = ROW_FLOATS * row
@@ -130,10 +128,12 @@ def placed(ints, floats, row, x, y, z):
 
 
 @device
-def position_lanes(ints, floats, q, start, nq):
-    """Whether all lanes can be swept, and the position (x, y, z) at the configurations q[start:]."""
+def sweep_positions(ints, floats, q, start, nq):
+    """Return whether all lanes can be swept, and the positions (x, y, z) at the configurations
+    q[start:].
+    """
     n_rows = ints[N_ROWS]
-    p = tip(ints, floats)
+    p = read_tip_position(ints, floats)
     near = True
     far = spread_lanes(0.0)
     for i in range(n_rows):
@@ -142,14 +142,14 @@ def position_lanes(ints, floats, q, start, nq):
         index = start + ints[HEADER + ROW_INTS * row + Q_INDEX]
         multiplier = floats[ROW_FLOATS * row + MULTIPLIER]
         if kind == BALL:
-            sound, unit = unit_quaternion(q, index, nq, multiplier)
+            sound, unit = read_unit_quaternions(q, index, nq, multiplier)
             near &= sound
-            p = by_quaternion(ints, floats, row, unit, p)
+            p = move_point_by_quaternion(ints, floats, row, unit, p)
         else:
-            theta = multiplier * gather(q, index, nq)
+            theta = multiplier * gather_lanes(q, index, nq)
             far = far + abs(theta)
-            p = by_number(ints, floats, row, theta, p)
-    return near and all_between(0.0, far, REACH), p
+            p = move_point_by_number(ints, floats, row, theta, p)
+    return near and are_all_between(0.0, far, REACH), p
 
 
 @device

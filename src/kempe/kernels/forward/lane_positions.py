@@ -22,15 +22,20 @@ from kempe.kernels.base.vectors import (
     DOUBLE,
     LANES,
     Vec,
+    compute_square_root,
+    get_pointer,
     intrinsic,
-    keep,
-    raw,
+    keep_alive,
+    select_where,
     spread_lanes,
-    square_root,
-    store,
-    where,
+    store_value,
 )
-from kempe.kernels.forward.chain_positions import by_number, by_quaternion, store_points, tip
+from kempe.kernels.forward.chain_positions import (
+    move_point_by_number,
+    move_point_by_quaternion,
+    read_tip_position,
+    store_points,
+)
 from kempe.kernels.forward.table_layout import (
     BALL,
     HEADER,
@@ -61,7 +66,7 @@ ONE = 0x3FF0000000000000
 """The bits of 1.0: with 52 random bits behind them, a number in [1, 2)."""
 
 
-def _spread(builder, value):
+def _spread_integer(builder, value):
     """The vector of LANES integers `value`."""
     vector = ir.Constant(ir.VectorType(INT64, LANES), ir.Undefined)
     for lane in range(LANES):
@@ -70,72 +75,72 @@ def _spread(builder, value):
 
 
 @intrinsic
-def units(typingctx, key, counter):
-    """Numbers in [0, 1), of 52 bits: those of the sequence from `key` at counter, counter + 1, ...
-    one a lane.
+def draw_unit_numbers(typingctx, key, counter):
+    """Return numbers in [0, 1), of 52 bits, one a lane: those of the sequence from `key` at
+    counter, counter + 1, ...
     """
 
-    def codegen(context, builder, sig, args):
+    def emit_code(context, builder, sig, args):
         vector = ir.VectorType(INT64, LANES)
 
-        def constant(number):
+        def make_constant(number):
             return ir.Constant(vector, [number] * LANES)
 
-        key, counter = (_spread(builder, x) for x in args)
+        key, counter = (_spread_integer(builder, x) for x in args)
         at = builder.add(counter, ir.Constant(vector, list(range(1, LANES + 1))))
-        z = builder.add(key, builder.mul(at, constant(STEP)))
-        z = builder.mul(builder.xor(z, builder.lshr(z, constant(30))), constant(MUL_A))
-        z = builder.mul(builder.xor(z, builder.lshr(z, constant(27))), constant(MUL_B))
-        z = builder.xor(z, builder.lshr(z, constant(31)))
-        z = builder.or_(builder.lshr(z, constant(12)), constant(ONE))
+        z = builder.add(key, builder.mul(at, make_constant(STEP)))
+        z = builder.mul(builder.xor(z, builder.lshr(z, make_constant(30))), make_constant(MUL_A))
+        z = builder.mul(builder.xor(z, builder.lshr(z, make_constant(27))), make_constant(MUL_B))
+        z = builder.xor(z, builder.lshr(z, make_constant(31)))
+        z = builder.or_(builder.lshr(z, make_constant(12)), make_constant(ONE))
         floats = ir.VectorType(DOUBLE, LANES)
         return builder.fsub(builder.bitcast(z, floats), ir.Constant(floats, [1.0] * LANES))
 
-    return Vec(LANES)(types.int64, types.int64), codegen
+    return Vec(LANES)(types.int64, types.int64), emit_code
 
 
 @intrinsic
-def rounded_down(typingctx, value):
-    """The largest whole number that is not above each entry of a vector."""
+def round_entries_down(typingctx, value):
+    """Round each entry of a vector down to a whole number."""
 
-    def codegen(context, builder, sig, args):
+    def emit_code(context, builder, sig, args):
         kind = args[0].type
         name = f"llvm.floor.v{kind.count}f64"
         floor = cgutils.get_or_insert_function(builder.module, ir.FunctionType(kind, [kind]), name)
         return builder.call(floor, [args[0]])
 
-    return value(value), codegen
+    return value(value), emit_code
 
 
-def _place(builder, pointer, index):
-    """Where the 32-bit number `index` lies."""
+def _locate_count(builder, pointer, index):
+    """Emit the address of the 32-bit number `index`."""
     return builder.gep(builder.bitcast(pointer, INT32.as_pointer()), [index])
 
 
 @intrinsic
-def will_count(typingctx, pointer, index):
-    """Have the memory of count `index` brought near."""
+def prefetch_count(typingctx, pointer, index):
+    """Ask the processor to load the memory of count `index` ahead of its use."""
 
-    def codegen(context, builder, sig, args):
+    def emit_code(context, builder, sig, args):
         bytes_ = ir.IntType(8).as_pointer()
         call = ir.FunctionType(ir.VoidType(), [bytes_, INT32, INT32, INT32])
         prefetch = cgutils.get_or_insert_function(builder.module, call, "llvm.prefetch.p0")
         how = [ir.Constant(INT32, x) for x in (1, 3, 1)]  # to be written, often, data
-        builder.call(prefetch, [builder.bitcast(_place(builder, *args), bytes_), *how])
+        builder.call(prefetch, [builder.bitcast(_locate_count(builder, *args), bytes_), *how])
         return context.get_dummy_value()
 
-    return types.void(INTS, types.int64), codegen
+    return types.void(INTS, types.int64), emit_code
 
 
 @intrinsic
-def count_one(typingctx, pointer, index):
-    """Add 1 to the 32-bit count `index`, whatever other threads do."""
+def increment_count(typingctx, pointer, index):
+    """Add 1 to the 32-bit count `index` atomically."""
 
-    def codegen(context, builder, sig, args):
-        builder.atomic_rmw("add", _place(builder, *args), ir.Constant(INT32, 1), "monotonic")
+    def emit_code(context, builder, sig, args):
+        builder.atomic_rmw("add", _locate_count(builder, *args), ir.Constant(INT32, 1), "monotonic")
         return context.get_dummy_value()
 
-    return types.void(INTS, types.int64), codegen
+    return types.void(INTS, types.int64), emit_code
 
 
 BLOCK = 256
@@ -143,46 +148,46 @@ BLOCK = 256
 
 
 @device
-def drawn_position(ints, floats, keys, bounds, counter):
-    """The positions (x, y, z) of the samples from `counter` on, one a lane."""
+def draw_lane_positions(ints, floats, keys, bounds, counter):
+    """Return the positions (x, y, z) of the samples from `counter` on, one a lane."""
     n_rows = ints[N_ROWS]
-    p = tip(ints, floats)
+    p = read_tip_position(ints, floats)
     for i in range(n_rows):
         row = n_rows - 1 - i
         index = ints[HEADER + ROW_INTS * row + Q_INDEX]
         multiplier = floats[ROW_FLOATS * row + MULTIPLIER]
-        u = units(keys[index], counter)
+        u = draw_unit_numbers(keys[index], counter)
         if ints[HEADER + ROW_INTS * row + KIND] == BALL:
-            sa, ca = sincos(2.0 * math.pi * units(keys[index + 1], counter))
-            sb, cb = sincos(2.0 * math.pi * units(keys[index + 2], counter))
-            small = square_root(1.0 - u)
-            large = square_root(u)
+            sa, ca = sincos(2.0 * math.pi * draw_unit_numbers(keys[index + 1], counter))
+            sb, cb = sincos(2.0 * math.pi * draw_unit_numbers(keys[index + 2], counter))
+            small = compute_square_root(1.0 - u)
+            large = compute_square_root(u)
             sign = math.copysign(1.0, multiplier)
             unit = small * sa, sign * (small * ca), sign * (large * sb), sign * (large * cb)
-            p = by_quaternion(ints, floats, row, unit, p)
+            p = move_point_by_quaternion(ints, floats, row, unit, p)
         else:
             theta = multiplier * (bounds[2 * index] + bounds[2 * index + 1] * u)
-            p = by_number(ints, floats, row, theta, p)
+            p = move_point_by_number(ints, floats, row, theta, p)
     return p
 
 
 @kernel(I("_"), F("_"), I("_"), F("_", 2), INT, OUT("N", 3), returns=False)
-def random_positions(ints, floats, keys, bounds, first, out):
+def sample_positions(ints, floats, keys, bounds, first, out):
     """Write the positions (N, 3) of the samples from number `first` on; `bounds` are (low, range) a
     coordinate.
     """
     n = out.shape[0]
     scratch = np.empty(4 * LANES)
-    i_ = raw(ints)
-    f_ = raw(floats)
-    out_ = raw(out)
-    spare = raw(scratch)
-    keys_ = raw(keys)
-    bounds_ = raw(bounds)
+    i_ = get_pointer(ints)
+    f_ = get_pointer(floats)
+    out_ = get_pointer(out)
+    spare = get_pointer(scratch)
+    keys_ = get_pointer(keys)
+    bounds_ = get_pointer(bounds)
     for start in range(0, n, LANES):
-        p = drawn_position(i_, f_, keys_, bounds_, first + start)
+        p = draw_lane_positions(i_, f_, keys_, bounds_, first + start)
         store_points(out_, 3 * start, n - start, p, spare)
-    keep(scratch)
+    keep_alive(scratch)
 
 
 @kernel(I("_"), F("_"), I("_"), F("_", 2), INT, INT, F(3, 3), OUTI("_"), returns=False)
@@ -194,12 +199,12 @@ def count_cells(ints, floats, keys, bounds, first, n, grid, counts):
     them of what falls outside.
     """
     scratch = np.empty(BLOCK)
-    i_ = raw(ints)
-    f_ = raw(floats)
-    keys_ = raw(keys)
-    bounds_ = raw(bounds)
-    counts_ = raw(counts)
-    cells = raw(scratch)
+    i_ = get_pointer(ints)
+    f_ = get_pointer(floats)
+    keys_ = get_pointer(keys)
+    bounds_ = get_pointer(bounds)
+    counts_ = get_pointer(counts)
+    cells = get_pointer(scratch)
     low_x = grid[0, 0]
     low_y = grid[1, 0]
     low_z = grid[2, 0]
@@ -213,18 +218,18 @@ def count_cells(ints, floats, keys, bounds, first, n, grid, counts):
     for start in range(0, n, BLOCK):
         stop = min(BLOCK, n - start)
         for lane in range(0, stop, LANES):
-            x, y, z = drawn_position(i_, f_, keys_, bounds_, first + start + lane)
-            x = rounded_down((x - low_x) * by_x)
-            y = rounded_down((y - low_y) * by_y)
-            z = rounded_down((z - low_z) * by_z)
+            x, y, z = draw_lane_positions(i_, f_, keys_, bounds_, first + start + lane)
+            x = round_entries_down((x - low_x) * by_x)
+            y = round_entries_down((y - low_y) * by_y)
+            z = round_entries_down((z - low_z) * by_z)
             cell = (x * ny + y) * nz + z
             # NaN is neither above nor below, and so outside
-            cell = where(x > -0.5, where(nx - 0.5 > x, cell, outside), outside)
-            cell = where(y > -0.5, where(ny - 0.5 > y, cell, outside), outside)
-            cell = where(z > -0.5, where(nz - 0.5 > z, cell, outside), outside)
-            store(cells, lane, cell)
+            cell = select_where(x > -0.5, select_where(nx - 0.5 > x, cell, outside), outside)
+            cell = select_where(y > -0.5, select_where(ny - 0.5 > y, cell, outside), outside)
+            cell = select_where(z > -0.5, select_where(nz - 0.5 > z, cell, outside), outside)
+            store_value(cells, lane, cell)
         for k in range(stop):
-            will_count(counts_, np.int64(cells[k]))
+            prefetch_count(counts_, np.int64(cells[k]))
         for k in range(stop):
-            count_one(counts_, np.int64(cells[k]))
-    keep(scratch)
+            increment_count(counts_, np.int64(cells[k]))
+    keep_alive(scratch)

@@ -2,7 +2,7 @@
 
 A table is a pair of flat arrays, `ints` (int64) and `floats` (float64):
 
-    ints    n_rows, n_out, nq, nv, is_chain, has_quaternion, size, frame (the last two: see `fuse`, else 0)
+    ints    n_rows, n_out, nq, nv, is_chain, has_quaternion, size, frame (the last two: see `fuse_table`, else 0)
             a row:     kind, parent row (-1: ground), index in q, index in v, form, 0
             an output: row (-1: ground), particle flag
     floats  a row:     placement 3x4, cos and sin of the offset, multiplier, 0
@@ -64,9 +64,9 @@ BODY = 2
 frame's."""
 
 
-def fuse(ints: np.ndarray, floats: np.ndarray, frame: int = WORLD_ALIGNED) -> np.ndarray:
-    """The table as one float64 array, integers first as the same bytes, for Jacobians in the given
-    frame.
+def fuse_table(ints: np.ndarray, floats: np.ndarray, frame: int = WORLD_ALIGNED) -> np.ndarray:
+    """Return the table as one float64 array, integers first as the same bytes, for Jacobians in the
+    given frame.
     """
     ints = ints.copy()
     ints[SIZE] = len(ints)
@@ -74,26 +74,28 @@ def fuse(ints: np.ndarray, floats: np.ndarray, frame: int = WORLD_ALIGNED) -> np
     return np.concatenate([ints.view(np.float64), floats])
 
 
-def rows_of(ints: np.ndarray) -> np.ndarray:
-    """The integers (n_rows, ROW_INTS) of the rows, whose columns are KIND, PARENT, ...; a view."""
+def get_row_integers(ints: np.ndarray) -> np.ndarray:
+    """Return the integers (n_rows, ROW_INTS) of the rows as a view, with the columns KIND, PARENT,
+    ...
+    """
     n = int(ints[N_ROWS])
     return ints[HEADER : HEADER + ROW_INTS * n].reshape(n, ROW_INTS)
 
 
-def numbers_of(ints: np.ndarray, floats: np.ndarray) -> np.ndarray:
-    """The numbers (n_rows, ROW_FLOATS) of the rows, whose columns are a placement, COS_OFFSET, ...;
-    a view.
+def get_row_numbers(ints: np.ndarray, floats: np.ndarray) -> np.ndarray:
+    """Return the numbers (n_rows, ROW_FLOATS) of the rows as a view, with the columns placement,
+    COS_OFFSET, ...
     """
     n = int(ints[N_ROWS])
     return floats[: ROW_FLOATS * n].reshape(n, ROW_FLOATS)
 
 
-def tip_of(ints: np.ndarray, floats: np.ndarray) -> np.ndarray:
-    """The placement (3, 4) of the first output on its row; a view."""
+def get_tip_placement(ints: np.ndarray, floats: np.ndarray) -> np.ndarray:
+    """Return the placement (3, 4) of the first output on its row, as a view."""
     return floats[ROW_FLOATS * int(ints[N_ROWS]) :][:OUTPUT_FLOATS].reshape(3, 4)
 
 
-def placements_of(ints: np.ndarray, floats: np.ndarray) -> np.ndarray:
-    """The placements (n_rows + 1, 3, 4) of the rows and of the first output; a copy."""
-    rows = numbers_of(ints, floats)[:, :OUTPUT_FLOATS]
-    return np.concatenate([rows.reshape(-1, 3, 4), tip_of(ints, floats)[None]])
+def copy_placements(ints: np.ndarray, floats: np.ndarray) -> np.ndarray:
+    """Return the placements (n_rows + 1, 3, 4) of the rows and of the first output, as a copy."""
+    rows = get_row_numbers(ints, floats)[:, :OUTPUT_FLOATS]
+    return np.concatenate([rows.reshape(-1, 3, 4), get_tip_placement(ints, floats)[None]])

@@ -12,10 +12,10 @@ import math
 import numpy as np
 
 from kempe.kernels.base._jit import device, routine
-from kempe.kernels.base.linear import back, factor
-from kempe.kernels.base.lines import cross, dot, minus, mix3, plus
-from kempe.kernels.base.scratch import beyond
-from kempe.kernels.base.vectors import keep, raw
+from kempe.kernels.base.linear import factor_matrix, substitute_back
+from kempe.kernels.base.lines import add_scaled, combine_three, cross, dot, subtract_vectors
+from kempe.kernels.base.scratch import advance_pointer
+from kempe.kernels.base.vectors import get_pointer, keep_alive
 from kempe.kernels.one_frame.residual import (
     BOX_STRIDE,
     COLUMN_INTS,
@@ -26,15 +26,15 @@ from kempe.kernels.one_frame.residual import (
     SCALE,
     STEP,
     WEIGHTS,
-    along,
-    column,
-    column_at,
-    energy,
-    error,
+    compute_column,
+    compute_energy,
+    compute_error,
     fill_jacobian,
-    trace,
+    multiply_column,
+    take_first_three,
+    trace_chain,
 )
-from kempe.kernels.one_frame.step import advance, blocked, within
+from kempe.kernels.one_frame.step import advance_configuration, clip_step, is_blocked
 
 ENOUGH = 1e-26
 """Energy that counts as zero: errors of 1e-13 of the chain's length."""
@@ -48,9 +48,9 @@ next."""
 
 
 @device
-def turning_part(chain, e, tip, a):
-    """m, such that m.b is the rotation's part of the Hessian for a turn about a and a later one
-    about b.
+def compute_turning_part(chain, e, tip, a):
+    """Return m, such that m.b is the rotation's part of the Hessian for a turn about a and a later
+    one about b.
 
     With phi the rotation error, r its size and gamma = r/2 cot(r/2), m = gamma a + (1 - gamma)/r^2
     (phi.a) phi - phi x a / 2, from the inverse Jacobian of the exponential (Bullo and Murray 1995).
@@ -64,19 +64,19 @@ def turning_part(chain, e, tip, a):
     angle = math.sqrt(square)
     small = angle < 1e-3
     if g[POINTS] != 0.0:
-        c = column(tip[2])
+        c = take_first_three(tip[2])
         goal = (g[2], g[6], g[10])
         sine = max(math.sin(min(angle, math.pi)), 1e-3 * angle)
         f = 1.0 + square / 6.0 if small else angle / sine
         s = (1.0 + 0.4 * square) / 3.0 if small else (sine - angle * math.cos(angle)) / sine**3
         n = cross(c, goal)
-        m = mix3(a, f * dot(c, goal), c, -f * dot(a, goal), n, s * dot(n, a))
-        return minus(m, cross(phi, a))
+        m = combine_three(a, f * dot(c, goal), c, -f * dot(a, goal), n, s * dot(n, a))
+        return subtract_vectors(m, cross(phi, a))
     u = (g[WEIGHTS + 3], g[WEIGHTS + 4], g[WEIGHTS + 5])
     gamma = 1.0 - square / 12.0 if small else 0.5 * angle / math.tan(0.5 * angle)
     rest = 1.0 / 12.0 if small else (1.0 - gamma) / square
     m = (gamma * u[0] * a[0], gamma * u[1] * a[1], gamma * u[2] * a[2])
-    return plus(plus(m, rest * dot(phi, a), phi), -0.5, cross(phi, a))
+    return add_scaled(add_scaled(m, rest * dot(phi, a), phi), -0.5, cross(phi, a))
 
 
 @routine
@@ -84,23 +84,23 @@ def fill_hessian(chain, e, tip, h):
     """Write the Hessian (nv, nv) of the energy at the configuration traced last, its error e.
 
     For columns j before i of a chain, with axes a and tip velocities t: the tip's second derivative
-    is a_j x t_i (0 if j slides). The part of the rotation is `turning_part`.
+    is a_j x t_i (0 if j slides). The part of the rotation is `compute_turning_part`.
     """
     w = (chain.goal[WEIGHTS], chain.goal[WEIGHTS + 1], chain.goal[WEIGHTS + 2])
     force = (w[0] * e[0], w[1] * e[1], w[2] * e[2])
     for k in range(chain.nv * chain.nv):
         h[k] = 0.0
     for j in range(chain.columns):
-        a, t, turns = column_at(chain, j, tip)
+        a, t, turns = compute_column(chain, j, tip)
         f = (0.0, 0.0, 0.0)
         m = (0.0, 0.0, 0.0)
         if turns:
             f = cross(force, a)
-            m = turning_part(chain, e, tip, a)
+            m = compute_turning_part(chain, e, tip, a)
         t = (w[0] * w[0] * t[0] - f[0], w[1] * w[1] * t[1] - f[1], w[2] * w[2] * t[2] - f[2])
         row = chain.notes[COLUMN_INTS * j + OWNER]
         for i in range(j, chain.columns):
-            b, v, also = column_at(chain, i, tip)
+            b, v, also = compute_column(chain, i, tip)
             value = dot(t, v)
             if turns and also:
                 value += dot(m, b)
@@ -112,8 +112,8 @@ def fill_hessian(chain, e, tip, h):
 
 @routine
 def factor_damped(chain, h, damping, a):
-    """Damping, raised until the Hessian of FREE coordinates plus damping * I is positive; writes L
-    and D.
+    """Factor the Hessian of FREE coordinates plus damping * I, the damping raised until it is
+    positive definite; return the damping.
     """
     n = chain.nv
     while True:
@@ -123,47 +123,51 @@ def factor_damped(chain, h, damping, a):
                 both = mobile and chain.jacobian[JACOBIAN_STRIDE * j + FREE] != 0.0
                 a[i * n + j] = h[i * n + j] if both else 0.0
             a[i * n + i] = h[i * n + i] + damping if mobile else 1.0
-        if factor(a, n) or damping > DAMPING_LIMIT:
+        if factor_matrix(a, n) or damping > DAMPING_LIMIT:
             return damping
         damping = max(1e-6, 4.0 * damping)
 
 
 @device
 def start_step(chain, e):
-    """Mark FREE what the gradient does not push out of a limit, and set all steps to zero."""
+    """Mark as FREE the coordinates that the gradient does not push out of a limit, and set all
+    steps to zero.
+    """
     for v in range(chain.nv):
         k = JACOBIAN_STRIDE * v
-        chain.jacobian[k + FREE] = 0.0 if blocked(chain, v, along(chain.jacobian, v, e)) else 1.0
+        chain.jacobian[k + FREE] = (
+            0.0 if is_blocked(chain, v, multiply_column(chain.jacobian, v, e)) else 1.0
+        )
         chain.jacobian[k + STEP] = 0.0
 
 
 @device
-def unit_step(chain, v):
-    """The step of coordinate v in its unit."""
+def scale_step(chain, v):
+    """Return the step of coordinate v in its unit."""
     return chain.jacobian[JACOBIAN_STRIDE * v + STEP] / chain.box[BOX_STRIDE * v + SCALE]
 
 
 @device
-def newton_pass(chain, e, h, damping, a, b):
-    """Whether the Newton step of FREE coordinates, the others' given, met no limit; who met one
-    stays.
+def take_newton_pass(chain, e, h, damping, a, b):
+    """Solve for the Newton step of FREE coordinates, the others' given; return whether no
+    coordinate met a limit. One that did is fixed.
     """
     n = chain.nv
     jacobian = chain.jacobian
     for i in range(n):
         b[i] = 0.0
         if jacobian[JACOBIAN_STRIDE * i + FREE] != 0.0:
-            b[i] = along(jacobian, i, e)
+            b[i] = multiply_column(jacobian, i, e)
             for j in range(n):
                 if jacobian[JACOBIAN_STRIDE * j + FREE] == 0.0:
-                    b[i] -= h[i * n + j] * unit_step(chain, j)
-    back(a, n, b)
+                    b[i] -= h[i * n + j] * scale_step(chain, j)
+    substitute_back(a, n, b)
     clear = True
     for v in range(n):
         k = JACOBIAN_STRIDE * v
         if jacobian[k + FREE] != 0.0:
             wish = b[v] * chain.box[BOX_STRIDE * v + SCALE]
-            jacobian[k + STEP] = within(chain, v, wish)
+            jacobian[k + STEP] = clip_step(chain, v, wish)
             if jacobian[k + STEP] != wish:
                 clear = False
                 jacobian[k + FREE] = 0.0
@@ -171,23 +175,23 @@ def newton_pass(chain, e, h, damping, a, b):
 
 
 @routine
-def newton_step(chain, e, h, damping, a, b):
-    """Decrease that the damped Newton step within the limits promises, its square, the damping;
-    writes it.
+def compute_newton_step(chain, e, h, damping, a, b):
+    """Write the damped Newton step within the limits; return the decrease that it promises, its
+    square, and the damping.
     """
     while True:
         start_step(chain, e)
         for _ in range(2):
             damping = factor_damped(chain, h, damping, a)
-            if newton_pass(chain, e, h, damping, a, b):
+            if take_newton_pass(chain, e, h, damping, a, b):
                 break
         promise = 0.0
         square = 0.0
         for i in range(chain.nv):
-            d = unit_step(chain, i)
-            slope = along(chain.jacobian, i, e)
+            d = scale_step(chain, i)
+            slope = multiply_column(chain.jacobian, i, e)
             for j in range(chain.nv):
-                slope -= 0.5 * h[i * chain.nv + j] * unit_step(chain, j)
+                slope -= 0.5 * h[i * chain.nv + j] * scale_step(chain, j)
             promise += d * slope
             square += d * d
         if promise > 0.0 or square <= LAST or damping > DAMPING_LIMIT:
@@ -196,18 +200,18 @@ def newton_step(chain, e, h, damping, a, b):
 
 
 @routine
-def descend(chain, limit, kept):
-    """Energy of the local minimum within the limits reached from q, and steps taken; `kept` is
-    where.
+def minimize_energy(chain, limit, kept):
+    """Minimise the energy from q within the limits; return the local minimum and the number of
+    steps. `kept` is the configuration.
 
     Damped Newton steps, taken where they decrease the energy; the damping follows the ratio of the
     decrease to the promised one (Levenberg 1944; Marquardt 1963; Fletcher 1971).
     """
     n = chain.nv
     block = np.empty(2 * n * n + n)
-    h = raw(block)
-    a = beyond(h, n * n)
-    b = beyond(h, 2 * n * n)
+    h = get_pointer(block)
+    a = advance_pointer(h, n * n)
+    b = advance_pointer(h, 2 * n * n)
     best = np.inf
     promise = 1.0
     square = 1.0
@@ -215,9 +219,9 @@ def descend(chain, limit, kept):
     steps = 0
     e_best = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     while True:
-        tip = trace(chain)
-        e = error(chain.goal, tip)
-        new = energy(e)
+        tip = trace_chain(chain)
+        e = compute_error(chain.goal, tip)
+        new = compute_energy(e)
         if new < best:
             if best < np.inf:
                 ratio = (best - new) / promise
@@ -236,8 +240,8 @@ def descend(chain, limit, kept):
             break
         for k in range(chain.nq):
             chain.q[k] = kept[k]
-        promise, square, damping = newton_step(chain, e_best, h, damping, a, b)
-        advance(chain)
+        promise, square, damping = compute_newton_step(chain, e_best, h, damping, a, b)
+        advance_configuration(chain)
         steps += 1
-    keep(block)
+    keep_alive(block)
     return best, steps

@@ -7,22 +7,22 @@ from __future__ import annotations
 import numpy as np
 
 from kempe.kernels.base._jit import kernel, routine
-from kempe.kernels.base.scratch import copy
+from kempe.kernels.base.scratch import copy_numbers
 from kempe.kernels.base.search_layout import DESCENTS, LINEAR, NOT_FOUND, SOLVED, STATUS, STEPS
-from kempe.kernels.base.vectors import keep, raw
+from kempe.kernels.base.vectors import get_pointer, keep_alive
 from kempe.kernels.forward.table_layout import NQ, NV
-from kempe.kernels.one_frame.descent import descend
+from kempe.kernels.one_frame.descent import minimize_energy
 from kempe.kernels.one_frame.ik_problem import (
     ARGUMENTS,
-    answer_of,
-    begin,
+    begin_goal,
     count_columns,
-    go_to,
-    judged,
-    problem_floats,
-    problem_ints,
-    problem_of,
-    write,
+    count_problem_floats,
+    count_problem_ints,
+    go_to_start,
+    judge_configuration,
+    locate_answer,
+    make_ik_problem,
+    write_answer,
 )
 
 DESCENT_STEPS = 5
@@ -38,34 +38,36 @@ def answer_nearest(problem, i, one):
     0 all are made.
     """
     chain = problem.chain
-    best = answer_of(problem, i)
+    best = locate_answer(problem, i)
     least = best[chain.nq + LINEAR]
     steps = int(best[chain.nq + STEPS])
-    begin(problem, i, problem.home)
+    begin_goal(problem, i, problem.home)
     most = min(problem.tries, DESCENTS)
     only = one - 1
     for k in range(max(only, 0), only + 1 if only >= 0 else most):
         if k == 0:
-            copy(chain.q, best, 0, chain.nq)
+            copy_numbers(chain.q, best, 0, chain.nq)
         else:
-            go_to(problem, i, problem.tries + k, problem.home)
-        reached, count = descend(chain, DESCENT_STEPS * problem.iteration_limit, problem.kept)
+            go_to_start(problem, i, problem.tries + k, problem.home)
+        reached, count = minimize_energy(
+            chain, DESCENT_STEPS * problem.iteration_limit, problem.kept
+        )
         steps += count
         if reached < least:
             least = reached
-            copy(best, problem.kept, 0, chain.nq)
+            copy_numbers(best, problem.kept, 0, chain.nq)
     if 0 <= only < most - 1:
         best[chain.nq + LINEAR] = least
         best[chain.nq + STEPS] = steps
         return
-    copy(chain.q, best, 0, chain.nq)
-    solved, linear, angular = judged(problem, problem.home)
-    copy(best, chain.q, 0, chain.nq)
-    write(problem, i, SOLVED if solved else NOT_FOUND, linear, angular, steps, problem.tries)
+    copy_numbers(chain.q, best, 0, chain.nq)
+    solved, linear, angular = judge_configuration(problem, problem.home)
+    copy_numbers(best, chain.q, 0, chain.nq)
+    write_answer(problem, i, SOLVED if solved else NOT_FOUND, linear, angular, steps, problem.tries)
 
 
 @kernel(*ARGUMENTS)
-def approach(
+def approach_goals(
     ints,
     floats,
     limits,
@@ -81,18 +83,18 @@ def approach(
     length,
     out,
 ):
-    """Number of goals not reached; those NOT_FOUND in `out`, as `schedule.reach` left it, get the
-    nearest q instead.
+    """Replace the q of goals that are NOT_FOUND in `out`, as `schedule.reach_goals` left it, by the
+    nearest q; return the number of goals not reached.
 
     `first` is the only descent that is made, counted from 1, or 0 for all of them: see
     `answer_nearest`.
     """
-    columns = count_columns(raw(ints))
+    columns = count_columns(get_pointer(ints))
     nq = ints[NQ]
     nv = ints[NV]
-    notes = np.empty(problem_ints(columns, nv), np.int64)
-    block = np.empty(problem_floats(columns, nq, nv))
-    problem = problem_of(
+    notes = np.empty(count_problem_ints(columns, nv), np.int64)
+    block = np.empty(count_problem_floats(columns, nq, nv))
+    problem = make_ik_problem(
         ints,
         floats,
         limits,
@@ -108,14 +110,14 @@ def approach(
         length,
         out,
         columns,
-        raw(notes),
-        raw(block),
+        get_pointer(notes),
+        get_pointer(block),
     )
     missed = 0
     for i in range(targets.shape[0]):
         if out[i, nq + STATUS] == NOT_FOUND:
             answer_nearest(problem, i, first)
         missed += int(out[i, nq + STATUS] != SOLVED)
-    keep(block)
-    keep(notes)
+    keep_alive(block)
+    keep_alive(notes)
     return missed

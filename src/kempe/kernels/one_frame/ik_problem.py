@@ -11,9 +11,9 @@ import numpy as np
 
 from kempe.kernels.base._jit import device, routine
 from kempe.kernels.base.declare import FLOAT, INT, OUT, F, I
-from kempe.kernels.base.random import mix, unit
-from kempe.kernels.base.rotations import draw_ball
-from kempe.kernels.base.scratch import beyond, copy
+from kempe.kernels.base.random import mix_bits, to_unit_interval
+from kempe.kernels.base.rotations import draw_quaternion
+from kempe.kernels.base.scratch import advance_pointer, copy_numbers
 from kempe.kernels.base.search_layout import (
     ANGULAR,
     ANSWER,
@@ -25,7 +25,7 @@ from kempe.kernels.base.search_layout import (
     STATUS,
     STEPS,
 )
-from kempe.kernels.base.vectors import raw
+from kempe.kernels.base.vectors import get_pointer
 from kempe.kernels.forward.table_layout import (
     BALL,
     HEADER,
@@ -58,11 +58,11 @@ from kempe.kernels.one_frame.residual import (
     TURNS,
     WEIGHTS,
     ChainScratch,
-    distances,
-    error,
-    trace,
+    compute_distances,
+    compute_error,
+    trace_chain,
 )
-from kempe.kernels.one_frame.step import is_round, place_of
+from kempe.kernels.one_frame.step import find_place, is_ball_coordinate
 
 # ---- starts
 
@@ -83,9 +83,9 @@ coordinates are at a limit."""
 
 
 @device
-def spread_of(count):
-    """Part of the limits from which start `count` after the seeds is drawn: late ones crowd at the
-    limits.
+def compute_spread(count):
+    """Return the part of the limits' range from which start `count` after the seeds is drawn; late
+    starts crowd at the limits.
     """
     if count >= LATE and count % 2 == 1:
         return WIDER
@@ -93,7 +93,7 @@ def spread_of(count):
 
 
 @routine
-def draw(chain, home, key, spread):
+def draw_configuration(chain, home, key, spread):
     """Write a random configuration to q: uniform in `spread` times the limits' range, cut off at
     them.
 
@@ -101,16 +101,16 @@ def draw(chain, home, key, spread):
     """
     q = chain.q
     box = chain.box
-    copy(q, home, 0, chain.nq)
+    copy_numbers(q, home, 0, chain.nq)
     v = 0
     while v < chain.nv:
-        i = place_of(chain, v)
+        i = find_place(chain, v)
         low = box[BOX_STRIDE * v + LOW]
         high = box[BOX_STRIDE * v + HIGH]
-        fresh = mix(key, np.uint64(v))
-        if is_round(chain, v):
+        fresh = mix_bits(key, np.uint64(v))
+        if is_ball_coordinate(chain, v):
             if spread > NUDGE:
-                draw_ball(q, i, fresh)
+                draw_quaternion(q, i, fresh)
             v += 3
             continue
         if i >= 0:
@@ -121,22 +121,24 @@ def draw(chain, home, key, spread):
                 high = min(high, low + 2.0 * half)
                 low = max(box[BOX_STRIDE * v + LOW], high - 2.0 * half)
                 part = min(spread, 1.0)
-            x = 0.5 * (low + high) + part * (unit(fresh) - 0.5) * (high - low)
+            x = 0.5 * (low + high) + part * (to_unit_interval(fresh) - 0.5) * (high - low)
             q[i] = min(max(x, low), high)
         v += 1
 
 
 @routine
-def take(chain, seeds, k):
-    """Whether the configuration seeds[k:] is sound; writes it to q, inside the solver's limits."""
+def read_seed(chain, seeds, k):
+    """Write the configuration seeds[k:] to q, inside the solver's limits; return whether it is
+    valid.
+    """
     q = chain.q
     box = chain.box
     sound = True
-    copy(q, seeds, k, chain.nq)
+    copy_numbers(q, seeds, k, chain.nq)
     v = 0
     while v < chain.nv:
-        i = place_of(chain, v)
-        if is_round(chain, v):
+        i = find_place(chain, v)
+        if is_ball_coordinate(chain, v):
             w = q[i]
             x = q[i + 1]
             y = q[i + 2]
@@ -154,7 +156,7 @@ def take(chain, seeds, k):
 
 
 @routine
-def middle(chain, limits, home):
+def write_middle_configuration(chain, limits, home):
     """Write to `home` (nq,) the middle of the limits of each coordinate; the identity for
     quaternions.
 
@@ -164,10 +166,10 @@ def middle(chain, limits, home):
         home[k] = 0.0
     v = 0
     while v < chain.nv:
-        i = place_of(chain, v)
+        i = find_place(chain, v)
         low = limits[v]
         high = limits[chain.nv + v]
-        if is_round(chain, v):
+        if is_ball_coordinate(chain, v):
             home[i] = 1.0
             v += 3
             continue
@@ -181,12 +183,12 @@ def middle(chain, limits, home):
 
 
 @routine
-def wrap(chain, limits, circular, home):
+def wrap_coordinates(chain, limits, circular, home):
     """Turn circular coordinates of q by whole turns: into the limits, there as near to `home` as
     can be.
     """
     for v in range(chain.nv):
-        i = place_of(chain, v)
+        i = find_place(chain, v)
         low = limits[v]
         high = limits[chain.nv + v]
         if circular[v] != 0 and i >= 0:
@@ -216,11 +218,11 @@ ARGUMENTS = (
     FLOAT,
     OUT("N", f"nq+{ANSWER}"),
 )
-"""What the kernels of the inverse kinematics take, see `schedule.reach`."""
+"""What the kernels of the inverse kinematics take, see `schedule.reach_goals`."""
 
 
 class IkProblem(NamedTuple):
-    """The arguments of a call; all but numbers are pointers."""
+    """The arguments of a call; all fields but the numbers are pointers."""
 
     chain: ChainScratch
     limits: object
@@ -246,8 +248,10 @@ class IkProblem(NamedTuple):
 
 
 @routine
-def aim(chain, target, k):
-    """Whether the 4x4 pose target[k:] is sound where the task reads it; makes it the goal."""
+def set_goal(chain, target, k):
+    """Make the 4x4 pose target[k:] the goal; return whether the part of it that the task reads is
+    valid.
+    """
     g = chain.goal
     sound = True
     turns = False
@@ -276,39 +280,39 @@ def aim(chain, target, k):
 
 
 @routine
-def begin(problem, i, home):
-    """Whether goal i and its seeds are sound; makes it the chain's goal and writes the default
-    start to `home`.
+def begin_goal(problem, i, home):
+    """Make goal i the chain's goal, and write the default start to `home`; return whether the goal
+    and its seeds are valid.
 
     Where they are not sound, the answer is BAD_INPUT.
     """
     chain = problem.chain
     nq = problem.chain.nq
-    sound = aim(chain, problem.targets, 16 * i)
+    sound = set_goal(chain, problem.targets, 16 * i)
     for k in range(4):
         sound = sound and problem.targets[16 * i + 12 + k] == (1.0 if k == 3 else 0.0)
     for k in range(problem.seed_count):
-        sound = sound and take(
+        sound = sound and read_seed(
             chain, problem.seeds, problem.seed_step * i + (problem.seed_count - 1 - k) * nq
         )
-    copy(home, chain.q if problem.seed_count > 0 else problem.middle, 0, nq)
+    copy_numbers(home, chain.q if problem.seed_count > 0 else problem.middle, 0, nq)
     if not sound:
         for k in range(nq):
-            answer_of(problem, i)[k] = np.nan
-        write(problem, i, BAD_INPUT, np.nan, np.nan, 0, 0)
+            locate_answer(problem, i)[k] = np.nan
+        write_answer(problem, i, BAD_INPUT, np.nan, np.nan, 0, 0)
     return sound
 
 
 @device
-def answer_of(problem, i):
-    """Where answer i lies: the configuration, then ANSWER numbers."""
-    return beyond(problem.out, (problem.chain.nq + ANSWER) * i)
+def locate_answer(problem, i):
+    """Return the pointer to answer i: the configuration, then ANSWER numbers."""
+    return advance_pointer(problem.out, (problem.chain.nq + ANSWER) * i)
 
 
 @device
-def write(problem, i, status, linear, angular, steps, starts):
-    """Write all but the configuration of answer i."""
-    out = beyond(answer_of(problem, i), problem.chain.nq)
+def write_answer(problem, i, status, linear, angular, steps, starts):
+    """Write the status, errors, steps and starts of answer i."""
+    out = advance_pointer(locate_answer(problem, i), problem.chain.nq)
     out[LINEAR] = linear
     out[ANGULAR] = angular
     out[STATUS] = status
@@ -317,39 +321,43 @@ def write(problem, i, status, linear, angular, steps, starts):
 
 
 @device
-def key_of(problem):
-    """What random numbers are drawn from, for all goals alike: an answer does not depend on the
-    place in a batch.
+def make_random_key(problem):
+    """Return the key of the random numbers, the same for all goals: an answer does not depend on
+    its place in a batch.
     """
-    return mix(np.uint64(0), np.uint64(problem.seed))
+    return mix_bits(np.uint64(0), np.uint64(problem.seed))
 
 
 @routine
-def go_to(problem, i, start, home):
-    """Set q of the chain to start `start` of this call for goal i: a seed, or drawn."""
+def go_to_start(problem, i, start, home):
+    """Set q of the chain to start `start` of this call for goal i: a seed, or a random
+    configuration.
+    """
     number = problem.first + start
     if number < problem.seed_count:
-        take(problem.chain, problem.seeds, problem.seed_step * i + number * problem.chain.nq)
+        read_seed(problem.chain, problem.seeds, problem.seed_step * i + number * problem.chain.nq)
     else:
-        spread = spread_of(number - problem.seed_count) if start < problem.tries else 1.0
-        draw(problem.chain, home, mix(key_of(problem), np.uint64(number)), spread)
+        spread = compute_spread(number - problem.seed_count) if start < problem.tries else 1.0
+        draw_configuration(
+            problem.chain, home, mix_bits(make_random_key(problem), np.uint64(number)), spread
+        )
 
 
 @routine
-def judged(problem, home):
-    """(whether solved, linear and angular distance) of the chain's q, which is brought inside the
-    limits.
+def judge_configuration(problem, home):
+    """Bring the chain's q inside the limits; return whether it solves the goal, and its linear and
+    angular distance.
     """
     chain = problem.chain
-    wrap(chain, problem.limits, problem.circular, home)
-    linear, angular = distances(chain, error(chain.goal, trace(chain)))
+    wrap_coordinates(chain, problem.limits, problem.circular, home)
+    linear, angular = compute_distances(chain, compute_error(chain.goal, trace_chain(chain)))
     return linear <= problem.tol_linear and angular <= problem.tol_angular, linear, angular
 
 
 @device
 def count_columns(ints):
-    """Columns of the Jacobian before shared coordinates are added up: three of a ball, one of other
-    rows.
+    """Count the columns of the Jacobian before shared coordinates are added up: three of a ball,
+    one of other rows.
     """
     columns = 0
     for row in range(ints[N_ROWS]):
@@ -358,21 +366,21 @@ def count_columns(ints):
 
 
 @device
-def problem_floats(columns, nq, nv):
-    """Numbers of scratch of a problem."""
+def count_problem_floats(columns, nq, nv):
+    """Return the number of floats of scratch of a problem."""
     return AXES_STRIDE * columns + (BOX_STRIDE + JACOBIAN_STRIDE) * nv + GOAL_SIZE + 4 * nq
 
 
 @device
-def problem_ints(columns, nv):
-    """Whole numbers of scratch of a problem."""
+def count_problem_ints(columns, nv):
+    """Return the number of integers of scratch of a problem."""
     return COLUMN_INTS * columns + PLACE_INTS * nv
 
 
 @device
-def characteristic_length(ints, floats):
-    """A third of the chain's length, from its first row over all rows to its tip; 1 where that is
-    zero.
+def compute_characteristic_length(ints, floats):
+    """Return a third of the chain's length, from its first row over all rows to its tip; 1 where
+    the length is zero.
 
     So weighed, turning half of a chain by some angle changes the linear and the angular error
     alike.
@@ -385,8 +393,8 @@ def characteristic_length(ints, floats):
 
 
 @routine
-def prepare(chain, limits, circular, task):
-    """Fill the chain's notes, factors, box and weights, which no goal changes."""
+def prepare_chain(chain, limits, circular, task):
+    """Fill the chain's notes, factors, box and weights, which are the same for all goals."""
     ints = chain.ints
     box = chain.box
     notes = chain.notes
@@ -428,7 +436,7 @@ def prepare(chain, limits, circular, task):
 
 
 @device
-def problem_of(
+def make_ik_problem(
     ints,
     floats,
     limits,
@@ -447,37 +455,37 @@ def problem_of(
     notes,
     block,
 ):
-    """The problem for the arguments of a kernel, in scratch of these two sizes, and `home` for one
-    goal.
+    """Collect the arguments of a kernel as a problem, with scratch of these two sizes, and `home`
+    for one goal.
     """
-    table = raw(ints)
-    numbers = raw(floats)
-    bounds = raw(limits)
-    circular = beyond(raw(task), 7)
+    table = get_pointer(ints)
+    numbers = get_pointer(floats)
+    bounds = get_pointer(limits)
+    circular = advance_pointer(get_pointer(task), 7)
     nq = ints[NQ]
     nv = ints[NV]
     axes = block
-    box = beyond(axes, AXES_STRIDE * columns)
-    jacobian = beyond(box, BOX_STRIDE * nv)
-    goal = beyond(jacobian, JACOBIAN_STRIDE * nv)
-    q = beyond(goal, GOAL_SIZE)
-    unit_length = length if length > 0.0 else characteristic_length(table, numbers)
+    box = advance_pointer(axes, AXES_STRIDE * columns)
+    jacobian = advance_pointer(box, BOX_STRIDE * nv)
+    goal = advance_pointer(jacobian, JACOBIAN_STRIDE * nv)
+    q = advance_pointer(goal, GOAL_SIZE)
+    unit_length = length if length > 0.0 else compute_characteristic_length(table, numbers)
     chain = ChainScratch(
         table, numbers, notes, axes, box, jacobian, q, goal, columns, nq, nv, unit_length
     )
-    prepare(chain, bounds, circular, raw(task))
-    rest = beyond(q, nq)
-    kept = beyond(q, 2 * nq)
-    home = beyond(q, 3 * nq)
+    prepare_chain(chain, bounds, circular, get_pointer(task))
+    rest = advance_pointer(q, nq)
+    kept = advance_pointer(q, 2 * nq)
+    home = advance_pointer(q, 3 * nq)
     if seeds.shape[1] == 0:
-        middle(chain, bounds, rest)
+        write_middle_configuration(chain, bounds, rest)
     seed_step = seeds.shape[1] * nq if seeds.shape[0] > 1 else 0
     return IkProblem(
         chain,
         bounds,
         circular,
-        raw(targets),
-        raw(seeds),
+        get_pointer(targets),
+        get_pointer(seeds),
         rest,
         kept,
         home,
@@ -489,5 +497,5 @@ def problem_of(
         iteration_limit,
         tol_linear,
         tol_angular,
-        raw(out),
+        get_pointer(out),
     )

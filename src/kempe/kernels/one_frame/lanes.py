@@ -11,9 +11,16 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from kempe.kernels.base._jit import device, routine
-from kempe.kernels.base.lines import cross, dot, minus
+from kempe.kernels.base.lines import cross, dot, subtract_vectors
 from kempe.kernels.base.trig import atan2, sincos
-from kempe.kernels.base.vectors import LANES, load_lanes, spread_lanes, square_root, store, where
+from kempe.kernels.base.vectors import (
+    LANES,
+    compute_square_root,
+    load_lanes,
+    select_where,
+    spread_lanes,
+    store_value,
+)
 from kempe.kernels.forward.table_layout import (
     FORM,
     GENERAL,
@@ -25,7 +32,7 @@ from kempe.kernels.forward.table_layout import (
     TURN,
     V_INDEX,
 )
-from kempe.kernels.one_frame.residual import pointing_error
+from kempe.kernels.one_frame.residual import compute_pointing_error
 
 FACTOR = 12
 OFFSET = 13
@@ -62,7 +69,7 @@ Jacobian."""
 
 
 class Lanes(NamedTuple):
-    """Starts side by side. All but numbers are pointers."""
+    """Starts side by side; all fields but the numbers are pointers."""
 
     ints: object
     floats: object
@@ -80,78 +87,87 @@ class Lanes(NamedTuple):
 
 
 @device
-def load3(p, k):
-    """Three consecutive lanes."""
+def load_triple(p, k):
+    """Read the three vectors that begin at p[k]."""
     return load_lanes(p, k * LANES), load_lanes(p, (k + 1) * LANES), load_lanes(p, (k + 2) * LANES)
 
 
 @device
-def store3(p, k, v):
-    """Write three consecutive lanes."""
-    store(p, k * LANES, v[0])
-    store(p, (k + 1) * LANES, v[1])
-    store(p, (k + 2) * LANES, v[2])
+def store_triple(p, k, v):
+    """Write three vectors from p[k] on."""
+    store_value(p, k * LANES, v[0])
+    store_value(p, (k + 1) * LANES, v[1])
+    store_value(p, (k + 2) * LANES, v[2])
 
 
 @device
-def lane_row(row):
-    """Place of a row in the lanes."""
+def locate_lane_row(row):
+    """Return the index of a row in the lanes."""
     return ROWS + ROW_LANES * row
 
 
 @device
-def lane_coordinate(s, v):
-    """Place of a coordinate in the lanes."""
+def locate_lane_coordinate(s, v):
+    """Return the index of a coordinate in the lanes."""
     return ROWS + ROW_LANES * s.rows + COORDINATE_LANES * v
 
 
 @device
-def scaled(x, a):
-    """x a for a triple."""
+def scale_vector(x, a):
+    """Return x a for a number x and a 3-vector a."""
     return x * a[0], x * a[1], x * a[2]
 
 
 @device
-def summed(a, b):
-    """a + b for triples."""
+def add_vectors(a, b):
+    """Return a + b for two 3-vectors."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
 @device
-def combined(x, a, y, b):
-    """The vector x a + y b for numbers x, y and vectors a, b of three components."""
+def combine_vectors(x, a, y, b):
+    """Return x a + y b for numbers x, y and 3-vectors a, b."""
     return x * a[0] + y * b[0], x * a[1] + y * b[1], x * a[2] + y * b[2]
 
 
 @device
-def least_of(a, b):
-    """The smaller of each lane's two numbers."""
-    return where(b > a, a, b)
+def select_smaller(a, b):
+    """Return the smaller of two numbers in each lane."""
+    return select_where(b > a, a, b)
 
 
 @device
-def greatest_of(a, b):
-    """The larger of each lane's two numbers."""
-    return where(a > b, a, b)
+def select_greater(a, b):
+    """Return the larger of two numbers in each lane."""
+    return select_where(a > b, a, b)
 
 
 @device
-def placed_lanes(f, k, general, a, b, c, p):
-    """The columns of [a b c p] X, X the 3x4 placement at f[k:], a turn about x where it is not
-    `general`.
+def append_lane_placement(f, k, general, a, b, c, p):
+    """Return the columns of [a b c p] X, X the 3x4 placement at f[k:], a turn about x where it is
+    not `general`.
     """
-    p = summed(p, summed(scaled(f[k + 3], a), combined(f[k + 7], b, f[k + 11], c)))
+    p = add_vectors(
+        p, add_vectors(scale_vector(f[k + 3], a), combine_vectors(f[k + 7], b, f[k + 11], c))
+    )
     if general:
-        x = summed(scaled(f[k], a), combined(f[k + 4], b, f[k + 8], c))
-        y = summed(scaled(f[k + 1], a), combined(f[k + 5], b, f[k + 9], c))
-        z = summed(scaled(f[k + 2], a), combined(f[k + 6], b, f[k + 10], c))
+        x = add_vectors(scale_vector(f[k], a), combine_vectors(f[k + 4], b, f[k + 8], c))
+        y = add_vectors(scale_vector(f[k + 1], a), combine_vectors(f[k + 5], b, f[k + 9], c))
+        z = add_vectors(scale_vector(f[k + 2], a), combine_vectors(f[k + 6], b, f[k + 10], c))
         return x, y, z, p
-    return a, combined(f[k + 5], b, f[k + 9], c), combined(f[k + 10], c, f[k + 6], b), p
+    return (
+        a,
+        combine_vectors(f[k + 5], b, f[k + 9], c),
+        combine_vectors(f[k + 10], c, f[k + 6], b),
+        p,
+    )
 
 
 @routine
 def trace_lanes(s):
-    """Pose of the tips, three columns of the rotation and the position; writes axes and points."""
+    """Return the poses of the tips, three columns of the rotation and the position; write axes and
+    points.
+    """
     f = s.floats
     lanes = s.lanes
     one = spread_lanes(1.0)
@@ -163,31 +179,31 @@ def trace_lanes(s):
     for row in range(s.rows):
         k = HEADER + ROW_INTS * row
         at = ROW_FLOATS * row
-        a, b, c, p = placed_lanes(f, at, s.ints[k + FORM] == GENERAL, a, b, c, p)
+        a, b, c, p = append_lane_placement(f, at, s.ints[k + FORM] == GENERAL, a, b, c, p)
         factor = f[at + FACTOR]
-        store3(lanes, lane_row(row) + AXIS, scaled(factor, c))
-        store3(lanes, lane_row(row) + POINT, p)
+        store_triple(lanes, locate_lane_row(row) + AXIS, scale_vector(factor, c))
+        store_triple(lanes, locate_lane_row(row) + POINT, p)
         theta = (
-            factor * load_lanes(lanes, (lane_coordinate(s, s.ints[k + V_INDEX]) + U) * LANES)
+            factor * load_lanes(lanes, (locate_lane_coordinate(s, s.ints[k + V_INDEX]) + U) * LANES)
             + f[at + OFFSET]
         )
         if s.ints[k + KIND] == TURN:
             sine, cosine = sincos(theta)
-            a, b = combined(cosine, a, sine, b), combined(cosine, b, -sine, a)
+            a, b = combine_vectors(cosine, a, sine, b), combine_vectors(cosine, b, -sine, a)
         else:
-            p = summed(p, scaled(theta, c))
-    return placed_lanes(f, ROW_FLOATS * s.rows, True, a, b, c, p)
+            p = add_vectors(p, scale_vector(theta, c))
+    return append_lane_placement(f, ROW_FLOATS * s.rows, True, a, b, c, p)
 
 
 @device
-def goal_row(lanes, i):
-    """Row i of the goals' rotations."""
-    return load3(lanes, GOAL + 4 * i)
+def load_goal_row(lanes, i):
+    """Read row i of the goals' rotations."""
+    return load_triple(lanes, GOAL + 4 * i)
 
 
 @device
-def rotation_vector(m):
-    """Rotation vector of a 3x3 rotation (9 numbers, row by row), right at all angles.
+def compute_rotation_vectors(m):
+    """Return the rotation vector of a 3x3 rotation (9 vectors, row by row), accurate at all angles.
 
     By the quaternion whose largest entry is found first (Shepperd 1978).
     """
@@ -202,34 +218,34 @@ def rotation_vector(m):
     xz = m[2] + m[6]
     yz = m[5] + m[7]
     by_y = yy > xx
-    by_z = zz > greatest_of(xx, yy)
-    x = where(by_y, xy, 1.0 + xx)
-    y = where(by_y, 1.0 + yy, xy)
-    z = where(by_y, yz, xz)
-    w = where(by_y, wy, wx)
-    x = where(by_z, xz, x)
-    y = where(by_z, yz, y)
-    z = where(by_z, 1.0 + zz, z)
-    w = where(by_z, wz, w)
-    by_w = ww > greatest_of(greatest_of(xx, yy), zz)
-    x = where(by_w, wx, x)
-    y = where(by_w, wy, y)
-    z = where(by_w, wz, z)
-    w = where(by_w, 1.0 + ww, w)
-    size = square_root(x * x + y * y + z * z)
+    by_z = zz > select_greater(xx, yy)
+    x = select_where(by_y, xy, 1.0 + xx)
+    y = select_where(by_y, 1.0 + yy, xy)
+    z = select_where(by_y, yz, xz)
+    w = select_where(by_y, wy, wx)
+    x = select_where(by_z, xz, x)
+    y = select_where(by_z, yz, y)
+    z = select_where(by_z, 1.0 + zz, z)
+    w = select_where(by_z, wz, w)
+    by_w = ww > select_greater(select_greater(xx, yy), zz)
+    x = select_where(by_w, wx, x)
+    y = select_where(by_w, wy, y)
+    z = select_where(by_w, wz, z)
+    w = select_where(by_w, 1.0 + ww, w)
+    size = compute_square_root(x * x + y * y + z * z)
     tiny = 1e-300 > size
-    factor = 2.0 * atan2(size, abs(w)) / where(tiny, 1.0, size)
-    factor = where(0.0 > w, -factor, factor)
+    factor = 2.0 * atan2(size, abs(w)) / select_where(tiny, 1.0, size)
+    factor = select_where(0.0 > w, -factor, factor)
     return factor * x, factor * y, factor * z
 
 
 @device
-def turn_error(lanes, a, b, c):
-    """Rotation vector from the tips' rotations to the goals'."""
-    g = goal_row(lanes, 0)
-    h = goal_row(lanes, 1)
-    k = goal_row(lanes, 2)
-    return rotation_vector(
+def compute_turn_error(lanes, a, b, c):
+    """Return the rotation vector from the tips' rotations to the goals'."""
+    g = load_goal_row(lanes, 0)
+    h = load_goal_row(lanes, 1)
+    k = load_goal_row(lanes, 2)
+    return compute_rotation_vectors(
         (
             dot(g, (a[0], b[0], c[0])), dot(g, (a[1], b[1], c[1])), dot(g, (a[2], b[2], c[2])),
             dot(h, (a[0], b[0], c[0])), dot(h, (a[1], b[1], c[1])), dot(h, (a[2], b[2], c[2])),
@@ -239,8 +255,10 @@ def turn_error(lanes, a, b, c):
 
 
 @device
-def error_lanes(s, a, b, c, p):
-    """The six errors [linear; angular] of tips; those that the task leaves out are zero."""
+def compute_lane_errors(s, a, b, c, p):
+    """Return the six errors [linear; angular] of the tips; errors that the task leaves out are
+    zero.
+    """
     lanes = s.lanes
     w = s.weights
     d = (
@@ -251,14 +269,14 @@ def error_lanes(s, a, b, c, p):
     zero = spread_lanes(0.0)
     turn = (zero, zero, zero)
     if s.task == WHOLE or s.task == SOME:
-        turn = turn_error(lanes, a, b, c)
+        turn = compute_turn_error(lanes, a, b, c)
     elif s.task == POINTING:
         goal = (
             load_lanes(lanes, (GOAL + 2) * LANES),
             load_lanes(lanes, (GOAL + 6) * LANES),
             load_lanes(lanes, (GOAL + 10) * LANES),
         )
-        turn = pointing_error(a, c, goal)
+        turn = compute_pointing_error(a, c, goal)
     if s.task == SOME or s.task == POINTING:
         d = (w[0] * d[0], w[1] * d[1], w[2] * d[2])
         turn = (w[3] * turn[0], w[4] * turn[1], w[5] * turn[2])
@@ -266,8 +284,8 @@ def error_lanes(s, a, b, c, p):
 
 
 @device
-def column_lanes(lanes, k):
-    """Column of the Jacobian of the coordinate at place k."""
+def load_column(lanes, k):
+    """Read the column of the Jacobian of the coordinate at place k."""
     k = k + COLUMN
     return (
         load_lanes(lanes, k * LANES),
@@ -280,14 +298,14 @@ def column_lanes(lanes, k):
 
 
 @device
-def dot6(a, b):
-    """The scalar product of six numbers each."""
+def compute_dot_product(a, b):
+    """Return the scalar product of two vectors of six numbers."""
     return (a[0] * b[0] + a[1] * b[1]) + (a[2] * b[2] + a[3] * b[3]) + (a[4] * b[4] + a[5] * b[5])
 
 
 @device
-def gathered(m, free, x):
-    """The lower triangle m (21 numbers, row by row) plus x x^T in lanes where `free` is 1."""
+def add_outer_product(m, free, x):
+    """Return the lower triangle m (21 numbers, row by row) plus x x^T in lanes where `free` is 1."""
     f = (free * x[0], free * x[1], free * x[2], free * x[3], free * x[4], free * x[5])
     return (
         m[0] + f[0] * x[0],
@@ -301,64 +319,69 @@ def gathered(m, free, x):
 
 
 @device
-def nothing():
-    """21 zeros: the lower triangle of a symmetric 6x6 matrix, from which a sum begins."""
+def make_zero_triangle():
+    """Return 21 zeros, the lower triangle of a symmetric 6x6 matrix."""
     o = spread_lanes(0.0)
     return o, o, o, o, o, o, o, o, o, o, o, o, o, o, o, o, o, o, o, o, o
 
 
 @device
-def row_column(lanes, row, slides, p):
-    """Column of the Jacobian that a row alone gives, tips at p."""
-    axis = load3(lanes, lane_row(row) + AXIS)
+def compute_row_column(lanes, row, slides, p):
+    """Return the column of the Jacobian for the motion of one row, the tips at p."""
+    axis = load_triple(lanes, locate_lane_row(row) + AXIS)
     zero = spread_lanes(0.0)
     if slides:
         return axis[0], axis[1], axis[2], zero, zero, zero
-    o = load3(lanes, lane_row(row) + POINT)
-    v = cross(axis, minus(p, o))
+    o = load_triple(lanes, locate_lane_row(row) + POINT)
+    v = cross(axis, subtract_vectors(p, o))
     return v[0], v[1], v[2], axis[0], axis[1], axis[2]
 
 
 @device
-def may_move(u, push, low, high):
-    """1 unless the coordinate stands at a limit and `push` points outwards."""
-    return where(
-        push > 0.0, where(high > u, 1.0, 0.0), where(0.0 > push, where(u > low, 1.0, 0.0), 1.0)
+def can_move(u, push, low, high):
+    """Return 1, or 0 where the coordinate stands at a limit and `push` points outwards."""
+    return select_where(
+        push > 0.0,
+        select_where(high > u, 1.0, 0.0),
+        select_where(0.0 > push, select_where(u > low, 1.0, 0.0), 1.0),
     )
 
 
 @routine
-def fill_lanes(s, e, p):
-    """J D J^T (lower triangle) at the configurations traced last; writes the columns and D, who may
-    move.
+def compute_normal_lanes(s, e, p):
+    """Return J D J^T (lower triangle) at the configurations traced last; write the columns of J,
+    and D, which marks free coordinates.
     """
     lanes = s.lanes
     limits = s.limits
-    m = nothing()
+    m = make_zero_triangle()
     for row in range(s.rows):
         k = HEADER + ROW_INTS * row
         v = s.ints[k + V_INDEX]
-        at = lane_coordinate(s, v)
-        x = row_column(lanes, row, s.ints[k + KIND] == SLIDE, p)
+        at = locate_lane_coordinate(s, v)
+        x = compute_row_column(lanes, row, s.ints[k + KIND] == SLIDE, p)
         if s.last[row] > 1:
-            y = column_lanes(lanes, at)
+            y = load_column(lanes, at)
             x = (x[0] + y[0], x[1] + y[1], x[2] + y[2], x[3] + y[3], x[4] + y[4], x[5] + y[5])
-        store3(lanes, at + COLUMN, (x[0], x[1], x[2]))
-        store3(lanes, at + COLUMN + 3, (x[3], x[4], x[5]))
+        store_triple(lanes, at + COLUMN, (x[0], x[1], x[2]))
+        store_triple(lanes, at + COLUMN + 3, (x[3], x[4], x[5]))
         if s.last[row] % 2 == 1:
-            free = may_move(
-                load_lanes(lanes, (at + U) * LANES), dot6(x, e), limits[2 * v], limits[2 * v + 1]
+            free = can_move(
+                load_lanes(lanes, (at + U) * LANES),
+                compute_dot_product(x, e),
+                limits[2 * v],
+                limits[2 * v + 1],
             )
-            store(lanes, (at + FREE) * LANES, free)
-            m = gathered(m, free, x)
+            store_value(lanes, (at + FREE) * LANES, free)
+            m = add_outer_product(m, free, x)
     return m
 
 
 @routine
-def refill_lanes(s):
-    """J D J^T by the columns and D as they are."""
-    m = nothing()
+def recompute_normal_lanes(s):
+    """Return J D J^T for the present columns and D."""
+    m = make_zero_triangle()
     for v in range(s.nv):
-        at = lane_coordinate(s, v)
-        m = gathered(m, load_lanes(s.lanes, (at + FREE) * LANES), column_lanes(s.lanes, at))
+        at = locate_lane_coordinate(s, v)
+        m = add_outer_product(m, load_lanes(s.lanes, (at + FREE) * LANES), load_column(s.lanes, at))
     return m

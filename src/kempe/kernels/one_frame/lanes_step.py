@@ -1,12 +1,14 @@
-"""A step of the starts in `lanes`, inside the limits, and what is kept of each."""
+"""A damped step of the starts in `lanes`, inside the limits, and the choice of the configurations
+that are kept.
+"""
 
 from __future__ import annotations
 
 from kempe.kernels.base._jit import device, routine
-from kempe.kernels.base.linear import solve6
-from kempe.kernels.base.lines import dot, plus
-from kempe.kernels.base.masks import bits
-from kempe.kernels.base.vectors import LANES, load_lanes, spread_lanes, store, where
+from kempe.kernels.base.linear import solve_definite_six
+from kempe.kernels.base.lines import add_scaled, dot
+from kempe.kernels.base.masks import pack_mask
+from kempe.kernels.base.vectors import LANES, load_lanes, select_where, spread_lanes, store_value
 from kempe.kernels.one_frame.descent import ENOUGH
 from kempe.kernels.one_frame.lanes import (
     BEST,
@@ -19,15 +21,15 @@ from kempe.kernels.one_frame.lanes import (
     STEP,
     WHOLE,
     U,
-    column_lanes,
-    combined,
-    dot6,
-    error_lanes,
-    fill_lanes,
-    greatest_of,
-    lane_coordinate,
-    least_of,
-    refill_lanes,
+    combine_vectors,
+    compute_dot_product,
+    compute_lane_errors,
+    compute_normal_lanes,
+    load_column,
+    locate_lane_coordinate,
+    recompute_normal_lanes,
+    select_greater,
+    select_smaller,
     trace_lanes,
 )
 
@@ -50,24 +52,24 @@ for steps without any decrease costs a fifth more work, a third at the limits.""
 
 
 @device
-def without(c, x):
-    """The part of x across the unit vector c."""
-    return plus(x, -dot(c, x), c)
+def project_across(c, x):
+    """Return the component of x perpendicular to the unit vector c."""
+    return add_scaled(x, -dot(c, x), c)
 
 
 @device
-def aimed(s, e, c):
-    """What the task reads of six numbers; c: the tips' z axes."""
+def select_task_part(s, e, c):
+    """Return the part of six numbers that the task reads; c: the tips' z axes."""
     w = s.weights
     if s.task == WHOLE:
         return e
-    v = without(c, (e[3], e[4], e[5])) if s.task == POINTING else (e[3], e[4], e[5])
+    v = project_across(c, (e[3], e[4], e[5])) if s.task == POINTING else (e[3], e[4], e[5])
     return w[0] * e[0], w[1] * e[1], w[2] * e[2], w[3] * v[0], w[4] * v[1], w[5] * v[2]
 
 
 @device
-def weighed(w, m):
-    """W M W for a lower triangle and W = diag(w)."""
+def weigh_triangle(w, m):
+    """Return W M W for a lower triangle M and W = diag(w)."""
     return (
         w[0] * m[0],
         w[1] * (w[0] * m[1]), w[1] * m[2],
@@ -80,21 +82,21 @@ def weighed(w, m):
 
 
 @device
-def across(c, m):
-    """The lower triangle with P = 1 - c c^T applied to its angular rows and columns, and c c^T
-    added.
+def project_triangle(c, m):
+    """Return the lower triangle with P = 1 - c c^T applied to its angular rows and columns, and c
+    c^T added.
 
     What is added keeps the matrix regular, and takes no part: errors have no component along c.
     """
-    x = without(c, (m[6], m[10], m[15]))
-    y = without(c, (m[7], m[11], m[16]))
-    z = without(c, (m[8], m[12], m[17]))
+    x = project_across(c, (m[6], m[10], m[15]))
+    y = project_across(c, (m[7], m[11], m[16]))
+    z = project_across(c, (m[8], m[12], m[17]))
     h = (
         m[9] * c[0] + m[13] * c[1] + m[18] * c[2],
         m[13] * c[0] + m[14] * c[1] + m[19] * c[2],
         m[18] * c[0] + m[19] * c[1] + m[20] * c[2],
     )
-    h = combined(0.5 * (dot(c, h) + 1.0), c, -1.0, h)
+    h = combine_vectors(0.5 * (dot(c, h) + 1.0), c, -1.0, h)
     return (
         m[0], m[1], m[2], m[3], m[4], m[5],
         x[0], y[0], z[0],
@@ -106,24 +108,24 @@ def across(c, m):
 
 
 @device
-def solved(s, m, c, damping, e):
-    """(A + damping)^-1 e, A being what the task reads of the lower triangle m."""
+def solve_damped_lanes(s, m, c, damping, e):
+    """Return (A + damping)^-1 e, where A is the part of the lower triangle m that the task reads."""
     if s.task == POINTING:
-        m = across(c, m)
+        m = project_triangle(c, m)
     if s.task != WHOLE:
-        m = weighed(s.weights, m)
+        m = weigh_triangle(s.weights, m)
     d = damping
     damped = (
         m[0] + d, m[1], m[2] + d, m[3], m[4], m[5] + d, m[6], m[7], m[8], m[9] + d,
         m[10], m[11], m[12], m[13], m[14] + d, m[15], m[16], m[17], m[18], m[19], m[20] + d,
     )  # fmt: skip
-    return solve6(damped, e)
+    return solve_definite_six(damped, e)
 
 
 @routine
-def first_steps(s, y):
-    """1 in lanes where a limit stopped a coordinate, and what the stopped ones move the tip; writes
-    the steps.
+def write_first_steps(s, y):
+    """Write the steps; return 1 in lanes where a limit stopped a coordinate, and how far the
+    stopped coordinates move the tip.
 
     D J^T y, cut off at the limits; those that were stopped there leave D.
     """
@@ -138,16 +140,16 @@ def first_steps(s, y):
     d4 = o
     d5 = o
     for v in range(s.nv):
-        at = lane_coordinate(s, v)
-        x = column_lanes(lanes, at)
+        at = locate_lane_coordinate(s, v)
+        x = load_column(lanes, at)
         u = load_lanes(lanes, (at + U) * LANES)
         free = load_lanes(lanes, (at + FREE) * LANES)
-        wish = free * dot6(x, y)
-        step = least_of(greatest_of(wish, limits[2 * v] - u), limits[2 * v + 1] - u)
-        step = where(free > 0.5, step, o)
-        stopped = where(step == wish, o, 1.0)
-        store(lanes, (at + STEP) * LANES, step)
-        store(lanes, (at + FREE) * LANES, free - stopped)
+        wish = free * compute_dot_product(x, y)
+        step = select_smaller(select_greater(wish, limits[2 * v] - u), limits[2 * v + 1] - u)
+        step = select_where(free > 0.5, step, o)
+        stopped = select_where(step == wish, o, 1.0)
+        store_value(lanes, (at + STEP) * LANES, step)
+        store_value(lanes, (at + FREE) * LANES, free - stopped)
         a = a + stopped
         step = stopped * step
         d0 = d0 + step * x[0]
@@ -160,15 +162,15 @@ def first_steps(s, y):
 
 
 @routine
-def second_steps(s, y, again):
-    """Write the steps of D, in lanes where `again` is not zero."""
+def write_second_steps(s, y, again):
+    """Write the steps of the coordinates that D marks, in lanes where `again` is not zero."""
     lanes = s.lanes
     for v in range(s.nv):
-        at = lane_coordinate(s, v)
-        wish = dot6(column_lanes(lanes, at), y)
+        at = locate_lane_coordinate(s, v)
+        wish = compute_dot_product(load_column(lanes, at), y)
         old = load_lanes(lanes, (at + STEP) * LANES)
-        new = where(load_lanes(lanes, (at + FREE) * LANES) > 0.5, wish, old)
-        store(lanes, (at + STEP) * LANES, where(again > 0.5, new, old))
+        new = select_where(load_lanes(lanes, (at + FREE) * LANES) > 0.5, wish, old)
+        store_value(lanes, (at + STEP) * LANES, select_where(again > 0.5, new, old))
 
 
 @device
@@ -177,15 +179,19 @@ def advance_lanes(s):
     lanes = s.lanes
     limits = s.limits
     for v in range(s.nv):
-        at = lane_coordinate(s, v)
+        at = locate_lane_coordinate(s, v)
         u = load_lanes(lanes, (at + U) * LANES) + load_lanes(lanes, (at + STEP) * LANES)
-        store(lanes, (at + U) * LANES, least_of(greatest_of(u, limits[2 * v]), limits[2 * v + 1]))
+        store_value(
+            lanes,
+            (at + U) * LANES,
+            select_smaller(select_greater(u, limits[2 * v]), limits[2 * v + 1]),
+        )
 
 
 @device
-def keep_better(s, e, limit, linear, angular):
-    """Lanes that are done or nearly so, as bits, and the energy; keeps the configurations that
-    lowered it.
+def keep_better_configurations(s, e, limit, linear, angular):
+    """Keep the configurations that lowered the energy; return the lanes that are done or nearly so,
+    as bits, and the energy.
 
     limit: steps at most; linear, angular: squares of the tolerances, in the lanes' units.
     """
@@ -198,39 +204,50 @@ def keep_better(s, e, limit, linear, angular):
     count = load_lanes(lanes, COUNT * LANES)
     found = load_lanes(lanes, FOUND * LANES)
     better = best > energy
-    best, stall = where(better, energy, best), where(SLOW * best > energy, 0.0, stall + 1.0)
-    within = where(far > linear, 0.0, where(off > angular, 0.0, spread_lanes(1.0)))
-    found = where(better, greatest_of(found, within), found)
-    over = where(stall > where(found > 0.5, 0.5, PATIENCE - 0.5), 1.0, spread_lanes(0.0))
-    over = where(ENOUGH > best, 1.0, where(count > limit - 0.5, 1.0, over))
-    over = where(NEAR > best, where(found > 0.5, where(found > 1.5, over, 1.0), over), over)
-    store(lanes, BEST * LANES, best)
-    store(lanes, STALL * LANES, stall)
-    store(lanes, COUNT * LANES, where(over > 0.5, count, count + 1.0))
-    store(lanes, FOUND * LANES, found)
+    best, stall = (
+        select_where(better, energy, best),
+        select_where(SLOW * best > energy, 0.0, stall + 1.0),
+    )
+    within = select_where(far > linear, 0.0, select_where(off > angular, 0.0, spread_lanes(1.0)))
+    found = select_where(better, select_greater(found, within), found)
+    over = select_where(
+        stall > select_where(found > 0.5, 0.5, PATIENCE - 0.5), 1.0, spread_lanes(0.0)
+    )
+    over = select_where(ENOUGH > best, 1.0, select_where(count > limit - 0.5, 1.0, over))
+    over = select_where(
+        NEAR > best, select_where(found > 0.5, select_where(found > 1.5, over, 1.0), over), over
+    )
+    store_value(lanes, BEST * LANES, best)
+    store_value(lanes, STALL * LANES, stall)
+    store_value(lanes, COUNT * LANES, select_where(over > 0.5, count, count + 1.0))
+    store_value(lanes, FOUND * LANES, found)
     for v in range(s.nv):
-        at = lane_coordinate(s, v)
+        at = locate_lane_coordinate(s, v)
         u = load_lanes(lanes, (at + U) * LANES)
         kept = load_lanes(lanes, (at + KEPT) * LANES)
-        store(lanes, (at + KEPT) * LANES, where(better, u, kept))
-    return bits(over > 0.5), energy
+        store_value(lanes, (at + KEPT) * LANES, select_where(better, u, kept))
+    return pack_mask(over > 0.5), energy
 
 
 @routine
 def step_lanes(s, limit, linear, angular):
-    """Lanes that are done, as bits: at the goal, out of steps, without hope, or, once, NEAR. All
-    move on by a step.
+    """Move all lanes by a step; return as bits the lanes that are done: at the goal, out of steps,
+    without hope, or, once, NEAR.
 
-    The step is that of `step.damped_step`.
+    The step is that of `step.compute_damped_step`.
     """
     a, b, c, p = trace_lanes(s)
-    e = error_lanes(s, a, b, c, p)
-    done, energy = keep_better(s, e, limit, linear, angular)
-    damping = least_of(DAMPING * energy, spread_lanes(DAMPING_CAP)) + DAMPING_FLOOR
-    again, moved = first_steps(s, solved(s, fill_lanes(s, e, p), c, damping, e))
-    if bits(again > 0.5) != 0:
-        d = aimed(s, moved, c)
+    e = compute_lane_errors(s, a, b, c, p)
+    done, energy = keep_better_configurations(s, e, limit, linear, angular)
+    damping = select_smaller(DAMPING * energy, spread_lanes(DAMPING_CAP)) + DAMPING_FLOOR
+    again, moved = write_first_steps(
+        s, solve_damped_lanes(s, compute_normal_lanes(s, e, p), c, damping, e)
+    )
+    if pack_mask(again > 0.5) != 0:
+        d = select_task_part(s, moved, c)
         e = (e[0] - d[0], e[1] - d[1], e[2] - d[2], e[3] - d[3], e[4] - d[4], e[5] - d[5])
-        second_steps(s, solved(s, refill_lanes(s), c, damping, e), again)
+        write_second_steps(
+            s, solve_damped_lanes(s, recompute_normal_lanes(s), c, damping, e), again
+        )
     advance_lanes(s)
     return done

@@ -1,4 +1,5 @@
-"""How far the tip of a chain is from its goal: the error, and its Jacobian, of one configuration.
+"""The error of one configuration: how far the tip of a chain is from its goal, and the Jacobian of
+the error.
 
 The error is e = W [p* - p; log(R* R^T)] in ground axes. The geometric Jacobian then gives the exact
 gradient of E = |e|^2 / 2: dE/dv = -(W J)^T e, for the logarithm's own Jacobian leaves the logarithm
@@ -15,10 +16,16 @@ import math
 from typing import NamedTuple
 
 from kempe.kernels.base._jit import device, routine
-from kempe.kernels.base.lines import cross, dot, plus
-from kempe.kernels.base.rotations import logarithm
-from kempe.kernels.base.trig import atan2, sincos_any
-from kempe.kernels.base.vectors import entry, pack4, square_root, store, where
+from kempe.kernels.base.lines import add_scaled, cross, dot
+from kempe.kernels.base.rotations import compute_rotation_vector
+from kempe.kernels.base.trig import atan2, compute_sincos
+from kempe.kernels.base.vectors import (
+    compute_square_root,
+    extract_entry,
+    pack_four,
+    select_where,
+    store_value,
+)
 from kempe.kernels.forward.table_layout import (
     BALL,
     COS_OFFSET,
@@ -71,7 +78,7 @@ z counts."""
 
 
 class ChainScratch(NamedTuple):
-    """A chain's table with the scratch of its solver; everything but the numbers is a pointer."""
+    """A chain's table with the scratch of its solver; all fields but the numbers are pointers."""
 
     ints: object
     floats: object
@@ -88,15 +95,15 @@ class ChainScratch(NamedTuple):
 
 
 @device
-def mixed(x, a, y, b, z, c):
-    """x a + y b + z c: the numbers x, y, z times three vectors."""
+def combine_three(x, a, y, b, z, c):
+    """Return x a + y b + z c for three numbers x, y, z and three 3-vectors a, b, c."""
     return x * a + (y * b + z * c)
 
 
 @device
-def ball_rotation(q, k, multiplier):
-    """The rotation (9 numbers, row by row) by the quaternion wxyz at q[k : k + 4], normalised on
-    reading.
+def compute_ball_rotation(q, k, multiplier):
+    """Return the rotation (9 numbers, row by row) by the quaternion wxyz at q[k : k + 4], which is
+    normalised.
 
     Its inverse for a reversed joint, which a negative multiplier marks.
     """
@@ -123,31 +130,33 @@ def ball_rotation(q, k, multiplier):
 @device
 def write_axis(axes, column, axis, point):
     """Write one column's axis and point."""
-    store(axes, AXES_STRIDE * column + AXIS, axis)
-    store(axes, AXES_STRIDE * column + POINT, point)
+    store_value(axes, AXES_STRIDE * column + AXIS, axis)
+    store_value(axes, AXES_STRIDE * column + POINT, point)
 
 
 @device
-def placed(f, k, a, b, c, p):
-    """The columns of [a b c p] X, X the 3x4 placement at f[k:]."""
+def append_placement(f, k, a, b, c, p):
+    """Return the columns of [a b c p] X, X the 3x4 placement at f[k:]."""
     return (
-        mixed(f[k], a, f[k + 4], b, f[k + 8], c),
-        mixed(f[k + 1], a, f[k + 5], b, f[k + 9], c),
-        mixed(f[k + 2], a, f[k + 6], b, f[k + 10], c),
-        mixed(f[k + 3], a, f[k + 7], b, f[k + 11], c) + p,
+        combine_three(f[k], a, f[k + 4], b, f[k + 8], c),
+        combine_three(f[k + 1], a, f[k + 5], b, f[k + 9], c),
+        combine_three(f[k + 2], a, f[k + 6], b, f[k + 10], c),
+        combine_three(f[k + 3], a, f[k + 7], b, f[k + 11], c) + p,
     )
 
 
 @routine
-def trace(chain):
-    """Pose of the tip at q, three columns of its rotation and its position; writes axes and points."""
+def trace_chain(chain):
+    """Return the pose of the tip at q, three columns of its rotation and its position; write axes
+    and points.
+    """
     n = chain.ints[N_ROWS]
     floats = chain.floats
     axes = chain.axes
-    a = pack4(1.0, 0.0, 0.0, 0.0)
-    b = pack4(0.0, 1.0, 0.0, 0.0)
-    c = pack4(0.0, 0.0, 1.0, 0.0)
-    p = pack4(0.0, 0.0, 0.0, 0.0)
+    a = pack_four(1.0, 0.0, 0.0, 0.0)
+    b = pack_four(0.0, 1.0, 0.0, 0.0)
+    c = pack_four(0.0, 0.0, 1.0, 0.0)
+    p = pack_four(0.0, 0.0, 0.0, 0.0)
     column = 0
     for row in range(n):
         k = HEADER + ROW_INTS * row
@@ -155,12 +164,12 @@ def trace(chain):
         kind = chain.ints[k + KIND]
         index = chain.ints[k + Q_INDEX]
         m = floats[f + MULTIPLIER]
-        a, b, c, p = placed(floats, f, a, b, c, p)
+        a, b, c, p = append_placement(floats, f, a, b, c, p)
         if kind == BALL:
-            r = ball_rotation(chain.q, index, m)
-            x = mixed(r[0], a, r[3], b, r[6], c)
-            y = mixed(r[1], a, r[4], b, r[7], c)
-            z = mixed(r[2], a, r[5], b, r[8], c)
+            r = compute_ball_rotation(chain.q, index, m)
+            x = combine_three(r[0], a, r[3], b, r[6], c)
+            y = combine_three(r[1], a, r[4], b, r[7], c)
+            z = combine_three(r[2], a, r[5], b, r[8], c)
             # the axes of a reversed ball are those before its motion, reversed
             write_axis(axes, column, x if m > 0.0 else -a, p)
             write_axis(axes, column + 1, y if m > 0.0 else -b, p)
@@ -174,7 +183,7 @@ def trace(chain):
         column += 1
         theta = m * chain.q[index]
         if kind == TURN:
-            s, t = sincos_any(theta)
+            s, t = compute_sincos(theta)
             s, t = (
                 s * floats[f + COS_OFFSET] + t * floats[f + SIN_OFFSET],
                 t * floats[f + COS_OFFSET] - s * floats[f + SIN_OFFSET],
@@ -182,67 +191,67 @@ def trace(chain):
             a, b = t * a + s * b, t * b - s * a
         else:
             p = p + theta * c
-    return placed(floats, ROW_FLOATS * n, a, b, c, p)
+    return append_placement(floats, ROW_FLOATS * n, a, b, c, p)
 
 
 @device
-def pointing_error(a, c, goal):
-    """The shortest rotation vector that turns direction c to the goal's; about a where they are
-    opposite.
+def compute_pointing_error(a, c, goal):
+    """Return the shortest rotation vector that turns direction c to the goal's, about a where they
+    are opposite.
 
     For floats and vectors alike.
     """
     n = cross(c, goal)
     cosine = dot(c, goal)
-    sine = square_root(dot(n, n))
+    sine = compute_square_root(dot(n, n))
     vague = 1e-12 > sine
-    factor = where(vague, 1.0, atan2(sine, cosine) / where(vague, 1.0, sine))
-    opposite = where(vague, where(0.0 > cosine, math.pi, 0.0), 0.0)
-    return plus((factor * n[0], factor * n[1], factor * n[2]), opposite, a)
+    factor = select_where(vague, 1.0, atan2(sine, cosine) / select_where(vague, 1.0, sine))
+    opposite = select_where(vague, select_where(0.0 > cosine, math.pi, 0.0), 0.0)
+    return add_scaled((factor * n[0], factor * n[1], factor * n[2]), opposite, a)
 
 
 @device
-def column(v):
-    """The first three entries of a vector."""
-    return entry(v, 0), entry(v, 1), entry(v, 2)
+def take_first_three(v):
+    """Return the first three entries of a vector."""
+    return extract_entry(v, 0), extract_entry(v, 1), extract_entry(v, 2)
 
 
 @device
-def turn_error(g, a, b, c):
-    """Rotation vector from the tip's rotation, by columns, to the goal's; of z alone where only
-    that counts.
+def compute_turn_error(g, a, b, c):
+    """Return the rotation vector from the tip's rotation, by columns, to the goal's; of z alone
+    where only its direction counts.
     """
     if g[POINTS] != 0.0:
-        return pointing_error(column(a), column(c), (g[2], g[6], g[10]))
-    x = mixed(g[0], a, g[1], b, g[2], c)
-    y = mixed(g[4], a, g[5], b, g[6], c)
-    z = mixed(g[8], a, g[9], b, g[10], c)
-    return logarithm(
+        return compute_pointing_error(take_first_three(a), take_first_three(c), (g[2], g[6], g[10]))
+    x = combine_three(g[0], a, g[1], b, g[2], c)
+    y = combine_three(g[4], a, g[5], b, g[6], c)
+    z = combine_three(g[8], a, g[9], b, g[10], c)
+    return compute_rotation_vector(
         (
-            entry(x, 0),
-            entry(x, 1),
-            entry(x, 2),
-            entry(y, 0),
-            entry(y, 1),
-            entry(y, 2),
-            entry(z, 0),
-            entry(z, 1),
-            entry(z, 2),
+            extract_entry(x, 0),
+            extract_entry(x, 1),
+            extract_entry(x, 2),
+            extract_entry(y, 0),
+            extract_entry(y, 1),
+            extract_entry(y, 2),
+            extract_entry(z, 0),
+            extract_entry(z, 1),
+            extract_entry(z, 2),
         )
     )
 
 
 @device
-def error(goal, tip):
-    """The six weighted errors [linear; angular] of a tip as `trace` gives it."""
+def compute_error(goal, tip):
+    """Return the six weighted errors [linear; angular] of a tip pose from `trace_chain`."""
     g = goal
     w = WEIGHTS
     a, b, c, p = tip
-    turn = turn_error(g, a, b, c)
+    turn = compute_turn_error(g, a, b, c)
     return (
-        g[w] * (g[3] - entry(p, 0)),
-        g[w + 1] * (g[7] - entry(p, 1)),
-        g[w + 2] * (g[11] - entry(p, 2)),
+        g[w] * (g[3] - extract_entry(p, 0)),
+        g[w + 1] * (g[7] - extract_entry(p, 1)),
+        g[w + 2] * (g[11] - extract_entry(p, 2)),
         g[w + 3] * turn[0],
         g[w + 4] * turn[1],
         g[w + 5] * turn[2],
@@ -250,21 +259,21 @@ def error(goal, tip):
 
 
 @device
-def energy(e):
-    """Half the square of the weighted error."""
+def compute_energy(e):
+    """Return half the square of the weighted error."""
     return 0.5 * (e[0] * e[0] + e[1] * e[1] + e[2] * e[2] + e[3] * e[3] + e[4] * e[4] + e[5] * e[5])
 
 
 @device
-def distances(chain, e):
-    """Linear and angular part of the weighted error, in units of length and radians."""
+def compute_distances(chain, e):
+    """Return the linear and angular part of the weighted error, in units of length and radians."""
     linear = chain.length * math.sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2])
     return linear, math.sqrt(e[3] * e[3] + e[4] * e[4] + e[5] * e[5])
 
 
 @device
-def column_at(chain, number, tip):
-    """Axis of a column, the velocity that it gives the tip, and whether it turns."""
+def compute_column(chain, number, tip):
+    """Return the axis of a column, the velocity that it gives the tip, and whether it turns."""
     k = AXES_STRIDE * number
     a = chain.axes
     p = tip[3]
@@ -273,9 +282,9 @@ def column_at(chain, number, tip):
     z = a[k + 2]
     if chain.notes[COLUMN_INTS * number + TURNS] == 0:
         return (x, y, z), (x, y, z), False
-    u = entry(p, 0) - a[k + POINT]
-    v = entry(p, 1) - a[k + POINT + 1]
-    w = entry(p, 2) - a[k + POINT + 2]
+    u = extract_entry(p, 0) - a[k + POINT]
+    v = extract_entry(p, 1) - a[k + POINT + 1]
+    w = extract_entry(p, 2) - a[k + POINT + 2]
     return (x, y, z), (y * w - z * v, z * u - x * w, x * v - y * u), True
 
 
@@ -289,20 +298,20 @@ def fill_jacobian(chain, tip):
             jacobian[JACOBIAN_STRIDE * v + i] = 0.0
     for number in range(chain.columns):
         k = JACOBIAN_STRIDE * chain.notes[COLUMN_INTS * number + OWNER]
-        axis, velocity, turns = column_at(chain, number, tip)
+        axis, velocity, turns = compute_column(chain, number, tip)
         for i in range(3):
             jacobian[k + i] += g[WEIGHTS + i] * velocity[i]
         if turns:
             if g[POINTS] != 0.0:
-                c = column(tip[2])
-                axis = plus(axis, -dot(c, axis), c)
+                c = take_first_three(tip[2])
+                axis = add_scaled(axis, -dot(c, axis), c)
             for i in range(3):
                 jacobian[k + 3 + i] += g[WEIGHTS + 3 + i] * axis[i]
 
 
 @device
-def along(jacobian, v, e):
-    """The product of column v of the Jacobian with six numbers."""
+def multiply_column(jacobian, v, e):
+    """Return the product of column v of the Jacobian with six numbers."""
     k = JACOBIAN_STRIDE * v
     return (
         (jacobian[k] * e[0] + jacobian[k + 1] * e[1])

@@ -1,4 +1,5 @@
-"""Which start runs in which lane: the inverse kinematics of chains of turns and slides.
+"""The schedule of the inverse kinematics of chains of turns and slides: which start runs in which
+lane.
 
 Damped least squares inside the limits, restarted until it succeeds. From 50 to 100 % of the starts
 reach the goal, whatever the optimiser: restarts decide, so a step must be cheap and a start must be
@@ -21,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kempe.kernels.base._jit import device, kernel, routine
-from kempe.kernels.base.scratch import aligned, beyond, copy
+from kempe.kernels.base.scratch import advance_pointer, align_pointer, copy_numbers
 from kempe.kernels.base.search_layout import (
     ANGULAR,
     LINEAR,
@@ -31,7 +32,7 @@ from kempe.kernels.base.search_layout import (
     STATUS,
     STEPS,
 )
-from kempe.kernels.base.vectors import LANES, keep, raw
+from kempe.kernels.base.vectors import LANES, get_pointer, keep_alive
 from kempe.kernels.forward.table_layout import (
     COS_OFFSET,
     HEADER,
@@ -49,16 +50,16 @@ from kempe.kernels.one_frame.descent import ENOUGH
 from kempe.kernels.one_frame.ik_problem import (
     ARGUMENTS,
     IkProblem,
-    aim,
-    answer_of,
-    begin,
+    begin_goal,
     count_columns,
-    go_to,
-    judged,
-    problem_floats,
-    problem_ints,
-    problem_of,
-    write,
+    count_problem_floats,
+    count_problem_ints,
+    go_to_start,
+    judge_configuration,
+    locate_answer,
+    make_ik_problem,
+    set_goal,
+    write_answer,
 )
 from kempe.kernels.one_frame.lanes import (
     BEST,
@@ -78,11 +79,11 @@ from kempe.kernels.one_frame.lanes import (
     WHOLE,
     Lanes,
     U,
-    lane_coordinate,
+    locate_lane_coordinate,
 )
 from kempe.kernels.one_frame.lanes_step import step_lanes
 from kempe.kernels.one_frame.residual import BOX_STRIDE, HIGH, LOW, POINTS, SCALE, WEIGHTS
-from kempe.kernels.one_frame.step import place_of
+from kempe.kernels.one_frame.step import find_place
 
 AHEAD = 16
 """Starts at most that are begun and not committed, for a goal."""
@@ -117,8 +118,8 @@ NONE = -1
 
 
 class Scheduler(NamedTuple):
-    """Goals in work: a slot holds one, and there are as many slots as lanes. All but numbers are
-    pointers.
+    """Goals in work: a slot holds one goal, and there are as many slots as lanes. All fields but
+    the numbers are pointers.
     """
 
     problem: IkProblem
@@ -135,33 +136,33 @@ class Scheduler(NamedTuple):
 
 
 @device
-def scheduler_floats(rows, nq, nv):
-    """Numbers of scratch of the scheduler."""
+def count_scheduler_floats(rows, nq, nv):
+    """Return the number of floats of scratch of the scheduler."""
     lanes = ROWS + ROW_LANES * rows + COORDINATE_LANES * nv
     return LANES * lanes + 8 + ROW_FLOATS * (rows + 1) + 2 * nv + 6 + LANES * nq + LANES
 
 
 @device
-def scheduler_ints(rows):
-    """Whole numbers of scratch of the scheduler."""
+def count_scheduler_ints(rows):
+    """Return the number of integers of scratch of the scheduler."""
     return LANES * (SLOT + LANE) + rows
 
 
 @routine
-def scheduler(problem, notes, block, count):
-    """The scheduler of a problem, its chain in the units of the lanes; all slots are free."""
+def make_scheduler(problem, notes, block, count):
+    """Make the scheduler of a problem, its chain in the units of the lanes, with all slots free."""
     chain = problem.chain
     rows = chain.columns
     nq = chain.nq
     nv = chain.nv
     ints = chain.ints
-    lanes = aligned(block)
-    floats = beyond(lanes, LANES * (ROWS + ROW_LANES * rows + COORDINATE_LANES * nv))
-    limits = beyond(floats, ROW_FLOATS * (rows + 1))
-    weights = beyond(limits, 2 * nv)
-    defaults = beyond(weights, 6)
-    places = beyond(notes, LANES * SLOT)
-    last = beyond(places, LANES * LANE)
+    lanes = align_pointer(block)
+    floats = advance_pointer(lanes, LANES * (ROWS + ROW_LANES * rows + COORDINATE_LANES * nv))
+    limits = advance_pointer(floats, ROW_FLOATS * (rows + 1))
+    weights = advance_pointer(limits, 2 * nv)
+    defaults = advance_pointer(weights, 6)
+    places = advance_pointer(notes, LANES * SLOT)
+    last = advance_pointer(places, LANES * LANE)
     for row in range(rows + 1):
         at = ROW_FLOATS * row
         for k in range(12):
@@ -198,39 +199,41 @@ def scheduler(problem, notes, block, count):
     for k in range(LANES * (ROWS + ROW_LANES * rows + COORDINATE_LANES * nv)):
         lanes[k] = 0.0
     s = Lanes(ints, floats, limits, last, weights, lanes, rows, nv, task)
-    return Scheduler(problem, s, notes, places, defaults, beyond(defaults, LANES * nq), count)
+    return Scheduler(
+        problem, s, notes, places, defaults, advance_pointer(defaults, LANES * nq), count
+    )
 
 
 @device
-def default_of(h, d):
-    """The configuration that the search of a slot starts from by default."""
-    return beyond(h.defaults, h.problem.chain.nq * d)
+def locate_default_start(h, d):
+    """Return the pointer to the configuration that the search of a slot starts from by default."""
+    return advance_pointer(h.defaults, h.problem.chain.nq * d)
 
 
 @routine
-def start_next(h, lane, d):
+def begin_next_start(h, lane, d):
     """Begin the next start of the slot in the lane."""
     problem = h.problem
     s = h.lanes
-    slot = beyond(h.slots, SLOT * d)
+    slot = advance_pointer(h.slots, SLOT * d)
     chain = problem.chain
-    p = beyond(s.lanes, lane)
+    p = advance_pointer(s.lanes, lane)
     i = slot[TARGET]
     start = slot[NEXT]
     slot[NEXT] = start + 1
     slot[DONE + start % AHEAD] = NONE
     h.places[LANE * lane + OF_SLOT] = d
     h.places[LANE * lane + START] = start
-    go_to(problem, i, start, default_of(h, d))
+    go_to_start(problem, i, start, locate_default_start(h, d))
     for v in range(s.nv):
-        k = place_of(chain, v)
+        k = find_place(chain, v)
         u = 0.0
         if k >= 0:
             u = chain.q[k] / chain.box[BOX_STRIDE * v + SCALE]
             if problem.circular[v] != 0:
                 u -= 2.0 * math.pi * math.floor(u / (2.0 * math.pi) + 0.5)
-        p[(lane_coordinate(s, v) + U) * LANES] = u
-    target = beyond(problem.targets, 16 * i)
+        p[(locate_lane_coordinate(s, v) + U) * LANES] = u
+    target = advance_pointer(problem.targets, 16 * i)
     for k in range(3):  # what the task does not read need not be a number
         p[(GOAL + 4 * k + 3) * LANES] = (
             target[4 * k + 3] / chain.length if s.weights[k] != 0.0 else 0.0
@@ -244,23 +247,25 @@ def start_next(h, lane, d):
 
 
 @device
-def begun_of(h, d):
-    """How many starts of a slot are begun and not committed; AHEAD where no other may begin."""
-    slot = beyond(h.slots, SLOT * d)
+def count_begun_starts(h, d):
+    """Count the starts of a slot that are begun and not committed; AHEAD where no other start may
+    begin.
+    """
+    slot = advance_pointer(h.slots, SLOT * d)
     if slot[TARGET] < 0 or slot[NEXT] >= slot[ANSWER]:
         return AHEAD
     return slot[NEXT] - slot[FIRST]
 
 
 @device
-def least_begun(h):
-    """(starts begun and not committed, slot) where they are fewest; AHEAD if none may begin
-    another.
+def find_least_begun_slot(h):
+    """Find the slot with the fewest starts begun and not committed; return their number, or AHEAD,
+    and the slot.
     """
     least = AHEAD
     at = 0
     for d in range(LANES):
-        begun = begun_of(h, d)
+        begun = count_begun_starts(h, d)
         if begun < least:
             least = begun
             at = d
@@ -268,22 +273,22 @@ def least_begun(h):
 
 
 @routine
-def assign(h, lane, queue, may_help):
+def assign_start(h, lane, queue, may_help):
     """Give an idle lane a start, and return how many goals are taken from the queue by now.
 
     A slot without a running start comes first, then a new goal; with `may_help` a start ahead for a
     slot that has one.
     """
-    begun, d = least_begun(h)
+    begun, d = find_least_begun_slot(h)
     if begun > 0 and queue < h.count:
         free = 0
         while (
             h.slots[SLOT * free + TARGET] >= 0
         ):  # there is one: each slot that is taken has a lane at work
             free += 1
-        slot = beyond(h.slots, SLOT * free)
+        slot = advance_pointer(h.slots, SLOT * free)
         while slot[TARGET] < 0 and queue < h.count:
-            if begin(h.problem, queue, default_of(h, free)):
+            if begin_goal(h.problem, queue, locate_default_start(h, free)):
                 slot[TARGET] = queue
                 slot[FIRST] = 0
                 slot[NEXT] = 0
@@ -291,21 +296,26 @@ def assign(h, lane, queue, may_help):
                 slot[SPENT] = 0
                 slot[BEST_START] = NONE
                 h.least[free] = np.inf
-                copy(answer_of(h.problem, queue), default_of(h, free), 0, h.problem.chain.nq)
+                copy_numbers(
+                    locate_answer(h.problem, queue),
+                    locate_default_start(h, free),
+                    0,
+                    h.problem.chain.nq,
+                )
                 begun = 0
                 d = free
             queue += 1
     if begun == 0 or (begun < AHEAD and may_help):
-        start_next(h, lane, d)
+        begin_next_start(h, lane, d)
     return queue
 
 
 @device
-def commit(h, d):
+def commit_starts(h, d):
     """Count the starts of a slot that are done, in order; write the answer where one reached the
     goal or all failed.
     """
-    slot = beyond(h.slots, SLOT * d)
+    slot = advance_pointer(h.slots, SLOT * d)
     problem = h.problem
     i = slot[TARGET]
     end = slot[ANSWER]
@@ -317,44 +327,44 @@ def commit(h, d):
         slot[FIRST] += 1
     if end < problem.tries:
         if slot[FIRST] > end:
-            out = beyond(answer_of(problem, i), problem.chain.nq)
+            out = advance_pointer(locate_answer(problem, i), problem.chain.nq)
             out[STATUS], out[STEPS], out[STARTS] = SOLVED, slot[SPENT], end + 1
             slot[TARGET] = NONE
     elif slot[FIRST] == problem.tries:
-        write(problem, i, NOT_FOUND, h.least[d], 0.0, slot[SPENT], problem.tries)
+        write_answer(problem, i, NOT_FOUND, h.least[d], 0.0, slot[SPENT], problem.tries)
         slot[TARGET] = NONE
 
 
 @device
-def load(h, lane, d, what):
-    """Set q of the chain to `what` a lane holds: U, or KEPT."""
+def load_configuration(h, lane, d, what):
+    """Set q of the chain to a configuration that a lane holds: `what` is U or KEPT."""
     chain = h.problem.chain
     s = h.lanes
-    copy(chain.q, default_of(h, d), 0, chain.nq)
+    copy_numbers(chain.q, locate_default_start(h, d), 0, chain.nq)
     for v in range(s.nv):
-        k = place_of(chain, v)
+        k = find_place(chain, v)
         if k >= 0:
-            box = beyond(chain.box, BOX_STRIDE * v)
-            x = s.lanes[(lane_coordinate(s, v) + what) * LANES + lane] * box[SCALE]
+            box = advance_pointer(chain.box, BOX_STRIDE * v)
+            x = s.lanes[(locate_lane_coordinate(s, v) + what) * LANES + lane] * box[SCALE]
             chain.q[k] = min(max(x, box[LOW]), box[HIGH])  # units round
 
 
 @routine
-def accepted(h, lane, d, what, enough):
-    """Whether what a lane holds is an answer, of energy below `enough`; writes it and lets all
-    later starts go.
+def accept_answer(h, lane, d, what, enough):
+    """Accept a configuration of a lane as the answer if its energy is below `enough`, and drop all
+    later starts; return whether it is one.
     """
     problem = h.problem
     chain = h.problem.chain
-    slot = beyond(h.slots, SLOT * d)
+    slot = advance_pointer(h.slots, SLOT * d)
     start = h.places[LANE * lane + START]
-    load(h, lane, d, what)
-    aim(chain, problem.targets, 16 * slot[TARGET])
-    solved, linear, angular = judged(problem, default_of(h, d))
+    load_configuration(h, lane, d, what)
+    set_goal(chain, problem.targets, 16 * slot[TARGET])
+    solved, linear, angular = judge_configuration(problem, locate_default_start(h, d))
     if not solved or 0.5 * ((linear / chain.length) ** 2 + angular**2) > enough:
         return False
-    out = answer_of(problem, slot[TARGET])
-    copy(out, chain.q, 0, chain.nq)
+    out = locate_answer(problem, slot[TARGET])
+    copy_numbers(out, chain.q, 0, chain.nq)
     out[chain.nq + LINEAR] = linear
     out[chain.nq + ANGULAR] = angular
     slot[ANSWER] = start
@@ -365,15 +375,15 @@ def accepted(h, lane, d, what, enough):
 
 
 @routine
-def retire(h, lane):
-    """End the start of a lane: keep it as the answer or as the nearest so far; let it go on if one
+def retire_start(h, lane):
+    """End the start of a lane, keep its result if it is the best so far, and continue it if one
     step more pays.
     """
     d = h.places[LANE * lane + OF_SLOT]
     start = h.places[LANE * lane + START]
-    slot = beyond(h.slots, SLOT * d)
-    p = beyond(h.lanes.lanes, lane)
-    out = answer_of(h.problem, slot[TARGET])
+    slot = advance_pointer(h.slots, SLOT * d)
+    p = advance_pointer(h.lanes.lanes, lane)
+    out = locate_answer(h.problem, slot[TARGET])
     energy = p[BEST * LANES]
     found = p[FOUND * LANES]
     spent = p[COUNT * LANES] >= h.problem.iteration_limit
@@ -382,22 +392,22 @@ def retire(h, lane):
     ):  # one step from rounding error
         p[COUNT * LANES] += 1.0
         p[FOUND * LANES] = 2.0
-        if not accepted(h, lane, d, np.int64(U), ROUNDED):
+        if not accept_answer(h, lane, d, np.int64(U), ROUNDED):
             return
-    elif found == 0.0 or not accepted(h, lane, d, np.int64(KEPT), np.inf):
+    elif found == 0.0 or not accept_answer(h, lane, d, np.int64(KEPT), np.inf):
         nearer = energy < h.least[d] or (energy == h.least[d] and start < slot[BEST_START])
         if nearer and slot[ANSWER] == h.problem.tries:
-            load(h, lane, d, np.int64(KEPT))
+            load_configuration(h, lane, d, np.int64(KEPT))
             h.least[d], slot[BEST_START] = energy, start
-            copy(out, h.problem.chain.q, 0, h.problem.chain.nq)
+            copy_numbers(out, h.problem.chain.q, 0, h.problem.chain.nq)
     h.places[LANE * lane + OF_SLOT] = NONE
     slot[DONE + start % AHEAD] = int(p[COUNT * LANES])
-    commit(h, d)
+    commit_starts(h, d)
 
 
 @device
-def busy_lanes(h):
-    """The lanes that run a start, as bits."""
+def find_busy_lanes(h):
+    """Return the lanes that run a start, as bits."""
     lanes = 0
     for lane in range(LANES):
         lanes |= int(h.places[LANE * lane + OF_SLOT] >= 0) << lane
@@ -405,7 +415,7 @@ def busy_lanes(h):
 
 
 @device
-def search(h):
+def run_lanes(h):
     """Run the lanes until each goal is reached or has failed from all its starts."""
     problem = h.problem
     queue = np.int64(0)
@@ -420,9 +430,9 @@ def search(h):
             for lane in range(LANES):
                 if not busy >> lane & 1:
                     before = queue
-                    queue = assign(h, lane, queue, alone >= hold)
+                    queue = assign_start(h, lane, queue, alone >= hold)
                     alone = alone if queue == before else 0
-            busy = busy_lanes(h)
+            busy = find_busy_lanes(h)
             changed = False
             if busy == 0:
                 return
@@ -433,13 +443,13 @@ def search(h):
                 if (
                     done >> lane & 1 and h.places[LANE * lane + OF_SLOT] >= 0
                 ):  # those before may have let it go
-                    retire(h, lane)
-            busy = busy_lanes(h)
+                    retire_start(h, lane)
+            busy = find_busy_lanes(h)
             changed = True
 
 
 @kernel(*ARGUMENTS)
-def reach(
+def reach_goals(
     ints,
     floats,
     limits,
@@ -455,8 +465,8 @@ def reach(
     length,
     out,
 ):
-    """Number of goals not reached; each answer is a pure function of its goal, its seeds and the
-    other arguments.
+    """Search a configuration for each goal; return the number of goals not reached. An answer
+    depends only on its goal, its seeds and the other arguments.
 
     ints, floats: table of a chain with one output, without balls. limits: (2, nv), lower and upper,
     infinite where there is none; ignored for balls. task: (7 + nv,), 1 for each row [linear;
@@ -471,18 +481,18 @@ def reach(
 
     Starts are tried in order, the answer is that of the first that reaches the goal. SOLVED is
     judged at the q written, which is always inside the limits. With NOT_FOUND it is where a start
-    came nearest, and the linear error is its energy: `fallback.approach` goes on from there.
+    came nearest, and the linear error is its energy: `fallback.approach_goals` goes on from there.
     BAD_INPUT, q and errors NaN: a goal or seed that is not finite or above 1e100, a goal that is no
     pose.
     """
-    columns = count_columns(raw(ints))
+    columns = count_columns(get_pointer(ints))
     nq = ints[NQ]
     nv = ints[NV]
-    whole = problem_ints(columns, nv)
-    size = problem_floats(columns, nq, nv)
-    notes = np.empty(whole + scheduler_ints(columns), np.int64)
-    block = np.empty(size + scheduler_floats(columns, nq, nv))
-    problem = problem_of(
+    whole = count_problem_ints(columns, nv)
+    size = count_problem_floats(columns, nq, nv)
+    notes = np.empty(whole + count_scheduler_ints(columns), np.int64)
+    block = np.empty(size + count_scheduler_floats(columns, nq, nv))
+    problem = make_ik_problem(
         ints,
         floats,
         limits,
@@ -498,15 +508,20 @@ def reach(
         length,
         out,
         columns,
-        raw(notes),
-        raw(block),
+        get_pointer(notes),
+        get_pointer(block),
     )
-    search(
-        scheduler(problem, beyond(raw(notes), whole), beyond(raw(block), size), targets.shape[0])
+    run_lanes(
+        make_scheduler(
+            problem,
+            advance_pointer(get_pointer(notes), whole),
+            advance_pointer(get_pointer(block), size),
+            targets.shape[0],
+        )
     )
     missed = 0
     for i in range(targets.shape[0]):
         missed += int(out[i, nq + STATUS] != SOLVED)
-    keep(block)
-    keep(notes)
+    keep_alive(block)
+    keep_alive(notes)
     return missed

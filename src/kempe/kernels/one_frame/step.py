@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from kempe.kernels.base._jit import device, routine
-from kempe.kernels.base.linear import solve6
-from kempe.kernels.base.rotations import turn_ball
-from kempe.kernels.base.vectors import entry, load4, pack4
+from kempe.kernels.base.linear import solve_definite_six
+from kempe.kernels.base.rotations import turn_quaternion
+from kempe.kernels.base.vectors import extract_entry, load4, pack_four
 from kempe.kernels.one_frame.residual import (
     BOX_STRIDE,
     COLUMN_INTS,
@@ -18,49 +18,49 @@ from kempe.kernels.one_frame.residual import (
     ROUND,
     SCALE,
     STEP,
-    along,
+    multiply_column,
 )
 
 
 @device
-def place_of(chain, v):
-    """Index in q of velocity coordinate v, -1 if no row reads it."""
+def find_place(chain, v):
+    """Return the index in q of velocity coordinate v, -1 if no row reads it."""
     return chain.notes[COLUMN_INTS * chain.columns + PLACE_INTS * v + PLACE]
 
 
 @device
-def is_round(chain, v):
-    """Whether v is one of the three velocity coordinates of a ball."""
+def is_ball_coordinate(chain, v):
+    """Return whether v is one of the three velocity coordinates of a ball."""
     return chain.notes[COLUMN_INTS * chain.columns + PLACE_INTS * v + ROUND] != 0
 
 
 @device
-def blocked(chain, v, push):
-    """Whether coordinate v stands at a limit and `push` points outwards."""
-    q = chain.q[place_of(chain, v)]
+def is_blocked(chain, v, push):
+    """Return whether coordinate v stands at a limit and `push` points outwards."""
+    q = chain.q[find_place(chain, v)]
     box = chain.box
     k = BOX_STRIDE * v
     return (push > 0.0 and q >= box[k + HIGH]) or (push < 0.0 and q <= box[k + LOW])
 
 
 @device
-def within(chain, v, step):
-    """The step of coordinate v cut off at its limits."""
-    q = chain.q[place_of(chain, v)]
+def clip_step(chain, v, step):
+    """Return the step of coordinate v, cut off at its limits."""
+    q = chain.q[find_place(chain, v)]
     box = chain.box
     k = BOX_STRIDE * v
     return min(max(step, box[k + LOW] - q), box[k + HIGH] - q)
 
 
 @device
-def normal6(jacobian, count, damping):
-    """Lower triangle (21 numbers, row by row) of J D J^T + damping I, D picking the columns marked
-    FREE.
+def compute_normal_matrix(jacobian, count, damping):
+    """Return the lower triangle (21 numbers, row by row) of J D J^T + damping I, where D picks the
+    columns marked FREE.
     """
-    r0 = pack4(damping, 0.0, 0.0, 0.0)
-    r1 = pack4(0.0, damping, 0.0, 0.0)
-    r2 = pack4(0.0, 0.0, damping, 0.0)
-    r4 = r5 = pack4(0.0, 0.0, 0.0, 0.0)
+    r0 = pack_four(damping, 0.0, 0.0, 0.0)
+    r1 = pack_four(0.0, damping, 0.0, 0.0)
+    r2 = pack_four(0.0, 0.0, damping, 0.0)
+    r4 = r5 = pack_four(0.0, 0.0, 0.0, 0.0)
     a33 = a44 = a55 = damping
     a54 = 0.0
     for i in range(count):
@@ -80,32 +80,32 @@ def normal6(jacobian, count, damping):
             a54 = a54 + c5 * c4
             a55 = a55 + c5 * c5
     return (
-        entry(r0, 0),
-        entry(r0, 1),
-        entry(r1, 1),
-        entry(r0, 2),
-        entry(r1, 2),
-        entry(r2, 2),
-        entry(r0, 3),
-        entry(r1, 3),
-        entry(r2, 3),
+        extract_entry(r0, 0),
+        extract_entry(r0, 1),
+        extract_entry(r1, 1),
+        extract_entry(r0, 2),
+        extract_entry(r1, 2),
+        extract_entry(r2, 2),
+        extract_entry(r0, 3),
+        extract_entry(r1, 3),
+        extract_entry(r2, 3),
         a33,
-        entry(r4, 0),
-        entry(r4, 1),
-        entry(r4, 2),
-        entry(r4, 3),
+        extract_entry(r4, 0),
+        extract_entry(r4, 1),
+        extract_entry(r4, 2),
+        extract_entry(r4, 3),
         a44,
-        entry(r5, 0),
-        entry(r5, 1),
-        entry(r5, 2),
-        entry(r5, 3),
+        extract_entry(r5, 0),
+        extract_entry(r5, 1),
+        extract_entry(r5, 2),
+        extract_entry(r5, 3),
         a54,
         a55,
     )
 
 
 @routine
-def damped_step(chain, e, damping):
+def compute_damped_step(chain, e, damping):
     """Write the damped least-squares step with an active set of limits.
 
     Coordinates at a limit that the gradient pushes outwards stay. The others take the step D J^T (J
@@ -117,17 +117,17 @@ def damped_step(chain, e, damping):
     box = chain.box
     for v in range(chain.nv):
         k = JACOBIAN_STRIDE * v
-        jacobian[k + FREE] = 0.0 if blocked(chain, v, along(jacobian, v, e)) else 1.0
+        jacobian[k + FREE] = 0.0 if is_blocked(chain, v, multiply_column(jacobian, v, e)) else 1.0
         jacobian[k + STEP] = 0.0
     for _ in range(2):
-        y = solve6(normal6(jacobian, chain.nv, damping), e)
+        y = solve_definite_six(compute_normal_matrix(jacobian, chain.nv, damping), e)
         stopped = False
         for v in range(chain.nv):
             k = JACOBIAN_STRIDE * v
             if jacobian[k + FREE] != 0.0:
                 scale = box[BOX_STRIDE * v + SCALE]
-                wish = scale * along(jacobian, v, y)
-                step = within(chain, v, wish)
+                wish = scale * multiply_column(jacobian, v, y)
+                step = clip_step(chain, v, wish)
                 jacobian[k + STEP] = step
                 if step != wish:
                     stopped = True
@@ -146,17 +146,17 @@ def damped_step(chain, e, damping):
 
 
 @device
-def advance(chain):
-    """Move q by the step, never out of the limits."""
+def advance_configuration(chain):
+    """Move q by the step, cut off at the limits."""
     q = chain.q
     box = chain.box
     jacobian = chain.jacobian
     v = 0
     while v < chain.nv:
-        i = place_of(chain, v)
+        i = find_place(chain, v)
         k = JACOBIAN_STRIDE * v + STEP
-        if is_round(chain, v):
-            turn_ball(
+        if is_ball_coordinate(chain, v):
+            turn_quaternion(
                 q, i, jacobian[k], jacobian[k + JACOBIAN_STRIDE], jacobian[k + 2 * JACOBIAN_STRIDE]
             )
             v += 3

@@ -1,5 +1,5 @@
-"""Truncated Taylor series (jets) through a primitive table: poses, and how ties between frames are
-violated.
+"""Truncated Taylor series (jets) of poses through a primitive table, and of the errors of ties
+between frames.
 
 Along a curve q(t) = q0 (+) v(t), v(t) = v_1 t + v_2 t^2 + ..., every entry of every pose is a power
 series in t. Sums and products of series are exact up to the order kept, sine and cosine of a series
@@ -26,8 +26,8 @@ import math
 
 from kempe.kernels.base._jit import kernel, routine
 from kempe.kernels.base.declare import INT, OUT, F, I
-from kempe.kernels.base.scratch import beyond
-from kempe.kernels.base.vectors import raw
+from kempe.kernels.base.scratch import advance_pointer
+from kempe.kernels.base.vectors import get_pointer
 from kempe.kernels.constraints.loop_layout import (
     ALIGN,
     ANGLE,
@@ -43,7 +43,7 @@ from kempe.kernels.constraints.loop_layout import (
     TAPE_INTS,
     TAPE_WORK,
 )
-from kempe.kernels.constraints.tape_evaluation import tape_order
+from kempe.kernels.constraints.tape_evaluation import write_tape_order
 from kempe.kernels.constraints.tape_layout import N_INPUTS, TAPE_HEAD
 from kempe.kernels.forward.table_layout import (
     COS_OFFSET,
@@ -65,7 +65,7 @@ from kempe.kernels.forward.table_layout import (
     TURN,
     V_INDEX,
 )
-from kempe.kernels.forward.table_rows import rotation, unit_quaternion
+from kempe.kernels.forward.table_rows import make_rotation, read_unit_quaternion
 from kempe.kernels.series.jet_layout import (
     AFTER,
     BEFORE,
@@ -87,7 +87,7 @@ from kempe.kernels.series.jet_layout import (
 
 
 @routine
-def _times_constant(source, b, r, k, at, target, s, to, floats, f):
+def _multiply_constant(source, b, r, k, at, target, s, to, floats, f):
     """Write pose (source[b, r, k, at:]) @ X to target[b, s, k, to:], X the 3x4 placement at
     floats[f:].
     """
@@ -104,8 +104,8 @@ def _times_constant(source, b, r, k, at, target, s, to, floats, f):
 
 
 @routine
-def _constant(target, b, s, k, to, floats, f):
-    """Write the placement at floats[f:] to target[b, s, k, to:] as a series that does not move."""
+def _write_constant(target, b, s, k, to, floats, f):
+    """Write the placement at floats[f:] to target[b, s, k, to:] as a constant series."""
     for i in range(3):
         for j in range(3):
             target[b, s, k, to + 3 * i + j] = floats[f + 4 * i + j] if k == 0 else 0.0
@@ -113,8 +113,8 @@ def _constant(target, b, s, k, to, floats, f):
 
 
 @routine
-def _turn(v, b, r, k, iv, multiplier, poses, extra):
-    """Write order k of a turn about z; orders 0 of sine and cosine are there."""
+def _write_turn_order(v, b, r, k, iv, multiplier, poses, extra):
+    """Write coefficient k of a turn about z; coefficients 0 of sine and cosine are known."""
     if k > 0:
         s = 0.0
         c = 0.0
@@ -140,8 +140,8 @@ def _turn(v, b, r, k, iv, multiplier, poses, extra):
 
 
 @routine
-def _slide(v, b, r, k, iv, multiplier, start, poses):
-    """Write order k of a slide along z, `start` long at order 0."""
+def _write_slide_order(v, b, r, k, iv, multiplier, start, poses):
+    """Write coefficient k of a slide along z, of length `start` at coefficient 0."""
     for i in range(9):
         poses[b, r, k, AFTER + i] = poses[b, r, k, BEFORE + i]
     for i in range(3):
@@ -152,8 +152,8 @@ def _slide(v, b, r, k, iv, multiplier, start, poses):
 
 
 @routine
-def _rotation_series(v, b, r, k, iv, extra):
-    """Write order k of the rotation by the vector w(t) = v[b, :, iv : iv + 3], w(0) = 0."""
+def _write_rotation_order(v, b, r, k, iv, extra):
+    """Write coefficient k of the rotation by the vector w(t) = v[b, :, iv : iv + 3], w(0) = 0."""
     for i in range(6):
         extra[b, r, k, OUTER + i] = 0.0
     for j in range(1, k):
@@ -212,9 +212,11 @@ def _rotation_series(v, b, r, k, iv, extra):
 
 
 @routine
-def _ball(v, b, r, k, iv, multiplier, turn, poses, extra):
-    """Write order k of a ball whose rotation at order 0 is `turn` (of a reversed one its inverse)."""
-    _rotation_series(v, b, r, k, iv, extra)
+def _write_ball_order(v, b, r, k, iv, multiplier, turn, poses, extra):
+    """Write coefficient k of a ball joint whose rotation at coefficient 0 is `turn` (the inverse
+    for a reversed joint).
+    """
+    _write_rotation_order(v, b, r, k, iv, extra)
     forward = multiplier > 0.0
     for i in range(3):
         poses[b, r, k, AFTER + 9 + i] = poses[b, r, k, BEFORE + 9 + i]
@@ -255,7 +257,7 @@ def _ball(v, b, r, k, iv, multiplier, turn, poses, extra):
 
 @routine
 def sweep_order(ints, floats, q, start, v, b, k, poses, extra):
-    """Write order k of the poses of all rows."""
+    """Write Taylor coefficient k of the poses of all rows."""
     for r in range(ints[N_ROWS]):
         h = HEADER + ROW_INTS * r
         f = ROW_FLOATS * r
@@ -265,9 +267,9 @@ def sweep_order(ints, floats, q, start, v, b, k, poses, extra):
         multiplier = floats[f + MULTIPLIER]
         at = start + ints[h + Q_INDEX]
         if parent < 0:
-            _constant(poses, b, r, k, BEFORE, floats, f)
+            _write_constant(poses, b, r, k, BEFORE, floats, f)
         else:
-            _times_constant(poses, b, parent, k, AFTER, poses, r, BEFORE, floats, f)
+            _multiply_constant(poses, b, parent, k, AFTER, poses, r, BEFORE, floats, f)
         if kind == TURN:
             if k == 0:
                 theta = multiplier * q[at]
@@ -275,34 +277,34 @@ def sweep_order(ints, floats, q, start, v, b, k, poses, extra):
                 c = math.cos(theta)
                 extra[b, r, 0, 0] = s * floats[f + COS_OFFSET] + c * floats[f + SIN_OFFSET]
                 extra[b, r, 0, 1] = c * floats[f + COS_OFFSET] - s * floats[f + SIN_OFFSET]
-            _turn(v, b, r, k, iv, multiplier, poses, extra)
+            _write_turn_order(v, b, r, k, iv, multiplier, poses, extra)
         elif kind == SLIDE:
-            _slide(v, b, r, k, iv, multiplier, multiplier * q[at], poses)
+            _write_slide_order(v, b, r, k, iv, multiplier, multiplier * q[at], poses)
         else:
-            w, x, y, z = unit_quaternion(q, at, multiplier)
-            _ball(v, b, r, k, iv, multiplier, rotation(w, x, y, z), poses, extra)
+            w, x, y, z = read_unit_quaternion(q, at, multiplier)
+            _write_ball_order(v, b, r, k, iv, multiplier, make_rotation(w, x, y, z), poses, extra)
 
 
 @routine
-def output_order(ints, floats, b, k, poses, frames):
-    """Write order k of the poses of all outputs, from those of the rows."""
+def write_output_order(ints, floats, b, k, poses, frames):
+    """Write Taylor coefficient k of the poses of all outputs, from those of the rows."""
     n = ints[N_ROWS]
     for i in range(ints[N_OUT]):
         h = HEADER + ROW_INTS * n + OUTPUT_INTS * i
         f = ROW_FLOATS * n + OUTPUT_FLOATS * i
         row = ints[h + ROW]
         if row < 0:
-            _constant(frames, b, i, k, 0, floats, f)
+            _write_constant(frames, b, i, k, 0, floats, f)
         else:
-            _times_constant(poses, b, row, k, AFTER, frames, i, 0, floats, f)
+            _multiply_constant(poses, b, row, k, AFTER, frames, i, 0, floats, f)
         if ints[h + PARTICLE] != 0:  # a particle does not turn
             for j in range(9):
                 frames[b, i, k, j] = 1.0 if k == 0 and j % 4 == 0 else 0.0
 
 
 @routine
-def between(frames, b, a, k, i, j):
-    """Order k of the entry (i, j) of R_AB, A being output a and B the next one."""
+def compute_relative_entry(frames, b, a, k, i, j):
+    """Return coefficient k of the entry (i, j) of R_AB, A being output a and B the next one."""
     total = 0.0
     for m in range(k + 1):
         for row in range(0, 9, 3):
@@ -311,8 +313,8 @@ def between(frames, b, a, k, i, j):
 
 
 @routine
-def _linear(ties, numbers, q, start, v, b, k, tie):
-    """Order k of a linear relation of coordinates."""
+def _compute_linear_order(ties, numbers, q, start, v, b, k, tie):
+    """Return coefficient k of a linear relation of coordinates."""
     n = ties[0]
     t = 1 + TIE_INTS * tie
     total = -numbers[1 + tie] if k == 0 else 0.0
@@ -323,8 +325,8 @@ def _linear(ties, numbers, q, start, v, b, k, tie):
 
 
 @routine
-def place_order(frames, b, a, k, i):
-    """Order k of the coordinate i of the origin of B in A."""
+def compute_origin_order(frames, b, a, k, i):
+    """Return coefficient k of the coordinate i of the origin of B in A."""
     total = 0.0
     for j in range(k + 1):
         for c in range(3):
@@ -334,34 +336,34 @@ def place_order(frames, b, a, k, i):
 
 
 @routine
-def _tape(ties, numbers, q, start, v, b, k, frames, tie, series, width, out):
-    """Write order k of the equations of a recorded expression; `series` holds the lower orders of
-    its nodes.
+def _write_tape_order(ties, numbers, q, start, v, b, k, frames, tie, series, width, out):
+    """Write coefficient k of the equations of a recorded expression; `series` holds the lower
+    coefficients of its nodes.
     """
     t = 1 + TIE_INTS * tie
     a = 2 * tie
     data = ties[t + DATA]
     tape = ties[data + TAPE_INTS]
-    work = beyond(series, width * ties[data + TAPE_WORK])
+    work = advance_pointer(series, width * ties[data + TAPE_WORK])
     for i in range(ties[tape + N_INPUTS]):
         at = data + TAPE_INPUTS + INPUT_INTS * i
         what = ties[at]
         if what < 3:
-            x = place_order(frames, b, a, k, what)
+            x = compute_origin_order(frames, b, a, k, what)
         elif what < COORDINATE:
-            x = between(frames, b, a, k, (what - 3) // 3, (what - 3) % 3)
+            x = compute_relative_entry(frames, b, a, k, (what - 3) // 3, (what - 3) % 3)
         else:
             x = q[start + ties[at + 1]] if k == 0 else v[b, k, ties[at + 2]]
         work[width * i + k] = x
-    tape_order(ties, tape, numbers, ties[data + TAPE_FLOATS], k, width, work)
+    write_tape_order(ties, tape, numbers, ties[data + TAPE_FLOATS], k, width, work)
     unit = numbers[1 + tie]
     for o in range(ties[t + ROWS]):
         out[b, k, ties[t + FIRST_ROW] + o] = work[width * ties[tape + TAPE_HEAD + o] + k] * unit
 
 
 @routine
-def violation_order(ties, numbers, q, start, v, b, k, frames, series, width, out):
-    """Write order k of all equations."""
+def write_violation_order(ties, numbers, q, start, v, b, k, frames, series, width, out):
+    """Write Taylor coefficient k of the errors of all equations."""
     per_length = numbers[0]
     for tie in range(ties[0]):
         t = 1 + TIE_INTS * tie
@@ -370,10 +372,10 @@ def violation_order(ties, numbers, q, start, v, b, k, frames, series, width, out
         row = ties[t + FIRST_ROW]
         a = 2 * tie
         if turns == LINEAR:
-            out[b, k, row] = _linear(ties, numbers, q, start, v, b, k, tie)
+            out[b, k, row] = _compute_linear_order(ties, numbers, q, start, v, b, k, tie)
             continue
         if turns == TAPE:
-            _tape(ties, numbers, q, start, v, b, k, frames, tie, series, width, out)
+            _write_tape_order(ties, numbers, q, start, v, b, k, frames, tie, series, width, out)
             continue
         if turns == DISTANCE:
             size = numbers[1 + tie]
@@ -386,21 +388,22 @@ def violation_order(ties, numbers, q, start, v, b, k, frames, series, width, out
             continue
         for i in range(3):
             if mask >> i & 1:
-                out[b, k, row] = place_order(frames, b, a, k, i) * per_length
+                out[b, k, row] = compute_origin_order(frames, b, a, k, i) * per_length
                 row += 1
         if turns == FULL or turns == ANGLE:
             for i in range(0 if turns == FULL else 2, 3):
                 g = (i + 1) % 3
                 h = (i + 2) % 3
                 out[b, k, row] = 0.5 * (
-                    between(frames, b, a, k, h, g) - between(frames, b, a, k, g, h)
+                    compute_relative_entry(frames, b, a, k, h, g)
+                    - compute_relative_entry(frames, b, a, k, g, h)
                 )
                 row += 1
         if turns == ALIGN:
-            out[b, k, row] = -between(frames, b, a, k, 1, 2)
-            out[b, k, row + 1] = between(frames, b, a, k, 0, 2)
+            out[b, k, row] = -compute_relative_entry(frames, b, a, k, 1, 2)
+            out[b, k, row + 1] = compute_relative_entry(frames, b, a, k, 0, 2)
         if turns == CROSS:
-            out[b, k, row] = between(frames, b, a, k, 0, 1)
+            out[b, k, row] = compute_relative_entry(frames, b, a, k, 0, 1)
 
 
 @kernel(
@@ -419,25 +422,25 @@ def violation_order(ties, numbers, q, start, v, b, k, frames, series, width, out
     OUT("N", "k", "_"),
     returns=False,
 )
-def jets(ints, floats, ties, numbers, q, v, first, last, poses, extra, frames, series, out):
-    """Write orders first ... last of the Taylor series along N curves; lower orders are there from
-    earlier calls.
+def compute_jets(ints, floats, ties, numbers, q, v, first, last, poses, extra, frames, series, out):
+    """Write coefficients first ... last of the Taylor series along N curves; lower coefficients are
+    known from earlier calls.
 
     q: where the curves begin (N, nq); v: their series (N, K + 1, nv), v[:, 0] unused. Scratch that
     is kept between calls: poses (N, n_rows, K + 1, 24), extra (N, n_rows, K + 1, scratch_width(K)).
     Of the nodes of all tapes: series (N, n_nodes, K + 1).
     frames: (N, n_out, K + 1, 12), rotations row by row and positions; out: equations (N, K + 1, m).
     """
-    q_ = raw(q)
+    q_ = get_pointer(q)
     nq = q.shape[1]
     width = series.shape[2]
     size = series.shape[1] * series.shape[2]
-    ties_ = raw(ties)
-    numbers_ = raw(numbers)
-    series_ = raw(series)
+    ties_ = get_pointer(ties)
+    numbers_ = get_pointer(numbers)
+    series_ = get_pointer(series)
     for b in range(q.shape[0]):
         for k in range(first, last + 1):
             sweep_order(ints, floats, q_, b * nq, v, b, k, poses, extra)
-            output_order(ints, floats, b, k, poses, frames)
-            work = beyond(series_, b * size)
-            violation_order(ties_, numbers_, q_, b * nq, v, b, k, frames, work, width, out)
+            write_output_order(ints, floats, b, k, poses, frames)
+            work = advance_pointer(series_, b * size)
+            write_violation_order(ties_, numbers_, q_, b * nq, v, b, k, frames, work, width, out)

@@ -27,6 +27,6 @@ yz), powers of w.w.
 A turn keeps its sine and cosine at 0 and 1."""
 
 
-def scratch_width(order: int) -> int:
-    """Numbers that a row needs for each order besides its poses."""
+def compute_scratch_width(order: int) -> int:
+    """Return how many numbers a row needs for each order besides its poses."""
     return POWERS + order // 2 + 1

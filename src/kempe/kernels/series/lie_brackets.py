@@ -24,8 +24,8 @@ import numpy as np
 
 from kempe.kernels.base._jit import kernel, routine
 from kempe.kernels.base.declare import OUT, F, I
-from kempe.kernels.base.vectors import keep, raw
-from kempe.kernels.constraints.tape_evaluation import node_at, tape_values
+from kempe.kernels.base.vectors import get_pointer, keep_alive
+from kempe.kernels.constraints.tape_evaluation import evaluate_nodes, locate_node
 from kempe.kernels.constraints.tape_layout import (
     ADD,
     ATAN2,
@@ -50,7 +50,7 @@ EPSILON = 2.3e-16
 
 
 @routine
-def product(work, n, a, b, out, factor):
+def add_product(work, n, a, b, out, factor):
     """Add factor times the product of the elements at a and b, of size n, to the one at out."""
     for s in range(n):
         total = work[a] * work[b + s]
@@ -62,7 +62,7 @@ def product(work, n, a, b, out, factor):
 
 
 @routine
-def quotient(work, n, a, b):
+def divide_element(work, n, a, b):
     """Divide the element at a by the one at b, of size n, in place."""
     for s in range(n):
         total = work[a + s]
@@ -74,7 +74,7 @@ def quotient(work, n, a, b):
 
 
 @routine
-def tops(ints, order, n_order, work, n, width, top, step):
+def write_top_halves(ints, order, n_order, work, n, width, top, step):
     """Write the top halves of nodes, work[top + step * place :], of size n, from their low halves
     at width * place.
 
@@ -82,7 +82,7 @@ def tops(ints, order, n_order, work, n, width, top, step):
     """
     for o in range(n_order):
         i = order[o]
-        p = node_at(ints, 0, i)
+        p = locate_node(ints, 0, i)
         op = ints[p + OP]
         left = ints[p + LEFT]
         right = ints[p + RIGHT]
@@ -97,23 +97,23 @@ def tops(ints, order, n_order, work, n, width, top, step):
         for s in range(n):
             work[y + s] = -work[a + s] if op == NEG else 0.0
         if op == MUL:
-            product(work, n, width * left, b, y, 1.0)
-            product(work, n, width * right, a, y, 1.0)
+            add_product(work, n, width * left, b, y, 1.0)
+            add_product(work, n, width * right, a, y, 1.0)
         elif op == DIV:
-            product(work, n, width * i, b, y, -1.0)
+            add_product(work, n, width * i, b, y, -1.0)
             for s in range(n):
                 work[y + s] += work[a + s]
-            quotient(work, n, y, width * right)
+            divide_element(work, n, y, width * right)
         elif ATAN2 <= op <= NEAREST:
-            product(work, n, width * ints[p + NODE_INTS + LEFT], a, y, 1.0)
-            product(work, n, width * ints[p + NODE_INTS + RIGHT], b, y, 1.0)
+            add_product(work, n, width * ints[p + NODE_INTS + LEFT], a, y, 1.0)
+            add_product(work, n, width * ints[p + NODE_INTS + RIGHT], b, y, 1.0)
         elif op > NEAREST:
-            product(work, n, width * right, a, y, 1.0)
+            add_product(work, n, width * right, a, y, 1.0)
 
 
 class Fields(NamedTuple):
-    """Packed rows, how to solve them, and the scratch of words of one length; everything but the
-    numbers is a pointer.
+    """Packed rows, the way to solve them, and the scratch of words of one length; all fields but
+    the numbers are pointers.
 
     Elements of nodes lie at `width` times their place, those of slots from `state` on, of their
     motion from `moves` on. Coefficients of letter j, 0 ... k, of size 2^j, from own + columns (2^j
@@ -156,7 +156,7 @@ class Fields(NamedTuple):
 @routine
 def fill_velocities(f, n, v, step, u, top):
     """Solve A v = -B u for the pivots among the elements v + step * column, of size n; the free
-    ones are there.
+    velocities u are known.
 
     The nodes of A lie at width * place, those of B at top + half * place; without B, top is
     negative. u lies at u + n * column.
@@ -198,16 +198,16 @@ def fill_velocities(f, n, v, step, u, top):
 
 
 @routine
-def half_turns(work, n, q, qstep, w, wstep, out, ostep):
+def add_half_turns(work, n, q, qstep, w, wstep, out, ostep):
     """Add q (0, w) / 2 to the four elements at out, out + ostep, ..."""
     for i in range(3):
         j = (i + 1) % 3 + 1
         k = (i + 2) % 3 + 1
         x = w + wstep * i
-        product(work, n, q + qstep * (i + 1), x, out, -0.5)
-        product(work, n, q, x, out + ostep * (i + 1), 0.5)
-        product(work, n, q + qstep * k, x, out + ostep * j, 0.5)
-        product(work, n, q + qstep * j, x, out + ostep * k, -0.5)
+        add_product(work, n, q + qstep * (i + 1), x, out, -0.5)
+        add_product(work, n, q, x, out + ostep * (i + 1), 0.5)
+        add_product(work, n, q + qstep * k, x, out + ostep * j, 0.5)
+        add_product(work, n, q + qstep * j, x, out + ostep * k, -0.5)
 
 
 @routine
@@ -220,7 +220,7 @@ def write_motion(f, n, v, step, out, ostep):
     for i in range(f.n_balls):
         slot = f.balls[2 * i]
         column = f.balls[2 * i + 1]
-        half_turns(
+        add_half_turns(
             f.work,
             n,
             f.state + f.width * slot,
@@ -262,8 +262,8 @@ def write_word(f, out, to):
 
 
 @routine
-def size_of(f, s, w, step):
-    """The largest of the numbers s of the elements at w + step * slot, in units."""
+def find_largest_number(f, s, w, step):
+    """Return the largest of the numbers s of the elements at w + step * slot, in units."""
     most = 0.0
     for i in range(f.n_slots):
         column = f.slots[2 * i]
@@ -282,8 +282,8 @@ def write_inputs(f, n, source, target, step):
 
 
 @routine
-def magnitudes(f, n_inputs):
-    """Write for all nodes the sum of the sizes of what their rates are summed from, by the first
+def write_magnitudes(f, n_inputs):
+    """Write for all nodes the sum of the absolute values of the terms of their rates, by the first
     letter alone.
     """
     ints = f.ints
@@ -294,7 +294,7 @@ def magnitudes(f, n_inputs):
         work[out + i] = abs(work[width * i + 1])
     for o in range(f.n_order):
         i = f.order[o]
-        p = node_at(ints, 0, i)
+        p = locate_node(ints, 0, i)
         op = ints[p + OP]
         left = ints[p + LEFT]
         right = ints[p + RIGHT]
@@ -321,10 +321,8 @@ def magnitudes(f, n_inputs):
 
 
 @routine
-def steepness(f):
-    """How fast the first letter's coefficients change along it, at most, in units: sums of the
-    sizes of all terms.
-    """
+def compute_steepness(f):
+    """Return a bound of how fast the first letter's coefficients change along it, in units."""
     work = f.work
     for r in range(f.rank):
         work[f.right + r] = 0.0
@@ -345,8 +343,8 @@ def steepness(f):
 
 
 @routine
-def forth(f, letters, at):
-    """Fill the coefficients of all letters, read from letters[at:], the nodes, and the motion of
+def fill_coefficients(f, letters, at):
+    """Write the coefficients of all letters, read from letters[at:], the nodes, and the motion of
     the last letter.
     """
     for j in range(f.letters):
@@ -363,17 +361,19 @@ def forth(f, letters, at):
         write_motion(f, n, v, n, to, f.width)
         if not last:
             write_inputs(f, n, to, n, f.width)
-            tops(f.ints, f.order, f.n_order, f.work, n, f.width, n, f.width)
+            write_top_halves(f.ints, f.order, f.n_order, f.work, n, f.width, n, f.width)
 
 
 @routine
-def back(f, j):
-    """Put in place of the motions W their brackets [X_j, W], and of their rounding that of these."""
+def write_brackets(f, j):
+    """Replace the motions W by their brackets [X_j, W], and their rounding errors by those of the
+    brackets.
+    """
     n = 1 << j
     work = f.work
     v = f.own + f.columns * (n - 1)
     write_inputs(f, n, f.moves, f.others, f.half)
-    tops(f.ints, f.order, f.n_order, work, n, f.width, f.others, f.half)
+    write_top_halves(f.ints, f.order, f.n_order, work, n, f.width, f.others, f.half)
     for i in range(f.columns * f.half):
         work[f.changed + i] = 0.0
     fill_velocities(f, n, f.changed, f.half, v, f.others)
@@ -381,7 +381,7 @@ def back(f, j):
     for i in range(f.n_balls):
         slot = f.balls[2 * i]
         column = f.balls[2 * i + 1]
-        half_turns(
+        add_half_turns(
             work,
             n,
             f.moves + f.width * slot,
@@ -391,10 +391,12 @@ def back(f, j):
             f.drift + f.half * slot,
             f.half,
         )
-    before = size_of(f, 0, f.moves, f.width)
-    gain = size_of(f, 0, f.drift, f.half) / before if before > 0.0 else 0.0
+    before = find_largest_number(f, 0, f.moves, f.width)
+    gain = find_largest_number(f, 0, f.drift, f.half) / before if before > 0.0 else 0.0
     for s in range(n):
-        terms = size_of(f, n + s, f.moves, f.width) + size_of(f, s, f.drift, f.half)
+        terms = find_largest_number(f, n + s, f.moves, f.width) + find_largest_number(
+            f, s, f.drift, f.half
+        )
         work[f.error + s] = work[f.error + n + s] + gain * work[f.error + s] + EPSILON * terms
     for i in range(f.n_slots):
         for s in range(n):
@@ -419,7 +421,7 @@ def back(f, j):
     OUT("N", "l"),
     returns=False,
 )
-def words(
+def evaluate_words(
     ints,
     floats,
     order,
@@ -435,8 +437,8 @@ def words(
     found,
     noise,
 ):
-    """Write for N words of l letters the brackets of their last 1 ... l letters, the longest first,
-    and their rounding.
+    """Write the brackets of the last 1 ... l letters of N words of l letters, the longest first,
+    and their rounding errors.
 
     `ints`, `floats` hold a tape, `order` the places of its nodes that the `entries` (row, column,
     place) of A need. `pivots` gives for each column of A the row of the `inverse` of A's dependent
@@ -464,15 +466,15 @@ def words(
     sizes = right + rank + 1
     block = np.zeros(sizes + nodes)
     f = Fields(
-        raw(ints),
-        raw(order),
-        raw(entries),
-        raw(pivots),
-        raw(inverse),
-        raw(slots),
-        raw(balls),
-        raw(units),
-        raw(block),
+        get_pointer(ints),
+        get_pointer(order),
+        get_pointer(entries),
+        get_pointer(pivots),
+        get_pointer(inverse),
+        get_pointer(slots),
+        get_pointer(balls),
+        get_pointer(units),
+        get_pointer(block),
         len(order),
         len(entries),
         columns,
@@ -495,7 +497,7 @@ def words(
     )
     for i in range(ints[N_INPUTS]):
         block[i] = inputs[i]
-    tape_values(f.ints, 0, raw(floats), 0, f.work)
+    evaluate_nodes(f.ints, 0, get_pointer(floats), 0, f.work)
     for i in range(nodes - 1, -1, -1):
         value = block[i]
         for s in range(width):
@@ -503,18 +505,18 @@ def words(
     for i in range(n_slots):
         block[state + i * width] = q[i]
     for b in range(letters.shape[0]):
-        forth(f, raw(letters), b * count * columns)
+        fill_coefficients(f, get_pointer(letters), b * count * columns)
         steep = 0.0
         if count > 1:
-            magnitudes(f, ints[N_INPUTS])
-            steep = steepness(f)
+            write_magnitudes(f, ints[N_INPUTS])
+            steep = compute_steepness(f)
         for s in range(width):
-            block[error + s] = EPSILON * size_of(f, s, moves, width)
+            block[error + s] = EPSILON * find_largest_number(f, s, moves, width)
         for j in range(count - 1, -1, -1):
             if j < count - 1:
-                back(f, j)
-            write_word(f, raw(found), (b * count + j) * columns)
+                write_brackets(f, j)
+            write_word(f, get_pointer(found), (b * count + j) * columns)
             noise[b, j] = max(
                 block[error], EPSILON * steep ** (count - 1 - j)
             )  # sums that cancel all the way
-    keep(block)
+    keep_alive(block)

@@ -14,10 +14,10 @@ import numpy as np
 
 from kempe.kernels.base._jit import kernel, routine
 from kempe.kernels.base.declare import FLOAT, INT, OUT, F, I
-from kempe.kernels.base.linear import back, factor
-from kempe.kernels.base.rotations import turn_ball
-from kempe.kernels.base.scratch import beyond
-from kempe.kernels.base.vectors import keep, raw
+from kempe.kernels.base.linear import factor_matrix, substitute_back
+from kempe.kernels.base.rotations import turn_quaternion
+from kempe.kernels.base.scratch import advance_pointer
+from kempe.kernels.base.vectors import get_pointer, keep_alive
 from kempe.kernels.constraints.loop_layout import (
     ALIGN,
     ANGLE,
@@ -34,7 +34,7 @@ from kempe.kernels.constraints.loop_layout import (
     TAPE_INTS,
     TAPE_WORK,
 )
-from kempe.kernels.constraints.tape_evaluation import tape_gradient
+from kempe.kernels.constraints.tape_evaluation import write_gradient
 from kempe.kernels.constraints.tape_layout import N_INPUTS, N_NODES
 from kempe.kernels.forward.table_layout import (
     HEADER,
@@ -50,7 +50,12 @@ from kempe.kernels.forward.table_layout import (
     TURN,
     V_INDEX,
 )
-from kempe.kernels.series.jet import between, output_order, sweep_order, violation_order
+from kempe.kernels.series.jet import (
+    compute_relative_entry,
+    sweep_order,
+    write_output_order,
+    write_violation_order,
+)
 from kempe.kernels.series.jet_layout import (
     AFTER,
     BEFORE,
@@ -78,9 +83,9 @@ SHORTEST = 1e-14
 
 
 @routine
-def _column(ties, numbers, tie, frames, M, rates, x, y, z, px, py, pz, J, b, column):
-    """Add what a unit of velocity does to the equations of a tie: B turns by (x, y, z) and moves by
-    (px, py, pz).
+def _add_column(ties, numbers, tie, frames, M, rates, x, y, z, px, py, pz, J, b, column):
+    """Add the rates of the equations of a tie under a unit velocity: B turns by (x, y, z) and moves
+    by (px, py, pz).
 
     M: the nine entries of R_AB; rates: for each row of a TAPE tie what the twist of B against A, in
     axes of A, does.
@@ -133,7 +138,7 @@ def _column(ties, numbers, tie, frames, M, rates, x, y, z, px, py, pz, J, b, col
 
 
 @routine
-def _columns(ints, floats, ties, numbers, tie, poses, frames, M, rates, row, sign, J, b):
+def _add_columns(ints, floats, ties, numbers, tie, poses, frames, M, rates, row, sign, J, b):
     """Add the columns of one row of the table, which moves B against A in the direction `sign`."""
     h = HEADER + ROW_INTS * row
     f = ROW_FLOATS * row
@@ -167,12 +172,13 @@ def _columns(ints, floats, ties, numbers, tie, poses, frames, M, rates, row, sig
             x = 0.0
             y = 0.0
             z = 0.0
-        _column(ties, numbers, tie, frames, M, rates, x, y, z, px, py, pz, J, b, column)
+        _add_column(ties, numbers, tie, frames, M, rates, x, y, z, px, py, pz, J, b, column)
 
 
 @routine
-def _rates(ties, numbers, tie, M, work, rates, J, b):
-    """Write what the twist does to the equations of a TAPE tie; adds what coordinates do to J[b].
+def _write_rates(ties, numbers, tie, M, work, rates, J, b):
+    """Write the rates of the equations of a TAPE tie under the twist; add the rates by coordinates
+    to J[b].
 
     `work` holds the values of all nodes, M the entries of R_AB.
     """
@@ -180,9 +186,9 @@ def _rates(ties, numbers, tie, M, work, rates, J, b):
     data = ties[t + DATA]
     unit = numbers[1 + tie]
     tape = ties[data + TAPE_INTS]
-    adjoint = beyond(work, ties[tape + N_NODES])
+    adjoint = advance_pointer(work, ties[tape + N_NODES])
     for o in range(ties[t + ROWS]):
-        tape_gradient(ties, tape, numbers, ties[data + TAPE_FLOATS], o, work, adjoint)
+        write_gradient(ties, tape, numbers, ties[data + TAPE_FLOATS], o, work, adjoint)
         for i in range(6):
             rates[6 * o + i] = 0.0
         for i in range(ties[tape + N_INPUTS]):
@@ -203,7 +209,9 @@ def _rates(ties, numbers, tie, M, work, rates, J, b):
 
 
 @routine
-def _linearise(ints, floats, tied, q, start, v, poses, extra, frames, value, M, rates, J, b):
+def _linearise_equations(
+    ints, floats, tied, q, start, v, poses, extra, frames, value, M, rates, J, b
+):
     """Write the equations at q[start:] to value[0, 0] and their Jacobian to J[b].
 
     tied: the ties, their numbers and room for their tapes.
@@ -212,8 +220,8 @@ def _linearise(ints, floats, tied, q, start, v, poses, extra, frames, value, M, 
     n = ints[N_ROWS]
     count = ties[0]
     sweep_order(ints, floats, q, start, v, 0, 0, poses, extra)
-    output_order(ints, floats, 0, 0, poses, frames)
-    violation_order(ties, numbers, q, start, v, 0, 0, frames, work, 1, value)
+    write_output_order(ints, floats, 0, 0, poses, frames)
+    write_violation_order(ties, numbers, q, start, v, 0, 0, frames, work, 1, value)
     for i in range(J.shape[1]):
         for j in range(J.shape[2]):
             J[b, i, j] = 0.0
@@ -229,16 +237,23 @@ def _linearise(ints, floats, tied, q, start, v, poses, extra, frames, value, M, 
         left = ints[h]
         right = ints[h + OUTPUT_INTS]
         for i in range(9):
-            M[i] = between(frames, 0, 2 * tie, 0, i // 3, i % 3)
+            M[i] = compute_relative_entry(frames, 0, 2 * tie, 0, i // 3, i % 3)
         if ties[t + TURNS] == TAPE:
-            _rates(
-                ties, numbers, tie, M, beyond(work, ties[ties[t + DATA] + TAPE_WORK]), rates, J, b
+            _write_rates(
+                ties,
+                numbers,
+                tie,
+                M,
+                advance_pointer(work, ties[ties[t + DATA] + TAPE_WORK]),
+                rates,
+                J,
+                b,
             )
         while (
             left != right
         ):  # a parent comes before its child: the common part of both ways is reached together
             row, sign = (left, -1.0) if left > right else (right, 1.0)
-            _columns(ints, floats, ties, numbers, tie, poses, frames, M, rates, row, sign, J, b)
+            _add_columns(ints, floats, ties, numbers, tie, poses, frames, M, rates, row, sign, J, b)
             above = ints[HEADER + ROW_INTS * row + PARENT]
             if left > right:
                 left = above
@@ -247,8 +262,8 @@ def _linearise(ints, floats, tied, q, start, v, poses, extra, frames, value, M, 
 
 
 @routine
-def _work_size(ties):
-    """Numbers that the tapes of all ties need."""
+def _count_tape_numbers(ties):
+    """Return the number of floats that the tapes of all ties need."""
     size = 0
     for tie in range(ties[0]):
         data = ties[1 + TIE_INTS * tie + DATA]
@@ -258,9 +273,9 @@ def _work_size(ties):
 
 
 @routine
-def _apart(places, scale, center, q, start, x):
-    """The square of the distance of q[start:] from `center`; writes the tangent vector between them
-    to x, scaled.
+def _compute_squared_distance(places, scale, center, q, start, x):
+    """Return the square of the scaled distance of q[start:] from `center`; write the tangent vector
+    between them to x.
 
     places: for each velocity coordinate its place in q, -1 - place for the first of a ball, -1e9
     for its others.
@@ -300,7 +315,7 @@ def _apart(places, scale, center, q, start, x):
 
 
 @routine
-def _move(places, scale, q, start, x, target, at):
+def _move_configuration(places, scale, q, start, x, target, at):
     """Write the configuration reached from q[start:] by the scaled step x to target[at:]."""
     j = 0
     while j < places.shape[0]:
@@ -312,15 +327,13 @@ def _move(places, scale, q, start, x, target, at):
         i = -1 - i
         for k in range(i, i + 4):
             target[at + k] = q[start + k]
-        turn_ball(target, at + i, x[j], x[j + 1], x[j + 2])
+        turn_quaternion(target, at + i, x[j], x[j + 1], x[j + 2])
         j += 3
 
 
 @routine
-def _normal(J, b, scale, value, x, radius, distance2, A, g, damping):
-    """Write J^T J + damping and -J^T residual, the equation of the sphere included where radius >
-    0.
-    """
+def _write_normal_equations(J, b, scale, value, x, radius, distance2, A, g, damping):
+    """Write J^T J + damping and -J^T residual, with the equation of the sphere where radius > 0."""
     m = J.shape[1]
     n = J.shape[2]
     for i in range(n):
@@ -347,8 +360,8 @@ def _normal(J, b, scale, value, x, radius, distance2, A, g, damping):
 
 
 @routine
-def _size2(value, m, radius, distance2):
-    """Square of the residual, the equation of the sphere included."""
+def _square_residual(value, m, radius, distance2):
+    """Return the square of the residual, with the equation of the sphere."""
     total = 0.0
     for i in range(m):
         total += value[0, 0, i] * value[0, 0, i]
@@ -375,7 +388,7 @@ def _size2(value, m, radius, distance2):
     OUT("N", "m", "_"),
     returns=False,
 )
-def project(
+def project_configurations(
     ints,
     floats,
     ties,
@@ -394,8 +407,9 @@ def project(
     """Move each configuration of q (N, nq), in place, onto the solution set of the equations.
 
     Where radius[i] > 0 the point found is, if one is found, also at that distance from centers[i],
-    in scaled tangent coordinates (places and scale as in `_apart`). Damped least squares
-    (Levenberg, 1944; Marquardt, 1963) with steps no longer than `longest`. info (N, 3): residual of
+    in scaled tangent coordinates (places and scale as in `_compute_squared_distance`). Damped least
+    squares (Levenberg, 1944; Marquardt, 1963) with steps no longer than `longest`. info (N, 3):
+    residual of
     the equations (norm), distance from the center, iterations. out (N, m): the equations where it
     ends, J (N, m, nv): their Jacobian; with 0 iterations, those where it is.
     """
@@ -414,13 +428,13 @@ def project(
     trial = np.zeros(nq)
     step = np.zeros(nv)
     M = np.zeros(9)
-    work = np.zeros(_work_size(ties) + 1)
+    work = np.zeros(_count_tape_numbers(ties) + 1)
     rates = np.zeros(6 * m + 1)
-    tied = raw(ties), raw(numbers), raw(work)
-    A_ = raw(A)
-    g_ = raw(g)
-    q_ = raw(q)
-    trial_ = raw(trial)
+    tied = get_pointer(ties), get_pointer(numbers), get_pointer(work)
+    A_ = get_pointer(A)
+    g_ = get_pointer(g)
+    q_ = get_pointer(q)
+    trial_ = get_pointer(trial)
     for b in range(q.shape[0]):
         center = centers[b]
         damping = DAMPING_FIRST
@@ -430,32 +444,34 @@ def project(
         distance2 = 0.0
         while True:
             if not fresh:
-                _linearise(
+                _linearise_equations(
                     ints, floats, tied, q_, b * nq, v, poses, extra, frames, value, M, rates, J, b
                 )
-                distance2 = _apart(places, scale, center, q_, b * nq, x)
-                size2 = _size2(value, m, radius[b], distance2)
+                distance2 = _compute_squared_distance(places, scale, center, q_, b * nq, x)
+                size2 = _square_residual(value, m, radius[b], distance2)
                 fresh = True
             if count >= iterations or not size2 > ENOUGH2 or damping > DAMPING_MOST:
                 break
             count += 1
-            _normal(J, b, scale, value, x, radius[b], distance2, A, g, max(damping, DAMPING_LEAST))
-            if not factor(A_, nv):
+            _write_normal_equations(
+                J, b, scale, value, x, radius[b], distance2, A, g, max(damping, DAMPING_LEAST)
+            )
+            if not factor_matrix(A_, nv):
                 damping = max(10.0 * damping, DAMPING_LEAST)
                 continue
-            back(A_, nv, g_)
+            substitute_back(A_, nv, g_)
             length = 1e-300
             for j in range(nv):
                 length += g[j] * g[j]
             length = math.sqrt(length)
             for j in range(nv):
                 step[j] = g[j] * min(1.0, longest / length)
-            _move(places, scale, q_, b * nq, step, trial_, 0)
-            _linearise(
+            _move_configuration(places, scale, q_, b * nq, step, trial_, 0)
+            _linearise_equations(
                 ints, floats, tied, trial_, 0, v, poses, extra, frames, value, M, rates, J, b
             )
-            distance2 = _apart(places, scale, center, trial_, 0, x)
-            new_size2 = _size2(value, m, radius[b], distance2)
+            distance2 = _compute_squared_distance(places, scale, center, trial_, 0, x)
+            new_size2 = _square_residual(value, m, radius[b], distance2)
             fresh = new_size2 < size2
             if fresh:
                 for j in range(nq):
@@ -470,10 +486,10 @@ def project(
                 count = iterations
         for i in range(m):
             out[b, i] = value[0, 0, i]
-        info[b, 0] = math.sqrt(_size2(value, m, 0.0, 0.0))
+        info[b, 0] = math.sqrt(_square_residual(value, m, 0.0, 0.0))
         info[b, 1] = math.sqrt(distance2)
         info[b, 2] = float(count)
-    keep(A)
-    keep(g)
-    keep(trial)
-    keep(work)
+    keep_alive(A)
+    keep_alive(g)
+    keep_alive(trial)
+    keep_alive(work)

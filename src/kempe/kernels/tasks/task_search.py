@@ -1,5 +1,5 @@
-"""Several tasks at once: the search for a configuration that holds them, and lower tasks in what
-the higher leave free.
+"""Several tasks at once: search for a configuration that fulfils them, lower levels in the freedom
+that higher levels leave.
 
 Tasks are ties in stages. Stage 0 always holds (loops, relations); each further one is either hard,
 to be met, or soft, a sum of weighted squares to be lowered. First damped least squares on all hard
@@ -17,9 +17,9 @@ import numpy as np
 
 from kempe.kernels.base._jit import device, kernel, routine
 from kempe.kernels.base.declare import FLAG, INT, OUT, OUTI, F, I
-from kempe.kernels.base.random import mix, unit
-from kempe.kernels.base.rotations import turn_ball
-from kempe.kernels.base.scratch import beyond, copy
+from kempe.kernels.base.random import mix_bits, to_unit_interval
+from kempe.kernels.base.rotations import turn_quaternion
+from kempe.kernels.base.scratch import advance_pointer, copy_numbers
 from kempe.kernels.base.search_layout import (
     AHEAD,
     BAD_INPUT,
@@ -29,22 +29,32 @@ from kempe.kernels.base.search_layout import (
     NOTHING,
     SOLVED,
 )
-from kempe.kernels.base.vectors import entry, keep, raw
+from kempe.kernels.base.vectors import extract_entry, get_pointer, keep_alive
 from kempe.kernels.constraints import loop_layout as L
-from kempe.kernels.constraints.constraint_rows import LoopScratch, back, ends_of, matrix
-from kempe.kernels.constraints.envelope import add_product, factor, normal, product
-from kempe.kernels.constraints.envelope import solve as solve_envelope
-from kempe.kernels.constraints.goals import call, fill, is_late, number_of
+from kempe.kernels.constraints.constraint_rows import (
+    LoopScratch,
+    pack_rotation,
+    read_tie_ends,
+    rotate_vector_back,
+)
+from kempe.kernels.constraints.envelope import (
+    add_product,
+    factor_envelope,
+    multiply_column,
+    write_normal_matrix,
+)
+from kempe.kernels.constraints.envelope import solve_envelope as solve_envelope
+from kempe.kernels.constraints.goals import call_address, fill_equations, is_late, read_given_number
 from kempe.kernels.constraints.loop_coordinates import (
-    distance,
-    draw,
+    choose_nearest_angle,
+    compute_home_distance,
+    draw_configuration,
+    find_place,
     is_held,
-    nearest_turn,
-    number,
-    place_of,
-    read_off,
-    sort_of,
-    sound,
+    prepare_start,
+    read_sort,
+    read_velocity_number,
+    write_cut_coordinates,
 )
 from kempe.kernels.forward.table_layout import (
     HEADER,
@@ -60,14 +70,20 @@ from kempe.kernels.forward.table_layout import (
     V_INDEX,
 )
 from kempe.kernels.forward.table_layout import N_ROWS as TABLE_ROWS
-from kempe.kernels.forward.table_rows import placement, poses_at, row_poses, scratch_size
+from kempe.kernels.forward.table_rows import (
+    count_sweep_scratch,
+    locate_poses,
+    read_placement,
+    write_row_poses,
+)
 
 # ---- active set
 
 # One step under held rows, rows to be lowered and bounds: a small quadratic programme by an active
 # set.
 #
-# The step d minimises |d - t|^2 / 2 + sum (J_i d + e_i)^2 / (2 D_i), t being a wished step: rows with
+# The step d minimises |d - t|^2 / 2 + sum (J_i d + e_i)^2 / (2 D_i), t being a wished step: rows
+# with
 # a D next to nothing hold, those with a larger one are damped least squares. With the set of
 # coordinates that stop at their limits, d = t - J^T y for the others and (J J^T + D) y = e + J d of
 # those that stop and of t. Rows between bounds count where they are violated or the step would
@@ -122,40 +138,42 @@ class ActiveSetScratch(NamedTuple):
 
 
 @device
-def room(loops, v, end):
-    """The scaled step of coordinate v to its lower (1) or upper (2) limit."""
-    return (number(loops, end, v) - loops.q[place_of(loops, v)]) / number(loops, 0, v)
+def compute_step_to_limit(loops, v, end):
+    """Return the scaled step of coordinate v to its lower (1) or upper (2) limit."""
+    return (
+        read_velocity_number(loops, end, v) - loops.q[find_place(loops, v)]
+    ) / read_velocity_number(loops, 0, v)
 
 
 @routine
-def mark_pushed(loops, work):
-    """Stop, for a step of least squares, the coordinates at a limit that the gradient pushes
-    outwards.
+def mark_pushed_coordinates(loops, work):
+    """Stop the coordinates at a limit that the gradient pushes outwards, for a step of least
+    squares.
     """
     for i in range(loops.plan[L.N_ROWS]):
         work.y[i] = loops.error[i] if work.damp[i] < OFF else 0.0
     for v in range(loops.nv):
         work.stop[v] = np.nan
-        if sort_of(loops, v) < L.BALL_FIRST:
-            x = loops.q[place_of(loops, v)]
-            if x <= number(loops, 1, v) or x >= number(loops, 2, v):
-                push = -product(loops, v, work.y)
-                if (x <= number(loops, 1, v) and push <= 0.0) or (
-                    x >= number(loops, 2, v) and push >= 0.0
+        if read_sort(loops, v) < L.BALL_FIRST:
+            x = loops.q[find_place(loops, v)]
+            if x <= read_velocity_number(loops, 1, v) or x >= read_velocity_number(loops, 2, v):
+                push = -multiply_column(loops, v, work.y)
+                if (x <= read_velocity_number(loops, 1, v) and push <= 0.0) or (
+                    x >= read_velocity_number(loops, 2, v) and push >= 0.0
                 ):
                     work.stop[v] = 0.0
 
 
 @routine
-def free_all(loops, work):
-    """Stop no coordinate."""
+def free_coordinates(loops, work):
+    """Let all coordinates move."""
     for v in range(loops.nv):
         work.stop[v] = np.nan
 
 
 @routine
-def solve_once(loops, work):
-    """Write y and the step for the coordinates that stop and the rows that count now."""
+def solve_step(loops, work):
+    """Write y and the step for the stopped coordinates and the rows that count now."""
     plan = loops.plan
     m = plan[L.N_ROWS]
     for i in range(m):
@@ -167,28 +185,28 @@ def solve_once(loops, work):
             x = work.wish[v]
         if x != 0.0:
             add_product(loops, v, x, work.y, 1)
-    normal(loops, work.mark, 0.0, work.a, work.column)
+    write_normal_matrix(loops, work.mark, 0.0, work.a, work.column)
     for i in range(m):
         if work.damp[i] >= OFF:
             work.y[i] = 0.0
         k = plan[L.AT_ROWS] + L.ENVELOPE_INTS * i
         work.a[plan[k + 1] + i - plan[k]] += work.damp[i]
-    factor(loops, work.a, LEAST)
+    factor_envelope(loops, work.a, LEAST)
     solve_envelope(loops, work.a, work.y)
     for v in range(loops.nv):
         x = work.stop[v]
-        work.step[v] = x if x == x else work.wish[v] - product(loops, v, work.y)
+        work.step[v] = x if x == x else work.wish[v] - multiply_column(loops, v, work.y)
 
 
 @routine
 def stop_at_limits(loops, work):
-    """Whether the step leads out of limits; stops the coordinates that it leads out."""
+    """Stop the coordinates that the step leads out of their limits; return whether there are any."""
     changed = False
     for v in range(loops.nv):
-        if work.stop[v] == work.stop[v] or sort_of(loops, v) >= L.BALL_FIRST:
+        if work.stop[v] == work.stop[v] or read_sort(loops, v) >= L.BALL_FIRST:
             continue
-        low = room(loops, v, 1)
-        high = room(loops, v, 2)
+        low = compute_step_to_limit(loops, v, 1)
+        high = compute_step_to_limit(loops, v, 2)
         if work.step[v] < low:
             work.stop[v] = low
             changed = True
@@ -199,9 +217,9 @@ def stop_at_limits(loops, work):
 
 
 @routine
-def count_rows(loops, work, release):
-    """Whether rows between bounds that did not count must, or with `release` the other way round;
-    changes that.
+def update_counted_rows(loops, work, release):
+    """Let rows between bounds that the step violates count (with `release`: drop rows that need not
+    count); return whether any changed.
     """
     m = loops.plan[L.N_ROWS]
     changed = False
@@ -230,18 +248,18 @@ def count_rows(loops, work, release):
 
 
 @routine
-def let_go(loops, work):
-    """Whether a coordinate stops though it would rather go back inside; lets the one go that wants
-    to most.
+def release_coordinate(loops, work):
+    """Release the stopped coordinate that the gradient pulls back inside most; return whether there
+    is one.
     """
     worst = SLIP
     which = -1
     for v in range(loops.nv):
         x = work.stop[v]
         if x == x:
-            slope = x - work.wish[v] + product(loops, v, work.y)
-            low = room(loops, v, 1)
-            high = room(loops, v, 2)
+            slope = x - work.wish[v] + multiply_column(loops, v, work.y)
+            low = compute_step_to_limit(loops, v, 1)
+            high = compute_step_to_limit(loops, v, 2)
             pull = -slope if x <= low else slope
             if low < high and pull > worst:
                 worst = pull
@@ -252,44 +270,44 @@ def let_go(loops, work):
 
 
 @routine
-def step_to(loops, work, passes, between, exact):
-    """Write the step; `between`: there are rows between bounds; `exact`: also let go of what stops
-    without need.
+def write_step(loops, work, passes, between, exact):
+    """Write the step; `between`: there are rows between bounds; `exact`: release coordinates that
+    stop without need.
     """
     for _ in range(passes):
-        solve_once(loops, work)
+        solve_step(loops, work)
         changed = stop_at_limits(loops, work)
         if between and not changed:
-            changed = count_rows(loops, work, exact)
+            changed = update_counted_rows(loops, work, exact)
         if exact and not changed:
-            changed = let_go(loops, work)
+            changed = release_coordinate(loops, work)
         if not changed:
             break
 
 
 @routine
-def take(loops, work, longest):
-    """Size of the step, in radians and characteristic lengths, and which part of it is taken: turns
-    up to `longest`.
+def take_step(loops, work, longest):
+    """Take the step, cut so that no angle turns by more than `longest`; return its size, in radians
+    and characteristic lengths, and the part taken.
     """
     size = 0.0
     turn = 0.0
     for v in range(loops.nv):
         size = max(size, abs(work.step[v]))
-        if sort_of(loops, v) != L.SLIDE:
+        if read_sort(loops, v) != L.SLIDE:
             turn = max(turn, abs(work.step[v]))
     part = min(1.0, longest / max(turn, 1e-300))
     q = loops.q
     for v in range(loops.nv):
         work.step[v] *= part
     for v in range(loops.nv):
-        sort = sort_of(loops, v)
-        i = place_of(loops, v)
+        sort = read_sort(loops, v)
+        i = find_place(loops, v)
         if sort == L.BALL_FIRST:
-            turn_ball(q, i, work.step[v], work.step[v + 1], work.step[v + 2])
+            turn_quaternion(q, i, work.step[v], work.step[v + 1], work.step[v + 2])
         elif sort != L.BALL_MORE:
-            x = q[i] + work.step[v] * number(loops, 0, v)
-            q[i] = min(max(x, number(loops, 1, v)), number(loops, 2, v))
+            x = q[i] + work.step[v] * read_velocity_number(loops, 0, v)
+            q[i] = min(max(x, read_velocity_number(loops, 1, v)), read_velocity_number(loops, 2, v))
     return size, part
 
 
@@ -304,7 +322,7 @@ RIGID = 1e-6
 
 
 class Ask(NamedTuple):
-    """What is required of the ties: pointers to their stage (-1: nothing), 1 if hard, weight, two
+    """The requirements of the ties: pointers to their stage (-1: none), 1 if hard, weight, two
     tolerances.
     """
 
@@ -323,10 +341,10 @@ class Ask(NamedTuple):
 
 
 @routine
-def assess(loops, work):
+def assess_equations(loops, work):
     """Write the equations, how far they are out of their bounds, and the Jacobian's blocks."""
-    row_poses(loops.ints, loops.floats, loops.q, 0, loops.scratch)
-    fill(loops, True)
+    write_row_poses(loops.ints, loops.floats, loops.q, 0, loops.scratch)
+    fill_equations(loops, True)
     for i in range(loops.plan[L.N_ROWS]):
         g = loops.error[i]
         work.value[i] = g
@@ -341,8 +359,8 @@ def assess(loops, work):
 
 
 @device
-def square_of_tie(loops, ask, k):
-    """Weighted squared residual of a tie."""
+def square_tie_residual(loops, ask, k):
+    """Return the weighted squared residual of a tie."""
     tie = loops.plan[L.AT_TIES] + L.TIE_INTS * k
     total = 0.0
     at = loops.plan[tie + L.FIRST_ROW]
@@ -352,18 +370,18 @@ def square_of_tie(loops, ask, k):
 
 
 @routine
-def square_of(loops, ask, first, last, hard_only):
-    """Weighted squared residual of stages first to last."""
+def compute_squared_residual(loops, ask, first, last, hard_only):
+    """Return the weighted squared residual of stages first to last."""
     total = 0.0
     for k in range(loops.plan[L.N_TIES]):
         if first <= ask.stage[k] <= last and not (hard_only and ask.hard[k] == 0):
-            total += square_of_tie(loops, ask, k)
+            total += square_tie_residual(loops, ask, k)
     return total
 
 
 @routine
-def missed(loops, ask, first, last):
-    """The largest squared residual of a hard tie of these stages, as a part of its squared
+def find_largest_miss(loops, ask, first, last):
+    """Return the largest squared residual of a hard tie of these stages, as a part of its squared
     tolerance.
     """
     plan = loops.plan
@@ -388,9 +406,9 @@ def missed(loops, ask, first, last):
 
 
 @routine
-def count_in(loops, work, ask, stage, held, damping, hard_only):
-    """Mark the rows that count: of stages before `stage` with D = held, of it with `damping` by
-    weight, no others.
+def mark_counted_rows(loops, work, ask, stage, held, damping, hard_only):
+    """Mark the rows that count: those of stages before `stage` with damping `held`, those of
+    `stage` with `damping` by weight.
     """
     plan = loops.plan
     for k in range(plan[L.N_TIES]):
@@ -408,8 +426,8 @@ def count_in(loops, work, ask, stage, held, damping, hard_only):
 
 
 @routine
-def unbind(loops, work):
-    """Write the bounds of all rows as they are given."""
+def restore_bounds(loops, work):
+    """Write the given bounds of all rows."""
     plan = loops.plan
     for k in range(plan[L.N_TIES]):
         tie = plan[L.AT_TIES] + L.TIE_INTS * k
@@ -423,8 +441,8 @@ def unbind(loops, work):
 
 
 @routine
-def freeze(loops, work, ask, stage):
-    """Hold from now on what a stage has reached: its residual becomes zero."""
+def freeze_stage(loops, work, ask, stage):
+    """Hold the present values of a stage from now on: its residual becomes zero."""
     plan = loops.plan
     for k in range(plan[L.N_TIES]):
         if ask.stage[k] == stage:
@@ -438,7 +456,7 @@ def freeze(loops, work, ask, stage):
 
 @routine
 def is_hard(loops, ask, stage):
-    """Whether a stage is hard: it must be met, and is not only minimised."""
+    """Return whether a stage is hard: it must be met, not only minimised."""
     for k in range(loops.plan[L.N_TIES]):
         if ask.stage[k] == stage:
             return ask.hard[k] != 0
@@ -446,9 +464,9 @@ def is_hard(loops, ask, stage):
 
 
 @routine
-def rigid(pin, k):
-    """Whether the 3x4 pose at pin[k:] has a rotation: rows of length one, the third the product of
-    the others.
+def is_rigid(pin, k):
+    """Return whether the 3x4 pose at pin[k:] has a rotation: rows of length one, the third the
+    product of the others.
     """
     a = pin[k]
     b = pin[k + 1]
@@ -464,16 +482,18 @@ def rigid(pin, k):
 
 
 @routine
-def restore(loops, ask):
-    """Restore the stages, and whether they are hard, as given."""
+def restore_stages(loops, ask):
+    """Restore the given stages, and which of them are hard."""
     ties = loops.plan[L.N_TIES]
     for k in range(ties):
         ask.stage[k], ask.hard[k] = ask.given[k], ask.given[ties + k]
 
 
 @routine
-def harden(loops, ask, last):
-    """Whether soft stages stand before the last hard one up to `last`; makes them hard."""
+def harden_stages(loops, ask, last):
+    """Make the soft stages before the last hard one up to `last` hard; return whether there are
+    any.
+    """
     while last > 0 and not is_hard(loops, ask, last):
         last -= 1
     changed = False
@@ -485,11 +505,13 @@ def harden(loops, ask, last):
 
 
 @routine
-def hold_ahead(loops, ask, stage):
-    """Whether hard stages after this one are met at q; holds them with the loops."""
+def hold_later_stages(loops, ask, stage):
+    """Hold the hard stages after this one together with the loops; return whether they are met at
+    q.
+    """
     changed = False
     for s in range(stage + 1, ask.stages + 1):
-        if is_hard(loops, ask, s) and missed(loops, ask, s, s) <= 1.0:
+        if is_hard(loops, ask, s) and find_largest_miss(loops, ask, s, s) <= 1.0:
             changed = True
             for k in range(loops.plan[L.N_TIES]):
                 if ask.stage[k] == s:
@@ -503,7 +525,8 @@ def hold_ahead(loops, ask, stage):
 # it.
 #
 # Gauss-Newton in the null space of what holds, with a damping that is measured: the curvature along
-# the last step that the squares leave out (Marquardt, 1963; Dennis, Gay and Welsch, 1981), for an aim
+# the last step that the squares leave out (Marquardt, 1963; Dennis, Gay and Welsch, 1981), for an
+# aim
 # the projected gradient (Luenberger, 1972).
 
 
@@ -553,9 +576,9 @@ TRUST = 0.1
 
 
 @routine
-def foreseen(loops, work, part):
-    """Squared residual of the rows that count after the fraction `part` of a step, as linear
-    equations predict it.
+def predict_residual(loops, work, part):
+    """Predict by linear equations the squared residual of the rows that count after the fraction
+    `part` of a step.
 
     After the whole step a residual is D y.
     """
@@ -568,9 +591,9 @@ def foreseen(loops, work, part):
 
 
 @device
-def is_straight(square, before, after):
-    """Whether a short step led from the squared residual `before` to `square`, near the predicted
-    `after`.
+def is_straight_step(square, before, after):
+    """Return whether a short step changed the squared residual from `before` to `square` nearly as
+    predicted, to `after`.
     """
     first = math.sqrt(before)
     promised = math.sqrt(after)
@@ -579,9 +602,9 @@ def is_straight(square, before, after):
 
 
 @routine
-def descend(loops, work, ask, last, enough, limit):
-    """Least squared residual of stages 0 to last on the way from q, whether it is enough, and
-    number of steps.
+def descend_stages(loops, work, ask, last, enough, limit):
+    """Lower the residual of stages 0 to last from q; return the least squared residual, whether it
+    is small enough, and the number of steps.
 
     Writes its configuration to `kept`. `enough` is a square, or 0 for the tolerances of the hard
     ties, which alone count then; once these are met, some more steps make the error as small as
@@ -600,21 +623,21 @@ def descend(loops, work, ask, last, enough, limit):
     for v in range(loops.nv):
         work.wish[v] = 0.0
     while True:
-        assess(loops, work)
-        square = square_of(loops, ask, 0, last, hard_only)
+        assess_equations(loops, work)
+        square = compute_squared_residual(loops, ask, 0, last, hard_only)
         if not square < LARGEST:
             break
-        met = missed(loops, ask, 0, last) <= 1.0 if hard_only else square <= enough
+        met = find_largest_miss(loops, ask, 0, last) <= 1.0 if hard_only else square <= enough
         if met and not good:
             good = True
             best = np.inf
             limit = min(limit, steps + MORE) if hard_only else steps
         if square < best and met == good:
             best = square
-            copy(work.kept, loops.q, 0, loops.nq)
+            copy_numbers(work.kept, loops.q, 0, loops.nq)
         elif good:
             break
-        straight = is_straight(square, from_, to)
+        straight = is_straight_step(square, from_, to)
         longest, trust = (longest * LONGER, trust * TRUST) if straight else (LONGEST, 1.0)
         if square > WORTH * before and not straight:
             idle += 1
@@ -624,45 +647,47 @@ def descend(loops, work, ask, last, enough, limit):
         if (good and square <= ROUNDING) or steps >= limit or idle >= STALL:
             break
         damping = trust * min(DAMPING * square, MOST_DAMPING) + 10.0 * LEAST
-        count_in(loops, work, ask, last + 1, damping, OFF, hard_only)
-        mark_pushed(loops, work)
-        step_to(loops, work, PASSES, ask.between, False)
-        _, part = take(loops, work, longest)
+        mark_counted_rows(loops, work, ask, last + 1, damping, OFF, hard_only)
+        mark_pushed_coordinates(loops, work)
+        write_step(loops, work, PASSES, ask.between, False)
+        _, part = take_step(loops, work, longest)
         from_ = square
-        to = foreseen(loops, work, part)
+        to = predict_residual(loops, work, part)
         steps += 1
     return best, good, steps
 
 
 @routine
-def close(loops, work, ask, last, enough, limit):
-    """Least squared residual of stages 0 to last found near q; moves q there and assesses it."""
-    square, _, _ = descend(loops, work, ask, last, enough, limit)
-    copy(loops.q, work.kept, 0, loops.nq)
-    assess(loops, work)
+def solve_stages(loops, work, ask, last, enough, limit):
+    """Lower the residual of stages 0 to last near q, and move q to the least found; return its
+    squared residual.
+    """
+    square, _, _ = descend_stages(loops, work, ask, last, enough, limit)
+    copy_numbers(loops.q, work.kept, 0, loops.nq)
+    assess_equations(loops, work)
     return square
 
 
 @routine
-def aim(loops, work, mode, part):
-    """Value of what the last stage lowers, at q; writes a step (nv,) that lowers it, scaled by
-    `part`, to `wish`.
+def write_aim_step(loops, work, mode, part):
+    """Write a step (nv,) that lowers the aim of the last stage, scaled by `part`, to `wish`; return
+    the aim's value at q.
     """
     if mode == AHEAD:
-        far = distance(loops, work.goal, work.wish)
+        far = compute_home_distance(loops, work.goal, work.wish)
         for v in range(loops.nv):
             work.wish[v] *= part
         return 0.5 * far
-    call(mode, loops.q, work.ahead, work.wish, 1)
+    call_address(mode, loops.q, work.ahead, work.wish, 1)
     for v in range(loops.nv):
         work.wish[v] *= -part
     return work.ahead[0]
 
 
 @routine
-def slope_of(loops, work, ask, stage, mode, part):
-    """Slope of the squared residual of a stage, or of the aim, along the step, and its Gauss-Newton
-    curvature.
+def compute_slope(loops, work, ask, stage, mode, part):
+    """Return the slope of a stage's squared residual, or of the aim, along the step, and its
+    Gauss-Newton curvature.
 
     Both at the q that was assessed last.
     """
@@ -694,19 +719,19 @@ def slope_of(loops, work, ask, stage, mode, part):
 
 
 @routine
-def value_of(loops, work, ask, stage, mode, part):
-    """Weighted squared residual of a stage, or the value of the aim."""
+def evaluate_stage(loops, work, ask, stage, mode, part):
+    """Return the weighted squared residual of a stage, or the value of the aim."""
     return (
-        square_of(loops, ask, stage, stage, False)
+        compute_squared_residual(loops, ask, stage, stage, False)
         if mode == NOTHING
-        else aim(loops, work, mode, part)
+        else write_aim_step(loops, work, mode, part)
     )
 
 
 @routine
-def look_along(loops, work, ask, stage, bound, mode, part, best, slope, longest):
-    """Least value found along the step taken, its curvature, and the factor of its length that a
-    parabola suggests.
+def search_along_step(loops, work, ask, stage, bound, mode, part, best, slope, longest):
+    """Search the least value along the step; return it, its curvature, and the factor of the step's
+    length that a parabola suggests.
 
     Every trial is closed; one that is much too long or too short is made once more with the length
     of the parabola. `trial` is where the least is, `way` the first step. A trial counts where
@@ -715,19 +740,19 @@ def look_along(loops, work, ask, stage, bound, mode, part, best, slope, longest)
     share = 1.0
     least = best
     curve = 0.0
-    copy(work.way, work.step, 0, loops.nv)
+    copy_numbers(work.way, work.step, 0, loops.nv)
     for trial in range(2):
         if trial == 1:
-            copy(loops.q, work.best, 0, loops.nq)
+            copy_numbers(loops.q, work.best, 0, loops.nq)
             for v in range(loops.nv):
                 work.step[v] = share * work.way[v]
-            take(loops, work, FURTHEST * longest)
-        _, held, _ = descend(loops, work, ask, stage - 1, bound[0], CLOSING)
-        held = held and missed(loops, ask, 0, stage - 1) <= bound[1]
-        found = value_of(loops, work, ask, stage, mode, part)
+            take_step(loops, work, FURTHEST * longest)
+        _, held, _ = descend_stages(loops, work, ask, stage - 1, bound[0], CLOSING)
+        held = held and find_largest_miss(loops, ask, 0, stage - 1) <= bound[1]
+        found = evaluate_stage(loops, work, ask, stage, mode, part)
         if held and found < least:
             least = found
-            copy(work.trial, loops.q, 0, loops.nq)
+            copy_numbers(work.trial, loops.q, 0, loops.nq)
         if trial == 0 and held:
             curve = found - best - slope
             share = min(-0.5 * slope / curve, FURTHEST) if curve > 0.0 and slope < 0.0 else 1.0
@@ -737,10 +762,8 @@ def look_along(loops, work, ask, stage, bound, mode, part, best, slope, longest)
 
 
 @device
-def damping_for(loops, work, damping, extra, better):
-    """The next damping: `extra` curvature along `way`, which the squares leave out, bounded; larger
-    after a failure.
-    """
+def choose_damping(loops, work, damping, extra, better):
+    """Return the next damping: the curvature `extra` along `way`, bounded; larger after a failure."""
     size = 1e-300
     for v in range(loops.nv):
         size += work.way[v] * work.way[v]
@@ -751,20 +774,20 @@ def damping_for(loops, work, damping, extra, better):
 
 
 @routine
-def bound_of(loops, work, ask, stage):
-    """Bounds for the stages before this one, with q closed: their squared residual and largest part
-    of a tolerance.
+def compute_bounds(loops, work, ask, stage):
+    """Return the squared residual and the largest part of a tolerance that the stages before this
+    one may have, with q closed.
     """
-    square = close(loops, work, ask, stage - 1, ROUNDING, CLOSING)
-    return max(ROUNDING, 4.0 * square), max(1.0, missed(loops, ask, 0, stage - 1))
+    square = solve_stages(loops, work, ask, stage - 1, ROUNDING, CLOSING)
+    return max(ROUNDING, 4.0 * square), max(1.0, find_largest_miss(loops, ask, 0, stage - 1))
 
 
 @routine
-def ease(loops, work, ask, stage, bound, limit, mode, stop):
+def ease_stage(loops, work, ask, stage, bound, limit, mode, stop):
     """Number of steps that lower the residual of a stage (mode 0) or the aim, whether the time was
     up, and the value reached; moves q there and assesses it. Earlier stages stay within the bound.
     """
-    copy(work.best, loops.q, 0, loops.nq)
+    copy_numbers(work.best, loops.q, 0, loops.nq)
     damping = 1e-3
     part = 1.0
     steps = 0
@@ -772,7 +795,7 @@ def ease(loops, work, ask, stage, bound, limit, mode, stop):
     streak = 0
     late = False
     longest = LONGEST
-    best = value_of(loops, work, ask, stage, mode, part)
+    best = evaluate_stage(loops, work, ask, stage, mode, part)
     flat = FLAT_AIM
     if mode == NOTHING:
         flat = FLAT_HARD if is_hard(loops, ask, stage) else FLAT
@@ -783,25 +806,27 @@ def ease(loops, work, ask, stage, bound, limit, mode, stop):
         steps += 1
         for v in range(loops.nv):
             work.wish[v] = 0.0
-        count_in(loops, work, ask, stage, LEAST, damping if mode == NOTHING else OFF, False)
+        mark_counted_rows(
+            loops, work, ask, stage, LEAST, damping if mode == NOTHING else OFF, False
+        )
         if mode != NOTHING:
-            aim(loops, work, mode, part)
-        free_all(loops, work)
-        step_to(loops, work, 4 + loops.nv, ask.between, True)
-        size, _ = take(loops, work, longest)
-        slope, bend = slope_of(loops, work, ask, stage, mode, part)
-        least, curve, share = look_along(
+            write_aim_step(loops, work, mode, part)
+        free_coordinates(loops, work)
+        write_step(loops, work, 4 + loops.nv, ask.between, True)
+        size, _ = take_step(loops, work, longest)
+        slope, bend = compute_slope(loops, work, ask, stage, mode, part)
+        least, curve, share = search_along_step(
             loops, work, ask, stage, bound, mode, part, best, slope, longest
         )
         better = least < best
         fall = best - least
         longest = longest * LONGER if better and share >= FURTHEST else LONGEST
         if not better or fall > CLEAR * abs(best):
-            damping = damping_for(loops, work, damping, curve - bend, better)
+            damping = choose_damping(loops, work, damping, curve - bend, better)
         if better:
             idle = idle + 1 if fall <= flat * abs(best) else 0
             best = least
-            copy(work.best, work.trial, 0, loops.nq)
+            copy_numbers(work.best, work.trial, 0, loops.nq)
             if streak >= 0:  # a length that has just been found too large is kept for a while
                 part = min(2.0 * part, 1.0 if mode == AHEAD else 1e3)
             streak += 1
@@ -811,55 +836,58 @@ def ease(loops, work, ask, stage, bound, limit, mode, stop):
         lost = not better and mode == NOTHING and -slope <= flat * abs(best)
         if idle >= 2 or lost or size < 1e-10 or damping > 1e4 or part < 1e-9:
             break
-        copy(loops.q, work.best, 0, loops.nq)
-        assess(loops, work)
-    copy(loops.q, work.best, 0, loops.nq)
-    close(loops, work, ask, stage - 1, ROUNDING, MORE)
-    return steps, late, value_of(loops, work, ask, stage, mode, part)
+        copy_numbers(loops.q, work.best, 0, loops.nq)
+        assess_equations(loops, work)
+    copy_numbers(loops.q, work.best, 0, loops.nq)
+    solve_stages(loops, work, ask, stage - 1, ROUNDING, MORE)
+    return steps, late, evaluate_stage(loops, work, ask, stage, mode, part)
 
 
 @routine
-def nudge(loops, key):
-    """Move all unknowns of q by a little, at random."""
+def nudge_unknowns(loops, key):
+    """Move all unknowns of q by a small random step."""
     for v in range(loops.nv):
         if is_held(loops, v):
             continue
-        sort = sort_of(loops, v)
-        i = place_of(loops, v)
-        x = NUDGE * (2.0 * unit(mix(key, np.uint64(v))) - 1.0)
+        sort = read_sort(loops, v)
+        i = find_place(loops, v)
+        x = NUDGE * (2.0 * to_unit_interval(mix_bits(key, np.uint64(v))) - 1.0)
         if sort == L.BALL_FIRST:
-            turn_ball(loops.q, i, x, 0.7 * x, -0.4 * x)
+            turn_quaternion(loops.q, i, x, 0.7 * x, -0.4 * x)
         elif sort != L.BALL_MORE:
-            x = loops.q[i] + x * number(loops, 0, v)
-            loops.q[i] = min(max(x, number(loops, 1, v)), number(loops, 2, v))
+            x = loops.q[i] + x * read_velocity_number(loops, 0, v)
+            loops.q[i] = min(
+                max(x, read_velocity_number(loops, 1, v)), read_velocity_number(loops, 2, v)
+            )
 
 
 @routine
-def lower(loops, work, ask, stage, limit, mode, stop):
-    """Number of steps, and whether the time was up; as `ease`, but leaves saddles and maxima.
+def lower_stage(loops, work, ask, stage, limit, mode, stop):
+    """Lower the residual of a stage as `ease_stage` does, and leave saddles and maxima; return the
+    number of steps, and whether the time was up.
 
     Where the gradient vanishes and the error does not, a small push and a few steps show whether q
     is one. The bound is that before the push: where the earlier stages cannot be closed as they
     were, there is no way down.
     """
-    bound = bound_of(loops, work, ask, stage)
-    steps, late, best = ease(loops, work, ask, stage, bound, limit, mode, stop)
+    bound = compute_bounds(loops, work, ask, stage)
+    steps, late, best = ease_stage(loops, work, ask, stage, bound, limit, mode, stop)
     if mode == NOTHING and not late and best > TIGHT and steps < limit:
-        copy(work.rest, loops.q, 0, loops.nq)
-        nudge(loops, mix(np.uint64(0), np.uint64(stage)))
+        copy_numbers(work.rest, loops.q, 0, loops.nq)
+        nudge_unknowns(loops, mix_bits(np.uint64(0), np.uint64(stage)))
         used = 0
         least = np.inf
-        if close(loops, work, ask, stage - 1, bound[0], LONG) <= bound[0]:
-            used, late, least = ease(
+        if solve_stages(loops, work, ask, stage - 1, bound[0], LONG) <= bound[0]:
+            used, late, least = ease_stage(
                 loops, work, ask, stage, bound, min(PROBE, limit - steps), mode, stop
             )
         steps += used
         if least < (1.0 - SADDLE) * best:
-            used, late, best = ease(loops, work, ask, stage, bound, limit - steps, mode, stop)
+            used, late, best = ease_stage(loops, work, ask, stage, bound, limit - steps, mode, stop)
             steps += used
         else:
-            copy(loops.q, work.rest, 0, loops.nq)
-            assess(loops, work)
+            copy_numbers(loops.q, work.rest, 0, loops.nq)
+            assess_equations(loops, work)
     return steps, late
 
 
@@ -876,9 +904,9 @@ FAINT = 1e-6
 
 
 @device
-def fits(loops, ask, k, ball):
-    """Whether tie k holds the position of a frame that the base moves against the ground, in a
-    stage of its own.
+def is_base_tie(loops, ask, k, ball):
+    """Return whether tie k holds the position of a frame that the base moves against the ground, in
+    a stage of its own.
     """
     plan = loops.plan
     ints = loops.ints
@@ -900,9 +928,9 @@ def fits(loops, ask, k, ball):
 
 
 @device
-def squared(m):
-    """The square of a symmetric 4x4 matrix, ten numbers row by row from the diagonal on, divided by
-    its trace.
+def square_matrix(m):
+    """Return the square of a symmetric 4x4 matrix (ten numbers, row by row from the diagonal on),
+    divided by its trace.
     """
     a, b, c, d, e, f, g, h, i, j = m
     p = a * a + b * b + c * c + d * d
@@ -925,9 +953,9 @@ def squared(m):
 
 
 @routine
-def rotation_for(h):
-    """The unit quaternion of the rotation D for which tr(D H) is largest, H row by row (Horn,
-    1987).
+def find_best_rotation(h):
+    """Return the unit quaternion of the rotation D for which tr(D H) is largest, H row by row
+    (Horn, 1987).
 
     Where many are as good, the one nearest to no rotation.
     """
@@ -948,7 +976,7 @@ def rotation_for(h):
         size + j - a - e,
     )
     for _ in range(SQUARINGS):
-        m = squared(m)
+        m = square_matrix(m)
     if m[0] > FAINT:
         w = m[0]
         x = m[1]
@@ -974,9 +1002,9 @@ def rotation_for(h):
 
 
 @routine
-def spread_of(loops, ask, ball, hard):
-    """Sums over the frames that count: how many; where they are, where they shall be, and the
-    matrix of `rotation_for`.
+def sum_frame_positions(loops, ask, ball, hard):
+    """Sum over the frames that count: their number, their positions, their targets, and the matrix
+    of `find_best_rotation`.
 
     Places are measured from the first frame and its goal, which are returned, too.
     """
@@ -988,9 +1016,9 @@ def spread_of(loops, ask, ball, hard):
     h = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     square = loops.weights[L.LENGTH] * loops.weights[L.LENGTH]
     for k in range(loops.plan[L.N_TIES]):
-        if (ask.hard[k] != 0) != hard or not fits(loops, ask, k, ball):
+        if (ask.hard[k] != 0) != hard or not is_base_tie(loops, ask, k, ball):
             continue
-        r_a, p_a, r_b, p_b = ends_of(loops, k)
+        r_a, p_a, r_b, p_b = read_tie_ends(loops, k)
         if count == 0:
             first = p_b
             aim = p_a
@@ -1028,8 +1056,8 @@ def spread_of(loops, ask, ball, hard):
 
 @routine
 def fit_base(loops, ask):
-    """Move a free base so that the frames that tasks hold are nearest to where they shall be, as
-    the other joints are.
+    """Move a free base so that the frames of tasks are nearest to their targets, with the other
+    joints as they are.
 
     Least is the sum of squares of distances and, by the characteristic length, of rotation matrices
     (Kabsch, 1976). Soft tasks count where no hard one holds a frame.
@@ -1039,19 +1067,21 @@ def fit_base(loops, ask):
     row = loops.plan[L.BASE_ROW]
     if plan[L.BASE_TIE] < 0:
         return
-    row_poses(loops.ints, loops.floats, q, 0, loops.scratch)
-    count, p, g, h = spread_of(loops, ask, row + 3, True)
+    write_row_poses(loops.ints, loops.floats, q, 0, loops.scratch)
+    count, p, g, h = sum_frame_positions(loops, ask, row + 3, True)
     if count == 0:
-        count, p, g, h = spread_of(loops, ask, row + 3, False)
+        count, p, g, h = sum_frame_positions(loops, ask, row + 3, False)
     if count == 0:
         return
-    w, x, y, z = rotation_for(h)
-    a, b, c = placement(loops.poses, OUTPUT_FLOATS * (row + 3))
+    w, x, y, z = find_best_rotation(h)
+    a, b, c = read_placement(loops.poses, OUTPUT_FLOATS * (row + 3))
     sine = math.sqrt(x * x + y * y + z * z)
     f = 2.0 * math.atan2(sine, w) / max(sine, 1e-300)
-    turn = back(matrix(a, b, c), f * x, f * y, f * z)  # in axes of the base
-    turn_ball(q, loops.ints[HEADER + ROW_INTS * (row + 3) + Q_INDEX], turn[0], turn[1], turn[2])
-    o = (entry(a, 3) - p[0], entry(b, 3) - p[1], entry(c, 3) - p[2])
+    turn = rotate_vector_back(pack_rotation(a, b, c), f * x, f * y, f * z)  # in axes of the base
+    turn_quaternion(
+        q, loops.ints[HEADER + ROW_INTS * (row + 3) + Q_INDEX], turn[0], turn[1], turn[2]
+    )
+    o = (extract_entry(a, 3) - p[0], extract_entry(b, 3) - p[1], extract_entry(c, 3) - p[2])
     u = (2.0 * (y * o[2] - z * o[1]), 2.0 * (z * o[0] - x * o[2]), 2.0 * (x * o[1] - y * o[0]))
     d = (
         g[0] - p[0] + w * u[0] + y * u[2] - z * u[1],
@@ -1059,15 +1089,15 @@ def fit_base(loops, ask):
         g[2] - p[2] + w * u[2] + x * u[1] - y * u[0],
     )
     for i in range(row, row + 3):
-        a, b, c = placement(loops.poses, OUTPUT_FLOATS * i)
+        a, b, c = read_placement(loops.poses, OUTPUT_FLOATS * i)
         at = loops.ints[HEADER + ROW_INTS * i + Q_INDEX]
         v = loops.ints[HEADER + ROW_INTS * i + V_INDEX]
         x = (
             q[at]
-            + (entry(a, 2) * d[0] + entry(b, 2) * d[1] + entry(c, 2) * d[2])
+            + (extract_entry(a, 2) * d[0] + extract_entry(b, 2) * d[1] + extract_entry(c, 2) * d[2])
             / loops.floats[ROW_FLOATS * i + MULTIPLIER]
         )
-        q[at] = min(max(x, number(loops, 1, v)), number(loops, 2, v))
+        q[at] = min(max(x, read_velocity_number(loops, 1, v)), read_velocity_number(loops, 2, v))
 
 
 # ---- restarts
@@ -1102,72 +1132,78 @@ SALT = np.uint64(0x5EED)
 
 
 @routine
-def to_middle(loops, home, to):
-    """Write a configuration in the middle of all ranges to `to`; balls and what is no unknown as at
+def write_middle(loops, home, to):
+    """Write the configuration in the middle of all ranges to `to`; balls and held coordinates as at
     `home`.
     """
-    copy(to, home, 0, loops.nq)
+    copy_numbers(to, home, 0, loops.nq)
     for v in range(loops.nv):
-        if sort_of(loops, v) < L.BALL_FIRST and not is_held(loops, v):
-            to[place_of(loops, v)] = 0.5 * (number(loops, 3, v) + number(loops, 4, v))
+        if read_sort(loops, v) < L.BALL_FIRST and not is_held(loops, v):
+            to[find_place(loops, v)] = 0.5 * (
+                read_velocity_number(loops, 3, v) + read_velocity_number(loops, 4, v)
+            )
 
 
 @routine
-def begin(loops, work, ask, key, count):
-    """Set q to start `count`, `trial` being the middle."""
-    copy(loops.q, work.home, 0, loops.nq)
-    fresh = mix(key, np.uint64(count))
+def set_start(loops, work, ask, key, count):
+    """Set q to start `count`; `trial` is the middle."""
+    copy_numbers(loops.q, work.home, 0, loops.nq)
+    fresh = mix_bits(key, np.uint64(count))
     if 0 < count < PLAIN:
-        draw(loops, work.trial if count % 2 else work.home, NEAR, fresh)
+        draw_configuration(loops, work.trial if count % 2 else work.home, NEAR, fresh)
     elif count > 0:
-        draw(loops, work.trial, 1.0, fresh)
+        draw_configuration(loops, work.trial, 1.0, fresh)
         if count % 4 > 0:
-            widen(loops, work.trial, WIDE if count % 4 == 1 else WIDER)
+            push_coordinates_away(loops, work.trial, WIDE if count % 4 == 1 else WIDER)
     if count > 0 or ask.loose:
         fit_base(loops, ask)
 
 
 @routine
-def widen(loops, about, far):
-    """Move the coordinates of q away from `about`, `far` times as far; they stop at their limits."""
+def push_coordinates_away(loops, about, far):
+    """Move the coordinates of q away from `about`, to `far` times the distance; they stop at their
+    limits.
+    """
     for v in range(loops.nv):
-        if not is_held(loops, v) and sort_of(loops, v) < L.BALL_FIRST:
-            i = place_of(loops, v)
+        if not is_held(loops, v) and read_sort(loops, v) < L.BALL_FIRST:
+            i = find_place(loops, v)
             x = about[i] + far * (loops.q[i] - about[i])
-            loops.q[i] = min(max(x, number(loops, 1, v)), number(loops, 2, v))
+            loops.q[i] = min(
+                max(x, read_velocity_number(loops, 1, v)), read_velocity_number(loops, 2, v)
+            )
 
 
 @routine
-def begin_at(loops, work, ask, last, key, count):
-    """Set q to start `count`, but for what is kept of `rest`: where only some tasks are missed,
-    what moves others.
+def set_partial_start(loops, work, ask, last, key, count):
+    """Set q to start `count`; where only some tasks are missed, only the coordinates that move
+    these change from `rest`.
 
     In turns: all is kept that moves a tie which is met; all that moves another than the worst; any
     part.
     """
-    begin(loops, work, ask, key, count)
-    copy(work.aside, loops.q, 0, loops.nq)
-    copy(loops.q, work.rest, 0, loops.nq)
-    assess(loops, work)
-    if count % 3 == 2 or not mark_own(loops, work, ask, last, count % 3 == 0):
-        fresh = mix(mix(key, np.uint64(count)), SALT)
-        share = PART * unit(mix(fresh, np.uint64(loops.nv)))
+    set_start(loops, work, ask, key, count)
+    copy_numbers(work.aside, loops.q, 0, loops.nq)
+    copy_numbers(loops.q, work.rest, 0, loops.nq)
+    assess_equations(loops, work)
+    if count % 3 == 2 or not mark_separate_unknowns(loops, work, ask, last, count % 3 == 0):
+        fresh = mix_bits(mix_bits(key, np.uint64(count)), SALT)
+        share = PART * to_unit_interval(mix_bits(fresh, np.uint64(loops.nv)))
         for v in range(loops.nv):
-            work.way[v] = 1.0 if unit(mix(fresh, np.uint64(v))) < share else 0.0
+            work.way[v] = 1.0 if to_unit_interval(mix_bits(fresh, np.uint64(v))) < share else 0.0
     for v in range(loops.nv):
-        sort = sort_of(loops, v)
-        i = place_of(loops, v)
+        sort = read_sort(loops, v)
+        i = find_place(loops, v)
         if work.way[v] != 0.0 and not is_held(loops, v):
             if sort == L.BALL_FIRST:
-                copy(beyond(loops.q, i), work.aside, i, 4)
+                copy_numbers(advance_pointer(loops.q, i), work.aside, i, 4)
             elif sort != L.BALL_MORE:
                 loops.q[i] = work.aside[i]
 
 
 @routine
-def mark_own(loops, work, ask, last, all_missed):
-    """Whether some unknowns move only ties that are missed, all or the worst, and others not; marks
-    them in `way`.
+def mark_separate_unknowns(loops, work, ask, last, all_missed):
+    """Mark in `way` the unknowns that move only missed ties, all or the worst; return whether there
+    are such unknowns, and others.
 
     The equations must be those of q. Rows between bounds keep nothing.
     """
@@ -1176,7 +1212,7 @@ def mark_own(loops, work, ask, last, all_missed):
     which = -1
     for k in range(plan[L.N_TIES]):
         if 0 <= ask.stage[k] <= last and ask.hard[k] != 0:
-            square = square_of_tie(loops, ask, k)
+            square = square_tie_residual(loops, ask, k)
             if square > worst:
                 worst = square
                 which = k
@@ -1193,7 +1229,7 @@ def mark_own(loops, work, ask, last, all_missed):
             k = plan[plan[L.AT_USES] + L.USE_INTS * use]
             if not 0 <= ask.stage[k] <= last or ask.hard[k] == 0:
                 continue
-            if k == which or (all_missed and square_of_tie(loops, ask, k) > NEARLY * worst):
+            if k == which or (all_missed and square_tie_residual(loops, ask, k) > NEARLY * worst):
                 moves = True
             elif plan[plan[L.AT_TIES] + L.TIE_INTS * k + L.BOUND] < 0:
                 keeps = True
@@ -1213,9 +1249,9 @@ GAIN = 1e-6
 
 
 @routine
-def search(loops, work, ask, last, key, tries, limit, stop):
-    """Whether the hard stages up to `last` are met, whether the time was up, steps and starts; q is
-    the nearest.
+def search_stages(loops, work, ask, last, key, tries, limit, stop):
+    """Search a configuration that meets the hard stages up to `last`; return whether it is met,
+    whether the time was up, steps and starts.
     """
     best = np.inf
     count = 0
@@ -1224,35 +1260,35 @@ def search(loops, work, ask, last, key, tries, limit, stop):
     late = False
     left = 0
     least = np.inf
-    to_middle(loops, work.home, work.trial)
+    write_middle(loops, work.home, work.trial)
     while count < tries and not good:
         late = is_late(loops, stop, work.ahead, work.wish)
         if late:
             break
         if left > 0:
-            begin_at(loops, work, ask, last, key, count)
+            set_partial_start(loops, work, ask, last, key, count)
         else:
-            begin(loops, work, ask, key, count)
-        square, good, used = descend(loops, work, ask, last, 0.0, limit)
+            set_start(loops, work, ask, key, count)
+        square, good, used = descend_stages(loops, work, ask, last, 0.0, limit)
         steps = steps + used
         count = count + 1
         if square < best or good:
             best = square
-            copy(work.best, work.kept, 0, loops.nq)
+            copy_numbers(work.best, work.kept, 0, loops.nq)
         if left == 0 or square < RESTARTS_LOWER * least:
             left = RESTARTS_AGAIN if count >= PLAIN and square < LARGEST else 0
             least = square
-            copy(work.rest, work.kept, 0, loops.nq)
+            copy_numbers(work.rest, work.kept, 0, loops.nq)
         else:
             left -= 1
-    copy(loops.q, work.best if best < np.inf else work.home, 0, loops.nq)
+    copy_numbers(loops.q, work.best if best < np.inf else work.home, 0, loops.nq)
     return good, late, steps, count
 
 
 @routine
-def search_down(loops, work, ask, key, tries, limit, stop):
-    """The last of the stages whose hard ones are met together, whether the time was up, steps and
-    starts; q meets them.
+def search_last_stage(loops, work, ask, key, tries, limit, stop):
+    """Search how many stages can be met together; return the last of them, whether the time was up,
+    steps and starts. q meets them.
 
     First all hard tasks at once; where that fails, those of fewer and fewer stages. Soft stages
     before a hard one are first tried as if they were hard: where all of them can be met, nothing is
@@ -1267,67 +1303,69 @@ def search_down(loops, work, ask, key, tries, limit, stop):
         last -= 1
     while not (good or late) and last > 0:
         for softly in range(2):
-            if not (good or late) and (softly == 1 or harden(loops, ask, last)):
-                good, late, used, count = search(loops, work, ask, last, key, tries, limit, stop)
+            if not (good or late) and (softly == 1 or harden_stages(loops, ask, last)):
+                good, late, used, count = search_stages(
+                    loops, work, ask, last, key, tries, limit, stop
+                )
                 steps = steps + used
                 most = max(most, count)
-            restore(loops, ask)
+            restore_stages(loops, ask)
         if not good:
             last -= 1
             while last > 0 and not is_hard(loops, ask, last):
                 last -= 1
-    assess(loops, work)
+    assess_equations(loops, work)
     return last, late, steps, most
 
 
 @routine
-def lower_first(loops, work, ask, stage, limit, mode, stop):
-    """As `lower`; hard stages behind a soft one are held as long as that costs it nothing, for half
-    of the steps.
+def lower_holding_stages(loops, work, ask, stage, limit, mode, stop):
+    """Lower a stage as `lower_stage` does; for half of the steps, later hard stages are held where
+    that costs nothing.
     """
-    if mode != NOTHING or is_hard(loops, ask, stage) or not hold_ahead(loops, ask, stage):
-        return lower(loops, work, ask, stage, limit, mode, stop)
-    steps, late = lower(loops, work, ask, stage, limit // 2, mode, stop)
-    restore(loops, ask)
-    least = square_of(loops, ask, stage, stage, False)
+    if mode != NOTHING or is_hard(loops, ask, stage) or not hold_later_stages(loops, ask, stage):
+        return lower_stage(loops, work, ask, stage, limit, mode, stop)
+    steps, late = lower_stage(loops, work, ask, stage, limit // 2, mode, stop)
+    restore_stages(loops, ask)
+    least = compute_squared_residual(loops, ask, stage, stage, False)
     if least > TIGHT and not late:
-        copy(work.aside, loops.q, 0, loops.nq)
-        used, late = lower(loops, work, ask, stage, limit - steps, mode, stop)
+        copy_numbers(work.aside, loops.q, 0, loops.nq)
+        used, late = lower_stage(loops, work, ask, stage, limit - steps, mode, stop)
         steps += used
-        if not square_of(loops, ask, stage, stage, False) < (1.0 - GAIN) * least:
-            copy(loops.q, work.aside, 0, loops.nq)
-            assess(loops, work)
+        if not compute_squared_residual(loops, ask, stage, stage, False) < (1.0 - GAIN) * least:
+            copy_numbers(loops.q, work.aside, 0, loops.nq)
+            assess_equations(loops, work)
     return steps, late
 
 
 @routine
-def lower_again(loops, work, ask, key, tries, limit, stop):
-    """Steps, whether the time was up, starts; lowers the first stage from other starts, too, and
-    keeps the least.
+def lower_from_starts(loops, work, ask, key, tries, limit, stop):
+    """Lower the first stage from several starts and keep the least; return steps, whether the time
+    was up, and starts.
     """
-    least = square_of(loops, ask, 1, 1, False)
+    least = compute_squared_residual(loops, ask, 1, 1, False)
     steps = 0
     late = False
     count = 1
     part = 1.0 - GAIN if ask.loose else LOWER
-    copy(work.aside, loops.q, 0, loops.nq)
-    while count < min(tries, AGAIN) and not late and missed_softly(loops, ask):
-        to_middle(loops, work.home, work.trial)
-        begin(loops, work, ask, key, count)
-        used, late = lower(loops, work, ask, 1, limit, NOTHING, stop)
+    copy_numbers(work.aside, loops.q, 0, loops.nq)
+    while count < min(tries, AGAIN) and not late and is_soft_stage_missed(loops, ask):
+        write_middle(loops, work.home, work.trial)
+        set_start(loops, work, ask, key, count)
+        used, late = lower_stage(loops, work, ask, 1, limit, NOTHING, stop)
         steps = steps + used
         count = count + 1
-        square = square_of(loops, ask, 1, 1, False)
-        if square < part * least and missed(loops, ask, 0, 0) <= 1.0:
+        square = compute_squared_residual(loops, ask, 1, 1, False)
+        if square < part * least and find_largest_miss(loops, ask, 0, 0) <= 1.0:
             least = square
-            copy(work.aside, loops.q, 0, loops.nq)
-        copy(loops.q, work.aside, 0, loops.nq)
-        assess(loops, work)
+            copy_numbers(work.aside, loops.q, 0, loops.nq)
+        copy_numbers(loops.q, work.aside, 0, loops.nq)
+        assess_equations(loops, work)
     return steps, late, count
 
 
 @routine
-def unwind(loops, work, ask, stage):
+def unwind_angles(loops, work, ask, stage):
     """Turn angles that a stage holds back by whole turns towards their goals, where that costs no
     earlier stage.
     """
@@ -1339,50 +1377,52 @@ def unwind(loops, work, ask, stage):
         if (
             ask.stage[k] != stage
             or plan[tie + L.TURNS] != L.OWN
-            or sort_of(loops, v) != L.BOUND_TURN
+            or read_sort(loops, v) != L.BOUND_TURN
         ):
             continue
-        i = place_of(loops, v)
+        i = find_place(loops, v)
         x = q[i]
-        y = nearest_turn(q[i], number_of(loops, k))
-        if abs(x - y) < 1.0 or y < number(loops, 1, v) or y > number(loops, 2, v):
+        y = choose_nearest_angle(q[i], read_given_number(loops, k))
+        if (
+            abs(x - y) < 1.0
+            or y < read_velocity_number(loops, 1, v)
+            or y > read_velocity_number(loops, 2, v)
+        ):
             continue
-        own = square_of(loops, ask, stage, stage, False)
-        before = square_of(loops, ask, 0, stage - 1, False)
+        own = compute_squared_residual(loops, ask, stage, stage, False)
+        before = compute_squared_residual(loops, ask, 0, stage - 1, False)
         q[i] = y
-        assess(loops, work)
-        now = square_of(loops, ask, stage, stage, False)
-        if now > own or square_of(loops, ask, 0, stage - 1, False) > before + TIGHT:
+        assess_equations(loops, work)
+        now = compute_squared_residual(loops, ask, stage, stage, False)
+        if now > own or compute_squared_residual(loops, ask, 0, stage - 1, False) > before + TIGHT:
             q[i] = x
-            assess(loops, work)
+            assess_equations(loops, work)
 
 
 @routine
-def lead_home(loops, work, ask):
-    """Let angles that a turn brings back, and that a task holds, be brought back near to what it
-    wants.
-    """
+def lead_angles_home(loops, work, ask):
+    """Bring angles that a task holds near to the wanted value, by whole turns."""
     plan = loops.plan
     for k in range(plan[L.N_TIES]):
         tie = plan[L.AT_TIES] + L.TIE_INTS * k
         v = plan[tie + L.DATA]
-        if ask.stage[k] > 0 and plan[tie + L.TURNS] == L.OWN and sort_of(loops, v) == L.CIRCLE:
-            work.home[place_of(loops, v)] = number_of(loops, k)
+        if ask.stage[k] > 0 and plan[tie + L.TURNS] == L.OWN and read_sort(loops, v) == L.CIRCLE:
+            work.home[find_place(loops, v)] = read_given_number(loops, k)
 
 
 @routine
-def missed_softly(loops, ask):
-    """Whether the first stage, which is soft, is missed by more than its tolerance."""
+def is_soft_stage_missed(loops, ask):
+    """Return whether the first stage, which is soft, is missed by more than its tolerance."""
     for k in range(loops.plan[L.N_TIES]):
         ask.hard[k] = 1
-    worst = missed(loops, ask, 1, 1)
-    restore(loops, ask)
+    worst = find_largest_miss(loops, ask, 1, 1)
+    restore_stages(loops, ask)
     return worst > 1.0
 
 
 @routine
-def reach(loops, work, ask, key, tries, limit, mode, stop):
-    """(status, steps, starts) of a search for a configuration that fulfils tasks; `loops.q` is
+def search_tasks(loops, work, ask, key, tries, limit, mode, stop):
+    """Search a configuration that fulfils the tasks; return (status, steps, starts). `loops.q` is
     start and answer.
 
     If none is found, `loops.q` is the nearest one. `ask` holds the tasks in stages: stage 0 are the
@@ -1392,42 +1432,46 @@ def reach(loops, work, ask, key, tries, limit, mode, stop):
     `stop` the clock. `work` is scratch memory.
     """
     first = ask.stages if tries < 0 else 1
-    unbind(loops, work)
-    restore(loops, ask)
-    last, late, steps, most = search_down(loops, work, ask, key, tries, limit, stop)
+    restore_bounds(loops, work)
+    restore_stages(loops, ask)
+    last, late, steps, most = search_last_stage(loops, work, ask, key, tries, limit, stop)
     pinned = False
     for s in range(1, ask.stages + 1):
         pinned = pinned or is_hard(loops, ask, s)
     for s in range(1, ask.stages + (1 if mode == NOTHING else 2)):
-        if late or not (s > last or not is_hard(loops, ask, s) or missed(loops, ask, s, s) > 1.0):
+        if late or not (
+            s > last or not is_hard(loops, ask, s) or find_largest_miss(loops, ask, s, s) > 1.0
+        ):
             continue
         if s >= first:
-            copy(work.held, loops.q, 0, loops.nq)
-            enough = 4.0 * square_of(loops, ask, 0, s - 1, False)
-            worst = missed(loops, ask, 0, s - 1)
+            copy_numbers(work.held, loops.q, 0, loops.nq)
+            enough = 4.0 * compute_squared_residual(loops, ask, 0, s - 1, False)
+            worst = find_largest_miss(loops, ask, 0, s - 1)
             if s <= ask.stages:
-                unwind(loops, work, ask, s)
-            used, late = lower_first(
+                unwind_angles(loops, work, ask, s)
+            used, late = lower_holding_stages(
                 loops, work, ask, s, 4 * limit, mode if s > ask.stages else NOTHING, stop
             )
             steps += used
             if s == 1 and s <= ask.stages and not (pinned or late):
-                used, late, count = lower_again(loops, work, ask, key, tries, 4 * limit, stop)
+                used, late, count = lower_from_starts(loops, work, ask, key, tries, 4 * limit, stop)
                 steps = steps + used
                 most = max(most, count)
-            lost = not square_of(loops, ask, 0, s - 1, False) <= max(enough, ROUNDING)
-            if lost or missed(loops, ask, 0, s - 1) > max(worst, 1.0):
-                copy(loops.q, work.held, 0, loops.nq)
-                assess(loops, work)
-        freeze(loops, work, ask, s)
-    unbind(loops, work)
-    assess(loops, work)
+            lost = not compute_squared_residual(loops, ask, 0, s - 1, False) <= max(
+                enough, ROUNDING
+            )
+            if lost or find_largest_miss(loops, ask, 0, s - 1) > max(worst, 1.0):
+                copy_numbers(loops.q, work.held, 0, loops.nq)
+                assess_equations(loops, work)
+        freeze_stage(loops, work, ask, s)
+    restore_bounds(loops, work)
+    assess_equations(loops, work)
     if mode == NOTHING:
-        lead_home(loops, work, ask)
-    read_off(loops, work.home)
+        lead_angles_home(loops, work, ask)
+    write_cut_coordinates(loops, work.home)
     if loops.plan[L.N_READINGS] > 0:
-        assess(loops, work)
-    good = missed(loops, ask, 0, ask.stages) <= 1.0
+        assess_equations(loops, work)
+    good = find_largest_miss(loops, ask, 0, ask.stages) <= 1.0
     return (SOLVED if good else NOT_FOUND) + (LATE if late else 0), steps, most
 
 
@@ -1450,7 +1494,7 @@ def reach(loops, work, ask, key, tries, limit, mode, stop):
     OUT("N", "nq"),
     OUTI("N", 3),
 )
-def solve(
+def solve_tasks(
     ints,
     floats,
     plan,
@@ -1469,7 +1513,7 @@ def solve(
     out_q,
     info,
 ):
-    """Number of problems whose hard tasks are not met.
+    """Solve all problems; return the number of problems whose hard tasks are not met.
 
     ints, floats: the table; plan, weights: the loops, and pins (N or 1, k), as `loop_layout` says.
     stages (2 ties): stage of each tie and 1 if it is hard. strengths (ties, 3): weight, tolerance
@@ -1486,40 +1530,40 @@ def solve(
     n_rows = ints[TABLE_ROWS]
     m = plan[L.N_ROWS]
     ties = plan[L.N_TIES]
-    sweep = scratch_size(n_rows)
+    sweep = count_sweep_scratch(n_rows)
     block = np.empty(
         sweep + 9 * nq + 5 * nv + 9 * m + 3 * ties + plan[L.BLOCKS] + plan[L.ENVELOPE] + 8
     )
-    scratch = raw(block)
-    q = beyond(scratch, sweep)
-    v = beyond(q, 9 * nq)
-    rows = beyond(v, 5 * nv)
-    weight = beyond(rows, 9 * m)
-    blocks = beyond(weight, 3 * ties)
-    a = beyond(blocks, plan[L.BLOCKS])
+    scratch = get_pointer(block)
+    q = advance_pointer(scratch, sweep)
+    v = advance_pointer(q, 9 * nq)
+    rows = advance_pointer(v, 5 * nv)
+    weight = advance_pointer(rows, 9 * m)
+    blocks = advance_pointer(weight, 3 * ties)
+    a = advance_pointer(blocks, plan[L.BLOCKS])
     work = ActiveSetScratch(
         v,
-        beyond(v, nv),
-        beyond(v, 2 * nv),
-        beyond(v, 3 * nv),
-        beyond(v, 4 * nv),
-        beyond(rows, m),
-        beyond(rows, 2 * m),
-        beyond(rows, 3 * m),
-        beyond(rows, 4 * m),
-        beyond(rows, 5 * m),
-        beyond(rows, 6 * m),
-        beyond(rows, 7 * m),
-        beyond(rows, 8 * m),
+        advance_pointer(v, nv),
+        advance_pointer(v, 2 * nv),
+        advance_pointer(v, 3 * nv),
+        advance_pointer(v, 4 * nv),
+        advance_pointer(rows, m),
+        advance_pointer(rows, 2 * m),
+        advance_pointer(rows, 3 * m),
+        advance_pointer(rows, 4 * m),
+        advance_pointer(rows, 5 * m),
+        advance_pointer(rows, 6 * m),
+        advance_pointer(rows, 7 * m),
+        advance_pointer(rows, 8 * m),
         a,
-        beyond(q, nq),
-        beyond(q, 2 * nq),
-        beyond(q, 3 * nq),
-        beyond(q, 4 * nq),
-        beyond(q, 5 * nq),
-        beyond(q, 6 * nq),
-        beyond(q, 7 * nq),
-        beyond(q, 8 * nq),
+        advance_pointer(q, nq),
+        advance_pointer(q, 2 * nq),
+        advance_pointer(q, 3 * nq),
+        advance_pointer(q, 4 * nq),
+        advance_pointer(q, 5 * nq),
+        advance_pointer(q, 6 * nq),
+        advance_pointer(q, 7 * nq),
+        advance_pointer(q, 8 * nq),
     )
     last = 0
     between = False
@@ -1533,52 +1577,59 @@ def solve(
         )
     now = np.empty(2 * ties, dtype=np.int64)
     ask = Ask(
-        raw(stages),
-        raw(now),
-        beyond(raw(now), ties),
+        get_pointer(stages),
+        get_pointer(now),
+        advance_pointer(get_pointer(now), ties),
         weight,
-        beyond(weight, ties),
+        advance_pointer(weight, ties),
         last,
         between,
         loose,
     )
     missing = 0
     for i in range(out_q.shape[0]):
-        pin = beyond(raw(pins), i * pins.shape[1] if pins.shape[0] > 1 else 0)
+        pin = advance_pointer(get_pointer(pins), i * pins.shape[1] if pins.shape[0] > 1 else 0)
         loops = LoopScratch(
-            raw(ints),
-            raw(floats),
-            raw(plan),
-            raw(weights),
+            get_pointer(ints),
+            get_pointer(floats),
+            get_pointer(plan),
+            get_pointer(weights),
             pin,
             q,
             scratch,
-            beyond(scratch, poses_at(n_rows)),
+            advance_pointer(scratch, locate_poses(n_rows)),
             rows,
             blocks,
             n_rows,
             nq,
             nv,
         )
-        copy(q, beyond(raw(starts), i * nq if starts.shape[0] > 1 else 0), 0, nq)
-        copy(work.goal, beyond(raw(goals), i * nq if goals.shape[0] > 1 else 0), 0, nq)
+        copy_numbers(
+            q, advance_pointer(get_pointer(starts), i * nq if starts.shape[0] > 1 else 0), 0, nq
+        )
+        copy_numbers(
+            work.goal,
+            advance_pointer(get_pointer(goals), i * nq if goals.shape[0] > 1 else 0),
+            0,
+            nq,
+        )
         status = BAD_INPUT
         steps = 0
         count = 0
-        fine = sound(loops, work.home)
+        fine = prepare_start(loops, work.home)
         for j in range(pins.shape[1]):
             fine = fine and abs(pin[j]) < LARGEST
         for j in range(plan[L.N_PINS]):
-            fine = fine and rigid(pin, 12 * j)
+            fine = fine and is_rigid(pin, 12 * j)
         if fine:
-            key = mix(np.uint64(0), np.uint64(seed))
-            status, steps, count = reach(loops, work, ask, key, tries, limit, mode, stop)
+            key = mix_bits(np.uint64(0), np.uint64(seed))
+            status, steps, count = search_tasks(loops, work, ask, key, tries, limit, mode, stop)
         for k in range(nq):
             out_q[i, k] = q[k] if fine else math.nan
         info[i, 0] = status
         info[i, 1] = steps
         info[i, 2] = count
         missing += int(status % LATE != SOLVED)
-    keep(block)
-    keep(now)
+    keep_alive(block)
+    keep_alive(now)
     return missing
