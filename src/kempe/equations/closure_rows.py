@@ -167,9 +167,8 @@ def freedoms_left(system: Model, q: Array, held: frozenset[str] = frozenset()) -
     The angles of a ball near their own singularity are measured from q, unless some of them are
     held.
     """
-    from kempe.model.ball_angles import (
-        make_regular_chart,
-    )  # only here: to assemble needs none of it
+    # only here: to assemble needs none of it
+    from kempe.model.ball_angles import make_regular_chart
 
     system, q, _ = make_regular_chart(system, q, held)
     free = [i for i, n in enumerate(system.structure.velocity_names) if n not in held]
