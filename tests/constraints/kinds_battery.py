@@ -10,7 +10,7 @@ import numpy as np
 
 from kempe import Mechanism, System, tasks
 from kempe import constraints as c
-from kempe.constraints.base import position_rows
+from kempe.constraints.base import list_position_rows
 from kempe.description.toml_reader import read_toml
 from kempe.description.toml_writer import write_toml
 from kempe.equations import closure_rows
@@ -80,7 +80,7 @@ def run(name: str, dim: int) -> None:
     """
     made = EXAMPLES[name](dim)
     assert c.KINDS[name] is type(made) and made.kind == name and made.says and type(made).__doc__
-    if any(r.velocity for r in made.rows(dim)):
+    if any(r.velocity for r in made.list_rows(dim)):
         refused(lambda s: s.ik(made), two_bodies(dim).build(), "about velocities")
     else:
         requested(made, two_bodies(dim).build())
@@ -122,7 +122,7 @@ def requested(made: c.Constraint, s: System) -> None:
 def declared(made: c.Constraint, s: System, dim: int) -> None:
     """Closed, with as many equations as its rows are, and their Jacobian by differences."""
     q = s.random(5)
-    held = sum(r.size(dim) for r in position_rows(made, dim))
+    held = sum(r.count_equations(dim) for r in list_position_rows(made, dim))
     r = closure_rows.residual(s, q)
     J = closure_rows.jacobian(s, q)
     assert r.shape == (held,) or made.kind in ("pointing", "look_at")
@@ -134,5 +134,5 @@ def declared(made: c.Constraint, s: System, dim: int) -> None:
     np.testing.assert_allclose(J, ((ends[0] - ends[1]) / (2.0 * h)).T, atol=1e-6)
     closed = s.assemble(start=q)
     assert closed.success, closed.status
-    if not any(row.velocity for row in made.rows(dim)):
+    if not any(row.velocity for row in made.list_rows(dim)):
         assert max(tasks.miss(s, made, closed.q)) < 1e-8

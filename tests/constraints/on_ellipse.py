@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from kempe.constraints import Constraint, Op, Row, kind
 from kempe.constraints.base import Frame, Number
-from kempe.constraints.text import from_text
+from kempe.constraints.text import parse_tape
 
-CURVE = from_text(["(x/a)^2 + (y/b)^2 - 1"], ("x", "y", "a", "b"))
+CURVE = parse_tape(["(x/a)^2 + (y/b)^2 - 1"], ("x", "y", "a", "b"))
 
 
 @kind("on_ellipse", "line", "{frame} is on an ellipse of {other}")
@@ -18,6 +18,6 @@ class OnEllipse(Constraint):
     b: Number
     other: Frame | None = None
 
-    def rows(self, dim: int) -> tuple[Row, ...]:
+    def list_rows(self, dim: int) -> tuple[Row, ...]:
         """The curve."""
         return (Row(Op.TAPE, (CURVE, 0), "ellipse", "1"),)

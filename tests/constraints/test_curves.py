@@ -12,7 +12,7 @@ from scipy.optimize import minimize_scalar
 
 import kempe
 from kempe import constraints as c
-from kempe.constraints.curves import spline, table_of
+from kempe.constraints.curves import fit_spline, flatten_pieces
 from kempe.constraints.tape import Tape
 from kempe.description.toml_reader import read_toml
 from kempe.description.toml_writer import write_toml
@@ -33,17 +33,17 @@ CURVES = {
 
 def tape_of(points, closed: bool, dim: int) -> Tape:
     made = c.OnCurve("tip", np.asarray(points)[:, :dim], closed)
-    return record_rows(made, list(made.rows(dim)), dim).tape
+    return record_rows(made, list(made.list_rows(dim)), dim).tape
 
 
 def judged(t: Tape, p: np.ndarray) -> np.ndarray:
     """Values in plain numpy."""
-    return t.evaluate({name: p[:, i] for i, name in enumerate("xyz"[: p.shape[1]])})
+    return t.evaluate_outputs({name: p[:, i] for i, name in enumerate("xyz"[: p.shape[1]])})
 
 
 def run(t: Tape, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Values and gradients by the kernel."""
-    ints, floats = t.arrays()
+    ints, floats = t.make_arrays()
     values = np.empty((len(p), len(t.outputs)))
     gradients = np.empty((len(p), len(t.outputs), p.shape[1]))
     kernel.evaluate_tape_gradients(ints, floats, np.ascontiguousarray(p), values, gradients)
@@ -148,7 +148,7 @@ def test_series_by_values_along_a_line(dim):
     given = np.zeros((60, dim, order + 1))
     found = np.empty((60, len(t.outputs), order + 1))
     given[:, :, 0], given[:, :, 1] = p, way
-    ints, floats = t.arrays()
+    ints, floats = t.make_arrays()
     kernel.evaluate_tape_series(ints, floats, order, given, found)
     later = judged(t, p + h * way)
     off = np.abs(found @ h ** np.arange(order + 1) - later).max(axis=1)
@@ -284,7 +284,7 @@ def test_a_sharp_curve_is_split_into_gentle_pieces_that_join(size):
     points = size * np.array(
         [[0, 0, 0], [1, 0, 0], [0.9, 1, 0], [0.1, 0.1, 0], [0, 1, 0]], dtype=float
     )
-    pieces = spline(tuple(map(tuple, points)), True, "the curve")
+    pieces = fit_spline(tuple(map(tuple, points)), True, "the curve")
     assert len(pieces) > len(points)
     starts = pieces[..., 0]
     ends = pieces.sum(axis=-1)
@@ -301,7 +301,7 @@ def test_the_radius_of_a_piece_is_that_of_its_control_points():
     chapter 5).
     """
     pieces = np.random.default_rng(3).normal(size=(5, 3, 4))
-    rows = np.array(table_of(pieces, True)[1:]).reshape(5, 13)
+    rows = np.array(flatten_pieces(pieces, True)[1:]).reshape(5, 13)
     to_bernstein = np.array([[1, 0, 0, 0], [1, 1 / 3, 0, 0], [1, 2 / 3, 1 / 3, 0], [1, 1, 1, 1]])
     control = pieces @ to_bernstein.T
     radius = np.linalg.norm(control[..., 1:] - control[..., :1], axis=1).max(axis=-1)

@@ -13,7 +13,7 @@ from linkages import two_bars
 
 import kempe
 from kempe.constraints import Equation, Inequality, VelocityEquation
-from kempe.constraints.text import from_text
+from kempe.constraints.text import parse_tape
 from kempe.equations import closure_rows
 from kempe.errors import DescriptionError, InputError, KempeError, UnknownNameError
 
@@ -323,7 +323,7 @@ def test_a_function_that_changes_its_size_is_named_with_the_call():
 
 
 def test_the_words_of_a_tape_are_its_inputs():
-    tape = from_text("A - 2*sin(B)", ("A", "B"))
+    tape = parse_tape("A - 2*sin(B)", ("A", "B"))
     assert Equation(tape, of=("A", "B")).words == ("A", "B")
     assert Equation(branching, of=("B", "A")).words == ("B", "A")
 
@@ -334,7 +334,7 @@ def test_the_words_of_a_tape_are_its_inputs():
 def test_names_in_rows_of_velocities_that_are_neither_coordinates_nor_parameters(entry, said):
     made = VelocityEquation([[entry, "p"]], of=("A", "B"), parameters=("p",))
     with pytest.raises(InputError, match=said):
-        made.rows(2)
+        made.list_rows(2)
 
 
 def test_a_function_reads_coordinates_where_they_are_in_q():

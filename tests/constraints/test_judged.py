@@ -9,7 +9,7 @@ import pytest
 from kinds_battery import EXAMPLES, TASKS_ONLY, two_bodies
 
 from kempe import System, tasks
-from kempe.constraints.base import position_rows
+from kempe.constraints.base import list_position_rows
 from kempe.equations import closure_rows
 from kempe.equations.judge import judge
 from kempe.equations.one_sided import one_sided_rows
@@ -42,8 +42,8 @@ def test_each_kind(name, dim, hunt):
     rng = hunt.rng()
     m.constrain(made := EXAMPLES[name](dim), "it")
     system = m.build()
-    rows = [r for r in made.rows(dim) if not r.velocity]
-    equal = position_rows(made, dim)
+    rows = [r for r in made.list_rows(dim) if not r.velocity]
+    equal = list_position_rows(made, dim)
     q = np.stack([system.random(rng) for _ in range(hunt.cases(20))])
     there = judge(system, q)
     closed = system.assemble(start=q)
@@ -71,7 +71,7 @@ def test_each_kind(name, dim, hunt):
 
 
 @pytest.mark.parametrize(
-    "name", [n for n in HELD if not any(r.velocity for r in EXAMPLES[n](3).rows(3))]
+    "name", [n for n in HELD if not any(r.velocity for r in EXAMPLES[n](3).list_rows(3))]
 )
 def test_tasks_and_declared_are_judged_alike(name, hunt):
     m = two_bodies(3)
@@ -84,7 +84,7 @@ def test_tasks_and_declared_are_judged_alike(name, hunt):
 
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize(
-    "name", [n for n in EXAMPLES if not any(r.velocity for r in EXAMPLES[n](3).rows(3))]
+    "name", [n for n in EXAMPLES if not any(r.velocity for r in EXAMPLES[n](3).list_rows(3))]
 )
 def test_answers_of_ik_are_judged(name, dim):
     """What is required is judged at poses that are multiplied out; another configuration is no

@@ -15,7 +15,7 @@ from kempe import constraints as c
 from kempe.constraints import Constraint, Op, Row
 from kempe.constraints.base import Frame, Number
 from kempe.constraints.tape import POSE
-from kempe.constraints.text import from_text
+from kempe.constraints.text import parse_tape
 from kempe.equations.tasks import Task
 from kempe.errors import InputError, UnknownNameError
 from kempe.inverse.tasks.search import packed_for
@@ -30,9 +30,9 @@ class Sum(Constraint):
     at_least: Number = None
     at_most: Number = None
 
-    def rows(self, dim):
+    def list_rows(self, dim):
         x, y = self.of
-        tape = from_text([f"{x} + 2*{y}"], self.of)
+        tape = parse_tape([f"{x} + 2*{y}"], self.of)
         return (
             Row(Op.TAPE, (tape, 0), "sum", "rad", equal="value", low="at_least", high="at_most"),
         )
@@ -46,12 +46,12 @@ class Weighed(Constraint):
     factor: Number
     value: Number
 
-    def rows(self, dim):
+    def list_rows(self, dim):
         x, y = self.of
         return (
             Row(
                 Op.TAPE,
-                (from_text([f"{x} + factor*{y} - value"], (*self.of, "factor", "value")), 0),
+                (parse_tape([f"{x} + factor*{y} - value"], (*self.of, "factor", "value")), 0),
                 "sum",
                 "1",
             ),
@@ -66,8 +66,8 @@ class Level(Constraint):
     height: Number
     least: Number = None
 
-    def rows(self, dim):
-        tape = from_text(["hypot(x, y)"], POSE)
+    def list_rows(self, dim):
+        tape = parse_tape(["hypot(x, y)"], POSE)
         rows = (Row(Op.TILT, (), "r", "rad"), Row(Op.POINT, (2,), "z", "m", equal="height"))
         return *rows, Row(Op.TAPE, (tape, 0), "off", "m", low="least")
 
@@ -80,8 +80,8 @@ class Between(Constraint):
     low: Any
     high: Any
 
-    def rows(self, dim):
-        tape = from_text(list(self.of), self.of)
+    def list_rows(self, dim):
+        tape = parse_tape(list(self.of), self.of)
         return tuple(
             Row(Op.TAPE, (tape, k), str(k), "1", low="low", high="high", part=k) for k in range(2)
         )
@@ -95,8 +95,8 @@ class Apart(Constraint):
     value: Number
     height: Number = 0.0
 
-    def rows(self, dim):
-        height = Row(Op.TAPE, (from_text(["z - height"], (*POSE, "height")), 0), "z", "m")
+    def list_rows(self, dim):
+        height = Row(Op.TAPE, (parse_tape(["z - height"], (*POSE, "height")), 0), "z", "m")
         return Row(Op.DISTANCE, (), "distance", equal="value"), height
 
 
@@ -106,7 +106,7 @@ class Drill(Constraint):
 
     frame: Frame
 
-    def rows(self, dim):
+    def list_rows(self, dim):
         return *(Row(Op.POINT, (k,), "xyz"[k]) for k in range(3)), Row(Op.TILT, (), "r", "rad")
 
 
@@ -266,7 +266,7 @@ def test_what_has_no_number_is_refused():
         frame: Frame
         value: Number = 0.3
 
-        def rows(self, dim):
+        def list_rows(self, dim):
             return (Row(Op.ROTATION, (), "r", "rad", equal="value"),)
 
     with pytest.raises(InputError, match="no number that has a value"):

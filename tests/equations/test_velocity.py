@@ -10,7 +10,7 @@ from hunts import Hunt
 
 from kempe import Mechanism
 from kempe.constraints import NoSideslip, Rolls
-from kempe.constraints.base import with_numbers
+from kempe.constraints.base import evaluate_number_fields
 from kempe.equations.velocity import rates, row_names
 from kempe.spatial import Array, inverse
 from kempe.system import System
@@ -57,7 +57,7 @@ def rates_by_differences(system: System, q: Array) -> tuple[Array, Array]:
     A = []
     b = []
     for declared in system.mechanism.constraints.values():
-        made = with_numbers(declared.of, system.mechanism.parameters)
+        made = evaluate_number_fields(declared.of, system.mechanism.parameters)
         ends = declared.frames(system.mechanism.parameters, system.dim)
         X, Y = (
             system.fk(q, n) @ E
@@ -71,15 +71,15 @@ def rates_by_differences(system: System, q: Array) -> tuple[Array, Array]:
             if isinstance(getattr(made, n, None), float)
         }
         still = dict.fromkeys(TWIST, 0.0)
-        for row in made.rows(system.dim):
+        for row in made.list_rows(system.dim):
             if row.velocity:
                 tape, which = row.args
-                value = tape.evaluate(given | still)[which]
+                value = tape.evaluate_outputs(given | still)[which]
                 twists = [
                     dict(zip(TWIST, twist_of(system, declared, q, k), strict=True))
                     for k in range(system.nv)
                 ]
-                A.append([tape.evaluate(given | twist)[which] - value for twist in twists])
+                A.append([tape.evaluate_outputs(given | twist)[which] - value for twist in twists])
                 b.append(-value)
     return np.array(A), np.array(b)
 

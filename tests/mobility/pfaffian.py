@@ -10,7 +10,7 @@ import numpy as np
 import sympy
 from sympy.parsing.sympy_parser import parse_expr
 
-from kempe.constraints.text import from_text
+from kempe.constraints.text import parse_tape
 from kempe.equations.velocity import RowName, VelocityRows
 from kempe.model.coordinates import Layout
 
@@ -35,7 +35,7 @@ class Pfaffian:
         """The rows, recorded; those of one matrix entry that is the text 0 have none."""
         n = len(self.names)
         entries = [(i, j) for i, row in enumerate(self.text) for j, x in enumerate(row) if x != "0"]
-        tape = from_text([self.text[i][j] for i, j in entries], self.names, {})
+        tape = parse_tape([self.text[i][j] for i, j in entries], self.names, {})
         layout = Layout(n, n, np.arange(n), np.arange(n), EMPTY, EMPTY)
         names = tuple(RowName("law", str(i)) for i in range(len(self.text)))
         return VelocityRows(

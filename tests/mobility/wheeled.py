@@ -12,11 +12,11 @@ from kempe import Mechanism
 from kempe.constraints import Constraint, NoSideslip, Op, Row, kind
 from kempe.constraints.base import KINDS, Frame, Number
 from kempe.constraints.tape import POSE, TWIST
-from kempe.constraints.text import from_text
+from kempe.constraints.text import parse_tape
 from kempe.system import System
 
-ON_BALL = from_text(["sqrt(x^2 + y^2 + z^2) - a - b"], (*POSE, "a", "b"), {})
-SLIPS = from_text(
+ON_BALL = parse_tape(["sqrt(x^2 + y^2 + z^2) - a - b"], (*POSE, "a", "b"), {})
+SLIPS = parse_tape(
     [
         "vx - (wy*z - wz*y)*b/(a + b)",
         "vy - (wz*x - wx*z)*b/(a + b)",
@@ -37,7 +37,7 @@ class RollsOnBall(Constraint):
     a: Number = 1.0
     b: Number = 1.0
 
-    def rows(self, dim: int) -> tuple[Row, ...]:
+    def list_rows(self, dim: int) -> tuple[Row, ...]:
         """The distance, three velocities of the point that touches, of which two are independent,
         and the spin.
         """

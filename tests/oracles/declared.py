@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from kempe import System
-from kempe.constraints.base import position_rows
+from kempe.constraints.base import list_position_rows
 from kempe.description.parts import Declared
 from kempe.model.implicit_form import turn_flat_frame
 from kempe.spatial import Array
@@ -87,6 +87,6 @@ def declared(system: System, constraint: Declared) -> Pair:
     names = constraint.name, constraint.parent, constraint.child
     if constraint.rod:
         return Distance(*names, constraint.length(system.structure.parameters), **ends)
-    if len(position_rows(constraint.of, 3)) == 2:
+    if len(list_position_rows(constraint.of, 3)) == 2:
         return PointOnLine(*names, system.dim == 2, **ends)
     return PointOnPlane(*names, **ends)

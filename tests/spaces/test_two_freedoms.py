@@ -20,7 +20,7 @@ from two_freedoms_in_space import (
 
 import kempe
 from kempe import Budget
-from kempe.constraints.flat_tasks import FlatTask, flat_task
+from kempe.constraints.flat_tasks import FlatTask, find_flat_task
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.spaces import two_freedoms as spaces
 
@@ -202,7 +202,7 @@ def test_the_time_limit_ends_a_search_with_what_is_found():
 def test_what_is_not_drawn_is_said(name, frame, task, error, words):
     with pytest.raises(error, match=words):
         system = kempe.load(name)
-        spaces.two_freedoms(system, frame, flat_task(task, system.dim))
+        spaces.two_freedoms(system, frame, find_flat_task(task, system.dim))
     with pytest.raises(InputError, match="plot_spaces does not read"):
         kempe.load("two_link").plot_spaces("e", budget=Budget(starts=3))
 

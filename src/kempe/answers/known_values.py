@@ -9,7 +9,7 @@ import numpy as np
 
 from kempe.answers.targets import Z_AXIS, of_target
 from kempe.arrays import read_reals
-from kempe.constraints.base import poses_of, refuse_rotations
+from kempe.constraints.base import read_poses, refuse_rotations
 from kempe.errors import InputError
 from kempe.model.configurations import compute_source_values
 from kempe.poses import EXACT, check_poses, compute_rotation_error, read_pose_array
@@ -40,12 +40,12 @@ def place_of(system: Model, frame: str, place: Any, whole: bool) -> Array:
     """
     what = f"the place of frame {frame!r}"
     if whole:
-        X = poses_of(place, 3, what)
+        X = read_poses(place, 3, what)
         for bad in X[
             ~(compute_rotation_error(X[..., :3, :3]) <= EXACT) & np.isfinite(X).all(axis=(-1, -2))
         ][:1]:
             check_poses(bad, what)
-        return poses_of(X, system.dim, what)
+        return read_poses(X, system.dim, what)
     x = read_reals(place, what, "numbers")
     refuse_rotations(x, what)
     if system.dim == 2 and x.shape[-1] == 3 and np.any(np.abs(x[..., 2]) > EXACT):

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe.budget import check_for_stop
-from kempe.constraints.base import Op, position_rows
+from kempe.constraints.base import Op, list_position_rows
 from kempe.description.parts import Declared
 from kempe.equations.judge import joint_pose
 from kempe.joints import P, Primitive, R
@@ -183,7 +183,7 @@ def _rail(X: Array, axis: int = 2) -> Pose:
 
 def _slides(constraint: Declared) -> bool:
     """Whether it holds a point on the line along z of frame A, in the plane, and nothing else."""
-    return [(r.op, r.args) for r in position_rows(constraint.of, 2)] == [(Op.POINT, (1,))]
+    return [(r.op, r.args) for r in list_position_rows(constraint.of, 2)] == [(Op.POINT, (1,))]
 
 
 def alone(joint: Joint) -> Primitive | None:

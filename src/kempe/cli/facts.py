@@ -12,7 +12,7 @@ import numpy as np
 
 from kempe import spatial
 from kempe.answers.tables import in_units, write_table
-from kempe.constraints.base import with_numbers
+from kempe.constraints.base import evaluate_number_fields
 from kempe.description.parts import Declared, Joint
 from kempe.errors import DescriptionError, Fault, KempeError
 from kempe.model.configurations import has_loops, list_limits
@@ -276,8 +276,8 @@ def _describe_constraint(system: System, c: Declared) -> dict[str, Any]:
         "length": length,
         "equations": c.equations(system.dim),
         "one_sided": c.bounds(system.dim),
-        "says": with_numbers(c.of, system.structure.parameters).sentence,
-    } | ({"of": list(reads)} if (reads := c.of.reads) else {})
+        "says": evaluate_number_fields(c.of, system.structure.parameters).sentence,
+    } | ({"of": list(reads)} if (reads := c.of.coordinate_names) else {})
 
 
 def describe_largest_gap(system: System, q: Any) -> str:

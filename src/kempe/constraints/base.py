@@ -37,11 +37,11 @@ MEETS = 1e-12
 """Distance in metres below which there is no direction from one point to another."""
 
 
-def poses_of(x: Any, dim: int, what: str) -> Array:
+def read_poses(x: Any, dim: int, what: str) -> Array:
     """Poses (..., 4, 4), in the plane also from (..., 3, 3); kernels check rotations. Errors:
     `InputError`.
     """
-    given = numbers_of(read_pose_array(x, what), what)
+    given = read_numbers(read_pose_array(x, what), what)
     is_planar = dim == 2 and given.ndim >= 2 and given.shape[-2:] == (3, 3)
     X = np.zeros((*given.shape[:-2], 4, 4)) if is_planar else given
     if is_planar:
@@ -57,12 +57,12 @@ def poses_of(x: Any, dim: int, what: str) -> Array:
     return correct_rotations(X, what)
 
 
-def numbers_of(x: Any, what: str) -> Array:
+def read_numbers(x: Any, what: str) -> Array:
     """Real numbers as an array. Errors: `InputError`."""
     return numbers(x, what)
 
 
-def along(z: Array, dim: int) -> Array:
+def make_rotations_along(z: Array, dim: int) -> Array:
     """Rotations (..., 3, 3) whose z is along unit vectors (..., 3); in the plane their x is the
     plane's normal.
     """
@@ -72,18 +72,18 @@ def along(z: Array, dim: int) -> Array:
     return np.stack([x, np.cross(z, x), z], axis=-1)
 
 
-def flat(X: Array) -> tuple[float, ...]:
+def flatten_pose(X: Array) -> tuple[float, ...]:
     """A pose (4, 4) as a tuple of 16 numbers, which can be hashed."""
     return tuple(X.ravel().tolist())
 
 
-def points_of(x: Any, dim: int, what: str) -> Array:
+def read_points(x: Any, dim: int, what: str) -> Array:
     """Points (..., 3), in the plane also from (..., 2), with z = 0. Errors: `InputError`, also for
     rotations.
     """
-    p = _vectors(x, dim, what)
+    p = _read_vectors(x, dim, what)
     refuse_rotations(p, what)
-    return _in_plane(p, dim, what)
+    return _check_plane(p, dim, what)
 
 
 def refuse_rotations(x: Array, what: str) -> None:
@@ -110,17 +110,17 @@ def refuse_rotations(x: Array, what: str) -> None:
         )
 
 
-def directions_of(x: Any, dim: int, what: str) -> Array:
+def read_directions(x: Any, dim: int, what: str) -> Array:
     """Unit vectors (..., 3), in the plane also from (..., 2). Errors: `InputError`, also for zero
     vectors.
     """
-    p = _vectors(read_direction(x), dim, what)
+    p = _read_vectors(read_direction(x), dim, what)
     if np.any(np.all(p == 0.0, axis=-1)):
         raise InputError(f"{what} is zero; it must have a direction")
-    return _in_plane(spatial.unit(p), dim, what)
+    return _check_plane(spatial.unit(p), dim, what)
 
 
-def fixed(x: Array, what: str, shape: tuple[int, ...] = ()) -> Array:
+def check_constant(x: Array, what: str, shape: tuple[int, ...] = ()) -> Array:
     """A number or array of shape `shape` that must be finite and the same for all targets. Errors:
     `InputError`.
     """
@@ -134,36 +134,36 @@ def fixed(x: Array, what: str, shape: tuple[int, ...] = ()) -> Array:
     return x
 
 
-def at_point(point: Any, dim: int, what: str) -> tuple[float, ...]:
+def make_point_pose(point: Any, dim: int, what: str) -> tuple[float, ...]:
     """Pose without a rotation at a point of a frame, as a tuple of 16 numbers, which can be hashed.
 
     `dim` is 2 in the plane, else 3; `what` names the point in messages. Errors: `InputError` for
     points that are not finite, of another shape, or different for several targets.
     """
-    return flat(spatial.pose(p=fixed(points_of(point, dim, what), what, (3,))))
+    return flatten_pose(spatial.pose(p=check_constant(read_points(point, dim, what), what, (3,))))
 
 
-def with_axis(axis: Any, dim: int, what: str) -> tuple[float, ...]:
+def make_axis_pose(axis: Any, dim: int, what: str) -> tuple[float, ...]:
     """Rotation whose z is along the axis (default z, in the plane x), as a pose of 16 numbers.
     Errors: `InputError`.
     """
     usual = (1.0, 0.0, 0.0) if dim == 2 else (0.0, 0.0, 1.0)
-    z = fixed(directions_of(usual if axis is None else axis, dim, what), what, (3,))
-    return flat(spatial.pose(along(z, dim)))
+    z = check_constant(read_directions(usual if axis is None else axis, dim, what), what, (3,))
+    return flatten_pose(spatial.pose(make_rotations_along(z, dim)))
 
 
-def tilt_of(d: Array) -> Array:
+def compute_tilt(d: Array) -> Array:
     """Angle (...) between z and vectors (..., 3); pi for a vector that has no direction."""
     across = np.hypot(d[..., 0], d[..., 1])
     return np.where(np.hypot(across, d[..., 2]) < MEETS, np.pi, np.arctan2(across, d[..., 2]))
 
 
-def ends_of(low: Any, high: Any, what: str, n: int) -> tuple[Array, Array]:
+def read_row_bounds(low: Any, high: Any, what: str, n: int) -> tuple[Array, Array]:
     """Lower and upper bounds (n,), which may be infinite.
 
     Errors: `InputError` where they leave nothing between them.
     """
-    a, b = (numbers_of(x, f"an end of {what}") for x in (low, high))
+    a, b = (read_numbers(x, f"an end of {what}") for x in (low, high))
     if any(x.shape not in ((), (n,)) for x in (a, b)):
         raise InputError(f"{what}: {low!r} and {high!r} must be numbers, or have {n} entries each")
     if not np.all((a <= b) & (a < np.inf) & (b > -np.inf)):
@@ -171,18 +171,18 @@ def ends_of(low: Any, high: Any, what: str, n: int) -> tuple[Array, Array]:
     return np.broadcast_to(a, n), np.broadcast_to(b, n)
 
 
-def corners_of(low: Any, high: Any, dim: int, what: str) -> tuple[Array, Array]:
+def read_corners(low: Any, high: Any, dim: int, what: str) -> tuple[Array, Array]:
     """Two corners (..., dim) of a box; in the plane, of a box that it goes through. Errors:
     `InputError`.
     """
-    a, b = (_vectors(x, dim, what) for x in (low, high))
+    a, b = (_read_vectors(x, dim, what) for x in (low, high))
     if dim == 2 and (np.any(a[..., 2] > 0.0) or np.any(b[..., 2] < 0.0)):
         raise InputError(f"{what} are {low!r} and {high!r}: the box leaves the plane of the system")
     return a[..., :dim], b[..., :dim]
 
 
-def _vectors(x: Any, dim: int, what: str) -> Array:
-    p = numbers_of(x, what)
+def _read_vectors(x: Any, dim: int, what: str) -> Array:
+    p = read_numbers(x, what)
     if dim == 2 and p.ndim and p.shape[-1] == 2:
         p = np.concatenate([p, np.zeros((*p.shape[:-1], 1))], axis=-1)
     if p.ndim == 0 or p.shape[-1] != 3:
@@ -190,7 +190,7 @@ def _vectors(x: Any, dim: int, what: str) -> Array:
     return p
 
 
-def _in_plane(p: Array, dim: int, what: str) -> Array:
+def _check_plane(p: Array, dim: int, what: str) -> Array:
     if dim == 2 and np.any(np.abs(p[..., 2]) > RIGID):
         raise InputError(
             f"{what} leaves the plane of the system: its z is up to "
@@ -199,20 +199,20 @@ def _in_plane(p: Array, dim: int, what: str) -> Array:
     return p
 
 
-def positive(x: Any, what: str) -> Array:
+def read_nonnegative_numbers(x: Any, what: str) -> Array:
     """Numbers that are not negative. Errors: `InputError`."""
-    value = numbers_of(x, what)
+    value = read_numbers(x, what)
     if np.any(value < 0.0):
         raise InputError(f"{what} is {x!r}; it must not be negative")
     return value
 
 
-def pair(low: Any, high: Any, what: str) -> tuple[Array, Array]:
+def read_bounds(low: Any, high: Any, what: str) -> tuple[Array, Array]:
     """Lower and upper bounds as arrays of one shape.
 
     Errors: `InputError` where shapes differ or bounds leave nothing.
     """
-    a, b = (numbers_of(x, f"an end of {what}") for x in (low, high))
+    a, b = (read_numbers(x, f"an end of {what}") for x in (low, high))
     try:
         a, b = (a, b) if a.shape == b.shape else np.broadcast_arrays(a, b)
     except ValueError:
@@ -226,7 +226,7 @@ def pair(low: Any, high: Any, what: str) -> tuple[Array, Array]:
 
 # ---- the parts of a constraint
 
-# A *kind* of constraint is a small class. Its `rows` are structure: which operation reads what, and
+# A *kind* of constraint is a small class. Its `list_rows` are structure: which operation reads what, and
 # between which of its fields the value is held. Its fields hold the numbers. How rows become
 # equations is in `kempe.model.constraint_program`, how they are judged from poses alone in
 # `kempe.equations.judge`.
@@ -296,7 +296,7 @@ class Row(NamedTuple):
     high: str = ""
     part: int | None = None
 
-    def size(self, dim: int) -> int:
+    def count_equations(self, dim: int) -> int:
         """Number of equations, in the plane (`dim` 2) or in space (3)."""
         return COUNTS.get(self.op, {}).get(dim, 1)
 
@@ -359,14 +359,14 @@ class Constraint(ABC):
     """What `low` or `high` of a row may name."""
 
     @abstractmethod
-    def rows(self, dim: int) -> tuple[Row, ...]:
+    def list_rows(self, dim: int) -> tuple[Row, ...]:
         """The equations of the constraint; `dim` is 2 in the plane, 3 in space.
 
         Errors: `InputError` where fields do not fit.
         """
 
-    def check(self, dim: int) -> None:
-        """Refuse values of fields that `goal` does not check. Errors: `InputError`."""
+    def check_fields(self, dim: int) -> None:
+        """Refuse values of fields that `make_goal_poses` does not check. Errors: `InputError`."""
         return
 
     # ---- its ends
@@ -379,39 +379,39 @@ class Constraint(ABC):
         return getattr(self, "other", None), getattr(self, "frame", None)
 
     @property
-    def reads(self) -> tuple[str, ...]:
+    def coordinate_names(self) -> tuple[str, ...]:
         """Names of the coordinates that its rows read."""
         return getattr(self, "of", ())
 
-    def masses(self, bodies: Mapping[str, Any], what: str) -> list[Mass]:
+    def list_masses(self, bodies: Mapping[str, Any], what: str) -> list[Mass]:
         """The shares, whose sum is 1, of the centre that takes the place of a frame B that is None."""
         raise NotImplementedError
 
-    def goal(self, dim: int) -> Array:
+    def make_goal_poses(self, dim: int) -> Array:
         """Poses (..., 4, 4) of frame A on its body, which may differ in each call.
 
         `dim` is 2 in the plane, 3 in space.
         """
         return EYE
 
-    def tool(self, dim: int) -> tuple[float, ...]:
+    def make_tool_pose(self, dim: int) -> tuple[float, ...]:
         """Pose of frame B on its body as 16 numbers, the same in all calls. `dim` is 2 in the
         plane, 3 in space.
         """
         return HERE
 
-    def prefixed(self, prefix: str) -> Constraint:
+    def add_prefix(self, prefix: str) -> Constraint:
         """The same constraint with a prefix before the names of its coordinates."""
         return self
 
-    def knowing(self, parameters: Collection[str]) -> Constraint:
+    def resolve_names(self, parameters: Collection[str]) -> Constraint:
         """The same constraint in a mechanism with parameters of these names."""
         return self
 
     # ---- how it is called
 
     @property
-    def about(self) -> str:
+    def subject(self) -> str:
         """The frames that the constraint holds, as text."""
         a, b = self.ends
         if b is None:
@@ -421,12 +421,12 @@ class Constraint(ABC):
     @cached_property
     def label(self) -> str:
         """The name of the constraint in answers and messages."""
-        return self.name or f"{type(self).__name__} of {self.about}"
+        return self.name or f"{type(self).__name__} of {self.subject}"
 
     @property
     def sentence(self) -> str:
         """The constraint as one plain sentence with its frames and numbers."""
-        said = self.says.format_map({f.name: self.in_words(f.name) for f in fields(self)})
+        said = self.says.format_map({f.name: self.describe_field(f.name) for f in fields(self)})
         other = getattr(self, "other", None)
         return said if other is None or "{other}" in self.says else f"{said}, seen from {other}"
 
@@ -435,13 +435,13 @@ class Constraint(ABC):
             [f"{self.name}: {self.sentence}" if self.name else self.sentence]
         )
 
-    def in_words(self, name: str) -> str:
+    def describe_field(self, name: str) -> str:
         """The value of the field `name`, as `sentence` writes it."""
         x = getattr(self, name)
         sort = next(f.type for f in fields(self) if f.name == name)
         if x is None:
             return "the ground" if sort in FRAMES else "what is given"
-        return SQUARE[sort] if sort in SQUARE and np.ndim(x) >= 2 else plainly(x)
+        return SQUARE[sort] if sort in SQUARE and np.ndim(x) >= 2 else format_value(x)
 
     # ---- what only `ik` reads
 
@@ -477,23 +477,23 @@ class Bounded(Constraint):
         """Whether `at_least` or `at_most` is given."""
         return self.at_least is not None or self.at_most is not None
 
-    def check(self, dim: int) -> None:
+    def check_fields(self, dim: int) -> None:
         """Refuse bounds that leave nothing between them, and negative ones of distances and angles."""
         if not self.bounded:
             return
         signed = self.measured in SIGNED
         for bound in (self.at_least, self.at_most):
             if bound is not None and not signed:
-                positive(bound, f"a bound of {self.label}")
+                read_nonnegative_numbers(bound, f"a bound of {self.label}")
         low = (-np.inf if signed else 0.0) if self.at_least is None else self.at_least
         high = self.at_most
-        pair(low, np.inf if high is None else high, f"at_least and at_most of {self.label}")
+        read_bounds(low, np.inf if high is None else high, f"at_least and at_most of {self.label}")
 
     @property
-    def bounds_in_words(self) -> str:
+    def bounds_text(self) -> str:
         """The bounds `at_least` and `at_most`, as `sentence` writes them."""
         given = (("at least", self.at_least), ("at most", self.at_most))
-        return " and ".join(f"{word} {plainly(x)}" for word, x in given if x is not None)
+        return " and ".join(f"{word} {format_value(x)}" for word, x in given if x is not None)
 
 
 SIGNED = ("height", "value")
@@ -522,7 +522,7 @@ def kind(name: str, symbol: str = "mark", says: str = "") -> Callable[[_Kind], _
     `InputError` for a name that another kind has.
     """
 
-    def enter(cls: _Kind) -> _Kind:
+    def register_kind(cls: _Kind) -> _Kind:
         made = dataclass(frozen=True, eq=False)(cls)
         if not all(isinstance(f.type, str) for f in fields(made)):
             raise InputError(
@@ -545,40 +545,42 @@ def kind(name: str, symbol: str = "mark", says: str = "") -> Callable[[_Kind], _
         KINDS[name] = made
         return made
 
-    return enter
+    return register_kind
 
 
-def held(constraint: Constraint, row: Row) -> str:
+def find_value_field(constraint: Constraint, row: Row) -> str:
     """Name of the field whose value a row is held at; '' for zero, and for rows held between two
     bounds.
     """
     return row.equal if row.equal and getattr(constraint, row.equal) is not None else ""
 
 
-def one_sided(constraint: Constraint, row: Row) -> bool:
+def is_one_sided(constraint: Constraint, row: Row) -> bool:
     """Whether a row is an inequality: held between two bounds, not at a value."""
-    return bool(row.low or row.high) and not held(constraint, row)
+    return bool(row.low or row.high) and not find_value_field(constraint, row)
 
 
-def position_rows(constraint: Constraint, dim: int) -> Sequence[Row]:
+def list_position_rows(constraint: Constraint, dim: int) -> Sequence[Row]:
     """The equations f(q) = 0 of a constraint, each of which takes one freedom of position; `dim` is
     2 or 3.
     """
-    return [r for r in constraint.rows(dim) if not r.velocity and not one_sided(constraint, r)]
+    return [
+        r for r in constraint.list_rows(dim) if not r.velocity and not is_one_sided(constraint, r)
+    ]
 
 
-def content(constraint: Constraint) -> tuple[Any, ...]:
+def make_content_key(constraint: Constraint) -> tuple[Any, ...]:
     """Kind and fields of a constraint as nested tuples, which can be compared and hashed."""
 
-    def plain(x: Any) -> Any:
+    def convert_value(x: Any) -> Any:
         if is_array(x):
             return x.shape, tuple(x.ravel().tolist())
         if is_sequence(x):
-            return tuple(map(plain, x))
-        return tuple((k, plain(v)) for k, v in x.items()) if is_mapping(x) else x
+            return tuple(map(convert_value, x))
+        return tuple((k, convert_value(v)) for k, v in x.items()) if is_mapping(x) else x
 
     own = (f.name for f in fields(constraint) if f.init and f.type != PARAMETERS)
-    return constraint.kind, *((name, plain(getattr(constraint, name))) for name in own)
+    return constraint.kind, *((name, convert_value(getattr(constraint, name))) for name in own)
 
 
 # ---- fields and numbers of a kind
@@ -593,50 +595,52 @@ PARAMETERS = "Parameters"
 """Annotation of a field that receives the parameters of the mechanism."""
 
 
-def frames_of(constraint: Constraint) -> dict[str, Any]:
+def list_frame_fields(constraint: Constraint) -> dict[str, Any]:
     """The fields that name frames, with their values."""
     return {f.name: getattr(constraint, f.name) for f in fields(constraint) if f.type in FRAMES}
 
 
-def numbers_in(constraint: Constraint) -> dict[str, Any]:
+def list_number_fields(constraint: Constraint) -> dict[str, Any]:
     """The fields that hold numbers, with their values."""
     return {f.name: getattr(constraint, f.name) for f in fields(constraint) if f.type in NUMBERS}
 
 
-def with_numbers(constraint: Constraint, parameters: Mapping[str, float]) -> Constraint:
+def evaluate_number_fields(constraint: Constraint, parameters: Mapping[str, float]) -> Constraint:
     """The constraint with expressions in its fields of numbers evaluated. Errors:
     `UnknownNameError`.
     """
     given = {
-        k: _evaluated(x, parameters) for k, x in numbers_in(constraint).items() if expressions_in(x)
+        k: _evaluate_all(x, parameters)
+        for k, x in list_number_fields(constraint).items()
+        if list_expressions(x)
     }
     given |= {f.name: parameters for f in fields(constraint) if f.type == PARAMETERS}
     return replace(constraint, **given) if given else constraint
 
 
-def expressions_in(x: Any) -> list[Expression]:
+def list_expressions(x: Any) -> list[Expression]:
     """The expressions in a number, or in lists of numbers."""
     if isinstance(x, Expression):
         return [x]
-    return [e for item in x for e in expressions_in(item)] if is_sequence(x) else []
+    return [e for item in x for e in list_expressions(item)] if is_sequence(x) else []
 
 
-def _evaluated(x: Any, parameters: Mapping[str, float]) -> Any:
+def _evaluate_all(x: Any, parameters: Mapping[str, float]) -> Any:
     if is_sequence(x):
-        return [_evaluated(item, parameters) for item in x]
+        return [_evaluate_all(item, parameters) for item in x]
     return x.evaluate(parameters) if isinstance(x, Expression) else x
 
 
-def plainly(x: Any) -> str:
+def format_value(x: Any) -> str:
     """A name, a number or a list of them, as text for a sentence."""
     if isinstance(x, (np.ndarray, list, tuple, np.generic)):
         x = np.asarray(x, dtype=object).tolist()
     if is_sequence(x):
-        return f"({', '.join(map(plainly, x))})"
+        return f"({', '.join(map(format_value, x))})"
     return f"{x:g}" if isinstance(x, (int, float)) else getattr(x, "__name__", None) or str(x)
 
 
-def fields_of(kind: type[Constraint]) -> dict[str, str]:
+def list_fields(kind: type[Constraint]) -> dict[str, str]:
     """The fields of a kind that a description may give, with their annotations."""
     left_out = {f.name for f in fields(Constraint)}
     return {
@@ -646,7 +650,7 @@ def fields_of(kind: type[Constraint]) -> dict[str, str]:
     }
 
 
-def needed_by(kind: type[Constraint]) -> list[str]:
+def list_required_fields(kind: type[Constraint]) -> list[str]:
     """The fields of a kind that must be given."""
     own = (
         f for f in fields(kind) if f.init and f.default is MISSING and f.default_factory is MISSING

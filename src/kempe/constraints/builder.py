@@ -30,7 +30,7 @@ class Builder:
         self._powers: dict[int, tuple[int, int]] = {}
         self._varies = [name not in set(constant) for name in self.inputs]
 
-    def number(self, x: float) -> int:
+    def add_number(self, x: float) -> int:
         """The place of a constant. Errors: `InputError` unless it is finite."""
         x = float(x)
         if not math.isfinite(x):
@@ -38,52 +38,52 @@ class Builder:
         key = (L.NUMBER, repr(x), -1)
         if key not in self._known:
             self._numbers.append(x)
-            self._known[key] = self._append(L.NUMBER, len(self._numbers) - 1, -1, False)
+            self._known[key] = self._append_node(L.NUMBER, len(self._numbers) - 1, -1, False)
         return self._known[key]
 
-    def table(self, numbers: tuple[float, ...]) -> int:
+    def add_table(self, numbers: tuple[float, ...]) -> int:
         """The place of a list of numbers."""
         key = (L.TABLE, numbers, -1)
         if key not in self._known:
             self._numbers += numbers
-            self._known[key] = self._append(
+            self._known[key] = self._append_node(
                 L.TABLE, len(self._numbers) - len(numbers), len(numbers), False
             )
         return self._known[key]
 
-    def _append(self, op: int, left: int, right: int, varies: bool) -> int:
+    def _append_node(self, op: int, left: int, right: int, varies: bool) -> int:
         self._nodes.append((op, left, right))
         self._varies.append(varies)
         return len(self._varies) - 1
 
-    def _constant(self, place: int) -> float | None:
+    def _get_constant(self, place: int) -> float | None:
         """The number at a place, if it is one."""
         if place < len(self.inputs):
             return None
         op, left, _ = self._nodes[place - len(self.inputs)]
         return self._numbers[left] if op == L.NUMBER else None
 
-    def _folded(self, function: Callable[..., Any], *places: int) -> int | None:
+    def _fold_constants(self, function: Callable[..., Any], *places: int) -> int | None:
         """The place of a function of numbers; None unless all are."""
-        found = [self._constant(place) for place in places]
+        found = [self._get_constant(place) for place in places]
         if any(x is None for x in found):
             return None
         with np.errstate(all="ignore"):
-            return self.number(float(function(*map(np.float64, found))))
+            return self.add_number(float(function(*map(np.float64, found))))
 
-    def binary(self, op: int, left: int, right: int) -> int:
+    def add_binary(self, op: int, left: int, right: int) -> int:
         """The place of left + right, left - right, left * right, left / right, left ** right, atan2
         or hypot.
         """
-        folded = self._folded(BINARY[op], left, right)
+        folded = self._fold_constants(BINARY[op], left, right)
         if folded is not None:
             return folded
-        a = self._constant(left)
-        b = self._constant(right)
+        a = self._get_constant(left)
+        b = self._get_constant(right)
         if op in (L.ADD, L.SUB) and b == 0.0:
             return left
         if op in (L.ADD, L.SUB) and a == 0.0:
-            return right if op == L.ADD else self.unary(L.NEG, right)
+            return right if op == L.ADD else self.add_unary(L.NEG, right)
         if op in (L.MUL, L.DIV) and b == 1.0:
             return left
         if op == L.MUL and a == 1.0:
@@ -92,104 +92,106 @@ class Builder:
             (base, m) = self._powers.get(left, (left, 1))
             (other, n) = self._powers.get(right, (right, 1))
             if base == other and m + n <= WHOLE_POWERS:
-                return self._whole_power(base, m + n)
+                return self._add_whole_power(base, m + n)
         if op == L.POW:
-            return self._power(left, right, b)
+            return self._add_power(left, right, b)
         if op == L.AT:
-            return self._with_partials(op, left, right)
+            return self._reserve_partials(op, left, right)
         if op == L.NEAREST:
-            return self._nearest(left, right)
+            return self._add_nearest_parameter(left, right)
         if op in (L.ATAN2, L.HYPOT):
-            return self._of_two(op, left, right)
-        return self._shared(op, left, right)
+            return self._add_two_operand_function(op, left, right)
+        return self._share_node(op, left, right)
 
-    def _shared(self, op: int, left: int, right: int) -> int:
+    def _share_node(self, op: int, left: int, right: int) -> int:
         keys = [(op, left, right)] + [(op, right, left)] * (op in (L.ADD, L.MUL))
         for key in keys:
             if key in self._known:
                 return self._known[key]
-        place = self._append(op, left, right, self._varies[left] or self._varies[right])
+        place = self._append_node(op, left, right, self._varies[left] or self._varies[right])
         self._known[keys[0]] = place
         return place
 
-    def _whole_power(self, base: int, n: int) -> int:
+    def _add_whole_power(self, base: int, n: int) -> int:
         """base ** n as products of squares, n > 0."""
         if n == 1:
             return base
-        half = self._whole_power(base, n // 2)
-        place = self._shared(L.MUL, half, half)
+        half = self._add_whole_power(base, n // 2)
+        place = self._share_node(L.MUL, half, half)
         self._powers[place] = (base, n - n % 2)
         if n % 2:
-            place = self._shared(L.MUL, place, base)
+            place = self._share_node(L.MUL, place, base)
             self._powers[place] = (base, n)
         return place
 
-    def _power(self, left: int, right: int, exponent: float | None) -> int:
+    def _add_power(self, left: int, right: int, exponent: float | None) -> int:
         if exponent is not None:
             if exponent == 0.0:
-                return self.number(1.0)
+                return self.add_number(1.0)
             if exponent == 0.5:
-                return self.unary(L.SQRT, left)
+                return self.add_unary(L.SQRT, left)
             base, m = self._powers.get(left, (left, 1))
             if exponent.is_integer() and abs(exponent) * m <= WHOLE_POWERS:
-                place = self._whole_power(base, int(abs(exponent)) * m)
-                return place if exponent > 0 else self.binary(L.DIV, self.number(1.0), place)
+                place = self._add_whole_power(base, int(abs(exponent)) * m)
+                return (
+                    place if exponent > 0 else self.add_binary(L.DIV, self.add_number(1.0), place)
+                )
         if self._varies[right]:
-            return self.unary(L.EXP, self.binary(L.MUL, right, self.unary(L.LOG, left)))
-        return self._shared(L.POW, left, right)
+            return self.add_unary(L.EXP, self.add_binary(L.MUL, right, self.add_unary(L.LOG, left)))
+        return self._share_node(L.POW, left, right)
 
-    def _of_two(self, op: int, left: int, right: int) -> int:
+    def _add_two_operand_function(self, op: int, left: int, right: int) -> int:
         if (op, left, right) in self._known:
             return self._known[op, left, right]
-        place = self._known[op, left, right] = self._with_partials(op, left, right)
+        place = self._known[op, left, right] = self._reserve_partials(op, left, right)
         if op == L.HYPOT:
-            by = self.binary(L.DIV, left, place), self.binary(L.DIV, right, place)
+            by = self.add_binary(L.DIV, left, place), self.add_binary(L.DIV, right, place)
         else:
-            square = self.binary(L.ADD, self._square(right), self._square(left))
+            square = self.add_binary(L.ADD, self._add_square(right), self._add_square(left))
             by = (
-                self.binary(L.DIV, right, square),
-                self.unary(L.NEG, self.binary(L.DIV, left, square)),
+                self.add_binary(L.DIV, right, square),
+                self.add_unary(L.NEG, self.add_binary(L.DIV, left, square)),
             )
-        return self._moves(place, *by)
+        return self._set_partials(place, *by)
 
-    def _with_partials(self, op: int, left: int, right: int) -> int:
-        """The place of a function of two operands, whose derivatives `_moves` is to tell."""
-        place = self._append(op, left, right, self._varies[left] or self._varies[right])
-        self._append(L.PARTIALS, -1, -1, False)
+    def _reserve_partials(self, op: int, left: int, right: int) -> int:
+        """The place of a function of two operands, whose derivatives `_set_partials` is to tell."""
+        place = self._append_node(op, left, right, self._varies[left] or self._varies[right])
+        self._append_node(L.PARTIALS, -1, -1, False)
         return place
 
-    def _moves(self, place: int, by_left: int, by_right: int) -> int:
+    def _set_partials(self, place: int, by_left: int, by_right: int) -> int:
         self._nodes[place + 1 - len(self.inputs)] = (L.PARTIALS, by_left, by_right)
         return place
 
-    def _nearest(self, way: int, z: int) -> int:
+    def _add_nearest_parameter(self, way: int, z: int) -> int:
         """The place of the parameter of the nearest point of a curve."""
         _, before, y = self._nodes[way - len(self.inputs)]
         _, table, x = self._nodes[before - len(self.inputs)]
         key = (L.NEAREST, (table, x, y), z)
         if key not in self._known:
-            place = self._known[key] = self._with_partials(L.NEAREST, way, z)
-            zero = self.number(0.0)
-            one = self.number(1.0)
-            by = nearest_rates(self, self._listed(table), place, (x, y, z))
+            place = self._known[key] = self._reserve_partials(L.NEAREST, way, z)
+            zero = self.add_number(0.0)
+            one = self.add_number(1.0)
+            by = add_nearest_rates(self, self._read_table(table), place, (x, y, z))
             for k, left, rate in zip((before, way, place), (zero, one, one), by, strict=True):
-                self._moves(k, left, rate)
+                self._set_partials(k, left, rate)
         return self._known[key]
 
-    def entry(self, s: int, numbers: Sequence[float]) -> int:
+    def add_entry(self, s: int, numbers: Sequence[float]) -> int:
         """The place of the entry of a list that belongs to a parameter."""
         if len(set(numbers)) == 1:
-            return self.number(numbers[0])
-        return self.binary(L.LOOKUP, s, self.table(tuple(numbers)))
+            return self.add_number(numbers[0])
+        return self.add_binary(L.LOOKUP, s, self.add_table(tuple(numbers)))
 
-    def nearest(self, table: tuple[float, ...], p: Sequence[int]) -> int:
+    def add_nearest_parameter(self, table: tuple[float, ...], p: Sequence[int]) -> int:
         """The place of the parameter of the point of a curve (`tape_layout`) that is nearest to p."""
-        way = self.table(table)
+        way = self.add_table(table)
         for op, x in zip((L.AT, L.AT, L.NEAREST), p, strict=True):
-            way = self.binary(op, way, x)
+            way = self.add_binary(op, way, x)
         return way
 
-    def rates_of(self, place: int) -> list[int]:
+    def find_nearest_rates(self, place: int) -> list[int]:
         """The places of the derivatives of the parameter of a nearest point by x, y, z."""
         found = list[int]()
         n = len(self.inputs)
@@ -198,40 +200,40 @@ class Builder:
             place = self._nodes[place - n][1]
         return found
 
-    def _listed(self, table: int) -> tuple[float, ...]:
+    def _read_table(self, table: int) -> tuple[float, ...]:
         _, first, count = self._nodes[table - len(self.inputs)]
         return tuple(self._numbers[first : first + count])
 
-    def _square(self, place: int) -> int:
-        return self.binary(L.MUL, place, place)
+    def _add_square(self, place: int) -> int:
+        return self.add_binary(L.MUL, place, place)
 
-    def unary(self, op: int, x: int) -> int:
+    def add_unary(self, op: int, x: int) -> int:
         """The place of a function of one operand, or of its negative."""
-        folded = self._folded(UNARY[op], x)
+        folded = self._fold_constants(UNARY[op], x)
         if folded is not None:
             return folded
         if op == L.NEG and x >= len(self.inputs) and self._nodes[x - len(self.inputs)][0] == L.NEG:
             return self._nodes[x - len(self.inputs)][1]
         if (op, x, -1) in self._known:
             return self._known[op, x, -1]
-        place = self._append(op, x, -1, self._varies[x])
+        place = self._append_node(op, x, -1, self._varies[x])
         self._known[op, x, -1] = place
         if op != L.NEG:
-            self._nodes[place - len(self.inputs)] = (op, x, self._derivative(op, x, place))
+            self._nodes[place - len(self.inputs)] = (op, x, self._add_derivative(op, x, place))
         return place
 
-    def _derivative(self, op: int, x: int, y: int) -> int:
+    def _add_derivative(self, op: int, x: int, y: int) -> int:
         """The place of the derivative of y = f(x)."""
-        one = self.number(1.0)
-        unary = self.unary
-        binary = self.binary
-        square = self._square
+        one = self.add_number(1.0)
+        unary = self.add_unary
+        binary = self.add_binary
+        square = self._add_square
         apart = lambda: binary(L.MUL, binary(L.SUB, one, x), binary(L.ADD, one, x))  # noqa: E731
         root: Callable[[int], int] = lambda z: binary(L.DIV, one, unary(L.SQRT, z))  # noqa: E731
         made: dict[int, Callable[[], int]] = {
             L.EXP: lambda: y,
             L.LOG: lambda: binary(L.DIV, one, x),
-            L.SQRT: lambda: binary(L.DIV, self.number(0.5), y),
+            L.SQRT: lambda: binary(L.DIV, self.add_number(0.5), y),
             L.SIN: lambda: unary(L.COS, x),
             L.COS: lambda: unary(L.NEG, unary(L.SIN, x)),
             L.TAN: lambda: binary(L.ADD, one, square(y)),
@@ -247,21 +249,21 @@ class Builder:
         }
         return made[op]()
 
-    def finish(self, outputs: Iterable[int]) -> Tape:
+    def finish_tape(self, outputs: Iterable[int]) -> Tape:
         """The tape of these places: what they need and nothing else, in the order of a walk from
         them.
         """
         outputs = list(outputs)
         n = len(self.inputs)
-        used = [i for i in self._walk(outputs) if i < n]
+        used = [i for i in self._order_places(outputs) if i < n]
         kept = sorted(used)
         fresh = Builder(
             [self.inputs[i] for i in kept], [self.inputs[i] for i in kept if not self._varies[i]]
         )
         place = {old: new for new, old in enumerate(kept)}
-        for i in self._walk(outputs):
+        for i in self._order_places(outputs):
             if i >= n:
-                place[i] = fresh.again(self._nodes[i - n], self._numbers, place)
+                place[i] = fresh.copy_node(self._nodes[i - n], self._numbers, place)
         return Tape(
             fresh.inputs,
             tuple(fresh._nodes),
@@ -269,22 +271,22 @@ class Builder:
             tuple(place[i] for i in outputs),
         )
 
-    def again(self, node: Node, numbers: Sequence[float], place: Mapping[int, int]) -> int:
+    def copy_node(self, node: Node, numbers: Sequence[float], place: Mapping[int, int]) -> int:
         """The place of a node of another tape with these numbers, whose operands are at `place`
         here.
         """
         op, left, right = node
         if op == L.NUMBER:
-            return self.number(numbers[left])
+            return self.add_number(numbers[left])
         if op == L.TABLE:
-            return self.table(tuple(numbers[left : left + right]))
+            return self.add_table(tuple(numbers[left : left + right]))
         return (
-            self.binary(op, place[left], place[right])
+            self.add_binary(op, place[left], place[right])
             if op in BINARY
-            else self.unary(op, place[left])
+            else self.add_unary(op, place[left])
         )
 
-    def _walk(self, outputs: list[int]) -> list[int]:
+    def _order_places(self, outputs: list[int]) -> list[int]:
         """Places that the values at `outputs` need, operands before what is made of them."""
         order: dict[int, None] = {}
         stack = [(place, False) for place in reversed(outputs)]
@@ -303,20 +305,20 @@ class Builder:
                 stack.append((left, False))
         return list(order)
 
-    def replayed(self, tape: Tape, leaves: Iterable[int]) -> list[int]:
+    def replay_tape(self, tape: Tape, leaves: Iterable[int]) -> list[int]:
         """The places of the outputs of a tape whose inputs are at the places `leaves`."""
         place = dict(enumerate(leaves))
-        for i in tape._needed():
-            place[i] = self.again(tape.nodes[i - len(tape.inputs)], tape.numbers, place)
+        for i in tape._list_needed_places():
+            place[i] = self.copy_node(tape.nodes[i - len(tape.inputs)], tape.numbers, place)
         return [place[i] for i in tape.outputs]
 
 
-def renamed(tape: Tape, names: Mapping[str, str]) -> Tape:
+def rename_inputs(tape: Tape, names: Mapping[str, str]) -> Tape:
     """The tape with other names of its inputs."""
     return replace(tape, inputs=tuple(names.get(n, n) for n in tape.inputs))
 
 
-def substituted(tape: Tape, sources: Mapping[str, tuple[str | None, float, float]]) -> Tape:
+def substitute_sources(tape: Tape, sources: Mapping[str, tuple[str | None, float, float]]) -> Tape:
     """The tape where each of these inputs is multiplier * source + offset, or the offset where the
     source is None.
 
@@ -328,25 +330,27 @@ def substituted(tape: Tape, sources: Mapping[str, tuple[str | None, float, float
     builder = Builder(dict.fromkeys(source for source, _, _ in follows if source is not None))
     leaves: list[int] = []
     for source, multiplier, offset in follows:
-        place = builder.number(offset)
+        place = builder.add_number(offset)
         if source is not None:
-            factor = builder.binary(L.MUL, builder.number(multiplier), builder.inputs.index(source))
-            place = builder.binary(L.ADD, factor, place)
+            factor = builder.add_binary(
+                L.MUL, builder.add_number(multiplier), builder.inputs.index(source)
+            )
+            place = builder.add_binary(L.ADD, factor, place)
         leaves.append(place)
-    return builder.finish(builder.replayed(tape, leaves))
+    return builder.finish_tape(builder.replay_tape(tape, leaves))
 
 
-def on_pieces(
+def add_curve_terms(
     build: Builder, pieces: np.ndarray, s: int, p: Sequence[int]
 ) -> tuple[list[int], list[int], int]:
     """Places of a builder of tapes: of what leads from the point c(s) to p, of c'(s), and of c'.c'
     - (p - c).c''.
     """
-    b = build.binary
-    entry: Callable[[np.ndarray], int] = lambda column: build.entry(s, column.tolist())  # noqa: E731
+    b = build.add_binary
+    entry: Callable[[np.ndarray], int] = lambda column: build.add_entry(s, column.tolist())  # noqa: E731
     u = b(L.SUB, s, entry(np.arange(len(pieces), dtype=float)))
-    two = build.number(2.0)
-    three = build.number(3.0)
+    two = build.add_number(2.0)
+    three = build.add_number(3.0)
     off: list[int] = []
     first: list[int] = []
     second: list[int] = []
@@ -357,19 +361,25 @@ def on_pieces(
         cubed = b(L.MUL, three, b(L.MUL, u, k[3]))
         first.append(b(L.ADD, k[1], b(L.MUL, u, b(L.ADD, b(L.MUL, two, k[2]), cubed))))
         second.append(b(L.MUL, two, b(L.ADD, k[2], cubed)))
-    return off, first, b(L.SUB, dot(build, first, first), dot(build, off, second))
+    return (
+        off,
+        first,
+        b(L.SUB, add_dot_product(build, first, first), add_dot_product(build, off, second)),
+    )
 
 
-def dot(build: Builder, a: Sequence[int], b: Sequence[int]) -> int:
+def add_dot_product(build: Builder, a: Sequence[int], b: Sequence[int]) -> int:
     """The place of a sum of products."""
-    x, y, z = (build.binary(L.MUL, i, k) for i, k in zip(a, b, strict=True))
-    return build.binary(L.ADD, build.binary(L.ADD, x, y), z)
+    x, y, z = (build.add_binary(L.MUL, i, k) for i, k in zip(a, b, strict=True))
+    return build.add_binary(L.ADD, build.add_binary(L.ADD, x, y), z)
 
 
-def nearest_rates(build: Builder, table: tuple[float, ...], s: int, p: Sequence[int]) -> list[int]:
+def add_nearest_rates(
+    build: Builder, table: tuple[float, ...], s: int, p: Sequence[int]
+) -> list[int]:
     """Places of the derivatives of the parameter of the nearest point by p: (p - c) . c' = 0,
     differentiated.
     """
     pieces = np.reshape(table[1:], (-1, L.PIECE))[:, :12].reshape(-1, 3, 4)
-    _, first, bend = on_pieces(build, pieces, s, p)
-    return [build.binary(L.DIV, x, bend) for x in first]
+    _, first, bend = add_curve_terms(build, pieces, s, p)
+    return [build.add_binary(L.DIV, x, bend) for x in first]

@@ -10,9 +10,9 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 from kempe.arguments import read_flag
-from kempe.constraints.base import Constraint, Frame, Number, Op, Row, kind, positive
+from kempe.constraints.base import Constraint, Frame, Number, Op, Row, kind, read_nonnegative_numbers
 from kempe.constraints.tape import POSE, TWIST
-from kempe.constraints.text import from_text
+from kempe.constraints.text import parse_tape
 from kempe.errors import InputError, UnknownNameError
 
 SPACE = {
@@ -38,7 +38,7 @@ PLANE = {
 }
 
 
-def touching(shape: Any, dim: int, what: str) -> tuple[str, tuple[str, ...], str]:
+def choose_contact_expressions(shape: Any, dim: int, what: str) -> tuple[str, tuple[str, ...], str]:
     """The gap, the slips and the spin of a shape. Errors: `UnknownNameError`."""
     if not isinstance(shape, str) or shape not in SPACE:
         raise UnknownNameError("shape", shape, SPACE, what)
@@ -58,14 +58,16 @@ class Contact(Constraint):
 
     unbounded: ClassVar[str] = "its gap is never negative; OnPlane has bounds of a height"
 
-    def check(self, dim: int) -> None:
+    def check_fields(self, dim: int) -> None:
         """Refuse a negative radius."""
-        positive(self.radius, f"radius of {self.label}")
+        read_nonnegative_numbers(self.radius, f"radius of {self.label}")
 
-    def rows(self, dim: int) -> tuple[Row, ...]:
+    def list_rows(self, dim: int) -> tuple[Row, ...]:
         """One row: the gap, which is not negative."""
-        gap, _, _ = touching(self.shape, dim, self.label)
-        return (Row(Op.TAPE, (from_text([gap], (*POSE, "radius"), {}), 0), "gap", "m", low="zero"),)
+        gap, _, _ = choose_contact_expressions(self.shape, dim, self.label)
+        return (
+            Row(Op.TAPE, (parse_tape([gap], (*POSE, "radius"), {}), 0), "gap", "m", low="zero"),
+        )
 
 
 @kind("no_sideslip", "wheel", "{frame} does not slip along its y")
@@ -80,12 +82,15 @@ class NoSideslip(Constraint):
 
     prevents: ClassVar[str] = "the wheels of {name!r} do not slip sideways"
 
-    def rows(self, dim: int) -> tuple[Row, ...]:
+    def list_rows(self, dim: int) -> tuple[Row, ...]:
         """One row: the velocity along y of the frame."""
         text = "xy*vx + yy*vy - speed" if dim == 2 else "xy*vx + yy*vy + zy*vz - speed"
         return (
             Row(
-                Op.VELOCITY, (from_text([text], (*POSE, *TWIST, "speed"), {}), 0), "sideslip", "m/s"
+                Op.VELOCITY,
+                (parse_tape([text], (*POSE, *TWIST, "speed"), {}), 0),
+                "sideslip",
+                "m/s",
             ),
         )
 
@@ -111,19 +116,19 @@ class Rolls(Constraint):
         read_flag(self.spin, f"spin of {self.label}")
         read_flag(self.one_sided, f"one_sided of {self.label}")
 
-    def check(self, dim: int) -> None:
+    def check_fields(self, dim: int) -> None:
         """Refuse a negative radius."""
-        positive(self.radius, f"radius of {self.label}")
+        read_nonnegative_numbers(self.radius, f"radius of {self.label}")
 
-    def rows(self, dim: int) -> tuple[Row, ...]:
+    def list_rows(self, dim: int) -> tuple[Row, ...]:
         """Rows of the gap (an equation on positions) and of the slip velocities."""
         if self.radius is None:
             raise InputError(f"{self.label} needs a radius")
-        gap, slips, spin = touching(self.shape, dim, self.label)
+        gap, slips, spin = choose_contact_expressions(self.shape, dim, self.label)
         more = (spin,) if spin and not self.spin else ()
         inputs = (*POSE, *TWIST, "radius")
-        tape = from_text([*slips, *more], inputs, {})
-        own = from_text([gap], (*POSE, "radius"), {})
+        tape = parse_tape([*slips, *more], inputs, {})
+        own = parse_tape([gap], (*POSE, "radius"), {})
         names = [
             *(f"slip {a}" for a, _ in zip("xy", slips, strict=False)),
             *(["spin"] if more else []),

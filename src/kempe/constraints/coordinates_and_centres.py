@@ -22,10 +22,10 @@ from kempe.constraints.base import (
     Op,
     Point,
     Row,
-    fixed,
+    check_constant,
     kind,
-    numbers_of,
-    points_of,
+    read_numbers,
+    read_points,
 )
 from kempe.errors import InputError
 from kempe.spatial import Array
@@ -48,12 +48,12 @@ class Posture(Constraint):
     unbounded: ClassVar[str] = "Equation has bounds of a coordinate"
 
     @property
-    def about(self) -> str:
+    def subject(self) -> str:
         """The coordinates that are held, by name."""
         given = read_mapping(self.q)
         return "all coordinates" if given is None else ", ".join(map(repr, given))
 
-    def rows(self, dim: int) -> tuple[Row, ...]:
+    def list_rows(self, dim: int) -> tuple[Row, ...]:
         """One row for each named coordinate; without names, for all."""
         given = read_mapping(self.q)
         return (Row(Op.COORDINATE, () if given is None else tuple(given), "value"),)
@@ -69,13 +69,13 @@ class _OfCentre(Bounded):
         """The ground as A, and None as B: a centre is no frame."""
         return None, None
 
-    def in_words(self, name: str) -> str:
+    def describe_field(self, name: str) -> str:
         """Bounds in place of a target, where they are given."""
         if name != "target" or not self.bounded:
-            return super().in_words(name)
-        return f"{self.axes} {self.bounds_in_words}"  # type: ignore[attr-defined]
+            return super().describe_field(name)
+        return f"{self.axes} {self.bounds_text}"  # type: ignore[attr-defined]
 
-    def axis_numbers(self, dim: int) -> list[int]:
+    def list_axis_numbers(self, dim: int) -> list[int]:
         """Numbers (0 for x, 1 for y, 2 for z) of the axes that `axes` names; `dim` is 2 in the
         plane, else 3.
 
@@ -89,56 +89,56 @@ class _OfCentre(Bounded):
             raise InputError(f"axes of {self.label} are {axes!r}; allowed are {allowed}")
         return found
 
-    def rows(self, dim: int) -> tuple[Row, ...]:
+    def list_rows(self, dim: int) -> tuple[Row, ...]:
         """One row for each axis that `axes` names, with the bounds where they are given."""
-        n = len(self.axis_numbers(dim))
+        n = len(self.list_axis_numbers(dim))
         if self.bounded != (self.target is None) or (self.bounded and n > 1):  # type: ignore[attr-defined]
             raise InputError(
                 f"{self.label} needs a target, or at_least or at_most along one of its axes"
             )
         if self.bounded:
-            k = self.axis_numbers(dim)[0]
+            k = self.list_axis_numbers(dim)[0]
             return (Row(Op.POINT, (k,), "xyz"[k], low="at_least", high="at_most"),)
-        w = numbers_of(self.within, f"within of {self.label}")  # type: ignore[attr-defined]
+        w = read_numbers(self.within, f"within of {self.label}")  # type: ignore[attr-defined]
         if w.shape[-1:] not in ((), (1,), (n,)) or not np.all(w >= 0.0):
             raise InputError(
                 f"within of {self.label} is {self.within!r}; "  # type: ignore[attr-defined]
                 f"it must be a distance, or (..., {n})"
             )
-        ends = {"low": "below", "high": "above"} if np.any(w) else {}
+        ends = {"low": "lower_margins", "high": "upper_margins"} if np.any(w) else {}
         return tuple(
             Row(Op.POINT, (i,), "xyz"[i], part=k if ends else None, **ends)
-            for k, i in enumerate(self.axis_numbers(dim))
+            for k, i in enumerate(self.list_axis_numbers(dim))
         )
 
     @property
-    def above(self) -> Array:
+    def upper_margins(self) -> Array:
         """How far (..., n) the centre may be above the target along each of the n axes."""
-        w = numbers_of(self.within, f"within of {self.label}")  # type: ignore[attr-defined]
+        w = read_numbers(self.within, f"within of {self.label}")  # type: ignore[attr-defined]
         n = len(self.axes)  # type: ignore[attr-defined]
         return np.broadcast_to(w, (*w.shape[:-1], n))
 
     @property
-    def below(self) -> Array:
+    def lower_margins(self) -> Array:
         """How far (..., n) the centre may be below the target along each of the n axes."""
-        return -self.above
+        return -self.upper_margins
 
-    def goal(self, dim: int) -> Array:
+    def make_goal_poses(self, dim: int) -> Array:
         """Poses (..., 4, 4) at the target, which has three numbers, or one for each axis that
         `axes` names.
         """
         if self.bounded:
             return EYE
         what = f"target of {self.label}"
-        axes = self.axis_numbers(dim)
-        p = numbers_of(self.target, what)  # type: ignore[attr-defined]
+        axes = self.list_axis_numbers(dim)
+        p = read_numbers(self.target, what)  # type: ignore[attr-defined]
         if p.shape[-1:] == (len(axes),):
             p, given = np.zeros((*p.shape[:-1], 3)), p
             p[..., axes] = given
         elif p.shape[-1:] not in ((3,), (dim,)):
             short = f", or (..., {len(axes)}) for axes={self.axes!r}" if len(axes) < dim else ""  # type: ignore[attr-defined]
             raise InputError(f"{what} has shape {p.shape}; it must be (..., {dim}){short}")
-        return spatial.pose(p=points_of(p, dim, what))
+        return spatial.pose(p=read_points(p, dim, what))
 
 
 @kind("centre_of_mass", says="the centre of mass is at {target}")
@@ -159,11 +159,11 @@ class CentreOfMass(_OfCentre):
     measured: ClassVar[str] = "height"
 
     @property
-    def about(self) -> str:
+    def subject(self) -> str:
         """The words for the whole system."""
         return "the system"
 
-    def masses(self, bodies: Mapping[str, Any], what: str) -> list[Mass]:
+    def list_masses(self, bodies: Mapping[str, Any], what: str) -> list[Mass]:
         """The masses of the bodies."""
         heavy = [
             (n, tuple(b.center or (0.0, 0.0, 0.0)), float(b.mass or 0.0)) for n, b in bodies.items()
@@ -190,15 +190,15 @@ class CentreOfPoints(_OfCentre):
     measured: ClassVar[str] = "height"
 
     @property
-    def about(self) -> str:
+    def subject(self) -> str:
         """The names of the frames."""
         return ", ".join(repr(str(f)) for f in self.frames)
 
-    def masses(self, bodies: Mapping[str, Any], what: str) -> list[Mass]:
+    def list_masses(self, bodies: Mapping[str, Any], what: str) -> list[Mass]:
         """The weights of the frames."""
         given = self.frames if isinstance(self.frames, Mapping) else dict.fromkeys(self.frames, 1.0)
         weights = {
-            f: float(fixed(numbers_of(w, said := f"a weight of {self.label}"), said))
+            f: float(check_constant(read_numbers(w, said := f"a weight of {self.label}"), said))
             for f, w in given.items()
         }
         total = sum(weights.values())
@@ -229,10 +229,10 @@ class Function(Constraint):
     unbounded: ClassVar[str] = "its bounds are 'low' and 'high'"
 
     @property
-    def about(self) -> str:
+    def subject(self) -> str:
         """The function's name."""
         return getattr(self.function, "__name__", repr(self.function))
 
-    def rows(self, dim: int) -> tuple[Row, ...]:
+    def list_rows(self, dim: int) -> tuple[Row, ...]:
         """One row for the function; its number of equations is found when it is called."""
         return (Row(Op.CALL, (self.function,), "value", "1", low="low", high="high"),)

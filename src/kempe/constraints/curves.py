@@ -13,8 +13,8 @@ import numpy as np
 from kempe import spatial
 from kempe.arguments import read_flag
 from kempe.arrays import read_reals
-from kempe.constraints.base import Frame, Op, Point, Row, kind, points_of
-from kempe.constraints.builder import Builder, dot, on_pieces
+from kempe.constraints.base import Frame, Op, Point, Row, kind, read_points
+from kempe.constraints.builder import Builder, add_dot_product, add_curve_terms
 from kempe.constraints.kinds import ORIGIN, Measured
 from kempe.constraints.tape import Tape
 from kempe.constraints.text import LEAST
@@ -58,60 +58,74 @@ class OnCurve(Measured):
                 f"{what} have the shape {given.shape}; they must be (n, 2) or (n, 3), and finite"
             )
         object.__setattr__(self, "points", tuple(tuple(p) for p in given.tolist()))
-        across(self.points, self.closed, given.shape[1], what)
+        make_curve_tape(self.points, self.closed, given.shape[1], what)
 
-    def check(self, dim: int) -> None:
+    def check_fields(self, dim: int) -> None:
         """Refuse points off the plane of a planar system, or of two numbers in space, and bounds
         that do not fit.
         """
-        super().check(dim)
-        points_of(self.points, dim, f"points of {self.label}")
+        super().check_fields(dim)
+        read_points(self.points, dim, f"points of {self.label}")
 
-    def rows(self, dim: int) -> tuple[Row, ...]:
+    def list_rows(self, dim: int) -> tuple[Row, ...]:
         """Rows of the distances across the curve (two directions, in the plane one), or of the
         whole distance.
         """
-        tape = across(self.points, self.closed, dim, f"points of {self.label}", self.bounded)
+        tape = make_curve_tape(
+            self.points, self.closed, dim, f"points of {self.label}", self.bounded
+        )
         if self.bounded:
-            return self.between(Op.TAPE, tape, 0)
+            return self.list_bounded_rows(Op.TAPE, tape, 0)
         names = ("across",) if dim == 2 else ("across 1", "across 2")
         return tuple(Row(Op.TAPE, (tape, k), name, "m") for k, name in enumerate(names))
 
 
 @lru_cache(maxsize=256)
-def across(
+def make_curve_tape(
     points: tuple[tuple[float, ...], ...], closed: bool, dim: int, what: str, whole: bool = False
 ) -> Tape:
     """The distances of (x, y, z) from a curve across it, or the `whole` distance. Errors:
-    `InputError`, see `spline`.
+    `InputError`, see `fit_spline`.
 
-    In space the directions are the two of `frames_of`, turned as the smallest turn takes its third
+    In space the directions are the two of `compute_piece_axes`, turned as the smallest turn takes its third
     to the tangent t: a - (a.t) (z + t) / (1 + z.t), where (p - c).t = 0.
     """
-    pieces = spline(tuple((*p, 0.0)[:3] for p in points), closed, what)
+    pieces = fit_spline(tuple((*p, 0.0)[:3] for p in points), closed, what)
     build = Builder("xyz"[:dim])
-    b = build.binary
-    p = [i if i < dim else build.number(0.0) for i in range(3)]
-    s = build.nearest(table_of(pieces, closed), p)
-    off, first, _ = on_pieces(build, pieces, s, p)
-    speed = build.unary(L.SQRT, dot(build, first, first))
+    b = build.add_binary
+    p = [i if i < dim else build.add_number(0.0) for i in range(3)]
+    s = build.add_nearest_parameter(flatten_pieces(pieces, closed), p)
+    off, first, _ = add_curve_terms(build, pieces, s, p)
+    speed = build.add_unary(L.SQRT, add_dot_product(build, first, first))
     t = [b(L.DIV, x, speed) for x in first]
     if whole:
-        return build.finish(
-            [build.unary(L.SQRT, b(L.ADD, dot(build, off, off), build.number(float(LEAST))))]
+        return build.finish_tape(
+            [
+                build.add_unary(
+                    L.SQRT,
+                    b(L.ADD, add_dot_product(build, off, off), build.add_number(float(LEAST))),
+                )
+            ]
         )
     if dim == 2:
-        return build.finish([b(L.SUB, b(L.MUL, t[0], off[1]), b(L.MUL, t[1], off[0]))])
-    axes = frames_of(pieces)
-    x, y, z = ([build.entry(s, axes[:, k, i].tolist()) for i in range(3)] for k in range(3))
-    share = b(L.DIV, dot(build, off, z), b(L.ADD, build.number(1.0), dot(build, z, t)))
-    return build.finish(
-        [b(L.SUB, dot(build, off, a), b(L.MUL, dot(build, a, t), share)) for a in (x, y)]
+        return build.finish_tape([b(L.SUB, b(L.MUL, t[0], off[1]), b(L.MUL, t[1], off[0]))])
+    axes = compute_piece_axes(pieces)
+    x, y, z = ([build.add_entry(s, axes[:, k, i].tolist()) for i in range(3)] for k in range(3))
+    share = b(
+        L.DIV,
+        add_dot_product(build, off, z),
+        b(L.ADD, build.add_number(1.0), add_dot_product(build, z, t)),
+    )
+    return build.finish_tape(
+        [
+            b(L.SUB, add_dot_product(build, off, a), b(L.MUL, add_dot_product(build, a, t), share))
+            for a in (x, y)
+        ]
     )
 
 
 @lru_cache(maxsize=256)
-def spline(points: tuple[tuple[float, ...], ...], closed: bool, what: str) -> Array:
+def fit_spline(points: tuple[tuple[float, ...], ...], closed: bool, what: str) -> Array:
     """The pieces (n, 3, 4) of the cubic spline through points, by the length of its chords, for u
     from 0 to 1 each.
 
@@ -144,7 +158,7 @@ def spline(points: tuple[tuple[float, ...], ...], closed: bool, what: str) -> Ar
     made = [
         half
         for i, piece in enumerate(pieces)
-        for half in _gentle(piece, HALVINGS, f"{what}: near point {i}")
+        for half in _split_piece(piece, HALVINGS, f"{what}: near point {i}")
     ]
     if not closed:
         first = made[0]
@@ -156,7 +170,7 @@ def spline(points: tuple[tuple[float, ...], ...], closed: bool, what: str) -> Ar
     return np.array(made)
 
 
-def _gentle(piece: Array, left: int, what: str) -> list[Array]:
+def _split_piece(piece: Array, left: int, what: str) -> list[Array]:
     """A piece in parts of which none turns far: the directions of its derivative's control points
     are near.
     """
@@ -173,10 +187,12 @@ def _gentle(piece: Array, left: int, what: str) -> list[Array]:
     half = 0.5 ** np.arange(4)
     # p((1 + u) / 2)
     moved = np.array([[1, 1, 1, 1], [0, 1, 2, 3], [0, 0, 1, 3], [0, 0, 0, 1]]) * half
-    return _gentle(piece * half, left - 1, what) + _gentle(piece @ moved.T, left - 1, what)
+    return _split_piece(piece * half, left - 1, what) + _split_piece(
+        piece @ moved.T, left - 1, what
+    )
 
 
-def table_of(pieces: Array, closed: bool) -> tuple[float, ...]:
+def flatten_pieces(pieces: Array, closed: bool) -> tuple[float, ...]:
     """Pieces as kernels read them (`tape_layout`)."""
     b = pieces[..., 1]
     c = pieces[..., 2]
@@ -187,7 +203,7 @@ def table_of(pieces: Array, closed: bool) -> tuple[float, ...]:
     return (float(not closed), *rows.ravel().tolist())
 
 
-def frames_of(pieces: Array) -> Array:
+def compute_piece_axes(pieces: Array) -> Array:
     """Axes (n, 3, 3) of each piece: two across its middle, and its direction there; no turn about
     the curve is added.
 
@@ -200,12 +216,12 @@ def frames_of(pieces: Array) -> Array:
     out = np.empty((len(pieces), 3, 3))
     for i, z in enumerate(middle):
         if i:
-            x = _led(_led(x, middle[i - 1], start[i]), start[i], z)
+            x = _transport_vector(_transport_vector(x, middle[i - 1], start[i]), start[i], z)
             x = spatial.unit(x - (x @ z) * z)
         out[i] = x, np.cross(z, x), z
     return out
 
 
-def _led(x: Array, a: Array, b: Array) -> Array:
+def _transport_vector(x: Array, a: Array, b: Array) -> Array:
     """A vector across a, turned as the smallest turn takes a to b."""
     return x - (x @ b) / (1.0 + a @ b) * (a + b)

@@ -16,9 +16,9 @@ import numpy as np
 from kempe.arguments import FOREIGN, read_flag, read_names
 from kempe.arrays import is_array, is_sequence
 from kempe.constraints.base import LARGEST, Bounded, Constraint, Names, Op, Row, kind
-from kempe.constraints.builder import Builder, renamed
-from kempe.constraints.tape import RATE, TIME, Tape, quoted
-from kempe.constraints.text import from_text, is_texts, read
+from kempe.constraints.builder import Builder, rename_inputs
+from kempe.constraints.tape import RATE, TIME, Tape, quote_name
+from kempe.constraints.text import parse_tape, is_texts, parse_expression
 from kempe.errors import InputError, KempeError, UnknownNameError, format_value
 from kempe.kernels.constraints import tape_layout as L
 from kempe.values import Expression
@@ -53,22 +53,22 @@ class RecordedNumber:
         self._builder = builder
         self.place = place
 
-    def _of(self, x: Any) -> int | None:
+    def _place_operand(self, x: Any) -> int | None:
         """The place of another operand."""
         if isinstance(x, RecordedNumber):
             if x._builder is not self._builder:
                 raise Branches("it keeps numbers of an earlier call")
             return x.place
         if is_array(x) and x.ndim == 0:
-            return self._of(x.item())
+            return self._place_operand(x.item())
         number: Any = x
         if isinstance(x, (bool, np.bool_)) or not isinstance(
             x, (int, float, np.integer, np.floating)
         ):
             return None
-        return self._builder.number(float(number))
+        return self._builder.add_number(float(number))
 
-    def _binary(self, op: int, left: object, right: object) -> Any:
+    def _record_binary(self, op: int, left: object, right: object) -> Any:
         if isinstance(left, np.ndarray) or isinstance(right, np.ndarray):
             a, b = np.broadcast_arrays(
                 np.asarray(left, dtype=object), np.asarray(right, dtype=object)
@@ -76,59 +76,59 @@ class RecordedNumber:
             if a.ndim:
                 out = np.empty(a.shape, dtype=object)
                 for i in np.ndindex(*a.shape):
-                    out[i] = self._binary(op, a[i], b[i])
+                    out[i] = self._record_binary(op, a[i], b[i])
                 return out
             left = a.item()
             right = b.item()
-        a = self._of(left)
-        b = self._of(right)
+        a = self._place_operand(left)
+        b = self._place_operand(right)
         if a is None or b is None:
             return NotImplemented
-        return RecordedNumber(self._builder, self._builder.binary(op, a, b))
+        return RecordedNumber(self._builder, self._builder.add_binary(op, a, b))
 
-    def _unary(self, op: int) -> RecordedNumber:
-        return RecordedNumber(self._builder, self._builder.unary(op, self.place))
+    def _record_unary(self, op: int) -> RecordedNumber:
+        return RecordedNumber(self._builder, self._builder.add_unary(op, self.place))
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
         if method == "__call__" and not options:
             if ufunc in _UFUNCS_2:
-                return self._binary(_UFUNCS_2[ufunc], *inputs)
+                return self._record_binary(_UFUNCS_2[ufunc], *inputs)
             if ufunc in _UFUNCS:
                 return _UFUNCS[ufunc](inputs[0])
         raise Branches(f"numpy.{ufunc.__name__} cannot be recorded")
 
     def __add__(self, other: object) -> Any:
-        return self._binary(L.ADD, self, other)
+        return self._record_binary(L.ADD, self, other)
 
     def __radd__(self, other: object) -> Any:
-        return self._binary(L.ADD, other, self)
+        return self._record_binary(L.ADD, other, self)
 
     def __sub__(self, other: object) -> Any:
-        return self._binary(L.SUB, self, other)
+        return self._record_binary(L.SUB, self, other)
 
     def __rsub__(self, other: object) -> Any:
-        return self._binary(L.SUB, other, self)
+        return self._record_binary(L.SUB, other, self)
 
     def __mul__(self, other: object) -> Any:
-        return self._binary(L.MUL, self, other)
+        return self._record_binary(L.MUL, self, other)
 
     def __rmul__(self, other: object) -> Any:
-        return self._binary(L.MUL, other, self)
+        return self._record_binary(L.MUL, other, self)
 
     def __truediv__(self, other: object) -> Any:
-        return self._binary(L.DIV, self, other)
+        return self._record_binary(L.DIV, self, other)
 
     def __rtruediv__(self, other: object) -> Any:
-        return self._binary(L.DIV, other, self)
+        return self._record_binary(L.DIV, other, self)
 
     def __pow__(self, other: object) -> Any:
-        return self._binary(L.POW, self, other)
+        return self._record_binary(L.POW, self, other)
 
     def __rpow__(self, other: object) -> Any:
-        return self._binary(L.POW, other, self)
+        return self._record_binary(L.POW, other, self)
 
     def __neg__(self) -> RecordedNumber:
-        return self._unary(L.NEG)
+        return self._record_unary(L.NEG)
 
     def __pos__(self) -> RecordedNumber:
         return self
@@ -137,32 +137,32 @@ class RecordedNumber:
         """Itself: it is real."""
         return self
 
-    def _raise(self, what: str) -> Any:
+    def _refuse_use(self, what: str) -> Any:
         raise Branches(f"it {what}")
 
     def __bool__(self) -> bool:
-        return self._raise("branches on a value (if, and, or, not, min, max, a comparison)")
+        return self._refuse_use("branches on a value (if, and, or, not, min, max, a comparison)")
 
     def __lt__(self, other: object) -> bool:
-        return self._raise("compares a value")
+        return self._refuse_use("compares a value")
 
     __le__ = __gt__ = __ge__ = __eq__ = __ne__ = __lt__  # type: ignore[assignment]
 
     def __hash__(self) -> int:
-        return self._raise("uses a value as a key")
+        return self._refuse_use("uses a value as a key")
 
     def __float__(self) -> float:
-        return self._raise(
+        return self._refuse_use(
             "asks for a plain number (float(), or a function of math: use that of numpy)"
         )
 
     __int__ = __index__ = __complex__ = __float__  # type: ignore[assignment]
 
     def __abs__(self) -> RecordedNumber:
-        return self._raise("uses abs(), which has a corner")
+        return self._refuse_use("uses abs(), which has a corner")
 
     def __mod__(self, other: object) -> Any:
-        return self._raise("uses a remainder or rounds, which jumps")
+        return self._refuse_use("uses a remainder or rounds, which jumps")
 
     __rmod__ = __floordiv__ = __rfloordiv__ = __divmod__ = __rdivmod__ = __mod__
 
@@ -172,12 +172,12 @@ class RecordedNumber:
     __floor__ = __ceil__ = __trunc__ = __round__
 
 
-def _method(op: int) -> Callable[[RecordedNumber, object], Any]:
-    return lambda x, other: x._binary(op, x, other)
+def _make_method(op: int) -> Callable[[RecordedNumber, object], Any]:
+    return lambda x, other: x._record_binary(op, x, other)
 
 
-def _scaled(factor: float, op: int | None = None) -> Callable[[RecordedNumber], Any]:
-    return lambda x: (x if op is None else x._unary(op)) * factor
+def _make_scaled_method(factor: float, op: int | None = None) -> Callable[[RecordedNumber], Any]:
+    return lambda x: (x if op is None else x._record_unary(op)) * factor
 
 
 _UFUNCS_2: dict[np.ufunc, int] = {
@@ -191,7 +191,7 @@ _UFUNCS_2: dict[np.ufunc, int] = {
     np.hypot: L.HYPOT,
 }
 _UFUNCS: dict[np.ufunc, Callable[[RecordedNumber], Any]] = {
-    f: (lambda x, op=op: x._unary(op))
+    f: (lambda x, op=op: x._record_unary(op))
     for f, op in {
         np.negative: L.NEG,
         np.exp: L.EXP,
@@ -216,15 +216,15 @@ _UFUNCS |= {
     np.conjugate: lambda x: x,
     np.square: lambda x: x * x,
     np.reciprocal: lambda x: 1.0 / x,
-    np.deg2rad: _scaled(np.pi / 180.0),
-    np.radians: _scaled(np.pi / 180.0),
-    np.rad2deg: _scaled(180.0 / np.pi),
-    np.degrees: _scaled(180.0 / np.pi),
-    np.log10: _scaled(float(1.0 / np.log(10.0)), L.LOG),
-    np.log2: _scaled(float(1.0 / np.log(2.0)), L.LOG),
-    np.exp2: lambda x: (x * float(np.log(2.0)))._unary(L.EXP),
-    np.expm1: lambda x: x._unary(L.EXP) - 1.0,
-    np.log1p: lambda x: (1.0 + x)._unary(L.LOG),
+    np.deg2rad: _make_scaled_method(np.pi / 180.0),
+    np.radians: _make_scaled_method(np.pi / 180.0),
+    np.rad2deg: _make_scaled_method(180.0 / np.pi),
+    np.degrees: _make_scaled_method(180.0 / np.pi),
+    np.log10: _make_scaled_method(float(1.0 / np.log(10.0)), L.LOG),
+    np.log2: _make_scaled_method(float(1.0 / np.log(2.0)), L.LOG),
+    np.exp2: lambda x: (x * float(np.log(2.0)))._record_unary(L.EXP),
+    np.expm1: lambda x: x._record_unary(L.EXP) - 1.0,
+    np.log1p: lambda x: (1.0 + x)._record_unary(L.LOG),
 }
 
 for (
@@ -234,7 +234,7 @@ for (
     if not hasattr(RecordedNumber, _ufunc.__name__):
         setattr(RecordedNumber, _ufunc.__name__, _make)
 for _ufunc, _op in _UFUNCS_2.items():
-    setattr(RecordedNumber, _ufunc.__name__, _method(_op))
+    setattr(RecordedNumber, _ufunc.__name__, _make_method(_op))
 
 
 class _Named(dict[Any, Any]):
@@ -246,7 +246,7 @@ class _Named(dict[Any, Any]):
         raise UnknownNameError("input", name, self, "the function asks for an undeclared name:")
 
 
-def record(
+def record_function(
     function: Callable[..., Any],
     inputs: Collection[str],
     *,
@@ -272,33 +272,33 @@ def record(
         )
     names += [TIME] * time
     try:
-        tape, shape = _once(function, names, time)
-        again = _once(function, names, time)
+        tape, shape = _record_once(function, names, time)
+        again = _record_once(function, names, time)
     except InputError as error:
         raise InputError(f"{what}: {error}") from None
     except Branches as error:
-        probe(function, names, time, what)
+        find_shape(function, names, time, what)
         raise NotRecorded(f"{what} cannot be recorded: {error}") from None
     except FOREIGN as error:
         if isinstance(error, KempeError):
             raise
-        probe(function, names, time, what)
+        find_shape(function, names, time, what)
         raise NotRecorded(f"{what} cannot be recorded: {type(error).__name__}: {error}") from None
     if again != (tape, shape):
         raise InputError(
             f"{what} is not the same function when it is called again: it depends on hidden state"
         )
-    _compared(function, tape, shape, names, time, what)
+    _compare_tape(function, tape, shape, names, time, what)
     return tape, shape
 
 
-def _once(
+def _record_once(
     function: Callable[..., Any], names: list[str], time: bool
 ) -> tuple[Tape, tuple[int, ...]]:
     builder = Builder(names)
     recorded = _Named({name: RecordedNumber(builder, i) for i, name in enumerate(names)})
     found = function(recorded, recorded.pop(TIME)) if time else function(recorded)
-    entries, shape = _entries(found)
+    entries, shape = _flatten_entries(found)
     places: list[int] = []
     for entry in entries:
         if isinstance(entry, RecordedNumber):
@@ -306,16 +306,16 @@ def _once(
                 raise Branches("it returns numbers of an earlier call")
             places.append(entry.place)
         else:
-            places.append(builder.number(entry))
-    return builder.finish(places), shape
+            places.append(builder.add_number(entry))
+    return builder.finish_tape(places), shape
 
 
-def _entries(found: Any) -> tuple[list[Any], tuple[int, ...]]:
+def _flatten_entries(found: Any) -> tuple[list[Any], tuple[int, ...]]:
     """The numbers of what a function returned, row by row, and its shape. Errors: `InputError`."""
     if isinstance(found, np.ndarray):
         found = found.tolist()
     if is_sequence(found):
-        parts = [_entries(part) for part in found]
+        parts = [_flatten_entries(part) for part in found]
         if not parts:
             raise InputError("it returns an empty list")
         shapes = {shape for _, shape in parts}
@@ -335,7 +335,7 @@ def _entries(found: Any) -> tuple[list[Any], tuple[int, ...]]:
     )
 
 
-def called(
+def call_function(
     function: Callable[..., Any], values: Mapping[str, float], time: bool, what: str
 ) -> tuple[np.ndarray, tuple[int, ...]]:
     """What a function returns for plain numbers, row by row, and its shape. Errors: `InputError`
@@ -345,35 +345,35 @@ def called(
     try:
         with np.errstate(all="ignore"):
             found = function(given, given.pop(TIME)) if time else function(given)
-        entries, shape = _entries(found)
+        entries, shape = _flatten_entries(found)
         numbers = np.array(entries, dtype=np.float64)
     except InputError as error:
-        raise InputError(f"{what} at {at(values)}: {error}") from None
+        raise InputError(f"{what} at {format_inputs(values)}: {error}") from None
     except Branches:
         kept = "numbers of an earlier call: it depends on hidden state"
-        raise InputError(f"{what} returns at {at(values)} {kept}") from None
+        raise InputError(f"{what} returns at {format_inputs(values)} {kept}") from None
     except KempeError:
         raise
     except FOREIGN as error:
         raise InputError(
-            f"{what} raised {type(error).__name__} at {at(values)}: {error}"
+            f"{what} raised {type(error).__name__} at {format_inputs(values)}: {error}"
         ) from error
     return numbers, shape
 
 
-def at(values: Mapping[str, float]) -> str:
+def format_inputs(values: Mapping[str, float]) -> str:
     """The call as a reader repeats it: ``A = 0.1, B = 2.0``."""
     return ", ".join(f"{name} = {float(x)!r}" for name, x in values.items()) or "no inputs"
 
 
-def points(names: Collection[str]) -> list[dict[str, float]]:
+def sample_inputs(names: Collection[str]) -> list[dict[str, float]]:
     """Values of the inputs to try: the same ones on every call."""
     rng = np.random.default_rng(len(names))
     spread = [0.5, 1.0, 0.1, 3.0]
     return [{name: float(rng.normal(0.0, spread[k % 4])) for name in names} for k in range(POINTS)]
 
 
-def probe(
+def find_shape(
     function: Callable[..., Any], names: Collection[str], time: bool, what: str
 ) -> tuple[int, ...]:
     """The shape of what a function returns for plain numbers.
@@ -383,18 +383,18 @@ def probe(
     """
     failures: list[InputError] = []
     found: list[tuple[np.bool_, tuple[Any, ...], dict[str, float]]] = []
-    for values in points(names):
+    for values in sample_inputs(names):
         try:
-            entries, shape = called(function, values, time, what)
+            entries, shape = call_function(function, values, time, what)
         except InputError as error:
             if not isinstance(error.__cause__, FOREIGN):
                 raise
             failures.append(error)
             continue
-        again, _ = called(function, values, time, what)
+        again, _ = call_function(function, values, time, what)
         if not np.array_equal(entries, again, equal_nan=True):
             raise InputError(
-                f"{what} gives {entries.tolist()} at {at(values)}, and {again.tolist()} when it is "
+                f"{what} gives {entries.tolist()} at {format_inputs(values)}, and {again.tolist()} when it is "
                 "called again: it depends on hidden state"
             )
         found.append((np.isfinite(entries).all(), shape, values))
@@ -404,14 +404,14 @@ def probe(
     if len(shapes) > 1:
         raise InputError(f"{what} returns arrays of different shapes: {sorted(shapes)}")
     if not any(finite for finite, _, _ in found):
-        where = at(found[0][2])
+        where = format_inputs(found[0][2])
         raise InputError(
             f"{what} gives numbers that are not finite wherever it was tried, such as at {where}"
         )
     return shapes.pop()
 
 
-def _compared(
+def _compare_tape(
     function: Callable[..., Any],
     tape: Tape,
     shape: tuple[int, ...],
@@ -422,10 +422,10 @@ def _compared(
     """Compare the tape with the function itself. Errors: `InputError` with the call where they
     differ.
     """
-    for values in points(names):
-        expected = tape.evaluate(values)
+    for values in sample_inputs(names):
+        expected = tape.evaluate_outputs(values)
         try:
-            found, size = called(function, values, time, what)
+            found, size = call_function(function, values, time, what)
         except InputError as error:
             # not defined there: the tape says NaN or infinity
             if isinstance(error.__cause__, ArithmeticError):
@@ -439,7 +439,7 @@ def _compared(
             np.abs(found - expected)[known] > np.broadcast_to(scale, known.shape)[known]
         ):
             raise InputError(
-                f"{what} gives {found.tolist()} at {at(values)}, and {expected.tolist()} when it "
+                f"{what} gives {found.tolist()} at {format_inputs(values)}, and {expected.tolist()} when it "
                 "was recorded: it depends on hidden state"
             )
 
@@ -480,11 +480,11 @@ class Call:
         given = {own: float(values[name]) for own, name in zip(self.inputs, self.of, strict=True)}
         if self.time:
             given[TIME] = float(values.get(TIME, 0.0))
-        found, _ = called(self.function, given, self.time, self.what)
+        found, _ = call_function(self.function, given, self.time, self.what)
         if len(found) != self.size:
             raise InputError(
-                f"{self.what} gave {format_count(self.size, 'number')}, and gives {len(found)} at "
-                f"{at(given)}"
+                f"{self.what} gave {format_count(self.size, 'number')}, and gives {len(found)} format_inputs "
+                f"{format_inputs(given)}"
             )
         return found
 
@@ -511,16 +511,16 @@ class Call:
 
 
 @lru_cache(maxsize=1024)
-def words_of(texts: tuple[str, ...]) -> tuple[str, ...]:
+def list_words(texts: tuple[str, ...]) -> tuple[str, ...]:
     """The names in expressions, in the order in which they occur. Errors: `InputError`."""
     found: dict[str, None] = {}
     for text in texts:
-        expression, meant = read(text)
+        expression, meant = parse_expression(text)
         found |= dict.fromkeys(meant.get(word, word) for word in expression.names)
     return tuple(found)
 
 
-def as_text(x: Any, what: str) -> str:
+def format_expression(x: Any, what: str) -> str:
     """An expression as text; numbers are allowed. Errors: `InputError`."""
     given: Any = x
     if isinstance(x, Expression):
@@ -550,11 +550,11 @@ class _WrittenKind(Constraint):
         parameters: Parameters
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "of", self._names(self.of))
-        object.__setattr__(self, "time", read_flag(self.time, f"time of {self.what}"))
+        object.__setattr__(self, "of", self._read_names(self.of))
+        object.__setattr__(self, "time", read_flag(self.time, f"time of {self.message_name}"))
 
     @property
-    def what(self) -> str:
+    def message_name(self) -> str:
         """Name of the constraint in messages."""
         return (
             f"{self.kind.replace('_', ' ')} {self.name!r}"
@@ -563,18 +563,18 @@ class _WrittenKind(Constraint):
         )
 
     @property
-    def about(self) -> str:
+    def subject(self) -> str:
         """The coordinates that the equations read, as text."""
         return ", ".join(self.of or self.words)
 
-    def _names(self, given: Any) -> tuple[str, ...]:
-        names = read_names(given, f"of of {self.what}")
+    def _read_names(self, given: Any) -> tuple[str, ...]:
+        names = read_names(given, f"of of {self.message_name}")
         twice = [n for n in names if names.count(n) > 1]
         if twice:
-            raise InputError(f"{self.what} names the coordinate {twice[0]!r} twice")
+            raise InputError(f"{self.message_name} names the coordinate {twice[0]!r} twice")
         return names
 
-    def _recorded(
+    def _record_written(
         self, function: Callable[..., Any], shape_of: Callable[[tuple[int, ...]], None]
     ) -> tuple[Any, Any]:
         """The texts of a function, or the tape where they would be too long, or a `Call`; and its
@@ -585,22 +585,24 @@ class _WrittenKind(Constraint):
         time = self.time
         if not of:
             raise InputError(
-                f"{self.what} is given a function; name the coordinates that it reads: of=(...)"
+                f"{self.message_name} is given a function; name the coordinates that it reads: of=(...)"
             )
         try:
-            tape, shape = record(function, of, time=time, what=self.what)
+            tape, shape = record_function(function, of, time=time, what=self.message_name)
         except NotRecorded as error:
             inputs: Collection[str] = [*of, TIME] if time else of
-            shape_of(shape := probe(function, inputs, time, self.what))
-            reason = str(error).removeprefix(f"{self.what} cannot be recorded: ")
-            return Call(function, of, of, time, int(np.prod(shape)), reason, self.what), shape
+            shape_of(shape := find_shape(function, inputs, time, self.message_name))
+            reason = str(error).removeprefix(f"{self.message_name} cannot be recorded: ")
+            return Call(
+                function, of, of, time, int(np.prod(shape)), reason, self.message_name
+            ), shape
         shape_of(shape)
         try:
-            return tape.texts(), shape
+            return tape.format_outputs(), shape
         except InputError:
             return tape, shape
 
-    def _tape_of(self, written: Any) -> Tape:
+    def _parse_written(self, written: Any) -> Tape:
         """The tape of texts, over coordinates, the time and parameters. Errors: `InputError`,
         `UnknownNameError`.
         """
@@ -612,20 +614,20 @@ class _WrittenKind(Constraint):
         clock = (TIME,) if time else ()
         if time and TIME in of:
             raise InputError(
-                f"{self.what} has a coordinate {TIME!r} besides the time, which is called so"
+                f"{self.message_name} has a coordinate {TIME!r} besides the time, which is called so"
             )
-        words = [w for w in words_of(written) if w not in clock]
+        words = [w for w in list_words(written) if w not in clock]
         parameters = tuple(words if known is None else known)
         names: tuple[str, ...] = of or tuple(w for w in words if known is None or w not in known)
         try:
-            return from_text(
+            return parse_tape(
                 written, (*names, *clock), tuple(p for p in parameters if p not in names)
             )
         except UnknownNameError as error:
             more = "; for the time say time=True" if error.name == TIME and not time else ""
-            raise InputError(f"{self.what}: {error}{more}") from None
+            raise InputError(f"{self.message_name}: {error}{more}") from None
 
-    def knowing(self, parameters: Collection[str]) -> Constraint:
+    def resolve_names(self, parameters: Collection[str]) -> Constraint:
         """The same constraint where all names that are no parameters are coordinates, listed in
         `of`.
         """
@@ -651,23 +653,25 @@ class _Valued(_WrittenKind, Bounded):
         super().__post_init__()
         written: Any = self.expression
         if callable(written) and not isinstance(written, (Call, Tape)):
-            written, _ = self._recorded(written, self._fits)
+            written, _ = self._record_written(written, self._check_shape)
         elif is_sequence(written):
-            written = tuple(as_text(x, self.what) for x in written)
-            self._fits((len(written),))
+            written = tuple(format_expression(x, self.message_name) for x in written)
+            self._check_shape((len(written),))
         elif not isinstance(written, (Call, Tape)):
-            written = (as_text(written, self.what),)
+            written = (format_expression(written, self.message_name),)
         texts: tuple[str, ...] = written if is_texts(written) else ()
         object.__setattr__(self, "expression", texts[0] if len(texts) == 1 else written)
         for text in texts if self.sense or self.bounded else ():
             if "=" in text:
                 what = "is within bounds" if self.bounded else "is not negative"
-                raise InputError(f"{self.what} is {text!r}: give what {what}, such as '1.2 - A'")
+                raise InputError(
+                    f"{self.message_name} is {text!r}: give what {what}, such as '1.2 - A'"
+                )
 
-    def check(self, dim: int) -> None:
+    def check_fields(self, dim: int) -> None:
         """Refuse bounds that leave nothing between them, or do not fit the values."""
-        super().check(dim)
-        n = len(self.rows(dim))
+        super().check_fields(dim)
+        n = len(self.list_rows(dim))
         for name in ("at_least", "at_most"):
             if n > 1 and np.shape(x := getattr(self, name))[-1:] not in ((), (n,)):
                 raise InputError(
@@ -675,11 +679,11 @@ class _Valued(_WrittenKind, Bounded):
                     f"(..., {n})"
                 )
 
-    def _fits(self, shape: tuple[int, ...]) -> None:
+    def _check_shape(self, shape: tuple[int, ...]) -> None:
         """Refuse what is no list of numbers."""
         if len(shape) > 1 or 0 in shape:
             raise InputError(
-                f"{self.what} returns numbers of the shape {shape}; it must return {self.needs}"
+                f"{self.message_name} returns numbers of the shape {shape}; it must return {self.needs}"
             )
 
     @property
@@ -693,20 +697,20 @@ class _Valued(_WrittenKind, Bounded):
         written = self._texts
         if isinstance(written, (Tape, Call)):
             return written.inputs if isinstance(written, Tape) else written.of
-        return words_of(written)
+        return list_words(written)
 
-    def in_words(self, name: str) -> str:
+    def describe_field(self, name: str) -> str:
         """The expressions, compared with zero, as text."""
         if name != "expression":
-            return super().in_words(name)
+            return super().describe_field(name)
         written = self._texts
         tail = " >= 0" if self.sense else " = 0"
         texts: tuple[str, ...] = written if is_texts(written) else (f"f({', '.join(self.of)})",)
         if self.bounded:
-            return f"{', '.join(texts)} {'is' if len(texts) == 1 else 'are'} {self.bounds_in_words}"
+            return f"{', '.join(texts)} {'is' if len(texts) == 1 else 'are'} {self.bounds_text}"
         return ", ".join(t if "=" in t else t + tail for t in texts)
 
-    def rows(self, dim: int) -> tuple[Row, ...]:
+    def list_rows(self, dim: int) -> tuple[Row, ...]:
         """One row for each value of the expressions."""
         written = self._texts
         if isinstance(written, Call):
@@ -715,7 +719,7 @@ class _Valued(_WrittenKind, Bounded):
             n = written.size
         else:
             op = Op.TAPE
-            of = self._tape_of(written)
+            of = self._parse_written(written)
             n = len(of.outputs)
         sense = {"low": "at_least", "high": "at_most"} if self.bounded else self.sense
         part = n > 1 and self.bounded
@@ -731,16 +735,16 @@ class _Valued(_WrittenKind, Bounded):
             for k in range(n)
         )
 
-    def prefixed(self, prefix: str) -> Constraint:
+    def add_prefix(self, prefix: str) -> Constraint:
         """The same constraint with a prefix before the names of its coordinates."""
         written = self.expression
         new = {n: prefix + n for n in self.of}
         if isinstance(written, Call):
             written = replace(written, of=tuple(new.get(n, n) for n in written.of))
         elif isinstance(written, Tape):
-            written = renamed(written, new)
+            written = rename_inputs(written, new)
         else:
-            written = renamed(self._tape_of(self._texts), new).texts()
+            written = rename_inputs(self._parse_written(self._texts), new).format_outputs()
         return replace(self, expression=written, of=tuple(new.values()))  # type: ignore[call-arg]
 
 
@@ -798,56 +802,58 @@ class VelocityEquation(_WrittenKind):
         super().__post_init__()
         if not self.of:
             raise InputError(
-                f"{self.what} needs the coordinates whose velocities it is about: of=(...)"
+                f"{self.message_name} needs the coordinates whose velocities it is about: of=(...)"
             )
-        A = self._entries(self.matrix, self._fits)
+        A = self._read_entries(self.matrix, self._check_shape)
         A = (A,) if A and not isinstance(A[0], tuple) else A
-        self._fits((len(A), len(A[0])) if A else (0, 0))
-        b = self._entries(self.b, lambda shape: self._as_many(shape, len(A)))
+        self._check_shape((len(A), len(A[0])) if A else (0, 0))
+        b = self._read_entries(self.b, lambda shape: self._check_b_shape(shape, len(A)))
         b = b if len(b) == len(A) else b * len(A)
-        self._as_many((len(b),), len(A))
+        self._check_b_shape((len(b),), len(A))
         object.__setattr__(self, "matrix", A)
         object.__setattr__(self, "b", b[0] if len(set(b)) == 1 else b)
 
-    def _entries(self, written: Any, fits: Callable[[tuple[int, ...]], None]) -> Any:
+    def _read_entries(self, written: Any, fits: Callable[[tuple[int, ...]], None]) -> Any:
         """Texts, or rows of texts."""
         if callable(written) and not isinstance(written, Expression):
-            found, shape = self._recorded(written, fits)
+            found, shape = self._record_written(written, fits)
             if not is_texts(found):
                 why = found.reason if isinstance(found, Call) else "as text it is too long"
                 raise InputError(
-                    f"{self.what} cannot be recorded: {why}; rows of velocities need derivatives "
+                    f"{self.message_name} cannot be recorded: {why}; rows of velocities need derivatives "
                     "of their entries: write them as expressions"
                 )
             n = shape[-1] if len(shape) == 2 else 0
             return tuple(found[i : i + n] for i in range(0, len(found), n)) if n else found
         rows: Any = written.tolist() if isinstance(written, np.ndarray) else written
         if not is_sequence(rows):
-            return (as_text(rows, self.what),)
+            return (format_expression(rows, self.message_name),)
         if any(is_sequence(x) for x in rows):
             if len({len(x) if is_sequence(x) else -1 for x in rows}) > 1:
-                raise InputError(f"{self.what} has rows of different lengths")
-            return tuple(tuple(as_text(x, self.what) for x in row) for row in rows)
-        return tuple(as_text(x, self.what) for x in rows)
+                raise InputError(f"{self.message_name} has rows of different lengths")
+            return tuple(
+                tuple(format_expression(x, self.message_name) for x in row) for row in rows
+            )
+        return tuple(format_expression(x, self.message_name) for x in rows)
 
-    def _fits(self, shape: tuple[int, ...]) -> None:
+    def _check_shape(self, shape: tuple[int, ...]) -> None:
         """Refuse what is no matrix with a column for each coordinate."""
         if len(shape) not in (1, 2) or shape[-1] != len(self.of) or 0 in shape:
             raise InputError(
-                f"{self.what} has a matrix of the shape {shape}; each of its rows must have "
+                f"{self.message_name} has a matrix of the shape {shape}; each of its rows must have "
                 f"{format_count(len(self.of), 'entry')}, for {', '.join(self.of)}"
             )
 
-    def _as_many(self, shape: tuple[int, ...], rows: int) -> None:
+    def _check_b_shape(self, shape: tuple[int, ...], rows: int) -> None:
         if shape not in ((), (1,), (rows,)):
             raise InputError(
-                f"b of {self.what} has the shape {shape}; it must be one number, or {rows}"
+                f"b of {self.message_name} has the shape {shape}; it must be one number, or {rows}"
             )
 
-    def _row_texts(self) -> tuple[str, ...]:
+    def _format_rows(self) -> tuple[str, ...]:
         """Each row as an expression in velocities, A v - b."""
         b = self.b if is_texts(self.b) else (self.b,) * len(self.matrix)
-        rates = [quoted(n + RATE) for n in self.of]
+        rates = [quote_name(n + RATE) for n in self.of]
         rows = [
             " + ".join(f"({a})*{v}" for a, v in zip(row, rates, strict=True)) for row in self.matrix
         ]
@@ -858,45 +864,51 @@ class VelocityEquation(_WrittenKind):
         """The names in its expressions, and its coordinates."""
         b = self.b if is_texts(self.b) else (self.b,)
         return tuple(
-            dict.fromkeys([*self.of, *words_of((*(x for row in self.matrix for x in row), *b))])
+            dict.fromkeys([*self.of, *list_words((*(x for row in self.matrix for x in row), *b))])
         )
 
-    def knowing(self, parameters: Collection[str]) -> Constraint:
+    def resolve_names(self, parameters: Collection[str]) -> Constraint:
         """The same constraint: its coordinates are named already."""
         return self
 
-    def rows(self, dim: int) -> tuple[Row, ...]:
+    def list_rows(self, dim: int) -> tuple[Row, ...]:
         """One row for each row of the matrix."""
         rates = tuple(n + RATE for n in self.of)
-        tape = self.velocity_tape(rates)
+        tape = self.make_velocity_tape(rates)
         n = len(tape.outputs)
         return tuple(
             Row(Op.VELOCITY, (tape, k), "velocity" if n == 1 else f"velocity {k + 1}", "1/s")
             for k in range(n)
         )
 
-    def velocity_tape(self, rates: tuple[str, ...]) -> Tape:
+    def make_velocity_tape(self, rates: tuple[str, ...]) -> Tape:
         """The rows A v - b over coordinates and the velocities `rates`."""
-        texts = self._row_texts()
+        texts = self._format_rows()
         clock = (TIME,) if self.time else ()
         inputs = (*self.of, *rates, *clock)
-        words = [w for w in words_of(texts) if w not in inputs]
+        words = [w for w in list_words(texts) if w not in inputs]
         known = tuple(words if self.parameters is None else self.parameters)
         try:
-            return from_text(texts, inputs, tuple(p for p in known if p not in inputs))
+            return parse_tape(texts, inputs, tuple(p for p in known if p not in inputs))
         except UnknownNameError as error:
             more = "; for the time say time=True" if error.name == TIME and not self.time else ""
-            raise InputError(f"{self.what}: {error}{more}") from None
+            raise InputError(f"{self.message_name}: {error}{more}") from None
 
-    def prefixed(self, prefix: str) -> Constraint:
+    def add_prefix(self, prefix: str) -> Constraint:
         """The same constraint with a prefix before the names of its coordinates."""
         new = {n: prefix + n for n in self.of}
         clock = (TIME,) if self.time else ()
 
-        def moved(text: str) -> str:
-            words = [w for w in words_of((text,)) if w not in self.of and w not in clock]
-            return renamed(from_text((text,), (*self.of, *clock), tuple(words)), new).texts()[0]
+        def rename_coordinates(text: str) -> str:
+            words = [w for w in list_words((text,)) if w not in self.of and w not in clock]
+            return rename_inputs(
+                parse_tape((text,), (*self.of, *clock), tuple(words)), new
+            ).format_outputs()[0]
 
-        b: Written = tuple(map(moved, self.b)) if is_texts(self.b) else moved(self.b)
-        matrix = tuple(tuple(map(moved, row)) for row in self.matrix)
+        b: Written = (
+            tuple(map(rename_coordinates, self.b))
+            if is_texts(self.b)
+            else rename_coordinates(self.b)
+        )
+        matrix = tuple(tuple(map(rename_coordinates, row)) for row in self.matrix)
         return replace(self, matrix=matrix, b=b, of=tuple(new.values()))

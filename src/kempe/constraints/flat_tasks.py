@@ -32,42 +32,42 @@ class FlatTask:
     dim: int
 
     @property
-    def turns(self) -> bool:
+    def directional(self) -> bool:
         """Whether it is a direction."""
         return self.name == DIRECTION
 
     @property
     def axes(self) -> list[int]:
         """The two axes of the ground along which places are seen; none of a direction."""
-        return [] if self.turns else list(PLANES[self.name][:2])
+        return [] if self.directional else list(PLANES[self.name][:2])
 
     @property
     def labels(self) -> tuple[str, str]:
         """What the two numbers are, with units."""
-        if self.turns:
+        if self.directional:
             return "azimuth [rad]", "elevation [rad]"
         return f"{self.name[0]} [m]", f"{self.name[1]} [m]"
 
-    def said(self, frame: str) -> str:
+    def describe_task(self, frame: str) -> str:
         """What is seen of a frame."""
-        if self.turns:
+        if self.directional:
             return f"direction of z of {frame!r}"
         along = "" if self.dim == 2 else f" along {' and '.join(self.name)}"
         return f"position of {frame!r}{along}"
 
-    def of(self, X: Array) -> Array:
+    def project_poses(self, X: Array) -> Array:
         """The two numbers (..., 2) at poses (..., 4, 4)."""
-        if not self.turns:
+        if not self.directional:
             return X[..., self.axes, 3]
         z = X[..., :3, 2]
         return np.stack(
             [np.arctan2(z[..., 1], z[..., 0]), np.arcsin(np.clip(z[..., 2], -1.0, 1.0))], axis=-1
         )
 
-    def at(self, frame: str, p: Array) -> Constraint:
+    def make_constraint(self, frame: str, p: Array) -> Constraint:
         """What is requested where the numbers shall be p (..., 2)."""
-        if self.turns:
-            return Pointing(frame, _directions(p))
+        if self.directional:
+            return Pointing(frame, _compute_directions(p))
         if self.dim == 2:
             return Position(frame, p)
         i, j, along = PLANES[self.name]
@@ -76,24 +76,24 @@ class FlatTask:
         at[..., j] = p[..., 1]
         return OnLine(frame, at, np.eye(3)[along])
 
-    def area(self, X: Array, J: Array) -> Array:
+    def compute_area(self, X: Array, J: Array) -> Array:
         """Area (...) that the rates of two coordinates span in the task, with its sign, of
         Jacobians (..., 6, 2).
         """
-        if not self.turns:
+        if not self.directional:
             return np.asarray(np.linalg.det(J[..., self.axes, :]))
         return np.einsum("...i,...i", X[..., :3, 2], np.cross(J[..., 3:, 0], J[..., 3:, 1]))
 
-    def apart(self, p: Array, other: Array) -> Array:
+    def compute_distance(self, p: Array, other: Array) -> Array:
         """How far (...) two of them (..., 2) are apart, in metres, or as an angle."""
-        if not self.turns:
+        if not self.directional:
             return np.asarray(np.linalg.norm(other - p, axis=-1))
-        a = _directions(p)
-        b = _directions(other)
+        a = _compute_directions(p)
+        b = _compute_directions(other)
         return 2.0 * np.arctan2(np.linalg.norm(a - b, axis=-1), np.linalg.norm(a + b, axis=-1))
 
 
-def flat_task(name: object, dim: int) -> FlatTask:
+def find_flat_task(name: object, dim: int) -> FlatTask:
     """The task by its name, None: "xy". Errors: `InputError`, `UnsupportedError`."""
     task = "xy" if name is None else check_name("task", name, (*PLANES, DIRECTION))
     if dim == 2 and task != "xy":
@@ -101,7 +101,7 @@ def flat_task(name: object, dim: int) -> FlatTask:
     return FlatTask(task, dim)
 
 
-def _directions(p: Array) -> Array:
+def _compute_directions(p: Array) -> Array:
     """Unit vectors (..., 3) of azimuths and elevations (..., 2)."""
     level = np.cos(p[..., 1])
     return np.stack(

@@ -27,20 +27,20 @@ from kempe.constraints.base import (
     Point,
     Rotation,
     Row,
-    along,
-    at_point,
-    corners_of,
-    directions_of,
     kind,
-    numbers_of,
-    pair,
-    points_of,
-    poses_of,
-    positive,
-    with_axis,
+    make_axis_pose,
+    make_point_pose,
+    make_rotations_along,
+    read_bounds,
+    read_corners,
+    read_directions,
+    read_nonnegative_numbers,
+    read_numbers,
+    read_points,
+    read_poses,
 )
 from kempe.constraints.tape import POSE, Tape
-from kempe.constraints.text import LEAST, from_text
+from kempe.constraints.text import LEAST, parse_tape
 from kempe.errors import InputError
 from kempe.poses import read_pose_array
 from kempe.spatial import Array
@@ -55,7 +55,7 @@ Z = (0.0, 0.0, 1.0)
 
 
 @lru_cache
-def points(dim: int, axes: str = "xyz", **held: str) -> tuple[Row, ...]:
+def list_point_rows(dim: int, axes: str = "xyz", **held: str) -> tuple[Row, ...]:
     """Rows that hold the origin of B along axes of A; `dim` is 2 in the plane, else 3."""
     return tuple(
         Row(Op.POINT, ("xyz".index(a),), a, "m", part=k if held else None, **held)
@@ -64,9 +64,9 @@ def points(dim: int, axes: str = "xyz", **held: str) -> tuple[Row, ...]:
 
 
 @lru_cache
-def whole(dim: int) -> tuple[Row, ...]:
+def list_pose_rows(dim: int) -> tuple[Row, ...]:
     """Rows that hold position and orientation of B in A; `dim` is 2 in the plane, else 3."""
-    return (*points(dim), ROTATION)
+    return (*list_point_rows(dim), ROTATION)
 
 
 ROTATION, TILT, LOOK = (
@@ -77,25 +77,27 @@ ROTATION, TILT, LOOK = (
 class Placed(Constraint):
     """Base of constraints with a `target` or an `origin` on frame A, and a `point` of frame B."""
 
-    def tool(self, dim: int) -> tuple[float, ...]:
+    def make_tool_pose(self, dim: int) -> tuple[float, ...]:
         """The pose, as 16 numbers, of the `point` of frame B, without a rotation."""
         point = getattr(self, "point", ORIGIN)
-        return HERE if point is ORIGIN else at_point(point, dim, f"point of {self.label}")
+        return HERE if point is ORIGIN else make_point_pose(point, dim, f"point of {self.label}")
 
-    def _at(self, dim: int, name: str) -> Array:
+    def _make_poses_at(self, dim: int, name: str) -> Array:
         """Poses (..., 4, 4), without a rotation, at the point in the field `name`; `dim` is 2 in
         the plane, else 3.
         """
-        return spatial.pose(p=points_of(getattr(self, name), dim, f"{name} of {self.label}"))
+        return spatial.pose(p=read_points(getattr(self, name), dim, f"{name} of {self.label}"))
 
-    def _along(self, dim: int, name: str) -> Array:
+    def _make_poses_along(self, dim: int, name: str) -> Array:
         """Poses (..., 4, 4) at `origin` whose z is along the direction in the field `name`.
 
         In the plane (`dim` 2) their x is the normal of the plane; in space x is any direction
         across z.
         """
-        z = directions_of(getattr(self, name), dim, f"{name} of {self.label}")
-        return spatial.pose(along(z, dim), points_of(self.origin, dim, f"origin of {self.label}"))  # type: ignore[attr-defined]
+        z = read_directions(getattr(self, name), dim, f"{name} of {self.label}")
+        return spatial.pose(
+            make_rotations_along(z, dim), read_points(self.origin, dim, f"origin of {self.label}")
+        )  # type: ignore[attr-defined]
 
 
 class Measured(Placed, Bounded):
@@ -107,20 +109,20 @@ class Measured(Placed, Bounded):
     instead: ClassVar[str] = ""
     """The field in whose place the bounds are; '' where the number is zero without bounds."""
 
-    def check(self, dim: int) -> None:
+    def check_fields(self, dim: int) -> None:
         """Refuse bounds that leave nothing between them, and negative distances and angles."""
         value = getattr(self, self.instead) if self.instead else None
         if value is not None:
-            positive(value, f"{self.instead} of {self.label}")
-        super().check(dim)
+            read_nonnegative_numbers(value, f"{self.instead} of {self.label}")
+        super().check_fields(dim)
 
-    def between(self, op: Op, *args: Any) -> tuple[Row, ...]:
+    def list_bounded_rows(self, op: Op, *args: Any) -> tuple[Row, ...]:
         """The row that holds the number between `at_least` and `at_most`; `op` is the operation
         that measures it.
         """
         return (Row(op, args, self.measured, UNITS[self.measured], low="at_least", high="at_most"),)
 
-    def apart(self) -> tuple[Row, ...]:
+    def list_distance_rows(self) -> tuple[Row, ...]:
         """The row of a distance that is the number of the field `instead`, or within bounds.
         Errors: `InputError`.
         """
@@ -131,12 +133,12 @@ class Measured(Placed, Bounded):
             Row(Op.DISTANCE, (), "distance", equal=self.instead, low="at_least", high="at_most"),
         )
 
-    def in_words(self, name: str) -> str:
+    def describe_field(self, name: str) -> str:
         """The bounds, in place of the field that they replace, as `sentence` writes them."""
         return (
-            self.bounds_in_words
+            self.bounds_text
             if name == self.instead and self.bounded
-            else super().in_words(name)
+            else super().describe_field(name)
         )
 
     @property
@@ -146,11 +148,11 @@ class Measured(Placed, Bounded):
         if not self.bounded or self.instead:
             return said
         unit = UNITS[self.measured].replace("1", "")
-        return f"{said}, off by {self.bounds_in_words} {unit}".rstrip()
+        return f"{said}, off by {self.bounds_text} {unit}".rstrip()
 
 
 OFF_LINE, TILTED, AWAY, TURNED = (
-    from_text(text, POSE)
+    parse_tape(text, POSE)
     for text in (
         f"sqrt(x^2 + y^2 + {LEAST})",
         f"atan2(sqrt(xz^2 + yz^2 + {LEAST}), zz)",
@@ -177,13 +179,13 @@ class Pose(Placed):
     target: Matrix
     other: Frame | None = field(default=None, kw_only=True)
 
-    def rows(self, dim: int) -> tuple[Row, ...]:
+    def list_rows(self, dim: int) -> tuple[Row, ...]:
         """Rows of the position and the orientation of the frame."""
-        return whole(dim)
+        return list_pose_rows(dim)
 
-    def goal(self, dim: int) -> Array:
+    def make_goal_poses(self, dim: int) -> Array:
         """The pose or position that is held."""
-        return poses_of(self.target, dim, f"target of {self.label}")
+        return read_poses(self.target, dim, f"target of {self.label}")
 
 
 @kind("position", says="{frame} is at {target}")
@@ -199,13 +201,13 @@ class Position(Measured):
     point: Point = ORIGIN
     other: Frame | None = field(default=None, kw_only=True)
 
-    def rows(self, dim: int) -> tuple[Row, ...]:
+    def list_rows(self, dim: int) -> tuple[Row, ...]:
         """Rows of the position of the point, or one of its distance from the target."""
-        return self.between(Op.DISTANCE) if self.bounded else points(dim)
+        return self.list_bounded_rows(Op.DISTANCE) if self.bounded else list_point_rows(dim)
 
-    def goal(self, dim: int) -> Array:
+    def make_goal_poses(self, dim: int) -> Array:
         """The pose or position that is held."""
-        return self._at(dim, "target")
+        return self._make_poses_at(dim, "target")
 
 
 @kind("orientation", says="{frame} is turned as {target}")
@@ -221,14 +223,14 @@ class Orientation(Measured):
 
     measured: ClassVar[str] = "angle"
 
-    def rows(self, dim: int) -> tuple[Row, ...]:
+    def list_rows(self, dim: int) -> tuple[Row, ...]:
         """One row: the rotation, or its angle."""
-        return self.between(Op.TAPE, TURNED, 0) if self.bounded else (ROTATION,)
+        return self.list_bounded_rows(Op.TAPE, TURNED, 0) if self.bounded else (ROTATION,)
 
-    def goal(self, dim: int) -> Array:
+    def make_goal_poses(self, dim: int) -> Array:
         """The pose or position that is held."""
-        X = numbers_of(read_pose_array(self.target, what := f"target of {self.label}"), what)
-        return poses_of(spatial.pose(X) if X.ndim >= 2 and X.shape[-2:] == (3, 3) else X, dim, what)
+        X = read_numbers(read_pose_array(self.target, what := f"target of {self.label}"), what)
+        return read_poses(spatial.pose(X) if X.ndim >= 2 and X.shape[-2:] == (3, 3) else X, dim, what)
 
 
 class _Axis(Measured):
@@ -236,9 +238,9 @@ class _Axis(Measured):
 
     measured: ClassVar[str] = "angle"
 
-    def tool(self, dim: int) -> tuple[float, ...]:
+    def make_tool_pose(self, dim: int) -> tuple[float, ...]:
         """A rotation, as a pose of 16 numbers, that turns z of the frame to the axis."""
-        return with_axis(self.axis, dim, f"axis of {self.label}")  # type: ignore[attr-defined]
+        return make_axis_pose(self.axis, dim, f"axis of {self.label}")  # type: ignore[attr-defined]
 
 
 @kind("pointing", says="an axis of {frame} is along {direction}")
@@ -254,14 +256,16 @@ class Pointing(_Axis):
     axis: Direction = None
     other: Frame | None = field(default=None, kw_only=True)
 
-    def rows(self, dim: int) -> tuple[Row, ...]:
+    def list_rows(self, dim: int) -> tuple[Row, ...]:
         """One row: the direction of the axis, or its angle to the target."""
-        return self.between(Op.TAPE, TILTED, 0) if self.bounded else (TILT,)
+        return self.list_bounded_rows(Op.TAPE, TILTED, 0) if self.bounded else (TILT,)
 
-    def goal(self, dim: int) -> Array:
+    def make_goal_poses(self, dim: int) -> Array:
         """Poses (..., 4, 4) at the origin whose z is the direction."""
         return spatial.pose(
-            along(directions_of(self.direction, dim, f"direction of {self.label}"), dim)
+            make_rotations_along(
+                read_directions(self.direction, dim, f"direction of {self.label}"), dim
+            )
         )
 
 
@@ -279,13 +283,13 @@ class LookAt(_Axis):
     axis: Direction = None
     other: Frame | None = field(default=None, kw_only=True)
 
-    def rows(self, dim: int) -> tuple[Row, ...]:
+    def list_rows(self, dim: int) -> tuple[Row, ...]:
         """One row: the direction of the axis, or its angle to the line of sight."""
-        return self.between(Op.TAPE, AWAY, 0) if self.bounded else (LOOK,)
+        return self.list_bounded_rows(Op.TAPE, AWAY, 0) if self.bounded else (LOOK,)
 
-    def goal(self, dim: int) -> Array:
+    def make_goal_poses(self, dim: int) -> Array:
         """Poses (..., 4, 4) at the point that is looked at."""
-        return self._at(dim, "target")
+        return self._make_poses_at(dim, "target")
 
 
 @kind("on_line", says="{frame} is on a line of {other}")
@@ -301,19 +305,19 @@ class OnLine(Measured):
     point: Point = ORIGIN
     other: Frame | None = field(default=None, kw_only=True)
 
-    def rows(self, dim: int) -> tuple[Row, ...]:
+    def list_rows(self, dim: int) -> tuple[Row, ...]:
         """Rows of the coordinates across the line (in the plane one), or of the distance from the
         line.
         """
         return (
-            self.between(Op.TAPE, OFF_LINE, 0)
+            self.list_bounded_rows(Op.TAPE, OFF_LINE, 0)
             if self.bounded
-            else points(3, "y" if dim == 2 else "xy")
+            else list_point_rows(3, "y" if dim == 2 else "xy")
         )
 
-    def goal(self, dim: int) -> Array:
+    def make_goal_poses(self, dim: int) -> Array:
         """Poses (..., 4, 4) at `origin` whose z is along the line."""
-        return self._along(dim, "direction")
+        return self._make_poses_along(dim, "direction")
 
 
 @kind("on_plane", says="{frame} is on a plane of {other}")
@@ -331,13 +335,13 @@ class OnPlane(Measured):
 
     measured: ClassVar[str] = "height"
 
-    def rows(self, dim: int) -> tuple[Row, ...]:
+    def list_rows(self, dim: int) -> tuple[Row, ...]:
         """One row: the height of the point over the plane."""
-        return self.between(Op.POINT, 2) if self.bounded else points(3, "z")
+        return self.list_bounded_rows(Op.POINT, 2) if self.bounded else list_point_rows(3, "z")
 
-    def goal(self, dim: int) -> Array:
+    def make_goal_poses(self, dim: int) -> Array:
         """Poses (..., 4, 4) at `origin` whose z is the normal of the plane."""
-        return self._along(dim, "normal")
+        return self._make_poses_along(dim, "normal")
 
 
 @kind("half_space", "contact", "{frame} is on one side of a plane of {other}")
@@ -355,14 +359,14 @@ class HalfSpace(Placed):
 
     unbounded: ClassVar[str] = "it is at least 'margin' away; OnPlane has both bounds of its height"
 
-    def rows(self, dim: int) -> tuple[Row, ...]:
+    def list_rows(self, dim: int) -> tuple[Row, ...]:
         """One row: the height of the point over the plane, which is not negative."""
         return (Row(Op.POINT, (2,), "z", low="zero"),)
 
-    def goal(self, dim: int) -> Array:
+    def make_goal_poses(self, dim: int) -> Array:
         """Poses (..., 4, 4) at a point `margin` over the plane, z along the normal."""
-        X = self._along(dim, "normal")
-        margin = numbers_of(self.margin, f"margin of {self.label}")
+        X = self._make_poses_along(dim, "normal")
+        margin = read_numbers(self.margin, f"margin of {self.label}")
         return X @ spatial.pose(p=margin[..., None] * np.array(Z)) if np.any(margin) else X
 
 
@@ -382,13 +386,13 @@ class OnSphere(Measured):
 
     instead: ClassVar[str] = "radius"
 
-    def rows(self, dim: int) -> tuple[Row, ...]:
+    def list_rows(self, dim: int) -> tuple[Row, ...]:
         """One row: the distance from the center."""
-        return self.apart()
+        return self.list_distance_rows()
 
-    def goal(self, dim: int) -> Array:
+    def make_goal_poses(self, dim: int) -> Array:
         """Poses (..., 4, 4) at the center of the sphere."""
-        return self._at(dim, "center")
+        return self._make_poses_at(dim, "center")
 
 
 @kind("in_box", "contact", "{frame} is in a box of {other}")
@@ -406,35 +410,35 @@ class InBox(Placed):
 
     unbounded: ClassVar[str] = "its bounds are the corners 'low' and 'high'"
 
-    def rows(self, dim: int) -> tuple[Row, ...]:
+    def list_rows(self, dim: int) -> tuple[Row, ...]:
         """One row for each direction."""
-        return points(dim, low="low_corner", high="high_corner")
+        return list_point_rows(dim, low="low_corner", high="high_corner")
 
-    def goal(self, dim: int) -> Array:
+    def make_goal_poses(self, dim: int) -> Array:
         """Poses (..., 4, 4) of the box."""
-        return poses_of(self.pose, dim, f"pose of {self.label}")
+        return read_poses(self.pose, dim, f"pose of {self.label}")
 
-    def check(self, dim: int) -> None:
+    def check_fields(self, dim: int) -> None:
         """Refuse corners that leave nothing between them, and boxes that are off the plane, or flat
         in space.
         """
-        if dim == self._given:
+        if dim == self._given_dim:
             self._corners  # noqa: B018
         else:
-            self._between(dim)
+            self._read_corners(dim)
 
     @property
-    def _given(self) -> int:
+    def _given_dim(self) -> int:
         """How many coordinates the corners are given with: 2 or 3."""
         return 2 if (2,) in (np.shape(self.low)[-1:], np.shape(self.high)[-1:]) else 3
 
     @cached_property
     def _corners(self) -> tuple[Array, Array]:
-        return self._between(self._given)
+        return self._read_corners(self._given_dim)
 
-    def _between(self, dim: int) -> tuple[Array, Array]:
+    def _read_corners(self, dim: int) -> tuple[Array, Array]:
         what = f"corners of {self.label}"
-        return pair(*corners_of(self.low, self.high, dim, what), what)
+        return read_bounds(*read_corners(self.low, self.high, dim, what), what)
 
     @property
     def low_corner(self) -> Array:
@@ -455,8 +459,8 @@ class RelativePose(Placed):
     other: Frame
     target: Matrix
 
-    rows = Pose.rows
-    goal = Pose.goal
+    list_rows = Pose.list_rows
+    make_goal_poses = Pose.make_goal_poses
 
 
 @kind("relative_position", says="{frame} is at {target}, seen from {other}")
@@ -470,8 +474,8 @@ class RelativePosition(Measured):
     target: Point
     point: Point = ORIGIN
 
-    rows = Position.rows
-    goal = Position.goal
+    list_rows = Position.list_rows
+    make_goal_poses = Position.make_goal_poses
 
 
 @kind("distance", says="{frame} and {other} are {value} m apart")
@@ -490,13 +494,13 @@ class Distance(Measured):
 
     instead: ClassVar[str] = "value"
 
-    def rows(self, dim: int) -> tuple[Row, ...]:
+    def list_rows(self, dim: int) -> tuple[Row, ...]:
         """One row, the distance."""
-        return self.apart()
+        return self.list_distance_rows()
 
-    def goal(self, dim: int) -> Array:
+    def make_goal_poses(self, dim: int) -> Array:
         """Poses (..., 4, 4), on its frame, of the point of the other frame."""
-        return EYE if self.other_point is ORIGIN else self._at(dim, "other_point")
+        return EYE if self.other_point is ORIGIN else self._make_poses_at(dim, "other_point")
 
 
 @kind("on_surface", says="{frame} is on {surface} of {other}")
@@ -516,14 +520,14 @@ class OnSurface(Measured):
 
     measured: ClassVar[str] = "value"
 
-    def rows(self, dim: int) -> tuple[Row, ...]:
+    def list_rows(self, dim: int) -> tuple[Row, ...]:
         """The equation of the surface."""
-        tape = self._tape(dim)
+        tape = self._make_tape(dim)
         return (
-            self.between(Op.TAPE, tape, 0)
+            self.list_bounded_rows(Op.TAPE, tape, 0)
             if self.bounded
             else (Row(Op.TAPE, (tape, 0), "surface", "1"),)
         )
 
-    def _tape(self, dim: int) -> Tape:
-        return from_text([self.surface], tuple("xyz"[:dim]), {})
+    def _make_tape(self, dim: int) -> Tape:
+        return parse_tape([self.surface], tuple("xyz"[:dim]), {})

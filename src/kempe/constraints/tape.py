@@ -3,7 +3,7 @@ and pickle.
 
 A tape is made of text (`kempe.constraints.text`) or of a Python function
 (`kempe.constraints.equations`). Kernels run it from its arrays
-(`kempe.kernels.constraints.tape_layout`); `Tape.evaluate` is plain numpy and shares no formula with
+(`kempe.kernels.constraints.tape_layout`); `Tape.evaluate_outputs` is plain numpy and shares no formula with
 them.
 """
 
@@ -47,12 +47,12 @@ WHOLE_POWERS = 64
 at zero."""
 
 
-def entries(s: Any, table: NDArray[Any]) -> NDArray[Any]:
+def look_up_entries(s: Any, table: NDArray[Any]) -> NDArray[Any]:
     """The entries of a table at parameters."""
     return table[np.clip(np.floor(s), 0, len(table) - 1).astype(np.int64)]
 
 
-def nearest(way: Any, z: Any) -> NDArray[Any]:
+def find_nearest_parameters(way: Any, z: Any) -> NDArray[Any]:
     """The parameters of the points of a curve nearest to places: all critical points of all pieces
     that may be it.
 
@@ -64,11 +64,11 @@ def nearest(way: Any, z: Any) -> NDArray[Any]:
     p = np.stack(np.broadcast_arrays(*xy, z), axis=-1)
     out = np.empty(p.shape[:-1])
     for index in np.ndindex(out.shape):
-        out[index] = _nearest(rows, endless, p[index])
+        out[index] = _find_nearest_parameter(rows, endless, p[index])
     return out
 
 
-def _nearest(rows: NDArray[Any], endless: bool, p: NDArray[Any]) -> float:
+def _find_nearest_parameter(rows: NDArray[Any], endless: bool, p: NDArray[Any]) -> float:
     """The nearest of one place: roots of the derivative of the squared distance, polynomials of
     degree 5.
     """
@@ -97,7 +97,7 @@ def _nearest(rows: NDArray[Any], endless: bool, p: NDArray[Any]) -> float:
     return found
 
 
-def at_place(way: Any, x: Any) -> tuple[Any, ...]:
+def append_coordinate(way: Any, x: Any) -> tuple[Any, ...]:
     """The table of a curve, or that with the first coordinate of a place, with one more coordinate."""
     return (*way, x) if is_sequence(way) else (way, x)
 
@@ -110,9 +110,9 @@ BINARY: dict[int, Callable[..., Any]] = {
     L.POW: np.power,
     L.ATAN2: np.arctan2,
     L.HYPOT: np.hypot,
-    L.LOOKUP: entries,
-    L.NEAREST: nearest,
-    L.AT: at_place,
+    L.LOOKUP: look_up_entries,
+    L.NEAREST: find_nearest_parameters,
+    L.AT: append_coordinate,
 }
 UNARY: dict[int, Callable[..., Any]] = {
     L.NEG: np.negative,
@@ -162,7 +162,7 @@ class Tape:
         """The number of places: inputs and nodes."""
         return len(self.inputs) + len(self.nodes)
 
-    def evaluate(self, values: Mapping[str, ArrayLike]) -> NDArray[np.float64]:
+    def evaluate_outputs(self, values: Mapping[str, ArrayLike]) -> NDArray[np.float64]:
         """The outputs (..., n_outputs) at inputs given by name, which broadcast; NaN or infinity
         where not defined.
         """
@@ -172,7 +172,7 @@ class Tape:
         found: list[Any] = [np.asarray(values[name], dtype=np.float64) for name in self.inputs]
         found += [None] * len(self.nodes)
         with np.errstate(all="ignore"):
-            for i in self._needed():
+            for i in self._list_needed_places():
                 op, left, right = self.nodes[i - len(self.inputs)]
                 if op == L.NUMBER:
                     found[i] = np.float64(self.numbers[left])
@@ -188,24 +188,24 @@ class Tape:
             out[..., k] = found[place]
         return out
 
-    def _operands(self, place: int) -> tuple[int, ...]:
+    def _list_operands(self, place: int) -> tuple[int, ...]:
         """The places that the value at a place is computed from."""
         if place < len(self.inputs):
             return ()
         op, left, right = self.nodes[place - len(self.inputs)]
         return (left, right) if op in BINARY else (left,) if op in UNARY else ()
 
-    def _needed(self) -> list[int]:
+    def _list_needed_places(self) -> list[int]:
         """Places, in order, of the nodes that are needed to compute the outputs; nodes of
         derivatives are left out.
         """
         needed = set(self.outputs)
         for place in range(self.size - 1, len(self.inputs) - 1, -1):
             if place in needed:
-                needed.update(self._operands(place))
+                needed.update(self._list_operands(place))
         return sorted(place for place in needed if place >= len(self.inputs))
 
-    def with_numbers(self, numbers: Iterable[float]) -> Tape:
+    def replace_numbers(self, numbers: Iterable[float]) -> Tape:
         """The tape with other constants. Errors: `InputError` for another count."""
         found = tuple(float(x) for x in numbers)
         if len(found) != len(self.numbers):
@@ -215,7 +215,7 @@ class Tape:
             raise InputError(f"{given}; the tape has {len(self.numbers)}")
         return replace(self, numbers=found)
 
-    def fixed(self, values: Mapping[str, float]) -> Tape:
+    def fix_inputs(self, values: Mapping[str, float]) -> Tape:
         """The tape with these inputs replaced by numbers, which come first among its `numbers`.
 
         Its nodes are the same for all values. Names that are no inputs are left alone.
@@ -225,7 +225,7 @@ class Tape:
         kept = [i for i in range(n) if i not in bound]
         place = {old: new for new, old in enumerate([*kept, *bound])}
 
-        def moved(node: Node) -> Node:
+        def move_node(node: Node) -> Node:
             op, left, right = node
             if op in (L.NUMBER, L.TABLE):
                 return op, left + len(bound), right
@@ -235,30 +235,30 @@ class Tape:
         return Tape(
             tuple(self.inputs[i] for i in kept),
             tuple((L.NUMBER, k, -1) for k in range(len(bound)))
-            + tuple(moved(node) for node in self.nodes),
+            + tuple(move_node(node) for node in self.nodes),
             numbers + self.numbers,
             tuple(place.get(i, i) for i in self.outputs),
         )
 
-    def part(self, outputs: Iterable[int]) -> Tape:
+    def select_outputs(self, outputs: Iterable[int]) -> Tape:
         """The tape of some of the outputs, by their numbers; the inputs stay."""
         return replace(self, outputs=tuple(self.outputs[i] for i in outputs))
 
-    def arrays(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    def make_arrays(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """The integers and the numbers that kernels read."""
         head = (len(self.inputs), self.size, len(self.outputs), *self.outputs)
         ints = np.array([*head, *(x for node in self.nodes for x in node)], dtype=np.int64)
         return ints, np.array(self.numbers, dtype=np.float64)
 
-    def degrees_in(self, names: Iterable[str]) -> tuple[int, ...]:
+    def compute_degrees(self, names: Iterable[str]) -> tuple[int, ...]:
         """Degree of each output in these inputs together, read off the program: 0, 1, or 2 for all
         that is more.
         """
         requested = set(names)
         degree = [int(name in requested) for name in self.inputs] + [0] * len(self.nodes)
-        for i in self._needed():
+        for i in self._list_needed_places():
             op, left, right = self.nodes[i - len(self.inputs)]
-            parts = [degree[k] for k in self._operands(i)]
+            parts = [degree[k] for k in self._list_operands(i)]
             if op in (L.ADD, L.SUB, L.NEG):
                 degree[i] = max(parts)
             elif op == L.MUL:
@@ -269,37 +269,37 @@ class Tape:
                 degree[i] = 2 if any(parts) else 0
         return tuple(degree[i] for i in self.outputs)
 
-    def linear_in(self, names: Iterable[str]) -> bool:
+    def is_linear_in(self, names: Iterable[str]) -> bool:
         """Whether the program computes all outputs linearly (with a constant part) in these inputs
         together.
         """
-        return max(self.degrees_in(names), default=0) <= 1
+        return max(self.compute_degrees(names), default=0) <= 1
 
-    def support(self) -> tuple[frozenset[str], ...]:
+    def find_support(self) -> tuple[frozenset[str], ...]:
         """For each output the inputs that it is computed from."""
         found = [frozenset({name}) for name in self.inputs] + [frozenset[str]()] * len(self.nodes)
-        for i in self._needed():
-            found[i] = frozenset().union(*(found[k] for k in self._operands(i)))
+        for i in self._list_needed_places():
+            found[i] = frozenset().union(*(found[k] for k in self._list_operands(i)))
         return tuple(found[i] for i in self.outputs)
 
-    def texts(self) -> tuple[str, ...]:
-        """The outputs as expressions, which `kempe.constraints.text.from_text` reads to an equal
+    def format_outputs(self) -> tuple[str, ...]:
+        """The outputs as expressions, which `kempe.constraints.text.parse_tape` reads to an equal
         tape.
 
         Names that are no plain words stand in backquotes. Errors: `InputError` where one is beyond
         `TEXT_LIMIT`.
         """
         made: dict[int, tuple[str, int]] = {
-            i: (quoted(name), ATOM) for i, name in enumerate(self.inputs)
+            i: (quote_name(name), ATOM) for i, name in enumerate(self.inputs)
         }
         powers = {i: (i, 1) for i in range(len(self.inputs))}
-        for i in self._needed():
-            made[i] = self._written(i, made, powers)
+        for i in self._list_needed_places():
+            made[i] = self._format_node(i, made, powers)
             if len(made[i][0]) > TEXT_LIMIT:
                 raise InputError(f"the expression has more than {TEXT_LIMIT} characters as text")
         return tuple(made[i][0] for i in self.outputs)
 
-    def _written(
+    def _format_node(
         self, i: int, made: dict[int, tuple[str, int]], powers: dict[int, tuple[int, int]]
     ) -> tuple[str, int]:
         """Text of a node and how tightly it binds; `powers` keeps the base and the exponent of
@@ -315,21 +315,21 @@ class Tape:
         n = powers[left][1] + powers.get(right, (-1, 0))[1]
         if op == L.MUL and powers[right][0] == base and n <= WHOLE_POWERS:
             powers[i] = (base, n)
-            return f"{_within(made[base], ATOM)}**{n}", SYMBOLS[L.POW][1]
+            return f"{_bracket_part(made[base], ATOM)}**{n}", SYMBOLS[L.POW][1]
         if op == L.NEG:
-            return f"-{_within(made[left], SIGN + 1)}", SIGN
+            return f"-{_bracket_part(made[left], SIGN + 1)}", SIGN
         if op in SYMBOLS:
             sign, tight = SYMBOLS[op]
-            first = _within(made[left], tight + (op == L.POW))
+            first = _bracket_part(made[left], tight + (op == L.POW))
             return (
-                f"{first}{sign}{_within(made[right], ATOM if made[right][1] == SIGN else tight + 1)}",
+                f"{first}{sign}{_bracket_part(made[right], ATOM if made[right][1] == SIGN else tight + 1)}",
                 tight,
             )
-        arguments = ", ".join(made[k][0] for k in self._operands(i))
+        arguments = ", ".join(made[k][0] for k in self._list_operands(i))
         return f"{NAMES[op]}({arguments})", ATOM
 
 
-def _within(part: tuple[str, int], tight: int) -> str:
+def _bracket_part(part: tuple[str, int], tight: int) -> str:
     """The text of a part, in brackets unless it binds at least so tightly."""
     return part[0] if part[1] >= tight else f"({part[0]})"
 
@@ -350,7 +350,7 @@ def is_plain(name: str) -> bool:
     )
 
 
-def quoted(name: str) -> str:
+def quote_name(name: str) -> str:
     """A name as it is written in text. Errors: `InputError` for names with a backquote."""
     if "`" in name:
         raise InputError(f"the name {name!r} has a backquote, which text cannot hold")

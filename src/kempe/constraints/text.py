@@ -18,7 +18,7 @@ from functools import lru_cache
 from typing import Any, TypeGuard
 
 from kempe.constraints.builder import Builder
-from kempe.constraints.tape import TEXT_LIMIT, Tape, is_plain, quoted
+from kempe.constraints.tape import TEXT_LIMIT, Tape, is_plain, quote_name
 from kempe.errors import InputError, UnknownNameError
 from kempe.kernels.constraints import tape_layout as L
 from kempe.values import CONSTANTS, FUNCTIONS, OF_TWO, Expression
@@ -58,32 +58,32 @@ class TapePlace:
     builder: Builder
     place: int
 
-    def apply(self, op: int, other: TapePlace | None = None) -> TapePlace:
+    def apply_operation(self, op: int, other: TapePlace | None = None) -> TapePlace:
         """The operation on this, and on the other where it takes two."""
         if other is None:
-            return TapePlace(self.builder, self.builder.unary(op, self.place))
-        return TapePlace(self.builder, self.builder.binary(op, self.place, other.place))
+            return TapePlace(self.builder, self.builder.add_unary(op, self.place))
+        return TapePlace(self.builder, self.builder.add_binary(op, self.place, other.place))
 
     def __add__(self, other: TapePlace) -> TapePlace:
-        return self.apply(L.ADD, other)
+        return self.apply_operation(L.ADD, other)
 
     def __sub__(self, other: TapePlace) -> TapePlace:
-        return self.apply(L.SUB, other)
+        return self.apply_operation(L.SUB, other)
 
     def __mul__(self, other: TapePlace) -> TapePlace:
-        return self.apply(L.MUL, other)
+        return self.apply_operation(L.MUL, other)
 
     def __truediv__(self, other: TapePlace) -> TapePlace:
-        return self.apply(L.DIV, other)
+        return self.apply_operation(L.DIV, other)
 
     def __pow__(self, other: TapePlace) -> TapePlace:
-        return self.apply(L.POW, other)
+        return self.apply_operation(L.POW, other)
 
     def __neg__(self) -> TapePlace:
-        return self.apply(L.NEG)
+        return self.apply_operation(L.NEG)
 
 
-def from_text(
+def parse_tape(
     texts: str | list[str] | tuple[str, ...],
     names: Collection[str],
     parameters: Collection[str] = (),
@@ -99,12 +99,14 @@ def from_text(
     listed = tuple(texts) if isinstance(texts, (list, tuple)) else (texts,)
     for text in listed:
         if not isinstance(text, str):  # what is no text cannot be looked up either
-            read(text)
-    return _tape(listed, tuple(names), tuple(parameters))
+            parse_expression(text)
+    return _parse_tape_once(listed, tuple(names), tuple(parameters))
 
 
 @lru_cache(maxsize=1024)
-def _tape(texts: tuple[str, ...], names: tuple[str, ...], parameters: tuple[str, ...]) -> Tape:
+def _parse_tape_once(
+    texts: tuple[str, ...], names: tuple[str, ...], parameters: tuple[str, ...]
+) -> Tape:
     """The tape, made once: kinds ask for that of their text whenever they declare their rows."""
     for name in names:
         if name in parameters:
@@ -115,7 +117,7 @@ def _tape(texts: tuple[str, ...], names: tuple[str, ...], parameters: tuple[str,
     place = {name: TapePlace(builder, i) for i, name in enumerate([*names, *parameters])}
     outputs: list[int] = []
     for text in texts:
-        expression, meant = read(text)
+        expression, meant = parse_expression(text)
         for word in expression.names:
             if meant.get(word, word) not in place:
                 raise UnknownNameError(
@@ -123,33 +125,35 @@ def _tape(texts: tuple[str, ...], names: tuple[str, ...], parameters: tuple[str,
                 )
         leaves = {word: place[meant.get(word, word)] for word in expression.names}
 
-        def number(x: float) -> TapePlace:
-            return TapePlace(builder, builder.number(float(x)))
+        def add_number(x: float) -> TapePlace:
+            return TapePlace(builder, builder.add_number(float(x)))
 
-        leaves |= {word: number(x) for word, x in CONSTANTS.items()}
+        leaves |= {word: add_number(x) for word, x in CONSTANTS.items()}
         try:
-            outputs.append(expression.fold(leaves, _functions(number), number).place)
+            outputs.append(expression.fold(leaves, _make_functions(add_number), add_number).place)
         except (InputError, OverflowError) as error:
             reason = error if isinstance(error, InputError) else "a number in it is too large"
             raise InputError(f"{text!r} cannot be used: {reason}") from None
-    return builder.finish(outputs)
+    return builder.finish_tape(outputs)
 
 
-def _functions(number: Callable[[float], TapePlace]) -> dict[str, Callable[..., Any]]:
+def _make_functions(number: Callable[[float], TapePlace]) -> dict[str, Callable[..., Any]]:
     made: dict[str, Callable[..., Any]] = {
-        name: _function(op, name in OF_TWO) for name, op in _OPERATIONS.items()
+        name: _make_function(op, name in OF_TWO) for name, op in _OPERATIONS.items()
     }
     factors = {name: float(FUNCTIONS[name](1.0)) for name in ("radians", "degrees")}
-    return made | {name: _times(number, f) for name, f in factors.items()}
+    return made | {name: _make_scaling(number, f) for name, f in factors.items()}
 
 
-def _times(number: Callable[[float], TapePlace], factor: float) -> Callable[[TapePlace], TapePlace]:
+def _make_scaling(
+    number: Callable[[float], TapePlace], factor: float
+) -> Callable[[TapePlace], TapePlace]:
     return lambda x: x * number(factor)
 
 
-def _function(op: int, of_two: bool) -> Callable[..., TapePlace]:
-    one: Callable[[TapePlace], TapePlace] = lambda x: x.apply(op)  # noqa: E731
-    two: Callable[[TapePlace, TapePlace], TapePlace] = lambda x, y: x.apply(op, y)  # noqa: E731
+def _make_function(op: int, of_two: bool) -> Callable[..., TapePlace]:
+    one: Callable[[TapePlace], TapePlace] = lambda x: x.apply_operation(op)  # noqa: E731
+    two: Callable[[TapePlace, TapePlace], TapePlace] = lambda x, y: x.apply_operation(op, y)  # noqa: E731
     return two if of_two else one
 
 
@@ -158,7 +162,7 @@ def is_texts(x: object) -> TypeGuard[tuple[str, ...]]:
     return isinstance(x, tuple)
 
 
-def read(text: str) -> tuple[Expression, dict[str, str]]:
+def parse_expression(text: str) -> tuple[Expression, dict[str, str]]:
     """The expression, ``left = right`` as a difference, and a dict of names by the words that stand
     for them in it.
 
@@ -175,7 +179,7 @@ def read(text: str) -> tuple[Expression, dict[str, str]]:
         match = _TOKENS.match(text, at)
         if match is None:
             raise InputError(
-                f"{_short(text)} has {text[at]!r} at place {at + 1}, which no expression holds"
+                f"{_shorten_text(text)} has {text[at]!r} at place {at + 1}, which no expression holds"
             )
         at = match.end()
         kind = match.lastgroup
@@ -188,7 +192,7 @@ def read(text: str) -> tuple[Expression, dict[str, str]]:
         ):
             name = token
             if not name.strip():
-                raise InputError(f"{_short(text)} has an empty name in backquotes")
+                raise InputError(f"{_shorten_text(text)} has an empty name in backquotes")
             if kind == "quoted" or not is_plain(name) or not token.isascii() or "." in token:
                 token = next(
                     (word for word, known in meant.items() if known == name), f"name_{len(meant)}_"
@@ -198,7 +202,9 @@ def read(text: str) -> tuple[Expression, dict[str, str]]:
                 meant[token] = name
         sides[-1] += "**" if token == "^" else " " if kind == "space" else token
     if len(sides) > 2:
-        raise InputError(f"{_short(text)} has {len(sides) - 1} signs of equality; one is allowed")
+        raise InputError(
+            f"{_shorten_text(text)} has {len(sides) - 1} signs of equality; one is allowed"
+        )
     try:
         parts = [Expression(side, len(text) + len(side) + 1) for side in sides]
         if len(parts) == 1 or parts[1].text in ("0", "0.0"):
@@ -207,11 +213,11 @@ def read(text: str) -> tuple[Expression, dict[str, str]]:
     except InputError as error:
         reason = str(error)
         for side in sides:
-            reason = reason.replace(repr(side.strip()), _short(text))
+            reason = reason.replace(repr(side.strip()), _shorten_text(text))
         for word, name in meant.items():
-            reason = reason.replace(word, quoted(name))
+            reason = reason.replace(word, quote_name(name))
         raise InputError(reason) from None
 
 
-def _short(text: str) -> str:
+def _shorten_text(text: str) -> str:
     return repr(text if len(text) <= 60 else f"{text[:57]}...")

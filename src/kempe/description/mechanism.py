@@ -23,11 +23,11 @@ from kempe.constraints.base import (
     End,
     Op,
     Row,
-    expressions_in,
-    frames_of,
-    held,
-    numbers_in,
-    with_numbers,
+    evaluate_number_fields,
+    find_value_field,
+    list_expressions,
+    list_frame_fields,
+    list_number_fields,
 )
 from kempe.constraints.tape import POSE, TWIST
 from kempe.description import checks
@@ -89,7 +89,7 @@ def declare_constraint(
             where,
             "a mechanism always holds it: leave it out",
         )
-    made = _convert_fields(mechanism, given, subject, where).knowing(mechanism.parameters)
+    made = _convert_fields(mechanism, given, subject, where).resolve_names(mechanism.parameters)
     made = replace(made, name="") if made.name else made
     if made.ends[1] is None:
         record = Declared(name, made, "", "", where=where)
@@ -201,7 +201,7 @@ def _convert_fields(
 ) -> Constraint:
     """The constraint with text in its fields of numbers as expressions in known parameters."""
     changed: dict[str, Any] = {}
-    for key, x in numbers_in(given).items():
+    for key, x in list_number_fields(given).items():
         if isinstance(x, str) and x in AXES:
             continue
         read = _check_values(mechanism, x, key, subject, where)
@@ -216,7 +216,7 @@ def _check_values(
     """Numbers, or expressions in known parameters that are finite with their values."""
     try:
         read = _parse_values(x, what)
-        for e in expressions_in(read):
+        for e in list_expressions(read):
             for name in e.names:
                 if name not in mechanism.parameters:
                     raise UnknownNameError("parameter", name, mechanism.parameters)
@@ -250,10 +250,10 @@ def check_constraint(mechanism: Mechanism, made: Declared) -> None:
             subject, f"it ties body {made.parent!r} to itself", where, "it must tie two bodies"
         )
     numbers = evaluate_constraint(made, mechanism.parameters, dim)
-    rows = numbers.rows(dim)
-    tool = numbers.tool(dim)
+    rows = numbers.list_rows(dim)
+    tool = numbers.make_tool_pose(dim)
     if not made.parent:
-        if not made.of.reads:
+        if not made.of.coordinate_names:
             checks.raise_problem(
                 subject,
                 f"{made.of.label} is requested in one call of ik, not held always",
@@ -289,16 +289,16 @@ def evaluate_constraint(made: Declared, parameters: Mapping[str, float], dim: in
     """The constraint with its expressions evaluated at the parameters, checked. Errors:
     `DescriptionError`.
     """
-    numbers = with_numbers(made.of, parameters)
+    numbers = evaluate_number_fields(made.of, parameters)
     try:
-        rows = numbers.rows(dim)
-        for key, x in numbers_in(numbers).items():
+        rows = numbers.list_rows(dim)
+        for key, x in list_number_fields(numbers).items():
             if x is not None and _has_nan(x):
                 raise InputError(f"{key} is {format_value(x)}; it must be numbers")
         _refuse_zero_lengths(made, numbers, rows)
-        numbers.check(dim)
-        numbers.goal(dim)
-        numbers.tool(dim)
+        numbers.check_fields(dim)
+        numbers.make_goal_poses(dim)
+        numbers.make_tool_pose(dim)
     except InputError as error:
         if isinstance(error, DescriptionError):
             raise
@@ -320,14 +320,14 @@ def reads_axes(row: Row) -> bool:
     """Whether a row reads how frame B is turned."""
     if row.op in (Op.TAPE, Op.VELOCITY):
         tape, output = row.args
-        return tape.degrees_in((*POSE[3:], *TWIST[3:]))[output] > 0
+        return tape.compute_degrees((*POSE[3:], *TWIST[3:]))[output] > 0
     return row.op not in (Op.DISTANCE, Op.POINT)
 
 
 def _refuse_zero_lengths(made: Declared, numbers: Constraint, rows: tuple[Row, ...]) -> None:
     """Refuse lengths that no rod has: points that coincide are a joint."""
     for row in rows:
-        name = held(numbers, row) if row.op is Op.DISTANCE else ""
+        name = find_value_field(numbers, row) if row.op is Op.DISTANCE else ""
         length = getattr(numbers, name) if name else 1.0
         if not 0.0 < float(length) < math.inf:  # not a number fails, too
             given = getattr(made.of, name)
@@ -354,8 +354,8 @@ def rename_constraint(
     def rename_end(x: Any) -> Any:
         return replace(x, body=bodies[x.body]) if isinstance(x, End) else both.get(x, x)
 
-    of = replace(made.of, **{k: rename_end(x) for k, x in frames_of(made.of).items()})
-    own = {"name": prefix + made.name, "of": of.prefixed(prefix)}
+    of = replace(made.of, **{k: rename_end(x) for k, x in list_frame_fields(made.of).items()})
+    own = {"name": prefix + made.name, "of": of.add_prefix(prefix)}
     return replace(
         made, **own, parent=bodies.get(made.parent, ""), child=bodies.get(made.child, "")
     )
@@ -1257,7 +1257,7 @@ def extract_group(mechanism: Mechanism, name: str, held: Mapping[str, float]) ->
     """The bodies and joints of a group, as a mechanism.
 
     Its ground is the body from which all its joints branch off. Joints on the way to them that are
-    not in the group are locked at the values `held`; bodies that are fixed to moving ones come
+    not in the group are locked at the values `find_value_field`; bodies that are fixed to moving ones come
     along, and what `extract_subchain` keeps.
     Errors: `UnknownNameError`, `DescriptionError`; `InputError` for a group without joints.
     """

@@ -9,7 +9,14 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 
-from kempe.constraints.base import Constraint, Op, content, one_sided, position_rows, with_numbers
+from kempe.constraints.base import (
+    Constraint,
+    Op,
+    evaluate_number_fields,
+    is_one_sided,
+    list_position_rows,
+    make_content_key,
+)
 from kempe.errors import Where
 from kempe.joints import Helical, JointType, P, R, Translation
 from kempe.poses import Placement
@@ -326,23 +333,23 @@ class Declared(InSentence):
     @property
     def rod(self) -> bool:
         """Whether the constraint only holds the distance of two points."""
-        return [r.op for r in position_rows(self.of, 3)] == [Op.DISTANCE]
+        return [r.op for r in list_position_rows(self.of, 3)] == [Op.DISTANCE]
 
     def frames(self, parameters: Mapping[str, float], dim: int) -> tuple[Array, Array]:
         """The poses (4, 4) of frame A on the body `parent`, and of frame B on the body `child`."""
-        made = with_numbers(self.of, parameters)
-        B = self.X_CM.evaluate_pose(parameters) @ np.reshape(made.tool(dim), (4, 4))
-        return self.X_PF.evaluate_pose(parameters) @ made.goal(dim), B
+        made = evaluate_number_fields(self.of, parameters)
+        B = self.X_CM.evaluate_pose(parameters) @ np.reshape(made.make_tool_pose(dim), (4, 4))
+        return self.X_PF.evaluate_pose(parameters) @ made.make_goal_poses(dim), B
 
     def length(self, parameters: Mapping[str, float]) -> float:
         """The length of a rod, in metres."""
-        made = with_numbers(self.of, parameters)
-        (row,) = made.rows(3)
+        made = evaluate_number_fields(self.of, parameters)
+        (row,) = made.list_rows(3)
         return float(getattr(made, row.equal))
 
     def equations(self, dim: int) -> int:
         """Number of equations f(q) = 0 of the constraint, in the plane (`dim` 2) or in space (3)."""
-        return sum(r.size(dim) for r in position_rows(self.of, dim))
+        return sum(r.count_equations(dim) for r in list_position_rows(self.of, dim))
 
     def positions(self, dim: int) -> int:
         """Number of rows on positions, not velocities, in the plane (`dim` 2) or in space (3)."""
@@ -351,13 +358,17 @@ class Declared(InSentence):
     def bounds(self, dim: int) -> int:
         """Number of inequalities among the rows, in the plane (`dim` 2) or in space (3)."""
         return sum(
-            r.size(dim) for r in self.of.rows(dim) if not r.velocity and one_sided(self.of, r)
+            r.count_equations(dim)
+            for r in self.of.list_rows(dim)
+            if not r.velocity and is_one_sided(self.of, r)
         )
 
     def of_pose(self, dim: int) -> int:
         """Number of equations on directions, rotations and distances, without those of expressions."""
         return sum(
-            r.size(dim) for r in position_rows(self.of, dim) if r.op not in (Op.TAPE, Op.CALL)
+            r.count_equations(dim)
+            for r in list_position_rows(self.of, dim)
+            if r.op not in (Op.TAPE, Op.CALL)
         )
 
     @property
@@ -366,12 +377,12 @@ class Declared(InSentence):
         expressions.
         """
         return bool(self.parent) and any(
-            r.op not in (Op.TAPE, Op.CALL) for r in position_rows(self.of, 3)
+            r.op not in (Op.TAPE, Op.CALL) for r in list_position_rows(self.of, 3)
         )
 
     def key(self) -> tuple[Any, ...]:
         """All content of the constraint as a tuple that can be compared."""
-        return self.name, self.parent, self.child, self.X_PF, self.X_CM, content(self.of)
+        return self.name, self.parent, self.child, self.X_PF, self.X_CM, make_content_key(self.of)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Declared) and self.key() == other.key()

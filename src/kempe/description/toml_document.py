@@ -10,7 +10,7 @@ from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 from kempe import constraints
-from kempe.constraints.base import fields_of
+from kempe.constraints.base import list_fields
 from kempe.description.shapes import SHAPES, list_size_names
 from kempe.description.source import Findings, Source, make_error, shorten_text
 from kempe.errors import Where, hint
@@ -476,7 +476,7 @@ class Document:
             and "parent" not in table
             and table.get("type") in constraints.KINDS
         ):
-            known = ("name", "type", *fields_of(constraints.KINDS[table["type"]]))
+            known = ("name", "type", *list_fields(constraints.KINDS[table["type"]]))
         for key, item in table.items():
             wanted, said = (
                 (object, "")

@@ -13,7 +13,7 @@ from pathlib import Path as FilePath
 from typing import Any, cast
 
 from kempe import constraints
-from kempe.constraints.base import FRAMES, NUMBERS, End, fields_of, needed_by
+from kempe.constraints.base import FRAMES, NUMBERS, End, list_fields, list_required_fields
 from kempe.description.mechanism import BETWEEN, Mechanism, declare_placed_constraint
 from kempe.description.parts import Body
 from kempe.description.source import (
@@ -242,15 +242,15 @@ class _TomlReader:
             self.between(table, path, subject, good)
             return
         kind = constraints.KINDS[table["type"]]
-        how = fields_of(kind)
+        how = list_fields(kind)
         given: dict[str, Any] = {}
-        for key in needed_by(kind):
+        for key in list_required_fields(kind):
             if key not in table:
                 self.findings.add(
                     f"the key {key!r} is missing",
                     subject,
                     self.where(*path),
-                    f"it needs {', '.join(needed_by(kind))}",
+                    f"it needs {', '.join(list_required_fields(kind))}",
                 )
                 good = False
         for key in how.keys() & table.keys():

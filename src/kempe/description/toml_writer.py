@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from kempe.arrays import is_mapping, is_sequence
-from kempe.constraints.base import NUMBERS, End, expressions_in, fields_of, numbers_in
+from kempe.constraints.base import NUMBERS, End, list_expressions, list_fields, list_number_fields
 from kempe.constraints.tape import TEXT_LIMIT, Tape
 from kempe.description.formats import TOML
 from kempe.description.mechanism import BETWEEN, Mechanism
@@ -168,10 +168,10 @@ def _make_constraint_table(constraint: Declared, dim: int) -> dict[str, Any]:
     if placed and all(isinstance(e, End) for e in constraint.of.ends):
         out |= {"type": placed, "parent": constraint.parent, "child": constraint.child}
         if constraint.rod:
-            (row,) = constraint.of.rows(dim)
+            (row,) = constraint.of.list_rows(dim)
             out["length"] = getattr(constraint.of, row.equal)
         X_PF = constraint.X_PF
-        if "direction" in (own := numbers_in(constraint.of)) and own["direction"] != (
+        if "direction" in (own := list_number_fields(constraint.of)) and own["direction"] != (
             0.0,
             0.0,
             1.0,
@@ -183,7 +183,7 @@ def _make_constraint_table(constraint: Declared, dim: int) -> dict[str, Any]:
         }
     out["type"] = constraint.kind
     usual = {f.name: f.default for f in fields(constraint.of)}
-    for key, how in fields_of(type(constraint.of)).items():
+    for key, how in list_fields(type(constraint.of)).items():
         x = getattr(constraint.of, key)
         if x is not None and not (
             isinstance(x, (str, bool, int, float, tuple)) and x == usual[key]
@@ -197,7 +197,7 @@ def _convert_field(x: Any, how: str, dim: int) -> Any:
     if isinstance(x, End):
         return {"body": x.body, **_make_placement_keys(x.X, dim)}
     if how in NUMBERS and not isinstance(x, (str, Expression)):
-        return x if is_sequence(x) and expressions_in(x) else np.asarray(x).tolist()
+        return x if is_sequence(x) and list_expressions(x) else np.asarray(x).tolist()
     if callable(x):
         reason: Any = getattr(x, "reason", None)
         why = "" if reason is None else f", which cannot be recorded: {reason}"

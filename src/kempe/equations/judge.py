@@ -17,7 +17,7 @@ import numpy as np
 from kempe import spatial
 from kempe.arguments import explain_errors
 from kempe.arrays import read_reals, unwrap_scalar
-from kempe.constraints.base import Constraint, Op, Row, held, one_sided, tilt_of
+from kempe.constraints.base import Constraint, Op, Row, find_value_field, is_one_sided, compute_tilt
 from kempe.constraints.tape import POSE, TIME
 from kempe.description.mechanism import Mechanism, evaluate_constraint
 from kempe.description.parts import Declared, Joint
@@ -197,7 +197,7 @@ def frame_misses(A: Array, B: Array, shape: RowShape) -> tuple[Array, Array]:
     elif shape.turns in (L.ALIGN, L.LOOK):
         seen = spatial.inverse(A) @ B
         look = shape.turns == L.LOOK
-        angle = tilt_of(
+        angle = compute_tilt(
             np.einsum("...ji,...j->...i", seen[..., :3, :3], -seen[..., :3, 3])
             if look
             else seen[..., :3, 2]
@@ -276,13 +276,13 @@ def missed(
 
 def is_compared(made: Constraint, row: Row) -> bool:
     """Whether a row is compared with a number, or a distance, in place of being zero."""
-    return row.op is Op.DISTANCE or bool(held(made, row)) or one_sided(made, row)
+    return row.op is Op.DISTANCE or bool(find_value_field(made, row)) or is_one_sided(made, row)
 
 
 def _ends(made: Constraint, row: Row, given: Numbers) -> tuple[Any, Any]:
     """Numbers (...) between which a row is held, the same ones for a row that has a value."""
-    if not one_sided(made, row):
-        value = _number(made, held(made, row), row.part, given, 0.0)
+    if not is_one_sided(made, row):
+        value = _number(made, find_value_field(made, row), row.part, given, 0.0)
         return value, value
     low = _number(made, row.low, row.part, given, -np.inf)
     return low, _number(made, row.high, row.part, given, np.inf)
@@ -331,11 +331,11 @@ def _value(system: Model, made: Constraint, row: Row, q: Array, known: Mapping[s
         own = {
             n: coordinate_value(system, q, n)
             for n in what.inputs
-            if n not in known or n in made.reads
+            if n not in known or n in made.coordinate_names
         }
-        return what.evaluate({**known, **own})[..., k]
+        return what.evaluate_outputs({**known, **own})[..., k]
     whole = getattr(what, "at", None)  # a function of the whole configuration
-    own = {n: coordinate_value(system, q, n) for n in made.reads}
+    own = {n: coordinate_value(system, q, n) for n in made.coordinate_names}
     out = np.empty(q.shape[:-1])
     if TIME in known:
         own = {TIME: np.broadcast_to(known[TIME], out.shape)} | own
@@ -439,7 +439,13 @@ class Poses:
             A = self.bodies[declared.parent] @ F
             B = self.bodies[declared.child] @ M
         return missed(
-            self.system, made, [r for r in made.rows(dim) if not r.velocity], self.q, A, B, t=self.t
+            self.system,
+            made,
+            [r for r in made.list_rows(dim) if not r.velocity],
+            self.q,
+            A,
+            B,
+            t=self.t,
         )
 
     def relation(self, of: str, sources: dict[str, float], offset: float) -> tuple[Array, Array]:

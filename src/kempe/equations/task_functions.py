@@ -14,7 +14,7 @@ import numpy as np
 from kempe import spatial
 from kempe.arguments import read_names
 from kempe.arrays import is_sequence, read_mapping, read_reals
-from kempe.constraints.base import Constraint, Op, Row, ends_of, numbers_of
+from kempe.constraints.base import Constraint, Op, Row, read_row_bounds, read_numbers
 from kempe.constraints.coordinates_and_centres import Function
 from kempe.description.parts import Declared
 from kempe.errors import InputError, format_value
@@ -215,7 +215,7 @@ class Whole:
             self.how = SUPPLIED
         elif not self.frames:
             self.how = way_of(of.function, system.structure.layout, q)
-        self.low, self.high = ends_of(of.low, of.high, f"bounds of {of.label}", self.count)
+        self.low, self.high = read_row_bounds(of.low, of.high, f"bounds of {of.label}", self.count)
 
     def raw(self, q: Array) -> Any:
         """What the function gives at q."""
@@ -326,7 +326,7 @@ class OfSystem(Constraint):
     low: Array
     high: Array
 
-    def rows(self, dim: int) -> tuple[Row, ...]:
+    def list_rows(self, dim: int) -> tuple[Row, ...]:
         """One for each number; where both ends are the same it is held there."""
         return tuple(
             Row(Op.CALL, (self, k), str(k), "1")
@@ -363,7 +363,7 @@ class CoordinateValues(Constraint):
     q: Array
     items: tuple[CoordinateItem, ...]
 
-    def rows(self, dim: int) -> tuple[Row, ...]:
+    def list_rows(self, dim: int) -> tuple[Row, ...]:
         """One for each coordinate or quaternion."""
         turning = self.system.structure.coordinates.turning
         return tuple(
@@ -409,7 +409,7 @@ def coordinate_values(system: Model, made: Constraint) -> CoordinateValues:
         return CoordinateValues(system, read_q(system, given), tuple(items), name=made.label)
     # refuses names that are none, or follow others
     make_q(system, dict.fromkeys(values, 0.0))
-    columns = {n: numbers_of(x, f"{n!r} of {made.label}") for n, x in values.items()}
+    columns = {n: read_numbers(x, f"{n!r} of {made.label}") for n, x in values.items()}
     q = np.empty((*np.broadcast_shapes(*(x.shape for x in columns.values())), system.nq))
     q[:] = system.neutral
     for n, x in columns.items():
@@ -430,7 +430,7 @@ def bound(system: Model, made: Constraint) -> Constraint:
     """The constraint as one of this system: functions of its configurations as numbers of these,
     and coordinates by their places.
     """
-    rows = made.rows(system.dim)
+    rows = made.list_rows(system.dim)
     if any(r.op is Op.COORDINATE for r in rows):
         return coordinate_values(system, made)
     if not any(r.op is Op.CALL and len(r.args) == 1 for r in rows):
@@ -456,7 +456,7 @@ def held_too(system: SystemType, further: Any) -> SystemType:
                 f"also holds {format_value(c)}, which is no constraint of kempe.constraints and no "
                 "function"
             )
-        name = made.name or (made.about if made is not c else made.label)
+        name = made.name or (made.subject if made is not c else made.label)
         while name in taken:
             name += " again"
         taken.add(name)

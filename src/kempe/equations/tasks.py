@@ -17,10 +17,10 @@ from kempe.constraints.base import (
     Constraint,
     Op,
     Row,
-    held,
-    numbers_of,
-    one_sided,
-    with_numbers,
+    evaluate_number_fields,
+    find_value_field,
+    is_one_sided,
+    read_numbers,
 )
 from kempe.description.mechanism import reads_axes
 from kempe.equations.judge import FRAME_ROWS, Numbers, RowShape, missed, shape_of
@@ -112,8 +112,8 @@ class Task:
     """
 
     def __init__(self, system: Model, constraint: Constraint):
-        rows = constraint.rows(system.dim)
-        constraint.check(system.dim)
+        rows = constraint.list_rows(system.dim)
+        constraint.check_fields(system.dim)
         if any(r.velocity for r in rows):
             raise InputError(
                 f"{constraint.label} is about velocities, which no configuration has: declare it "
@@ -128,23 +128,23 @@ class Task:
         made = constraint
         if facts_of(rows).written:
             known = system.structure.parameters
-            made = bound(system, with_numbers(constraint.knowing(known), known))
-            refuse_unreadable(system, made.reads, self.label)
+            made = bound(system, evaluate_number_fields(constraint.resolve_names(known), known))
+            refuse_unreadable(system, made.coordinate_names, self.label)
         self.of: Any = made
-        self.rows = rows = made.rows(system.dim) if made is not constraint else rows
+        self.rows = rows = made.list_rows(system.dim) if made is not constraint else rows
         facts = facts_of(rows)
         self.lengths = facts.lengths
         self.angles = facts.angles
         self.lasting = facts.lasting
         self.compares = facts.compares
         """Whether rows are compared with numbers."""
-        self.bounded = self.compares and any(one_sided(made, r) for r in rows)
+        self.bounded = self.compares and any(is_one_sided(made, r) for r in rows)
         """Whether some of its rows are held between bounds."""
         self.varied = self.bounded and any(has_varied_bounds(made, r) for r in rows)
         """Whether bounds differ from target to target."""
         self.central = facts.placed and made.ends[1] is None
         """Whether a centre of masses takes the place of frame B."""
-        self.tool = made.tool(system.dim)
+        self.tool = made.make_tool_pose(system.dim)
         a, b = made.ends
         self.frames = (
             None if a is None else system.structure.frame_name(a),
@@ -163,7 +163,7 @@ class Task:
         """Which parts of the pose of a frame the task holds; None where it holds anything else."""
         others = [r for r in self.rows if r.op is not Op.POINT]
         plain = all(r.op in FRAME_ROWS for r in self.rows) and len(others) <= 1
-        valued = any(held(self.of, r) for r in self.rows if r.op is not Op.DISTANCE)
+        valued = any(find_value_field(self.of, r) for r in self.rows if r.op is not Op.DISTANCE)
         if self.frames[1] is None or not plain or valued:
             return None
         return shape_of(self.rows, self.system.dim)
@@ -177,9 +177,9 @@ class Task:
         numbers: tuple[Any, ...] = ()
         if self.compares:
             varied = tuple([self._varied_ends(r) for r in self.rows])
-            values = tuple([bool(held(made, r)) for r in self.rows])
+            values = tuple([bool(find_value_field(made, r)) for r in self.rows])
             bounds = [
-                get_row_bounds(made, r) if one_sided(made, r) and not ends else None
+                get_row_bounds(made, r) if is_one_sided(made, r) and not ends else None
                 for r, ends in zip(self.rows, varied, strict=True)
             ]
             numbers = varied, values, tuple(bounds)
@@ -210,7 +210,7 @@ class Task:
     def _refuse_axes_of_particles(self, A: End, B: End) -> None:
         turned = B[2] and (any(map(reads_axes, self.rows)) or any(self.tool[k] for k in (3, 7, 11)))
         beside = any(r.op is not Op.DISTANCE for r in self.rows)
-        leaned = A[2] and (beside or np.any(self.of.goal(self.system.dim)[..., :3, 3]))
+        leaned = A[2] and (beside or np.any(self.of.make_goal_poses(self.system.dim)[..., :3, 3]))
         if turned or leaned:
             raise InputError(
                 f"{self.frames[1 if turned else 0]!r} is a particle, which has no axes: "
@@ -220,7 +220,7 @@ class Task:
     @cached_property
     def _shares(self) -> tuple[tuple[str, tuple[float, ...], float], ...]:
         """Frames, points on them and their masses, whose sum is 1."""
-        shares = self.of.masses(self.system._mechanism.bodies, self.system.name)
+        shares = self.of.list_masses(self.system._mechanism.bodies, self.system.name)
         return tuple((self.system.structure.frame_name(m.frame), m.point, m.part) for m in shares)
 
     def _centre(self, table: Table) -> Centre:
@@ -263,7 +263,7 @@ class Task:
         numbers: Numbers = {}
         for row in self.rows if self.compares else ():
             varied = self._varied_ends(row)
-            for field in [getattr(row, end) for end in varied] or [held(made, row)]:
+            for field in [getattr(row, end) for end in varied] or [find_value_field(made, row)]:
                 if field:
                     name = format_input_name(field, row.part)
                     x = self._number(name)
@@ -276,10 +276,10 @@ class Task:
                 }
             if row.op is Op.COORDINATE:
                 numbers[row.args[2]] = made.values(row)
-        return Goal(made.goal(self.system.dim) if posed else None, numbers)
+        return Goal(made.make_goal_poses(self.system.dim) if posed else None, numbers)
 
     def _number(self, name: str) -> Array:
-        return numbers_of(get_input_number(self.of, name), f"{name} of {self.label}")[..., None]
+        return read_numbers(get_input_number(self.of, name), f"{name} of {self.label}")[..., None]
 
     def measure(
         self, q: Array, goal: Goal | None = None, poses: Poses | None = None

@@ -78,7 +78,7 @@ class VelocityRows:
     @cached_property
     def packed(self) -> tuple[np.ndarray, Array]:
         """The arrays of the tape."""
-        return self.tape.arrays()
+        return self.tape.make_arrays()
 
     @cached_property
     def inputs(self) -> np.ndarray:
@@ -174,15 +174,15 @@ class Numbers:
 
     def place(self, a: Num) -> int:
         """The place of a number."""
-        return self.builder.number(a) if isinstance(a, float) else a
+        return self.builder.add_number(a) if isinstance(a, float) else a
 
     def of(self, op: int, a: Num, b: Num | None = None) -> Num:
         """An operation of the tape."""
         x = self.place(a)
         build = self.builder
-        made = build.unary(op, x) if b is None else build.binary(op, x, self.place(b))
+        made = build.add_unary(op, x) if b is None else build.add_binary(op, x, self.place(b))
         if made >= len(self.builder.inputs):
-            known = self.builder._constant(made)
+            known = self.builder._get_constant(made)
             return made if known is None else known
         return made
 
@@ -428,7 +428,7 @@ class Recorder:
             values.append(value)
             forms.append(form)
         zero: Num = 0.0
-        needed = set(tape._needed())
+        needed = set(tape._list_needed_places())
         for i, (op, left, right) in enumerate(tape.nodes, len(tape.inputs)):
             if i not in needed:
                 value = zero
@@ -437,7 +437,7 @@ class Recorder:
                 value = tape.numbers[left]
                 form = {}
             elif op == L.TABLE:
-                value = self.builder.table(tape.numbers[left : left + right])
+                value = self.builder.add_table(tape.numbers[left : left + right])
                 form = {}
             elif op in BINARY:
                 value, form = self._two(op, values[left], values[right], forms[left], forms[right])
@@ -493,24 +493,24 @@ class Recorder:
             return {}
         if op == L.AT:
             return f | {(len({i for i, _ in f}), k): x for k, x in g.items()}
-        rates = build.rates_of(place)
+        rates = build.find_nearest_rates(place)
         out: Form = {}
         for i, key, x in [*((*k, x) for k, x in f.items()), *((2, k, x) for k, x in g.items())]:
-            known = build._constant(rates[i])
+            known = build._get_constant(rates[i])
             out[key] = n.add(out.get(key, 0.0), n.mul(rates[i] if known is None else known, x))
         return out
 
     def _slope(self, op: int, x: Num, y: Num) -> Num:
         """The derivative of y = f(x)."""
-        place = self.builder.unary(op, self.numbers.place(x))
+        place = self.builder.add_unary(op, self.numbers.place(x))
         nodes = self.builder._nodes
         slope = nodes[place - len(self.builder.inputs)][2]
-        known = self.builder._constant(slope)
+        known = self.builder._get_constant(slope)
         return slope if known is None else known
 
     def finish(self) -> tuple[Tape, np.ndarray]:
         """The tape, and row and velocity of each of its outputs."""
-        tape = self.builder.finish([self.numbers.place(x) for _, _, x in self.entries])
+        tape = self.builder.finish_tape([self.numbers.place(x) for _, _, x in self.entries])
         places = np.array([(row, column) for row, column, _ in self.entries], dtype=np.int64)
         return tape, places.reshape(-1, 2)
 
@@ -690,7 +690,7 @@ class _Recording:
         """Add the rows of velocity of a declared constraint."""
         system = self.system
         made = evaluate_constraint(declared, self.parameters, system.dim)
-        rows = [row for row in made.rows(system.dim) if row.velocity]
+        rows = [row for row in made.list_rows(system.dim) if row.velocity]
         if not rows:
             return
         a, b = find_ends(system, self.recorder.table, declared)

@@ -472,7 +472,7 @@ def _build_law(
     tapes = [t.tape for t in ties]
     linear = all(
         t.relation is not None
-        or (r is not None and not r.pose_dependent and r.tape.linear_in(r.tape.inputs))
+        or (r is not None and not r.pose_dependent and r.tape.is_linear_in(r.tape.inputs))
         for t, r in zip(ties, tapes, strict=True)
     )
     name = of.of if isinstance(of, Relation) else of.name

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe import spatial
-from kempe.constraints.base import COUNTS, Op, position_rows
+from kempe.constraints.base import COUNTS, Op, list_position_rows
 from kempe.description.parts import Declared, Joint
 from kempe.first_order.constraint_graph import Edge, build_constraint_graph
 from kempe.first_order.rank import ClusterRank, Rank, compute_loop_rows
@@ -224,7 +224,7 @@ def _list_joint_reactions(system: Model, rank: Rank, c: ClusterRank) -> list[_Jo
 def _name_reactions(of: Declared, dim: int) -> tuple[str, ...]:
     """Name the reactions of the equations of a declared constraint, in their order."""
     out: list[str] = []
-    for row in position_rows(of.of, dim):
+    for row in list_position_rows(of.of, dim):
         if row.op in COUNTS:
             count = COUNTS[row.op][dim]
             out += ["Mx", "My", "Mz"][-count:] if row.op is Op.ROTATION else ["Mx", "My"][:count]

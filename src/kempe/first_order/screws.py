@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe import spatial
-from kempe.constraints.base import COUNTS, Op, Row, position_rows
+from kempe.constraints.base import COUNTS, Op, Row, list_position_rows
 from kempe.description.parts import Declared
 from kempe.equations.closure_rows import full
 from kempe.first_order.constraint_graph import Edge, build_constraint_graph
@@ -56,7 +56,7 @@ class Screws:
 
     def compute_wrench_rows(self, edge: int, of: Declared, dim: int) -> Array:
         """Compute the rows (k, 6) that map a relative twist to the rates of a declared constraint."""
-        rows = (r for r in position_rows(of.of, dim) if r.op not in (Op.TAPE, Op.CALL))
+        rows = (r for r in list_position_rows(of.of, dim) if r.op not in (Op.TAPE, Op.CALL))
         return np.concatenate([self._compute_rate_rows(edge, r, dim) for r in rows])
 
     def _compute_rate_rows(self, edge: int, row: Row, dim: int) -> Array:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.arguments import explain_errors
-from kempe.constraints.base import Op, held, position_rows, with_numbers
+from kempe.constraints.base import Op, find_value_field, list_position_rows, evaluate_number_fields
 from kempe.description.parts import Declared, Joint
 from kempe.errors import UnsupportedError
 from kempe.forward.symbolic import (
@@ -88,7 +88,7 @@ def derive_closure(
     for name in system.structure.closures:
         out[name] = _derive_joint_equations(system, m.joints[name], name in explicit, leaves)
     for constraint in m.constraints.values():
-        if position_rows(constraint.of, system.dim):
+        if list_position_rows(constraint.of, system.dim):
             out[constraint.name] = _derive_constraint_equations(system, constraint, leaves)
     for r in system.structure.relations:
         sources = sum(
@@ -158,17 +158,17 @@ def _derive_constraint_equations(system: Model, constraint: Declared, leaves: Sy
     dim = system.dim
     of = constraint.of
     subject = f"constraint {constraint.name!r}"
-    rows = position_rows(of, dim)
+    rows = list_position_rows(of, dim)
     other = [r for r in rows if r.op not in (Op.POINT, Op.DISTANCE)]
     if other or not constraint.parent:
         raise UnsupportedError(
             f"constraint {constraint.name!r} is of kind {of.kind}; formulas are known of distances "
             "and of points on lines and planes; loops.constraints() has numbers"
         )
-    made = with_numbers(of, system.structure.parameters)
+    made = evaluate_number_fields(of, system.structure.parameters)
     ends: list[Any] = []
-    goal = made.goal(dim)
-    tool = np.reshape(made.tool(dim), (4, 4))
+    goal = made.make_goal_poses(dim)
+    tool = np.reshape(made.make_tool_pose(dim), (4, 4))
     for body, X, more in (
         (constraint.parent, constraint.X_PF, goal),
         (constraint.child, constraint.X_CM, tool),
@@ -181,7 +181,7 @@ def _derive_constraint_equations(system: Model, constraint: Declared, leaves: Sy
     gap = ends[1][:3, 3] - ends[0][:3, 3]
     out: list[Any] = []
     for row in rows:
-        name = held(of, row)
+        name = find_value_field(of, row)
         value: Any = getattr(of, name) if name else 0.0
         value = leaves.express_value(value if row.part is None else value[row.part])
         out.append(

@@ -16,7 +16,7 @@ from kempe.answers.targets import axis_of, of_target, points_along, task_and_axi
 from kempe.arguments import explain_errors, explain_method_errors, raise_interrupted
 from kempe.arrays import is_whole
 from kempe.budget import Budget, Usual
-from kempe.constraints.base import Constraint, numbers_of
+from kempe.constraints.base import Constraint, read_numbers
 from kempe.equations.one_sided import one_sided_rows
 from kempe.equations.slip import slip_of
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
@@ -270,7 +270,7 @@ def _wish(system: Model, direction: Any, local: Local, problem: Demands) -> Arra
                 f"direction is {direction!r}, which does not move what the tasks hold; {own} do"
             )
         return np.eye(system.nv)[at]
-    wish = numbers_of(direction, "direction")
+    wish = read_numbers(direction, "direction")
     if wish.shape != (system.nv,) or not np.isfinite(wish).all() or not wish.any():
         raise InputError(
             f"direction has shape {wish.shape}; it must be a velocity ({system.nv},), not zero"

@@ -145,7 +145,9 @@ class Equations:
                     [tie.tape.encode_input(n), *first.get(n, (-1, -1))]
                     for n in tie.tape.tape.inputs
                 )
-                recorded.append((*tie.tape.tape.arrays(), [x for item in inputs for x in item]))
+                recorded.append(
+                    (*tie.tape.tape.make_arrays(), [x for item in inputs for x in item])
+                )
             heads.append(
                 [
                     tie.mask,

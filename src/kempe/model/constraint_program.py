@@ -9,8 +9,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
-from kempe.constraints.base import Constraint, Op, Row, held, numbers_in, one_sided
-from kempe.constraints.builder import Builder, substituted
+from kempe.constraints.base import (
+    Constraint,
+    Op,
+    Row,
+    find_value_field,
+    is_one_sided,
+    list_number_fields,
+)
+from kempe.constraints.builder import Builder, substitute_sources
 from kempe.constraints.tape import POSE, TIME, Tape
 from kempe.description.mechanism import evaluate_constraint
 from kempe.description.parts import Declared, Joint
@@ -115,7 +122,9 @@ class RecordedRows:
         """
         return replace(
             self,
-            tape=substituted(self.tape, {n: sources[n] for n in self.coordinates if n in sources}),
+            tape=substitute_sources(
+                self.tape, {n: sources[n] for n in self.coordinates if n in sources}
+            ),
         )
 
 
@@ -199,7 +208,7 @@ BELOW = (-np.inf, 0.0)
 def list_declared_ties(system: Model, table: Table, one_sided: bool = False) -> list[Tie]:
     """List the ties of all declared constraints that hold at a value.
 
-    With `one_sided`, those that hold between two bounds are listed, too.
+    With `is_one_sided`, those that hold between two bounds are listed, too.
     """
     every = (
         t
@@ -269,7 +278,7 @@ class Side(NamedTuple):
 
     def find_number_name(self, row: Row) -> str:
         """Return the name of the number that a row is measured from, "" where that is zero."""
-        field = getattr(row, self.end) if self.end else held(self.made, row)
+        field = getattr(row, self.end) if self.end else find_value_field(self.made, row)
         return format_input_name(field, row.part)
 
     def list_bounds(self, rows: list[Row]) -> tuple[tuple[float, float], ...]:
@@ -290,13 +299,13 @@ def list_sides(made: Constraint, dim: int, requested: bool) -> list[Side]:
     Rows hold at values, between fixed bounds, or on one side of a bound that comes with the call.
     Errors: `InputError` for a value or bounds of a row that cannot have them.
     """
-    rows = [r for r in made.rows(dim) if not r.velocity]
+    rows = [r for r in made.list_rows(dim) if not r.velocity]
     for row in rows:
         _check_row_number(made, row, requested)
     varied_rows = [r for r in rows if requested and has_varied_bounds(made, r)]
-    fixed_rows = [r for r in rows if one_sided(made, r) and r not in varied_rows]
+    fixed_rows = [r for r in rows if is_one_sided(made, r) and r not in varied_rows]
     sides = [
-        Side(made, [r for r in rows if not one_sided(made, r)], False, requested),
+        Side(made, [r for r in rows if not is_one_sided(made, r)], False, requested),
         Side(made, fixed_rows, True, requested),
     ]
     for end in ("low", "high"):
@@ -307,7 +316,7 @@ def list_sides(made: Constraint, dim: int, requested: bool) -> list[Side]:
 
 def has_varied_bounds(made: Constraint, row: Row) -> bool:
     """Tell whether a row is held between bounds that differ from target to target."""
-    if not one_sided(made, row):
+    if not is_one_sided(made, row):
         return False
     plain = 0 if row.part is None else 1
     return any([field and np.ndim(getattr(made, field)) > plain for field in (row.low, row.high)])
@@ -328,8 +337,8 @@ def list_varied_ends(made: Constraint, row: Row) -> tuple[str, ...]:
 
 def _check_row_number(made: Constraint, row: Row, requested: bool) -> None:
     """Refuse a value or bounds for a row that cannot have them. Errors: `InputError`."""
-    value = held(made, row)
-    whole = row.op in TURNS and (value or one_sided(made, row))
+    value = find_value_field(made, row)
+    whole = row.op in TURNS and (value or is_one_sided(made, row))
     if whole or (value and row.op is Op.CALL) or (row.op is Op.COORDINATE and not requested):
         raise InputError(
             f"the row {row.name!r} of {made.label} is no number that has a value or ends"
@@ -409,7 +418,9 @@ def _make_tape_ties(name: str, side: Side, system: Model, a: End, b: End) -> lis
     for row in (r for r in side.rows if r.op is Op.TAPE):
         number = side.find_number_name(row)
         if number:
-            off = _make_excess_tape(*row.args, number, side.end == "high", (*POSE, *made.reads))
+            off = _make_excess_tape(
+                *row.args, number, side.end == "high", (*POSE, *made.coordinate_names)
+            )
             row = Row(Op.TAPE, (off, 0), row.name, row.unit)
         rows.append(row)
     sources = {n: (f.source, f.multiplier, f.offset) for n, f in system.structure.couplings.items()}
@@ -469,9 +480,13 @@ def _make_excess_tape(
     """
     inputs = list(dict.fromkeys([*tape.inputs, end]))
     build = Builder(inputs, [n for n in inputs if n not in varying])
-    value = build.replayed(tape.part([output]), [build.inputs.index(n) for n in tape.inputs])[0]
+    value = build.replay_tape(
+        tape.select_outputs([output]), [build.inputs.index(n) for n in tape.inputs]
+    )[0]
     place = build.inputs.index(end)
-    return build.finish([build.binary(TL.SUB, *((place, value) if turned else (value, place)))])
+    return build.finish_tape(
+        [build.add_binary(TL.SUB, *((place, value) if turned else (value, place)))]
+    )
 
 
 def record_rows(made: Constraint, rows: list[Row], dim: int, given: bool = False) -> RecordedRows:
@@ -479,7 +494,7 @@ def record_rows(made: Constraint, rows: list[Row], dim: int, given: bool = False
 
     With `given`, the numbers of its fields stay inputs that come with each call.
     """
-    tape = rows[0].args[0].part([r.args[1] for r in rows])
+    tape = rows[0].args[0].select_outputs([r.args[1] for r in rows])
     own = {n: get_input_number(made, n) for n in list_recorded_numbers(made, dim, tape)}
     numbers = collect_numbers(made) | ({TIME: 0.0} if getattr(made, "time", False) else {}) | own
     fixed = {k: x for k, x in numbers.items() if k in tape.inputs and not (given and k in own)}
@@ -487,20 +502,20 @@ def record_rows(made: Constraint, rows: list[Row], dim: int, given: bool = False
     unit = rows[0].unit
     posed = made.ends[1] is not None
     return RecordedRows(
-        tape.fixed(fixed) if fixed else tape, names, unit, posed, tuple(own) if given else ()
+        tape.fix_inputs(fixed) if fixed else tape, names, unit, posed, tuple(own) if given else ()
     )
 
 
 def list_recorded_numbers(made: Constraint, dim: int, tape: Tape) -> list[str]:
     """List the inputs of an expression that are numbers in fields of the constraint."""
-    ends = {n for r in made.rows(dim) for n in (r.equal, r.low, r.high)}
-    fields = {*numbers_in(made), *ends} - {"", *made.reads}
+    ends = {n for r in made.list_rows(dim) for n in (r.equal, r.low, r.high)}
+    fields = {*list_number_fields(made), *ends} - {"", *made.coordinate_names}
     return [n for n in tape.inputs if n.partition("[")[0] in fields]
 
 
 def get_row_value(made: Constraint, row: Row) -> float:
-    """Return the value at which a row is held."""
-    return float(get_field_number(made, name, row.part)) if (name := held(made, row)) else 0.0
+    """Return the value at which a row is find_value_field."""
+    return float(get_field_number(made, name, row.part)) if (name := find_value_field(made, row)) else 0.0
 
 
 def get_field_number(made: Constraint, field: str, part: int | None = None) -> Any:
@@ -527,11 +542,11 @@ def collect_numbers(made: Constraint) -> dict[str, float]:
     """Return the numbers and parameters of a constraint, by the names that expressions use."""
     own = {
         k: x
-        for k, x in numbers_in(made).items()
+        for k, x in list_number_fields(made).items()
         if x is not None and np.ndim(x) == 0 and not isinstance(x, str)
     }
     given: dict[str, Any] = {**(getattr(made, "parameters", None) or {}), **own}
-    return {k: float(x) for k, x in given.items() if k not in made.reads}
+    return {k: float(x) for k, x in given.items() if k not in made.coordinate_names}
 
 
 def get_row_bounds(made: Constraint, row: Row) -> tuple[float, float]:

@@ -302,9 +302,9 @@ def _resolve_followers(
 
 def _check_equations(mechanism: Mechanism, every: dict[str, Joint], balls: set[str]) -> None:
     """Refuse coordinates in equations that do not exist, or that equations cannot read."""
-    for c in (c for c in mechanism.constraints.values() if c.of.reads):
-        reads = [n for n in c.of.reads if n not in mechanism.parameters]
-        operations = {r.op for r in c.of.rows(mechanism.dim)}
+    for c in (c for c in mechanism.constraints.values() if c.of.coordinate_names):
+        reads = [n for n in c.of.coordinate_names if n not in mechanism.parameters]
+        operations = {r.op for r in c.of.list_rows(mechanism.dim)}
         for name in reads:
             subject = f"constraint {c.name!r}"
             if name not in every:
@@ -544,7 +544,7 @@ def find_wound_coordinates(mechanism: Mechanism, c: Coordinates) -> np.ndarray:
     out = np.zeros(len(c.velocity_names), dtype=bool)
     number = {name: i for i, name in enumerate(c.velocity_names)}
     for declared in mechanism.constraints.values():
-        for name in declared.of.reads if declared.positions(mechanism.dim) else ():
+        for name in declared.of.coordinate_names if declared.positions(mechanism.dim) else ():
             source = c.followers[name].source if name in c.followers else name
             if source in number:
                 out[number[source]] = True

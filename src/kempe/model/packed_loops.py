@@ -283,7 +283,7 @@ class LoopPlan:
 
     def _record_tape(self, recorded: RecordedRows, columns: dict[int, int]) -> None:
         """Collect the tape of a TAPE tie and the meaning of each of its inputs."""
-        ints, floats = recorded.tape.arrays()
+        ints, floats = recorded.tape.make_arrays()
         first = self.system.structure.coordinates.first
         inputs: list[int] = []
         for name in recorded.tape.inputs:
@@ -505,7 +505,7 @@ def find_explicit_joints(system: Model, known: Iterable[str] = ()) -> frozenset[
     They have no implicit form, or known, limited or coupled coordinates.
     """
     related = {n for r in system.structure.relations for n in (r.of, *r.sources)} | set(known)
-    related |= {n for c in system._mechanism.constraints.values() for n in c.of.reads}
+    related |= {n for c in system._mechanism.constraints.values() for n in c.of.coordinate_names}
     # others move with them
     related |= {f.source for f in system.structure.couplings.values() if f.source is not None}
     v_index = {n: i for i, n in enumerate(system.structure.velocity_names)}

@@ -14,7 +14,7 @@ from collections import defaultdict
 from collections.abc import Mapping
 from typing import Any
 
-from kempe.constraints.base import content
+from kempe.constraints.base import make_content_key
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Joint
 from kempe.poses import Placement
@@ -101,7 +101,7 @@ class _Colours:
         ties: dict[str, list[str]] = defaultdict(list)
         for c in mechanism.constraints.values():
             for end, body in enumerate((c.parent, c.child)):
-                ties[body].append(f"{c.kind} {end} {len(content(c.of))}")
+                ties[body].append(f"{c.kind} {end} {len(make_content_key(c.of))}")
         layers: dict[int, list[str]] = defaultdict(list)
         for body in self.at:
             layers[level[body]].append(body)

@@ -26,7 +26,7 @@ def list_timed_constraints(system: Model) -> tuple[str, ...]:
     return tuple(
         c.name
         for c in held
-        if getattr(c.of, "time", False) and not any(r.velocity for r in c.of.rows(system.dim))
+        if getattr(c.of, "time", False) and not any(r.velocity for r in c.of.list_rows(system.dim))
     )
 
 

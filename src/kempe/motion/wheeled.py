@@ -374,7 +374,7 @@ def _middle(axle: Axle, q: Array, foot: Array, forward: Array) -> tuple[Array, f
     sense = 0.0
     offsets: list[float] = []
     for declared in system._mechanism.constraints.values():
-        if not declared.child or not any(r.velocity for r in declared.of.rows(system.dim)):
+        if not declared.child or not any(r.velocity for r in declared.of.list_rows(system.dim)):
             continue
         end = fk(system, samples, declared.child)
         end = end @ declared.frames(system.structure.parameters, system.dim)[1]

@@ -446,7 +446,7 @@ class TwoFreedoms:
         """How many configurations bring the frame to each place of a lattice x (m,), y (n,)."""
         seeds = self._seeds()
         p = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
-        node = nearest_node(x, y, self.task.of(fk(self.system, seeds, self.frame)))
+        node = nearest_node(x, y, self.task.project_poses(fk(self.system, seeds, self.frame)))
         found = flooded(
             self.solver,
             self._off_places(p),
@@ -471,7 +471,7 @@ class TwoFreedoms:
         assert self._reaching is not None
         x, y, found, mask = self._reaching
         flat = q.reshape(-1, q.shape[-1])
-        p = self.task.of(fk(self.system, flat, self.frame))
+        p = self.task.project_poses(fk(self.system, flat, self.frame))
         count = mask.sum(axis=1)
         around = nodes_around(x, y, p)
         out = count[around[:, 0]]
@@ -511,7 +511,7 @@ class TwoFreedoms:
 
     def _off_places(self, p: Array) -> Missing:
         """What the frame misses of places (k, 2)."""
-        packed = Packed(self.system, [self.task.at(self.frame, p)])
+        packed = Packed(self.system, [self.task.make_constraint(self.frame, p)])
         pins = packed.pins([packed.tasks[0].goal()], (len(p),))
 
         def missing(q: Array, node: np.ndarray) -> tuple[Array, Array]:
@@ -550,7 +550,7 @@ class TwoFreedoms:
     def places(self, q: Array, mask: np.ndarray) -> Array:
         """What is seen of the frame (..., k, 2) at configurations, NaN where there are none."""
         X = fk(self.system, np.where(mask[..., None], q, self.system.neutral), self.frame)
-        return np.where(mask[..., None], self.task.of(X), np.nan)
+        return np.where(mask[..., None], self.task.project_poses(X), np.nan)
 
 
 class OpenChain(TwoFreedoms):
@@ -590,7 +590,7 @@ class FlatChain(OpenChain):
         """How many configurations (...) bring the frame to where it is at configurations q (...,
         nq).
         """
-        return np.maximum(self.number(self.task.of(fk(self.system, q, self.frame))), 1)
+        return np.maximum(self.number(self.task.project_poses(fk(self.system, q, self.frame))), 1)
 
     def number(self, p: Array) -> np.ndarray:
         """How many configurations (...) bring the frame to places p (..., 2)."""

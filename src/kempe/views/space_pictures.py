@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from kempe.arguments import call_until_interrupt, explain_errors, numbers, read_flag
 from kempe.arrays import is_real, is_whole
 from kempe.budget import Budget, Usual
-from kempe.constraints.flat_tasks import FlatTask, flat_task
+from kempe.constraints.flat_tasks import FlatTask, find_flat_task
 from kempe.equations.judge import closure_error
 from kempe.errors import InputError, Interrupted, TimeLimitError, UnsupportedError, format_value
 from kempe.forward.fk import fk, jacobian
@@ -103,7 +103,7 @@ def plot_spaces(
     picture.
     """
     name = system.structure.frame_name(frame)
-    seen = flat_task(task, system.dim)
+    seen = find_flat_task(task, system.dim)
     spend = USUAL.complete_budget(budget)
     targets = _targets(points, seen)
     if not is_whole(resolution) or not COARSEST <= resolution <= FINEST:
@@ -160,7 +160,7 @@ def _targets(points: ArrayLike, seen: FlatTask) -> Array:
     if targets.ndim != 2 or targets.shape[1] != 2 or not np.isfinite(targets).all():
         unit = (
             "azimuths and elevations in radians"
-            if seen.turns
+            if seen.directional
             else f"places {', '.join(seen.name)} in metres"
         )
         raise InputError(f"points has shape {targets.shape}; it must be (k, 2), {unit}")
@@ -199,12 +199,14 @@ def nearest(
     """
     from kempe.inverse.ik import ik
 
-    start = q.reshape(-1, system.nq)[int(np.argmin(task.apart(p.reshape(-1, 2), target)))]
-    found = ik(system, task.at(frame, target), start=start).q
+    start = q.reshape(-1, system.nq)[
+        int(np.argmin(task.compute_distance(p.reshape(-1, 2), target)))
+    ]
+    found = ik(system, task.make_constraint(frame, target), start=start).q
     finite = (x for x in (start, found) if np.isfinite(x).all())
-    tries = [(x, task.of(fk(system, x, frame))) for x in finite if _closed(system, x)]
-    x, at = min(tries, key=lambda row: float(task.apart(row[1], target)))
-    return x, at, float(task.apart(at, target))
+    tries = [(x, task.project_poses(fk(system, x, frame))) for x in finite if _closed(system, x)]
+    x, at = min(tries, key=lambda row: float(task.compute_distance(row[1], target)))
+    return x, at, float(task.compute_distance(at, target))
 
 
 def _closed(system: Model, q: Array) -> bool:
@@ -220,7 +222,7 @@ def _singular_curves(space: TwoFreedoms) -> Any:
     name = space.frame
     task = space.task
     on_curve = (
-        f"{NEEDED} and of a frame that moves in both: {task.said(name)} of {system.name} moves on "
+        f"{NEEDED} and of a frame that moves in both: {task.describe_task(name)} of {system.name} moves on "
         "a curve"
     )
     hint = "" if system.dim == 2 else '; task may be "xy", "xz", "yz" or "direction"'
@@ -254,7 +256,7 @@ def _area(space: TwoFreedoms, q: Array) -> Array:
     """Area (...) that the rates of both coordinates of a chain span in the task, with its sign."""
     system = space.system
     name = space.frame
-    return space.task.area(fk(system, q, name), jacobian(system, q, name))
+    return space.task.compute_area(fk(system, q, name), jacobian(system, q, name))
 
 
 def _shade_task_space(space: TwoFreedoms, ax: Any, p: Array, targets: Array, n: int) -> None:
@@ -263,7 +265,7 @@ def _shade_task_space(space: TwoFreedoms, ax: Any, p: Array, targets: Array, n: 
     low = np.nanmin(every, axis=0)
     high = np.nanmax(every, axis=0)
     room = ROOM * max(float((high - low).max()), 1e-9)
-    ends = DIRECTIONS if space.task.turns else np.full(2, np.inf)
+    ends = DIRECTIONS if space.task.directional else np.full(2, np.inf)
     low = np.maximum(low - room, -ends)
     high = np.minimum(high + room, ends)
     x, y = (np.linspace(float(low[i]), float(high[i]), n) for i in range(2))
@@ -318,7 +320,7 @@ def _images(space: TwoFreedoms, values: Array) -> list[Array]:
 
 def _torn(space: TwoFreedoms, line: Array) -> Array:
     """A line (n, 2) in the task space, parted where an azimuth jumps by a turn."""
-    jump = np.flatnonzero(np.abs(np.diff(line[:, 0])) > np.pi) + 1 if space.task.turns else ()
+    jump = np.flatnonzero(np.abs(np.diff(line[:, 0])) > np.pi) + 1 if space.task.directional else ()
     return np.insert(line, jump, np.nan, axis=0)
 
 
@@ -369,7 +371,9 @@ def _draw_line(
     turned = _values(space, q)
     jump = np.flatnonzero((np.abs(np.diff(turned, axis=0))[:, space.turns] > np.pi).any(axis=1)) + 1
     left.plot(*np.insert(turned, jump, np.nan, axis=0).T, gid=gid, marker=marker, ms=4, **look)
-    right.plot(*_torn(space, space.task.of(fk(space.system, q, space.frame))).T, gid=gid, **look)
+    right.plot(
+        *_torn(space, space.task.project_poses(fk(space.system, q, space.frame))).T, gid=gid, **look
+    )
 
 
 def _draw_grid(space: TwoFreedoms, left: Any, right: Any) -> None:
@@ -426,7 +430,7 @@ def _draw_singular(space: TwoFreedoms, left: Any, right: Any, grid: Array) -> No
         zorder=style.PINS,
     )
     for k, line in enumerate(np.asarray(x, dtype=float) for x in lines.allsegs[0] if len(x) > 1):
-        p = space.task.of(fk(space.system, line, space.frame))
+        p = space.task.project_poses(fk(space.system, line, space.frame))
         right.plot(
             *_torn(space, p).T, color=style.OPEN, lw=1.6, gid=f"singular:{k}", zorder=style.PINS
         )
@@ -472,7 +476,9 @@ def _draw_point(
     if not len(found):
         q, at, far = nearest(space.system, space.frame, space.task, target, every, p)
         said = (
-            f"{np.degrees(far):.3g}°" if space.task.turns else page.length_text(float(f"{far:.3g}"))
+            f"{np.degrees(far):.3g}°"
+            if space.task.directional
+            else page.length_text(float(f"{far:.3g}"))
         )
         left.plot(
             *_values(space, q),
@@ -512,7 +518,7 @@ def _draw_motion(space: TwoFreedoms, left: Any, right: Any, q: Array, k: int, co
     if not len(q):
         return
     _draw_line(space, left, right, q, f"path:{k}", color=colour, lw=2.0, zorder=style.TEXT)
-    begins = _values(space, q[0]), space.task.of(fk(space.system, q[0], space.frame))
+    begins = _values(space, q[0]), space.task.project_poses(fk(space.system, q[0], space.frame))
     for ax, place in zip((left, right), begins, strict=True):
         ax.plot(
             *place,
@@ -528,7 +534,7 @@ def _draw_motion(space: TwoFreedoms, left: Any, right: Any, q: Array, k: int, co
 
 def _draw_configuration(space: TwoFreedoms, left: Any, right: Any, q: Array, k: int) -> None:
     """Draw a configuration (nq,) as a dot on both sides, with its arm on the right."""
-    place = space.task.of(fk(space.system, q, space.frame))
+    place = space.task.project_poses(fk(space.system, q, space.frame))
     for ax, at in ((left, _values(space, q)), (right, place)):
         ax.plot(
             *at,
@@ -628,7 +634,7 @@ def _finish(
     right.set_ylabel(space.task.labels[1], size=style.FONT, color=style.INK)
     right.set_aspect("equal", adjustable="box")
     left.set_title("configuration space", size=style.FONT + 1, color=style.INK)
-    said = f"task space: {space.task.said(space.frame)}{'' if space.complete else ', as found'}"
+    said = f"task space: {space.task.describe_task(space.frame)}{'' if space.complete else ', as found'}"
     right.set_title(said, size=style.FONT + 1, color=style.INK)
     if said := _partly(space.broken, getattr(curves, "broken", None)):
         left.text(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.constraints.base import Op, position_rows, with_numbers
+from kempe.constraints.base import Op, evaluate_number_fields, list_position_rows
 from kempe.description.parts import Declared
 from kempe.equations.judge import closure_error, coordinate_value
 from kempe.errors import UnsupportedError
@@ -314,7 +314,7 @@ def _constraints(system: Model, poses: dict[str, Array], number: dict[str, int])
                     float(np.linalg.norm(p[1] - p[0])) - c.length(mechanism.parameters),
                 )
             )
-        elif [r.op for r in position_rows(c.of, system.dim)] == [Op.POINT] * (system.dim - 1):
+        elif [r.op for r in list_position_rows(c.of, system.dim)] == [Op.POINT] * (system.dim - 1):
             lines.append((c.name, ends, A, B[:3, 3]))
         else:
             marks.append(_mark(system, c, number[c.child], A, B))
@@ -325,9 +325,9 @@ def _mark(system: Model, c: Declared, link: int, A: Array, B: Array) -> SeenMark
     """A constraint that is no rod or line, with the plane that it touches or lies on, if there is
     one.
     """
-    made = with_numbers(c.of, system.structure.parameters)
+    made = evaluate_number_fields(c.of, system.structure.parameters)
     plane = None
-    rows = [r for r in made.rows(system.dim) if not r.velocity]
+    rows = [r for r in made.list_rows(system.dim) if not r.velocity]
     flat = system.dim == 2
     point = bool(rows) and rows[0].op is Op.POINT
     if len(rows) == 1 and (made.symbol in ("contact", "wheel") or (point and not flat)):

@@ -130,7 +130,7 @@ def possible(session: Session) -> tuple[str, ...]:
     """Names of `MOTIONS` that a system of this kind can have."""
     system = session.system
     freedoms = len(session.sliders)
-    rows = [r for c in system.mechanism.constraints.values() for r in c.of.rows(system.dim)]
+    rows = [r for c in system.mechanism.constraints.values() for r in c.of.list_rows(system.dim)]
     rolls = any(r.velocity for r in rows)
     falls = len(system.parent) == 1 and any(
         c.bounds(system.dim) for c in system.mechanism.constraints.values()
