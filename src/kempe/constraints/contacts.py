@@ -10,7 +10,15 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 from kempe.arguments import read_flag
-from kempe.constraints.base import Constraint, Frame, Number, Op, Row, kind, read_nonnegative_numbers
+from kempe.constraints.base import (
+    Constraint,
+    Frame,
+    Number,
+    Op,
+    Row,
+    kind,
+    read_nonnegative_numbers,
+)
 from kempe.constraints.tape import POSE, TWIST
 from kempe.constraints.text import parse_tape
 from kempe.errors import InputError, UnknownNameError

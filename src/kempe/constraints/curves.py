@@ -14,7 +14,7 @@ from kempe import spatial
 from kempe.arguments import read_flag
 from kempe.arrays import read_reals
 from kempe.constraints.base import Frame, Op, Point, Row, kind, read_points
-from kempe.constraints.builder import Builder, add_dot_product, add_curve_terms
+from kempe.constraints.builder import Builder, add_curve_terms, add_dot_product
 from kempe.constraints.kinds import ORIGIN, Measured
 from kempe.constraints.tape import Tape
 from kempe.constraints.text import LEAST

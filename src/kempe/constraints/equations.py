@@ -18,7 +18,7 @@ from kempe.arrays import is_array, is_sequence
 from kempe.constraints.base import LARGEST, Bounded, Constraint, Names, Op, Row, kind
 from kempe.constraints.builder import Builder, rename_inputs
 from kempe.constraints.tape import RATE, TIME, Tape, quote_name
-from kempe.constraints.text import parse_tape, is_texts, parse_expression
+from kempe.constraints.text import is_texts, parse_expression, parse_tape
 from kempe.errors import InputError, KempeError, UnknownNameError, format_value
 from kempe.kernels.constraints import tape_layout as L
 from kempe.values import Expression
@@ -483,7 +483,7 @@ class Call:
         found, _ = call_function(self.function, given, self.time, self.what)
         if len(found) != self.size:
             raise InputError(
-                f"{self.what} gave {format_count(self.size, 'number')}, and gives {len(found)} format_inputs "
+                f"{self.what} gave {format_count(self.size, 'number')}, and gives {len(found)} at "
                 f"{format_inputs(given)}"
             )
         return found

@@ -230,7 +230,9 @@ class Orientation(Measured):
     def make_goal_poses(self, dim: int) -> Array:
         """The pose or position that is held."""
         X = read_numbers(read_pose_array(self.target, what := f"target of {self.label}"), what)
-        return read_poses(spatial.pose(X) if X.ndim >= 2 and X.shape[-2:] == (3, 3) else X, dim, what)
+        return read_poses(
+            spatial.pose(X) if X.ndim >= 2 and X.shape[-2:] == (3, 3) else X, dim, what
+        )
 
 
 class _Axis(Measured):

@@ -17,7 +17,7 @@ import numpy as np
 from kempe import spatial
 from kempe.arguments import explain_errors
 from kempe.arrays import read_reals, unwrap_scalar
-from kempe.constraints.base import Constraint, Op, Row, find_value_field, is_one_sided, compute_tilt
+from kempe.constraints.base import Constraint, Op, Row, compute_tilt, find_value_field, is_one_sided
 from kempe.constraints.tape import POSE, TIME
 from kempe.description.mechanism import Mechanism, evaluate_constraint
 from kempe.description.parts import Declared, Joint

@@ -14,7 +14,7 @@ import numpy as np
 from kempe import spatial
 from kempe.arguments import read_names
 from kempe.arrays import is_sequence, read_mapping, read_reals
-from kempe.constraints.base import Constraint, Op, Row, read_row_bounds, read_numbers
+from kempe.constraints.base import Constraint, Op, Row, read_numbers, read_row_bounds
 from kempe.constraints.coordinates_and_centres import Function
 from kempe.description.parts import Declared
 from kempe.errors import InputError, format_value

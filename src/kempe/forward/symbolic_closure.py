@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.arguments import explain_errors
-from kempe.constraints.base import Op, find_value_field, list_position_rows, evaluate_number_fields
+from kempe.constraints.base import Op, evaluate_number_fields, find_value_field, list_position_rows
 from kempe.description.parts import Declared, Joint
 from kempe.errors import UnsupportedError
 from kempe.forward.symbolic import (

@@ -514,8 +514,12 @@ def list_recorded_numbers(made: Constraint, dim: int, tape: Tape) -> list[str]:
 
 
 def get_row_value(made: Constraint, row: Row) -> float:
-    """Return the value at which a row is find_value_field."""
-    return float(get_field_number(made, name, row.part)) if (name := find_value_field(made, row)) else 0.0
+    """Return the value at which a row is held."""
+    return (
+        float(get_field_number(made, name, row.part))
+        if (name := find_value_field(made, row))
+        else 0.0
+    )
 
 
 def get_field_number(made: Constraint, field: str, part: int | None = None) -> Any:
