@@ -298,6 +298,7 @@ def list_function_constraints(system: Model) -> tuple[str, ...]:
 
 
 def _assemble_graph(system: Model) -> ConstraintGraph:
+    """Assemble the constraint graph of a system."""
     edges = _build_edges(system)
     way = _make_path_finder(system, edges)
     loops = _build_loops(system, edges, way)
@@ -323,6 +324,7 @@ def _assemble_graph(system: Model) -> ConstraintGraph:
 
 
 def _build_edges(system: Model) -> list[Edge]:
+    """Build the edges: one for each joint, then one for each constraint between two bodies."""
     m = system._mechanism
     dim = system.dim
     number = {b: i for i, b in enumerate(system.body_names)}
@@ -385,6 +387,7 @@ def _build_edges(system: Model) -> list[Edge]:
 
 
 def _format_full_name(joint: str, coordinate: str) -> str:
+    """Format the full name of a joint's coordinate."""
     return f"{joint}.{coordinate}" if coordinate else joint
 
 
@@ -401,6 +404,7 @@ def _make_path_finder(system: Model, edges: list[Edge]) -> Way:
         depth[body] = depth[parent[body]] + 1 if body else 0
 
     def find_tree_paths(a: int, b: int) -> tuple[Signed, Signed]:
+        """Find the edges from body a, and from body b, to their common ancestor."""
         from_a: Signed = []
         from_b: Signed = []
         while a != b:
@@ -416,6 +420,7 @@ def _make_path_finder(system: Model, edges: list[Edge]) -> Way:
 
 
 def _build_loops(system: Model, edges: list[Edge], way: Way) -> list[Loop]:
+    """Build the loops that cut joints and constraints close in the spanning tree."""
     index = {e.name: i for i, e in enumerate(edges)}
     closing = [index[n] for n in system.structure.closures] + [
         i for i, e in enumerate(edges) if not e.is_joint
@@ -468,6 +473,7 @@ def _build_law(
     ties: list[Tie],
     edges: tuple[int, ...],
 ) -> Law:
+    """Build one law from its ties, the velocities it depends on, and whether it is linear."""
     support = {v for k, tie in enumerate(loops.ties) if tie in ties for v in loops.list_columns(k)}
     tapes = [t.tape for t in ties]
     linear = all(
@@ -488,6 +494,7 @@ def _build_law(
 
 
 def _sort_tree_bodies(parent: tuple[int, ...]) -> list[int]:
+    """Sort the bodies of the tree so that each comes after its parent."""
     children: dict[int, list[int]] = {}
     for body, above in enumerate(parent):
         children.setdefault(above, []).append(body)
@@ -507,6 +514,7 @@ def count_closing_equations(edge: Edge, dim: int) -> int:
 def _build_clusters(
     system: Model, edges: list[Edge], loops: list[Loop], laws: Sequence[Law]
 ) -> tuple[Cluster, ...]:
+    """Group loops and laws that share velocities into clusters."""
     supports = [
         sorted({c.index for i, _ in loop.path for c in edges[i].columns if c.index >= 0})
         for loop in loops
@@ -515,6 +523,7 @@ def _build_clusters(
     root = list(range(system.nv + len(supports)))
 
     def find_root(i: int) -> int:
+        """Find the root of an element's set (union-find)."""
         while root[i] != i:
             root[i] = i = root[root[i]]
         return i

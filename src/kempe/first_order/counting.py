@@ -143,6 +143,7 @@ def _count_other_constraints(s: ConstraintGraph, system: Model) -> list[tuple[in
 def _describe_free_bodies(
     bodies: int, points: int, whole: int, point: int, free: int, dim: int
 ) -> str:
+    """Describe the freedoms of bodies and particles without joints."""
     who = [format_count(n, what) for n, what in ((bodies, "body"), (points, "particle")) if n]
     if not who:
         return "There is no body that moves: 0 DoF."
@@ -158,6 +159,7 @@ def _describe_removed_freedoms(
     free: int,
     gruebler: int,
 ) -> str:
+    """Describe the freedoms that joints and constraints remove, and the count that is left."""
     groups = Counter((what, n) for n, what, _ in takes)
     parts = [f"{format_count(k, what)} x {n}" for (what, n), k in groups.items()]
     parts += [f"{format_count(n, what)} x 1" for n, what in held]

@@ -244,14 +244,17 @@ class Wrenches:
 
     @cached_property
     def _mechanism(self) -> Mechanism:
+        """Description of the system."""
         return self.system.mechanism  # a copy
 
     @cached_property
     def _maximal(self) -> tuple[Model, Array]:
+        """The system in maximal coordinates, and its configuration."""
         return maximal(self.system), maximal_q(self.system, self.q)
 
     @cached_property
     def _poses(self) -> dict[str, Array]:
+        """Poses (4, 4) of the bodies in the ground frame, by name."""
         return dict(zip(self.system.body_names, fk(self.system, self.q), strict=True))
 
     @cached_property
@@ -267,17 +270,17 @@ class Wrenches:
 
     @cached_property
     def _first_velocities(self) -> dict[str, int]:
+        """Index of the first velocity of each body, by name."""
         return dict(self._bodies[:-1])
 
     @property
     def _n_velocities(self) -> int:
+        """Number of velocities in maximal coordinates."""
         return self._maximal[0].nv
 
     @cached_property
     def _rows(self) -> tuple[_WrenchRow, ...]:
-        """All equations: those of joints, constraints and couplings, rows of velocity, and
-        one-sided rows.
-        """
+        """Equations of joints, constraints and couplings, velocity constraints, and one-sided rows."""
         M, Q = self._maximal
         packed = closure_rows.full(M, False)
         out: list[_WrenchRow] = []
@@ -315,6 +318,10 @@ class Wrenches:
         return tuple(out)
 
     def _select_rows(self, name: str) -> list[_WrenchRow]:
+        """Select the equations of a joint or constraint.
+
+        Errors: `UnknownNameError`.
+        """
         rows = [r for r in self._rows if r.of == name]
         if not rows:
             raise UnknownNameError("joint or constraint", name, self.names, self.system.name)
@@ -346,6 +353,7 @@ class Wrenches:
 
     @cached_property
     def _rank(self) -> int:
+        """Rank of the equations that always hold."""
         return Spectrum(self._balance_matrix).clear_rank()[0]
 
     @cached_property

@@ -28,8 +28,9 @@ class _SingleJoint(NamedTuple):
 
 @explain_errors
 def expanded(system: SystemType) -> SystemType:
-    """The same system made of revolute and prismatic joints only, with links without size between
-    them.
+    """Return the same system with revolute and prismatic joints only.
+
+    Links of zero length connect them.
 
     A joint of one freedom stays as it is, one of several becomes a chain of joints that have the
     names of its coordinates, so that `q` is the same; a screw becomes a turn and a slide that

@@ -45,18 +45,22 @@ class Form(NamedTuple):
 
 
 def _select_matrix(X: Array) -> Array:
+    """Return poses (..., 4, 4) unchanged."""
     return X
 
 
 def _select_upper_rows(X: Array) -> Array:
+    """Select the upper three rows (..., 3, 4) of poses."""
     return X[..., :3, :]
 
 
 def _select_position(X: Array) -> Array:
+    """Select the positions (..., 3) of poses."""
     return X[..., :3, 3]
 
 
 def _compute_position_quat_wxyz(X: Array) -> Array:
+    """Compute positions and quaternions (..., 7) of poses."""
     return np.concatenate([X[..., :3, 3], matrix_to_quat_wxyz(X[..., :3, :3])], axis=-1)
 
 
@@ -104,6 +108,7 @@ def compute_poses_in_form(
     base = None if relative_to is None else system.structure.frame_name(relative_to)
 
     def compute_poses(at: Array) -> Array:
+        """Compute poses (..., 4, 4) at configurations, relative to the base frame."""
         X = fk(system, at, one, threads=1)
         if base is None:
             return X
@@ -127,6 +132,7 @@ def compute_poses_in_form(
     width = math.prod(wanted.shape)
 
     def fill_rows(start: int, stop: int) -> int:
+        """Fill rows of the result, and return the number of bad configurations."""
         if table is None:
             rows[start:stop] = wanted.of(compute_poses(flat[start:stop]))
             return 0
@@ -326,6 +332,7 @@ class _ChainQuery:
         return query(self.system, self.name, *self.form)
 
     def compute_poses(self, q: Any, out: Array | None, threads: int | None) -> Array:
+        """Compute poses (..., 4, 4) of the frame at q (..., nq)."""
         q = read_q(self.system, q)
         out, q = _prepare_output(out, (*q.shape[:-1], 4, 4)), _copy_shared_array(q, out)
         if q.ndim == 1:
@@ -345,6 +352,7 @@ class _ChainQuery:
     def compute_jacobians(
         self, q: Any, in_frame: str, out: Array | None, threads: int | None
     ) -> tuple[Array, Array]:
+        """Compute poses (..., 4, 4) and Jacobians (..., 6, nv) of the frame at q (..., nq)."""
         kind = IN_FRAMES.get(in_frame) if isinstance(in_frame, str) else None
         if kind is None:
             raise UnknownNameError("frame of expression", in_frame, IN_FRAMES)
@@ -382,6 +390,7 @@ def _find_query(system: Model, frame: FrameLike) -> Any:
 
 @keep_answers
 def _pack_frames(system: Model, frames: tuple[str, ...] | None) -> tuple[np.ndarray, Array]:
+    """Pack the tree that leads to the given frames, or to all bodies."""
     return system.structure.table.pack_arrays(system.body_names if frames is None else frames)
 
 
@@ -399,7 +408,7 @@ def fk(
     dtype: Any = None,
     relative_to: FrameLike | None = None,
 ) -> Array:
-    """Poses in the ground frame, or in the frame `relative_to` (the forward geometric model).
+    """Compute poses in the ground frame, or in the frame `relative_to` (forward kinematics).
 
     `q` is (..., nq) in radians and metres, or a dict by coordinate name. `frame` is the name of a
     body or frame: then the result is (..., 4, 4); a list of names gives (..., k, 4, 4) in their
@@ -453,8 +462,7 @@ def jacobian(
     in_frame: str = "world_aligned",
     threads: int | None = None,
 ) -> Array:
-    """Jacobian (..., 6, nv) of a frame: twist [v; w] of the frame = J times the velocity
-    coordinates.
+    """Compute Jacobians (..., 6, nv) of a frame: its twist [v; w] is J times the velocities.
 
     A list of frames gives (..., k, 6, nv) in their order. `in_frame` says where the twist is read:
     "world_aligned" (velocity of the frame's origin, axes of the ground), "world" (velocity of the

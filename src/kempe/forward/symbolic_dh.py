@@ -125,8 +125,8 @@ def to_dh(
     axes are parallel, d is zero; of axes that are nearly so the common normal is far away, unless
     `snap` makes them parallel. `convention` is "standard" or "modified", as `kempe.from_dh`
     explains it. Parameters on which directions depend are replaced by their numbers. `symbols` and
-    `snap` are those of `symbolic_fk`, for files whose angles are rounded. Errors: those of
-    `symbolic_steps`; `UnsupportedError` for quaternions, screws and gears, and where nothing moves
+    `snap` are those of `derive_fk`, for files whose angles are rounded. Errors: those of
+    `derive_steps`; `UnsupportedError` for quaternions, screws and gears, and where nothing moves
     the frame.
 
     >>> import kempe

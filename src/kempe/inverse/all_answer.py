@@ -525,6 +525,7 @@ class Solutions(ConfigurationList, Answer):
 
     @property
     def _shape(self) -> tuple[int, ...]:
+        """Shape of the batch of targets; () for a single target."""
         return self._lead or ()
 
     def _sentence(self, index: tuple[int, ...]) -> str:

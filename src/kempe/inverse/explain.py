@@ -167,6 +167,8 @@ def _solve_target(
 ) -> Array | None:
     """Solve for a configuration (n,) that reaches a target (1, 4, 4); None where none is found.
 
+    The first start is `near`, or else the default of the chain.
+
     The first start is `near`.
     """
     seeds = task.chain.no_seed if near is None else near.reshape(1, 1, -1)
@@ -453,7 +455,7 @@ def _prove_slides_too_short(task: FrameProblem, target: Array) -> Evidence | Non
 
 
 def describe_solver(solution: Solution) -> Choice:
-    """Describe the solver that searches for answers to such problems."""
+    """Describe the solver that searches for answers of targets of a frame."""
     task = solution.task
     problem = Problem(task.system, "one", frame=task.frame, task=(task.name, task.axis))
     return choose(SOLVERS, problem)[1]

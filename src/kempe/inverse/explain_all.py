@@ -353,7 +353,7 @@ def _make_root_evidence(
 
 
 def describe_solver(solutions: Solutions) -> Choice:
-    """Describe the solver that finds all answers to such problems."""
+    """Describe the solver that finds all configurations of a target."""
     from kempe.inverse.solve_all import SOLVERS
 
     problem = solutions.problem

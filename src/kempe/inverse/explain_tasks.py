@@ -256,11 +256,12 @@ def _prove_overdetermined(problem: Demands, q: Array, tasks: list[int]) -> Evide
 
 
 def describe_solver(answer: Reached) -> Choice:
-    """Describe the solver that searches for answers to such problems."""
+    """Describe the solver that searches for answers of tasks."""
     return choose(SOLVERS, Problem(answer.problem.system, "one"))[1]
 
 
 def _compute_derivatives(answer: Reached) -> dict[str, Array]:
+    """Compute the derivatives of an answer by its tasks' goals."""
     from kempe.inverse.derivative import (
         compute_task_derivatives,  # only here: it is long, and seldom asked for
     )
@@ -269,6 +270,7 @@ def _compute_derivatives(answer: Reached) -> dict[str, Array]:
 
 
 def _analyse_answer(answer: Reached) -> tuple[int, int, int, Array]:
+    """Compute equations m, freedoms n, rank, and a basis (nv, k) of self-motions of an answer."""
     return analyse(answer.problem, answer.q)
 
 

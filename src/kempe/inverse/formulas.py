@@ -595,7 +595,7 @@ def derive_ik(
     as of the arms of Universal Robots.
 
     Limits are not regarded. `ik_all` gives the solutions of other chains in numbers. `symbols` and
-    `snap` are those of `symbolic_fk`.
+    `snap` are those of `derive_fk`.
 
     Errors: those of `kempe.forward.symbolic.derive_fk`; `UnsupportedError` for other
     chains and for systems with constraints.

@@ -152,7 +152,7 @@ def is_moved_by_loop(system: Model, name: str) -> bool:
 
 @keep_answers
 def has_shared_coordinates(system: Model, frame: str) -> bool:
-    """Return whether two motions of a frame's chain share a coordinate other than a quaternion."""
+    """Return whether two motions of a frame's chain, without balls, share a coordinate."""
     if find_obstacle(system, frame) is not None:
         return False
     rows = get_row_integers(find_chain(system, frame).ints)
