@@ -650,13 +650,13 @@ def test_an_interrupt_before_the_first_line_of_a_function_of_a_kernel_is_kept(ti
         out = (ctypes.c_double * 1)()
         number = ctypes.POINTER(ctypes.c_double)
         kernel = ctypes.CFUNCTYPE(None, number, number, number, ctypes.c_int64)(
-            clock.clock().address
+            clock.get_clock().address
         )
         called = functools.partial(kernel, out, out, out, 0)
         list(map(operator.call, [ctypes.pythonapi.PyErr_SetInterrupt, called] * times))
         with pytest.raises(KeyboardInterrupt):
-            clock.clock().taken()
-        assert clock.clock().taken() is None and not lost
+            clock.get_clock().taken()
+        assert clock.get_clock().taken() is None and not lost
         called()
         assert out[0] == 0.0
     finally:
@@ -666,7 +666,7 @@ def test_an_interrupt_before_the_first_line_of_a_function_of_a_kernel_is_kept(ti
 def test_other_exceptions_that_python_cannot_raise_go_where_they_went(monkeypatch):
     lost: list[Any] = []
     monkeypatch.setattr(sys, "unraisablehook", lost.append)
-    assert clock.clock().address
+    assert clock.get_clock().address
 
     class Ends:
         def __del__(self):

@@ -19,7 +19,7 @@ from shipped import with_loops
 
 import kempe
 from kempe import System
-from kempe.equations.closure_rows import jacobian, residual
+from kempe.equations.closure_rows import compute_jacobian, compute_residual
 from kempe.model.own_tree import remove_cut_marks
 
 CLOSED = with_loops()
@@ -104,8 +104,8 @@ def counted(plain: System, s: System) -> None:
     q = plain.q("closed")
     assert facts(s, q) == facts(plain, q)
     # the equations themselves, which differ, have as many freedoms
-    ranks = [np.linalg.matrix_rank(jacobian(x, q), 1e-7) for x in (plain, s)]
-    assert ranks[0] == ranks[1] and len(jacobian(plain, q)) == len(jacobian(s, q))
+    ranks = [np.linalg.matrix_rank(compute_jacobian(x, q), 1e-7) for x in (plain, s)]
+    assert ranks[0] == ranks[1] and len(compute_jacobian(plain, q)) == len(compute_jacobian(s, q))
 
 
 @pytest.mark.parametrize("name", some(CLOSED, 3))
@@ -139,7 +139,7 @@ def assembled(plain: System, s: System, n: int, rng: np.random.Generator) -> Non
             same(got.q, want.q)
             assert np.array_equal(got.success, want.success) and np.all(got.success)
             assert (
-                np.abs(residual(s, got.q)).max() < OPEN
+                np.abs(compute_residual(s, got.q)).max() < OPEN
                 and np.abs(s.loops.closure_error(got.q)).max() < OPEN
             )
             for body in plain.body_names[1:]:
@@ -189,8 +189,8 @@ def reached(plain: System, s: System, n: int, rng: np.random.Generator) -> None:
         same(got.q, want.q)
         assert np.array_equal(got.success, want.success) and np.array_equal(got.code, want.code)
         assert size == FAR or wanted is not targets or np.all(got.success)
-        assert np.abs(residual(s, got.q[got.success])).max(initial=0.0) < 1e-6
-    J = jacobian(plain, closed[0])
+        assert np.abs(compute_residual(s, got.q[got.success])).max(initial=0.0) < 1e-6
+    J = compute_jacobian(plain, closed[0])
     v = rng.normal(size=plain.nv)
     v -= np.linalg.pinv(J, 1e-9) @ (J @ v)
     twist = plain.jacobian(closed[0], frame) @ v
@@ -225,7 +225,7 @@ def sets(plain: System, s: System, n: int) -> None:
     )
     assert (
         np.array_equal(got.freedoms, want.freedoms)
-        and np.abs(residual(s, got.q)).max(initial=0.0) < 1e-6
+        and np.abs(compute_residual(s, got.q)).max(initial=0.0) < 1e-6
     )
 
 

@@ -69,7 +69,7 @@ CASES = [
 
 def nullity(s: System, q: np.ndarray) -> int:
     """Freedoms to first order in full form, where no coordinate is left out."""
-    J = closure_rows.evaluate(s, q, scaled=True)[1]
+    J = closure_rows.evaluate_constraints(s, q, scaled=True)[1]
     return s.nv - np.linalg.matrix_rank(J, tol=1e-7)
 
 
@@ -138,7 +138,7 @@ def test_closures_in_numpy(own, kind, dim):
     s = shape.system(frozenset({"j2"}))
     steps = 1e-6 * np.eye(s.nv)
     judge = closures.closure_of(s, "j2", own or find_implicit_form(kind, dim) is None)
-    for closure in [c for c in closure_rows.of_system(s, own) if c.name == "j2"]:
+    for closure in [c for c in closure_rows.list_constraints(s, own) if c.name == "j2"]:
         q = s.random(3)
         ends = [
             [closure.residual(s, s.configuration_space.integrate(q, x * e)) for x in (1, -1)]
@@ -152,7 +152,9 @@ def test_closures_in_numpy(own, kind, dim):
         assert [np.linalg.matrix_rank(M, tol=1e-7) for M in (J, K, np.vstack([J, K]))] == 3 * [
             len(J)
         ]
-        assert not own or closure.size == (6 if dim == 3 else 3) == len(closure_rows.row_names(s))
+        assert not own or closure.size == (6 if dim == 3 else 3) == len(
+            closure_rows.list_row_names(s)
+        )
 
 
 @pytest.mark.parametrize(("kind", "dim"), some(CASES, 3), ids=str)

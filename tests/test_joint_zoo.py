@@ -20,7 +20,7 @@ from kempe import Mechanism
 from kempe.description.toml_reader import read_toml
 from kempe.description.toml_writer import write_toml
 from kempe.description.urdf_writer import write_urdf
-from kempe.equations.judge import joint_pose
+from kempe.equations.judge import compute_joint_pose
 from kempe.errors import DescriptionError, InputError, UnknownNameError
 from kempe.joints import (
     TYPES,
@@ -286,7 +286,7 @@ def test_pose_of_the_bare_joint(case):
         reference.joint_pose(case.type, x, dim=case.dim, particle=case.particle, **case.options)
         for x in q
     ]
-    found = joint_pose(case.kind, q, case.dim, case.particle)
+    found = compute_joint_pose(case.kind, q, case.dim, case.particle)
     np.testing.assert_allclose(found, np.array(expected, dtype=float), rtol=0, atol=1e-14 * 10)
 
 

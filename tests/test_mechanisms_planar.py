@@ -103,7 +103,7 @@ def test_postures_are_closed(case: Case):
     system = kempe.load(case.name)
     q = system.q(case.posture)
     np.testing.assert_allclose(system.loops.closure_error(q), 0.0, rtol=0, atol=1e-14)
-    np.testing.assert_allclose(closure_rows.residual(system, q), 0.0, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(closure_rows.compute_residual(system, q), 0.0, rtol=0, atol=1e-14)
 
 
 @pytest.mark.parametrize("case", PLANAR, ids=str)
@@ -137,7 +137,7 @@ def test_rank(case: Case):
     """By the Jacobian of the loops, and by central differences of their error."""
     system = kempe.load(case.name)
     q = system.q(case.posture)
-    assert nullity(closure_rows.jacobian(system, q), 1e-9) == case.rank
+    assert nullity(closure_rows.compute_jacobian(system, q), 1e-9) == case.rank
     h = 1e-5 * np.eye(system.nv)
     ahead = system.loops.closure_error(system.configuration_space.integrate(q, h))
     behind = system.loops.closure_error(system.configuration_space.integrate(q, -h))
@@ -165,7 +165,7 @@ def test_motions_through_singular_postures(case: Case):
     assert tuple(sorted((dim for dim, _ in motions), reverse=True)) == case.branches
     assert max(case.branches) == case.true
     rng = np.random.default_rng(1)
-    J = closure_rows.jacobian(system, q0)
+    J = closure_rows.compute_jacobian(system, q0)
     spans = []
     for dim, motion in motions:
         assert motion(*[0.0] * dim) == pytest.approx(system.q_dict(q0), abs=1e-15)
@@ -190,12 +190,12 @@ def projected(system: System, q: np.ndarray) -> np.ndarray:
     postures each step only halves the way, and does less at a cusp.
     """
     for _ in range(100):
-        error = closure_rows.residual(system, q)
+        error = closure_rows.compute_residual(system, q)
         if np.abs(error).max() < 1e-16:
             break
-        step = -np.linalg.lstsq(closure_rows.jacobian(system, q), error, rcond=1e-12)[0]
+        step = -np.linalg.lstsq(closure_rows.compute_jacobian(system, q), error, rcond=1e-12)[0]
         q = system.configuration_space.integrate(q, step)
-    assert np.abs(closure_rows.residual(system, q)).max() < 1e-7
+    assert np.abs(closure_rows.compute_residual(system, q)).max() < 1e-7
     return q
 
 
@@ -205,7 +205,7 @@ def kicked(case: Case, size: float, n: int) -> Iterator[np.ndarray]:
     """
     system = kempe.load(case.name)
     q = system.q(case.posture)
-    kernel = np.linalg.svd(closure_rows.jacobian(system, q))[2][system.nv - case.rank :]
+    kernel = np.linalg.svd(closure_rows.compute_jacobian(system, q))[2][system.nv - case.rank :]
     steps = np.random.default_rng(3).normal(size=(n, case.rank)) * size
     return (
         projected(system, system.configuration_space.integrate(q, step @ kernel)) for step in steps
@@ -560,7 +560,7 @@ def test_actuators_hold_the_platform(name, posture, free):
     meet in a point.
     """
     system = kempe.load(name)
-    J = closure_rows.jacobian(system, system.q(posture))
+    J = closure_rows.compute_jacobian(system, system.q(posture))
     passive = [
         i
         for i, n in enumerate(system.structure.velocity_names)

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import kempe
 from kempe import System
-from kempe.equations.closure_rows import jacobian, residual
+from kempe.equations.closure_rows import compute_jacobian, compute_residual
 
 every_mechanism = pytest.mark.parametrize("row", SPATIAL, ids=lambda row: row.name)
 NOT_DRIVEN = "seven_bodies_loop"
@@ -33,15 +33,23 @@ def close(system: System, q: np.ndarray, hold: tuple[str, ...] = ()) -> np.ndarr
     def slope(x: np.ndarray) -> np.ndarray:
         """By differences, since rotations are charted about q."""
         h = 1e-6 * np.eye(len(free))
-        return (residual(system, moved(x + h)) - residual(system, moved(x - h))).T / 2e-6
+        return (
+            compute_residual(system, moved(x + h)) - compute_residual(system, moved(x - h))
+        ).T / 2e-6
 
     found = least_squares(
-        lambda x: residual(system, moved(x)), np.zeros(len(free)), slope, xtol=1e-15, ftol=1e-15
+        lambda x: compute_residual(system, moved(x)),
+        np.zeros(len(free)),
+        slope,
+        xtol=1e-15,
+        ftol=1e-15,
     )
     q = moved(found.x)
     for _ in range(4):
         v = np.zeros(system.nv)
-        v[free] = np.linalg.lstsq(jacobian(system, q)[:, free], -residual(system, q), rcond=1e-7)[0]
+        v[free] = np.linalg.lstsq(
+            compute_jacobian(system, q)[:, free], -compute_residual(system, q), rcond=1e-7
+        )[0]
         q = system.configuration_space.integrate(q, v)
     assert np.abs(system.loops.closure_error(q)).max() < 1e-12
     return q
@@ -83,7 +91,7 @@ def test_counting(row: Spatial):
 @every_mechanism
 def test_the_rank_of_the_equations(row: Spatial):
     system = kempe.load(row.name)
-    J = jacobian(system, system.q("closed"))
+    J = compute_jacobian(system, system.q("closed"))
     assert J.shape == (6 * len(system.structure.closures), system.nv)
     rank = singular_values(J)[1]
     assert system.nv - rank == row.rank
@@ -130,7 +138,7 @@ def test_each_velocity_is_the_start_of_a_motion(row: Spatial):
     system = kempe.load(row.name)
     q0 = system.q("closed")
     step = 1e-3
-    J = jacobian(system, q0)
+    J = compute_jacobian(system, q0)
     kernel = np.linalg.svd(J)[2][-row.rank :]
     rng = np.random.default_rng(0)
     directions = [*kernel, *(rng.normal(size=(4, row.rank)) @ kernel)]
@@ -140,10 +148,13 @@ def test_each_velocity_is_the_start_of_a_motion(row: Spatial):
         q = system.configuration_space.integrate(q0, step * v)
         for _ in range(6):
             q = system.configuration_space.integrate(
-                q, np.linalg.lstsq(jacobian(system, q), -residual(system, q), rcond=1e-5)[0]
+                q,
+                np.linalg.lstsq(
+                    compute_jacobian(system, q), -compute_residual(system, q), rcond=1e-5
+                )[0],
             )
         # rounding, whatever the order of sums on this processor
-        assert np.abs(residual(system, q)).max() < 5e-13
+        assert np.abs(compute_residual(system, q)).max() < 5e-13
         ends.append(system.configuration_space.difference(q0, q) / step - v)
     if row.dof == row.rank:
         assert np.abs(ends).max() < 30 * step
@@ -198,7 +209,7 @@ def test_pinocchio_closes_the_loop_and_finds_its_freedom(name):
     np.testing.assert_allclose(data.oMf[end].homogeneous, np.eye(4), rtol=0, atol=1e-14)
     rank = singular_values(J)[1]
     assert model.nv - rank == 1
-    ours = np.linalg.svd(jacobian(system, q))[2][-1]
+    ours = np.linalg.svd(compute_jacobian(system, q))[2][-1]
     np.testing.assert_allclose(J @ ours, 0, rtol=0, atol=1e-13)
 
 
@@ -210,7 +221,7 @@ def test_each_loop_turns(side, name):
     start = system.q("closed")[0]
     _, found = driven(name, "q1", start + np.linspace(0.1, 1.0, 4) * side)
     for q in found:
-        assert system.nv - singular_values(jacobian(system, q))[1] == 1
+        assert system.nv - singular_values(compute_jacobian(system, q))[1] == 1
 
 
 PARAMETERS = [
@@ -238,7 +249,7 @@ def test_the_paradox_does_not_depend_on_the_numbers(name, parameters):
     else:
         assert opened > 1e-3
     q = close(system, before.q("closed"))
-    assert system.nv - singular_values(jacobian(system, q))[1] == 1
+    assert system.nv - singular_values(compute_jacobian(system, q))[1] == 1
 
 
 def test_bennett_relation():
@@ -332,8 +343,8 @@ def moved(name: str, seed: int, size: float = 0.1) -> tuple[System, np.ndarray]:
     rng = np.random.default_rng(seed)
     v = rng.normal(size=system.nv)
     for _ in range(6):
-        kernel = np.linalg.svd(jacobian(system, q))[2][
-            np.linalg.matrix_rank(jacobian(system, q), tol=1e-7) :
+        kernel = np.linalg.svd(compute_jacobian(system, q))[2][
+            np.linalg.matrix_rank(compute_jacobian(system, q), tol=1e-7) :
         ]
         step = kernel.T @ (kernel @ v)
         q = close(
@@ -398,7 +409,7 @@ def test_two_motions_meet_in_the_singular_3_upu():
     """
     system = kempe.load("three_upu_snu")
     q0 = system.q("closed")
-    kernel = np.linalg.svd(jacobian(system, q0))[2][-5:].T
+    kernel = np.linalg.svd(compute_jacobian(system, q0))[2][-5:].T
     twist = system.jacobian(q0, "platform") @ kernel
     assert np.linalg.matrix_rank(twist, tol=1e-9) == 5 and np.abs(twist[5]).max() < 1e-12
 
@@ -406,7 +417,7 @@ def test_two_motions_meet_in_the_singular_3_upu():
         """Closed configuration and pose of the platform, from a velocity (x, y, z, tilts)."""
         v = kernel @ np.linalg.lstsq(twist[:5], np.array(velocity), rcond=None)[0]
         q = close(system, system.configuration_space.integrate(q0, v))
-        assert system.nv - singular_values(jacobian(system, q))[1] == 3
+        assert system.nv - singular_values(compute_jacobian(system, q))[1] == 3
         return q, system.fk(q, "platform")
 
     _, X = nearby(0.1, 0.05, 0.02, 0, 0)

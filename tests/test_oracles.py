@@ -10,7 +10,7 @@ from robots import good_urdf_files, mimics, mujoco_text
 
 import kempe
 from kempe import System
-from kempe.equations.judge import coordinate_value
+from kempe.equations.judge import compute_coordinate_value
 from kempe.poses import place
 
 pin = pytest.importorskip("pinocchio")
@@ -169,7 +169,7 @@ def test_limits_and_mimics_are_pinocchios(path):
             assert s.upper[i] == model.upperPositionLimit[joint.idx_q]
     q = s.random(0)
     for name, x in joint_values(s, path, q).items():
-        assert coordinate_value(s, q, name) == pytest.approx(x, abs=1e-12)
+        assert compute_coordinate_value(s, q, name) == pytest.approx(x, abs=1e-12)
 
 
 # ------------------------------------------------------------------ joints that no file has: free,

@@ -551,7 +551,7 @@ def functions() -> list[tuple[str, Callable[..., Any], System | None]]:
             dh.from_screws,
             poses.place,
             Mechanism,
-            closure_rows.of_system,
+            closure_rows.list_constraints,
         )
     ] * 5
     return out

@@ -75,7 +75,7 @@ def machine() -> str:
     that measures.
     """
     from kempe.kernels.compiled import VARIANT
-    from kempe.numerics.pool import processors
+    from kempe.numerics.pool import count_processors
 
     model = platform.processor() or platform.machine()
     cpuinfo = Path("/proc/cpuinfo")
@@ -83,9 +83,7 @@ def machine() -> str:
         lines = [x for x in cpuinfo.read_text().splitlines() if x.startswith("model name")]
         model = lines[0].split(":", 1)[1].strip() if lines else model
     system = f"{platform.system()} {platform.machine()}, Python {platform.python_version()}"
-    return (
-        f"{model}, {processors()} processors; {system}, numpy {np.__version__}, kernels {VARIANT}"
-    )
+    return f"{model}, {count_processors()} processors; {system}, numpy {np.__version__}, kernels {VARIANT}"
 
 
 def load() -> float:

@@ -191,12 +191,12 @@ def test_exudyn_gets_the_same_mechanism(name):
     pytest.importorskip("exudyn")
     from kempe_bench.loop_peers import Exudyn
 
-    from kempe.equations.closure_rows import jacobian
+    from kempe.equations.closure_rows import compute_jacobian
 
     s = kempe.load(name)
     tree = Tree(s)
     q = s.q("closed")
-    values = np.linalg.svd(jacobian(s, q), compute_uv=False)
+    values = np.linalg.svd(compute_jacobian(s, q), compute_uv=False)
     peer = Exudyn(tree, q)
     assert peer.freedoms() == s.nv - int(np.sum(values > 1e-8 * values.max()))
     assert peer.opening(peer.ready(assembled(s, 3) if name != "shaky_3r" else q[None])).max() < 1e-9

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import ArrayLike
 
 from kempe.arguments import explain_errors
-from kempe.equations.closure_rows import of_system
+from kempe.equations.closure_rows import list_constraints
 from kempe.model.model import FrameLike
 from kempe.spatial import Array
 
@@ -239,7 +239,7 @@ class Loops(Namespace):
         """The constraints of the system: closures, declared ones, relations; see
         `kempe.equations.closure_rows`.
         """
-        return of_system(self.system)
+        return list_constraints(self.system)
 
     def closure_error(self, q: Any) -> Array:
         """Gap of each loop (..., number of closures, 6): the twist [m; rad] that is missing in its

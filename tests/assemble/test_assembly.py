@@ -75,7 +75,7 @@ def test_perturbed_mechanisms_close(name, sigma):
     answer = s.assemble(start=q)
     assert answer.success.all()
     assert np.abs(s.loops.closure_error(answer.q)).max() < 1e-9
-    assert np.abs(closure_rows.residual(s, answer.q)).max() < 1e-9
+    assert np.abs(closure_rows.compute_residual(s, answer.q)).max() < 1e-9
 
 
 @pytest.mark.parametrize("name", MECHANISMS)
@@ -181,15 +181,15 @@ def pinocchio_tree(pin, s):
 def test_equations_have_exact_derivatives(graph, seed):
     s = graph.mechanism().build()
     q = s.random(seed)
-    J = closure_rows.jacobian(s, q)
+    J = closure_rows.compute_jacobian(s, q)
     h = 1e-6
     integrate = s.configuration_space.integrate
     numeric = (
         np.stack(
             [
                 (
-                    closure_rows.residual(s, integrate(q, h * e))
-                    - closure_rows.residual(s, integrate(q, -h * e))
+                    closure_rows.compute_residual(s, integrate(q, h * e))
+                    - closure_rows.compute_residual(s, integrate(q, -h * e))
                 )
                 / (2 * h)
                 for e in np.eye(s.nv)
@@ -199,9 +199,9 @@ def test_equations_have_exact_derivatives(graph, seed):
         if s.nv
         else J
     )
-    angles = np.array([k.startswith("r") for _, k in closure_rows.row_names(s)], dtype=bool)
+    angles = np.array([k.startswith("r") for _, k in closure_rows.list_row_names(s)], dtype=bool)
     # where the rotation vector jumps
-    near_pi = np.abs(closure_rows.residual(s, q))[angles].max(initial=0.0) > 2.9
+    near_pi = np.abs(closure_rows.compute_residual(s, q))[angles].max(initial=0.0) > 2.9
     if not near_pi:
         np.testing.assert_allclose(J, numeric, atol=2e-6 * (1 + np.abs(J).max(initial=0.0)))
 
@@ -212,8 +212,8 @@ def test_equations_vanish_where_the_closure_error_does(graph, seed):
     s = graph.mechanism().build()
     q = s.random(seed)
     error = s.loops.closure_error(q)
-    rows = closure_rows.residual(s, q)
-    names = closure_rows.row_names(s)
+    rows = closure_rows.compute_residual(s, q)
+    names = closure_rows.list_row_names(s)
     for k, name in enumerate(s.structure.closures):
         mine = np.array([r for r, (n, _) in zip(rows, names, strict=True) if n == name])
         assert (
@@ -469,7 +469,7 @@ def test_large_systems_are_sparse():
     )
     answer = s.assemble({"A0": 0.2}, start=near)
     assert answer.code == Status.SOLVED and answer.starts == 1
-    assert np.abs(closure_rows.residual(s, answer.q)).max() < 1e-12
+    assert np.abs(closure_rows.compute_residual(s, answer.q)).max() < 1e-12
 
 
 # ---- branches and further constraints

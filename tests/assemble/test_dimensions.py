@@ -9,7 +9,7 @@ from shipped import shipped, with_loops
 
 import kempe
 from kempe.assemble.dimensions import Dimensions, Relations
-from kempe.equations.closure_rows import evaluate
+from kempe.equations.closure_rows import evaluate_constraints
 from kempe.model.packed_loops import get_packed_loops
 
 LOOPS = [name for name in with_loops() if shipped()[name].nv <= 20]
@@ -50,7 +50,7 @@ def test_derivatives_by_dimensions_are_those_by_differences(system, hunt):
         loops = get_packed_loops(
             changed, frozenset(changed.structure.closures), length=shape.length
         )
-        return evaluate(changed, q, False, loops=loops)[0]
+        return evaluate_constraints(changed, q, False, loops=loops)[0]
 
     found = shape.differentiate_equations(p, q)
     some = rng.choice(shape.size, min(shape.size, 24), replace=False)
@@ -69,7 +69,7 @@ def test_changes_of_a_planar_mechanism_stay_in_the_plane(name, hunt):
     rows = np.linalg.matrix_rank(
         shape.differentiate_equations(np.zeros(shape.size), system.random(0, 1))[0]
     )
-    assert rows == len(evaluate(system, system.neutral, False, True)[0])
+    assert rows == len(evaluate_constraints(system, system.neutral, False, True)[0])
 
 
 @pytest.mark.parametrize(

@@ -485,7 +485,7 @@ def test_a_distance_is_a_rod():
     assert "rod (rocker) lies to the left of the way from D to rod (crank)" in plan.describe()
     for sign, same in ("+-", "-+"):  # the four-bar's sign is for the way from B to D
         q, ok, _ = plan.solve(angles, sign)
-        assert ok.all() and np.abs(closure_rows.residual(system, q)).max() < 1e-12
+        assert ok.all() and np.abs(closure_rows.compute_residual(system, q)).max() < 1e-12
         assert np.abs(q - whole.solve(angles, same)[0][:, [0, 3]]).max() < 1e-12
         assert np.all(plan.branch_of(q) == (1 if sign == "+" else -1))
     short = plan_of(system.with_parameters(l=1.0), "A").solve([math.pi])
@@ -511,7 +511,7 @@ def test_a_point_on_a_line_is_a_block(sign, turned):
     plan = plan_of(system, "A")
     angles = np.linspace(-3, 3, 41)[:, None]
     q, ok, _ = plan.solve(angles, sign)
-    assert ok.all() and np.abs(closure_rows.residual(system, q)).max() < 1e-12
+    assert ok.all() and np.abs(closure_rows.compute_residual(system, q)).max() < 1e-12
     assert np.all(plan.branch_of(q) == (1 if sign == "+" else -1))
     if not turned:
         whole = plan_of(slider_crank(1.0, 3.0, 0.5), "A").solve(angles, sign)[0]

@@ -25,7 +25,7 @@ from kempe.assemble.from_poses import from_maximal
 from kempe.description.toml_reader import read_toml
 from kempe.description.toml_writer import write_toml
 from kempe.equations import closure_rows
-from kempe.equations.judge import coordinate_value, joint_pose
+from kempe.equations.judge import compute_coordinate_value, compute_joint_pose
 from kempe.errors import InputError
 from kempe.first_order.counting import count_freedoms
 from kempe.forward.maximal import maximal_q, to_maximal
@@ -41,8 +41,8 @@ def closed(graph: Graph, seed: int) -> tuple[System, np.ndarray]:
     for name in s.structure.closures:
         joint = m.joints[name]
         names = s.structure.coordinates_of_joint(name)
-        own = np.array([coordinate_value(s, q, n) for n in names])
-        X_FM = joint_pose(joint.type, own, s.dim, m.bodies[joint.child].particle)
+        own = np.array([compute_coordinate_value(s, q, n) for n in names])
+        X_FM = compute_joint_pose(joint.type, own, s.dim, m.bodies[joint.child].particle)
         X_WM = s.fk(q, joint.child) @ joint.X_CM.evaluate_pose({})
         X_PF = spatial.inverse(s.fk(q, joint.parent)) @ X_WM @ spatial.inverse(X_FM)
         if m.bodies[joint.child].particle:  # its rotation is none: keep that of F
@@ -199,10 +199,10 @@ def compare(s: System, q: np.ndarray) -> None:
     bodies.
     """
     q_max = maximal_q(s, q)
-    assert np.abs(closure_rows.residual(convert.maximal(s), q_max)).max(initial=0.0) < 1e-7
+    assert np.abs(closure_rows.compute_residual(convert.maximal(s), q_max)).max(initial=0.0) < 1e-7
     r, K = judged(s, q)
     assert np.abs(r).max(initial=0.0) < 1e-7
-    J = closure_rows.jacobian(convert.maximal(s), q_max)
+    J = closure_rows.compute_jacobian(convert.maximal(s), q_max)
     moving = twists(s, q_max) @ null_space(J)
     assert np.abs(K @ moving).max(initial=0.0) < 1e-6
     singular = np.linalg.svd(K, compute_uv=False) if min(K.shape) else np.zeros(0)
@@ -210,7 +210,7 @@ def compare(s: System, q: np.ndarray) -> None:
     if not np.any((singular > 1e-9) & (singular < 1e-4)):
         free = K.shape[1] - int((singular > 1e-6).sum())
         assert np.linalg.matrix_rank(moving, tol=1e-6) == free if moving.size else free == 0
-    minimal = closure_rows.jacobian(s, q)
+    minimal = closure_rows.compute_jacobian(s, q)
     ranks = [np.linalg.matrix_rank(M, tol=1e-7) for M in (J, minimal)]
     assert convert.maximal(s).nv - ranks[0] == s.nv - ranks[1]
 
@@ -256,7 +256,7 @@ def test_same_zeros(graph, seed):
     """Where bodies are put aside the residual is as large as the judge's, up to a factor."""
     s, q = closed(graph, seed)
     X = disturbed(s, convert.to_maximal(s, q), 0.1, seed)
-    ours = np.linalg.norm(closure_rows.residual(convert.maximal(s), maximal_q(s, q, X)))
+    ours = np.linalg.norm(closure_rows.compute_residual(convert.maximal(s), maximal_q(s, q, X)))
     judge = np.linalg.norm(maximal_residual(s, X, q))
     assert (judge > 1e-6) <= (ours > 1e-7)
 
@@ -371,12 +371,12 @@ def test_declared_constraints_in_three_forms():
         X, reached = project(s, convert.to_maximal(s, s.random(seed)))
         assert reached
         q = convert.from_maximal(s, X)
-        np.testing.assert_allclose(closure_rows.residual(s, q), 0, atol=1e-9)
+        np.testing.assert_allclose(closure_rows.compute_residual(s, q), 0, atol=1e-9)
         for c in s.loops.constraints():
             np.testing.assert_allclose(c.residual(s, q), 0, atol=1e-9)
         stacked = np.concatenate([c.jacobian(s, q) for c in s.loops.constraints()])
-        whole = closure_rows.jacobian(convert.maximal(s), maximal_q(s, q))
-        forms = whole, stacked, closure_rows.jacobian(s, q), judged(s, q)[1]
+        whole = closure_rows.compute_jacobian(convert.maximal(s), maximal_q(s, q))
+        forms = whole, stacked, closure_rows.compute_jacobian(s, q), judged(s, q)[1]
         assert [J.shape[1] - np.linalg.matrix_rank(J, tol=1e-6) for J in forms] == [9, 9, 9, 9]
 
 
@@ -588,7 +588,7 @@ def test_poses_of_pinocchio():
     q = s.random(7)
     v = s.q_dict(q)
     names = list(model.names)[1:]
-    values = {n: v[n] if n in v else float(coordinate_value(s, q, n)) for n in names}
+    values = {n: v[n] if n in v else float(compute_coordinate_value(s, q, n)) for n in names}
     pin.framesForwardKinematics(model, data, np.array([values[n] for n in names]))
     X = np.stack([data.oMf[model.getFrameId(b)].homogeneous for b in s.body_names[1:]])
     np.testing.assert_allclose(to_maximal(s, q), X, atol=1e-12)

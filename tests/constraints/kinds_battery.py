@@ -123,12 +123,12 @@ def declared(made: c.Constraint, s: System, dim: int) -> None:
     """Closed, with as many equations as its rows are, and their Jacobian by differences."""
     q = s.random(5)
     held = sum(r.count_equations(dim) for r in list_position_rows(made, dim))
-    r = closure_rows.residual(s, q)
-    J = closure_rows.jacobian(s, q)
+    r = closure_rows.compute_residual(s, q)
+    J = closure_rows.compute_jacobian(s, q)
     assert r.shape == (held,) or made.kind in ("pointing", "look_at")
     h = 1e-6
     ends = [
-        closure_rows.residual(s, s.configuration_space.integrate(q, x * np.eye(s.nv)))
+        closure_rows.compute_residual(s, s.configuration_space.integrate(q, x * np.eye(s.nv)))
         for x in (h, -h)
     ]
     np.testing.assert_allclose(J, ((ends[0] - ends[1]) / (2.0 * h)).T, atol=1e-6)

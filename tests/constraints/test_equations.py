@@ -36,7 +36,7 @@ def test_forms_agree(form: str):
     m.equation("law", *FORMS[form])
     s = m.build()
     q = np.array([0.7, 0.4])
-    value, J = closure_rows.evaluate(s, q)
+    value, J = closure_rows.evaluate_constraints(s, q)
     np.testing.assert_allclose(value, [0.7 - 2 * np.sin(0.4)], atol=1e-15)
     np.testing.assert_allclose(J, [[1.0, -2 * np.cos(0.4)]], atol=1e-15)
     assert s.assemble({"B": 0.3}).q[0] == pytest.approx(2 * np.sin(0.3), abs=1e-9)
@@ -47,7 +47,7 @@ def test_several_equations_and_names_of_rows():
     m.equation("laws", ["A - 0.3", "B = 0.1"])
     m.equation("more", lambda x: [x["A"] - 0.3, 2 * (x["B"] - 0.1)], of=("A", "B"))
     s = m.build()
-    assert [name for name, _ in closure_rows.row_names(s)] == ["laws", "laws", "more", "more"]
+    assert [name for name, _ in closure_rows.list_row_names(s)] == ["laws", "laws", "more", "more"]
     found = s.assemble()
     np.testing.assert_allclose(found.q, [0.3, 0.1], atol=1e-9)
 
@@ -61,7 +61,7 @@ def test_parameters_are_data():
     s = m.build()
     for k, system in ((2.0, s), (3.0, s.with_parameters(k=3.0))):
         np.testing.assert_allclose(
-            closure_rows.residual(system, [0.5, 0.1]), 0.5 - k * 0.1, atol=1e-15
+            closure_rows.compute_residual(system, [0.5, 0.1]), 0.5 - k * 0.1, atol=1e-15
         )
 
 
@@ -74,13 +74,13 @@ def test_coordinates_that_follow_or_are_held(law):
     m.couple("J", {"B": 0.5}, 0.1)
     m.equation("law", lambda x: x["A"] - 3 * x["J"] ** 2, of=("A", "J"))
     s = m.build()
-    value, J = closure_rows.evaluate(s, np.array([0.2, 0.4]))
+    value, J = closure_rows.evaluate_constraints(s, np.array([0.2, 0.4]))
     np.testing.assert_allclose(value, [0.2 - 3 * 0.3**2], atol=1e-15)
     np.testing.assert_allclose(J, [[1.0, -6 * 0.3 * 0.5]], atol=1e-14)
     m.lock({"B": 0.4})
     held = m.build()
     assert held.coordinate_names == ("A",)
-    np.testing.assert_allclose(closure_rows.evaluate(held, np.array([0.2]))[1], [[1.0]])
+    np.testing.assert_allclose(closure_rows.evaluate_constraints(held, np.array([0.2]))[1], [[1.0]])
     assert held.assemble().q[0] == pytest.approx(0.27, abs=1e-9)
 
 
@@ -88,7 +88,7 @@ def test_functions_that_branch_are_called():
     m = two_bars()
     m.equation("law", branching, of=("A", "B"))
     s = m.build()
-    value, J = closure_rows.evaluate(s, np.array([0.2, 0.4]))
+    value, J = closure_rows.evaluate_constraints(s, np.array([0.2, 0.4]))
     np.testing.assert_allclose(value, [-0.6], atol=1e-15)
     np.testing.assert_allclose(J, [[1.0, -2.0]], atol=1e-9)
     assert s.assemble({"B": 0.1}).q[0] == pytest.approx(0.2, abs=1e-9)
@@ -103,8 +103,8 @@ def test_callbacks_have_declared_support():
     m.revolute("C", "lower", third, at=(1.0, 0.0))
     m.equation("law", branching, of=("A", "B"))
     m.equation("other", lambda x: abs(x["C"]) - 0.5, of=("C",))
-    J = closure_rows.evaluate(m.build(), np.array([0.2, 0.4, 0.3]))[1]
-    by_name = dict(zip([n for n, _ in closure_rows.row_names(m.build())], J, strict=True))
+    J = closure_rows.evaluate_constraints(m.build(), np.array([0.2, 0.4, 0.3]))[1]
+    by_name = dict(zip([n for n, _ in closure_rows.list_row_names(m.build())], J, strict=True))
     np.testing.assert_allclose(by_name["law"], [1.0, -2.0, 0.0], atol=1e-9)
     np.testing.assert_allclose(by_name["other"], [0.0, 0.0, 1.0], atol=1e-9)
 
@@ -137,7 +137,8 @@ def test_files_copies_and_pickles(tmp_path):
     assert other != m
     q = np.array([0.3, 0.6])
     np.testing.assert_array_equal(
-        closure_rows.residual(kempe.read(path).build(), q), closure_rows.residual(m.build(), q)
+        closure_rows.compute_residual(kempe.read(path).build(), q),
+        closure_rows.compute_residual(m.build(), q),
     )
 
 
@@ -148,25 +149,27 @@ def test_attached_with_a_prefix():
     alone = everything().build()
     q = np.array([0.3, 0.6])
     np.testing.assert_allclose(
-        closure_rows.residual(s, q), closure_rows.residual(alone, q), atol=1e-15
+        closure_rows.compute_residual(s, q), closure_rows.compute_residual(alone, q), atol=1e-15
     )
-    from kempe.equations.velocity import rates
+    from kempe.equations.velocity import evaluate_velocity_rows
 
-    for found, expected in zip(rates(s, q), rates(alone, q), strict=True):
+    for found, expected in zip(
+        evaluate_velocity_rows(s, q), evaluate_velocity_rows(alone, q), strict=True
+    ):
         np.testing.assert_allclose(found, expected, atol=1e-15)
 
 
 def test_velocity_rows():
-    from kempe.equations.velocity import rates, row_names
+    from kempe.equations.velocity import evaluate_velocity_rows, list_velocity_row_names
 
     m = two_bars()
     m.couple("B", {"A": 2.0}, 0.1)
     m.velocity_equation("w", [["sin(B)", "t"]], of=("A", "B"), b=lambda x, t: x["A"] * t, time=True)
     s = m.build()
-    A, b = rates(s, [0.3], 0.5)
+    A, b = evaluate_velocity_rows(s, [0.3], 0.5)
     np.testing.assert_allclose(A, [[math.sin(0.7) + 2 * 0.5]], atol=1e-15)
     np.testing.assert_allclose(b, [0.15], atol=1e-15)
-    assert row_names(s) == (("w", "velocity"),)
+    assert list_velocity_row_names(s) == (("w", "velocity"),)
 
 
 # ---- given to ik
@@ -319,7 +322,7 @@ def test_a_function_that_changes_its_size_is_named_with_the_call():
     m = two_bars()
     m.equation("e", growing, of=("A",))
     with pytest.raises(InputError, match="'e' gave 1 number, and gives 2 at A = 60.0"):
-        closure_rows.residual(m.build(), [60.0, 0.0])
+        closure_rows.compute_residual(m.build(), [60.0, 0.0])
 
 
 def test_the_words_of_a_tape_are_its_inputs():
@@ -345,4 +348,6 @@ def test_a_function_reads_coordinates_where_they_are_in_q():
         m.revolute(name, m.ground, m.body(f"body {name}"))
     m.equation("e", branching, of=("A", "B"))
     q = np.array([1.0, 0.0, 0.0, 0.0, 0.7, 0.2])
-    assert closure_rows.residual(m.build(), q) == pytest.approx([0.7 - 2.0 * 0.2], abs=1e-14)
+    assert closure_rows.compute_residual(m.build(), q) == pytest.approx(
+        [0.7 - 2.0 * 0.2], abs=1e-14
+    )

@@ -11,8 +11,8 @@ from kinds_battery import EXAMPLES, TASKS_ONLY, two_bodies
 from kempe import System, tasks
 from kempe.constraints.base import list_position_rows
 from kempe.equations import closure_rows
-from kempe.equations.judge import judge
-from kempe.equations.one_sided import one_sided_rows
+from kempe.equations.judge import judge_configurations
+from kempe.equations.one_sided import pack_one_sided_rows
 
 HELD = [n for n in EXAMPLES if n not in TASKS_ONLY]
 
@@ -21,12 +21,12 @@ def apart(system: System, q: np.ndarray) -> np.ndarray:
     """How far (..., n, 2) each constraint is missed by the kernels: the norms of its rows in
     metres, and of others.
     """
-    packed = closure_rows.full(system, False)
-    values = closure_rows.residual(system, q)
+    packed = closure_rows.pack_full_loops(system, False)
+    values = closure_rows.compute_residual(system, q)
     names = [n for n, _ in packed.names]
     metres = np.array([u == "m" for u in packed.units])
     out = []
-    for name in judge(system, q).names:
+    for name in judge_configurations(system, q).names:
         own = np.array([n == name for n in names])
         out.append([np.linalg.norm(values[..., own & unit], axis=-1) for unit in (metres, ~metres)])
     return np.moveaxis(np.array(out), 1, -1)
@@ -45,7 +45,7 @@ def test_each_kind(name, dim, hunt):
     rows = [r for r in made.list_rows(dim) if not r.velocity]
     equal = list_position_rows(made, dim)
     q = np.stack([system.random(rng) for _ in range(hunt.cases(20))])
-    there = judge(system, q)
+    there = judge_configurations(system, q)
     closed = system.assemble(start=q)
     assert (
         closed.success.all()
@@ -63,7 +63,7 @@ def test_each_kind(name, dim, hunt):
         np.testing.assert_allclose(there.errors, rows_, atol=1e-7)
         assert not there.holds.any()
     if rows and not equal:
-        beyond = one_sided_rows(system).beyond(q, declared=True)
+        beyond = pack_one_sided_rows(system).beyond(q, declared=True)
         np.testing.assert_allclose(
             np.linalg.norm(there.errors[0], axis=-1), np.linalg.norm(beyond, axis=-1), atol=1e-9
         )
@@ -79,7 +79,9 @@ def test_tasks_and_declared_are_judged_alike(name, hunt):
     m.constrain(made := EXAMPLES[name](3), "it")
     system = m.build()
     q = np.stack([system.random(rng) for _ in range(20)])
-    np.testing.assert_allclose(judge(system, q).errors[0].T, tasks.miss(system, made, q), atol=1e-9)
+    np.testing.assert_allclose(
+        judge_configurations(system, q).errors[0].T, tasks.miss(system, made, q), atol=1e-9
+    )
 
 
 @pytest.mark.parametrize("dim", [2, 3])

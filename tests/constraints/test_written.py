@@ -18,7 +18,7 @@ from kempe.constraints.tape import POSE
 from kempe.constraints.text import parse_tape
 from kempe.equations.tasks import Task
 from kempe.errors import InputError, UnknownNameError
-from kempe.inverse.tasks.search import packed_for
+from kempe.inverse.tasks.search import pack_tasks
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +141,7 @@ def test_numbers_of_expressions_of_coordinates_are_data_of_the_call(hunt):
     np.testing.assert_allclose(q[:, 0] + factor * q[:, 1], value, atol=1e-6)
     q = s.ik([Sum(("A", "B"), value)], start=s.random(1)).q
     np.testing.assert_allclose(q[:, 0] + 2.0 * q[:, 1], value, atol=1e-6)
-    one, other = (packed_for(s, (Task(s, Weighed(("A", "B"), 2.0, x)),), True) for x in (0.1, 0.2))
+    one, other = (pack_tasks(s, (Task(s, Weighed(("A", "B"), 2.0, x)),), True) for x in (0.1, 0.2))
     assert one is other
 
 

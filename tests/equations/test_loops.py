@@ -143,8 +143,12 @@ def loop(
 def closure_of(s: System, joint: str, own: bool = False) -> closure_rows.SystemConstraint:
     """The constraint of a joint that closes a loop; one with no rows where it has none."""
     return next(
-        (c for c in closure_rows.of_system(s, own) if c.name == joint and c.names != ("relation",)),
-        closure_rows.SystemConstraint(joint, closure_rows.full(s, False), ()),
+        (
+            c
+            for c in closure_rows.list_constraints(s, own)
+            if c.name == joint and c.names != ("relation",)
+        ),
+        closure_rows.SystemConstraint(joint, closure_rows.pack_full_loops(s, False), ()),
     )
 
 
@@ -264,7 +268,7 @@ def test_coordinates_that_are_not_free_are_tied():
     m = loop("universal", {}).mechanism
     m.couple("J.rx", {"Jb.x": 1.0, "J.ry": 2.0})
     related = m.build()
-    assert [c.size for c in closure_rows.of_system(related, own=False)] == [6, 1]
+    assert [c.size for c in closure_rows.list_constraints(related, own=False)] == [6, 1]
 
 
 # ------------------------------------------------------------------ of a system
@@ -281,7 +285,7 @@ def test_what_a_system_has():
     m.point_on_plane("plane", "b", "a", rpy=(0.1, 0.2, 0.3))
     m.couple("R", {"Ja.x": 1.0, "Jb.y": -2.0}, 0.3)
     s = m.build()
-    found = closure_rows.of_system(s)
+    found = closure_rows.list_constraints(s)
     assert [(c.name, c.names) for c in found] == [
         ("R", ("x", "y", "z", "rx", "ry", "rz")),
         ("rod", ("distance",)),
@@ -292,7 +296,7 @@ def test_what_a_system_has():
     for constraint in found:
         check(constraint, s, s.random(12, 4))
     assert found[1].residual(s, s.neutral) == pytest.approx([0.0])  # |(0, 1, 0)| = 2 l
-    assert load("two_link") and closure_rows.of_system(load("two_link")) == []
+    assert load("two_link") and closure_rows.list_constraints(load("two_link")) == []
 
 
 @given(graphs(most=5, loops=3), st.integers(0, 2**32))
@@ -301,7 +305,7 @@ def test_random_graphs(graph, seed):
     s = graph.mechanism().build()
     q = s.random(seed, 2)
     for own in (False, True):
-        for constraint in closure_rows.of_system(s, own):
+        for constraint in closure_rows.list_constraints(s, own):
             check(constraint, s, q, atol=1e-5)  # gears and screws make some entries large
 
 
@@ -335,4 +339,4 @@ def test_the_characteristic_length_is_of_the_links(cut, at):
 @pytest.mark.parametrize("own", [NotImplemented, 1, "no", None])
 def test_whether_own_coordinates_count_is_true_or_false(own):
     with pytest.raises(InputError, match="own is .*; it must be True or False"):
-        closure_rows.of_system(load("four_bar"), own)
+        closure_rows.list_constraints(load("four_bar"), own)

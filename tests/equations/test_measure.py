@@ -16,7 +16,7 @@ import kempe
 from kempe import Mechanism, library
 from kempe.assemble import bound
 from kempe.cli import report
-from kempe.equations.judge import Poses, judge, motion
+from kempe.equations.judge import Poses, judge_configurations, multiply_primitives
 from kempe.joints import TYPES, make_joint_type
 from kempe.status import Status
 
@@ -40,7 +40,9 @@ def test_motions_of_joints(name, hunt):
         for _ in range(hunt.cases(20)):
             q = rng.uniform(-3.0, 3.0, len(names))
             wanted = reference.joint_pose(name, q.tolist(), dim=dim, **options)
-            np.testing.assert_allclose(motion(primitives, q), wanted.astype(float), atol=1e-14)
+            np.testing.assert_allclose(
+                multiply_primitives(primitives, q), wanted.astype(float), atol=1e-14
+            )
 
 
 @pytest.mark.parametrize("name", library.names())
@@ -63,7 +65,7 @@ def test_joints_that_close_loops(hunt):
         made = closed_graphs.random_closed(rng)
         system = made.system()
         q = np.stack([made.values(system), system.random(rng)])
-        found = judge(system, q)
+        found = judge_configurations(system, q)
         error = system.loops.closure_error(q)
         size = np.stack([np.linalg.norm(error[..., 3:], axis=-1)], axis=-1)
         np.testing.assert_allclose(np.moveaxis(found.errors, 0, 1)[..., 1:], size, atol=2e-7)
@@ -81,7 +83,7 @@ def test_couplings_with_several_sources():
     for name in "abc":
         m.revolute(f"J{name}", m.ground, m.body(name))
     m.couple("Ja", {"Jb": 2.0, "Jc": -3.0}, 0.5)
-    found = judge(m.build(), [[0.5, 0.0, 0.0], [0.8, 0.0, 0.0]])
+    found = judge_configurations(m.build(), [[0.5, 0.0, 0.0], [0.8, 0.0, 0.0]])
     np.testing.assert_allclose(found.errors, [[[0.0, 0.0], [0.0, 0.1]]], atol=1e-15)
     assert found.names == ("Ja",) and found.holds.tolist() == [True, False]
 

@@ -11,7 +11,7 @@ from hunts import Hunt
 from kempe import Mechanism
 from kempe.constraints import NoSideslip, Rolls
 from kempe.constraints.base import evaluate_number_fields
-from kempe.equations.velocity import rates, row_names
+from kempe.equations.velocity import evaluate_velocity_rows, list_velocity_row_names
 from kempe.spatial import Array, inverse
 from kempe.system import System
 
@@ -135,9 +135,9 @@ def test_rates_are_those_of_poses(dim: int, hunt: Hunt) -> None:
     for _ in range(hunt.cases(25)):
         system = random_tree(rng, dim).build()
         q = system.random(rng)
-        A, b = rates(system, q)
+        A, b = evaluate_velocity_rows(system, q)
         expected, right = rates_by_differences(system, q)
-        assert A.shape == (len(row_names(system)), system.nv)
+        assert A.shape == (len(list_velocity_row_names(system)), system.nv)
         scale = 1.0 + np.abs(expected).max()
         np.testing.assert_allclose(A, expected, atol=2e-8 * scale)
         np.testing.assert_allclose(b, right, atol=1e-12 * scale)
@@ -162,12 +162,12 @@ def car(trailers: int = 0) -> System:
 def test_rates_of_a_car() -> None:
     """No velocity across: -sin x' + cos y' = 0."""
     q = np.array([[0.3, 0.2, 0.7], [0.0, 0.0, 0.0]])
-    A, b = rates(car(), q)
+    A, b = evaluate_velocity_rows(car(), q)
     np.testing.assert_allclose(
         A[:, 0], np.stack([-np.sin(q[:, 2]), np.cos(q[:, 2]), 0 * q[:, 2]], axis=-1), atol=1e-15
     )
     np.testing.assert_array_equal(b, np.zeros((2, 1)))
-    assert row_names(car()) == (("rear axle", "sideslip"),)
+    assert list_velocity_row_names(car()) == (("rear axle", "sideslip"),)
 
 
 @pytest.mark.parametrize("shape", [(), (0,), (1,), (3, 5)])
@@ -175,11 +175,11 @@ def test_batches(shape: tuple[int, ...]) -> None:
     """Leading axes are those of q and of the time, together."""
     system = car(2)
     q = system.random(0, shape)
-    A, b = rates(system, q)
+    A, b = evaluate_velocity_rows(system, q)
     assert (A.shape, b.shape) == ((*shape, 3, system.nv), (*shape, 3))
     for i in np.ndindex(*shape):
-        np.testing.assert_array_equal(A[i], rates(system, q[i])[0])
-    assert rates(system, q, np.zeros((2, *([1] * len(shape)))))[0].shape == (
+        np.testing.assert_array_equal(A[i], evaluate_velocity_rows(system, q[i])[0])
+    assert evaluate_velocity_rows(system, q, np.zeros((2, *([1] * len(shape)))))[0].shape == (
         2,
         *shape,
         3,
@@ -191,5 +191,5 @@ def test_a_system_without_velocity_constraints_has_no_rows() -> None:
     """Not one row, whatever its size."""
     m = Mechanism("pendulum", dim=2)
     m.revolute("A", m.ground, m.body("rod"))
-    A, b = rates(m.build(), [0.3])
-    assert (A.shape, b.shape, row_names(m.build())) == ((0, 1), (0,), ())
+    A, b = evaluate_velocity_rows(m.build(), [0.3])
+    assert (A.shape, b.shape, list_velocity_row_names(m.build())) == ((0, 1), (0,), ())

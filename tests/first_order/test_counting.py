@@ -83,7 +83,7 @@ def taken(s: System, q: np.ndarray) -> int:
     """What the joint takes away: the rank of its equations, less that of what its own coordinates
     can give in.
     """
-    J = closure_rows.jacobian(s, q)
+    J = closure_rows.compute_jacobian(s, q)
     own = [i for i, n in enumerate(s.structure.velocity_names) if n.split(".")[0] == "J"]
     return rank(J) - rank(J[:, own])
 
@@ -366,7 +366,7 @@ def test_declared_constraints_take_what_they_hold(name, dim):
         count = taken[dim - 2]
         assert (found.rank_dof, found.redundant_here) == (s.nv - count, count * (times - 1))
         at = compute_screws(s, q)
-        free = np.linalg.svd(closure_rows.jacobian(s, q))[2][count:].T
+        free = np.linalg.svd(closure_rows.compute_jacobian(s, q))[2][count:].T
         for i, edge in enumerate(e for e in build_constraint_graph(s).edges if not e.is_joint):
             W = at.compute_wrench_rows(i + 2, edge.of, dim)
             moves = about_center(s, q, edge.of.child, at) - about_center(s, q, edge.of.parent, at)

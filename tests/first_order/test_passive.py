@@ -16,7 +16,7 @@ from world_mechanisms import World
 
 import kempe
 from kempe import Mechanism, System
-from kempe.equations.closure_rows import residual
+from kempe.equations.closure_rows import compute_residual
 from kempe.first_order.idle_freedoms import IdleFreedom
 from kempe.mobility.mobility import mobility
 from kempe.spatial import exp_so3
@@ -48,7 +48,7 @@ def assert_spins(system: System, q: np.ndarray, f: IdleFreedom) -> None:
     start = system.configuration_space.integrate(q, angle * speed)
     first = turn @ before[system.body_names.index(f.bodies[0])]
     answer = system.assemble(others | {f.bodies[0]: first}, start, budget=kempe.Budget(starts=1))
-    assert answer.success and np.abs(residual(system, answer.q)).max() < 1e-9
+    assert answer.success and np.abs(compute_residual(system, answer.q)).max() < 1e-9
     after = system.fk(answer.q)
     inside = [system.body_names.index(b) for b in (*f.bodies, *f.links)]
     still = [b for b in range(len(before)) if b not in inside]

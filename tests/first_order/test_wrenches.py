@@ -16,7 +16,7 @@ from kempe import Mechanism, System
 from kempe import constraints as c
 from kempe.equations import closure_rows
 from kempe.equations.judge import Poses
-from kempe.equations.velocity import rates
+from kempe.equations.velocity import evaluate_velocity_rows
 from kempe.errors import InputError, UnknownNameError
 from kempe.first_order.wrenches import Wrenches
 
@@ -25,7 +25,7 @@ H = 1e-6
 
 def allowed(system: System, q: np.ndarray) -> np.ndarray:
     """Velocities (nv, k) that all equations of position and velocity allow, by their own Jacobian."""
-    J = np.vstack([closure_rows.jacobian(system, q), rates(system, q)[0]])
+    J = np.vstack([closure_rows.compute_jacobian(system, q), evaluate_velocity_rows(system, q)[0]])
     U, s, Vt = np.linalg.svd(J)
     return Vt[int((s > 1e-8 * max(1.0, s.max(initial=0.0))).sum()) :].T
 

@@ -85,7 +85,7 @@ def test_a_configuration_is_polished_onto_its_target():
     target = spare_joints._Targets(
         answer.problem, answer.plan, none, none, none, none, none, none, None
     )
-    found, error = target._polished(0, q + 1e-3, True)
+    found, error = target._polish_configuration(0, q + 1e-3, True)
     assert error < 1e-9 and np.abs(found - q).max() < 1e-8
 
 

@@ -27,7 +27,7 @@ from kempe.inverse.tasks import search as effort
 from kempe.inverse.tasks import search as ik_tasks
 from kempe.kernels.compiled import fallback
 from kempe.numerics import clock, newton
-from kempe.numerics.newton import least_squares_of_many
+from kempe.numerics.newton import solve_many_least_squares
 from kempe.status import Status
 from kempe.workspace import workers
 
@@ -575,7 +575,7 @@ def test_sentences_about_large_systems_take_no_dense_decompositions(monkeypatch)
     assert "4 freedoms left" in asked[0]()
     monkeypatch.setattr(explain_tasks, "MOST_COORDINATES", s.nv - 1)
     monkeypatch.setattr(explain_tasks, "Local", None)
-    monkeypatch.setattr(explain_tasks, "analyse", None)
+    monkeypatch.setattr(explain_tasks, "analyse_freedoms", None)
     assert "all hard tasks hold: errors up to" in asked[0]() and "freedom" not in asked[0]()
     assert "not reached" in asked[1]()
 
@@ -598,10 +598,10 @@ def test_the_clock_is_looked_at_between_large_systems_of_equations(monkeypatch):
     looks = []
     A = rng.normal(size=(9, 80, 90))
     b = rng.normal(size=(9, 80))
-    whole = least_squares_of_many(A, b)
+    whole = solve_many_least_squares(A, b)
     monkeypatch.setattr(newton, "WORK", 2.0 * 80 * 90 * 80)
     with watched_by(lambda: looks.append(1)):
-        parts = least_squares_of_many(A, b)
+        parts = solve_many_least_squares(A, b)
     np.testing.assert_array_equal(parts, whole)
     assert len(looks) == 5
 

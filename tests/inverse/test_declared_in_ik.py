@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import kempe
-from kempe.equations.judge import judge
+from kempe.equations.judge import judge_configurations
 
 
 def rod() -> kempe.Mechanism:
@@ -49,11 +49,11 @@ def test_a_target_is_reached_with_what_is_declared(make):
     start, there = (s.assemble(start=s.random(k)).q for k in (0, 1))
     p = s.fk(there, "tip")[:2, 3]
     for answer in (s.ik(p, "tip", start), s.ik(p, "tip", start, method="auto")):
-        assert answer.success and judge(s, answer.q).holds
+        assert answer.success and judge_configurations(s, answer.q).holds
         assert np.allclose(s.fk(answer.q, "tip")[:2, 3], p, atol=1e-6)
     batch = s.ik(np.stack([p, s.fk(start, "tip")[:2, 3]]), "tip", start)
-    assert batch.success.all() and judge(s, batch.q).holds.all()
-    assert judge(s, s.ik_step(start, s.fk(there, "tip"), "tip", dt=0.01).q).holds
+    assert batch.success.all() and judge_configurations(s, batch.q).holds.all()
+    assert judge_configurations(s, s.ik_step(start, s.fk(there, "tip"), "tip", dt=0.01).q).holds
 
 
 @pytest.mark.parametrize("make", [rod, law])
@@ -64,7 +64,7 @@ def test_all_configurations_hold_what_is_declared(make):
     s = make().build()
     q = s.assemble(start=s.random(1)).q
     found = s.ik_all(s.fk(q, "tip")[:2, 3], "tip")
-    assert judge(s, found.q).holds.all()
+    assert judge_configurations(s, found.q).holds.all()
     assert np.abs(np.sin(0.5 * (found.q - q))).max(axis=1).min() < 1e-6
 
 
@@ -81,7 +81,7 @@ def test_what_is_declared_can_put_a_place_out_of_reach():
     s = m.build()
     assert s.ik([0.3, 0.4, 0.0], "tip").success
     beside = s.ik([0.3, 0.4, 0.1], "tip")
-    assert not beside.success and judge(s, beside.q).holds
+    assert not beside.success and judge_configurations(s, beside.q).holds
     assert abs(np.linalg.norm(s.fk(beside.q, "tip")[:3, 3] - [0.3, 0.4, 0.1]) - 0.1) < 1e-6
 
 

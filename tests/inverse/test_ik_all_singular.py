@@ -18,7 +18,7 @@ import kempe
 from kempe.errors import InputError
 from kempe.inverse.explain_all import explain_target
 from kempe.inverse.families import find_families
-from kempe.inverse.nearest import nearest
+from kempe.inverse.nearest import find_nearest_configuration
 
 TURN = 2.0 * math.pi
 
@@ -438,7 +438,7 @@ def test_two_links_out_of_reach(target):
     s = planar_arm(l1, l2)
     d = math.hypot(*target)
     a = s.ik_all(target, "tip")
-    q, position, angle = nearest(a, 0)
+    q, position, angle = find_nearest_configuration(a, 0)
     wanted = max(d - l1 - l2, l1 - l2 - d)
     assert len(a) == 0 and position == pytest.approx(wanted, abs=1e-9) and angle == 0.0
     assert np.linalg.norm(s.fk(q, "tip")[:2, 3] - target) == pytest.approx(wanted, abs=1e-9)
@@ -459,7 +459,7 @@ def test_a_direction_beyond_a_limit():
     m.frame("tip", b)
     s = m.build()
     a = s.ik_all([0.0, 1.0, 0.0], "tip", task="direction")
-    q, position, angle = nearest(a, 0)
+    q, position, angle = find_nearest_configuration(a, 0)
     assert q[0] == pytest.approx(-0.5, abs=1e-12) and position == 0.0
     assert angle == pytest.approx(math.pi / 2 - 0.5, abs=1e-10)
     assert (
@@ -476,7 +476,7 @@ def test_a_tilted_direction():
     m.frame("tip", b)
     s = m.build()
     a = s.ik_all([math.sin(0.2), math.cos(0.2), 0.0], "tip", task="direction")
-    q, _, angle = nearest(a, 0)
+    q, _, angle = find_nearest_configuration(a, 0)
     assert len(a) == 0 and angle == pytest.approx(0.2, abs=1e-9)
     assert q[0] == pytest.approx(-math.pi / 2, abs=1e-6)
     assert (
@@ -490,9 +490,9 @@ def test_joints_that_are_held_stay():
     X = system("panda").fk(q, "tool")
     X[:3, 3] *= 3.0
     a = system("panda").ik_all(X, "tool", start=q, fixed={"panda_joint7": q[6]})
-    x, position, _ = nearest(a, 0)
+    x, position, _ = find_nearest_configuration(a, 0)
     assert len(a) == 0 and x[6] == pytest.approx(q[6], abs=1e-12) and position > 0.5
-    free, least, _ = nearest(system("panda").ik_all(X, "tool", start=q), 0)
+    free, least, _ = find_nearest_configuration(system("panda").ik_all(X, "tool", start=q), 0)
     assert least <= position + 1e-9
     assert np.all(x >= a.system.lower - 1e-9) and np.all(x <= a.system.upper + 1e-9)
 

@@ -13,7 +13,7 @@ from scipy.optimize import linprog, lsq_linear
 from kempe import Mechanism, System, spatial
 from kempe.errors import InputError
 from kempe.inverse.frame_step import Servo
-from kempe.numerics.least_squares import SHIFT, bounded, least_in_box
+from kempe.numerics.least_squares import SHIFT, minimize_bounded_residual, minimize_quadratic_in_box
 
 HAND = "panda_link7"
 DT = 0.01
@@ -33,7 +33,7 @@ def test_bounded_least_squares_is_that_of_scipy():
         b = rng.normal(size=m + n)
         low = rng.normal(size=n) - 0.3
         high = low + rng.uniform(0.0, 1.0, n) * (rng.random(n) < 0.9)
-        x = least_in_box(A.T @ A, A.T @ b, low, high)[0]
+        x = minimize_quadratic_in_box(A.T @ A, A.T @ b, low, high)[0]
         wide = high > low
         oracle = low.copy()
         if wide.any():
@@ -44,7 +44,9 @@ def test_bounded_least_squares_is_that_of_scipy():
         assert np.linalg.norm(A @ x - b) <= np.linalg.norm(A @ oracle - b) + 1e-9
         np.testing.assert_allclose(x, oracle, atol=1e-6)
         shift = np.clip(0.0, low, high)
-        y = shift + bounded(A, b - A @ shift, low - shift, high - shift, np.eye(n))
+        y = shift + minimize_bounded_residual(
+            A, b - A @ shift, low - shift, high - shift, np.eye(n)
+        )
         np.testing.assert_allclose(y, oracle, atol=1e-6)
 
 

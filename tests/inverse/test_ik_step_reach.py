@@ -16,7 +16,7 @@ from scipy.optimize import minimize
 import kempe
 from kempe import Mechanism, System, spatial, tasks
 from kempe.inverse.chain.serial_chain import find_chain
-from kempe.inverse.ik_step import SLIDING, TURNING, speeds
+from kempe.inverse.ik_step import SLIDING, TURNING, list_speed_limits
 from kempe.model.characteristic_length import compute_characteristic_length
 
 TIPS = {"panda": "panda_hand_tcp", "ur5": "tool", "iiwa14": "tool"}
@@ -464,7 +464,7 @@ def test_without_limits_of_speed_stated_ones_hold():
     m.couple("fast", {"geared": 4.0})
     m.frame("tip", "disc", at=(0.5, 0.0, 0.0))
     s = m.build()
-    assert dict(zip(s.structure.velocity_names, speeds(s), strict=True)) == {
+    assert dict(zip(s.structure.velocity_names, list_speed_limits(s), strict=True)) == {
         "rail": SLIDING,
         "turn": 9.0,
         "geared": TURNING / 4,
@@ -472,7 +472,7 @@ def test_without_limits_of_speed_stated_ones_hold():
     for wanted in (np.full(6, 1e4), spatial.pose(p=[50.0, 30.0, 0.0])):
         assert (
             np.abs(s.ik_step(s.neutral + 0.1, wanted, "tip", 0.01, damping=0.0).velocity)
-            <= speeds(s)
+            <= list_speed_limits(s)
         ).all()
     free = s.ik_step(
         s.neutral + 0.1, np.full(6, 1e4), "tip", 0.01, damping=0.0, velocity_limits=math.inf

@@ -17,7 +17,7 @@ from kempe.description.dh import from_dh
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.inverse.arm_angle import compute_arm_angle, compute_rotations, solve_three_turns
 from kempe.inverse.sweep import ik_sweep
-from kempe.numerics.intervals import arcs, joined, union
+from kempe.numerics.intervals import join_arcs, split_circle, unite_intervals
 
 H = math.pi / 2
 PI = math.pi
@@ -525,18 +525,20 @@ def test_three_turns():
 
 
 def test_intervals():
-    parts = arcs([1.0, -2.0, 1.0 + 2 * PI, 3.0])
+    parts = split_circle([1.0, -2.0, 1.0 + 2 * PI, 3.0])
     assert np.allclose(parts, [(-2.0, 1.0), (1.0, 3.0), (3.0, 2 * PI - 2.0)])
-    assert np.allclose(joined(parts, [False, True, True]), [(1.0, 2 * PI - 2.0)])
-    assert np.allclose(joined(parts, [True, False, True]), [(3.0, 2 * PI + 1.0)])
-    assert joined(parts, [True] * 3) == [(-PI, PI)] and joined(parts, [False] * 3) == []
-    assert union([(3.0, 4.0), (-PI, -3.0)], True) == ((3.0, 4.0),)
-    assert union([(0.0, 1.0), (0.5, 2.0), (3.0, 4.0)], False) == ((0.0, 2.0), (3.0, 4.0))
-    assert union([(-1.0, 3.5), (3.0, 6.0)], True) == ((-PI, PI),)
+    assert np.allclose(join_arcs(parts, [False, True, True]), [(1.0, 2 * PI - 2.0)])
+    assert np.allclose(join_arcs(parts, [True, False, True]), [(3.0, 2 * PI + 1.0)])
+    assert join_arcs(parts, [True] * 3) == [(-PI, PI)] and join_arcs(parts, [False] * 3) == []
+    assert unite_intervals([(3.0, 4.0), (-PI, -3.0)], True) == ((3.0, 4.0),)
+    assert unite_intervals([(0.0, 1.0), (0.5, 2.0), (3.0, 4.0)], False) == ((0.0, 2.0), (3.0, 4.0))
+    assert unite_intervals([(-1.0, 3.5), (3.0, 6.0)], True) == ((-PI, PI),)
 
 
 def test_arcs_between_angles():
-    assert arcs([]) == [(-np.pi, np.pi)]
-    assert arcs([0.5]) == [(0.5, 0.5 + 2 * np.pi)]
-    assert np.allclose(arcs([0.5, 2 * np.pi + 0.5, -1.0]), [(-1.0, 0.5), (0.5, 2 * np.pi - 1.0)])
-    assert len(arcs([np.pi, -np.pi])) == 1
+    assert split_circle([]) == [(-np.pi, np.pi)]
+    assert split_circle([0.5]) == [(0.5, 0.5 + 2 * np.pi)]
+    assert np.allclose(
+        split_circle([0.5, 2 * np.pi + 0.5, -1.0]), [(-1.0, 0.5), (0.5, 2 * np.pi - 1.0)]
+    )
+    assert len(split_circle([np.pi, -np.pi])) == 1

@@ -15,7 +15,7 @@ from scipy.optimize import minimize
 
 import kempe
 from kempe import Mechanism, System, spatial, tasks
-from kempe.equations.closure_rows import residual
+from kempe.equations.closure_rows import compute_residual
 from kempe.equations.packed_tasks import Packed
 from kempe.equations.tasks import Task
 from kempe.errors import InputError, NoSolutionError
@@ -90,7 +90,7 @@ def test_closed_loops_stay_closed(name):
     for q in closed.q[closed.success]:
         answer = s.ik(tasks.Pose(frame, s.fk(q, frame)))
         assert answer.success, answer.status
-        np.testing.assert_allclose(residual(s, answer.q), 0.0, atol=1e-9)
+        np.testing.assert_allclose(compute_residual(s, answer.q), 0.0, atol=1e-9)
         np.testing.assert_allclose(s.fk(answer.q, frame), s.fk(q, frame), atol=3e-6)
 
 
@@ -115,7 +115,7 @@ def test_a_leg_with_a_four_bar_and_a_coupling():
     answer = s.ik(tasks.Position("foot", X[:2, 3]))
     assert answer.success and (answer.n, answer.rank, answer.redundancy) == (2, 2, 0)
     np.testing.assert_allclose(s.fk(answer.q, "foot")[:3, 3], X[:3, 3], atol=1e-6)
-    np.testing.assert_allclose(residual(s, answer.q), 0.0, atol=1e-9)
+    np.testing.assert_allclose(compute_residual(s, answer.q), 0.0, atol=1e-9)
 
 
 def test_a_relation_of_several_coordinates_holds():
@@ -350,7 +350,7 @@ def test_the_nearest_closed_configuration_is_that_of_assembly(name):
             for q in (there.q, answer.q)
         )
         assert there.success and answer.success and least <= far + 1e-9
-        np.testing.assert_allclose(residual(s, answer.q), 0.0, atol=1e-9)
+        np.testing.assert_allclose(compute_residual(s, answer.q), 0.0, atol=1e-9)
 
 
 def test_preferred_functions_are_stationary_along_the_self_motion():
@@ -615,7 +615,7 @@ def test_the_self_motion_of_a_platform_is_the_spin_of_its_legs():
     v = 1e-4 * length * answer.self_motion[:, 2]
     moved = s.configuration_space.integrate(answer.q, v)
     assert np.abs(s.fk(moved, "platform") - s.fk(answer.q, "platform")).max() < 1e-7
-    assert np.abs(residual(s, moved)).max() < 1e-7
+    assert np.abs(compute_residual(s, moved)).max() < 1e-7
 
 
 # ---- whole bodies

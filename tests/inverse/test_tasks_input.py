@@ -12,7 +12,7 @@ import pytest
 import kempe
 from kempe import Mechanism, System, spatial, tasks
 from kempe.errors import InputError
-from kempe.inverse.tasks.search import packed_for
+from kempe.inverse.tasks.search import pack_tasks
 from kempe.status import Status
 
 HAND = "panda_link7"
@@ -261,7 +261,7 @@ def test_caches_are_bounded():
     same = tasks.Position("tip", [1.0, 1.0])
     for k in range(200):
         s.ik([same, tasks.Posture(np.zeros(3), weight=1.0 + k)])
-    kept = list(s._kept[packed_for].values())
+    kept = list(s._kept[pack_tasks].values())
     assert len(kept) <= 64 and max(len(p.stages) for p in kept) <= 64
 
 

@@ -17,14 +17,14 @@ from world_mechanisms import World
 
 import kempe
 from kempe import Mechanism, System
-from kempe.equations.closure_rows import residual
+from kempe.equations.closure_rows import compute_residual
 from kempe.first_order.counting import compute_group_basis, fills_group
 from kempe.mobility import dof_proofs
 from kempe.mobility.answer import Mobility
 from kempe.mobility.local_dimension import local_dimension
 from kempe.mobility.mobility import mobility
 from kempe.model.ball_angles import make_regular_chart
-from kempe.numerics.newton import certify
+from kempe.numerics.newton import make_certificate
 from kempe.spatial import matrix_to_quat_wxyz, rot_x, rot_y, rot_z
 
 # ---- certain is never wrong
@@ -200,7 +200,8 @@ def test_freedoms_of_a_chart_are_no_freedoms(free, hunt):
         )
         assert (
             max(
-                np.abs(residual(system, found.q)).max() for found in (m, local_dimension(system, q))
+                np.abs(compute_residual(system, found.q)).max()
+                for found in (m, local_dimension(system, q))
             )
             < 1e-9
         )
@@ -328,10 +329,10 @@ def test_newton_and_kantorovich():
     for power in np.arange(0, 9, 0.25):
         a = 10.0**-power
         x = float(np.sqrt(10.0**-power)) * (1 + 1e-9)
-        sure = certify(np.array([2 * x]), (1, 1), abs(x * x - a), 2.0, 1e-16, 1)
+        sure = make_certificate(np.array([2 * x]), (1, 1), abs(x * x - a), 2.0, 1e-16, 1)
         assert sure.regular and abs(np.sqrt(a) - x) <= sure.radius
-    assert not certify(np.array([2e-8]), (1, 1), 1e-16, 2.0, 1e-16, 1).regular
-    assert not certify(np.array([1.0, 0.0]), (2, 3), 0.0, 1.0, 1e-16, 6).regular
+    assert not make_certificate(np.array([2e-8]), (1, 1), 1e-16, 2.0, 1e-16, 1).regular
+    assert not make_certificate(np.array([1.0, 0.0]), (2, 3), 0.0, 1.0, 1e-16, 6).regular
 
 
 @pytest.mark.parametrize("dim", [1, 2, 3])

@@ -113,7 +113,7 @@ def test_the_tangent_space_is_the_kernel():
     q = s.q("closed")
     N, scale = tangent_space(s, q)
     np.testing.assert_allclose(N.T @ N, np.eye(6), atol=1e-12)
-    assert np.abs(closure_rows.jacobian(s, q) @ (scale[:, None] * N)).max() < 1e-12
+    assert np.abs(closure_rows.compute_jacobian(s, q) @ (scale[:, None] * N)).max() < 1e-12
 
 
 def test_preferred_coordinates_come_first_or_are_refused():

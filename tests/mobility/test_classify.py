@@ -16,8 +16,8 @@ from pfaffian import SYSTEMS, Pfaffian, growth_by_symbols
 from wheeled import KNOWN, close_by, on_plane, steered_car, trailers, two_axles
 
 from kempe import Mechanism, constraints
-from kempe.equations.closure_rows import evaluate
-from kempe.equations.velocity import rates, tangent_rows
+from kempe.equations.closure_rows import evaluate_constraints
+from kempe.equations.velocity import evaluate_velocity_rows, record_tangent_rows
 from kempe.errors import InputError, UnsupportedError
 from kempe.mobility.classify import EvaluationPoint, moved_place
 from kempe.mobility.growth_vectors import distribution
@@ -107,9 +107,11 @@ def holding(system: System, q: Array) -> Array:
         np.reshape(system.configuration_space.integrate(q[:, None], sign * steps), (-1, system.nq))
         for sign in (1, -1)
     )
-    more, less = (evaluate(system, x, False, True)[0] for x in moved)
+    more, less = (evaluate_constraints(system, x, False, True)[0] for x in moved)
     by_step = np.reshape((more - less) / 2e-6, (len(q), system.nv, -1))
-    return np.concatenate([rates(system, q)[0], np.swapaxes(by_step, 1, 2)], axis=1)
+    return np.concatenate(
+        [evaluate_velocity_rows(system, q)[0], np.swapaxes(by_step, 1, 2)], axis=1
+    )
 
 
 @pytest.mark.parametrize(
@@ -203,7 +205,7 @@ def test_random_exact_forms_are_integrable(hunt: Hunt) -> None:
         system = sliding(tuple(names), exact_rows(names, m, rng))
         q = rng.uniform(-0.6, 0.6, size=n)
         found = system.classify(q)
-        if min(np.linalg.svd(rates(system, q)[0], compute_uv=False)) < 1e-2:
+        if min(np.linalg.svd(evaluate_velocity_rows(system, q)[0], compute_uv=False)) < 1e-2:
             continue
         assert (found.kind, found.growth, found.integrals) == ("integrable", (n - m, n - m), m)
         assert found.constraints["law"].kind == "integrable"
@@ -229,7 +231,7 @@ def test_exact_forms_beside_one_that_is_not(hunt: Hunt) -> None:
         rows = [[*row, "0"] for row in exact_rows(free, m, rng)]
         system = sliding(tuple(names), [*rows, turns])
         q = rng.uniform(-0.6, 0.6, size=n)
-        if min(np.linalg.svd(rates(system, q)[0], compute_uv=False)) < 1e-2:
+        if min(np.linalg.svd(evaluate_velocity_rows(system, q)[0], compute_uv=False)) < 1e-2:
             continue
         found = system.classify(q)
         assert found.kind == "nonholonomic"
@@ -526,12 +528,15 @@ def test_random_motions_keep_what_their_rows_hold(times: int) -> None:
     m.constrain(constraints.Pointing("pin", (0.6, 0.0, 0.8)), "axis")
     system = m.build()
     q = system.assemble(start=system.random(4)).q
-    rows = tangent_rows(system)
+    rows = record_tangent_rows(system)
     rng = np.random.default_rng(times)
     place = EvaluationPoint(rows, q, 0.0, tuple(range(len(rows.names))), lambda q: q)
     for _ in range(times):
         place = moved_place(place, (), rng)
-    assert np.abs(evaluate(system, place.q)[0]).max() < 1e-9 and np.abs(place.q - q).max() > 0.1
+    assert (
+        np.abs(evaluate_constraints(system, place.q)[0]).max() < 1e-9
+        and np.abs(place.q - q).max() > 0.1
+    )
     assert np.abs(system.fk(place.q, "a")[:3, :3] - system.fk(q, "a")[:3, :3]).max() > 0.1
 
 

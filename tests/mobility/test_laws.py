@@ -10,7 +10,7 @@ from scipy.integrate import quad, solve_ivp
 
 import kempe
 from kempe import constraints as C
-from kempe.equations.judge import judge
+from kempe.equations.judge import judge_configurations
 from kempe.errors import InputError, UnsupportedError
 
 
@@ -352,11 +352,16 @@ def test_motions_follow_laws_in_time_and_the_judge_knows_the_time(hunt):
         assert driven and driven.judged
         np.testing.assert_allclose(driven.q, r.q, atol=1e-7)
         frozen = np.repeat(q0[None], len(r.t), axis=0)
-        assert not judge(s, frozen, t=r.t), "a motion that stands still misses the law"
+        assert not judge_configurations(s, frozen, t=r.t), (
+            "a motion that stands still misses the law"
+        )
         t = rng.uniform(0.1, 2.0)
         there = s.assemble({"t": t}, start=q0)
         assert (
-            there and there.judged and judge(s, there.q, t=t) and not judge(s, there.q + 0.1, t=t)
+            there
+            and there.judged
+            and judge_configurations(s, there.q, t=t)
+            and not judge_configurations(s, there.q + 0.1, t=t)
         )
 
 

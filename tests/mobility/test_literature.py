@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from literature import KNOWN, four_upu, look
 
-from kempe.equations.closure_rows import jacobian
+from kempe.equations.closure_rows import compute_jacobian
 from kempe.first_order.rank import compute_rank
 
 PROVEN = {
@@ -41,6 +41,8 @@ def test_kernels_keep_all_loops_closed(name):
     system = KNOWN[name][0].build()
     rank = compute_rank(system, system.neutral)
     assert (
-        np.abs(jacobian(system, rank.q) @ (rank.null_space * rank.units[:, None])).max(initial=0.0)
+        np.abs(compute_jacobian(system, rank.q) @ (rank.null_space * rank.units[:, None])).max(
+            initial=0.0
+        )
         < 1e-9
     )

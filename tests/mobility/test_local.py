@@ -451,7 +451,7 @@ def test_equations_say_the_same_as_the_loops(name):
     equations = Equations(system)
     value, J = equations.linearise(q)
     assert np.abs(value).max() < 1e-12
-    other = closure_rows.jacobian(system, q) * equations.scale
+    other = closure_rows.compute_jacobian(system, q) * equations.scale
     at = lyapunov_schmidt.split_matrix(q, J[0])
     assert J[0].shape == other.shape and at.rank == np.linalg.matrix_rank(other, tol=1e-7)
     assert np.abs(other @ at.null_space).max() < 1e-12 * max(1.0, equations.length)

@@ -19,7 +19,7 @@ from world_mechanisms import World, Z, loop, unit
 import kempe
 from kempe import Mechanism, System
 from kempe.assemble.generic_configurations import sample_nearby_ranks
-from kempe.equations.closure_rows import residual
+from kempe.equations.closure_rows import compute_residual
 from kempe.equations.judge import closure_error
 from kempe.errors import InputError, UnknownNameError
 from kempe.first_order.rank import compute_rank
@@ -157,7 +157,10 @@ def m_rank(system: System) -> int:
     h = 1e-6
     space = system.configuration_space
     columns = [
-        (residual(system, space.integrate(q, h * e)) - residual(system, space.integrate(q, -h * e)))
+        (
+            compute_residual(system, space.integrate(q, h * e))
+            - compute_residual(system, space.integrate(q, -h * e))
+        )
         / (2 * h)
         for e in np.eye(system.nv)
     ]

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 import kempe
 from kempe import Mechanism, System
-from kempe.equations.closure_rows import jacobian
+from kempe.equations.closure_rows import compute_jacobian
 from kempe.first_order.counting import find_group_dimensions
 from kempe.first_order.rank import compute_rank
 from kempe.first_order.redundant_constraints import describe_reactions, name_pair
@@ -189,7 +189,7 @@ def test_random_mechanisms_agree_with_the_equations(system):
     is the truth.
     """
     m = mobility(system, local=False)
-    J = jacobian(system, m.q)
+    J = compute_jacobian(system, m.q)
     assert m.closed and m.rank_dof == system.nv - np.linalg.matrix_rank(J, 1e-7)
     assert m.rank_dof - m.gruebler == m.redundant_here
     null_space = m.rank.null_space * m.rank.units[:, None]

@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import linprog
 
 import kempe
-from kempe.equations.closure_rows import evaluate
+from kempe.equations.closure_rows import evaluate_constraints
 from kempe.mobility.one_sided import one_sided
 
 
@@ -78,7 +78,7 @@ def test_limits_that_are_reached(name, hunt):
             if kind > 1:
                 limits[k, 1] = q[i]
                 G.append(-np.eye(system.nv)[k])
-        E = evaluate(system, q, True, True)[1]
+        E = evaluate_constraints(system, q, True, True)[1]
         G = np.array(G).reshape(-1, system.nv)
         found = one_sided(system.with_limits(limits), q)
         assert len(found.active) == len(G)

@@ -13,7 +13,7 @@ import pytest
 import kempe
 from kempe import Mechanism
 from kempe.assemble.generic_configurations import sample_nearby_ranks
-from kempe.equations.velocity import tangent_rows
+from kempe.equations.velocity import record_tangent_rows
 from kempe.first_order.constraint_graph import build_constraint_graph
 from kempe.first_order.idle_freedoms import find_common_point, find_spin_groups
 from kempe.first_order.rank import compute_rank
@@ -188,7 +188,7 @@ def test_random_places_are_as_far_away_as_links_are_long(length):
     m.prismatic("x", m.ground, m.body("a"), axis=(1.0, 0.0), at=(length, 0.0))
     m.prismatic("y", "a", m.body("b"), axis=(0.0, 1.0), at=(0.0, length))
     m.velocity_equation("w", [[0.0, 0.0]], of=("x", "y"))
-    rows = tangent_rows(m.build())
+    rows = record_tangent_rows(m.build())
     assert rows.units[:2] == pytest.approx([length, length], rel=0.5)
     place = EvaluationPoint(rows, np.zeros(2), 0.0, (), lambda q: q)
     rng = np.random.default_rng(0)

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kempe import Mechanism
-from kempe.equations.judge import coordinate_value
+from kempe.equations.judge import compute_coordinate_value
 from kempe.errors import DescriptionError, KempeError
 from kempe.joints import P, Q, R, make_joint_type
 from kempe.kernels.compiled import table_sweep
@@ -60,7 +60,7 @@ def test_any_coordinate_has_a_value(graph: Graph, seed):
     q = s.random(seed, (2, 3))
     for i in np.ndindex(2, 3):
         for name, x in graph.values(s, q[i]).items():
-            assert coordinate_value(s, q, name)[i] == pytest.approx(x, abs=1e-12)
+            assert compute_coordinate_value(s, q, name)[i] == pytest.approx(x, abs=1e-12)
 
 
 # ------------------------------------------------------------------ the table

@@ -123,7 +123,7 @@ def compare(system: System, q: np.ndarray, rng: np.random.Generator) -> None:
         answer = solver({}, start=start)
         assert answer.success
         # coordinates of the joint included
-        assert np.abs(full.residual(system, answer.q)).max(initial=0.0) < 1e-9
+        assert np.abs(full.compute_residual(system, answer.q)).max(initial=0.0) < 1e-9
         assert np.abs(evaluated(system, small, answer.q[None])[0]).max(initial=0.0) < 1e-9
 
 

@@ -11,7 +11,7 @@ from motion_linkages import TURN, circles, four_bar, ladder, linkage, same_angle
 
 import kempe
 from kempe.arguments import call_until_interrupt
-from kempe.equations.closure_rows import residual
+from kempe.equations.closure_rows import compute_residual
 from kempe.errors import InputError, UnsupportedError
 from kempe.motion.drive import drive
 
@@ -81,7 +81,7 @@ def test_no_flip_through_change_points_at_any_number_of_steps(first, n):
         )
         assert error(motion.q) < 1e-9, system.name
         assert np.abs(motion.values(name) - inputs).max() < 1e-12
-        assert np.abs(residual(system, motion.q)).max() < 1e-11
+        assert np.abs(compute_residual(system, motion.q)).max() < 1e-11
         assert len(motion.singular_points) >= 2
 
 
@@ -195,7 +195,7 @@ def test_going_on_from_elsewhere_than_held_is_reported_as_a_jump():
         and motion.jumps[0][0] == int(np.flatnonzero(motion.held)[-1]) + 1
         and "jumps" in motion.status
     )
-    assert np.abs(residual(system, motion.q)).max() < 1e-12
+    assert np.abs(compute_residual(system, motion.q)).max() < 1e-12
 
 
 def test_inputs_must_fit_the_freedoms():

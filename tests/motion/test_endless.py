@@ -15,7 +15,7 @@ import kempe
 from kempe import Mechanism
 from kempe.arguments import call_until_interrupt
 from kempe.errors import InputError
-from kempe.numerics.newton import least_squares
+from kempe.numerics.newton import solve_least_squares
 
 
 def two_slides(tilt: float) -> kempe.System:
@@ -330,7 +330,7 @@ def test_points_at_equal_distances_are_those_of_newtons_method_point_by_point(na
         for _ in range(3):
             F, J = e.both(x)
             across = (1 - u) * T.t[k] + u * T.t[k + 1]
-            x = e.move(x, least_squares(np.vstack([J, across]), np.append(-F, 0.0)))
+            x = e.move(x, solve_least_squares(np.vstack([J, across]), np.append(-F, 0.0)))
         np.testing.assert_allclose(q, x if 0.0 < u < 1.0 else T.q[k + (u >= 1.0)], atol=1e-12)
 
 
@@ -338,9 +338,9 @@ def test_points_are_closed_many_at_once(monkeypatch):
     """The equations are requested slices of points, not for points."""
     path = kempe.load("four_bar").trace()
     calls = []
-    equations = kempe.equations.closure_rows.evaluate
+    equations = kempe.equations.closure_rows.evaluate_constraints
     monkeypatch.setattr(
-        "kempe.equations.closure_rows.evaluate",
+        "kempe.equations.closure_rows.evaluate_constraints",
         lambda *g, **o: calls.append(1) or equations(*g, **o),
     )
     assert len(path.resample(20_000)) == 20_000 and len(calls) <= 3 * 20

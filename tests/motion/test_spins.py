@@ -163,7 +163,7 @@ def assert_spun_is_the_same(unit, rng: np.random.Generator) -> bool:
     if all(motions):
         one, other = (system.fk(m.q, rest) for m in motions)
         np.testing.assert_allclose(one, other, atol=1e-8)
-        assert max(np.abs(closure_rows.residual(system, m.q)).max() for m in motions) < 1e-9
+        assert max(np.abs(closure_rows.compute_residual(system, m.q)).max() for m in motions) < 1e-9
     return True
 
 

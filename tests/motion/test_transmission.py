@@ -126,9 +126,9 @@ def test_space_and_quaternions_by_differences():
     m.spherical("C", rod, rocker, at=(2, 0, 0), child_at=(1, 0, 0), cut=True)
     idle = m.build()
     assembled = idle.q({"A": system.q_dict(x)["A"], "D": system.q_dict(x)["D"]})
-    from kempe.equations.closure import Closure, close
+    from kempe.equations.closure import Closure, close_loops
 
-    y = close(Closure(idle, [0, 1], assembled), assembled)
+    y = close_loops(Closure(idle, [0, 1], assembled), assembled)
     spinning = loop_jacobian(idle, y, ["D"], ["A", "rocker"])
     assert spinning.success and spinning.nullity == 2
     assert spinning.matrix[0, 0] == pytest.approx(J.matrix[6, 0], rel=1e-9)

@@ -13,11 +13,11 @@ from scipy.optimize import least_squares as scipy_least_squares
 
 from kempe.numerics import newton as g
 from kempe.numerics.newton import (
-    damped_least_squares,
-    gauss_newton,
-    gauss_newton_of_many,
-    least_squares,
-    least_squares_of_many,
+    run_gauss_newton,
+    run_many_gauss_newton,
+    solve_damped_least_squares,
+    solve_least_squares,
+    solve_many_least_squares,
 )
 
 
@@ -36,8 +36,8 @@ def test_the_least_solution_of_dependent_equations(hunt):
         m, n, r = rng.integers(1, 9, 3)
         A = rng.normal(size=(m, min(r, m, n))) @ rng.normal(size=(min(r, m, n), n))
         b = rng.normal(size=m)
-        one = least_squares(A, b)
-        many = least_squares_of_many(A[None], b[None])[0]
+        one = solve_least_squares(A, b)
+        many = solve_many_least_squares(A[None], b[None])[0]
         for y in (one, many):
             size = np.linalg.norm(A, 2) * max(1.0, np.linalg.norm(b)) * max(1.0, np.linalg.norm(y))
             assert np.abs(A.T @ (A @ y - b)).max() < 1e-8 * size * max(1.0, np.linalg.norm(A, 2))
@@ -52,9 +52,11 @@ def test_large_and_small_problems_have_the_same_solution(rows):
     rng = np.random.default_rng(0)
     A = rng.normal(size=(rows, 5))
     b = rng.normal(size=rows)
-    np.testing.assert_allclose(least_squares(A, b), np.linalg.solve(A.T @ A, A.T @ b), rtol=1e-10)
+    np.testing.assert_allclose(
+        solve_least_squares(A, b), np.linalg.solve(A.T @ A, A.T @ b), rtol=1e-10
+    )
     A[:, 4] = A[:, 0]
-    y = least_squares(A, b)
+    y = solve_least_squares(A, b)
     assert y[4] == pytest.approx(y[0], abs=1e-10)
     np.testing.assert_allclose(
         np.append(y[1:4], 2 * y[0]), np.linalg.lstsq(A[:, [1, 2, 3, 0]], b)[0], atol=1e-10
@@ -66,7 +68,7 @@ def test_damping_is_that_of_the_normal_equations():
     A = rng.normal(size=(4, 6))
     b = rng.normal(size=4)
     expected = np.linalg.solve(A.T @ A + 0.3 * np.eye(6), A.T @ b)
-    np.testing.assert_allclose(damped_least_squares(A, b, 0.3), expected, atol=1e-12)
+    np.testing.assert_allclose(solve_damped_least_squares(A, b, 0.3), expected, atol=1e-12)
 
 
 def test_the_root_of_a_quadratic_in_the_closed_form():
@@ -79,7 +81,7 @@ def test_the_root_of_a_quadratic_in_the_closed_form():
         calls.append(float(x[0]))
         return x * x - 2.0, np.diag(2.0 * x)
 
-    found = gauss_newton(both, np.array([1.0]), 50)
+    found = run_gauss_newton(both, np.array([1.0]), 50)
     assert found.x[0] == pytest.approx(math.sqrt(2.0), abs=3e-16) and len(calls) <= 7
     assert found.size == abs(found.x[0] ** 2 - 2.0)
 
@@ -99,7 +101,7 @@ def test_scipy_finds_the_same_minimum_where_no_solution_exists(hunt):
             far = np.linalg.norm(d, axis=1)
             return far - radii, d / far[:, None]
 
-        found = gauss_newton(both, p, 60, last=1e-13)
+        found = run_gauss_newton(both, p, 60, last=1e-13)
         oracle = scipy_least_squares(
             lambda x, f=both: f(x)[0],
             p,
@@ -121,10 +123,10 @@ def test_steps_from_many_starts_are_those_from_each(hunt):
         tip, J = arm(x)
         return tip - target[at], J
 
-    found = gauss_newton_of_many(many, x, 60, longest=0.3)
+    found = run_many_gauss_newton(many, x, 60, longest=0.3)
     assert np.abs(arm(found)[0] - target).max() < 1e-12
     one = [
-        gauss_newton_of_many(
+        run_many_gauss_newton(
             lambda y, _, k=k: many(y, np.array([k])), x[k : k + 1], 60, longest=0.3
         )[0]
         for k in range(len(x))
@@ -137,9 +139,9 @@ def test_what_is_not_finite_ends_alone():
         return np.where(at[:, None] == 1, np.nan, x - 3.0), np.ones((len(x), 1, 1))
 
     np.testing.assert_array_equal(
-        gauss_newton_of_many(both, np.zeros((3, 1)), 5), [[3.0], [np.nan], [3.0]]
+        run_many_gauss_newton(both, np.zeros((3, 1)), 5), [[3.0], [np.nan], [3.0]]
     )
-    found = gauss_newton(lambda x: (np.full(1, np.inf), np.eye(1)), np.ones(1), 5)
+    found = run_gauss_newton(lambda x: (np.full(1, np.inf), np.eye(1)), np.ones(1), 5)
     assert found.x[0] == 1.0 and not found.size < np.inf
 
 
@@ -157,7 +159,7 @@ def test_what_is_not_finite_ends_alone():
 )
 def test_what_the_options_do(options, end):
     """Three steps towards where 0.3 (x - 10) is zero; each end by hand."""
-    found = gauss_newton(
+    found = run_gauss_newton(
         lambda x: (0.3 * (x - 10.0), np.full((1, 1), 0.3)), np.zeros(1), 3, **options
     )
     assert found.x[0] == pytest.approx(end)
@@ -173,7 +175,7 @@ def test_dependent_equations_do_no_harm(hunt):
         M = np.concatenate([A, rng.normal(size=(2, 2)) @ A])
         b = rng.normal(size=3)
         x = rng.normal(size=3)
-        found = gauss_newton(lambda x, M=M, b=b: (M @ (x - b), M), x, 5).x
+        found = run_gauss_newton(lambda x, M=M, b=b: (M @ (x - b), M), x, 5).x
         along = np.cross(A[0], A[1])
         np.testing.assert_allclose(
             found, b + along * (along @ (x - b)) / (along @ along), atol=1e-6

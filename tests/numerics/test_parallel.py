@@ -11,7 +11,7 @@ import pytest
 import kempe
 from kempe import Mechanism
 from kempe.errors import InputError
-from kempe.numerics.pool import over_chunks
+from kempe.numerics.pool import sum_over_chunks
 
 
 @pytest.mark.parametrize("threads", [None, 1, 2, 3, 8])
@@ -27,7 +27,7 @@ def test_every_item_is_worked_on_once_in_the_same_chunks(threads, count):
             bounds.add((i, j))
         return j - i
 
-    assert over_chunks(work, count, 10, threads, 20) == count
+    assert sum_over_chunks(work, count, 10, threads, 20) == count
     assert (seen == 1).all()
     if threads != 1 and count >= 20:
         assert threads is None or bounds == {(i, min(i + 10, count)) for i in range(0, count, 10)}
@@ -41,14 +41,14 @@ def test_a_failure_comes_out_and_no_further_chunk_is_begun():
         raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
-        over_chunks(work, 10_000, 1, 2, 0)
+        sum_over_chunks(work, 10_000, 1, 2, 0)
     assert len(begun) <= 4
 
 
 @pytest.mark.parametrize("threads", [0, -1, 1.5, "two", True])
 def test_odd_thread_counts_are_refused(threads):
     with pytest.raises(InputError, match="threads"):
-        over_chunks(lambda i, j: 0, 10, 1, threads, 0)
+        sum_over_chunks(lambda i, j: 0, 10, 1, threads, 0)
 
 
 def test_many_python_threads_may_call_at_once():

@@ -9,7 +9,7 @@ import pytest
 import sympy
 
 from kempe.errors import InputError
-from kempe.numerics.rank import Level, Spectrum, svd
+from kempe.numerics.rank import Level, Spectrum, compute_svd
 
 LEVELS = (Level.ROUNDING, Level.CLOSED, Level.GENERIC, Level.ROUGH)
 
@@ -149,22 +149,22 @@ def test_the_rank_is_decided_at_the_gap():
 @pytest.mark.parametrize("full", [True, False])
 def test_where_numpy_does_not_converge_the_same_comes_out(shape, full, monkeypatch):
     A = np.random.default_rng(0).normal(size=shape)
-    U, s, Vt = svd(A, full_matrices=full)
-    values = svd(A, compute_uv=False)
+    U, s, Vt = compute_svd(A, full_matrices=full)
+    values = compute_svd(A, compute_uv=False)
 
     def never(*_, **__):
         raise np.linalg.LinAlgError("SVD did not converge")
 
     monkeypatch.setattr(np.linalg, "svd", never)
-    for mine, other in zip(svd(A, full_matrices=full), (U, s, Vt), strict=True):
+    for mine, other in zip(compute_svd(A, full_matrices=full), (U, s, Vt), strict=True):
         assert mine.shape == other.shape
-    again, sizes, rows = svd(A, full_matrices=full)
+    again, sizes, rows = compute_svd(A, full_matrices=full)
     k = sizes.shape[-1]
     np.testing.assert_allclose(
         (again[..., :k] * sizes[..., None, :]) @ rows[..., :k, :], A, atol=1e-14
     )
     np.testing.assert_allclose(sizes, s, atol=1e-14)
-    np.testing.assert_allclose(svd(A, compute_uv=False), values, atol=1e-14)
+    np.testing.assert_allclose(compute_svd(A, compute_uv=False), values, atol=1e-14)
 
 
 def test_what_is_not_finite_is_refused(monkeypatch):
@@ -173,4 +173,4 @@ def test_what_is_not_finite_is_refused(monkeypatch):
 
     monkeypatch.setattr(np.linalg, "svd", never)
     with pytest.raises(InputError, match="not finite"):
-        svd([[1.0, np.nan], [0.0, 1.0]])
+        compute_svd([[1.0, np.nan], [0.0, 1.0]])

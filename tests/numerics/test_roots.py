@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kempe.numerics.roots import sign_change
+from kempe.numerics.roots import find_sign_change
 
 CASES = {
     "line": (lambda x: x - 0.3, -1.0, 2.0, 0.3),
@@ -36,7 +36,7 @@ def test_known_places(name):
         return f(x)
 
     for a, b in ((low, high), (high, low)):
-        found = sign_change(g, a, b)
+        found = find_sign_change(g, a, b)
         wide = 1e-6 if name in ("seventh power", "nearly flat") else 4e-15 * (1.0 + abs(expected))
         wide = 0.03 if name == "nearly flat" else wide
         assert found is not None and abs(found - expected) <= wide and found in counted
@@ -45,14 +45,14 @@ def test_known_places(name):
 
 def test_ends_and_no_change():
     assert (
-        sign_change(lambda x: x, 0.0, 1.0) == 0.0
-        and sign_change(lambda x: x - 1.0, 0.0, 1.0) == 1.0
+        find_sign_change(lambda x: x, 0.0, 1.0) == 0.0
+        and find_sign_change(lambda x: x - 1.0, 0.0, 1.0) == 1.0
     )
-    assert sign_change(lambda x: x * x + 1.0, -1.0, 1.0) is None
+    assert find_sign_change(lambda x: x * x + 1.0, -1.0, 1.0) is None
     for nan in (lambda x: math.nan, lambda x: math.nan if x > 0.5 else -1.0):
-        assert sign_change(nan, 0.0, 1.0) is None
+        assert find_sign_change(nan, 0.0, 1.0) is None
     # ends all the same
-    assert sign_change(lambda x: math.nan if 0.3 < x < 0.7 else x - 0.5, 0.0, 1.0) is not None
+    assert find_sign_change(lambda x: math.nan if 0.3 < x < 0.7 else x - 0.5, 0.0, 1.0) is not None
 
 
 @given(st.lists(st.floats(-1.0, 1.0), min_size=1, max_size=5, unique=True))
@@ -60,7 +60,7 @@ def test_a_polynomial_changes_its_sign_at_a_root(roots):
     def f(x: float) -> float:
         return math.prod(x - r for r in roots)
 
-    found = sign_change(f, -2.0, 2.0)
+    found = find_sign_change(f, -2.0, 2.0)
     if len(roots) % 2:
         assert found is not None and abs(f(found)) <= 1e-14
     else:

@@ -14,14 +14,14 @@ from kempe.numerics.curves import (
     BEND,
     Curve,
     Node,
-    arc,
-    bend,
-    correct,
-    flipped,
-    inside,
-    node,
-    step,
-    walk,
+    compute_bend_angle,
+    correct_point,
+    estimate_arc_length,
+    find_next_node,
+    find_node_between,
+    is_determinant_flipped,
+    make_node,
+    walk_curve,
 )
 
 
@@ -49,13 +49,13 @@ def ellipse(a, b):
 
 
 def traced(curve, x, toward, longest, most=100_000, **more):
-    nodes = [node(curve, np.asarray(x, dtype=float), np.asarray(toward, dtype=float))]
+    nodes = [make_node(curve, np.asarray(x, dtype=float), np.asarray(toward, dtype=float))]
 
     def taken(a, h):
-        b = step(curve, a, h)
+        b = find_next_node(curve, a, h)
         return None if b is None else [b]
 
-    for b in walk(nodes[0], taken, longest, 0.25 * longest, **more):
+    for b in walk_curve(nodes[0], taken, longest, 0.25 * longest, **more):
         nodes.append(b)
         if len(nodes) == most:
             break
@@ -80,10 +80,12 @@ def test_the_circumference_of_an_ellipse(a):
     np.testing.assert_allclose(
         [n.t for n in nodes], t / np.linalg.norm(t, axis=1)[:, None], atol=1e-12
     )
-    bends = [bend(n, m) for n, m in zip(nodes, nodes[1:], strict=False)]
+    bends = [compute_bend_angle(n, m) for n, m in zip(nodes, nodes[1:], strict=False)]
     assert max(bends) <= BEND
-    last = node(curve, nodes[0].x, nodes[0].t)
-    length = sum(arc(curve, n, m) for n, m in zip(nodes, [*nodes[1:], last], strict=True))
+    last = make_node(curve, nodes[0].x, nodes[0].t)
+    length = sum(
+        estimate_arc_length(curve, n, m) for n, m in zip(nodes, [*nodes[1:], last], strict=True)
+    )
     assert length == pytest.approx(4.0 * a * ellipe(1.0 - 1.0 / a**2), rel=1e-6)
 
 
@@ -116,7 +118,7 @@ def test_a_crossing_is_passed_straight_on_and_noticed():
     nodes = traced(curve, [-1.0, 0.0], [1.0, 0.0], 0.07, 40)
     x = np.array([n.x for n in nodes])
     assert x[-1, 0] > 1.0 and np.abs(x[:, 1]).max() < 1e-12
-    found = [k for k in range(len(nodes) - 1) if flipped(nodes[k], nodes[k + 1])]
+    found = [k for k in range(len(nodes) - 1) if is_determinant_flipped(nodes[k], nodes[k + 1])]
     assert [x[k, 0] < 0.0 < x[k + 1, 0] for k in found] == [True]
 
 
@@ -136,25 +138,25 @@ def test_the_walk_ends_where_a_curve_is_not_smooth():
 
 def test_steps_that_are_too_long_are_none():
     """On a circle of radius 1 a step bends by its own length: BEND is the longest that is taken."""
-    a = node(ellipse(1.0, 1.0), np.array([1.0, 0.0]), np.array([0.0, 1.0]))
+    a = make_node(ellipse(1.0, 1.0), np.array([1.0, 0.0]), np.array([0.0, 1.0]))
     for h in np.linspace(0.05, 1.5, 30):
         # the corrector lands in the plane across the tangent, at the height h: the bend is asin(h)
-        b = step(ellipse(1.0, 1.0), a, float(h))
+        b = find_next_node(ellipse(1.0, 1.0), a, float(h))
         allowed = (
             h <= 1.0 and math.asin(h) <= BEND and 1.0 - math.sqrt(1.0 - h * h) <= curves.ACROSS * h
         )
         assert (b is not None) == allowed
-        assert b is None or bend(a, b) == pytest.approx(math.asin(h), abs=1e-10)
+        assert b is None or compute_bend_angle(a, b) == pytest.approx(math.asin(h), abs=1e-10)
 
 
 def test_points_between_and_points_that_are_not_there():
     curve = ellipse(1.0, 1.0)
-    a = node(curve, np.array([1.0, 0.0]), np.array([0.0, 1.0]))
-    b = step(curve, a, 0.2)
-    c = inside(curve, a, b, 0.1)
+    a = make_node(curve, np.array([1.0, 0.0]), np.array([0.0, 1.0]))
+    b = find_next_node(curve, a, 0.2)
+    c = find_node_between(curve, a, b, 0.1)
     np.testing.assert_allclose(c.x, [math.sqrt(0.99), 0.1], atol=1e-13)
     # no point of the circle is at y = 1.5
-    assert correct(curve, np.array([1.0, 1.5]), np.array([0.0, 1.0])) is None
+    assert correct_point(curve, np.array([1.0, 1.5]), np.array([0.0, 1.0])) is None
 
 
 @pytest.mark.parametrize("limit", [0.123, 0.5, 0.99])
@@ -168,7 +170,7 @@ def test_the_walk_comes_as_near_to_a_limit_as_its_least_step(limit):
         x = a.x + h
         return [Node(x, a.t, 1.0, 1, curves.NONE, curves.NONE)] if x[0] <= limit else None
 
-    nodes = list(walk(a, taken, 0.05, 0.05, least=1e-4, ideal=math.inf))
+    nodes = list(walk_curve(a, taken, 0.05, 0.05, least=1e-4, ideal=math.inf))
     assert limit - 2e-4 <= nodes[-1].x[0] <= limit
     steps = np.diff([0.0, *(float(n.x[0]) for n in nodes)])
     assert steps[: int(limit / 0.05)] == pytest.approx(0.05)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.equations.judge import coordinate_value
+from kempe.equations.judge import compute_coordinate_value
 from kempe.model.configurations import read_q
 from kempe.spatial import Array
 from oracles import pairs
@@ -67,7 +67,7 @@ class Carried(Pair):
         """Values (..., n) of the joint's own coordinates, those that follow others or are held
         included.
         """
-        values = [coordinate_value(system, q, n) for n in self.own.names]
+        values = [compute_coordinate_value(system, q, n) for n in self.own.names]
         return np.stack(values, axis=-1) if values else np.zeros((*q.shape[:-1], 0))
 
     def _own_rows(self, system: System) -> Array:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from kempe import System
-from kempe.equations.judge import coordinate_value
+from kempe.equations.judge import compute_coordinate_value
 from kempe.errors import UnknownNameError
 from kempe.model.configurations import read_q
 from kempe.model.implicit_form import has_slide_along_z
@@ -64,7 +64,7 @@ class Closure(Pair):
         for names, kind in self.tied:
             if len(names) == 1:
                 number, rates = pairs.read(X, kind, self.pitch)
-                number = number - coordinate_value(system, q, names[0])
+                number = number - compute_coordinate_value(system, q, names[0])
                 if kind.startswith("turn"):
                     number = (number + np.pi) % (
                         2.0 * np.pi
@@ -72,7 +72,7 @@ class Closure(Pair):
                 number = number[..., None]
                 J = rates[..., None, :] @ motion - coordinate_row(system, names[0])
             else:
-                own = np.stack([coordinate_value(system, q, n) for n in names], axis=-1)
+                own = np.stack([compute_coordinate_value(system, q, n) for n in names], axis=-1)
                 number, rates, by_own = (
                     pairs.angle_rows if len(names) == 3 else pairs.quaternion_rows
                 )(X, own)

@@ -12,7 +12,7 @@ import numpy as np
 
 from kempe import spatial
 from kempe.description.parts import Joint
-from kempe.equations.judge import coordinate_value
+from kempe.equations.judge import compute_coordinate_value
 from kempe.joints import Q
 from kempe.model.configurations import read_start
 from kempe.model.model import keep_answers
@@ -173,7 +173,7 @@ def coordinates_of(
             rates |= {joint.own.names[i]: (slope @ motion)[..., v, :] for i, v in joint.own.plain}
             continue
         for names, kind in joint.tied:
-            at = np.stack([coordinate_value(system, near, n) for n in names], axis=-1)
+            at = np.stack([compute_coordinate_value(system, near, n) for n in names], axis=-1)
             if kind == "quaternion":
                 quat = spatial.matrix_to_quat_wxyz(X[..., :3, :3])
                 found = np.where(np.sum(quat * at, axis=-1, keepdims=True) < 0.0, -quat, quat)

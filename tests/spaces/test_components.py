@@ -15,7 +15,7 @@ from scipy.ndimage import label
 
 import kempe
 from kempe import Budget, Status
-from kempe.equations.closure_rows import jacobian
+from kempe.equations.closure_rows import compute_jacobian
 from kempe.spaces.four_joints import FourJoints, four_joints
 from kempe.spaces.polygons import polygon_of
 
@@ -212,7 +212,8 @@ def test_pieces_of_other_dimensions_are_distinguished():
     assert {p.dimension for p in parts} == {0, 1}
     for part in parts:
         assert (
-            np.linalg.matrix_rank(jacobian(system, part.paths[0].q[0]), 1e-8) == 6 - part.dimension
+            np.linalg.matrix_rank(compute_jacobian(system, part.paths[0].q[0]), 1e-8)
+            == 6 - part.dimension
         )
     # Sarrus' linkage lies flat with all its parallel axes in line: then both halves turn by
     # themselves

@@ -13,7 +13,7 @@ from polygons import polygon
 
 import kempe
 from kempe import Budget, Mechanism, Status
-from kempe.equations.judge import judge
+from kempe.equations.judge import judge_configurations
 from kempe.errors import InputError
 from kempe.model.characteristic_length import compute_characteristic_length
 from kempe.spaces.polygons import polygon_of
@@ -35,7 +35,7 @@ def connects(
     length = compute_characteristic_length(system)
     low, high = system.structure.limits[system.structure.layout.vector_v].T
     for _ in range(3):
-        assert np.all(judge(system, q).holds)
+        assert np.all(judge_configurations(system, q).holds)
         x = q[:, system.structure.layout.vector_q]
         assert (x >= low - 1e-9).all() and (x <= high + 1e-9).all()
         far = space.distance(q[:-1], q[1:])

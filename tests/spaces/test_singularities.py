@@ -8,7 +8,7 @@ import pytest
 import kempe
 from kempe import Budget, Status
 from kempe.arguments import call_until_interrupt
-from kempe.equations.closure_rows import residual
+from kempe.equations.closure_rows import compute_residual
 from kempe.errors import InputError, TimeLimitError, UnknownNameError
 
 PUMA = kempe.load("puma560")
@@ -209,7 +209,7 @@ def test_legs_of_a_planar_robot_meet_or_are_parallel_where_it_gains_a_motion(thr
     for q, gained in zip(sets[0].q, sets[0].gained, strict=True):
         p, d = lines_of(arm, q)
         assert crossing(p, d) < 1e-7 and len(gained) == 1
-        assert np.abs(residual(arm, q)).max() < 1e-9
+        assert np.abs(compute_residual(arm, q)).max() < 1e-9
         vx, vy, _, _, _, w = gained[0]  # the platform turns about the point in which the lines meet
         at = arm.fk(q, "tool")[:2, 3] + np.array([-vy, vx]) / w
         across = np.column_stack([-d[:, 1], d[:, 0]]) / np.linalg.norm(d, axis=1)[:, None]

@@ -14,7 +14,7 @@ from hunts import some
 
 import kempe
 from kempe import Mechanism, constraints, library
-from kempe.equations.judge import judge
+from kempe.equations.judge import judge_configurations
 from kempe.errors import CallError, InputError, UnknownNameError, UnsupportedError
 from kempe.model.configurations import find_home
 
@@ -762,7 +762,7 @@ def test_what_is_drawn_by_default_holds(name):
     """The default configuration satisfies all that is declared, where assembling from home can."""
     system = kempe.load(name)
     q = usual_configuration(system, None)
-    assert judge(system, q) or not system.assemble(start=find_home(system))
+    assert judge_configurations(system, q) or not system.assemble(start=find_home(system))
 
 
 def test_a_ball_rests_on_its_ground():

@@ -7,7 +7,7 @@ import pytest
 from hunts import some
 
 import kempe
-from kempe.equations.judge import judge
+from kempe.equations.judge import judge_configurations
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.views.drawing.labels import fitting
 from kempe.views.viewer.overlays import Overlay, offered, rounds
@@ -29,7 +29,7 @@ NAMES = (
 
 
 def closed(session: Session) -> bool:
-    return bool(judge(session.system, session.q))
+    return bool(judge_configurations(session.system, session.q))
 
 
 @pytest.mark.parametrize("name", NAMES)

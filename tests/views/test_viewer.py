@@ -23,7 +23,7 @@ from hunts import some
 from robots import DATA
 
 import kempe
-from kempe.equations.judge import judge
+from kempe.equations.judge import judge_configurations
 from kempe.errors import InputError, UnknownNameError
 from kempe.views.drawing.scene import look
 from kempe.views.viewer.mesh_files import BodyMesh, read_body_meshes
@@ -563,12 +563,17 @@ def test_sliders_and_targets_move_the_robot_and_no_request_goes_outside(browser,
         axis = max(ends, key=lambda k: float(np.linalg.norm(ends[k][1] - ends[k][0])))
         seen.drag(*ends[axis][1:])
         assert seen.until(lambda: not np.allclose(session.pose, X, atol=1e-4))
-        assert judge(system, viewer.q) and (session.pose[:3, 3] - X[:3, 3]) @ X[:3, axis] > 0.0
+        assert (
+            judge_configurations(system, viewer.q)
+            and (session.pose[:3, 3] - X[:3, 3]) @ X[:3, axis] > 0.0
+        )
         q = viewer.q
         box = seen.tab.get_by_role("slider").nth(3 if name == "talos" else 0).bounding_box()
         middle = np.array([box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]])
         seen.drag(middle, middle + [20.0, 0.0])
-        assert seen.until(lambda: not np.allclose(viewer.q, q)) and judge(system, viewer.q)
+        assert seen.until(lambda: not np.allclose(viewer.q, q)) and judge_configurations(
+            system, viewer.q
+        )
         assert seen.until(lambda: np.abs(seen.picture() - seen_before(name)).max() > ALIKE)
         own = (viewer.url, viewer.url.replace("http", "ws"), "data:", "blob:")
         assert all(url.startswith(own) for url in seen.requests)
@@ -704,7 +709,7 @@ def test_another_assembly_mode_is_clicked_and_overlays_come_and_go(browser):
                 seen.tab.wait_for_timeout(300)
             return np.array_equal(viewer.q, mode)
 
-        assert seen.until(clicked) and judge(bar, viewer.q) and viewer.q[0] == crank
+        assert seen.until(clicked) and judge_configurations(bar, viewer.q) and viewer.q[0] == crank
         seen.tab.close()
 
 
@@ -735,7 +740,7 @@ def test_motions_are_found_by_a_button_and_played(browser, name, motion):
         assert seen.until(lambda: passed.append(viewer.q) or len(np.unique(passed, axis=0)) > 5)
         seen.press("stop")
         rows = seen.page.session.motion.q
-        assert np.all(judge(system, np.array(passed)).holds)
+        assert np.all(judge_configurations(system, np.array(passed)).holds)
         assert all(np.abs(rows - q).max(axis=1).min() < 1e-9 for q in passed[len(passed) // 2 :])
         seen.tab.close()
 

@@ -15,12 +15,12 @@ import numpy as np
 from kempe.answers.tables import Tabular
 from kempe.arguments import explain_method_errors, read_batch_index
 from kempe.arrays import is_whole, unwrap_scalar
-from kempe.equations.judge import Judgement, judge
+from kempe.equations.judge import Judgement, judge_configurations
 from kempe.errors import CallError, InputError, NoSolutionError, UnknownNameError, format_value
 from kempe.forward.fk import fk
 from kempe.late import import_late
 from kempe.model.configurations import list_limits, list_units, make_ranges_table, name_values
-from kempe.numerics.clock import partial
+from kempe.numerics.clock import describe_early_end
 from kempe.report import MOST_JUDGED, ROWS, Nearest, Result, Table
 from kempe.spatial import Array
 from kempe.status import Status
@@ -128,7 +128,9 @@ class Answer(Result, Tabular):
 
         It shares nothing with the equations by which kernels say `success`.
         """
-        return judge(self.system, self.q, self._goals(), self._left(), self._when(), self._closing)
+        return judge_configurations(
+            self.system, self.q, self._goals(), self._left(), self._when(), self._closing
+        )
 
     def _when(self) -> Any:
         """Times (...) at which equations in time must hold at `q`; 0 for answers that have no time
@@ -382,7 +384,7 @@ class Configurations(ConfigurationList, Answer):
 
     def _partial(self) -> str:
         """End of the sentence about a computation that ended early; '' otherwise."""
-        return partial(self.interrupted, self.late)
+        return describe_early_end(self.interrupted, self.late)
 
     def _claimed(self) -> np.ndarray:
         return np.full(len(self), bool(self.success) or len(self) > 1)

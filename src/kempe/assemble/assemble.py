@@ -21,8 +21,8 @@ from kempe.assemble.nearest_exact import (
 )
 from kempe.budget import Budget, TimeUp, list_checks
 from kempe.constraints.tape import TIME
-from kempe.equations.one_sided import one_sided_rows
-from kempe.equations.task_functions import held_too
+from kempe.equations.one_sided import pack_one_sided_rows
+from kempe.equations.task_functions import add_held_constraints
 from kempe.errors import InputError
 from kempe.model.configurations import make_q
 from kempe.model.model import keep_answers
@@ -85,7 +85,7 @@ def assemble(
             "name"
         )
     if also.__class__ is not tuple or also:
-        system = held_too(system, also)
+        system = add_held_constraints(system, also)
     if TIME in given:
         system, given = fix_known_time(system, given)
     signs = branch is not None and branch not in system.structure.posture_names
@@ -205,7 +205,7 @@ def _explain_missing_signs(problem: Problem) -> str | None:
 
 
 def _explain_missing_bounds(problem: Problem) -> str | None:
-    bounded = one_sided_rows(problem.system).declared
+    bounded = pack_one_sided_rows(problem.system).declared
     return None if bounded else "the system has no one-sided constraints"
 
 

@@ -29,8 +29,8 @@ from kempe.arguments import (
 from kempe.arrays import check_range, is_real, read_reals
 from kempe.assemble.answer import Assembly
 from kempe.budget import Budget, TimeUp, Usual, check_for_stop, list_checks
-from kempe.equations.closure_rows import freedoms_left
-from kempe.equations.one_sided import one_sided_rows
+from kempe.equations.closure_rows import count_remaining_freedoms
+from kempe.equations.one_sided import pack_one_sided_rows
 from kempe.errors import InputError, UnknownNameError
 from kempe.kernels.base import search_layout as S
 from kempe.kernels.base.search_layout import BAD_INPUT, LARGEST, LATE, NOT_FOUND, SOLVED, UNFINISHED
@@ -48,8 +48,8 @@ from kempe.model.configurations import (
 from kempe.model.model import keep_answers
 from kempe.model.own_tree import remove_cut_marks
 from kempe.model.packed_loops import PackedLoops, find_explicit_joints, get_packed_loops
-from kempe.numerics.clock import SHORT, TimeLimit, clock
-from kempe.numerics.pool import over_chunks
+from kempe.numerics.clock import SHORT, TimeLimit, get_clock
+from kempe.numerics.pool import sum_over_chunks
 from kempe.poses import check_poses
 from kempe.spatial import Array
 from kempe.status import MEMBERS, Status
@@ -196,7 +196,7 @@ class OneSidedAssembly:
         strengths[:, 1:] = self.tolerance
 
         # each start is short, else
-        stop = clock().address if len(loops.names) >= BOUNDED_MANY or loops.functions else 0
+        stop = get_clock().address if len(loops.names) >= BOUNDED_MANY or loops.functions else 0
 
         def solve_chunk(i: int, j: int) -> int:
             left = task_search.solve_tasks(
@@ -218,11 +218,11 @@ class OneSidedAssembly:
                 q[i:j],
                 info[i:j],
             )
-            if error := clock().taken():
+            if error := get_clock().taken():
                 raise error
             return left
 
-        over_chunks(solve_chunk, len(starts), BOUNDED_CHUNK, self.threads, BOUNDED_SERIAL_BELOW)
+        sum_over_chunks(solve_chunk, len(starts), BOUNDED_CHUNK, self.threads, BOUNDED_SERIAL_BELOW)
 
     def _copy_held_coordinates(self, q: Array, known: Array) -> Array:
         """Configurations with the held coordinates of others."""
@@ -317,7 +317,9 @@ class Assembler:
         self.known = tuple(known)
         self.tree = remove_cut_marks(system)
         self.one_sided = (
-            one_sided_rows(system) if one_sided and one_sided_rows(system).declared else None
+            pack_one_sided_rows(system)
+            if one_sided and pack_one_sided_rows(system).declared
+            else None
         )
         self.names: AbstractSet[str] = set(self.known)
         coordinates = [
@@ -400,7 +402,7 @@ class Assembler:
         q, _, info = self.run(home, self.no_pins)
         if info[0, 0] != SOLVED:
             return -1
-        return freedoms_left(self.system, q[0], self.held)
+        return count_remaining_freedoms(self.system, q[0], self.held)
 
     def run(
         self,
@@ -484,7 +486,7 @@ class Assembler:
             )
             if first:
                 info[i:j, 1] += before
-            if stop and (error := clock().taken()):
+            if stop and (error := get_clock().taken()):
                 raise error
             return left
 
@@ -511,7 +513,7 @@ class Assembler:
             q[:], residual[:], info[:] = starts, np.inf, 0
             info[:, 0] = OUT_OF_TIME
         time = TimeLimit(limit)
-        stop = clock().address
+        stop = get_clock().address
         search: Any = None
         try:
             with time:
@@ -528,7 +530,7 @@ class Assembler:
                 elif n <= CHUNK or follow:
                     close_chunk(0, n, 0, 1 if by_parts else tries, nearest, stop)
                 else:
-                    over_chunks(
+                    sum_over_chunks(
                         lambda i, j: close_chunk(i, j, 0, 1 if by_parts else tries, nearest, stop),
                         n,
                         CHUNK,
@@ -619,7 +621,7 @@ class Assembler:
                     good[there] &= np.all((x[:, places] >= low) & (x[:, places] <= high), axis=1)
             return 0
 
-        over_chunks(evaluate_chunk, len(q), 2 * PIECE, threads, CONFIRMED_BELOW)
+        sum_over_chunks(evaluate_chunk, len(q), 2 * PIECE, threads, CONFIRMED_BELOW)
         loops.raise_function_error()
         return good
 
@@ -1136,12 +1138,12 @@ class LocalStarts:
             rng,
             row,
             False,
-            clock().address,
+            get_clock().address,
             q,
             residual,
             info,
         )
-        if error := clock().taken():
+        if error := get_clock().taken():
             raise error
         loops.raise_function_error()
         return q[0], float(residual[0]), info[0]
@@ -1173,4 +1175,6 @@ def get_equation_assembler(system: Model, known: Iterable[str] = ()) -> Assemble
     """As `assembler`, but one-sided constraints do not count: what they leave out is looked at
     elsewhere.
     """
-    return _make_assembler(system, read_names(known, "known"), not one_sided_rows(system).declared)
+    return _make_assembler(
+        system, read_names(known, "known"), not pack_one_sided_rows(system).declared
+    )

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.description.mechanism import choose_unused_name
-from kempe.equations.closure_rows import evaluate, full
+from kempe.equations.closure_rows import evaluate_constraints, pack_full_loops
 from kempe.joints import Fixed, Revolute
 from kempe.model.characteristic_length import (
     adopt_characteristic_length,
@@ -161,7 +161,8 @@ class Dimensions:
         first = system.structure.coordinates.first
         rows = {row: i for i, row in enumerate(_number_names(loops.names))}
         order = np.array(
-            [rows[row] for row in _number_names(full(self.system, True).names)], dtype=int
+            [rows[row] for row in _number_names(pack_full_loops(self.system, True).names)],
+            dtype=int,
         )
         return (
             loops,
@@ -185,7 +186,7 @@ class Dimensions:
             x = np.empty((*q.shape[:-1], system.nq))
             x[..., own] = q
             x[..., iq] = p * self.unit
-            f, J = evaluate(system, x, with_jacobian, loops=loops)
+            f, J = evaluate_constraints(system, x, with_jacobian, loops=loops)
             return f[..., order], J[..., order, :][..., columns] if with_jacobian else J
 
         return evaluate_equations
@@ -198,7 +199,7 @@ class Dimensions:
         x = np.empty((len(q), system.nq))
         x[:, own] = q
         x[:, iq] = p * self.unit
-        return evaluate(system, x, loops=loops)[1][:, order][..., iv]
+        return evaluate_constraints(system, x, loops=loops)[1][:, order][..., iv]
 
 
 def _number_names(names: Iterable[tuple[str, str]]) -> list[tuple[str, str, int]]:

@@ -17,7 +17,7 @@ import numpy as np
 from kempe.budget import check_for_stop
 from kempe.constraints.base import Op, list_position_rows
 from kempe.description.parts import Declared
-from kempe.equations.judge import joint_pose
+from kempe.equations.judge import compute_joint_pose
 from kempe.joints import P, Primitive, R
 from kempe.kernels.dyads import dyads_layout as K
 from kempe.model.coordinates import list_coordinate_names
@@ -217,7 +217,7 @@ def parts_of(system: Model) -> Parts:
         if all(f is not None and f.source is None for f in followers):
             values = np.array([f.offset for f in followers if f is not None])
             X_PF, X_CM = (X.evaluate_pose(mechanism.parameters) for X in (joint.X_PF, joint.X_CM))
-            X_PC = X_PF @ joint_pose(joint.type, values, 2) @ np.linalg.inv(X_CM)
+            X_PC = X_PF @ compute_joint_pose(joint.type, values, 2) @ np.linalg.inv(X_CM)
             held[name] = joint.parent, joint.child, _flat(X_PC)
         elif alone(joint) is not None:
             moving.append(joint)

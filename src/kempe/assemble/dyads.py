@@ -23,7 +23,7 @@ from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.forward.fk import fk
 from kempe.model.configurations import read_q, read_start, refuse_far
 from kempe.model.model import keep_answers
-from kempe.numerics.pool import over_chunks
+from kempe.numerics.pool import sum_over_chunks
 from kempe.report import Report, brief
 from kempe.spatial import Array
 from kempe.status import Status, to_status
@@ -359,7 +359,7 @@ class Plan(Report):
             s, t = (a if len(a) == 1 else a[i:j] for a in (signs, targets))
             return dyads.run_program(ints, floats, values[i:j], s, t, q[i:j], status[i:j])
 
-        over_chunks(work, len(values), CHUNK, threads, SERIAL_BELOW)
+        sum_over_chunks(work, len(values), CHUNK, threads, SERIAL_BELOW)
         return q, status
 
     def values(self, values: ArrayLike) -> tuple[Array, tuple[int, ...]]:

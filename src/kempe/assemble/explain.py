@@ -104,17 +104,17 @@ def _describe_freedoms(bound: Assembler, q: Array) -> str:
     if bound.frames or len(bound.loops.names) > MOST:
         return ""
     system = bound.system
-    left = closure_rows.freedoms_left(system, q, bound.held)
+    left = closure_rows.count_remaining_freedoms(system, q, bound.held)
     if not left:
         return ""
-    count = system.nv - len(bound.held) - len(closure_rows.row_names(system))
+    count = system.nv - len(bound.held) - len(closure_rows.list_row_names(system))
     who = "by the count"
     sure = count >= 0 or 0 <= bound.freedoms < left
     if count < 0:
         # overconstrained, as linkages of a plane in space are: joints that stand anywhere obey
         # their group
         somewhere = sample_configurations(system, np.random.default_rng(0))
-        count = closure_rows.freedoms_left(system, somewhere, bound.held)
+        count = closure_rows.count_remaining_freedoms(system, somewhere, bound.held)
         who = "in general"
     folded = _find_coinciding_joints(system, q) if count < left else []
     return wording.left_open(
@@ -160,14 +160,18 @@ def _describe_outside_limits(bound: Assembler, q: Array) -> str:
 
 def _describe_largest_violation(bound: Assembler, q: Array, missed: float) -> str:
     """What is violated most, in metres and radians; `missed` is the norm of all residuals."""
-    from kempe.equations.closure_rows import residual, row_names
+    from kempe.equations.closure_rows import compute_residual, list_row_names
 
     system = bound.system
     length = bound.loops.length
     parts: dict[tuple[str, bool], list[float]] = {}
-    plain = [tie.unscaled for tie in closure_rows.full(system, False).ties for _ in tie.row_names]
+    plain = [
+        tie.unscaled
+        for tie in closure_rows.pack_full_loops(system, False).ties
+        for _ in tie.row_names
+    ]
     for (name, row), off, value in zip(
-        row_names(system), plain, residual(system, q).tolist(), strict=True
+        list_row_names(system), plain, compute_residual(system, q).tolist(), strict=True
     ):
         part = parts.setdefault((name, off), [0.0, 0.0])
         kind = int(row.startswith("r") or off)
@@ -224,7 +228,9 @@ def _find_one_sided_evidence(bound: Assembler, q: Array) -> Evidence | None:
     )
     if answer is None or not violated:
         return None
-    known = bool(bound.known) and not closure_rows.freedoms_left(bound.system, answer.q, bound.held)
+    known = bool(bound.known) and not closure_rows.count_remaining_freedoms(
+        bound.system, answer.q, bound.held
+    )
     return evidence("one-sided", violated=violated, done="closes", known=known)
 
 

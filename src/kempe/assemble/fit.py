@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from kempe.assemble.dimensions import Dimensions, Equations, Relations
-from kempe.equations.closure_rows import evaluate, scales
+from kempe.equations.closure_rows import compute_coordinate_units, evaluate_constraints
 from kempe.model.own_tree import remove_cut_marks
 from kempe.numerics.clock import TimeLimit
-from kempe.numerics.newton import gauss_newton_of_many
+from kempe.numerics.newton import run_many_gauss_newton
 from kempe.numerics.rank import TINY, Spectrum
 from kempe.spatial import Array
 
@@ -77,8 +77,8 @@ class Valley:
     def __init__(self, system: Model, rank: int, equations: Equations | None = None):
         tree = self.system = remove_cut_marks(system)
         self.rank = rank
-        self.scale = scales(tree)
-        self.equations: Equations = equations or partial(evaluate, tree, scaled=True)
+        self.scale = compute_coordinate_units(tree)
+        self.equations: Equations = equations or partial(evaluate_constraints, tree, scaled=True)
 
     def compute_spectrum(self, q: Array) -> Spectrum:
         """Singular values and vectors of the equations' derivatives at q (..., nq)."""
@@ -94,7 +94,7 @@ class Valley:
             part = np.einsum("kmr,km->kr", U[..., :r], f) / np.maximum(s[..., :r], TINY)
             return -np.einsum("krn,kr->kn", Vt[..., :r, :], part)
 
-        return gauss_newton_of_many(
+        return run_many_gauss_newton(
             lambda q, _: self.equations(q),
             q,
             rounds,

@@ -20,8 +20,8 @@ from kempe.assemble.assemble import assembler
 from kempe.assemble.bound import LOOSEST, TOLERANCE
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Joint
-from kempe.equations.closure_rows import evaluate, full, row_names
-from kempe.equations.judge import coordinate_value
+from kempe.equations.closure_rows import evaluate_constraints, list_row_names, pack_full_loops
+from kempe.equations.judge import compute_coordinate_value
 from kempe.errors import InputError
 from kempe.forward.maximal import list_pose_coordinates, maximal, maximal_q, read_poses
 from kempe.joints import JointType, P, Q
@@ -140,7 +140,7 @@ def read_joints(
                 ends.append(poses[..., i - 1, :, :] @ X_BE if i else X_BE)
             X[k] = spatial.inverse(ends[0]) @ ends[1]
             values = [
-                coordinate_value(system, near, n)
+                compute_coordinate_value(system, near, n)
                 for n in system.structure.coordinates_of_joint(joint.name)
             ]
             at.append(
@@ -210,7 +210,7 @@ def fit_joint(
         found[:, angles] = _choose_three_angles(
             X[..., :3, :3].reshape(-1, 3, 3), found[:, angles], start[:, angles]
         )
-    off = evaluate(system, found, False)[0].reshape(*lead, len(lengths))
+    off = evaluate_constraints(system, found, False)[0].reshape(*lead, len(lengths))
     sizes = [np.linalg.norm(off[..., rows], axis=-1) for rows in (lengths, ~lengths)]
     return found[:, n:].reshape(*lead, own), sizes[0], sizes[1]
 
@@ -229,7 +229,7 @@ def _isolate_joint(
     m.joints["joint"] = Joint("joint", kind, m.ground.name, child.name, X, X, cut=True)
     system = Model(m)
     names = tuple(n for n in system.coordinate_names if n.startswith("M."))
-    return system, names, np.array([row in "xyz" for _, row in row_names(system)])
+    return system, names, np.array([row in "xyz" for _, row in list_row_names(system)])
 
 
 def _choose_three_angles(R: Array, angles: Array, near: Array) -> Array:
@@ -384,8 +384,8 @@ def _refuse_constraints(system: Model, poses: Array, q: Array, tolerance: float)
     if not system._mechanism.constraints:
         return
     other = maximal(system)
-    loops = full(other, False)
-    off = evaluate(other, maximal_q(system, q, poses), False)[0]
+    loops = pack_full_loops(other, False)
+    off = evaluate_constraints(other, maximal_q(system, q, poses), False)[0]
     units = loops.units
     for name, made in system._mechanism.constraints.items():
         rows: dict[str, list[int]] = {}

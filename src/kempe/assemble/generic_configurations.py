@@ -15,8 +15,8 @@ import numpy as np
 
 from kempe.arguments import quiet
 from kempe.budget import Budget
-from kempe.equations.closure_rows import evaluate
-from kempe.equations.one_sided import one_sided_rows
+from kempe.equations.closure_rows import evaluate_constraints
+from kempe.equations.one_sided import pack_one_sided_rows
 from kempe.errors import InputError
 from kempe.first_order.control import find_driven_velocities
 from kempe.first_order.idle_freedoms import IdleFreedom, can_have_idle_freedom, find_idle_freedoms
@@ -90,7 +90,7 @@ def find_closed_configuration(system: Model) -> NearestClosed:
         if "closed" in system.structure.posture_names
         else compute_mid_configuration(system),
     )
-    if at.closed and not one_sided_rows(system).beyond(at.q, declared=True).any():
+    if at.closed and not pack_one_sided_rows(system).beyond(at.q, declared=True).any():
         return at
     from kempe.assemble.assemble import assemble
 
@@ -103,7 +103,7 @@ def find_closed_configuration(system: Model) -> NearestClosed:
 
 
 def _compute_residual(system: Model, q: Array) -> float:
-    values = evaluate(system, q, False, True)[0]
+    values = evaluate_constraints(system, q, False, True)[0]
     return float(np.linalg.norm(values))
 
 

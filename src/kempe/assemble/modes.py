@@ -37,8 +37,8 @@ from kempe.assemble.same_configuration import INSIDE, SAME, Clusters, get_metric
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.constraints.tape import TIME
 from kempe.description.parts import Declared
-from kempe.equations.closure_rows import evaluate
-from kempe.equations.one_sided import one_sided_rows
+from kempe.equations.closure_rows import evaluate_constraints
+from kempe.equations.one_sided import pack_one_sided_rows
 from kempe.errors import InputError
 from kempe.forward.fk import fk, jacobian
 from kempe.joints import P
@@ -59,9 +59,9 @@ from kempe.numerics.clock import (
     ENDLESS,
     TIME_LIMIT,
     TimeLimit,
-    partial,
-    time_limited,
-    time_of,
+    describe_early_end,
+    find_time_limit,
+    limit_time,
 )
 from kempe.numerics.rank import Level, Spectrum
 from kempe.report import ROWS, Table, brief
@@ -331,7 +331,9 @@ class ModesSearch:
         modes = self.clusters.q[isolated]
         images = mirror_configurations(self.system, modes)
         if len(images) == len(modes):
-            error = np.linalg.norm(evaluate(self.system, images, False, True)[0], axis=1)
+            error = np.linalg.norm(
+                evaluate_constraints(self.system, images, False, True)[0], axis=1
+            )
             good, where = self.close_configurations(images, False)
             exact = error[good] < SAME
             for i, k in zip(isolated[good][exact], where[exact], strict=True):
@@ -496,7 +498,7 @@ def count_freedoms(
     out = np.zeros(len(q), dtype=np.int64)
     if not len(q):
         return out
-    J = evaluate(system, q, True, True)[1][..., free]
+    J = evaluate_constraints(system, q, True, True)[1][..., free]
     ranks = Spectrum(J, 1.0).ranks(Level.CLOSED)
     owner: list[int] = []
     kicks: list[Array] = []
@@ -574,7 +576,7 @@ def has_even_count(s: ModesSearch) -> bool:
         free
     ].any():  # laws may read angles of no circle
         return False
-    J = evaluate(system, s.clusters.q, True, True)[1][..., free]
+    J = evaluate_constraints(system, s.clusters.q, True, True)[1][..., free]
     if (
         J.shape[1] + len(s.spins) != J.shape[2]
         or not J.size
@@ -808,7 +810,7 @@ def _make_late_answer(
 
 @explain_errors
 @raise_interrupted
-@time_limited(USUAL, _make_late_answer)
+@limit_time(USUAL, _make_late_answer)
 @answer_within_tolerance()
 def assembly_modes(
     system: Model,
@@ -1029,7 +1031,7 @@ def find_modes_by_starts(question: Problem) -> Modes:
         question.frame,
         make_generator(spend.rng),
         read_start_count(spend.starts),
-        time_of(USUAL, question.budget),
+        find_time_limit(USUAL, question.budget),
         spend.progress,
         bool(question.limits),
     )
@@ -1079,7 +1081,7 @@ def find_modes_by_starts(question: Problem) -> Modes:
     keep = np.concatenate([isolated, families])
     guess = (coverage, float(expected))
     interrupted, late = (isinstance(found.broken, kind) for kind in BROKEN_OFF)
-    status += partial(interrupted, late)
+    status += describe_early_end(interrupted, late)
     answer = _make_answer(
         question, q[keep], status, [""] * len(keep), hits[keep], free[keep], False, guess
     )
@@ -1127,7 +1129,7 @@ def _make_answer(
     """The modes, sorted, with what is outside the limits dropped or flagged."""
     system = question.system
     inside = _find_inside_limits(system, q)
-    bounds = one_sided_rows(system)
+    bounds = pack_one_sided_rows(system)
     left_out = 0
     keep = np.flatnonzero(inside) if question.limits else np.arange(len(q))
     if bounds.declared:

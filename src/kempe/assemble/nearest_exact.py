@@ -23,8 +23,14 @@ from kempe.assemble.fit import DAMPING, ENOUGH, Fit, Valley, closes_along_valley
 from kempe.budget import Budget, TimeUp, Usual, list_checks
 from kempe.description.mechanism import choose_unused_name, number_components
 from kempe.description.parts import Declared, Joint
-from kempe.equations.closure_rows import evaluate, freedoms_left, full, residual, row_names
-from kempe.equations.slip import rolls
+from kempe.equations.closure_rows import (
+    compute_residual,
+    count_remaining_freedoms,
+    evaluate_constraints,
+    list_row_names,
+    pack_full_loops,
+)
+from kempe.equations.slip import has_velocity_constraints
 from kempe.errors import InputError, TimeLimitError, format_value
 from kempe.first_order.constraint_graph import build_constraint_graph
 from kempe.joints import Revolute
@@ -38,7 +44,14 @@ from kempe.model.configurations import find_home, read_q
 from kempe.model.model import keep_answers, store_answer
 from kempe.model.own_tree import remove_cut_marks
 from kempe.model.time_coordinate import list_timed_constraints
-from kempe.numerics.clock import ENDLESS, LONG, TIME_LIMIT, TimeLimit, begun_within, time_limited
+from kempe.numerics.clock import (
+    ENDLESS,
+    LONG,
+    TIME_LIMIT,
+    TimeLimit,
+    limit_preparation_time,
+    limit_time,
+)
 from kempe.report import Nearest, Report
 from kempe.spatial import Array, log_so3, xyz_rpy_from_pose
 from kempe.words import InWords, format_count
@@ -119,7 +132,7 @@ class Idealised(Report):
     `given` one.
 
     `system` is that mechanism, with the same coordinates. `tolerance` is the largest change of a
-    placement, in metres and radians; `requested` what was allowed. `residual` is how far the given
+    placement, in metres and radians; `requested` what was allowed. `compute_residual` is how far the given
     loops stay open along its motion, in metres and radians, `absorbed` the same by closing joint or
     constraint.
     """
@@ -183,7 +196,7 @@ class Idealised(Report):
         What is farther from closed than the tolerance explains is left as it is.
         """
         q = read_q(self.system, q)
-        off = np.linalg.norm(evaluate(self.system, q, False, True)[0], axis=-1)
+        off = np.linalg.norm(evaluate_constraints(self.system, q, False, True)[0], axis=-1)
         length = compute_characteristic_length(self.system)
         near = (off > EXACT) & (off <= OPEN * self.tolerance * (1.0 + 1.0 / length))
         if not np.any(near):
@@ -267,7 +280,7 @@ def decide_nearest_exact(usual: Usual, time: TimeLimit, system: Model) -> None:
     `TimeLimitError`.
     """
     if _has_closures(system) and not is_known(system):
-        with begun_within(usual, time):
+        with limit_preparation_time(usual, time):
             find_nearest_exact(system)
 
 
@@ -295,7 +308,7 @@ USUAL = Usual("idealised", time_limit=TIME_LIMIT)
 
 
 @explain_errors
-@time_limited(USUAL)
+@limit_time(USUAL)
 def idealised(
     system: Model, tolerance: float | str | None = MEASURED, *, budget: Budget | None = None
 ) -> Idealised | None:
@@ -336,7 +349,7 @@ def _search_nearest(
 ) -> Idealised | None:
     if system._ideal is not None or not _has_closures(system):
         return None
-    if not system.nv or list_timed_constraints(system) or rolls(system):
+    if not system.nv or list_timed_constraints(system) or has_velocity_constraints(system):
         return None
     tree = remove_cut_marks(system)
     parts = _split_parts(tree, most)
@@ -461,7 +474,7 @@ def _idealise_part(
     system: Model, home: Array, most: float, scaled: float, thorough: bool, time: TimeLimit
 ) -> _Found | None:
     """What a part becomes; None where it closes as it is, or nothing near does."""
-    equations = full(system, True)
+    equations = pack_full_loops(system, True)
     if (
         not 0 < system.nv <= MOST
         or not len(equations.names)
@@ -519,7 +532,7 @@ def _find_starts(system: Model, home: Array, scaled: float) -> list[tuple[int, A
     about home.
     """
     valley = Valley(system, 0)
-    equations = len(full(system, True).names)
+    equations = len(pack_full_loops(system, True).names)
     limit = OPEN * scaled
     exact = EXACT + 4.0 * np.finfo(float).eps * float(
         np.linalg.norm(choose_origin(system))
@@ -729,8 +742,8 @@ def _make_idealised(
         q = np.tile(home, (len(part.q), 1))
         q[:, [index[name] for name in part.ideal.coordinate_names]] = part.q
         own = {name for _, name, _ in part.places}
-        off = np.abs(residual(system, q)).max(axis=0)
-        for (name, _), x in zip(row_names(system), off.tolist(), strict=True):
+        off = np.abs(compute_residual(system, q)).max(axis=0)
+        for (name, _), x in zip(list_row_names(system), off.tolist(), strict=True):
             if name in own:
                 absorbed[name] = max(x, absorbed.get(name, 0.0))
     reported = [
@@ -743,7 +756,7 @@ def _make_idealised(
     at = home.copy()
     for part in changed:  # what does not change counts as it is at home
         at[[index[name] for name in part.ideal.coordinate_names]] = part.q[-1]
-    freedoms = freedoms_left(
+    freedoms = count_remaining_freedoms(
         ideal, at, frozenset(n for x in changed for n in x.ideal.structure.velocity_names)
     )
     freedoms += sum(x.freedoms for x in changed)

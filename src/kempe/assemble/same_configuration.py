@@ -125,7 +125,7 @@ class Metric:
         ]
         if read.any() and len(q):
             off, before = (
-                np.abs(closure_rows.evaluate(system, x, False, scaled=True)[0]).max(
+                np.abs(closure_rows.evaluate_constraints(system, x, False, scaled=True)[0]).max(
                     axis=1, initial=0.0
                 )
                 for x in (q, given)

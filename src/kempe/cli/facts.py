@@ -288,14 +288,14 @@ def describe_largest_gap(system: System, q: Any) -> str:
         return ""
     from kempe.equations import closure_rows
 
-    error = np.abs(closure_rows.residual(system, q)).reshape(
-        -1, len(closure_rows.row_names(system))
+    error = np.abs(closure_rows.compute_residual(system, q)).reshape(
+        -1, len(closure_rows.list_row_names(system))
     )
     error = np.where(np.isfinite(error), error, 0.0).max(axis=0, initial=0.0)
     worst = int(np.argmax(error))
     if error[worst] <= CLOSED:
         return ""
-    name, row = closure_rows.row_names(system)[worst]
+    name, row = closure_rows.list_row_names(system)[worst]
     unit = " rad" if row.startswith("r") else " m" if row in ("x", "y", "z", "distance") else ""
     return f"{name!r} is open by {error[worst]:.3g}{unit}"
 

@@ -16,7 +16,7 @@ from kempe.model.characteristic_length import choose_origin
 from kempe.model.own_tree import remove_cut_marks
 from kempe.numerics.clock import TimeLimit
 from kempe.numerics.curves import BLUNT, CLOSED, Curve
-from kempe.numerics.newton import gauss_newton
+from kempe.numerics.newton import run_gauss_newton
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ class Closure(Curve):
                 1.0
                 if row in ANGLES or (tie.unscaled and tie.relation is None)
                 else 1.0 / (length if tie.relation is None else self.unit[index[tie.relation.of]])
-                for tie in closure_rows.full(self.tree, False).ties
+                for tie in closure_rows.pack_full_loops(self.tree, False).ties
                 for row in tie.row_names
             ]
         )
@@ -93,21 +93,21 @@ class Closure(Curve):
         self.closed = CLOSED
         self.budget = TimeLimit(None)
         self.more: tuple[Further, ...] = ()
-        self._count()
+        self._count_rows()
 
-    def _count(self) -> None:
+    def _count_rows(self) -> None:
         self.real = len(self.weight) + len(self.held) + sum(m.count for m in self.more)
         self.rows = max(self.real, self.n)
 
     def add(self, further: Further) -> None:
         """Add further equations to those that hold."""
         self.more = (*self.more, further)
-        self._count()
+        self._count_rows()
 
     def leave_out(self, further: Further) -> None:
         """Take out further equations that `add` has added."""
         self.more = tuple(m for m in self.more if m is not further)
-        self._count()
+        self._count_rows()
 
     def values(self, x: Array) -> Array:
         """Residuals (rows,) of all equations at the point `x`."""
@@ -133,14 +133,14 @@ class Closure(Curve):
             ]
             J[m + np.arange(len(self.held)), self._held] = 1.0
         if self.more:
-            self._further(x, F, J, with_matrix, further)
+            self._write_further_equations(x, F, J, with_matrix, further)
         return F, J
 
     def loops(self, x: Array, with_matrix: bool = True) -> tuple[Array, Array]:
         """The residuals (m,) of the loops alone at the point `x`, and their matrix (m, n), empty
         unless requested.
         """
-        values, columns = closure_rows.evaluate(self.tree, x, with_matrix)
+        values, columns = closure_rows.evaluate_constraints(self.tree, x, with_matrix)
         if with_matrix:  # in place: the matrix of a long chain is most of the memory
             columns *= self.weight[:, None]
             columns *= self.unit
@@ -156,7 +156,7 @@ class Closure(Curve):
         F = np.zeros((k, self.rows))
         J = np.zeros((k, self.rows if with_matrix else 0, self.n))
         if m:
-            values, columns = closure_rows.evaluate(self.tree, x, with_matrix)
+            values, columns = closure_rows.evaluate_constraints(self.tree, x, with_matrix)
             F[:, :m] = self.weight * values
             if with_matrix:
                 J[:, :m] = self.weight[:, None] * columns * self.unit
@@ -167,10 +167,12 @@ class Closure(Curve):
             if with_matrix:
                 J[:, m + np.arange(len(self.held)), self._held] = 1.0
         for one, f, j in zip(x, F, J, strict=True) if self.more else ():
-            self._further(one, f, j, with_matrix, None)
+            self._write_further_equations(one, f, j, with_matrix, None)
         return F, J
 
-    def _further(self, x: Array, F: Array, J: Array, with_matrix: bool, most: int | None) -> None:
+    def _write_further_equations(
+        self, x: Array, F: Array, J: Array, with_matrix: bool, most: int | None
+    ) -> None:
         """Write residuals and derivatives of the further equations, the first `most` of them."""
         at = len(self.weight) + len(self.held)
         for more in self.more[:most]:
@@ -245,9 +247,9 @@ class DrivenClosure(Closure):
         return np.append(self.base.between(x[:-1], other[:-1]), other[-1] - x[-1])
 
 
-def close(equations: Closure, x: Array, tries: int = 60) -> Array | None:
+def close_loops(equations: Closure, x: Array, tries: int = 60) -> Array | None:
     """The configuration with closed loops near `x`, by steps of least size, or None."""
-    found = gauss_newton(
+    found = run_gauss_newton(
         equations.both, x, tries, level=BLUNT, met=1e-15, longest=0.5, move=equations.move
     )
     return found.x if found.size < equations.tolerance(found.x) else None

@@ -31,36 +31,36 @@ if TYPE_CHECKING:
 __all__ = [
     "SystemConstraint",
     "compute_characteristic_length",
-    "evaluate",
-    "freedoms_left",
-    "jacobian",
-    "of_system",
-    "residual",
-    "row_names",
-    "scales",
+    "compute_coordinate_units",
+    "compute_jacobian",
+    "compute_residual",
+    "count_remaining_freedoms",
+    "evaluate_constraints",
+    "list_constraints",
+    "list_row_names",
 ]
 
 
-def residual(system: Model, q: Any) -> Array:
+def compute_residual(system: Model, q: Any) -> Array:
     """Residual (..., m) of all constraint equations at q (..., nq), in metres and radians; zero
     where all loops close.
 
     For each joint that the tree left out: position and rotation vector of its frame M on the child,
     in axes of the M that its own coordinates predict (in planar systems two positions and an angle;
     for particles the position); then the declared constraints and the relations between several
-    coordinates. `row_names` says which row is which.
+    coordinates. `list_row_names` says which row is which.
     """
-    return evaluate(system, q, False)[0]
+    return evaluate_constraints(system, q, False)[0]
 
 
-def jacobian(system: Model, q: Any) -> Array:
-    """Jacobian (..., m, nv) of `residual` by the velocity coordinates, exact at every q, closed or
+def compute_jacobian(system: Model, q: Any) -> Array:
+    """Jacobian (..., m, nv) of `compute_residual` by the velocity coordinates, exact at every q, closed or
     not.
     """
-    return evaluate(system, q, True)[1]
+    return evaluate_constraints(system, q, True)[1]
 
 
-def evaluate(
+def evaluate_constraints(
     system: Model,
     q: Any,
     with_jacobian: bool = True,
@@ -75,7 +75,7 @@ def evaluate(
     unit or on joints marked `cut`. `loops` are the equations in another form than the full one.
     """
     q = read_q(system, q)
-    loops = loops or full(system, scaled)
+    loops = loops or pack_full_loops(system, scaled)
     lead = q.shape[:-1]
     m = len(loops.names)
     flat = q.reshape(math.prod(lead), system.nq)
@@ -88,14 +88,14 @@ def evaluate(
     return out.reshape(*lead, m), columns.reshape(*lead, m, system.nv) if with_jacobian else columns
 
 
-def row_names(system: Model) -> list[tuple[str, str]]:
+def list_row_names(system: Model) -> list[tuple[str, str]]:
     """For each equation the name of its joint, constraint or coupling, and the component: 'x',
     'rz', 'distance', ...
     """
-    return list(full(system, False).names)
+    return list(pack_full_loops(system, False).names)
 
 
-def full(system: Model, scaled: bool) -> PackedLoops:
+def pack_full_loops(system: Model, scaled: bool) -> PackedLoops:
     """The packed loops in full form, in metres or `scaled`."""
     tree = remove_cut_marks(system) if scaled else system
     return get_packed_loops(
@@ -103,11 +103,11 @@ def full(system: Model, scaled: bool) -> PackedLoops:
     )
 
 
-def scales(system: Model) -> Array:
+def compute_coordinate_units(system: Model) -> Array:
     """Unit (nv,) of each velocity coordinate: a radian, or the characteristic length for a
     prismatic one.
     """
-    return full(system, True).scale
+    return pack_full_loops(system, True).scale
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,15 +133,15 @@ class SystemConstraint:
 
     def residual(self, system: Model, q: Any) -> Array:
         """Residual (..., size) of the constraint at q (..., nq), in metres and radians."""
-        return evaluate(system, q, False, loops=self.loops)[0][..., list(self.rows)]
+        return evaluate_constraints(system, q, False, loops=self.loops)[0][..., list(self.rows)]
 
     def jacobian(self, system: Model, q: Any) -> Array:
         """Derivatives (..., size, nv) of the residual by the velocity coordinates, exact for all q."""
-        return evaluate(system, q, loops=self.loops)[1][..., list(self.rows), :]
+        return evaluate_constraints(system, q, loops=self.loops)[1][..., list(self.rows), :]
 
 
 @explain_errors
-def of_system(system: Model, own: bool = True) -> list[SystemConstraint]:
+def list_constraints(system: Model, own: bool = True) -> list[SystemConstraint]:
     """The constraints of a system: its closures, the declared ones, the relations of several
     coordinates.
 
@@ -149,7 +149,7 @@ def of_system(system: Model, own: bool = True) -> list[SystemConstraint]:
     depends on them.
     """
     loops = (
-        full(system, False)
+        pack_full_loops(system, False)
         if read_flag(own, "own")
         else get_packed_loops(system, find_explicit_joints(system), length=1.0)
     )
@@ -161,7 +161,7 @@ def of_system(system: Model, own: bool = True) -> list[SystemConstraint]:
     return [SystemConstraint(key[0], loops, tuple(rows[key])) for key in order if key in rows]
 
 
-def freedoms_left(system: Model, q: Array, held: frozenset[str] = frozenset()) -> int:
+def count_remaining_freedoms(system: Model, q: Array, held: frozenset[str] = frozenset()) -> int:
     """Nullity of the constraint Jacobian at q over the coordinates that are not held.
 
     The angles of a ball near their own singularity are measured from q, unless some of them are
@@ -172,5 +172,5 @@ def freedoms_left(system: Model, q: Array, held: frozenset[str] = frozenset()) -
 
     system, q, _ = make_regular_chart(system, q, held)
     free = [i for i, n in enumerate(system.structure.velocity_names) if n not in held]
-    J = evaluate(system, q, True, True)[1][:, free]
+    J = evaluate_constraints(system, q, True, True)[1][:, free]
     return len(free) - Spectrum(J, 1.0).rank(Level.CLOSED)

@@ -1,6 +1,6 @@
 """How far constraints are missed, from poses in plain numpy, without the kernels.
 
-Tasks of `ik` are judged at poses of the forward model. `judge` measures all that a system declares,
+Tasks of `ik` are judged at poses of the forward model. `judge_configurations` measures all that a system declares,
 at poses that are multiplied out joint by joint.
 """
 
@@ -40,7 +40,7 @@ from kempe.words import InWords
 # ---- loops: how far joints that the spanning tree left out are open
 
 
-def coordinate_value(system: Model, q: spatial.Array, name: str) -> spatial.Array:
+def compute_coordinate_value(system: Model, q: spatial.Array, name: str) -> spatial.Array:
     """Value (...) of a joint coordinate at q (..., nq), also of a coupled or locked one."""
     follower: Follower | None = system.structure.couplings.get(name)
     if follower is None:
@@ -68,12 +68,14 @@ def closure_error(system: Model, q: Any) -> spatial.Array:
         joint = mechanism.joints[name]
         names = list_coordinate_names(mechanism, joint)
         local = (
-            np.stack([coordinate_value(system, q, c) for c in names], axis=-1)
+            np.stack([compute_coordinate_value(system, q, c) for c in names], axis=-1)
             if names
             else q[..., :0]
         )
-        X_PF, X_CM = placements(system, name)
-        X_FM = joint_pose(joint.type, local, system.dim, mechanism.bodies[joint.child].particle)
+        X_PF, X_CM = compute_joint_placements(system, name)
+        X_FM = compute_joint_pose(
+            joint.type, local, system.dim, mechanism.bodies[joint.child].particle
+        )
         X_WM = bodies[..., number[joint.parent], :, :] @ X_PF @ X_FM
         X_MM = spatial.inverse(X_WM) @ bodies[..., number[joint.child], :, :] @ X_CM
         if mechanism.bodies[joint.child].particle:  # it has a position only
@@ -84,7 +86,7 @@ def closure_error(system: Model, q: Any) -> spatial.Array:
 
 
 @keep_answers
-def placements(system: Model, joint: str) -> tuple[Array, Array]:
+def compute_joint_placements(system: Model, joint: str) -> tuple[Array, Array]:
     """Poses (4, 4) of the frames F of a joint on its parent body and M on its child."""
     m = system._mechanism
     return m.joints[joint].X_PF.evaluate_pose(m.parameters), m.joints[joint].X_CM.evaluate_pose(
@@ -93,13 +95,13 @@ def placements(system: Model, joint: str) -> tuple[Array, Array]:
 
 
 @keep_answers
-def placement_of_frame(system: Model, frame: str) -> Array:
+def compute_frame_placement(system: Model, frame: str) -> Array:
     """Pose (4, 4) of a declared frame on its body."""
     m = system._mechanism
     return m.frames[frame].X_BF.evaluate_pose(m.parameters)
 
 
-def joint_pose(
+def compute_joint_pose(
     kind: JointType, q: spatial.Array, dim: int = 3, particle: bool = False
 ) -> spatial.Array:
     """Pose X_FM (..., 4, 4) of a joint type at its own coordinates (..., number of coordinates)."""
@@ -146,7 +148,7 @@ class RowShape(NamedTuple):
 
 
 @lru_cache(maxsize=512)
-def shape_of(rows: tuple[Row, ...], dim: int) -> RowShape:
+def make_row_shape(rows: tuple[Row, ...], dim: int) -> RowShape:
     """Which parts of the pose of frame B in A the rows hold; `dim` is 2 in the plane, 3 in space."""
     sorts = {
         Op.ROTATION: L.ANGLE if dim == 2 else L.FULL,
@@ -163,25 +165,25 @@ def shape_of(rows: tuple[Row, ...], dim: int) -> RowShape:
     return RowShape(mask, turns, "m" in units, "rad" in units, axes, whole, turned)
 
 
-def size_of(p: Array) -> Array:
+def compute_lengths(p: Array) -> Array:
     """Lengths (...) of vectors (..., k)."""
     if p.ndim == 1:
         return math.sqrt(p.dot(p))  # type: ignore[return-value]
     return np.sqrt(np.vecdot(p, p))
 
 
-def angle_between(R: Array, S: Array) -> Array:
+def compute_angle_between(R: Array, S: Array) -> Array:
     """Angle (...) between two rotations, from the Frobenius norm of their difference: sqrt(8)
     sin(angle / 2).
     """
     d = R - S
     if d.ndim == 2:
-        return 2.0 * math.asin(min(size_of(d.ravel()) / math.sqrt(8.0), 1.0))  # type: ignore[return-value]
+        return 2.0 * math.asin(min(compute_lengths(d.ravel()) / math.sqrt(8.0), 1.0))  # type: ignore[return-value]
     d = d.reshape(*d.shape[:-2], 9)
     return 2.0 * np.arcsin(np.minimum(np.sqrt(np.vecdot(d, d) / 8.0), 1.0))
 
 
-def frame_misses(A: Array, B: Array, shape: RowShape) -> tuple[Array, Array]:
+def compute_frame_errors(A: Array, B: Array, shape: RowShape) -> tuple[Array, Array]:
     """How far (...) frame B (..., 4, 4) misses a place and a direction in frame A (..., 4, 4), in
     metres and in radians, as far as the `shape` holds them.
     """
@@ -189,11 +191,11 @@ def frame_misses(A: Array, B: Array, shape: RowShape) -> tuple[Array, Array]:
     angle: Any = 0.0
     if shape.mask:
         p = B[..., :3, 3] - A[..., :3, 3]
-        size = size_of(
+        size = compute_lengths(
             p if shape.point else (p[..., None, :] @ A[..., :3, list(shape.axes)])[..., 0, :]
         )
     if shape.turned:
-        angle = angle_between(B[..., :3, :3], A[..., :3, :3])
+        angle = compute_angle_between(B[..., :3, :3], A[..., :3, :3])
     elif shape.turns in (L.ALIGN, L.LOOK):
         seen = spatial.inverse(A) @ B
         look = shape.turns == L.LOOK
@@ -208,7 +210,7 @@ def frame_misses(A: Array, B: Array, shape: RowShape) -> tuple[Array, Array]:
 # ---- rows that are expressions or functions
 
 
-def pose_inputs(X: Array) -> dict[str, Array]:
+def list_pose_inputs(X: Array) -> dict[str, Array]:
     """The inputs of expressions that a pose (..., 4, 4) gives: its place, and its rotation row by
     row.
     """
@@ -216,7 +218,7 @@ def pose_inputs(X: Array) -> dict[str, Array]:
     return dict(zip(POSE, values, strict=True))
 
 
-def missed(
+def measure_rows(
     system: Model,
     made: Constraint,
     rows: Iterable[Row],
@@ -243,21 +245,21 @@ def missed(
     misses: list[tuple[Any, Any]] = []
     if frame_rows:
         assert A is not None and B is not None
-        misses.append(frame_misses(A, B, shape_of(tuple(frame_rows), system.dim)))
+        misses.append(compute_frame_errors(A, B, make_row_shape(tuple(frame_rows), system.dim)))
     if coordinates:
-        misses.append(coordinate_misses(system, coordinates, q, numbers))
+        misses.append(compute_coordinate_errors(system, coordinates, q, numbers))
     known: dict[str, Any] = {}
     if any(r.op in (Op.TAPE, Op.CALL) for r in others):
         known = {TIME: t} | collect_numbers(made)
         known |= {name: x[..., 0] for name, x in numbers.items()}
-        known |= {} if A is None or B is None else pose_inputs(spatial.inverse(A) @ B)
+        known |= {} if A is None or B is None else list_pose_inputs(spatial.inverse(A) @ B)
     for row in others:
         if row.op in FRAME_ROWS:
             assert A is not None and B is not None
-            value = _measured(row, A, B)
+            value = _measure_frame_row(row, A, B)
         else:
-            value = _value(system, made, row, q, known)
-        low, high = _ends(made, row, numbers)
+            value = _evaluate_function_row(system, made, row, q, known)
+        low, high = _find_row_bounds(made, row, numbers)
         off = (
             abs(value - low)
             if low is high
@@ -279,16 +281,18 @@ def is_compared(made: Constraint, row: Row) -> bool:
     return row.op is Op.DISTANCE or bool(find_value_field(made, row)) or is_one_sided(made, row)
 
 
-def _ends(made: Constraint, row: Row, given: Numbers) -> tuple[Any, Any]:
+def _find_row_bounds(made: Constraint, row: Row, given: Numbers) -> tuple[Any, Any]:
     """Numbers (...) between which a row is held, the same ones for a row that has a value."""
     if not is_one_sided(made, row):
-        value = _number(made, find_value_field(made, row), row.part, given, 0.0)
+        value = _read_field_number(made, find_value_field(made, row), row.part, given, 0.0)
         return value, value
-    low = _number(made, row.low, row.part, given, -np.inf)
-    return low, _number(made, row.high, row.part, given, np.inf)
+    low = _read_field_number(made, row.low, row.part, given, -np.inf)
+    return low, _read_field_number(made, row.high, row.part, given, np.inf)
 
 
-def _number(made: Constraint, field: str, part: int | None, given: Numbers, default: float) -> Any:
+def _read_field_number(
+    made: Constraint, field: str, part: int | None, given: Numbers, default: float
+) -> Any:
     """The number (...) of a field, of the call where it is `given`; `default` where there is none."""
     x = given.get(format_input_name(field, part))
     if x is not None:
@@ -297,7 +301,7 @@ def _number(made: Constraint, field: str, part: int | None, given: Numbers, defa
     return default if x is None else np.asarray(x, dtype=float)
 
 
-def coordinate_misses(
+def compute_coordinate_errors(
     system: Model, rows: Iterable[Row], q: Array, numbers: Numbers
 ) -> tuple[Array, Array]:
     """The largest differences (...) of the slides, and of the turns and balls, that rows hold."""
@@ -316,26 +320,28 @@ def coordinate_misses(
     return d[..., slides].max(axis=-1, initial=0.0), angle
 
 
-def _measured(row: Row, A: Array, B: Array) -> Array:
+def _measure_frame_row(row: Row, A: Array, B: Array) -> Array:
     """Distance (...) of the origin of frame B (..., 4, 4) from that of A, or its place along an axis
     of A.
     """
     p = B[..., :3, 3] - A[..., :3, 3]
-    return size_of(p) if row.op is Op.DISTANCE else np.vecdot(p, A[..., :3, row.args[0]])
+    return compute_lengths(p) if row.op is Op.DISTANCE else np.vecdot(p, A[..., :3, row.args[0]])
 
 
-def _value(system: Model, made: Constraint, row: Row, q: Array, known: Mapping[str, Any]) -> Array:
+def _evaluate_function_row(
+    system: Model, made: Constraint, row: Row, q: Array, known: Mapping[str, Any]
+) -> Array:
     """The values (...) of a row of an expression or a function."""
     what, k = row.args
     if row.op is Op.TAPE:
         own = {
-            n: coordinate_value(system, q, n)
+            n: compute_coordinate_value(system, q, n)
             for n in what.inputs
             if n not in known or n in made.coordinate_names
         }
         return what.evaluate_outputs({**known, **own})[..., k]
     whole = getattr(what, "at", None)  # a function of the whole configuration
-    own = {n: coordinate_value(system, q, n) for n in made.coordinate_names}
+    own = {n: compute_coordinate_value(system, q, n) for n in made.coordinate_names}
     out = np.empty(q.shape[:-1])
     if TIME in known:
         own = {TIME: np.broadcast_to(known[TIME], out.shape)} | own
@@ -349,7 +355,7 @@ def _value(system: Model, made: Constraint, row: Row, q: Array, known: Mapping[s
 # ---- poses multiplied out joint by joint
 
 
-def motion(primitives: Sequence[Primitive], values: Array) -> Array:
+def multiply_primitives(primitives: Sequence[Primitive], values: Array) -> Array:
     """Pose X_FM (..., 4, 4) of a product of primitives at coordinates `values` (..., k)."""
     X = np.broadcast_to(np.eye(4), (*values.shape[:-1], 4, 4))
     for p in primitives:
@@ -399,10 +405,10 @@ class Poses:
         m = self.mechanism
         names, primitives = joint.type.layout(m.dim, m.bodies[joint.child].particle)
         whole = [f"{joint.name}.{n}" if n else joint.name for n in names]
-        own = [coordinate_value(system, self.q, n) for n in whole]
+        own = [compute_coordinate_value(system, self.q, n) for n in whole]
         values = np.stack(own, axis=-1) if own else self.q[..., :0]
-        X_PF, X_CM = placements(system, joint.name)
-        return X_PF @ motion(primitives, values), X_CM
+        X_PF, X_CM = compute_joint_placements(system, joint.name)
+        return X_PF @ multiply_primitives(primitives, values), X_CM
 
     def __call__(self, name: str | Sequence[str] | None) -> Array:
         """The pose (..., 4, 4) of a body or frame; of several, or for None of all bodies, (..., n,
@@ -413,7 +419,7 @@ class Poses:
         frame = self.mechanism.frames.get(name)
         if frame is None:
             return self.bodies[name]
-        return self.bodies[frame.body] @ placement_of_frame(self.system, name)
+        return self.bodies[frame.body] @ compute_frame_placement(self.system, name)
 
     def joint(self, joint: Joint) -> tuple[Array, Array]:
         """Gap (...) of a cut joint, in metres and radians: (distance, angle); the angle is 0 for a
@@ -422,10 +428,10 @@ class Poses:
         F, M = self.frames(joint)
         A = self.bodies[joint.parent] @ F
         B = self.bodies[joint.child] @ M
-        size = size_of(B[..., :3, 3] - A[..., :3, 3])
+        size = compute_lengths(B[..., :3, 3] - A[..., :3, 3])
         if self.mechanism.bodies[joint.child].particle:
             return size, np.zeros_like(size)
-        return size, angle_between(A[..., :3, :3], B[..., :3, :3])
+        return size, compute_angle_between(A[..., :3, :3], B[..., :3, :3])
 
     def declared(self, declared: Declared) -> tuple[Array, Array]:
         """Errors (...) of the position rows of a declared constraint, in metres and in radians."""
@@ -438,7 +444,7 @@ class Poses:
             F, M = declared.frames(m.parameters, dim)
             A = self.bodies[declared.parent] @ F
             B = self.bodies[declared.child] @ M
-        return missed(
+        return measure_rows(
             self.system,
             made,
             [r for r in made.list_rows(dim) if not r.velocity],
@@ -450,9 +456,9 @@ class Poses:
 
     def relation(self, of: str, sources: dict[str, float], offset: float) -> tuple[Array, Array]:
         """Error (...) of a relation of several coordinates, relative to its largest factor."""
-        off = coordinate_value(self.system, self.q, of) - offset
+        off = compute_coordinate_value(self.system, self.q, of) - offset
         for name, factor in sources.items():
-            off = off - factor * coordinate_value(self.system, self.q, name)
+            off = off - factor * compute_coordinate_value(self.system, self.q, name)
         off = np.abs(off) / max(1.0, *map(abs, sources.values()))
         turning = self.system.structure.coordinates.turning[
             self.system.structure.coordinates.first[of][1]
@@ -543,7 +549,7 @@ class Judgement(InWords):
         }
 
 
-def judge(
+def judge_configurations(
     system: Model,
     q: Any,
     requested: Sequence[tuple[MeasuredTask, Any, Any]] = (),

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from kempe.equations.closure_rows import full
+from kempe.equations.closure_rows import pack_full_loops
 from kempe.model.configurations import read_q
 from kempe.model.model import keep_answers
 from kempe.model.packed_loops import PackedLoops, get_packed_loops
@@ -82,7 +82,9 @@ class OneSided:
         """Factors (k,) by which rows become comparable: 1 / characteristic length for rows in
         metres, else 1.
         """
-        return np.where(np.array(self.units) == "m", 1.0 / full(self.system, True).length, 1.0)
+        return np.where(
+            np.array(self.units) == "m", 1.0 / pack_full_loops(self.system, True).length, 1.0
+        )
 
     @cached_property
     def well_inside(self) -> tuple[Array, Array]:
@@ -99,13 +101,13 @@ class OneSided:
         """The rows' values (..., k) at q (..., nq), in their units; only those that are `declared`,
         if so requested.
         """
-        return self._read(q, False, declared)[0]
+        return self._evaluate_rows(q, False, declared)[0]
 
     def rates(self, q: Any, declared: bool = False) -> tuple[Array, Array]:
         """Values (..., k), and rates (..., k, nv) of the scaled values by the scaled velocities, at
         q (..., nq).
         """
-        return self._read(q, True, declared)
+        return self._evaluate_rows(q, True, declared)
 
     def beyond(self, q: Any, declared: bool = False) -> Array:
         """How far (..., k) the rows are outside their bounds at q (..., nq), in their units; 0
@@ -114,7 +116,7 @@ class OneSided:
         Only those that are `declared`, if so requested.
         """
         k = self.declared if declared else len(self)
-        x = self._read(q, False, declared)[0]
+        x = self._evaluate_rows(q, False, declared)[0]
         out = np.maximum(np.maximum(self.low[:k] - x, x - self.high[:k]), 0.0)
         return np.where(out <= self.slack[:k], 0.0, out)
 
@@ -151,7 +153,7 @@ class OneSided:
         )
         return f"; {those} {which}" if count else ""
 
-    def _read(self, q: Any, rates: bool, declared: bool = False) -> tuple[Array, Array]:
+    def _evaluate_rows(self, q: Any, rates: bool, declared: bool = False) -> tuple[Array, Array]:
         q = read_q(self.system, q)
         nv = self.system.nv
         lead = q.shape[:-1]
@@ -188,7 +190,7 @@ class OneSided:
 
 
 @keep_answers
-def one_sided_rows(system: Model) -> OneSided:
+def pack_one_sided_rows(system: Model) -> OneSided:
     """The one-sided rows of a system, packed."""
     at = system.structure.layout.vector_q
     v = system.structure.layout.vector_v
@@ -196,7 +198,7 @@ def one_sided_rows(system: Model) -> OneSided:
     at = at[limited]
     v = v[limited]
     names, units, bounds, chosen, loops = (
-        _declared(system) if system._mechanism.constraints else ([], [], [], [], None)
+        _list_declared_rows(system) if system._mechanism.constraints else ([], [], [], [], None)
     )
     low, high = np.array(bounds, dtype=float).reshape(-1, 2).T
     names += [system.structure.velocity_names[i] for i in v]
@@ -215,7 +217,7 @@ def one_sided_rows(system: Model) -> OneSided:
     )
 
 
-def _declared(
+def _list_declared_rows(
     system: Model,
 ) -> tuple[list[str], list[str], list[tuple[float, float]], list[int], PackedLoops]:
     """Names, units, bounds and places of the declared rows between bounds, and the ties that they

@@ -12,7 +12,7 @@ from kempe import spatial
 from kempe.arguments import explain_errors
 from kempe.arrays import check_range
 from kempe.constraints.base import Constraint
-from kempe.equations.one_sided import one_sided_rows
+from kempe.equations.one_sided import pack_one_sided_rows
 from kempe.equations.tasks import TILTS, Goal, Task
 from kempe.errors import InputError
 from kempe.model.configurations import read_q
@@ -31,7 +31,7 @@ ROUNDING = 1e-9
 """How far a coordinate may be outside its limits."""
 
 
-def refuse(goal: Goal, what: str) -> None:
+def refuse_goal(goal: Goal, what: str) -> None:
     """Say what is wrong with a goal that a kernel refused. Errors: `InputError`."""
     if goal.pose is not None:
         check_poses(goal.pose, f"the goal of {what}")
@@ -39,7 +39,7 @@ def refuse(goal: Goal, what: str) -> None:
         check_range(number, f"the goal of {what}")
 
 
-def lead_of(goals: Sequence[Goal]) -> tuple[int, ...]:
+def find_leading_shape(goals: Sequence[Goal]) -> tuple[int, ...]:
     """The leading shape of goals. Errors: `InputError` where shapes do not fit together."""
     shapes = {g.pose.shape[:-2] for g in goals if g.pose is not None}
     shapes |= {x.shape[:-1] for g in goals for x in g.numbers.values()}
@@ -51,7 +51,7 @@ def lead_of(goals: Sequence[Goal]) -> tuple[int, ...]:
         ) from None
 
 
-def _wide(system: Model, tasks: Sequence[Task]) -> np.ndarray:
+def _find_wide_angles(system: Model, tasks: Sequence[Task]) -> np.ndarray:
     """Angles (nv,) with limits a whole turn apart or more, which a whole turn does not change in
     anything else.
     """
@@ -97,28 +97,30 @@ class Packed:
         owner: dict[int, int] = {}
         made: list[Tie] = []
 
-        def further(table: Table) -> list[Tie]:
+        def make_task_ties(table: Table) -> list[Tie]:
             for i, task in enumerate(self.tasks):
                 for tie in task.ties(table):
                     owner[id(tie)] = i
                     made.append(tie)
             return made
 
-        self.wide = _wide(system, self.tasks) if turns else np.zeros(system.nv, dtype=bool)
+        self.wide = (
+            _find_wide_angles(system, self.tasks) if turns else np.zeros(system.nv, dtype=bool)
+        )
         self.closing = closing or system
         tree = remove_cut_marks(self.closing)
         explicit = frozenset(tree.structure.closures)
         drawn = remove_cut_marks(system) if self.closing is not system else None
         of: Callable[[Tie], int] = lambda tie: levels[owner[id(tie)]] if id(tie) in owner else 0  # noqa: E731
         level = of if any(levels) else None
-        self.one_sided = one_sided_rows(self.closing)
+        self.one_sided = pack_one_sided_rows(self.closing)
         """One-sided rows of the system; those that are declared hold, too."""
         bounded = self.one_sided.declared > 0
         self.loops: PackedLoops = pack_loops(
             tree,
             explicit,
             length=length,
-            further=further,
+            further=make_task_ties,
             wide=self.wide,
             level=level,
             one_sided=bounded,
@@ -183,7 +185,7 @@ class Packed:
         """What the kernels need (N or 1, k) of the goals of tasks of this structure."""
         owners: list[int] = self.owner.tolist()
         ties = [(t, goals[i]) for t, i in zip(self.loops.ties, owners, strict=True) if i >= 0]
-        poses = [(tie, _pinned(tie, goal)) for tie, goal in ties if tie.pin]
+        poses = [(tie, _compute_pinned_pose(tie, goal)) for tie, goal in ties if tie.pin]
         numbers = [goal.numbers[name] for tie, goal in ties for name in tie.numbers]
         out = np.empty((*lead, 12 * len(poses) + sum(x.shape[-1] for x in numbers)))
         at = 0
@@ -215,7 +217,7 @@ class Packed:
         flat_q = q.reshape(math.prod(lead), self.system.nq)
         if pins is None:
             goals = [t.goal() for t in self.tasks]
-            pins = self.pins(goals, lead if lead_of(goals) else ())
+            pins = self.pins(goals, lead if find_leading_shape(goals) else ())
         out = np.empty((len(flat_q), m))
         J = np.empty((len(flat_q), m, self.system.nv))
         closure_batch.evaluate_equations(
@@ -228,7 +230,7 @@ class Packed:
         return out.reshape(*lead, out.shape[1]), J.reshape(*lead, *J.shape[1:])
 
 
-def _pinned(tie: Tie, goal: Goal) -> Array:
+def _compute_pinned_pose(tie: Tie, goal: Goal) -> Array:
     """The pose (..., 4, 4) at which a tie is pinned: that of the goal, moved by its numbers."""
     pose = goal.pose
     assert pose is not None
@@ -249,25 +251,25 @@ def error(system: Model, constraint: Constraint, q: Any) -> Array:
     """Equations (..., m) of a constraint at q (..., nq), in metres and radians, before bounds; zero
     where they hold.
     """
-    return _alone(system, constraint).evaluate(q)[0]
+    return _pack_single_constraint(system, constraint).evaluate(q)[0]
 
 
 @explain_errors
 def jacobian(system: Model, constraint: Constraint, q: Any) -> Array:
     """Derivatives (..., m, nv) of `error` by the velocity coordinates, exact."""
-    return _alone(system, constraint).evaluate(q)[1]
+    return _pack_single_constraint(system, constraint).evaluate(q)[1]
 
 
 @explain_errors
 def count(system: Model, constraint: Constraint) -> int:
     """Number of equations of a constraint, inequalities included."""
-    return _alone(system, constraint).count([0], True)
+    return _pack_single_constraint(system, constraint).count([0], True)
 
 
 @explain_errors
 def units(system: Model, constraint: Constraint) -> tuple[str, ...]:
     """The unit of each equation of `error`: "m", "rad" or "1"."""
-    alone = _alone(system, constraint)
+    alone = _pack_single_constraint(system, constraint)
     return tuple(unit for unit, row in zip(alone.loops.units, alone.rows, strict=True) if row >= 0)
 
 
@@ -281,5 +283,5 @@ def miss(system: Model, constraint: Constraint, q: Any) -> tuple[Array, Array]:
     return Task(remove_cut_marks(system), constraint).measure(read_q(system, q))
 
 
-def _alone(system: Model, constraint: Constraint) -> Packed:
+def _pack_single_constraint(system: Model, constraint: Constraint) -> Packed:
     return Packed(system, [constraint], length=1.0)

@@ -9,7 +9,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from kempe.equations.velocity import rates, row_names, velocity_rows
+from kempe.equations.velocity import (
+    evaluate_velocity_rows,
+    list_velocity_row_names,
+    record_velocity_rows,
+)
 from kempe.errors import InputError
 from kempe.model.model import keep_answers
 from kempe.numerics.rank import Level, Spectrum
@@ -32,23 +36,23 @@ CONTRADICTION = 1e-9
 
 
 @keep_answers
-def rolls(system: Model) -> bool:
+def has_velocity_constraints(system: Model) -> bool:
     """Whether the system has velocity constraints."""
-    return bool(row_names(system))
+    return bool(list_velocity_row_names(system))
 
 
-def hard_rows(system: Model, q: Array, scale: Array) -> tuple[Array, Array]:
+def compute_unit_rows(system: Model, q: Array, scale: Array) -> tuple[Array, Array]:
     """Velocity rows (m, nv) of size 1 over scaled velocities, and what they must give (m,), at q
     (nq,) and time 0.
     """
-    A, b = rates(system, q)
+    A, b = evaluate_velocity_rows(system, q)
     A = A * scale
     size = np.linalg.norm(A, axis=1)
     size = np.where(size > 0.0, size, 1.0)
     return A / size[:, None], b / size
 
 
-def at_rest(C: Array, A: Array, b: Array) -> Array:
+def find_shortest_velocity(C: Array, A: Array, b: Array) -> Array:
     """The shortest velocity vector (nv,) that fulfils the loops C v = 0 and the velocity rows A v =
     b.
 
@@ -87,33 +91,43 @@ class Slip:
         return f"slips by {abs(self.amount):.3g} {self.unit} across {self.name!r}"
 
 
-def slip_of(system: Model, q: Array, times: Sequence[float] | Array | None = None) -> Slip | None:
+def find_first_slip(
+    system: Model, q: Array, times: Sequence[float] | Array | None = None
+) -> Slip | None:
     """Where configurations (n, nq), one after the other, slip first; None where they do not.
 
     The rows times the way between two samples, at its middle, are what they slip there, but for the
     third power of the distance. Ways over two samples are compared with those over one to tell that
     apart (Richardson).
     """
-    if len(q) < 2 or not rolls(system):
+    if len(q) < 2 or not has_velocity_constraints(system):
         return None
     clock = np.arange(float(len(q))) if times is None else np.asarray(times, dtype=float)
-    one = _ways(system, q, clock, 1)
+    one = _compute_slip_velocities(system, q, clock, 1)
     if len(q) == 2:
         way = system.structure.layout.compute_difference(q[0], q[1])
-        bend = np.abs((rates(system, q[1], clock[1])[0] - rates(system, q[0], clock[0])[0]) @ way)
+        bend = np.abs(
+            (
+                evaluate_velocity_rows(system, q[1], clock[1])[0]
+                - evaluate_velocity_rows(system, q[0], clock[0])[0]
+            )
+            @ way
+        )
         slips = one.slip
         allowed = EXPLAINED * bend[None] + ABSOLUTE + RELATIVE * one.size
         span = one.time
         first = 1
     else:
-        two = _ways(system, q, clock, 2)
+        two = _compute_slip_velocities(system, q, clock, 2)
         h = one.length
         a = h[:-1]
         b = h[1:]
         odd = (a + b) ** 3 - a**3 - b**3
         share = np.where(odd > 0.0, (a**3 + b**3) / np.where(odd > 0.0, odd, 1.0), 0.0)
         slips = one.slip[:-1] + one.slip[1:]
-        explained = (share + EXPLAINED)[:, None] * _around(system, two.slip - slips)
+        explained = (share + EXPLAINED)[:, None] * _compute_explained_sizes(
+            system, two.slip - slips
+        )
         allowed = explained + ABSOLUTE + RELATIVE * (one.size[:-1] + one.size[1:])
         span = two.time
         first = 2
@@ -123,16 +137,16 @@ def slip_of(system: Model, q: Array, times: Sequence[float] | Array | None = Non
         return None
     k = int(bad[0])
     row = int(np.argmax(over[k]))
-    name = velocity_rows(system).names[row].of
-    unit = velocity_rows(system).names[row].unit.removesuffix("/s")
+    name = record_velocity_rows(system).names[row].of
+    unit = record_velocity_rows(system).names[row].unit.removesuffix("/s")
     return Slip(k + first, name, float(slips[k, row]), float(span[k]), unit)
 
 
-def _around(system: Model, bend: Array) -> Array:
+def _compute_explained_sizes(system: Model, bend: Array) -> Array:
     """Sizes (n, m) of what is explained by bends (n, m), near each sample and over rows of one
     unit: one passes 0.
     """
-    units = np.array([row.unit for row in velocity_rows(system).names])
+    units = np.array([row.unit for row in record_velocity_rows(system).names])
     out = np.empty_like(bend)
     for unit in set(units.tolist()):
         size = np.linalg.norm(bend[:, units == unit], axis=1)
@@ -152,12 +166,12 @@ class _SlipVelocities(NamedTuple):
     time: Array
 
 
-def _ways(system: Model, q: Array, clock: Array, step: int) -> _SlipVelocities:
+def _compute_slip_velocities(system: Model, q: Array, clock: Array, step: int) -> _SlipVelocities:
     way = system.structure.layout.compute_difference(q[:-step], q[step:])
     middle = q[1:-1] if step == 2 else system.structure.layout.integrate_velocity(q[:-1], 0.5 * way)
     time = clock[step:] - clock[:-step]
     when = 0.5 * (clock[step:] + clock[:-step])
-    A, b = rates(system, middle, when)
+    A, b = evaluate_velocity_rows(system, middle, when)
     slip = np.einsum("nij,nj->ni", A, way) - b * time[:, None]
     size = np.einsum("nij,nj->ni", np.abs(A), np.abs(way)) + np.abs(b) * time[:, None]
     return _SlipVelocities(slip, size, np.linalg.norm(way, axis=1), time)

@@ -48,7 +48,7 @@ AGREE = 1e-5
 taken as right."""
 
 
-def tangent(layout: Layout, q: Array) -> Array:
+def build_rate_matrix(layout: Layout, q: Array) -> Array:
     """Matrix (nq, nv) that takes velocity coordinates to time derivatives of the entries of q."""
     out = np.zeros((layout.nq, layout.nv))
     out[layout.vector_q, layout.vector_v] = 1.0
@@ -61,7 +61,9 @@ def tangent(layout: Layout, q: Array) -> Array:
     return out
 
 
-def differences(function: Callable[[Array], Any], layout: Layout, q: Array) -> Array:
+def compute_difference_jacobian(
+    function: Callable[[Array], Any], layout: Layout, q: Array
+) -> Array:
     """Derivatives (m, nv) by the velocity coordinates, by central differences on the manifold of q."""
     steps = REAL_STEP * np.eye(layout.nv)
     ends = [
@@ -76,16 +78,18 @@ def differences(function: Callable[[Array], Any], layout: Layout, q: Array) -> A
     return np.stack([(a - b) / (2.0 * REAL_STEP) for a, b in ends], axis=-1)
 
 
-def complex_steps(function: Callable[[Array], Any], layout: Layout, q: Array) -> Array:
+def compute_complex_step_jacobian(
+    function: Callable[[Array], Any], layout: Layout, q: Array
+) -> Array:
     """Derivatives (m, nv) by the velocity coordinates, by imaginary steps; the function must be
     analytic.
     """
-    steps = 1j * IMAGINARY_STEP * tangent(layout, q).T
+    steps = 1j * IMAGINARY_STEP * build_rate_matrix(layout, q).T
     out = [np.imag(function(q + step)).ravel() / IMAGINARY_STEP for step in steps]
     return np.stack(out, axis=-1) if out else np.zeros((np.size(function(q)), 0))
 
 
-def jacobian_of(
+def compute_function_jacobian(
     function: Callable[[Array], Any],
     derivative: Callable[[Array], Any] | None,
     how: str,
@@ -96,26 +100,30 @@ def jacobian_of(
     if derivative is not None:
         return read_reals(derivative(q), "the Jacobian of a constraint")
     return (
-        complex_steps(function, layout, q) if how == COMPLEX else differences(function, layout, q)
+        compute_complex_step_jacobian(function, layout, q)
+        if how == COMPLEX
+        else compute_difference_jacobian(function, layout, q)
     )
 
 
-def way_of(function: Callable[[Array], Any], layout: Layout, q: Array) -> str:
+def choose_derivative_method(function: Callable[[Array], Any], layout: Layout, q: Array) -> str:
     """`COMPLEX` where the function takes complex numbers and derives rightly with them at q, else
     `DIFFERENCES`.
     """
-    real = differences(function, layout, q)
+    real = compute_difference_jacobian(function, layout, q)
     try:
         with warnings.catch_warnings():
             # numpy only warns where an imaginary part is thrown away
             warnings.simplefilter("error")
-            found = complex_steps(function, layout, q)
+            found = compute_complex_step_jacobian(function, layout, q)
     except (TypeError, ValueError, AttributeError, ArithmeticError, Warning):
         return DIFFERENCES
-    return COMPLEX if found.shape == real.shape and _agree(found, real) else DIFFERENCES
+    return (
+        COMPLEX if found.shape == real.shape and _is_derivative_right(found, real) else DIFFERENCES
+    )
 
 
-def checked_value(name: str, function: Callable[[Array], Any], q: Array) -> Array:
+def compute_checked_value(name: str, function: Callable[[Array], Any], q: Array) -> Array:
     """What the function of a constraint gives at q, () or (m,). Errors: `InputError` for anything
     else.
     """
@@ -131,7 +139,7 @@ def checked_value(name: str, function: Callable[[Array], Any], q: Array) -> Arra
     return value
 
 
-def check_supplied(
+def check_supplied_jacobian(
     name: str,
     function: Callable[[Array], Any],
     derivative: Callable[[Array], Any],
@@ -140,13 +148,13 @@ def check_supplied(
     columns: tuple[str, ...],
 ) -> None:
     """Refuse a supplied Jacobian that differs from central differences at q, with its worst entry."""
-    real = np.atleast_2d(differences(function, layout, q))
+    real = np.atleast_2d(compute_difference_jacobian(function, layout, q))
     given = read_reals(derivative(q), f"constraint {name!r}: its Jacobian")
     if given.shape != real.shape:
         raise InputError(
             f"constraint {name!r}: its Jacobian has shape {given.shape}; it must have {real.shape}"
         )
-    if not _agree(given, real):
+    if not _is_derivative_right(given, real):
         off = np.where(np.isfinite(given), np.abs(given - real), math.inf)
         i, k = np.unravel_index(np.argmax(off), off.shape)
         raise InputError(
@@ -156,7 +164,7 @@ def check_supplied(
         )
 
 
-def _agree(a: Array, b: Array) -> bool:
+def _is_derivative_right(a: Array, b: Array) -> bool:
     scale = 1.0 + float(np.max(np.abs(b), initial=0.0))
     return bool(np.all(np.abs(a - b) <= AGREE * scale))  # not a number fails
 
@@ -188,14 +196,14 @@ class Whole:
         )
         if not callable(of.function):
             raise InputError(f"{of.label} is given {of.function!r}; it must be a function {takes}")
-        if not _takes(of.function, len(self.frames) or 1):
+        if not _can_take_arguments(of.function, len(self.frames) or 1):
             given = (
                 f"{format_count(len(self.frames), 'pose')}, of {', '.join(self.frames)}"
                 if self.frames
                 else f"q ({system.nq},)"
             )
             raise InputError(f"{of.label} is called with {given}, which it does not take")
-        found = checked_value(self.label, self.raw, q := sample_configurations(system, 0))
+        found = compute_checked_value(self.label, self.raw, q := sample_configurations(system, 0))
         self.count = found.size
         if not self.count:
             raise InputError(f"{of.label} gives no numbers at all; it must give one or more")
@@ -204,7 +212,7 @@ class Whole:
             rows: Callable[[Array], Any] = self.derivative
             if not found.ndim:
                 rows = lambda x: np.atleast_2d(self.derivative(x))  # noqa: E731
-            check_supplied(
+            check_supplied_jacobian(
                 self.label,
                 self.raw,
                 rows,
@@ -214,29 +222,29 @@ class Whole:
             )
             self.how = SUPPLIED
         elif not self.frames:
-            self.how = way_of(of.function, system.structure.layout, q)
+            self.how = choose_derivative_method(of.function, system.structure.layout, q)
         self.low, self.high = read_row_bounds(of.low, of.high, f"bounds of {of.label}", self.count)
 
     def raw(self, q: Array) -> Any:
         """What the function gives at q."""
-        return self.given(*self._inputs(q))
+        return self.given(*self._compute_inputs(q))
 
-    def _inputs(self, q: Array) -> list[Array]:
+    def _compute_inputs(self, q: Array) -> list[Array]:
         return [fk(self.system, q, f) for f in self.frames] or [q]
 
     def derivative(self, q: Array) -> Any:
         """What the supplied derivative gives at q."""
         assert self.supplied is not None
-        return self.supplied(*self._inputs(q))
+        return self.supplied(*self._compute_inputs(q))
 
     def values(self, q: Array) -> Array:
         """Values (m,) of the user's function at the configuration q (nq,).
 
         Errors: `InputError` where their number is not m.
         """
-        return self._checked(self.raw(q.copy()))
+        return self._check_values(self.raw(q.copy()))
 
-    def _checked(self, found: Any) -> Array:
+    def _check_values(self, found: Any) -> Array:
         if np.size(found) != self.count:
             raise InputError(
                 f"{self.label} gives {np.size(found)} numbers, but gave {self.count} before"
@@ -253,10 +261,12 @@ class Whole:
         if self.how:
             layout = self.system.structure.layout
             return read_reals(
-                jacobian_of(self.raw, self.supplied and self.derivative, self.how, layout, q),
+                compute_function_jacobian(
+                    self.raw, self.supplied and self.derivative, self.how, layout, q
+                ),
                 f"the Jacobian of {self.label}",
             ).reshape(shape)
-        poses = np.stack(self._inputs(q))
+        poses = np.stack(self._compute_inputs(q))
         columns = frame_jacobian(self.system, q, self.frames)
         moving = np.flatnonzero(columns.any(axis=(0, 1)))
         if len(moving) > 6 * len(self.frames):
@@ -264,18 +274,26 @@ class Whole:
                 np.repeat([compute_characteristic_length(self.system), 1.0], 3), len(poses)
             )
             twists = np.diag(scale).reshape(-1, len(poses), 6)
-            return self._along(poses, twists) / scale @ columns.reshape(-1, self.system.nv)
+            return (
+                self._differentiate_along_twists(poses, twists)
+                / scale
+                @ columns.reshape(-1, self.system.nv)
+            )
         J = np.zeros(shape)
-        J[:, moving] = self._along(poses, np.moveaxis(columns[..., moving], -1, 0))
+        J[:, moving] = self._differentiate_along_twists(
+            poses, np.moveaxis(columns[..., moving], -1, 0)
+        )
         return J
 
-    def _along(self, poses: Array, twists: Array) -> Array:
+    def _differentiate_along_twists(self, poses: Array, twists: Array) -> Array:
         """Derivatives (m, n) of the function of poses (k, 4, 4) along world-aligned twists (n, k,
         6).
         """
         out = np.empty((self.count, len(twists)))
         for i, twist in enumerate(REAL_STEP * twists):
-            ahead, back = (self._checked(self.given(*_moved(poses, x))) for x in (twist, -twist))
+            ahead, back = (
+                self._check_values(self.given(*_move_poses(poses, x))) for x in (twist, -twist)
+            )
             out[:, i] = (ahead - back) / (2.0 * REAL_STEP)
         return out
 
@@ -299,7 +317,7 @@ class Whole:
         return out
 
 
-def _takes(function: Callable[..., Any], n: int) -> bool:
+def _can_take_arguments(function: Callable[..., Any], n: int) -> bool:
     """Whether a function can be called with so many arguments."""
     try:
         signature(function).bind(*range(n))
@@ -310,7 +328,7 @@ def _takes(function: Callable[..., Any], n: int) -> bool:
     return True
 
 
-def _moved(poses: Array, twists: Array) -> Array:
+def _move_poses(poses: Array, twists: Array) -> Array:
     """The poses (k, 4, 4), moved along and turned about axes of the ground through their origins."""
     out = poses.copy()
     out[:, :3, :3] = spatial.exp_so3(twists[:, 3:]) @ poses[:, :3, :3]
@@ -337,15 +355,15 @@ class OfSystem(Constraint):
 
     def callback(self, rows: Sequence[int]) -> Callback:
         """Some of its rows, as kernels call them."""
-        return self.whole.callback(rows, self._held[list(rows)])
+        return self.whole.callback(rows, self._held_values[list(rows)])
 
     @property
-    def _held(self) -> Array:
+    def _held_values(self) -> Array:
         return np.where(self.low == self.high, self.low, 0.0)
 
     def at(self, q: Array) -> Array:
         """The values of its rows (m,) at q (nq,)."""
-        return self.whole.values(q) - self._held
+        return self.whole.values(q) - self._held_values
 
 
 CoordinateItem = tuple[str, int, int, bool]
@@ -386,7 +404,7 @@ class CoordinateValues(Constraint):
         return x / size
 
 
-def coordinate_values(system: Model, made: Constraint) -> CoordinateValues:
+def make_coordinate_values(system: Model, made: Constraint) -> CoordinateValues:
     """The coordinates and quaternions that a constraint holds at values of its field `q`.
 
     Errors: `UnknownNameError` for names that are none; `InputError` for quaternions without all
@@ -426,20 +444,20 @@ def coordinate_values(system: Model, made: Constraint) -> CoordinateValues:
     return CoordinateValues(system, q, tuple(chosen), name=made.label)
 
 
-def bound(system: Model, made: Constraint) -> Constraint:
+def bind_constraint(system: Model, made: Constraint) -> Constraint:
     """The constraint as one of this system: functions of its configurations as numbers of these,
     and coordinates by their places.
     """
     rows = made.list_rows(system.dim)
     if any(r.op is Op.COORDINATE for r in rows):
-        return coordinate_values(system, made)
+        return make_coordinate_values(system, made)
     if not any(r.op is Op.CALL and len(r.args) == 1 for r in rows):
         return made
     whole = Whole(system, made)
     return OfSystem(whole, whole.low, whole.high)
 
 
-def held_too(system: SystemType, further: Any) -> SystemType:
+def add_held_constraints(system: SystemType, further: Any) -> SystemType:
     """The system with further constraints, or functions of q, with the same coordinates.
 
     Errors: `InputError` for what is none, `DescriptionError` for what does not fit the system.
@@ -460,7 +478,7 @@ def held_too(system: SystemType, further: Any) -> SystemType:
         while name in taken:
             name += " again"
         taken.add(name)
-        own = bound(system, made)
+        own = bind_constraint(system, made)
         if own is made:
             m.constrain(made, name)
         elif made.weight is not None:

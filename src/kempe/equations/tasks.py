@@ -23,8 +23,8 @@ from kempe.constraints.base import (
     read_numbers,
 )
 from kempe.description.mechanism import reads_axes
-from kempe.equations.judge import FRAME_ROWS, Numbers, RowShape, missed, shape_of
-from kempe.equations.task_functions import bound
+from kempe.equations.judge import FRAME_ROWS, Numbers, RowShape, make_row_shape, measure_rows
+from kempe.equations.task_functions import bind_constraint
 from kempe.errors import InputError
 from kempe.forward.fk import fk
 from kempe.kernels.constraints import loop_layout as L
@@ -87,7 +87,7 @@ class RowFacts(NamedTuple):
 
 
 @lru_cache(maxsize=512)
-def facts_of(rows: tuple[Row, ...]) -> RowFacts:
+def collect_row_facts(rows: tuple[Row, ...]) -> RowFacts:
     """What rows are about."""
     ops = {r.op for r in rows}
     units = {r.unit for r in rows}
@@ -126,13 +126,15 @@ class Task:
         self.tolerance = constraint.tolerance
         self.name = constraint.name
         made = constraint
-        if facts_of(rows).written:
+        if collect_row_facts(rows).written:
             known = system.structure.parameters
-            made = bound(system, evaluate_number_fields(constraint.resolve_names(known), known))
+            made = bind_constraint(
+                system, evaluate_number_fields(constraint.resolve_names(known), known)
+            )
             refuse_unreadable(system, made.coordinate_names, self.label)
         self.of: Any = made
         self.rows = rows = made.list_rows(system.dim) if made is not constraint else rows
-        facts = facts_of(rows)
+        facts = collect_row_facts(rows)
         self.lengths = facts.lengths
         self.angles = facts.angles
         self.lasting = facts.lasting
@@ -166,7 +168,7 @@ class Task:
         valued = any(find_value_field(self.of, r) for r in self.rows if r.op is not Op.DISTANCE)
         if self.frames[1] is None or not plain or valued:
             return None
-        return shape_of(self.rows, self.system.dim)
+        return make_row_shape(self.rows, self.system.dim)
 
     def structure(self) -> Hashable:
         """What decides the ties of the task: tasks alike in this have the same ones, except for goals.
@@ -176,7 +178,7 @@ class Task:
         made: Constraint = self.of
         numbers: tuple[Any, ...] = ()
         if self.compares:
-            varied = tuple([self._varied_ends(r) for r in self.rows])
+            varied = tuple([self._list_varied_ends(r) for r in self.rows])
             values = tuple([bool(find_value_field(made, r)) for r in self.rows])
             bounds = [
                 get_row_bounds(made, r) if is_one_sided(made, r) and not ends else None
@@ -186,7 +188,7 @@ class Task:
         shares = self._shares if self.central else None
         return type(made), self.frames, self.tool, self.rows, numbers, shares
 
-    def _varied_ends(self, row: Row) -> tuple[str, ...]:
+    def _list_varied_ends(self, row: Row) -> tuple[str, ...]:
         """Which ends of a row come with each call."""
         return list_varied_ends(self.of, row) if self.varied else ()
 
@@ -204,7 +206,7 @@ class Task:
             row, X, particle = table.at[b]
             B = (row, X @ np.reshape(self.tool, (4, 4)), particle)
             self._refuse_axes_of_particles(A, B)
-        centre = self._centre(table) if self.central else None
+        centre = self._compute_centre(table) if self.central else None
         return make_ties(self.system, self.label, self.of, A, B, True, centre)
 
     def _refuse_axes_of_particles(self, A: End, B: End) -> None:
@@ -223,7 +225,7 @@ class Task:
         shares = self.of.list_masses(self.system._mechanism.bodies, self.system.name)
         return tuple((self.system.structure.frame_name(m.frame), m.point, m.part) for m in shares)
 
-    def _centre(self, table: Table) -> Centre:
+    def _compute_centre(self, table: Table) -> Centre:
         """The masses on the rows of the table."""
         rows = np.zeros((len(table.kind), 4))
         rest = np.zeros(3)
@@ -240,7 +242,7 @@ class Task:
         """Names of the velocity coordinates in which a whole turn is not nothing to the task."""
         first = self.system.structure.coordinates.first
         found: set[int] = set()
-        if not facts_of(self.rows).written:
+        if not collect_row_facts(self.rows).written:
             return set()
         for tie in make_ties(self.system, self.label, self.of, GROUND, GROUND, True):
             if tie.tape is not None:
@@ -262,15 +264,15 @@ class Task:
         posed = self.frames[1] is not None or self.central
         numbers: Numbers = {}
         for row in self.rows if self.compares else ():
-            varied = self._varied_ends(row)
+            varied = self._list_varied_ends(row)
             for field in [getattr(row, end) for end in varied] or [find_value_field(made, row)]:
                 if field:
                     name = format_input_name(field, row.part)
-                    x = self._number(name)
+                    x = self._read_number(name)
                     numbers[name] = np.clip(x, -FAR, FAR) if varied else x
             if row.op is Op.TAPE:
                 numbers |= {
-                    n: self._number(n)
+                    n: self._read_number(n)
                     for n in list_recorded_numbers(made, self.system.dim, row.args[0])
                     if n not in numbers
                 }
@@ -278,7 +280,7 @@ class Task:
                 numbers[row.args[2]] = made.values(row)
         return Goal(made.make_goal_poses(self.system.dim) if posed else None, numbers)
 
-    def _number(self, name: str) -> Array:
+    def _read_number(self, name: str) -> Array:
         return read_numbers(get_input_number(self.of, name), f"{name} of {self.label}")[..., None]
 
     def measure(
@@ -297,20 +299,20 @@ class Task:
         if pose is not None:
             a, b = self.frames
             A = pose if a is None else poses(a) @ pose
-            B = self._centre_pose(poses) if b is None else poses(b)
+            B = self._compute_centre_pose(poses) if b is None else poses(b)
             if self.tool is not HERE:
                 B = B @ np.reshape(self.tool, (4, 4))
         with np.errstate(invalid="ignore", over="ignore"):  # of goals that are not finite
-            return missed(self.system, self.of, self.rows, q, A, B, numbers)
+            return measure_rows(self.system, self.of, self.rows, q, A, B, numbers)
 
-    def _centre_pose(self, poses: Poses) -> Array:
+    def _compute_centre_pose(self, poses: Poses) -> Array:
         """The pose (..., 4, 4) at the centre of masses, in axes of the ground."""
-        names, moments = _moments(self.system, self._shares)
+        names, moments = _compute_moments(self.system, self._shares)
         return spatial.pose(p=np.einsum("...kij,kj->...i", poses(names)[..., :3, :], moments))
 
 
 @keep_answers
-def _moments(
+def _compute_moments(
     system: Model, points: tuple[tuple[str, tuple[float, ...], float], ...]
 ) -> tuple[list[str] | None, Array]:
     """Frames, None for all bodies, and for each of them what its pose is multiplied by to give its

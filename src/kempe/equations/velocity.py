@@ -289,17 +289,17 @@ class Recorder:
             self._before[r] = self.moved(
                 self._after[int(self.table.parent[r])], self.table.placement[r]
             )
-            self._after[r] = self._moves(r, self._before[r])
+            self._after[r] = self._apply_motion(r, self._before[r])
             row = r
         return self._after[way[0] if way else row]
 
-    def _moves(self, r: int, at: RecordedPose) -> RecordedPose:
+    def _apply_motion(self, r: int, at: RecordedPose) -> RecordedPose:
         n = self.numbers
         table = self.table
         q = int(table.iq[r])
         factor = float(table.multiplier[r])
         if table.kind[r] == Q:
-            turn = self._ball(q, factor < 0.0)
+            turn = self._record_quaternion_matrix(q, factor < 0.0)
             return RecordedPose(
                 [[n.dot(row, [turn[k][j] for k in range(3)]) for j in range(3)] for row in at.R],
                 at.p,
@@ -317,7 +317,7 @@ class Recorder:
         ]
         return RecordedPose(R, at.p)
 
-    def _ball(self, q: int, inverse: bool) -> list[list[Num]]:
+    def _record_quaternion_matrix(self, q: int, inverse: bool) -> list[list[Num]]:
         """Rotation matrix (3 rows of 3) of the quaternion wxyz that begins at q[`q`], recorded as
         polynomials.
 
@@ -364,14 +364,14 @@ class Recorder:
                 out[pair[1]] = n.add(out.get(pair[1], 0.0), x)
         c = [form.get(k, 0.0) for k in range(6)]
         if any(not isinstance(x, float) or x != 0.0 for x in c):
-            self._twist(a, b, c, out)
+            self._add_twist_terms(a, b, c, out)
         out[self.table.nv] = n.add(out.get(self.table.nv, 0.0), value)
         for column, x in out.items():
             if not isinstance(x, float) or x != 0.0:
                 self.entries.append((self.count, column, x))
         self.count += 1
 
-    def _twist(self, a: End, b: End, c: list[Num], out: dict[int, Num]) -> None:
+    def _add_twist_terms(self, a: End, b: End, c: list[Num], out: dict[int, Num]) -> None:
         n = self.numbers
         table = self.table
         R = self.end(a).R
@@ -411,7 +411,7 @@ class Recorder:
 
         Inputs are, where there is a pose `seen`, its numbers, and the components of the twist,
         whose value is zero and whose rate is the component itself; `known` gives others by name,
-        `rates` the rates of some of them.
+        `evaluate_velocity_rows` the rates of some of them.
         """
         n = self.numbers
         values: list[Num] = []
@@ -440,12 +440,14 @@ class Recorder:
                 value = self.builder.add_table(tape.numbers[left : left + right])
                 form = {}
             elif op in BINARY:
-                value, form = self._two(op, values[left], values[right], forms[left], forms[right])
+                value, form = self._linearize_operation(
+                    op, values[left], values[right], forms[left], forms[right]
+                )
             else:
                 value = n.neg(values[left]) if op == L.NEG else n.of(op, values[left])
                 form = {}
                 if forms[left]:
-                    slope = -1.0 if op == L.NEG else self._slope(op, values[left], value)
+                    slope = -1.0 if op == L.NEG else self._record_slope(op, values[left], value)
                     form = {k: n.mul(slope, x) for k, x in forms[left].items()}
             values.append(value)
             forms.append(form)
@@ -460,7 +462,7 @@ class Recorder:
             out[k] = n.add(out.get(k, 0.0), n.mul(other, x))
         return out
 
-    def _two(self, op: int, a: Num, b: Num, f: Form, g: Form) -> tuple[Num, Form]:
+    def _linearize_operation(self, op: int, a: Num, b: Num, f: Form, g: Form) -> tuple[Num, Form]:
         n = self.numbers
         if op in (L.ADD, L.SUB):
             sign = 1.0 if op == L.ADD else -1.0
@@ -469,7 +471,7 @@ class Recorder:
             return n.mul(a, b), self.sum_of(f, b, g, a)
         value = 0.0 if op == L.DIV and isinstance(a, float) and a == 0.0 else n.of(op, a, b)
         if op in (L.AT, L.NEAREST, L.LOOKUP):
-            return value, self._nearest(op, value, f, g)
+            return value, self._compute_nearest_rate(op, value, f, g)
         if not f and not g:
             return value, {}
         if op == L.DIV:
@@ -483,7 +485,7 @@ class Recorder:
         square = n.add(n.mul(a, a), n.mul(b, b))
         return value, self.sum_of(f, n.of(L.DIV, b, square), g, n.neg(n.of(L.DIV, a, square)))
 
-    def _nearest(self, op: int, place: Any, f: Form, g: Form) -> Form:
+    def _compute_nearest_rate(self, op: int, place: Any, f: Form, g: Form) -> Form:
         """The rate of the parameter of a nearest point; before it, the rates of x and y by which of
         them it is.
         """
@@ -500,7 +502,7 @@ class Recorder:
             out[key] = n.add(out.get(key, 0.0), n.mul(rates[i] if known is None else known, x))
         return out
 
-    def _slope(self, op: int, x: Num, y: Num) -> Num:
+    def _record_slope(self, op: int, x: Num, y: Num) -> Num:
         """The derivative of y = f(x)."""
         place = self.builder.add_unary(op, self.numbers.place(x))
         nodes = self.builder._nodes
@@ -546,29 +548,29 @@ class Seen:
 
 
 @explain_errors
-def rates(system: Model, q: Any, t: ArrayLike = 0.0) -> tuple[Array, Array]:
+def evaluate_velocity_rows(system: Model, q: Any, t: ArrayLike = 0.0) -> tuple[Array, Array]:
     """The rows A (..., m, nv) and b (..., m) of the velocity constraints A(q) v = b at q (..., nq)
     and times t (...).
 
-    Rows are in the order of `row_names`, those that slip in m/s, those that turn in rad/s. A system
+    Rows are in the order of `list_velocity_row_names`, those that slip in m/s, those that turn in rad/s. A system
     without such constraints has none. Errors: `InputError`.
     """
-    return velocity_rows(system).values(read_q(system, q), read_reals(t, "t"))
+    return record_velocity_rows(system).values(read_q(system, q), read_reals(t, "t"))
 
 
-def row_names(system: Model) -> tuple[tuple[str, str], ...]:
-    """For each row of `rates` the name of its constraint, and of the row."""
-    return tuple((r.of, r.name) for r in velocity_rows(system).names)
+def list_velocity_row_names(system: Model) -> tuple[tuple[str, str], ...]:
+    """For each row of `evaluate_velocity_rows` the name of its constraint, and of the row."""
+    return tuple((r.of, r.name) for r in record_velocity_rows(system).names)
 
 
 @keep_answers
-def velocity_rows(system: Model) -> VelocityRows:
+def record_velocity_rows(system: Model) -> VelocityRows:
     """The rows of the declared velocity constraints, recorded."""
-    return _recorded(system, system.structure.table, False)
+    return _record_rows(system, system.structure.table, False)
 
 
 @keep_answers
-def tangent_rows(system: Model) -> VelocityRows:
+def record_tangent_rows(system: Model) -> VelocityRows:
     """The rows of all constraints, recorded: tangents of what holds positions, and velocity
     constraints.
 
@@ -583,10 +585,10 @@ def tangent_rows(system: Model) -> VelocityRows:
         m.parameters,
         dict.fromkeys(system.structure.closures, True),
     )
-    return _recorded(system, table, True)
+    return _record_rows(system, table, True)
 
 
-def _recorded(system: Model, table: Table, positions: bool) -> VelocityRows:
+def _record_rows(system: Model, table: Table, positions: bool) -> VelocityRows:
     mechanism = system._mechanism
     made = _Recording(system, table, mechanism.parameters)
     for tie in list_position_ties(system, table) if positions else ():
@@ -610,7 +612,7 @@ class _Recording:
         for iq, iv in zip(
             system.structure.layout.quaternion_q, system.structure.layout.quaternion_v, strict=True
         ):
-            self._quaternion(int(iq), int(iv))
+            self._add_quaternion_rates(int(iq), int(iv))
         numbers = self.recorder.numbers
         for name, f in system.structure.couplings.items():
             self.known[name] = float(f.offset)
@@ -622,7 +624,7 @@ class _Recording:
                 self.rates[name] = {("v", first[f.source][1]): f.multiplier}
         self.known.setdefault(TIME, self.recorder.time)  # unless a coordinate is called so
 
-    def _quaternion(self, iq: int, iv: int) -> None:
+    def _add_quaternion_rates(self, iq: int, iv: int) -> None:
         """Add the rates of the entries of a quaternion: q' = q (0, w) / 2."""
         half = [self.recorder.numbers.mul(0.5, iq + k) for k in range(4)]
         w, x, y, z = half
@@ -640,11 +642,11 @@ class _Recording:
 
     def tangents(self, tie: Tie) -> None:
         """Add the rates of the equations of a tie."""
-        for name, form in zip(tie.row_names, self._forms(tie), strict=True):
+        for name, form in zip(tie.row_names, self._iterate_forms(tie), strict=True):
             self.recorder.add_row(tie.a, tie.b, form)
             self.names.append(RowName(tie.name, name, "m", False, bool(tie.bounds)))
 
-    def _forms(self, tie: Tie) -> Iterator[Form]:
+    def _iterate_forms(self, tie: Tie) -> Iterator[Form]:
         r = self.recorder
         turns = tie.turns
         seen = r.seen(tie.a, tie.b)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from kempe.description.parts import Declared, Joint
-from kempe.equations.closure_rows import full
+from kempe.equations.closure_rows import pack_full_loops
 from kempe.joints import P, Primitive, Q
 from kempe.model.constraint_program import Tie
 from kempe.model.coordinates import Relation
@@ -294,7 +294,9 @@ def build_constraint_graph(system: Model) -> ConstraintGraph:
 
 def list_function_constraints(system: Model) -> tuple[str, ...]:
     """List the names of constraints that are Python functions without a Taylor series."""
-    return tuple(dict.fromkeys(t.name for t in full(system, True).ties if t.function is not None))
+    return tuple(
+        dict.fromkeys(t.name for t in pack_full_loops(system, True).ties if t.function is not None)
+    )
 
 
 def _assemble_graph(system: Model) -> ConstraintGraph:
@@ -436,7 +438,7 @@ def _build_loops(system: Model, edges: list[Edge], way: Way) -> list[Loop]:
 
 def _build_laws(system: Model, way: Way) -> tuple[Law, ...]:
     """Build the laws: couplings with several sources, and constraints written as expressions."""
-    loops = full(system, True)
+    loops = pack_full_loops(system, True)
     first = 0
     found: dict[tuple[int, int], tuple[Relation | Declared, list[int], list[Tie]]] = {}
     order = {c.name: i for i, c in enumerate(system._mechanism.constraints.values())}

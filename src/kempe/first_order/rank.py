@@ -15,7 +15,7 @@ import numpy as np
 from kempe.description.parts import Declared
 from kempe.equations import closure_rows
 from kempe.equations.closure import Closure
-from kempe.equations.slip import hard_rows, rolls
+from kempe.equations.slip import compute_unit_rows, has_velocity_constraints
 from kempe.errors import InputError, UnsupportedError
 from kempe.first_order.constraint_graph import Cluster, ConstraintGraph, Law, build_constraint_graph
 from kempe.first_order.screws import Screws, compute_screws
@@ -228,14 +228,14 @@ def compute_written_rows(system: Model, q: Array) -> dict[str, Array]:
     if not laws:
         return {}
     rng = np.random.default_rng(0)  # the same around each q
-    scale = closure_rows.full(system, True).scale
+    scale = closure_rows.pack_full_loops(system, True).scale
     steps = np.concatenate(
         [np.zeros((1, system.nv)), AROUND * rng.normal(size=(POINTS, system.nv)) * scale]
     )
     there = system.structure.layout.integrate_velocity(
         np.broadcast_to(q, (len(steps), len(q))), steps
     )
-    J = closure_rows.evaluate(system, there, True, True)[1]
+    J = closure_rows.evaluate_constraints(system, there, True, True)[1]
     out: dict[str, Array] = {}
     for law in laws:
         size = np.linalg.norm(J[:, law.places], axis=2)
@@ -278,7 +278,7 @@ def compute_allowed_velocities(closure: Closure, q: Array, inputs: Sequence[int]
 
     Where the `inputs` determine all other velocities of a large mechanism, it is found from theirs.
     """
-    if inputs and closure.n >= SPARSE and not rolls(closure.system):
+    if inputs and closure.n >= SPARSE and not has_velocity_constraints(closure.system):
         F, J = closure.loops(q)
         if float(np.abs(F).max(initial=0.0)) < OPEN:
             free = Spectrum(J).null_from(inputs, Level.CLOSED)
@@ -290,8 +290,8 @@ def compute_allowed_velocities(closure: Closure, q: Array, inputs: Sequence[int]
         raise InputError(
             f"the loops are open by {gap:.3g} (radians or characteristic lengths); assemble q first"
         )
-    if rolls(closure.system):
-        A, b = hard_rows(closure.system, q, closure.unit)
+    if has_velocity_constraints(closure.system):
+        A, b = compute_unit_rows(closure.system, q, closure.unit)
         if b.any():
             raise UnsupportedError(
                 f"{closure.system.name}: a velocity constraint asks for a speed of its own (b is "

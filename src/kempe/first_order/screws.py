@@ -21,7 +21,7 @@ import numpy as np
 from kempe import spatial
 from kempe.constraints.base import COUNTS, Op, Row, list_position_rows
 from kempe.description.parts import Declared
-from kempe.equations.closure_rows import full
+from kempe.equations.closure_rows import pack_full_loops
 from kempe.first_order.constraint_graph import Edge, build_constraint_graph
 from kempe.forward.fk import fk
 from kempe.joints import P, Q
@@ -112,7 +112,7 @@ def compute_screws(system: Model, q: Array) -> Screws:
     M = bodies[s.child] @ s.X_CM
     points = M[:, :3, 3]
     center = points.mean(axis=0) if len(points) else np.zeros(3)
-    length = full(system, True).length
+    length = pack_full_loops(system, True).length
     twists: list[Array] = []
     cross: dict[int, Array] = {}
     values = q.tolist()

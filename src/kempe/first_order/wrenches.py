@@ -17,8 +17,8 @@ import numpy as np
 
 from kempe.arguments import explain_method_errors, numbers
 from kempe.equations import closure_rows
-from kempe.equations.one_sided import one_sided_rows
-from kempe.equations.velocity import velocity_rows
+from kempe.equations.one_sided import pack_one_sided_rows
+from kempe.equations.velocity import record_velocity_rows
 from kempe.errors import InputError, UnknownNameError
 from kempe.forward.fk import fk, jacobian
 from kempe.forward.maximal import maximal, maximal_q
@@ -282,9 +282,9 @@ class Wrenches:
     def _rows(self) -> tuple[_WrenchRow, ...]:
         """Equations of joints, constraints and couplings, velocity constraints, and one-sided rows."""
         M, Q = self._maximal
-        packed = closure_rows.full(M, False)
+        packed = closure_rows.pack_full_loops(M, False)
         out: list[_WrenchRow] = []
-        J = closure_rows.evaluate(M, Q, True, loops=packed)[1]
+        J = closure_rows.evaluate_constraints(M, Q, True, loops=packed)[1]
         k = 0
         for tie in packed.ties:
             name = tie.name if tie.relation is None else f"coupling of {tie.relation.of}"
@@ -298,12 +298,12 @@ class Wrenches:
             for i, n in enumerate((*self.system.structure.joints, *self._mechanism.constraints))
         }
         out.sort(key=lambda r: order.get(r.of, len(order)))
-        rates = velocity_rows(M)
+        rates = record_velocity_rows(M)
         A = rates.values(Q, np.zeros(()))[0]
         out += [
             _WrenchRow(r.of, r.name, r.unit, True, a) for r, a in zip(rates.names, A, strict=True)
         ]
-        sided = one_sided_rows(M)
+        sided = pack_one_sided_rows(M)
         if sided.declared:
             n = sided.declared
             J = sided.rates(Q, declared=True)[1] / self._scale / sided.scale[:n, None]
@@ -330,12 +330,12 @@ class Wrenches:
     @property
     def _length(self) -> float:
         """Characteristic length, which makes lengths comparable with angles."""
-        return closure_rows.full(self._maximal[0], True).length
+        return closure_rows.pack_full_loops(self._maximal[0], True).length
 
     @cached_property
     def _scale(self) -> Array:
         """Units of the velocities in maximal coordinates."""
-        return closure_rows.scales(self._maximal[0])
+        return closure_rows.compute_coordinate_units(self._maximal[0])
 
     @cached_property
     def _force_factors(self) -> Array:

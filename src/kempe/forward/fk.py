@@ -19,7 +19,7 @@ from kempe.kernels.forward.table_layout import BODY, WORLD, WORLD_ALIGNED, fuse_
 from kempe.model.configurations import read_q
 from kempe.model.gauge import regauge_table
 from kempe.model.model import keep_answers
-from kempe.numerics.pool import over_chunks
+from kempe.numerics.pool import sum_over_chunks
 from kempe.spatial import Array, matrix_to_quat_wxyz
 
 if TYPE_CHECKING:
@@ -147,7 +147,7 @@ def compute_poses_in_form(
             return fill_rows(start, stop)
         return sum(fill_rows(i, min(i + FEW, stop)) for i in range(start, stop, FEW))
 
-    over_chunks(compute_chunk, len(flat), FORM_CHUNK, threads, FORM_SERIAL_BELOW)
+    sum_over_chunks(compute_chunk, len(flat), FORM_CHUNK, threads, FORM_SERIAL_BELOW)
     return out
 
 
@@ -346,7 +346,7 @@ class _ChainQuery:
         def compute_chunk(start: int, stop: int) -> int:
             return chain.compute_chain_poses(ints, floats, flat_q[start:stop], flat_out[start:stop])
 
-        over_chunks(compute_chunk, len(flat_q), CHUNK, threads, SERIAL_BELOW)
+        sum_over_chunks(compute_chunk, len(flat_q), CHUNK, threads, SERIAL_BELOW)
         return out
 
     def compute_jacobians(
@@ -371,7 +371,7 @@ class _ChainQuery:
             a, b, c = (x[start:stop] for x in flat)
             return table_sweep.compute_jacobians(self.ints, self.floats, a, kind, b, c)
 
-        over_chunks(compute_chunk, len(flat[0]), CHUNK, threads, SERIAL_BELOW)
+        sum_over_chunks(compute_chunk, len(flat[0]), CHUNK, threads, SERIAL_BELOW)
         return pose, columns
 
 
@@ -444,7 +444,7 @@ def fk(
     def compute_chunk(start: int, stop: int) -> int:
         return table_sweep.compute_poses(ints, floats, flat_q[start:stop], flat_out[start:stop])
 
-    over_chunks(
+    sum_over_chunks(
         compute_chunk,
         len(flat_q),
         max(1, min(CHUNK, 4 * CHUNK // max(k, 1))),

@@ -12,7 +12,7 @@ import numpy as np
 from kempe.answers.answer import Answer, Row
 from kempe.arguments import explain_method_errors, read_batch_index
 from kempe.arrays import unwrap_scalar
-from kempe.equations.slip import rolls
+from kempe.equations.slip import has_velocity_constraints
 from kempe.errors import InputError
 from kempe.kernels.base.search_layout import ANGULAR, ANSWER, LINEAR, STARTS, STATUS, STEPS
 from kempe.late import import_late
@@ -253,7 +253,7 @@ class Solution(Answer):
 
     def _describe_manoeuvre(self, index: tuple[int, ...]) -> str:
         """End a success sentence: under velocity constraints, that driving there needs a manoeuvre."""
-        if not np.asarray(self.success)[index] or not rolls(self.system):
+        if not np.asarray(self.success)[index] or not has_velocity_constraints(self.system):
             return ""
         return import_late("way_there")(self.system)
 

@@ -36,7 +36,7 @@ from kempe.inverse.closed_forms.structure import Axes, find_meeting_point, keeps
 from kempe.kernels.forward.table_layout import TURN
 from kempe.model.configurations import read_q
 from kempe.model.model import keep_answers
-from kempe.numerics.intervals import arcs, joined
+from kempe.numerics.intervals import join_arcs, split_circle
 from kempe.spatial import Array
 from kempe.words import format_count
 
@@ -448,7 +448,7 @@ class Posed:
             if limited:
                 good &= is_inside_limits(self.arm.lines, theta)
             for k in range(4 * i, 4 * i + 4):
-                out[k] = joined(marks, good[:, k].tolist())
+                out[k] = join_arcs(marks, good[:, k].tolist())
         return out
 
     def _find_arcs(self, half: Half, limited: bool) -> list[tuple[float, float]]:
@@ -465,7 +465,7 @@ class Posed:
                 )
                 limits += [(j, float(x)) for x in ends if math.isfinite(x)]
             found += find_events(lines.h[list(places)], R, limits)
-        return arcs(found)
+        return split_circle(found)
 
 
 def _make_half(arm: Arm, goal: Array, frame: Array, theta: float) -> Half:

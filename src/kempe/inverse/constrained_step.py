@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from kempe.assemble.nearest_exact import find_ideal_system
-from kempe.equations.closure_rows import evaluate, full
-from kempe.equations.one_sided import one_sided_rows
-from kempe.equations.slip import at_rest, hard_rows, rolls
-from kempe.equations.velocity import row_names
+from kempe.equations.closure_rows import evaluate_constraints, pack_full_loops
+from kempe.equations.one_sided import pack_one_sided_rows
+from kempe.equations.slip import compute_unit_rows, find_shortest_velocity, has_velocity_constraints
+from kempe.equations.velocity import list_velocity_row_names
 from kempe.errors import InputError
 from kempe.inverse.frame_step import (
     ASIDE,
@@ -31,18 +31,18 @@ from kempe.inverse.frame_step import (
     STILL,
     TAKEN,
     TRIALS,
-    led_on,
+    compute_progress,
 )
 from kempe.numerics.least_squares import (
     LEAST,
     NEAR,
     SHIFT,
     Bend,
-    bounded,
-    damped,
-    least_in_box,
-    part_within,
-    scaled,
+    compute_feasible_fraction,
+    minimize_bounded_residual,
+    minimize_damped_residual,
+    minimize_quadratic_in_box,
+    scale_solution_to_bounds,
 )
 from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
@@ -110,7 +110,7 @@ class Stage(NamedTuple):
 class Left(NamedTuple):
     """What constraints leave of the velocities at a configuration: a `basis` (nv, k) of what
     equations do, velocities (nv,) that these ask for at `rest`, and between what declared one-sided
-    `row_names` (m, nv) of them stay for dt.
+    `list_velocity_row_names` (m, nv) of them stay for dt.
     """
 
     basis: Array
@@ -130,16 +130,16 @@ class ConstrainedSteps:
         self.system = system
         layout = system.structure.layout
         self.closing = find_ideal_system(system)
-        loops = full(self.closing, True)
+        loops = pack_full_loops(self.closing, True)
         self.length = loops.length
         self.names = loops.names
-        self.rolls = rolls(system)
+        self.rolls = has_velocity_constraints(system)
         self.scale: Array = loops.scale
         self.at_v = layout.vector_v
         self.at_q = layout.vector_q
         self.lower = system.lower[self.at_v]
         self.upper = system.upper[self.at_v]
-        self.bounds = one_sided_rows(self.closing)
+        self.bounds = pack_one_sided_rows(self.closing)
         self.upcoming: tuple[Any, Any] = None, None
         """A step that was computed ahead, after what asks for it."""
 
@@ -175,21 +175,21 @@ class ConstrainedSteps:
         """What constraints leave of the velocities at q (nq,), for dt. Errors: `InputError` for
         open loops.
         """
-        error, C = evaluate(self.closing, q, True, True)
+        error, C = evaluate_constraints(self.closing, q, True, True)
         worst = int(np.argmax(np.abs(error))) if len(error) else -1
         if len(error) and not abs(error[worst]) < OPEN:
             raise InputError(
                 f"the loops are open at q: {self.names[worst][0]!r} by {abs(error[worst]):.2g} "
                 "(radians, characteristic lengths); robot.assemble(start=q) closes them"
             )
-        between = self._between(q, dt)
+        between = self._compute_row_bounds(q, dt)
         if not self.rolls:
             return Left(Spectrum(C, 1.0).null(Level.CLOSED), np.zeros(self.system.nv), *between)
-        A, b = hard_rows(self.system, q, self.scale)
+        A, b = compute_unit_rows(self.system, q, self.scale)
         basis = Spectrum(np.concatenate([C, A]), 1.0).null(Level.CLOSED)
-        return Left(basis, at_rest(C, A, b), *between)
+        return Left(basis, find_shortest_velocity(C, A, b), *between)
 
-    def _between(self, q: Array, dt: float) -> tuple[Array, Array, Array]:
+    def _compute_row_bounds(self, q: Array, dt: float) -> tuple[Array, Array, Array]:
         """Declared one-sided rows (m, nv) of the scaled velocities, and between what they stay
         within dt.
         """
@@ -201,11 +201,11 @@ class ConstrainedSteps:
         scale = rows.scale[:k] / dt
         return G, scale * (rows.low[:k] - value), scale * (rows.high[:k] - value)
 
-    def _missed(self, x: Array, before: Array) -> tuple[Array, Array]:
+    def _evaluate_errors(self, x: Array, before: Array) -> tuple[Array, Array]:
         """What equations miss at x, and declared one-sided rows by more than `before`, with the
         rates of both.
         """
-        error, C = evaluate(self.closing, x, True, True)
+        error, C = evaluate_constraints(self.closing, x, True, True)
         if not self.bounds.declared:
             return error, C
         more, G = self.bounds.violated(x, before)
@@ -248,14 +248,16 @@ class ConstrainedSteps:
         multipliers.
         """
         pull = sum((s.A.T @ (s.b - s.A @ u) for s in stages if s.hard), np.zeros(len(u)))
-        C = evaluate(self.closing, q, True, True)[1]
-        A = hard_rows(self.system, q, self.scale)[0]
+        C = evaluate_constraints(self.closing, q, True, True)[1]
+        A = compute_unit_rows(self.system, q, self.scale)[0]
         bounds = np.eye(len(u))[(u <= low) | (u >= high)]
         forces = Spectrum(np.concatenate([A, C, bounds]).T).solve(pull, Level.CLOSED)[: len(A)]
         some = np.abs(forces) > PREVENTS * math.sqrt(float(pull @ pull))
         return tuple(
             dict.fromkeys(
-                name for (name, _), is_so in zip(row_names(self.system), some, strict=True) if is_so
+                name
+                for (name, _), is_so in zip(list_velocity_row_names(self.system), some, strict=True)
+                if is_so
             )
         )
 
@@ -305,7 +307,7 @@ class ConstrainedSteps:
         free = self.free(q, dt)
         if direction:
             after, u = self.straight(q, free, stages, low, high, dt, at)
-            if (share := led_on(stages[0].A, stages[0].b, u, low, high)) == 1.0:
+            if (share := compute_progress(stages[0].A, stages[0].b, u, low, high)) == 1.0:
                 return after, u, False
             other = self.towards(q, stages, low, high, damping, False, dt, at, slow)[1]
             return *self.after(q, share * u + (1.0 - share) * other, dt, low, high), False
@@ -319,7 +321,7 @@ class ConstrainedSteps:
         size = dt * float(u @ u)
         requested = [s.missed() for s in stages]
         still = size * dt <= ENOUGH**2
-        whole = speeds is None or part_within(u, low, high) == 1.0
+        whole = speeds is None or compute_feasible_fraction(u, low, high) == 1.0
         left = [s.missed(u) for s in stages]
         if not (whole or still):  # far away
             left = [s.missed() for s in at(self.after(q, u, dt, *wide)[0])]
@@ -368,7 +370,7 @@ class ConstrainedSteps:
                 <= before**2 - TAKEN * promise
             ):
                 if convex is None:
-                    u = part_within(u, low, high) * u
+                    u = compute_feasible_fraction(u, low, high) * u
                 elif speeds is not None:
                     u = self.velocity(free, own, *wide, damping, speeds=speeds, model=convex)
                 return *self.after(q, u, dt, low, high), False
@@ -440,7 +442,7 @@ class ConstrainedSteps:
             ends.append((s.low[kept], s.high[kept]))
         least, most = (np.concatenate(x) for x in zip(*ends, strict=True))
         step = ASIDE / dt * way
-        step = part_within(np.concatenate(rows) @ step, least, most) * step
+        step = compute_feasible_fraction(np.concatenate(rows) @ step, least, most) * step
         return step, -float(values[0]) * float(step @ step)
 
     def bend(self, q: Array, N: Array, stage: Stage, at: Callable[[Array], list[Stage]]) -> Bend:
@@ -450,7 +452,7 @@ class ConstrainedSteps:
         Loops stay closed to second order.
         """
 
-        def along(ways: Array) -> Array:
+        def compute_bends(ways: Array) -> Array:
             size = np.abs(ways).max(axis=1)
             moves = (DIFFERENCE / np.where(size > 0.0, size, 1.0))[:, None] * (ways @ N.T)
             ends = self.system.structure.layout.integrate_velocity(
@@ -459,15 +461,15 @@ class ConstrainedSteps:
             per = (size / (2.0 * DIFFERENCE))[:, None, None]
             k = len(ways)
             A = at(ends)[0].A
-            C = evaluate(self.closing, ends, True, True)[1]
+            C = evaluate_constraints(self.closing, ends, True, True)[1]
             A = (A[:k] - A[k:]) * per
             C = (C[:k] - C[k:]) * per
             if C.shape[-2]:
-                closing = evaluate(self.closing, q, True, True)[1]
+                closing = evaluate_constraints(self.closing, q, True, True)[1]
                 A = A - stage.A @ Spectrum(closing).inverse(Level.CLOSED) @ C
             return A @ N
 
-        return along
+        return compute_bends
 
     def curvature(
         self,
@@ -485,11 +487,11 @@ class ConstrainedSteps:
         differences.
         """
 
-        def push(x: Array, requested: list[Stage]) -> tuple[Array, Array]:
+        def evaluate_pull(x: Array, requested: list[Stage]) -> tuple[Array, Array]:
             """What the last stage pulls at (..., nv), and the rows (..., m, nv) that stay, at
             configurations.
             """
-            C = evaluate(self.closing, x, True, True)[1]
+            C = evaluate_constraints(self.closing, x, True, True)[1]
             s = requested[-1]
             out = np.maximum(s.low, 0.0) + np.minimum(s.high, 0.0)
             pull = np.einsum("...i,...ij->...j", s.b, s.A) + np.einsum(
@@ -497,16 +499,16 @@ class ConstrainedSteps:
             )
             return dt * pull, np.concatenate([C, *(t.A for t in requested[:-1])], axis=-2)
 
-        pull, rows = push(q, stages)
+        pull, rows = evaluate_pull(q, stages)
         at_bound = np.eye(len(u))[(u <= low) | (u >= high)]
-        rolling = hard_rows(self.system, q, self.scale)[0] if self.rolls else at_bound[:0]
+        rolling = compute_unit_rows(self.system, q, self.scale)[0] if self.rolls else at_bound[:0]
         held = np.concatenate([rows, rolling, at_bound])
         forces = (
             Spectrum(held.T).solve(pull, Level.CLOSED)[: len(rows)] if len(held) else np.zeros(0)
         )
         moves = DIFFERENCE * N.T * self.scale
         ends = self.system.structure.layout.integrate_velocity(q, np.concatenate([moves, -moves]))
-        pulled, kept = push(ends, at(ends)[: len(stages)])
+        pulled, kept = evaluate_pull(ends, at(ends)[: len(stages)])
         pulled = pulled - np.einsum("i,...ij->...j", forces, kept)
         H = (pulled[len(moves) :] - pulled[: len(moves)]) @ N / (2.0 * DIFFERENCE)
         return 0.5 * (H + H.T)
@@ -534,16 +536,16 @@ class ConstrainedSteps:
         )
         before = self.bounds.beyond(q, declared=True) if self.bounds.declared else x
         for _ in range(CORRECTIONS):
-            error, C = self._missed(x, before)
+            error, C = self._evaluate_errors(x, before)
             if np.abs(error).max(initial=0.0) <= CLOSED:
-                return self._inside(q, x)
+                return self._clamp_to_limits(q, x)
             moved = system.structure.layout.compute_difference(q, x) / self.scale
             least = np.minimum(low * dt - moved, 0.0)
             most = np.maximum(high * dt - moved, 0.0)
             more = -Spectrum(C).inverse(Level.CLOSED) @ error
             if (more < least).any() or (more > most).any():
                 H = C.T @ C + LEAST**2 * np.eye(len(more))
-                more = least_in_box(H, -C.T @ error, least, most)[0]
+                more = minimize_quadratic_in_box(H, -C.T @ error, least, most)[0]
             x = system.structure.layout.integrate_velocity(x, more * self.scale)
         return None
 
@@ -551,14 +553,14 @@ class ConstrainedSteps:
         """Scaled velocities (nv,) over dt for those at q: without slip in the middle of the way, to
         second order.
         """
-        A, b = hard_rows(
+        A, b = compute_unit_rows(
             self.system,
             self.system.structure.layout.integrate_velocity(q, 0.5 * dt * u * self.scale),
             self.scale,
         )
         return u - Spectrum(A).inverse(Level.CLOSED) @ (A @ u - b)
 
-    def _inside(self, q: Array, x: Array) -> Array:
+    def _clamp_to_limits(self, q: Array, x: Array) -> Array:
         """x, its limits kept to the last bit where q kept them."""
         now = q[self.at_q]
         x[self.at_q] = np.clip(
@@ -602,7 +604,7 @@ class _Descent:
         slack = BEYOND * np.maximum(1.0, np.abs(value))
         out = (value < stage.low - slack) | (value > stage.high + slack)
         if stage.hard:
-            self._bound(G[~out], stage.low[~out], stage.high[~out])
+            self._add_bounds(G[~out], stage.low[~out], stage.high[~out])
         free = self.free
         equations = np.concatenate([A, G[out]]) @ free
         wish = np.concatenate(
@@ -615,9 +617,11 @@ class _Descent:
         high = np.maximum(high, 0.0)
         if len(wish) and free.shape[1]:
             if twist is not None and twist.kept:
-                y = scaled(equations, wish, low, high, twist.dt, twist.bend, self.G @ free, None)
+                y = scale_solution_to_bounds(
+                    equations, wish, low, high, twist.dt, twist.bend, self.G @ free, None
+                )
             elif twist is not None:
-                y = damped(
+                y = minimize_damped_residual(
                     equations, wish, low, high, damping, self.G @ free, None, twist.bend, SHIFT
                 )
             else:
@@ -627,20 +631,24 @@ class _Descent:
                         + G[out].T @ np.clip(value, stage.low, stage.high)[out]
                         - model @ self.z
                     )
-                    equations, wish = convex(free.T @ model @ free, pull, equations, damping)
+                    equations, wish = make_convex_problem(
+                        free.T @ model @ free, pull, equations, damping
+                    )
                     damping = 0.0
-                y = damped(equations, wish, low, high, damping, self.G @ free, None)
+                y = minimize_damped_residual(
+                    equations, wish, low, high, damping, self.G @ free, None
+                )
             self.z = self.z + free @ (
-                y if self.speeds is None else self._slowed(y, equations, low, high)
+                y if self.speeds is None else self._slow_velocities(y, equations, low, high)
             )
         if stage.hard and out.any():
             value = G[out] @ self.z
-            self._bound(
+            self._add_bounds(
                 G[out], np.minimum(stage.low[out], value), np.maximum(stage.high[out], value)
             )
         self.free = free @ Spectrum(A @ free, 1.0).null(Level.CLOSED)
 
-    def _slowed(self, y: Array, equations: Array, low: Array, high: Array) -> Array:
+    def _slow_velocities(self, y: Array, equations: Array, low: Array, high: Array) -> Array:
         """y (k,) of the free velocities, shortened until limits of speed alone hold, then the
         nearest that is left.
         """
@@ -648,7 +656,7 @@ class _Descent:
         rows = self.N @ self.free
         (least, most) = self.speeds
         now = self.N @ self.z
-        y = part_within(rows @ y, least, most) * y
+        y = compute_feasible_fraction(rows @ y, least, most) * y
         value = rows @ y
         least = np.minimum(least - now, 0.0)
         most = np.maximum(most - now, 0.0)
@@ -659,15 +667,15 @@ class _Descent:
         high = np.append(most, high)
         weak = SHIFT * NEAR * (float(np.linalg.norm(equations, 2)) or 1.0)
         metric = np.concatenate([equations, weak * np.eye(len(y))])
-        return bounded(metric, metric @ y, low, high, G)
+        return minimize_bounded_residual(metric, metric @ y, low, high, G)
 
-    def _bound(self, G: Array, low: Array, high: Array) -> None:
+    def _add_bounds(self, G: Array, low: Array, high: Array) -> None:
         self.G = np.concatenate([self.G, G])
         self.low = np.concatenate([self.low, low])
         self.high = np.concatenate([self.high, high])
 
 
-def convex(H: Array, pull: Array, J: Array, damping: float) -> tuple[Array, Array]:
+def make_convex_problem(H: Array, pull: Array, J: Array, damping: float) -> tuple[Array, Array]:
     """Rows and wish (n,) of the least squares that a Hessian, its curvatures made positive, and a
     pull stand for.
 
@@ -683,7 +691,7 @@ def convex(H: Array, pull: Array, J: Array, damping: float) -> tuple[Array, Arra
     return np.sqrt(size)[:, None] * V.T, (pull @ V) / np.sqrt(size)
 
 
-def stages_of(problem: Demands, q: Array, dt: float) -> list[Stage]:
+def list_stages(problem: Demands, q: Array, dt: float) -> list[Stage]:
     """What tasks ask of the velocities at q (..., nq), level by level: that what they miss is gone
     after dt.
     """

@@ -39,7 +39,7 @@ from kempe.inverse.chain.serial_chain import (
     list_slides,
 )
 from kempe.inverse.derivative import compute_derivative
-from kempe.inverse.multi_start import run
+from kempe.inverse.multi_start import solve_targets
 from kempe.inverse.numeric import SOLVERS
 from kempe.inverse.tasks import freedoms
 from kempe.kernels.forward.table_layout import (
@@ -172,7 +172,7 @@ def _solve_target(
     The first start is `near`.
     """
     seeds = task.chain.no_seed if near is None else near.reshape(1, 1, -1)
-    q, _, info = run(task, seeds, 1, limits, target)
+    q, _, info = solve_targets(task, seeds, 1, limits, target)
     return q[0] if info[0, 0] == Status.SOLVED else None
 
 
@@ -365,7 +365,7 @@ def _prove_outside_limits(task: FrameProblem, target: Array) -> Evidence | None:
         return None
     if is_moved_by_loop(system, task.frame) or has_shared_coordinates(system, task.frame):
         return None
-    from kempe.inverse.solve_all import SINGLE, by_chain
+    from kempe.inverse.solve_all import SINGLE, solve_by_chain
 
     if task.name == "position":
         goal = np.eye(4)
@@ -382,7 +382,7 @@ def _prove_outside_limits(task: FrameProblem, target: Array) -> Evidence | None:
         targets=goal[None],
     )
     try:
-        found = by_chain(problem)
+        found = solve_by_chain(problem)
     except UnsupportedError:
         return None
     if not found.complete or not len(found.q) or found.families:
@@ -464,11 +464,11 @@ def describe_solver(solution: Solution) -> Choice:
 def analyse_answer(solution: Solution) -> tuple[int, int, int, Array]:
     """Compute equations m, freedoms n, rank, and a basis (nv, k) of self-motions of one answer."""
     from kempe.answers.targets import of_target
-    from kempe.inverse.tasks.search import pose_problem
+    from kempe.inverse.tasks.search import make_demands
 
     task = solution.task
     goals = of_target(task.frame, task.name, task.axis, task.targets[0])
-    return freedoms.analyse(pose_problem(task.system, goals, solution.q)[0], solution.q)
+    return freedoms.analyse_freedoms(make_demands(task.system, goals, solution.q)[0], solution.q)
 
 
 ROW = SolutionRow(explain_target, describe_solver, list_proofs, compute_derivative, analyse_answer)

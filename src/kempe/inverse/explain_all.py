@@ -21,7 +21,7 @@ from kempe.inverse.closed_forms.plan import count_chain_freedoms as rank_of
 from kempe.inverse.closed_forms.structure import Strategy
 from kempe.inverse.explain import suggest_tolerance
 from kempe.inverse.families import Family, find_families
-from kempe.inverse.nearest import aim_of, held_coordinates, nearest
+from kempe.inverse.nearest import find_nearest_configuration, list_held_coordinates, make_aim
 from kempe.kernels.base.search_layout import LARGEST
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.closed_form.analytic_layout import AT_REST, COUPLED, PLANE, POINT, X_FIRST
@@ -71,7 +71,7 @@ def explain_target(solutions: Solutions, index: int) -> str:
             f"no solution: the target has an entry of {size:.3g}; allowed are numbers below "
             f"{LARGEST:g}"
         )
-    _, position, angle = nearest(solutions, index)
+    _, position, angle = find_nearest_configuration(solutions, index)
     problem = solutions.problem
     plan = solutions.plan
     spare = plan.spare_joints
@@ -171,7 +171,7 @@ def _list_held_values(
     solutions: Solutions, index: int, joints: list[int]
 ) -> list[tuple[str, float]]:
     """List the held joints with their values for target number `index`."""
-    q = held_coordinates(solutions, index)
+    q = list_held_coordinates(solutions, index)
     names = solutions.plan.lines.names
     return [(names[i], float(q[i])) for i in joints]
 
@@ -257,8 +257,8 @@ def _prove_no_root(solutions: Solutions, index: int) -> Evidence | None:
     way = solutions.plan.way
     if way is None or way.mode in (AT_REST, COUPLED):
         return None
-    theta = plan.lines.compute_theta(held_coordinates(solutions, index))
-    terms = compute_outer_terms(plan, theta, aim_of(solutions, index).target)
+    theta = plan.lines.compute_theta(list_held_coordinates(solutions, index))
+    terms = compute_outer_terms(plan, theta, make_aim(solutions, index).target)
     slides = np.concatenate([plan.lines.kinds, plan.extra.kinds]) == SLIDE
     first, second = (0, 1) if way.mode == X_FIRST else (1, 0)
     joint = [way.order[(way.inner + 3) % 6], way.order[(way.inner + 5) % 6]]
@@ -368,5 +368,7 @@ def describe_solver(solutions: Solutions) -> Choice:
     return choose(SOLVERS, verb_problem)[1]
 
 
-ROW = SolutionsRow(explain_target, describe_solver, describe_held_joints, nearest, find_families)
+ROW = SolutionsRow(
+    explain_target, describe_solver, describe_held_joints, find_nearest_configuration, find_families
+)
 """What `ik_all` says of its answers."""

@@ -21,11 +21,11 @@ from kempe.inverse.answer import Reached, SolutionRow
 from kempe.inverse.chain.serial_chain import list_slides
 from kempe.inverse.explain import suggest_tolerance
 from kempe.inverse.numeric import SOLVERS
-from kempe.inverse.tasks.contradictions import contradictions
+from kempe.inverse.tasks.contradictions import list_contradictions
 from kempe.inverse.tasks.demands import STARTS
-from kempe.inverse.tasks.freedoms import Local, analyse
-from kempe.inverse.tasks.reach_bounds import beyond
-from kempe.inverse.tasks.search import judge
+from kempe.inverse.tasks.freedoms import Local, analyse_freedoms
+from kempe.inverse.tasks.reach_bounds import compute_excess_distances
+from kempe.inverse.tasks.search import make_checked_answer
 from kempe.model.characteristic_length import compute_characteristic_length
 from kempe.spatial import Array
 from kempe.status import Status
@@ -137,7 +137,7 @@ def _solve_tasks(
     """Solve for a configuration (nq,) that holds only the given hard tasks, or None."""
     part = problem.only(tasks, limits, one_sided)
     found, info = part.run(q[None])
-    return found[0] if judge(part, found, info) else None
+    return found[0] if make_checked_answer(part, found, info) else None
 
 
 def _list_reasons(problem: Demands, q: Array) -> list[Any]:
@@ -203,7 +203,7 @@ def list_proofs(answer: Reached, index: tuple[int, ...]) -> tuple[Evidence, ...]
 def _find_contradictions(problem: Demands) -> list[Evidence]:
     """Find pairs of tasks that exclude each other, with the reason."""
     out: dict[tuple[int, int], Evidence] = {}
-    for i, j, found in contradictions(problem):
+    for i, j, found in list_contradictions(problem):
         off = float(np.ravel(found.off)[0])
         if off > 0.0 and (i, j) not in out:
             first = problem.tasks[i].label
@@ -222,7 +222,9 @@ def _find_contradictions(problem: Demands) -> list[Evidence]:
 def _prove_out_of_reach(problem: Demands, i: int) -> Evidence | None:
     """Prove that lengths put a task out of reach, and by how much."""
     task = problem.tasks[i]
-    place, turned = beyond(problem, task, problem.goals[i]).reshape(-1, 2)[0].tolist()
+    place, turned = (
+        compute_excess_distances(problem, task, problem.goals[i]).reshape(-1, 2)[0].tolist()
+    )
     slides: dict[str, None] = {}
     if task.frame_shape is not None:
         slides = {
@@ -249,7 +251,7 @@ def _prove_overdetermined(problem: Demands, q: Array, tasks: list[int]) -> Evide
     """Prove that tasks have more equations than the system has freedoms; None for large systems."""
     if problem.system.nv > MOST_COORDINATES:
         return None
-    equations, freedoms = analyse(problem.only(tasks), q)[:2]
+    equations, freedoms = analyse_freedoms(problem.only(tasks), q)[:2]
     return (
         evidence("rank", equations=equations, freedoms=freedoms) if freedoms < equations else None
     )
@@ -271,7 +273,7 @@ def _compute_derivatives(answer: Reached) -> dict[str, Array]:
 
 def _analyse_answer(answer: Reached) -> tuple[int, int, int, Array]:
     """Compute equations m, freedoms n, rank, and a basis (nv, k) of self-motions of an answer."""
-    return analyse(answer.problem, answer.q)
+    return analyse_freedoms(answer.problem, answer.q)
 
 
 ROW = SolutionRow(

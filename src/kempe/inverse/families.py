@@ -22,10 +22,10 @@ from kempe.arrays import is_whole, read_reals
 from kempe.errors import InputError
 from kempe.inverse.closed_forms.descent import Aim
 from kempe.inverse.closed_forms.plan import SEARCH
-from kempe.inverse.nearest import aim_of, held_coordinates
+from kempe.inverse.nearest import list_held_coordinates, make_aim
 from kempe.kernels.closed_form import analytic_layout as A
-from kempe.numerics.curves import NONE, Curve, Node, step, walk
-from kempe.numerics.newton import GaussNewtonEnd, gauss_newton, gauss_newton_of_many
+from kempe.numerics.curves import NONE, Curve, Node, find_next_node, walk_curve
+from kempe.numerics.newton import GaussNewtonEnd, run_gauss_newton, run_many_gauss_newton
 from kempe.numerics.rank import Spectrum
 from kempe.spatial import Array
 from kempe.words import InWords, join_words, spell_count
@@ -125,7 +125,7 @@ class SolutionSet(Curve):
 
         Joints that were held only because they are spare may move.
         """
-        aim = aim_of(solutions, index, spare=True)
+        aim = make_aim(solutions, index, spare=True)
         lines = aim.lines
         lever = lines.tip[:3, :3].T @ (lines.tip[:3, 3] - lines.o[-1])
         if len(aim.rows) < 6 or aim.slide_mask[-1] or np.linalg.norm(lever) <= LONG:
@@ -213,7 +213,7 @@ class SolutionSet(Curve):
             r, J = self.both(x)
             return np.append(r, still), np.vstack([J, across])
 
-        x, r, J = gauss_newton(evaluate_rows, x, CORRECTIONS, met=ROUNDING)
+        x, r, J = run_gauss_newton(evaluate_rows, x, CORRECTIONS, met=ROUNDING)
         return GaussNewtonEnd(x, r[: -len(across)], J[: -len(across)])
 
     def corrected(self, x: Array, across: Array) -> GaussNewtonEnd | None:
@@ -243,7 +243,7 @@ class SolutionSet(Curve):
             rows = np.concatenate([J, (away / size[:, None])[:, None]], axis=1)
             return np.concatenate([r, (size - distance)[:, None]], axis=1), rows
 
-        theta = gauss_newton_of_many(evaluate_rows, x + distance * ways, 2 * CORRECTIONS)
+        theta = run_many_gauss_newton(evaluate_rows, x + distance * ways, 2 * CORRECTIONS)
         out: list[Array] = []
         for y in theta[np.isfinite(theta[:, 0])]:
             on_target = self.measure_error(self.both(y)[0]) <= SLACK * self.allowed
@@ -339,10 +339,10 @@ class SolutionSet(Curve):
         nodes = [first]
 
         def take_step(a: Node, h: float) -> list[Node] | None:
-            b = step(self, a, h)
+            b = find_next_node(self, a, h)
             return None if b is None else [b]
 
-        for b in walk(first, take_step, LONGEST, REACH):
+        for b in walk_curve(first, take_step, LONGEST, REACH):
             if len(nodes) > 3 and self._passes_node(nodes[-1], b, first):
                 return nodes, "closed"
             nodes.append(b)
@@ -638,7 +638,7 @@ def _read_left_out_samples(solutions: Solutions, index: int) -> Array:
     sampled = solutions._used_rows[index] & (solutions._code[index] < A.MULTIPLICITY_UNIT)
     if plan.method == SEARCH or not (sampled.any() and solutions._used_rows[index].all()):
         return np.zeros((0, n))
-    target = aim_of(solutions, index).target[None]
+    target = make_aim(solutions, index).target[None]
     near = solutions._base[index if len(solutions._base) > 1 else 0]
     target[0, :3, 3] = target[0, :3, 3] * plan.lines.length + plan.lines.origin
     out = np.empty((1, ROOM, n + A.INFO))
@@ -646,7 +646,7 @@ def _read_left_out_samples(solutions: Solutions, index: int) -> Array:
     plan.fill_solutions(
         target,
         np.ascontiguousarray(near[plan.lines.q_index])[None],
-        held_coordinates(solutions, index)[None],
+        list_held_coordinates(solutions, index)[None],
         tolerance,
         tolerance,
         0,

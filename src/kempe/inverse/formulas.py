@@ -30,7 +30,7 @@ from kempe.answers.derivation import (
 )
 from kempe.arguments import explain_errors, numbers
 from kempe.arrays import is_whole
-from kempe.equations.closure_rows import of_system
+from kempe.equations.closure_rows import list_constraints
 from kempe.errors import InputError, UnsupportedError, format_value
 from kempe.forward.joint_lines import JointLine
 from kempe.forward.symbolic import SymbolLeaves, sympy
@@ -605,7 +605,7 @@ def derive_ik(
     (-l1**2 - l2**2 + r2)/(2*l1*l2)
     """
     name = system.structure.frame_name(frame)
-    if of_system(system):
+    if list_constraints(system):
         raise UnsupportedError(f"formulas for {name!r} need an open chain; ik_all gives numbers")
     leaves = SymbolLeaves(system, symbols or {}, snap)
     joints, tip = derive_joint_lines(

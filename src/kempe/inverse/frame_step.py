@@ -26,11 +26,11 @@ from kempe.numerics.least_squares import (
     NOISE,
     SHIFT,
     Bend,
-    damped,
-    least_in_box,
-    part_within,
-    scaled,
-    wish,
+    compute_feasible_fraction,
+    minimize_damped_residual,
+    minimize_quadratic_in_box,
+    scale_solution_to_bounds,
+    solve_unbounded_wish,
 )
 from kempe.spatial import Array
 
@@ -85,7 +85,7 @@ HALVINGS = 6
 that is kept."""
 
 
-def pose_error(goal: Array, pose: Array) -> Array:
+def compute_pose_error(goal: Array, pose: Array) -> Array:
     """What is missing (6,) of a pose: [position; rotation vector] in ground axes."""
     out = np.empty(6)
     out[:3] = goal[:3, 3] - pose[:3, 3]
@@ -132,13 +132,17 @@ class Approach:
         self.slow = slow
         self.calm = False
         """A speed that no joint exceeds in the next cycle, where it is `calm`."""
-        self.e = pose_error(goal, pose)
+        self.e = compute_pose_error(goal, pose)
         self.J = J
         self.metric = servo.metric if weights is None else servo.metric * weights
         self.missing = self.metric * self.e
         self.even = weights is None or weights[3] == weights[4] == weights[5]
         """Whether the logarithm's own derivative leaves the gradient alone."""
-        self.A = self.metric[:, None] * (J if self.even else turned(self.e[3:], J)) * servo.unit
+        self.A = (
+            self.metric[:, None]
+            * (J if self.even else convert_angular_rows(self.e[3:], J))
+            * servo.unit
+        )
         self.square = float(self.missing @ self.missing)
 
     def go(
@@ -155,9 +159,13 @@ class Approach:
         if not direction:
             return self.nearer(A, b, low, high, rest, damping, weights)
         bend = self.servo.bend(self.before, weights)
-        straight = self.shortened(scaled(A, b, low, high, self.dt, bend, near=self.servo.near))
+        straight = self.shortened(
+            scale_solution_to_bounds(A, b, low, high, self.dt, bend, near=self.servo.near)
+        )
         unit = self.servo.unit
-        share = led_on(self.A, self.missing / self.dt, straight / unit, low / unit, high / unit)
+        share = compute_progress(
+            self.A, self.missing / self.dt, straight / unit, low / unit, high / unit
+        )
         if share == 1.0:
             return straight
         return share * straight + (1.0 - share) * self.nearer(
@@ -180,14 +188,16 @@ class Approach:
         together.
         """
         near = self.servo.near
-        wished = wish(A, b, damping, near, RESIDUAL * math.sqrt(self.square))
+        wished = solve_unbounded_wish(A, b, damping, near, RESIDUAL * math.sqrt(self.square))
         x = wished.x
         least, most = self.servo.box(self.before, self.dt, self.servo.unbounded)
         if whole := bool((x >= least).all() and (x <= most).all()):
-            part = part_within(x, low, high)
+            part = compute_feasible_fraction(x, low, high)
         else:
-            x = damped(A, b, least, most, damping, near=near, shift=SHIFT, wished=wished)
-            part = 0.0 if rest.any() else part_within(x, low, high)
+            x = minimize_damped_residual(
+                A, b, least, most, damping, near=near, shift=SHIFT, wished=wished
+            )
+            part = 0.0 if rest.any() else compute_feasible_fraction(x, low, high)
         part = min(part, LARGEST / max(float(np.abs(x * self.dt / self.servo.unit).max()), 1e-300))
         left = self.left(part * x) if part else self.square
         gain = (1.0 - math.sqrt(left / self.square)) / part if part else 0.0
@@ -197,7 +207,7 @@ class Approach:
         y = self.second_order(least, most, wished.rows)
         if rest.any():
             return np.minimum(np.maximum(y, low), high)
-        y = part_within(y, low, high) * y
+        y = compute_feasible_fraction(y, low, high) * y
         share = max(0.0, (gain - LITTLE_GAIN) / (ENOUGH_GAIN - LITTLE_GAIN))
         return share * part * x + (1.0 - share) * y
 
@@ -217,7 +227,7 @@ class Approach:
         """Square of the error after velocities (n,)."""
         servo = self.servo
         pose = servo.query(servo.after(self.before, servo.spread(velocity), self.dt))
-        missing = self.metric * pose_error(self.goal, pose)
+        missing = self.metric * compute_pose_error(self.goal, pose)
         return float(missing @ missing)
 
     def shortened(self, velocity: Array) -> Array:
@@ -256,14 +266,14 @@ class Approach:
         model = H + weak.T @ weak if len(weak) else H
         more = 0.0
         for _ in range(TRIALS):
-            z, curvature, way = newton_step(model, push, least, most)
+            z, curvature, way = compute_newton_step(model, push, least, most)
             z[idle] = rest[idle]
             promise = 2.0 * float(push @ z) - float(z @ H @ z)
             # damping hides where the error itself curves down
             if promise <= BLIND * self.square and len(weak):
-                curvature, way = newton_step(H, push, least, most)[1:]
+                curvature, way = compute_newton_step(H, push, least, most)[1:]
             if promise <= BLIND * self.square and curvature < 0.0:
-                z = aside(z, way if push @ way >= 0.0 else -way, least, most)
+                z = move_along_direction(z, way if push @ way >= 0.0 else -way, least, most)
                 promise = 2.0 * float(push @ z) - float(z @ H @ z)
             if rest.any():  # what is outside its limits comes back
                 return unit * z / dt
@@ -292,7 +302,7 @@ class Approach:
         J = servo.query.pose_and_jacobian(servo.beside(self.before, DIFFERENCE * servo.unit))[1]
         ahead = J[: len(servo.v)]
         behind = J[len(servo.v) :]
-        rate = w[:, None] * turned(self.e[3:], self.J) * servo.unit
+        rate = w[:, None] * convert_angular_rows(self.e[3:], self.J) * servo.unit
         forces = ((w * self.missing) @ (ahead - behind))[:, servo.v] * servo.unit
         H = self.A.T @ rate - forces / (2.0 * DIFFERENCE)
         return 0.5 * (H + H.T)
@@ -306,14 +316,16 @@ class Approach:
         pushes: list[Array] = []
         for q in servo.beside(self.before, DIFFERENCE * servo.unit):
             pose, J = servo.query.pose_and_jacobian(q)
-            e = pose_error(self.goal, pose)
-            pushes.append((w * e) @ (w[:, None] * turned(e[3:], J[:, servo.v]) * servo.unit))
+            e = compute_pose_error(self.goal, pose)
+            pushes.append(
+                (w * e) @ (w[:, None] * convert_angular_rows(e[3:], J[:, servo.v]) * servo.unit)
+            )
         ahead, behind = np.reshape(pushes, (2, len(servo.v), len(servo.v)))
         H = (behind - ahead) / (2.0 * DIFFERENCE)
         return 0.5 * (H + H.T)
 
 
-def led_on(A: Array, b: Array, x: Array, low: Array, high: Array) -> float:
+def compute_progress(A: Array, b: Array, x: Array, low: Array, high: Array) -> float:
     """How far straight velocities x (n,) in a box lead on, from 0 to 1.
 
     By the decrease of what is missed for what the joints move, and by how much of the room that the
@@ -334,7 +346,7 @@ def led_on(A: Array, b: Array, x: Array, low: Array, high: Array) -> float:
     )
 
 
-def turned(r: Array, J: Array) -> Array:
+def convert_angular_rows(r: Array, J: Array) -> Array:
     """A Jacobian (6, n) whose angular rows are the rates of what is missing, the rotation vector r,
     not of turns.
     """
@@ -349,17 +361,19 @@ def turned(r: Array, J: Array) -> Array:
     return out
 
 
-def newton_step(H: Array, push: Array, low: Array, high: Array) -> tuple[Array, float, Array]:
+def compute_newton_step(
+    H: Array, push: Array, low: Array, high: Array
+) -> tuple[Array, float, Array]:
     """The z (n,) in a box that makes z H z / 2 - push z least, H's curvatures made positive; also
     the least curvature of what is free, where it is negative, and its direction (n,).
     """
     values, V = np.linalg.eigh(H)
     most = max(float(-values[0]), float(values[-1]), 1e-300)
     if values[0] > FLAT * most:
-        return least_in_box(H, push, low, high)[0], 0.0, push
+        return minimize_quadratic_in_box(H, push, low, high)[0], 0.0, push
     size = np.abs(values)
     size[size <= FLAT * most] = most  # nothing is gained there
-    z, free = least_in_box((V * size) @ V.T, push, low, high)
+    z, free = minimize_quadratic_in_box((V * size) @ V.T, push, low, high)
     own = free.nonzero()[0]
     if values[0] >= -SADDLE * most or not len(own):
         return z, 0.0, z
@@ -374,7 +388,7 @@ def newton_step(H: Array, push: Array, low: Array, high: Array) -> tuple[Array, 
     return z, min(float(some[0]) + SADDLE * most, 0.0), way
 
 
-def aside(z: Array, way: Array, low: Array, high: Array) -> Array:
+def move_along_direction(z: Array, way: Array, low: Array, high: Array) -> Array:
     """z (n,) moved along a way, as far as the box and a small step let it."""
     moves = np.abs(way) > 1e-12
     room = np.where(way > 0.0, high - z, z - low)[moves] / np.abs(way[moves])
@@ -456,7 +470,7 @@ class Servo:
             own = approach.go(low, high, damping, w, direction)
             return Move(own, low, high, J, approach.e / dt, approach.calm)
         A, b = (J, x) if w is None else (w[:, None] * J, w * x)
-        wished = wish(A, b, damping, self.near)
+        wished = solve_unbounded_wish(A, b, damping, self.near)
         if (
             len(wished.s)
             and wished.s[-1] >= self.near
@@ -469,9 +483,9 @@ class Servo:
                 return Move(own, low, high, J, x, calm)
         bend = self.bend(q, w)
         if direction:
-            own = scaled(A, b, low, high, dt, bend, near=self.near)
+            own = scale_solution_to_bounds(A, b, low, high, dt, bend, near=self.near)
         else:
-            own = damped(
+            own = minimize_damped_residual(
                 A, b, low, high, damping, near=self.near, bend=bend, shift=SHIFT, wished=wished
             )
         return Move(own, low, high, J, x, False)
@@ -502,7 +516,7 @@ class Servo:
         central differences.
         """
 
-        def along(ways: Array) -> Array:
+        def compute_bends(ways: Array) -> Array:
             size = np.abs(ways / self.unit).max(axis=1)
             steps = np.zeros((len(ways), self.system.nv))
             steps[:, self.v] = (DIFFERENCE / np.where(size > 0.0, size, 1.0))[:, None] * ways
@@ -513,7 +527,7 @@ class Servo:
             out = (J[: len(ways)] - J[len(ways) :]) * (size / (2.0 * DIFFERENCE))[:, None, None]
             return out if weights is None else weights[:, None] * out
 
-        return along
+        return compute_bends
 
     def spread(self, velocity: Array) -> Array:
         """Velocities (nv,) of the system, those of the chain (n,) given, the others zero."""

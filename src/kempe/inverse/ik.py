@@ -32,7 +32,7 @@ from kempe.inverse import multi_start
 from kempe.inverse.answer import Solution
 from kempe.inverse.chain import problem
 from kempe.inverse.chain.problem import FEW, ITERATIONS, MOST, TOLERANCE, FrameProblem
-from kempe.inverse.numeric import BATCH, BY_TASKS, METHODS, SOLVERS, USUAL, with_history
+from kempe.inverse.numeric import BATCH, BY_TASKS, METHODS, SOLVERS, USUAL, add_history
 from kempe.kernels.base.search_layout import ANSWER, STATUS
 from kempe.kernels.compiled import make_allocator, schedule
 from kempe.kernels.forward.table_layout import HAS_QUATERNION
@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 LENGTH, ANGLE = TOLERANCE
 
 
-def bind(question: FrameProblem, task: str | None, shape: tuple[int, ...]) -> None:
+def bind_call(question: FrameProblem, task: str | None, shape: tuple[int, ...]) -> None:
     """Let calls like this one go by a `BoundIk` from now on, if they are plain enough."""
     system = question.system
     chain = question.chain
@@ -112,17 +112,17 @@ class BoundIk:
         """The problem, for poses (1, 4, 4)."""
         return replace(self.requested, targets=X)
 
-    def _pose(self, target: Array) -> Array:
+    def _make_pose(self, target: Array) -> Array:
         """A position as (1, 4, 4)."""
         X = self.unmoved.copy()
         X[0, : self.shape[0], 3] = target
         return X
 
     @quiet
-    def _go_on(self, X: Array, seeds: Array, out: Array) -> None:
+    def _continue_search(self, X: Array, seeds: Array, out: Array) -> None:
         """Search further, from other starts."""
         head = (self.chain.ints, self.chain.floats, self.chain.limits, self.rows, X, seeds, 0)
-        multi_start.go_on(self.task(X), X, head, FEW, out)
+        multi_start.continue_search(self.task(X), X, head, FEW, out)
 
     def __call__(self, target: Array, start: Any) -> Solution | None:
         """The answer for a target, None where target or seed need the general solver."""
@@ -145,7 +145,7 @@ class BoundIk:
             base = start
             seeds = (start if self.whole else start[self.part]).reshape(1, 1, n)
         out = self.new()
-        X = target.copy()[None] if self.posed else self._pose(target)  # the answer keeps it
+        X = target.copy()[None] if self.posed else self._make_pose(target)  # the answer keeps it
         try:
             missed = self.reach(
                 chain.ints,
@@ -167,7 +167,7 @@ class BoundIk:
             return None
         row = out[0]
         if missed:
-            self._go_on(X, seeds, out)
+            self._continue_search(X, seeds, out)
             if row[n + STATUS] == Status.BAD_INPUT:
                 return None
         if self.whole:
@@ -210,7 +210,7 @@ def ik(
     """A configuration in which `frame` reaches `target` (the inverse geometric model), always
     inside the limits.
 
-    Without a frame `target` are tasks, see `kempe.inverse.tasks.search.reach`.
+    Without a frame `target` are tasks, see `kempe.inverse.tasks.search.reach_tasks`.
     `target` is a pose (..., 4, 4) in the ground frame (in planar systems also (..., 3, 3), and,
     with ``task="pose"``, x, y and angle (..., 3)), or a position (..., 3) (in planar systems also
     (..., 2)), or an object or words that say one (`kempe.poses.read_pose_array`), or the name of a
@@ -247,7 +247,7 @@ def ik(
     that have no analytic solution inside the limits get the numeric answer.
     """
     if frame is not None:
-        return _of_frame(
+        return _solve_frame(
             system,
             target,
             frame,
@@ -270,7 +270,7 @@ def ik(
     return solve(SOLVERS, problem)
 
 
-def _of_frame(
+def _solve_frame(
     system: Model,
     target: Any,
     frame: FrameLike,
@@ -286,9 +286,9 @@ def _of_frame(
     name = system.structure.frame_name(frame)
     target = given_target(system, target)
     said, axis = task_and_axis(task)
-    requested, targets, lead = _checked(system, name, target, said, axis)
+    requested, targets, lead = _check_targets(system, name, target, said, axis)
     if start is not None:
-        targets, lead, start = _together(targets, lead, read_start(system, start))
+        targets, lead, start = _broadcast_targets(targets, lead, read_start(system, start))
     if method not in METHODS:
         raise InputError(f"method is {method!r}; it must be one of {', '.join(map(repr, METHODS))}")
     if prefer is not None and method != "numeric":
@@ -311,14 +311,14 @@ def _of_frame(
     if method == "numeric":
         solver, choice = choose(SOLVERS, problem)
     else:
-        solver, choice, problem = _planned(problem)
+        solver, choice, problem = _choose_solver(problem)
     answer = chosen_by(solver.run(problem), choice)
     if not lead and task is said and solver is not BY_TASKS:
-        bind(answer.task, said, np.shape(target))
-    return with_history(answer, problem) if read_flag(history, "history") else answer
+        bind_call(answer.task, said, np.shape(target))
+    return add_history(answer, problem) if read_flag(history, "history") else answer
 
 
-def _together(
+def _broadcast_targets(
     targets: Array, lead: tuple[int, ...], start: Array
 ) -> tuple[Array, tuple[int, ...], Array]:
     """Targets (N, 4, 4), their leading shape and starts, one of which is for all of the others,
@@ -333,7 +333,7 @@ def _together(
     return np.ascontiguousarray(targets), many, np.broadcast_to(start, (*many, start.shape[-1]))
 
 
-def _planned(problem: Problem) -> tuple[Solver, Choice, Problem]:
+def _choose_solver(problem: Problem) -> tuple[Solver, Choice, Problem]:
     """Who answers, and by which method: numbers where the time does not last to plan a closed form."""
     time = TimeLimit((BATCH if problem.lead else USUAL).complete_budget(problem.budget).time_limit)
     time.put_in_order()  # a plan is made as a whole, or not at all
@@ -350,7 +350,7 @@ def _planned(problem: Problem) -> tuple[Solver, Choice, Problem]:
     return *choose(SOLVERS, problem), problem
 
 
-def _checked(
+def _check_targets(
     system: Model, frame: str, target: Any, task: str | None, axis: ArrayLike
 ) -> tuple[tuple[str, tuple[float, float, float]], Array, tuple[int, ...]]:
     """(task, axis), targets (N, 4, 4) and their leading shape."""

@@ -27,7 +27,7 @@ from kempe.errors import InputError
 from kempe.inverse.all_answer import Solutions
 from kempe.inverse.closed_forms.problem import read_fixed_values
 from kempe.inverse.solve_all import BATCH, SOLVERS, USUAL
-from kempe.numerics.clock import TimeLimit, begun_within
+from kempe.numerics.clock import TimeLimit, limit_preparation_time
 
 if TYPE_CHECKING:
     from kempe.assemble.modes import Modes
@@ -106,7 +106,7 @@ def ik_all(
     )
     time = TimeLimit((BATCH if lead else USUAL).complete_budget(budget).time_limit)
     time.put_in_order()  # a plan is made as a whole, or not at all
-    with begun_within(USUAL, time):
+    with limit_preparation_time(USUAL, time):
         solver, choice = choose(SOLVERS, problem)
     problem = problem._replace(options={"time": time})
     return chosen_by(solver.run(problem), choice)

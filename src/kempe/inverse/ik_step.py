@@ -12,13 +12,13 @@ import numpy as np
 from kempe.answers.answer import Answer
 from kempe.arguments import explain_errors, explain_method_errors
 from kempe.arrays import read_reals
-from kempe.equations.one_sided import one_sided_rows
-from kempe.equations.slip import rolls
+from kempe.equations.one_sided import pack_one_sided_rows
+from kempe.equations.slip import has_velocity_constraints
 from kempe.errors import InputError
 from kempe.forward.fk import query, refuse_bad_configuration
 from kempe.inverse.chain.serial_chain import find_obstacle
-from kempe.inverse.constrained_step import ConstrainedSteps, Stage, stages_of
-from kempe.inverse.frame_step import SLOW, Move, Servo, pose_error
+from kempe.inverse.constrained_step import ConstrainedSteps, Stage, list_stages
+from kempe.inverse.frame_step import SLOW, Move, Servo, compute_pose_error
 from kempe.kernels.forward.table_layout import BALL, TURN
 from kempe.model.configurations import read_q
 from kempe.model.model import keep_answers
@@ -169,24 +169,32 @@ def ik_step(
             f"configuration ({system.nq},), a positive time and a number not negative"
         )
     speed = (
-        speeds(system)
+        list_speed_limits(system)
         if velocity_limits is None
-        else _numbers(velocity_limits, system.nv, "velocity_limits")
+        else _parse_numbers(velocity_limits, system.nv, "velocity_limits")
     )
     default = ~np.isfinite(system.structure.velocity_limits) if velocity_limits is None else None
-    w = _numbers(weights, 6, "weights", True) if weights is not None else None
+    w = _parse_numbers(weights, 6, "weights", True) if weights is not None else None
     if frame is None:
         if keep_direction or w is not None:
             raise InputError(
                 "keep_direction and weights are for the twist of a frame; tasks have weights of "
                 "their own"
             )
-        return _held_step(system, q, wanted, None, dt, speed, default, damping, False, None)
+        return _make_constrained_step(
+            system, q, wanted, None, dt, speed, default, damping, False, None
+        )
     name = system.structure.frame_name(frame)
-    if rolls(system) or find_obstacle(system, name) or one_sided_rows(system).declared:
-        return _held_step(system, q, wanted, name, dt, speed, default, damping, keep_direction, w)
-    servo = _servo(system, name)
-    x = _motion(wanted)
+    if (
+        has_velocity_constraints(system)
+        or find_obstacle(system, name)
+        or pack_one_sided_rows(system).declared
+    ):
+        return _make_constrained_step(
+            system, q, wanted, name, dt, speed, default, damping, keep_direction, w
+        )
+    servo = _make_servo(system, name)
+    x = _parse_motion(wanted)
     fastest = speed[servo.v]
     case = (
         x.tobytes(),
@@ -197,23 +205,23 @@ def ik_step(
         None if w is None else w.tobytes(),
     )
 
-    def law(q: Array) -> Move:
+    def compute_move(q: Array) -> Move:
         if servo.upcoming[0] == (case, q.tobytes()):
             return servo.upcoming[1]
         return servo.move(q, x, dt, fastest, damping, keep_direction, w)
 
-    def after(part: float) -> Array:
+    def compute_velocity_after(part: float) -> Array:
         there = servo.after(q, servo.spread(part * own), dt)
-        move = law(there)
+        move = compute_move(there)
         servo.upcoming = (case, there.tobytes()), move
         return move.velocity
 
-    own, low, high, J, twist, calm = law(q)
+    own, low, high, J, twist, calm = compute_move(q)
     if not calm:
-        own = own * steady(after, own, fastest)
+        own = own * find_steady_fraction(compute_velocity_after, own, fastest)
     velocity = servo.spread(own)
     had = J @ own
-    part = _part(had, twist) if w is None else _part(w * had, w * twist)
+    part = _compute_fraction(had, twist) if w is None else _compute_fraction(w * had, w * twist)
     at = ((own <= low) | (own >= high)).nonzero()[0]
     names = tuple(servo.names[int(i)] for i in at)
     return IkStep(
@@ -223,11 +231,11 @@ def ik_step(
         part,
         names,
         system,
-        _at_default(system, names, velocity, speed, default),
+        _select_default_speeds(system, names, velocity, speed, default),
     )
 
 
-def _at_default(
+def _select_default_speeds(
     system: Model,
     saturated: tuple[str, ...],
     velocity: Array,
@@ -245,11 +253,11 @@ def _at_default(
     )
 
 
-def steady(after: Callable[[float], Array], velocity: Array, fastest: Array) -> float:
+def find_steady_fraction(after: Callable[[float], Array], velocity: Array, fastest: Array) -> float:
     """The part of the step by which no joint turns back at once, at more than `SLOW` of its speed
     (n,).
 
-    `after` gives the velocities (n,) that follow a part of the step. Where a joint turns back, a
+    `compute_velocity_after` gives the velocities (n,) that follow a part of the step. Where a joint turns back, a
     shorter step leads nearer to where its speed passes zero, and one at `SLOW` of the speeds
     across.
     """
@@ -271,11 +279,11 @@ def steady(after: Callable[[float], Array], velocity: Array, fastest: Array) -> 
 
 
 @keep_answers
-def _servo(system: Model, frame: str) -> Servo:
+def _make_servo(system: Model, frame: str) -> Servo:
     return Servo(system, frame)
 
 
-def _held_step(
+def _make_constrained_step(
     system: Model,
     q: Array,
     wanted: Any,
@@ -290,8 +298,8 @@ def _held_step(
     """A step for a frame, or for tasks, while the system's loops and relations stay closed."""
     if not np.isfinite(q).all():
         refuse_bad_configuration(system, q)
-    closed = _closed(system)
-    at, J, asked = _wanted(
+    closed = _make_constrained_steps(system)
+    at, J, asked = _read_wanted_motion(
         system, closed, q, wanted, frame, dt, np.ones(6) if weights is None else weights
     )
     low, high = closed.box(q, dt, speed)
@@ -307,20 +315,23 @@ def _held_step(
         None if weights is None else weights.tobytes(),
     )
 
-    def step(x: Array) -> tuple[Array, Array, bool]:
+    def compute_step(x: Array) -> tuple[Array, Array, bool]:
         if closed.upcoming[0] == (case, x.tobytes()):
             return closed.upcoming[1]
         return law(x, at(x), *closed.box(x, dt, speed), damping, direction, dt, at, slow)
 
-    def then(part: float) -> Array:
+    def compute_velocity_after(part: float) -> Array:
         there = after if part == 1.0 else closed.after(q, part * u, dt, low, high)[0]
-        found = step(there)
+        found = compute_step(there)
         closed.upcoming = (case, there.tobytes()), found
         return found[1]
 
     stages = at(q)
-    (after, u, calm) = step(q)
-    if not calm and (part := steady(then, u, speed / closed.scale)) < 1.0:
+    (after, u, calm) = compute_step(q)
+    if (
+        not calm
+        and (part := find_steady_fraction(compute_velocity_after, u, speed / closed.scale)) < 1.0
+    ):
         after, u = closed.after(q, part * u, dt, low, high)
     velocity = u * closed.scale
     near = BESIDE * np.maximum(1.0, np.abs(u))
@@ -329,7 +340,7 @@ def _held_step(
     had = np.concatenate([NONE, *(s.A @ u for s in stages if s.hard)])
     twist = had if frame is None else J @ velocity
     names = tuple(system.structure.velocity_names[int(i)] for i in at)
-    part = _part(had, requested)
+    part = _compute_fraction(had, requested)
     blocked = closed.blocking(q, stages, u, low, high) if part < WHOLE and closed.rolls else ()
     return IkStep(
         after,
@@ -338,12 +349,12 @@ def _held_step(
         part,
         names,
         system,
-        _at_default(system, names, velocity, speed, default),
+        _select_default_speeds(system, names, velocity, speed, default),
         blocked,
     )
 
 
-def _wanted(
+def _read_wanted_motion(
     system: Model,
     closed: ConstrainedSteps,
     q: Array,
@@ -357,7 +368,7 @@ def _wanted(
     """
 
     if frame is None:
-        problem = posed(system, wanted, q)
+        problem = make_step_problem(system, wanted, q)
         levels, strengths, *_ = problem.levels
         asked = (
             problem.packed,
@@ -365,52 +376,52 @@ def _wanted(
             np.asarray(levels).tobytes(),
             np.asarray(strengths).tobytes(),
         )
-        return lambda x: stages_of(problem, x, dt), NONE, asked
-    goal = _motion(wanted)
+        return lambda x: list_stages(problem, x, dt), NONE, asked
+    goal = _parse_motion(wanted)
     pose_of = query(system, frame)
 
-    def at(x: Array) -> list[Stage]:
+    def make_stages(x: Array) -> list[Stage]:
         pose, J = pose_of.pose_and_jacobian(x)
         if goal.ndim == 1:
             return [closed.twist(J, np.broadcast_to(goal, (*x.shape[:-1], 6)), weights)]
-        missing = np.array([pose_error(goal, X) for X in pose.reshape(-1, 4, 4)]).reshape(
+        missing = np.array([compute_pose_error(goal, X) for X in pose.reshape(-1, 4, 4)]).reshape(
             *x.shape[:-1], 6
         )
         return [closed.twist(J, missing / dt, weights)]
 
-    return at, pose_of.jacobian(q), (frame, goal.tobytes())
+    return make_stages, pose_of.jacobian(q), (frame, goal.tobytes())
 
 
-def posed(system: Model, wanted: Any, q: Array) -> Demands:
+def make_step_problem(system: Model, wanted: Any, q: Array) -> Demands:
     """The tasks of one step, checked and packed. Errors: `InputError` for a batch, and for goals
     that are none.
     """
-    from kempe.equations.packed_tasks import refuse
-    from kempe.inverse.tasks.search import pose_problem
+    from kempe.equations.packed_tasks import refuse_goal
+    from kempe.inverse.tasks.search import make_demands
 
-    problem, _ = pose_problem(system, wanted, q)
+    problem, _ = make_demands(system, wanted, q)
     if problem.lead:
         raise InputError(
             f"the goals have the leading shape {problem.lead}; one step has one goal for each task"
         )
     for task, goals in zip(problem.tasks, problem.goals, strict=True):
-        refuse(goals, task.label)
+        refuse_goal(goals, task.label)
     return problem
 
 
 @keep_answers
-def _closed(system: Model) -> Any:
+def _make_constrained_steps(system: Model) -> Any:
 
     return ConstrainedSteps(system)
 
 
-def _part(had: Array, requested: Array) -> float:
+def _compute_fraction(had: Array, requested: Array) -> float:
     """Which part of what is required is had."""
     square = float(requested @ requested)
     return float(requested @ had) / square if square else 1.0
 
 
-def _motion(wanted: Any) -> Array:
+def _parse_motion(wanted: Any) -> Array:
     """The twist (6,) or pose (4, 4) that is wanted, checked."""
     x = read_reals(
         read_pose_array(wanted, "the wanted motion"),
@@ -436,7 +447,7 @@ def _is_pose(x: Array) -> bool:
 
 
 @keep_answers
-def speeds(system: Model) -> Array:
+def list_speed_limits(system: Model) -> Array:
     """Largest speeds (nv,) of the steps, in rad/s and m/s: the system's velocity limits, else
     `TURNING` and `SLIDING`.
 
@@ -455,7 +466,7 @@ def speeds(system: Model) -> Array:
     return np.where(np.isfinite(given), given, usual)
 
 
-def _numbers(x: Any, n: int, what: str, finite: bool = False) -> Array:
+def _parse_numbers(x: Any, n: int, what: str, finite: bool = False) -> Array:
     try:
         out = np.broadcast_to(read_reals(x, what, f"a number or ({n},) numbers"), (n,))
     except InputError:

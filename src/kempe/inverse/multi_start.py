@@ -34,7 +34,7 @@ from kempe.kernels.compiled import schedule
 from kempe.kernels.forward.table_layout import HAS_QUATERNION
 from kempe.model.characteristic_length import compute_characteristic_length
 from kempe.model.configurations import read_start, refuse_far
-from kempe.numerics.pool import over_chunks
+from kempe.numerics.pool import sum_over_chunks
 from kempe.spatial import Array
 from kempe.status import Status
 
@@ -60,7 +60,7 @@ SHARES = (1.0, 0.2, 5.0)
 """How the two tolerances are weighed against each other where they are loose."""
 
 
-def answered(
+def search_targets(
     problem: FrameProblem,
     targets: Array,
     seeds: Array,
@@ -92,7 +92,7 @@ def answered(
     few = problem.round or FEW
     count = min(problem.starts, few, GLANCE if postpone else few)
     out[:, n + STATUS] = UNBEGUN
-    _some(problem, head, slice(None), 0, count, 0.0, out, threads, CHUNK)
+    _run_starts(problem, head, slice(None), 0, count, 0.0, out, threads, CHUNK)
     left = np.flatnonzero(out[:, n + STATUS] != SOLVED)
     if not left.size:
         return 0
@@ -101,24 +101,24 @@ def answered(
         first = seeds[:, 0] if seeds.shape[1] else chain.base[:, chain.q_index]
         out[unbegun, :n] = first[unbegun] if len(first) > 1 else first
         out[unbegun, n:] = 0.0
-        _end(problem, targets, unbegun, out, alike=len(first) == 1)
+        _measure_late_rows(problem, targets, unbegun, out, alike=len(first) == 1)
     far = 0
     if postpone:
         left = left[out[left, n + STATUS] == NOT_FOUND]
         beyond = left[measure_reach_excess(problem, targets[left]) > 0.0]
         out[beyond, n + STATUS] = Status.OUT_OF_REACH
         far = len(beyond)
-    return go_on(problem, targets, head, count, out, threads) + far + len(unbegun)
+    return continue_search(problem, targets, head, count, out, threads) + far + len(unbegun)
 
 
-def starts_from(problem: FrameProblem, head: tuple[Any, ...], start: int, steps: int) -> Array:
-    """The answer (1, n + ANSWER) of one start after so many steps; `head` as in `go_on`."""
+def run_one_start(problem: FrameProblem, head: tuple[Any, ...], start: int, steps: int) -> Array:
+    """The answer (1, n + ANSWER) of one start after so many steps; `head` as in `continue_search`."""
     found = np.empty((1, len(problem.chain.q_index) + ANSWER))
-    _search(problem.chain)(*head, start, 1, steps, *problem.tolerance, 0.0, found)
+    _choose_kernel(problem.chain)(*head, start, 1, steps, *problem.tolerance, 0.0, found)
     return found
 
 
-def go_on(
+def continue_search(
     problem: FrameProblem,
     targets: Array,
     head: tuple[Any, ...],
@@ -138,7 +138,9 @@ def go_on(
     if not left.size:
         return 0
     # before lengths are asked
-    left, done = _up_to(problem, head, left, done, min(problem.starts, FEW), out, threads)
+    left, done = _search_unreached_rows(
+        problem, head, left, done, min(problem.starts, FEW), out, threads
+    )
     left = left[measure_reach_excess(problem, targets[left]) == 0.0]
     linear, angular = problem.tolerance
     if max(linear, angular) > LOOSE and any(problem.mask[:3]) and any(problem.mask[3:]):
@@ -147,20 +149,20 @@ def go_on(
             found = np.empty((len(left), out.shape[1]))
             found[:, n + STATUS] = UNBEGUN
             starts = min(problem.starts, 4 * FEW)
-            _some(problem, head, left, 0, starts, share * linear / angular, found, threads)
+            _run_starts(problem, head, left, 0, starts, share * linear / angular, found, threads)
             found[:, n + STEPS :] += out[left, n + STEPS :]
             good = found[:, n + STATUS] == SOLVED
             out[left[good]] = found[good]
     left = left[out[left, n + STATUS] == NOT_FOUND]
-    left, done = _up_to(problem, head, left, done, problem.starts, out, threads)
+    left, done = _search_unreached_rows(problem, head, left, done, problem.starts, out, threads)
     if done < problem.starts and len(left):
-        _end(problem, targets, left, out)
-    return _nearest(
+        _measure_late_rows(problem, targets, left, out)
+    return _search_from_nearest(
         problem, targets, head, every[out[every, n + STATUS] == NOT_FOUND], out, threads
     ) + int((out[every, n + STATUS] == Status.OUT_OF_TIME).sum())
 
 
-def _nearest(
+def _search_from_nearest(
     problem: FrameProblem,
     targets: Array,
     head: tuple[Any, ...],
@@ -180,41 +182,41 @@ def _nearest(
 
     each = [0] if problem.share == 1 else range(1, min(problem.starts, DESCENTS) + 1)
 
-    def work(i: int, j: int) -> int:
+    def search_rows(i: int, j: int) -> int:
         some = rows[i:j]
         missed = 0
-        own = _part(head, some)
+        own = _select_rows(head, some)
         found = out[some]
         if time.monotonic() >= problem.end:
-            _end(problem, targets, some, out)
+            _measure_late_rows(problem, targets, some, out)
             return len(some)
         for only in each:
             check_for_stop()
             if only > 1 and time.monotonic() >= problem.end:
-                _end(problem, targets, some, out)
+                _measure_late_rows(problem, targets, some, out)
                 return len(some)
             missed = nearest(
                 *own, only, problem.starts, problem.iterations, *problem.tolerance, length, found
             )
             out[some] = found
         if missed and problem.chain.span.wide and not problem.chain.ints[HAS_QUATERNION]:
-            from kempe.inverse.refine import search_again
+            from kempe.inverse.refine import repeat_search
 
-            missed = search_again(problem, targets[some], own, found)
+            missed = repeat_search(problem, targets[some], own, found)
         out[some] = found
         return missed
 
     piece = max(1, NEAREST // problem.share)
-    return over_chunks(work, len(rows), piece, threads, 2 * piece) if len(rows) else 0
+    return sum_over_chunks(search_rows, len(rows), piece, threads, 2 * piece) if len(rows) else 0
 
 
-def _part(head: tuple[Any, ...], rows: Any) -> tuple[Any, ...]:
+def _select_rows(head: tuple[Any, ...], rows: Any) -> tuple[Any, ...]:
     """The first arguments of the kernels for some rows."""
     *chain, goals, seeds, rng = head
     return (*chain, goals[rows], seeds[rows] if len(seeds) > 1 else seeds, rng)
 
 
-def _some(
+def _run_starts(
     problem: FrameProblem,
     head: tuple[Any, ...],
     rows: Any,
@@ -226,20 +228,20 @@ def _some(
     chunk: int | None = None,
 ) -> None:
     """Write the answers (k, n + ANSWER) of some starts for these rows, until the time is up; `head`
-    as in `go_on`.
+    as in `continue_search`.
     """
-    search = _search(problem.chain)
-    given = _part(head, rows) if isinstance(rows, np.ndarray) else head
+    search = _choose_kernel(problem.chain)
+    given = _select_rows(head, rows) if isinstance(rows, np.ndarray) else head
     piece = max(LANES, min(chunk or CHUNK, WORK // (count * problem.share)))
 
-    def work(i: int, j: int) -> int:
+    def run_pieces(i: int, j: int) -> int:
         for k in range(i, j, piece):
             check_for_stop()
             if time.monotonic() >= problem.end:
                 break
             last = min(k + piece, j)
             search(
-                *_part(given, slice(k, last)),
+                *_select_rows(given, slice(k, last)),
                 first,
                 count,
                 problem.iterations,
@@ -249,10 +251,12 @@ def _some(
             )
         return 0
 
-    over_chunks(work, len(out), chunk or piece, threads, SERIAL_BELOW if chunk else 2 * piece)
+    sum_over_chunks(
+        run_pieces, len(out), chunk or piece, threads, SERIAL_BELOW if chunk else 2 * piece
+    )
 
 
-def _up_to(
+def _search_unreached_rows(
     problem: FrameProblem,
     head: tuple[Any, ...],
     left: np.ndarray,
@@ -266,7 +270,7 @@ def _up_to(
     """
     while done < starts and len(left):
         count = min(problem.round or starts, starts - done)
-        some = _more(problem, head, left, done, count, out, threads)
+        some = _run_further_starts(problem, head, left, done, count, out, threads)
         if some is None:
             break
         left = some
@@ -274,7 +278,7 @@ def _up_to(
     return left, done
 
 
-def _more(
+def _run_further_starts(
     problem: FrameProblem,
     head: tuple[Any, ...],
     rows: np.ndarray,
@@ -291,7 +295,7 @@ def _more(
     n = out.shape[1] - ANSWER
     found = np.empty((len(rows), out.shape[1]))
     found[:, n + STATUS] = UNBEGUN
-    _some(problem, head, rows, first, count, 0.0, found, threads)
+    _run_starts(problem, head, rows, first, count, 0.0, found, threads)
     begun = found[:, n + STATUS] != UNBEGUN
     if not begun.any():
         return None
@@ -304,7 +308,7 @@ def _more(
     return rows[out[rows, n + STATUS] == NOT_FOUND]
 
 
-def _end(
+def _measure_late_rows(
     problem: FrameProblem, targets: Array, left: np.ndarray, out: Array, alike: bool = False
 ) -> None:
     """Measure these rows as they are: the time is up. Whether their configurations are all `alike`."""
@@ -315,7 +319,7 @@ def _end(
     )
 
 
-def _search(chain: Chain) -> Callable[..., int]:
+def _choose_kernel(chain: Chain) -> Callable[..., int]:
     """The kernel that searches for a chain."""
     if chain.ints[HAS_QUATERNION]:
         from kempe.kernels.compiled import scalar_search
@@ -327,7 +331,7 @@ def _search(chain: Chain) -> Callable[..., int]:
 # ---- all targets of a problem, and their starts
 
 
-def run(
+def solve_targets(
     problem: FrameProblem,
     seeds: Array,
     threads: int | None = 1,
@@ -338,7 +342,7 @@ def run(
     """Chain configurations, residuals (N, 2) and (status, steps, starts) of all targets, in fixed
     chunks.
 
-    `postpone` is as in `multi_start.answered`.
+    `postpone` is as in `multi_start.search_targets`.
     """
     chain = problem.chain
     goals = problem.targets if targets is None else targets
@@ -347,11 +351,13 @@ def run(
     out = np.empty((n, nq + ANSWER))
     bounds = chain.limits if limits is None else limits
 
-    answered(problem, goals, seeds, bounds, out, postpone, threads)
+    search_targets(problem, goals, seeds, bounds, out, postpone, threads)
     return out[:, :nq], out[:, nq + LINEAR : nq + STATUS], out[:, nq + STATUS :].astype(np.int64)
 
 
-def seeds_of(system: Model, chain: Chain, start: Any, lead: tuple[int, ...]) -> tuple[Array, Array]:
+def make_seeds(
+    system: Model, chain: Chain, start: Any, lead: tuple[int, ...]
+) -> tuple[Array, Array]:
     """Configurations (1 or N, nq) to start from, and the chain's part of them as (1 or N, K, nq)
     for the kernel.
     """

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from kempe.inverse.closed_forms.problem import ChainProblem
 
 
-def aim_of(solutions: Solutions, index: int, spare: bool = False) -> Aim:
+def make_aim(solutions: Solutions, index: int, spare: bool = False) -> Aim:
     """What target number `index` asks; with `spare`, joints that were locked only since they are
     spare may move.
     """
@@ -32,7 +32,7 @@ def aim_of(solutions: Solutions, index: int, spare: bool = False) -> Aim:
     )
 
 
-def held_coordinates(solutions: Solutions, index: int) -> Array:
+def list_held_coordinates(solutions: Solutions, index: int) -> Array:
     """Coordinates (n,) of the chain at `near`, joints that are locked at their values."""
     lines = solutions.plan.lines
     base = solutions._base[index if len(solutions._base) > 1 else 0]
@@ -50,7 +50,7 @@ def held_coordinates(solutions: Solutions, index: int) -> Array:
 
 
 @quiet
-def nearest(solutions: Solutions, index: int) -> tuple[Array, float, float]:
+def find_nearest_configuration(solutions: Solutions, index: int) -> tuple[Array, float, float]:
     """The configuration (nq,) inside the limits that comes closest to target number `index`, and
     what it misses.
 
@@ -67,10 +67,10 @@ def nearest(solutions: Solutions, index: int) -> tuple[Array, float, float]:
     if solutions._counts[index, 0] < 0 or np.abs(target).max() >= LARGEST:
         return np.full(problem.system.nq, math.nan), math.nan, math.nan
     if problem.task in ("pose", "position") and not plan.fixed:
-        answer = _by_numbers(problem, target, base)
+        answer = _solve_by_numbers(problem, target, base)
         return answer.q, answer.position_error, answer.orientation_error
-    aim = aim_of(solutions, index, spare=True)
-    theta = find_closest(aim, plan.lines.compute_theta(held_coordinates(solutions, index)))
+    aim = make_aim(solutions, index, spare=True)
+    theta = find_closest(aim, plan.lines.compute_theta(list_held_coordinates(solutions, index)))
     q = base.copy()
     q[plan.lines.q_index] = (theta - plan.lines.offset) / plan.lines.multiplier
     R, p, _, _ = aim.compute_line_placements(theta[None])
@@ -78,7 +78,7 @@ def nearest(solutions: Solutions, index: int) -> tuple[Array, float, float]:
     return q, float(np.linalg.norm(e[:3])) * plan.lines.length, float(np.linalg.norm(e[3:]))
 
 
-def _by_numbers(problem: ChainProblem, target: Array, start: Array) -> Solution:
+def _solve_by_numbers(problem: ChainProblem, target: Array, start: Array) -> Solution:
     """The answer of `ik` for a target (4, 4) whose pose or position counts; the search begins at
     `start` (nq,).
     """

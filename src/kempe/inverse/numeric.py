@@ -22,7 +22,7 @@ from kempe.arguments import (
     read_tolerances,
 )
 from kempe.budget import Usual
-from kempe.equations.one_sided import one_sided_rows
+from kempe.equations.one_sided import pack_one_sided_rows
 from kempe.errors import InputError
 from kempe.inverse import multi_start
 from kempe.inverse.answer import MOST_STARTS, IkHistory, Solution
@@ -39,7 +39,7 @@ from kempe.inverse.chain.serial_chain import find_chain, find_obstacle
 from kempe.inverse.closed_forms.plan import ChainPlan, find_plan_or_reason
 from kempe.inverse.closed_forms.problem import ChainProblem, Watch
 from kempe.inverse.closed_forms.solve import TOLERANCE
-from kempe.inverse.multi_start import run, seeds_of
+from kempe.inverse.multi_start import make_seeds, solve_targets
 from kempe.kernels.base.search_layout import SOLVED, STEPS
 from kempe.model.configurations import refuse_far
 from kempe.numerics.clock import SHORT, TimeLimit
@@ -56,10 +56,10 @@ PIECE = 2**15
 again."""
 
 
-def answer(
+def find_nearest_solutions(
     problem: FrameProblem, plan: ChainPlan, near: Array, seeds: Array, threads: int | None
 ) -> tuple[Array, Array, np.ndarray]:
-    """As `multi_start.run`: the solution inside the limits nearest to `near` (1 or N, nq); where
+    """As `multi_start.solve_targets`: the solution inside the limits nearest to `near` (1 or N, nq); where
     there is none, what a search finds.
     """
     n = len(problem.targets)
@@ -71,7 +71,7 @@ def answer(
             break
         at = slice(k, k + PIECE)
         base = near[k : k + PIECE] if len(near) > 1 else near
-        q[at], residual[at], there[at] = _solved(
+        q[at], residual[at], there[at] = _solve_closed_form(
             replace(problem, targets=problem.targets[at]), plan, base, threads
         )
     info = np.zeros((n, 3), dtype=np.int64)
@@ -79,13 +79,13 @@ def answer(
     rest = np.flatnonzero(~there)
     if len(rest):
         some = seeds[rest] if len(seeds) > 1 else seeds
-        q[rest], residual[rest], info[rest] = run(
+        q[rest], residual[rest], info[rest] = solve_targets(
             problem, some, threads, targets=problem.targets[rest]
         )
     return q, residual, info
 
 
-def _solved(
+def _solve_closed_form(
     problem: FrameProblem, plan: ChainPlan, near: Array, threads: int | None
 ) -> tuple[Array, Array, np.ndarray]:
     """The nearest solutions (n, k) to `near` (1 or n, nq), their errors (n, 2), and where there are
@@ -106,9 +106,11 @@ def _solved(
         within,
         watch=Watch(limit, n),
     )
-    from kempe.inverse.solve_all import solve  # only here: it imports what most targets never need
+    from kempe.inverse.solve_all import (
+        solve_chain_problem,  # only here: it imports what most targets never need
+    )
 
-    found = solve(chain_problem, plan, near, {}, threads)
+    found = solve_chain_problem(chain_problem, plan, near, {}, threads)
     own = found._rows[..., : len(plan.lines)]
     inside = found.inside
     unit = np.abs(plan.lines.multiplier)
@@ -127,21 +129,21 @@ def _solved(
 # ---- iterates of a search
 
 
-def with_history(answer: Solution, problem: Problem) -> Solution:
+def add_history(answer: Solution, problem: Problem) -> Solution:
     """The answer with its iterates. Errors: `InputError` for batches and other methods."""
     if np.ndim(answer.success) or problem.method != "numeric" or type(answer) is not Solution:
         raise InputError(
             "history=True is for one target of one frame that is searched for with method 'numeric'"
         )
     frame_problem = answer.task
-    base, seeds = seeds_of(problem.system, frame_problem.chain, problem.start, ())
+    base, seeds = make_seeds(problem.system, frame_problem.chain, problem.start, ())
     object.__setattr__(
-        answer, "history", _of_starts(frame_problem, base, seeds, int(answer.starts))
+        answer, "history", _collect_history(frame_problem, base, seeds, int(answer.starts))
     )
     return answer
 
 
-def _of_starts(problem: FrameProblem, base: Array, seeds: Array, starts: int) -> IkHistory:
+def _collect_history(problem: FrameProblem, base: Array, seeds: Array, starts: int) -> IkHistory:
     head = (
         problem.chain.ints,
         problem.chain.floats,
@@ -156,7 +158,7 @@ def _of_starts(problem: FrameProblem, base: Array, seeds: Array, starts: int) ->
     at: list[tuple[int, int]] = []
     for start in range(min(max(starts, 1), MOST_STARTS)):
         for steps in range(problem.iterations + 1):
-            found = multi_start.starts_from(problem, head, start, steps)[0]
+            found = multi_start.run_one_start(problem, head, start, steps)[0]
             if steps and found[n + STEPS] < steps:
                 break
             rows.append(found[:n])
@@ -181,12 +183,12 @@ BATCH = Usual("ik", starts=MOST, iterations=ITERATIONS, time_limit=None, rng=0, 
 # ---- the solvers, and how one is chosen
 
 
-def _no_closed_form(problem: Problem) -> str | None:
+def _explain_no_closed_form(problem: Problem) -> str | None:
     system = problem.system
     frame = problem.frame
     if frame is None or problem.method == "numeric":
         return TASKS if frame is None else "method='analytic' or 'auto' asks for it"
-    bounds = one_sided_rows(system)
+    bounds = pack_one_sided_rows(system)
     if bounds.declared:
         return (
             f"method 'analytic' does not hold one-sided constraints, such as {bounds.names[0]!r}; "
@@ -196,36 +198,34 @@ def _no_closed_form(problem: Problem) -> str | None:
     return plan if isinstance(plan, str) else None
 
 
-def _no_chain(problem: Problem) -> str | None:
+def _explain_no_chain(problem: Problem) -> str | None:
     system = problem.system
     frame = problem.frame
     if frame is None or problem.method == "analytic":
         return TASKS if frame is None else CLOSED
     if problem.prefer is not None:
         return "it prefers nothing"
-    if one_sided_rows(system).declared:
-        return (
-            f"it does not hold one-sided constraints, such as {one_sided_rows(system).names[0]!r}"
-        )
+    if pack_one_sided_rows(system).declared:
+        return f"it does not hold one-sided constraints, such as {pack_one_sided_rows(system).names[0]!r}"
     return find_obstacle(system, frame)
 
 
-def _no_tasks(problem: Problem) -> str | None:
+def _explain_no_tasks(problem: Problem) -> str | None:
     return CLOSED if problem.method == "analytic" else None
 
 
-def by_closed_form(problem: Problem) -> Solution:
+def solve_by_closed_form(problem: Problem) -> Solution:
     """The answer in closed form, by the frame's own chain; by numbers where there is none."""
     plan: Any = find_plan_or_reason(problem.system, str(problem.frame), *problem.task)
-    return _of_chain(problem, plan)
+    return _solve_chain(problem, plan)
 
 
-def by_numbers(problem: Problem) -> Solution:
+def solve_by_numbers(problem: Problem) -> Solution:
     """The answer by a search over the frame's own chain."""
-    return _of_chain(problem, None)
+    return _solve_chain(problem, None)
 
 
-def _of_chain(problem: Problem, plan: ChainPlan | None) -> Solution:
+def _solve_chain(problem: Problem, plan: ChainPlan | None) -> Solution:
     """The answer by the frame's own chain, in closed form where there is a `plan`."""
     system = problem.system
     name = str(problem.frame)
@@ -234,7 +234,7 @@ def _of_chain(problem: Problem, plan: ChainPlan | None) -> Solution:
     usual = problem.budget is None or problem.budget.time_limit is None
     chain = find_chain(system, name, problem.task[1])
     tolerance = problem.tolerance
-    base, seeds = seeds_of(system, chain, problem.start, lead)
+    base, seeds = make_seeds(system, chain, problem.start, lead)
     packed_problem = FrameProblem(
         system,
         name,
@@ -249,15 +249,15 @@ def _of_chain(problem: Problem, plan: ChainPlan | None) -> Solution:
         problem.options["end"] if problem.options else compute_deadline(spend.time_limit),
         usual,
     )
-    packed_problem, (q, residual, info) = _run(
+    packed_problem, (q, residual, info) = _run_solver(
         packed_problem, plan, base, seeds, spend.threads, lead
     )
-    return _judged(packed_problem, base, q, residual, info, lead, seeds, spend.threads)
+    return _make_checked_answer(packed_problem, base, q, residual, info, lead, seeds, spend.threads)
 
 
-def _of_tasks(problem: Problem) -> Solution:
-    """The answer of `kempe.inverse.tasks.search.reach`."""
-    from kempe.inverse.tasks.search import reach
+def _solve_tasks(problem: Problem) -> Solution:
+    """The answer of `kempe.inverse.tasks.search.reach_tasks`."""
+    from kempe.inverse.tasks.search import reach_tasks
 
     frame = problem.frame
     targets = problem.targets
@@ -266,34 +266,34 @@ def _of_tasks(problem: Problem) -> Solution:
         if frame is None
         else of_target(frame, *problem.task, targets.reshape(*problem.lead, 4, 4))
     )
-    return reach(problem._replace(wanted=held))
+    return reach_tasks(problem._replace(wanted=held))
 
 
 BY_TASKS = Solver(
     "levels",
     "least squares over all coordinates, with loops, limits and one-sided rows, by priorities",
-    _no_tasks,
-    _of_tasks,
+    _explain_no_tasks,
+    _solve_tasks,
 )
 SOLVERS = (
     Solver(
         "closed form",
         "of all solutions of ik_all the nearest; else as chain",
-        _no_closed_form,
-        by_closed_form,
+        _explain_no_closed_form,
+        solve_by_closed_form,
     ),
     Solver(
         "chain",
         "damped least squares over the frame's own chain, with limits and restarts",
-        _no_chain,
-        by_numbers,
+        _explain_no_chain,
+        solve_by_numbers,
     ),
     BY_TASKS,
 )
 """Who answers for targets of one frame, and for tasks."""
 
 
-def _run(
+def _run_solver(
     problem: FrameProblem,
     plan: Any,
     base: Array,
@@ -301,24 +301,24 @@ def _run(
     threads: int | None,
     lead: tuple[int, ...],
 ) -> tuple[FrameProblem, tuple[Array, Array, np.ndarray]]:
-    """The problem and what `run`, or the closed form of a plan, finds; rotations that were rounded
+    """The problem and what `solve_targets`, or the closed form of a plan, finds; rotations that were rounded
     are mended.
     """
     if plan is None:
-        found = run(problem, seeds, threads, postpone=bool(lead))
+        found = solve_targets(problem, seeds, threads, postpone=bool(lead))
     else:
-        found = answer(problem, plan, base, seeds, threads)
+        found = find_nearest_solutions(problem, plan, base, seeds, threads)
     targets = problem.targets
     if (
         lead
         and (found[2][:, 0] == Status.BAD_INPUT).any()
         and (mended := correct_rotations(targets, "target")) is not targets
     ):
-        return _run(replace(problem, targets=mended), plan, base, seeds, threads, lead)
+        return _run_solver(replace(problem, targets=mended), plan, base, seeds, threads, lead)
     return problem, found
 
 
-def _nearest(
+def _add_nearest_answers(
     problem: FrameProblem,
     base: Array,
     seeds: Array,
@@ -328,15 +328,17 @@ def _nearest(
     info: np.ndarray,
     lead: tuple[int, ...],
 ) -> Solution:
-    """The answer of a batch as of `run`, with what is nearest to the targets that are out of reach."""
+    """The answer of a batch as of `solve_targets`, with what is nearest to the targets that are out of reach."""
     far = np.flatnonzero(info[:, 0] == Status.OUT_OF_REACH)
     some = seeds[far] if len(seeds) > 1 else seeds
     anew = replace(problem, end=compute_deadline(problem.time_limit))
-    q[far], residual[far], info[far] = run(anew, some, threads, targets=problem.targets[far])
-    return _judged(problem, base, q, residual, info, lead, seeds, threads)
+    q[far], residual[far], info[far] = solve_targets(
+        anew, some, threads, targets=problem.targets[far]
+    )
+    return _make_checked_answer(problem, base, q, residual, info, lead, seeds, threads)
 
 
-def _judged(
+def _make_checked_answer(
     problem: FrameProblem,
     base: Array,
     q: Array,
@@ -349,14 +351,14 @@ def _judged(
     """The answer, from the chain's configurations (N, n), residuals (N, 2) and status, steps and
     starts (N, 3).
 
-    Where `run` has postponed targets, their part of it is found on demand.
+    Where `solve_targets` has postponed targets, their part of it is found on demand.
     """
     system = problem.system
     targets = problem.targets
     code = info[:, 0]
     if (code == Status.OUT_OF_REACH).any():
         given = (problem, base, seeds, threads, q, residual, info, lead)
-        return Solution.postponed(code.reshape(lead).copy(), problem, (_nearest, given))
+        return Solution.postponed(code.reshape(lead).copy(), problem, (_add_nearest_answers, given))
     full = np.empty((len(targets), system.nq))
     full[:] = base
     full[:, problem.chain.q_index] = q
@@ -366,10 +368,10 @@ def _judged(
     if not lead and code[0] == Status.BAD_INPUT:
         refuse_far(system, base, "start")
         raise InputError(not_a_pose(targets[0], "start"))
-    return _answer(problem, full, code, residual, info, lead)
+    return _make_answer(problem, full, code, residual, info, lead)
 
 
-def _answer(
+def _make_answer(
     problem: FrameProblem,
     q: Array,
     code: np.ndarray,

@@ -22,8 +22,8 @@ from kempe.assemble.assemble import assemble
 from kempe.assemble.nearest_exact import decide_nearest_exact
 from kempe.budget import Budget, Usual
 from kempe.constraints.base import Constraint
-from kempe.equations.packed_tasks import refuse
-from kempe.equations.slip import Slip, hard_rows, rolls, slip_of
+from kempe.equations.packed_tasks import refuse_goal
+from kempe.equations.slip import Slip, compute_unit_rows, find_first_slip, has_velocity_constraints
 from kempe.equations.tasks import Goal
 from kempe.errors import InputError, UnsupportedError
 from kempe.inverse.chain.serial_chain import (
@@ -31,12 +31,12 @@ from kempe.inverse.chain.serial_chain import (
     is_moved_by_loop,
     move_inside_limits,
 )
-from kempe.inverse.tasks.demands import STARTS, Demands, apart
-from kempe.inverse.tasks.search import judge, pose_problem
+from kempe.inverse.tasks.demands import STARTS, Demands, find_untouched_places
+from kempe.inverse.tasks.search import make_checked_answer, make_demands
 from kempe.kernels.base.search_layout import SOLVED
 from kempe.model.configurations import make_ranges_table, refuse_far, sample_configurations
-from kempe.numerics.clock import BROKEN_OFF, LONG, TimeLimit, partial
-from kempe.numerics.newton import gauss_newton, least_squares
+from kempe.numerics.clock import BROKEN_OFF, LONG, TimeLimit, describe_early_end
+from kempe.numerics.newton import run_gauss_newton, solve_least_squares
 from kempe.numerics.rank import Level, Spectrum
 from kempe.poses import check_poses, correct_rotations, read_pose_array
 from kempe.report import Table, brief
@@ -157,7 +157,9 @@ class PathSteps:
         b = self.rows[i].goals
         goals = tuple(
             Goal(
-                None if x.pose is None or y.pose is None else _between(x.pose, y.pose, part),
+                None
+                if x.pose is None or y.pose is None
+                else _interpolate_pose(x.pose, y.pose, part),
                 {n: m + part * (y.numbers[n] - m) for n, m in x.numbers.items()},
             )
             for x, y in zip(a, b, strict=True)
@@ -236,7 +238,9 @@ class PathSteps:
         where this fails.
         """
         x = self.truncated(problem, q, before) if self.given > TOLERANCE else None
-        good = x is not None and judge(problem, x[None], np.full((1, 3), SOLVED)).success
+        good = (
+            x is not None and make_checked_answer(problem, x[None], np.full((1, 3), SOLVED)).success
+        )
         return x if good else None
 
     def truncated(self, problem: Demands, q: Array, before: Array) -> Array | None:
@@ -332,7 +336,14 @@ class PathSteps:
         )
         pull = np.zeros(system.nv)
         pull[v] = (1.0 / low**2 - 1.0 / high**2) / wide * self.scale[v]
-        pull[v[np.isin(at, np.flatnonzero(apart(self.problem.packed, self.problem.pins)))]] = 0.0
+        pull[
+            v[
+                np.isin(
+                    at,
+                    np.flatnonzero(find_untouched_places(self.problem.packed, self.problem.pins)),
+                )
+            ]
+        ] = 0.0
         J = self.missing(self.rows[i], q)[1]
         N = Spectrum(J).null(Level.GENERIC).T
         way = N.T @ (N @ pull)
@@ -397,7 +408,7 @@ class PathSteps:
         return q, part, order.way
 
 
-def _between(a: Array, b: Array, part: float) -> Array:
+def _interpolate_pose(a: Array, b: Array, part: float) -> Array:
     """The pose at a part of the way between two: positions linear, rotations by the exponential
     map.
     """
@@ -421,24 +432,24 @@ MOST = 4096
 """Steps at most between two targets."""
 
 
-def without_slip(way: PathSteps, path: IkPath, begin: int) -> IkPath:
+def remove_slip(way: PathSteps, path: IkPath, begin: int) -> IkPath:
     """The path where it does not slip; else one that rolls and holds the targets, if they leave
     that; else what is before the first slip, with the place.
     """
     good = np.flatnonzero(path.success)
     whole = len(good) and good[-1] - good[0] + 1 == len(good)
-    slip = slip_of(way.system, path.q[good]) if whole else None
+    slip = find_first_slip(way.system, path.q[good]) if whole else None
     if slip is None:
         return path
     q = path.q.copy()
-    reached = _led(way, q, begin)
+    reached = _roll_along_targets(way, q, begin)
     if reached == len(q) - 1:
         status = f"{len(q) - begin} of {format_count(len(q), 'target')} followed, without slip"
         return replace(path, q=q, success=np.arange(len(q)) >= begin, jumps=(), reason=status)
-    return _broken(path, slip, int(good[0]))
+    return _cut_path(path, slip, int(good[0]))
 
 
-def _broken(path: IkPath, slip: Slip, first: int) -> IkPath:
+def _cut_path(path: IkPath, slip: Slip, first: int) -> IkPath:
     """The part of the path before it slips."""
     k = first + slip.index
     q = path.q.copy()
@@ -454,7 +465,7 @@ def _broken(path: IkPath, slip: Slip, first: int) -> IkPath:
     return replace(path, q=q, success=success, jumps=(), reason=status)
 
 
-def _led(way: PathSteps, out: Array, begin: int) -> int:
+def _roll_along_targets(way: PathSteps, out: Array, begin: int) -> int:
     """Write configurations (n, nq) that roll from target to target; returns the last one that was
     reached.
     """
@@ -464,7 +475,7 @@ def _led(way: PathSteps, out: Array, begin: int) -> int:
         ahead = way.first_order(way.rows[i], q).way
         parts = min(max(2, math.ceil(ahead / LONGEST)), MOST)
         for part in range(1, parts + 1):
-            found = _step(way, i, part / parts, q)
+            found = _make_rolling_step(way, i, part / parts, q)
             if found is None:
                 return i - 1
             q = found
@@ -472,7 +483,7 @@ def _led(way: PathSteps, out: Array, begin: int) -> int:
     return len(out) - 1
 
 
-def _step(way: PathSteps, i: int, part: float, q: Array) -> Array | None:
+def _make_rolling_step(way: PathSteps, i: int, part: float, q: Array) -> Array | None:
     """The configuration (nq,) that holds the target between, without slip in the middle of the way
     to it; or None.
 
@@ -481,24 +492,31 @@ def _step(way: PathSteps, i: int, part: float, q: Array) -> Array | None:
     system = way.system
     problem = way.at(i, part)
 
-    def both(d: Array) -> tuple[Array, Array]:
+    def evaluate_equations(d: Array) -> tuple[Array, Array]:
         e, J = way.missing(problem, system.structure.layout.integrate_velocity(q, d * way.scale))
-        A, b = hard_rows(
+        A, b = compute_unit_rows(
             system, system.structure.layout.integrate_velocity(q, 0.5 * d * way.scale), way.scale
         )
         return np.concatenate([e, np.full(len(A), np.inf) if b.any() else A @ d]), np.concatenate(
             [J, A]
         )
 
-    def newton(d: Array, r: Array, M: Array) -> Array:
-        new = least_squares(M, M @ d - r, Level.CLOSED)
+    def compute_newton_step(d: Array, r: Array, M: Array) -> Array:
+        new = solve_least_squares(M, M @ d - r, Level.CLOSED)
         return (
             new - d
             if np.linalg.norm(new) < 10.0 * LONGEST + 2.0 * np.linalg.norm(d)
             else np.full(len(d), np.inf)
         )
 
-    found = gauss_newton(both, np.zeros(system.nv), ITERATIONS - 1, step=newton, met=HELD, last=0.0)
+    found = run_gauss_newton(
+        evaluate_equations,
+        np.zeros(system.nv),
+        ITERATIONS - 1,
+        step=compute_newton_step,
+        met=HELD,
+        last=0.0,
+    )
     layout = system.structure.layout
     x = layout.integrate_velocity(q, found.x * way.scale)
     v = layout.vector_v
@@ -625,7 +643,7 @@ def ik_path(
     if not 0.0 < max_step < math.inf:
         raise InputError(f"max_step is {max_step!r}; it must be a positive number")
     options = {"max_step": max_step, "restart": restart, "branches": branches}
-    wanted = targets if frame is None else _held(system, targets, frame)
+    wanted = targets if frame is None else _make_pose_task(system, targets, frame)
     name = None if frame is None else system.structure.frame_name(frame)
     problem = Problem(
         system,
@@ -644,7 +662,7 @@ def ik_path(
     return solve(SOLVERS, problem)
 
 
-def by_steps(problem: Problem) -> IkPath:
+def solve_path(problem: Problem) -> IkPath:
     """The path, gone step by step."""
     system = problem.system
     start = problem.start
@@ -655,7 +673,7 @@ def by_steps(problem: Problem) -> IkPath:
     time = TimeLimit(spend.time_limit)
     time.put_in_order()  # there is nothing to do afterwards
     decide_nearest_exact(USUAL, time, system)
-    demands, first = pose_problem(system, problem.wanted, start, tolerance, spend.starts, spend.rng)
+    demands, first = make_demands(system, problem.wanted, start, tolerance, spend.starts, spend.rng)
     refuse_far(system, first, "start")
     if len(demands.lead) != 1 or not demands.lead[0] or len(first) > 1:
         raise InputError(
@@ -663,7 +681,7 @@ def by_steps(problem: Problem) -> IkPath:
             f"(n,) targets and one start ({system.nq},)"
         )
     for task, goals in zip(demands.tasks, demands.goals, strict=True):
-        refuse(goals, task.label)
+        refuse_goal(goals, task.label)
     way = _FollowedPath(demands, options["max_step"], time, spend.progress)
     n = demands.lead[0]
     none = IkPath(system, np.full((n, system.nq), np.nan), np.zeros(n, dtype=bool), (), "", demands)
@@ -673,32 +691,40 @@ def by_steps(problem: Problem) -> IkPath:
         with time:
             q0, info, begin = way.begun(first, restart)
             if info[0, 0] != SOLVED:
-                why = judge(way.rows[begin], q0, info).status
+                why = make_checked_answer(way.rows[begin], q0, info).status
                 return replace(none, reason=f"the path does not begin: target {begin} is {why}")
             begins.append(q0[0])
             if options["branches"]:
                 begins += [
                     *way.elsewhere(begin, q0[0]),
-                    *_all(problem, way.rows[begin], begin, q0[0]),
+                    *_list_all_solutions(problem, way.rows[begin], begin, q0[0]),
                 ]
     except BROKEN_OFF as error:
         interrupted, late = (isinstance(error, kind) for kind in BROKEN_OFF)
         if not begins or interrupted:
-            said = f"the path does not begin{partial(interrupted, late)}"
+            said = f"the path does not begin{describe_early_end(interrupted, late)}"
             return replace(none, reason=said, interrupted=interrupted, late=late)
     if not options["branches"]:
         return way.rolled(way.best(begins[0], restart, begin), begin)
-    begins = _distinct(begins)
+    begins = _drop_equal_configurations(begins)
     paths: list[IkPath] = []
     for q in begins:
         paths.append(way.best(q, restart, begin))
         if paths[-1].interrupted or paths[-1].late:
             break
     paths = [way.rolled(p, begin) for p in paths]
-    return min(paths, key=lambda p: (-_farthest(p), -np.sum(p.success), len(p.jumps), _length(p)))
+    return min(
+        paths,
+        key=lambda p: (
+            -_count_followed_targets(p),
+            -np.sum(p.success),
+            len(p.jumps),
+            _compute_length(p),
+        ),
+    )
 
 
-def _held(system: Model, targets: Any, frame: FrameLike) -> Constraint:
+def _make_pose_task(system: Model, targets: Any, frame: FrameLike) -> Constraint:
     poses, lead, is_position = parse_targets(system, read_pose_array(targets, "targets"))
     poses = correct_rotations(poses, "targets")
     check_poses(poses, "targets")
@@ -776,7 +802,7 @@ class _FollowedPath(PathSteps):
         x = self.truncated(self.rows[i], q, before)
         if x is None:
             return ""
-        missed = judge(self.rows[i], x[None], np.full((1, 3), SOLVED))
+        missed = make_checked_answer(self.rows[i], x[None], np.full((1, 3), SOLVED))
         most = float(max(np.max(missed.position_error), np.max(missed.orientation_error)))
         return f", where tolerance={1.5 * most:.1g} lets it go on" if most <= ROUNDED else ""
 
@@ -784,7 +810,7 @@ class _FollowedPath(PathSteps):
         """Configurations found that hold target i, from many starts, the nearest to q first."""
         row = self.rows[i]
         seeds = np.concatenate([q[None], sample_configurations(self.system, row.rng, TRIED - 1)])
-        untouched = apart(row.packed, row.pins)
+        untouched = find_untouched_places(row.packed, row.pins)
         seeds[:, untouched] = q[untouched]
         found, info = replace(row, lead=(TRIED,), starts=max(1, row.starts // TRIED)).run(seeds)
         good = found[info[:, 0] == SOLVED]
@@ -800,14 +826,20 @@ class _FollowedPath(PathSteps):
         keeps from limits.
         """
         path = self.path(q, restart, begin)
-        if path or path.interrupted or path.late or rolls(self.system) or not self.free(begin, q):
+        if (
+            path
+            or path.interrupted
+            or path.late
+            or has_velocity_constraints(self.system)
+            or not self.free(begin, q)
+        ):
             return path
         for self.avoids in AVOIDING:
             other = self.path(q, restart, begin)
-            if _farthest(other) > _farthest(path):
+            if _count_followed_targets(other) > _count_followed_targets(path):
                 path = other
             elif other.interrupted or other.late:
-                broken = partial(other.interrupted, other.late).strip(" ()")
+                broken = describe_early_end(other.interrupted, other.late).strip(" ()")
                 said = f"{path.reason}; another way was looked for, {broken}"
                 path = replace(path, interrupted=other.interrupted, late=other.late, reason=said)
             if path or path.interrupted or path.late:
@@ -838,13 +870,13 @@ class _FollowedPath(PathSteps):
             )
         try:
             with self.budget:
-                self._go(out, jumps, said, restart, begin)
+                self._follow_targets(out, jumps, said, restart, begin)
         except BROKEN_OFF as error:
             interrupted, late = (isinstance(error, kind) for kind in BROKEN_OFF)
-            said.append(partial(interrupted, late).strip(" ()"))
-        untouched = apart(self.problem.packed, self.problem.pins)
+            said.append(describe_early_end(interrupted, late).strip(" ()"))
+        untouched = find_untouched_places(self.problem.packed, self.problem.pins)
         out[:, untouched] = q[untouched]  # to the last bit
-        success = self._checked(out)
+        success = self._check_configurations(out)
         status = f"{success.sum()} of {format_count(n, 'target')} followed"
         jumped = (
             f" with {len(jumps)} jump{'s' if len(jumps) > 1 else ''}" if jumps and restart else ""
@@ -858,15 +890,15 @@ class _FollowedPath(PathSteps):
         """The path, or where there are velocity constraints what of it, or in its place, does not
         slip.
         """
-        if not rolls(self.system) or path.interrupted or path.late:
+        if not has_velocity_constraints(self.system) or path.interrupted or path.late:
             return path
 
         try:
             with self.budget:
-                return without_slip(self, path, begin)
+                return remove_slip(self, path, begin)
         except BROKEN_OFF as error:
             interrupted, late = (isinstance(error, kind) for kind in BROKEN_OFF)
-            said = f"{path.reason}; it slips, {partial(interrupted, late).strip(' ()')}"
+            said = f"{path.reason}; it slips, {describe_early_end(interrupted, late).strip(' ()')}"
             return replace(
                 path,
                 success=np.zeros(len(path.q), dtype=bool),
@@ -875,7 +907,9 @@ class _FollowedPath(PathSteps):
                 late=late,
             )
 
-    def _go(self, out: Array, jumps: list[int], said: list[str], restart: bool, begin: int) -> None:
+    def _follow_targets(
+        self, out: Array, jumps: list[int], said: list[str], restart: bool, begin: int
+    ) -> None:
         """Write the path from its configuration at target `begin` on, and what there is to say."""
         q = out[begin]
         broken = False
@@ -894,7 +928,7 @@ class _FollowedPath(PathSteps):
                 others = self.elsewhere(i, found)
                 broken = not others
                 said += (
-                    [_sentence(self.system, i, why, found, others, restart)]
+                    [_describe_stop(self.system, i, why, found, others, restart)]
                     if why or others
                     else []
                 )
@@ -914,16 +948,18 @@ class _FollowedPath(PathSteps):
             if self.progress is not None:
                 self.progress(i + 1)
 
-    def _checked(self, q: Array) -> np.ndarray:
+    def _check_configurations(self, q: Array) -> np.ndarray:
         """Which configurations (n,) hold, by the forward model; the others become NaN, in place."""
         info = np.zeros((len(q), 3), dtype=np.int64)
         info[np.isnan(q).any(axis=1), 0] = Status.BAD_INPUT
-        good = np.asarray(judge(self.problem, q, info).success)
+        good = np.asarray(make_checked_answer(self.problem, q, info).success)
         q[~good] = np.nan
         return good
 
 
-def _sentence(system: Model, i: int, why: str, q: Array, others: list[Array], restart: bool) -> str:
+def _describe_stop(
+    system: Model, i: int, why: str, q: Array, others: list[Array], restart: bool
+) -> str:
     where = (
         f"{'jumps' if restart and others else 'stops'} {why}" if why else f"goes on at target {i}"
     )
@@ -936,7 +972,7 @@ def _sentence(system: Model, i: int, why: str, q: Array, others: list[Array], re
     return f"{where}; target {i} is reached by a jump of {change[far]:.3g} in {name!r}{known}"
 
 
-def _all(problem: Problem, row: Demands, begin: int, q: Array) -> list[Array]:
+def _list_all_solutions(problem: Problem, row: Demands, begin: int, q: Array) -> list[Array]:
     """What `ik_all` finds for target `begin`, inside the limits; what the target does not ask for
     is as in q (nq,).
     """
@@ -953,13 +989,13 @@ def _all(problem: Problem, row: Demands, begin: int, q: Array) -> list[Array]:
     except UnsupportedError:
         return []
     starts = found.q[found.inside]
-    untouched = apart(row.packed, row.pins)
+    untouched = find_untouched_places(row.packed, row.pins)
     starts[:, untouched] = q[untouched]
     answers = [row.run(x[None]) for x in starts]
     return [x[0] for x, info in answers if info[0, 0] == SOLVED]
 
 
-def _distinct(configurations: list[Array]) -> list[Array]:
+def _drop_equal_configurations(configurations: list[Array]) -> list[Array]:
     out: list[Array] = []
     for q in configurations:
         if all(np.abs(q - other).max(initial=0.0) > 1e-6 for other in out):
@@ -967,13 +1003,13 @@ def _distinct(configurations: list[Array]) -> list[Array]:
     return out
 
 
-def _farthest(path: IkPath) -> int:
+def _count_followed_targets(path: IkPath) -> int:
     """Number of targets before the first that is not reached continuously."""
     bad = [*np.flatnonzero(~path.success), *path.jumps, len(path)]
     return int(min(bad))
 
 
-def _length(path: IkPath) -> float:
+def _compute_length(path: IkPath) -> float:
     q = path.q[path.success]
     return float(
         np.linalg.norm(
@@ -987,7 +1023,7 @@ SOLVERS = (
         "steps",
         "each step from its first order on, halved where it is not much longer than that",
         takes_all,
-        by_steps,
+        solve_path,
     ),
 )
 """Who answers for a path."""

@@ -38,7 +38,7 @@ A step may make the error larger: what a millionth of a long lever turns beside 
 step makes good."""
 
 
-def search_again(problem: FrameProblem, targets: Array, head: tuple[Any, ...], out: Array) -> int:
+def repeat_search(problem: FrameProblem, targets: Array, head: tuple[Any, ...], out: Array) -> int:
     """Number of targets (N, 4, 4) that stay unreached; the answers in `out` become better where
     they can.
 
@@ -60,7 +60,7 @@ def search_again(problem: FrameProblem, targets: Array, head: tuple[Any, ...], o
             break
         q = out[left, :n]
         if k == TRIES:
-            q = _by_equations(problem, targets[left], q)
+            q = _solve_equations(problem, targets[left], q)
         elif k:
             own = seeds[left] if len(seeds) > 1 else seeds
             found = np.empty((len(left), out.shape[1]))
@@ -80,7 +80,7 @@ def search_again(problem: FrameProblem, targets: Array, head: tuple[Any, ...], o
                 found,
             )
             q = found[:, :n]
-        q, error = sharpen(problem, targets[left], q, limits)
+        q, error = sharpen_solutions(problem, targets[left], q, limits)
         better = np.max(error / problem.tolerance, axis=1) < np.max(
             out[left, n:][:, :2] / problem.tolerance, axis=1
         )
@@ -91,16 +91,18 @@ def search_again(problem: FrameProblem, targets: Array, head: tuple[Any, ...], o
     return len(left)
 
 
-def _by_equations(problem: FrameProblem, targets: Array, q: Array) -> Array:
+def _solve_equations(problem: FrameProblem, targets: Array, q: Array) -> Array:
     """Configurations (N, n) by closed form or elimination, inside the limits, where there are some;
     else q (N, n).
     """
 
     plan = find_plan_or_reason(problem.system, problem.frame, problem.name, problem.axis)
-    return q if isinstance(plan, str) else kept(problem, plan, targets, q)
+    return q if isinstance(plan, str) else choose_exact_solutions(problem, plan, targets, q)
 
 
-def sharpen(problem: FrameProblem, targets: Array, q: Array, limits: Array) -> tuple[Array, Array]:
+def sharpen_solutions(
+    problem: FrameProblem, targets: Array, q: Array, limits: Array
+) -> tuple[Array, Array]:
     """Configurations (N, n) of the chain inside the limits (2, n), nearer to their targets, and
     their errors (N, 2).
     """
@@ -113,7 +115,7 @@ def sharpen(problem: FrameProblem, targets: Array, q: Array, limits: Array) -> t
     for _ in range(STEPS):
         if not len(left):
             break
-        step = _step(problem, targets[left], x)
+        step = _compute_newton_steps(problem, targets[left], x)
         far = np.abs(step * turns).max(axis=1, initial=LONGEST)
         x = np.clip(x + step * (LONGEST / far)[:, None], *limits)
         error = compute_errors(problem, targets[left], x)
@@ -127,7 +129,7 @@ def sharpen(problem: FrameProblem, targets: Array, q: Array, limits: Array) -> t
     return best, least
 
 
-def _step(problem: FrameProblem, targets: Array, q: Array) -> Array:
+def _compute_newton_steps(problem: FrameProblem, targets: Array, q: Array) -> Array:
     """Gauss-Newton steps (N, n), lengths measured by the longest of the chain, columns by
     themselves.
     """
@@ -161,7 +163,9 @@ def _step(problem: FrameProblem, targets: Array, q: Array) -> Array:
 # ---- solutions in closed form, where there is one
 
 
-def kept(problem: FrameProblem, plan: ChainPlan, targets: Array, q: Array) -> Array:
+def choose_exact_solutions(
+    problem: FrameProblem, plan: ChainPlan, targets: Array, q: Array
+) -> Array:
     """Configurations (N, n) of the chain: a solution inside the limits where the equations have
     one, else q (N, n).
     """

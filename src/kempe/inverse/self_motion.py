@@ -17,16 +17,16 @@ from kempe.arguments import explain_errors, explain_method_errors, raise_interru
 from kempe.arrays import is_whole
 from kempe.budget import Budget, Usual
 from kempe.constraints.base import Constraint, read_numbers
-from kempe.equations.one_sided import one_sided_rows
-from kempe.equations.slip import slip_of
+from kempe.equations.one_sided import pack_one_sided_rows
+from kempe.equations.slip import find_first_slip
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.forward.fk import fk
 from kempe.inverse.tasks.freedoms import Local
-from kempe.inverse.tasks.search import judge, pose_problem
+from kempe.inverse.tasks.search import make_checked_answer, make_demands
 from kempe.kernels.base.search_layout import SOLVED
 from kempe.model.configurations import read_q
-from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, begun_within
-from kempe.numerics.curves import NONE, Node, walk
+from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, limit_preparation_time
+from kempe.numerics.curves import NONE, Node, walk_curve
 from kempe.report import brief
 from kempe.spatial import Array, ArrayLike
 from kempe.words import format_count, join_words
@@ -138,14 +138,14 @@ def self_motion(
     q = read_q(system, q)
     if q.ndim != 1:
         raise InputError(f"q has shape {q.shape}; needed is one configuration ({system.nq},)")
-    wanted = _wanted(system, q, tasks, *task_and_axis(task))
+    wanted = _read_tasks(system, q, tasks, *task_and_axis(task))
     problem = Problem(
         system, "set", NOTHING, q, budget=budget, options={"direction": direction}, wanted=wanted
     )
     return solve(SOLVERS, problem)
 
 
-def by_tangents(problem: Problem) -> SelfMotion:
+def trace_self_motion(problem: Problem) -> SelfMotion:
     """The configurations, each a step along the tangent of the one before, led back."""
     spend: Any = USUAL.complete_budget(problem.budget)
     system = problem.system
@@ -160,8 +160,8 @@ def by_tangents(problem: Problem) -> SelfMotion:
             "<= 0.5"
         )
     time.put_in_order()  # there is nothing to do afterwards
-    with begun_within(USUAL, time):
-        demands, q0 = _begin(system, problem.start, problem.wanted)
+    with limit_preparation_time(USUAL, time):
+        demands, q0 = _make_start(system, problem.start, problem.wanted)
         local = Local(demands, q0)
         if not local.left.shape[1]:
             raise InputError("the tasks leave no freedom at q: there is no self-motion")
@@ -169,7 +169,7 @@ def by_tangents(problem: Problem) -> SelfMotion:
     if not finite:
         text = wording.freedoms_left(local.left.shape[1], 0)
         return SelfMotion(system, local.q[None], 0, 0, False, (text, text), demands)
-    wish = _wish(system, direction, local, demands)
+    wish = _choose_direction(system, direction, local, demands)
     if local.finite == 1:  # of curves that meet here, the one nearest to the direction
         found = np.concatenate([local.motions, -local.motions])
         wish = found[np.argmax(found @ wish)]
@@ -177,14 +177,14 @@ def by_tangents(problem: Problem) -> SelfMotion:
     forth = way.follow(q0, 1.0, steps)
     if forth.closed:
         return SelfMotion(
-            system, _rolling(system, [q0, *forth.q]), local.finite, 0, True, ("", ""), demands
+            system, _refuse_slip(system, [q0, *forth.q]), local.finite, 0, True, ("", ""), demands
         )
     back = _HalfCurve([], False, "the start", -forth.t)
     if way.broken is None:
         back = way.follow(
             q0, -1.0, steps, (forth.q[-1], -forth.t) if forth.q and forth.last else None
         )
-    q = _rolling(system, [*back.q[::-1], q0, *forth.q])
+    q = _refuse_slip(system, [*back.q[::-1], q0, *forth.q])
     ends = ("", "") if back.closed else (back.end, forth.end)
     interrupted, late = (isinstance(way.broken, kind) for kind in BROKEN_OFF)
     return SelfMotion(
@@ -192,10 +192,10 @@ def by_tangents(problem: Problem) -> SelfMotion:
     )
 
 
-def _rolling(system: Model, q: list[Array]) -> Array:
+def _refuse_slip(system: Model, q: list[Array]) -> Array:
     """Configurations (n, nq), one after the other. Errors: `UnsupportedError` where they slip."""
     found = np.array(q)
-    slip = slip_of(system, found)
+    slip = find_first_slip(system, found)
     if slip is not None:
         raise UnsupportedError(
             f"the self-motion of {system.name} {slip.text}: only what does not move what rolls is "
@@ -204,7 +204,7 @@ def _rolling(system: Model, q: list[Array]) -> Array:
     return found
 
 
-def _wanted(system: Model, q: Array, tasks: Any, task: str | None, axis: ArrayLike) -> Any:
+def _read_tasks(system: Model, q: Array, tasks: Any, task: str | None, axis: ArrayLike) -> Any:
     """The tasks; for a frame those that keep it."""
     wanted: Any = tasks
     if isinstance(tasks, (Constraint, list, tuple)):
@@ -220,18 +220,20 @@ def _wanted(system: Model, q: Array, tasks: Any, task: str | None, axis: ArrayLi
     return of_target(name, kind, axis_of(axis), fk(system, q, name))
 
 
-def _begin(system: Model, q: Array, wanted: Any) -> tuple[Demands, Array]:
+def _make_start(system: Model, q: Array, wanted: Any) -> tuple[Demands, Array]:
     """The problem that the tasks hold, and q (nq,) closed to rounding. Errors: `InputError` where
     they do not hold.
     """
-    problem, start = pose_problem(system, wanted, q, TOLERANCE, 1)
-    rows = one_sided_rows(system)
+    problem, start = make_demands(system, wanted, q, TOLERANCE, 1)
+    rows = pack_one_sided_rows(system)
     if problem.lead:
         raise InputError(
             f"the goals have the leading shape {problem.lead}; needed are those of one problem"
         )
     problem = replace(problem, tasks=tuple(t.exactly() for t in problem.tasks))
-    at = judge(replace(problem, tolerance=(1e-6, 1e-6)), start, np.zeros((1, 3), dtype=np.int64))
+    at = make_checked_answer(
+        replace(problem, tolerance=(1e-6, 1e-6)), start, np.zeros((1, 3), dtype=np.int64)
+    )
     if not at:
         over = [name for name, far in zip(rows.names, rows.beyond(q), strict=True) if far]
         if over:
@@ -245,7 +247,7 @@ def _begin(system: Model, q: Array, wanted: Any) -> tuple[Demands, Array]:
     return problem, problem.run(start)[0][0]
 
 
-def _wish(system: Model, direction: Any, local: Local, problem: Demands) -> Array:
+def _choose_direction(system: Model, direction: Any, local: Local, problem: Demands) -> Array:
     """The scaled velocity (nv,) to follow."""
     if direction is None:
         if local.finite > 1:
@@ -321,38 +323,40 @@ class _Direction:
         out: list[Array] = []
         try:
             with self.time:
-                return self._follow(q, sign, steps, goal, out)
+                return self._follow_to_goal(q, sign, steps, goal, out)
         except BROKEN_OFF as error:
             self.broken = error
             return _HalfCurve(out, False, self.time.reason(error), sign * self.wish)
 
-    def _follow(
+    def _follow_to_goal(
         self, q: Array, sign: float, steps: int, goal: tuple[Array, Array] | None, out: list[Array]
     ) -> _HalfCurve:
         system = self.problem.system
         way = sign * self.wish
-        a = self._node(q, way)
+        a = self._make_node(q, way)
         given = goal is not None
         goal = (q, a.t) if goal is None else goal
         nothing = _HalfCurve(out, False, "where the tasks leave nothing of this direction", a.t)
         if a.sigma < LEAST_PART:
             return nothing
 
-        def taken(a: Node, h: float) -> list[Node] | None:
+        def take_step(a: Node, h: float) -> list[Node] | None:
             self.time.check()
-            x = self._led(self.local.move(a.x, h * a.t))
+            x = self._correct_configuration(self.local.move(a.x, h * a.t))
             if x is None or self.local.between(a.x, x) @ a.t < 0.01 * h:
                 return None
-            return [self._node(x, way if self.wished else a.t)]
+            return [self._make_node(x, way if self.wished else a.t)]
 
-        for b in walk(a, taken, self.step, self.step, least=SHORTEST * self.step, ideal=math.inf):
-            if (out or given) and not self.wished and self._passes(a, b, goal):
+        for b in walk_curve(
+            a, take_step, self.step, self.step, least=SHORTEST * self.step, ideal=math.inf
+        ):
+            if (out or given) and not self.wished and self._has_passed_goal(a, b, goal):
                 return _HalfCurve(out, True, "", a.t)
             out.append(b.x)
             self.done += 1
             if self.progress is not None:
                 self.progress(self.done)
-            if names := _at_limits(system, b.x, a.t):
+            if names := _list_reached_limits(system, b.x, a.t):
                 return _HalfCurve(out, False, f"the limit of {names[0]!r}", a.t)
             if len(out) == steps:
                 return _HalfCurve(
@@ -362,17 +366,17 @@ class _Direction:
                 return nothing._replace(t=b.t)
             a = b
         return _HalfCurve(
-            out, False, _stop(self.problem, a.x, a.t, 10.0 * SHORTEST * self.step), a.t
+            out, False, _describe_stop(self.problem, a.x, a.t, 10.0 * SHORTEST * self.step), a.t
         )
 
-    def _led(self, x: Array) -> Array | None:
+    def _correct_configuration(self, x: Array) -> Array | None:
         """The configuration (nq,) in which the tasks hold, nearest to x, as the solver of tasks
         finds it; or None.
         """
         found, info = self.problem.run(x[None])
         return found[0] if info[0, 0] == SOLVED else None
 
-    def _node(self, x: Array, toward: Array) -> Node:
+    def _make_node(self, x: Array, toward: Array) -> Node:
         """The node at x, its tangent what the freedoms have of a direction; `sigma` is how large
         that part is.
         """
@@ -381,30 +385,30 @@ class _Direction:
         size = float(np.linalg.norm(t))
         return Node(x, t if size < LEAST_PART else t / size, size, N.shape[1], NONE, NONE)
 
-    def _passes(self, a: Node, b: Node, goal: tuple[Array, Array]) -> bool:
+    def _has_passed_goal(self, a: Node, b: Node, goal: tuple[Array, Array]) -> bool:
         """Whether the step from a to b comes through the goal.
 
         Steps from a that are as long as the goal is ahead, each led back, end there.
         """
         (there, along) = goal
         t = a.t
-        home = self._short(a.x, there)
+        home = self._compute_shortest_step(a.x, there)
         ahead = float(home @ t)
         reach = float(np.linalg.norm(self.local.between(a.x, b.x)))
         if t @ along < 0.5 or not 0.0 <= ahead <= 1.2 * reach or np.linalg.norm(home) > 2.0 * reach:
             return False
         q: Array | None = a.x
         for _ in range(HOMING):
-            q = self._led(self.local.move(q, ahead * t))
+            q = self._correct_configuration(self.local.move(q, ahead * t))
             if q is None:
                 return False
-            gap = self._short(q, there)
+            gap = self._compute_shortest_step(q, there)
             if np.linalg.norm(gap) < MET:
                 return True
             ahead = float(gap @ t)
         return False
 
-    def _short(self, a: Array, b: Array) -> Array:
+    def _compute_shortest_step(self, a: Array, b: Array) -> Array:
         """The shortest step (nv,) from a to b; unlimited joints turn the short way."""
         from kempe.model.configurations import find_free_angles
 
@@ -414,13 +418,13 @@ class _Direction:
         return v / self.problem.packed.scale
 
 
-def _stop(problem: Demands, q: Array, t: Array, ahead: float) -> str:
+def _describe_stop(problem: Demands, q: Array, t: Array, ahead: float) -> str:
     """What stands in the way of going on from q along t: a limit, or the bound of a task, not
     farther than `ahead`.
     """
     system = problem.system
     scale = problem.packed.scale
-    if names := _at_limits(system, q, t, ahead * scale):
+    if names := _list_reached_limits(system, q, t, ahead * scale):
         return f"the limit of {names[0]!r}"
     there = system.structure.layout.integrate_velocity(q, ahead * t * scale)
     rows = problem.packed.one_sided
@@ -436,7 +440,9 @@ def _stop(problem: Demands, q: Array, t: Array, ahead: float) -> str:
     return "a point where it cannot be followed"
 
 
-def _at_limits(system: Model, q: Array, t: Array, ahead: Array | float = 0.0) -> list[str]:
+def _list_reached_limits(
+    system: Model, q: Array, t: Array, ahead: Array | float = 0.0
+) -> list[str]:
     """Coordinates at a limit that the direction t (nv,) pushes outwards, or takes there within
     `ahead` (nv,).
     """
@@ -453,7 +459,7 @@ SOLVERS = (
         "tangents",
         "steps along the directions in which the tasks hold to first order, led back, both ways",
         takes_all,
-        by_tangents,
+        trace_self_motion,
     ),
 )
 """Who answers for a self-motion."""

@@ -18,7 +18,7 @@ from kempe.answers.problem import Problem, Solver, takes_all
 from kempe.answers.targets import Z_AXIS, not_a_pose
 from kempe.arrays import FARTHEST
 from kempe.budget import Budget, Usual
-from kempe.equations.one_sided import one_sided_rows
+from kempe.equations.one_sided import pack_one_sided_rows
 from kempe.errors import InputError, UnsupportedError
 from kempe.inverse.all_answer import Solutions, pack_rows
 from kempe.inverse.chain.serial_chain import (
@@ -40,7 +40,7 @@ from kempe.inverse.closed_forms.solve import (
     estimate_attainable_error,
     solve_locked_chain,
 )
-from kempe.inverse.spare_joints import look_further
+from kempe.inverse.spare_joints import search_spare_joints
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.compiled import make_allocator
 from kempe.model.configurations import find_winding_angles
@@ -56,7 +56,7 @@ if TYPE_CHECKING:
 # ---- solutions that hold one-sided constraints
 
 
-def obeying(solutions: Solutions) -> Solutions:
+def select_obeying_solutions(solutions: Solutions) -> Solutions:
     """The solutions that hold the one-sided constraints of their system; the status says how many
     do not, and which.
 
@@ -64,7 +64,7 @@ def obeying(solutions: Solutions) -> Solutions:
     Where a constraint tells whole turns of one without limits apart, others of its turns may hold
     it: the answer is then not complete.
     """
-    bounds = one_sided_rows(solutions.system)
+    bounds = pack_one_sided_rows(solutions.system)
     if not bounds.declared:
         return solutions
     used = solutions._used_rows
@@ -79,7 +79,7 @@ def obeying(solutions: Solutions) -> Solutions:
     texts = np.empty(len(beyond), dtype=object)
     texts[:] = [bounds.left_out(each) for each in beyond]
     out = solutions._replace_rows(rows, solutions, texts)
-    if names := _wound(solutions):
+    if names := _list_wound_coordinates(solutions):
         dropped = bad.any(axis=-1)
         counts = solutions._counts.copy()
         counts[dropped, 1] += 1
@@ -90,7 +90,7 @@ def obeying(solutions: Solutions) -> Solutions:
     return out
 
 
-def _wound(solutions: Solutions) -> list[str]:
+def _list_wound_coordinates(solutions: Solutions) -> list[str]:
     """The coordinates of the chain without limits whose whole turns a constraint tells apart."""
     names = solutions.system.structure.velocity_names
     endless = find_winding_angles(solutions.system)
@@ -108,7 +108,7 @@ KNOWN_TASKS = ("pose", "position")
 """What of a target can be known of a frame."""
 
 
-def all_modes(problem: Problem, moving: str = "loops") -> Modes:
+def find_all_modes(problem: Problem, moving: str = "loops") -> Modes:
     """The configurations that are found, those inside the limits first; the frame moves with what
     `moving` says.
 
@@ -150,17 +150,17 @@ USUAL = Usual("ik_all", threads=None, time_limit=SINGLE)
 BATCH = Usual("ik_all", threads=None, time_limit=None)
 
 
-def _of_loops(problem: Problem) -> Modes:
+def _solve_loops(problem: Problem) -> Modes:
     """The answer for a frame that moves with loops, or with joints that follow others."""
     if problem.limits == "turns":
         raise InputError(
-            f"frame {problem.frame!r} moves with {_moving(problem)}: limits='turns' is for chains"
+            f"frame {problem.frame!r} moves with {_describe_movers(problem)}: limits='turns' is for chains"
         )
 
-    return all_modes(problem, _moving(problem))
+    return find_all_modes(problem, _describe_movers(problem))
 
 
-def _moving(problem: Problem) -> str:
+def _describe_movers(problem: Problem) -> str:
     """What a frame moves with that has no chain of independent joints."""
     return (
         "loops"
@@ -169,7 +169,7 @@ def _moving(problem: Problem) -> str:
     )
 
 
-def by_chain(problem: Problem) -> Solutions:
+def solve_by_chain(problem: Problem) -> Solutions:
     """The answer for a frame that its own chain moves."""
     system = problem.system
     name = str(problem.frame)
@@ -181,7 +181,7 @@ def by_chain(problem: Problem) -> Solutions:
     values = read_held_joints(name, lines.names, problem.known)
     threads = spend.threads
     watch = Watch(problem.options["time"], len(targets))
-    plan = _plan_of(problem, values)
+    plan = _plan_chain(problem, values)
     wanted = TOLERANCE if problem.tolerance is None else read_solution_tolerance(problem.tolerance)
     sure = max(wanted, estimate_attainable_error(targets, lines))
     packed_problem = ChainProblem(
@@ -195,7 +195,7 @@ def by_chain(problem: Problem) -> Solutions:
         wanted,
         watch,
     )
-    plain = not one_sided_rows(system).declared
+    plain = not pack_one_sided_rows(system).declared
     if (
         plain
         and single
@@ -204,26 +204,28 @@ def by_chain(problem: Problem) -> Solutions:
         and plan.method.blocks is not None
         and (name,) not in system._queries
     ):
-        bind(system, name)
+        bind_frame(system, name)
     near = read_near_configurations(system, problem.start, packed_problem.lead)
-    answer = solve(packed_problem, plan, near, values, threads)
+    answer = solve_chain_problem(packed_problem, plan, near, values, threads)
     if (
         not single
         and (answer._counts[:, 0] < 0).any()
         and (mended := correct_rotations(targets, "target")) is not targets
     ):
-        answer = solve(replace(packed_problem, targets=mended), plan, near, values, threads)
+        answer = solve_chain_problem(
+            replace(packed_problem, targets=mended), plan, near, values, threads
+        )
     if single and answer._counts[0, 0] < 0:
         raise InputError(not_a_pose(targets[0]))
     if problem.limits:
         answer = answer.chosen(problem.limits == "turns", inside_only=True)
-    return obeying(answer)
+    return select_obeying_solutions(answer)
 
 
 # ---- the solvers, and how one is chosen
 
 
-def _no_loops(problem: Problem) -> str | None:
+def _explain_no_loops(problem: Problem) -> str | None:
     system = problem.system
     frame = str(problem.frame)
     if is_moved_by_loop(system, frame) or has_shared_coordinates(system, frame):
@@ -231,7 +233,7 @@ def _no_loops(problem: Problem) -> str | None:
     return "the frame does not move with loops, or with joints that follow others"
 
 
-def _plan_of(problem: Problem, values: Mapping[str, Any]) -> ChainPlan:
+def _plan_chain(problem: Problem, values: Mapping[str, Any]) -> ChainPlan:
     """The plan of a frame's chain with joints held at `values`."""
     frame = str(problem.frame)
     task, direction = problem.task
@@ -239,26 +241,26 @@ def _plan_of(problem: Problem, values: Mapping[str, Any]) -> ChainPlan:
     return find_plan(problem.system, frame, lines, task, direction, tuple(values))
 
 
-def _refuse_others(problem: Problem, method: Method) -> str | None:
+def _explain_other_method(problem: Problem, method: Method) -> str | None:
     """Why a problem is not for a method: its plan is for another one."""
     lines = find_chain_lines(problem.system, str(problem.frame), problem.task[1])
     names = read_held_joints(str(problem.frame), lines.names, dict.fromkeys(problem.known, 0.0))
-    return None if _plan_of(problem, names).method == method else method.unfit
+    return None if _plan_chain(problem, names).method == method else method.unfit
 
 
 SOLVERS = (
     Solver(
         "assembly modes",
         "closed configurations with the frame known, see assembly_modes",
-        _no_loops,
-        _of_loops,
+        _explain_no_loops,
+        _solve_loops,
     ),
     *(
         Solver(
             method.name,
             method.how,
-            takes_all if method == SEARCH else partial(_refuse_others, method=method),
-            by_chain,
+            takes_all if method == SEARCH else partial(_explain_other_method, method=method),
+            solve_by_chain,
         )
         for method in METHODS
     ),
@@ -288,7 +290,7 @@ class BoundIkAll:
         self.new = make_allocator(1, plan.method.slots, len(plan.lines) + A.INFO)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return bind, (self.system, self.frame)
+        return bind_frame, (self.system, self.frame)
 
     def make_problem(self, target: Array) -> ChainProblem:
         """The problem that was solved."""
@@ -310,7 +312,7 @@ class BoundIkAll:
         return Solutions((self, X), self.plan, self.base, rows, self.counts, None, -1 - used)
 
 
-def bind(system: Model, frame: str) -> BoundIkAll | None:
+def bind_frame(system: Model, frame: str) -> BoundIkAll | None:
     """The bound form for poses of a frame, None where there is none; made once."""
     lines = find_chain_lines(system, frame, Z_AXIS)
     plan = find_plan(system, frame, lines, "pose", Z_AXIS, ())
@@ -320,7 +322,7 @@ def bind(system: Model, frame: str) -> BoundIkAll | None:
     return bound
 
 
-def solve(
+def solve_chain_problem(
     problem: ChainProblem,
     plan: ChainPlan,
     near: Array | None,
@@ -334,7 +336,7 @@ def solve(
     chain_near = np.ascontiguousarray(base[:, lines.q_index])
     base = move_inside_limits(system, base.copy())
     start = np.array([plan.first]) if near is None and plan.first else chain_near
-    first = _locked(problem, plan, start, values) if plan.locked else chain_near
+    first = _compute_locked_coordinates(problem, plan, start, values) if plan.locked else chain_near
     out, counts = solve_locked_chain(problem, plan, chain_near, first, threads)
     decided = plan.locked == plan.fixed and not lines.span.wide
     if problem.lead is None and not decided:
@@ -342,7 +344,7 @@ def solve(
         # the first of rows in order is inside the limits
         decided = code >= 0.0 and code % 2.0 == 1.0
     if decided:
-        _outside(plan, out)
+        _mark_outside_rows(plan, out)
         return Solutions(
             problem,
             plan,
@@ -352,15 +354,19 @@ def solve(
             problem.lead,
             locked=first,
             first=first,
-            late=_late(problem, counts),
+            late=_find_late_targets(problem, counts),
         )
 
-    def at(some: ChainProblem, near: Array, locked: Array) -> tuple[Array, np.ndarray]:
+    def solve_some_targets(
+        some: ChainProblem, near: Array, locked: Array
+    ) -> tuple[Array, np.ndarray]:
         # of which there are many for all values
         return solve_locked_chain(some, plan, near, locked, threads, starts=False)
 
-    held_at = look_further(problem, plan, chain_near, first, out, counts, at, threads)
-    _outside(plan, out)
+    held_at = search_spare_joints(
+        problem, plan, chain_near, first, out, counts, solve_some_targets, threads
+    )
+    _mark_outside_rows(plan, out)
     return Solutions(
         problem,
         plan,
@@ -371,11 +377,13 @@ def solve(
         locked=held_at.locked,
         first=first,
         tried=held_at.tried,
-        late=_late(problem, counts),
+        late=_find_late_targets(problem, counts),
     )
 
 
-def _late(problem: ChainProblem, counts: np.ndarray) -> tuple[float, np.ndarray] | None:
+def _find_late_targets(
+    problem: ChainProblem, counts: np.ndarray
+) -> tuple[float, np.ndarray] | None:
     """The time limit [s] and the targets (N,) whose work it ended, which are in doubt; None where
     it ended none.
     """
@@ -386,7 +394,7 @@ def _late(problem: ChainProblem, counts: np.ndarray) -> tuple[float, np.ndarray]
     return problem.watch.limit.limit or 0.0, late
 
 
-def _outside(plan: ChainPlan, rows: Array) -> None:
+def _mark_outside_rows(plan: ChainPlan, rows: Array) -> None:
     """Mark the rows (N, K, n + 2) as outside the limits where a joint held by name is beyond its
     own.
     """
@@ -400,7 +408,7 @@ def _outside(plan: ChainPlan, rows: Array) -> None:
     code[off & (code >= 0.0) & (code % 2.0 == 1.0)] -= A.INSIDE_BIT
 
 
-def _locked(
+def _compute_locked_coordinates(
     problem: ChainProblem, plan: ChainPlan, near: Array, values: Mapping[str, Array]
 ) -> Array:
     """Coordinates (1 or N, n) of the chain, of which those of locked joints count."""

@@ -20,11 +20,11 @@ from kempe.inverse.closed_forms.descent import Aim, compute_limits, run_descent
 from kempe.inverse.closed_forms.plan import SEARCH, ChainPlan, scale_to_domains
 from kempe.inverse.closed_forms.problem import ChainProblem
 from kempe.inverse.closed_forms.start_search import find_chain_columns, make_frame_problem
-from kempe.inverse.multi_start import answered
+from kempe.inverse.multi_start import search_targets
 from kempe.kernels.base.search_layout import ANGULAR, ANSWER, LINEAR, SOLVED, STATUS
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.compiled import schedule
-from kempe.numerics.pool import over_chunks
+from kempe.numerics.pool import sum_over_chunks
 from kempe.spatial import Array
 
 VALUES = 64
@@ -66,7 +66,7 @@ class SpareJoints:
     tried: np.ndarray
 
 
-def look_further(
+def search_spare_joints(
     problem: ChainProblem,
     plan: ChainPlan,
     near: Array,
@@ -83,7 +83,7 @@ def look_further(
     near, locked: (1 or N, n). solve: rows and counts of a problem, near and locked.
     """
     tried = np.ones(len(rows), dtype=np.int64)
-    left = np.flatnonzero((counts[:, 0] >= 0) & ~_reached(rows))
+    left = np.flatnonzero((counts[:, 0] >= 0) & ~_find_reached_targets(rows))
     if not len(left):
         return SpareJoints(locked, tried)
     many = _Targets(
@@ -106,16 +106,18 @@ def look_further(
         left = many.stepped(left)
     left = many.searched(left, MOST, problem.tolerance, True)
     left = many.searched(left, MOST, max(problem.tolerance, LOOSE), True)
-    many.searched(left[~_used(rows[left])], MOST, max(problem.tolerance, LOOSE), False)
+    many.searched(
+        left[~_find_solved_targets(rows[left])], MOST, max(problem.tolerance, LOOSE), False
+    )
     return SpareJoints(many.locked, tried)
 
 
-def _used(rows: Array) -> np.ndarray:
+def _find_solved_targets(rows: Array) -> np.ndarray:
     """Which targets (N,) have a solution."""
     return np.any(rows[..., -A.INFO + A.CODE] >= 0.0, axis=1)
 
 
-def _reached(rows: Array) -> np.ndarray:
+def _find_reached_targets(rows: Array) -> np.ndarray:
     """Which targets (N,) have a solution inside the limits."""
     # by solutions: many times as fast
     code = np.ascontiguousarray(rows[..., -A.INFO + A.CODE].T).astype(np.int64)
@@ -155,7 +157,9 @@ class _Targets:
         all.
         """
         old = self.rows[which]
-        better = (_reached(rows) & ~_reached(old)) | (_used(rows) & ~_used(old))
+        better = (_find_reached_targets(rows) & ~_find_reached_targets(old)) | (
+            _find_solved_targets(rows) & ~_find_solved_targets(old)
+        )
         at = which[better]
         self.rows[at] = rows[better]
         self.counts[at] = counts[better]
@@ -163,7 +167,7 @@ class _Targets:
 
     def stepped(self, left: np.ndarray) -> np.ndarray:
         """The targets of `left` that have no solution inside the limits at any of VALUES values."""
-        values = spare_values(self.plan, self.plan.spare_joints)
+        values = sample_spare_values(self.plan, self.plan.spare_joints)
         k = 0
         while k < len(values) and len(left) and not self.problem.stopped(left):
             some = values[k : k + max(1, ROOM // len(left))]
@@ -172,13 +176,15 @@ class _Targets:
             locked[:, self.plan.spare_joints] = np.tile(some, (len(left), 1))
             same = len(some) == 1 and not np.ptp(locked, axis=0).any()
             rows, counts = self.solutions_at(which, locked[:1] if same else locked)
-            grade = (2 * _reached(rows) + _used(rows)).reshape(len(left), len(some))
+            grade = (2 * _find_reached_targets(rows) + _find_solved_targets(rows)).reshape(
+                len(left), len(some)
+            )
             first = np.arange(len(left)) * len(some) + np.argmax(grade, axis=1)
             self.take(left, locked[first], rows[first], counts[first])
             self.tried[left] += np.where(
                 grade.max(axis=1) == 3, 1 + np.argmax(grade, axis=1), len(some)
             )
-            left = left[~_reached(self.rows[left])]
+            left = left[~_find_reached_targets(self.rows[left])]
             k = k + len(some)
         return left
 
@@ -193,7 +199,7 @@ class _Targets:
         """
         if not len(left) or self.problem.stopped(left):
             return left
-        q, error, found = self._configurations(left, starts, tolerance, limited)
+        q, error, found = self._find_configurations(left, starts, tolerance, limited)
         which = left[found]
         q = q[found]
         error = error[found]
@@ -201,13 +207,17 @@ class _Targets:
             locked = self.locked[which]
             locked[:, self.plan.spare_joints] = q[:, self.plan.spare_joints]
             rows, counts = self.solutions_at(which, locked)
-            for i in np.flatnonzero(~(_reached(rows) if limited else _used(rows))):
-                _put(rows[i], counts[i], q[i], error[i], limited, self.problem.lead is None)
+            for i in np.flatnonzero(
+                ~(_find_reached_targets(rows) if limited else _find_solved_targets(rows))
+            ):
+                _insert_configuration(
+                    rows[i], counts[i], q[i], error[i], limited, self.problem.lead is None
+                )
             self.tried[which] += 1
             self.take(which, locked, rows, counts)
         return left[~found]
 
-    def _configurations(
+    def _find_configurations(
         self, which: np.ndarray, starts: int, tolerance: float, limited: bool
     ) -> tuple[Array, Array, np.ndarray]:
         """Coordinates (m, n) of the chain, errors (m,), and which were found (m,), to the tolerance
@@ -238,22 +248,24 @@ class _Targets:
         if starts > FEW and limited:  # the few began at `near`: other starts, then
             seeds = chain.no_seed
 
-        def pieces(i: int, j: int) -> int:
+        def run_pieces(i: int, j: int) -> int:
             for k in range(i, j, PIECE):
                 check_for_stop()
                 last = min(k + PIECE, j)
                 if self.problem.stopped(which[k:last]):
                     out[k:last] = np.nan
                 else:
-                    work(k, last)
+                    search_rows(k, last)
             return 0
 
-        def work(i: int, j: int) -> int:
+        def search_rows(i: int, j: int) -> int:
             if len(pins):
                 limits[:, at[pins]] = pinned[i]
             first = seeds[i:j] if len(seeds) > 1 else seeds
             if chain.span.wide:
-                return answered(task, self.problem.targets[which[i:j]], first, limits, out[i:j])
+                return search_targets(
+                    task, self.problem.targets[which[i:j]], first, limits, out[i:j]
+                )
             return schedule.reach_goals(
                 chain.ints,
                 chain.floats,
@@ -272,21 +284,21 @@ class _Targets:
 
         if len(pins) and np.ptp(pinned, axis=0).any():
             for i in range(m):
-                pieces(i, i + 1)
+                run_pieces(i, i + 1)
         else:
-            over_chunks(pieces, m, CHUNK, self.threads, SERIAL_BELOW)
+            sum_over_chunks(run_pieces, m, CHUNK, self.threads, SERIAL_BELOW)
         n = len(lines)
         q = out[:, at]
         error = np.hypot(out[:, n + LINEAR], out[:, n + ANGULAR])
         found = out[:, n + STATUS] == SOLVED
         for i in np.flatnonzero(found & (error > self.problem.tolerance)):
-            q[i], error[i] = self._polished(which[i], q[i], limited)
+            q[i], error[i] = self._polish_configuration(which[i], q[i], limited)
         within = (error <= self.problem.tolerance) & (
             out[:, n + ANGULAR] <= max(self.problem.angular, LOOSE)
         )
         return q, error, found & within
 
-    def _polished(self, index: int, q: Array, limited: bool) -> tuple[Array, float]:
+    def _polish_configuration(self, index: int, q: Array, limited: bool) -> tuple[Array, float]:
         """A configuration (n,) on the target as nearly as can be, and its error."""
         lines = self.plan.lines
         target = self.problem.targets[index]
@@ -305,7 +317,7 @@ class _Targets:
         return np.clip(q, *lines.limits) if limited else q, error
 
 
-def spare_values(plan: ChainPlan, spare: list[int]) -> Array:
+def sample_spare_values(plan: ChainPlan, spare: list[int]) -> Array:
     """Values (VALUES - 1, k) of the spare joints between their limits: the ends, and what fills the
     space between.
 
@@ -329,7 +341,9 @@ def spare_values(plan: ChainPlan, spare: list[int]) -> Array:
     return scale_to_domains(lines, full)[:, spare]
 
 
-def _put(row: Array, count: np.ndarray, q: Array, error: float, inside: bool, first: bool) -> None:
+def _insert_configuration(
+    row: Array, count: np.ndarray, q: Array, error: float, inside: bool, first: bool
+) -> None:
     """Make a configuration one of the rows (K, n + 2) of its target: in place of itself, else where
     there is room.
     """

@@ -45,10 +45,10 @@ from kempe.inverse.closed_forms.chain_lines import Lines, find_chain_lines
 from kempe.inverse.closed_forms.plan import compute_domains, find_plan
 from kempe.inverse.closed_forms.problem import read_held_joints, read_near_configurations
 from kempe.inverse.ik_all import ik_all
-from kempe.inverse.sweep_curves import ChainMotion, CurvePiece, arcs_through
+from kempe.inverse.sweep_curves import ChainMotion, CurvePiece, trace_arcs
 from kempe.kernels.forward.table_layout import SLIDE
-from kempe.numerics.clock import SHARE, SHORT, TimeLimit, time_limited, time_of
-from kempe.numerics.intervals import Intervals, spelled, union
+from kempe.numerics.clock import SHARE, SHORT, TimeLimit, find_time_limit, limit_time
+from kempe.numerics.intervals import Intervals, format_intervals, unite_intervals
 from kempe.poses import check_poses, read_pose_array
 from kempe.report import Table, brief, by_code
 from kempe.spatial import Array, log_so3
@@ -233,7 +233,7 @@ class Sweep(Answer):
     @property
     def feasible(self) -> Intervals:
         """The intervals in which there is any solution inside the limits."""
-        return union([i for rows in self.intervals for i in rows], self.curves.circular)
+        return unite_intervals([i for rows in self.intervals for i in rows], self.curves.circular)
 
     def at(self, value: ArrayLike) -> Any:
         """All solutions at a value of the parameter, a `Slice`, or for joints `Solutions` of
@@ -246,10 +246,10 @@ class Sweep(Answer):
             raise InputError(
                 f"value is {value!r}; it must be a finite number, or an array (m,) of them"
             )
-        return self.ask(x) if self.ask is not None else self._slice(x)
+        return self.ask(x) if self.ask is not None else self._make_slice(x)
 
-    def _slice(self, x: Array) -> Slice:
-        q, mask, fits = self._sampled(np.atleast_1d(x), False)
+    def _make_slice(self, x: Array) -> Slice:
+        q, mask, fits = self._sample_branches(np.atleast_1d(x), False)
         X = fk(self.system, np.where(mask[..., None], q, self.near), self.frame)
         turn = log_so3(np.swapaxes(X[..., :3, :3], -1, -2) @ self.target[:3, :3])
         error = np.linalg.norm(
@@ -259,7 +259,7 @@ class Sweep(Answer):
         branch = np.where(mask, np.arange(mask.shape[1], dtype=np.int64), -1)
         if x.ndim:
             return Slice(self, x, q, mask, fits, error, branch)
-        keep = distinct(self.curves.lines, self.system, q[0], mask[0])
+        keep = find_distinct_rows(self.curves.lines, self.system, q[0], mask[0])
         score = np.linalg.norm((q[0] - self.near)[keep], axis=-1)
         keep = keep[np.lexsort((score, ~fits[0, keep]))]
         return Slice(
@@ -272,7 +272,7 @@ class Sweep(Answer):
             branch[0, keep],
         )
 
-    def _sampled(
+    def _sample_branches(
         self, values: Array, along: bool, branch: int | None = None
     ) -> tuple[Array, np.ndarray, np.ndarray]:
         """Configurations (m, K, nq), which are there, which are inside the limits (m, K); of one
@@ -285,7 +285,7 @@ class Sweep(Answer):
             rows.append(self.curves.rows(values[k : k + PIECE], branch))
         chain = np.concatenate([x for x, _ in rows])
         mask = np.concatenate([x for _, x in rows])
-        chain, fits = turned(lines, chain, mask, self.near[lines.q_index], along)
+        chain, fits = choose_turns(lines, chain, mask, self.near[lines.q_index], along)
         q = np.full((*mask.shape, self.system.nq), np.nan)
         q[:] = self.near
         q[..., lines.q_index] = chain
@@ -300,23 +300,23 @@ class Sweep(Answer):
         (m, nq) that gives numbers (m,), the larger the better. Method: many values in each
         interval, the best refined by smaller and smaller steps.
         """
-        score = self._objective(objective)
+        score = self._make_score(objective)
         found: list[Best] = []
         for branch, rows in enumerate(self.intervals):
             for low, high in rows:
                 values = np.linspace(low, high, TRIES)[1:-1]
-                first = self._best_of(score, branch, values, None)
+                first = self._find_best_sample(score, branch, values, None)
                 found += [first] if first else []
         if not found:
             return None
         found = sorted(found, key=lambda b: -b.score)[:REFINED]
-        return max((self._refined(score, b) for b in found), key=lambda b: b.score)
+        return max((self._refine_best(score, b) for b in found), key=lambda b: b.score)
 
-    def _best_of(
+    def _find_best_sample(
         self, score: Callable[[Array], Array], branch: int, values: Array, best: Best | None
     ) -> Best | None:
         """The best of one branch at these values, or `best` where that is better."""
-        q, mask, fits = self._sampled(values, False, branch)
+        q, mask, fits = self._sample_branches(values, False, branch)
         rows = np.flatnonzero((mask & fits)[:, 0])
         if not rows.size:
             return best
@@ -331,16 +331,16 @@ class Sweep(Answer):
             return best
         return Best(float(values[rows[k]]), q[rows[k], 0], branch, float(scores[k]))
 
-    def _refined(self, score: Callable[[Array], Array], best: Best) -> Best:
+    def _refine_best(self, score: Callable[[Array], Array], best: Best) -> Best:
         low, high = next((a, b) for a, b in self.intervals[best.branch] if a <= best.value <= b)
         step = (high - low) / (TRIES - 1)
         while step > 1e-10:
             values = np.clip(np.linspace(best.value - step, best.value + step, 21), low, high)
-            best = self._best_of(score, best.branch, values, best) or best
+            best = self._find_best_sample(score, best.branch, values, best) or best
             step *= 0.1
         return best
 
-    def _objective(self, objective: str | Callable[[Array], Array]) -> Callable[[Array], Array]:
+    def _make_score(self, objective: str | Callable[[Array], Array]) -> Callable[[Array], Array]:
         if callable(objective):
             return objective
         lines = self.curves.lines
@@ -355,13 +355,13 @@ class Sweep(Answer):
         at = lines.q_index
         limited = np.isfinite(low) & np.isfinite(high) & (high > low)
 
-        def room(q: Array) -> Array:
+        def compute_room(q: Array) -> Array:
             x = q[..., at][..., limited]
             a = low[limited]
             b = high[limited]
             return np.min(2.0 * np.minimum(x - a, b - x) / (b - a), axis=-1, initial=1.0)
 
-        return room
+        return compute_room
 
     @property
     def success(self) -> bool:
@@ -402,11 +402,11 @@ class Sweep(Answer):
     def _sentence(self, index: tuple[int, ...]) -> str:
         way = "in closed form" if self.exact else "ends to 1e-10, from solutions at sampled values"
         late = "the time limit ended the sampling" if self.exact else LATE
-        return self._found(way) + (f"; {late}" if self.late else "")
+        return self._describe_feasible(way) + (f"; {late}" if self.late else "")
 
-    def _found(self, way: str) -> str:
+    def _describe_feasible(self, way: str) -> str:
         if self:
-            return f"{self.parameter} can be in {spelled(self.feasible)} ({way})"
+            return f"{self.parameter} can be in {format_intervals(self.feasible)} ({way})"
         if any(self.spans):
             return f"outside the limits for every {self.parameter} ({way})"
         return f"no solution for any {self.parameter}: {self.curves.reason}"
@@ -414,7 +414,7 @@ class Sweep(Answer):
     def __repr__(self) -> str:
         return (
             f"Sweep({self.system.name!r}, {self.frame!r}, {self.parameter!r}, "
-            f"feasible=[{spelled(self.feasible)}])"
+            f"feasible=[{format_intervals(self.feasible)}])"
         )
 
     def _headline(self) -> str:
@@ -422,7 +422,9 @@ class Sweep(Answer):
 
     def _tables(self) -> Sequence[Table]:
         each = zip(self.labels, self.intervals, self.spans, strict=True)
-        rows = [(label, spelled(a) or "-", spelled(b)) for label, a, b in each if b]
+        rows = [
+            (label, format_intervals(a) or "-", format_intervals(b)) for label, a, b in each if b
+        ]
         return [Table(("branch", "inside the limits", "exists"), rows)] if rows else []
 
     def _notes(self, degrees: bool = False) -> Sequence[str]:
@@ -430,7 +432,7 @@ class Sweep(Answer):
         return [f"held: {held}"] if held else []
 
 
-def turned(
+def choose_turns(
     lines: Lines, q: Array, mask: np.ndarray, near: Array, along: bool
 ) -> tuple[Array, np.ndarray]:
     """Coordinates (m, K, n) with turns chosen, inside the limits and nearest to `near` (n,), and
@@ -440,19 +442,19 @@ def turned(
     """
     period = np.where(lines.kinds == SLIDE, np.inf, TWO_PI / np.abs(lines.multiplier))
     if not along:
-        out, fits = _turned(lines, q, near, period)
+        out, fits = _shift_by_turns(lines, q, near, period)
         return out, fits & mask
     out = np.empty_like(q)
     fits = np.empty(mask.shape, dtype=bool)
     last = np.broadcast_to(near, q.shape[1:])
     for i in range(len(q)):
         check_for_stop()
-        out[i], fits[i] = _turned(lines, q[i], last, period)
+        out[i], fits[i] = _shift_by_turns(lines, q[i], last, period)
         last = np.where(mask[i][:, None], out[i], near)
     return out, fits & mask
 
 
-def _turned(lines: Lines, q: Array, near: Array, period: Array) -> tuple[Array, np.ndarray]:
+def _shift_by_turns(lines: Lines, q: Array, near: Array, period: Array) -> tuple[Array, np.ndarray]:
     low, high = lines.limits
     with np.errstate(invalid="ignore"):
         best = np.where(np.isfinite(period), q + period * np.round((near - q) / period), q)
@@ -465,7 +467,7 @@ def _turned(lines: Lines, q: Array, near: Array, period: Array) -> tuple[Array, 
         return np.where(fits, np.clip(other, low, high), best), fits.all(axis=-1)
 
 
-def distinct(lines: Lines, system: Model, q: Array, mask: np.ndarray) -> np.ndarray:
+def find_distinct_rows(lines: Lines, system: Model, q: Array, mask: np.ndarray) -> np.ndarray:
     """Rows (k,) of q (K, nq) in use that are not the same configuration as one before them."""
     out: list[int] = []
     period = np.where(lines.kinds == SLIDE, np.inf, TWO_PI / np.abs(lines.multiplier))
@@ -490,7 +492,7 @@ USUAL = Usual("ik_sweep", points=SAMPLES, time_limit=SHORT)
 
 
 @explain_errors
-@time_limited(USUAL)
+@limit_time(USUAL)
 def ik_sweep(
     system: Model,
     target: ArrayLike,
@@ -540,7 +542,7 @@ def ik_sweep(
     parameter, reference = parameter if with_reference else (parameter, None)
     if reference is not None:
         reference = tuple(read_reals(reference, "the reference of the arm angle").ravel().tolist())
-    _count(USUAL.complete_budget(budget).points)
+    _check_sample_count(USUAL.complete_budget(budget).points)
     direction = axis_for(axis, said)
     targets, lead, is_position = targets_of(
         system, read_pose_array(target, "target"), said, direction
@@ -564,7 +566,7 @@ def ik_sweep(
         raise InputError("a sweep holds joints at single numbers")
     options = {
         "base": base,
-        "n": None if n is None else _count(n),
+        "n": None if n is None else _check_sample_count(n),
         "given": read_reals(target, "target"),
     }
     problem = Problem(
@@ -585,7 +587,7 @@ def ik_sweep(
 # ---- the solvers
 
 
-def _no_arm(problem: Problem) -> str | None:
+def _explain_no_arm(problem: Problem) -> str | None:
     system = problem.system
     frame = str(problem.frame)
     parameter, reference = problem.parameter
@@ -598,42 +600,44 @@ def _no_arm(problem: Problem) -> str | None:
     return explain_missing_arm(system, frame, arm) if isinstance(arm, str) else None
 
 
-def _no_joint(problem: Problem) -> str | None:
+def _explain_no_joint(problem: Problem) -> str | None:
     return "the arm angle is requested" if problem.parameter[0] == ARM_ANGLE else None
 
 
-def by_arm_angle(problem: Problem) -> Sweep:
+def sweep_arm_angle(problem: Problem) -> Sweep:
     """The branches of an arm over its arm angle, in closed form."""
-    over = _sweep_problem(problem)
+    over = _make_sweep_problem(problem)
     arm = require_arm(problem.system, over.frame, problem.parameter[1])
-    return _sweep(over, ArmCurves(over, arm), problem.options["n"])
+    return _make_sweep(over, ArmCurves(over, arm), problem.options["n"])
 
 
-def by_joint(problem: Problem) -> Sweep:
+def sweep_joint(problem: Problem) -> Sweep:
     """The branches over a joint, from solutions at many of its values."""
-    over = _sweep_problem(problem)
-    points = _count(USUAL.complete_budget(problem.budget).points)
-    return _sweep(over, _joint_curves(over, problem.parameter[0], points), problem.options["n"])
+    over = _make_sweep_problem(problem)
+    points = _check_sample_count(USUAL.complete_budget(problem.budget).points)
+    return _make_sweep(
+        over, _trace_joint_curves(over, problem.parameter[0], points), problem.options["n"]
+    )
 
 
 SOLVERS = (
     Solver(
         "arm angle",
         "both sides of shoulder, elbow and wrist over the angle of the arm's plane",
-        _no_arm,
-        by_arm_angle,
+        _explain_no_arm,
+        sweep_arm_angle,
     ),
     Solver(
         "joint",
         "all solutions at many values of a joint, and the curves through them",
-        _no_joint,
-        by_joint,
+        _explain_no_joint,
+        sweep_joint,
     ),
 )
 """Who answers for the solutions over a parameter."""
 
 
-def _sweep_problem(problem: Problem) -> SweepProblem:
+def _make_sweep_problem(problem: Problem) -> SweepProblem:
     (task, axis) = problem.task
     given = problem.options["given"]
     lines = find_chain_lines(problem.system, str(problem.frame), Z_AXIS)
@@ -648,7 +652,7 @@ def _sweep_problem(problem: Problem) -> SweepProblem:
         problem.options["base"],
         dict(problem.known),
         problem.start is None,
-        time_of(USUAL),
+        find_time_limit(USUAL),
     )
 
 
@@ -656,7 +660,7 @@ def _refuse_no_rotation(R: Array) -> None:
     check_poses(spatial.pose(R), "target")
 
 
-def _count(n: object) -> int:
+def _check_sample_count(n: object) -> int:
     if not is_whole(n) or not 2 <= n <= MOST_SAMPLES:
         raise InputError(
             f"the number of samples is {n!r}; it must be a whole number from 2 to {MOST_SAMPLES}"
@@ -722,7 +726,7 @@ class SweepProblem:
         )
 
 
-def _sweep(over: SweepProblem, curves: ArmCurves | JointCurves, n: int | None) -> Sweep:
+def _make_sweep(over: SweepProblem, curves: ArmCurves | JointCurves, n: int | None) -> Sweep:
     """The answer, with samples."""
     rows, spans = (tuple(tuple(r) for r in curves.intervals(limited)) for limited in (True, False))
     none = np.zeros((0, len(curves.labels)), dtype=bool)
@@ -750,7 +754,7 @@ def _sweep(over: SweepProblem, curves: ArmCurves | JointCurves, n: int | None) -
         return sweep
     values = np.linspace(*curves.domain, n)
     try:
-        q, mask, fits = sweep._sampled(values, True)
+        q, mask, fits = sweep._sample_branches(values, True)
     except TimeUp:
         if not over.time.spent:
             raise
@@ -850,7 +854,7 @@ class JointCurves:
         return q, mask
 
 
-def _joint_curves(over: SweepProblem, parameter: str | None, samples: int) -> JointCurves:
+def _trace_joint_curves(over: SweepProblem, parameter: str | None, samples: int) -> JointCurves:
     """The branches over a joint. Errors: `UnsupportedError` where the chain has no freedom to
     spare.
     """
@@ -861,10 +865,10 @@ def _joint_curves(over: SweepProblem, parameter: str | None, samples: int) -> Jo
         )
     if parameter in over.fixed:
         raise InputError(f"{parameter} is fixed; the parameter must be free")
-    locked = _locked(over, parameter)
+    locked = _choose_locked_joints(over, parameter)
     if not locked:
         raise UnsupportedError(
-            f"the chain of {over.frame!r} has no freedom to spare for {_article(over.task)}: ask "
+            f"the chain of {over.frame!r} has no freedom to spare for {_format_task(over.task)}: ask "
             "`ik_all`"
         )
     name = locked[0] if parameter is None else parameter
@@ -889,18 +893,18 @@ def _joint_curves(over: SweepProblem, parameter: str | None, samples: int) -> Jo
         over.system, over.frame, lines, over.task, over.axis, over.target, base, free, free.index(i)
     )
     level, row = np.nonzero(found.mask & (found.multiplicity > 0))
-    arcs = arcs_through(
+    arcs = trace_arcs(
         motion, values / motion.unit[motion.p], motion.x(found.q[level, row]), level, over.time
     )
     late = missed > 0 or over.time.spent
     return JointCurves(motion, arcs, name, domain, others, len(values) - missed, late)
 
 
-def _article(task: str) -> str:
+def _format_task(task: str) -> str:
     return f"a{'n' if task[0] in 'aeiou' else ''} {task.replace('_axis', ' with an axis')}"
 
 
-def _locked(over: SweepProblem, parameter: str | None) -> list[str]:
+def _choose_locked_joints(over: SweepProblem, parameter: str | None) -> list[str]:
     """Joints that `ik_all` holds for this task, the parameter first; none where the chain has no
     freedom to spare.
     """

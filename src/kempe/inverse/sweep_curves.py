@@ -20,10 +20,10 @@ from kempe.forward.fk import fk, jacobian
 from kempe.inverse.closed_forms.chain_lines import Lines
 from kempe.kernels.forward.table_layout import SLIDE
 from kempe.numerics.clock import TimeLimit
-from kempe.numerics.curves import ACROSS, BEND, Curve, Node, node, step, walk
-from kempe.numerics.newton import GaussNewtonEnd, gauss_newton_of_many
+from kempe.numerics.curves import ACROSS, BEND, Curve, Node, find_next_node, make_node, walk_curve
+from kempe.numerics.newton import GaussNewtonEnd, run_many_gauss_newton
 from kempe.numerics.rank import Spectrum
-from kempe.numerics.roots import sign_change
+from kempe.numerics.roots import find_sign_change
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -127,7 +127,7 @@ class ChainMotion(Curve):
                 [-left[..., 1, 2], left[..., 0, 2], np.zeros(left.shape[:-2])], axis=-1
             )
         else:
-            angular = rotation_vector(left)
+            angular = compute_rotation_vector(left)
         return self.rows * np.concatenate([away, angular], axis=-1)
 
     def jacobian(self, x: Array) -> Array:
@@ -144,7 +144,7 @@ class ChainMotion(Curve):
         return np.append(-self.missing(self.q(x)), np.zeros(max(self.n - 6, 0))), self.matrix(x)
 
     def matrix(self, x: Array) -> Array:
-        """The derivatives of `both` alone."""
+        """The derivatives of `evaluate_equations` alone."""
         return np.append(self.jacobian(x), np.zeros((max(self.n - 6, 0), self.n)), axis=0)
 
     def tolerance(self, x: Array) -> float:
@@ -157,13 +157,13 @@ class ChainMotion(Curve):
         """
         at = np.sum(across * x, axis=-1)
 
-        def both(x: Array, some: np.ndarray) -> tuple[Array, Array]:
+        def evaluate_equations(x: Array, some: np.ndarray) -> tuple[Array, Array]:
             e = self.missing(self.q(x))
             J = self.jacobian(x)
             away = np.sum(across[some] * x, axis=-1) - at[some]
             return np.append(-e, away[:, None], axis=-1), np.append(J, across[some, None], axis=-2)
 
-        x = gauss_newton_of_many(both, x, rounds, met=CONVERGED)
+        x = run_many_gauss_newton(evaluate_equations, x, rounds, met=CONVERGED)
         return x, np.abs(self.missing(self.q(x))).max(axis=-1) < HELD
 
     def gap(self, x: Array, y: Array) -> Array:
@@ -205,7 +205,7 @@ class CurvePiece:
 
     def guess(self, k: np.ndarray, s: Array) -> Array:
         """Points (m, nf) near the curve at fractions s (m,) of steps k (m,): cubics."""
-        return hermite(self.x[k], self.t[k], self.x[k + 1], self.t[k + 1], s)
+        return interpolate_hermite(self.x[k], self.t[k], self.x[k + 1], self.t[k + 1], s)
 
     def points(self, k: np.ndarray, s: Array) -> Array:
         """Points (m, nf) of the curve at fractions s (m,) of steps k (m,)."""
@@ -252,7 +252,11 @@ class CurvePiece:
         if not limited:
             return [(float(self.values[0]), float(self.values[-1]))]
         last = len(self.x) - 1
-        ends = [(0.0, self.values[0]), *sorted(self._crossings()), (float(last), self.values[-1])]
+        ends = [
+            (0.0, self.values[0]),
+            *sorted(self._iterate_crossings()),
+            (float(last), self.values[-1]),
+        ]
         pairs = [(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True) if b[0] - a[0] > 1e-11]
         middles = np.array([0.5 * (a[0] + b[0]) for a, b in pairs])
         k = np.minimum(middles.astype(int), last - 1)
@@ -265,7 +269,7 @@ class CurvePiece:
                 out.append((float(low), float(high)))
         return out
 
-    def _crossings(self) -> Iterator[tuple[float, float]]:
+    def _iterate_crossings(self) -> Iterator[tuple[float, float]]:
         """Places (step and fraction of it) where a joint other than the parameter passes a limit,
         and the parameter.
         """
@@ -305,10 +309,10 @@ class CurvePiece:
         for r in rows:
             if not good[r]:  # the joint only grazes its limit: found on the curve, step by step
 
-                def off(s: float, r: Any = r) -> float:
+                def compute_offset(s: float, r: Any = r) -> float:
                     return float(self.points(at[[r]], np.array([s]))[0, joint[r]] - level[r])
 
-                s = sign_change(off, float(CHECKS[i[r]]), float(CHECKS[i[r] + 1]))
+                s = find_sign_change(compute_offset, float(CHECKS[i[r]]), float(CHECKS[i[r] + 1]))
                 if s is None:
                     continue
                 low[r] = high[r] = s
@@ -319,7 +323,7 @@ class CurvePiece:
             )
 
 
-def rotation_vector(R: Array) -> Array:
+def compute_rotation_vector(R: Array) -> Array:
     """2 tan(angle / 2) times the axis (..., 3) of rotations: the rotation vector where it is small."""
     v = np.stack(
         [R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]],
@@ -329,7 +333,7 @@ def rotation_vector(R: Array) -> Array:
     return v * (2.0 / np.maximum(1.0 + trace, 1e-9))[..., None]
 
 
-def hermite(x0: Array, t0: Array, x1: Array, t1: Array, s: Array) -> Array:
+def interpolate_hermite(x0: Array, t0: Array, x1: Array, t1: Array, s: Array) -> Array:
     """Points (m, n) at fractions s (m,) of steps between nodes (m, n) with unit tangents."""
     size = np.linalg.norm(x1 - x0, axis=-1, keepdims=True)
     s = s[:, None]
@@ -346,7 +350,7 @@ def hermite(x0: Array, t0: Array, x1: Array, t1: Array, s: Array) -> Array:
 # manipulators: characterization of the self-motion manifolds", ICRA 1989).
 
 
-def follow(
+def follow_curve(
     motion: ChainMotion, start: Array, tangent: Array, between: tuple[float, float]
 ) -> tuple[list[Array], list[Array]]:
     """Nodes and tangents of the curve from a point on, until the parameter leaves an interval: the
@@ -354,45 +358,49 @@ def follow(
 
     Where the curve has no tangent, or is too long, the last node is inside.
     """
-    nodes = [node(motion, start, tangent)]
+    nodes = [make_node(motion, start, tangent)]
     ends = list[Node]()
 
-    def taken(a: Node, h: float) -> list[Node] | None:
-        b = step(motion, a, h)
+    def take_step(a: Node, h: float) -> list[Node] | None:
+        b = find_next_node(motion, a, h)
         if b is None or between[0] <= b.x[motion.p] <= between[1]:
             return None if b is None else [b]
-        end = _landed(motion, a, b, between[0] if b.x[motion.p] < between[0] else between[1])
-        ends[:] = [] if end is None else [node(motion, end.x, a.t, end.J)]
+        end = _find_landing(motion, a, b, between[0] if b.x[motion.p] < between[0] else between[1])
+        ends[:] = [] if end is None else [make_node(motion, end.x, a.t, end.J)]
         return ends or None
 
-    for b in walk(nodes[0], taken, LONGEST, LONGEST):
+    for b in walk_curve(nodes[0], take_step, LONGEST, LONGEST):
         nodes.append(b)
         if ends or len(nodes) == MOST_STEPS:
             break
     return [a.x for a in nodes], [a.t for a in nodes]
 
 
-def _landed(motion: ChainMotion, a: Node, b: Node, value: float) -> GaussNewtonEnd | None:
+def _find_landing(motion: ChainMotion, a: Node, b: Node, value: float) -> GaussNewtonEnd | None:
     """What is found in a step where the parameter has a value, None where there is none."""
     p = motion.p
     ends = a.x[None], a.t[None], b.x[None], b.t[None]
-    s = sign_change(lambda s: float(hermite(*ends, np.array([s]))[0, p] - value), 1e-9, 1.0)
+    s = find_sign_change(
+        lambda s: float(interpolate_hermite(*ends, np.array([s]))[0, p] - value), 1e-9, 1.0
+    )
     if s is None:
         return None
-    guess = hermite(*ends, np.array([s]))[0]
+    guess = interpolate_hermite(*ends, np.array([s]))[0]
     guess[p] = value
     end = motion.corrected(guess, np.eye(motion.n)[p])
     near = end is not None and np.linalg.norm(end.x - guess) <= ACROSS * np.linalg.norm(b.x - a.x)
     return end if near else None
 
 
-def pieces(motion: ChainMotion, xs: list[Array], ts: list[Array]) -> list[tuple[Array, Array]]:
+def split_at_folds(
+    motion: ChainMotion, xs: list[Array], ts: list[Array]
+) -> list[tuple[Array, Array]]:
     """Nodes and tangents between the folds of a path, in its order."""
     nodes = [xs[0]]
     tangents = [ts[0]]
     ends = [0]
     for k in range(len(xs) - 1):
-        for x, t in _folds(motion, xs[k], ts[k], xs[k + 1], ts[k + 1]):
+        for x, t in _iterate_folds(motion, xs[k], ts[k], xs[k + 1], ts[k + 1]):
             ends.append(len(nodes))
             nodes.append(x)
             tangents.append(t)
@@ -403,7 +411,7 @@ def pieces(motion: ChainMotion, xs: list[Array], ts: list[Array]) -> list[tuple[
     return [(np.array(nodes[a : b + 1]), np.array(tangents[a : b + 1])) for a, b in spans]
 
 
-def _folds(
+def _iterate_folds(
     motion: ChainMotion, x: Array, t: Array, y: Array, u: Array
 ) -> Iterator[tuple[Array, Array]]:
     """Points and tangents in a step where the parameter turns back."""
@@ -411,8 +419,8 @@ def _folds(
     piece = CurvePiece(motion, np.array([x, y]), np.array([t, u]))
     at_0 = np.array([0])
 
-    def slope(s: float) -> float:
-        return float(node(motion, piece.points(at_0, np.array([s]))[0], t).t[p])
+    def compute_slope(s: float) -> float:
+        return float(make_node(motion, piece.points(at_0, np.array([s]))[0], t).t[p])
 
     size = float(np.linalg.norm(y - x))
     s = CHECKS
@@ -425,13 +433,13 @@ def _folds(
     if not np.any((rates[1:] > 0.0) != (rates[:-1] > 0.0)):
         return
     # the cubic says that there is one; the curve itself says where
-    tangents = [node(motion, z, t).t for z in piece.points(np.zeros(len(s), dtype=int), s)]
+    tangents = [make_node(motion, z, t).t for z in piece.points(np.zeros(len(s), dtype=int), s)]
     rates = np.array([t[p], *(v[p] for v in tangents[1:-1]), u[p]])
     for i in np.flatnonzero((rates[1:] > 0.0) != (rates[:-1] > 0.0)):
-        at = sign_change(slope, float(s[i]), float(s[i + 1]))
+        at = find_sign_change(compute_slope, float(s[i]), float(s[i + 1]))
         if at is not None and 0.0 < at < 1.0:
             z = piece.points(at_0, np.array([at]))[0]
-            yield z, node(motion, z, t).t
+            yield z, make_node(motion, z, t).t
 
 
 # ---- arcs through solutions at many values of the parameter
@@ -474,10 +482,10 @@ class Net:
             self._join_levels(self.at[i], self.at[i + 1])
         for a in range(len(self.x)):
             if self.level[a] < len(self.values) - 1 and a not in self.up and a not in self.head:
-                self._follow(a, 1.0)
+                self._follow_from_node(a, 1.0)
         for a in range(len(self.x)):
             if self.level[a] > 0 and a not in self.below and a not in self.foot:
-                self._follow(a, -1.0)
+                self._follow_from_node(a, -1.0)
 
     def _join_levels(self, low: np.ndarray, high: np.ndarray) -> None:
         if not low.size or not high.size:
@@ -495,13 +503,13 @@ class Net:
             a = int(low[j])
             b = int(high[k])
             x = np.array([self.x[a], self.x[a] + d[j, k]])
-            self._link(a, b, (x, self.t[[a, b]]))
+            self._link_nodes(a, b, (x, self.t[[a, b]]))
 
-    def _link(self, a: int, b: int, piece: Piece) -> None:
+    def _link_nodes(self, a: int, b: int, piece: Piece) -> None:
         self.up[a] = (b, piece)
         self.below.add(b)
 
-    def _follow(self, a: int, sense: float) -> None:
+    def _follow_from_node(self, a: int, sense: float) -> None:
         """Follow the curve from node a up (sense 1) or down (-1) to the next value of the
         parameter, or back.
 
@@ -515,31 +523,31 @@ class Net:
             float(min(self.values[i], self.values[j])),
             float(max(self.values[i], self.values[j])),
         )
-        xs, ts = follow(motion, self.x[a], sense * self.t[a], between)
-        parts = pieces(motion, xs, ts)
+        xs, ts = follow_curve(motion, self.x[a], sense * self.t[a], between)
+        parts = split_at_folds(motion, xs, ts)
         arrived = (
             i
             if abs(xs[-1][motion.p] - self.values[i]) < abs(xs[-1][motion.p] - self.values[j])
             else j
         )
-        b = self._node(xs[-1], arrived)
+        b = self._find_node(xs[-1], arrived)
         if len(parts) == 1:
             x, t = parts[0]
             if b is not None and b not in (self.below if sense > 0.0 else self.up):
-                self._link(*((a, b, (x, t)) if sense > 0.0 else (b, a, (x[::-1], -t[::-1]))))
+                self._link_nodes(*((a, b, (x, t)) if sense > 0.0 else (b, a, (x[::-1], -t[::-1]))))
             else:
                 (self.head if sense > 0.0 else self.foot)[a] = (
                     (x, t) if sense > 0.0 else (x[::-1], -t[::-1])
                 )
             return
-        self._hang(a, sense, parts[0])
+        self._hang_piece(a, sense, parts[0])
         if b is not None:
             x, t = parts[-1]
-            self._hang(b, sense if arrived == i else -sense, (x[::-1], -t[::-1]))
+            self._hang_piece(b, sense if arrived == i else -sense, (x[::-1], -t[::-1]))
             parts.pop()
         self.loose += parts[1:]
 
-    def _hang(self, a: int, sense: float, piece: Piece) -> None:
+    def _hang_piece(self, a: int, sense: float, piece: Piece) -> None:
         """Keep a piece that leads away from a node to a fold above or below it."""
         x, t = piece
         if sense > 0.0:
@@ -547,7 +555,7 @@ class Net:
         else:
             self.foot[a] = x[::-1], -t[::-1]
 
-    def _node(self, x: Array, level: int) -> int | None:
+    def _find_node(self, x: Array, level: int) -> int | None:
         """The node at a level that equals x (nf,), where a path has arrived; None where there is
         none.
         """
@@ -560,7 +568,7 @@ class Net:
 
     def arcs(self) -> list[CurvePiece]:
         """All arcs, in the order of where they begin."""
-        out = [self._arc([piece]) for piece in self.loose]
+        out = [self._make_arc([piece]) for piece in self.loose]
         for a in range(len(self.x)):
             if a in self.below:
                 continue
@@ -572,10 +580,10 @@ class Net:
             if k in self.head:
                 parts.append(self.head[k])
             if parts:
-                out.append(self._arc(parts))
+                out.append(self._make_arc(parts))
         return sorted(out, key=lambda a: (round(float(a.values[0]), 6), *a.x[0].round(6).tolist()))
 
-    def _arc(self, parts: list[Piece]) -> CurvePiece:
+    def _make_arc(self, parts: list[Piece]) -> CurvePiece:
         """One arc of pieces that follow each other, angles without jumps, the parameter rising."""
         (x, t) = parts[0]
         p = self.motion.p
@@ -594,7 +602,7 @@ class Net:
         return CurvePiece(self.motion, x[keep], t[keep])
 
 
-def arcs_through(
+def trace_arcs(
     motion: ChainMotion, values: Array, x: Array, level: np.ndarray, time: TimeLimit
 ) -> list[CurvePiece]:
     """The arcs of the curves through solutions x (M, nf), at rising values (m,); level (M,): at

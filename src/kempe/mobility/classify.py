@@ -21,12 +21,12 @@ from kempe.assemble.generic_configurations import (
 from kempe.assemble.nearest_exact import answer_within_tolerance, describe_nearest
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.description.parts import ReadOnlyDict
-from kempe.equations.velocity import VelocityRows, tangent_rows
+from kempe.equations.velocity import VelocityRows, record_tangent_rows
 from kempe.errors import InputError, format_value
 from kempe.mobility.growth_vectors import Distribution, Growth, distribution, growth
 from kempe.mobility.one_sided import OneSidedReport, if_any
 from kempe.model.configurations import compute_distance, name_values, read_finite_q
-from kempe.numerics.clock import SHORT, TimeLimit, time_limited, time_of
+from kempe.numerics.clock import SHORT, TimeLimit, find_time_limit, limit_time
 from kempe.numerics.rank import Level, Spectrum
 from kempe.report import Nearest, Report
 from kempe.spatial import Array
@@ -531,7 +531,7 @@ USUAL = Usual("classify", time_limit=SHORT)
 
 
 @explain_errors
-@time_limited(USUAL)
+@limit_time(USUAL)
 @answer_within_tolerance("q")
 def classify(
     system: Model,
@@ -558,7 +558,7 @@ def classify(
     constraints that are no recorded expressions, by name; `TimeLimitError` where the freedoms are
     not known by then.
     """
-    time_of(USUAL).put_in_order()  # there is nothing to do afterwards
+    find_time_limit(USUAL).put_in_order()  # there is nothing to do afterwards
     if not is_real(t):
         raise InputError(f"t is {format_value(t)}; it must be one number")
     given = None if q is None else read_finite_q(system, q)
@@ -574,7 +574,7 @@ def classify(
             f"lengths); the nearest closed configuration found is {moved:.3g} away: project=True "
             "takes it"
         )
-    found = _Classifier(system, at.q, float(t), make_generator(rng), time_of(USUAL)).found()
+    found = _Classifier(system, at.q, float(t), make_generator(rng), find_time_limit(USUAL)).found()
     return replace(found, one_sided=if_any(system, at.q), moved=moved)
 
 
@@ -585,7 +585,7 @@ class _Classifier:
         self, system: Model, q: Array, t: float, rng: np.random.Generator, time: TimeLimit
     ):
         self.system = system
-        self.rows = tangent_rows(system)
+        self.rows = record_tangent_rows(system)
         self.rng = rng
         self.time = time
         self.of: dict[str, list[int]] = {}

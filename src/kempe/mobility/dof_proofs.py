@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from kempe.equations.closure_rows import evaluate
+from kempe.equations.closure_rows import evaluate_constraints
 from kempe.first_order.constraint_graph import (
     Cluster,
     ConstraintGraph,
@@ -26,7 +26,7 @@ from kempe.first_order.screws import Screws, compute_screws
 from kempe.mobility import lyapunov_schmidt
 from kempe.mobility.local_equations import Equations
 from kempe.mobility.lyapunov_schmidt import Split
-from kempe.numerics.newton import Certificate, certify, rounding
+from kempe.numerics.newton import Certificate, bound_rounding_error, make_certificate
 from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 
@@ -68,7 +68,7 @@ def dimension(equations: Equations, q: Array, spans: Iterable[Array]) -> int:
         if K is None:
             continue
         s = np.random.default_rng(0).uniform(-np.pi, np.pi, size=(POINTS, k)) * PARTS
-        value = evaluate(e.system, e.move(q, s @ K.T), False, True)[0]
+        value = evaluate_constraints(e.system, e.move(q, s @ K.T), False, True)[0]
         if np.abs(value).max(initial=0.0) < ZERO:
             best = k
     return best
@@ -107,7 +107,9 @@ def half_angles(
             step = np.zeros((POINTS, equations.nv))
             step[:, places] = np.concatenate([by, by * np.sign(opposite)], axis=1)
             if (
-                np.abs(evaluate(equations.system, equations.move(q, step), False, True)[0]).max()
+                np.abs(
+                    evaluate_constraints(equations.system, equations.move(q, step), False, True)[0]
+                ).max()
                 < ZERO
             ):
                 return True
@@ -537,12 +539,12 @@ def _certified(
     size = c.measure_loops(s, short)
     reach = at.reach
     residual *= len(c.loops) * (1.0 + reach) + 1.0  # loops are sums of others, and read elsewhere
-    out = certify(
+    out = make_certificate(
         values,
         J.shape,
         residual,
         _bend(size, at, 2.0 * reach),
-        rounding(size.joints, reach),
+        bound_rounding_error(size.joints, reach),
         J.size,
     )
     if out.regular or not len(c.loops):
@@ -552,8 +554,13 @@ def _certified(
         for i in c.list_loop_paths(s, short)
     ]
     bend = _bend(size, at, 2.0 * max(spans) / at.length)
-    return certify(
-        values, J.shape, residual, bend, rounding(size.joints, reach), int(np.count_nonzero(J))
+    return make_certificate(
+        values,
+        J.shape,
+        residual,
+        bend,
+        bound_rounding_error(size.joints, reach),
+        int(np.count_nonzero(J)),
     )
 
 

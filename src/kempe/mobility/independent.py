@@ -21,13 +21,13 @@ from kempe.assemble.bound import TOLERANCE
 from kempe.assemble.generic_configurations import get_idle_freedoms
 from kempe.assemble.nearest_exact import answer_within_tolerance, describe_nearest
 from kempe.budget import Budget
-from kempe.equations.closure_rows import evaluate, scales
+from kempe.equations.closure_rows import compute_coordinate_units, evaluate_constraints
 from kempe.errors import InputError, UnknownNameError
 from kempe.forward.fk import fk, jacobian
 from kempe.mobility.mobility import mobility
 from kempe.model.configurations import read_finite_q, read_q
 from kempe.model.own_tree import remove_cut_marks
-from kempe.numerics.newton import gauss_newton
+from kempe.numerics.newton import run_gauss_newton
 from kempe.numerics.rank import Level, Spectrum
 from kempe.report import Report
 from kempe.spatial import Array, skew
@@ -81,7 +81,7 @@ def _change(
     and the null space.
     """
     steps = DIFFERENCE * scale * (along @ null_space.T)
-    J = evaluate(
+    J = evaluate_constraints(
         system,
         system.structure.layout.integrate_velocity(q, np.concatenate([steps, -steps])),
         True,
@@ -236,7 +236,7 @@ class Chart(Report):
         movement.
         """
         system = self.system
-        scale = scales(self.system)
+        scale = compute_coordinate_units(self.system)
         rows = self._rows(given)
         start = read_q(system, near)
         lead = np.broadcast_shapes(u.shape[:-1], start.shape[:-1])
@@ -245,14 +245,14 @@ class Chart(Report):
         out = np.array(starts)
 
         def both(q: Array, target: Array) -> tuple[Array, Array]:
-            error, J = evaluate(system, q, True, True)
+            error, J = evaluate_constraints(system, q, True, True)
             more = self._rates(q, given) * scale / scale[rows, None]
             return np.append(
                 error, (self.u(q)[: len(given)] - target) / scale[rows]
             ), np.concatenate([J, more])
 
         for k, target in enumerate(wanted):
-            out[k] = gauss_newton(
+            out[k] = run_gauss_newton(
                 lambda q, u=target: both(q, u),
                 out[k],
                 TRIES,
@@ -485,7 +485,7 @@ def tangent_space(system: Model, q: Any, dim: int | None = None) -> tuple[Array,
     `InputError` if q is not closed.
     """
     q = read_finite_q(system, q)
-    error, J = evaluate(system, q, True, True)
+    error, J = evaluate_constraints(system, q, True, True)
     if not np.linalg.norm(error) <= 10.0 * TOLERANCE:
         raise InputError(
             f"q is not closed: the loops' equations are off by {np.linalg.norm(error):.3g}; use "
@@ -494,7 +494,7 @@ def tangent_space(system: Model, q: Any, dim: int | None = None) -> tuple[Array,
     spectrum = Spectrum(J, 1.0)
     N = spectrum.null(Level.CLOSED)
     rank = spectrum.rank(Level.CLOSED)
-    scale = scales(system)
+    scale = compute_coordinate_units(system)
     if rank < len(J) and 1 < N.shape[1] != dim:
         N = moving(system, q, spectrum.left_null(Level.CLOSED), N, scale)
     return N, scale

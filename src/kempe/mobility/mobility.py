@@ -20,7 +20,7 @@ from kempe.assemble.generic_configurations import (
 )
 from kempe.assemble.nearest_exact import answer_within_tolerance
 from kempe.budget import Budget, TimeUp, Usual
-from kempe.equations.velocity import tangent_rows, velocity_rows
+from kempe.equations.velocity import record_tangent_rows, record_velocity_rows
 from kempe.errors import InputError
 from kempe.first_order.constraint_graph import (
     ConstraintGraph,
@@ -40,7 +40,7 @@ from kempe.mobility.one_sided import if_any
 from kempe.model.ball_angles import make_regular_chart
 from kempe.model.configurations import find_home, read_q
 from kempe.model.own_tree import remove_cut_marks
-from kempe.numerics.clock import SHORT, TimeLimit, time_limited, time_of
+from kempe.numerics.clock import SHORT, TimeLimit, find_time_limit, limit_time
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ def _counted(time: TimeLimit, system: Model, q: Any = None, *_: Any, **__: Any) 
 
 
 @explain_errors
-@time_limited(USUAL, _counted)
+@limit_time(USUAL, _counted)
 @answer_within_tolerance()
 def mobility(
     system: Model,
@@ -87,7 +87,7 @@ def mobility(
     three angles of a ball joint are singular coordinates, it is looked at in others: `rank` and
     `local` are then about angles measured from there. Errors: `InputError`, `UnknownNameError`.
     """
-    time = time_of(USUAL)
+    time = find_time_limit(USUAL)
     time.put_in_order()  # there is nothing to do afterwards
     shown = system
     system = remove_cut_marks(system)
@@ -307,8 +307,8 @@ def _velocity_freedoms(system: Model, q: Array) -> int | None:
     """Freedoms of velocity at q (nq,) that all constraints leave; None without constraints of
     velocity.
     """
-    if not velocity_rows(system).names:
+    if not record_velocity_rows(system).names:
         return None
-    rows = tangent_rows(system)
+    rows = record_tangent_rows(system)
     which = [i for i, row in enumerate(rows.names) if not row.sided]
     return distribution(rows, q, which).dimension - (0 if rows.steady else 1)

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.arguments import explain_errors, explain_method_errors
-from kempe.equations.closure_rows import evaluate, full
-from kempe.equations.one_sided import CLOSED, OneSided, one_sided_rows
-from kempe.equations.velocity import rates, velocity_rows
+from kempe.equations.closure_rows import evaluate_constraints, pack_full_loops
+from kempe.equations.one_sided import CLOSED, OneSided, pack_one_sided_rows
+from kempe.equations.velocity import evaluate_velocity_rows, record_velocity_rows
 from kempe.errors import InputError
 from kempe.forward.fk import jacobian
 from kempe.model.configurations import read_q
@@ -427,7 +427,7 @@ def one_sided(system: Model, q: Any = None, *, tolerance: float = CLOSED) -> One
         raise InputError(
             f"q has shape {at.shape}; one-sided constraints are looked at in one configuration"
         )
-    rows = one_sided_rows(system)
+    rows = pack_one_sided_rows(system)
     values, J = rows.rates(at)
     found, G = _sides(rows, values, J, tolerance)
     E, still = _equations(system, at)
@@ -438,12 +438,12 @@ def one_sided(system: Model, q: Any = None, *, tolerance: float = CLOSED) -> One
     sides = list(found)
     for place, k in enumerate(closed):
         sides[k] = _with_ways(found[k], place, cone, G[place], [found[j].name for j in closed])
-    return OneSidedReport(system, at, tuple(sides), cone, full(system, True).scale)
+    return OneSidedReport(system, at, tuple(sides), cone, pack_full_loops(system, True).scale)
 
 
 def if_any(system: Model, q: Array) -> OneSidedReport | None:
     """The report at a configuration (nq,), None where nothing is declared and no limit is reached."""
-    rows = one_sided_rows(system)
+    rows = pack_one_sided_rows(system)
     if not rows.declared:
         if not len(rows):
             return None
@@ -512,9 +512,9 @@ def _equations(system: Model, q: Array) -> tuple[Array, bool]:
 
     Where it is not, what they allow are differences of velocities.
     """
-    J = evaluate(system, q, True, True)[1]
-    (A, b) = rates(system, q)
-    loops = full(system, True)
-    names = velocity_rows(system).names
+    J = evaluate_constraints(system, q, True, True)[1]
+    (A, b) = evaluate_velocity_rows(system, q)
+    loops = pack_full_loops(system, True)
+    names = record_velocity_rows(system).names
     lengths = np.where([name.unit.startswith("m") for name in names], 1.0 / loops.length, 1.0)
     return np.concatenate([J, lengths[:, None] * A * loops.scale]), not b.any()

@@ -17,7 +17,7 @@ import numpy as np
 from kempe.budget import check_for_stop
 from kempe.numerics.clock import TimeLimit
 from kempe.numerics.rank import Level, Spectrum
-from kempe.numerics.roots import sign_change
+from kempe.numerics.roots import find_sign_change
 from kempe.spatial import Array
 
 # ---- laws of flights and impacts
@@ -688,5 +688,5 @@ def _parabola(t: float, y: Array, v: Array, a: Array, s: Array) -> tuple[Array, 
 
 def zero_of(f: Callable[[float], float], a: float, b: float) -> float:
     """A zero between a and b, at which the signs of f differ; b where they do not."""
-    zero = sign_change(f, a, b)
+    zero = find_sign_change(f, a, b)
     return b if zero is None else zero

@@ -13,8 +13,8 @@ import numpy as np
 
 from kempe.equations.closure import LEAST, Closure, DrivenClosure
 from kempe.numerics.clock import TimeLimit
-from kempe.numerics.curves import NONE, Node, correct, node, step
-from kempe.numerics.newton import gauss_newton, gauss_newton_of_many, least_squares
+from kempe.numerics.curves import NONE, Node, correct_point, find_next_node, make_node
+from kempe.numerics.newton import run_gauss_newton, run_many_gauss_newton, solve_least_squares
 from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 
@@ -137,9 +137,9 @@ def locate(
             columns = slice(n + rows * i, n + rows * (i + 1))
             A[rows + n * i : rows + n * (i + 1), columns] = J.T
             A[rows + n * k + k * i : rows + n * k + k * (i + 1), columns] = fixed.T
-        return least_squares(A, np.concatenate([-missing, np.zeros(k * k)]))
+        return solve_least_squares(A, np.concatenate([-missing, np.zeros(k * k)]))
 
-    found = gauss_newton(
+    found = run_gauss_newton(
         both,
         np.append(x, left.T),
         tries,
@@ -222,7 +222,7 @@ def _many(forms: Array, budget: TimeLimit) -> Array:
         budget.check()
         u = rng.normal(size=d)
         u = u / np.linalg.norm(u)
-        u, left, _ = gauss_newton(both, u, 40, level=Level.ROUNDING, last=1e-15, move=onto)
+        u, left, _ = run_gauss_newton(both, u, 40, level=Level.ROUNDING, last=1e-15, move=onto)
         if np.abs(left).max() < 1e-9 and all(abs(abs(u @ v) - 1.0) > SAME_LINE for v in found):
             found.append(u)
     return np.array(found).reshape(-1, d)
@@ -249,13 +249,13 @@ def _walkable(equations: Closure, x: Array, directions: Array) -> Array:
     lines: list[Array] = []
     for t in directions:
         for sign in (1.0, -1.0):
-            other = correct(equations, equations.move(x, sign * PROBE * t), t)
+            other = correct_point(equations, equations.move(x, sign * PROBE * t), t)
             if other is None:
                 continue
             y = equations.between(x, other.x) * sign
             if (
                 y @ t < 0.9 * np.linalg.norm(y)
-                or node(equations, other.x, None, other.J).nullity > 1
+                or make_node(equations, other.x, None, other.J).nullity > 1
             ):
                 continue
             if all(abs(t @ v) < 1.0 - SAME_LINE for v in lines):
@@ -286,7 +286,7 @@ def singular_node(
     best = int(np.argmax(np.abs(cosines)))
     if abs(cosines[best]) < AHEAD:
         return None
-    at = node(equations, x)
+    at = make_node(equations, x)
     t = lines[best] * np.sign(cosines[best])
     return Node(x, t, at.sigma, max(at.nullity, 2), at.matrix, at.image, lines)
 
@@ -420,7 +420,7 @@ class Germ:
     def first(self, equations: Closure, half: int) -> Node:
         """The regular node of a half-branch that is nearest to `x`, its tangent away from `x`."""
         z = self.samples[half, -1]
-        return node(equations, equations.move(self.x, z), z)
+        return make_node(equations, equations.move(self.x, z), z)
 
     def moved(self, equations: Closure, x: Array, period: Array) -> Germ:
         """The same germ as near to a point (nq,) as whole periods (nv,) lead."""
@@ -687,13 +687,13 @@ class _Sphere:
             count = max(8, min(STARTS * 2**d, MOST_STARTS, MOST_NUMBERS // (e.rows * n)))
             z = rng.normal(size=(count, d)) @ self.null_space.T
             z *= radius / np.linalg.norm(z, axis=1, keepdims=True)
-            x = gauss_newton_of_many(
+            x = run_many_gauss_newton(
                 both, e.move(self.x, z), 6, level=Level.ROUGH, longest=radius, move=e.move
             )
             z = e.between(self.x, x)
             size = np.linalg.norm(z, axis=1, keepdims=True)
             z = (radius / size * z)[(size > 0.1 * radius)[:, 0]]
-            x = gauss_newton_of_many(
+            x = run_many_gauss_newton(
                 on_sphere, e.move(self.x, z), 30, level=Level.GENERIC, longest=radius, move=e.move
             )
             left, J = on_sphere(x, np.arange(len(x)))
@@ -724,7 +724,7 @@ class _Sphere:
         """
         e = self.equations
         size = float(np.linalg.norm(z))
-        there = correct(e, e.move(self.x, z), z / size)
+        there = correct_point(e, e.move(self.x, z), z / size)
         if there is None:
             return None
         found = e.between(self.x, there.x)
@@ -923,7 +923,7 @@ def _goes_on(curve: Closure, a: Node, length: float) -> bool:
     gone = 0.0
     here = a
     while gone < length:
-        there = step(curve, here, h)
+        there = find_next_node(curve, here, h)
         if there is None:
             return False
         h, gone, here = 2.0 * h, gone + h, there

@@ -29,10 +29,10 @@ from kempe.arrays import check_range, is_mapping, read_reals
 from kempe.assemble.nearest_exact import answer_within_tolerance
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.constraints.tape import TIME
-from kempe.equations.closure import Closure, DrivenClosure, close
-from kempe.equations.one_sided import one_sided_rows
-from kempe.equations.slip import rolls, slip_of
-from kempe.equations.velocity import rates
+from kempe.equations.closure import Closure, DrivenClosure, close_loops
+from kempe.equations.one_sided import pack_one_sided_rows
+from kempe.equations.slip import find_first_slip, has_velocity_constraints
+from kempe.equations.velocity import evaluate_velocity_rows
 from kempe.errors import InputError, UnsupportedError
 from kempe.model.configurations import find_home, read_q, refuse_wound_angle
 from kempe.model.time_coordinate import add_time_coordinate, list_timed_constraints
@@ -52,17 +52,17 @@ from kempe.motion.start import (
     wish_of,
 )
 from kempe.motion.trace import Progress
-from kempe.numerics.clock import BROKEN_OFF, LONG, TimeLimit, time_limited, time_of
+from kempe.numerics.clock import BROKEN_OFF, LONG, TimeLimit, find_time_limit, limit_time
 from kempe.numerics.curves import (
     ACROSS,
     BEND,
     LEAST_STEP,
     Node,
-    bend,
-    correct,
-    next_step,
-    node,
-    step,
+    choose_step_length,
+    compute_bend_angle,
+    correct_point,
+    find_next_node,
+    make_node,
 )
 from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
@@ -180,7 +180,7 @@ class SegmentContext:
             ways = [
                 n
                 for n in (a, a.reversed())
-                if (b := step(way, n, self.longest)) is not None and b.x[-1] > 0.0
+                if (b := find_next_node(way, n, self.longest)) is not None and b.x[-1] > 0.0
             ]
             if not ways:
                 return state, self._stuck(way, a, "no configuration with these inputs", length)
@@ -193,7 +193,7 @@ class SegmentContext:
             landing = a.t[-1] > STEEP and h * a.t[-1] >= left
             if a.t[-1] > STEEP and not landing and h * a.t[-1] > 0.5 * left:
                 h = 0.5 * left / float(a.t[-1])  # leave more than rounding for the landing
-            b = land(way, a, length) if landing else step(way, a, h)
+            b = land(way, a, length) if landing else find_next_node(way, a, h)
             found = checked(way, a, b)
             if found is None:
                 h = 0.5 * (left / float(a.t[-1]) if landing else h)
@@ -213,7 +213,7 @@ class SegmentContext:
                 a, was = n, a
             if landing:
                 return replace(self._state(way, a), u=u), None
-            h = next_step(h, self.longest, was, a)
+            h = choose_step_length(h, self.longest, was, a)
 
     def _state(self, way: DrivenClosure, a: Node) -> State:
         return State(a.x[:-1], way.at(float(a.x[-1])), a.t[:-1], way.direction)
@@ -272,7 +272,7 @@ class SegmentContext:
     def _way(self, state: State, direction: Array) -> tuple[DrivenClosure, Node]:
         """The equations of a segment, and the node where it begins."""
         way = DrivenClosure(self.closure, self.index, state.u, direction)
-        return way, node(way, np.append(state.q, 0.0))
+        return way, make_node(way, np.append(state.q, 0.0))
 
     def _first(self, way: DrivenClosure, here: Node, state: State) -> Node:
         """The node at the beginning of a segment, on the branch of arrival where several meet."""
@@ -317,13 +317,13 @@ def land(way: DrivenClosure, a: Node, length: float) -> Node | None:
     guess = way.move(a.x, size * a.t)
     across = np.zeros(way.n)
     across[-1] = 1.0
-    there = correct(way, guess, across)
+    there = correct_point(way, guess, across)
     if there is None or float(np.linalg.norm(way.between(guess, there.x))) > ACROSS * size:
         return _land_on_crossing(way, a, guess, length, size)
-    b = node(way, there.x, way.between(a.x, there.x), there.J)
+    b = make_node(way, there.x, way.between(a.x, there.x), there.J)
     if b.sigma < AWKWARD:
         b = _land_on_crossing(way, a, there.x, length, size) or b
-    return b if b.t[-1] > STEEP and bend(a, b) <= BEND else None
+    return b if b.t[-1] > STEEP and compute_bend_angle(a, b) <= BEND else None
 
 
 def _land_on_crossing(
@@ -336,7 +336,7 @@ def _land_on_crossing(
     if x is None or abs(float(x[-1]) - length) > AT_ONCE:
         return None
     b = singular_node(way, x, way.between(a.x, x))
-    if b is None or b.t[-1] < FORWARD or bend(a, b) > BEND:
+    if b is None or b.t[-1] < FORWARD or compute_bend_angle(a, b) > BEND:
         return None
     if abs(float(x[-1]) - length) < 1e-12:
         return b
@@ -396,7 +396,7 @@ def driven(
     out = [q]
     reason = ""
     broken = None
-    rows = one_sided_rows(system)
+    rows = pack_one_sided_rows(system)
     before = samples(0, 1)[-1]
     try:
         for k in range(1, len(clock)):
@@ -419,7 +419,7 @@ def driven(
     except BROKEN_OFF as error:
         broken = error
     done = np.array(out)
-    slip = slip_of(system, done, clock[: len(done)])
+    slip = find_first_slip(system, done, clock[: len(done)])
     if slip is not None:
         speed = abs(slip.amount) / slip.time
         reason = (
@@ -440,7 +440,7 @@ def _first(
     index = [angle_or_slide(system, n) for n in (*names, *hold)]
     closure = Closure(system)
     near[closure.place[index]] = [*u, *hold.values()]
-    return close(Closure(system, index, near), near)
+    return close_loops(Closure(system, index, near), near)
 
 
 class _Follow:
@@ -466,7 +466,7 @@ class _Follow:
     def at(self, q: Array, t: float, speeds: Array) -> Array:
         """Velocities (nv,) without unit. Errors: `UnsupportedError` where they are not determined."""
         unit = self.closure.unit
-        A, b = rates(self.system, q, t)
+        A, b = evaluate_velocity_rows(self.system, q, t)
         A = A * unit
         size = np.linalg.norm(A, axis=1)
         size = np.where(size > 0.0, size, 1.0)
@@ -533,7 +533,7 @@ class _Follow:
             x = self._middle(q, t0, h, u, end)
         near = x.copy()
         near[self.closure.place[self.index[: len(end)]]] = end
-        return close(Closure(self.system, self.index, near), near)
+        return close_loops(Closure(self.system, self.index, near), near)
 
     def _integrate(self, q: Array, t: float, h: float, values: list[Array]) -> Array | None:
         """The configuration (nq,) after a step, along the parabola through three values of the
@@ -735,7 +735,7 @@ def _not_begun(
 
 @explain_errors
 @raise_interrupted
-@time_limited(USUAL, _not_begun)
+@limit_time(USUAL, _not_begun)
 @answer_within_tolerance()
 def drive(
     system: Model,
@@ -800,9 +800,9 @@ def drive(
     angles = {n for n, i in zip(names, index, strict=True) if turning[i]}
     clock, samples = _samples(inputs, times, angles)
     longest = longest_step(spend.step)
-    time = time_of(USUAL, budget)
+    time = find_time_limit(USUAL, budget)
     time.put_in_order()  # there is nothing to do afterwards
-    if rolls(system):
+    if has_velocity_constraints(system):
         rolled = driven(system, names, dict(hold or {}), start, clock, samples, limits, time)
         return _rolled(rolled, system, names, clock, samples)
     first = dict(zip(names, samples(0, 1)[-1].tolist(), strict=True))

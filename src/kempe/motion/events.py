@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kempe.equations.closure import Closure
-from kempe.equations.one_sided import OneSided, one_sided_rows
+from kempe.equations.one_sided import OneSided, pack_one_sided_rows
 from kempe.motion.crossings import (
     AHEAD,
     SingularNode,
@@ -21,9 +21,17 @@ from kempe.motion.crossings import (
     singular_node,
 )
 from kempe.numerics import curves
-from kempe.numerics.curves import BEND, Node, bend, flipped, inside, node, step
+from kempe.numerics.curves import (
+    BEND,
+    Node,
+    compute_bend_angle,
+    find_next_node,
+    find_node_between,
+    is_determinant_flipped,
+    make_node,
+)
 from kempe.numerics.newton import LARGE
-from kempe.numerics.roots import sign_change
+from kempe.numerics.roots import find_sign_change
 from kempe.spatial import Array
 from kempe.words import InWords
 
@@ -74,9 +82,9 @@ def walk(equations: Closure, a: Node, longest: float, periods: Array) -> Iterato
     """
 
     def taken(a: Node, h: float) -> list[Node] | None:
-        b = step(equations, a, h)
+        b = find_next_node(equations, a, h)
         if b is not None and b.sigma < AWKWARD:
-            b = step(equations, a, 1.3 * h) or b
+            b = find_next_node(equations, a, 1.3 * h) or b
         return checked(equations, a, b)
 
     h = 0.25 * longest
@@ -90,7 +98,7 @@ def walk(equations: Closure, a: Node, longest: float, periods: Array) -> Iterato
         last = deque([a.x], maxlen=RECENT)
         singular = None
         sigma = a.sigma
-        for b in curves.walk(a, taken, longest, h):
+        for b in curves.walk_curve(a, taken, longest, h):
             before = last[-1]
             last.append(b.x)
             # nearer to a point where rounding hides the curve
@@ -150,15 +158,15 @@ def _touches(equations: Closure, a: Node, b: Node) -> bool:
 
 
 def sides_change(equations: Closure, a: Node, b: Node) -> bool | None:
-    """`flipped`, with derivatives of the same equations at both nodes.
+    """`is_determinant_flipped`, with derivatives of the same equations at both nodes.
 
     What holds the rank changes its bases on the way, and equations in other bases have determinants
     of other signs.
     """
     if rank_held(equations) and a.nullity == 1:
-        here = node(equations, a.x, a.t)
+        here = make_node(equations, a.x, a.t)
         a = replace(a, matrix=here.matrix, image=here.image)
-    return flipped(a, b)
+    return is_determinant_flipped(a, b)
 
 
 def root(
@@ -177,19 +185,19 @@ def root(
     large = equations.rows > LARGE
 
     def at(distance: float) -> float:
-        here = inside(equations, a, b, distance, False)
+        here = find_node_between(equations, a, b, distance, False)
         if here is None:
             return 0.0  # rounding only: a point between two neighbours always exists
         found[distance] = here
         value = function(here)
         return 0.0 if large and abs(value) < NOISE else value
 
-    distance = sign_change(at, low, end)
+    distance = find_sign_change(at, low, end)
     if distance is None:
         here = min(found.values(), key=lambda n: abs(function(n)), default=None)
     else:
-        here = found.get(distance) or inside(equations, a, b, distance)
-    return here if here is None or here.matrix.size else node(equations, here.x, here.t)
+        here = found.get(distance) or find_node_between(equations, a, b, distance)
+    return here if here is None or here.matrix.size else make_node(equations, here.x, here.t)
 
 
 def home(equations: Closure, a: Node, b: Node, start: Node, periods: Array) -> Node | None:
@@ -213,7 +221,7 @@ def home(equations: Closure, a: Node, b: Node, start: Node, periods: Array) -> N
     along = float(a.t @ z)
     if not 1e-9 < along <= float(a.t @ chord) or np.linalg.norm(z) > 2.0 * np.linalg.norm(chord):
         return None
-    here = inside(equations, a, b, along)
+    here = find_node_between(equations, a, b, along)
     if here is None or start.t @ here.t < ARRIVED:
         return None
     gap = float(np.linalg.norm(equations.between(here.x, there)))
@@ -291,7 +299,7 @@ def hidden_crossings(equations: Closure, nodes: list[Node]) -> list[Node]:
         along = float(y @ m.t)
         if size < 1e-6:
             out.append(found)
-        elif abs(along) < AHEAD * size or size > 1.5 * h or bend(m, found) > BEND:
+        elif abs(along) < AHEAD * size or size > 1.5 * h or compute_bend_angle(m, found) > BEND:
             out.append(m)
         else:
             out += [m, found] if along > 0.0 else [found, m]
@@ -393,7 +401,7 @@ class OneSidedEnds:
 
     def __init__(self, equations: Closure, limits: bool = True):
         system = equations.system
-        rows = one_sided_rows(equations.system)
+        rows = pack_one_sided_rows(equations.system)
         self.limits = limits
         """Whether limits of coordinates count."""
         self.all: list[OneSidedEnd] = []

@@ -19,8 +19,8 @@ from kempe.answers.answer import Motion
 from kempe.arguments import explain_errors, explain_method_errors, numbers, read_names
 from kempe.arrays import is_real, is_whole, read_mapping
 from kempe.budget import Budget, TimeUp, Usual
-from kempe.equations.one_sided import one_sided_rows
-from kempe.equations.velocity import row_names
+from kempe.equations.one_sided import pack_one_sided_rows
+from kempe.equations.velocity import list_velocity_row_names
 from kempe.errors import InputError, KempeError, UnknownNameError, UnsupportedError
 from kempe.mobility.classify import classify
 from kempe.model.configurations import has_loops, make_q, read_q, refuse_far
@@ -28,8 +28,8 @@ from kempe.model.model import keep_answers
 from kempe.motion.reeds_shepp import QUARTER, ways, wrapped
 from kempe.motion.rolling import slip
 from kempe.motion.wheeled import Axle, axle_of
-from kempe.numerics.clock import SHORT, TimeLimit, begun_within
-from kempe.numerics.roots import sign_change
+from kempe.numerics.clock import SHORT, TimeLimit, limit_preparation_time
+from kempe.numerics.roots import find_sign_change
 from kempe.spatial import Array
 from kempe.words import format_count
 
@@ -306,7 +306,7 @@ class Steering:
         found = [float(s) for s in found if self.grid[0] <= s <= self.grid[-1]]
         gap = np.array([math.remainder(b - wanted, math.pi) for b in self.bends])
         for k in np.flatnonzero((gap[:-1] * gap[1:] <= 0.0) & (np.abs(np.diff(gap)) < 1.0)):
-            s = sign_change(off, float(self.grid[k]), float(self.grid[k + 1]))
+            s = find_sign_change(off, float(self.grid[k]), float(self.grid[k + 1]))
             if s is not None and all(abs(s - other) > 1e-9 for other in found):
                 found.append(s)
         return found
@@ -535,7 +535,7 @@ def manoeuvre(
             f"points is {samples!r}; it must be a whole number, at least 2 and at most {MOST}"
         )
     time.put_in_order()  # there is nothing to do afterwards
-    with begun_within(USUAL, time):
+    with limit_preparation_time(USUAL, time):
         axle = axle_of(system, q)
         loose = _loose(system, goal, free, axle)
     motion = None
@@ -595,7 +595,7 @@ def _one(system: Model, q: Any, what: str) -> Array:
             f"{what} has shape {array.shape}; it must be one configuration ({system.nq},)"
         )
     refuse_far(system, array, what)
-    rows = one_sided_rows(system)
+    rows = pack_one_sided_rows(system)
     if (over := rows.beyond(array)).any():
         k = int(np.argmax(over))
         raise InputError(
@@ -700,7 +700,7 @@ def _outside(system: Model, motion: ExactManoeuvre, samples: int) -> str:
     if (motion.axle.slides_sine(q) <= PARALLEL).any():
         slides = " and ".join(repr(system.structure.velocity_names[v]) for v in motion.axle.own[:2])
         return f"on the way {slides} would be parallel, and cannot go on"
-    rows = one_sided_rows(system)
+    rows = pack_one_sided_rows(system)
     over = rows.beyond(q)
     if not over.any():
         return ""
@@ -753,7 +753,7 @@ def way_there(system: Model) -> str:
 
     A manoeuvre is named only where brackets show that motions reach every configuration around.
     """
-    names = list(dict.fromkeys(name for name, *_ in row_names(system)))
+    names = list(dict.fromkeys(name for name, *_ in list_velocity_row_names(system)))
     said = ", ".join(map(repr, names[:3])) + ", ..." * (len(names) > 3)
     hold = "holds" if len(names) == 1 else "hold"
     return f"; {_motions_there(system).format(hold=f'{said} {hold} on the way')}"

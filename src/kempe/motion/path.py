@@ -23,7 +23,7 @@ from kempe.model.configurations import list_units, make_q_dict, make_ranges_tabl
 from kempe.motion.crossings import SingularNode
 from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit
 from kempe.numerics.curves import BLUNT
-from kempe.numerics.newton import gauss_newton_of_many
+from kempe.numerics.newton import run_many_gauss_newton
 from kempe.report import Table
 from kempe.spatial import Array
 from kempe.words import InWords, Quantity, Unit, cut_lines, format_count
@@ -171,7 +171,7 @@ class Track:
                 [J, across[at, None]], axis=1
             )
 
-        x = gauss_newton_of_many(both, x, 3, level=BLUNT, move=e.move)
+        x = run_many_gauss_newton(both, x, 3, level=BLUNT, move=e.move)
         ends = np.flatnonzero((u[:, 0] <= 0.0) | (u[:, 0] >= 1.0))
         x[ends] = self.q[k[ends] + (u[ends, 0] >= 1.0)]
         return x

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from kempe.numerics.newton import gauss_newton
+from kempe.numerics.newton import run_gauss_newton
 from kempe.numerics.rank import Level
 from kempe.spatial import Array
 
@@ -106,7 +106,9 @@ def _exact_way(way: Way, x: float, y: float, h: float) -> Way | None:
         near = np.abs(miss).max() < MISS * size
         return (miss if near else np.full(3, math.inf)), _slopes(along(lengths))
 
-    found = gauss_newton(both, np.array([length for _, length in way]), TRIES, level=Level.GENERIC)
+    found = run_gauss_newton(
+        both, np.array([length for _, length in way]), TRIES, level=Level.GENERIC
+    )
     if not np.abs(found.r).max() < HIT * size:
         return None
     return tuple(piece for piece in along(found.x) if abs(piece[1]) > NOTHING)

@@ -17,15 +17,15 @@ import numpy as np
 from kempe.arrays import is_array, is_real
 from kempe.constraints.tape import TIME, TWIST
 from kempe.equations.closure import Closure
-from kempe.equations.one_sided import one_sided_rows
-from kempe.equations.velocity import rates
+from kempe.equations.one_sided import pack_one_sided_rows
+from kempe.equations.velocity import evaluate_velocity_rows
 from kempe.errors import InputError, UnknownNameError, UnsupportedError, format_value
 from kempe.forward.fk import jacobian
 from kempe.model.time_coordinate import add_time_coordinate, list_timed_constraints
 from kempe.numerics.clock import BROKEN_OFF, TimeLimit
-from kempe.numerics.newton import gauss_newton
+from kempe.numerics.newton import run_gauss_newton
 from kempe.numerics.rank import Level, Spectrum
-from kempe.numerics.roots import sign_change
+from kempe.numerics.roots import find_sign_change
 from kempe.spatial import Array, quat_wxyz_multiply, unit
 
 if TYPE_CHECKING:
@@ -99,7 +99,7 @@ class Velocities:
         exist.
         """
         scale = self.closure.unit
-        A, b = rates(self.system, q, t)
+        A, b = evaluate_velocity_rows(self.system, q, t)
         J = self.closure.matrix(q)[: self.loops] if self.loops else np.zeros((0, len(scale)))
         own = q[: len(q) - len(self.clock)]
         S = np.zeros((len(self.rows), len(scale)))
@@ -176,7 +176,7 @@ class Velocities:
         if not self.loops:
             return q
         closure = self.closure
-        return gauss_newton(
+        return run_gauss_newton(
             closure.both,
             q,
             CORRECTIONS,
@@ -248,7 +248,7 @@ def roll(
             f"the position constraints are off by {gap:.3g} at the start (radians or "
             "characteristic lengths); assemble it first"
         )
-    rows = one_sided_rows(system)
+    rows = pack_one_sided_rows(system)
     q = motion.closed(q, begin)
     if (over := rows.beyond(q)).any():
         k = int(np.argmax(over))
@@ -307,7 +307,7 @@ def _limit(
     """The time at which a limit or another one-sided constraint is met between two times, and the
     words for it.
     """
-    rows = one_sided_rows(system)
+    rows = pack_one_sided_rows(system)
     looks = np.linspace(t0, t1, LOOKS + 1)
     violated = rows.beyond(dense(looks[1:]).T).any(axis=1)
     if not violated.any():
@@ -321,7 +321,7 @@ def _limit(
         x = rows.values(dense(t))
         return np.maximum(rows.low - x, x - rows.high) / (1e-3 * rows.slack)
 
-    stop = sign_change(lambda t: float(over(t).max()) - 1.0, a, b)
+    stop = find_sign_change(lambda t: float(over(t).max()) - 1.0, a, b)
     stop = a if stop is None else stop
     k = int(np.argmax(over(b if stop == a else stop)))
     what = "its limit" if k >= rows.declared else "its bound"
@@ -332,7 +332,7 @@ def slip(system: Model, t: Array, q: Array, v: Array) -> float:
     """The largest slip of samples, of rows and speeds of size 1, by the velocity rows of the
     system.
     """
-    A, b = rates(system, q, t)
+    A, b = evaluate_velocity_rows(system, q, t)
     size = np.linalg.norm(A, axis=-1) * np.maximum(1.0, np.linalg.norm(v, axis=-1))[:, None]
     off = np.abs(np.einsum("nij,nj->ni", A, v) - b)
     return float((off / np.maximum(size, 1e-300)).max(initial=0.0))

@@ -19,8 +19,8 @@ from kempe.arguments import explain_errors, explain_method_errors, numbers, rais
 from kempe.arrays import is_mapping, is_real, is_whole, read_mapping, read_reals
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.equations import closure_rows
-from kempe.equations.one_sided import OneSided, one_sided_rows
-from kempe.equations.velocity import rates
+from kempe.equations.one_sided import OneSided, pack_one_sided_rows
+from kempe.equations.velocity import evaluate_velocity_rows
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.forward.fk import fk, jacobian
 from kempe.model.configurations import sample_configurations
@@ -29,7 +29,7 @@ from kempe.motion.bounces import MOST, TOUCH, Flight, MovingFlight, Plane
 from kempe.motion.rolling import roll, slip
 from kempe.motion.start import start_of
 from kempe.motion.wheeled import binding
-from kempe.numerics.clock import BROKEN_OFF, LONG, TimeLimit, begun_within
+from kempe.numerics.clock import BROKEN_OFF, LONG, TimeLimit, limit_preparation_time
 from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 from kempe.words import InWords, format_count
@@ -158,7 +158,7 @@ class MovingRows:
         shape: Array,
         duration: float,
     ):
-        self.rows: OneSided = one_sided_rows(add_time_coordinate(system))
+        self.rows: OneSided = pack_one_sided_rows(add_time_coordinate(system))
         self.slides_q = slides_q
         self.slides_v = slides_v
         self.back = np.linalg.inv(shape)
@@ -178,7 +178,7 @@ class MovingRows:
             self.sign > 0.0, self.rows.low[self.at_row], self.rows.high[self.at_row]
         )
         self.names = tuple(self.rows.side(k, sign < 0.0) for k, sign in sides)
-        units = closure_rows.scales(self.rows.system)
+        units = closure_rows.compute_coordinate_units(self.rows.system)
         self._unscale = 1.0 / (self.rows.scale[self.at_row, None] * units)
 
     def only(self, which: np.ndarray) -> None:
@@ -266,7 +266,7 @@ def _no_others(system: Model, q: Array) -> None:
     if list_timed_constraints(system):
         system = add_time_coordinate(system)
         q = np.append(q, 0.0)
-    if rates(system, q)[0].shape[-2]:
+    if evaluate_velocity_rows(system, q)[0].shape[-2]:
         raise UnsupportedError(
             f"{system.name} rolls (it has velocity constraints): how it would roll by itself needs "
             "masses and moments of inertia; inputs={...} gives velocities instead"
@@ -310,7 +310,7 @@ def _planes(
     system: Model, body: str, q: Array, slides_q: np.ndarray, shape: Array, samples: Array
 ) -> tuple[Plane, ...]:
     """The planes of one-sided rows. Errors: `UnsupportedError`."""
-    rows = one_sided_rows(system)
+    rows = pack_one_sided_rows(system)
     limited = [
         k for k in range(len(rows)) if k < rows.declared or rows.at[k - rows.declared] in slides_q
     ]
@@ -564,7 +564,7 @@ def simulate(
             f"{MOST_SAMPLES}"
         )
     limit = TimeLimit(spend.time_limit)
-    with begun_within(USUAL, limit):
+    with limit_preparation_time(USUAL, limit):
         q = start_of(system, start, {}).astype(float)
     times = np.linspace(0.0, float(duration), int(samples))
     if inputs is not None:
@@ -575,7 +575,7 @@ def simulate(
             f"restitution is {restitution!r}; it must be between 0 (no rebound) and 1 (no loss)"
         )
     v = _velocity(system, velocity)
-    with begun_within(USUAL, limit):
+    with limit_preparation_time(USUAL, limit):
         fall = falling(system, q, v, float(duration))
         start_of_flight(fall, q)
     g = _acceleration(system, acceleration)
@@ -647,7 +647,7 @@ def _rolls(
         )
     if not is_real(tolerance) or not 1e-14 <= tolerance <= 1e-3:
         raise InputError(f"tolerance is {tolerance!r}; it must be between 1e-14 and 1e-3")
-    with begun_within(USUAL, time):
+    with limit_preparation_time(USUAL, time):
         found = roll(system, inputs, q, times, float(tolerance), time)
     late = isinstance(found.broken, TimeUp)
     interrupted = isinstance(found.broken, KeyboardInterrupt)

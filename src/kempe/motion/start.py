@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from kempe.arrays import is_mapping, is_real
-from kempe.equations.closure import Closure, close
-from kempe.equations.one_sided import one_sided_rows
+from kempe.equations.closure import Closure, close_loops
+from kempe.equations.one_sided import pack_one_sided_rows
 from kempe.errors import InputError, UnknownNameError, UnsupportedError, format_value
 from kempe.joints import R
 from kempe.model.configurations import (
@@ -24,7 +24,7 @@ from kempe.model.configurations import (
 from kempe.model.coordinates import list_coordinate_names
 from kempe.motion.crossings import PROBE, SingularNode, branches_at, hold_rank, locate
 from kempe.motion.spin_lock import lock_spins
-from kempe.numerics.curves import Node, node
+from kempe.numerics.curves import Node, make_node
 from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 from kempe.words import format_count
@@ -134,7 +134,7 @@ def begin(system: Model, start: Any, hold: Mapping[str, float]) -> tuple[Closure
     )
     fixed = Closure(system, held + [angle_or_slide(system, n) for n in known], near)
     # what is known may be far: then on the branch that `assemble` finds
-    q = None if known else close(fixed, near)
+    q = None if known else close_loops(fixed, near)
     if q is None:
         from kempe.assemble.assemble import assemble
         from kempe.assemble.bound import TOLERANCE, get_equation_assembler
@@ -142,11 +142,15 @@ def begin(system: Model, start: Any, hold: Mapping[str, float]) -> tuple[Closure
         answer = assemble(system, known={**hold, **known}, start=near)
         if not answer.success:  # what is one-sided is then reported
             answer = get_equation_assembler(system, {**hold, **known})({**hold, **known}, near)
-        q = close(fixed, answer.q) if answer.success else None
+        q = close_loops(fixed, answer.q) if answer.success else None
         if q is None and answer.success:
             equations.closed = fixed.closed = TOLERANCE
-            q = close(fixed, answer.q)
-    if start is None and q is not None and one_sided_rows(system).beyond(q, declared=True).any():
+            q = close_loops(fixed, answer.q)
+    if (
+        start is None
+        and q is not None
+        and pack_one_sided_rows(system).beyond(q, declared=True).any()
+    ):
         q = _within(system, hold, fixed, near, q)
     return equations, q
 
@@ -159,11 +163,11 @@ def _within(
     """
     from kempe.assemble.assemble import assemble
 
-    rows = one_sided_rows(system)
+    rows = pack_one_sided_rows(system)
     rng = np.random.default_rng(SEED)
     for start in (near, *sample_configurations(system, rng, (STARTS,))):
         answer = assemble(system, dict(hold), start)
-        found = close(fixed, answer.q) if answer.success else None
+        found = close_loops(fixed, answer.q) if answer.success else None
         if found is not None and not rows.beyond(found).any():
             return found
     return q
@@ -236,7 +240,7 @@ def _turning(system: Model, limits: bool) -> tuple[Array, list[WoundFollower]]:
 
 def _distinct(system: Model, period: Array) -> np.ndarray:
     """Which velocity coordinates (nv,) declared one-sided rows have other values of after a period."""
-    rows = one_sided_rows(system)
+    rows = pack_one_sided_rows(system)
     out = np.zeros(system.nv, dtype=bool)
     if rows.declared:
         q = sample_configurations(system, np.random.default_rng(0), 3)
@@ -261,25 +265,25 @@ def first_node(
     wish = wish / equations.unit if equations.n == system.nv else wish
     if not equations.n:
         return None
-    here = node(equations, q)
+    here = make_node(equations, q)
     requested = np.flatnonzero(wish).tolist() + ([angle_or_slide(system, driver)] if driver else [])
     # what moves may be but a spin
     rests = driver is not None and here.nullity == 1 and abs(here.t[requested[-1]]) < RESTS
     if (here.nullity > 1 or rests) and lock_spins(equations, q, requested):
-        here = node(equations, q)
+        here = make_node(equations, q)
 
     def low_rank(length: float) -> bool:
-        return hold_rank(equations, q, lambda: (equations, node(equations, q)), length)
+        return hold_rank(equations, q, lambda: (equations, make_node(equations, q)), length)
 
     if here.nullity > 1 and low_rank(LOW_RANK):
-        here = node(equations, q)
+        here = make_node(equations, q)
     if here.nullity == 0:
         return None
     if here.nullity > 1:
         several = _at_bifurcation(equations, here, driver, wish)
         if several is None and not low_rank(PROBE):
             raise UnsupportedError(too_free(equations, here.matrix, [driver] if driver else []))
-        here = several or node(equations, q)
+        here = several or make_node(equations, q)
     if isinstance(here, SingularNode) and here.germ.cusp(here.half):
         return here  # both halves leave to the same side
     i = (
@@ -312,7 +316,7 @@ def _at_bifurcation(equations: Closure, here: Node, driver: str | None, wish: Ar
     else:
         merit = -np.arange(float(len(lines)))
     best = int(np.argmax(merit))
-    at = node(equations, x)
+    at = make_node(equations, x)
     return Node(x, lines[best], at.sigma, max(at.nullity, 2), at.matrix, at.image, lines)
 
 

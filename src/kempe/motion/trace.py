@@ -20,7 +20,7 @@ from kempe.arrays import is_mapping, is_whole
 from kempe.assemble.nearest_exact import answer_within_tolerance
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.equations.closure import Closure
-from kempe.equations.slip import slip_of
+from kempe.equations.slip import find_first_slip
 from kempe.errors import InputError
 from kempe.model.configurations import find_home, read_q
 from kempe.motion.crossings import SingularNode, rank_held
@@ -50,8 +50,14 @@ from kempe.motion.start import (
     start_of,
     why_open,
 )
-from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, time_limited, time_of
-from kempe.numerics.curves import Node, arc, bend, node, step
+from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, find_time_limit, limit_time
+from kempe.numerics.curves import (
+    Node,
+    compute_bend_angle,
+    estimate_arc_length,
+    find_next_node,
+    make_node,
+)
 from kempe.spatial import Array
 from kempe.words import make_plural
 
@@ -182,10 +188,10 @@ class Endless:
             return ""
         a = b
         while gone < AHEAD:
-            c = step(equations, a, h)
+            c = find_next_node(equations, a, h)
             if (
                 c is None
-                or bend(a, c) > 0.1
+                or compute_bend_angle(a, c) > 0.1
                 or sides_change(equations, a, c)
                 or np.any(c.t[rest] * b.t[rest] <= 0.0)
             ):
@@ -272,7 +278,7 @@ def _not_begun(
 
 @explain_errors
 @raise_interrupted
-@time_limited(USUAL, _not_begun)
+@limit_time(USUAL, _not_begun)
 @answer_within_tolerance()
 def trace(
     system: Model,
@@ -342,7 +348,7 @@ def trace(
 
 def without_slip(path: Path) -> Path:
     """The path, no success where it slips: what is traced are positions."""
-    slip = slip_of(path.system, path.q)
+    slip = find_first_slip(path.system, path.q)
     if slip is None:
         return path
     said = (
@@ -405,7 +411,7 @@ def _options(system: Model, driver: str | None, ways: str, limits: bool, spend: 
         int(points),
         spend.progress,
         periods(system, limits),
-        time_of(USUAL, spend),
+        find_time_limit(USUAL, spend),
     )
 
 
@@ -459,7 +465,7 @@ def _one_way(
             if hit is not None:
                 return nodes if hit[0] is a else [*nodes, hit[0]], hit[1], False, None
             nodes.append(replace(b, matrix=NONE, image=NONE))  # the walk keeps its last one whole
-            length += arc(equations, a, b)
+            length += estimate_arc_length(equations, a, b)
             if reason := endless.reason(b, length):
                 return nodes, reason, False, None
             if options.progress is not None and len(nodes) % 16 == 0:
@@ -503,7 +509,11 @@ def _path(
             if (n := extreme(equations, nodes, k, m, i)) is not None:
                 name = system.structure.velocity_names[i]
                 kind = "fold of the driver" if name == options.driver else "extreme"
-                at = float(s[k]) + arc(equations, nodes[k], n) if n is not nodes[0] else 0.0
+                at = (
+                    float(s[k]) + estimate_arc_length(equations, nodes[k], n)
+                    if n is not nodes[0]
+                    else 0.0
+                )
                 found.append(Event(n.x, at, kind, name, float(n.x[equations.place[i]])))
     except BROKEN_OFF as error:
         broken = broken or error
@@ -537,7 +547,15 @@ def _path(
 def _lengths(equations: Closure, nodes: list[Node]) -> Array:
     """Arc lengths (n,) of nodes."""
     return np.concatenate(
-        [[0.0], np.cumsum([arc(equations, a, b) for a, b in zip(nodes, nodes[1:], strict=False)])]
+        [
+            [0.0],
+            np.cumsum(
+                [
+                    estimate_arc_length(equations, a, b)
+                    for a, b in zip(nodes, nodes[1:], strict=False)
+                ]
+            ),
+        ]
     )
 
 
@@ -620,7 +638,7 @@ def _branches_of(equations: Closure, event: Event) -> list[Node]:
         germ = event.node.germ
         return [germ.node(i) for i, j in enumerate(germ.partner) if i < j]
     assert event.directions is not None
-    at = node(equations, event.q)
+    at = make_node(equations, event.q)
     lines = event.directions / equations.unit
     return [
         Node(event.q, t, at.sigma, max(at.nullity, 2), at.matrix, at.image, lines) for t in lines

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe.equations import closure_rows
-from kempe.equations.one_sided import one_sided_rows
-from kempe.equations.velocity import rates
+from kempe.equations.one_sided import pack_one_sided_rows
+from kempe.equations.velocity import evaluate_velocity_rows
 from kempe.errors import UnsupportedError
 from kempe.forward.fk import fk, jacobian
 from kempe.model.configurations import sample_configurations
@@ -131,7 +131,7 @@ class Axle:
         """Velocity rows (m, 3 + nv) of the axle's twist, then of all coordinates but the body's
         (zero there), without unit.
         """
-        A = rates(self.system, q)[0]
+        A = evaluate_velocity_rows(self.system, q)[0]
         own = list(self.own)
         by_twist = A[:, own] @ np.asarray(np.linalg.inv(self.twists(q[None])[0]), dtype=float)
         out = np.concatenate([by_twist, A], axis=1)
@@ -172,10 +172,10 @@ def axle_of(system: Model, q: Array) -> Axle:
     """The axle of a system that rolls, beside its configuration q (nq,). Errors:
     `UnsupportedError`.
     """
-    A, b = rates(system, q)
+    A, b = evaluate_velocity_rows(system, q)
     tie = binding(system, q)
     if not A.shape[-2]:
-        held = "limits or one-sided constraints hold" if len(one_sided_rows(system)) else ""
+        held = "limits or one-sided constraints hold" if len(pack_one_sided_rows(system)) else ""
         held = f"{tie!r} holds positions" if tie else held
         raise UnsupportedError(
             f"{system.name} has no velocity constraints"
@@ -206,10 +206,10 @@ def binding(system: Model, q: Array) -> str | None:
     some = np.concatenate(
         [q[None], sample_configurations(system, np.random.default_rng(SEED), (TRIALS,))]
     )
-    error, J = closure_rows.evaluate(system, some)
+    error, J = closure_rows.evaluate_constraints(system, some)
     size = np.maximum(np.abs(error).max(axis=0), np.abs(J).max(axis=(0, 2), initial=0.0))
     rows = np.flatnonzero(size > SAME)
-    return closure_rows.row_names(system)[int(rows[0])][0] if len(rows) else None
+    return closure_rows.list_row_names(system)[int(rows[0])][0] if len(rows) else None
 
 
 def _planar_body(system: Model) -> Axle:

@@ -45,14 +45,14 @@ class TimeLimit(watched_by):
         self.end = compute_deadline(limit)
         self._told: set[int] = set()
         self.soon = self.end - (1.0 - SHARE) * (limit or 0.0)
-        super().__init__(*(() if limit is None else (self._once,)))
+        super().__init__(*(() if limit is None else (self._raise_time_up,)))
 
     @property
     def spent(self) -> bool:
         """Whether `TimeUp` came."""
         return bool(self._told)
 
-    def _once(self) -> None:
+    def _raise_time_up(self) -> None:
         thread = threading.get_ident()
         if thread not in self._told and time.monotonic() >= self.soon:
             self._told.add(thread)
@@ -85,7 +85,7 @@ ENDLESS = TimeLimit(None)
 """No time limit."""
 
 
-def time_limited(
+def limit_time(
     usual: Usual, otherwise: Callable[..., Any] | None = None
 ) -> Callable[[Function], Function]:
     """A decorator for verbs: their time limit is looked at on all layers, from the first line to
@@ -96,9 +96,9 @@ def time_limited(
     raised. A verb that another one asks, without a time limit of its own, has the time of that one.
     """
 
-    def of(verb: Function) -> Function:
+    def decorate_verb(verb: Function) -> Function:
         @functools.wraps(verb)
-        def call(*args: Any, **options: Any) -> Any:
+        def call_verb(*args: Any, **options: Any) -> Any:
             budget = options.get("budget")
             outer = getattr(_running, "call", None)
             limit = usual.complete_budget(budget).time_limit
@@ -118,13 +118,13 @@ def time_limited(
                 raise TimeLimitError(usual.verb, time.limit)
             return otherwise(time, *args, **options)
 
-        return call  # type: ignore[return-value]
+        return call_verb  # type: ignore[return-value]
 
-    return of
+    return decorate_verb
 
 
 @contextlib.contextmanager
-def begun_within(usual: Usual, time: TimeLimit) -> Generator[None]:
+def limit_preparation_time(usual: Usual, time: TimeLimit) -> Generator[None]:
     """A block in which a verb prepares its work. Errors: `TimeLimitError` where its time is up in
     it.
 
@@ -143,8 +143,8 @@ def begun_within(usual: Usual, time: TimeLimit) -> Generator[None]:
 _running = threading.local()
 
 
-def time_of(usual: Usual, budget: Budget | None = None) -> TimeLimit:
-    """The time of the call of a `time_limited` verb that runs now; where none does, that of a
+def find_time_limit(usual: Usual, budget: Budget | None = None) -> TimeLimit:
+    """The time of the call of a `limit_time` verb that runs now; where none does, that of a
     budget.
     """
     verb, time = getattr(_running, "call", None) or (None, ENDLESS)
@@ -152,24 +152,24 @@ def time_of(usual: Usual, budget: Budget | None = None) -> TimeLimit:
 
 
 class EndReached(TimeUp):
-    """A kernel came to the end that its caller set by `up_at`; it says itself what it ended."""
+    """A kernel came to the end that its caller set by `make_end_check`; it says itself what it ended."""
 
 
-def up_at(end: float) -> Callable[[], None]:
+def make_end_check(end: float) -> Callable[[], None]:
     """A check for `watched_by` that raises `EndReached` from the time `end` of `time.monotonic` on."""
 
-    def check() -> None:
+    def check_end() -> None:
         if end < math.inf and time.monotonic() >= end:
             raise EndReached
 
-    return check
+    return check_end
 
 
 BROKEN_OFF = (KeyboardInterrupt, TimeUp)
 """What ends long work early; what was done by then is the answer."""
 
 
-def partial(interrupted: bool, late: bool) -> str:
+def describe_early_end(interrupted: bool, late: bool) -> str:
     """End of a sentence about a computation that ended early; '' otherwise."""
     why = "interrupted" if interrupted else "stopped by the time limit"
     return f" ({why}: this is the part that was done)" if interrupted or late else ""
@@ -182,21 +182,21 @@ class Clock:
     """
 
     def __init__(self):
-        def work(_q: Any, out: Any, _columns: Any, _flag: int) -> None:
+        def write_flag(_q: Any, out: Any, _columns: Any, _flag: int) -> None:
             out[0] = 1.0  # what stays where it raises, and until the error is taken
             if getattr(self._thread, "error", None) is None:
                 check_for_stop()
                 out[0] = 0.0
 
         self._thread = threading.local()
-        self._called = KernelFunction(work, self._keep)
+        self._called = KernelFunction(write_flag, self._keep_error)
 
     @property
     def address(self) -> int:
         """The address at which kernels call it."""
         return self._called.address
 
-    def _keep(self, error: BaseException) -> None:
+    def _keep_error(self, error: BaseException) -> None:
         self._thread.error = error
 
     def taken(self) -> TimeUp | None:
@@ -209,6 +209,6 @@ class Clock:
 
 
 @cache
-def clock() -> Clock:
+def get_clock() -> Clock:
     """The one clock of all kernels."""
     return Clock()

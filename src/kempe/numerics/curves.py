@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from kempe.numerics.newton import LARGE, GaussNewtonEnd, gauss_newton, least_squares
+from kempe.numerics.newton import LARGE, GaussNewtonEnd, run_gauss_newton, solve_least_squares
 from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 
@@ -76,13 +76,13 @@ class Curve:
         """The corrected point of the curve near `x`, in the plane normal to the direction `across`
         (n,); or None.
         """
-        return correct(self, x, across)
+        return correct_point(self, x, across)
 
     def node(self, x: Array, toward: Array, J: Array) -> Node:
         """The node at a point of the curve, with its derivatives, the tangent in the sense of
         `toward` (n,).
         """
-        return node(self, x, toward, J)
+        return make_node(self, x, toward, J)
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +107,9 @@ class Node:
         return Node(self.x, -self.t, self.sigma, self.nullity, self.matrix, self.image, self.lines)
 
 
-def node(equations: Curve, x: Array, toward: Array | None = None, J: Array | None = None) -> Node:
+def make_node(
+    equations: Curve, x: Array, toward: Array | None = None, J: Array | None = None
+) -> Node:
     """The `Node` at a point of the curve; its tangent is the null vector nearest to `toward` (n,)."""
     J = equations.matrix(x) if J is None else J
     spectrum = Spectrum(J, equations.least)
@@ -125,18 +127,20 @@ def node(equations: Curve, x: Array, toward: Array | None = None, J: Array | Non
     return Node(x, t, sigma, nullity, J, image)
 
 
-def correct(equations: Curve, x: Array, across: Array) -> GaussNewtonEnd | None:
+def correct_point(equations: Curve, x: Array, across: Array) -> GaussNewtonEnd | None:
     """The point of the curve in the plane through `x` normal to the direction `across` (n,), or
     None.
 
     Newton's method with least squares, so that dependent equations do no harm.
     """
 
-    def both(x: Array) -> tuple[Array, Array]:
+    def evaluate_augmented_equations(x: Array) -> tuple[Array, Array]:
         F, J = equations.both(x)
         return np.append(F, 0.0), np.vstack([J, across])
 
-    found = gauss_newton(both, x, TRIES, level=BLUNT, halving=True, move=equations.move)
+    found = run_gauss_newton(
+        evaluate_augmented_equations, x, TRIES, level=BLUNT, halving=True, move=equations.move
+    )
     return (
         GaussNewtonEnd(found.x, found.r[:-1], found.J[:-1])
         if found.size < equations.tolerance(found.x)
@@ -144,7 +148,7 @@ def correct(equations: Curve, x: Array, across: Array) -> GaussNewtonEnd | None:
     )
 
 
-def step(curve: Curve, a: Node, h: float) -> Node | None:
+def find_next_node(curve: Curve, a: Node, h: float) -> Node | None:
     """The next node of the curve, at a distance of about `h` from `a`; None where `h` is too long
     to be safe.
     """
@@ -153,16 +157,22 @@ def step(curve: Curve, a: Node, h: float) -> Node | None:
     if there is None or float(np.linalg.norm(curve.between(guess, there.x))) > ACROSS * h:
         return None
     b = curve.node(there.x, curve.between(a.x, there.x), there.J)
-    return b if bend(a, b) <= BEND else None
+    return b if compute_bend_angle(a, b) <= BEND else None
 
 
-def next_step(h: float, longest: float, a: Node, b: Node, ideal: float = IDEAL_BEND) -> float:
+def choose_step_length(
+    h: float, longest: float, a: Node, b: Node, ideal: float = IDEAL_BEND
+) -> float:
     """The next step length, from how much the tangent turned in the last one."""
-    factor = 1.5 if ideal == math.inf else min(1.5, max(0.5, ideal / max(bend(a, b), 1e-9)))
+    factor = (
+        1.5
+        if ideal == math.inf
+        else min(1.5, max(0.5, ideal / max(compute_bend_angle(a, b), 1e-9)))
+    )
     return min(longest, h * factor)
 
 
-def walk(
+def walk_curve(
     a: Node,
     taken: Callable[[Node, float], list[Node] | None],
     longest: float,
@@ -185,16 +195,16 @@ def walk(
                 return
             continue
         yield from found
-        h = next_step(h, longest, a, found[-1], ideal)
+        h = choose_step_length(h, longest, a, found[-1], ideal)
         a = found[-1]
 
 
-def bend(a: Node, b: Node) -> float:
+def compute_bend_angle(a: Node, b: Node) -> float:
     """Angle between the tangents of two nodes."""
     return 2.0 * float(np.arcsin(min(1.0, 0.5 * float(np.linalg.norm(b.t - a.t)))))
 
 
-def flipped(a: Node, b: Node) -> bool | None:
+def is_determinant_flipped(a: Node, b: Node) -> bool | None:
     """Whether the determinant of the equations and the tangent changes its sign between two nodes.
 
     It does at a simple crossing of branches, and where a step went over to another branch
@@ -212,7 +222,9 @@ def flipped(a: Node, b: Node) -> bool | None:
     return bool(sign * own < 0.0)
 
 
-def inside(equations: Curve, a: Node, b: Node, distance: float, whole: bool = True) -> Node | None:
+def find_node_between(
+    equations: Curve, a: Node, b: Node, distance: float, whole: bool = True
+) -> Node | None:
     """The node between two neighbours at `distance` along the tangent of the first.
 
     One that is not `whole` may lack singular values and matrices, where these cost much.
@@ -221,18 +233,22 @@ def inside(equations: Curve, a: Node, b: Node, distance: float, whole: bool = Tr
     h = float(a.t @ y)
     f = distance / h
     guess = equations.move(a.x, distance * a.t + f * f * (y - h * a.t))
-    there = correct(equations, guess, a.t)
+    there = correct_point(equations, guess, a.t)
     if there is None:
         return None
     along = (1.0 - f) * a.t + f * b.t
     if whole or len(there.r) <= LARGE:
-        return node(equations, there.x, along, there.J)
-    t = least_squares(np.vstack([there.J, along]), np.append(np.zeros(len(there.r)), 1.0), BLUNT)
+        return make_node(equations, there.x, along, there.J)
+    t = solve_least_squares(
+        np.vstack([there.J, along]), np.append(np.zeros(len(there.r)), 1.0), BLUNT
+    )
     return Node(there.x, t / np.linalg.norm(t), np.nan, 1, NONE, NONE)
 
 
-def arc(equations: Curve, a: Node, b: Node) -> float:
+def estimate_arc_length(equations: Curve, a: Node, b: Node) -> float:
     """Length of the curve between two neighbours: the chord times 1 + angle^2/24, which leaves an
     error O(h^5).
     """
-    return float(np.linalg.norm(equations.between(a.x, b.x))) * (1.0 + bend(a, b) ** 2 / 24.0)
+    return float(np.linalg.norm(equations.between(a.x, b.x))) * (
+        1.0 + compute_bend_angle(a, b) ** 2 / 24.0
+    )

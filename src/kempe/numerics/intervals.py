@@ -12,7 +12,7 @@ SAME_ANGLE = 1e-11
 TWO_PI = 2.0 * math.pi
 
 
-def arcs(angles: list[float]) -> list[tuple[float, float]]:
+def split_circle(angles: list[float]) -> list[tuple[float, float]]:
     """Arcs (low, high) between angles on the circle, low in [-pi, pi); the whole circle where there
     are none.
     """
@@ -27,7 +27,7 @@ def arcs(angles: list[float]) -> list[tuple[float, float]]:
     return list(zip(at, [*at[1:], at[0] + TWO_PI], strict=True))
 
 
-def joined(parts: list[tuple[float, float]], good: list[bool]) -> list[tuple[float, float]]:
+def join_arcs(parts: list[tuple[float, float]], good: list[bool]) -> list[tuple[float, float]]:
     """The good ones of arcs that follow each other round the circle, neighbours joined."""
     if all(good):
         return [(-math.pi, math.pi)]
@@ -46,7 +46,7 @@ def joined(parts: list[tuple[float, float]], good: list[bool]) -> list[tuple[flo
     return sorted((low - s, high - s) for (low, high), s in zip(out, shifts, strict=True))
 
 
-def union(
+def unite_intervals(
     intervals: list[tuple[float, float]], circular: bool = False, slack: float = 0.0
 ) -> Intervals:
     """The union of intervals, sorted, gaps up to a slack closed; on a circle low in [-pi, pi), and
@@ -70,6 +70,6 @@ def union(
     return tuple(out)
 
 
-def spelled(intervals: Intervals | list[tuple[float, float]]) -> str:
+def format_intervals(intervals: Intervals | list[tuple[float, float]]) -> str:
     """Intervals as text."""
     return ", ".join(f"[{a:.6g}, {b:.6g}]" for a, b in intervals)

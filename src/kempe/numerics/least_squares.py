@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kempe.numerics.rank import Level, Spectrum, svd
+from kempe.numerics.rank import Level, Spectrum, compute_svd
 from kempe.spatial import Array
 
 Bend = Callable[[Array], Array]
@@ -41,7 +41,7 @@ SLACK = 1e-13
 """By how much a row that no step moves may seem to be beyond its bound: rounding."""
 
 
-def damped(
+def minimize_damped_residual(
     A: Array,
     b: Array,
     low: Array,
@@ -63,14 +63,16 @@ def damped(
     configuration that leads nowhere to first order is left where `bend` gives a way. `wished` is
     the solution without bounds, where it is known.
     """
-    x, hard, s, Vt = wished or wish(A, b, damping, near)
+    x, hard, s, Vt = wished or solve_unbounded_wish(A, b, damping, near)
     n = A.shape[1]
     k = len(s)
     most = float(s[:1].max(initial=0.0))
-    if bend is not None and (way := _way_out(A, b, s, Vt, bend)) is not None:
+    if bend is not None and (way := _find_bending_direction(A, b, s, Vt, bend)) is not None:
         force, lead = way
         slow = damping * (most or 1.0) if near is None else damping
-        fastest = part_within((lead if G is None else G @ lead) / NOISE, low, high) / NOISE
+        fastest = (
+            compute_feasible_fraction((lead if G is None else G @ lead) / NOISE, low, high) / NOISE
+        )
         x = x + (min(force / (2.0 * slow), fastest) if slow else fastest) * lead
     value = x if G is None else G @ x
     if (value >= low).all() and (value <= high).all():
@@ -78,13 +80,15 @@ def damped(
     weak = shift * (near or NEAR * (most or 1.0))
     if G is None:
         H = A.T @ A + (Vt[:k].T * hard**2) @ Vt[:k] + weak**2 * np.eye(n)
-        return least_in_box(H, H @ x, low, high)[0]
+        return minimize_quadratic_in_box(H, H @ x, low, high)[0]
     kept = hard > 0.0
     rows = np.concatenate([A, hard[kept, None] * Vt[:k][kept], weak * np.eye(n)])
-    return bounded(rows, rows @ x, low, high, G)
+    return minimize_bounded_residual(rows, rows @ x, low, high, G)
 
 
-def _way_out(A: Array, b: Array, s: Array, Vt: Array, bend: Bend) -> tuple[float, Array] | None:
+def _find_bending_direction(
+    A: Array, b: Array, s: Array, Vt: Array, bend: Bend
+) -> tuple[float, Array] | None:
     """Where first order leads nowhere to a part of b: its size, and the unit direction (n,) that
     bends towards it.
 
@@ -122,9 +126,11 @@ class Wish(NamedTuple):
         return self.hard[some, None] * self.Vt[: len(self.hard)][some]
 
 
-def wish(A: Array, b: Array, damping: float, near: float | None = NEAR, more: float = 0.0) -> Wish:
-    """The solution of `damped` without bounds; `more` damps all directions."""
-    U, s, Vt = svd(A)
+def solve_unbounded_wish(
+    A: Array, b: Array, damping: float, near: float | None = NEAR, more: float = 0.0
+) -> Wish:
+    """The solution of `minimize_damped_residual` without bounds; `more` damps all directions."""
+    U, s, Vt = compute_svd(A)
     most = float(s[0]) if len(s) else 0.0
     seen = s > Level.ROUNDING * most
     if near is None:
@@ -139,7 +145,7 @@ def wish(A: Array, b: Array, damping: float, near: float | None = NEAR, more: fl
     return Wish(Vt[:k].T @ (part * (U[:, :k].T @ b)), hard, s, Vt)
 
 
-def scaled(
+def scale_solution_to_bounds(
     A: Array,
     b: Array,
     low: Array,
@@ -163,7 +169,7 @@ def scaled(
     inside = np.minimum(np.maximum(0.0, low), high) if G is None else np.zeros(n)
     if not size or inside.any() or not n:
         return inside
-    U, s, Vt = svd(A)
+    U, s, Vt = compute_svd(A)
     k = len(s)
     most = float(s[0])
     near = near or NEAR * (most or 1.0)
@@ -180,15 +186,15 @@ def scaled(
     dead = s <= Level.GENERIC * most
     y = Vt[:k].T @ np.where(dead, 0.0, along / np.where(dead, 1.0, s))
     if (along[dead] != 0.0).any():
-        if (way := _way_out(A, b, s, Vt, bend)) is None:
+        if (way := _find_bending_direction(A, b, s, Vt, bend)) is None:
             return inside
         x = way[1] / NOISE
-        return part_within(G @ x, low, high) * x
-    part = part_within(G @ y, low, high)
+        return compute_feasible_fraction(G @ x, low, high) * x
+    part = compute_feasible_fraction(G @ y, low, high)
     x = part * y
     spare = Vt[int((~dead).sum()) :]
     if part < 1.0 and len(spare):
-        x = _relieved(y, spare, low, high, G)
+        x = _add_relieving_motion(y, spare, low, high, G)
     weak = np.flatnonzero(weak & (along != 0.0))
     if len(weak) and x.any():
         falls = np.einsum("ai,aj,ij->i", U[:, weak], bend(x[None])[0], Vt[weak]) * dt
@@ -200,14 +206,14 @@ def scaled(
     return x if float(b @ (A @ x)) > NO_PART * size * size else inside
 
 
-def part_within(x: Array, low: Array, high: Array) -> float:
+def compute_feasible_fraction(x: Array, low: Array, high: Array) -> float:
     """The largest part of x (n,), at most 1, that is within bounds; rounding counts as zero."""
     big = np.abs(x) > NOISE * np.abs(x).max(initial=0.0)
     room = np.where(x > 0.0, high, low)[big] / x[big]
     return min(1.0, max(0.0, float(room.min(initial=1.0))))
 
 
-def _relieved(y: Array, spare: Array, low: Array, high: Array, G: Array) -> Array:
+def _add_relieving_motion(y: Array, spare: Array, low: Array, high: Array, G: Array) -> Array:
     """A large part of y (n,) within bounds, with a self-motion, of the rows of `spare` (k, n), that
     lets it be so.
     """
@@ -216,11 +222,15 @@ def _relieved(y: Array, spare: Array, low: Array, high: Array, G: Array) -> Arra
     speed = min(float(value.max()), 0.5 * float(width.max(initial=0.0))) or 1.0
     B = np.diag(np.append(1.0, np.full(len(spare), NULL_SPEED / speed)))
     rows = np.column_stack([G @ y, G @ spare.T])
-    x = bounded(B, np.eye(len(B))[0], np.minimum(low, 0.0), np.maximum(high, 0.0), rows)
+    x = minimize_bounded_residual(
+        B, np.eye(len(B))[0], np.minimum(low, 0.0), np.maximum(high, 0.0), rows
+    )
     return x[0] * y + spare.T @ x[1:]
 
 
-def least_in_box(H: Array, push: Array, low: Array, high: Array) -> tuple[Array, np.ndarray]:
+def minimize_quadratic_in_box(
+    H: Array, push: Array, low: Array, high: Array
+) -> tuple[Array, np.ndarray]:
     """The z (n,) in a box that makes z H z / 2 - push z least, of a positive H, and which entries
     are at no bound.
     """
@@ -252,7 +262,7 @@ def least_in_box(H: Array, push: Array, low: Array, high: Array) -> tuple[Array,
     return z, free
 
 
-def bounded(A: Array, b: Array, low: Array, high: Array, G: Array) -> Array:
+def minimize_bounded_residual(A: Array, b: Array, low: Array, high: Array, G: Array) -> Array:
     """The x (n,) with low <= G x <= high that makes |A x - b| least: active set (Stark and Parker,
     1995).
 

@@ -41,7 +41,7 @@ class Certificate(NamedTuple):
     radius: float
 
 
-def certify(
+def make_certificate(
     values: Array, shape: tuple[int, int], residual: float, bend: float, entry: float, entries: int
 ) -> Certificate:
     """The `Certificate` of equations with these singular `values` (descending) and this `shape` (m,
@@ -62,7 +62,7 @@ def certify(
     return Certificate(2.0 * off * bend < smallest**2, smallest, 2.0 * off / smallest)
 
 
-def rounding(joints: int, reach: float) -> float:
+def bound_rounding_error(joints: int, reach: float) -> float:
     """Bound of the rounding error of a number that comes from a chain of `joints`, `reach` lengths
     from the origin.
     """
@@ -105,23 +105,23 @@ class GaussNewtonEnd(NamedTuple):
         return float(np.abs(self.r).max(initial=0.0))
 
 
-def least_squares(A: Array, b: Array, level: float = Level.CLOSED) -> Array:
+def solve_least_squares(A: Array, b: Array, level: float = Level.CLOSED) -> Array:
     """The shortest y (n,) that minimises |A y - b|; singular values below `level` of the largest
     count as zero.
     """
     return (
-        least_squares_of_many(A[None], b[None], level)[0]
+        solve_many_least_squares(A[None], b[None], level)[0]
         if len(b) > LARGE
-        else _by_values(A, b, level)
+        else _solve_by_singular_values(A, b, level)
     )
 
 
-def _by_values(A: Array, b: Array, level: float) -> Array:
+def _solve_by_singular_values(A: Array, b: Array, level: float) -> Array:
     return np.asarray(np.linalg.lstsq(A, b, rcond=level)[0], dtype=float)
 
 
-def least_squares_of_many(A: Array, b: Array, level: float = Level.CLOSED) -> Array:
-    """`least_squares` of many A (k, m, n) and b (k, m): the normal equations, where these are far
+def solve_many_least_squares(A: Array, b: Array, level: float = Level.CLOSED) -> Array:
+    """`solve_least_squares` of many A (k, m, n) and b (k, m): the normal equations, where these are far
     from singular.
 
     Of the first kind, or of the second where there are fewer equations than unknowns. A second
@@ -133,7 +133,7 @@ def least_squares_of_many(A: Array, b: Array, level: float = Level.CLOSED) -> Ar
     if k > most:
         return np.concatenate(
             [
-                least_squares_of_many(A[i : i + most], b[i : i + most], level)
+                solve_many_least_squares(A[i : i + most], b[i : i + most], level)
                 for i in range(0, k, most)
             ]
         )
@@ -155,17 +155,17 @@ def least_squares_of_many(A: Array, b: Array, level: float = Level.CLOSED) -> Ar
         y[:] = np.einsum("kmn,km->kn", A, found[..., 0]) if wide else found[..., 0]
     for k in np.flatnonzero(bad):
         check_for_stop()
-        y[k] = _by_values(A[k], b[k], level)
+        y[k] = _solve_by_singular_values(A[k], b[k], level)
     return y
 
 
-def damped_least_squares(A: Array, b: Array, damping: float) -> Array:
+def solve_damped_least_squares(A: Array, b: Array, damping: float) -> Array:
     """The vector y (n,) that minimises |A y - b|^2 + damping |y|^2."""
     U, s, Vt = Spectrum(A).thin
     return Vt.T @ (s / (s * s + damping) * (U.T @ b))
 
 
-def gauss_newton(
+def run_gauss_newton(
     equations: Equations,
     x: Array,
     tries: int,
@@ -182,7 +182,7 @@ def gauss_newton(
 
     It ends where the residual is at most `met`, after a step up to `last`, before one that is zero
     or not finite, and with `halving` before one longer than half the one before. Steps are
-    shortened to `longest`. `step` gives another step (n,) at (x, r, J) than `least_squares`, `move`
+    shortened to `longest`. `step` gives another step (n,) at (x, r, J) than `solve_least_squares`, `move`
     the point to which one leads.
     """
     before = math.inf
@@ -193,7 +193,7 @@ def gauss_newton(
         r, J = equations(x)
         if k == tries or before <= last or not met < float(np.abs(r).max(initial=0.0)) < math.inf:
             break
-        y = least_squares(J, -r, level) if step is None else step(x, r, J)
+        y = solve_least_squares(J, -r, level) if step is None else step(x, r, J)
         size = math.hypot(*y.tolist())  # no overflow on the way
         if not NOTHING < size < math.inf or (halving and size > 0.5 * before):
             break
@@ -203,7 +203,7 @@ def gauss_newton(
     return GaussNewtonEnd(x, r, J)
 
 
-def gauss_newton_of_many(
+def run_many_gauss_newton(
     equations: Callable[[Array, np.ndarray], tuple[Array, Array]],
     x: Array,
     tries: int,
@@ -219,8 +219,8 @@ def gauss_newton_of_many(
     on its own.
 
     `equations` gives residuals (j, m) and Jacobians (j, m, n) at points (j, n), those of the starts
-    of indices (j,). `step` gives other steps (j, n), from these, than `least_squares_of_many`.
-    Options are those of `gauss_newton`, but the size of a step is its largest entry. A point
+    of indices (j,). `step` gives other steps (j, n), from these, than `solve_many_least_squares`.
+    Options are those of `run_gauss_newton`, but the size of a step is its largest entry. A point
     becomes NaN where its residual is not finite.
     """
     x, left = np.array(x), np.arange(len(x))
@@ -234,7 +234,7 @@ def gauss_newton_of_many(
         left, r, J = (left, r, J) if go_on.all() else (left[go_on], r[go_on], J[go_on])
         if not len(left):
             break
-        y = least_squares_of_many(J, -r, level) if step is None else step(r, J)
+        y = solve_many_least_squares(J, -r, level) if step is None else step(r, J)
         size = np.abs(y).max(axis=1, initial=0.0)
         x[left] = move(
             x[left], y * (longest / np.maximum(size, longest))[:, None] if longest < math.inf else y

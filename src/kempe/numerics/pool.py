@@ -23,7 +23,7 @@ _lock = threading.Lock()
 _pools: dict[int, ThreadPoolExecutor] = {}
 
 
-def _begin_anew() -> None:
+def _reset_pool() -> None:
     """Drop, in a child process, the threads of its parent and the lock that one of them may have
     held.
     """
@@ -33,7 +33,7 @@ def _begin_anew() -> None:
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_begin_anew)
+    os.register_at_fork(after_in_child=_reset_pool)
 
 
 MOST_THREADS = 4096
@@ -41,22 +41,22 @@ MOST_THREADS = 4096
 nothing."""
 
 
-def processors() -> int:
+def count_processors() -> int:
     """Processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def thread_count(threads: Any) -> int:
+def choose_thread_count(threads: Any) -> int:
     """How many threads are wanted. Errors: `InputError`."""
     if threads is not None and not (is_whole(threads) and 1 <= threads <= MOST_THREADS):
         raise InputError(
             f"threads is {format_value(threads)}; it must be None (all processors) or a whole "
             f"number, at least 1 and at most {MOST_THREADS}"
         )
-    return int(threads or processors())
+    return int(threads or count_processors())
 
 
-def over_chunks(
+def sum_over_chunks(
     work: Callable[[int, int], int],
     count: int,
     chunk: int | None,
@@ -74,7 +74,7 @@ def over_chunks(
     """
     # nobody needs to ask the system
     few = threads is None and chunk is not None and count < serial_below
-    most = 1 if few else thread_count(threads)
+    most = 1 if few else choose_thread_count(threads)
     if chunk is None:
         chunk = max(serial_below, -(-count // most))
     n = 1 if count < serial_below else min(most, -(-count // chunk))
@@ -88,19 +88,19 @@ def over_chunks(
     starts = iter(range(0, count, chunk))
     watching = list_checks()
 
-    def take(i: int) -> int:
+    def work_on_chunk(i: int) -> int:
         check_for_stop()
         return work(i, min(i + chunk, count))
 
     @quiet
     def take_chunks() -> int:
         try:
-            return sum(map(take, starts))
+            return sum(map(work_on_chunk, starts))
         finally:
             for _ in starts:
                 pass
 
-    def take_watched() -> int:
+    def take_watched_chunks() -> int:
         with watched_by(*watching):
             return take_chunks()
 
@@ -110,7 +110,7 @@ def over_chunks(
         pool = _pools.get(n)
         if pool is None:
             pool = _pools[n] = ThreadPoolExecutor(n - 1, thread_name_prefix="kempe")
-    others = [pool.submit(take_watched) for _ in range(n - 1)]
+    others = [pool.submit(take_watched_chunks) for _ in range(n - 1)]
     try:
         return take_chunks() + sum(f.result() for f in others)
     finally:

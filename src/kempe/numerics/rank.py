@@ -82,23 +82,23 @@ class Spectrum:
 
     def __iter__(self) -> Iterator[Spectrum]:
         """The spectra of the matrices of a batch (k, m, n), decomposed together."""
-        for A, *factors in zip(self.A, *self._whole, strict=True):
+        for A, *factors in zip(self.A, *self._decomposition, strict=True):
             one = Spectrum(A, self.size)
             one.__dict__["_whole"] = tuple(factors)
             yield one
 
     @cached_property
-    def _whole(self) -> tuple[Array, Array, Array]:
-        return svd(self.A)
+    def _decomposition(self) -> tuple[Array, Array, Array]:
+        return compute_svd(self.A)
 
     @cached_property
     def thin(self) -> tuple[Array, Array, Array]:
         """Left vectors (..., m, k), values (..., k) and right vectors (..., k, n), k = min(m, n)."""
         if "_whole" in self.__dict__:
-            U, s, Vt = self._whole
+            U, s, Vt = self._decomposition
             k = s.shape[-1]
             return U[..., :k], s, Vt[..., :k, :]
-        return svd(self.A, full_matrices=False)
+        return compute_svd(self.A, full_matrices=False)
 
     @cached_property
     def values(self) -> Array:
@@ -106,17 +106,17 @@ class Spectrum:
         for name in ("_whole", "thin"):
             if name in self.__dict__:
                 return self.__dict__[name][1]
-        return svd(self.A, compute_uv=False)
+        return compute_svd(self.A, compute_uv=False)
 
     @property
     def left(self) -> Array:
         """The left singular vectors (..., m, m), as columns."""
-        return self._whole[0]
+        return self._decomposition[0]
 
     @property
     def right(self) -> Array:
         """The right singular vectors (..., n, n), as rows."""
-        return self._whole[2]
+        return self._decomposition[2]
 
     @property
     def largest(self) -> Array:
@@ -203,13 +203,13 @@ class Spectrum:
     @property
     def orthogonal(self) -> Array:
         """The orthogonal matrices (..., n, n) nearest to square ones (Procrustes)."""
-        U, _, Vt = self._whole
+        U, _, Vt = self._decomposition
         return U @ Vt
 
     @property
     def rotation(self) -> Array:
         """The rotations (..., n, n) nearest to square matrices (Kabsch, 1976)."""
-        U, _, Vt = self._whole
+        U, _, Vt = self._decomposition
         sense = np.ones(U.shape[:-1])
         sense[..., -1] = np.sign(np.linalg.det(U @ Vt))
         return (U * sense[..., None, :]) @ Vt
@@ -267,13 +267,13 @@ class Spectrum:
 
 
 @overload
-def svd(
+def compute_svd(
     A: Any, full_matrices: bool = True, compute_uv: Literal[True] = True
 ) -> tuple[Array, Array, Array]: ...
 @overload
-def svd(A: Any, full_matrices: bool = True, *, compute_uv: Literal[False]) -> Array: ...
-def svd(A: Any, full_matrices: bool = True, compute_uv: bool = True) -> Any:
-    """Singular value decomposition of matrices (..., m, n), as numpy's `svd` gives it.
+def compute_svd(A: Any, full_matrices: bool = True, *, compute_uv: Literal[False]) -> Array: ...
+def compute_svd(A: Any, full_matrices: bool = True, compute_uv: bool = True) -> Any:
+    """Singular value decomposition of matrices (..., m, n), as numpy's `compute_svd` gives it.
 
     LAPACK's divide and conquer (gesdd), which numpy calls, does not converge for some finite
     matrices with several singular values near rounding. These are decomposed by QR iteration

@@ -10,7 +10,7 @@ ROUNDING = 1e-15
 looked at again."""
 
 
-def sign_change(f: Callable[[float], float], low: float, high: float) -> float | None:
+def find_sign_change(f: Callable[[float], float], low: float, high: float) -> float | None:
     """The place, to rounding, where f changes its sign between low and high; None where it has one
     sign at both ends.
 

@@ -24,7 +24,7 @@ from kempe.assemble.generic_configurations import find_idle_coordinates
 from kempe.assemble.modes import assembly_modes
 from kempe.assemble.same_configuration import get_metric
 from kempe.budget import Budget, TimeUp, Usual
-from kempe.equations.one_sided import one_sided_rows
+from kempe.equations.one_sided import pack_one_sided_rows
 from kempe.mobility.mobility import mobility
 from kempe.model.configurations import (
     compute_mid_configuration,
@@ -36,7 +36,13 @@ from kempe.model.configurations import (
 )
 from kempe.motion.path import Event, Path
 from kempe.motion.trace import trace
-from kempe.numerics.clock import TIME_LIMIT, TimeLimit, partial, time_limited, time_of
+from kempe.numerics.clock import (
+    TIME_LIMIT,
+    TimeLimit,
+    describe_early_end,
+    find_time_limit,
+    limit_time,
+)
 from kempe.numerics.rank import Level, Spectrum
 from kempe.report import Report, brief
 from kempe.spaces.four_joints import FourJoints, four_joints
@@ -266,7 +272,7 @@ class Components(Report):
         said = (
             f"{few}{format_count(self.count, 'connected component')}{idle}; {proven}: {self.reason}"
         )
-        return said + partial(self.interrupted, self.late)
+        return said + describe_early_end(self.interrupted, self.late)
 
     def _notes(self, degrees: bool = False) -> list[str]:
         lines = [f"{k + 1}: {part}" for k, part in enumerate(self.parts)]
@@ -301,7 +307,7 @@ class Components(Report):
 
 @explain_errors
 @raise_interrupted
-@time_limited(USUAL)
+@limit_time(USUAL)
 def components(system: Model, *, budget: Budget | None = None) -> Components:
     """The connected components of the configuration space, with the proof, or as a lower bound with
     the evidence.
@@ -318,7 +324,7 @@ def components(system: Model, *, budget: Budget | None = None) -> Components:
     (0), time_limit (120 s).
     """
     spend = USUAL.complete_budget(budget)
-    time = time_of(USUAL, budget)
+    time = find_time_limit(USUAL, budget)
     try:
         return _counted(system, spend, time)
     except TimeUp as error:
@@ -330,7 +336,7 @@ def components(system: Model, *, budget: Budget | None = None) -> Components:
 def _counted(system: Model, spend: Budget, time: TimeLimit) -> Components:
     """The components, as `components` counts them."""
     if not has_loops(system):
-        divided = bool(one_sided_rows(system).declared)
+        divided = bool(pack_one_sided_rows(system).declared)
         why = (
             "one-sided constraints may divide it"
             if divided
@@ -429,7 +435,7 @@ def _lower_bound(system: Model, traced: Traced) -> tuple[int, str]:
     met = len(traced.parts) - alone
     curves = format_count(len(traced.parts), "curve")
     why = f"{curves} traced, which is evidence and no proof"
-    why += ": limits cut curves, and" if one_sided_rows(system).names else ":"
+    why += ": limits cut curves, and" if pack_one_sided_rows(system).names else ":"
     why += " a curve that no start led to may be missed"
     if met > 1:
         why += f"; {met} curves with singular points, where they may meet, count as one"

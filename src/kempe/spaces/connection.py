@@ -13,13 +13,13 @@ from kempe.arguments import explain_errors, explain_method_errors, make_generato
 from kempe.arrays import is_real
 from kempe.assemble.generic_configurations import find_idle_coordinates
 from kempe.budget import Budget, TimeUp, Usual
-from kempe.equations.judge import judge
+from kempe.equations.judge import judge_configurations
 from kempe.errors import InputError
 from kempe.forward.limits import with_limits
 from kempe.mobility.mobility import mobility
 from kempe.model.configurations import has_loops, read_finite_q, sample_configurations
 from kempe.motion.trace import trace
-from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, time_limited, time_of
+from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, find_time_limit, limit_time
 from kempe.report import brief
 from kempe.spaces.components import SAME, Component
 from kempe.spaces.four_joints import four_joints
@@ -268,7 +268,7 @@ class Connection(Configurations):
 
 @explain_errors
 @raise_interrupted
-@time_limited(USUAL)
+@limit_time(USUAL)
 def path(system: Model, q0: Any, q1: Any, *, budget: Budget | None = None) -> Connection:
     """A continuous motion from q0 to q1 (nq,) within limits and on all constraints, or why there is
     none.
@@ -287,7 +287,7 @@ def path(system: Model, q0: Any, q1: Any, *, budget: Budget | None = None) -> Co
             f"step is {spend.step!r}; it must be between 1e-4 and 1, in radians and characteristic "
             "lengths"
         )
-    time = time_of(USUAL, budget)
+    time = find_time_limit(USUAL, budget)
     step = float(spend.step)
     rng = make_generator(spend.rng)
     try:
@@ -321,7 +321,7 @@ def path(system: Model, q0: Any, q1: Any, *, budget: Budget | None = None) -> Co
 
 def _end(system: Model, q: Any, name: str) -> Array:
     q = read_finite_q(system, q, name)
-    judged = judge(system, q)
+    judged = judge_configurations(system, q)
     if not judged:
         raise InputError(f"{name} is not closed, {judged}; assemble closes it")
     return q

@@ -19,8 +19,8 @@ import numpy as np
 
 from kempe.assemble.assemble import assemble
 from kempe.assemble.modes import assembly_modes
-from kempe.equations.judge import motion
-from kempe.equations.one_sided import one_sided_rows
+from kempe.equations.judge import multiply_primitives
+from kempe.equations.one_sided import pack_one_sided_rows
 from kempe.forward.limits import with_limits
 from kempe.joints import P, Q, R
 from kempe.model.configurations import compute_mid_configuration, find_free_angles
@@ -199,7 +199,7 @@ def four_joints(system: Model) -> FourJoints | str:
     if isinstance(loop, str):
         return loop
     bodies, names = loop
-    if one_sided_rows(system).declared or len(bodies) != 4:
+    if pack_one_sided_rows(system).declared or len(bodies) != 4:
         return "it has one-sided constraints, or other than four joints in its loop"
     joints = [system.structure.joints[n] for n in names]
     turns = dict(zip(system.structure.velocity_names, find_free_angles(system), strict=True))
@@ -234,7 +234,7 @@ def _limits(system: Model, name: str) -> tuple[float, float]:
 def _single_valued(system: Model, order: list[Joint]) -> bool:
     """Whether limits of all joints but the first say nothing of whole turns, and can be looked at."""
     own = {*system.coordinate_names} & {*system.structure.velocity_names}
-    rows = one_sided_rows(system).names
+    rows = pack_one_sided_rows(system).names
     for k, joint in enumerate(order):
         limited = any(n == joint.name or n.startswith(f"{joint.name}.") for n in rows)
         if joint.name not in own:
@@ -486,7 +486,7 @@ def _path(system: Model, joint: Joint, base: str, point: Array, weight: float) -
     M = joint.X_CM.evaluate_pose(system._mechanism.parameters)
     turns = primitives_of(system, joint)[0].kind == R
     at = 2.0 * np.pi / 3.0 * np.arange(3.0) if turns else np.array([0.0, 1.0])
-    X = F @ motion(primitives_of(system, joint), at[:, None]) @ inverse(M)
+    X = F @ multiply_primitives(primitives_of(system, joint), at[:, None]) @ inverse(M)
     X = X if joint.parent == base else inverse(X)
     wave = _basis(at, 3 if turns else 2)
     return np.asarray(np.linalg.solve(wave, (X @ np.append(point, weight))[:, :3]), dtype=float)

@@ -15,9 +15,9 @@ import numpy as np
 
 from kempe.assemble.same_configuration import get_metric
 from kempe.equations import closure_rows
-from kempe.equations.one_sided import one_sided_rows
+from kempe.equations.one_sided import pack_one_sided_rows
 from kempe.model.configurations import find_free_angles, sample_configurations, shorten_turns
-from kempe.numerics.newton import gauss_newton_of_many, least_squares_of_many
+from kempe.numerics.newton import run_many_gauss_newton, solve_many_least_squares
 from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 
@@ -55,15 +55,15 @@ class Manifold:
     def __init__(self, system: Model, dim: int):
         self.system = system
         self.dim = dim
-        self.scale = closure_rows.scales(system)
+        self.scale = closure_rows.compute_coordinate_units(system)
         self.layout = system.structure.layout
         self.circle = find_free_angles(system)
-        self.one_sided = one_sided_rows(system)
+        self.one_sided = pack_one_sided_rows(system)
         self.metric = get_metric(system)
 
     def equations(self, q: Array) -> tuple[Array, Array]:
         """What is missing (k, m) in the equations at q (k, nq), and the derivatives (k, m, nv)."""
-        return closure_rows.evaluate(self.system, q, True, True)
+        return closure_rows.evaluate_constraints(self.system, q, True, True)
 
     def move(self, q: Array, y: Array) -> Array:
         """Configurations (k, nq) reached from q (k, nq) by y (k, nv)."""
@@ -87,7 +87,7 @@ class Manifold:
         """Closed configurations (k, nq) near q (k, nq), by steps of least size, and whether (k,)
         they are closed.
         """
-        out = gauss_newton_of_many(
+        out = run_many_gauss_newton(
             lambda x, _: self.equations(x), q, TRIES, longest=longest, move=self.move
         )
         return out, self._met(out)
@@ -150,7 +150,9 @@ class Manifold:
     def _met(self, q: Array) -> np.ndarray:
         out = np.asarray(np.isfinite(q).all(axis=-1))
         size = np.linalg.norm(
-            closure_rows.evaluate(self.system, np.where(out[:, None], q, 0.0), False, True)[0],
+            closure_rows.evaluate_constraints(
+                self.system, np.where(out[:, None], q, 0.0), False, True
+            )[0],
             axis=-1,
         )
         return out & (size < CLOSED)
@@ -161,4 +163,4 @@ def solved(A: Array, b: Array) -> Array:
     if A.shape[1] == A.shape[2]:
         with contextlib.suppress(np.linalg.LinAlgError):
             return np.asarray(np.linalg.solve(A, b[..., None])[..., 0], dtype=float)
-    return least_squares_of_many(A, b)
+    return solve_many_least_squares(A, b)

@@ -19,7 +19,7 @@ import numpy as np
 
 from kempe.assemble.generic_configurations import compute_idle_rates, find_idle_coordinates
 from kempe.equations import closure_rows
-from kempe.numerics.newton import gauss_newton_of_many
+from kempe.numerics.newton import run_many_gauss_newton
 from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 
@@ -60,7 +60,7 @@ class RankLoss:
     @cached_property
     def closed(self) -> bool:
         """Whether there are loops or relations that hold."""
-        return len(closure_rows.row_names(self.system)) > 0
+        return len(closure_rows.list_row_names(self.system)) > 0
 
     @cached_property
     def counts(self) -> np.ndarray:
@@ -78,7 +78,7 @@ class RankLoss:
         """
         rows = np.zeros((len(q), 0)), np.zeros((len(q), 0, self.system.nv))
         if self.closed:
-            rows = closure_rows.evaluate(self.system, q, with_jacobian, scaled=True)
+            rows = closure_rows.evaluate_constraints(self.system, q, with_jacobian, scaled=True)
             if self.spins:
                 still = compute_idle_rates(self.system, q) * self.unit
                 F = np.concatenate([rows[0], np.zeros(still.shape[:2])], axis=1)
@@ -183,7 +183,7 @@ class RankLoss:
             return np.concatenate([self.move(x[:, :nq], y[:, :nv]), x[:, nq:] + y[:, nv:]], axis=1)
 
         start = np.concatenate([q, frame.reshape(len(q), -1)], axis=1)
-        return gauss_newton_of_many(
+        return run_many_gauss_newton(
             equations, start, STEPS, met=1e-14, last=1e-13, longest=LONGEST, move=move
         )[:, :nq]
 

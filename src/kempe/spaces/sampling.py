@@ -14,11 +14,11 @@ from kempe.arrays import is_real
 from kempe.assemble.assemble import assemble
 from kempe.assemble.modes import assembly_modes
 from kempe.budget import Budget, TimeUp, Usual
-from kempe.equations.one_sided import one_sided_rows
+from kempe.equations.one_sided import pack_one_sided_rows
 from kempe.errors import InputError, UnsupportedError, format_value
 from kempe.mobility.mobility import mobility
 from kempe.model.configurations import find_free_angles, has_loops, sample_configurations
-from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, time_limited, time_of
+from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, find_time_limit, limit_time
 from kempe.report import brief
 from kempe.spaces.components import components
 from kempe.spaces.manifold import Frames, Manifold
@@ -184,7 +184,7 @@ def _not_begun(time: TimeLimit, system: Model, n: float, *_: Any, **__: Any) -> 
 
 @explain_errors
 @raise_interrupted
-@time_limited(USUAL, _not_begun)
+@limit_time(USUAL, _not_begun)
 def sample(
     system: Model,
     n: float,
@@ -212,7 +212,7 @@ def sample(
     rng = make_generator(rng)
     spend = USUAL.complete_budget(budget)
     n = int(n)
-    time = time_of(USUAL, budget)
+    time = find_time_limit(USUAL, budget)
 
     def check(done: int) -> None:
         time.check()
@@ -245,7 +245,7 @@ def _of_tree(
     v = system.structure.layout.vector_v
     bounded = (np.isfinite(system.lower) & np.isfinite(system.upper)) | find_free_angles(system)
     _refuse([system.structure.velocity_names[int(i)] for i in v if not bounded[i]])
-    rows = one_sided_rows(system)
+    rows = pack_one_sided_rows(system)
     drawn = 0
     why = None
     found: list[Array] = []

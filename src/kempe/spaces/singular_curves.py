@@ -22,9 +22,9 @@ from kempe.errors import InputError, format_value
 from kempe.forward.fk import fk, jacobian
 from kempe.late import import_late
 from kempe.model.configurations import find_free_angles, shorten_turns
-from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, partial
-from kempe.numerics.curves import Curve, Node, node, step, walk
-from kempe.numerics.curves import inside as node_between
+from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, describe_early_end
+from kempe.numerics.curves import Curve, Node, find_next_node, make_node, walk_curve
+from kempe.numerics.curves import find_node_between as node_between
 from kempe.report import Report, brief
 from kempe.spaces.rank_loss import Equations, RankLoss
 from kempe.spaces.singular_types import inside_limits
@@ -113,7 +113,9 @@ class SingularCurves(Report):
     def status(self) -> str:
         """How many curves were found."""
         held = f" with {', '.join(self.held)} held" if self.held else ""
-        tail = partial(self.broken is Status.INTERRUPTED, self.broken is Status.OUT_OF_TIME)
+        tail = describe_early_end(
+            self.broken is Status.INTERRUPTED, self.broken is Status.OUT_OF_TIME
+        )
         found = format_count(len(self.curves), "curve") if self.curves else "no curve"
         return f"{self.system.name}: {found} of singular configurations found{held}{tail}"
 
@@ -320,7 +322,7 @@ class _CurveTracer:
         """The curve (n, nq) through a configuration, and whether it is closed."""
         V = self.problem.null_vectors(q[None])[0]
         equations = _SingularCurveEquations(self.problem, (V.shape[0], V.shape[1]), self.clock)
-        start = node(equations, np.concatenate([q, V.ravel()]))
+        start = make_node(equations, np.concatenate([q, V.ravel()]))
         way, closed = self._walked(equations, start)
         if not closed and self.broken is None:
             back, _ = self._walked(equations, start.reversed())
@@ -340,11 +342,11 @@ class _CurveTracer:
         way = [start]
 
         def taken(a: Node, h: float) -> list[Node] | None:
-            b = step(equations, a, h)
+            b = find_next_node(equations, a, h)
             return None if b is None else [b]
 
         try:
-            for b in walk(start, taken, COARSE, 0.2 * COARSE, ideal=BEND):
+            for b in walk_curve(start, taken, COARSE, 0.2 * COARSE, ideal=BEND):
                 ends = np.array([way[-1].x[:nq], b.x[:nq]])
                 here = self.short(ends, np.broadcast_to(start.x[:nq], ends.shape))
                 if len(way) > FEW and _beside(here[:1], here[1:]).any():

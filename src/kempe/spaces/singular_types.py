@@ -15,8 +15,8 @@ from kempe.arguments import explain_method_errors
 from kempe.assemble.assemble import assemble
 from kempe.constraints.flat_tasks import DIRECTION, PLANES
 from kempe.equations import closure_rows
-from kempe.equations.closure import Closure, close
-from kempe.equations.one_sided import one_sided_rows
+from kempe.equations.closure import Closure, close_loops
+from kempe.equations.one_sided import pack_one_sided_rows
 from kempe.errors import InputError
 from kempe.forward.fk import fk, jacobian
 from kempe.model.configurations import name_values, sample_configurations
@@ -165,7 +165,7 @@ def changes(lost: Array, gained: Array) -> str:
 
 def inside_limits(system: Model, q: Array) -> np.ndarray:
     """Whether configurations (k, nq) are inside the limits and hold the one-sided constraints."""
-    return np.asarray((one_sided_rows(system).beyond(q) <= SAME).all(axis=1))
+    return np.asarray((pack_one_sided_rows(system).beyond(q) <= SAME).all(axis=1))
 
 
 # ---- matrices that lose rank
@@ -233,7 +233,7 @@ class RankQuestions:
         self.loops = bool(len(equations.weight))
         self.starts = sample_configurations(system, rng, starts)
         if self.loops:
-            found = [close(equations, q) for q in self.starts]
+            found = [close_loops(equations, q) for q in self.starts]
             self.starts = np.array([q for q in found if q is not None]).reshape(-1, system.nq)
             if limits:
                 self.starts = _led_inside(system, self.starts)
@@ -346,7 +346,7 @@ class RankQuestions:
 
     def closures(self, q: Array) -> Array:
         """Derivatives (k, c, nv) of the loops, without unit."""
-        return closure_rows.evaluate(self.system, q, True, scaled=True)[1]
+        return closure_rows.evaluate_constraints(self.system, q, True, scaled=True)[1]
 
     def _of_chain(self, q: Array) -> Array:
         return self.task_jacobians(q)[:, :, self.columns]

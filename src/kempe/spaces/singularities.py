@@ -43,7 +43,13 @@ from kempe.model.configurations import (
     shorten_turns,
 )
 from kempe.model.model import keep_answers
-from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, begun_within, partial
+from kempe.numerics.clock import (
+    BROKEN_OFF,
+    TIME_LIMIT,
+    TimeLimit,
+    describe_early_end,
+    limit_preparation_time,
+)
 from kempe.report import Report, brief
 from kempe.spaces.rank_loss import RankLoss
 from kempe.spaces.singular_curves import USUAL as CURVES_USUAL
@@ -158,7 +164,9 @@ class Singularities(Report, Tabular):
         """How many sets were found, and which."""
         of = f"{self.system.name}, {self.frame} ({self.task})" if self.frame else self.system.name
         within = " inside the limits" if self.limits else ""
-        tail = partial(self.broken is Status.INTERRUPTED, self.broken is Status.OUT_OF_TIME)
+        tail = describe_early_end(
+            self.broken is Status.INTERRUPTED, self.broken is Status.OUT_OF_TIME
+        )
         if not self.sets:
             return (
                 f"{of}: no singular configuration found{within}, from "
@@ -279,7 +287,7 @@ class Singularities(Report, Tabular):
         starts = [(s.kinds, s.name, q) for s in self.sets for q in s.q]
         if held:
             near = np.concatenate([*(s.q for s in self.sets), self.questions.starts])
-            with begun_within(CURVES_USUAL, clock):
+            with limit_preparation_time(CURVES_USUAL, clock):
                 led = _led(
                     self.questions, problems, dict.fromkeys(problems, near), self.task, self.limits
                 )
@@ -400,7 +408,7 @@ def singularities(
     clock = TimeLimit(spend.time_limit)
     done = 0
     broken = None
-    with begun_within(USUAL, clock):
+    with limit_preparation_time(USUAL, clock):
         task, questions = _questions_of(
             system, name, task, driving if loops else None, spend, limits
         )

@@ -34,7 +34,7 @@ from kempe.model.configurations import (
     read_finite_q,
     sample_configurations,
 )
-from kempe.numerics.clock import SHORT, time_limited, time_of
+from kempe.numerics.clock import SHORT, find_time_limit, limit_time
 from kempe.numerics.rank import Level, Spectrum
 from kempe.report import Report, Table, brief
 from kempe.spaces.manifold import Manifold
@@ -71,7 +71,7 @@ def image_ranks(
     n = system.nv
     loops = has_loops(system)
     N = np.eye(system.nv)
-    scale = closure_rows.scales(system)
+    scale = closure_rows.compute_coordinate_units(system)
     length = compute_characteristic_length(system)
     row_unit = np.where(metres, length, 1.0)[:, None]
     far = np.abs(fk(system, q)[..., :3, 3]).max(axis=(-2, -1), initial=0.0) / length
@@ -201,7 +201,7 @@ class TaskSpace(Report):
 
 
 @explain_errors
-@time_limited(USUAL)
+@limit_time(USUAL)
 def task_space(
     system: Model,
     tasks: Any,
@@ -233,7 +233,7 @@ def task_space(
     every = np.concatenate([at[None], drawn])
     m = sum(count(system, t) for t in wanted)
     metres = np.array([unit == "m" for t in wanted for unit in units(system, t)])
-    time = time_of(USUAL)
+    time = find_time_limit(USUAL)
     ranks = list[int]()
     n = system.nv
     time.put_in_order()

@@ -15,7 +15,7 @@ from kempe.assemble.dyads import Incomplete, Plan, closed_form
 from kempe.assemble.generic_configurations import compute_idle_rates, find_idle_coordinates
 from kempe.budget import TimeUp
 from kempe.constraints.flat_tasks import FlatTask
-from kempe.equations.one_sided import one_sided_rows
+from kempe.equations.one_sided import pack_one_sided_rows
 from kempe.equations.packed_tasks import Packed
 from kempe.errors import InputError, UnsupportedError
 from kempe.first_order.control import find_driven_velocities
@@ -30,7 +30,7 @@ from kempe.model.configurations import (
     shorten_turns,
 )
 from kempe.numerics.clock import BROKEN_OFF, TimeLimit
-from kempe.numerics.newton import gauss_newton_of_many
+from kempe.numerics.newton import run_many_gauss_newton
 from kempe.numerics.rank import Spectrum
 from kempe.spaces.manifold import CLOSED, Manifold
 from kempe.spatial import Array
@@ -111,7 +111,7 @@ class NodeSolver:
                 [J, j, still * M.scale], axis=1
             )
 
-        x = gauss_newton_of_many(
+        x = run_many_gauss_newton(
             equations, q, tries, step=_step, met=1e-3 * CLOSED, longest=LONGEST, move=M.move
         )
         sound = np.isfinite(x).all(axis=1)
@@ -367,7 +367,7 @@ class TwoFreedoms:
                 )
         self.low, self.high = (x[self.at] for x in compute_sampling_box(system))
         self.manifold = Manifold(system, 2)
-        self.rows = one_sided_rows(system)
+        self.rows = pack_one_sided_rows(system)
         self.solver = NodeSolver(self.manifold)
         self.broken: Status | None = None
         self._over: tuple[int, Array, np.ndarray] | None = None

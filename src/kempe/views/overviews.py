@@ -11,7 +11,7 @@ import numpy as np
 from kempe import library
 from kempe.arguments import explain_errors
 from kempe.description.read import read_mechanism
-from kempe.equations.velocity import velocity_rows
+from kempe.equations.velocity import record_velocity_rows
 from kempe.errors import InputError, KempeError
 from kempe.joints import TYPES
 from kempe.model.configurations import has_loops
@@ -349,7 +349,7 @@ def _counted(system: Model) -> Mobility:
 
 def _of_velocity(system: Model) -> str:
     """How many freedoms constraints of velocity leave, such as those of wheels; '' without them."""
-    if not velocity_rows(system).names:
+    if not record_velocity_rows(system).names:
         return ""
     try:
         return f"; {_counted(system).velocity_dof} of velocity"

@@ -12,7 +12,7 @@ import numpy as np
 
 from kempe.errors import InputError
 from kempe.forward.fk import fk
-from kempe.numerics.clock import partial
+from kempe.numerics.clock import describe_early_end
 from kempe.spaces.singular_types import TYPE_1, TYPE_2, LostAndGained, SingularSet, changes
 from kempe.spatial import Array
 from kempe.status import Status
@@ -122,7 +122,9 @@ def plot_curves(curves: SingularCurves, ax: Axes | None = None) -> Axes:
         page.light_axes(given)
     for name in "xyz"[:d]:
         getattr(given, f"set_{name}label")(f"{name} [m]", size=style.FONT, color=style.INK)
-    said = partial(curves.broken is Status.INTERRUPTED, curves.broken is Status.OUT_OF_TIME)
+    said = describe_early_end(
+        curves.broken is Status.INTERRUPTED, curves.broken is Status.OUT_OF_TIME
+    )
     said = said.replace(" (", "\n(").replace(": ", ":\n")
     given.set_title(
         f"singular places of {curves.frame!r}{said}", size=style.FONT + 1, color=style.INK

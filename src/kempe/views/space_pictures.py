@@ -20,7 +20,7 @@ from kempe.errors import InputError, Interrupted, TimeLimitError, UnsupportedErr
 from kempe.forward.fk import fk, jacobian
 from kempe.model.configurations import has_loops, list_units, read_q, refuse_far
 from kempe.motion.trace import trace
-from kempe.numerics.clock import TIME_LIMIT, TimeLimit, partial
+from kempe.numerics.clock import TIME_LIMIT, TimeLimit, describe_early_end
 from kempe.spaces.two_freedoms import NEEDED, TwoFreedoms, two_freedoms
 from kempe.spatial import Array
 from kempe.status import Status
@@ -661,7 +661,7 @@ def _finish(
 
 def _partly(*broken: Status | None) -> str:
     """That something is missing, '' where nothing broke the work off."""
-    return partial(Status.INTERRUPTED in broken, Status.OUT_OF_TIME in broken)
+    return describe_early_end(Status.INTERRUPTED in broken, Status.OUT_OF_TIME in broken)
 
 
 def _shade_entries(space: TwoFreedoms, left: Any, right: Any) -> list[Any]:

@@ -36,8 +36,8 @@ from kempe.inverse.ik import ik
 from kempe.inverse.ik_all import ik_all
 from kempe.kernels.compiled import VARIANT
 from kempe.model.configurations import has_loops, list_units, make_q, read_q, read_start
-from kempe.numerics.clock import BROKEN_OFF, TimeLimit, partial
-from kempe.numerics.pool import thread_count
+from kempe.numerics.clock import BROKEN_OFF, TimeLimit, describe_early_end
+from kempe.numerics.pool import choose_thread_count
 from kempe.report import Report, Table, brief
 from kempe.spatial import Array
 from kempe.status import MEMBERS, Status
@@ -586,7 +586,7 @@ class FileMap(Report):
         found = ", ".join(f"{n} {name}" for name, n in self.outcomes.items())
         return (
             f"{self.verb} of {of} of {self.source.name}: "
-            f"{found or 'nothing'}{partial(self.interrupted, self.late)}"
+            f"{found or 'nothing'}{describe_early_end(self.interrupted, self.late)}"
         )
 
     def _tables(self) -> Sequence[Table]:
@@ -650,7 +650,7 @@ def map_file(
     spend = USUAL.complete_budget(budget)
     own = isinstance(client, str)
     clock = TimeLimit(spend.time_limit)
-    threads = thread_count(spend.threads)
+    threads = choose_thread_count(spend.threads)
     rows = open_rows(source, None if columns is None else read_names(columns, "columns"))
     job = job_of(
         system, verb, frame, options, rows, read_flag(degrees, "degrees"), draw_seed(spend.rng)

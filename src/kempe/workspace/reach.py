@@ -25,7 +25,7 @@ from kempe.inverse.ik_all import ik_all
 from kempe.late import import_late
 from kempe.model.characteristic_length import compute_characteristic_length
 from kempe.model.configurations import has_loops, list_units, name_values
-from kempe.numerics.clock import BROKEN_OFF, TimeLimit, partial
+from kempe.numerics.clock import BROKEN_OFF, TimeLimit, describe_early_end
 from kempe.numerics.clock import LONG as CLOCK_LONG
 from kempe.poses import check_poses, correct_rotations
 from kempe.report import Report, brief
@@ -217,7 +217,9 @@ class Study(Report):
     @property
     def _tail(self) -> str:
         """End of a sentence about a study that was broken off; '' otherwise."""
-        return partial(self.broken is Status.INTERRUPTED, self.broken is Status.OUT_OF_TIME)
+        return describe_early_end(
+            self.broken is Status.INTERRUPTED, self.broken is Status.OUT_OF_TIME
+        )
 
     def _data(self) -> dict[str, Any]:
         shown = {name: getattr(self, name) for name in self._shown}

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.assemble.assemble import assemble
-from kempe.equations.one_sided import one_sided_rows
+from kempe.equations.one_sided import pack_one_sided_rows
 from kempe.errors import InputError
 from kempe.forward.fk import fk, pack_chain
 from kempe.kernels.compiled import VARIANT, lane_positions
@@ -256,7 +256,7 @@ def closed_configurations(
         answer = assemble(system, None, q)
         q = answer.q
         good = np.asarray(answer.success, dtype=bool)
-    rows = one_sided_rows(system)
+    rows = pack_one_sided_rows(system)
     good &= (rows.beyond(np.where(good[:, None], q, compute_mid_configuration(system))) == 0.0).all(
         axis=1
     )

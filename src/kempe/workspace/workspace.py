@@ -17,8 +17,8 @@ from kempe.arrays import is_real
 from kempe.budget import Budget, Usual
 from kempe.description.source import expand_path
 from kempe.errors import DamagedError, InputError, format_value
-from kempe.numerics.clock import BROKEN_OFF, TimeLimit, begun_within
-from kempe.numerics.pool import thread_count
+from kempe.numerics.clock import BROKEN_OFF, TimeLimit, limit_preparation_time
+from kempe.numerics.pool import choose_thread_count
 from kempe.workspace.answer import Workspace
 from kempe.workspace.kinds import question_of
 from kempe.workspace.sampling_job import Recipe, count_in_threads, counted, recipe_of
@@ -103,7 +103,7 @@ def workspace(
         raise InputError(
             f"n is {format_value(n)}; it must be a whole number of samples, from 1 to {MOST:.2g}"
         )
-    with begun_within(USUAL, clock):
+    with limit_preparation_time(USUAL, clock):
         question = question_of(system, name, kind, orientation, at)
     if client is not None:
         own = isinstance(client, str)
@@ -111,7 +111,7 @@ def workspace(
     else:
         own = False
     try:
-        with begun_within(USUAL, clock):
+        with limit_preparation_time(USUAL, clock):
             recipe = recipe_of(system, name, draw_seed(spend.rng), cells, box, question)
         return _answer(
             recipe,
@@ -201,7 +201,7 @@ def _parts(
         for part, counts in results_of(client, counted, recipe, arguments, pace.clock.check):
             yield *part, counts
         return
-    n = thread_count(threads)
+    n = choose_thread_count(threads)
     before = samples.samples
     for first, last in ranges:
         counts, stop, broken = count_in_threads(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe.answers.targets import Z_AXIS, frame_of
-from kempe.equations.closure_rows import full
+from kempe.equations.closure_rows import pack_full_loops
 from kempe.errors import UnsupportedError
 from kempe.inverse.chain.length_bounds import ReachBound, Span, compute_reach_bounds, measure_span
 from kempe.kernels.base.search_layout import LARGEST
@@ -177,7 +177,7 @@ def find_obstacle(system: Model, name: str) -> str | None:
                 "others: no chain of its own leads there"
             )
     if any(c.equations(system.dim) for c in system._mechanism.constraints.values()):
-        loops = full(system, False)
+        loops = pack_full_loops(system, False)
         for k, tie in enumerate(loops.ties):
             if tie.name in system._mechanism.constraints and moving & set(loops.list_columns(k)):
                 return (

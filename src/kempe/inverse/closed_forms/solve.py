@@ -13,7 +13,7 @@ from kempe.inverse.closed_forms.plan import SEARCH, ChainPlan
 from kempe.inverse.closed_forms.problem import ChainProblem
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.forward.table_layout import SLIDE
-from kempe.numerics.pool import over_chunks
+from kempe.numerics.pool import sum_over_chunks
 from kempe.spatial import Array
 
 TOLERANCE = 1e-9
@@ -120,7 +120,7 @@ def solve_locked_chain(
         )
         return 0
 
-    over_chunks(solve_pieces, n, CHUNK, threads, SERIAL_BELOW)
+    sum_over_chunks(solve_pieces, n, CHUNK, threads, SERIAL_BELOW)
     maybe_none = n != 1 or counts.item(0) == 0
     if (lines.kinds == SLIDE).any():
         counts[np.linalg.norm(targets[:, :3, 3] - lines.origin, axis=1) > FAR * lines.length, 1] = 1

@@ -24,7 +24,7 @@ from kempe.kernels.base.search_layout import ANSWER, SOLVED, STATUS
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.compiled import schedule
 from kempe.kernels.forward.table_layout import SLIDE
-from kempe.numerics.newton import gauss_newton_of_many
+from kempe.numerics.newton import run_many_gauss_newton
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -105,7 +105,7 @@ def _find_solutions(
         y[:, aim.moves] = np.linalg.solve(N, np.swapaxes(J, 1, 2) @ e[..., None])[..., 0]
         return y
 
-    theta = gauss_newton_of_many(
+    theta = run_many_gauss_newton(
         lambda x, _: aim.linearise_errors(x),
         theta,
         STEPS,

@@ -65,25 +65,27 @@ class BodyDemand(NamedTuple):
     angular: float
 
 
-def contradictions(problem: Demands) -> list[tuple[int, int, Exclusion]]:
+def list_contradictions(problem: Demands) -> list[tuple[int, int, Exclusion]]:
     """Pairs of hard tasks, by their numbers, that exclude each other somewhere in the batch."""
     hard = [i for i, t in enumerate(problem.tasks) if problem.use[i] and t.weight is None]
-    held = {i: h for i in hard if (h := _held(problem, i)) is not None}
+    held = {i: h for i in hard if (h := _read_body_demand(problem, i)) is not None}
     out: list[tuple[int, int, Exclusion]] = []
     for i, j in combinations(held, 2):
-        out += [(i, j, x) for x in _between(problem, held[i], held[j]) if np.any(x.off > 0.0)]
+        out += [
+            (i, j, x) for x in _list_exclusions(problem, held[i], held[j]) if np.any(x.off > 0.0)
+        ]
     return out
 
 
-def contradictory(problem: Demands) -> np.ndarray:
+def find_contradictory_problems(problem: Demands) -> np.ndarray:
     """Which problems (...) have two hard tasks that exclude each other."""
     out = np.zeros(problem.lead, dtype=bool)
-    for _, _, found in contradictions(problem):
+    for _, _, found in list_contradictions(problem):
         out = out | (found.off > 0.0)
     return out
 
 
-def _held(problem: Demands, i: int) -> BodyDemand | None:
+def _read_body_demand(problem: Demands, i: int) -> BodyDemand | None:
     """What a task says of one body; None for tasks of other kinds."""
     task = problem.tasks[i]
     system = remove_cut_marks(problem.system)
@@ -112,37 +114,45 @@ def _held(problem: Demands, i: int) -> BodyDemand | None:
     return BodyDemand(int(row), goal, local, point, shape.turned, axis, region, linear, angular)
 
 
-def _between(problem: Demands, a: BodyDemand, b: BodyDemand) -> list[Exclusion]:
+def _list_exclusions(problem: Demands, a: BodyDemand, b: BodyDemand) -> list[Exclusion]:
     """How far what two tasks ask for is apart, by each argument that applies."""
     if a.row != b.row:
         if not (a.point and b.point):
             return []
-        longest = longest_between(remove_cut_marks(problem.system), a, b)
+        longest = compute_longest_distance(remove_cut_marks(problem.system), a, b)
         apart = np.linalg.norm(a.goal[..., :3, 3] - b.goal[..., :3, 3], axis=-1)
         slack = longest + a.linear + b.linear + SLACK * (1.0 + apart)
         return [Exclusion("links", np.where(apart > slack, apart, 0.0), longest)]
-    return [*_angles(a, b), *_places(a, b)]
+    return [*_compare_orientations(a, b), *_compare_places(a, b)]
 
 
-def _angles(a: BodyDemand, b: BodyDemand) -> list[Exclusion]:
+def _compare_orientations(a: BodyDemand, b: BodyDemand) -> list[Exclusion]:
     """By how much the orientations that two tasks ask of one body differ, in radians."""
     slack = a.angular + b.angular
     if a.turn and b.turn:
-        off = np.linalg.norm(spatial.log_so3(np.swapaxes(_body(a), -1, -2) @ _body(b)), axis=-1)
-        return [Exclusion("turns", _more(off, slack))]
+        off = np.linalg.norm(
+            spatial.log_so3(
+                np.swapaxes(_compute_body_rotation(a), -1, -2) @ _compute_body_rotation(b)
+            ),
+            axis=-1,
+        )
+        return [Exclusion("turns", _remove_slack(off, slack))]
     if not (a.turn or a.axis) or not (b.turn or b.axis):
         return []
     if a.axis and b.axis:
         off = np.abs(
-            _angle(a.goal[..., :3, 2], b.goal[..., :3, 2]) - _angle(a.local[:3, 2], b.local[:3, 2])
+            _compute_angle(a.goal[..., :3, 2], b.goal[..., :3, 2])
+            - _compute_angle(a.local[:3, 2], b.local[:3, 2])
         )
     else:
         whole, axis = (a, b) if a.turn else (b, a)
-        off = _angle(_body(whole) @ axis.local[:3, 2], axis.goal[..., :3, 2])
-    return [Exclusion("axes", _more(off, slack))]
+        off = _compute_angle(
+            _compute_body_rotation(whole) @ axis.local[:3, 2], axis.goal[..., :3, 2]
+        )
+    return [Exclusion("axes", _remove_slack(off, slack))]
 
 
-def _places(a: BodyDemand, b: BodyDemand) -> list[Exclusion]:
+def _compare_places(a: BodyDemand, b: BodyDemand) -> list[Exclusion]:
     """By how much the places that two tasks ask of points of one body exclude each other, in
     metres.
     """
@@ -155,11 +165,15 @@ def _places(a: BodyDemand, b: BodyDemand) -> list[Exclusion]:
         g = b.goal[..., :3, 3]
         off = np.abs(np.linalg.norm(g - p, axis=-1) - length)
         how = "point" if length <= SLACK else "points"
-        out.append(Exclusion(how, _more(off, slack, p, g)))
+        out.append(Exclusion(how, _remove_slack(off, slack, p, g)))
         for whole, sign in ((a, 1.0), (b, -1.0)):
             if whole.turn:
-                off = np.linalg.norm(g - p - sign * (sign * _body(whole) @ arm), axis=-1)
-                out.append(Exclusion(how, _more(off, slack + 2.0 * whole.angular * length, p, g)))
+                off = np.linalg.norm(
+                    g - p - sign * (sign * _compute_body_rotation(whole) @ arm), axis=-1
+                )
+                out.append(
+                    Exclusion(how, _remove_slack(off, slack + 2.0 * whole.angular * length, p, g))
+                )
     for point, there in ((a, b), (b, a)):
         if point.point and there.region is not None:
             axes, low, high = there.region
@@ -167,37 +181,37 @@ def _places(a: BodyDemand, b: BodyDemand) -> list[Exclusion]:
             p = point.goal[..., :3, 3]
             more = slack + length
             if point.turn:
-                p = p + _body(point) @ way
+                p = p + _compute_body_rotation(point) @ way
                 more = slack + 2.0 * point.angular * length
             x = np.einsum("...ji,...j->...i", there.goal[..., :3, :3], p - there.goal[..., :3, 3])[
                 ..., axes
             ]
             off = np.linalg.norm(x - np.clip(x, low, high), axis=-1)
-            out.append(Exclusion("region", _more(off, more, p, there.goal[..., :3, 3])))
+            out.append(Exclusion("region", _remove_slack(off, more, p, there.goal[..., :3, 3])))
     return out
 
 
-def _body(h: BodyDemand) -> Array:
+def _compute_body_rotation(h: BodyDemand) -> Array:
     """The rotation (..., 3, 3) of the body that a task asks for."""
     return h.goal[..., :3, :3] @ h.local[:3, :3].T
 
 
-def _angle(a: Array, b: Array) -> Array:
+def _compute_angle(a: Array, b: Array) -> Array:
     """Angle (...) between directions."""
     return np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(axis=-1))
 
 
-def _more(off: Array, slack: float, *sizes: Array) -> Array:
+def _remove_slack(off: Array, slack: float, *sizes: Array) -> Array:
     """`off` where it is more than the slack and rounding, else 0; NaN is 0."""
     size = 1.0 + sum(np.linalg.norm(x, axis=-1) for x in sizes)
     return np.where(off > slack + SLACK * size, off, 0.0)
 
 
-def longest_between(system: Model, a: BodyDemand, b: BodyDemand) -> float:
+def compute_longest_distance(system: Model, a: BodyDemand, b: BodyDemand) -> float:
     """The largest distance that lengths of links, and limits of slides, allow between two points;
     may be infinite.
     """
-    above = [_up(system, h.row) for h in (a, b)]
+    above = [_list_rows_to_ground(system, h.row) for h in (a, b)]
     common = next((row for row in above[0] if row in above[1]), -1)
     total = 0.0
     ends: list[Array] = []
@@ -215,7 +229,7 @@ def longest_between(system: Model, a: BodyDemand, b: BodyDemand) -> float:
     return total + float(np.linalg.norm(ends[0] - ends[1]))
 
 
-def _up(system: Model, row: int) -> list[int]:
+def _list_rows_to_ground(system: Model, row: int) -> list[int]:
     """Rows from one to the ground, which is -1."""
     out = [row]
     while out[-1] >= 0:

@@ -22,8 +22,8 @@ from kempe.kernels.compiled import task_search
 from kempe.model.configurations import sample_configurations
 from kempe.model.kernel_functions import Callback
 from kempe.model.model import store_answer
-from kempe.numerics.clock import EndReached, clock, up_at
-from kempe.numerics.pool import over_chunks
+from kempe.numerics.clock import EndReached, get_clock, make_end_check
+from kempe.numerics.pool import sum_over_chunks
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -41,13 +41,13 @@ NOTHING = 1e-12
 rounding."""
 
 
-def apart(packed: Packed, pins: Array) -> np.ndarray:
+def find_untouched_places(packed: Packed, pins: Array) -> np.ndarray:
     """Places in q that no task depends on, not even by loops or relations that it moves; `pins` (N,
     k) are goals.
 
     Looked for once, by derivatives at random configurations.
     """
-    found = packed.stages.get(apart)
+    found = packed.stages.get(find_untouched_places)
     if found is None:
         if not len(pins):
             return NONE
@@ -58,11 +58,13 @@ def apart(packed: Packed, pins: Array) -> np.ndarray:
         sided = packed.one_sided.rates(q, declared=True)[1]
         tasks = np.concatenate([tasks, sided], axis=1)  # as if they were requested
         opaque = any(tie.function is not None for tie in packed.loops.ties)  # and may be flat there
-        found = packed.stages[apart] = NONE if opaque else _left_alone(packed, tasks, loops)
+        found = packed.stages[find_untouched_places] = (
+            NONE if opaque else _find_independent_places(packed, tasks, loops)
+        )
     return found
 
 
-def _left_alone(packed: Packed, tasks: Array, loops: Array) -> np.ndarray:
+def _find_independent_places(packed: Packed, tasks: Array, loops: Array) -> np.ndarray:
     """Places in q that Jacobians (N, m, nv) of tasks and loops leave alone."""
     layout = packed.system.structure.layout
     requested: np.ndarray = np.any(np.abs(tasks) > NOTHING, axis=(0, 1))
@@ -96,7 +98,7 @@ TaskLevel = tuple[int, bool]
 """The priority of a task, and whether the task is soft."""
 
 
-def level_of(task: Task) -> TaskLevel:
+def get_task_level(task: Task) -> TaskLevel:
     """The level of a task. Levels are ordered: by priority, hard before soft."""
     return int(task.priority), task.weight is not None
 
@@ -165,7 +167,7 @@ class Demands:
         aim = (
             self.aim[index : index + 1] if self.aim is not None and len(self.aim) > 1 else self.aim
         )
-        goals = tuple(_row(g, index, self.lead) for g in self.goals)
+        goals = tuple(_select_goal_row(g, index, self.lead) for g in self.goals)
         return replace(self, goals=goals, pins=pins, aim=aim, lead=())
 
     def only(self, tasks: Sequence[int], limits: bool = True, one_sided: bool = True) -> Demands:
@@ -210,16 +212,18 @@ class Demands:
         aim = starts if self.aim is None else self.aim
         pins = self.pins
         timed = self.end < math.inf or self.effort is not None or list_checks()
-        stop = clock().address if timed else 0
+        stop = get_clock().address if timed else 0
         if rows is not None:
             starts, aim, pins = (x[rows] if len(x) > 1 else x for x in (starts, aim, pins))
         most = self.starts if tries is None else min(tries, self.starts)
 
-        def part(x: Array, i: int, j: int) -> Array:
+        def select_part(x: Array, i: int, j: int) -> Array:
             return x[i:j] if len(x) > 1 else x
 
-        def work(i: int, j: int) -> int:
-            with watched_by(up_at(self.end), *(() if self.effort is None else (self.effort,))):
+        def search_rows(i: int, j: int) -> int:
+            with watched_by(
+                make_end_check(self.end), *(() if self.effort is None else (self.effort,))
+            ):
                 left = task_search.solve_tasks(
                     loops.ints,
                     loops.floats,
@@ -227,9 +231,9 @@ class Demands:
                     weights,
                     stages,
                     strengths,
-                    part(starts, i, j),
-                    part(aim, i, j),
-                    part(pins, i, j),
+                    select_part(starts, i, j),
+                    select_part(aim, i, j),
+                    select_part(pins, i, j),
                     most,
                     self.iterations,
                     self.mode,
@@ -239,13 +243,13 @@ class Demands:
                     q[i:j],
                     info[i:j],
                 )
-            error = clock().taken()
+            error = get_clock().taken()
             # the time of a verb that asked
             if error is not None and not isinstance(error, EndReached):
                 raise error
             return left
 
-        over_chunks(work, n, CHUNK, threads, SERIAL_BELOW)
+        sum_over_chunks(search_rows, n, CHUNK, threads, SERIAL_BELOW)
         callbacks = [t.function for t in loops.ties if t.function is not None] + [self.callback]
         for callback in callbacks:
             if isinstance(callback, Callback) and callback.error is not None:
@@ -253,15 +257,15 @@ class Demands:
                 callback.error = None
                 if not isinstance(error, EndReached):
                     raise error
-        return self._kept(self.packed.inside(q) if self.limits else q, starts), info
+        return self._restore_untouched(self.packed.inside(q) if self.limits else q, starts), info
 
-    def _kept(self, q: Array, starts: Array) -> Array:
+    def _restore_untouched(self, q: Array, starts: Array) -> Array:
         """The configurations (N, nq), what no task depends on as in the starts (N or 1, nq), in
         place.
         """
         if self.mode != S.NOTHING:
             return q
-        untouched = apart(self.packed, self.pins)
+        untouched = find_untouched_places(self.packed, self.pins)
         if untouched.size and not (q[:, untouched] == starts[:, untouched]).all():
             own = move_inside_limits(self.system, starts.copy()) if self.limits else starts
             sound = ~np.isnan(q).any(axis=1)
@@ -283,11 +287,13 @@ class Demands:
         if found is None:
             hard = [i for i, used in enumerate(self.use) if used and self.tasks[i].weight is None]
             allowed = np.array([self.tolerance_of(self.tasks[i]) for i in hard]).reshape(-1, 2)
-            found = store_answer(self.packed.stages, key, (*self._staged(), hard, allowed), KEPT)
+            found = store_answer(
+                self.packed.stages, key, (*self._compute_stages(), hard, allowed), KEPT
+            )
         return found
 
-    def _staged(self) -> tuple[np.ndarray, Array]:
-        keys = [level_of(t) for t in self.tasks]
+    def _compute_stages(self) -> tuple[np.ndarray, Array]:
+        keys = [get_task_level(t) for t in self.tasks]
         order = sorted({k for k, used in zip(keys, self.use, strict=True) if used})
         top = {
             k: max(t.weight or 0.0 for t, key in zip(self.tasks, keys, strict=True) if key == k)
@@ -313,14 +319,14 @@ class Demands:
         return stages.ravel(), strengths
 
 
-def _row(goal: Goal, index: int, lead: tuple[int, ...]) -> Goal:
+def _select_goal_row(goal: Goal, index: int, lead: tuple[int, ...]) -> Goal:
     """The goal of row `index` of a batch."""
-    pose = None if goal.pose is None else _row_of(goal.pose, index, lead, 2)
-    numbers: Numbers = {n: _row_of(x, index, lead, 1) for n, x in goal.numbers.items()}
+    pose = None if goal.pose is None else _select_row(goal.pose, index, lead, 2)
+    numbers: Numbers = {n: _select_row(x, index, lead, 1) for n, x in goal.numbers.items()}
     return Goal(pose, numbers)
 
 
-def _row_of(x: Array, index: int, lead: tuple[int, ...], axes: int) -> Array:
+def _select_row(x: Array, index: int, lead: tuple[int, ...], axes: int) -> Array:
     """Row `index` of numbers with a leading shape, of which the last `axes` axes are one goal's."""
     core = x.shape[-axes:]
     return np.broadcast_to(x, (*lead, *core)).reshape(-1, *core)[index]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kempe.numerics.newton import damped_least_squares, gauss_newton
+from kempe.numerics.newton import run_gauss_newton, solve_damped_least_squares
 from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 
@@ -65,7 +65,7 @@ class Local:
             packed.rows >= 0
         ]
         self._use = np.isin(packed.rows[packed.rows >= 0], self.hard) & equal
-        self.movers, self._moved = movers(problem, self.hard)
+        self.movers, self._moved = find_movers(problem, self.hard)
         self.q = self.led(q)
 
     @property
@@ -119,11 +119,11 @@ class Local:
         independent, and by a part of the way each step where solutions merge.
         """
 
-        def step(q: Array, r: Array, J: Array) -> Array:
-            return damped_least_squares(J, -r, float(np.linalg.norm(r)))
+        def compute_step(q: Array, r: Array, J: Array) -> Array:
+            return solve_damped_least_squares(J, -r, float(np.linalg.norm(r)))
 
-        return gauss_newton(
-            self.equations, q, CLOSE, step=step, met=ROUNDING, last=STAYS, move=self.move
+        return run_gauss_newton(
+            self.equations, q, CLOSE, step=compute_step, met=ROUNDING, last=STAYS, move=self.move
         ).x
 
     def null_space(self, q: Array, tasks: bool = True) -> tuple[Array, bool]:
@@ -133,7 +133,7 @@ class Local:
         A singular value counts as zero where the nearest configuration at which it vanishes, by the
         derivative of the singular value, holds the equations as well as this one.
         """
-        r, J = self._own(*self.equations(q, tasks))
+        r, J = self._select_movers(*self.equations(q, tasks))
         if not J.size:
             return self.spread(np.eye(J.shape[1])), True
         spectrum = Spectrum(J, 1.0)
@@ -146,7 +146,8 @@ class Local:
             v = self.spread(Vt[rank - 1])
             u = U[:, rank - 1]
             ahead, behind = (
-                self._own(*self.equations(self.move(q, h * v), tasks))[1] for h in (CURL, -CURL)
+                self._select_movers(*self.equations(self.move(q, h * v), tasks))[1]
+                for h in (CURL, -CURL)
             )
             curve = float(np.linalg.norm(u @ (ahead - behind))) / (2.0 * CURL)
             if s[rank - 1] ** 2 > 2.0 * SAME * error * curve:
@@ -154,8 +155,8 @@ class Local:
             rank -= 1
         return self.spread(Vt[rank:].T), rank == len(r)
 
-    def _own(self, r: Array, J: Array) -> tuple[Array, Array]:
-        """Those values and rows of a Jacobian (k, nv) that the `movers` decide, and their columns."""
+    def _select_movers(self, r: Array, J: Array) -> tuple[Array, Array]:
+        """Those values and rows of a Jacobian (k, nv) that the `find_movers` decide, and their columns."""
         ties = len(self._moved)
         closures = (
             self._moved
@@ -166,7 +167,7 @@ class Local:
         return r[use], J[use][:, self.movers]
 
     def spread(self, v: Array) -> Array:
-        """Velocities (nv, ...) of the system from those (k, ...) of the `movers`."""
+        """Velocities (nv, ...) of the system from those (k, ...) of the `find_movers`."""
         out = np.zeros((self.problem.system.nv, *v.shape[1:]))
         out[self.movers] = v
         return out
@@ -175,15 +176,17 @@ class Local:
         """Orthonormal basis (nv, k) of the velocities that keep the equations at q (nq,), by the
         rank of rounding.
         """
-        return self.spread(Spectrum(self._own(*self.equations(q))[1], 1.0).null(Level.CLOSED))
+        return self.spread(
+            Spectrum(self._select_movers(*self.equations(q))[1], 1.0).null(Level.CLOSED)
+        )
 
     @cached_property
     def left(self) -> Array:
         """Orthonormal basis (nv, k) of the velocities that loops and tasks allow, to first order."""
-        return self._left[0]
+        return self._allowed_space[0]
 
     @cached_property
-    def _left(self) -> tuple[Array, bool]:
+    def _allowed_space(self) -> tuple[Array, bool]:
         return self.null_space(self.q)
 
     @cached_property
@@ -191,10 +194,10 @@ class Local:
         """Unit vectors (n, nv) of the directions in which one can move on: a basis where nothing is
         singular.
         """
-        basis, independent = self._left
+        basis, independent = self._allowed_space
         if independent or not basis.size:
             return basis.T
-        return self._landed(self.q, basis, LENGTHS)
+        return self._find_finite_directions(self.q, basis, LENGTHS)
 
     @cached_property
     def finite(self) -> int:
@@ -203,21 +206,21 @@ class Local:
 
         Where several branches meet it is the largest of their dimensions.
         """
-        basis, independent = self._left
+        basis, independent = self._allowed_space
         if independent:
             return basis.shape[1]
-        return max((self._dimension(d) for d in self.motions), default=0)
+        return max((self._compute_dimension(d) for d in self.motions), default=0)
 
-    def _dimension(self, direction: Array) -> int:
+    def _compute_dimension(self, direction: Array) -> int:
         """The dimension of the solutions beside q in a direction."""
         there = self.led(self.move(self.q, LENGTHS[0] * direction))
         basis, independent = self.null_space(there)
         if independent or basis.shape[1] == 1:
             return basis.shape[1]
-        landed = self._landed(there, basis, tuple(0.1 * h for h in LENGTHS))
+        landed = self._find_finite_directions(there, basis, tuple(0.1 * h for h in LENGTHS))
         return Spectrum(landed, 1.0).rank(SPREAD) if len(landed) else 0
 
-    def _landed(self, q: Array, basis: Array, lengths: tuple[float, ...]) -> Array:
+    def _find_finite_directions(self, q: Array, basis: Array, lengths: tuple[float, ...]) -> Array:
         """Directions (n, nv) in which steps from q along a null space stay away from it when they
         are led back.
         """
@@ -231,19 +234,19 @@ class Local:
             for h in lengths:
                 d = self.between(q, there := self.led(self.move(q, h * basis @ wish)))
                 far = float(np.linalg.norm(d))
-                if not KEPT * h <= far <= 5.0 * h or not self._holds(there):
+                if not KEPT * h <= far <= 5.0 * h or not self._is_satisfied(there):
                     break
             else:
                 out.append(d / far)
         return np.array(out).reshape(len(out), self.problem.system.nv)
 
-    def _holds(self, q: Array) -> bool:
+    def _is_satisfied(self, q: Array) -> bool:
         """Whether the equations hold at q (nq,) as well as at the first configuration."""
         there, here = (float(np.linalg.norm(self.equations(x)[0])) for x in (q, self.q))
         return there <= 10.0 * max(here, 100.0 * ROUNDING)
 
 
-def movers(problem: Demands, hard: list[int]) -> tuple[np.ndarray, np.ndarray]:
+def find_movers(problem: Demands, hard: list[int]) -> tuple[np.ndarray, np.ndarray]:
     """Velocities (k,) that move a frame of the hard tasks, or what they read, directly or through
     loops.
 
@@ -265,7 +268,7 @@ def movers(problem: Demands, hard: list[int]) -> tuple[np.ndarray, np.ndarray]:
 # ---- equations, freedoms and self-motions at a configuration
 
 
-def analyse(problem: Demands, q: Array) -> tuple[int, int, int, Array]:
+def analyse_freedoms(problem: Demands, q: Array) -> tuple[int, int, int, Array]:
     """Equations m, freedoms n, rank, and orthonormal basis (nv, k) of self-motions at q (nq,),
     scaled.
     """

@@ -25,16 +25,16 @@ if TYPE_CHECKING:
     from kempe.model.model import Model
 
 
-def unreachable(problem: Demands) -> np.ndarray:
+def find_unreachable_problems(problem: Demands) -> np.ndarray:
     """Which problems (...) have a hard task that is out of reach."""
     out = np.zeros(problem.lead, dtype=bool)
     for i, (task, goal) in enumerate(zip(problem.tasks, problem.goals, strict=True)):
         if problem.use[i] and task.weight is None:
-            out = out | beyond(problem, task, goal).any(axis=-1)
+            out = out | compute_excess_distances(problem, task, goal).any(axis=-1)
     return out
 
 
-def beyond(problem: Demands, task: Task, goal: Goal) -> Array:
+def compute_excess_distances(problem: Demands, task: Task, goal: Goal) -> Array:
     """How far (..., 2) in metres a task is out of reach, as to its place, and together with its
     orientation.
 
@@ -55,14 +55,14 @@ def beyond(problem: Demands, task: Task, goal: Goal) -> Array:
         if row >= 0 or particle:
             return none
         pose = X @ pose
-    bounds, freedoms = _bounds(system, b, np.reshape(task.tool, (4, 4)))
+    bounds, freedoms = _list_reach_bounds(system, b, np.reshape(task.tool, (4, 4)))
     # else that is the reason
     turned = shape.turned and freedoms >= (3 if system.dim == 2 else 6)
     axes = sorted(shape.axes)
     return measure_bound_excess(bounds, pose, problem.tolerance_of(task), turned, axes, system.dim)
 
 
-def _bounds(system: Model, frame: str, tool: Array) -> tuple[list[ReachBound], int]:
+def _list_reach_bounds(system: Model, frame: str, tool: Array) -> tuple[list[ReachBound], int]:
     """Bounds for the point that a task holds, and how many coordinates move it."""
     table, _, v_index = extract_chain(system.structure.table, frame)
     row, X, particle = table.at[frame]

@@ -17,15 +17,28 @@ from kempe.assemble.bound import TOLERANCE as CLOSED
 from kempe.assemble.nearest_exact import decide_nearest_exact, find_ideal_system
 from kempe.budget import Usual
 from kempe.constraints.base import Constraint
-from kempe.equations.packed_tasks import Packed, lead_of, refuse
-from kempe.equations.task_functions import REAL_STEP, checked_value, jacobian_of, way_of
+from kempe.equations.packed_tasks import Packed, find_leading_shape, refuse_goal
+from kempe.equations.task_functions import (
+    REAL_STEP,
+    choose_derivative_method,
+    compute_checked_value,
+    compute_function_jacobian,
+)
 from kempe.equations.tasks import Task
 from kempe.errors import InputError, format_value
 from kempe.forward.fk import fk, jacobian
 from kempe.inverse.answer import Reached
-from kempe.inverse.tasks.contradictions import contradictory
-from kempe.inverse.tasks.demands import FIRST, KEPT, STARTS, STEPS, Demands, TaskLevel, level_of
-from kempe.inverse.tasks.reach_bounds import unreachable
+from kempe.inverse.tasks.contradictions import find_contradictory_problems
+from kempe.inverse.tasks.demands import (
+    FIRST,
+    KEPT,
+    STARTS,
+    STEPS,
+    Demands,
+    TaskLevel,
+    get_task_level,
+)
+from kempe.inverse.tasks.reach_bounds import find_unreachable_problems
 from kempe.joints import P
 from kempe.kernels.base import search_layout as S
 from kempe.kernels.constraints import loop_layout as L
@@ -55,7 +68,7 @@ FAR = 10.0
 start."""
 
 
-def near_target(problem: Demands, home: Array) -> Array:
+def move_bases_to_target(problem: Demands, home: Array) -> Array:
     """Homes (N or 1, nq) moved by a base that slides without limits to where the first hard task
     holds a frame.
 
@@ -63,7 +76,7 @@ def near_target(problem: Demands, home: Array) -> Array:
     moved by the kernels.
     """
     system = remove_cut_marks(problem.system)
-    base = _slides(system)
+    base = _list_free_slides(system)
     if not len(base) or problem.packed.loops.plan[L.BASE_TIE] >= 0:
         return home[None]
     for task, goal in zip(problem.tasks, problem.goals, strict=True):
@@ -98,7 +111,7 @@ def near_target(problem: Demands, home: Array) -> Array:
 
 
 @keep_answers
-def _slides(system: Model) -> list[int]:
+def _list_free_slides(system: Model) -> list[int]:
     """Velocity coordinates without limits that slide along axes that nothing turns."""
     table = system.structure.table
     out: list[int] = []
@@ -121,21 +134,23 @@ SMALL = 1e-24
 """Added to squared singular values, so that the logarithm of none is infinite."""
 
 
-def least(problem: Demands, prefer: Any) -> Callback:
+def make_objective(problem: Demands, prefer: Any) -> Callback:
     """The function that is to be made least, as kernels call it: "manipulability", or of q. Errors:
     `InputError`.
     """
     if prefer == "manipulability":
         callback = Callback(
-            problem.system, 1, _with_differences(problem, lambda q: -log_manipulability(problem, q))
+            problem.system,
+            1,
+            _add_difference_gradient(problem, lambda q: -compute_log_manipulability(problem, q)),
         )
     else:
-        callback = Callback(problem.system, 1, _of_user(problem, prefer))
+        callback = Callback(problem.system, 1, _wrap_user_function(problem, prefer))
     callback.scale = problem.packed.scale
-    return callback.remember_maker(least, problem, prefer)
+    return callback.remember_maker(make_objective, problem, prefer)
 
 
-def log_manipulability(problem: Demands, q: Array) -> Array:
+def compute_log_manipulability(problem: Demands, q: Array) -> Array:
     """Logarithm (...) of the hard tasks' manipulability at q (..., nq): of sqrt(det(J J^T))
     (Yoshikawa, 1985).
 
@@ -152,7 +167,7 @@ def log_manipulability(problem: Demands, q: Array) -> Array:
     return 0.5 * np.sum(np.log(s * s + SMALL), axis=-1)
 
 
-def _with_differences(
+def _add_difference_gradient(
     problem: Demands, function: Callable[[Array], Array]
 ) -> Callable[[Array], tuple[Any, Array]]:
     """The function with its gradient by central differences, all of them in one batch."""
@@ -161,26 +176,26 @@ def _with_differences(
         [np.eye(system.nv), -np.eye(system.nv), np.zeros((1, system.nv))]
     )
 
-    def work(q: Array) -> tuple[Any, Array]:
+    def evaluate_with_gradient(q: Array) -> tuple[Any, Array]:
         f = function(system.structure.layout.integrate_velocity(q, steps))
         return f[-1:], ((f[: system.nv] - f[system.nv : -1]) / (2.0 * REAL_STEP))[None]
 
-    return work
+    return evaluate_with_gradient
 
 
-def _of_user(
+def _wrap_user_function(
     problem: Demands, function: Callable[[Array], Any]
 ) -> Callable[[Array], tuple[Any, Array]]:
     layout = problem.system.structure.layout
     q0 = sample_configurations(problem.system, 0)
-    if checked_value("prefer", function, q0).size != 1:
+    if compute_checked_value("prefer", function, q0).size != 1:
         raise InputError(
             "what is preferred must be one number: a function of q (nq,) to be made least"
         )
-    how = way_of(function, layout, q0)
+    how = choose_derivative_method(function, layout, q0)
     return lambda q: (
         np.ravel(function(q)),
-        jacobian_of(function, None, how, layout, q).reshape(1, -1),
+        compute_function_jacobian(function, None, how, layout, q).reshape(1, -1),
     )
 
 
@@ -230,15 +245,15 @@ class Effort:
         return self.count > self.most
 
 
-def of_functions(problem: Demands) -> bool:
+def has_function_tasks(problem: Demands) -> bool:
     """Whether Python functions decide what holds: how long a start takes is not known beforehand."""
     return any(t.function is not None for t in problem.packed.loops.ties)
 
 
-def patiently(
+def search_with_call_limit(
     problem: Demands, solve: Callable[[Demands], Found], base: Array
 ) -> tuple[Demands, Found]:
-    """The problem, how far it was searched, and what `solve` finds: at first with GLIMPSE calls, of
+    """The problem, how far it was searched, and what `solve_levels` finds: at first with GLIMPSE calls, of
     one problem.
 
     It goes on only where a search without limits finds an answer, and each function alone holds
@@ -248,13 +263,13 @@ def patiently(
     q, info = solve(replace(problem, effort=effort))
     if not effort.spent or time.monotonic() >= problem.end:
         return problem, (q, info)
-    if _hopeful(problem, base) or time.monotonic() >= problem.end:
+    if _is_hopeful(problem, base) or time.monotonic() >= problem.end:
         return problem, solve(problem)
     info[info[:, 0] >= S.LATE, 0] -= S.LATE  # it was not the time that ended it
     return replace(problem, given_up=effort.most), (q, info)
 
 
-def _hopeful(problem: Demands, base: Array) -> bool:
+def _is_hopeful(problem: Demands, base: Array) -> bool:
     """Whether there is an answer without limits, and one for each hard task that is a function,
     inside them.
     """
@@ -272,11 +287,11 @@ def _hopeful(problem: Demands, base: Array) -> bool:
     return True
 
 
-def most_starts(system: Model, packed: Packed) -> int:
+def choose_start_count(system: Model, packed: Packed) -> int:
     """Starts before tasks are given up: they grow with the number of limits that an answer may
     touch. Kept.
     """
-    found = packed.stages.get(most_starts)
+    found = packed.stages.get(choose_start_count)
     if found is None:
         plan = packed.loops.plan
         weights = packed.loops.weights
@@ -286,19 +301,19 @@ def most_starts(system: Model, packed: Packed) -> int:
         _, low, high, *_ = L.view_velocity_lists(weights, nv)
         limited = np.isfinite(low) | np.isfinite(high)
         count = int(np.sum(moves & limited & (places[:, 1] <= L.BOUND_TURN) & (places[:, 2] == 0)))
-        found = packed.stages[most_starts] = min(max(EACH * count * count, 5 * FIRST), MOST)
+        found = packed.stages[choose_start_count] = min(max(EACH * count * count, 5 * FIRST), MOST)
     return found
 
 
-def proofs_of(problem: Demands) -> np.ndarray:
+def find_failure_proofs(problem: Demands) -> np.ndarray:
     """Codes (N,) of the problems that are proven to have no answer, 0 of others. Kept with the
     problem.
     """
-    found: np.ndarray | None = problem.kept.get(proofs_of)
+    found: np.ndarray | None = problem.kept.get(find_failure_proofs)
     if found is None:
-        against = np.where(contradictory(problem), Status.CONTRADICTORY, 0)
-        found = np.where(unreachable(problem), Status.OUT_OF_REACH, against).ravel()
-        problem.kept[proofs_of] = found
+        against = np.where(find_contradictory_problems(problem), Status.CONTRADICTORY, 0)
+        found = np.where(find_unreachable_problems(problem), Status.OUT_OF_REACH, against).ravel()
+        problem.kept[find_failure_proofs] = found
     return found
 
 
@@ -316,7 +331,7 @@ def search_by_effort(
     left = np.flatnonzero(info[:, 0] == S.NOT_FOUND)
     if not left.size or problem.starts <= FIRST:
         return q, info
-    left = left[proofs_of(problem)[left] == 0]
+    left = left[find_failure_proofs(problem)[left] == 0]
     if not left.size:
         return q, info
     open_ = replace(problem, limits=False, mode=S.NOTHING)
@@ -350,15 +365,15 @@ MET = 1e-16
 """Square of what a soft level misses up to which it is met."""
 
 
-def packed_for(system: Model, tasks: tuple[Task, ...], turns: bool) -> Packed:
+def pack_tasks(system: Model, tasks: tuple[Task, ...], turns: bool) -> Packed:
     """The packed ties of tasks, made once for each structure; the last few are kept."""
     levels: tuple[int, ...] = ()
     if len(tasks) > 1:
-        order = sorted({level_of(t) for t in tasks})
+        order = sorted({get_task_level(t) for t in tasks})
         if any(soft for _, soft in order[:-1]):
-            levels = tuple(order.index(level_of(t)) for t in tasks)
+            levels = tuple(order.index(get_task_level(t)) for t in tasks)
     key = (turns, levels, *((t.label, t.structure()) for t in tasks))
-    answers = system._kept.setdefault(packed_for, {})
+    answers = system._kept.setdefault(pack_tasks, {})
     found = answers.get(key)
     if found is None:
         found = Packed(system, tasks, turns=turns, levels=levels, closing=find_ideal_system(system))
@@ -367,7 +382,7 @@ def packed_for(system: Model, tasks: tuple[Task, ...], turns: bool) -> Packed:
     return found
 
 
-def solve(
+def solve_levels(
     problem: Demands,
     base: Array,
     search: Search,
@@ -379,7 +394,7 @@ def solve(
 
     A soft last level behind another soft one is lowered from what is found without it.
     """
-    end = _cut(problem, _is_added)
+    end = _find_last_level(problem, _is_added)
     if end is None:
         few = rows is not None
         q, info = (
@@ -388,21 +403,21 @@ def solve(
             else search(problem, base, threads)
         )
         if len(problem.tasks) > 1:
-            _compare(
+            _compare_levels(
                 problem, base, q, info, search, threads, np.arange(len(q)) if rows is None else rows
             )
         return q, info
-    q, info = solve(_part(problem, end), base, search, threads, rows)
+    q, info = solve_levels(_select_levels(problem, end), base, search, threads, rows)
     rows = np.arange(len(q)) if rows is None else rows
     at = np.flatnonzero((info[:, 0] < S.LATE) & (info[:, 0] != S.BAD_INPUT))
     if at.size:
-        q[at], more = _lead_on(problem, rows[at], q[at], threads, -1)
+        q[at], more = _continue_search(problem, rows[at], q[at], threads, -1)
         info[at, 0] = more[:, 0]
         info[at, 1] += more[:, 1]
     return q, info
 
 
-def _compare(
+def _compare_levels(
     problem: Demands,
     base: Array,
     q: Array,
@@ -418,23 +433,23 @@ def _compare(
     Where it comes lower, the last ones are lowered from there, as far as the others stay there. A
     success is given up only for what is one without them.
     """
-    end = _cut(problem, _may_differ)
+    end = _find_last_level(problem, _may_differ)
     if end is None:
         return
-    soft = any(t.weight is not None and level_of(t) <= end for t in problem.tasks)
+    soft = any(t.weight is not None and get_task_level(t) <= end for t in problem.tasks)
     at = np.flatnonzero((info[:, 0] == S.NOT_FOUND) | (soft & (info[:, 0] == S.SOLVED)))
     if not at.size:
         return
-    part = _part(problem, end)
-    here = values(part, q[at], rows[at])
+    part = _select_levels(problem, end)
+    here = compute_level_values(part, q[at], rows[at])
     missed = (here > MET).any(axis=1)
     at = at[missed]
     here = here[missed]
     if not at.size or time.monotonic() >= problem.end:
         return
-    alone, found = solve(part, base, search, threads, rows[at])
+    alone, found = solve_levels(part, base, search, threads, rows[at])
     info[at, 1] += found[:, 1]
-    there = values(part, alone, rows[at])
+    there = compute_level_values(part, alone, rows[at])
     fair = (found[:, 0] == S.SOLVED) | ((found[:, 0] == S.NOT_FOUND) & (info[at, 0] == S.NOT_FOUND))
     better = fair & is_lower(there, here)
     at = at[better]
@@ -442,8 +457,8 @@ def _compare(
     there = there[better]
     if not at.size:
         return
-    again, more = _lead_on(problem, rows[at], alone, threads, 0)
-    lost = is_lower(there, values(part, again, rows[at]))
+    again, more = _continue_search(problem, rows[at], alone, threads, 0)
+    lost = is_lower(there, compute_level_values(part, again, rows[at]))
     again[lost] = alone[lost]
     more[lost, 0] = S.NOT_FOUND
     in_time = more[:, 0] < S.LATE
@@ -452,7 +467,7 @@ def _compare(
     info[at, 1] += more[:, 1]
 
 
-def _lead_on(
+def _continue_search(
     problem: Demands, rows: np.ndarray, q: Array, threads: int | None, tries: int
 ) -> tuple[Array, np.ndarray]:
     """As `Demands.run` of some rows, from configurations of these."""
@@ -461,9 +476,11 @@ def _lead_on(
     return problem.run(starts, threads, tries=tries, rows=rows)
 
 
-def _cut(problem: Demands, where: Callable[[Demands, TaskLevel], bool]) -> TaskLevel | None:
+def _find_last_level(
+    problem: Demands, where: Callable[[Demands, TaskLevel], bool]
+) -> TaskLevel | None:
     """The last level that says so, before the last one."""
-    levels = tuple([level_of(t) for t in problem.tasks])
+    levels = tuple([get_task_level(t) for t in problem.tasks])
     requested = where, levels
     ends = problem.packed.stages.get(requested)
     if ends is None:
@@ -481,7 +498,7 @@ def _is_added(problem: Demands, end: TaskLevel) -> bool:
     """Whether a soft level, the last one, stands behind this one, which is soft or has soft ones
     before it.
     """
-    levels = sorted({level_of(t) for t in problem.tasks})
+    levels = sorted({get_task_level(t) for t in problem.tasks})
     return levels[-1][1] and end == levels[-2] and any(soft for _, soft in levels[:-1])
 
 
@@ -491,28 +508,28 @@ def _may_differ(problem: Demands, end: TaskLevel) -> bool:
     Hard ones are met before soft ones are lowered, and angles that are named do not turn on beyond
     their limits.
     """
-    later = [t for t in problem.tasks if level_of(t) > end]
-    soft = any(t.weight is not None and level_of(t) <= end for t in problem.tasks)
+    later = [t for t in problem.tasks if get_task_level(t) > end]
+    soft = any(t.weight is not None and get_task_level(t) <= end for t in problem.tasks)
     if soft and any(t.weight is None for t in later):
         return True
     named = any(t.coordinates() for t in later)
-    return named and bool(np.any(_part(problem, end).packed.wide & ~problem.packed.wide))
+    return named and bool(np.any(_select_levels(problem, end).packed.wide & ~problem.packed.wide))
 
 
-def _part(problem: Demands, end: TaskLevel) -> Demands:
+def _select_levels(problem: Demands, end: TaskLevel) -> Demands:
     """The problem up to a level, nothing preferred."""
-    levels = tuple([level_of(t) for t in problem.tasks])
-    requested = _part, levels, end
+    levels = tuple([get_task_level(t) for t in problem.tasks])
+    requested = _select_levels, levels, end
     chosen, packed = problem.packed.stages.get(requested) or ((), None)
     if packed is None:
         chosen = tuple(i for i, level in enumerate(levels) if level <= end)
-        packed = packed_for(
+        packed = pack_tasks(
             problem.system, tuple(problem.tasks[i] for i in chosen), problem.packed.turns
         )
         store_answer(problem.packed.stages, requested, (chosen, packed), KEPT)
     tasks = tuple([problem.tasks[i] for i in chosen])
     goals = tuple([problem.goals[i] for i in chosen])
-    pins = packed.pins(goals, problem.lead if lead_of(goals) else ())
+    pins = packed.pins(goals, problem.lead if find_leading_shape(goals) else ())
     use = (True,) * len(tasks)
     return replace(
         problem,
@@ -534,7 +551,7 @@ def is_lower(values: Array, than: Array) -> np.ndarray:
     return far.any(axis=1) & (np.take_along_axis(values - than, first, 1)[:, 0] < 0.0)
 
 
-def values(problem: Demands, q: Array, rows: np.ndarray) -> Array:
+def compute_level_values(problem: Demands, q: Array, rows: np.ndarray) -> Array:
     """What each level misses (N, levels), as the solver counts it, at configurations (N, nq) of
     some rows.
 
@@ -597,7 +614,7 @@ USUAL = Usual("ik", starts=None, iterations=STEPS, time_limit=SINGLE, rng=0, thr
 BATCH = Usual("ik", starts=None, iterations=STEPS, time_limit=None, rng=0, threads=None)
 
 
-def reach(problem: Problem) -> Reached:
+def reach_tasks(problem: Problem) -> Reached:
     """A configuration that holds several tasks at once (the inverse geometric model of any system).
 
     `wanted` are tasks of `kempe.tasks`, hard or soft and in strict priorities; goals with leading
@@ -644,7 +661,7 @@ def reach(problem: Problem) -> Reached:
     turns = prefer is None or prefer == "nearest"
     time = TimeLimit(USUAL.complete_budget(problem.budget).time_limit)
     decide_nearest_exact(USUAL, time, system)
-    demands, base = pose_problem(
+    demands, base = make_demands(
         system, problem.wanted, problem.start, tolerance, starts, spend.rng, turns
     )
     search = Demands.run if starts is not None else search_by_effort
@@ -656,9 +673,11 @@ def reach(problem: Problem) -> Reached:
         )
     # it depends on the goal, of which each row has its own
     if prefer == "manipulability" and demands.lead:
-        rows = [_preferring(demands.of(i), prefer, base) for i in range(math.prod(demands.lead))]
+        rows = [
+            _add_preference(demands.of(i), prefer, base) for i in range(math.prod(demands.lead))
+        ]
         each = [
-            solve(row, base[i : i + 1] if len(base) > 1 else base, search)
+            solve_levels(row, base[i : i + 1] if len(base) > 1 else base, search)
             for i, row in enumerate(rows)
         ]
         q, info = (
@@ -666,24 +685,24 @@ def reach(problem: Problem) -> Reached:
             for k, n in ((0, system.nq), (1, 3))
         )
     else:
-        demands = demands if prefer is None else _preferring(demands, prefer, base)
+        demands = demands if prefer is None else _add_preference(demands, prefer, base)
         unasked = problem.budget is None or problem.budget.time_limit is None
-        if unasked and starts is None and not demands.lead and of_functions(demands):
-            demands, (q, info) = patiently(
-                demands, lambda part: solve(part, base, search, threads), base
+        if unasked and starts is None and not demands.lead and has_function_tasks(demands):
+            demands, (q, info) = search_with_call_limit(
+                demands, lambda part: solve_levels(part, base, search, threads), base
             )
         else:
-            q, info = solve(demands, base, search, threads)
-    answer = judge(demands, q, info)
+            q, info = solve_levels(demands, base, search, threads)
+    answer = make_checked_answer(demands, q, info)
     if not demands.lead and answer.code == Status.BAD_INPUT:
         for each, goals in zip(demands.tasks, demands.goals, strict=True):
-            refuse(goals, each.label)
+            refuse_goal(goals, each.label)
         refuse_far(system, base, "start")
         raise InputError("the goals and the start lead to numbers that are not finite")
     return answer
 
 
-def pose_problem(
+def make_demands(
     system: Model,
     wanted: Constraint | Sequence[Constraint],
     start: Any = None,
@@ -696,10 +715,10 @@ def pose_problem(
 
     `starts` None are as many as it deserves.
     """
-    tasks = _distinct(wanted, system)
+    tasks = _make_distinct_tasks(wanted, system)
     goals = tuple(t.goal() for t in tasks)
-    base = _home(system) if start is None else read_start(system, start)
-    lead = own = lead_of(goals)
+    base = _choose_home(system) if start is None else read_start(system, start)
+    lead = own = find_leading_shape(goals)
     if base.ndim > 1:
         try:
             lead = np.broadcast_shapes(lead, base.shape[:-1])
@@ -708,10 +727,10 @@ def pose_problem(
                 f"start has shape {base.shape}, the goals have the leading shape {lead}"
             ) from None
         base = np.broadcast_to(base, (*lead, system.nq)).reshape(math.prod(lead), system.nq)
-    packed = packed_for(system, tasks, turns)
+    packed = pack_tasks(system, tasks, turns)
     pins = packed.pins(goals, lead if own else ())
     use = (True,) * len(tasks)
-    most = most_starts(system, packed) if starts is None else read_start_count(starts)
+    most = choose_start_count(system, packed) if starts is None else read_start_count(starts)
     problem = Demands(
         system,
         tasks,
@@ -726,7 +745,7 @@ def pose_problem(
         loose=start is None,
     )
     starts_at = (
-        near_target(problem, base)
+        move_bases_to_target(problem, base)
         if start is None
         else base.reshape(math.prod(base.shape[:-1]), system.nq)
     )
@@ -734,12 +753,12 @@ def pose_problem(
 
 
 @keep_answers
-def _home(system: Model) -> Array:
+def _choose_home(system: Model) -> Array:
     """Where a search starts by default."""
     return find_home(system)
 
 
-def _distinct(wanted: Any, system: Model) -> tuple[Task, ...]:
+def _make_distinct_tasks(wanted: Any, system: Model) -> tuple[Task, ...]:
     """The tasks, checked, with labels that differ."""
     single = isinstance(wanted, Constraint)
     given: tuple[Any, ...] = (wanted,) if single else tuple(wanted) if is_sequence(wanted) else ()
@@ -781,20 +800,20 @@ def _distinct(wanted: Any, system: Model) -> tuple[Task, ...]:
     return tuple(out.values())
 
 
-def _preferring(problem: Demands, prefer: Any, base: Array) -> Demands:
+def _add_preference(problem: Demands, prefer: Any, base: Array) -> Demands:
     """The problem, with what `prefer` minimises as its last level."""
     if prefer == "nearest":
         return replace(
-            problem, mode=S.AHEAD, aim=_home(problem.system)[None] if problem.loose else base
+            problem, mode=S.AHEAD, aim=_choose_home(problem.system)[None] if problem.loose else base
         )
     if prefer == "mid":
         return replace(problem, mode=S.AHEAD, aim=compute_mid_configuration(problem.system)[None])
 
-    callback = least(problem, prefer)
+    callback = make_objective(problem, prefer)
     return replace(problem, mode=callback.address, callback=callback)
 
 
-def judge(problem: Demands, q: Array, info: np.ndarray) -> Reached:
+def make_checked_answer(problem: Demands, q: Array, info: np.ndarray) -> Reached:
     """The answer, each configuration checked by the forward model, the limits and the loops."""
     system = problem.system
     lead = problem.lead
@@ -816,10 +835,10 @@ def judge(problem: Demands, q: Array, info: np.ndarray) -> Reached:
         x = sound[..., at]
         good &= ((x >= low) & (x <= high)).all(axis=-1)
     if packed.closed:
-        from kempe.equations.closure_rows import evaluate
+        from kempe.equations.closure_rows import evaluate_constraints
 
         good &= (
-            np.linalg.norm(evaluate(packed.closing, sound, False, True)[0], axis=-1)
+            np.linalg.norm(evaluate_constraints(packed.closing, sound, False, True)[0], axis=-1)
             <= 10.0 * CLOSED
         )
     if packed.one_sided.declared and problem.one_sided:
@@ -832,7 +851,7 @@ def judge(problem: Demands, q: Array, info: np.ndarray) -> Reached:
         )
         code[bad] = Status.BAD_INPUT
         if problem.limits and np.any(code == Status.NOT_FOUND):
-            proofs = proofs_of(problem)
+            proofs = find_failure_proofs(problem)
             code = np.where((code == Status.NOT_FOUND) & (proofs > 0), proofs, code)
     columns = (code == S.SOLVED, code, worst[..., 0], worst[..., 1], info[:, 1], info[:, 2], late)
     fields = [x.reshape(lead) if lead else x.item() for x in columns]

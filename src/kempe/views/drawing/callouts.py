@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from kempe.equations.judge import coordinate_value
+from kempe.equations.judge import compute_coordinate_value
 from kempe.forward.fk import fk
 from kempe.joints import P, Primitive, Q, R
 from kempe.spatial import Array
@@ -73,7 +73,7 @@ def _angle(sheet: Sheet, subject: Subject, joint: SeenJoint) -> None:
     names = subject.coordinates(joint)
     if len(names) != 1 or len(joint.motions) != 1:
         return
-    value = float(coordinate_value(subject.system, sheet.scene.q, names[0]))
+    value = float(compute_coordinate_value(subject.system, sheet.scene.q, names[0]))
     text = subject.measured_text(names[0])
     gid = f"angle:{joint.name}"
     if joint.motions[0].kind == P:
@@ -342,7 +342,7 @@ def angles(ax: Any, subject: Subject, r: float) -> list[Text]:
         names = subject.coordinates(joint)
         if len(names) != 1 or len(joint.motions) != 1:
             continue
-        value = float(coordinate_value(subject.system, subject.scene.q, names[0]))
+        value = float(compute_coordinate_value(subject.system, subject.scene.q, names[0]))
         gid = f"angle:{joint.name}"
         c = joint.centre
         F = joint.F[:3, :3]

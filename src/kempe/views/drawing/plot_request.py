@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.arrays import is_sequence
-from kempe.equations.judge import judge
+from kempe.equations.judge import judge_configurations
 from kempe.errors import InputError
 from kempe.model.configurations import compute_distance, find_home, make_q, read_q
 from kempe.spatial import Array
@@ -143,10 +143,10 @@ class Subject:
 
 def coordinate_text(subject: Subject, name: str) -> str:
     """A coordinate with its value and unit."""
-    from kempe.equations.judge import coordinate_value
+    from kempe.equations.judge import compute_coordinate_value
     from kempe.views.drawing.page import length_text
 
-    value = float(coordinate_value(subject.system, subject.scene.q, name))
+    value = float(compute_coordinate_value(subject.system, subject.scene.q, name))
     value = value if abs(value) > NOTHING else 0.0
     unit = subject.units.get(name, "")
     said = (
@@ -231,7 +231,7 @@ def usual_configuration(system: Model, configurations: Array | None) -> Array:
     """The configuration that is drawn unless one is given."""
     q = find_home(system)
     if configurations is None:
-        if judge(system, q):
+        if judge_configurations(system, q):
             return q
         from kempe.assemble.assemble import assemble
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from kempe.constraints.base import Op, evaluate_number_fields, list_position_rows
 from kempe.description.parts import Declared
-from kempe.equations.judge import closure_error, coordinate_value
+from kempe.equations.judge import closure_error, compute_coordinate_value
 from kempe.errors import UnsupportedError
 from kempe.forward.fk import fk
 from kempe.joints import Primitive
@@ -344,9 +344,9 @@ def travel(scene: Scene, joint: SeenJoint, configurations: Array | None) -> tupl
     within its limits.
     """
     system = scene.system
-    values = [float(coordinate_value(system, scene.q, joint.name))]
+    values = [float(compute_coordinate_value(system, scene.q, joint.name))]
     if configurations is not None:
-        along = np.asarray(coordinate_value(system, configurations, joint.name))
+        along = np.asarray(compute_coordinate_value(system, configurations, joint.name))
         values += [float(x) for x in along[np.isfinite(along)]]
     values += [x for x in joint.limits if np.isfinite(x)] if np.isfinite(joint.limits).all() else []
     return min(values), max(values)

@@ -15,8 +15,8 @@ import numpy as np
 
 from kempe.assemble.assemble import assemble
 from kempe.budget import Budget
-from kempe.equations.closure_rows import evaluate
-from kempe.equations.judge import judge
+from kempe.equations.closure_rows import evaluate_constraints
+from kempe.equations.judge import judge_configurations
 from kempe.errors import InputError, KempeError
 from kempe.forward.fk import fk, jacobian
 from kempe.mobility.independent import Chart, independent
@@ -217,11 +217,11 @@ class Session:
         self.progress: Callable[..., None] | None = None
         self._bare = not (has_loops(system) or system.mechanism.constraints)
         self._closes = not self._bare and bool(
-            evaluate(system, system.neutral, False, True)[0].size
+            evaluate_constraints(system, system.neutral, False, True)[0].size
         )
         self._units = list_units(system)
         self.rng = np.random.default_rng(0)
-        if q is not None and has_loops(system) and not judge(system, self.q):
+        if q is not None and has_loops(system) and not judge_configurations(system, self.q):
             self._take(assemble(system, start=self.q), "closed from the q given")
         self._choose()
         self.frames = _by_use(system)
@@ -278,7 +278,7 @@ class Session:
         if not chart.dependent and name in known:
             q = np.array(self.q)
             q[known.index(name)] = value
-            if self._bare or judge(self.system, q):
+            if self._bare or judge_configurations(self.system, q):
                 self._go(q, "")
                 return
         u = chart.u(self.q)[: len(chart.useful)]
@@ -315,7 +315,9 @@ class Session:
     def _take(self, answer: Any, said: str = "") -> bool:
         """Take the configuration of an answer if it is one that closes the loops, and its sentence."""
         self.status = said if answer else answer.status
-        if answer or (np.isfinite(answer.q).all() and bool(judge(self.system, answer.q))):
+        if answer or (
+            np.isfinite(answer.q).all() and bool(judge_configurations(self.system, answer.q))
+        ):
             self.q = np.array(answer.q)
         return bool(answer)
 
@@ -503,7 +505,7 @@ class Session:
         said = ""
         for _ in range(TRIES):
             start = sample_configurations(self.system, self.rng)
-            if judge(self.system, start):
+            if judge_configurations(self.system, start):
                 self._go(start, "a random configuration")
                 return
             answer = assemble(self.system, start=start, budget=QUICK)
@@ -518,7 +520,7 @@ class Session:
         own = {"neutral": self.system.neutral, "mid": compute_mid_configuration(self.system)}
         named = name in self.system.structure.posture_names
         q = own[name] if name in own and not named else make_q(self.system, name)
-        if judge(self.system, q):
+        if judge_configurations(self.system, q):
             self._go(q, f"posture {name}")
         elif answer := assemble(self.system, start=q):
             self._go(answer.q, f"closed from posture {name}")
@@ -572,7 +574,9 @@ class Session:
         return (
             0.0
             if self._bare
-            else float(np.abs(evaluate(self.system, self.q, False, True)[0]).max(initial=0.0))
+            else float(
+                np.abs(evaluate_constraints(self.system, self.q, False, True)[0]).max(initial=0.0)
+            )
         )
 
     def singular(self) -> str:

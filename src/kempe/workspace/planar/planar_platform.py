@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from kempe.numerics.curves import Curve, node, step, walk
+from kempe.numerics.curves import Curve, find_next_node, make_node, walk_curve
 from kempe.spatial import Array
 from kempe.workspace.planar.plane_curves import (
     SAME,
@@ -133,11 +133,11 @@ class HeldPoints(Curve):
 
     def traced(self, start: Array) -> Array:
         """Motions (k, 3) along the curve through one of them, to its ends or once round it."""
-        first = node(self, start)
+        first = make_node(self, start)
         halves: list[list[Array]] = []
         for begin in (first, first.reversed()):
             points = [begin.x]
-            for b in walk(begin, lambda a, h: _step(self, a, h), LONGEST, 0.2 * LONGEST):
+            for b in walk_curve(begin, lambda a, h: _step(self, a, h), LONGEST, 0.2 * LONGEST):
                 points.append(b.x)
                 chord = points[-1] - points[-2]
                 back = begin.x - points[-2]
@@ -154,7 +154,7 @@ class HeldPoints(Curve):
 
 
 def _step(curve: Curve, a: Any, h: float) -> list[Any] | None:
-    b = step(curve, a, h)
+    b = find_next_node(curve, a, h)
     return None if b is None else [b]
 
 

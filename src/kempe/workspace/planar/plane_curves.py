@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from kempe.numerics.intervals import union
+from kempe.numerics.intervals import unite_intervals
 
 TURN = 2.0 * np.pi
 TOUCH = 1e-13
@@ -213,7 +213,9 @@ def merged(pieces: Iterable[PlanePiece], same: float) -> list[PlanePiece]:
         else:
             whole = whole_curve(piece)
             groups.append((whole, _spans(whole, piece)))
-    return [first.part(a, b) for first, spans in groups for a, b in union(spans, slack=1e-12)]
+    return [
+        first.part(a, b) for first, spans in groups for a, b in unite_intervals(spans, slack=1e-12)
+    ]
 
 
 def whole_curve(piece: PlanePiece) -> PlanePiece:
