@@ -24,12 +24,12 @@ TORCH = "pytorch-kinematics"
 def binned(bench: Bench) -> Table:
     """Nanoseconds a sample, drawn, placed and counted in 256^3 cells."""
     import kempe
-    from kempe.workspace.sampling_job import count_in_threads, recipe_of
+    from kempe.workspace.sampling_job import count_in_threads, make_recipe
 
     table = Table("Maps of workspaces: drawn, placed and counted, by samples", "ns", ratios=True)
     for name, frame in ARMS.items():
         system = kempe.load(name)
-        recipe = recipe_of(system, frame, 0, CELLS, None)
+        recipe = make_recipe(system, frame, 0, CELLS, None)
         names = {"count": count_in_threads, "recipe": recipe, "check": lambda done: None}
         timed = [
             Case(

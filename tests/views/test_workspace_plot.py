@@ -44,7 +44,7 @@ def test_colours_read_in_grey():
 def test_slices_go_through_the_point():
     point = (0.1, -0.2, 0.3)
     axes = SPACE.plot(at=point)
-    at = SPACE.map.grid.places(np.array(point))[0]
+    at = SPACE.map.grid.locate_cells(np.array(point))[0]
     layers = [SPACE.map.counts[:, :, at[2]], SPACE.map.counts[:, at[1]], SPACE.map.counts[at[0]]]
     for ax, layer, name, x in zip(axes, layers, "zyx", point[::-1], strict=True):
         assert np.array_equal(np.ma.filled(ax.images[0].get_array(), 0).T, layer)

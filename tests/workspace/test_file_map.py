@@ -508,7 +508,7 @@ def begun(tmp_path, monkeypatch):
     monkeypatch.setitem(map_file.VERBS, "ik", map_file.VERBS["ik"]._replace(rows=64))
     answered = []
     most = [3]
-    before = map_file.RowJob.answers
+    before = map_file.RowJob.answer_rows
 
     def answers(job, rows):
         if len(rows):
@@ -517,7 +517,7 @@ def begun(tmp_path, monkeypatch):
             answered.append(len(rows))
         return before(job, rows)
 
-    monkeypatch.setattr(map_file.RowJob, "answers", answers)
+    monkeypatch.setattr(map_file.RowJob, "answer_rows", answers)
     first = kempe.map_file(PUMA, "ik", file, path, "tool", budget=Budget(threads=1))
     assert answered == [8, 8, 8] and first.rows == 24 and sum(first.outcomes.values()) == 24
     answered.clear()
@@ -552,7 +552,7 @@ def test_rows_of_a_chunk_that_is_begun_are_refused_where_they_have_changed(tmp_p
 def test_an_interrupt_stops_the_work_of_threads(tmp_path, monkeypatch):
     """At their next look, although an answer takes as long as one lets it."""
     file = written(tmp_path, "x.npy", PUMA.fk(PUMA.random(1, 64), "tool"))
-    before = map_file.RowJob.answers
+    before = map_file.RowJob.answer_rows
 
     def answers(job, rows):
         while len(rows):
@@ -560,7 +560,7 @@ def test_an_interrupt_stops_the_work_of_threads(tmp_path, monkeypatch):
         return before(job, rows)
 
     with monkeypatch.context() as patch:
-        patch.setattr(map_file.RowJob, "answers", answers)
+        patch.setattr(map_file.RowJob, "answer_rows", answers)
         first = mapped(file, tmp_path / "out.zarr", budget=interrupted_after(0))
     assert first.interrupted and first.rows == 0
     assert mapped(file, tmp_path / "out.zarr").rows == 64
@@ -936,7 +936,7 @@ def test_damaged_npy_files_are_refused_in_words(tmp_path, hunt, read):
         file.write_bytes(bytes(bad))
         try:
             if read == "map":
-                row_sources.open_rows(file).read(0, 1)
+                row_sources.open_rows(file).read_rows(0, 1)
             else:
                 table_files.read_table(file)
         except KempeError as error:
@@ -951,7 +951,7 @@ def test_a_chunk_of_many_digits_is_refused_in_words(tmp_path):
         said["chunk_grid"]["configuration"]["chunk_shape"][0] = 10**digits
         (path / "zarr.json").write_text(json.dumps(said))
         with pytest.raises(KempeError):
-            row_sources.open_rows(path).read(0, 20_000)
+            row_sources.open_rows(path).read_rows(0, 20_000)
 
 
 # ---- on a cluster

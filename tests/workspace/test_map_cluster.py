@@ -137,7 +137,7 @@ def test_a_task_that_fails_once(cluster):
         class Once(sampling_job.Recipe):
             failed = False
 
-        count = sampling_job.Recipe.count
+        count = sampling_job.Recipe.count_samples
 
         def failing(self, first, last, counts):
             if not Once.failed:
@@ -145,7 +145,7 @@ def test_a_task_that_fails_once(cluster):
                 raise OSError("a worker that fails once")
             count(self, first, last, counts)
 
-        sampling_job.Recipe.count = failing
+        sampling_job.Recipe.count_samples = failing
 
     client.run(fail_once)
     n = 8 * 500_000

@@ -8,8 +8,8 @@ from hunts import Hunt
 
 import kempe
 from kempe.errors import InputError, UnsupportedError
-from kempe.workspace.kinds import question_of
-from kempe.workspace.planar.planar_workspace import planar_answer, planar_workspace
+from kempe.workspace.kinds import read_question
+from kempe.workspace.planar.planar_workspace import answer_planar_question, planar_workspace
 from kempe.workspace.planar.plane_curves import PlanePiece
 
 
@@ -145,7 +145,7 @@ def test_three_joints_with_limits(joints):
     reached = system.ik(points[clear], "tool").success
     assert np.array_equal(w.contains(points[clear]), reached)
     assert w.area == pytest.approx(cell * w.contains(points).sum(), rel=0.08)
-    closed = sum(p.at(1.0) - p.at(0.0) for p in w.boundary)
+    closed = sum(p.evaluate_points(1.0) - p.evaluate_points(0.0) for p in w.boundary)
     assert abs(closed) < 1e-9  # the boundary is closed curves
 
 
@@ -252,10 +252,10 @@ def test_hunt_for_points_that_are_decided_wrongly(hunt: Hunt, kind):
             [system.fk(system.random(rng, 8), "tool")[:, :2, 3], rng.uniform(-2.0, 2.0, (12, 2))]
         )
         clear = w.distance(points) > (0.02 if kind == "dexterous" else 1e-4)
-        question = question_of(system, "tool", given["kind"], angles, None)
+        question = read_question(system, "tool", given["kind"], angles, None)
         reached = question.reached(system, "tool", np.pad(points, ((0, 0), (0, 1))), 0)
         assert np.array_equal(w.contains(points)[clear], reached[clear]), (system.mechanism, given)
-        numbers = w.region.numbers(points[clear] @ [1.0, 1j])
+        numbers = w.region.count_solutions(points[clear] @ [1.0, 1j])
         assert np.array_equal(numbers > 0, reached[clear])
         areas += 1
     assert areas
@@ -353,8 +353,8 @@ def test_a_platform_on_three_legs_with_limits_in_given_orientations(monkeypatch)
         w.area, abs=1e-12
     )
     cuts = []
-    meets = PlanePiece.meets
-    monkeypatch.setattr(PlanePiece, "meets", lambda *given: cuts.append(0) or meets(*given))
+    meets = PlanePiece.find_meetings
+    monkeypatch.setattr(PlanePiece, "find_meetings", lambda *given: cuts.append(0) or meets(*given))
     turns = np.linspace(0.2, 0.6, 12)
     several = m.build().reach.planar("tool", kind="dexterous", orientation=turns)
     centres = (base - platform * np.exp(1j * turns[:, None])).ravel()
@@ -407,7 +407,9 @@ def test_dexterous_places_of_three_links():
             kind="dexterous",
         )
     with pytest.raises(UnsupportedError, match="one of places"):
-        planar_answer(w.system, "tool", question_of(w.system, "tool", None, None, (0.1, 0.2)))
+        answer_planar_question(
+            w.system, "tool", read_question(w.system, "tool", None, None, (0.1, 0.2))
+        )
 
 
 def test_distances_from_the_boundary():

@@ -72,9 +72,11 @@ def test_what_was_interrupted_ends_with_the_code_of_ctrl_c(ask):
 def test_many_starts_and_places_are_not_prepared_at_once(monkeypatch):
     """What is made of all of them takes long, and cannot be interrupted."""
     made = list[int]()
-    pose = base_placement.base_pose
+    pose = base_placement.compute_base_poses
     monkeypatch.setattr(
-        base_placement, "base_pose", lambda places: made.append(len(places)) or pose(places)
+        base_placement,
+        "compute_base_poses",
+        lambda places: made.append(len(places)) or pose(places),
     )
     arm = kempe.load("ur5")
     X = arm.fk(arm.mid, "tool")[None]

@@ -97,7 +97,7 @@ def test_an_interrupt_where_a_thread_is_begun(monkeypatch):
     piece is in the map.
     """
     begun = threading.Event()
-    counted = sampling_job.Recipe.count
+    counted = sampling_job.Recipe.count_samples
     handed_out = []
 
     def count(*arguments):
@@ -117,7 +117,7 @@ def test_an_interrupt_where_a_thread_is_begun(monkeypatch):
         return future
 
     with monkeypatch.context() as patch:
-        patch.setattr(sampling_job.Recipe, "count", count)
+        patch.setattr(sampling_job.Recipe, "count_samples", count)
         patch.setattr(ThreadPoolExecutor, "submit", submit)
         workspace = made(budget=Budget(threads=3))
     assert workspace.interrupted and 30_000 <= workspace.samples < N
@@ -140,10 +140,10 @@ def test_a_map_depends_on_its_seed_only(hunt):
         n = int(rng.integers(1, 300_000))
         seed = int(rng.integers(10**6))
         cells = int(rng.integers(2, 60))
-        recipe_ = sampling_job.recipe_of(system, "tip", seed, cells, None)
+        recipe_ = sampling_job.make_recipe(system, "tip", seed, cells, None)
         cuts = [0, *sorted(rng.integers(0, n, 5).tolist()), n]
         parts = sum(
-            sampling_job.counted(recipe_, a, b).astype(np.uint64)
+            sampling_job.count_part(recipe_, a, b).astype(np.uint64)
             for a, b in itertools.pairwise(cuts)
         )
         budget = Budget(rng=seed, threads=int(rng.integers(1, 6)))
@@ -180,12 +180,14 @@ def test_ranges_of_samples_are_joined_and_what_is_between_them_is_missing(hunt):
     for _ in range(hunt.cases(50)):
         cuts = np.unique(rng.integers(0, 60, 12)).tolist()
         parts = [cut for cut in itertools.pairwise(cuts) if rng.random() < 0.6]
-        samples = stored_map.no_samples({}, Grid((0,) * 3, (1,) * 3, (1, 1, 1), ("x",)))
+        samples = stored_map.make_empty_counts({}, Grid((0,) * 3, (1,) * 3, (1, 1, 1), ("x",)))
         for first, last in rng.permutation(parts).tolist():
-            samples = samples.added(first, last, np.array([last - first, 0, 0, 9], dtype=np.uint32))
+            samples = samples.add_counts(
+                first, last, np.array([last - first, 0, 0, 9], dtype=np.uint32)
+            )
         drawn = {k for first, last in parts for k in range(first, last)}
         n, most = (int(x) for x in rng.integers(1, 70, 2))
-        missing = samples.missing(n, most)
+        missing = samples.list_missing_ranges(n, most)
         assert samples.samples == samples.map.counts.sum() == len(drawn)
         assert [k for part in missing for k in range(*part)] == sorted(set(range(n)) - drawn)
         assert all(0 < last - first <= most for first, last in missing)
@@ -278,7 +280,7 @@ def test_what_is_said_of_a_map_is_guarded_like_its_counts(tmp_path, what):
 def test_a_full_disk_midway_loses_nothing(tmp_path, monkeypatch, number):
     """Numpy raises an error without a number where not all bytes are taken."""
     path = tmp_path / "map.zarr"
-    write = store.zarr_library().Array.__setitem__
+    write = store.import_zarr().Array.__setitem__
     writes = []
 
     def full(array, where, value):
@@ -287,7 +289,7 @@ def test_a_full_disk_midway_loses_nothing(tmp_path, monkeypatch, number):
             raise OSError(*[number] * (number is not None), "No space left on device")
         write(array, where, value)
 
-    monkeypatch.setattr(store.zarr_library().Array, "__setitem__", full)
+    monkeypatch.setattr(store.import_zarr().Array, "__setitem__", full)
     monkeypatch.setattr(mapping, "SPARE", 0.0)
     why = "the disk is full" if number else "not all of it was taken: the disk may be full"
     with pytest.raises(KempeError, match=f"{why}; what was written before stands"):
@@ -325,21 +327,23 @@ def test_maps_of_something_else_are_refused(tmp_path, words, other, whole):
 
 
 def test_kernels_that_round_otherwise_are_refused_by_name():
-    one = sampling_job.recipe_of(ARM, "tip", 0, 16, None)
+    one = sampling_job.make_recipe(ARM, "tip", 0, 16, None)
     foreign = sampling_job.Recipe(one.system, one.frame, 0, one.grid, "v9")
     with pytest.raises(KernelsError, match="'v9'.*KEMPE_KERNELS=v9"):
-        sampling_job.counted(foreign, 0, 100)
+        sampling_job.count_part(foreign, 0, 100)
 
 
 def test_a_map_of_other_kernels_is_refused(tmp_path, monkeypatch):
     path = tmp_path / "map.zarr"
     made(path, budget=interrupted_after(100_000))
-    monkeypatch.setattr(sampling_job.Recipe, "said", lambda self: {**SAID(self), "variant": "v9"})
+    monkeypatch.setattr(
+        sampling_job.Recipe, "describe_recipe", lambda self: {**SAID(self), "variant": "v9"}
+    )
     with pytest.raises(InputError, match="its variant is .* and here it is 'v9'"):
         made(path)
 
 
-SAID = sampling_job.Recipe.said
+SAID = sampling_job.Recipe.describe_recipe
 
 
 def test_opened_without_kempe(tmp_path):

@@ -13,7 +13,7 @@ from reached_sets import SHELL, TORUS, scara, shell, torus
 
 import kempe
 from kempe import spatial
-from kempe.workspace.planar.swept_solids import SweptSolid, swept_solid
+from kempe.workspace.planar.swept_solids import SweptSolid, find_swept_solid
 
 
 def chain(*joints, tool, base=None, name="chain"):
@@ -49,7 +49,7 @@ CLOSED = {
 @pytest.mark.parametrize("name", CLOSED)
 def test_volumes_of_closed_form(name):
     system, volume = CLOSED[name]
-    solid = swept_solid(system, "tip")
+    solid = find_swept_solid(system, "tip")
     assert solid.measure[0] == pytest.approx(volume, rel=1e-10)
     found = system.workspace("tip", n=2000, cells=12)
     assert found.exact is not None and found.volume[0] == pytest.approx(volume, rel=1e-10)
@@ -65,23 +65,23 @@ def test_distances_of_closed_form(name):
     expected = np.minimum(np.abs(r - 0.8), np.abs(r - 0.2))
     if name == "torus":
         expected = np.abs(np.hypot(np.hypot(p[:, 0], p[:, 1]) - 0.5, p[:, 2]) - 0.2)
-    assert swept_solid(system, "tip").distance(p) == pytest.approx(expected, abs=1e-12)
+    assert find_swept_solid(system, "tip").distance(p) == pytest.approx(expected, abs=1e-12)
 
 
 def test_arms_of_other_kinds_are_sampled():
-    assert swept_solid(kempe.load("ur5"), "tool") is None
+    assert find_swept_solid(kempe.load("ur5"), "tool") is None
     limited = chain(("revolute", "z", (0, 0, 0), (-1.0, 1.0)), ("revolute", (0.0, 0.8, 0.6), (0.3, 0, 0), None),
                     ("revolute", "y", (0.3, 0, 0), None), tool=(0.2, 0, 0))  # fmt: skip
     assert (
-        swept_solid(limited, "tip") is None
+        find_swept_solid(limited, "tip") is None
         and limited.workspace("tip", n=2000, cells=8).exact is None
     )
     assert shell(0.5, 0.3).workspace("tip", n=500, cells=8, kind="dexterous").exact is None
     half = torus(0.5, 0.2, True).with_limits({"A": (-1.0, 1.0)})
     value, error = half.workspace("tip", n=2e5).volume
-    assert swept_solid(half, "tip") is None
+    assert find_swept_solid(half, "tip") is None
     assert value == pytest.approx(TORUS / math.pi, abs=2.0 * error)
-    assert swept_solid(kempe.load("puma560"), "tool") is None
+    assert find_swept_solid(kempe.load("puma560"), "tool") is None
 
 
 def random_chain(rng):
@@ -119,7 +119,7 @@ def test_hunt_for_places_in_space_that_are_decided_wrongly(hunt: Hunt):
     kinds = set()
     for _ in range(hunt.cases(40, least=8)):
         system = random_chain(rng)
-        solid = swept_solid(system, "tip")
+        solid = find_swept_solid(system, "tip")
         assert isinstance(solid, SweptSolid)
         kinds.add(solid.turned)
         low, high = solid.extent

@@ -16,10 +16,15 @@ from reached_sets import ANNULUS, two_bars
 import kempe
 from kempe import Budget, Mechanism, Status, constraints
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
-from kempe.workspace.answer import outer_measure
+from kempe.workspace.answer import compute_outer_measure
 from kempe.workspace.cell_map import Grid
-from kempe.workspace.kinds import WorkspaceKind, coordinates_of, rotations_at, spread_rotations
-from kempe.workspace.place_bounds import legs_of, possible_places
+from kempe.workspace.kinds import (
+    WorkspaceKind,
+    compute_rotation_coordinates,
+    compute_rotations,
+    spread_rotations,
+)
+from kempe.workspace.place_bounds import find_legs, find_possible_places
 
 A = 0.5
 B = 0.3
@@ -180,22 +185,27 @@ def test_orientations_in_space():
     w = m.build().workspace("c", at=(0, 0, 0), cells=12)
     # azimuths from 0 to pi, of 8 pi^2 in all
     assert abs(w.volume[0] - 4.0 * math.pi**2) < 1.5 * w.volume[1]
-    R = rotations_at(np.array([[0.5, 0.3, 1.0], [-0.5, 0.3, 1.0]]), 3)
+    R = compute_rotations(np.array([[0.5, 0.3, 1.0], [-0.5, 0.3, 1.0]]), 3)
     assert w.contains(R, check=True).tolist() == [True, False]
     assert list(w.map.axes) == ["azimuth", "height", "roll"] and w.map.unit == "rad"
 
 
 def test_coordinates_of_orientations():
     R = spread_rotations(500, 3)
-    assert np.abs(rotations_at(coordinates_of(R, 3), 3) - R).max() < 1e-12
-    assert np.abs(rotations_at(coordinates_of(np.eye(3)[None], 3), 3) - np.eye(3)).max() < 1e-12
+    assert np.abs(compute_rotations(compute_rotation_coordinates(R, 3), 3) - R).max() < 1e-12
+    assert (
+        np.abs(
+            compute_rotations(compute_rotation_coordinates(np.eye(3)[None], 3), 3) - np.eye(3)
+        ).max()
+        < 1e-12
+    )
     apart = np.linalg.norm(R[:, None] - R, axis=(2, 3)) + 9.0 * np.eye(500)
     assert apart.min(axis=1).min() > 0.5 * apart.min(axis=1).mean()  # spread evenly
 
 
 def test_of_a_system_with_loops_leg_by_leg_is_as_by_all_equations():
     robot = kempe.load("three_rrr").with_limits({"A1": (-3.0, 0.5), "C2": (-1.0, 2.5)})
-    assert [leg.joint_names for leg in legs_of(robot, "tool")] == [
+    assert [leg.joint_names for leg in find_legs(robot, "tool")] == [
         tuple(f"{c}{k}" for c in "ABC") for k in (1, 2, 3)
     ]
     w = robot.workspace("tool", orientation=0.1, cells=8)
@@ -209,7 +219,7 @@ def test_of_a_system_with_loops_leg_by_leg_is_as_by_all_equations():
 @pytest.mark.parametrize("name", ["jansen", "delta_uu", "puma560"])
 def test_what_is_not_made_of_legs(name):
     system = kempe.load(name)
-    assert legs_of(system, system.frame_names[-1]) == ()
+    assert find_legs(system, system.frame_names[-1]) == ()
 
 
 # ---- slides without limits, bounds
@@ -284,7 +294,7 @@ def test_hunt_for_places_outside_their_bounds(hunt: Hunt):
     rng = hunt.rng()
     for _ in range(hunt.cases(40)):
         system = random_chain(rng)
-        assert possible_places(
+        assert find_possible_places(
             system, "tip", system.fk(system.random(rng, 100), "tip")[:, :3, 3]
         ).all()
         for p in system.fk(system.random(rng, 4), "tip")[:, :3, 3]:
@@ -292,7 +302,7 @@ def test_hunt_for_places_outside_their_bounds(hunt: Hunt):
             part = rng.random(3) if system.dim == 3 else np.append(rng.random(2), 0.5)
             low, high = (tuple((p + size * x).tolist()) for x in (-part, 1.0 - part))
             grid = Grid(low, high, (1, 1, 1), ("x", "y", "z")[: system.dim])
-            assert outer_measure(system, "tip", grid) > 0.0
+            assert compute_outer_measure(system, "tip", grid) > 0.0
 
 
 @pytest.mark.parametrize(
@@ -304,7 +314,7 @@ def test_places_beyond_all_lengths_need_no_inverse_model(make, monkeypatch):
     workspace = system.workspace("tool", n=4096, cells=10)
     monkeypatch.setattr(
         WorkspaceKind,
-        "_reached",
+        "_find_reached",
         lambda _, system, frame, points, seed: (
             tried.append(points) or np.ones(len(points), dtype=bool)
         ),
@@ -318,7 +328,7 @@ def test_bounds_of_loops_are_those_of_each_leg():
     system = hexapod()
     low, high = joints_of(system)
     grid = Grid((-0.6, -0.6, -0.6), (0.6, 0.6, 0.6), (24, 24, 24), ("x", "y", "z"))
-    outer = outer_measure(system, "tool", grid)
+    outer = compute_outer_measure(system, "tool", grid)
     points = np.random.default_rng(0).uniform(-0.6, 0.6, (20_000, 3))
     arms = np.linalg.norm(high, axis=1) + 0.45
     ball = (np.linalg.norm(points[:, None] - low, axis=-1) < arms).all(axis=1).mean() * 1.2**3

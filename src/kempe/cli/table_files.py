@@ -60,7 +60,7 @@ def read_table(path: Path, matrices: bool = False) -> tuple[list[str] | None, Ar
             f"{path}: it holds an array of shape {shape}; needed is a row for each {wanted}"
         )
     names = source.names
-    return None if names is None else list(names), source.read(0, source.n)
+    return None if names is None else list(names), source.read_rows(0, source.n)
 
 
 def find_nonfinite_rows(q: Array) -> list[int]:

@@ -68,7 +68,7 @@ def plot_workspace(workspace: Workspace, at: Any = None, ax: Any = None) -> Any:
             axes.plot(np.real(p), np.imag(p), color=style.OPEN, linewidth=1.2, gid="boundary")
         return axes
     point = numbers(at, "at", 3) if at is not None else workspace.map.points.mean(axis=0)
-    place, inside = grid.places(np.asarray(point))
+    place, inside = grid.locate_cells(np.asarray(point))
     if point.shape != (3,) or not inside:
         raise InputError(f"at is {at!r}; it must be one point (3,) inside the box")
     if ax is None:
@@ -83,10 +83,13 @@ def plot_workspace(workspace: Workspace, at: Any = None, ax: Any = None) -> Any:
         _slice(workspace, one, layer, right, up, most)
         if workspace.exact is not None:
             _outline(
-                workspace.exact, one, (right, up), float(grid.centres(grid.axes[cut])[place[cut]])
+                workspace.exact,
+                one,
+                (right, up),
+                float(grid.list_centres(grid.axes[cut])[place[cut]]),
             )
         name = grid.axes[cut]
-        here = grid.centres(grid.axes[cut])[place[cut]]
+        here = grid.list_centres(grid.axes[cut])[place[cut]]
         # what rounding leaves of a middle at zero
         here = here if abs(here) > 1e-6 * grid.size[cut] else 0.0
         one.set_title(
@@ -103,7 +106,7 @@ def _slice(
     grid = workspace.map.grid
     names = workspace.map.grid.axes
     shown = np.ma.masked_equal(counts, 0).T
-    low, high = (np.array(x)[grid.kept] for x in (grid.low, grid.high))
+    low, high = (np.array(x)[grid.measured_axes] for x in (grid.low, grid.high))
     extent = (low[right], high[right], low[up], high[up])
     norm = LogNorm(1, most) if most > FEW else Normalize(int(most > 1), max(most, 2))
     ax.imshow(
@@ -116,7 +119,7 @@ def _slice(
         gid="counts",
     )
     filled = np.pad(counts > 0, 1).astype(float).T
-    x, y = (_around(grid.centres(names[k]), float(grid.size[k])) for k in (right, up))
+    x, y = (_around(grid.list_centres(names[k]), float(grid.size[k])) for k in (right, up))
     if filled.any() and workspace.exact is None:
         ax.contour(x, y, filled, levels=[0.5], colors=style.INK, linewidths=0.8)
     units = {

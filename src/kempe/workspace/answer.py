@@ -32,14 +32,18 @@ from kempe.workspace.kinds import (
     ORIENTATION,
     REACHABLE,
     WorkspaceKind,
-    coordinates_of,
+    compute_rotation_coordinates,
     read_rotations,
 )
-from kempe.workspace.place_bounds import place_bounds
-from kempe.workspace.planar.planar_workspace import PlanarWorkspace, PlaneCurve, planar_answer
-from kempe.workspace.planar.swept_solids import SweptSolid, swept_solid
-from kempe.workspace.sampling_job import closed_configurations
-from kempe.workspace.store import refuse_other
+from kempe.workspace.place_bounds import compute_place_bounds
+from kempe.workspace.planar.planar_workspace import (
+    PlanarWorkspace,
+    PlaneCurve,
+    answer_planar_question,
+)
+from kempe.workspace.planar.swept_solids import SweptSolid, find_swept_solid
+from kempe.workspace.sampling_job import sample_closed_configurations
+from kempe.workspace.store import refuse_other_map
 from kempe.workspace.stored_map import SampleCounts, read_map, write_map
 
 if TYPE_CHECKING:
@@ -63,7 +67,7 @@ AT_ONCE = 256
 at together."""
 
 
-def measured(
+def estimate_measure(
     system: Model,
     frame: str,
     cells: CellMap,
@@ -85,7 +89,7 @@ def measured(
     for name, mask in cells.layers.items():
         chosen = np.flatnonzero(mask & possible)
         if len(chosen):
-            points = _within(cells, rng.choice(chosen, POINTS[name]), rng)
+            points = _sample_in_cells(cells, rng.choice(chosen, POINTS[name]), rng)
             hits = int(question.reached(system, frame, points, seed).sum())
             n = POINTS[name]
             whole = len(chosen) * cell
@@ -95,7 +99,7 @@ def measured(
     return value, SIGMAS * math.sqrt(variance)
 
 
-def counted_measure(cells: CellMap, samples: int, hits: int) -> tuple[float, float]:
+def estimate_from_counts(cells: CellMap, samples: int, hits: int) -> tuple[float, float]:
     """The same of places of which so many were tried, as many in each cell, and so many reached.
 
     Cells of which each has its share make the error smaller than this one, which is that of places
@@ -107,7 +111,7 @@ def counted_measure(cells: CellMap, samples: int, hits: int) -> tuple[float, flo
     return whole * hits / max(samples, 1), whole * error
 
 
-def together(found: list[tuple[float, float]]) -> tuple[float, float]:
+def combine_estimates(found: list[tuple[float, float]]) -> tuple[float, float]:
     """One value and its error of several that do not depend on each other, weighed by their errors."""
     proven = [x for x in found if x[1] == 0.0]
     if proven:
@@ -117,22 +121,24 @@ def together(found: list[tuple[float, float]]) -> tuple[float, float]:
     return float(values @ weights / weights.sum()), float(weights.sum() ** -0.5)
 
 
-def _within(cells: CellMap, numbers: np.ndarray, rng: np.random.Generator) -> Array:
+def _sample_in_cells(cells: CellMap, numbers: np.ndarray, rng: np.random.Generator) -> Array:
     """Random points (n, 3), one in each of the cells."""
     grid = cells.grid
     at = np.stack(np.unravel_index(numbers, grid.shape), axis=-1)
-    return grid.whole(np.array(grid.low)[grid.kept] + (at + rng.random(at.shape)) * grid.size)
+    return grid.complete_points(
+        np.array(grid.low)[grid.measured_axes] + (at + rng.random(at.shape)) * grid.size
+    )
 
 
-def decided(
+def decide_reached(
     system: Model, frame: str, cells: CellMap, points: Array, seed: int, question: WorkspaceKind
 ) -> np.ndarray:
     """Whether each of points (n, 3) is reached: by the map in inner cells, else by the inverse
     model.
     """
     grid = cells.grid
-    at, inside = grid.places(points[:, grid.kept])
-    off = [k for k in range(3) if k not in grid.kept]
+    at, inside = grid.locate_cells(points[:, grid.measured_axes])
+    off = [k for k in range(3) if k not in grid.measured_axes]
     middle = 0.5 * (np.array(grid.low) + grid.high)
     inside = inside & (np.abs(points - middle)[:, off] <= 1e-9 * (1.0 + np.abs(middle[off]))).all(
         axis=1
@@ -142,7 +148,7 @@ def decided(
     return out
 
 
-def to_boundary(
+def compute_boundary_distance(
     system: Model,
     frame: str,
     cells: CellMap,
@@ -158,7 +164,7 @@ def to_boundary(
     whose middle is not reached: a cell may be empty for lack of samples only, so the inverse model
     decides.
     """
-    at = points[:, cells.grid.kept]
+    at = points[:, cells.grid.measured_axes]
     finite = np.isfinite(at).all(axis=1)
     out = np.where(np.isnan(at).any(axis=1), np.nan, -np.inf)
     edge = cast(Any, cells.edge)
@@ -171,16 +177,16 @@ def to_boundary(
     known = np.where(cells.empty[1], UNREACHED, UNDECIDED)
     for k in range(0, len(near), AT_ONCE):
         which = near[k : k + AT_ONCE]
-        out[which] = _to_unreached(
+        out[which] = _compute_unreached_distance(
             cells,
             at[which],
             known,
-            lambda p: question.reached(system, frame, cells.grid.whole(p), seed),
+            lambda p: question.reached(system, frame, cells.grid.complete_points(p), seed),
         )
     return out
 
 
-def _to_unreached(
+def _compute_unreached_distance(
     cells: CellMap, points: Array, known: np.ndarray, reached: Callable[[Array], np.ndarray]
 ) -> Array:
     """Distance (n,) of points (n, d) from the nearest empty cell that is not reached, less half its
@@ -209,7 +215,7 @@ def _to_unreached(
     return np.maximum(out - half, 0.0)
 
 
-def boundary_of(cells: CellMap) -> Any:
+def find_cell_boundary(cells: CellMap) -> Any:
     """The boundary between cells with and without samples, through the middles between them; see
     `Workspace.boundary`.
 
@@ -217,7 +223,7 @@ def boundary_of(cells: CellMap) -> Any:
     """
     grid = cells.grid
     filled = np.pad(cells.occupied, 1).astype(float)
-    origin = np.array(grid.low)[grid.kept] - 0.5 * grid.size
+    origin = np.array(grid.low)[grid.measured_axes] - 0.5 * grid.size
     if filled.ndim == 1:
         ends = np.flatnonzero(np.diff(filled))
         return (origin + (ends[:, None] + 0.5) * grid.size).ravel()
@@ -241,16 +247,16 @@ FINE = 2**18
 """Cells into which a box is cut at least, as far as halving brings them there."""
 
 
-def outer_measure(system: Model, frame: str, grid: Grid) -> float:
+def compute_outer_measure(system: Model, frame: str, grid: Grid) -> float:
     """Measure of the cells of a box, made finer, of which no bound proves that the frame's origin
     is never there.
     """
     finer = max(1, int((FINE / grid.count) ** (1.0 / len(grid.axes))))
-    left = np.count_nonzero(possible_cells(system, frame, grid, finer))
+    left = np.count_nonzero(find_possible_cells(system, frame, grid, finer))
     return float(left) * float(np.prod(grid.size)) / finer ** len(grid.axes)
 
 
-def possible_cells(system: Model, frame: str, grid: Grid, finer: int = 1) -> np.ndarray:
+def find_possible_cells(system: Model, frame: str, grid: Grid, finer: int = 1) -> np.ndarray:
     """Cells of a box, made finer along each axis, of which no bound proves that the frame's origin
     is never there.
     """
@@ -258,25 +264,27 @@ def possible_cells(system: Model, frame: str, grid: Grid, finer: int = 1) -> np.
     for k, (low, high, cells) in enumerate(zip(grid.low, grid.high, grid.cells, strict=True)):
         ends = (
             np.linspace(low, high, cells * finer + 1)
-            if k in grid.kept
+            if k in grid.measured_axes
             else np.full(2, 0.5 * (low + high))
         )
         near.append((ends[:-1], ends[1:]))
     left = np.ones([len(a) for a, _ in near], dtype=bool)
-    for box, shells, slack in place_bounds(system, frame):
+    for box, shells, slack in compute_place_bounds(system, frame):
         x, y, z = (
             (b >= box[0, k] - slack) & (a <= box[1, k] + slack) for k, (a, b) in enumerate(near)
         )
         left &= x[:, None, None] & y[:, None] & z
         for shell in shells:
-            least, most = (_squares(near, shell.centre, far) for far in (False, True))
+            least, most = (
+                _compute_squared_distances(near, shell.centre, far) for far in (False, True)
+            )
             left &= (least <= (shell.largest + slack) ** 2) & (
                 most >= max(shell.smallest - slack, 0.0) ** 2
             )
     return left.reshape([n * finer for n in grid.shape])
 
 
-def _squares(near: list[tuple[Array, Array]], centre: Array, far: bool) -> Array:
+def _compute_squared_distances(near: list[tuple[Array, Array]], centre: Array, far: bool) -> Array:
     """Squares (nx, ny, nz) of the distances of a point from the nearest, or the farthest, points of
     cells.
     """
@@ -391,7 +399,7 @@ class Workspace(Report):
         itself, or which a first joint without limits turns about an axis in it. It is not used
         where it is not inside the box.
         """
-        found = self._exact_anywhere()
+        found = self._compute_exact()
         grid = self.map.grid
         dim = self.system.dim
         if found is None or len(grid.axes) != dim:
@@ -404,11 +412,11 @@ class Workspace(Report):
         """Pieces of curves that bound it, where it is planar and known exactly; else none."""
         return self.exact.boundary if isinstance(self.exact, PlanarWorkspace) else ()
 
-    def _exact_anywhere(self) -> PlanarWorkspace | SweptSolid | None:
+    def _compute_exact(self) -> PlanarWorkspace | SweptSolid | None:
         if self.system.dim == 3:
-            return swept_solid(self.system, self.frame) if self.kind == REACHABLE else None
+            return find_swept_solid(self.system, self.frame) if self.kind == REACHABLE else None
         try:
-            return planar_answer(self.system, self.frame, self.question)
+            return answer_planar_question(self.system, self.frame, self.question)
         except (UnsupportedError, InputError):
             return None
 
@@ -421,7 +429,7 @@ class Workspace(Report):
         box.
         """
         most = len(self.map.grid.axes)
-        q, good = closed_configurations(self.system, self.seed, 0, LOOKED)
+        q, good = sample_closed_configurations(self.system, self.seed, 0, LOOKED)
         if self.kind != REACHABLE or not good.any():
             return most
         rates = jacobian(self.system, q[good], self.frame)[..., :3, :]
@@ -461,13 +469,15 @@ class Workspace(Report):
         wanted = self.question
         found: list[tuple[float, float]] = []
         if wanted.tried:
-            found.append(counted_measure(self.map, self.samples, int(self.map.counts.sum())))
+            found.append(estimate_from_counts(self.map, self.samples, int(self.map.counts.sum())))
         if wanted.kind != DEXTEROUS:  # there one point costs as much as hundreds of others
             possible = np.ones(self.map.counts.shape, dtype=bool)
             if wanted.kind != ORIENTATION:
-                possible = possible_cells(self.system, self.frame, self.map.grid)
-            found.append(measured(self.system, self.frame, self.map, self.seed, wanted, possible))
-        value, error = together(found)
+                possible = find_possible_cells(self.system, self.frame, self.map.grid)
+            found.append(
+                estimate_measure(self.system, self.frame, self.map, self.seed, wanted, possible)
+            )
+        value, error = combine_estimates(found)
         return min(value, self._outer), error
 
     @cached_property
@@ -475,7 +485,7 @@ class Workspace(Report):
         """An upper bound of the measure in the box, by lengths and limits."""
         if self.kind == ORIENTATION:
             return math.prod(self.map.cell) * self.map.counts.size
-        return outer_measure(self.system, self.frame, self.map.grid)
+        return compute_outer_measure(self.system, self.frame, self.map.grid)
 
     @cached_property
     def bounds(self) -> tuple[float, float]:
@@ -490,7 +500,7 @@ class Workspace(Report):
             return value - error, value + error
         return max(value - error, 0.0), self._outer
 
-    def _measured(self, dimension: int) -> tuple[float, float]:
+    def _check_dimension(self, dimension: int) -> tuple[float, float]:
         axes = self.map.grid.axes
         if len(axes) != dimension:
             has = MEASURES[len(axes)][0]
@@ -501,17 +511,17 @@ class Workspace(Report):
     @property
     def volume(self) -> tuple[float, float]:
         """Volume of what is reached in the box, and its error [m^3]; see `estimate`."""
-        return self._measured(3)
+        return self._check_dimension(3)
 
     @property
     def area(self) -> tuple[float, float]:
         """Area of what is reached in the box, and its error [m^2]; see `estimate`."""
-        return self._measured(2)
+        return self._check_dimension(2)
 
     @property
     def length(self) -> tuple[float, float]:
         """Length of what is reached of a line, and its error [m]; see `estimate`."""
-        return self._measured(1)
+        return self._check_dimension(1)
 
     # ---- single points
 
@@ -525,13 +535,15 @@ class Workspace(Report):
         configuration or not. Of the kind "orientation" points are rotations (..., 3, 3), in the
         plane also angles (...).
         """
-        flat, lead = self._points(points)
+        flat, lead = self._read_points(points)
         if self.exact is not None and not check:
             found = self.exact.contains(flat)
         elif check:
             found = self.question.reached(self.system, self.frame, flat, self.seed)
         else:
-            found = decided(self.system, self.frame, self.map, flat, self.seed, self.question)
+            found = decide_reached(
+                self.system, self.frame, self.map, flat, self.seed, self.question
+            )
         return found.reshape(lead)
 
     def distance(self, points: ArrayLike) -> Array:
@@ -545,14 +557,16 @@ class Workspace(Report):
         """
         if self.kind == ORIENTATION:
             raise UnsupportedError("distances are those of places, not of orientations")
-        flat, lead = self._points(points)
+        flat, lead = self._read_points(points)
         if self.exact is not None:
             return (
                 self.exact.distance(flat) * np.where(self.exact.contains(flat), 1.0, -1.0)
             ).reshape(lead)
         question = self.question
         inside = np.asarray(self.contains(points)).reshape(-1)
-        far = to_boundary(self.system, self.frame, self.map, flat, inside, self.seed, question)
+        far = compute_boundary_distance(
+            self.system, self.frame, self.map, flat, inside, self.seed, question
+        )
         return far.reshape(lead)
 
     @property
@@ -560,10 +574,10 @@ class Workspace(Report):
         """Half the diagonal of a cell [m]."""
         return 0.5 * math.sqrt(sum(x * x for x in self.map.cell))
 
-    def _points(self, points: ArrayLike) -> tuple[Array, tuple[int, ...]]:
+    def _read_points(self, points: ArrayLike) -> tuple[Array, tuple[int, ...]]:
         if self.kind == ORIENTATION:
             R = read_rotations(points, self.system.dim, "points")
-            return coordinates_of(R, self.system.dim).reshape(-1, 3), R.shape[:-2]
+            return compute_rotation_coordinates(R, self.system.dim).reshape(-1, 3), R.shape[:-2]
         x = read_reals(points, "points")
         dim = self.system.dim
         if x.ndim == 0 or x.shape[-1] != dim:
@@ -580,7 +594,7 @@ class Workspace(Report):
         triangles (m, 3) by number (marching cubes), on a line the ends. Errors: `MissingExtraError`
         without the extra [scale].
         """
-        return boundary_of(self.map)
+        return find_cell_boundary(self.map)
 
     # ---- files and pictures
 
@@ -631,7 +645,7 @@ class Workspace(Report):
         box = ", ".join(
             f"{a} {grid.low[k]:.6g} to "
             f"{grid.high[k]:.6g}{'' if a == 'height' else f' {self.map.unit}'}"
-            for a, k in zip(grid.axes, grid.kept, strict=True)
+            for a, k in zip(grid.axes, grid.measured_axes, strict=True)
         )
         if self.exact is not None:
             said = [(name, f"{value:.9g} {unit}, exact but for rounding")]
@@ -665,7 +679,10 @@ class Workspace(Report):
         grid = self.map.grid
         (name, _) = MEASURES[len(self.map.grid.axes)]
         value, error = self.measure
-        box = {a: [grid.low[k], grid.high[k]] for a, k in zip(grid.axes, grid.kept, strict=True)}
+        box = {
+            a: [grid.low[k], grid.high[k]]
+            for a, k in zip(grid.axes, grid.measured_axes, strict=True)
+        }
         numbers = {
             k: getattr(self, k)
             for k in ("samples", "requested", "outside", "left_out", "seed", "redone")
@@ -707,5 +724,5 @@ def open_workspace(path: str | Path, system: Model | None = None) -> Workspace:
         with pause_garbage_collection():
             own: Model = call_late("System", read_toml(toml))
             system = own
-    refuse_other(samples.said, {"system": system.structure.content_hash}, str(path))
+    refuse_other_map(samples.said, {"system": system.structure.content_hash}, str(path))
     return Workspace(system, samples, samples.samples)

@@ -26,7 +26,7 @@ from kempe.numerics.clock import LONG
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import Quantity, format_count
-from kempe.workspace.reach import MOST, Study, checked_poses, reached_from, refuse_many
+from kempe.workspace.reach import MOST, Study, check_targets, refuse_many, study_places
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -101,7 +101,7 @@ class BasePlacement(Study):
     @property
     def best(self) -> Array:
         """Pose (4, 4) of the ground frame of the system at the best place."""
-        return base_pose(np.array([list(self.place().values())]))[0]
+        return compute_base_poses(np.array([list(self.place().values())]))[0]
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Matplotlib axes with the fraction over the first two axes, the others where they are at
@@ -126,15 +126,15 @@ class BasePlacement(Study):
 
     def _data(self) -> dict[str, Any]:
         placed = {"axes": self.axes, "fixed": self.fixed, "best": self.place()}
-        return super()._data() | {name: _with_units(values) for name, values in placed.items()}
+        return super()._data() | {name: _attach_units(values) for name, values in placed.items()}
 
 
-def _with_units(values: Mapping[str, Any]) -> dict[str, Quantity]:
+def _attach_units(values: Mapping[str, Any]) -> dict[str, Quantity]:
     """Numbers x, y, z [m] and yaw [rad] with their units."""
     return {n: Quantity(x, "rad" if n == "yaw" else "m") for n, x in values.items()}
 
 
-def base_pose(places: Array) -> Array:
+def compute_base_poses(places: Array) -> Array:
     """Poses (k, 4, 4) of places (k, 4): x, y, z in metres and yaw in radians."""
     full = np.zeros((len(places), 6))
     full[:, [0, 1, 2, 5]] = places
@@ -170,8 +170,8 @@ def place_base(
         raise InputError(
             f"targets have shape {X.shape}; they must be poses (n, 4, 4), at least one"
         )
-    X = checked_poses(X)
-    axes, fixed = _axes(system, box, cells)
+    X = check_targets(X)
+    axes, fixed = _read_axes(system, box, cells)
     shape = tuple(len(v) for v in axes.values())
     refuse_many(int(np.prod(shape)) * len(X), "cells")
     grid = np.meshgrid(*axes.values(), indexing="ij")
@@ -179,14 +179,14 @@ def place_base(
     for i, n in enumerate(AXES):
         places[:, i] = grid[list(axes).index(n)].ravel() if n in axes else fixed.get(n, 0.0)
 
-    def poses(first: int, last: int) -> Array:
-        return spatial.inverse(base_pose(places[first:last]))[:, None] @ X
+    def compute_targets(first: int, last: int) -> Array:
+        return spatial.inverse(compute_base_poses(places[first:last]))[:, None] @ X
 
-    (hit, far, w), broken = reached_from(
+    (hit, far, w), broken = study_places(
         system,
         name,
         task,
-        poses,
+        compute_targets,
         (len(places), len(X)),
         ("reached", "margin", "manipulability"),
         spend,
@@ -196,7 +196,7 @@ def place_base(
     return BasePlacement(system, name, len(X), axes, fixed, fraction, least_margin, least_w, broken)
 
 
-def _axes(
+def _read_axes(
     system: Model, box: Mapping[str, Any], cells: Any
 ) -> tuple[dict[str, Array], dict[str, float]]:
     """Values of the base's coordinates that vary, and those that do not. Errors: `InputError`."""

@@ -25,7 +25,7 @@ from kempe.spaces.task_space import task_space
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import format_count
-from kempe.workspace.reach import MOST, UNKNOWN, Study, reached_from, refuse_many
+from kempe.workspace.reach import MOST, UNKNOWN, Study, refuse_many, study_places
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -88,10 +88,10 @@ class CapabilityMap(Study):
         said = (
             f"{self._subject}: {some} of {cells} reached, {whole} in all {directions}{self._tail}"
         )
-        return said if some or not self._too_few else f"{said}; {self._too_few}"
+        return said if some or not self._explain_no_reach else f"{said}; {self._explain_no_reach}"
 
     @cached_property
-    def _too_few(self) -> str:
+    def _explain_no_reach(self) -> str:
         """Why directions that are drawn are not reached anywhere, where the frame has too few
         freedoms for them.
         """
@@ -156,28 +156,28 @@ def capability_map(
     spend = USUAL.complete_budget(budget)
     name = system.structure.frame_name(frame)
     dim = system.dim
-    axes = _cells(box, cells, dim)
-    d = _directions(directions, dim)
+    axes = _read_cells(box, cells, dim)
+    d = _read_directions(directions, dim)
     if rolls is not None and (dim == 2 or not is_whole(rolls) or not 1 <= int(rolls) <= 360):
         raise InputError(
             f"rolls is {rolls!r}; it must be a whole number from 1 to 360, in space, or None"
         )
     shape = tuple(len(a) for a in axes)
     angles = None if rolls is None else 2.0 * np.pi * np.arange(int(rolls)) / int(rolls)
-    R = _rotations(d, angles, dim)
+    R = _make_rotations(d, angles, dim)
     centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, dim)
     refuse_many(len(centres) * len(R), "cells or directions")
     task = None if dim == 2 or rolls is not None else "position_axis"
 
-    def poses(first: int, last: int) -> Array:
+    def make_targets(first: int, last: int) -> Array:
         X = np.tile(np.eye(4), (last - first, len(R), 1, 1))
         X[..., :3, :3] = R
         X[..., :dim, 3] = centres[first:last, None]
         return X
 
     names = ("reached", "solutions", "manipulability", "margin")
-    (share, solutions, w, far), broken = reached_from(
-        system, name, task, poses, (len(centres), len(R)), names, spend
+    (share, solutions, w, far), broken = study_places(
+        system, name, task, make_targets, (len(centres), len(R)), names, spend
     )
     hit = share == 1.0
     mean = np.where((solutions == UNKNOWN).any(axis=1), np.nan, solutions.mean(axis=1))
@@ -200,7 +200,7 @@ def capability_map(
     )
 
 
-def _cells(box: ArrayLike, cells: Any, dim: int) -> tuple[Array, ...]:
+def _read_cells(box: ArrayLike, cells: Any, dim: int) -> tuple[Array, ...]:
     """Centres of the cells along each axis. Errors: `InputError`."""
     corners = numbers(box, "box")
     if (
@@ -220,7 +220,7 @@ def _cells(box: ArrayLike, cells: Any, dim: int) -> tuple[Array, ...]:
     )
 
 
-def _directions(directions: Any, dim: int) -> Array:
+def _read_directions(directions: Any, dim: int) -> Array:
     """Unit vectors (d, 3). Errors: `InputError`."""
     if is_whole(directions):
         if not 1 <= int(directions) <= MOST:
@@ -240,7 +240,7 @@ def _directions(directions: Any, dim: int) -> Array:
     return out
 
 
-def _rotations(d: Array, angles: Array | None, dim: int) -> Array:
+def _make_rotations(d: Array, angles: Array | None, dim: int) -> Array:
     """Rotations (k, 3, 3) of the tool, those of all angles about one direction after each other."""
     if dim == 2:
         zero = np.zeros(len(d))

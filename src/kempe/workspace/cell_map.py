@@ -39,7 +39,7 @@ class Grid:
     names: tuple[str, ...] = AXES
 
     @cached_property
-    def kept(self) -> list[int]:
+    def measured_axes(self) -> list[int]:
         """The numbers of the axes that are measured."""
         return [self.names.index(a) for a in self.axes]
 
@@ -51,20 +51,20 @@ class Grid:
     @cached_property
     def size(self) -> Array:
         """Edges (d,) of a cell [m]."""
-        return ((np.array(self.high) - self.low) / self.cells)[self.kept]
+        return ((np.array(self.high) - self.low) / self.cells)[self.measured_axes]
 
     @property
     def shape(self) -> tuple[int, ...]:
         """Cells along each of the `axes`."""
-        return tuple(self.cells[k] for k in self.kept)
+        return tuple(self.cells[k] for k in self.measured_axes)
 
     @cached_property
-    def packed(self) -> Array:
+    def kernel_bounds(self) -> Array:
         """Lower end, cells a metre and number of cells (3, 3), as the kernel takes them."""
         low, high, cells = (np.array(x, dtype=float) for x in (self.low, self.high, self.cells))
         return np.ascontiguousarray(np.stack([low, cells / (high - low), cells], axis=1))
 
-    def centres(self, axis: str) -> Array:
+    def list_centres(self, axis: str) -> Array:
         """Middles of the cells along an axis [m]."""
         k = self.names.index(axis)
         return (
@@ -72,19 +72,19 @@ class Grid:
             + (np.arange(self.cells[k]) + 0.5) * (self.high[k] - self.low[k]) / self.cells[k]
         )
 
-    def places(self, points: Array) -> tuple[np.ndarray, np.ndarray]:
+    def locate_cells(self, points: Array) -> tuple[np.ndarray, np.ndarray]:
         """The cells (..., d) in which points (..., d) are, brought into the box, and which (...)
         are in the box.
         """
-        at = np.floor((points - np.array(self.low)[self.kept]) / self.size)
+        at = np.floor((points - np.array(self.low)[self.measured_axes]) / self.size)
         inside = np.asarray(((at >= 0) & (at < self.shape)).all(axis=-1))
         return np.clip(np.nan_to_num(at), 0, np.array(self.shape) - 1).astype(np.int64), inside
 
-    def flat(self, points: Array) -> np.ndarray:
+    def number_cells(self, points: Array) -> np.ndarray:
         """Numbers (n,) of the cells of points (n, 3), the last axis fastest; `count` for those
         outside.
         """
-        low, by, cells = self.packed.T
+        low, by, cells = self.kernel_bounds.T
         at = np.floor((points - low) * by)
         inside = ((at >= 0) & (at < cells)).all(axis=1)
         at = np.where(inside[:, None], at, 0).astype(np.int64)
@@ -92,10 +92,10 @@ class Grid:
             inside, (at[:, 0] * self.cells[1] + at[:, 1]) * self.cells[2] + at[:, 2], self.count
         )
 
-    def whole(self, points: Array) -> Array:
+    def complete_points(self, points: Array) -> Array:
         """Points (n, 3) of points (n, d) on the `axes`: the others are where everything stays."""
         out = np.tile(0.5 * (np.array(self.low) + self.high), (len(points), 1))
-        out[:, self.kept] = points
+        out[:, self.measured_axes] = points
         return out
 
 
@@ -118,7 +118,7 @@ class CellMap:
     @property
     def axes(self) -> dict[str, Array]:
         """The middles of the cells [m] along each axis, by name."""
-        return {a: self.grid.centres(a) for a in self.grid.axes}
+        return {a: self.grid.list_centres(a) for a in self.grid.axes}
 
     @cached_property
     def occupied(self) -> np.ndarray:
@@ -142,7 +142,9 @@ class CellMap:
             self.occupied, _images.generate_binary_structure(self.counts.ndim, 1)
         )
         at = np.argwhere(self.occupied & ~np.asarray(within, dtype=bool))
-        return KDTree(np.array(self.grid.low)[self.grid.kept] + (at + 0.5) * self.grid.size)
+        return KDTree(
+            np.array(self.grid.low)[self.grid.measured_axes] + (at + 0.5) * self.grid.size
+        )
 
     @cached_property
     def empty(self) -> tuple[KDTree, np.ndarray]:
@@ -152,7 +154,9 @@ class CellMap:
         occupied = np.pad(self.occupied, 1)
         at = np.argwhere(~occupied) - 1
         around = np.asarray(((at < 0) | (at >= self.grid.shape)).any(axis=1))
-        return KDTree(np.array(self.grid.low)[self.grid.kept] + (at + 0.5) * self.grid.size), around
+        return KDTree(
+            np.array(self.grid.low)[self.grid.measured_axes] + (at + 0.5) * self.grid.size
+        ), around
 
     @property
     def cell(self) -> tuple[float, ...]:
@@ -163,7 +167,7 @@ class CellMap:
     def points(self) -> Array:
         """Middles (k, d) [m] of the cells that samples fell into: a cloud of points for a viewer."""
         at = np.argwhere(self.occupied)
-        return np.array(self.grid.low)[self.grid.kept] + (at + 0.5) * self.grid.size
+        return np.array(self.grid.low)[self.grid.measured_axes] + (at + 0.5) * self.grid.size
 
 
 USUAL_CELLS = {1: 1024, 2: 256, 3: 64}
@@ -172,7 +176,7 @@ FEW_CELLS = {1: 512, 2: 64, 3: 20}
 decides."""
 
 
-def grid_of(
+def make_grid(
     extent: Array, cells: Any, box: Any, length: float, dim: int, usual: dict[int, int]
 ) -> Grid:
     """The grid for positions that were seen in `extent` (2, 3), of a system of this characteristic
@@ -209,7 +213,7 @@ def grid_of(
                 high[k] = b
     axes = tuple(AXES[k] for k in moves)
     numbers = [1, 1, 1]
-    for k, count in zip(moves, cell_counts(cells, (high - low)[moves], axes, usual), strict=True):
+    for k, count in zip(moves, count_cells(cells, (high - low)[moves], axes, usual), strict=True):
         numbers[k] = count
     if math.prod(numbers) > MOST_CELLS:
         raise InputError(
@@ -219,7 +223,7 @@ def grid_of(
     return Grid(tuple(low.tolist()), tuple(high.tolist()), tuple(numbers), axes)
 
 
-def cell_counts(
+def count_cells(
     cells: Any, edges: Array, axes: tuple[str, ...], usual: dict[int, int]
 ) -> list[int]:
     """How many cells each axis has: of one number as many along the longest edge, so that they are

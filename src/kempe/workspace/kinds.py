@@ -21,7 +21,7 @@ from kempe.inverse.ik import ik
 from kempe.inverse.ik_all import ik_all
 from kempe.poses import EXACT, compute_rotation_error
 from kempe.spatial import Array
-from kempe.workspace.place_bounds import legs_of, possible_places
+from kempe.workspace.place_bounds import find_legs, find_possible_places
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
@@ -91,35 +91,35 @@ class WorkspaceKind:
         model finds.
         """
         if self.kind == ORIENTATION:
-            return self._reached(system, frame, points, seed)
-        out = possible_places(system, frame, points)
-        out[out] = self._reached(system, frame, points[out], seed)
+            return self._find_reached(system, frame, points, seed)
+        out = find_possible_places(system, frame, points)
+        out[out] = self._find_reached(system, frame, points[out], seed)
         return out
 
-    def _reached(self, system: Model, frame: str, points: Array, seed: int) -> np.ndarray:
+    def _find_reached(self, system: Model, frame: str, points: Array, seed: int) -> np.ndarray:
         X = np.tile(np.eye(4), (len(points), 1, 1))
         X[:, :3, 3] = self.at or points
         if self.kind == REACHABLE:
-            return reached(system, X, frame, "position", seed)
+            return find_reached(system, X, frame, "position", seed)
         if self.kind == ORIENTATION:
-            X[:, :3, :3] = rotations_at(points, system.dim)
-            return reached(system, X, frame, "pose", seed)
+            X[:, :3, :3] = compute_rotations(points, system.dim)
+            return find_reached(system, X, frame, "pose", seed)
         left = np.arange(len(points))
         for R in self.rotations:
             X[:, :3, :3] = R
-            left = left[reached(system, X[left], frame, "pose", seed)] if len(left) else left
+            left = left[find_reached(system, X[left], frame, "pose", seed)] if len(left) else left
         return np.isin(np.arange(len(points)), left)
 
 
-def reached(system: Model, X: Array, frame: str, task: str, seed: int) -> np.ndarray:
+def find_reached(system: Model, X: Array, frame: str, task: str, seed: int) -> np.ndarray:
     """Which poses (n, 4, 4), or for the task "position" their places, a frame is found to reach."""
     if not len(X):
         return np.zeros(0, dtype=bool)
-    legs = legs_of(system, frame) if task == "pose" else ()
+    legs = find_legs(system, frame) if task == "pose" else ()
     if legs:
         out = np.ones(len(X), dtype=bool)
         for leg in legs:
-            out[out] = reached(leg, X[out], frame, task, seed)
+            out[out] = find_reached(leg, X[out], frame, task, seed)
         return out
     if not isinstance(find_plan_or_reason(system, frame, task, Z_AXIS), str):
         goals = X[:, : system.dim, 3] if task == "position" else X
@@ -127,12 +127,12 @@ def reached(system: Model, X: Array, frame: str, task: str, seed: int) -> np.nda
         out = np.asarray(every.mask.any(axis=-1))
         left = ~out & ~np.asarray(every.complete)
         if left.any():
-            out[left] = searched(system, X[left], frame, task, seed)
+            out[left] = search_reached(system, X[left], frame, task, seed)
         return out
-    return searched(system, X, frame, task, seed)
+    return search_reached(system, X, frame, task, seed)
 
 
-def searched(system: Model, X: Array, frame: str, task: str, seed: int) -> np.ndarray:
+def search_reached(system: Model, X: Array, frame: str, task: str, seed: int) -> np.ndarray:
     """The same, by a search; for places with as many starts as `ik` takes by itself."""
     budget = Budget(rng=seed) if task == "position" else Budget(rng=seed, starts=STARTS)
     goals = X[:, : system.dim, 3] if task == "position" else X
@@ -142,7 +142,7 @@ def searched(system: Model, X: Array, frame: str, task: str, seed: int) -> np.nd
 # ---- orientations
 
 
-def rotations_at(points: Array, dim: int) -> Array:
+def compute_rotations(points: Array, dim: int) -> Array:
     """Rotations (n, 3, 3) with the coordinates `TURNED` (n, 3), in the plane the angle alone."""
     a, c, b = points.T
     if dim == 2:
@@ -160,8 +160,8 @@ def rotations_at(points: Array, dim: int) -> Array:
     return np.moveaxis(np.array(rows), -1, 0)
 
 
-def coordinates_of(R: Array, dim: int) -> Array:
-    """Coordinates (..., 3) of rotations (..., 3, 3): the inverse of `rotations_at`; what it does
+def compute_rotation_coordinates(R: Array, dim: int) -> Array:
+    """Coordinates (..., 3) of rotations (..., 3, 3): the inverse of `compute_rotations`; what it does
     not read is 0.
     """
     out = np.zeros(R.shape[:-1])
@@ -184,7 +184,9 @@ def spread_rotations(n: int, dim: int) -> Array:
     Source: Alexa, "Super-Fibonacci Spirals: Fast, Low-Discrepancy Sampling of SO(3)", CVPR 2022.
     """
     if dim == 2:
-        return rotations_at(np.pad(2.0 * np.pi * np.arange(n)[:, None] / n, ((0, 0), (0, 2))), 2)
+        return compute_rotations(
+            np.pad(2.0 * np.pi * np.arange(n)[:, None] / n, ((0, 0), (0, 2))), 2
+        )
     s = np.arange(n) + 0.5
     a = 2.0 * np.pi * s / np.sqrt(2.0)
     b = 2.0 * np.pi * s / 1.533751168755204288118041
@@ -208,7 +210,9 @@ def read_rotations(x: Any, dim: int, what: str = "orientation") -> Array:
     R = numbers(x, what)
     if R.shape[-2:] != (3, 3):
         if dim == 2:
-            R = rotations_at(np.pad(R.reshape(-1, 1), ((0, 0), (0, 2))), 2).reshape(*R.shape, 3, 3)
+            R = compute_rotations(np.pad(R.reshape(-1, 1), ((0, 0), (0, 2))), 2).reshape(
+                *R.shape, 3, 3
+            )
         elif R.shape == (3,):
             R = spatial.pose_from_xyz_rpy(np.concatenate([np.zeros(3), R]))[:3, :3]
         else:
@@ -226,7 +230,7 @@ def read_rotations(x: Any, dim: int, what: str = "orientation") -> Array:
 # ---- the question that arguments pose
 
 
-def question_of(
+def read_question(
     system: Model, frame: str, kind: object, orientation: Any, at: Any
 ) -> WorkspaceKind:
     """The question that arguments of `workspace` pose. Errors: `InputError`."""

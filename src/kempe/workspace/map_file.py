@@ -46,17 +46,23 @@ from kempe.words import format_count, to_json_data
 from kempe.workspace.row_sources import RowSource, open_rows
 from kempe.workspace.store import (
     add_array,
-    chunk_file,
-    description_of,
-    not_written,
-    refuse_other,
+    find_chunk_file,
+    format_description,
+    import_zarr,
+    make_disk_error,
+    refuse_other_map,
     refuse_place,
     refuse_small_disk,
-    restore_former,
+    restore_former_map,
     write_group,
-    zarr_library,
 )
-from kempe.workspace.workers import Pace, connected, refuse_kernels, results_of, work_in_threads
+from kempe.workspace.workers import (
+    Pace,
+    connect_client,
+    iterate_results,
+    refuse_kernels,
+    work_in_threads,
+)
 
 if TYPE_CHECKING:
     from kempe.model.model import FrameLike, Model
@@ -88,7 +94,7 @@ class RowJob:
     variant: str = VARIANT
     version: str = field(default=__version__)
 
-    def said(self) -> dict[str, Any]:
+    def describe_job(self) -> dict[str, Any]:
         """What is written beside a map, and must be the same for it to be gone on with. Errors:
         `InputError`.
         """
@@ -111,7 +117,7 @@ class RowJob:
             "version": self.version,
         }
 
-    def answers(self, rows: Array) -> Arrays:
+    def answer_rows(self, rows: Array) -> Arrays:
         """What the verb answers to rows (n, *tail), each array with n rows, in one thread. Errors:
         `KernelsError`.
         """
@@ -120,18 +126,18 @@ class RowJob:
         return {name: np.asarray(x, dtype=TYPES.get(name)) for name, x in answers.items()}
 
     @cached_property
-    def layout(self) -> dict[str, np.ndarray]:
+    def answer_layout(self) -> dict[str, np.ndarray]:
         """The arrays of no rows: their shapes and types. Errors: those of the verb for its options."""
-        return self.answers(np.zeros((0, *self.tail)))
+        return self.answer_rows(np.zeros((0, *self.tail)))
 
     @property
     def row_bytes(self) -> list[int]:
         """Bytes of the answer to a row, of each array."""
-        return [a.itemsize * int(np.prod(a.shape[1:])) for a in self.layout.values()]
+        return [a.itemsize * int(np.prod(a.shape[1:])) for a in self.answer_layout.values()]
 
     # ---- what a row is
 
-    def configurations(self, rows: Array) -> Array:
+    def read_configurations(self, rows: Array) -> Array:
         """Configurations (n, nq) of rows: all coordinates in order, or some by name. Errors:
         `InputError`.
         """
@@ -144,9 +150,9 @@ class RowJob:
                 f"column {missing[0]!r} is missing, which the loops of {self.system.name!r} "
                 f"decide: give all of {every}, or map assemble first"
             )
-        return make_q(self.system, self.by_name(rows))
+        return make_q(self.system, self.name_columns(rows))
 
-    def by_name(self, rows: Array) -> dict[str, Array]:
+    def name_columns(self, rows: Array) -> dict[str, Array]:
         """The columns (n,) by their names, angles in radians. Errors: `InputError`."""
         if self.columns is None:
             raise InputError(
@@ -159,7 +165,7 @@ class RowJob:
             for name, x in zip(self.columns, rows.T, strict=True)
         }
 
-    def targets(self, rows: Array) -> Array:
+    def read_targets(self, rows: Array) -> Array:
         """Targets of rows: poses (n, 4, 4), or positions (n, 3), where only these count. Errors:
         `InputError`.
         """
@@ -182,7 +188,7 @@ class RowJob:
             )
         return np.ascontiguousarray(X[:, : self.system.dim, 3]) if position else X
 
-    def axes(self) -> dict[str, list[str]]:
+    def label_axes(self) -> dict[str, list[str]]:
         """What stands along the axes that have names."""
         q = list(self.system.coordinate_names)
         unit = list_units(self.system)
@@ -204,8 +210,8 @@ class Verb(NamedTuple):
     needs_frame: bool = True
 
 
-def _fk(job: RowJob, rows: Array) -> Arrays:
-    X = fk(job.system, job.configurations(rows), job.frame, threads=1, **job.options)
+def _answer_fk(job: RowJob, rows: Array) -> Arrays:
+    X = fk(job.system, job.read_configurations(rows), job.frame, threads=1, **job.options)
     form = job.options.get("form") or "matrix"
     finite = np.isfinite(X).all(axis=tuple(range(1, X.ndim)))
     return {
@@ -214,46 +220,49 @@ def _fk(job: RowJob, rows: Array) -> Arrays:
     }
 
 
-def _ik(job: RowJob, rows: Array) -> Arrays:
+def _answer_ik(job: RowJob, rows: Array) -> Arrays:
     budget = Budget(rng=job.rng, threads=1)
-    answer = ik(job.system, job.targets(rows), job.frame, budget=budget, **job.options)
-    return fields_of(answer, "q", "code", "position_error", "orientation_error")
+    answer = ik(job.system, job.read_targets(rows), job.frame, budget=budget, **job.options)
+    return select_fields(answer, "q", "code", "position_error", "orientation_error")
 
 
-def _ik_all(job: RowJob, rows: Array) -> Arrays:
+def _answer_ik_all(job: RowJob, rows: Array) -> Arrays:
     if job.options.get("limits") == "turns":
         raise InputError(
             "limits='turns' gives as many solutions as there are turns; a map has room for one of "
             "each"
         )
     answer: Any = ik_all(
-        job.system, job.targets(rows), str(job.frame), budget=Budget(threads=1), **job.options
+        job.system, job.read_targets(rows), str(job.frame), budget=Budget(threads=1), **job.options
     )
-    fields = fields_of(answer, "q", "code", "residual", "inside", "complete")
+    fields = select_fields(answer, "q", "code", "residual", "inside", "complete")
     return {**fields, "count": answer.mask.sum(axis=-1)}
 
 
-def _assemble(job: RowJob, rows: Array) -> Arrays:
+def _answer_assemble(job: RowJob, rows: Array) -> Arrays:
     if job.options.get("prefer") == "continuous":
         raise InputError(
             "prefer='continuous' goes row by row; a map has its rows answered side by side"
         )
     budget = Budget(rng=job.rng, threads=1)
-    answer = assemble(job.system, job.by_name(rows), budget=budget, **job.options)
-    return fields_of(answer, "q", "code", "residual")
+    answer = assemble(job.system, job.name_columns(rows), budget=budget, **job.options)
+    return select_fields(answer, "q", "code", "residual")
 
 
-def fields_of(answer: Any, *names: str) -> Arrays:
+def select_fields(answer: Any, *names: str) -> Arrays:
     """Fields of an answer to many rows."""
     return {name: getattr(answer, name) for name in names}
 
 
 VERBS = {
-    "fk": Verb(_fk, ("form", "dtype"), 2**16, needs_frame=False),
-    "ik": Verb(_ik, ("task", "start", "method", "tolerance"), 2**12),
-    "ik_all": Verb(_ik_all, ("task", "start", "fixed", "limits", "tolerance"), 2**12),
+    "fk": Verb(_answer_fk, ("form", "dtype"), 2**16, needs_frame=False),
+    "ik": Verb(_answer_ik, ("task", "start", "method", "tolerance"), 2**12),
+    "ik_all": Verb(_answer_ik_all, ("task", "start", "fixed", "limits", "tolerance"), 2**12),
     "assemble": Verb(
-        _assemble, ("start", "branch", "prefer", "limits", "tolerance"), 2**12, needs_frame=False
+        _answer_assemble,
+        ("start", "branch", "prefer", "limits", "tolerance"),
+        2**12,
+        needs_frame=False,
     ),
 }
 """The verbs that files can be mapped by."""
@@ -282,7 +291,7 @@ TYPES = {"code": np.uint8, "count": np.uint8, "complete": np.bool_}
 """Types of arrays on disk, where they are smaller than those of answers."""
 
 
-def axes_of(name: str, array: np.ndarray) -> tuple[str, ...]:
+def name_axes(name: str, array: np.ndarray) -> tuple[str, ...]:
     """The names of the axes of an array: rows, then what there is several of, then those of its
     own.
     """
@@ -291,7 +300,7 @@ def axes_of(name: str, array: np.ndarray) -> tuple[str, ...]:
     return ("row", *([several] if array.ndim > len(own) + 1 else []), *own)
 
 
-def job_of(
+def make_job(
     system: Model,
     verb: str,
     frame: Any,
@@ -319,8 +328,8 @@ def job_of(
             raise InputError(f"start is {start.tolist()}; its numbers must be finite")
     name = None if frame is None else system.structure.frame_name(frame)
     job = RowJob(system, verb, name, given, source.tail, source.names, degrees, rng)
-    job.said()
-    assert set(job.layout) <= set(AXES)
+    job.describe_job()
+    assert set(job.answer_layout) <= set(AXES)
     return job
 
 
@@ -337,7 +346,7 @@ PIECES = 8
 stopped."""
 
 
-def checksum_of_rows(rows: Array) -> int:
+def compute_rows_checksum(rows: Array) -> int:
     """A checksum, 64 bits, of rows."""
     return int.from_bytes(hashlib.sha256(np.ascontiguousarray(rows).data).digest()[:8], "little")
 
@@ -352,29 +361,34 @@ class RowStore:
     """
 
     def __init__(self, path: Path, job: RowJob, source: RowSource, chunk: int):
-        zarr_library()
-        restore_former(path)
+        import_zarr()
+        restore_former_map(path)
         refuse_place(path, FORMAT)
         self.path = path
         self.job = job
         self.source = source
         self.chunk = chunk
-        self.said = {**job.said(), "rows": source.n, "chunk": chunk, "source": source.identity()}
+        self.said = {
+            **job.describe_job(),
+            "rows": source.n,
+            "chunk": chunk,
+            "source": source.identify_files(),
+        }
         self.arrays: Arrays = {}
         self.done: dict[int, int] = {}
         self.damaged = 0
 
-    def open(self, check: Callable[[], None]) -> None:
-        """Open the group, or make it, and read all chunks that are done; `check` is called for each
+    def open_group(self, check: Callable[[], None]) -> None:
+        """Open the group, or make it, and read all chunks that are done; `check_progress` is called for each
         of them.
 
         Errors: `InputError` where the group is of another map, or the rows have changed;
         `DamagedError` where it does not describe its arrays; `DiskError`.
         """
-        zarr = zarr_library()
+        zarr = import_zarr()
         if not self.path.exists():
             refuse_small_disk(self.path.parent, self.source.n * sum(self.job.row_bytes))
-            made = {**self.said, "toml": description_of(self.job.system)}
+            made = {**self.said, "toml": format_description(self.job.system)}
             title = f"{self.job.verb} of {self.job.frame or self.job.system.name}"
             attributes = {"title": title, "format": FORMAT, "kempe": json.dumps(made)}
             write_group(self.path, FORMAT, attributes, self._add_arrays)
@@ -382,27 +396,27 @@ class RowStore:
             group = zarr.open_group(str(self.path), mode="r+")
             made = json.loads(group.attrs["kempe"])
             same = [key for key in self.said if key != "source"]
-            refuse_other(made, self.said, str(self.path), same)
+            refuse_other_map(made, self.said, str(self.path), same)
             with zarr.config.set({"array.write_empty_chunks": True}):
-                self.arrays = {name: group[name] for name in (*self.job.layout, DONE)}
-            axes = {name: group[name] for name in self._words()}
+                self.arrays = {name: group[name] for name in (*self.job.answer_layout, DONE)}
+            axes = {name: group[name] for name in self._list_axis_words()}
         except InputError:  # it is another map
             raise
         except UNREADABLE as error:
             raise DamagedError(
                 f"{self.path} is damaged: {error}; remove it, and the same call makes it anew"
             ) from error
-        for name, words in self._words().items():
-            self._repair(axes[name], words)
+        for name, words in self._list_axis_words().items():
+            self._repair_words(axes[name], words)
         for k in range(self.arrays[DONE].shape[0]):
-            if chunk_file(self.arrays[DONE], (k, 0)).exists():
+            if find_chunk_file(self.arrays[DONE], (k, 0)).exists():
                 check()
-                self._read_done(k, same_rows=made["source"] == self.said["source"])
+                self._read_done_rows(k, same_rows=made["source"] == self.said["source"])
 
     def _add_arrays(self, group: Any) -> None:
         """Add the arrays, without their chunks, and the words along the axes."""
         n = self.source.n
-        for name, empty in self.job.layout.items():
+        for name, empty in self.job.answer_layout.items():
             _, what, unit = AXES[name]
             more: dict[str, Any] = {"long_name": what, "units": unit}
             if name == "code":
@@ -417,12 +431,12 @@ class RowStore:
                 (n, *tail),
                 empty.dtype,
                 (self.chunk, *tail),
-                axes_of(name, empty),
+                name_axes(name, empty),
                 packed=empty.itemsize == 1,  # configurations do not get smaller
-                fill=fill_of(name, empty),
+                fill=choose_fill_value(name, empty),
                 **more,
             )
-        for name, words in self._words().items():
+        for name, words in self._list_axis_words().items():
             dims = ("coordinate",) if name == "unit" else (name,)
             add_array(group, name, (len(words),), str, (len(words),), dims)[...] = np.array(words)
         what = "number of answered rows of a chunk, and their checksum"
@@ -430,16 +444,20 @@ class RowStore:
         dims = ("chunk", "rows_and_checksum")
         add_array(group, DONE, size, np.uint64, (1, 2), dims, packed=False, long_name=what)
 
-    def _words(self) -> dict[str, list[str]]:
+    def _list_axis_words(self) -> dict[str, list[str]]:
         """The axes that have words, such as names of coordinates, and these."""
-        used = {axis for name, empty in self.job.layout.items() for axis in axes_of(name, empty)}
+        used = {
+            axis
+            for name, empty in self.job.answer_layout.items()
+            for axis in name_axes(name, empty)
+        }
         return {
             name: words
-            for name, words in self.job.axes().items()
+            for name, words in self.job.label_axes().items()
             if name in used or (name == "unit" and "coordinate" in used)
         }
 
-    def _repair(self, array: Any, words: list[str]) -> None:
+    def _repair_words(self, array: Any, words: list[str]) -> None:
         """Write the words along an axis again, if they are not what was written."""
         try:
             if array[...].tolist() == words:
@@ -449,89 +467,98 @@ class RowStore:
         self.damaged += 1
         array[...] = np.array(words)
 
-    def _read_done(self, k: int, same_rows: bool) -> None:
+    def _read_done_rows(self, k: int, same_rows: bool) -> None:
         """Take down how many rows of a chunk are answered, unless its files are damaged. Errors:
         `InputError` where the rows have changed.
         """
-        first, last = self._ends(k)
+        first, last = self._bound_chunk(k)
         try:
             count, checksum = (int(x) for x in self.arrays[DONE][k])
-            for name in self.job.layout:
+            for name in self.job.answer_layout:
                 array = self.arrays[name]
-                chunk_file(array, (k,) + (0,) * (array.ndim - 1)).stat()  # else it reads as empty
+                find_chunk_file(
+                    array, (k,) + (0,) * (array.ndim - 1)
+                ).stat()  # else it reads as empty
                 array[first:last]
         except UNREADABLE:
             self.damaged += 1
             return
-        if not same_rows and checksum_of_rows(self.source.read(first, first + count)) != checksum:
+        if (
+            not same_rows
+            and compute_rows_checksum(self.source.read_rows(first, first + count)) != checksum
+        ):
             raise InputError(
                 f"{self.path} belongs to another map: the rows {first} to {first + count} of "
                 f"{self.source.path} have changed since; take another path, or remove it"
             )
         self.done[k] = count
 
-    def _ends(self, k: int) -> tuple[int, int]:
+    def _bound_chunk(self, k: int) -> tuple[int, int]:
         return k * self.chunk, min((k + 1) * self.chunk, self.source.n)
 
     # ---- answers
 
     @property
-    def rows(self) -> int:
+    def n_rows(self) -> int:
         """How many rows are answered."""
         return sum(list(self.done.values()))
 
-    def missing(self) -> Iterator[tuple[int, Array]]:
+    def list_missing_chunks(self) -> Iterator[tuple[int, Array]]:
         """The chunks of which rows are left: their numbers and all their rows."""
         for k in range(self.arrays[DONE].shape[0]):
-            first, last = self._ends(k)
+            first, last = self._bound_chunk(k)
             if self.done.get(k, 0) < last - first:
-                yield k, self.source.read(first, last)
+                yield k, self.source.read_rows(first, last)
 
-    def answer(self, k: int, rows: Array) -> None:
+    def answer_chunk(self, k: int, rows: Array) -> None:
         """Answer the rows of a chunk and write the answers, where the thread is told to stop those
         that are done. Errors: `DiskError`, those of the verb.
         """
         piece = max(1, VERBS[self.job.verb].rows // PIECES)
-        first, _ = self._ends(k)
+        first, _ = self._bound_chunk(k)
         count = self.done.get(k, 0)
-        parts = [{name: self.arrays[name][first : first + count] for name in self.job.layout}]
+        parts = [
+            {name: self.arrays[name][first : first + count] for name in self.job.answer_layout}
+        ]
         try:
             for at in range(count, len(rows), piece):
-                parts.append(self.job.answers(rows[at : at + piece]))
+                parts.append(self.job.answer_rows(rows[at : at + piece]))
         finally:
             if len(parts) > 1:
                 answers = {name: np.concatenate([p[name] for p in parts]) for name in parts[0]}
-                self.write(k, rows, answers)
+                self.write_answers(k, rows, answers)
 
-    def write(self, k: int, rows: Array, answers: Arrays) -> None:
+    def write_answers(self, k: int, rows: Array, answers: Arrays) -> None:
         """Write the answers to the first rows of a chunk, or to all. Errors: `DiskError`."""
-        first, last = self._ends(k)
+        first, last = self._bound_chunk(k)
         count = len(answers["code"])
         try:
             for name, found in answers.items():
                 whole = np.full(
-                    (last - first, *found.shape[1:]), fill_of(name, found), dtype=found.dtype
+                    (last - first, *found.shape[1:]),
+                    choose_fill_value(name, found),
+                    dtype=found.dtype,
                 )
                 whole[:count] = found
                 self.arrays[name][first:last] = whole
-            checksum = checksum_of_rows(rows[:count])
+            checksum = compute_rows_checksum(rows[:count])
             self.arrays[DONE][k] = np.array([count, checksum], dtype=np.uint64)
         except OSError as error:
-            raise not_written(self.path, error) from error
+            raise make_disk_error(self.path, error) from error
         self.done[k] = count
 
-    def outcomes(self) -> dict[str, int]:
+    def count_outcomes(self) -> dict[str, int]:
         """How many of the answered rows have which outcome, by its name."""
         counts = np.zeros(len(MEMBERS), dtype=np.int64)
         for k, count in self.done.items():
-            first, _ = self._ends(k)
+            first, _ = self._bound_chunk(k)
             counts += np.bincount(
                 self.arrays["code"][first : first + count], minlength=len(MEMBERS)
             )
         return {MEMBERS[k].name: int(c) for k, c in enumerate(counts) if c}
 
 
-def fill_of(name: str, array: np.ndarray) -> Any:
+def choose_fill_value(name: str, array: np.ndarray) -> Any:
     """What stands in an array for rows that are not answered yet."""
     return LEFT if name == "code" else np.nan if array.dtype.kind == "f" else 0
 
@@ -550,7 +577,7 @@ MANY = 2**16
 class FileMap(Report):
     """What a verb answered to the rows of a file, and where that is.
 
-    `rows` of the `requested` ones are done, in chunks of `chunk` rows; `outcomes` says how many of
+    `n_rows` of the `requested` ones are done, in chunks of `chunk` rows; `count_outcomes` says how many of
     them came to which `Status`, by its name. Where the work was `interrupted`, or the time limit
     came (`late`), the same call goes on.
     """
@@ -652,37 +679,37 @@ def map_file(
     clock = TimeLimit(spend.time_limit)
     threads = choose_thread_count(spend.threads)
     rows = open_rows(source, None if columns is None else read_names(columns, "columns"))
-    job = job_of(
+    job = make_job(
         system, verb, frame, options, rows, read_flag(degrees, "degrees"), draw_seed(spend.rng)
     )
-    store = RowStore(expand_path(path), job, rows, _chunk(job, rows))
-    client = None if client is None else connected(client)
+    store = RowStore(expand_path(path), job, rows, _choose_chunk_size(job, rows))
+    client = None if client is None else connect_client(client)
     broken = None
     try:
-        broken = _fill(store, client, threads, Pace(spend.progress, rows.n, clock))
+        broken = _answer_missing_rows(store, client, threads, Pace(spend.progress, rows.n, clock))
     except BROKEN_OFF as error:
         broken = error
     finally:
         if own and client is not None:
             client.close()
     interrupted = isinstance(broken, KeyboardInterrupt)
-    late = broken is not None and not interrupted and store.rows < rows.n
+    late = broken is not None and not interrupted and store.n_rows < rows.n
     return FileMap(
         system,
         verb,
         rows.path,
         store.path,
-        store.rows,
+        store.n_rows,
         rows.n,
         store.chunk,
-        store.outcomes(),
+        store.count_outcomes(),
         interrupted,
         late,
         store.damaged,
     )
 
 
-def _chunk(job: RowJob, rows: RowSource) -> int:
+def _choose_chunk_size(job: RowJob, rows: RowSource) -> int:
     """Rows of a chunk: what a verb takes at once, more where there are very many, as the memory
     allows.
     """
@@ -691,26 +718,34 @@ def _chunk(job: RowJob, rows: RowSource) -> int:
     return max(1, min(wanted, most, rows.n))
 
 
-def _fill(store: RowStore, client: Any, threads: int, pace: Pace) -> BaseException | None:
+def _answer_missing_rows(
+    store: RowStore, client: Any, threads: int, pace: Pace
+) -> BaseException | None:
     """Answer all rows that are not answered, and return what broke it off. Errors: those of the
     verb, and what broke it off.
     """
 
-    def check(_: int = 0) -> None:
-        pace(store.rows)
+    def check_progress(_: int = 0) -> None:
+        pace(store.n_rows)
 
-    store.open(check)
-    if store.rows == store.source.n:
+    store.open_group(check_progress)
+    if store.n_rows == store.source.n:
         return None
     broken = None
     if client is None:
         _, broken = work_in_threads(
-            store.missing(), lambda _, part: store.answer(*part), threads, check, stops=True
+            store.list_missing_chunks(),
+            lambda _, part: store.answer_chunk(*part),
+            threads,
+            check_progress,
+            stops=True,
         )
     else:
-        parts = ((part, part[1:]) for part in store.missing())
-        for (k, rows), answers in results_of(client, RowJob.answers, store.job, parts, check):
-            store.write(k, rows, answers)
+        parts = ((part, part[1:]) for part in store.list_missing_chunks())
+        for (k, rows), answers in iterate_results(
+            client, RowJob.answer_rows, store.job, parts, check_progress
+        ):
+            store.write_answers(k, rows, answers)
     if broken is None:
-        pace(store.rows, at_once=True)
+        pace(store.n_rows, at_once=True)
     return broken

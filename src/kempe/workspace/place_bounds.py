@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 
 @keep_answers
-def legs_of(system: Model, frame: str) -> tuple[Model, ...]:
+def find_legs(system: Model, frame: str) -> tuple[Model, ...]:
     """The legs to a frame, each a system with that frame; none where the mechanism is not made of
     two legs or more.
 
@@ -53,7 +53,7 @@ def legs_of(system: Model, frame: str) -> tuple[Model, ...]:
     if m.constraints or m.couplings or system.structure.relations or body == ground:
         return ()
     out: list[Model] = []
-    for names in _between(m, ground, body):
+    for names in _find_joints_between(m, ground, body):
         part = m.copy()
         part.joints = {n: m.joints[n] for n in names}
         part.postures = {}
@@ -64,7 +64,7 @@ def legs_of(system: Model, frame: str) -> tuple[Model, ...]:
     return tuple(out) if len(out) > 1 else ()
 
 
-def _between(m: Mechanism, ground: str, body: str) -> list[list[str]]:
+def _find_joints_between(m: Mechanism, ground: str, body: str) -> list[list[str]]:
     """Names of the joints of each part that lies between two bodies, without what hangs on it."""
     ends = {ground, body}
     free = dict(m.joints)
@@ -79,7 +79,7 @@ def _between(m: Mechanism, ground: str, body: str) -> list[list[str]]:
                 inside |= {j.parent, j.child} - ends
                 names.append(j.name)
                 del free[j.name]
-        parts.append(_trimmed(m, names, ends))
+        parts.append(_drop_dead_ends(m, names, ends))
     return [
         names
         for names in parts
@@ -87,7 +87,7 @@ def _between(m: Mechanism, ground: str, body: str) -> list[list[str]]:
     ]
 
 
-def _trimmed(m: Mechanism, names: list[str], ends: set[str]) -> list[str]:
+def _drop_dead_ends(m: Mechanism, names: list[str], ends: set[str]) -> list[str]:
     """The joints without those that lead to a body on which no other joint is."""
     while True:
         bodies = [b for n in names for b in (m.joints[n].parent, m.joints[n].child)]
@@ -121,17 +121,19 @@ class PlaceBounds(NamedTuple):
 
 
 @keep_answers
-def place_bounds(system: Model, frame: str) -> tuple[PlaceBounds, ...]:
+def compute_place_bounds(system: Model, frame: str) -> tuple[PlaceBounds, ...]:
     """What bounds the places of a frame: of each leg to it, or of its chain."""
-    return tuple(_bounds(part, frame) for part in legs_of(system, frame) or (system,))
+    return tuple(
+        _compute_chain_bounds(part, frame) for part in find_legs(system, frame) or (system,)
+    )
 
 
-def possible_places(system: Model, frame: str, points: Array) -> np.ndarray:
+def find_possible_places(system: Model, frame: str, points: Array) -> np.ndarray:
     """Which points (n, 3) are not proven to be out of reach of the origin by more than `MISSED`; of
     NaN none.
     """
     out = np.asarray(np.isfinite(points).all(axis=1))
-    for (low, high), shells, slack in place_bounds(system, frame):
+    for (low, high), shells, slack in compute_place_bounds(system, frame):
         slack += MISSED
         out &= ((points >= low - slack) & (points <= high + slack)).all(axis=1)
         for shell in shells:
@@ -140,7 +142,7 @@ def possible_places(system: Model, frame: str, points: Array) -> np.ndarray:
     return out
 
 
-def _bounds(system: Model, frame: str) -> PlaceBounds:
+def _compute_chain_bounds(system: Model, frame: str) -> PlaceBounds:
     table, _, v_index = extract_chain(system.structure.table, frame)
     ints, floats = table.pack_arrays([frame])
     limits = system.structure.limits[v_index].T
@@ -152,26 +154,26 @@ def _bounds(system: Model, frame: str) -> PlaceBounds:
     for row, own, X in zip(rows[::-1], numbers[::-1], placements[-2::-1], strict=True):
         if row[KIND] == TURN:
             ends = np.sort(own[MULTIPLIER] * limits[:, row[V_INDEX]])
-            box = _turned(box, *(ends + math.atan2(own[SIN_OFFSET], own[COS_OFFSET])))
+            box = _bound_turned_box(box, *(ends + math.atan2(own[SIN_OFFSET], own[COS_OFFSET])))
         elif row[KIND] == SLIDE:
             box[:, 2] += np.sort(own[MULTIPLIER] * limits[:, row[V_INDEX]])
         else:
             far = float(np.linalg.norm(np.abs(box).max(axis=0)))
             box = np.array([[-far] * 3, [far] * 3])
-        box = _placed(box, X)
+        box = _bound_placed_box(box, X)
     return PlaceBounds(
         box, shells, ROUNDING * (1.0 + float(np.abs(box[np.isfinite(box)]).max(initial=0.0)))
     )
 
 
-def _placed(box: Array, X: Array) -> Array:
+def _bound_placed_box(box: Array, X: Array) -> Array:
     """The smallest box that holds a placed one."""
     with np.errstate(invalid="ignore"):
         ends = np.where(X[:, :3] == 0.0, 0.0, X[:, :3] * box[:, None, :])
     return X[:, 3] + np.stack([ends.min(axis=0).sum(axis=1), ends.max(axis=0).sum(axis=1)])
 
 
-def _turned(box: Array, low: float, high: float) -> Array:
+def _bound_turned_box(box: Array, low: float, high: float) -> Array:
     """The smallest box that holds one turned about z by the angles from `low` to `high`."""
     out = box.copy()
     if not np.isfinite(box[:, :2]).all():

@@ -51,10 +51,10 @@ PROVEN = [int(s) for s in Status if s.proof]
 
 @dataclass(frozen=True, eq=False)
 class ReachedPoses:
-    """Of poses (n,): whether they are `reached`, by how many `solutions`, and the best of these.
+    """Of poses (n,): whether they are `study_targets`, by how many `solutions`, and the best of these.
 
     `solutions` are those inside the limits, `UNKNOWN` where it is not certain that all are known.
-    `manipulability` and `margin` are the largest of those found, each by itself; `q` (n, nq) has
+    `compute_manipulability` and `compute_margin` are the largest of those found, each by itself; `q` (n, nq) has
     the largest margin.
     """
 
@@ -77,7 +77,7 @@ LONG = 16
 square."""
 
 
-def checked_poses(X: Array) -> Array:
+def check_targets(X: Array) -> Array:
     """Targets (n, ...), of which poses (n, 4, 4) that are off by rounding are the nearest ones.
 
     Errors: `InputError` that says which one has entries that are not finite, or is no pose.
@@ -87,7 +87,7 @@ def checked_poses(X: Array) -> Array:
     return check_range(X, "targets")
 
 
-def manipulability(system: Model, frame: str, q: Array, task: str) -> Array:
+def compute_manipulability(system: Model, frame: str, q: Array, task: str) -> Array:
     """Manipulability (...) at q (..., nq): sqrt(det(J J^T)) of the rows that count, lengths in
     characteristic lengths.
 
@@ -103,7 +103,7 @@ def manipulability(system: Model, frame: str, q: Array, task: str) -> Array:
     return np.sqrt(np.maximum(np.linalg.det(G), 0.0))
 
 
-def margin(system: Model, q: Array) -> Array:
+def compute_margin(system: Model, q: Array) -> Array:
     """How far (...) q (..., nq) is from the nearest limit, of half the range: 0 at it, 1 in the
     middle; inf without.
     """
@@ -120,7 +120,9 @@ def margin(system: Model, q: Array) -> Array:
     return (np.minimum(x - low, high - x) / (0.5 * (high - low))).min(axis=-1)
 
 
-def reached(system: Model, targets: Array, frame: str, task: Any, budget: Budget) -> ReachedPoses:
+def study_targets(
+    system: Model, targets: Array, frame: str, task: Any, budget: Budget
+) -> ReachedPoses:
     """What is reached of `targets` (n, ...), as `System.ik` takes them."""
     single = ik(system, targets, frame, task=task, budget=budget)
     said, axis = task_and_axis(task)
@@ -137,7 +139,10 @@ def reached(system: Model, targets: Array, frame: str, task: Any, budget: Budget
     w = np.full(mask.shape, np.nan)
     far = np.full(mask.shape, np.nan)
     if mask.any():
-        w[mask], far[mask] = manipulability(system, frame, q[mask], name), margin(system, q[mask])
+        w[mask], far[mask] = (
+            compute_manipulability(system, frame, q[mask], name),
+            compute_margin(system, q[mask]),
+        )
     any_ = np.asarray(mask.any(axis=1))
     best = np.argmax(np.where(mask, far, -np.inf), axis=1)
     at = np.arange(len(q))
@@ -157,7 +162,7 @@ def refuse_many(poses: int, fewer: str) -> None:
         raise InputError(f"{poses} poses would be tried; {MOST} at most: take fewer {fewer}")
 
 
-def reached_from(
+def study_places(
     system: Model,
     frame: str,
     task: Any,
@@ -186,7 +191,7 @@ def reached_from(
                 clock.check()
                 X = targets(first, min(first + at_once, count))
                 last = first + len(X)
-                answer = reached(system, X.reshape(-1, *X.shape[2:]), frame, task, each)
+                answer = study_targets(system, X.reshape(-1, *X.shape[2:]), frame, task, each)
                 for array, name in zip(out, names, strict=True):
                     array[first:last] = getattr(answer, name).reshape(array[first:last].shape)
                 if spend.progress is not None:
@@ -231,8 +236,8 @@ class Study(Report):
 class ReachStudy(Study, Tabular):
     """Which of a list of poses a frame reaches, how well, and what blocks the others.
 
-    All have a place for each pose (n,): `reached`; `solutions`, the number of configurations inside
-    the limits (-1 where it is infinite or not certain); `manipulability` and `margin`, the best of
+    All have a place for each pose (n,): `study_targets`; `solutions`, the number of configurations inside
+    the limits (-1 where it is infinite or not certain); `compute_manipulability` and `compute_margin`, the best of
     those that were found (NaN where there is none): the margin is how far, of half its range, a
     joint is from its nearest limit; `q` (n, nq) the configuration with the largest margin, or the
     nearest to the pose; `codes` the outcomes, as numbers of `Status`. Where the study was `broken`
@@ -364,10 +369,10 @@ def reach_poses(
             f"targets have shape {X.shape}; they must be a list: poses (n, 4, 4), rotations (n, 3, "
             f"3) or places (n, {system.dim})"
         )
-    X = checked_poses(X)
+    X = check_targets(X)
 
     names = ("reached", "solutions", "manipulability", "margin", "q", "code")
-    fields, broken = reached_from(
+    fields, broken = study_places(
         system, name, task, lambda first, last: X[first:last, None], (len(X), 1), names, spend
     )
     hit, solutions, w, far, q, codes = (array[:, 0] for array in fields)

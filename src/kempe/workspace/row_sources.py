@@ -18,7 +18,7 @@ from kempe.description.source import expand_path
 from kempe.errors import UNREADABLE, DamagedError, InputError, KempeError, MissingExtraError
 from kempe.spatial import Array
 from kempe.words import choose_verb, format_count, join_words
-from kempe.workspace.store import zarr_library
+from kempe.workspace.store import import_zarr
 
 BLOCK_ROWS = 2**16
 """Rows of a block where the file itself has none, or smaller ones."""
@@ -27,7 +27,7 @@ BLOCK_BYTES = 2**30
 
 
 class RowSource:
-    """The rows of a file: `edges` of its blocks, what the k-th `block` holds, and what a row is.
+    """The rows of a file: `edges` of its blocks, what the k-th `read_block` holds, and what a row is.
 
     A row has a shape `tail`; where that is one axis its columns may have `names`.
     """
@@ -53,7 +53,7 @@ class RowSource:
         """Bytes of a row of float64."""
         return 8 * int(np.prod(self.tail))
 
-    def identity(self) -> dict[str, Any]:
+    def identify_files(self) -> dict[str, Any]:
         """Name, size [bytes] and time of the last change [ns] of the file, or of all files of a
         folder.
         """
@@ -67,7 +67,7 @@ class RowSource:
             "changed": max((s.st_mtime_ns for s in stats), default=0),
         }
 
-    def read(self, first: int, last: int) -> Array:
+    def read_rows(self, first: int, last: int) -> Array:
         """The rows `first` to `last` (n, *tail). Errors: `DamagedError`, `InputError` for text that
         is no number.
         """
@@ -100,7 +100,9 @@ def open_rows(path: str | Path, columns: Sequence[str] | None = None) -> RowSour
     path = expand_path(path)
     if not path.exists():
         raise InputError(f"{path}: there is no such file")
-    reader = READERS.get(path.suffix.lower(), _of_folder(path) if path.is_dir() else None)
+    reader = READERS.get(
+        path.suffix.lower(), _choose_folder_reader(path) if path.is_dir() else None
+    )
     if reader is None:
         raise InputError(
             f"{path}: rows are read from Zarr, and from {join_words(list(READERS))} files"
@@ -110,7 +112,7 @@ def open_rows(path: str | Path, columns: Sequence[str] | None = None) -> RowSour
     except KempeError:
         raise
     except UNREADABLE as error:
-        kind = "Zarr" if reader is _zarr else path.suffix or "a folder of .parquet files"
+        kind = "Zarr" if reader is _open_zarr else path.suffix or "a folder of .parquet files"
         raise InputError(f"{path}: this cannot be read as {kind}: {error}") from error
     if columns is not None and source.names is None:
         if source.tail != (len(columns),):
@@ -123,16 +125,18 @@ def open_rows(path: str | Path, columns: Sequence[str] | None = None) -> RowSour
     return source
 
 
-def _of_folder(path: Path) -> Callable[[Path, Sequence[str] | None], RowSource]:
+def _choose_folder_reader(path: Path) -> Callable[[Path, Sequence[str] | None], RowSource]:
     """Who reads a folder: it is Zarr, or else it holds .parquet files. Errors: `InputError`."""
     if any((path / name).exists() for name in ("zarr.json", ".zgroup", ".zarray", ".zmetadata")):
-        return _zarr
+        return _open_zarr
     if any(path.rglob("*.parquet")):
-        return _parquet
+        return _open_parquet
     raise InputError(f"{path}: this folder cannot be read as Zarr, and holds no .parquet files")
 
 
-def _chosen(path: Path, has: Sequence[str], columns: Sequence[str] | None) -> tuple[str, ...]:
+def _choose_columns(
+    path: Path, has: Sequence[str], columns: Sequence[str] | None
+) -> tuple[str, ...]:
     """The columns that count, of those that a file has. Errors: `InputError`, `UnknownNameError`."""
     names = tuple(has if columns is None else columns)
     given = Counter(has)
@@ -145,14 +149,14 @@ def _chosen(path: Path, has: Sequence[str], columns: Sequence[str] | None) -> tu
     return names
 
 
-def _numeric(path: Path, dtype: np.dtype, what: str) -> None:
+def _check_numeric(path: Path, dtype: np.dtype, what: str) -> None:
     if dtype.kind not in "fiu":
         raise InputError(
             f"{path}: {what} holds {KINDS.get(dtype.kind, str(dtype))}; it must hold real numbers"
         )
 
 
-def _steps(n: int, step: int) -> list[int]:
+def _list_block_edges(n: int, step: int) -> list[int]:
     """Edges of blocks of `step` rows."""
     return [*range(0, n, step), n]
 
@@ -160,7 +164,7 @@ def _steps(n: int, step: int) -> list[int]:
 # ---- formats
 
 
-def _npy(path: Path, columns: Sequence[str] | None) -> RowSource:
+def _open_npy(path: Path, columns: Sequence[str] | None) -> RowSource:
     """Arrays of numpy, of which only what is read comes into memory."""
     try:
         array: Any = np.load(path, mmap_mode="r", allow_pickle=False)
@@ -177,28 +181,28 @@ def _npy(path: Path, columns: Sequence[str] | None) -> RowSource:
             f"{path}: this is a .npz archive of arrays, whatever its name says; save one array as "
             ".npy"
         )
-    return _of_array(path, array, [0, len(array)] if array.ndim else [0])
+    return _wrap_array(path, array, [0, len(array)] if array.ndim else [0])
 
 
-def _of_array(path: Path, array: Any, edges: list[int]) -> RowSource:
+def _wrap_array(path: Path, array: Any, edges: list[int]) -> RowSource:
     """The rows of an array (n,), (n, k) or (n, j, k)."""
     if array.ndim not in (1, 2, 3):
         raise InputError(
             f"{path}: it holds an array of shape {array.shape}; needed is a row for each question"
         )
-    _numeric(path, array.dtype, "it")
+    _check_numeric(path, array.dtype, "it")
     tail = array.shape[1:] or (1,)
     return RowSource(
         path, edges, tail, None, lambda k: array[edges[k] : edges[k + 1]].reshape(-1, *tail)
     )
 
 
-def _zarr(path: Path, columns: Sequence[str] | None) -> RowSource:
+def _open_zarr(path: Path, columns: Sequence[str] | None) -> RowSource:
     """An array of Zarr, or a group whose arrays of one axis are the columns."""
-    zarr = zarr_library()
+    zarr = import_zarr()
     node = zarr.open(str(path), mode="r")
     if isinstance(node, zarr.Array):
-        return _of_array(path, node, _zarr_edges(path, node, node.shape[1:]))
+        return _wrap_array(path, node, _list_zarr_edges(path, node, node.shape[1:]))
     arrays = {name: array for name, array in node.arrays() if columns is None or name in columns}
     if columns is None and (
         len({a.shape for a in arrays.values()}) != 1 or next(iter(arrays.values())).ndim != 1
@@ -209,32 +213,32 @@ def _zarr(path: Path, columns: Sequence[str] | None) -> RowSource:
             f"{path}: it holds {held}; name columns of one length, or give the path of an array, "
             f"such as {path / such}"
         )
-    names = _chosen(path, list(arrays), columns)
+    names = _choose_columns(path, list(arrays), columns)
     shapes = {arrays[name].shape for name in names}
     if len(shapes) != 1 or len(next(iter(shapes))) != 1:
         raise InputError(
             f"{path}: the columns have the shapes {sorted(shapes)}; they must have one, (n,)"
         )
     for name in names:
-        _numeric(path, arrays[name].dtype, f"column {name!r}")
-    edges = _zarr_edges(path, arrays[names[0]], (len(names),))
+        _check_numeric(path, arrays[name].dtype, f"column {name!r}")
+    edges = _list_zarr_edges(path, arrays[names[0]], (len(names),))
 
-    def block(k: int) -> Array:
+    def read_block(k: int) -> Array:
         return np.column_stack([arrays[name][edges[k] : edges[k + 1]] for name in names])
 
-    return RowSource(path, edges, (len(names),), names, block)
+    return RowSource(path, edges, (len(names),), names, read_block)
 
 
-def _zarr_edges(path: Path, array: Any, tail: tuple[int, ...]) -> list[int]:
+def _list_zarr_edges(path: Path, array: Any, tail: tuple[int, ...]) -> list[int]:
     """Edges of whole chunks, several where they are small."""
     if not array.ndim:
         return [0]
     rows = (getattr(array, "shards", None) or array.chunks)[0]
-    _not_too_large(path, rows, tail, "chunk")
-    return _steps(array.shape[0], -(-BLOCK_ROWS // rows) * rows)
+    _check_block_size(path, rows, tail, "chunk")
+    return _list_block_edges(array.shape[0], -(-BLOCK_ROWS // rows) * rows)
 
 
-def _not_too_large(path: Path, rows: int, tail: tuple[int, ...], what: str) -> None:
+def _check_block_size(path: Path, rows: int, tail: tuple[int, ...], what: str) -> None:
     size = 8 * rows * int(np.prod(tail))
     if size > BLOCK_BYTES:
         raise InputError(
@@ -243,7 +247,7 @@ def _not_too_large(path: Path, rows: int, tail: tuple[int, ...], what: str) -> N
         )
 
 
-def _parquet(path: Path, columns: Sequence[str] | None) -> RowSource:
+def _open_parquet(path: Path, columns: Sequence[str] | None) -> RowSource:
     """A Parquet file, or a folder of such files in the order of their names."""
     try:
         import pyarrow.parquet as parquet
@@ -254,27 +258,27 @@ def _parquet(path: Path, columns: Sequence[str] | None) -> RowSource:
     files: list[Any] = [arrow.ParquetFile(p) for p in paths]
     if not files:
         raise InputError(f"{path}: this folder holds no .parquet files")
-    names = _chosen(path, files[0].schema_arrow.names, columns)
+    names = _choose_columns(path, files[0].schema_arrow.names, columns)
     for p, file in zip(paths, files, strict=True):
         schema = file.schema_arrow
         for name in names:
             dtype = schema.field(
                 check_name("column", name, schema.names, str(p))
             ).type.to_pandas_dtype()
-            _numeric(p, np.dtype(dtype), f"column {name!r}")
+            _check_numeric(p, np.dtype(dtype), f"column {name!r}")
     groups = [(file, k) for file in files for k in range(file.num_row_groups)]
     rows = [int(file.metadata.row_group(k).num_rows) for file, k in groups]
-    _not_too_large(path, max(rows, default=0), (len(names),), "row group")
+    _check_block_size(path, max(rows, default=0), (len(names),), "row group")
 
-    def block(k: int) -> Array:
+    def read_block(k: int) -> Array:
         file, group = groups[k]
         table = file.read_row_group(group, columns=list(names))
         return np.column_stack([np.asarray(table.column(name), dtype=float) for name in names])
 
-    return RowSource(path, [0, *itertools.accumulate(rows)], (len(names),), names, block)
+    return RowSource(path, [0, *itertools.accumulate(rows)], (len(names),), names, read_block)
 
 
-def _csv(path: Path, columns: Sequence[str] | None) -> RowSource:
+def _open_csv(path: Path, columns: Sequence[str] | None) -> RowSource:
     """Text, which is gone through once to find where its blocks begin."""
     places: list[
         tuple[int, int]
@@ -295,12 +299,12 @@ def _csv(path: Path, columns: Sequence[str] | None) -> RowSource:
                 places += [(at, number)] * (n % BLOCK_ROWS == 0)
                 n += 1
             at += len(line)
-    chosen = None if names is None else _chosen(path, names, columns)
+    chosen = None if names is None else _choose_columns(path, names, columns)
     places.append((at, 0))
     at_name = {name: i for i, name in enumerate(names or ())}
     pick: Any = slice(None) if chosen is None else [at_name[name] for name in chosen]
 
-    def block(k: int) -> Array:
+    def read_block(k: int) -> Array:
         with open(path, "rb") as stream:
             stream.seek(places[k][0])
             text = stream.read(places[k + 1][0] - places[k][0]).decode("utf-8-sig")
@@ -308,9 +312,13 @@ def _csv(path: Path, columns: Sequence[str] | None) -> RowSource:
         return rows_of_text(path, lines, width)[:, pick]
 
     return RowSource(
-        path, _steps(n, BLOCK_ROWS), (width if chosen is None else len(chosen),), chosen, block
+        path,
+        _list_block_edges(n, BLOCK_ROWS),
+        (width if chosen is None else len(chosen),),
+        chosen,
+        read_block,
     )
 
 
-READERS = {".parquet": _parquet, ".npy": _npy, ".csv": _csv}
+READERS = {".parquet": _open_parquet, ".npy": _open_npy, ".csv": _open_csv}
 """Who reads a file, by its ending; folders without one are read by what they hold."""

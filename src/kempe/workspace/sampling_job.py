@@ -32,7 +32,7 @@ from kempe.model.configurations import (
 from kempe.spatial import Array
 from kempe.version import __version__
 from kempe.words import join_words
-from kempe.workspace.cell_map import FEW_CELLS, USUAL_CELLS, Grid, cell_counts, grid_of
+from kempe.workspace.cell_map import FEW_CELLS, USUAL_CELLS, Grid, count_cells, make_grid
 from kempe.workspace.kinds import ORIENTATION, RANGES, TURNED, WorkspaceKind
 from kempe.workspace.stored_map import AFTER
 from kempe.workspace.workers import refuse_kernels, work_in_threads
@@ -96,35 +96,35 @@ class Recipe:
         )
 
     @cached_property
-    def plain(self) -> bool:
+    def unconstrained(self) -> bool:
         """Whether samples are independent coordinates: no loop moves the frame, no constraint is
         declared.
         """
         return is_plain_chain(self.system) and not self.question.tried
 
     @property
-    def piece(self) -> int:
+    def piece_size(self) -> int:
         """Samples that one thread counts at once."""
-        return PIECE if self.plain else TRIED_PIECE if self.question.tried else SLOW_PIECE
+        return PIECE if self.unconstrained else TRIED_PIECE if self.question.tried else SLOW_PIECE
 
     @property
-    def part(self) -> int:
+    def part_size(self) -> int:
         """Samples of a part at least: a worker of a cluster counts one at once."""
-        return PART if self.plain else TRIED_PART if self.question.tried else SLOW_PART
+        return PART if self.unconstrained else TRIED_PART if self.question.tried else SLOW_PART
 
     @property
-    def usual(self) -> int:
+    def default_sample_count(self) -> int:
         """How many samples are drawn where none are requested; of places one in each cell."""
-        return self.grid.count if self.question.tried else FEW_SAMPLES[self.plain]
+        return self.grid.count if self.question.tried else FEW_SAMPLES[self.unconstrained]
 
     @property
-    def entries(self) -> int:
+    def n_entries(self) -> int:
         """Length of the counts of 32 bits: cells, what is outside, what was left out, filled up to
         an even number.
         """
         return (self.grid.count + AFTER + 1) // 2 * 2
 
-    def said(self) -> dict[str, Any]:
+    def describe_recipe(self) -> dict[str, Any]:
         """What is written beside a map, and must be the same for counts to be added."""
         grid = {k: list(x) for k, x in asdict(self.grid).items()}
         grid |= json.loads(json.dumps(asdict(self.question)))  # as it is read again
@@ -137,31 +137,37 @@ class Recipe:
             "version": self.version,
         }
 
-    def count(self, first: int, last: int, counts: np.ndarray) -> None:
+    def count_samples(self, first: int, last: int, counts: np.ndarray) -> None:
         """Add the samples `first` to `last` to counts (entries,) of uint32, which threads may
         share.
         """
-        if self.plain:
-            keys, bounds = self._drawn
+        if self.unconstrained:
+            keys, bounds = self._sequence_bounds
             table = pack_chain(self.system, self.frame)
             lane_positions.count_cells(
-                *table, keys, bounds, first, last - first, self.grid.packed, counts.view(np.int64)
+                *table,
+                keys,
+                bounds,
+                first,
+                last - first,
+                self.grid.kernel_bounds,
+                counts.view(np.int64),
             )
             return
-        size = self.piece
+        size = self.piece_size
         for piece in range(first // size, -(-last // size)):
             points = (
-                self._tried(piece)
+                self._try_places(piece)
                 if self.question.tried
-                else slow_positions(self.system, self.frame, self.seed, piece)
+                else sample_positions(self.system, self.frame, self.seed, piece)
             )
             points = points[max(0, first - piece * size) : last - piece * size]
             kept = points[~np.isnan(points[:, 0])]
             with _one_at_a_time:
-                np.add.at(counts, self.grid.flat(kept), np.uint32(1))
+                np.add.at(counts, self.grid.number_cells(kept), np.uint32(1))
                 counts[self.grid.count + 1] += np.uint32(len(points) - len(kept))
 
-    def _tried(self, piece: int) -> Array:
+    def _try_places(self, piece: int) -> Array:
         """Points (TRIED_PIECE, 3) of one piece, in the cells in a scattered order; NaN where they
         are not reached.
         """
@@ -171,7 +177,9 @@ class Recipe:
             np.arange(piece * TRIED_PIECE, (piece + 1) * TRIED_PIECE) * self._stride
         ) % grid.count
         at = np.stack(np.unravel_index(number, grid.shape), axis=-1)
-        points = grid.whole(np.array(grid.low)[grid.kept] + (at + rng.random(at.shape)) * grid.size)
+        points = grid.complete_points(
+            np.array(grid.low)[grid.measured_axes] + (at + rng.random(at.shape)) * grid.size
+        )
         points[~self.question.reached(self.system, self.frame, points, self.seed)] = np.nan
         return points
 
@@ -184,18 +192,18 @@ class Recipe:
         return stride
 
     @cached_property
-    def _drawn(self) -> tuple[np.ndarray, Array]:
-        return keys_of(self.seed, self.system.nq), bounds_of(self.system)
+    def _sequence_bounds(self) -> tuple[np.ndarray, Array]:
+        return make_keys(self.seed, self.system.nq), list_sampling_bounds(self.system)
 
 
-def counted(recipe: Recipe, first: int, last: int) -> np.ndarray:
+def count_part(recipe: Recipe, first: int, last: int) -> np.ndarray:
     """The counts (entries,) of the samples `first` to `last`, in one thread. Errors:
     `KernelsError`.
     """
     refuse_kernels(recipe.variant, recipe.version)
-    counts = np.zeros(recipe.entries, dtype=np.uint32)
-    for start in range(first, last, recipe.piece):
-        recipe.count(start, min(start + recipe.piece, last), counts)
+    counts = np.zeros(recipe.n_entries, dtype=np.uint32)
+    for start in range(first, last, recipe.piece_size):
+        recipe.count_samples(start, min(start + recipe.piece_size, last), counts)
     return counts
 
 
@@ -207,12 +215,14 @@ def is_plain_chain(system: Model) -> bool:
     return not has_loops(system) and not system._mechanism.constraints
 
 
-def keys_of(seed: int, count: int) -> np.ndarray:
+def make_keys(seed: int, count: int) -> np.ndarray:
     """Keys (count,) of the random sequences of the coordinates, from a seed: SplitMix64 twice."""
-    return np.array([_mix(_mix(seed, 0), k) for k in range(count)], dtype=np.uint64).view(np.int64)
+    return np.array([_mix_bits(_mix_bits(seed, 0), k) for k in range(count)], dtype=np.uint64).view(
+        np.int64
+    )
 
 
-def _mix(state: int, counter: int) -> int:
+def _mix_bits(state: int, counter: int) -> int:
     """Number `counter` of SplitMix64 from `state` (Steele, Lea and Flood 2014)."""
     mask = 2**64 - 1
     z = (state + 0x9E3779B97F4A7C15 * (counter + 1)) & mask
@@ -221,7 +231,7 @@ def _mix(state: int, counter: int) -> int:
     return z ^ (z >> 31)
 
 
-def bounds_of(system: Model) -> Array:
+def list_sampling_bounds(system: Model) -> Array:
     """Lower end and range (nq, 2) of what is drawn of each coordinate; quaternions have none."""
     low, high = compute_sampling_box(system)
     layout = system.structure.layout
@@ -231,18 +241,18 @@ def bounds_of(system: Model) -> Array:
     return out
 
 
-def slow_positions(system: Model, frame: str, seed: int, piece: int) -> Array:
+def sample_positions(system: Model, frame: str, seed: int, piece: int) -> Array:
     """Positions (SLOW_PIECE, 3) of one piece of samples of a system with loops or constraints.
 
     NaN where a configuration is not closed, or violates a constraint.
     """
-    q, good = closed_configurations(system, seed, piece)
+    q, good = sample_closed_configurations(system, seed, piece)
     points = np.full((len(q), 3), np.nan)
     points[good] = fk(system, q[good], frame, form="position")
     return points
 
 
-def closed_configurations(
+def sample_closed_configurations(
     system: Model, seed: int, piece: int, count: int = SLOW_PIECE
 ) -> tuple[Array, np.ndarray]:
     """Random configurations (count, nq), brought to where loops are closed, and where (count,) all
@@ -263,7 +273,7 @@ def closed_configurations(
     return q, good
 
 
-def recipe_of(
+def make_recipe(
     system: Model, frame: str, seed: int, cells: Any, box: Any, question: WorkspaceKind = PLAIN
 ) -> Recipe:
     """The recipe of a map. Errors: `InputError` for a frame that does not move, unlimited slides,
@@ -271,9 +281,9 @@ def recipe_of(
     """
     if question.kind == ORIENTATION:
         return Recipe(
-            system, frame, seed, _of_orientations(cells, box, system.dim), question=question
+            system, frame, seed, _make_orientation_grid(cells, box, system.dim), question=question
         )
-    if (names := unlimited(system, frame)) and box is None:
+    if (names := list_unlimited_coordinates(system, frame)) and box is None:
         turns = {
             n
             for n, t in zip(
@@ -290,7 +300,7 @@ def recipe_of(
             "(-1.0, 1.0)})"
         )
     question = replace(question, tried=True) if names else question
-    points = pilot_positions(system, frame, seed)
+    points = sample_pilot_positions(system, frame, seed)
     if not np.isfinite(points).all():
         raise InputError(f"positions of {frame!r} are not finite: a limit is too large")
     extent = np.stack([points.min(axis=0), points.max(axis=0)])
@@ -299,11 +309,11 @@ def recipe_of(
         where = ", ".join(f"{x:.6g}" for x in extent[0][: system.dim])
         raise InputError(f"frame {frame!r} does not move: it is always at ({where})")
     usual = FEW_CELLS if question.tried else USUAL_CELLS
-    grid = grid_of(extent, cells, box, length, system.dim, usual)
+    grid = make_grid(extent, cells, box, length, system.dim, usual)
     return Recipe(system, frame, seed, grid, question=question)
 
 
-def pilot_positions(system: Model, frame: str, seed: int) -> Array:
+def sample_pilot_positions(system: Model, frame: str, seed: int) -> Array:
     """Positions (k, 3) that say where a frame comes. Errors: `InputError` where no configuration
     could be closed.
     """
@@ -311,7 +321,7 @@ def pilot_positions(system: Model, frame: str, seed: int) -> Array:
         points = np.empty((PILOT, 3))
         table = pack_chain(system, frame)
         lane_positions.sample_positions(
-            *table, keys_of(seed, system.nq), bounds_of(system), 0, points
+            *table, make_keys(seed, system.nq), list_sampling_bounds(system), 0, points
         )
         return points
     found = list[Array]()
@@ -319,7 +329,7 @@ def pilot_positions(system: Model, frame: str, seed: int) -> Array:
     for k in range(most // SLOW_PIECE):
         if k >= SLOW_PILOT // SLOW_PIECE and sum(map(len, found)) >= ENOUGH:
             break
-        points = slow_positions(system, frame, seed, k)
+        points = sample_positions(system, frame, seed, k)
         found.append(points[~np.isnan(points[:, 0])])
     points = np.concatenate(found)
     if not len(points):
@@ -331,14 +341,14 @@ def pilot_positions(system: Model, frame: str, seed: int) -> Array:
     return points
 
 
-def _of_orientations(cells: Any, box: Any, dim: int) -> Grid:
+def _make_orientation_grid(cells: Any, box: Any, dim: int) -> Grid:
     """The grid of all orientations. Errors: `InputError`."""
     if box is not None:
         raise InputError("box is for places: of orientations all are tried")
     names = TURNED[dim]
     ranges = RANGES[dim]
     low, high = (tuple(x) for x in zip(*ranges, strict=True))
-    counts = cell_counts(cells, np.array(high) - low, names, FEW_CELLS)
+    counts = count_cells(cells, np.array(high) - low, names, FEW_CELLS)
     rest = 3 - len(names)
     return Grid(
         low + (-0.5,) * rest,
@@ -349,7 +359,7 @@ def _of_orientations(cells: Any, box: Any, dim: int) -> Grid:
     )
 
 
-def unlimited(system: Model, frame: str) -> list[str]:
+def list_unlimited_coordinates(system: Model, frame: str) -> list[str]:
     """Names of coordinates that move a frame without end."""
     layout = system.structure.layout
     circle = find_free_angles(system)
@@ -387,15 +397,18 @@ def count_in_threads(
     `stop` is `last`, or the end of a piece where the time was up or an interrupt came. `check` is
     called with the number of samples that are counted, and raises what ends the work.
     """
-    most = max(1, min(threads, SHARED_BYTES // (4 * recipe.entries)))
-    counts = [np.zeros(recipe.entries, dtype=np.uint32) for _ in range(most)]
-    piece = recipe.piece
+    most = max(1, min(threads, SHARED_BYTES // (4 * recipe.n_entries)))
+    counts = [np.zeros(recipe.n_entries, dtype=np.uint32) for _ in range(most)]
+    piece = recipe.piece_size
 
-    def work(thread: int, start: int) -> None:
-        recipe.count(start, min(start + piece, last), counts[thread % most])
+    def count_piece(thread: int, start: int) -> None:
+        recipe.count_samples(start, min(start + piece, last), counts[thread % most])
 
     done, broken = work_in_threads(
-        range(first, last, piece), work, threads, lambda k: check(min(k * piece, last - first))
+        range(first, last, piece),
+        count_piece,
+        threads,
+        lambda k: check(min(k * piece, last - first)),
     )
     for other in counts[1:]:
         counts[0] += other

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from kempe.model.model import Model
 
 
-def refuse_other(
+def refuse_other_map(
     of: dict[str, Any], said: dict[str, Any], where: str, keys: Iterable[str] | None = None
 ) -> None:
     """Refuse to add to a map of something else, by these keys, or all. Errors: `InputError` that
@@ -38,7 +38,7 @@ def refuse_other(
         raise InputError(f"{where} belongs to another map: {why}; take another path, or remove it")
 
 
-def zarr_library() -> Any:
+def import_zarr() -> Any:
     """The package zarr. Errors: `MissingExtraError`."""
     try:
         import zarr
@@ -47,7 +47,7 @@ def zarr_library() -> Any:
     return zarr
 
 
-def description_of(system: Model) -> str | None:
+def format_description(system: Model) -> str | None:
     """The system as TOML text, to be read again; None where it holds what no file can, such as
     functions.
     """
@@ -59,7 +59,7 @@ def description_of(system: Model) -> str | None:
         return None
 
 
-def format_of(path: Path) -> str | None:
+def find_format(path: Path) -> str | None:
     """Which of our formats is written at a path, sound or not; None for all else."""
     try:
         return json.loads((path / "zarr.json").read_text(encoding="utf-8"))["attributes"]["format"]
@@ -87,7 +87,7 @@ def refuse_place(path: Path, format: str) -> None:
             f"{path}: results are written as a folder of Zarr; give it a name such as "
             f"{stem.name + '.zarr'!r}, and open it with xarray.open_zarr"
         )
-    if path.exists() and (other := format_of(path)) != format:
+    if path.exists() and (other := find_format(path)) != format:
         kind = "" if other is None else f" of this kind and version ({other!r})"
         raise InputError(f"{path}: there is something else than a map{kind}; take another path")
 
@@ -108,7 +108,7 @@ def add_array(
     Each chunk ends with its checksum (CRC-32C), and all chunks that are assigned to are written,
     also those of zeros: their files say what is done.
     """
-    codecs: Any = zarr_library().codecs
+    codecs: Any = import_zarr().codecs
     return group.create_array(
         name,
         shape=shape,
@@ -122,12 +122,12 @@ def add_array(
     )
 
 
-def chunk_file(array: Any, index: tuple[int, ...]) -> Path:
+def find_chunk_file(array: Any, index: tuple[int, ...]) -> Path:
     """The file of a chunk of an array."""
     return array.store.root / array.path / array.metadata.encode_chunk_key(index)
 
 
-def read_whole(array: Any) -> np.ndarray:
+def read_array(array: Any) -> np.ndarray:
     """All of an array. Errors: `ValueError` that names the first chunk which is missing or damaged."""
     try:
         if array.nchunks_initialized == array.nchunks:
@@ -135,7 +135,7 @@ def read_whole(array: Any) -> np.ndarray:
     except UNREADABLE:
         pass
     for index in np.ndindex(*array.cdata_shape):
-        file = chunk_file(array, index)
+        file = find_chunk_file(array, index)
         try:
             file.stat()
             array.blocks[index]
@@ -155,7 +155,7 @@ def write_group(
     Errors: `DiskError`, `MissingExtraError`, `InputError` for a path where this format may not be
     written.
     """
-    zarr = zarr_library()
+    zarr = import_zarr()
     refuse_place(path, format)
     beside = path.with_name(path.name + NEW)
     former = path.with_name(path.name + FORMER)
@@ -178,7 +178,7 @@ def write_group(
         shutil.rmtree(former, ignore_errors=True)
     except OSError as error:
         shutil.rmtree(beside, ignore_errors=True)
-        raise not_written(path, error) from error
+        raise make_disk_error(path, error) from error
 
 
 FORMER = ".kempe-former"
@@ -186,7 +186,7 @@ NEW = ".kempe-new"
 """Endings of the names that a map has while it is replaced, and that the new one has until then."""
 
 
-def restore_former(path: Path) -> None:
+def restore_former_map(path: Path) -> None:
     """Put back the map that was at a path, where a process ended while it was replaced; remove it,
     where the new one was at the path by then.
     """
@@ -194,7 +194,7 @@ def restore_former(path: Path) -> None:
     if not path.exists():
         if former.exists():
             os.replace(former, path)
-    elif (format := format_of(path)) is not None and format == format_of(former):
+    elif (format := find_format(path)) is not None and format == find_format(former):
         shutil.rmtree(former, ignore_errors=True)
 
 
@@ -208,7 +208,7 @@ def refuse_small_disk(folder: Path, needed: int) -> None:
         )
 
 
-def not_written(path: Path, error: OSError) -> DiskError:
+def make_disk_error(path: Path, error: OSError) -> DiskError:
     """The error for what could not be written."""
     full = error.errno in (errno.ENOSPC, errno.EDQUOT)
     why = (

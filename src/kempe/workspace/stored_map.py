@@ -19,11 +19,11 @@ from kempe.errors import UNREADABLE, DamagedError, InputError
 from kempe.workspace.cell_map import CellMap, Grid
 from kempe.workspace.store import (
     add_array,
-    description_of,
-    format_of,
-    read_whole,
+    find_format,
+    format_description,
+    import_zarr,
+    read_array,
     write_group,
-    zarr_library,
 )
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ class SampleCounts:
         """How many samples could not be closed, violated a constraint or are not reached."""
         return int(self.counts[self.grid.count + 1])
 
-    def added(self, first: int, last: int, counts: np.ndarray) -> SampleCounts:
+    def add_counts(self, first: int, last: int, counts: np.ndarray) -> SampleCounts:
         """These counts with those of one more range of samples."""
         ranges: list[tuple[int, int]] = []
         for start, stop in sorted([*self.ranges, (first, last)]):
@@ -79,7 +79,7 @@ class SampleCounts:
         total = self.counts + counts[: self.counts.size]
         return replace(self, counts=total, ranges=tuple(ranges))
 
-    def missing(self, n: int, most: int) -> list[tuple[int, int]]:
+    def list_missing_ranges(self, n: int, most: int) -> list[tuple[int, int]]:
         """Ranges of at most `most` samples that are left of the first n."""
         out: list[tuple[int, int]] = []
         start = 0
@@ -90,7 +90,7 @@ class SampleCounts:
         return out
 
 
-def no_samples(said: dict[str, Any], grid: Grid) -> SampleCounts:
+def make_empty_counts(said: dict[str, Any], grid: Grid) -> SampleCounts:
     """Counts of no samples."""
     return SampleCounts(said, grid, np.zeros(grid.count + AFTER, dtype=np.uint64))
 
@@ -104,15 +104,15 @@ def write_map(path: Path, system: Model, samples: SampleCounts) -> None:
         **samples.said,
         "ranges": [list(x) for x in samples.ranges],
         **{name: getattr(samples, name) for name in ("samples", "outside", "left_out")},
-        "toml": description_of(system),
+        "toml": format_description(system),
     }
     attributes = {
         "title": f"workspace of {samples.said['frame']}",
         "format": FORMAT,
-        "kempe": json.dumps({**made, "checksum": _checksum(made)}),
+        "kempe": json.dumps({**made, "checksum": _compute_checksum(made)}),
     }
 
-    def fill(group: Any) -> None:
+    def fill_group(group: Any) -> None:
         kind = np.uint32 if cells.counts.max(initial=0) < 2**32 else np.uint64
         chunks = tuple(min(CHUNK, k) for k in cells.counts.shape)
         add_array(
@@ -137,10 +137,10 @@ def write_map(path: Path, system: Model, samples: SampleCounts) -> None:
                 long_name=f"{name} in the ground frame",
             )[...] = middles
 
-    write_group(path, FORMAT, attributes, fill)
+    write_group(path, FORMAT, attributes, fill_group)
 
 
-def _checksum(made: dict[str, Any]) -> str:
+def _compute_checksum(made: dict[str, Any]) -> str:
     """A checksum of what made a map."""
     return hashlib.sha256(json.dumps(made, sort_keys=True).encode()).hexdigest()
 
@@ -150,21 +150,21 @@ def read_map(path: Path) -> tuple[SampleCounts, str | None]:
 
     Errors: `InputError` where there is no map, `DamagedError` where it is not what was written.
     """
-    zarr = zarr_library()
+    zarr = import_zarr()
     if not path.exists():
         raise InputError(f"{path}: there is no such map")
-    if (format := format_of(path)) != FORMAT:
+    if (format := find_format(path)) != FORMAT:
         other = "it was written by another version of Kempe" if format else "this is no map"
         raise InputError(f"{path}: {other} ({FORMAT!r} is not written in its zarr.json)")
     try:
         group = zarr.open_group(str(path), mode="r", zarr_format=3)
         made = json.loads(group.attrs["kempe"])
-        if made.pop("checksum") != _checksum(made):
+        if made.pop("checksum") != _compute_checksum(made):
             raise ValueError("what made it is not what was written")
         grid = Grid(**{k: tuple(made[k]) for k in ("low", "high", "cells", "axes", "names")})
-        counts = read_whole(group["counts"])
+        counts = read_array(group["counts"])
         for name in grid.axes:
-            read_whole(group[name])
+            read_array(group[name])
         total, outside, left_out = (made.pop(k) for k in ("samples", "outside", "left_out"))
         if counts.shape != grid.shape or counts.sum() + outside + left_out != total:
             raise ValueError("its counts are not those of its samples")

@@ -73,21 +73,21 @@ def work_in_threads(
     done = 0
     active = 0
 
-    def stop() -> None:
+    def check_stopped() -> None:
         if over.is_set():
             raise Stopped
 
-    def take() -> Any:
+    def take_item() -> Any:
         with state:
             return END if over.is_set() else next(todo, END)
 
-    def run(number: int) -> None:
+    def run_thread(number: int) -> None:
         nonlocal done, active
         with state:
             active += 1
         try:
-            with watched_by(*[stop] * stops):
-                while (item := take()) is not END:
+            with watched_by(*[check_stopped] * stops):
+                while (item := take_item()) is not END:
                     work(number, item)
                     with state:
                         done += 1
@@ -102,7 +102,7 @@ def work_in_threads(
     with ThreadPoolExecutor(threads, thread_name_prefix="kempe") as pool:
         try:
             check(done)  # where no time is left, no thread begins
-            futures = [pool.submit(quiet(run), number) for number in range(threads)]
+            futures = [pool.submit(quiet(run_thread), number) for number in range(threads)]
             running = futures
             while running:
                 ended, running = wait(futures, WAKE, FIRST_EXCEPTION)
@@ -132,7 +132,7 @@ SHOWN = 5
 SUCH = "such as 'tcp://127.0.0.1:8786'"
 
 
-def connected(client: Any) -> Any:
+def connect_client(client: Any) -> Any:
     """The client, or a new one for the address of a scheduler. Errors: `InputError` where nobody
     answers there.
     """
@@ -165,21 +165,21 @@ def refuse_address(address: str) -> None:
 
     library: Any = distributed
 
-    async def reach() -> None:
+    async def try_connection() -> None:
         options = library.Security().get_connection_args("client")
         comm = await library.comm.core.connect(address, timeout=PATIENCE, **options)
         await comm.close()
 
     try:
         with ThreadPoolExecutor(1) as pool:  # notebooks have a running loop in this thread
-            pool.submit(asyncio.run, reach()).result()
+            pool.submit(asyncio.run, try_connection()).result()
     except (OSError, ValueError, TypeError, RuntimeError, ImportError, MemoryError) as error:
         raise InputError(
             f"no scheduler answers at {format_value(address)}: {error}; give an address {SUCH}"
         ) from None
 
 
-def results_of(
+def iterate_results(
     client: Any,
     function: Callable[..., Any],
     job: Any,
@@ -201,14 +201,14 @@ def results_of(
     shared: list[Any] = []
     running: dict[Any, tuple[Any, tuple[Any, ...], int]] = {}
 
-    def begin(name: Any, arguments: tuple[Any, ...], attempt: int) -> None:
+    def submit_part(name: Any, arguments: tuple[Any, ...], attempt: int) -> None:
         # the job travels once; where its workers ended too often, it is lost, and sent again
         if attempt == len(shared):
-            shared.append(client.submit(_itself, job, pure=False, retries=RETRIES))
+            shared.append(client.submit(_return_argument, job, pure=False, retries=RETRIES))
         future = client.submit(function, shared[attempt], *arguments, pure=False, retries=RETRIES)
         running[future] = name, arguments, attempt
 
-    def some_done() -> Iterable[Any]:
+    def wait_for_some() -> Iterable[Any]:
         try:
             with client.as_current():  # `wait` asks the current client, not that of its futures
                 return library.wait(list(running), timeout=LOOK, return_when="FIRST_COMPLETED").done
@@ -218,47 +218,47 @@ def results_of(
     try:
         while True:
             check()
-            most = max(2, 2 * threads_of(client))
+            most = max(2, 2 * count_threads(client))
             while len(running) < most and (part := next(todo, None)) is not None:
-                begin(*part, 0)
+                submit_part(*part, 0)
             if not running:
                 return
-            for future in some_done():
+            for future in wait_for_some():
                 name, arguments, attempt = running.pop(future)
                 if attempt < RETRIES and isinstance(future.exception(), library.KilledWorker):
-                    begin(name, arguments, attempt + 1)
+                    submit_part(name, arguments, attempt + 1)
                 else:
                     yield name, future.result()
     finally:
         client.cancel(list(running))
 
 
-def _itself(thing: Any) -> Any:
+def _return_argument(thing: Any) -> Any:
     return thing
 
 
-def threads_of(client: Any) -> int:
+def count_threads(client: Any) -> int:
     """How many threads all workers of a cluster have."""
     return sum(client.nthreads().values())
 
 
-def probe() -> Callable[[], tuple[str, str]]:
+def make_probe() -> Callable[[], tuple[str, str]]:
     """A function that is sent to workers as code, not by its name: they may have no Kempe."""
 
-    def kernels() -> tuple[str, str]:
+    def describe_kernels() -> tuple[str, str]:
         from kempe.kernels.compiled import VARIANT
         from kempe.version import __version__
 
         return VARIANT, __version__
 
-    return kernels
+    return describe_kernels
 
 
 def refuse_workers(client: Any) -> None:
     """Refuse a cluster where a worker has no Kempe, or another one, and warn where there is no
     worker. Errors: `KernelsError`.
     """
-    answers = client.run(probe(), on_error="return")
+    answers = client.run(make_probe(), on_error="return")
     if not answers:
         warn(
             f"the scheduler {client.scheduler.address} has no workers; the work begins when one "

@@ -20,17 +20,17 @@ from kempe.errors import DamagedError, InputError, format_value
 from kempe.numerics.clock import BROKEN_OFF, TimeLimit, limit_preparation_time
 from kempe.numerics.pool import choose_thread_count
 from kempe.workspace.answer import Workspace
-from kempe.workspace.kinds import question_of
-from kempe.workspace.sampling_job import Recipe, count_in_threads, counted, recipe_of
+from kempe.workspace.kinds import read_question
+from kempe.workspace.sampling_job import Recipe, count_in_threads, count_part, make_recipe
 from kempe.workspace.store import (
-    refuse_other,
+    import_zarr,
+    refuse_other_map,
     refuse_place,
     refuse_small_disk,
-    restore_former,
-    zarr_library,
+    restore_former_map,
 )
-from kempe.workspace.stored_map import FORMAT, SampleCounts, no_samples, read_map, write_map
-from kempe.workspace.workers import Pace, connected, results_of, threads_of
+from kempe.workspace.stored_map import FORMAT, SampleCounts, make_empty_counts, read_map, write_map
+from kempe.workspace.workers import Pace, connect_client, count_threads, iterate_results
 
 if TYPE_CHECKING:
     from kempe.model.model import FrameLike, Model
@@ -104,19 +104,19 @@ def workspace(
             f"n is {format_value(n)}; it must be a whole number of samples, from 1 to {MOST:.2g}"
         )
     with limit_preparation_time(USUAL, clock):
-        question = question_of(system, name, kind, orientation, at)
+        question = read_question(system, name, kind, orientation, at)
     if client is not None:
         own = isinstance(client, str)
-        client = connected(client)
+        client = connect_client(client)
     else:
         own = False
     try:
         with limit_preparation_time(USUAL, clock):
-            recipe = recipe_of(system, name, draw_seed(spend.rng), cells, box, question)
-        return _answer(
+            recipe = make_recipe(system, name, draw_seed(spend.rng), cells, box, question)
+        return _answer_workspace(
             recipe,
             None if path is None else expand_path(path),
-            int(n or recipe.usual),
+            int(n or recipe.default_sample_count),
             client,
             spend,
             clock,
@@ -126,14 +126,14 @@ def workspace(
             client.close()
 
 
-def _answer(
+def _answer_workspace(
     recipe: Recipe, path: Path | None, count: int, client: Any, spend: Budget, clock: TimeLimit
 ) -> Workspace:
     """The map of the first `count` samples, or of those that were counted until it was broken off."""
-    samples = no_samples(recipe.said(), recipe.grid)
+    samples = make_empty_counts(recipe.describe_recipe(), recipe.grid)
     redone = 0
     if path is not None:
-        samples, redone = _found(path, samples)
+        samples, redone = _read_samples(path, samples)
         if samples.samples >= count:
             return Workspace(recipe.system, samples, samples.samples)
         refuse_small_disk(path.parent, 2 * samples.counts.nbytes)
@@ -142,10 +142,12 @@ def _answer(
     pace = Pace(spend.progress, count, clock)
     broken = None
     try:
-        for first, last, counts in _parts(recipe, samples, count, client, spend.threads, pace):
-            samples = samples.added(first, last, counts)
+        for first, last, counts in _iterate_part_counts(
+            recipe, samples, count, client, spend.threads, pace
+        ):
+            samples = samples.add_counts(first, last, counts)
             if path is not None and time.monotonic() >= due:
-                due = _write(path, recipe, samples)
+                due = _write_samples(path, recipe, samples)
                 written = samples
             pace(samples.samples, at_once=True)
     except BROKEN_OFF as error:
@@ -159,13 +161,13 @@ def _answer(
     )
 
 
-def _found(path: Path, none: SampleCounts) -> tuple[SampleCounts, int]:
+def _read_samples(path: Path, none: SampleCounts) -> tuple[SampleCounts, int]:
     """The samples that are counted at a path, else `none`, and 1 where what is there is damaged.
 
     Errors: `InputError` where it is another map, or something else; `MissingExtraError`.
     """
-    zarr_library()
-    restore_former(path)
+    import_zarr()
+    restore_former_map(path)
     refuse_place(path, FORMAT)
     if not path.exists():
         return none, 0
@@ -173,11 +175,11 @@ def _found(path: Path, none: SampleCounts) -> tuple[SampleCounts, int]:
         samples, _ = read_map(path)
     except DamagedError:
         return none, 1
-    refuse_other(samples.said, none.said, str(path))
+    refuse_other_map(samples.said, none.said, str(path))
     return samples, 0
 
 
-def _write(path: Path, recipe: Recipe, samples: SampleCounts) -> float:
+def _write_samples(path: Path, recipe: Recipe, samples: SampleCounts) -> float:
     """Write the map, and when it should be written again, by the clock. Errors: `DiskError`."""
     begun = time.monotonic()
     write_map(path, recipe.system, samples)
@@ -185,7 +187,7 @@ def _write(path: Path, recipe: Recipe, samples: SampleCounts) -> float:
     return end + SPARE * (end - begun)
 
 
-def _parts(
+def _iterate_part_counts(
     recipe: Recipe, samples: SampleCounts, count: int, client: Any, threads: Any, pace: Pace
 ) -> Iterator[tuple[int, int, np.ndarray]]:
     """Counts of the samples that are left of the first `count`: (first, last, counts) of each part.
@@ -193,12 +195,16 @@ def _parts(
     By threads of this process the last part is shorter where the work is broken off. Errors: what
     broke it off, after what was done by then.
     """
-    parts = PARTS if client is None else max(PARTS, PARTS_A_THREAD * threads_of(client))
-    most = min(max(recipe.part, count // parts), LARGEST_PART)
-    ranges = samples.missing(count, max(most // recipe.piece, 1) * recipe.piece)
+    parts = PARTS if client is None else max(PARTS, PARTS_A_THREAD * count_threads(client))
+    most = min(max(recipe.part_size, count // parts), LARGEST_PART)
+    ranges = samples.list_missing_ranges(
+        count, max(most // recipe.piece_size, 1) * recipe.piece_size
+    )
     if client is not None:
         arguments = ((part, part) for part in ranges)
-        for part, counts in results_of(client, counted, recipe, arguments, pace.clock.check):
+        for part, counts in iterate_results(
+            client, count_part, recipe, arguments, pace.clock.check
+        ):
             yield *part, counts
         return
     n = choose_thread_count(threads)

@@ -126,4 +126,4 @@ def region_outline(region: SolutionRegion) -> Path:
 
 def piece_points(piece: PlaneCurve) -> Array:
     """Points (k,) along a piece, close enough for a picture."""
-    return piece.points(FINE)
+    return piece.sample_points(FINE)

@@ -191,11 +191,11 @@ def _cells(found: Workspace, cut: float) -> Overlay:
     said = found.status
     d = some.ndim
     if d == 3:
-        some[:, grid.centres("y") < cut] = False
+        some[:, grid.list_centres("y") < cut] = False
         said += CUT.format(cut)
     full = np.pad(some, 1)
     if d == 1:
-        return Overlay(found.status, lines=_pairs(grid.whole(found.map.points)))
+        return Overlay(found.status, lines=_pairs(grid.complete_points(found.map.points)))
     square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=float)
     quads = [np.argwhere(full)[:, None] + square] if d == 2 else []
     for axis, side in np.ndindex(3, 2) if d == 3 else ():
@@ -205,9 +205,11 @@ def _cells(found: Workspace, cut: float) -> Overlay:
         quad[..., [k for k in range(3) if k != axis]] += square
         quads.append(quad)
     places = (np.concatenate(quads).reshape(-1, d) - 1.0) * grid.size + np.array(grid.low)[
-        grid.kept
+        grid.measured_axes
     ]
-    return Overlay(said, surfaces=((grid.whole(places), _quads(len(places) // 4), REACHED),))
+    return Overlay(
+        said, surfaces=((grid.complete_points(places), _quads(len(places) // 4), REACHED),)
+    )
 
 
 def _capability(session: Session) -> Iterator[Overlay]:

@@ -20,8 +20,8 @@ from kempe.workspace.planar.plane_curves import (
     TURN,
     PlanarRegion,
     PlanePiece,
-    arranged,
-    middles_between,
+    arrange_region,
+    list_middles,
 )
 
 PARALLEL = 1e-9
@@ -35,7 +35,7 @@ angles."""
 # algorithms for mapping boundaries of manipulator workspaces", J. Mechanical Design 118 (1996).
 
 
-def in_plane(line: JointLine, axes: Array, origin: Array) -> JointLine | None:
+def project_joint(line: JointLine, axes: Array, origin: Array) -> JointLine | None:
     """A joint in the plane of two unit vectors (3,), of which the third of `axes` is the normal,
     through an origin; None if it does not move along that.
     """
@@ -50,7 +50,7 @@ def in_plane(line: JointLine, axes: Array, origin: Array) -> JointLine | None:
     return line._replace(point=0j, direction=complex(*(axes[:2] @ line.direction)))
 
 
-def limits_of(joint: JointLine) -> tuple[float, ...]:
+def list_stopping_limits(joint: JointLine) -> tuple[float, ...]:
     """The limits of a joint that stop it: none of a turn that goes round."""
     low, high = joint.limits
     if joint.turns and abs(joint.rate) * (high - low) >= TURN:
@@ -58,7 +58,7 @@ def limits_of(joint: JointLine) -> tuple[float, ...]:
     return tuple(x for x in (low, high) if np.isfinite(x))
 
 
-def motion_of(joint: JointLine, x: float) -> tuple[complex, complex]:
+def compute_motion(joint: JointLine, x: float) -> tuple[complex, complex]:
     """(a, b): with a joint's coordinate at x, a point z of its body is at a z + b."""
     if not joint.turns:
         return 1.0 + 0j, joint.direction * joint.rate * x
@@ -66,14 +66,14 @@ def motion_of(joint: JointLine, x: float) -> tuple[complex, complex]:
     return a, joint.point - a * joint.point
 
 
-def way_of(joint: JointLine, p: complex, back: bool = False) -> PlanePiece:
+def make_joint_path(joint: JointLine, p: complex, back: bool = False) -> PlanePiece:
     """The piece along which a joint moves a point; `back`: that of the points which it moves to p."""
     rate = -joint.rate if back else joint.rate
     low, high = joint.limits
     if not joint.turns:
         way = joint.direction * rate
         return PlanePiece(p + way * low, 0.0, way=way * (high - low))
-    if not limits_of(joint):
+    if not list_stopping_limits(joint):
         low = 0.0
         high = TURN / abs(rate)
     d = p - joint.point
@@ -81,34 +81,34 @@ def way_of(joint: JointLine, p: complex, back: bool = False) -> PlanePiece:
     return PlanePiece(joint.point, abs(d), start, rate * (high - low))
 
 
-def swept_region(joint: JointLine, region: PlanarRegion, size: float) -> PlanarRegion:
+def compute_swept_region(joint: JointLine, region: PlanarRegion, size: float) -> PlanarRegion:
     """What a joint sweeps with a region, or with a curve; of that each point is counted."""
     pieces: list[PlanePiece] = []
     for piece in region.edges:
-        pieces += [piece.moved(*motion_of(joint, x)) for x in limits_of(joint)]
-        pieces += [way_of(joint, p) for p in _leading_points(joint, piece, size)]
+        pieces += [piece.move_piece(*compute_motion(joint, x)) for x in list_stopping_limits(joint)]
+        pieces += [make_joint_path(joint, p) for p in _find_leading_points(joint, piece, size)]
 
-    def number(p: complex) -> int:
-        back = way_of(joint, p, back=True)
+    def count_solutions(p: complex) -> int:
+        back = make_joint_path(joint, p, back=True)
         if back.length < NOTHING * size:
-            return int(region.holds(np.array(p)))
+            return int(region.contains_points(np.array(p)))
         if region.is_curve:
-            return sum(len(back.meets(piece, 0.0)) for piece in region.curve)
-        return int(region.holds(middles_between(back, region.edges)).any())
+            return sum(len(back.find_meetings(piece, 0.0)) for piece in region.curve)
+        return int(region.contains_points(list_middles(back, region.edges)).any())
 
-    return arranged(
+    return arrange_region(
         pieces,
-        lambda p: np.array([number(z) for z in p.tolist()]),
+        lambda p: np.array([count_solutions(z) for z in p.tolist()]),
         size,
         counted=region.is_curve and region.counted,
     )
 
 
-def _leading_points(joint: JointLine, piece: PlanePiece, size: float) -> list[complex]:
+def _find_leading_points(joint: JointLine, piece: PlanePiece, size: float) -> list[complex]:
     """Points of a boundary that lead as a joint moves it: its ends, and where it moves along it."""
     concentric = joint.turns and piece.is_arc and abs(piece.centre - joint.point) < SAME * size
     t = [] if piece.is_whole and not concentric else [0.0, 1.0]
-    ends = [complex(piece.at(x)) for x in t]
+    ends = [complex(piece.evaluate_points(x)) for x in t]
     if concentric or not (joint.turns or piece.is_arc):
         return ends
     if not piece.is_arc:
@@ -118,7 +118,7 @@ def _leading_points(joint: JointLine, piece: PlanePiece, size: float) -> list[co
     else:
         across = piece.centre - joint.point if joint.turns else 1j * joint.direction
         along = piece.centre + np.array([1.0, -1.0]) * piece.radius * across / abs(across)
-    return ends + along[piece.parameters(along)[1]].tolist()
+    return ends + along[piece.find_parameters(along)[1]].tolist()
 
 
 # ---- chains
@@ -136,7 +136,7 @@ class PlanarChain:
     spare: int = 0
 
     @classmethod
-    def of(cls, joints: Iterable[JointLine], tip: complex) -> PlanarChain:
+    def from_joints(cls, joints: Iterable[JointLine], tip: complex) -> PlanarChain:
         """The chain of joints, of which those that turn about one axis or slide along one way are
         one.
 
@@ -145,7 +145,7 @@ class PlanarChain:
         every = tuple(joints)
         kept: list[JointLine] = []
         for joint in every:
-            one = _one_joint(kept[-1], joint) if kept else None
+            one = _merge_joints(kept[-1], joint) if kept else None
             kept[len(kept) - (one is not None) :] = [one or joint]
         chain = cls(tuple(kept), tip, len(every) - len(kept))
         last = kept[-1] if kept else None
@@ -165,14 +165,14 @@ class PlanarChain:
     @cached_property
     def region(self) -> PlanarRegion:
         """The points that the chain reaches; solutions are counted of two joints."""
-        curve = (way_of(self.joints[-1], self.tip),)
+        curve = (make_joint_path(self.joints[-1], self.tip),)
         region = PlanarRegion(self.size, curve=curve, counted=not self.spare)
         for joint in self.joints[-2::-1]:
-            region = swept_region(joint, region, self.size)
+            region = compute_swept_region(joint, region, self.size)
         return region
 
 
-def _one_joint(a: JointLine, b: JointLine) -> JointLine | None:
+def _merge_joints(a: JointLine, b: JointLine) -> JointLine | None:
     """One joint for two that turn about one axis or slide along one way; else None."""
     if a.turns != b.turns:
         return None
@@ -190,14 +190,14 @@ def _one_joint(a: JointLine, b: JointLine) -> JointLine | None:
     return a._replace(rate=1.0, limits=(low, high))
 
 
-def wrist_of(chain: PlanarChain) -> tuple[PlanarChain, complex] | None:
+def split_wrist(chain: PlanarChain) -> tuple[PlanarChain, complex] | None:
     """The chain without its last joint, up to the axis of that, and the way from there to the tip;
     None without one.
 
     The last joint must turn without limits: then the orientation is free, wherever the axis is.
     """
     last = chain.joints[-1]
-    if not last.turns or limits_of(last):
+    if not last.turns or list_stopping_limits(last):
         return None
-    inner = PlanarChain.of(chain.joints[:-1], last.point)
+    inner = PlanarChain.from_joints(chain.joints[:-1], last.point)
     return (inner, chain.tip - last.point) if inner.joints else None

@@ -21,11 +21,11 @@ from kempe.workspace.planar.plane_curves import (
     TURN,
     PlanarRegion,
     PlanePiece,
-    as_pair,
-    beside_pieces,
-    circle_points,
-    merged,
-    whole_curve,
+    extend_piece,
+    intersect_carriers,
+    merge_pieces,
+    offset_pieces,
+    to_pair,
 )
 
 STARTS = 96
@@ -78,7 +78,7 @@ class HeldPoints(Curve):
 
     n = 3
 
-    def rows(self, x: Array) -> tuple[Array, Array]:
+    def evaluate_equations(self, x: Array) -> tuple[Array, Array]:
         """Residuals (k, 2) of motions x (k, 3), and their derivatives (k, 2, 3)."""
         F = np.empty((len(x), 2))
         J = np.empty((len(x), 2, 3))
@@ -96,19 +96,19 @@ class HeldPoints(Curve):
 
     def both(self, x: Array) -> tuple[Array, Array]:
         """Residuals (3,) and derivatives (3, 3), the last of them zero."""
-        F, J = self.rows(x[None])
+        F, J = self.evaluate_equations(x[None])
         return np.append(F[0], 0.0), np.vstack([J[0], np.zeros(3)])
 
-    def places(self, x: Array) -> np.ndarray:
+    def locate_origins(self, x: Array) -> np.ndarray:
         """Places (k,) of the platform's origin in motions (k, 3)."""
         return self.size * (x[:, 0] + 1j * x[:, 1])
 
-    def tangents(self, x: Array) -> Array:
+    def compute_tangents(self, x: Array) -> Array:
         """Tangents (k, 3) of the curve at motions (k, 3) on it, of no certain length."""
-        J = self.rows(x)[1]
+        J = self.evaluate_equations(x)[1]
         return np.cross(J[:, 0], J[:, 1])
 
-    def starts(self) -> Array:
+    def list_starts(self) -> Array:
         """Motions (k, 3) with one of the points spread over its circle, or over its piece of a line."""
         out: list[tuple[float, float, float]] = []
         ends = (
@@ -116,28 +116,28 @@ class HeldPoints(Curve):
             (self.second, self.b, self.first, self.a),
         )
         for piece, a, other, b in ends:
-            for z in piece.at((np.arange(STARTS) + 0.37) / STARTS).tolist():
-                for w in circle_points(PlanePiece(z, abs(b - a), 0.0, TURN), other).tolist():
+            for z in piece.evaluate_points((np.arange(STARTS) + 0.37) / STARTS).tolist():
+                for w in intersect_carriers(PlanePiece(z, abs(b - a), 0.0, TURN), other).tolist():
                     u = (w - z) / (b - a)
                     p = (z - u * a) / self.size
                     out.append((p.real, p.imag, float(np.angle(u))))
-        return self.corrected_all(np.array(out).reshape(-1, 3))
+        return self.correct_motions(np.array(out).reshape(-1, 3))
 
-    def corrected_all(self, x: Array) -> Array:
+    def correct_motions(self, x: Array) -> Array:
         """Motions (k, 3) on the curve, nearest to those close to it."""
         for _ in range(4):
-            F, J = self.rows(x)
+            F, J = self.evaluate_equations(x)
             square = J @ J.transpose(0, 2, 1) + 1e-14 * np.eye(2)
             x = x - (J.transpose(0, 2, 1) @ np.linalg.solve(square, F[..., None]))[..., 0]
         return x
 
-    def traced(self, start: Array) -> Array:
+    def trace_motions(self, start: Array) -> Array:
         """Motions (k, 3) along the curve through one of them, to its ends or once round it."""
         first = make_node(self, start)
         halves: list[list[Array]] = []
         for begin in (first, first.reversed()):
             points = [begin.x]
-            for b in walk_curve(begin, lambda a, h: _step(self, a, h), LONGEST, 0.2 * LONGEST):
+            for b in walk_curve(begin, lambda a, h: _take_step(self, a, h), LONGEST, 0.2 * LONGEST):
                 points.append(b.x)
                 chord = points[-1] - points[-2]
                 back = begin.x - points[-2]
@@ -153,7 +153,7 @@ class HeldPoints(Curve):
         return np.array(halves[1][:0:-1] + halves[0])
 
 
-def _step(curve: Curve, a: Any, h: float) -> list[Any] | None:
+def _take_step(curve: Curve, a: Any, h: float) -> list[Any] | None:
     b = find_next_node(curve, a, h)
     return None if b is None else [b]
 
@@ -173,69 +173,69 @@ class CouplerCurve:
 
     kind = "coupler curve"
 
-    def _between(self, t: Any) -> tuple[np.ndarray, np.ndarray]:
+    def _locate_parameters(self, t: Any) -> tuple[np.ndarray, np.ndarray]:
         """Where (k,) in numbers of nodes parameters (k,) are, and the nodes (k,) before."""
         x = np.clip(self.start + self.sweep * np.atleast_1d(t), 0.0, len(self.nodes) - 1.0)
         return x, np.minimum(x.astype(int), len(self.nodes) - 2)
 
-    def motions_at(self, t: Any) -> Array:
+    def evaluate_motions(self, t: Any) -> Array:
         """Motions (k, 3) at parameters t (k,)."""
-        x, k = self._between(t)
+        x, k = self._locate_parameters(t)
         part = (x - k)[:, None]
         guess = (1.0 - part) * self.nodes[k] + part * self.nodes[k + 1]
-        return self.motions.corrected_all(guess)
+        return self.motions.correct_motions(guess)
 
-    def at(self, t: Any) -> np.ndarray:
+    def evaluate_points(self, t: Any) -> np.ndarray:
         """Points (...) at parameters t (...)."""
-        return self.motions.places(self.motions_at(t)).reshape(np.shape(t))
+        return self.motions.locate_origins(self.evaluate_motions(t)).reshape(np.shape(t))
 
-    def tangents(self, t: Any) -> np.ndarray:
+    def evaluate_tangents(self, t: Any) -> np.ndarray:
         """Tangents (k,) at parameters (k,), of no certain length."""
-        along = self.motions.tangents(self.motions_at(t))
-        _, k = self._between(t)
+        along = self.motions.compute_tangents(self.evaluate_motions(t))
+        _, k = self._locate_parameters(t)
         chord = self.nodes[k + 1] - self.nodes[k]
         sense = np.sign(self.sweep * np.einsum("ij,ij->i", along, chord))
         return sense * (along[:, 0] + 1j * along[:, 1])
 
-    def tangent(self, t: float) -> complex:
+    def evaluate_tangent(self, t: float) -> complex:
         """The unit tangent at a parameter."""
-        v = complex(self.tangents(t)[0])
+        v = complex(self.evaluate_tangents(t)[0])
         return v / max(abs(v), 1e-300)
 
-    def part(self, a: float, b: float) -> CouplerCurve:
+    def cut_piece(self, a: float, b: float) -> CouplerCurve:
         """The piece from the parameter a to b."""
         return replace(self, start=self.start + self.sweep * a, sweep=self.sweep * (b - a))
 
     @cached_property
-    def _fine(self) -> tuple[np.ndarray, np.ndarray]:
+    def _dense_points(self) -> tuple[np.ndarray, np.ndarray]:
         t = np.linspace(0.0, 1.0, 2 + int(FINE * abs(self.sweep)))
-        return t, self.at(t)
+        return t, self.evaluate_points(t)
 
     @property
     def length(self) -> float:
         """Its length in metres, as that of short chords."""
-        return float(np.abs(np.diff(self._fine[1])).sum())
+        return float(np.abs(np.diff(self._dense_points[1])).sum())
 
     @property
     def moment(self) -> float:
         """Half of the integral of x dy - y dx along it, as that of short chords."""
-        p = self._fine[1]
+        p = self._dense_points[1]
         return 0.5 * float(np.imag(np.conj(p[:-1]) * p[1:]).sum())
 
     @property
     def extremes(self) -> np.ndarray:
         """Points (k,) along it, close enough to tell its extent."""
-        return self._fine[1]
+        return self._dense_points[1]
 
-    def points(self, fine: float) -> np.ndarray:
+    def sample_points(self, fine: float) -> np.ndarray:
         """Points (k,) along it, closer than steps of the tracing."""
-        return self._fine[1]
+        return self._dense_points[1]
 
-    def distance(self, p: np.ndarray) -> np.ndarray:
+    def compute_distances(self, p: np.ndarray) -> np.ndarray:
         """Distances (...) of points (...) from it."""
         z = np.asarray(p, dtype=complex).ravel()
         best = np.full(z.shape, np.inf)
-        for a, b in itertools.pairwise(self._fine[1].tolist()):
+        for a, b in itertools.pairwise(self._dense_points[1].tolist()):
             way = b - a
             t = np.clip(np.real((z - a) * way.conjugate()) / max(abs(way) ** 2, 1e-300), 0.0, 1.0)
             best = np.minimum(best, np.abs(z - a - t * way))
@@ -243,9 +243,9 @@ class CouplerCurve:
 
     def data(self) -> dict[str, Any]:
         """Its numbers, for JSON: points on it."""
-        p = self._fine[1]
-        ends = {"kind": self.kind, "from": as_pair(p[0]), "to": as_pair(p[-1])}
-        return ends | {"points": [as_pair(z) for z in p[::FINE]]}
+        p = self._dense_points[1]
+        ends = {"kind": self.kind, "from": to_pair(p[0]), "to": to_pair(p[-1])}
+        return ends | {"points": [to_pair(z) for z in p[::FINE]]}
 
 
 # ---- regions of platforms
@@ -287,7 +287,7 @@ class PlatformRegion:
         return max(leg.region.size + abs(leg.b) for leg in self.legs)
 
     @cached_property
-    def ends(self) -> list[PlanePiece | CouplerCurve]:
+    def boundary_pieces(self) -> list[PlanePiece | CouplerCurve]:
         """The boundary: pieces that have the region to their left.
 
         Curves are tried at `TRIED` places each: a piece between two neighbouring ones may be
@@ -299,74 +299,80 @@ class PlatformRegion:
         corners = [np.zeros((0, 3))]
         t = np.linspace(0.0, 1.0, TRIED)
         for leg in self.legs:
-            beside = dict(beside_pieces(leg.region.edges, abs(leg.b)))
+            beside = dict(offset_pieces(leg.region.edges, abs(leg.b)))
             for piece, touched in beside.items():
                 if piece.length > SAME * self.size:
-                    motions = partial(_touching, piece, touched, leg.b, self.size)
-                    for a, b in self._bounding(piece, motions, t):
-                        found.append(piece.part(a, b))
+                    motions = partial(_find_touching_motions, piece, touched, leg.b, self.size)
+                    for a, b in self._find_bounding_parts(piece, motions, t):
+                        found.append(piece.cut_piece(a, b))
                         corners.append(motions(np.array([a, b])))
-        for curve in self._coupler_curves(corners):
+        for curve in self._find_coupler_curves(corners):
             t = np.linspace(0.0, 1.0, FINE * len(curve.nodes) + 1)
-            for a, b in self._bounding(curve, curve.motions_at, t):
-                found.append(curve.part(a, b))
-                corners.append(curve.motions_at(np.array([a, b])))
+            for a, b in self._find_bounding_parts(curve, curve.evaluate_motions, t):
+                found.append(curve.cut_piece(a, b))
+                corners.append(curve.evaluate_motions(np.array([a, b])))
         # in symmetric mechanisms two legs, or two pieces of one, have boundaries on one curve
-        marks = np.array([piece.at(np.array([0.0, 0.5, 1.0])) for piece in found]).reshape(-1, 3)
+        marks = np.array(
+            [piece.evaluate_points(np.array([0.0, 0.5, 1.0])) for piece in found]
+        ).reshape(-1, 3)
         same = np.abs(marks[:, None] - marks).max(axis=2) < CORNER * self.size
         return [piece for k, piece in enumerate(found) if not same[k, :k].any()]
 
-    def _coupler_curves(self, corners: list[Array]) -> Iterator[CouplerCurve]:
+    def _find_coupler_curves(self, corners: list[Array]) -> Iterator[CouplerCurve]:
         """Coupler curves of which a start is on the boundary, or that go through a corner of it;
         these are motions (k, 3), to which more may come.
         """
         held: list[HeldPoints] = []
         for one, two in itertools.combinations([leg for leg in self.legs if leg.b], 2):
-            for first, second in itertools.product(*(_carriers(x, self.size) for x in (one, two))):
+            for first, second in itertools.product(
+                *(_list_carriers(x, self.size) for x in (one, two))
+            ):
                 held.append(HeldPoints(first, second, one.b, two.b, self.size))
         seen = [np.zeros((0, 3)) for _ in held]
-        starts = [motions.starts() for motions in held]
+        starts = [motions.list_starts() for motions in held]
         starts = [
-            x[self._is_boundary(*_places(motions, x)) != 0]
+            x[self._find_boundary_side(*_locate_curve_points(motions, x)) != 0]
             for motions, x in zip(held, starts, strict=True)
         ]
         while any(len(x) for x in starts):
             for k, motions in enumerate(held):
                 left = starts[k]
-                while len(left := left[_apart(left, seen[k])]):
-                    nodes = motions.traced(left[0])
+                while len(left := left[_is_untraced(left, seen[k])]):
+                    nodes = motions.trace_motions(left[0])
                     seen[k] = np.concatenate([seen[k], left[:1]])
                     if len(nodes) > 2:
-                        nodes = self._begun_aside(motions, nodes)
+                        nodes = self._start_off_boundary(motions, nodes)
                         curve = CouplerCurve(motions, nodes, 0.0, len(nodes) - 1.0)
-                        dense = curve.motions_at(np.linspace(0.0, 1.0, 8 * len(nodes)))
+                        dense = curve.evaluate_motions(np.linspace(0.0, 1.0, 8 * len(nodes)))
                         seen[k] = np.concatenate([seen[k], dense])
                         yield curve
             known = np.concatenate(corners)
             corners.clear()
             corners.append(np.zeros((0, 3)))
-            starts = [known[(np.abs(m.rows(known)[0]) < CORNER).all(axis=1)] for m in held]
+            starts = [
+                known[(np.abs(m.evaluate_equations(known)[0]) < CORNER).all(axis=1)] for m in held
+            ]
 
-    def _begun_aside(self, motions: HeldPoints, nodes: Array) -> Array:
+    def _start_off_boundary(self, motions: HeldPoints, nodes: Array) -> Array:
         """Nodes (k, 3) of a closed curve from one on that is not on the boundary, so that no piece
         of that is cut where the curve is closed.
         """
         once = nodes[-1] - nodes[0]
-        aside = np.flatnonzero(self._is_boundary(*_places(motions, nodes)) == 0)
+        aside = np.flatnonzero(self._find_boundary_side(*_locate_curve_points(motions, nodes)) == 0)
         if not len(aside) or np.hypot(once[0], once[1]) > SEEN:
             return nodes
         k = int(aside[0])
         return np.concatenate([nodes[k:-1], nodes[: k + 1] + once])
 
-    def _is_boundary(self, p: np.ndarray, along: np.ndarray) -> np.ndarray:
+    def _find_boundary_side(self, p: np.ndarray, along: np.ndarray) -> np.ndarray:
         """1 where the region is only to the left of tangents (n,) at points (n,), -1 to the right,
         else 0.
         """
         aside = SIDE * self.size * 1j * along / np.maximum(np.abs(along), 1e-300)
-        both = self.holds(np.concatenate([p + aside, p - aside])).reshape(2, -1)
+        both = self.contains_points(np.concatenate([p + aside, p - aside])).reshape(2, -1)
         return both[0].astype(int) - both[1]
 
-    def _bounding(
+    def _find_bounding_parts(
         self, curve: Any, motions: Callable[[np.ndarray], Array], t: np.ndarray
     ) -> Iterator[tuple[float, float]]:
         """Parameters of the ends of the parts of a curve of `motions` that bound the region, which
@@ -376,23 +382,25 @@ class PlatformRegion:
         place from which on the leg holds to the other side; or where the curve meets another.
         """
 
-        def sides(x: np.ndarray) -> np.ndarray:
-            return self._is_boundary(curve.at(x), curve.tangents(x))
+        def find_sides(x: np.ndarray) -> np.ndarray:
+            return self._find_boundary_side(curve.evaluate_points(x), curve.evaluate_tangents(x))
 
-        events = self._events(motions(t))
+        events = self._evaluate_events(motions(t))
         signs = (events >= 0.0) & (np.abs(events).max(axis=0) > NEVER)
         i, j = np.nonzero(signs[1:] != signs[:-1])
-        roots = _switches(lambda x: self._events(motions(x), j) >= 0.0, t[i], t[i + 1])
+        roots = _find_switches(
+            lambda x: self._evaluate_events(motions(x), j) >= 0.0, t[i], t[i + 1]
+        )
         roots = np.unique(np.concatenate([[t[0], t[-1]], roots]))
         roots = roots[np.concatenate([[True], np.diff(roots) > TOGETHER])]
         # beside an event two curves touch: what is nearer than half a step is not told apart
         clear = np.abs(t[:, None] - roots).min(axis=1) > 0.5 * (t[1] - t[0])
         cuts = np.sort(np.concatenate([roots, t[clear]]))
         middles = 0.5 * (cuts[1:] + cuts[:-1])
-        values = sides(middles)
+        values = find_sides(middles)
         changes = np.flatnonzero(values[1:] != values[:-1])
         meetings = changes[~np.isin(cuts[changes + 1], roots)]
-        cuts[meetings + 1] = _switches(sides, middles[meetings], middles[meetings + 1])
+        cuts[meetings + 1] = _find_switches(find_sides, middles[meetings], middles[meetings + 1])
         ends = np.concatenate([[0], changes + 1, [len(values)]])
         for k, m in itertools.pairwise(ends):
             if values[k]:
@@ -416,12 +424,14 @@ class PlatformRegion:
                 out.append((leg.b, c, s, n, 1.0, c, 0.0, piece.radius**2))
                 if leg.b:
                     out.append((leg.b, c, s, n, 0.0, c, 1j, 0.0))
-                for end in () if piece.is_whole else piece.at(np.array([0.0, 1.0])).tolist():
+                for end in (
+                    () if piece.is_whole else piece.evaluate_points(np.array([0.0, 1.0])).tolist()
+                ):
                     across = 1j * (end - c) if piece.is_arc else piece.way / abs(piece.way)
                     out.append((leg.b, c, 0.0, across, 1.0, end, 0.0, 0.0))
         return np.array(out).T
 
-    def _events(self, x: Array, which: np.ndarray | None = None) -> Array:
+    def _evaluate_events(self, x: Array, which: np.ndarray | None = None) -> Array:
         """Numbers (k, m) of motions (k, 3), which change their signs at events; or (k,), for each
         motion one.
         """
@@ -438,17 +448,19 @@ class PlatformRegion:
 
     # ---- points
 
-    def holds(self, p: Any) -> np.ndarray:
+    def contains_points(self, p: Any) -> np.ndarray:
         """Whether points (...), which are not on the boundary, are inside."""
         z = np.asarray(p, dtype=complex)
         flat = z.ravel()
-        parts = [self._holds(flat[k : k + CHUNK]) for k in range(0, len(flat), CHUNK)]
+        parts = [self._contains_points(flat[k : k + CHUNK]) for k in range(0, len(flat), CHUNK)]
         return np.concatenate([np.zeros(0, dtype=bool), *parts]).reshape(z.shape)
 
-    def _holds(self, p: np.ndarray) -> np.ndarray:
+    def _contains_points(self, p: np.ndarray) -> np.ndarray:
         curves = [leg for leg in self.legs if leg.region.is_curve]
         legs = curves or self.legs
-        found = [_angles(p, leg.b, end) for leg in legs if leg.b for end in leg.region.edges]
+        found = [
+            _compute_angles(p, leg.b, end) for leg in legs if leg.b for end in leg.region.edges
+        ]
         angles = np.sort(np.concatenate([np.full((len(p), 1), np.nan), *found], axis=1), axis=1)
         # the middles of intervals between which nothing changes, and an angle if there are none
         if not curves:
@@ -461,12 +473,12 @@ class PlatformRegion:
         i, j = np.nonzero(np.isfinite(angles))
         for leg in self.legs:
             if not leg.region.is_curve:
-                some = leg.region.holds(p[i] + np.exp(1j * angles[i, j]) * leg.b)
+                some = leg.region.contains_points(p[i] + np.exp(1j * angles[i, j]) * leg.b)
                 i = i[some]
                 j = j[some]
         return np.isin(np.arange(len(p)), i)
 
-    def sampled_area(self, low: Array, high: Array) -> tuple[float, float]:
+    def estimate_area(self, low: Array, high: Array) -> tuple[float, float]:
         """Area inside a box [m^2], and two standard errors, by two random points in each of many
         squares.
         """
@@ -474,13 +486,13 @@ class PlatformRegion:
         corners = np.stack(np.meshgrid(*[np.arange(SQUARES)] * 2, indexing="ij"), axis=-1)
         parts = (corners[..., None, :] + rng.random((SQUARES, SQUARES, 2, 2))) / SQUARES
         xy = low + parts * (high - low)
-        inside = self.holds(xy[..., 0] + 1j * xy[..., 1])
+        inside = self.contains_points(xy[..., 0] + 1j * xy[..., 1])
         each = float(np.prod(high - low)) / SQUARES**2
         differ = np.count_nonzero(inside[..., 0] != inside[..., 1])
         return each * float(inside.mean(axis=-1).sum()), each * float(np.sqrt(differ + 1.0))
 
 
-def _switches(value: Callable[[np.ndarray], np.ndarray], low: Array, high: Array) -> Array:
+def _find_switches(value: Callable[[np.ndarray], np.ndarray], low: Array, high: Array) -> Array:
     """Parameters (k,) between others, at which values (k,) change."""
     before = value(low) if len(low) else low
     for _ in range(HALVINGS if len(low) else 0):
@@ -491,39 +503,41 @@ def _switches(value: Callable[[np.ndarray], np.ndarray], low: Array, high: Array
     return 0.5 * (low + high)
 
 
-def _touching(place: PlanePiece, touched: PlanePiece, b: complex, size: float, t: Any) -> Array:
+def _find_touching_motions(
+    place: PlanePiece, touched: PlanePiece, b: complex, size: float, t: Any
+) -> Array:
     """Motions (k, 3) with the platform at places on a piece, and its point b on another, at the same
     parameters.
     """
-    p = place.at(t)
-    turns = np.angle((touched.at(t) - p) / b) if b else np.zeros(len(p))
+    p = place.evaluate_points(t)
+    turns = np.angle((touched.evaluate_points(t) - p) / b) if b else np.zeros(len(p))
     return np.stack([np.real(p) / size, np.imag(p) / size, turns], axis=1)
 
 
-def _carriers(leg: PlatformLeg, size: float) -> list[PlanePiece]:
+def _list_carriers(leg: PlatformLeg, size: float) -> list[PlanePiece]:
     """The circles of a leg's boundary, and long segments of its lines."""
     out: list[PlanePiece] = []
     for piece in leg.region.edges:
         way = piece.way and size * piece.way / abs(piece.way)
-        line = PlanePiece(complex(piece.at(0.5)) - way, 0.0, way=2.0 * way)
-        out.append(whole_curve(piece) if piece.is_arc else line)
-    return merged(out, SAME * size)
+        line = PlanePiece(complex(piece.evaluate_points(0.5)) - way, 0.0, way=2.0 * way)
+        out.append(extend_piece(piece) if piece.is_arc else line)
+    return merge_pieces(out, SAME * size)
 
 
-def _places(motions: HeldPoints, x: Array) -> tuple[np.ndarray, np.ndarray]:
+def _locate_curve_points(motions: HeldPoints, x: Array) -> tuple[np.ndarray, np.ndarray]:
     """Places (k,) of motions (k, 3), and tangents of the coupler curve there."""
-    along = motions.tangents(x)
-    return motions.places(x), along[:, 0] + 1j * along[:, 1]
+    along = motions.compute_tangents(x)
+    return motions.locate_origins(x), along[:, 0] + 1j * along[:, 1]
 
 
-def _apart(x: Array, nodes: Array) -> np.ndarray:
+def _is_untraced(x: Array, nodes: Array) -> np.ndarray:
     """Which motions (n, 3) are not on traced curves with motions (k, 3)."""
     off = np.abs(x[:, None, :] - nodes)
     off[..., 2] = np.abs(np.mod(off[..., 2] + np.pi, TURN) - np.pi)
     return np.linalg.norm(off, axis=2).min(axis=1, initial=np.inf) > SEEN
 
 
-def _angles(p: np.ndarray, b: complex, end: PlanePiece) -> np.ndarray:
+def _compute_angles(p: np.ndarray, b: complex, end: PlanePiece) -> np.ndarray:
     """Angles (n, 2) in [0, 2 pi) at which the platform's point b, of places p (n,), is on a piece;
     NaN for none.
     """
@@ -536,10 +550,10 @@ def _angles(p: np.ndarray, b: complex, end: PlanePiece) -> np.ndarray:
         across = 1j * to / far
     else:
         across = np.full(p.shape, end.way / abs(end.way))
-        foot = p + 1j * across * -end.off(p)
+        foot = p + 1j * across * -end.compute_offsets(p)
         along = np.abs(foot - p)
     half = np.sqrt(np.where(along**2 <= r**2, r**2 - along**2, np.nan))
     points = np.stack([foot - half * across, foot + half * across], axis=1)
     on = np.isfinite(points)
-    on[on] = end.parameters(points[on])[1]
+    on[on] = end.find_parameters(points[on])[1]
     return np.where(on, np.mod(np.angle((points - p[:, None]) / b), TURN), np.nan)

@@ -29,17 +29,17 @@ from kempe.workspace.kinds import (
     ORIENTATION,
     REACHABLE,
     WorkspaceKind,
-    question_of,
+    read_question,
 )
-from kempe.workspace.place_bounds import legs_of
-from kempe.workspace.planar.planar_chain import PlanarChain, in_plane, wrist_of
+from kempe.workspace.place_bounds import find_legs
+from kempe.workspace.planar.planar_chain import PlanarChain, project_joint, split_wrist
 from kempe.workspace.planar.planar_platform import CouplerCurve, PlatformLeg, PlatformRegion
 from kempe.workspace.planar.plane_curves import (
     NOTHING,
     PlanarRegion,
     PlanePiece,
-    common_region,
-    surrounded_region,
+    intersect_regions,
+    shrink_region,
 )
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ MOST = 6
 """Joints that a chain may have: the work grows with their number."""
 
 
-def planar_region(
+def find_planar_region(
     system: Model, frame: str, question: WorkspaceKind
 ) -> PlanarRegion | PlatformRegion:
     """The region of a question about a frame. Errors: `UnsupportedError`, `InputError`; see
@@ -73,14 +73,14 @@ def planar_region(
         raise UnsupportedError(
             f"constraint {declared!r} of {system.name} may bound the workspace by other curves"
         )
-    legs = legs_of(system, frame)
+    legs = find_legs(system, frame)
     if not legs and (why := find_obstacle(system, frame)) is not None:
         raise UnsupportedError(why)
-    chains = [planar_chain(leg, frame) for leg in legs or (system,)]
+    chains = [find_planar_chain(leg, frame) for leg in legs or (system,)]
     if question.kind == REACHABLE:
         if len(chains) > 1:
-            return _platform_region(system, frame, chains)
-        chain = PlanarChain.of(chains[0][0].joints, chains[0][0].tip)
+            return _find_platform_region(system, frame, chains)
+        chain = PlanarChain.from_joints(chains[0][0].joints, chains[0][0].tip)
         if not chain.joints:
             raise InputError(
                 f"frame {frame!r} of {system.name} turns in its place: it does not move"
@@ -88,7 +88,7 @@ def planar_region(
         return chain.region
     parts: list[PlanarRegion] = []
     for chain, turned in chains:
-        wrist = wrist_of(chain)
+        wrist = split_wrist(chain)
         if wrist is None:
             raise UnsupportedError(
                 f"the last joint before {frame!r} of {system.name}, or of a leg of it, does not "
@@ -99,26 +99,26 @@ def planar_region(
         if not question.all_turns(2):
             for R in question.rotations:
                 turn = float(np.arctan2(R[1, 0], R[0, 0])) - turned
-                parts.append(inner.region.moved(way * complex(np.exp(1j * turn))))
+                parts.append(inner.region.move_region(way * complex(np.exp(1j * turn))))
         elif abs(way) < NOTHING * inner.size:
             parts.append(inner.region)
         else:
-            parts.append(surrounded_region(inner.region, abs(way)))
-    region = _together(parts)
+            parts.append(shrink_region(inner.region, abs(way)))
+    region = _merge_regions(parts)
     counted = question.kind == CONSTANT
     return region if counted or not region.counted else replace(region, counted=False)
 
 
-def _together(parts: Sequence[PlanarRegion]) -> PlanarRegion:
+def _merge_regions(parts: Sequence[PlanarRegion]) -> PlanarRegion:
     """One region of all parts. Errors: `UnsupportedError` where one of several is a curve."""
     if len(parts) > 1 and any(p.is_curve for p in parts):
         raise UnsupportedError(
             "a leg of the loop leaves a curve only: what several leave is a piece of it, or points"
         )
-    return reduce(common_region, parts)
+    return reduce(intersect_regions, parts)
 
 
-def _platform_region(
+def _find_platform_region(
     system: Model, frame: str, chains: Sequence[tuple[PlanarChain, float]]
 ) -> PlanarRegion | PlatformRegion:
     """The region of a frame at the end of legs: chains, and angles of the frame where each is at
@@ -130,16 +130,16 @@ def _platform_region(
     regions: list[PlanarRegion] = []
     aside: list[tuple[PlanarChain, float]] = []
     for chain, turned in chains:
-        wrist = wrist_of(chain)
+        wrist = split_wrist(chain)
         if wrist is None or abs(wrist[1]) > AT_ORIGIN * chain.size:
             aside.append((chain, turned))
         else:
             regions.append(wrist[0].region)
     if len(aside) < 2:
-        return _together([*regions, *(chain.region for chain, _ in aside)])
-    legs = [PlatformLeg(_together(regions), 0j)] if regions else []
+        return _merge_regions([*regions, *(chain.region for chain, _ in aside)])
+    legs = [PlatformLeg(_merge_regions(regions), 0j)] if regions else []
     for chain, turned in aside:
-        wrist = wrist_of(chain)
+        wrist = split_wrist(chain)
         if wrist is None:
             raise UnsupportedError(
                 f"frame {frame!r} moves with the loops of {system.name}, and a leg of it does not "
@@ -149,7 +149,9 @@ def _platform_region(
         b = complex(-wrist[1] * np.exp(-1j * turned))
         same = [k for k, leg in enumerate(legs) if abs(leg.b - b) <= AT_ORIGIN * region.size]
         if same:
-            legs[same[0]] = replace(legs[same[0]], region=_together([legs[same[0]].region, region]))
+            legs[same[0]] = replace(
+                legs[same[0]], region=_merge_regions([legs[same[0]].region, region])
+            )
         else:
             legs.append(PlatformLeg(region, b))
     if sum(leg.region.is_curve for leg in legs) > 1 or (regions and legs[0].region.is_curve):
@@ -159,7 +161,7 @@ def _platform_region(
     return PlatformRegion(tuple(legs))
 
 
-def planar_chain(system: Model, frame: str) -> tuple[PlanarChain, float]:
+def find_planar_chain(system: Model, frame: str) -> tuple[PlanarChain, float]:
     """The chain that moves a frame, and the angle of the frame where it is at zero. Errors:
     `UnsupportedError`, `InputError`; see `planar_workspace`.
     """
@@ -181,7 +183,7 @@ def planar_chain(system: Model, frame: str) -> tuple[PlanarChain, float]:
                 f"slide {line.coordinate!r} has no limits, so the workspace has no end: give it "
                 "some"
             )
-    joints = [j for line in lines if (j := in_plane(line, np.eye(3), np.zeros(3)))]
+    joints = [j for line in lines if (j := project_joint(line, np.eye(3), np.zeros(3)))]
     return (
         PlanarChain(tuple(joints), complex(*pose[:2, 3])),
         float(np.arctan2(pose[1, 0], pose[0, 0])),
@@ -239,16 +241,16 @@ class PlanarWorkspace(Report):
     @cached_property
     def boundary(self) -> tuple[PlaneCurve, ...]:
         """The pieces of curves that bound it; of a single joint the curve that it is."""
-        return tuple(self.region.ends)
+        return tuple(self.region.boundary_pieces)
 
     @cached_property
     def measure(self) -> tuple[float, float]:
         """Its area in square metres, and the error: rounding, or two standard errors of samples."""
         if isinstance(self.region, PlatformRegion):
-            return self.region.sampled_area(*self.extent) if self.boundary else (0.0, 0.0)
+            return self.region.estimate_area(*self.extent) if self.boundary else (0.0, 0.0)
         if self.region.is_curve:
             return 0.0, 0.0
-        area = sum(p.moment for p in self.region.ends)
+        area = sum(p.moment for p in self.region.boundary_pieces)
         return float(area), ROUNDING * self.region.size**2
 
     @property
@@ -280,14 +282,14 @@ class PlanarWorkspace(Report):
         if self.region.is_curve or not self.boundary:
             return ()
         if isinstance(self.region, PlatformRegion):
-            loops = self._closed
+            loops = self._closed_curves
             return (SolutionRegion(None, self.area, self.boundary, loops),)
         sides = self.region.sides
         counts = sorted({n for _, left, right in sides for n in (left, right) if n > 0})
         out: list[SolutionRegion] = []
         for n in counts:
             edges = [
-                p if left == n else p.part(1.0, 0.0)
+                p if left == n else p.cut_piece(1.0, 0.0)
                 for p, left, right in sides
                 if (left == n) != (right == n)
             ]
@@ -296,35 +298,35 @@ class PlanarWorkspace(Report):
                     n if self.region.counted else None,
                     float(sum(p.moment for p in edges)),
                     tuple(edges),
-                    _loops(edges, MEET * self.region.size),
+                    _join_loops(edges, MEET * self.region.size),
                 )
             )
         return tuple(out)
 
     @cached_property
-    def _closed(self) -> tuple[tuple[PlaneCurve, ...], ...]:
+    def _closed_curves(self) -> tuple[tuple[PlaneCurve, ...], ...]:
         """The boundary as closed curves."""
         size = self.region.size
         gap = GAP * size if isinstance(self.region, PlatformRegion) else 0.0
-        return _loops(list(self.boundary), MEET * size, gap)
+        return _join_loops(list(self.boundary), MEET * size, gap)
 
     @cached_property
     def voids(self) -> tuple[tuple[PlaneCurve, ...], ...]:
         """Closed curves round holes of the workspace."""
-        loops = self._closed if self.regions else ()
-        return tuple(loop for loop in loops if loop_area(loop) < 0.0)
+        loops = self._closed_curves if self.regions else ()
+        return tuple(loop for loop in loops if compute_loop_area(loop) < 0.0)
 
     def contains(self, points: ArrayLike) -> Any:
         """Whether points (..., 2) or (..., 3) are reached. On the boundary rounding decides.
 
         Of a curve they are those within 1e-9 of its length.
         """
-        p = self._points(points)
+        p = self._read_points(points)
         if self.region.is_curve:
             out = np.asarray(self.distance(points) <= 1e-9 * self.region.size)
         else:
             finite = np.isfinite(p)
-            out = finite & self.region.holds(np.where(finite, p, 0.0))
+            out = finite & self.region.contains_points(np.where(finite, p, 0.0))
         return bool(out) if out.ndim == 0 else out
 
     def solutions(self, points: ArrayLike) -> Any:
@@ -338,9 +340,9 @@ class PlanarWorkspace(Report):
                 f"of {self.frame!r} solutions are not counted: they are where two joints decide "
                 "the place, in one orientation or whatever it is; see `ik_all`"
             )
-        p = self._points(points)
+        p = self._read_points(points)
         finite = np.isfinite(p)
-        out = np.where(finite, self.region.numbers(np.where(finite, p, 0.0)), 0)
+        out = np.where(finite, self.region.count_solutions(np.where(finite, p, 0.0)), 0)
         return int(out) if p.ndim == 0 else out
 
     def distance(self, points: ArrayLike) -> Any:
@@ -351,19 +353,19 @@ class PlanarWorkspace(Report):
         is.
         """
         given = numbers(points, "points")
-        self._points(given)
+        self._read_points(given)
         xy = given[..., :2]
         finite = np.asarray(np.isfinite(xy).all(axis=-1))
         far = np.hypot(xy[..., 0], xy[..., 1])
-        near = self._points(np.where(finite[..., None], xy, 0.0))
+        near = self._read_points(np.where(finite[..., None], xy, 0.0))
         best = np.full(finite.shape, np.inf)
         for piece in self.boundary:
-            best = np.minimum(best, piece.distance(near))
+            best = np.minimum(best, piece.compute_distances(near))
         best = np.where(finite, best, far)
         best = np.hypot(best, given[..., 2]) if given.shape[-1] == 3 else best
         return float(best) if best.ndim == 0 else best
 
-    def _points(self, points: ArrayLike) -> np.ndarray:
+    def _read_points(self, points: ArrayLike) -> np.ndarray:
         p = numbers(points, "points")
         if p.ndim == 0 or p.shape[-1] not in (2, 3):
             raise InputError(f"points has shape {p.shape}; it must be (..., 2)")
@@ -399,8 +401,8 @@ class PlanarWorkspace(Report):
 
     def _notes(self, degrees: bool = False) -> list[str]:
         return [
-            f"{word_of(r, self.kind)}: {r.area:.{5 if self.error else 9}g} m^2, "
-            f"{format_count(sum(loop_area(x) > 0.0 for x in r.loops), 'part')}"
+            f"{describe_solution_count(r, self.kind)}: {r.area:.{5 if self.error else 9}g} m^2, "
+            f"{format_count(sum(compute_loop_area(x) > 0.0 for x in r.loops), 'part')}"
             for r in self.regions
         ]
 
@@ -419,26 +421,26 @@ class PlanarWorkspace(Report):
         }
 
 
-def word_of(region: SolutionRegion, kind: str) -> str:
+def describe_solution_count(region: SolutionRegion, kind: str) -> str:
     """How often the points of a region are reached."""
     if region.solutions is not None:
         return format_count(region.solutions, "solution")
     return "in all orientations" if kind == DEXTEROUS else "infinitely many solutions"
 
 
-def loop_area(loop: tuple[PlaneCurve, ...]) -> float:
+def compute_loop_area(loop: tuple[PlaneCurve, ...]) -> float:
     """Area that a closed curve has to its left: of coupler curves that of their short chords."""
     return sum(piece.moment for piece in loop)
 
 
-def _loops(
+def _join_loops(
     pieces: Sequence[PlaneCurve], same: float, gap: float = 0.0
 ) -> tuple[tuple[PlaneCurve, ...], ...]:
     """The pieces as closed curves, each followed by one that begins where it ends: of several the
     leftmost. Where none does it is the nearest within a `gap`.
     """
     out: list[tuple[PlaneCurve, ...]] = []
-    starts = np.array([complex(p.at(0.0)) for p in pieces])
+    starts = np.array([complex(p.evaluate_points(0.0)) for p in pieces])
     used = np.zeros(len(pieces), dtype=bool)
     for first in range(len(pieces)):
         if used[first]:
@@ -448,11 +450,13 @@ def _loops(
         while True:
             used[k] = True
             loop.append(pieces[k])
-            far = np.where(used, np.inf, np.abs(starts - complex(pieces[k].at(1.0))))
-            far[first] = abs(starts[first] - complex(pieces[k].at(1.0)))
-            along = pieces[k].tangent(1.0)
+            far = np.where(used, np.inf, np.abs(starts - complex(pieces[k].evaluate_points(1.0))))
+            far[first] = abs(starts[first] - complex(pieces[k].evaluate_points(1.0)))
+            along = pieces[k].evaluate_tangent(1.0)
             near = np.flatnonzero(far <= max(same, min(gap, float(far.min()))))
-            turns = [float(np.angle(pieces[j].tangent(0.0) / along)) for j in near.tolist()]
+            turns = [
+                float(np.angle(pieces[j].evaluate_tangent(0.0) / along)) for j in near.tolist()
+            ]
             if not len(near) or (k := int(near[np.argmax(turns)])) == first:
                 break
         out.append(tuple(loop))
@@ -482,13 +486,17 @@ def planar_workspace(
     that do not move.
     """
     name = system.structure.frame_name(frame)
-    return planar_answer(system, name, question_of(system, name, kind, orientation, None))
+    return answer_planar_question(
+        system, name, read_question(system, name, kind, orientation, None)
+    )
 
 
-def planar_answer(system: Model, frame: str, question: WorkspaceKind) -> PlanarWorkspace:
+def answer_planar_question(system: Model, frame: str, question: WorkspaceKind) -> PlanarWorkspace:
     """The answer to a question. Errors: see `planar_workspace`."""
     if question.kind == ORIENTATION:
         raise UnsupportedError(
             "the exact workspace is one of places; one of orientations is a sampled map"
         )
-    return PlanarWorkspace(system, frame, planar_region(system, frame, question), question.kind)
+    return PlanarWorkspace(
+        system, frame, find_planar_region(system, frame, question), question.kind
+    )

@@ -22,7 +22,7 @@ ENDS = 1e-9
 # ---- curves
 
 
-def as_pair(z: Any) -> list[float]:
+def to_pair(z: Any) -> list[float]:
     """A point as x and y."""
     point = complex(z)
     return [point.real, point.imag]
@@ -50,19 +50,23 @@ class PlanePiece:
         """What it is, as a noun."""
         return "arc" if self.is_arc else "segment"
 
-    def points(self, fine: float) -> np.ndarray:
+    def sample_points(self, fine: float) -> np.ndarray:
         """Points (k,) along it, between which it turns by less than an angle."""
-        return self.at(np.linspace(0.0, 1.0, max(2, int(abs(self.sweep) / fine) + 2)))
+        return self.evaluate_points(np.linspace(0.0, 1.0, max(2, int(abs(self.sweep) / fine) + 2)))
 
     def data(self) -> dict[str, Any]:
         """Its numbers, for JSON."""
         arc = {
-            "centre": as_pair(self.centre),
+            "centre": to_pair(self.centre),
             "radius": self.radius,
             "start": self.start,
             "sweep": self.sweep,
         }
-        ends = {"kind": self.kind, "from": as_pair(self.at(0.0)), "to": as_pair(self.at(1.0))}
+        ends = {
+            "kind": self.kind,
+            "from": to_pair(self.evaluate_points(0.0)),
+            "to": to_pair(self.evaluate_points(1.0)),
+        }
         return ends | (arc if self.is_arc else {})
 
     @property
@@ -70,35 +74,35 @@ class PlanePiece:
         """Its length in metres."""
         return self.radius * abs(self.sweep) if self.is_arc else abs(self.way)
 
-    def at(self, t: np.ndarray | float) -> np.ndarray:
+    def evaluate_points(self, t: np.ndarray | float) -> np.ndarray:
         """Points (...) at parameters t (...)."""
         t = np.asarray(t, dtype=float)
         if self.is_arc:
             return self.centre + self.radius * np.exp(1j * (self.start + self.sweep * t))
         return self.centre + self.way * t
 
-    def tangents(self, t: Any) -> np.ndarray:
+    def evaluate_tangents(self, t: Any) -> np.ndarray:
         """Unit tangents (...) at parameters (...)."""
         if self.is_arc:
             return 1j * np.sign(self.sweep) * np.exp(1j * (self.start + self.sweep * t))
         return np.full(np.shape(t), self.way / abs(self.way))
 
-    def tangent(self, t: float) -> complex:
+    def evaluate_tangent(self, t: float) -> complex:
         """The unit tangent at a parameter."""
-        return complex(self.tangents(t))
+        return complex(self.evaluate_tangents(t))
 
     @property
     def is_whole(self) -> bool:
         """Whether it is a whole circle."""
         return self.is_arc and abs(self.sweep) >= TURN - 1e-12
 
-    def moved(self, turn: complex, by: complex) -> PlanePiece:
+    def move_piece(self, turn: complex, by: complex) -> PlanePiece:
         """The piece, turned about the origin by a unit number and moved."""
         angle = self.start + float(np.angle(turn))
         centre = turn * self.centre + by
         return PlanePiece(centre, self.radius, angle, self.sweep, turn * self.way)
 
-    def part(self, a: float, b: float) -> PlanePiece:
+    def cut_piece(self, a: float, b: float) -> PlanePiece:
         """The piece from the parameter a to b."""
         if self.is_arc:
             return PlanePiece(
@@ -106,7 +110,7 @@ class PlanePiece:
             )
         return PlanePiece(self.centre + self.way * a, 0.0, way=self.way * (b - a))
 
-    def parameters(self, p: np.ndarray, slack: float = ENDS) -> tuple[np.ndarray, np.ndarray]:
+    def find_parameters(self, p: np.ndarray, slack: float = ENDS) -> tuple[np.ndarray, np.ndarray]:
         """Parameters (...) of points (...) of its circle or line, and whether they are on it."""
         if not self.is_arc:
             t = np.real((p - self.centre) * np.conj(self.way)) / abs(self.way) ** 2
@@ -118,7 +122,7 @@ class PlanePiece:
         t = turn / max(size, 1e-300)  # an arc may have shrunk to a point
         return t, (t > -slack) & (t < 1.0 + slack)
 
-    def off(self, p: np.ndarray) -> np.ndarray:
+    def compute_offsets(self, p: np.ndarray) -> np.ndarray:
         """How far points (...) are outside its circle, or to the left of its line, in metres;
         negative on the other.
         """
@@ -126,31 +130,39 @@ class PlanePiece:
             return np.abs(p - self.centre) - self.radius
         return np.imag((p - self.centre) * np.conj(self.way)) / abs(self.way)
 
-    def meets(self, other: PlanePiece, slack: float = ENDS) -> np.ndarray:
+    def find_meetings(self, other: PlanePiece, slack: float = ENDS) -> np.ndarray:
         """Parameters (k,) of the points in which it meets or touches another piece; none on the
         same circle or line.
         """
-        p = circle_points(self, other)
-        p = p[other.parameters(p, slack)[1]] if len(p) else p
-        t, on = self.parameters(p, slack)
+        p = intersect_carriers(self, other)
+        p = p[other.find_parameters(p, slack)[1]] if len(p) else p
+        t, on = self.find_parameters(p, slack)
         return t[on]
 
-    def distance(self, p: np.ndarray) -> np.ndarray:
+    def compute_distances(self, p: np.ndarray) -> np.ndarray:
         """Distances (...) of points (...) from it."""
-        t, on = self.parameters(p)
+        t, on = self.find_parameters(p)
         near = (
-            np.abs(np.abs(p - self.centre) - self.radius) if self.is_arc else np.abs(p - self.at(t))
+            np.abs(np.abs(p - self.centre) - self.radius)
+            if self.is_arc
+            else np.abs(p - self.evaluate_points(t))
         )
-        return np.where(on, near, np.minimum(np.abs(p - self.at(0.0)), np.abs(p - self.at(1.0))))
+        return np.where(
+            on,
+            near,
+            np.minimum(
+                np.abs(p - self.evaluate_points(0.0)), np.abs(p - self.evaluate_points(1.0))
+            ),
+        )
 
     @property
     def extremes(self) -> np.ndarray:
         """Its ends, and where x or y is largest or least on it (k,)."""
-        ends = self.at(np.array([0.0, 1.0]))
+        ends = self.evaluate_points(np.array([0.0, 1.0]))
         if not self.is_arc:
             return ends
         sides = self.centre + self.radius * np.array([1.0, 1j, -1.0, -1j])
-        return np.append(ends, sides[self.parameters(sides)[1]])
+        return np.append(ends, sides[self.find_parameters(sides)[1]])
 
     @property
     def moment(self) -> float:
@@ -159,15 +171,15 @@ class PlanePiece:
         """
         if not self.is_arc:
             return 0.5 * float((self.centre.conjugate() * self.way).imag)
-        a = self.at(0.0)
-        b = self.at(1.0)
+        a = self.evaluate_points(0.0)
+        b = self.evaluate_points(1.0)
         return (
             0.5 * float((self.centre.conjugate() * (b - a)).imag)
             + 0.5 * self.radius**2 * self.sweep
         )
 
 
-def circle_points(a: PlanePiece, b: PlanePiece) -> np.ndarray:
+def intersect_carriers(a: PlanePiece, b: PlanePiece) -> np.ndarray:
     """Points in which the circles or lines of two pieces meet or touch, of the same circle or line
     none.
     """
@@ -198,7 +210,7 @@ def circle_points(a: PlanePiece, b: PlanePiece) -> np.ndarray:
     return np.array([foot - half * unit, foot + half * unit])
 
 
-def merged(pieces: Iterable[PlanePiece], same: float) -> list[PlanePiece]:
+def merge_pieces(pieces: Iterable[PlanePiece], same: float) -> list[PlanePiece]:
     """The pieces longer than `same` metres; those on one circle or line are joined where they
     overlap.
     """
@@ -207,18 +219,18 @@ def merged(pieces: Iterable[PlanePiece], same: float) -> list[PlanePiece]:
         if piece.length < same:
             continue
         for first, spans in groups:
-            if _same_curve(first, piece, same):
-                spans += _spans(first, piece)
+            if _is_same_carrier(first, piece, same):
+                spans += _list_spans(first, piece)
                 break
         else:
-            whole = whole_curve(piece)
-            groups.append((whole, _spans(whole, piece)))
+            whole = extend_piece(piece)
+            groups.append((whole, _list_spans(whole, piece)))
     return [
-        first.part(a, b) for first, spans in groups for a, b in unite_intervals(spans, slack=1e-12)
+        first.cut_piece(a, b) for first, spans in groups for a, b in unite_intervals(spans, slack=1e-12)
     ]
 
 
-def whole_curve(piece: PlanePiece) -> PlanePiece:
+def extend_piece(piece: PlanePiece) -> PlanePiece:
     """The circle of an arc, from the angle 0 on; or a unit segment of the line of a segment, from its
     point nearest to the origin on.
     """
@@ -228,19 +240,21 @@ def whole_curve(piece: PlanePiece) -> PlanePiece:
     return PlanePiece(piece.centre - unit * np.real(piece.centre * np.conj(unit)), 0.0, way=unit)
 
 
-def _same_curve(a: PlanePiece, b: PlanePiece, same: float) -> bool:
+def _is_same_carrier(a: PlanePiece, b: PlanePiece, same: float) -> bool:
     if a.is_arc != b.is_arc:
         return False
     if a.is_arc:
         return abs(a.centre - b.centre) < same and abs(a.radius - b.radius) < same
-    off = [abs(np.imag((b.at(t) - a.centre) * np.conj(a.way))) for t in (0.0, 1.0)]
+    off = [abs(np.imag((b.evaluate_points(t) - a.centre) * np.conj(a.way))) for t in (0.0, 1.0)]
     return max(off) < same
 
 
-def _spans(first: PlanePiece, piece: PlanePiece) -> list[tuple[float, float]]:
+def _list_spans(first: PlanePiece, piece: PlanePiece) -> list[tuple[float, float]]:
     """Intervals of parameters of a whole circle (0 to 1) or line, that a piece of it takes."""
     if not first.is_arc:
-        t = np.real((piece.at(np.array([0.0, 1.0])) - first.centre) * np.conj(first.way))
+        t = np.real(
+            (piece.evaluate_points(np.array([0.0, 1.0])) - first.centre) * np.conj(first.way)
+        )
         return [(float(t.min()), float(t.max()))]
     if piece.is_whole:
         return [(0.0, 1.0)]
@@ -283,39 +297,39 @@ class PlanarRegion:
         return bool(self.curve)
 
     @cached_property
-    def ends(self) -> list[PlanePiece]:
+    def boundary_pieces(self) -> list[PlanePiece]:
         """The pieces of the boundary, each with the region to its left; or the curve."""
         return [p for p, _, right in self.sides if not right] + list(self.curve)
 
     @cached_property
     def edges(self) -> list[PlanePiece]:
         """The same pieces without direction, joined where one continues another."""
-        return merged(self.ends, SAME * self.size)
+        return merge_pieces(self.boundary_pieces, SAME * self.size)
 
-    def numbers(self, p: np.ndarray) -> np.ndarray:
+    def count_solutions(self, p: np.ndarray) -> np.ndarray:
         """Numbers of solutions (...) of points (...) that are on no piece."""
         turns = np.zeros(np.shape(p))
         for piece, left, right in self.sides:
-            turns += (left - right) * _turn_about(piece, np.asarray(p))
+            turns += (left - right) * _compute_turn_angles(piece, np.asarray(p))
         return np.round(turns / TURN).astype(np.int64)
 
-    def holds(self, p: np.ndarray) -> np.ndarray:
+    def contains_points(self, p: np.ndarray) -> np.ndarray:
         """Whether points (...), which are not on the boundary, are inside."""
         turns = np.zeros(np.shape(p))
-        for piece in () if self.curve else self.ends:
-            turns += _turn_about(piece, np.asarray(p))
+        for piece in () if self.curve else self.boundary_pieces:
+            turns += _compute_turn_angles(piece, np.asarray(p))
         return np.round(turns / TURN) != 0
 
-    def moved(self, by: complex) -> PlanarRegion:
+    def move_region(self, by: complex) -> PlanarRegion:
         """The region, moved as a whole."""
         return replace(
             self,
-            sides=tuple((p.moved(1.0, by), left, right) for p, left, right in self.sides),
-            curve=tuple(p.moved(1.0, by) for p in self.curve),
+            sides=tuple((p.move_piece(1.0, by), left, right) for p, left, right in self.sides),
+            curve=tuple(p.move_piece(1.0, by) for p in self.curve),
         )
 
 
-def arranged(
+def arrange_region(
     pieces: Iterable[PlanePiece],
     numbers: Callable[[np.ndarray], np.ndarray],
     size: float,
@@ -326,59 +340,67 @@ def arranged(
     `numbers` (n,) of points (n,) that are on no piece are read on both sides of each piece between
     two meetings with others.
     """
-    curves = merged(pieces, SAME * size)
+    curves = merge_pieces(pieces, SAME * size)
     parts: list[PlanePiece] = []
     owners: list[int] = []
     for k, piece in enumerate(curves):
-        cuts = [piece.meets(other) for other in curves if other is not piece]
+        cuts = [piece.find_meetings(other) for other in curves if other is not piece]
         t = np.unique(np.concatenate([[0.0, 1.0], *cuts]).clip(0.0, 1.0))
         t = t[np.concatenate([[True], np.diff(t) * piece.length > 10.0 * SAME * size])]
         t[-1] = 1.0
-        parts += [piece.part(a, b) for a, b in itertools.pairwise(t)]
+        parts += [piece.cut_piece(a, b) for a, b in itertools.pairwise(t)]
         owners += [k] * (len(t) - 1)
     if not parts:
         return PlanarRegion(size, counted=counted)
-    middles = np.array([complex(part.at(0.47)) for part in parts])
+    middles = np.array([complex(part.evaluate_points(0.47)) for part in parts])
     room = np.array([min(BESIDE * size, PART * part.length) for part in parts])
     for k, piece in enumerate(curves):
-        far = piece.distance(middles)
+        far = piece.compute_distances(middles)
         other = (np.array(owners) != k) & (far > 0.1 * SAME * size)
         room = np.where(other, np.minimum(room, 0.3 * far), room)
-    beside = room * 1j * np.array([part.tangent(0.47) for part in parts])
+    beside = room * 1j * np.array([part.evaluate_tangent(0.47) for part in parts])
     found = numbers(np.concatenate([middles + beside, middles - beside]))
     found = found if counted else np.minimum(found, 1)
     sides: list[tuple[PlanePiece, int, int]] = []
     for part, a, b in zip(parts, *np.split(found, 2), strict=True):
         if a != b:
-            sides.append((part if a > b else part.part(1.0, 0.0), int(max(a, b)), int(min(a, b))))
+            sides.append(
+                (part if a > b else part.cut_piece(1.0, 0.0), int(max(a, b)), int(min(a, b)))
+            )
     return PlanarRegion(size, tuple(sides), counted)
 
 
-def common_region(one: PlanarRegion, two: PlanarRegion) -> PlanarRegion:
+def intersect_regions(one: PlanarRegion, two: PlanarRegion) -> PlanarRegion:
     """The points of two regions, with the products of their numbers of solutions."""
     counted = one.counted and two.counted
 
-    def numbers(p: np.ndarray) -> np.ndarray:
-        return one.numbers(p) * two.numbers(p) if counted else one.holds(p) & two.holds(p)
+    def count_common_solutions(p: np.ndarray) -> np.ndarray:
+        return (
+            one.count_solutions(p) * two.count_solutions(p)
+            if counted
+            else one.contains_points(p) & two.contains_points(p)
+        )
 
-    pieces = [p for r in (one, two) for p in ([s[0] for s in r.sides] if counted else r.ends)]
-    return arranged(pieces, numbers, max(one.size, two.size), counted)
+    pieces = [
+        p for r in (one, two) for p in ([s[0] for s in r.sides] if counted else r.boundary_pieces)
+    ]
+    return arrange_region(pieces, count_common_solutions, max(one.size, two.size), counted)
 
 
-def folded_region(region: PlanarRegion) -> PlanarRegion:
+def mirror_region(region: PlanarRegion) -> PlanarRegion:
     """The points of a region, and those that are across the line x = 0 from them."""
     across = [
         PlanePiece(-p.centre.conjugate(), p.radius, np.pi - p.start, -p.sweep, -p.way.conjugate())
-        for p in region.ends
+        for p in region.boundary_pieces
     ]
-    return arranged(
-        [*region.ends, *across],
-        lambda p: region.holds(p) | region.holds(-p.conj()),
+    return arrange_region(
+        [*region.boundary_pieces, *across],
+        lambda p: region.contains_points(p) | region.contains_points(-p.conj()),
         region.size,
     )
 
 
-def beside_pieces(
+def offset_pieces(
     pieces: Iterable[PlanePiece], radius: float
 ) -> list[tuple[PlanePiece, PlanePiece]]:
     """Curves of the points about which a circle of a radius touches pieces, or meets their ends;
@@ -395,41 +417,43 @@ def beside_pieces(
             aside = 1j * piece.way / abs(piece.way) * radius
             out += [(replace(piece, centre=piece.centre + s * aside), piece) for s in (1.0, -1.0)]
         for t in () if piece.is_whole else (0.0, 1.0):
-            corner = complex(piece.at(t))
+            corner = complex(piece.evaluate_points(t))
             out.append((PlanePiece(corner, radius, 0.0, TURN), PlanePiece(corner, 0.0)))
     return out
 
 
-def surrounded_region(region: PlanarRegion, radius: float) -> PlanarRegion:
+def shrink_region(region: PlanarRegion, radius: float) -> PlanarRegion:
     """The points about which a whole circle of a radius lies in a region."""
 
-    def numbers(p: np.ndarray) -> np.ndarray:
+    def count_circles(p: np.ndarray) -> np.ndarray:
         circles = [PlanePiece(z, radius, 0.0, TURN) for z in p.tolist()]
-        return np.array([region.holds(middles_between(c, region.edges)).all() for c in circles])
+        return np.array(
+            [region.contains_points(list_middles(c, region.edges)).all() for c in circles]
+        )
 
-    pieces = [piece for piece, _ in beside_pieces(region.edges, radius)]
-    return arranged(pieces, numbers, region.size + radius)
+    pieces = [piece for piece, _ in offset_pieces(region.edges, radius)]
+    return arrange_region(pieces, count_circles, region.size + radius)
 
 
-def middles_between(piece: PlanePiece, others: Iterable[PlanePiece]) -> np.ndarray:
+def list_middles(piece: PlanePiece, others: Iterable[PlanePiece]) -> np.ndarray:
     """Points (k,) of a piece, one between any two neighbours of its meetings with others."""
-    t = np.concatenate([[0.0, 1.0], *(piece.meets(other) for other in others)])
+    t = np.concatenate([[0.0, 1.0], *(piece.find_meetings(other) for other in others)])
     t = np.unique(t.clip(0.0, 1.0))
-    return piece.at(0.5 * (t[1:] + t[:-1]))
+    return piece.evaluate_points(0.5 * (t[1:] + t[:-1]))
 
 
-def _turn_about(piece: PlanePiece, p: np.ndarray) -> np.ndarray:
+def _compute_turn_angles(piece: PlanePiece, p: np.ndarray) -> np.ndarray:
     """The angles by which the way from points (...) to a point turns as this goes along a piece."""
-    a = complex(piece.at(0.0)) - p
-    b = complex(piece.at(1.0)) - p
+    a = complex(piece.evaluate_points(0.0)) - p
+    b = complex(piece.evaluate_points(1.0)) - p
     if not piece.is_arc:
         return np.angle(b * a.conj())
     # the angle is that of the chord, and a full turn more where p is between the arc and that
     parts = max(1, int(np.ceil(abs(piece.sweep) / 1.5)))
     total = np.zeros(p.shape)
     for k in range(parts):
-        small = piece.part(k / parts, (k + 1) / parts)
-        ends = complex(small.at(0.0)), complex(small.at(1.0))
+        small = piece.cut_piece(k / parts, (k + 1) / parts)
+        ends = complex(small.evaluate_points(0.0)), complex(small.evaluate_points(1.0))
         inside = np.abs(p - small.centre) < small.radius
         side = np.sign(small.sweep)
         beyond = np.imag((p - ends[0]) * np.conj(ends[1] - ends[0])) * side < 0.0

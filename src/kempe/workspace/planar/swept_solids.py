@@ -16,13 +16,18 @@ import numpy as np
 from kempe.errors import UnsupportedError
 from kempe.forward.joint_lines import JointLine, compute_joint_lines
 from kempe.spatial import Array
-from kempe.workspace.planar.planar_chain import PARALLEL, PlanarChain, in_plane, limits_of
+from kempe.workspace.planar.planar_chain import (
+    PARALLEL,
+    PlanarChain,
+    list_stopping_limits,
+    project_joint,
+)
 from kempe.workspace.planar.planar_workspace import MOST, ROUNDING
 from kempe.workspace.planar.plane_curves import (
     NOTHING,
     PlanarRegion,
     PlanePiece,
-    folded_region,
+    mirror_region,
 )
 
 if TYPE_CHECKING:
@@ -52,14 +57,21 @@ class SweptSolid:
     @property
     def measure(self) -> tuple[float, float]:
         """Its volume in cubic metres, exact but for rounding, and the error that this leaves."""
-        ends = self.section.ends
+        ends = self.section.boundary_pieces
         if self.turned:  # Pappus: pi times the integral of |x| over a section that is folded
             axis = PlanePiece(-4j * self.section.size, 0.0, way=8j * self.section.size)
             volume = 0.0
             for piece in ends:
-                t = np.unique(np.concatenate([[0.0, 1.0], piece.meets(axis)]).clip(0.0, 1.0))
-                for part in (piece.part(a, b) for a, b in itertools.pairwise(t)):
-                    volume += 0.5 * np.pi * np.sign(np.real(part.at(0.5))) * _square_moment(part)
+                t = np.unique(
+                    np.concatenate([[0.0, 1.0], piece.find_meetings(axis)]).clip(0.0, 1.0)
+                )
+                for part in (piece.cut_piece(a, b) for a, b in itertools.pairwise(t)):
+                    volume += (
+                        0.5
+                        * np.pi
+                        * np.sign(np.real(part.evaluate_points(0.5)))
+                        * _integrate_square_moment(part)
+                    )
         else:
             volume = sum(p.moment for p in ends) * (self.high - self.low)
         return float(volume), ROUNDING * self.section.size**3
@@ -67,7 +79,7 @@ class SweptSolid:
     @property
     def extent(self) -> Array:
         """The least and the largest x, y and z (2, 3) in metres, of a box about it."""
-        p = np.concatenate([piece.extremes for piece in self.section.ends])
+        p = np.concatenate([piece.extremes for piece in self.section.boundary_pieces])
         x, y = ((float(side.min()), float(side.max())) for side in (np.real(p), np.imag(p)))
         if not self.turned:
             corners = np.array(list(itertools.product(x, y, (self.low, self.high))))
@@ -80,29 +92,29 @@ class SweptSolid:
 
     def contains(self, points: Array) -> np.ndarray:
         """Whether points (n, 3) are inside; on the boundary rounding decides, and NaN is nowhere."""
-        z, h = self._in_section(points)
+        z, h = self._map_to_section(points)
         finite = np.isfinite(z)
-        inside = finite & self.section.holds(np.where(finite, z, 0.0))
+        inside = finite & self.section.contains_points(np.where(finite, z, 0.0))
         return inside if self.turned else inside & (h >= self.low) & (h <= self.high)
 
     def distance(self, points: Array) -> Array:
         """Distances (n,) >= 0 [m] of points (n, 3) from its boundary; of infinite ones they are
         infinite, of NaN NaN.
         """
-        z, h = self._in_section(points)
+        z, h = self._map_to_section(points)
         finite = np.asarray(np.isfinite(z))
         near = np.where(finite, z, 0.0)
-        far = np.stack([piece.distance(near) for piece in self.section.ends])
+        far = np.stack([piece.compute_distances(near) for piece in self.section.boundary_pieces])
         beside: Array = far.min(axis=0)
         if not self.turned:
-            inside = self.section.holds(near)
+            inside = self.section.contains_points(near)
             above = np.maximum(self.low - h, h - self.high)  # negative between the ends
             outside = np.hypot(np.where(inside, 0.0, beside), np.maximum(above, 0.0))
             beside = np.where(inside & (above < 0.0), np.minimum(beside, -above), outside)
         away = np.where(np.isnan(points).any(axis=1), np.nan, np.inf)
         return np.where(finite, beside, away)
 
-    def _in_section(self, points: Array) -> tuple[np.ndarray, Array]:
+    def _map_to_section(self, points: Array) -> tuple[np.ndarray, Array]:
         """Points (n,) of the section that stand for points (n, 3), NaN for those that are not
         finite, and heights (n,) above its plane.
         """
@@ -112,26 +124,28 @@ class SweptSolid:
         return np.where(finite, z, np.nan), h
 
 
-def _square_moment(piece: PlanePiece) -> float:
+def _integrate_square_moment(piece: PlanePiece) -> float:
     """The integral of x^2 dy along a piece."""
-    a, b = (complex(piece.at(t)) for t in (0.0, 1.0))
+    a, b = (complex(piece.evaluate_points(t)) for t in (0.0, 1.0))
     if not piece.is_arc:
         return (b.imag - a.imag) * (a.real**2 + a.real * b.real + b.real**2) / 3.0
     c = piece.centre.real
     r = piece.radius
 
-    def primitive(angle: float) -> float:
+    def evaluate_antiderivative(angle: float) -> float:
         sine = np.sin(angle)
         turned = 0.5 * angle + 0.25 * np.sin(2.0 * angle)
         return c * c * r * sine + 2.0 * c * r * r * turned + r**3 * (sine - sine**3 / 3.0)
 
-    return float(primitive(piece.start + piece.sweep) - primitive(piece.start))
+    return float(
+        evaluate_antiderivative(piece.start + piece.sweep) - evaluate_antiderivative(piece.start)
+    )
 
 
 # ---- the solid of a chain
 
 
-def swept_solid(system: Model, frame: str) -> SweptSolid | None:
+def find_swept_solid(system: Model, frame: str) -> SweptSolid | None:
     """The solid that a frame of a chain in space reaches; None where it is of another kind."""
     if system.structure.closures or system._mechanism.constraints or system.structure.relations:
         return None
@@ -146,7 +160,14 @@ def swept_solid(system: Model, frame: str) -> SweptSolid | None:
         lines.pop()
     if len(lines) > MOST:
         return None
-    return next((s for s in (*_prisms(lines, tip), *_turned(lines, tip)) if s.section.ends), None)
+    return next(
+        (
+            s
+            for s in (*_find_prism(lines, tip), *_find_turned_solid(lines, tip))
+            if s.section.boundary_pieces
+        ),
+        None,
+    )
 
 
 def _is_on(point: Array, line: JointLine) -> bool:
@@ -155,35 +176,35 @@ def _is_on(point: Array, line: JointLine) -> bool:
     return off < 1e3 * NOTHING * (1.0 + float(np.linalg.norm(point)))
 
 
-def _chain_in(
+def _make_plane_chain(
     axes: Array, origin: Array, lines: Sequence[JointLine], tip: Array
 ) -> PlanarChain | None:
     """The chain of lines in a plane, None where one of them moves the tip across it, or fewer than
     two along it.
     """
-    joints = [j for line in lines if (j := in_plane(line, axes, origin)) is not None]
+    joints = [j for line in lines if (j := project_joint(line, axes, origin)) is not None]
     if len(joints) < len(lines):
         return None
-    chain = PlanarChain.of(joints, complex(*(axes[:2] @ (tip - origin))))
+    chain = PlanarChain.from_joints(joints, complex(*(axes[:2] @ (tip - origin))))
     return chain if len(chain.joints) > 1 else None
 
 
-def _prisms(lines: list[JointLine], tip: Array) -> Iterator[SweptSolid]:
+def _find_prism(lines: list[JointLine], tip: Array) -> Iterator[SweptSolid]:
     """With one slide across the plane in which all other joints move the tip."""
     for slide in lines:
         if not slide.turns:
-            axes = _basis(slide.direction)
-            if chain := _chain_in(axes, tip, [x for x in lines if x is not slide], tip):
+            axes = _complete_basis(slide.direction)
+            if chain := _make_plane_chain(axes, tip, [x for x in lines if x is not slide], tip):
                 low, high = (slide.rate * x for x in slide.limits)
                 yield SweptSolid(chain.region, tip, axes, low, high)
 
 
-def _turned(lines: list[JointLine], tip: Array) -> Iterator[SweptSolid]:
+def _find_turned_solid(lines: list[JointLine], tip: Array) -> Iterator[SweptSolid]:
     """With a first joint that turns without limits about an axis in the plane in which the others
     move the tip.
     """
     first = lines[0] if lines else None
-    if first is None or not first.turns or limits_of(first):
+    if first is None or not first.turns or list_stopping_limits(first):
         return
     a = first.direction
     origin = first.point + a * ((tip - first.point) @ a)
@@ -194,12 +215,12 @@ def _turned(lines: list[JointLine], tip: Array) -> Iterator[SweptSolid]:
         return
     normal = normals[0] / size
     axes = np.stack([np.cross(a, normal), a, normal])
-    chain = _chain_in(axes, origin, lines[1:], tip)
+    chain = _make_plane_chain(axes, origin, lines[1:], tip)
     if chain is not None and abs(normal @ aside) <= NOTHING * chain.size:
-        yield SweptSolid(folded_region(chain.region), origin, axes)
+        yield SweptSolid(mirror_region(chain.region), origin, axes)
 
 
-def _basis(normal: Array) -> Array:
+def _complete_basis(normal: Array) -> Array:
     """Unit vectors (3, 3), the last of which is that one."""
     first = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
     first /= np.linalg.norm(first)
