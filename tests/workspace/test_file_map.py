@@ -989,7 +989,7 @@ def test_a_file_of_very_many_columns_is_refused_at_once(tmp_path, monkeypatch):
         ",".join(f"c{i}" for i in range(k)) + "\n" + "1," * (k - 1) + "1\n"
     )
     monkeypatch.setattr(
-        row_sources, "known", lambda *given: pytest.fail(f"{given[1]} is looked up in a list")
+        row_sources, "check_name", lambda *given: pytest.fail(f"{given[1]} is looked up in a list")
     )
     with pytest.raises(
         InputError, match=r"the target has the columns c0, c1, .*, \.\.\.; it must be"

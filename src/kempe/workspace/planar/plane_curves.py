@@ -226,7 +226,9 @@ def merge_pieces(pieces: Iterable[PlanePiece], same: float) -> list[PlanePiece]:
             whole = extend_piece(piece)
             groups.append((whole, _list_spans(whole, piece)))
     return [
-        first.cut_piece(a, b) for first, spans in groups for a, b in unite_intervals(spans, slack=1e-12)
+        first.cut_piece(a, b)
+        for first, spans in groups
+        for a, b in unite_intervals(spans, slack=1e-12)
     ]
 
 
