@@ -1,5 +1,4 @@
-"""What may be required of a multibody system: every kind of constraint is one class, declared for
-all verbs alike.
+"""Kinds of constraints on a multibody system: each is one class, declared for all verbs alike.
 
 ``from kempe import constraints``: `Mechanism.constrain` holds one always, `System.ik` asks for it
 in one call. `KINDS` is the table.
@@ -79,7 +78,7 @@ MODULES = ("contacts", "curves", "equations", "kinds", "coordinates_and_centres"
 
 
 def __getattr__(name: str) -> Any:
-    """A kind, `kind`, or the table of all."""
+    """Return a kind by its name, the decorator `kind`, or the table of all kinds."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     for module in MODULES:

@@ -1,4 +1,4 @@
-"""The parts of a constraint: its ends, its rows and its numbers. Nothing is computed here.
+"""Parts of a constraint: its ends, its rows and its numbers. Nothing is computed here.
 
 The checks of what a constraint is given, and the table of kinds, are also here.
 """
@@ -38,8 +38,9 @@ MEETS = 1e-12
 
 
 def read_poses(x: Any, dim: int, what: str) -> Array:
-    """Poses (..., 4, 4), in the plane also from (..., 3, 3); kernels check rotations. Errors:
-    `InputError`.
+    """Read poses (..., 4, 4), in the plane also (..., 3, 3), and check their rotations.
+
+    Errors: `InputError`.
     """
     given = read_numbers(read_pose_array(x, what), what)
     is_planar = dim == 2 and given.ndim >= 2 and given.shape[-2:] == (3, 3)
@@ -58,13 +59,14 @@ def read_poses(x: Any, dim: int, what: str) -> Array:
 
 
 def read_numbers(x: Any, what: str) -> Array:
-    """Real numbers as an array. Errors: `InputError`."""
+    """Read real numbers as an array. Errors: `InputError`."""
     return numbers(x, what)
 
 
 def make_rotations_along(z: Array, dim: int) -> Array:
-    """Rotations (..., 3, 3) whose z is along unit vectors (..., 3); in the plane their x is the
-    plane's normal.
+    """Return rotations (..., 3, 3) whose z is along unit vectors (..., 3).
+
+    In the plane their x is the plane's normal.
     """
     if dim == 3:
         return spatial.align_z(z)
@@ -73,13 +75,14 @@ def make_rotations_along(z: Array, dim: int) -> Array:
 
 
 def flatten_pose(X: Array) -> tuple[float, ...]:
-    """A pose (4, 4) as a tuple of 16 numbers, which can be hashed."""
+    """Return a pose (4, 4) as a tuple of 16 numbers, which can be hashed."""
     return tuple(X.ravel().tolist())
 
 
 def read_points(x: Any, dim: int, what: str) -> Array:
-    """Points (..., 3), in the plane also from (..., 2), with z = 0. Errors: `InputError`, also for
-    rotations.
+    """Read points (..., 3), in the plane also (..., 2), with z = 0.
+
+    Errors: `InputError`, also for rotations.
     """
     p = _read_vectors(x, dim, what)
     refuse_rotations(p, what)
@@ -87,8 +90,9 @@ def read_points(x: Any, dim: int, what: str) -> Array:
 
 
 def refuse_rotations(x: Array, what: str) -> None:
-    """Refuse, with an `InputError`, rotations or poses of the plane (..., 3, 3) where positions
-    (..., 3) are meant.
+    """Refuse rotations, or planar poses, (..., 3, 3) where positions (..., 3) are meant.
+
+    Errors: `InputError`.
     """
     if x.ndim < 2 or x.shape[-2:] != (3, 3):
         return
@@ -111,8 +115,9 @@ def refuse_rotations(x: Array, what: str) -> None:
 
 
 def read_directions(x: Any, dim: int, what: str) -> Array:
-    """Unit vectors (..., 3), in the plane also from (..., 2). Errors: `InputError`, also for zero
-    vectors.
+    """Read unit vectors (..., 3), in the plane also (..., 2).
+
+    Errors: `InputError`, also for zero vectors.
     """
     p = _read_vectors(read_direction(x), dim, what)
     if np.any(np.all(p == 0.0, axis=-1)):
@@ -121,8 +126,9 @@ def read_directions(x: Any, dim: int, what: str) -> Array:
 
 
 def check_constant(x: Array, what: str, shape: tuple[int, ...] = ()) -> Array:
-    """A number or array of shape `shape` that must be finite and the same for all targets. Errors:
-    `InputError`.
+    """Refuse numbers that are infinite, or differ from target to target; return the others.
+
+    `shape` is the one they must have. Errors: `InputError`.
     """
     if x.shape != shape:
         raise InputError(
@@ -135,7 +141,7 @@ def check_constant(x: Array, what: str, shape: tuple[int, ...] = ()) -> Array:
 
 
 def make_point_pose(point: Any, dim: int, what: str) -> tuple[float, ...]:
-    """Pose without a rotation at a point of a frame, as a tuple of 16 numbers, which can be hashed.
+    """Return the pose, without a rotation, at a point of a frame as a tuple of 16 numbers.
 
     `dim` is 2 in the plane, else 3; `what` names the point in messages. Errors: `InputError` for
     points that are not finite, of another shape, or different for several targets.
@@ -144,8 +150,9 @@ def make_point_pose(point: Any, dim: int, what: str) -> tuple[float, ...]:
 
 
 def make_axis_pose(axis: Any, dim: int, what: str) -> tuple[float, ...]:
-    """Rotation whose z is along the axis (default z, in the plane x), as a pose of 16 numbers.
-    Errors: `InputError`.
+    """Return a rotation whose z is along the axis, as a pose of 16 numbers.
+
+    The axis is z by default, in the plane x. Errors: `InputError`.
     """
     usual = (1.0, 0.0, 0.0) if dim == 2 else (0.0, 0.0, 1.0)
     z = check_constant(read_directions(usual if axis is None else axis, dim, what), what, (3,))
@@ -153,13 +160,13 @@ def make_axis_pose(axis: Any, dim: int, what: str) -> tuple[float, ...]:
 
 
 def compute_tilt(d: Array) -> Array:
-    """Angle (...) between z and vectors (..., 3); pi for a vector that has no direction."""
+    """Compute the angle (...) between z and vectors (..., 3); it is pi for a vector of length 0."""
     across = np.hypot(d[..., 0], d[..., 1])
     return np.where(np.hypot(across, d[..., 2]) < MEETS, np.pi, np.arctan2(across, d[..., 2]))
 
 
 def read_row_bounds(low: Any, high: Any, what: str, n: int) -> tuple[Array, Array]:
-    """Lower and upper bounds (n,), which may be infinite.
+    """Read lower and upper bounds of n rows, arrays (n,) that may be infinite.
 
     Errors: `InputError` where they leave nothing between them.
     """
@@ -172,8 +179,9 @@ def read_row_bounds(low: Any, high: Any, what: str, n: int) -> tuple[Array, Arra
 
 
 def read_corners(low: Any, high: Any, dim: int, what: str) -> tuple[Array, Array]:
-    """Two corners (..., dim) of a box; in the plane, of a box that it goes through. Errors:
-    `InputError`.
+    """Read two corners (..., dim) of a box; in the plane, of a box that cuts the plane.
+
+    Errors: `InputError`.
     """
     a, b = (_read_vectors(x, dim, what) for x in (low, high))
     if dim == 2 and (np.any(a[..., 2] > 0.0) or np.any(b[..., 2] < 0.0)):
@@ -182,6 +190,7 @@ def read_corners(low: Any, high: Any, dim: int, what: str) -> tuple[Array, Array
 
 
 def _read_vectors(x: Any, dim: int, what: str) -> Array:
+    """Read vectors (..., 3), in the plane also (..., 2), with z = 0. Errors: `InputError`."""
     p = read_numbers(x, what)
     if dim == 2 and p.ndim and p.shape[-1] == 2:
         p = np.concatenate([p, np.zeros((*p.shape[:-1], 1))], axis=-1)
@@ -191,6 +200,7 @@ def _read_vectors(x: Any, dim: int, what: str) -> Array:
 
 
 def _check_plane(p: Array, dim: int, what: str) -> Array:
+    """Refuse points off the plane of a planar system; return the others. Errors: `InputError`."""
     if dim == 2 and np.any(np.abs(p[..., 2]) > RIGID):
         raise InputError(
             f"{what} leaves the plane of the system: its z is up to "
@@ -200,7 +210,7 @@ def _check_plane(p: Array, dim: int, what: str) -> Array:
 
 
 def read_nonnegative_numbers(x: Any, what: str) -> Array:
-    """Numbers that are not negative. Errors: `InputError`."""
+    """Read numbers that are not negative. Errors: `InputError`."""
     value = read_numbers(x, what)
     if np.any(value < 0.0):
         raise InputError(f"{what} is {x!r}; it must not be negative")
@@ -208,7 +218,7 @@ def read_nonnegative_numbers(x: Any, what: str) -> Array:
 
 
 def read_bounds(low: Any, high: Any, what: str) -> tuple[Array, Array]:
-    """Lower and upper bounds as arrays of one shape.
+    """Read lower and upper bounds as arrays of one shape.
 
     Errors: `InputError` where shapes differ or bounds leave nothing.
     """
@@ -249,9 +259,7 @@ Rotation: TypeAlias = Any
 
 
 class Op(IntEnum):
-    """What a row reads: of the pose of frame B seen from frame A, of coordinates, or of the twist
-    of B against A.
-    """
+    """Operations of rows: on the pose or twist of frame B seen from frame A, or on coordinates."""
 
     POINT = auto()
     """The origin of B along the axis `args[0]` of A."""
@@ -280,7 +288,7 @@ COUNTS = {Op.ROTATION: {2: 1, 3: 3}, Op.TILT: {2: 1, 3: 2}, Op.LOOK: {2: 1, 3: 2
 
 
 class Row(NamedTuple):
-    """One equation, or a group that cannot be split: structure without numbers that may vary.
+    """One equation of a constraint, or a group that belongs together, without its numbers.
 
     `equal`, `low` and `high` name fields of the constraint; without them the value is held at zero.
     Where the field of `equal` is None, the value is held between the others, an infinity where
@@ -297,17 +305,17 @@ class Row(NamedTuple):
     part: int | None = None
 
     def count_equations(self, dim: int) -> int:
-        """Number of equations, in the plane (`dim` 2) or in space (3)."""
+        """Return the number of equations, in the plane (`dim` 2) or in space (3)."""
         return COUNTS.get(self.op, {}).get(dim, 1)
 
     @property
     def velocity(self) -> bool:
-        """Whether it is a velocity constraint A(q) v = b(q, t)."""
+        """Whether the row is a velocity constraint A(q) v = b(q, t)."""
         return self.op is Op.VELOCITY
 
 
 class Mass(NamedTuple):
-    """A share of a centre: a point of a frame, and its part of the whole."""
+    """A point of a frame with its share of the mass of a centre."""
 
     frame: str
     point: tuple[float, ...]
@@ -316,7 +324,7 @@ class Mass(NamedTuple):
 
 @dataclass(frozen=True)
 class End:
-    """Where a constraint takes hold: a frame at `X` on a body."""
+    """An end of a constraint: a frame at `X` on a body."""
 
     body: str
     X: Placement = Placement()
@@ -327,7 +335,7 @@ class End:
 
 @dataclass(frozen=True, eq=False)
 class Constraint(ABC):
-    """Something required of a system; each kind is a subclass that declares its rows.
+    """A constraint on a system, or a task; each kind is a subclass that declares its rows.
 
     `Mechanism.constrain` holds it always, `System.ik` in one call. What only `ik` reads: without a
     `weight` it is hard, it must hold. With one it is soft: the sum of weight times squared error,
@@ -360,7 +368,7 @@ class Constraint(ABC):
 
     @abstractmethod
     def list_rows(self, dim: int) -> tuple[Row, ...]:
-        """The equations of the constraint; `dim` is 2 in the plane, 3 in space.
+        """Return the equations of the constraint; `dim` is 2 in the plane, 3 in space.
 
         Errors: `InputError` where fields do not fit.
         """
@@ -373,39 +381,41 @@ class Constraint(ABC):
 
     @property
     def ends(self) -> tuple[Any, Any]:
-        """Ends A and B: frames by name, `End`s, or None for the ground (A) and for what is no
-        frame.
+        """Ends A and B: frames by name, `End`s, or None.
+
+        A is None for the ground, B where the constraint holds no frame.
         """
         return getattr(self, "other", None), getattr(self, "frame", None)
 
     @property
     def coordinate_names(self) -> tuple[str, ...]:
-        """Names of the coordinates that its rows read."""
+        """Names of the coordinates that the rows read."""
         return getattr(self, "of", ())
 
     def list_masses(self, bodies: Mapping[str, Any], what: str) -> list[Mass]:
-        """The shares, whose sum is 1, of the centre that takes the place of a frame B that is None."""
+        """Return the masses of a centre, whose sum is 1, for a constraint whose end B is None."""
         raise NotImplementedError
 
     def make_goal_poses(self, dim: int) -> Array:
-        """Poses (..., 4, 4) of frame A on its body, which may differ in each call.
+        """Return poses (..., 4, 4) of frame A on its body, which may differ in each call.
 
         `dim` is 2 in the plane, 3 in space.
         """
         return EYE
 
     def make_tool_pose(self, dim: int) -> tuple[float, ...]:
-        """Pose of frame B on its body as 16 numbers, the same in all calls. `dim` is 2 in the
-        plane, 3 in space.
+        """Return the pose of frame B on its body as 16 numbers, the same in all calls.
+
+        `dim` is 2 in the plane, 3 in space.
         """
         return HERE
 
     def add_prefix(self, prefix: str) -> Constraint:
-        """The same constraint with a prefix before the names of its coordinates."""
+        """Return the constraint with a prefix before the names of its coordinates."""
         return self
 
     def resolve_names(self, parameters: Collection[str]) -> Constraint:
-        """The same constraint in a mechanism with parameters of these names."""
+        """Return the constraint with its names told apart into coordinates and these parameters."""
         return self
 
     # ---- how it is called
@@ -420,7 +430,7 @@ class Constraint(ABC):
 
     @cached_property
     def label(self) -> str:
-        """The name of the constraint in answers and messages."""
+        """Name of the constraint in answers and messages."""
         return self.name or f"{type(self).__name__} of {self.subject}"
 
     @property
@@ -436,7 +446,7 @@ class Constraint(ABC):
         )
 
     def describe_field(self, name: str) -> str:
-        """The value of the field `name`, as `sentence` writes it."""
+        """Return the value of the field `name` as words of `sentence`."""
         x = getattr(self, name)
         sort = next(f.type for f in fields(self) if f.name == name)
         if x is None:
@@ -446,21 +456,23 @@ class Constraint(ABC):
     # ---- what only `ik` reads
 
     def soft(self, weight: float = 1.0, **more: Any) -> Constraint:
-        """The same constraint as a soft one of `ik`, with a weight; `more` are `priority`,
-        `tolerance`, `name`.
+        """Return the constraint as a soft task of `ik` with a weight.
+
+        `more` are `priority`, `tolerance` and `name`.
         """
         return replace(self, weight=weight, **more)
 
     def demand(self, **more: Any) -> Constraint:
-        """The same constraint with the settings that only `ik` reads: `weight`, `priority`,
-        `tolerance`, `name`.
+        """Return the constraint with settings that only `ik` reads.
+
+        They are `weight`, `priority`, `tolerance` and `name`.
         """
         return replace(self, **more)
 
 
 @dataclass(frozen=True, eq=False)
 class Bounded(Constraint):
-    """A kind that measures one number, or several alike.
+    """Base of kinds that measure one number, or several alike, and may have bounds.
 
     With `at_least` (...) or `at_most` (...), or both, the number stays within these bounds, in
     place of being zero or a value that the kind has.
@@ -478,7 +490,7 @@ class Bounded(Constraint):
         return self.at_least is not None or self.at_most is not None
 
     def check_fields(self, dim: int) -> None:
-        """Refuse bounds that leave nothing between them, and negative ones of distances and angles."""
+        """Refuse bounds that leave no value, and negative bounds of distances and angles."""
         if not self.bounded:
             return
         signed = self.measured in SIGNED
@@ -491,7 +503,7 @@ class Bounded(Constraint):
 
     @property
     def bounds_text(self) -> str:
-        """The bounds `at_least` and `at_most`, as `sentence` writes them."""
+        """The bounds `at_least` and `at_most` as words of `sentence`."""
         given = (("at least", self.at_least), ("at most", self.at_most))
         return " and ".join(f"{word} {format_value(x)}" for word, x in given if x is not None)
 
@@ -516,13 +528,14 @@ _Kind = TypeVar("_Kind", bound=type[Constraint])
 
 @dataclass_transform(frozen_default=True)
 def kind(name: str, symbol: str = "mark", says: str = "") -> Callable[[_Kind], _Kind]:
-    """A decorator that enters a class into the table of kinds, under `name`.
+    """Decorate a class to enter it into the table of kinds of constraints, under `name`.
 
     `says` is its sentence, with fields in braces: "{frame} and {other} are {value} apart". Errors:
     `InputError` for a name that another kind has.
     """
 
     def register_kind(cls: _Kind) -> _Kind:
+        """Make the class a frozen dataclass and enter it into `KINDS`."""
         made = dataclass(frozen=True, eq=False)(cls)
         if not all(isinstance(f.type, str) for f in fields(made)):
             raise InputError(
@@ -549,20 +562,22 @@ def kind(name: str, symbol: str = "mark", says: str = "") -> Callable[[_Kind], _
 
 
 def find_value_field(constraint: Constraint, row: Row) -> str:
-    """Name of the field whose value a row is held at; '' for zero, and for rows held between two
-    bounds.
+    """Return the name of the field whose value a row is held at.
+
+    It is '' for zero, and for rows held between two bounds.
     """
     return row.equal if row.equal and getattr(constraint, row.equal) is not None else ""
 
 
 def is_one_sided(constraint: Constraint, row: Row) -> bool:
-    """Whether a row is an inequality: held between two bounds, not at a value."""
+    """Tell whether a row is an inequality, held between two bounds and not at a value."""
     return bool(row.low or row.high) and not find_value_field(constraint, row)
 
 
 def list_position_rows(constraint: Constraint, dim: int) -> Sequence[Row]:
-    """The equations f(q) = 0 of a constraint, each of which takes one freedom of position; `dim` is
-    2 or 3.
+    """Return the equations f(q) = 0 of a constraint, which take freedoms of position.
+
+    `dim` is 2 in the plane, 3 in space.
     """
     return [
         r for r in constraint.list_rows(dim) if not r.velocity and not is_one_sided(constraint, r)
@@ -570,9 +585,10 @@ def list_position_rows(constraint: Constraint, dim: int) -> Sequence[Row]:
 
 
 def make_content_key(constraint: Constraint) -> tuple[Any, ...]:
-    """Kind and fields of a constraint as nested tuples, which can be compared and hashed."""
+    """Return kind and fields of a constraint as nested tuples, which can be compared and hashed."""
 
     def convert_value(x: Any) -> Any:
+        """Return arrays, sequences and mappings as tuples."""
         if is_array(x):
             return x.shape, tuple(x.ravel().tolist())
         if is_sequence(x):
@@ -596,18 +612,19 @@ PARAMETERS = "Parameters"
 
 
 def list_frame_fields(constraint: Constraint) -> dict[str, Any]:
-    """The fields that name frames, with their values."""
+    """Return the fields that name frames, with their values."""
     return {f.name: getattr(constraint, f.name) for f in fields(constraint) if f.type in FRAMES}
 
 
 def list_number_fields(constraint: Constraint) -> dict[str, Any]:
-    """The fields that hold numbers, with their values."""
+    """Return the fields that hold numbers, with their values."""
     return {f.name: getattr(constraint, f.name) for f in fields(constraint) if f.type in NUMBERS}
 
 
 def evaluate_number_fields(constraint: Constraint, parameters: Mapping[str, float]) -> Constraint:
-    """The constraint with expressions in its fields of numbers evaluated. Errors:
-    `UnknownNameError`.
+    """Return the constraint with the expressions in its numbers evaluated.
+
+    Errors: `UnknownNameError`.
     """
     given = {
         k: _evaluate_all(x, parameters)
@@ -619,20 +636,21 @@ def evaluate_number_fields(constraint: Constraint, parameters: Mapping[str, floa
 
 
 def list_expressions(x: Any) -> list[Expression]:
-    """The expressions in a number, or in lists of numbers."""
+    """List the expressions in a number, or in lists of numbers."""
     if isinstance(x, Expression):
         return [x]
     return [e for item in x for e in list_expressions(item)] if is_sequence(x) else []
 
 
 def _evaluate_all(x: Any, parameters: Mapping[str, float]) -> Any:
+    """Evaluate the expressions in a number, or in lists of numbers."""
     if is_sequence(x):
         return [_evaluate_all(item, parameters) for item in x]
     return x.evaluate(parameters) if isinstance(x, Expression) else x
 
 
 def format_value(x: Any) -> str:
-    """A name, a number or a list of them, as text for a sentence."""
+    """Return a name, a number or a list of them as text for a sentence."""
     if isinstance(x, (np.ndarray, list, tuple, np.generic)):
         x = np.asarray(x, dtype=object).tolist()
     if is_sequence(x):
@@ -641,7 +659,7 @@ def format_value(x: Any) -> str:
 
 
 def list_fields(kind: type[Constraint]) -> dict[str, str]:
-    """The fields of a kind that a description may give, with their annotations."""
+    """Return the fields of a kind that a description may give, with their annotations."""
     left_out = {f.name for f in fields(Constraint)}
     return {
         f.name: str(f.type)
@@ -651,7 +669,7 @@ def list_fields(kind: type[Constraint]) -> dict[str, str]:
 
 
 def list_required_fields(kind: type[Constraint]) -> list[str]:
-    """The fields of a kind that must be given."""
+    """List the fields of a kind that must be given."""
     own = (
         f for f in fields(kind) if f.init and f.default is MISSING and f.default_factory is MISSING
     )

@@ -1,5 +1,4 @@
-"""The making of tapes: nodes are shared where they are equal, constants folded, derivatives of
-functions added.
+"""Construction of tapes: equal nodes are shared, constants folded, derivatives added.
 
 Every tape is finished in one order, that of a walk from its outputs, so that equal expressions give
 equal tapes.
@@ -20,7 +19,7 @@ from kempe.kernels.constraints import tape_layout as L
 
 
 class Builder:
-    """Nodes under construction. A place is a number: inputs come first."""
+    """Nodes of a tape under construction, each at a place: an integer, inputs first."""
 
     def __init__(self, inputs: Iterable[str], constant: Iterable[str] = ()):
         self.inputs = tuple(inputs)
@@ -31,7 +30,7 @@ class Builder:
         self._varies = [name not in set(constant) for name in self.inputs]
 
     def add_number(self, x: float) -> int:
-        """The place of a constant. Errors: `InputError` unless it is finite."""
+        """Add a constant and return its place. Errors: `InputError` unless it is finite."""
         x = float(x)
         if not math.isfinite(x):
             raise InputError(f"a constant part of it is {x}; it must be finite")
@@ -42,7 +41,7 @@ class Builder:
         return self._known[key]
 
     def add_table(self, numbers: tuple[float, ...]) -> int:
-        """The place of a list of numbers."""
+        """Add a list of numbers and return its place."""
         key = (L.TABLE, numbers, -1)
         if key not in self._known:
             self._numbers += numbers
@@ -52,19 +51,20 @@ class Builder:
         return self._known[key]
 
     def _append_node(self, op: int, left: int, right: int, varies: bool) -> int:
+        """Append a node and return its place; `varies` says that it is not constant."""
         self._nodes.append((op, left, right))
         self._varies.append(varies)
         return len(self._varies) - 1
 
     def _get_constant(self, place: int) -> float | None:
-        """The number at a place, if it is one."""
+        """Return the number at a place, or None where the node is no number."""
         if place < len(self.inputs):
             return None
         op, left, _ = self._nodes[place - len(self.inputs)]
         return self._numbers[left] if op == L.NUMBER else None
 
     def _fold_constants(self, function: Callable[..., Any], *places: int) -> int | None:
-        """The place of a function of numbers; None unless all are."""
+        """Add the value of a function of numbers and return its place; None unless all are numbers."""
         found = [self._get_constant(place) for place in places]
         if any(x is None for x in found):
             return None
@@ -72,8 +72,10 @@ class Builder:
             return self.add_number(float(function(*map(np.float64, found))))
 
     def add_binary(self, op: int, left: int, right: int) -> int:
-        """The place of left + right, left - right, left * right, left / right, left ** right, atan2
-        or hypot.
+        """Add an operation with two operands and return its place.
+
+        These are left + right, left - right, left * right, left / right, left ** right, atan2 and
+        hypot.
         """
         folded = self._fold_constants(BINARY[op], left, right)
         if folded is not None:
@@ -104,6 +106,7 @@ class Builder:
         return self._share_node(op, left, right)
 
     def _share_node(self, op: int, left: int, right: int) -> int:
+        """Return the place of an operation with two operands, added where there is none yet."""
         keys = [(op, left, right)] + [(op, right, left)] * (op in (L.ADD, L.MUL))
         for key in keys:
             if key in self._known:
@@ -113,7 +116,7 @@ class Builder:
         return place
 
     def _add_whole_power(self, base: int, n: int) -> int:
-        """base ** n as products of squares, n > 0."""
+        """Add base ** n for a whole n > 0 as products of squares, and return its place."""
         if n == 1:
             return base
         half = self._add_whole_power(base, n // 2)
@@ -125,6 +128,7 @@ class Builder:
         return place
 
     def _add_power(self, left: int, right: int, exponent: float | None) -> int:
+        """Add left ** right and return its place; `exponent` is the number of right, if it is one."""
         if exponent is not None:
             if exponent == 0.0:
                 return self.add_number(1.0)
@@ -141,6 +145,7 @@ class Builder:
         return self._share_node(L.POW, left, right)
 
     def _add_two_operand_function(self, op: int, left: int, right: int) -> int:
+        """Add atan2 or hypot with its partial derivatives, and return its place."""
         if (op, left, right) in self._known:
             return self._known[op, left, right]
         place = self._known[op, left, right] = self._reserve_partials(op, left, right)
@@ -155,17 +160,18 @@ class Builder:
         return self._set_partials(place, *by)
 
     def _reserve_partials(self, op: int, left: int, right: int) -> int:
-        """The place of a function of two operands, whose derivatives `_set_partials` is to tell."""
+        """Add a function of two operands, and return its place; derivatives follow."""
         place = self._append_node(op, left, right, self._varies[left] or self._varies[right])
         self._append_node(L.PARTIALS, -1, -1, False)
         return place
 
     def _set_partials(self, place: int, by_left: int, by_right: int) -> int:
+        """Set the places of the partial derivatives of a function of two operands."""
         self._nodes[place + 1 - len(self.inputs)] = (L.PARTIALS, by_left, by_right)
         return place
 
     def _add_nearest_parameter(self, way: int, z: int) -> int:
-        """The place of the parameter of the nearest point of a curve."""
+        """Add the parameter of the nearest point of a curve and return its place."""
         _, before, y = self._nodes[way - len(self.inputs)]
         _, table, x = self._nodes[before - len(self.inputs)]
         key = (L.NEAREST, (table, x, y), z)
@@ -179,20 +185,23 @@ class Builder:
         return self._known[key]
 
     def add_entry(self, s: int, numbers: Sequence[float]) -> int:
-        """The place of the entry of a list that belongs to a parameter."""
+        """Add the entry of a list that belongs to a curve parameter, and return its place."""
         if len(set(numbers)) == 1:
             return self.add_number(numbers[0])
         return self.add_binary(L.LOOKUP, s, self.add_table(tuple(numbers)))
 
     def add_nearest_parameter(self, table: tuple[float, ...], p: Sequence[int]) -> int:
-        """The place of the parameter of the point of a curve (`tape_layout`) that is nearest to p."""
+        """Add the parameter of the point of a curve that is nearest to p, and return its place.
+
+        `table` is the curve in the form of `tape_layout`.
+        """
         way = self.add_table(table)
         for op, x in zip((L.AT, L.AT, L.NEAREST), p, strict=True):
             way = self.add_binary(op, way, x)
         return way
 
     def find_nearest_rates(self, place: int) -> list[int]:
-        """The places of the derivatives of the parameter of a nearest point by x, y, z."""
+        """Return the places of the derivatives of a nearest point's parameter by x, y, z."""
         found = list[int]()
         n = len(self.inputs)
         for _ in range(3):
@@ -201,14 +210,16 @@ class Builder:
         return found
 
     def _read_table(self, table: int) -> tuple[float, ...]:
+        """Return the list of numbers at a place."""
         _, first, count = self._nodes[table - len(self.inputs)]
         return tuple(self._numbers[first : first + count])
 
     def _add_square(self, place: int) -> int:
+        """Add the square of a node and return its place."""
         return self.add_binary(L.MUL, place, place)
 
     def add_unary(self, op: int, x: int) -> int:
-        """The place of a function of one operand, or of its negative."""
+        """Add a function of one operand, or its negative, and return its place."""
         folded = self._fold_constants(UNARY[op], x)
         if folded is not None:
             return folded
@@ -223,7 +234,7 @@ class Builder:
         return place
 
     def _add_derivative(self, op: int, x: int, y: int) -> int:
-        """The place of the derivative of y = f(x)."""
+        """Add the derivative of y = f(x) and return its place."""
         one = self.add_number(1.0)
         unary = self.add_unary
         binary = self.add_binary
@@ -250,8 +261,9 @@ class Builder:
         return made[op]()
 
     def finish_tape(self, outputs: Iterable[int]) -> Tape:
-        """The tape of these places: what they need and nothing else, in the order of a walk from
-        them.
+        """Return the tape of these outputs, with only the nodes that they need.
+
+        Nodes are in the order of a walk from the outputs.
         """
         outputs = list(outputs)
         n = len(self.inputs)
@@ -272,8 +284,9 @@ class Builder:
         )
 
     def copy_node(self, node: Node, numbers: Sequence[float], place: Mapping[int, int]) -> int:
-        """The place of a node of another tape with these numbers, whose operands are at `place`
-        here.
+        """Copy a node of another tape with these numbers, and return its place.
+
+        `place` has the places of its operands here.
         """
         op, left, right = node
         if op == L.NUMBER:
@@ -287,7 +300,7 @@ class Builder:
         )
 
     def _order_places(self, outputs: list[int]) -> list[int]:
-        """Places that the values at `outputs` need, operands before what is made of them."""
+        """Order the places that the values at `outputs` need, operands first."""
         order: dict[int, None] = {}
         stack = [(place, False) for place in reversed(outputs)]
         while stack:
@@ -306,7 +319,7 @@ class Builder:
         return list(order)
 
     def replay_tape(self, tape: Tape, leaves: Iterable[int]) -> list[int]:
-        """The places of the outputs of a tape whose inputs are at the places `leaves`."""
+        """Add the nodes of a tape with inputs at `leaves`, and return the places of its outputs."""
         place = dict(enumerate(leaves))
         for i in tape._list_needed_places():
             place[i] = self.copy_node(tape.nodes[i - len(tape.inputs)], tape.numbers, place)
@@ -314,13 +327,14 @@ class Builder:
 
 
 def rename_inputs(tape: Tape, names: Mapping[str, str]) -> Tape:
-    """The tape with other names of its inputs."""
+    """Return the tape with other names of its inputs."""
     return replace(tape, inputs=tuple(names.get(n, n) for n in tape.inputs))
 
 
 def substitute_sources(tape: Tape, sources: Mapping[str, tuple[str | None, float, float]]) -> Tape:
-    """The tape where each of these inputs is multiplier * source + offset, or the offset where the
-    source is None.
+    """Return the tape with inputs replaced by multiplier * source + offset.
+
+    An input is the offset where its source is None.
 
     Exponents are constants. Errors: `InputError` for numbers that are not finite.
     """
@@ -343,8 +357,9 @@ def substitute_sources(tape: Tape, sources: Mapping[str, tuple[str | None, float
 def add_curve_terms(
     build: Builder, pieces: np.ndarray, s: int, p: Sequence[int]
 ) -> tuple[list[int], list[int], int]:
-    """Places of a builder of tapes: of what leads from the point c(s) to p, of c'(s), and of c'.c'
-    - (p - c).c''.
+    """Add terms of a curve c at its parameter s and a point p, and return their places.
+
+    The terms are p - c(s), c'(s), and c'.c' - (p - c).c''.
     """
     b = build.add_binary
     entry: Callable[[np.ndarray], int] = lambda column: build.add_entry(s, column.tolist())  # noqa: E731
@@ -369,7 +384,7 @@ def add_curve_terms(
 
 
 def add_dot_product(build: Builder, a: Sequence[int], b: Sequence[int]) -> int:
-    """The place of a sum of products."""
+    """Add the dot product of two vectors of three places, and return its place."""
     x, y, z = (build.add_binary(L.MUL, i, k) for i, k in zip(a, b, strict=True))
     return build.add_binary(L.ADD, build.add_binary(L.ADD, x, y), z)
 
@@ -377,8 +392,9 @@ def add_dot_product(build: Builder, a: Sequence[int], b: Sequence[int]) -> int:
 def add_nearest_rates(
     build: Builder, table: tuple[float, ...], s: int, p: Sequence[int]
 ) -> list[int]:
-    """Places of the derivatives of the parameter of the nearest point by p: (p - c) . c' = 0,
-    differentiated.
+    """Add the derivatives by p of the parameter of the point of a curve nearest to p.
+
+    They follow from (p - c) . c' = 0. Returned are their three places.
     """
     pieces = np.reshape(table[1:], (-1, L.PIECE))[:, :12].reshape(-1, 3, 4)
     _, first, bend = add_curve_terms(build, pieces, s, p)

@@ -1,5 +1,4 @@
-"""Kinds of touching: a point or ball above a plane, wheels, discs and balls that roll without
-slipping.
+"""Kinds of contacts: points and balls above a plane, and wheels, discs and balls that roll.
 
 A plane is the xy-plane of a frame `other`; in planar systems it is the line of its x axis, which y
 points away from.
@@ -47,7 +46,10 @@ PLANE = {
 
 
 def choose_contact_expressions(shape: Any, dim: int, what: str) -> tuple[str, tuple[str, ...], str]:
-    """The gap, the slips and the spin of a shape. Errors: `UnknownNameError`."""
+    """Return the expressions of the gap, the slips and the spin of a shape.
+
+    Errors: `UnknownNameError`.
+    """
     if not isinstance(shape, str) or shape not in SPACE:
         raise UnknownNameError("shape", shape, SPACE, what)
     return (PLANE if dim == 2 else SPACE)[shape]
@@ -55,8 +57,9 @@ def choose_contact_expressions(shape: Any, dim: int, what: str) -> tuple[str, tu
 
 @kind("contact", "contact", "{frame} stays above the plane of {other}")
 class Contact(Constraint):
-    """A frame's point, or a ball or disc of the `radius` about it, does not enter the plane of
-    `other`.
+    """A point of a frame, or a ball or disc of the `radius` about it, that stays above a plane.
+
+    The plane is the xy-plane of `other`.
     """
 
     frame: Frame
@@ -71,7 +74,7 @@ class Contact(Constraint):
         read_nonnegative_numbers(self.radius, f"radius of {self.label}")
 
     def list_rows(self, dim: int) -> tuple[Row, ...]:
-        """One row: the gap, which is not negative."""
+        """Return one row: the gap, which is not negative."""
         gap, _, _ = choose_contact_expressions(self.shape, dim, self.label)
         return (
             Row(Op.TAPE, (parse_tape([gap], (*POSE, "radius"), {}), 0), "gap", "m", low="zero"),
@@ -80,8 +83,9 @@ class Contact(Constraint):
 
 @kind("no_sideslip", "wheel", "{frame} does not slip along its y")
 class NoSideslip(Constraint):
-    """The origin of a frame has no velocity along its y axis, as a wheel or a blade, or has the
-    `speed` there.
+    """The origin of a frame has no velocity along its y axis, like a wheel or a blade.
+
+    With `speed` it has this velocity there, in m/s.
     """
 
     frame: Frame
@@ -91,7 +95,7 @@ class NoSideslip(Constraint):
     prevents: ClassVar[str] = "the wheels of {name!r} do not slip sideways"
 
     def list_rows(self, dim: int) -> tuple[Row, ...]:
-        """One row: the velocity along y of the frame."""
+        """Return one row: the velocity along y of the frame."""
         text = "xy*vx + yy*vy - speed" if dim == 2 else "xy*vx + yy*vy + zy*vz - speed"
         return (
             Row(
@@ -129,7 +133,7 @@ class Rolls(Constraint):
         read_nonnegative_numbers(self.radius, f"radius of {self.label}")
 
     def list_rows(self, dim: int) -> tuple[Row, ...]:
-        """Rows of the gap (an equation on positions) and of the slip velocities."""
+        """Return rows of the gap (an equation on positions) and of the slip velocities."""
         if self.radius is None:
             raise InputError(f"{self.label} needs a radius")
         gap, slips, spin = choose_contact_expressions(self.shape, dim, self.label)

@@ -1,6 +1,4 @@
-"""Kinds that hold the whole configuration: coordinates, centres of mass and of points, Python
-functions of q.
-"""
+"""Kinds on the whole configuration: coordinates, centres of mass and of points, functions of q."""
 
 from __future__ import annotations
 
@@ -35,8 +33,9 @@ AXES = ("xyz", "xy", "xz", "yz", "x", "y", "z")
 
 @kind("posture", says="coordinates are near {q}")
 class Posture(Constraint):
-    """Coordinates near values: a configuration `q` (..., nq), or a dict by coordinate name of those
-    that count.
+    """Coordinates near given values.
+
+    The values are a configuration `q` (..., nq), or a dict by coordinate name of those that count.
 
     It is soft unless `weight` is None. A quaternion counts as a whole, by the angle between the two
     orientations.
@@ -54,14 +53,15 @@ class Posture(Constraint):
         return "all coordinates" if given is None else ", ".join(map(repr, given))
 
     def list_rows(self, dim: int) -> tuple[Row, ...]:
-        """One row for each named coordinate; without names, for all."""
+        """Return one row for each named coordinate; without names, for all."""
         given = read_mapping(self.q)
         return (Row(Op.COORDINATE, () if given is None else tuple(given), "value"),)
 
 
 class _OfCentre(Bounded):
-    """Base of constraints on a centre of masses, along some of its axes; along a single axis it may
-    have bounds.
+    """Base of constraints on a centre of masses, along some of its axes.
+
+    Along a single axis it may have bounds.
     """
 
     @property
@@ -70,14 +70,15 @@ class _OfCentre(Bounded):
         return None, None
 
     def describe_field(self, name: str) -> str:
-        """Bounds in place of a target, where they are given."""
+        """Return the value of a field in words; bounds in place of a target, where they are given."""
         if name != "target" or not self.bounded:
             return super().describe_field(name)
         return f"{self.axes} {self.bounds_text}"  # type: ignore[attr-defined]
 
     def list_axis_numbers(self, dim: int) -> list[int]:
-        """Numbers (0 for x, 1 for y, 2 for z) of the axes that `axes` names; `dim` is 2 in the
-        plane, else 3.
+        """List the numbers (0 for x, 1 for y, 2 for z) of the axes in the field `axes`.
+
+        `dim` is 2 in the plane, else 3.
 
         Errors: `InputError` for text that names none.
         """
@@ -90,7 +91,7 @@ class _OfCentre(Bounded):
         return found
 
     def list_rows(self, dim: int) -> tuple[Row, ...]:
-        """One row for each axis that `axes` names, with the bounds where they are given."""
+        """Return one row for each axis in the field `axes`, with bounds where they are given."""
         n = len(self.list_axis_numbers(dim))
         if self.bounded != (self.target is None) or (self.bounded and n > 1):  # type: ignore[attr-defined]
             raise InputError(
@@ -113,19 +114,20 @@ class _OfCentre(Bounded):
 
     @property
     def upper_margins(self) -> Array:
-        """How far (..., n) the centre may be above the target along each of the n axes."""
+        """Largest coordinates (..., n) of the centre above the target, in metres along each axis."""
         w = read_numbers(self.within, f"within of {self.label}")  # type: ignore[attr-defined]
         n = len(self.axes)  # type: ignore[attr-defined]
         return np.broadcast_to(w, (*w.shape[:-1], n))
 
     @property
     def lower_margins(self) -> Array:
-        """How far (..., n) the centre may be below the target along each of the n axes."""
+        """Least coordinates (..., n) of the centre against the target, in metres along each axis."""
         return -self.upper_margins
 
     def make_goal_poses(self, dim: int) -> Array:
-        """Poses (..., 4, 4) at the target, which has three numbers, or one for each axis that
-        `axes` names.
+        """Return poses (..., 4, 4) at the target.
+
+        The target has three numbers, or one for each axis in the field `axes`.
         """
         if self.bounded:
             return EYE
@@ -143,8 +145,9 @@ class _OfCentre(Bounded):
 
 @kind("centre_of_mass", says="the centre of mass is at {target}")
 class CentreOfMass(_OfCentre):
-    """The centre of mass at a position `target` (..., 3), along `axes` ("xyz", or "xy", ...), or
-    `within` (m) of it.
+    """The centre of mass at a position `target` (..., 3), or `within` a distance in metres of it.
+
+    `axes` says along which axes: "xyz", "xy", ...
 
     Where fewer axes count, `target` may have a number for each of these only.
     `within` is one number, or (..., n) for the n axes, from target to target where it has leading
@@ -164,7 +167,7 @@ class CentreOfMass(_OfCentre):
         return "the system"
 
     def list_masses(self, bodies: Mapping[str, Any], what: str) -> list[Mass]:
-        """The masses of the bodies."""
+        """Return the centres of the bodies with their shares of the mass."""
         heavy = [
             (n, tuple(b.center or (0.0, 0.0, 0.0)), float(b.mass or 0.0)) for n, b in bodies.items()
         ]
@@ -176,8 +179,9 @@ class CentreOfMass(_OfCentre):
 
 @kind("centre_of_points", says="the mean of {frames} is at {target}")
 class CentreOfPoints(_OfCentre):
-    """The mean of the origins of frames at a position `target` (..., 3); `frames` is a list, or a
-    dict of weights.
+    """The mean of the origins of frames at a position `target` (..., 3).
+
+    `frames` is a list, or a dict of weights.
 
     Along one axis, `at_least` and `at_most` are bounds in place of a target.
     """
@@ -195,7 +199,7 @@ class CentreOfPoints(_OfCentre):
         return ", ".join(repr(str(f)) for f in self.frames)
 
     def list_masses(self, bodies: Mapping[str, Any], what: str) -> list[Mass]:
-        """The weights of the frames."""
+        """Return the origins of the frames with their shares of the weight."""
         given = self.frames if isinstance(self.frames, Mapping) else dict.fromkeys(self.frames, 1.0)
         weights = {
             f: float(check_constant(read_numbers(w, said := f"a weight of {self.label}"), said))
@@ -211,7 +215,9 @@ class CentreOfPoints(_OfCentre):
 
 @kind("function", says="{function} is zero")
 class Function(Constraint):
-    """A function of q (nq,), a number or (m,), at zero, or between `low` and `high` (m,).
+    """A function of q (nq,) that is zero, or between `low` and `high` (m,).
+
+    It gives a number or an array (m,).
 
     With `frames` it is called with their poses (4, 4) in the ground, one after the other, in place
     of q. `derivative` gives its derivatives (m, nv) by the velocity coordinates, and is checked;
@@ -230,9 +236,9 @@ class Function(Constraint):
 
     @property
     def subject(self) -> str:
-        """The function's name."""
+        """The name of the function."""
         return getattr(self.function, "__name__", repr(self.function))
 
     def list_rows(self, dim: int) -> tuple[Row, ...]:
-        """One row for the function; its number of equations is found when it is called."""
+        """Return one row for the function; its number of equations is found when it is called."""
         return (Row(Op.CALL, (self.function,), "value", "1", low="low", high="high"),)

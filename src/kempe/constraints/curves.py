@@ -1,6 +1,4 @@
-"""A kind that holds a point on a curve through given points, and cubic splines as polynomial
-pieces.
-"""
+"""A kind that holds a point on a curve through given points, and cubic splines in pieces."""
 
 from __future__ import annotations
 
@@ -61,15 +59,17 @@ class OnCurve(Measured):
         make_curve_tape(self.points, self.closed, given.shape[1], what)
 
     def check_fields(self, dim: int) -> None:
-        """Refuse points off the plane of a planar system, or of two numbers in space, and bounds
-        that do not fit.
+        """Refuse points off the plane of a planar system, and bounds that do not fit.
+
+        In space, points of two numbers are refused, too.
         """
         super().check_fields(dim)
         read_points(self.points, dim, f"points of {self.label}")
 
     def list_rows(self, dim: int) -> tuple[Row, ...]:
-        """Rows of the distances across the curve (two directions, in the plane one), or of the
-        whole distance.
+        """Return rows of the distances across the curve, or of the whole distance within bounds.
+
+        Across the curve there are two directions, in the plane one.
         """
         tape = make_curve_tape(
             self.points, self.closed, dim, f"points of {self.label}", self.bounded
@@ -84,8 +84,9 @@ class OnCurve(Measured):
 def make_curve_tape(
     points: tuple[tuple[float, ...], ...], closed: bool, dim: int, what: str, whole: bool = False
 ) -> Tape:
-    """The distances of (x, y, z) from a curve across it, or the `whole` distance. Errors:
-    `InputError`, see `fit_spline`.
+    """Make the tape of the distances of (x, y, z) across a curve, or of the `whole` distance.
+
+    Errors: `InputError`, see `fit_spline`.
 
     In space the directions are the two of `compute_piece_axes`, turned as the smallest turn takes its third
     to the tangent t: a - (a.t) (z + t) / (1 + z.t), where (p - c).t = 0.
@@ -126,8 +127,9 @@ def make_curve_tape(
 
 @lru_cache(maxsize=256)
 def fit_spline(points: tuple[tuple[float, ...], ...], closed: bool, what: str) -> Array:
-    """The pieces (n, 3, 4) of the cubic spline through points, by the length of its chords, for u
-    from 0 to 1 each.
+    """Fit a cubic spline through points by the length of its chords.
+
+    Returned are its pieces (n, 3, 4): coefficients in u from 0 to 1 each.
 
     An open one goes on straight at both ends, in a first and a last piece. Errors: `InputError` for
     fewer than 4 points (3 of a closed curve), neighbours that are equal, and cusps.
@@ -171,8 +173,9 @@ def fit_spline(points: tuple[tuple[float, ...], ...], closed: bool, what: str) -
 
 
 def _split_piece(piece: Array, left: int, what: str) -> list[Array]:
-    """A piece in parts of which none turns far: the directions of its derivative's control points
-    are near.
+    """Split a piece in halves until none turns far.
+
+    The directions of its derivative's control points are then near each other.
     """
     a = piece[:, 1]
     b = 2.0 * piece[:, 2]
@@ -193,7 +196,7 @@ def _split_piece(piece: Array, left: int, what: str) -> list[Array]:
 
 
 def flatten_pieces(pieces: Array, closed: bool) -> tuple[float, ...]:
-    """Pieces as kernels read them (`tape_layout`)."""
+    """Return pieces as a tuple of numbers that kernels read (`tape_layout`)."""
     b = pieces[..., 1]
     c = pieces[..., 2]
     # Bezier's points less the first
@@ -204,8 +207,9 @@ def flatten_pieces(pieces: Array, closed: bool) -> tuple[float, ...]:
 
 
 def compute_piece_axes(pieces: Array) -> Array:
-    """Axes (n, 3, 3) of each piece: two across its middle, and its direction there; no turn about
-    the curve is added.
+    """Compute axes (n, 3, 3) of each piece: two across its middle, and its direction there.
+
+    No turn about the curve is added.
 
     Where pieces meet, the smallest turns from both middles lead the axes across into the same.
     """
@@ -223,5 +227,5 @@ def compute_piece_axes(pieces: Array) -> Array:
 
 
 def _transport_vector(x: Array, a: Array, b: Array) -> Array:
-    """A vector across a, turned as the smallest turn takes a to b."""
+    """Turn a vector across a by the smallest turn that takes a to b."""
     return x - (x @ b) / (1.0 + a @ b) * (a + b)

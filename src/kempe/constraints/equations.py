@@ -33,18 +33,20 @@ POINTS = 12
 
 
 class NotRecorded(KempeError):
-    """A function that cannot be recorded: it branches on values, or hands them to what takes plain
-    numbers only.
+    """Error for a function that cannot be recorded.
+
+    It branches on values, or hands them to a function that takes plain numbers only.
     """
 
 
 class Branches(KempeError):
-    """Raised inside a function that asks a recording number for its value."""
+    """Error inside a function that asks a recording number for its value."""
 
 
 class RecordedNumber:
-    """A number that notes what is done to it. It has no value: comparisons and float() raise
-    `Branches`.
+    """A number without a value that records the operations on it.
+
+    Comparisons and float() raise `Branches`.
     """
 
     __slots__ = ("_builder", "place")
@@ -54,7 +56,7 @@ class RecordedNumber:
         self.place = place
 
     def _place_operand(self, x: Any) -> int | None:
-        """The place of another operand."""
+        """Return the place of another operand, or None where it is no number."""
         if isinstance(x, RecordedNumber):
             if x._builder is not self._builder:
                 raise Branches("it keeps numbers of an earlier call")
@@ -69,6 +71,7 @@ class RecordedNumber:
         return self._builder.add_number(float(number))
 
     def _record_binary(self, op: int, left: object, right: object) -> Any:
+        """Record an operation with two operands, which may be arrays."""
         if isinstance(left, np.ndarray) or isinstance(right, np.ndarray):
             a, b = np.broadcast_arrays(
                 np.asarray(left, dtype=object), np.asarray(right, dtype=object)
@@ -87,6 +90,7 @@ class RecordedNumber:
         return RecordedNumber(self._builder, self._builder.add_binary(op, a, b))
 
     def _record_unary(self, op: int) -> RecordedNumber:
+        """Record an operation with this number as operand."""
         return RecordedNumber(self._builder, self._builder.add_unary(op, self.place))
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
@@ -134,10 +138,11 @@ class RecordedNumber:
         return self
 
     def conjugate(self) -> RecordedNumber:
-        """Itself: it is real."""
+        """Return the number itself, which is real."""
         return self
 
     def _refuse_use(self, what: str) -> Any:
+        """Refuse a use that needs a value, by `Branches`."""
         raise Branches(f"it {what}")
 
     def __bool__(self) -> bool:
@@ -173,10 +178,12 @@ class RecordedNumber:
 
 
 def _make_method(op: int) -> Callable[[RecordedNumber, object], Any]:
+    """Make a method that records an operation with two operands."""
     return lambda x, other: x._record_binary(op, x, other)
 
 
 def _make_scaled_method(factor: float, op: int | None = None) -> Callable[[RecordedNumber], Any]:
+    """Make a method that records a function of the number times a factor."""
     return lambda x: (x if op is None else x._record_unary(op)) * factor
 
 
@@ -238,8 +245,9 @@ for _ufunc, _op in _UFUNCS_2.items():
 
 
 class _Named(dict[Any, Any]):
-    """The inputs of a function by name. Errors: `UnknownNameError` for a name that was not
-    declared.
+    """The inputs of a function by name.
+
+    Errors: `UnknownNameError` for a name that was not declared.
     """
 
     def __missing__(self, name: object) -> Any:
@@ -253,8 +261,9 @@ def record_function(
     time: bool = False,
     what: str = "the function",
 ) -> tuple[Tape, tuple[int, ...]]:
-    """The tape of a Python function of named inputs, and the shape of what it returns; the tape has
-    it row by row.
+    """Record a Python function of named inputs as a tape.
+
+    Returned are the tape, whose outputs are the values row by row, and their shape.
 
     function: called with a mapping from names to numbers, with `time` also with the time t, which
     is then the tape's input "t"; it returns a number, a list or array of numbers, or rows of equal
@@ -295,6 +304,7 @@ def record_function(
 def _record_once(
     function: Callable[..., Any], names: list[str], time: bool
 ) -> tuple[Tape, tuple[int, ...]]:
+    """Record one call of the function: the tape, and the shape of the values."""
     builder = Builder(names)
     recorded = _Named({name: RecordedNumber(builder, i) for i, name in enumerate(names)})
     found = function(recorded, recorded.pop(TIME)) if time else function(recorded)
@@ -311,7 +321,10 @@ def _record_once(
 
 
 def _flatten_entries(found: Any) -> tuple[list[Any], tuple[int, ...]]:
-    """The numbers of what a function returned, row by row, and its shape. Errors: `InputError`."""
+    """Return the numbers that a function returned, row by row, and their shape.
+
+    Errors: `InputError`.
+    """
     if isinstance(found, np.ndarray):
         found = found.tolist()
     if is_sequence(found):
@@ -338,8 +351,9 @@ def _flatten_entries(found: Any) -> tuple[list[Any], tuple[int, ...]]:
 def call_function(
     function: Callable[..., Any], values: Mapping[str, float], time: bool, what: str
 ) -> tuple[np.ndarray, tuple[int, ...]]:
-    """What a function returns for plain numbers, row by row, and its shape. Errors: `InputError`
-    with the call.
+    """Call a function with plain numbers, and return its values row by row and their shape.
+
+    Errors: `InputError` with the call.
     """
     given = _Named({name: np.float64(x) for name, x in values.items()})
     try:
@@ -362,12 +376,12 @@ def call_function(
 
 
 def format_inputs(values: Mapping[str, float]) -> str:
-    """The call as a reader repeats it: ``A = 0.1, B = 2.0``."""
+    """Return values of inputs as text: ``A = 0.1, B = 2.0``."""
     return ", ".join(f"{name} = {float(x)!r}" for name, x in values.items()) or "no inputs"
 
 
 def sample_inputs(names: Collection[str]) -> list[dict[str, float]]:
-    """Values of the inputs to try: the same ones on every call."""
+    """Return values of the inputs to try, the same ones on every call."""
     rng = np.random.default_rng(len(names))
     spread = [0.5, 1.0, 0.1, 3.0]
     return [{name: float(rng.normal(0.0, spread[k % 4])) for name in names} for k in range(POINTS)]
@@ -376,7 +390,7 @@ def sample_inputs(names: Collection[str]) -> list[dict[str, float]]:
 def find_shape(
     function: Callable[..., Any], names: Collection[str], time: bool, what: str
 ) -> tuple[int, ...]:
-    """The shape of what a function returns for plain numbers.
+    """Find the shape of the values of a function by calls with plain numbers.
 
     Errors: `InputError` with the call, where it fails or gives NaN wherever it is tried, and where
     it answers the same call in two ways.
@@ -419,8 +433,9 @@ def _compare_tape(
     time: bool,
     what: str,
 ) -> None:
-    """Compare the tape with the function itself. Errors: `InputError` with the call where they
-    differ.
+    """Compare the tape with the function itself.
+
+    Errors: `InputError` with the call where they differ.
     """
     for values in sample_inputs(names):
         expected = tape.evaluate_outputs(values)
@@ -457,8 +472,9 @@ Parameters: TypeAlias = "Mapping[str, float] | None"
 
 @dataclass(frozen=True)
 class Call:
-    """A Python function of named inputs that cannot be recorded, because of the `reason`; it gives
-    `size` numbers.
+    """A Python function of named inputs that cannot be recorded, because of the `reason`.
+
+    It gives `size` numbers.
 
     It reads `inputs`, which are the coordinates and parameters `of` here.
     """
@@ -472,7 +488,9 @@ class Call:
     what: str
 
     def __call__(self, values: Mapping[str, float]) -> np.ndarray:
-        """Values (size,) of the function; `values` has those of `of` and the time "t".
+        """Return the values (size,) of the function.
+
+        `values` are those of the names in `of`, and of the time "t".
 
         Errors: `InputError` with the call.
         """
@@ -512,7 +530,7 @@ class Call:
 
 @lru_cache(maxsize=1024)
 def list_words(texts: tuple[str, ...]) -> tuple[str, ...]:
-    """The names in expressions, in the order in which they occur. Errors: `InputError`."""
+    """List the names in expressions, in the order in which they occur. Errors: `InputError`."""
     found: dict[str, None] = {}
     for text in texts:
         expression, meant = parse_expression(text)
@@ -521,7 +539,7 @@ def list_words(texts: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def format_expression(x: Any, what: str) -> str:
-    """An expression as text; numbers are allowed. Errors: `InputError`."""
+    """Return an expression, or a number, as text. Errors: `InputError`."""
     given: Any = x
     if isinstance(x, Expression):
         return x.text
@@ -568,6 +586,7 @@ class _WrittenKind(Constraint):
         return ", ".join(self.of or self.words)
 
     def _read_names(self, given: Any) -> tuple[str, ...]:
+        """Read the names of coordinates, each of which may occur once. Errors: `InputError`."""
         names = read_names(given, f"of of {self.message_name}")
         twice = [n for n in names if names.count(n) > 1]
         if twice:
@@ -577,8 +596,10 @@ class _WrittenKind(Constraint):
     def _record_written(
         self, function: Callable[..., Any], shape_of: Callable[[tuple[int, ...]], None]
     ) -> tuple[Any, Any]:
-        """The texts of a function, or the tape where they would be too long, or a `Call`; and its
-        shape.
+        """Record a function that the user wrote, and return its texts and the shape of its values.
+
+        In place of texts a tape is returned where these would be too long, or a `Call` of what
+        cannot be recorded.
         """
 
         of = self.of
@@ -603,8 +624,9 @@ class _WrittenKind(Constraint):
             return tape, shape
 
     def _parse_written(self, written: Any) -> Tape:
-        """The tape of texts, over coordinates, the time and parameters. Errors: `InputError`,
-        `UnknownNameError`.
+        """Parse the texts to a tape over coordinates, the time and parameters.
+
+        Errors: `InputError`, `UnknownNameError`.
         """
         of = self.of
         time = self.time
@@ -628,21 +650,20 @@ class _WrittenKind(Constraint):
             raise InputError(f"{self.message_name}: {error}{more}") from None
 
     def resolve_names(self, parameters: Collection[str]) -> Constraint:
-        """The same constraint where all names that are no parameters are coordinates, listed in
-        `of`.
-        """
+        """Return the constraint with all names that are no parameters as coordinates in `of`."""
         names = self.of or tuple(w for w in self.words if w != TIME or not self.time)
         return replace(self, of=tuple(n for n in names if n not in parameters))  # type: ignore[attr-defined]
 
     @property
     def words(self) -> tuple[str, ...]:
-        """The names in its expressions."""
+        """Names in the expressions."""
         raise NotImplementedError
 
 
 class _Valued(_WrittenKind, Bounded):
-    """Base of constraints on values of an expression; bounds are for all n values alike, or (...,
-    n).
+    """Base of constraints on values of an expression.
+
+    Bounds are for all n values alike, or (..., n).
     """
 
     sense: ClassVar[dict[str, Any]] = {}
@@ -669,7 +690,7 @@ class _Valued(_WrittenKind, Bounded):
                 )
 
     def check_fields(self, dim: int) -> None:
-        """Refuse bounds that leave nothing between them, or do not fit the values."""
+        """Refuse bounds that leave no value, or do not fit the values."""
         super().check_fields(dim)
         n = len(self.list_rows(dim))
         for name in ("at_least", "at_most"):
@@ -680,7 +701,7 @@ class _Valued(_WrittenKind, Bounded):
                 )
 
     def _check_shape(self, shape: tuple[int, ...]) -> None:
-        """Refuse what is no list of numbers."""
+        """Refuse values that are no list of numbers. Errors: `InputError`."""
         if len(shape) > 1 or 0 in shape:
             raise InputError(
                 f"{self.message_name} returns numbers of the shape {shape}; it must return {self.needs}"
@@ -688,19 +709,20 @@ class _Valued(_WrittenKind, Bounded):
 
     @property
     def _texts(self) -> Any:
+        """The expressions as a tuple of texts, a tape or a `Call`."""
         written: Any = self.expression
         return (written,) if isinstance(written, str) else written
 
     @property
     def words(self) -> tuple[str, ...]:
-        """The names in its expressions."""
+        """Names in the expressions."""
         written = self._texts
         if isinstance(written, (Tape, Call)):
             return written.inputs if isinstance(written, Tape) else written.of
         return list_words(written)
 
     def describe_field(self, name: str) -> str:
-        """The expressions, compared with zero, as text."""
+        """Return the value of a field in words; expressions are compared with zero."""
         if name != "expression":
             return super().describe_field(name)
         written = self._texts
@@ -711,7 +733,7 @@ class _Valued(_WrittenKind, Bounded):
         return ", ".join(t if "=" in t else t + tail for t in texts)
 
     def list_rows(self, dim: int) -> tuple[Row, ...]:
-        """One row for each value of the expressions."""
+        """Return one row for each value of the expressions."""
         written = self._texts
         if isinstance(written, Call):
             op = Op.CALL
@@ -736,7 +758,7 @@ class _Valued(_WrittenKind, Bounded):
         )
 
     def add_prefix(self, prefix: str) -> Constraint:
-        """The same constraint with a prefix before the names of its coordinates."""
+        """Return the constraint with a prefix before the names of its coordinates."""
         written = self.expression
         new = {n: prefix + n for n in self.of}
         if isinstance(written, Call):
@@ -750,7 +772,7 @@ class _Valued(_WrittenKind, Bounded):
 
 @kind("equation", says="{expression}")
 class Equation(_Valued):
-    """An equation f = 0 over coordinates, or several: text such as ``"A = 2*B"``, or a function.
+    """An equation f = 0 of coordinates, or several: text such as ``"A = 2*B"``, or a function.
 
     A function is called with a mapping from the names `of` to numbers, with `time` also with the
     time t, and gives a number or a list. Text finds its coordinates itself; other names are
@@ -766,8 +788,9 @@ class Equation(_Valued):
 
 @kind("inequality", says="{expression}")
 class Inequality(_Valued):
-    """An inequality f >= 0 over coordinates, or several; see `Equation`. Text may not hold a sign
-    of equality.
+    """An inequality f >= 0 of coordinates, or several; see `Equation`.
+
+    Its text may not have a sign of equality.
 
     `at_least`, `at_most`: f within these bounds, in place of 0 and above.
     """
@@ -782,8 +805,9 @@ class Inequality(_Valued):
 
 @kind("velocity_equation", says="the velocities v of {of} obey {matrix} v = {b}")
 class VelocityEquation(_WrittenKind):
-    """Rows A(q) v = b(q, t) over the velocities of the coordinates `of`: numbers, texts, or a
-    function of these.
+    """Equations A(q) v = b(q, t) of the velocities v of the coordinates `of`.
+
+    Their entries are numbers, texts, or a function of these coordinates.
 
     `matrix` has a row for each equation and a column for each of `of`; `b` is one number, or one
     for each row.
@@ -814,7 +838,7 @@ class VelocityEquation(_WrittenKind):
         object.__setattr__(self, "b", b[0] if len(set(b)) == 1 else b)
 
     def _read_entries(self, written: Any, fits: Callable[[tuple[int, ...]], None]) -> Any:
-        """Texts, or rows of texts."""
+        """Read entries as texts, or rows of texts."""
         if callable(written) and not isinstance(written, Expression):
             found, shape = self._record_written(written, fits)
             if not is_texts(found):
@@ -837,7 +861,7 @@ class VelocityEquation(_WrittenKind):
         return tuple(format_expression(x, self.message_name) for x in rows)
 
     def _check_shape(self, shape: tuple[int, ...]) -> None:
-        """Refuse what is no matrix with a column for each coordinate."""
+        """Refuse a shape other than that of a matrix with a column for each coordinate."""
         if len(shape) not in (1, 2) or shape[-1] != len(self.of) or 0 in shape:
             raise InputError(
                 f"{self.message_name} has a matrix of the shape {shape}; each of its rows must have "
@@ -845,13 +869,14 @@ class VelocityEquation(_WrittenKind):
             )
 
     def _check_b_shape(self, shape: tuple[int, ...], rows: int) -> None:
+        """Refuse a `b` that is neither one number nor one for each row."""
         if shape not in ((), (1,), (rows,)):
             raise InputError(
                 f"b of {self.message_name} has the shape {shape}; it must be one number, or {rows}"
             )
 
     def _format_rows(self) -> tuple[str, ...]:
-        """Each row as an expression in velocities, A v - b."""
+        """Return each row A v - b as an expression in velocities."""
         b = self.b if is_texts(self.b) else (self.b,) * len(self.matrix)
         rates = [quote_name(n + RATE) for n in self.of]
         rows = [
@@ -861,18 +886,18 @@ class VelocityEquation(_WrittenKind):
 
     @property
     def words(self) -> tuple[str, ...]:
-        """The names in its expressions, and its coordinates."""
+        """Names in the expressions, coordinates first."""
         b = self.b if is_texts(self.b) else (self.b,)
         return tuple(
             dict.fromkeys([*self.of, *list_words((*(x for row in self.matrix for x in row), *b))])
         )
 
     def resolve_names(self, parameters: Collection[str]) -> Constraint:
-        """The same constraint: its coordinates are named already."""
+        """Return the constraint itself: its coordinates are named already."""
         return self
 
     def list_rows(self, dim: int) -> tuple[Row, ...]:
-        """One row for each row of the matrix."""
+        """Return one row for each row of the matrix."""
         rates = tuple(n + RATE for n in self.of)
         tape = self.make_velocity_tape(rates)
         n = len(tape.outputs)
@@ -882,7 +907,7 @@ class VelocityEquation(_WrittenKind):
         )
 
     def make_velocity_tape(self, rates: tuple[str, ...]) -> Tape:
-        """The rows A v - b over coordinates and the velocities `rates`."""
+        """Make the tape of the rows A v - b over coordinates and the velocities `rates`."""
         texts = self._format_rows()
         clock = (TIME,) if self.time else ()
         inputs = (*self.of, *rates, *clock)
@@ -895,11 +920,12 @@ class VelocityEquation(_WrittenKind):
             raise InputError(f"{self.message_name}: {error}{more}") from None
 
     def add_prefix(self, prefix: str) -> Constraint:
-        """The same constraint with a prefix before the names of its coordinates."""
+        """Return the constraint with a prefix before the names of its coordinates."""
         new = {n: prefix + n for n in self.of}
         clock = (TIME,) if self.time else ()
 
         def rename_coordinates(text: str) -> str:
+            """Return an expression with the prefix before its coordinates."""
             words = [w for w in list_words((text,)) if w not in self.of and w not in clock]
             return rename_inputs(
                 parse_tape((text,), (*self.of, *clock), tuple(words)), new

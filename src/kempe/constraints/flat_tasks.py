@@ -1,6 +1,4 @@
-"""Tasks with two numbers, of which a picture can be drawn: two coordinates of a frame's place, or
-its direction.
-"""
+"""Tasks with two numbers, which can be plotted: two coordinates of a frame, or its direction."""
 
 from __future__ import annotations
 
@@ -21,8 +19,7 @@ DIRECTION = "direction"
 
 @dataclass(frozen=True)
 class FlatTask:
-    """Two numbers that say where a frame is: two coordinates of its place [m], or the direction of
-    its z axis.
+    """A task of two numbers: two coordinates of a frame's origin in m, or its z axis as angles.
 
     `name` is "xy", "xz", "yz" or "direction"; a direction is seen as its azimuth about z and its
     elevation above the xy-plane [rad].
@@ -33,30 +30,30 @@ class FlatTask:
 
     @property
     def directional(self) -> bool:
-        """Whether it is a direction."""
+        """Whether the task is a direction."""
         return self.name == DIRECTION
 
     @property
     def axes(self) -> list[int]:
-        """The two axes of the ground along which places are seen; none of a direction."""
+        """Numbers of the two axes of the ground that are the coordinates; [] for a direction."""
         return [] if self.directional else list(PLANES[self.name][:2])
 
     @property
     def labels(self) -> tuple[str, str]:
-        """What the two numbers are, with units."""
+        """Names of the two numbers, with units."""
         if self.directional:
             return "azimuth [rad]", "elevation [rad]"
         return f"{self.name[0]} [m]", f"{self.name[1]} [m]"
 
     def describe_task(self, frame: str) -> str:
-        """What is seen of a frame."""
+        """Return words for the two numbers of a frame."""
         if self.directional:
             return f"direction of z of {frame!r}"
         along = "" if self.dim == 2 else f" along {' and '.join(self.name)}"
         return f"position of {frame!r}{along}"
 
     def project_poses(self, X: Array) -> Array:
-        """The two numbers (..., 2) at poses (..., 4, 4)."""
+        """Return the two numbers (..., 2) at poses (..., 4, 4)."""
         if not self.directional:
             return X[..., self.axes, 3]
         z = X[..., :3, 2]
@@ -65,7 +62,7 @@ class FlatTask:
         )
 
     def make_constraint(self, frame: str, p: Array) -> Constraint:
-        """What is requested where the numbers shall be p (..., 2)."""
+        """Return the constraint that holds the two numbers of a frame at p (..., 2)."""
         if self.directional:
             return Pointing(frame, _compute_directions(p))
         if self.dim == 2:
@@ -77,15 +74,16 @@ class FlatTask:
         return OnLine(frame, at, np.eye(3)[along])
 
     def compute_area(self, X: Array, J: Array) -> Array:
-        """Area (...) that the rates of two coordinates span in the task, with its sign, of
-        Jacobians (..., 6, 2).
+        """Compute the signed area (...) that two coordinates span in the task at unit speed.
+
+        `J` (..., 6, 2) are their Jacobians, `X` (..., 4, 4) the poses.
         """
         if not self.directional:
             return np.asarray(np.linalg.det(J[..., self.axes, :]))
         return np.einsum("...i,...i", X[..., :3, 2], np.cross(J[..., 3:, 0], J[..., 3:, 1]))
 
     def compute_distance(self, p: Array, other: Array) -> Array:
-        """How far (...) two of them (..., 2) are apart, in metres, or as an angle."""
+        """Compute the distance (...) of two values (..., 2) of the task, in metres or radians."""
         if not self.directional:
             return np.asarray(np.linalg.norm(other - p, axis=-1))
         a = _compute_directions(p)
@@ -94,7 +92,7 @@ class FlatTask:
 
 
 def find_flat_task(name: object, dim: int) -> FlatTask:
-    """The task by its name, None: "xy". Errors: `InputError`, `UnsupportedError`."""
+    """Return the task by its name; None is "xy". Errors: `InputError`, `UnsupportedError`."""
     task = "xy" if name is None else check_name("task", name, (*PLANES, DIRECTION))
     if dim == 2 and task != "xy":
         raise UnsupportedError(f"task is {task!r}; of a planar system 'xy' is drawn")
@@ -102,7 +100,7 @@ def find_flat_task(name: object, dim: int) -> FlatTask:
 
 
 def _compute_directions(p: Array) -> Array:
-    """Unit vectors (..., 3) of azimuths and elevations (..., 2)."""
+    """Return unit vectors (..., 3) of azimuths and elevations (..., 2)."""
     level = np.cos(p[..., 1])
     return np.stack(
         [level * np.cos(p[..., 0]), level * np.sin(p[..., 0]), np.sin(p[..., 1])], axis=-1

@@ -56,7 +56,7 @@ Z = (0.0, 0.0, 1.0)
 
 @lru_cache
 def list_point_rows(dim: int, axes: str = "xyz", **held: str) -> tuple[Row, ...]:
-    """Rows that hold the origin of B along axes of A; `dim` is 2 in the plane, else 3."""
+    """Return rows that hold the origin of B along axes of A; `dim` is 2 in the plane, else 3."""
     return tuple(
         Row(Op.POINT, ("xyz".index(a),), a, "m", part=k if held else None, **held)
         for k, a in enumerate(axes[:dim])
@@ -65,7 +65,7 @@ def list_point_rows(dim: int, axes: str = "xyz", **held: str) -> tuple[Row, ...]
 
 @lru_cache
 def list_pose_rows(dim: int) -> tuple[Row, ...]:
-    """Rows that hold position and orientation of B in A; `dim` is 2 in the plane, else 3."""
+    """Return rows that hold position and orientation of B in A; `dim` is 2 in the plane, else 3."""
     return (*list_point_rows(dim), ROTATION)
 
 
@@ -78,18 +78,19 @@ class Placed(Constraint):
     """Base of constraints with a `target` or an `origin` on frame A, and a `point` of frame B."""
 
     def make_tool_pose(self, dim: int) -> tuple[float, ...]:
-        """The pose, as 16 numbers, of the `point` of frame B, without a rotation."""
+        """Return the pose of the `point` of frame B, without a rotation, as 16 numbers."""
         point = getattr(self, "point", ORIGIN)
         return HERE if point is ORIGIN else make_point_pose(point, dim, f"point of {self.label}")
 
     def _make_poses_at(self, dim: int, name: str) -> Array:
-        """Poses (..., 4, 4), without a rotation, at the point in the field `name`; `dim` is 2 in
-        the plane, else 3.
+        """Return poses (..., 4, 4), without a rotation, at the point in the field `name`.
+
+        `dim` is 2 in the plane, else 3.
         """
         return spatial.pose(p=read_points(getattr(self, name), dim, f"{name} of {self.label}"))
 
     def _make_poses_along(self, dim: int, name: str) -> Array:
-        """Poses (..., 4, 4) at `origin` whose z is along the direction in the field `name`.
+        """Return poses (..., 4, 4) at `origin` whose z is along the direction in the field `name`.
 
         In the plane (`dim` 2) their x is the normal of the plane; in space x is any direction
         across z.
@@ -101,29 +102,29 @@ class Placed(Constraint):
 
 
 class Measured(Placed, Bounded):
-    """Base of constraints on one number: a distance, a height or an angle, at a value or between
-    bounds.
-    """
+    """Base of constraints on a distance, a height or an angle, at a value or between bounds."""
 
     measured: ClassVar[str] = "distance"
     instead: ClassVar[str] = ""
     """The field in whose place the bounds are; '' where the number is zero without bounds."""
 
     def check_fields(self, dim: int) -> None:
-        """Refuse bounds that leave nothing between them, and negative distances and angles."""
+        """Refuse bounds that leave no value, and negative distances and angles."""
         value = getattr(self, self.instead) if self.instead else None
         if value is not None:
             read_nonnegative_numbers(value, f"{self.instead} of {self.label}")
         super().check_fields(dim)
 
     def list_bounded_rows(self, op: Op, *args: Any) -> tuple[Row, ...]:
-        """The row that holds the number between `at_least` and `at_most`; `op` is the operation
-        that measures it.
+        """Return the row that holds the measured number between `at_least` and `at_most`.
+
+        `op` is the operation that measures it.
         """
         return (Row(op, args, self.measured, UNITS[self.measured], low="at_least", high="at_most"),)
 
     def list_distance_rows(self) -> tuple[Row, ...]:
-        """The row of a distance that is the number of the field `instead`, or within bounds.
+        """Return the row of a distance: at the number of the field `instead`, or within bounds.
+
         Errors: `InputError`.
         """
         value = getattr(self, self.instead)
@@ -134,7 +135,7 @@ class Measured(Placed, Bounded):
         )
 
     def describe_field(self, name: str) -> str:
-        """The bounds, in place of the field that they replace, as `sentence` writes them."""
+        """Return the value of a field in words; bounds in place of the field that they replace."""
         return (
             self.bounds_text
             if name == self.instead and self.bounded
@@ -180,11 +181,11 @@ class Pose(Placed):
     other: Frame | None = field(default=None, kw_only=True)
 
     def list_rows(self, dim: int) -> tuple[Row, ...]:
-        """Rows of the position and the orientation of the frame."""
+        """Return rows of the position and the orientation of the frame."""
         return list_pose_rows(dim)
 
     def make_goal_poses(self, dim: int) -> Array:
-        """The pose or position that is held."""
+        """Return the target as poses (..., 4, 4)."""
         return read_poses(self.target, dim, f"target of {self.label}")
 
 
@@ -202,11 +203,11 @@ class Position(Measured):
     other: Frame | None = field(default=None, kw_only=True)
 
     def list_rows(self, dim: int) -> tuple[Row, ...]:
-        """Rows of the position of the point, or one of its distance from the target."""
+        """Return rows of the position of the point, or one of its distance from the target."""
         return self.list_bounded_rows(Op.DISTANCE) if self.bounded else list_point_rows(dim)
 
     def make_goal_poses(self, dim: int) -> Array:
-        """The pose or position that is held."""
+        """Return poses (..., 4, 4), without a rotation, at the target."""
         return self._make_poses_at(dim, "target")
 
 
@@ -224,11 +225,11 @@ class Orientation(Measured):
     measured: ClassVar[str] = "angle"
 
     def list_rows(self, dim: int) -> tuple[Row, ...]:
-        """One row: the rotation, or its angle."""
+        """Return one row: the rotation, or its angle."""
         return self.list_bounded_rows(Op.TAPE, TURNED, 0) if self.bounded else (ROTATION,)
 
     def make_goal_poses(self, dim: int) -> Array:
-        """The pose or position that is held."""
+        """Return the target as poses (..., 4, 4) at the origin."""
         X = read_numbers(read_pose_array(self.target, what := f"target of {self.label}"), what)
         return read_poses(
             spatial.pose(X) if X.ndim >= 2 and X.shape[-2:] == (3, 3) else X, dim, what
@@ -241,14 +242,15 @@ class _Axis(Measured):
     measured: ClassVar[str] = "angle"
 
     def make_tool_pose(self, dim: int) -> tuple[float, ...]:
-        """A rotation, as a pose of 16 numbers, that turns z of the frame to the axis."""
+        """Return a rotation that turns z of the frame to the axis, as a pose of 16 numbers."""
         return make_axis_pose(self.axis, dim, f"axis of {self.label}")  # type: ignore[attr-defined]
 
 
 @kind("pointing", says="an axis of {frame} is along {direction}")
 class Pointing(_Axis):
-    """An `axis` of a frame (default z, in the plane x) along a `direction` (..., 3) of the ground,
-    or of `other`.
+    """An `axis` of a frame along a `direction` (..., 3) of the ground, or of `other`.
+
+    The axis is z by default, in the plane x.
 
     `at_least`, `at_most`: the angle between them, as of a glass that must not spill.
     """
@@ -259,11 +261,11 @@ class Pointing(_Axis):
     other: Frame | None = field(default=None, kw_only=True)
 
     def list_rows(self, dim: int) -> tuple[Row, ...]:
-        """One row: the direction of the axis, or its angle to the target."""
+        """Return one row: the direction of the axis, or its angle to the target."""
         return self.list_bounded_rows(Op.TAPE, TILTED, 0) if self.bounded else (TILT,)
 
     def make_goal_poses(self, dim: int) -> Array:
-        """Poses (..., 4, 4) at the origin whose z is the direction."""
+        """Return poses (..., 4, 4) at the origin whose z is the direction."""
         return spatial.pose(
             make_rotations_along(
                 read_directions(self.direction, dim, f"direction of {self.label}"), dim
@@ -273,8 +275,9 @@ class Pointing(_Axis):
 
 @kind("look_at", says="an axis of {frame} points at {target}")
 class LookAt(_Axis):
-    """An `axis` of a frame (default z, in the plane x) towards a point `target` (..., 3), as a
-    camera looks at it.
+    """An `axis` of a frame towards a point `target` (..., 3), as a camera looks at it.
+
+    The axis is z by default, in the plane x.
 
     `at_least`, `at_most`: the angle between the axis and the line of sight, as of what must stay in
     view.
@@ -286,11 +289,11 @@ class LookAt(_Axis):
     other: Frame | None = field(default=None, kw_only=True)
 
     def list_rows(self, dim: int) -> tuple[Row, ...]:
-        """One row: the direction of the axis, or its angle to the line of sight."""
+        """Return one row: the direction of the axis, or its angle to the line of sight."""
         return self.list_bounded_rows(Op.TAPE, AWAY, 0) if self.bounded else (LOOK,)
 
     def make_goal_poses(self, dim: int) -> Array:
-        """Poses (..., 4, 4) at the point that is looked at."""
+        """Return poses (..., 4, 4) at the point that is looked at."""
         return self._make_poses_at(dim, "target")
 
 
@@ -308,8 +311,9 @@ class OnLine(Measured):
     other: Frame | None = field(default=None, kw_only=True)
 
     def list_rows(self, dim: int) -> tuple[Row, ...]:
-        """Rows of the coordinates across the line (in the plane one), or of the distance from the
-        line.
+        """Return rows of the coordinates across the line, or of the distance from the line.
+
+        Across the line there are two coordinates, in the plane one.
         """
         return (
             self.list_bounded_rows(Op.TAPE, OFF_LINE, 0)
@@ -318,7 +322,7 @@ class OnLine(Measured):
         )
 
     def make_goal_poses(self, dim: int) -> Array:
-        """Poses (..., 4, 4) at `origin` whose z is along the line."""
+        """Return poses (..., 4, 4) at `origin` whose z is along the line."""
         return self._make_poses_along(dim, "direction")
 
 
@@ -338,19 +342,17 @@ class OnPlane(Measured):
     measured: ClassVar[str] = "height"
 
     def list_rows(self, dim: int) -> tuple[Row, ...]:
-        """One row: the height of the point over the plane."""
+        """Return one row: the height of the point over the plane."""
         return self.list_bounded_rows(Op.POINT, 2) if self.bounded else list_point_rows(3, "z")
 
     def make_goal_poses(self, dim: int) -> Array:
-        """Poses (..., 4, 4) at `origin` whose z is the normal of the plane."""
+        """Return poses (..., 4, 4) at `origin` whose z is the normal of the plane."""
         return self._make_poses_along(dim, "normal")
 
 
 @kind("half_space", "contact", "{frame} is on one side of a plane of {other}")
 class HalfSpace(Placed):
-    """A point of a frame on that side of a plane to which its `normal` points, at least `margin`
-    (...) m from it.
-    """
+    """A point of a frame at least `margin` (...) metres from a plane, on the side of its `normal`."""
 
     frame: Frame
     origin: Point = ORIGIN
@@ -362,11 +364,11 @@ class HalfSpace(Placed):
     unbounded: ClassVar[str] = "it is at least 'margin' away; OnPlane has both bounds of its height"
 
     def list_rows(self, dim: int) -> tuple[Row, ...]:
-        """One row: the height of the point over the plane, which is not negative."""
+        """Return one row: the height of the point over the plane, which is not negative."""
         return (Row(Op.POINT, (2,), "z", low="zero"),)
 
     def make_goal_poses(self, dim: int) -> Array:
-        """Poses (..., 4, 4) at a point `margin` over the plane, z along the normal."""
+        """Return poses (..., 4, 4) at a point `margin` over the plane, z along the normal."""
         X = self._make_poses_along(dim, "normal")
         margin = read_numbers(self.margin, f"margin of {self.label}")
         return X @ spatial.pose(p=margin[..., None] * np.array(Z)) if np.any(margin) else X
@@ -374,8 +376,7 @@ class HalfSpace(Placed):
 
 @kind("on_sphere", says="{frame} is {radius} m away from a point of {other}")
 class OnSphere(Measured):
-    """A point of a frame at the distance `radius` (...) from `center` (..., 3): on a sphere, in the
-    plane a circle.
+    """A point of a frame on the sphere, in the plane the circle, of `radius` (...) about `center`.
 
     `at_least`, `at_most`, in place of the radius: outside or inside a sphere.
     """
@@ -389,19 +390,17 @@ class OnSphere(Measured):
     instead: ClassVar[str] = "radius"
 
     def list_rows(self, dim: int) -> tuple[Row, ...]:
-        """One row: the distance from the center."""
+        """Return one row: the distance from the center."""
         return self.list_distance_rows()
 
     def make_goal_poses(self, dim: int) -> Array:
-        """Poses (..., 4, 4) at the center of the sphere."""
+        """Return poses (..., 4, 4) at the center of the sphere."""
         return self._make_poses_at(dim, "center")
 
 
 @kind("in_box", "contact", "{frame} is in a box of {other}")
 class InBox(Placed):
-    """A point of a frame between the corners `low` and `high` (..., 3) of a box that is at `pose`
-    (..., 4, 4).
-    """
+    """A point of a frame in a box at `pose` (..., 4, 4), between the corners `low` and `high`."""
 
     frame: Frame
     low: Point
@@ -413,17 +412,15 @@ class InBox(Placed):
     unbounded: ClassVar[str] = "its bounds are the corners 'low' and 'high'"
 
     def list_rows(self, dim: int) -> tuple[Row, ...]:
-        """One row for each direction."""
+        """Return one row for each direction."""
         return list_point_rows(dim, low="low_corner", high="high_corner")
 
     def make_goal_poses(self, dim: int) -> Array:
-        """Poses (..., 4, 4) of the box."""
+        """Return poses (..., 4, 4) of the box."""
         return read_poses(self.pose, dim, f"pose of {self.label}")
 
     def check_fields(self, dim: int) -> None:
-        """Refuse corners that leave nothing between them, and boxes that are off the plane, or flat
-        in space.
-        """
+        """Refuse corners without space between them, and boxes off the plane or flat in space."""
         if dim == self._given_dim:
             self._corners  # noqa: B018
         else:
@@ -431,25 +428,27 @@ class InBox(Placed):
 
     @property
     def _given_dim(self) -> int:
-        """How many coordinates the corners are given with: 2 or 3."""
+        """Number of coordinates of the given corners: 2 or 3."""
         return 2 if (2,) in (np.shape(self.low)[-1:], np.shape(self.high)[-1:]) else 3
 
     @cached_property
     def _corners(self) -> tuple[Array, Array]:
+        """The lower and the upper corner (..., 2) or (..., 3)."""
         return self._read_corners(self._given_dim)
 
     def _read_corners(self, dim: int) -> tuple[Array, Array]:
+        """Read both corners, as arrays of one shape. Errors: `InputError`."""
         what = f"corners of {self.label}"
         return read_bounds(*read_corners(self.low, self.high, dim, what), what)
 
     @property
     def low_corner(self) -> Array:
-        """The lower corner (..., 3), checked."""
+        """Lower corner (..., 3) of the box in metres."""
         return self._corners[0]
 
     @property
     def high_corner(self) -> Array:
-        """The upper corner (..., 3), checked."""
+        """Upper corner (..., 3) of the box in metres."""
         return self._corners[1]
 
 
@@ -467,9 +466,7 @@ class RelativePose(Placed):
 
 @kind("relative_position", says="{frame} is at {target}, seen from {other}")
 class RelativePosition(Measured):
-    """A point of a frame at a position `target` (..., 3) seen from the frame `other`, in its axes,
-    or near it.
-    """
+    """A point of a frame at a position `target` (..., 3), or near it, in axes of the frame `other`."""
 
     frame: Frame
     other: Frame
@@ -482,8 +479,9 @@ class RelativePosition(Measured):
 
 @kind("distance", says="{frame} and {other} are {value} m apart")
 class Distance(Measured):
-    """The distance of a `point` of a frame from `other_point` of another: `value` (...), or between
-    bounds (...).
+    """The distance of a point of a frame from a point of another: `value` (...), or within bounds.
+
+    The points are `point` and `other_point`.
 
     A rod with a ball at each end has a `value`, a rope only `at_most`.
     """
@@ -497,11 +495,11 @@ class Distance(Measured):
     instead: ClassVar[str] = "value"
 
     def list_rows(self, dim: int) -> tuple[Row, ...]:
-        """One row, the distance."""
+        """Return one row: the distance."""
         return self.list_distance_rows()
 
     def make_goal_poses(self, dim: int) -> Array:
-        """Poses (..., 4, 4), on its frame, of the point of the other frame."""
+        """Return poses (..., 4, 4) of the point of the other frame on that frame."""
         return EYE if self.other_point is ORIGIN else self._make_poses_at(dim, "other_point")
 
 
@@ -523,7 +521,7 @@ class OnSurface(Measured):
     measured: ClassVar[str] = "value"
 
     def list_rows(self, dim: int) -> tuple[Row, ...]:
-        """The equation of the surface."""
+        """Return the equation of the surface."""
         tape = self._make_tape(dim)
         return (
             self.list_bounded_rows(Op.TAPE, tape, 0)
@@ -532,4 +530,5 @@ class OnSurface(Measured):
         )
 
     def _make_tape(self, dim: int) -> Tape:
+        """Return the tape of the equation of the surface."""
         return parse_tape([self.surface], tuple("xyz"[:dim]), {})

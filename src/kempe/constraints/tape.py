@@ -1,5 +1,6 @@
-"""Tapes: recorded expressions as small programs, with exact values, gradients, Taylor series, text
-and pickle.
+"""Tapes: recorded expressions as small programs.
+
+They have exact values, gradients, Taylor series, text and pickle.
 
 A tape is made of text (`kempe.constraints.text`) or of a Python function
 (`kempe.constraints.equations`). Kernels run it from its arrays
@@ -48,13 +49,14 @@ at zero."""
 
 
 def look_up_entries(s: Any, table: NDArray[Any]) -> NDArray[Any]:
-    """The entries of a table at parameters."""
+    """Return the entries of a table at parameters."""
     return table[np.clip(np.floor(s), 0, len(table) - 1).astype(np.int64)]
 
 
 def find_nearest_parameters(way: Any, z: Any) -> NDArray[Any]:
-    """The parameters of the points of a curve nearest to places: all critical points of all pieces
-    that may be it.
+    """Find the parameters of the points of a curve nearest to places.
+
+    All critical points of all pieces that may have the nearest one are compared.
 
     `way` has the table of the curve, and x and y.
     """
@@ -69,8 +71,9 @@ def find_nearest_parameters(way: Any, z: Any) -> NDArray[Any]:
 
 
 def _find_nearest_parameter(rows: NDArray[Any], endless: bool, p: NDArray[Any]) -> float:
-    """The nearest of one place: roots of the derivative of the squared distance, polynomials of
-    degree 5.
+    """Find the parameter of the point of a curve nearest to one place.
+
+    Candidates are roots of the derivative of the squared distance, polynomials of degree 5.
     """
     if not np.isfinite(p).all():
         return 0.0
@@ -98,7 +101,7 @@ def _find_nearest_parameter(rows: NDArray[Any], endless: bool, p: NDArray[Any]) 
 
 
 def append_coordinate(way: Any, x: Any) -> tuple[Any, ...]:
-    """The table of a curve, or that with the first coordinate of a place, with one more coordinate."""
+    """Append a coordinate of a place to the table of a curve."""
     return (*way, x) if is_sequence(way) else (way, x)
 
 
@@ -146,7 +149,7 @@ ATOM = 5
 
 @dataclass(frozen=True)
 class Tape:
-    """Functions of named inputs as a program: hashable, comparable by content, picklable.
+    """A program of functions of named inputs: hashable, comparable by content, picklable.
 
     inputs: names, in the order of places 0 ... n_inputs - 1. nodes: what is computed, in order
     (`tape_layout`). numbers: constants that nodes refer to. outputs: places of the results.
@@ -159,12 +162,13 @@ class Tape:
 
     @property
     def size(self) -> int:
-        """The number of places: inputs and nodes."""
+        """Number of places: inputs and nodes."""
         return len(self.inputs) + len(self.nodes)
 
     def evaluate_outputs(self, values: Mapping[str, ArrayLike]) -> NDArray[np.float64]:
-        """The outputs (..., n_outputs) at inputs given by name, which broadcast; NaN or infinity
-        where not defined.
+        """Evaluate the outputs (..., n_outputs) at inputs given by name, which broadcast.
+
+        They are NaN or infinite where they are not defined.
         """
         for name in self.inputs:
             if name not in values:
@@ -189,16 +193,14 @@ class Tape:
         return out
 
     def _list_operands(self, place: int) -> tuple[int, ...]:
-        """The places that the value at a place is computed from."""
+        """List the places that the value at a place is computed from."""
         if place < len(self.inputs):
             return ()
         op, left, right = self.nodes[place - len(self.inputs)]
         return (left, right) if op in BINARY else (left,) if op in UNARY else ()
 
     def _list_needed_places(self) -> list[int]:
-        """Places, in order, of the nodes that are needed to compute the outputs; nodes of
-        derivatives are left out.
-        """
+        """List the places of nodes that the outputs need, in order; derivatives are left out."""
         needed = set(self.outputs)
         for place in range(self.size - 1, len(self.inputs) - 1, -1):
             if place in needed:
@@ -206,7 +208,7 @@ class Tape:
         return sorted(place for place in needed if place >= len(self.inputs))
 
     def replace_numbers(self, numbers: Iterable[float]) -> Tape:
-        """The tape with other constants. Errors: `InputError` for another count."""
+        """Return the tape with other constants. Errors: `InputError` for another count."""
         found = tuple(float(x) for x in numbers)
         if len(found) != len(self.numbers):
             given = (
@@ -216,7 +218,7 @@ class Tape:
         return replace(self, numbers=found)
 
     def fix_inputs(self, values: Mapping[str, float]) -> Tape:
-        """The tape with these inputs replaced by numbers, which come first among its `numbers`.
+        """Return the tape with these inputs replaced by numbers, which come first in its `numbers`.
 
         Its nodes are the same for all values. Names that are no inputs are left alone.
         """
@@ -226,6 +228,7 @@ class Tape:
         place = {old: new for new, old in enumerate([*kept, *bound])}
 
         def move_node(node: Node) -> Node:
+            """Return a node with its places counted as in the new tape."""
             op, left, right = node
             if op in (L.NUMBER, L.TABLE):
                 return op, left + len(bound), right
@@ -241,18 +244,19 @@ class Tape:
         )
 
     def select_outputs(self, outputs: Iterable[int]) -> Tape:
-        """The tape of some of the outputs, by their numbers; the inputs stay."""
+        """Return the tape of some of the outputs, by their numbers; the inputs stay."""
         return replace(self, outputs=tuple(self.outputs[i] for i in outputs))
 
     def make_arrays(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """The integers and the numbers that kernels read."""
+        """Return the integers and the numbers that kernels read."""
         head = (len(self.inputs), self.size, len(self.outputs), *self.outputs)
         ints = np.array([*head, *(x for node in self.nodes for x in node)], dtype=np.int64)
         return ints, np.array(self.numbers, dtype=np.float64)
 
     def compute_degrees(self, names: Iterable[str]) -> tuple[int, ...]:
-        """Degree of each output in these inputs together, read off the program: 0, 1, or 2 for all
-        that is more.
+        """Compute the degree of each output in these inputs together: 0, 1, or 2 for all above.
+
+        The program is read, so that a degree may be less than that.
         """
         requested = set(names)
         degree = [int(name in requested) for name in self.inputs] + [0] * len(self.nodes)
@@ -270,21 +274,21 @@ class Tape:
         return tuple(degree[i] for i in self.outputs)
 
     def is_linear_in(self, names: Iterable[str]) -> bool:
-        """Whether the program computes all outputs linearly (with a constant part) in these inputs
-        together.
+        """Tell whether the program computes all outputs linearly in these inputs together.
+
+        A constant part is allowed.
         """
         return max(self.compute_degrees(names), default=0) <= 1
 
     def find_support(self) -> tuple[frozenset[str], ...]:
-        """For each output the inputs that it is computed from."""
+        """Return, for each output, the inputs that it is computed from."""
         found = [frozenset({name}) for name in self.inputs] + [frozenset[str]()] * len(self.nodes)
         for i in self._list_needed_places():
             found[i] = frozenset().union(*(found[k] for k in self._list_operands(i)))
         return tuple(found[i] for i in self.outputs)
 
     def format_outputs(self) -> tuple[str, ...]:
-        """The outputs as expressions, which `kempe.constraints.text.parse_tape` reads to an equal
-        tape.
+        """Return the outputs as expressions, which `parse_tape` reads to an equal tape.
 
         Names that are no plain words stand in backquotes. Errors: `InputError` where one is beyond
         `TEXT_LIMIT`.
@@ -302,8 +306,9 @@ class Tape:
     def _format_node(
         self, i: int, made: dict[int, tuple[str, int]], powers: dict[int, tuple[int, int]]
     ) -> tuple[str, int]:
-        """Text of a node and how tightly it binds; `powers` keeps the base and the exponent of
-        whole powers.
+        """Return the text of a node, and how tightly it binds.
+
+        `powers` keeps the base and the exponent of whole powers.
         """
         op, left, right = self.nodes[i - len(self.inputs)]
         powers[i] = (i, 1)
@@ -330,13 +335,14 @@ class Tape:
 
 
 def _bracket_part(part: tuple[str, int], tight: int) -> str:
-    """The text of a part, in brackets unless it binds at least so tightly."""
+    """Return the text of a part, in brackets unless it binds at least as tightly as `tight`."""
     return part[0] if part[1] >= tight else f"({part[0]})"
 
 
 def is_plain(name: str) -> bool:
-    """Whether a name stands in text as it is: words, also with dots between them, that are not
-    taken.
+    """Tell whether a name may stand in text as it is, without backquotes.
+
+    It is of words, also with dots between them, and is not taken.
     """
     words = name.split(".")
     return (
@@ -351,7 +357,7 @@ def is_plain(name: str) -> bool:
 
 
 def quote_name(name: str) -> str:
-    """A name as it is written in text. Errors: `InputError` for names with a backquote."""
+    """Return a name as it is written in text. Errors: `InputError` for names with a backquote."""
     if "`" in name:
         raise InputError(f"the name {name!r} has a backquote, which text cannot hold")
     return name if is_plain(name) else f"`{name}`"

@@ -53,13 +53,13 @@ _OPERATIONS = {
 
 @dataclass(frozen=True)
 class TapePlace:
-    """A number under construction: a place of a tape in the making."""
+    """A number under construction: a place of a tape that is being built."""
 
     builder: Builder
     place: int
 
     def apply_operation(self, op: int, other: TapePlace | None = None) -> TapePlace:
-        """The operation on this, and on the other where it takes two."""
+        """Apply an operation to this number, and to another one where it takes two."""
         if other is None:
             return TapePlace(self.builder, self.builder.add_unary(op, self.place))
         return TapePlace(self.builder, self.builder.add_binary(op, self.place, other.place))
@@ -88,7 +88,7 @@ def parse_tape(
     names: Collection[str],
     parameters: Collection[str] = (),
 ) -> Tape:
-    """The tape of expressions in the named inputs and parameters, an output for each text.
+    """Parse expressions in the named inputs and parameters to a tape, an output for each text.
 
     Its inputs are the names that occur, in the order of `names` and then of `parameters`. Exponents
     may depend on parameters freely; along curves and in gradients they count as constant.
@@ -107,7 +107,7 @@ def parse_tape(
 def _parse_tape_once(
     texts: tuple[str, ...], names: tuple[str, ...], parameters: tuple[str, ...]
 ) -> Tape:
-    """The tape, made once: kinds ask for that of their text whenever they declare their rows."""
+    """Parse the tape in the first call, and return it again for equal arguments."""
     for name in names:
         if name in parameters:
             raise InputError(
@@ -126,6 +126,7 @@ def _parse_tape_once(
         leaves = {word: place[meant.get(word, word)] for word in expression.names}
 
         def add_number(x: float) -> TapePlace:
+            """Add a constant to the tape."""
             return TapePlace(builder, builder.add_number(float(x)))
 
         leaves |= {word: add_number(x) for word, x in CONSTANTS.items()}
@@ -138,6 +139,7 @@ def _parse_tape_once(
 
 
 def _make_functions(number: Callable[[float], TapePlace]) -> dict[str, Callable[..., Any]]:
+    """Return the functions that expressions may use, by name."""
     made: dict[str, Callable[..., Any]] = {
         name: _make_function(op, name in OF_TWO) for name, op in _OPERATIONS.items()
     }
@@ -148,23 +150,26 @@ def _make_functions(number: Callable[[float], TapePlace]) -> dict[str, Callable[
 def _make_scaling(
     number: Callable[[float], TapePlace], factor: float
 ) -> Callable[[TapePlace], TapePlace]:
+    """Make a function that multiplies by a factor."""
     return lambda x: x * number(factor)
 
 
 def _make_function(op: int, of_two: bool) -> Callable[..., TapePlace]:
+    """Make the function of an operation with one or two operands."""
     one: Callable[[TapePlace], TapePlace] = lambda x: x.apply_operation(op)  # noqa: E731
     two: Callable[[TapePlace, TapePlace], TapePlace] = lambda x, y: x.apply_operation(op, y)  # noqa: E731
     return two if of_two else one
 
 
 def is_texts(x: object) -> TypeGuard[tuple[str, ...]]:
-    """Whether it is a tuple, as of several expressions."""
+    """Tell whether an object is a tuple, as of the texts of several expressions."""
     return isinstance(x, tuple)
 
 
 def parse_expression(text: str) -> tuple[Expression, dict[str, str]]:
-    """The expression, ``left = right`` as a difference, and a dict of names by the words that stand
-    for them in it.
+    """Parse an expression; ``left = right`` becomes a difference.
+
+    Returned are the expression, and the names by the words that stand for them in it.
 
     Errors: `InputError`.
     """
@@ -220,4 +225,5 @@ def parse_expression(text: str) -> tuple[Expression, dict[str, str]]:
 
 
 def _shorten_text(text: str) -> str:
+    """Return a text in quotes, its first 57 characters where it is long."""
     return repr(text if len(text) <= 60 else f"{text[:57]}...")
