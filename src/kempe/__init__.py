@@ -1,5 +1,5 @@
-"""Kempe: every position question about a multibody system, open chain, tree or closed loop, in the
-plane or in space.
+"""Kempe answers position questions about multibody systems. They may be open chains, trees or
+closed loops, in the plane or in space.
 
 ``describe or load -> Mechanism -> build -> System -> forward, inverse, ...``. Methods of `System`
 are the map.
@@ -63,8 +63,7 @@ def load(
     lenient_limits: bool = False,
     srdf: str | Path | None = None,
 ) -> System:
-    """The `System` of a file (path), of a text, or of a shipped model (bare name such as
-    "puma560").
+    """Load a `System` from a file (path), a text, or a shipped model (bare name such as "puma560").
 
     Formats are those of `kempe.description.formats.FORMATS`, found out by ending and contents where
     `format` is None. `base="free"` lets the root link of a URDF move freely, or what nothing ties
@@ -105,9 +104,7 @@ def read(
     lenient_limits: bool = False,
     srdf: str | Path | None = None,
 ) -> Mechanism:
-    """As `load`, but the `Mechanism`: to change it before it is built, or to write it in another
-    format.
-    """
+    """Read a file, text or model as `load` does, and return the `Mechanism`, to change or write it."""
     from kempe.description.read import read_mechanism
 
     return read_mechanism(

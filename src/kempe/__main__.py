@@ -1,4 +1,4 @@
-"""`python -m kempe`: the command line."""
+"""The command line, as `python -m kempe`."""
 
 from kempe.cli import main
 

@@ -1,4 +1,4 @@
-"""Arguments of calls: names, numbers and switches are checked, and errors name the argument."""
+"""Checks of the arguments of calls: names, numbers and switches. Errors name the argument."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ CONFIGURATIONS = {"q", "q0", "q1", "near", "start"}
 
 
 def quiet(function: Function) -> Function:
-    """The function, which computes without warnings of numpy: what is NaN or infinite shows in what
-    it returns.
+    """Decorate a function so that it computes without warnings of NumPy. NaN and infinity show in
+    its result.
 
     It costs half a microsecond a call. Threads that it starts do not inherit it.
     """
@@ -58,7 +58,7 @@ def quiet(function: Function) -> Function:
 
 
 def explain_errors(function: Function, fast: bool = False) -> Function:
-    """The function, in which an error that is not Kempe's own names the argument that is to blame.
+    """Decorate a function so that errors of Python and NumPy become errors that name the argument.
 
     Arguments are looked at only after something failed. What fails with arguments that are what the
     annotations say is raised as it is. The function is `quiet` unless it is `fast`: a call of a
@@ -81,8 +81,7 @@ def explain_errors(function: Function, fast: bool = False) -> Function:
 
 
 def raise_interrupted(verb: Callable[Options, Kept]) -> Callable[Options, Kept]:
-    """A decorator for verbs that keep what is done: after Ctrl-C the kept part is the `answer` of
-    an `Interrupted`.
+    """Decorate a verb so that Ctrl-C raises `Interrupted` with the partial result as its `answer`.
 
     The interrupt goes on to the caller, so that it ends a loop over calls. The answer of another
     verb that this one called, and that was interrupted, is no answer to the question of this one:
@@ -106,8 +105,8 @@ def raise_interrupted(verb: Callable[Options, Kept]) -> Callable[Options, Kept]:
 def call_until_interrupt(
     verb: Callable[Options, Kept], *args: Options.args, **options: Options.kwargs
 ) -> Kept:
-    """The answer of a verb; after Ctrl-C the part that was done. Errors: `Interrupted` where there
-    is none.
+    """Call a verb and return its answer, after Ctrl-C the partial one. Errors: `Interrupted` if
+    there is none.
     """
     try:
         return verb(*args, **options)
@@ -119,9 +118,7 @@ def call_until_interrupt(
 
 
 def add_signature_options(cls: type) -> Callable[[Function], Function]:
-    """A decorator that writes the fields of a dataclass into the signature of a function that takes
-    `**options`.
-    """
+    """Make a decorator that adds the fields of a dataclass to a signature with `**options`."""
     from inspect import Parameter, signature  # only here: few functions have it
 
     more = [
@@ -139,7 +136,7 @@ def add_signature_options(cls: type) -> Callable[[Function], Function]:
 
 
 def explain_method_errors(cls: Class) -> Class:
-    """The class with its public methods, its calls and its text `explain_errors`."""
+    """Decorate the public methods, `__call__` and `__str__` of a class with `explain_errors`."""
     for name, value in list(vars(cls).items()):
         if isinstance(value, FunctionType) and (name[0] != "_" or name in ("__call__", "__str__")):
             setattr(cls, name, explain_errors(value))
@@ -147,7 +144,7 @@ def explain_method_errors(cls: Class) -> Class:
 
 
 def explain_init_errors(cls: Class) -> Class:
-    """The class with its making `explain_errors`."""
+    """Decorate the `__init__` of a class with `explain_errors`."""
     cls.__init__ = explain_errors(cls.__init__)  # type: ignore[misc]
     return cls
 
@@ -158,8 +155,8 @@ def blame_argument(
     options: Mapping[str, Any],
     error: Exception,
 ) -> None:
-    """Raise what is wrong with the arguments of a call that failed; nothing where they are of the
-    right kinds.
+    """Raise an error that names the wrong argument of a failed call; return if all have the right
+    kind.
     """
     from inspect import Parameter, signature  # only here: most calls succeed
 
@@ -186,8 +183,8 @@ def blame_argument(
 
 
 def describe_expected_kind(name: str, annotation: object, value: object) -> str:
-    """What an argument must be, by its annotation or its name, where its value is none of that;
-    else nothing.
+    """Describe what an argument must be, by its annotation or name; '' if its value is of that
+    kind.
     """
     if name in CONFIGURATIONS:
         annotation = "Mapping[str, Any] | ArrayLike | None" + (" | str" if name == "start" else "")
@@ -201,7 +198,7 @@ def describe_expected_kind(name: str, annotation: object, value: object) -> str:
 
 
 def is_array_like(x: object) -> bool:
-    """Whether it is an array of real numbers, or becomes one."""
+    """Whether `x` is an array of real numbers or can be converted to one."""
     try:
         return read_reals(x, "").dtype == np.float64
     except InputError:
@@ -209,6 +206,7 @@ def is_array_like(x: object) -> bool:
 
 
 def _is_bounded_integer(x: object) -> bool:
+    """Whether `x` is an integer of absolute value below 2**62."""
     return is_whole(x) and abs(int(x)) < 2**62
 
 
@@ -219,7 +217,7 @@ def _is_number(x: object) -> bool:
 
 
 def is_list(x: object) -> TypeGuard[Iterable[Any]]:
-    """Whether it can be gone through, and is no text."""
+    """Whether `x` is iterable and not text."""
     try:
         return iter(x) is not None and not isinstance(x, (str, bytes))  # type: ignore[call-overload]
     except TypeError:
@@ -231,10 +229,12 @@ def _is_list_of_text(x: Any) -> bool:
 
 
 def _has_class_name(name: str, x: object) -> bool:
+    """Whether a class of `x` or one of its base classes has this name."""
     return name in [c.__name__ for c in type(x).__mro__]
 
 
 def _is_frame_like(x: object) -> bool:
+    """Whether `x` is a name, or has a name as a frame or body has."""
     return isinstance(x, str) or isinstance(getattr(x, "name", None), str)
 
 
@@ -277,7 +277,7 @@ KINDS: dict[str, tuple[Callable[[Any], bool], str]] = {
 
 
 def check_name(kind: str, name: object, names: Iterable[str], owner: str = "") -> str:
-    """The name, if it is one of the names. Errors: `UnknownNameError`, which says what there is."""
+    """Return the name if it is one of `names`. Errors: `UnknownNameError`, with the allowed names."""
     if isinstance(name, str) and name in names:
         return name
     raise UnknownNameError(kind, name, names, owner)
@@ -288,7 +288,7 @@ MOST_NAMES = 10**6
 
 
 def read_names(names: object, what: str) -> tuple[str, ...]:
-    """Names given as a list, or a single name. Errors: `InputError`."""
+    """Read a list of names, or a single name, as a tuple. Errors: `InputError`."""
     if isinstance(names, str):
         return (names,)
     try:
@@ -306,9 +306,7 @@ def read_names(names: object, what: str) -> tuple[str, ...]:
 
 
 def numbers(x: Any, what: str, *core: int) -> np.ndarray:
-    """Real numbers (..., *core) as an array. Errors: `InputError` for what is none, and for other
-    last axes.
-    """
+    """Read real numbers as an array (..., *core). Errors: `InputError` for other values and shapes."""
     array = np.array(x) if x.__class__ is float else read_reals(x, what)
     if core and array.shape[-len(core) :] != core:
         raise InputError(
@@ -318,8 +316,8 @@ def numbers(x: Any, what: str, *core: int) -> np.ndarray:
 
 
 def together(shapes: Mapping[str, tuple[int, ...]]) -> tuple[int, ...]:
-    """The shape to which leading shapes, by what they are of, broadcast. Errors: `InputError` where
-    they do not fit.
+    """Broadcast the leading shapes of several arguments, given by their names. Errors:
+    `InputError`.
     """
     try:
         return np.broadcast_shapes(*shapes.values())
@@ -329,7 +327,7 @@ def together(shapes: Mapping[str, tuple[int, ...]]) -> tuple[int, ...]:
 
 
 def make_generator(rng: Any) -> np.random.Generator:
-    """Random numbers of a generator, of a whole number, or, for None, new ones. Errors:
+    """Make a random generator from a generator, a seed, or None for a random seed. Errors:
     `InputError`.
     """
     if (
@@ -348,7 +346,7 @@ def make_generator(rng: Any) -> np.random.Generator:
 
 
 def read_flag(x: Any, what: str) -> bool:
-    """A switch. Errors: `InputError` for anything but True and False."""
+    """Read a switch. Errors: `InputError` for values other than True and False."""
     truth: Any = x
     if isinstance(x, (bool, np.bool_)):
         return bool(truth)
@@ -356,9 +354,7 @@ def read_flag(x: Any, what: str) -> bool:
 
 
 def read_batch_index(index: Any, shape: tuple[int, ...]) -> tuple[int, ...]:
-    """The place of one answer in a batch of this shape, by whole numbers from 0. Errors:
-    `InputError`.
-    """
+    """Read the index of one answer in a batch of this shape, counted from 0. Errors: `InputError`."""
     places: Any = index
     at: tuple[Any, ...] = places if isinstance(index, tuple) else (index,)
     if len(at) == len(shape) and all(
@@ -380,7 +376,7 @@ DRAWN = 10**6
 
 
 def read_start_count(starts: object, most: int = 2**62 - 1) -> int:
-    """The number of starts. Errors: `InputError`."""
+    """Read the number of starts of a search, from 1 to `most`. Errors: `InputError`."""
     if not is_whole(starts) or not 1 <= starts <= most:
         above = f" and at most {most}" if most == DRAWN else ""
         raise InputError(
@@ -390,7 +386,7 @@ def read_start_count(starts: object, most: int = 2**62 - 1) -> int:
 
 
 def read_step_count(iterations: object) -> int:
-    """The number of steps of a start. Errors: `InputError`."""
+    """Read the number of iterations of one start, at least 1. Errors: `InputError`."""
     if not is_whole(iterations) or not 1 <= iterations < 2**31:
         raise InputError(
             f"iterations is {format_value(iterations)}; it must be a whole number, at least 1"
@@ -403,8 +399,8 @@ LONGEST = 1e15
 
 
 def compute_deadline(time_limit: Any) -> float:
-    """When a search that begins now must end, by the clock `time.monotonic`; never without a limit
-    [s].
+    """Compute when a search that starts now must end, in seconds of `time.monotonic`. Infinity
+    without a limit.
 
     Errors: `InputError`.
     """
@@ -423,7 +419,7 @@ def compute_deadline(time_limit: Any) -> float:
 
 
 def draw_seed(rng: object) -> int:
-    """A whole number to draw from, of a generator or a number. Errors: `InputError`."""
+    """Draw a seed from a generator, or return the given whole number. Errors: `InputError`."""
     if is_whole(rng) and 0 <= rng < 2**62:
         return int(rng)
     if isinstance(rng, np.random.Generator):
@@ -435,7 +431,7 @@ def draw_seed(rng: object) -> int:
 
 
 def read_tolerances(tolerance: Any) -> tuple[float, float]:
-    """Largest errors in metres and radians, of one number or two. Errors: `InputError`."""
+    """Read one or two tolerances as a pair (metres, radians). Errors: `InputError`."""
     try:
         linear, angular = (tolerance, tolerance) if np.ndim(tolerance) == 0 else tolerance
         if 0.0 < linear < math.inf and 0.0 < angular < math.inf:

@@ -1,5 +1,5 @@
-"""Real numbers as callers give them: read by one rule, refused with the reason where they are none,
-or have names.
+"""Conversion of arguments to arrays of real numbers. Errors give the reason where that is
+impossible.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ KINDS = {
 def read_reals(
     given: Any, what: str, wanted: str = "an array of real numbers"
 ) -> NDArray[np.float64]:
-    """`given` as an array of float64, the same one where it is one.
+    """Convert `given` to an array of float64; such an array is returned itself.
 
     Errors: `InputError` for anything but real numbers: text, truth values, dates, complex numbers,
     None, ragged lists, masked arrays, numbers with units, and tables whose columns have names.
@@ -65,7 +65,7 @@ def read_reals(
 
 
 def convert_array(given: Any, what: str, wanted: str) -> NDArray[np.float64]:
-    """`given`, which has no names, masks or units, as an array of float64. Errors: `InputError`."""
+    """Convert `given`, without names, masks or units, to an array of float64. Errors: `InputError`."""
     try:
         array = np.asarray(given)
     except (TypeError, ValueError, RuntimeError, OverflowError):
@@ -90,8 +90,8 @@ def convert_array(given: Any, what: str, wanted: str) -> NDArray[np.float64]:
 def check_range(
     x: NDArray[np.float64], what: str, names: Sequence[str] = (), below: float = FARTHEST
 ) -> NDArray[np.float64]:
-    """The numbers `x`, which must be finite and of a size below a bound; `names` are those of the
-    last axis.
+    """Return the numbers `x` if all are finite and of absolute value less than `below`. `names`
+    label the last axis.
 
     Errors: `InputError`, with the first number that is not, and its place.
     """
@@ -109,26 +109,26 @@ def check_range(
 
 
 def compute_median(values: Iterable[float]) -> float:
-    """The middle of numbers, at least one: the mean of the two in the middle where their count is
-    even.
-    """
+    """Compute the median of one or more numbers; of an even count the mean of the middle two."""
     # numpy's own imports masked arrays, a sixth of the time to a first answer
     x = sorted(map(float, values))
     return 0.5 * (x[(len(x) - 1) // 2] + x[len(x) // 2])
 
 
 def is_whole(x: object) -> TypeGuard[int]:
-    """Whether it is a single whole number; truth values are none."""
+    """Whether `x` is a single integer; True and False are not."""
     return isinstance(x, (int, np.integer)) and not isinstance(x, bool)
 
 
 def unwrap_scalar(x: Any) -> Any:
-    """A Python number in place of an array without axes; other arrays as they are."""
+    """Convert an array without axes to a Python number; other arrays are returned themselves."""
     return x if np.ndim(x) else np.asarray(x).item()
 
 
 def is_real(x: object) -> TypeGuard[float]:
-    """Whether it is a single real number that a float holds; truth values and durations are none."""
+    """Whether `x` is a single real number within the range of a float; booleans and durations are
+    not.
+    """
     kind = x.__class__
     if kind is float or kind is np.float64:
         return True
@@ -139,8 +139,8 @@ def is_real(x: object) -> TypeGuard[float]:
 
 
 def is_number_list(given: Any) -> bool:
-    """Whether it is a list of numbers, or a list of such lists of one shape; the first of them
-    decides.
+    """Whether `given` is a list of numbers, or of lists of numbers; only the first numbers are
+    checked.
     """
     if given.__class__ not in LISTS or not len(given):
         return False
@@ -156,22 +156,22 @@ def is_number_list(given: Any) -> bool:
 
 
 def is_mapping(x: object) -> TypeGuard[Mapping[Any, Any]]:
-    """Whether it is a mapping."""
+    """Whether `x` is a mapping."""
     return isinstance(x, Mapping)
 
 
 def is_sequence(x: object) -> TypeGuard[list[Any] | tuple[Any, ...]]:
-    """Whether it is a list or a tuple."""
+    """Whether `x` is a list or a tuple."""
     return isinstance(x, (list, tuple))
 
 
 def is_array(x: object) -> TypeGuard[NDArray[Any]]:
-    """Whether it is an array of numpy."""
+    """Whether `x` is a NumPy array."""
     return isinstance(x, np.ndarray)
 
 
 def read_mapping(given: Any) -> Mapping[str, Any] | None:
-    """What is labelled by names, as a mapping from these; None for what has no names.
+    """Convert values with names to a mapping by name; return None for values without names.
 
     A mapping, a record or an array of them, a series with an index, a table with columns, a message
     JointState. Labels 0, 1, 2, ... are the places that the values have anyway. Errors: `InputError`
@@ -210,7 +210,7 @@ def read_mapping(given: Any) -> Mapping[str, Any] | None:
 
 
 def _read_joint_state(given: Any) -> tuple[list[Any], list[float]] | None:
-    """The names and positions of a message JointState; None for all else."""
+    """Read the names and positions of a message JointState; return None for other objects."""
     names: Any = getattr(given, "name", None)
     positions: Any = getattr(given, "position", None)
     if not is_sequence(names) or positions is None:
@@ -224,7 +224,7 @@ def _read_joint_state(given: Any) -> tuple[list[Any], list[float]] | None:
 
 
 def list_named_rows(given: Any) -> list[Any] | None:
-    """The entries of a list or tuple some of which have names; None for all else."""
+    """Return the entries of a list or tuple if some of them have names, else None."""
     if given.__class__ not in LISTS:
         return None
     return (
@@ -235,7 +235,7 @@ def list_named_rows(given: Any) -> list[Any] | None:
 
 
 def _find_labels(given: Any) -> list[Any] | None:
-    """The labels along the last axis of an array-like, where it has some."""
+    """Return the labels along the last axis of an array-like, or None without labels."""
     fields: Any = getattr(getattr(given, "dtype", None), "names", None)
     if isinstance(fields, tuple) and fields:
         return list(cast("tuple[Any, ...]", fields))
@@ -251,9 +251,7 @@ def _find_labels(given: Any) -> list[Any] | None:
 
 
 def _iterate_parts(given: Any) -> Iterator[Any]:
-    """What is no plain number and no list: itself, or all that lists of lists hold; lists of
-    numbers are passed by.
-    """
+    """Yield the entries of nested lists that are neither lists nor plain numbers."""
     level = [given]
     for _ in range(DEEPEST):
         if not level:
@@ -274,9 +272,7 @@ def _iterate_parts(given: Any) -> Iterator[Any]:
 
 
 def _explain_refusal(x: Any) -> str:
-    """Why a value is not accepted as numbers although numpy could convert it; '' where it is
-    accepted.
-    """
+    """Explain why a value that NumPy could convert is refused as numbers; '' if it is accepted."""
     # asking numpy for it would import it
     if "numpy.ma" in sys.modules and isinstance(x, np.ma.MaskedArray):
         return "is a masked array, whose mask would be lost"

@@ -1,4 +1,4 @@
-"""What a call may spend, and how exact it must be: one object each, for all verbs."""
+"""Budget and tolerance of a call: how much work it may do, and how large errors may be."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from kempe.errors import InputError, format_value
 
 
 class Tolerance(NamedTuple):
-    """How large errors may be: `linear` in metres and `angular` in radians. A plain pair of numbers
-    says the same.
+    """Largest allowed errors: `linear` in metres and `angular` in radians. A plain pair of numbers
+    is accepted, too.
     """
 
     linear: float
@@ -26,8 +26,8 @@ class Tolerance(NamedTuple):
 @explain_init_errors
 @dataclass(frozen=True)
 class Budget:
-    """How much work a call may do, how finely, and how: what is left out is as the verb does it by
-    itself.
+    """Limits of the work of a call: time, starts, steps, threads. None stands for the verb's
+    default.
 
     A verb refuses what it does not read, and says what it reads.
     """
@@ -52,20 +52,20 @@ class Budget:
 
 
 class TimeUp(Exception):
-    """The time of a call is up: raised inside the call, and caught there."""
+    """Raised and caught inside a call when its time limit has passed."""
 
 
 _thread = threading.local()
 
 
 def list_checks() -> tuple[Callable[[], None], ...]:
-    """What `check_for_stop` of this thread calls now."""
+    """Return the functions that `check_for_stop` calls in this thread."""
     return getattr(_thread, "checks", ())
 
 
 class watched_by:
-    """A block in which `check_for_stop` of this thread calls further functions; they raise where
-    the work must end.
+    """Context in which `check_for_stop` of this thread calls further functions. They raise to end
+    the work.
     """
 
     def __init__(self, *more: Callable[[], None]):
@@ -79,8 +79,7 @@ class watched_by:
 
 
 def check_for_stop() -> None:
-    """Look whether the work of this thread must end: where the time of a call is up, `TimeUp` is
-    raised.
+    """Check whether the work of this thread must end; raise `TimeUp` if the time of the call is up.
 
     What may take long calls it between two pieces of about 0.1 s, on whichever layer it is: it
     knows no verb and no limit. Verbs set these by `TimeLimit` as a block; the innermost block is
@@ -91,9 +90,7 @@ def check_for_stop() -> None:
 
 
 class Usual:
-    """What a verb spends where nobody says otherwise; its keywords are the fields of a `Budget`
-    that it reads.
-    """
+    """The default budget of a verb. Its keywords are the fields of `Budget` that the verb reads."""
 
     def __init__(self, verb: str, **reads: Any):
         self.verb = verb
@@ -101,7 +98,9 @@ class Usual:
         self.budget = _make_budget(reads)
 
     def complete_budget(self, budget: object) -> Budget:
-        """The budget, completed; `time_limit` is None where there is none. Errors: `InputError`."""
+        """Fill in the verb's defaults in a budget; `time_limit` is None for no limit. Errors:
+        `InputError`.
+        """
         if budget is None:
             return self.budget
         if not isinstance(budget, Budget):

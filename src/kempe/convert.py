@@ -1,5 +1,5 @@
-"""A system in other coordinates: in the numbers of Pinocchio, MuJoCo and ROS; the poses of all
-bodies, which the joints tie together; turns and slides alone.
+"""Conversion of systems and configurations to other coordinates. These are the coordinates of
+Pinocchio, MuJoCo and ROS, the poses of all bodies, and chains of turns and slides.
 
 >>> import kempe
 >>> robot = kempe.load("two_link")

@@ -1,6 +1,4 @@
-"""Everything that Kempe raises: one base class, a few leaves, each carrying the data of its
-message.
-"""
+"""The errors that Kempe raises: one base class and subclasses with the data of their messages."""
 
 from __future__ import annotations
 
@@ -35,9 +33,7 @@ _SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 100
 
 @dataclass(frozen=True)
 class Where:
-    """A place in a file: path (or another label of the source), line and column counted from 1, the
-    line's text.
-    """
+    """A place in a file: its name, line and column (counted from 1), and the text of the line."""
 
     file: str
     line: int = 0
@@ -50,9 +46,7 @@ class Where:
 
 @dataclass(frozen=True)
 class Fault:
-    """One finding about a description: where it is, what it is about, what is wrong, what is
-    allowed.
-    """
+    """One error in a description: its place, its subject, what is wrong, and what is allowed."""
 
     message: str
     subject: str = ""
@@ -66,8 +60,8 @@ class Fault:
         return f"{head}{subject}{self.message}{allowed}"
 
     def caret(self) -> str:
-        """The line of the file with a caret under the place, or an empty string where none is
-        known.
+        """Return the line of the file with a caret under the place of the fault, '' if it is
+        unknown.
         """
         if self.where is None or not self.where.text:
             return ""
@@ -82,9 +76,7 @@ LONGEST = 1000
 
 
 def shorten_lines(message: object) -> object:
-    """A message whose long lines have their middle left out: an echo is in the middle, what is
-    allowed at the end.
-    """
+    """Shorten the long lines of a message by leaving out their middle."""
     if not isinstance(message, str) or len(message) <= LONGEST:
         return message
     head = LONGEST // 2
@@ -109,13 +101,11 @@ class KempeError(Exception):
 
 
 class RoundedWarning(UserWarning):
-    """Numbers were taken as what they nearly are, such as a rotation with few digits."""
+    """Warning that rounded numbers were replaced by exact ones, such as a rotation with few digits."""
 
 
 class DescriptionError(KempeError, ValueError):
-    """A file or a sequence of builder calls does not describe a system; `problems` lists what is
-    wrong.
-    """
+    """Error of a file or of builder calls that describe no system; `problems` lists the faults."""
 
     def __init__(self, problems: Fault | Iterable[Fault]):
         self.problems = (problems,) if isinstance(problems, Fault) else tuple(problems)
@@ -130,7 +120,9 @@ class DescriptionError(KempeError, ValueError):
 
 
 class UnknownNameError(KempeError, KeyError):
-    """A name that the system does not have; `name`, `kind` and the `allowed` names are kept."""
+    """Error of a name that the system does not have; it keeps `name`, `kind` and the `allowed`
+    names.
+    """
 
     def __init__(self, kind: str, name: object, allowed: Iterable[str], owner: str = ""):
         self.kind = kind
@@ -147,7 +139,7 @@ class UnknownNameError(KempeError, KeyError):
 
 
 class InputError(KempeError, ValueError):
-    """An argument that cannot be used: wrong shape, wrong count, NaN where a number is needed."""
+    """Error of an argument with a wrong shape, a wrong count, or NaN where a number is needed."""
 
 
 INSTEAD = {
@@ -161,9 +153,7 @@ INSTEAD = {
 
 
 class CallError(KempeError, TypeError):
-    """A call with an argument that the function does not have (`name`; `allowed` are kept), or
-    without one it needs.
-    """
+    """Error of a call with an argument that the function does not have, or without a required one."""
 
     def __init__(self, function: str, name: str, allowed: Iterable[str] = ()):
         self.function = function
@@ -179,13 +169,11 @@ class CallError(KempeError, TypeError):
 
 
 class UnsupportedError(KempeError, NotImplementedError):
-    """A question that this version cannot answer for this system; the text says what it can."""
+    """Error of a question that this version cannot answer for this system; the text says why."""
 
 
 class NoSolutionError(KempeError, RuntimeError):
-    """Raised by `expect` of an answer that is no success; `solution` holds the answer with its
-    reason.
-    """
+    """Error that `expect` raises for an answer without success; `solution` is that answer."""
 
     def __init__(self, solution: object):
         self.solution = solution
@@ -196,7 +184,7 @@ class NoSolutionError(KempeError, RuntimeError):
 
 
 class TimeLimitError(KempeError, TimeoutError):
-    """The time limit of a verb was over before anything was known that it could answer."""
+    """Error of a verb whose time limit passed before it had any result."""
 
     def __init__(self, verb: str, limit: float | None):
         self.verb = verb
@@ -211,9 +199,7 @@ class TimeLimitError(KempeError, TimeoutError):
 
 
 class Interrupted(KeyboardInterrupt):
-    """Ctrl-C came while a verb worked; `answer` is the part that was done by then, None where there
-    is none.
-    """
+    """Raised when Ctrl-C stops a verb; `answer` is the partial answer, or None."""
 
     def __init__(self, answer: object = None):
         self.answer = answer
@@ -231,7 +217,7 @@ class Interrupted(KeyboardInterrupt):
 
 
 class MissingPackageError(KempeError, ImportError):
-    """A package that Kempe does not need itself is not installed; the text says how to install it."""
+    """Error of a missing package that is no dependency of Kempe; the text says how to install it."""
 
     def __init__(self, package: str):
         self.package = package
@@ -244,7 +230,7 @@ class MissingPackageError(KempeError, ImportError):
 
 
 class MissingExtraError(KempeError, ImportError):
-    """An optional dependency is not installed; the text says how to install it."""
+    """Error of a missing optional dependency; the text says how to install it."""
 
     def __init__(self, package: str, extra: str):
         self.package = package
@@ -259,8 +245,8 @@ class MissingExtraError(KempeError, ImportError):
 
 
 def requirement(package: str, extra: str) -> str:
-    """A package with the versions that an extra of Kempe needs, by its own metadata; only its name
-    where there are none.
+    """Return the package with the version bounds of an extra of Kempe, or its bare name without
+    them.
     """
     from importlib import metadata
 
@@ -277,9 +263,7 @@ def requirement(package: str, extra: str) -> str:
 
 
 def warn(message: str, kind: type[Warning] = RoundedWarning) -> None:
-    """Warn at the line that called Kempe; by default, that numbers were taken as what they nearly
-    are.
-    """
+    """Warn at the line that called Kempe; the default category is `RoundedWarning`."""
     level = 1
     frame = inspect.currentframe()
     while (
@@ -291,7 +275,7 @@ def warn(message: str, kind: type[Warning] = RoundedWarning) -> None:
 
 
 def format_value(x: object) -> str:
-    """What was given, as short text of one line."""
+    """Format a value of an argument as short text on one line."""
     try:
         text = " ".join(_SHORT.repr(x).split())
     except ValueError:  # a whole number of thousands of digits
@@ -305,9 +289,7 @@ COMPARED = 500
 
 
 def _select_similar(given: str, names: Iterable[str]) -> list[str]:
-    """The names, of many only those that share the longest beginnings and ends with the one that is
-    given.
-    """
+    """Select the names that share the longest beginnings and ends with `given`, at most `COMPARED`."""
     names = list(names)
     if len(names) <= COMPARED:
         return names
@@ -321,8 +303,8 @@ def _select_similar(given: str, names: Iterable[str]) -> list[str]:
 
 
 def hint(name: object, allowed: Iterable[str]) -> str:
-    """The tail of a message about an unknown name: the nearest names, or all of them where they are
-    few.
+    """Return the end of a message about an unknown name: similar names, or the list of allowed
+    names.
     """
     import difflib  # only here: most names are known
 
@@ -339,14 +321,14 @@ def hint(name: object, allowed: Iterable[str]) -> str:
 
 
 class DiskError(KempeError, OSError):
-    """A result could not be written; the text says what stands on disk, from which the same call
-    goes on.
+    """Error of a result that could not be written. The text says what is on disk, from which the
+    same call continues.
     """
 
 
 class DamagedError(KempeError, OSError):
-    """What is on disk is not what was written."""
+    """Error of a file whose content differs from what was written."""
 
 
 class KernelsError(KempeError, ImportError):
-    """There are no compiled kernels that fit this machine, and none can be compiled here."""
+    """Error of missing compiled kernels for this machine that cannot be compiled here either."""

@@ -1,5 +1,4 @@
-"""The joint zoo: each joint type is one small class that *declares* its primitives; kernels do the
-arithmetic.
+"""Joint types: each is one small class that *declares* its primitives, with which kernels compute.
 
 A joint connects frame F on its parent body to frame M on its child body. Its pose X_FM(q) is a
 product of primitives: turns and slides about and along the axes x, y, z of the frame reached so
@@ -35,8 +34,8 @@ MOTIONS = ("x", "y", "z", "rx", "ry", "rz")
 
 
 class Primitive(NamedTuple):
-    """One elementary motion: kind, axis of the frame reached so far, coordinate within the joint,
-    multiplier.
+    """One elementary motion of a joint. It has a kind, an axis of the frame reached so far, a
+    coordinate within the joint, and a multiplier.
     """
 
     kind: int
@@ -47,9 +46,7 @@ class Primitive(NamedTuple):
 
 @dataclass(frozen=True)
 class JointType:
-    """Base of all joint types. A subclass declares its name, coordinates and primitives; the rest
-    follows.
-    """
+    """Base of all joint types. A subclass declares its name, coordinates and primitives."""
 
     type_name: ClassVar[str] = ""
     summary: ClassVar[str] = ""
@@ -61,8 +58,7 @@ class JointType:
     def layout(
         self, dim: int = 3, particle: bool = False
     ) -> tuple[tuple[str, ...], tuple[Primitive, ...]]:
-        """Coordinate names and elementary motions (`Primitive`) of the joint, in their order:
-        (names, primitives).
+        """Return the names of the joint's coordinates and its primitives, as (names, primitives).
 
         `dim` is 2 for a planar system, 3 for one in space; `particle` says that the child is a
         particle, which cannot turn.
@@ -70,21 +66,19 @@ class JointType:
         raise NotImplementedError
 
     def dof(self, dim: int = 3, particle: bool = False) -> int:
-        """Degrees of freedom that the joint leaves, which is also its number of velocity
-        coordinates.
-        """
+        """Count the degrees of freedom of the joint, which equal its velocity coordinates."""
         return sum(3 if p.kind == Q else 1 for p in _select_unique(self.layout(dim, particle)[1]))
 
     def constraints(self, dim: int = 3, particle: bool = False) -> int:
-        """How many freedoms the joint takes away: of 6 (in the plane 3) for a body, of 3 (2) for a
-        particle.
+        """Count the freedoms that the joint removes. A body has 6 (in the plane 3), a particle 3
+        (2).
         """
         free = dim if particle else (6 if dim == 3 else 3)
         return free - self.dof(dim, particle)
 
     def forbids(self, dim: int = 3) -> tuple[str, ...]:
-        """The motions of M that the joint never allows: 'x', 'y', 'z' along and 'rx', 'ry', 'rz'
-        about axes of F.
+        """List the motions of M that the joint never allows. 'x', 'y', 'z' are along, 'rx', 'ry',
+        'rz' about axes of F.
 
         In space a joint may take away more freedoms than these: along or about axes that move
         (universal), or by a relation between those that it allows (helical). In the plane the axis
@@ -110,13 +104,11 @@ class JointType:
         return tuple(name for name in (MOTIONS if dim == 3 else ("x", "y", "rz")) if name in still)
 
     def list_coordinate_names(self, dim: int = 3, particle: bool = False) -> tuple[str, ...]:
-        """Names of the coordinates within the joint; a joint with one coordinate has the name ''."""
+        """List the names of the coordinates within the joint; a single coordinate has the name ''."""
         return self.layout(dim, particle)[0]
 
     def list_velocity_names(self, dim: int = 3, particle: bool = False) -> tuple[str, ...]:
-        """Names of the velocity coordinates: as the coordinates, with wx, wy, wz (axes of M) for a
-        quaternion.
-        """
+        """List the names of the velocity coordinates; a quaternion has wx, wy, wz (axes of M)."""
         names, primitives = self.layout(dim, particle)
         quaternions = {p.coordinate for p in primitives if p.kind == Q}
         if not quaternions:
@@ -131,7 +123,7 @@ class JointType:
 
     @property
     def decomposition(self) -> str:
-        """The joint as a combination of revolute (R) and prismatic (P) joints, as text."""
+        """The joint as a product of revolute (R) and prismatic (P) joints, as text."""
         parts: list[str] = []
         for kind, axis, _, multiplier in self.layout()[1]:
             if kind == Q:
@@ -143,8 +135,8 @@ class JointType:
 
     @property
     def letter(self) -> str:
-        """The letter that stands for the type in pictures, or those of its primitives; '' where
-        nothing moves.
+        """The letter of the type in pictures, or the letters of its primitives; '' for a fixed
+        joint.
         """
         return self.short or "".join("RPS"[p.kind] for p in _select_unique(self.layout()[1]))
 
@@ -157,7 +149,7 @@ class JointType:
 
     @property
     def options(self) -> dict[str, object]:
-        """Settings that differ from their defaults, by name."""
+        """The options that differ from their defaults, by name."""
         return {
             n: getattr(self, n)
             for n, default in self.list_defaults().items()
@@ -166,50 +158,50 @@ class JointType:
 
     @classmethod
     def list_defaults(cls) -> dict[str, object]:
-        """Settings that the type takes, by name, with their defaults."""
+        """Return the options of the joint type with their defaults, by name."""
         return {f.name: f.default for f in fields(cls) if f.default is not MISSING}
 
 
 class Fixed(JointType):
-    """No motion: the two bodies are one."""
+    """Fixed joint: no motion."""
 
     type_name = "fixed"
     summary = "no motion"
     planar = True
 
     def layout(self, dim: int = 3, particle: bool = False):
-        """Names and primitives: none."""
+        """Return no names and no primitives."""
         return (), ()
 
 
 class Revolute(JointType):
-    """A hinge: turn about z of F."""
+    """Revolute joint, a hinge: rotation about z of F."""
 
     type_name = "revolute"
     summary = "turn about z"
     planar = True
 
     def layout(self, dim: int = 3, particle: bool = False):
-        """One name '' and one primitive: a rotation about z of F."""
+        """Return one name '' and one primitive: a rotation about z of F."""
         return ("",), (Primitive(R, "z", 0),)
 
 
 class Prismatic(JointType):
-    """A slider: slide along z of F."""
+    """Prismatic joint, a slider: translation along z of F."""
 
     type_name = "prismatic"
     summary = "slide along z"
     planar = True
 
     def layout(self, dim: int = 3, particle: bool = False):
-        """One name '' and one primitive: a translation along z of F."""
+        """Return one name '' and one primitive: a translation along z of F."""
         return ("",), (Primitive(P, "z", 0),)
 
 
 @dataclass(frozen=True)
 class Helical(JointType):
-    """A screw: turn about z and slide along it together, `pitch` metres a radian (Lynch, Park,
-    2017, section 2.2).
+    """Helical joint, a screw: rotation about z, translation of `pitch` metres a radian along z. See
+    Lynch, Park, 2017, section 2.2.
     """
 
     type_name = "helical"
@@ -218,40 +210,42 @@ class Helical(JointType):
     pitch: float = 0.0
 
     def layout(self, dim: int = 3, particle: bool = False):
-        """One name '' and two primitives that share this coordinate, the angle: rotation about,
-        translation along z.
+        """Return the name '' and two primitives of one angle: rotation about z, translation along
+        z.
         """
         return ("",), (Primitive(R, "z", 0), Primitive(P, "z", 0, self.pitch))
 
 
 class Cylindrical(JointType):
-    """A sleeve on a shaft: turn about z and slide along it, independently."""
+    """Cylindrical joint, a sleeve on a shaft: independent rotation about z and translation along z."""
 
     type_name = "cylindrical"
     short = "C"
     summary = "turn about z, slide along z"
 
     def layout(self, dim: int = 3, particle: bool = False):
-        """Names 'rz' and 'z' and their primitives: a rotation about and a translation along z of F."""
+        """Return names 'rz' and 'z' and their primitives: rotation about z, translation along z of
+        F.
+        """
         return ("rz", "z"), (Primitive(R, "z", 0), Primitive(P, "z", 1))
 
 
 class Universal(JointType):
-    """A Cardan joint: turn about x of F, then about y of the cross."""
+    """Universal (Cardan) joint: rotation about x of F, then about y of the cross."""
 
     type_name = "universal"
     short = "U"
     summary = "turn about x of F, then about y of M"
 
     def layout(self, dim: int = 3, particle: bool = False):
-        """Names 'rx' and 'ry' and their primitives: a rotation about x of F, then one about y of
-        the cross.
+        """Return names 'rx' and 'ry' and their primitives: rotation about x of F, then y of the
+        cross.
         """
         return ("rx", "ry"), (Primitive(R, "x", 0), Primitive(R, "y", 1))
 
 
 class Planar(JointType):
-    """A block on a table: slide along x and y of F, then turn about z."""
+    """Planar joint, a block on a table: translation along x and y of F, then rotation about z."""
 
     type_name = "planar"
     short = "E"
@@ -259,7 +253,7 @@ class Planar(JointType):
     planar = True
 
     def layout(self, dim: int = 3, particle: bool = False):
-        """Names 'x', 'y', 'rz' and primitives: two translations, then a rotation about z; a
+        """Return names 'x', 'y', 'rz' and primitives: two translations, then a rotation about z. A
         particle has no 'rz'.
         """
         if particle:
@@ -268,7 +262,7 @@ class Planar(JointType):
 
 
 class Translation(JointType):
-    """Three sliders (two in the plane): the orientation stays, the position is free."""
+    """Translation joint: three translations (in the plane two), constant orientation."""
 
     type_name = "translation"
     short = "T"
@@ -276,14 +270,14 @@ class Translation(JointType):
     planar = True
 
     def layout(self, dim: int = 3, particle: bool = False):
-        """Names 'x', 'y' (and in space 'z') and a translation along each of these axes."""
+        """Return names 'x', 'y' (and in space 'z') with a translation along each of these axes."""
         return tuple("xyz"[:dim]), tuple(Primitive(P, a, i) for i, a in enumerate("xyz"[:dim]))
 
 
 @dataclass(frozen=True)
 class Spherical(JointType):
-    """A ball joint: any rotation, as a unit quaternion; with `angles`, three turns about z, y',
-    x''.
+    """Spherical joint, a ball: any rotation, as a unit quaternion. With `angles` it has three
+    rotations about z, y', x''.
 
     With angles there are as many coordinates as degrees of freedom, at the price of a singularity
     at ry = +-90 degrees.
@@ -294,9 +288,10 @@ class Spherical(JointType):
     angles: bool = False
 
     def layout(self, dim: int = 3, particle: bool = False):
-        """Names and primitives: 'qw' ...
+        """Return the names and primitives of a rotation.
 
-        'qz' with one quaternion, or with `angles` 'rz', 'ry', 'rx' with three rotations.
+        They are 'qw', 'qx', 'qy', 'qz' with one quaternion, with `angles` 'rz', 'ry', 'rx' with
+        three rotations.
         """
         if self.angles:
             return ("rz", "ry", "rx"), tuple(Primitive(R, a, i) for i, a in enumerate("zyx"))
@@ -305,8 +300,8 @@ class Spherical(JointType):
 
 @dataclass(frozen=True)
 class Free(JointType):
-    """No constraint at all: 6 degrees of freedom in space, 3 in the plane, as many as a particle
-    has for one.
+    """Free joint: no constraint. It has 6 degrees of freedom in space and 3 in the plane, for a
+    particle 3 and 2.
     """
 
     type_name = "free"
@@ -316,9 +311,7 @@ class Free(JointType):
     angles: bool = False
 
     def layout(self, dim: int = 3, particle: bool = False):
-        """Names and primitives of translations, followed by those of `Spherical`; in the plane
-        those of `Planar`.
-        """
+        """Return names and primitives of `Translation` and `Spherical`, in the plane of `Planar`."""
         if particle:
             return Translation().layout(dim)
         if dim == 2:
@@ -332,8 +325,8 @@ class Free(JointType):
 
 @dataclass(frozen=True)
 class Product(JointType):
-    """A product of primitives in words, such as "P(x) R(z) R(y)": each has the axes that those
-    before it moved.
+    """A product of primitives as text, such as "P(x) R(z) R(y)". The axes of each are moved by
+    those before it.
 
     R(x) turns about an axis, P(x) slides along it, H(x, 0.1) is a screw of that pitch in metres a
     radian, S (or Q) is any rotation, as a unit quaternion. Coordinates are `rx` for turns and
@@ -353,11 +346,11 @@ class Product(JointType):
 
     @property
     def type_name(self) -> str:  # type: ignore[override]
-        """The product, as text that `make_joint_type` reads."""
+        """The product as text that `make_joint_type` reads."""
         return self.words
 
     def layout(self, dim: int = 3, particle: bool = False):
-        """Names and primitives of the product, factor by factor."""
+        """Return the names and primitives of the product, factor by factor."""
         return _parse_product(self.words)
 
 
@@ -368,9 +361,7 @@ _LETTERS = frozenset("RPHSQ")
 
 
 def _parse_factors(words: str) -> list[tuple[str, ...]]:
-    """Letter, axis and pitch of each factor, as text. Errors: `InputError` with the word that is
-    none.
-    """
+    """Parse a product into letter, axis and pitch of each factor, as text. Errors: `InputError`."""
     out: list[tuple[str, ...]] = []
     for word in re.findall(r"\w+(?:\s*\([^()]*\))?|\S", words):
         found = _FACTOR.fullmatch("".join(word.split()))
@@ -397,7 +388,7 @@ def _parse_factors(words: str) -> list[tuple[str, ...]]:
 
 @lru_cache(maxsize=256)
 def _parse_product(words: str) -> tuple[tuple[str, ...], tuple[Primitive, ...]]:
-    """Coordinate names and primitives of a product in words."""
+    """Parse a product into the names of its coordinates and its primitives."""
     names: list[str] = []
     steps: list[Primitive] = []
     for letter, *letters in _parse_factors(words):
@@ -436,8 +427,8 @@ TYPES: dict[str, type[JointType]] = {
 
 
 def make_joint_type(name: object, **options: object) -> JointType:
-    """A joint type by its name, by a product in words (see `Product`), or another joint type with
-    options.
+    """Make a joint type from its name, a product as text (see `Product`), or another joint type.
+    Options are set in it.
 
     Errors: `UnknownNameError` for the name, `InputError` for products that cannot be read and for
     options that the type does not take.
@@ -466,7 +457,9 @@ def make_joint_type(name: object, **options: object) -> JointType:
 
 
 def is_table_type(kind: JointType) -> bool:
-    """Whether `make_joint_type` makes this type from its name and options, as files do."""
+    """Whether `make_joint_type` can make this joint type from its name and options, as files
+    require.
+    """
     return TYPES.get(kind.type_name, Product) is type(kind)
 
 
@@ -480,4 +473,5 @@ along it."""
 
 
 def _select_unique(primitives: tuple[Primitive, ...]) -> list[Primitive]:
+    """Select one primitive of each coordinate."""
     return list({p.coordinate: p for p in primitives}.values())

@@ -1,5 +1,4 @@
-"""What lower layers ask of higher ones: the only names that point upwards, as text, imported on
-first use.
+"""Names that lower layers use of higher ones, as text; their modules are imported on first use.
 
 `Mechanism.build` makes a `System`, answers are explained by the verb that gave them, and are drawn.
 All other imports point from a layer to those below it.
@@ -40,12 +39,12 @@ ROWS = {
 
 @cache
 def import_late(name: str) -> Any:
-    """What a row of `ROWS` names."""
+    """Import the module or the member of a module that a row of `ROWS` names."""
     module, _, member = ROWS[name].partition(":")
     found = import_module(module)
     return getattr(found, member) if member else found
 
 
 def call_late(name: str, *args: Any, **options: Any) -> Any:
-    """What the function that a row names returns for these arguments."""
+    """Call the function that a row of `ROWS` names, and return its result."""
     return import_late(name)(*args, **options)

@@ -1,6 +1,4 @@
-"""Families of functions of a system, each under one name: `System.loops`, `System.inverse`,
-`System.reach`, ...
-"""
+"""Groups of methods: `System.symbolic`, `System.inverse`, `System.loops` and `System.reach`."""
 
 from __future__ import annotations
 
@@ -49,7 +47,7 @@ class Namespace:
 
 @dataclass(frozen=True, repr=False)
 class Symbolic(Namespace):
-    """Models of a system as formulas."""
+    """Kinematic models of a system as symbolic formulas."""
 
     @explain_errors
     def fk(
@@ -61,7 +59,8 @@ class Symbolic(Namespace):
         snap: float = 0.0,
         short: bool = False,
     ) -> Any:
-        """The forward model in symbols (sympy Matrix 4x4), in the ground frame or in another one.
+        """Derive the forward kinematics of a frame as a SymPy matrix 4 x 4. It is in the ground
+        frame or in another frame.
 
         With `short` a `ShortForm`: l1 c1 + l2 c12, and the legend; see
         `kempe.forward.symbolic`.
@@ -76,7 +75,7 @@ class Symbolic(Namespace):
     def steps(
         self, frame: FrameLike, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0
     ) -> SymbolicSteps:
-        """The matrices whose product is the forward model; see
+        """Derive the matrices whose product is the forward kinematics. See
         `kempe.forward.symbolic_steps`.
         """
         from kempe.forward.symbolic_steps import derive_steps
@@ -87,7 +86,7 @@ class Symbolic(Namespace):
     def jacobian(
         self, frame: FrameLike, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0
     ) -> Any:
-        """The Jacobian in symbols (sympy Matrix 6 x nv); see
+        """Derive the Jacobian of a frame as a SymPy matrix 6 x nv; see
         `kempe.forward.symbolic_steps`.
         """
         from kempe.forward.symbolic_steps import derive_jacobian
@@ -114,7 +113,7 @@ class Symbolic(Namespace):
         symbols: Mapping[str, Any] | None = None,
         snap: float = 0.0,
     ) -> DHTable:
-        """The Denavit-Hartenberg table of a frame's chain; see
+        """Derive the Denavit-Hartenberg table of a frame's chain. See
         `kempe.forward.symbolic_dh.to_dh`.
         """
         from kempe.forward.symbolic_dh import to_dh
@@ -130,7 +129,8 @@ class Symbolic(Namespace):
         symbols: Mapping[str, Any] | None = None,
         snap: float = 0.0,
     ) -> InverseFormulas:
-        """The inverse model of a planar arm, or of one in space that ends in a wrist, as formulas.
+        """Derive formulas of the inverse kinematics of a planar arm, or of a spatial arm with a
+        wrist.
 
         See `kempe.inverse.formulas.derive_ik`.
         """
@@ -140,7 +140,7 @@ class Symbolic(Namespace):
 
     @explain_errors
     def short(self, formula: Any) -> ShortForm:
-        """A formula with c12 for cos(q1 + q2), and the legend; see
+        """Shorten a formula, with c12 for cos(q1 + q2), and return it with the legend. See
         `kempe.forward.symbolic_steps`.
         """
         from kempe.forward.symbolic_steps import shorten_formula
@@ -150,9 +150,7 @@ class Symbolic(Namespace):
 
 @dataclass(frozen=True, repr=False)
 class Inverse(Namespace):
-    """Methods about the inverse kinematics of a frame: how it is solved, and self-motions of
-    redundant chains.
-    """
+    """Methods about inverse kinematics: closed forms, and self-motions of redundant chains."""
 
     @explain_errors
     def plan(
@@ -161,8 +159,7 @@ class Inverse(Namespace):
         task: str | tuple[str, ArrayLike] | None = None,
         fixed: Iterable[str] = (),
     ) -> Recognised:
-        """The structure recognised in a frame's chain, and the closed form by which `ik_all` solves
-        it.
+        """Return the structure of a frame's chain and the closed form by which `ik_all` solves it.
 
         See `kempe.inverse.describe`.
         """
@@ -183,7 +180,7 @@ class Inverse(Namespace):
         fixed: Mapping[str, Any] | None = None,
         budget: Budget | None = None,
     ) -> Sweep:
-        """The solutions of a redundant chain along one parameter.
+        """Solve the inverse kinematics of a redundant chain along one parameter.
 
         See `kempe.inverse.sweep.ik_sweep`.
         """
@@ -211,7 +208,7 @@ class Inverse(Namespace):
         direction: Any = None,
         budget: Budget | None = None,
     ) -> SelfMotion:
-        """The motion from q that keeps a frame's pose or other tasks; see
+        """Trace the motion from q that keeps a frame's pose or other tasks. See
         `kempe.inverse.self_motion`.
         """
         from kempe.inverse.self_motion import self_motion
@@ -219,8 +216,8 @@ class Inverse(Namespace):
         return self_motion(self.system, q, tasks, task=task, direction=direction, budget=budget)
 
     def arm_angle(self, q: Any, frame: FrameLike, reference: ArrayLike | None = None) -> Any:
-        """Arm angle (...) in radians of a seven-joint arm with spherical shoulder and wrist at q
-        (..., nq).
+        """Compute the arm angle (...) in radians at q (..., nq). The arm has seven joints with
+        spherical shoulder and wrist.
 
         See `kempe.inverse.arm_angle`.
         """
@@ -231,26 +228,24 @@ class Inverse(Namespace):
 
 @dataclass(frozen=True, repr=False)
 class Loops(Namespace):
-    """Methods about closed loops: the constraints that close them, and velocities and forces
-    through them.
-    """
+    """Methods about closed loops: constraints that close them, velocities, forces and angles."""
 
     def constraints(self) -> list[SystemConstraint]:
-        """The constraints of the system: closures, declared ones, relations; see
+        """Return the loop closures, declared constraints and relations of the system. See
         `kempe.equations.closure_rows`.
         """
         return list_constraints(self.system)
 
     def closure_error(self, q: Any) -> Array:
-        """Gap of each loop (..., number of closures, 6): the twist [m; rad] that is missing in its
-        cut joint.
+        """Compute the gap of each loop (..., number of closures, 6): a twist [m; rad] in its cut
+        joint.
         """
         from kempe.equations.judge import closure_error
 
         return closure_error(self.system, q)
 
     def assembler(self, known: Iterable[str] = ()) -> Assembler:
-        """A reusable `assemble` for these known names; see
+        """Return a reusable `assemble` for these known coordinates. See
         `kempe.assemble.bound.Assembler`.
         """
         from kempe.assemble.assemble import assembler
@@ -258,8 +253,8 @@ class Loops(Namespace):
         return assembler(self.system, known)
 
     def closed_form(self, known: Sequence[str]) -> Plan | Incomplete:
-        """The closed form of a planar system of dyads for these known coordinates; see
-        `kempe.assemble.dyads`.
+        """Return the closed form of a planar system of dyads. Its inputs are the `known`
+        coordinates; see `kempe.assemble.dyads`.
         """
         from kempe.assemble.dyads import closed_form
 
@@ -275,7 +270,8 @@ class Loops(Namespace):
         *,
         tolerance: float | str | None = None,
     ) -> LoopJacobian:
-        """Matrix from velocities of inputs to those of joints or frames, with all loops closed.
+        """Compute the matrix from input velocities to output velocities, with all loops closed.
+        Outputs are joints or frames.
 
         See `kempe.motion.transmission`.
         """
@@ -294,7 +290,7 @@ class Loops(Namespace):
         *,
         tolerance: float | str | None = None,
     ) -> Any:
-        """Force at the output per force at the input, at closed q (..., nq).
+        """Compute the ratio of output force to input force at closed configurations q (..., nq).
 
         See `kempe.motion.transmission`.
         """
@@ -308,7 +304,7 @@ class Loops(Namespace):
     def relative_motion(
         self, q: ArrayLike, body: FrameLike, to: FrameLike, *, tolerance: float | str | None = None
     ) -> RelativeMotion:
-        """How a body can move relative to another one here: its DoF, twists and their words.
+        """Describe how a body can move relative to another at q: degrees of freedom and twists.
 
         See `kempe.mobility.relative_motion`.
         """
@@ -320,7 +316,7 @@ class Loops(Namespace):
     def transmission_angle(
         self, q: Any, joint: str, coupler: str | None = None, output: str | None = None
     ) -> Any:
-        """Angle (...) between coupler and output link at their joint; see
+        """Compute the angle (...) between coupler and output link at their joint. See
         `kempe.motion.transmission`.
         """
         from kempe.motion.transmission import transmission_angle
@@ -330,9 +326,7 @@ class Loops(Namespace):
 
 @dataclass(frozen=True, repr=False)
 class ReachStudies(Namespace):
-    """Methods about the reach of a frame: listed poses, places of the base, cells of a box, planar
-    workspaces.
-    """
+    """Methods about the reach of a frame: poses, base placements, capability, planar workspaces."""
 
     @explain_errors
     def poses(
@@ -343,8 +337,8 @@ class ReachStudies(Namespace):
         task: str | tuple[str, ArrayLike] | None = None,
         budget: Budget | None = None,
     ) -> ReachStudy:
-        """For a list of poses: which are reached, how far from singularities and limits, and what
-        blocks the others.
+        """Study which poses of a list are reached. It says how far from singularities and limits,
+        and what blocks the others.
 
         See `kempe.workspace.reach`.
         """
@@ -363,7 +357,7 @@ class ReachStudies(Namespace):
         task: str | tuple[str, ArrayLike] | None = None,
         budget: Budget | None = None,
     ) -> BasePlacement:
-        """A map of places for the base from which all of a list of poses are reached.
+        """Compute a map of base placements from which all poses of a list are reached.
 
         See `kempe.workspace.base_placement`.
         """
@@ -382,8 +376,7 @@ class ReachStudies(Namespace):
         *,
         budget: Budget | None = None,
     ) -> CapabilityMap:
-        """A map of a box: in how many directions each cell is reached, and how far from
-        singularities.
+        """Compute for each cell of a box in how many directions a frame reaches it, and how well.
 
         See `kempe.workspace.capability`.
         """
@@ -395,7 +388,7 @@ class ReachStudies(Namespace):
     def planar(
         self, frame: FrameLike, kind: str | None = None, orientation: Any = None
     ) -> PlanarWorkspace:
-        """The exact workspace of a planar system; see
+        """Compute the exact workspace of a planar system. See
         `kempe.workspace.planar.planar_workspace`.
         """
         from kempe.workspace.planar.planar_workspace import planar_workspace

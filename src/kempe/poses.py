@@ -1,4 +1,5 @@
-"""Poses and placements: where a frame sits on a body, from all forms in which people have poses.
+"""Poses and placements. Poses are read in the usual forms; placements are constant poses of frames
+on bodies.
 
 A placement is a product of elementary motions, whose numbers may be expressions in parameters.
 """
@@ -56,8 +57,8 @@ WORDS = ("at", "rpy", "angle", "quat_wxyz", "quat_xyzw", "matrix")
 
 
 def read_pose_array(x: Any, what: str, depth: int = 0) -> Any:
-    """What can be read as an array of poses (..., 4, 4), in the plane (..., 3, 3), rotations, or
-    positions.
+    """Convert poses in any form to an array (..., 4, 4). In the plane it is (..., 3, 3); rotations
+    and positions are read, too.
 
     Objects that have a matrix, messages of ROS (the header is not read: poses are in the ground),
     pairs of a position and a rotation, poses in words,
@@ -95,8 +96,7 @@ def read_pose_array(x: Any, what: str, depth: int = 0) -> Any:
 
 
 def correct_rotations(X: Array, what: str, exact: float = EXACT) -> Array:
-    """Poses or rotations (..., n, n) of which those that are off by rounding are the nearest
-    rotations, with a warning.
+    """Replace slightly rounded rotations (..., n, n) by the nearest exact ones, with a warning.
 
     Those that are off by at most `exact` stay as they are, and what is further off than `ROUNDED`,
     for the caller to refuse. The array is copied where it changes.
@@ -134,8 +134,7 @@ def correct_rotations(X: Array, what: str, exact: float = EXACT) -> Array:
 
 
 def explain_pose_error(X: Array, exact: float = EXACT) -> str:
-    """What is wrong with a matrix (4, 4) as a pose that a search can begin with; '' where nothing
-    is.
+    """Explain why a matrix (4, 4) is not a valid pose; '' if it is one.
 
     The last row must be 0 0 0 1, all numbers finite and below `arrays.FARTHEST` in size, and R'R
     within `exact` of 1.
@@ -159,8 +158,8 @@ def explain_pose_error(X: Array, exact: float = EXACT) -> str:
 
 
 def check_poses(X: Array, what: str, exact: float = EXACT) -> Array:
-    """Poses (..., 4, 4) that a search can begin with. Errors: `InputError` that says which one is
-    none, and why.
+    """Return poses (..., 4, 4) if all are valid. Errors: `InputError` with the first invalid one
+    and the reason.
     """
     good = (X[..., 3, :] == spatial.LAST_ROW).all(axis=-1) & (np.abs(X) < FARTHEST).all(
         axis=(-1, -2)
@@ -175,12 +174,13 @@ def check_poses(X: Array, what: str, exact: float = EXACT) -> Array:
 
 
 def _compute_rotation_defect(R: Array) -> Array:
+    """Compute the largest entry (...) of R'R - 1 of matrices (..., 3, 3)."""
     return np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max(axis=(-1, -2))
 
 
 def compute_rotation_error(R: Array) -> Array:
-    """How far (...) matrices (..., 3, 3) are from rotations: the largest entry of R'R - 1, at least
-    2 for mirrors.
+    """Compute the errors (...) of rotations (..., 3, 3): the largest entry of R'R - 1. Mirrors have
+    at least 2.
     """
     with np.errstate(invalid="ignore", over="ignore"):
         off = _compute_rotation_defect(R)
@@ -188,7 +188,7 @@ def compute_rotation_error(R: Array) -> Array:
 
 
 def _find_matrix(x: Any) -> Any:
-    """The matrix that an object has, or the matrices; None where it has none."""
+    """Find the matrix or matrices that an object holds; None if it holds none."""
     if x.__class__ in PLAIN or isinstance(x, (str, np.ndarray)):
         return None
     inner = [part for name in AROUND if (part := getattr(x, name, None)) is not None]
@@ -208,7 +208,7 @@ def _find_matrix(x: Any) -> Any:
 
 
 def _read_message(x: Any) -> Array | None:
-    """The pose that a message Pose or Transform says; None for all else."""
+    """Read the pose of a message Pose or Transform of ROS; None for other objects."""
     for position, orientation in ROS:
         p = getattr(x, position, None)
         q = getattr(x, orientation, None)
@@ -219,8 +219,8 @@ def _read_message(x: Any) -> Array | None:
 
 
 def _read_pair(x: Any, what: str) -> Array | None:
-    """The poses of a pair of positions (..., n) and rotations (..., n, n), in either order; None
-    for all else.
+    """Read the poses of a pair of positions (..., n) and rotations (..., n, n), in either order.
+    None for other values.
     """
     if len(x) != 2:
         return None
@@ -248,7 +248,7 @@ def _read_pair(x: Any, what: str) -> Array | None:
 
 
 def _read_array(x: Any) -> Array | None:
-    """Numbers as an array; None for what is ragged or no numbers."""
+    """Convert numbers to an array; None for ragged lists and other values."""
     found = _find_matrix(x)
     try:
         return read_reals(x if found is None else found, "")
@@ -257,6 +257,7 @@ def _read_array(x: Any) -> Array | None:
 
 
 def _read_pose_mapping(x: Mapping[str, Any], what: str) -> Array:
+    """Read a pose from a mapping such as {"at": (1, 0, 0), "rpy": (0, 0, 1)}. Errors: `InputError`."""
     unknown = [n for n in x if n not in WORDS]
     ways = [n for n in x if n != "at"]
     if unknown or len(ways) > 1 or not x:
@@ -281,6 +282,9 @@ def _read_pose_mapping(x: Mapping[str, Any], what: str) -> Array:
 
 
 def _read_rotation(way: str, given: Any, what: str) -> Array:
+    """Read rotations (..., 3, 3) given as a matrix, an angle, rpy angles or a quaternion. Errors:
+    `InputError`.
+    """
     if way == "matrix":
         found = _read_array(given)
         if found is None or found.shape[-2:] != (3, 3):
@@ -335,14 +339,14 @@ ROTATION_TOLERANCE = 1e-9
 
 @dataclass(frozen=True)
 class Placement:
-    """A constant pose as the product, from left to right, of elementary `steps`
-    ``(motion, numbers)``.
+    """A constant pose as a product of elementary motions: `steps` ``(motion, numbers)``, left to
+    right.
     """
 
     steps: tuple[Step, ...] = ()
 
     def evaluate_pose(self, parameters: Mapping[str, Any]) -> spatial.Array:
-        """Pose (4, 4), or (..., 4, 4) where parameters are arrays."""
+        """Evaluate the pose (4, 4), or (..., 4, 4) if parameters are arrays."""
         if not any(isinstance(x, Expression) for _, numbers in self.steps for x in numbers):
             return _compute_constant_pose(self.steps)
         out = np.eye(4)
@@ -352,17 +356,17 @@ class Placement:
 
     @cached_property
     def names(self) -> frozenset[str]:
-        """Names of the parameters that it uses."""
+        """The names of the parameters in the placement."""
         return frozenset(
             n for _, xs in self.steps for x in xs if isinstance(x, Expression) for n in x.names
         )
 
     def invert_steps(self) -> Placement:
-        """The inverse placement, step by step, so that expressions stay expressions."""
+        """Return the inverse placement, step by step, so that expressions stay expressions."""
         return Placement(tuple(_invert_step(*step) for step in reversed(self.steps)))
 
     def __str__(self) -> str:
-        """The motions in their order: 'x = l1, rz = 0.5'; 'nothing' where they coincide."""
+        """Format the motions in order: 'x = l1, rz = 0.5', or 'nothing' for the identity."""
         said = (
             ", ".join(x.text if isinstance(x, Expression) else f"{x:g}" for x in xs)
             for _, xs in self.steps
@@ -377,7 +381,7 @@ class Placement:
         return Placement(self.steps + other.steps)
 
     def drop_identity_steps(self) -> Placement:
-        """Without steps that do nothing (slides and turns by exactly zero)."""
+        """Return the placement without translations and rotations by exactly zero."""
         return Placement(tuple(s for s in self.steps if s[0] not in _SCALAR or s[1] != (0.0,)))
 
 
@@ -393,7 +397,7 @@ def place(
     quat_wxyz: object = None,
     matrix: object = None,
 ) -> Placement:
-    """Placement with the origin `at` (2 or 3 lengths) and an orientation given in at most one way.
+    """Make a placement with the origin `at` (2 or 3 lengths) and at most one form of orientation.
 
     `at` can also be a pose in any form that `kempe.poses.read_pose_array` reads, or a `Placement`,
     which are turned further by the rest. `rpy` are fixed-axis angles x, y, z; `angle` turns about z
@@ -450,12 +454,12 @@ def place(
 
 
 def _correct_rotation(R: spatial.Array) -> spatial.Array:
-    """A rotation (3, 3), the nearest one where its numbers are rounded; what is none stays."""
+    """Return the nearest rotation to a rounded rotation (3, 3); other matrices stay."""
     return correct_rotations(R, "matrix", ROTATION_TOLERANCE) if R.shape == (3, 3) else R
 
 
 def _are_floats(x: object) -> bool:
-    """Whether there are plain numbers, in a tuple or a list, or nothing."""
+    """Whether `x` is None or a tuple or list of floats."""
     entries: Any = x
     return x is None or (
         (type(x) is tuple or type(x) is list) and {float}.issuperset(map(type, entries))
@@ -466,7 +470,7 @@ def _are_floats(x: object) -> bool:
 def _make_plain_placement(
     at: tuple[float, ...] | None, rpy: tuple[float, ...] | None, axis: tuple[float, ...] | None
 ) -> Placement:
-    """`place` of plain numbers; many joints have the same ones."""
+    """Make the placement of plain numbers, as `place` does; results are cached."""
     steps: list[Step] = [
         (n, (x,)) for n, x in zip("xyz", read_values(at, (2, 3), "at"), strict=False) if x != 0.0
     ]
@@ -486,8 +490,8 @@ def _is_pose(at: object) -> bool:
 
 
 def read_direction(axis: object) -> object:
-    """`axis` as it is, or the three numbers that its name means: "x", "-z". Errors: `InputError`
-    for other names.
+    """Return the three numbers of a named axis such as "x" or "-z"; numbers are returned as they
+    are. Errors: `InputError`.
     """
     if not isinstance(axis, str):
         return axis
@@ -498,7 +502,7 @@ def read_direction(axis: object) -> object:
 
 
 def list_axis_steps(axis: object) -> list[Step]:
-    """The step that turns z to `axis` (2 or 3 numbers, or a name), or nothing where it is z.
+    """Return the step that turns z to `axis` (2 or 3 numbers, or a name); no step for z itself.
     Errors: `InputError`.
     """
     numbers = read_values(read_direction(axis) if isinstance(axis, str) else axis, (2, 3), "axis")
@@ -513,7 +517,7 @@ def list_axis_steps(axis: object) -> list[Step]:
 
 
 def make_placement_from_pose(X: object) -> Placement:
-    """Placement of a pose given as a (4, 4) matrix. Errors: `InputError` where it is not a rigid
+    """Make the placement of a pose (4, 4). Errors: `InputError` for a matrix that is no rigid
     motion.
     """
     X = numbers_of(X, "pose")
@@ -572,7 +576,7 @@ _AXES = {
 
 @lru_cache(1024)
 def _compute_constant_pose(steps: tuple[Step, ...]) -> spatial.Array:
-    """Pose (4, 4), read-only, of steps without parameters."""
+    """Compute the pose (4, 4), read-only, of steps without parameters."""
     rows = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]
     for motion, numbers in steps:
         place = _AXES.get(motion)
@@ -600,10 +604,12 @@ def _compute_constant_pose(steps: tuple[Step, ...]) -> spatial.Array:
 
 @lru_cache(1024)
 def _compute_constant_rotation(motion: str, numbers: tuple[Value, ...]) -> spatial.Array:
+    """Compute the rotation (3, 3) of a step without parameters."""
     return _compute_step_pose(motion, list(numbers))[:3, :3]
 
 
 def _compute_step_pose(motion: str, numbers: list[Any]) -> spatial.Array:
+    """Compute the pose (..., 4, 4) of one elementary motion."""
     if motion in ("x", "y", "z"):
         zero = np.zeros_like(np.asarray(numbers[0], dtype=float))
         p = [zero, zero, zero]
@@ -626,6 +632,7 @@ def _compute_step_pose(motion: str, numbers: list[Any]) -> spatial.Array:
 
 
 def _invert_step(motion: str, numbers: tuple[Value, ...]) -> Step:
+    """Return the inverse of one elementary motion."""
     if motion in _SCALAR:
         return motion, (negate_value(numbers[0]),)
     if motion == "quat_wxyz":
@@ -636,7 +643,9 @@ def _invert_step(motion: str, numbers: tuple[Value, ...]) -> Step:
 
 
 def read_placement_steps(data: Iterable[object]) -> Placement:
-    """Placement from ``[["z", "d1"], ["rx", 0.5], ["align", 0, 1, 0], ...]``. Errors: `InputError`."""
+    """Read a placement from ``[["z", "d1"], ["rx", 0.5], ["align", 0, 1, 0], ...]``. Errors:
+    `InputError`.
+    """
     steps: list[tuple[str, tuple[Value, ...]]] = []
     for item in data:
         if not is_sequence(item) or not item or not isinstance(item[0], str):

@@ -1,6 +1,4 @@
-"""The table of solvers: who answers which question, in the order in which they are checked whether
-they can.
-"""
+"""Table of the solvers of each verb, in the order in which they are asked whether they can answer."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""SO(3) and SE(3) as array functions: the last axes are the object, leading axes broadcast.
+"""Functions on arrays of rotations SO(3) and poses SE(3); leading axes broadcast.
 
 Poses are (..., 4, 4), rotations (..., 3, 3), twists (..., 6) with the linear part first,
 quaternions (..., 4) in the order that the function's name says. Angles are radians.
@@ -26,9 +26,7 @@ SMALL_ANGLE = 1e-4
 
 @quiet
 def unit(v: ArrayLike) -> Array:
-    """Vectors (..., n) scaled to length one, however large or small; NaN for a vector that is zero
-    or not finite.
-    """
+    """Scale vectors (..., n) to length one; a vector that is zero or not finite gives NaN."""
     v = numbers(v, "v")
     if v.ndim == 0:
         raise InputError("v is a single number; it must be a vector (..., n)")
@@ -39,7 +37,7 @@ def unit(v: ArrayLike) -> Array:
 
 @quiet
 def skew(v: ArrayLike) -> Array:
-    """Matrix (..., 3, 3) of the cross product with `v` (..., 3)."""
+    """Return the matrix (..., 3, 3) of the cross product with `v` (..., 3)."""
     v = numbers(v, "v", 3)
     out = np.zeros((*v.shape, 3))
     out[..., 0, 1] = -v[..., 2]
@@ -53,9 +51,7 @@ def skew(v: ArrayLike) -> Array:
 
 @quiet
 def pose(R: ArrayLike | None = None, p: ArrayLike | None = None) -> Array:
-    """Pose (..., 4, 4) of a rotation (..., 3, 3) and a position (..., 3); what is not given is zero
-    motion.
-    """
+    """Make poses (..., 4, 4) of rotations (..., 3, 3) and positions (..., 3), by default identity."""
     turn = np.eye(3) if R is None else numbers(R, "R", 3, 3)
     p = np.zeros(3) if p is None else numbers(p, "p", 3)
     shape = turn.shape[:-2]
@@ -69,7 +65,7 @@ def pose(R: ArrayLike | None = None, p: ArrayLike | None = None) -> Array:
 
 
 def _read_poses(X: ArrayLike, what: str = "X") -> Array:
-    """Poses (..., 4, 4), read: all NaN where the last row holds a NaN. `what` names them in
+    """Read poses (..., 4, 4), all NaN where the last row holds a NaN. `what` names them in
     messages.
 
     Errors: `InputError` for other shapes, and for a last row that is not 0 0 0 1. Rotations are not
@@ -93,7 +89,7 @@ def _read_poses(X: ArrayLike, what: str = "X") -> Array:
 
 @quiet
 def inverse(X: ArrayLike) -> Array:
-    """Inverse (..., 4, 4) of poses, by transposing the rotation."""
+    """Compute the inverse (..., 4, 4) of poses, by transposing the rotation."""
     given = _read_poses(X)
     R = np.swapaxes(given[..., :3, :3], -1, -2)
     return pose(R, -np.einsum("...ij,...j->...i", R, given[..., :3, 3]))
@@ -101,23 +97,24 @@ def inverse(X: ArrayLike) -> Array:
 
 @quiet
 def rot_x(angle: ArrayLike) -> Array:
-    """Rotation (..., 3, 3) about x by `angle` (...)."""
+    """Return the rotation (..., 3, 3) about x by `angle` (...) in radians."""
     return _make_rotation(angle, 0)
 
 
 @quiet
 def rot_y(angle: ArrayLike) -> Array:
-    """Rotation (..., 3, 3) about y by `angle` (...)."""
+    """Return the rotation (..., 3, 3) about y by `angle` (...) in radians."""
     return _make_rotation(angle, 1)
 
 
 @quiet
 def rot_z(angle: ArrayLike) -> Array:
-    """Rotation (..., 3, 3) about z by `angle` (...)."""
+    """Return the rotation (..., 3, 3) about z by `angle` (...) in radians."""
     return _make_rotation(angle, 2)
 
 
 def _make_rotation(angle: ArrayLike, axis: int) -> Array:
+    """Make the rotation (..., 3, 3) by `angle` (...) about the axis of this number."""
     angle = numbers(angle, "angle")
     c = np.cos(angle)
     s = np.sin(angle)
@@ -132,7 +129,7 @@ def _make_rotation(angle: ArrayLike, axis: int) -> Array:
 
 @quiet
 def align_z(axis: ArrayLike) -> Array:
-    """Smallest rotation (..., 3, 3) that takes z to the direction of `axis` (..., 3); for -z the
+    """Return the smallest rotation (..., 3, 3) that takes z to `axis` (..., 3). For -z it is the
     half turn about x.
 
     Axes along x, y or z give exact permutations. A zero axis gives NaN.
@@ -158,15 +155,15 @@ def align_z(axis: ArrayLike) -> Array:
 
 @quiet
 def rpy_to_matrix(rpy: ArrayLike) -> Array:
-    """Rotation Rz(yaw) Ry(pitch) Rx(roll) of fixed-axis angles `rpy` (..., 3), as URDF writes them."""
+    """Convert fixed-axis angles `rpy` (..., 3) to rotations Rz(yaw) Ry(pitch) Rx(roll), as in URDF."""
     r, p, y = np.moveaxis(numbers(rpy, "rpy", 3), -1, 0)
     return rot_z(y) @ rot_y(p) @ rot_x(r)
 
 
 @quiet
 def matrix_to_rpy(R: ArrayLike) -> Array:
-    """Fixed-axis angles (..., 3) roll, pitch, yaw of rotations; at pitch = +-90 degrees roll is
-    chosen zero.
+    """Convert rotations to fixed-axis angles (..., 3) roll, pitch, yaw. At pitch = +-90 degrees
+    roll is zero.
     """
     m = numbers(R, "R", 3, 3)
     cos_pitch = np.hypot(m[..., 0, 0], m[..., 1, 0])
@@ -181,7 +178,9 @@ def matrix_to_rpy(R: ArrayLike) -> Array:
 
 @quiet
 def quat_wxyz_to_matrix(quat_wxyz: ArrayLike) -> Array:
-    """Rotation (..., 3, 3) of quaternions (..., 4), normalised first; a zero quaternion gives NaN."""
+    """Convert quaternions (..., 4) to rotations (..., 3, 3), normalised first. A zero quaternion
+    gives NaN.
+    """
     q = unit(numbers(quat_wxyz, "quat_wxyz", 4))
     w = q[..., 0, None, None]
     v = q[..., 1:]
@@ -191,8 +190,8 @@ def quat_wxyz_to_matrix(quat_wxyz: ArrayLike) -> Array:
 
 @quiet
 def matrix_to_quat_wxyz(R: ArrayLike) -> Array:
-    """Unit quaternion (..., 4) with w >= 0 of rotations (..., 3, 3), by the largest component
-    (Shepperd, 1978).
+    """Convert rotations (..., 3, 3) to unit quaternions (..., 4) with w >= 0. The largest component
+    is used (Shepperd, 1978).
     """
     m = numbers(R, "R", 3, 3)
     d = np.stack([m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]], axis=-1)
@@ -223,7 +222,7 @@ def matrix_to_quat_wxyz(R: ArrayLike) -> Array:
 
 @quiet
 def quat_wxyz_multiply(a: ArrayLike, b: ArrayLike) -> Array:
-    """Product (..., 4) of quaternions (w, x, y, z)."""
+    """Compute the product (..., 4) of quaternions (w, x, y, z)."""
     a = numbers(a, "a", 4)
     b = numbers(b, "b", 4)
     if a.shape != b.shape:
@@ -243,13 +242,13 @@ def quat_wxyz_multiply(a: ArrayLike, b: ArrayLike) -> Array:
 
 @quiet
 def quat_wxyz_conjugate(q: ArrayLike) -> Array:
-    """Conjugate (..., 4): the inverse rotation of a unit quaternion."""
+    """Compute the conjugate (..., 4), which is the inverse rotation of a unit quaternion."""
     return numbers(q, "q", 4) * np.array([1.0, -1.0, -1.0, -1.0])
 
 
 @quiet
 def quat_wxyz_exp(w: ArrayLike) -> Array:
-    """Unit quaternion (..., 4) of the rotation vector `w` (..., 3)."""
+    """Convert rotation vectors `w` (..., 3) to unit quaternions (..., 4)."""
     w = numbers(w, "w", 3)
     half = 0.5 * np.linalg.norm(w, axis=-1, keepdims=True)
     return np.concatenate([np.cos(half), 0.5 * np.sinc(half / np.pi) * w], axis=-1)
@@ -257,8 +256,8 @@ def quat_wxyz_exp(w: ArrayLike) -> Array:
 
 @quiet
 def quat_wxyz_log(q: ArrayLike) -> Array:
-    """Rotation vector (..., 3), at most pi long, of unit quaternions (..., 4); q and -q give the
-    same.
+    """Convert unit quaternions (..., 4) to rotation vectors (..., 3), at most pi long. Q and -q
+    give the same.
     """
     q = numbers(q, "q", 4)
     q = np.where(q[..., :1] < 0.0, -q, q)
@@ -271,20 +270,20 @@ def quat_wxyz_log(q: ArrayLike) -> Array:
 
 @quiet
 def exp_so3(w: ArrayLike) -> Array:
-    """Rotation (..., 3, 3) of rotation vectors (..., 3) (Rodrigues, 1840)."""
+    """Convert rotation vectors (..., 3) to rotations (..., 3, 3) (Rodrigues, 1840)."""
     return quat_wxyz_to_matrix(quat_wxyz_exp(w))
 
 
 @quiet
 def log_so3(R: ArrayLike) -> Array:
-    """Rotation vector (..., 3), at most pi long, of rotations; accurate near 0 and near pi."""
+    """Convert rotations to rotation vectors (..., 3), at most pi long; accurate near 0 and near pi."""
     return quat_wxyz_log(matrix_to_quat_wxyz(R))
 
 
 @quiet
 def exp_se3(twist: ArrayLike) -> Array:
-    """Pose (..., 4, 4) of the screw motion `twist` = [v; w] (..., 6) (Murray, Li, Sastry, 1994, eq.
-    2.36).
+    """Compute the pose (..., 4, 4) of the screw motion `twist` = [v; w] (..., 6). See Murray, Li,
+    Sastry, 1994, eq. 2.36.
     """
     twist = numbers(twist, "twist", 6)
     v = twist[..., :3]
@@ -297,7 +296,9 @@ def exp_se3(twist: ArrayLike) -> Array:
 
 @quiet
 def log_se3(X: ArrayLike) -> Array:
-    """Twist [v; w] (..., 6) whose exponential is the pose; the rotation is at most a half turn."""
+    """Compute the twist [v; w] (..., 6) whose exponential is the pose. The rotation is at most a
+    half turn.
+    """
     given = _read_poses(X)
     w = log_so3(given[..., :3, :3])
     K = skew(w)
@@ -314,7 +315,7 @@ def log_se3(X: ArrayLike) -> Array:
 
 
 def _evaluate_series(angle: Array) -> tuple[Array, Array, Array]:
-    """sin(t)/t, (1 - cos t)/t^2 and (t - sin t)/t^3, by series for small t."""
+    """Evaluate sin(t)/t, (1 - cos t)/t^2 and (t - sin t)/t^3, by series for small t."""
     t2 = angle * angle
     small = angle < 1e-2
     a = np.sinc(angle / np.pi)
@@ -325,7 +326,9 @@ def _evaluate_series(angle: Array) -> tuple[Array, Array, Array]:
 
 @quiet
 def adjoint(X: ArrayLike) -> Array:
-    """Matrix (..., 6, 6) that takes twists [v; w] seen from B to twists seen from A, for X = X_AB."""
+    """Return the matrix (..., 6, 6) that takes twists [v; w] seen from B to ones seen from A. X is
+    X_AB.
+    """
     given = _read_poses(X)
     R = given[..., :3, :3]
     p = given[..., :3, 3]
@@ -338,21 +341,21 @@ def adjoint(X: ArrayLike) -> Array:
 
 @quiet
 def pose_from_xyz_rpy(values: ArrayLike) -> Array:
-    """Pose (..., 4, 4) of x, y, z, roll, pitch, yaw (..., 6): fixed axes x, y, z, as in URDF."""
+    """Convert x, y, z, roll, pitch, yaw (..., 6) to poses (..., 4, 4), with fixed axes as in URDF."""
     values = numbers(values, "values", 6)
     return pose(rpy_to_matrix(values[..., 3:]), values[..., :3])
 
 
 @quiet
 def xyz_rpy_from_pose(X: ArrayLike) -> Array:
-    """x, y, z, roll, pitch, yaw (..., 6) of poses."""
+    """Convert poses to x, y, z, roll, pitch, yaw (..., 6)."""
     given = _read_poses(X)
     return np.concatenate([given[..., :3, 3], matrix_to_rpy(given[..., :3, :3])], axis=-1)
 
 
 class PoseFit(NamedTuple):
-    """The pose of a body that fits measured places of its particles best, and how far these are
-    off.
+    """The pose of a body that fits measured positions of its particles best, with the remaining
+    errors.
     """
 
     X: Array
@@ -365,8 +368,8 @@ class PoseFit(NamedTuple):
 
 @quiet
 def fit_pose(particles: ArrayLike, places: ArrayLike) -> PoseFit:
-    """The pose of a body from where its particles are, by least squares of distances (Arun, Huang,
-    Blostein, 1987).
+    """Fit the pose of a body to measured positions of its particles, by least squares. See Arun,
+    Huang, Blostein, 1987.
 
     `particles` (..., n, 3) are points of the body in its frame, `places` (..., n, 3) where they
     were measured; n is at least 3, and they do not lie on a line. In the plane both are (..., n,

@@ -1,4 +1,4 @@
-"""What comes of a question: the outcomes of all solvers as one enum, each with its sentence."""
+"""Outcomes of all solvers as one enumeration, each with a sentence."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 
 
 class Status(IntEnum):
-    """The outcome of a question, `Answer.code`: a `sentence` that says what it means, and whether
-    it is a `proof`.
+    """The outcome of a question, `Answer.code`. It has a `sentence`, and says whether it is a
+    `proof`.
 
     It is the general word; `Answer.status` says more of the answer at hand. Only `SOLVED` is false
     as a truth value: compare (``answer.code is Status.SOLVED``), or ask the answer itself. Of a
@@ -51,7 +51,7 @@ class Status(IntEnum):
     UNDETERMINED = 12, "what was requested is not determined by what was given"
 
     def __new__(cls, value: int, sentence: str, proof: bool = False) -> Status:
-        """The member of this number, with its sentence."""
+        """Make the member with this number and sentence."""
         out = int.__new__(cls, value)
         out._value_ = value
         out.sentence = sentence
@@ -70,10 +70,10 @@ PROOFS = tuple(s for s in MEMBERS if s.proof)
 
 
 def to_status(code: Any) -> Any:
-    """The member of one number; the numbers (...) of a batch as they are."""
+    """Convert one number to its `Status`; the numbers (...) of a batch are returned as they are."""
     return MEMBERS[code] if type(code) is int else code if np.ndim(code) else MEMBERS[int(code)]
 
 
 def name_outcomes(code: Any) -> Any:
-    """The name of one outcome, or nested lists of those of a batch."""
+    """Return the name of one outcome, or nested lists of names for a batch."""
     return [name_outcomes(x) for x in code] if np.ndim(code) else MEMBERS[int(code)].name

@@ -1,4 +1,4 @@
-"""`System`: what is computed with. Its methods are the map of the library.
+"""`System`, the compiled multibody system. Its methods lead to all parts of the library.
 
 They call the functions of later layers.
 """
@@ -59,8 +59,8 @@ __all__ = ["FrameLike", "System"]
 
 @explain_errors
 def open_loops(system: SystemType, joints: str | Iterable[str] | None = None) -> SystemType:
-    """The system without these joints, by default without those that its tree leaves out: a loop
-    becomes a tree.
+    """Return the system without these joints, by default without the cut joints, which makes it a
+    tree.
 
     Where a joint was, each moving body keeps a frame, called "C on rocker" for joint C and the body
     rocker. What postures, locks and groups say of the joints goes with them. Errors:
@@ -92,7 +92,7 @@ def open_loops(system: SystemType, joints: str | Iterable[str] | None = None) ->
 
 
 def _add_joint_frames(mechanism: Mechanism, name: str) -> None:
-    """Give the moving bodies of a joint frames where it holds them, before those that are there."""
+    """Add frames at both ends of a joint to its moving bodies, before their other frames."""
     joint = mechanism.joints[name]
     frames = dict[str, Frame]()
     for body, X in ((joint.parent, joint.X_PF), (joint.child, joint.X_CM)):
@@ -111,13 +111,12 @@ def _add_joint_frames(mechanism: Mechanism, name: str) -> None:
 
 
 class Pictured:
-    """What a system looks like. Base of `System`."""
+    """Methods that draw a system. Base of `System`."""
 
     @explain_errors
     @add_signature_options(PlotOptions)
     def plot(self: Any, q: Any = None, *, path: Any = None, **options: Any) -> Any:
-        """Matplotlib axes with a drawing of the system at one or several configurations, or along a
-        motion.
+        """Draw the system at one or several configurations, or along a motion, in Matplotlib axes.
 
         See `kempe.views.plots.plot` for what is drawn, `kempe.views.plot_options.PlotOptions` for
         the options.
@@ -154,7 +153,7 @@ class Pictured:
         browser: bool = True,
         deg: bool = False,
     ) -> Viewer:
-        """A page on this machine in which the system can be moved; see
+        """Show the system in the browser, where it can be moved; see
         `kempe.views.viewer.live.show`.
         """
         from kempe.views.viewer.live import show
@@ -167,7 +166,7 @@ class Pictured:
     def save_html(
         self: Any, file: str | FilePath, q: Any = None, *, path: Any = None, seconds: float = 6.0
     ) -> None:
-        """Write a page that needs no server, with the system in space, moving; see
+        """Write an HTML page with the moving system in 3D that needs no server. See
         `kempe.views.viewer.pages`.
         """
         from kempe.views.viewer.pages import save_html
@@ -176,7 +175,7 @@ class Pictured:
 
     @explain_errors
     def plot_tree(self: Any, ax: Axes | None = None) -> Axes:
-        """Matplotlib axes with the tree of bodies and joints; see
+        """Draw the tree of bodies and joints in Matplotlib axes; see
         `kempe.views.overviews.plot_tree`.
         """
         from kempe.views.overviews import plot_tree
@@ -203,9 +202,7 @@ class Pictured:
         resolution: int = 240,
         budget: Budget | None = None,
     ) -> tuple[Axes, Axes]:
-        """Pictures of configuration space and task space beside one another; see
-        `kempe.views.space_pictures`.
-        """
+        """Draw configuration space and task space side by side; see `kempe.views.space_pictures`."""
         from kempe.views.space_pictures import plot_spaces
 
         return plot_spaces(
@@ -246,8 +243,8 @@ class System(Model, Pictured):
 
     @property
     def mid(self) -> Array:
-        """A configuration (nq,) inside the limits: the middle of both limits, or the allowed value
-        nearest to neutral.
+        """A configuration (nq,) inside the limits, in their middle. With one limit or none it is
+        the allowed value nearest to neutral.
 
         It is read-only: `mid.copy()` is one to change.
         """
@@ -256,13 +253,13 @@ class System(Model, Pictured):
     def random(
         self, rng: np.random.Generator | int | None = None, shape: int | tuple[int, ...] = ()
     ) -> Array:
-        """Configurations (*shape, nq), uniform inside the limits; free angles in (-pi, pi], free
-        lengths in (-1, 1).
+        """Draw random configurations (*shape, nq), uniform inside the limits. Free angles in (-pi,
+        pi], free lengths in (-1, 1).
         """
         return configurations.sample_configurations(self, rng, shape)
 
     def q(self, coordinates: Mapping[str, float] | str, base: ArrayLike | None = None) -> Array:
-        """Configuration (..., nq) from values by coordinate name, or of a named posture.
+        """Make a configuration (..., nq) from values by coordinate name, or from a named posture.
 
         Coordinates that are not named are neutral, or as in `base` (..., nq); those that follow
         others may be named, too, where they fit. A message JointState of ROS is taken as well.
@@ -271,19 +268,19 @@ class System(Model, Pictured):
         return configurations.make_q(self, coordinates, base)
 
     def q_dict(self, q: ArrayLike) -> dict[str, float]:
-        """Values by coordinate name of one configuration (nq,)."""
+        """Convert one configuration (nq,) to values by coordinate name."""
         return configurations.make_q_dict(self, q)
 
     # ---- groups of joints
 
     @property
     def groups(self) -> dict[str, tuple[str, ...]]:
-        """Names of joints by the name of a group, as an SRDF or `Mechanism.group` declares them."""
+        """The names of joints in each group, as an SRDF or `Mechanism.group` declares them."""
         return ReadOnlyDict(self._mechanism.groups)
 
     @explain_errors
     def group(self, name: str) -> System:
-        """The system of a group of joints.
+        """Return the system of a group of joints.
 
         Its ground is the body from which the joints of the group branch off. Bodies that are fixed
         to moving ones come along, and frames, limits, followers and postures as far as they are of
@@ -323,8 +320,8 @@ class System(Model, Pictured):
     def task_space(
         self, tasks: Any, q: Any = None, *, task: str | None = None, budget: Budget | None = None
     ) -> TaskSpace:
-        """The task space of a frame or tasks: which freedoms of `q` move it; see
-        `kempe.spaces.configuration_space`.
+        """Compute the task space of a frame or of tasks, and how it depends on `q`. See
+        `kempe.spaces.task_space`.
         """
         from kempe.spaces.task_space import task_space
 
@@ -345,7 +342,7 @@ class System(Model, Pictured):
         path: str | FilePath | None = None,
         budget: Budget | None = None,
     ) -> Workspace:
-        """The workspace of a frame, of whatever `kind`, as a sampled map.
+        """Compute the workspace of a frame as a sampled map, of the requested `kind`.
 
         See `kempe.workspace.workspace`.
         """
@@ -377,8 +374,8 @@ class System(Model, Pictured):
         dtype: Any = None,
         relative_to: FrameLike | None = None,
     ) -> Array:
-        """Poses in the ground frame: (..., 4, 4) of one frame, (..., k, 4, 4) of several or of all
-        bodies (None).
+        """Compute poses in the ground frame, (..., 4, 4). Several frames, or None for all bodies,
+        give (..., k, 4, 4).
 
         `form` "3x4", "position" or "position_quat_wxyz" gives less of each, `relative_to` another
         frame in place of the ground; see `kempe.forward.fk.fk`.
@@ -402,8 +399,8 @@ class System(Model, Pictured):
         in_frame: str = "world_aligned",
         threads: int | None = None,
     ) -> Array:
-        """Jacobian (..., 6, nv), rows [linear; angular], of one frame, (..., k, 6, nv) of several;
-        see `kempe.forward.fk.jacobian`.
+        """Compute the Jacobian (..., 6, nv) of a frame, with rows [linear; angular]. Several frames
+        give (..., k, 6, nv); see `kempe.forward.fk.jacobian`.
         """
         query = self._queries.get(frame) if frame.__class__ is str else None
         if query is not None and q.__class__ is np.ndarray:
@@ -413,8 +410,8 @@ class System(Model, Pictured):
         return jacobian(self, q, frame, in_frame, threads)
 
     def query(self, frame: FrameLike, form: str | None = None, dtype: Any = None) -> Query:
-        """The forward kinematics of one frame as a fast function ``f(q, out=None)``, and
-        ``f.jacobian(q)``.
+        """Return the forward kinematics of one frame as a fast function. It is called as ``f(q,
+        out=None)`` and ``f.jacobian(q)``.
 
         In a `form` and type of numbers as of `fk`.
         """
@@ -424,7 +421,7 @@ class System(Model, Pictured):
 
     @cached_property
     def symbolic(self) -> Symbolic:
-        """Models of the system as formulas: `symbolic.fk(frame)`."""
+        """Kinematic models of the system as formulas, such as `symbolic.fk(frame)`."""
         from kempe.namespaces import Symbolic
 
         return Symbolic(self)
@@ -443,9 +440,7 @@ class System(Model, Pictured):
         budget: Budget | None = None,
         history: bool = False,
     ) -> Solution:
-        """A configuration that reaches a target or holds tasks; see
-        `kempe.inverse.ik.ik`.
-        """
+        """Find a configuration that reaches a target or fulfils tasks; see `kempe.inverse.ik.ik`."""
         if (
             frame.__class__ is str
             and prefer is method is tolerance is budget
@@ -487,7 +482,7 @@ class System(Model, Pictured):
         tolerance: float | None = None,
         budget: Budget | None = None,
     ) -> Solutions | Modes:
-        """Every configuration in which the frame reaches the target; see
+        """Find all configurations in which the frame reaches the target. See
         `kempe.inverse.ik_all.ik_all`.
         """
         plain = (
@@ -526,7 +521,7 @@ class System(Model, Pictured):
         tolerance: float | tuple[float, float] | None = None,
         budget: Budget | None = None,
     ) -> IkPath:
-        """Configurations that follow a sequence of targets without a jump; see
+        """Find configurations that follow a sequence of targets without a jump. See
         `inverse.path.ik_path`.
         """
         from kempe.inverse.path import ik_path
@@ -556,7 +551,7 @@ class System(Model, Pictured):
         keep_direction: bool = False,
         weights: Any = None,
     ) -> IkStep:
-        """Velocities for a frame's twist or for tasks, within all limits; see
+        """Compute velocities for a frame's twist or for tasks, within all limits. See
         `inverse.ik_step.ik_step`.
         """
         from kempe.inverse.ik_step import ik_step
@@ -592,8 +587,8 @@ class System(Model, Pictured):
         limits: bool = True,
         budget: Budget | None = None,
     ) -> Singularities:
-        """Singular configurations of a frame or of closed loops: their kinds, and how far away the
-        nearest is.
+        """Find singular configurations of a frame or of closed loops. They come with their kinds
+        and the distance to the nearest.
 
         See `kempe.spaces.singularities`.
         """
@@ -603,9 +598,7 @@ class System(Model, Pictured):
 
     @cached_property
     def reach(self) -> ReachStudies:
-        """Methods about the reach of a frame: `poses`, `place`, `capability`, and `planar`, exact
-        in the plane.
-        """
+        """Methods about the reach of a frame: `poses`, `place`, `capability`, and exact `planar`."""
         from kempe.namespaces import ReachStudies
 
         return ReachStudies(self)
@@ -625,7 +618,7 @@ class System(Model, Pictured):
         tolerance: float | str | None = None,
         budget: Budget | None = None,
     ) -> Assembly:
-        """A configuration that closes all loops, with the `known` given; see
+        """Find a configuration that closes all loops, with the `known` coordinates given. See
         `assemble.assemble.assemble`.
         """
         from kempe.assemble.assemble import assemble
@@ -645,7 +638,7 @@ class System(Model, Pictured):
     def idealised(
         self, tolerance: float | str | None = "measured", *, budget: Budget | None = None
     ) -> Idealised | None:
-        """The nearest system that closes exactly and moves, with what differs; see
+        """Find the nearest system that closes exactly and moves, and the differences. See
         `kempe.assemble.nearest_exact`.
         """
         from kempe.assemble.nearest_exact import idealised
@@ -663,7 +656,7 @@ class System(Model, Pictured):
         tolerance: float | str | None = None,
         budget: Budget | None = None,
     ) -> Modes:
-        """All configurations found that close the loops with the `known` given; see
+        """Find all configurations that close the loops with the `known` coordinates given. See
         `kempe.assemble.modes`.
         """
         from kempe.assemble.modes import assembly_modes
@@ -676,7 +669,7 @@ class System(Model, Pictured):
     def independent(
         self, q: Any = None, prefer: Iterable[str] = (), *, tolerance: float | str | None = None
     ) -> Chart:
-        """Independent coordinates at a closed q, which determine all others; see
+        """Choose independent coordinates at a closed q, which determine all others. See
         `kempe.mobility.independent`.
         """
         from kempe.mobility.independent import independent
@@ -703,7 +696,8 @@ class System(Model, Pictured):
         tolerance: float | str | None = None,
         budget: Budget | None = None,
     ) -> Mobility:
-        """Degrees of freedom by the Gruebler count, by rank, and locally exact, with the reasoning.
+        """Compute the degrees of freedom, with the reasoning. They are found by the Gruebler count,
+        by rank, and locally exact.
 
         See `kempe.mobility.mobility`.
         """
@@ -721,8 +715,8 @@ class System(Model, Pictured):
         tolerance: float | str | None = None,
         budget: Budget | None = None,
     ) -> Classification:
-        """Kind of each constraint (holonomic or not, redundant), and the freedoms of configuration
-        and velocity.
+        """Determine the kind of each constraint: holonomic or not, redundant. It also counts
+        freedoms of configuration and velocity.
 
         See `kempe.mobility.classify`.
         """
@@ -743,7 +737,7 @@ class System(Model, Pictured):
         tolerance: float | str | None = None,
         budget: Budget | None = None,
     ) -> Motion:
-        """The whole branch of a mechanism with one freedom, as a `Path`; see
+        """Trace the whole branch of a mechanism with one freedom, as a `Path`. See
         `kempe.motion.trace.trace`.
         """
         from kempe.motion.trace import trace
@@ -773,7 +767,7 @@ class System(Model, Pictured):
         tolerance: float | str | None = None,
         budget: Budget | None = None,
     ) -> Drive:
-        """The continuous motion that follows prescribed inputs; see
+        """Compute the continuous motion that follows prescribed inputs; see
         `kempe.motion.drive.drive`.
         """
         from kempe.motion.drive import drive
@@ -800,7 +794,7 @@ class System(Model, Pictured):
         free: Iterable[str] = (),
         budget: Budget | None = None,
     ) -> Manoeuvre:
-        """A motion of a rolling system between configurations, without slip; see
+        """Find a motion of a rolling system between configurations, without slip. See
         `motion.manoeuvre`.
         """
         from kempe.motion.manoeuvre import manoeuvre
@@ -820,7 +814,7 @@ class System(Model, Pictured):
         tolerance: float | None = None,
         budget: Budget | None = None,
     ) -> Simulation:
-        """The motion under given velocities, or of a ball that falls and bounces; see
+        """Simulate the motion under given velocities, or of a bouncing ball. See
         `kempe.motion.simulate`.
         """
         from kempe.motion.simulate import simulate
@@ -840,20 +834,20 @@ class System(Model, Pictured):
     # ---- other systems from this one
 
     def with_parameters(self, **numbers: Any) -> System | Designs[System]:
-        """The same system with other parameter values; arrays of values give a batch of designs."""
+        """Return the system with other parameter values; arrays of values give a batch of designs."""
         from kempe.forward.parameter_batches import with_parameters
 
         return with_parameters(self, numbers)
 
     def opened(self, joints: str | Iterable[str] | None = None) -> System:
-        """The system without these joints: the open chain or tree that a loop is made of; see
-        `kempe.system`.
+        """Return the system without these joints: the open chain or tree that a loop is made of.
+        See `kempe.system`.
         """
 
         return open_loops(self, joints)
 
     def with_limits(self, limits: Any = None, velocity: Any = None) -> System:
-        """A copy of the system with other limits, by coordinate name; see
+        """Return the system with other limits, by coordinate name. See
         `kempe.forward.limits.with_limits`.
         """
         from kempe.forward.limits import with_limits

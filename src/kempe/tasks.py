@@ -1,6 +1,5 @@
 # pyright: reportUnsupportedDunderAll=false
-"""What a configuration can be requested: the kinds of `kempe.constraints`, under the name that
-roboticists look for.
+"""Tasks for inverse kinematics: the constraints of `kempe.constraints` under another name.
 
 ``from kempe import tasks``, and `System.ik` takes any of them. See `kempe.constraints.Constraint`
 for `weight`, `priority`, `tolerance` and `name`, which all take. Goals may have leading axes: they

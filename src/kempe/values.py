@@ -1,6 +1,4 @@
-"""Numbers of a description: plain floats, or expressions in named parameters such as
-``"l1 + 2*cos(alpha)"``.
-"""
+"""Numbers of a description: floats, or expressions in parameters such as ``"l1 + 2*cos(alpha)"``."""
 
 from __future__ import annotations
 
@@ -77,7 +75,7 @@ class Expression:
         )
 
     def evaluate(self, parameters: Mapping[str, Any]) -> Any:
-        """Value with these parameters: floats or arrays, which broadcast. Errors:
+        """Evaluate the expression with these parameters, floats or arrays, which broadcast. Errors:
         `UnknownNameError`.
         """
         for name in self.names:
@@ -92,8 +90,8 @@ class Expression:
         functions: Mapping[str, Callable[..., Any]],
         number: Callable[..., Any],
     ) -> Any:
-        """Value in any algebra: `names` and `functions` give the leaves, `number` turns constants
-        into it.
+        """Evaluate the expression in any algebra. `names` and `functions` give the operands,
+        `number` converts constants.
         """
         return _fold_node(self._tree.body, names, functions, number)
 
@@ -154,7 +152,7 @@ Value = float | Expression
 
 
 def read_value(x: object, what: str = "value") -> Value:
-    """`x` as a `Value`: finite numbers become floats, text becomes an expression. Errors:
+    """Convert `x` to a `Value`: a finite number to a float, text to an expression. Errors:
     `InputError`.
     """
     if isinstance(x, Expression):
@@ -172,7 +170,7 @@ def read_value(x: object, what: str = "value") -> Value:
 
 
 def read_values(xs: Any, count: int | tuple[int, ...], what: str) -> tuple[Value, ...]:
-    """A tuple of `Value` with one of the allowed lengths. Errors: `InputError`."""
+    """Convert numbers and texts to a tuple of `Value` of an allowed length. Errors: `InputError`."""
     counts = (count,) if isinstance(count, int) else count
     given = xs
     if type(xs) is tuple or type(xs) is list:
@@ -198,16 +196,17 @@ def read_values(xs: Any, count: int | tuple[int, ...], what: str) -> tuple[Value
 
 
 def evaluate_value(x: Value, parameters: Mapping[str, Any]) -> Any:
-    """Number (or array, where a parameter is one) that `x` stands for."""
+    """Evaluate a `Value` to a number, or to an array if a parameter is one."""
     return x.evaluate(parameters) if isinstance(x, Expression) else x
 
 
 def negate_value(x: Value) -> Value:
-    """The value with the other sign; a double minus is undone."""
+    """Return the value with the opposite sign; a double minus is removed."""
     return -x
 
 
 def _add_brackets(x: Value) -> str:
+    """Format a value as an operand, in brackets if it needs them."""
     if isinstance(x, Expression):
         simple = isinstance(x._tree.body, (ast.Name, ast.Call, ast.Constant))
         return x.text if simple else f"({x.text})"
@@ -215,6 +214,7 @@ def _add_brackets(x: Value) -> str:
 
 
 def _parse_expression(text: str, length: int) -> ast.Expression:
+    """Parse the text of an expression. Errors: `InputError`."""
     if len(text) > length:
         raise InputError(f"expression of {len(text)} characters; at most {length} are allowed")
     try:
@@ -230,6 +230,7 @@ def _parse_expression(text: str, length: int) -> ast.Expression:
 
 
 def _check_node(node: ast.AST, text: str, depth: int) -> None:
+    """Refuse a node of a syntax tree that is not allowed in expressions. Errors: `InputError`."""
     if depth > DEPTH_LIMIT:
         raise InputError(
             f"{text[:40]!r}... has more than {DEPTH_LIMIT} operations inside each other"
@@ -274,6 +275,7 @@ def _fold_node(
     functions: Mapping[str, Callable[..., Any]],
     number: Callable[..., Any],
 ) -> Any:
+    """Evaluate a node of a syntax tree in the algebra of `Expression.fold`."""
     if isinstance(node, ast.BinOp):
         left = _fold_node(node.left, names, functions, number)
         right = _fold_node(node.right, names, functions, number)

@@ -1,4 +1,4 @@
-"""The version of Kempe, and what is said where a pickle was written by another one."""
+"""The version of Kempe, and the message for pickles that another version wrote."""
 
 from __future__ import annotations
 
@@ -8,13 +8,11 @@ __version__ = "0.1.0"
 
 
 class NoSuchModule:
-    """The last finder of modules: names modules of the package that do not exist, as a pickle of
-    another version of Kempe may ask for them.
-    """
+    """Import finder that explains missing modules of Kempe, for pickles of other versions."""
 
     @staticmethod
     def find_spec(name: str, path: object = None, target: object = None) -> None:
-        """Nothing, for modules that are not of Kempe. Errors: `ModuleNotFoundError`."""
+        """Return None for modules outside Kempe. Errors: `ModuleNotFoundError` for those of Kempe."""
         if name.startswith("kempe.") and not name.rpartition(".")[2].startswith("_"):
             raise ModuleNotFoundError(
                 f"Kempe {__version__} has no module {name!r}; pickles are read by the version of "

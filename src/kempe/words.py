@@ -1,4 +1,4 @@
-"""Wording that all answers share, and answers as text, HTML and JSON."""
+"""Wording shared by all answers, and formatting as text, HTML and JSON."""
 
 from __future__ import annotations
 
@@ -30,9 +30,7 @@ PLURALS = {
 
 
 def make_plural(n: float, what: str) -> str:
-    """A noun for a number of things, perhaps with words before it: 'start', 'planar joints',
-    'bodies'.
-    """
+    """Return the noun in singular or plural for a count: 'start', 'planar joints', 'bodies'."""
     if n == 1:
         return what
     before, _, noun = what.rpartition(" ")
@@ -40,40 +38,40 @@ def make_plural(n: float, what: str) -> str:
 
 
 def format_count(n: int, what: str) -> str:
-    """A number of things in digits: '3 starts', '1 start', '2 bodies'."""
+    """Format a count with its noun: '3 starts', '1 start', '2 bodies'."""
     return f"{n} {make_plural(n, what)}"
 
 
 def choose_verb(n: int, one: str, more: str) -> str:
-    """The form of a verb for a number of things: ``choose_verb(n, "is", "are")``."""
+    """Choose the singular or plural form of a verb: ``choose_verb(n, "is", "are")``."""
     return one if n == 1 else more
 
 
 def format_share(good: int, n: int, what: str) -> str:
-    """How many of several: '2 of 3 targets reached', '1 of 1 target reached'; the first word of
-    `what` is a plural.
+    """Format a share: '2 of 3 targets reached', '1 of 1 target reached'. `what` begins with a
+    plural noun.
     """
     first, _, rest = what.partition(" ")
     return f"{good} of {n} {first.removesuffix('s') if n == 1 else first} {rest}".rstrip()
 
 
 def spell_count(n: int, what: str) -> str:
-    """A number of things with small numbers written out: 'two joints'."""
+    """Format a count with its noun, small numbers spelled out: 'two joints'."""
     return f"{SMALL[n] if n < len(SMALL) else n} {make_plural(n, what)}"
 
 
 def cut_lines(lines: list[str], most: int) -> list[str]:
-    """The first `most` lines, and how many more there are."""
+    """Return the first `most` lines and one that counts the rest."""
     return lines if len(lines) <= most else [*lines[:most], f"... and {len(lines) - most} more"]
 
 
 def join_first_words(words: Sequence[str], most: int) -> str:
-    """The first `most` words, and dots for more: 'a, b, ...'."""
+    """Join the first `most` words with commas, and dots for the others: 'a, b, ...'."""
     return ", ".join([*words[:most], *(["..."] if words[most:] else [])])
 
 
 def join_words(words: Sequence[str]) -> str:
-    """Words one after the other: 'a, b and c'; 'nothing' where there are none."""
+    """Join words as a list in a sentence: 'a, b and c'; 'nothing' for an empty list."""
     if not words:
         return "nothing"
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
@@ -85,8 +83,8 @@ def join_words(words: Sequence[str]) -> str:
 def format_topics(
     headline: str, topics: Iterable[tuple[str, Sequence[str]]], wide: int = 16, width: int = 0
 ) -> str:
-    """A report as text: the headline, and under it the lines of each (title, lines) that are not
-    empty.
+    """Format a report as text: the headline, then the lines of each (title, lines). Empty lines are
+    left out.
 
     Titles take `wide` columns; with a `width`, longer lines are broken.
     """
@@ -104,7 +102,7 @@ def format_topics(
 
 
 def format_fixed(x: float, decimals: int = 6) -> str:
-    """A number with fixed decimals, without negative zero."""
+    """Format a number with fixed decimals, without negative zero."""
     text = f"{x:.{decimals}f}"
     return text[1:] if text.startswith("-") and not text.strip("-0.") else text
 
@@ -112,7 +110,7 @@ def format_fixed(x: float, decimals: int = 6) -> str:
 def align_columns(
     heads: Sequence[str], columns: Sequence[Sequence[str]], right: Sequence[bool] = ()
 ) -> list[str]:
-    """Lines of columns of equal width under their heads, numbers on the `right`."""
+    """Format columns of equal width under their heads; columns marked in `right` are right-aligned."""
     full = [
         [head, *column] for head, column in zip(heads or [""] * len(columns), columns, strict=True)
     ]
@@ -127,7 +125,7 @@ def align_columns(
 
 
 def _escape_html(text: str) -> str:
-    """Text as HTML shows it as it is."""
+    """Escape text for HTML."""
     # sentences are made at start-up, and need no HTML; so with JSON and images below
     from html import escape
 
@@ -135,12 +133,12 @@ def _escape_html(text: str) -> str:
 
 
 def format_html_paragraphs(lines: Iterable[str]) -> str:
-    """Lines as paragraphs of HTML."""
+    """Format lines as paragraphs of HTML."""
     return "".join(f"<p>{_escape_html(line)}</p>" for line in lines)
 
 
 class InWords:
-    """Base of findings that are parts of results: a notebook shows their text."""
+    """Base of parts of results; notebooks show their text."""
 
     __slots__ = ()
 
@@ -149,7 +147,7 @@ class InWords:
 
 
 def format_html_image(figure: Any, said: str) -> str:
-    """A figure of matplotlib as an image of HTML, with words for those who do not see it."""
+    """Format a Matplotlib figure as an image of HTML with alternative text."""
     from base64 import b64encode
 
     data = io.BytesIO()
@@ -161,7 +159,7 @@ def format_html_image(figure: Any, said: str) -> str:
 
 
 def format_html_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table of HTML; empty without rows."""
+    """Format rows as a table of HTML; '' without rows."""
     body = "".join(
         f"<tr>{''.join(f'<td>{_escape_html(x)}</td>' for x in row)}</tr>" for row in rows
     )
@@ -170,7 +168,7 @@ def format_html_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> st
 
 
 def format_html_topics(topics: Iterable[tuple[str, Sequence[str]]]) -> str:
-    """The (title, lines) of a report as a table of HTML, without lines that are empty."""
+    """Format the (title, lines) of a report as a table of HTML, without empty lines."""
     rows = "".join(
         f"<tr><th style='text-align:left;vertical-align:top'>{_escape_html(title)}</th>"
         f"<td style='text-align:left'>{'<br>'.join(_escape_html(x) for x in lines if x)}</td></tr>"
@@ -183,7 +181,7 @@ _NUMBERS = re.compile(r"\[\n\s+(?:[-+.\deE]+|null)(?:,\n\s+(?:[-+.\deE]+|null))*
 
 
 def format_json(data: Any, ascii_only: bool = False) -> str:
-    """Data as indented JSON, with lists of numbers on one line."""
+    """Format data as indented JSON, with lists of numbers on one line."""
     import json
 
     text = json.dumps(data, indent=2, allow_nan=False, ensure_ascii=ascii_only)
@@ -196,48 +194,50 @@ DEGREE = math.pi / 180.0
 
 
 class Quantity(NamedTuple):
-    """A number, an interval (low, high), or an array, in a unit: radians are shown as degrees where
-    that is requested.
+    """A number, an interval (low, high), or an array, with its unit. Radians can be shown as
+    degrees.
     """
 
     value: Any
     unit: str = ""
 
     def convert_units(self, degrees: bool) -> Quantity:
-        """The same in the unit that is shown."""
+        """Return the quantity with radians converted to degrees if `degrees` is true."""
         if not degrees or self.unit != "rad":
             return self
         return Quantity(np.asarray(self.value, dtype=float) / DEGREE, "deg")
 
 
 class Quantities(NamedTuple):
-    """Quantities with a label each, in one cell of a table."""
+    """Labelled quantities in one cell of a table."""
 
     each: Sequence[tuple[str, Quantity]]
 
 
 class Unit(str):
-    """The unit of another entry of the data: 'deg' where that one is shown in degrees."""
+    """The unit of another entry of the data; 'rad' becomes 'deg' where degrees are shown."""
 
     def convert_units(self, degrees: bool) -> str:
-        """The unit that is shown."""
+        """Return the unit, 'deg' in place of 'rad' if `degrees` is true."""
         return "deg" if degrees and self == "rad" else str(self)
 
 
 class ByName(NamedTuple):
-    """Values (..., n) of coordinates by their names and units."""
+    """Values (..., n) of coordinates, with their names and units."""
 
     names: Sequence[str]
     units: Sequence[str]
     values: Any
 
     def convert_units(self, degrees: bool) -> Any:
-        """The values (..., n) in the units that are shown."""
+        """Return the values (..., n), angles converted to degrees if `degrees` is true."""
         angles = [degrees and unit == "rad" for unit in self.units]
         return np.asarray(self.values, dtype=float) / np.where(angles, DEGREE, 1.0)
 
     def to_dict(self, degrees: bool = False) -> Any:
-        """A dict by name, nested lists of these for several; None where all values are NaN."""
+        """Convert the values to a dict by name, several sets to nested lists of dicts. None if all
+        are NaN.
+        """
         return self._name_values(self.convert_units(degrees))
 
     def _name_values(self, values: Any) -> Any:
@@ -248,8 +248,8 @@ class ByName(NamedTuple):
 
 
 def to_json_data(values: Any, degrees: bool = False) -> Any:
-    """Values as JSON has them: arrays as nested lists of numbers, quantities without their unit, in
-    degrees or radians, None in place of NaN and infinities.
+    """Convert values to data for JSON: lists, numbers and None for NaN and infinity. Quantities
+    lose their unit.
     """
     if isinstance(values, dict):
         items = cast("dict[Any, Any]", values).items()
