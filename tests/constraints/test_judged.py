@@ -63,7 +63,7 @@ def test_each_kind(name, dim, hunt):
         np.testing.assert_allclose(there.errors, rows_, atol=1e-7)
         assert not there.holds.any()
     if rows and not equal:
-        beyond = pack_one_sided_rows(system).beyond(q, declared=True)
+        beyond = pack_one_sided_rows(system).compute_excess(q, declared=True)
         np.testing.assert_allclose(
             np.linalg.norm(there.errors[0], axis=-1), np.linalg.norm(beyond, axis=-1), atol=1e-9
         )

@@ -25,10 +25,10 @@ def check(of: c.Function, s: System, q: np.ndarray, atol: float = 1e-6) -> Whole
     """Its Jacobian by central differences on the manifold."""
     whole = Whole(s, of)
     for x in q:
-        J = whole.jacobian(x)
-        assert whole.values(x).shape == (whole.count,) and J.shape == (whole.count, s.nv)
+        J = whole.compute_jacobian(x)
+        assert whole.compute_values(x).shape == (whole.count,) and J.shape == (whole.count, s.nv)
         ends = [
-            [whole.values(s.configuration_space.integrate(x, h * e)) for h in (STEP, -STEP)]
+            [whole.compute_values(s.configuration_space.integrate(x, h * e)) for h in (STEP, -STEP)]
             for e in np.eye(s.nv)
         ]
         np.testing.assert_allclose(
@@ -46,7 +46,7 @@ def test_functions_of_q():
     q = s.random(10, 4)
     found = check(c.Function(analytic), s, q)
     assert found.how == "complex step"
-    assert check(c.Function(analytic, found.jacobian), s, q).how == "supplied"
+    assert check(c.Function(analytic, found.compute_jacobian), s, q).how == "supplied"
     for function in (
         lambda x: s.fk(x, "a")[:3, 3],  # refuses complex numbers
         lambda x: abs(x[0]) + np.conj(x[1]),  # takes them, but is not analytic
@@ -62,7 +62,7 @@ def test_differences_agree_with_exact_rows():
     closure = closure_of(s, "J")
     q = s.random(11)
     rough = Whole(s, c.Function(lambda x: closure.residual(s, x)))
-    np.testing.assert_allclose(rough.jacobian(q), closure.jacobian(s, q), atol=1e-8)
+    np.testing.assert_allclose(rough.compute_jacobian(q), closure.jacobian(s, q), atol=1e-8)
 
 
 @pytest.mark.parametrize("dim", [2, 3])
@@ -80,8 +80,8 @@ def test_functions_of_poses_have_the_derivatives_of_what_they_compute(dim):
     q = s.random(3, 5)
     judge = [c.Distance("b", "a", 0.7), c.RelativePosition("b", "a", [0.0] * dim)]
     for x in q:
-        values = mine.values(x)
-        J = mine.jacobian(x)
+        values = mine.compute_values(x)
+        J = mine.compute_jacobian(x)
         error = np.concatenate([np.atleast_1d(kempe.tasks.error(s, k, x)) for k in judge])
         rows = np.concatenate([kempe.tasks.jacobian(s, k, x) for k in judge])
         np.testing.assert_allclose(np.abs(values[0]), np.abs(error[0]), atol=1e-12)
@@ -118,7 +118,9 @@ def test_functions_of_poses_are_called_no_more_often_than_those_of_q():
         same = Whole(s, c.Function(of_q))
         by_poses.clear()
         by_q.clear()
-        np.testing.assert_allclose(mine.jacobian(q), same.jacobian(q), rtol=0, atol=1e-9)
+        np.testing.assert_allclose(
+            mine.compute_jacobian(q), same.compute_jacobian(q), rtol=0, atol=1e-9
+        )
         assert len(by_poses) == most <= len(by_q)
     X = np.eye(4)
     X[:3, :3] = np.diag([1, -1, -1])
@@ -171,7 +173,7 @@ def test_wrong_jacobians_are_refused():
     mine = lambda q: analytic(q)  # noqa: E731
     mine.__name__ = "mine"
     for broken, text in (
-        (lambda x: right.jacobian(x) + wrong, said),
+        (lambda x: right.compute_jacobian(x) + wrong, said),
         (lambda x: np.eye(2), r"shape \(2, 2\)"),
     ):
         with pytest.raises(InputError, match=text):

@@ -584,9 +584,11 @@ def test_targets_of_a_path_are_read_where_it_comes_to_them(looks, monkeypatch):
     """A path of many targets that ends early has not prepared them all."""
     s = kempe.load("panda")
     read = []
-    of = ik_tasks.Demands.of
+    of = ik_tasks.Demands.select_row
     X = s.fk(s.mid + np.linspace(0.0, 0.5, 900)[:, None], HAND)
-    monkeypatch.setattr(ik_tasks.Demands, "of", lambda self, i: read.append(i) or of(self, i))
+    monkeypatch.setattr(
+        ik_tasks.Demands, "select_row", lambda self, i: read.append(i) or of(self, i)
+    )
     looks(9)
     path = s.ik_path(X, HAND, s.mid, budget=kempe.Budget(time_limit=5.0))
     assert path.late and 0 < path.success.sum() < 100 and len(read) < 100

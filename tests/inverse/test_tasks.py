@@ -198,10 +198,10 @@ def cost_of(s: System, task: tasks.Task):
     velocities.
     """
     packed = Packed(s, [task])
-    pins = packed.pins([Task(s, task).goal()])
+    pins = packed.pack_pins([Task(s, task).make_goal()])
 
     def cost(q: np.ndarray) -> tuple[float, np.ndarray]:
-        e, J = packed.evaluate(q, pins)
+        e, J = packed.evaluate_tasks(q, pins)
         return 0.5 * float(e @ e), J.T @ e
 
     return cost
@@ -210,11 +210,11 @@ def cost_of(s: System, task: tasks.Task):
 def equal_to(s: System, task: tasks.Task, value: np.ndarray | None = None) -> dict:
     """The task, at a value, as a constraint for scipy."""
     packed = Packed(s, [task])
-    pins = packed.pins([Task(s, task).goal()])
+    pins = packed.pack_pins([Task(s, task).make_goal()])
     return {
         "type": "eq",
-        "fun": lambda q: packed.evaluate(q, pins)[0] - (0.0 if value is None else value),
-        "jac": lambda q: packed.evaluate(q, pins)[1],
+        "fun": lambda q: packed.evaluate_tasks(q, pins)[0] - (0.0 if value is None else value),
+        "jac": lambda q: packed.evaluate_tasks(q, pins)[1],
     }
 
 
@@ -264,7 +264,11 @@ def test_levels_are_optima_of_a_nested_optimisation(seed):
     for task in (point, elbow):
         packed = Packed(s, [task])
         held.append(
-            equal_to(s, task, packed.evaluate(answer.q, packed.pins([Task(s, task).goal()]))[0])
+            equal_to(
+                s,
+                task,
+                packed.evaluate_tasks(answer.q, packed.pack_pins([Task(s, task).make_goal()]))[0],
+            )
         )
     lowest = least(c, s, answer.q, held)
     assert c(answer.q)[0] == pytest.approx(lowest, abs=1e-5)

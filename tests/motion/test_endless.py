@@ -323,14 +323,16 @@ def test_points_at_equal_distances_are_those_of_newtons_method_point_by_point(na
         k = int(np.clip(np.searchsorted(T.s, s, side="right") - 1, 0, len(T.s) - 2))
         size = T.s[k + 1] - T.s[k]
         u = (s - T.s[k]) / size
-        y = e.between(T.q[k], T.q[k + 1])
+        y = e.compute_difference(T.q[k], T.q[k + 1])
         a = size * T.t[k]
         b = size * T.t[k + 1]
-        x = e.move(T.q[k], u * (1 - u) ** 2 * a + u * u * (3 - 2 * u) * y - u * u * (1 - u) * b)
+        x = e.move_point(
+            T.q[k], u * (1 - u) ** 2 * a + u * u * (3 - 2 * u) * y - u * u * (1 - u) * b
+        )
         for _ in range(3):
-            F, J = e.both(x)
+            F, J = e.evaluate_equations(x)
             across = (1 - u) * T.t[k] + u * T.t[k + 1]
-            x = e.move(x, solve_least_squares(np.vstack([J, across]), np.append(-F, 0.0)))
+            x = e.move_point(x, solve_least_squares(np.vstack([J, across]), np.append(-F, 0.0)))
         np.testing.assert_allclose(q, x if 0.0 < u < 1.0 else T.q[k + (u >= 1.0)], atol=1e-12)
 
 

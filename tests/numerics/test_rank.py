@@ -29,8 +29,8 @@ def test_levels_are_ordered_and_each_counts_what_is_above_it():
     rng = np.random.default_rng(0)
     values = [3.0, *(3.0 * level * factor for level in LEVELS for factor in (0.3, 3.0))]
     spectrum = Spectrum(matrix(rng, 12, 10, values))
-    assert [spectrum.rank(level) for level in LEVELS] == [8, 6, 4, 2]
-    np.testing.assert_allclose(spectrum.gap(Level.ROUGH), 10.0, rtol=1e-9)
+    assert [spectrum.compute_rank(level) for level in LEVELS] == [8, 6, 4, 2]
+    np.testing.assert_allclose(spectrum.compute_rank_gap(Level.ROUGH), 10.0, rtol=1e-9)
 
 
 @pytest.mark.parametrize("shape", [(4, 7), (7, 4), (5, 5), (1, 3), (3, 1)])
@@ -43,10 +43,15 @@ def test_spaces_and_solutions_follow_from_a_rank(shape, hunt):
         A = matrix(rng, m, n, rng.uniform(0.1, 3.0, size=r)) if r else np.zeros(shape)
         A = A + 1e-15 * rng.normal(size=shape)
         spectrum = Spectrum(A, 1.0)
-        assert spectrum.rank(Level.ROUNDING) == r
+        assert spectrum.compute_rank(Level.ROUNDING) == r
         null, left, columns, rows = (
             part(Level.ROUNDING)
-            for part in (spectrum.null, spectrum.left_null, spectrum.range, spectrum.row_space)
+            for part in (
+                spectrum.compute_null_space,
+                spectrum.compute_left_null_space,
+                spectrum.compute_column_space,
+                spectrum.compute_row_space,
+            )
         )
         for basis, size in (
             (null, (n, n - r)),
@@ -63,12 +68,16 @@ def test_spaces_and_solutions_follow_from_a_rank(shape, hunt):
         clean = A if r else np.zeros(shape)
         b = rng.normal(size=(m, 2))
         expected = np.linalg.lstsq(clean, b, rcond=1e-12)[0]
-        np.testing.assert_allclose(spectrum.solve(b, Level.ROUNDING), expected, atol=1e-11)
         np.testing.assert_allclose(
-            spectrum.solve(b[:, 0], Level.ROUNDING), expected[:, 0], atol=1e-11
+            spectrum.solve_least_squares(b, Level.ROUNDING), expected, atol=1e-11
         )
         np.testing.assert_allclose(
-            spectrum.inverse(Level.ROUNDING), np.linalg.pinv(clean, rcond=1e-12), atol=1e-11
+            spectrum.solve_least_squares(b[:, 0], Level.ROUNDING), expected[:, 0], atol=1e-11
+        )
+        np.testing.assert_allclose(
+            spectrum.compute_pseudo_inverse(Level.ROUNDING),
+            np.linalg.pinv(clean, rcond=1e-12),
+            atol=1e-11,
         )
 
 
@@ -79,20 +88,22 @@ def test_ranks_of_batches_are_those_of_each(hunt):
     spectrum = Spectrum(A)
     for index in np.ndindex(3, 4):
         one = Spectrum(A[index])
-        assert spectrum.ranks(Level.CLOSED)[index] == one.rank(Level.CLOSED)
+        assert spectrum.compute_ranks(Level.CLOSED)[index] == one.compute_rank(Level.CLOSED)
         np.testing.assert_allclose(
-            spectrum.inverse(Level.CLOSED)[index], one.inverse(Level.CLOSED), atol=1e-13
+            spectrum.compute_pseudo_inverse(Level.CLOSED)[index],
+            one.compute_pseudo_inverse(Level.CLOSED),
+            atol=1e-13,
         )
-    assert Spectrum(np.zeros((0, 3, 3))).ranks(Level.CLOSED).shape == (0,)
+    assert Spectrum(np.zeros((0, 3, 3))).compute_ranks(Level.CLOSED).shape == (0,)
 
 
 def test_matrices_without_rows_columns_or_entries():
-    assert Spectrum(np.zeros((0, 3))).null(Level.CLOSED).shape == (3, 3)
-    assert Spectrum(np.zeros((3, 0))).range(Level.CLOSED).shape == (3, 0)
-    assert Spectrum(np.zeros((2, 3))).rank(Level.CLOSED) == 0
-    assert Spectrum(np.zeros((2, 3))).null(Level.CLOSED).shape == (3, 3)
-    assert Spectrum(np.full((2, 3), 1e-16), 1.0).rank(Level.CLOSED) == 0
-    assert Spectrum(np.full((2, 3), 1e-16)).rank(Level.CLOSED) == 1
+    assert Spectrum(np.zeros((0, 3))).compute_null_space(Level.CLOSED).shape == (3, 3)
+    assert Spectrum(np.zeros((3, 0))).compute_column_space(Level.CLOSED).shape == (3, 0)
+    assert Spectrum(np.zeros((2, 3))).compute_rank(Level.CLOSED) == 0
+    assert Spectrum(np.zeros((2, 3))).compute_null_space(Level.CLOSED).shape == (3, 3)
+    assert Spectrum(np.full((2, 3), 1e-16), 1.0).compute_rank(Level.CLOSED) == 0
+    assert Spectrum(np.full((2, 3), 1e-16)).compute_rank(Level.CLOSED) == 1
 
 
 def test_the_rank_of_integer_matrices_is_that_of_exact_arithmetic(hunt):
@@ -102,8 +113,10 @@ def test_the_rank_of_integer_matrices_is_that_of_exact_arithmetic(hunt):
         A = rng.integers(-3, 4, size=(m, r)) @ rng.integers(-3, 4, size=(r, n))
         exact = sympy.Matrix(A.tolist())
         spectrum = Spectrum(A.astype(float), 1.0)
-        assert spectrum.rank(Level.ROUNDING) == spectrum.clear_rank()[0] == exact.rank()
-        null = spectrum.null(Level.ROUNDING)
+        assert (
+            spectrum.compute_rank(Level.ROUNDING) == spectrum.find_clear_rank()[0] == exact.rank()
+        )
+        null = spectrum.compute_null_space(Level.ROUNDING)
         for v in exact.nullspace():
             x = np.array(v, dtype=float).ravel()
             np.testing.assert_allclose(null @ (null.T @ x), x, atol=1e-10 * np.linalg.norm(x))
@@ -124,7 +137,7 @@ def test_the_nearest_orthogonal_matrices_and_rotations(hunt):
 
 
 def clear_rank(*values, size=0.0):
-    return Spectrum(np.diag(values), size).clear_rank()
+    return Spectrum(np.diag(values), size).find_clear_rank()
 
 
 def test_the_rank_is_decided_at_the_gap():
@@ -135,7 +148,9 @@ def test_the_rank_is_decided_at_the_gap():
     rank, gap = clear_rank(1.0, 1e-5, 1e-7)
     assert rank == 1 and gap > 1e3
     assert clear_rank(2.0, 1.0) == (2, pytest.approx(0.5 / 1e-15))
-    assert clear_rank(0.0, 0.0, 0.0)[0] == 0 and Spectrum(np.zeros((0, 0))).clear_rank()[0] == 0
+    assert (
+        clear_rank(0.0, 0.0, 0.0)[0] == 0 and Spectrum(np.zeros((0, 0))).find_clear_rank()[0] == 0
+    )
     rank, gap = clear_rank(1.0, 1e-2, 3e-5, 2e-5, 5e-7)
     assert gap < 1e3  # said to be doubtful
     assert clear_rank(1e-16, size=1.0)[0] == 0 and clear_rank(1e-16)[0] == 1

@@ -32,7 +32,7 @@ class Implicit(Curve):
         self.n = n
         self.f = f
 
-    def both(self, x):
+    def evaluate_equations(self, x):
         F, J = self.f(x)
         more = max(self.n - len(F), 0)
         return np.append(F, np.zeros(more)), np.append(J, np.zeros((more, self.n)), axis=0)

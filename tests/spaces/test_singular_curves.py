@@ -321,7 +321,7 @@ def test_a_curve_that_is_broken_off_is_kept_as_far_as_it_was_followed(monkeypatc
             raise TimeUp
 
     found = arm_of((0.5, 0.4)).singularities("tip", "position", budget=Budget(starts=8))
-    monkeypatch.setattr(TimeLimit, "check", check)
+    monkeypatch.setattr(TimeLimit, "check_time", check)
     (curve,) = curves = found.curves(budget=Budget(time_limit=100.0))
     assert curves.code is Status.OUT_OF_TIME and not curve.closed
     assert 3 <= len(curve) and np.ptp(np.hypot(*curve.p.T[:2])) < 1e-9

@@ -76,7 +76,7 @@ class HeldCoordinate(NamedTuple):
     turns: bool
     value: Any
 
-    def measure(self, q: Array, goal: Any, poses: Any) -> tuple[Array, Array]:
+    def measure_error(self, q: Array, goal: Any, poses: Any) -> tuple[Array, Array]:
         """How far (...) configurations q (..., nq) miss it, in metres and in radians."""
         off = np.abs(q[..., self.place] - self.value)
         return (np.zeros_like(off), off) if self.turns else (off, np.zeros_like(off))

@@ -146,7 +146,11 @@ def _make_time_limit(budget: Budget | None) -> TimeLimit:
 
 def _reduce_budget(budget: Budget | None, time: TimeLimit) -> Budget | None:
     """The budget with what is left of the time."""
-    return budget if time.limit is None else replace(budget or Budget(), time_limit=time.left)
+    return (
+        budget
+        if time.limit is None
+        else replace(budget or Budget(), time_limit=time.remaining_seconds)
+    )
 
 
 def _make_late_answer(assembler: Assembler, problem: Problem) -> Assembly:

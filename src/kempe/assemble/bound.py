@@ -218,7 +218,7 @@ class OneSidedAssembly:
                 q[i:j],
                 info[i:j],
             )
-            if error := get_clock().taken():
+            if error := get_clock().take_error():
                 raise error
             return left
 
@@ -486,7 +486,7 @@ class Assembler:
             )
             if first:
                 info[i:j, 1] += before
-            if stop and (error := get_clock().taken()):
+            if stop and (error := get_clock().take_error()):
                 raise error
             return left
 
@@ -1143,7 +1143,7 @@ class LocalStarts:
             residual,
             info,
         )
-        if error := get_clock().taken():
+        if error := get_clock().take_error():
             raise error
         loops.raise_function_error()
         return q[0], float(residual[0]), info[0]

@@ -201,7 +201,7 @@ def _describe_largest_violation(bound: Assembler, q: Array, missed: float) -> st
         text += f" stays open by {apart:.6g} m" + (
             f" and {turned:.3g} rad" if turned > 1e-9 else ""
         )
-    for v in bound.one_sided.violations(q) if bound.one_sided is not None else ():
+    for v in bound.one_sided.list_violations(q) if bound.one_sided is not None else ():
         if v.size > worst:
             text = f"the one-sided constraint {v.name!r} is violated by {v.amount}"
             worst = v.size
@@ -222,7 +222,7 @@ def _find_one_sided_evidence(bound: Assembler, q: Array) -> Evidence | None:
         else None
     )
     violated = (
-        [v.text for v in bound.one_sided.violations(answer.q)]
+        [v.text for v in bound.one_sided.list_violations(answer.q)]
         if answer is not None and answer.success
         else []
     )

@@ -90,7 +90,7 @@ class Valley:
         system = self.system
 
         def compute_step(f: Array, J: Array) -> Array:
-            U, s, Vt = Spectrum(J).thin
+            U, s, Vt = Spectrum(J).thin_decomposition
             part = np.einsum("kmr,km->kr", U[..., :r], f) / np.maximum(s[..., :r], TINY)
             return -np.einsum("krn,kr->kn", Vt[..., :r, :], part)
 
@@ -321,7 +321,7 @@ def _solve_changes(
     before = [np.inf] * PATIENCE
     left = np.inf
     for k in range(ROUNDS):
-        time.check()
+        time.check_time()
         valley = Valley(shape.system, rank, shape.bind_equations(p))
         q = valley.converge_to_valley(q, 4)
         F, J = valley.equations(q)
@@ -343,7 +343,7 @@ def _solve_changes(
         g = np.concatenate([*(np.swapaxes(U, -1, -2) @ F[..., None])[..., 0], h])
         if not U.size:  # no equation too many
             return p, q, np.inf
-        L, s, Rt = Spectrum(G).thin
+        L, s, Rt = Spectrum(G).thin_decomposition
         least = LEAST if damped and left < LITTLE and k < SOON else LATE
         damping = max(least, damped * left) * max(float(s[0]), TINY)
         p = p - Rt.T @ (s * (L.T @ g) / (s * s + damping * damping))
@@ -352,7 +352,7 @@ def _solve_changes(
 
 def keeps_rank(valley: Valley, q: Array) -> bool:
     """Whether the equations have no more than their rank at all configurations q (N, nq)."""
-    return not np.any(valley.compute_spectrum(q).ranks(ZERO) > valley.rank)
+    return not np.any(valley.compute_spectrum(q).compute_ranks(ZERO) > valley.rank)
 
 
 def closes_along_valley(valley: Valley, q: Array) -> bool:

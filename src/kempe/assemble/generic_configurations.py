@@ -90,7 +90,7 @@ def find_closed_configuration(system: Model) -> NearestClosed:
         if "closed" in system.structure.posture_names
         else compute_mid_configuration(system),
     )
-    if at.closed and not pack_one_sided_rows(system).beyond(at.q, declared=True).any():
+    if at.closed and not pack_one_sided_rows(system).compute_excess(at.q, declared=True).any():
         return at
     from kempe.assemble.assemble import assemble
 

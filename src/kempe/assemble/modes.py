@@ -152,7 +152,7 @@ def _find_ground_plane(system: Model) -> tuple[Array, Array] | None:
     center = points.mean(axis=0)
     spectrum = Spectrum((points - center)[:, :dim], compute_characteristic_length(system))
     normal = spectrum.right[-1]
-    if spectrum.rank(Level.GENERIC) == dim:
+    if spectrum.compute_rank(Level.GENERIC) == dim:
         return None
     return center, np.append(normal, np.zeros(3 - dim))
 
@@ -400,7 +400,7 @@ def search_modes(
         before = s.copy_search()
         try:
             with budget:
-                budget.check()
+                budget.check_time()
                 done = _search_one_round(s, starts)
             before = s  # the round is done
             if progress is not None:
@@ -499,7 +499,7 @@ def count_freedoms(
     if not len(q):
         return out
     J = evaluate_constraints(system, q, True, True)[1][..., free]
-    ranks = Spectrum(J, 1.0).ranks(Level.CLOSED)
+    ranks = Spectrum(J, 1.0).compute_ranks(Level.CLOSED)
     owner: list[int] = []
     kicks: list[Array] = []
     sizes: list[float] = []
@@ -545,7 +545,7 @@ def _find_moving_directions(
     J = np.concatenate([jacobian(system, q, f)[:, free] * scale for f in clusters.frames])
     J.reshape(-1, 6, len(free))[:, :3] /= clusters.metric.length
     spectrum = Spectrum(J @ null_space.T, 1.0)
-    moving = spectrum.row_space(Level.GENERIC).T
+    moving = spectrum.compute_row_space(Level.GENERIC).T
     return moving @ null_space, spectrum.values[: len(moving)]
 
 
@@ -583,7 +583,7 @@ def has_even_count(s: ModesSearch) -> bool:
         or not all(_is_rigid_spin(s, f) for f in s.spins)
     ):
         return False
-    if np.any(Spectrum(J).ranks(Level.ROUGH) < J.shape[1]):
+    if np.any(Spectrum(J).compute_ranks(Level.ROUGH) < J.shape[1]):
         return False
     return all(
         metric.period[i] > 0.0 or _is_quaternion_velocity(system, i) or _is_tied_particle(system, i)
@@ -801,7 +801,7 @@ def _make_late_answer(
 ) -> Modes:
     """The answer where the time was up before any mode was looked for."""
     none = np.zeros(0, dtype=np.int64)
-    said = f"none is known: {time.reason(TimeUp())} came first"
+    said = f"none is known: {time.describe_end_reason(TimeUp())} came first"
     problem = Problem(system, "all", dict(known or {}), None, limits=bool(limits))
     return replace(
         _make_answer(problem, np.empty((0, system.nq)), said, [], none, none, False), late=True
@@ -1133,12 +1133,12 @@ def _make_answer(
     left_out = 0
     keep = np.flatnonzero(inside) if question.limits else np.arange(len(q))
     if bounds.declared:
-        beyond = bounds.beyond(q, declared=True) > 0.0
+        beyond = bounds.compute_excess(q, declared=True) > 0.0
         holds = np.logical_not(beyond.any(axis=1))
         inside = inside & holds
         left_out = int(np.sum(~holds))
         keep = keep[holds[keep]]
-        status += bounds.left_out(beyond)
+        status += bounds.describe_omitted_configurations(beyond)
     if question.start is not None:
         keep = keep[
             np.argsort(get_metric(system).compute_distances(q[keep], question.start), kind="stable")

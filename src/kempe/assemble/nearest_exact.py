@@ -504,7 +504,7 @@ def _try_starts(
     to something.
     """
     for rank, q in starts:
-        time.check()
+        time.check_time()
         found = _idealise_with_rank(system, rank, q, most, scaled, thorough, time)
         if found is not None:
             return found

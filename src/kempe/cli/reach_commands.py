@@ -108,7 +108,7 @@ def run_singularities(
     def draw_curves() -> tuple[Axes, ...]:
         from kempe.views.singular_plot import curves_shown, plot_singularities
 
-        with _make_budget(None, None, time.left, "configurations of curves") as budget:
+        with _make_budget(None, None, time.remaining_seconds, "configurations of curves") as budget:
             curves = call_until_interrupt(curves_shown, answer, budget)
         if curves is not None and curves.broken:
             broken.append(curves.status)

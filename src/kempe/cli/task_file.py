@@ -143,8 +143,8 @@ class _TaskReader:
         try:
             made = kind(**given)
             task = Task(self.system, made)
-            task.structure()
-            task.goal()
+            task.make_structure_key()
+            task.make_goal()
         except (InputError, UnknownNameError) as error:
             about = [k for k in given if re.search(rf"\b{k}\b", str(error))]
             if isinstance(error, UnknownNameError):

@@ -37,7 +37,7 @@ class Further(Protocol):
         """Number of these further equations."""
         ...
 
-    def write(
+    def write_equations(
         self, equations: Closure, x: Array, F: Array, J: Array, at: int, with_matrix: bool
     ) -> None:
         """Write the residuals of these equations into F (rows,) and their derivatives into J (rows,
@@ -99,32 +99,32 @@ class Closure(Curve):
         self.real = len(self.weight) + len(self.held) + sum(m.count for m in self.more)
         self.rows = max(self.real, self.n)
 
-    def add(self, further: Further) -> None:
+    def add_equations(self, further: Further) -> None:
         """Add further equations to those that hold."""
         self.more = (*self.more, further)
         self._count_rows()
 
-    def leave_out(self, further: Further) -> None:
+    def remove_equations(self, further: Further) -> None:
         """Take out further equations that `add` has added."""
         self.more = tuple(m for m in self.more if m is not further)
         self._count_rows()
 
-    def values(self, x: Array) -> Array:
+    def compute_residuals(self, x: Array) -> Array:
         """Residuals (rows,) of all equations at the point `x`."""
-        return self.both(x, False)[0]
+        return self.evaluate_equations(x, False)[0]
 
-    def both(
+    def evaluate_equations(
         self, x: Array, with_matrix: bool = True, further: int | None = None
     ) -> tuple[Array, Array]:
         """`values` and `matrix` in one pass; the latter is all zero unless requested. Of further
         equations only the first so many are written, where their number is given.
         """
-        self.budget.check()
+        self.budget.check_time()
         F = np.zeros(self.rows)
         J = np.zeros((self.rows, self.n))
         m = len(self.weight)
         if m:
-            F[:m], columns = self.loops(x, with_matrix)
+            F[:m], columns = self.evaluate_loops(x, with_matrix)
             if with_matrix:
                 J[:m] = columns
         if self.held:
@@ -136,7 +136,7 @@ class Closure(Curve):
             self._write_further_equations(x, F, J, with_matrix, further)
         return F, J
 
-    def loops(self, x: Array, with_matrix: bool = True) -> tuple[Array, Array]:
+    def evaluate_loops(self, x: Array, with_matrix: bool = True) -> tuple[Array, Array]:
         """The residuals (m,) of the loops alone at the point `x`, and their matrix (m, n), empty
         unless requested.
         """
@@ -146,11 +146,11 @@ class Closure(Curve):
             columns *= self.unit
         return self.weight * values, columns
 
-    def many(self, x: Array, with_matrix: bool = True) -> tuple[Array, Array]:
+    def evaluate_many_points(self, x: Array, with_matrix: bool = True) -> tuple[Array, Array]:
         """`both` of many points (k, nq): (k, rows) and (k, rows, n); the latter has no rows unless
         requested.
         """
-        self.budget.check()
+        self.budget.check_time()
         k = len(x)
         m = len(self.weight)
         F = np.zeros((k, self.rows))
@@ -176,22 +176,22 @@ class Closure(Curve):
         """Write residuals and derivatives of the further equations, the first `most` of them."""
         at = len(self.weight) + len(self.held)
         for more in self.more[:most]:
-            more.write(self, x, F, J, at, with_matrix)
+            more.write_equations(self, x, F, J, at, with_matrix)
             at += more.count
 
-    def tolerance(self, x: Array) -> float:
+    def compute_tolerance(self, x: Array) -> float:
         """Residual below which the equations hold at `x`: angles of many turns are known less well."""
         return self.closed * (1.0 + 0.01 * float(np.abs(x).max(initial=0.0))) + self.rounding
 
-    def move(self, x: Array, y: Array) -> Array:
+    def move_point(self, x: Array, y: Array) -> Array:
         """The point reached from `x` by the tangent vector `y` (n,)."""
         return self.system.structure.layout.integrate_velocity(x, y * self.unit)
 
-    def between(self, x: Array, other: Array) -> Array:
+    def compute_difference(self, x: Array, other: Array) -> Array:
         """The tangent vector (n,) from `x` to `other`, turns as many as they are."""
         return self.system.structure.layout.compute_difference(x, other) / self.unit
 
-    def index(self, names: Sequence[str]) -> list[int]:
+    def find_coordinate_indices(self, names: Sequence[str]) -> list[int]:
         """Indices, among the velocity coordinates, of angles and prismatic coordinates given by
         name.
         """
@@ -216,18 +216,18 @@ class DrivenClosure(Closure):
         self.n = closure.n + 1
         self.rows = max(self.real + len(self.inputs), self.n)
 
-    def at(self, length: float) -> Array:
+    def compute_input_values(self, length: float) -> Array:
         """Values of the inputs, in radians and metres, at a length of their line."""
         return self.origin + self.unit[self.inputs] * self.direction * length
 
-    def both(
+    def evaluate_equations(
         self, x: Array, with_matrix: bool = True, further: int | None = None
     ) -> tuple[Array, Array]:
         """`values` and `matrix` in one pass; the latter is all zero unless requested."""
         F = np.zeros(self.rows)
         J = np.zeros((self.rows, self.n))
         k = self.real
-        inner, columns = self.base.both(x[:-1], with_matrix, further)
+        inner, columns = self.base.evaluate_equations(x[:-1], with_matrix, further)
         F[:k] = inner[:k]
         J[:k, :-1] = columns[:k]
         at = x[self.place[self.inputs]]
@@ -238,18 +238,24 @@ class DrivenClosure(Closure):
         J[place, -1] = -self.direction
         return F, J
 
-    def move(self, x: Array, y: Array) -> Array:
+    def move_point(self, x: Array, y: Array) -> Array:
         """The point reached from `x` by the tangent vector `y` (n,)."""
-        return np.append(self.base.move(x[:-1], y[:-1]), x[-1] + y[-1])
+        return np.append(self.base.move_point(x[:-1], y[:-1]), x[-1] + y[-1])
 
-    def between(self, x: Array, other: Array) -> Array:
+    def compute_difference(self, x: Array, other: Array) -> Array:
         """The tangent vector (n,) from `x` to `other`."""
-        return np.append(self.base.between(x[:-1], other[:-1]), other[-1] - x[-1])
+        return np.append(self.base.compute_difference(x[:-1], other[:-1]), other[-1] - x[-1])
 
 
 def close_loops(equations: Closure, x: Array, tries: int = 60) -> Array | None:
     """The configuration with closed loops near `x`, by steps of least size, or None."""
     found = run_gauss_newton(
-        equations.both, x, tries, level=BLUNT, met=1e-15, longest=0.5, move=equations.move
+        equations.evaluate_equations,
+        x,
+        tries,
+        level=BLUNT,
+        met=1e-15,
+        longest=0.5,
+        move=equations.move_point,
     )
-    return found.x if found.size < equations.tolerance(found.x) else None
+    return found.x if found.size < equations.compute_tolerance(found.x) else None

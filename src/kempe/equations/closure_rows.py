@@ -173,4 +173,4 @@ def count_remaining_freedoms(system: Model, q: Array, held: frozenset[str] = fro
     system, q, _ = make_regular_chart(system, q, held)
     free = [i for i, n in enumerate(system.structure.velocity_names) if n not in held]
     J = evaluate_constraints(system, q, True, True)[1][:, free]
-    return len(free) - Spectrum(J, 1.0).rank(Level.CLOSED)
+    return len(free) - Spectrum(J, 1.0).compute_rank(Level.CLOSED)

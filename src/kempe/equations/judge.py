@@ -340,7 +340,7 @@ def _evaluate_function_row(
             if n not in known or n in made.coordinate_names
         }
         return what.evaluate_outputs({**known, **own})[..., k]
-    whole = getattr(what, "at", None)  # a function of the whole configuration
+    whole = getattr(what, "compute_row_values", None)  # a function of the whole configuration
     own = {n: compute_coordinate_value(system, q, n) for n in made.coordinate_names}
     out = np.empty(q.shape[:-1])
     if TIME in known:
@@ -391,13 +391,13 @@ class Poses:
         for body, parent, name, back in zip(
             tree.bodies[1:], tree.parent, tree.parent_joints, tree.reversed_, strict=True
         ):
-            F, M = self.frames(self.mechanism.joints[name])
+            F, M = self.compute_joint_frames(self.mechanism.joints[name])
             X = F @ spatial.inverse(M)
             self.bodies[body] = self.bodies[tree.bodies[parent]] @ (
                 spatial.inverse(X) if back else X
             )
 
-    def frames(self, joint: Joint) -> tuple[Array, Array]:
+    def compute_joint_frames(self, joint: Joint) -> tuple[Array, Array]:
         """Frame M (..., 4, 4) of a joint on its parent body, where its coordinates put it, and (4,
         4) on its child.
         """
@@ -421,11 +421,11 @@ class Poses:
             return self.bodies[name]
         return self.bodies[frame.body] @ compute_frame_placement(self.system, name)
 
-    def joint(self, joint: Joint) -> tuple[Array, Array]:
+    def measure_joint_gap(self, joint: Joint) -> tuple[Array, Array]:
         """Gap (...) of a cut joint, in metres and radians: (distance, angle); the angle is 0 for a
         particle.
         """
-        F, M = self.frames(joint)
+        F, M = self.compute_joint_frames(joint)
         A = self.bodies[joint.parent] @ F
         B = self.bodies[joint.child] @ M
         size = compute_lengths(B[..., :3, 3] - A[..., :3, 3])
@@ -433,7 +433,7 @@ class Poses:
             return size, np.zeros_like(size)
         return size, compute_angle_between(A[..., :3, :3], B[..., :3, :3])
 
-    def declared(self, declared: Declared) -> tuple[Array, Array]:
+    def measure_constraint(self, declared: Declared) -> tuple[Array, Array]:
         """Errors (...) of the position rows of a declared constraint, in metres and in radians."""
         m = self.mechanism
         dim = self.system.dim
@@ -454,7 +454,9 @@ class Poses:
             t=self.t,
         )
 
-    def relation(self, of: str, sources: dict[str, float], offset: float) -> tuple[Array, Array]:
+    def measure_relation(
+        self, of: str, sources: dict[str, float], offset: float
+    ) -> tuple[Array, Array]:
         """Error (...) of a relation of several coordinates, relative to its largest factor."""
         off = compute_coordinate_value(self.system, self.q, of) - offset
         for name, factor in sources.items():
@@ -474,7 +476,7 @@ class MeasuredTask(Protocol):
 
     label: str
 
-    def measure(
+    def measure_error(
         self, q: Array, goal: Any = None, poses: Callable[[Any], Array] | None = None
     ) -> tuple[Array, Array]:
         """Errors (...) of the task at q (..., nq), in metres and radians; `poses` gives those of
@@ -573,9 +575,15 @@ def judge_configurations(
         system = closing
         at = Poses(closing, q, t)
     m = at.mechanism
-    found = [(name, at.joint(m.joints[name])) for name in system.structure.closures]
-    found += [(c.name, at.declared(c)) for c in m.constraints.values() if c.positions(system.dim)]
-    found += [(r.of, at.relation(r.of, r.sources, r.offset)) for r in system.structure.relations]
+    found = [(name, at.measure_joint_gap(m.joints[name])) for name in system.structure.closures]
+    found += [
+        (c.name, at.measure_constraint(c))
+        for c in m.constraints.values()
+        if c.positions(system.dim)
+    ]
+    found += [
+        (r.of, at.measure_relation(r.of, r.sources, r.offset)) for r in system.structure.relations
+    ]
     far = max(
         (float(np.abs(X[..., :3, 3]).max(initial=0.0)) for X in at.bodies.values()), default=0.0
     )
@@ -587,7 +595,7 @@ def judge_configurations(
     lead = (*q.shape[:-1], 2)
     allowed = [np.broadcast_to(within, lead) for _ in found]
     for task, goal, most in requested:
-        found.append((task.label, task.measure(q, goal, drawn)))
+        found.append((task.label, task.measure_error(q, goal, drawn)))
         allowed.append(
             np.broadcast_to(np.asarray(most) * (1.0 + 1e-3) + ROUNDING * np.array([far, 1.0]), lead)
         )

@@ -87,7 +87,7 @@ class OneSided:
         )
 
     @cached_property
-    def well_inside(self) -> tuple[Array, Array]:
+    def inner_bounds(self) -> tuple[Array, Array]:
         """Bounds (low, high) of the rows, each `CLOSED` farther inside than their own."""
         return self.low + CLOSED / self.scale, self.high - CLOSED / self.scale
 
@@ -97,19 +97,19 @@ class OneSided:
         bounds = np.where(np.isfinite([self.low, self.high]), np.abs([self.low, self.high]), 0.0)
         return ROUNDING * (1.0 + bounds.max(axis=0, initial=0.0))
 
-    def values(self, q: Any, declared: bool = False) -> Array:
+    def compute_values(self, q: Any, declared: bool = False) -> Array:
         """The rows' values (..., k) at q (..., nq), in their units; only those that are `declared`,
         if so requested.
         """
         return self._evaluate_rows(q, False, declared)[0]
 
-    def rates(self, q: Any, declared: bool = False) -> tuple[Array, Array]:
+    def compute_rates(self, q: Any, declared: bool = False) -> tuple[Array, Array]:
         """Values (..., k), and rates (..., k, nv) of the scaled values by the scaled velocities, at
         q (..., nq).
         """
         return self._evaluate_rows(q, True, declared)
 
-    def beyond(self, q: Any, declared: bool = False) -> Array:
+    def compute_excess(self, q: Any, declared: bool = False) -> Array:
         """How far (..., k) the rows are outside their bounds at q (..., nq), in their units; 0
         where they hold.
 
@@ -120,29 +120,29 @@ class OneSided:
         out = np.maximum(np.maximum(self.low[:k] - x, x - self.high[:k]), 0.0)
         return np.where(out <= self.slack[:k], 0.0, out)
 
-    def violated(self, q: Array, allowed: Array) -> tuple[Array, Array]:
+    def find_violated_rows(self, q: Array, allowed: Array) -> tuple[Array, Array]:
         """How far (m,) the declared rows that are violated at q (nq,) are outside, by more than
         `allowed`, and rates.
 
         Both as `rates` has them, positive above an upper end.
         """
         k = self.declared
-        x, J = self.rates(q, declared=True)
+        x, J = self.compute_rates(q, declared=True)
         off = np.minimum(x - self.low[:k] + allowed, 0.0) + np.maximum(
             x - self.high[:k] - allowed, 0.0
         )
         out = np.flatnonzero(off)
         return (self.scale[:k] * off)[out], J[out]
 
-    def violations(self, q: Array) -> list[Violation]:
+    def list_violations(self, q: Array) -> list[Violation]:
         """The violations of declared rows at q (nq,)."""
-        far = self.beyond(q, declared=True)
+        far = self.compute_excess(q, declared=True)
         return [
             Violation(self.names[k], float(far[k]), self.units[k], float(far[k] * self.scale[k]))
             for k in np.flatnonzero(far)
         ]
 
-    def left_out(self, beyond: np.ndarray) -> str:
+    def describe_omitted_configurations(self, beyond: np.ndarray) -> str:
         """Sentence on configurations left out because they violate rows; `beyond` (n, k) is by how
         much.
         """
@@ -180,7 +180,7 @@ class OneSided:
                 J[:, np.arange(n, k), self.moved] = 1.0
         return values.reshape(*lead, k), J.reshape(*lead, k, nv) if rates else J
 
-    def side(self, k: int, upper: bool) -> str:
+    def format_bound_name(self, k: int, upper: bool) -> str:
         """Name of the lower or `upper` bound of row k, as messages write it."""
         end = "upper" if upper else "lower"
         if k >= self.declared:

@@ -64,7 +64,7 @@ def _find_wide_angles(system: Model, tasks: Sequence[Task]) -> np.ndarray:
         wide[v] = np.sum(rows) == 1 and abs(table.multiplier[rows][0]) == 1.0
     bound = {n for r in system.structure.relations for n in (r.of, *r.sources)}
     for task in tasks:
-        bound |= task.coordinates()
+        bound |= task.list_coordinates()
     wide = wide & ~find_wound_coordinates(system.mechanism, c)
     return wide & np.array(
         [name not in bound for name in system.structure.velocity_names], dtype=bool
@@ -76,7 +76,7 @@ class Packed:
 
     Lengths are measured in `length` (default: the characteristic length). `owner` (ties,) is the
     number of the task of each tie, -1 for a loop. With `turns`, angles with limits a whole turn
-    apart or more count as having none (`wide`): `inside` brings them back. `levels` are those of
+    apart or more count as having none (`wide`): `wrap_wide_angles` brings them back. `levels` are those of
     the tasks: ties stand in their order, loops with the first. Tasks are about the frames of
     `system`, loops are those of `closing`, by default the same (see `find_ideal_system`).
     """
@@ -99,7 +99,7 @@ class Packed:
 
         def make_task_ties(table: Table) -> list[Tie]:
             for i, task in enumerate(self.tasks):
-                for tie in task.ties(table):
+                for tie in task.make_ties(table):
                     owner[id(tie)] = i
                     made.append(tie)
             return made
@@ -151,7 +151,7 @@ class Packed:
             zip(at[wide], system.lower[v][wide], system.upper[v][wide], strict=True)
         )
 
-    def inside(self, q: Array) -> Array:
+    def wrap_wide_angles(self, q: Array) -> Array:
         """The configurations (N, nq) with wide angles brought into their limits by whole turns, in
         place.
         """
@@ -161,7 +161,7 @@ class Packed:
             x += 2.0 * np.pi * np.ceil(np.maximum(a - x, 0.0) / (2.0 * np.pi))
         return q
 
-    def count(self, tasks: Sequence[int], bounded: bool = False) -> int:
+    def count_equations(self, tasks: Sequence[int], bounded: bool = False) -> int:
         """Number of equations of some of the tasks; in the plane, those that hold of themselves do
         not count.
         """
@@ -174,14 +174,14 @@ class Packed:
         return sum(len(t.row_names) - (t.turns in trivial) for t in ties)
 
     @property
-    def ends(self) -> tuple[Array, Array]:
+    def row_bounds(self) -> tuple[Array, Array]:
         """Low and high ends (m,) of the tasks' rows, in radians and characteristic lengths; zero
         for equations.
         """
         low, high = self.loops.bounds[:, self.rows >= 0]
         return low, high
 
-    def pins(self, goals: Sequence[Goal], lead: tuple[int, ...] = ()) -> Array:
+    def pack_pins(self, goals: Sequence[Goal], lead: tuple[int, ...] = ()) -> Array:
         """What the kernels need (N or 1, k) of the goals of tasks of this structure."""
         owners: list[int] = self.owner.tolist()
         ties = [(t, goals[i]) for t, i in zip(self.loops.ties, owners, strict=True) if i >= 0]
@@ -202,7 +202,7 @@ class Packed:
             at += x.shape[-1]
         return out.reshape(math.prod(lead), out.shape[-1])
 
-    def evaluate(
+    def evaluate_tasks(
         self, q: Any, pins: Array | None = None, closures: bool = False
     ) -> tuple[Array, Array]:
         """The tasks' equations (..., m) and Jacobian (..., m, nv) at q (..., nq); with `closures`
@@ -216,8 +216,8 @@ class Packed:
         m = len(self.rows)
         flat_q = q.reshape(math.prod(lead), self.system.nq)
         if pins is None:
-            goals = [t.goal() for t in self.tasks]
-            pins = self.pins(goals, lead if find_leading_shape(goals) else ())
+            goals = [t.make_goal() for t in self.tasks]
+            pins = self.pack_pins(goals, lead if find_leading_shape(goals) else ())
         out = np.empty((len(flat_q), m))
         J = np.empty((len(flat_q), m, self.system.nv))
         closure_batch.evaluate_equations(
@@ -251,19 +251,19 @@ def error(system: Model, constraint: Constraint, q: Any) -> Array:
     """Equations (..., m) of a constraint at q (..., nq), in metres and radians, before bounds; zero
     where they hold.
     """
-    return _pack_single_constraint(system, constraint).evaluate(q)[0]
+    return _pack_single_constraint(system, constraint).evaluate_tasks(q)[0]
 
 
 @explain_errors
 def jacobian(system: Model, constraint: Constraint, q: Any) -> Array:
     """Derivatives (..., m, nv) of `error` by the velocity coordinates, exact."""
-    return _pack_single_constraint(system, constraint).evaluate(q)[1]
+    return _pack_single_constraint(system, constraint).evaluate_tasks(q)[1]
 
 
 @explain_errors
 def count(system: Model, constraint: Constraint) -> int:
     """Number of equations of a constraint, inequalities included."""
-    return _pack_single_constraint(system, constraint).count([0], True)
+    return _pack_single_constraint(system, constraint).count_equations([0], True)
 
 
 @explain_errors
@@ -280,7 +280,7 @@ def miss(system: Model, constraint: Constraint, q: Any) -> tuple[Array, Array]:
 
     Where loops are open, bodies are where solvers place them (`kempe.model.own_tree`).
     """
-    return Task(remove_cut_marks(system), constraint).measure(read_q(system, q))
+    return Task(remove_cut_marks(system), constraint).measure_error(read_q(system, q))
 
 
 def _pack_single_constraint(system: Model, constraint: Constraint) -> Packed:

@@ -62,7 +62,7 @@ def find_shortest_velocity(C: Array, A: Array, b: Array) -> Array:
         return np.zeros(len(A.T))
     M = np.concatenate([C, A])
     wanted = np.concatenate([np.zeros(len(C)), b])
-    u = Spectrum(M).solve(wanted, Level.CLOSED)
+    u = Spectrum(M).solve_least_squares(wanted, Level.CLOSED)
     if (gap := float(np.abs(M @ u - wanted).max())) > CONTRADICTION * max(
         1.0, float(np.abs(b).max())
     ):

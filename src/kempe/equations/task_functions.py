@@ -203,18 +203,20 @@ class Whole:
                 else f"q ({system.nq},)"
             )
             raise InputError(f"{of.label} is called with {given}, which it does not take")
-        found = compute_checked_value(self.label, self.raw, q := sample_configurations(system, 0))
+        found = compute_checked_value(
+            self.label, self.call_function, q := sample_configurations(system, 0)
+        )
         self.count = found.size
         if not self.count:
             raise InputError(f"{of.label} gives no numbers at all; it must give one or more")
         self.how = ""
         if self.supplied is not None:
-            rows: Callable[[Array], Any] = self.derivative
+            rows: Callable[[Array], Any] = self.call_derivative
             if not found.ndim:
-                rows = lambda x: np.atleast_2d(self.derivative(x))  # noqa: E731
+                rows = lambda x: np.atleast_2d(self.call_derivative(x))  # noqa: E731
             check_supplied_jacobian(
                 self.label,
-                self.raw,
+                self.call_function,
                 rows,
                 system.structure.layout,
                 q,
@@ -225,24 +227,24 @@ class Whole:
             self.how = choose_derivative_method(of.function, system.structure.layout, q)
         self.low, self.high = read_row_bounds(of.low, of.high, f"bounds of {of.label}", self.count)
 
-    def raw(self, q: Array) -> Any:
+    def call_function(self, q: Array) -> Any:
         """What the function gives at q."""
         return self.given(*self._compute_inputs(q))
 
     def _compute_inputs(self, q: Array) -> list[Array]:
         return [fk(self.system, q, f) for f in self.frames] or [q]
 
-    def derivative(self, q: Array) -> Any:
+    def call_derivative(self, q: Array) -> Any:
         """What the supplied derivative gives at q."""
         assert self.supplied is not None
         return self.supplied(*self._compute_inputs(q))
 
-    def values(self, q: Array) -> Array:
+    def compute_values(self, q: Array) -> Array:
         """Values (m,) of the user's function at the configuration q (nq,).
 
         Errors: `InputError` where their number is not m.
         """
-        return self._check_values(self.raw(q.copy()))
+        return self._check_values(self.call_function(q.copy()))
 
     def _check_values(self, found: Any) -> Array:
         if np.size(found) != self.count:
@@ -251,7 +253,7 @@ class Whole:
             )
         return read_reals(found, f"the value of {self.label}").reshape(self.count)
 
-    def jacobian(self, q: Array) -> Array:
+    def compute_jacobian(self, q: Array) -> Array:
         """The derivatives (m, nv) at q.
 
         Those of a function of poses by differences along the motions of all frames together: two
@@ -262,7 +264,7 @@ class Whole:
             layout = self.system.structure.layout
             return read_reals(
                 compute_function_jacobian(
-                    self.raw, self.supplied and self.derivative, self.how, layout, q
+                    self.call_function, self.supplied and self.call_derivative, self.how, layout, q
                 ),
                 f"the Jacobian of {self.label}",
             ).reshape(shape)
@@ -297,22 +299,22 @@ class Whole:
             out[:, i] = (ahead - back) / (2.0 * REAL_STEP)
         return out
 
-    def callback(self, rows: Sequence[int], offset: Array | float = 0.0) -> Callback:
+    def make_callback(self, rows: Sequence[int], offset: Array | float = 0.0) -> Callback:
         """Some of its numbers, as kernels call them."""
         own = list(rows)
         made = Callback(
             self.system,
             len(own),
-            lambda q: (self.values(q)[own] - offset, self.jacobian(q)[own]),
-            alone=lambda q: self.values(q)[own] - offset,
+            lambda q: (self.compute_values(q)[own] - offset, self.compute_jacobian(q)[own]),
+            alone=lambda q: self.compute_values(q)[own] - offset,
         )
-        return made.remember_maker(self.callback, rows, offset)
+        return made.remember_maker(self.make_callback, rows, offset)
 
-    def off(self, q: Array) -> Array:
+    def compute_error(self, q: Array) -> Array:
         """How far (..., m) its numbers are from where they must be, at q (..., nq)."""
         out = np.empty((*q.shape[:-1], self.count))
         for index in np.ndindex(q.shape[:-1]):
-            value = self.values(q[index])
+            value = self.compute_values(q[index])
             out[index] = value - np.clip(value, self.low, self.high)
         return out
 
@@ -353,17 +355,17 @@ class OfSystem(Constraint):
             for k, same in enumerate(self.low == self.high)
         )
 
-    def callback(self, rows: Sequence[int]) -> Callback:
+    def make_callback(self, rows: Sequence[int]) -> Callback:
         """Some of its rows, as kernels call them."""
-        return self.whole.callback(rows, self._held_values[list(rows)])
+        return self.whole.make_callback(rows, self._held_values[list(rows)])
 
     @property
     def _held_values(self) -> Array:
         return np.where(self.low == self.high, self.low, 0.0)
 
-    def at(self, q: Array) -> Array:
+    def compute_row_values(self, q: Array) -> Array:
         """The values of its rows (m,) at q (nq,)."""
-        return self.whole.values(q) - self._held_values
+        return self.whole.compute_values(q) - self._held_values
 
 
 CoordinateItem = tuple[str, int, int, bool]
@@ -389,7 +391,7 @@ class CoordinateValues(Constraint):
             for name, i, v, ball in self.items
         )
 
-    def values(self, row: Row) -> Array:
+    def read_row_values(self, row: Row) -> Array:
         """The values (..., 1) of a coordinate, or (..., 4) of a quaternion, that a row holds.
 
         Errors: `InputError` for a quaternion that is zero.

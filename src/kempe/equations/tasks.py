@@ -154,7 +154,7 @@ class Task:
         )
         """Names of the frames A and B; None for the ground, and where there is no frame B."""
 
-    def exactly(self) -> Task:
+    def copy_without_tolerance(self) -> Task:
         """The same without a tolerance of its own."""
         out = copy.copy(self)
         out.tolerance = None
@@ -170,7 +170,7 @@ class Task:
             return None
         return make_row_shape(self.rows, self.system.dim)
 
-    def structure(self) -> Hashable:
+    def make_structure_key(self) -> Hashable:
         """What decides the ties of the task: tasks alike in this have the same ones, except for goals.
 
         Errors: `InputError` for bounds that leave nothing between them.
@@ -194,7 +194,7 @@ class Task:
 
     # ---- ties
 
-    def ties(self, table: Table) -> list[Tie]:
+    def make_ties(self, table: Table) -> list[Tie]:
         """The ties of the task; `table` holds the frames in which poses are.
 
         Errors: `InputError` where axes of a particle are read.
@@ -238,7 +238,7 @@ class Task:
                 rows[row] += mass, *(mass * p)
         return Centre(rows, rest)
 
-    def coordinates(self) -> set[str]:
+    def list_coordinates(self) -> set[str]:
         """Names of the velocity coordinates in which a whole turn is not nothing to the task."""
         first = self.system.structure.coordinates.first
         found: set[int] = set()
@@ -255,7 +255,7 @@ class Task:
 
     # ---- the goal, and how far it is missed
 
-    def goal(self) -> Goal:
+    def make_goal(self) -> Goal:
         """The pose of frame A and the numbers, as they are given in this call.
 
         Bounds that only some targets have are far away for the others. Errors: `InputError`.
@@ -277,13 +277,13 @@ class Task:
                     if n not in numbers
                 }
             if row.op is Op.COORDINATE:
-                numbers[row.args[2]] = made.values(row)
+                numbers[row.args[2]] = made.read_row_values(row)
         return Goal(made.make_goal_poses(self.system.dim) if posed else None, numbers)
 
     def _read_number(self, name: str) -> Array:
         return read_numbers(get_input_number(self.of, name), f"{name} of {self.label}")[..., None]
 
-    def measure(
+    def measure_error(
         self, q: Array, goal: Goal | None = None, poses: Poses | None = None
     ) -> tuple[Array, Array]:
         """How far (...) the task is missed at q (..., nq), in metres and in radians, by the forward
@@ -292,7 +292,7 @@ class Task:
         `goal` is its own, where it is at hand; `poses` gives the poses of frames in place of the
         forward model.
         """
-        pose, numbers = self.goal() if goal is None else goal
+        pose, numbers = self.make_goal() if goal is None else goal
         poses = poses or partial(fk, self.system, q)
         A = None
         B = None

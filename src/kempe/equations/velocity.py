@@ -76,7 +76,7 @@ class VelocityRows:
     """What (nv + 1,) velocities, and the time, are measured in: 1, or a length."""
 
     @cached_property
-    def packed(self) -> tuple[np.ndarray, Array]:
+    def packed_tape(self) -> tuple[np.ndarray, Array]:
         """The arrays of the tape."""
         return self.tape.make_arrays()
 
@@ -93,7 +93,7 @@ class VelocityRows:
             np.any(self.entries[:, 1] == self.layout.nv)
         )
 
-    def values(self, q: Array, t: Array | float = 0.0) -> tuple[Array, Array]:
+    def evaluate_rows(self, q: Array, t: Array | float = 0.0) -> tuple[Array, Array]:
         """A (..., m, nv) and b (..., m) at configurations (..., nq) and times (...)."""
         shape = np.broadcast_shapes(q.shape[:-1], np.shape(t))
         n = int(np.prod(shape, dtype=np.int64))
@@ -102,14 +102,14 @@ class VelocityRows:
         points[:, -1] = np.broadcast_to(t, shape).reshape(n)
         found = np.empty((n, len(self.entries)))
         tape.evaluate_tape_outputs(
-            *self.packed, np.ascontiguousarray(points[:, self.inputs]), found
+            *self.packed_tape, np.ascontiguousarray(points[:, self.inputs]), found
         )
         whole = np.zeros((n, len(self.names), self.layout.nv + 1))
         whole[:, self.entries[:, 0], self.entries[:, 1]] = found
         whole = whole.reshape(*shape, len(self.names), self.layout.nv + 1)
         return whole[..., :-1], -whole[..., -1]
 
-    def needed(self, outputs: Sequence[int]) -> np.ndarray:
+    def find_needed_nodes(self, outputs: Sequence[int]) -> np.ndarray:
         """Places of the nodes that some outputs are computed from, the derivatives of functions
         included, in order.
         """
@@ -172,15 +172,17 @@ class Numbers:
     def __init__(self, builder: Builder):
         self.builder = builder
 
-    def place(self, a: Num) -> int:
+    def place_number(self, a: Num) -> int:
         """The place of a number."""
         return self.builder.add_number(a) if isinstance(a, float) else a
 
-    def of(self, op: int, a: Num, b: Num | None = None) -> Num:
+    def record_operation(self, op: int, a: Num, b: Num | None = None) -> Num:
         """An operation of the tape."""
-        x = self.place(a)
+        x = self.place_number(a)
         build = self.builder
-        made = build.add_unary(op, x) if b is None else build.add_binary(op, x, self.place(b))
+        made = (
+            build.add_unary(op, x) if b is None else build.add_binary(op, x, self.place_number(b))
+        )
         if made >= len(self.builder.inputs):
             known = self.builder._get_constant(made)
             return made if known is None else known
@@ -192,11 +194,11 @@ class Numbers:
             return a + b
         if isinstance(a, float) and a == 0.0:
             return b
-        return a if isinstance(b, float) and b == 0.0 else self.of(L.ADD, a, b)
+        return a if isinstance(b, float) and b == 0.0 else self.record_operation(L.ADD, a, b)
 
     def neg(self, a: Num) -> Num:
         """The negative -a."""
-        return -a if isinstance(a, float) else self.of(L.NEG, a)
+        return -a if isinstance(a, float) else self.record_operation(L.NEG, a)
 
     def sub(self, a: Num, b: Num) -> Num:
         """The difference a - b."""
@@ -204,7 +206,9 @@ class Numbers:
             return a - b
         if isinstance(b, float) and b == 0.0:
             return a
-        return self.neg(b) if isinstance(a, float) and a == 0.0 else self.of(L.SUB, a, b)
+        return (
+            self.neg(b) if isinstance(a, float) and a == 0.0 else self.record_operation(L.SUB, a, b)
+        )
 
     def mul(self, a: Num, b: Num) -> Num:
         """The product a b."""
@@ -213,7 +217,7 @@ class Numbers:
         for x, y in ((a, b), (b, a)):
             if isinstance(x, float) and x in (0.0, 1.0, -1.0):
                 return 0.0 if x == 0.0 else y if x == 1.0 else self.neg(y)
-        return self.of(L.MUL, a, b)
+        return self.record_operation(L.MUL, a, b)
 
     def dot(self, a: Any, b: Any) -> Num:
         """The sum of products."""
@@ -240,7 +244,7 @@ class RecordedPose:
     R: list[list[Num]]
     p: list[Num]
 
-    def column(self, j: int) -> list[Num]:
+    def get_axis(self, j: int) -> list[Num]:
         """One axis of the frame."""
         return [self.R[i][j] for i in range(3)]
 
@@ -266,7 +270,7 @@ class Recorder:
 
     # ---- poses
 
-    def moved(self, pose: RecordedPose, X: np.ndarray) -> RecordedPose:
+    def move_pose(self, pose: RecordedPose, X: np.ndarray) -> RecordedPose:
         """pose @ X for a known X (4, 4)."""
         n = self.numbers
         X = np.asarray(X, dtype=float)
@@ -274,19 +278,19 @@ class Recorder:
         p = [n.add(pose.p[i], n.dot(pose.R[i], X[:3, 3].tolist())) for i in range(3)]
         return RecordedPose(R, p)
 
-    def before(self, row: int) -> RecordedPose:
+    def find_pose_before(self, row: int) -> RecordedPose:
         """The pose before the motion of a row of the table."""
-        self.after(row)
+        self.find_pose_after(row)
         return self._before[row]
 
-    def after(self, row: int) -> RecordedPose:
+    def find_pose_after(self, row: int) -> RecordedPose:
         """The pose after the motion of a row of the table."""
         way: list[int] = []
         while row not in self._after:
             way.append(row)
             row = int(self.table.parent[row])
         for r in reversed(way):
-            self._before[r] = self.moved(
+            self._before[r] = self.move_pose(
                 self._after[int(self.table.parent[r])], self.table.placement[r]
             )
             self._after[r] = self._apply_motion(r, self._before[r])
@@ -309,8 +313,8 @@ class Recorder:
             return RecordedPose(at.R, [n.add(at.p[i], n.mul(theta, at.R[i][2])) for i in range(3)])
         offset = float(table.offset[r])
         theta = n.add(theta, offset)
-        s = n.of(L.SIN, theta)
-        c = n.of(L.COS, theta)
+        s = n.record_operation(L.SIN, theta)
+        c = n.record_operation(L.COS, theta)
         R = [
             [n.add(n.mul(c, x), n.mul(s, y)), n.sub(n.mul(c, y), n.mul(s, x)), z]
             for x, y, z in at.R
@@ -347,9 +351,9 @@ class Recorder:
 
     # ---- frames against frames
 
-    def end(self, end: End) -> RecordedPose:
+    def find_end_pose(self, end: End) -> RecordedPose:
         """The pose of an end (row, placement, particle)."""
-        pose = self.moved(self.after(end[0]), end[1])
+        pose = self.move_pose(self.find_pose_after(end[0]), end[1])
         return RecordedPose(IDENTITY, pose.p) if end[2] else pose
 
     def add_row(self, a: End, b: End, form: Form, value: Num = 0.0) -> None:
@@ -374,8 +378,8 @@ class Recorder:
     def _add_twist_terms(self, a: End, b: End, c: list[Num], out: dict[int, Num]) -> None:
         n = self.numbers
         table = self.table
-        R = self.end(a).R
-        p = self.end(b).p
+        R = self.find_end_pose(a).R
+        p = self.find_end_pose(b).p
         force = [n.dot(R[i], c[:3]) for i in range(3)]
         moment = [n.dot(R[i], c[3:]) for i in range(3)]
         for sign, row in find_moving_rows(a[0], b[0], table.parent):
@@ -383,23 +387,23 @@ class Recorder:
             kind = table.kind[row]
             column = int(table.iv[row])
             reverse = kind == Q and factor * sign < 0.0
-            axes = self.before(row) if reverse else self.after(row)
+            axes = self.find_pose_before(row) if reverse else self.find_pose_after(row)
             arm = [n.sub(p[i], axes.p[i]) for i in range(3)]
             turn = n.cross(arm, force)
             if not (b[2] and sign > 0.0):  # a particle does not turn
                 turn = [n.add(turn[i], moment[i]) for i in range(3)]
             for k in range(0 if kind == Q else 2, 3):
-                rate = n.mul(factor, n.dot(axes.column(k), force if kind == P else turn))
+                rate = n.mul(factor, n.dot(axes.get_axis(k), force if kind == P else turn))
                 at = column + (k if kind == Q else 0)
                 out[at] = n.add(out.get(at, 0.0), rate)
 
     # ---- expressions
 
-    def seen(self, a: End, b: End) -> Seen:
+    def make_relative_pose(self, a: End, b: End) -> Seen:
         """The pose of b seen from a, by the names of its numbers."""
         return Seen(self, a, b)
 
-    def linear(
+    def linearize_output(
         self,
         tape: Tape,
         seen: Seen | None,
@@ -444,7 +448,7 @@ class Recorder:
                     op, values[left], values[right], forms[left], forms[right]
                 )
             else:
-                value = n.neg(values[left]) if op == L.NEG else n.of(op, values[left])
+                value = n.neg(values[left]) if op == L.NEG else n.record_operation(op, values[left])
                 form = {}
                 if forms[left]:
                     slope = -1.0 if op == L.NEG else self._record_slope(op, values[left], value)
@@ -454,7 +458,7 @@ class Recorder:
         at = tape.outputs[which]
         return values[at], forms[at]
 
-    def sum_of(self, f: Form, by: Num, g: Form, other: Num) -> Form:
+    def combine_forms(self, f: Form, by: Num, g: Form, other: Num) -> Form:
         """by f + other g."""
         n = self.numbers
         out = {k: n.mul(by, x) for k, x in f.items()}
@@ -466,24 +470,34 @@ class Recorder:
         n = self.numbers
         if op in (L.ADD, L.SUB):
             sign = 1.0 if op == L.ADD else -1.0
-            return (n.add if op == L.ADD else n.sub)(a, b), self.sum_of(f, 1.0, g, sign)
+            return (n.add if op == L.ADD else n.sub)(a, b), self.combine_forms(f, 1.0, g, sign)
         if op == L.MUL:
-            return n.mul(a, b), self.sum_of(f, b, g, a)
-        value = 0.0 if op == L.DIV and isinstance(a, float) and a == 0.0 else n.of(op, a, b)
+            return n.mul(a, b), self.combine_forms(f, b, g, a)
+        value = (
+            0.0
+            if op == L.DIV and isinstance(a, float) and a == 0.0
+            else n.record_operation(op, a, b)
+        )
         if op in (L.AT, L.NEAREST, L.LOOKUP):
             return value, self._compute_nearest_rate(op, value, f, g)
         if not f and not g:
             return value, {}
         if op == L.DIV:
-            by = n.of(L.DIV, 1.0, b)
-            return value, self.sum_of(f, by, g, n.neg(n.mul(value, by)))
+            by = n.record_operation(L.DIV, 1.0, b)
+            return value, self.combine_forms(f, by, g, n.neg(n.mul(value, by)))
         if op == L.POW:
-            slope = n.mul(b, n.of(L.POW, a, n.sub(b, 1.0)))
-            return value, self.sum_of(f, slope, g, n.mul(value, n.of(L.LOG, a)) if g else 0.0)
+            slope = n.mul(b, n.record_operation(L.POW, a, n.sub(b, 1.0)))
+            return value, self.combine_forms(
+                f, slope, g, n.mul(value, n.record_operation(L.LOG, a)) if g else 0.0
+            )
         if op == L.HYPOT:
-            return value, self.sum_of(f, n.of(L.DIV, a, value), g, n.of(L.DIV, b, value))
+            return value, self.combine_forms(
+                f, n.record_operation(L.DIV, a, value), g, n.record_operation(L.DIV, b, value)
+            )
         square = n.add(n.mul(a, a), n.mul(b, b))
-        return value, self.sum_of(f, n.of(L.DIV, b, square), g, n.neg(n.of(L.DIV, a, square)))
+        return value, self.combine_forms(
+            f, n.record_operation(L.DIV, b, square), g, n.neg(n.record_operation(L.DIV, a, square))
+        )
 
     def _compute_nearest_rate(self, op: int, place: Any, f: Form, g: Form) -> Form:
         """The rate of the parameter of a nearest point; before it, the rates of x and y by which of
@@ -504,15 +518,15 @@ class Recorder:
 
     def _record_slope(self, op: int, x: Num, y: Num) -> Num:
         """The derivative of y = f(x)."""
-        place = self.builder.add_unary(op, self.numbers.place(x))
+        place = self.builder.add_unary(op, self.numbers.place_number(x))
         nodes = self.builder._nodes
         slope = nodes[place - len(self.builder.inputs)][2]
         known = self.builder._get_constant(slope)
         return slope if known is None else known
 
-    def finish(self) -> tuple[Tape, np.ndarray]:
+    def finish_tape(self) -> tuple[Tape, np.ndarray]:
         """The tape, and row and velocity of each of its outputs."""
-        tape = self.builder.finish_tape([self.numbers.place(x) for _, _, x in self.entries])
+        tape = self.builder.finish_tape([self.numbers.place_number(x) for _, _, x in self.entries])
         places = np.array([(row, column) for row, column, _ in self.entries], dtype=np.int64)
         return tape, places.reshape(-1, 2)
 
@@ -530,14 +544,14 @@ class Seen:
         """A number of the pose and its rate."""
         n = self.recorder.numbers
         if self._ends is None:
-            self._ends = self.recorder.end(self.a), self.recorder.end(self.b)
+            self._ends = self.recorder.find_end_pose(self.a), self.recorder.find_end_pose(self.b)
         A, B = self._ends
         if len(name) == 1:
             away = [n.sub(B.p[i], A.p[i]) for i in range(3)]
-            return n.dot(A.column(PLACE[name]), away), {PLACE[name]: 1.0}
+            return n.dot(A.get_axis(PLACE[name]), away), {PLACE[name]: 1.0}
         i = PLACE[name[0]]
         j = PLACE[name[1]]
-        entry: Callable[[int], Num] = lambda k: n.dot(A.column(k), B.column(j))  # noqa: E731
+        entry: Callable[[int], Num] = lambda k: n.dot(A.get_axis(k), B.get_axis(j))  # noqa: E731
         # the rate of an axis is w x axis
         y = (i + 1) % 3
         z = (i + 2) % 3
@@ -555,7 +569,7 @@ def evaluate_velocity_rows(system: Model, q: Any, t: ArrayLike = 0.0) -> tuple[A
     Rows are in the order of `list_velocity_row_names`, those that slip in m/s, those that turn in rad/s. A system
     without such constraints has none. Errors: `InputError`.
     """
-    return record_velocity_rows(system).values(read_q(system, q), read_reals(t, "t"))
+    return record_velocity_rows(system).evaluate_rows(read_q(system, q), read_reals(t, "t"))
 
 
 def list_velocity_row_names(system: Model) -> tuple[tuple[str, str], ...]:
@@ -592,10 +606,10 @@ def _record_rows(system: Model, table: Table, positions: bool) -> VelocityRows:
     mechanism = system._mechanism
     made = _Recording(system, table, mechanism.parameters)
     for tie in list_position_ties(system, table) if positions else ():
-        made.tangents(tie)
+        made.add_tangents(tie)
     for declared in mechanism.constraints.values():
-        made.velocities(declared)
-    return made.rows()
+        made.add_velocity_rows(declared)
+    return made.finish_rows()
 
 
 class _Recording:
@@ -640,7 +654,7 @@ class _Recording:
                 ("v", iv + i): c for i, c in enumerate(rate)
             }
 
-    def tangents(self, tie: Tie) -> None:
+    def add_tangents(self, tie: Tie) -> None:
         """Add the rates of the equations of a tie."""
         for name, form in zip(tie.row_names, self._iterate_forms(tie), strict=True):
             self.recorder.add_row(tie.a, tie.b, form)
@@ -649,12 +663,14 @@ class _Recording:
     def _iterate_forms(self, tie: Tie) -> Iterator[Form]:
         r = self.recorder
         turns = tie.turns
-        seen = r.seen(tie.a, tie.b)
+        seen = r.make_relative_pose(tie.a, tie.b)
         if tie.tape is not None:
             known = {**self.known}
             rates = {TIME: {("v", r.table.nv): 1.0}, **self.rates}
             for k in range(len(tie.tape.names)):
-                yield r.linear(tie.tape.tape, seen if tie.tape.posed else None, known, rates, k)[1]
+                yield r.linearize_output(
+                    tie.tape.tape, seen if tie.tape.posed else None, known, rates, k
+                )[1]
             return
         if turns == loop_layout.LINEAR and tie.relation is not None:
             form: Form = {}
@@ -662,7 +678,7 @@ class _Recording:
                 (tie.relation.of, 1.0),
                 *((n, -m) for n, m in tie.relation.sources.items()),
             ):
-                form = r.sum_of(form, 1.0, self.rates[name], factor)
+                form = r.combine_forms(form, 1.0, self.rates[name], factor)
             yield form
             return
         if turns == loop_layout.DISTANCE:
@@ -681,14 +697,14 @@ class _Recording:
                 for i in "xyz":
                     (u, du) = seen(i + axis)
                     (p, dp) = seen(i)
-                    form = r.sum_of(form, 1.0, r.sum_of(du, p, dp, u), 1.0)
+                    form = r.combine_forms(form, 1.0, r.combine_forms(du, p, dp, u), 1.0)
                 yield form
         elif turns != loop_layout.NO_TURN:
             raise UnsupportedError(
                 f"constraint {tie.name!r} is no recorded expression: its series are needed here"
             )
 
-    def velocities(self, declared: Declared) -> None:
+    def add_velocity_rows(self, declared: Declared) -> None:
         """Add the rows of velocity of a declared constraint."""
         system = self.system
         made = evaluate_constraint(declared, self.parameters, system.dim)
@@ -696,24 +712,24 @@ class _Recording:
         if not rows:
             return
         a, b = find_ends(system, self.recorder.table, declared)
-        seen = self.recorder.seen(a, b) if made.ends[1] is not None else None
+        seen = self.recorder.make_relative_pose(a, b) if made.ends[1] is not None else None
         numbers = collect_numbers(made)
         known: dict[str, Num] = {**self.known, **numbers}
         speeds = {n + RATE: form for n, form in self.rates.items()}
         known |= dict.fromkeys(speeds, 0.0)
         for row in rows:
             tape, which = row.args
-            value, form = self.recorder.linear(tape, seen, known, speeds, which)
+            value, form = self.recorder.linearize_output(tape, seen, known, speeds, which)
             self.recorder.add_row(a, b, form, value)
             self.names.append(
                 RowName(declared.name, row.name, row.unit, written=not declared.of.scaled)
             )
 
-    def rows(self) -> VelocityRows:
+    def finish_rows(self) -> VelocityRows:
         """What was recorded."""
         system = self.system
         table = self.recorder.table
-        tape, entries = self.recorder.finish()
+        tape, entries = self.recorder.finish_tape()
         turning = set(table.iv[table.kind != P].tolist())
         turning |= {v + i for v in table.iv[table.kind == Q].tolist() for i in range(3)}
         length = compute_characteristic_length(system)

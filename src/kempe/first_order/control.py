@@ -94,12 +94,12 @@ def analyse_control(
     )
     N = rank.null_space
     seen = Spectrum(N[indices], 1.0)
-    left = N @ seen.null(Level.GENERIC)
-    controlled = seen.rank(Level.GENERIC)
+    left = N @ seen.compute_null_space(Level.GENERIC)
+    controlled = seen.compute_rank(Level.GENERIC)
     Q = np.linalg.qr(lazy)[0] if lazy.shape[1] else lazy
-    left = Spectrum(left - Q @ (Q.T @ left), 1.0).range(Level.GENERIC)
+    left = Spectrum(left - Q @ (Q.T @ left), 1.0).compute_column_space(Level.GENERIC)
     most = max(
-        (Spectrum(r.null_space[indices], 1.0).rank(Level.GENERIC) for r in generic),
+        (Spectrum(r.null_space[indices], 1.0).compute_rank(Level.GENERIC) for r in generic),
         default=controlled,
     )
     useful = rank.nullity - len(idle)

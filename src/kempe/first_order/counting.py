@@ -244,7 +244,7 @@ def count_loop_freedoms(system: Model, at: Screws | None) -> tuple[LoopCount, ..
 def find_group_dimensions(twists: Array) -> tuple[int, int]:
     """Find the dimension of the smallest group of motions with the screws (6, n), and of its turns."""
     basis = compute_group_basis(twists, Level.GENERIC)
-    return basis.shape[1], Spectrum(basis[3:], 1.0).rank(Level.GENERIC)
+    return basis.shape[1], Spectrum(basis[3:], 1.0).compute_rank(Level.GENERIC)
 
 
 def compute_group_basis(twists: Array, level: float) -> Array:
@@ -252,11 +252,13 @@ def compute_group_basis(twists: Array, level: float) -> Array:
 
     The span, of a rank at `level`, is completed by Lie brackets until it no longer grows.
     """
-    basis = Spectrum(twists, 1.0).range(level)
+    basis = Spectrum(twists, 1.0).compute_column_space(level)
     while True:
         if basis.shape[1] in (0, 1, 6):
             return basis
-        grown = Spectrum(np.hstack([basis, _compute_brackets(basis)]), 1.0).range(level)
+        grown = Spectrum(np.hstack([basis, _compute_brackets(basis)]), 1.0).compute_column_space(
+            level
+        )
         if grown.shape[1] == basis.shape[1]:
             return basis
         basis = grown
@@ -265,11 +267,13 @@ def compute_group_basis(twists: Array, level: float) -> Array:
 def fills_group(twists: Array, level: float, clear: float) -> bool:
     """Return whether screws (6, n) span a Lie algebra, with a clear rank."""
     spectrum = Spectrum(twists)
-    basis = spectrum.range(level)
+    basis = spectrum.compute_column_space(level)
     d = basis.shape[1]
-    if d > spectrum.rank(clear):
+    if d > spectrum.compute_rank(clear):
         return False
-    return d in (1, 6) or d == Spectrum(np.hstack([basis, _compute_brackets(basis)])).rank(level)
+    return d in (1, 6) or d == Spectrum(np.hstack([basis, _compute_brackets(basis)])).compute_rank(
+        level
+    )
 
 
 def _compute_brackets(basis: Array) -> Array:

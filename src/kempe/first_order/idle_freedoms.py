@@ -337,10 +337,10 @@ def find_common_point(twists: Array) -> Array | None:
     """Find the only point (3,) that the axes of rotations (6, k) share; None if there is none."""
     rows = np.concatenate([skew(w) for w in twists[3:].T])
     spectrum = Spectrum(rows)
-    if spectrum.rank(Level.GENERIC) < 3:
+    if spectrum.compute_rank(Level.GENERIC) < 3:
         return None
     v = -twists[:3].T.ravel()
-    point = spectrum.solve(v, Level.GENERIC)
+    point = spectrum.solve_least_squares(v, Level.GENERIC)
     return point if np.abs(rows @ point - v).max() < ALONE else None
 
 
@@ -523,7 +523,7 @@ def _find_spin(system: Model, at: Screws, group: Group) -> Spin | None:
             left = at.compute_wrench_rows(first, of, system.dim) @ screw
         else:
             T = end.compute_twists(at)
-            rates = Spectrum(T).solve(screw, Level.GENERIC)
+            rates = Spectrum(T).solve_least_squares(screw, Level.GENERIC)
             left = T @ rates - screw
             rates[np.abs(rates) < ALONE * np.abs(rates).max()] = 0.0
             for step in end.steps:

@@ -164,7 +164,7 @@ def _compute_cluster_rank(
         return ClusterRank(c, J, np.zeros(0), 0, np.inf, np.eye(len(J)), np.eye(n))
     spectrum = Spectrum(J, size)
     stresses = spectrum.left
-    r, gap = spectrum.clear_rank()
+    r, gap = spectrum.find_clear_rank()
     size = float(spectrum.largest)
     null_space = spectrum.right[r:].T
     return ClusterRank(c, J, spectrum.values / size, r, gap, stresses[:, r:], null_space, size)
@@ -279,12 +279,12 @@ def compute_allowed_velocities(closure: Closure, q: Array, inputs: Sequence[int]
     Where the `inputs` determine all other velocities of a large mechanism, it is found from theirs.
     """
     if inputs and closure.n >= SPARSE and not has_velocity_constraints(closure.system):
-        F, J = closure.loops(q)
+        F, J = closure.evaluate_loops(q)
         if float(np.abs(F).max(initial=0.0)) < OPEN:
-            free = Spectrum(J).null_from(inputs, Level.CLOSED)
+            free = Spectrum(J).compute_sparse_null_space(inputs, Level.CLOSED)
             if free is not None:
                 return free
-    F, J = closure.both(q)
+    F, J = closure.evaluate_equations(q)
     gap = float(np.abs(F).max(initial=0.0))
     if not gap < OPEN:
         raise InputError(
@@ -298,4 +298,4 @@ def compute_allowed_velocities(closure: Closure, q: Array, inputs: Sequence[int]
                 "not zero), so velocities are not proportional to those of inputs"
             )
         J = np.concatenate([J, A])
-    return Spectrum(J).null(Level.CLOSED)
+    return Spectrum(J).compute_null_space(Level.CLOSED)

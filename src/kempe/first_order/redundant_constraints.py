@@ -287,7 +287,7 @@ def _find_free_directions(edge: Edge, dim: int) -> frozenset[str] | None:
 
 def _find_unheld_directions(names: Sequence[str], twists: Array, moves: Array) -> frozenset[str]:
     """Find the directions that a joint with the motions `moves` (6, n) need not hold."""
-    basis = Spectrum(moves).range(Level.GENERIC)
+    basis = Spectrum(moves).compute_column_space(Level.GENERIC)
     held: set[str] = set()
     for part in (WELL, CARRIES):
         for name, twist in zip(names, twists, strict=True):

@@ -121,7 +121,7 @@ class Wrenches:
         moves = np.stack([r.rates for r in rows])[:, self._bodies[-1][1] :]
         spectrum = Spectrum(moves)
         held = spectrum.left
-        return _reduce_rows(held[:, spectrum.clear_rank()[0] :].T @ own)
+        return _reduce_rows(held[:, spectrum.find_clear_rank()[0] :].T @ own)
 
     def locate_wrench(self, name: str) -> Array:
         """Return the point (3,) of a wrench: the origin of frame M, or of a constraint's frame B."""
@@ -199,7 +199,7 @@ class Wrenches:
         wanted = wanted * self._scale
         motors = motors * self._scale[:, None]
         A = np.hstack([self._balance_matrix.T, motors])
-        found = Spectrum(A).solve(-wanted, Level.CLOSED)
+        found = Spectrum(A).solve_least_squares(-wanted, Level.CLOSED)
         left = np.linalg.norm(A @ found + wanted)
         if left > BALANCED * max(np.linalg.norm(wanted), 1e-300):
             raise InputError(
@@ -299,14 +299,14 @@ class Wrenches:
         }
         out.sort(key=lambda r: order.get(r.of, len(order)))
         rates = record_velocity_rows(M)
-        A = rates.values(Q, np.zeros(()))[0]
+        A = rates.evaluate_rows(Q, np.zeros(()))[0]
         out += [
             _WrenchRow(r.of, r.name, r.unit, True, a) for r, a in zip(rates.names, A, strict=True)
         ]
         sided = pack_one_sided_rows(M)
         if sided.declared:
             n = sided.declared
-            J = sided.rates(Q, declared=True)[1] / self._scale / sided.scale[:n, None]
+            J = sided.compute_rates(Q, declared=True)[1] / self._scale / sided.scale[:n, None]
             assert sided.loops is not None
             tied: list[tuple[str, str]] = [
                 (t.name, row) for t in sided.loops.ties for row in t.row_names
@@ -354,7 +354,7 @@ class Wrenches:
     @cached_property
     def _rank(self) -> int:
         """Rank of the equations that always hold."""
-        return Spectrum(self._balance_matrix).clear_rank()[0]
+        return Spectrum(self._balance_matrix).find_clear_rank()[0]
 
     @cached_property
     def _tree_rates(self) -> Array:

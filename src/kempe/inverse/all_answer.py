@@ -469,7 +469,7 @@ class Solutions(ConfigurationList, Answer):
         """
         J = self.jacobian
         used = self.mask[..., None, None]
-        inverse = Spectrum(np.where(used, J, 0.0)).inverse(Level.ROUNDING)
+        inverse = Spectrum(np.where(used, J, 0.0)).compute_pseudo_inverse(Level.ROUNDING)
         R = fk(self.system, np.where(self.mask[..., None], self.q, 0.0), self.problem.frame)[
             ..., :3, :3
         ]

@@ -138,7 +138,7 @@ class Solution(Answer):
         problem = pair = self.problem
         if isinstance(problem, tuple):
             bound, target = pair
-            return bound.task(target)
+            return bound.make_problem(target)
         return pair
 
     @cached_property

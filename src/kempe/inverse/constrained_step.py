@@ -89,14 +89,14 @@ class Stage(NamedTuple):
     high: Array
     hard: bool = True
 
-    def beside(self, rest: Array) -> Stage:
+    def make_remaining_stage(self, rest: Array) -> Stage:
         """What is required of the velocities beside some that are there at rest (nv,)."""
         if not rest.any():
             return self
         have = self.inequalities @ rest
         return self._replace(b=self.b - self.A @ rest, low=self.low - have, high=self.high - have)
 
-    def missed(self, u: Array | None = None) -> float:
+    def compute_residual_norm(self, u: Array | None = None) -> float:
         """The length of what velocities u (nv,) leave of what is required, or of all of it."""
         left = self.b if u is None else self.b - self.A @ u
         square = float(left @ left)
@@ -143,7 +143,7 @@ class ConstrainedSteps:
         self.upcoming: tuple[Any, Any] = None, None
         """A step that was computed ahead, after what asks for it."""
 
-    def box(self, q: Array, dt: float, speed: Array) -> tuple[Array, Array]:
+    def compute_velocity_bounds(self, q: Array, dt: float, speed: Array) -> tuple[Array, Array]:
         """Least and largest scaled velocities (nv,) for which limits of position and speed hold
         after dt.
 
@@ -162,7 +162,7 @@ class ConstrainedSteps:
         high[at] = np.maximum(np.minimum(high[at], above / dt), -speed[at])
         return low / self.scale, high / self.scale
 
-    def twist(self, J: Array, twist: Array, weights: Array) -> Stage:
+    def make_twist_stage(self, J: Array, twist: Array, weights: Array) -> Stage:
         """The stage of a frame's twist, of its Jacobian (6, nv)."""
         w = weights.copy()
         w[:3] /= self.length
@@ -171,7 +171,7 @@ class ConstrainedSteps:
             w[:, None] * J * self.scale, w * twist, np.zeros((0, self.system.nv)), nothing, nothing
         )
 
-    def free(self, q: Array, dt: float) -> Left:
+    def find_free_velocities(self, q: Array, dt: float) -> Left:
         """What constraints leave of the velocities at q (nq,), for dt. Errors: `InputError` for
         open loops.
         """
@@ -184,9 +184,13 @@ class ConstrainedSteps:
             )
         between = self._compute_row_bounds(q, dt)
         if not self.rolls:
-            return Left(Spectrum(C, 1.0).null(Level.CLOSED), np.zeros(self.system.nv), *between)
+            return Left(
+                Spectrum(C, 1.0).compute_null_space(Level.CLOSED),
+                np.zeros(self.system.nv),
+                *between,
+            )
         A, b = compute_unit_rows(self.system, q, self.scale)
-        basis = Spectrum(np.concatenate([C, A]), 1.0).null(Level.CLOSED)
+        basis = Spectrum(np.concatenate([C, A]), 1.0).compute_null_space(Level.CLOSED)
         return Left(basis, find_shortest_velocity(C, A, b), *between)
 
     def _compute_row_bounds(self, q: Array, dt: float) -> tuple[Array, Array, Array]:
@@ -197,7 +201,7 @@ class ConstrainedSteps:
         k = self.bounds.declared
         if not k:
             return np.zeros((0, self.system.nv)), np.zeros(0), np.zeros(0)
-        value, G = rows.rates(q, declared=True)
+        value, G = rows.compute_rates(q, declared=True)
         scale = rows.scale[:k] / dt
         return G, scale * (rows.low[:k] - value), scale * (rows.high[:k] - value)
 
@@ -208,10 +212,10 @@ class ConstrainedSteps:
         error, C = evaluate_constraints(self.closing, x, True, True)
         if not self.bounds.declared:
             return error, C
-        more, G = self.bounds.violated(x, before)
+        more, G = self.bounds.find_violated_rows(x, before)
         return np.concatenate([error, more]), np.concatenate([C, G])
 
-    def velocity(
+    def compute_velocity(
         self,
         free: Left,
         stages: list[Stage],
@@ -235,13 +239,18 @@ class ConstrainedSteps:
         own = np.isfinite(low) | np.isfinite(high)
         rows = np.concatenate([np.eye(len(low))[own], rows])
         box = Stage(N.T[:0], low[:0], rows, np.append(low[own], least), np.append(high[own], most))
-        some.take(box.beside(rest), 0.0)
+        some.take_stage(box.make_remaining_stage(rest), 0.0)
         for k, stage in enumerate(stages):
-            some.take(stage.beside(rest), damping, twist, model if k + 1 == len(stages) else None)
+            some.take_stage(
+                stage.make_remaining_stage(rest),
+                damping,
+                twist,
+                model if k + 1 == len(stages) else None,
+            )
         least, most = speeds or (low, high)
         return np.minimum(np.maximum(rest + N @ some.z, least), most)
 
-    def blocking(
+    def find_blocking_constraints(
         self, q: Array, stages: list[Stage], u: Array, low: Array, high: Array
     ) -> tuple[str, ...]:
         """Names of the velocity constraints that prevent what velocities u (nv,) miss: by their
@@ -251,7 +260,9 @@ class ConstrainedSteps:
         C = evaluate_constraints(self.closing, q, True, True)[1]
         A = compute_unit_rows(self.system, q, self.scale)[0]
         bounds = np.eye(len(u))[(u <= low) | (u >= high)]
-        forces = Spectrum(np.concatenate([A, C, bounds]).T).solve(pull, Level.CLOSED)[: len(A)]
+        forces = Spectrum(np.concatenate([A, C, bounds]).T).solve_least_squares(pull, Level.CLOSED)[
+            : len(A)
+        ]
         some = np.abs(forces) > PREVENTS * math.sqrt(float(pull @ pull))
         return tuple(
             dict.fromkeys(
@@ -261,7 +272,7 @@ class ConstrainedSteps:
             )
         )
 
-    def twisted(
+    def make_twist_step(
         self,
         q: Array,
         stages: list[Stage],
@@ -276,13 +287,13 @@ class ConstrainedSteps:
         """The configuration (nq,) after dt, the scaled velocities (nv,) of a twist, and whether the
         motion is calm.
         """
-        free = self.free(q, dt)
-        twist = Twist(dt, self.bend(q, free.basis, stages[0], at), direction)
-        return *self.after(
-            q, self.velocity(free, stages, low, high, damping, twist=twist), dt, low, high
+        free = self.find_free_velocities(q, dt)
+        twist = Twist(dt, self.make_bend(q, free.basis, stages[0], at), direction)
+        return *self.take_step(
+            q, self.compute_velocity(free, stages, low, high, damping, twist=twist), dt, low, high
         ), False
 
-    def towards(
+    def make_goal_step(
         self,
         q: Array,
         stages: list[Stage],
@@ -304,27 +315,27 @@ class ConstrainedSteps:
         arrives, and the next one makes good only what second derivatives have left: then no joint
         turns back.
         """
-        free = self.free(q, dt)
+        free = self.find_free_velocities(q, dt)
         if direction:
-            after, u = self.straight(q, free, stages, low, high, dt, at)
+            after, u = self.make_straight_step(q, free, stages, low, high, dt, at)
             if (share := compute_progress(stages[0].A, stages[0].b, u, low, high)) == 1.0:
                 return after, u, False
-            other = self.towards(q, stages, low, high, damping, False, dt, at, slow)[1]
-            return *self.after(q, share * u + (1.0 - share) * other, dt, low, high), False
+            other = self.make_goal_step(q, stages, low, high, damping, False, dt, at, slow)[1]
+            return *self.take_step(q, share * u + (1.0 - share) * other, dt, low, high), False
         wide = (low, high)
         speeds = None
         if not free.rest.any() and (low <= 0.0).all() and (high >= 0.0).all():
-            least, most = self.box(q, dt, np.full(len(low), math.inf))
+            least, most = self.compute_velocity_bounds(q, dt, np.full(len(low), math.inf))
             wide = (np.maximum(least, -LARGEST / dt), np.minimum(most, LARGEST / dt))
             speeds = (low, high)
-        u = self.velocity(free, stages, *wide, damping)
+        u = self.compute_velocity(free, stages, *wide, damping)
         size = dt * float(u @ u)
-        requested = [s.missed() for s in stages]
+        requested = [s.compute_residual_norm() for s in stages]
         still = size * dt <= ENOUGH**2
         whole = speeds is None or compute_feasible_fraction(u, low, high) == 1.0
-        left = [s.missed(u) for s in stages]
+        left = [s.compute_residual_norm(u) for s in stages]
         if not (whole or still):  # far away
-            left = [s.missed() for s in at(self.after(q, u, dt, *wide)[0])]
+            left = [s.compute_residual_norm() for s in at(self.take_step(q, u, dt, *wide)[0])]
         k = next(
             (k for k, had in enumerate(requested) if left[k] > max(HALF * had, ENOUGH / dt)), None
         )
@@ -338,7 +349,7 @@ class ConstrainedSteps:
             if still:
                 u = np.minimum(np.maximum(0.0, low), high)
             elif not whole:
-                u = self.velocity(free, stages, *wide, damping, speeds=speeds)
+                u = self.compute_velocity(free, stages, *wide, damping, speeds=speeds)
             next_speed = size * math.sqrt(len(u)) / max(NEAR, damping)
             calm = (
                 whole
@@ -346,18 +357,18 @@ class ConstrainedSteps:
                 and damping >= NEAR
                 and next_speed <= slow
             )
-            return *self.after(q, u, dt, low, high), calm
+            return *self.take_step(q, u, dt, low, high), calm
         own = stages[: k + 1]
         before = requested[k]
-        model = self.curvature(q, free.basis, own, u, *wide, dt, at)
+        model = self.compute_hessian(q, free.basis, own, u, *wide, dt, at)
         more = 0.0
         for _ in range(TRIALS):
             convex = model + more * np.eye(len(model))
-            u = self.velocity(free, own, *wide, damping, model=convex)
-            promise = before**2 - own[k].missed(u) ** 2
+            u = self.compute_velocity(free, own, *wide, damping, model=convex)
+            promise = before**2 - own[k].compute_residual_norm(u) ** 2
             if (
                 promise <= BLIND * before**2
-                and (way := self.aside(free, own, u, *wide, dt, model)) is not None
+                and (way := self.leave_saddle_point(free, own, u, *wide, dt, model)) is not None
             ):
                 u, promise = way
                 speeds = (low, high) if speeds is None else speeds
@@ -366,19 +377,21 @@ class ConstrainedSteps:
                 break
             if promise > 0.0 and (
                 promise <= BLIND * before**2
-                or at(self.after(q, u, dt, *wide)[0])[k].missed() ** 2
+                or at(self.take_step(q, u, dt, *wide)[0])[k].compute_residual_norm() ** 2
                 <= before**2 - TAKEN * promise
             ):
                 if convex is None:
                     u = compute_feasible_fraction(u, low, high) * u
                 elif speeds is not None:
-                    u = self.velocity(free, own, *wide, damping, speeds=speeds, model=convex)
-                return *self.after(q, u, dt, low, high), False
+                    u = self.compute_velocity(
+                        free, own, *wide, damping, speeds=speeds, model=convex
+                    )
+                return *self.take_step(q, u, dt, low, high), False
             more = 4.0 * more if more else 1e-2 * float(np.abs(model).max())
-        u = self.velocity(free, stages[:k], *wide, damping, speeds=speeds)
-        return *self.after(q, u, dt, low, high), False
+        u = self.compute_velocity(free, stages[:k], *wide, damping, speeds=speeds)
+        return *self.take_step(q, u, dt, low, high), False
 
-    def straight(
+    def make_straight_step(
         self,
         q: Array,
         free: Left,
@@ -394,20 +407,20 @@ class ConstrainedSteps:
         The step is halved until it lowers what is missed by half of what it promises; if it never
         does, there is none.
         """
-        twist = Twist(dt, self.bend(q, free.basis, stages[0], at), True)
-        before = stages[0].missed()
-        u = self.velocity(free, stages, low, high, 0.0, twist=twist)
+        twist = Twist(dt, self.make_bend(q, free.basis, stages[0], at), True)
+        before = stages[0].compute_residual_norm()
+        u = self.compute_velocity(free, stages, low, high, 0.0, twist=twist)
         for _ in range(HALVINGS if before > ENOUGH / dt else 0):
-            promise = before**2 - stages[0].missed(u) ** 2
+            promise = before**2 - stages[0].compute_residual_norm(u) ** 2
             if promise <= STILL * before**2:
                 break
-            found = self.after(q, u, dt, low, high)
-            if at(found[0])[0].missed() ** 2 <= before**2 - HALF * promise:
+            found = self.take_step(q, u, dt, low, high)
+            if at(found[0])[0].compute_residual_norm() ** 2 <= before**2 - HALF * promise:
                 return found
             u = 0.5 * u
-        return self.after(q, np.minimum(np.maximum(0.0, low), high), dt, low, high)
+        return self.take_step(q, np.minimum(np.maximum(0.0, low), high), dt, low, high)
 
-    def aside(
+    def leave_saddle_point(
         self,
         free: Left,
         stages: list[Stage],
@@ -426,7 +439,7 @@ class ConstrainedSteps:
         N = free.basis
         held = np.eye(len(u))[(u <= low) | (u >= high)] @ N
         earlier = np.concatenate([held, *(s.A @ N for s in stages[:-1])])
-        own = Spectrum(earlier, 1.0).null(Level.CLOSED)
+        own = Spectrum(earlier, 1.0).compute_null_space(Level.CLOSED)
         if not own.shape[1]:
             return None
         values, W = np.linalg.eigh(own.T @ model @ own)
@@ -445,7 +458,9 @@ class ConstrainedSteps:
         step = compute_feasible_fraction(np.concatenate(rows) @ step, least, most) * step
         return step, -float(values[0]) * float(step @ step)
 
-    def bend(self, q: Array, N: Array, stage: Stage, at: Callable[[Array], list[Stage]]) -> Bend:
+    def make_bend(
+        self, q: Array, N: Array, stage: Stage, at: Callable[[Array], list[Stage]]
+    ) -> Bend:
         """Derivatives (k, m, n) of a stage's equations over the free velocities N along directions
         (k, n) of these.
 
@@ -466,12 +481,12 @@ class ConstrainedSteps:
             C = (C[:k] - C[k:]) * per
             if C.shape[-2]:
                 closing = evaluate_constraints(self.closing, q, True, True)[1]
-                A = A - stage.A @ Spectrum(closing).inverse(Level.CLOSED) @ C
+                A = A - stage.A @ Spectrum(closing).compute_pseudo_inverse(Level.CLOSED) @ C
             return A @ N
 
         return compute_bends
 
-    def curvature(
+    def compute_hessian(
         self,
         q: Array,
         N: Array,
@@ -504,7 +519,9 @@ class ConstrainedSteps:
         rolling = compute_unit_rows(self.system, q, self.scale)[0] if self.rolls else at_bound[:0]
         held = np.concatenate([rows, rolling, at_bound])
         forces = (
-            Spectrum(held.T).solve(pull, Level.CLOSED)[: len(rows)] if len(held) else np.zeros(0)
+            Spectrum(held.T).solve_least_squares(pull, Level.CLOSED)[: len(rows)]
+            if len(held)
+            else np.zeros(0)
         )
         moves = DIFFERENCE * N.T * self.scale
         ends = self.system.structure.layout.integrate_velocity(q, np.concatenate([moves, -moves]))
@@ -513,18 +530,22 @@ class ConstrainedSteps:
         H = (pulled[len(moves) :] - pulled[: len(moves)]) @ N / (2.0 * DIFFERENCE)
         return 0.5 * (H + H.T)
 
-    def after(self, q: Array, u: Array, dt: float, low: Array, high: Array) -> tuple[Array, Array]:
+    def take_step(
+        self, q: Array, u: Array, dt: float, low: Array, high: Array
+    ) -> tuple[Array, Array]:
         """The configuration (nq,) after dt, loops closed and limits held, and u, shortened where
         that has to be.
         """
         for k in range(HALVINGS):
             part = 0.5**k
-            found = self.closed(q, part * u, dt, low, high)
+            found = self.find_closed_configuration(q, part * u, dt, low, high)
             if found is not None:
                 return found, part * u
         return q.copy(), 0.0 * u
 
-    def closed(self, q: Array, u: Array, dt: float, low: Array, high: Array) -> Array | None:
+    def find_closed_configuration(
+        self, q: Array, u: Array, dt: float, low: Array, high: Array
+    ) -> Array | None:
         """The closed configuration (nq,) next to q + u dt, None where limits or a singularity are
         in the way.
 
@@ -532,9 +553,9 @@ class ConstrainedSteps:
         """
         system = self.system
         x = self.system.structure.layout.integrate_velocity(
-            q, (self.bent(q, u, dt) if self.rolls else u) * self.scale * dt
+            q, (self.correct_slip(q, u, dt) if self.rolls else u) * self.scale * dt
         )
-        before = self.bounds.beyond(q, declared=True) if self.bounds.declared else x
+        before = self.bounds.compute_excess(q, declared=True) if self.bounds.declared else x
         for _ in range(CORRECTIONS):
             error, C = self._evaluate_errors(x, before)
             if np.abs(error).max(initial=0.0) <= CLOSED:
@@ -542,14 +563,14 @@ class ConstrainedSteps:
             moved = system.structure.layout.compute_difference(q, x) / self.scale
             least = np.minimum(low * dt - moved, 0.0)
             most = np.maximum(high * dt - moved, 0.0)
-            more = -Spectrum(C).inverse(Level.CLOSED) @ error
+            more = -Spectrum(C).compute_pseudo_inverse(Level.CLOSED) @ error
             if (more < least).any() or (more > most).any():
                 H = C.T @ C + LEAST**2 * np.eye(len(more))
                 more = minimize_quadratic_in_box(H, -C.T @ error, least, most)[0]
             x = system.structure.layout.integrate_velocity(x, more * self.scale)
         return None
 
-    def bent(self, q: Array, u: Array, dt: float) -> Array:
+    def correct_slip(self, q: Array, u: Array, dt: float) -> Array:
         """Scaled velocities (nv,) over dt for those at q: without slip in the middle of the way, to
         second order.
         """
@@ -558,7 +579,7 @@ class ConstrainedSteps:
             self.system.structure.layout.integrate_velocity(q, 0.5 * dt * u * self.scale),
             self.scale,
         )
-        return u - Spectrum(A).inverse(Level.CLOSED) @ (A @ u - b)
+        return u - Spectrum(A).compute_pseudo_inverse(Level.CLOSED) @ (A @ u - b)
 
     def _clamp_to_limits(self, q: Array, x: Array) -> Array:
         """x, its limits kept to the last bit where q kept them."""
@@ -591,7 +612,7 @@ class _Descent:
         self.high = np.zeros(0)
         self.speeds = speeds
 
-    def take(
+    def take_stage(
         self, stage: Stage, damping: float, twist: Twist | None = None, model: Array | None = None
     ) -> None:
         """Do for a stage what can be done; `model` (k, k), where given, is the Hessian that counts
@@ -646,7 +667,7 @@ class _Descent:
             self._add_bounds(
                 G[out], np.minimum(stage.low[out], value), np.maximum(stage.high[out], value)
             )
-        self.free = free @ Spectrum(A @ free, 1.0).null(Level.CLOSED)
+        self.free = free @ Spectrum(A @ free, 1.0).compute_null_space(Level.CLOSED)
 
     def _slow_velocities(self, y: Array, equations: Array, low: Array, high: Array) -> Array:
         """y (k,) of the free velocities, shortened until limits of speed alone hold, then the
@@ -697,13 +718,13 @@ def list_stages(problem: Demands, q: Array, dt: float) -> list[Stage]:
     """
     packed = problem.packed
     loops = problem.packed.loops
-    error, J = packed.evaluate(q, problem.pins)
+    error, J = packed.evaluate_tasks(q, problem.pins)
     levels, strengths, *_ = problem.levels
     counts = np.array([len(t.row_names) for t in loops.ties])
     own = packed.rows >= 0
     level, hard = (np.repeat(x, counts)[own] for x in levels.reshape(2, -1))
     weight = np.repeat(np.sqrt(strengths[:, 0]), counts)[own]
-    low, high = packed.ends
+    low, high = packed.row_bounds
     equal = low == high
     J = weight[:, None] * J
     low = weight * (low - error) / dt

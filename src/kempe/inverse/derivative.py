@@ -59,9 +59,11 @@ def compute_derivative(solution: Solution) -> Array:
     free = np.where(held[..., None, :], 0.0, J)
     whole = Spectrum(J)
     left = Spectrum(free, whole.largest)
-    stay = held & (left.ranks(Level.CLOSED) == whole.ranks(Level.CLOSED))[..., None]
+    stay = held & (left.compute_ranks(Level.CLOSED) == whole.compute_ranks(Level.CLOSED))[..., None]
     inverse = np.where(
-        stay[..., None], 0.0, Spectrum(np.where(stay[..., None, :], 0.0, J)).inverse(Level.ROUNDING)
+        stay[..., None],
+        0.0,
+        Spectrum(np.where(stay[..., None, :], 0.0, J)).compute_pseudo_inverse(Level.ROUNDING),
     )
     out = np.zeros((*q.shape[:-1], system.nv, 6))
     out[..., chain.v_index, :] = inverse @ S
@@ -114,7 +116,7 @@ def compute_task_derivatives(answer: Reached) -> dict[str, Array]:
     if not good.ndim:
         return _differentiate_answer(problem, answer.q)
     rows = [
-        _differentiate_answer(problem.of(i), q) if fine else None
+        _differentiate_answer(problem.select_row(i), q) if fine else None
         for i, (fine, q) in enumerate(
             zip(good.ravel(), answer.q.reshape(-1, answer.q.shape[-1]), strict=True)
         )
@@ -135,7 +137,7 @@ def _differentiate_answer(problem: Demands, q: Array) -> dict[str, Array]:
     counts = _find_active_rows(problem, q)
     at = _compute_rows(problem, q, problem.pins, counts)
     g = at.S.T @ at.soft
-    multipliers = Spectrum(at.H.T).solve(-g, Level.CLOSED)
+    multipliers = Spectrum(at.H.T).solve_least_squares(-g, Level.CLOSED)
 
     def compute_gradients(rows: _DerivativeRows) -> Array:
         """Gradients (n, nv) of the Lagrangian."""
@@ -158,11 +160,11 @@ def _differentiate_answer(problem: Demands, q: Array) -> dict[str, Array]:
     K[:n, :n] = second[np.ix_(free, free)]
     K[n:, :n] = at.H[:, free]
     K[:n, n:] = at.H[:, free].T
-    inverse = Spectrum(K).inverse(Level.CLOSED)[:n]
+    inverse = Spectrum(K).compute_pseudo_inverse(Level.CLOSED)[:n]
     out: dict[str, Array] = {}
     for k, task in enumerate(problem.tasks):
         moved = [
-            problem.packed.pins([*problem.goals[:k], goal, *problem.goals[k + 1 :]])
+            problem.packed.pack_pins([*problem.goals[:k], goal, *problem.goals[k + 1 :]])
             for goal in _perturb_goal(problem.goals[k])
         ]
         dq = np.zeros((system.nv, len(moved) // 2))
@@ -179,8 +181,8 @@ def _differentiate_answer(problem: Demands, q: Array) -> dict[str, Array]:
 def _find_active_rows(problem: Demands, q: Array) -> tuple[np.ndarray, np.ndarray, Array]:
     """Find the rows (m,) of tasks that hold, those that are minimised, and roots of weights."""
     packed = problem.packed
-    error, _ = packed.evaluate(q, problem.pins)
-    low, high = packed.ends
+    error, _ = packed.evaluate_tasks(q, problem.pins)
+    low, high = packed.row_bounds
     levels, strengths, *_ = problem.levels
     counts = [len(t.row_names) for t in packed.loops.ties]
     own = packed.rows >= 0
@@ -199,9 +201,9 @@ def _compute_rows(
     """Compute equations and weighted terms at q (..., nq), for pins (n or 1, k)."""
     packed = problem.packed
     (held, soft, weight) = counts
-    error, J = packed.evaluate(q, pins)
-    closed, C = packed.evaluate(q, pins, closures=True)
-    low, high = packed.ends
+    error, J = packed.evaluate_tasks(q, pins)
+    closed, C = packed.evaluate_tasks(q, pins, closures=True)
+    low, high = packed.row_bounds
     miss = (error - np.clip(error, low, high))[..., soft] * weight[soft]
     S = J[..., soft, :] * (weight[soft, None] * ((low == high)[soft] | (miss != 0.0))[..., None])
     if problem.mode == AHEAD and problem.aim is not None:
@@ -237,7 +239,7 @@ def _find_free_coordinates(problem: Demands, q: Array, H: Array) -> np.ndarray:
         return free
     whole = Spectrum(H)
     left = Spectrum(H[:, free], whole.largest)
-    enough = left.rank(Level.CLOSED) == whole.rank(Level.CLOSED)
+    enough = left.compute_rank(Level.CLOSED) == whole.compute_rank(Level.CLOSED)
     return free if enough else np.ones(system.nv, dtype=bool)
 
 

@@ -183,7 +183,7 @@ def _compute_rank(task: FrameProblem, q: Array, level: float) -> int:
     J = J[:, [i for i, used in enumerate(task.mask) if used]]
     if J.shape[-1] == 0:
         return 0
-    return int(Spectrum(J).ranks(level).max())
+    return int(Spectrum(J).compute_ranks(level).max())
 
 
 def count_equations_and_freedoms(task: FrameProblem) -> tuple[int, int]:
@@ -437,7 +437,7 @@ def _prove_slides_too_short(task: FrameProblem, target: Array) -> Evidence | Non
     A = np.array(axes).T
     (low, high) = np.array(moved).T
     p = target[0, :3, 3]
-    for d in np.concatenate([A.T, Spectrum(A).inverse(Level.CLOSED)]):
+    for d in np.concatenate([A.T, Spectrum(A).compute_pseudo_inverse(Level.CLOSED)]):
         d = d / max(float(np.linalg.norm(d)), 1e-300)
         part = d @ A
         used = np.abs(part) > 1e-12

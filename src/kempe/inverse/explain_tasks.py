@@ -51,7 +51,7 @@ def explain_target(answer: Reached, index: tuple[int, ...]) -> str:
             "goals or start have numbers that are not finite or too large, or a goal is not a pose"
         )
     row = int(np.ravel_multi_index(index, np.shape(answer.code))) if index else 0
-    problem = answer.problem.of(row)
+    problem = answer.problem.select_row(row)
     q = answer.q[index]
     misses = {t.label: answer.errors[t.label][index] for t in problem.tasks}
     soft = ", ".join(
@@ -102,8 +102,10 @@ def _describe_freedoms(problem: Demands, q: Array) -> str:
     if problem.system.nv > MOST_COORDINATES:
         return ""
     local = Local(problem, q)
-    first = local.left.shape[1]
-    return wording.freedoms_left(first, local.finite if first else 0, local.m, local.n)
+    first = local.allowed_velocities.shape[1]
+    return wording.freedoms_left(
+        first, local.finite_freedoms if first else 0, local.n_equations, local.n_freedoms
+    )
 
 
 def _merge_errors(tasks: Sequence[Task], error: Array) -> tuple[float | None, float | None]:
@@ -121,13 +123,13 @@ def _describe_miss(task: Task, misses: dict[str, Array]) -> str:
 
 def _is_within_tolerance(problem: Demands, task: Task, error: Array) -> bool:
     """Return whether the error of a task is within its tolerance."""
-    linear, angular = problem.tolerance_of(task)
+    linear, angular = problem.get_tolerance(task)
     return bool(error[0] <= linear * 1.000001 and error[1] <= angular * 1.000001)
 
 
 def _describe_violations(problem: Demands, q: Array) -> str:
     """Describe declared one-sided constraints that are violated at q (nq,), and by how much."""
-    which = ", ".join(v.text for v in problem.packed.one_sided.violations(q))
+    which = ", ".join(v.text for v in problem.packed.one_sided.list_violations(q))
     return f"violating {which}" if which else ""
 
 
@@ -135,8 +137,8 @@ def _solve_tasks(
     problem: Demands, q: Array, tasks: list[int], limits: bool = True, one_sided: bool = True
 ) -> Array | None:
     """Solve for a configuration (nq,) that holds only the given hard tasks, or None."""
-    part = problem.only(tasks, limits, one_sided)
-    found, info = part.run(q[None])
+    part = problem.select_tasks(tasks, limits, one_sided)
+    found, info = part.run_search(q[None])
     return found[0] if make_checked_answer(part, found, info) else None
 
 
@@ -149,7 +151,11 @@ def _list_reasons(problem: Demands, q: Array) -> list[Any]:
     above = (
         _solve_tasks(problem, q, hard, True, False) if problem.packed.one_sided.declared else None
     )
-    if above is not None and not proofs and (over := problem.packed.one_sided.violations(above)):
+    if (
+        above is not None
+        and not proofs
+        and (over := problem.packed.one_sided.list_violations(above))
+    ):
         return [evidence("one-sided", violated=[v.text for v in over])]
     free = _solve_tasks(problem, q, hard, False)
     names = outside_limits(problem.system, free) if free is not None else []
@@ -189,7 +195,7 @@ def list_proofs(answer: Reached, index: tuple[int, ...]) -> tuple[Evidence, ...]
     """List the proofs that the tasks of one problem do not hold together."""
     row = int(np.ravel_multi_index(index, np.shape(answer.code))) if index else 0
     code = np.asarray(answer.code)[index]
-    problem = answer.problem.of(row)
+    problem = answer.problem.select_row(row)
     if code == Status.CONTRADICTORY:
         return tuple(_find_contradictions(problem))
     hard = (
@@ -251,7 +257,7 @@ def _prove_overdetermined(problem: Demands, q: Array, tasks: list[int]) -> Evide
     """Prove that tasks have more equations than the system has freedoms; None for large systems."""
     if problem.system.nv > MOST_COORDINATES:
         return None
-    equations, freedoms = analyse_freedoms(problem.only(tasks), q)[:2]
+    equations, freedoms = analyse_freedoms(problem.select_tasks(tasks), q)[:2]
     return (
         evidence("rank", equations=equations, freedoms=freedoms) if freedoms < equations else None
     )

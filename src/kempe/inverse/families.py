@@ -150,7 +150,7 @@ class SolutionSet(Curve):
         J[..., self.aim.moves] = columns
         return -e, J
 
-    def both(self, x: Array) -> tuple[Array, Array]:
+    def evaluate_equations(self, x: Array) -> tuple[Array, Array]:
         """Compute residual (m,) and Jacobian (m, n) at a configuration (n,)."""
         r, J = self.evaluate_batch(x[None])
         return r[0], J[0]
@@ -191,16 +191,16 @@ class SolutionSet(Curve):
 
         At least `least` of them.
         """
-        s, directions = self.decompose_jacobians(self.both(x)[1])
+        s, directions = self.decompose_jacobians(self.evaluate_equations(x)[1])
         return directions[: max(least, int((s <= SINGULAR).sum()))]
 
     def compute_tangents(self, x: Array, toward: Array) -> Array:
         """Compute orthonormal tangents (d, n) of a family at x (n,), nearest to `toward` (d, n)."""
         free = self.find_free_directions(x, len(toward))
-        U, s, Vt = Spectrum(toward @ free.T @ free).thin
+        U, s, Vt = Spectrum(toward @ free.T @ free).thin_decomposition
         return U @ Vt if s[-1] > 0.1 else toward
 
-    def node(self, x: Array, toward: Array, J: Array) -> Node:
+    def make_node(self, x: Array, toward: Array, J: Array) -> Node:
         """Make the node at a point of a curve, its tangent in the sense of `toward` (n,)."""
         way = toward / np.linalg.norm(toward)
         return Node(x, self.compute_tangents(x, way[None])[0], 1.0, 1, NONE, NONE)
@@ -210,13 +210,13 @@ class SolutionSet(Curve):
         still = np.zeros(len(across))
 
         def evaluate_rows(x: Array) -> tuple[Array, Array]:
-            r, J = self.both(x)
+            r, J = self.evaluate_equations(x)
             return np.append(r, still), np.vstack([J, across])
 
         x, r, J = run_gauss_newton(evaluate_rows, x, CORRECTIONS, met=ROUNDING)
         return GaussNewtonEnd(x, r[: -len(across)], J[: -len(across)])
 
-    def corrected(self, x: Array, across: Array) -> GaussNewtonEnd | None:
+    def correct_point(self, x: Array, across: Array) -> GaussNewtonEnd | None:
         """Return the point on target near x (n,), moved across `across` (n,) or (d, n); or None."""
         end = self.minimise_error(x, np.atleast_2d(across))
         return end if self.measure_error(end.r) <= SLACK * self.allowed else None
@@ -246,7 +246,7 @@ class SolutionSet(Curve):
         theta = run_many_gauss_newton(evaluate_rows, x + distance * ways, 2 * CORRECTIONS)
         out: list[Array] = []
         for y in theta[np.isfinite(theta[:, 0])]:
-            on_target = self.measure_error(self.both(y)[0]) <= SLACK * self.allowed
+            on_target = self.measure_error(self.evaluate_equations(y)[0]) <= SLACK * self.allowed
             if on_target and all(np.abs(y - z).max() >= 0.05 * distance for z in out):
                 out.append(y)
         return np.reshape(out, (-1, self.n))
@@ -263,11 +263,11 @@ class SolutionSet(Curve):
         if not len(near):
             return free[:1]
         ways = (near - x) / np.linalg.norm(near - x, axis=1, keepdims=True)
-        return Spectrum(ways).row_space(SPANNED).T[: len(free)]
+        return Spectrum(ways).compute_row_space(SPANNED).T[: len(free)]
 
     def find_families(self, x: Array, base: Array, known: Sequence[Family]) -> list[Family]:
         """Find families through a configuration (n,), other than `known`; none if isolated."""
-        s, _ = self.decompose_jacobians(self.both(x)[1])
+        s, _ = self.decompose_jacobians(self.evaluate_equations(x)[1])
         if s[0] > SINGULAR:
             return []
         distance = REACH
@@ -308,7 +308,7 @@ class SolutionSet(Curve):
         out = [(x, frame)]
         for _ in range(count):
             way = rng.normal(size=len(frame)) @ frame
-            end = self.corrected(x + 0.6 * rng.random() * way / np.linalg.norm(way), frame)
+            end = self.correct_point(x + 0.6 * rng.random() * way / np.linalg.norm(way), frame)
             if end is not None:
                 x = end.x
                 frame = self.compute_tangents(x, frame)
@@ -321,12 +321,12 @@ class SolutionSet(Curve):
         None if it leaves the target.
         """
         x, _, J = self.minimise_error(x, way[None])
-        first = self.node(x, way, J)
+        first = self.make_node(x, way, J)
         nodes, end = self._trace_half(first)
         other = end
         if end != "closed":
-            back, other = self._trace_half(first.reversed())
-            nodes = [*(a.reversed() for a in back[:0:-1]), *nodes]
+            back, other = self._trace_half(first.reverse_direction())
+            nodes = [*(a.reverse_direction() for a in back[:0:-1]), *nodes]
         theta = np.array([a.x for a in nodes])
         if "off" in (end, other) and self.decompose_jacobians(J)[0][0] > self.singular_level:
             worst = max(map(self.measure_error, self.evaluate_batch(theta)[0]))
@@ -511,7 +511,7 @@ class Family(InWords):
             size = float(np.linalg.norm(way))
             if not size > max(1e-12, 1e-6 * float(np.linalg.norm(rest))):
                 break
-            end = target.corrected(x + way * min(1.0, STRIDE / size), frame)
+            end = target.correct_point(x + way * min(1.0, STRIDE / size), frame)
             if end is None:
                 break
             x = end.x

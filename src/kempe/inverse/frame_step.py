@@ -145,7 +145,7 @@ class Approach:
         )
         self.square = float(self.missing @ self.missing)
 
-    def go(
+    def compute_velocity(
         self, low: Array, high: Array, damping: float, weights: Array | None, direction: bool
     ) -> Array:
         """Velocities (n,) in the box from `low` to `high`: straight ahead as long as that leads on,
@@ -157,9 +157,9 @@ class Approach:
         twist = self.e / self.dt
         A, b = (self.J, twist) if weights is None else (weights[:, None] * self.J, weights * twist)
         if not direction:
-            return self.nearer(A, b, low, high, rest, damping, weights)
-        bend = self.servo.bend(self.before, weights)
-        straight = self.shortened(
+            return self.approach_nearest_pose(A, b, low, high, rest, damping, weights)
+        bend = self.servo.make_bend(self.before, weights)
+        straight = self.shorten_velocity(
             scale_solution_to_bounds(A, b, low, high, self.dt, bend, near=self.servo.near)
         )
         unit = self.servo.unit
@@ -168,11 +168,11 @@ class Approach:
         )
         if share == 1.0:
             return straight
-        return share * straight + (1.0 - share) * self.nearer(
+        return share * straight + (1.0 - share) * self.approach_nearest_pose(
             A, b, low, high, rest, damping, weights
         )
 
-    def nearer(
+    def approach_nearest_pose(
         self,
         A: Array,
         b: Array,
@@ -190,7 +190,7 @@ class Approach:
         near = self.servo.near
         wished = solve_unbounded_wish(A, b, damping, near, RESIDUAL * math.sqrt(self.square))
         x = wished.x
-        least, most = self.servo.box(self.before, self.dt, self.servo.unbounded)
+        least, most = self.servo.compute_velocity_bounds(self.before, self.dt, self.servo.unbounded)
         if whole := bool((x >= least).all() and (x <= most).all()):
             part = compute_feasible_fraction(x, low, high)
         else:
@@ -199,19 +199,19 @@ class Approach:
             )
             part = 0.0 if rest.any() else compute_feasible_fraction(x, low, high)
         part = min(part, LARGEST / max(float(np.abs(x * self.dt / self.servo.unit).max()), 1e-300))
-        left = self.left(part * x) if part else self.square
+        left = self.compute_remaining_error(part * x) if part else self.square
         gain = (1.0 - math.sqrt(left / self.square)) / part if part else 0.0
         if gain >= ENOUGH_GAIN:
-            self.calm = whole and part == 1.0 and self.arrived(left, wished.s[-1], weights)
+            self.calm = whole and part == 1.0 and self.has_arrived(left, wished.s[-1], weights)
             return part * x
-        y = self.second_order(least, most, wished.rows)
+        y = self.compute_second_order_velocity(least, most, wished.rows)
         if rest.any():
             return np.minimum(np.maximum(y, low), high)
         y = compute_feasible_fraction(y, low, high) * y
         share = max(0.0, (gain - LITTLE_GAIN) / (ENOUGH_GAIN - LITTLE_GAIN))
         return share * part * x + (1.0 - share) * y
 
-    def arrived(self, left: float, smallest: float, weights: Array | None) -> bool:
+    def has_arrived(self, left: float, smallest: float, weights: Array | None) -> bool:
         """Whether the square of the error that is left is so small that the next velocities are,
         too.
         """
@@ -223,14 +223,14 @@ class Approach:
             <= smallest * self.dt * self.slow
         )
 
-    def left(self, velocity: Array) -> float:
+    def compute_remaining_error(self, velocity: Array) -> float:
         """Square of the error after velocities (n,)."""
         servo = self.servo
-        pose = servo.query(servo.after(self.before, servo.spread(velocity), self.dt))
+        pose = servo.query(servo.take_step(self.before, servo.expand_velocities(velocity), self.dt))
         missing = self.metric * compute_pose_error(self.goal, pose)
         return float(missing @ missing)
 
-    def shortened(self, velocity: Array) -> Array:
+    def shorten_velocity(self, velocity: Array) -> Array:
         """The velocities (n,), halved until they lower the error by at least half of what they
         promise.
 
@@ -243,13 +243,13 @@ class Approach:
         if slope <= 2.0 * LITTLE * math.sqrt(self.square * float(z @ z)) + ROUNDING:
             return 0.0 * velocity
         for _ in range(HALVINGS):
-            if self.left(velocity) <= self.square - STRICT * slope:
+            if self.compute_remaining_error(velocity) <= self.square - STRICT * slope:
                 return velocity
             velocity = 0.5 * velocity
             slope = 0.5 * slope
         return 0.0 * velocity
 
-    def second_order(self, low: Array, high: Array, damping: Array) -> Array:
+    def compute_second_order_velocity(self, low: Array, high: Array, damping: Array) -> Array:
         """The velocities (n,) in the box that make the error's second order least, if they lower
         the error itself.
         """
@@ -259,7 +259,7 @@ class Approach:
         most = np.minimum(high * dt / unit, LARGEST)
         rest = np.minimum(np.maximum(0.0, least), most)
         push = self.A.T @ self.missing
-        H = self.hessian()
+        H = self.compute_hessian()
         strength = np.abs(H).max(axis=1)
         idle = strength <= FLAT * strength.max()
         weak = damping * unit
@@ -281,14 +281,14 @@ class Approach:
                 break
             if (
                 0.0 < promise <= BLIND * self.square
-                or self.left(unit * z / dt) <= self.square - TAKEN * promise
+                or self.compute_remaining_error(unit * z / dt) <= self.square - TAKEN * promise
             ):
                 return unit * z / dt
             more = max(4.0 * more, 1e-3 * float(np.abs(model).max()))
             model = model + more * np.eye(len(z))
         return rest
 
-    def hessian(self) -> Array:
+    def compute_hessian(self) -> Array:
         """The Hessian (n, n) of half the square of the error, in radians and characteristic
         lengths.
 
@@ -298,8 +298,10 @@ class Approach:
         servo = self.servo
         w = self.metric
         if not self.even:
-            return self.by_differences()
-        J = servo.query.pose_and_jacobian(servo.beside(self.before, DIFFERENCE * servo.unit))[1]
+            return self.compute_difference_hessian()
+        J = servo.query.pose_and_jacobian(
+            servo.make_neighbour_configurations(self.before, DIFFERENCE * servo.unit)
+        )[1]
         ahead = J[: len(servo.v)]
         behind = J[len(servo.v) :]
         rate = w[:, None] * convert_angular_rows(self.e[3:], self.J) * servo.unit
@@ -307,14 +309,14 @@ class Approach:
         H = self.A.T @ rate - forces / (2.0 * DIFFERENCE)
         return 0.5 * (H + H.T)
 
-    def by_differences(self) -> Array:
+    def compute_difference_hessian(self) -> Array:
         """The Hessian (n, n) where turns about the axes of the ground count unequally: differences
         of the gradient.
         """
         servo = self.servo
         w = self.metric
         pushes: list[Array] = []
-        for q in servo.beside(self.before, DIFFERENCE * servo.unit):
+        for q in servo.make_neighbour_configurations(self.before, DIFFERENCE * servo.unit):
             pose, J = servo.query.pose_and_jacobian(q)
             e = compute_pose_error(self.goal, pose)
             pushes.append(
@@ -448,7 +450,7 @@ class Servo:
         """What weighs the error of a pose as `ik` does."""
         self.unit = np.where(slides, length, 1.0)
 
-    def move(
+    def compute_move(
         self,
         q: Array,
         x: Array,
@@ -462,12 +464,12 @@ class Servo:
         pose, J = self.query.pose_and_jacobian(q)
         J = J[:, self.v]
         w = weights
-        low, high = self.box(q, dt, fastest)
+        low, high = self.compute_velocity_bounds(q, dt, fastest)
         if x.ndim == 2:
             approach = Approach(
                 self, q, x, pose, J, dt, w, SLOW * float(fastest.min(initial=math.inf))
             )
-            own = approach.go(low, high, damping, w, direction)
+            own = approach.compute_velocity(low, high, damping, w, direction)
             return Move(own, low, high, J, approach.e / dt, approach.calm)
         A, b = (J, x) if w is None else (w[:, None] * J, w * x)
         wished = solve_unbounded_wish(A, b, damping, self.near)
@@ -479,9 +481,9 @@ class Servo:
             own = wished.x  # regular
             if (own >= low).all() and (own <= high).all():
                 bound = dt * math.sqrt(len(own)) * float(wished.s[0] * (own @ own) / wished.s[-1])
-                calm = bound <= SLOW * float(fastest.min()) and self.roomy(q, own, dt)
+                calm = bound <= SLOW * float(fastest.min()) and self.has_room(q, own, dt)
                 return Move(own, low, high, J, x, calm)
-        bend = self.bend(q, w)
+        bend = self.make_bend(q, w)
         if direction:
             own = scale_solution_to_bounds(A, b, low, high, dt, bend, near=self.near)
         else:
@@ -490,12 +492,12 @@ class Servo:
             )
         return Move(own, low, high, J, x, False)
 
-    def roomy(self, q: Array, velocity: Array, dt: float) -> bool:
+    def has_room(self, q: Array, velocity: Array, dt: float) -> bool:
         """Whether no limit of position is met in two such steps."""
         x = q[self.at_q] + 2.0 * dt * velocity[self.at_v]
         return bool((x >= self.lower).all() and (x <= self.upper).all())
 
-    def box(self, q: Array, dt: float, speed: Array) -> tuple[Array, Array]:
+    def compute_velocity_bounds(self, q: Array, dt: float, speed: Array) -> tuple[Array, Array]:
         """Least and largest velocities (n,) for which limits of position and speed hold after dt.
 
         What is outside its limits comes back as fast as it may.
@@ -511,7 +513,7 @@ class Servo:
         )
         return low, high
 
-    def bend(self, q: Array, weights: Array | None) -> Bend:
+    def make_bend(self, q: Array, weights: Array | None) -> Bend:
         """Derivatives (k, 6, n) of the Jacobian, its rows weighted, along directions (k, n), as
         central differences.
         """
@@ -529,13 +531,13 @@ class Servo:
 
         return compute_bends
 
-    def spread(self, velocity: Array) -> Array:
+    def expand_velocities(self, velocity: Array) -> Array:
         """Velocities (nv,) of the system, those of the chain (n,) given, the others zero."""
         out = np.zeros(self.system.nv)
         out[self.v] = velocity
         return out
 
-    def beside(self, q: Array, step: Array) -> Array:
+    def make_neighbour_configurations(self, q: Array, step: Array) -> Array:
         """Configurations (2 n, nq), each coordinate of the chain moved by its step (n,), then by
         minus that.
         """
@@ -550,7 +552,7 @@ class Servo:
         moves[range(n, 2 * n), self.v] = -step
         return self.system.structure.layout.integrate_velocity(q, moves)
 
-    def after(self, q: Array, velocity: Array, dt: float) -> Array:
+    def take_step(self, q: Array, velocity: Array, dt: float) -> Array:
         """The configuration (nq,) after dt, limits kept to the last bit where q kept them."""
         if not self.plain:
             out = self.system.structure.layout.integrate_velocity(q, velocity * dt)

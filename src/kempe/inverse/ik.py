@@ -108,7 +108,7 @@ class BoundIk:
     def __reduce__(self) -> tuple[Any, ...]:
         return BoundIk, (self.requested, self.shape)
 
-    def task(self, X: Array) -> FrameProblem:
+    def make_problem(self, X: Array) -> FrameProblem:
         """The problem, for poses (1, 4, 4)."""
         return replace(self.requested, targets=X)
 
@@ -122,7 +122,7 @@ class BoundIk:
     def _continue_search(self, X: Array, seeds: Array, out: Array) -> None:
         """Search further, from other starts."""
         head = (self.chain.ints, self.chain.floats, self.chain.limits, self.rows, X, seeds, 0)
-        multi_start.continue_search(self.task(X), X, head, FEW, out)
+        multi_start.continue_search(self.make_problem(X), X, head, FEW, out)
 
     def __call__(self, target: Array, start: Any) -> Solution | None:
         """The answer for a target, None where target or seed need the general solver."""
@@ -181,7 +181,7 @@ class BoundIk:
                 return None
         if not missed or row[n + STATUS] == Status.SOLVED:
             return Solution.reached((self, X), q, row)
-        task = self.task(X)
+        task = self.make_problem(X)
         codes = np.array([Status.NOT_FOUND])
         quiet(problem.mark_unreachable_targets)(task, codes)
         linear, angular, _, steps, starts = row[n:].tolist()
@@ -336,7 +336,7 @@ def _broadcast_targets(
 def _choose_solver(problem: Problem) -> tuple[Solver, Choice, Problem]:
     """Who answers, and by which method: numbers where the time does not last to plan a closed form."""
     time = TimeLimit((BATCH if problem.lead else USUAL).complete_budget(problem.budget).time_limit)
-    time.put_in_order()  # a plan is made as a whole, or not at all
+    time.release_reserved_time()  # a plan is made as a whole, or not at all
     problem = problem._replace(options={"end": time.end})
     try:
         with time:

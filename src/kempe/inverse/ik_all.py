@@ -105,7 +105,7 @@ def ik_all(
         lead=lead,
     )
     time = TimeLimit((BATCH if lead else USUAL).complete_budget(budget).time_limit)
-    time.put_in_order()  # a plan is made as a whole, or not at all
+    time.release_reserved_time()  # a plan is made as a whole, or not at all
     with limit_preparation_time(USUAL, time):
         solver, choice = choose(SOLVERS, problem)
     problem = problem._replace(options={"time": time})

@@ -208,10 +208,10 @@ def ik_step(
     def compute_move(q: Array) -> Move:
         if servo.upcoming[0] == (case, q.tobytes()):
             return servo.upcoming[1]
-        return servo.move(q, x, dt, fastest, damping, keep_direction, w)
+        return servo.compute_move(q, x, dt, fastest, damping, keep_direction, w)
 
     def compute_velocity_after(part: float) -> Array:
-        there = servo.after(q, servo.spread(part * own), dt)
+        there = servo.take_step(q, servo.expand_velocities(part * own), dt)
         move = compute_move(there)
         servo.upcoming = (case, there.tobytes()), move
         return move.velocity
@@ -219,13 +219,13 @@ def ik_step(
     own, low, high, J, twist, calm = compute_move(q)
     if not calm:
         own = own * find_steady_fraction(compute_velocity_after, own, fastest)
-    velocity = servo.spread(own)
+    velocity = servo.expand_velocities(own)
     had = J @ own
     part = _compute_fraction(had, twist) if w is None else _compute_fraction(w * had, w * twist)
     at = ((own <= low) | (own >= high)).nonzero()[0]
     names = tuple(servo.names[int(i)] for i in at)
     return IkStep(
-        servo.after(q, velocity, dt),
+        servo.take_step(q, velocity, dt),
         velocity,
         had,
         part,
@@ -302,9 +302,13 @@ def _make_constrained_step(
     at, J, asked = _read_wanted_motion(
         system, closed, q, wanted, frame, dt, np.ones(6) if weights is None else weights
     )
-    low, high = closed.box(q, dt, speed)
+    low, high = closed.compute_velocity_bounds(q, dt, speed)
     slow = SLOW * float((speed / closed.scale).min(initial=math.inf))
-    law = closed.twisted if frame is not None and np.ndim(wanted) == 1 else closed.towards
+    law = (
+        closed.make_twist_step
+        if frame is not None and np.ndim(wanted) == 1
+        else closed.make_goal_step
+    )
 
     case = (
         asked,
@@ -318,10 +322,19 @@ def _make_constrained_step(
     def compute_step(x: Array) -> tuple[Array, Array, bool]:
         if closed.upcoming[0] == (case, x.tobytes()):
             return closed.upcoming[1]
-        return law(x, at(x), *closed.box(x, dt, speed), damping, direction, dt, at, slow)
+        return law(
+            x,
+            at(x),
+            *closed.compute_velocity_bounds(x, dt, speed),
+            damping,
+            direction,
+            dt,
+            at,
+            slow,
+        )
 
     def compute_velocity_after(part: float) -> Array:
-        there = after if part == 1.0 else closed.after(q, part * u, dt, low, high)[0]
+        there = after if part == 1.0 else closed.take_step(q, part * u, dt, low, high)[0]
         found = compute_step(there)
         closed.upcoming = (case, there.tobytes()), found
         return found[1]
@@ -332,7 +345,7 @@ def _make_constrained_step(
         not calm
         and (part := find_steady_fraction(compute_velocity_after, u, speed / closed.scale)) < 1.0
     ):
-        after, u = closed.after(q, part * u, dt, low, high)
+        after, u = closed.take_step(q, part * u, dt, low, high)
     velocity = u * closed.scale
     near = BESIDE * np.maximum(1.0, np.abs(u))
     at = ((u <= low + near) | (u >= high - near)).nonzero()[0]
@@ -341,7 +354,11 @@ def _make_constrained_step(
     twist = had if frame is None else J @ velocity
     names = tuple(system.structure.velocity_names[int(i)] for i in at)
     part = _compute_fraction(had, requested)
-    blocked = closed.blocking(q, stages, u, low, high) if part < WHOLE and closed.rolls else ()
+    blocked = (
+        closed.find_blocking_constraints(q, stages, u, low, high)
+        if part < WHOLE and closed.rolls
+        else ()
+    )
     return IkStep(
         after,
         velocity,
@@ -383,11 +400,11 @@ def _read_wanted_motion(
     def make_stages(x: Array) -> list[Stage]:
         pose, J = pose_of.pose_and_jacobian(x)
         if goal.ndim == 1:
-            return [closed.twist(J, np.broadcast_to(goal, (*x.shape[:-1], 6)), weights)]
+            return [closed.make_twist_stage(J, np.broadcast_to(goal, (*x.shape[:-1], 6)), weights)]
         missing = np.array([compute_pose_error(goal, X) for X in pose.reshape(-1, 4, 4)]).reshape(
             *x.shape[:-1], 6
         )
-        return [closed.twist(J, missing / dt, weights)]
+        return [closed.make_twist_stage(J, missing / dt, weights)]
 
     return make_stages, pose_of.jacobian(q), (frame, goal.tobytes())
 

@@ -112,7 +112,7 @@ class _Targets:
 
     def __init__(self, problem: Demands):
         self.count = problem.lead[0]
-        self._of = functools.lru_cache(8)(problem.of)
+        self._of = functools.lru_cache(8)(problem.select_row)
 
     def __len__(self) -> int:
         return self.count
@@ -131,7 +131,7 @@ class PathSteps:
         budget: TimeLimit,
         progress: Callable[[int], None] | None = None,
     ):
-        tasks = tuple(t.exactly() for t in problem.tasks)
+        tasks = tuple(t.copy_without_tolerance() for t in problem.tasks)
         self.problem = replace(problem, tasks=tasks)
         self.max_step = max_step
         self.budget = budget
@@ -149,7 +149,7 @@ class PathSteps:
         own = packed.rows >= 0
         self.counts = np.isin(packed.rows[own], hard) & equal[own]
 
-    def at(self, i: int, part: float) -> Demands:
+    def interpolate_problem(self, i: int, part: float) -> Demands:
         """The problem at the fraction `part` of the way from target i - 1 to target i."""
         if part >= 1.0:
             return self.rows[i]
@@ -164,17 +164,17 @@ class PathSteps:
             )
             for x, y in zip(a, b, strict=True)
         )
-        return replace(self.rows[i], goals=goals, pins=self.problem.packed.pins(goals))
+        return replace(self.rows[i], goals=goals, pins=self.problem.packed.pack_pins(goals))
 
-    def first_order(self, problem: Demands, q: Array, weak: float = 0.0) -> Order:
+    def compute_first_order_step(self, problem: Demands, q: Array, weak: float = 0.0) -> Order:
         """Damped first-order step from q that solves a problem.
 
         Singular values below `weak` times the largest are left out.
         """
-        e, J = self.missing(problem, q)
+        e, J = self.evaluate_residuals(problem, q)
         if not J.size:
             return Order(np.zeros(self.system.nv), 1.0, np.zeros(self.system.nv), 0.0)
-        U, s, Vt = Spectrum(J).thin
+        U, s, Vt = Spectrum(J).thin_decomposition
         part = s / (s * s + DAMPING**2)
         if weak:
             part[s < weak * s[0]] = 0.0
@@ -185,31 +185,35 @@ class PathSteps:
             float(np.linalg.norm(e)),
         )
 
-    def missing(self, problem: Demands, q: Array) -> tuple[Array, Array]:
+    def evaluate_residuals(self, problem: Demands, q: Array) -> tuple[Array, Array]:
         """Residuals (m,) of hard tasks and loops at q (nq,), and their Jacobian (m, nv)."""
         packed = problem.packed
-        e, J = packed.evaluate(q, problem.pins)
+        e, J = packed.evaluate_tasks(q, problem.pins)
         if not self.counts.all():
             e = e[self.counts]
             J = J[self.counts]
         if packed.closed:
-            more, rows = packed.evaluate(q, problem.pins, closures=True)
+            more, rows = packed.evaluate_tasks(q, problem.pins, closures=True)
             e = np.concatenate([e, more])
             J = np.concatenate([J, rows])
         return e, J
 
-    def step(self, problem: Demands, q: Array, order: Order | None = None) -> Array | None:
+    def find_configuration(
+        self, problem: Demands, q: Array, order: Order | None = None
+    ) -> Array | None:
         """The configuration (nq,) near q that solves a problem, found by first-order steps; None
         where there is none.
 
         Singular configurations are left by a small step to either side: there, the residual gives
         no direction.
         """
-        ahead, ratio, weak, _ = self.first_order(problem, q) if order is None else order
+        ahead, ratio, weak, _ = (
+            self.compute_first_order_step(problem, q) if order is None else order
+        )
         if np.abs(ahead).max(initial=0.0) > self.max_step:
             return None
         for aside in (0.0, 0.5, -0.5) if ratio < SINGULAR else (0.0,):
-            found, moved = self.land(problem, q, ahead + aside * SMALL * weak)
+            found, moved = self.find_landing(problem, q, ahead + aside * SMALL * weak)
             most = np.abs(moved).max(initial=0.0)
             explained = (
                 most <= self.max_step
@@ -219,7 +223,7 @@ class PathSteps:
                 return found
         return None
 
-    def coast(self, problem: Demands, q: Array, before: Array) -> Array | None:
+    def repeat_step(self, problem: Demands, q: Array, before: Array) -> Array | None:
         """The configuration (nq,) near q that solves a problem, found by repeating the last scaled
         step (nv,); or None.
 
@@ -227,46 +231,48 @@ class PathSteps:
         """
         if not before.any():
             return None
-        found = self.loose(problem, q, before)
+        found = self.repeat_step_within_tolerance(problem, q, before)
         if found is not None:
             return found
-        found, moved = self.land(problem, q, before)
-        return found if found is not None and self.smooth(moved, before) else None
+        found, moved = self.find_landing(problem, q, before)
+        return found if found is not None and self.is_smooth_step(moved, before) else None
 
-    def loose(self, problem: Demands, q: Array, before: Array) -> Array | None:
+    def repeat_step_within_tolerance(
+        self, problem: Demands, q: Array, before: Array
+    ) -> Array | None:
         """As `coast`, but within the tolerance only: residuals in singular directions stay. None
         where this fails.
         """
-        x = self.truncated(problem, q, before) if self.given > TOLERANCE else None
+        x = self.repeat_truncated_step(problem, q, before) if self.given > TOLERANCE else None
         good = (
             x is not None and make_checked_answer(problem, x[None], np.full((1, 3), SOLVED)).success
         )
         return x if good else None
 
-    def truncated(self, problem: Demands, q: Array, before: Array) -> Array | None:
+    def repeat_truncated_step(self, problem: Demands, q: Array, before: Array) -> Array | None:
         """As `coast`, then corrected in the regular directions only; None where the configuration
         is off the target.
         """
         x = self.system.structure.layout.integrate_velocity(q, before * self.scale)
         for _ in range(TRUNCATED):
             x = self.system.structure.layout.integrate_velocity(
-                x, self.first_order(problem, x, SINGULAR).ahead * self.scale
+                x, self.compute_first_order_step(problem, x, SINGULAR).ahead * self.scale
             )
             x = move_inside_limits(self.system, x[None])[0] if problem.limits else x
         return (
             x
-            if self.smooth(
+            if self.is_smooth_step(
                 self.system.structure.layout.compute_difference(q, x) / self.scale, before
             )
             else None
         )
 
-    def smooth(self, moved: Array, before: Array) -> bool:
+    def is_smooth_step(self, moved: Array, before: Array) -> bool:
         """Whether a scaled step (nv,) continues the step before, without a jump or a sharp turn."""
         close = np.linalg.norm(moved - before) <= ALIKE * np.linalg.norm(before)
         return bool(close) and np.abs(moved).max(initial=0.0) <= self.max_step
 
-    def opening(self, i: int, q: Array, order: Order) -> Array | None:
+    def find_smooth_opening(self, i: int, q: Array, order: Order) -> Array | None:
         """The configuration (nq,) at target i, near q, from which the next step is most like the
         step that led there.
 
@@ -277,18 +283,18 @@ class PathSteps:
         tried: list[tuple[float, Array]] = []
         for aside in ASIDE if i + 1 < len(self.rows) and order.way > STAYS else ():
             start = order.ahead + aside * size * order.weak
-            found, moved = self.land(self.rows[i], q, start)
+            found, moved = self.find_landing(self.rows[i], q, start)
             if (
                 found is not None
                 and np.linalg.norm(moved) <= (1.0 + STRETCH) * size
-                and self.smooth(moved, moved)
+                and self.is_smooth_step(moved, moved)
             ):
-                there, further = self.land(self.rows[i + 1], found, moved)
-                if there is not None and self.smooth(further, moved):
+                there, further = self.find_landing(self.rows[i + 1], found, moved)
+                if there is not None and self.is_smooth_step(further, moved):
                     tried.append((float(np.linalg.norm(further - moved)), found))
         return min(tried, key=lambda x: x[0])[1] if tried else None
 
-    def bridge(self, i: int, q: Array, before: Array, order: Order) -> Array | None:
+    def find_bridge(self, i: int, q: Array, before: Array, order: Order) -> Array | None:
         """The nearest configuration (nq,) at target i from which straight lines of the joints lead
         along the way.
 
@@ -297,7 +303,7 @@ class PathSteps:
         """
         starts = (np.zeros(self.system.nv), order.ahead, before)
         tried = [
-            self.land(self.rows[i], q, x)
+            self.find_landing(self.rows[i], q, x)
             for x in starts
             if np.abs(x).max(initial=0.0) <= self.max_step
         ]
@@ -306,7 +312,9 @@ class PathSteps:
         for most, x, moved in sorted(found, key=lambda f: float(f[0])):
             if most <= self.max_step and all(
                 np.linalg.norm(
-                    self.missing(self.at(i, part), integrate(q, part * moved * self.scale))[0]
+                    self.evaluate_residuals(
+                        self.interpolate_problem(i, part), integrate(q, part * moved * self.scale)
+                    )[0]
                 )
                 <= BESIDE * order.way
                 for part in (0.25, 0.5, 0.75)
@@ -314,7 +322,7 @@ class PathSteps:
                 return x
         return None
 
-    def away(self, i: int, q: Array, strength: float) -> Array:
+    def move_from_limits(self, i: int, q: Array, strength: float) -> Array:
         """The configuration (nq,) at target i, near q, to which a small self-motion away from
         limits leads.
 
@@ -344,39 +352,41 @@ class PathSteps:
                 )
             ]
         ] = 0.0
-        J = self.missing(self.rows[i], q)[1]
-        N = Spectrum(J).null(Level.GENERIC).T
+        J = self.evaluate_residuals(self.rows[i], q)[1]
+        N = Spectrum(J).compute_null_space(Level.GENERIC).T
         way = N.T @ (N @ pull)
         size = float(np.linalg.norm(way))
         if size < 1e-9:
             return q
         for step in (AVOID, 0.25 * AVOID):
             moved = way * (min(step, strength * size) / size)
-            found, whole = self.land(self.rows[i], q, moved)
+            found, whole = self.find_landing(self.rows[i], q, moved)
             if found is not None and np.linalg.norm(whole - moved) <= 0.5 * np.linalg.norm(moved):
                 return found
         return q
 
-    def land(self, problem: Demands, q: Array, ahead: Array) -> tuple[Array | None, Array]:
+    def find_landing(self, problem: Demands, q: Array, ahead: Array) -> tuple[Array | None, Array]:
         """The configuration (nq,) found from q plus the scaled step `ahead` (nv,), or None; the
         scaled step there.
         """
-        self.budget.check()
+        self.budget.check_time()
         start = self.system.structure.layout.integrate_velocity(q, ahead * self.scale)[None]
-        found, info = replace(problem, starts=1).run(
+        found, info = replace(problem, starts=1).run_search(
             move_inside_limits(self.system, start) if problem.limits else start
         )
         moved = self.system.structure.layout.compute_difference(q, found[0]) / self.scale
         return found[0] if info[0, 0] == SOLVED else None, moved
 
-    def follow(self, i: int, q: Array, before: Array, last: float) -> tuple[Array, float, float]:
+    def follow_segment(
+        self, i: int, q: Array, before: Array, last: float
+    ) -> tuple[Array, float, float]:
         """Where one gets from q at target i - 1 towards target i, which part of the way that is,
         and its length.
 
         `before` (nv,) is the scaled step that led to q, and `last` the length of its way.
         """
         begin = q
-        order = self.first_order(self.rows[i], q)
+        order = self.compute_first_order_step(self.rows[i], q)
         part = 0.0
         size = 1.0
         if abs(order.way - last) > UNEVEN * last:
@@ -385,16 +395,22 @@ class PathSteps:
         found = None
         if near:
             found = (
-                self.coast(self.rows[i], q, before) if before.any() else self.opening(i, q, order)
+                self.repeat_step(self.rows[i], q, before)
+                if before.any()
+                else self.find_smooth_opening(i, q, order)
             )
         if found is None:
-            found = self.step(self.rows[i], q, order)
+            found = self.find_configuration(self.rows[i], q, order)
         if found is None and not near:
-            found = self.coast(self.rows[i], q, before)
+            found = self.repeat_step(self.rows[i], q, before)
         if found is not None:
             return found, 1.0, order.way
         while part < 1.0:
-            found = self.step(self.at(i, part + size), q) if size < 1.0 else None
+            found = (
+                self.find_configuration(self.interpolate_problem(i, part + size), q)
+                if size < 1.0
+                else None
+            )
             if found is None:
                 size *= 0.5
                 if size < 0.5**DEPTH:
@@ -403,7 +419,7 @@ class PathSteps:
                 q = found
                 part = part + size
                 size = min(2.0 * size, 1.0 - part)
-        if part < 1.0 and (found := self.bridge(i, begin, before, order)) is not None:
+        if part < 1.0 and (found := self.find_bridge(i, begin, before, order)) is not None:
             return found, 1.0, order.way
         return q, part, order.way
 
@@ -471,8 +487,8 @@ def _roll_along_targets(way: PathSteps, out: Array, begin: int) -> int:
     """
     q = out[begin]
     for i in range(begin + 1, len(out)):
-        way.budget.check()
-        ahead = way.first_order(way.rows[i], q).way
+        way.budget.check_time()
+        ahead = way.compute_first_order_step(way.rows[i], q).way
         parts = min(max(2, math.ceil(ahead / LONGEST)), MOST)
         for part in range(1, parts + 1):
             found = _make_rolling_step(way, i, part / parts, q)
@@ -490,10 +506,12 @@ def _make_rolling_step(way: PathSteps, i: int, part: float, q: Array) -> Array |
     The smallest such step, by Newton's method.
     """
     system = way.system
-    problem = way.at(i, part)
+    problem = way.interpolate_problem(i, part)
 
     def evaluate_equations(d: Array) -> tuple[Array, Array]:
-        e, J = way.missing(problem, system.structure.layout.integrate_velocity(q, d * way.scale))
+        e, J = way.evaluate_residuals(
+            problem, system.structure.layout.integrate_velocity(q, d * way.scale)
+        )
         A, b = compute_unit_rows(
             system, system.structure.layout.integrate_velocity(q, 0.5 * d * way.scale), way.scale
         )
@@ -671,7 +689,7 @@ def solve_path(problem: Problem) -> IkPath:
     tolerance = TOLERANCE if problem.tolerance is None else problem.tolerance
     restart = options["restart"]
     time = TimeLimit(spend.time_limit)
-    time.put_in_order()  # there is nothing to do afterwards
+    time.release_reserved_time()  # there is nothing to do afterwards
     decide_nearest_exact(USUAL, time, system)
     demands, first = make_demands(system, problem.wanted, start, tolerance, spend.starts, spend.rng)
     refuse_far(system, first, "start")
@@ -689,14 +707,14 @@ def solve_path(problem: Problem) -> IkPath:
     begins = list[Array]()
     try:
         with time:
-            q0, info, begin = way.begun(first, restart)
+            q0, info, begin = way.find_first_configuration(first, restart)
             if info[0, 0] != SOLVED:
                 why = make_checked_answer(way.rows[begin], q0, info).status
                 return replace(none, reason=f"the path does not begin: target {begin} is {why}")
             begins.append(q0[0])
             if options["branches"]:
                 begins += [
-                    *way.elsewhere(begin, q0[0]),
+                    *way.find_other_configurations(begin, q0[0]),
                     *_list_all_solutions(problem, way.rows[begin], begin, q0[0]),
                 ]
     except BROKEN_OFF as error:
@@ -705,14 +723,14 @@ def solve_path(problem: Problem) -> IkPath:
             said = f"the path does not begin{describe_early_end(interrupted, late)}"
             return replace(none, reason=said, interrupted=interrupted, late=late)
     if not options["branches"]:
-        return way.rolled(way.best(begins[0], restart, begin), begin)
+        return way.keep_rolling_part(way.find_best_path(begins[0], restart, begin), begin)
     begins = _drop_equal_configurations(begins)
     paths: list[IkPath] = []
     for q in begins:
-        paths.append(way.best(q, restart, begin))
+        paths.append(way.find_best_path(q, restart, begin))
         if paths[-1].interrupted or paths[-1].late:
             break
-    paths = [way.rolled(p, begin) for p in paths]
+    paths = [way.keep_rolling_part(p, begin) for p in paths]
     return min(
         paths,
         key=lambda p: (
@@ -742,33 +760,35 @@ class _FollowedPath(PathSteps):
 
     avoids = 0.0
 
-    def begun(self, first: Array, restart: bool) -> tuple[Array, np.ndarray, int]:
+    def find_first_configuration(
+        self, first: Array, restart: bool
+    ) -> tuple[Array, np.ndarray, int]:
         """What is found for the first target, or with `restart` for the first that is reached, and
         its number.
         """
         begin = 0
-        q, info = self.rows[begin].run(first)
+        q, info = self.rows[begin].run_search(first)
         while restart and info[0, 0] != SOLVED and begin + 1 < len(self.rows):
             begin += 1
-            q, info = self.rows[begin].run(first)
+            q, info = self.rows[begin].run_search(first)
         return q, info, begin
 
-    def reason(self, i: int, q: Array, part: float) -> str:
+    def describe_end(self, i: int, q: Array, part: float) -> str:
         """What ends the path at q, a fraction `part` of the way to target i: limits, a singularity,
         or neither.
         """
-        ahead = self.at(i, min(part + 4.0 * 0.5**DEPTH, 1.0))
-        free = self.step(replace(ahead, limits=False), q)
+        ahead = self.interpolate_problem(i, min(part + 4.0 * 0.5**DEPTH, 1.0))
+        free = self.find_configuration(replace(ahead, limits=False), q)
         if free is not None and (names := outside_limits(self.system, free, ROUNDING, False)):
             return wording.limits_of(names, " and of ")
-        ratio = self.first_order(ahead, q).ratio
-        if ratio < SINGULAR and (name := self.forbidding(ahead, q)):
+        ratio = self.compute_first_order_step(ahead, q).ratio
+        if ratio < SINGULAR and (name := self.find_forbidding_constraint(ahead, q)):
             return f"a point from which {name!r} does not let it follow"
         if ratio < SINGULAR:
             return f"a singularity (ratio of singular values {ratio:.1g})"
         return "a point from which it cannot be followed"
 
-    def forbidding(self, problem: Demands, q: Array) -> str:
+    def find_forbidding_constraint(self, problem: Demands, q: Array) -> str:
         """The name of what holds always and repeats a row of the targets, at q and elsewhere; ''
         where nothing does.
         """
@@ -782,37 +802,39 @@ class _FollowedPath(PathSteps):
         near = self.system.structure.layout.integrate_velocity(q, aside * self.scale)
         other = assemble(self.system, start=near)
         for x in (q, other.q) if other.success else ():
-            J = self.missing(problem, x)[1]
+            J = self.evaluate_residuals(problem, x)[1]
             tasks = len(J) - len(names)
             spectrum = Spectrum(J)
             left = spectrum.left
-            independent = spectrum.rank(Level.CLOSED) == len(J)
-            alone = Spectrum(J[:tasks]).rank(SINGULAR) == tasks
+            independent = spectrum.compute_rank(Level.CLOSED) == len(J)
+            alone = Spectrum(J[:tasks]).compute_rank(SINGULAR) == tasks
             if independent or len(J) > J.shape[1] or not alone:
                 return ""
             name = names[int(np.argmax(np.abs(left[tasks:, -1])))]
         return name
 
-    def hint(self, i: int, q: Array, before: Array) -> str:
+    def suggest_tolerance(self, i: int, q: Array, before: Array) -> str:
         """The tolerance with which a path would go on through a singularity as before, where there
         is a small one.
         """
-        if not before.any() or self.first_order(self.rows[i], q).ratio > WEAK:
+        if not before.any() or self.compute_first_order_step(self.rows[i], q).ratio > WEAK:
             return ""
-        x = self.truncated(self.rows[i], q, before)
+        x = self.repeat_truncated_step(self.rows[i], q, before)
         if x is None:
             return ""
         missed = make_checked_answer(self.rows[i], x[None], np.full((1, 3), SOLVED))
         most = float(max(np.max(missed.position_error), np.max(missed.orientation_error)))
         return f", where tolerance={1.5 * most:.1g} lets it go on" if most <= ROUNDED else ""
 
-    def elsewhere(self, i: int, q: Array) -> list[Array]:
+    def find_other_configurations(self, i: int, q: Array) -> list[Array]:
         """Configurations found that hold target i, from many starts, the nearest to q first."""
         row = self.rows[i]
         seeds = np.concatenate([q[None], sample_configurations(self.system, row.rng, TRIED - 1)])
         untouched = find_untouched_places(row.packed, row.pins)
         seeds[:, untouched] = q[untouched]
-        found, info = replace(row, lead=(TRIED,), starts=max(1, row.starts // TRIED)).run(seeds)
+        found, info = replace(row, lead=(TRIED,), starts=max(1, row.starts // TRIED)).run_search(
+            seeds
+        )
         good = found[info[:, 0] == SOLVED]
         return sorted(
             good,
@@ -821,21 +843,21 @@ class _FollowedPath(PathSteps):
             ),
         )
 
-    def best(self, q: Array, restart: bool, begin: int = 0) -> IkPath:
+    def find_best_path(self, q: Array, restart: bool, begin: int = 0) -> IkPath:
         """The path from q by the shortest steps; where that ends, and freedoms are left, one that
         keeps from limits.
         """
-        path = self.path(q, restart, begin)
+        path = self.follow_path(q, restart, begin)
         if (
             path
             or path.interrupted
             or path.late
             or has_velocity_constraints(self.system)
-            or not self.free(begin, q)
+            or not self.has_free_joints(begin, q)
         ):
             return path
         for self.avoids in AVOIDING:
-            other = self.path(q, restart, begin)
+            other = self.follow_path(q, restart, begin)
             if _count_followed_targets(other) > _count_followed_targets(path):
                 path = other
             elif other.interrupted or other.late:
@@ -847,15 +869,15 @@ class _FollowedPath(PathSteps):
         self.avoids = 0.0
         return path
 
-    def free(self, i: int, q: Array) -> bool:
+    def has_free_joints(self, i: int, q: Array) -> bool:
         """Whether target i leaves freedoms of joints that it asks for, and there are limits."""
-        J = self.missing(self.rows[i], q)[1]
+        J = self.evaluate_residuals(self.rows[i], q)[1]
         if not J.size:
             return False
         used = int((np.abs(J) > 0.0).any(axis=0).sum())
-        return self.rows[i].limits and used > Spectrum(J).rank(Level.ROUNDING)
+        return self.rows[i].limits and used > Spectrum(J).compute_rank(Level.ROUNDING)
 
-    def path(self, q: Array, restart: bool, begin: int = 0) -> IkPath:
+    def follow_path(self, q: Array, restart: bool, begin: int = 0) -> IkPath:
         """The path from q, which holds target `begin`; those before cannot be reached."""
         n = len(self.rows)
         out = np.full((n, self.system.nq), np.nan)
@@ -886,7 +908,7 @@ class _FollowedPath(PathSteps):
             self.system, out, success, tuple(jumps), status, self.problem, interrupted, late
         )
 
-    def rolled(self, path: IkPath, begin: int) -> IkPath:
+    def keep_rolling_part(self, path: IkPath, begin: int) -> IkPath:
         """The path, or where there are velocity constraints what of it, or in its place, does not
         slip.
         """
@@ -916,16 +938,16 @@ class _FollowedPath(PathSteps):
         before = np.zeros(self.system.nv)
         last = 0.0
         for i in range(begin + 1, len(out)):
-            found, part, way = (q, 0.0, 0.0) if broken else self.follow(i, q, before, last)
+            found, part, way = (q, 0.0, 0.0) if broken else self.follow_segment(i, q, before, last)
             if part < 1.0:
                 why = ""
                 if not broken:
                     why = (
                         f"{part:.1%} of the way from target {i - 1} to {i}, at "
-                        f"{self.reason(i, found, part)}"
+                        f"{self.describe_end(i, found, part)}"
                     )
-                    why += self.hint(i, q, before)
-                others = self.elsewhere(i, found)
+                    why += self.suggest_tolerance(i, q, before)
+                others = self.find_other_configurations(i, found)
                 broken = not others
                 said += (
                     [_describe_stop(self.system, i, why, found, others, restart)]
@@ -943,7 +965,7 @@ class _FollowedPath(PathSteps):
                 moved = self.system.structure.layout.compute_difference(q, found) / self.scale
                 before = moved if not before.any() else moved + self.calm * (before - moved)
                 last = way
-            q = self.away(i, found, self.avoids) if self.avoids else found
+            q = self.move_from_limits(i, found, self.avoids) if self.avoids else found
             out[i] = q
             if self.progress is not None:
                 self.progress(i + 1)
@@ -991,7 +1013,7 @@ def _list_all_solutions(problem: Problem, row: Demands, begin: int, q: Array) ->
     starts = found.q[found.inside]
     untouched = find_untouched_places(row.packed, row.pins)
     starts[:, untouched] = q[untouched]
-    answers = [row.run(x[None]) for x in starts]
+    answers = [row.run_search(x[None]) for x in starts]
     return [x[0] for x, info in answers if info[0, 0] == SOLVED]
 
 

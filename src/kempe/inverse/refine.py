@@ -157,7 +157,9 @@ def _compute_newton_steps(problem: FrameProblem, targets: Array, q: Array) -> Ar
     e = e * size
     column = np.linalg.norm(J, axis=1, keepdims=True)
     column = np.where(column > 0.0, column, 1.0)
-    return (Spectrum(J / column).inverse(Level.ROUNDING) @ e[..., None])[..., 0] / column[:, 0]
+    return (Spectrum(J / column).compute_pseudo_inverse(Level.ROUNDING) @ e[..., None])[
+        ..., 0
+    ] / column[:, 0]
 
 
 # ---- solutions in closed form, where there is one

@@ -159,36 +159,42 @@ def trace_self_motion(problem: Problem) -> SelfMotion:
             f"points is {steps!r}, step {step!r}; needed are a whole number from 1, and 0 < step "
             "<= 0.5"
         )
-    time.put_in_order()  # there is nothing to do afterwards
+    time.release_reserved_time()  # there is nothing to do afterwards
     with limit_preparation_time(USUAL, time):
         demands, q0 = _make_start(system, problem.start, problem.wanted)
         local = Local(demands, q0)
-        if not local.left.shape[1]:
+        if not local.allowed_velocities.shape[1]:
             raise InputError("the tasks leave no freedom at q: there is no self-motion")
-        finite = local.finite
+        finite = local.finite_freedoms
     if not finite:
-        text = wording.freedoms_left(local.left.shape[1], 0)
+        text = wording.freedoms_left(local.allowed_velocities.shape[1], 0)
         return SelfMotion(system, local.q[None], 0, 0, False, (text, text), demands)
     wish = _choose_direction(system, direction, local, demands)
-    if local.finite == 1:  # of curves that meet here, the one nearest to the direction
+    if local.finite_freedoms == 1:  # of curves that meet here, the one nearest to the direction
         found = np.concatenate([local.motions, -local.motions])
         wish = found[np.argmax(found @ wish)]
-    way = _Direction(local, wish, local.finite > 1, float(size), time, spend.progress)
-    forth = way.follow(q0, 1.0, steps)
+    way = _Direction(local, wish, local.finite_freedoms > 1, float(size), time, spend.progress)
+    forth = way.follow_direction(q0, 1.0, steps)
     if forth.closed:
         return SelfMotion(
-            system, _refuse_slip(system, [q0, *forth.q]), local.finite, 0, True, ("", ""), demands
+            system,
+            _refuse_slip(system, [q0, *forth.q]),
+            local.finite_freedoms,
+            0,
+            True,
+            ("", ""),
+            demands,
         )
     back = _HalfCurve([], False, "the start", -forth.t)
     if way.broken is None:
-        back = way.follow(
+        back = way.follow_direction(
             q0, -1.0, steps, (forth.q[-1], -forth.t) if forth.q and forth.last else None
         )
     q = _refuse_slip(system, [*back.q[::-1], q0, *forth.q])
     ends = ("", "") if back.closed else (back.end, forth.end)
     interrupted, late = (isinstance(way.broken, kind) for kind in BROKEN_OFF)
     return SelfMotion(
-        system, q, local.finite, len(back.q), back.closed, ends, demands, interrupted, late
+        system, q, local.finite_freedoms, len(back.q), back.closed, ends, demands, interrupted, late
     )
 
 
@@ -230,12 +236,12 @@ def _make_start(system: Model, q: Array, wanted: Any) -> tuple[Demands, Array]:
         raise InputError(
             f"the goals have the leading shape {problem.lead}; needed are those of one problem"
         )
-    problem = replace(problem, tasks=tuple(t.exactly() for t in problem.tasks))
+    problem = replace(problem, tasks=tuple(t.copy_without_tolerance() for t in problem.tasks))
     at = make_checked_answer(
         replace(problem, tolerance=(1e-6, 1e-6)), start, np.zeros((1, 3), dtype=np.int64)
     )
     if not at:
-        over = [name for name, far in zip(rows.names, rows.beyond(q), strict=True) if far]
+        over = [name for name, far in zip(rows.names, rows.compute_excess(q), strict=True) if far]
         if over:
             raise InputError(
                 f"q is outside the limits of {join_words([repr(name) for name in over])}"
@@ -244,15 +250,15 @@ def _make_start(system: Model, q: Array, wanted: Any) -> tuple[Demands, Array]:
             f"the tasks do not hold at q: they are missed by {at.position_error} m, "
             f"{at.orientation_error} rad"
         )
-    return problem, problem.run(start)[0][0]
+    return problem, problem.run_search(start)[0][0]
 
 
 def _choose_direction(system: Model, direction: Any, local: Local, problem: Demands) -> Array:
     """The scaled velocity (nv,) to follow."""
     if direction is None:
-        if local.finite > 1:
+        if local.finite_freedoms > 1:
             raise InputError(
-                f"the tasks leave {format_count(local.finite, 'freedom')}: say by `direction` "
+                f"the tasks leave {format_count(local.finite_freedoms, 'freedom')}: say by `direction` "
                 "which way to go"
             )
         found = local.motions
@@ -314,7 +320,7 @@ class _Direction:
         self.wished = wished
         self.step = step
 
-    def follow(
+    def follow_direction(
         self, q: Array, sign: float, steps: int, goal: tuple[Array, Array] | None = None
     ) -> _HalfCurve:
         """One way from q, until it comes to the goal, a configuration (nq,) and the direction (nv,)
@@ -326,7 +332,7 @@ class _Direction:
                 return self._follow_to_goal(q, sign, steps, goal, out)
         except BROKEN_OFF as error:
             self.broken = error
-            return _HalfCurve(out, False, self.time.reason(error), sign * self.wish)
+            return _HalfCurve(out, False, self.time.describe_end_reason(error), sign * self.wish)
 
     def _follow_to_goal(
         self, q: Array, sign: float, steps: int, goal: tuple[Array, Array] | None, out: list[Array]
@@ -341,9 +347,9 @@ class _Direction:
             return nothing
 
         def take_step(a: Node, h: float) -> list[Node] | None:
-            self.time.check()
-            x = self._correct_configuration(self.local.move(a.x, h * a.t))
-            if x is None or self.local.between(a.x, x) @ a.t < 0.01 * h:
+            self.time.check_time()
+            x = self._correct_configuration(self.local.move_point(a.x, h * a.t))
+            if x is None or self.local.compute_difference(a.x, x) @ a.t < 0.01 * h:
                 return None
             return [self._make_node(x, way if self.wished else a.t)]
 
@@ -373,14 +379,14 @@ class _Direction:
         """The configuration (nq,) in which the tasks hold, nearest to x, as the solver of tasks
         finds it; or None.
         """
-        found, info = self.problem.run(x[None])
+        found, info = self.problem.run_search(x[None])
         return found[0] if info[0, 0] == SOLVED else None
 
     def _make_node(self, x: Array, toward: Array) -> Node:
         """The node at x, its tangent what the freedoms have of a direction; `sigma` is how large
         that part is.
         """
-        N = self.local.tangents(x)
+        N = self.local.compute_tangents(x)
         t = N @ (N.T @ toward)
         size = float(np.linalg.norm(t))
         return Node(x, t if size < LEAST_PART else t / size, size, N.shape[1], NONE, NONE)
@@ -394,12 +400,12 @@ class _Direction:
         t = a.t
         home = self._compute_shortest_step(a.x, there)
         ahead = float(home @ t)
-        reach = float(np.linalg.norm(self.local.between(a.x, b.x)))
+        reach = float(np.linalg.norm(self.local.compute_difference(a.x, b.x)))
         if t @ along < 0.5 or not 0.0 <= ahead <= 1.2 * reach or np.linalg.norm(home) > 2.0 * reach:
             return False
         q: Array | None = a.x
         for _ in range(HOMING):
-            q = self._correct_configuration(self.local.move(q, ahead * t))
+            q = self._correct_configuration(self.local.move_point(q, ahead * t))
             if q is None:
                 return False
             gap = self._compute_shortest_step(q, there)
@@ -428,14 +434,14 @@ def _describe_stop(problem: Demands, q: Array, t: Array, ahead: float) -> str:
         return f"the limit of {names[0]!r}"
     there = system.structure.layout.integrate_velocity(q, ahead * t * scale)
     rows = problem.packed.one_sided
-    beyond = np.append(rows.beyond(there, declared=True) * rows.scale[: rows.declared], 0.0)
+    beyond = np.append(rows.compute_excess(there, declared=True) * rows.scale[: rows.declared], 0.0)
     if beyond.max() > 0.01 * ahead:
         return f"the one-sided constraint {rows.names[int(beyond.argmax())]!r}"
     owner = problem.packed.owner
     ties = problem.packed.loops.ties
     for i in sorted({int(k) for k, tie in zip(owner, ties, strict=True) if tie.bounds and k >= 0}):
         task = problem.tasks[i]
-        if max(task.measure(there, problem.goals[i])) > 0.01 * ahead:
+        if max(task.measure_error(there, problem.goals[i])) > 0.01 * ahead:
             return f"the bound of {task.label!r}"
     return "a point where it cannot be followed"
 

@@ -69,7 +69,7 @@ def select_obeying_solutions(solutions: Solutions) -> Solutions:
         return solutions
     used = solutions._used_rows
     q = np.where(used[..., None], solutions._fill_configurations(), solutions.system.neutral)
-    beyond = used[..., None] & (bounds.beyond(q, declared=True) > 0.0)
+    beyond = used[..., None] & (bounds.compute_excess(q, declared=True) > 0.0)
     bad = np.any(beyond, axis=-1)
     if not bad.any():
         return solutions
@@ -77,7 +77,7 @@ def select_obeying_solutions(solutions: Solutions) -> Solutions:
     rows[bad, -A.INFO + A.CODE] = A.UNUSED
     rows = pack_rows(rows) if solutions.single else rows
     texts = np.empty(len(beyond), dtype=object)
-    texts[:] = [bounds.left_out(each) for each in beyond]
+    texts[:] = [bounds.describe_omitted_configurations(each) for each in beyond]
     out = solutions._replace_rows(rows, solutions, texts)
     if names := _list_wound_coordinates(solutions):
         dropped = bad.any(axis=-1)

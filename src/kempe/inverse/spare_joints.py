@@ -97,16 +97,16 @@ def search_spare_joints(
         solve,
         threads,
     )
-    left = many.searched(left, FEW, problem.tolerance, True)
+    left = many.search_configurations(left, FEW, problem.tolerance, True)
     if len(left):
         left = left[measure_reach_excess(make_frame_problem(problem), problem.targets[left]) == 0.0]
     if not len(left):
         return SpareJoints(many.locked, tried)
     if plan.method != SEARCH and plan.spare_joints:
-        left = many.stepped(left)
-    left = many.searched(left, MOST, problem.tolerance, True)
-    left = many.searched(left, MOST, max(problem.tolerance, LOOSE), True)
-    many.searched(
+        left = many.step_spare_values(left)
+    left = many.search_configurations(left, MOST, problem.tolerance, True)
+    left = many.search_configurations(left, MOST, max(problem.tolerance, LOOSE), True)
+    many.search_configurations(
         left[~_find_solved_targets(rows[left])], MOST, max(problem.tolerance, LOOSE), False
     )
     return SpareJoints(many.locked, tried)
@@ -140,7 +140,7 @@ class _Targets:
     solve: Solve
     threads: int | None
 
-    def solutions_at(self, which: np.ndarray, locked: Array) -> tuple[Array, np.ndarray]:
+    def solve_at_values(self, which: np.ndarray, locked: Array) -> tuple[Array, np.ndarray]:
         """All solutions of the targets `which` (m indices) with the spare joints held at `locked`
         (1 or m, n).
 
@@ -152,7 +152,9 @@ class _Targets:
         near = self.near if len(self.near) == 1 else self.near[which]
         return self.solve(some, near, locked)
 
-    def take(self, which: np.ndarray, locked: Array, rows: Array, counts: np.ndarray) -> None:
+    def keep_better_answers(
+        self, which: np.ndarray, locked: Array, rows: Array, counts: np.ndarray
+    ) -> None:
         """Keep the answers that are better: they have a solution inside the limits, or have one at
         all.
         """
@@ -165,7 +167,7 @@ class _Targets:
         self.counts[at] = counts[better]
         self.locked[at] = locked[better]
 
-    def stepped(self, left: np.ndarray) -> np.ndarray:
+    def step_spare_values(self, left: np.ndarray) -> np.ndarray:
         """The targets of `left` that have no solution inside the limits at any of VALUES values."""
         values = sample_spare_values(self.plan, self.plan.spare_joints)
         k = 0
@@ -175,12 +177,12 @@ class _Targets:
             locked = self.locked[which]
             locked[:, self.plan.spare_joints] = np.tile(some, (len(left), 1))
             same = len(some) == 1 and not np.ptp(locked, axis=0).any()
-            rows, counts = self.solutions_at(which, locked[:1] if same else locked)
+            rows, counts = self.solve_at_values(which, locked[:1] if same else locked)
             grade = (2 * _find_reached_targets(rows) + _find_solved_targets(rows)).reshape(
                 len(left), len(some)
             )
             first = np.arange(len(left)) * len(some) + np.argmax(grade, axis=1)
-            self.take(left, locked[first], rows[first], counts[first])
+            self.keep_better_answers(left, locked[first], rows[first], counts[first])
             self.tried[left] += np.where(
                 grade.max(axis=1) == 3, 1 + np.argmax(grade, axis=1), len(some)
             )
@@ -188,7 +190,7 @@ class _Targets:
             k = k + len(some)
         return left
 
-    def searched(
+    def search_configurations(
         self, left: np.ndarray, starts: int, tolerance: float, limited: bool
     ) -> np.ndarray:
         """The targets of `left` for which no start found a configuration, inside the limits where
@@ -206,7 +208,7 @@ class _Targets:
         if len(which):
             locked = self.locked[which]
             locked[:, self.plan.spare_joints] = q[:, self.plan.spare_joints]
-            rows, counts = self.solutions_at(which, locked)
+            rows, counts = self.solve_at_values(which, locked)
             for i in np.flatnonzero(
                 ~(_find_reached_targets(rows) if limited else _find_solved_targets(rows))
             ):
@@ -214,7 +216,7 @@ class _Targets:
                     rows[i], counts[i], q[i], error[i], limited, self.problem.lead is None
                 )
             self.tried[which] += 1
-            self.take(which, locked, rows, counts)
+            self.keep_better_answers(which, locked, rows, counts)
         return left[~found]
 
     def _find_configurations(

@@ -96,11 +96,11 @@ class Curves(Protocol):
     late: bool
     reason: str
 
-    def intervals(self, limited: bool) -> list[list[tuple[float, float]]]:
+    def find_intervals(self, limited: bool) -> list[list[tuple[float, float]]]:
         """For each branch, where it exists, inside the limits where `limited`."""
         ...
 
-    def rows(self, values: Array, branch: int | None) -> tuple[Array, np.ndarray]:
+    def compute_rows(self, values: Array, branch: int | None) -> tuple[Array, np.ndarray]:
         """Coordinates (m, K, n) of the chain, in any turn, and which are there (m, K); of one
         branch K = 1.
         """
@@ -282,7 +282,7 @@ class Sweep(Answer):
         rows: list[tuple[Array, np.ndarray]] = []
         for k in range(0, max(len(values), 1), PIECE):
             check_for_stop()
-            rows.append(self.curves.rows(values[k : k + PIECE], branch))
+            rows.append(self.curves.compute_rows(values[k : k + PIECE], branch))
         chain = np.concatenate([x for x, _ in rows])
         mask = np.concatenate([x for _, x in rows])
         chain, fits = choose_turns(lines, chain, mask, self.near[lines.q_index], along)
@@ -687,12 +687,12 @@ class SweepProblem:
     anywhere: bool
     time: TimeLimit = field(compare=False)
 
-    def locked(self, fixed: Mapping[str, Any]) -> tuple[int, ...]:
+    def list_locked_joints(self, fixed: Mapping[str, Any]) -> tuple[int, ...]:
         """Joints that `ik_all` holds, with these `fixed`."""
         lines = find_chain_lines(self.system, self.frame, self.axis)
         return find_plan(self.system, self.frame, lines, self.task, self.axis, tuple(fixed)).locked
 
-    def place(self) -> Array:
+    def choose_configuration(self) -> Array:
         """Configuration (nq,) where joints are held that nobody named: near, inside the limits, or
         on target.
         """
@@ -707,11 +707,15 @@ class SweepProblem:
         q[at] = np.clip(q[at], *self.lines.limits)
         return q
 
-    def all_at(
+    def solve_at_values(
         self, name: str, values: Array, fixed: Mapping[str, Any], time: TimeLimit | None = None
     ) -> Any:
         """`ik_all` with a joint held at values () or (m,), in the `time` that is left."""
-        budget = None if time is None or time.left is None else Budget(time_limit=SHARE * time.left)
+        budget = (
+            None
+            if time is None or time.remaining_seconds is None
+            else Budget(time_limit=SHARE * time.remaining_seconds)
+        )
         m = (len(values),) if values.ndim else ()
         target = np.broadcast_to(self.given, (*m, *self.given.shape))
         near = np.array(np.broadcast_to(self.near, (*m, self.system.nq)), order="C")
@@ -728,7 +732,9 @@ class SweepProblem:
 
 def _make_sweep(over: SweepProblem, curves: ArmCurves | JointCurves, n: int | None) -> Sweep:
     """The answer, with samples."""
-    rows, spans = (tuple(tuple(r) for r in curves.intervals(limited)) for limited in (True, False))
+    rows, spans = (
+        tuple(tuple(r) for r in curves.find_intervals(limited)) for limited in (True, False)
+    )
     none = np.zeros((0, len(curves.labels)), dtype=bool)
     sweep = Sweep(
         over.system,
@@ -748,7 +754,9 @@ def _make_sweep(over: SweepProblem, curves: ArmCurves | JointCurves, n: int | No
         none,
         curves,
         curves.base,
-        None if curves.exact else partial(over.all_at, curves.parameter, fixed=curves.held),
+        None
+        if curves.exact
+        else partial(over.solve_at_values, curves.parameter, fixed=curves.held),
     )
     if n is None:
         return sweep
@@ -789,11 +797,11 @@ class ArmCurves:
             "shoulder"
         )
 
-    def intervals(self, limited: bool) -> list[list[tuple[float, float]]]:
+    def find_intervals(self, limited: bool) -> list[list[tuple[float, float]]]:
         """For each branch, where it exists, inside the limits where `limited`."""
         return self.posed.find_intervals(limited)
 
-    def rows(self, values: Array, branch: int | None = None) -> tuple[Array, np.ndarray]:
+    def compute_rows(self, values: Array, branch: int | None = None) -> tuple[Array, np.ndarray]:
         """Coordinates (m, 8, 7), and which branches are there (m, 8); (m, 1, 7) and (m, 1) of one
         branch.
         """
@@ -835,20 +843,21 @@ class JointCurves:
             "decides it"
         )
 
-    def intervals(self, limited: bool) -> list[list[tuple[float, float]]]:
+    def find_intervals(self, limited: bool) -> list[list[tuple[float, float]]]:
         """For each branch, where it exists, inside the limits where `limited`."""
         return [
-            [(a * self.unit, b * self.unit) for a, b in arc.intervals(limited)] for arc in self.arcs
+            [(a * self.unit, b * self.unit) for a, b in arc.find_intervals(limited)]
+            for arc in self.arcs
         ]
 
-    def rows(self, values: Array, branch: int | None = None) -> tuple[Array, np.ndarray]:
+    def compute_rows(self, values: Array, branch: int | None = None) -> tuple[Array, np.ndarray]:
         """Coordinates (m, K, n), and which branches are there (m, K); of one branch K = 1."""
         arcs = self.arcs if branch is None else [self.arcs[branch]]
         q = np.full((len(values), len(arcs), len(self.lines)), np.nan)
         mask = np.zeros(q.shape[:2], dtype=bool)
         for k, arc in enumerate(arcs):
-            x, mask[:, k] = arc.at(values / self.unit)
-            q[:, k] = self.motion.q(x)[:, self.lines.q_index]
+            x, mask[:, k] = arc.find_points(values / self.unit)
+            q[:, k] = self.motion.make_configurations(x)[:, self.lines.q_index]
             q[:, k, self.motion.free[self.motion.p]] = values
         q[~mask] = np.nan
         return q, mask
@@ -874,7 +883,7 @@ def _trace_joint_curves(over: SweepProblem, parameter: str | None, samples: int)
     name = locked[0] if parameter is None else parameter
     others = {n: float(over.fixed[n]) for n in locked if n in over.fixed}
     if left := [n for n in locked if n not in (name, *others)]:
-        q = over.place()
+        q = over.choose_configuration()
         others |= {n: float(q[lines.q_index[lines.names.index(n)]]) for n in left}
     i = lines.names.index(name)
     first, last = compute_domains(lines)[:, i].tolist()
@@ -882,8 +891,8 @@ def _trace_joint_curves(over: SweepProblem, parameter: str | None, samples: int)
     shift = (domain[1] - domain[0]) * 0.381966 / samples  # arms tend to be singular at round values
     inner = np.linspace(domain[0], domain[1], samples)[:-1] + shift
     values = np.concatenate([[domain[0]], inner, [domain[1]]])
-    over.time.put_in_order()  # `ik_all` has its share, and ends by itself
-    found = over.all_at(name, values, others, over.time)
+    over.time.release_reserved_time()  # `ik_all` has its share, and ends by itself
+    found = over.solve_at_values(name, values, others, over.time)
     missed = int(np.sum(found.late))
     free = tuple(j for j, n in enumerate(lines.names) if n not in others)
     base = over.near.copy()
@@ -894,7 +903,11 @@ def _trace_joint_curves(over: SweepProblem, parameter: str | None, samples: int)
     )
     level, row = np.nonzero(found.mask & (found.multiplicity > 0))
     arcs = trace_arcs(
-        motion, values / motion.unit[motion.p], motion.x(found.q[level, row]), level, over.time
+        motion,
+        values / motion.unit[motion.p],
+        motion.read_coordinates(found.q[level, row]),
+        level,
+        over.time,
     )
     late = missed > 0 or over.time.spent
     return JointCurves(motion, arcs, name, domain, others, len(values) - missed, late)
@@ -912,8 +925,8 @@ def _choose_locked_joints(over: SweepProblem, parameter: str | None) -> list[str
     if parameter is not None:
         fixed[parameter] = np.zeros(())
     names = over.lines.names
-    chosen = [names[i] for i in over.locked(fixed) if names[i] not in fixed]
+    chosen = [names[i] for i in over.list_locked_joints(fixed) if names[i] not in fixed]
     if parameter is None:
         return [*chosen, *fixed] if chosen else []
-    spare = [i for i in over.locked(over.fixed) if names[i] not in over.fixed]
+    spare = [i for i in over.list_locked_joints(over.fixed) if names[i] not in over.fixed]
     return [parameter, *chosen, *over.fixed] if spare else []

@@ -85,13 +85,13 @@ class ChainMotion(Curve):
         """Limits (2, nf) of x."""
         return self.lines.limits[:, list(self.free)] / self.unit
 
-    def q(self, x: Array) -> Array:
+    def make_configurations(self, x: Array) -> Array:
         """Configurations (..., nq) of x (..., nf)."""
         out = np.array(np.broadcast_to(self.base, (*x.shape[:-1], len(self.base))), order="C")
         out[..., self.lines.q_index[list(self.free)]] = x * self.unit
         return out
 
-    def x(self, q: Array) -> Array:
+    def read_coordinates(self, q: Array) -> Array:
         """Free coordinates (..., nf) of configurations (..., nq)."""
         return q[..., self.lines.q_index[list(self.free)]] / self.unit
 
@@ -108,7 +108,7 @@ class ChainMotion(Curve):
         planar = self.system.dim == 2 and self.task == "pose"
         return np.array((1, 1, 0, 0, 0, 1) if planar else TASKS[self.task], dtype=float)
 
-    def missing(self, q: Array) -> Array:
+    def compute_missing_twist(self, q: Array) -> Array:
         """The twist (..., 6) from the tip to the target, in the tip's frame, lengths in those of
         the chain.
 
@@ -130,50 +130,56 @@ class ChainMotion(Curve):
             angular = compute_rotation_vector(left)
         return self.rows * np.concatenate([away, angular], axis=-1)
 
-    def jacobian(self, x: Array) -> Array:
-        """The twist (..., 6, nf) of the tip by x, as in `missing`."""
-        J = jacobian(self.system, self.q(x), self.frame, "body")
+    def compute_twist_jacobian(self, x: Array) -> Array:
+        """The twist (..., 6, nf) of the tip by x, as in `compute_missing_twist`."""
+        J = jacobian(self.system, self.make_configurations(x), self.frame, "body")
         J = J[..., self.lines.v_index[list(self.free)]] * self.unit
         J = np.concatenate(
             [self.tool.T @ J[..., :3, :] / self.lines.length, self.tool.T @ J[..., 3:, :]], axis=-2
         )
         return self.rows[:, None] * J
 
-    def both(self, x: Array) -> tuple[Array, Array]:
+    def evaluate_equations(self, x: Array) -> tuple[Array, Array]:
         """Minus the twist that is missing at x (nf,), and the derivatives, rows of zeros below."""
-        return np.append(-self.missing(self.q(x)), np.zeros(max(self.n - 6, 0))), self.matrix(x)
+        return np.append(
+            -self.compute_missing_twist(self.make_configurations(x)), np.zeros(max(self.n - 6, 0))
+        ), self.compute_jacobian(x)
 
-    def matrix(self, x: Array) -> Array:
+    def compute_jacobian(self, x: Array) -> Array:
         """The derivatives of `evaluate_equations` alone."""
-        return np.append(self.jacobian(x), np.zeros((max(self.n - 6, 0), self.n)), axis=0)
+        return np.append(
+            self.compute_twist_jacobian(x), np.zeros((max(self.n - 6, 0), self.n)), axis=0
+        )
 
-    def tolerance(self, x: Array) -> float:
+    def compute_tolerance(self, x: Array) -> float:
         """Error below which a point is on the curve."""
         return HELD
 
-    def closed(self, x: Array, across: Array, rounds: int = 8) -> tuple[Array, np.ndarray]:
+    def correct_points(self, x: Array, across: Array, rounds: int = 8) -> tuple[Array, np.ndarray]:
         """Points (m, nf) of the curve in planes through x (m, nf) across directions (m, nf), and
         whether found (m,).
         """
         at = np.sum(across * x, axis=-1)
 
         def evaluate_equations(x: Array, some: np.ndarray) -> tuple[Array, Array]:
-            e = self.missing(self.q(x))
-            J = self.jacobian(x)
+            e = self.compute_missing_twist(self.make_configurations(x))
+            J = self.compute_twist_jacobian(x)
             away = np.sum(across[some] * x, axis=-1) - at[some]
             return np.append(-e, away[:, None], axis=-1), np.append(J, across[some, None], axis=-2)
 
         x = run_many_gauss_newton(evaluate_equations, x, rounds, met=CONVERGED)
-        return x, np.abs(self.missing(self.q(x))).max(axis=-1) < HELD
+        return x, np.abs(self.compute_missing_twist(self.make_configurations(x))).max(
+            axis=-1
+        ) < HELD
 
-    def gap(self, x: Array, y: Array) -> Array:
+    def compute_short_difference(self, x: Array, y: Array) -> Array:
         """y - x (..., nf), angles the short way."""
         d = y - x
         period = self.period
         with np.errstate(invalid="ignore"):
             return np.where(np.isfinite(period), d - period * np.round(d / period), d)
 
-    def inside(self, x: Array) -> np.ndarray:
+    def is_inside_limits(self, x: Array) -> np.ndarray:
         """Whether x (..., nf) is inside the limits (...), by any turn; the parameter is not looked
         at.
         """
@@ -203,17 +209,17 @@ class CurvePiece:
         """Parameter (k,) of the nodes."""
         return self.x[:, self.motion.p]
 
-    def guess(self, k: np.ndarray, s: Array) -> Array:
+    def guess_points(self, k: np.ndarray, s: Array) -> Array:
         """Points (m, nf) near the curve at fractions s (m,) of steps k (m,): cubics."""
         return interpolate_hermite(self.x[k], self.t[k], self.x[k + 1], self.t[k + 1], s)
 
-    def points(self, k: np.ndarray, s: Array) -> Array:
+    def compute_points(self, k: np.ndarray, s: Array) -> Array:
         """Points (m, nf) of the curve at fractions s (m,) of steps k (m,)."""
         across = self.x[k + 1] - self.x[k]
         across /= np.linalg.norm(across, axis=-1, keepdims=True)
-        return self.motion.closed(self.guess(k, s), across)[0]
+        return self.motion.correct_points(self.guess_points(k, s), across)[0]
 
-    def at(self, values: Array) -> tuple[Array, np.ndarray]:
+    def find_points(self, values: Array) -> tuple[Array, np.ndarray]:
         """Points (m, nf) at values (m,) of the parameter, and whether the arc is there (m,)."""
         p = self.motion.p
         known = self.values
@@ -227,14 +233,14 @@ class CurvePiece:
         high = np.ones(len(v))
         for _ in range(45):
             s = 0.5 * (low + high)
-            less = self.guess(k, s)[:, p] < v
+            less = self.guess_points(k, s)[:, p] < v
             low = np.where(less, s, low)
             high = np.where(less, high, s)
-        x = self.guess(k, 0.5 * (low + high))
+        x = self.guess_points(k, 0.5 * (low + high))
         x[:, p] = v
         across = np.zeros_like(x)
         across[:, p] = 1.0
-        better, good = self.motion.closed(x, across)
+        better, good = self.motion.correct_points(x, across)
         steps = np.linalg.norm(self.x[k + 1] - self.x[k], axis=-1)
         good &= np.linalg.norm(better - x, axis=-1) < 0.5 * steps + 1e-6
         for end in (0, -1):  # the ends are folds, where the corrector has nothing to hold on to
@@ -245,7 +251,7 @@ class CurvePiece:
         there[there] = good
         return out, there
 
-    def intervals(self, limited: bool = True) -> list[tuple[float, float]]:
+    def find_intervals(self, limited: bool = True) -> list[tuple[float, float]]:
         """Intervals of the parameter in which the arc is inside the limits; all of it where not
         `limited`.
         """
@@ -260,7 +266,7 @@ class CurvePiece:
         pairs = [(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True) if b[0] - a[0] > 1e-11]
         middles = np.array([0.5 * (a[0] + b[0]) for a, b in pairs])
         k = np.minimum(middles.astype(int), last - 1)
-        good = self.motion.inside(self.points(k, middles - k))
+        good = self.motion.is_inside_limits(self.compute_points(k, middles - k))
         out: list[tuple[float, float]] = []
         for i, ((_, low), (_, high)) in enumerate(pairs):
             if good[i] and i and good[i - 1]:
@@ -276,7 +282,7 @@ class CurvePiece:
         m = self.motion
         steps = len(self.x) - 1
         k = np.repeat(np.arange(steps), len(CHECKS))
-        some = self.guess(k, np.tile(CHECKS, steps)).reshape(steps, len(CHECKS), -1)
+        some = self.guess_points(k, np.tile(CHECKS, steps)).reshape(steps, len(CHECKS), -1)
         found: list[tuple[int, int, int, float]] = []
         for j, (low, high) in enumerate(m.limits.T):
             for limit in {low, high} if j != m.p else ():
@@ -295,28 +301,30 @@ class CurvePiece:
         low = CHECKS[i]
         high = CHECKS[i + 1]
         rows = np.arange(len(at))
-        rising = self.guess(at, high)[rows, joint] > self.guess(at, low)[rows, joint]
+        rising = self.guess_points(at, high)[rows, joint] > self.guess_points(at, low)[rows, joint]
         for _ in range(30):
             s = 0.5 * (low + high)
-            before = (self.guess(at, s)[rows, joint] < level) == rising
+            before = (self.guess_points(at, s)[rows, joint] < level) == rising
             low = np.where(before, s, low)
             high = np.where(before, high, s)
-        first = self.guess(at, 0.5 * (low + high))
+        first = self.guess_points(at, 0.5 * (low + high))
         first[rows, joint] = level
-        x, good = m.closed(first, np.eye(some.shape[-1])[joint])
+        x, good = m.correct_points(first, np.eye(some.shape[-1])[joint])
         size = np.linalg.norm(self.x[at + 1] - self.x[at], axis=-1)
         good &= np.linalg.norm(x - first, axis=-1) < 0.05 * size + 1e-9
         for r in rows:
             if not good[r]:  # the joint only grazes its limit: found on the curve, step by step
 
                 def compute_offset(s: float, r: Any = r) -> float:
-                    return float(self.points(at[[r]], np.array([s]))[0, joint[r]] - level[r])
+                    return float(
+                        self.compute_points(at[[r]], np.array([s]))[0, joint[r]] - level[r]
+                    )
 
                 s = find_sign_change(compute_offset, float(CHECKS[i[r]]), float(CHECKS[i[r] + 1]))
                 if s is None:
                     continue
                 low[r] = high[r] = s
-                x[r] = self.points(at[[r]], np.array([s]))[0]
+                x[r] = self.compute_points(at[[r]], np.array([s]))[0]
             yield (
                 float(at[r] + 0.5 * (low[r] + high[r])),
                 float(np.clip(x[r, m.p], self.values[0], self.values[-1])),
@@ -387,7 +395,7 @@ def _find_landing(motion: ChainMotion, a: Node, b: Node, value: float) -> GaussN
         return None
     guess = interpolate_hermite(*ends, np.array([s]))[0]
     guess[p] = value
-    end = motion.corrected(guess, np.eye(motion.n)[p])
+    end = motion.correct_point(guess, np.eye(motion.n)[p])
     near = end is not None and np.linalg.norm(end.x - guess) <= ACROSS * np.linalg.norm(b.x - a.x)
     return end if near else None
 
@@ -420,7 +428,7 @@ def _iterate_folds(
     at_0 = np.array([0])
 
     def compute_slope(s: float) -> float:
-        return float(make_node(motion, piece.points(at_0, np.array([s]))[0], t).t[p])
+        return float(make_node(motion, piece.compute_points(at_0, np.array([s]))[0], t).t[p])
 
     size = float(np.linalg.norm(y - x))
     s = CHECKS
@@ -433,12 +441,14 @@ def _iterate_folds(
     if not np.any((rates[1:] > 0.0) != (rates[:-1] > 0.0)):
         return
     # the cubic says that there is one; the curve itself says where
-    tangents = [make_node(motion, z, t).t for z in piece.points(np.zeros(len(s), dtype=int), s)]
+    tangents = [
+        make_node(motion, z, t).t for z in piece.compute_points(np.zeros(len(s), dtype=int), s)
+    ]
     rates = np.array([t[p], *(v[p] for v in tangents[1:-1]), u[p]])
     for i in np.flatnonzero((rates[1:] > 0.0) != (rates[:-1] > 0.0)):
         at = find_sign_change(compute_slope, float(s[i]), float(s[i + 1]))
         if at is not None and 0.0 < at < 1.0:
-            z = piece.points(at_0, np.array([at]))[0]
+            z = piece.compute_points(at_0, np.array([at]))[0]
             yield z, make_node(motion, z, t).t
 
 
@@ -467,7 +477,7 @@ class Net:
         self.values = values
         self.x = x
         self.level = level
-        t = Spectrum(motion.jacobian(x)).right[:, -1] if len(x) else np.zeros_like(x)
+        t = Spectrum(motion.compute_twist_jacobian(x)).right[:, -1] if len(x) else np.zeros_like(x)
         self.t = np.where(t[:, motion.p, None] < 0.0, -t, t)
         self.up: dict[int, tuple[int, Piece]] = {}
         self.below: set[int] = set()
@@ -476,7 +486,7 @@ class Net:
         self.loose: list[Piece] = []
         self.at = [np.flatnonzero(level == i) for i in range(len(values))]
 
-    def join(self) -> None:
+    def join_nodes(self) -> None:
         """Join what is close and straight, and follow the curves from all ends that are left."""
         for i in range(len(self.values) - 1):
             self._join_levels(self.at[i], self.at[i + 1])
@@ -490,7 +500,7 @@ class Net:
     def _join_levels(self, low: np.ndarray, high: np.ndarray) -> None:
         if not low.size or not high.size:
             return
-        d = self.motion.gap(self.x[low][:, None], self.x[high][None])
+        d = self.motion.compute_short_difference(self.x[low][:, None], self.x[high][None])
         t = self.t[low][:, None]
         u = self.t[high][None]
         size = np.linalg.norm(d, axis=-1)
@@ -562,11 +572,11 @@ class Net:
         some = self.at[level]
         if not some.size:
             return None
-        away = np.abs(self.motion.gap(self.x[some], x)).max(axis=-1)
+        away = np.abs(self.motion.compute_short_difference(self.x[some], x)).max(axis=-1)
         k = int(np.argmin(away))
         return int(some[k]) if away[k] < SAME else None
 
-    def arcs(self) -> list[CurvePiece]:
+    def list_arcs(self) -> list[CurvePiece]:
         """All arcs, in the order of where they begin."""
         out = [self._make_arc([piece]) for piece in self.loose]
         for a in range(len(self.x)):
@@ -590,7 +600,7 @@ class Net:
         xs = list(x)
         ts = list(t)
         for more, tangents in parts[1:]:
-            turn = xs[-1] + self.motion.gap(xs[-1], more[0]) - more[0]
+            turn = xs[-1] + self.motion.compute_short_difference(xs[-1], more[0]) - more[0]
             xs += list(more[1:] + turn)
             ts += list(tangents[1:])
         x = np.array(xs)
@@ -613,12 +623,14 @@ def trace_arcs(
     """
     x = x.copy()
     x[:, motion.p] = values[level]
-    better, good = motion.closed(x, np.repeat(np.eye(x.shape[1])[[motion.p]], len(x), axis=0))
+    better, good = motion.correct_points(
+        x, np.repeat(np.eye(x.shape[1])[[motion.p]], len(x), axis=0)
+    )
     good &= np.abs(better - x).max(axis=-1, initial=0.0) < SAME
     net = Net(motion, values, np.where(good[:, None], better, x), level)
     try:
-        net.join()
+        net.join_nodes()
     except TimeUp:  # the arcs that were joined by now
         if not time.spent:
             raise
-    return net.arcs()
+    return net.list_arcs()

@@ -440,9 +440,9 @@ def moved_place(
         chosen = place.at(start).null_space(which).chosen
 
         def rate(_: float, x: Array, chosen: np.ndarray = chosen, wish: Array = wish) -> Array:
-            A, b = rows.values(x[: layout.nq], x[layout.nq])
+            A, b = rows.evaluate_rows(x[: layout.nq], x[layout.nq])
             whole = (np.concatenate([A, -b[:, None]], axis=1) if place.extra else A)[chosen] * units
-            v = (wish - Spectrum(whole).solve(whole @ wish, Level.ROUNDING)) * units
+            v = (wish - Spectrum(whole).solve_least_squares(whole @ wish, Level.ROUNDING)) * units
             out = np.zeros(layout.nq + 1)
             out[layout.vector_q] = v[layout.vector_v]
             for iq, iv in zip(layout.quaternion_q, layout.quaternion_v, strict=True):
@@ -558,7 +558,7 @@ def classify(
     constraints that are no recorded expressions, by name; `TimeLimitError` where the freedoms are
     not known by then.
     """
-    find_time_limit(USUAL).put_in_order()  # there is nothing to do afterwards
+    find_time_limit(USUAL).release_reserved_time()  # there is nothing to do afterwards
     if not is_real(t):
         raise InputError(f"t is {format_value(t)}; it must be one number")
     given = None if q is None else read_finite_q(system, q)

@@ -204,14 +204,14 @@ def split_of(q: Array, J: Array, basis: Array, columns: np.ndarray) -> Here:
     left = spectrum.left
     sigma = spectrum.values
     most = float(spectrum.largest)
-    rank = spectrum.rank(Level.GENERIC)
+    rank = spectrum.compute_rank(Level.GENERIC)
     rest = float(sigma[rank]) if rank < len(sigma) else 0.0
     last = float(sigma[rank - 1]) if rank else np.inf
     clear = last > GAP * max(rest, ROUNDING * most)
     null_space = np.zeros((nv, n - rank))
     inverse = np.zeros((nv, m))
-    null_space[columns] = spectrum.null(Level.GENERIC)
-    inverse[columns] = spectrum.inverse(Level.GENERIC) @ basis.T
+    null_space[columns] = spectrum.compute_null_space(Level.GENERIC)
+    inverse[columns] = spectrum.compute_pseudo_inverse(Level.GENERIC) @ basis.T
     padded = np.concatenate([np.full(nv - n, most), sigma])
     return Here(
         A,
@@ -358,7 +358,7 @@ def _regular_zero(B: Array, d: Array) -> bool:
         D = 2.0 * B @ d
         if np.linalg.norm(B @ d @ d) < 1e-13 * size:
             return bool(Spectrum(D).smallest > CLEAR * size)
-        d = d - Spectrum(D).solve(B @ d @ d, Level.ROUGH)
+        d = d - Spectrum(D).solve_least_squares(B @ d @ d, Level.ROUGH)
         d = d / np.linalg.norm(d)
     return False
 
@@ -397,7 +397,7 @@ def _no_zero(B: Array, t: int, rng: np.random.Generator) -> bool:
                 ]
     if len(M) < len(place):
         return False
-    return Spectrum(M).rank(CLEAR) == len(place)
+    return Spectrum(M).compute_rank(CLEAR) == len(place)
 
 
 # ---- leading forms: coordinates held

@@ -91,7 +91,7 @@ def distribution(
     `error`.
     """
     requested = np.arange(len(rows.names)) if which is None else np.array(which, dtype=np.int64)
-    A, b = rows.values(q, t)
+    A, b = rows.evaluate_rows(q, t)
     whole = (
         A[requested] if rows.steady else np.concatenate([A[requested], -b[requested, None]], axis=1)
     )
@@ -113,7 +113,7 @@ def _null_space(
     computed = sizes[real[~written[real]]]  # scaled up, with their rounding
     small = float((computed / sizes.max(initial=1e-300)).min(initial=1.0))
     level = max(Level.CLOSED, ROUNDED / small)
-    rank = spectrum.rank(level)
+    rank = spectrum.compute_rank(level)
     independent = np.sort(_pivots(scaled.T, rank))
     chosen = which[real[independent]]
     columns = np.sort(_pivots(Vt[:rank], rank))
@@ -127,7 +127,7 @@ def _null_space(
         np.ascontiguousarray(np.linalg.inv(square), dtype=np.float64) if rank else np.zeros((0, 0))
     )
     condition = float(spectrum.values[0] / spectrum.values[rank - 1]) if rank else 1.0
-    gap = spectrum.gap(level)
+    gap = spectrum.compute_rank_gap(level)
     return Distribution(
         rows, q, t, chosen, pivots, inverse, Vt[rank:].T, gap, condition, error, doubtful
     )
@@ -168,7 +168,7 @@ class Words:
             for k in outputs
         ]
         self.entries = np.array(entries, dtype=np.int64).reshape(-1, 3)
-        self.order = rows.needed(outputs)
+        self.order = rows.find_needed_nodes(outputs)
         state = np.append(at.q, at.t)
         self.inputs = state[rows.inputs]
         slots = rows.slots if not rows.steady else rows.slots[:-1]
@@ -198,7 +198,7 @@ class Words:
         for i in range(0, count, piece):
             check_for_stop()
             lie_brackets.evaluate_words(
-                *at.rows.packed,
+                *at.rows.packed_tape,
                 self.order,
                 self.entries,
                 at.pivots,
@@ -262,7 +262,7 @@ class _GrowingSpan:
         inside = self.basis.T @ words
         rest = words - self.basis @ inside
         rest -= self.basis @ (self.basis.T @ rest)
-        U, values, _ = Spectrum(rest).thin
+        U, values, _ = Spectrum(rest).thin_decomposition
         bound = float(np.max(noise + self.rounding @ np.abs(inside))) * np.sqrt(words.shape[1])
         error = max(self.least, max(self.shares[-2:]) * bound)
         rank = int(np.sum(values > ROUNDING * error))

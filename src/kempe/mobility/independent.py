@@ -65,13 +65,13 @@ def moving(system: Model, q: Array, left: Array, null_space: Array, scale: Array
         return null_space
     blocks = _change(system, q, left, null_space, scale, np.eye(null_space.shape[1]))
     spectrum = Spectrum(blocks.reshape(-1, null_space.shape[1]), 1.0)
-    shaky = spectrum.rank(Level.GENERIC)
+    shaky = spectrum.compute_rank(Level.GENERIC)
     if not 0 < shaky < null_space.shape[1]:
         return null_space
 
     if mobility(system, q).dof != null_space.shape[1] - shaky:
         return null_space
-    return null_space @ spectrum.null(Level.GENERIC)
+    return null_space @ spectrum.compute_null_space(Level.GENERIC)
 
 
 def _change(
@@ -437,16 +437,16 @@ def _idle_part(
     parts = [np.zeros((N.shape[1], 0))]
     for spin in spins:
         rests = N[~spin.moving_velocities]
-        part = Spectrum(rests, 1.0).null(Level.CLOSED)
+        part = Spectrum(rests, 1.0).compute_null_space(Level.CLOSED)
         if part.shape[1] > 1:  # they move what is useful as well: the spin is what keeps the line
             J = jacobian(tree, q, spin.bodies[0])
             arm, line = spin.in_body @ fk(tree, q, spin.bodies[0])[:3, :3].T
             keeps = np.concatenate([J[:3] - skew(arm) @ J[3:], skew(line) @ J[3:]])
-            part = Spectrum(np.concatenate([rests, keeps @ (scale[:, None] * N)]), 1.0).null(
-                Level.CLOSED
-            )
+            part = Spectrum(
+                np.concatenate([rests, keeps @ (scale[:, None] * N)]), 1.0
+            ).compute_null_space(Level.CLOSED)
         parts.append(part)
-    return Spectrum(np.concatenate(parts, axis=1), 1.0).range(Level.CLOSED)
+    return Spectrum(np.concatenate(parts, axis=1), 1.0).compute_column_space(Level.CLOSED)
 
 
 def _is_exponential(system: Model, name: str) -> bool:
@@ -492,11 +492,11 @@ def tangent_space(system: Model, q: Any, dim: int | None = None) -> tuple[Array,
             "assemble"
         )
     spectrum = Spectrum(J, 1.0)
-    N = spectrum.null(Level.CLOSED)
-    rank = spectrum.rank(Level.CLOSED)
+    N = spectrum.compute_null_space(Level.CLOSED)
+    rank = spectrum.compute_rank(Level.CLOSED)
     scale = compute_coordinate_units(system)
     if rank < len(J) and 1 < N.shape[1] != dim:
-        N = moving(system, q, spectrum.left_null(Level.CLOSED), N, scale)
+        N = moving(system, q, spectrum.compute_left_null_space(Level.CLOSED), N, scale)
     return N, scale
 
 

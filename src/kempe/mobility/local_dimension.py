@@ -359,7 +359,7 @@ def span(x: Array) -> tuple[int, Array]:
     """
     if not len(x):
         return 0, np.zeros((x.shape[1], 0))
-    basis = Spectrum(x, 1.0).row_space(SPREAD)
+    basis = Spectrum(x, 1.0).compute_row_space(SPREAD)
     return basis.shape[1], basis
 
 

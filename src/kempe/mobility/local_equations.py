@@ -241,7 +241,8 @@ class Equations:
         error = 0.5 * (np.sum(x * x, axis=1) - radii**2) * over
         rows = np.concatenate([J, (x * over[:, None])[:, None]], axis=1)
         step = -(
-            Spectrum(rows).inverse(level) @ np.append(value, error[:, None], axis=1)[..., None]
+            Spectrum(rows).compute_pseudo_inverse(level)
+            @ np.append(value, error[:, None], axis=1)[..., None]
         )[..., 0]
         shorter = np.minimum(1.0, LONGEST / np.maximum(np.linalg.norm(step, axis=1), 1e-300))
         return self.move(q, step * shorter[:, None])
@@ -250,7 +251,7 @@ class Equations:
         """As `project`, overwriting q with the points found."""
         from kempe.kernels.compiled import projection
 
-        self.time.check()
+        self.time.check_time()
         centers = np.ascontiguousarray(np.broadcast_to(centers, q.shape), dtype=float)
         radii = np.array(np.broadcast_to(np.asarray(radius, dtype=float), len(q)))
         info = np.zeros((len(q), 3))

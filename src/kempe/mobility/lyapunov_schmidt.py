@@ -87,7 +87,13 @@ def split_matrix(q: Array, J: Array, level: float = Level.GENERIC) -> Split:
 def split_all(q: Array, J: Array, level: float = Level.GENERIC) -> list[Split]:
     """The same for many configurations (N, nq) and Jacobians (N, m, nv)."""
     return [
-        Split(p, x.values, x.null(level), x.left_null(level), x.inverse(level))
+        Split(
+            p,
+            x.values,
+            x.compute_null_space(level),
+            x.compute_left_null_space(level),
+            x.compute_pseudo_inverse(level),
+        )
         for p, x in zip(q, Spectrum(J, LEAST), strict=True)
     ]
 
@@ -214,4 +220,4 @@ def lineality(equations: Equations, at: Split, k: int, rng: np.random.Generator)
     gradient = np.einsum("ndtc,t->ncd", g.reshape(n, delta, k + 1, at.corank), pick).reshape(
         -1, delta
     )
-    return Spectrum(gradient).null(Level.ROUGH)
+    return Spectrum(gradient).compute_null_space(Level.ROUGH)

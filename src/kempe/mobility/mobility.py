@@ -88,7 +88,7 @@ def mobility(
     `local` are then about angles measured from there. Errors: `InputError`, `UnknownNameError`.
     """
     time = find_time_limit(USUAL)
-    time.put_in_order()  # there is nothing to do afterwards
+    time.release_reserved_time()  # there is nothing to do afterwards
     shown = system
     system = remove_cut_marks(system)
     find_driven_velocities(system, actuated)  # a wrong name is refused before any work

@@ -120,8 +120,8 @@ def tangent_cone(equal: Array, one_sided: Array) -> Cone:
     G = np.where(np.isfinite(G).all(axis=1, keepdims=True), G, 0.0)
     n = E.shape[1]
     held = Spectrum(_unit(E, NOTHING)[0], 1.0)
-    N = held.null(Level.GENERIC).T
-    full = held.rank(Level.GENERIC) == len(E)
+    N = held.compute_null_space(Level.GENERIC).T
+    full = held.compute_rank(Level.GENERIC) == len(E)
     G, sizes = _unit(G, NOTHING)
     vanishing = sizes <= NOTHING
     inner = G @ N.T
@@ -130,15 +130,15 @@ def tangent_cone(equal: Array, one_sided: Array) -> Cone:
     used = np.flatnonzero(~vanishing & ~implied)
     cut = inner[used]
     spectrum = Spectrum(cut, 1.0)
-    free = spectrum.null(Level.GENERIC).T
-    across = spectrum.row_space(Level.GENERIC).T
+    free = spectrum.compute_null_space(Level.GENERIC).T
+    across = spectrum.compute_row_space(Level.GENERIC).T
     depth = len(across)
     B = _unit(cut @ across.T, 0.0)[0]
     closed = _closed(B)
     redundant = []
     if depth < len(used):
         redundant = _redundant(B)
-    left = Spectrum(B[closed], 1.0).null(Level.GENERIC).T
+    left = Spectrum(B[closed], 1.0).compute_null_space(Level.GENERIC).T
     wide = len(left)
     across = left @ across
     open_rows = [i for i in range(len(used)) if i not in closed and i not in redundant]
@@ -231,7 +231,7 @@ def _rays(C: Array) -> Array | None:
         return None
     chosen = np.array([*combinations(range(k), r - 1)], dtype=np.int64)
     spectrum = Spectrum(C[chosen], 1.0)
-    lines = spectrum.right[spectrum.ranks(Level.GENERIC) == r - 1, -1]
+    lines = spectrum.right[spectrum.compute_ranks(Level.GENERIC) == r - 1, -1]
     both = np.concatenate([lines, -lines])
     inside = both[np.all(both @ C.T >= -NOTHING, axis=1)]
     out: list[Array] = []
@@ -428,7 +428,7 @@ def one_sided(system: Model, q: Any = None, *, tolerance: float = CLOSED) -> One
             f"q has shape {at.shape}; one-sided constraints are looked at in one configuration"
         )
     rows = pack_one_sided_rows(system)
-    values, J = rows.rates(at)
+    values, J = rows.compute_rates(at)
     found, G = _sides(rows, values, J, tolerance)
     E, still = _equations(system, at)
     cone = tangent_cone(E, G)
@@ -448,7 +448,7 @@ def if_any(system: Model, q: Array) -> OneSidedReport | None:
         if not len(rows):
             return None
         x = q[rows.at]
-        (low, high) = rows.well_inside
+        (low, high) = rows.inner_bounds
         if ((x > low) & (x < high)).all():
             return None
     return one_sided(system, q)
@@ -475,7 +475,7 @@ def _sides(rows: OneSided, values: Array, J: Array, tolerance: float) -> tuple[l
             both = ConeDirections(True, True)
             out.append(
                 Side(
-                    rows.side(k, upper),
+                    rows.format_bound_name(k, upper),
                     float(values[k]),
                     float(bound),
                     unit,

@@ -130,7 +130,7 @@ def relative_motion(
         for r in sample_nearby_ranks(system, compute_rank(system, found), np.random.default_rng(0))
     ]
     dof = basis.shape[1]
-    turning = Spectrum(basis[3:], 1.0).rank(Level.CLOSED)
+    turning = Spectrum(basis[3:], 1.0).compute_rank(Level.CLOSED)
     twists = basis * np.repeat([size, 1.0], 3)[:, None]
     return RelativeMotion(
         names[0], names[1], dof, dof - turning, twists, origin, max([dof, *around]), size
@@ -150,7 +150,7 @@ def _basis(closure: Closure, q: Array, names: list[str], size: float) -> tuple[A
     arm = X[:3, 3] - Y[:3, 3]
     linear = moved[:3] - base[:3] - np.cross(base[3:], arm, axis=0)
     twists = np.concatenate([back @ linear / size, back @ (moved[3:] - base[3:])])
-    return Spectrum(twists, 1.0).range(Level.CLOSED), back @ arm
+    return Spectrum(twists, 1.0).compute_column_space(Level.CLOSED), back @ arm
 
 
 def _rounded(x: float) -> float:

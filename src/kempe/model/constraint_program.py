@@ -452,7 +452,7 @@ def _make_function_ties(name: str, side: Side, system: Model, a: End, b: End) ->
     for what in dict.fromkeys(r.args[0] for r in calls):
         alike = [r for r in calls if r.args[0] == what]
         which = [r.args[1] for r in alike]
-        bound = getattr(what, "callback", None)  # a function of the whole configuration
+        bound = getattr(what, "make_callback", None)  # a function of the whole configuration
         call = (
             bound(which)
             if bound

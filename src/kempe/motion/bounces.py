@@ -203,7 +203,7 @@ class Flight:
         held = {i for i in still if self.N[i] @ a <= strength * np.linalg.norm(self.N[i])}
         flat = self.N[sorted(held)]
         if len(flat):
-            back = Spectrum(flat).inverse(Level.ROUNDING)
+            back = Spectrum(flat).compute_pseudo_inverse(Level.ROUNDING)
             v = v - back @ (flat @ v)
             a = a - back @ (flat @ a)
             a = np.where(np.linalg.norm(a) <= strength, 0.0, a)
@@ -265,7 +265,9 @@ class Flight:
         index = sorted(touching)
         if not index:
             return y
-        return y - Spectrum(self.N[index]).inverse(Level.ROUNDING) @ self.gaps(y)[index]
+        return (
+            y - Spectrum(self.N[index]).compute_pseudo_inverse(Level.ROUNDING) @ self.gaps(y)[index]
+        )
 
 
 def first_zero(gap: float, rate: float, acceleration: float) -> float:
@@ -311,7 +313,7 @@ def nearest_inside(v: Array, N: Array, w: Array) -> Array | None:
     for count in range(1, len(v) + 1):
         for some in itertools.combinations(range(len(N)), count):
             A: Array = unit[list(some)]
-            if Spectrum(A, 1.0).rank(Level.CLOSED) < count:
+            if Spectrum(A, 1.0).compute_rank(Level.CLOSED) < count:
                 continue
             push = np.linalg.solve(A @ A.T, -A @ v - w[list(some)])
             x = v + A.T @ push
@@ -360,7 +362,7 @@ class MovingFlight:
         leaving = set[int]()
         touching = set(np.flatnonzero(self._gaps(0.0, y) <= TOUCH).tolist())
         while t < duration:
-            self.budget.check()
+            self.budget.check_time()
             self.known = t
             after = self._impact(t, y, v, touching, again > AGAIN)
             if after is None or len(self.impacts) >= MOST:
@@ -436,7 +438,7 @@ class MovingFlight:
         if not index:
             return y, v
         N, o = self.planes.at(t)
-        back = Spectrum(N[index]).inverse(Level.ROUNDING)
+        back = Spectrum(N[index]).compute_pseudo_inverse(Level.ROUNDING)
         y = y - back @ (N[index] @ y + o[index])
         return y, v if places_only else v - back @ self._rates(t, y, v)[1][index]
 
@@ -491,7 +493,9 @@ class MovingFlight:
         c = self._bending(t, y, v)[still]
         a = nearest_inside(self.gravity, N, c)
         if a is None:
-            a = self.gravity - Spectrum(N).inverse(Level.ROUNDING) @ (N @ self.gravity + c)
+            a = self.gravity - Spectrum(N).compute_pseudo_inverse(Level.ROUNDING) @ (
+                N @ self.gravity + c
+            )
         strength = 1e-9 * (float(np.linalg.norm(self.gravity)) + np.abs(c))
         return a, {
             i
@@ -541,7 +545,7 @@ class MovingFlight:
         begin = t
         solver: Any = self._solver(t, y, v, held, duration) if held else None
         while True:
-            self.budget.check()
+            self.budget.check_time()
             end = min(begin + window, duration)
             at = self._step(solver) if held else partial(_parabola, t, y, v, self.gravity)
             end = float(solver.t) if held else end
@@ -580,7 +584,11 @@ class MovingFlight:
             N = self.planes.at(s)[0][index]
             c = self._bending(s, x[:k], x[k:])[index]
             return np.concatenate(
-                [x[k:], self.gravity - Spectrum(N).inverse(Level.ROUNDING) @ (N @ self.gravity + c)]
+                [
+                    x[k:],
+                    self.gravity
+                    - Spectrum(N).compute_pseudo_inverse(Level.ROUNDING) @ (N @ self.gravity + c),
+                ]
             )
 
         return cast(Any, integrate).DOP853(
@@ -660,9 +668,9 @@ class MovingFlight:
             p, w = (z[0] for z in at(np.array([x])))
             N = self.planes.at(x)[0][held]
             c = self._bending(x, p, w)[held]
-            return Spectrum(N @ N.T).solve(-(N @ self.gravity + c), Level.CLOSED) * np.linalg.norm(
-                N, axis=1
-            )
+            return Spectrum(N @ N.T).solve_least_squares(
+                -(N @ self.gravity + c), Level.CLOSED
+            ) * np.linalg.norm(N, axis=1)
 
         def least(x: float) -> float:
             return float(pushes(x).min())

@@ -96,7 +96,9 @@ def second_order(equations: Closure, x: Array, left: Array, along: Array) -> Arr
     out = np.empty((equations.n, left.shape[1], along.shape[1]))
     for j in range(along.shape[1]):
         y = DIFFERENCE * along[:, j]
-        change = equations.matrix(equations.move(x, y)) - equations.matrix(equations.move(x, -y))
+        change = equations.compute_jacobian(
+            equations.move_point(x, y)
+        ) - equations.compute_jacobian(equations.move_point(x, -y))
         out[:, :, j] = change.T @ left / (2.0 * DIFFERENCE)
     return out
 
@@ -112,15 +114,15 @@ def locate(
     Anal. Optim.* 1980). None where there is no such point.
     """
     n = equations.n
-    left = Spectrum(equations.matrix(x)).left[:, n - nullity :]
+    left = Spectrum(equations.compute_jacobian(x)).left[:, n - nullity :]
     rows, k = left.shape
     fixed = left
     start = x
     nq = len(x)
 
     def both(z: Array) -> tuple[Array, Array]:
-        F, J = equations.both(z[:nq])
-        near = np.linalg.norm(equations.between(start, z[:nq])) <= reach
+        F, J = equations.evaluate_equations(z[:nq])
+        near = np.linalg.norm(equations.compute_difference(start, z[:nq])) <= reach
         return np.concatenate([F, (z[nq:].reshape(k, rows) @ J).ravel()]) if near else np.full(
             1, np.inf
         ), J
@@ -145,7 +147,7 @@ def locate(
         tries,
         step=newton,
         met=1e-15,
-        move=lambda z, y: np.append(equations.move(z[:nq], y[:n]), z[nq:] + y[n:]),
+        move=lambda z, y: np.append(equations.move_point(z[:nq], y[:n]), z[nq:] + y[n:]),
     )
     if not found.size <= SINGULAR:
         return None
@@ -160,7 +162,7 @@ def locate(
 
 def _nullity(equations: Closure, x: Array) -> int:
     """The dimension of the null space of equations, which are scaled."""
-    return equations.n - Spectrum(equations.matrix(x), LEAST).rank(Level.CLOSED)
+    return equations.n - Spectrum(equations.compute_jacobian(x), LEAST).compute_rank(Level.CLOSED)
 
 
 def cone(equations: Closure, x: Array) -> tuple[Array, bool]:
@@ -170,9 +172,9 @@ def cone(equations: Closure, x: Array) -> tuple[Array, bool]:
     And whether some are double, or second order does not tell any: then they need not be tangents
     of branches.
     """
-    spectrum = Spectrum(equations.matrix(x), LEAST)
+    spectrum = Spectrum(equations.compute_jacobian(x), LEAST)
     n = equations.n
-    null_space = spectrum.null(Level.CLOSED)
+    null_space = spectrum.compute_null_space(Level.CLOSED)
     d = null_space.shape[1]
     if d <= 1:
         return null_space.T, False
@@ -219,7 +221,7 @@ def _many(forms: Array, budget: TimeLimit) -> Array:
         return (u + y) / np.linalg.norm(u + y)
 
     for _ in range(40 * 2**d):
-        budget.check()
+        budget.check_time()
         u = rng.normal(size=d)
         u = u / np.linalg.norm(u)
         u, left, _ = run_gauss_newton(both, u, 40, level=Level.ROUNDING, last=1e-15, move=onto)
@@ -249,10 +251,10 @@ def _walkable(equations: Closure, x: Array, directions: Array) -> Array:
     lines: list[Array] = []
     for t in directions:
         for sign in (1.0, -1.0):
-            other = correct_point(equations, equations.move(x, sign * PROBE * t), t)
+            other = correct_point(equations, equations.move_point(x, sign * PROBE * t), t)
             if other is None:
                 continue
-            y = equations.between(x, other.x) * sign
+            y = equations.compute_difference(x, other.x) * sign
             if (
                 y @ t < 0.9 * np.linalg.norm(y)
                 or make_node(equations, other.x, None, other.J).nullity > 1
@@ -303,13 +305,13 @@ def passage(
     for germ in known:
         moved = germ.moved(equations, points[-1], period)
         if (
-            np.linalg.norm(equations.between(moved.x, points[-1]))
+            np.linalg.norm(equations.compute_difference(moved.x, points[-1]))
             < np.linalg.norm(germ.samples[:, -1], axis=1).max()
         ):
             if (found := _going_on(equations, moved, points)) is not None:
                 return found
     here = points[-1]
-    along = equations.between(points[-2], points[-1])
+    along = equations.compute_difference(points[-2], points[-1])
     for nullity in (2, 3, 4):
         x = locate(equations, here, nullity, REACH) if nullity <= equations.n else None
         germ = None if x is None else germ_at(equations, x, nullity)
@@ -350,23 +352,27 @@ def center(equations: Closure, x: Array, along: Array, reach: float) -> Array | 
         z = _Sphere.at(equations, x, 2).valley(along, reach)
         if z is None:
             return None
-        x = equations.move(x, z)
-    return x if np.abs(equations.values(x)).max(initial=0.0) < equations.tolerance(x) else None
+        x = equations.move_point(x, z)
+    return (
+        x
+        if np.abs(equations.compute_residuals(x)).max(initial=0.0) < equations.compute_tolerance(x)
+        else None
+    )
 
 
 def crossing(equations: Closure, a: Node, b: Node) -> Node | None:
     """The singular point between two neighbours of one branch, or None."""
-    y = equations.between(a.x, b.x)
+    y = equations.compute_difference(a.x, b.x)
     h = float(np.linalg.norm(y))
     f = a.sigma / max(a.sigma + b.sigma, 1e-300)
-    guess = equations.move(a.x, f * y)
+    guess = equations.move_point(a.x, f * y)
     for nullity in (2, 3, 4):
         if nullity > equations.n:
             break
         x = locate(equations, guess, nullity, 2.0 * h)
         if x is None:
             continue
-        z = equations.between(a.x, x)
+        z = equations.compute_difference(a.x, x)
         along = float(z @ y) / h
         if -1e-9 <= along <= h + 1e-9 and np.linalg.norm(z - along * y / h) <= 0.25 * h:
             return singular_node(equations, x, y, a.x)
@@ -420,11 +426,11 @@ class Germ:
     def first(self, equations: Closure, half: int) -> Node:
         """The regular node of a half-branch that is nearest to `x`, its tangent away from `x`."""
         z = self.samples[half, -1]
-        return make_node(equations, equations.move(self.x, z), z)
+        return make_node(equations, equations.move_point(self.x, z), z)
 
     def moved(self, equations: Closure, x: Array, period: Array) -> Germ:
         """The same germ as near to a point (nq,) as whole periods (nv,) lead."""
-        y = equations.between(self.x, x) * equations.unit
+        y = equations.compute_difference(self.x, x) * equations.unit
         turns = np.round(np.divide(y, period, out=np.zeros_like(y), where=period > 0.0))
         return replace(
             self, x=equations.system.structure.layout.integrate_velocity(self.x, turns * period)
@@ -435,7 +441,7 @@ class Germ:
         they do not tell.
         """
         for x in points:
-            z = equations.between(self.x, x)
+            z = equations.compute_difference(self.x, x)
             size = float(np.linalg.norm(z))
             if size > np.linalg.norm(self.samples[:, 0], axis=1).min():
                 continue
@@ -531,7 +537,7 @@ class _Sphere:
         """The spheres around a point (nq,) at which the null space has so many dimensions, or
         nearly has.
         """
-        spectrum = Spectrum(equations.matrix(x))
+        spectrum = Spectrum(equations.compute_jacobian(x))
         rank = equations.n - nullity
         U = spectrum.left
         Vt = spectrum.right
@@ -554,7 +560,7 @@ class _Sphere:
         def values(a: Array, b: Array) -> Array:
             return self.reduced(np.stack([a, b], axis=1) @ axes @ self.null_space.T)[1]
 
-        own = Spectrum(values(np.append(a, a), np.repeat([h, -h], VALLEY))).thin[2][0]
+        own = Spectrum(values(np.append(a, a), np.repeat([h, -h], VALLEY))).thin_decomposition[2][0]
         for _ in range(4):
             low, at, high = (values(a, b + k * h) @ own for k in (-1, 0, 1))
             bent = high - 2.0 * at + low
@@ -581,7 +587,7 @@ class _Sphere:
         """
         z, F = np.array(z), np.zeros((len(z), self.left.shape[0]))
         for _ in range(CHORDS):
-            F = self.equations.many(self.equations.move(self.x, z), False)[0]
+            F = self.equations.evaluate_many_points(self.equations.move_point(self.x, z), False)[0]
             y = F @ self.inverse.T
             z -= y
             if np.abs(y).max(initial=0.0) < 1e-15:
@@ -603,7 +609,7 @@ class _Sphere:
         if not np.isfinite(values).all():
             return []
         out: list[Array] = []
-        for own in Spectrum(values, 1e-8).row_space(Level.GENERIC).T:
+        for own in Spectrum(values, 1e-8).compute_row_space(Level.GENERIC).T:
             a, b = self._brackets(angles, values @ own, lambda angles, own=own: at(angles)[1] @ own)
             for _ in range(HALVINGS if len(a[0]) else 0):
                 middle = 0.5 * (a[0] + b[0])
@@ -674,35 +680,45 @@ class _Sphere:
         out = list[Array]()
 
         def both(x: Array, _: np.ndarray) -> tuple[Array, Array]:
-            return e.many(x)
+            return e.evaluate_many_points(x)
 
         def on_sphere(x: Array, _: np.ndarray) -> tuple[Array, Array]:
-            F, J = e.many(x)
-            z = e.between(self.x, x)
+            F, J = e.evaluate_many_points(x)
+            z = e.compute_difference(self.x, x)
             over = 0.5 * (np.sum(z * z, axis=1) - radius * radius) / radius
             return np.append(F, over[:, None], axis=1), np.append(J, z[:, None] / radius, axis=1)
 
         for _ in range(LOOKS):
-            e.budget.check()
+            e.budget.check_time()
             count = max(8, min(STARTS * 2**d, MOST_STARTS, MOST_NUMBERS // (e.rows * n)))
             z = rng.normal(size=(count, d)) @ self.null_space.T
             z *= radius / np.linalg.norm(z, axis=1, keepdims=True)
             x = run_many_gauss_newton(
-                both, e.move(self.x, z), 6, level=Level.ROUGH, longest=radius, move=e.move
+                both,
+                e.move_point(self.x, z),
+                6,
+                level=Level.ROUGH,
+                longest=radius,
+                move=e.move_point,
             )
-            z = e.between(self.x, x)
+            z = e.compute_difference(self.x, x)
             size = np.linalg.norm(z, axis=1, keepdims=True)
             z = (radius / size * z)[(size > 0.1 * radius)[:, 0]]
             x = run_many_gauss_newton(
-                on_sphere, e.move(self.x, z), 30, level=Level.GENERIC, longest=radius, move=e.move
+                on_sphere,
+                e.move_point(self.x, z),
+                30,
+                level=Level.GENERIC,
+                longest=radius,
+                move=e.move_point,
             )
             left, J = on_sphere(x, np.arange(len(x)))
             good = np.abs(left).max(axis=1, initial=0.0) < 1e-9
             few = J[good][:8, :-1]
-            if len(few) and np.median(Spectrum(few, 1.0).ranks(PARTED)) < n - 1:
+            if len(few) and np.median(Spectrum(few, 1.0).compute_ranks(PARTED)) < n - 1:
                 return None
             known = len(out)
-            out = self._points([*out, *e.between(self.x, x[good])])
+            out = self._points([*out, *e.compute_difference(self.x, x[good])])
             if len(out) == known:
                 break
         return out
@@ -724,14 +740,14 @@ class _Sphere:
         """
         e = self.equations
         size = float(np.linalg.norm(z))
-        there = correct_point(e, e.move(self.x, z), z / size)
+        there = correct_point(e, e.move_point(self.x, z), z / size)
         if there is None:
             return None
-        found = e.between(self.x, there.x)
+        found = e.compute_difference(self.x, there.x)
         spectrum = Spectrum(there.J, 1.0)
         direction = spectrum.right[-1]
         near = np.linalg.norm(found - z) < 0.5 * size
-        return (found, direction) if near and spectrum.rank(PARTED) >= e.n - 1 else None
+        return (found, direction) if near and spectrum.compute_rank(PARTED) >= e.n - 1 else None
 
     def inwards(self, z: Array) -> Array:
         """Tangent vectors (m, n) to points of a half-branch through the one at z (n,), towards the
@@ -766,7 +782,7 @@ def _powers(distance: Array, root: int) -> Array:
 
 def _fit(A: Array, B: Array) -> Array:
     """The X (n, k) that makes |A X - B| least."""
-    return Spectrum(A).solve(B, Level.ROUNDING)
+    return Spectrum(A).solve_least_squares(B, Level.ROUNDING)
 
 
 def _paired(x: Array, samples: Array, null_space: Array) -> Germ | None:
@@ -839,10 +855,10 @@ class RankEquations:
     """
 
     def __init__(self, equations: Closure, x: Array):
-        J = equations.matrix(x)[: equations.real]
+        J = equations.compute_jacobian(x)[: equations.real]
         spectrum = Spectrum(J)
-        self._left = spectrum.left_null(Level.CLOSED)
-        self._null_space = spectrum.null(Level.CLOSED)
+        self._left = spectrum.compute_left_null_space(Level.CLOSED)
+        self._null_space = spectrum.compute_null_space(Level.CLOSED)
         self.nullity = self._null_space.shape[1]
         self._before = len(equations.more)
 
@@ -851,13 +867,13 @@ class RankEquations:
         """How many equations there are."""
         return self._left.shape[1] * self.nullity
 
-    def write(
+    def write_equations(
         self, equations: Closure, x: Array, F: Array, J: Array, at: int, with_matrix: bool
     ) -> None:
         """Write the residuals of these equations and their derivatives into F and J (., n) from row
         `at` on.
         """
-        own = J[:at] if with_matrix else equations.both(x, True, self._before)[1][:at]
+        own = J[:at] if with_matrix else equations.evaluate_equations(x, True, self._before)[1][:at]
         spectrum = Spectrum(own)
         rank = own.shape[1] - self.nullity
         here = slice(at, at + self.count)
@@ -891,9 +907,9 @@ class _Before(Closure):
         self._equations = equations
         self._further_ones = further
 
-    def matrix(self, x: Array) -> Array:
+    def compute_jacobian(self, x: Array) -> Array:
         """Derivative (rows, n) of these equations at `x`."""
-        return self._equations.both(x, True, self._further_ones)[1]
+        return self._equations.evaluate_equations(x, True, self._further_ones)[1]
 
 
 def hold_rank(
@@ -909,11 +925,13 @@ def hold_rank(
     low = RankEquations(equations, x)
     if not low.count or rank_held(equations):
         return False
-    equations.add(low)
+    equations.add_equations(low)
     along, here = curve()
-    if here.nullity == 1 and all(_goes_on(along, n, length) for n in (here, here.reversed())):
+    if here.nullity == 1 and all(
+        _goes_on(along, n, length) for n in (here, here.reverse_direction())
+    ):
         return True
-    equations.leave_out(low)
+    equations.remove_equations(low)
     return False
 
 

@@ -165,7 +165,7 @@ class SegmentContext:
         back, entry = self.go(there, last, k)
         del self.singular[passed:]
         q = back.q if entry is None else entry.q
-        return there, None, float(np.linalg.norm(self.closure.between(stuck.q, q)))
+        return there, None, float(np.linalg.norm(self.closure.compute_difference(stuck.q, q)))
 
     def go(self, state: State, u: Array, k: int) -> tuple[State, Stuck | None]:
         """The state with the inputs moved straight to `u`; or the last regular one, and where it is
@@ -179,7 +179,7 @@ class SegmentContext:
         if a.t[-1] < FORWARD:  # it begins at a toggle
             ways = [
                 n
-                for n in (a, a.reversed())
+                for n in (a, a.reverse_direction())
                 if (b := find_next_node(way, n, self.longest)) is not None and b.x[-1] > 0.0
             ]
             if not ways:
@@ -216,11 +216,14 @@ class SegmentContext:
             h = choose_step_length(h, self.longest, was, a)
 
     def _state(self, way: DrivenClosure, a: Node) -> State:
-        return State(a.x[:-1], way.at(float(a.x[-1])), a.t[:-1], way.direction)
+        return State(a.x[:-1], way.compute_input_values(float(a.x[-1])), a.t[:-1], way.direction)
 
     def _stuck(self, way: DrivenClosure, a: Node, reason: str, length: float) -> Stuck:
         return Stuck(
-            a.x[:-1], way.at(float(a.x[-1])), reason, abs(float(a.x[-1]) - length) < SAME_INPUT
+            a.x[:-1],
+            way.compute_input_values(float(a.x[-1])),
+            reason,
+            abs(float(a.x[-1]) - length) < SAME_INPUT,
         )
 
     def _passed(self, n: Node, k: int) -> None:
@@ -248,7 +251,7 @@ class SegmentContext:
             return self._stuck(way, turn, "no configuration with these inputs", length), None
         if float(far.x[-1]) <= length + NO_CHANGE:
             return None, None
-        high = float(a.t @ way.between(a.x, far.x))
+        high = float(a.t @ way.compute_difference(a.x, far.x))
         return None, root(way, a, b, lambda n: float(n.x[-1]) - length, 0.0, high)
 
     def _begin(self, state: State, direction: Array) -> tuple[DrivenClosure, Node]:
@@ -278,7 +281,7 @@ class SegmentContext:
         """The node at the beginning of a segment, on the branch of arrival where several meet."""
         x = here.x
         if here.nullity == 1:
-            return here if here.t[-1] >= 0.0 else here.reversed()
+            return here if here.t[-1] >= 0.0 else here.reverse_direction()
         if here.nullity == 0:
             names = ", ".join(
                 repr(self.closure.system.structure.velocity_names[i]) for i in self.index
@@ -291,7 +294,7 @@ class SegmentContext:
         lines = branch_lines(way, x if polished is None else polished)
         lines = lines[np.abs(lines[:, -1]) > FORWARD]
         if not len(lines):
-            J = self.closure.matrix(state.q)
+            J = self.closure.compute_jacobian(state.q)
             names = [self.closure.system.structure.velocity_names[i] for i in self.index]
             raise UnsupportedError(too_free(self.closure, J, names))
         lines = lines * np.sign(lines[:, -1:])
@@ -314,13 +317,16 @@ def land(way: DrivenClosure, a: Node, length: float) -> Node | None:
     of it.
     """
     size = (length - float(a.x[-1])) / float(a.t[-1])
-    guess = way.move(a.x, size * a.t)
+    guess = way.move_point(a.x, size * a.t)
     across = np.zeros(way.n)
     across[-1] = 1.0
     there = correct_point(way, guess, across)
-    if there is None or float(np.linalg.norm(way.between(guess, there.x))) > ACROSS * size:
+    if (
+        there is None
+        or float(np.linalg.norm(way.compute_difference(guess, there.x))) > ACROSS * size
+    ):
         return _land_on_crossing(way, a, guess, length, size)
-    b = make_node(way, there.x, way.between(a.x, there.x), there.J)
+    b = make_node(way, there.x, way.compute_difference(a.x, there.x), there.J)
     if b.sigma < AWKWARD:
         b = _land_on_crossing(way, a, there.x, length, size) or b
     return b if b.t[-1] > STEEP and compute_bend_angle(a, b) <= BEND else None
@@ -335,12 +341,12 @@ def _land_on_crossing(
     x = locate(way, guess, 2, size)
     if x is None or abs(float(x[-1]) - length) > AT_ONCE:
         return None
-    b = singular_node(way, x, way.between(a.x, x))
+    b = singular_node(way, x, way.compute_difference(a.x, x))
     if b is None or b.t[-1] < FORWARD or compute_bend_angle(a, b) > BEND:
         return None
     if abs(float(x[-1]) - length) < 1e-12:
         return b
-    x = way.move(x, b.t * (length - float(x[-1])) / b.t[-1])
+    x = way.move_point(x, b.t * (length - float(x[-1])) / b.t[-1])
     return replace(b, x=x)
 
 
@@ -400,7 +406,7 @@ def driven(
     before = samples(0, 1)[-1]
     try:
         for k in range(1, len(clock)):
-            budget.check()
+            budget.check_time()
             q = follow.to(
                 out[-1], float(clock[k - 1]), float(clock[k]), before, lambda n, k=k: samples(k, n)
             )
@@ -408,7 +414,7 @@ def driven(
             if q is None:
                 reason = f"at time {clock[k]:.6g} the inputs cannot be had: the loops do not close"
                 break
-            over = rows.beyond(q, not limits)
+            over = rows.compute_excess(q, not limits)
             if over.any():
                 name = rows.names[int(np.argmax(over))]
                 reason = (
@@ -472,12 +478,12 @@ class _Follow:
         size = np.where(size > 0.0, size, 1.0)
         A = A / size[:, None]
         b = b / size
-        J = self.closure.matrix(q)[: self.loops]
+        J = self.closure.compute_jacobian(q)[: self.loops]
         M = np.concatenate([J, np.eye(len(unit))[self.index]])
         wanted = np.concatenate([np.zeros(len(J)), np.append(speeds, self.held) / unit[self.index]])
         held = Spectrum(M, 1.0)
-        N = held.null(Level.CLOSED)
-        z = held.solve(wanted, Level.CLOSED)
+        N = held.compute_null_space(Level.CLOSED)
+        z = held.solve_least_squares(wanted, Level.CLOSED)
         if np.abs(M @ z - wanted).max(initial=0.0) > MISS * max(
             1.0, float(np.abs(wanted).max(initial=0.0))
         ):
@@ -488,7 +494,7 @@ class _Follow:
         if not N.shape[1]:
             return z
         rolling = Spectrum(A @ N, 1.0)
-        loose = (N @ rolling.null(Level.CLOSED)).T
+        loose = (N @ rolling.compute_null_space(Level.CLOSED)).T
         if len(loose):
             moving = [
                 n
@@ -503,7 +509,7 @@ class _Follow:
                 f"freedom{'s' * (many != 1)} of motion, among {', '.join(map(repr, moving[:6]))}; "
                 "drive or hold more, or give velocities (system.simulate)"
             )
-        z = z + N @ rolling.solve(b - A @ z, Level.CLOSED)
+        z = z + N @ rolling.solve_least_squares(b - A @ z, Level.CLOSED)
         self.slips |= bool(
             np.abs(A @ z - b).max(initial=0.0) > MISS * max(1.0, float(np.linalg.norm(z)))
         )
@@ -523,7 +529,7 @@ class _Follow:
         self.slips = False
         x = q
         for k in range(parts):
-            self.time.check()
+            self.time.check_time()
             there = self._integrate(x, t0 + k * h / parts, h / parts, values[2 * k : 2 * k + 3])
             if there is None:
                 return None
@@ -556,8 +562,8 @@ class _Follow:
         """One step by the velocities that slip least in its own middle."""
         z = self.at(q, t, (end - u) / h)
         for _ in range(MIDDLE):
-            z = self.at(self.closure.move(q, 0.5 * h * z), t + 0.5 * h, (end - u) / h)
-        return self.closure.move(q, h * z)
+            z = self.at(self.closure.move_point(q, 0.5 * h * z), t + 0.5 * h, (end - u) / h)
+        return self.closure.move_point(q, h * z)
 
 
 # ---- the answer and the verb
@@ -714,9 +720,7 @@ def _not_begun(
     )
     clock, samples = _samples(inputs, times)
     requested = {n: np.array([v]) for n, v in zip(inputs, samples(0, 1)[-1].tolist(), strict=True)}
-    said = (
-        f"nothing was driven: {time.reason(TimeUp())} came before a closed configuration was known"
-    )
+    said = f"nothing was driven: {time.describe_end_reason(TimeUp())} came before a closed configuration was known"
     return Drive(
         system,
         near[None],
@@ -801,7 +805,7 @@ def drive(
     clock, samples = _samples(inputs, times, angles)
     longest = longest_step(spend.step)
     time = find_time_limit(USUAL, budget)
-    time.put_in_order()  # there is nothing to do afterwards
+    time.release_reserved_time()  # there is nothing to do afterwards
     if has_velocity_constraints(system):
         rolled = driven(system, names, dict(hold or {}), start, clock, samples, limits, time)
         return _rolled(rolled, system, names, clock, samples)

@@ -92,7 +92,9 @@ def walk(equations: Closure, a: Node, longest: float, periods: Array) -> Iterato
     while True:
         if isinstance(a, SingularNode):
             there = a.germ.first(equations, a.half)
-            h = min(longest, 0.5 * float(np.linalg.norm(equations.between(a.x, there.x))))
+            h = min(
+                longest, 0.5 * float(np.linalg.norm(equations.compute_difference(a.x, there.x)))
+            )
             a = there
             yield a
         last = deque([a.x], maxlen=RECENT)
@@ -104,8 +106,8 @@ def walk(equations: Closure, a: Node, longest: float, periods: Array) -> Iterato
             # nearer to a point where rounding hides the curve
             if b.sigma < min(HIDDEN, sigma) and b.lines is None:
                 singular = passage(equations, last, known, periods)
-                way = equations.between(before, b.x if singular is None else singular.x)
-                along = float(way @ equations.between(before, b.x))
+                way = equations.compute_difference(before, b.x if singular is None else singular.x)
+                along = float(way @ equations.compute_difference(before, b.x))
                 if singular is not None and along > 0.0:  # else the walk leaves it
                     if along < way @ way:
                         yield b  # not beyond it
@@ -146,13 +148,13 @@ def _touches(equations: Closure, a: Node, b: Node) -> bool:
     """
     if max(a.sigma, b.sigma) > NEARLY or a.lines is not None:
         return False
-    y = equations.between(a.x, b.x)
+    y = equations.compute_difference(a.x, b.x)
     h = float(np.linalg.norm(y))
-    x = locate(equations, equations.move(a.x, 0.5 * y), 2, h) if equations.n > 1 else None
+    x = locate(equations, equations.move_point(a.x, 0.5 * y), 2, h) if equations.n > 1 else None
     germ = None if x is None else branches_at(equations, x)[1]
     if germ is None:
         return False
-    along = float(equations.between(a.x, germ.x) @ y) / h
+    along = float(equations.compute_difference(a.x, germ.x) @ y) / h
     first, second = (germ.half_of(equations, [n.x]) for n in (a, b))
     return 0.0 < along < h and first is not None and second not in (None, germ.partner[first])
 
@@ -180,7 +182,7 @@ def root(
     """The node between two neighbours where `function` of it, of different signs at both ends, is
     zero.
     """
-    end = float(a.t @ equations.between(a.x, b.x)) if high is None else high
+    end = float(a.t @ equations.compute_difference(a.x, b.x)) if high is None else high
     found: dict[float, Node] = {}
     large = equations.rows > LARGE
 
@@ -206,25 +208,27 @@ def home(equations: Closure, a: Node, b: Node, start: Node, periods: Array) -> N
 
     `periods` (nv,) are 0 for coordinates that do not come back by turning on.
     """
-    shift = periods * np.round(_ratio(equations.between(b.x, start.x) * equations.unit, periods))
+    shift = periods * np.round(
+        _ratio(equations.compute_difference(b.x, start.x) * equations.unit, periods)
+    )
     there = equations.system.structure.layout.integrate_velocity(start.x, -shift)
     if isinstance(start, SingularNode):
         moved = [equations.system.structure.layout.integrate_velocity(n.x, shift) for n in (a, b)]
         if not start.may_be(equations, moved):
             return None
-    if np.linalg.norm(equations.between(b.x, there)) < (
+    if np.linalg.norm(equations.compute_difference(b.x, there)) < (
         HOME if start.lines is None else HOME_CROSSING
     ):
         return replace(start, x=there) if start.t @ b.t > ARRIVED else None
-    z = equations.between(a.x, there)
-    chord = equations.between(a.x, b.x)
+    z = equations.compute_difference(a.x, there)
+    chord = equations.compute_difference(a.x, b.x)
     along = float(a.t @ z)
     if not 1e-9 < along <= float(a.t @ chord) or np.linalg.norm(z) > 2.0 * np.linalg.norm(chord):
         return None
     here = find_node_between(equations, a, b, along)
     if here is None or start.t @ here.t < ARRIVED:
         return None
-    gap = float(np.linalg.norm(equations.between(here.x, there)))
+    gap = float(np.linalg.norm(equations.compute_difference(here.x, there)))
     return (
         replace(start, x=there) if gap < (HOME if start.lines is None else HOME_CROSSING) else None
     )
@@ -256,7 +260,10 @@ def extreme(equations: Closure, nodes: list[Node], k: int, m: int, i: int) -> No
     """The node at which coordinate i turns back between the nodes k and m, one of `turns`, or None
     where it rests.
     """
-    if m == k + 1 and np.linalg.norm(equations.between(nodes[k].x, nodes[m].x)) < SAME_NODE:
+    if (
+        m == k + 1
+        and np.linalg.norm(equations.compute_difference(nodes[k].x, nodes[m].x)) < SAME_NODE
+    ):
         return nodes[m]  # a cusp
     if m == k + 1:
         return root(equations, nodes[k], nodes[m], lambda n: float(n.t[i]))
@@ -277,8 +284,8 @@ def hidden_crossings(equations: Closure, nodes: list[Node]) -> list[Node]:
         ):
             out.append(m)
             continue
-        before = equations.between(a.x, m.x)
-        after = equations.between(m.x, b.x)
+        before = equations.compute_difference(a.x, m.x)
+        after = equations.compute_difference(m.x, b.x)
         h = max(float(np.linalg.norm(before)), float(np.linalg.norm(after)))
         found = None
         if m.sigma < 2.0 * max(a.sigma - m.sigma, b.sigma - m.sigma):
@@ -294,7 +301,7 @@ def hidden_crossings(equations: Closure, nodes: list[Node]) -> list[Node]:
         if found is None:
             out.append(m)
             continue
-        y = equations.between(m.x, found.x)
+        y = equations.compute_difference(m.x, found.x)
         size = float(np.linalg.norm(y))
         along = float(y @ m.t)
         if size < 1e-6:
@@ -378,12 +385,12 @@ class RowBound(OneSidedEnd):
 
     def value(self, x: Array) -> float:
         """The row's value; of a driven curve, x goes on behind the coordinates."""
-        return float(self.rows.values(x[: self.rows.system.nq], declared=True)[self.index])
+        return float(self.rows.compute_values(x[: self.rows.system.nq], declared=True)[self.index])
 
     def rate(self, n: Node) -> float:
         """Its rate, in scaled units."""
         system = self.rows.system
-        J = self.rows.rates(n.x[: system.nq], declared=True)[1]
+        J = self.rows.compute_rates(n.x[: system.nq], declared=True)[1]
         return self.sign * float(J[self.index] @ n.t[: system.nv])
 
     def outside(self, over: float) -> str:
@@ -391,7 +398,9 @@ class RowBound(OneSidedEnd):
         return f"{self} is violated by {over:.6g} {self.rows.units[self.index]}".removesuffix(" 1")
 
     def __str__(self) -> str:
-        return f"the one-sided constraint {self.rows.side(self.index, self.sign > 0)!r}"
+        return (
+            f"the one-sided constraint {self.rows.format_bound_name(self.index, self.sign > 0)!r}"
+        )
 
 
 class OneSidedEnds:
@@ -445,7 +454,7 @@ class OneSidedEnds:
         for bound in self.all:
             reached = _reached(equations, a, b, bound)
             if reached is not None:
-                distance = float(a.t @ equations.between(a.x, reached.x))
+                distance = float(a.t @ equations.compute_difference(a.x, reached.x))
                 if best is None or distance < best[0]:
                     best = (distance, reached, str(bound))
         return None if best is None else best[1:]
@@ -480,6 +489,6 @@ def _reached(equations: Closure, a: Node, b: Node, bound: OneSidedEnd) -> Node |
         if after <= TOUCH:
             last = turn
         else:
-            low = float(a.t @ equations.between(a.x, turn.x))
-    high = float(a.t @ equations.between(a.x, last.x))
+            low = float(a.t @ equations.compute_difference(a.x, turn.x))
+    high = float(a.t @ equations.compute_difference(a.x, last.x))
     return root(equations, a, b, over, low, high)

@@ -534,7 +534,7 @@ def manoeuvre(
         raise InputError(
             f"points is {samples!r}; it must be a whole number, at least 2 and at most {MOST}"
         )
-    time.put_in_order()  # there is nothing to do afterwards
+    time.release_reserved_time()  # there is nothing to do afterwards
     with limit_preparation_time(USUAL, time):
         axle = axle_of(system, q)
         loose = _loose(system, goal, free, axle)
@@ -544,7 +544,7 @@ def manoeuvre(
     try:
         with time:
             for plan in plans(axle, q, goals, None if radius is None else float(radius), loose):
-                time.check()
+                time.check_time()
                 found = _exact(axle, q, goals, plan)
                 said = "" if found is None else _outside(system, found, int(samples))
                 if not said:
@@ -554,7 +554,7 @@ def manoeuvre(
         said = str(refusal)
     except TimeUp as error:
         late = True
-        said = f"not found: {time.reason(error)} came" + (f"; {said}" if said else "")
+        said = f"not found: {time.describe_end_reason(error)} came" + (f"; {said}" if said else "")
     zero = np.zeros(1)
     if motion is None:
         return Manoeuvre(
@@ -596,10 +596,10 @@ def _one(system: Model, q: Any, what: str) -> Array:
         )
     refuse_far(system, array, what)
     rows = pack_one_sided_rows(system)
-    if (over := rows.beyond(array)).any():
+    if (over := rows.compute_excess(array)).any():
         k = int(np.argmax(over))
         raise InputError(
-            f"{what} has {rows.names[k]!r} = {rows.values(array)[k]:.9g}; it must be between "
+            f"{what} has {rows.names[k]!r} = {rows.compute_values(array)[k]:.9g}; it must be between "
             f"{rows.low[k]:.9g} and {rows.high[k]:.9g}"
         )
     return array.astype(float)
@@ -701,12 +701,12 @@ def _outside(system: Model, motion: ExactManoeuvre, samples: int) -> str:
         slides = " and ".join(repr(system.structure.velocity_names[v]) for v in motion.axle.own[:2])
         return f"on the way {slides} would be parallel, and cannot go on"
     rows = pack_one_sided_rows(system)
-    over = rows.beyond(q)
+    over = rows.compute_excess(q)
     if not over.any():
         return ""
     n, k = np.unravel_index(int(np.argmax(over)), over.shape)
     return (
-        f"not found within the limits: {rows.names[k]!r} would get to {rows.values(q[n])[k]:.6g}, "
+        f"not found within the limits: {rows.names[k]!r} would get to {rows.compute_values(q[n])[k]:.6g}, "
         f"and must be between {rows.low[k]:.6g} and {rows.high[k]:.6g}"
     )
 

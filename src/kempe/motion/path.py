@@ -74,7 +74,7 @@ def _passes(path: Path, q: Array) -> bool:
     """
     track = path.track
     e = path.track.equations
-    y = np.array([e.between(node, q) for node in track.q]) * e.unit
+    y = np.array([e.compute_difference(node, q) for node in track.q]) * e.unit
     turning = path.system.structure.coordinates.turning
     y = np.where(turning, y - 2.0 * np.pi * np.round(y / (2.0 * np.pi)), y) / e.unit
     return bool(np.linalg.norm(y, axis=1).min() <= np.diff(track.s).max())
@@ -159,19 +159,21 @@ class Track:
         u = (s - self.s[k])[:, None] / np.where(size > 0.0, size, 1.0)
         e = self.equations
         t = self.t
-        y = e.between(self.q[k], self.q[k + 1])
+        y = e.compute_difference(self.q[k], self.q[k + 1])
         a = size * t[k]
         b = size * t[k + 1]
-        x = e.move(self.q[k], u * (1 - u) ** 2 * a + u * u * (3 - 2 * u) * y - u * u * (1 - u) * b)
+        x = e.move_point(
+            self.q[k], u * (1 - u) ** 2 * a + u * u * (3 - 2 * u) * y - u * u * (1 - u) * b
+        )
         across = (1 - u) * t[k] + u * t[k + 1]
 
         def both(x: Array, at: np.ndarray) -> tuple[Array, Array]:
-            F, J = e.many(x)
+            F, J = e.evaluate_many_points(x)
             return np.append(F, np.zeros((len(F), 1)), axis=1), np.concatenate(
                 [J, across[at, None]], axis=1
             )
 
-        x = run_many_gauss_newton(both, x, 3, level=BLUNT, move=e.move)
+        x = run_many_gauss_newton(both, x, 3, level=BLUNT, move=e.move_point)
         ends = np.flatnonzero((u[:, 0] <= 0.0) | (u[:, 0] >= 1.0))
         x[ends] = self.q[k[ends] + (u[ends, 0] >= 1.0)]
         return x
@@ -296,10 +298,10 @@ class Path(Motion):
         time = TimeLimit(spend.time_limit)
         broken = None
         done: list[tuple[Array, Array]] = []
-        time.put_in_order()  # there is nothing to do afterwards
+        time.release_reserved_time()  # there is nothing to do afterwards
         try:
             for i in range(0, int(n), SLICE):
-                time.check()
+                time.check_time()
                 s: Array = np.arange(float(i), min(i + SLICE, int(n))) * (
                     self.length / (int(n) - 1)
                 )
@@ -322,7 +324,7 @@ class Path(Motion):
         )
         late = isinstance(broken, TimeUp)
         interrupted = isinstance(broken, KeyboardInterrupt)
-        ends = (self.ends[0], time.reason(broken))
+        ends = (self.ends[0], time.describe_end_reason(broken))
         return replace(
             self,
             q=q,

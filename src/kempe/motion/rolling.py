@@ -100,7 +100,11 @@ class Velocities:
         """
         scale = self.closure.unit
         A, b = evaluate_velocity_rows(self.system, q, t)
-        J = self.closure.matrix(q)[: self.loops] if self.loops else np.zeros((0, len(scale)))
+        J = (
+            self.closure.compute_jacobian(q)[: self.loops]
+            if self.loops
+            else np.zeros((0, len(scale)))
+        )
         own = q[: len(q) - len(self.clock)]
         S = np.zeros((len(self.rows), len(scale)))
         for k, row in enumerate(self.rows):
@@ -113,10 +117,10 @@ class Velocities:
         M = M / size[:, None]
         wanted = wanted / size
         spectrum = Spectrum(M, 1.0)
-        loose = spectrum.null(Level.CLOSED)
+        loose = spectrum.compute_null_space(Level.CLOSED)
         if loose.size:
             raise RollingStop(self._loose(loose.T))
-        z = spectrum.solve(wanted, Level.CLOSED)
+        z = spectrum.solve_least_squares(wanted, Level.CLOSED)
         off = np.abs(M @ z - wanted)
         worst = int(np.argmax(off)) if len(off) else 0
         if len(off) and off[worst] > MISS * max(1.0, float(np.abs(wanted).max())):
@@ -138,7 +142,7 @@ class Velocities:
     def _contradiction(self, M: Array, wanted: Array, size: Array) -> str:
         """Which input cannot be had under the constraints and the other inputs, and by how much."""
         fixed = len(M) - len(self.inputs)
-        z = Spectrum(M[:fixed]).solve(wanted[:fixed], Level.CLOSED)
+        z = Spectrum(M[:fixed]).solve_least_squares(wanted[:fixed], Level.CLOSED)
         off = np.abs(M[:fixed] @ z - wanted[:fixed])
         if fixed and off.max() > MISS * max(1.0, float(np.abs(wanted).max())):
             return (
@@ -147,12 +151,12 @@ class Velocities:
             )
         for k, name in enumerate(self.inputs):
             some = M[: fixed + k + 1], wanted[: fixed + k + 1]
-            z = Spectrum(some[0]).solve(some[1], Level.CLOSED)
+            z = Spectrum(some[0]).solve_least_squares(some[1], Level.CLOSED)
             gap = float(np.abs(some[0] @ z - some[1]).max())
             if gap > MISS * max(1.0, float(np.abs(wanted).max())):
                 before = ", ".join(map(repr, list(self.inputs)[:k]))
                 beside = f" beside {before}" if before else ""
-                z = Spectrum(some[0][:-1]).solve(some[1][:-1], Level.CLOSED)
+                z = Spectrum(some[0][:-1]).solve_least_squares(some[1][:-1], Level.CLOSED)
                 had = float(some[0][-1] @ z) * size[fixed + k]
                 return (
                     f"the constraints do not allow the input {name!r}{beside}: {had:.6g} would do "
@@ -177,12 +181,12 @@ class Velocities:
             return q
         closure = self.closure
         return run_gauss_newton(
-            closure.both,
+            closure.evaluate_equations,
             q,
             CORRECTIONS,
             level=Level.CLOSED,
-            met=closure.tolerance(q),
-            move=closure.move,
+            met=closure.compute_tolerance(q),
+            move=closure.move_point,
         ).x
 
 
@@ -241,7 +245,7 @@ def roll(
     system = motion.system
     if motion.times:
         q = np.append(q, begin)
-    F = motion.closure.values(q)
+    F = motion.closure.compute_residuals(q)
     gap = float(np.abs(F).max(initial=0.0))
     if not gap < OPEN:
         raise InputError(
@@ -250,7 +254,7 @@ def roll(
         )
     rows = pack_one_sided_rows(system)
     q = motion.closed(q, begin)
-    if (over := rows.beyond(q)).any():
+    if (over := rows.compute_excess(q)).any():
         k = int(np.argmax(over))
         raise InputError(f"the start violates {rows.names[k]!r} by {over[k]:.6g}")
     try:
@@ -269,7 +273,7 @@ def roll(
     )
     try:
         while solver.status == "running":
-            budget.check()
+            budget.check_time()
             said: Any = solver.step()
             if str(solver.status) == "failed":
                 raise RollingStop(f"at time {solver.t:.6g} the velocities change too fast: {said}")
@@ -309,7 +313,7 @@ def _limit(
     """
     rows = pack_one_sided_rows(system)
     looks = np.linspace(t0, t1, LOOKS + 1)
-    violated = rows.beyond(dense(looks[1:]).T).any(axis=1)
+    violated = rows.compute_excess(dense(looks[1:]).T).any(axis=1)
     if not violated.any():
         return None
     first = int(np.argmax(violated))
@@ -318,7 +322,7 @@ def _limit(
 
     def over(t: float) -> Array:
         """By how many times what is allowed each row is outside, above 1 where it is violated."""
-        x = rows.values(dense(t))
+        x = rows.compute_values(dense(t))
         return np.maximum(rows.low - x, x - rows.high) / (1e-3 * rows.slack)
 
     stop = find_sign_change(lambda t: float(over(t).max()) - 1.0, a, b)

@@ -114,7 +114,7 @@ def falling(system: Model, q: Array, v: Array, duration: float) -> Falling:
             "particle that slides freely"
         )
     basis, shape = np.linalg.qr(D)
-    if Spectrum(shape, 1.0).rank(Level.CLOSED) < shape.shape[1]:
+    if Spectrum(shape, 1.0).compute_rank(Level.CLOSED) < shape.shape[1]:
         raise UnsupportedError(
             f"{system.name}: the slides of {body!r} are not independent; {NEEDED} one ball or "
             "particle with independent slides"
@@ -177,7 +177,7 @@ class MovingRows:
         self.bound = np.where(
             self.sign > 0.0, self.rows.low[self.at_row], self.rows.high[self.at_row]
         )
-        self.names = tuple(self.rows.side(k, sign < 0.0) for k, sign in sides)
+        self.names = tuple(self.rows.format_bound_name(k, sign < 0.0) for k, sign in sides)
         units = closure_rows.compute_coordinate_units(self.rows.system)
         self._unscale = 1.0 / (self.rows.scale[self.at_row, None] * units)
 
@@ -195,7 +195,7 @@ class MovingRows:
         """
         x = np.repeat(self.base[None], np.size(t), axis=0)
         x[:, self.slides_q], x[:, -1] = slides, np.ravel(t)
-        values, J = self.rows.rates(x)
+        values, J = self.rows.compute_rates(x)
         values = self.sign * (values[:, self.at_row] - self.bound)
         J = self.sign[:, None] * J[:, self.at_row] * self._unscale
         lead = np.shape(t)
@@ -234,7 +234,7 @@ def _moving_planes(
     rows = moving.rows
     clocks = np.linspace(0.0, duration, 4 * len(samples))
     x = np.column_stack([np.repeat(samples, 4, axis=0), clocks])
-    values = moving.sign * (rows.values(x)[:, moving.at_row] - moving.bound)
+    values = moving.sign * (rows.compute_values(x)[:, moving.at_row] - moving.bound)
     N, o = moving.at(clocks)
     predicted = (N @ np.linalg.solve(moving.back, x[:, moving.slides_q].T).T[..., None])[..., 0] + o
     off = np.abs(values - predicted).max(axis=0, initial=0.0)
@@ -320,17 +320,19 @@ def _planes(
     base[slides_q] = 0.0
     moved = np.repeat(base[None], len(slides_q), axis=0)
     moved[np.arange(len(slides_q)), slides_q] = 1.0
-    origin = rows.values(base)[limited]
-    slope = rows.values(moved)[:, limited] - origin
+    origin = rows.compute_values(base)[limited]
+    slope = rows.compute_values(moved)[:, limited] - origin
     trials = samples.copy()
     predicted = origin + trials[:, slides_q] @ slope
-    off = np.abs(rows.values(trials)[:, limited] - predicted).max(axis=0)
+    off = np.abs(rows.compute_values(trials)[:, limited] - predicted).max(axis=0)
     size = 1.0 + np.abs(predicted).max(axis=0)
     for k, miss, large in zip(limited, off, size, strict=True):
         if miss > SAME * large:
             turned = np.repeat(base[None], len(trials), axis=0)
             turned[:, slides_q] = trials[:, slides_q]
-            kept = np.abs(rows.values(turned)[:, limited] - predicted).max(axis=0)[limited.index(k)]
+            kept = np.abs(rows.compute_values(turned)[:, limited] - predicted).max(axis=0)[
+                limited.index(k)
+            ]
             if kept <= SAME * large:
                 raise UnsupportedError(
                     f"{system.name}: how {rows.names[k]!r} is touched depends on how {body!r} is "
@@ -350,7 +352,9 @@ def _planes(
         for upper, end in ((False, rows.low[k]), (True, rows.high[k])):
             if math.isfinite(end):
                 sign = -1.0 if upper else 1.0
-                planes.append(Plane(rows.side(k, upper), sign * normal, float(sign * (at - end))))
+                planes.append(
+                    Plane(rows.format_bound_name(k, upper), sign * normal, float(sign * (at - end)))
+                )
     return tuple(planes)
 
 

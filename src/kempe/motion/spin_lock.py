@@ -65,7 +65,7 @@ class SpinLock:
         pairs = zip(self._queries, across, strict=True)
         self.along = np.array([pose(self._q)[:3, :3].T @ v for pose, v in pairs])
 
-    def write(
+    def write_equations(
         self, equations: Closure, x: Array, F: Array, J: Array, at: int, with_matrix: bool
     ) -> None:
         """Write the residuals of these equations and their derivatives into F and J (., n) from row
@@ -116,7 +116,7 @@ def lock_spins(equations: Closure, q: Array, requested: Iterable[int]) -> bool:
     keep = [*equations.held, *requested]
     spins = [f for f in get_idle_freedoms(equations.tree, q) if not f.moving_velocities[keep].any()]
     if spins and spin_lock_of(equations) is None:
-        equations.add(SpinLock(equations.tree, spins, q))
+        equations.add_equations(SpinLock(equations.tree, spins, q))
     return bool(spins)
 
 

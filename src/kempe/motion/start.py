@@ -149,7 +149,7 @@ def begin(system: Model, start: Any, hold: Mapping[str, float]) -> tuple[Closure
     if (
         start is None
         and q is not None
-        and pack_one_sided_rows(system).beyond(q, declared=True).any()
+        and pack_one_sided_rows(system).compute_excess(q, declared=True).any()
     ):
         q = _within(system, hold, fixed, near, q)
     return equations, q
@@ -168,7 +168,7 @@ def _within(
     for start in (near, *sample_configurations(system, rng, (STARTS,))):
         answer = assemble(system, dict(hold), start)
         found = close_loops(fixed, answer.q) if answer.success else None
-        if found is not None and not rows.beyond(found).any():
+        if found is not None and not rows.compute_excess(found).any():
             return found
     return q
 
@@ -244,9 +244,9 @@ def _distinct(system: Model, period: Array) -> np.ndarray:
     out = np.zeros(system.nv, dtype=bool)
     if rows.declared:
         q = sample_configurations(system, np.random.default_rng(0), 3)
-        before = rows.values(q, declared=True)
+        before = rows.compute_values(q, declared=True)
         for i in np.flatnonzero(period):
-            after = rows.values(
+            after = rows.compute_values(
                 system.structure.layout.integrate_velocity(q, period[i] * np.eye(system.nv)[i]),
                 declared=True,
             )
@@ -292,7 +292,7 @@ def first_node(
         else int(np.argmax(np.abs(here.t) > 0.5 * np.abs(here.t).max()))
     )
     sense = float(here.t @ wish) if abs(here.t @ wish) > 1e-9 else float(here.t[i])
-    return here.reversed() if sense < 0.0 else here
+    return here.reverse_direction() if sense < 0.0 else here
 
 
 def _at_bifurcation(equations: Closure, here: Node, driver: str | None, wish: Array) -> Node | None:
@@ -323,11 +323,11 @@ def _at_bifurcation(equations: Closure, here: Node, driver: str | None, wish: Ar
 def too_free(equations: Closure, matrix: Array, drivers: Sequence[str]) -> str:
     """Why the motion is not one curve: which coordinates still move with the drivers held."""
     system = equations.system
-    null_space = Spectrum(matrix).null(Level.CLOSED).T
+    null_space = Spectrum(matrix).compute_null_space(Level.CLOSED).T
     count = len(null_space)
     rows = null_space[:, [angle_or_slide(system, d) for d in drivers]].T
     if drivers:
-        null_space = Spectrum(rows, 1.0).null(Level.CLOSED).T @ null_space
+        null_space = Spectrum(rows, 1.0).compute_null_space(Level.CLOSED).T @ null_space
     sizes = dict(zip(system.structure.velocity_names, np.abs(null_space).max(axis=0), strict=True))
     moving = [n for n, size in sizes.items() if size > 1e-6]
     named = [n for n in moving if n in system.coordinate_names]
@@ -339,7 +339,7 @@ def too_free(equations: Closure, matrix: Array, drivers: Sequence[str]) -> str:
     )
     many = len(null_space) - (not drivers)
     own = null_space[:, [n in named for n in system.structure.velocity_names]]
-    enough = Spectrum(own, 1.0).rank(Level.GENERIC) >= many if named else False
+    enough = Spectrum(own, 1.0).compute_rank(Level.GENERIC) >= many if named else False
     head = (
         f"to first order {system.name} has {format_count(count, 'freedom')} here, more than are "
         f"driven; {still}: "

@@ -270,9 +270,7 @@ def _not_begun(
     options = _options(system, driver, ways, limits, USUAL.complete_budget(budget))
     held = [*(hold or ())]
     equations = Closure(system, [angle_or_slide(system, n) for n in held], near)
-    said = (
-        f"it was not followed: {time.reason(TimeUp())} came before a closed configuration was known"
-    )
+    said = f"it was not followed: {time.describe_end_reason(TimeUp())} came before a closed configuration was known"
     return replace(_failed(equations, options, said, near), late=True)
 
 
@@ -338,7 +336,7 @@ def trace(
         return without_slip(_followed(equations, q, options, toward))
     except TimeUp as error:
         said = (
-            f"it was not followed: {options.time.reason(error)} came before the directions at its "
+            f"it was not followed: {options.time.describe_end_reason(error)} came before the directions at its "
             "start were known"
         )
         return replace(_failed(equations, options, said, q), late=True)
@@ -432,10 +430,10 @@ def _trace(equations: Closure, first: Node, options: _Options) -> Path:
     ):
         singular = isinstance(first, SingularNode)
         back, other, _, broken = _one_way(
-            equations, first.back() if singular else first.reversed(), options, left
+            equations, first.back() if singular else first.reverse_direction(), options, left
         )
         nodes = (
-            [n.reversed() for n in reversed(back[1:])]
+            [n.reverse_direction() for n in reversed(back[1:])]
             + (first.arrival() if singular else [])
             + nodes
         )
@@ -473,16 +471,18 @@ def _one_way(
             if len(nodes) >= most:
                 return nodes, f"the {options.most} points allowed{endless.hint(b)}", False, None
     except BROKEN_OFF as error:
-        return nodes, options.time.reason(error), False, error
+        return nodes, options.time.describe_end_reason(error), False, error
     raise AssertionError("a walk ends only with a reason")
 
 
 def _before(equations: Closure, a: Node, first: Node, second: Node) -> bool:
     return float(
-        np.linalg.norm(equations.between(a.x, first.x) - equations.between(a.x, second.x))
+        np.linalg.norm(
+            equations.compute_difference(a.x, first.x) - equations.compute_difference(a.x, second.x)
+        )
     ) < 1e-12 or (
-        float(a.t @ equations.between(a.x, first.x))
-        <= float(a.t @ equations.between(a.x, second.x))
+        float(a.t @ equations.compute_difference(a.x, first.x))
+        <= float(a.t @ equations.compute_difference(a.x, second.x))
     )
 
 
@@ -498,7 +498,7 @@ def _path(
     system = equations.system
     remark = ""
     found: list[Event] = []
-    options.time.put_in_order()
+    options.time.release_reserved_time()
     indices = [int(i) for i in system.structure.layout.vector_v if i not in equations.held]
     s = None
     k = 0
@@ -648,12 +648,12 @@ def _branches_of(equations: Closure, event: Event) -> list[Node]:
 def _covers(equations: Closure, path: Path, first: Node, period: Array) -> bool:
     """Whether a path goes through a singular point on the branch of the node `first` there."""
     for event in path.singular_points:
-        y = equations.between(event.q, first.x) * equations.unit
+        y = equations.compute_difference(event.q, first.x) * equations.unit
         turns = np.divide(y, period, out=np.zeros_like(y), where=period > 0.0)
         gap = np.linalg.norm((y - np.round(turns) * period) / equations.unit)
         if event.node is not None and isinstance(first, SingularNode):
             other = event.node
-            own = equations.move(first.x, first.germ.samples[first.half, 1])
+            own = equations.move_point(first.x, first.germ.samples[first.half, 1])
             back = equations.system.structure.layout.integrate_velocity(
                 own, -np.round(turns) * period
             )

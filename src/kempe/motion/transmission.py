@@ -155,8 +155,8 @@ def loop_jacobian(
         )
         nullity[i] = free.shape[1]
         driven = Spectrum(free[index], 1.0)
-        rest = out @ driven.null(Level.CLOSED)
-        rank[i] = driven.rank(Level.CLOSED)
+        rest = out @ driven.compute_null_space(Level.CLOSED)
+        rank[i] = driven.compute_rank(Level.CLOSED)
         margin[i] = driven.smallest if free.shape[1] >= len(index) else 0.0
         scale = np.abs(out).max(initial=0.0)
         if rank[i] < len(index):
@@ -164,7 +164,7 @@ def loop_jacobian(
         elif np.abs(rest).max(initial=0.0) > 1e-7 * max(scale, 1e-300):
             code[i] = Status.UNDETERMINED
         else:
-            matrix[i] = out @ driven.inverse(Level.CLOSED) / closure.unit[index]
+            matrix[i] = out @ driven.compute_pseudo_inverse(Level.CLOSED) / closure.unit[index]
     if not lead:
         return LoopJacobian(
             matrix, tuple(inputs), rows, int(rank), int(nullity), float(margin), to_status(code)
@@ -238,13 +238,15 @@ def mechanical_advantage(
         motion = compute_allowed_velocities(closure, q[k]) * closure.unit[:, None]
         if others:
             rates = motion[others] / closure.unit[others, None]
-            motion = motion @ Spectrum(rates, 1.0).null(Level.CLOSED)
+            motion = motion @ Spectrum(rates, 1.0).compute_null_space(Level.CLOSED)
         far = (
             motion[angle_or_slide(system, name)]
             if kind == "joint"
             else (push / np.linalg.norm(push) @ jacobian(system, q[k], name)[:3] @ motion)
         )
-        along = Spectrum(np.vstack([motion[i] / closure.unit[i], far]), 1.0).row_space(Level.CLOSED)
+        along = Spectrum(np.vstack([motion[i] / closure.unit[i], far]), 1.0).compute_row_space(
+            Level.CLOSED
+        )
         if along.shape[1] != 1:
             continue
         near = motion[i] @ along[:, 0]

@@ -142,7 +142,7 @@ class Axle:
         """Basis (3 + driven, k), without unit, of the allowed rates of the axle and of what it
         drives.
         """
-        return Spectrum(self.rows(q)[:, self._moved]).null(Level.CLOSED)
+        return Spectrum(self.rows(q)[:, self._moved]).compute_null_space(Level.CLOSED)
 
     @cached_property
     def _moved(self) -> list[int]:
@@ -152,7 +152,7 @@ class Axle:
         """Rates (driven,) at these speeds of the axle; None where they are not allowed at q."""
         N = self.motions(q) * self.units[self._moved][:, None]
         twist = np.array([forward, 0.0, turning])
-        x = Spectrum(N[:3]).solve(twist, Level.CLOSED)
+        x = Spectrum(N[:3]).solve_least_squares(twist, Level.CLOSED)
         if np.abs(N[:3] @ x - twist).max() > 1e-7 * max(abs(forward), abs(turning)):
             return None
         return N[3:] @ x
@@ -230,7 +230,10 @@ def _planar_body(system: Model) -> Axle:
         normal = spin / gear
         leaves = np.abs(J[:, :3].transpose(0, 2, 1) @ normal).max()
         tilts = np.abs(J[:, 3:, turns[0]] - spin).max() / gear
-        if max(leaves, tilts) > SAME or Spectrum(J[0, :3][:, slides]).rank(Level.CLOSED) < 2:
+        if (
+            max(leaves, tilts) > SAME
+            or Spectrum(J[0, :3][:, slides]).compute_rank(Level.CLOSED) < 2
+        ):
             continue
         first = np.eye(3)[int(np.argmin(np.abs(normal))) if abs(normal[0]) > 0.9 else 0]
         x = first - normal * (first @ normal)
@@ -254,7 +257,7 @@ def _sorted_coordinates(axle: Axle, q: Array) -> Axle:
         places |= {v + k: list(range(i, i + 4)) for k in range(3)}
 
     def projection(x: Array) -> Array:
-        V = Spectrum(axle.rows(x)).row_space(Level.CLOSED)
+        V = Spectrum(axle.rows(x)).compute_row_space(Level.CLOSED)
         return V @ V.T
 
     def shapes_rows(columns: list[int]) -> bool:
@@ -313,7 +316,7 @@ def _with_mount(axle: Axle, q: Array) -> Axle:
             i = axle.in_q[axle.steering]
             x[i] = sample_configurations(system, np.random.default_rng([SEED, k]))[i]
         N = axle.motions(x)
-        if Spectrum(N[:3], 1.0).rank(Level.CLOSED) < N.shape[1]:
+        if Spectrum(N[:3], 1.0).compute_rank(Level.CLOSED) < N.shape[1]:
             raise UnsupportedError(
                 f"{system.name}: with {axle.body!r} at rest some of "
                 f"{', '.join(repr(names[v]) for v in axle.driven)} still turn: a manoeuvre is not "
@@ -331,7 +334,7 @@ def _with_mount(axle: Axle, q: Array) -> Axle:
             f"{system.name}: the velocity constraints leave {axle.body!r} "
             f"{format_count(left, 'freedom')} of motion: it moves along one curve only"
         )
-    rows = Spectrum(np.concatenate(twists, axis=1).T).null(Level.CLOSED)
+    rows = Spectrum(np.concatenate(twists, axis=1).T).compute_null_space(Level.CLOSED)
     if rows.shape[1] != 1:
         raise UnsupportedError(
             f"{system.name}: no point of {axle.body!r} is without sideslip for every value of "

@@ -59,22 +59,22 @@ class TimeLimit(watched_by):
             raise TimeUp
 
     @property
-    def left(self) -> float | None:
+    def remaining_seconds(self) -> float | None:
         """Seconds that are left, at least some for what ends at once; None where there is no limit."""
         return None if self.limit is None else max(self.end - time.monotonic(), LEAST)
 
-    def check(self) -> None:
+    def check_time(self) -> None:
         """Raise `TimeUp` if the time of the call is spent, or that of a verb which asks it."""
         check_for_stop()
         if self.limit is not None and time.monotonic() >= self.soon:
             self._told.add(threading.get_ident())
             raise TimeUp
 
-    def put_in_order(self) -> None:
+    def release_reserved_time(self) -> None:
         """Let the rest of the time be used, too."""
         self.soon = self.end
 
-    def reason(self, error: BaseException) -> str:
+    def describe_end_reason(self, error: BaseException) -> str:
         """What ended the computation, as text: the interrupt, or the time limit."""
         if not isinstance(error, TimeUp):
             return "the interrupt"
@@ -178,7 +178,7 @@ def describe_early_end(interrupted: bool, late: bool) -> str:
 class Clock:
     """The function `check_for_stop` as kernels call it: it writes 1 where the work must end.
 
-    What it raises is kept for the thread until it is `taken` after the kernel.
+    What it raises is kept for the thread until `take_error` takes it after the kernel.
     """
 
     def __init__(self):
@@ -199,7 +199,7 @@ class Clock:
     def _keep_error(self, error: BaseException) -> None:
         self._thread.error = error
 
-    def taken(self) -> TimeUp | None:
+    def take_error(self) -> TimeUp | None:
         """The `TimeUp` of a look of a kernel since the last call; other errors are raised."""
         error = getattr(self._thread, "error", None)
         self._thread.error = None

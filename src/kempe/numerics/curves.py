@@ -50,35 +50,35 @@ class Curve:
     n: Any
     """How many variables there are: set once by some curves, a property of others."""
 
-    def both(self, x: Array) -> tuple[Array, Array]:
+    def evaluate_equations(self, x: Array) -> tuple[Array, Array]:
         """Residuals (rows,) of the equations at `x`, and their derivatives (rows, n): at least n
         rows, some zero.
         """
         raise NotImplementedError
 
-    def matrix(self, x: Array) -> Array:
+    def compute_jacobian(self, x: Array) -> Array:
         """Derivative (rows, n) of the equations at `x`."""
-        return self.both(x)[1]
+        return self.evaluate_equations(x)[1]
 
-    def move(self, x: Array, y: Array) -> Array:
+    def move_point(self, x: Array, y: Array) -> Array:
         """The point reached from `x` by the tangent vector `y` (n,)."""
         return x + y
 
-    def between(self, x: Array, other: Array) -> Array:
+    def compute_difference(self, x: Array, other: Array) -> Array:
         """The tangent vector (n,) from `x` to `other`."""
         return other - x
 
-    def tolerance(self, x: Array) -> float:
+    def compute_tolerance(self, x: Array) -> float:
         """Residual below which the equations hold at `x`."""
         return CLOSED
 
-    def corrected(self, x: Array, across: Array) -> GaussNewtonEnd | None:
+    def correct_point(self, x: Array, across: Array) -> GaussNewtonEnd | None:
         """The corrected point of the curve near `x`, in the plane normal to the direction `across`
         (n,); or None.
         """
         return correct_point(self, x, across)
 
-    def node(self, x: Array, toward: Array, J: Array) -> Node:
+    def make_node(self, x: Array, toward: Array, J: Array) -> Node:
         """The node at a point of the curve, with its derivatives, the tangent in the sense of
         `toward` (n,).
         """
@@ -102,7 +102,7 @@ class Node:
     image: Array = field(repr=False)
     lines: Array | None = None
 
-    def reversed(self) -> Node:
+    def reverse_direction(self) -> Node:
         """The same point, walked the other way."""
         return Node(self.x, -self.t, self.sigma, self.nullity, self.matrix, self.image, self.lines)
 
@@ -111,14 +111,14 @@ def make_node(
     equations: Curve, x: Array, toward: Array | None = None, J: Array | None = None
 ) -> Node:
     """The `Node` at a point of the curve; its tangent is the null vector nearest to `toward` (n,)."""
-    J = equations.matrix(x) if J is None else J
+    J = equations.compute_jacobian(x) if J is None else J
     spectrum = Spectrum(J, equations.least)
-    U, s, Vt = spectrum.thin
+    U, s, Vt = spectrum.thin_decomposition
     n = equations.n
-    nullity = n - spectrum.rank(Level.CLOSED)
+    nullity = n - spectrum.compute_rank(Level.CLOSED)
     t = Vt[-1]
     if toward is not None:
-        null_space = Vt[min(spectrum.rank(BLUNT), n - 1) :]
+        null_space = Vt[min(spectrum.compute_rank(BLUNT), n - 1) :]
         along = null_space.T @ (null_space @ toward)
         size = np.linalg.norm(along)
         t = along / size if size > 0.0 else t
@@ -135,15 +135,15 @@ def correct_point(equations: Curve, x: Array, across: Array) -> GaussNewtonEnd |
     """
 
     def evaluate_augmented_equations(x: Array) -> tuple[Array, Array]:
-        F, J = equations.both(x)
+        F, J = equations.evaluate_equations(x)
         return np.append(F, 0.0), np.vstack([J, across])
 
     found = run_gauss_newton(
-        evaluate_augmented_equations, x, TRIES, level=BLUNT, halving=True, move=equations.move
+        evaluate_augmented_equations, x, TRIES, level=BLUNT, halving=True, move=equations.move_point
     )
     return (
         GaussNewtonEnd(found.x, found.r[:-1], found.J[:-1])
-        if found.size < equations.tolerance(found.x)
+        if found.size < equations.compute_tolerance(found.x)
         else None
     )
 
@@ -152,11 +152,14 @@ def find_next_node(curve: Curve, a: Node, h: float) -> Node | None:
     """The next node of the curve, at a distance of about `h` from `a`; None where `h` is too long
     to be safe.
     """
-    guess = curve.move(a.x, h * a.t)
-    there = curve.corrected(guess, a.t)
-    if there is None or float(np.linalg.norm(curve.between(guess, there.x))) > ACROSS * h:
+    guess = curve.move_point(a.x, h * a.t)
+    there = curve.correct_point(guess, a.t)
+    if (
+        there is None
+        or float(np.linalg.norm(curve.compute_difference(guess, there.x))) > ACROSS * h
+    ):
         return None
-    b = curve.node(there.x, curve.between(a.x, there.x), there.J)
+    b = curve.make_node(there.x, curve.compute_difference(a.x, there.x), there.J)
     return b if compute_bend_angle(a, b) <= BEND else None
 
 
@@ -229,10 +232,10 @@ def find_node_between(
 
     One that is not `whole` may lack singular values and matrices, where these cost much.
     """
-    y = equations.between(a.x, b.x)
+    y = equations.compute_difference(a.x, b.x)
     h = float(a.t @ y)
     f = distance / h
-    guess = equations.move(a.x, distance * a.t + f * f * (y - h * a.t))
+    guess = equations.move_point(a.x, distance * a.t + f * f * (y - h * a.t))
     there = correct_point(equations, guess, a.t)
     if there is None:
         return None
@@ -249,6 +252,6 @@ def estimate_arc_length(equations: Curve, a: Node, b: Node) -> float:
     """Length of the curve between two neighbours: the chord times 1 + angle^2/24, which leaves an
     error O(h^5).
     """
-    return float(np.linalg.norm(equations.between(a.x, b.x))) * (
+    return float(np.linalg.norm(equations.compute_difference(a.x, b.x))) * (
         1.0 + compute_bend_angle(a, b) ** 2 / 24.0
     )

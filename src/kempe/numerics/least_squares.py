@@ -272,7 +272,7 @@ def minimize_bounded_residual(A: Array, b: Array, low: Array, high: Array, G: Ar
     x = np.zeros(A.shape[1])
     held = np.zeros(len(low), dtype=bool)
     for _ in range(10 * len(low) + 10):
-        Z = Spectrum(G[held], 1.0).null(Level.CLOSED)
+        Z = Spectrum(G[held], 1.0).compute_null_space(Level.CLOSED)
         if Z.shape[1]:
             step = Z @ np.linalg.lstsq(A @ Z, b - A @ x, rcond=Level.ROUNDING)[0]
             value = G @ x

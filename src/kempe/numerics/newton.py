@@ -161,7 +161,7 @@ def solve_many_least_squares(A: Array, b: Array, level: float = Level.CLOSED) ->
 
 def solve_damped_least_squares(A: Array, b: Array, damping: float) -> Array:
     """The vector y (n,) that minimises |A y - b|^2 + damping |y|^2."""
-    U, s, Vt = Spectrum(A).thin
+    U, s, Vt = Spectrum(A).thin_decomposition
     return Vt.T @ (s / (s * s + damping) * (U.T @ b))
 
 

@@ -92,7 +92,7 @@ class Spectrum:
         return compute_svd(self.A)
 
     @cached_property
-    def thin(self) -> tuple[Array, Array, Array]:
+    def thin_decomposition(self) -> tuple[Array, Array, Array]:
         """Left vectors (..., m, k), values (..., k) and right vectors (..., k, n), k = min(m, n)."""
         if "_whole" in self.__dict__:
             U, s, Vt = self._decomposition
@@ -129,57 +129,57 @@ class Spectrum:
         s = self.values
         return s[..., -1] if s.shape[-1] else np.zeros(s.shape[:-1])
 
-    def ranks(self, level: float) -> NDArray[np.int64]:
+    def compute_ranks(self, level: float) -> NDArray[np.int64]:
         """The number (...) of singular values above `level`."""
         return (self.values > level * self.largest[..., None]).sum(axis=-1)
 
-    def rank(self, level: float) -> int:
+    def compute_rank(self, level: float) -> int:
         """The rank of one matrix."""
-        return int(self.ranks(level))
+        return int(self.compute_ranks(level))
 
-    def null(self, level: float) -> Array:
+    def compute_null_space(self, level: float) -> Array:
         """Orthonormal basis (n, n - rank) of the vectors that one matrix maps to zero."""
         Vt = self.right
-        return Vt[self.rank(level) :].T
+        return Vt[self.compute_rank(level) :].T
 
-    def left_null(self, level: float) -> Array:
+    def compute_left_null_space(self, level: float) -> Array:
         """Orthonormal basis (m, m - rank) of the combinations of rows that are zero."""
         U = self.left
-        return U[:, self.rank(level) :]
+        return U[:, self.compute_rank(level) :]
 
-    def range(self, level: float) -> Array:
+    def compute_column_space(self, level: float) -> Array:
         """Orthonormal basis (m, rank) of what the columns of one matrix span."""
-        U = self.thin[0]
-        return U[:, : self.rank(level)]
+        U = self.thin_decomposition[0]
+        return U[:, : self.compute_rank(level)]
 
-    def row_space(self, level: float) -> Array:
+    def compute_row_space(self, level: float) -> Array:
         """Orthonormal basis (n, rank) of what the rows of one matrix span."""
-        Vt = self.thin[2]
-        return Vt[: self.rank(level)].T
+        Vt = self.thin_decomposition[2]
+        return Vt[: self.compute_rank(level)].T
 
-    def gap(self, level: float) -> float:
+    def compute_rank_gap(self, level: float) -> float:
         """The last singular value that counts over the first that does not, infinite at full rank."""
-        r = self.rank(level)
+        r = self.compute_rank(level)
         s = self.values
         if r == len(s):
             return np.inf
         return float((s[r - 1] if r else self.largest) / max(s[r], TINY))
 
-    def inverse(self, level: float) -> Array:
+    def compute_pseudo_inverse(self, level: float) -> Array:
         """The pseudo-inverses (..., n, m)."""
-        U, s, Vt = self.thin
+        U, s, Vt = self.thin_decomposition
         big = s > level * self.largest[..., None]
         part = np.where(big, 1.0 / np.where(big, s, 1.0), 0.0)
         return np.swapaxes(Vt, -1, -2) @ (part[..., None] * np.swapaxes(U, -1, -2))
 
-    def solve(self, b: Array, level: float) -> Array:
+    def solve_least_squares(self, b: Array, level: float) -> Array:
         """The shortest x (n,), or (n, k), that makes |A x - b| least, of one matrix."""
-        U, s, Vt = self.thin
-        r = self.rank(level)
+        U, s, Vt = self.thin_decomposition
+        r = self.compute_rank(level)
         part = U[:, :r].T @ b
         return Vt[:r].T @ (part / (s[:r] if b.ndim == 1 else s[:r, None]))
 
-    def clear_rank(
+    def find_clear_rank(
         self, least: float = Level.GENERIC, most: float = Level.ROUGH
     ) -> tuple[int, float]:
         """The rank at the widest gap, and the gap: a ratio of neighbouring singular values.
@@ -214,8 +214,8 @@ class Spectrum:
         sense[..., -1] = np.sign(np.linalg.det(U @ Vt))
         return (U * sense[..., None, :]) @ Vt
 
-    def null_from(self, columns: Sequence[int], level: float) -> Array | None:
-        """As `null`, of a large matrix with few entries, from the entries of a vector in these
+    def compute_sparse_null_space(self, columns: Sequence[int], level: float) -> Array | None:
+        """As `compute_null_space`, of a large matrix with few entries, from the entries of a vector in these
         `columns`, which determine the others.
 
         None where the other columns are not as many as the rows, or are not clearly independent:

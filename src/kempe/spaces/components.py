@@ -329,7 +329,12 @@ def components(system: Model, *, budget: Budget | None = None) -> Components:
         return _counted(system, spend, time)
     except TimeUp as error:
         return Components(
-            system, 0, False, f"none is known: {time.reason(error)} came first", None, late=True
+            system,
+            0,
+            False,
+            f"none is known: {time.describe_end_reason(error)} came first",
+            None,
+            late=True,
         )
 
 
@@ -457,7 +462,7 @@ def _traced(
     parts = list[Component]()
     late = False
     while len(q):
-        left = time.left
+        left = time.remaining_seconds
         if left is not None and left <= 0.0:
             return Traced(tuple(parts), several, True)
         path = call_until_interrupt(
@@ -478,7 +483,9 @@ def _of_one_freedom(system: Model, q: Array, dof: int) -> tuple[Array, frozenset
     """Those of configurations (k, nq) at which the rank leaves `dof` freedoms, or as few as
     anywhere, and the true numbers of others.
     """
-    left = system.nv - Spectrum(Manifold(system, 1).equations(q)[1], 1.0).ranks(Level.CLOSED)
+    left = system.nv - Spectrum(Manifold(system, 1).equations(q)[1], 1.0).compute_ranks(
+        Level.CLOSED
+    )
     most = max(dof, int(left.min(initial=system.nv)))
     others = {mobility(system, q[left == k][0]).dof or 0 for k in np.unique(left) if k > most}
     return q[left <= most], frozenset(others - {0, 1})

@@ -99,7 +99,7 @@ def stepped(
     most = np.broadcast_to(most, len(q)) + 1e-9
     on = np.flatnonzero((left > MET) & (left / step <= most))
     while len(on):
-        time.check()
+        time.check_time()
         before = at[on]
         aim = aims[on]
         far = left[on] > step
@@ -146,7 +146,7 @@ def joined(
     coarse = 2.0 * step
     trees = [Tree(manifold, a), Tree(manifold, b)]
     for k in range(most):
-        time.check()
+        time.check_time()
         one = trees[k % 2]
         other = trees[1 - k % 2]
         aim = other.q[0] if k < 2 else sample_configurations(manifold.system, rng)
@@ -203,7 +203,7 @@ def _refined(manifold: Manifold, way: list[Array], step: float, time: TimeLimit)
     """
     q = np.array(way)
     for _ in range(DEEPEST):
-        time.check()
+        time.check_time()
         far = manifold.apart(q[:-1], q[1:])
         half, ok = manifold.closed(manifold.move(q[:-1], 0.5 * manifold.between(q[:-1], q[1:])))
         parts = manifold.apart(q[:-1], half) + manifold.apart(half, q[1:])
@@ -297,7 +297,9 @@ def path(system: Model, q0: Any, q1: Any, *, budget: Budget | None = None) -> Co
         for name, q in (("the start q0", a), ("the goal q1", b)):
             if not manifold.inside(q[None])[0]:
                 rows = manifold.one_sided
-                which = ", ".join(repr(rows.names[k]) for k in np.flatnonzero(rows.beyond(q) > 0.0))
+                which = ", ".join(
+                    repr(rows.names[k]) for k in np.flatnonzero(rows.compute_excess(q) > 0.0)
+                )
                 why = f"{name} is outside the limits of {which}"
                 return Connection(_no_way(system), Status.OUTSIDE_LIMITS, why, step, system)
         if has_loops(system):
@@ -311,7 +313,7 @@ def path(system: Model, q0: Any, q1: Any, *, budget: Budget | None = None) -> Co
         return Connection(
             _no_way(system),
             code,
-            f"not found: {time.reason(error)} came",
+            f"not found: {time.describe_end_reason(error)} came",
             step,
             system,
             isinstance(error, KeyboardInterrupt),

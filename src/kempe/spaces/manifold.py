@@ -81,7 +81,7 @@ class Manifold:
 
     def inside(self, q: Array) -> np.ndarray:
         """Whether (k,) limits and one-sided constraints hold at q (k, nq)."""
-        return np.asarray((self.one_sided.beyond(q) <= 0.0).all(axis=-1))
+        return np.asarray((self.one_sided.compute_excess(q) <= 0.0).all(axis=-1))
 
     def closed(self, q: Array, longest: float = STEEP) -> tuple[Array, np.ndarray]:
         """Closed configurations (k, nq) near q (k, nq), by steps of least size, and whether (k,)
@@ -119,7 +119,7 @@ class Manifold:
             )
         spectrum = Spectrum(J)
         V = np.swapaxes(spectrum.right, -1, -2)
-        return Frames(V[..., rank:], V[..., :rank], spectrum.ranks(Level.GENERIC) == rank)
+        return Frames(V[..., rank:], V[..., :rank], spectrum.compute_ranks(Level.GENERIC) == rank)
 
     def lifted(self, q: Array, y: Array, normal: Array) -> tuple[Array, np.ndarray]:
         """Steps (k, nv) from q (k, nq) onto the manifold: `y` (k, nv) and a combination of normals;

@@ -222,10 +222,10 @@ class RankLoss:
         nv = self.system.nv
         V = self.null_vectors(q[None])
         J = self.equations(q[None], V, V)[1][0]
-        null_space = Spectrum(J, 1.0).null(Level.ROUGH)[:nv]
-        return Spectrum(null_space, 1.0).range(Level.ROUGH)
+        null_space = Spectrum(J, 1.0).compute_null_space(Level.ROUGH)[:nv]
+        return Spectrum(null_space, 1.0).compute_column_space(Level.ROUGH)
 
 
 def generic_rank(A: Array) -> int:
     """The largest rank of matrices (k, m, n)."""
-    return int(Spectrum(A).ranks(Level.GENERIC).max(initial=0))
+    return int(Spectrum(A).compute_ranks(Level.GENERIC).max(initial=0))

@@ -176,7 +176,7 @@ def _made(
 
 def _not_begun(time: TimeLimit, system: Model, n: float, *_: Any, **__: Any) -> Sample:
     """The answer where the time was up before a configuration was drawn."""
-    none = f"none is known: {time.reason(TimeUp())} came first"
+    none = f"none is known: {time.describe_end_reason(TimeUp())} came first"
     return _broken(
         _made(system, int(n), np.empty((0, system.nq)), "no measure", False, none, 0.0), TimeUp()
     )
@@ -215,7 +215,7 @@ def sample(
     time = find_time_limit(USUAL, budget)
 
     def check(done: int) -> None:
-        time.check()
+        time.check_time()
         if spend.progress is not None:
             spend.progress(done, n)
 
@@ -255,7 +255,9 @@ def _of_tree(
             q = sample_configurations(system, rng, min(n, CHUNK))
             drawn += len(q)
             found.append(
-                q[(rows.beyond(q, declared=True) <= 0.0).all(axis=1)] if rows.declared else q
+                q[(rows.compute_excess(q, declared=True) <= 0.0).all(axis=1)]
+                if rows.declared
+                else q
             )
     except BROKEN_OFF as error:
         why = error

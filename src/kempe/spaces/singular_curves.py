@@ -165,7 +165,7 @@ def singular_curves(
     try:
         with clock:
             for k, (kinds, name, q) in enumerate(starts):
-                clock.check()
+                clock.check_time()
                 tracer = _CurveTracer(problems[kinds[0]], clock, spend.step or 0.0, found.limits)
                 if not any(tracer.on(q, c.q) for c in curves if c.kinds == kinds):
                     sizes.add(size := tracer.dimension(q))
@@ -265,8 +265,8 @@ class _SingularCurveEquations(Curve):
         self.idle = np.setdiff1d(np.arange(self.nv), problem.columns)
         self.n = self.nv + shape[0] * shape[1]
 
-    def both(self, x: Array) -> tuple[Array, Array]:
-        self.clock.check()
+    def evaluate_equations(self, x: Array) -> tuple[Array, Array]:
+        self.clock.check_time()
         V = x[None, self.nq :].reshape(1, *self.shape)
         F, J = self.problem.equations(x[None, : self.nq], V, V)
         F[:, -(self.shape[1] ** 2) :] *= 0.5  # V^T V - 1 changes twice as fast as V^T dV
@@ -278,11 +278,11 @@ class _SingularCurveEquations(Curve):
         A[F.shape[1] + np.arange(len(self.idle)), self.idle] = 1.0
         return r, A
 
-    def move(self, x: Array, y: Array) -> Array:
+    def move_point(self, x: Array, y: Array) -> Array:
         q = self.problem.move(x[None, : self.nq], y[None, : self.nv])[0]
         return np.concatenate([q, x[self.nq :] + y[self.nv :]])
 
-    def between(self, x: Array, other: Array) -> Array:
+    def compute_difference(self, x: Array, other: Array) -> Array:
         q = self.problem.between(x[None, : self.nq], other[None, : self.nq])[0]
         return np.concatenate([q, other[self.nq :] - x[self.nq :]])
 
@@ -325,8 +325,8 @@ class _CurveTracer:
         start = make_node(equations, np.concatenate([q, V.ravel()]))
         way, closed = self._walked(equations, start)
         if not closed and self.broken is None:
-            back, _ = self._walked(equations, start.reversed())
-            way = [*(b.reversed() for b in back[:0:-1]), *way]
+            back, _ = self._walked(equations, start.reverse_direction())
+            way = [*(b.reverse_direction() for b in back[:0:-1]), *way]
         rows = self._finer(equations, way)
         # what spins idly came back otherwise, and was in the way of the last point
         if closed and self.problem.spins:
@@ -370,7 +370,7 @@ class _CurveTracer:
         nv = equations.nv
         rows = [way[0].x[None, : equations.nq]]
         for a, b in zip(way[:-1], way[1:], strict=True):
-            y = equations.between(a.x, b.x)
+            y = equations.compute_difference(a.x, b.x)
             h = float(np.linalg.norm(y))
             y = y[:nv]
             t = np.linspace(0.0, 1.0, max(int(np.ceil(np.linalg.norm(y) / self.longest)), 1) + 1)[
@@ -403,7 +403,7 @@ class _CurveTracer:
     def _end(self, equations: _SingularCurveEquations, a: Node, b: Node) -> list[Node]:
         """The last point inside the limits between two nodes, the second outside."""
         low = 0.0
-        high = float(a.t @ equations.between(a.x, b.x))
+        high = float(a.t @ equations.compute_difference(a.x, b.x))
         best = list[Node]()
         for _ in range(HALVINGS):
             middle = 0.5 * (low + high)

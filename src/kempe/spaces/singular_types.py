@@ -165,7 +165,7 @@ def changes(lost: Array, gained: Array) -> str:
 
 def inside_limits(system: Model, q: Array) -> np.ndarray:
     """Whether configurations (k, nq) are inside the limits and hold the one-sided constraints."""
-    return np.asarray((pack_one_sided_rows(system).beyond(q) <= SAME).all(axis=1))
+    return np.asarray((pack_one_sided_rows(system).compute_excess(q) <= SAME).all(axis=1))
 
 
 # ---- matrices that lose rank
@@ -251,7 +251,7 @@ class RankQuestions:
         moving = np.zeros(system.nv, dtype=bool)
         if frame is not None:
             seen = self.task_jacobians(few).swapaxes(1, 2).reshape(-1, len(self.rows))
-            self.twists = Spectrum(seen).row_space(Level.GENERIC)
+            self.twists = Spectrum(seen).compute_row_space(Level.GENERIC)
             if not self.twists.size:
                 raise InputError(
                     f"frame {frame!r} of {system.name} does not move: nothing of it can be lost"
@@ -338,7 +338,7 @@ class RankQuestions:
         """How many independent twists the frame has at a closed configuration (nq,)."""
         J = self.task_jacobians(q[None])[0]
         N = (
-            Spectrum(self.closures(q[None])[0]).null(Level.GENERIC)
+            Spectrum(self.closures(q[None])[0]).compute_null_space(Level.GENERIC)
             if self.loops
             else np.eye(self.system.nv)
         )
@@ -397,7 +397,7 @@ class RankQuestions:
         kinds = [kind for kind, p in problems.items() if p.holds(q[None])[0]]
         N = np.eye(self.system.nv)
         if self.loops:
-            N = Spectrum(self.closures(q[None])[0]).null(Level.GENERIC)
+            N = Spectrum(self.closures(q[None])[0]).compute_null_space(Level.GENERIC)
         none = np.zeros((0, 6))
         lost = none
         gained = none
@@ -407,7 +407,7 @@ class RankQuestions:
         if self.frame is not None:
             J = self.task_jacobians(q[None])[0]
             B = (
-                Spectrum((self.twists.T @ self._axes(q))[None]).null(Level.GENERIC)
+                Spectrum((self.twists.T @ self._axes(q))[None]).compute_null_space(Level.GENERIC)
                 if self.of_axis
                 else np.eye(len(J))
             )
@@ -417,9 +417,9 @@ class RankQuestions:
             still = (N @ moved.right[rank:].T).T * self.unit
             still = still[np.abs(still[:, self.columns]).max(axis=1, initial=0.0) > Level.GENERIC]
         if self.loops and self.inputs is not None:
-            free = Spectrum(self._with_inputs(q[None])[0]).null(Level.GENERIC)
+            free = Spectrum(self._with_inputs(q[None])[0]).compute_null_space(Level.GENERIC)
             if self.frame is not None:
-                gained = self.in_si(Spectrum(J @ free, 1.0).range(Level.GENERIC))
+                gained = self.in_si(Spectrum(J @ free, 1.0).compute_column_space(Level.GENERIC))
         if CONSTRAINT in kinds:
             kinds = [CONSTRAINT, *(k for k in kinds if k != CONSTRAINT)]
         return LostAndGained(tuple(kinds), rank, lost, gained, still)
@@ -441,4 +441,4 @@ def _led_inside(system: Model, q: Array) -> Array:
 
 def _rank(A: Array, whole: Array) -> int:
     """The rank of what is left of a `whole` matrix."""
-    return Spectrum(A, float(Spectrum(whole).largest)).rank(Level.GENERIC)
+    return Spectrum(A, float(Spectrum(whole).largest)).compute_rank(Level.GENERIC)

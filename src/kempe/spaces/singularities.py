@@ -417,7 +417,7 @@ def singularities(
     try:
         with clock:
             while done < len(questions.starts):
-                clock.check()
+                clock.check_time()
                 starts = dict.fromkeys(problems, questions.starts[done : done + AT_ONCE])
                 for key, row in _led(questions, problems, starts, task, limits):
                     found.setdefault(key, []).append(row)
@@ -425,7 +425,7 @@ def singularities(
                 if spend.progress is not None:
                     spend.progress(done, len(questions.starts))
             if loops and limits:
-                clock.check()
+                clock.check_time()
                 for key, row in _led(questions, problems, questions.nearly(problems), task, limits):
                     found.setdefault(key, []).append(row)
     except BROKEN_OFF as error:

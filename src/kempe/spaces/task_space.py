@@ -80,7 +80,7 @@ def image_ranks(
         n = min(n, N.shape[1])
         rounding = (CLOSED if loops else ROUNDED) * (1.0 + away)
         moved = J @ (scale[:, None] * N) / row_unit
-        out.append(Spectrum(moved, rounding / Level.GENERIC).rank(Level.GENERIC))
+        out.append(Spectrum(moved, rounding / Level.GENERIC).compute_rank(Level.GENERIC))
     return np.array(out, dtype=int), n
 
 
@@ -236,7 +236,7 @@ def task_space(
     time = find_time_limit(USUAL)
     ranks = list[int]()
     n = system.nv
-    time.put_in_order()
+    time.release_reserved_time()
     try:
         for k in range(0, len(every), SOME):
             check_for_stop()

@@ -163,7 +163,7 @@ def flooded(
         while len(q):
             new = list[tuple[np.ndarray, np.ndarray]]()
             for i in range(0, len(q), AT_ONCE):
-                clock.check()
+                clock.check_time()
                 x, ok = solver.solved(missing, q[i : i + AT_ONCE], node[i : i + AT_ONCE], tries)
                 found = _added(solver, found, count, x[ok], node[i : i + AT_ONCE][ok], new)
             at, slot = (
@@ -512,10 +512,10 @@ class TwoFreedoms:
     def _off_places(self, p: Array) -> Missing:
         """What the frame misses of places (k, 2)."""
         packed = Packed(self.system, [self.task.make_constraint(self.frame, p)])
-        pins = packed.pins([packed.tasks[0].goal()], (len(p),))
+        pins = packed.pack_pins([packed.tasks[0].make_goal()], (len(p),))
 
         def missing(q: Array, node: np.ndarray) -> tuple[Array, Array]:
-            return packed.evaluate(q, np.ascontiguousarray(pins[node]))
+            return packed.evaluate_tasks(q, np.ascontiguousarray(pins[node]))
 
         return missing
 
@@ -544,7 +544,7 @@ class TwoFreedoms:
         flat = np.array(q.reshape(-1, self.system.nq))
         ok = np.array(mask.ravel())
         flat[ok] = self.manifold.metric.choose_representatives(flat[ok], None)
-        ok[ok] = (self.rows.beyond(flat[ok]) <= INSIDE).all(axis=-1)
+        ok[ok] = (self.rows.compute_excess(flat[ok]) <= INSIDE).all(axis=-1)
         return flat.reshape(q.shape), ok.reshape(mask.shape)
 
     def places(self, q: Array, mask: np.ndarray) -> Array:

@@ -234,7 +234,7 @@ def _singular_curves(space: TwoFreedoms) -> Any:
 
     kind = task.name if system.dim == 3 else "position"
     try:
-        budget = Budget(time_limit=space.clock.left)
+        budget = Budget(time_limit=space.clock.remaining_seconds)
         found = singularities(system, name, kind, inputs=space.names, budget=budget)
     except TimeLimitError:
         raise TimeLimitError(USUAL.verb, space.clock.limit) from None
@@ -243,7 +243,9 @@ def _singular_curves(space: TwoFreedoms) -> Any:
     # where all is singular there are no lines
     if min((s.dimension for s in found.sets), default=0) > 1:
         return ()
-    curves = call_until_interrupt(found.curves, budget=Budget(time_limit=space.clock.left))
+    curves = call_until_interrupt(
+        found.curves, budget=Budget(time_limit=space.clock.remaining_seconds)
+    )
     if curves.broken is Status.INTERRUPTED:
         space.clock.end = (
             space.clock.soon
@@ -346,7 +348,7 @@ def _draw_other_limits(space: TwoFreedoms, left: Any, right: Any, q: Array) -> N
                     system,
                     start=near[0],
                     hold={name: float(end)},
-                    budget=Budget(time_limit=space.clock.left),
+                    budget=Budget(time_limit=space.clock.remaining_seconds),
                 )
                 line = np.concatenate([near[:1], path.q])
                 near = near[[solver.apart(x[None], line).min() > APART for x in near]]

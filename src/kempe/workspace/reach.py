@@ -188,7 +188,7 @@ def study_places(
     try:
         with clock:
             for first in range(0, count, at_once):
-                clock.check()
+                clock.check_time()
                 X = targets(first, min(first + at_once, count))
                 last = first + len(X)
                 answer = study_targets(system, X.reshape(-1, *X.shape[2:]), frame, task, each)

@@ -267,9 +267,9 @@ def sample_closed_configurations(
         q = answer.q
         good = np.asarray(answer.success, dtype=bool)
     rows = pack_one_sided_rows(system)
-    good &= (rows.beyond(np.where(good[:, None], q, compute_mid_configuration(system))) == 0.0).all(
-        axis=1
-    )
+    good &= (
+        rows.compute_excess(np.where(good[:, None], q, compute_mid_configuration(system))) == 0.0
+    ).all(axis=1)
     return q, good
 
 

@@ -38,7 +38,7 @@ class Pace:
         if self.progress is not None and (at_once or now - self.reported >= WAKE):
             self.reported = now
             self.progress(done, self.total)
-        self.clock.check()
+        self.clock.check_time()
 
 
 # ---- threads

@@ -203,7 +203,7 @@ def _iterate_part_counts(
     if client is not None:
         arguments = ((part, part) for part in ranges)
         for part, counts in iterate_results(
-            client, count_part, recipe, arguments, pace.clock.check
+            client, count_part, recipe, arguments, pace.clock.check_time
         ):
             yield *part, counts
         return

@@ -195,7 +195,7 @@ def _choose_unit(
     # the point nearest to all axes
     across = np.eye(3) - h[:, :, None] * h[:, None, :]
     total: Array = np.einsum("nij,nj->i", across, o)
-    origin = Spectrum(across.sum(axis=0)).solve(total, PARALLEL)
+    origin = Spectrum(across.sum(axis=0)).solve_least_squares(total, PARALLEL)
     free = o - origin
     away = np.linalg.norm(free - h * np.sum(h * free, axis=-1)[:, None], axis=-1)
     steps = [_compute_distance(h[i], o[i], h[i + 1], o[i + 1]) for i in range(len(h) - 1)]

@@ -334,7 +334,7 @@ def count_chain_freedoms(lines: Lines, free: Extra, unknown: list[int]) -> int:
         [np.where(turns[:, None], np.cross(o, h), h), np.where(turns[:, None], h, 0.0)], axis=2
     )
     J = J / np.linalg.norm(J, axis=2, keepdims=True)  # seen from the chain, whatever the tool
-    return int(Spectrum(J).ranks(Level.GENERIC).max())
+    return int(Spectrum(J).compute_ranks(Level.GENERIC).max())
 
 
 # ---- how plans are made

@@ -99,7 +99,7 @@ def _read_body_demand(problem: Demands, i: int) -> BodyDemand | None:
     row, X, particle = system.structure.table.at[b]
     if particle or row < 0:
         return None
-    linear, angular = problem.tolerance_of(task)
+    linear, angular = problem.get_tolerance(task)
     angular += 2.0 * RIGID  # a goal's rotation may be off by rounding
     region = None
     point = shape.point and not task.bounded

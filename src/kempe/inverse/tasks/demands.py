@@ -52,10 +52,10 @@ def find_untouched_places(packed: Packed, pins: Array) -> np.ndarray:
         if not len(pins):
             return NONE
         q = sample_configurations(packed.system, 0, SAMPLES)
-        (_, tasks), (_, loops) = (packed.evaluate(q, pins[:1], c) for c in (False, True))
+        (_, tasks), (_, loops) = (packed.evaluate_tasks(q, pins[:1], c) for c in (False, True))
         if not (np.isfinite(tasks).all() and np.isfinite(loops).all()):
             return NONE
-        sided = packed.one_sided.rates(q, declared=True)[1]
+        sided = packed.one_sided.compute_rates(q, declared=True)[1]
         tasks = np.concatenate([tasks, sided], axis=1)  # as if they were requested
         opaque = any(tie.function is not None for tie in packed.loops.ties)  # and may be flat there
         found = packed.stages[find_untouched_places] = (
@@ -147,7 +147,7 @@ class Demands:
         if self.callback is not None and self.mode not in (S.NOTHING, S.AHEAD):
             vars(self)["mode"] = self.callback.address
 
-    def tolerance_of(self, task: Task) -> tuple[float, float]:
+    def get_tolerance(self, task: Task) -> tuple[float, float]:
         """Largest error of a hard task in metres and radians."""
         return self.tolerance if task.tolerance is None else read_tolerances(task.tolerance)
 
@@ -156,12 +156,12 @@ class Demands:
         """The hard tasks that count, with their goals and tolerances."""
         every = zip(self.tasks, self.goals, self.use, strict=True)
         return [
-            (task, goal, self.tolerance_of(task))
+            (task, goal, self.get_tolerance(task))
             for task, goal, used in every
             if used and task.weight is None
         ]
 
-    def of(self, index: int) -> Demands:
+    def select_row(self, index: int) -> Demands:
         """The problem of row `index` of a batch."""
         pins = self.pins[index : index + 1] if len(self.pins) > 1 else self.pins
         aim = (
@@ -170,7 +170,9 @@ class Demands:
         goals = tuple(_select_goal_row(g, index, self.lead) for g in self.goals)
         return replace(self, goals=goals, pins=pins, aim=aim, lead=())
 
-    def only(self, tasks: Sequence[int], limits: bool = True, one_sided: bool = True) -> Demands:
+    def select_tasks(
+        self, tasks: Sequence[int], limits: bool = True, one_sided: bool = True
+    ) -> Demands:
         """The problem with only these tasks, without preference or time limit, and from at most
         `STARTS` starts.
 
@@ -190,7 +192,7 @@ class Demands:
             starts=few,
         )
 
-    def run(
+    def run_search(
         self,
         starts: Array,
         threads: int | None = 1,
@@ -243,7 +245,7 @@ class Demands:
                     q[i:j],
                     info[i:j],
                 )
-            error = get_clock().taken()
+            error = get_clock().take_error()
             # the time of a verb that asked
             if error is not None and not isinstance(error, EndReached):
                 raise error
@@ -257,7 +259,9 @@ class Demands:
                 callback.error = None
                 if not isinstance(error, EndReached):
                     raise error
-        return self._restore_untouched(self.packed.inside(q) if self.limits else q, starts), info
+        return self._restore_untouched(
+            self.packed.wrap_wide_angles(q) if self.limits else q, starts
+        ), info
 
     def _restore_untouched(self, q: Array, starts: Array) -> Array:
         """The configurations (N, nq), what no task depends on as in the starts (N or 1, nq), in
@@ -286,7 +290,7 @@ class Demands:
         found = self.packed.stages.get(key)
         if found is None:
             hard = [i for i, used in enumerate(self.use) if used and self.tasks[i].weight is None]
-            allowed = np.array([self.tolerance_of(self.tasks[i]) for i in hard]).reshape(-1, 2)
+            allowed = np.array([self.get_tolerance(self.tasks[i]) for i in hard]).reshape(-1, 2)
             found = store_answer(
                 self.packed.stages, key, (*self._compute_stages(), hard, allowed), KEPT
             )
@@ -313,7 +317,7 @@ class Demands:
             key = keys[int(i)]
             stages[0, k] = order.index(key) + 1 if self.use[i] else -1
             stages[1, k] = task.weight is None
-            linear, angular = self.tolerance_of(task)
+            linear, angular = self.get_tolerance(task)
             share = 1.0 if task.weight is None else task.weight / top[key]
             strengths[k] = (share, linear / length, angular)
         return stages.ravel(), strengths

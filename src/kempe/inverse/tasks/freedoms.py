@@ -66,52 +66,54 @@ class Local:
         ]
         self._use = np.isin(packed.rows[packed.rows >= 0], self.hard) & equal
         self.movers, self._moved = find_movers(problem, self.hard)
-        self.q = self.led(q)
+        self.q = self.correct_configuration(q)
 
     @property
-    def m(self) -> int:
+    def n_equations(self) -> int:
         """Number of equations of the hard tasks."""
-        return self.problem.packed.count(self.hard)
+        return self.problem.packed.count_equations(self.hard)
 
     @cached_property
-    def n(self) -> int:
+    def n_freedoms(self) -> int:
         """Freedoms that loops and relations leave to first order, of the joints that move the
         tasks' frames.
         """
         closed = self.problem.packed.closed
-        return self.null_space(self.q, tasks=False)[0].shape[1] if closed else len(self.movers)
+        return (
+            self.compute_null_space(self.q, tasks=False)[0].shape[1] if closed else len(self.movers)
+        )
 
-    def equations(self, q: Array, tasks: bool = True) -> tuple[Array, Array]:
+    def evaluate_equations(self, q: Array, tasks: bool = True) -> tuple[Array, Array]:
         """Values (k,) and Jacobian (k, nv) of loops and relations and, with `tasks`, of the hard
         tasks at q (nq,).
         """
         packed = self.problem.packed
         pins = self.problem.pins
         if not tasks:
-            return packed.evaluate(q, pins, closures=True)
-        own, own_J = packed.evaluate(q, pins)
+            return packed.evaluate_tasks(q, pins, closures=True)
+        own, own_J = packed.evaluate_tasks(q, pins)
         if not self._use.all():
             own = own[self._use]
             own_J = own_J[self._use]
         if not packed.closed:
             return own, own_J
-        r, J = packed.evaluate(q, pins, closures=True)
+        r, J = packed.evaluate_tasks(q, pins, closures=True)
         return np.concatenate([r, own]), np.concatenate([J, own_J])
 
-    def move(self, x: Array, y: Array) -> Array:
+    def move_point(self, x: Array, y: Array) -> Array:
         """The configuration (nq,) a step y (nv,) from x."""
         return self.problem.system.structure.layout.integrate_velocity(
             x, y * self.problem.packed.scale
         )
 
-    def between(self, x: Array, other: Array) -> Array:
+    def compute_difference(self, x: Array, other: Array) -> Array:
         """The step (nv,) from x to another configuration."""
         return (
             self.problem.system.structure.layout.compute_difference(x, other)
             / self.problem.packed.scale
         )
 
-    def led(self, q: Array) -> Array:
+    def correct_configuration(self, q: Array) -> Array:
         """The nearest configuration (nq,) where the equations hold as well as they can, by least
         squares.
 
@@ -123,37 +125,43 @@ class Local:
             return solve_damped_least_squares(J, -r, float(np.linalg.norm(r)))
 
         return run_gauss_newton(
-            self.equations, q, CLOSE, step=compute_step, met=ROUNDING, last=STAYS, move=self.move
+            self.evaluate_equations,
+            q,
+            CLOSE,
+            step=compute_step,
+            met=ROUNDING,
+            last=STAYS,
+            move=self.move_point,
         ).x
 
-    def null_space(self, q: Array, tasks: bool = True) -> tuple[Array, bool]:
+    def compute_null_space(self, q: Array, tasks: bool = True) -> tuple[Array, bool]:
         """An orthonormal basis (nv, k) of velocities that keep the equations, and whether these are
         independent.
 
         A singular value counts as zero where the nearest configuration at which it vanishes, by the
         derivative of the singular value, holds the equations as well as this one.
         """
-        r, J = self._select_movers(*self.equations(q, tasks))
+        r, J = self._select_movers(*self.evaluate_equations(q, tasks))
         if not J.size:
-            return self.spread(np.eye(J.shape[1])), True
+            return self.expand_velocities(np.eye(J.shape[1])), True
         spectrum = Spectrum(J, 1.0)
         U = spectrum.left
         s = spectrum.values
         Vt = spectrum.right
         error = max(float(np.linalg.norm(r)), ROUNDING)
-        rank = spectrum.rank(Level.CLOSED)
+        rank = spectrum.compute_rank(Level.CLOSED)
         while rank and s[rank - 1] ** 2 <= 2.0 * SAME * error * STEEPEST:
-            v = self.spread(Vt[rank - 1])
+            v = self.expand_velocities(Vt[rank - 1])
             u = U[:, rank - 1]
             ahead, behind = (
-                self._select_movers(*self.equations(self.move(q, h * v), tasks))[1]
+                self._select_movers(*self.evaluate_equations(self.move_point(q, h * v), tasks))[1]
                 for h in (CURL, -CURL)
             )
             curve = float(np.linalg.norm(u @ (ahead - behind))) / (2.0 * CURL)
             if s[rank - 1] ** 2 > 2.0 * SAME * error * curve:
                 break
             rank -= 1
-        return self.spread(Vt[rank:].T), rank == len(r)
+        return self.expand_velocities(Vt[rank:].T), rank == len(r)
 
     def _select_movers(self, r: Array, J: Array) -> tuple[Array, Array]:
         """Those values and rows of a Jacobian (k, nv) that the `find_movers` decide, and their columns."""
@@ -166,28 +174,30 @@ class Local:
         use = closures if self.problem.packed.closed else np.ones(len(r), dtype=bool)
         return r[use], J[use][:, self.movers]
 
-    def spread(self, v: Array) -> Array:
+    def expand_velocities(self, v: Array) -> Array:
         """Velocities (nv, ...) of the system from those (k, ...) of the `find_movers`."""
         out = np.zeros((self.problem.system.nv, *v.shape[1:]))
         out[self.movers] = v
         return out
 
-    def tangents(self, q: Array) -> Array:
+    def compute_tangents(self, q: Array) -> Array:
         """Orthonormal basis (nv, k) of the velocities that keep the equations at q (nq,), by the
         rank of rounding.
         """
-        return self.spread(
-            Spectrum(self._select_movers(*self.equations(q))[1], 1.0).null(Level.CLOSED)
+        return self.expand_velocities(
+            Spectrum(self._select_movers(*self.evaluate_equations(q))[1], 1.0).compute_null_space(
+                Level.CLOSED
+            )
         )
 
     @cached_property
-    def left(self) -> Array:
+    def allowed_velocities(self) -> Array:
         """Orthonormal basis (nv, k) of the velocities that loops and tasks allow, to first order."""
         return self._allowed_space[0]
 
     @cached_property
     def _allowed_space(self) -> tuple[Array, bool]:
-        return self.null_space(self.q)
+        return self.compute_null_space(self.q)
 
     @cached_property
     def motions(self) -> Array:
@@ -200,7 +210,7 @@ class Local:
         return self._find_finite_directions(self.q, basis, LENGTHS)
 
     @cached_property
-    def finite(self) -> int:
+    def finite_freedoms(self) -> int:
         """Number of freedoms that are finite motions: the dimension of the set of solutions about
         q.
 
@@ -213,12 +223,12 @@ class Local:
 
     def _compute_dimension(self, direction: Array) -> int:
         """The dimension of the solutions beside q in a direction."""
-        there = self.led(self.move(self.q, LENGTHS[0] * direction))
-        basis, independent = self.null_space(there)
+        there = self.correct_configuration(self.move_point(self.q, LENGTHS[0] * direction))
+        basis, independent = self.compute_null_space(there)
         if independent or basis.shape[1] == 1:
             return basis.shape[1]
         landed = self._find_finite_directions(there, basis, tuple(0.1 * h for h in LENGTHS))
-        return Spectrum(landed, 1.0).rank(SPREAD) if len(landed) else 0
+        return Spectrum(landed, 1.0).compute_rank(SPREAD) if len(landed) else 0
 
     def _find_finite_directions(self, q: Array, basis: Array, lengths: tuple[float, ...]) -> Array:
         """Directions (n, nv) in which steps from q along a null space stay away from it when they
@@ -232,7 +242,9 @@ class Local:
         out: list[Array] = []
         for wish in np.concatenate([wishes, -wishes]):
             for h in lengths:
-                d = self.between(q, there := self.led(self.move(q, h * basis @ wish)))
+                d = self.compute_difference(
+                    q, there := self.correct_configuration(self.move_point(q, h * basis @ wish))
+                )
                 far = float(np.linalg.norm(d))
                 if not KEPT * h <= far <= 5.0 * h or not self._is_satisfied(there):
                     break
@@ -242,7 +254,7 @@ class Local:
 
     def _is_satisfied(self, q: Array) -> bool:
         """Whether the equations hold at q (nq,) as well as at the first configuration."""
-        there, here = (float(np.linalg.norm(self.equations(x)[0])) for x in (q, self.q))
+        there, here = (float(np.linalg.norm(self.evaluate_equations(x)[0])) for x in (q, self.q))
         return there <= 10.0 * max(here, 100.0 * ROUNDING)
 
 
@@ -273,4 +285,9 @@ def analyse_freedoms(problem: Demands, q: Array) -> tuple[int, int, int, Array]:
     scaled.
     """
     local = Local(problem, q)
-    return local.m, local.n, local.n - local.left.shape[1], local.left
+    return (
+        local.n_equations,
+        local.n_freedoms,
+        local.n_freedoms - local.allowed_velocities.shape[1],
+        local.allowed_velocities,
+    )

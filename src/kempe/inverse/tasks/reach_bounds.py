@@ -59,7 +59,7 @@ def compute_excess_distances(problem: Demands, task: Task, goal: Goal) -> Array:
     # else that is the reason
     turned = shape.turned and freedoms >= (3 if system.dim == 2 else 6)
     axes = sorted(shape.axes)
-    return measure_bound_excess(bounds, pose, problem.tolerance_of(task), turned, axes, system.dim)
+    return measure_bound_excess(bounds, pose, problem.get_tolerance(task), turned, axes, system.dim)
 
 
 def _list_reach_bounds(system: Model, frame: str, tool: Array) -> tuple[list[ReachBound], int]:

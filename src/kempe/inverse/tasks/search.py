@@ -91,7 +91,7 @@ def move_bases_to_target(problem: Demands, home: Array) -> Array:
         far = np.linalg.norm(away, axis=-1, keepdims=True) > FAR * problem.packed.loops.length
         if not J.any() or not far.any():
             continue
-        dx = away @ Spectrum(J).inverse(Level.CLOSED).T
+        dx = away @ Spectrum(J).compute_pseudo_inverse(Level.CLOSED).T
         moved = np.tile(home, (*dx.shape[:-1], 1))
         places = dict(
             zip(
@@ -159,10 +159,12 @@ def compute_log_manipulability(problem: Demands, q: Array) -> Array:
     """
     packed = problem.packed
     hard = [i for i, t in enumerate(problem.tasks) if t.weight is None]
-    J = packed.evaluate(q, problem.pins)[1][..., np.isin(packed.rows[packed.rows >= 0], hard), :]
-    C = packed.evaluate(q, problem.pins, closures=True)[1]
+    J = packed.evaluate_tasks(q, problem.pins)[1][
+        ..., np.isin(packed.rows[packed.rows >= 0], hard), :
+    ]
+    C = packed.evaluate_tasks(q, problem.pins, closures=True)[1]
     if C.shape[-2]:
-        J = J - J @ Spectrum(C).inverse(Level.CLOSED) @ C
+        J = J - J @ Spectrum(C).compute_pseudo_inverse(Level.CLOSED) @ C
     s = Spectrum(J).values
     return 0.5 * np.sum(np.log(s * s + SMALL), axis=-1)
 
@@ -279,9 +281,14 @@ def _is_hopeful(problem: Demands, base: Array) -> bool:
         for i, t in zip(problem.packed.owner, problem.packed.loops.ties, strict=True)
         if t.function
     }
-    trials = [problem.only(hard, False), *(problem.only([i]) for i in hard if i in called)]
+    trials = [
+        problem.select_tasks(hard, False),
+        *(problem.select_tasks([i]) for i in hard if i in called),
+    ]
     for trial in trials:
-        _, info = replace(trial, end=problem.end, effort=Effort(SHARE)).run(base[:1], tries=FIRST)
+        _, info = replace(trial, end=problem.end, effort=Effort(SHARE)).run_search(
+            base[:1], tries=FIRST
+        )
         if info[0, 0] != S.SOLVED:
             return False
     return True
@@ -320,12 +327,12 @@ def find_failure_proofs(problem: Demands) -> np.ndarray:
 def search_by_effort(
     problem: Demands, base: Array, threads: int | None = 1
 ) -> tuple[Array, np.ndarray]:
-    """As `Demands.run`, with as many starts as each problem deserves: `FIRST` first, then up to
+    """As `Demands.run_search`, with as many starts as each problem deserves: `FIRST` first, then up to
     those of the problem.
 
     No more than these where a proof says that there is no answer.
     """
-    q, info = problem.run(base, threads, tries=FIRST)
+    q, info = problem.run_search(base, threads, tries=FIRST)
     if len(info) == 1 and info[0, 0] == S.SOLVED:
         return q, info
     left = np.flatnonzero(info[:, 0] == S.NOT_FOUND)
@@ -335,12 +342,12 @@ def search_by_effort(
     if not left.size:
         return q, info
     open_ = replace(problem, limits=False, mode=S.NOTHING)
-    _, found = open_.run(base, threads, tries=FIRST, rows=left)
+    _, found = open_.run_search(base, threads, tries=FIRST, rows=left)
     hope = found[:, 0] == S.SOLVED
     for rows, tries in ((left[hope], problem.starts), (left[~hope], problem.starts // HOPELESS)):
         if not rows.size or tries <= FIRST:
             continue
-        again, more = problem.run(base, threads, tries=tries, rows=rows)
+        again, more = problem.run_search(base, threads, tries=tries, rows=rows)
         better = (more[:, 0] % S.LATE == S.SOLVED) | (more[:, 2] >= info[rows, 2])
         q[rows[better]], info[rows[better]] = again[better], more[better]
         late = rows[~better]
@@ -372,7 +379,7 @@ def pack_tasks(system: Model, tasks: tuple[Task, ...], turns: bool) -> Packed:
         order = sorted({get_task_level(t) for t in tasks})
         if any(soft for _, soft in order[:-1]):
             levels = tuple(order.index(get_task_level(t)) for t in tasks)
-    key = (turns, levels, *((t.label, t.structure()) for t in tasks))
+    key = (turns, levels, *((t.label, t.make_structure_key()) for t in tasks))
     answers = system._kept.setdefault(pack_tasks, {})
     found = answers.get(key)
     if found is None:
@@ -398,7 +405,7 @@ def solve_levels(
     if end is None:
         few = rows is not None
         q, info = (
-            problem.run(base, threads, tries=FIRST, rows=rows)
+            problem.run_search(base, threads, tries=FIRST, rows=rows)
             if few
             else search(problem, base, threads)
         )
@@ -470,10 +477,10 @@ def _compare_levels(
 def _continue_search(
     problem: Demands, rows: np.ndarray, q: Array, threads: int | None, tries: int
 ) -> tuple[Array, np.ndarray]:
-    """As `Demands.run` of some rows, from configurations of these."""
+    """As `Demands.run_search` of some rows, from configurations of these."""
     starts = np.zeros((math.prod(problem.lead), q.shape[1]))
     starts[rows] = q
-    return problem.run(starts, threads, tries=tries, rows=rows)
+    return problem.run_search(starts, threads, tries=tries, rows=rows)
 
 
 def _find_last_level(
@@ -512,7 +519,7 @@ def _may_differ(problem: Demands, end: TaskLevel) -> bool:
     soft = any(t.weight is not None and get_task_level(t) <= end for t in problem.tasks)
     if soft and any(t.weight is None for t in later):
         return True
-    named = any(t.coordinates() for t in later)
+    named = any(t.list_coordinates() for t in later)
     return named and bool(np.any(_select_levels(problem, end).packed.wide & ~problem.packed.wide))
 
 
@@ -529,7 +536,7 @@ def _select_levels(problem: Demands, end: TaskLevel) -> Demands:
         store_answer(problem.packed.stages, requested, (chosen, packed), KEPT)
     tasks = tuple([problem.tasks[i] for i in chosen])
     goals = tuple([problem.goals[i] for i in chosen])
-    pins = packed.pins(goals, problem.lead if find_leading_shape(goals) else ())
+    pins = packed.pack_pins(goals, problem.lead if find_leading_shape(goals) else ())
     use = (True,) * len(tasks)
     return replace(
         problem,
@@ -664,7 +671,7 @@ def reach_tasks(problem: Problem) -> Reached:
     demands, base = make_demands(
         system, problem.wanted, problem.start, tolerance, starts, spend.rng, turns
     )
-    search = Demands.run if starts is not None else search_by_effort
+    search = Demands.run_search if starts is not None else search_by_effort
     limit = spend.time_limit if demands.lead else time.limit
     if spend.iterations != STEPS or limit is not None:
         end = math.inf if limit is None else time.end
@@ -674,7 +681,8 @@ def reach_tasks(problem: Problem) -> Reached:
     # it depends on the goal, of which each row has its own
     if prefer == "manipulability" and demands.lead:
         rows = [
-            _add_preference(demands.of(i), prefer, base) for i in range(math.prod(demands.lead))
+            _add_preference(demands.select_row(i), prefer, base)
+            for i in range(math.prod(demands.lead))
         ]
         each = [
             solve_levels(row, base[i : i + 1] if len(base) > 1 else base, search)
@@ -716,7 +724,7 @@ def make_demands(
     `starts` None are as many as it deserves.
     """
     tasks = _make_distinct_tasks(wanted, system)
-    goals = tuple(t.goal() for t in tasks)
+    goals = tuple(t.make_goal() for t in tasks)
     base = _choose_home(system) if start is None else read_start(system, start)
     lead = own = find_leading_shape(goals)
     if base.ndim > 1:
@@ -728,7 +736,7 @@ def make_demands(
             ) from None
         base = np.broadcast_to(base, (*lead, system.nq)).reshape(math.prod(lead), system.nq)
     packed = pack_tasks(system, tasks, turns)
-    pins = packed.pins(goals, lead if own else ())
+    pins = packed.pack_pins(goals, lead if own else ())
     use = (True,) * len(tasks)
     most = choose_start_count(system, packed) if starts is None else read_start_count(starts)
     problem = Demands(
@@ -825,7 +833,7 @@ def make_checked_answer(problem: Demands, q: Array, info: np.ndarray) -> Reached
     hard, allowed = problem.levels[2:]
     every = np.empty((len(problem.tasks), *lead, 2))
     for error, task, goal in zip(every, problem.tasks, problem.goals, strict=True):
-        error[..., 0], error[..., 1] = task.measure(sound, goal)
+        error[..., 0], error[..., 1] = task.measure_error(sound, goal)
     allowed = allowed.reshape(-1, *[1] * len(lead), 2)
     of_hard = every if len(hard) == len(every) else every[hard]
     good = (of_hard <= allowed * SLACK).all(axis=(0, -1))
@@ -842,7 +850,7 @@ def make_checked_answer(problem: Demands, q: Array, info: np.ndarray) -> Reached
             <= 10.0 * CLOSED
         )
     if packed.one_sided.declared and problem.one_sided:
-        good &= ~packed.one_sided.beyond(sound, declared=True).any(axis=-1)
+        good &= ~packed.one_sided.compute_excess(sound, declared=True).any(axis=-1)
     late = status >= S.LATE
     code = np.zeros(len(status), dtype=np.int64)  # S.SOLVED: np.full takes ten times as long
     if some_bad or not good.all():

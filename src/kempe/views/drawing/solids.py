@@ -294,7 +294,7 @@ def flat_hull(points: Array, tolerance: float) -> list[int] | None:
     in no plane.
     """
     middle = points.mean(axis=0)
-    _, size, axes = Spectrum(points - middle).thin
+    _, size, axes = Spectrum(points - middle).thin_decomposition
     if len(points) < 3 or size[1] < tolerance or (len(size) > 2 and size[2] > tolerance):
         return None
     p = (points - middle) @ axes[:2].T

@@ -351,7 +351,8 @@ class Session:
         tries = () if self.chart.dependent else sample_configurations(self.system, 0, 4)
         rows = self.system.dim if task == "position" else None
         return max(
-            Spectrum(self._rates(q)[:rows], 1.0).rank(Level.GENERIC) for q in (self.q, *tries)
+            Spectrum(self._rates(q)[:rows], 1.0).compute_rank(Level.GENERIC)
+            for q in (self.q, *tries)
         )
 
     def spare(self) -> bool:
@@ -585,7 +586,7 @@ class Session:
             return ""
         if not self.chart.dependent:
             rows = self._rates(self.q)[: self.system.dim if self.task == "position" else None]
-            singular = Spectrum(rows).rank(SINGULAR) < min(rows.shape)
+            singular = Spectrum(rows).compute_rank(SINGULAR) < min(rows.shape)
             return f"{self.frame} is singular here" if singular else ""
         # where loops are open, which `said` tells by the residual
         with contextlib.suppress(InputError):

@@ -78,7 +78,7 @@ class HeldPoints(Curve):
 
     n = 3
 
-    def evaluate_equations(self, x: Array) -> tuple[Array, Array]:
+    def evaluate_residuals(self, x: Array) -> tuple[Array, Array]:
         """Residuals (k, 2) of motions x (k, 3), and their derivatives (k, 2, 3)."""
         F = np.empty((len(x), 2))
         J = np.empty((len(x), 2, 3))
@@ -94,9 +94,9 @@ class HeldPoints(Curve):
             )
         return F, J
 
-    def both(self, x: Array) -> tuple[Array, Array]:
+    def evaluate_equations(self, x: Array) -> tuple[Array, Array]:
         """Residuals (3,) and derivatives (3, 3), the last of them zero."""
-        F, J = self.evaluate_equations(x[None])
+        F, J = self.evaluate_residuals(x[None])
         return np.append(F[0], 0.0), np.vstack([J[0], np.zeros(3)])
 
     def locate_origins(self, x: Array) -> np.ndarray:
@@ -105,7 +105,7 @@ class HeldPoints(Curve):
 
     def compute_tangents(self, x: Array) -> Array:
         """Tangents (k, 3) of the curve at motions (k, 3) on it, of no certain length."""
-        J = self.evaluate_equations(x)[1]
+        J = self.evaluate_residuals(x)[1]
         return np.cross(J[:, 0], J[:, 1])
 
     def list_starts(self) -> Array:
@@ -126,7 +126,7 @@ class HeldPoints(Curve):
     def correct_motions(self, x: Array) -> Array:
         """Motions (k, 3) on the curve, nearest to those close to it."""
         for _ in range(4):
-            F, J = self.evaluate_equations(x)
+            F, J = self.evaluate_residuals(x)
             square = J @ J.transpose(0, 2, 1) + 1e-14 * np.eye(2)
             x = x - (J.transpose(0, 2, 1) @ np.linalg.solve(square, F[..., None]))[..., 0]
         return x
@@ -135,7 +135,7 @@ class HeldPoints(Curve):
         """Motions (k, 3) along the curve through one of them, to its ends or once round it."""
         first = make_node(self, start)
         halves: list[list[Array]] = []
-        for begin in (first, first.reversed()):
+        for begin in (first, first.reverse_direction()):
             points = [begin.x]
             for b in walk_curve(begin, lambda a, h: _take_step(self, a, h), LONGEST, 0.2 * LONGEST):
                 points.append(b.x)
@@ -350,7 +350,7 @@ class PlatformRegion:
             corners.clear()
             corners.append(np.zeros((0, 3)))
             starts = [
-                known[(np.abs(m.evaluate_equations(known)[0]) < CORNER).all(axis=1)] for m in held
+                known[(np.abs(m.evaluate_residuals(known)[0]) < CORNER).all(axis=1)] for m in held
             ]
 
     def _start_off_boundary(self, motions: HeldPoints, nodes: Array) -> Array:
