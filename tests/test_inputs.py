@@ -327,13 +327,14 @@ LOOP_ONLY = {
 }
 ONE_Q = {
     "relative_motion",
+    "find_relative_motion",
     "mobility",
     "self_motion",
     "ik_step",
     "q_dict",
-    "local_dimension",
+    "find_local_dimension",
     "classify",
-    "one_sided",
+    "report_one_sided",
     "path",
     "task_space",
     "parametrizations",
@@ -524,7 +525,12 @@ def numeric(name: str, function: Callable[..., Any], system: kempe.System) -> li
     values = usual(system, name.rpartition(".")[2])
     if name.rpartition(".")[2] != "with_limits":  # elsewhere it says whether they hold
         values["limits"] = None
-    if name.rpartition(".")[2] in ("assembler", "closed_form"):  # names
+    if name.rpartition(".")[2] in (
+        "assembler",
+        "closed_form",
+        "bind_assembler",
+        "find_closed_form",
+    ):  # names
         values["known"] = None
     own = set() if name.rpartition(".")[2] != "drive" else {"inputs"}
     known = [

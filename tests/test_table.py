@@ -160,8 +160,8 @@ def test_closed_forms_and_many_starts_find_the_same_modes(name):
         for n in system.coordinate_names[: system.mobility().dof]
     }
     problem = Problem(system, "all", known=known, budget=kempe.Budget(starts=256))
-    assert modes.no_dyads(problem) is None
-    exact = modes.by_dyads(problem)
+    assert modes.explain_missing_dyads(problem) is None
+    exact = modes.find_modes_by_dyads(problem)
     found = modes.find_modes_by_starts(problem)
     assert len(exact) == len(found)
     for q in exact.q:

@@ -248,17 +248,17 @@ class Loops(Namespace):
         """Return a reusable `assemble` for these known coordinates. See
         `kempe.assemble.bound.Assembler`.
         """
-        from kempe.assemble.assemble import assembler
+        from kempe.assemble.assemble import bind_assembler
 
-        return assembler(self.system, known)
+        return bind_assembler(self.system, known)
 
     def closed_form(self, known: Sequence[str]) -> Plan | Incomplete:
         """Return the closed form of a planar system of dyads. Its inputs are the `known`
         coordinates; see `kempe.assemble.dyads`.
         """
-        from kempe.assemble.dyads import closed_form
+        from kempe.assemble.dyads import find_closed_form
 
-        return closed_form(self.system, known)
+        return find_closed_form(self.system, known)
 
     @explain_errors
     def jacobian(
@@ -308,9 +308,9 @@ class Loops(Namespace):
 
         See `kempe.mobility.relative_motion`.
         """
-        from kempe.mobility.relative_motion import relative_motion
+        from kempe.mobility.relative_motion import find_relative_motion
 
-        return relative_motion(self.system, q, body, to, tolerance=tolerance)
+        return find_relative_motion(self.system, q, body, to, tolerance=tolerance)
 
     @explain_errors
     def transmission_angle(

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 import kempe
 from kempe import Mechanism
-from kempe.assemble.dyads import Incomplete, Plan, closed_form, on_branch
+from kempe.assemble.dyads import Incomplete, Plan, find_closed_form, solve_branch
 from kempe.equations import closure_rows
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 
@@ -26,7 +26,7 @@ seeds = st.integers(0, 2**32)
 
 
 def plan_of(system, *known) -> Plan:
-    plan = closed_form(system, known)
+    plan = find_closed_form(system, known)
     assert isinstance(plan, Plan), str(plan)
     return plan
 
@@ -126,14 +126,14 @@ def test_five_bar_with_both_cranks_known():
         assert {complex(*np.round(t[:2], 12)) for t in pair} == {
             complex(np.round(z, 12)) for z in by_hand
         }
-    assert isinstance(closed_form(system, ["A"]), Incomplete)
+    assert isinstance(find_closed_form(system, ["A"]), Incomplete)
 
 
 @pytest.mark.parametrize("name", ["bennett", "rssr", "delta_uu"])
 def test_what_has_no_closed_form_says_so_when_it_is_used(name):
     """All that a plan has: the reason, and what to ask in its place."""
     system = kempe.load(name)
-    none = closed_form(system, [system.coordinate_names[0]])
+    none = find_closed_form(system, [system.coordinate_names[0]])
     assert isinstance(none, Incomplete) and "is not planar" in none.describe()
     for use in ("formulas", "solve", "close", "all", "heights", "branch_of"):
         assert hasattr(Plan, use)
@@ -560,8 +560,8 @@ def test_gears_drive_and_are_driven():
     assert ok.all()
     assert_closed(system, q)
     with pytest.raises(InputError, match="follows 'A'"):
-        closed_form(system, ["E"])
-    assert np.abs(on_branch(system, {"E": -2.0 + 0.4}, "+") - q[0]).max() < 1e-14
+        find_closed_form(system, ["E"])
+    assert np.abs(solve_branch(system, {"E": -2.0 + 0.4}, "+") - q[0]).max() < 1e-14
 
 
 def test_a_follower_that_contradicts_is_open():
@@ -659,24 +659,24 @@ def test_describe_names_what_signs_mean():
 
 def test_what_is_left_over_is_named():
     three = kempe.load("three_rrr")
-    answer = closed_form(three, ["A1", "A2", "A3"])
+    answer = find_closed_form(three, ["A1", "A2", "A3"])
     assert not answer and "platform" in answer.bodies and "higher class" in str(answer)
-    answer = closed_form(three, ["A1", "A2"])
+    answer = find_closed_form(three, ["A1", "A2"])
     assert not answer and "1 more coordinate must be known" in str(answer)
     arm = kempe.load("panda")
-    assert "not planar" in str(closed_form(arm, []))
+    assert "not planar" in str(find_closed_form(arm, []))
     m = Mechanism("block", dim=2)
     m.planar("P", m.ground, m.body("b"))
-    assert "planar" in str(closed_form(m.build(), ["P.x"]))
+    assert "planar" in str(find_closed_form(m.build(), ["P.x"]))
 
 
 def test_refused_arguments():
     system = four_bar()
     plan = plan_of(system, "A")
     with pytest.raises(UnknownNameError, match="did you mean"):
-        closed_form(kempe.load("three_rpr"), ["S11"])
+        find_closed_form(kempe.load("three_rpr"), ["S11"])
     for call in (
-        lambda: closed_form(system, ["A", "A"]),
+        lambda: find_closed_form(system, ["A", "A"]),
         lambda: plan.solve([0.1, 0.2]),
         lambda: plan.solve(0.1),
         lambda: plan.solve("x"),
@@ -692,7 +692,7 @@ def test_refused_arguments():
 
 def test_the_plan_is_made_once_and_can_be_pickled():
     system = four_bar()
-    assert closed_form(system, "A") is closed_form(system, ("A",))
+    assert find_closed_form(system, "A") is find_closed_form(system, ("A",))
     plan = pickle.loads(pickle.dumps(plan_of(system, "A")))
     assert np.array_equal(plan.solve([0.4])[0], plan_of(system, "A").solve([0.4])[0])
 

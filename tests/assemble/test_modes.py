@@ -16,15 +16,15 @@ from linkages import four_bar
 import kempe
 from kempe import Mechanism, System
 from kempe.answers.problem import Problem
-from kempe.assemble.dyads import closed_form
+from kempe.assemble.dyads import find_closed_form
 from kempe.assemble.modes import (
     SOLVERS,
     Modes,
     assembly_modes,
-    by_dyads,
     estimate_coverage,
+    explain_missing_dyads,
+    find_modes_by_dyads,
     find_modes_by_starts,
-    no_dyads,
 )
 from kempe.assemble.same_configuration import get_metric
 from kempe.errors import InputError, UnknownNameError
@@ -94,7 +94,7 @@ def test_every_closed_branch_of_a_random_chain_is_there_once(seed):
     system = chain.system()
     known = {k: chain.values[k] for k in chain.known}
     modes = assembly_modes(system, known, start=system.q(chain.values))
-    plan = closed_form(system, tuple(known))
+    plan = find_closed_form(system, tuple(known))
     assert plan and modes.multiplicity.sum() == plan.all([*known.values()])[1].sum()
     assert np.abs(modes.q[0] - system.q(chain.values)).max() < 1e-7, "sorted, the nearest first"
     signs = "".join("+" if s > 0 else "-" for s in plan.branch_of(system.q(chain.values)))
@@ -304,7 +304,7 @@ def check_integer_chain(system: System, starts: np.random.Generator) -> int:
     """What is called complete has the drawn configuration, and all that least squares find; 1 if it
     is.
     """
-    if no_dyads(Problem(system, "all", {"A": 0.0})) is not None:
+    if explain_missing_dyads(Problem(system, "all", {"A": 0.0})) is not None:
         return 0
     modes = system.assembly_modes({"A": 0.0})
     if modes.complete:
@@ -427,7 +427,7 @@ def platform_angles(base, platform, lengths) -> np.ndarray:
 def test_three_rpr_has_up_to_six_modes(base, platform, lengths, count):
     system = three_rpr(base, platform)
     known = {f"S{i + 1}": x for i, x in enumerate(lengths)}
-    assert not closed_form(system, tuple(known))
+    assert not find_closed_form(system, tuple(known))
     expected = platform_angles(base, platform, lengths)
     assert len(expected) == count
     modes = assembly_modes(system, known)
@@ -493,7 +493,7 @@ def test_shaky_is_not_called_moving():
     question = question_of(m.build(), {})
     modes = find_modes_by_starts(question)
     assert not modes.freedoms.any() and len(modes) == 1
-    assert no_dyads(question) is None and len(by_dyads(question)) == 1
+    assert explain_missing_dyads(question) is None and len(find_modes_by_dyads(question)) == 1
 
 
 @pytest.mark.parametrize(("requested", "limit"), [(None, 120.0), (5.0, 5.0), (math.inf, None)])

@@ -7,7 +7,7 @@ import pytest
 from dyad_chains import random_chain
 
 from kempe.assemble.dyad_decomposition import Code
-from kempe.assemble.dyads import Plan, closed_form
+from kempe.assemble.dyads import Plan, find_closed_form
 from kempe.kernels.compiled import dyads_program
 from kempe.kernels.dyads import dyads_layout as K
 
@@ -26,7 +26,7 @@ def random_pose(rng):
 
 def run(code: Code, known, values, near=None, signs=None):
     """q and status of a program whose known coordinates come first."""
-    ints, floats = code.pack(list(range(known)))
+    ints, floats = code.pack_arrays(list(range(known)))
     q = np.full((len(values), code.nq), 7.0)
     status = np.full((len(values), 3), 7.0)
     near = np.zeros((1, code.nq)) if near is None else near
@@ -37,8 +37,14 @@ def run(code: Code, known, values, near=None, signs=None):
 
 def reading(code: Code, a: int, b: int, slot: int, limits=(-np.inf, np.inf)) -> None:
     """Let the coordinate be the angle of part b seen from part a, whose origins should coincide."""
-    ints = [code.register(a), code.register(b), code.coordinate(slot), code.target(slot), 0]
-    code.append(K.READ_TURN, ints, [1, 0, 1, 0, 2 * np.pi, *limits, 0, 0, 0, 0, 1])
+    ints = [
+        code.get_register(a),
+        code.get_register(b),
+        code.get_coordinate(slot),
+        code.get_target(slot),
+        0,
+    ]
+    code.append_operation(K.READ_TURN, ints, [1, 0, 1, 0, 2 * np.pi, *limits, 0, 0, 0, 0, 1])
 
 
 @pytest.mark.parametrize("n", SIZES)
@@ -47,12 +53,16 @@ def test_turns_and_slides_are_products_of_matrices(n):
     rng = np.random.default_rng(n)
     code = Code(3, 4)
     places = [random_pose(rng) for _ in range(4)]
-    r = code.register
-    code.append(K.TURN, [r(1), r(0), code.coordinate(0)], [2.0, *places[0], *places[1]])
-    code.append(K.SLIDE, [r(2), r(1), code.coordinate(1)], [-1.5, *places[2], *places[3]])
+    r = code.get_register
+    code.append_operation(
+        K.TURN, [r(1), r(0), code.get_coordinate(0)], [2.0, *places[0], *places[1]]
+    )
+    code.append_operation(
+        K.SLIDE, [r(2), r(1), code.get_coordinate(1)], [-1.5, *places[2], *places[3]]
+    )
     reading(code, 0, 2, 2)
-    ints = [r(0), r(2), code.coordinate(3), code.target(3), 0]
-    code.append(K.READ_SLIDE, ints, [0, 0, 1, 0, 0, 0, 1, 0, 1, 0, 1, 0])
+    ints = [r(0), r(2), code.get_coordinate(3), code.get_target(3), 0]
+    code.append_operation(K.READ_SLIDE, ints, [0, 0, 1, 0, 0, 0, 1, 0, 1, 0, 1, 0])
     values = rng.uniform(-2, 2, (n, 2))
     q, status = run(code, 2, values)
     A, B, C, D = (matrix(*p) for p in places)
@@ -77,10 +87,10 @@ def test_registers_are_carried_and_turned_round():
         (K.REBASE, inverse(XA) @ XB),
     ):
         code = Code(4, 2)
-        r = code.register
-        code.append(K.TURN, [r(1), r(0), code.coordinate(0)], [0.0, *A, *IDENTITY])
-        code.append(K.TURN, [r(2), r(0), code.coordinate(0)], [0.0, *B, *IDENTITY])
-        code.append(op, [r(1), r(2)] if op != K.REBASE else [r(1), r(2), r(3), r(1)])
+        r = code.get_register
+        code.append_operation(K.TURN, [r(1), r(0), code.get_coordinate(0)], [0.0, *A, *IDENTITY])
+        code.append_operation(K.TURN, [r(2), r(0), code.get_coordinate(0)], [0.0, *B, *IDENTITY])
+        code.append_operation(op, [r(1), r(2)] if op != K.REBASE else [r(1), r(2), r(3), r(1)])
         reading(code, 0, 1, 1)
         q, status = run(code, 1, np.zeros((1, 1)))
         assert abs(q[0, 1] - np.arctan2(expected[1, 0], expected[0, 0])) < 1e-14
@@ -94,11 +104,11 @@ def test_registers_are_carried_and_turned_round():
 
 def test_sums_and_expectations():
     code = Code(1, 2)
-    code.append(K.SET, [code.coordinate(1)], [0.25])
-    code.append(K.ADD, [code.coordinate(1), code.coordinate(0)], [-3.0])
-    code.append(K.SET, [K.SPARE], [-1.0])
-    code.append(K.ADD, [K.SPARE, code.coordinate(1)], [1.0])
-    code.append(K.EXPECT_ZERO, [K.SPARE], [2.0])
+    code.append_operation(K.SET, [code.get_coordinate(1)], [0.25])
+    code.append_operation(K.ADD, [code.get_coordinate(1), code.get_coordinate(0)], [-3.0])
+    code.append_operation(K.SET, [K.SPARE], [-1.0])
+    code.append_operation(K.ADD, [K.SPARE, code.get_coordinate(1)], [1.0])
+    code.append_operation(K.EXPECT_ZERO, [K.SPARE], [2.0])
     q, status = run(code, 1, np.array([[0.5], [-0.25]]))
     assert q[:, 1].tolist() == [-1.25, 1.0] and status[:, 0].tolist() == [4.5, 0.0]
 
@@ -109,8 +119,8 @@ def test_sums_and_expectations():
 def test_representatives(low, high):
     """Nearest to the target; then inside the limits, where a whole number of turns leads there."""
     code = Code(2, 2)
-    r = code.register
-    code.append(K.TURN, [r(1), r(0), code.coordinate(0)], [1.0, *IDENTITY, *IDENTITY])
+    r = code.get_register
+    code.append_operation(K.TURN, [r(1), r(0), code.get_coordinate(0)], [1.0, *IDENTITY, *IDENTITY])
     reading(code, 0, 1, 1, (low, high))
     rng = np.random.default_rng(2)
     values = rng.uniform(-3, 3, (200, 1))
@@ -134,8 +144,8 @@ def test_lanes_do_not_depend_on_each_other():
     stay as they are.
     """
     code = Code(2, 2)
-    r = code.register
-    code.append(K.TURN, [r(1), r(0), code.coordinate(0)], [1.0, *IDENTITY, *IDENTITY])
+    r = code.get_register
+    code.append_operation(K.TURN, [r(1), r(0), code.get_coordinate(0)], [1.0, *IDENTITY, *IDENTITY])
     reading(code, 0, 1, 1)
     values = np.random.default_rng(3).uniform(-3, 3, (20, 1))
     clean = run(code, 1, values)
@@ -155,13 +165,13 @@ def test_the_margin_is_the_sine_of_the_angle_between_the_links(kind):
     for seed in range(10):
         chain = random_chain(seed, (kind,), most=1, variable=False)
         system = chain.system()
-        plan = closed_form(system, chain.known)
+        plan = find_closed_form(system, chain.known)
         assert isinstance(plan, Plan)
         start = system.q(chain.values)
         values = np.array([[chain.values[name] for name in plan.known]])
-        q, status = plan._run(values, plan.branch_of(start)[None], start[None])
+        q, status = plan._run_program(values, plan.branch_of(start)[None], start[None])
         X = system.fk(q[0])
-        first, line, last = (plan._place(X, end) for end in plan.dyads[-1].ends)
+        first, line, last = (plan._locate_line(X, end) for end in plan.dyads[-1].ends)
         a = last[0] - first[0]
         if plan.dyads[-1].along:
             expected = abs(line[1] @ a) / np.linalg.norm(a)

@@ -13,8 +13,8 @@ import sympy
 from hunts import Hunt, some
 from pfaffian import SYSTEMS, Pfaffian, at_point, bracket, fields, growth_by_symbols, trailers
 
-from kempe.mobility.classify import EvaluationPoint, Reach, random_place, reach
-from kempe.mobility.growth_vectors import Words, distribution, growth
+from kempe.mobility.classify import EvaluationPoint, Reach, compute_reach, sample_nearby_point
+from kempe.mobility.growth_vectors import Words, compute_distribution, compute_growth
 
 CHEAP = [name for name in SYSTEMS if name != "three trailers"]
 
@@ -24,7 +24,7 @@ def reached(system: Pfaffian, q: object, seed: int = 0) -> Reach:
     rows = system.rows()
     rng = np.random.default_rng(seed)
     place = EvaluationPoint(rows, np.array(q, dtype=float), 0.0, (), lambda q: q)
-    return reach(place, random_place(place, rng), range(len(rows.names)), rng)
+    return compute_reach(place, sample_nearby_point(place, rng), range(len(rows.names)), rng)
 
 
 def words_by_symbols(
@@ -53,12 +53,12 @@ def test_words_are_those_of_sympy(name: str, hunt: Hunt) -> None:
     system = SYSTEMS[name]
     rng = hunt.rng()
     q = rng.uniform(0.2, 1.2, size=len(system.names))
-    at = distribution(system.rows(), q)
+    at = compute_distribution(system.rows(), q)
     length = 4 if len(q) < 5 else 3
     free = np.flatnonzero(at.pivots < 0)
     words = Words(at, rng)
     letters = rng.normal(size=(length, len(free)))
-    found, noise = words.of((letters @ np.eye(len(q))[free])[None])
+    found, noise = words.evaluate_brackets((letters @ np.eye(len(q))[free])[None])
     for k, exact in enumerate(words_by_symbols(system, q, free.tolist(), letters)):
         error = float(np.max(np.abs(found[0, length - 1 - k] - exact)))
         assert error <= 10.0 * noise[0, length - 1 - k] + 1e-17, (k, error)
@@ -129,7 +129,7 @@ def test_growth_is_that_of_all_brackets_of_sympy(name: str) -> None:
     system = SYSTEMS[name]
     for q, here, _ in [cases[name] for cases in (LITERATURE, SINGULAR) if name in cases]:
         point = np.array(q)
-        free = np.flatnonzero(distribution(system.rows(), point).pivots < 0).tolist()
+        free = np.flatnonzero(compute_distribution(system.rows(), point).pivots < 0).tolist()
         assert growth_by_symbols(system, point, free, len(here)) == here
 
 
@@ -179,7 +179,7 @@ def test_growth_of_trailers(n: int, hunt: Hunt) -> None:
     for _ in range(hunt.cases(170)):
         q = rng.uniform(-2, 2, size=3 + n)
         q[3:] = q[2] + np.cumsum(rng.uniform(-1.1, 1.1, size=n))
-        found = growth(distribution(rows, q), rng, n + 3, False)
+        found = compute_growth(compute_distribution(rows, q), rng, n + 3, False)
         assert (found.dimensions, found.doubtful) == (tuple(range(2, 4 + n)), False)
 
 

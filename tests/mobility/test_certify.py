@@ -21,7 +21,7 @@ from kempe.equations.closure_rows import compute_residual
 from kempe.first_order.counting import compute_group_basis, fills_group
 from kempe.mobility import dof_proofs
 from kempe.mobility.answer import Mobility
-from kempe.mobility.local_dimension import local_dimension
+from kempe.mobility.local_dimension import find_local_dimension
 from kempe.mobility.mobility import mobility
 from kempe.model.ball_angles import make_regular_chart
 from kempe.numerics.newton import make_certificate
@@ -196,12 +196,13 @@ def test_freedoms_of_a_chart_are_no_freedoms(free, hunt):
             other.redundant,
         )
         assert (
-            m.dof == max((6 if free else 3) - rods, 0) and local_dimension(system, q).dim == m.dof
+            m.dof == max((6 if free else 3) - rods, 0)
+            and find_local_dimension(system, q).dim == m.dof
         )
         assert (
             max(
                 np.abs(compute_residual(system, found.q)).max()
-                for found in (m, local_dimension(system, q))
+                for found in (m, find_local_dimension(system, q))
             )
             < 1e-9
         )
@@ -343,12 +344,14 @@ def test_common_zeros_of_quadratic_forms(dim):
     x = np.eye(3)
     pairs = [np.outer(x[i], x[k]) + np.outer(x[k], x[i]) for i, k in ((0, 1), (1, 2), (0, 2))]
     rng = np.random.default_rng(0)
-    assert dof_proofs._no_zero(np.array(pairs), dim, rng) == (dim < 3)
-    assert dof_proofs._no_zero(np.array([*pairs, np.diag([1.0, 2.0, 3.0])]), dim, rng)
+    assert dof_proofs._has_no_zero(np.array(pairs), dim, rng) == (dim < 3)
+    assert dof_proofs._has_no_zero(np.array([*pairs, np.diag([1.0, 2.0, 3.0])]), dim, rng)
     sphere = np.array([np.eye(3), np.diag([1.0, 2.0, 3.0]), np.diag([1.0, 4.0, 9.0])])
-    assert dof_proofs._no_zero(sphere, dim, rng)
-    assert not dof_proofs._no_zero(sphere[:2], 3, rng)  # no real zero, but complex ones
-    assert dof_proofs._definite(sphere[:2], rng) and not dof_proofs._definite(np.array(pairs), rng)
+    assert dof_proofs._has_no_zero(sphere, dim, rng)
+    assert not dof_proofs._has_no_zero(sphere[:2], 3, rng)  # no real zero, but complex ones
+    assert dof_proofs._has_definite_combination(
+        sphere[:2], rng
+    ) and not dof_proofs._has_definite_combination(np.array(pairs), rng)
 
 
 def test_groups_are_filled_or_not():

@@ -13,7 +13,7 @@ from kempe import library
 from kempe.equations import closure_rows
 from kempe.errors import InputError, UnknownNameError
 from kempe.joints import TYPES
-from kempe.mobility.independent import WORST, Chart, tangent_space
+from kempe.mobility.independent import WORST, Chart, compute_tangent_space
 
 SYSTEMS = {
     "four_bar": 1,
@@ -111,7 +111,7 @@ def test_a_batch_of_parameters():
 def test_the_tangent_space_is_the_kernel():
     s = kempe.load("stewart")
     q = s.q("closed")
-    N, scale = tangent_space(s, q)
+    N, scale = compute_tangent_space(s, q)
     np.testing.assert_allclose(N.T @ N, np.eye(6), atol=1e-12)
     assert np.abs(closure_rows.compute_jacobian(s, q) @ (scale[:, None] * N)).max() < 1e-12
 

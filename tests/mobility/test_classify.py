@@ -19,8 +19,8 @@ from kempe import Mechanism, constraints
 from kempe.equations.closure_rows import evaluate_constraints
 from kempe.equations.velocity import evaluate_velocity_rows, record_tangent_rows
 from kempe.errors import InputError, UnsupportedError
-from kempe.mobility.classify import EvaluationPoint, moved_place
-from kempe.mobility.growth_vectors import distribution
+from kempe.mobility.classify import EvaluationPoint, sample_reachable_point
+from kempe.mobility.growth_vectors import compute_distribution
 from kempe.spatial import Array
 from kempe.system import System
 
@@ -126,7 +126,7 @@ def test_equations_of_velocity_against_symbols(name: str, hunt: Hunt) -> None:
     system = sliding(given.names, given.text)
     q = rng.uniform(0.2, 1.2, size=len(given.names))
     found = system.classify(q)
-    free = np.flatnonzero(distribution(given.rows(), q).pivots < 0).tolist()
+    free = np.flatnonzero(compute_distribution(given.rows(), q).pivots < 0).tolist()
     growth = growth_by_symbols(given, q, free, len(found.growth or ()))
     assert found.growth == growth[: len(found.growth or ())]
     assert (found.kind == "integrable") == (len(set(growth)) == 1)
@@ -532,7 +532,7 @@ def test_random_motions_keep_what_their_rows_hold(times: int) -> None:
     rng = np.random.default_rng(times)
     place = EvaluationPoint(rows, q, 0.0, tuple(range(len(rows.names))), lambda q: q)
     for _ in range(times):
-        place = moved_place(place, (), rng)
+        place = sample_reachable_point(place, (), rng)
     assert (
         np.abs(evaluate_constraints(system, place.q)[0]).max() < 1e-9
         and np.abs(place.q - q).max() > 0.1

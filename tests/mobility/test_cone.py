@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from cones import Exact, null_space
 
-from kempe.mobility.one_sided import ConeDirections, tangent_cone
+from kempe.mobility.one_sided import ConeDirections, compute_tangent_cone
 
 
 def rows_of(rng, k, n, size):
@@ -60,7 +60,7 @@ def agrees(n, E, G, C, probes, turn):
     assert C.rays is not None
     assert len(C.rays) == len(exact.rays)
     for row in [*probes, *G]:
-        assert C.ways(turn @ np.array([float(x) for x in row])) == exact.ways(row)
+        assert C.find_directions(turn @ np.array([float(x) for x in row])) == exact.ways(row)
 
 
 @pytest.mark.parametrize("number", [250, pytest.param(1000, marks=pytest.mark.slow)])
@@ -72,7 +72,7 @@ def test_cones_of_random_rows(hunt, number):
         probes = rows_of(rng, 3, n, 2)
         turn = np.linalg.qr(rng.normal(size=(n, n)))[0]
         scale = 10.0 ** rng.uniform(-1, 1, (len(G), 1))
-        C = tangent_cone(floats(E, n) @ turn.T, scale * (floats(G, n) @ turn.T))
+        C = compute_tangent_cone(floats(E, n) @ turn.T, scale * (floats(G, n) @ turn.T))
         agrees(n, E, G, C, probes, turn)
 
 
@@ -80,7 +80,7 @@ def test_rays_are_edges(hunt):
     rng = hunt.rng()
     for _ in range(hunt.cases(200)):
         n, E, G = case(rng)
-        C = tangent_cone(floats(E, n), floats(G, n))
+        C = compute_tangent_cone(floats(E, n), floats(G, n))
         assert C.rays is not None
         assert np.all(C.rays @ floats(G, n).T > -1e-12)
         assert np.allclose(C.rays @ floats(E, n).T, 0.0)
@@ -99,7 +99,7 @@ def test_rays_are_edges(hunt):
     ],
 )
 def test_contacts_of_a_point(G, dimension, lineality, implicit, redundant):
-    C = tangent_cone(np.zeros((0, 3)), np.array(G, dtype=float))
+    C = compute_tangent_cone(np.zeros((0, 3)), np.array(G, dtype=float))
     assert (C.dimension, C.lineality, C.implicit, C.redundant) == (
         dimension,
         lineality,
@@ -109,29 +109,31 @@ def test_contacts_of_a_point(G, dimension, lineality, implicit, redundant):
 
 
 def test_up_but_not_down():
-    C = tangent_cone(np.zeros((0, 3)), np.array([[0.0, 0, 1]]))
-    assert C.ways([0, 0, 1]) == ConeDirections(down=False, up=True)
-    assert C.ways([1, 0, 0]) == ConeDirections(down=True, up=True)
+    C = compute_tangent_cone(np.zeros((0, 3)), np.array([[0.0, 0, 1]]))
+    assert C.find_directions([0, 0, 1]) == ConeDirections(down=False, up=True)
+    assert C.find_directions([1, 0, 0]) == ConeDirections(down=True, up=True)
     assert C.exact
 
 
 def test_a_row_that_vanishes_says_nothing_to_first_order():
-    C = tangent_cone(np.zeros((0, 2)), np.array([[0.0, 3e-8]]))
+    C = compute_tangent_cone(np.zeros((0, 2)), np.array([[0.0, 3e-8]]))
     assert (C.dimension, C.lineality, C.vanishing, C.exact) == (2, 2, (0,), False)
 
 
 @pytest.mark.parametrize("opening", [1e-2, 1e-4, 1e-5])
 def test_a_narrow_wedge_is_open(opening):
-    C = tangent_cone(np.zeros((0, 2)), np.array([[opening, 1.0], [opening, -1.0]]))
+    C = compute_tangent_cone(np.zeros((0, 2)), np.array([[opening, 1.0], [opening, -1.0]]))
     assert (C.dimension, C.lineality, C.implicit) == (2, 0, ())
-    C = tangent_cone(np.zeros((0, 2)), np.array([[opening, 1.0], [opening, -1.0], [1.0, 0.0]]))
+    C = compute_tangent_cone(
+        np.zeros((0, 2)), np.array([[opening, 1.0], [opening, -1.0], [1.0, 0.0]])
+    )
     assert (C.dimension, C.lineality, C.implicit, C.redundant) == (2, 0, (), (2,))
 
 
 @pytest.mark.parametrize("opening", [0.0, 1e-9, -1e-9])
 def test_a_wedge_closed_to_rounding_is_closed(opening):
     G = np.array([[opening, 1.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
-    C = tangent_cone(np.zeros((0, 3)), G)
+    C = compute_tangent_cone(np.zeros((0, 3)), G)
     assert (C.dimension, C.lineality, C.implicit) == (2, 1, (0, 1))
 
 
@@ -141,8 +143,8 @@ def test_many_rows_list_no_rays_but_answer(hunt):
     normals = rng.normal(size=(60, 4))
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     G = np.column_stack([normals, np.ones(60)])
-    C = tangent_cone(np.zeros((0, 5)), G)
+    C = compute_tangent_cone(np.zeros((0, 5)), G)
     assert C.rays is None
     assert (C.dimension, C.lineality) == (5, 0)
-    assert C.ways([0, 0, 0, 0, 1]) == ConeDirections(down=False, up=True)
-    assert C.ways([1, 0, 0, 0, 0]) == ConeDirections(down=True, up=True)
+    assert C.find_directions([0, 0, 0, 0, 1]) == ConeDirections(down=False, up=True)
+    assert C.find_directions([1, 0, 0, 0, 0]) == ConeDirections(down=True, up=True)

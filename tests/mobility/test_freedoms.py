@@ -16,7 +16,7 @@ from scipy.integrate import solve_ivp
 import kempe
 from kempe import Mechanism, tasks
 from kempe.errors import InputError
-from kempe.mobility.local_dimension import local_dimension
+from kempe.mobility.local_dimension import find_local_dimension
 
 RANK_LOST = "to first order only (the Jacobian loses rank here)"
 
@@ -221,7 +221,7 @@ def test_freedoms_are_those_of_the_mechanism_with_the_tip_pinned(axes, q, finite
     answer = s.ik(tasks.Position("tip", p), start=q)
     closed = arm(axes, lengths, p)
     there = closed.assemble({f"q{i + 1}": x for i, x in enumerate(q)}).q
-    local = local_dimension(closed, there)
+    local = find_local_dimension(closed, there)
     assert (answer.redundancy, finite) == (local.rank_dim, local.dim)
     said = answer.status.partition("; ")[2]
     assert ("Jacobian loses rank" in said) == (local.dim != local.rank_dim)

@@ -192,9 +192,9 @@ def test_functions_without_series():
     with pytest.raises(
         UnsupportedError, match="'law' is a Python function that cannot be recorded"
     ):
-        from kempe.mobility.local_dimension import local_dimension
+        from kempe.mobility.local_dimension import find_local_dimension
 
-        local_dimension(s, np.zeros(2))
+        find_local_dimension(s, np.zeros(2))
 
 
 @pytest.mark.parametrize("count", [30, pytest.param(1000, marks=pytest.mark.slow)])

@@ -22,7 +22,7 @@ from kempe import Mechanism, System, constraints
 from kempe.equations import closure_rows
 from kempe.errors import InputError
 from kempe.mobility import lyapunov_schmidt
-from kempe.mobility.local_dimension import LocalDimension, local_dimension, sampled_dimension
+from kempe.mobility.local_dimension import LocalDimension, find_local_dimension, sample_dimension
 from kempe.mobility.local_equations import Equations
 
 # ---- small mechanisms, drawn at a scale, mirrored or not, cut anywhere
@@ -109,7 +109,7 @@ def tripod(
 
 def of_library(name: str, posture: str) -> LocalDimension:
     system = kempe.load(name)
-    return local_dimension(system, system.q(posture))
+    return find_local_dimension(system, system.q(posture))
 
 
 @pytest.mark.parametrize("case", PLANAR + SINGULAR, ids=str)
@@ -185,7 +185,7 @@ def test_branches_are_the_motions_in_closed_form(name):
 
 def test_stretched_bars_are_isolated_of_the_second_order():
     system, q = flat([1, 1, 2], [1, 1])
-    found = local_dimension(system, q)
+    found = find_local_dimension(system, q)
     assert (found.rank_dim, found.dim, found.obstruction_order, found.isolated) == (1, 0, 2, True)
     assert found.branches == () and not found.smooth and found.certain
     assert "shaky of order 1" in str(found)
@@ -199,10 +199,10 @@ def test_leading_coefficient_of_stretched_bars():
     b = 1.6
     system, q = flat([a, b, a + b], [1, 1])
     equations = Equations(system)
-    at = lyapunov_schmidt.split(equations, q)
-    g = lyapunov_schmidt._solve(equations, at, lyapunov_schmidt.lines(np.ones((1, 1)), 4), None)[0][
-        0
-    ]
+    at = lyapunov_schmidt.split_equations(equations, q)
+    g = lyapunov_schmidt._solve_coefficients(
+        equations, at, lyapunov_schmidt.make_lines(np.ones((1, 1)), 4), None
+    )[0][0]
     turn = at.null_space[list(system.structure.velocity_names).index("j0"), 0]  # of the first bar
     assert abs(g[2, 0]) == pytest.approx(
         0.5 * (a * turn) ** 2 * (1 / a + 1 / b) / equations.length, rel=1e-12
@@ -211,7 +211,7 @@ def test_leading_coefficient_of_stretched_bars():
 
 
 def test_dead_centres_in_a_row_are_isolated_of_the_fourth_order():
-    found = local_dimension(*dead_centres_in_a_row())
+    found = find_local_dimension(*dead_centres_in_a_row())
     assert (found.rank_dim, found.dim, found.obstruction_order) == (1, 0, 4) and found.certain
     assert found.sampled == 0
 
@@ -219,7 +219,7 @@ def test_dead_centres_in_a_row_are_isolated_of_the_fourth_order():
 @pytest.mark.parametrize(("second", "turned"), [(1.0, True), (0.6, False)])
 def test_double_watt_has_a_cusp(second, turned):
     """Connelly and Servatius, 1994: it moves, but along no curve with a velocity."""
-    found = local_dimension(*double_watt(second, turned))
+    found = find_local_dimension(*double_watt(second, turned))
     assert (found.rank_dim, found.dim, found.branch_dims) == (2, 1, (1,)), str(found)
     assert found.branches[0].cusp and found.branches[0].ends == 2 and found.certain
     assert "cusp" in str(found)
@@ -229,7 +229,7 @@ def test_branches_that_touch_too_closely_are_not_counted():
     """Two equal linkages of Watt: the bar translates, or turns by a fourth power: two curves that
     nearly coincide.
     """
-    found = local_dimension(*double_watt(1.0, False))
+    found = find_local_dimension(*double_watt(1.0, False))
     assert (found.rank_dim, found.dim) == (2, 1)
     assert not found.counted and "nearly coincide" in str(found)
 
@@ -245,15 +245,15 @@ def beside_a_pendulum(system: System, q: np.ndarray) -> tuple[System, np.ndarray
 @pytest.mark.parametrize("seed", some(range(5), 3))
 def test_a_pendulum_beside_shaky_structures(seed):
     """One freedom, shaky everywhere, also of the fourth order, whose roots are known to 1e-4 only."""
-    found = local_dimension(*beside_a_pendulum(*flat([1, 1.5, 2.5], [1, 1])), rng=seed)
+    found = find_local_dimension(*beside_a_pendulum(*flat([1, 1.5, 2.5], [1, 1])), rng=seed)
     assert key(found) == (1, 2, 2, [1], False) and found.certain and found.branches[0].multiple
-    found = local_dimension(*beside_a_pendulum(*dead_centres_in_a_row()), rng=seed)
+    found = find_local_dimension(*beside_a_pendulum(*dead_centres_in_a_row()), rng=seed)
     assert (found.rank_dim, found.dim, found.obstruction_order) == (2, 1, 4)
 
 
 def test_four_stretched_bars_are_rigid_though_the_rank_says_two():
     system, q = flat([1, 1, 1, 3], [1, 1, 1])
-    found = local_dimension(system, q)
+    found = find_local_dimension(system, q)
     assert (found.rank_dim, found.dim, found.sampled) == (2, 0, 0) and found.certain
 
 
@@ -274,7 +274,7 @@ def test_flat_four_bars(lengths, signs, dims):
     branches cross.
     """
     system, q = flat(lengths, signs)
-    found = local_dimension(system, q)
+    found = find_local_dimension(system, q)
     assert found.rank_dim == 2 and found.branch_dims == dims and found.certain, str(found)
     assert all(b.ends == 2 and not b.cusp for b in found.branches)
 
@@ -298,7 +298,7 @@ def test_flat_loops_by_the_signature_of_their_quadratic_form(seed, links):
     eigen = np.linalg.eigvalsh(plane @ np.diag(w) @ plane.T)
     assume(w.sum() >= 0.3 and np.abs(eigen).min() >= 0.1)
     system, q = flat([*lengths, w.sum()], signs.tolist())
-    found = local_dimension(system, q, rng=seed)
+    found = find_local_dimension(system, q, rng=seed)
     assert (found.rank_dim, found.obstruction_order, found.certain) == (links - 1, 2, True), str(
         found
     )
@@ -336,7 +336,7 @@ def test_random_mechanisms_of_three_loops(seed, bars):
     m = tripod(seed, bars)
     system = m.build()
     assert len(system.structure.closures) == 3
-    found = local_dimension(system, system.neutral)
+    found = find_local_dimension(system, system.neutral)
     expected = freedoms_of_bodies(m)
     assert found.rank_dim == expected
     # at random points a part with more constraints than it needs is rigid: then all first-order
@@ -367,21 +367,21 @@ def test_a_flat_parallelogram_anyhow(power, mirrored, cut, seed):
     system, q = flat(
         [1, 2, 1, 2], [1, 1, -1], scale=10.0**power, mirrored=mirrored, cut=cut, name="any "
     )
-    found = local_dimension(system, q, rng=seed)
+    found = find_local_dimension(system, q, rng=seed)
     assert key(found) == (1, 2, 2, [1, 1], False) and found.certain
 
 
 @settings(max_examples=examples(6), deadline=None)
 @given(st.floats(-3, 3), st.booleans(), st.sampled_from(["", "j2", "j3", "j4", "j5"]))
 def test_dead_centres_anyhow(power, mirrored, cut):
-    found = local_dimension(*dead_centres_in_a_row(10.0**power, mirrored, cut))
+    found = find_local_dimension(*dead_centres_in_a_row(10.0**power, mirrored, cut))
     assert key(found) == (0, 1, 4, [], False) and found.certain
 
 
 @settings(max_examples=examples(6), deadline=None)
 @given(st.floats(-3, 3), st.booleans(), st.sampled_from(["m1", "m2", "l1", "l2"]))
 def test_a_cusp_anyhow(power, mirrored, cut):
-    found = local_dimension(*double_watt(0.7, False, 10.0**power, mirrored, cut))
+    found = find_local_dimension(*double_watt(0.7, False, 10.0**power, mirrored, cut))
     assert key(found) == (1, 2, 2, [1], False) and found.branches[0].cusp
 
 
@@ -390,8 +390,8 @@ def test_a_cusp_anyhow(power, mirrored, cut):
 def test_random_mechanisms_anyhow(seed, power, mirrored):
     plain = tripod(seed, 6).build()
     other = tripod(seed, 6, 10.0**power, mirrored, flip=True).build()
-    one = local_dimension(plain, plain.neutral)
-    two = local_dimension(other, other.neutral)
+    one = find_local_dimension(plain, plain.neutral)
+    two = find_local_dimension(other, other.neutral)
     assert key(one) == key(two)
 
 
@@ -399,18 +399,20 @@ def test_random_mechanisms_anyhow(seed, power, mirrored):
 def test_an_overconstrained_loop_away_from_its_library_posture(name):
     """Assembled anew elsewhere on the same motion it is the same."""
     system = kempe.load(name)
-    first = local_dimension(system, system.q("closed"))
-    at = lyapunov_schmidt.split(Equations(system), first.q)
+    first = find_local_dimension(system, system.q("closed"))
+    at = lyapunov_schmidt.split_equations(Equations(system), first.q)
     equations = Equations(system)
-    found = equations.project(equations.move(first.q, 0.3 * at.null_space[:, 0]), first.q)
+    found = equations.project_points(
+        equations.move_configurations(first.q, 0.3 * at.null_space[:, 0]), first.q
+    )
     assert found.residual[0] < 1e-12 and found.distance[0] > 0.2
-    assert key(local_dimension(system, found.q[0])) == key(first) == (1, 1, None, [1], True)
+    assert key(find_local_dimension(system, found.q[0])) == key(first) == (1, 1, None, [1], True)
 
 
 def test_both_methods_are_independent_of_the_seed():
     system = kempe.load("three_upu_snu")
     answers = {
-        key_tuple(local_dimension(system, system.q("closed"), rng=seed)) for seed in range(4)
+        key_tuple(find_local_dimension(system, system.q("closed"), rng=seed)) for seed in range(4)
     }
     assert answers == {(3, 5, 2, (3, 3), False)}
 
@@ -449,10 +451,10 @@ def test_equations_say_the_same_as_the_loops(name):
     system = tied() if name == "tied" else kempe.load(name)
     q = system.q("closed")
     equations = Equations(system)
-    value, J = equations.linearise(q)
+    value, J = equations.linearise_equations(q)
     assert np.abs(value).max() < 1e-12
     other = closure_rows.compute_jacobian(system, q) * equations.scale
-    at = lyapunov_schmidt.split_matrix(q, J[0])
+    at = lyapunov_schmidt.split_jacobian(q, J[0])
     assert J[0].shape == other.shape and at.rank == np.linalg.matrix_rank(other, tol=1e-7)
     assert np.abs(other @ at.null_space).max() < 1e-12 * max(1.0, equations.length)
 
@@ -466,21 +468,21 @@ def test_declared_constraints_and_relations_count():
     m.revolute("b", upper, lower, at=(1, 0))
     m.distance("rod", m.ground, lower, at=(2, 1), child_at=(1, 0), length=1.0)
     system = m.build()
-    found = local_dimension(system, system.neutral)
+    found = find_local_dimension(system, system.neutral)
     assert (found.dim, found.smooth, found.corank) == (1, True, 0)
-    d = Equations(system).linearise(system.neutral)[1][0, 0]
+    d = Equations(system).linearise_equations(system.neutral)[1][0, 0]
     ab = [list(system.structure.velocity_names).index(n) for n in "ab"]
     assert d[ab[0]] == pytest.approx(2 * d[ab[1]])  # by symmetry: lever arms 2 and 1
     assert (
-        sampled_dimension(
+        sample_dimension(
             Equations(system),
-            lyapunov_schmidt.split(Equations(system), system.neutral),
+            lyapunov_schmidt.split_equations(Equations(system), system.neutral),
             np.random.default_rng(0),
         )
         == 1
     )
     m.equation("law", "a + b = 0")
-    assert local_dimension(m.build(), system.neutral).dim == 0
+    assert find_local_dimension(m.build(), system.neutral).dim == 0
 
 
 # ---- answers and errors
@@ -488,7 +490,7 @@ def test_declared_constraints_and_relations_count():
 
 def test_trees_are_manifolds():
     system = kempe.load("two_link")
-    found = local_dimension(system, system.neutral)
+    found = find_local_dimension(system, system.neutral)
     assert (found.dim, found.rank_dim, found.smooth, found.certain) == (
         system.nv,
         system.nv,
@@ -500,13 +502,13 @@ def test_trees_are_manifolds():
 def test_open_configurations_are_refused_with_the_joint():
     system, q = flat([1, 2, 1, 2], [1, 1, -1])
     with pytest.raises(InputError, match=r"open: 'j\d' \((x|y|rz)\) by .*assemble"):
-        local_dimension(system, q + 0.1)
+        find_local_dimension(system, q + 0.1)
     with pytest.raises(InputError, match="open"):
-        local_dimension(system, np.full(system.nq, np.nan))
+        find_local_dimension(system, np.full(system.nq, np.nan))
     with pytest.raises(InputError, match="one configuration"):
-        local_dimension(system, np.stack([q, q]))
+        find_local_dimension(system, np.stack([q, q]))
     with pytest.raises(InputError, match="order"):
-        local_dimension(system, q, order=1)
+        find_local_dimension(system, q, order=1)
 
 
 def test_last_digits_are_corrected():
@@ -515,15 +517,15 @@ def test_last_digits_are_corrected():
     system, q = chain([1.0, 1.0, 1.0, 2 * cos(a) + cos(b)], [a, -b, -a], name="")
     assert abs(sin(a) - sin(b) - sin(a)) > 0.1  # not closed: a guess
     equations = Equations(system)
-    closed = equations.project(q, q).q[0]
+    closed = equations.project_points(q, q).q[0]
     rough = closed + 1e-8 * np.array([1.0, -1.0, 1.0, 1.0])
-    found = local_dimension(system, rough)
-    assert np.abs(equations.linearise(found.q)[0]).max() < 1e-14 and found.dim == 1
+    found = find_local_dimension(system, rough)
+    assert np.abs(equations.linearise_equations(found.q)[0]).max() < 1e-14 and found.dim == 1
 
 
 def test_without_sampling():
     system, q = flat([1, 1, 2], [1, 1])
-    assert local_dimension(system, q, sampling=False).sampled is None
+    assert find_local_dimension(system, q, sampling=False).sampled is None
 
 
 def test_a_platform_on_parallel_legs_of_one_length_translates():
@@ -610,9 +612,9 @@ def test_a_plane_that_touches_a_torus(at, normal, dof, generic, branches, moved)
 
 
 def test_nothing_to_move():
-    assert local_dimension(Mechanism("empty").build(), []).dim == 0
+    assert find_local_dimension(Mechanism("empty").build(), []).dim == 0
     frame = World("frame")
     frame.joint("fixed", "ground", "a")
     frame.joint("fixed", "a", "b", (1, 0, 0))
     frame.joint("fixed", "b", "ground", (0, 1, 0))
-    assert local_dimension(frame.build(), []).dim == 0 and look(frame).redundant == 6
+    assert find_local_dimension(frame.build(), []).dim == 0 and look(frame).redundant == 6

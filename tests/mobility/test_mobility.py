@@ -25,7 +25,7 @@ from kempe.errors import InputError, UnknownNameError
 from kempe.first_order.rank import compute_rank
 from kempe.joints import Universal
 from kempe.mobility.answer import Mobility
-from kempe.mobility.local_dimension import local_dimension
+from kempe.mobility.local_dimension import find_local_dimension
 from kempe.mobility.mobility import mobility
 from kempe.poses import Placement
 
@@ -623,4 +623,4 @@ def test_drives_are_a_list_and_tolerances_are_small():
         mobility(system, q, actuated=3)  # pyright: ignore[reportArgumentType]
     for tolerance in (0.0, -1.0, 1.0, 2.0, float("nan")):
         with pytest.raises(InputError, match="tolerance"):
-            local_dimension(system, q, tolerance=tolerance)
+            find_local_dimension(system, q, tolerance=tolerance)

@@ -10,7 +10,7 @@ from scipy.optimize import linprog
 
 import kempe
 from kempe.equations.closure_rows import evaluate_constraints
-from kempe.mobility.one_sided import one_sided
+from kempe.mobility.one_sided import report_one_sided
 
 
 def lowest(c, E, G):
@@ -80,7 +80,7 @@ def test_limits_that_are_reached(name, hunt):
                 G.append(-np.eye(system.nv)[k])
         E = evaluate_constraints(system, q, True, True)[1]
         G = np.array(G).reshape(-1, system.nv)
-        found = one_sided(system.with_limits(limits), q)
+        found = report_one_sided(system.with_limits(limits), q)
         assert len(found.active) == len(G)
         assert not found.violated
         assert found.dimension == spanned(E, G, system.nv)
@@ -106,7 +106,7 @@ def test_states_and_slacks():
     low, high = system.structure.limits.T
     q = system.mid.copy()
     q[0], q[1], q[2] = high[0], low[1] - 0.25, low[2] + 0.5
-    found = one_sided(system, q)
+    found = report_one_sided(system, q)
     assert found.active == ("upper limit of q1",)
     assert found.violated == ("lower limit of q2",)
     side = {s.name: s for s in found.sides}
@@ -123,7 +123,7 @@ def test_a_gradient_that_is_not_defined_says_nothing():
     m = kempe.Mechanism("coin")
     m.free("F", m.ground, m.body("coin"))
     m.contact("table", "coin", radius=0.1, shape="disc")
-    found = one_sided(m.build(), [0, 0, 0, 0.5, 0.5, 0.5, 0.5])
+    found = report_one_sided(m.build(), [0, 0, 0, 0.5, 0.5, 0.5, 0.5])
     assert (found.active, found.dimension, found.lineality, found.cone.exact) == (
         ("table",),
         6,
@@ -140,7 +140,7 @@ def test_a_contact_at_the_lowest_point_of_a_circle_says_nothing_to_first_order()
     m.frame("low", m.ground, at=(0, -1))
     m.contact("floor", "tip", on="low")
     system = m.build()
-    found = one_sided(system, [-np.pi / 2])
+    found = report_one_sided(system, [-np.pi / 2])
     assert (found.active, found.dimension, found.lineality, found.cone.exact) == (
         ("floor",),
         1,
@@ -157,11 +157,11 @@ def test_opposite_contacts_hold_each_other():
     m.contact("floor", "ball", radius=0.1)
     m.contact("ceiling", "ball", on="top", radius=0.1)
     system = m.build()
-    found = one_sided(system, [0, 0, 0.1, 1, 0, 0, 0])
+    found = report_one_sided(system, [0, 0, 0.1, 1, 0, 0, 0])
     assert (found.dimension, found.lineality) == (5, 5)
     assert "floor: closed, neither up nor down (held by ceiling)" in str(found)
-    assert found.frame("ball")["z"] == (False, False)
-    assert found.frame("ball")["x"] == (True, True)
+    assert found.find_frame_directions("ball")["z"] == (False, False)
+    assert found.find_frame_directions("ball")["x"] == (True, True)
     assert system.mobility([0, 0, 0.1, 1, 0, 0, 0]).dof == 6
 
 
@@ -170,13 +170,13 @@ def test_a_contact_that_equations_keep_closed():
     m = kempe.Mechanism("rail")
     m.prismatic("S", m.ground, m.body("cart"), at=(0, 0, 0.1), axis=(1, 0, 0))
     m.contact("floor", "cart", radius=0.1)
-    found = one_sided(m.build(), [0.3])
+    found = report_one_sided(m.build(), [0.3])
     assert (found.active, found.dimension, found.lineality) == (("floor",), 1, 1)
     m.joint("J", "planar", m.ground, m.body("tile"), at=(0, 0, 0.1))
     m.contact("under", "tile", radius=0.1)
     m.distance("rod", "cart", "tile", 0.5)
     system = m.build()
-    found = one_sided(system, system.assemble({"S": 0.3}).q)
+    found = report_one_sided(system, system.assemble({"S": 0.3}).q)
     assert set(found.active) == {"floor", "under"} and found.dimension == found.lineality == 3
 
 
@@ -189,7 +189,7 @@ def test_a_side_that_only_equations_keep_closed():
     m.equation("line", "`P.y` = `P.x`")
     m.equation("other", "`P.y` = -`P.x`")
     m.contact("floor", "p", on=None)
-    found = one_sided(m.build(), [0.0, 0.0])
+    found = report_one_sided(m.build(), [0.0, 0.0])
     (side,) = found.sides
     assert (
         side.ways == (False, False)
@@ -207,7 +207,7 @@ def test_rolling_is_obeyed_in_the_corner():
     m.rolls("roll", "ball", 0.1, one_sided=True)
     m.frame("face", m.ground, at=(1, 0, 0), rpy=(0, -np.pi / 2, 0))
     m.contact("wall", "ball", on="face", radius=0.1)
-    found = one_sided(m.build(), [0.9, 0, 0.1, 1, 0, 0, 0])
+    found = report_one_sided(m.build(), [0.9, 0, 0.1, 1, 0, 0, 0])
     assert (set(found.active), found.dimension, found.lineality) == ({"roll", "wall"}, 4, 2)
     assert found.coordinates["F.x"] == (True, False)
     assert found.coordinates["F.wy"] == (True, False)
@@ -326,7 +326,7 @@ def test_what_declared_constraints_allow(number, hunt):
         chosen[7:] &= ~chosen[4:7]
         J = gaps(system, q)[1]
         made = constrained(q, chosen)
-        found = one_sided(made, q)
+        found = report_one_sided(made, q)
         assert not found.violated
         assert len(found.active) == chosen.sum()
         assert np.sort([s.slack for s in found.sides]) == pytest.approx(
@@ -346,7 +346,7 @@ def test_what_declared_constraints_allow(number, hunt):
 
 def test_what_is_open_may_fall_and_rise():
     system = kempe.load("puma560")
-    found = one_sided(system, system.mid)
+    found = report_one_sided(system, system.mid)
     assert len(found.sides) == 12 and all(
         s.state == "open" and s.ways == (True, True) for s in found.sides
     )

@@ -19,10 +19,10 @@ from kempe.first_order.idle_freedoms import find_common_point, find_spin_groups
 from kempe.first_order.rank import compute_rank
 from kempe.first_order.redundant_constraints import REACTIONS, _choose_releases, _JointReaction
 from kempe.mobility import dof_proofs
-from kempe.mobility.classify import EvaluationPoint, random_place
-from kempe.mobility.dof_proofs import split_of
-from kempe.mobility.growth_vectors import _null_space
-from kempe.mobility.local_dimension import RADII, Spot, _apart, local_dimension
+from kempe.mobility.classify import EvaluationPoint, sample_nearby_point
+from kempe.mobility.dof_proofs import split_rows
+from kempe.mobility.growth_vectors import _compute_null_space
+from kempe.mobility.local_dimension import RADII, Spot, _drop_repeated_halves, find_local_dimension
 from kempe.mobility.local_equations import Equations
 from kempe.mobility.mobility import mobility
 from kempe.numerics.rank import Level
@@ -90,7 +90,7 @@ def test_half_branches_that_are_shaky_and_next_to_each_other_are_one():
     def left(delta: int, offset: float) -> int:
         split: Any = SimpleNamespace(delta=delta)
         ends = [np.array(RADII)[:, None] * np.array([1.0, x]) for x in (0.0, offset)]
-        return len(_apart([Spot(x, split) for x in ends]))
+        return len(_drop_repeated_halves([Spot(x, split) for x in ends]))
 
     assert (left(2, 0.0), left(2, 0.9), left(1, 0.0)) == (1, 2, 2)
 
@@ -100,12 +100,12 @@ def test_rates_that_are_none_of_a_bennett_linkage(monkeypatch):
     stays closed.
     """
     calls = []
-    whole = dof_proofs.half_angles
+    whole = dof_proofs.is_half_angle_motion
     monkeypatch.setattr(
-        dof_proofs, "half_angles", lambda *given: calls.append(given) or whole(*given)
+        dof_proofs, "is_half_angle_motion", lambda *given: calls.append(given) or whole(*given)
     )
     system = kempe.load("bennett")
-    local_dimension(system, system.q("closed"))
+    find_local_dimension(system, system.q("closed"))
     ((equations, q, axes, places, rates),) = calls
     assert whole(equations, q, axes, places, rates)
     for turned in (places[2:], places[3:]):
@@ -116,7 +116,7 @@ def test_rates_that_are_none_of_a_bennett_linkage(monkeypatch):
 
 def test_singular_values_count_by_their_part_of_the_largest():
     J = np.array([[1e3, 0.0, 0.0], [0.0, 1e-4, 0.0]])
-    here = split_of(np.zeros(3), J, np.eye(2), np.arange(3))
+    here = split_rows(np.zeros(3), J, np.eye(2), np.arange(3))
     assert (here.split.delta, here.split.corank) == (2, 1)
     np.testing.assert_allclose(J @ here.split.null_space, 0.0, atol=1.1e-4)
 
@@ -141,7 +141,7 @@ def slides(law: str) -> kempe.System:
 )
 def test_branches_of_one_equation(law, ends):
     """A cusp, a node, three lines, and these up to far below rounding; a point."""
-    found = local_dimension(slides(law), [0.0, 0.0])
+    found = find_local_dimension(slides(law), [0.0, 0.0])
     assert (
         [(b.ends, b.cusp) for b in found.branches] == ends
         and found.dim == bool(ends)
@@ -152,12 +152,12 @@ def test_branches_of_one_equation(law, ends):
 def test_a_quadratic_form_counts_branches_only_where_no_direction_is_lost(monkeypatch):
     """Nor do forms that are far below rounding count any."""
     found = []
-    whole = dof_proofs.decide
+    whole = dof_proofs.decide_dimension
     monkeypatch.setattr(
-        dof_proofs, "decide", lambda *given: found.append(whole(*given)) or found[-1]
+        dof_proofs, "decide_dimension", lambda *given: found.append(whole(*given)) or found[-1]
     )
     for law in ("y^2 - x^3", "y^2 - x^2*(1 + x)", "x^3 - 3*x*y^2 + 1e-20*(x^2 + y^2)", "x^2 + y^2"):
-        local_dimension(slides(law), [0.0, 0.0])
+        find_local_dimension(slides(law), [0.0, 0.0])
     assert [x[:2] for x in found] == [(1, None), (1, 2), (1, None), (0, 0)]
 
 
@@ -167,7 +167,9 @@ def test_a_step_leads_towards_a_sphere_from_outside_and_from_inside(far):
     center = np.array([[0.3, 0.0]]) * equations.length
     radii = np.ones(1)
     q = center + equations.length * far * np.array([[1.0, 0.0]])
-    q = equations._step(equations._project(q, center, radii, 0), center, radii, Level.ROUNDING)
+    q = equations._take_step(
+        equations._project_points(q, center, radii, 0), center, radii, Level.ROUNDING
+    )
     assert np.linalg.norm(q - center) / equations.length == pytest.approx(1.0, abs=0.006)
 
 
@@ -178,7 +180,7 @@ def test_the_gap_is_between_the_last_singular_value_that_counts_and_the_next():
     A = np.array([[1.0, 0.0, 0.0, 0.0], [1.0, 1e-2, 0.0, 0.0], [1.0, 2e-2, 1e-12, 0.0]])
     values = np.linalg.svd(A / np.linalg.norm(A, axis=1, keepdims=True), compute_uv=False)
     rows: Any = SimpleNamespace(units=np.ones(4), names=[SimpleNamespace(written=True)] * 3)
-    found = _null_space(rows, np.zeros(4), 0.0, np.arange(3), A, 1e-15)
+    found = _compute_null_space(rows, np.zeros(4), 0.0, np.arange(3), A, 1e-15)
     assert found.dimension == 2 and found.gap == pytest.approx(values[1] / values[2], rel=1e-2)
 
 
@@ -192,7 +194,7 @@ def test_random_places_are_as_far_away_as_links_are_long(length):
     assert rows.units[:2] == pytest.approx([length, length], rel=0.5)
     place = EvaluationPoint(rows, np.zeros(2), 0.0, (), lambda q: q)
     rng = np.random.default_rng(0)
-    found = np.array([random_place(place, rng).q for _ in range(200)]) / rows.units[:2]
+    found = np.array([sample_nearby_point(place, rng).q for _ in range(200)]) / rows.units[:2]
     assert np.sqrt((found**2).mean(axis=0)) == pytest.approx([0.7, 0.7], rel=0.2)
 
 

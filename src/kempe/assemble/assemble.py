@@ -188,7 +188,7 @@ def choose_tolerated_system(system: Model, tolerance: float | str) -> tuple[Mode
 
 
 @explain_errors
-def assembler(system: Model, known: Iterable[str] = ()) -> Assembler:
+def bind_assembler(system: Model, known: Iterable[str] = ()) -> Assembler:
     """The bound form of `assemble` for these known names. Errors: `UnknownNameError`, `InputError`."""
     return get_assembler(system, read_names(known, "known"))
 
@@ -221,8 +221,8 @@ def _assemble_known(problem: Problem) -> Assembly:
 def assemble_named_branch(problem: Problem) -> Assembly:
     """The answer on a branch named by the signs of its dyads: closed form, polished and checked."""
     from kempe.assemble.dyads import (  # only here: other calls do not need them
-        closed_form,
-        on_branch,
+        find_closed_form,
+        solve_branch,
     )
 
     assembler = get_assembler(problem.system, tuple(problem.known))
@@ -233,7 +233,7 @@ def assemble_named_branch(problem: Problem) -> Assembly:
     time = TimeLimit(None) if many else _make_time_limit(problem.budget)
     try:
         with time:
-            start = on_branch(
+            start = solve_branch(
                 assembler.system, problem.known, problem.options["branch"], problem.start, threads
             )
             answer, searched, before = assembler._confirm_closed_form(
@@ -244,7 +244,7 @@ def assemble_named_branch(problem: Problem) -> Assembly:
             raise
         return replace(_make_late_answer(assembler, problem), limit=time.limit)
     if len(searched):  # the others are as the closed form gave them
-        plan: Any = closed_form(assembler.system, assembler.sources)
+        plan: Any = find_closed_form(assembler.system, assembler.sources)
         after = answer.q.reshape(-1, assembler.system.nq)[searched]
         code = np.array(answer.code)
         strayed = np.any(plan.branch_of(after) != plan.branch_of(before), axis=-1)

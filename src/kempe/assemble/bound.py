@@ -669,12 +669,12 @@ class Assembler:
         """
         from kempe.assemble.dyads import (  # only here: other calls do not need them
             Plan,
-            closed_form,
+            find_closed_form,
         )
 
         if self.one_sided is not None or self.frames or not np.isfinite(starts).all():
             return None
-        plan = closed_form(self.system, self.sources)
+        plan = find_closed_form(self.system, self.sources)
         if not isinstance(plan, Plan):
             return None
         first = self.run(
@@ -692,7 +692,7 @@ class Assembler:
         q[:1], residual[:1], info[:1] = first
         for i in range(1, n, PIECE):
             j = min(i + PIECE, n)
-            x = plan._continued(
+            x = plan._continue_configuration(
                 np.ascontiguousarray(starts[i:j, self.places]), q[i - 1], unit, turns
             )
             if x is None or not self._find_closed_rows(x, residual[i:j], limits, 1).all():
@@ -852,7 +852,7 @@ class Assembler:
         """The answer to the usual call, one array and plain numbers by name, in a fraction of the
         time; else None.
 
-        None leaves to `_solve` what it is to be said of other arguments.
+        None leaves to `_solve_problem` what it is to be said of other arguments.
         """
         if (
             not self._solvable_by_kernel

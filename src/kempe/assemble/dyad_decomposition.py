@@ -90,14 +90,14 @@ class Link:
     multiplier: float
     offset: float
 
-    def rails(self, base_is_a: bool) -> tuple[PartLine, PartLine]:
+    def make_rails(self, base_is_a: bool) -> tuple[PartLine, PartLine]:
         """Rails on the base and on what slides; along both the coordinate grows."""
         a = PartLine(self.a, *self.F[2:], *self.F[:2])
         b = PartLine(self.b, *self.M[2:], *self.M[:2])
-        return (a, b) if base_is_a else (_against(b), _against(a))
+        return (a, b) if base_is_a else (_reverse_direction(b), _reverse_direction(a))
 
 
-def _against(end: PartLine) -> PartLine:
+def _reverse_direction(end: PartLine) -> PartLine:
     return PartLine(end.part, end.x, end.y, -end.dx, -end.dy)
 
 
@@ -147,7 +147,7 @@ class Dyad(InWords):
         return f"{text}: {self.meaning}"
 
 
-def times(a: Pose, b: Pose) -> Pose:
+def multiply_poses(a: Pose, b: Pose) -> Pose:
     """The planar pose a b, b in the frame of a."""
     c, s, x, y = a
     return (
@@ -158,22 +158,22 @@ def times(a: Pose, b: Pose) -> Pose:
     )
 
 
-def inverse(a: Pose) -> Pose:
+def invert_pose(a: Pose) -> Pose:
     """The inverse of a pose."""
     c, s, x, y = a
     return c, -s, -(c * x + s * y), s * x - c * y
 
 
-def turned(a: Pose, angle: float) -> Pose:
+def turn_pose(a: Pose, angle: float) -> Pose:
     """The planar pose a, turned by an angle [rad] about its own origin."""
-    return times(a, (math.cos(angle), math.sin(angle), 0.0, 0.0))
+    return multiply_poses(a, (math.cos(angle), math.sin(angle), 0.0, 0.0))
 
 
-def _flat(X: Array) -> Pose:
+def _flatten_pose(X: Array) -> Pose:
     return float(X[0, 0]), float(X[1, 0]), float(X[0, 3]), float(X[1, 3])
 
 
-def _rail(X: Array, axis: int = 2) -> Pose:
+def _make_rail_pose(X: Array, axis: int = 2) -> Pose:
     """Pose whose x axis is the given axis of X, z by default, which lies in the plane."""
     dx = float(X[0, axis])
     dy = float(X[1, axis])
@@ -181,12 +181,12 @@ def _rail(X: Array, axis: int = 2) -> Pose:
     return dx / n, dy / n, float(X[0, 3]), float(X[1, 3])
 
 
-def _slides(constraint: Declared) -> bool:
+def _is_point_on_line(constraint: Declared) -> bool:
     """Whether it holds a point on the line along z of frame A, in the plane, and nothing else."""
     return [(r.op, r.args) for r in list_position_rows(constraint.of, 2)] == [(Op.POINT, (1,))]
 
 
-def alone(joint: Joint) -> Primitive | None:
+def find_single_motion(joint: Joint) -> Primitive | None:
     """The only motion of a joint of the plane, a turn or a slide by its coordinate; None of one
     that has several.
     """
@@ -194,7 +194,7 @@ def alone(joint: Joint) -> Primitive | None:
     return primitives[0] if len(primitives) == 1 and primitives[0].multiplier == 1.0 else None
 
 
-def parts_of(system: Model) -> Parts:
+def build_parts(system: Model) -> Parts:
     """The parts, links and hinges of a system."""
     mechanism = system.mechanism
     if system.dim != 2:
@@ -203,7 +203,9 @@ def parts_of(system: Model) -> Parts:
     if particles:
         return Parts(trouble=f"{particles[0]!r} is a particle")
     other = [
-        c for c in mechanism.constraints.values() if c.equations(2) and not (c.rod or _slides(c))
+        c
+        for c in mechanism.constraints.values()
+        if c.equations(2) and not (c.rod or _is_point_on_line(c))
     ]
     if other:
         return Parts(trouble=f"constraint {other[0].name!r} is of kind {other[0].kind}")
@@ -218,17 +220,19 @@ def parts_of(system: Model) -> Parts:
             values = np.array([f.offset for f in followers if f is not None])
             X_PF, X_CM = (X.evaluate_pose(mechanism.parameters) for X in (joint.X_PF, joint.X_CM))
             X_PC = X_PF @ compute_joint_pose(joint.type, values, 2) @ np.linalg.inv(X_CM)
-            held[name] = joint.parent, joint.child, _flat(X_PC)
-        elif alone(joint) is not None:
+            held[name] = joint.parent, joint.child, _flatten_pose(X_PC)
+        elif find_single_motion(joint) is not None:
             moving.append(joint)
         else:
             return Parts(trouble=f"joint {name!r} is of type {joint.type.type_name}")
-    return _assemble(system, held, moving)
+    return _connect_parts(system, held, moving)
 
 
-def _assemble(system: Model, held: dict[str, tuple[str, str, Pose]], moving: list[Joint]) -> Parts:
+def _connect_parts(
+    system: Model, held: dict[str, tuple[str, str, Pose]], moving: list[Joint]
+) -> Parts:
     order = [system.body_names[0], *sorted(system.body_names[1:], key=make_sort_key)]
-    at, groups, misfit = _merge(order, held)
+    at, groups, misfit = _merge_fixed_bodies(order, held)
     number = {b: i for i, b in enumerate(system.body_names)}
     slots = {c: i for i, c in enumerate(system.coordinate_names)}
     # a copy: it takes long
@@ -240,12 +244,13 @@ def _assemble(system: Model, held: dict[str, tuple[str, str, Pose]], moving: lis
         (b, X_B) = at[joint.child]
         X_PF = joint.X_PF.evaluate_pose(parameters)
         X_CM = joint.X_CM.evaluate_pose(parameters)
-        motion = alone(joint)
+        motion = find_single_motion(joint)
         assert motion is not None
         turns = motion.kind == R
         axis = "xyz".index(motion.axis)
         F, M = (
-            times(X, _flat(Y) if turns else _rail(Y, axis)) for X, Y in ((X_A, X_PF), (X_B, X_CM))
+            multiply_poses(X, _flatten_pose(Y) if turns else _make_rail_pose(Y, axis))
+            for X, Y in ((X_A, X_PF), (X_B, X_CM))
         )
         source = list_coordinate_names(mechanism, joint)[0]
         multiplier = 1.0
@@ -260,15 +265,17 @@ def _assemble(system: Model, held: dict[str, tuple[str, str, Pose]], moving: lis
         )
     constraints = mechanism.constraints
     for name in sorted((n for n, c in constraints.items() if c.equations(2)), key=make_sort_key):
-        links += _tie(system, name, len(groups), at)
+        links += _make_constraint_links(system, name, len(groups), at)
         groups.append([name])
-    size = _size(links)
-    hinges = _hinges([k for k in links if k.kind == R], links, SAME * size)
+    size = _measure_parts(links)
+    hinges = _group_hinges([k for k in links if k.kind == R], links, SAME * size)
     reps = tuple(number.get(g[0], NOWHERE) for g in groups)
     return Parts(tuple(tuple(g) for g in groups), reps, tuple(links), hinges, size, misfit)
 
 
-def _tie(system: Model, name: str, part: int, at: dict[str, tuple[int, Pose]]) -> list[Link]:
+def _make_constraint_links(
+    system: Model, name: str, part: int, at: dict[str, tuple[int, Pose]]
+) -> list[Link]:
     """The two links of a constraint, on a part of its own."""
     constraint = system._mechanism.constraints[name]
     parameters = system.structure.parameters
@@ -277,17 +284,21 @@ def _tie(system: Model, name: str, part: int, at: dict[str, tuple[int, Pose]]) -
     X_PF, X_CM = constraint.frames(parameters, 2)
     here, there = (f"{name} ({body})" for body in (constraint.parent, constraint.child))
     start = (1.0, 0.0, 0.0, 0.0)
-    end = times(X_B, _flat(X_CM))
+    end = multiply_poses(X_B, _flatten_pose(X_CM))
     length = 0.0
     if constraint.rod:
-        first = Link(here, R, a, part, times(X_A, _flat(X_PF)), start, NOWHERE, 1.0, 0.0)
+        first = Link(
+            here, R, a, part, multiply_poses(X_A, _flatten_pose(X_PF)), start, NOWHERE, 1.0, 0.0
+        )
         length = constraint.length(parameters)
     else:
-        first = Link(here, P, a, part, times(X_A, _rail(X_PF)), start, NOWHERE, 1.0, 0.0)
+        first = Link(
+            here, P, a, part, multiply_poses(X_A, _make_rail_pose(X_PF)), start, NOWHERE, 1.0, 0.0
+        )
     return [first, Link(there, R, part, b, (1.0, 0.0, length, 0.0), end, NOWHERE, 1.0, 0.0)]
 
 
-def _merge(
+def _merge_fixed_bodies(
     order: list[str], held: dict[str, tuple[str, str, Pose]]
 ) -> tuple[dict[str, tuple[int, Pose]], list[list[str]], float]:
     """Part and pose in it of each body, the bodies of each part, and the largest misfit of a loop
@@ -296,7 +307,7 @@ def _merge(
     ways: dict[str, list[tuple[str, Pose]]] = {b: [] for b in order}
     for parent, child, X in held.values():
         ways[parent].append((child, X))
-        ways[child].append((parent, inverse(X)))
+        ways[child].append((parent, invert_pose(X)))
     at: dict[str, tuple[int, Pose]] = {}
     groups: list[list[str]] = []
     misfit = 0.0
@@ -307,7 +318,7 @@ def _merge(
         groups.append([start])
         for here in groups[-1]:  # grows on the way
             for there, X in ways[here]:
-                pose = times(at[here][1], X)
+                pose = multiply_poses(at[here][1], X)
                 if there not in at:
                     at[there] = len(groups) - 1, pose
                     groups[-1].append(there)
@@ -317,7 +328,7 @@ def _merge(
     return at, groups, misfit
 
 
-def _size(links: list[Link]) -> float:
+def _measure_parts(links: list[Link]) -> float:
     """The largest distance of two joints on one part; 1 where there is none."""
     points: dict[int, list[tuple[float, float]]] = {}
     for k in links:
@@ -327,7 +338,7 @@ def _size(links: list[Link]) -> float:
     return max(spans, default=0.0) or 1.0
 
 
-def _hinges(
+def _group_hinges(
     pins: list[Link], links: list[Link], same: float
 ) -> tuple[tuple[tuple[str, ...], tuple[PartLine, ...]], ...]:
     """Groups of revolute joints that share a point of a part which has other points too."""
@@ -338,7 +349,7 @@ def _hinges(
     slides = {p for k in links if k.kind == P for p in (k.a, k.b)}
     root = list(range(len(pins)))
 
-    def find(i: int) -> int:
+    def find_root(i: int) -> int:
         while root[i] != i:
             root[i] = i = root[root[i]]
         return i
@@ -353,10 +364,10 @@ def _hinges(
                 if q[0] - p[0] > same:
                     break
                 if math.dist(p, q) <= same:
-                    root[max(find(i), find(j))] = min(find(i), find(j))
+                    root[max(find_root(i), find_root(j))] = min(find_root(i), find_root(j))
     groups: dict[int, list[int]] = {}
     for i in range(len(pins)):
-        groups.setdefault(find(i), []).append(i)
+        groups.setdefault(find_root(i), []).append(i)
     out: list[tuple[tuple[str, ...], tuple[PartLine, ...]]] = []
     for group in groups.values():
         ends_of: dict[int, PartLine] = {}
@@ -382,40 +393,42 @@ class Code:
         self.signs = 0
         self.ops: list[tuple[list[int], list[float]]] = []
 
-    def register(self, part: int) -> int:
+    def get_register(self, part: int) -> int:
         """Place of a part's pose; parts beyond the last are the three registers to work with."""
         return K.REGISTERS + 4 * part
 
-    def coordinate(self, slot: int) -> int:
+    def get_coordinate(self, slot: int) -> int:
         """Place of a coordinate."""
         return K.REGISTERS + 4 * self.registers + slot
 
-    def target(self, slot: int) -> int:
+    def get_target(self, slot: int) -> int:
         """Place of the value near which a coordinate is wanted."""
-        return self.coordinate(self.nq) + slot
+        return self.get_coordinate(self.nq) + slot
 
-    def sign(self) -> int:
+    def add_sign(self) -> int:
         """Place of a new branch sign."""
         self.signs += 1
-        return self.target(self.nq) + self.signs - 1
+        return self.get_target(self.nq) + self.signs - 1
 
-    def append(self, code: int, ints: list[int], floats: object = ()) -> None:
+    def append_operation(self, code: int, ints: list[int], floats: object = ()) -> None:
         """Append an operation: its number `code` (of `dyad_layout`) with its integer and float
         operands.
         """
         self.ops.append(([code, *ints], [float(x) for x in floats]))  # type: ignore[attr-defined]
 
-    def pins(self, code: int, ends: list[PartLine], more: list[int], rails: int = 0) -> None:
+    def append_pin_operation(
+        self, code: int, ends: list[PartLine], more: list[int], rails: int = 0
+    ) -> None:
         """Append an operation on ends, the first `rails` of which are rails."""
         floats = [x for i, e in enumerate(ends) for x in (e.rail if i < rails else e.numbers)]
-        self.append(code, [*(self.register(e.part) for e in ends), *more], floats)
+        self.append_operation(code, [*(self.get_register(e.part) for e in ends), *more], floats)
 
-    def pack(self, known: list[int]) -> tuple[np.ndarray, Array]:
+    def pack_arrays(self, known: list[int]) -> tuple[np.ndarray, Array]:
         """The arrays that the kernel walks."""
         n = len(self.ops)
-        spare = self.target(self.nq) + self.signs
+        spare = self.get_target(self.nq) + self.signs
         head = [n, spare + 1, self.registers, self.nq, len(known), self.signs]
-        head += [self.coordinate(0), self.target(0), self.target(self.nq)]
+        head += [self.get_coordinate(0), self.get_target(0), self.get_target(self.nq)]
         ints = np.zeros(K.HEADER + len(known) + K.OP_INTS * n, dtype=np.int64)
         floats = np.zeros(K.OP_FLOATS * n)
         ints[: len(head)] = head
@@ -427,7 +440,7 @@ class Code:
         return ints, floats
 
 
-def operations(
+def unpack_program(
     program: tuple[np.ndarray, Array],
 ) -> tuple[list[int], list[tuple[list[int], list[float]]]]:
     """Slots of the known coordinates of a program, and its operations: code and places, numbers."""
@@ -486,19 +499,24 @@ class Decomposition:
         )
         self.limits: dict[int, list[float]] = {NOWHERE: [-math.inf, math.inf], **dict(bounds)}
         if parts.misfit > 0.0:
-            self._expect(parts.misfit, {})
+            self._append_check(parts.misfit, {})
         for part in range(n):
-            self._meet([part])
+            self._read_closed_joints([part])
         for slot in known:
-            self._learn(slot)
+            self._learn_coordinate(slot)
 
-    def run(self) -> list[int]:
+    def close_dyads(self) -> list[int]:
         """Clusters, other than the ground's, that remain when no further dyad closes."""
-        while self._drive() or self._relate() or self._ground() or self._floating():
+        while (
+            self._merge_driven_joint()
+            or self._use_relation()
+            or self._close_grounded_dyad()
+            or self._close_floating_dyad()
+        ):
             check_for_stop()
         return [c for c in self.members if c != GROUND]
 
-    def freedom(self) -> int:
+    def count_freedoms(self) -> int:
         """Degrees of freedom of the clusters against each other, by counting (Gruebler, 1883)."""
         count = 3 * (len(self.members) - 1)
         for _, ends in self.parts.hinges:
@@ -509,12 +527,12 @@ class Decomposition:
 
     # ---- what is known
 
-    def _learn(self, slot: int) -> None:
+    def _learn_coordinate(self, slot: int) -> None:
         if slot not in self.known and slot != NOWHERE:
             self.known.add(slot)
             self.drives += self.by_slot.get(slot, [])
 
-    def _relate(self) -> bool:
+    def _use_relation(self) -> bool:
         """Whether a relation of coordinates was used: to find its one unknown, or as a check if it
         has none.
         """
@@ -526,27 +544,27 @@ class Decomposition:
                 continue
             self.relations.remove(relation)
             if not unknown:
-                self._expect(-relation.offset, terms)
+                self._append_check(-relation.offset, terms)
                 return True
             c = terms.pop(unknown[0])
-            place = self.code.coordinate(unknown[0])
-            self.code.append(K.SET, [place], [relation.offset / c])
+            place = self.code.get_coordinate(unknown[0])
+            self.code.append_operation(K.SET, [place], [relation.offset / c])
             for slot, m in terms.items():
-                self.code.append(K.ADD, [place, self.code.coordinate(slot)], [-m / c])
-            self._learn(unknown[0])
+                self.code.append_operation(K.ADD, [place, self.code.get_coordinate(slot)], [-m / c])
+            self._learn_coordinate(unknown[0])
             return True
         return False
 
-    def _expect(self, constant: float, terms: dict[int, float]) -> None:
+    def _append_check(self, constant: float, terms: dict[int, float]) -> None:
         """Append a check to the program: constant + sum of m q[slot], times the size of the parts,
         is an opening.
         """
-        self.code.append(K.SET, [K.SPARE], [constant])
+        self.code.append_operation(K.SET, [K.SPARE], [constant])
         for slot, m in terms.items():
-            self.code.append(K.ADD, [K.SPARE, self.code.coordinate(slot)], [m])
-        self.code.append(K.EXPECT_ZERO, [K.SPARE], [self.parts.size])
+            self.code.append_operation(K.ADD, [K.SPARE, self.code.get_coordinate(slot)], [m])
+        self.code.append_operation(K.EXPECT_ZERO, [K.SPARE], [self.parts.size])
 
-    def _drive(self) -> bool:
+    def _merge_driven_joint(self) -> bool:
         """Merge the clusters on both sides of a joint whose coordinate is known."""
         while self.drives:
             i = self.drives.popleft()
@@ -556,45 +574,47 @@ class Decomposition:
             if i in self.done or a == b:
                 continue
             self.done.add(i)
-            base, other = self._by_size(a, b)
+            base, other = self._sort_clusters(a, b)
             forward = base == a
             start, end = (link.F, link.M) if forward else (link.M, link.F)
             sign = 1.0 if forward else -1.0
-            start = _led(link.kind, start, sign * link.offset)
+            start = _move_pose(link.kind, start, sign * link.offset)
             part, on = (link.b, link.a) if forward else (link.a, link.b)
-            out = self._out(other, 0)
-            numbers = [sign * link.multiplier, *start, *inverse(end)]
-            register = self.code.register
-            coordinate = self.code.coordinate(link.slot)
-            self.code.append(
+            out = self._choose_register(other, 0)
+            numbers = [sign * link.multiplier, *start, *invert_pose(end)]
+            register = self.code.get_register
+            coordinate = self.code.get_coordinate(link.slot)
+            self.code.append_operation(
                 K.TURN if link.kind == R else K.SLIDE, [out, register(on), coordinate], numbers
             )
             if len(self.members[other]) > 1:
-                self.code.append(K.DIVIDE, [out, register(part)])
-            self._join(base, {other: out})
+                self.code.append_operation(K.DIVIDE, [out, register(part)])
+            self._join_clusters(base, {other: out})
             return True
         return False
 
-    def _meet(self, parts: list[int]) -> None:
+    def _read_closed_joints(self, parts: list[int]) -> None:
         """Read, or check, the joints of these parts whose other side is in the same cluster."""
         for part in parts:
             for i in self.of_part[part]:
                 link = self.parts.links[i]
                 if i not in self.done and self.cluster[link.a] == self.cluster[link.b]:
                     self.done.add(i)
-                    self._read(link)
+                    self._read_joint(link)
 
-    def _read(self, link: Link) -> None:
+    def _read_joint(self, link: Link) -> None:
         code = self.code
         size = self.parts.size
         check = link.slot in self.known
-        ints = [code.register(link.a), code.register(link.b), K.SPARE, K.SPARE + 1, False]
+        ints = [code.get_register(link.a), code.get_register(link.b), K.SPARE, K.SPARE + 1, False]
         if link.slot != NOWHERE:
-            ints[2:] = code.coordinate(link.slot), code.target(link.slot), check
+            ints[2:] = code.get_coordinate(link.slot), code.get_target(link.slot), check
         m = link.multiplier
         o = link.offset
         if link.kind == R:
-            between = times((link.F[0], -link.F[1], 0.0, 0.0), (link.M[0], link.M[1], 0.0, 0.0))
+            between = multiply_poses(
+                (link.F[0], -link.F[1], 0.0, 0.0), (link.M[0], link.M[1], 0.0, 0.0)
+            )
             numbers = [
                 *between[:2],
                 1.0 / m,
@@ -602,59 +622,68 @@ class Decomposition:
                 2.0 * math.pi / abs(m),
                 *self.limits[link.slot],
             ]
-            code.append(K.READ_TURN, ints, [*numbers, *link.F[2:], *link.M[2:], abs(m) * size])
+            code.append_operation(
+                K.READ_TURN, ints, [*numbers, *link.F[2:], *link.M[2:], abs(m) * size]
+            )
         else:
-            a, b = link.rails(True)
-            code.append(K.READ_SLIDE, ints, [*a.rail, *b.rail, 1.0 / m, -o / m, abs(m), size])
-        self._learn(link.slot)
+            a, b = link.make_rails(True)
+            code.append_operation(
+                K.READ_SLIDE, ints, [*a.rail, *b.rail, 1.0 / m, -o / m, abs(m), size]
+            )
+        self._learn_coordinate(link.slot)
 
     # ---- clusters
 
-    def _by_size(self, *clusters: int) -> list[int]:
+    def _sort_clusters(self, *clusters: int) -> list[int]:
         """The clusters, the one that should stay first: the ground, else the largest."""
         return sorted(clusters, key=lambda c: (c != GROUND, -len(self.members[c]), c))
 
-    def _out(self, cluster: int, spare: int) -> int:
+    def _choose_register(self, cluster: int, spare: int) -> int:
         """Where to put the pose of a cluster: its part's register, or a spare one where it has
         several parts.
         """
         members = self.members[cluster]
-        return self.code.register(members[0] if len(members) == 1 else self.code.n_parts + spare)
+        return self.code.get_register(
+            members[0] if len(members) == 1 else self.code.n_parts + spare
+        )
 
-    def _join(self, base: int, others: dict[int, int]) -> None:
+    def _join_clusters(self, base: int, others: dict[int, int]) -> None:
         """Make the others part of the base; their poses in its frame are in the registers given."""
         moved: list[int] = []
         for cluster, register in others.items():
             members = self.members.pop(cluster)
             if len(members) > 1:
                 for part in members:
-                    self.code.append(K.CARRY, [self.code.register(part), register])
+                    self.code.append_operation(K.CARRY, [self.code.get_register(part), register])
             for part in members:
                 self.cluster[part] = base
             moved += members
         self.members[base] += moved
-        self._meet(moved)
-        self.near += [base, *(self.cluster[p] for part in moved for p in self._touched(part))]
+        self._read_closed_joints(moved)
+        self.near += [
+            base,
+            *(self.cluster[p] for part in moved for p in self._iterate_neighbours(part)),
+        ]
 
-    def _touched(self, part: int) -> Iterator[int]:
+    def _iterate_neighbours(self, part: int) -> Iterator[int]:
         """Parts joined to a part."""
         for edge in self.incident[part]:
-            yield from self._at(edge)
+            yield from self._list_edge_parts(edge)
 
-    def _at(self, edge: Edge) -> list[int]:
+    def _list_edge_parts(self, edge: Edge) -> list[int]:
         """Parts that an edge joins."""
         kind, k = edge
-        return [e.part for e in self.parts.hinges[k][1]] if kind == R else self._sides(k)
+        return [e.part for e in self.parts.hinges[k][1]] if kind == R else self._list_link_parts(k)
 
-    def _sides(self, link: int) -> list[int]:
+    def _list_link_parts(self, link: int) -> list[int]:
         return [self.parts.links[link].a, self.parts.links[link].b]
 
-    def _edges(self, cluster: int) -> dict[int, list[Edge]]:
+    def _group_edges(self, cluster: int) -> dict[int, list[Edge]]:
         """What joins a cluster to others, by cluster."""
         out: dict[int, list[Edge]] = {}
         for part in self.members[cluster]:
             for edge in self.incident[part]:
-                for p in self._at(edge):
+                for p in self._list_edge_parts(edge):
                     there = self.cluster[p]
                     if there != cluster and edge not in out.setdefault(there, []):
                         out[there].append(edge)
@@ -662,71 +691,71 @@ class Decomposition:
 
     # ---- dyads
 
-    def _ground(self) -> bool:
+    def _close_grounded_dyad(self) -> bool:
         """Close something with the ground in it."""
         while self.near:
             here = self.near.popleft()
             if here == GROUND or here not in self.members:
                 continue
-            edges = self._edges(here)
+            edges = self._group_edges(here)
             if GROUND not in edges:
                 continue
-            if self._twice(GROUND, here, edges[GROUND]):
+            if self._place_cluster(GROUND, here, edges[GROUND]):
                 return True
             for there in sorted(edges):
-                if there != GROUND and self._thrice(GROUND, here, there, edges):
+                if there != GROUND and self._close_dyad(GROUND, here, there, edges):
                     return True
         return False
 
-    def _floating(self) -> bool:
+    def _close_floating_dyad(self) -> bool:
         """Close something without the ground."""
         for here in list(self.members):
             if here == GROUND:
                 continue
-            edges = self._edges(here)
+            edges = self._group_edges(here)
             others = sorted(c for c in edges if c != GROUND)
             for there in others:
-                base, other = self._by_size(here, there)
-                if self._twice(base, other, edges[there]):
+                base, other = self._sort_clusters(here, there)
+                if self._place_cluster(base, other, edges[there]):
                     return True
             for k, a in enumerate(others):
-                known = self._edges(a)
+                known = self._group_edges(a)
                 for b in others[k + 1 :]:
                     if b in known:
-                        base, *rest = self._by_size(here, a, b)
-                        if self._thrice(base, rest[0], rest[1], self._edges(rest[0])):
+                        base, *rest = self._sort_clusters(here, a, b)
+                        if self._close_dyad(base, rest[0], rest[1], self._group_edges(rest[0])):
                             return True
         return False
 
-    def _twice(self, base: int, other: int, edges: list[Edge]) -> bool:
+    def _place_cluster(self, base: int, other: int, edges: list[Edge]) -> bool:
         """Place a cluster by two of its joints to another; what they do not agree on shows when
         joints are read.
         """
         pins = [e for e in edges if e[0] == R]
         rails = [e for e in edges if e[0] == P]
-        out = self._out(other, 0)
+        out = self._choose_register(other, 0)
         if len(pins) > 1:
-            a, b = (self._pins(e, base, other) for e in pins[:2])
-            self.code.pins(K.PIN_PIN, [a[0], b[0], a[1], b[1]], [out])
+            a, b = (self._find_hinge_ends(e, base, other) for e in pins[:2])
+            self.code.append_pin_operation(K.PIN_PIN, [a[0], b[0], a[1], b[1]], [out])
         elif pins and rails:
-            self.code.pins(
+            self.code.append_pin_operation(
                 K.PIN_RAIL,
-                [*self._rails(rails[0], base), *self._pins(pins[0], base, other)],
+                [*self._find_rails(rails[0], base), *self._find_hinge_ends(pins[0], base, other)],
                 [out],
                 2,
             )
         else:
-            ends = [self._rails(e, base) for e in rails]
-            crossing = next((e for e in ends[1:] if not _parallel(ends[0][0], e[0])), None)
+            ends = [self._find_rails(e, base) for e in rails]
+            crossing = next((e for e in ends[1:] if not _are_parallel(ends[0][0], e[0])), None)
             if crossing is None:
                 return False
-            self.code.pins(K.RAIL_RAIL, [*ends[0], *crossing], [out], 4)
-        self._join(base, {other: out})
+            self.code.append_pin_operation(K.RAIL_RAIL, [*ends[0], *crossing], [out], 4)
+        self._join_clusters(base, {other: out})
         return True
 
-    def _thrice(self, base: int, first: int, second: int, edges: dict[int, list[Edge]]) -> bool:
+    def _close_dyad(self, base: int, first: int, second: int, edges: dict[int, list[Edge]]) -> bool:
         """Close the dyad of three clusters, where its joints make it rigid."""
-        back = self._edges(second).get(base, [])
+        back = self._group_edges(second).get(base, [])
         for group in product(edges.get(base, []), edges.get(second, []), back):
             hinges = [k for kind, k in group if kind == R]
             if len(set(hinges)) < len(hinges) or not hinges:
@@ -734,30 +763,38 @@ class Decomposition:
             if group[2] < group[0]:
                 first, second, group = second, first, group[::-1]
             if len(hinges) == 3:
-                self._circles(base, first, second, group)
+                self._close_three_hinges(base, first, second, group)
             elif len(hinges) == 2:
-                self._line_circle(base, first, second, group)
-            elif not self._lines(base, first, second, group):
+                self._close_slider_bar(base, first, second, group)
+            elif not self._close_two_sliders(base, first, second, group):
                 continue
             return True
         return False
 
-    def _circles(self, base: int, first: int, second: int, group: tuple[Edge, ...]) -> None:
-        (a, a1) = self._pins(group[0], base, first)
-        (b1, b2) = self._pins(group[1], first, second)
-        (c, c2) = self._pins(group[2], base, second)
-        sign = self.code.sign()
-        outs = [self._out(first, 0), self._out(second, 1)]
-        self.code.pins(K.CIRCLES, [a, c, a1, b1, b2, c2], [sign, *outs])
-        A, B, C = self._names(base, first, second, group)
+    def _close_three_hinges(
+        self, base: int, first: int, second: int, group: tuple[Edge, ...]
+    ) -> None:
+        (a, a1) = self._find_hinge_ends(group[0], base, first)
+        (b1, b2) = self._find_hinge_ends(group[1], first, second)
+        (c, c2) = self._find_hinge_ends(group[2], base, second)
+        sign = self.code.add_sign()
+        outs = [self._choose_register(first, 0), self._choose_register(second, 1)]
+        self.code.append_pin_operation(K.CIRCLES, [a, c, a1, b1, b2, c2], [sign, *outs])
+        A, B, C = self._list_joint_names(base, first, second, group)
         meaning = f"+ where {B} lies to the left of the way from {A} to {C}"
-        ends = self._seen(group[0], a), self._seen(group[2], c), self._seen(group[1], b1)
-        self._record(base, first, second, group, meaning, ends, False)
-        self._join(base, {first: outs[0], second: outs[1]})
+        ends = (
+            self._find_body_end(group[0], a),
+            self._find_body_end(group[2], c),
+            self._find_body_end(group[1], b1),
+        )
+        self._record_dyad(base, first, second, group, meaning, ends, False)
+        self._join_clusters(base, {first: outs[0], second: outs[1]})
 
-    def _line_circle(self, base: int, first: int, second: int, group: tuple[Edge, ...]) -> None:
+    def _close_slider_bar(
+        self, base: int, first: int, second: int, group: tuple[Edge, ...]
+    ) -> None:
         rail = next(e for e in group if e[0] == P)
-        clusters = {self.cluster[p] for p in self._sides(rail[1])}
+        clusters = {self.cluster[p] for p in self._list_link_parts(rail[1])}
         link = self.parts.links[rail[1]]
         still = base if base in clusters else self.cluster[link.a]
         slider = next(c for c in clusters if c != still)
@@ -766,59 +803,66 @@ class Decomposition:
         between = {frozenset(pair): e for pair, e in zip(pairs, group, strict=True)}
         moving = between[frozenset((slider, other))]
         fixed = between[frozenset((still, other))]
-        b1, b2 = self._pins(moving, slider, other)
-        a, a2 = self._pins(fixed, still, other)
-        rails = self._rails(rail, still)
-        sign, outs, rebase = self.code.sign(), *self._outs(base, still, slider, other)
-        self.code.pins(K.LINE_CIRCLE, [*rails, b1, b2, a2, a], [sign, *outs.values()], 2)
+        b1, b2 = self._find_hinge_ends(moving, slider, other)
+        a, a2 = self._find_hinge_ends(fixed, still, other)
+        rails = self._find_rails(rail, still)
+        sign, outs, rebase = (
+            self.code.add_sign(),
+            *self._choose_registers(base, still, slider, other),
+        )
+        self.code.append_pin_operation(
+            K.LINE_CIRCLE, [*rails, b1, b2, a2, a], [sign, *outs.values()], 2
+        )
         meaning = f"+ where {link.name} slides farther than where its two roots meet"
-        pins = self._seen(fixed, a), self._seen(moving, b1)
+        pins = self._find_body_end(fixed, a), self._find_body_end(moving, b1)
         if self.cluster[link.a] != still:
             pins = pins[::-1]
-        self._record(
-            base, first, second, group, meaning, (pins[0], link.rails(True)[0], pins[1]), True
+        self._record_dyad(
+            base, first, second, group, meaning, (pins[0], link.make_rails(True)[0], pins[1]), True
         )
-        self._finish(base, outs, rebase)
+        self._finish_dyad(base, outs, rebase)
 
-    def _lines(self, base: int, first: int, second: int, group: tuple[Edge, ...]) -> bool:
+    def _close_two_sliders(
+        self, base: int, first: int, second: int, group: tuple[Edge, ...]
+    ) -> bool:
         rails = [e for e in group if e[0] == P]
-        sides = [{self.cluster[p] for p in self._sides(e[1])} for e in rails]
+        sides = [{self.cluster[p] for p in self._list_link_parts(e[1])} for e in rails]
         still = next(iter(sides[0] & sides[1]))
         y, z = (next(c for c in s if c != still) for s in sides)
-        one = self._rails(rails[0], still)
-        two = self._rails(rails[1], still)
-        if _parallel(one[0], two[0]):
+        one = self._find_rails(rails[0], still)
+        two = self._find_rails(rails[1], still)
+        if _are_parallel(one[0], two[0]):
             return False
-        pins = self._pins(next(e for e in group if e[0] == R), y, z)
-        outs, rebase = self._outs(base, still, y, z)
-        self.code.pins(K.LINES, [*one, *two, *pins], list(outs.values()), 4)
-        self._record(base, first, second, group, "one root only", (), False, None)
-        self._finish(base, outs, rebase)
+        pins = self._find_hinge_ends(next(e for e in group if e[0] == R), y, z)
+        outs, rebase = self._choose_registers(base, still, y, z)
+        self.code.append_pin_operation(K.LINES, [*one, *two, *pins], list(outs.values()), 4)
+        self._record_dyad(base, first, second, group, "one root only", (), False, None)
+        self._finish_dyad(base, outs, rebase)
         return True
 
-    def _outs(
+    def _choose_registers(
         self, base: int, still: int, y: int, z: int
     ) -> tuple[dict[int, int], tuple[int, int] | None]:
         """Registers for the poses of y and z seen from `still`; where the base is not that, what to
         turn round.
         """
         if still == base:
-            return {y: self._out(y, 0), z: self._out(z, 1)}, None
-        spare = {c: self.code.register(self.code.n_parts + k) for k, c in enumerate((y, z))}
+            return {y: self._choose_register(y, 0), z: self._choose_register(z, 1)}, None
+        spare = {c: self.code.get_register(self.code.n_parts + k) for k, c in enumerate((y, z))}
         return spare, (still, y if z == base else z)
 
-    def _finish(self, base: int, outs: dict[int, int], rebase: tuple[int, int] | None) -> None:
+    def _finish_dyad(self, base: int, outs: dict[int, int], rebase: tuple[int, int] | None) -> None:
         if rebase is not None:
             still, other = rebase
             new = {
-                still: self._out(still, 2),
-                other: self._out(other, 0 if len(self.members[other]) == 1 else 1),
+                still: self._choose_register(still, 2),
+                other: self._choose_register(other, 0 if len(self.members[other]) == 1 else 1),
             }
-            self.code.append(K.REBASE, [outs[base], outs[other], new[still], new[other]])
+            self.code.append_operation(K.REBASE, [outs[base], outs[other], new[still], new[other]])
             outs = new
-        self._join(base, outs)
+        self._join_clusters(base, outs)
 
-    def _record(
+    def _record_dyad(
         self,
         base: int,
         first: int,
@@ -834,13 +878,13 @@ class Decomposition:
         )
         kind = "".join("RP"[e[0] == P] for e in group)
         number = None if sign is None else self.code.signs - 1
-        names = self._names(base, first, second, group)
+        names = self._list_joint_names(base, first, second, group)
         root = next(
             (self.parts.reps[p] for p in self.members[base] if self.parts.reps[p] != NOWHERE), 0
         )
         self.dyads.append(Dyad(kind, root, bodies, names, number, meaning, ends, along))  # type: ignore[arg-type]
 
-    def _names(
+    def _list_joint_names(
         self, base: int, first: int, second: int, group: tuple[Edge, ...]
     ) -> tuple[str, str, str]:
         """Names of the dyad's joints; of a hinge of several, one that joins the two clusters where
@@ -855,33 +899,35 @@ class Decomposition:
                 continue
             here = self.parts.hinges[k][0]
             direct = [
-                n for n in here if {self.cluster[p] for p in self._sides(self.number[n])} == pair
+                n
+                for n in here
+                if {self.cluster[p] for p in self._list_link_parts(self.number[n])} == pair
             ]
             names.append((direct or list(here))[0])
         return names[0], names[1], names[2]
 
-    def _pins(self, edge: Edge, one: int, two: int) -> tuple[PartLine, PartLine]:
+    def _find_hinge_ends(self, edge: Edge, one: int, two: int) -> tuple[PartLine, PartLine]:
         """Ends of a hinge on two clusters."""
         ends = self.parts.hinges[edge[1]][1]
         a, b = (next(e for e in ends if self.cluster[e.part] == c) for c in (one, two))
         return a, b
 
-    def _seen(self, edge: Edge, end: PartLine) -> PartLine:
+    def _find_body_end(self, edge: Edge, end: PartLine) -> PartLine:
         """The end of a hinge, or another one of it where that is not on a body."""
         ends = (end, *self.parts.hinges[edge[1]][1])
         return next(e for e in ends if self.parts.reps[e.part] != NOWHERE)
 
-    def _rails(self, edge: Edge, base: int) -> tuple[PartLine, PartLine]:
+    def _find_rails(self, edge: Edge, base: int) -> tuple[PartLine, PartLine]:
         """Rails of a prismatic joint on the base and on what slides."""
         link = self.parts.links[edge[1]]
-        return link.rails(self.cluster[link.a] == base)
+        return link.make_rails(self.cluster[link.a] == base)
 
 
-def _led(kind: int, pose: Pose, by: float) -> Pose:
+def _move_pose(kind: int, pose: Pose, by: float) -> Pose:
     """The pose after a constant motion of a joint."""
-    return turned(pose, by) if kind == R else times(pose, (1.0, 0.0, by, 0.0))
+    return turn_pose(pose, by) if kind == R else multiply_poses(pose, (1.0, 0.0, by, 0.0))
 
 
-def _parallel(a: PartLine, b: PartLine) -> bool:
+def _are_parallel(a: PartLine, b: PartLine) -> bool:
     """Whether two rails on one part are parallel for ever."""
     return a.part == b.part and abs(a.dx * b.dy - a.dy * b.dx) <= SAME

@@ -26,7 +26,7 @@ from kempe.answers.derivation import (
     two_circles,
     two_lines,
 )
-from kempe.assemble.dyad_decomposition import Dyad, alone, parts_of
+from kempe.assemble.dyad_decomposition import Dyad, build_parts, find_single_motion
 from kempe.errors import UnsupportedError
 from kempe.forward.symbolic import SymbolLeaves, iterate_placement_steps, multiply_steps, sympy
 from kempe.joints import R
@@ -80,7 +80,7 @@ class _Place(NamedTuple):
     at: Vector
     angle: Any
 
-    def of(self, point: Vector) -> Vector:
+    def transform_point(self, point: Vector) -> Vector:
         """A point of the body, in the ground."""
         return plus(self.at, turned(point, self.angle))
 
@@ -97,7 +97,7 @@ class _Geometry(NamedTuple):
     value: Any
     """Its coordinate as an expression in coordinates of q."""
 
-    def side(self, body: str) -> int:
+    def find_side(self, body: str) -> int:
         """0 for the parent, 1 for the child."""
         return int(body == self.joint.child)
 
@@ -125,12 +125,16 @@ class _Writing:
             sympy.Symbol(n) for n in plan.known
         }
         self.places = {plan.system.body_names[0]: _Place((0, 0), 0)}
-        self.joints = {name: self._geometry(j) for name, j in plan.system.structure.joints.items()}
-        self.hinges = {name: names for names, _ in parts_of(plan.system).hinges for name in names}
+        self.joints = {
+            name: self._make_geometry(j) for name, j in plan.system.structure.joints.items()
+        }
+        self.hinges = {
+            name: names for names, _ in build_parts(plan.system).hinges for name in names
+        }
 
-    def _geometry(self, joint: Joint) -> _Geometry:
+    def _make_geometry(self, joint: Joint) -> _Geometry:
         """A joint as it lies on its bodies; without motion its value is zero."""
-        motion = alone(joint)
+        motion = find_single_motion(joint)
         if motion is None and joint.type.layout(2)[1]:
             raise UnsupportedError(
                 f"joint {joint.name!r} has no formulas here; loops.closed_form has numbers"
@@ -147,17 +151,17 @@ class _Writing:
         (a, b) = ((X[0, 3], X[1, 3]) for X in ends)
         return _Geometry(joint, turns, (a, b), (angles[0], angles[1]), value)
 
-    def write(self) -> DyadFormulas:
+    def write_formulas(self) -> DyadFormulas:
         """Place body after body, by known coordinates, then by the next dyad, until all coordinates
         are known.
         """
         dyads = list(self.plan.dyads)
         while True:
-            while self._drive() or self._read():
+            while self._place_driven_body() or self._read_joint():
                 pass
             if not dyads:
                 break
-            self._close(dyads.pop(0), len(self.plan.dyads) - len(dyads))
+            self._place_dyad(dyads.pop(0), len(self.plan.dyads) - len(dyads))
         if self.unknown:
             names = ", ".join(sorted(map(str, self.unknown)))
             raise UnsupportedError(f"no formulas for {names}; loops.closed_form has numbers")
@@ -169,49 +173,50 @@ class _Writing:
 
     # ---- what is known
 
-    def _say(self, name: str, formula: Any, says: str = "") -> Any:
+    def _add_step(self, name: str, formula: Any, says: str = "") -> Any:
         symbol = sympy.Symbol(name)
         self.steps.append(FormulaStep(symbol, formula, says))
         return symbol
 
-    def _place(self, body: str, angle: Any, own: Vector, at: Vector) -> None:
+    def _place_body(self, body: str, angle: Any, own: Vector, at: Vector) -> None:
         """Place a body: its angle, and the ground's point `at` at which its own point is."""
         end = f"{body}{self.end}"
-        theta = self._say(f"theta_{end}", angle, f"angle of {body}")
+        theta = self._add_step(f"theta_{end}", angle, f"angle of {body}")
         x, y = minus(at, turned(own, theta))
         self.places[body] = _Place(
-            (self._say(f"x_{end}", x, f"place of {body}"), self._say(f"y_{end}", y)), theta
+            (self._add_step(f"x_{end}", x, f"place of {body}"), self._add_step(f"y_{end}", y)),
+            theta,
         )
 
-    def _drive(self) -> bool:
+    def _place_driven_body(self) -> bool:
         """Place a body by a joint whose coordinate is known."""
         for g in self.joints.values():
             ends = g.joint.parent, g.joint.child
             there = [b for b in ends if b in self.places]
             if len(there) == 1 and not g.value.free_symbols & self.unknown:
-                self._beyond(g, there[0], g.value)
+                self._place_next_body(g, there[0], g.value)
                 return True
         return False
 
-    def _across(
+    def _cross_joint(
         self, g: _Geometry, body: str, here: _Place, value: Any
     ) -> tuple[str, Any, Vector, Vector]:
         """What is on the other side of a joint at a value: the body, its angle, its point, and
         where that is.
         """
-        side = g.side(body)
+        side = g.find_side(body)
         sense = -1 if side else 1
         angle = here.angle + g.angles[side] - g.angles[1 - side] + (sense * value if g.turns else 0)
-        at = here.of(g.points[side])
+        at = here.transform_point(g.points[side])
         if not g.turns:
             at = plus(at, turned((sense * value, 0), here.angle + g.angles[side]))
         return (g.joint.parent if side else g.joint.child), angle, g.points[1 - side], at
 
-    def _beyond(self, g: _Geometry, body: str, value: Any) -> None:
-        other, angle, own, at = self._across(g, body, self.places[body], value)
-        self._place(other, angle, own, at)
+    def _place_next_body(self, g: _Geometry, body: str, value: Any) -> None:
+        other, angle, own, at = self._cross_joint(g, body, self.places[body], value)
+        self._place_body(other, angle, own, at)
 
-    def _read(self) -> bool:
+    def _read_joint(self) -> bool:
         """Learn the coordinate of a joint that turns between bodies that are placed."""
         for g in self.joints.values():
             if (
@@ -222,19 +227,23 @@ class _Writing:
                 parent = self.places[g.joint.parent]
                 child = self.places[g.joint.child]
                 if g.turns:
-                    self._learn(g, child.angle + g.angles[1] - parent.angle - g.angles[0])
+                    self._learn_coordinate(
+                        g, child.angle + g.angles[1] - parent.angle - g.angles[0]
+                    )
                 else:
-                    gap = minus(child.of(g.points[1]), parent.of(g.points[0]))
-                    self._learn(g, turned(gap, -(parent.angle + g.angles[0]))[0])
+                    gap = minus(
+                        child.transform_point(g.points[1]), parent.transform_point(g.points[0])
+                    )
+                    self._learn_coordinate(g, turned(gap, -(parent.angle + g.angles[0]))[0])
                 return True
         return False
 
-    def _learn(self, g: _Geometry, value: Any) -> None:
+    def _learn_coordinate(self, g: _Geometry, value: Any) -> None:
         """Note the coordinate of which the value of a joint is a multiple, plus an offset."""
         unknown = list(g.value.free_symbols & self.unknown)
         if len(unknown) == 1:
             rate = sympy.diff(g.value, unknown[0])
-            self._say(
+            self._add_step(
                 str(unknown[0]),
                 (value - g.value.subs(unknown[0], 0)) / rate,
                 f"coordinate of {g.joint.name}",
@@ -244,7 +253,7 @@ class _Writing:
 
     # ---- dyads
 
-    def _cluster(self, bodies: tuple[str, ...]) -> dict[str, _Place]:
+    def _place_cluster(self, bodies: tuple[str, ...]) -> dict[str, _Place]:
         """Where bodies that known coordinates join are in the frame of the first one."""
         out = {bodies[0]: _Place((0, 0), sympy.Integer(0))}
         grown = True
@@ -258,12 +267,12 @@ class _Writing:
                     and {*ends} <= {*bodies}
                     and not g.value.free_symbols & self.unknown
                 ):
-                    other, angle, own, at = self._across(g, there[0], out[there[0]], g.value)
+                    other, angle, own, at = self._cross_joint(g, there[0], out[there[0]], g.value)
                     out[other] = _Place(minus(at, turned(own, angle)), angle)
                     grown = True
         return out
 
-    def _pin(self, joint: str, places: dict[str, _Place]) -> Vector:
+    def _find_pin(self, joint: str, places: dict[str, _Place]) -> Vector:
         """The point of a hinge on bodies whose places are given."""
         for name in self.hinges.get(joint, (joint,)):
             g = self.joints.get(name)
@@ -271,28 +280,28 @@ class _Writing:
                 zip((g.joint.parent, g.joint.child), g.points, strict=True) if g else ()
             ):
                 if body in places:
-                    return places[body].of(point)
-        raise self._none(joint)
+                    return places[body].transform_point(point)
+        raise self._make_error(joint)
 
-    def _rail(self, joint: str, places: dict[str, _Place]) -> tuple[_Geometry, str]:
+    def _find_rail(self, joint: str, places: dict[str, _Place]) -> tuple[_Geometry, str]:
         """A joint that slides, and the body of it whose place is given."""
         g = self.joints.get(joint)
         for body in (g.joint.parent, g.joint.child) if g else ():
             if g and body in places:
                 return g, body
-        raise self._none(joint)
+        raise self._make_error(joint)
 
-    def _none(self, joint: str) -> UnsupportedError:
+    def _make_error(self, joint: str) -> UnsupportedError:
         return UnsupportedError(
             f"no formulas for the dyad at {joint!r}; loops.closed_form has numbers"
         )
 
-    def _to(self, k: int, v: Vector) -> Vector:
-        return self._say(f"d_x_{k}{self.end}", v[0], "between the joints"), self._say(
+    def _name_vector(self, k: int, v: Vector) -> Vector:
+        return self._add_step(f"d_x_{k}{self.end}", v[0], "between the joints"), self._add_step(
             f"d_y_{k}{self.end}", v[1]
         )
 
-    def _polar(self, v: Vector) -> tuple[Any, Any]:
+    def _convert_to_polar(self, v: Vector) -> tuple[Any, Any]:
         """Length, not negative, and angle of a vector."""
         length, angle = polar(v)
         values = {sympy.Symbol(n): x for n, x in self.system.structure.parameters.items()}
@@ -301,7 +310,7 @@ class _Writing:
             return sympy.sqrt(sympy.expand(v[0] ** 2 + v[1] ** 2)), sympy.atan2(v[1], v[0])
         return (length, angle) if float(number) >= 0.0 else (-length, angle + sympy.pi)
 
-    def _close(self, dyad: Dyad, k: int) -> None:
+    def _place_dyad(self, dyad: Dyad, k: int) -> None:
         """Place the two links of a dyad."""
         n = Names.ending(f"_{k}{self.end}")
         if dyad.sign is not None:
@@ -309,127 +318,160 @@ class _Writing:
         first, second = dyad.bodies
         x, y, z = dyad.joints
         if not {*first, *second} <= set(self.system.body_names):
-            raise self._none(y)
+            raise self._make_error(y)
         near = ((x, y, z), first, second)
         far = ((z, y, x), second, first)
-        how = {"RRR": self._circles, "RPR": self._turning, "PRP": self._both_slide}.get(dyad.kind)
+        how = {
+            "RRR": self._place_three_hinges,
+            "RPR": self._place_turning_slide,
+            "PRP": self._place_two_sliders,
+        }.get(dyad.kind)
         if how is None:
-            how = self._line_circle if dyad.kind.count("P") == 1 else self._slide_on_slide
+            how = (
+                self._place_slider_bar if dyad.kind.count("P") == 1 else self._place_stacked_sliders
+            )
         how(
             n,
             k,
             *(near if dyad.kind[0] == "P" or dyad.kind[-1] == "R" and dyad.kind != "RPP" else far),
         )
 
-    def _circles(self, n: Names, k: int, joints: Three, first: Bodies, second: Bodies) -> None:
+    def _place_three_hinges(
+        self, n: Names, k: int, joints: Three, first: Bodies, second: Bodies
+    ) -> None:
         (x, y, z) = joints
-        one = self._cluster(first)
-        two = self._cluster(second)
-        A = self._pin(x, self.places)
-        to = self._to(k, minus(self._pin(z, self.places), A))
-        a1 = self._pin(x, one)
-        b1 = self._pin(y, one)
-        b2 = self._pin(y, two)
-        c2 = self._pin(z, two)
-        (l1, at1) = self._polar(minus(b1, a1))
-        (l2, at2) = self._polar(minus(c2, b2))
+        one = self._place_cluster(first)
+        two = self._place_cluster(second)
+        A = self._find_pin(x, self.places)
+        to = self._name_vector(k, minus(self._find_pin(z, self.places), A))
+        a1 = self._find_pin(x, one)
+        b1 = self._find_pin(y, one)
+        b2 = self._find_pin(y, two)
+        c2 = self._find_pin(z, two)
+        (l1, at1) = self._convert_to_polar(minus(b1, a1))
+        (l2, at2) = self._convert_to_polar(minus(c2, b2))
         steps, angle, bend = two_circles(n._replace(sign=-n.sign), to, l1, l2, LEFT)
         self.steps += steps
-        self._place(first[0], angle - at1, a1, A)
+        self._place_body(first[0], angle - at1, a1, A)
         here = self.places[first[0]]
-        self._place(second[0], here.angle + at1 + bend - at2, b2, here.of(b1))
+        self._place_body(second[0], here.angle + at1 + bend - at2, b2, here.transform_point(b1))
 
-    def _slid(self, rail: str, slider: Bodies) -> tuple[_Geometry, str, _Place, Vector]:
+    def _find_slider(self, rail: str, slider: Bodies) -> tuple[_Geometry, str, _Place, Vector]:
         """A link that slides on what is placed: the joint, its placed body, where the link is at
         zero, and its way.
         """
-        g, still = self._rail(rail, self.places)
-        own = self._cluster(slider)
-        body, angle, point, at = self._across(g, still, self.places[still], 0)
+        g, still = self._find_rail(rail, self.places)
+        own = self._place_cluster(slider)
+        body, angle, point, at = self._cross_joint(g, still, self.places[still], 0)
         if body not in own:
-            raise self._none(rail)
+            raise self._make_error(rail)
         turn = angle - own[body].angle
-        side = g.side(still)
+        side = g.find_side(still)
         along = turned((-1 if side else 1, 0), self.places[still].angle + g.angles[side])
-        return g, still, _Place(minus(at, turned(own[body].of(point), turn)), turn), along
+        return (
+            g,
+            still,
+            _Place(minus(at, turned(own[body].transform_point(point), turn)), turn),
+            along,
+        )
 
-    def _line_circle(self, n: Names, k: int, joints: Three, slider: Bodies, bar: Bodies) -> None:
+    def _place_slider_bar(
+        self, n: Names, k: int, joints: Three, slider: Bodies, bar: Bodies
+    ) -> None:
         """Place a slider on what is placed, and a bar from it to a hinge on what is placed."""
         rail, middle, pin = joints
-        g, still, start, along = self._slid(rail, slider)
-        two = self._cluster(bar)
-        b2 = self._pin(middle, two)
-        c2 = self._pin(pin, two)
-        fixed = self._pin(pin, self.places)
-        length, at_bar = self._polar(minus(c2, b2))
-        to = minus(fixed, start.of(self._pin(middle, self._cluster(slider))))
-        steps, u, turn = line_and_circle(n, self._to(k, to), along, length)
+        g, still, start, along = self._find_slider(rail, slider)
+        two = self._place_cluster(bar)
+        b2 = self._find_pin(middle, two)
+        c2 = self._find_pin(pin, two)
+        fixed = self._find_pin(pin, self.places)
+        length, at_bar = self._convert_to_polar(minus(c2, b2))
+        to = minus(
+            fixed, start.transform_point(self._find_pin(middle, self._place_cluster(slider)))
+        )
+        steps, u, turn = line_and_circle(n, self._name_vector(k, to), along, length)
         self.steps += steps
-        self._slide(g, still, u)
-        self._place(bar[0], turn - at_bar, c2, fixed)
+        self._slide_joint(g, still, u)
+        self._place_body(bar[0], turn - at_bar, c2, fixed)
 
-    def _slide(self, g: _Geometry, body: str, u: Any) -> None:
+    def _slide_joint(self, g: _Geometry, body: str, u: Any) -> None:
         """Note how far a joint slides, and place what is beyond it."""
-        self._learn(g, u)
-        self._beyond(g, body, g.value)
+        self._learn_coordinate(g, u)
+        self._place_next_body(g, body, g.value)
 
-    def _turning(self, n: Names, k: int, joints: Three, first: Bodies, second: Bodies) -> None:
+    def _place_turning_slide(
+        self, n: Names, k: int, joints: Three, first: Bodies, second: Bodies
+    ) -> None:
         """Place two links on hinges with a slide between them."""
         x, y, z = joints
-        g, body = self._rail(y, dict.fromkeys(first, self.places[self.system.body_names[0]]))
+        g, body = self._find_rail(y, dict.fromkeys(first, self.places[self.system.body_names[0]]))
         if g.joint.parent != body:
             x, z, first, second = z, x, second, first
-        one = self._cluster(first)
-        two = self._cluster(second)
+        one = self._place_cluster(first)
+        two = self._place_cluster(second)
         parent = one.get(g.joint.parent)
         child = two.get(g.joint.child)
         if parent is None or child is None:
-            raise self._none(y)
-        A = self._pin(x, self.places)
-        a = self._pin(x, one)
+            raise self._make_error(y)
+        A = self._find_pin(x, self.places)
+        a = self._find_pin(x, one)
         rail = parent.angle + g.angles[0]
         other = child.angle + g.angles[1]
-        reach = turned(minus(self._pin(z, two), child.of(g.points[1])), rail - other)
-        gap = turned(plus(minus(parent.of(g.points[0]), a), reach), -rail)
+        reach = turned(
+            minus(self._find_pin(z, two), child.transform_point(g.points[1])), rail - other
+        )
+        gap = turned(plus(minus(parent.transform_point(g.points[0]), a), reach), -rail)
         ahead, aside = (sympy.simplify(v) for v in gap)
-        steps, u, angle = turning_slide(n, self._to(k, minus(self._pin(z, self.places), A)), aside)
+        steps, u, angle = turning_slide(
+            n, self._name_vector(k, minus(self._find_pin(z, self.places), A)), aside
+        )
         self.steps += steps
-        self._learn(g, u - ahead)
-        self._place(first[0], angle - rail, a, A)
+        self._learn_coordinate(g, u - ahead)
+        self._place_body(first[0], angle - rail, a, A)
 
-    def _both_slide(self, n: Names, k: int, joints: Three, first: Bodies, second: Bodies) -> None:
+    def _place_two_sliders(
+        self, n: Names, k: int, joints: Three, first: Bodies, second: Bodies
+    ) -> None:
         """Place two sliders on what is placed, joined by a hinge."""
         ways = [
-            self._slid(rail, bodies) for rail, bodies in ((joints[0], first), (joints[2], second))
+            self._find_slider(rail, bodies)
+            for rail, bodies in ((joints[0], first), (joints[2], second))
         ]
         pins = [
-            way[2].of(self._pin(joints[1], self._cluster(bodies)))
+            way[2].transform_point(self._find_pin(joints[1], self._place_cluster(bodies)))
             for way, bodies in zip(ways, (first, second), strict=True)
         ]
         (d1, d2) = (way[3] for way in ways)
-        to = self._to(k, minus(pins[1], pins[0]))
+        to = self._name_vector(k, minus(pins[1], pins[0]))
         steps, *slides = two_lines(n, to, d1, (-d2[0], -d2[1]))
         self.steps += steps
         for (g, still, *_), u in zip(ways, slides, strict=True):
-            self._slide(g, still, u)
+            self._slide_joint(g, still, u)
 
-    def _slide_on_slide(self, n: Names, k: int, joints: Three, near: Bodies, far: Bodies) -> None:
+    def _place_stacked_sliders(
+        self, n: Names, k: int, joints: Three, near: Bodies, far: Bodies
+    ) -> None:
         """Place a slider on what is placed, and one on it that a hinge holds."""
         rail, middle, pin = joints
-        g1, still, start, d1 = self._slid(rail, near)
+        g1, still, start, d1 = self._find_slider(rail, near)
         before = self.places
-        own = self._cluster(near)
+        own = self._place_cluster(near)
         # as at zero
-        self.places = {b: _Place(start.of(p.at), start.angle + p.angle) for b, p in own.items()}
-        g2, _, tip, d2 = self._slid(middle, far)
+        self.places = {
+            b: _Place(start.transform_point(p.at), start.angle + p.angle) for b, p in own.items()
+        }
+        g2, _, tip, d2 = self._find_slider(middle, far)
         self.places = before
-        to = minus(self._pin(pin, self.places), tip.of(self._pin(pin, self._cluster(far))))
-        steps, u1, u2 = two_lines(n, self._to(k, to), d1, d2)
+        to = minus(
+            self._find_pin(pin, self.places),
+            tip.transform_point(self._find_pin(pin, self._place_cluster(far))),
+        )
+        steps, u1, u2 = two_lines(n, self._name_vector(k, to), d1, d2)
         self.steps += steps
-        self._slide(g1, still, u1)
-        self._learn(g2, u2)
+        self._slide_joint(g1, still, u1)
+        self._learn_coordinate(g2, u2)
 
 
-def dyad_formulas(plan: Plan, symbols: Mapping[str, Any] | None = None) -> DyadFormulas:
+def derive_formulas(plan: Plan, symbols: Mapping[str, Any] | None = None) -> DyadFormulas:
     """The formulas of a closed form; see `Plan.formulas`."""
-    return _Writing(plan, symbols).write()
+    return _Writing(plan, symbols).write_formulas()

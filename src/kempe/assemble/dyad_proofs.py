@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from kempe.assemble.dyad_decomposition import operations
+from kempe.assemble.dyad_decomposition import unpack_program
 from kempe.kernels.dyads import dyads_layout as K
 from kempe.spatial import Array
 
@@ -72,7 +72,7 @@ class Disc:
         rad = np.abs(self.mid) * other.rad + np.abs(other.mid) * self.rad + self.rad * other.rad
         return Disc(self.mid * other.mid, rad)
 
-    def conjugate(self) -> Disc:
+    def conjugate_disc(self) -> Disc:
         """The mirror image: of a direction, its inverse."""
         return Disc(np.conj(self.mid), self.rad)
 
@@ -100,11 +100,11 @@ class Disc:
         return Disc(self.mid[at], self.rad[at])
 
 
-def _where(which: np.ndarray, a: Disc, b: Disc) -> Disc:
+def _select_discs(which: np.ndarray, a: Disc, b: Disc) -> Disc:
     return Disc(np.where(which, a.mid, b.mid), np.where(which, a.rad, b.rad))
 
 
-def _direction(v: Disc) -> Disc:
+def _normalize_vectors(v: Disc) -> Disc:
     """Directions of vectors; all of them where a vector may be zero."""
     n = np.abs(v.mid)
     known = v.rad < 0.5 * n
@@ -113,12 +113,12 @@ def _direction(v: Disc) -> Disc:
     return Disc(np.where(known, v.mid / safe, 0.0), np.where(known, off * (1.0 + off * off), 1.0))
 
 
-def _unit(v: Disc) -> Disc:
+def _limit_unit_vectors(v: Disc) -> Disc:
     """As `v`, of which it is known that its length is one."""
-    return _where(v.rad >= 1.0, Disc(np.zeros_like(v.mid), np.ones_like(v.rad)), v)
+    return _select_discs(v.rad >= 1.0, Disc(np.zeros_like(v.mid), np.ones_like(v.rad)), v)
 
 
-def _quotient(a: Disc, b: Disc) -> Disc:
+def _divide_reals(a: Disc, b: Disc) -> Disc:
     """Quotients of real numbers; not known at all where the divisor may be zero."""
     low = b.low
     sound = low > 0.0
@@ -128,14 +128,14 @@ def _quotient(a: Disc, b: Disc) -> Disc:
     return Disc(mid, np.where(sound, rad, HUGE))
 
 
-def _root(low: Array, high: Array) -> Disc:
+def _enclose_root(low: Array, high: Array) -> Disc:
     """Square roots of numbers between bounds that are not negative."""
     low = np.sqrt(low)
     high = np.sqrt(high)
     return Disc(0.5 * (low + high), 0.5 * (high - low))
 
 
-def _pinned(v1: Array, off1: Array, v2: Array, off2: Array) -> Array:
+def _bound_pin_radius(v1: Array, off1: Array, v2: Array, off2: Array) -> Array:
     """Radii of the pin of two links with vectors v1 and v2 to it, whose other ends and lengths are
     off by so much.
 
@@ -158,27 +158,31 @@ class Placed(NamedTuple):
     own: Disc
     at: Disc
 
-    def of(self, w: Disc) -> Disc:
+    def transform_point(self, w: Disc) -> Disc:
         """Where a point of the part is."""
         return self.at + self.turn * (w - self.own)
 
-    def inverse(self) -> Placed:
+    def invert_poses(self) -> Placed:
         """The inverse poses."""
-        return Placed(self.turn.conjugate(), self.at, self.own)
+        return Placed(self.turn.conjugate_disc(), self.at, self.own)
 
-    def times(self, other: Placed) -> Placed:
+    def multiply_poses(self, other: Placed) -> Placed:
         """The product of poses: written with the own point that leaves the smaller radii."""
         turn = self.turn * other.turn
-        one = Placed(turn, other.own, self.of(other.at))
-        two = Placed(turn, other.own + other.turn.conjugate() * (self.own - other.at), self.at)
-        return one.or_else(two)
+        one = Placed(turn, other.own, self.transform_point(other.at))
+        two = Placed(turn, other.own + other.turn.conjugate_disc() * (self.own - other.at), self.at)
+        return one.choose_smaller_radii(two)
 
-    def or_else(self, other: Placed) -> Placed:
+    def choose_smaller_radii(self, other: Placed) -> Placed:
         """These poses, or the same written otherwise where its radii are smaller."""
         less = other.own.rad + other.at.rad < self.own.rad + self.at.rad
-        return Placed(self.turn, _where(less, other.own, self.own), _where(less, other.at, self.at))
+        return Placed(
+            self.turn,
+            _select_discs(less, other.own, self.own),
+            _select_discs(less, other.at, self.at),
+        )
 
-    def rows(self, at: np.ndarray) -> Placed:
+    def select_rows(self, at: np.ndarray) -> Placed:
         """Some of the poses."""
         return Placed(self.turn[at], self.own[at], self.at[at])
 
@@ -208,7 +212,7 @@ class Enclosed:
     dyad: np.ndarray
     plan: Plan
 
-    def reason(self, rows: list[int]) -> str:
+    def explain_undetermined(self, rows: list[int]) -> str:
         """Why the first of some rows is undetermined."""
         if not rows:
             return ""
@@ -225,11 +229,11 @@ class Enclosed:
         )
         return " and ".join(words) + named
 
-    def may_move(self, rows: list[int]) -> bool:
+    def has_free_part(self, rows: list[int]) -> bool:
         """Whether some of these have a part that may be free, and not only roots that merge."""
         return bool(np.any(self.why[rows] & ~MERGED))
 
-    def undetermined(self, within: Array, closed: np.ndarray) -> np.ndarray:
+    def find_undetermined(self, within: Array, closed: np.ndarray) -> np.ndarray:
         """Which (k,) may close in several places, or, if they are not `closed` (k,), in a place
         that is not known.
 
@@ -239,19 +243,19 @@ class Enclosed:
         loose = (self.radius > within).any(axis=1)
         return loose & ((self.why > 0) | ~closed) | (self.why & WINDING > 0)
 
-    def contain(self, k: int, q: Array, turning: np.ndarray, within: Array) -> np.ndarray:
+    def find_contained(self, k: int, q: Array, turning: np.ndarray, within: Array) -> np.ndarray:
         """Which configurations (n, nq) lie in the k-th enclosure, or within so much (nq,) of it."""
         off: Array = np.abs(q - self.middle[k])
         off = np.where(turning, np.abs(off - TURN * np.round(off / TURN)), off)
         return np.all(off <= self.radius[k] + within, axis=1)
 
 
-def enclose(plan: Plan, values: Array, limits: bool, size: float) -> Enclosed:
+def enclose_branches(plan: Plan, values: Array, limits: bool, size: float) -> Enclosed:
     """The branches of a plan that may close for known values (n_known,); `limits`: inside the
     limits is enough.
     """
     with np.errstate(all="ignore"):
-        return _Walk(plan, values, limits, size).run()
+        return _Walk(plan, values, limits, size).run_program()
 
 
 class _Walk:
@@ -259,7 +263,7 @@ class _Walk:
 
     def __init__(self, plan: Plan, values: Array, limits: bool, size: float):
         ints: list[int] = plan.program[0].tolist()
-        given, self.ops = operations(plan.program)
+        given, self.ops = unpack_program(plan.program)
         self.plan = plan
         self.size = size
         self.tolerance = plan.tolerance
@@ -272,17 +276,17 @@ class _Walk:
         self.branch = np.zeros(1, dtype=np.int64)
         self.why = np.zeros(1, dtype=np.int64)
         self.dyad = np.full(1, -1)
-        one = self.constant(1.0)
-        zero = self.constant(0.0)
+        one = self.make_constant(1.0)
+        zero = self.make_constant(0.0)
         self.poses: dict[int, Placed] = {
             K.REGISTERS + 4 * k: Placed(one, zero, zero) for k in range(ints[K.N_REGISTERS])
         }
         self.known: dict[int, Coordinate] = {
-            self.first + slot: Coordinate(self.constant(float(x)))
+            self.first + slot: Coordinate(self.make_constant(float(x)))
             for slot, x in zip(given, values, strict=True)
         }
 
-    def run(self) -> Enclosed:
+    def run_program(self) -> Enclosed:
         """The branches that may close."""
         for i, f in self.ops:
             if not self.n:
@@ -298,7 +302,7 @@ class _Walk:
 
     # ---- branches
 
-    def keep(self, which: np.ndarray) -> None:
+    def keep_branches(self, which: np.ndarray) -> None:
         """Go on with these branches, by mask or numbers."""
         if which.dtype == bool and which.all():
             return
@@ -306,48 +310,52 @@ class _Walk:
         self.why = self.why[which]
         self.dyad = self.dyad[which]
         self.n = len(self.branch)
-        self.poses = {k: x.rows(which) for k, x in self.poses.items()}
+        self.poses = {k: x.select_rows(which) for k, x in self.poses.items()}
         self.known = {k: Coordinate(x.value[which], x.steps) for k, x in self.known.items()}
 
-    def doubled(self) -> Disc:
+    def double_branches(self) -> Disc:
         """Signs of the roots after each branch has become two, + before -."""
-        self.keep(np.repeat(np.arange(self.n), 2))
+        self.keep_branches(np.repeat(np.arange(self.n), 2))
         minus = np.arange(self.n) % 2
         self.branch = 2 * self.branch + minus
         return Disc(1.0 - 2.0 * minus, np.zeros(self.n))
 
-    def note(self, which: np.ndarray, reason: int) -> None:
+    def note_reason(self, which: np.ndarray, reason: int) -> None:
         """Note why branches may be undetermined from here on, and the dyad."""
         self.why = np.where(which, self.why | reason, self.why)
         self.dyad = np.where(which & (self.dyad < 0), self.dyads, self.dyad)
 
-    def closed(self, opening: Disc, factor: float = 1.0) -> None:
+    def keep_closed_branches(self, opening: Disc, factor: float = 1.0) -> None:
         """Keep the branches on which this may be zero."""
-        self.keep(~(factor * opening.low > self.tolerance))
+        self.keep_branches(~(factor * opening.low > self.tolerance))
 
     # ---- numbers
 
-    def constant(self, x: complex) -> Disc:
+    def make_constant(self, x: complex) -> Disc:
         """The same number on all branches."""
         return Disc(np.full(self.n, x), np.zeros(self.n))
 
-    def point(self, f: list[float]) -> Disc:
+    def read_point(self, f: list[float]) -> Disc:
         """A point of a part."""
         return Disc(np.full(self.n, complex(f[0], f[1])), np.full(self.n, INPUT * self.size))
 
-    def pin(self, place: int, f: list[float]) -> Disc:
+    def locate_pin(self, place: int, f: list[float]) -> Disc:
         """Where a point of a part is."""
-        return self.poses[place].of(self.point(f))
+        return self.poses[place].transform_point(self.read_point(f))
 
-    def rail(self, place: int, f: list[float]) -> tuple[Disc, Disc]:
+    def locate_rail(self, place: int, f: list[float]) -> tuple[Disc, Disc]:
         """Point and direction of a rail on a part."""
-        return self.pin(place, f), self.poses[place].turn * self.constant(complex(f[2], f[3]))
+        return self.locate_pin(place, f), self.poses[place].turn * self.make_constant(
+            complex(f[2], f[3])
+        )
 
-    def placed(self, f: list[float]) -> Placed:
+    def make_pose(self, f: list[float]) -> Placed:
         """A constant pose (c, s, x, y)."""
-        return Placed(self.constant(complex(f[0], f[1])), self.constant(0.0), self.point(f[2:]))
+        return Placed(
+            self.make_constant(complex(f[0], f[1])), self.make_constant(0.0), self.read_point(f[2:])
+        )
 
-    def windings(self, x: Coordinate, factor: float, period: float) -> bool:
+    def has_windings(self, x: Coordinate, factor: float, period: float) -> bool:
         """Whether the whole turns by which a coordinate may differ count, times a factor, modulo a
         period.
         """
@@ -355,72 +363,76 @@ class _Walk:
 
     # ---- operations
 
-    def set(self, i: list[int], f: list[float]) -> None:
+    def set_number(self, i: list[int], f: list[float]) -> None:
         """SET: a place becomes a number."""
-        self.known[i[1]] = Coordinate(self.constant(f[0]))
+        self.known[i[1]] = Coordinate(self.make_constant(f[0]))
 
-    def add(self, i: list[int], f: list[float]) -> None:
+    def add_multiple(self, i: list[int], f: list[float]) -> None:
         """ADD: a multiple of a coordinate is added to a place."""
         a = self.known[i[1]]
         b = self.known[i[2]]
         steps = (*a.steps, *(f[0] * s for s in b.steps))
-        self.known[i[1]] = Coordinate(a.value + b.value * self.constant(f[0]), steps)
+        self.known[i[1]] = Coordinate(a.value + b.value * self.make_constant(f[0]), steps)
 
-    def expect_zero(self, i: list[int], f: list[float]) -> None:
+    def check_zero_sum(self, i: list[int], f: list[float]) -> None:
         """EXPECT_ZERO: a sum of coordinates is zero."""
         x = self.known[i[1]]
-        if self.windings(x, 1.0, 0.0):
-            self.note(np.ones(self.n, dtype=bool), WINDING)
+        if self.has_windings(x, 1.0, 0.0):
+            self.note_reason(np.ones(self.n, dtype=bool), WINDING)
         else:
-            self.closed(x.value, f[0])
+            self.keep_closed_branches(x.value, f[0])
 
-    def turn(self, i: list[int], f: list[float]) -> None:
+    def turn_part(self, i: list[int], f: list[float]) -> None:
         """TURN: a part follows from another one by an angle."""
         x = self.known[i[3]]
-        angle = x.value * self.constant(f[0])
+        angle = x.value * self.make_constant(f[0])
         turned = Disc(np.exp(1j * angle.mid), angle.rad)
-        if self.windings(x, f[0], TURN):
-            self.note(np.ones(self.n, dtype=bool), WINDING)
+        if self.has_windings(x, f[0], TURN):
+            self.note_reason(np.ones(self.n, dtype=bool), WINDING)
             turned = Disc(np.zeros(self.n, dtype=complex), np.ones(self.n))
-        self._follow(i, f, Placed(_unit(turned), self.constant(0.0), self.constant(0.0)))
+        self._move_part(
+            i,
+            f,
+            Placed(_limit_unit_vectors(turned), self.make_constant(0.0), self.make_constant(0.0)),
+        )
 
-    def slide(self, i: list[int], f: list[float]) -> None:
+    def slide_part(self, i: list[int], f: list[float]) -> None:
         """SLIDE: a part follows from another one by a length."""
         x = self.known[i[3]]
-        way = x.value * self.constant(f[0])
-        if self.windings(x, f[0], 0.0):
-            self.note(np.ones(self.n, dtype=bool), WINDING)
+        way = x.value * self.make_constant(f[0])
+        if self.has_windings(x, f[0], 0.0):
+            self.note_reason(np.ones(self.n, dtype=bool), WINDING)
             way = Disc(way.mid, np.full(self.n, HUGE))
-        self._follow(i, f, Placed(self.constant(1.0), self.constant(0.0), way))
+        self._move_part(i, f, Placed(self.make_constant(1.0), self.make_constant(0.0), way))
 
-    def _follow(self, i: list[int], f: list[float], motion: Placed) -> None:
-        before = self.poses[i[2]].times(self.placed(f[1:5]))
-        self.poses[i[1]] = before.times(motion).times(self.placed(f[5:9]))
+    def _move_part(self, i: list[int], f: list[float], motion: Placed) -> None:
+        before = self.poses[i[2]].multiply_poses(self.make_pose(f[1:5]))
+        self.poses[i[1]] = before.multiply_poses(motion).multiply_poses(self.make_pose(f[5:9]))
 
-    def divide(self, i: list[int], f: list[float]) -> None:
+    def divide_pose(self, i: list[int], f: list[float]) -> None:
         """DIVIDE: the pose of a cluster from that of one of its parts."""
-        self.poses[i[1]] = self.poses[i[1]].times(self.poses[i[2]].inverse())
+        self.poses[i[1]] = self.poses[i[1]].multiply_poses(self.poses[i[2]].invert_poses())
 
-    def carry(self, i: list[int], f: list[float]) -> None:
+    def carry_part(self, i: list[int], f: list[float]) -> None:
         """CARRY: the pose of a part from that of its cluster."""
-        self.poses[i[1]] = self.poses[i[2]].times(self.poses[i[1]])
+        self.poses[i[1]] = self.poses[i[2]].multiply_poses(self.poses[i[1]])
 
-    def rebase(self, i: list[int], f: list[float]) -> None:
+    def rebase_poses(self, i: list[int], f: list[float]) -> None:
         """REBASE: two poses as seen from another cluster."""
-        back = self.poses[i[1]].inverse()
-        self.poses[i[3]], self.poses[i[4]] = back, back.times(self.poses[i[2]])
+        back = self.poses[i[1]].invert_poses()
+        self.poses[i[3]], self.poses[i[4]] = back, back.multiply_poses(self.poses[i[2]])
 
-    def circles(self, i: list[int], f: list[float]) -> None:
+    def intersect_circles(self, i: list[int], f: list[float]) -> None:
         """CIRCLES: two links and a pin between them."""
-        A, C, a1, b1, b2, c2 = (self.pin(i[k + 1], f[2 * k :]) for k in range(6))
+        A, C, a1, b1, b2, c2 = (self.locate_pin(i[k + 1], f[2 * k :]) for k in range(6))
         way = C - A
         w1 = b1 - a1
         w2 = b2 - c2
         reach = w1.high + w2.high - way.low
         inside = np.minimum(way.high + w2.high - w1.low, way.high + w1.high - w2.low)
-        self.keep(~((reach < -self.tolerance) | (inside < -self.tolerance)))
-        sign = self.doubled()
-        A, C, a1, b1, b2, c2 = (self.pin(i[k + 1], f[2 * k :]) for k in range(6))
+        self.keep_branches(~((reach < -self.tolerance) | (inside < -self.tolerance)))
+        sign = self.double_branches()
+        A, C, a1, b1, b2, c2 = (self.locate_pin(i[k + 1], f[2 * k :]) for k in range(6))
         way = C - A
         w1 = b1 - a1
         w2 = b2 - c2
@@ -428,8 +440,8 @@ class _Walk:
         total = r1 + r2
         less = r1 - r2
         together = d.low <= 0.0
-        self.note(together, COINCIDING)
-        self.note((r1.low <= 0.0) | (r2.low <= 0.0), NO_LENGTH)
+        self.note_reason(together, COINCIDING)
+        self.note_reason((r1.low <= 0.0) | (r2.low <= 0.0), NO_LENGTH)
         near = np.where(together, 1.0, d.low)
         squares = less * total
         ratios = [
@@ -445,7 +457,9 @@ class _Walk:
         for part in (total + d, total - d, d - less, d + less):
             lows.append(np.maximum(part.mid - part.rad, 0.0))
             highs.append(np.maximum(part.mid + part.rad, 0.0))
-        y = _root(lows[0] * lows[1] * lows[2] * lows[3], highs[0] * highs[1] * highs[2] * highs[3])
+        y = _enclose_root(
+            lows[0] * lows[1] * lows[2] * lows[3], highs[0] * highs[1] * highs[2] * highs[3]
+        )
         y = (
             Disc(
                 0.5 * y.mid / np.where(together, 1.0, d.mid),
@@ -453,8 +467,8 @@ class _Walk:
             )
             * sign
         )
-        self.note((lows[1] <= 0.0) | (lows[2] <= 0.0) | (lows[3] <= 0.0), MERGED)
-        u = _direction(way)
+        self.note_reason((lows[1] <= 0.0) | (lows[2] <= 0.0) | (lows[3] <= 0.0), MERGED)
+        u = _normalize_vectors(way)
         e1 = Disc(x.mid + 1j * y.mid, np.hypot(x.rad, y.rad))
         e2 = Disc(x.mid - d.mid + 1j * y.mid, np.hypot(x.rad + d.rad, y.rad))
         all_ = Disc(np.zeros(self.n, dtype=complex), np.ones(self.n))
@@ -463,161 +477,176 @@ class _Walk:
         v2 = middle - C.mid
         off1 = A.rad + r1.rad + np.abs(np.abs(v1) - r1.mid)
         off2 = C.rad + r2.rad + np.abs(np.abs(v2) - r2.mid)
-        B = Disc(middle, _pinned(v1, off1, v2, off2))
+        B = Disc(middle, _bound_pin_radius(v1, off1, v2, off2))
         for out, e, w, own, at in ((i[8], e1, w1, a1, A), (i[9], e2, w2, c2, C)):
-            g = _unit(u * _direction(e))
-            direct = _direction(B - at)
-            g = _where(direct.rad < g.rad, direct, g)
-            turn = _unit(_where(together, all_, g) * _direction(w).conjugate())
+            g = _limit_unit_vectors(u * _normalize_vectors(e))
+            direct = _normalize_vectors(B - at)
+            g = _select_discs(direct.rad < g.rad, direct, g)
+            turn = _limit_unit_vectors(
+                _select_discs(together, all_, g) * _normalize_vectors(w).conjugate_disc()
+            )
             self.poses[out] = Placed(turn, own, at)
         self.dyads += 1
 
-    def line_circle(self, i: list[int], f: list[float]) -> None:
+    def intersect_line_circle(self, i: list[int], f: list[float]) -> None:
         """LINE_CIRCLE: a slider and a link."""
-        self.keep(~(self._on_line(i, f)[0] > self.tolerance))
-        sign = self.doubled()
-        _, (P, D), (Q, E), b1, b2, a2, A = self._on_line(i, f)
-        turn = D * E.conjugate()
-        seen = D.conjugate() * (P + turn * (b1 - Q) - A)
+        self.keep_branches(~(self._measure_line_gap(i, f)[0] > self.tolerance))
+        sign = self.double_branches()
+        _, (P, D), (Q, E), b1, b2, a2, A = self._measure_line_gap(i, f)
+        turn = D * E.conjugate_disc()
+        seen = D.conjugate_disc() * (P + turn * (b1 - Q) - A)
         along = seen.real
         h = seen.imag
         w = b2 - a2
         r = Disc(np.abs(w.mid), w.rad)
-        self.note(r.low <= 0.0, NO_LENGTH)
+        self.note_reason(r.low <= 0.0, NO_LENGTH)
         parts = r - h, r + h
         lows, highs = ([np.maximum(x.mid + k * x.rad, 0.0) for x in parts] for k in (-1.0, 1.0))
-        self.note((lows[0] <= 0.0) | (lows[1] <= 0.0), MERGED)
-        t = _root(lows[0] * lows[1], np.minimum(highs[0] * highs[1], r.high**2)) * sign
+        self.note_reason((lows[0] <= 0.0) | (lows[1] <= 0.0), MERGED)
+        t = _enclose_root(lows[0] * lows[1], np.minimum(highs[0] * highs[1], r.high**2)) * sign
         to = Disc(t.mid + 1j * h.mid, np.hypot(t.rad, h.rad))
-        to = _where(to.rad < r.high, to, Disc(np.zeros(self.n, dtype=complex), r.high))
+        to = _select_discs(to.rad < r.high, to, Disc(np.zeros(self.n, dtype=complex), r.high))
         slid = t - along
         one = Placed(turn, Q, P + slid * D)
         two = Placed(turn, b1, A + D * to)
-        self.poses[i[8]] = one.or_else(two)
+        self.poses[i[8]] = one.choose_smaller_radii(two)
         self.poses[i[9]] = Placed(
-            _unit(_unit(D * _direction(to)) * _direction(w).conjugate()), a2, A
+            _limit_unit_vectors(
+                _limit_unit_vectors(D * _normalize_vectors(to))
+                * _normalize_vectors(w).conjugate_disc()
+            ),
+            a2,
+            A,
         )
         self.dyads += 1
 
-    def _on_line(self, i: list[int], f: list[float]) -> tuple[Any, ...]:
+    def _measure_line_gap(self, i: list[int], f: list[float]) -> tuple[Any, ...]:
         """By how much the line misses the circle at least; the rails and pins."""
-        (P, D) = self.rail(i[1], f)
-        (Q, E) = self.rail(i[2], f[4:])
-        b1, b2, a2, A = (self.pin(i[k + 3], f[8 + 2 * k :]) for k in range(4))
-        h = (D.conjugate() * (P + D * E.conjugate() * (b1 - Q) - A)).imag
+        (P, D) = self.locate_rail(i[1], f)
+        (Q, E) = self.locate_rail(i[2], f[4:])
+        b1, b2, a2, A = (self.locate_pin(i[k + 3], f[8 + 2 * k :]) for k in range(4))
+        h = (D.conjugate_disc() * (P + D * E.conjugate_disc() * (b1 - Q) - A)).imag
         return h.low - (b2 - a2).high, (P, D), (Q, E), b1, b2, a2, A
 
-    def lines(self, i: list[int], f: list[float]) -> None:
+    def intersect_lines(self, i: list[int], f: list[float]) -> None:
         """LINES: two sliders and a pin between them."""
-        (P, D), (Q, E), (S, G), (V, H) = (self.rail(i[k + 1], f[4 * k :]) for k in range(4))
-        b1 = self.pin(i[5], f[16:])
-        b2 = self.pin(i[6], f[18:])
-        one = D * E.conjugate()
-        two = G * H.conjugate()
+        (P, D), (Q, E), (S, G), (V, H) = (self.locate_rail(i[k + 1], f[4 * k :]) for k in range(4))
+        b1 = self.locate_pin(i[5], f[16:])
+        b2 = self.locate_pin(i[6], f[18:])
+        one = D * E.conjugate_disc()
+        two = G * H.conjugate_disc()
         gap = S + two * (b2 - V) - P - one * (b1 - Q)
-        det = (D.conjugate() * G).imag
-        t1 = _quotient((gap.conjugate() * G).imag, det)
-        t2 = _quotient((gap.conjugate() * D).imag, det)
+        det = (D.conjugate_disc() * G).imag
+        t1 = _divide_reals((gap.conjugate_disc() * G).imag, det)
+        t2 = _divide_reals((gap.conjugate_disc() * D).imag, det)
         self.poses[i[7]] = Placed(one, Q, P + t1 * D)
         self.poses[i[8]] = Placed(two, V, S + t2 * G)
-        self._parallel(det, (gap.conjugate() * D).imag)
+        self._note_parallel_rails(det, (gap.conjugate_disc() * D).imag)
         self.dyads += 1
 
-    def _parallel(self, det: Disc, apart: Disc) -> None:
+    def _note_parallel_rails(self, det: Disc, apart: Disc) -> None:
         """Note rails that may be parallel; what they are apart ends branches."""
         parallel = det.low <= 0.0
-        self.note(parallel, PARALLEL)
-        self.keep(
+        self.note_reason(parallel, PARALLEL)
+        self.keep_branches(
             ~(parallel & (apart.low > np.maximum(FARTHEST * self.size * det.high, self.tolerance)))
         )
 
-    def pin_pin(self, i: list[int], f: list[float]) -> None:
+    def place_on_pins(self, i: list[int], f: list[float]) -> None:
         """PIN_PIN: a cluster on two pins."""
-        A, B, a1, b1 = (self.pin(i[k + 1], f[2 * k :]) for k in range(4))
+        A, B, a1, b1 = (self.locate_pin(i[k + 1], f[2 * k :]) for k in range(4))
         way = B - A
         w = b1 - a1
-        turn = _unit(_direction(way) * _direction(w).conjugate())
+        turn = _limit_unit_vectors(_normalize_vectors(way) * _normalize_vectors(w).conjugate_disc())
         self.poses[i[5]] = Placed(turn, a1, A)
-        self.note(way.low <= 0.0, COINCIDING)
-        self.note(w.low <= 0.0, NO_LENGTH)
-        self.keep(~(np.maximum(way.low - w.high, w.low - way.high) > self.tolerance))
+        self.note_reason(way.low <= 0.0, COINCIDING)
+        self.note_reason(w.low <= 0.0, NO_LENGTH)
+        self.keep_branches(~(np.maximum(way.low - w.high, w.low - way.high) > self.tolerance))
 
-    def pin_rail(self, i: list[int], f: list[float]) -> None:
+    def place_on_pin_rail(self, i: list[int], f: list[float]) -> None:
         """PIN_RAIL: a cluster on a pin and along a rail."""
-        (_, D) = self.rail(i[1], f)
-        (_, E) = self.rail(i[2], f[4:])
-        self.poses[i[5]] = Placed(D * E.conjugate(), self.pin(i[4], f[10:]), self.pin(i[3], f[8:]))
+        (_, D) = self.locate_rail(i[1], f)
+        (_, E) = self.locate_rail(i[2], f[4:])
+        self.poses[i[5]] = Placed(
+            D * E.conjugate_disc(), self.locate_pin(i[4], f[10:]), self.locate_pin(i[3], f[8:])
+        )
 
-    def rail_rail(self, i: list[int], f: list[float]) -> None:
+    def place_on_rails(self, i: list[int], f: list[float]) -> None:
         """RAIL_RAIL: a cluster on two rails."""
-        (P, D), (Q, E), (S, G), (V, _) = (self.rail(i[k + 1], f[4 * k :]) for k in range(4))
-        turn = D * E.conjugate()
+        (P, D), (Q, E), (S, G), (V, _) = (self.locate_rail(i[k + 1], f[4 * k :]) for k in range(4))
+        turn = D * E.conjugate_disc()
         gap = P + turn * (V - Q) - S
-        det = (D.conjugate() * G).imag
-        t = _quotient((gap.conjugate() * G).imag, det)
+        det = (D.conjugate_disc() * G).imag
+        t = _divide_reals((gap.conjugate_disc() * G).imag, det)
         self.poses[i[5]] = Placed(turn, Q, P - t * D)
-        self._parallel(det, (gap.conjugate() * D).imag)
+        self._note_parallel_rails(det, (gap.conjugate_disc() * D).imag)
 
     def read_turn(self, i: list[int], f: list[float]) -> None:
         """READ_TURN: the angle of a joint between parts that are placed."""
         a = self.poses[i[1]]
         b = self.poses[i[2]]
-        turned = _unit(a.turn.conjugate() * b.turn * self.constant(complex(f[0], f[1])))
+        turned = _limit_unit_vectors(
+            a.turn.conjugate_disc() * b.turn * self.make_constant(complex(f[0], f[1]))
+        )
         n = np.abs(turned.mid)
         known = turned.rad < 0.5 * n
         rad = np.where(known, 1.2 * turned.rad / np.where(known, n, 1.0), math.pi)
-        angle = Disc(np.angle(turned.mid), rad) * self.constant(f[2]) + self.constant(f[3])
+        angle = Disc(np.angle(turned.mid), rad) * self.make_constant(f[2]) + self.make_constant(
+            f[3]
+        )
         period = f[4]
         narrow = self.limits and f[6] - f[5] < f[4] * (1.0 - 1e-9)
         if i[5]:
             x = self.known[i[3]]
-            if self.windings(x, 1.0, period):
-                self.note(np.ones(self.n, dtype=bool), WINDING)
+            if self.has_windings(x, 1.0, period):
+                self.note_reason(np.ones(self.n, dtype=bool), WINDING)
             else:
                 off = angle - x.value
-                self.closed(
+                self.keep_closed_branches(
                     Disc(off.mid - period * np.round(off.mid.real / period), off.rad), f[11]
                 )
         else:
             self.known[i[3]] = Coordinate(angle, () if narrow else (period,))
-        self.closed(self.pin(i[2], f[9:]) - self.pin(i[1], f[7:]))
+        self.keep_closed_branches(self.locate_pin(i[2], f[9:]) - self.locate_pin(i[1], f[7:]))
 
     def read_slide(self, i: list[int], f: list[float]) -> None:
         """READ_SLIDE: the length of a joint between parts that are placed."""
-        (P, D) = self.rail(i[1], f)
-        (Q, _) = self.rail(i[2], f[4:])
-        seen = D.conjugate() * (Q - P)
-        value = seen.real * self.constant(f[8]) + self.constant(f[9])
+        (P, D) = self.locate_rail(i[1], f)
+        (Q, _) = self.locate_rail(i[2], f[4:])
+        seen = D.conjugate_disc() * (Q - P)
+        value = seen.real * self.make_constant(f[8]) + self.make_constant(f[9])
         if i[5]:
             x = self.known[i[3]]
-            if self.windings(x, 1.0, 0.0):
-                self.note(np.ones(self.n, dtype=bool), WINDING)
+            if self.has_windings(x, 1.0, 0.0):
+                self.note_reason(np.ones(self.n, dtype=bool), WINDING)
             else:
                 opening = value - x.value
-                self.closed(opening, f[10])
+                self.keep_closed_branches(opening, f[10])
         else:
             self.known[i[3]] = Coordinate(value)
-        (P, D) = self.rail(i[1], f)
-        (Q, _) = self.rail(i[2], f[4:])
-        self.closed((D.conjugate() * (Q - P)).imag)
-        self.closed(self.rail(i[2], f[4:])[1] - self.rail(i[1], f)[1], f[11])
+        (P, D) = self.locate_rail(i[1], f)
+        (Q, _) = self.locate_rail(i[2], f[4:])
+        self.keep_closed_branches((D.conjugate_disc() * (Q - P)).imag)
+        self.keep_closed_branches(
+            self.locate_rail(i[2], f[4:])[1] - self.locate_rail(i[1], f)[1], f[11]
+        )
 
 
 OPERATIONS = {
-    K.SET: _Walk.set,
-    K.ADD: _Walk.add,
-    K.EXPECT_ZERO: _Walk.expect_zero,
-    K.TURN: _Walk.turn,
-    K.SLIDE: _Walk.slide,
-    K.DIVIDE: _Walk.divide,
-    K.CARRY: _Walk.carry,
-    K.REBASE: _Walk.rebase,
-    K.CIRCLES: _Walk.circles,
-    K.LINE_CIRCLE: _Walk.line_circle,
-    K.LINES: _Walk.lines,
-    K.PIN_PIN: _Walk.pin_pin,
-    K.PIN_RAIL: _Walk.pin_rail,
-    K.RAIL_RAIL: _Walk.rail_rail,
+    K.SET: _Walk.set_number,
+    K.ADD: _Walk.add_multiple,
+    K.EXPECT_ZERO: _Walk.check_zero_sum,
+    K.TURN: _Walk.turn_part,
+    K.SLIDE: _Walk.slide_part,
+    K.DIVIDE: _Walk.divide_pose,
+    K.CARRY: _Walk.carry_part,
+    K.REBASE: _Walk.rebase_poses,
+    K.CIRCLES: _Walk.intersect_circles,
+    K.LINE_CIRCLE: _Walk.intersect_line_circle,
+    K.LINES: _Walk.intersect_lines,
+    K.PIN_PIN: _Walk.place_on_pins,
+    K.PIN_RAIL: _Walk.place_on_pin_rail,
+    K.RAIL_RAIL: _Walk.place_on_rails,
     K.READ_TURN: _Walk.read_turn,
     K.READ_SLIDE: _Walk.read_slide,
 }

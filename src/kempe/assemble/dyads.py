@@ -18,7 +18,7 @@ from kempe.answers.answer import Answer
 from kempe.answers.known_values import known_tasks, source_values
 from kempe.arguments import explain_errors, explain_method_errors, read_names
 from kempe.arrays import read_reals
-from kempe.assemble.dyad_decomposition import Decomposition, Dyad, PartLine, parts_of
+from kempe.assemble.dyad_decomposition import Decomposition, Dyad, PartLine, build_parts
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.forward.fk import fk
 from kempe.model.configurations import read_q, read_start, refuse_far
@@ -202,9 +202,9 @@ class Plan(Report):
         coordinates, and links that are several bodies; `MissingExtraError` without sympy.
         """
 
-        from kempe.assemble.dyad_formulas import dyad_formulas
+        from kempe.assemble.dyad_formulas import derive_formulas
 
-        return dyad_formulas(self, symbols)
+        return derive_formulas(self, symbols)
 
     def solve(
         self, values: ArrayLike, branch: Any = None, start: Any = None, threads: int | None = None
@@ -230,12 +230,12 @@ class Plan(Report):
         if start is None:
             targets = np.zeros((1, nq))
         else:
-            targets = _rows(read_start(self.system, start), lead, "near")
+            targets = _shape_rows(read_start(self.system, start), lead, "near")
             refuse_far(self.system, targets, "start")
         signs = self.sign_rows(
             branch, targets if branch is None and start is not None else None, lead
         )
-        q, status = self._run(given, signs, targets, threads)
+        q, status = self._run_program(given, signs, targets, threads)
         gap = status[:, 0]
         ok = (gap <= self.tolerance) & np.isfinite(given).all(axis=-1)
         if not lead:
@@ -257,11 +257,11 @@ class Plan(Report):
         targets = (
             np.zeros((1, nq))
             if start is None
-            else _rows(read_start(self.system, start), (), "near")
+            else _shape_rows(read_start(self.system, start), (), "near")
         )
         refuse_far(self.system, targets, "start")
         many = np.repeat(given, k, axis=0)
-        q, status = self._run(many, np.tile(signs, (len(given), 1)), targets)
+        q, status = self._run_program(many, np.tile(signs, (len(given), 1)), targets)
         mask = (status[:, 0] <= self.tolerance) & np.isfinite(many).all(axis=-1)
         return q.reshape(*lead, k, nq), mask.reshape(*lead, k)
 
@@ -290,7 +290,7 @@ class Plan(Report):
         for d in self.dyads:
             if d.sign is None:
                 continue
-            first, line, last = (self._place(X, e) for e in d.ends)
+            first, line, last = (self._locate_line(X, e) for e in d.ends)
             to = last[0] - first[0]
             if d.along:
                 out[..., d.sign] = np.sum(line[1] * to, axis=-1)
@@ -308,12 +308,12 @@ class Plan(Report):
         """
         return np.where(self.heights(q) < 0.0, -1.0, 1.0)
 
-    def _place(self, X: Array, end: PartLine) -> tuple[Array, Array]:
+    def _locate_line(self, X: Array, end: PartLine) -> tuple[Array, Array]:
         pose = X[..., end.part, :, :]
         point = pose[..., :2, 3] + pose[..., :2, :2] @ np.array([end.x, end.y])
         return point, pose[..., :2, :2] @ np.array([end.dx, end.dy])
 
-    def _continued(
+    def _continue_configuration(
         self, values: Array, before: Array, unit: Array, turns: np.ndarray
     ) -> Array | None:
         """Configurations (N, nq) for known `values` (N, n_known) that continue the closed one
@@ -325,7 +325,7 @@ class Plan(Report):
         `unit` (nq,) are the coordinates of one radian or one characteristic length; `turns` are
         indices of those that a full turn brings back.
         """
-        q, status = self._run(values, self.branch_of(before)[None], before[None], 1)
+        q, status = self._run_program(values, self.branch_of(before)[None], before[None], 1)
         if not (np.all(status[:, 0] <= self.tolerance) and np.all(status[:, 1] == 0.0)):
             return None
         turning = set(turns.tolist())
@@ -343,7 +343,7 @@ class Plan(Report):
             np.maximum(most, np.abs(change) / unit[i], out=most)
         return q if np.all(most <= STEP * status[:, 2]) else None
 
-    def _run(
+    def _run_program(
         self, values: Array, signs: Array, targets: Array, threads: int | None = None
     ) -> tuple[Array, Array]:
         """Configurations (N, nq), and of each the opening, the count of undetermined parts and the
@@ -355,11 +355,11 @@ class Plan(Report):
         q = np.empty((len(values), self.system.nq))
         status = np.empty((len(values), 3))
 
-        def work(i: int, j: int) -> int:
+        def solve_chunk(i: int, j: int) -> int:
             s, t = (a if len(a) == 1 else a[i:j] for a in (signs, targets))
             return dyads.run_program(ints, floats, values[i:j], s, t, q[i:j], status[i:j])
 
-        sum_over_chunks(work, len(values), CHUNK, threads, SERIAL_BELOW)
+        sum_over_chunks(solve_chunk, len(values), CHUNK, threads, SERIAL_BELOW)
         return q, status
 
     def values(self, values: ArrayLike) -> tuple[Array, tuple[int, ...]]:
@@ -395,10 +395,10 @@ class Plan(Report):
                 f"branch is {branch!r}; it must be {each}; "
                 f"loops.closed_form({self.known}).describe() tells"
             )
-        return _rows(signs, lead, "branch")
+        return _shape_rows(signs, lead, "branch")
 
 
-def _rows(x: Array, lead: tuple[int, ...], what: str) -> Array:
+def _shape_rows(x: Array, lead: tuple[int, ...], what: str) -> Array:
     """`x` as (1 or N, k), where it has no leading axes or those of the values."""
     if x.ndim > 1 and x.shape[:-1] != lead:
         raise InputError(
@@ -408,7 +408,7 @@ def _rows(x: Array, lead: tuple[int, ...], what: str) -> Array:
 
 
 @explain_errors
-def closed_form(system: Model, known: Sequence[str] | str) -> Plan | Incomplete:
+def find_closed_form(system: Model, known: Sequence[str] | str) -> Plan | Incomplete:
     """The closed form of a planar system for these known coordinates, or `Incomplete`, which says
     what is left over.
 
@@ -416,10 +416,10 @@ def closed_form(system: Model, known: Sequence[str] | str) -> Plan | Incomplete:
     coordinates, their followers, and dyads of three rigid clusters (Assur groups of the second
     class). Errors: `UnknownNameError` for the names, `InputError` for one that is not in q.
     """
-    return _closed_form(system, read_names(known, "known"))
+    return _decompose_system(system, read_names(known, "known"))
 
 
-def on_branch(
+def solve_branch(
     system: Model,
     known: Mapping[str, Any],
     branch: Any,
@@ -433,7 +433,7 @@ def on_branch(
     there is no closed form, and so no branch signs.
     """
     values = source_values(system, known)
-    plan = closed_form(system, tuple(values))
+    plan = find_closed_form(system, tuple(values))
     if isinstance(plan, Incomplete):
         raise InputError(f"branch {branch!r} cannot be looked up: {plan.reason}")
     columns = np.broadcast_arrays(*values.values(), np.zeros(()))[:-1]
@@ -442,7 +442,7 @@ def on_branch(
 
 
 @keep_answers
-def _closed_form(system: Model, names: tuple[str, ...]) -> Plan | Incomplete:
+def _decompose_system(system: Model, names: tuple[str, ...]) -> Plan | Incomplete:
     slots = {c: i for i, c in enumerate(system.coordinate_names)}
     for name in names:
         if name in slots:
@@ -458,19 +458,19 @@ def _closed_form(system: Model, names: tuple[str, ...]) -> Plan | Incomplete:
         raise InputError(f"coordinate {name!r} is not part of q: {follows}")
     if len(set(names)) < len(names):
         raise InputError(f"known names a coordinate twice: {', '.join(names)}")
-    parts = parts_of(system)
+    parts = build_parts(system)
     if parts.trouble:
         return Incomplete(f"no closed form: {parts.trouble}")
     search = Decomposition(system, parts, [slots[n] for n in names])
-    left = search.run()
+    left = search.close_dyads()
     if left:
-        return _incomplete(search, left)
-    dyads = tuple(_in_bodies(d, parts.reps) for d in search.dyads)
-    program = search.code.pack([slots[n] for n in names])
+        return _explain_incomplete(search, left)
+    dyads = tuple(_convert_to_bodies(d, parts.reps) for d in search.dyads)
+    program = search.code.pack_arrays([slots[n] for n in names])
     return Plan(system, names, dyads, CLOSED * parts.size, program)
 
 
-def _in_bodies(dyad: Dyad, reps: tuple[int, ...]) -> Dyad:
+def _convert_to_bodies(dyad: Dyad, reps: tuple[int, ...]) -> Dyad:
     """A dyad whose ends count bodies instead of parts."""
     ends = tuple(PartLine(reps[e.part], *e.rail) for e in dyad.ends)
     return Dyad(
@@ -478,11 +478,11 @@ def _in_bodies(dyad: Dyad, reps: tuple[int, ...]) -> Dyad:
     )
 
 
-def _incomplete(search: Decomposition, left: list[int]) -> Incomplete:
+def _explain_incomplete(search: Decomposition, left: list[int]) -> Incomplete:
     """What is left over, and why: too little is known, or no dyad is among it."""
     bodies = tuple(b for c in left for p in search.members[c] for b in search.parts.names[p])
     shown = ", ".join(bodies[:8]) + (f", ... ({len(bodies)} in all)" if len(bodies) > 8 else "")
-    missing = search.freedom()
+    missing = search.count_freedoms()
     if missing > 0:
         them = "coordinate" if missing == 1 else "coordinates"
         why = f"by counting, {missing} more {them} must be known"

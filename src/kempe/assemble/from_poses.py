@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from kempe import spatial
 from kempe.arguments import explain_errors, together
-from kempe.assemble.assemble import assembler
+from kempe.assemble.assemble import bind_assembler
 from kempe.assemble.bound import LOOSEST, TOLERANCE
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Joint
@@ -193,7 +193,7 @@ def fit_joint(
         math.prod(lead), system.nq
     )
     form = find_implicit_form(kind, dim, particle)
-    bound = assembler(system, free)
+    bound = bind_assembler(system, free)
     tolerance = min(max(tolerance, TOLERANCE), LOOSEST)
     found, size, _ = bound.run(start, bound.no_pins, 1, tolerance=tolerance)
     far = size > tolerance

@@ -28,8 +28,8 @@ from kempe.arguments import (
 from kempe.arrays import check_range
 from kempe.assemble.assemble import assemble
 from kempe.assemble.bound import Assembler, get_equation_assembler
-from kempe.assemble.dyad_proofs import enclose
-from kempe.assemble.dyads import CLOSED, MOST_SIGNS, DyadAnswer, Incomplete, Plan, closed_form
+from kempe.assemble.dyad_proofs import enclose_branches
+from kempe.assemble.dyads import CLOSED, MOST_SIGNS, DyadAnswer, Incomplete, Plan, find_closed_form
 from kempe.assemble.from_poses import read_configurations
 from kempe.assemble.generic_configurations import find_idle_freedoms_at
 from kempe.assemble.nearest_exact import answer_within_tolerance, find_ideal_system
@@ -783,7 +783,7 @@ class Modes(Configurations):
     def _notes(self, degrees: bool = False) -> Sequence[str]:
         signs = []
         if any(self.branches):
-            signs = closed_form(self.system, tuple(self.known))._notes()
+            signs = find_closed_form(self.system, tuple(self.known))._notes()
         return [*signs, *super()._notes()]
 
     def _headline(self) -> str:
@@ -869,7 +869,7 @@ def assembly_modes(
 # ---- solver: dyads in closed form
 
 
-def no_dyads(problem: Problem) -> str | None:
+def explain_missing_dyads(problem: Problem) -> str | None:
     """Why there is no closed form with these names known; None where there is one."""
     system = problem.system
     known = tuple(problem.known)
@@ -878,13 +878,13 @@ def no_dyads(problem: Problem) -> str | None:
     frames = [k for k in known if k in system.frame_names and k not in system.coordinate_names]
     if frames:
         return f"the place of frame {frames[0]!r} is known, not only coordinates"
-    plan = closed_form(system, list_sources(system, known))
+    plan = find_closed_form(system, list_sources(system, known))
     if isinstance(plan, Incomplete):
         return plan.reason
     return f"it has 2^{plan.signs} branches, too many to list" if plan.signs > MOST_SIGNS else None
 
 
-def by_dyads(question: Problem) -> Modes:
+def find_modes_by_dyads(question: Problem) -> Modes:
     """The answer in closed form, of a mechanism that is made of dyads."""
     system = question.system
     values = source_values(system, question.known)
@@ -894,7 +894,7 @@ def by_dyads(question: Problem) -> Modes:
                 f"the known value of {name!r} has shape {x.shape}; it must be one number"
             )
         check_range(x, f"the known value of {name!r}")
-    plan: Any = closed_form(system, tuple(values))
+    plan: Any = find_closed_form(system, tuple(values))
     signs = plan.branches()
     numbers = np.array([[float(x) for x in values.values()]] * len(signs)).reshape(
         len(signs), len(values)
@@ -968,13 +968,13 @@ def _examine_doubtful_branches(
     """
     system = question.system
     size = plan.tolerance / CLOSED
-    proof = enclose(plan, values, bool(question.limits), size)
+    proof = enclose_branches(plan, values, bool(question.limits), size)
     layout = system.structure.layout
     turning = np.zeros(system.nq, dtype=bool)
     turning[layout.vector_q] = system.structure.coordinates.turning[layout.vector_v]
     within = SAME * np.where(turning, 1.0, size)
     ok = np.asarray(closed.ok)[proof.branch]
-    wide = proof.undetermined(within, ok)
+    wide = proof.find_undetermined(within, ok)
     if not len(ok) or (ok & ~wide).all():
         return _Doubt(np.zeros(0, dtype=np.int64))
 
@@ -996,9 +996,9 @@ def _examine_doubtful_branches(
     left = [
         k
         for k in np.flatnonzero(wide | ~ok).tolist()
-        if wide[k] or not proof.contain(k, clusters.q, turning, within).any()
+        if wide[k] or not proof.find_contained(k, clusters.q, turning, within).any()
     ]
-    continuum = bool(left) and proof.may_move(left)
+    continuum = bool(left) and proof.has_free_part(left)
     if continuum:
         s.close_configurations(sample_starts(s, min(BESIDE, read_start_count(spend.starts))), False)
     else:  # near roots that merge, least squares stop at what only seems to move
@@ -1008,7 +1008,7 @@ def _examine_doubtful_branches(
     moving = new[s.free[new] > 0]
     if len(moving) and not s.free[:before].any():
         found.append(int(moving[_choose_example(question, clusters, moving)]))
-    return _Doubt(proof.branch[left], proof.reason(left), tuple(found), s.free)
+    return _Doubt(proof.branch[left], proof.explain_undetermined(left), tuple(found), s.free)
 
 
 def _merge_branch_names(names: list[str]) -> str:
@@ -1163,7 +1163,9 @@ def _make_answer(
 
 
 SOLVERS = (
-    Solver("dyads", "closed form, one dyad after the other", no_dyads, by_dyads),
+    Solver(
+        "dyads", "closed form, one dyad after the other", explain_missing_dyads, find_modes_by_dyads
+    ),
     Solver(
         "many starts",
         "assembly from random starts, from mirror images and mixtures of what is found",

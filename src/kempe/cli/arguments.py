@@ -283,9 +283,9 @@ def parse_branch(system: System, given: Mapping[str, Any], text: str | None) -> 
             f"signs name a branch where coordinates are known; {places[0]!r} is a frame: use "
             "--start"
         )
-    from kempe.assemble.dyads import Incomplete, closed_form
+    from kempe.assemble.dyads import Incomplete, find_closed_form
 
-    plan = closed_form(system, tuple(given))
+    plan = find_closed_form(system, tuple(given))
     if not isinstance(plan, Incomplete) and plan.signs != len(text):
         needs = f"{format_count(plan.signs, 'sign')} with these inputs: --modes lists its branches"
         raise InputError(

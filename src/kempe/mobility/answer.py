@@ -37,7 +37,7 @@ SHOWN = 12
 """Loops, clusters and idle freedoms that are listed one by one."""
 
 
-def sentence(m: Mobility) -> str:
+def describe_mobility(m: Mobility) -> str:
     """The result in one sentence: what the count says, what is true, and why they differ."""
     if m.late and m.rank is None:
         return f"Gruebler says {m.gruebler}; {m.why_open}"
@@ -81,7 +81,7 @@ def sentence(m: Mobility) -> str:
         else f"which is {sure}the truth{order}"
     )
     rank = (
-        _without_motion(m.generic_rank_dof or 0, false, m.generic_rank_dof != m.rank_dof)
+        _describe_false_freedoms(m.generic_rank_dof or 0, false, m.generic_rank_dof != m.rank_dof)
         if false
         else ""
     )
@@ -95,7 +95,7 @@ def sentence(m: Mobility) -> str:
     )
 
 
-def _without_motion(rank: int, false: int, nearby: bool) -> str:
+def _describe_false_freedoms(rank: int, false: int, nearby: bool) -> str:
     """What the rank says too much."""
     where = " at configurations nearby" if nearby else ""
     if rank == false == 1:
@@ -107,7 +107,7 @@ def _without_motion(rank: int, false: int, nearby: bool) -> str:
     )
 
 
-def how_known(m: Mobility) -> str:
+def describe_evidence(m: Mobility) -> str:
     """By which test the true number is known, with its tolerance."""
     if m.rank is None or m.dof is None:
         return ""
@@ -131,7 +131,7 @@ def how_known(m: Mobility) -> str:
     return "no velocity keeps all loops closed: rigid" + unsure
 
 
-def rank_text(m: Mobility) -> str:
+def format_rank(m: Mobility) -> str:
     """The rank with its gap, and whether it is beyond doubt."""
     r = m.rank
     if r is None:
@@ -165,7 +165,7 @@ def rank_text(m: Mobility) -> str:
     return text + gap
 
 
-def _of_velocity(m: Mobility) -> list[str]:
+def _describe_velocity_freedoms(m: Mobility) -> list[str]:
     """Freedoms of position and of velocity, where some constraints are of velocity."""
     if m.velocity_dof is None or m.rank_dof is None:
         return []
@@ -181,7 +181,7 @@ def _of_velocity(m: Mobility) -> list[str]:
     ]
 
 
-def lines(m: Mobility) -> list[tuple[str, list[str]]]:
+def list_topics(m: Mobility) -> list[tuple[str, list[str]]]:
     """The report as (title, lines)."""
     out = [("count", list(m.counting.steps))]
     if m.dim == 2 and m.gruebler_spatial != m.gruebler:
@@ -189,7 +189,9 @@ def lines(m: Mobility) -> list[tuple[str, list[str]]]:
     if m.loops:
         out.append(("loops", cut_lines([str(x) for x in m.loops], SHOWN)))
     if len(m.clusters) > 1:
-        out.append(("groups of loops", cut_lines([_cluster(c) for c in m.clusters], SHOWN)))
+        out.append(
+            ("groups of loops", cut_lines([_describe_cluster(c) for c in m.clusters], SHOWN))
+        )
     if not m.closed:
         return out
     if m.given_residual > 1e-9:
@@ -201,13 +203,15 @@ def lines(m: Mobility) -> list[tuple[str, list[str]]]:
         )
     if m.within is not None:
         out.append(("within", cut_lines(m.within.lines, SHOWN)))
-    out.append(("rank", [rank_text(m)]))
+    out.append(("rank", [format_rank(m)]))
     if m.dof is not None:
         useful = f", {m.useful or 'none'} of them useful" if m.idle else ""
         useful = ", which is idle" if m.idle == m.dof == 1 else useful
-        out.append(("truth", [f"{format_count(m.dof, 'degree')} of freedom{useful}", how_known(m)]))
+        out.append(
+            ("truth", [f"{format_count(m.dof, 'degree')} of freedom{useful}", describe_evidence(m)])
+        )
     if m.velocity_dof is not None:
-        out.append(("velocity", _of_velocity(m)))
+        out.append(("velocity", _describe_velocity_freedoms(m)))
     if m.called:
         who = f"constraint {m.called[0]!r} {NO_SERIES}: what is singular here may be redundant"
         out.append(("truth", ["not known", who]))
@@ -230,12 +234,12 @@ def lines(m: Mobility) -> list[tuple[str, list[str]]]:
         if m.dof is not None and (m.rank_dof or 0) > m.dof:
             seen = format_count(m.rank_dof or 0, "freedom")
             out[-1][1].append(
-                f"counted to first order, where the rank sees {seen}; truly {_are(m.dof)}"
+                f"counted to first order, where the rank sees {seen}; truly {_format_there_are(m.dof)}"
             )
     return out
 
 
-def data(m: Mobility) -> dict[str, Any]:
+def collect_data(m: Mobility) -> dict[str, Any]:
     """All numbers and texts as plain Python, ready for JSON."""
     r = m.rank
     local = m.local
@@ -261,7 +265,7 @@ def data(m: Mobility) -> dict[str, Any]:
         "singular": m.singular,
         "kind": m.kind,
         "certain": m.certain,
-        "how": how_known(m),
+        "how": describe_evidence(m),
         "gap": None if r is None or r.gap == float("inf") else r.gap,
         "counting": list(m.counting.steps),
         "loops": [
@@ -320,21 +324,21 @@ def data(m: Mobility) -> dict[str, Any]:
     }
 
 
-def _cluster(c: Any) -> str:
+def _describe_cluster(c: Any) -> str:
     name = ", ".join(c.joints[:SHOWN]) + (", ..." if len(c.joints) > SHOWN else "")
     known = "" if c.rank_dof is None else f", by rank {c.rank_dof}"
     known += f", {c.redundant} redundant" if c.redundant else ""
     return f"{name}: count {c.gruebler}{known}"
 
 
-def dimensions(dims: Sequence[int]) -> str:
+def format_dimensions(dims: Sequence[int]) -> str:
     """'2, 1, 1', or '2 (5 times), 1 (8 times)' where there are many: dimensions of branches."""
     if len(dims) <= FEW:
         return ", ".join(str(d) for d in dims)
     return ", ".join(str(d) if n == 1 else f"{d} ({n} times)" for d, n in Counter(dims).items())
 
 
-def _are(n: int) -> str:
+def _format_there_are(n: int) -> str:
     return f"there is {n}" if n == 1 else f"there are {n}"
 
 
@@ -497,26 +501,26 @@ class Mobility(Report):
         See `kempe.mobility.relative_motion`. Errors: `InputError` where the mechanism cannot
         be closed, `UnknownNameError`, `UnsupportedError` for frames of particles.
         """
-        from kempe.mobility.relative_motion import relative_motion
+        from kempe.mobility.relative_motion import find_relative_motion
 
         if self.wrenches is None:
             raise InputError(
                 f"{self.name} cannot be closed here: nothing is known of how its bodies move"
             )
-        found = relative_motion(self.wrenches.system, self.wrenches.q, body, to)
+        found = find_relative_motion(self.wrenches.system, self.wrenches.q, body, to)
         return replace(found, within=found.within or self.within)
 
     @property
     def status(self) -> str:
         """The result in one sentence."""
-        return sentence(self)
+        return describe_mobility(self)
 
     def topics(self) -> list[tuple[str, list[str]]]:
         """The reasons as (title, lines)."""
-        return lines(self)
+        return list_topics(self)
 
     def _headline(self) -> str:
         return f"{self.name}: {self.status}"
 
     def _data(self) -> dict[str, Any]:
-        return data(self)
+        return collect_data(self)

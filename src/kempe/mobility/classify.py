@@ -23,8 +23,8 @@ from kempe.budget import Budget, TimeUp, Usual
 from kempe.description.parts import ReadOnlyDict
 from kempe.equations.velocity import VelocityRows, record_tangent_rows
 from kempe.errors import InputError, format_value
-from kempe.mobility.growth_vectors import Distribution, Growth, distribution, growth
-from kempe.mobility.one_sided import OneSidedReport, if_any
+from kempe.mobility.growth_vectors import Distribution, Growth, compute_distribution, compute_growth
+from kempe.mobility.one_sided import OneSidedReport, report_if_relevant
 from kempe.model.configurations import compute_distance, name_values, read_finite_q
 from kempe.numerics.clock import SHORT, TimeLimit, find_time_limit, limit_time
 from kempe.numerics.rank import Level, Spectrum
@@ -47,19 +47,23 @@ SEEN = 1e-9
 """Distance above which it is reported that the configuration is not the one that was given."""
 
 
-def vector(growth: tuple[int, ...], open_end: bool = False) -> str:
+def format_growth(growth: tuple[int, ...], open_end: bool = False) -> str:
     """'(2, 3, 4)', with dots where it goes on."""
     return f"({', '.join(map(str, growth))}{', ...' if open_end else ''})"
 
 
-def sentence(c: Classification) -> str:
+def describe_classification(c: Classification) -> str:
     """The result in one sentence, and within which tolerance it holds."""
-    doubt = "; a rank is doubtful" if c.doubtful and "beyond the digits" not in _sentence(c) else ""
+    doubt = (
+        "; a rank is doubtful"
+        if c.doubtful and "beyond the digits" not in _describe_outcome(c)
+        else ""
+    )
     ended = f"; {LATE}" if c.late and not c.why else ""
-    return _sentence(c) + doubt + ended + describe_nearest(c.within)
+    return _describe_outcome(c) + doubt + ended + describe_nearest(c.within)
 
 
-def _sentence(c: Classification) -> str:
+def _describe_outcome(c: Classification) -> str:
     both = f"{format_count(c.position_dof, 'freedom')} of position, {c.velocity_dof} of velocity"
     if c.kind in ("", "unilateral") or (c.kind == "holonomic" and c.position_dof == c.velocity_dof):
         return both + (f"; {c.why}" if c.why else "")
@@ -83,12 +87,12 @@ def _sentence(c: Classification) -> str:
     )
 
 
-def of_one(c: ConstraintKind) -> str:
+def describe_constraint(c: ConstraintKind) -> str:
     """What one constraint is, and why."""
-    return _of_one(c) + ("; all this while it touches" if c.touching else "")
+    return _describe_kind(c) + ("; all this while it touches" if c.touching else "")
 
 
-def _of_one(c: ConstraintKind) -> str:
+def _describe_kind(c: ConstraintKind) -> str:
     count = format_count(len(c.rows), "row")
     if c.kind == "unilateral":
         return (
@@ -103,7 +107,7 @@ def _of_one(c: ConstraintKind) -> str:
         return f"holonomic: {count} f(q) = 0, {takes}"
     if not c.independent:
         return "integrable: its velocities are zero by what holds positions, it takes no freedom"
-    growth = vector(c.growth or ())
+    growth = format_growth(c.growth or ())
     if c.doubtful:
         least = (
             "alone, brackets of its velocities reach at least "
@@ -127,24 +131,24 @@ def _of_one(c: ConstraintKind) -> str:
     )
 
 
-def reasons(c: Classification) -> list[str]:
+def list_reasons(c: Classification) -> list[str]:
     """Growth and what follows from it, line by line."""
     if c.growth_around is None or c.growth_around == () or c.position_dof == c.velocity_dof:
         return [c.why] if c.why else []
     out: list[str] = []
     if c.growth is not None:
         out.append(
-            f"{vector(c.growth, c.degree is None)} at q"
+            f"{format_growth(c.growth, c.degree is None)} at q"
             + (f", degree {c.degree}" if c.degree else "")
         )
     if c.singular:
-        out.append(f"{vector(c.growth_around)} at configurations around: q is singular")
+        out.append(f"{format_growth(c.growth_around)} at configurations around: q is singular")
     if c.why:
         out.append(c.why)
     return out
 
 
-def proof(c: Classification) -> list[str]:
+def list_proofs(c: Classification) -> list[str]:
     """What is proven, and how."""
     if c.growth_around is None or c.position_dof == c.velocity_dof:
         return []
@@ -171,9 +175,9 @@ def proof(c: Classification) -> list[str]:
     return out
 
 
-def lines(c: Classification) -> list[tuple[str, list[str]]]:
+def list_topics(c: Classification) -> list[tuple[str, list[str]]]:
     """The report as (title, lines)."""
-    out = [("growth", reasons(c)), ("known by", proof(c))]
+    out = [("growth", list_reasons(c)), ("known by", list_proofs(c))]
     if c.moved > SEEN:
         out.insert(
             0, ("start", [f"q is {c.moved:.3g} away from what was given, which was not closed"])
@@ -185,7 +189,7 @@ def lines(c: Classification) -> list[tuple[str, list[str]]]:
     return [(title, own) for title, own in out if own]
 
 
-def data(c: Classification) -> dict[str, Any]:
+def collect_data(c: Classification) -> dict[str, Any]:
     """All numbers and texts as plain Python, ready for JSON."""
     return {
         "system": c.name,
@@ -253,7 +257,7 @@ class ConstraintKind(InWords):
     def sentence(self) -> str:
         """What it is, and why, in one sentence."""
 
-        return of_one(self)
+        return describe_constraint(self)
 
     def __str__(self) -> str:
         return f"{self.name}: {self.sentence}"
@@ -332,17 +336,17 @@ class Classification(Report):
     @property
     def status(self) -> str:
         """The result in one sentence."""
-        return sentence(self)
+        return describe_classification(self)
 
     def topics(self) -> list[tuple[str, list[str]]]:
         """The reasons as (title, lines)."""
-        return lines(self)
+        return list_topics(self)
 
     def _headline(self) -> str:
         return f"{self.name}: {self.status}"
 
     def _data(self) -> dict[str, Any]:
-        return data(self)
+        return collect_data(self)
 
 
 # ---- how far motions reach
@@ -378,18 +382,18 @@ class EvaluationPoint:
     error: float = 1e-15
     """How far the configuration is from where it should be, in units."""
 
-    def at(self, q: Array) -> EvaluationPoint:
+    def replace_configuration(self, q: Array) -> EvaluationPoint:
         """The same at another configuration."""
         return replace(self, q=q)
 
     @property
-    def extra(self) -> int:
+    def n_time_directions(self) -> int:
         """1 where the time is among the directions."""
         return 0 if self.rows.steady else 1
 
-    def null_space(self, which: Sequence[int] = ()) -> Distribution:
+    def compute_null_space(self, which: Sequence[int] = ()) -> Distribution:
         """Velocities that what holds positions, and further rows, leave free."""
-        return distribution(self.rows, self.q, (*self.holding, *which), self.t, self.error)
+        return compute_distribution(self.rows, self.q, (*self.holding, *which), self.t, self.error)
 
 
 @dataclass(frozen=True, eq=False)
@@ -410,21 +414,21 @@ class Reach:
     doubtful: bool
 
 
-def random_place(place: EvaluationPoint, rng: np.random.Generator) -> EvaluationPoint | None:
+def sample_nearby_point(place: EvaluationPoint, rng: np.random.Generator) -> EvaluationPoint | None:
     """A configuration drawn at random around, with loops closed; None if none is found."""
-    basis = place.null_space().basis[: place.rows.layout.nv]
+    basis = place.compute_null_space().basis[: place.rows.layout.nv]
     units = place.rows.units[:-1]
     step = STEP
     for _ in range(TRIES):
         z = basis @ rng.normal(size=len(basis.T))
         q = place.closed(place.rows.layout.integrate_velocity(place.q, step * units * z))
         if q is not None:
-            return place.at(q)
+            return place.replace_configuration(q)
         step *= 0.6
     return None
 
 
-def moved_place(
+def sample_reachable_point(
     place: EvaluationPoint, which: Sequence[int], rng: np.random.Generator
 ) -> EvaluationPoint:
     """A configuration that random motions reach which obey the rows."""
@@ -432,16 +436,20 @@ def moved_place(
 
     rows = place.rows
     layout = rows.layout
-    units = rows.units[: rows.layout.nv + place.extra]
+    units = rows.units[: rows.layout.nv + place.n_time_directions]
     start = place.q
     state = np.append(np.zeros(layout.nv), place.t)
     for _ in range(PIECES):
         wish = rng.normal(size=len(units))
-        chosen = place.at(start).null_space(which).chosen
+        chosen = place.replace_configuration(start).compute_null_space(which).chosen
 
-        def rate(_: float, x: Array, chosen: np.ndarray = chosen, wish: Array = wish) -> Array:
+        def compute_rate(
+            _: float, x: Array, chosen: np.ndarray = chosen, wish: Array = wish
+        ) -> Array:
             A, b = rows.evaluate_rows(x[: layout.nq], x[layout.nq])
-            whole = (np.concatenate([A, -b[:, None]], axis=1) if place.extra else A)[chosen] * units
+            whole = (np.concatenate([A, -b[:, None]], axis=1) if place.n_time_directions else A)[
+                chosen
+            ] * units
             v = (wish - Spectrum(whole).solve_least_squares(whole @ wish, Level.ROUNDING)) * units
             out = np.zeros(layout.nq + 1)
             out[layout.vector_q] = v[layout.vector_v]
@@ -455,12 +463,12 @@ def moved_place(
                     w * c + x_ * b_ - y * a,
                 )
                 out[iq : iq + 4] *= 0.5
-            out[-1] = v[layout.nv] if place.extra else 0.0
+            out[-1] = v[layout.nv] if place.n_time_directions else 0.0
             return out
 
         begin = np.append(start, state[-1])
         solved = cast(Any, integrate).solve_ivp(
-            rate, (0.0, STEP), begin, "DOP853", rtol=EXACT, atol=EXACT
+            compute_rate, (0.0, STEP), begin, "DOP853", rtol=EXACT, atol=EXACT
         )
         end = solved.y[:, -1]
         start = layout.integrate_velocity(end[:-1], np.zeros(layout.nv))
@@ -468,35 +476,47 @@ def moved_place(
     return replace(place, q=start, t=float(state[-1]), error=DRIFT)
 
 
-def reach(
+def compute_reach(
     place: EvaluationPoint,
     around: EvaluationPoint | None,
     which: Sequence[int],
     rng: np.random.Generator,
 ) -> Reach:
     """What motions reach from a place that obey further rows; `around` is a place drawn at random."""
-    extra = place.extra
-    whole = place.null_space().dimension
-    here = place.null_space(which)
-    there = here if around is None else around.null_space(which)
-    far = growth(there, rng, whole, False)
+    extra = place.n_time_directions
+    whole = place.compute_null_space().dimension
+    here = place.compute_null_space(which)
+    there = here if around is None else around.compute_null_space(which)
+    far = compute_growth(there, rng, whole, False)
     if far.dimensions[-1] < whole and around is not None:  # the end is confirmed at another place
-        other = random_place(around, rng)
-        more = far if other is None else growth(other.null_space(which), rng, whole, False)
+        other = sample_nearby_point(around, rng)
+        more = (
+            far
+            if other is None
+            else compute_growth(other.compute_null_space(which), rng, whole, False)
+        )
         far = max(far, more, key=lambda g: g.dimensions[-1])
     most = far.dimensions[-1]
     if here.dimension > there.dimension:  # no field of velocities at q goes on smoothly around
         return Reach(
-            here.dimension - extra, None, _less(far, extra), None, most - extra, None, far.doubtful
+            here.dimension - extra,
+            None,
+            _subtract_time(far, extra),
+            None,
+            most - extra,
+            None,
+            far.doubtful,
         )
-    near = growth(here, rng, most, False)
+    near = compute_growth(here, rng, most, False)
     doubtful = far.doubtful or near.doubtful
     least = most
     if near.dimensions[-1] < most:
-        along = growth(moved_place(place, which, rng).null_space(which), rng, most, False)
+        along = compute_growth(
+            sample_reachable_point(place, which, rng).compute_null_space(which), rng, most, False
+        )
         least = along.dimensions[-1]
         doubtful = doubtful or along.doubtful
-        near = growth(here, rng, least, True) if near.dimensions[-1] < least else near
+        near = compute_growth(here, rng, least, True) if near.dimensions[-1] < least else near
         doubtful |= near.doubtful
     found = near.dimensions
     degree = found.index(least) + 1 if least in found else None
@@ -507,7 +527,7 @@ def reach(
     return Reach(
         here.dimension - extra,
         tuple(d - extra for d in found),
-        _less(far, extra),
+        _subtract_time(far, extra),
         least - extra,
         most - extra,
         degree,
@@ -515,7 +535,7 @@ def reach(
     )
 
 
-def _less(found: Growth, extra: int) -> tuple[int, ...]:
+def _subtract_time(found: Growth, extra: int) -> tuple[int, ...]:
     return tuple(d - extra for d in found.dimensions)
 
 
@@ -574,8 +594,10 @@ def classify(
             f"lengths); the nearest closed configuration found is {moved:.3g} away: project=True "
             "takes it"
         )
-    found = _Classifier(system, at.q, float(t), make_generator(rng), find_time_limit(USUAL)).found()
-    return replace(found, one_sided=if_any(system, at.q), moved=moved)
+    found = _Classifier(
+        system, at.q, float(t), make_generator(rng), find_time_limit(USUAL)
+    ).classify_system()
+    return replace(found, one_sided=report_if_relevant(system, at.q), moved=moved)
 
 
 class _Classifier:
@@ -599,28 +621,28 @@ class _Classifier:
             for i, r in enumerate(names)
             if not r.velocity and (not r.sided or r.of in self.moving)
         )
-        self.place = EvaluationPoint(self.rows, q, t, tuple(held), self._closed)
+        self.place = EvaluationPoint(self.rows, q, t, tuple(held), self._close_configuration)
 
-    def _closed(self, q: Array) -> Array | None:
+    def _close_configuration(self, q: Array) -> Array | None:
         if not self.place.holding:
             return q
         at = close_configuration(self.system, q)
         return at.q if at.closed else None
 
-    def velocity_rows(self, names: Iterable[str]) -> list[int]:
+    def list_velocity_rows(self, names: Iterable[str]) -> list[int]:
         """The rows of velocity of some constraints."""
         return [i for c in names for i in self.of[c] if self.rows.names[i].velocity]
 
-    def found(self) -> Classification:
+    def classify_system(self) -> Classification:
         """All that was found."""
         place = self.place
         system = self.system
-        whole = place.null_space()
-        around = random_place(place, self.rng)
-        positions = whole.dimension - place.extra
-        away = whole.dimension if around is None else around.null_space().dimension
-        which = self.velocity_rows(self.moving)
-        free = place.null_space(which).dimension - place.extra
+        whole = place.compute_null_space()
+        around = sample_nearby_point(place, self.rng)
+        positions = whole.dimension - place.n_time_directions
+        away = whole.dimension if around is None else around.compute_null_space().dimension
+        which = self.list_velocity_rows(self.moving)
+        free = place.compute_null_space(which).dimension - place.n_time_directions
         made: dict[str, Any] = {
             "system": system,
             "q": place.q,
@@ -628,15 +650,17 @@ class _Classifier:
             "velocity_dof": free,
         }
         if away < whole.dimension:
-            count = f"{format_count(positions, 'freedom')}, around {away - place.extra}"
+            count = f"{format_count(positions, 'freedom')}, around {away - place.n_time_directions}"
             why = f"q is a singular point of what holds positions, which leaves {count}"
-            return self._without(why, made, around)
-        if place.extra and not np.any(np.abs(place.null_space(which).basis[-1]) > 1e-9):
-            return self._without(
+            return self._classify_without_growth(why, made, around)
+        if place.n_time_directions and not np.any(
+            np.abs(place.compute_null_space(which).basis[-1]) > 1e-9
+        ):
+            return self._classify_without_growth(
                 "the velocities that are requested contradict each other at q", made, around
             )
         try:
-            total = reach(place, around, which, self.rng)
+            total = compute_reach(place, around, which, self.rng)
         except TimeUp:
             if not self.time.spent:
                 raise
@@ -644,13 +668,13 @@ class _Classifier:
                 f"the time limit of {self.time.limit:g} s ended the search for what brackets of "
                 "velocities span"
             )
-            return replace(self._without(said, made, around), late=True)
-        kind = self._together(total)
+            return replace(self._classify_without_growth(said, made, around), late=True)
+        kind = self._choose_common_kind(total)
         lost = (
             "constraints of velocity lose rank at q, where velocities do not go on smoothly around"
         )
         why = "" if total.growth is not None else lost
-        each = self._each(around or place)
+        each = self._classify_constraints(around or place)
         return Classification(
             **made,
             kind=kind,
@@ -665,7 +689,7 @@ class _Classifier:
             reachable_around=total.dimension_around,
         )
 
-    def _without(
+    def _classify_without_growth(
         self, why: str, made: dict[str, Any], around: EvaluationPoint | None
     ) -> Classification:
         """What can be said where growth is not defined."""
@@ -676,35 +700,37 @@ class _Classifier:
             growth_around=None,
             reachable_dimension=None,
             degree=None,
-            constraints=self._each(around or self.place),
+            constraints=self._classify_constraints(around or self.place),
             doubtful=False,
             why=why,
         )
 
-    def _together(self, total: Reach) -> str:
+    def _choose_common_kind(self, total: Reach) -> str:
         """What all constraints are together."""
         if self.moving:
             return INTEGRABLE if total.around[0] == total.dimension_around else NONHOLONOMIC
         sided = bool(self.rows.names) and all(r.sided for r in self.rows.names)
         return UNILATERAL if sided else HOLONOMIC
 
-    def _each(self, place: EvaluationPoint) -> Mapping[str, ConstraintKind]:
+    def _classify_constraints(self, place: EvaluationPoint) -> Mapping[str, ConstraintKind]:
         each: dict[str, ConstraintKind] = {}
         for name, rows in self.of.items():
             if self.time.spent:
                 continue
             try:
-                each[name] = self._one(place, name, rows)
+                each[name] = self._classify_constraint(place, name, rows)
             except TimeUp:
                 if not self.time.spent:
                     raise
         return ReadOnlyDict(each)
 
-    def _one(self, place: EvaluationPoint, name: str, own: list[int]) -> ConstraintKind:
+    def _classify_constraint(
+        self, place: EvaluationPoint, name: str, own: list[int]
+    ) -> ConstraintKind:
         rows = self.rows.names
-        whole = place.null_space().dimension
+        whole = place.compute_null_space().dimension
         names = tuple(rows[i].name for i in own)
-        which = self.velocity_rows([name]) if name in self.moving else []
+        which = self.list_velocity_rows([name]) if name in self.moving else []
         if not which:
             held = [i for i in own if not rows[i].sided]
             others = replace(place, holding=tuple(i for i in place.holding if i not in own))
@@ -712,13 +738,13 @@ class _Classifier:
                 name,
                 HOLONOMIC if held else UNILATERAL,
                 names,
-                others.null_space().dimension - whole if held else 0,
+                others.compute_null_space().dimension - whole if held else 0,
             )
-        alone = place.null_space(which)
-        grown = growth(alone, self.rng, whole, False)
+        alone = place.compute_null_space(which)
+        grown = compute_growth(alone, self.rng, whole, False)
         found = grown.dimensions
         kind = INTEGRABLE if found[-1] == alone.dimension else NONHOLONOMIC
-        extra = place.extra
+        extra = place.n_time_directions
         return ConstraintKind(
             name,
             kind,

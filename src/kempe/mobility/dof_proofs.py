@@ -51,7 +51,7 @@ ZERO = 1e-12
 """Values of equations, in radians and typical lengths, that are rounding."""
 
 
-def dimension(equations: Equations, q: Array, spans: Iterable[Array]) -> int:
+def find_family_dimension(equations: Equations, q: Array, spans: Iterable[Array]) -> int:
     """Largest dimension of a family of closed configurations through q (nq,) with rates in some of
     `spans` (nv, k).
     """
@@ -64,17 +64,17 @@ def dimension(equations: Equations, q: Array, spans: Iterable[Array]) -> int:
         k = span.shape[1]
         if k <= best or np.abs(span[~angles]).max(initial=0.0) > NEARLY:
             continue
-        K = _ratios(span)
+        K = _find_ratios(span)
         if K is None:
             continue
         s = np.random.default_rng(0).uniform(-np.pi, np.pi, size=(POINTS, k)) * PARTS
-        value = evaluate_constraints(e.system, e.move(q, s @ K.T), False, True)[0]
+        value = evaluate_constraints(e.system, e.move_configurations(q, s @ K.T), False, True)[0]
         if np.abs(value).max(initial=0.0) < ZERO:
             best = k
     return best
 
 
-def half_angles(
+def is_half_angle_motion(
     equations: Equations, q: Array, axes: Array, places: Sequence[int], null_space: Array
 ) -> bool:
     """Whether four hinges move so that tangents of half of neighbouring angles have a constant
@@ -108,7 +108,9 @@ def half_angles(
             step[:, places] = np.concatenate([by, by * np.sign(opposite)], axis=1)
             if (
                 np.abs(
-                    evaluate_constraints(equations.system, equations.move(q, step), False, True)[0]
+                    evaluate_constraints(
+                        equations.system, equations.move_configurations(q, step), False, True
+                    )[0]
                 ).max()
                 < ZERO
             ):
@@ -116,7 +118,7 @@ def half_angles(
     return False
 
 
-def _ratios(span: Array) -> Array | None:
+def _find_ratios(span: Array) -> Array | None:
     """The same span by columns of ratios, each 1 in one row in which the others are 0; None if some
     are no ratios.
     """
@@ -193,7 +195,7 @@ class Here(NamedTuple):
     exact: bool
 
 
-def split_of(q: Array, J: Array, basis: Array, columns: np.ndarray) -> Here:
+def split_rows(q: Array, J: Array, basis: Array, columns: np.ndarray) -> Here:
     """The reduced equations of the rows `basis` (m, k) of J (m, nv) in the unknowns `columns`, all
     others held.
     """
@@ -223,7 +225,7 @@ def split_of(q: Array, J: Array, basis: Array, columns: np.ndarray) -> Here:
     )
 
 
-def decide(
+def decide_dimension(
     equations: Equations,
     here: Here,
     rows: Sequence[Array],
@@ -240,23 +242,27 @@ def decide(
     to motions found.
     """
     at = here.split
-    found = lyapunov_schmidt.obstruction(equations, at, order, rng)
-    k = _order(found)
+    found = lyapunov_schmidt.measure_obstruction(equations, at, order, rng)
+    k = _find_clear_order(found)
     if k is None:
         return None
     if at.delta == 1:
         return 0, 0, f"the only velocity is obstructed at order {k}"
-    directions = _directions(at, tangents)
+    directions = _list_directions(at, tangents)
     if at.corank == 1:
-        return _one_equation(equations, here, k, found.noise, rng, directions)
+        return _decide_one_equation(equations, here, k, found.noise, rng, directions)
     if k > 2 or at.delta > MANY or not here.exact:
         return None
-    B = quadratic(equations, at)
-    lower = max(known, at.delta - at.corank if any(_regular_zero(B, d) for d in directions) else 0)
-    if lower == 0 and _definite(B, rng):
+    B = compute_quadratic_forms(equations, at)
+    lower = max(
+        known, at.delta - at.corank if any(_has_regular_zero(B, d) for d in directions) else 0
+    )
+    if lower == 0 and _has_definite_combination(B, rng):
         return 0, 0, "second-order terms of one sign obstruct all velocities"
     t = at.delta - lower
-    if _no_zero(B, t, rng) or _holding(equations, here, rows, uses, lower, order, rng):
+    if _has_no_zero(B, t, rng) or _can_isolate_others(
+        equations, here, rows, uses, lower, order, rng
+    ):
         return (
             lower,
             0 if lower == 0 else None,
@@ -265,13 +271,13 @@ def decide(
     return None
 
 
-def _order(found: lyapunov_schmidt.Obstruction) -> int | None:
+def _find_clear_order(found: lyapunov_schmidt.Obstruction) -> int | None:
     """The first order at which the reduced equations are clearly not zero."""
     k = found.order
     return None if k is None or found.size[k] < GAP * found.noise[k] else k
 
 
-def _directions(at: Split, tangents: Sequence[Array]) -> list[Array]:
+def _list_directions(at: Split, tangents: Sequence[Array]) -> list[Array]:
     """Unit vectors, in the basis of the null space, along motions that were found."""
     out: list[Array] = []
     for T in tangents:
@@ -285,7 +291,7 @@ def _directions(at: Split, tangents: Sequence[Array]) -> list[Array]:
 # ---- leading forms: one equation
 
 
-def _one_equation(
+def _decide_one_equation(
     equations: Equations,
     here: Here,
     k: int,
@@ -297,18 +303,18 @@ def _one_equation(
     delta = here.split.delta
     if k > 2 and not here.exact:
         return None
-    lines = [*lyapunov_schmidt.unit_directions(rng, LINES, delta), *directions]
+    lines = [*lyapunov_schmidt.sample_unit_vectors(rng, LINES, delta), *directions]
     eigen = np.zeros(delta)
     if k == 2 and delta <= MANY:
-        eigen, V = np.linalg.eigh(quadratic(equations, at)[0])
+        eigen, V = np.linalg.eigh(compute_quadratic_forms(equations, at)[0])
         clear = np.abs(eigen) > CLEAR * np.abs(eigen).max()
         if clear.all() and (eigen > 0).all() or clear.all() and (eigen < 0).all():
             if not here.exact:
                 return None  # a small sphere passes through q where the equation has a linear term
             return 0, 0, "second-order terms of one sign obstruct all velocities"
         lines += list(V.T)
-    g, slow = lyapunov_schmidt._solve(
-        equations, at, lyapunov_schmidt.lines(np.array(lines), len(noise) - 1), None
+    g, slow = lyapunov_schmidt._solve_coefficients(
+        equations, at, lyapunov_schmidt.make_lines(np.array(lines), len(noise) - 1), None
     )
     signs: set[int] = set()
     for row in (g / slow)[..., 0]:
@@ -332,7 +338,7 @@ def _one_equation(
 # ---- leading forms: quadratic forms
 
 
-def quadratic(equations: Equations, at: Split) -> Array:
+def compute_quadratic_forms(equations: Equations, at: Split) -> Array:
     """The quadratic forms (c, delta, delta) of the reduced equations, as symmetric matrices."""
     delta = at.delta
     pairs = list(combinations(range(delta), 2))
@@ -340,7 +346,9 @@ def quadratic(equations: Equations, at: Split) -> Array:
     d[:delta] = np.eye(delta)
     for n, (i, j) in enumerate(pairs, delta):
         d[n, [i, j]] = np.sqrt(0.5)
-    g = lyapunov_schmidt._solve(equations, at, lyapunov_schmidt.lines(d, 2), None)[0][:, 2]
+    g = lyapunov_schmidt._solve_coefficients(
+        equations, at, lyapunov_schmidt.make_lines(d, 2), None
+    )[0][:, 2]
     B = np.zeros((at.corank, delta, delta))
     B[:, range(delta), range(delta)] = g[:delta].T
     for n, (i, j) in enumerate(pairs, delta):
@@ -348,7 +356,7 @@ def quadratic(equations: Equations, at: Split) -> Array:
     return B
 
 
-def _regular_zero(B: Array, d: Array) -> bool:
+def _has_regular_zero(B: Array, d: Array) -> bool:
     """Whether the forms have a zero near d (delta,) at which their derivatives are independent."""
     c, delta, _ = B.shape
     if c >= delta:
@@ -363,15 +371,17 @@ def _regular_zero(B: Array, d: Array) -> bool:
     return False
 
 
-def _definite(B: Array, rng: np.random.Generator) -> bool:
+def _has_definite_combination(B: Array, rng: np.random.Generator) -> bool:
     """Whether some combination of the forms is definite."""
-    mix = np.concatenate([np.eye(len(B)), lyapunov_schmidt.unit_directions(rng, MIXTURES, len(B))])
+    mix = np.concatenate(
+        [np.eye(len(B)), lyapunov_schmidt.sample_unit_vectors(rng, MIXTURES, len(B))]
+    )
     eigen = np.linalg.eigvalsh(np.einsum("nc,cij->nij", mix, B))
     size = CLEAR * np.abs(eigen).max()
     return bool(np.any(eigen[:, 0] > size) or np.any(eigen[:, -1] < -size))
 
 
-def _no_zero(B: Array, t: int, rng: np.random.Generator) -> bool:
+def _has_no_zero(B: Array, t: int, rng: np.random.Generator) -> bool:
     """Whether the forms have no common complex zero but 0 on a random subspace of t dimensions.
 
     They have none if and only if their multiples by all monomials of degree t - 1 span all forms of
@@ -403,7 +413,7 @@ def _no_zero(B: Array, t: int, rng: np.random.Generator) -> bool:
 # ---- leading forms: coordinates held
 
 
-def _holding(
+def _can_isolate_others(
     equations: Equations,
     here: Here,
     rows: Sequence[Array],
@@ -414,19 +424,19 @@ def _holding(
 ) -> bool:
     """Whether some `count` coordinates, when held, leave all others isolated, loop by loop."""
     at = here.split
-    J = equations.linearise(at.q)[1][0]
+    J = equations.linearise_equations(at.q)[1][0]
     moving = np.flatnonzero(np.abs(at.null_space).max(axis=1) > CLEAR)
     unknown = np.unique(np.concatenate(list(uses)))
     choices: list[tuple[int, ...]] = list(combinations(moving.tolist(), count))
     if len(choices) > HELD:
         choices = [choices[i] for i in rng.choice(len(choices), HELD, replace=False)]
     return any(
-        _triangular(equations, at.q, J, rows, uses, np.setdiff1d(unknown, c), order, rng)
+        _is_isolated_stepwise(equations, at.q, J, rows, uses, np.setdiff1d(unknown, c), order, rng)
         for c in choices
     )
 
 
-def _triangular(
+def _is_isolated_stepwise(
     equations: Equations,
     q: Array,
     J: Array,
@@ -442,7 +452,7 @@ def _triangular(
         waiting: list[int] = []
         for k in pending:
             own = np.intersect1d(uses[k], left)
-            if not len(own) or _isolated(equations, split_of(q, J, rows[k], own), order, rng):
+            if not len(own) or _is_isolated(equations, split_rows(q, J, rows[k], own), order, rng):
                 left = np.setdiff1d(left, own)
             else:
                 waiting.append(k)
@@ -452,7 +462,7 @@ def _triangular(
     return True
 
 
-def _isolated(equations: Equations, here: Here, order: int, rng: np.random.Generator) -> bool:
+def _is_isolated(equations: Equations, here: Here, order: int, rng: np.random.Generator) -> bool:
     """Whether the configuration is an isolated complex solution of some equations in some unknowns."""
     at = here.split
     if not here.clear or at.delta > VARIABLES:
@@ -461,10 +471,14 @@ def _isolated(equations: Equations, here: Here, order: int, rng: np.random.Gener
         return True
     if at.corank == 0:
         return False
-    k = _order(lyapunov_schmidt.obstruction(equations, at, order, rng))
+    k = _find_clear_order(lyapunov_schmidt.measure_obstruction(equations, at, order, rng))
     if k is None or at.delta == 1:
         return k is not None
-    return k == 2 and here.exact and _no_zero(quadratic(equations, at), at.delta, rng)
+    return (
+        k == 2
+        and here.exact
+        and _has_no_zero(compute_quadratic_forms(equations, at), at.delta, rng)
+    )
 
 
 # ---- clusters and theorems
@@ -512,17 +526,17 @@ class Proof:
 # ---- ranks beyond rounding
 
 
-def regular(system: Model, rank: Rank, residual: float) -> bool:
+def has_full_rank(system: Model, rank: Rank, residual: float) -> bool:
     """Whether every cluster provably has full rank at the closed configuration near by."""
     s = build_constraint_graph(system)
     at = rank.screws
     return all(
-        _certified(s, at, c.cluster, c.values * c.size, c.jacobian, residual, True).regular
+        _certify_cluster(s, at, c.cluster, c.values * c.size, c.jacobian, residual, True).regular
         for c in rank.clusters
     )
 
 
-def _certified(
+def _certify_cluster(
     s: ConstraintGraph,
     at: Screws,
     c: Cluster,
@@ -543,17 +557,17 @@ def _certified(
         values,
         J.shape,
         residual,
-        _bend(size, at, 2.0 * reach),
+        _bound_second_derivatives(size, at, 2.0 * reach),
         bound_rounding_error(size.joints, reach),
         J.size,
     )
     if out.regular or not len(c.loops):
         return out
     spans = [  # large mechanisms have small loops
-        _reach(np.concatenate([at.F[i, :3, 3], at.M[i, :3, 3]]), at.M[i[0], :3, 3])
+        _find_largest_distance(np.concatenate([at.F[i, :3, 3], at.M[i, :3, 3]]), at.M[i[0], :3, 3])
         for i in c.list_loop_paths(s, short)
     ]
-    bend = _bend(size, at, 2.0 * max(spans) / at.length)
+    bend = _bound_second_derivatives(size, at, 2.0 * max(spans) / at.length)
     return make_certificate(
         values,
         J.shape,
@@ -564,12 +578,12 @@ def _certified(
     )
 
 
-def _reach(points: Array, center: Array) -> float:
+def _find_largest_distance(points: Array, center: Array) -> float:
     d = points - center
     return float(np.sqrt(np.max(np.sum(d * d, axis=1), initial=0.0)))
 
 
-def _bend(size: LoopSizes, at: Screws, D: float) -> float:
+def _bound_second_derivatives(size: LoopSizes, at: Screws, D: float) -> float:
     """A bound of the norm of the second derivatives of the equations of loops whose joints are D
     lengths apart.
 
@@ -599,43 +613,43 @@ class Prover:
         self.q = q
         self.structure = build_constraint_graph(system)
         self.at = compute_screws(system, q)
-        self.value, self.jacobian = (x[0] for x in equations.linearise(q))
-        self.parts = _parts(system, self.structure, self.at, equations, self.jacobian)
+        self.value, self.jacobian = (x[0] for x in equations.linearise_equations(q))
+        self.parts = _reduce_clusters(system, self.structure, self.at, equations, self.jacobian)
         self.manifolds: dict[int, Proof | _Open | None] = {}
 
-    def manifold(self) -> Proof | None:
+    def prove_manifold(self) -> Proof | None:
         """The dimension, if it is proven to be a manifold of as many dimensions as the null space
         has; else None.
         """
         found: list[Proof] = []
         for k in range(len(self.parts)):
-            proof = self._manifold(k)
+            proof = self._prove_cluster(k)
             if not isinstance(proof, Proof):
                 return None
             found.append(proof)
-        return self._sum(found)
+        return self._combine_proofs(found)
 
-    def dimension(self, order: int, tangents: Sequence[Array]) -> Proof | None:
+    def prove_dimension(self, order: int, tangents: Sequence[Array]) -> Proof | None:
         """The dimension, if it can be proven, by forms too; `tangents` (nv, k), in scaled
         coordinates, span motions that were found: where to look.
         """
         rng = np.random.default_rng(0)  # what is proven depends on no seed
         found: list[Proof] = []
         for k, part in enumerate(self.parts):
-            proof = self._manifold(k)
+            proof = self._prove_cluster(k)
             if isinstance(proof, _Open):
-                proof = _by_forms(self.equations, self.q, part, proof, order, rng, tangents)
+                proof = _prove_by_forms(self.equations, self.q, part, proof, order, rng, tangents)
             if proof is None:
                 return None
             found.append(proof)
-        return self._sum(found)
+        return self._combine_proofs(found)
 
-    def _manifold(self, k: int) -> Proof | _Open | None:
+    def _prove_cluster(self, k: int) -> Proof | _Open | None:
         """The proof for one cluster, what it leaves open, or None where nothing can be proven;
         found once.
         """
         if k not in self.manifolds:
-            self.manifolds[k] = _prove(
+            self.manifolds[k] = _prove_part(
                 self.structure,
                 self.at,
                 self.equations,
@@ -646,13 +660,13 @@ class Prover:
             )
         return self.manifolds[k]
 
-    def _sum(self, found: Sequence[Proof]) -> Proof:
-        return _sum(
+    def _combine_proofs(self, found: Sequence[Proof]) -> Proof:
+        return _sum_proofs(
             [Proof(self.system.nv - sum(len(p.columns) for p in self.parts), 1, ""), *found]
         )
 
 
-def _sum(found: Sequence[Proof]) -> Proof:
+def _sum_proofs(found: Sequence[Proof]) -> Proof:
     """Dimensions add up, and numbers of branches multiply."""
     total = sum(p.dim for p in found)
     counts = [1 if p.branches == 0 else p.branches for p in found]  # what rests multiplies none
@@ -666,11 +680,11 @@ def _sum(found: Sequence[Proof]) -> Proof:
     return Proof(total, count, "; ".join(dict.fromkeys(p.why for p in found if p.why)))
 
 
-def _parts(
+def _reduce_clusters(
     system: Model, s: ConstraintGraph, at: Screws, equations: Equations, J: Array
 ) -> list[Part]:
     """The equations of each cluster, reduced loop by loop to what its group of motions leaves."""
-    edges = equations.rows_of
+    edges = equations.rows_by_name
     out: list[Part] = []
     for c in s.clusters:
         rows: list[Array] = []
@@ -679,25 +693,29 @@ def _parts(
             path = [i for i, _ in s.loops[k].path]
             own = edges[s.edges[s.loops[k].edge].name]
             rows.append(
-                _rows(equations.m, own, _group(system, s, at, k, path, J[own], equations.length))
+                _embed_rows(
+                    equations.m,
+                    own,
+                    _reduce_loop_rows(system, s, at, k, path, J[own], equations.length),
+                )
             )
             uses.append(
                 np.unique([col.index for i in path for col in s.edges[i].columns if col.index >= 0])
             )
         for law in (s.laws[k] for k in c.laws):
-            rows.append(_rows(equations.m, np.array(law.places), np.eye(law.n_rows)))
+            rows.append(_embed_rows(equations.m, np.array(law.places), np.eye(law.n_rows)))
             uses.append(np.array(law.support, dtype=np.int64))
         out.append(Part(c, rows, c.velocities, uses))
     return out
 
 
-def _rows(m: int, at: np.ndarray, mix: Array) -> Array:
+def _embed_rows(m: int, at: np.ndarray, mix: Array) -> Array:
     out = np.zeros((m, mix.shape[1]))
     out[at] = mix
     return out
 
 
-def _group(
+def _reduce_loop_rows(
     system: Model, s: ConstraintGraph, at: Screws, k: int, path: list[int], J: Array, length: float
 ) -> Array:
     """Combinations (rows, d) of the rows of a loop that suffice, for its joints generate a group of
@@ -727,7 +745,7 @@ class _Open(NamedTuple):
     lower: int
 
 
-def _prove(
+def _prove_part(
     s: ConstraintGraph,
     at: Screws,
     equations: Equations,
@@ -737,14 +755,14 @@ def _prove(
     J: Array,
 ) -> Proof | _Open | None:
     """The dimension of one cluster, if it is a manifold; None where nothing can be proven."""
-    here = split_of(q, J, np.hstack(part.rows), part.columns)
+    here = split_rows(q, J, np.hstack(part.rows), part.columns)
     A = here.matrix
     delta = here.split.delta
     corank = here.split.corank
     own = here.basis.T @ value
     if (
         min(A.shape)
-        and _certified(
+        and _certify_cluster(
             s, at, part.cluster, here.values, A, float(np.linalg.norm(own)), False
         ).regular
     ):
@@ -758,17 +776,19 @@ def _prove(
         return None if len(A) else Proof(delta, 1, "")
     if not here.clear:
         return None
-    if here.exact and _two_groups(s, at, part.cluster):
+    if here.exact and _is_two_group_loop(s, at, part.cluster):
         return Proof(delta, 1, "both chains of the loop fill a group of motions")
-    lower = dimension(equations, q, [here.split.null_space])
+    lower = find_family_dimension(equations, q, [here.split.null_space])
     if lower == delta:
         return Proof(delta, 1, "angles in fixed ratios keep all loops closed")
-    if delta == 1 and _half_angles(s, at, equations, q, part.cluster, here.split.null_space[:, 0]):
+    if delta == 1 and _is_bennett_loop(
+        s, at, equations, q, part.cluster, here.split.null_space[:, 0]
+    ):
         return Proof(1, 1, "tangents of half angles in fixed ratios keep the loop closed")
     return _Open(here, lower)
 
 
-def _by_forms(
+def _prove_by_forms(
     equations: Equations,
     q: Array,
     part: Part,
@@ -780,19 +800,23 @@ def _by_forms(
     """The dimension of one cluster, if leading forms decide."""
     lower = max(
         known.lower,
-        dimension(equations, q, [_within(t, part.columns) for t in tangents]),
+        find_family_dimension(
+            equations, q, [_restrict_to_columns(t, part.columns) for t in tangents]
+        ),
     )
-    found = decide(equations, known.here, part.rows, part.uses, lower, order, rng, tangents)
+    found = decide_dimension(
+        equations, known.here, part.rows, part.uses, lower, order, rng, tangents
+    )
     return None if found is None else Proof(*found)
 
 
-def _within(T: Array, columns: np.ndarray) -> Array:
+def _restrict_to_columns(T: Array, columns: np.ndarray) -> Array:
     out = np.zeros_like(T)
     out[columns] = T[columns]
     return out
 
 
-def _half_angles(
+def _is_bennett_loop(
     s: ConstraintGraph, at: Screws, equations: Equations, q: Array, c: Cluster, null_space: Array
 ) -> bool:
     """Whether the only loop is of four hinges that move as Bennett's do."""
@@ -812,10 +836,10 @@ def _half_angles(
     axes = np.stack([sign * at.twists[i][:, 0] for i, sign in path], axis=1)
     if np.abs(np.linalg.norm(axes[3:], axis=0) - 1.0).max() > SAME:
         return False
-    return half_angles(equations, q, axes, [x.index for x in columns], null_space)
+    return is_half_angle_motion(equations, q, axes, [x.index for x in columns], null_space)
 
 
-def _two_groups(s: ConstraintGraph, at: Screws, c: Cluster) -> bool:
+def _is_two_group_loop(s: ConstraintGraph, at: Screws, c: Cluster) -> bool:
     """Whether the only loop parts into two chains, each of which makes all motions of the group
     that it generates.
     """
@@ -836,21 +860,28 @@ def _two_groups(s: ConstraintGraph, at: Screws, c: Cluster) -> bool:
     first: list[int] = np.cumsum([0, *(at.twists[i].shape[1] for i in path)]).tolist()
     first += [first[-1] + x for x in first[1:]]
     columns = list(range(first[n])) * 2
-    alike = [mask.tolist() for mask in _side_by_side(twists)]
+    alike = [mask.tolist() for mask in _compare_screws(twists)]
     # from column i on, how many are alike in pairs
-    runs = [max(_run(mask, columns, i) for mask in alike) for i in range(len(columns))]
+    runs = [
+        max(_count_alike_columns(mask, columns, i) for mask in alike) for i in range(len(columns))
+    ]
 
-    def may(i: int, k: int) -> bool:
+    def can_fill_group(i: int, k: int) -> bool:
         return first[k] - first[i] > 5 or runs[first[i]] >= first[k] - first[i]
 
-    def fills(i: int, k: int) -> bool:
+    def does_fill_group(i: int, k: int) -> bool:
         return fills_group(twists[:, columns[first[i] : first[k]]], SAME, CLEAR)
 
-    pairs = [(i, k) for i in range(n) for k in range(i + 1, n) if may(i, k) and may(k, i + n)]
-    return any(fills(i, k) and fills(k, i + n) for i, k in pairs)
+    pairs = [
+        (i, k)
+        for i in range(n)
+        for k in range(i + 1, n)
+        if can_fill_group(i, k) and can_fill_group(k, i + n)
+    ]
+    return any(does_fill_group(i, k) and does_fill_group(k, i + n) for i, k in pairs)
 
 
-def _run(alike: list[list[bool]], columns: list[int], first: int) -> int:
+def _count_alike_columns(alike: list[list[bool]], columns: list[int], first: int) -> int:
     """How many columns from the first on are alike, each with itself and all others; more than five
     do not matter.
     """
@@ -860,7 +891,7 @@ def _run(alike: list[list[bool]], columns: list[int], first: int) -> int:
     return 6
 
 
-def _side_by_side(twists: Array) -> tuple[np.ndarray, np.ndarray]:
+def _compare_screws(twists: Array) -> tuple[np.ndarray, np.ndarray]:
     """Which screws (6, n) have parallel turns, or slides, and which are reciprocal, as axes that
     meet: (n, n) masks.
 

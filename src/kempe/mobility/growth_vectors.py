@@ -80,7 +80,7 @@ class Distribution:
         return self.basis.shape[1]
 
 
-def distribution(
+def compute_distribution(
     rows: VelocityRows,
     q: Array,
     which: Sequence[int] | None = None,
@@ -95,10 +95,10 @@ def distribution(
     whole = (
         A[requested] if rows.steady else np.concatenate([A[requested], -b[requested, None]], axis=1)
     )
-    return _null_space(rows, q, t, requested, whole * rows.units[: whole.shape[1]], error)
+    return _compute_null_space(rows, q, t, requested, whole * rows.units[: whole.shape[1]], error)
 
 
-def _null_space(
+def _compute_null_space(
     rows: VelocityRows, q: Array, t: float, which: np.ndarray, scaled: Array, error: float
 ) -> Distribution:
     n = scaled.shape[1]
@@ -114,9 +114,9 @@ def _null_space(
     small = float((computed / sizes.max(initial=1e-300)).min(initial=1.0))
     level = max(Level.CLOSED, ROUNDED / small)
     rank = spectrum.compute_rank(level)
-    independent = np.sort(_pivots(scaled.T, rank))
+    independent = np.sort(_choose_pivots(scaled.T, rank))
     chosen = which[real[independent]]
-    columns = np.sort(_pivots(Vt[:rank], rank))
+    columns = np.sort(_choose_pivots(Vt[:rank], rank))
     units = rows.units[:n]
     square: Array = (
         scaled[independent][:, columns] * sizes[real[independent], None] / units[columns]
@@ -133,7 +133,7 @@ def _null_space(
     )
 
 
-def _pivots(matrix: Array, count: int) -> np.ndarray:
+def _choose_pivots(matrix: Array, count: int) -> np.ndarray:
     """The columns that a QR decomposition with pivoting takes first."""
     rest = matrix.copy()
     taken: list[int] = []
@@ -182,9 +182,9 @@ class Words:
         """
         letters = self.rng.normal(size=(count, length, self.at.dimension))
         letters /= np.linalg.norm(letters, axis=-1, keepdims=True)
-        return self.of(letters @ self.at.basis.T)
+        return self.evaluate_brackets(letters @ self.at.basis.T)
 
-    def of(self, letters: Array) -> tuple[Array, Array]:
+    def evaluate_brackets(self, letters: Array) -> tuple[Array, Array]:
         """Brackets (n, length, columns) and their rounding for given letters (n, length, columns).
 
         Entries of letters that are not free at the point do not count.
@@ -245,7 +245,7 @@ class _GrowingSpan:
         self.shares = [1.0, 1.0]
         self.doubtful = False
 
-    def add(self, words: Array, noise: Array, known: bool) -> int:
+    def add_words(self, words: Array, noise: Array, known: bool) -> int:
         """Add what words (columns, k) have beyond the span; returns by how much it grew.
 
         `known` says that they should be in it.
@@ -277,7 +277,9 @@ class _GrowingSpan:
         return rank
 
 
-def growth(at: Distribution, rng: np.random.Generator, enough: int, patient: bool) -> Growth:
+def compute_growth(
+    at: Distribution, rng: np.random.Generator, enough: int, patient: bool
+) -> Growth:
     """The growth vector at the point of a distribution, up to `enough` directions; again where it
     is doubtful.
 
@@ -285,25 +287,27 @@ def growth(at: Distribution, rng: np.random.Generator, enough: int, patient: boo
     point is generic, for the span is then involutive around it. If `patient`, longer ones are tried
     all the same, up to a limit of work: at singular points the growth may rest and go on.
     """
-    found = _growth(at, rng, enough, patient)
+    found = _grow_span(at, rng, enough, patient)
     for _ in range(AGAIN):
         if not found.doubtful:
             break
-        found = _growth(at, rng, enough, patient)
+        found = _grow_span(at, rng, enough, patient)
     return found
 
 
-def _growth(at: Distribution, rng: np.random.Generator, enough: int, patient: bool) -> Growth:
+def _grow_span(at: Distribution, rng: np.random.Generator, enough: int, patient: bool) -> Growth:
     words = Words(at, rng)
     m = at.dimension
     span = _GrowingSpan(at.basis, at.error * at.condition, at.error)
     found = [m]
     length = 1
-    limit = _limit(words)
+    limit = _limit_bracket_length(words)
     while found[-1] < enough and m > 1 and length < limit:
         length += 1
-        made, noise = words(min(enough - found[-1], _most(m, length)) + MORE, length)
-        grown = sum(span.add(made[:, k].T, noise[:, k], k > 0) for k in range(length - 1, -1, -1))
+        made, noise = words(min(enough - found[-1], _bound_bracket_count(m, length)) + MORE, length)
+        grown = sum(
+            span.add_words(made[:, k].T, noise[:, k], k > 0) for k in range(length - 1, -1, -1)
+        )
         found.append(found[-1] + grown)
         if not grown and not patient:
             break
@@ -312,12 +316,12 @@ def _growth(at: Distribution, rng: np.random.Generator, enough: int, patient: bo
     return Growth(tuple(found), limit, bool(span.doubtful) or at.doubtful, span.basis)
 
 
-def _most(m: int, length: int) -> int:
+def _bound_bracket_count(m: int, length: int) -> int:
     """A bound of the number of independent brackets of a length of m letters (Witt, 1937)."""
     return max(1, m**length // length)
 
 
-def _limit(words: Words) -> int:
+def _limit_bracket_length(words: Words) -> int:
     """The most letters of a bracket that are worth their work."""
     each = len(words.order) + 2 * len(words.entries) + 1
     return max(4, int(np.log(WORK / each) / np.log(3.0)))

@@ -51,7 +51,9 @@ VANISHES = 1e-6
 """Second derivatives below this count as zero."""
 
 
-def moving(system: Model, q: Array, left: Array, null_space: Array, scale: Array) -> Array:
+def select_moving_part(
+    system: Model, q: Array, left: Array, null_space: Array, scale: Array
+) -> Array:
     """The part (nv, d) of a null space (nv, p) of the scaled Jacobian at q (nq,) that motions have
     as velocities.
 
@@ -61,9 +63,14 @@ def moving(system: Model, q: Array, left: Array, null_space: Array, scale: Array
     Elsewhere the null space is returned as it is.
     """
     some = np.cos(np.arange(null_space.shape[1], dtype=float))[None]
-    if not np.abs(_change(system, q, left, null_space, scale, some)).max() > VANISHES:
+    if (
+        not np.abs(_compute_second_derivatives(system, q, left, null_space, scale, some)).max()
+        > VANISHES
+    ):
         return null_space
-    blocks = _change(system, q, left, null_space, scale, np.eye(null_space.shape[1]))
+    blocks = _compute_second_derivatives(
+        system, q, left, null_space, scale, np.eye(null_space.shape[1])
+    )
     spectrum = Spectrum(blocks.reshape(-1, null_space.shape[1]), 1.0)
     shaky = spectrum.compute_rank(Level.GENERIC)
     if not 0 < shaky < null_space.shape[1]:
@@ -74,7 +81,7 @@ def moving(system: Model, q: Array, left: Array, null_space: Array, scale: Array
     return null_space @ spectrum.compute_null_space(Level.GENERIC)
 
 
-def _change(
+def _compute_second_derivatives(
     system: Model, q: Array, left: Array, null_space: Array, scale: Array, along: Array
 ) -> Array:
     """Second derivatives (n, k, p) for left null vectors, combinations (n, p) of the null space,
@@ -167,7 +174,7 @@ class Chart(Report):
         way[..., self.system.structure.layout.vector_v] = q[
             ..., self.system.structure.layout.vector_q
         ]
-        return way[..., self._rows()]
+        return way[..., self._list_velocity_indices()]
 
     def q(self, u: Any, start: Any = None) -> Assembly:
         """The configuration with these independent coordinates (..., p), reached by one search from
@@ -197,7 +204,7 @@ class Chart(Report):
             )
         known = {n: u[..., i] for i, n in enumerate(given) if not _is_exponential(self.system, n)}
         if len(known) < len(given):
-            start = self._led(u, given, start)
+            start = self._solve_configurations(u, given, start)
         answer = assemble(self.system, known, start, budget=Budget(starts=1))
         if len(known) == len(given):
             return answer
@@ -207,53 +214,53 @@ class Chart(Report):
         bound = copy(answer.assembler)
         own = self.system.structure.velocity_names
         # rotation vectors are given, too: they leave nothing open
-        bound.held |= {own[i] for i in self._rows(given)}
+        bound.held |= {own[i] for i in self._list_velocity_indices(given)}
         return replace(
             answer, success=unwrap_scalar(success), code=to_status(code), assembler=bound
         )
 
-    def _rows(self, names: Iterable[str] | None = None) -> list[int]:
+    def _list_velocity_indices(self, names: Iterable[str] | None = None) -> list[int]:
         """Velocity indices of the independent coordinates, or of others."""
         names = self.independent if names is None else tuple(names)
         own = self.system.structure.velocity_names
-        exponential = {} if {*names} <= {*own} else _numbers(self.system)
+        exponential = {} if {*names} <= {*own} else _number_coordinates(self.system)
         return [own.index(n) if n in own else exponential[n] for n in names]
 
-    def _rates(self, q: Array, names: tuple[str, ...]) -> Array:
+    def _compute_rates(self, q: Array, names: tuple[str, ...]) -> Array:
         """Rates (len(names), nv) of some independent coordinates by the velocities, in units, at q
         (nq,).
         """
         system = self.system
-        rows = self._rows(names)
+        rows = self._list_velocity_indices(names)
         out = np.eye(system.nv)
         way = system.structure.layout.compute_difference(self.origin, q)
         for i in system.structure.layout.quaternion_v.tolist():
-            out[i : i + 3, i : i + 3] = _of_log(way[i : i + 3])
+            out[i : i + 3, i : i + 3] = _compute_log_rates(way[i : i + 3])
         return out[rows]
 
-    def _led(self, u: Array, given: tuple[str, ...], near: Any) -> Array:
+    def _solve_configurations(self, u: Array, given: tuple[str, ...], near: Any) -> Array:
         """Configurations (..., nq) near those that have such coordinates: Newton's method, of least
         movement.
         """
         system = self.system
         scale = compute_coordinate_units(self.system)
-        rows = self._rows(given)
+        rows = self._list_velocity_indices(given)
         start = read_q(system, near)
         lead = np.broadcast_shapes(u.shape[:-1], start.shape[:-1])
         starts = np.broadcast_to(start, (*lead, system.nq)).reshape(-1, system.nq)
         wanted = np.broadcast_to(u, (*lead, len(given))).reshape(-1, len(given))
         out = np.array(starts)
 
-        def both(q: Array, target: Array) -> tuple[Array, Array]:
+        def evaluate_all_rows(q: Array, target: Array) -> tuple[Array, Array]:
             error, J = evaluate_constraints(system, q, True, True)
-            more = self._rates(q, given) * scale / scale[rows, None]
+            more = self._compute_rates(q, given) * scale / scale[rows, None]
             return np.append(
                 error, (self.u(q)[: len(given)] - target) / scale[rows]
             ), np.concatenate([J, more])
 
         for k, target in enumerate(wanted):
             out[k] = run_gauss_newton(
-                lambda q, u=target: both(q, u),
+                lambda q, u=target: evaluate_all_rows(q, u),
                 out[k],
                 TRIES,
                 level=Level.CLOSED,
@@ -266,11 +273,11 @@ class Chart(Report):
         """Rates (nv, p) of all velocity coordinates by the independent ones, at a closed
         configuration (nq,).
         """
-        N, scale = tangent_space(self.system, q, self.dim)
+        N, scale = compute_tangent_space(self.system, q, self.dim)
         N = scale[:, None] * N
         if self._plain:
-            return N @ np.linalg.inv(N[self._rows()])
-        return N @ np.linalg.inv(self._rates(read_q(self.system, q), self.independent) @ N)
+            return N @ np.linalg.inv(N[self._list_velocity_indices()])
+        return N @ np.linalg.inv(self._compute_rates(read_q(self.system, q), self.independent) @ N)
 
     def condition(self, q: Any) -> float:
         """How well the independent coordinates move all others at a closed q (nq,): 1 best, 0 not
@@ -279,12 +286,12 @@ class Chart(Report):
         It is 0 where a ball with exponential coordinates has turned by nearly half a turn, where
         these jump.
         """
-        N, scale = tangent_space(self.system, q, self.dim)
+        N, scale = compute_tangent_space(self.system, q, self.dim)
         if self._plain:
-            return _quality(N, self._rows())
+            return _measure_quality(N, self._list_velocity_indices())
         q = read_q(self.system, q)
         way = self.system.structure.layout.compute_difference(self.origin, q)
-        rows = {*self._rows()}
+        rows = {*self._list_velocity_indices()}
         own = {
             i
             for i in self.system.structure.layout.quaternion_v.tolist()
@@ -292,12 +299,16 @@ class Chart(Report):
         }
         if any(np.linalg.norm(way[i : i + 3]) > FARTHEST for i in own):
             return 0.0
-        rates = self._rates(q, self.independent) * scale / scale[self._rows(), None]
+        rates = (
+            self._compute_rates(q, self.independent)
+            * scale
+            / scale[self._list_velocity_indices(), None]
+        )
         return min(1.0, float(Spectrum(rates @ N).smallest)) if self.dim else 1.0
 
     def valid(self, q: Any) -> bool:
         """Whether the chart can still be used at the closed configuration q (nq,)."""
-        return self.condition(q) >= _worst(self.dim, self.system.nv)
+        return self.condition(q) >= _bound_quality(self.dim, self.system.nv)
 
     def next(self, q: Any) -> Chart:
         """The best chart at the closed configuration q (nq,)."""
@@ -347,10 +358,10 @@ def independent(
             raise InputError(f"{system.name} could not be assembled: {answer.status}")
         q = answer.q
     q = read_q(system, q)
-    N, scale = tangent_space(system, q)
+    N, scale = compute_tangent_space(system, q)
     p = N.shape[1]
     wish = read_names(prefer, "prefer")
-    rows = _wished(system, wish) if wish else []
+    rows = _find_preferred_indices(system, wish) if wish else []
     if len(set(rows)) < len(rows) or len(rows) > p:
         given = (
             f"{format_count(len(rows), 'coordinate')} {choose_verb(len(rows), 'is', 'are')} "
@@ -359,31 +370,37 @@ def independent(
         raise InputError(
             f"{given}; {format_count(p, 'freedom')} can be chosen here{', each once' * (p > 1)}"
         )
-    least = _worst(p, system.nv)
-    if rows and _quality(N, rows) < least:
+    least = _bound_quality(p, system.nv)
+    if rows and _measure_quality(N, rows) < least:
         best = independent(system, q)
         raise InputError(
             f"{', '.join(wish)} cannot be set independently here: conditioning "
-            f"{_quality(N, rows):.2g}, at least {least:.2g} is needed; the best choice is "
+            f"{_measure_quality(N, rows):.2g}, at least {least:.2g} is needed; the best choice is "
             f"{', '.join(best.independent)}"
         )
     plain = sorted(system.structure.layout.vector_v.tolist())
-    found = _extend(N, rows, plain)
+    found = _extend_rows(N, rows, plain)
     idle = []
-    quality = _quality(N, found)
+    quality = _measure_quality(N, found)
     sure = len(found) == p and quality >= least
     if not sure or (1 < p < system.nv < MANY and system.dim == 3):
         spins = get_idle_freedoms(system, q)
         if spins or not sure:
-            found, idle = _in_turn(N, rows, plain, spins, _idle_part(system, q, N, scale, spins))
-            quality = _quality(N, found)
+            found, idle = _choose_rows(
+                N, rows, plain, spins, _find_idle_part(system, q, N, scale, spins)
+            )
+            quality = _measure_quality(N, found)
     if len(found) < p or (p and quality < least):
         raise InputError(
             f"no choice of coordinates is independent here: the best has conditioning {quality:.2g}"
         )
     idle = sorted(idle)
     chosen = [*sorted({*found} - {*idle}), *idle]
-    names = system.structure.velocity_names if {*chosen} <= {*plain} else tuple(_numbers(system))
+    names = (
+        system.structure.velocity_names
+        if {*chosen} <= {*plain}
+        else tuple(_number_coordinates(system))
+    )
     rest = tuple(n for v, n in enumerate(system.structure.velocity_names) if v not in chosen)
     return Chart(
         system,
@@ -395,16 +412,16 @@ def independent(
     )
 
 
-def _wished(system: Model, names: Iterable[str]) -> list[int]:
+def _find_preferred_indices(system: Model, names: Iterable[str]) -> list[int]:
     """Velocity indices of coordinates. Errors: `UnknownNameError`."""
-    number = _numbers(system)
+    number = _number_coordinates(system)
     for name in names:
         if name not in number:
             raise UnknownNameError("coordinate", name, sorted(number), system.name)
     return [number[n] for n in names]
 
 
-def _in_turn(
+def _choose_rows(
     N: Array, rows: list[int], plain: list[int], spins: tuple[IdleFreedom, ...], idle: Array
 ) -> tuple[list[int], list[int]]:
     """Rows of p coordinates, and which are idle: useful ones first, in each part angles and lengths
@@ -422,12 +439,12 @@ def _in_turn(
         own = [v for v in range(nv) if moved[v] != still]
         for stage in (plain, others):
             usable = [v for v in stage if moved[v] != still and v not in found]
-            found = _extend(N, found, usable, most, own if stage is plain else ())
+            found = _extend_rows(N, found, usable, most, own if stage is plain else ())
     spinning = [v for v in found if moved[v]]
     return found, spinning if len(spinning) == idle.shape[1] else []
 
 
-def _idle_part(
+def _find_idle_part(
     system: Model, q: Array, N: Array, scale: Array, spins: tuple[IdleFreedom, ...]
 ) -> Array:
     """Of a basis (nv, p) of scaled velocities at q (nq,), the combinations (p, k), orthonormal,
@@ -454,14 +471,14 @@ def _is_exponential(system: Model, name: str) -> bool:
     return name not in system.coordinate_names
 
 
-def _numbers(system: Model) -> dict[str, int]:
+def _number_coordinates(system: Model) -> dict[str, int]:
     """Velocity index of each name that a coordinate of a chart can have."""
     names = system.structure.velocity_names
     vector = {*system.structure.layout.vector_v.tolist()}
     return {n if v in vector else f"{n[:-2]}e{n[-1]}": v for v, n in enumerate(names)}
 
 
-def _of_log(w: Array) -> Array:
+def _compute_log_rates(w: Array) -> Array:
     """Rates (3, 3) of a rotation vector (3,) by the angular velocity in axes of what turns (Bullo,
     Murray, 1995).
     """
@@ -474,7 +491,7 @@ def _of_log(w: Array) -> Array:
     return np.eye(3) + 0.5 * K + factor * K @ K
 
 
-def tangent_space(system: Model, q: Any, dim: int | None = None) -> tuple[Array, Array]:
+def compute_tangent_space(system: Model, q: Any, dim: int | None = None) -> tuple[Array, Array]:
     """Orthonormal basis (nv, p) of the velocities that keep all loops closed at q (nq,), and the
     scales (nv,).
 
@@ -496,23 +513,23 @@ def tangent_space(system: Model, q: Any, dim: int | None = None) -> tuple[Array,
     rank = spectrum.compute_rank(Level.CLOSED)
     scale = compute_coordinate_units(system)
     if rank < len(J) and 1 < N.shape[1] != dim:
-        N = moving(system, q, spectrum.compute_left_null_space(Level.CLOSED), N, scale)
+        N = select_moving_part(system, q, spectrum.compute_left_null_space(Level.CLOSED), N, scale)
     return N, scale
 
 
-def _quality(N: Array, rows: list[int]) -> float:
+def _measure_quality(N: Array, rows: list[int]) -> float:
     """The smallest singular value of these rows of an orthonormal basis."""
     return min(1.0, float(Spectrum(N[rows]).smallest)) if rows else 1.0
 
 
-def _worst(p: int, n: int) -> float:
+def _bound_quality(p: int, n: int) -> float:
     """The least conditioning of p of n coordinates; even the best choice has no more than sqrt(p /
     n).
     """
     return WORST * min(1.0, 2.0 * np.sqrt(p / max(n, 1)))
 
 
-def _extend(
+def _extend_rows(
     N: Array,
     rows: list[int],
     usable: list[int],
@@ -526,7 +543,7 @@ def _extend(
     p = N.shape[1] if most is None else most
     rest = N.copy()
     for row in rows:
-        rest = _without(rest, rest[row])
+        rest = _remove_direction(rest, rest[row])
     while len(rows) < p and usable:
         size = np.linalg.norm(rest[usable], axis=1)
         # rounding does not decide between equals: the first is taken
@@ -534,11 +551,11 @@ def _extend(
         if better and size.max() < ENOUGH * np.linalg.norm(rest[better], axis=1).max():
             break
         rows.append(row)
-        rest = _without(rest, rest[row])
+        rest = _remove_direction(rest, rest[row])
     return rows
 
 
-def _without(N: Array, direction: Array) -> Array:
+def _remove_direction(N: Array, direction: Array) -> Array:
     size = np.linalg.norm(direction)
     if size < 1e-300:
         return N

@@ -120,31 +120,31 @@ class ConeFamily:
     """The family on the other side of the configuration: what a curve through it is there."""
 
     @property
-    def found(self) -> int:
+    def total_hits(self) -> int:
         """Number of random starts that led to this family, on either side of the configuration."""
         return self.hits + (0 if self.opposite in (None, self) else self.opposite.hits)
 
-    def holds(self, spot: Spot) -> bool:
+    def has_spot(self, spot: Spot) -> bool:
         """Whether a sampled point belongs to this family."""
         first = self.spots[0]
         if first.split.delta != spot.split.delta:
             return False
         if first.split.delta == 1:
-            return _same(first.offsets[0], spot.offsets[0])
-        return apart(first.split.null_space, spot.split.null_space) < SAME_PLANE
+            return _are_same_point(first.offsets[0], spot.offsets[0])
+        return measure_subspace_angle(first.split.null_space, spot.split.null_space) < SAME_PLANE
 
-    def add(self, spot: Spot, hits: int) -> None:
+    def add_spot(self, spot: Spot, hits: int) -> None:
         """Add `hits` to the starts that led here; keep the point if it is new and fewer than
         MOST_KEPT are kept.
         """
         self.hits += hits
         if len(self.spots) < MOST_KEPT and not any(
-            _same(s.offsets[0], spot.offsets[0]) for s in self.spots
+            _are_same_point(s.offsets[0], spot.offsets[0]) for s in self.spots
         ):
             self.spots.append(spot)
 
 
-def _same(x: Array, y: Array) -> bool:
+def _are_same_point(x: Array, y: Array) -> bool:
     d = x - y
     return float(d @ d) < (SAME_POINT * RADII[0]) ** 2
 
@@ -160,25 +160,27 @@ class SpherePoints(NamedTuple):
     good: np.ndarray
 
 
-def on_sphere(equations: Equations, q: Array, directions: Array, radius: float) -> SpherePoints:
+def find_sphere_points(
+    equations: Equations, q: Array, directions: Array, radius: float
+) -> SpherePoints:
     """Points of the solution set at a distance from q, sought in directions (n, nv).
 
     First they are sought anywhere near: the equation of the sphere would lead many into a local
     minimum.
     """
-    near = equations.project(equations.move(q, radius * directions), q)
+    near = equations.project_points(equations.move_configurations(q, radius * directions), q)
     back = near.distance < FELL_BACK * radius
     x = np.where(
         back[:, None],
         directions,
-        equations.offset(q, near.q) / np.maximum(near.distance, 1e-300)[:, None],
+        equations.compute_offsets(q, near.q) / np.maximum(near.distance, 1e-300)[:, None],
     )
-    at = equations.project(equations.move(q, radius * x), q, radius)
+    at = equations.project_points(equations.move_configurations(q, radius * x), q, radius)
     good = ~back & (at.residual < CLOSED) & (np.abs(at.distance - radius) < 1e-4 * radius)
-    return SpherePoints(at.q, equations.offset(q, at.q), at.jacobian, good)
+    return SpherePoints(at.q, equations.compute_offsets(q, at.q), at.jacobian, good)
 
 
-def find(
+def find_cone_families(
     equations: Equations, at: Split, rng: np.random.Generator
 ) -> tuple[list[ConeFamily], bool]:
     """Families of points on the largest sphere that can be followed to the smallest; whether all
@@ -192,36 +194,39 @@ def find(
     families: list[ConeFamily] = []
     starts = 0
     while starts < MOST_STARTS:
-        d = lyapunov_schmidt.unit_directions(rng, BATCH, at.delta) @ at.null_space.T
+        d = lyapunov_schmidt.sample_unit_vectors(rng, BATCH, at.delta) @ at.null_space.T
         starts = starts + len(d)
         known = len(families)
-        _sort_in(equations, at, families, _spots(equations, at, d))
-        _look_across(equations, at, families, families[known:])
-        if starts >= 2 * BATCH and all(f.found > ENOUGH for f in families):
+        _sort_spots(equations, at, families, _find_spots(equations, at, d))
+        _add_opposite_points(equations, at, families, families[known:])
+        if starts >= 2 * BATCH and all(f.total_hits > ENOUGH for f in families):
             break
-    followed = {id(s) for s in _shrink(equations, at, [s for f in families for s in f.spots])}
+    followed = {
+        id(s)
+        for s in _follow_to_small_spheres(equations, at, [s for f in families for s in f.spots])
+    }
     for family in families:
         family.spots = [s for s in family.spots if id(s) in followed]
-    families = _joined([f for f in families if f.spots])
-    return families, all(f.found > 1 for f in families)
+    families = _join_families([f for f in families if f.spots])
+    return families, all(f.total_hits > 1 for f in families)
 
 
-def _look_across(
+def _add_opposite_points(
     equations: Equations, at: Split, families: list[ConeFamily], new: list[ConeFamily]
 ) -> None:
     """Add what is on the other side of the first points of new families."""
     if not new:
         return
-    shell = on_sphere(
+    shell = find_sphere_points(
         equations, at.q, np.array([-f.spots[0].offsets[0] / RADII[0] for f in new]), RADII[0]
     )
     for i in np.flatnonzero(shell.good):
         spot = Spot(
-            shell.offsets[None, i], lyapunov_schmidt.split_matrix(shell.q[i], shell.jacobian[i])
+            shell.offsets[None, i], lyapunov_schmidt.split_jacobian(shell.q[i], shell.jacobian[i])
         )
-        _sort_in(equations, at, families, [spot], False)
+        _sort_spots(equations, at, families, [spot], False)
         other = next((f for f in families if any(s is spot for s in f.spots)), None)
-        other = other or next((f for f in families if not f.cone and f.holds(spot)), None)
+        other = other or next((f for f in families if not f.cone and f.has_spot(spot)), None)
         if other is not None:
             new[i].opposite, other.opposite = (
                 other,
@@ -229,7 +234,7 @@ def _look_across(
             )
 
 
-def _joined(families: list[ConeFamily]) -> list[ConeFamily]:
+def _join_families(families: list[ConeFamily]) -> list[ConeFamily]:
     """The families, those as one whose tangent spaces meet at the configuration: a bent branch
     seems to be several.
     """
@@ -240,7 +245,7 @@ def _joined(families: list[ConeFamily]) -> list[ConeFamily]:
             like = other.spots[0].near
             if near is None or like is None or family.cone or other.cone or near.shape[1] < 2:
                 continue
-            if apart(near, like) < SAME_LIMIT:
+            if measure_subspace_angle(near, like) < SAME_LIMIT:
                 other.spots = (other.spots + family.spots)[:MOST_KEPT]
                 other.hits = other.hits + family.hits
                 break
@@ -249,15 +254,15 @@ def _joined(families: list[ConeFamily]) -> list[ConeFamily]:
     return out
 
 
-def _spots(equations: Equations, at: Split, directions: Array) -> list[Spot]:
+def _find_spots(equations: Equations, at: Split, directions: Array) -> list[Spot]:
     """Points on the largest sphere sought in directions (n, nv)."""
-    shell = on_sphere(equations, at.q, directions, RADII[0])
+    shell = find_sphere_points(equations, at.q, directions, RADII[0])
     found = np.flatnonzero(shell.good)
-    splits = lyapunov_schmidt.split_all(shell.q[found], shell.jacobian[found])
+    splits = lyapunov_schmidt.split_jacobians(shell.q[found], shell.jacobian[found])
     return [Spot(shell.offsets[None, i], split) for i, split in zip(found, splits, strict=True)]
 
 
-def _sort_in(
+def _sort_spots(
     equations: Equations,
     at: Split,
     families: list[ConeFamily],
@@ -269,8 +274,8 @@ def _sort_in(
     """
     hit = int(counted)
     for spot in spots:
-        held = next((f for f in families if not f.cone and f.holds(spot)), None)
-        if held is None and spot.split.delta > 1 and _turns(equations, at, spot):
+        held = next((f for f in families if not f.cone and f.has_spot(spot)), None)
+        if held is None and spot.split.delta > 1 and _has_turning_null_space(equations, at, spot):
             held = next(
                 (f for f in families if f.cone and f.spots[0].split.delta == spot.split.delta), None
             )
@@ -280,35 +285,37 @@ def _sort_in(
         if held is None:
             families.append(ConeFamily([spot], hits=hit))
         else:
-            held.add(spot, hit)
+            held.add_spot(spot, hit)
 
 
-def _turns(equations: Equations, at: Split, spot: Spot) -> bool:
+def _has_turning_null_space(equations: Equations, at: Split, spot: Spot) -> bool:
     """Whether the null space turns along the sphere, as it does not on a branch that has a tangent
     space.
     """
     x = spot.offsets[0] / RADII[0]
     K = spot.split.null_space
-    along = K @ lyapunov_schmidt.axes(np.random.default_rng(0), K.shape[1]).T
+    along = K @ lyapunov_schmidt.sample_axes(np.random.default_rng(0), K.shape[1]).T
     along -= x[:, None] * (x @ along)
     d = x + ALONG * along.T / np.maximum(np.linalg.norm(along, axis=0), 1e-3)[:, None]
-    shell = on_sphere(equations, at.q, d / np.linalg.norm(d, axis=1, keepdims=True), RADII[0])
+    shell = find_sphere_points(
+        equations, at.q, d / np.linalg.norm(d, axis=1, keepdims=True), RADII[0]
+    )
     spaces = (
         x.null_space
-        for x in lyapunov_schmidt.split_all(shell.q[shell.good], shell.jacobian[shell.good])
+        for x in lyapunov_schmidt.split_jacobians(shell.q[shell.good], shell.jacobian[shell.good])
     )
-    return any(apart(K, k) > TURNED for k in spaces if k.shape == K.shape)
+    return any(measure_subspace_angle(K, k) > TURNED for k in spaces if k.shape == K.shape)
 
 
-def _shrink(equations: Equations, at: Split, spots: list[Spot]) -> list[Spot]:
+def _follow_to_small_spheres(equations: Equations, at: Split, spots: list[Spot]) -> list[Spot]:
     """The points that can be followed to the smaller spheres, with their offsets there."""
     for before, radius in zip(RADII, RADII[1:], strict=False):
         if not spots:
             break
         d = np.array([s.offsets[-1] for s in spots]) / before
-        shell = on_sphere(equations, at.q, d, radius)
+        shell = find_sphere_points(equations, at.q, d, radius)
         good = shell.good & (np.linalg.norm(shell.offsets / radius - d, axis=1) < 0.5)
-        splits = lyapunov_schmidt.split_all(shell.q, shell.jacobian)
+        splits = lyapunov_schmidt.split_jacobians(shell.q, shell.jacobian)
         for i, spot in enumerate(spots):
             spot.offsets = np.concatenate([spot.offsets, shell.offsets[None, i]])
             spot.near = splits[i].null_space if good[i] else None
@@ -316,7 +323,7 @@ def _shrink(equations: Equations, at: Split, spots: list[Spot]) -> list[Spot]:
     return spots
 
 
-def apart(a: Array, b: Array) -> float:
+def measure_subspace_angle(a: Array, b: Array) -> float:
     """Root sum square of the sines of the principal angles between subspaces with orthonormal bases
     (nv, k).
     """
@@ -326,7 +333,7 @@ def apart(a: Array, b: Array) -> float:
     return float(np.sqrt(d @ d))
 
 
-def measure(equations: Equations, spot: Spot, order: int, rng: np.random.Generator) -> bool:
+def measure_spot(equations: Equations, spot: Spot, order: int, rng: np.random.Generator) -> bool:
     """Find dimension and tangent space of the solution set at a point of a branch; whether two ways
     of it agree.
     """
@@ -335,25 +342,29 @@ def measure(equations: Equations, spot: Spot, order: int, rng: np.random.Generat
     spot.tangent = at.null_space
     if at.corank == 0 or at.delta == 0:
         return True
-    k = lyapunov_schmidt.obstruction(equations, at, order, rng).order
+    k = lyapunov_schmidt.measure_obstruction(equations, at, order, rng).order
     if k is None:
         return True
     spot.obstructed = k
-    spot.dim, spot.tangent = survivors(equations, at.q, at.null_space, STEP * RADII[0], rng)
-    return k > 1 and lyapunov_schmidt.lineality(equations, at, k, rng).shape[1] == spot.dim
+    spot.dim, spot.tangent = measure_solution_span(
+        equations, at.q, at.null_space, STEP * RADII[0], rng
+    )
+    return k > 1 and lyapunov_schmidt.find_lineality(equations, at, k, rng).shape[1] == spot.dim
 
 
-def survivors(
+def measure_solution_span(
     equations: Equations, q: Array, basis: Array, radius: float, rng: np.random.Generator
 ) -> tuple[int, Array]:
     """How many dimensions the points of the solution set at a distance from q span, sought along
     `basis` (nv, k).
     """
-    shell = on_sphere(equations, q, lyapunov_schmidt.axes(rng, basis.shape[1]) @ basis.T, radius)
-    return span(shell.offsets[shell.good] / radius)
+    shell = find_sphere_points(
+        equations, q, lyapunov_schmidt.sample_axes(rng, basis.shape[1]) @ basis.T, radius
+    )
+    return compute_span(shell.offsets[shell.good] / radius)
 
 
-def span(x: Array) -> tuple[int, Array]:
+def compute_span(x: Array) -> tuple[int, Array]:
     """Number of dimensions that vectors (n, nv) of about unit length span, and a basis (nv, dim) of
     their span.
     """
@@ -363,7 +374,7 @@ def span(x: Array) -> tuple[int, Array]:
     return basis.shape[1], basis
 
 
-def dimensions(
+def measure_families(
     equations: Equations, families: list[ConeFamily], order: int, rng: np.random.Generator
 ) -> bool:
     """Set dimension and tangent space of all points, and part families whose points are of several
@@ -381,27 +392,27 @@ def dimensions(
                 spot.tangent = spot.split.null_space
         rest = [s for s in spots if s.dim is None]
         for spot in rest[:2]:
-            sound &= measure(equations, spot, order, rng)
+            sound &= measure_spot(equations, spot, order, rng)
         shaky = any(s.obstructed is not None for s in rest[:2])
         for i, spot in enumerate(rest[2:], 2):
             like = (
-                next((s for s in rest[:i] if _within(spot, s)), None)
+                next((s for s in rest[:i] if _is_in_tangent_space(spot, s)), None)
                 if shaky and not family.cone
                 else rest[0]
             )
             if like is None:
-                sound &= measure(equations, spot, order, rng)
+                sound &= measure_spot(equations, spot, order, rng)
             else:
                 spot.dim = like.dim
                 spot.tangent = like.tangent if shaky else spot.split.null_space
-        parts = _parted(family)
+        parts = _split_family(family)
         sound &= shaky or len(parts) == 1
         out += parts if shaky else [family]
     families[:] = out
     return sound
 
 
-def _within(spot: Spot, other: Spot) -> bool:
+def _is_in_tangent_space(spot: Spot, other: Spot) -> bool:
     """Whether a point lies in the tangent space of a branch of two or more dimensions, that of
     another point.
     """
@@ -412,12 +423,12 @@ def _within(spot: Spot, other: Spot) -> bool:
     )
 
 
-def _alike(a: Array | None, b: Array | None) -> bool:
+def _are_on_one_branch(a: Array | None, b: Array | None) -> bool:
     """Whether tangent spaces belong to one branch; those of curves may."""
-    return a is None or b is None or a.shape[1] < 2 or apart(a, b) < SAME_PLANE
+    return a is None or b is None or a.shape[1] < 2 or measure_subspace_angle(a, b) < SAME_PLANE
 
 
-def _parted(family: ConeFamily) -> list[ConeFamily]:
+def _split_family(family: ConeFamily) -> list[ConeFamily]:
     """A family by dimension and tangent space: where it is shaky, branches that meet can have the
     same null space.
     """
@@ -425,7 +436,9 @@ def _parted(family: ConeFamily) -> list[ConeFamily]:
     for spot in family.spots:
         for part in parts:
             first = part.spots[0]
-            if first.dim == spot.dim and (family.cone or _alike(first.tangent, spot.tangent)):
+            if first.dim == spot.dim and (
+                family.cone or _are_on_one_branch(first.tangent, spot.tangent)
+            ):
                 part.spots.append(spot)
                 break
         else:
@@ -433,7 +446,7 @@ def _parted(family: ConeFamily) -> list[ConeFamily]:
     return parts
 
 
-def stays_multiple(equations: Equations, at: Split, families: list[ConeFamily]) -> bool:
+def are_shaky_far_out(equations: Equations, at: Split, families: list[ConeFamily]) -> bool:
     """Whether branches that are shaky near the configuration are so farther out.
 
     Two branches that touch closely look like one with multiplicity on small spheres; farther out
@@ -446,12 +459,14 @@ def stays_multiple(equations: Equations, at: Split, families: list[ConeFamily]) 
     ]
     if not shaky:
         return True
-    shell = on_sphere(equations, at.q, np.array([s.offsets[0] for s in shaky]) / RADII[0], FAR)
-    deltas = [lyapunov_schmidt.split_matrix(at.q, J).delta for J in shell.jacobian]
+    shell = find_sphere_points(
+        equations, at.q, np.array([s.offsets[0] for s in shaky]) / RADII[0], FAR
+    )
+    deltas = [lyapunov_schmidt.split_jacobian(at.q, J).delta for J in shell.jacobian]
     return all(d >= s.split.delta for s, d, ok in zip(shaky, deltas, shell.good, strict=True) if ok)
 
 
-def collect(equations: Equations, families: list[ConeFamily]) -> tuple[list[Branch], bool]:
+def collect_branches(equations: Equations, families: list[ConeFamily]) -> tuple[list[Branch], bool]:
     """The branches that the points belong to, and whether the curves among them come in pairs of
     half-branches.
     """
@@ -462,44 +477,44 @@ def collect(equations: Equations, families: list[ConeFamily]) -> tuple[list[Bran
         if T is None or T.shape[1] < 2:
             continue
         if family.cone or not any(
-            b.dim == spot.dim and apart(b.tangent, T) < SAME_PLANE for b in out
+            b.dim == spot.dim and measure_subspace_angle(b.tangent, T) < SAME_PLANE for b in out
         ):
             shaky = spot.split.delta > T.shape[1]
             out.append(Branch(T.shape[1], T, spot.split.q, multiple=shaky, cone=family.cone))
-    curves, paired = _pair([s for f in families for s in f.spots if s.dim == 1])
+    curves, paired = _pair_half_branches([s for f in families for s in f.spots if s.dim == 1])
     return [replace(b, tangent=b.tangent * equations.scale[:, None]) for b in out + curves], paired
 
 
-def _pair(halves: list[Spot]) -> tuple[list[Branch], bool]:
+def _pair_half_branches(halves: list[Spot]) -> tuple[list[Branch], bool]:
     """Curves through the configuration from their half-branches, joined so that direction and bend
     continue.
     """
     h = np.array(RADII)
     rays: list[tuple[Array, Array, Spot]] = []
-    for s in _apart(halves):
+    for s in _drop_repeated_halves(halves):
         u = s.offsets / h[:, None]
         t = u[2] - (u[1] - u[2]) * h[2] / (h[1] - h[2])
         rays.append((t / np.linalg.norm(t), (u[1] - u[2]) / (h[1] - h[2]), s))
     left = list(range(len(rays)))
     out: list[Branch] = []
 
-    def cost(i: int, j: int, sign: float) -> float:
+    def compute_cost(i: int, j: int, sign: float) -> float:
         return float(
             np.linalg.norm(rays[i][0] + sign * rays[j][0])
             + h[1] * np.linalg.norm(rays[i][1] - rays[j][1])
         )
 
     for sign in (1.0, -1.0):  # first those that go through, then cusps
-        pairs = sorted((cost(i, j, sign), i, j) for i in left for j in left if i < j)
+        pairs = sorted((compute_cost(i, j, sign), i, j) for i in left for j in left if i < j)
         for c, i, j in pairs:
             if c < 0.3 and i in left and j in left:
                 left = [k for k in left if k not in (i, j)]
-                out.append(_curve(rays[i], 2, sign < 0.0))
-    out += [_curve(rays[i], 1, False) for i in left]
+                out.append(_make_curve(rays[i], 2, sign < 0.0))
+    out += [_make_curve(rays[i], 1, False) for i in left]
     return out, not left
 
 
-def _apart(halves: list[Spot]) -> list[Spot]:
+def _drop_repeated_halves(halves: list[Spot]) -> list[Spot]:
     """Half-branches without those that are another again: where they are shaky, points are known to
     few digits.
     """
@@ -511,7 +526,7 @@ def _apart(halves: list[Spot]) -> list[Spot]:
     return out
 
 
-def _curve(ray: tuple[Array, Array, Spot], ends: int, cusp: bool) -> Branch:
+def _make_curve(ray: tuple[Array, Array, Spot], ends: int, cusp: bool) -> Branch:
     t, _, spot = ray
     return Branch(1, t[:, None], spot.split.q, ends, cusp, spot.split.delta > 1)
 
@@ -604,13 +619,16 @@ class LocalDimension(InWords):
         ):
             text.append(
                 "; ".join(
-                    ["branches: " + ", ".join(_describe(b) for b in self.branches), *self.more]
+                    [
+                        "branches: " + ", ".join(_describe_branch(b) for b in self.branches),
+                        *self.more,
+                    ]
                 )
             )
         return "; ".join([*text, *([f"proven: {self.proof}"] if self.proof else []), *self.doubts])
 
 
-def _describe(branch: Branch) -> str:
+def _describe_branch(branch: Branch) -> str:
     """A branch in words."""
     kind = (
         "a cusp"
@@ -625,7 +643,7 @@ def _describe(branch: Branch) -> str:
     return f"dimension {branch.dim}" + (f" ({', '.join(notes)})" if notes else "")
 
 
-def local_dimension(
+def find_local_dimension(
     system: Model,
     q: Any,
     *,
@@ -664,10 +682,14 @@ def local_dimension(
         )
     other, there, turned = make_regular_chart(remove_cut_marks(system), q)
     rng = np.random.default_rng(rng)
-    return in_chart(system, _found(other, there, order, rng, tolerance, sampling, time), turned)
+    return convert_to_system(
+        system, _analyze_configuration(other, there, order, rng, tolerance, sampling, time), turned
+    )
 
 
-def in_chart(system: Model, found: LocalDimension, turned: dict[str, Array]) -> LocalDimension:
+def convert_to_system(
+    system: Model, found: LocalDimension, turned: dict[str, Array]
+) -> LocalDimension:
     """The answer with its configurations in the coordinates of the system itself."""
     if not turned:
         return found
@@ -675,7 +697,7 @@ def in_chart(system: Model, found: LocalDimension, turned: dict[str, Array]) -> 
     return replace(found, branches=own, q=convert_from_chart(system, found.q, turned))
 
 
-def _found(
+def _analyze_configuration(
     system: Model,
     q: Array,
     order: int,
@@ -685,15 +707,17 @@ def _found(
     time: TimeLimit | None,
 ) -> LocalDimension:
     """The answer at a configuration whose coordinates are regular."""
-    equations = _equations(system)
+    equations = _get_equations(system)
     # the equations are kept with the system, and other calls have other limits
     if time is not None:
         equations = copy(equations)
         equations.time = time
-    at = lyapunov_schmidt.split(equations, _closed(equations, q), tolerance)
+    at = lyapunov_schmidt.split_equations(
+        equations, _correct_configuration(equations, q), tolerance
+    )
     prover = Prover(system, equations, at.q)
-    proof = prover.manifold()
-    doubts = _doubts(at)
+    proof = prover.prove_manifold()
+    doubts = _list_rank_doubts(at)
     more: list[str] = []
     if at.corank == 0 or at.delta == 0 or (proof is not None and proof.dim == at.delta):
         why = "the equations are independent: a manifold by the implicit function theorem"
@@ -701,21 +725,23 @@ def _found(
             why = "a manifold, though some equations depend on others"
         if at.delta == 0:
             why = "the Jacobian has no null space: rigid, to first order"
-        whole = [_whole(equations, at)]
-        return _answer(at, order, tolerance, whole, True, None, why, (doubts, more), None, proof)
-    found = lyapunov_schmidt.obstruction(equations, at, order, rng)
+        whole = [_make_manifold_branch(equations, at)]
+        return _make_answer(
+            at, order, tolerance, whole, True, None, why, (doubts, more), None, proof
+        )
+    found = lyapunov_schmidt.measure_obstruction(equations, at, order, rng)
     k = found.order
     if found.doubt:
         doubts.append(f"a Taylor coefficient {found.doubt:.1g} is neither zero nor clearly not")
     if k is None:
-        found = [_whole(equations, at)]
+        found = [_make_manifold_branch(equations, at)]
         smooth = True
         why = (
             f"no velocity is obstructed to order {order} (coefficients below "
             f"{lyapunov_schmidt.ZERO:g})"
         )
         why += ": a manifold, to that order"
-        reached, faded = _follow_on_spheres(equations, at, rng) if sampling else (0.0, False)
+        reached, faded = _follow_motion(equations, at, rng) if sampling else (0.0, False)
         if faded:
             doubts.append(
                 f"the motion fades at a distance of {reached:.1g}: it may be shaky of an order "
@@ -728,24 +754,24 @@ def _found(
         smooth = False
         why = f"isolated: the only velocity is obstructed at order {k} (shaky of order {k - 1})"
     else:
-        found = _branches(equations, at, order, rng, doubts, more)
+        found = _find_branches(equations, at, order, rng, doubts, more)
         smooth = False
         why = (
             f"some velocities are obstructed at order {k}; branches followed on spheres of radius "
             f"{RADII[0]:g}"
         )
     if proof is None and k is not None:
-        proof = prover.dimension(order, [b.tangent / equations.scale[:, None] for b in found])
+        proof = prover.prove_dimension(order, [b.tangent / equations.scale[:, None] for b in found])
     sampled = None
     if sampling:
-        sampled = sampled_dimension(equations, at, rng)
+        sampled = sample_dimension(equations, at, rng)
         truth = max((b.dim for b in found), default=0)
         if sampled != truth:
             doubts.append(f"sampling finds dimension {sampled}, following branches {truth}")
-    return _answer(at, order, tolerance, found, smooth, k, why, (doubts, more), sampled, proof)
+    return _make_answer(at, order, tolerance, found, smooth, k, why, (doubts, more), sampled, proof)
 
 
-def _doubts(at: Split) -> list[str]:
+def _list_rank_doubts(at: Split) -> list[str]:
     """What speaks against the rank."""
     if at.gap < CLEAR_GAP:
         return [f"singular values differ by a factor {at.gap:.1g} only across the rank"]
@@ -763,16 +789,16 @@ def _doubts(at: Split) -> list[str]:
 
 
 @keep_answers
-def _equations(system: Model) -> Equations:
+def _get_equations(system: Model) -> Equations:
     """The packed equations of a system."""
     return Equations(system)
 
 
-def _closed(equations: Equations, q: Array) -> Array:
+def _correct_configuration(equations: Equations, q: Array) -> Array:
     """The configuration with its last digits corrected. Errors: `InputError` saying what is open by
     how much.
     """
-    value = equations.linearise(q)[0][0]
+    value = equations.linearise_equations(q)[0][0]
     if value.size and not np.max(np.abs(value)) < OPEN:
         name, row = equations.names[int(np.nanargmax(np.abs(np.nan_to_num(value, nan=np.inf))))]
         raise InputError(
@@ -780,19 +806,19 @@ def _closed(equations: Equations, q: Array) -> Array:
             "or typical lengths of a link); close it with assemble first"
         )
     if value.size and np.linalg.norm(value) > 1e-13:
-        better = equations.project(q, q)
+        better = equations.project_points(q, q)
         q = better.q[0] if better.residual[0] < np.linalg.norm(value) else q
     return q
 
 
-def _whole(equations: Equations, at: Split) -> Branch:
+def _make_manifold_branch(equations: Equations, at: Split) -> Branch:
     """The only branch of a manifold."""
     return Branch(
         at.delta, at.null_space * equations.scale[:, None], at.q, 2 if at.delta == 1 else 0
     )
 
 
-def _branches(
+def _find_branches(
     equations: Equations,
     at: Split,
     order: int,
@@ -800,14 +826,14 @@ def _branches(
     doubts: list[str],
     more: list[str],
 ) -> list[Branch]:
-    families, complete = find(equations, at, rng)
+    families, complete = find_cone_families(equations, at, rng)
     if not complete:
         more.append(
             f"some were hit once only in {MOST_STARTS} starts, so there may be more branches"
         )
-    if not dimensions(equations, families, order, rng):
+    if not measure_families(equations, families, order, rng):
         doubts.append("points of one branch differ in dimension")
-    if not stays_multiple(equations, at, families):
+    if not are_shaky_far_out(equations, at, families):
         more.append("a branch is shaky near the configuration only, so several may nearly coincide")
     worst = max((s.obstructed or 0 for f in families for s in f.spots), default=0)
     if worst > 2:
@@ -815,13 +841,13 @@ def _branches(
             f"a branch is shaky of order {worst - 1} all along: its points are found to a few "
             "digits only"
         )
-    found, paired = collect(equations, families)
+    found, paired = collect_branches(equations, families)
     if not paired:
         more.append("a half-branch was found without its other half, so some branches were missed")
     return found
 
 
-def _answer(
+def _make_answer(
     at: Split,
     order: int,
     tolerance: float,
@@ -858,9 +884,7 @@ def _answer(
     )
 
 
-def _follow_on_spheres(
-    equations: Equations, at: Split, rng: np.random.Generator
-) -> tuple[float, bool]:
+def _follow_motion(equations: Equations, at: Split, rng: np.random.Generator) -> tuple[float, bool]:
     """How far a motion along the null space can be followed, and whether it is seen to end there:
     (distance, bool).
 
@@ -870,20 +894,22 @@ def _follow_on_spheres(
     means that the residual there is small but not zero: there is no finite motion, the loops only
     seem to close near the configuration.
     """
-    x = lyapunov_schmidt.axes(rng, at.delta) @ at.null_space.T
+    x = lyapunov_schmidt.sample_axes(rng, at.delta) @ at.null_space.T
     reached = 0.0
     for radius in WALK:
-        found = equations.project(equations.move(at.q, radius * x), at.q, radius)
+        found = equations.project_points(
+            equations.move_configurations(at.q, radius * x), at.q, radius
+        )
         left = np.hypot(found.residual, found.distance - radius)
         good = left < CLOSED
         if not good.any():
             return (radius, True) if left.min() < FAINT else (reached, False)
         reached = radius
-        x = equations.offset(at.q, found.q[good]) / radius
+        x = equations.compute_offsets(at.q, found.q[good]) / radius
     return reached, False
 
 
-def sampled_dimension(equations: Equations, at: Split, rng: np.random.Generator) -> int:
+def sample_dimension(equations: Equations, at: Split, rng: np.random.Generator) -> int:
     """Largest dimension that random steps along the null space show: they are projected back, then
     repeated from there.
 
@@ -891,32 +917,37 @@ def sampled_dimension(equations: Equations, at: Split, rng: np.random.Generator)
     motions keep their size.
     """
     count = 10 + 2 * min(at.delta, 10)
-    kicks = KICK * lyapunov_schmidt.unit_directions(rng, count, at.delta) @ at.null_space.T
-    found = equations.project(equations.move(at.q, kicks), at.q)
+    kicks = KICK * lyapunov_schmidt.sample_unit_vectors(rng, count, at.delta) @ at.null_space.T
+    found = equations.project_points(equations.move_configurations(at.q, kicks), at.q)
     good = (
         (found.residual < CLOSED) & (found.distance > STAYS * KICK) & (found.distance < 2.0 * KICK)
     )
     if not good.any():
         return 0
     places: list[Split] = []
-    for here in lyapunov_schmidt.split_all(found.q[good], found.jacobian[good]):
-        if all(apart(here.null_space, other.null_space) > SAME_PLANE for other in places):
+    for here in lyapunov_schmidt.split_jacobians(found.q[good], found.jacobian[good]):
+        if all(
+            measure_subspace_angle(here.null_space, other.null_space) > SAME_PLANE
+            for other in places
+        ):
             places.append(here)
-    return max(_kicked(equations, p, rng) for p in places[:6])
+    return max(_sample_dimension_around(equations, p, rng) for p in places[:6])
 
 
-def _kicked(equations: Equations, at: Split, rng: np.random.Generator) -> int:
+def _sample_dimension_around(equations: Equations, at: Split, rng: np.random.Generator) -> int:
     """Dimension of the solution set about a point of it: the smaller of what two sizes of kicks
     see.
 
     Both can see too much: large ones because the set is bent, small ones because what collapses
     leaves a rest.
     """
-    d = lyapunov_schmidt.axes(rng, at.delta)
+    d = lyapunov_schmidt.sample_axes(rng, at.delta)
     seen: list[int] = []
     for size in SMALL_KICKS:
-        found = equations.project(equations.move(at.q, size * d @ at.null_space.T), at.q)
-        x = equations.offset(at.q, found.q[found.residual < CLOSED]) / size
+        found = equations.project_points(
+            equations.move_configurations(at.q, size * d @ at.null_space.T), at.q
+        )
+        x = equations.compute_offsets(at.q, found.q[found.residual < CLOSED]) / size
         sigma = Spectrum(x).values / np.sqrt(max(len(x), 1))
         seen.append(int(np.sum(sigma > STAYS / np.sqrt(max(at.delta, 1)))))
     return min(seen)

@@ -94,11 +94,11 @@ class Equations:
         turning = np.array(system.structure.coordinates.turning)
         for iv in system.structure.layout.quaternion_v:
             turning[iv : iv + 3] = True
-        self.turning = turning | np.isin(np.arange(self.nv), self._driving(TURN))
-        self.sliding = np.isin(np.arange(self.nv), self._driving(SLIDE))
+        self.turning = turning | np.isin(np.arange(self.nv), self._find_driving_velocities(TURN))
+        self.sliding = np.isin(np.arange(self.nv), self._find_driving_velocities(SLIDE))
         """Which velocities (nv,) slide something, screws among them."""
         self.scale = np.where(self.turning, 1.0, self.length)
-        self.ties, self.numbers = self._pack()
+        self.ties, self.numbers = self._pack_arrays()
         self.places = np.full(self.nv, BALL_REST, dtype=np.int64)
         self.places[system.structure.layout.vector_v] = system.structure.layout.vector_q
         for iq, iv in zip(
@@ -106,14 +106,14 @@ class Equations:
         ):
             self.places[iv] = -1 - iq
 
-    def _driving(self, kind: int) -> list[int]:
+    def _find_driving_velocities(self, kind: int) -> list[int]:
         """Velocity coordinates that move primitives of a kind; those of screws turn and slide, and
         are angles.
         """
         rows = get_row_integers(self.ints)
         return rows[rows[:, KIND] == kind, V_INDEX].tolist()
 
-    def _pack(self) -> tuple[np.ndarray, Array]:
+    def _pack_arrays(self) -> tuple[np.ndarray, Array]:
         """The arrays `ties` and `numbers` of `kempe.kernels.series.jet`."""
         numbers = [1.0 / self.length]
         row = 0
@@ -172,14 +172,14 @@ class Equations:
             [*numbers, *factors, *tapes], dtype=float
         )
 
-    def linearise(self, q: Any) -> tuple[Array, Array]:
+    def linearise_equations(self, q: Any) -> tuple[Array, Array]:
         """Values (N, m) and Jacobian (N, m, nv), to scaled coordinates, at q (N, nq)."""
         q = np.array(read_q(self.system, q))
         q = q.reshape(math.prod(q.shape[:-1]), self.nq)
-        landing = self._project(q, q, 0.0, 0)
+        landing = self._project_points(q, q, 0.0, 0)
         return landing.value, landing.jacobian
 
-    def project(self, q: Array, centers: Array, radius: Array | float = 0.0) -> Landing:
+    def project_points(self, q: Array, centers: Array, radius: Array | float = 0.0) -> Landing:
         """Points of the solution set near q (N, nq).
 
         Where `radius` > 0 the points are sought at that distance from `centers` (N, nq) or (nq,).
@@ -189,22 +189,22 @@ class Equations:
         """
         q = np.array(q, dtype=float, order="C")
         q = q.reshape(math.prod(q.shape[:-1]), self.nq)
-        found = self._project(q, centers, radius, ITERATIONS)
+        found = self._project_points(q, centers, radius, ITERATIONS)
         radii = np.array(np.broadcast_to(np.asarray(radius, dtype=float), len(found.q)))
-        left = self._left(found, radii)
+        left = self._compute_residuals(found, radii)
         slow = np.flatnonzero((left > self.m * SHARP) & (left < BLUNT))
         if len(slow):
-            self._finish(
+            self._refine_points(
                 found, slow, left[slow], np.broadcast_to(centers, found.q.shape)[slow], radii[slow]
             )
         return found
 
     @staticmethod
-    def _left(at: Landing, radii: Array) -> Array:
+    def _compute_residuals(at: Landing, radii: Array) -> Array:
         """Residuals (N,), the equation of the sphere included."""
         return np.hypot(at.residual, np.where(radii > 0.0, at.distance - radii, 0.0))
 
-    def _finish(
+    def _refine_points(
         self, found: Landing, slow: np.ndarray, best: Array, centers: Array, radii: Array
     ) -> None:
         """Take plain Gauss-Newton steps from the points `slow`, and keep in `found` those that are
@@ -213,15 +213,15 @@ class Equations:
         q = found.q[slow]
         since = np.zeros(len(slow), dtype=int)
         for _ in range(PLAIN):
-            at = self._project(q.copy(), centers, radii, 0)
-            left = self._left(at, radii)
+            at = self._project_points(q.copy(), centers, radii, 0)
+            left = self._compute_residuals(at, radii)
             since = np.where(left < 0.5 * best, 0, since + 1)
             better = left < best
             best = np.where(better, left, best)
             for kept, new in zip(found, at, strict=True):
                 kept[slow[better]] = new[better]
-            there = self._step(at, centers, radii, Level.ROUNDING)
-            step = np.linalg.norm(self.offset(at.q, there), axis=1)
+            there = self._take_step(at, centers, radii, Level.ROUNDING)
+            step = np.linalg.norm(self.compute_offsets(at.q, there), axis=1)
             on = (left > self.m * SHARP) & (since < HOPELESS) & (step < LEAP * at.distance)
             if not on.any():
                 return
@@ -229,14 +229,16 @@ class Equations:
                 x[on] for x in (slow, best, since, centers, radii, there)
             )
             for _ in range(2):
-                q = self._step(self._project(q, centers, radii, 0), centers, radii, STEEP)
+                q = self._take_step(
+                    self._project_points(q, centers, radii, 0), centers, radii, STEEP
+                )
 
-    def _step(self, at: Landing, centers: Array, radii: Array, level: float) -> Array:
+    def _take_step(self, at: Landing, centers: Array, radii: Array, level: float) -> Array:
         """Where (N, nq) undamped steps lead onto the equations and, where radii > 0, the spheres."""
         q = at.q
         value = at.value
         J = at.jacobian
-        x = np.where((radii > 0.0)[:, None], self.offset(centers, q), 0.0)
+        x = np.where((radii > 0.0)[:, None], self.compute_offsets(centers, q), 0.0)
         over = np.where(radii > 0.0, 1.0 / np.where(radii > 0.0, radii, 1.0), 0.0)
         error = 0.5 * (np.sum(x * x, axis=1) - radii**2) * over
         rows = np.concatenate([J, (x * over[:, None])[:, None]], axis=1)
@@ -245,10 +247,12 @@ class Equations:
             @ np.append(value, error[:, None], axis=1)[..., None]
         )[..., 0]
         shorter = np.minimum(1.0, LONGEST / np.maximum(np.linalg.norm(step, axis=1), 1e-300))
-        return self.move(q, step * shorter[:, None])
+        return self.move_configurations(q, step * shorter[:, None])
 
-    def _project(self, q: Array, centers: Array, radius: Array | float, iterations: int) -> Landing:
-        """As `project`, overwriting q with the points found."""
+    def _project_points(
+        self, q: Array, centers: Array, radius: Array | float, iterations: int
+    ) -> Landing:
+        """As `project_points`, overwriting q with the points found."""
         from kempe.kernels.compiled import projection
 
         self.time.check_time()
@@ -275,17 +279,17 @@ class Equations:
         )
         return Landing(q, info[:, 0], info[:, 1], value, J * self.scale)
 
-    def move(self, q: Array, x: Array) -> Array:
+    def move_configurations(self, q: Array, x: Array) -> Array:
         """Configurations (..., nq) reached from q (..., nq) by scaled tangent vectors x (..., nv)."""
         return self.system.structure.layout.integrate_velocity(q, np.asarray(x) * self.scale)
 
-    def offset(self, q0: Array, q: Array) -> Array:
+    def compute_offsets(self, q0: Array, q: Array) -> Array:
         """Tangent vectors (..., nv) from configurations q0 to q (..., nq), in units of `scale`
         (nv,).
         """
         return self.system.structure.layout.compute_difference(q0, q) / self.scale
 
-    def series(self, q: Array, n: int, order: int) -> Series:
+    def make_series(self, q: Array, n: int, order: int) -> Series:
         """Taylor series, up to `order`, of the equations along n curves of configurations.
 
         The curves begin at q (nq,), or each at its own (n, nq); `Series.set` gives their
@@ -294,7 +298,7 @@ class Equations:
         return Series(self, np.array(np.broadcast_to(q, (n, self.nq)), dtype=float), order)
 
     @cached_property
-    def rows_of(self) -> dict[str, np.ndarray]:
+    def rows_by_name(self) -> dict[str, np.ndarray]:
         """Places of the equations of joints and of constraints that are no expressions, by name."""
         out: dict[str, np.ndarray] = {}
         row = 0
@@ -330,11 +334,11 @@ class Series:
         self.values = np.zeros((n, depth, equations.m))
         """Series (n, order + 1, m) of the equations."""
 
-    def set(self, k: int, x: Array) -> None:
+    def set_coefficients(self, k: int, x: Array) -> None:
         """Set the coefficients of order k of the curves: scaled tangent vectors x (n, nv)."""
         self._v[:, k] = x * self.equations.scale
 
-    def compute(self, first: int, last: int) -> Array:
+    def compute_values(self, first: int, last: int) -> Array:
         """Values (n, m) of the equations of order `last`, once orders first ... last are computed
         anew.
         """

@@ -74,17 +74,17 @@ class Split:
         )
 
 
-def split(equations: Equations, q: Array, level: float = Level.GENERIC) -> Split:
+def split_equations(equations: Equations, q: Array, level: float = Level.GENERIC) -> Split:
     """The `Split` of the equations at q (nq,)."""
-    return split_matrix(q, equations.linearise(q)[1][0], level)
+    return split_jacobian(q, equations.linearise_equations(q)[1][0], level)
 
 
-def split_matrix(q: Array, J: Array, level: float = Level.GENERIC) -> Split:
+def split_jacobian(q: Array, J: Array, level: float = Level.GENERIC) -> Split:
     """The `Split` for a Jacobian (m, nv), of a rank at this level."""
-    return split_all(q[None], J[None], level)[0]
+    return split_jacobians(q[None], J[None], level)[0]
 
 
-def split_all(q: Array, J: Array, level: float = Level.GENERIC) -> list[Split]:
+def split_jacobians(q: Array, J: Array, level: float = Level.GENERIC) -> list[Split]:
     """The same for many configurations (N, nq) and Jacobians (N, m, nv)."""
     return [
         Split(
@@ -98,13 +98,13 @@ def split_all(q: Array, J: Array, level: float = Level.GENERIC) -> list[Split]:
     ]
 
 
-def unit_directions(rng: np.random.Generator, n: int, dim: int) -> Array:
+def sample_unit_vectors(rng: np.random.Generator, n: int, dim: int) -> Array:
     """Random unit vectors (n, dim)."""
     d = rng.normal(size=(n, dim))
     return d / np.maximum(np.linalg.norm(d, axis=1, keepdims=True), 1e-300)
 
 
-def axes(rng: np.random.Generator, dim: int) -> Array:
+def sample_axes(rng: np.random.Generator, dim: int) -> Array:
     """Unit vectors (2 dim, dim) both ways along the axes of a random frame."""
     d = np.linalg.qr(rng.normal(size=(dim, dim)))[0]
     return np.concatenate([d, -d])
@@ -135,7 +135,7 @@ class Obstruction:
         return float(np.max(size[size > np.maximum(ZERO, noise)], initial=0.0))
 
 
-def obstruction(
+def measure_obstruction(
     equations: Equations, at: Split, order: int, rng: np.random.Generator
 ) -> Obstruction:
     """How large the reduced equations are, order by order, along random curves of the null space.
@@ -148,24 +148,29 @@ def obstruction(
     second run with w disturbed at every order.
     """
     n = at.delta + 4
-    s = lines(unit_directions(rng, 2 * n, at.delta), order)
+    s = make_lines(sample_unit_vectors(rng, 2 * n, at.delta), order)
     for k in range(2, order + 1):
         s[n:, k] = 0.5**k * rng.normal(size=(n, at.delta))
-    g, slow = _solve(equations, at, s, None)
+    g, slow = _solve_coefficients(equations, at, s, None)
     across = rng.normal(size=(len(s), order + 1, equations.nv))
     across -= across @ at.null_space @ at.null_space.T
     across *= DISTURBANCE / np.maximum(np.linalg.norm(across, axis=2, keepdims=True), 1e-300)
-    disturbed, _ = _solve(equations, at, s, across)
+    disturbed, _ = _solve_coefficients(equations, at, s, across)
     rest = at.sigma[at.rank : at.rank + 1]
     error = ROUNDING + (float(rest[0]) if rest.size else 0.0)
-    return Obstruction(_largest(g / slow), _largest((disturbed - g) / slow) * error / DISTURBANCE)
+    return Obstruction(
+        _compute_largest_norms(g / slow),
+        _compute_largest_norms((disturbed - g) / slow) * error / DISTURBANCE,
+    )
 
 
-def _largest(g: Array) -> Array:
+def _compute_largest_norms(g: Array) -> Array:
     return np.max(np.linalg.norm(g, axis=2), axis=0, initial=0.0)
 
 
-def _solve(equations: Equations, at: Split, s: Array, across: Array | None) -> tuple[Array, Array]:
+def _solve_coefficients(
+    equations: Equations, at: Split, s: Array, across: Array | None
+) -> tuple[Array, Array]:
     """Coefficients g_k (n, order + 1, corank) along curves s (n, order + 1, delta) of the null
     space, and their scale.
 
@@ -175,30 +180,30 @@ def _solve(equations: Equations, at: Split, s: Array, across: Array | None) -> t
     n: int
     depth: int
     n, depth = s.shape[:2]
-    series = equations.series(at.q, n, depth - 1)
+    series = equations.make_series(at.q, n, depth - 1)
     g = np.zeros((n, depth, at.corank))
     fastest = np.ones(n)
     for k in range(1, depth):
         x = s[:, k] @ at.null_space.T
-        series.set(k, x)
-        phi = series.compute(k - 1, k)
+        series.set_coefficients(k, x)
+        phi = series.compute_values(k - 1, k)
         g[:, k] = phi @ at.cokernel
         x = x - phi @ at.inverse.T
         if across is not None:
             x = x + across[:, k]
-        series.set(k, x)
+        series.set_coefficients(k, x)
         fastest = np.maximum(fastest, np.linalg.norm(x, axis=1) ** (1.0 / k))
     return g, (fastest[:, None] ** np.arange(depth, dtype=float))[..., None]
 
 
-def lines(directions: Array, order: int) -> Array:
+def make_lines(directions: Array, order: int) -> Array:
     """Curves (n, order + 1, delta) straight along directions (n, delta)."""
     s = np.zeros((len(directions), order + 1, directions.shape[1]))
     s[:, 1] = directions
     return s
 
 
-def lineality(equations: Equations, at: Split, k: int, rng: np.random.Generator) -> Array:
+def find_lineality(equations: Equations, at: Split, k: int, rng: np.random.Generator) -> Array:
     """Basis (delta, l) of the null directions u along which the leading form of order k is
     constant.
 
@@ -211,12 +216,15 @@ def lineality(equations: Equations, at: Split, k: int, rng: np.random.Generator)
     n = at.delta + 2
     tau = np.cos(np.pi * (np.arange(k + 1) + 0.5) / (k + 1))
     pick = np.linalg.inv(np.vander(tau, increasing=True))[1]
-    d = unit_directions(rng, n, delta)
+    d = sample_unit_vectors(rng, n, delta)
     # (n, delta, k + 1, delta)
     points = d[:, None, None, :] + tau[:, None] * np.eye(delta)[:, None, :]
     flat = points.reshape(-1, delta)
     size = np.linalg.norm(flat, axis=1)
-    g = _solve(equations, at, lines(flat / size[:, None], k), None)[0][:, k] * (size**k)[:, None]
+    g = (
+        _solve_coefficients(equations, at, make_lines(flat / size[:, None], k), None)[0][:, k]
+        * (size**k)[:, None]
+    )
     gradient = np.einsum("ndtc,t->ncd", g.reshape(n, delta, k + 1, at.corank), pick).reshape(
         -1, delta
     )

@@ -33,10 +33,10 @@ from kempe.first_order.idle_freedoms import find_idle_freedoms
 from kempe.first_order.rank import Rank, compute_rank
 from kempe.first_order.redundant_constraints import find_redundancy
 from kempe.first_order.wrenches import Wrenches
-from kempe.mobility.answer import ClusterMobility, Mobility, dimensions
-from kempe.mobility.dof_proofs import regular
-from kempe.mobility.growth_vectors import distribution
-from kempe.mobility.one_sided import if_any
+from kempe.mobility.answer import ClusterMobility, Mobility, format_dimensions
+from kempe.mobility.dof_proofs import has_full_rank
+from kempe.mobility.growth_vectors import compute_distribution
+from kempe.mobility.one_sided import report_if_relevant
 from kempe.model.ball_angles import make_regular_chart
 from kempe.model.configurations import find_home, read_q
 from kempe.model.own_tree import remove_cut_marks
@@ -50,20 +50,22 @@ if TYPE_CHECKING:
 USUAL = Usual("mobility", time_limit=SHORT)
 
 
-def _counted(time: TimeLimit, system: Model, q: Any = None, *_: Any, **__: Any) -> Mobility:
+def _make_late_answer(
+    time: TimeLimit, system: Model, q: Any = None, *_: Any, **__: Any
+) -> Mobility:
     """The count alone: the time was up before more was known."""
-    given = None if q is None else _given(system, q)
+    given = None if q is None else _read_configuration(system, q)
     tree = remove_cut_marks(system)
     why = (
         f"the time limit of {time.limit:g} s came before a closed configuration and its ranks were "
         "known"
     )
     at = NearestClosed(find_home(tree) if given is None else given, False, math.nan, math.nan, why)
-    return replace(_open(tree, system, at), late=True)
+    return replace(_make_open_answer(tree, system, at), late=True)
 
 
 @explain_errors
-@limit_time(USUAL, _counted)
+@limit_time(USUAL, _make_late_answer)
 @answer_within_tolerance()
 def mobility(
     system: Model,
@@ -92,11 +94,11 @@ def mobility(
     shown = system
     system = remove_cut_marks(system)
     find_driven_velocities(system, actuated)  # a wrong name is refused before any work
-    given = None if q is None else _given(system, q)
-    return _looked_at(system, shown, given, actuated, local, make_generator(rng), time)
+    given = None if q is None else _read_configuration(system, q)
+    return _analyze_system(system, shown, given, actuated, local, make_generator(rng), time)
 
 
-def _looked_at(
+def _analyze_system(
     system: Model,
     shown: Model,
     given: Array | None,
@@ -112,18 +114,18 @@ def _looked_at(
         else find_closed_configuration(system)
     )
     if not at.closed:
-        return _open(system, shown, at)
+        return _make_open_answer(system, shown, at)
     other, q, turned = make_regular_chart(system, at.q)
     if turned:  # angles of a ball have velocities there that move nothing
-        found = _found(other, shown, replace(at, q=q), actuated, local, rng, time)
-        from kempe.mobility.local_dimension import in_chart
+        found = _analyze_configuration(other, shown, replace(at, q=q), actuated, local, rng, time)
+        from kempe.mobility.local_dimension import convert_to_system
 
-        truth = None if found.local is None else in_chart(system, found.local, turned)
-        return replace(found, q=at.q, local=truth, one_sided=if_any(shown, at.q))
-    return _found(system, shown, at, actuated, local, rng, time)
+        truth = None if found.local is None else convert_to_system(system, found.local, turned)
+        return replace(found, q=at.q, local=truth, one_sided=report_if_relevant(shown, at.q))
+    return _analyze_configuration(system, shown, at, actuated, local, rng, time)
 
 
-def _found(
+def _analyze_configuration(
     system: Model,
     shown: Model,
     at: NearestClosed,
@@ -142,12 +144,12 @@ def _found(
     truth = None
     late = False
     try:
-        truth = _local(system, rank, local, rng, time)
+        truth = _find_wanted_dimension(system, rank, local, rng, time)
     except TimeUp:
         if not time.spent:
             raise
         late = True
-    best = min([rank, *generic, *_on_branches(system, truth)], key=lambda r: r.nullity)
+    best = min([rank, *generic, *_compute_branch_ranks(system, truth)], key=lambda r: r.nullity)
     idle = find_idle_freedoms(system, [rank, *generic], motors)
     dof = (
         truth.dim
@@ -156,8 +158,8 @@ def _found(
         if not rank.n_dependent or not rank.nullity
         else None
     )
-    singular, kind = _kind(rank, best, truth)
-    sure = truth is None and dof is not None and regular(system, rank, at.residual)
+    singular, kind = _classify_singularity(rank, best, truth)
+    sure = truth is None and dof is not None and has_full_rank(system, rank, at.residual)
     return Mobility(
         system,
         system.dim,
@@ -168,8 +170,8 @@ def _found(
         "",
         count_freedoms(shown),
         count_loop_freedoms(shown, rank.screws),
-        _clusters(s, rank),
-        _outside(system, s),
+        _list_clusters(s, rank),
+        _count_outside_freedoms(system, s),
         rank,
         best.nullity,
         truth,
@@ -179,16 +181,16 @@ def _found(
         analyse_control(system, rank, generic, idle, actuated),
         singular,
         kind,
-        _velocity_freedoms(system, at.q),
+        _count_velocity_freedoms(system, at.q),
         sure,
-        if_any(shown, at.q),
+        report_if_relevant(shown, at.q),
         list_function_constraints(system) if dof is None and local else (),
         Wrenches(system, at.q),
         late=late,
     )
 
 
-def _given(system: Model, q: Any) -> Array:
+def _read_configuration(system: Model, q: Any) -> Array:
     given = read_q(system, q)
     if given.ndim != 1:
         raise InputError(
@@ -197,7 +199,7 @@ def _given(system: Model, q: Any) -> Array:
     return given
 
 
-def _open(system: Model, shown: Model, at: NearestClosed) -> Mobility:
+def _make_open_answer(system: Model, shown: Model, at: NearestClosed) -> Mobility:
     s = build_constraint_graph(system)
     return Mobility(
         system,
@@ -209,8 +211,8 @@ def _open(system: Model, shown: Model, at: NearestClosed) -> Mobility:
         at.why,
         count_freedoms(shown),
         count_loop_freedoms(shown, None),
-        _clusters(s, None),
-        _outside(system, s),
+        _list_clusters(s, None),
+        _count_outside_freedoms(system, s),
         None,
         None,
         None,
@@ -223,18 +225,18 @@ def _open(system: Model, shown: Model, at: NearestClosed) -> Mobility:
     )
 
 
-def _local(
+def _find_wanted_dimension(
     system: Model, rank: Rank, wanted: bool, rng: np.random.Generator, time: TimeLimit
 ) -> LocalDimension | None:
     """The local dimension where it is `wanted` and the rank alone does not prove it, else None."""
     if not wanted or not rank.n_dependent or not rank.nullity or list_function_constraints(system):
         return None
-    from kempe.mobility.local_dimension import local_dimension
+    from kempe.mobility.local_dimension import find_local_dimension
 
-    return local_dimension(system, rank.q, rng=rng, time=time)
+    return find_local_dimension(system, rank.q, rng=rng, time=time)
 
 
-def _on_branches(system: Model, truth: LocalDimension | None) -> list[Rank]:
+def _compute_branch_ranks(system: Model, truth: LocalDimension | None) -> list[Rank]:
     """Ranks at points of branches of each dimension that meet here: random walks may miss some."""
     if truth is None or truth.smooth:
         return []
@@ -242,7 +244,7 @@ def _on_branches(system: Model, truth: LocalDimension | None) -> list[Rank]:
     return [r for dim, r in ranks.items() if r.nullity == dim]
 
 
-def _clusters(s: ConstraintGraph, rank: Rank | None) -> tuple[ClusterMobility, ...]:
+def _list_clusters(s: ConstraintGraph, rank: Rank | None) -> tuple[ClusterMobility, ...]:
     out: list[ClusterMobility] = []
     for k, c in enumerate(s.clusters):
         rows = sum(s.loops[i].rows for i in c.loops) + sum(s.laws[i].n_rows for i in c.laws)
@@ -259,12 +261,12 @@ def _clusters(s: ConstraintGraph, rank: Rank | None) -> tuple[ClusterMobility, .
     return tuple(out)
 
 
-def _outside(system: Model, s: ConstraintGraph) -> int:
+def _count_outside_freedoms(system: Model, s: ConstraintGraph) -> int:
     """Freedoms of joints that no loop touches."""
     return system.nv - sum(len(c.velocities) for c in s.clusters)
 
 
-def _kind(rank: Rank, best: Rank, truth: LocalDimension | None) -> tuple[bool, str]:
+def _classify_singularity(rank: Rank, best: Rank, truth: LocalDimension | None) -> tuple[bool, str]:
     """Whether the configuration is a singular point of the configuration space, and its kind in
     words.
 
@@ -280,16 +282,16 @@ def _kind(rank: Rank, best: Rank, truth: LocalDimension | None) -> tuple[bool, s
         return False, ""
     if len(truth.branches) == 0:
         return True, "shaky: it can move to first order, but is rigid"
-    dims = dimensions(truth.branch_dims)
+    dims = format_dimensions(truth.branch_dims)
     if len(truth.branches) > 1:
         found = "meet" if truth.counted else "were found"
         kind = f"bifurcation: {len(truth.branches)} branches {found}, of dimensions {dims}"
     else:
-        kind = _kind_of(truth.branches[0])
+        kind = _describe_branch_motion(truth.branches[0])
     return True, "; ".join([kind, *truth.more])
 
 
-def _kind_of(branch: Branch) -> str:
+def _describe_branch_motion(branch: Branch) -> str:
     """What the only branch does here."""
     if branch.multiple:
         return (
@@ -303,7 +305,7 @@ def _kind_of(branch: Branch) -> str:
     return "the rank is lower here, but only one branch passes through"
 
 
-def _velocity_freedoms(system: Model, q: Array) -> int | None:
+def _count_velocity_freedoms(system: Model, q: Array) -> int | None:
     """Freedoms of velocity at q (nq,) that all constraints leave; None without constraints of
     velocity.
     """
@@ -311,4 +313,4 @@ def _velocity_freedoms(system: Model, q: Array) -> int | None:
         return None
     rows = record_tangent_rows(system)
     which = [i for i, row in enumerate(rows.names) if not row.sided]
-    return distribution(rows, q, which).dimension - (0 if rows.steady else 1)
+    return compute_distribution(rows, q, which).dimension - (0 if rows.steady else 1)

@@ -89,7 +89,7 @@ class Cone:
     """The rows that are needed, in that basis: the cone across `free` is where they are not
     negative."""
 
-    def ways(self, row: ArrayLike) -> ConeDirections:
+    def find_directions(self, row: ArrayLike) -> ConeDirections:
         """Whether `row` @ v may be below and above zero, of a quantity with the gradient `row`
         (n,).
         """
@@ -105,10 +105,12 @@ class Cone:
                 bool(np.any(rates < -NOTHING * size)), bool(np.any(rates > NOTHING * size))
             )
         own = self.across @ row / size
-        return ConeDirections(_least(own, self.rows) < -NOTHING, _least(-own, self.rows) < -NOTHING)
+        return ConeDirections(
+            _minimize_row(own, self.rows) < -NOTHING, _minimize_row(-own, self.rows) < -NOTHING
+        )
 
 
-def tangent_cone(equal: Array, one_sided: Array) -> Cone:
+def compute_tangent_cone(equal: Array, one_sided: Array) -> Cone:
     """The cone of the velocities v (n,) with `equal` (m, n) @ v = 0 and `one_sided` (k, n) @ v >=
     0.
 
@@ -119,13 +121,13 @@ def tangent_cone(equal: Array, one_sided: Array) -> Cone:
     G = np.asarray(one_sided, dtype=float)
     G = np.where(np.isfinite(G).all(axis=1, keepdims=True), G, 0.0)
     n = E.shape[1]
-    held = Spectrum(_unit(E, NOTHING)[0], 1.0)
+    held = Spectrum(_normalize_rows(E, NOTHING)[0], 1.0)
     N = held.compute_null_space(Level.GENERIC).T
     full = held.compute_rank(Level.GENERIC) == len(E)
-    G, sizes = _unit(G, NOTHING)
+    G, sizes = _normalize_rows(G, NOTHING)
     vanishing = sizes <= NOTHING
     inner = G @ N.T
-    inner, left = _unit(inner, NOTHING)
+    inner, left = _normalize_rows(inner, NOTHING)
     implied = ~vanishing & (left <= NOTHING)
     used = np.flatnonzero(~vanishing & ~implied)
     cut = inner[used]
@@ -133,17 +135,17 @@ def tangent_cone(equal: Array, one_sided: Array) -> Cone:
     free = spectrum.compute_null_space(Level.GENERIC).T
     across = spectrum.compute_row_space(Level.GENERIC).T
     depth = len(across)
-    B = _unit(cut @ across.T, 0.0)[0]
-    closed = _closed(B)
+    B = _normalize_rows(cut @ across.T, 0.0)[0]
+    closed = _find_zero_rows(B)
     redundant = []
     if depth < len(used):
-        redundant = _redundant(B)
+        redundant = _find_redundant_rows(B)
     left = Spectrum(B[closed], 1.0).compute_null_space(Level.GENERIC).T
     wide = len(left)
     across = left @ across
     open_rows = [i for i in range(len(used)) if i not in closed and i not in redundant]
-    C = _unit(cut[open_rows] @ across.T, 0.0)[0]
-    rays = _rays(C)
+    C = _normalize_rows(cut[open_rows] @ across.T, 0.0)[0]
+    rays = _find_edge_rays(C)
     names = used.tolist()
     return Cone(
         n,
@@ -161,14 +163,14 @@ def tangent_cone(equal: Array, one_sided: Array) -> Cone:
     )
 
 
-def _unit(rows: Array, ignore: float) -> tuple[Array, Array]:
+def _normalize_rows(rows: Array, ignore: float) -> tuple[Array, Array]:
     """Rows of unit length, those up to `ignore` zero, and the lengths that they had."""
     sizes = np.linalg.norm(rows, axis=1)
     good = sizes > ignore
     return np.where(good[:, None], rows / np.where(good, sizes, 1.0)[:, None], 0.0), sizes
 
 
-def _closed(B: Array) -> list[int]:
+def _find_zero_rows(B: Array) -> list[int]:
     """The rows of a pointed cone {B w >= 0} that are zero on all of it.
 
     One program: raise as many rows to 1 as can be at once, with w as long as the narrowest opening
@@ -189,17 +191,17 @@ def _closed(B: Array) -> list[int]:
     return np.flatnonzero(answer.x[r:] < 0.5).tolist()
 
 
-def _redundant(B: Array) -> list[int]:
+def _find_redundant_rows(B: Array) -> list[int]:
     """Rows that follow from the others that are kept; of several that could go the last ones do."""
     kept = list(range(len(B)))
     for i in range(len(B) - 1, -1, -1):
         others = [j for j in kept if j != i]
-        if _least(B[i], B[others]) >= -NOTHING:
+        if _minimize_row(B[i], B[others]) >= -NOTHING:
             kept = others
     return [i for i in range(len(B)) if i not in kept]
 
 
-def _least(row: Array, rows: Array) -> float:
+def _minimize_row(row: Array, rows: Array) -> float:
     """The least of row @ w where rows @ w >= 0, for w within a box of unit size."""
     from scipy import optimize
 
@@ -215,7 +217,7 @@ _METHOD: dict[str, Any] = {
 }
 
 
-def _rays(C: Array) -> Array | None:
+def _find_edge_rays(C: Array) -> Array | None:
     """Unit vectors (k, r) along the edges of a cone {C w >= 0} of full dimension without a line;
     None: too many.
 
@@ -320,11 +322,11 @@ class OneSidedReport(Report):
         """What each coordinate may do, to first order: whether it may fall, and rise."""
         each = np.eye(self.system.nv)
         return {
-            n: self.cone.ways(row)
+            n: self.cone.find_directions(row)
             for n, row in zip(self.system.structure.velocity_names, each, strict=True)
         }
 
-    def frame(self, frame: FrameLike) -> dict[str, ConeDirections]:
+    def find_frame_directions(self, frame: FrameLike) -> dict[str, ConeDirections]:
         """What the origin of a frame may do along the axes of the ground, and its turns about them,
         to first order.
         """
@@ -332,7 +334,7 @@ class OneSidedReport(Report):
         large = np.abs(J).max(axis=1, initial=0.0)
         J = np.where((large > 1e-9 * large.max(initial=1e-300))[:, None], J, 0.0)
         names = ("x", "y", "z", "rx", "ry", "rz")
-        return {n: self.cone.ways(row) for n, row in zip(names, J, strict=True)}
+        return {n: self.cone.find_directions(row) for n, row in zip(names, J, strict=True)}
 
     @property
     def status(self) -> str:
@@ -357,9 +359,9 @@ class OneSidedReport(Report):
                 f"{format_count(reached, 'limit')} {'is' if reached == 1 else 'are'} reached"
             )
         text = " and ".join(parts) or "no limit is reached"
-        return text + (f": {self._left()}" if self.active else "")
+        return text + (f": {self._describe_freedoms()}" if self.active else "")
 
-    def _left(self) -> str:
+    def _describe_freedoms(self) -> str:
         """What closed sides leave, in words."""
         if self.dimension == 0:
             return "nothing can move"
@@ -412,7 +414,7 @@ class OneSidedReport(Report):
 
 
 @explain_errors
-def one_sided(system: Model, q: Any = None, *, tolerance: float = CLOSED) -> OneSidedReport:
+def report_one_sided(system: Model, q: Any = None, *, tolerance: float = CLOSED) -> OneSidedReport:
     """What one-sided constraints leave at a configuration: which are closed, by how much others are
     open.
 
@@ -429,19 +431,19 @@ def one_sided(system: Model, q: Any = None, *, tolerance: float = CLOSED) -> One
         )
     rows = pack_one_sided_rows(system)
     values, J = rows.compute_rates(at)
-    found, G = _sides(rows, values, J, tolerance)
-    E, still = _equations(system, at)
-    cone = tangent_cone(E, G)
+    found, G = _list_sides(rows, values, J, tolerance)
+    E, still = _compute_equality_rows(system, at)
+    cone = compute_tangent_cone(E, G)
     cone = cone if still else replace(cone, exact=False)
     states = [s.state for s in found]
     closed = [k for k, state in enumerate(states) if state == "closed"]
     sides = list(found)
     for place, k in enumerate(closed):
-        sides[k] = _with_ways(found[k], place, cone, G[place], [found[j].name for j in closed])
+        sides[k] = _add_directions(found[k], place, cone, G[place], [found[j].name for j in closed])
     return OneSidedReport(system, at, tuple(sides), cone, pack_full_loops(system, True).scale)
 
 
-def if_any(system: Model, q: Array) -> OneSidedReport | None:
+def report_if_relevant(system: Model, q: Array) -> OneSidedReport | None:
     """The report at a configuration (nq,), None where nothing is declared and no limit is reached."""
     rows = pack_one_sided_rows(system)
     if not rows.declared:
@@ -451,10 +453,12 @@ def if_any(system: Model, q: Array) -> OneSidedReport | None:
         (low, high) = rows.inner_bounds
         if ((x > low) & (x < high)).all():
             return None
-    return one_sided(system, q)
+    return report_one_sided(system, q)
 
 
-def _sides(rows: OneSided, values: Array, J: Array, tolerance: float) -> tuple[list[Side], Array]:
+def _list_sides(
+    rows: OneSided, values: Array, J: Array, tolerance: float
+) -> tuple[list[Side], Array]:
     """All sides, and the inward gradients (k, nv) of those that are closed."""
     out: list[Side] = []
     G: list[Any] = []
@@ -491,13 +495,13 @@ def _sides(rows: OneSided, values: Array, J: Array, tolerance: float) -> tuple[l
     return out, np.array(G).reshape(len(G), rows.system.nv)
 
 
-def _with_ways(side: Side, place: int, cone: Cone, inward: Array, names: list[str]) -> Side:
+def _add_directions(side: Side, place: int, cone: Cone, inward: Array, names: list[str]) -> Side:
     """A closed side with what it still allows."""
     if place in cone.vanishing:
         return replace(side, ways=ConeDirections(True, True), why=BLIND)
     if place in cone.implied:
         return replace(side, ways=ConeDirections(False, False), why="the equations keep it closed")
-    ways = cone.ways(-inward if side.upper else inward)
+    ways = cone.find_directions(-inward if side.upper else inward)
     if place in cone.implicit:
         others = ", ".join(names[i] for i in cone.implicit if i != place)
         return replace(side, ways=ConeDirections(False, False), why=f"held by {others}")
@@ -506,7 +510,7 @@ def _with_ways(side: Side, place: int, cone: Cone, inward: Array, names: list[st
     return replace(side, ways=ways)
 
 
-def _equations(system: Model, q: Array) -> tuple[Array, bool]:
+def _compute_equality_rows(system: Model, q: Array) -> tuple[Array, bool]:
     """The rows (m, nv) of loops and declared constraints on scaled velocities, and whether rest is
     one of them.
 

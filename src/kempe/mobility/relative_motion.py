@@ -64,7 +64,7 @@ class RelativeMotion(Report):
         here = f"; to first order here, around here {self.around}" if self.around > self.dof else ""
         return (
             head
-            + (f": {self._single()}" if self.dof == 1 else more)
+            + (f": {self._describe_single_motion()}" if self.dof == 1 else more)
             + here
             + describe_nearest(self.within)
         )
@@ -78,15 +78,15 @@ class RelativeMotion(Report):
             for name in ("body", "to", "dof", "slides", "twists", "origin", "around")
         }
 
-    def _single(self) -> str:
+    def _describe_single_motion(self) -> str:
         v = self.twists[:3, 0]
         w = self.twists[3:, 0]
         if self.slides:
-            return f"a slide along {_direction(v)}"
+            return f"a slide along {_name_direction(v)}"
         speed = float(np.linalg.norm(w))
         pitch = float(v @ w) / speed**2
         through = self.origin + np.cross(w, v) / speed**2
-        at = f"{_direction(w)} through ({', '.join(f'{_rounded(x):.4g}' for x in through)})"
+        at = f"{_name_direction(w)} through ({', '.join(f'{_round_to_zero(x):.4g}' for x in through)})"
         if abs(pitch) <= ZERO * max(float(np.linalg.norm(v)) / speed, self.size):
             return f"a turn about {at}"
         return f"a screw of {pitch:.4g} m a radian about {at}"
@@ -94,7 +94,7 @@ class RelativeMotion(Report):
 
 @explain_errors
 @answer_within_tolerance("q")
-def relative_motion(
+def find_relative_motion(
     system: Model,
     q: ArrayLike,
     body: FrameLike,
@@ -124,9 +124,9 @@ def relative_motion(
             raise UnsupportedError(f"{name!r} is on a particle, which has no orientation")
     closure = Closure(system)
     size = compute_characteristic_length(system)
-    basis, origin = _basis(closure, found, names, size)
+    basis, origin = _compute_twist_basis(closure, found, names, size)
     around = [
-        _basis(closure, r.q, names, size)[0].shape[1]
+        _compute_twist_basis(closure, r.q, names, size)[0].shape[1]
         for r in sample_nearby_ranks(system, compute_rank(system, found), np.random.default_rng(0))
     ]
     dof = basis.shape[1]
@@ -137,7 +137,9 @@ def relative_motion(
     )
 
 
-def _basis(closure: Closure, q: Array, names: list[str], size: float) -> tuple[Array, Array]:
+def _compute_twist_basis(
+    closure: Closure, q: Array, names: list[str], size: float
+) -> tuple[Array, Array]:
     """A basis (6, dof) of the twists at q, rows in sizes and radians, and where the body's origin
     is (3,).
     """
@@ -153,15 +155,15 @@ def _basis(closure: Closure, q: Array, names: list[str], size: float) -> tuple[A
     return Spectrum(twists, 1.0).compute_column_space(Level.CLOSED), back @ arm
 
 
-def _rounded(x: float) -> float:
+def _round_to_zero(x: float) -> float:
     return 0.0 if abs(x) < ZERO else x
 
 
-def _direction(v: Array) -> str:
+def _name_direction(v: Array) -> str:
     """The name of an axis, or the unit vector, with its largest entry positive."""
     v = v / np.linalg.norm(v)
     k = int(np.argmax(np.abs(v)))
     if np.delete(np.abs(v), k).max() < 1e-6:
         return "xyz"[k]
     v = v * np.sign(v[k])
-    return f"({', '.join(f'{_rounded(x):.4g}' for x in v)})"
+    return f"({', '.join(f'{_round_to_zero(x):.4g}' for x in v)})"

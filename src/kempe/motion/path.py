@@ -49,7 +49,7 @@ def elsewhere(path: Path) -> tuple[str, Array]:
     path that has none, or a driver that is not a coordinate, takes the first coordinate with which
     there are some. `held` coordinates stay. Of mechanisms of many dyads there are none.
     """
-    from kempe.assemble.dyads import Incomplete, closed_form
+    from kempe.assemble.dyads import Incomplete, find_closed_form
     from kempe.assemble.modes import assembly_modes
 
     system = path.system
@@ -59,7 +59,7 @@ def elsewhere(path: Path) -> tuple[str, Array]:
     start = make_q_dict(system, path.q[0])
     held = {name: start[name] for name in path.held}
     for name in [path.driver] if path.driver in start else start:
-        plan = None if name in held else closed_form(system, (name, *held))
+        plan = None if name in held else find_closed_form(system, (name, *held))
         if plan is not None and not isinstance(plan, Incomplete) and plan.signs <= MOST_SIGNS:
             modes = assembly_modes(system, {name: start[name], **held})
             others = [q for q in modes.q if not any(_passes(p, q) for p in (path, *path.others))]

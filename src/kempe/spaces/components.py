@@ -19,7 +19,7 @@ from kempe.arguments import (
     read_start_count,
 )
 from kempe.assemble.assemble import assemble
-from kempe.assemble.dyads import closed_form
+from kempe.assemble.dyads import find_closed_form
 from kempe.assemble.generic_configurations import find_idle_coordinates
 from kempe.assemble.modes import assembly_modes
 from kempe.assemble.same_configuration import get_metric
@@ -502,7 +502,7 @@ def _starts(system: Model, home: Array, spend: Budget) -> Array:
     found.append(q)
     for name in system.coordinate_names if system.dim == 2 else ():
         k = system.coordinate_names.index(name)
-        if closed_form(system, [name]):
+        if find_closed_form(system, [name]):
             low = q[:, k].min(initial=0.0)
             high = q[:, k].max(initial=0.0)
             low, high = (

@@ -25,7 +25,7 @@ from kempe.equations import closure_rows
 from kempe.equations.packed_tasks import count, jacobian, units
 from kempe.errors import InputError, format_value
 from kempe.forward.fk import fk
-from kempe.mobility.independent import tangent_space
+from kempe.mobility.independent import compute_tangent_space
 from kempe.model.characteristic_length import compute_characteristic_length
 from kempe.model.configurations import (
     compute_mid_configuration,
@@ -76,7 +76,7 @@ def image_ranks(
     row_unit = np.where(metres, length, 1.0)[:, None]
     far = np.abs(fk(system, q)[..., :3, 3]).max(axis=(-2, -1), initial=0.0) / length
     for x, J, away in zip(q, rates, far.tolist(), strict=True):
-        N = tangent_space(system, x)[0] if loops else N
+        N = compute_tangent_space(system, x)[0] if loops else N
         n = min(n, N.shape[1])
         rounding = (CLOSED if loops else ROUNDED) * (1.0 + away)
         moved = J @ (scale[:, None] * N) / row_unit

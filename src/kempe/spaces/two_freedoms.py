@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from kempe.assemble.dyads import Incomplete, Plan, closed_form
+from kempe.assemble.dyads import Incomplete, Plan, find_closed_form
 from kempe.assemble.generic_configurations import compute_idle_rates, find_idle_coordinates
 from kempe.budget import TimeUp
 from kempe.constraints.flat_tasks import FlatTask
@@ -21,7 +21,7 @@ from kempe.errors import InputError, UnsupportedError
 from kempe.first_order.control import find_driven_velocities
 from kempe.forward.fk import fk
 from kempe.inverse.ik_all import ik_all
-from kempe.mobility.independent import tangent_space
+from kempe.mobility.independent import compute_tangent_space
 from kempe.mobility.mobility import mobility
 from kempe.model.configurations import (
     compute_sampling_box,
@@ -699,7 +699,7 @@ def _pairs(system: Model) -> Iterator[tuple[str, ...]]:
 def _plan(system: Model) -> Plan | None:
     """The closed form from the actuated coordinates, else from the first that have one."""
     for pair in _pairs(system):
-        found = closed_form(system, pair)
+        found = find_closed_form(system, pair)
         if not isinstance(found, Incomplete) and found.signs <= MOST_SIGNS and _moves(found):
             return found
     return None
@@ -721,7 +721,7 @@ def _pair(system: Model) -> tuple[str, ...]:
         raise UnsupportedError(
             f"{system.name}: no closed configuration was found: there is nothing to draw"
         )
-    N = [tangent_space(system, x)[0] for x in q]
+    N = [compute_tangent_space(system, x)[0] for x in q]
     names = system.structure.velocity_names
     pairs = list(_pairs(system))
     at = [[names.index(n) for n in pair] for pair in pairs]
@@ -762,5 +762,5 @@ def _placed(system: Model, frame: str) -> Plan | None:
         frame if on is None else on.body,
         child_at=(0, 0) if on is None else frame,
     )
-    found = closed_form(type(system)(m), (f"{free} x", f"{free} y"))
+    found = find_closed_form(type(system)(m), (f"{free} x", f"{free} y"))
     return None if isinstance(found, Incomplete) or found.signs > MOST_SIGNS else found
