@@ -36,11 +36,11 @@ def write_rows(mechanism: Mechanism) -> str:
     for joint in mechanism.joints.values():
         if joint.type.type_name not in ("revolute", "prismatic"):
             allowed = CANNOT["joints that are neither revolute nor prismatic"]
-            findings.add(
+            findings.add_problem(
                 f"it is {joint.type.type_name}", f"joint {joint.name!r}", joint.where, allowed
             )
         if joint.parent != last:
-            findings.add(
+            findings.add_problem(
                 "it leaves the chain",
                 f"joint {joint.name!r}",
                 joint.where,
@@ -54,7 +54,7 @@ def write_rows(mechanism: Mechanism) -> str:
             ",".join([joint.type.type_name, *map(repr, (*reversed(after), *reversed(before)))])
         )
         last = joint.child
-    findings.finish()
+    findings.raise_problems()
     return "\n".join(lines) + "\n"
 
 

@@ -305,7 +305,7 @@ def test_lines_are_read_as_tomllib_reads_them(hunt, monkeypatch):
             fast += 1
             scanned = Places(Source("text", text))
             for path, offset in places.items():
-                assert scanned.where(*path) == Source("text", text).where_offset(offset), (
+                assert scanned.locate_value(*path) == Source("text", text).locate_offset(offset), (
                     text,
                     path,
                 )

@@ -28,7 +28,7 @@ def made(folder: Path, *names: str) -> Path:
 
 
 def found(path: str, *roots: Path | str) -> Path:
-    return Folders(roots).find(path)
+    return Folders(roots).find_file(path)
 
 
 def test_meshes_inside_the_roots(tmp_path):

@@ -96,11 +96,11 @@ def test_sizes_may_be_expressions_in_parameters():
     m = arm()
     m.parameter("l", 0.4)
     shape = m.shape("b", "capsule", radius=0.04, length="l - 0.1", at=(0, 0, "l/2"))
-    assert shape.geometry.evaluate(m.parameters) == Capsule(0.04, 0.4 - 0.1)
+    assert shape.geometry.evaluate_sizes(m.parameters) == Capsule(0.04, 0.4 - 0.1)
     assert read_toml(write_toml(m)) == m
     longer = m.build().with_parameters(l=1.1).mechanism
     (kept,) = longer.bodies["b"].shapes
-    assert kept.geometry.evaluate(longer.parameters) == Capsule(0.04, 1.0)
+    assert kept.geometry.evaluate_sizes(longer.parameters) == Capsule(0.04, 1.0)
     (written,) = (s for s in read_urdf(write_urdf(longer)).bodies["b"].shapes if s.visual)
     assert written.geometry == Capsule(0.04, 1.0)
     longer.parameters["l"] = 0.1

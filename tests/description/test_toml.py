@@ -216,7 +216,7 @@ def test_every_place_is_found():
         "format = 1\nnotes = [\"a # b\", '''\n[[x]]\n''',\n  \"c\"]\n[a.b]\nx.y = {z = 1} # [q]\n"
         '[[c]]\n"d e" = [\n [1, 2],\n [3], # ]\n]\n[c.f]\ng = """\n] = \\"\n"""\n[[c]]\nh = 1979-05-27T07:32:00Z\n'
     )
-    where = Places(Source("t", text)).where
+    where = Places(Source("t", text)).locate_value
     expected = {
         ("format",): (1, 10),
         ("notes",): (2, 9),
@@ -353,5 +353,6 @@ def test_places_of_deep_keys_are_those_of_what_encloses_them():
     deep = tuple("abcdefghijklmnopqrstuvwxyz")
     places = Places(Source("x", f"x = 1\n[{'.'.join(deep)}]\ny = 2\n"))
     assert (
-        places.where(*deep[:3]).line == places.where(*deep, "y").line == 2 and len(deep) > DEEPEST
+        places.locate_value(*deep[:3]).line == places.locate_value(*deep, "y").line == 2
+        and len(deep) > DEEPEST
     )

@@ -18,21 +18,21 @@ TEXT = (
 def test_elements_know_their_places():
     a = parse_xml(TEXT, "f")
     c, d = a.children
-    assert [(e.tag, e.where.line, e.where.column) for e in a.walk()] == [
+    assert [(e.tag, e.location.line, e.location.column) for e in a.iterate_elements()] == [
         ("a", 2, 1),
         ("c", 3, 3),
         ("d", 3, 18),
     ]
     assert a.attributes == {"é": "1", "b": ">/>"} and d.attributes == {"x": "<"}
-    assert (d.where_of("x").line, d.where_of("x").column) == (4, 5)
-    assert d.where_of("y") == d.where
-    assert a.where_of("b") == Where("f", 2, 13, "<a é=\"1\" b='>/>'>")
-    assert a.of("d") == [d] and a.of("e") == []
+    assert (d.locate_attribute("x").line, d.locate_attribute("x").column) == (4, 5)
+    assert d.locate_attribute("y") == d.location
+    assert a.locate_attribute("b") == Where("f", 2, 13, "<a é=\"1\" b='>/>'>")
+    assert a.find_children("d") == [d] and a.find_children("e") == []
 
 
 def test_attributes_are_not_found_in_each_other():
     a = parse_xml("""<a x=" y='1'" y = '2'/>""", "f")
-    assert [a.where_of(name).column for name in "xy"] == [7, 20]
+    assert [a.locate_attribute(name).column for name in "xy"] == [7, 20]
 
 
 def test_text_is_kept_as_written():
@@ -46,7 +46,7 @@ def test_encodings(encoding: str):
     name, _, marked = encoding.partition("+")
     data = ("\ufeff" * (encoding[-1:] == "+") + TEXT).encode(name)
     a = parse_xml(data, "f")
-    assert a.attributes["é"] == "1" and a.children[1].where.line == 3
+    assert a.attributes["é"] == "1" and a.children[1].location.line == 3
 
 
 @pytest.mark.parametrize("declared", ["ISO-8859-1", "latin1", "windows-1252"])
@@ -117,8 +117,8 @@ def test_any_bytes(data: bytes):
 def test_lines_and_offsets_agree(text: str):
     source = Source("t", text)
     for offset in range(len(text)):
-        where = source.where_offset(offset)
-        assert source.offset(where.line, where.column) == offset
+        where = source.locate_offset(offset)
+        assert source.compute_offset(where.line, where.column) == offset
     assert "".join(source.lines) == text.replace("\r", "").replace("\n", "")
 
 
@@ -126,23 +126,23 @@ def test_a_hostile_number_of_problems_ends_the_reading():
     findings = Findings()
     with pytest.raises(DescriptionError) as caught:
         for _ in range(10 * MANY_PROBLEMS):
-            with findings.guard("a"):
-                findings.add("wrong")
+            with findings.record_errors("a"):
+                findings.add_problem("wrong")
     assert len(caught.value.problems) == MANY_PROBLEMS
 
 
 def test_findings_are_sorted_and_bounded():
     findings = Findings()
     for line in range(30, 0, -1):
-        findings.add("wrong", where=Where("f", line), allowed="right")
-        findings.note("odd", where=Where("f", line))
+        findings.add_problem("wrong", where=Where("f", line), allowed="right")
+        findings.add_note("odd", where=Where("f", line))
     assert findings.notes[:2] == ["f:1: odd", "f:2: odd"]
     with pytest.raises(DescriptionError) as caught:
-        findings.finish()
+        findings.raise_problems()
     assert len(caught.value.problems) == 30
     assert str(caught.value).splitlines()[0] == "f:1: wrong; right"
     assert str(caught.value).splitlines()[PROBLEM_LIMIT:] == ["... and 10 more"]
-    assert findings.hint("x", ["y"]) == ""  # nobody would see it
+    assert findings.suggest_name("x", ["y"]) == ""  # nobody would see it
 
 
 @pytest.mark.parametrize(
@@ -158,9 +158,9 @@ def test_text_inside_an_element(inside: str, content: str):
     (element,) = parse_xml(f"<a>\n<b x='>'>{inside}</b></a>", "f").children
     assert element.content == content
     column = 11 if content and inside[0] == " " else 10 if inside.strip() else 1
-    assert element.where_content.column == column
+    assert element.content_location.column == column
     (empty,) = parse_xml("<a><b/></a>", "f").children
-    assert empty.content == "" and empty.where_content == empty.where
+    assert empty.content == "" and empty.content_location == empty.location
 
 
 def test_dashes_in_comments_are_noted():
@@ -169,7 +169,7 @@ def test_dashes_in_comments_are_noted():
         parse_xml(text, "f")
     findings = Findings()
     (b,) = parse_xml(text, "f", findings).children
-    assert (b.where.line, b.where.column) == (2, 19)
+    assert (b.location.line, b.location.column) == (2, 19)
     assert findings.notes == ["f:1: a comment holds '--', which XML forbids; it is passed over"]
     for wrong in ("<!-- -- --><a>", "<a><b></a>"):
         with pytest.raises(DescriptionError):

@@ -1,4 +1,4 @@
-"""The command line: each command is a few lines over the library.
+"""Command line of Kempe: each command is a few lines over the library.
 
 Exit codes: 0 the answer is complete; 1 it is not (no solution found, problems in a file, rows that
 are no numbers); 2 the question could not be posed (wrong usage, unknown name, a file that cannot be
@@ -52,9 +52,7 @@ def main() -> None:
 
 
 def _limit_columns() -> None:
-    """Let COLUMNS, by which help and tables are made, be a width that can be read and held in
-    memory.
-    """
+    """Limit the environment variable COLUMNS, the width of help and tables, to a readable number."""
     asked = os.environ.get("COLUMNS", "")
     if asked.isdecimal() and len(asked) < 100:
         os.environ["COLUMNS"] = str(min(max(int(asked), NARROWEST), WIDEST))

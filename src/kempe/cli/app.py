@@ -1,4 +1,4 @@
-"""The application: options that commands share, reading of files, writing of results.
+"""Typer application: options that commands share, reading of files, writing of results.
 
 Exit codes: 0 the answer is complete; 1 it is not (no solution found, problems in a file, rows that
 are no numbers, a time limit); 2 the question could not be posed (wrong usage, unknown name, a file
@@ -52,7 +52,7 @@ app = typer.Typer(
 
 
 def make_option(flags: str, help: str, metavar: str | None = None, panel: str | None = None) -> Any:
-    """An option of a command, without `metavar` a switch that takes no value."""
+    """Return an option of a command; without `metavar` the option is a switch without a value."""
     return typer.Option(*flags.split(","), help=help, metavar=metavar or "", rich_help_panel=panel)
 
 
@@ -219,7 +219,7 @@ Page = Annotated[
 
 
 class Reading(dict[str, Any]):
-    """The options with which `kempe.load` reads FILE, without those that were not given."""
+    """Options with which `kempe.load` reads FILE, without the options that were not given."""
 
 
 def _make_reading(
@@ -232,6 +232,7 @@ def _make_reading(
     lenient_limits: Lenient = False,
     srdf: SrdfFile = None,
 ) -> Reading:
+    """Return the options of the command line that say how FILE is read."""
     given = {
         "base": base,
         "root": root,
@@ -245,7 +246,12 @@ def _make_reading(
 
 
 def _parse_assignments(given: list[str], flag: str) -> dict[str, str]:
-    """The values of an option that is repeated as NAME=VALUE. Errors: `UsageError`."""
+    """Return values by name from an option that is repeated as NAME=VALUE.
+
+    Errors: `UsageError`.
+
+    Errors: `UsageError`.
+    """
     values: dict[str, str] = {}
     for text in given:
         name, sign, value = text.partition("=")
@@ -265,11 +271,12 @@ def _make_output(
     deg: Deg = False,
     json: Json = False,
 ) -> Output:
+    """Return the options of the command line that say how a command answers."""
     return Output(out, plot, gif, html, deg, json)
 
 
 def register_command(panel: str, output: str = "json", **settings: Any) -> Callable[[Any], Any]:
-    """Register a function as a command, in a `panel` of the help, with the options of its `output`.
+    """Register a function as a command in a `panel` of the help, with the options in `output`.
 
     The command of a function `run_x` is called x. Parameters of the function are options and
     arguments; in place of `system` the command takes FILE and how it is read, in place of `reading`
@@ -278,6 +285,7 @@ def register_command(panel: str, output: str = "json", **settings: Any) -> Calla
 
     def wrap_function(function: Callable[..., None]) -> Callable[..., None]:
         # commands name the type of their system for type checkers only
+        """Register a function whose signature shows the options of the command."""
         own = inspect.signature(function, eval_str=True, locals={"System": object}).parameters
         shown = _select_parameters(_make_output, output.split())
         read = _select_parameters(_make_reading, None if {"system", "reading"} & set(own) else ())
@@ -287,13 +295,16 @@ def register_command(panel: str, output: str = "json", **settings: Any) -> Calla
 
         @functools.wraps(function)
         def run_function(**options: Any) -> None:
+            """Read the system, check the files to be written, and call the function."""
+
             def take_options(group: list[inspect.Parameter]) -> dict[str, Any]:
+                """Remove the options of a group from all options and return them by name."""
                 return {p.name: options.pop(p.name, p.default) for p in group}
 
             made = _make_output(**take_options(shown))
             with report_errors(made.json):
                 reading = _make_reading(**take_options(read))
-                made.check(options.values())
+                made.check_files(options.values())
                 if "system" in own:
                     options["system"] = load_system(options.pop("file"), reading)
                 if "reading" in own:
@@ -316,7 +327,7 @@ INJECTED = ("reading", "output")
 def _select_parameters(
     function: Callable[..., Any], names: Sequence[str] | None
 ) -> list[inspect.Parameter]:
-    """The parameters of a function with these names, all where None."""
+    """Return the parameters of a function with these names; all of them where `names` is None."""
     each = inspect.signature(function, eval_str=True).parameters.values()
     return [p for p in each if names is None or p.name in names]
 
@@ -325,7 +336,7 @@ def _select_parameters(
 
 
 def load_system(file: str, reading: Reading) -> System:
-    """The system of a file."""
+    """Return the system that a file describes; print a remark where no joint of it can move."""
     import kempe
 
     system = kempe.load(file, **reading)
@@ -359,7 +370,7 @@ def handle_main_options(
 
 
 def check_output_file(path: Path | None) -> None:
-    """Refuse a file that cannot be written, before any work. Errors: `InputError`."""
+    """Raise `InputError` if the file at `path` cannot be written, before any computation."""
     if path is None:
         return
     if path.is_dir():
@@ -373,14 +384,19 @@ def check_output_file(path: Path | None) -> None:
 
 
 def print_remark(text: str) -> None:
-    """Say something beside the answer, on standard error."""
+    """Print a remark beside the answer, on standard error."""
     from kempe.cli.report import translate_keywords
 
     print(f"kempe: {translate_keywords(text)}", file=sys.stderr, flush=True)
 
 
 def choose_output_file(out: Path | None, option: Path | None) -> Path:
-    """The file to write, given as an argument or as the option -o. Errors: `InputError`."""
+    """Return the file to write, given as an argument or as the option -o.
+
+    Errors: `UsageError` where both or neither are given.
+
+    Errors: `UsageError` where both or neither are given.
+    """
     if (out is None) == (option is None):
         raise UsageError(
             "Missing argument 'OUT'." if out is None else "OUT is given twice: leave -o out."
@@ -390,7 +406,7 @@ def choose_output_file(out: Path | None, option: Path | None) -> Path:
 
 @dataclass
 class Output:
-    """How a command answers: in files, as text or as JSON, in radians or degrees."""
+    """Form of a command's answer: files, text or JSON, angles in radians or degrees."""
 
     out: Path | None
     plot: Path | None
@@ -400,8 +416,8 @@ class Output:
     json: bool
     written: list[Path] = field(default_factory=list[Path])
 
-    def check(self, given: Iterable[object]) -> None:
-        """Refuse files that cannot be written, before any work. Errors: `InputError`, ...
+    def check_files(self, given: Iterable[object]) -> None:
+        """Raise `InputError` if a requested file cannot be written, before any computation.
 
         Nor are results written over a file of rows that is `given` to the command.
         """
@@ -424,7 +440,7 @@ class Output:
             check_output_file(self.page)
 
     def _refuse_input_file(self, given: Iterable[object]) -> None:
-        """Refuse to write over a file that is read. Errors: `InputError`."""
+        """Raise `InputError` if the file of results is also a file that the command reads."""
         assert self.out is not None
         words: list[Any] = []
         for x in given:
@@ -438,20 +454,20 @@ class Output:
                     f"{self.out}: the command reads this file; write the results to another one"
                 )
 
-    def save(self, answer: Any, **options: Any) -> None:
-        """Write the table of an answer, where a file was requested."""
+    def save_table(self, answer: Any, **options: Any) -> None:
+        """Write the table of an answer, if the user requested a file for it."""
         if self.out is not None:
             answer.save(self.out, degrees=self.deg, **options)
             self.written.append(self.out)
 
-    def draw(
+    def draw_configurations(
         self,
         system: System,
         shown: Any,
         draw: Callable[[], Any] | None = None,
         **options: Any,
     ) -> None:
-        """Draw configurations, or an answer with them, into the files that were requested.
+        """Draw configurations, or an answer that holds them, into the requested files.
 
         None is the configuration that is drawn by default. A film needs several of them. `draw`
         gives the axes of a picture that is another one than that of `System.plot`.
@@ -486,10 +502,8 @@ class Output:
         each = (self.plot, self.film, self.page)
         self.written += [path for path in each if path is not None and path in files]
 
-    def show(self, answer: Any = None, **more: Any) -> None:
-        """Print an answer and `more` of them by name, as data or as text, and which files were
-        written.
-        """
+    def print_answers(self, answer: Any = None, **more: Any) -> None:
+        """Print an answer, further answers by name, and the names of the written files."""
         files = [str(path) for path in self.written]
         if self.json:
             data: dict[str, Any] = {} if answer is None else answer.data(self.deg)
@@ -505,14 +519,14 @@ class Output:
         for path in files:
             print(f"written to {path}")
 
-    def end(self, answer: Any) -> None:
-        """Print an answer, and leave with its exit code."""
-        self.show(answer)
+    def finish_command(self, answer: Any) -> None:
+        """Print an answer and end the command with the exit code of the answer."""
+        self.print_answers(answer)
         end_incomplete_command(answer)
 
 
 def check_picture_file(path: Path) -> None:
-    """Refuse a picture that cannot be written, before any work. Errors: `InputError`, ..."""
+    """Raise `InputError` if a picture cannot be written at `path`, before any computation."""
     if path.suffix.lower() not in PICTURES:
         raise InputError(f"{path}: pictures are .png, .svg or .pdf files")
     check_output_file(path)
@@ -520,6 +534,6 @@ def check_picture_file(path: Path) -> None:
 
 
 def save_picture(axes: Any, path: Path) -> None:
-    """Write the figure of axes, or of the first of several, to a file."""
+    """Write the figure of axes, or of the first of several axes, to a file."""
     first = np.ravel(np.array(axes, dtype=object))[0]
     first.figure.savefig(path, dpi=200, bbox_inches="tight")

@@ -42,8 +42,11 @@ SPECIAL = ("neutral", "mid")
 def parse_known_values(
     system: System, words: Iterable[str], degrees: bool = False, frames: bool = True
 ) -> dict[str, Any]:
-    """Known coordinates and places of frames, from 'name=value' and 'frame=x,y,z', or a .csv with
-    names.
+    """Return known coordinates and positions of frames by name, from 'name=value' or a .csv file.
+
+    A word is 'name=value', 'frame=x,y,z', or the name of a .csv file with named columns.
+
+    A word is 'name=value', 'frame=x,y,z', or the name of a .csv file with named columns.
 
     Coordinates that follow others are turned into these.
     Errors: `InputError`, `UnknownNameError`.
@@ -64,13 +67,13 @@ def parse_known_values(
 
 
 def _describe_nonfinite_number(value: Any, rows: bool) -> str:
-    """The first number that is not finite, and in which of `rows` it is."""
+    """Return the first number that is not finite as text, with its row where `value` has rows."""
     k = int(np.flatnonzero(~np.isfinite(np.ravel(value)))[0])
     return f"{np.ravel(value)[k]}" + f" in row {k}" * rows
 
 
 def _read_values(system: System, word: str, degrees: bool, frames: bool) -> dict[str, Any]:
-    """The values that a word names: of a coordinate, of a frame, or in the columns of a file."""
+    """Return the values that a word gives: of a coordinate, of a frame, or the columns of a file."""
     name, sign, text = (part.strip() for part in word.partition("="))
     if not sign and is_table_file(word):
         return _read_columns(system, expand_path(word), degrees)
@@ -91,15 +94,17 @@ def _read_values(system: System, word: str, degrees: bool, frames: bool) -> dict
 
 
 def _list_coordinates(system: System) -> tuple[str, ...]:
-    """The names of coordinates of q, and of those that follow them."""
+    """Return the names of all coordinates in q and of the coordinates that follow them."""
     return (*system.coordinate_names, *system.structure.couplings)
 
 
 def _is_frame(system: System, name: str) -> bool:
+    """Whether `name` is a frame of the system and no coordinate."""
     return name in system.frame_names and name not in _list_coordinates(system)
 
 
 def _check_coordinate(system: System, name: str, frames: bool = False) -> None:
+    """Raise `UnknownNameError` if no coordinate (or frame) of the system has this name."""
     names = _list_coordinates(system)
     if name not in names:
         what = "coordinate or frame" if frames else "coordinate"
@@ -108,11 +113,12 @@ def _check_coordinate(system: System, name: str, frames: bool = False) -> None:
 
 
 def _choose_unit_factor(system: System, name: str, degrees: bool) -> float:
+    """Return the factor that converts a value of a coordinate to radians or metres."""
     return DEGREE if degrees and list_units(system).get(name) == "rad" else 1.0
 
 
 def _read_columns(system: System, path: Path, degrees: bool) -> dict[str, Array]:
-    """Values (n,) of the coordinates that the first line of a .csv names."""
+    """Return the values (n,) of each coordinate that the first line of a .csv file names."""
     names, rows = table_files.read_table(path)
     if names is None:
         raise InputError(f"{path}: its first line must name the known coordinates")
@@ -125,7 +131,12 @@ def _read_columns(system: System, path: Path, degrees: bool) -> dict[str, Array]
 
 
 def parse_joint_names(system: System, flag: str, text: str | None) -> list[str] | None:
-    """The names in 'A,B', None where nothing is given. Errors: `InputError` where it has none."""
+    """Return the names in 'A,B'; None where `text` is None.
+
+    Errors: `InputError` where the text holds no name.
+
+    Errors: `InputError` where the text holds no name.
+    """
     if text is None:
         return None
     names = [name.strip() for name in text.split(",") if name.strip()]
@@ -144,7 +155,7 @@ def read_configurations(
     degrees: bool = False,
     start: bool = False,
 ) -> Array:
-    """Configurations (nq,), or (n, nq) where `text` names a file.
+    """Return the configuration (nq,) that `text` gives, or configurations (n, nq) of a file.
 
     `text` is 'a,b,c' (all of q in order), 'name=value,...' (the rest neutral, or as in the posture;
     in a system with loops, what closes these), or a .csv or .npy file. `posture` names a posture of
@@ -174,6 +185,7 @@ def read_configurations(
 
 
 def _find_posture(system: System, name: str) -> Array:
+    """Return the configuration (nq,) of a posture, of 'neutral' or of 'mid'."""
     if name in SPECIAL and name not in system.structure.posture_names:
         return (system.neutral if name == "neutral" else compute_mid_configuration(system)).copy()
     if name not in system.structure.posture_names:
@@ -183,12 +195,12 @@ def _find_posture(system: System, name: str) -> Array:
 
 
 def _convert_to_radians(system: System, q: Array, degrees: bool) -> Array:
-    """q with its angles, given in degrees where `degrees` says so, in radians."""
+    """Return configurations q with all angles in radians; with `degrees` they are given in degrees."""
     return q / name_values(system, np.ones(system.nq)).convert_units(degrees)
 
 
 def read_start(system: System, text: str | None, degrees: bool = False) -> Array | None:
-    """A start (nq,) given as the name of a posture, or as values; None where nothing is given.
+    """Return the start (nq,) that a posture's name or values give; None where nothing is given.
 
     What 'name=value' leaves open is as at home. Errors: `InputError`, `UnknownNameError`.
     """
@@ -209,8 +221,13 @@ def read_start(system: System, text: str | None, degrees: bool = False) -> Array
 def find_motion_start(
     system: System, text: str | None, held: Mapping[str, Any], degrees: bool = False
 ) -> tuple[Array | None, Assembly | None]:
-    """Where a motion starts, as `read_start`; with 'name=value,...' or held coordinates closed, then
-    with the assembly.
+    """Return the configuration where a motion starts, and the assembly that closed its loops.
+
+    Loops are closed where `text` is 'name=value,...' or where coordinates are held; else the
+    assembly is None and the start is that of `read_start`.
+
+    Loops are closed where `text` is 'name=value,...' or where coordinates are held; else the
+    assembly is None and the start is that of `read_start`.
     """
     is_named = text is not None and "=" in text and not is_table_file(text)
     named = (
@@ -231,7 +248,7 @@ def find_motion_start(
 def read_configuration(
     system: System, text: str | None, posture: str | None, degrees: bool = False
 ) -> tuple[Array | None, Assembly | None]:
-    """A configuration (nq,) from the command line; None where nothing is given.
+    """Return one configuration (nq,) from the command line; None where nothing is given.
 
     As `read_configurations`, but where 'name=value,...' is given of a system with loops, these are
     closed, started at the posture: then the assembly is the second answer. Errors: as there, and
@@ -252,7 +269,7 @@ def read_configuration(
 
 
 def read_target(system: System, text: str, degrees: bool = False) -> tuple[Array, bool]:
-    """Target poses (..., 4, 4) from the command line, and whether only their position counts.
+    """Return target poses (..., 4, 4), and whether only the positions are given.
 
     'x,y,z,roll,pitch,yaw' (fixed axes, as in URDF), 'x,y,z,qw,qx,qy,qz' or 'x,y,z'; of planar
     systems 'x,y,angle' and 'x,y' in place of 'x,y,z'; or a file of such rows, where a .npy may also
@@ -269,7 +286,12 @@ def read_target(system: System, text: str, degrees: bool = False) -> tuple[Array
 
 
 def parse_branch(system: System, given: Mapping[str, Any], text: str | None) -> str | None:
-    """A branch: signs of dyads, or the name of a posture. Errors: `InputError` where it is neither."""
+    """Return a branch: signs of dyads, or the name of a posture.
+
+    Errors: `InputError` where the text is neither.
+
+    Errors: `InputError` where the text is neither.
+    """
     if text is None or text in system.structure.posture_names:
         return text
     if not text or set(text) - set("+-"):
@@ -298,7 +320,12 @@ def parse_branch(system: System, given: Mapping[str, Any], text: str | None) -> 
 
 
 def parse_axis(text: str) -> Array:
-    """The tool's axis (3,) from three numbers or a name such as '-z'. Errors: `InputError`."""
+    """Return the tool's axis (3,) from three numbers or a name such as '-z'.
+
+    Errors: `InputError`.
+
+    Errors: `InputError`.
+    """
     if text.strip().lower() in AXES:
         return np.array(AXES[text.strip().lower()])
     values = parse_numbers(text, "axis")
@@ -311,7 +338,7 @@ def parse_axis(text: str) -> Array:
 
 
 def parse_tolerance(text: str) -> tuple[float, float]:
-    """Largest errors in metres and radians, from 'm' (for both) or 'm,rad'."""
+    """Return the largest errors in metres and in radians, from 'm' (for both) or 'm,rad'."""
     values = parse_numbers(text, "tolerance")
     if len(values) not in (1, 2) or not all(v > 0.0 for v in values):
         raise InputError(
@@ -321,7 +348,12 @@ def parse_tolerance(text: str) -> tuple[float, float]:
 
 
 def parse_single_tolerance(text: str) -> float:
-    """The largest error of a solution, in metres and radians. Errors: `InputError`."""
+    """Return the largest error of a solution, one number for metres and radians.
+
+    Errors: `InputError`.
+
+    Errors: `InputError`.
+    """
     values = parse_numbers(text, "tolerance")
     if len(values) != 1 or not values[0] > 0.0:
         raise InputError(

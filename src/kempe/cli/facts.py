@@ -1,4 +1,4 @@
-"""What commands say that no verb answers: a system and poses, as reports; problems and errors."""
+"""Reports that only commands print: facts about a system, poses, problems of files, errors."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ count as closed."""
 
 @dataclass(frozen=True, eq=False)
 class SystemFacts(Report):
-    """What a `system` is: sizes, connectivity vector, freedoms, bodies, joints, loops, limits."""
+    """Facts about a `system`: connectivity, degrees of freedom, bodies, joints, loops, limits."""
 
     _has_angles = True
     system: System
 
     @property
     def status(self) -> str:
-        """How many bodies and joints it has, and of which kind it is."""
+        """Name of the system, its numbers of bodies and joints, and its kind, in one sentence."""
         system = self.system
         place = "in the plane" if system.dim == 2 else "in space"
         bodies = format_count(len(system.body_names) - 1, "body")
@@ -87,6 +87,7 @@ class SystemFacts(Report):
         return [table for table in tables if table.rows]
 
     def _make_overview(self) -> list[tuple[str, str]]:
+        """Return the labelled lines about the whole system, without empty ones."""
         system = self.system
         parameters = [f"{k} = {v:g}" for k, v in system.structure.parameters.items()]
         parents = ", ".join(map(str, system.parent))
@@ -102,7 +103,7 @@ class SystemFacts(Report):
         return [row for row in rows if row[1]]
 
     def _describe_freedoms(self) -> str:
-        """Freedoms of the tree, and what equations leave at least."""
+        """Describe the degrees of freedom of the tree, and how many the equations leave at least."""
         system = self.system
         equations = system.configuration_space.constraints
         loops = len(system.structure.closures)
@@ -122,6 +123,7 @@ class SystemFacts(Report):
         )
 
     def _make_bodies_table(self) -> Table:
+        """Return the table of bodies, each with its parent, its joint and the limits of the joint."""
         system = self.system
         names = system.body_names
         rows: list[tuple[Any, ...]] = [(0, names[0], "", "", "ground", "", "")]
@@ -136,7 +138,7 @@ class SystemFacts(Report):
         return Table(("#", "body", "parent", "joint", "type", "q", "limits"), rows)
 
     def _describe_joint_coordinates(self, joint: Joint) -> tuple[str, Quantities]:
-        """Indices in q of a joint's coordinates, and their limits."""
+        """Return the indices in q of a joint's coordinates as text, and their limits."""
         system = self.system
         names = system.structure.coordinates_of_joint(joint.name)
         own = [name for name in names if name in system.coordinate_names]
@@ -150,7 +152,7 @@ class SystemFacts(Report):
 
     @cached_property
     def _limits(self) -> dict[str, Quantity]:
-        """The limits of each coordinate by its name."""
+        """Lower and upper limit of each coordinate, by its name."""
         return list_limits(self.system)
 
     def _data(self) -> dict[str, Any]:
@@ -228,9 +230,7 @@ class SystemFacts(Report):
 
 
 def _count_tree_freedoms(system: System) -> int:
-    """Degrees of freedom of the tree: those of all joints without those of the joints that it left
-    out.
-    """
+    """Count the degrees of freedom of the spanning tree: those of all joints but the cut joints."""
     bodies = system.mechanism.bodies
     joints = system.structure.joints
     known = set(system.structure.velocity_names)
@@ -244,7 +244,7 @@ def _count_tree_freedoms(system: System) -> int:
 
 
 def _describe_joint_type(joint: Joint) -> str:
-    """The type of a joint with its options."""
+    """Return the type of a joint with its options, such as 'helical, pitch 0.01 m/rad'."""
     unit = {"pitch": " m/rad"}
     options = [
         f"{k} {v:g}{unit.get(k, '')}" if isinstance(v, float) else k
@@ -254,7 +254,7 @@ def _describe_joint_type(joint: Joint) -> str:
 
 
 def _format_follower(name: str, f: Follower) -> str:
-    """A coordinate that follows another, as an equation."""
+    """Return the equation of a coordinate that follows another one, such as 'B = 2 A + 0.1'."""
     if f.source is None:
         return f"{name} = {f.offset:g} (held)"
     sign = "-" if f.multiplier == -1.0 else f"{f.multiplier:g} "
@@ -264,9 +264,7 @@ def _format_follower(name: str, f: Follower) -> str:
 
 
 def _describe_constraint(system: System, c: Declared) -> dict[str, Any]:
-    """A declared constraint with the freedoms of position that it takes away, and its number of
-    one-sided rows.
-    """
+    """Return a declared constraint as data, with its numbers of equations and one-sided rows."""
     length = c.length(system.structure.parameters) if c.rod else None
     return {
         "name": c.name,
@@ -281,9 +279,7 @@ def _describe_constraint(system: System, c: Declared) -> dict[str, Any]:
 
 
 def describe_largest_gap(system: System, q: Any) -> str:
-    """What is open most at q, and by how much: "'C' is open by 0.3 m"; '' where everything is
-    closed.
-    """
+    """Describe the largest gap of a loop at q: "'C' is open by 0.3 m"; '' without a gap."""
     if not has_loops(system):
         return ""
     from kempe.equations import closure_rows
@@ -310,8 +306,11 @@ COLUMNS: Mapping[str, str] = {name: "m" for name in "xyz"} | {
 
 @dataclass(frozen=True, eq=False)
 class Poses(Report):
-    """Poses of a `frame`, or of all bodies where that is None: `X` as `System.fk` gives them for
-    one configuration or several.
+    """Poses of a `frame`, or of all bodies where `frame` is None.
+
+    `X` are the poses as `System.fk` gives them for one configuration or several.
+
+    `X` are the poses as `System.fk` gives them for one configuration or several.
     """
 
     _has_angles = True
@@ -321,24 +320,24 @@ class Poses(Report):
 
     @property
     def several(self) -> bool:
-        """Whether there are several configurations."""
+        """Whether the poses belong to several configurations."""
         return self.X.ndim > (2 if self.frame is not None else 3)
 
     @property
     def status(self) -> str:
-        """Of what they are."""
+        """Name of the frame, of its system, and of the ground in which the poses are given."""
         what = self.frame or "all bodies"
         return f"{what} of {self.system.name}, seen from {self.system.body_names[0]}"
 
     def _compute_pose_rows(self) -> Array:
-        """Rows (n, 6): x, y, z, roll, pitch, yaw."""
+        """Return rows (n, 6) of x, y, z [m] and roll, pitch, yaw [rad], one row for each pose."""
         X = self.X.reshape(-1, 4, 4)
         out = spatial.xyz_rpy_from_pose(X)
         out[np.isnan(X).any(axis=(-2, -1))] = np.nan
         return out
 
     def _make_row_labels(self) -> tuple[list[str], list[list[Any]]]:
-        """Heads and texts of the columns before the numbers of each row."""
+        """Return the heads and texts of the columns that stand before the numbers of each row."""
         names = [self.frame] if self.frame is not None else list(self.system.body_names)
         count = len(self.X) if self.several else 1
         q: list[list[Any]] = [[k] * self.several for k in range(count)]
@@ -378,8 +377,15 @@ class Poses(Report):
         return head | ({"configurations": poses} if self.several else poses[0])
 
     def save(self, path: Path, *, degrees: bool = False) -> Path:
-        """Write them: a .npy holds the array as it is, a .csv has x, y, z, roll, pitch, yaw in each
-        line; of all bodies lines begin with the numbers of the configuration and of the body.
+        """Write the poses to a file.
+
+        A .npy file holds the array (..., 4, 4) as it is; a .csv file has x, y, z, roll, pitch, yaw
+        in each line. Where the poses are those of all bodies, lines begin with the numbers of the
+        configuration and of the body.
+
+        A .npy file holds the array (..., 4, 4) as it is; a .csv file has x, y, z, roll, pitch, yaw
+        in each line. Where the poses are those of all bodies, lines begin with the numbers of the
+        configuration and of the body.
         """
         names = list(COLUMNS)
         rows = self._compute_pose_rows()
@@ -394,7 +400,7 @@ class Poses(Report):
 
 
 def make_problem_facts(problem: Fault) -> dict[str, Any]:
-    """A finding about a file: its place, what it is about, what is wrong, what is allowed."""
+    """Return a problem of a file as data: its place, subject, message and what is allowed."""
     where = problem.where
     return {
         "file": where.file if where else None,
@@ -408,7 +414,7 @@ def make_problem_facts(problem: Fault) -> dict[str, Any]:
 
 
 def make_error_facts(error: BaseException | str) -> dict[str, Any]:
-    """An error as data: its sentence under 'error', and what it carries."""
+    """Return an error as data: its sentence, its type, and its problems or allowed names."""
     out: dict[str, Any] = {"error": str(error), "type": type(error).__name__}
     if isinstance(error, str):
         out["type"] = "UsageError"

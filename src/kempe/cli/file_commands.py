@@ -1,4 +1,4 @@
-"""The command for files larger than memory."""
+"""Command for files that are larger than the memory of the computer."""
 
 from __future__ import annotations
 
@@ -110,4 +110,4 @@ def run_map(
             options={name: value for name, value in given.items() if value is not None},
             budget=Budget(rng=rng, threads=threads, time_limit=time_limit, progress=report),
         )
-    output.end(answer)
+    output.finish_command(answer)

@@ -1,4 +1,4 @@
-"""Commands for inverse models: one configuration, all of them, and how these are found."""
+"""Commands for inverse kinematics: one or all configurations, and the method for a chain."""
 
 from __future__ import annotations
 
@@ -98,13 +98,13 @@ def run_ik(
         errors = arguments.parse_tolerance("1e-6" if tolerance is None else tolerance)
         spend = Budget(rng=rng)
         answer = system.ik(wanted, frame, start=start, tolerance=errors, budget=spend, **options)
-    output.save(answer)
-    output.draw(system, answer)
-    output.end(answer)
+    output.save_table(answer)
+    output.draw_configurations(system, answer)
+    output.finish_command(answer)
 
 
 def _refuse_mixture(tasks: Path | None, single: dict[str, Any], more: dict[str, Any]) -> None:
-    """Refuse what does not go together: a frame with its target, or a file of tasks."""
+    """Raise `UsageError` if the user gives both a frame with a target and a file of tasks."""
     if tasks is not None:
         wrong = [name for name, value in {**single, **more}.items() if value]
         if wrong:
@@ -116,6 +116,7 @@ def _refuse_mixture(tasks: Path | None, single: dict[str, Any], more: dict[str, 
 
 
 def _read_tasks(system: System, path: Path | None, deg: bool) -> FileTasks:
+    """Return the tasks of a TOML file."""
     from kempe.cli import task_file
 
     assert path is not None
@@ -123,8 +124,11 @@ def _read_tasks(system: System, path: Path | None, deg: bool) -> FileTasks:
 
 
 def _choose_task(task: str | None, axis: str | None, position: bool) -> Any:
-    """What of the target counts: a task, or a task with the axis of the tool that it points; a
-    target that is a position may be enough.
+    """Return which part of the target counts, with the tool's axis where the task points one.
+
+    Where the target is a position, the position alone counts unless a task is given.
+
+    Where the target is a position, the position alone counts unless a task is given.
     """
     task_of(task, position, False)  # a wrong name is reported first
     if position and task not in (None, "position"):
@@ -133,7 +137,7 @@ def _choose_task(task: str | None, axis: str | None, position: bool) -> Any:
 
 
 def make_task_argument(task: str | None, axis: str | None) -> Any:
-    """What of the target counts: a task, or a task with the axis of the tool that it points."""
+    """Return the argument `task` of the library: a task, perhaps with the tool's axis."""
     from kempe.cli import arguments
 
     if axis is None:
@@ -198,9 +202,9 @@ def run_path(
     with progress.show_progress("targets", count) as report:
         spend = Budget(rng=rng, time_limit=time_limit, progress=report)
         answer = call_until_interrupt(system.ik_path, wanted, frame, start, **options, budget=spend)
-    output.save(answer)
-    output.draw(system, answer, frames=[] if frame is None else [frame])
-    output.end(answer)
+    output.save_table(answer)
+    output.draw_configurations(system, answer, frames=[] if frame is None else [frame])
+    output.finish_command(answer)
 
 
 @register_command(OPEN)
@@ -228,4 +232,4 @@ def run_plan(
     system.structure.frame_name(frame)
     words = [w if "=" in w else f"{w}=0" for w in hold or []]
     held = tuple(arguments.parse_known_values(system, words, False, frames=False))
-    output.end(system.inverse.plan(frame, make_task_argument(task, axis), held))
+    output.finish_command(system.inverse.plan(frame, make_task_argument(task, axis), held))

@@ -1,4 +1,4 @@
-"""Commands for what is shipped: models, joint types."""
+"""Commands for the shipped models, the joint types and the tour of the lecture."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def run_joints(output: Output) -> None:
     keys = ("type", "letter", "dof", "constraints", "dof_in_the_plane", "made_of")
     rows = [["-" if row[key] is None else row[key] for key in keys] for row in kinds]
     print("\n".join(Table(heads, rows).aligned()))
-    output.show()
+    output.print_answers()
 
 
 @register_command(MODELS)
@@ -124,7 +124,7 @@ def run_tour(
 
 
 def _is_tour_ended() -> bool:
-    """Whether the reader ends the tour here."""
+    """Whether the reader ends the tour at this point."""
     try:
         return input("Enter goes on, q ends: ").strip().lower().startswith("q")
     except EOFError:

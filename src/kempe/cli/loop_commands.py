@@ -1,4 +1,4 @@
-"""Commands for systems with loops: freedoms, assembly, motions, drawings."""
+"""Commands for systems with loops: mobility, assembly, motions, drawings."""
 
 from __future__ import annotations
 
@@ -112,8 +112,8 @@ def run_dof(
     answer = system.mobility(
         _close_configuration(system, q, posture, output), driven, local=not fast
     )
-    output.draw(system, answer.q, motion=True)
-    output.show(answer)
+    output.draw_configurations(system, answer.q, motion=True)
+    output.print_answers(answer)
     if not answer.closed:
         raise typer.Exit(INCOMPLETE)
 
@@ -135,24 +135,32 @@ def run_classify(
     """
     system = _apply_tolerance(system, tolerance)
     answer = system.classify(_close_configuration(system, q, posture, output), project=project)
-    output.draw(system, answer.q, motion=True)
-    output.show(answer)
+    output.draw_configurations(system, answer.q, motion=True)
+    output.print_answers(answer)
 
 
 def _close_configuration(system: System, q: str | None, posture: str | None, output: Output) -> Any:
-    """The configuration that is given, with its loops closed; where they do not close, the command
-    ends with the answer that says so.
+    """Return the given configuration with closed loops.
+
+    Where the loops do not close, the command ends with the answer that says so.
+
+    Where the loops do not close, the command ends with the answer that says so.
     """
     from kempe.cli import arguments
 
     there, closing = arguments.read_configuration(system, q, posture, output.deg)
     if closing is not None and not closing:
-        output.end(closing)
+        output.finish_command(closing)
     return there
 
 
 def _apply_tolerance(system: System, tolerance: str | None) -> System:
-    """The system with this tolerance. Errors: `InputError`."""
+    """Return the system with this tolerance of its dimensions.
+
+    Errors: `InputError`.
+
+    Errors: `InputError`.
+    """
     if tolerance is None:
         return system
     from kempe.assemble.nearest_exact import MEASURED, read_requested_tolerance
@@ -169,7 +177,7 @@ def _apply_tolerance(system: System, tolerance: str | None) -> System:
 
 
 def _add_equations(system: System, equations: list[str]) -> System:
-    """The system under further equations, which are called as they are written."""
+    """Return the system with further equations, each named by its own text."""
     if not equations:
         return system
     mechanism = system.mechanism
@@ -241,9 +249,9 @@ def run_assemble(
                 "several"
             )
     if np.any(answer.success):
-        output.save(answer)
-    output.draw(system, answer, side_by_side=modes and 1 < len(answer) <= BESIDE)
-    output.show(answer)
+        output.save_table(answer)
+    output.draw_configurations(system, answer, side_by_side=modes and 1 < len(answer) <= BESIDE)
+    output.print_answers(answer)
     _explain_missing_file(output)
     if modes and answer.late:
         raise typer.Exit(INCOMPLETE)
@@ -294,7 +302,7 @@ def run_trace(
     held = arguments.parse_known_values(system, hold or [], output.deg, frames=False)
     begin, closing = arguments.find_motion_start(system, start, held, output.deg)
     if closing is not None and not closing:
-        output.end(closing)
+        output.finish_command(closing)
     with progress.show_progress("points traced") as report:
         path = call_until_interrupt(
             system.trace,
@@ -312,9 +320,11 @@ def run_trace(
         with progress.show_progress("points", points) as report:
             shown = _resample_path(path, points, Budget(time_limit=time_limit, progress=report))
     if path or path.interrupted or path.late:
-        output.save(shown, branches=branches)
-    output.draw(system, shown, lambda: _build_drawing(system, shown, names), frames=names)
-    output.show(shown)
+        output.save_table(shown, branches=branches)
+    output.draw_configurations(
+        system, shown, lambda: _build_drawing(system, shown, names), frames=names
+    )
+    output.print_answers(shown)
     _explain_missing_file(output)
     end_incomplete_command(shown if path else path)
 
@@ -380,7 +390,7 @@ def run_plot(
         )
     save_picture(drawing, picture)
     output.written.append(picture)
-    output.show()
+    output.print_answers()
     if closing is not None and not closing:
         print_remark(str(closing.status))
         raise typer.Exit(INCOMPLETE)
@@ -390,7 +400,7 @@ def run_plot(
 
 
 def _resample_path(path: Motion, points: int, budget: Budget) -> Motion:
-    """The path and its other branches, with points at equal distances."""
+    """Return the path and its other branches with points at equal distances."""
     if len(path) < 2:
         return path
     found = call_until_interrupt(path.resample, points, budget=budget)
@@ -402,9 +412,7 @@ def _resample_path(path: Motion, points: int, budget: Budget) -> Motion:
 
 
 def _build_drawing(system: System, path: Motion, names: list[str]) -> Any:
-    """The drawing of a path, with the curves of its other branches: a row of NaN lifts the pen
-    between them.
-    """
+    """Return the drawing of a path and its other branches; a row of NaN separates two curves."""
     gap = np.full((1, system.nq), np.nan)
     parts = [path.q, *(part for other in path.others for part in (gap, other.q))]
     all_of_it = SimpleNamespace(q=np.vstack(parts), driver=path.driver, frames=path.frames)
@@ -412,6 +420,6 @@ def _build_drawing(system: System, path: Motion, names: list[str]) -> Any:
 
 
 def _explain_missing_file(output: Output) -> None:
-    """Say of a file that was requested why there is none."""
+    """Print a remark for each requested file that is not written, with the reason."""
     if output.out is not None and output.out not in output.written:
         print_remark(f"{output.out} is not written: nothing is closed")

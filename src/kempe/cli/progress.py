@@ -1,4 +1,4 @@
-"""A bar for long work, on standard error where that is a terminal."""
+"""Progress bar of long computations, on standard error if that is a terminal."""
 
 from __future__ import annotations
 
@@ -13,8 +13,13 @@ from datetime import timedelta
 def show_progress(
     what: str, count: int | None = None
 ) -> Generator[Callable[..., None] | None, None, None]:
-    """What long work calls with how much is done, and with of how many, or an arc length; nothing
-    where no terminal shows it.
+    """Return a function that draws a progress bar; None where standard error is no terminal.
+
+    Computations call the function with the amount that is done, and with the total number or an arc
+    length.
+
+    Computations call the function with the amount that is done, and with the total number or an arc
+    length.
 
     A bar with the pace and the time left where it is known of how many, else a line that counts.
     """
@@ -31,6 +36,7 @@ def show_progress(
         first: list[float] = []  # what an earlier call did is not of this pace
 
         def report_progress(done: float, more: float | None = None) -> None:
+            """Draw the bar for the amount that is done."""
             total = more if isinstance(more, int) else count
             first.append(done)
             rate = (done - first[0]) / max(time.monotonic() - begin, 1e-9)

@@ -1,4 +1,4 @@
-"""Commands about what is reached: lists of poses, places of the base, singular configurations."""
+"""Commands about reachability: lists of poses, placement of the base, singular configurations."""
 
 from __future__ import annotations
 
@@ -106,6 +106,7 @@ def run_singularities(
     broken: list[str] = []
 
     def draw_curves() -> tuple[Axes, ...]:
+        """Draw the singular curves of the frame."""
         from kempe.views.singular_plot import curves_shown, plot_singularities
 
         with _make_budget(None, None, time.remaining_seconds, "configurations of curves") as budget:
@@ -114,10 +115,10 @@ def run_singularities(
             broken.append(curves.status)
         return plot_singularities(answer, curves)
 
-    output.save(answer)
+    output.save_table(answer)
     each = np.reshape([s.q[0] for s in answer.sets], (-1, system.nq))
-    output.draw(system, each, draw_curves)
-    output.show(answer, **({} if near is None else {"nearest": answer.nearest(near)}))
+    output.draw_configurations(system, each, draw_curves)
+    output.print_answers(answer, **({} if near is None else {"nearest": answer.nearest(near)}))
     for why in broken:
         print_remark(why)
     end_incomplete_command(answer)
@@ -143,9 +144,9 @@ def run_reach(
     X, task = _read_poses(system, poses, frame, position_only, output.deg)
     with _make_budget(starts, rng, time_limit, "poses") as budget:
         answer = call_until_interrupt(system.reach.poses, X, frame, task=task, budget=budget)
-    output.save(answer)
-    output.draw(system, answer.q[answer.reached], answer.plot)
-    output.end(answer)
+    output.save_table(answer)
+    output.draw_configurations(system, answer.q[answer.reached], answer.plot)
+    output.finish_command(answer)
 
 
 @register_command(OPEN, "plot deg json")
@@ -171,15 +172,15 @@ def run_place(
         answer = call_until_interrupt(
             system.reach.place, X, frame, ranges, cells, task=task, budget=budget
         )
-    output.draw(system, None, answer.plot)
-    output.end(answer)
+    output.draw_configurations(system, None, answer.plot)
+    output.finish_command(answer)
 
 
 @contextmanager
 def _make_budget(
     starts: int | None, rng: int | None, time_limit: float | None, of: str
 ) -> Generator[Budget]:
-    """The budget of a command, which shows how many of what are done where the terminal is one."""
+    """Return the budget of a command; a terminal shows how many starts or points are done."""
     from kempe.cli import progress
 
     with progress.show_progress(of) as report:
@@ -189,7 +190,12 @@ def _make_budget(
 def _read_poses(
     system: System, text: str, frame: str, position_only: bool, deg: bool
 ) -> tuple[Array, str | None]:
-    """Poses (n, 4, 4) of a file, and the task. Errors: `InputError`, `UnknownNameError`."""
+    """Return the poses (n, 4, 4) of a file, and the task.
+
+    Errors: `InputError`, `UnknownNameError`.
+
+    Errors: `InputError`, `UnknownNameError`.
+    """
     from kempe.cli import arguments, table_files
 
     system.structure.frame_name(frame)  # a wrong name is reported before any work
@@ -200,7 +206,12 @@ def _read_poses(
 
 
 def _parse_ranges(words: list[str], deg: bool) -> dict[str, object]:
-    """Ranges by name: of a number that, of two a pair. Errors: `InputError`."""
+    """Return ranges by name: one number fixes a value, two numbers are a lower and an upper bound.
+
+    Errors: `InputError`.
+
+    Errors: `InputError`.
+    """
     from kempe.cli import table_files
 
     out: dict[str, object] = {}

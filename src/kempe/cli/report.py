@@ -1,4 +1,4 @@
-"""Text on terminals and in files: answers, problems of files, errors; colours on terminals only."""
+"""Text for terminals and files: answers, problems of files, errors; only terminals get colours."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _CONTROL = {i: f"\\x{i:02x}" for i in (*range(32), *range(127, 160)) if i not in
 
 
 def make_console(file: TextIO | None = None) -> Console:
-    """A rich console that takes text literally, colours terminals only, and wraps nothing."""
+    """Return a rich console that prints text literally and unwrapped, in colour on terminals only."""
     return Console(
         file=file or sys.stdout, markup=False, emoji=False, highlight=False, soft_wrap=True
     )
@@ -44,8 +44,11 @@ def print_text(text: RenderableType, file: TextIO | None = None) -> None:
 
 
 def print_answer(answer: Result, degrees: bool = False, file: TextIO | None = None) -> None:
-    """Print an answer: its first line in colour, and of one configuration a line that can be given
-    to `kempe fk`.
+    """Print an answer, its first line in colour.
+
+    The answer of one configuration ends with a line that can be given to `kempe fk`.
+
+    The answer of one configuration ends with a line that can be given to `kempe fk`.
 
     Sentences are broken at the width of a terminal, tables are not: no digit is cut off.
     """
@@ -58,8 +61,11 @@ def print_answer(answer: Result, degrees: bool = False, file: TextIO | None = No
 
 
 def format_configuration(answer: Any, degrees: bool) -> str:
-    """The configuration of an answer, of several the first inside the limits, as `kempe fk` takes
-    it; '' where there is none.
+    """Return a configuration of the answer as an argument of `kempe fk`; '' where there is none.
+
+    Of several configurations the first one inside the limits is taken.
+
+    Of several configurations the first one inside the limits is taken.
     """
     from kempe.answers.answer import Answer  # only here: errors are told without kernels, too
 
@@ -75,12 +81,13 @@ def format_configuration(answer: Any, degrees: bool) -> str:
 
 
 def translate_keywords(text: str) -> str:
-    """A message of the library with the options of commands in place of the same keyword arguments.
+    """Return a message of the library with options of commands in place of keyword arguments.
 
     `root='base'` becomes `--root base`, which can be typed; the names are the same.
     """
 
     def format_option(found: re.Match[str]) -> str:
+        """Return the option that stands for a keyword argument."""
         flag = f"--{(found[1] or found[2]).replace('_', '-')}"
         if found[3] in (None, "True", "(...)"):
             return flag
@@ -92,7 +99,7 @@ def translate_keywords(text: str) -> str:
 
 
 def clean_text(text: object) -> str:
-    """`text` with control characters made visible, and options in place of keyword arguments."""
+    """Return `text` with visible control characters, and options in place of keyword arguments."""
     return translate_keywords(str(text)).translate(_CONTROL)
 
 
@@ -102,7 +109,7 @@ def clean_text(text: object) -> str:
 def format_findings(
     file: str, problems: Sequence[Fault], notes: Sequence[str] = ()
 ) -> RenderableType:
-    """What is wrong with a file: each problem with its place and a caret under it; then the notes."""
+    """Return the problems of a file, each with its line and a caret under it, then the notes."""
     found = format_count(len(problems), "problem") if problems else "no problems"
     noted = f", {format_count(len(notes), 'note')}" if notes else ""
     head = Text.assemble(
@@ -115,7 +122,7 @@ def format_findings(
 
 
 def format_error(problem: BaseException | str) -> RenderableType:
-    """An error as one sentence; a description's problems each with its place and a caret."""
+    """Return an error as one sentence; problems of a description each with line and caret."""
     head = Text("error: ", style="bold red")
     if isinstance(problem, DescriptionError):
         first, *rest = _format_problems(problem.problems)
@@ -124,13 +131,14 @@ def format_error(problem: BaseException | str) -> RenderableType:
 
 
 def _format_problems(problems: Sequence[Fault]) -> list[Text]:
-    """The first problems, and how many more there are."""
+    """Return the first problems of a file as text, and the number of the other ones."""
     shown = [_format_problem(p) for p in problems[:PROBLEM_LIMIT]]
     more = len(problems) - len(shown)
     return [*shown, *([Text(f"... and {more} more")] if more else [])]
 
 
 def _format_problem(problem: Fault) -> Text:
+    """Return a problem as text, with its line and a caret under the column."""
     text = Text(clean_text(problem))
     if problem.where:
         text.stylize("bold", 0, len(str(problem.where)))

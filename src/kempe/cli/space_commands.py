@@ -1,6 +1,4 @@
-"""The command about the spaces of a system: configuration space, its components and samples, task
-space, picture.
-"""
+"""Command about the configuration space and the task space of a system."""
 
 from __future__ import annotations
 
@@ -76,7 +74,7 @@ def run_spaces(
             save_picture(axes, output.plot)
         output.written.append(output.plot)
     if "sample" in answers:
-        output.save(answers["sample"])
-    output.show(**answers)
+        output.save_table(answers["sample"])
+    output.print_answers(**answers)
     if answers["components"].late or not answers.get("sample", space):
         raise typer.Exit(INCOMPLETE)

@@ -1,4 +1,4 @@
-"""Commands that describe systems, convert files, and find positions."""
+"""Commands that describe systems, convert files and compute poses."""
 
 from __future__ import annotations
 
@@ -46,15 +46,15 @@ def run_info(
     """
     from kempe.cli.facts import SystemFacts
 
-    output.draw(system, None, system.plot_tree if tree else None)
+    output.draw_configurations(system, None, system.plot_tree if tree else None)
     if tree and not output.json:
         from kempe.cli.report import clean_text
         from kempe.views.overviews import tree_lines
 
         print(clean_text("\n".join(tree_lines(system))))
-        output.show()
+        output.print_answers()
     else:
-        output.show(SystemFacts(system))
+        output.print_answers(SystemFacts(system))
 
 
 @register_command(DESCRIBE)
@@ -146,9 +146,9 @@ def run_fk(
         system.structure.frame_name(frame)  # a wrong name is reported before kernels are compiled
     values = arguments.read_configurations(system, q, posture, output.deg)
     poses = facts.Poses(system, frame, system.fk(values, frame))
-    output.save(poses)
-    output.draw(system, values, frames=[] if frame is None else [frame])
-    output.show(poses)
+    output.save_table(poses)
+    output.draw_configurations(system, values, frames=[] if frame is None else [frame])
+    output.print_answers(poses)
     bad = table_files.find_nonfinite_rows(values)
     if bad:
         rows = f"{make_plural(len(bad), 'row')} {join_first_words([str(i) for i in bad], 12)}"

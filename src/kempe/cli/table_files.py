@@ -15,17 +15,27 @@ from kempe.workspace.row_sources import open_rows
 
 
 def is_table_file(text: str) -> bool:
-    """Whether a value given as text names a file of rows."""
+    """Whether an argument names a .csv or .npy file of rows."""
     return Path(text).suffix.lower() in SUFFIXES
 
 
 def parse_numbers(text: str, what: str) -> list[float]:
-    """The numbers of 'a,b,c'. Errors: `InputError` naming the one that is none."""
+    """Return the numbers of 'a,b,c'.
+
+    Errors: `InputError` that names the part that is no number.
+
+    Errors: `InputError` that names the part that is no number.
+    """
     return as_numbers(text.split(","), what)
 
 
 def parse_finite_numbers(text: str, what: str) -> list[float]:
-    """The numbers of 'a,b,c', all of them finite. Errors: `InputError`."""
+    """Return the numbers of 'a,b,c', all finite.
+
+    Errors: `InputError`.
+
+    Errors: `InputError`.
+    """
     try:
         values = parse_numbers(text, what)
     except InputError:
@@ -36,7 +46,7 @@ def parse_finite_numbers(text: str, what: str) -> list[float]:
 
 
 def check_input_file(path: Path) -> None:
-    """Refuse, with an `InputError`, a path at which there is no plain file to read."""
+    """Raise `InputError` if there is no plain file to read at `path`."""
     if what := describe_special_file(path):
         raise InputError(f"{path}: this is {what}; give the path of a plain file")
     if not path.is_file():
@@ -44,7 +54,7 @@ def check_input_file(path: Path) -> None:
 
 
 def read_table(path: Path, matrices: bool = False) -> tuple[list[str] | None, Array]:
-    """Rows (n, k) of a .csv or .npy file, and the names in the first line of a .csv if it has them.
+    """Return rows (n, k) of a .csv or .npy file, and the names in the first line of a .csv file.
 
     A .npy may hold (n, 4, 4) matrices where `matrices` allows. Errors: `InputError` with the file
     and the line.
@@ -64,5 +74,5 @@ def read_table(path: Path, matrices: bool = False) -> tuple[list[str] | None, Ar
 
 
 def find_nonfinite_rows(q: Array) -> list[int]:
-    """Numbers of the rows of q (n, nq) that hold NaN or infinities; none of a single configuration."""
+    """Return the indices of the rows of q (n, nq) with NaN or infinities; [] where q is (nq,)."""
     return np.flatnonzero(~np.isfinite(q).all(axis=-1)).tolist() if q.ndim > 1 else []

@@ -1,6 +1,4 @@
-"""Tasks from a TOML file: a table [[task]] for each, by type with the parameters of its class in
-`kempe.tasks`.
-"""
+"""Tasks from a TOML file: each table [[task]] gives the type and the parameters of its class."""
 
 from __future__ import annotations
 
@@ -28,8 +26,11 @@ if TYPE_CHECKING:
 
 
 def list_constraint_types() -> dict[str, type[Constraint]]:
-    """The kinds that can be requested, by name: 'pose', 'look_at', ... Functions of the user are
-    for Python.
+    """Return the constraint classes that a file can name, by name: 'pose', 'look_at', ...
+
+    Functions of the user are for Python.
+
+    Functions of the user are for Python.
     """
     return {
         name: k
@@ -44,14 +45,14 @@ ABOVE = "write [[task]] above each task"
 
 
 class FileTasks(NamedTuple):
-    """The `tasks` of a file, for problems in so many `rows`, None where it asks one."""
+    """Tasks of a file, and the number of problems in its tables of values (None for one problem)."""
 
     tasks: list[Constraint]
     rows: int | None
 
 
 def read_tasks(system: System, path: Path, degrees: bool = False) -> FileTasks:
-    """The tasks of a TOML file, each checked with the system.
+    """Return the tasks of a TOML file, each checked with the system.
 
     A value that names a .csv or .npy file, seen from the folder of this one, has an entry in each
     of its rows: these make a batch. Errors: `DescriptionError` with all problems, each with its
@@ -60,13 +61,13 @@ def read_tasks(system: System, path: Path, degrees: bool = False) -> FileTasks:
     path = expand_path(path)
     table_files.check_input_file(path)
     document = Document(Source(str(path), decode_text(path.read_bytes(), str(path))))
-    tasks = _TaskReader(system, document, path.parent, degrees).all()
-    document.findings.finish()
+    tasks = _TaskReader(system, document, path.parent, degrees).read_all_tasks()
+    document.findings.raise_problems()
     return tasks
 
 
 class _TaskReader:
-    """Makes tasks of the tables of a document."""
+    """Converts the tables of a document to tasks."""
 
     def __init__(self, system: System, document: Document, folder: Path, degrees: bool):
         self.system = system
@@ -77,17 +78,17 @@ class _TaskReader:
         self.counts: list[int] = []
         """Numbers of rows of the files that values name."""
 
-    def all(self) -> FileTasks:
-        """All tasks of the file."""
-        add = self.document.findings.add
-        where = self.document.where
+    def read_all_tasks(self) -> FileTasks:
+        """Return all tasks of the file."""
+        add = self.document.findings.add_problem
+        where = self.document.locate_value
         for key in self.document.data:
             if key != "task":
                 add(f"unknown key {shorten_text(key)}", "", where(key), ABOVE)
-        tables = self.document.array("task")
+        tables = self.document.get_tables("task")
         if not tables and not self.document.findings.problems:
             add("there are no tasks", "", where(), ABOVE)
-        tasks = [self.task(table, i) for i, table in enumerate(tables)]
+        tasks = [self.read_task(table, i) for i, table in enumerate(tables)]
         counts = sorted(set(self.counts))
         if len(counts) > 1:
             rows = ", ".join(map(str, counts))
@@ -96,8 +97,8 @@ class _TaskReader:
         made = [task for task in tasks if task is not None]
         return FileTasks(made, counts[0] if counts else None)
 
-    def task(self, table: dict[str, Any], index: int) -> Constraint | None:
-        """A task, or None after recording what is wrong."""
+    def read_task(self, table: dict[str, Any], index: int) -> Constraint | None:
+        """Return the task of a table; None after recording a problem."""
         findings = self.document.findings
         before = len(findings.problems)
         place = ("task", index)
@@ -105,7 +106,10 @@ class _TaskReader:
         subject = f"task {shorten_text(table.get('name') or name or index + 1)}"
 
         def add_problem(message: str, allowed: str, *key: str) -> None:
-            findings.add(message, subject, self.document.where(*place, *key), allowed)
+            """Record a problem of the task."""
+            findings.add_problem(
+                message, subject, self.document.locate_value(*place, *key), allowed
+            )
 
         if name is None:
             add_problem(
@@ -131,8 +135,8 @@ class _TaskReader:
             if key not in names:
                 add_problem(f"unknown key {shorten_text(key)}{hint(key, names)}", "", key)
                 continue
-            with findings.guard(subject, self.document.where(*place, key)):
-                given[key] = self.value(kind, key, value)
+            with findings.record_errors(subject, self.document.locate_value(*place, key)):
+                given[key] = self.read_value(kind, key, value)
                 if _names_file(key, value):
                     self.counts.append(len(given[key]))
         for key in needed:
@@ -153,14 +157,19 @@ class _TaskReader:
             return None
         return made
 
-    def value(self, kind: type[Constraint], key: str, value: Any) -> Any:
-        """A parameter as the class takes it. Errors: `InputError`."""
+    def read_value(self, kind: type[Constraint], key: str, value: Any) -> Any:
+        """Return the value of a parameter in the form that the class of the task accepts.
+
+        Errors: `InputError`.
+
+        Errors: `InputError`.
+        """
         if key in TEXT:
             if not isinstance(value, str):
                 raise InputError(f"{key} is {shorten_text(value)}; it must be text in quotes")
             return value
         if _names_file(key, value):
-            return self.from_file(kind, key, self.folder / value)
+            return self.read_file_values(kind, key, self.folder / value)
         if key in NUMBERS and not _is_number(value):
             raise InputError(f"{key} is {shorten_text(value)}; it must be a number")
         if key == "priority" and type(value) is not int:
@@ -179,21 +188,24 @@ class _TaskReader:
                 )
             return given
         if key == "q":
-            return self.posture(value)
-        if (turned := self.turned(kind, key)) is not None:
+            return self.read_posture(value)
+        if (turned := self.choose_conversion(kind, key)) is not None:
             return turned(np.asarray(_check_numbers(key, value), dtype=float))
         return _check_numbers(key, value)
 
-    def turned(
+    def choose_conversion(
         self, kind: type[Constraint], key: str
     ) -> Callable[[spatial.Array], spatial.Array] | None:
-        """How numbers become a pose or a rotation, where the parameter is one."""
+        """Return the function that converts numbers to poses or rotations, if the parameter is one."""
         sort = next(str(f.type) for f in fields(kind) if f.name == key)
-        return {"Matrix": self.poses, "Rotation": self.rotations}.get(sort)
+        return {"Matrix": self.make_poses, "Rotation": self.make_rotations}.get(sort)
 
-    def poses(self, x: spatial.Array) -> spatial.Array:
-        """Poses (..., 4, 4) from x, y, z, roll, pitch, yaw, of planar systems x, y, angle; or as
-        they are.
+    def make_poses(self, x: spatial.Array) -> spatial.Array:
+        """Return poses (..., 4, 4) from x, y, z, roll, pitch, yaw; in the plane from x, y, angle.
+
+        Matrices stay as they are.
+
+        Matrices stay as they are.
         """
         if x.shape[-2:] == (4, 4):
             return x
@@ -208,8 +220,13 @@ class _TaskReader:
         full[..., 3:] *= self.angle
         return spatial.pose_from_xyz_rpy(full)
 
-    def rotations(self, x: spatial.Array) -> spatial.Array:
-        """Rotations (..., 3, 3) from roll, pitch, yaw, of planar systems an angle; or as they are."""
+    def make_rotations(self, x: spatial.Array) -> spatial.Array:
+        """Return rotations (..., 3, 3) from roll, pitch, yaw; in the plane from an angle.
+
+        Matrices stay as they are.
+
+        Matrices stay as they are.
+        """
         if x.shape[-2:] in ((3, 3), (4, 4)):
             return x
         if self.system.dim == 2 and (x.ndim == 0 or x.shape[-1] == 1):
@@ -224,12 +241,12 @@ class _TaskReader:
             np.concatenate([np.zeros(x.shape), x * self.angle], axis=-1)
         )[..., :3, :3]
 
-    def posture(self, value: Any) -> Any:
-        """Values by name, or a configuration, or the name of a posture, with angles in radians."""
+    def read_posture(self, value: Any) -> Any:
+        """Return a posture with angles in radians: values by name, a configuration, or a name."""
         if isinstance(value, str):
             return arguments.read_configurations(self.system, None, value)
         if isinstance(value, Mapping):
-            flat = self.document.flat(value, (), "q")
+            flat = self.document.flatten_table(value, (), "q")
             if not all(map(_is_number, flat.values())):
                 raise InputError(
                     "q must be a table of numbers by coordinate name, such as {A = 0.3}"
@@ -240,11 +257,11 @@ class _TaskReader:
             self.system, ",".join(map(str, _check_numbers("q", value))), None, self.degrees
         )
 
-    def from_file(self, kind: type[Constraint], key: str, path: Path) -> spatial.Array:
-        """Values (n, ...) of the rows of a file."""
+    def read_file_values(self, kind: type[Constraint], key: str, path: Path) -> spatial.Array:
+        """Return the values (n, ...) of the rows of a file."""
         if key == "q":
             return arguments.read_configurations(self.system, str(path), None, self.degrees)
-        turned = self.turned(kind, key)
+        turned = self.choose_conversion(kind, key)
         _, table = table_files.read_table(path, matrices=turned is not None)
         if turned is not None:
             return turned(table)
@@ -253,20 +270,28 @@ class _TaskReader:
 
 
 def _names_file(key: str, value: Any) -> bool:
+    """Whether the value of a parameter is the name of a file of rows."""
     return key not in TEXT and isinstance(value, str) and table_files.is_table_file(value)
 
 
 def _is_number(x: Any) -> bool:
+    """Whether an entry is a number and not NaN."""
     return isinstance(x, (int, float)) and not isinstance(x, bool) and not math.isnan(x)
 
 
 def _are_numbers(x: Any, n: int) -> bool:
+    """Whether a value is a list of `n` numbers."""
     entries: Any = x
     return isinstance(x, list) and len(entries) == n and all(map(_is_number, entries))
 
 
 def _check_numbers(key: str, value: Any) -> Any:
-    """A number, or numbers in lists. Errors: `InputError`."""
+    """Return a number, or numbers in nested lists, unchanged.
+
+    Errors: `InputError` for any other entry.
+
+    Errors: `InputError` for any other entry.
+    """
     try:
         good = np.asarray(value).dtype.kind in "fiu"
     except ValueError:
@@ -280,4 +305,5 @@ def _check_numbers(key: str, value: Any) -> Any:
 
 
 def _has_name(value: Any, name: object) -> bool:
+    """Whether a list or dict holds the name."""
     return isinstance(value, (list, dict)) and name in value

@@ -1,4 +1,4 @@
-"""How commands speak: answers and errors as text or as JSON, and exit codes."""
+"""Output of commands: answers and errors as text or JSON, and exit codes."""
 
 from __future__ import annotations
 
@@ -26,12 +26,10 @@ UsageError: type[Exception] = typer.BadParameter.__mro__[1]
 
 
 class Commands(TyperGroup):
-    """A group of commands in which wrong usage is one sentence, or JSON where that was requested."""
+    """Group of commands that reports wrong usage in one sentence, or in JSON with --json."""
 
     def main(self, args: Any = None, *rest: Any, standalone_mode: bool = True, **extra: Any) -> Any:
-        """Run the command line `args`; ends the process with an exit code unless `standalone_mode`
-        is off.
-        """
+        """Run the command line `args`; end the process with an exit code if `standalone_mode`."""
         args = [expand_home(arg) for arg in (sys.argv[1:] if args is None else args)]
         try:
             code = super().main(args, *rest, standalone_mode=False, **extra)
@@ -54,7 +52,7 @@ class Commands(TyperGroup):
 
 
 def expand_home(argument: str) -> str:
-    """An argument with the ``~`` of its file expanded, which a shell leaves alone after ``=``."""
+    """Return an argument with ``~`` expanded in its file name, also after ``=``, unlike shells."""
     option, sign, file = argument.partition("=")
     if not argument.startswith("--"):
         option = sign = ""
@@ -65,9 +63,7 @@ def expand_home(argument: str) -> str:
 
 
 def end_incomplete_command(answer: Any) -> None:
-    """End the command where its answer is not complete: by the code for Ctrl-C where that broke it
-    off.
-    """
+    """End the command if its answer is incomplete, with the exit code for the cause."""
     from kempe.status import Status  # which loads numpy
 
     if (
@@ -81,7 +77,7 @@ def end_incomplete_command(answer: Any) -> None:
 
 @contextlib.contextmanager
 def report_errors(json: bool) -> Generator[None]:
-    """Make errors one sentence, or `json`, and exit code 2.
+    """Print errors raised inside in one sentence, or with `json` as JSON, and end with exit code 2.
 
     Where the time limit was over before anything was known, it is 1: the question stands.
     """
@@ -100,7 +96,7 @@ def report_errors(json: bool) -> Generator[None]:
 
 
 def refuse_question(error: BaseException | str, json: bool = False) -> NoReturn:
-    """Say why the question cannot be posed, and end the command with exit code 2."""
+    """Print why the question cannot be posed, and end the command with exit code 2."""
     print_error(error, json)
     raise typer.Exit(REFUSED)
 
@@ -119,7 +115,7 @@ def print_error(error: BaseException | str, json: bool = False) -> None:
 
 
 def print_json(data: Any) -> None:
-    """Print data as JSON; letters beyond ASCII are escaped where the output cannot show them."""
+    """Print data as JSON; characters beyond ASCII are escaped if the output cannot show them."""
     from kempe.words import format_json
 
     encoding = getattr(sys.stdout, "encoding", None) or "ascii"

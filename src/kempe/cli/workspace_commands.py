@@ -1,4 +1,4 @@
-"""Commands for workspaces: make a map, look points up in it."""
+"""Commands for workspaces: compute a map, look points up in a map."""
 
 from __future__ import annotations
 
@@ -20,7 +20,12 @@ if TYPE_CHECKING:
 
 
 def _parse_orientation(text: str, what: str, deg: bool) -> Any:
-    """An angle, several, or roll, pitch and yaw. Errors: `InputError`."""
+    """Return an angle, several angles, or roll, pitch and yaw, from text.
+
+    Errors: `InputError`.
+
+    Errors: `InputError`.
+    """
     angles = [x * DEGREE if deg else x for x in parse_finite_numbers(text, what)]
     return angles[0] if len(angles) == 1 else angles
 
@@ -111,8 +116,8 @@ def run_workspace(
         )
     if out is not None and out.exists():
         output.written.append(out)
-    output.draw(system, None, answer.plot)
-    output.end(answer)
+    output.draw_configurations(system, None, answer.plot)
+    output.finish_command(answer)
 
 
 @register_command(OPEN, "deg json", context_settings={"ignore_unknown_options": True})

@@ -1,1 +1,1 @@
-"""Text or calls -> Mechanism. No kinematics here."""
+"""Descriptions of mechanisms: files, texts and builder calls, without kinematics."""

@@ -1,5 +1,8 @@
-"""What a builder call may say: functions that return the checked value or raise a
-`DescriptionError`.
+"""Checks of the arguments of builder calls.
+
+Each function returns the checked value or raises an error.
+
+Each function returns the checked value or raises an error.
 """
 
 from __future__ import annotations
@@ -33,19 +36,29 @@ SAME_DIRECTION = 1e-12
 
 
 def raise_problem(subject: str, message: str, where: Where | None, allowed: str = "") -> NoReturn:
-    """Raise the `DescriptionError` of one problem."""
+    """Raise a `DescriptionError` with one problem."""
     raise DescriptionError(Fault(message, subject, where, allowed))
 
 
 def check_name(given: object, kind: str) -> str:
-    """The name of a body, joint or frame: text, not empty. Errors: `InputError`."""
+    """Return the name of a body, joint or frame, a text that is not empty.
+
+    Errors: `InputError`.
+
+    Errors: `InputError`.
+    """
     if not isinstance(given, str) or not given.strip():
         raise InputError(f"{kind} name is {given!r}; it must be text, not empty")
     return given
 
 
 def check_number(x: object, what: str) -> float:
-    """A finite number. Errors: `InputError`."""
+    """Return a finite number.
+
+    Errors: `InputError`.
+
+    Errors: `InputError`.
+    """
     checked = read_value(x, what)
     if isinstance(checked, Expression):
         raise InputError(f"{what} is {format_value(x)}; it must be a number")
@@ -53,7 +66,12 @@ def check_number(x: object, what: str) -> float:
 
 
 def check_numbers(given: object, what: str) -> dict[str, float]:
-    """Finite numbers by coordinate name. Errors: `InputError`."""
+    """Return finite numbers by coordinate name.
+
+    Errors: `InputError`.
+
+    Errors: `InputError`.
+    """
     if not is_mapping(given):
         raise InputError(f"{what} is {given!r}; it must be a dict of numbers by coordinate name")
     return {str(k): check_number(v, f"{what}: {k!r}") for k, v in given.items()}
@@ -66,7 +84,7 @@ def make_body(
     center: Any,
     where: Where | None,
 ) -> Body:
-    """A `Body` with its name, mass (kg, not negative) and centre of mass (2 or 3 lengths) checked."""
+    """Return a `Body` with checked name, mass [kg] and centre of mass [m] (2 or 3 lengths)."""
     subject = f"body {check_name(given, 'body')!r}"
     if mass is not None:
         mass = check_number(mass, f"{subject}: mass")
@@ -89,7 +107,12 @@ def make_body(
 
 
 def check_color(given: object) -> tuple[float, float, float, float] | None:
-    """Red, green, blue and opacity from 0 to 1; without opacity it is 1. Errors: `InputError`."""
+    """Return red, green, blue and opacity (default 1), each from 0 to 1.
+
+    Errors: `InputError`.
+
+    Errors: `InputError`.
+    """
     if given is None:
         return None
     found = read_values(given, (3, 4), "color")
@@ -103,9 +126,7 @@ def check_color(given: object) -> tuple[float, float, float, float] | None:
 def check_joint_type(
     dim: int, subject: str, type_: JointType, parent: Body, child: Body, where: Where | None
 ) -> None:
-    """Refuse a joint type that cannot be used in the plane, or between these bodies. Errors:
-    `DescriptionError`.
-    """
+    """Raise `DescriptionError` if a joint type cannot be used in the plane or between these bodies."""
     if dim == 2 and not type_.planar:
         raise_problem(
             subject,
@@ -150,7 +171,7 @@ def check_joint_type(
 def explain_unknown_option(
     kind: str | JointType, options: Iterable[str], builder: Callable[..., Joint]
 ) -> str:
-    """Message about an option that the joint type does not have; empty where it has all of them.
+    """Return the message about an option that the joint type does not have; '' where it has all.
 
     It names the keyword that is meant, or all keywords that joints take.
     """
@@ -195,9 +216,7 @@ FOREIGN_KEYWORDS = {
 
 @lru_cache(maxsize=256)
 def find_type_fault(type_: JointType, dim: int, particle: bool) -> str:
-    """Fault of the coordinates and primitives that a joint type declares, as text; '' where there
-    is none.
-    """
+    """Return the fault in a joint type's coordinates and primitives as text; '' for none."""
     names, primitives = type_.layout(dim, particle)
     if len(set(names)) < len(names) or (len(names) > 1 and "" in names):
         return f"its coordinates are {names}; each needs a name of its own"
@@ -238,8 +257,7 @@ def check_joint_frames(
     child: Body,
     where: Where | None,
 ) -> None:
-    """Refuse the frames of a joint where they leave the plane, or where the joint is not at the
-    origin of a particle.
+    """Refuse joint frames that leave the plane, or that lie away from the origin of a particle.
 
     X_PF and X_CM are the placements of the frames F on the parent and M on the child. `subject`
     names the joint and `where` its place in a file, for the message; `dim` is 2 in the plane, else
@@ -272,7 +290,7 @@ def check_joint_frames(
 def find_planar_axis(
     subject: str, X: Placement, out_of_plane: str, where: Where | None
 ) -> spatial.Array:
-    """Direction of z of a placement whose last step turns z into the plane of a planar system."""
+    """Return the joint axis (3,) of a placement in the plane that ends by aligning z with it."""
     if not X.steps or X.steps[-1][0] != "align":
         raise_problem(subject, out_of_plane, where, "give its axis=(x, y)")
     check_planar_placement(subject, Placement(X.steps[:-1]), where)
@@ -288,7 +306,7 @@ def find_planar_axis(
 
 
 def check_planar_placement(subject: str, X: Placement, where: Where | None) -> None:
-    """Refuse, with a `DescriptionError`, a placement of a planar system that leaves the xy-plane."""
+    """Raise `DescriptionError` if a placement of a planar system leaves the xy-plane."""
     for motion, _ in X.steps:
         if motion not in ("x", "y", "rz"):
             raise_problem(
@@ -302,8 +320,11 @@ def check_planar_placement(subject: str, X: Placement, where: Where | None) -> N
 def check_limits(
     subject: str, given: object, type_: JointType, dim: int, particle: bool, where: Where | None
 ) -> dict[str, Limits]:
-    """Limits by coordinate: (lower, upper) with None where there is none, or a dict of such pairs
-    by coordinate.
+    """Return the limits (lower, upper) of a joint by coordinate.
+
+    `given` is a pair, with None where there is no limit, or a dict of such pairs by coordinate.
+
+    `given` is a pair, with None where there is no limit, or a dict of such pairs by coordinate.
 
     None is no limit on that side. A quaternion has no limits by coordinate.
     """
@@ -335,7 +356,7 @@ def check_limits(
 def check_bounds(
     subject: str, what: str, given: object, names: tuple[str, ...], where: Where | None
 ) -> dict[str, float]:
-    """Largest speeds or efforts by velocity coordinate: checked numbers >= 0, also infinite."""
+    """Return the largest speeds or efforts by velocity coordinate: numbers >= 0, also infinite."""
     out: dict[str, float] = {}
     for key, bound in _list_coordinate_values(subject, what, given, names, where):
         if not is_real(bound) or not float(bound) >= 0:  # type: ignore[arg-type]
@@ -349,6 +370,7 @@ def check_bounds(
 def _list_coordinate_values(
     subject: str, what: str, given: object, names: tuple[str, ...], where: Where | None
 ) -> list[tuple[str, Any]]:
+    """Return pairs of a coordinate and its value; a single value belongs to the coordinate ''."""
     if given is None:
         return []
     if not is_mapping(given):

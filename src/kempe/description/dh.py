@@ -1,4 +1,4 @@
-"""Chains from Denavit-Hartenberg tables, and from screw axes (product of exponentials)."""
+"""Serial chains from Denavit-Hartenberg tables and from screw axes (product of exponentials)."""
 
 from __future__ import annotations
 
@@ -63,8 +63,7 @@ QUARTER = 1e-4
 def normalize_rows(
     rows: Any, columns: Sequence[str], known: tuple[str, ...]
 ) -> tuple[list[Any], str]:
-    """The rows as dicts (or as they are, where they name their entries), and a note on what was
-    assumed of them.
+    """Return the rows of a table as dicts or records, and a note on the assumed columns.
 
     Errors: `InputError` for tables of another form, and for columns that are not `known`.
     """
@@ -112,9 +111,7 @@ def normalize_rows(
 
 
 def _list_entry_names(row: Any) -> list[str] | None:
-    """Names of the entries of a row that is no dict but names them: a named tuple, a record or a
-    series.
-    """
+    """Return the names in a named tuple, a record or a series; None for any other row."""
     if isinstance(row, np.void):
         return list(row.dtype.names or ())
     named: Any = getattr(row, "_fields" if isinstance(row, tuple) else "index", None)
@@ -124,6 +121,12 @@ def _list_entry_names(row: Any) -> list[str] | None:
 
 
 def _check_columns(columns: Any, known: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the names of the columns of plain rows.
+
+    Errors: `InputError`.
+
+    Errors: `InputError`.
+    """
     given: Any = columns
     if isinstance(columns, str) or not isinstance(columns, Iterable):
         raise InputError(f"columns are {columns!r}; they must be a list of names, such as {ORDER}")
@@ -137,7 +140,7 @@ def _check_columns(columns: Any, known: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _convert_plain_row(row: Any, number: int, columns: tuple[str, ...]) -> dict[str, Any]:
-    """A row without names as a dict."""
+    """Return a row without names as a dict by column."""
     entries = list(row)
     names = (*columns, "type") if columns == ORDER and len(entries) == 5 else columns
     if len(entries) != len(names):
@@ -150,8 +153,11 @@ def _convert_plain_row(row: Any, number: int, columns: tuple[str, ...]) -> dict[
 
 
 def _read_named_table(table: Any, names: list[Any], known: tuple[str, ...]) -> list[dict[str, Any]]:
-    """Rows of a table with named columns; entries that are missing (None, NaN where no number is
-    due) are left out.
+    """Return the rows of a table with named columns as dicts, without missing entries.
+
+    None is missing, and NaN where no number is due.
+
+    None is missing, and NaN where no number is due.
     """
     fields: list[str] = []
     for name in names:
@@ -182,12 +188,13 @@ def _read_named_table(table: Any, names: list[Any], known: tuple[str, ...]) -> l
 
 
 def _convert_numpy_scalar(x: Any) -> Any:
-    """A number or text of numpy as one of Python."""
+    """Return a number or text of numpy as a number or text of Python."""
     given: Any = x
     return given.item() if isinstance(x, np.generic) else x
 
 
 def _is_nan(x: Any) -> bool:
+    """Whether a value is the number NaN."""
     return isinstance(x, float) and math.isnan(x)
 
 
@@ -195,8 +202,7 @@ def _is_nan(x: Any) -> bool:
 
 
 def has_counted_turns(rows: Iterable[DHRow]) -> bool:
-    """Whether angles beyond a turn, in a table of radians, can be turns that a controller has
-    counted.
+    """Whether angles beyond one turn, in radians, can be turns that a controller has counted.
 
     They are few then: in a table of degrees most angles are larger than 2 pi, in one of radians
     most are not. A single angle does not tell, and may be one. Angles that are expressions are
@@ -214,7 +220,11 @@ def has_counted_turns(rows: Iterable[DHRow]) -> bool:
 
 
 def convert_to_radians(row: DHRow, number: int, deg: bool, winds: bool = True) -> DHRow:
-    """The row with its angles in radians; `winds` is what `has_counted_turns` says of the table.
+    """Return the row with its angles in radians.
+
+    `winds` is the value of `has_counted_turns` for the table.
+
+    `winds` is the value of `has_counted_turns` for the table.
 
     Errors: `InputError` for angles that are clearly in the other unit.
     """
@@ -240,6 +250,12 @@ def convert_to_radians(row: DHRow, number: int, deg: bool, winds: bool = True) -
 
 
 def _convert_angle(given: Value | str, what: str, deg: bool, winds: bool) -> Value:
+    """Return an angle in radians.
+
+    Errors: `InputError` for an angle that is probably given in the other unit.
+
+    Errors: `InputError` for an angle that is probably given in the other unit.
+    """
     x = read_value(given, what)
     if isinstance(x, Expression):
         if not deg:
@@ -275,14 +291,12 @@ def _convert_angle(given: Value | str, what: str, deg: bool, winds: bool) -> Val
 
 
 def _is_round_number(x: float) -> bool:
-    """Whether a number is one that people write in degrees: a whole or half one, or nearly a
-    multiple of 45.
-    """
+    """Whether a number is typical of degrees: a multiple of 0.5, or nearly a multiple of 45."""
     return (2.0 * x) % 1.0 == 0.0 or abs(x - ROUND * round(x / ROUND)) < NEAR_ROUND
 
 
 def _convert_limits(given: Any, what: str, deg: bool) -> Any:
-    """Limits of a turning joint in radians; what is no pair is left to the joint, which refuses it."""
+    """Return the limits of a revolute joint in radians; the joint itself refuses what is no pair."""
     entries: Any = given
     if not isinstance(given, (list, tuple, np.ndarray)):
         return given
@@ -315,8 +329,7 @@ PITCH_TOLERANCE = 1e-12
 
 @dataclass(frozen=True)
 class DHRow:
-    """One row of a Denavit-Hartenberg table: lengths `a` and `d` [m], angles `alpha` and `theta`
-    [rad].
+    """Row of a Denavit-Hartenberg table: lengths `a`, `d` [m] and angles `alpha`, `theta` [rad].
 
     In the modified convention `a` and `alpha` are those that stand before the joint, a(i-1) and
     alpha(i-1). `type` is revolute (theta is the angle at q = 0), prismatic (d is the length at q =
@@ -342,8 +355,7 @@ class DHRow:
 
 @dataclass(frozen=True)
 class ScrewRow:
-    """One screw axis in the ground frame at q = 0: either `twist` or `axis` (with `point` and
-    `pitch`).
+    """Screw axis in the ground frame at q = 0: either `twist`, or `axis` with `point` and `pitch`.
 
     `twist` is [v; w], the linear part first (Lynch and Park write [w; v]): |w| = 1, or w = 0 and
     |v| = 1 for a slide. `axis` is the direction and `point` a point that it passes through, both in
@@ -375,8 +387,11 @@ def from_dh(
     deg: bool = False,
     columns: Sequence[str] = ORDER,
 ) -> Mechanism:
-    """Chain of a Denavit-Hartenberg table; the pose of body i is A1 A2 ... Ai, its frame is DH
-    frame i.
+    """Return the chain of a Denavit-Hartenberg table; the pose of body i is A1 A2 ... Ai.
+
+    The frame of body i is DH frame i.
+
+    The frame of body i is DH frame i.
 
     With `convention` "standard", Ai = Rz(theta) Tz(d) Tx(a) Rx(alpha) (Denavit and Hartenberg,
     1955); with "modified", Ai = Rx(alpha) Tx(a) Rz(theta) Tz(d) (Craig, 1986). `rows` are `DHRow`,
@@ -416,8 +431,11 @@ def add_dh_chain(
     deg: bool = False,
     columns: Sequence[str] = ORDER,
 ) -> None:
-    """Add the chain of a Denavit-Hartenberg table to `mechanism`, on the body `on` (the ground
-    where None).
+    """Add the chain of a Denavit-Hartenberg table to `mechanism`.
+
+    The chain starts on the body `on` (the ground where None).
+
+    The chain starts on the body `on` (the ground where None).
 
     Other arguments as in `from_dh`; `wheres` are the rows' places in a file. Errors: `InputError`,
     `DescriptionError`.
@@ -466,8 +484,11 @@ def from_screws(
     name: str = "arm",
     parameters: Mapping[str, float] | None = None,
 ) -> Mechanism:
-    """Chain of screw axes: body i has the pose exp(S1 q1) ... exp(Si qi), the frame 'tool' that
-    times `home`.
+    """Return the chain of screw axes, where body i has the pose exp(S1 q1) ... exp(Si qi).
+
+    The frame 'tool' has the pose of the last body times `home`.
+
+    The frame 'tool' has the pose of the last body times `home`.
 
     `screws` are `ScrewRow`, dicts with their fields, or plain twists [v; w], the linear part first,
     in the ground frame at q = 0. A screw is revolute, prismatic (w = 0) or, with a pitch, helical.
@@ -491,7 +512,7 @@ def add_screw_chain(
     home: object = None,
     wheres: Iterable[Any] = (),
 ) -> None:
-    """Add a chain of screw axes to `mechanism`, on its ground; arguments as in `from_screws`."""
+    """Add a chain of screw axes to the ground of `mechanism`; arguments as in `from_screws`."""
     checked = [
         _make_row(ScrewRow, s if isinstance(s, (ScrewRow, Mapping)) else {"twist": s}, i)
         for i, s in enumerate(screws, 1)
@@ -517,6 +538,7 @@ def _add_link(
     where: Any,
     options: dict[str, Any],
 ) -> BodyLike:
+    """Add the body and the joint of a row to the mechanism and return the body."""
     child = mechanism.body(row.body or f"link{number}", where=where)
     mechanism.joint(
         row.name or f"q{number}",
@@ -536,7 +558,7 @@ def _add_link(
 
 
 def _resolve_screw(row: ScrewRow, number: int) -> tuple[str, Placement, dict[str, Any]]:
-    """Joint type, placement of its frames in the ground frame at q = 0, and options."""
+    """Return the joint type of a screw, its frame on the ground at q = 0, and options."""
     label = f"screw {number}"
     if (row.twist is None) == (row.axis is None):
         raise InputError(f"{label} must have either twist or axis")
@@ -583,6 +605,12 @@ def _resolve_screw(row: ScrewRow, number: int) -> tuple[str, Placement, dict[str
 
 
 def _make_row(kind: Any, row: Any, number: int) -> Any:
+    """Return a row of class `kind` from a dict.
+
+    Errors: `InputError` for unknown entries.
+
+    Errors: `InputError` for unknown entries.
+    """
     if isinstance(row, kind):
         return row
     known = [f.name for f in fields(kind)]
@@ -598,7 +626,7 @@ def _make_row(kind: Any, row: Any, number: int) -> Any:
 
 
 def _make_placement(X: object, what: str) -> Placement:
-    """Placement of a matrix, a `Placement`, or a dict of keywords of `place` (or of steps)."""
+    """Return the placement of a matrix, a `Placement`, or a dict of keywords of `place`."""
     if X is None:
         return Placement()
     if isinstance(X, Placement):

@@ -1,5 +1,4 @@
-"""The table of file formats: which are read and written, how they are known, and what they cannot
-say.
+"""Table of file formats: readers and writers, how a file is recognised, what a format cannot hold.
 
 Reading, writing, messages, the command line and the page of formats follow from it. A format of
 your own is a row: ``FORMATS["x"] = Format(...)``.
@@ -23,7 +22,7 @@ _ROOT = re.compile(
 
 @dataclass(frozen=True)
 class Format:
-    """A file format.
+    """File format of robots and mechanisms, with its reader and its writer.
 
     A reader is called as ``read(text, source, **options)`` with text or bytes
     (`kempe.description.source.decode_text` gives text), the name of their source for messages, and those
@@ -55,7 +54,7 @@ class Format:
 
 
 def find_root_element(text: str) -> str:
-    """Name of the outermost element of a text that is XML, else empty."""
+    """Return the name of the outermost element of an XML text; '' for any other text."""
     found = _ROOT.match(text, 0, 65536) if text.startswith("<") else None
     return found[1] if found else ""
 
@@ -179,7 +178,7 @@ DEFAULT = TOML
 
 @dataclass(frozen=True)
 class OtherKind:
-    """A kind of file that often stands where a description is expected, known by its first bytes."""
+    """Kind of file that is no description of a mechanism, recognised by its first bytes."""
 
     what: str
     """What the file is, after 'this is'."""
@@ -291,9 +290,7 @@ takes."""
 
 
 def find_other_kind(data: str | bytes) -> OtherKind | None:
-    """The kind of a file that is no description, by its first bytes or characters; None where it
-    may be one.
-    """
+    """Return the kind of a file that is no description, by its first bytes; None if it may be one."""
     text = data[:HEAD] if isinstance(data, str) else decode_head(data)
     text = text.removeprefix("\ufeff").lstrip()
     head = (
@@ -313,20 +310,18 @@ UTF16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
 def decode_head(data: bytes) -> str:
-    """The beginning of a file as text, whatever its bytes: enough to recognise a format."""
+    """Return the beginning of a file as text, enough to recognise its format."""
     return data[:HEAD].decode("utf-16" if data[:2] in UTF16_MARKS else "utf-8", "replace")
 
 
 def find_format_by_ending(name: str) -> Format | None:
-    """The format of a file with this name, by its ending; None where the ending is of no known
-    format.
-    """
+    """Return the format of a file by the ending of its name; None where no format has this ending."""
     name = name.lower()
     return next((f for f in reversed(FORMATS.values()) if name.endswith(f.endings)), None)
 
 
 def find_format_by_contents(start: str) -> Format | None:
-    """The format of a text, by its beginning; None where no format is recognised."""
+    """Return the format of a text by its beginning; None where no format is recognised."""
     start = start.removeprefix("\ufeff").lstrip()
     name = find_root_element(start)
     rows = reversed(FORMATS.values())
@@ -334,30 +329,28 @@ def find_format_by_contents(start: str) -> Format | None:
 
 
 def describe_root_fault(name: str) -> str:
-    """What is said of an outermost element that is not that of the format: '<sdf>: it is a file in
-    SDF'.
-    """
+    """Return the message about an outermost element that belongs to another format."""
     titles = [f.title for f in FORMATS.values() if name in f.elements]
     said = f": it is a file in {titles[0]}" if titles else ""
     return f"the outermost element is <{name}>{said}"
 
 
 def join_titles(kinds: Iterable[Format], last: str = "or") -> str:
-    """Titles of formats in a sentence: 'URDF or TOML'."""
+    """Return the titles of formats in words: 'URDF or TOML'."""
     return join_words([f.title for f in kinds], last)
 
 
 def join_words(words: Iterable[str], last: str = "or") -> str:
-    """Words in a sentence: 'a, b or c'."""
+    """Return words as an enumeration: 'a, b or c'."""
     *before, end = words
     return f"{', '.join(before)} {last} {end}" if before else end
 
 
 def list_readable_formats(option: str = "") -> list[Format]:
-    """The formats that can be read; with an `option`, those whose reader takes it."""
+    """Return the formats that have a reader; with `option`, those whose reader accepts the option."""
     return [f for f in FORMATS.values() if f.read and (not option or option in f.options)]
 
 
 def list_writable_endings() -> str:
-    """Endings of the files that can be written, in a sentence."""
+    """Return the endings of the file names that can be written, in words."""
     return join_words([ending for f in FORMATS.values() if f.write for ending in f.endings])

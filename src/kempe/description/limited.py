@@ -1,6 +1,4 @@
-"""Python code for a file that is not trusted, run in a process with limits of time, memory and
-output.
-"""
+"""Execution of Python code for untrusted files, in a process with limited time, memory and output."""
 
 from __future__ import annotations
 
@@ -48,8 +46,11 @@ for name, amount in s["limits"].items():
 
 
 class Ended(NamedTuple):
-    """How a process ended: `reason` is "" where it did what it should, else "time", "memory",
-    "output" or "failed".
+    """End of a process: its output and why it stopped.
+
+    `reason` is "" where it did what it should, else "time", "memory", "output" or "failed".
+
+    `reason` is "" where it did what it should, else "time", "memory", "output" or "failed".
 
     `output` and `said` are what it wrote, `code` is its exit code: None where it was stopped.
     """
@@ -70,8 +71,11 @@ def run_limited_code(
     cpu: float | None = None,
     meanwhile: Callable[[], object] | None = None,
 ) -> Ended:
-    """Run Python `code`, which has the `settings` as `s`, with little environment, and say how it
-    ended.
+    """Run Python `code` in a limited process and return how it ended.
+
+    The code finds the `settings` as `s`; few environment variables are passed on.
+
+    The code finds the `settings` as `s`; few environment variables are passed on.
 
     It may take `seconds` of waiting, and of processor time `cpu` (by default as many), `memory`
     bytes, and write files of `output` bytes. `meanwhile` is called here while it runs. Errors: `UnsupportedError` on
@@ -126,6 +130,7 @@ def run_limited_code(
 
 
 def _find_stop_reason(code: int | None, said: str) -> str:
+    """Return which limit stopped the process, from its exit code and error output; '' for none."""
     if code in (None, -signal.SIGXCPU, -signal.SIGKILL):
         return "time"
     if code == -signal.SIGXFSZ or "File too large" in said:
@@ -136,7 +141,7 @@ def _find_stop_reason(code: int | None, said: str) -> str:
 
 
 def extract_last_lines(said: str) -> str:
-    """The lines of a traceback that say what happened, in 300 letters."""
+    """Return the last lines of a traceback, at most 300 characters."""
     lines = [line.strip() for line in said.splitlines() if line.strip()]
     first = next(
         (i for i in reversed(range(len(lines))) if _EXCEPTION.match(lines[i])), len(lines) - 1

@@ -1,4 +1,4 @@
-"""The builder `Mechanism`: bodies, joints, frames and constraints as a graph, without kinematics.
+"""Builder `Mechanism`: bodies, joints, frames and constraints as a graph, without kinematics.
 
 Mechanisms are also joined here, and chains cut out of them.
 """
@@ -110,7 +110,7 @@ def declare_placed_constraint(
     length: object,
     where: Where | None,
 ) -> Declared:
-    """Add a constraint of `BETWEEN` with its ends placed on bodies; see `Mechanism.point_on_line`."""
+    """Add a constraint of `BETWEEN` whose ends are placed on bodies; see `Mechanism.point_on_line`."""
     subject = f"constraint {name!r}"
     mechanism._check_joint_name(checks.check_name(name, "constraint"), subject, where)
     if kind not in BETWEEN:
@@ -158,7 +158,7 @@ def declare_placed_constraint(
 
 
 def _place_end(mechanism: Mechanism, placed: Placed, subject: str, where: Where | None) -> End:
-    """An end of a constraint as a placement on a body; a frame stands for its placement."""
+    """Return the end of a constraint on a body, from a body or frame, a point and an orientation."""
     thing, at, turn = placed
     frame = mechanism.frames.get(str(thing)) if isinstance(thing, (Frame, str)) else None
     if frame is None:
@@ -176,8 +176,11 @@ def _place_end(mechanism: Mechanism, placed: Placed, subject: str, where: Where 
 
 
 def _resolve_end(mechanism: Mechanism, end: object, subject: str, where: Where | None) -> End:
-    """An end of a constraint as a placement on a body: None is the ground, text is a frame or a
-    body.
+    """Return the end of a constraint as a placement on a body.
+
+    None is the ground, a text is the name of a frame or a body.
+
+    None is the ground, a text is the name of a frame or a body.
     """
     if end is None:
         return End(mechanism.ground.name)
@@ -199,7 +202,7 @@ def _resolve_end(mechanism: Mechanism, end: object, subject: str, where: Where |
 def _convert_fields(
     mechanism: Mechanism, given: Constraint, subject: str, where: Where | None
 ) -> Constraint:
-    """The constraint with text in its fields of numbers as expressions in known parameters."""
+    """Return the constraint with expressions in place of the texts in its numeric fields."""
     changed: dict[str, Any] = {}
     for key, x in list_number_fields(given).items():
         if isinstance(x, str) and x in AXES:
@@ -213,7 +216,12 @@ def _convert_fields(
 def _check_values(
     mechanism: Mechanism, x: Any, what: str, subject: str, where: Where | None
 ) -> Any:
-    """Numbers, or expressions in known parameters that are finite with their values."""
+    """Return numbers or expressions.
+
+    Errors: `DescriptionError` for unknown parameters and values that are not finite.
+
+    Errors: `DescriptionError` for unknown parameters and values that are not finite.
+    """
     try:
         read = _parse_values(x, what)
         for e in list_expressions(read):
@@ -230,7 +238,7 @@ def _check_values(
 
 
 def _parse_values(x: Any, what: str) -> Any:
-    """Numbers, lists of numbers or expressions as values."""
+    """Return numbers and nested lists of numbers, with texts as expressions."""
     given: Any = x
     if isinstance(x, (np.ndarray, np.generic)):
         given = given.tolist()
@@ -241,7 +249,7 @@ def _parse_values(x: Any, what: str) -> Any:
 
 
 def check_constraint(mechanism: Mechanism, made: Declared) -> None:
-    """Refuse ends, frames and numbers that the constraint cannot have."""
+    """Raise `DescriptionError` if the constraint cannot have its ends, frames or numbers."""
     subject = f"constraint {made.name!r}"
     where = made.where
     dim = mechanism.dim
@@ -286,8 +294,11 @@ def check_constraint(mechanism: Mechanism, made: Declared) -> None:
 
 
 def evaluate_constraint(made: Declared, parameters: Mapping[str, float], dim: int) -> Constraint:
-    """The constraint with its expressions evaluated at the parameters, checked. Errors:
-    `DescriptionError`.
+    """Return the constraint with its expressions evaluated at the parameters.
+
+    Errors: `DescriptionError`.
+
+    Errors: `DescriptionError`.
     """
     numbers = evaluate_number_fields(made.of, parameters)
     try:
@@ -307,7 +318,7 @@ def evaluate_constraint(made: Declared, parameters: Mapping[str, float], dim: in
 
 
 def _has_nan(x: Any) -> bool:
-    """Whether NaN is among numbers, or a whole number that no float holds."""
+    """Whether numbers hold NaN, or an integer that is too large for a float."""
     try:
         return bool(np.isnan(np.asarray(x, dtype=float)).any())
     except OverflowError:
@@ -317,7 +328,7 @@ def _has_nan(x: Any) -> bool:
 
 
 def reads_axes(row: Row) -> bool:
-    """Whether a row reads how frame B is turned."""
+    """Whether a row of a constraint depends on the orientation of frame B."""
     if row.op in (Op.TAPE, Op.VELOCITY):
         tape, output = row.args
         return tape.compute_degrees((*POSE[3:], *TWIST[3:]))[output] > 0
@@ -325,7 +336,7 @@ def reads_axes(row: Row) -> bool:
 
 
 def _refuse_zero_lengths(made: Declared, numbers: Constraint, rows: tuple[Row, ...]) -> None:
-    """Refuse lengths that no rod has: points that coincide are a joint."""
+    """Raise `DescriptionError` if the length of a rod is not positive and finite."""
     for row in rows:
         name = find_value_field(numbers, row) if row.op is Op.DISTANCE else ""
         length = getattr(numbers, name) if name else 1.0
@@ -346,12 +357,11 @@ def _refuse_zero_lengths(made: Declared, numbers: Constraint, rows: tuple[Row, .
 def rename_constraint(
     made: Declared, bodies: Mapping[str, str], frames: Mapping[str, str], prefix: str
 ) -> Declared:
-    """The same constraint with other names of bodies and frames, and a prefix for its own name and
-    coordinates.
-    """
+    """Return the constraint with new names of bodies and frames, and a prefix for its own names."""
     both = {**bodies, **frames}
 
     def rename_end(x: Any) -> Any:
+        """Return an end of the constraint with the new name of its body or frame."""
         return replace(x, body=bodies[x.body]) if isinstance(x, End) else both.get(x, x)
 
     of = replace(made.of, **{k: rename_end(x) for k, x in list_frame_fields(made.of).items()})
@@ -367,13 +377,16 @@ BodyLike = Body | str
 
 
 class ConstraintMethods:
-    """Base of `Mechanism`: constraints that are not joints, by their kinds and by name."""
+    """Base of `Mechanism`: methods that add constraints other than joints."""
 
     def constrain(
         self: Any, constraint: Constraint, name: str = "", where: Where | None = None
     ) -> Declared:
-        """A constraint of `kempe.constraints` that always holds, between frames or bodies of the
-        mechanism.
+        """Add a constraint of `kempe.constraints` that the mechanism always satisfies.
+
+        It holds between frames or bodies of the mechanism.
+
+        It holds between frames or bodies of the mechanism.
 
         Numbers may be expressions in parameters. It is no connection: the bodies need joints
         besides, `free` where nothing else holds them. What only `ik` reads (`weight`, `priority`,
@@ -391,8 +404,11 @@ class ConstraintMethods:
         child_at: object = (0.0, 0.0, 0.0),
         where: Where | None = None,
     ) -> Declared:
-        """A rod of this length, hinged in all directions, from point `at` on `a` to point
-        `child_at` on `b`.
+        """Add a rod of this length between point `at` on `a` and point `child_at` on `b`.
+
+        Both ends of the rod are ball hinges.
+
+        Both ends of the rod are ball hinges.
 
         `a` and `b` are bodies or frames; points are read in their axes, or are names of frames on
         them. The rod is no connection: both bodies need joints besides, `free` where nothing else
@@ -412,8 +428,11 @@ class ConstraintMethods:
         where: Where | None = None,
         **turn: Any,
     ) -> Declared:
-        """Point `child_at` of `b` stays on the line through `at` of `a` along z (or `axis`, as in
-        `joint`).
+        """Keep point `child_at` of `b` on a line of `a`.
+
+        The line passes through `at` along z of its frame (or `axis`, as in `joint`).
+
+        The line passes through `at` along z of its frame (or `axis`, as in `joint`).
         """
         return declare_placed_constraint(
             self, name, "point_on_line", (a, at, turn), (b, child_at, {}), None, where
@@ -429,8 +448,11 @@ class ConstraintMethods:
         where: Where | None = None,
         **turn: Any,
     ) -> Declared:
-        """Point `child_at` of `b` stays in the plane through `at` of `a` across z (or `axis`, as in
-        `joint`).
+        """Keep point `child_at` of `b` in a plane of `a`.
+
+        The plane passes through `at`, normal to z of its frame (or `axis`, as in `joint`).
+
+        The plane passes through `at`, normal to z of its frame (or `axis`, as in `joint`).
         """
         return declare_placed_constraint(
             self, name, "point_on_plane", (a, at, turn), (b, child_at, {}), None, where
@@ -439,8 +461,15 @@ class ConstraintMethods:
     def no_sideslip(
         self: Any, name: str, frame: BodyLike | Frame, speed: Value | str = 0.0
     ) -> Declared:
-        """The origin of a frame has no velocity along its y axis, as a wheel whose axle is y, or
-        has the `speed`.
+        """Forbid velocity of a frame's origin along its y axis, or prescribe it as `speed`.
+
+        The constraint is that of a wheel with axle y.
+
+        The constraint is that of a wheel with axle y.
+
+        The constraint is that of a wheel with axle y.
+
+        The constraint is that of a wheel with axle y.
         """
         return self.constrain(constraints.NoSideslip(str(frame), speed=speed), name)
 
@@ -454,8 +483,11 @@ class ConstraintMethods:
         spin: bool = True,
         one_sided: bool = False,
     ) -> Declared:
-        """A ball or disc about a frame's origin rolls without slipping on the xy-plane of `on`
-        (default: the ground).
+        """Let a ball or disc roll without slipping on the xy-plane of `on` (default: the ground).
+
+        The centre of the ball or disc is the origin of `frame`.
+
+        The centre of the ball or disc is the origin of `frame`.
 
         The axle of a disc is y of its frame. Without `spin` it does not turn about the normal
         either; `one_sided`: it may leave the plane.
@@ -473,8 +505,11 @@ class ConstraintMethods:
         radius: Value | str = 0.0,
         shape: str = "ball",
     ) -> Declared:
-        """A point, or a ball or disc about a frame's origin, stays above the xy-plane of `on`
-        (default: the ground).
+        """Keep a point, ball or disc above the xy-plane of `on` (default: the ground).
+
+        The point, or the centre of the ball or disc, is the origin of `frame`.
+
+        The point, or the centre of the ball or disc, is the origin of `frame`.
         """
         return self.constrain(
             constraints.Contact(str(frame), None if on is None else str(on), radius, shape), name
@@ -487,8 +522,11 @@ class ConstraintMethods:
         of: Sequence[str] = (),
         time: bool = False,
     ) -> Declared:
-        """An equation f = 0 of coordinates, or several: ``"A = 2*B"``, or a function of the
-        coordinates named in `of`.
+        """Add an equation f = 0 of coordinates, or several.
+
+        The equation is a text, ``"A = 2*B"``, or a function of the coordinates named in `of`.
+
+        The equation is a text, ``"A = 2*B"``, or a function of the coordinates named in `of`.
 
         A function is called with a mapping from these names to numbers, with `time` also with the
         time t. Text finds its coordinates itself; other names are parameters.
@@ -502,7 +540,7 @@ class ConstraintMethods:
         of: Sequence[str] = (),
         time: bool = False,
     ) -> Declared:
-        """An inequality f >= 0 of coordinates, or several, as `equation` takes it: ``"1.2 - A"``."""
+        """Add an inequality f >= 0 of coordinates, or several, as in `equation`: ``"1.2 - A"``."""
         return self.constrain(constraints.Inequality(expression, of, time, name=name), name)
 
     def velocity_equation(
@@ -513,8 +551,13 @@ class ConstraintMethods:
         b: Any = 0,
         time: bool = False,
     ) -> Declared:
-        """Rows A(q) v = b(q, t) over the velocities of the coordinates named in `of`:
-        ``[["-y^2", 0, 1]]``.
+        """Add equations A(q) v = b(q, t) of velocities.
+
+        v are the velocities of the coordinates named in `of`, and the rows of A are texts,
+        ``[["-y^2", 0, 1]]``, or a function.
+
+        v are the velocities of the coordinates named in `of`, and the rows of A are texts,
+        ``[["-y^2", 0, 1]]``, or a function.
 
         `matrix` holds numbers and texts, or is a function that returns rows; so is `b`, one number
         for each row.
@@ -527,8 +570,7 @@ class ConstraintMethods:
 
 @explain_method_errors
 class Mechanism(ConstraintMethods):
-    """A system under construction: bodies, joints between any two of them, frames, couplings,
-    limits, parameters.
+    """System under construction: bodies, joints, frames, couplings, limits and parameters.
 
     Every method that adds something returns its record or name; a wrong call raises at once and
     changes nothing. Lengths are metres, angles radians; both may be expressions in parameters, such
@@ -573,7 +615,7 @@ class Mechanism(ConstraintMethods):
 
     @property
     def ground(self) -> Body:
-        """The body that does not move: body 0."""
+        """Body that does not move: body 0."""
         return self.bodies[self._ground]
 
     def body(
@@ -583,18 +625,25 @@ class Mechanism(ConstraintMethods):
         center: Iterable[float] | None = None,
         where: Where | None = None,
     ) -> Body:
-        """A new rigid body; `mass` in kg and `center` of mass (x, y, z) in the body's frame are
-        optional.
+        """Add a rigid body and return it.
+
+        `mass` in kg and `center` of mass (x, y, z) in the body's frame are optional.
+
+        `mass` in kg and `center` of mass (x, y, z) in the body's frame are optional.
         """
         return self._add_body(checks.make_body(name, False, mass, center, where))
 
     def particle(self, name: str, mass: float | None = None, where: Where | None = None) -> Body:
-        """A new particle: a point mass without orientation. Attach it by a prismatic, translation
-        or free joint.
+        """Add a particle, a point mass without orientation, and return it.
+
+        Attach it by a prismatic, translation or free joint.
+
+        Attach it by a prismatic, translation or free joint.
         """
         return self._add_body(checks.make_body(name, True, mass, None, where))
 
     def _add_body(self, body: Body) -> Body:
+        """Add a body whose name is not taken and return it."""
         self._check_free_name(body.name, "body", body.where)
         self.bodies[body.name] = body
         return body
@@ -607,8 +656,11 @@ class Mechanism(ConstraintMethods):
         where: Where | None = None,
         **turn: Any,
     ) -> Frame:
-        """A new named frame on a body, placed by `at`, `rpy`, `angle`, `axis`, `quat_wxyz`,
-        `matrix` as in `place`.
+        """Add a named frame to a body and return it.
+
+        `at`, `rpy`, `angle`, `axis`, `quat_wxyz` and `matrix` place the frame as in `place`.
+
+        `at`, `rpy`, `angle`, `axis`, `quat_wxyz` and `matrix` place the frame as in `place`.
         """
         on = self._find_body(body, f"frame {name!r}", where)
         self._check_free_name(checks.check_name(name, "frame"), "frame", where)
@@ -652,7 +704,7 @@ class Mechanism(ConstraintMethods):
         where: Where | None = None,
         **turn: Any,
     ) -> Shape:
-        """A new shape of a body: what is seen of it, what it collides with, or both.
+        """Add a shape to a body, for drawings, for collisions, or for both, and return it.
 
         Parameters
         ----------
@@ -703,7 +755,7 @@ class Mechanism(ConstraintMethods):
         try:
             made = make_geometry(kind, {**sizes, "path": path, "scale": scale})
             self._check_parameters(made.names)
-            made.evaluate(self.parameters)
+            made.evaluate_sizes(self.parameters)
             if any(x != 0.0 for x in (roll, pitch, yaw)):
                 if "rpy" in turn:
                     raise InputError("orientation given twice, by rpy and roll, pitch, yaw")
@@ -728,9 +780,7 @@ class Mechanism(ConstraintMethods):
         return shape
 
     def parameter(self, name: str, number: float) -> Expression:
-        """A named parameter (a length in metres, an angle in radians) for use in placements;
-        returns it as a value.
-        """
+        """Add a named parameter, a length [m] or an angle [rad], and return it as a value."""
         parsed = (
             read_value(name, "parameter name")
             if isinstance(name, str) and name.isidentifier()
@@ -773,7 +823,7 @@ class Mechanism(ConstraintMethods):
         where: Where | None = None,
         **options: Any,
     ) -> Joint:
-        """A new joint of type `kind` between any two bodies.
+        """Add a joint of type `kind` between any two bodies and return it.
 
         Frame F sits on the parent at `at`, turned by `rpy` (or `angle` about z, `quat_wxyz`,
         `matrix`), and then so that its z is `axis`; frame M sits on the child at `child_at`
@@ -836,50 +886,59 @@ class Mechanism(ConstraintMethods):
         return self.joints[name]
 
     def fixed(self, name: str, parent: BodyLike, child: BodyLike, **keywords: Any) -> Joint:
-        """A joint that does not move; keywords as in `joint`."""
+        """Add a joint that does not move; keywords as in `joint`."""
         return self.joint(name, "fixed", parent, child, **keywords)
 
     def revolute(self, name: str, parent: BodyLike, child: BodyLike, **keywords: Any) -> Joint:
-        """A revolute joint about z of its frame F (or `axis`); keywords as in `joint`."""
+        """Add a revolute joint about z of its frame F (or `axis`); keywords as in `joint`."""
         return self.joint(name, "revolute", parent, child, **keywords)
 
     def prismatic(self, name: str, parent: BodyLike, child: BodyLike, **keywords: Any) -> Joint:
-        """A prismatic joint along z of its frame F (or `axis`); keywords as in `joint`."""
+        """Add a prismatic joint along z of its frame F (or `axis`); keywords as in `joint`."""
         return self.joint(name, "prismatic", parent, child, **keywords)
 
     def helical(
         self, name: str, parent: BodyLike, child: BodyLike, pitch: float, **keywords: Any
     ) -> Joint:
-        """A screw joint about z with `pitch` metres a radian; keywords as in `joint`."""
+        """Add a helical (screw) joint about z with `pitch` in m/rad; keywords as in `joint`."""
         return self.joint(name, "helical", parent, child, pitch=pitch, **keywords)
 
     def cylindrical(self, name: str, parent: BodyLike, child: BodyLike, **keywords: Any) -> Joint:
-        """A cylindrical joint: rotation about z and translation along z; keywords as in `joint`."""
+        """Add a cylindrical joint: rotation about z, translation along z; keywords as in `joint`."""
         return self.joint(name, "cylindrical", parent, child, **keywords)
 
     def universal(self, name: str, parent: BodyLike, child: BodyLike, **keywords: Any) -> Joint:
-        """A universal joint: rotation about x of F, then about y of M; keywords as in `joint`."""
+        """Add a universal joint: rotation about x of F, then about y of M; keywords as in `joint`."""
         return self.joint(name, "universal", parent, child, **keywords)
 
     def planar(self, name: str, parent: BodyLike, child: BodyLike, **keywords: Any) -> Joint:
-        """A planar joint: translation along x and y, rotation about z; keywords as in `joint`."""
+        """Add a planar joint: translation along x and y, rotation about z; keywords as in `joint`."""
         return self.joint(name, "planar", parent, child, **keywords)
 
     def translation(self, name: str, parent: BodyLike, child: BodyLike, **keywords: Any) -> Joint:
-        """A joint that only translates, along x, y and z (in the plane x and y); keywords as in
-        `joint`.
+        """Add a joint that only translates, along x, y, z (in the plane x, y).
+
+        Keywords as in `joint`.
+
+        Keywords as in `joint`.
         """
         return self.joint(name, "translation", parent, child, **keywords)
 
     def spherical(self, name: str, parent: BodyLike, child: BodyLike, **keywords: Any) -> Joint:
-        """A ball joint, by a quaternion or, with `angles=True`, by three angles; keywords as in
-        `joint`.
+        """Add a ball joint; keywords as in `joint`.
+
+        Its coordinates are a quaternion or, with `angles=True`, three angles.
+
+        Its coordinates are a quaternion or, with `angles=True`, three angles.
         """
         return self.joint(name, "spherical", parent, child, **keywords)
 
     def free(self, name: str, parent: BodyLike, child: BodyLike, **keywords: Any) -> Joint:
-        """A joint that allows all motions: its coordinates are the child's pose; keywords as in
-        `joint`.
+        """Add a joint that allows all motions; its coordinates are the child's pose.
+
+        Keywords as in `joint`.
+
+        Keywords as in `joint`.
         """
         return self.joint(name, "free", parent, child, **keywords)
 
@@ -892,7 +951,7 @@ class Mechanism(ConstraintMethods):
         offset: Value | str = 0.0,
         where: Where | None = None,
     ) -> Coupling:
-        """A linear relation: coordinate `of` = sum of multiplier * source + `offset`.
+        """Add a linear relation: coordinate `of` = sum of multiplier * source + `offset`.
 
         With one source it is a mimic or a gear and `of` leaves the configuration; with several it
         is a constraint.
@@ -920,17 +979,17 @@ class Mechanism(ConstraintMethods):
     def gear(
         self, driven: str, driver: str, ratio: Value | str, offset: Value | str = 0.0
     ) -> Coupling:
-        """A gear between two coordinates: driven = ratio * driver + offset."""
+        """Add a gear between two coordinates: driven = ratio * driver + offset."""
         return self.couple(driven, {driver: ratio}, offset)
 
     def posture(self, name: str, coordinates: Mapping[str, float]) -> None:
-        """Declare a named posture: values of some coordinates by name, the others neutral."""
+        """Declare a named posture: values of some coordinates by name; the others are neutral."""
         if name in self.postures:
             raise InputError(f"posture {name!r} exists already")
         self.postures[name] = checks.check_numbers(coordinates, f"posture {name!r}")
 
     def group(self, name: str, joints: Iterable[str]) -> None:
-        """Declare a named group of joints, of which `System.group` makes a system.
+        """Declare a named group of joints, from which `System.group` makes a system.
 
         Errors: `UnknownNameError`; `InputError` where the name is taken.
         """
@@ -957,7 +1016,7 @@ class Mechanism(ConstraintMethods):
         self.ignored_pairs[pair] = str(reason)  # type: ignore[index]
 
     def lock(self, coordinates: Mapping[str, float]) -> Mechanism:
-        """Hold coordinates at values: they leave the configuration. Returns the mechanism itself."""
+        """Fix coordinates at values, which removes them from q, and return the mechanism itself."""
         self.locks |= checks.check_numbers(coordinates, "lock")
         return self
 
@@ -970,8 +1029,7 @@ class Mechanism(ConstraintMethods):
         prefix: str = "",
         **placement: Any,
     ) -> Mechanism:
-        """Mount a copy of `other` on a body or frame of this mechanism by a fixed joint; returns
-        the mechanism itself.
+        """Mount a copy of `other` on a body or frame by a fixed joint; return the mechanism.
 
         All names of `other` get the `prefix`; its ground becomes a body, held at `at`, `rpy`, ...
         of `to` by the joint ``<prefix><ground>_mount``. Parameters of the same name and value are
@@ -982,12 +1040,12 @@ class Mechanism(ConstraintMethods):
         return self
 
     def subchain(self, base: BodyLike, tip: BodyLike | Frame) -> Mechanism:
-        """A new mechanism: the bodies and joints between `base`, its new ground, and `tip`."""
+        """Return a mechanism of the bodies and joints between `base`, its new ground, and `tip`."""
 
         return extract_subchain(self, str(base), str(tip))
 
     def copy(self) -> Mechanism:
-        """An independent copy."""
+        """Return an independent copy of the mechanism."""
         out = copy.copy(self)
         for key in (
             "bodies",
@@ -1006,13 +1064,21 @@ class Mechanism(ConstraintMethods):
         return out
 
     def build(self) -> System:
-        """The compiled `System`. Errors: `DescriptionError` that names what does not fit together."""
+        """Return the compiled `System`.
+
+        Errors: `DescriptionError` that names the parts that do not fit together.
+
+        Errors: `DescriptionError` that names the parts that do not fit together.
+        """
         with pause_garbage_collection(len(self.bodies)):
             return import_late("System")(self)
 
     def save(self, path: str | Path) -> Path:
-        """Write the mechanism to a file, in the format of its ending (.toml holds everything);
-        returns the path.
+        """Write the mechanism to a file and return the path.
+
+        The ending of the name chooses the format (.toml holds everything).
+
+        The ending of the name chooses the format (.toml holds everything).
         """
         return import_late("write")(self, path)
 
@@ -1023,7 +1089,7 @@ class Mechanism(ConstraintMethods):
         )
 
     def _repr_html_(self) -> str | None:
-        """The system that it makes, in a notebook; None, for its text, where it makes none yet."""
+        """Return the mechanism's system as HTML for a notebook; None if it cannot be built yet."""
         try:
             return self.build()._repr_html_()
         except KempeError:
@@ -1035,8 +1101,11 @@ class Mechanism(ConstraintMethods):
     __hash__ = None  # type: ignore[assignment]
 
     def content(self) -> tuple[Any, ...]:
-        """All content as nested tuples in the order of declaration, without file positions and
-        notes.
+        """Return all content as nested tuples, in the order of declaration.
+
+        File positions and notes are left out.
+
+        File positions and notes are left out.
         """
         return (
             self.name,
@@ -1061,6 +1130,7 @@ class Mechanism(ConstraintMethods):
     # ---- checks
 
     def _check_free_name(self, name: str, kind: str, where: Where | None) -> None:
+        """Raise `DescriptionError` if a body or a frame has this name already."""
         taken = self.bodies.get(name) or self.frames.get(name)
         if taken is not None:
             what = "body" if name in self.bodies else "frame"
@@ -1073,12 +1143,13 @@ class Mechanism(ConstraintMethods):
             )
 
     def _check_parameters(self, names: Iterable[str]) -> None:
-        """Refuse names that are no parameters. Errors: `UnknownNameError`."""
+        """Raise `UnknownNameError` if a name is no parameter of the mechanism."""
         for name in sorted(names):
             if name not in self.parameters:
                 raise UnknownNameError("parameter", name, self.parameters, self.name)
 
     def _check_joint_name(self, name: str, subject: str, where: Where | None) -> None:
+        """Raise `DescriptionError` if a joint or a constraint has this name already."""
         taken = self.joints.get(name) or self.constraints.get(name)
         if taken is not None:
             what = "joint" if name in self.joints else "constraint"
@@ -1091,6 +1162,12 @@ class Mechanism(ConstraintMethods):
             )
 
     def _find_body(self, body: BodyLike, subject: str, where: Where | None) -> Body:
+        """Return the body of this name.
+
+        Errors: `DescriptionError`.
+
+        Errors: `DescriptionError`.
+        """
         name = body.name if isinstance(body, Body) else body
         if not isinstance(name, str) or name not in self.bodies:
             checks.raise_problem(
@@ -1101,6 +1178,12 @@ class Mechanism(ConstraintMethods):
     def _make_placement(
         self, at: object, turn: Mapping[str, Any], subject: str, where: Where | None, on: Body
     ) -> Placement:
+        """Return the placement of a point or frame with an orientation on a body.
+
+        Errors: `DescriptionError`.
+
+        Errors: `DescriptionError`.
+        """
         try:
             if isinstance(at, (Frame, str)):
                 frame = self.frames.get(str(at))
@@ -1116,13 +1199,19 @@ class Mechanism(ConstraintMethods):
 
 
 def choose_unused_name(m: Mechanism, name: str) -> str:
-    """Return the name, with dashes behind it where a body, a frame, a joint or a constraint has it."""
+    """Return the name, with apostrophes appended while a part of the mechanism has it."""
     while any(name in parts for parts in (m.bodies, m.frames, m.joints, m.constraints)):
         name += "'"
     return name
 
 
 def _get_mechanism(thing: Mechanism | System) -> Mechanism:
+    """Return the mechanism itself, or the mechanism of a system.
+
+    Errors: `InputError`.
+
+    Errors: `InputError`.
+    """
     mechanism = thing if isinstance(thing, Mechanism) else getattr(thing, "mechanism", None)
     if not isinstance(mechanism, Mechanism):
         raise InputError(f"{thing!r} is no Mechanism or System; read a file with kempe.read first")
@@ -1139,7 +1228,7 @@ def attach_mechanism(
     prefix: str,
     placement: Mapping[str, Any],
 ) -> None:
-    """Copy `guest` into `host`, its ground fixed to the body or frame `to` (the ground where None)."""
+    """Copy `guest` into `host` and fix its ground to `to` (default: the ground)."""
     if guest.dim != host.dim:
         raise InputError(
             f"{guest.name!r} has dim {guest.dim}, {host.name!r} has dim {host.dim}; they must be "
@@ -1206,8 +1295,11 @@ def attach_mechanism(
 
 
 def _refuse_clashes(host: Mechanism, guest: Mechanism, prefix: str) -> None:
-    """Refuse names of the guest that the host has, too; bodies and frames share names, joints and
-    constraints do.
+    """Raise `DescriptionError` if the guest has names that the host has, too.
+
+    Bodies and frames share names, and joints and constraints do.
+
+    Bodies and frames share names, and joints and constraints do.
     """
     taken: list[str] = []
     shared = [("bodies", "frames"), ("joints", "constraints")]
@@ -1234,8 +1326,7 @@ def _refuse_clashes(host: Mechanism, guest: Mechanism, prefix: str) -> None:
 
 
 def extract_subchain(mechanism: Mechanism, base: str, tip: str) -> Mechanism:
-    """The bodies and joints on the shortest path from body `base` to body or frame `tip`, as a
-    mechanism.
+    """Return the mechanism of the shortest path from body `base` to body or frame `tip`.
 
     Frames on these bodies, constraints between them, couplings and locks among these joints come
     along; one that follows a free coordinate outside is refused, as the chain alone would move
@@ -1254,7 +1345,7 @@ def extract_subchain(mechanism: Mechanism, base: str, tip: str) -> Mechanism:
 
 
 def extract_group(mechanism: Mechanism, name: str, held: Mapping[str, float]) -> Mechanism:
-    """The bodies and joints of a group, as a mechanism.
+    """Return the mechanism of the bodies and joints of a group.
 
     Its ground is the body from which all its joints branch off. Joints on the way to them that are
     not in the group are locked at the values `find_value_field`; bodies that are fixed to moving ones come
@@ -1287,13 +1378,13 @@ def extract_group(mechanism: Mechanism, name: str, held: Mapping[str, float]) ->
 
 
 def _list_coordinates(mechanism: Mechanism, joint: Joint) -> list[str]:
-    """Names of the coordinates of a joint."""
+    """Return the names of the coordinates of a joint."""
     of = joint.type.list_coordinate_names(mechanism.dim, mechanism.bodies[joint.child].particle)
     return [f"{joint.name}.{c}" if c else joint.name for c in of]
 
 
 def _list_path_bodies(came: Mapping[str, Joint | None], body: str) -> list[str]:
-    """The bodies from the ground to a body."""
+    """Return the bodies from the ground to a body, in order."""
     way = [body]
     while (joint := came[way[-1]]) is not None:
         way.append(joint.parent if joint.child == way[-1] else joint.child)
@@ -1301,7 +1392,7 @@ def _list_path_bodies(came: Mapping[str, Joint | None], body: str) -> list[str]:
 
 
 def _extract_part(mechanism: Mechanism, name: str, base: str, path: Iterable[Joint]) -> Mechanism:
-    """A part of a mechanism: these joints, their bodies, and what belongs to them alone."""
+    """Return the mechanism of these joints, their bodies, and all that belongs to them alone."""
     path = list(path)
     kept = {base} | {b for j in path for b in (j.parent, j.child)}
     out = Mechanism(f"{mechanism.name}: {name}", mechanism.dim, ground=base)
@@ -1335,8 +1426,11 @@ def _extract_part(mechanism: Mechanism, name: str, base: str, path: Iterable[Joi
 def _keep_coupling(
     mechanism: Mechanism, out: Mechanism, coupling: Coupling, coordinates: set[str]
 ) -> None:
-    """Keep a coupling that reaches outside the chain, where it does so only through locks and other
-    couplings.
+    """Add a coupling to `out` if its outside sources are locked or follow coordinates inside.
+
+    Errors: `DescriptionError` where it follows a free coordinate outside.
+
+    Errors: `DescriptionError` where it follows a free coordinate outside.
     """
     sources = dict(coupling.sources)
     offset = coupling.offset
@@ -1364,8 +1458,11 @@ def _keep_coupling(
 
 
 def _find_shortest_paths(mechanism: Mechanism, base: str, end: str = "") -> dict[str, Joint | None]:
-    """Bodies by nearness to `base`, as far as `end`, each with the joint by which the shortest path
-    comes to it.
+    """Return the bodies by nearness to `base`, each with the last joint of the shortest path to it.
+
+    The search stops at `end`.
+
+    The search stops at `end`.
     """
     neighbours: dict[str, list[tuple[str, Joint]]] = {b: [] for b in mechanism.bodies}
     for joint in sorted(mechanism.joints.values(), key=lambda j: (j.cut, j.name)):
@@ -1385,7 +1482,12 @@ def _find_shortest_paths(mechanism: Mechanism, base: str, end: str = "") -> dict
 
 
 def find_path_joints(mechanism: Mechanism, base: str, end: str) -> list[Joint]:
-    """The joints on the shortest path from a body to another. Errors: `DescriptionError`."""
+    """Return the joints on the shortest path from body `base` to body `end`.
+
+    Errors: `DescriptionError`.
+
+    Errors: `DescriptionError`.
+    """
     came = _find_shortest_paths(mechanism, base, end)
     if end not in came:
         raise DescriptionError(
@@ -1399,7 +1501,7 @@ def find_path_joints(mechanism: Mechanism, base: str, end: str) -> list[Joint]:
 
 
 def number_components(bodies: Iterable[str], ends: Iterable[tuple[str, str]]) -> dict[str, int]:
-    """For each body the number of the connected part that it belongs to."""
+    """Return for each body the number of the connected component that holds the body."""
     neighbours: dict[str, list[str]] = {b: [] for b in bodies}
     for a, b in ends:
         neighbours[a].append(b)

@@ -1,4 +1,4 @@
-"""Several joints of one body as one joint: a product of turns and slides about x, y and z.
+"""Conversion of several joints of one body to one joint: a product of rotations and translations.
 
 Where axes are oblique or do not meet, the product has turns and slides between them that are held.
 """
@@ -20,8 +20,7 @@ EXACT = 1e-14
 
 
 class Product(NamedTuple):
-    """A product in words with its frames: `first` on the parent, seen from the body, and `last` on
-    the body.
+    """Product of elementary motions, with its frames: `first` on the parent, `last` on the body.
 
     `names` are its coordinates, `of_joint` the (first) coordinate of each joint, `held` the values
     of those that are constant.
@@ -36,7 +35,7 @@ class Product(NamedTuple):
 
 
 class _Factors:
-    """The factors of a product while it grows, and the frame that they have reached."""
+    """Factors of a product of elementary motions, and the pose that they have reached."""
 
     def __init__(self, R: Array, p: Array):
         self.R = R
@@ -45,8 +44,13 @@ class _Factors:
         self.count = 0
         self.held: dict[int, float] = {}
 
-    def add(self, word: str, value: float | None = None) -> int:
-        """Append a factor, held where a value is given; returns the place of its coordinate."""
+    def add_factor(self, word: str, value: float | None = None) -> int:
+        """Append a factor and return the index of its coordinate.
+
+        A factor with a `value` is constant.
+
+        A factor with a `value` is constant.
+        """
         at = self.count
         self.words.append(word)
         self.count += 4 if word == "S" else 1
@@ -54,10 +58,8 @@ class _Factors:
             self.held[at] = value
         return at
 
-    def go_to(self, joint: dict[str, Any]) -> int:
-        """Go to a frame of a joint, by constant slides and turns; returns which of its axes is that
-        of the joint.
-        """
+    def go_to_joint(self, joint: dict[str, Any]) -> int:
+        """Append constant motions up to a frame of a joint; return the joint's axis (0, 1, 2)."""
         local = self.R.T @ np.array(joint["axis"])
         if joint["kind"] != "slide":
             d = self.R.T @ (np.array(joint["pos"]) - self.p)
@@ -65,33 +67,33 @@ class _Factors:
                 d -= (d @ local) * local
             for letter, x in zip("xyz", d.tolist(), strict=True):
                 if abs(x) > EXACT:
-                    self.add(f"P({letter})", x)
+                    self.add_factor(f"P({letter})", x)
             self.p = self.p + self.R @ d
         if joint["kind"] == "ball":
             # a ball's quaternion is read in the axes of the body
             roll, pitch, yaw = matrix_to_rpy(self.R.T).tolist()
-            self.turn(2, yaw)
-            self.turn(1, pitch)
-            self.turn(0, roll)
+            self.add_turn(2, yaw)
+            self.add_turn(1, pitch)
+            self.add_turn(0, roll)
             return 2
         for letter in range(3):
             if np.abs(local - np.eye(3)[letter]).max() <= EXACT:
                 return letter
         letter = int(np.abs(local).argmax())
         m, n = (letter + 1) % 3, (letter + 2) % 3
-        self.turn(n, math.atan2(local[m], local[letter]))
-        self.turn(m, math.atan2(-local[n], math.hypot(local[letter], local[m])))
+        self.add_turn(n, math.atan2(local[m], local[letter]))
+        self.add_turn(m, math.atan2(-local[n], math.hypot(local[letter], local[m])))
         return letter
 
-    def turn(self, letter: int, angle: float) -> None:
-        """A constant turn."""
+    def add_turn(self, letter: int, angle: float) -> None:
+        """Append a constant rotation by `angle` [rad] about axis `letter` (0, 1, 2 for x, y, z)."""
         if abs(angle) > EXACT:
-            self.add(f"R({'xyz'[letter]})", angle)
+            self.add_factor(f"R({'xyz'[letter]})", angle)
             self.R = self.R @ _make_rotation(letter, angle)
 
 
 def make_product(joints: Sequence[dict[str, Any]], qpos0: Sequence[float]) -> Product:
-    """The product of joints (hinges, slides, and a ball at the end) of one body.
+    """Return the product of the joints of one body: hinges, slides, and perhaps a ball at the end.
 
     A joint moves the body by N E(q - ref) N^-1, where N is a frame on its axis and E its turn or
     slide: from one N to the next lead constant slides and turns, of which `make_axes_frame` needs few.
@@ -106,9 +108,9 @@ def make_product(joints: Sequence[dict[str, Any]], qpos0: Sequence[float]) -> Pr
     of_joint: list[int] = []
     back = Placement()
     for k, joint in enumerate(joints):
-        letter = f.go_to(joint)
+        letter = f.go_to_joint(joint)
         if joint["kind"] == "ball":
-            of_joint.append(f.add("S"))
+            of_joint.append(f.add_factor("S"))
             back = Placement()
             continue
         kind = "P" if joint["kind"] == "slide" else "R"
@@ -119,10 +121,10 @@ def make_product(joints: Sequence[dict[str, Any]], qpos0: Sequence[float]) -> Pr
         if ref and (ahead or not f.words):
             first = first @ _make_step(kind, name, -ref)
             ref = 0.0
-        of_joint.append(f.add(f"{kind}({name})"))
+        of_joint.append(f.add_factor(f"{kind}({name})"))
         back = _make_step(kind, name, ref)
         if ref and k < len(joints) - 1:
-            f.add(f"{kind}({name})", -ref)
+            f.add_factor(f"{kind}({name})", -ref)
     words = " ".join(f.words)
     last = place(pose(f.R, f.p)) @ back
     return Product(
@@ -131,12 +133,17 @@ def make_product(joints: Sequence[dict[str, Any]], qpos0: Sequence[float]) -> Pr
 
 
 def _make_step(kind: str, letter: str, x: float) -> Placement:
-    """A constant turn or slide as a placement."""
+    """Return a constant rotation [rad] or translation [m] along an axis as a placement."""
     return Placement(((letter if kind == "P" else f"r{letter}", (x,)),)) if x else Placement()
 
 
 def make_axes_frame(axes: Sequence[Array]) -> Array:
-    """A rotation whose columns are as many of the axes as can be, natural letters first."""
+    """Return a rotation (3, 3) whose columns are as many of the axes as possible.
+
+    An axis goes to the column of its largest component where that is free.
+
+    An axis goes to the column of its largest component where that is free.
+    """
     columns: dict[int, Array] = {}
     for a in axes:
         if len(columns) < 3 and all(abs(a @ c) <= EXACT for c in columns.values()):
@@ -161,6 +168,7 @@ def make_axes_frame(axes: Sequence[Array]) -> Array:
 
 
 def _make_rotation(letter: int, angle: float) -> Array:
+    """Return the rotation (3, 3) by an angle [rad] about axis `letter` (0, 1, 2 for x, y, z)."""
     c, s = math.cos(angle), math.sin(angle)
     R = np.eye(3)
     m, n = (letter + 1) % 3, (letter + 2) % 3

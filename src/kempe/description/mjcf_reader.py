@@ -1,4 +1,4 @@
-"""A mechanism from MJCF text, through the model that MuJoCo's compiler makes of it.
+"""Reader of MJCF text, through the model that MuJoCo's compiler makes of it.
 
 The compiler resolves includes, defaults, angles, frames, replicas and references; what is left is a
 table of bodies and joints. `q` has the order and the values of MuJoCo's qpos, except for
@@ -54,13 +54,13 @@ def read_mjcf(
     """
     merged = Merged(text, source, package_dirs)
     reader = _Reader(compile_mjcf(merged), merged)
-    mechanism = reader.run()
+    mechanism = reader.read_mechanism()
     mechanism.roots = tuple(map(str, list_folders(package_dirs)))
     return mechanism
 
 
 class _Reader:
-    """The tables of a compiled model, and the mechanism that they become."""
+    """Reader that turns the tables of a compiled model into a mechanism."""
 
     def __init__(self, tables: Row, merged: Merged):
         self.t = tables
@@ -79,12 +79,17 @@ class _Reader:
         self.taken: set[str] = set()
         """Names of joints and constraints."""
 
-    def run(self) -> Mechanism:
-        """The mechanism, or all problems of the file at once."""
+    def read_mechanism(self) -> Mechanism:
+        """Return the mechanism.
+
+        Errors: `DescriptionError` with all problems of the file.
+
+        Errors: `DescriptionError` with all problems of the file.
+        """
         self._check_numbers()
-        self.findings.finish()
+        self.findings.raise_problems()
         for b, row in enumerate(self.t["bodies"][1:], 1):
-            with self.findings.guard(f"body {self.bodies[b]!r}", self._locate_row(row)):
+            with self.findings.record_errors(f"body {self.bodies[b]!r}", self._locate_row(row)):
                 self._read_body(b, row)
         for name, row in zip(self.sites, self.t["sites"], strict=True):
             self.m.frame(
@@ -94,22 +99,23 @@ class _Reader:
                 where=self._locate_row(row),
                 **_make_turn(row),
             )
-        self.findings.finish()
+        self.findings.raise_problems()
         for row in self.t["geoms"]:
             self._read_shape(row)
         self._read_equalities()
         self._read_tendon_ranges()
         self._read_postures()
         self._note_unread_elements()
-        self.findings.finish()
+        self.findings.raise_problems()
         self.m.notes = self.findings.notes
         return self.m
 
     def _locate_row(self, row: Row) -> Where:
-        return self.merged.where(row["line"])
+        """Return the place in the file of the element that a row describes."""
+        return self.merged.locate_line(row["line"])
 
     def _choose_name(self, *wishes: str) -> str:
-        """A name of a joint or constraint that none has: the first wish that is free."""
+        """Return the first free name among the wishes for a joint or constraint, and reserve it."""
         name = next((w for w in wishes if w and w not in self.taken), wishes[-1])
         while name in self.taken:
             name += "'"
@@ -117,25 +123,29 @@ class _Reader:
         return name
 
     def _check_numbers(self) -> None:
-        """Refuse numbers that are not finite, which MuJoCo lets pass."""
+        """Record a problem for each number that is not finite; MuJoCo accepts them."""
         for word, key in (("body", "bodies"), ("joint", "joints"), ("site", "sites")):
             for row in self.t[key]:
                 for what in ("pos", "quat", "axis", "range"):
                     if not np.isfinite(row.get(what) or ()).all():
-                        self.findings.add(
+                        self.findings.add_problem(
                             f"{what} has a number that is not finite",
                             f"{word} {row['name']!r}",
                             self._locate_row(row),
                             "it must be finite numbers",
                         )
         if not np.isfinite(self.t["qpos0"]).all():
-            self.findings.add(
-                "ref of a joint is not finite", "", self.merged.where(0), "it must be a number"
+            self.findings.add_problem(
+                "ref of a joint is not finite",
+                "",
+                self.merged.locate_line(0),
+                "it must be a number",
             )
 
     # ---- bodies and joints
 
     def _read_body(self, b: int, row: Row) -> None:
+        """Add a body and its joints to the mechanism."""
         m = self.m
         name = self.bodies[b]
         where = self._locate_row(row)
@@ -153,13 +163,14 @@ class _Reader:
             )
             if row["mocap"]:
                 said = "it is a mocap body, which a program moves; it is held where it stands"
-                self.findings.note(said, f"body {name!r}", where)
+                self.findings.add_note(said, f"body {name!r}", where)
         elif len(joints) == 1:
             self._read_joint(parent, name, row, *joints[0])
         else:
             self._read_joint_product(parent, name, row, joints)
 
     def _read_joint(self, parent: str, child: str, body: Row, j: int, joint: Row) -> None:
+        """Add the only joint of a body to the mechanism."""
         m = self.m
         kind = joint["kind"]
         name = self._choose_name(joint["name"], child)
@@ -197,7 +208,7 @@ class _Reader:
     def _read_joint_product(
         self, parent: str, child: str, body: Row, joints: list[tuple[int, Row]]
     ) -> None:
-        """Several joints of a body: one joint, whose coordinates are theirs in their order."""
+        """Add the joints of a body as one joint that has all their coordinates in order."""
         where = self._locate_row(joints[0][1])
         name = self._choose_name(child)
         product = make_product([row for _, row in joints], self.t["qpos0"])
@@ -229,22 +240,31 @@ class _Reader:
                 self.coordinates[j] = f"{name}.{part}"
                 self._add_addresses(row, [f"{name}.{part}"])
                 said.append(f"{row['name'] or 'a ' + row['kind']} is {name}.{part}")
-        self.findings.note(
+        self.findings.add_note(
             f"its {len(joints)} joints are one: {', '.join(said)}", f"body {child!r}", where
         )
 
     def _add_addresses(self, joint: Row, names: Sequence[str]) -> None:
+        """Record the places in qpos of the coordinates of a joint."""
         self.addresses += [(joint["address"] + k, name) for k, name in enumerate(names)]
 
     def _note_ball_range(self, name: str, joint: Row) -> None:
+        """Note that the range of a ball joint is left out."""
         if joint["range"] is not None:
             said = f"its range of {joint['range'][1]:.6g} rad about any axis is left out"
-            self.findings.note(said, f"joint {joint['name'] or name!r}", self._locate_row(joint))
+            self.findings.add_note(
+                said, f"joint {joint['name'] or name!r}", self._locate_row(joint)
+            )
 
     # ---- shapes
 
     def _read_shape(self, row: Row) -> None:
-        """A geom as a shape: what touches nothing is only seen, and groups from 3 on are not seen."""
+        """Add a geom to its body as a shape.
+
+        A geom without contacts is only drawn; geoms in groups from 3 on are not drawn.
+
+        A geom without contacts is only drawn; geoms in groups from 3 on are not drawn.
+        """
         on = self.bodies[int(row["body"])]
         where = self._locate_row(row)
         subject = f"geom {row['name']!r}" if row["name"] else f"a geom of body {on!r}"
@@ -264,14 +284,14 @@ class _Reader:
         elif not visual and not row["touches"]:
             said = "it is neither seen nor touched, and is left out"
         if said or sizes is None:
-            self.findings.note(said, subject, where)
+            self.findings.add_note(said, subject, where)
             return
         given = (
             {"path": self._make_mesh_path(mesh), "scale": mesh["scale"]}
             if mesh
             else sizes(row["size"])
         )
-        with self.findings.guard(subject, where):
+        with self.findings.record_errors(subject, where):
             self.m.shape(
                 on,
                 row["kind"],
@@ -286,15 +306,16 @@ class _Reader:
             )
 
     def _make_mesh_path(self, mesh: Row) -> str:
-        """The path of a mesh from the folder of the model."""
+        """Return the path of a mesh, relative to the folder of the model."""
         file = os.path.basename(mesh["file"]) if mesh["strip"] else mesh["file"]
         return os.path.normpath(
-            os.path.join(self.merged.folder(mesh["line"]), mesh["folder"], file)
+            os.path.join(self.merged.find_folder(mesh["line"]), mesh["folder"], file)
         )
 
     # ---- equalities and tendons
 
     def _read_equalities(self) -> None:
+        """Add the active equalities to the mechanism as constraints and couplings."""
         for e, row in enumerate(self.t["equalities"]):
             name = self._choose_name(row["name"], f"equality{e}")
             subject = f"equality {name!r}"
@@ -306,26 +327,33 @@ class _Reader:
                 "tendon": self._read_tendon_equality,
             }.get(row["kind"])
             if not row["active"]:
-                self.findings.note("it is not active, and is left out", subject, where)
+                self.findings.add_note("it is not active, and is left out", subject, where)
             elif make is None:
-                self.findings.note(f"{row['kind']} is left out", subject, where)
+                self.findings.add_note(f"{row['kind']} is left out", subject, where)
             else:
-                with self.findings.guard(subject, where):
+                with self.findings.record_errors(subject, where):
                     make(name, row, where)
 
     def _list_ends(self, row: Row) -> tuple[str, str]:
+        """Return the names of the two bodies or sites that an equality ties."""
         names = self.sites if row["sites"] else self.bodies
         return names[int(row["a"])], names[int(row["b"])]
 
     def _read_connect(self, name: str, row: Row, where: Where) -> None:
+        """Add an equality that holds two points together."""
         a, b = self._list_ends(row)
         d = row["data"]
         at_a, at_b = ((0.0, 0.0, 0.0),) * 2 if row["sites"] else (tuple(d[0:3]), tuple(d[3:6]))
         self.m.constrain(_KINDS["position"](a, at_b, at_a, other=b), name, where)
 
     def _read_weld(self, name: str, row: Row, where: Where) -> None:
-        """Point d[3:6] of body a is d[0:3] of body b, which is turned by the quaternion d[6:10];
-        with a torque scale of 0 it may turn.
+        """Add an equality that holds the pose of body b in body a.
+
+        Point d[3:6] of body a is d[0:3] of body b, which is turned by the quaternion d[6:10]; with
+        a torque scale of 0 the rotation stays free.
+
+        Point d[3:6] of body a is d[0:3] of body b, which is turned by the quaternion d[6:10]; with
+        a torque scale of 0 the rotation stays free.
         """
         a, b = self._list_ends(row)
         d = row["data"]
@@ -340,7 +368,7 @@ class _Reader:
             self.m.constrain(_KINDS["pose"](b, X, other=a), name, where)
 
     def _read_joint_equality(self, name: str, row: Row, where: Where) -> None:
-        """Coordinate a = polynomial of coordinate b, both counted from their references."""
+        """Add the relation: coordinate a = polynomial of b, both relative to references."""
         a = self.coordinates[row["a"]]
         b = self.coordinates.get(row["b"])
         c = row["data"][0:5]
@@ -356,10 +384,11 @@ class _Reader:
             self._add_relation(name, [(a, 1.0)], ref_a, of_b, ref_b, c, where)
 
     def _get_reference(self, j: int) -> float:
+        """Return the reference value of a joint in qpos0."""
         return float(self.t["qpos0"][self.t["joints"][j]["address"]])
 
     def _is_follower(self, name: str, other: str) -> bool:
-        """Whether the coordinate `name` is `other`, or follows it."""
+        """Whether the coordinate `name` is `other`, or follows it through couplings."""
         while name != other:
             if name not in self.m.couplings:
                 return False
@@ -367,10 +396,11 @@ class _Reader:
         return True
 
     def _read_tendon_equality(self, name: str, row: Row, where: Where) -> None:
+        """Add the relation between the lengths of two fixed tendons."""
         first = self.t["tendons"][row["a"]]
         second = self.t["tendons"][row["b"]] if row["b"] >= 0 else None
         if first["joints"] is None or (second and second["joints"] is None):
-            self.findings.note(
+            self.findings.add_note(
                 "it ties a tendon that runs in space, and is left out",
                 f"equality {name!r}",
                 where,
@@ -387,6 +417,7 @@ class _Reader:
         )
 
     def _list_terms(self, tendon: Row) -> list[tuple[str, float]]:
+        """Return the coordinates of a fixed tendon with their coefficients."""
         return [(self.coordinates[j], float(w)) for j, w in tendon["joints"]]
 
     def _add_relation(
@@ -399,7 +430,7 @@ class _Reader:
         c: list[float],
         where: Where,
     ) -> None:
-        """The equation left - rest = c0 + c1 (right - rest) + c2 (right - rest)^2 + ..."""
+        """Add the equation left - rest = c0 + c1 (right - rest) + c2 (right - rest)^2 + ..."""
         text = f"{_format_sum(left)}{-left_rest - c[0]:+.17g}"
         other = f"({_format_sum(right)}{-right_rest:+.17g})" if right else ""
         for power, factor in enumerate(c[1:], 1):
@@ -408,19 +439,19 @@ class _Reader:
         self.m.constrain(_KINDS["equation"](text), name, where)
 
     def _read_tendon_ranges(self) -> None:
-        """Ranges of fixed tendons become inequalities."""
+        """Add the ranges of fixed tendons as inequalities."""
         for k, row in enumerate(self.t["tendons"]):
             name = row["name"] or f"tendon{k}"
             where = self._locate_row(row)
             if row["joints"] is None:
                 what = "" if row["range"] is None else ", and so is its range"
                 said = f"it runs in space: it moves no body, and is left out{what}"
-                self.findings.note(said, f"tendon {name!r}", where)
+                self.findings.add_note(said, f"tendon {name!r}", where)
             elif row["range"] is not None and row["joints"]:
                 low, high = row["range"]
                 length = _format_sum(self._list_terms(row))
                 texts = (f"{length}{-low:+.17g}", f"{high:.17g}-({length})")
-                with self.findings.guard(f"tendon {name!r}", where):
+                with self.findings.record_errors(f"tendon {name!r}", where):
                     self.m.constrain(
                         _KINDS["inequality"](texts), self._choose_name(name, f"{name}_range"), where
                     )
@@ -428,6 +459,7 @@ class _Reader:
     # ---- postures and notes
 
     def _read_postures(self) -> None:
+        """Add the key frames, and qpos0 where it is not zero, as postures."""
         neutral = [1.0 if name.endswith(".qw") else 0.0 for _, name in self.addresses]
         at_rest = [self.t["qpos0"][a] for a, _ in self.addresses]
         keys = [(row["name"] or f"key{k}", row["qpos"]) for k, row in enumerate(self.t["keys"])]
@@ -447,26 +479,27 @@ class _Reader:
                 )
 
     def _note_unread_elements(self) -> None:
+        """Note the elements of the model that are left out, such as actuators and sensors."""
         t = self.t
-        here = self.merged.where(0)
+        here = self.merged.locate_line(0)
         for word in ("actuators", "sensors"):
             if t[word]:
                 said = f"{format_count(t[word], word[:-1])} of the simulator left out"
-                self.findings.note(said, where=here)
+                self.findings.add_note(said, where=here)
         for word in ("flexes", "plugins"):
             for name in t[word]:
-                self.findings.note(
+                self.findings.add_note(
                     "it is left out", f"{word[:-1].removesuffix('e')} {name!r}", here
                 )
         unknown = {int(g["body"]) for g in t["geoms"] if g["weighs"] and g["body"]}
         without = [self.bodies[b] for b in sorted(unknown) if t["bodies"][b]["mass"] is None]
         if without:
             said = "their masses follow from meshes, which are not read"
-            self.findings.note(said, f"bodies {', '.join(map(repr, without))}", here)
+            self.findings.add_note(said, f"bodies {', '.join(map(repr, without))}", here)
 
 
 def _choose_names(rows: Iterable[Row], word: str, taken: set[str]) -> list[str]:
-    """Names that differ, in order; what has none gets a word and its number."""
+    """Return different names for the rows; a row without a name gets `word` and a number."""
     out: list[str] = []
     for i, row in enumerate(rows):
         name = row["name"] if row["name"].strip() else f"{word}{i}"
@@ -480,11 +513,11 @@ def _choose_names(rows: Iterable[Row], word: str, taken: set[str]) -> list[str]:
 
 
 def _make_turn(row: Row) -> Row:
-    """The orientation of a row as a keyword of `place`, none where it is not turned."""
+    """Return the orientation of a row as a keyword of `place`; {} where the row is not rotated."""
     quat = tuple(row["quat"])
     return {} if quat == (1.0, 0.0, 0.0, 0.0) else {"quat_wxyz": quat}
 
 
 def _format_sum(terms: Iterable[tuple[str, float]]) -> str:
-    """A sum of coordinates as text of an equation."""
+    """Return a sum of coordinates as the text of an equation."""
     return "".join(f"{w:+.17g}*`{name}`" for name, w in terms).removeprefix("+") or "0"

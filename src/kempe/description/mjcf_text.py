@@ -1,4 +1,4 @@
-"""MJCF text: its includes resolved, and compiled by MuJoCo in a process with limits.
+"""MJCF text with its includes resolved, compiled by MuJoCo in a process with limits.
 
 MuJoCo opens no file itself: what a text includes is read here, from the folders of the model only.
 """
@@ -57,7 +57,7 @@ _VALUE = re.compile(r"""\s(\w+)\s*=\s*(["'])([-+\w.\s]*)\2""")
 
 
 class _Piece(NamedTuple):
-    """Some lines of a file, of which the first is its line `line`."""
+    """Consecutive lines of a file; `line` is the number of the first line."""
 
     source: Source
     line: int
@@ -65,7 +65,7 @@ class _Piece(NamedTuple):
 
 
 class Merged:
-    """The text of a model and of all that it includes, one below the other.
+    """Text of a model with the texts of all files that it includes, one below the other.
 
     MuJoCo's messages name lines only, so every line of every file has a number of its own here.
     `files` are other files that the text needs while it is parsed, by name.
@@ -90,23 +90,25 @@ class Merged:
         while self._models:
             self._add_model(*self._models.pop(0))
 
-    def where(self, line: int) -> Where:
-        """The place of a line of the text, in the file that it came from."""
+    def locate_line(self, line: int) -> Where:
+        """Return the place of a line of the merged text in its original file."""
         if line < 1:
             return Where(self.main.name)
         k = self._find_piece(line)
         piece = self._pieces[k]
-        return piece.source.where(piece.line + line - self._starts[k])
+        return piece.source.locate_line(piece.line + line - self._starts[k])
 
-    def folder(self, line: int) -> str:
-        """From the folder of the main model the way to that of the model which a line is of."""
+    def find_folder(self, line: int) -> str:
+        """Return the path from the main model's folder to the folder of a line's model."""
         there = self._folders[self._find_piece(line)] if self._pieces else None
         return "" if there == self._home or not there else os.path.relpath(there, self._home)
 
     def _find_piece(self, line: int) -> int:
+        """Return the index of the piece of text that holds a line."""
         return max(bisect_right(self._starts, line) - 1, 0)
 
     def _add_model(self, name: str, source: Source, folder: Path | None) -> None:
+        """Append the text of a model with all files that it includes."""
         text = _check_text(source)
         pieces = self._split_pieces(source, text, (0, len(text)), [folder], {source.name})
         before = self._lines
@@ -129,14 +131,14 @@ class Merged:
         folders: list[Path | None],
         seen: set[str],
     ) -> list[_Piece]:
-        """A part of a text, and the files that it includes where it includes them."""
+        """Return a part of a text in pieces, with included files in place of their <include>."""
         pieces: list[_Piece] = []
         start, stop = part
         for match in _INCLUDE.finditer(text, start, stop):
             named = _FILE.search(match[1])
             if named is None:
                 continue
-            where = source.where_offset(match.start())
+            where = source.locate_offset(match.start())
             path = self._find_file("include", named[2], folders, where)
             if str(path) in seen:
                 raise make_error(
@@ -157,16 +159,15 @@ class Merged:
         return [*pieces, _make_piece(source, text, start, stop)]
 
     def _rename_files(self, piece: _Piece, folder: Path | None) -> str:
-        """The text of a piece in which the models and meshes that MuJoCo reads while it parses have
-        names of `files`.
-        """
+        """Return the text of a piece in which files that MuJoCo reads have the names of `files`."""
 
         def replace_name(match: re.Match[str]) -> str:
+            """Return an element with its file name replaced by the name in `files`."""
             tag = match[0]
             file = _FILE.search(tag)
             if file is None:
                 return tag
-            where = piece.source.where(piece.line + piece.text.count("\n", 0, match.start()))
+            where = piece.source.locate_line(piece.line + piece.text.count("\n", 0, match.start()))
             mesh = _FOLDER.search("".join(p.text for p in self._pieces))
             beside = folder / mesh[2] if folder and mesh else folder
             folders = [folder] if match[1] == "model" else [beside, folder]
@@ -185,11 +186,14 @@ class Merged:
     # ---- files
 
     def _find_file(self, tag: str, name: str, folders: list[Path | None], where: Where) -> Path:
-        """The file that an element names, in the folders of the model. Errors:
-        `DescriptionError`.
+        """Return the file that an element names, in the folders of the model.
+
+        Errors: `DescriptionError`.
+
+        Errors: `DescriptionError`.
         """
         places = (folder / name for folder in (*folders, *self._given) if folder is not None)
-        found, outside = self._readable.first_file(places)
+        found, outside = self._readable.find_first_file(places)
         if found is not None:
             return found
         if outside is not None:
@@ -205,7 +209,7 @@ class Merged:
         )
 
     def _read_source(self, path: Path, name: str, of: Source, where: Where) -> Source:
-        """The text of a file, called as the user would call it."""
+        """Return the text of a file, under the name that the user would give it."""
         called = os.path.normpath(os.path.join(os.path.dirname(of.name), name))
         if os.path.realpath(called) != str(path):
             called = str(path)
@@ -218,6 +222,12 @@ class Merged:
         return made
 
     def _read_bytes(self, path: Path, where: Where) -> bytes:
+        """Return the bytes of a file.
+
+        Errors: `DescriptionError`.
+
+        Errors: `DescriptionError`.
+        """
         try:
             data = read_bounded_file(path)
         except OSError as error:
@@ -237,21 +247,22 @@ class Merged:
 
 
 def blank_comments(text: str) -> str:
-    """The text with blanks in place of comments and declarations, every character in its place."""
+    """Return the text with blanks in place of comments and declarations; all positions stay."""
     return _BLANKED.sub(lambda m: re.sub(r"[^\r\n]", " ", m[0]), text)
 
 
 def _check_is_mjcf(source: Source) -> None:
+    """Raise `DescriptionError` if the outermost element is not that of MJCF."""
     opening = _OPENING.search(blank_comments(source.text))
     if opening is None:
         said = (
             "there is no element in it" if "<" in source.text else "the file holds no XML element"
         )
-        raise make_error(said, source.where(1), "MJCF starts with <mujoco>")
+        raise make_error(said, source.locate_line(1), "MJCF starts with <mujoco>")
     tag = opening[1]
     if tag == "mujoco":
         return
-    where = source.where_offset(opening.start())
+    where = source.locate_offset(opening.start())
     if tag == "mujocoinclude":
         raise make_error(
             "this is a part of models, <mujocoinclude>", where, "load the model that includes it"
@@ -260,14 +271,17 @@ def _check_is_mjcf(source: Source) -> None:
 
 
 def _check_text(source: Source) -> str:
-    """The text of a source without comments. Errors: `DescriptionError` for a DTD, and for numbers
-    that are none.
+    """Return the text of a source without comments.
+
+    Errors: `DescriptionError` for a DTD, and for entries that are no numbers.
+
+    Errors: `DescriptionError` for a DTD, and for entries that are no numbers.
     """
     text = blank_comments(source.text)
     if (at := text.find("<!DOCTYPE")) >= 0:
         raise make_error(
             "the file has a DTD (<!DOCTYPE ...>)",
-            source.where_offset(at),
+            source.locate_offset(at),
             "remove it: a DTD can pull in other files or grow without bound, and is never read",
         )
     _refuse_nan(source, text)
@@ -275,7 +289,7 @@ def _check_text(source: Source) -> str:
 
 
 def _refuse_nan(source: Source, text: str) -> None:
-    """Refuse lists of numbers with one that is none, of which MuJoCo only warns."""
+    """Raise `DescriptionError` if a list of numbers has an entry that is none; MuJoCo only warns."""
     for match in _VALUE.finditer(text) if _NAN.search(text) else ():
         words = match[3].split()
         if len(words) > 1 or match[1] in ("ref", "coef", "mass"):
@@ -283,12 +297,13 @@ def _refuse_nan(source: Source, text: str) -> None:
             if bad and all(map(_is_number, words)):
                 raise make_error(
                     f"{match[1]} holds {bad!r}",
-                    source.where_offset(match.start(3)),
+                    source.locate_offset(match.start(3)),
                     "it must be finite numbers",
                 )
 
 
 def _is_number(word: str) -> bool:
+    """Whether a word is a number."""
     try:
         float(word)
     except ValueError:
@@ -297,12 +312,13 @@ def _is_number(word: str) -> bool:
 
 
 def _make_piece(source: Source, text: str, start: int, stop: int) -> _Piece:
-    line = source.where_offset(start).line
+    """Return the piece of a text from `start` to `stop`, with its source and first line."""
+    line = source.locate_offset(start).line
     return _Piece(source, line, text[start:stop].replace("\r\n", "\n").replace("\r", "\n"))
 
 
 def _find_children(source: Source, text: str) -> tuple[int, int]:
-    """Where the children of the outermost element of a file begin and end."""
+    """Return where the children of the outermost element of a file begin and end."""
     opening = _OPENING.search(text)
     if opening and not opening[0].endswith("/>"):
         stop = text.rfind(f"</{opening[1]}")
@@ -310,7 +326,9 @@ def _find_children(source: Source, text: str) -> tuple[int, int]:
             return opening.end(), stop
     parse_xml(source.text, source.name, Findings())
     raise make_error(
-        "this file is included, and there is nothing in it", source.where(1), "an include has parts"
+        "this file is included, and there is nothing in it",
+        source.locate_line(1),
+        "an include has parts",
     )
 
 
@@ -318,7 +336,7 @@ def _find_children(source: Source, text: str) -> tuple[int, int]:
 
 
 def compile_mjcf(merged: Merged) -> dict[str, Any]:
-    """The tables of `kempe.description.mjcf_worker` for a text.
+    """Return the tables of `kempe.description.mjcf_worker` for a text.
 
     Errors: `MissingExtraError` without the extra [mjcf], `DescriptionError` with what MuJoCo says.
     """
@@ -348,6 +366,7 @@ def compile_mjcf(merged: Merged) -> dict[str, Any]:
 
 
 def _make_stop_error(reason: str, code: int | None, said: str, merged: Merged) -> DescriptionError:
+    """Return the error for a compiler process that a limit stopped."""
     limits = {
         "time": f"MuJoCo's compiler did not finish in {SECONDS} s",
         "memory": f"MuJoCo's compiler needs more than {MEMORY >> 30} GiB of memory",
@@ -357,7 +376,7 @@ def _make_stop_error(reason: str, code: int | None, said: str, merged: Merged) -
     message = (
         limits.get(reason) or crashed or f"MuJoCo's compiler failed: {extract_last_lines(said)}"
     )
-    return make_error(message, merged.where(0), "a smaller model must be given")
+    return make_error(message, merged.locate_line(0), "a smaller model must be given")
 
 
 _MESSAGES: tuple[tuple[str, str, str], ...] = (
@@ -424,7 +443,7 @@ _LINE = re.compile(r"Line number=(\d+)")
 
 
 def _make_compiler_error(said: str, merged: Merged) -> DescriptionError:
-    """The error for what MuJoCo's compiler says."""
+    """Return the error for a message of MuJoCo's compiler."""
     if "XML parse error" in said:
         for source in merged.sources:
             parse_xml(source.text, source.name, Findings())
@@ -436,7 +455,7 @@ def _make_compiler_error(said: str, merged: Merged) -> DescriptionError:
     if not number and subject and name:
         called = re.search(rf"""\bname\s*=\s*(["\']){re.escape(name[1])}\1""", merged.text)
         number = merged.text.count("\n", 0, called.start()) + 1 if called else 0
-    where = merged.where(number)
+    where = merged.locate_line(number)
     first = re.sub(r"^(XML Error|Error): (Error: )?", "", said.strip().splitlines()[0])
     for pattern, message, allowed in _MESSAGES:
         if found := re.fullmatch(pattern, first):

@@ -1,4 +1,4 @@
-"""What MuJoCo's compiler makes of an MJCF text, as plain data.
+"""Conversion of an MJCF text to plain data by MuJoCo's compiler.
 
 This file is run as a program of its own, in a process with limits (`kempe.description.mjcf_text`),
 and imports nothing of Kempe.
@@ -22,9 +22,15 @@ TETRAHEDRON = [0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1]
 
 
 def compile_model(text: str, files: dict[str, bytes]) -> dict[str, Any]:
-    """The tables of a model, or ``{"error": ...}`` with what MuJoCo says, or ``{"missing": ...}``
-    where its version lacks something; `files` by name are those that the text needs while it is
-    parsed.
+    """Return the tables of a model, or the error of MuJoCo.
+
+    The result is ``{"error": ...}`` with the message of MuJoCo where the text is wrong, and
+    ``{"missing": ...}`` where its version lacks something; `files` by name are those that the text
+    needs while it is parsed.
+
+    The result is ``{"error": ...}`` with the message of MuJoCo where the text is wrong, and
+    ``{"missing": ...}`` where its version lacks something; `files` by name are those that the text
+    needs while it is parsed.
     """
     mujoco: Any = import_module("mujoco")
     try:
@@ -39,7 +45,7 @@ def compile_model(text: str, files: dict[str, bytes]) -> dict[str, Any]:
 
 
 def _strip_spec(mujoco: Any, spec: Any) -> dict[str, Any]:
-    """Take out of a spec what would be read from files or cost time; returns what was there."""
+    """Remove from a spec what would be read from files or cost time, and return what was there."""
     for mesh in spec.meshes:
         # older versions name a mesh after its file no sooner than they read it
         mesh.name = mesh.name or os.path.splitext(os.path.basename(mesh.file))[0]
@@ -76,6 +82,7 @@ def _strip_spec(mujoco: Any, spec: Any) -> dict[str, Any]:
 
 
 def _remove_mesh_file(mesh: Any) -> None:
+    """Replace the file of a mesh by a tetrahedron."""
     if mesh.file or mesh.plugin.active:
         mesh.plugin.active = False
         mesh.file = ""
@@ -86,7 +93,7 @@ def _remove_mesh_file(mesh: Any) -> None:
 
 
 def _simplify_texture(mujoco: Any, texture: Any) -> None:
-    """Replace a texture of a file by one of a single colour."""
+    """Replace a texture from a file by a texture of a single colour."""
     if not texture.file and not any(texture.cubefiles):
         return
     texture.file = ""
@@ -100,6 +107,7 @@ def _simplify_texture(mujoco: Any, texture: Any) -> None:
 
 
 def _describe_mesh(spec: Any, mesh: Any) -> dict[str, Any]:
+    """Return the file, folder, scale and line of a mesh."""
     moved = [*mesh.refpos, *mesh.refquat] != [0, 0, 0, 1, 0, 0, 0]
     return {
         "file": mesh.file,
@@ -112,7 +120,7 @@ def _describe_mesh(spec: Any, mesh: Any) -> dict[str, Any]:
 
 
 def _replace_mesh_geom(mujoco: Any, geom: Any) -> dict[str, Any]:
-    """Replace what a geom reads from files by a small sphere, which keeps its frame."""
+    """Replace a geom that needs files by a small sphere with the same frame, and describe the geom."""
     types = mujoco.mjtGeom
     kind = geom.type
     mesh = geom.meshname
@@ -136,18 +144,21 @@ def _replace_mesh_geom(mujoco: Any, geom: Any) -> dict[str, Any]:
 
 
 def _get_line(element: Any) -> int:
-    """The line of an element, 0 where there is none."""
+    """Return the line of an element; 0 where it is unknown."""
     words = element.info.replace(",", " ").split()
     return int(words[words.index("line") + 1]) if "line" in words else 0
 
 
 def _build_tables(mujoco: Any, spec: Any, model: Any, what: dict[str, Any]) -> dict[str, Any]:
+    """Return the tables of the compiled model: bodies, joints, sites, geoms and more."""
     types = mujoco.mjtObj
 
     def get_name(kind: Any, i: int) -> str:
+        """Return the name of an object of the model; '' where it has none."""
         return mujoco.mj_id2name(model, kind, i) or ""
 
     def list_lines(elements: Any) -> dict[int, int]:
+        """Return the lines of elements by their numbers in the model."""
         return {e.id: _get_line(e) for e in elements}
 
     joint_lines = list_lines(spec.joints)
@@ -257,7 +268,7 @@ def _build_tables(mujoco: Any, spec: Any, model: Any, what: dict[str, Any]) -> d
 
 
 def _find_color(model: Any, g: int) -> list[float] | None:
-    """The colour of a geom, else that of its material; None for the one that MuJoCo gives to all."""
+    """Return the colour of a geom or of its material; None for the default colour of MuJoCo."""
     own = model.geom_rgba[g].tolist()
     material = int(model.geom_matid[g])
     if own != [0.5, 0.5, 0.5, 1.0]:
@@ -266,14 +277,14 @@ def _find_color(model: Any, g: int) -> list[float] | None:
 
 
 def _list_weightless_bodies(spec: Any, shapes: list[dict[str, Any]]) -> set[int]:
-    """Ids of the bodies whose mass is not known, since a mesh is not read."""
+    """Return the numbers of the bodies whose mass is unknown, since a mesh is not read."""
     found = {shape["element"].parent.id for shape in shapes if shape["weighs"]}
     scaled = found and spec.compiler.settotalmass > 0
     return {body.id for body in spec.bodies} if scaled else found
 
 
 def _get_mass(model: Any, body: Any, weightless: set[int]) -> float | None:
-    """The mass of a body, None where it has none or where it follows from a mesh."""
+    """Return the mass of a body [kg]; None where it has none or where it follows from a mesh."""
     stated = body.explicitinertial and int(body.compiler.inertiafromgeom) != 1
     stated = stated and body.compiler.settotalmass <= 0
     mass = float(model.body_mass[body.id])
@@ -281,7 +292,7 @@ def _get_mass(model: Any, body: Any, weightless: set[int]) -> float | None:
 
 
 def _list_tendon_joints(mujoco: Any, model: Any, t: int) -> list[tuple[int, float]] | None:
-    """The joints of a fixed tendon with their coefficients, None for a spatial one."""
+    """Return the joints of a fixed tendon with their coefficients; None for a spatial tendon."""
     first = int(model.tendon_adr[t])
     parts = range(first, first + int(model.tendon_num[t]))
     if any(int(model.wrap_type[i]) != int(mujoco.mjtWrap.mjWRAP_JOINT) for i in parts):
@@ -290,7 +301,7 @@ def _list_tendon_joints(mujoco: Any, model: Any, t: int) -> list[tuple[int, floa
 
 
 def write_compiled_model(settings: dict[str, Any]) -> None:
-    """Compile what the settings hold, and write the answer to the output.
+    """Compile the model in `settings` and write its tables to standard output as JSON.
 
     From the import of MuJoCo on the process can open no file: what the text names is in `settings`,
     or is not read.

@@ -1,6 +1,4 @@
-"""Folders in which the files of a robot lie: its package and the neighbours, folders that are
-named, and those of ROS.
-"""
+"""Folders with the files of a robot: its package, neighbours, named folders, ROS folders."""
 
 from __future__ import annotations
 
@@ -27,8 +25,7 @@ _ABSOLUTE = re.compile(r"[/\\~]|[A-Za-z]:")
 
 
 def list_folders_around(folder: Path) -> list[Path]:
-    """Folders that belong to a folder with a robot's file: itself, its package, and the folder with
-    the package and its neighbours.
+    """Return the folders of a robot's file: its own, its package, and the parent of that.
 
     The package is the nearest folder from it upwards with a package.xml, else itself. A home folder
     and the first level of a disk are never taken as a whole.
@@ -38,17 +35,18 @@ def list_folders_around(folder: Path) -> list[Path]:
 
 
 def _is_package(folder: Path) -> bool:
+    """Whether a folder is a ROS package: it holds a package.xml."""
     return os.path.isfile(folder / MANIFEST)
 
 
 def can_search_folder(folder: Path) -> bool:
-    """Whether a folder can be taken as a whole: no home folder, or first level of a disk."""
+    """Whether a folder may be searched as a whole: no home folder and no top folder of a disk."""
     home = Path.home()
     return len(folder.parts) > 2 and folder not in (home, *home.parents)
 
 
 def list_ros_folders() -> list[Path]:
-    """Folders of packages that ROS names in the environment."""
+    """Return the folders of packages that ROS names in environment variables."""
     listed = {
         name: [Path(d) for d in os.environ.get(name, "").split(os.pathsep) if d]
         for name in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH", "ROS_ROOT")
@@ -58,7 +56,7 @@ def list_ros_folders() -> list[Path]:
 
 
 class Folders:
-    """Folders of which files may be read, and the packages found by them.
+    """Folders from which files may be read, and the packages in them.
 
     `roots` are the folder with the file of a robot and those that were named for it, `readable`
     also their packages and the neighbours of these.
@@ -71,7 +69,7 @@ class Folders:
 
     @cached_property
     def packages(self) -> dict[str, Path]:
-        """Packages by name: those whose package.xml says so, then folders that are called so.
+        """Packages by the name in their package.xml, then folders by their own name.
 
         They are above the roots, in readable folders, and at some depth below the roots and the
         folders of ROS.
@@ -86,11 +84,16 @@ class Folders:
             found.setdefault(folder.name, folder)
         return found
 
-    def first_file(
+    def find_first_file(
         self, places: Iterable[Path], package: Path | None = None
     ) -> tuple[Path | None, Path | None]:
-        """The first of the places that is a file in a readable folder or in this package, links and
-        ``..`` followed, and the first that is a file elsewhere; None where there is none.
+        """Return the first place that is a readable file, and the first that is a file elsewhere.
+
+        Readable is a file in a readable folder or in this package, links and ``..`` followed. None
+        stands where there is no such file.
+
+        Readable is a file in a readable folder or in this package, links and ``..`` followed. None
+        stands where there is no such file.
         """
         allowed = [*self.readable, *([package.resolve()] if package else [])]
         outside: Path | None = None
@@ -100,8 +103,8 @@ class Folders:
             outside = outside or file
         return None, outside
 
-    def find(self, path: str, subject: str = "mesh") -> Path:
-        """The existing file that a path in a robot's file means.
+    def find_file(self, path: str, subject: str = "mesh") -> Path:
+        """Return the existing file that a path in a robot's file means.
 
         ``package://name/rest`` is `rest` in a package of that name; any other path is relative to
         one of the roots. Errors: `InputError` for absolute paths, other schemes than package, files
@@ -121,7 +124,7 @@ class Folders:
         package = self.packages.get(parts[0]) if scheme else None
         places = [root.joinpath(*parts) for root in self.roots if not scheme]
         places += [package.joinpath(*parts[1:])] if package else []
-        found, outside = self.first_file(places, package)
+        found, outside = self.find_first_file(places, package)
         if found is not None:
             return found
         looked = ", ".join(repr(str(f)) for f in self.readable)
@@ -138,9 +141,7 @@ class Folders:
 
 
 def _list_subfolders(folder: Path) -> list[Path]:
-    """The folders directly in a folder, without hidden ones and links; none where it cannot be
-    listed.
-    """
+    """Return the folders directly in a folder, without hidden ones and links."""
     try:
         with os.scandir(folder) as entries:
             return sorted(
@@ -151,7 +152,7 @@ def _list_subfolders(folder: Path) -> list[Path]:
 
 
 def _iterate_packages(roots: Iterable[Path]) -> Iterator[Path]:
-    """Packages below folders, level by level; a package holds no others."""
+    """Iterate over the packages below folders, level by level; a package holds no other packages."""
     level = list(dict.fromkeys(roots))
     seen = 0
     for _ in range(DEPTH + 1):
@@ -166,7 +167,7 @@ def _iterate_packages(roots: Iterable[Path]) -> Iterator[Path]:
 
 
 def _read_package_name(package: Path) -> str:
-    """The name that a package.xml gives; the folder's where it gives none."""
+    """Return the name in the package.xml of a package, else the name of its folder."""
     try:
         with open(package / MANIFEST, encoding="utf-8", errors="replace") as file:
             found = _NAME.search(_COMMENT.sub("", file.read(1 << 16)))

@@ -1,4 +1,4 @@
-"""What a `Mechanism` is made of: plain records, without kinematics."""
+"""Records of which a `Mechanism` consists, without kinematics."""
 
 from __future__ import annotations
 
@@ -35,9 +35,10 @@ Limits = tuple[float, float]
 
 
 class ReadOnlyDict(dict[Any, Any]):
-    """A dict that can only be read, since it belongs to an immutable object."""
+    """Dictionary of an immutable object, which refuses every change."""
 
     def _refuse_change(self, *_: Any, **__: Any) -> NoReturn:
+        """Raise `TypeError` for every method that would change the dictionary."""
         raise TypeError(
             "this dict is read-only: nothing would change; change a Mechanism, or make another "
             "System by with_limits, with_parameters or lock"
@@ -52,14 +53,15 @@ class ReadOnlyDict(dict[Any, Any]):
 
 
 class InSentence:
-    """Base of records: a notebook shows their `sentence`; `repr` has their fields."""
+    """Base of records that a notebook shows by their `sentence`; `repr` has their fields."""
 
     @property
     def sentence(self) -> str:
-        """What the record says, as one sentence."""
+        """Description of the record in one sentence."""
         raise NotImplementedError
 
     def _repr_html_(self) -> str:
+        """Return the sentence as HTML for a notebook."""
         return format_html_paragraphs([self.sentence])
 
 
@@ -72,7 +74,7 @@ USES = {(True, True): "", (True, False): " (visual)", (False, True): " (collisio
 
 @dataclass(frozen=True)
 class Shape(InSentence):
-    """A shape on a body, placed by `X_BS`: what is seen of the body, what it collides with, or both.
+    """Shape on a body, placed by `X_BS`, for drawings, for collisions, or for both.
 
     `color` is red, green, blue and opacity, each from 0 to 1; None is the colour of drawings.
     """
@@ -87,13 +89,16 @@ class Shape(InSentence):
 
     @property
     def kind(self) -> str:
-        """Name of the kind of shape."""
+        """Name of the kind of shape, such as "box"."""
         return self.geometry.kind
 
     @property
     def sentence(self) -> str:
-        """The shape in words: "capsule of radius 0.04 m and length 0.4 m (collision), placed by z =
-        0.2".
+        """Description of the shape in one sentence.
+
+        For instance "capsule of radius 0.04 m and length 0.4 m (collision), placed by z = 0.2".
+
+        For instance "capsule of radius 0.04 m and length 0.4 m (collision), placed by z = 0.2".
         """
         named = f"{self.name}: " if self.name else ""
         placed = f", placed by {self.X_BS}" if self.X_BS.steps else ""
@@ -105,8 +110,11 @@ class Shape(InSentence):
 
 @dataclass(frozen=True)
 class Body(InSentence):
-    """A rigid body, or a particle: a body without orientation (3 degrees of freedom in space, 2 in
-    the plane).
+    """Rigid body, or particle: a body without orientation.
+
+    A particle has 3 degrees of freedom in space, 2 in the plane.
+
+    A particle has 3 degrees of freedom in space, 2 in the plane.
     """
 
     name: str
@@ -118,7 +126,7 @@ class Body(InSentence):
 
     @property
     def sentence(self) -> str:
-        """The body in words: "forearm: a rigid body, 2 kg, centre of mass at (0.1, 0, 0) m"."""
+        """Description in words: "forearm: a rigid body, 2 kg, centre of mass at (0.1, 0, 0) m"."""
         kind = "a particle, a body without orientation" if self.particle else "a rigid body"
         mass = "" if self.mass is None else f", {self.mass:.6g} kg"
         at = (
@@ -139,8 +147,11 @@ class Body(InSentence):
 
 @dataclass(frozen=True)
 class Joint(InSentence):
-    """A joint of any type between any two bodies: its frame F sits at `X_PF` on the parent, M at
-    `X_CM` on the child.
+    """Joint of any type between two bodies.
+
+    Its frame F sits at `X_PF` on the parent, its frame M at `X_CM` on the child.
+
+    Its frame F sits at `X_PF` on the parent, its frame M at `X_CM` on the child.
 
     `limits`, `velocity_limits` and `effort_limits` are by the joint's velocity coordinate names (''
     where there is one). `actuated` says that a motor drives it (True), that it is passive (False),
@@ -168,9 +179,7 @@ class Joint(InSentence):
 
     @property
     def sentence(self) -> str:
-        """The joint in words: its type, the bodies, the axis, the limits, who drives it, and what
-        it forbids.
-        """
+        """Description of the joint in words: type, bodies, axis, limits, actuation, constraints."""
         limits = (
             "" if not self.type.dof(self.dim, self.of_particle) else f", {self._describe_limits()}"
         )
@@ -181,8 +190,7 @@ class Joint(InSentence):
         )
 
     def forbids(self, dim: int | None = None, particle: bool | None = None) -> str:
-        """What the joint forbids in words: "B5 cannot slide along y or z, nor turn about x, y or z
-        of B0: ...".
+        """Return the forbidden motions in words: "B5 cannot slide along y or z, ...".
 
         Axes are those of the parent where the joint is aligned with them, else those of the joint's
         frame F. `dim` is 2 in a planar system; `particle` says that the child is a particle;
@@ -212,8 +220,11 @@ class Joint(InSentence):
         return f"{self.child} {said}: {total}{more_said}"
 
     def _name_axes(self, dim: int) -> tuple[dict[str, str], str]:
-        """For x, y, z of frame F the axis of the parent along which it lies, and the parent; F's
-        own if oblique.
+        """Return for x, y, z of frame F the parallel axis of the parent, and the parent's name.
+
+        Where an axis is oblique, the axes are those of F itself.
+
+        Where an axis is oblique, the axes are those of F itself.
 
         In the plane x of a joint that slides along z of F is its slide, as in `JointType.forbids`.
         """
@@ -230,9 +241,7 @@ class Joint(InSentence):
         }, self.parent
 
     def _describe_motion(self) -> str:
-        """About or along which axis it moves: ", turns about -z of ground"; of several axes what
-        they do.
-        """
+        """Return the motion in words: ", turns about -z of ground"; of several axes each motion."""
         kinds = [p.kind for p in self.type.layout(self.dim, self.of_particle)[1]]
         axes = {p.axis for p in self.type.layout(self.dim, self.of_particle)[1]}
         if not kinds:
@@ -251,7 +260,7 @@ class Joint(InSentence):
         return f", {' and '.join(MOVES[kind] for kind in kinds)} {self._describe_axis()}"
 
     def _describe_axis(self) -> str:
-        """The axis z of frame F as the parent sees it: "-z of ground", "(0.6, 0.8, 0) of arm"."""
+        """Return axis z of frame F as the parent sees it: "-z of ground", "(0.6, 0.8, 0) of arm"."""
         turns = Placement(tuple(step for step in self.X_PF.steps if step[0] not in ("x", "y", "z")))
         if turns.names:
             return f"z of its frame on {self.parent}"
@@ -265,7 +274,7 @@ class Joint(InSentence):
         )
 
     def _describe_limits(self) -> str:
-        """The limits: "from -1 to 1 rad", by coordinate where there are several; "without limits"."""
+        """Return the limits in words: "from -1 to 1 rad", by coordinate where there are several."""
         names, primitives = self.type.layout(self.dim, self.of_particle)
         turning = {names[p.coordinate] for p in reversed(primitives) if p.kind == R}
         out: list[str] = []
@@ -286,7 +295,7 @@ class Joint(InSentence):
 
 @dataclass(frozen=True)
 class Frame(InSentence):
-    """A named frame on a body."""
+    """Named frame on a body."""
 
     name: str
     body: str
@@ -295,7 +304,7 @@ class Frame(InSentence):
 
     @property
     def sentence(self) -> str:
-        """The frame in words: "tip: a frame on hand, placed by x = l1, rz = 0.5"."""
+        """Description of the frame in words: "tip: a frame on hand, placed by x = l1, rz = 0.5"."""
         at = f"placed by {self.X_BF}" if self.X_BF.steps else "in its origin"
         return f"{self.name}: a frame on {self.body}, {at}"
 
@@ -305,8 +314,7 @@ class Frame(InSentence):
 
 @dataclass(frozen=True)
 class Declared(InSentence):
-    """A constraint that a mechanism always holds: its kind with its numbers, `of`, and where its
-    ends are.
+    """Constraint that a mechanism always holds: its kind with numbers, `of`, and its ends.
 
     Frame A sits at `X_PF` on the body `parent`, frame B at `X_CM` on the body `child`; a constraint
     on coordinates has no bodies, which are then ''.
@@ -322,7 +330,7 @@ class Declared(InSentence):
 
     @property
     def sentence(self) -> str:
-        """The constraint in words."""
+        """Description of the constraint in words."""
         return f"{self.name}: {self.of.sentence}"
 
     @property
@@ -336,27 +344,27 @@ class Declared(InSentence):
         return [r.op for r in list_position_rows(self.of, 3)] == [Op.DISTANCE]
 
     def frames(self, parameters: Mapping[str, float], dim: int) -> tuple[Array, Array]:
-        """The poses (4, 4) of frame A on the body `parent`, and of frame B on the body `child`."""
+        """Return the poses (4, 4) of frame A on body `parent` and of frame B on body `child`."""
         made = evaluate_number_fields(self.of, parameters)
         B = self.X_CM.evaluate_pose(parameters) @ np.reshape(made.make_tool_pose(dim), (4, 4))
         return self.X_PF.evaluate_pose(parameters) @ made.make_goal_poses(dim), B
 
     def length(self, parameters: Mapping[str, float]) -> float:
-        """The length of a rod, in metres."""
+        """Return the length of a rod in metres."""
         made = evaluate_number_fields(self.of, parameters)
         (row,) = made.list_rows(3)
         return float(getattr(made, row.equal))
 
     def equations(self, dim: int) -> int:
-        """Number of equations f(q) = 0 of the constraint, in the plane (`dim` 2) or in space (3)."""
+        """Return the number of equations f(q) = 0 for dimension `dim` (2 or 3)."""
         return sum(r.count_equations(dim) for r in list_position_rows(self.of, dim))
 
     def positions(self, dim: int) -> int:
-        """Number of rows on positions, not velocities, in the plane (`dim` 2) or in space (3)."""
+        """Return the number of rows on positions, not velocities, for dimension `dim` (2 or 3)."""
         return self.equations(dim) + self.bounds(dim)
 
     def bounds(self, dim: int) -> int:
-        """Number of inequalities among the rows, in the plane (`dim` 2) or in space (3)."""
+        """Return the number of inequalities among the rows, for dimension `dim` (2 or 3)."""
         return sum(
             r.count_equations(dim)
             for r in self.of.list_rows(dim)
@@ -364,7 +372,12 @@ class Declared(InSentence):
         )
 
     def of_pose(self, dim: int) -> int:
-        """Number of equations on directions, rotations and distances, without those of expressions."""
+        """Return the number of equations on directions, rotations and distances.
+
+        Equations by expressions do not count.
+
+        Equations by expressions do not count.
+        """
         return sum(
             r.count_equations(dim)
             for r in list_position_rows(self.of, dim)
@@ -373,15 +386,13 @@ class Declared(InSentence):
 
     @property
     def links(self) -> bool:
-        """Whether the constraint takes freedoms from the motion between two bodies, without
-        expressions.
-        """
+        """Whether the constraint restricts the relative motion of two bodies, without expressions."""
         return bool(self.parent) and any(
             r.op not in (Op.TAPE, Op.CALL) for r in list_position_rows(self.of, 3)
         )
 
     def key(self) -> tuple[Any, ...]:
-        """All content of the constraint as a tuple that can be compared."""
+        """Return all content of the constraint as a tuple that can be compared."""
         return self.name, self.parent, self.child, self.X_PF, self.X_CM, make_content_key(self.of)
 
     def __eq__(self, other: object) -> bool:
@@ -396,9 +407,7 @@ class Declared(InSentence):
 
 @dataclass(frozen=True)
 class Coupling(InSentence):
-    """A linear relation of joint coordinates: coordinate `of` = sum of multiplier * source +
-    `offset`.
-    """
+    """Linear relation of coordinates: coordinate `of` = sum of multiplier * source + `offset`."""
 
     of: str
     sources: dict[str, Value]
@@ -407,7 +416,7 @@ class Coupling(InSentence):
 
     @property
     def sentence(self) -> str:
-        """The relation as an equation: "q2 = 2 q1 - 0.1"."""
+        """Relation as an equation: "q2 = 2 q1 - 0.1"."""
         out: list[str] = []
         for name, x in [*self.sources.items(), ("", self.offset)]:
             size = (

@@ -1,4 +1,4 @@
-"""Descriptions read, checked and written: from a file, a text or the library to a mechanism.
+"""Reading, checking and writing of descriptions: file, text or model of the library.
 
 The format is found out, and its reader or writer called.
 """
@@ -50,7 +50,7 @@ from kempe.library import path as library_path
 
 
 class _How(NamedTuple):
-    """How a description is read: in which format, and the options of `read_mechanism` that were given.
+    """Options for reading a description: its format, and the given options of `read_mechanism`.
 
     `folders` are those for meshes; with a file, its own is the first of them, and also `home`;
     `arguments` are those of xacro, None where nothing is expanded.
@@ -64,9 +64,7 @@ class _How(NamedTuple):
 
 
 class Check(NamedTuple):
-    """What `check_description` found: `problems`, which keep a description from being used, and `notes`, which
-    do not.
-    """
+    """Result of a check: `problems`, which make a description unusable, and harmless `notes`."""
 
     problems: tuple[Fault, ...]
     notes: tuple[str, ...]
@@ -85,7 +83,7 @@ def read_mechanism(
     lenient_limits: bool = False,
     srdf: str | Path | None = None,
 ) -> Mechanism:
-    """Mechanism from a file (its path), from text, or from a model of the library (its name).
+    """Return the mechanism of a file (path), of a text, or of a model of the library (name).
 
     `format` is a name in `kempe.description.formats.FORMATS`, such as "urdf", found out where None.
     ``base="free"`` and `lenient_limits` are for URDF and SDF, `root` is for URDF, see `read_urdf`,
@@ -138,7 +136,12 @@ def check_description(
     lenient_limits: bool = False,
     srdf: str | Path | None = None,
 ) -> Check:
-    """All problems and notes of a description, which is read and compiled; arguments as in `read_mechanism`."""
+    """Return all problems and notes of a description, which is read and compiled.
+
+    Arguments are those of `read_mechanism`.
+
+    Arguments are those of `read_mechanism`.
+    """
     try:
         mechanism = read_mechanism(
             source,
@@ -163,7 +166,7 @@ def check_description(
 
 
 def _remove_place(message: str, where: Where) -> str:
-    """A message without the path at its start, which the place of a `Fault` says again."""
+    """Return a message without the path at its start, which the place of a `Fault` repeats."""
     for path in (
         where.file,
         os.path.expanduser(where.file),
@@ -176,13 +179,13 @@ def _remove_place(message: str, where: Where) -> str:
 
 
 def _is_text(source: str) -> bool:
-    """Whether a string is a description itself rather than a path to one."""
+    """Whether a string is a description itself rather than the path of a file."""
     start = source.removeprefix("\ufeff").lstrip()
     return "\n" in source or not start or find_format_by_contents(start) is not None
 
 
 def _check_xacro_arguments(xacro: bool | Mapping[str, str | float]) -> dict[str, str] | None:
-    """The arguments of a xacro file; None where nothing is to be expanded."""
+    """Return the arguments of a xacro file; None where nothing is to be expanded."""
     if xacro is False:
         return None
     from kempe.description.xacro import check_xacro_arguments
@@ -191,6 +194,7 @@ def _check_xacro_arguments(xacro: bool | Mapping[str, str | float]) -> dict[str,
 
 
 def _read_file(path: Path, how: _How, arguments: dict[str, str] | None) -> Mechanism:
+    """Return the mechanism of a file; a xacro file is expanded first."""
     data = _read_bytes(path)
     if path.suffix == ".xacro" and arguments is None:
         from kempe.description.xacro import XACRO_ADVICE
@@ -216,7 +220,12 @@ def _read_file(path: Path, how: _How, arguments: dict[str, str] | None) -> Mecha
 
 
 def _read_bytes(path: Path) -> bytes:
-    """Contents of a file, of bounded size. Errors: `DescriptionError` that names what lies near."""
+    """Return the contents of a file of bounded size.
+
+    Errors: `DescriptionError` that names similar files.
+
+    Errors: `DescriptionError` that names similar files.
+    """
     where = Where(str(path))
     if os.path.isdir(path):
         inside = _list_model_files(path)
@@ -241,7 +250,7 @@ def _read_bytes(path: Path) -> bytes:
 
 
 def _list_model_files(folder: Path) -> list[str]:
-    """Names of the files in a folder that may describe a robot; none where it cannot be listed."""
+    """Return the names of the files in a folder that may describe a robot; [] if it is unreadable."""
     try:
         return sorted(
             n for n in os.listdir(folder) if n.endswith(".xacro") or find_format_by_ending(n)
@@ -251,7 +260,7 @@ def _list_model_files(folder: Path) -> list[str]:
 
 
 def _suggest_files(path: Path) -> str:
-    """What to try instead of a file that does not exist."""
+    """Return advice on which files to read instead of a file that does not exist."""
     folder = path.parent
     if not os.path.isdir(folder):
         return f"there is no folder {str(folder)!r} either"
@@ -273,6 +282,7 @@ def _suggest_files(path: Path) -> str:
 
 
 def _read_text(text: str | bytes, name: str, how: _How) -> Mechanism:
+    """Return the mechanism of a text in one of the formats."""
     format = _choose_format(text, how.format)
     if format.read is None:
         raise UnsupportedError(
@@ -300,7 +310,7 @@ def _read_text(text: str | bytes, name: str, how: _How) -> Mechanism:
 
 
 def _read_srdf_source(source: str | Path | bytes, how: _How) -> Any:
-    """An SRDF that is read from a file or a text; a xacro file is expanded as that of the robot is."""
+    """Return the SRDF in a file or a text; a xacro file is expanded as the file of the robot is."""
     from kempe.description.srdf import read_srdf
 
     if isinstance(source, bytes) or (isinstance(source, str) and _is_text(source)):
@@ -320,8 +330,11 @@ def _read_srdf_source(source: str | Path | bytes, how: _How) -> Any:
 
 
 def _choose_format(text: str | bytes, given: Format | None) -> Format:
-    """The format that is given, if it is read; else that of the contents, which also tell a format
-    that is not read.
+    """Return the given format, or the format recognised from the contents.
+
+    Errors: a format that the contents contradict, or that is not read.
+
+    Errors: a format that the contents contradict, or that is not read.
     """
     found = find_format_by_contents(text if isinstance(text, str) else decode_head(text))
     if given and given.read and not (found and not found.read):
@@ -333,7 +346,7 @@ def _choose_format(text: str | bytes, given: Format | None) -> Format:
 
 
 def write_mechanism(mechanism: Mechanism, path: str | Path) -> Path:
-    """The path written, in the format of `kempe.description.formats.FORMATS` that its ending names.
+    """Write a mechanism in the format that the ending of `path` names, and return the path.
 
     Errors: `InputError` for another ending, `DescriptionError` listing what the format cannot say;
     nothing is written then.

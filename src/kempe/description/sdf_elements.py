@@ -1,4 +1,4 @@
-"""SDF elements, read strictly: poses, axes, masses, and what stands beside them.
+"""Strict reading of SDF elements: poses, axes, masses, and the elements beside them.
 
 What is wrong goes to the findings with its place.
 """
@@ -186,8 +186,7 @@ FORCES = ("drake:rotor_inertia", "drake:gear_ratio", "drake:controller_gains")
 def check_known_children(
     element: XmlElement, findings: Findings, subject: str, extra: tuple[str, ...] = ()
 ) -> None:
-    """Refuse children and attributes that look like a slip of known ones, and second ones of those
-    that are given once; note others that are not read.
+    """Refuse misspelled and repeated children and attributes of an element; note unread ones.
 
     `extra` are elements with a prefix that the caller reads.
     """
@@ -197,23 +196,25 @@ def check_known_children(
     for child in element.children:
         first = seen.setdefault(child.tag, child)
         if child is not first and child.tag in ONCE and child.text.split() != first.text.split():
-            findings.add(
-                f"it has two <{child.tag}> elements, on line {first.where.line} and here",
+            findings.add_problem(
+                f"it has two <{child.tag}> elements, on line {first.location.line} and here",
                 subject,
-                child.where,
+                child.location,
                 "one is allowed",
             )
         if child.tag not in known and child is first:
-            _note_unknown_name("element", child.tag, known, findings, subject, child.where)
+            _note_unknown_name("element", child.tag, known, findings, subject, child.location)
         check_attributes(child, findings, subject)
 
 
 def check_attributes(element: XmlElement, findings: Findings, subject: str) -> None:
-    """Refuse attributes that look like a slip of those that an element has; note other ones."""
+    """Refuse misspelled attributes of an element; note unread ones."""
     known = ATTRIBUTES.get(element.tag)
     for key in element.attributes if known is not None else ():
         if known is not None and key not in known:
-            _note_unknown_name("attribute", key, known, findings, subject, element.where_of(key))
+            _note_unknown_name(
+                "attribute", key, known, findings, subject, element.locate_attribute(key)
+            )
 
 
 def _note_unknown_name(
@@ -224,26 +225,29 @@ def _note_unknown_name(
     subject: str,
     where: Where,
 ) -> None:
+    """Record a problem for a misspelled name of an element or attribute, and a note for any other."""
     if name.startswith("xmlns") or name in FORCES:
         return
     near = None if ":" in name else find_intended_name(name[:60].casefold(), known)
     if name not in NOT_READ and near:
-        findings.add(f"unknown {kind} {shorten_text(name)}; did you mean {near!r}?", subject, where)
+        findings.add_problem(
+            f"unknown {kind} {shorten_text(name)}; did you mean {near!r}?", subject, where
+        )
         return
     reason = f": {NOT_READ[name]}" if name in NOT_READ else ""
-    findings.note(f"the {kind} {shorten_text(name)} is not read{reason}", subject, where)
+    findings.add_note(f"the {kind} {shorten_text(name)} is not read{reason}", subject, where)
 
 
 # ---- texts and numbers
 
 
 def find_first_child(element: XmlElement | None, tag: str) -> XmlElement | None:
-    """The first child with this tag."""
-    return (element.of(tag) or [None])[0] if element is not None else None
+    """Return the first child with this tag; None where there is none."""
+    return (element.find_children(tag) or [None])[0] if element is not None else None
 
 
 def get_child_text(element: XmlElement | None, tag: str) -> str:
-    """The text in the first child with this tag; '' without one."""
+    """Return the text in the first child with this tag; '' without one."""
     child = find_first_child(element, tag)
     return child.content if child is not None and not child.children else ""
 
@@ -251,15 +255,17 @@ def get_child_text(element: XmlElement | None, tag: str) -> str:
 def read_numbers(
     element: XmlElement, count: int, findings: Findings, subject: str
 ) -> tuple[float, ...] | None:
-    """The finite numbers in an element, or None after recording what is wrong with them."""
+    """Return the finite numbers in an element; None after recording a problem."""
     text = element.content
-    return findings.numbers(text, count, element.tag, subject, lambda: element.where_content)
+    return findings.read_numbers(
+        text, count, element.tag, subject, lambda: element.content_location
+    )
 
 
 def read_number(
     holder: XmlElement, tag: str, default: float, findings: Findings, subject: str
 ) -> float | None:
-    """The finite number in a child, its default without one, None where it is wrong."""
+    """Return the finite number in a child, or the default without a child; None after a problem."""
     child = find_first_child(holder, tag)
     if child is None:
         return default
@@ -270,10 +276,12 @@ def read_number(
 def parse_truth(
     text: str | None, where: Where, findings: Findings, subject: str, what: str
 ) -> bool:
-    """Whether a text says yes: true, 1, in any letters; None and '' say no."""
+    """Return whether a text is "true" or "1", in any letter case; None and '' are false."""
     given = (text or "").strip().casefold()
     if given not in ("", "true", "false", "1", "0"):
-        findings.add(f"{what} is {shorten_text(text)}", subject, where, "it must be true or false")
+        findings.add_problem(
+            f"{what} is {shorten_text(text)}", subject, where, "it must be true or false"
+        )
     return given in ("true", "1")
 
 
@@ -283,8 +291,11 @@ def parse_truth(
 def read_pose(
     holder: XmlElement, findings: Findings, subject: str
 ) -> tuple[Placement, str, XmlElement | None]:
-    """The placement that the <pose> of an element gives, the name of the frame that it is relative
-    to ('' where that is left open), and the <pose>.
+    """Return the placement in the <pose> of an element, its reference frame, and the <pose>.
+
+    The name of the reference frame is '' where the file leaves it open.
+
+    The name of the reference frame is '' where the file leaves it open.
     """
     pose = find_first_child(holder, "pose")
     if pose is None:
@@ -295,20 +306,20 @@ def read_pose(
         return Placement(), relative, pose
     form = given.get("rotation_format", "euler_rpy")
     if form not in ("euler_rpy", "quat_xyzw"):
-        findings.add(
+        findings.add_problem(
             f"rotation_format is {shorten_text(form)}",
             subject,
-            pose.where_of("rotation_format"),
+            pose.locate_attribute("rotation_format"),
             "it must be euler_rpy or quat_xyzw",
         )
         return Placement(), relative, pose
     degrees = parse_truth(
-        given.get("degrees"), pose.where_of("degrees"), findings, subject, "degrees"
+        given.get("degrees"), pose.locate_attribute("degrees"), findings, subject, "degrees"
     )
     found = read_numbers(pose, 6 if form == "euler_rpy" else 7, findings, subject)
     if found is None:
         return Placement(), relative, pose
-    with findings.guard(subject, pose.where_content):
+    with findings.record_errors(subject, pose.content_location):
         if form == "quat_xyzw":
             x, y, z, w = found[3:]
             return place(found[:3], quat_wxyz=(w, x, y, z)), relative, pose
@@ -323,26 +334,26 @@ def read_pose(
 def read_inertial(
     link: XmlElement, findings: Findings, subject: str
 ) -> tuple[float | None, tuple[float, ...] | None]:
-    """Mass and centre of mass of a link, None where they are not given."""
+    """Return mass [kg] and centre of mass [m] of a link; None where they are not given."""
     inertial = find_first_child(link, "inertial")
     if inertial is None:
         return None, None
     check_known_children(inertial, findings, subject)
     X, relative, pose = read_pose(inertial, findings, subject)
     if relative and pose is not None:
-        findings.add(
+        findings.add_problem(
             f"the pose of its <inertial> is relative to {relative!r}",
             subject,
-            pose.where,
+            pose.location,
             "it is seen from the link, and names no frame",
         )
     mass = read_number(inertial, "mass", 1.0, findings, subject)
-    where = inertial.where_of("auto")
+    where = inertial.locate_attribute("auto")
     if parse_truth(inertial.attributes.get("auto"), where, findings, subject, "auto"):
-        findings.note(
+        findings.add_note(
             "its mass follows from its shapes (<inertial auto='true'>) and is not computed",
             subject,
-            inertial.where,
+            inertial.location,
         )
         return None, None
     return mass, tuple(X.evaluate_pose({})[:3, 3].tolist())
@@ -366,32 +377,32 @@ class Axis:
 def read_axis(
     axis: XmlElement, version: Version, findings: Findings, subject: str, lenient: bool
 ) -> Axis | None:
-    """The axis that an element describes, or None after recording what is wrong with it.
+    """Return the axis that an element describes; None after recording a problem.
 
     `version` is that of its file, `lenient` reads a lower limit above the upper one as no limit.
     """
     before = len(findings.problems)
     check_known_children(axis, findings, subject)
-    out = Axis(where=axis.where, mimic=find_first_child(axis, "mimic"))
+    out = Axis(where=axis.location, mimic=find_first_child(axis, "mimic"))
     xyz = find_first_child(axis, "xyz")
     if xyz is not None:
         out.xyz = read_numbers(xyz, 3, findings, subject) or out.xyz
         out.expressed_in = xyz.attributes.get("expressed_in", "")
-        out.where = xyz.where_content
+        out.where = xyz.content_location
         _check_axis_length(out.xyz, xyz, findings, subject)
     flag = find_first_child(axis, "use_parent_model_frame")
     said = "use_parent_model_frame"
     if version < (1, 5):
         out.expressed_in = "__model__"
-    elif flag is not None and parse_truth(flag.content, flag.where, findings, subject, said):
+    elif flag is not None and parse_truth(flag.content, flag.location, findings, subject, said):
         if version < (1, 7):
             out.expressed_in = "__model__"
         else:
-            findings.note(
+            findings.add_note(
                 "the element 'use_parent_model_frame' is not read: from version 1.7 on xyz has "
                 "expressed_in",
                 subject,
-                flag.where,
+                flag.location,
             )
     limit = find_first_child(axis, "limit")
     if limit is not None:
@@ -403,25 +414,26 @@ def read_axis(
 def _check_axis_length(
     xyz: tuple[float, ...], element: XmlElement, findings: Findings, subject: str
 ) -> None:
+    """Record a problem for an axis of length zero."""
     length = math.hypot(*xyz)
     if length < 1e-150:
-        findings.add(
+        findings.add_problem(
             f"its axis is {shorten_text(element.content)}",
             subject,
-            element.where_content,
+            element.content_location,
             "it must not be zero: an axis has a direction, such as 0 0 1",
         )
     elif abs(length - 1.0) > AXIS_TOLERANCE:
         text = " ".join(f"{x:g}" for x in xyz)
-        findings.note(
-            f"its axis {text} has length {length:g}; it was normalised", subject, element.where
+        findings.add_note(
+            f"its axis {text} has length {length:g}; it was normalised", subject, element.location
         )
 
 
 def _read_limits(
     limit: XmlElement, findings: Findings, subject: str, lenient: bool
 ) -> dict[str, Any]:
-    """Keywords `limits`, `velocity` and `effort`; what is missing or negative is no bound."""
+    """Return the keywords `limits`, `velocity` and `effort`; missing or negative bounds are none."""
     ends = {"lower": -math.inf, "upper": math.inf, "velocity": math.inf, "effort": math.inf}
     bounds = {key: _read_bound(limit, key, end, findings, subject) for key, end in ends.items()}
     out: dict[str, Any] = {}
@@ -433,12 +445,12 @@ def _read_limits(
     both = f"lower {get_child_text(limit, 'lower')}, upper {get_child_text(limit, 'upper')}"
     if lower > upper and lenient:
         said = f"its limits are swapped ({both}); it is read as unlimited, as requested"
-        findings.note(said, subject, limit.where)
+        findings.add_note(said, subject, limit.location)
     elif lower > upper or lower == math.inf or upper == -math.inf:
-        findings.add(
+        findings.add_problem(
             f"its limits are swapped: {both}",
             subject,
-            limit.where,
+            limit.location,
             "lower must not be above upper; lenient_limits=True reads this as unlimited",
         )
     elif (lower, upper) != (-math.inf, math.inf):
@@ -449,19 +461,19 @@ def _read_limits(
 def _read_bound(
     limit: XmlElement, tag: str, default: float, findings: Findings, subject: str
 ) -> float:
-    """A bound: a number, where infinity or a huge one stands for none; the default where it is
-    missing.
-    """
+    """Return a bound, or the default where it is missing; a huge number is infinite."""
     element = find_first_child(limit, tag)
     if element is None:
         return default
-    found = findings.bound(element.content, UNLIMITED, tag, subject, lambda: element.where_content)
+    found = findings.read_bound(
+        element.content, UNLIMITED, tag, subject, lambda: element.content_location
+    )
     return default if found is None else found
 
 
 @dataclass(frozen=True)
 class Mimic:
-    """What a follower follows: coordinate = multiplier * (leader - reference) + offset."""
+    """Relation of a follower: coordinate = multiplier * (leader - reference) + offset."""
 
     joint: str
     axis: str
@@ -471,19 +483,19 @@ class Mimic:
 
 
 def read_mimic(element: XmlElement, findings: Findings, subject: str) -> Mimic | None:
-    """The relation that a <mimic>, or a <drake:mimic>, describes; None after recording what is
-    wrong with it.
-    """
+    """Return the relation of a <mimic> or <drake:mimic>; None after recording a problem."""
     before = len(findings.problems)
     leader = element.attributes.get("joint", "").strip()
     axis = element.attributes.get("axis", "axis")
     if not leader:
-        findings.add("its <mimic> names no joint", subject, element.where, "write joint=...")
+        findings.add_problem(
+            "its <mimic> names no joint", subject, element.location, "write joint=..."
+        )
     if axis not in ("axis", "axis2"):
-        findings.add(
+        findings.add_problem(
             f"it mimics the axis {shorten_text(axis)}",
             subject,
-            element.where_of("axis"),
+            element.locate_attribute("axis"),
             "it must be axis or axis2",
         )
     if element.tag == "mimic":
@@ -500,17 +512,18 @@ def read_mimic(element: XmlElement, findings: Findings, subject: str) -> Mimic |
         reference = 0.0
     if len(findings.problems) > before or multiplier is None or offset is None or reference is None:
         return None
-    return Mimic(leader, axis, multiplier, offset - multiplier * reference, element.where)
+    return Mimic(leader, axis, multiplier, offset - multiplier * reference, element.location)
 
 
 def _read_attribute(
     element: XmlElement, key: str, default: float, findings: Findings, subject: str
 ) -> float | None:
+    """Return the number of an attribute, or the default where it is missing; None after a problem."""
     if key not in element.attributes:
         return default
     what = f"{element.tag} {key}"
     text = element.attributes[key]
-    found = findings.numbers(text, 1, what, subject, lambda: element.where_of(key))
+    found = findings.read_numbers(text, 1, what, subject, lambda: element.locate_attribute(key))
     return None if found is None else found[0]
 
 
@@ -518,22 +531,22 @@ def _read_attribute(
 
 
 def parse_version(text: str) -> Version:
-    """A version as two numbers; 0.0 where the text is none."""
+    """Return a version as two numbers; (0, 0) where the text is no version."""
     found = re.fullmatch(r"\s*0*(\d{1,9})\.0*(\d{1,9})(?:\.\d+)?\s*", text, re.ASCII)
     return (int(found[1]), int(found[2])) if found else (0, 0)
 
 
 def read_version(sdf: XmlElement, findings: Findings) -> Version:
-    """The version of a file as two numbers; one that is not read is recorded as a problem."""
+    """Return the version of a file as two numbers; record a problem for a version that is not read."""
     given = sdf.attributes.get("version")
     version = parse_version(given or "")
     if OLDEST <= version <= NEWEST:
         return version
     said = "it has no version" if given is None else f"the version is {shorten_text(given)}"
-    findings.add(
+    findings.add_problem(
         said,
         "sdf",
-        sdf.where_of("version"),
+        sdf.locate_attribute("version"),
         f"it must be one from {OLDEST[0]}.{OLDEST[1]} to {NEWEST[0]}.{NEWEST[1]}, as in <sdf "
         f"version='{NEWEST[0]}.{NEWEST[1]}'>",
     )

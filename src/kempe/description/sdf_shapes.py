@@ -1,4 +1,4 @@
-"""Shapes in SDF: <visual> and <collision> elements, read."""
+"""Reading of shapes in SDF: the elements <visual> and <collision>."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def read_shapes(
     folder: str,
     findings: Findings,
 ) -> Iterator[Shape]:
-    """The shapes of a link; what is wrong with them goes to the findings.
+    """Iterate over the shapes of a link; problems are recorded in `findings`.
 
     `placed` gives the placement on the link of a frame that a <pose> names, at an element; `folder`
     is the folder of the file, seen from the outermost file, before relative paths of meshes. What
@@ -61,13 +61,13 @@ def read_shapes(
         visual, collision = USES[element.tag]
         color = _read_color(element) if visual else None
         name = element.attributes.get("name", "")
-        yield Shape(geometry, X, visual, collision, color, name, element.where)
+        yield Shape(geometry, X, visual, collision, color, name, element.location)
 
 
 def _read_geometry(
     element: XmlElement, folder: str, findings: Findings, subject: str
 ) -> Geometry | None:
-    """The shape itself; None where there is none that is read."""
+    """Return the geometry of a visual or collision; None where there is none that is read."""
     shape = find_only_shape(element, KINDS, findings, subject)
     if shape is None:
         return None
@@ -87,19 +87,21 @@ def _read_geometry(
     if kind is Mesh:
         path = _make_mesh_path(shape, folder)
         if not path:
-            findings.note("its mesh names no file, and is left out", subject, shape.where)
+            findings.add_note("its mesh names no file, and is left out", subject, shape.location)
             return None
         given["path"] = path
     if any(0.0 in (x if isinstance(x, tuple) else (x,)) for x in given.values()):
-        findings.note(f"its {shape.tag} has no extent, and is left out", subject, shape.where)
+        findings.add_note(
+            f"its {shape.tag} has no extent, and is left out", subject, shape.location
+        )
         return None
-    with findings.guard(subject, shape.where):
+    with findings.record_errors(subject, shape.location):
         return kind(**given)
     return None
 
 
 def _make_mesh_path(mesh: XmlElement, folder: str) -> str:
-    """The path of a mesh as the mechanism has it: in a package, or relative to the outermost file."""
+    """Return the path of a mesh: in a package, or relative to the outermost file."""
     uri = find_first_child(mesh, "uri")
     text = uri.content if uri is not None else ""
     scheme, colon, rest = text.partition("://")
@@ -111,8 +113,8 @@ def _make_mesh_path(mesh: XmlElement, folder: str) -> str:
 
 
 def _read_color(visual: XmlElement) -> tuple[float, float, float, float] | None:
-    """The colour of a visual: that of its material in light from all sides, else the ambient one."""
-    for material in visual.of("material"):
+    """Return the colour of a visual: the ambient or the diffuse colour of its material."""
+    for material in visual.find_children("material"):
         for tag in ("diffuse", "ambient"):
             part = find_first_child(material, tag)
             text = part.content if part is not None else ""
@@ -126,7 +128,7 @@ def _read_color(visual: XmlElement) -> tuple[float, float, float, float] | None:
 def collect_unread_shapes(link: XmlElement, seen: dict[str, list[XmlElement]]) -> None:
     """Collect the shapes of a link whose kinds are not read, by kind."""
     for element in link.children:
-        for holder in element.of("geometry") if element.tag in USES else ():
+        for holder in element.find_children("geometry") if element.tag in USES else ():
             for part in holder.children:
                 if part.tag not in KINDS and part.tag != "empty":
                     seen.setdefault(part.tag, []).append(part)
@@ -136,4 +138,4 @@ def note_unread_shapes(seen: Mapping[str, list[XmlElement]], findings: Findings)
     """Note the collected shapes, once for each kind."""
     for tag, elements in seen.items():
         said = f"{format_count(len(elements), f'shape <{tag}>')} not read: shapes are "
-        findings.note(said + ", ".join(KINDS), "", elements[0].where)
+        findings.add_note(said + ", ".join(KINDS), "", elements[0].location)

@@ -1,4 +1,4 @@
-"""Kinds of shapes: what a body looks like, and what it collides with.
+"""Kinds of shapes for the appearance of bodies and for collisions.
 
 A kind is a frozen dataclass that declares its sizes and how each is checked. A shape lies about its
 own origin: spheres, boxes, cylinders, capsules and ellipsoids are centred there, and cylinders and
@@ -22,7 +22,12 @@ Triple = tuple[Value, Value, Value]
 
 
 def _check_length(given: Any, what: str) -> Value:
-    """A length above zero."""
+    """Return a length above zero [m].
+
+    Errors: `InputError`.
+
+    Errors: `InputError`.
+    """
     found = read_value(given, what)
     if not isinstance(found, Expression) and not found > 0.0:
         raise InputError(f"{what} is {found:g}; it must be above zero")
@@ -30,7 +35,12 @@ def _check_length(given: Any, what: str) -> Value:
 
 
 def _check_lengths(given: Any, what: str) -> tuple[Value, ...]:
-    """Three lengths above zero."""
+    """Return three lengths above zero [m].
+
+    Errors: `InputError`.
+
+    Errors: `InputError`.
+    """
     found = read_values(given, 3, what)
     if any(not isinstance(x, Expression) and not x > 0.0 for x in found):
         raise InputError(f"{what} is {_format_sizes(found)}; its three lengths must be above zero")
@@ -38,7 +48,7 @@ def _check_lengths(given: Any, what: str) -> tuple[Value, ...]:
 
 
 def _check_scale(given: Any, what: str) -> tuple[Value, ...]:
-    """Three factors that are not zero; one number stands for three equal ones."""
+    """Return three scale factors that are not zero; one number stands for three equal factors."""
     alike = is_real(given) or isinstance(given, (str, Expression))
     found = read_values((given, given, given) if alike else given, 3, what)
     if 0.0 in found:
@@ -47,27 +57,32 @@ def _check_scale(given: Any, what: str) -> tuple[Value, ...]:
 
 
 def _check_path(given: Any, what: str) -> str:
-    """The path of a file, as text."""
+    """Return the path of a file as text.
+
+    Errors: `InputError`.
+
+    Errors: `InputError`.
+    """
     if not isinstance(given, str) or not given.strip():
         raise InputError(f"{what} is {format_value(given)}; it must be text, not empty")
     return given
 
 
 def _format_sizes(xs: Any, unit: str = "") -> str:
-    """Numbers in words, with a unit where none is an expression: '0.1 x 0.2 x 0.3 m', 'l/2'."""
+    """Return numbers as text: '0.1 x 0.2 x 0.3 m', 'l/2'; expressions have no unit."""
     given = xs if is_sequence(xs) else (xs,)
     texts = [x.text if isinstance(x, Expression) else f"{x:.6g}" for x in given]
     return " x ".join(texts) + unit * all(isinstance(x, float) for x in given)
 
 
 def _make_checked_field(check: Callable[[Any, str], Any], **usual: Any) -> Any:
-    """A field with the function that checks its value."""
+    """Return a dataclass field with the function that checks its value."""
     return field(metadata={"check": check}, **usual)
 
 
 @dataclass(frozen=True)
 class Geometry:
-    """Base of the kinds of shapes. Sizes are metres, or expressions in parameters."""
+    """Base of the kinds of shapes; sizes are in metres, or expressions in parameters."""
 
     kind: ClassVar[str] = ""
     """Its name in calls and files."""
@@ -78,17 +93,20 @@ class Geometry:
 
     @property
     def sizes(self) -> dict[str, Any]:
-        """Its sizes by name, and the path of a mesh."""
+        """Sizes of the shape by name, and the path of a mesh."""
         return {f.name: getattr(self, f.name) for f in fields(self)}
 
     @property
     def names(self) -> frozenset[str]:
-        """Names of the parameters that its sizes use."""
+        """Names of the parameters in the sizes of the shape."""
         return frozenset(n for x in self._list_expressions() for n in x.names)
 
-    def evaluate(self, parameters: Mapping[str, Any]) -> Any:
-        """The same shape with numbers in place of expressions. Errors: `InputError` for sizes that
-        are not above zero.
+    def evaluate_sizes(self, parameters: Mapping[str, Any]) -> Any:
+        """Return the same shape with numbers in place of expressions.
+
+        Errors: `InputError` for sizes that are not above zero.
+
+        Errors: `InputError` for sizes that are not above zero.
         """
         if not self._list_expressions():
             return self
@@ -101,6 +119,7 @@ class Geometry:
         return replace(self, **numbers)
 
     def _list_expressions(self) -> list[Expression]:
+        """Return the expressions among the sizes."""
         given: list[Any] = []
         for x in self.sizes.values():
             given += x if is_sequence(x) else (x,)
@@ -113,13 +132,13 @@ class Geometry:
 
 
 def _add_article(kind: type[Geometry]) -> str:
-    """The kind in a sentence: 'a box', 'an ellipsoid'."""
+    """Return the kind of shape with its article: 'a box', 'an ellipsoid'."""
     return f"{'an' if kind.kind[:1] in 'aeio' else 'a'} {kind.kind}"
 
 
 @cache
 def _list_checks(kind: type[Geometry]) -> list[tuple[str, Callable[[Any, str], Any], str]]:
-    """The sizes of a kind: for each its name, its check, and what it is called in messages."""
+    """Return the name of each size of a kind, its check, and its name in messages."""
     return [
         (f.name, f.metadata["check"], f"the {f.name} of {_add_article(kind)}") for f in fields(kind)
     ]
@@ -127,7 +146,7 @@ def _list_checks(kind: type[Geometry]) -> list[tuple[str, Callable[[Any, str], A
 
 @dataclass(frozen=True)
 class Sphere(Geometry):
-    """A ball."""
+    """Sphere with `radius`."""
 
     kind: ClassVar[str] = "sphere"
     radius: Value = _make_checked_field(_check_length)
@@ -135,7 +154,7 @@ class Sphere(Geometry):
 
 @dataclass(frozen=True)
 class Box(Geometry):
-    """A box; `size` holds its whole extents along x, y and z."""
+    """Box with side lengths `size` along x, y and z."""
 
     kind: ClassVar[str] = "box"
     size: Triple = _make_checked_field(_check_lengths)
@@ -143,7 +162,7 @@ class Box(Geometry):
 
 @dataclass(frozen=True)
 class Cylinder(Geometry):
-    """A cylinder along z; `length` is its whole height."""
+    """Cylinder along z with its whole height `length`."""
 
     kind: ClassVar[str] = "cylinder"
     radius: Value = _make_checked_field(_check_length)
@@ -152,8 +171,11 @@ class Cylinder(Geometry):
 
 @dataclass(frozen=True)
 class Capsule(Geometry):
-    """A cylinder along z of this `length` with a half ball on each end: it is ``length + 2 *
-    radius`` long.
+    """Cylinder along z of this `length` with a hemisphere on each end.
+
+    The whole height is ``length + 2 * radius``.
+
+    The whole height is ``length + 2 * radius``.
     """
 
     kind: ClassVar[str] = "capsule"
@@ -163,7 +185,7 @@ class Capsule(Geometry):
 
 @dataclass(frozen=True)
 class Ellipsoid(Geometry):
-    """An ellipsoid with semi-axes `radii` along x, y and z."""
+    """Ellipsoid with semi-axes `radii` along x, y and z."""
 
     kind: ClassVar[str] = "ellipsoid"
     radii: Triple = _make_checked_field(_check_lengths)
@@ -171,7 +193,7 @@ class Ellipsoid(Geometry):
 
 @dataclass(frozen=True)
 class Mesh(Geometry):
-    """The triangles of a file, multiplied by `scale` along x, y and z.
+    """Triangles of a file, multiplied by `scale` along x, y and z.
 
     The path is kept as text, and the file is read only where it is drawn.
     """
@@ -195,12 +217,12 @@ SHAPES: dict[str, type[Geometry]] = {
 
 
 def list_size_names(kind: type[Geometry]) -> tuple[str, ...]:
-    """Names of the sizes of a kind of shapes."""
+    """Return the names of the sizes of a kind of shapes."""
     return tuple(f.name for f in fields(kind))
 
 
 def make_geometry(kind: object, given: Mapping[str, Any]) -> Geometry:
-    """The shape of a kind with these sizes; None stands for one that is not given.
+    """Return the shape of a kind with these sizes; None stands for a size that is not given.
 
     Errors: `UnknownNameError` for the kind; `InputError` for sizes that are missing, wrong, or of
     another kind.

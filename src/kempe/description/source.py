@@ -1,6 +1,4 @@
-"""The text of a description: decoding, places in it, and the collection of all that is wrong with
-it.
-"""
+"""Text of a description: decoding, places in the text, and collection of problems."""
 
 from __future__ import annotations
 
@@ -61,9 +59,7 @@ _KINDS = (
 
 
 def describe_special_file(path: str | Path) -> str:
-    """What a path is if not a plain file, such as a folder; '' for a plain file and where nothing
-    exists.
-    """
+    """Return what a path is if no plain file, such as "a folder"; '' otherwise."""
     try:
         mode = os.stat(path).st_mode
     except (OSError, ValueError):
@@ -73,8 +69,7 @@ def describe_special_file(path: str | Path) -> str:
 
 @contextmanager
 def pause_garbage_collection(count: int = MANY_BODIES) -> Generator[None, None, None]:
-    """Switch the garbage collector of Python off while `count` bodies are made, and on again
-    afterwards.
+    """Pause Python's garbage collector while `count` bodies are made.
 
     The bodies last, and each collection visits all objects that exist: that takes a third of the
     time. The collector's generations stay as they are, so that cycles that the caller drops are
@@ -91,7 +86,7 @@ def pause_garbage_collection(count: int = MANY_BODIES) -> Generator[None, None, 
 
 
 class Source:
-    """A text with the name of where it came from, which answers where its lines are."""
+    """Text with the name of its origin, which locates lines and characters."""
 
     def __init__(self, name: str, text: str):
         self.name = name
@@ -99,54 +94,59 @@ class Source:
 
     @cached_property
     def _line_starts(self) -> list[int]:
+        """Indices in the text at which the lines start."""
         return [0, *(m.end() for m in _LINE_END.finditer(self.text))]
 
     @cached_property
     def lines(self) -> list[str]:
-        """The lines, without their ends; ``\\n``, ``\\r\\n`` and ``\\r`` end a line."""
+        """Lines of the text without their ends; ``\\n``, ``\\r\\n`` and ``\\r`` end a line."""
         return _LINE_END.split(self.text)
 
-    def where(self, line: int, column: int = 1) -> Where:
-        """The place in the text at `line` and `column`, both counted from 1."""
+    def locate_line(self, line: int, column: int = 1) -> Where:
+        """Return the place in the text at `line` and `column`, both counted from 1."""
         text = self.lines[line - 1] if 0 < line <= len(self.lines) else ""
         return Where(self.name, line, column, text)
 
-    def offset(self, line: int, column: int) -> int:
-        """Index into `text` of a line and column, both counted from 1."""
+    def compute_offset(self, line: int, column: int) -> int:
+        """Return the index into `text` of a line and column, both counted from 1."""
         return self._line_starts[line - 1] + column - 1
 
-    def where_offset(self, offset: int) -> Where:
-        """The place of an index into `text`."""
+    def locate_offset(self, offset: int) -> Where:
+        """Return the place of an index into `text`."""
         line = bisect_right(self._line_starts, offset)
-        return self.where(line, offset - self._line_starts[line - 1] + 1)
+        return self.locate_line(line, offset - self._line_starts[line - 1] + 1)
 
 
 class Findings:
-    """Problems and notes that a reader collects: problems end in an error, notes do not."""
+    """Problems and notes that a reader collects; problems end in an error, notes do not."""
 
     def __init__(self) -> None:
         self.problems: list[Fault] = []
         self._notes: list[tuple[int, str]] = []
 
-    def add(
+    def add_problem(
         self, message: str, subject: str = "", where: Where | None = None, allowed: str = ""
     ) -> None:
-        """Record a problem; raise at once where there are many already."""
+        """Record a problem; raise an error at once after very many problems."""
         self.problems.append(Fault(message, subject, where, allowed))
         if len(self.problems) >= MANY_PROBLEMS:
-            self.finish()
+            self.raise_problems()
 
-    def note(self, message: str, subject: str = "", where: Where | None = None) -> None:
-        """Record a remark that is no problem but that the user should know."""
+    def add_note(self, message: str, subject: str = "", where: Where | None = None) -> None:
+        """Record a note for the user that is no problem."""
         self._notes.append((where.line if where else 0, str(Fault(message, subject, where))))
 
     @property
     def notes(self) -> list[str]:
-        """The notes, in the order of the file."""
+        """Notes in the order of the file."""
         return [text for _, text in sorted(self._notes, key=lambda n: n[0])]
 
-    def hint(self, name: str, allowed: Collection[str], but: str = "") -> str:
-        """The tail of a message about an unknown name; `but` is never suggested.
+    def suggest_name(self, name: str, allowed: Collection[str], but: str = "") -> str:
+        """Return the end of a message about an unknown name: which name was probably meant.
+
+        `but` is never suggested.
+
+        `but` is never suggested.
 
         Empty where it would not be shown, or cost too much: comparing with 5000 names takes some 50
         ms.
@@ -160,7 +160,9 @@ class Findings:
         return hint(name, [n for n in allowed if n != but])
 
     @contextmanager
-    def guard(self, subject: str = "", where: Where | None = None) -> Generator[None, None, None]:
+    def record_errors(
+        self, subject: str = "", where: Where | None = None
+    ) -> Generator[None, None, None]:
         """Record errors raised inside as problems of `subject` at `where`, and continue."""
         try:
             yield
@@ -172,16 +174,16 @@ class Findings:
                     Fault(p.message, p.subject or subject, p.where or where, p.allowed)
                 )
         except (InputError, UnknownNameError) as error:
-            self.add(str(error).removeprefix(f"{subject}: "), subject, where)
+            self.add_problem(str(error).removeprefix(f"{subject}: "), subject, where)
 
-    def numbers(
+    def read_numbers(
         self, text: str, count: int, what: str, subject: str, where: Callable[[], Where]
     ) -> tuple[float, ...] | None:
-        """The finite numbers in a text; None after recording what is wrong with them."""
+        """Return the finite numbers in a text; None after recording a problem."""
         found = parse_numbers(text, count)
         if not isinstance(found, str):
             return found
-        self.add(
+        self.add_problem(
             f"{what} is {shorten_text(text)}: {found}",
             subject,
             where(),
@@ -189,21 +191,19 @@ class Findings:
         )
         return None
 
-    def bound(
+    def read_bound(
         self, text: str, unlimited: float, what: str, subject: str, where: Callable[[], Where]
     ) -> float | None:
-        """The bound in a text, infinite where it says so or is not below `unlimited`; None after
-        recording what is wrong with it.
-        """
+        """Return the bound in a text, infinite from `unlimited` on; None after recording a problem."""
         special = parse_special_number(text.strip())
         if special is not None and not math.isnan(special):
             return special
-        found = self.numbers(text, 1, what, subject, where)
+        found = self.read_numbers(text, 1, what, subject, where)
         if found is None:
             return None
         return found[0] if abs(found[0]) < unlimited else math.copysign(math.inf, found[0])
 
-    def finish(self) -> None:
+    def raise_problems(self) -> None:
         """Raise `DescriptionError` with the problems in the order of the file, if there are any."""
         if self.problems:
             raise DescriptionError(
@@ -214,12 +214,17 @@ class Findings:
 def make_error(
     message: str, where: Where, allowed: str = "", subject: str = ""
 ) -> DescriptionError:
-    """The error for a problem after which reading cannot go on."""
+    """Return the error for a problem after which reading cannot continue."""
     return DescriptionError(Fault(message, subject, where, allowed))
 
 
 def list_folders(given: Any) -> tuple[Path, ...]:
-    """Folders given as a list of paths, or a single path. Errors: `InputError`."""
+    """Return folders given as a list of paths or a single path.
+
+    Errors: `InputError`.
+
+    Errors: `InputError`.
+    """
     entries: Any = given
     single = isinstance(given, (str, Path)) or not isinstance(given, Iterable)
     paths: tuple[Any, ...] = (entries,) if single else tuple(entries)
@@ -229,8 +234,11 @@ def list_folders(given: Any) -> tuple[Path, ...]:
 
 
 def expand_path(path: str | Path) -> Path:
-    """The path of a file, a leading ``~`` replaced by the home folder. Errors: `InputError` for a
-    URL.
+    """Return the path of a file, with a leading ``~`` replaced by the home folder.
+
+    Errors: `InputError` for a URL.
+
+    Errors: `InputError` for a URL.
     """
     given: object = path
     text: object = os.fspath(path) if isinstance(given, os.PathLike) else given
@@ -259,19 +267,24 @@ def expand_path(path: str | Path) -> Path:
 
 
 def read_bounded_file(path: Path) -> bytes:
-    """The bytes of a file, one more than `SIZE_LIMIT` at most. Errors: `OSError`."""
+    """Return the bytes of a file, at most `SIZE_LIMIT` + 1 of them.
+
+    Errors: `OSError`.
+
+    Errors: `OSError`.
+    """
     with open(path, "rb") as file:
         return file.read(SIZE_LIMIT + 1)
 
 
 def shorten_text(text: object, limit: int = 60) -> str:
-    """`text` quoted, cut where it is long."""
+    """Return `text` in quotes, cut to `limit` characters."""
     text = str(text)
     return repr(text if len(text) <= limit else text[: limit - 3] + "...")
 
 
 def choose_numbered_name(name: str, taken: Container[str]) -> str:
-    """`name`, with a number where it is taken."""
+    """Return `name`, with a number appended where it is taken."""
     number = 1
     out = name
     while out in taken:
@@ -286,8 +299,11 @@ SLIP = 0.8
 
 @lru_cache(maxsize=1024)
 def find_intended_name(name: str, known: tuple[str, ...]) -> str | None:
-    """The known name that this one is a slip of. A name that holds a known one among its words is
-    no slip.
+    """Return the known name that an unknown one misspells; None where there is none.
+
+    A name that holds a known one among its words is no misspelling.
+
+    A name that holds a known one among its words is no misspelling.
     """
     # 'xzy': too short to be like 'xyz' otherwise
     swapped = [k for k in known if sorted(k) == sorted(name)]
@@ -306,6 +322,7 @@ def find_intended_name(name: str, known: tuple[str, ...]) -> str | None:
 
 
 def _split_words(name: str) -> list[str]:
+    """Return the words of a name, separated by underscores, dashes, points or blanks."""
     return [w for w in re.split(r"[_\-.\s]+", name) if w]
 
 
@@ -318,13 +335,17 @@ LONG = 200
 
 
 def parse_numbers(text: str, count: int) -> tuple[float, ...] | str:
-    """The finite numbers in a text, separated by blanks; what is wrong, as text, where they are not
-    `count`.
+    """Return the finite numbers in a text, separated by blanks, or the problem as text.
+
+    Any other number of them than `count` is a problem.
+
+    Any other number of them than `count` is a problem.
     """
     return _kept_numbers(text, count) if len(text) < LONG else _split_numbers(text, count)
 
 
 def _split_numbers(text: str, count: int) -> tuple[float, ...] | str:
+    """Return the finite numbers in a text, or the problem as text."""
     if _PLAIN.fullmatch(text):
         try:
             found = tuple(map(float, text.split()))
@@ -355,20 +376,20 @@ _kept_numbers = lru_cache(4096)(_split_numbers)
 
 
 def describe_allowed_numbers(count: int) -> str:
-    """What is allowed where `count` numbers stand, for messages."""
+    """Return the part of a message that says which numbers are allowed."""
     if count == 1:
         return "it must be a finite number"
     return f"it must be {count} finite numbers separated by blanks"
 
 
 def parse_special_number(piece: str) -> float | None:
-    """Infinity or NaN where the text says so, in any of the usual spellings."""
+    """Return infinity or NaN where the text spells it, in any letter case; None for other texts."""
     match = re.fullmatch(r"([+-]?)(inf|infinity|nan)", piece, re.IGNORECASE)
     return float(match[0]) if match else None
 
 
 def refuse_other_kinds(data: bytes | str, name: str) -> None:
-    """Refuse a file of a kind that is known to be no description, such as an archive or a web page.
+    """Raise `DescriptionError` for a file that is no description, such as an archive or a web page.
 
     Errors: `DescriptionError` that says what the file is, and what to do.
     """
@@ -379,8 +400,11 @@ def refuse_other_kinds(data: bytes | str, name: str) -> None:
 
 
 def decode_text(data: bytes | str, name: str, declared: re.Pattern[bytes] | None = None) -> str:
-    """Text of a file's bytes: UTF-8, UTF-16 with a byte order mark, or what the pattern `declared`
-    finds.
+    """Return the text of a file's bytes: UTF-8, UTF-16 with a byte order mark, or as declared.
+
+    `declared` is a pattern that finds the declaration of another encoding.
+
+    `declared` is a pattern that finds the declaration of another encoding.
 
     Errors: `DescriptionError` for empty, oversized and wrongly encoded data, with line and column.
     """
@@ -400,6 +424,7 @@ def decode_text(data: bytes | str, name: str, declared: re.Pattern[bytes] | None
 
 
 def _decode_bytes(data: bytes, name: str, declared: re.Pattern[bytes] | None) -> str:
+    """Return bytes as text in the encoding of their byte order mark or declaration, else UTF-8."""
     first = Where(
         name, 1, 1, re.split(rb"[\r\n]", data[:200])[0].decode("ascii", "replace").replace("\0", "")
     )
@@ -446,6 +471,7 @@ _ADVICE = "save it as UTF-8 and declare that, or nothing"
 def _check_declared_encoding(
     data: bytes, encoding: str, first: Where, declared: re.Pattern[bytes] | None
 ) -> None:
+    """Raise `DescriptionError` if the declared encoding contradicts the byte order mark."""
     head = data[:600].decode(encoding, "replace").encode("utf-8", "replace")
     match = declared.match(head) if declared else None
     given = match[1].decode("ascii") if match else encoding
@@ -458,6 +484,12 @@ def _check_declared_encoding(
 
 
 def _choose_codec(given: str, first: Where) -> str:
+    """Return the codec of Python for a declared encoding.
+
+    Errors: `DescriptionError`.
+
+    Errors: `DescriptionError`.
+    """
     said = f"its first line declares the encoding {given!r}"
     if given.lower().startswith("utf-16"):
         raise make_error(
@@ -469,6 +501,12 @@ def _choose_codec(given: str, first: Where) -> str:
 
 
 def _apply_codec(data: bytes, encoding: str, name: str, claim: str) -> str:
+    """Return bytes decoded by a codec.
+
+    Errors: `DescriptionError` with line and column.
+
+    Errors: `DescriptionError` with line and column.
+    """
     try:
         return data.decode(encoding)
     except UnicodeDecodeError as error:

@@ -1,6 +1,4 @@
-"""SRDF, what MoveIt says about a robot beside its URDF: groups, postures, end effectors, how the
-base moves, and pairs of links that are not checked for collisions.
-"""
+"""SRDF, MoveIt's file beside a URDF: groups, postures, end effectors, base joint, ignored pairs."""
 
 from __future__ import annotations
 
@@ -53,7 +51,7 @@ CLOSE = 1e-6
 
 @dataclass(frozen=True)
 class VirtualJoint:
-    """How the root link of a robot moves: the name and the type of its joint, and its ground."""
+    """Joint that moves the root link of a robot: its name, its type and its ground."""
 
     name: str
     kind: str
@@ -61,7 +59,7 @@ class VirtualJoint:
 
 
 def read_srdf(text: str | bytes, source: str) -> Srdf:
-    """An SRDF text, to be applied to the mechanism of its robot; `source` names it in messages.
+    """Return an SRDF to be applied to the mechanism of its robot; `source` names it in messages.
 
     Errors: `DescriptionError` where it is no SRDF.
     """
@@ -70,28 +68,28 @@ def read_srdf(text: str | bytes, source: str) -> Srdf:
     if root.tag != "robot":
         raise make_error(
             describe_root_fault(root.tag),
-            root.where,
+            root.location,
             "SRDF starts with <robot name=...>",
         )
-    for element in root.walk():
+    for element in root.iterate_elements():
         if element.tag.startswith("xacro:"):
             raise make_error(
                 f"this is xacro, a program that writes SRDF: <{element.tag}> has to be expanded "
                 "first",
-                element.where,
+                element.location,
                 XACRO_ADVICE,
             )
-    if links := root.of("link"):
+    if links := root.find_children("link"):
         raise make_error(
             "this is no SRDF, but a URDF: it has links",
-            links[0].where,
+            links[0].location,
             "give the file of the robot first, and its SRDF by srdf=(...)",
         )
     return Srdf(root, findings)
 
 
 class Srdf:
-    """An SRDF that is read: it says how the base of its robot moves, and adds to its mechanism."""
+    """Content of an SRDF: the motion of the robot's base, and additions to its mechanism."""
 
     def __init__(self, root: XmlElement, findings: Findings):
         self.root = root
@@ -99,10 +97,10 @@ class Srdf:
 
     # ---- the base
 
-    def base(self, link: str) -> VirtualJoint | None:
-        """The virtual joint of the robot's root link."""
+    def find_virtual_joint(self, link: str) -> VirtualJoint | None:
+        """Return the virtual joint of the robot's root link; None where there is none."""
         found: VirtualJoint | None = None
-        for element in self.root.of("virtual_joint"):
+        for element in self.root.find_children("virtual_joint"):
             name = self._read_name(element, "virtual_joint")
             subject = f"virtual_joint {name!r}"
             given = self._read_attributes(element, subject, "type", "parent_frame", "child_link")
@@ -110,58 +108,64 @@ class Srdf:
                 continue
             kind, ground, child = given
             if kind not in BASES:
-                said = f"unknown type {shorten_text(kind)}{self.findings.hint(kind, BASES)}"
-                self.findings.add(said, subject, element.where_of("type"))
+                said = f"unknown type {shorten_text(kind)}{self.findings.suggest_name(kind, BASES)}"
+                self.findings.add_problem(said, subject, element.locate_attribute("type"))
             elif child != link:
-                self.findings.note(
+                self.findings.add_note(
                     f"it is not used: its child link {shorten_text(child)} is not {link!r}, the root of "
                     "the robot",
                     subject,
-                    element.where_of("child_link"),
+                    element.locate_attribute("child_link"),
                 )
             elif found:
-                self.findings.note(
-                    f"it is not used: {found.name!r} holds the root already", subject, element.where
+                self.findings.add_note(
+                    f"it is not used: {found.name!r} holds the root already",
+                    subject,
+                    element.location,
                 )
             else:
                 found = VirtualJoint(name, BASES[kind], ground)
         return found
 
-    def mentions(self, joint: str) -> bool:
-        """Whether a posture has values of a joint with this name."""
-        states = self.root.of("group_state")
-        return any(c.attributes.get("name") == joint for state in states for c in state.of("joint"))
+    def mentions_joint(self, joint: str) -> bool:
+        """Whether a posture gives values of a joint with this name."""
+        states = self.root.find_children("group_state")
+        return any(
+            c.attributes.get("name") == joint
+            for state in states
+            for c in state.find_children("joint")
+        )
 
     # ---- what is added to a mechanism
 
-    def apply(self, mechanism: Mechanism) -> None:
-        """Add groups, postures, frames of end effectors, passive joints and ignored pairs to a
-        mechanism, and notes.
+    def apply_to_mechanism(self, mechanism: Mechanism) -> None:
+        """Add groups, postures, end effectors, passive joints and ignored pairs.
 
         Errors: `DescriptionError` with all problems of the SRDF.
         """
         self._check_names(mechanism)
         self._declare_groups(mechanism)
         self._declare_postures(mechanism)
-        for element in self.root.of("passive_joint"):
+        for element in self.root.find_children("passive_joint"):
             name = self._read_known_name(
                 element, "name", mechanism.joints, "joint", "passive_joint"
             )
             if name is not None:
                 mechanism.joints[name] = replace(mechanism.joints[name], actuated=False)
-        for element in self.root.of("end_effector"):
+        for element in self.root.find_children("end_effector"):
             self._add_end_effector(mechanism, element)
         self._ignore_pairs(mechanism)
-        self.findings.finish()
+        self.findings.raise_problems()
         mechanism.notes += self.findings.notes
 
     def _check_names(self, mechanism: Mechanism) -> None:
+        """Note where the SRDF names another robot than the mechanism, and check its elements."""
         given = self.root.attributes.get("name", "").strip()
         if given and given != mechanism.name:
             said = (
                 f"it is written for the robot {shorten_text(given)}, and this is {mechanism.name!r}"
             )
-            self.findings.note(said, "", self.root.where_of("name"))
+            self.findings.add_note(said, "", self.root.locate_attribute("name"))
         seen: dict[str, XmlElement] = {}
         for element in self.root.children:
             if element.tag not in ELEMENTS:
@@ -172,13 +176,15 @@ class Srdf:
     # ---- groups
 
     def _declare_groups(self, mechanism: Mechanism) -> None:
-        """Declare all groups, each after those that are parts of it."""
+        """Declare all groups, each after the groups that are parts of it."""
         elements: dict[str, XmlElement] = {}
-        for element in self.root.of("group"):
+        for element in self.root.find_children("group"):
             name = self._read_name(element, "group")
             if name in elements:
-                said = f"there is another group of this name, at {elements[name].where}"
-                self.findings.add(said, f"group {name!r}", element.where, "names must be unique")
+                said = f"there is another group of this name, at {elements[name].location}"
+                self.findings.add_problem(
+                    said, f"group {name!r}", element.location, "names must be unique"
+                )
             elif name is not None:
                 elements[name] = element
         parts = {
@@ -189,8 +195,8 @@ class Srdf:
         except CycleError as error:
             cycle: list[str] = error.args[1][::-1]
             shown = " holds ".join(map(repr, cycle[:FEW]))
-            where = elements[cycle[0]].where
-            self.findings.add(f"it holds itself: {shown}", f"group {cycle[0]!r}", where)
+            where = elements[cycle[0]].location
+            self.findings.add_problem(f"it holds itself: {shown}", f"group {cycle[0]!r}", where)
             return
         found = {name: self._list_joints(name, elements[name], mechanism) for name in order}
         total = 0
@@ -200,42 +206,45 @@ class Srdf:
             total += len(found[name])
             if total > MOST:
                 said = f"with it the groups hold more than {MOST} joints"
-                self.findings.add(said, f"group {name!r}", elements[name].where)
+                self.findings.add_problem(said, f"group {name!r}", elements[name].location)
                 return
         for name in elements:  # in the order of the file
             if not found[name]:
-                self.findings.note("it holds no joint", f"group {name!r}", elements[name].where)
+                self.findings.add_note(
+                    "it holds no joint", f"group {name!r}", elements[name].location
+                )
             mechanism.group(name, [joint for joint in mechanism.joints if joint in found[name]])
 
     def _list_parts(self, name: str, element: XmlElement, elements: Collection[str]) -> list[str]:
+        """Return the names of the groups that are parts of a group."""
         subject = f"group {name!r}"
         for child in element.children:
             if child.tag not in IN_GROUP:
                 self._check_unknown_element(child, IN_GROUP, subject)
         known = [
             self._read_known_name(child, "name", elements, "group", subject)
-            for child in element.of("group")
+            for child in element.find_children("group")
         ]
         return [part for part in known if part is not None]
 
     def _list_joints(self, name: str, element: XmlElement, mechanism: Mechanism) -> set[str]:
-        """The joints of a group, without those of its parts."""
+        """Return the joints of a group without the joints of its parts."""
         subject = f"group {name!r}"
         found: set[str] = set()
-        for child in element.of("joint"):
+        for child in element.find_children("joint"):
             if joint := self._read_known_name(child, "name", mechanism.joints, "joint", subject):
                 found.add(joint)
-        for child in element.of("link"):
+        for child in element.find_children("link"):
             if link := self._read_known_name(child, "name", mechanism.bodies, "link", subject):
                 above = [j for j in mechanism.joints.values() if j.child == link]
                 found.update(j.name for j in sorted(above, key=lambda j: j.cut)[:1])
-        for child in element.of("chain"):
+        for child in element.find_children("chain"):
             ends = [
                 self._read_known_name(child, key, mechanism.bodies, "link", subject)
                 for key in ("base_link", "tip_link")
             ]
             if None not in ends:
-                with self.findings.guard(subject, child.where):
+                with self.findings.record_errors(subject, child.location):
                     found.update(j.name for j in find_path_joints(mechanism, *ends))  # type: ignore[arg-type]
         return found
 
@@ -243,7 +252,7 @@ class Srdf:
 
     def _declare_postures(self, mechanism: Mechanism) -> None:
         """Declare the states of groups as postures, such as "arm/home"."""
-        for element in self.root.of("group_state"):
+        for element in self.root.find_children("group_state"):
             name = self._read_name(element, "group_state")
             subject = f"group_state {name!r}"
             group = None
@@ -251,20 +260,20 @@ class Srdf:
                 group = self._read_known_name(element, "group", mechanism.groups, "group", subject)
             else:
                 said = "it names no group: the posture is called as it is"
-                self.findings.note(said, subject, element.where)
+                self.findings.add_note(said, subject, element.location)
             if name is None or (group is None and "group" in element.attributes):
                 continue
             posture = name if group is None else f"{group}/{name}"
             if posture in mechanism.postures:
                 said = f"there is another posture {posture!r}"
-                self.findings.add(said, subject, element.where, "names must be unique")
+                self.findings.add_problem(said, subject, element.location, "names must be unique")
                 continue
             mechanism.posture(posture, self._read_state(mechanism, element, f"posture {posture!r}"))
 
     def _read_state(
         self, mechanism: Mechanism, element: XmlElement, subject: str
     ) -> dict[str, float]:
-        """The values of a posture by coordinate name."""
+        """Return the values of a posture by coordinate name."""
         values: dict[str, float] = {}
         joints: list[str] = []
         for child in element.children:
@@ -274,7 +283,7 @@ class Srdf:
             name = child.attributes.get("name")
             if name == ROOT_JOINT and name not in mechanism.joints:
                 said = f"the value of {ROOT_JOINT!r} is not used: base='free' lets the root move"
-                self.findings.note(said, subject, child.where)
+                self.findings.add_note(said, subject, child.location)
             elif joint := self._read_known_name(child, "name", mechanism.joints, "joint", subject):
                 joints.append(joint)
                 values |= self._read_joint_values(
@@ -284,24 +293,26 @@ class Srdf:
         if other := [joint for joint in joints if joint not in group]:
             names = join_first_words([*map(repr, other)], FEW)
             said = f"{format_count(len(other), 'joint')} not in the group: {names}"
-            self.findings.note(said, subject, element.where)
+            self.findings.add_note(said, subject, element.location)
         self._drop_followers(mechanism, values, subject, element)
         return values
 
     def _read_joint_values(
         self, mechanism: Mechanism, joint: Joint, element: XmlElement, subject: str
     ) -> dict[str, float]:
-        """Values of a joint by the names of its coordinates."""
+        """Return the values of a joint by the names of its coordinates."""
         names = joint.type.list_coordinate_names(
             mechanism.dim, mechanism.bodies[joint.child].particle
         )
         order = ORDERS.get(joint.type.type_name, names)
         if not names:
             said = f"joint {joint.name!r} does not move: its value is not used"
-            self.findings.note(said, subject, element.where)
+            self.findings.add_note(said, subject, element.location)
             return {}
         if "value" not in element.attributes:
-            self.findings.add(f"joint {joint.name!r} has no value", subject, element.where)
+            self.findings.add_problem(
+                f"joint {joint.name!r} has no value", subject, element.location
+            )
             return {}
         found = read_numbers(element, "value", len(order), self.findings, subject)
         return {
@@ -312,7 +323,7 @@ class Srdf:
     def _drop_followers(
         self, mechanism: Mechanism, values: dict[str, float], subject: str, element: XmlElement
     ) -> None:
-        """Leave out, with a note, values of followers that contradict what these follow."""
+        """Remove values of followers that contradict their leaders, with a note."""
         for name in [name for name in values if name in mechanism.couplings]:
             needed = _evaluate_coupling(mechanism.couplings[name], values)
             if needed is not None and abs(needed - values[name]) > CLOSE:
@@ -320,13 +331,13 @@ class Srdf:
                     f"the value {values[name]:g} of {name!r} is not used: it follows "
                     f"{', '.join(mechanism.couplings[name].sources)}, which makes it {needed:g}"
                 )
-                self.findings.note(said, subject, element.where)
+                self.findings.add_note(said, subject, element.location)
                 del values[name]
 
     # ---- end effectors and pairs
 
     def _add_end_effector(self, mechanism: Mechanism, element: XmlElement) -> None:
-        """A frame of the end effector's name on its parent link."""
+        """Add a frame with the name of the end effector to its parent link."""
         name = self._read_name(element, "end_effector")
         subject = f"end_effector {name!r}"
         link = self._read_known_name(element, "parent_link", mechanism.bodies, "link", subject)
@@ -334,23 +345,23 @@ class Srdf:
             group = element.attributes.get(key, "")
             if group and group not in mechanism.groups:
                 said = f"there is no group {shorten_text(group)}"
-                hint = self.findings.hint(group, mechanism.groups)
-                self.findings.note(f"{said}{hint}", subject, element.where_of(key))
+                hint = self.findings.suggest_name(group, mechanism.groups)
+                self.findings.add_note(f"{said}{hint}", subject, element.locate_attribute(key))
         if name is None or link is None:
             return
         if name in mechanism.bodies or name in mechanism.frames:
             what = "link" if name in mechanism.bodies else "frame"
             said = f"it gets no frame of its own: a {what} has its name; it is on {link!r}"
-            self.findings.note(said, subject, element.where)
+            self.findings.add_note(said, subject, element.location)
             return
-        with self.findings.guard(subject, element.where):
-            mechanism.frame(name, link, where=element.where)
+        with self.findings.record_errors(subject, element.location):
+            mechanism.frame(name, link, where=element.location)
 
     def _ignore_pairs(self, mechanism: Mechanism) -> None:
-        """Ignore pairs of links that are not checked for collisions."""
+        """Declare the pairs of links that are not checked for collisions."""
         without = {
             link
-            for element in self.root.of("disable_default_collisions")
+            for element in self.root.find_children("disable_default_collisions")
             if (
                 link := self._read_known_name(
                     element, "link", mechanism.bodies, "link", element.tag
@@ -358,14 +369,14 @@ class Srdf:
             )
         }
         if len(without) * len(mechanism.bodies) > MOST:
-            where = self.root.of("disable_default_collisions")[0].where
-            self.findings.add(f"it disables more than {MOST} pairs", "robot", where)
+            where = self.root.find_children("disable_default_collisions")[0].location
+            self.findings.add_problem(f"it disables more than {MOST} pairs", "robot", where)
             return
         every = ((a, b) for a in without for b in mechanism.bodies if a != b)
         ignored = {frozenset(pair): "Default" for pair in every}
         absent: dict[str, XmlElement] = {}
         for tag in ("enable_collisions", "disable_collisions"):
-            for element in self.root.of(tag):
+            for element in self.root.find_children(tag):
                 ends = self._read_attributes(element, f"<{tag}>", "link1", "link2")
                 if ends is None:
                     continue
@@ -373,7 +384,9 @@ class Srdf:
                     absent.setdefault(lost[0], element)
                 elif ends[0] == ends[1]:
                     said = f"both links are {ends[0]!r}"
-                    self.findings.add(said, f"<{tag}>", element.where, "a pair has two links")
+                    self.findings.add_problem(
+                        said, f"<{tag}>", element.location, "a pair has two links"
+                    )
                 elif tag == "enable_collisions":
                     ignored.pop(frozenset(ends), None)
                 else:
@@ -383,11 +396,11 @@ class Srdf:
         if absent:
             name, element = next(iter(absent.items()))
             names = join_first_words([*map(repr, absent)], FEW)
-            self.findings.note(
+            self.findings.add_note(
                 f"pairs of {format_count(len(absent), 'link')} that the robot does not have are "
-                f"not used: {names}{self.findings.hint(name, mechanism.bodies)}",
+                f"not used: {names}{self.findings.suggest_name(name, mechanism.bodies)}",
                 f"<{element.tag}>",
-                element.where,
+                element.location,
             )
 
     # ---- names
@@ -395,47 +408,50 @@ class Srdf:
     def _check_unknown_element(
         self, element: XmlElement, known: tuple[str, ...], subject: str
     ) -> None:
-        """Refuse an element that looks like a slip of a known one; note any other."""
+        """Record a problem for a misspelled element, and a note for any other unknown one."""
         tag = element.tag
         if near := find_intended_name(tag[:60], known):
             said = f"unknown element {shorten_text(tag)}; did you mean {near!r}?"
-            self.findings.add(said, subject, element.where)
+            self.findings.add_problem(said, subject, element.location)
         else:
-            self.findings.note(
-                f"the element {shorten_text(tag)} is not read", subject, element.where
+            self.findings.add_note(
+                f"the element {shorten_text(tag)} is not read", subject, element.location
             )
 
     def _read_name(self, element: XmlElement, subject: str) -> str | None:
+        """Return the name of an element; None after recording that it has none."""
         name = element.attributes.get("name", "")
         if name.strip():
             return name
-        self.findings.add("it has no name", f"<{subject}>", element.where, "write name=")
+        self.findings.add_problem("it has no name", f"<{subject}>", element.location, "write name=")
         return None
 
     def _read_attributes(self, element: XmlElement, subject: str, *keys: str) -> list[str] | None:
-        """The values of attributes; None after recording which are missing."""
+        """Return the values of attributes; None after recording which are missing."""
         missing = [key for key in keys if not element.attributes.get(key)]
         for key in missing:
-            self.findings.add(f"it has no {key}", subject, element.where, f"write {key}=")
+            self.findings.add_problem(
+                f"it has no {key}", subject, element.location, f"write {key}="
+            )
         return None if missing else [element.attributes[key] for key in keys]
 
     def _read_known_name(
         self, element: XmlElement, key: str, known: Collection[str], kind: str, subject: str
     ) -> str | None:
-        """The name that an attribute gives; None after recording that nothing is called so."""
+        """Return the name in an attribute; None after recording that nothing has this name."""
         given = self._read_attributes(element, subject, key)
         if given is None or given[0] in known:
             return given[0] if given else None
-        self.findings.add(
-            f"there is no {kind} {shorten_text(given[0])}{self.findings.hint(given[0], known)}",
+        self.findings.add_problem(
+            f"there is no {kind} {shorten_text(given[0])}{self.findings.suggest_name(given[0], known)}",
             subject,
-            element.where_of(key),
+            element.locate_attribute(key),
         )
         return None
 
 
 def _evaluate_coupling(coupling: Coupling, values: dict[str, float]) -> float | None:
-    """The value of a coordinate that follows others, where these have values."""
+    """Return the value of a follower from the values of its leaders; None where one has no value."""
     if any(name not in values for name in coupling.sources):
         return None
     terms = [factor * values[name] for name, factor in coupling.sources.items()]

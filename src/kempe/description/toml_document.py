@@ -1,4 +1,4 @@
-"""A TOML document: its tables, whose shape is checked, and the place of every value in the text."""
+"""TOML document: its tables with checked form, and the place of every value in the text."""
 
 from __future__ import annotations
 
@@ -35,13 +35,15 @@ _TOKEN = re.compile(
 
 
 class _Token(NamedTuple):
+    """Token of a TOML text: its kind, its text, and its offset."""
+
     kind: str
     text: str
     offset: int
 
 
 class Places:
-    """Answers where the value at a path stands; for an unknown path, where what encloses it stands."""
+    """Places of the values in a TOML text, by path."""
 
     def __init__(self, source: Source, tables: dict[Path, int] | None = None):
         self.source = source
@@ -49,19 +51,21 @@ class Places:
 
     @cached_property
     def _offsets(self) -> dict[Path, int]:
+        """Offsets of the values by path."""
         return _scan_offsets(self.source.text)
 
-    def where(self, *path: str | int) -> Where:
-        """The place of the value at `path`."""
+    def locate_value(self, *path: str | int) -> Where:
+        """Return the place of the value at `path`, or of the table that encloses it."""
         path = path[: 2 * DEEPEST]
         if path in self._tables:  # known without looking at what is in them
-            return self.source.where_offset(self._tables[path])
+            return self.source.locate_offset(self._tables[path])
         while path and path not in self._offsets:
             path = path[:-1]
-        return self.source.where_offset(self._offsets.get(path, 0))
+        return self.source.locate_offset(self._offsets.get(path, 0))
 
 
 def _iterate_tokens(text: str) -> Iterator[_Token]:
+    """Iterate over the tokens of a TOML text without comments."""
     for match in _TOKEN.finditer(text):
         kind = match.lastgroup or ""
         if kind != "comment":
@@ -70,7 +74,7 @@ def _iterate_tokens(text: str) -> Iterator[_Token]:
 
 
 def _scan_offsets(text: str) -> dict[Path, int]:
-    """Offsets by path, of a text that is valid TOML."""
+    """Return the offsets of all values of a valid TOML text, by path."""
     offsets: dict[Path, int] = {}
     counts: dict[Path, int] = {}
     section: Path = ()
@@ -91,7 +95,7 @@ def _scan_offsets(text: str) -> dict[Path, int]:
 
 
 def _parse_header(start: _Token, tokens: Iterator[_Token], counts: dict[Path, int]) -> Path:
-    """Path of ``[a.b]`` or ``[[a.b]]``; a name of an array of tables stands for its last element."""
+    """Return the path of ``[a.b]`` or ``[[a.b]]``; an array of tables stands for its last element."""
     first = next(tokens)
     array = first.text == "[" and first.offset == start.offset + 1
     names = _parse_key(next(tokens) if array else first, tokens, "]")
@@ -109,7 +113,7 @@ def _parse_header(start: _Token, tokens: Iterator[_Token], counts: dict[Path, in
 
 
 def _parse_key(token: _Token, tokens: Iterator[_Token], stop: str) -> list[str]:
-    """The first names of a dotted key, which `token` begins and `stop` ends."""
+    """Return the first names of a dotted key, which `token` begins and `stop` ends."""
     names: list[str] = []
     while token.text != stop or token.kind == "string":
         if len(names) == DEEPEST:
@@ -126,7 +130,7 @@ def _parse_key(token: _Token, tokens: Iterator[_Token], stop: str) -> list[str]:
 
 
 def _record_value(path: Path, tokens: Iterator[_Token], offsets: dict[Path, int]) -> None:
-    """Record where a value and, in an array, its elements start; go on to the end of its line."""
+    """Record the offset of a value, and of the elements of an array; go on to the end of its line."""
     depth = 0
     index = 0
     fresh = False
@@ -189,12 +193,15 @@ _WHOLE = re.compile(r"[-+]?(?:0|[1-9][0-9]{0,17})")
 
 
 class _Other(Exception):
-    """The text is not of the form that is read here."""
+    """Error for a text that is not of the simple form."""
 
 
 def parse_toml(text: str) -> tuple[dict[str, Any], dict[Path, int] | None]:
-    """The data of a TOML text, as of `tomllib.loads`, and where its tables begin; None where that
-    is not known.
+    """Return the data of a TOML text, as of `tomllib.loads`, and the offsets of its tables.
+
+    The offsets are None where they are unknown.
+
+    The offsets are None where they are unknown.
 
     Errors: those of `tomllib`.
     """
@@ -210,11 +217,12 @@ def parse_toml(text: str) -> tuple[dict[str, Any], dict[Path, int] | None]:
 
 
 def _blank_match(found: re.Match[str]) -> str:
-    """What stands for a string or a comment where only keys are looked for: as many lines."""
+    """Return as many empty lines as a string or comment has."""
     return f'"{chr(10) * found[0].count(chr(10))}"' if found[0][0] != "#" else ""
 
 
 def _parse_tables(text: str) -> tuple[dict[str, Any], dict[Path, int]]:
+    """Return the data of a TOML text with simple tables, and the offsets of its tables."""
     heads = list(_HEADER.finditer(text))
     out = _parse_table(text[: heads[0].start() if heads else len(text)])
     places: dict[Path, int] = {}
@@ -238,7 +246,7 @@ def _parse_tables(text: str) -> tuple[dict[str, Any], dict[Path, int]]:
 
 
 def _parse_table(text: str) -> dict[str, Any]:
-    """The keys between two headers."""
+    """Return the keys between two headers."""
     out: dict[str, Any] = {}
     for line in text.split("\n"):
         if not line:
@@ -270,16 +278,14 @@ def _parse_table(text: str) -> dict[str, Any]:
 
 
 def _parse_number(text: str) -> int | float | None:
-    """The number, None where it is none or one of the rarer forms."""
+    """Return the number in a text; None for other texts and rare forms of numbers."""
     if _FLOAT.fullmatch(text):
         return float(text)
     return int(text) if _WHOLE.fullmatch(text) else None
 
 
 def _parse_full_table(text: str) -> dict[str, Any]:
-    """The keys of a table that has others than the plainest lines. What may be a header is of
-    another table.
-    """
+    """Return the keys of a table whose lines are not all of the simplest form."""
     if _BRACKET.search(text):
         raise _Other
     return tomllib.loads(text)
@@ -393,17 +399,18 @@ _AT_LINE = re.compile(r" \(at line (\d+), column (\d+)\)$")
 
 
 def list_joint_options() -> tuple[str, ...]:
-    """Names of the options of all joint types."""
+    """Return the names of the options of all joint types."""
     return _list_type_options(tuple(TYPES.values()))
 
 
 @lru_cache(maxsize=8)
 def _list_type_options(types: tuple[type[JointType], ...]) -> tuple[str, ...]:
+    """Return the names of the options of these joint types."""
     return tuple(dict.fromkeys(name for type_ in types for name in type_.list_defaults()))
 
 
 def _is_plain_data(data: Any) -> bool:
-    """Whether there is nothing in it but tables, lists, text and numbers of at most 64 bits."""
+    """Whether data hold only tables, lists, texts and numbers of at most 64 bits."""
     stack = [data]
     while stack:
         item = stack.pop()
@@ -418,7 +425,7 @@ def _is_plain_data(data: Any) -> bool:
 
 
 class Document:
-    """The data of a TOML text, with its places and the findings of those who read it."""
+    """Data of a TOML text, with places of values and findings of its readers."""
 
     def __init__(self, source: Source):
         self.source = source
@@ -426,31 +433,29 @@ class Document:
         self.places = Places(source, tables)
         self.findings = Findings()
 
-    def where(self, *path: str | int) -> Where:
-        """The place of the value at `path`, or of what encloses it."""
-        return self.places.where(*path)
+    def locate_value(self, *path: str | int) -> Where:
+        """Return the place of the value at `path`, or of the table that encloses it."""
+        return self.places.locate_value(*path)
 
     def check_format(self) -> None:
-        """Raise unless the file has our format, and holds nothing but text, numbers, lists and
-        tables.
-        """
+        """Raise an error unless the file has Kempe's format and holds plain data only."""
         given = self.data.get("format")
         if given is None:
             raise make_error(
                 "the file has no line 'format = 1'",
-                self.where(),
+                self.locate_value(),
                 "every mechanism file starts with it",
             )
         if type(given) is not int or not FORMAT <= given <= NEWEST:
             allowed = f"this version of Kempe reads format {FORMAT} and {NEWEST}"
-            raise make_error(f"format is {given!r}", self.where("format"), allowed)
+            raise make_error(f"format is {given!r}", self.locate_value("format"), allowed)
         if not _is_plain_data(self.data):
             self._refuse_other_values()
-        self.findings.finish()
-        self.check("", self.data, ())
+        self.findings.raise_problems()
+        self.check_table("", self.data, ())
 
     def _refuse_other_values(self) -> None:
-        """Record what is neither text, number, list nor table."""
+        """Record a problem for each value that is neither text, number, list nor table."""
         stack: list[tuple[Path, Any]] = [((), self.data)]
         while stack:
             path, item = stack.pop()
@@ -460,15 +465,27 @@ class Document:
             elif isinstance(item, list):
                 stack += [((*path, i), v) for i, v in enumerate(inner)]
             elif isinstance(item, int) and abs(item) >= 2**63:
-                self.findings.add(
-                    "an integer of more than 64 bits", "", self.where(*path), "write it as 1e20"
+                self.findings.add_problem(
+                    "an integer of more than 64 bits",
+                    "",
+                    self.locate_value(*path),
+                    "write it as 1e20",
                 )
             elif not isinstance(item, (int, float, str)):
                 message = f"{shorten_text(item)} is a date or a time"
-                self.findings.add(message, "", self.where(*path), "write text in quotes")
+                self.findings.add_problem(
+                    message, "", self.locate_value(*path), "write text in quotes"
+                )
 
-    def check(self, kind: str, table: Mapping[str, Any], path: Path, subject: str = "") -> bool:
-        """Whether a table has all keys that it must have and no others, with the right types."""
+    def check_table(
+        self, kind: str, table: Mapping[str, Any], path: Path, subject: str = ""
+    ) -> bool:
+        """Check that a table has all required keys, no unknown ones, and values of the right types.
+
+        Problems are recorded; return whether there are none.
+
+        Problems are recorded; return whether there are none.
+        """
         before = len(self.findings.problems)
         known = KEYS[kind] + (list_joint_options() if kind == "joint" else ())
         if (
@@ -484,53 +501,59 @@ class Document:
                 else _VALUES.get(key, (object, ""))
             )
             if key not in known:
-                place = self.where(*path, key)
-                self.findings.add(
+                place = self.locate_value(*path, key)
+                self.findings.add_problem(
                     f"unknown key {shorten_text(key)}{hint(key[:60], known)}", subject, place
                 )
             elif not isinstance(item, wanted) or (wanted is int and isinstance(item, bool)):
-                self.findings.add(
+                self.findings.add_problem(
                     f"{key} is {shorten_text(item)}",
                     subject,
-                    self.where(*path, key),
+                    self.locate_value(*path, key),
                     f"it must be {said}",
                 )
             elif said == "a list of texts" and not all(isinstance(x, str) for x in item):
-                place = self.where(*path, key)
-                self.findings.add(
+                place = self.locate_value(*path, key)
+                self.findings.add_problem(
                     f"{key} holds something else than text", subject, place, f"it must be {said}"
                 )
         for key in REQUIRED.get(kind, ()):
             if key not in table:
                 allowed = f"it needs {', '.join(REQUIRED[kind])}"
-                self.findings.add(
-                    f"the key {key!r} is missing", subject, self.where(*path), allowed
+                self.findings.add_problem(
+                    f"the key {key!r} is missing", subject, self.locate_value(*path), allowed
                 )
         return len(self.findings.problems) == before
 
-    def array(self, kind: str) -> list[dict[str, Any]]:
-        """The tables [[kind]]."""
+    def get_tables(self, kind: str) -> list[dict[str, Any]]:
+        """Return the tables [[kind]]."""
         found = tables = self.data.get(kind, [])
         if isinstance(found, list) and all(isinstance(x, dict) for x in tables):
             return tables
         allowed = f"write [[{kind}]], with double brackets, above each {kind}"
-        self.findings.add(f"{kind!r} is not a list of tables", "", self.where(kind), allowed)
+        self.findings.add_problem(
+            f"{kind!r} is not a list of tables", "", self.locate_value(kind), allowed
+        )
         return []
 
-    def table(self, kind: str) -> dict[str, Any]:
-        """The table [kind], empty where it is missing."""
+    def get_table(self, kind: str) -> dict[str, Any]:
+        """Return the table [kind], empty where it is missing."""
         found = table = self.data.get(kind, {})
         if isinstance(found, dict):
             return table
-        self.findings.add(f"{kind!r} is not a table", "", self.where(kind), f"write [{kind}]")
+        self.findings.add_problem(
+            f"{kind!r} is not a table", "", self.locate_value(kind), f"write [{kind}]"
+        )
         return {}
 
-    def flat(self, found: Any, path: Path, what: str) -> dict[str, Any]:
-        """A table by coordinate name; ``J.x = 1`` and ``"J.x" = 1`` say the same."""
+    def flatten_table(self, found: Any, path: Path, what: str) -> dict[str, Any]:
+        """Return a table by coordinate name; ``J.x = 1`` and ``"J.x" = 1`` mean the same."""
         table: Any = found
         if not isinstance(found, dict):
             allowed = "it must be a table by coordinate name, such as {A = 0.3}"
-            self.findings.add(f"{what} is {shorten_text(found)}", "", self.where(*path), allowed)
+            self.findings.add_problem(
+                f"{what} is {shorten_text(found)}", "", self.locate_value(*path), allowed
+            )
             return {}
         out: dict[str, Any] = {}
         stack: list[tuple[Any, Any]] = list(reversed(table.items()))
@@ -540,8 +563,8 @@ class Document:
             if isinstance(item, dict):
                 stack += [(f"{key}.{k}", v) for k, v in reversed(inner.items())]
             elif key in out:
-                self.findings.add(
-                    f"{what} names {key!r} twice", "", self.where(*path), "name it once"
+                self.findings.add_problem(
+                    f"{what} names {key!r} twice", "", self.locate_value(*path), "name it once"
                 )
             else:
                 out[key] = item
@@ -549,11 +572,17 @@ class Document:
 
 
 def _parse_source(source: Source) -> tuple[dict[str, Any], dict[Path, int] | None]:
+    """Return the data and the offsets of tables.
+
+    Errors: `DescriptionError` where the text is no TOML.
+
+    Errors: `DescriptionError` where the text is no TOML.
+    """
     try:
         return parse_toml(source.text)
     except RecursionError:
         raise make_error(
-            "arrays or tables are nested too deep", source.where(1), "this is no mechanism"
+            "arrays or tables are nested too deep", source.locate_line(1), "this is no mechanism"
         ) from None
     except ValueError as error:  # TOMLDecodeError, and integers of too many digits
         text = str(error)
@@ -563,7 +592,7 @@ def _parse_source(source: Source) -> tuple[dict[str, Any], dict[Path, int] | Non
         if match:
             line = int(match[1])
             column = int(match[2])
-        where = source.where(line, column)
+        where = source.locate_line(line, column)
         allowed = "see the caret"
         if re.match(r",\s*\d", where.text[column - 1 :]):
             allowed = "decimals take a point: 1.5"

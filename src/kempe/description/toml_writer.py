@@ -1,4 +1,4 @@
-"""TOML text of a mechanism, without loss: `read_toml(write_toml(m)) == m`, to the last bit."""
+"""Writer of TOML text without loss: `read_toml(write_toml(m)) == m`, to the last bit."""
 
 from __future__ import annotations
 
@@ -37,8 +37,7 @@ _NOT_LITERAL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f]|'''|'$")
 
 
 def write_toml(mechanism: Mechanism) -> str:
-    """TOML text of a mechanism, to be read by `read_toml`; parameters and expressions stay what
-    they are.
+    """Return the TOML text of a mechanism with its parameters and expressions, for `read_toml`.
 
     Errors: `DescriptionError` listing all that a file cannot hold, by `TOML.cannot` of
     `kempe.description.formats`.
@@ -47,7 +46,7 @@ def write_toml(mechanism: Mechanism) -> str:
     findings = Findings()
     constraints: list[dict[str, Any]] = []
     for c in m.constraints.values():
-        with findings.guard(f"constraint {c.name!r}", c.where):
+        with findings.record_errors(f"constraint {c.name!r}", c.where):
             constraints.append(_make_constraint_table(c, m.dim))
     shapes = [_make_shape_table(b.name, s, m.dim) for b in m.bodies.values() for s in b.shapes]
     newer = (
@@ -78,7 +77,7 @@ def write_toml(mechanism: Mechanism) -> str:
             continue
         allowed = TOML.cannot["joints of types that are not in the table of joints"]
         said = f"type {joint.type.type_name!r} is not in the table of joints"
-        findings.add(said, f"joint {joint.name!r}", joint.where, allowed)
+        findings.add_problem(said, f"joint {joint.name!r}", joint.where, allowed)
     blocks += [_format_block("frame", _make_frame_table(f, m.dim)) for f in m.frames.values()]
     blocks += [_format_block("shape", table) for table in shapes]
     blocks += [_format_block("constraint", table) for table in constraints]
@@ -93,19 +92,22 @@ def write_toml(mechanism: Mechanism) -> str:
         blocks.append("[groups]\n" + _format_lines(m.groups))
     if m.locks:
         blocks.append("[locks]\n" + _format_lines(m.locks))
-    findings.finish()
+    findings.raise_problems()
     return "\n".join(blocks)
 
 
 def _format_block(kind: str, table: Mapping[str, Any]) -> str:
+    """Return an element of an array of tables as text."""
     return f"[[{kind}]]\n{_format_lines(table)}"
 
 
 def _format_lines(table: Mapping[str, Any]) -> str:
+    """Return the keys and values of a table as lines."""
     return "".join(f"{_format_key(k)} = {_format_value(v)}\n" for k, v in table.items())
 
 
 def _make_body_table(body: Body) -> dict[str, Any]:
+    """Return the table of a body."""
     given = {
         "name": body.name,
         "particle": body.particle or None,
@@ -116,10 +118,12 @@ def _make_body_table(body: Body) -> dict[str, Any]:
 
 
 def _make_frame_table(frame: Frame, dim: int) -> dict[str, Any]:
+    """Return the table of a frame."""
     return {"name": frame.name, "body": frame.body, **_make_placement_keys(frame.X_BF, dim)}
 
 
 def _make_shape_table(body: str, shape: Shape, dim: int) -> dict[str, Any]:
+    """Return the table of a shape."""
     out: dict[str, Any] = {"body": body, "type": shape.kind}
     out |= {"name": shape.name} if shape.name else {}
     usual = {f.name: f.default for f in fields(shape.geometry)}
@@ -132,6 +136,7 @@ def _make_shape_table(body: str, shape: Shape, dim: int) -> dict[str, Any]:
 
 
 def _make_joint_table(joint: Joint, dim: int) -> dict[str, Any]:
+    """Return the table of a joint."""
     out: dict[str, Any] = {
         "name": joint.name,
         "type": joint.type.type_name,
@@ -162,7 +167,12 @@ def _make_joint_table(joint: Joint, dim: int) -> dict[str, Any]:
 
 
 def _make_constraint_table(constraint: Declared, dim: int) -> dict[str, Any]:
-    """A constraint; those that `Mechanism.constraint` places on bodies with the keys of joints."""
+    """Return the table of a constraint.
+
+    A constraint that is placed on bodies has the keys of joints.
+
+    A constraint that is placed on bodies has the keys of joints.
+    """
     out: dict[str, Any] = {"name": constraint.name}
     placed = next((k for k, kind in BETWEEN.items() if constraint.of.kind == kind), "")
     if placed and all(isinstance(e, End) for e in constraint.of.ends):
@@ -193,7 +203,7 @@ def _make_constraint_table(constraint: Declared, dim: int) -> dict[str, Any]:
 
 
 def _convert_field(x: Any, how: str, dim: int) -> Any:
-    """A field of a constraint as TOML can hold it."""
+    """Return a field of a constraint in a form that TOML can hold."""
     if isinstance(x, End):
         return {"body": x.body, **_make_placement_keys(x.X, dim)}
     if how in NUMBERS and not isinstance(x, (str, Expression)):
@@ -212,7 +222,7 @@ def _convert_field(x: Any, how: str, dim: int) -> Any:
 
 
 def _make_placement_keys(X: Placement, dim: int) -> dict[str, Any]:
-    """Keys that say a placement: `at`, an orientation and `axis` where they can, else `steps`."""
+    """Return the keys of a placement: `at`, an orientation and `axis` where possible, else `steps`."""
     form = _find_plain_form(X, dim)
     try:
         if place(**form) == X:
@@ -223,7 +233,7 @@ def _make_placement_keys(X: Placement, dim: int) -> dict[str, Any]:
 
 
 def _find_plain_form(X: Placement, dim: int) -> dict[str, Any]:
-    """The arguments of `place` that X's steps suggest."""
+    """Return the arguments of `place` that the steps of X suggest."""
     form: dict[str, Any] = {}
     found = {motion: numbers for motion, numbers in X.steps}
     if found.keys() & {"x", "y", "z"}:
@@ -247,20 +257,24 @@ def _find_plain_form(X: Placement, dim: int) -> dict[str, Any]:
 
 
 def _format_key(key: str) -> str:
+    """Return a key, in quotes where TOML needs them."""
     return key if _BARE.fullmatch(key) else _quote_text(key)
 
 
 def _format_text(text: str) -> str:
+    """Return a text as a TOML string; a text of several lines as a literal string."""
     if "\n" in text and not _NOT_LITERAL.search(text):
         return f"'''\n{text}'''"
     return _quote_text(text)
 
 
 def _quote_text(text: str) -> str:
+    """Return a text in quotes with escaped characters."""
     return '"' + _NEEDS_ESCAPE.sub(lambda m: _ESCAPES.get(m[0], f"\\u{ord(m[0]):04x}"), text) + '"'
 
 
 def _format_value(x: Any) -> str:
+    """Return a value as TOML."""
     if isinstance(x, bool):
         return "true" if x else "false"
     if isinstance(x, (int, float)):

@@ -1,4 +1,4 @@
-"""URDF elements, read strictly: links, joints, and what stands beside them.
+"""Strict reading of URDF elements: links, joints, and the elements beside them.
 
 What is wrong goes to the findings with its place.
 """
@@ -107,8 +107,11 @@ _NOT_READ = (
 
 
 def strip_namespaces(robot: XmlElement) -> None:
-    """Give elements whose prefix is bound to URDF's namespace, or to that of the outermost element,
-    their plain names.
+    """Remove the prefixes of elements whose prefix is bound to URDF's namespace.
+
+    The namespace of the outermost element counts as URDF's, too.
+
+    The namespace of the outermost element counts as URDF's, too.
 
     Names without a prefix are URDF's, whatever the default namespace is: other readers know no
     namespaces.
@@ -137,27 +140,25 @@ def strip_namespaces(robot: XmlElement) -> None:
 
 
 def check_version(robot: XmlElement, findings: Findings) -> None:
-    """Refuse versions of URDF that are not known, as ROS does; without one, a file is of version
-    1.0.
-    """
+    """Record a problem for an unknown version of URDF, as ROS does; the default is version 1.0."""
     given = robot.attributes.get("version")
     if given is not None and _read_version(robot) not in VERSIONS:
-        findings.add(
+        findings.add_problem(
             f"the version is {shorten_text(given)}",
             "robot",
-            robot.where_of("version"),
+            robot.locate_attribute("version"),
             f"it is the version of URDF, not of the robot, and one of {', '.join(VERSIONS)} (1.0 "
             "where it is left out)",
         )
 
 
 def has_quaternions(robot: XmlElement) -> bool:
-    """Whether the file is of a version that has `quat_xyzw`."""
+    """Whether the version of the file has `quat_xyzw`."""
     return _read_version(robot) != "1.0"
 
 
 def _read_version(robot: XmlElement) -> str:
-    """The version as two numbers: '1.00' is 1.0, as ROS reads it."""
+    """Return the version as two numbers: '1.00' is '1.0', as ROS reads it."""
     given = robot.attributes.get("version", "1.0").strip()
     found = re.fullmatch(r"0*(\d{1,9})\.0*(\d{1,9})", given, re.ASCII)
     return f"{found[1]}.{found[2]}" if found else given
@@ -174,18 +175,16 @@ def check_known_name(
     subject: str,
     element: XmlElement,
 ) -> None:
-    """Refuse a name that decides on the motion, or looks like a slip of one that is read; note any
-    other.
-    """
+    """Record a problem for an unread name that affects the motion or is misspelled, else a note."""
     if name in known or name.startswith("xmlns"):
         return
     local = name.rpartition(":")[2]
     if kind == "element":
         _check_element(element, local, known, findings, subject)
         return
-    where = element.where_of(name)
+    where = element.locate_attribute(name)
     if local != name and local in _NOT_READ:
-        findings.add(
+        findings.add_problem(
             f"the {kind} {shorten_text(name)} is not read, for its prefix",
             subject,
             where,
@@ -194,15 +193,18 @@ def check_known_name(
     elif near := find_intended_name(
         local[:60].casefold(), known if local == name else tuple(k for k in known if k in _NOT_READ)
     ):
-        findings.add(f"unknown {kind} {shorten_text(name)}; did you mean {near!r}?", subject, where)
+        findings.add_problem(
+            f"unknown {kind} {shorten_text(name)}; did you mean {near!r}?", subject, where
+        )
     else:
-        findings.note(f"the {kind} {shorten_text(name)} is not read", subject, where)
+        findings.add_note(f"the {kind} {shorten_text(name)} is not read", subject, where)
 
 
 def _check_element(
     element: XmlElement, local: str, known: tuple[str, ...], findings: Findings, subject: str
 ) -> None:
-    where = element.where
+    """Record a problem for an unread element that affects the motion or is misspelled, else a note."""
+    where = element.location
     tag = element.tag
     if local in MOTION:
         said = f"the prefix of <{tag}> hides it" if local in known else f"<{tag}> is not read here"
@@ -211,14 +213,18 @@ def _check_element(
             if local in known
             else MOTION[local]
         )
-        findings.add(said + _describe_contents(element), subject, where, f"{advice}; or remove it")
+        findings.add_problem(
+            said + _describe_contents(element), subject, where, f"{advice}; or remove it"
+        )
         return
     used = tuple(k for k in known if k in MOTION or k in ("inertial", "visual"))
     if near := find_intended_name(local[:60].casefold(), used):
-        findings.add(f"unknown element {shorten_text(tag)}; did you mean {near!r}?", subject, where)
+        findings.add_problem(
+            f"unknown element {shorten_text(tag)}; did you mean {near!r}?", subject, where
+        )
     else:
         reported = _describe_contents(element) if _SPEAKS.search(local) else ""
-        findings.note(f"the element {shorten_text(tag)} is not read{reported}", subject, where)
+        findings.add_note(f"the element {shorten_text(tag)} is not read{reported}", subject, where)
 
 
 # ---- children of <robot>, and of elements that are not read
@@ -227,8 +233,11 @@ def _check_element(
 def check_robot_children(
     robot: XmlElement, links: Collection[str], joints: Mapping[str, XmlElement], findings: Findings
 ) -> None:
-    """Judge what a robot holds beside its links and joints: the names of its `links`, and its
-    `joints` by name.
+    """Check the elements that a robot holds beside its links and joints.
+
+    `links` are the names of its links, `joints` its joints by name.
+
+    `links` are the names of its links, `joints` its joints by name.
     """
     names = {*links, *joints}
     for element in robot.children:
@@ -244,11 +253,11 @@ def check_robot_children(
         tied = [n for n in _iterate_texts(element) if n in names] if ties else []
         if tied:
             shown = " and ".join(map(repr, dict.fromkeys(tied[:4])))
-            findings.add(
+            findings.add_problem(
                 f"<{element.tag}> is not read, and it ties {shown}: without it this is another "
                 "mechanism",
                 "robot",
-                element.where,
+                element.location,
                 "give a second <joint> to a link where it closes a loop, or use TOML; or remove it",
             )
         else:
@@ -263,30 +272,31 @@ def check_robot_children(
 def _note_followers(
     block: XmlElement, joints: Mapping[str, XmlElement], findings: Findings
 ) -> None:
-    """Note what makes joints follow each other for a simulator alone: joints that have their own
-    <mimic> are known.
+    """Note elements that make joints follow each other for a simulator only.
+
+    Joints that have their own <mimic> are known.
+
+    Joints that have their own <mimic> are known.
     """
-    for element in block.walk():
+    for element in block.iterate_elements():
         if element.tag not in MOTION and _FOLLOWS.search(element.tag):
             reported = [n for n in _iterate_texts(element) if n in joints]
-            if not reported or any(not joints[n].of("mimic") for n in reported):
+            if not reported or any(not joints[n].find_children("mimic") for n in reported):
                 said = (
                     f"<{element.tag}> in a <gazebo> block is not "
                     f"read{f': {reported[0]!r}' if reported else ''}"
                 )
-                findings.note(f"{said}; there joints follow each other", "", element.where)
+                findings.add_note(f"{said}; there joints follow each other", "", element.location)
 
 
 def _note_ties(block: XmlElement, names: Collection[str], findings: Findings) -> None:
-    """Note what ties links or joints for a simulator alone, such as MuJoCo's <equality>: each tie
-    once.
-    """
+    """Note elements that tie links or joints for a simulator only, such as MuJoCo's <equality>."""
     seen: set[int] = set()
-    for element in block.walk():
+    for element in block.iterate_elements():
         local = element.tag.rpartition(":")[2]
         if id(element) in seen or element is block or not _TIES.search(local.lower()):
             continue
-        seen |= {id(part) for part in element.walk()}
+        seen |= {id(part) for part in element.iterate_elements()}
         tied = [n for n in _iterate_texts(element) if n in names]
         if tied:
             shown = " and ".join(map(repr, dict.fromkeys(tied[:4])))
@@ -294,13 +304,11 @@ def _note_ties(block: XmlElement, names: Collection[str], findings: Findings) ->
                 f"<{element.tag}> in a <{block.tag}> block is not read{_describe_contents(element)}; there "
                 f"it ties {shown}"
             )
-            findings.note(said, "", element.where)
+            findings.add_note(said, "", element.location)
 
 
 def _check_nested_elements(outer: XmlElement, findings: Findings) -> None:
-    """Refuse definitions of links, joints and followers deeper than they are read; note them in
-    <gazebo> blocks.
-    """
+    """Refuse links, joints and followers that are nested too deep; note those in <gazebo> blocks."""
     joint = outer.tag == "joint"
     holders = [c for c in outer.children if c.children] if joint or outer.tag == "link" else [outer]
     for holder in holders:  # what stands directly in a link or joint is judged with it
@@ -314,6 +322,7 @@ def _check_nested_elements(outer: XmlElement, findings: Findings) -> None:
 def _judge_nested_element(
     outer: XmlElement, holder: XmlElement, element: XmlElement, findings: Findings
 ) -> None:
+    """Record a problem or a note for an element that is nested in another one."""
     local = element.tag.rpartition(":")[2]
     joint = outer.tag == "joint"
     defines = local in MOTION and (joint or _is_definition(element, local))
@@ -329,18 +338,18 @@ def _judge_nested_element(
     )
     said = f"<{element.tag}> inside <{holder.tag}> is not read{_describe_contents(element)}"
     if defines and outer.tag != "gazebo":
-        findings.add(said, subject, element.where, MOTION[local])
+        findings.add_problem(said, subject, element.location, MOTION[local])
     elif joint or urdf:
-        findings.note(said, subject, element.where)
+        findings.add_note(said, subject, element.location)
 
 
 def _list_child_names(element: XmlElement) -> set[str]:
-    """Names of its children, without prefixes."""
+    """Return the names of the children of an element, without prefixes."""
     return {child.tag.rpartition(":")[2] for child in element.children}
 
 
 def _is_definition(element: XmlElement, local: str) -> bool:
-    """Whether an element says what a link or joint is, rather than naming one."""
+    """Whether an element defines a link or joint rather than naming one."""
     if local == "joint":
         return _list_child_names(element) >= {"parent", "child"}
     if local == "link":
@@ -349,28 +358,24 @@ def _is_definition(element: XmlElement, local: str) -> bool:
 
 
 def _has_urdf_form(element: XmlElement) -> bool:
-    """Whether an element has what URDF writes in attributes, where SDF in <gazebo> blocks has
-    elements.
-    """
+    """Whether an element has the attributes of URDF, where SDF in <gazebo> blocks has elements."""
     return any(key in element.attributes for key in _NOT_READ if key not in ("name", "type"))
 
 
 def _iterate_texts(element: XmlElement) -> Iterator[str]:
-    """Values of all attributes, and all texts between tags, of an element and those below it."""
-    for part in element.walk():
+    """Iterate over the attribute values and texts of an element and the elements below it."""
+    for part in element.iterate_elements():
         yield from part.attributes.values()
     yield from (text.strip() for text in _CONTENT.findall(element.text))
 
 
 def _describe_contents(element: XmlElement) -> str:
-    """The tail of a message: what an element that is not read says, as far as that fits into a
-    line.
-    """
+    """Return the end of a message: the contents of an unread element, in one line."""
     said = [
         f"{p.tag.rpartition(':')[2]} {k}={shorten_text(v, 30)}"
         if p is not element
         else f"{k}={shorten_text(v, 30)}"
-        for p in element.walk()
+        for p in element.iterate_elements()
         for k, v in p.attributes.items()
         if not k.startswith("xmlns") and p.tag not in ("mass", "inertia", "mesh", "material")
     ]
@@ -450,23 +455,25 @@ ATTRIBUTES = {
 def read_numbers(
     element: XmlElement, attribute: str, count: int, findings: Findings, subject: str
 ) -> tuple[float, ...] | None:
-    """The finite numbers of an attribute, or None after recording what is wrong with it."""
+    """Return the finite numbers of an attribute; None after recording a problem."""
     text = element.attributes[attribute]
     what = f"{element.tag} {attribute}"
-    return findings.numbers(text, count, what, subject, lambda: element.where_of(attribute))
+    return findings.read_numbers(
+        text, count, what, subject, lambda: element.locate_attribute(attribute)
+    )
 
 
 def _read_bound(
     element: XmlElement, attribute: str, findings: Findings, subject: str
 ) -> float | None:
-    """A limit: a number, where infinity or a huge one stands for none; None where it is missing or
-    wrong.
-    """
+    """Return a limit, infinite for huge numbers; None where it is missing or wrong."""
     if attribute not in element.attributes:
         return None
     what = f"{element.tag} {attribute}"
     text = element.attributes[attribute]
-    return findings.bound(text, UNLIMITED, what, subject, lambda: element.where_of(attribute))
+    return findings.read_bound(
+        text, UNLIMITED, what, subject, lambda: element.locate_attribute(attribute)
+    )
 
 
 # ---- links
@@ -475,26 +482,26 @@ def _read_bound(
 def read_link(
     name: str, element: XmlElement, findings: Findings, shapes: tuple[Shape, ...]
 ) -> Body:
-    """Body of a <link> with these shapes: its mass and centre of mass where given."""
+    """Return the body of a <link> with shapes, mass [kg] and centre of mass [m]."""
     subject = f"link {name!r}"
     mass = None
     center = None
     for child in element.children:
         if child.tag == "origin":
-            findings.note(
+            findings.add_note(
                 "an <origin> directly in a link has no meaning and is not used",
                 subject,
-                child.where,
+                child.location,
             )
         else:
             check_known_name("element", child.tag, _IN_LINK, findings, subject, child)
-    inertials = element.of("inertial")
+    inertials = element.find_children("inertial")
     if len(inertials) > 1:
-        findings.note(
-            "it has two <inertial> elements; the first is used", subject, inertials[1].where
+        findings.add_note(
+            "it has two <inertial> elements; the first is used", subject, inertials[1].location
         )
     for inertial in inertials[:1]:
-        for part in inertial.of("mass")[:1]:
+        for part in inertial.find_children("mass")[:1]:
             found = (
                 read_numbers(part, "value", 1, findings, subject)
                 if "value" in part.attributes
@@ -502,14 +509,17 @@ def read_link(
             )
             mass = found[0] if found else None
             if mass is not None and mass < 0.0:
-                findings.add(
-                    f"mass is {mass:g}", subject, part.where_of("value"), "it must not be negative"
+                findings.add_problem(
+                    f"mass is {mass:g}",
+                    subject,
+                    part.locate_attribute("value"),
+                    "it must not be negative",
                 )
         center = (0.0, 0.0, 0.0)
-        for part in inertial.of("origin")[:1]:
+        for part in inertial.find_children("origin")[:1]:
             if "xyz" in part.attributes:
                 center = read_numbers(part, "xyz", 3, findings, subject)
-    return Body(name, False, mass, center, shapes, element.where)  # type: ignore[arg-type]
+    return Body(name, False, mass, center, shapes, element.location)  # type: ignore[arg-type]
 
 
 # ---- joints
@@ -523,8 +533,7 @@ def read_joint(
     quaternions: bool = True,
     lenient: bool = False,
 ) -> dict[str, Any] | None:
-    """Keywords for `Mechanism.joint` of a joint of type `kind`, or None after recording what is
-    wrong.
+    """Return the keywords of `Mechanism.joint` for a joint of type `kind`; None after a problem.
 
     `quaternions` says whether the file's version has `quat_xyzw`, which readers pass over in older
     ones. Limits that hold no range are none where `lenient`; else the keyword `unstated` tells
@@ -544,11 +553,9 @@ def read_joint(
 def read_origin(
     element: XmlElement, findings: Findings, subject: str, quaternions: bool
 ) -> dict[str, Any]:
-    """The arguments of `place` that an element's <origin> gives, empty where it has none or a wrong
-    one.
-    """
+    """Return the arguments of `place` in the <origin> of an element; {} for a missing or wrong one."""
     out: dict[str, Any] = {}
-    for origin in element.of("origin")[:1]:
+    for origin in element.find_children("origin")[:1]:
         given = {
             k: read_numbers(origin, k, n, findings, subject)
             for k, n in (("xyz", 3), ("rpy", 3), ("quat_xyzw", 4))
@@ -564,14 +571,18 @@ def read_origin(
                 "quat_xyzw is of URDF 1.1, and this file is of version 1.0, where readers pass "
                 "over it"
             )
-            where = origin.where_of("quat_xyzw")
-            findings.add(said, subject, where, "write <robot version='1.1' ...>, or give rpy")
+            where = origin.locate_attribute("quat_xyzw")
+            findings.add_problem(
+                said, subject, where, "write <robot version='1.1' ...>, or give rpy"
+            )
         elif "rpy" in given:
-            findings.add("its origin has both rpy and quat_xyzw", subject, origin.where, "give one")
+            findings.add_problem(
+                "its origin has both rpy and quat_xyzw", subject, origin.location, "give one"
+            )
         else:
             turn: Any = given["quat_xyzw"]
             x, y, z, w = turn
-            with findings.guard(subject, origin.where_of("quat_xyzw")):
+            with findings.record_errors(subject, origin.locate_attribute("quat_xyzw")):
                 out["at"] = place(out["at"], quat_wxyz=(w, x, y, z))
     return out
 
@@ -579,12 +590,15 @@ def read_origin(
 def _read_axis(
     kind: str, joint: XmlElement, findings: Findings, subject: str
 ) -> tuple[float, ...] | None:
-    """Direction of the axis where the type has one; the default is x."""
+    """Return the direction (3,) of the axis where the type has one; the default is x."""
     found: tuple[float, ...] | None = (1.0, 0.0, 0.0)
-    axis = (joint.of("axis") or [None])[0]
+    axis = (joint.find_children("axis") or [None])[0]
     if axis is not None and "xyz" not in axis.attributes:
-        findings.add(
-            "its <axis> has no xyz", subject, axis.where, "write <axis xyz='0 0 1'/>, for example"
+        findings.add_problem(
+            "its <axis> has no xyz",
+            subject,
+            axis.location,
+            "write <axis xyz='0 0 1'/>, for example",
         )
         return None
     if axis is not None:
@@ -593,34 +607,34 @@ def _read_axis(
         return None if kind in WITHOUT_AXIS else found
     length = math.hypot(*found)
     if length < 1e-150:
-        findings.add(
+        findings.add_problem(
             f"its axis is {shorten_text(axis.attributes['xyz'])}",
             subject,
-            axis.where_of("xyz"),
+            axis.locate_attribute("xyz"),
             "it must not be zero: an axis has a direction, such as 0 0 1",
         )
         return None
     if abs(length - 1.0) > AXIS_TOLERANCE:
         text = " ".join(f"{x:g}" for x in found)
-        findings.note(
+        findings.add_note(
             f"its axis {text} has length {length:g}; it was normalised",
             subject,
-            axis.where_of("xyz"),
+            axis.locate_attribute("xyz"),
         )
     return found
 
 
 def _read_pitch(joint: XmlElement, findings: Findings, subject: str) -> float | None:
-    """How far a screw advances, in metres for each radian; Drake says it for each turn."""
-    for element in joint.of(PITCH)[:1]:
+    """Return the pitch of a screw in m/rad; Drake writes it in metres for each turn."""
+    for element in joint.find_children(PITCH)[:1]:
         if "value" in element.attributes:
             found = read_numbers(element, "value", 1, findings, subject)
             if found and not found[0]:
-                where = element.where_of("value")
-                findings.add("its thread pitch is 0", subject, where, "it must not be zero")
+                where = element.locate_attribute("value")
+                findings.add_problem("its thread pitch is 0", subject, where, "it must not be zero")
             return found[0] / math.tau if found else None
-    findings.add(
-        f"it has no <{PITCH} value=...>", subject, joint.where, "a screw needs it: metres a turn"
+    findings.add_problem(
+        f"it has no <{PITCH} value=...>", subject, joint.location, "a screw needs it: metres a turn"
     )
     return None
 
@@ -628,14 +642,14 @@ def _read_pitch(joint: XmlElement, findings: Findings, subject: str) -> float | 
 def _read_limit(
     kind: str, joint: XmlElement, findings: Findings, subject: str, lenient: bool
 ) -> dict[str, Any]:
-    """Keywords `limits`, `velocity`, `effort` and `unstated`."""
-    limit = (joint.of("limit") or [None])[0]
+    """Return the keywords `limits`, `velocity`, `effort` and `unstated`."""
+    limit = (joint.find_children("limit") or [None])[0]
     if limit is None:
         if kind in ("revolute", "prismatic"):
-            findings.note(
+            findings.add_note(
                 f"a {kind} joint should have a <limit>; without one it is taken as unlimited",
                 subject,
-                joint.where,
+                joint.location,
             )
         return {}
     bounds = {
@@ -643,10 +657,10 @@ def _read_limit(
         for key in ("lower", "upper", "velocity", "effort")
     }
     if kind in WITHOUT_LIMIT:
-        findings.note(
+        findings.add_note(
             f"the <limit> of a {kind} joint has no defined meaning and is not used",
             subject,
-            limit.where,
+            limit.location,
         )
     if kind in ("fixed", *WITHOUT_LIMIT):
         return {}
@@ -655,22 +669,22 @@ def _read_limit(
         found = bounds[key]
         if found is not None and found < 0.0 and lenient:
             said = f"its {key} limit is {found:g}; it is read as unlimited, as requested"
-            findings.note(said, subject, limit.where_of(key))
+            findings.add_note(said, subject, limit.locate_attribute(key))
         elif found is not None and found < 0.0:
-            findings.add(
+            findings.add_problem(
                 f"{key} limit is {found:g}",
                 subject,
-                limit.where_of(key),
+                limit.locate_attribute(key),
                 f"it must not be negative ({LENIENT} reads it as unlimited)",
             )
         elif found is not None and not math.isinf(found):
             out[key] = found
     if kind == "continuous":
         if any(bounds[key] and not math.isinf(bounds[key] or 0.0) for key in ("lower", "upper")):
-            findings.note(
+            findings.add_note(
                 "a continuous joint turns without end: its lower and upper limit are not used",
                 subject,
-                limit.where,
+                limit.location,
             )
         return out
     return out | _read_range(limit, bounds, findings, subject, lenient)
@@ -683,8 +697,11 @@ def _read_range(
     subject: str,
     lenient: bool,
 ) -> dict[str, Any]:
-    """Keywords `limits` and `unstated` of a revolute or prismatic joint: what is missing is 0 by
-    the rules of URDF.
+    """Return the keywords `limits` and `unstated` of a revolute or prismatic joint.
+
+    By the rules of URDF a missing bound is 0.
+
+    By the rules of URDF a missing bound is 0.
     """
     given = [key for key in ("lower", "upper") if key in limit.attributes]
     lower = bounds["lower"] or 0.0
@@ -692,14 +709,14 @@ def _read_range(
     both = " ".join(f"{key}={shorten_text(limit.attributes[key])}" for key in given)
     if lenient and (not given or lower > upper):
         said = f"its limits are swapped ({both})" if given else "its <limit> has no lower and upper"
-        findings.note(f"{said}; it is read as unlimited, as requested", subject, limit.where)
+        findings.add_note(f"{said}; it is read as unlimited, as requested", subject, limit.location)
         return {}
     if not given:
         said = (
             "its <limit> has no lower and upper; by the rules of URDF both are 0 and the joint "
             "cannot move"
         )
-        findings.note(f"{said} ({LENIENT} reads it as unlimited)", subject, limit.where)
+        findings.add_note(f"{said} ({LENIENT} reads it as unlimited)", subject, limit.location)
         return {"limits": (0.0, 0.0), "unstated": True}
     if lower > upper or lower == math.inf or upper == -math.inf:
         missing = "" if len(given) == 2 else " (what is missing is 0 by the rules of URDF)"
@@ -708,10 +725,10 @@ def _read_range(
             if lower > upper
             else ""
         )
-        findings.add(
+        findings.add_problem(
             f"its limits are swapped: {both}{missing}",
             subject,
-            limit.where_of(given[0]),
+            limit.locate_attribute(given[0]),
             f"lower must not be above upper{meant}",
         )
         return {}
@@ -722,6 +739,7 @@ def _read_range(
 
 
 def _check_joint(kind: str, joint: XmlElement, findings: Findings, subject: str) -> None:
+    """Check the names of the children and attributes of a joint."""
     allowed = (*_IN_JOINT, PITCH) if kind == "screw" else _IN_JOINT
     for part in (joint, *joint.children):
         if part is not joint and part.tag not in allowed:
@@ -732,10 +750,10 @@ def _check_joint(kind: str, joint: XmlElement, findings: Findings, subject: str)
                 check_known_name(f"{part.tag} attribute", key, known, findings, subject, part)  # type: ignore[arg-type]
     tags = [child.tag for child in joint.children]
     for tag in _ONCE if len(set(tags)) < len(tags) else ():
-        found = joint.of(tag)
+        found = joint.find_children(tag)
         for other in found[1:2]:
-            message = f"it has two <{tag}> elements, on line {found[0].where.line} and here"
+            message = f"it has two <{tag}> elements, on line {found[0].location.line} and here"
             if all(o.attributes == found[0].attributes for o in found):
-                findings.note(f"{message}, which say the same", subject, other.where)
+                findings.add_note(f"{message}, which say the same", subject, other.location)
             else:
-                findings.add(message, subject, other.where, "one is allowed")
+                findings.add_problem(message, subject, other.location, "one is allowed")

@@ -1,4 +1,4 @@
-"""Shapes in URDF: <visual> and <collision> elements, and materials, read and written."""
+"""Reading and writing of shapes in URDF: <visual> and <collision> elements, and materials."""
 
 from __future__ import annotations
 
@@ -30,8 +30,11 @@ Color = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class Element:
-    """How URDF writes a kind of shape: for each size the attributes that hold it, with how many
-    numbers each has, 0 for text.
+    """Form of a kind of shape in URDF: for each size its attributes and their numbers of values.
+
+    The number is 0 for text.
+
+    The number is 0 for text.
     """
 
     kind: type[Geometry]
@@ -71,22 +74,29 @@ _placed = lru_cache(4096)(place)
 
 
 def read_materials(outer: XmlElement, findings: Findings) -> dict[str, Color | None]:
-    """Colours by the names of materials: those of a robot or visual, and those that the visuals of
-    its links define. Textures are noted.
+    """Return the colours of a robot or visual by the names of their materials.
+
+    Materials that the visuals of its links define count, too; textures are noted.
+
+    Materials that the visuals of its links define count, too; textures are noted.
     """
-    visuals = (visual for link in outer.of("link") for visual in link.of("visual"))
-    inside = [element for visual in visuals for element in visual.of("material")]
-    own = outer.of("material")
+    visuals = (
+        visual for link in outer.find_children("link") for visual in link.find_children("visual")
+    )
+    inside = [element for visual in visuals for element in visual.find_children("material")]
+    own = outer.find_children("material")
     out: dict[str, Color | None] = {}
     for elements, noted in ((own, findings), (inside, Findings())):  # a visual notes its own
         for element in elements:
             name = element.attributes.get("name", "")
             if name not in out and (element.children or elements is own):
                 out[name] = _read_color(element, f"material {shorten_text(name)}", noted)
-    textures = [texture for element in [*own, *inside] for texture in element.of("texture")]
+    textures = [
+        texture for element in [*own, *inside] for texture in element.find_children("texture")
+    ]
     for first in textures[:1]:
         said = f"{format_count(len(textures), 'texture')} not read: a shape has one colour"
-        findings.note(said, "", first.where)
+        findings.add_note(said, "", first.location)
     return out
 
 
@@ -97,7 +107,7 @@ def read_shapes(
     findings: Findings,
     quaternions: bool = True,
 ) -> tuple[Shape, ...]:
-    """The shapes of a <link> that is called `name`; what is wrong with them goes to the findings."""
+    """Return the shapes of a <link> called `name`; problems are recorded in `findings`."""
     found = (
         read_shape(element, f"link {name!r}", materials, findings, quaternions)
         for element in link.children
@@ -113,7 +123,7 @@ def read_shape(
     findings: Findings,
     quaternions: bool = True,
 ) -> Shape | None:
-    """The shape of a <visual> or <collision>, or None after recording why there is none.
+    """Return the shape of a <visual> or <collision>; None after recording why there is none.
 
     Sizes that are missing, negative or no numbers are problems. What has no size, such as a sphere
     of radius 0, and kinds of shapes that are not known, are left out with a note.
@@ -125,15 +135,15 @@ def read_shape(
     geometry = _read_geometry(element, findings, subject)
     visual, collision = USES[element.tag]
     color = None
-    for material in element.of("material")[:1] if visual else ():
+    for material in element.find_children("material")[:1] if visual else ():
         color = _find_color(material, subject, materials, findings)
     if geometry is None or len(findings.problems) > before:
         return None
-    return Shape(geometry, _placed(**given), visual, collision, color, name, element.where)
+    return Shape(geometry, _placed(**given), visual, collision, color, name, element.location)
 
 
 def format_subject(element: XmlElement, owner: str) -> str:
-    """A <visual> or <collision> in messages: "visual 'hand' of link 'arm'"."""
+    """Return a <visual> or <collision> in messages: "visual 'hand' of link 'arm'"."""
     name = element.attributes.get("name", "")
     return f"{element.tag}{f' {shorten_text(name)}' if name else ''} of {owner}"
 
@@ -141,34 +151,42 @@ def format_subject(element: XmlElement, owner: str) -> str:
 def find_only_shape(
     element: XmlElement, known: Container[str], findings: Findings, subject: str
 ) -> XmlElement | None:
-    """The element inside <geometry> whose kind is known. More than one is a problem: readers differ
-    in which they take.
+    """Return the element inside <geometry> whose kind is known; several are a problem.
+
+    Readers differ in which of several elements they take.
+
+    Readers differ in which of several elements they take.
     """
-    found = [p for holder in element.of("geometry") for p in holder.children if p.tag in known]
+    found = [
+        p for holder in element.find_children("geometry") for p in holder.children if p.tag in known
+    ]
     if len(found) > 1:
-        findings.add(
+        findings.add_problem(
             f"it has {len(found)} shapes",
             subject,
-            found[1].where,
+            found[1].location,
             f"write one <{element.tag}> for each shape",
         )
     return found[0] if len(found) == 1 else None
 
 
 def _read_geometry(element: XmlElement, findings: Findings, subject: str) -> Geometry | None:
-    """The shape itself; None where there is none that is read."""
-    inside = [part for holder in element.of("geometry") for part in holder.children]
+    """Return the geometry of a visual or collision; None where there is none that is read."""
+    inside = [part for holder in element.find_children("geometry") for part in holder.children]
     for part in inside:
         if part.tag not in ELEMENTS:
             said = f"the shape <{part.tag}> is not read; URDF has {', '.join(_STANDARD)}"
-            findings.note(said, subject, part.where)
+            findings.add_note(said, subject, part.location)
     if not inside:
-        findings.note("it has no <geometry> with a shape, and is left out", subject, element.where)
+        findings.add_note(
+            "it has no <geometry> with a shape, and is left out", subject, element.location
+        )
     shape = find_only_shape(element, ELEMENTS, findings, subject)
     return None if shape is None else _make_geometry(shape, findings, subject)
 
 
 def _make_geometry(element: XmlElement, findings: Findings, subject: str) -> Geometry | None:
+    """Return the geometry of an element with its sizes; None after recording a problem."""
     row = ELEMENTS[element.tag]
     given: dict[str, Any] = {}
     for name, attributes in row.sizes.items():
@@ -176,10 +194,10 @@ def _make_geometry(element: XmlElement, findings: Findings, subject: str) -> Geo
         if missing and name in row.optional:
             continue
         if missing:
-            findings.add(
+            findings.add_problem(
                 f"its <{element.tag}> has no {' and no '.join(missing)}",
                 subject,
-                element.where,
+                element.location,
                 f"it needs {', '.join(a for s in row.sizes.values() for a in s)}",
             )
             return None
@@ -191,28 +209,31 @@ def _make_geometry(element: XmlElement, findings: Findings, subject: str) -> Geo
                 said = (
                     f"its {attribute} is one number, {shorten_text(text)}, taken for all directions"
                 )
-                findings.note(said, subject, element.where_of(attribute))
+                findings.add_note(said, subject, element.locate_attribute(attribute))
             read = read_numbers(element, attribute, count, findings, subject) if count else (text,)
             if read is None:
                 return None
             found += read
         if any(x == 0.0 for x in found):
             said = f"its {element.tag} has no extent ({' '.join(map(str, found))}), and is left out"
-            findings.note(said, subject, element.where)
+            findings.add_note(said, subject, element.location)
             return None
         given[name] = found[0] if len(found) == 1 else tuple(found)
     try:
         return row.kind(**given)
     except InputError as error:
-        findings.add(str(error), subject, element.where)
+        findings.add_problem(str(error), subject, element.location)
     return None
 
 
 def _find_color(
     material: XmlElement, subject: str, materials: Mapping[str, Color | None], findings: Findings
 ) -> Color | None:
-    """The colour of a <material> in a visual: that of its name, whose first definition counts, as
-    in ROS; its own where it has no name.
+    """Return the colour of a <material> in a visual, by its name, else its own.
+
+    The first definition of a name counts, as in ROS.
+
+    The first definition of a name counts, as in ROS.
     """
     name = material.attributes.get("name", "")
     own = _read_color(material, subject, findings) if material.children else None
@@ -220,16 +241,16 @@ def _find_color(
         return own
     if own is not None and own != materials.get(name, own):
         said = f"its material {shorten_text(name)} has another colour before, which is used, as ROS does it"
-        findings.note(said, subject, material.where)
+        findings.add_note(said, subject, material.location)
     elif name not in materials:
-        said = f"its material {shorten_text(name)} is not defined{findings.hint(name, materials)}"
-        findings.note(said, subject, material.where)
+        said = f"its material {shorten_text(name)} is not defined{findings.suggest_name(name, materials)}"
+        findings.add_note(said, subject, material.location)
     return materials.get(name)
 
 
 def _read_color(material: XmlElement, subject: str, findings: Findings) -> Color | None:
-    """Red, green, blue and opacity of a <material>; what is no colour is noted, and left out."""
-    for element in material.of("color")[:1]:
+    """Return red, green, blue and opacity of a <material>; None with a note for anything else."""
+    for element in material.find_children("color")[:1]:
         wrong = Findings()
         text = element.attributes.setdefault("rgba", "")
         found = read_numbers(element, "rgba", 4, wrong, subject)
@@ -238,7 +259,7 @@ def _read_color(material: XmlElement, subject: str, findings: Findings) -> Color
         said = (
             f"its color is {shorten_text(text)}, which is not 4 numbers from 0 to 1; it is not used"
         )
-        findings.note(said, subject, element.where)
+        findings.add_note(said, subject, element.location)
     return None
 
 
@@ -255,13 +276,16 @@ def is_writable_shape(shape: Shape) -> bool:
 def format_shape(
     shape: Shape, origin: str, parameters: Mapping[str, float], quoted: Any
 ) -> Iterator[str]:
-    """A <visual>, a <collision>, or both. `origin` is the text of the element <origin>, and `quoted`
-    gives the text of an attribute.
+    """Iterate over the elements <visual> and <collision> of a shape.
+
+    `origin` is the text of the element <origin>, and `quoted` gives the text of an attribute.
+
+    `origin` is the text of the element <origin>, and `quoted` gives the text of an attribute.
 
     Errors: `InputError` for sizes that are not above zero with these parameters.
     """
     tag = _STANDARD[shape.kind]
-    geometry = shape.geometry.evaluate(parameters)
+    geometry = shape.geometry.evaluate_sizes(parameters)
     said = ""
     for name, x in geometry.sizes.items():
         (attribute,) = ELEMENTS[tag].sizes[name]
@@ -279,7 +303,7 @@ def format_shape(
 
 
 def _format_attribute(x: Any) -> str:
-    """A text, a number or numbers as an attribute has them."""
+    """Return a text, a number or numbers in the form of an attribute."""
     if isinstance(x, str):
         return x
     return " ".join(map(repr, x)) if is_sequence(x) else repr(x)

@@ -1,4 +1,4 @@
-"""URDF text of a mechanism; what URDF cannot say is refused, all of it at once."""
+"""Writer of URDF text; everything that URDF cannot hold is refused at once."""
 
 from __future__ import annotations
 
@@ -32,15 +32,14 @@ _FORBIDDEN = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]"
 
 @dataclass(frozen=True)
 class _Origin:
-    """Numbers of an <origin>: where a joint's frame sits on its parent link."""
+    """Numbers of an <origin>: the placement of a joint's frame on its parent link."""
 
     xyz: Sequence[float]
     rpy: Sequence[float]
 
 
 def write_urdf(mechanism: Mechanism) -> str:
-    """URDF text of a mechanism; read again by `read_urdf`, all bodies and frames have the same
-    poses.
+    """Return the URDF text of a mechanism; `read_urdf` gives all bodies and frames the same poses.
 
     Parameters are evaluated, locked joints become fixed ones, named frames become links without
     mass. A body whose origin lies off the axis of its joint gets a link of its own for the joint's
@@ -48,11 +47,11 @@ def write_urdf(mechanism: Mechanism) -> str:
     notes and the marks of actuated joints are left out. Errors: `DescriptionError` listing all that
     URDF cannot say, by `URDF.cannot` of `kempe.description.formats`.
     """
-    return UrdfWriter(mechanism).text()
+    return UrdfWriter(mechanism).write_text()
 
 
 class UrdfWriter:
-    """Writes links and joints of a mechanism; what its `format` cannot say goes to the findings."""
+    """Writer of links and joints; what its `format` cannot hold becomes a problem."""
 
     format = URDF
 
@@ -65,8 +64,8 @@ class UrdfWriter:
         self.held = dict(mechanism.locks)
         self.mimics: dict[str, tuple[str, float, float]] = {}
 
-    def text(self) -> str:
-        """The file."""
+    def write_text(self) -> str:
+        """Return the text of the file."""
         self.check_tree()
         self.check_constraints()
         self.resolve_couplings()
@@ -78,33 +77,36 @@ class UrdfWriter:
             said = ", ".join(left_out).replace("--", "- -")
             self.lines.append(f"  <!-- left out, since URDF cannot say it: {said} -->")
         for body in self.m.bodies.values():
-            self.body(body)
+            self.write_body(body)
         for joint in self.m.joints.values():
             try:
-                self.joint(joint)
+                self.write_joint(joint)
             except FloatingPointError as error:
-                self.findings.add(
+                self.findings.add_problem(
                     str(error), f"joint {joint.name!r}", joint.where, "check its parameters"
                 )
         for frame in self.m.frames.values():
-            self.link(frame.name)
-            origin = self.origin(frame.X_BF)
-            self.fixed(
+            self.write_link(frame.name)
+            origin = self.compute_origin(frame.X_BF)
+            self.write_fixed_joint(
                 reserve_name(f"{frame.name}_fixed", self.joints), frame.body, frame.name, origin
             )
-        self.findings.finish()
+        self.findings.raise_problems()
         newer = any(s.kind in NEWER for body in self.m.bodies.values() for s in body.shapes)
         version = ' version="1.1"' if newer else ""
-        name = self.quoted(self.m.name)
+        name = self.quote_text(self.m.name)
         head = f'<?xml version="1.0" encoding="utf-8"?>\n<robot name={name}{version}>\n'
-        self.findings.finish()
+        self.findings.raise_problems()
         return head + "\n".join(self.lines) + "\n</robot>\n"
 
     # ---- what must hold
 
     def check_tree(self) -> None:
-        """Refuse what is no tree: each body but the ground must be the child of one joint, led to
-        from ground.
+        """Refuse a graph that is no tree: each body but the ground must be the child of one joint.
+
+        Joints must lead to each body from the ground.
+
+        Joints must lead to each body from the ground.
         """
         incoming: dict[str, list[Joint]] = {b: [] for b in self.m.bodies}
         for joint in self.m.joints.values():
@@ -123,7 +125,7 @@ class UrdfWriter:
                     else f"joint {names} leads to it"
                 )
                 allowed = self.format.cannot["loops, joints from child to parent"]
-                self.findings.add(
+                self.findings.add_problem(
                     what,
                     f"body {body!r}" if body != ground else f"ground {body!r}",
                     last.where,
@@ -135,7 +137,7 @@ class UrdfWriter:
         lost = [b for b in self.m.bodies if b not in reached]
         if lost and not loops:
             shown = join_first_words([*map(repr, lost)], 8)
-            self.findings.add(
+            self.findings.add_problem(
                 f"no joints lead from the ground to {shown} in their own direction, from parent to "
                 "child",
                 "mechanism",
@@ -146,19 +148,19 @@ class UrdfWriter:
     def check_constraints(self) -> None:
         """Refuse constraints that are not joints."""
         for constraint in self.m.constraints.values():
-            self.findings.add(
+            self.findings.add_problem(
                 f"a {constraint.kind} does not exist in {self.format.title}",
                 f"constraint {constraint.name!r}",
                 constraint.where,
                 self.format.cannot["constraints that are not joints"],
             )
 
-    def is_held(self, joint: Joint) -> bool:
-        """Whether a joint does not move; locks of a part of it are refused."""
-        coordinates = self.coordinates(joint)
+    def is_fixed_joint(self, joint: Joint) -> bool:
+        """Whether a joint does not move; locks of only a part of its coordinates are refused."""
+        coordinates = self.list_coordinates(joint)
         held = [c for c in coordinates if c in self.held]
         if held and len(held) < len(coordinates):
-            self.findings.add(
+            self.findings.add_problem(
                 f"only {', '.join(held)} of its coordinates are locked",
                 f"joint {joint.name!r}",
                 joint.where,
@@ -167,8 +169,11 @@ class UrdfWriter:
         return len(held) == len(coordinates)
 
     def resolve_couplings(self) -> None:
-        """Sort couplings into constants (all sources locked) and mimics (one left); others are
-        problems.
+        """Sort couplings into constants (all sources locked) and mimics (one source left).
+
+        Others are problems.
+
+        Others are problems.
         """
         pending = dict(self.m.couplings)
         while True:
@@ -192,16 +197,18 @@ class UrdfWriter:
             where = self.m.couplings[of].where
             if of in self.held:
                 allowed = self.format.cannot["locks of coordinates that follow others"]
-                self.findings.add("it is locked, but follows others", subject, where, allowed)
+                self.findings.add_problem(
+                    "it is locked, but follows others", subject, where, allowed
+                )
             elif len(free) > 1:
-                self.findings.add(
+                self.findings.add_problem(
                     f"it follows several coordinates ({', '.join(free)})",
                     subject,
                     where,
                     self.format.cannot["couplings with several sources"],
                 )
             elif not {of, *free} <= self.m.joints.keys():
-                self.findings.add(
+                self.findings.add_problem(
                     "it is one of several coordinates of a joint, or follows one",
                     subject,
                     where,
@@ -213,32 +220,32 @@ class UrdfWriter:
 
     # ---- links
 
-    def quoted(self, text: str) -> str:
-        """A text as the value of an attribute; what XML forbids is refused."""
+    def quote_text(self, text: str) -> str:
+        """Return a text as the value of an attribute; characters that XML forbids are refused."""
         if _FORBIDDEN.search(text):
             allowed = self.format.cannot["control characters in names"]
-            self.findings.add(
+            self.findings.add_problem(
                 "it has a character that XML forbids", f"name {text!r}", None, allowed
             )
         return quoteattr(text)
 
-    def link(self, name: str, inside: Iterable[str] = ()) -> None:
-        """Write a <link>."""
+    def write_link(self, name: str, inside: Iterable[str] = ()) -> None:
+        """Write the element <link>."""
         lines = list(inside)
         if not lines:
-            self.lines.append(f"  <link name={self.quoted(name)}/>")
+            self.lines.append(f"  <link name={self.quote_text(name)}/>")
             return
         self.lines += [
-            f"  <link name={self.quoted(name)}>",
+            f"  <link name={self.quote_text(name)}>",
             *(f"    {line}" for line in lines),
             "  </link>",
         ]
 
-    def body(self, body: Body) -> None:
+    def write_body(self, body: Body) -> None:
         """Write the link of a body."""
         subject = f"body {body.name!r}"
         if body.particle:
-            self.findings.add(
+            self.findings.add_problem(
                 "it is a particle", subject, body.where, self.format.cannot["particles"]
             )
         inside: list[str] = []
@@ -250,70 +257,76 @@ class UrdfWriter:
             inertia = '<inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/>'
             inside.append(f"<inertial>{center}{mass}{inertia}</inertial>")
         for shape in body.shapes:
-            inside += self.shape(shape, subject)
-        self.link(body.name, inside)
+            inside += self.format_shape(shape, subject)
+        self.write_link(body.name, inside)
 
-    def shape(self, shape: Shape, subject: str) -> list[str]:
-        """The elements of a shape."""
+    def format_shape(self, shape: Shape, subject: str) -> list[str]:
+        """Return the elements of a shape."""
         if not is_writable_shape(shape):
             said = f"{shape.kind} does not exist in URDF as a shape"
-            self.findings.add(said, subject, shape.where, self.format.cannot["ellipsoids"])
+            self.findings.add_problem(said, subject, shape.where, self.format.cannot["ellipsoids"])
             return []
         try:
-            origin = format_origin(self.origin(shape.X_BS)) if shape.X_BS.steps else ""
-            return list(format_shape(shape, origin, self.m.parameters, self.quoted))
+            origin = format_origin(self.compute_origin(shape.X_BS)) if shape.X_BS.steps else ""
+            return list(format_shape(shape, origin, self.m.parameters, self.quote_text))
         except (FloatingPointError, InputError) as error:
-            self.findings.add(str(error), subject, shape.where, "check its parameters")
+            self.findings.add_problem(str(error), subject, shape.where, "check its parameters")
             return []
 
     # ---- joints
 
-    def joint(self, joint: Joint) -> None:
+    def write_joint(self, joint: Joint) -> None:
         """Write a joint."""
-        coordinates = self.coordinates(joint)
-        if self.is_held(joint):
-            X_PC = joint.X_PF @ self.locked_pose(joint, coordinates) @ joint.X_CM.invert_steps()
-            self.fixed(
+        coordinates = self.list_coordinates(joint)
+        if self.is_fixed_joint(joint):
+            X_PC = (
+                joint.X_PF
+                @ self.compute_locked_pose(joint, coordinates)
+                @ joint.X_CM.invert_steps()
+            )
+            self.write_fixed_joint(
                 joint.name,
                 joint.parent,
                 joint.child,
-                self.origin(X_PC if coordinates else _compute_fixed_placement(joint)),
+                self.compute_origin(X_PC if coordinates else _compute_fixed_placement(joint)),
             )
             return
-        kind = self.urdf_type(joint)
+        kind = self.choose_urdf_type(joint)
         if kind is None:
             return
-        inside = self.limit(joint, kind)
+        inside = self.format_limit(joint, kind)
         if joint.name in self.mimics:
             source, factor, offset = self.mimics[joint.name]
             inside.append(
-                f'<mimic joint={self.quoted(source)} multiplier="{factor!r}" offset="{offset!r}"/>'
+                f'<mimic joint={self.quote_text(source)} multiplier="{factor!r}" offset="{offset!r}"/>'
             )
-        direct = self.direct(joint, kind)
+        direct = self.find_origin_and_axis(joint, kind)
         if direct is not None:
-            self.write(joint.name, kind, joint.parent, joint.child, *direct, inside)
+            self.write_joint_element(joint.name, kind, joint.parent, joint.child, *direct, inside)
             return
         between = reserve_name(f"{joint.name}_frame", self.links)
-        self.link(between)
-        self.write(
+        self.write_link(between)
+        self.write_joint_element(
             joint.name,
             kind,
             joint.parent,
             between,
-            self.origin(joint.X_PF),
+            self.compute_origin(joint.X_PF),
             (0.0, 0.0, 1.0),
             inside,
         )
-        end = self.origin(joint.X_CM.invert_steps())
-        self.fixed(reserve_name(f"{joint.name}_fixed", self.joints), between, joint.child, end)
+        end = self.compute_origin(joint.X_CM.invert_steps())
+        self.write_fixed_joint(
+            reserve_name(f"{joint.name}_fixed", self.joints), between, joint.child, end
+        )
 
-    def coordinates(self, joint: Joint) -> list[str]:
-        """Names of the coordinates of a joint."""
+    def list_coordinates(self, joint: Joint) -> list[str]:
+        """Return the names of the coordinates of a joint."""
         names = joint.type.list_coordinate_names(self.m.dim, self.m.bodies[joint.child].particle)
         return [f"{joint.name}.{n}" if n else joint.name for n in names]
 
-    def locked_pose(self, joint: Joint, coordinates: list[str]) -> Placement:
-        """X_FM of a joint whose coordinates are all locked."""
+    def compute_locked_pose(self, joint: Joint, coordinates: list[str]) -> Placement:
+        """Return the placement X_FM of a joint whose coordinates are all locked."""
         steps: list[tuple[str, tuple[float, ...]]] = []
         primitives = joint.type.layout(self.m.dim, self.m.bodies[joint.child].particle)[1]
         for kind, axis, first, multiplier in primitives:
@@ -327,8 +340,8 @@ class UrdfWriter:
                 )
         return Placement(tuple(steps))
 
-    def urdf_type(self, joint: Joint) -> str | None:
-        """The type that URDF has, or None after refusing what it has not."""
+    def choose_urdf_type(self, joint: Joint) -> str | None:
+        """Return the joint type in URDF; None after refusing a type that URDF lacks."""
         subject = f"joint {joint.name!r}"
         name = joint.type.type_name
         if name == "free" and self.m.dim == 2:
@@ -342,7 +355,7 @@ class UrdfWriter:
         }
         if name not in kinds or joint.type.options:
             angles = " by angles" if joint.type.options.get("angles") else ""
-            self.findings.add(
+            self.findings.add_problem(
                 f"a {name} joint{angles} does not exist in URDF",
                 subject,
                 joint.where,
@@ -352,13 +365,13 @@ class UrdfWriter:
         bounded = {*joint.limits, *joint.velocity_limits, *joint.effort_limits}
         if name in ("planar", "free", "spherical") and bounded:
             allowed = self.format.cannot["limits of joints with several coordinates"]
-            self.findings.add(
+            self.findings.add_problem(
                 f"limits of a {name} joint do not exist in URDF", subject, joint.where, allowed
             )
         return kinds[name]
 
-    def limit(self, joint: Joint, kind: str) -> list[str]:
-        """A <limit>, where there is one."""
+    def format_limit(self, joint: Joint, kind: str) -> list[str]:
+        """Return the element <limit>; [] without limits."""
         given = {"velocity": joint.velocity_limits.get(""), "effort": joint.effort_limits.get("")}
         if kind in ("planar", "floating", "spherical") or (
             kind == "continuous" and set(given.values()) == {None}
@@ -370,16 +383,16 @@ class UrdfWriter:
         said = " ".join(f'{k}="{max(-UNLIMITED, min(UNLIMITED, v))!r}"' for k, v in bounds.items())
         return [f"<limit {said}/>"]
 
-    def direct(self, joint: Joint, kind: str) -> tuple[_Origin, Sequence[float]] | None:
-        """Origin and axis of a joint that needs no link of its own for its frame, or None where it
-        does.
-        """
+    def find_origin_and_axis(
+        self, joint: Joint, kind: str
+    ) -> tuple[_Origin, Sequence[float]] | None:
+        """Return origin and axis of a joint that needs no extra link for its frame, else None."""
         on_child = joint.X_CM.steps
         before = joint.X_PF.steps[: len(joint.X_PF.steps) - len(on_child)]
         if joint.X_PF.steps == before + on_child and len(on_child) <= 1:
             motion, numbers = on_child[0] if on_child else ("align", (0.0, 0.0, 1.0))
             if motion == "align" and kind not in WITHOUT_AXIS:
-                return self.origin(Placement(before)), [float(x) for x in numbers]  # type: ignore[arg-type]
+                return self.compute_origin(Placement(before)), [float(x) for x in numbers]  # type: ignore[arg-type]
         X_CM = joint.X_CM.evaluate_pose(self.m.parameters)
         a = X_CM[:3, 2]
         p = X_CM[:3, 3]
@@ -392,12 +405,19 @@ class UrdfWriter:
         }
         if not fits["revolute" if kind == "continuous" else kind]:
             return None
-        return self.origin(joint.X_PF @ joint.X_CM.invert_steps()), a.tolist()
+        return self.compute_origin(joint.X_PF @ joint.X_CM.invert_steps()), a.tolist()
 
     # ---- elements
 
-    def origin(self, X: Placement) -> _Origin:
-        """Numbers of a placement: its own where it is a shift, roll, pitch, yaw; else worked out."""
+    def compute_origin(self, X: Placement) -> _Origin:
+        """Return the numbers of a placement as position and roll, pitch, yaw.
+
+        They are those of the placement itself where it is a shift and roll, pitch, yaw; else they
+        are computed.
+
+        They are those of the placement itself where it is a shift and roll, pitch, yaw; else they
+        are computed.
+        """
         steps = X.drop_identity_steps().steps
         if [s[0] for s in steps] == [
             k for k in ("x", "y", "z", "rz", "ry", "rx") if k in dict(steps)
@@ -410,11 +430,11 @@ class UrdfWriter:
             raise FloatingPointError("its placement is not a number with these parameters")
         return _Origin(numbers[:3], numbers[3:])
 
-    def fixed(self, name: str, parent: str, child: str, origin: _Origin) -> None:
+    def write_fixed_joint(self, name: str, parent: str, child: str, origin: _Origin) -> None:
         """Write a fixed joint."""
-        self.write(name, "fixed", parent, child, origin, None, [])
+        self.write_joint_element(name, "fixed", parent, child, origin, None, [])
 
-    def write(
+    def write_joint_element(
         self,
         name: str,
         kind: str,
@@ -424,14 +444,14 @@ class UrdfWriter:
         axis: Sequence[float] | None,
         inside: list[str],
     ) -> None:
-        """Write a <joint>."""
+        """Write the element <joint>."""
         if kind == "spherical":
             self.lines.append(
                 "  <!-- spherical: a type of MuJoCo and Bullet, which ROS refuses -->"
             )
-        self.lines.append(f'  <joint name={self.quoted(name)} type="{kind}">')
+        self.lines.append(f'  <joint name={self.quote_text(name)} type="{kind}">')
         self.lines.append(
-            f"    <parent link={self.quoted(parent)}/><child link={self.quoted(child)}/>"
+            f"    <parent link={self.quote_text(parent)}/><child link={self.quote_text(child)}/>"
         )
         self.lines.append(f"    {format_origin(origin)}")
         if axis is not None and kind not in WITHOUT_AXIS:
@@ -441,7 +461,7 @@ class UrdfWriter:
 
 
 def _compute_fixed_placement(joint: Joint) -> Placement:
-    """X_PF X_CM^-1 of a fixed joint, without what cancels."""
+    """Return X_PF X_CM^-1 of a fixed joint, without steps that cancel."""
     a = joint.X_PF.steps
     b = joint.X_CM.steps
     while a and b and a[-1] == b[-1]:
@@ -451,16 +471,17 @@ def _compute_fixed_placement(joint: Joint) -> Placement:
 
 
 def reserve_name(name: str, taken: set[str]) -> str:
-    """`name`, with a number where it is taken; from now on it is taken."""
+    """Return `name`, with a number where it is taken, and add it to the taken names."""
     out = choose_numbered_name(name, taken)
     taken.add(out)
     return out
 
 
 def format_origin(origin: _Origin) -> str:
-    """The element <origin>."""
+    """Return the element <origin>."""
     return f'<origin xyz="{_format_numbers(origin.xyz)}" rpy="{_format_numbers(origin.rpy)}"/>'
 
 
 def _format_numbers(numbers: Iterable[float]) -> str:
+    """Return numbers as text, with blanks between them."""
     return " ".join(repr(float(x)) for x in numbers)

@@ -1,5 +1,8 @@
-"""xacro text -> URDF text. xacro is a program, not data: it runs in a process with limits, and on
-request.
+"""Expansion of xacro text to URDF text, on request, in a process with limits.
+
+xacro is a program, not data.
+
+xacro is a program, not data.
 """
 
 from __future__ import annotations
@@ -92,8 +95,11 @@ sys.stdout.buffer.write(document.dom.toprettyxml(indent="  ").encode("utf-8"))
 
 
 def check_xacro_arguments(given: Any) -> dict[str, str] | None:
-    """The texts of the arguments that the option `xacro` gives: True is none, False and None are no
-    expansion.
+    """Return the option `xacro` as arguments by name; None where nothing is to be expanded.
+
+    True means no arguments, False and None mean no expansion.
+
+    True means no arguments, False and None mean no expansion.
 
     Errors: `InputError` for names and values that xacro cannot have.
     """
@@ -109,13 +115,19 @@ def check_xacro_arguments(given: Any) -> dict[str, str] | None:
 
 
 def _check_name(name: object) -> str:
+    """Return the name of an argument.
+
+    Errors: `InputError`.
+
+    Errors: `InputError`.
+    """
     if not isinstance(name, str):
         raise InputError(f"xacro has the key {format_value(name)}; names of arguments are texts")
     return name
 
 
 def _format_argument(name: object, value: object) -> str:
-    """The value of an argument as xacro reads it: its true and false are written small."""
+    """Return the value of an argument as xacro reads it; booleans are written in small letters."""
     if isinstance(value, (bool, np.bool_)):
         return "true" if value else "false"
     if isinstance(value, (str, Real)):
@@ -134,7 +146,7 @@ def expand_xacro(
     seconds: float = SECONDS,
     strict: bool = True,
 ) -> str:
-    """URDF text that a xacro file expands to, with `arguments` for its ``<xacro:arg>`` elements.
+    """Return the URDF text of a xacro file, with `arguments` for its ``<xacro:arg>`` elements.
 
     Only for files that you trust: xacro is a program. It runs in a process with little environment,
     bounded in time, memory and output, which opens files of the package, of its neighbours, of
@@ -197,7 +209,12 @@ def expand_xacro(
 
 
 def _parse_declared_arguments(mentions: Iterable[str]) -> dict[str, str | None]:
-    """The arguments of a file with their defaults, None where there is none, by what names them."""
+    """Return the arguments of a file with their defaults (None without default).
+
+    `mentions` are the texts that name arguments.
+
+    `mentions` are the texts that name arguments.
+    """
     defaults: dict[str, str | None] = {}
     for text in mentions:
         if text.startswith("<xacro:arg"):
@@ -211,7 +228,7 @@ def _parse_declared_arguments(mentions: Iterable[str]) -> dict[str, str | None]:
 
 
 def _format_arguments(defaults: Mapping[str, str | None], unknown: list[str]) -> str:
-    """The arguments of a file with plain defaults, and those given that were not met."""
+    """Return the arguments of a file with plain defaults as text, and the given ones it lacks."""
     listed = [
         name if not default or "$" in default else f"{name} (default {shorten_text(default, 40)})"
         for name, default in defaults.items()
@@ -227,7 +244,7 @@ def _make_xacro_error(
     defaults: Mapping[str, str | None],
     listed: str,
 ) -> DescriptionError:
-    """The error with what xacro says: which argument it needs, or which package it does not find."""
+    """Return the error with the message of xacro: the missing argument, or the missing package."""
     if needed := _NOT_GIVEN.search(said):
         late = defaults.get(needed[1]) is not None
         return make_error(

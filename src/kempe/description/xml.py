@@ -1,6 +1,4 @@
-"""A small safe XML reader on expat: no DTD, no entities, bounded; every element knows its line and
-column.
-"""
+"""Small safe XML reader on expat: no DTD, no entities, bounded size; elements know their place."""
 
 from __future__ import annotations
 
@@ -38,7 +36,7 @@ _PIECE = re.compile(r"<!\[CDATA\[(.*?)\]\]>|<!--.*?-->|<[^>]*>|&[^;]*;", re.DOTA
 
 
 def _decode_piece(piece: re.Match[str]) -> str:
-    """The characters that a piece of `_PIECE` stands for."""
+    """Return the characters that a piece of `_PIECE` stands for."""
     if piece[0].startswith("&"):
         return html.unescape(piece[0])
     return piece[1] or ""
@@ -81,9 +79,7 @@ _EXPLANATIONS = {
 
 
 class XmlElement:
-    """One XML element: `tag`, `attributes`, `children` (elements only), and its place in its
-    `source`.
-    """
+    """XML element: `tag`, `attributes`, child elements `children`, and its place in its `source`."""
 
     __slots__ = ("_end", "_start", "attributes", "children", "source", "tag")
 
@@ -95,21 +91,21 @@ class XmlElement:
         self._start = self._end = start
 
     @property
-    def where(self) -> Where:
-        """The place of its opening tag."""
-        return self.source.where_offset(self._start)
+    def location(self) -> Where:
+        """Place of the opening tag."""
+        return self.source.locate_offset(self._start)
 
-    def where_of(self, attribute: str) -> Where:
-        """The place of the value of an attribute; of the tag where it has none."""
+    def locate_attribute(self, attribute: str) -> Where:
+        """Return the place of the value of an attribute; of the tag where the attribute is missing."""
         tag = _TAG_END.match(self.source.text, self._start)
         for match in _ATTRIBUTE.finditer(tag[0] if tag else ""):
             if match[1] == attribute:
-                return self.source.where_offset(self._start + match.end(1) + len(match[2]))
-        return self.where
+                return self.source.locate_offset(self._start + match.end(1) + len(match[2]))
+        return self.location
 
     @property
     def text(self) -> str:
-        """The element as it is written in the source, tags included."""
+        """Text of the element in the source, tags included."""
         text = self.source.text
         start = self._start
         tag = _TAG_END.match(text, start)
@@ -120,33 +116,33 @@ class XmlElement:
 
     @property
     def content(self) -> str:
-        """The text inside an element without children: no comments, and no blanks at its ends."""
+        """Text inside an element without children, without comments and without blanks at its ends."""
         inner = self._inner_text[1]
         if "<" in inner or "&" in inner:
             inner = _PIECE.sub(_decode_piece, inner)
         return inner.strip()
 
     @property
-    def where_content(self) -> Where:
-        """The place where its text begins; of its tag where it has none."""
+    def content_location(self) -> Where:
+        """Place where the text inside the element begins; of its tag where there is none."""
         start, inner = self._inner_text
         if not inner.strip():
-            return self.where
-        return self.source.where_offset(start + len(inner) - len(inner.lstrip()))
+            return self.location
+        return self.source.locate_offset(start + len(inner) - len(inner.lstrip()))
 
     @property
     def _inner_text(self) -> tuple[int, str]:
-        """Where the text between its tags begins, and that text."""
+        """Text between the tags of the element, after its index in the source."""
         tag = _TAG_END.match(self.source.text, self._start)
         assert tag is not None, "expat accepted the tag"
         return tag.end(), "" if tag[0].endswith("/>") else self.source.text[tag.end() : self._end]
 
-    def of(self, tag: str) -> list[XmlElement]:
-        """Its children with this tag."""
+    def find_children(self, tag: str) -> list[XmlElement]:
+        """Return the children with this tag."""
         return [child for child in self.children if child.tag == tag]
 
-    def walk(self) -> Iterator[XmlElement]:
-        """The element and all below it, in the order of the file."""
+    def iterate_elements(self) -> Iterator[XmlElement]:
+        """Iterate over the element and all elements below it, in the order of the file."""
         stack: list[XmlElement] = [self]
         while stack:
             element = stack.pop()
@@ -154,11 +150,11 @@ class XmlElement:
             stack.extend(reversed(element.children))
 
     def __repr__(self) -> str:
-        return f"<{self.tag}> at {self.where}"
+        return f"<{self.tag}> at {self.location}"
 
 
 def parse_xml(data: bytes | str, name: str, findings: Findings | None = None) -> XmlElement:
-    """The outermost element of an XML text; `name` is the file's name, for messages.
+    """Return the outermost element of an XML text; `name` is the file's name, for messages.
 
     UTF-8, UTF-16 with a byte order mark, and Latin-1 where declared. With `findings`, a line
     ``<?xml ...?>`` that stands after comments and ``--`` inside of comments are noted and passed
@@ -168,32 +164,32 @@ def parse_xml(data: bytes | str, name: str, findings: Findings | None = None) ->
     source = make_xml_source(data, name)
     text = source.text
     if findings is not None and (late := _LATE.match(text)):
-        findings.note(
+        findings.add_note(
             "the line <?xml ...?> is not at the very start of the file, as XML has it; it is "
             "passed over",
-            where=source.where_offset(late.start(1)),
+            where=source.locate_offset(late.start(1)),
         )
         blank = re.sub(r"[^\r\n]", " ", late[1])
         source = Source(name, text[: late.start(1)] + blank + text[late.end(1) :])
     try:
-        return _XmlBuilder(source).run()
+        return _XmlBuilder(source).parse_source()
     except DescriptionError:
         dashes = [c for c in _COMMENT.finditer(source.text) if "--" in c[1]]
         if findings is None or not dashes:
             raise
-    root = _XmlBuilder(Source(name, _COMMENT.sub(_replace_dashes, source.text))).run()
+    root = _XmlBuilder(Source(name, _COMMENT.sub(_replace_dashes, source.text))).parse_source()
     said = "a comment holds '--', which XML forbids; it is passed over"
-    findings.note(said, where=source.where_offset(dashes[0].start()))
+    findings.add_note(said, where=source.locate_offset(dashes[0].start()))
     return root
 
 
 def _replace_dashes(comment: re.Match[str]) -> str:
-    """A comment of the same length that XML allows."""
+    """Return a comment of the same length that XML allows."""
     return f"<!--{comment[1].replace('-', ' ')}-->"
 
 
 def make_xml_source(data: bytes | str, name: str) -> Source:
-    """The text of an XML file, decoded; `name` is the file's name, for messages.
+    """Return the decoded text of an XML file; `name` is the file's name, for messages.
 
     Errors: `DescriptionError` for what is no text, and for files of other kinds.
     """
@@ -202,7 +198,7 @@ def make_xml_source(data: bytes | str, name: str) -> Source:
 
 
 class _XmlBuilder:
-    """Collects the elements that expat reports."""
+    """Builder of the tree of elements that expat reports."""
 
     def __init__(self, source: Source):
         self.source = source
@@ -219,7 +215,7 @@ class _XmlBuilder:
         self.parser.StartDoctypeDeclHandler = self._refuse_doctype
 
     def _find_position(self) -> int:
-        """Index into the source's text of where the parser is; it only goes forwards."""
+        """Return the index into the source's text at which the parser is; it only increases."""
         byte = self.parser.CurrentByteIndex
         if self.ascii:
             return byte
@@ -228,6 +224,7 @@ class _XmlBuilder:
         return self.character
 
     def _start_element(self, tag: str, attributes: dict[str, str]) -> None:
+        """Add an element to the tree."""
         element = XmlElement(tag, attributes, self.source, self._find_position())
         if self.stack:
             self.stack[-1].children.append(element)
@@ -238,27 +235,35 @@ class _XmlBuilder:
         if self.count > ELEMENT_LIMIT:
             raise make_error(
                 f"the file has more than {ELEMENT_LIMIT} elements",
-                element.where,
+                element.location,
                 "this is no robot's file",
             )
         if len(self.stack) > DEPTH_LIMIT:
             raise make_error(
                 f"elements are nested more than {DEPTH_LIMIT} deep",
-                element.where,
+                element.location,
                 "this is no robot's file",
             )
 
     def _end_element(self, tag: str) -> None:
+        """Close the innermost open element."""
         self.stack.pop()._end = self._find_position()
 
     def _refuse_doctype(self, name: str, *_: object) -> None:
+        """Raise `DescriptionError` for a DTD."""
         raise make_error(
             "the file has a DTD (<!DOCTYPE ...>)",
-            self.source.where_offset(self._find_position()),
+            self.source.locate_offset(self._find_position()),
             "remove it: a DTD can pull in other files or grow without bound, and is never read",
         )
 
-    def run(self) -> XmlElement:
+    def parse_source(self) -> XmlElement:
+        """Return the outermost element of the source.
+
+        Errors: `DescriptionError`.
+
+        Errors: `DescriptionError`.
+        """
         try:
             self.data = self.source.text.encode("utf-8")
             self.ascii = len(self.data) == len(self.source.text)
@@ -268,7 +273,7 @@ class _XmlBuilder:
         except UnicodeEncodeError as error:
             raise make_error(
                 "the text holds half of a surrogate pair, which is no character",
-                self.source.where_offset(error.start),
+                self.source.locate_offset(error.start),
                 "remove it",
             ) from None
         # the parser holds methods of this object, which holds the parser: without the cycle both go
@@ -280,26 +285,28 @@ class _XmlBuilder:
         return self.root
 
     def _explain_error(self, error: expat.ExpatError) -> DescriptionError:
-        where = self.source.where(error.lineno, error.offset + 1)
+        """Return the error for a text that is no XML, with its place."""
+        where = self.source.locate_line(error.lineno, error.offset + 1)
         inner = self.stack[-1] if self.stack else None
         if "<" not in self.source.text:
             return make_error(
                 "the file holds no XML element",
-                self.source.where(1),
+                self.source.locate_line(1),
                 "URDF starts with <robot name=...>",
             )
         if error.code in _TRUNCATED:
-            inside = f" inside <{inner.tag}> opened on line {inner.where.line}" if inner else ""
+            inside = f" inside <{inner.tag}> opened on line {inner.location.line}" if inner else ""
             return make_error(
                 f"the file ends{inside}: it is truncated", where, "get the whole file"
             )
         if error.code == _CODES[expat.errors.XML_ERROR_TAG_MISMATCH] and inner is not None:
             close = re.match(
-                r"</[^\s>]*", self.source.text[self.source.offset(where.line, where.column) - 2 :]
+                r"</[^\s>]*",
+                self.source.text[self.source.compute_offset(where.line, where.column) - 2 :],
             )
             found = shorten_text(close[0] + ">") if close else "another closing tag"
             return make_error(
-                f"{found} closes <{inner.tag}> opened on line {inner.where.line}",
+                f"{found} closes <{inner.tag}> opened on line {inner.location.line}",
                 where,
                 f"close it by </{inner.tag}>",
             )

@@ -215,11 +215,11 @@ def _find_source(
     shape: Shape, mechanism: Mechanism, folders: Folders
 ) -> tuple[Source, Array, Array]:
     """The source of a shape, its scale (3,) and its place (4, 4). Errors: `KempeError`."""
-    geometry = shape.geometry.evaluate(mechanism.parameters)
+    geometry = shape.geometry.evaluate_sizes(mechanism.parameters)
     X = shape.X_BS.evaluate_pose(mechanism.parameters)
     _refuse_far(geometry, X)
     if isinstance(geometry, Mesh):
-        return (folders.find(geometry.path), shape.color), np.array(geometry.scale), X
+        return (folders.find_file(geometry.path), shape.color), np.array(geometry.scale), X
     if shape.kind not in PRIMITIVES:
         raise InputError(f"shapes of kind {shape.kind!r} are not drawn")
     scale = np.array(geometry.radii) if shape.kind == "ellipsoid" else np.ones(3)
