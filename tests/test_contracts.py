@@ -598,7 +598,7 @@ def test_configurations_of_answers(name):
         answer.judged.holds
     )
     assert "contradicted" not in answer.verdict
-    claimed = np.broadcast_to(answer._claimed(), lead)
+    claimed = np.broadcast_to(answer._select_claimed_rows(), lead)
     assert (
         np.all(np.asarray(answer.residual)[claimed] < 1e-5) and np.isfinite(answer.q[claimed]).all()
     )

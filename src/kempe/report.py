@@ -57,11 +57,11 @@ class Table(NamedTuple):
     title: str = ""
     printed: bool = True
 
-    def lines(self) -> list[str]:
+    def list_lines(self) -> list[str]:
         """A line a row: "name = value" of a record, else what stands under each head."""
         if self.grid:
-            return self.aligned()
-        texts = [[_digits(x) for x in row] for row in self.rows]
+            return self.align_columns()
+        texts = [[_format_digits(x) for x in row] for row in self.rows]
         if self.record:
             out = [f"{row[0]} = {row[1]}" for row in texts]
         else:
@@ -73,23 +73,23 @@ class Table(NamedTuple):
                 )
                 for row in texts
             ]
-        return self._cut(out)
+        return self._add_title(out)
 
-    def html(self) -> str:
+    def to_html(self) -> str:
         """The table of HTML."""
-        heads, columns, _ = self._columns(False, not self.grid)
-        title, more = self._around()
+        heads, columns, _ = self._format_columns(False, not self.grid)
+        title, more = self._list_outer_lines()
         table = format_html_table(heads, zip(*columns, strict=True))
         return format_html_paragraphs(title) + table + format_html_paragraphs(more)
 
-    def aligned(self, degrees: bool = False) -> list[str]:
+    def align_columns(self, degrees: bool = False) -> list[str]:
         """Lines with columns of equal width, in radians or degrees."""
-        heads, columns, right = self._columns(degrees)
+        heads, columns, right = self._format_columns(degrees)
         if sum(right) > WIDE and not self.record:
-            return self._cut(_beside(heads, columns))
-        return self._cut(align_columns(heads, columns, right))
+            return self._add_title(_arrange_blocks(heads, columns))
+        return self._add_title(align_columns(heads, columns, right))
 
-    def _columns(
+    def _format_columns(
         self, degrees: bool, digits: bool = False
     ) -> tuple[list[str], list[list[str]], list[bool]]:
         """Heads (none where all are empty), texts, and which columns are numbers, without empty
@@ -97,35 +97,41 @@ class Table(NamedTuple):
         """
         heads = list(self.heads or ("", ""))
         cells = [list(column) for column in zip(*self.rows, strict=True)] or [[] for _ in heads]
-        units = [self._unit(column) for column in cells]
+        units = [self._find_unit(column) for column in cells]
         texts = [
-            [_digits(x) if digits else _fixed(x, degrees, self.record) for x in column]
+            [
+                _format_digits(x) if digits else _format_decimals(x, degrees, self.record)
+                for x in column
+            ]
             for column in cells
         ]
         right = [any(_is_number(x) or isinstance(x, int) for x in column) for column in cells]
         if None in units:
             # numbers in several units: each row has one
             last = len(right) - right[::-1].index(True)
-            texts.insert(last, [_unit_of(row, degrees) for row in self.rows])
+            texts.insert(last, [_find_row_unit(row, degrees) for row in self.rows])
             heads.insert(last, "unit")
             right.insert(last, False)
         else:
-            heads = [h + _in(_shown_unit(u, degrees)) for h, u in zip(heads, units, strict=True)]
+            heads = [
+                h + _format_unit(_convert_unit(u, degrees))
+                for h, u in zip(heads, units, strict=True)
+            ]
         keep = [k for k, column in enumerate(texts) if any(column)] or range(len(texts))
         shown = [heads[k] for k in keep]
         return shown if any(shown) else [], [texts[k] for k in keep], [right[k] for k in keep]
 
-    def _unit(self, column: Sequence[Any]) -> str | None:
+    def _find_unit(self, column: Sequence[Any]) -> str | None:
         """The unit of the numbers of a column, None where each row has its own."""
         units = {x.unit for x in column if _is_number(x)}
         return None if len(units) > 1 or (units and self.record) else "".join(units)
 
-    def _cut(self, lines: list[str]) -> list[str]:
+    def _add_title(self, lines: list[str]) -> list[str]:
         """The lines under the title, and how many more there are."""
-        title, more = self._around()
+        title, more = self._list_outer_lines()
         return [*title, *lines, *more]
 
-    def _around(self) -> tuple[list[str], list[str]]:
+    def _list_outer_lines(self) -> tuple[list[str], list[str]]:
         """The line above, and the one below that says how many more there are; none where empty."""
         return [self.title] * bool(self.title), [f"... and {self.more} more"] * bool(self.more)
 
@@ -134,32 +140,32 @@ def _is_number(x: Any) -> bool:
     return isinstance(x, Quantity) and np.ndim(x.value) == 0
 
 
-def _unit_of(row: Sequence[Any], degrees: bool) -> str:
+def _find_row_unit(row: Sequence[Any], degrees: bool) -> str:
     """The unit of the numbers of a row."""
-    return next((_shown_unit(x.unit, degrees) for x in row if _is_number(x)), "")
+    return next((_convert_unit(x.unit, degrees) for x in row if _is_number(x)), "")
 
 
-def _in(unit: str) -> str:
+def _format_unit(unit: str) -> str:
     return f" [{unit}]" if unit else ""
 
 
-def _shown_unit(unit: str | None, degrees: bool) -> str:
+def _convert_unit(unit: str | None, degrees: bool) -> str:
     return Unit(unit or "").convert_units(degrees)
 
 
-def _digits(x: Any) -> str:
+def _format_digits(x: Any) -> str:
     """A cell with nine digits of its number."""
     if _is_number(x):
         return f"{x.value:.9g}"
-    return _fixed(x, False)
+    return _format_decimals(x, False)
 
 
-def _fixed(x: Any, degrees: bool, bare: bool = False) -> str:
+def _format_decimals(x: Any, degrees: bool, bare: bool = False) -> str:
     """A cell with as many decimals as the numbers above and below it; '[-2, 2] rad' of an interval,
     '[-2, 2]' where it is `bare`, '' where that has no ends.
     """
     if isinstance(x, Quantities):
-        return ", ".join(f"{label} {_fixed(y, degrees)}".lstrip() for label, y in x.each)
+        return ", ".join(f"{label} {_format_decimals(y, degrees)}".lstrip() for label, y in x.each)
     if not isinstance(x, Quantity):
         return str(x)
     x = x.convert_units(degrees)
@@ -170,7 +176,7 @@ def _fixed(x: Any, degrees: bool, bare: bool = False) -> str:
     return format_fixed(float(x.value), 4 if x.unit == "deg" else 6)
 
 
-def _beside(heads: Sequence[str], columns: Sequence[Sequence[str]]) -> list[str]:
+def _arrange_blocks(heads: Sequence[str], columns: Sequence[Sequence[str]]) -> list[str]:
     """Lines with a column for each row, in blocks of at most `WIDE` beside each other."""
     out: list[str] = []
     count = len(columns[0])
@@ -256,8 +262,10 @@ class Result:
             "code": name_outcomes(self.code),
             "status": self.status,
         }
-        own = self._data()
-        head = {name: own.pop(name) for name in ("system", "frame") if name in own} | self._head()
+        own = self._collect_data()
+        head = {
+            name: own.pop(name) for name in ("system", "frame") if name in own
+        } | self._collect_head_data()
         unit = {"angle_unit": "deg" if degrees else "rad"} if self._has_angles else {}
         return to_json_data(head | unit | said | own, degrees)
 
@@ -274,36 +282,36 @@ class Result:
             from pandas import DataFrame
         except ImportError:
             raise MissingPackageError("pandas") from None
-        names, rows = self._frame(degrees)
+        names, rows = self._list_dataframe_rows(degrees)
         return DataFrame(rows, columns=names)  # type: ignore[arg-type]
 
-    def _frame(self, degrees: bool) -> tuple[Sequence[str], Any]:
+    def _list_dataframe_rows(self, degrees: bool) -> tuple[Sequence[str], Any]:
         """Names of columns, and rows, of its first table."""
-        for table in self._tables():
+        for table in self._make_tables():
             heads = table.heads or ("name", "value")
-            rows = [[_cell(x, degrees) for x in row] for row in table.rows]
+            rows = [[_convert_cell(x, degrees) for x in row] for row in table.rows]
             return heads, rows
         return ("status",), np.reshape(np.asarray(self.status, dtype=object), (-1, 1)).tolist()
 
-    def _head(self) -> dict[str, Any]:
+    def _collect_head_data(self) -> dict[str, Any]:
         """What the data begin with: of what they are."""
         return {}
 
-    def _data(self) -> dict[str, Any]:
+    def _collect_data(self) -> dict[str, Any]:
         """The numbers and texts of its own."""
         return {}
 
     # ---- as text and HTML
 
-    def _headline(self) -> str:
+    def _make_headline(self) -> str:
         """The first line of the text."""
         return str(self.status)
 
-    def _tables(self) -> Sequence[Table]:
+    def _make_tables(self) -> Sequence[Table]:
         """What it found in rows, of which a text shows lines or columns, and HTML tables."""
         return ()
 
-    def _notes(self, degrees: bool = False) -> Sequence[str]:
+    def _list_notes(self, degrees: bool = False) -> Sequence[str]:
         """The last lines: reasons, and what no table has."""
         return ()
 
@@ -311,8 +319,12 @@ class Result:
         return bool(np.all(self.success))
 
     def __str__(self) -> str:
-        lines = [line for table in self._tables() if table.printed for line in table.lines()]
-        return "\n".join([self._headline(), *(f"  {x}" for x in (*lines, *self._notes()))])
+        lines = [
+            line for table in self._make_tables() if table.printed for line in table.list_lines()
+        ]
+        return "\n".join(
+            [self._make_headline(), *(f"  {x}" for x in (*lines, *self._list_notes()))]
+        )
 
     def text(self, degrees: bool = False, width: int = 0) -> str:
         """The text with its tables in columns; with `degrees` its angles are degrees.
@@ -320,10 +332,10 @@ class Result:
         With a `width`, longer sentences are broken. Errors: `InputError` for a width that is no
         whole number.
         """
-        width = _line_width(width)
-        parts = [_filled(self._headline(), width)]
-        parts += ["\n".join(["", *table.aligned(degrees)]) for table in self._tables()]
-        notes = [_filled(x, width) for x in self._notes(degrees)]
+        width = _check_line_width(width)
+        parts = [_wrap_line(self._make_headline(), width)]
+        parts += ["\n".join(["", *table.align_columns(degrees)]) for table in self._make_tables()]
+        notes = [_wrap_line(x, width) for x in self._list_notes(degrees)]
         if notes and len(parts) > 1:
             parts += ["", *notes]
         else:
@@ -331,11 +343,11 @@ class Result:
         return "\n".join(parts)
 
     def _repr_html_(self) -> str:
-        tables = "".join(table.html() for table in self._tables())
-        head = format_html_paragraphs([self._headline()])
-        return head + tables + format_html_paragraphs(self._notes()) + self._image()
+        tables = "".join(table.to_html() for table in self._make_tables())
+        head = format_html_paragraphs([self._make_headline()])
+        return head + tables + format_html_paragraphs(self._list_notes()) + self._render_image()
 
-    def _image(self) -> str:
+    def _render_image(self) -> str:
         """What `plot` draws, as HTML, where `_pictured` says so; '' where nothing can be drawn."""
         if not self._pictured:
             return ""
@@ -344,7 +356,7 @@ class Result:
             axes = self_.plot()
         except (KempeError, ValueError, ArithmeticError):
             return ""
-        return format_html_image(np.ravel(axes)[0].figure, self._headline())
+        return format_html_image(np.ravel(axes)[0].figure, self._make_headline())
 
 
 by_code: Any = property(
@@ -377,7 +389,7 @@ class Report(Result):
 
     def __str__(self) -> str:
         topics = self.topics()
-        return format_topics(self._headline(), topics) if topics else super().__str__()
+        return format_topics(self._make_headline(), topics) if topics else super().__str__()
 
     def text(self, degrees: bool = False, width: int = 0) -> str:
         """The text with its tables in columns; with `degrees` its angles are degrees.
@@ -388,13 +400,13 @@ class Report(Result):
         topics = self.topics()
         if not topics:
             return super().text(degrees, width)
-        width = _line_width(width)
-        return format_topics(_filled(self._headline(), width), topics, width=width)
+        width = _check_line_width(width)
+        return format_topics(_wrap_line(self._make_headline(), width), topics, width=width)
 
     def _repr_html_(self) -> str:
         topics = self.topics()
         return (
-            format_html_paragraphs([self._headline()]) + format_html_topics(topics)
+            format_html_paragraphs([self._make_headline()]) + format_html_topics(topics)
             if topics
             else super()._repr_html_()
         )
@@ -404,7 +416,7 @@ NARROWEST = 40
 """Columns of a line at least, where lines are broken: indents need some."""
 
 
-def _line_width(width: Any) -> int:
+def _check_line_width(width: Any) -> int:
     if not is_whole(width) or width < 0:
         raise InputError(
             f"width is {format_value(width)}; it must be a whole number of columns, 0 for any"
@@ -412,11 +424,11 @@ def _line_width(width: Any) -> int:
     return max(int(width), NARROWEST) if width else 0
 
 
-def _filled(line: str, width: int) -> str:
+def _wrap_line(line: str, width: int) -> str:
     return fill(line, width, subsequent_indent="  ") if width and len(line) > width else line
 
 
-def _cell(x: Any, degrees: bool) -> Any:
+def _convert_cell(x: Any, degrees: bool) -> Any:
     """A cell of a `DataFrame`."""
     return x.convert_units(degrees).value if isinstance(x, Quantity) else x
 
@@ -427,18 +439,18 @@ FEW = 16
 """Entries of an array, or of a tuple, that are shown."""
 
 
-def brief(self: Any) -> str:
+def summarize_fields(self: Any) -> str:
     """The fields of an answer on one line, of large arrays only the shape."""
     shows = [f for f in fields(self) if f.repr]
-    return f"{type(self).__name__}({', '.join(f'{f.name}={_brief(getattr(self, f.name))}' for f in shows)})"
+    return f"{type(self).__name__}({', '.join(f'{f.name}={_summarize_value(getattr(self, f.name))}' for f in shows)})"
 
 
-def _brief(x: Any) -> str:
+def _summarize_value(x: Any) -> str:
     given: Any = x
     if is_array(x):
         return f"array {x.shape}" if x.size > FEW else " ".join(repr(x).split())
     if isinstance(x, dict):
-        return f"{{{', '.join(f'{k!r}: {_brief(v)}' for k, v in given.items())}}}"
+        return f"{{{', '.join(f'{k!r}: {_summarize_value(v)}' for k, v in given.items())}}}"
     if isinstance(x, tuple) and len(given) > FEW:
-        return f"({', '.join(map(_brief, given[:2]))}, ... {len(given)} in all)"
+        return f"({', '.join(map(_summarize_value, given[:2]))}, ... {len(given)} in all)"
     return repr(given)

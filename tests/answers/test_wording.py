@@ -12,7 +12,12 @@ import sources
 
 import kempe
 from kempe.answers import wording
-from kempe.answers.evidence import Evidence, evidence, lengths, outside_limits
+from kempe.answers.evidence import (
+    Evidence,
+    list_limit_violations,
+    make_evidence,
+    make_reach_evidence,
+)
 
 SOURCE = Path(kempe.__file__).parent
 ARM = kempe.load("puma560")
@@ -27,7 +32,7 @@ def kinds_made() -> set[str]:
         for node in sources.nodes(path)
         if isinstance(node, ast.Call)
         and isinstance(node.func, ast.Name)
-        and node.func.id == "evidence"
+        and node.func.id == "make_evidence"
     ]
     return {ast.literal_eval(call.args[0]) for call in calls}
 
@@ -108,8 +113,8 @@ def test_a_sentence_says_the_figures(kind, figures, said):
 
 def test_a_figure_that_is_not_there_is_an_attribute_that_is_missing():
     with pytest.raises(AttributeError, match="place"):
-        evidence("outside", count=2).place  # noqa: B018
-    assert lengths(ARM) is None and lengths(ARM, plane=1e-9) is not None
+        make_evidence("outside", count=2).place  # noqa: B018
+    assert make_reach_evidence(ARM) is None and make_reach_evidence(ARM, plane=1e-9) is not None
 
 
 def test_targets_in_millimetres_are_suspected_and_those_a_little_too_far_are_not():
@@ -129,17 +134,17 @@ def test_targets_in_millimetres_are_suspected_and_those_a_little_too_far_are_not
 
 def test_a_proof_within_evidence_makes_it_one():
     """Limits block a target where a proof says so, else they may."""
-    proof = evidence("outside", count=2)
-    text = evidence("limits", names=["a"], proof=proof).text
+    proof = make_evidence("outside", count=2)
+    text = make_evidence("limits", names=["a"], proof=proof).text
     assert text == f"blocked by the limit of 'a' ({proof.text}); without limits it is reachable"
 
 
 def test_parts_that_are_empty_leave_no_mark():
     assert (
-        wording.failed("not reached", "", None, evidence("more starts"), 0)
+        wording.describe_failure("not reached", "", None, make_evidence("more starts"), 0)
         == "not reached: more starts find an answer"
     )
-    assert wording.failed("", "a", "b") == "a; b"
+    assert wording.describe_failure("", "a", "b") == "a; b"
 
 
 def test_coordinates_outside_of_their_limits_count_modulo_turns():
@@ -147,6 +152,6 @@ def test_coordinates_outside_of_their_limits_count_modulo_turns():
     turn = 6.283185307179586
     first, second = s.coordinate_names
     s = s.with_limits({first: (-1.0, 1.0), second: (2.0, 3.0)})
-    assert outside_limits(s, np.array([0.5 + 3 * turn, 2.5 - turn])) == []
-    assert outside_limits(s, np.array([1.5, 2.5 - turn]), turns=False) == [first, second]
-    assert outside_limits(s, np.array([1.5, 2.5 - turn])) == [first]
+    assert list_limit_violations(s, np.array([0.5 + 3 * turn, 2.5 - turn])) == []
+    assert list_limit_violations(s, np.array([1.5, 2.5 - turn]), turns=False) == [first, second]
+    assert list_limit_violations(s, np.array([1.5, 2.5 - turn])) == [first]

@@ -174,7 +174,7 @@ def test_the_printed_function_computes_the_same():
     exec(formulas.code(), names)
     system = formulas.system
     X = system.fk([0.3, 0.7, 0.5, 0.2, 0.9, -0.4], "tool")
-    sizes = [system.structure.parameters[str(s)] for s in sorted(formulas._lengths(), key=str)]
+    sizes = [system.structure.parameters[str(s)] for s in sorted(formulas._find_lengths(), key=str)]
     for signs in itertools.product((-1, 1), repeat=3):
         q = names["inverse"](*X[:3, 3], *X[:3, :3].ravel(), *signs, *sizes)
         np.testing.assert_allclose(q, formulas(X, signs), atol=1e-12)

@@ -220,7 +220,9 @@ def test_code_computes_what_the_formulas_say(kinds):
     exec(formulas.code(), names)
     X = system.fk([0.3, 0.4, 0.5][: len(kinds)], "tip")
     p = [*X[:2, 3], np.arctan2(X[1, 0], X[0, 0])][: len(kinds)]
-    lengths = [system.structure.parameters[str(s)] for s in sorted(formulas._lengths(), key=str)]
+    lengths = [
+        system.structure.parameters[str(s)] for s in sorted(formulas._find_lengths(), key=str)
+    ]
     np.testing.assert_allclose(names["inverse"](*p, 1, *lengths), formulas(p, 1), atol=1e-12)
     assert np.isfinite(formulas(p, 1)).all()
 

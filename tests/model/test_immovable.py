@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import kempe
-from kempe.answers.wording import immovable
+from kempe.answers.wording import describe_immovable_coordinates
 from kempe.description.urdf_reader import read_urdf
 
 EFFORT = '<limit effort="1" velocity="1"/>'
@@ -56,22 +56,25 @@ STILL = '<limit lower="0.5" upper="0.5" effort="1" velocity="1"/>'
     ],
 )
 def test_what_holds_joints_still(limits, said):
-    assert immovable(read_urdf(chain(*limits)).build()) == said
+    assert describe_immovable_coordinates(read_urdf(chain(*limits)).build()) == said
 
 
 def test_many_names_are_cut_short_and_given_limits_can_be_left_out():
     s = read_urdf(chain(*[EFFORT] * 8, STILL)).build()
-    assert immovable(s).startswith("'j0', 'j1', 'j2', 'j3', 'j4', 'j5', ... (8 in all) cannot move")
-    assert "'j8'" not in immovable(s, unstated=True) and immovable(s, [8]).startswith(
-        "'j8' cannot move (lower"
+    assert describe_immovable_coordinates(s).startswith(
+        "'j0', 'j1', 'j2', 'j3', 'j4', 'j5', ... (8 in all) cannot move"
     )
-    assert immovable(s, [0]).startswith("'j0' cannot move (0..0")
+    assert "'j8'" not in describe_immovable_coordinates(
+        s, unstated=True
+    ) and describe_immovable_coordinates(s, [8]).startswith("'j8' cannot move (lower")
+    assert describe_immovable_coordinates(s, [0]).startswith("'j0' cannot move (0..0")
 
 
 def test_a_follower_without_bounds_holds_its_leader():
     mimic = '<limit effort="1" velocity="1"/><mimic joint="j0"/>'
-    assert "'j0' cannot move (0..0 because the file gives no bounds" in immovable(
-        read_urdf(chain(WIDE, mimic)).build()
+    assert (
+        "'j0' cannot move (0..0 because the file gives no bounds"
+        in describe_immovable_coordinates(read_urdf(chain(WIDE, mimic)).build())
     )
 
 
@@ -79,10 +82,10 @@ def test_what_comes_along_with_copies():
     text = chain(EFFORT, WIDE)
     m = kempe.Mechanism("host")
     m.attach(kempe.read(text), prefix="a_")
-    assert immovable(m.build()).startswith("'a_j0' cannot move (0..0 because")
-    assert immovable(kempe.load(text).mechanism.subchain("l0", "l1").build()).startswith(
-        "'j0' cannot move (0..0 because"
-    )
+    assert describe_immovable_coordinates(m.build()).startswith("'a_j0' cannot move (0..0 because")
+    assert describe_immovable_coordinates(
+        kempe.load(text).mechanism.subchain("l0", "l1").build()
+    ).startswith("'j0' cannot move (0..0 because")
     assert kempe.read(text) == kempe.read(
         text.replace(EFFORT, '<limit lower="0" upper="0" effort="1" velocity="1"/>')
     )

@@ -76,19 +76,19 @@ class Answer(Result, Tabular):
         """The nearest mechanism that closes exactly, solved in place of the given one; None: that
         was solved.
         """
-        return self._closing._ideal
+        return self._closed_system._ideal
 
     @property
-    def _closing(self) -> Any:
+    def _closed_system(self) -> Any:
         """The `System` whose loops `q` closes; frames are those of `system`."""
         return self.system
 
     def sentence(self, index: tuple[int, ...] | int = ()) -> str:
         """The sentence for one target, by its index in the batch. Errors: `InputError`."""
-        return self._sentence(read_batch_index(index, self._shape))
+        return self._compose_sentence(read_batch_index(index, self._batch_shape))
 
     @property
-    def _shape(self) -> tuple[int, ...]:
+    def _batch_shape(self) -> tuple[int, ...]:
         """Leading shape of a batch of answers; () for a single one."""
         return np.shape(self.code)
 
@@ -96,18 +96,18 @@ class Answer(Result, Tabular):
     def _row(self) -> Any:
         return import_late(self.row)
 
-    def _sentence(self, index: tuple[int, ...]) -> str:
+    def _compose_sentence(self, index: tuple[int, ...]) -> str:
         return self._row.sentence(self, index)
 
     @cached_property
     def status(self) -> Any:
         """The sentence for a single answer; an array of sentences for a batch. Made on demand."""
         more = "" if self.within is None else f"; {self.within.sentence}"
-        if not self._shape:
-            return self._sentence(()) + more
-        out = np.empty(self._shape, dtype=object)
+        if not self._batch_shape:
+            return self._compose_sentence(()) + more
+        out = np.empty(self._batch_shape, dtype=object)
         for index in np.ndindex(out.shape):
-            out[index] = self._sentence(index) + more
+            out[index] = self._compose_sentence(index) + more
         return out
 
     # ---- what is missed
@@ -129,24 +129,29 @@ class Answer(Result, Tabular):
         It shares nothing with the equations by which kernels say `success`.
         """
         return judge_configurations(
-            self.system, self.q, self._goals(), self._left(), self._when(), self._closing
+            self.system,
+            self.q,
+            self._list_goals(),
+            self._get_solver_residual(),
+            self._list_times(),
+            self._closed_system,
         )
 
-    def _when(self) -> Any:
+    def _list_times(self) -> Any:
         """Times (...) at which equations in time must hold at `q`; 0 for answers that have no time
         of their own.
         """
         return 0.0
 
-    def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
+    def _list_goals(self) -> Sequence[tuple[Any, Any, Any]]:
         """The tasks that must hold, with their goals and tolerances."""
         return ()
 
-    def _left(self) -> Any:
+    def _get_solver_residual(self) -> Any:
         """Residual (...) of the equations of successful rows, as the solver reports it."""
         return 0.0
 
-    def _claimed(self) -> np.ndarray:
+    def _select_claimed_rows(self) -> np.ndarray:
         """Which rows of `q` (...) the solver reports as solutions."""
         return np.asarray(self.success)
 
@@ -157,11 +162,11 @@ class Answer(Result, Tabular):
 
         Of a batch only what contradicts a success is said.
         """
-        claimed = self._claimed()
+        claimed = self._select_claimed_rows()
         if not claimed.any() or not self.judged.names:
             return ""
         false = int((claimed & ~np.asarray(self.judged.holds)).sum())
-        if self._shape:
+        if self._batch_shape:
             return f"{false} are contradicted by poses multiplied out in numpy" if false else ""
         said = self.judged.of(claimed)
         return f"success is contradicted, {said}" if false else str(said)
@@ -198,11 +203,11 @@ class Answer(Result, Tabular):
         """
         return list(self.system.coordinate_names), np.reshape(self.q, (-1, self.system.nq))
 
-    def _units(self) -> dict[str, str]:
+    def _list_units(self) -> dict[str, str]:
         return list_units(self.system)
 
-    def _frame(self, degrees: bool) -> tuple[Sequence[str], Any]:
-        return self._shown_table(degrees)
+    def _list_dataframe_rows(self, degrees: bool) -> tuple[Sequence[str], Any]:
+        return self._convert_table(degrees)
 
     def expect(self) -> Self:
         """The answer itself if it is a success.
@@ -221,20 +226,20 @@ class Answer(Result, Tabular):
         return self.__dict__.get("_choice") or (self._row.choice(self) if self.row else None)
 
     def __len__(self) -> int:
-        self._refuse_one()
+        self._refuse_single_answer()
         return len(self.success)
 
     def __iter__(self) -> Iterator[Array]:
-        self._refuse_one()
+        self._refuse_single_answer()
         return iter(self.q)
 
     def __getitem__(self, k: Any) -> Array:
-        self._refuse_one()
-        return row_of(self.q, k)
+        self._refuse_single_answer()
+        return select_rows(self.q, k)
 
-    def _refuse_one(self) -> None:
+    def _refuse_single_answer(self) -> None:
         """Refuse to take the answer to one problem for a list. Errors: `CallError`."""
-        if not self._shape:
+        if not self._batch_shape:
             name = type(self).__name__
             raise CallError(
                 name,
@@ -242,85 +247,87 @@ class Answer(Result, Tabular):
                 "problems has a row for each",
             )
 
-    def _headline(self) -> str:
-        if self._shape:
+    def _make_headline(self) -> str:
+        if self._batch_shape:
             return format_share(int(np.sum(self.success)), np.size(self.success), self.what)
         return self.status
 
-    def _tables(self) -> Sequence[Table]:
+    def _make_tables(self) -> Sequence[Table]:
         """The configuration by name, with its limits; of a batch a row for each."""
-        if self._shape or np.ndim(self.q) != 1:
-            each = np.size(self.success) and np.ndim(self.q) == len(self._shape) + 1
-            return [self._rows_table()] if each and self._shape else []
+        if self._batch_shape or np.ndim(self.q) != 1:
+            each = np.size(self.success) and np.ndim(self.q) == len(self._batch_shape) + 1
+            return [self._make_batch_table()] if each and self._batch_shape else []
         names = self.system.coordinate_names
         limits = list_limits(self.system).values()
-        rows = list(zip(names, self._quantities(self.q), limits, self._marks(), strict=True))
+        rows = list(
+            zip(names, self._list_quantities(self.q), limits, self._mark_coordinates(), strict=True)
+        )
         title = "coordinate" if self.success else "nearest found"
         return [Table((title, "value", "limits", ""), rows, record=True)]
 
-    def _rows_table(self) -> Table:
+    def _make_batch_table(self) -> Table:
         """A row for each configuration of a batch, by its number, or numbers."""
-        first = list(islice(np.ndindex(self._shape), ROWS))
+        first = list(islice(np.ndindex(self._batch_shape), ROWS))
         rows = [
             (
-                index[0] if len(index) == 1 else _row_number(index),
+                index[0] if len(index) == 1 else _format_row_number(index),
                 "yes" if np.asarray(self.success)[index] else "no",
-                *self._quantities(self.q[index]),
+                *self._list_quantities(self.q[index]),
             )
             for index in first
         ]
         heads = ("row", self.what.split()[-1], *self.system.coordinate_names)
         return Table(heads, rows, more=int(np.size(self.success)) - len(rows), printed=False)
 
-    def _quantities(self, q: Array, places: Sequence[int] | None = None) -> list[Quantity]:
+    def _list_quantities(self, q: Array, places: Sequence[int] | None = None) -> list[Quantity]:
         """The numbers of a configuration (nq,) with their units, at some `places` or at all."""
         names = self.system.coordinate_names
         unit = list_units(self.system)
         each = range(len(names)) if places is None else places
         return [Quantity(float(q[i]), unit[names[i]]) for i in each]
 
-    def _marks(self) -> Sequence[str]:
+    def _mark_coordinates(self) -> Sequence[str]:
         """A word about each coordinate of a single configuration; '' where there is none."""
         return [""] * self.system.nq
 
-    def _notes(self, degrees: bool = False) -> Sequence[str]:
+    def _list_notes(self, degrees: bool = False) -> Sequence[str]:
         verdict = self.verdict if self._is_judged() else ""
-        return [*self._reasons(), *([verdict] if verdict else [])]
+        return [*self._list_reasons(), *([verdict] if verdict else [])]
 
-    def _reasons(self) -> list[str]:
+    def _list_reasons(self) -> list[str]:
         """Why the first rows of a batch have no answer, and which rows more."""
-        if not self._shape:
+        if not self._batch_shape:
             return []
         missed = list(zip(*np.nonzero(~np.asarray(self.success)), strict=True))
         lines = [
-            f"row {_row_number(index)}: {self.sentence(tuple(map(int, index)))}"
+            f"row {_format_row_number(index)}: {self.sentence(tuple(map(int, index)))}"
             for index in missed[:REASONS]
         ]
-        if more := [_row_number(index) for index in missed[REASONS:]]:
+        if more := [_format_row_number(index) for index in missed[REASONS:]]:
             lines.append(f"and {make_plural(len(more), 'row')} {join_first_words(more, 12)}")
         return lines
 
     def _is_judged(self) -> bool:
         return np.size(self.q) <= MOST_JUDGED
 
-    def _head(self) -> dict[str, Any]:
+    def _collect_head_data(self) -> dict[str, Any]:
         solver = {} if self.solver is None else {"solver": self.solver.name}
         return {"system": self.system.name} | solver
 
-    def _data(self) -> dict[str, Any]:
+    def _collect_data(self) -> dict[str, Any]:
         out = {name: getattr(self, name) for name in self.also} | {
             "residual": np.asarray(self.residual).tolist()
         }
         if self._is_judged():
             out["judged"] = self.judged.data()
-        return out | {"q": self._by_name(self.q)}
+        return out | {"q": self._name_coordinates(self.q)}
 
-    def _by_name(self, q: Array) -> ByName:
+    def _name_coordinates(self, q: Array) -> ByName:
         """Configurations (..., nq) by the names of coordinates."""
         return name_values(self.system, q)
 
 
-def _row_number(index: Sequence[int]) -> str:
+def _format_row_number(index: Sequence[int]) -> str:
     """The number of a row of a batch, or its numbers: '3', '0, 2'."""
     return ", ".join(map(str, index))
 
@@ -339,10 +346,10 @@ class ConfigurationList:
         return iter(self.q)
 
     def __getitem__(self, k: Any) -> Array:
-        return row_of(self.q, k)
+        return select_rows(self.q, k)
 
 
-def row_of(q: Array, k: Any) -> Array:
+def select_rows(q: Array, k: Any) -> Array:
     """Rows of configurations (n, ..., nq) by a number, a slice or an array. Errors: `InputError`,
     `IndexError`.
     """
@@ -374,28 +381,28 @@ class Configurations(ConfigurationList, Answer):
         """The outcome, a `Status`."""
         if self.success:
             return Status.SOLVED
-        return self._broken_off() or (Status.PARTLY if len(self) > 1 else Status.NOT_FOUND)
+        return self._find_early_end() or (Status.PARTLY if len(self) > 1 else Status.NOT_FOUND)
 
-    def _broken_off(self) -> Status | None:
+    def _find_early_end(self) -> Status | None:
         """The `Status` that says what ended the computation early, an interrupt or the time limit;
         None otherwise.
         """
         return Status.INTERRUPTED if self.interrupted else Status.OUT_OF_TIME if self.late else None
 
-    def _partial(self) -> str:
+    def _describe_early_end(self) -> str:
         """End of the sentence about a computation that ended early; '' otherwise."""
         return describe_early_end(self.interrupted, self.late)
 
-    def _claimed(self) -> np.ndarray:
+    def _select_claimed_rows(self) -> np.ndarray:
         return np.full(len(self), bool(self.success) or len(self) > 1)
 
-    def _sentence(self, index: tuple[int, ...]) -> str:
+    def _compose_sentence(self, index: tuple[int, ...]) -> str:
         return self.reason
 
-    def _headline(self) -> str:
+    def _make_headline(self) -> str:
         return f"{self.system.name}: {self.status}"
 
-    def _tables(self) -> Sequence[Table]:
+    def _make_tables(self) -> Sequence[Table]:
         return []
 
 
@@ -417,13 +424,13 @@ class Motion(Configurations):
             raise UnknownNameError("coordinate", coordinate, names, self.system.name)
         return self.q[:, names.index(coordinate)].copy()
 
-    def _tables(self) -> Sequence[Table]:
+    def _make_tables(self) -> Sequence[Table]:
         """The range of each coordinate."""
         if len(self) < 2:
             return []
         return [make_ranges_table(self.system, self.q)]
 
-    def _columns(
+    def _make_columns(
         self, first: str, column: Array, frames: Iterable[FrameLike]
     ) -> tuple[list[str], Array]:
         """Names and columns (n, k): one of its own, all coordinates, x, y (and z) of frames."""

@@ -60,7 +60,7 @@ class Derivation:
         known: dict[Any, Any] = {
             sympy.Symbol(n): v for n, v in self.system.structure.parameters.items()
         }
-        unknown = sorted(map(str, self._lengths() - set(known)))
+        unknown = sorted(map(str, self._find_lengths() - set(known)))
         if unknown:
             raise InputError(
                 f"no numbers are known for {', '.join(unknown)}; they are no parameters of the "
@@ -98,7 +98,7 @@ class Derivation:
             for k, s in enumerate(self.signs, 1)
         }
         lines = (
-            f"{format_latex(step.symbol)} &= {format_latex(_readable(step.formula), names)}"
+            f"{format_latex(step.symbol)} &= {format_latex(_round_numbers(step.formula), names)}"
             for step in self.steps
         )
         return align_formulas(line.replace(r"- \pm", r"\mp") for line in lines)
@@ -109,11 +109,11 @@ class Derivation:
         """
         from sympy.printing.numpy import NumPyPrinter
 
-        given = [*self.given, *self.signs, *sorted(self._lengths(), key=str)]
+        given = [*self.given, *self.signs, *sorted(self._find_lengths(), key=str)]
         words: dict[Any, Any] = {}
         for symbol in [*given, *(step.symbol for step in self.steps)]:
             words[symbol] = sympy.Symbol(
-                _variable(str(symbol), {str(word) for word in words.values()})
+                _make_variable_name(str(symbol), {str(word) for word in words.values()})
             )
         arguments = ", ".join(str(words[symbol]) for symbol in given)
         printer: Any = NumPyPrinter()
@@ -129,7 +129,7 @@ class Derivation:
             "\n".join(["import numpy", "", "", f"def inverse({arguments}):", *lines, last]) + "\n"
         )
 
-    def _lengths(self) -> set[Any]:
+    def _find_lengths(self) -> set[Any]:
         own = {step.symbol for step in self.steps} | {*self.given, *self.signs}
         return {s for step in self.steps for s in step.formula.free_symbols} - own
 
@@ -138,19 +138,19 @@ class Derivation:
 
     def __str__(self) -> str:
         return "\n".join(
-            f"{step.symbol} = {_readable(step.formula)}"
+            f"{step.symbol} = {_round_numbers(step.formula)}"
             + f": {step.says}" * bool(step.says)
             + (f", if {step.condition}" if step.condition else "")
             for step in self.steps
         )
 
 
-def _readable(formula: Any) -> Any:
+def _round_numbers(formula: Any) -> Any:
     """A formula with six digits of each number, as it is printed."""
     return formula.xreplace({x: sympy.Float(f"{float(x):.6g}") for x in formula.atoms(sympy.Float)})
 
 
-def _variable(name: str, taken: set[str]) -> str:
+def _make_variable_name(name: str, taken: set[str]) -> str:
     """The name as Python takes it, with underscores in front of keywords, digits, and names that
     are taken.
     """
@@ -166,29 +166,29 @@ Vector = tuple[Any, Any]
 """Two expressions, along x and y."""
 
 
-def turned(v: Vector, angle: Any) -> Vector:
+def rotate_vector(v: Vector, angle: Any) -> Vector:
     """A vector, turned by an angle."""
     c = sympy.cos(angle)
     s = sympy.sin(angle)
     return c * v[0] - s * v[1], s * v[0] + c * v[1]
 
 
-def plus(a: Vector, b: Vector) -> Vector:
+def add_vectors(a: Vector, b: Vector) -> Vector:
     """The sum of two vectors."""
     return a[0] + b[0], a[1] + b[1]
 
 
-def minus(a: Vector, b: Vector) -> Vector:
+def subtract_vectors(a: Vector, b: Vector) -> Vector:
     """The difference of two vectors."""
     return a[0] - b[0], a[1] - b[1]
 
 
-def cross(a: Vector, b: Vector) -> Any:
+def compute_cross_product(a: Vector, b: Vector) -> Any:
     """What spans a parallelogram: a_x b_y - a_y b_x."""
     return a[0] * b[1] - a[1] * b[0]
 
 
-def polar(v: Vector) -> tuple[Any, Any]:
+def to_polar_coordinates(v: Vector) -> tuple[Any, Any]:
     """Length and angle of a vector; of one along x, or with parameters along an axis, without a
     root.
     """
@@ -202,7 +202,7 @@ def polar(v: Vector) -> tuple[Any, Any]:
     return sympy.sqrt(x**2 + y**2), sympy.atan2(y, x)
 
 
-def unless_zero(*lengths: Any, named: Any = None) -> str:
+def describe_nonzero_condition(*lengths: Any, named: Any = None) -> str:
     """The condition that none of some expressions is zero, without those that are other numbers; of
     one its name.
     """
@@ -213,7 +213,7 @@ def unless_zero(*lengths: Any, named: Any = None) -> str:
 # ---- the triangle of three joints
 
 
-def endings() -> Iterator[str]:
+def iterate_endings() -> Iterator[str]:
     """What is put after the names of symbols, until a system has none of them: nothing, '_0', '_1',
     ...
     """
@@ -232,17 +232,17 @@ class Names(NamedTuple):
     u: Any
 
     @classmethod
-    def ending(cls, end: str) -> Names:
+    def from_ending(cls, end: str) -> Names:
         """The symbols with an ending such as '_1'."""
         return cls(*(sympy.Symbol(f"{name}{end}") for name in cls._fields))
 
     @classmethod
-    def among(cls, names: dict[str, Any]) -> Names:
+    def from_words(cls, names: dict[str, Any]) -> Names:
         """Those of several symbols, by their words, that are of a triangle."""
         return cls(*(names[name] for name in cls._fields))
 
 
-def two_circles(
+def solve_two_bars(
     n: Names, to: Vector, l1: Any, l2: Any, says: str, sense: int = 1
 ) -> tuple[list[FormulaStep], Any, Any]:
     """Two bars of lengths l1, l2 that end at `to`: steps, the angle of the first, and that from it
@@ -254,7 +254,10 @@ def two_circles(
     steps = [
         FormulaStep(n.r2, x**2 + y**2, "both parts of the position squared and summed"),
         FormulaStep(
-            n.c2, (n.r2 - l1**2 - l2**2) / (2 * l1 * l2), "the law of cosines", unless_zero(l1, l2)
+            n.c2,
+            (n.r2 - l1**2 - l2**2) / (2 * l1 * l2),
+            "the law of cosines",
+            describe_nonzero_condition(l1, l2),
         ),
         FormulaStep(n.s2, sense * n.sign * sympy.sqrt(1 - n.c2**2), says, f"-1 <= {n.c2} <= 1"),
         FormulaStep(n.alpha, sympy.atan2(y, x), "angle to the target", f"{n.r2} != 0"),
@@ -267,7 +270,7 @@ def two_circles(
     return steps, n.alpha - n.beta, sympy.atan2(n.s2, n.c2)
 
 
-def line_and_circle(
+def solve_slide_and_bar(
     n: Names, to: Vector, along: Vector, length: Any
 ) -> tuple[list[FormulaStep], Any, Any]:
     """A slide u along a direction, then a bar that ends at `to`: steps, u, and the angle of the
@@ -276,9 +279,14 @@ def line_and_circle(
     Where `sign` is +1 it slides farther than where both roots meet.
     """
     ahead = to[0] * along[0] + to[1] * along[1]
-    aside = cross(along, to)
+    aside = compute_cross_product(along, to)
     steps = [
-        FormulaStep(n.s2, aside / length, "part of the way across the slide", unless_zero(length)),
+        FormulaStep(
+            n.s2,
+            aside / length,
+            "part of the way across the slide",
+            describe_nonzero_condition(length),
+        ),
         FormulaStep(
             n.c2, -n.sign * sympy.sqrt(1 - n.s2**2), "+1 slides farther", f"-1 <= {n.s2} <= 1"
         ),
@@ -287,10 +295,10 @@ def line_and_circle(
         ),
         FormulaStep(n.beta, sympy.atan2(n.s2, n.c2), "angle from the slide to the bar"),
     ]
-    return steps, n.u, n.beta + polar(along)[1]
+    return steps, n.u, n.beta + to_polar_coordinates(along)[1]
 
 
-def turning_slide(n: Names, to: Vector, across: Any) -> tuple[list[FormulaStep], Any, Any]:
+def solve_turning_slide(n: Names, to: Vector, across: Any) -> tuple[list[FormulaStep], Any, Any]:
     """A rail that turns, on which a point slides at a distance `across`, to `to`: steps, the slide,
     the rail's angle.
 
@@ -313,16 +321,21 @@ def turning_slide(n: Names, to: Vector, across: Any) -> tuple[list[FormulaStep],
     return steps, n.u, n.alpha - n.beta
 
 
-def two_lines(n: Names, to: Vector, one: Vector, two: Vector) -> tuple[list[FormulaStep], Any, Any]:
+def solve_two_slides(
+    n: Names, to: Vector, one: Vector, two: Vector
+) -> tuple[list[FormulaStep], Any, Any]:
     """Two slides along directions that add up to `to`: steps, none for slides at right angles, and
     both slides.
     """
-    area = sympy.simplify(cross(one, two))
+    area = sympy.simplify(compute_cross_product(one, two))
     if area in (1, -1):
-        return [], area * cross(to, two), area * cross(one, to)
+        return [], area * compute_cross_product(to, two), area * compute_cross_product(one, to)
     steps = [
         FormulaStep(
-            n.c2, area, "sine of the angle between the slides", unless_zero(area, named=n.c2)
+            n.c2,
+            area,
+            "sine of the angle between the slides",
+            describe_nonzero_condition(area, named=n.c2),
         )
     ]
-    return steps, cross(to, two) / n.c2, cross(one, to) / n.c2
+    return steps, compute_cross_product(to, two) / n.c2, compute_cross_product(one, to) / n.c2

@@ -60,12 +60,12 @@ class Evidence(InWords):
         return self.figures[name]
 
 
-def evidence(kind: str, **figures: Any) -> Evidence:
+def make_evidence(kind: str, **figures: Any) -> Evidence:
     """Evidence of a kind, with its figures."""
     return Evidence(kind, figures)
 
 
-def lengths(
+def make_reach_evidence(
     system: Model,
     place: float = 0.0,
     turned: float = 0.0,
@@ -85,7 +85,7 @@ def lengths(
     if not far > 0.0:
         return None
     times = far / compute_characteristic_length(system)
-    return evidence(
+    return make_evidence(
         "lengths",
         place=place,
         turned=turned,
@@ -97,7 +97,9 @@ def lengths(
     )
 
 
-def outside_limits(system: Model, q: Array, slack: float = 1e-9, turns: bool = True) -> list[str]:
+def list_limit_violations(
+    system: Model, q: Array, slack: float = 1e-9, turns: bool = True
+) -> list[str]:
     """Coordinates that are outside their limits at q (nq,), whatever whole `turns` are added; else
     as they are.
     """

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from kempe.answers.targets import Z_AXIS, of_target
+from kempe.answers.targets import Z_AXIS, make_target_constraints
 from kempe.arrays import read_reals
 from kempe.constraints.base import read_poses, refuse_rotations
 from kempe.errors import InputError
@@ -22,7 +22,7 @@ WITHIN = (1e-6, 1e-6)
 """Metres and radians that a known value may be off by."""
 
 
-def with_places(given: Mapping[str, Any], frames: Sequence[str]) -> Mapping[str, Any]:
+def convert_places(given: Mapping[str, Any], frames: Sequence[str]) -> Mapping[str, Any]:
     """Known values by name, the places of frames as arrays. Errors: `InputError`."""
     if not frames:
         return given
@@ -32,7 +32,7 @@ def with_places(given: Mapping[str, Any], frames: Sequence[str]) -> Mapping[str,
     }
 
 
-def place_of(system: Model, frame: str, place: Any, whole: bool) -> Array:
+def read_place(system: Model, frame: str, place: Any, whole: bool) -> Array:
     """Positions (..., 2 or 3) of a frame, or its poses (..., 4, 4); what is not finite is let
     through.
 
@@ -53,7 +53,7 @@ def place_of(system: Model, frame: str, place: Any, whole: bool) -> Array:
     return x
 
 
-def source_values(system: Model, known: Mapping[str, Any]) -> dict[str, Array]:
+def find_source_values(system: Model, known: Mapping[str, Any]) -> dict[str, Array]:
     """Known values by coordinates of q: one that follows another gives that one its value.
 
     Errors: `UnknownNameError`; `InputError` for a coordinate that follows another one whose known
@@ -82,7 +82,7 @@ class HeldCoordinate(NamedTuple):
         return (np.zeros_like(off), off) if self.turns else (off, np.zeros_like(off))
 
 
-def known_tasks(system: Model, known: Mapping[str, Any]) -> list[tuple[Any, Any, Any]]:
+def list_known_tasks(system: Model, known: Mapping[str, Any]) -> list[tuple[Any, Any, Any]]:
     """Tasks, goals and tolerances of known values by the names of coordinates, or places by the
     names of frames.
     """
@@ -92,14 +92,16 @@ def known_tasks(system: Model, known: Mapping[str, Any]) -> list[tuple[Any, Any,
     turns = system.structure.coordinates.turning[system.structure.layout.vector_v].tolist()
     turning = dict(zip(system.structure.layout.vector_q.tolist(), turns, strict=True))
     out: list[tuple[Any, Any, Any]] = []
-    for name, value in source_values(system, {k: x for k, x in known.items() if k in own}).items():
+    for name, value in find_source_values(
+        system, {k: x for k, x in known.items() if k in own}
+    ).items():
         i = system.coordinate_names.index(name)
         out.append((HeldCoordinate(name, i, turning.get(i, True), value), None, WITHIN))
     for name in known.keys() - own:
         whole = np.ndim(known[name]) == 2
         X = np.eye(4)
-        place = place_of(system, name, known[name], whole)
+        place = read_place(system, name, known[name], whole)
         X[: len(place), 3 if not whole else slice(None)] = place
-        made = of_target(name, "pose" if whole else "position", Z_AXIS, X)
+        made = make_target_constraints(name, "pose" if whole else "position", Z_AXIS, X)
         out += [(Task(system, c), None, WITHIN) for c in made]
     return out

@@ -72,7 +72,7 @@ class Solver(NamedTuple):
     refuses: Callable[[Problem], str | None]
     run: Callable[[Problem], Any]
 
-    def choice(self, refused: Sequence[tuple[str, str]] = ()) -> Choice:
+    def make_choice(self, refused: Sequence[tuple[str, str]] = ()) -> Choice:
         """The `Choice` of this solver, for its answers, with the solvers `refused` before it."""
         return Choice(self.name, self.how, tuple(refused))
 
@@ -92,37 +92,37 @@ class Choice(NamedTuple):
         )
 
 
-def choose(rows: Sequence[Solver], problem: Problem) -> tuple[Solver, Choice]:
+def select_solver(rows: Sequence[Solver], problem: Problem) -> tuple[Solver, Choice]:
     """The first row that does not refuse. Errors: `UnsupportedError` with what the first one says,
     if all refuse.
     """
-    kept: dict[Any, Any] = problem.system._kept.setdefault(choose, {})
+    kept: dict[Any, Any] = problem.system._kept.setdefault(select_solver, {})
     key = (tuple(rows), problem.structure)
     found = kept.get(key)
-    return store_answer(kept, key, _first_row(rows, problem)) if found is None else found
+    return store_answer(kept, key, _find_solver(rows, problem)) if found is None else found
 
 
-def _first_row(rows: Sequence[Solver], problem: Problem) -> tuple[Solver, Choice]:
+def _find_solver(rows: Sequence[Solver], problem: Problem) -> tuple[Solver, Choice]:
     refused: list[tuple[str, str]] = []
     for solver in rows:
         why = solver.refuses(problem)
         if why is None:
-            return solver, solver.choice(refused)
+            return solver, solver.make_choice(refused)
         refused.append((solver.name, why))
     raise UnsupportedError(refused[0][1])
 
 
-def solve(rows: Sequence[Solver], problem: Problem) -> Any:
+def solve_problem(rows: Sequence[Solver], problem: Problem) -> Any:
     """The answer of the first row that does not refuse; it says who that is."""
-    solver, choice = choose(rows, problem)
-    return chosen_by(solver.run(problem), choice)
+    solver, choice = select_solver(rows, problem)
+    return record_choice(solver.run(problem), choice)
 
 
-def takes_all(problem: Problem) -> None:
+def accept_all_problems(problem: Problem) -> None:
     """Refuse nothing: of the last row, which takes what all others leave."""
 
 
-def chosen_by(answer: AnswerType, choice: Choice) -> AnswerType:
+def record_choice(answer: AnswerType, choice: Choice) -> AnswerType:
     """The answer with the `Choice` that says which solver gave it."""
     answer.__dict__["_choice"] = choice
     return answer

@@ -32,18 +32,18 @@ class Tabular:
         Numbers are written in full: what is read again is equal. With `degrees` columns of angles
         are degrees. Errors: `InputError` for other endings, and where the file cannot be written.
         """
-        return write_table(path, *self._shown_table(degrees))
+        return write_table(path, *self._convert_table(degrees))
 
-    def _units(self) -> dict[str, str]:
+    def _list_units(self) -> dict[str, str]:
         """Units of columns by name."""
         return {}
 
-    def _shown_table(self, degrees: bool) -> tuple[list[str], Array]:
+    def _convert_table(self, degrees: bool) -> tuple[list[str], Array]:
         """The `table` in the units that are shown."""
-        return in_units(*self.table(), self._units(), degrees)
+        return convert_columns(*self.table(), self._list_units(), degrees)
 
 
-def in_units(
+def convert_columns(
     names: list[str], columns: Array, units: Mapping[str, str], degrees: bool
 ) -> tuple[list[str], Array]:
     """Names and columns (n, k), those whose unit is "rad" in degrees where that is requested."""
@@ -59,7 +59,7 @@ def write_table(
 
     Errors: `InputError`.
     """
-    path = table_file(path)
+    path = check_table_path(path)
     if what := describe_special_file(path):
         raise InputError(f"{path}: this is {what}; name a plain file")
     try:
@@ -75,7 +75,7 @@ def write_table(
     return path
 
 
-def table_file(path: str | Path) -> Path:
+def check_table_path(path: str | Path) -> Path:
     """The path of a file of numbers. Errors: `InputError` where its ending is neither .csv nor
     .npy.
     """
@@ -85,7 +85,7 @@ def table_file(path: str | Path) -> Path:
     return path
 
 
-def as_numbers(parts: Sequence[str], what: str) -> list[float]:
+def convert_texts(parts: Sequence[str], what: str) -> list[float]:
     """The numbers that texts are. Errors: `InputError` naming the one that is none."""
     try:
         return [float(part) for part in parts]
@@ -105,18 +105,18 @@ def is_number(text: str) -> bool:
     return True
 
 
-def header_of(line: str) -> list[str] | None:
+def parse_header(line: str) -> list[str] | None:
     """The names that a first line of a .csv holds; None where it has numbers."""
-    names = [_unquoted(cell) for cell in line.split(",")]
+    names = [_strip_quotes(cell) for cell in line.split(",")]
     return None if any(map(is_number, names)) else names
 
 
-def _unquoted(cell: str) -> str:
+def _strip_quotes(cell: str) -> str:
     """The text of a cell, without blanks and quotation marks around it."""
     return cell.strip().removeprefix('"').removesuffix('"').strip()
 
 
-def rows_of_text(path: Path, lines: Sequence[tuple[int, str]], width: int) -> Array:
+def parse_rows(path: Path, lines: Sequence[tuple[int, str]], width: int) -> Array:
     """The numbers (n, width) of lines of a .csv, each with its number in the file; NaN for empty
     cells.
 
@@ -130,7 +130,7 @@ def rows_of_text(path: Path, lines: Sequence[tuple[int, str]], width: int) -> Ar
             raise InputError(
                 f"{path}:{line}: {format_count(len(cells), 'value')}; the first line has {width}"
             )
-        row[:] = as_numbers([_unquoted(cell) or "nan" for cell in cells], f"{path}:{line}")
+        row[:] = convert_texts([_strip_quotes(cell) or "nan" for cell in cells], f"{path}:{line}")
     return out
 
 
@@ -148,14 +148,14 @@ COLUMNS = {
 """What columns of targets can be, in the plane and in space; the first are positions only."""
 
 
-def said_columns(dim: int) -> str:
+def describe_target_columns(dim: int) -> str:
     """What columns of targets can be, in words."""
     return ", ".join(
         ",".join(names) + " (position only)" * (k == 0) for k, names in enumerate(COLUMNS[dim][:-1])
     ) + (f" or {','.join(COLUMNS[dim][-1])}")
 
 
-def poses_of_columns(
+def read_pose_columns(
     dim: int, values: Array, names: Sequence[str] | None = None, degrees: bool = False
 ) -> tuple[Array, bool]:
     """Poses (..., 4, 4) of targets in columns (..., k), and whether only their position counts.
@@ -179,7 +179,7 @@ def poses_of_columns(
             if names is None
             else f"the columns {join_first_words(names, 12)}"
         )
-        raise InputError(f"the target has {has}; it must be {said_columns(dim)}")
+        raise InputError(f"the target has {has}; it must be {describe_target_columns(dim)}")
     if names is not None:
         values = values[..., [list(names).index(name) for name in order]]
     full = np.zeros((*values.shape[:-1], 6))

@@ -40,7 +40,7 @@ AXIS_TASKS = ("direction", "position_axis")
 """Tasks on an axis of the tool."""
 
 
-def of_target(
+def make_target_constraints(
     frame: str, task: str, axis: tuple[float, float, float], X: Array
 ) -> list[Constraint]:
     """The constraints of a target (..., 4, 4) for "pose", "position", "orientation" or one of
@@ -61,14 +61,14 @@ def of_target(
     return out
 
 
-def twist_rows(task: str, dim: int) -> list[int]:
+def list_twist_rows(task: str, dim: int) -> list[int]:
     """Rows of a twist [linear; angular] that count in a task, in the plane of x, y and the turn
     about z.
     """
     return [r for r in range(6) if TASKS[task][r] and (dim == 3 or r in (0, 1, 5))]
 
 
-def task_of(task: object, is_position: bool, particle: bool) -> str:
+def choose_task(task: object, is_position: bool, particle: bool) -> str:
     """Name of the task, as given, or by default that of the kind of target. Errors: `InputError`."""
     if task is None:
         return "position" if is_position or particle else "pose"
@@ -79,7 +79,7 @@ def task_of(task: object, is_position: bool, particle: bool) -> str:
     return task
 
 
-def given_target(system: Model, target: Any) -> Any:
+def read_target(system: Model, target: Any) -> Any:
     """What is given as a target as an array; the name of a frame on the ground stands for its pose.
 
     Errors: those of `kempe.poses.read_pose_array`; `UnknownNameError`, `InputError` for frames that
@@ -97,14 +97,14 @@ def given_target(system: Model, target: Any) -> Any:
     return fk(system, system.neutral, name)
 
 
-def task_and_axis(task: Any) -> tuple[Any, Any]:
+def split_task(task: Any) -> tuple[Any, Any]:
     """A `task` split into its name and the axis of the tool that is pointed, by default the z axis."""
     if is_sequence(task) and len(task) == 2:
         return task[0], task[1]
     return task, Z_AXIS
 
 
-def axis_of(axis: object) -> tuple[float, float, float]:
+def read_axis(axis: object) -> tuple[float, float, float]:
     """The pointing axis as a unit vector of the tool. Errors: `InputError`."""
     v = read_reals(read_direction(axis), "axis", "three numbers: a direction in the tool's frame")
     size = float(np.linalg.norm(v)) if v.shape == (3,) and np.all(np.abs(v) < 1e100) else 0.0
@@ -117,15 +117,15 @@ def axis_of(axis: object) -> tuple[float, float, float]:
     return x, y, z
 
 
-def axis_for(axis: object, task: str | None) -> tuple[float, float, float]:
+def choose_axis(axis: object, task: str | None) -> tuple[float, float, float]:
     """The pointing axis of a task, z where it has none; `axis` is checked in any case. Errors:
     `InputError`.
     """
-    given = Z_AXIS if axis is Z_AXIS else axis_of(axis)
-    return given if points_along(task) else Z_AXIS
+    given = Z_AXIS if axis is Z_AXIS else read_axis(axis)
+    return given if is_axis_task(task) else Z_AXIS
 
 
-def frame_of(z: Array) -> Array:
+def make_rotations_along(z: Array) -> Array:
     """Rotations (..., 3, 3) whose third column is the unit vector z (..., 3)."""
     z = np.asarray(z, dtype=float)
     other = np.where(np.abs(z[..., 2:3]) < 0.8, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
@@ -134,18 +134,18 @@ def frame_of(z: Array) -> Array:
     return np.asarray(np.stack([x, np.cross(z, x), z], axis=-1), dtype=float)
 
 
-def targets_with_axis(targets: Array, axis: tuple[float, float, float]) -> Array:
+def turn_targets_to_axis(targets: Array, axis: tuple[float, float, float]) -> Array:
     """Targets (..., 4, 4) as kernels read them: their z axis is the `axis` of the tool that is
     pointed.
     """
     if axis == Z_AXIS:
         return targets
     out = targets.copy()
-    out[..., :3, :3] = out[..., :3, :3] @ frame_of(np.array(axis))
+    out[..., :3, :3] = out[..., :3, :3] @ make_rotations_along(np.array(axis))
     return out
 
 
-def targets_of(
+def parse_task_targets(
     system: Model, target: Any, task: str | None, axis: tuple[float, float, float]
 ) -> tuple[Array, tuple[int, ...], bool]:
     """Targets (N, 4, 4), their leading shape, and whether positions were given. Errors:
@@ -162,29 +162,31 @@ def targets_of(
     width = 3 if task == "direction" else 6 if task == "position_axis" else None
     if task == "orientation" and shape[-2:] == (3, 3) and system.dim == 3:
         out = np.zeros((*shape[:-2], 4, 4))
-        out[..., :3, :3] = numbers_of(target)
+        out[..., :3, :3] = read_target_numbers(target)
         out[..., 3, 3] = 1.0
         return parse_targets(system, out)
     if task == "pose" and system.dim == 2 and shape[-1:] == (3,):
-        target = _turned_in_plane(numbers_of(target))
+        target = _make_planar_poses(read_target_numbers(target))
     if width is None or shape[-1:] != (width,) or shape[-2:] == (4, 4):
         return parse_targets(system, target, task == "position")
-    values = numbers_of(target)
+    values = read_target_numbers(target)
     d = values[..., -3:]
     size = np.linalg.norm(d, axis=-1, keepdims=True)
     if not shape[:-1] and not (np.isfinite(values).all() and size.item() > 0.0):
         raise InputError("the direction of the target must be finite and not zero")
     out = np.zeros((math.prod(shape[:-1]), 4, 4))
     with np.errstate(invalid="ignore", divide="ignore"):
-        R = frame_of(d / size)
-        out[:, :3, :3] = (R if axis == Z_AXIS else R @ frame_of(np.array(axis)).T).reshape(-1, 3, 3)
+        R = make_rotations_along(d / size)
+        out[:, :3, :3] = (
+            R if axis == Z_AXIS else R @ make_rotations_along(np.array(axis)).T
+        ).reshape(-1, 3, 3)
     out[:, 3, 3] = 1.0
     if width == 6:
         out[:, :3, 3] = values[..., :3].reshape(-1, 3)
     return out, shape[:-1], False
 
 
-def _turned_in_plane(target: Array) -> Array:
+def _make_planar_poses(target: Array) -> Array:
     """Poses (..., 4, 4) of x, y and an angle (..., 3); planar poses (..., 3, 3) are left as they
     are.
     """
@@ -208,7 +210,7 @@ def refuse_position(task: str, is_position: bool, dim: int) -> None:
         )
 
 
-def in_plane(target: Any, task: str | None, axis: object) -> tuple[Any, str]:
+def make_planar_target(target: Any, task: str | None, axis: object) -> tuple[Any, str]:
     """Poses (..., 4, 4) and the task "pose" or "orientation" that point an axis of the tool in the
     plane.
 
@@ -220,8 +222,8 @@ def in_plane(target: Any, task: str | None, axis: object) -> tuple[Any, str]:
     widths = (2, 3) if task == "direction" else (4, 6)
     if shape[-2:] in ((4, 4), (3, 3)) or shape[-1:] not in [(w,) for w in widths]:
         return target, full
-    x, y, _ = axis_of(axis)
-    values = numbers_of(target)
+    x, y, _ = read_axis(axis)
+    values = read_target_numbers(target)
     k = shape[-1] // (1 if task == "direction" else 2)
     d = values[..., -k:]
     if not shape[:-1] and not np.any(d):
@@ -231,18 +233,18 @@ def in_plane(target: Any, task: str | None, axis: object) -> tuple[Any, str]:
             "in a planar system the axis of the tool and its direction must lie in the plane"
         )
     angle = np.arctan2(d[..., 1], d[..., 0]) - math.atan2(y, x)
-    out = _turned_in_plane(np.stack([np.zeros_like(angle), np.zeros_like(angle), angle], axis=-1))
+    out = _make_planar_poses(np.stack([np.zeros_like(angle), np.zeros_like(angle), angle], axis=-1))
     if task != "direction":
         out[..., :k, 3] = values[..., :k]
     return out, full
 
 
-def points_along(task: str | None) -> bool:
+def is_axis_task(task: str | None) -> bool:
     """Whether the task reads one axis of the tool only."""
     return task in AXIS_TASKS
 
 
-def numbers_of(target: Any) -> Array:
+def read_target_numbers(target: Any) -> Array:
     """A target as an array of real numbers. Errors: `InputError`."""
     return numbers(target, "target")
 
@@ -255,7 +257,7 @@ def parse_targets(
 
     Errors: `InputError`, also for rotations (3, 3) that would pass for three positions.
     """
-    array = numbers_of(target)
+    array = read_target_numbers(target)
     planar = system.dim == 2
     is_pose = array.ndim >= 2 and array.shape[-2:] == (4, 4)
     if (
@@ -323,7 +325,7 @@ def check_particle(targets: Array, name: str) -> None:
         )
 
 
-def not_a_pose(target: Array, other: str = "target") -> str:
+def explain_refused_target(target: Array, other: str = "target") -> str:
     """Message that says why a target (4, 4) was refused.
 
     If the target itself is a pose, the message names `other`, the argument that was wrong instead.

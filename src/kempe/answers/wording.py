@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 # ---- numbers, errors and limits as text
 
 
-def number(x: float) -> str:
+def format_number(x: float) -> str:
     """Six digits of a number, rounding at zero taken away."""
     return f"{0.0 if abs(x) < 1e-9 else x:.6g}"
 
 
-def errors(
+def format_errors(
     place: float | None,
     turn: float | None,
     metres: str = ".6g",
@@ -37,12 +37,12 @@ def errors(
     return by.join(parts if turn is None else [*parts, f"{turn:{radians}} rad"])
 
 
-def work(steps: int, starts: int) -> str:
+def describe_search(steps: int, starts: int) -> str:
     """What a search took."""
     return f"{format_count(steps, 'step')}, {format_count(starts, 'start')}"
 
 
-def limits_of(names: Sequence[str], join: str = ", ") -> str:
+def format_limits(names: Sequence[str], join: str = ", ") -> str:
     """Limits by their coordinates: "the limits of 'a', 'b'", "the limit of 'a' or of 'b'"; '' where
     there are none.
     """
@@ -58,32 +58,32 @@ mistake."""
 # ---- configurations that were found
 
 
-def reached(place: float | None, turn: float | None, steps: int, starts: int) -> str:
+def describe_reached_frame(place: float | None, turn: float | None, steps: int, starts: int) -> str:
     """That one frame is where it shall be; without starts it came from a closed form."""
-    what = errors(place, turn, ".1e")
-    how = work(steps, starts) if starts else "analytically"
+    what = format_errors(place, turn, ".1e")
+    how = describe_search(steps, starts) if starts else "analytically"
     return f"reached: {'' if place is None else 'position error '}{what} ({how})"
 
 
-def hard_tasks_hold(place: float | None, turn: float | None, how: str, freedoms: str) -> str:
+def describe_hard_tasks(place: float | None, turn: float | None, how: str, freedoms: str) -> str:
     """That all hard tasks hold, with the largest errors and, where they are known, the freedoms
     that are left.
     """
     left = f"; {freedoms}" if freedoms else ""
-    return f"all hard tasks hold: errors up to {errors(place, turn, '.1e', '.1e')} ({how}){left}"
+    return f"all hard tasks hold: errors up to {format_errors(place, turn, '.1e', '.1e')} ({how}){left}"
 
 
-def not_lowered(limit: float | None) -> str:
+def describe_unfinished_tasks(limit: float | None) -> str:
     """That the time was up before soft tasks and preferences were done."""
     return f"the time limit of {limit or 0.0:g} s ended it before all was lowered as far as can be"
 
 
-def closed(residual: float, steps: int, starts: int, left: str) -> str:
+def describe_closed_loops(residual: float, steps: int, starts: int, left: str) -> str:
     """That loops are closed, and what is left open."""
-    return f"closed: residual {residual:.1e} ({work(steps, starts)}){left}"
+    return f"closed: residual {residual:.1e} ({describe_search(steps, starts)}){left}"
 
 
-def left_open(
+def explain_open_freedoms(
     left: int, count: int, who: str, folded: Sequence[tuple[str, str]], sure: bool, home: int
 ) -> str:
     """How many freedoms are left open, and why these are more than the `count` of `who`, or than at
@@ -99,7 +99,9 @@ def left_open(
     return f"{said}, {home} at home: singular here, or on another branch" if home >= 0 else said
 
 
-def freedoms_left(first: int, finite: int, equations: int = 0, freedoms: int = 0) -> str:
+def describe_remaining_freedoms(
+    first: int, finite: int, equations: int = 0, freedoms: int = 0
+) -> str:
     """How many freedoms tasks leave, of which some may be there to first order only."""
     if first == 0:
         said = "no freedom is left"
@@ -120,19 +122,21 @@ def freedoms_left(first: int, finite: int, equations: int = 0, freedoms: int = 0
 # ---- failures: the first clause, and what follows it
 
 
-def failed(head: str, *parts: Any) -> str:
+def describe_failure(head: str, *parts: Any) -> str:
     """The sentence of a failure: what was tried, then evidence and texts, of which empty ones are
     left out.
     """
     return f"{head}{': ' if head else ''}{'; '.join(str(part) for part in parts if part)}"
 
 
-def given_up(done: str, starts: int) -> str:
+def describe_vain_starts(done: str, starts: int) -> str:
     """That something is not "reached" or "closed" after so many starts."""
     return f"not {done} after {format_count(starts, 'start')}"
 
 
-def late(limit: float | None, starts: int, most: int | None = None, done: str = "reached") -> str:
+def describe_late_search(
+    limit: float | None, starts: int, most: int | None = None, done: str = "reached"
+) -> str:
     """That the time was up, and after how many starts, of `most` where that is known."""
     count = (
         format_count(starts, "start")
@@ -142,7 +146,7 @@ def late(limit: float | None, starts: int, most: int | None = None, done: str = 
     return f"not {done} within the time limit of {limit or 0.0:g} s, after {count}"
 
 
-def calls_in_vain(count: int) -> str:
+def describe_vain_calls(count: int) -> str:
     """That a search with functions was given up after so many calls of these."""
     return (
         f"{count} calls of functions found nothing, nor did a search without limits, or for the "
@@ -150,25 +154,25 @@ def calls_in_vain(count: int) -> str:
     )
 
 
-def ended(limit: float) -> str:
+def describe_incomplete_search(limit: float) -> str:
     """That the time was up before all solutions were looked for."""
     return f"; the time limit of {limit:g} s ended the work: there may be others"
 
 
-def none_in_time(limit: float) -> str:
+def describe_empty_search(limit: float) -> str:
     """That no solution was found before the time was up."""
     return f"no solution found within the time limit of {limit:g} s: there may be some"
 
 
-def nearest(place: float | None, turn: float | None) -> str:
+def describe_nearest_error(place: float | None, turn: float | None) -> str:
     """By how much the best of one frame misses."""
-    return f"the nearest configuration found misses it by {errors(place, turn)}"
+    return f"the nearest configuration found misses it by {format_errors(place, turn)}"
 
 
 # ---- evidence, by its kind
 
 
-def _lengths(
+def _explain_lengths(
     place: float = 0.0,
     turned: float = 0.0,
     plane: float = 0.0,
@@ -191,15 +195,15 @@ def _lengths(
         return f"{who}outside the plane of the system by {plane:.6g} m{units}{angle}"
     parts = [f" by at least {place:.6g} m"] if place > 0.0 else []
     parts += [f" with this orientation by at least {turned:.6g} m"] if turned > place else []
-    ends = f" and {limits_of(slides)}" if slides else ""
+    ends = f" and {format_limits(slides)}" if slides else ""
     return f"{who}outside the workspace{','.join(parts)}, by the lengths of the links{ends}{units}"
 
 
-def _tilted(angle: float) -> str:
+def _explain_tilt(angle: float) -> str:
     return f"tilted out of the plane of the system by {angle:.2g} rad"
 
 
-def _outside(count: int = 0, short: float = 0.0) -> str:
+def _explain_outside_limits(count: int = 0, short: float = 0.0) -> str:
     """All `count` configurations that reach it are outside limits, or slides end `short` metres
     before it.
     """
@@ -225,14 +229,14 @@ CONTRADICTIONS: Mapping[str, str] = MappingProxyType(
 """How two tasks exclude each other: by lengths of links, or by what they ask of one body."""
 
 
-def _contradiction(how: str, off: float, first: str, second: str, **figures: Any) -> str:
+def _explain_contradiction(how: str, off: float, first: str, second: str, **figures: Any) -> str:
     """Two tasks exclude each other by so many metres or radians."""
     return (
         f"contradictory: {first!r} and {second!r}: {CONTRADICTIONS[how].format(off=off, **figures)}"
     )
 
 
-def _no_root(joint: str, axes: Sequence[int], what: str, off: float) -> str:
+def _explain_missing_root(joint: str, axes: Sequence[int], what: str, off: float) -> str:
     """No angle of a joint brings what the axes keep to where the target needs it."""
     lines = (
         f"{'axis' if len(axes) == 1 else 'axes'} {', '.join(str(i + 1) for i in axes)}"
@@ -254,7 +258,7 @@ def _no_root(joint: str, axes: Sequence[int], what: str, off: float) -> str:
     return f"no angle of {joint!r} brings {point} to its {how.format(f'{off:.6g}')}"
 
 
-def _rank(
+def _explain_rank(
     equations: int, freedoms: int, frame: str = "", position: bool | None = None, end: str = ""
 ) -> str:
     """More equations than freedoms; of one frame also whether its position alone can be reached,
@@ -276,7 +280,7 @@ def _rank(
     return f"{said}{alone}{end}"
 
 
-def _joints(joints: int, held: bool, freedoms: int, equations: int) -> str:
+def _explain_joint_count(joints: int, held: bool, freedoms: int, equations: int) -> str:
     few = f", which give it {spell_count(freedoms, 'freedom')}" if freedoms < joints else ""
     return (
         f"the chain has {format_count(joints, 'joint')}{' to move' if held else ''}{few}, the task "
@@ -284,19 +288,19 @@ def _joints(joints: int, held: bool, freedoms: int, equations: int) -> str:
     )
 
 
-def _too_many_given(given: int, freedoms: int) -> str:
+def _explain_excess_values(given: int, freedoms: int) -> str:
     return (
         f"{format_count(given, 'coordinate')} {choose_verb(given, 'is', 'are')} given, but it has "
         f"{format_count(freedoms, 'freedom')}"
     )
 
 
-def _more_starts(singular: bool = False) -> str:
+def _suggest_more_starts(singular: bool = False) -> str:
     stuck = "the search is stuck at a singular configuration; " if singular else ""
     return f"{stuck}more starts find an answer"
 
 
-def _limits(
+def _explain_blocking_limits(
     names: Sequence[str],
     together: bool = False,
     each: bool = False,
@@ -307,7 +311,7 @@ def _limits(
     """Without the limits of `names` (with `each`: of any one of them) it is reached; with a proof
     they block it.
     """
-    which = limits_of(names, " or of " if each else " and " if together else ", ")
+    which = format_limits(names, " or of " if each else " and " if together else ", ")
     if proof is not None:
         return (
             f"blocked by {which}{' together' if together else ''} ({proof}); without limits it is "
@@ -318,7 +322,9 @@ def _limits(
     return f"{way}, so {them} may be what blocks it"
 
 
-def _one_sided(violated: Sequence[str], done: str = "is reached", known: bool = False) -> str:
+def _explain_one_sided_constraints(
+    violated: Sequence[str], done: str = "is reached", known: bool = False
+) -> str:
     """Without one-sided constraints it `is reached` or `closes`; with `known` these contradict what
     is known.
     """
@@ -330,12 +336,12 @@ def _one_sided(violated: Sequence[str], done: str = "is reached", known: bool = 
     )
 
 
-def _not_alone(task: str = "", rank: Any = None) -> str:
+def _explain_failed_task(task: str = "", rank: Any = None) -> str:
     said = f"{task!r} is not found even alone" if task else "no configuration was found"
     return f"{said}{f' ({rank})' if rank else ''}"
 
 
-def _not_together(
+def _explain_conflicting_tasks(
     pairs: Sequence[tuple[str, str]], starts: int, tasks: int, rank: Any, two: bool
 ) -> str:
     """Each task was reached alone, and perhaps any `two` of them, but not all of them, or not these
@@ -353,8 +359,8 @@ def _not_together(
     return f"{said}{f' ({rank})' if rank else ''}"
 
 
-def _near_miss(place: float, turn: float | None, longest: float, small: bool) -> str:
-    came = f"the search came within {errors(place, turn, '.1g')}"
+def _explain_near_miss(place: float, turn: float | None, longest: float, small: bool) -> str:
+    came = f"the search came within {format_errors(place, turn, '.1g')}"
     if small:
         return (
             f"{came} with links of at most {longest:.2g} m: it may have ended early at so small a "
@@ -363,7 +369,7 @@ def _near_miss(place: float, turn: float | None, longest: float, small: bool) ->
     return f"{came}, so it may have ended early, or the target is just outside the workspace"
 
 
-def _not_found(limits: bool, place: bool, turn: bool) -> str:
+def _explain_missing_configuration(limits: bool, place: bool, turn: bool) -> str:
     may = (
         "the target may be outside the workspace"
         if place
@@ -375,7 +381,7 @@ def _not_found(limits: bool, place: bool, turn: bool) -> str:
     )
 
 
-def _rounded(metres: float, radians: float, one: bool) -> str:
+def _suggest_tolerance(metres: float, radians: float, one: bool) -> str:
     """The tolerances that accept a target that was rounded; with `one` a single number for both."""
     enough = (
         f"tolerance={max(metres, radians):g}" if one else f"tolerance=({metres:g}, {radians:g})"
@@ -383,36 +389,40 @@ def _rounded(metres: float, radians: float, one: bool) -> str:
     return f"a target that was rounded needs a larger tolerance: {enough} accepts it"
 
 
-def _tried(held: Sequence[tuple[str, float]], values: int, starts: int) -> str:
+def _describe_tried_values(held: Sequence[tuple[str, float]], values: int, starts: int) -> str:
     """At which values of spare joints there is no solution."""
     joints = ", ".join(repr(name) for name, _ in held)
-    where = held_at(held) if values == 1 else f"{joints} at any of {values} values tried"
+    where = (
+        describe_held_joints(held) if values == 1 else f"{joints} at any of {values} values tried"
+    )
     return f"no solution with {where}, and none from {format_count(starts, 'start')} of a search"
 
 
 # ---- all solutions of a target
 
 
-def held_at(values: Sequence[tuple[str, float]]) -> str:
+def describe_held_joints(values: Sequence[tuple[str, float]]) -> str:
     """Joints with the values at which they are held."""
-    return ", ".join(f"{name!r} at {number(x)}" for name, x in values)
+    return ", ".join(f"{name!r} at {format_number(x)}" for name, x in values)
 
 
-def held_among(name: str, usual: float, times: int, targets: int, low: float, high: float) -> str:
+def describe_held_values(
+    name: str, usual: float, times: int, targets: int, low: float, high: float
+) -> str:
     """Where a joint is held for a batch of targets: at its usual value, so many times, else between
     two values.
     """
     if low == high:
-        return f"{name!r} at {number(usual)}"
+        return f"{name!r} at {format_number(usual)}"
     most = (
-        f"{name!r} at {number(usual)} for {times} of {targets} targets, else"
+        f"{name!r} at {format_number(usual)} for {times} of {targets} targets, else"
         if times > 1
         else f"{name!r}"
     )
-    return f"{most} at values from {number(low)} to {number(high)}"
+    return f"{most} at values from {format_number(low)} to {format_number(high)}"
 
 
-def to_spare(
+def describe_spare_joints(
     count: int, held: str = "", first: Sequence[float] = (), tried: int = 1, inside: bool = False
 ) -> str:
     """How many joints a chain has to spare, and where they are held; else than `first` after so
@@ -423,11 +433,11 @@ def to_spare(
         return text
     if not len(first):
         return f"{text} ({format_count(tried, 'value')} {choose_verb(tried, 'was', 'were')} tried)"
-    there = ", ".join(map(number, first))
+    there = ", ".join(map(format_number, first))
     return f"{text} (at {there} there is none{' inside the limits' if inside else ''})"
 
 
-def solutions(
+def describe_solutions(
     count: int,
     inside: int,
     method: str,
@@ -447,16 +457,18 @@ def solutions(
     text = f"{count} solution{'' if count == 1 else 's'}" if count else "no isolated solution"
     if count:
         text += " by elimination" if method == "elimination" else ""
-        text += _completeness(count, method, sure, spare) + _merged(count, roots)
+        text += _describe_completeness(count, method, sure, spare) + _describe_merged_roots(
+            count, roots
+        )
     if inside < count:
         text += f", {inside or 'none'} inside the limits"
         text += f" ({beyond})" if beyond else ""
     if families:
-        return f"{text}, and {_families(families)}"
+        return f"{text}, and {_describe_families(families)}"
     return f"{text}: {ground}" if method == "closed form" else text
 
 
-def beyond_limit(joint: str, off: float, unit: str, still: str) -> str:
+def describe_limit_excess(joint: str, off: float, unit: str, still: str) -> str:
     """How far the solution that is nearest to the limits is outside of them."""
     return (
         f"the nearest to them has {joint!r} {off:.6g} {unit} beyond its "
@@ -464,7 +476,7 @@ def beyond_limit(joint: str, off: float, unit: str, still: str) -> str:
     )
 
 
-def closed_form(axes: Sequence[int], meet: bool) -> str:
+def explain_closed_form(axes: Sequence[int], meet: bool) -> str:
     """Why there is a closed form: what axes have in common, if anything."""
     common = (
         f"axes {', '.join(str(i + 1) for i in axes)} "
@@ -473,7 +485,7 @@ def closed_form(axes: Sequence[int], meet: bool) -> str:
     return f"{common} (closed form)" if axes else "closed form"
 
 
-def _completeness(count: int, method: str, sure: bool, spare: bool) -> str:
+def _describe_completeness(count: int, method: str, sure: bool, spare: bool) -> str:
     if not sure:
         return " found, there may be more"
     if spare:
@@ -483,7 +495,7 @@ def _completeness(count: int, method: str, sure: bool, spare: bool) -> str:
     return ", all there are" if method == "elimination" else " found, there may be more"
 
 
-def _merged(count: int, roots: Sequence[int]) -> str:
+def _describe_merged_roots(count: int, roots: Sequence[int]) -> str:
     """Which of the solutions are roots that have merged."""
     if not roots:
         return ""
@@ -496,7 +508,7 @@ def _merged(count: int, roots: Sequence[int]) -> str:
     return f", {len(roots)} of them {'a ' if one else ''}{kind} root{'' if one else 's'}"
 
 
-def _families(families: Sequence[tuple[int, str]]) -> str:
+def _describe_families(families: Sequence[tuple[int, str]]) -> str:
     """The families, those of one description together."""
     out: list[str] = []
     for dimension, moves in dict.fromkeys(families):
@@ -509,17 +521,21 @@ def _families(families: Sequence[tuple[int, str]]) -> str:
     return "; ".join(out)
 
 
-def linear_motion(
+def describe_linear_motion(
     names: Sequence[str],
     equations: Sequence[Mapping[str, float]],
     rest: Sequence[tuple[str, float]],
 ) -> str:
     """A family on a straight line: equations by joint, "" for the right side, while others `rest`."""
-    text = join_words([_equation(e) for e in equations] or [f"{names[0]} is free"])
-    return f"{text} while {join_words([f'{n} = {number(x)}' for n, x in rest])}" if rest else text
+    text = join_words([_format_equation(e) for e in equations] or [f"{names[0]} is free"])
+    return (
+        f"{text} while {join_words([f'{n} = {format_number(x)}' for n, x in rest])}"
+        if rest
+        else text
+    )
 
 
-def curved_motion(
+def describe_curved_motion(
     names: Sequence[str], first: str, turns: bool, is_closed: bool, ends: tuple[float, float]
 ) -> str:
     """A family on a curve, of which the `first` joint tells the place: how it goes, and how far."""
@@ -530,43 +546,43 @@ def curved_motion(
         )
     how = "on a closed curve" if is_closed else "on a curve that does not close"
     return (
-        f"{join_words(names)} move together {how}, {first} from {number(ends[0])} to "
-        f"{number(ends[1])}"
+        f"{join_words(names)} move together {how}, {first} from {format_number(ends[0])} to "
+        f"{format_number(ends[1])}"
     )
 
 
-def _equation(terms: Mapping[str, float]) -> str:
+def _format_equation(terms: Mapping[str, float]) -> str:
     text = ""
     for name, a in ((n, a) for n, a in terms.items() if n):
         sign = ("-" if a < 0 else "") if not text else (" - " if a < 0 else " + ")
         text += f"{sign}{'' if abs(abs(a) - 1.0) < 1e-9 else f'{abs(a):.6g} '}{name}"
-    return f"{text} = {number(terms[''])}"
+    return f"{text} = {format_number(terms[''])}"
 
 
 PROOFS: Mapping[str, Callable[..., str]] = MappingProxyType(
     {
-        "lengths": _lengths,
-        "tilted": _tilted,
-        "outside": _outside,
-        "contradiction": _contradiction,
-        "no root": _no_root,
+        "lengths": _explain_lengths,
+        "tilted": _explain_tilt,
+        "outside": _explain_outside_limits,
+        "contradiction": _explain_contradiction,
+        "no root": _explain_missing_root,
     }
 )
 """Kinds of evidence that prove that there is no answer, with their sentences."""
 FOUND_OUT: Mapping[str, Callable[..., str]] = MappingProxyType(
     {
-        "rank": _rank,
-        "joints": _joints,
-        "too many given": _too_many_given,
-        "more starts": _more_starts,
-        "limits": _limits,
-        "one-sided": _one_sided,
-        "not alone": _not_alone,
-        "not together": _not_together,
-        "near miss": _near_miss,
-        "not found": _not_found,
-        "rounded": _rounded,
-        "tried": _tried,
+        "rank": _explain_rank,
+        "joints": _explain_joint_count,
+        "too many given": _explain_excess_values,
+        "more starts": _suggest_more_starts,
+        "limits": _explain_blocking_limits,
+        "one-sided": _explain_one_sided_constraints,
+        "not alone": _explain_failed_task,
+        "not together": _explain_conflicting_tasks,
+        "near miss": _explain_near_miss,
+        "not found": _explain_missing_configuration,
+        "rounded": _suggest_tolerance,
+        "tried": _describe_tried_values,
     }
 )
 """All other kinds, with their sentences: they say what was found out, and prove nothing."""
@@ -580,7 +596,7 @@ SHOWN = 6
 """Names that are listed."""
 
 
-def immovable(
+def describe_immovable_coordinates(
     system: Model, coordinates: Iterable[int] | None = None, unstated: bool = False
 ) -> str:
     """Sentence that names velocity coordinates whose limits leave no motion, and why; '' where
@@ -607,10 +623,10 @@ def immovable(
     for group, why in (
         (
             reported,
-            f"0..0 because the file gives no bounds; lenient_limits=True reads {_them(reported)} "
+            f"0..0 because the file gives no bounds; lenient_limits=True reads {_choose_pronoun(reported)} "
             "as unlimited",
         ),
-        (given, f"lower and upper limit of {_them(given)} are the same"),
+        (given, f"lower and upper limit of {_choose_pronoun(given)} are the same"),
     ):
         if group:
             shown = ", ".join(map(repr, group[:SHOWN])) + (
@@ -620,5 +636,5 @@ def immovable(
     return "; ".join(parts)
 
 
-def _them(names: list[str]) -> str:
+def _choose_pronoun(names: list[str]) -> str:
     return "it" if len(names) == 1 else "them"

@@ -12,7 +12,7 @@ import numpy as np
 from kempe.answers.answer import Answer
 from kempe.arguments import explain_method_errors
 from kempe.forward.fk import fk
-from kempe.report import brief
+from kempe.report import summarize_fields
 from kempe.spatial import Array
 from kempe.words import format_fixed
 
@@ -32,7 +32,7 @@ class Assembly(Answer):
     the known values; for a single set they are plain Python numbers.
     """
 
-    __repr__ = brief
+    __repr__ = summarize_fields
 
     row = "answers of assemble"
     what = "configurations closed"
@@ -85,7 +85,7 @@ class Assembly(Answer):
         """The system of the problem."""
         return self.assembler.system
 
-    def _marks(self) -> list[str]:
+    def _mark_coordinates(self) -> list[str]:
         """Which coordinates are known, and which belong to joints that the tree leaves out."""
         sources = set(self.assembler.sources)
         closures = self.system.structure.closures
@@ -96,15 +96,15 @@ class Assembly(Answer):
             for name in self.system.coordinate_names
         ]
 
-    def _notes(self, degrees: bool = False) -> list[str]:
-        places = [] if self._shape else list(self.assembler.frames)
+    def _list_notes(self, degrees: bool = False) -> list[str]:
+        places = [] if self._batch_shape else list(self.assembler.frames)
         lines: list[str] = []
         for name in places:
             p = fk(self.system, self.q, name)[: self.system.dim, 3]
             lines.append(f"{name} is at {', '.join(format_fixed(x) for x in p.tolist())}")
-        return [*lines, *super()._notes()]
+        return [*lines, *super()._list_notes()]
 
-    def _left(self) -> Any:
+    def _get_solver_residual(self) -> Any:
         return np.where(self.success, self.residual, 0.0)
 
     def table(self) -> tuple[list[str], Array]:

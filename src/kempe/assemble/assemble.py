@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.answers.problem import NOTHING, Problem, Solver, choose, chosen_by, takes_all
+from kempe.answers.problem import (
+    NOTHING,
+    Problem,
+    Solver,
+    accept_all_problems,
+    record_choice,
+    select_solver,
+)
 from kempe.arguments import explain_errors, read_flag, read_names
 from kempe.arrays import unwrap_scalar
 from kempe.assemble.answer import Assembly
@@ -128,7 +135,7 @@ def assemble(
     problem = Problem(
         system, "one", given, start, prefer, limits, tolerance or TOLERANCE, budget, options
     )
-    return _note_time_limit(choose(SOLVERS, problem)[0].run(problem), time)
+    return _note_time_limit(select_solver(SOLVERS, problem)[0].run(problem), time)
 
 
 def _note_time_limit(answer: Assembly, time: TimeLimit | None) -> Assembly:
@@ -250,7 +257,7 @@ def assemble_named_branch(problem: Problem) -> Assembly:
         strayed = np.any(plan.branch_of(after) != plan.branch_of(before), axis=-1)
         code.flat[searched[strayed & (code.flat[searched] == Status.SOLVED)]] = Status.OTHER_BRANCH
         answer = replace(answer, success=unwrap_scalar(code == Status.SOLVED), code=to_status(code))
-    return chosen_by(answer, choose(SOLVERS, problem)[1])
+    return record_choice(answer, select_solver(SOLVERS, problem)[1])
 
 
 SOLVERS = (
@@ -269,7 +276,7 @@ SOLVERS = (
     Solver(
         "least squares",
         "damped least squares of the closure equations, with steps of minimum norm",
-        takes_all,
+        accept_all_problems,
         _assemble_known,
     ),
 )

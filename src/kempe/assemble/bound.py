@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.answers.known_values import place_of, with_places
-from kempe.answers.problem import Choice, Problem, chosen_by
+from kempe.answers.known_values import convert_places, read_place
+from kempe.answers.problem import Choice, Problem, record_choice
 from kempe.arguments import (
     compute_deadline,
     draw_seed,
@@ -733,7 +733,7 @@ class Assembler:
         given: Any
         _, _, given, start, prefer, limits, tolerance, budget, *_ = problem
         if self.frames:
-            given = with_places(given, self.frames)
+            given = convert_places(given, self.frames)
         if given.keys() != self.names:
             said = ", ".join(map(repr, given)) or "nothing"
             raise InputError(f"values are given for {said}; needed are {self.known}")
@@ -784,7 +784,7 @@ class Assembler:
         answer = self._make_answer(base, lead, q, residual, info, limits)
         if lead or answer.code is Status.OUT_OF_TIME:
             answer.__dict__["limit"] = limit
-        return chosen_by(answer, CONTINUED) if along else answer
+        return record_choice(answer, CONTINUED) if along else answer
 
     def _convert_to_sources(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """Known values of coordinates of q, and of frames. Errors: `InputError` for followers that
@@ -798,7 +798,7 @@ class Assembler:
         for name in self.coordinates:
             check_range(read_reals(given[name], ""), f"the known value of {name!r}")
         for frame, whole in zip(self.frames, self._find_oriented_frames(given), strict=True):
-            place = place_of(self.system, frame, given[frame], whole)
+            place = read_place(self.system, frame, given[frame], whole)
             what = f"the place of frame {frame!r}"
             _ = check_poses(place, what) if whole else check_range(place, what)
         if start is not None:
@@ -985,7 +985,7 @@ class Assembler:
         pins = np.zeros((n, len(self.frames), 3, 4))
         pins[..., :3, :3] = np.eye(3)
         for k, (frame, whole) in enumerate(zip(self.frames, turned, strict=True)):
-            place = place_of(self.system, frame, given[frame], whole)
+            place = read_place(self.system, frame, given[frame], whole)
             if whole:
                 pins[:, k] = np.broadcast_to(place, (*lead, 4, 4)).reshape(n, 4, 4)[:, :3]
             else:

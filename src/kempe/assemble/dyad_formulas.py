@@ -16,15 +16,15 @@ from kempe.answers.derivation import (
     FormulaStep,
     Names,
     Vector,
-    endings,
-    line_and_circle,
-    minus,
-    plus,
-    polar,
-    turned,
-    turning_slide,
-    two_circles,
-    two_lines,
+    add_vectors,
+    iterate_endings,
+    rotate_vector,
+    solve_slide_and_bar,
+    solve_turning_slide,
+    solve_two_bars,
+    solve_two_slides,
+    subtract_vectors,
+    to_polar_coordinates,
 )
 from kempe.assemble.dyad_decomposition import Dyad, build_parts, find_single_motion
 from kempe.errors import UnsupportedError
@@ -82,7 +82,7 @@ class _Place(NamedTuple):
 
     def transform_point(self, point: Vector) -> Vector:
         """A point of the body, in the ground."""
-        return plus(self.at, turned(point, self.angle))
+        return add_vectors(self.at, rotate_vector(point, self.angle))
 
 
 class _Geometry(NamedTuple):
@@ -118,7 +118,7 @@ class _Writing:
             for k in range(1, len(plan.dyads) + 1)
         }
         self.end = next(
-            end for end in endings() if not any(f"{word}{end}" in taken for word in own)
+            end for end in iterate_endings() if not any(f"{word}{end}" in taken for word in own)
         )
         self.found: list[str] = []
         self.unknown = {sympy.Symbol(n) for n in plan.system.coordinate_names} - {
@@ -145,7 +145,7 @@ class _Writing:
         ]
         turns = motion is None or motion.kind == R
         axis = 0 if turns or motion is None else "xyz".index(motion.axis)
-        angles = [polar((X[0, axis], X[1, axis]))[1] for X in ends]
+        angles = [to_polar_coordinates((X[0, axis], X[1, axis]))[1] for X in ends]
         name = self.system.structure.coordinates_of_joint(joint.name)
         value = self.leaves.express_coordinate(name[0]) if name else sympy.Integer(0)
         (a, b) = ((X[0, 3], X[1, 3]) for X in ends)
@@ -182,7 +182,7 @@ class _Writing:
         """Place a body: its angle, and the ground's point `at` at which its own point is."""
         end = f"{body}{self.end}"
         theta = self._add_step(f"theta_{end}", angle, f"angle of {body}")
-        x, y = minus(at, turned(own, theta))
+        x, y = subtract_vectors(at, rotate_vector(own, theta))
         self.places[body] = _Place(
             (self._add_step(f"x_{end}", x, f"place of {body}"), self._add_step(f"y_{end}", y)),
             theta,
@@ -209,7 +209,7 @@ class _Writing:
         angle = here.angle + g.angles[side] - g.angles[1 - side] + (sense * value if g.turns else 0)
         at = here.transform_point(g.points[side])
         if not g.turns:
-            at = plus(at, turned((sense * value, 0), here.angle + g.angles[side]))
+            at = add_vectors(at, rotate_vector((sense * value, 0), here.angle + g.angles[side]))
         return (g.joint.parent if side else g.joint.child), angle, g.points[1 - side], at
 
     def _place_next_body(self, g: _Geometry, body: str, value: Any) -> None:
@@ -231,10 +231,10 @@ class _Writing:
                         g, child.angle + g.angles[1] - parent.angle - g.angles[0]
                     )
                 else:
-                    gap = minus(
+                    gap = subtract_vectors(
                         child.transform_point(g.points[1]), parent.transform_point(g.points[0])
                     )
-                    self._learn_coordinate(g, turned(gap, -(parent.angle + g.angles[0]))[0])
+                    self._learn_coordinate(g, rotate_vector(gap, -(parent.angle + g.angles[0]))[0])
                 return True
         return False
 
@@ -268,7 +268,7 @@ class _Writing:
                     and not g.value.free_symbols & self.unknown
                 ):
                     other, angle, own, at = self._cross_joint(g, there[0], out[there[0]], g.value)
-                    out[other] = _Place(minus(at, turned(own, angle)), angle)
+                    out[other] = _Place(subtract_vectors(at, rotate_vector(own, angle)), angle)
                     grown = True
         return out
 
@@ -303,7 +303,7 @@ class _Writing:
 
     def _convert_to_polar(self, v: Vector) -> tuple[Any, Any]:
         """Length, not negative, and angle of a vector."""
-        length, angle = polar(v)
+        length, angle = to_polar_coordinates(v)
         values = {sympy.Symbol(n): x for n, x in self.system.structure.parameters.items()}
         number = length.subs(values)
         if number.free_symbols:
@@ -312,7 +312,7 @@ class _Writing:
 
     def _place_dyad(self, dyad: Dyad, k: int) -> None:
         """Place the two links of a dyad."""
-        n = Names.ending(f"_{k}{self.end}")
+        n = Names.from_ending(f"_{k}{self.end}")
         if dyad.sign is not None:
             n = n._replace(sign=sympy.Symbol(f"sign_{dyad.sign + 1}{self.end}"))
         first, second = dyad.bodies
@@ -343,14 +343,14 @@ class _Writing:
         one = self._place_cluster(first)
         two = self._place_cluster(second)
         A = self._find_pin(x, self.places)
-        to = self._name_vector(k, minus(self._find_pin(z, self.places), A))
+        to = self._name_vector(k, subtract_vectors(self._find_pin(z, self.places), A))
         a1 = self._find_pin(x, one)
         b1 = self._find_pin(y, one)
         b2 = self._find_pin(y, two)
         c2 = self._find_pin(z, two)
-        (l1, at1) = self._convert_to_polar(minus(b1, a1))
-        (l2, at2) = self._convert_to_polar(minus(c2, b2))
-        steps, angle, bend = two_circles(n._replace(sign=-n.sign), to, l1, l2, LEFT)
+        (l1, at1) = self._convert_to_polar(subtract_vectors(b1, a1))
+        (l2, at2) = self._convert_to_polar(subtract_vectors(c2, b2))
+        steps, angle, bend = solve_two_bars(n._replace(sign=-n.sign), to, l1, l2, LEFT)
         self.steps += steps
         self._place_body(first[0], angle - at1, a1, A)
         here = self.places[first[0]]
@@ -367,11 +367,13 @@ class _Writing:
             raise self._make_error(rail)
         turn = angle - own[body].angle
         side = g.find_side(still)
-        along = turned((-1 if side else 1, 0), self.places[still].angle + g.angles[side])
+        along = rotate_vector((-1 if side else 1, 0), self.places[still].angle + g.angles[side])
         return (
             g,
             still,
-            _Place(minus(at, turned(own[body].transform_point(point), turn)), turn),
+            _Place(
+                subtract_vectors(at, rotate_vector(own[body].transform_point(point), turn)), turn
+            ),
             along,
         )
 
@@ -385,11 +387,11 @@ class _Writing:
         b2 = self._find_pin(middle, two)
         c2 = self._find_pin(pin, two)
         fixed = self._find_pin(pin, self.places)
-        length, at_bar = self._convert_to_polar(minus(c2, b2))
-        to = minus(
+        length, at_bar = self._convert_to_polar(subtract_vectors(c2, b2))
+        to = subtract_vectors(
             fixed, start.transform_point(self._find_pin(middle, self._place_cluster(slider)))
         )
-        steps, u, turn = line_and_circle(n, self._name_vector(k, to), along, length)
+        steps, u, turn = solve_slide_and_bar(n, self._name_vector(k, to), along, length)
         self.steps += steps
         self._slide_joint(g, still, u)
         self._place_body(bar[0], turn - at_bar, c2, fixed)
@@ -417,13 +419,16 @@ class _Writing:
         a = self._find_pin(x, one)
         rail = parent.angle + g.angles[0]
         other = child.angle + g.angles[1]
-        reach = turned(
-            minus(self._find_pin(z, two), child.transform_point(g.points[1])), rail - other
+        reach = rotate_vector(
+            subtract_vectors(self._find_pin(z, two), child.transform_point(g.points[1])),
+            rail - other,
         )
-        gap = turned(plus(minus(parent.transform_point(g.points[0]), a), reach), -rail)
+        gap = rotate_vector(
+            add_vectors(subtract_vectors(parent.transform_point(g.points[0]), a), reach), -rail
+        )
         ahead, aside = (sympy.simplify(v) for v in gap)
-        steps, u, angle = turning_slide(
-            n, self._name_vector(k, minus(self._find_pin(z, self.places), A)), aside
+        steps, u, angle = solve_turning_slide(
+            n, self._name_vector(k, subtract_vectors(self._find_pin(z, self.places), A)), aside
         )
         self.steps += steps
         self._learn_coordinate(g, u - ahead)
@@ -442,8 +447,8 @@ class _Writing:
             for way, bodies in zip(ways, (first, second), strict=True)
         ]
         (d1, d2) = (way[3] for way in ways)
-        to = self._name_vector(k, minus(pins[1], pins[0]))
-        steps, *slides = two_lines(n, to, d1, (-d2[0], -d2[1]))
+        to = self._name_vector(k, subtract_vectors(pins[1], pins[0]))
+        steps, *slides = solve_two_slides(n, to, d1, (-d2[0], -d2[1]))
         self.steps += steps
         for (g, still, *_), u in zip(ways, slides, strict=True):
             self._slide_joint(g, still, u)
@@ -462,11 +467,11 @@ class _Writing:
         }
         g2, _, tip, d2 = self._find_slider(middle, far)
         self.places = before
-        to = minus(
+        to = subtract_vectors(
             self._find_pin(pin, self.places),
             tip.transform_point(self._find_pin(pin, self._place_cluster(far))),
         )
-        steps, u1, u2 = two_lines(n, self._name_vector(k, to), d1, d2)
+        steps, u1, u2 = solve_two_slides(n, self._name_vector(k, to), d1, d2)
         self.steps += steps
         self._slide_joint(g1, still, u1)
         self._learn_coordinate(g2, u2)

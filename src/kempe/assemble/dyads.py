@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.answers.answer import Answer
-from kempe.answers.known_values import known_tasks, source_values
+from kempe.answers.known_values import find_source_values, list_known_tasks
 from kempe.arguments import explain_errors, explain_method_errors, read_names
 from kempe.arrays import read_reals
 from kempe.assemble.dyad_decomposition import Decomposition, Dyad, PartLine, build_parts
@@ -24,7 +24,7 @@ from kempe.forward.fk import fk
 from kempe.model.configurations import read_q, read_start, refuse_far
 from kempe.model.model import keep_answers
 from kempe.numerics.pool import sum_over_chunks
-from kempe.report import Report, brief
+from kempe.report import Report, summarize_fields
 from kempe.spatial import Array
 from kempe.status import Status, to_status
 from kempe.words import format_count
@@ -75,7 +75,7 @@ class Incomplete(Report):
 
     solve = close = all = heights = branch_of = formulas
 
-    def _data(self) -> dict[str, Any]:
+    def _collect_data(self) -> dict[str, Any]:
         return {"bodies": self.bodies}
 
 
@@ -90,7 +90,7 @@ class DyadAnswer(Answer):
     positions.
     """
 
-    __repr__ = brief
+    __repr__ = summarize_fields
 
     what = "configurations closed"
     also = ("gap", "undetermined")
@@ -119,13 +119,13 @@ class DyadAnswer(Answer):
         left = np.where(sound, Status.NOT_FOUND, Status.BAD_INPUT)
         return to_status(np.where(self.success, Status.SOLVED, left))
 
-    def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
+    def _list_goals(self) -> Sequence[tuple[Any, Any, Any]]:
 
         plan, values = self.closing
         columns = values.T.reshape(len(plan.known), *np.shape(self.success))
-        return known_tasks(self.system, dict(zip(plan.known, columns, strict=True)))
+        return list_known_tasks(self.system, dict(zip(plan.known, columns, strict=True)))
 
-    def _sentence(self, index: tuple[int, ...]) -> str:
+    def _compose_sentence(self, index: tuple[int, ...]) -> str:
         code, gap, free = (
             np.asarray(x)[index].item() for x in (self.code, self.gap, self.undetermined)
         )
@@ -179,18 +179,18 @@ class Plan(Report):
         """What each dyad is, and what its branch sign means, as text; one line each."""
         return str(self)
 
-    def _notes(self, degrees: bool = False) -> list[str]:
+    def _list_notes(self, degrees: bool = False) -> list[str]:
         return [
             f"{'sign ' + str(d.sign + 1) if d.sign is not None else 'no sign'}: {d}"
             for d in self.dyads
         ]
 
-    def _data(self) -> dict[str, Any]:
+    def _collect_data(self) -> dict[str, Any]:
         return {
             "system": self.system.name,
             "known": self.known,
             "signs": self.signs,
-            "dyads": self._notes(),
+            "dyads": self._list_notes(),
         }
 
     def formulas(self, *, symbols: Mapping[str, Any] | None = None) -> DyadFormulas:
@@ -432,7 +432,7 @@ def solve_branch(
     What cannot close on this branch is put where it nearly touches. Errors: `InputError` where
     there is no closed form, and so no branch signs.
     """
-    values = source_values(system, known)
+    values = find_source_values(system, known)
     plan = find_closed_form(system, tuple(values))
     if isinstance(plan, Incomplete):
         raise InputError(f"branch {branch!r} cannot be looked up: {plan.reason}")

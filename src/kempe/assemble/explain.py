@@ -11,9 +11,9 @@ import numpy as np
 
 from kempe.answers import wording
 from kempe.answers.answer import Row
-from kempe.answers.evidence import Evidence, evidence, outside_limits
-from kempe.answers.problem import Choice, Problem, choose
-from kempe.answers.wording import immovable
+from kempe.answers.evidence import Evidence, list_limit_violations, make_evidence
+from kempe.answers.problem import Choice, Problem, select_solver
+from kempe.answers.wording import describe_immovable_coordinates
 from kempe.assemble.answer import Assembly
 from kempe.assemble.bound import LOOSEST, Assembler, get_assembler_as_given, get_equation_assembler
 from kempe.assemble.nearest_exact import find_ideal_system, find_nearest_soon
@@ -48,7 +48,9 @@ def choose_solver(answer: Assembly) -> Choice:
     from kempe.assemble.assemble import SOLVERS
 
     assembler = answer.assembler
-    return choose(SOLVERS, Problem(assembler.system, "one", dict.fromkeys(assembler.known)))[1]
+    return select_solver(SOLVERS, Problem(assembler.system, "one", dict.fromkeys(assembler.known)))[
+        1
+    ]
 
 
 def describe_configuration(answer: Assembly, index: tuple[int, ...]) -> str:
@@ -67,14 +69,14 @@ def _describe_outcome(answer: Assembly, index: tuple[int, ...]) -> str:
     if code == Status.BAD_INPUT:
         return "known values, places or start have numbers that are not finite or too large"
     if code == Status.SOLVED:
-        return wording.closed(residual, steps, starts, _describe_freedoms(bound, q))
+        return wording.describe_closed_loops(residual, steps, starts, _describe_freedoms(bound, q))
     if code == Status.OUTSIDE_LIMITS:
         return f"a known value is outside its limits: {_describe_outside_limits(bound, q)}"
     if code == Status.OTHER_BRANCH:
         return "the branch requested cannot be closed with these values; q is closed on another one"
     if code == Status.OUT_OF_TIME:
-        said = wording.late(answer.limit, starts, done="closed")
-        return wording.failed(
+        said = wording.describe_late_search(answer.limit, starts, done="closed")
+        return wording.describe_failure(
             said,
             _describe_largest_violation(bound, q, residual),
             "q is the nearest to closing so far",
@@ -93,8 +95,10 @@ def _describe_outcome(answer: Assembly, index: tuple[int, ...]) -> str:
         loose = f"with tolerance={1.1 * residual:.2g} it counts as closed as it is"
     what = _describe_largest_violation(bound, q, residual)
     near = "q is the nearest to closing"
-    still = immovable(bound.system)
-    return wording.failed(wording.given_up("closed", starts), what, why, loose, near, still)
+    still = describe_immovable_coordinates(bound.system)
+    return wording.describe_failure(
+        wording.describe_vain_starts("closed", starts), what, why, loose, near, still
+    )
 
 
 def _describe_freedoms(bound: Assembler, q: Array) -> str:
@@ -117,7 +121,7 @@ def _describe_freedoms(bound: Assembler, q: Array) -> str:
         count = closure_rows.count_remaining_freedoms(system, somewhere, bound.held)
         who = "in general"
     folded = _find_coinciding_joints(system, q) if count < left else []
-    return wording.left_open(
+    return wording.explain_open_freedoms(
         left, count, who, folded, sure, bound.freedoms if bound.freedoms < left else -1
     )
 
@@ -231,7 +235,7 @@ def _find_one_sided_evidence(bound: Assembler, q: Array) -> Evidence | None:
     known = bool(bound.known) and not closure_rows.count_remaining_freedoms(
         bound.system, answer.q, bound.held
     )
-    return evidence("one-sided", violated=violated, done="closes", known=known)
+    return make_evidence("one-sided", violated=violated, done="closes", known=known)
 
 
 def _find_limit_evidence(bound: Assembler, q: Array) -> Evidence | None:
@@ -239,8 +243,8 @@ def _find_limit_evidence(bound: Assembler, q: Array) -> Evidence | None:
     if bound.frames or not np.isfinite(bound.system.structure.limits).any():
         return None
     free, _, info = bound.run(q[None], bound.no_pins, limits=False, limit=GLANCE)
-    names = outside_limits(bound.system, free[0]) if info[0, 0] == Status.SOLVED else []
-    return evidence("limits", names=names, done="closes") if names else None
+    names = list_limit_violations(bound.system, free[0]) if info[0, 0] == Status.SOLVED else []
+    return make_evidence("limits", names=names, done="closes") if names else None
 
 
 def _find_excess_evidence(bound: Assembler) -> Evidence | None:
@@ -248,7 +252,7 @@ def _find_excess_evidence(bound: Assembler) -> Evidence | None:
     freedoms = get_assembler_as_given(find_ideal_system(bound.system)).freedoms
     if not bound.held or not 0 <= freedoms < len(bound.held):
         return None
-    return evidence("too many given", given=len(bound.held), freedoms=freedoms)
+    return make_evidence("too many given", given=len(bound.held), freedoms=freedoms)
 
 
 ROW = Row(describe_configuration, choose_solver)

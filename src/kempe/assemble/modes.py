@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from kempe.answers.answer import Configurations
-from kempe.answers.known_values import known_tasks, source_values
-from kempe.answers.problem import Problem, Solver, solve, takes_all
+from kempe.answers.known_values import find_source_values, list_known_tasks
+from kempe.answers.problem import Problem, Solver, accept_all_problems, solve_problem
 from kempe.arguments import (
     explain_errors,
     explain_method_errors,
@@ -64,7 +64,7 @@ from kempe.numerics.clock import (
     limit_time,
 )
 from kempe.numerics.rank import Level, Spectrum
-from kempe.report import ROWS, Table, brief
+from kempe.report import ROWS, Table, summarize_fields
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import choose_verb, format_count
@@ -714,7 +714,7 @@ class Modes(Configurations):
     time limit ended (`late`), says so.
     """
 
-    __repr__ = brief
+    __repr__ = summarize_fields
 
     also = (
         "complete",
@@ -758,21 +758,23 @@ class Modes(Configurations):
             return Status.SOLVED
         if self.complete:
             return Status.OUTSIDE_LIMITS if self.outside else Status.NONE_EXISTS
-        return self._broken_off() or Status.NOT_FOUND
+        return self._find_early_end() or Status.NOT_FOUND
 
     @property
     def titles(self) -> tuple[str, ...]:
         """Names of the configurations in pictures: of their branches, else numbers."""
         return tuple(name or str(k) for k, name in enumerate(self.branches, 1))
 
-    def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
-        return known_tasks(self.system, self.known)
+    def _list_goals(self) -> Sequence[tuple[Any, Any, Any]]:
+        return list_known_tasks(self.system, self.known)
 
-    def _tables(self) -> Sequence[Table]:
+    def _make_tables(self) -> Sequence[Table]:
         """The coordinates that are not known, a row for each configuration."""
         names = self.system.coordinate_names
         places = [i for i, name in enumerate(names) if name not in self.known]
-        rows = [(self._label(k), *self._quantities(q, places)) for k, q in enumerate(self.q[:ROWS])]
+        rows = [
+            (self._label(k), *self._list_quantities(q, places)) for k, q in enumerate(self.q[:ROWS])
+        ]
         heads = ("", *(names[i] for i in places))
         return [Table(heads, rows, more=len(self.q) - len(rows))] if rows else []
 
@@ -780,13 +782,13 @@ class Modes(Configurations):
         """The name of a configuration in a text."""
         return (self.branches[k] or str(k + 1)) + " (outside limits)" * (not self.inside[k])
 
-    def _notes(self, degrees: bool = False) -> Sequence[str]:
+    def _list_notes(self, degrees: bool = False) -> Sequence[str]:
         signs = []
         if any(self.branches):
-            signs = find_closed_form(self.system, tuple(self.known))._notes()
-        return [*signs, *super()._notes()]
+            signs = find_closed_form(self.system, tuple(self.known))._list_notes()
+        return [*signs, *super()._list_notes()]
 
-    def _headline(self) -> str:
+    def _make_headline(self) -> str:
         return f"{format_count(len(self), 'configuration')} of {self.system.name}; {self.status}"
 
 
@@ -863,7 +865,7 @@ def assembly_modes(
     problem = Problem(
         system, "all", dict(given), base, limits=bool(limits), budget=budget, frame=name
     )
-    return solve(SOLVERS, problem)
+    return solve_problem(SOLVERS, problem)
 
 
 # ---- solver: dyads in closed form
@@ -887,7 +889,7 @@ def explain_missing_dyads(problem: Problem) -> str | None:
 def find_modes_by_dyads(question: Problem) -> Modes:
     """The answer in closed form, of a mechanism that is made of dyads."""
     system = question.system
-    values = source_values(system, question.known)
+    values = find_source_values(system, question.known)
     for name, x in values.items():
         if x.ndim:
             raise InputError(
@@ -1169,7 +1171,7 @@ SOLVERS = (
     Solver(
         "many starts",
         "assembly from random starts, from mirror images and mixtures of what is found",
-        takes_all,
+        accept_all_problems,
         find_modes_by_starts,
     ),
 )

@@ -178,7 +178,7 @@ class Idealised(Report):
             *map(str, self.changes),
         ]
 
-    def _data(self) -> dict[str, Any]:
+    def _collect_data(self) -> dict[str, Any]:
         return {
             "sentence": self.sentence,
             "requested": self.requested,
@@ -210,10 +210,10 @@ class Idealised(Report):
             out[i] = answer.q if answer.success else flat[i]
         return out.reshape(q.shape)
 
-    def _headline(self) -> str:
+    def _make_headline(self) -> str:
         return f"{self.given.name}: {self.status}"
 
-    def _notes(self, degrees: bool = False) -> list[str]:
+    def _list_notes(self, degrees: bool = False) -> list[str]:
         return self.lines[1:]
 
 

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 
-from kempe.answers.tables import SUFFIXES, table_file
-from kempe.answers.wording import immovable
+from kempe.answers.tables import SUFFIXES, check_table_path
+from kempe.answers.wording import describe_immovable_coordinates
 from kempe.cli.terminal import (
     COMPLETE,
     Commands,
@@ -340,7 +340,7 @@ def load_system(file: str, reading: Reading) -> System:
     import kempe
 
     system = kempe.load(file, **reading)
-    if still := immovable(system, unstated=True):
+    if still := describe_immovable_coordinates(system, unstated=True):
         print_remark(still)
     return system
 
@@ -422,7 +422,7 @@ class Output:
         Nor are results written over a file of rows that is `given` to the command.
         """
         if self.out is not None:
-            table_file(self.out)
+            check_table_path(self.out)
             check_output_file(self.out)
             if self.out.exists():
                 self._refuse_input_file(given)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.answers.tables import poses_of_columns
+from kempe.answers.tables import read_pose_columns
 from kempe.cli import table_files
 from kempe.cli.table_files import is_table_file, parse_numbers
 from kempe.description.source import expand_path
@@ -282,7 +282,7 @@ def read_target(system: System, text: str, degrees: bool = False) -> tuple[Array
         rows = np.array(parse_numbers(text, "target"))
     if rows.ndim == 3:
         return rows, False
-    return poses_of_columns(system.dim, rows, names, degrees)
+    return read_pose_columns(system.dim, rows, names, degrees)
 
 
 def parse_branch(system: System, given: Mapping[str, Any], text: str | None) -> str | None:

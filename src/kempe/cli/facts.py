@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe import spatial
-from kempe.answers.tables import in_units, write_table
+from kempe.answers.tables import convert_columns, write_table
 from kempe.constraints.base import evaluate_number_fields
 from kempe.description.parts import Declared, Joint
 from kempe.errors import DescriptionError, Fault, KempeError
@@ -48,7 +48,7 @@ class SystemFacts(Report):
         joints = format_count(len(system.structure.joints), "joint")
         return f"{system.name}: {bodies}, {joints}, {place}; {system.kind}"
 
-    def _tables(self) -> Sequence[Table]:
+    def _make_tables(self) -> Sequence[Table]:
         system = self.system
         s = system.structure
         tables = [Table((), self._make_overview(), record=True), self._make_bodies_table()]
@@ -155,7 +155,7 @@ class SystemFacts(Report):
         """Lower and upper limit of each coordinate, by its name."""
         return list_limits(self.system)
 
-    def _data(self) -> dict[str, Any]:
+    def _collect_data(self) -> dict[str, Any]:
         system = self.system
         s = system.structure
         space = system.configuration_space
@@ -345,7 +345,7 @@ class Poses(Report):
         heads = ["q"] * self.several + ["#", "body"] * (self.frame is None)
         return heads, [a + b for a in q for b in bodies]
 
-    def _tables(self) -> Sequence[Table]:
+    def _make_tables(self) -> Sequence[Table]:
         heads, labels = self._make_row_labels()
         rows = [
             (*label, *(Quantity(x, unit) for x, unit in zip(row, COLUMNS.values(), strict=True)))
@@ -353,12 +353,12 @@ class Poses(Report):
         ]
         return [Table((*heads, *COLUMNS), rows, grid=True)]
 
-    def _notes(self, degrees: bool = False) -> list[str]:
+    def _list_notes(self, degrees: bool = False) -> list[str]:
         if self.X.ndim > 2:
             return []
         return ["  ".join(f"{format_fixed(x):>10}" for x in row) for row in self.X.tolist()]
 
-    def _data(self) -> dict[str, Any]:
+    def _collect_data(self) -> dict[str, Any]:
         names = [self.frame] if self.frame is not None else list(self.system.body_names)
         rows = zip(self._compute_pose_rows(), self.X.reshape(-1, 4, 4), strict=True)
         poses = [
@@ -393,7 +393,7 @@ class Poses(Report):
             index = np.indices((len(self.X) if self.several else 1, self.X.shape[-3]))
             rows = np.concatenate([index.reshape(2, -1).T.astype(float), rows], axis=1)
             names = ["configuration", "body", *names]
-        return write_table(path, *in_units(names, rows, COLUMNS, degrees), self.X)
+        return write_table(path, *convert_columns(names, rows, COLUMNS, degrees), self.X)
 
 
 # ---- problems and errors

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from kempe.answers.targets import task_of
+from kempe.answers.targets import choose_task
 from kempe.arguments import call_until_interrupt
 from kempe.budget import Budget
 from kempe.cli.app import (
@@ -130,7 +130,7 @@ def _choose_task(task: str | None, axis: str | None, position: bool) -> Any:
 
     Where the target is a position, the position alone counts unless a task is given.
     """
-    task_of(task, position, False)  # a wrong name is reported first
+    choose_task(task, position, False)  # a wrong name is reported first
     if position and task not in (None, "position"):
         raise InputError(f"--task {task} needs a target with an orientation: x,y,z,roll,pitch,yaw")
     return make_task_argument("position" if position else task, axis)

@@ -42,7 +42,7 @@ def run_library(
     if output.json:
         print_json([{"name": n, "description": text} for n, text in rows])
     else:
-        print("\n".join(Table(("model", "what it is"), rows).aligned()))
+        print("\n".join(Table(("model", "what it is"), rows).align_columns()))
 
 
 @register_command(MODELS, "plot json")
@@ -64,7 +64,7 @@ def run_joints(output: Output) -> None:
     heads = ("joint", "letter", "freedoms", "constraints", "in the plane", "made of")
     keys = ("type", "letter", "dof", "constraints", "dof_in_the_plane", "made_of")
     rows = [["-" if row[key] is None else row[key] for key in keys] for row in kinds]
-    print("\n".join(Table(heads, rows).aligned()))
+    print("\n".join(Table(heads, rows).align_columns()))
     output.print_answers()
 
 

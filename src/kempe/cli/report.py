@@ -72,11 +72,11 @@ def format_configuration(answer: Any, degrees: bool) -> str:
     if not isinstance(answer, Answer) or not answer or answer.is_motion:
         return ""
     q = answer.q
-    if np.ndim(q) == 2 and hasattr(answer, "inside") and not answer._shape:
+    if np.ndim(q) == 2 and hasattr(answer, "inside") and not answer._batch_shape:
         q = q[0]
     if np.ndim(q) != 1:
         return ""
-    values = answer._by_name(q).convert_units(degrees).tolist()
+    values = answer._name_coordinates(q).convert_units(degrees).tolist()
     return f"--q {','.join(format_fixed(x, 9).rstrip('0').rstrip('.') for x in values)}"
 
 

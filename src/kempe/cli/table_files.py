@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kempe.answers.tables import SUFFIXES, as_numbers
+from kempe.answers.tables import SUFFIXES, convert_texts
 from kempe.description.source import describe_special_file
 from kempe.errors import InputError
 from kempe.spatial import Array
@@ -26,7 +26,7 @@ def parse_numbers(text: str, what: str) -> list[float]:
 
     Errors: `InputError` that names the part that is no number.
     """
-    return as_numbers(text.split(","), what)
+    return convert_texts(text.split(","), what)
 
 
 def parse_finite_numbers(text: str, what: str) -> list[float]:

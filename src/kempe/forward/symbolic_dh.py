@@ -68,7 +68,7 @@ class DHTable(Report):
         """Title of the report: frame, system and convention."""
         return f"{self.frame} of {self.system.name}, {self.convention} Denavit-Hartenberg"
 
-    def _tables(self) -> Sequence[Table]:
+    def _make_tables(self) -> Sequence[Table]:
         rows: list[list[str]] = []
         for row in self.rows:
             turns = row.type == "revolute"
@@ -85,7 +85,7 @@ class DHTable(Report):
             )
         return [Table(("joint", "a", "alpha", "d", "theta"), rows)]
 
-    def _notes(self, degrees: bool = False) -> list[str]:
+    def _list_notes(self, degrees: bool = False) -> list[str]:
         said = (
             ("frame 0 in the ground", self.base),
             (f"{self.frame} in the last frame", self.tool),
@@ -96,7 +96,7 @@ class DHTable(Report):
             if np.abs(X - np.eye(4)).max() > SMALL
         ]
 
-    def _data(self) -> dict[str, Any]:
+    def _collect_data(self) -> dict[str, Any]:
         numbers = [
             {k: getattr(row, k) for k in ("name", "type", "a", "alpha", "d", "theta")}
             for row in self.rows

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol, cast
 import numpy as np
 
 from kempe.answers.answer import Answer, ConfigurationList, Row
-from kempe.answers.targets import TASKS, Z_AXIS, frame_of, of_target
+from kempe.answers.targets import TASKS, Z_AXIS, make_rotations_along, make_target_constraints
 from kempe.arguments import explain_method_errors
 from kempe.equations.tasks import Task
 from kempe.errors import InputError
@@ -68,7 +68,7 @@ def list_goals(solutions: Solutions) -> list[tuple[Any, Any, Any]]:
     lead = solutions._lead
     X = problem.targets[0] if lead is None else problem.targets.reshape(*lead, 1, 4, 4)
     allowed = (problem.tolerance, max(problem.tolerance, problem.angular))
-    made = of_target(problem.frame, problem.task, problem.axis, X)
+    made = make_target_constraints(problem.frame, problem.task, problem.axis, X)
     return [(Task(solutions.system, c), None, allowed) for c in made]
 
 
@@ -429,7 +429,7 @@ class Solutions(ConfigurationList, Answer):
         q[..., plan.lines.q_index] = own
         J = jacobian(self.system, q, problem.frame, "body")[..., plan.lines.v_index]
         if problem.axis != Z_AXIS:
-            R = frame_of(np.array(problem.axis)).T
+            R = make_rotations_along(np.array(problem.axis)).T
             J = np.concatenate([R @ J[..., :3, :], R @ J[..., 3:, :]], axis=-2)
         J = J * np.array(TASKS[plan.task], dtype=float)[:, None]
         J[..., list(plan.locked)] = 0.0
@@ -474,7 +474,7 @@ class Solutions(ConfigurationList, Answer):
             ..., :3, :3
         ]
         if self.problem.axis != Z_AXIS:
-            R = R @ frame_of(np.array(self.problem.axis))
+            R = R @ make_rotations_along(np.array(self.problem.axis))
         R = np.swapaxes(R, -1, -2)
         body = np.concatenate([inverse[..., :3] @ R, inverse[..., 3:] @ R], axis=-1)
         out = np.zeros((*J.shape[:-2], self.system.nv, 6))
@@ -524,15 +524,17 @@ class Solutions(ConfigurationList, Answer):
         )
 
     @property
-    def _shape(self) -> tuple[int, ...]:
+    def _batch_shape(self) -> tuple[int, ...]:
         """Shape of the batch of targets; () for a single target."""
         return self._lead or ()
 
-    def _sentence(self, index: tuple[int, ...]) -> str:
-        i = int(np.ravel_multi_index(index, self._shape)) if index else 0
+    def _compose_sentence(self, index: tuple[int, ...]) -> str:
+        i = int(np.ravel_multi_index(index, self._batch_shape)) if index else 0
         if self._whole is None:
             return self._row.sentence(self, i)
-        return self._whole._sentence(index) + ("" if self._left_out is None else self._left_out[i])
+        return self._whole._compose_sentence(index) + (
+            "" if self._left_out is None else self._left_out[i]
+        )
 
     success = by_code
 
@@ -545,10 +547,10 @@ class Solutions(ConfigurationList, Answer):
         code = compute_status_codes(self)
         return to_status(code[0]) if self._lead is None else code.reshape(self._lead)
 
-    def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
+    def _list_goals(self) -> Sequence[tuple[Any, Any, Any]]:
         return list_goals(self)
 
-    def _claimed(self) -> np.ndarray:
+    def _select_claimed_rows(self) -> np.ndarray:
         return self.mask
 
     def nearest(self, index: int = 0) -> tuple[Array, float, float]:
@@ -631,13 +633,13 @@ class Solutions(ConfigurationList, Answer):
         "tried",
     )
 
-    def _headline(self) -> str:
-        text = super()._headline() + (
+    def _make_headline(self) -> str:
+        text = super()._make_headline() + (
             "" if self.single else f", {format_count(int(self._used_rows.sum()), 'solution')}"
         )
         return f"{text}; {self._row.held(self)}" if self.spare and not self.single else text
 
-    def _tables(self) -> Sequence[Table]:
+    def _make_tables(self) -> Sequence[Table]:
         """Table with one row for each solution: coordinates of the chain, and remarks."""
         if not self.mask.any():
             return []
@@ -647,7 +649,7 @@ class Solutions(ConfigurationList, Answer):
         rows: list[tuple[Any, ...]] = []
         for target, q, *facts in zip(targets[:ROWS], *columns, strict=False):
             first = () if self.single else (target,)
-            rows.append((*first, *self._quantities(q, places), _format_remark(*facts) or "-"))
+            rows.append((*first, *self._list_quantities(q, places), _format_remark(*facts) or "-"))
         heads: list[str] = [self.system.coordinate_names[i] for i in places]
         heads = [*([] if self.single else ["target"]), *heads, "note"]
         if all(row[-1] == "-" for row in rows):
@@ -655,25 +657,25 @@ class Solutions(ConfigurationList, Answer):
             heads = heads[:-1]
         return [Table(heads, rows, more=len(targets) - len(rows), printed=self.single)]
 
-    def _notes(self, degrees: bool = False) -> Sequence[str]:
+    def _list_notes(self, degrees: bool = False) -> Sequence[str]:
         families = self.families if self.single else ()
-        return [*(f"family: {family}" for family in families), *super()._notes()]
+        return [*(f"family: {family}" for family in families), *super()._list_notes()]
 
-    def _data(self) -> dict[str, Any]:
+    def _collect_data(self) -> dict[str, Any]:
         families = [
             {
                 "freedoms": family.freedoms,
                 "joints": list(family.joints),
                 "closed": bool(family.closed),
                 "text": str(family),
-                "q": self._by_name(family.q),
+                "q": self._name_coordinates(family.q),
             }
             for family in (self.families if self.single else ())
         ]
         unit = list_units(self.system)
         held = {name: Quantity(x, unit[name]) for name, x in self.held.items()}
         goal = {"frame": self.problem.frame, "task": self.problem.task}
-        out = goal | super()._data() | {"held": held}
+        out = goal | super()._collect_data() | {"held": held}
         return out | {"families": families} if self.single else out
 
 

@@ -16,7 +16,7 @@ from kempe.equations.slip import has_velocity_constraints
 from kempe.errors import InputError
 from kempe.kernels.base.search_layout import ANGULAR, ANSWER, LINEAR, STARTS, STATUS, STEPS
 from kempe.late import import_late
-from kempe.report import Report, brief
+from kempe.report import Report, summarize_fields
 from kempe.spatial import Array
 from kempe.status import MEMBERS, PROOFS, Status
 from kempe.words import cut_lines, format_count
@@ -72,7 +72,7 @@ class Solution(Answer):
     `proven` need no search.
     """
 
-    __repr__ = brief
+    __repr__ = summarize_fields
 
     row = "answers of ik"
     what = "targets reached"
@@ -166,7 +166,7 @@ class Solution(Answer):
         Each is an `Evidence` (`kempe.answers.evidence`), with figures and a `text`.
         Errors: `InputError` for a place that is not in the batch.
         """
-        return self._proofs(read_batch_index(index, self._shape))
+        return self._proofs(read_batch_index(index, self._batch_shape))
 
     def _proofs(self, index: tuple[int, ...]) -> tuple[Any, ...]:
         return self._row.proofs(self, index)
@@ -222,13 +222,13 @@ class Solution(Answer):
         """
         return self._local_analysis[3]
 
-    def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
-        from kempe.answers.targets import of_target
+    def _list_goals(self) -> Sequence[tuple[Any, Any, Any]]:
+        from kempe.answers.targets import make_target_constraints
         from kempe.equations.tasks import Task
 
         task = self.task
         X = np.reshape(task.targets, (*np.shape(self.success), 4, 4))
-        made = of_target(task.frame, task.name, task.axis, X)
+        made = make_target_constraints(task.frame, task.name, task.axis, X)
         return [(Task(task.system, c), None, task.tolerance) for c in made]
 
     def plot_history(self, ax: Any = None) -> Any:
@@ -248,7 +248,7 @@ class Solution(Answer):
         """
         return self._row.derive(self)
 
-    def _sentence(self, index: tuple[int, ...]) -> str:
+    def _compose_sentence(self, index: tuple[int, ...]) -> str:
         return self._row.sentence(self, index) + self._describe_manoeuvre(index)
 
     def _describe_manoeuvre(self, index: tuple[int, ...]) -> str:
@@ -272,7 +272,7 @@ class Reached(Solution):
     preferences.
     """
 
-    __repr__ = brief
+    __repr__ = summarize_fields
 
     row = "answers of ik, tasks"
     what = "problems solved"
@@ -281,10 +281,10 @@ class Reached(Solution):
     late: Any
 
     @property
-    def _closing(self) -> Any:
+    def _closed_system(self) -> Any:
         return self.problem.packed.closing
 
-    def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
+    def _list_goals(self) -> Sequence[tuple[Any, Any, Any]]:
         return self.problem.hard_tasks
 
     @cached_property
@@ -347,7 +347,7 @@ class IkHistory(Report):
         """Whether the task has an orientation error."""
         return bool(np.any(self.orientation_error > 0.0))
 
-    def _notes(self, degrees: bool = False) -> list[str]:
+    def _list_notes(self, degrees: bool = False) -> list[str]:
         rows = list(
             zip(self.start, self.step, self.position_error, self.orientation_error, strict=True)
         )
@@ -359,7 +359,7 @@ class IkHistory(Report):
         ]
         return cut_lines(lines, MOST_LINES)
 
-    def _data(self) -> dict[str, Any]:
+    def _collect_data(self) -> dict[str, Any]:
         names = ("q", "position_error", "orientation_error", "start", "step", "starts")
         return {name: getattr(self, name) for name in names}
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from kempe import spatial
-from kempe.answers.targets import Z_AXIS, frame_of
+from kempe.answers.targets import Z_AXIS, make_rotations_along
 from kempe.equations.task_functions import REAL_STEP
 from kempe.equations.tasks import Goal
 from kempe.errors import InputError, UnsupportedError
@@ -45,7 +45,7 @@ def compute_derivative(solution: Solution) -> Array:
     J = jacobian(system, q, task.frame)[..., chain.v_index]
     R = fk(system, q, task.frame)[..., :3, :3]
     if task.axis != Z_AXIS:
-        R = R @ frame_of(np.array(task.axis))
+        R = R @ make_rotations_along(np.array(task.axis))
     # from ground axes to those rows in the axes of the tip that count
     S = np.zeros((*R.shape[:-2], 6, 6))
     S[..., :3, :3] = S[..., 3:, 3:] = np.swapaxes(R, -1, -2)

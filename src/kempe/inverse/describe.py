@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.answers.targets import axis_for, task_and_axis, task_of
+from kempe.answers.targets import choose_axis, choose_task, split_task
 from kempe.arguments import explain_errors, read_names
 from kempe.errors import UnsupportedError
 from kempe.inverse.closed_forms.chain_lines import Lines, compute_line_placements, find_chain_lines
@@ -399,7 +399,7 @@ class Recognised(Report):
             raise UnsupportedError(f"there are no formulas {why}")
         return derive_ik(self.of, self.frame, self.task, symbols=symbols)
 
-    def _data(self) -> dict[str, Any]:
+    def _collect_data(self) -> dict[str, Any]:
         own = {name: x for name, x in vars(self).items() if name != "of"}
         return {**own, "steps": [step._asdict() for step in self.steps]}
 
@@ -443,9 +443,9 @@ def describe_plan(
     8
     """
     name = system.structure.frame_name(frame)
-    said, axis = task_and_axis(task)
-    what = task_of(said, False, bool(system.structure.table.at[name][2]))
-    direction = axis_for(axis, what)
+    said, axis = split_task(task)
+    what = choose_task(said, False, bool(system.structure.table.at[name][2]))
+    direction = choose_axis(axis, what)
     lines = find_chain_lines(system, name, direction)
     note = ""
     if task is None and what == "pose" and len(lines) <= system.dim:

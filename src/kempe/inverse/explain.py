@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from kempe.answers import wording
-from kempe.answers.evidence import Evidence, evidence, lengths
-from kempe.answers.problem import Choice, Problem, choose
-from kempe.answers.targets import Z_AXIS, frame_of, not_a_pose
-from kempe.answers.wording import immovable
+from kempe.answers.evidence import Evidence, make_evidence, make_reach_evidence
+from kempe.answers.problem import Choice, Problem, select_solver
+from kempe.answers.targets import Z_AXIS, explain_refused_target, make_rotations_along
+from kempe.answers.wording import describe_immovable_coordinates
 from kempe.arguments import quiet
 from kempe.errors import UnsupportedError
 from kempe.forward.fk import jacobian
@@ -91,30 +91,34 @@ def explain_target(solution: Solution, index: tuple[int, ...]) -> str:
     code, position, angle, starts, steps = (np.asarray(x)[index].item() for x in figures)
     missed = position if any(task.mask[:3]) else None, angle if any(task.mask[3:]) else None
     if code == Status.SOLVED:
-        return wording.reached(*missed, steps, starts)
+        return wording.describe_reached_frame(*missed, steps, starts)
     at = int(np.ravel_multi_index(index, np.shape(solution.code))) if index else 0
     target = task.targets[at : at + 1]
     if code == Status.BAD_INPUT:
-        return not_a_pose(target[0], "start")
-    near = wording.nearest(*missed)
+        return explain_refused_target(target[0], "start")
+    near = wording.describe_nearest_error(*missed)
     tilt = (
         float(np.arccos(np.clip(target[0, 2, 2], -1.0, 1.0)))
         if task.system.dim == 2 and any(task.mask[3:])
         else 0.0
     )
     if code == Status.OUT_OF_REACH:
-        return wording.failed("", prove_beyond_lengths(task, target), near)
+        return wording.describe_failure("", prove_beyond_lengths(task, target), near)
     if tilt > max(task.tolerance[1], TILTED):
-        return wording.failed("", evidence("tilted", angle=tilt), near)
+        return wording.describe_failure("", make_evidence("tilted", angle=tilt), near)
     if code == Status.OUT_OF_TIME:
-        return wording.failed("", wording.late(task.time_limit, starts, task.starts), near)
+        return wording.describe_failure(
+            "", wording.describe_late_search(task.time_limit, starts, task.starts), near
+        )
     if position <= ROUNDING * (1.0 + float(np.linalg.norm(target[0, :3, 3]))) and angle <= ROUNDING:
-        return wording.failed("the tolerance is finer than rounding", near)
+        return wording.describe_failure("the tolerance is finer than rounding", near)
     why = _list_reasons(
         task, target, np.asarray(solution.q)[index][task.chain.q_index], position, angle
     )
-    still = immovable(task.system, task.chain.v_index)
-    return wording.failed(wording.given_up("reached", starts), *why, near, still)
+    still = describe_immovable_coordinates(task.system, task.chain.v_index)
+    return wording.describe_failure(
+        wording.describe_vain_starts("reached", starts), *why, near, still
+    )
 
 
 def list_proofs(solution: Solution, index: tuple[int, ...]) -> tuple[Evidence, ...]:
@@ -140,7 +144,7 @@ def prove_beyond_lengths(task: FrameProblem, target: Array) -> Evidence | None:
     """
     off = abs(float(target[0, 2, 3])) if task.system.dim == 2 else 0.0
     place, turned = measure_length_excess(task, target)[0].tolist()
-    return lengths(
+    return make_reach_evidence(
         task.system,
         place,
         turned,
@@ -179,7 +183,7 @@ def _solve_target(
 def _compute_rank(task: FrameProblem, q: Array, level: float) -> int:
     """Compute the largest rank, over configurations (N, nq), of the task's rows of the Jacobian."""
     J = jacobian(task.system, q, task.frame, "body")
-    J[:, 3:] = frame_of(np.array(task.axis)).T @ J[:, 3:]
+    J[:, 3:] = make_rotations_along(np.array(task.axis)).T @ J[:, 3:]
     J = J[:, [i for i, used in enumerate(task.mask) if used]]
     if J.shape[-1] == 0:
         return 0
@@ -205,7 +209,7 @@ def _prove_overdetermined(task: FrameProblem, target: Array) -> Evidence | None:
             task, name="position", axis=Z_AXIS, chain=find_chain(task.system, task.frame)
         )
         alone = _solve_target(place, target) is not None
-    return evidence(
+    return make_evidence(
         "rank", equations=equations, freedoms=freedoms, frame=task.frame, position=alone
     )
 
@@ -223,7 +227,7 @@ def suggest_tolerance(
     """
     if position > ROUNDED * length or angle > ROUNDED:
         return None
-    return evidence(
+    return make_evidence(
         "rounded", metres=_round_up_error(position), radians=_round_up_error(angle), one=one
     )
 
@@ -253,7 +257,7 @@ def _retry_search(task: FrameProblem, target: Array, nearest: Array) -> Evidence
     """
     if _solve_target(replace(_raise_starts(task), rng=task.rng + 1), target) is None:
         return None
-    return evidence("more starts", singular=_is_singular(task, nearest))
+    return make_evidence("more starts", singular=_is_singular(task, nearest))
 
 
 def _is_singular(task: FrameProblem, q: Array) -> bool:
@@ -277,7 +281,7 @@ def _find_blocking_limits(task: FrameProblem, target: Array, nearest: Array) -> 
     if free is None:
         return None
     if _solve_target(replace(many, rng=task.rng + 1), target, None, free) is not None:
-        return evidence("more starts")
+        return make_evidence("more starts")
     suspects = list(
         bounded
         if len(bounded) <= FEW_LIMITS
@@ -302,7 +306,7 @@ def _find_blocking_limits(task: FrameProblem, target: Array, nearest: Array) -> 
         rest = [k for k in lifted if k != i]
         lifted = rest if can_solve_without(rest) else lifted
     names = [task.system.structure.velocity_names[int(chain.v_index[i])] for i in alone or lifted]
-    return evidence(
+    return make_evidence(
         "limits",
         names=names,
         together=not alone,
@@ -328,13 +332,17 @@ def _explain_near_miss(task: FrameProblem, position: float, angle: float) -> Evi
         return None
     longest = task.chain.span.largest
     turn = angle if any(task.mask[3:]) else None
-    return evidence("near miss", place=position, turn=turn, longest=longest, small=longest <= SMALL)
+    return make_evidence(
+        "near miss", place=position, turn=turn, longest=longest, small=longest <= SMALL
+    )
 
 
 def _explain_not_found(task: FrameProblem) -> Evidence:
     """Explain a failure without a known reason."""
     limits = bool(np.isfinite(task.chain.limits).any())
-    return evidence("not found", limits=limits, place=any(task.mask[:3]), turn=any(task.mask[3:]))
+    return make_evidence(
+        "not found", limits=limits, place=any(task.mask[:3]), turn=any(task.mask[3:])
+    )
 
 
 # ---- proof that limits keep the answers away
@@ -391,7 +399,7 @@ def _prove_outside_limits(task: FrameProblem, target: Array) -> Evidence | None:
     beyond = min(_measure_limit_excess(chain, q[chain.q_index]) for q in found.q)
     if not beyond > CLEAR * size:
         return None
-    return evidence("outside", count=len(found.q))
+    return make_evidence("outside", count=len(found.q))
 
 
 def _measure_limit_excess(chain: Chain, q: Array) -> float:
@@ -447,7 +455,7 @@ def _prove_slides_too_short(task: FrameProblem, target: Array) -> Evidence | Non
         off = float(d @ (p - place))
         out = max(off - most, least - off) - reach
         if out > task.tolerance[0] + 1e-9 * (1.0 + abs(off) + reach):
-            return evidence("outside", short=out)
+            return make_evidence("outside", short=out)
     return None
 
 
@@ -458,16 +466,16 @@ def describe_solver(solution: Solution) -> Choice:
     """Describe the solver that searches for answers of targets of a frame."""
     task = solution.task
     problem = Problem(task.system, "one", frame=task.frame, task=(task.name, task.axis))
-    return choose(SOLVERS, problem)[1]
+    return select_solver(SOLVERS, problem)[1]
 
 
 def analyse_answer(solution: Solution) -> tuple[int, int, int, Array]:
     """Compute equations m, freedoms n, rank, and a basis (nv, k) of self-motions of one answer."""
-    from kempe.answers.targets import of_target
+    from kempe.answers.targets import make_target_constraints
     from kempe.inverse.tasks.search import make_demands
 
     task = solution.task
-    goals = of_target(task.frame, task.name, task.axis, task.targets[0])
+    goals = make_target_constraints(task.frame, task.name, task.axis, task.targets[0])
     return freedoms.analyse_freedoms(make_demands(task.system, goals, solution.q)[0], solution.q)
 
 

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.answers import wording
-from kempe.answers.evidence import Evidence, evidence, lengths
-from kempe.answers.problem import Choice, Problem, choose
-from kempe.answers.targets import not_a_pose
-from kempe.answers.wording import immovable
+from kempe.answers.evidence import Evidence, make_evidence, make_reach_evidence
+from kempe.answers.problem import Choice, Problem, select_solver
+from kempe.answers.targets import explain_refused_target
+from kempe.answers.wording import describe_immovable_coordinates
 from kempe.inverse.all_answer import SolutionsRow
 from kempe.inverse.chain.length_bounds import measure_bound_excess
 from kempe.inverse.chain.problem import MOST
@@ -55,16 +55,18 @@ NO_ROOT = {
 def explain_target(solutions: Solutions, index: int) -> str:
     """Write the sentence about target number `index`: its solutions, or why it has none."""
     if solutions._counts[index, 0] < 0:
-        return not_a_pose(solutions.problem.targets[index])
+        return explain_refused_target(solutions.problem.targets[index])
     limit, late = (
         (0.0, False)
         if solutions._ended is None
         else (solutions._ended[0], solutions._ended[1][index])
     )
     if solutions._used_rows[index].any():
-        return _describe_found(solutions, index) + (wording.ended(limit) if late else "")
+        return _describe_found(solutions, index) + (
+            wording.describe_incomplete_search(limit) if late else ""
+        )
     if late:
-        return wording.none_in_time(limit)
+        return wording.describe_empty_search(limit)
     size = float(np.abs(solutions.problem.targets[index]).max())
     if size >= LARGEST:
         return (
@@ -82,7 +84,7 @@ def explain_target(solutions: Solutions, index: int) -> str:
         tried = int(np.ravel(solutions.tried)[index])
         head = ""
         why = [
-            evidence(
+            make_evidence(
                 "tried", held=_list_held_values(solutions, index, spare), values=tried, starts=MOST
             )
         ]
@@ -90,9 +92,7 @@ def explain_target(solutions: Solutions, index: int) -> str:
         head = "no solution"
     if miss <= REACHED:
         near = f"a configuration within {miss:.1g} of the target: see nearest()"
-        return (
-            f"{wording.failed(head, *why).split(':')[0]} within {problem.tolerance:.1g}, but {near}"
-        )
+        return f"{wording.describe_failure(head, *why).split(':')[0]} within {problem.tolerance:.1g}, but {near}"
     if why[0].__class__ is Evidence and why[0].kind == "joints":
         why.append(
             suggest_tolerance(
@@ -102,8 +102,10 @@ def explain_target(solutions: Solutions, index: int) -> str:
     limits = " inside the limits" if np.isfinite(plan.lines.limits).any() else ""
     place = None if problem.task in TURNS else position
     turn = None if problem.task == "position" else angle
-    off = wording.errors(place, turn)
-    return wording.failed(head, *why, f"the closest configuration found{limits} misses it by {off}")
+    off = wording.format_errors(place, turn)
+    return wording.describe_failure(
+        head, *why, f"the closest configuration found{limits} misses it by {off}"
+    )
 
 
 def describe_held_joints(solutions: Solutions) -> str:
@@ -117,8 +119,12 @@ def describe_held_joints(solutions: Solutions) -> str:
             place, count = np.unique(values, return_counts=True)
             usual = float(place[np.argmax(count)])
             times = int(count.max())
-            parts.append(wording.held_among(name, usual, times, len(values), place[0], place[-1]))
-    return wording.to_spare(len(solutions.spare), f", held: {', '.join(parts)}" if parts else "")
+            parts.append(
+                wording.describe_held_values(name, usual, times, len(values), place[0], place[-1])
+            )
+    return wording.describe_spare_joints(
+        len(solutions.spare), f", held: {', '.join(parts)}" if parts else ""
+    )
 
 
 # ---- targets with solutions
@@ -136,7 +142,7 @@ def _describe_found(solutions: Solutions, index: int) -> str:
     code = solutions._code[index, alone]
     inside = int((code % 2).sum())
     times = code // int(A.MULTIPLICITY_UNIT)
-    text = wording.solutions(
+    text = wording.describe_solutions(
         len(code),
         inside,
         plan.method.word,
@@ -158,7 +164,9 @@ def _describe_found(solutions: Solutions, index: int) -> str:
         tried = 1
     before = np.zeros(0) if first is None else first[index if len(first) > 1 else 0][spare]
     first_values = () if np.array_equal([x for _, x in now], before) else before.tolist()
-    return f"{text}; {wording.to_spare(len(spare), f': {wording.held_at(now)}', first_values, tried, inside > 0)}"
+    held = f": {wording.describe_held_joints(now)}"
+    spares = wording.describe_spare_joints(len(spare), held, first_values, tried, inside > 0)
+    return f"{text}; {spares}"
 
 
 def has_spare_joints(plan: ChainPlan) -> bool:
@@ -181,8 +189,8 @@ def _explain_closed_form(plan: ChainPlan) -> str:
     way = plan.way
     inner = sorted(way.order[way.inner : way.inner + 3]) if way is not None else []
     if way is None or inner[-1] >= len(plan.lines) or np.any(plan.lines.kinds[inner] == SLIDE):
-        return wording.closed_form((), False)
-    return wording.closed_form(inner, way.what == POINT)
+        return wording.explain_closed_form((), False)
+    return wording.explain_closed_form(inner, way.what == POINT)
 
 
 def _describe_violated_limit(solutions: Solutions, index: int, alone: np.ndarray) -> str:
@@ -193,8 +201,10 @@ def _describe_violated_limit(solutions: Solutions, index: int, alone: np.ndarray
     row = over[int(np.argmin(over.max(axis=1)))]
     worst = int(np.argmax(row))
     names = solutions.system.structure.velocity_names
-    still = immovable(solutions.system, [i for i, name in enumerate(names) if name in lines.names])
-    return wording.beyond_limit(
+    still = describe_immovable_coordinates(
+        solutions.system, [i for i, name in enumerate(names) if name in lines.names]
+    )
+    return wording.describe_limit_excess(
         lines.names[worst], row[worst], "m" if lines.kinds[worst] == SLIDE else "rad", still
     )
 
@@ -216,10 +226,10 @@ def _list_reasons(solutions: Solutions, index: int) -> tuple[list[Any], bool]:
     if problem.task not in TURNS:
         off = abs(float(target[0, 2, 3])) if system.dim == 2 else 0.0
         if off > tolerance:
-            return [lengths(system, plane=off, point=problem.task == "position")], True
+            return [make_reach_evidence(system, plane=off, point=problem.task == "position")], True
         bounds = find_chain(system, problem.frame).bounds
         off = float(measure_bound_excess(bounds, target, (tolerance, tolerance), False)[0, 0])
-        far = lengths(system, off, slides=list_slides(system, problem.frame))
+        far = make_reach_evidence(system, off, slides=list_slides(system, problem.frame))
     wide = plan.lines.span.wide
     failed = (
         None
@@ -246,7 +256,7 @@ def _prove_overdetermined(solutions: Solutions) -> Evidence | None:
     if rank >= full:
         return None
     held = bool(plan.fixed)
-    return evidence(
+    return make_evidence(
         "joints", joints=len(unknown), held=held, freedoms=rank - others, equations=full - others
     )
 
@@ -346,7 +356,7 @@ def _make_root_evidence(
     else:
         what = "height"
         off = max(low - wanted, wanted - high) * length
-    return evidence("no root", joint=plan.lines.names[joint], axes=inner, what=what, off=off)
+    return make_evidence("no root", joint=plan.lines.names[joint], axes=inner, what=what, off=off)
 
 
 # ---- choice of the solver
@@ -365,7 +375,7 @@ def describe_solver(solutions: Solutions) -> Choice:
         frame=problem.frame,
         task=(problem.task, problem.axis),
     )
-    return choose(SOLVERS, verb_problem)[1]
+    return select_solver(SOLVERS, verb_problem)[1]
 
 
 ROW = SolutionsRow(

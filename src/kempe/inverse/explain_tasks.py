@@ -14,9 +14,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.answers import wording
-from kempe.answers.evidence import Evidence, evidence, lengths, outside_limits
-from kempe.answers.problem import Choice, Problem, choose
-from kempe.answers.wording import immovable
+from kempe.answers.evidence import (
+    Evidence,
+    list_limit_violations,
+    make_evidence,
+    make_reach_evidence,
+)
+from kempe.answers.problem import Choice, Problem, select_solver
+from kempe.answers.wording import describe_immovable_coordinates
 from kempe.inverse.answer import Reached, SolutionRow
 from kempe.inverse.chain.serial_chain import list_slides
 from kempe.inverse.explain import suggest_tolerance
@@ -61,15 +66,19 @@ def explain_target(answer: Reached, index: tuple[int, ...]) -> str:
     )
     hard = [t for t in problem.tasks if t.weight is None]
     if code is Status.SOLVED:
-        work = wording.work(steps, starts)
-        cut = wording.not_lowered(problem.time_limit) if np.asarray(answer.late)[index] else ""
+        work = wording.describe_search(steps, starts)
+        cut = (
+            wording.describe_unfinished_tasks(problem.time_limit)
+            if np.asarray(answer.late)[index]
+            else ""
+        )
         if not hard:
             said = "no hard tasks" if cut else "lowered as far as the system allows"
-            return wording.failed("", f"{said} ({work})", cut, soft)
+            return wording.describe_failure("", f"{said} ({work})", cut, soft)
         worst = np.max([misses[t.label] for t in hard], axis=0)
         left = _describe_freedoms(problem, q)
-        return wording.failed(
-            "", wording.hard_tasks_hold(*_merge_errors(hard, worst), work, left), cut, soft
+        return wording.describe_failure(
+            "", wording.describe_hard_tasks(*_merge_errors(hard, worst), work, left), cut, soft
         )
     failing = [t for t in hard if not _is_within_tolerance(problem, t, misses[t.label])]
     what = ", ".join(f"{t.label!r} is missed by {_describe_miss(t, misses)}" for t in failing)
@@ -79,12 +88,17 @@ def explain_target(answer: Reached, index: tuple[int, ...]) -> str:
     )
     near = "q is the nearest found"
     if code is Status.OUT_OF_TIME:
-        return wording.failed(
-            wording.late(problem.time_limit, starts, problem.starts), what, near, soft
+        return wording.describe_failure(
+            wording.describe_late_search(problem.time_limit, starts, problem.starts),
+            what,
+            near,
+            soft,
         )
     if problem.given_up:
-        calls = wording.calls_in_vain(problem.given_up)
-        return wording.failed(wording.given_up("reached", starts), what, calls, near, soft)
+        calls = wording.describe_vain_calls(problem.given_up)
+        return wording.describe_failure(
+            wording.describe_vain_starts("reached", starts), what, calls, near, soft
+        )
     why = _list_reasons(problem, q)
     if failing and any(isinstance(x, Evidence) and x.figures.get("rank") for x in why):
         worst = np.max([misses[t.label] for t in failing], axis=0)
@@ -93,8 +107,10 @@ def explain_target(answer: Reached, index: tuple[int, ...]) -> str:
                 float(worst[0]), float(worst[1]), compute_characteristic_length(problem.system)
             )
         ]
-    still = immovable(problem.system)
-    return wording.failed(wording.given_up("reached", starts), what, *why, near, soft, still)
+    still = describe_immovable_coordinates(problem.system)
+    return wording.describe_failure(
+        wording.describe_vain_starts("reached", starts), what, *why, near, soft, still
+    )
 
 
 def _describe_freedoms(problem: Demands, q: Array) -> str:
@@ -103,7 +119,7 @@ def _describe_freedoms(problem: Demands, q: Array) -> str:
         return ""
     local = Local(problem, q)
     first = local.allowed_velocities.shape[1]
-    return wording.freedoms_left(
+    return wording.describe_remaining_freedoms(
         first, local.finite_freedoms if first else 0, local.n_equations, local.n_freedoms
     )
 
@@ -118,7 +134,9 @@ def _merge_errors(tasks: Sequence[Task], error: Array) -> tuple[float | None, fl
 
 def _describe_miss(task: Task, misses: dict[str, Array]) -> str:
     """Describe by how much a task is missed."""
-    return wording.errors(*_merge_errors([task], misses[task.label]), radians=".3g", by=" and ")
+    return wording.format_errors(
+        *_merge_errors([task], misses[task.label]), radians=".3g", by=" and "
+    )
 
 
 def _is_within_tolerance(problem: Demands, task: Task, error: Array) -> bool:
@@ -156,21 +174,21 @@ def _list_reasons(problem: Demands, q: Array) -> list[Any]:
         and not proofs
         and (over := problem.packed.one_sided.list_violations(above))
     ):
-        return [evidence("one-sided", violated=[v.text for v in over])]
+        return [make_evidence("one-sided", violated=[v.text for v in over])]
     free = _solve_tasks(problem, q, hard, False)
-    names = outside_limits(problem.system, free) if free is not None else []
+    names = list_limit_violations(problem.system, free) if free is not None else []
     # where a task tells turns apart
     if free is not None and not names and _solve_tasks(problem, free, hard) is None:
-        names = outside_limits(problem.system, free, turns=False)
+        names = list_limit_violations(problem.system, free, turns=False)
     if names:
         return [
             *proofs,
-            f"without {wording.limits_of(names)} it is reached"
+            f"without {wording.format_limits(names)} it is reached"
             if proofs
-            else evidence("limits", names=names),
+            else make_evidence("limits", names=names),
         ]
     if proofs or free is not None:
-        return proofs or [evidence("more starts")]
+        return proofs or [make_evidence("more starts")]
     alone = [i for i in hard if len(hard) == 1 or _solve_tasks(problem, q, [i]) is None]
     if alone:
         return [_explain_single_task(problem, q, i, len(hard) > 1) for i in alone]
@@ -180,7 +198,7 @@ def _list_reasons(problem: Demands, q: Array) -> list[Any]:
     ]
     pairs = [(problem.tasks[i].label, problem.tasks[j].label) for i, j in against]
     return [
-        evidence(
+        make_evidence(
             "not together",
             pairs=pairs,
             starts=min(problem.starts, STARTS),
@@ -214,7 +232,7 @@ def _find_contradictions(problem: Demands) -> list[Evidence]:
         if off > 0.0 and (i, j) not in out:
             first = problem.tasks[i].label
             second = problem.tasks[j].label
-            out[i, j] = evidence(
+            out[i, j] = make_evidence(
                 "contradiction",
                 how=found.how,
                 off=off,
@@ -239,16 +257,16 @@ def _prove_out_of_reach(problem: Demands, i: int) -> Evidence | None:
             if end is not None
             for name in list_slides(problem.system, end)
         }
-    return lengths(problem.system, place, turned, task=task.label, slides=list(slides))
+    return make_reach_evidence(problem.system, place, turned, task=task.label, slides=list(slides))
 
 
 def _explain_single_task(problem: Demands, q: Array, i: int, among: bool) -> Evidence:
     """Explain why one task is not reached even alone."""
     label = problem.tasks[i].label
     free = _solve_tasks(problem, q, [i], False)
-    if free is not None and (names := outside_limits(problem.system, free)):
-        return evidence("limits", names=names, task=label)
-    return evidence(
+    if free is not None and (names := list_limit_violations(problem.system, free)):
+        return make_evidence("limits", names=names, task=label)
+    return make_evidence(
         "not alone", task=label if among else "", rank=_prove_overdetermined(problem, q, [i])
     )
 
@@ -259,13 +277,15 @@ def _prove_overdetermined(problem: Demands, q: Array, tasks: list[int]) -> Evide
         return None
     equations, freedoms = analyse_freedoms(problem.select_tasks(tasks), q)[:2]
     return (
-        evidence("rank", equations=equations, freedoms=freedoms) if freedoms < equations else None
+        make_evidence("rank", equations=equations, freedoms=freedoms)
+        if freedoms < equations
+        else None
     )
 
 
 def describe_solver(answer: Reached) -> Choice:
     """Describe the solver that searches for answers of tasks."""
-    return choose(SOLVERS, Problem(answer.problem.system, "one"))[1]
+    return select_solver(SOLVERS, Problem(answer.problem.system, "one"))[1]
 
 
 def _compute_derivatives(answer: Reached) -> dict[str, Array]:

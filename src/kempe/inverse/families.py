@@ -538,7 +538,7 @@ class Family(InWords):
         if np.abs(x - np.outer(x @ way, way)).max() <= STRAIGHT:
             slopes = way / lines.multiplier[place]
             at_rest = {lines.names[i]: float(q[i]) for i in self._list_conditions()}
-            return wording.linear_motion(
+            return wording.describe_linear_motion(
                 names,
                 _fit_equations(names, slopes, q[place]),
                 [(name, 0.0 if abs(x) < AT_ZERO else x) for name, x in at_rest.items()],
@@ -550,7 +550,7 @@ class Family(InWords):
         first = once[0] if turning else 0
         values = self.q[:, lines.q_index[place[first]]]
         ends = float(values.min()), float(values.max())
-        return wording.curved_motion(names, names[first], turning, self.closed, ends)
+        return wording.describe_curved_motion(names, names[first], turning, self.closed, ends)
 
     def _list_conditions(self) -> list[int]:
         """List joints at rest whose values the family requires."""

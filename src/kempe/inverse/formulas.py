@@ -18,15 +18,15 @@ from kempe.answers.derivation import (
     FormulaStep,
     Names,
     Vector,
-    endings,
-    line_and_circle,
-    minus,
-    plus,
-    polar,
-    turned,
-    turning_slide,
-    two_circles,
-    two_lines,
+    add_vectors,
+    iterate_endings,
+    rotate_vector,
+    solve_slide_and_bar,
+    solve_turning_slide,
+    solve_two_bars,
+    solve_two_slides,
+    subtract_vectors,
+    to_polar_coordinates,
 )
 from kempe.arguments import explain_errors, numbers
 from kempe.arrays import is_whole
@@ -75,7 +75,7 @@ def solve_planar_pose(
     """
     steps = list[FormulaStep]()
     if angle is not None and arm[-1].turns:
-        place = minus(to, turned(minus(end, arm[-1].point), angle))
+        place = subtract_vectors(to, rotate_vector(subtract_vectors(end, arm[-1].point), angle))
         if place != to:
             steps = [
                 FormulaStep(s, x, "the target, less the last link")
@@ -100,23 +100,25 @@ def solve_planar_arm(
     one = arm[0]
     two = arm[1]
     if any(
-        one.turns and two.turns and set(minus(two.point, one.point)) == {0}
+        one.turns and two.turns and set(subtract_vectors(two.point, one.point)) == {0}
         for one, two in pairwise(arm)
     ):
         raise UnsupportedError(
             "two turns are about one axis, which leaves a joint to spare; ik_all gives families"
         )
     if kinds in ("RR", "RRR"):
-        (l1, at1) = polar(minus(two.point, one.point))
-        (l2, at2) = polar(minus(end, two.point))
-        steps, first, bend = two_circles(n, minus(to, one.point), l1, l2, elbow, int(one.rate))
+        (l1, at1) = to_polar_coordinates(subtract_vectors(two.point, one.point))
+        (l2, at2) = to_polar_coordinates(subtract_vectors(end, two.point))
+        steps, first, bend = solve_two_bars(
+            n, subtract_vectors(to, one.point), l1, l2, elbow, int(one.rate)
+        )
         turns = [first - at1, bend - (at2 - at1)]
         return steps, _list_turn_coordinates(arm, turns, angle)
     if kinds in ("RP", "RPR"):
-        gap = minus(end, one.point)
-        (_, at) = polar(two.direction)
+        gap = subtract_vectors(end, one.point)
+        (_, at) = to_polar_coordinates(two.direction)
         ahead, aside = _split_vector(gap, two.direction)
-        steps, u, rail = turning_slide(n, minus(to, one.point), aside)
+        steps, u, rail = solve_turning_slide(n, subtract_vectors(to, one.point), aside)
         turn = rail - at
         return steps, [
             one.rate * turn,
@@ -124,8 +126,10 @@ def solve_planar_arm(
             *([arm[2].rate * (angle - turn)] if kinds == "RPR" else []),
         ]
     if kinds in ("PR", "PRR"):
-        length, at = polar(minus(end, two.point))
-        steps, u, bar = line_and_circle(n, minus(to, two.point), one.direction, length)
+        length, at = to_polar_coordinates(subtract_vectors(end, two.point))
+        steps, u, bar = solve_slide_and_bar(
+            n, subtract_vectors(to, two.point), one.direction, length
+        )
         turn = bar - at
         return steps, [
             u,
@@ -133,21 +137,29 @@ def solve_planar_arm(
             *([arm[2].rate * (angle - turn)] if kinds == "PRR" else []),
         ]
     if kinds == "RRP":  # the orientation is that of the second body
-        length, at = polar(minus(two.point, one.point))
-        rest = minus(minus(to, one.point), turned(minus(end, two.point), angle))
-        steps, u, bar = line_and_circle(n, rest, turned(arm[2].direction, angle), length)
+        length, at = to_polar_coordinates(subtract_vectors(two.point, one.point))
+        rest = subtract_vectors(
+            subtract_vectors(to, one.point), rotate_vector(subtract_vectors(end, two.point), angle)
+        )
+        steps, u, bar = solve_slide_and_bar(n, rest, rotate_vector(arm[2].direction, angle), length)
         turn = bar - at
         return steps, [one.rate * turn, two.rate * (angle - turn), u]
     if kinds in ("PP", "PPR"):
-        steps, u1, u2 = two_lines(n, minus(to, end), one.direction, two.direction)
+        steps, u1, u2 = solve_two_slides(n, subtract_vectors(to, end), one.direction, two.direction)
         return steps, [u1, u2, *([arm[2].rate * angle] if kinds == "PPR" else [])]
     if kinds == "RPP":
-        rest = minus(turned(minus(to, one.point), -angle), minus(end, one.point))
-        steps, u2, u3 = two_lines(n, rest, two.direction, arm[2].direction)
+        rest = subtract_vectors(
+            rotate_vector(subtract_vectors(to, one.point), -angle), subtract_vectors(end, one.point)
+        )
+        steps, u2, u3 = solve_two_slides(n, rest, two.direction, arm[2].direction)
         return steps, [one.rate * angle, u2, u3]
     if kinds == "PRP":
-        rest = minus(to, plus(two.point, turned(minus(end, two.point), angle)))
-        steps, u1, u3 = two_lines(n, rest, one.direction, turned(arm[2].direction, angle))
+        rest = subtract_vectors(
+            to, add_vectors(two.point, rotate_vector(subtract_vectors(end, two.point), angle))
+        )
+        steps, u1, u3 = solve_two_slides(
+            n, rest, one.direction, rotate_vector(arm[2].direction, angle)
+        )
         return steps, [u1, two.rate * angle, u3]
     raise UnsupportedError(
         "formulas need a joint that turns where an angle is wanted; ik_all gives numbers"
@@ -226,7 +238,7 @@ class ArmPlane:
         x = to[0] - first.point[0]
         y = to[1] - first.point[1]
         aside = tidy_matrix(sympy.Matrix([self.normal.dot(self.end - first.point)]))[0]
-        _, zero = polar((self.outward_direction[0], self.outward_direction[1]))
+        _, zero = to_polar_coordinates((self.outward_direction[0], self.outward_direction[1]))
         squares = sympy.expand(aside**2)
         far = "" if squares.is_zero else f"{x**2 + y**2} >= {squares}"
         says = "distance from axis 1 in the plane of the arm, -1 over the shoulder"
@@ -615,7 +627,7 @@ def derive_ik(
     taken = taken.union(*(j.point.free_symbols for j in joints))
     words = (*Names._fields, *OWN, *TURNED, *PLANE_SYMBOLS)
     free = {
-        word: next(s for e in endings() if (s := sympy.Symbol(f"{word}{e}")) not in taken)
+        word: next(s for e in iterate_endings() if (s := sympy.Symbol(f"{word}{e}")) not in taken)
         for word in words
     }
     if _is_planar_arm(joints, tip, task):
@@ -657,7 +669,7 @@ def _derive_planar_formulas(
     what = task or TASKS[len(arm)]
     x, y, z, phi, *last = (names[word] for word in OWN[:-1])
     inputs: list[Any] = [x, y, *([z] if lifts else []), *([phi] if what == "pose" else [])]
-    n = Names.among(names)
+    n = Names.from_words(names)
     angle = phi - sympy.atan2(tip[1, 0], tip[0, 0]) if what == "pose" else None
     flat = [make_planar_line(j) for j in arm]
     steps, coordinates = solve_planar_pose(n, flat, (x, y), (tip[0, 3], tip[1, 3]), angle, last)
@@ -689,7 +701,9 @@ def _derive_spatial_formulas(
                 for s, w in zip(place, sympy.Matrix(to) + R * hand, strict=True)
             ]
             to = place
-    steps += arm.list_solution_steps(to, R, names, Names.among(names)._replace(sign=names["elbow"]))
+    steps += arm.list_solution_steps(
+        to, R, names, Names.from_words(names)._replace(sign=names["elbow"])
+    )
     return _make_formulas(
         system,
         steps,

@@ -12,18 +12,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.answers.problem import Choice, Problem, Solver, choose, chosen_by, solve
+from kempe.answers.problem import (
+    Choice,
+    Problem,
+    Solver,
+    record_choice,
+    select_solver,
+    solve_problem,
+)
 from kempe.answers.targets import (
     Z_AXIS,
-    axis_for,
     check_particle,
-    given_target,
-    in_plane,
-    points_along,
+    choose_axis,
+    choose_task,
+    is_axis_task,
+    make_planar_target,
+    parse_task_targets,
+    read_target,
     refuse_position,
-    targets_of,
-    task_and_axis,
-    task_of,
+    split_task,
 )
 from kempe.arguments import explain_errors, quiet, read_flag, together
 from kempe.budget import Budget, TimeUp
@@ -267,7 +274,7 @@ def ik(
     problem = Problem(
         system, "one", start=start, prefer=prefer, tolerance=tolerance, budget=budget, wanted=target
     )
-    return solve(SOLVERS, problem)
+    return solve_problem(SOLVERS, problem)
 
 
 def _solve_frame(
@@ -284,8 +291,8 @@ def _solve_frame(
 ) -> Solution:
     """The answer for targets of one frame."""
     name = system.structure.frame_name(frame)
-    target = given_target(system, target)
-    said, axis = task_and_axis(task)
+    target = read_target(system, target)
+    said, axis = split_task(task)
     requested, targets, lead = _check_targets(system, name, target, said, axis)
     if start is not None:
         targets, lead, start = _broadcast_targets(targets, lead, read_start(system, start))
@@ -309,10 +316,10 @@ def _solve_frame(
         method=method,
     )
     if method == "numeric":
-        solver, choice = choose(SOLVERS, problem)
+        solver, choice = select_solver(SOLVERS, problem)
     else:
         solver, choice, problem = _choose_solver(problem)
-    answer = chosen_by(solver.run(problem), choice)
+    answer = record_choice(solver.run(problem), choice)
     if not lead and task is said and solver is not BY_TASKS:
         bind_call(answer.task, said, np.shape(target))
     return add_history(answer, problem) if read_flag(history, "history") else answer
@@ -340,26 +347,26 @@ def _choose_solver(problem: Problem) -> tuple[Solver, Choice, Problem]:
     problem = problem._replace(options={"end": time.end})
     try:
         with time:
-            return *choose(SOLVERS, problem), problem
+            return *select_solver(SOLVERS, problem), problem
     except TimeUp:
         if not time.spent:
             raise
         if problem.method == "analytic":
             raise TimeLimitError("ik", time.limit) from None
     problem = problem._replace(method="numeric")
-    return *choose(SOLVERS, problem), problem
+    return *select_solver(SOLVERS, problem), problem
 
 
 def _check_targets(
     system: Model, frame: str, target: Any, task: str | None, axis: ArrayLike
 ) -> tuple[tuple[str, tuple[float, float, float]], Array, tuple[int, ...]]:
     """(task, axis), targets (N, 4, 4) and their leading shape."""
-    if system.dim == 2 and points_along(task):
-        target, task = in_plane(target, task, axis)
-    direction = axis_for(axis, task)
-    targets, lead, is_position = targets_of(system, target, task, direction)
+    if system.dim == 2 and is_axis_task(task):
+        target, task = make_planar_target(target, task, axis)
+    direction = choose_axis(axis, task)
+    targets, lead, is_position = parse_task_targets(system, target, task, direction)
     particle = bool(system.structure.table.at[frame][2])
-    name = task_of(task, is_position, particle)
+    name = choose_task(task, is_position, particle)
     refuse_position(name, is_position, system.dim)
     if particle and task is None and not is_position:
         check_particle(targets, frame)

@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.answers.problem import Problem, choose, chosen_by
+from kempe.answers.problem import Problem, record_choice, select_solver
 from kempe.answers.targets import (
-    axis_for,
-    given_target,
-    in_plane,
-    not_a_pose,
-    points_along,
+    choose_axis,
+    choose_task,
+    explain_refused_target,
+    is_axis_task,
+    make_planar_target,
+    parse_task_targets,
+    read_target,
     refuse_position,
-    targets_of,
-    task_and_axis,
-    task_of,
+    split_task,
 )
 from kempe.arguments import explain_errors
 from kempe.arrays import FARTHEST
@@ -77,18 +77,18 @@ def ik_all(
     Method: see `System.inverse.plan`, and `kempe.kernels.closed_form`, `kempe.kernels.elimination`.
     """
     name = system.structure.frame_name(frame)
-    target = given_target(system, target)
-    (said, axis) = task_and_axis(task)
+    target = read_target(system, target)
+    (said, axis) = split_task(task)
     if limits not in LIMITS:
         raise InputError(f"limits is {limits!r}; it must be False, True or 'turns'")
-    if system.dim == 2 and points_along(said):
-        target, said = in_plane(target, said, axis)
-    direction = axis_for(axis, said)
-    targets, lead, is_position = targets_of(system, target, said, direction)
-    task = task_of(said, is_position, bool(system.structure.table.at[name][2]))
+    if system.dim == 2 and is_axis_task(said):
+        target, said = make_planar_target(target, said, axis)
+    direction = choose_axis(axis, said)
+    targets, lead, is_position = parse_task_targets(system, target, said, direction)
+    task = choose_task(said, is_position, bool(system.structure.table.at[name][2]))
     refuse_position(task, is_position, system.dim)
     if lead == () and not np.all(np.abs(targets) < FARTHEST):
-        raise InputError(not_a_pose(targets[0]))
+        raise InputError(explain_refused_target(targets[0]))
     known = read_fixed_values(fixed)
     problem = Problem(
         system,
@@ -107,6 +107,6 @@ def ik_all(
     time = TimeLimit((BATCH if lead else USUAL).complete_budget(budget).time_limit)
     time.release_reserved_time()  # a plan is made as a whole, or not at all
     with limit_preparation_time(USUAL, time):
-        solver, choice = choose(SOLVERS, problem)
+        solver, choice = select_solver(SOLVERS, problem)
     problem = problem._replace(options={"time": time})
-    return chosen_by(solver.run(problem), choice)
+    return record_choice(solver.run(problem), choice)

@@ -24,7 +24,7 @@ from kempe.model.configurations import read_q
 from kempe.model.model import keep_answers
 from kempe.model.own_tree import remove_cut_marks
 from kempe.poses import correct_rotations, read_pose_array
-from kempe.report import brief, by_code
+from kempe.report import by_code, summarize_fields
 from kempe.spatial import Array
 from kempe.status import Status
 
@@ -63,7 +63,7 @@ class IkStep(Answer):
     not slip sideways, that prevent the rest of the wanted motion.
     """
 
-    __repr__ = brief
+    __repr__ = summarize_fields
 
     also = ("velocity", "twist", "fraction", "saturated", "blocked_by")
 
@@ -85,7 +85,7 @@ class IkStep(Answer):
         """
         return Status.SOLVED if self.fraction >= WHOLE else Status.PARTLY
 
-    def _sentence(self, index: tuple[int, ...]) -> str:
+    def _compose_sentence(self, index: tuple[int, ...]) -> str:
         if self.success:
             text = "The wanted motion in full"
             default = ()
@@ -104,7 +104,7 @@ class IkStep(Answer):
             )
         return f"{text}: {'; '.join(why)}" if why else text
 
-    def _claimed(self) -> np.ndarray:
+    def _select_claimed_rows(self) -> np.ndarray:
         return np.array(False)  # a step is of first order: how far it leads away is its residual
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.answers.targets import targets_with_axis
+from kempe.answers.targets import turn_targets_to_axis
 from kempe.budget import check_for_stop
 from kempe.inverse.chain.problem import (
     FEW,
@@ -85,7 +85,7 @@ def search_targets(
         chain.floats,
         limits,
         pack_row_flags(problem),
-        targets_with_axis(targets, problem.axis),
+        turn_targets_to_axis(targets, problem.axis),
         seeds,
         problem.rng,
     )

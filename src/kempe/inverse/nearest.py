@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kempe.answers.problem import Problem, solve
-from kempe.answers.targets import Z_AXIS, targets_of
+from kempe.answers.problem import Problem, solve_problem
+from kempe.answers.targets import Z_AXIS, parse_task_targets
 from kempe.arguments import quiet
 from kempe.inverse.closed_forms.descent import Aim, find_closest
 from kempe.inverse.numeric import SOLVERS
@@ -85,8 +85,8 @@ def _solve_by_numbers(problem: ChainProblem, target: Array, start: Array) -> Sol
     system = problem.system
     task = (problem.task, Z_AXIS)
     goal = target if problem.task == "pose" else target[:3, 3]
-    targets, lead, _ = targets_of(system, goal, problem.task, Z_AXIS)
+    targets, lead, _ = parse_task_targets(system, goal, problem.task, Z_AXIS)
     verb_problem = Problem(
         system, "one", start=start, frame=problem.frame, task=task, targets=targets, lead=lead
     )
-    return solve(SOLVERS, verb_problem)
+    return solve_problem(SOLVERS, verb_problem)

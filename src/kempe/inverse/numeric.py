@@ -13,7 +13,11 @@ from typing import Any
 import numpy as np
 
 from kempe.answers.problem import Problem, Solver
-from kempe.answers.targets import not_a_pose, of_target, targets_with_axis
+from kempe.answers.targets import (
+    explain_refused_target,
+    make_target_constraints,
+    turn_targets_to_axis,
+)
 from kempe.arguments import (
     compute_deadline,
     draw_seed,
@@ -149,7 +153,7 @@ def _collect_history(problem: FrameProblem, base: Array, seeds: Array, starts: i
         problem.chain.floats,
         problem.chain.limits,
         pack_row_flags(problem),
-        targets_with_axis(problem.targets, problem.axis),
+        turn_targets_to_axis(problem.targets, problem.axis),
         seeds,
         problem.rng,
     )
@@ -264,7 +268,7 @@ def _solve_tasks(problem: Problem) -> Solution:
     held = (
         problem.wanted
         if frame is None
-        else of_target(frame, *problem.task, targets.reshape(*problem.lead, 4, 4))
+        else make_target_constraints(frame, *problem.task, targets.reshape(*problem.lead, 4, 4))
     )
     return reach_tasks(problem._replace(wanted=held))
 
@@ -367,7 +371,7 @@ def _make_checked_answer(
         full[code == Status.BAD_INPUT] = math.nan
     if not lead and code[0] == Status.BAD_INPUT:
         refuse_far(system, base, "start")
-        raise InputError(not_a_pose(targets[0], "start"))
+        raise InputError(explain_refused_target(targets[0], "start"))
     return _make_answer(problem, full, code, residual, info, lead)
 
 

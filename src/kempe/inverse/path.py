@@ -13,9 +13,9 @@ import numpy as np
 from kempe import spatial
 from kempe.answers import wording
 from kempe.answers.answer import Configurations
-from kempe.answers.evidence import outside_limits
-from kempe.answers.problem import NOTHING, Problem, Solver, solve, takes_all
-from kempe.answers.targets import Z_AXIS, of_target, parse_targets
+from kempe.answers.evidence import list_limit_violations
+from kempe.answers.problem import NOTHING, Problem, Solver, accept_all_problems, solve_problem
+from kempe.answers.targets import Z_AXIS, make_target_constraints, parse_targets
 from kempe.arguments import explain_errors, explain_method_errors, raise_interrupted
 from kempe.arrays import read_reals
 from kempe.assemble.assemble import assemble
@@ -39,7 +39,7 @@ from kempe.numerics.clock import BROKEN_OFF, LONG, TimeLimit, describe_early_end
 from kempe.numerics.newton import run_gauss_newton, solve_least_squares
 from kempe.numerics.rank import Level, Spectrum
 from kempe.poses import check_poses, correct_rotations, read_pose_array
-from kempe.report import Table, brief
+from kempe.report import Table, summarize_fields
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import format_count
@@ -567,7 +567,7 @@ class IkPath(Configurations):
     """
 
     is_motion = True
-    __repr__ = brief
+    __repr__ = summarize_fields
 
     also = ("jumps", "interrupted", "late")
 
@@ -586,34 +586,34 @@ class IkPath(Configurations):
         """The outcome: `PARTLY` where a target is not reached, or by a jump only."""
         if self:
             return Status.SOLVED
-        return self._broken_off() or (Status.PARTLY if self.success.any() else Status.NOT_FOUND)
+        return self._find_early_end() or (Status.PARTLY if self.success.any() else Status.NOT_FOUND)
 
     def __bool__(self) -> bool:
         return bool(np.all(self.success)) and not self.jumps
 
     @property
-    def _closing(self) -> Any:
+    def _closed_system(self) -> Any:
         return self.problem.packed.closing
 
-    def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
+    def _list_goals(self) -> Sequence[tuple[Any, Any, Any]]:
         return self.problem.hard_tasks
 
-    def _data(self) -> dict[str, Any]:
-        return {"success": bool(self), "followed": self.success} | super()._data()
+    def _collect_data(self) -> dict[str, Any]:
+        return {"success": bool(self), "followed": self.success} | super()._collect_data()
 
-    def _claimed(self) -> np.ndarray:
+    def _select_claimed_rows(self) -> np.ndarray:
         return self.success
 
-    def _headline(self) -> str:
+    def _make_headline(self) -> str:
         return self.status
 
-    def _tables(self) -> Sequence[Table]:
+    def _make_tables(self) -> Sequence[Table]:
         """The range of each coordinate, and its largest step between two targets."""
         if not np.isfinite(self.q).any():
             return []
         return [make_ranges_table(self.system, self.q, steps=True)]
 
-    def _reasons(self) -> list[str]:
+    def _list_reasons(self) -> list[str]:
         """Nothing: the headline says where the path ends, and why."""
         return []
 
@@ -677,7 +677,7 @@ def ik_path(
         targets=targets,
         wanted=wanted,
     )
-    return solve(SOLVERS, problem)
+    return solve_problem(SOLVERS, problem)
 
 
 def solve_path(problem: Problem) -> IkPath:
@@ -749,7 +749,7 @@ def _make_pose_task(system: Model, targets: Any, frame: FrameLike) -> Constraint
     poses = poses.reshape(*lead, 4, 4)
     name = system.structure.frame_name(frame)
     is_position = is_position or bool(system.structure.table.at[name][2])
-    (held,) = of_target(name, "position" if is_position else "pose", Z_AXIS, poses)
+    (held,) = make_target_constraints(name, "position" if is_position else "pose", Z_AXIS, poses)
     return held
 
 
@@ -779,8 +779,10 @@ class _FollowedPath(PathSteps):
         """
         ahead = self.interpolate_problem(i, min(part + 4.0 * 0.5**DEPTH, 1.0))
         free = self.find_configuration(replace(ahead, limits=False), q)
-        if free is not None and (names := outside_limits(self.system, free, ROUNDING, False)):
-            return wording.limits_of(names, " and of ")
+        if free is not None and (
+            names := list_limit_violations(self.system, free, ROUNDING, False)
+        ):
+            return wording.format_limits(names, " and of ")
         ratio = self.compute_first_order_step(ahead, q).ratio
         if ratio < SINGULAR and (name := self.find_forbidding_constraint(ahead, q)):
             return f"a point from which {name!r} does not let it follow"
@@ -1044,7 +1046,7 @@ SOLVERS = (
     Solver(
         "steps",
         "each step from its first order on, halved where it is not much longer than that",
-        takes_all,
+        accept_all_problems,
         solve_path,
     ),
 )

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from kempe import spatial
-from kempe.answers.targets import frame_of, points_along
+from kempe.answers.targets import is_axis_task, make_rotations_along
 from kempe.forward.fk import fk, jacobian
 from kempe.inverse.chain.problem import FrameProblem, compute_errors
 from kempe.inverse.chain.serial_chain import find_motion_masks
@@ -135,7 +135,7 @@ def _compute_newton_steps(problem: FrameProblem, targets: Array, q: Array) -> Ar
     """
     chain = problem.chain
     system = problem.system
-    turn = frame_of(np.array(problem.axis))
+    turn = make_rotations_along(np.array(problem.axis))
     full = np.repeat(chain.base, len(q), axis=0)
     full[:, chain.q_index] = q
     X = fk(system, full, problem.frame, threads=1)
@@ -145,7 +145,7 @@ def _compute_newton_steps(problem: FrameProblem, targets: Array, q: Array) -> Ar
     e = np.zeros((len(q), 6))
     e[:, :3] = (back @ (targets[:, :3, 3] - X[:, :3, 3])[..., None])[..., 0]
     D = back @ targets[:, :3, :3] @ turn
-    if points_along(problem.name):
+    if is_axis_task(problem.name):
         z = D[:, :, 2]
         across = np.stack([-z[:, 1], z[:, 0], np.zeros(len(z))], axis=1)
         sine = np.linalg.norm(across, axis=1, keepdims=True)

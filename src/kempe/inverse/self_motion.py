@@ -11,8 +11,14 @@ import numpy as np
 
 from kempe.answers import wording
 from kempe.answers.answer import Configurations
-from kempe.answers.problem import NOTHING, Problem, Solver, solve, takes_all
-from kempe.answers.targets import axis_of, of_target, points_along, task_and_axis, task_of
+from kempe.answers.problem import NOTHING, Problem, Solver, accept_all_problems, solve_problem
+from kempe.answers.targets import (
+    choose_task,
+    is_axis_task,
+    make_target_constraints,
+    read_axis,
+    split_task,
+)
 from kempe.arguments import explain_errors, explain_method_errors, raise_interrupted
 from kempe.arrays import is_whole
 from kempe.budget import Budget, Usual
@@ -27,7 +33,7 @@ from kempe.kernels.base.search_layout import SOLVED
 from kempe.model.configurations import read_q
 from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, limit_preparation_time
 from kempe.numerics.curves import NONE, Node, walk_curve
-from kempe.report import brief
+from kempe.report import summarize_fields
 from kempe.spatial import Array, ArrayLike
 from kempe.words import format_count, join_words
 
@@ -68,7 +74,7 @@ class SelfMotion(Configurations):
     """
 
     is_motion = True
-    __repr__ = brief
+    __repr__ = summarize_fields
 
     also = ("freedoms", "start", "closed", "ends", "interrupted", "late")
 
@@ -86,15 +92,15 @@ class SelfMotion(Configurations):
     @property
     def success(self) -> bool:
         """Whether it moves, and its way was followed to the ends."""
-        return self.freedoms > 0 and self._broken_off() is None
+        return self.freedoms > 0 and self._find_early_end() is None
 
-    def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
+    def _list_goals(self) -> Sequence[tuple[Any, Any, Any]]:
         return [(task, goals, HOLDS) for task, goals, _ in self.problem.hard_tasks]
 
-    def _headline(self) -> str:
+    def _make_headline(self) -> str:
         return self.status
 
-    def _sentence(self, index: tuple[int, ...]) -> str:
+    def _compose_sentence(self, index: tuple[int, ...]) -> str:
         how = (
             "it comes back to its start"
             if self.closed
@@ -106,7 +112,7 @@ class SelfMotion(Configurations):
             f"{format_count(len(self.q), 'configuration')} of a self-motion with "
             f"{format_count(self.freedoms, 'freedom')}"
         )
-        return f"{many}: {how}{self._partial()}"
+        return f"{many}: {how}{self._describe_early_end()}"
 
 
 @explain_errors
@@ -138,11 +144,11 @@ def self_motion(
     q = read_q(system, q)
     if q.ndim != 1:
         raise InputError(f"q has shape {q.shape}; needed is one configuration ({system.nq},)")
-    wanted = _read_tasks(system, q, tasks, *task_and_axis(task))
+    wanted = _read_tasks(system, q, tasks, *split_task(task))
     problem = Problem(
         system, "set", NOTHING, q, budget=budget, options={"direction": direction}, wanted=wanted
     )
-    return solve(SOLVERS, problem)
+    return solve_problem(SOLVERS, problem)
 
 
 def trace_self_motion(problem: Problem) -> SelfMotion:
@@ -167,7 +173,7 @@ def trace_self_motion(problem: Problem) -> SelfMotion:
             raise InputError("the tasks leave no freedom at q: there is no self-motion")
         finite = local.finite_freedoms
     if not finite:
-        text = wording.freedoms_left(local.allowed_velocities.shape[1], 0)
+        text = wording.describe_remaining_freedoms(local.allowed_velocities.shape[1], 0)
         return SelfMotion(system, local.q[None], 0, 0, False, (text, text), demands)
     wish = _choose_direction(system, direction, local, demands)
     if local.finite_freedoms == 1:  # of curves that meet here, the one nearest to the direction
@@ -220,10 +226,10 @@ def _read_tasks(system: Model, q: Array, tasks: Any, task: str | None, axis: Arr
             )
         return wanted
     name = system.structure.frame_name(tasks)
-    kind = task_of(task, False, bool(system.structure.table.at[name][2]))
-    if system.dim == 2 and points_along(kind):
+    kind = choose_task(task, False, bool(system.structure.table.at[name][2]))
+    if system.dim == 2 and is_axis_task(kind):
         kind = "orientation" if kind == "direction" else "pose"
-    return of_target(name, kind, axis_of(axis), fk(system, q, name))
+    return make_target_constraints(name, kind, read_axis(axis), fk(system, q, name))
 
 
 def _make_start(system: Model, q: Array, wanted: Any) -> tuple[Demands, Array]:
@@ -464,7 +470,7 @@ SOLVERS = (
     Solver(
         "tangents",
         "steps along the directions in which the tasks hold to first order, led back, both ways",
-        takes_all,
+        accept_all_problems,
         trace_self_motion,
     ),
 )

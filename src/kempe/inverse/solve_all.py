@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.answers.problem import Problem, Solver, takes_all
-from kempe.answers.targets import Z_AXIS, not_a_pose
+from kempe.answers.problem import Problem, Solver, accept_all_problems
+from kempe.answers.targets import Z_AXIS, explain_refused_target
 from kempe.arrays import FARTHEST
 from kempe.budget import Budget, Usual
 from kempe.equations.one_sided import pack_one_sided_rows
@@ -216,7 +216,7 @@ def solve_by_chain(problem: Problem) -> Solutions:
             replace(packed_problem, targets=mended), plan, near, values, threads
         )
     if single and answer._counts[0, 0] < 0:
-        raise InputError(not_a_pose(targets[0]))
+        raise InputError(explain_refused_target(targets[0]))
     if problem.limits:
         answer = answer.chosen(problem.limits == "turns", inside_only=True)
     return select_obeying_solutions(answer)
@@ -259,7 +259,9 @@ SOLVERS = (
         Solver(
             method.name,
             method.how,
-            takes_all if method == SEARCH else partial(_explain_other_method, method=method),
+            accept_all_problems
+            if method == SEARCH
+            else partial(_explain_other_method, method=method),
             solve_by_chain,
         )
         for method in METHODS

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kempe.answers.targets import targets_with_axis
+from kempe.answers.targets import turn_targets_to_axis
 from kempe.budget import check_for_stop
 from kempe.inverse.chain.problem import FEW, ITERATIONS, MOST, measure_reach_excess, pack_row_flags
 from kempe.inverse.closed_forms.descent import Aim, compute_limits, run_descent
@@ -230,7 +230,7 @@ class _Targets:
         m = len(which)
         chain = task.chain
         at = find_chain_columns(chain, lines)
-        goals = targets_with_axis(self.problem.targets[which], self.problem.axis)
+        goals = turn_targets_to_axis(self.problem.targets[which], self.problem.axis)
         pins = list(self.plan.fixed)
         pinned = self.locked[which][:, pins]
         out = np.empty((m, len(lines) + ANSWER))

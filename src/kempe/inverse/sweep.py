@@ -13,18 +13,18 @@ from numpy.typing import ArrayLike
 
 from kempe import spatial
 from kempe.answers.answer import Answer, ConfigurationList
-from kempe.answers.problem import Problem, Solver, solve
+from kempe.answers.problem import Problem, Solver, solve_problem
 from kempe.answers.targets import (
     AXIS_TASKS,
     Z_AXIS,
-    axis_for,
-    not_a_pose,
-    of_target,
+    choose_axis,
+    explain_refused_target,
+    make_target_constraints,
+    parse_task_targets,
     refuse_position,
-    targets_of,
-    task_and_axis,
+    split_task,
 )
-from kempe.answers.targets import task_of as task_of_targets
+from kempe.answers.targets import choose_task as task_of_targets
 from kempe.arguments import explain_errors, explain_method_errors
 from kempe.arrays import FARTHEST, is_whole, read_reals
 from kempe.budget import Budget, TimeUp, Usual, check_for_stop
@@ -50,7 +50,7 @@ from kempe.kernels.forward.table_layout import SLIDE
 from kempe.numerics.clock import SHARE, SHORT, TimeLimit, find_time_limit, limit_time
 from kempe.numerics.intervals import Intervals, format_intervals, unite_intervals
 from kempe.poses import check_poses, read_pose_array
-from kempe.report import Table, brief, by_code
+from kempe.report import Table, by_code, summarize_fields
 from kempe.spatial import Array, log_so3
 from kempe.status import Status, to_status
 from kempe.words import format_count
@@ -126,7 +126,7 @@ class Slice(ConfigurationList, Answer):
     `q` (m, K, nq) with a row for each branch, NaN where `mask` (m, K) is False, the others (m, K).
     """
 
-    __repr__ = brief
+    __repr__ = summarize_fields
 
     what = "values with a solution inside the limits"
     also = ("value", "inside", "branch")
@@ -152,13 +152,13 @@ class Slice(ConfigurationList, Answer):
         there = np.where(self.mask.any(axis=-1), Status.OUTSIDE_LIMITS, Status.NONE_EXISTS)
         return to_status(np.where(self.inside.any(axis=-1), Status.SOLVED, there))
 
-    def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
-        return self.sweep._goals()
+    def _list_goals(self) -> Sequence[tuple[Any, Any, Any]]:
+        return self.sweep._list_goals()
 
-    def _claimed(self) -> np.ndarray:
+    def _select_claimed_rows(self) -> np.ndarray:
         return self.mask
 
-    def _sentence(self, index: tuple[int, ...]) -> str:
+    def _compose_sentence(self, index: tuple[int, ...]) -> str:
         count = int(self.mask[index].sum())
         good = int(self.inside[index].sum())
         value = float(np.asarray(self.value)[index])
@@ -390,16 +390,18 @@ class Sweep(Answer):
             else Status.NONE_EXISTS
         )
 
-    def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
+    def _list_goals(self) -> Sequence[tuple[Any, Any, Any]]:
         made = (
-            () if self.task in AXIS_TASKS else of_target(self.frame, self.task, Z_AXIS, self.target)
+            ()
+            if self.task in AXIS_TASKS
+            else make_target_constraints(self.frame, self.task, Z_AXIS, self.target)
         )
         return [(Task(self.system, c), None, HOLDS) for c in made]
 
-    def _claimed(self) -> np.ndarray:
+    def _select_claimed_rows(self) -> np.ndarray:
         return self.mask
 
-    def _sentence(self, index: tuple[int, ...]) -> str:
+    def _compose_sentence(self, index: tuple[int, ...]) -> str:
         way = "in closed form" if self.exact else "ends to 1e-10, from solutions at sampled values"
         late = "the time limit ended the sampling" if self.exact else LATE
         return self._describe_feasible(way) + (f"; {late}" if self.late else "")
@@ -417,17 +419,17 @@ class Sweep(Answer):
             f"feasible=[{format_intervals(self.feasible)}])"
         )
 
-    def _headline(self) -> str:
+    def _make_headline(self) -> str:
         return f"{self.frame!r} of {self.system.name}, {self.task}: {self.status}"
 
-    def _tables(self) -> Sequence[Table]:
+    def _make_tables(self) -> Sequence[Table]:
         each = zip(self.labels, self.intervals, self.spans, strict=True)
         rows = [
             (label, format_intervals(a) or "-", format_intervals(b)) for label, a, b in each if b
         ]
         return [Table(("branch", "inside the limits", "exists"), rows)] if rows else []
 
-    def _notes(self, degrees: bool = False) -> Sequence[str]:
+    def _list_notes(self, degrees: bool = False) -> Sequence[str]:
         held = ", ".join(f"{n} = {x:.9g}" for n, x in self.held.items())
         return [f"held: {held}"] if held else []
 
@@ -532,7 +534,7 @@ def ik_sweep(
     [0.252, -0.341, -0.177, -1.3, 0.474, -0.535, -0.241]
     """
     name = system.structure.frame_name(frame)
-    said, axis = task_and_axis(task)
+    said, axis = split_task(task)
     with_reference = isinstance(parameter, (tuple, list))
     if with_reference and len(parameter) != 2:
         raise InputError(
@@ -543,14 +545,14 @@ def ik_sweep(
     if reference is not None:
         reference = tuple(read_reals(reference, "the reference of the arm angle").ravel().tolist())
     _check_sample_count(USUAL.complete_budget(budget).points)
-    direction = axis_for(axis, said)
-    targets, lead, is_position = targets_of(
+    direction = choose_axis(axis, said)
+    targets, lead, is_position = parse_task_targets(
         system, read_pose_array(target, "target"), said, direction
     )
     if lead != ():
         raise InputError(f"target has the leading shape {lead}; a sweep has one target")
     if not np.all(np.abs(targets) < FARTHEST):
-        raise InputError(not_a_pose(targets[0]))
+        raise InputError(explain_refused_target(targets[0]))
     task = task_of_targets(said, is_position, bool(system.structure.table.at[name][2]))
     refuse_position(task, is_position, system.dim)
     given_near = read_near_configurations(system, start, None)
@@ -581,7 +583,7 @@ def ik_sweep(
         targets=targets,
         parameter=(parameter, reference),
     )
-    return solve(SOLVERS, problem)
+    return solve_problem(SOLVERS, problem)
 
 
 # ---- the solvers

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.answers.targets import TASKS, frame_of, points_along
+from kempe.answers.targets import TASKS, is_axis_task, make_rotations_along
 from kempe.budget import TimeUp, check_for_stop
 from kempe.forward.fk import fk, jacobian
 from kempe.inverse.closed_forms.chain_lines import Lines
@@ -100,7 +100,7 @@ class ChainMotion(Curve):
         """The rotation (3, 3) from the frame to one whose z axis is the tool's axis, where the task
         reads that.
         """
-        return frame_of(np.array(self.axis)) if points_along(self.task) else np.eye(3)
+        return make_rotations_along(np.array(self.axis)) if is_axis_task(self.task) else np.eye(3)
 
     @property
     def rows(self) -> Array:
@@ -122,7 +122,7 @@ class ChainMotion(Curve):
             / self.lines.length
         )
         left = back @ (self.target[:3, :3] @ turn)
-        if points_along(self.task):
+        if is_axis_task(self.task):
             angular = np.stack(
                 [-left[..., 1, 2], left[..., 0, 2], np.zeros(left.shape[:-2])], axis=-1
             )

@@ -309,7 +309,7 @@ def collect_data(m: Mobility) -> dict[str, Any]:
             }
             for f in m.idle_freedoms
         ],
-        "one_sided": None if m.one_sided is None else m.one_sided._data(),
+        "one_sided": None if m.one_sided is None else m.one_sided._collect_data(),
         "control": None
         if c is None
         else {
@@ -519,8 +519,8 @@ class Mobility(Report):
         """The reasons as (title, lines)."""
         return list_topics(self)
 
-    def _headline(self) -> str:
+    def _make_headline(self) -> str:
         return f"{self.name}: {self.status}"
 
-    def _data(self) -> dict[str, Any]:
+    def _collect_data(self) -> dict[str, Any]:
         return collect_data(self)

@@ -206,7 +206,7 @@ def collect_data(c: Classification) -> dict[str, Any]:
         "doubtful": c.doubtful,
         "why": c.why,
         "moved": c.moved,
-        "one_sided": None if c.one_sided is None else c.one_sided._data(),
+        "one_sided": None if c.one_sided is None else c.one_sided._collect_data(),
         "constraints": {
             k: {
                 "kind": x.kind,
@@ -342,10 +342,10 @@ class Classification(Report):
         """The reasons as (title, lines)."""
         return list_topics(self)
 
-    def _headline(self) -> str:
+    def _make_headline(self) -> str:
         return f"{self.name}: {self.status}"
 
-    def _data(self) -> dict[str, Any]:
+    def _collect_data(self) -> dict[str, Any]:
         return collect_data(self)
 
 

@@ -324,7 +324,7 @@ class Chart(Report):
             f"dependent: {', '.join(self.dependent) or 'none'}{describe_nearest(self.within)}"
         )
 
-    def _data(self) -> dict[str, Any]:
+    def _collect_data(self) -> dict[str, Any]:
         names = ("independent", "dependent", "idle", "useful", "dim", "quality")
         return {
             "system": self.system.name,

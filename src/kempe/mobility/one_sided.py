@@ -371,7 +371,7 @@ class OneSidedReport(Report):
         )
         return f"what may move has {format_count(self.dimension, 'dimension')}, {how}"
 
-    def _data(self) -> dict[str, Any]:
+    def _collect_data(self) -> dict[str, Any]:
         return {
             "sentence": self.sentence,
             "active": list(self.active),
@@ -406,10 +406,10 @@ class OneSidedReport(Report):
             out.append("to first order: closed sides that depend on each other may allow less")
         return out
 
-    def _headline(self) -> str:
+    def _make_headline(self) -> str:
         return f"{self.system.name}: {self.status}"
 
-    def _notes(self, degrees: bool = False) -> list[str]:
+    def _list_notes(self, degrees: bool = False) -> list[str]:
         return self.lines
 
 

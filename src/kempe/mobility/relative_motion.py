@@ -69,10 +69,10 @@ class RelativeMotion(Report):
             + describe_nearest(self.within)
         )
 
-    def _headline(self) -> str:
+    def _make_headline(self) -> str:
         return self.status
 
-    def _data(self) -> dict[str, Any]:
+    def _collect_data(self) -> dict[str, Any]:
         return {
             name: getattr(self, name)
             for name in ("body", "to", "dof", "slides", "twists", "origin", "around")

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.answers.answer import Motion
-from kempe.answers.known_values import known_tasks
-from kempe.answers.tables import in_units, write_table
+from kempe.answers.known_values import list_known_tasks
+from kempe.answers.tables import convert_columns, write_table
 from kempe.arguments import (
     call_until_interrupt,
     explain_errors,
@@ -641,7 +641,7 @@ class Drive(Motion):
         """Names and columns (n, k) for a file: time, all coordinates, whether held, x, y (and z) of
         frames.
         """
-        names, columns = self._columns("time", self.times, frames)
+        names, columns = self._make_columns("time", self.times, frames)
         return [*names, "held"], np.column_stack([columns, self.held])
 
     def save(
@@ -654,7 +654,7 @@ class Drive(Motion):
         """Write the `table` with these frames to a .csv or .npy file; returns the path. Errors:
         `InputError`.
         """
-        return write_table(path, *in_units(*self.table(frames), self._units(), degrees))
+        return write_table(path, *convert_columns(*self.table(frames), self._list_units(), degrees))
 
     @property
     def code(self) -> Status:
@@ -662,21 +662,21 @@ class Drive(Motion):
         return (
             Status.SOLVED
             if self.success
-            else self._broken_off()
+            else self._find_early_end()
             or (Status.NOT_FOUND if self.reason and len(self) < 2 else Status.PARTLY)
         )
 
-    def _when(self) -> Any:
+    def _list_times(self) -> Any:
         return 0.0 if self._clock is None else self._clock
 
-    def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
+    def _list_goals(self) -> Sequence[tuple[Any, Any, Any]]:
         """The inputs, of samples that are not held, where they belong to coordinates."""
         own = [] if self.reason else [n for n in self.inputs if n in self.system.coordinate_names]
-        return known_tasks(
+        return list_known_tasks(
             self.system, {n: np.where(self.held, self.values(n), self.inputs[n]) for n in own}
         )
 
-    def _sentence(self, index: tuple[int, ...]) -> str:
+    def _compose_sentence(self, index: tuple[int, ...]) -> str:
         if self.reason:
             return self.reason
         text = (
@@ -691,15 +691,15 @@ class Drive(Motion):
             )
         if self.jumps:
             text += f"; it jumps at samples {', '.join(str(k) for k, _ in self.jumps)}"
-        return text + self._partial()
+        return text + self._describe_early_end()
 
-    def _notes(self, degrees: bool = False) -> Sequence[str]:
+    def _list_notes(self, degrees: bool = False) -> Sequence[str]:
         lines = [str(toggle) for toggle in self.toggles]
         lines += [
             f"sample {k}: it goes on {size:.6g} away from where it was held"
             for k, size in self.jumps
         ]
-        return [*lines, *super()._notes()]
+        return [*lines, *super()._list_notes()]
 
 
 def _not_begun(

@@ -153,9 +153,9 @@ class Manoeuvre(Motion):
 
     def table(self, frames: Iterable[FrameLike] = ()) -> tuple[list[str], Array]:
         """Names and columns (n, k) for a file: time, all coordinates, x, y (and z) of frames."""
-        return self._columns("time", self.t, frames)
+        return self._make_columns("time", self.t, frames)
 
-    def _sentence(self, index: tuple[int, ...]) -> str:
+    def _compose_sentence(self, index: tuple[int, ...]) -> str:
         if not self.success:
             return self.reason
         if not self.pieces:
@@ -172,8 +172,8 @@ class Manoeuvre(Motion):
             )
         return text
 
-    def _notes(self, degrees: bool = False) -> Sequence[str]:
-        return [*(f"{p.start:8.4g} s: {p}" for p in self.pieces), *super()._notes()]
+    def _list_notes(self, degrees: bool = False) -> Sequence[str]:
+        return [*(f"{p.start:8.4g} s: {p}" for p in self.pieces), *super()._list_notes()]
 
 
 class ExactManoeuvre:

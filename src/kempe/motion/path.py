@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.answers.answer import Motion
-from kempe.answers.tables import in_units, write_table
-from kempe.answers.wording import immovable
+from kempe.answers.tables import convert_columns, write_table
+from kempe.answers.wording import describe_immovable_coordinates
 from kempe.arguments import explain_method_errors, numbers, raise_interrupted
 from kempe.arrays import is_whole
 from kempe.budget import Budget, TimeUp, Usual
@@ -347,7 +347,7 @@ class Path(Motion):
         branch, 0 for this one.
         """
         frames = self.frames if frames is None else frames
-        names, columns = self._columns("s", self.s, frames)
+        names, columns = self._make_columns("s", self.s, frames)
         if not branches:
             return names, columns
         each = [columns, *(other.table(frames)[1] for other in self.others)]
@@ -366,11 +366,11 @@ class Path(Motion):
         `InputError`.
         """
         table = self.table(frames, branches)
-        return write_table(path, *in_units(*table, self._units(), degrees))
+        return write_table(path, *convert_columns(*table, self._list_units(), degrees))
 
-    def _sentence(self, index: tuple[int, ...]) -> str:
+    def _compose_sentence(self, index: tuple[int, ...]) -> str:
         if len(self) == 1 and (self.ends[0] == self.ends[1] or not (self.interrupted or self.late)):
-            still = immovable(self.system)
+            still = describe_immovable_coordinates(self.system)
             return self.ends[1] + (f"; {still}" if still else "")
         what = "closed curve" if self.closed else "curve"
         text = f"{what} of length {self.length:.6g} through {format_count(len(self), 'point')}"
@@ -378,33 +378,33 @@ class Path(Motion):
         text += f", {', '.join(turning[:4])}{', ...' * (len(turning) > 4)}" if turning else ""
         if not self.closed:
             text += f"; it ends at {self.ends[0]} and at {self.ends[1]}"
-        return text + self._partial() + (f"; {self.remark}" if self.remark else "")
+        return text + self._describe_early_end() + (f"; {self.remark}" if self.remark else "")
 
-    def _tables(self) -> Sequence[Table]:
+    def _make_tables(self) -> Sequence[Table]:
         """The range of each coordinate, with its extremes between the points."""
         if len(self) < 2:
             return []
         return [make_ranges_table(self.system, np.vstack([self.q, *(e.q for e in self.extremes)]))]
 
-    def _notes(self, degrees: bool = False) -> Sequence[str]:
+    def _list_notes(self, degrees: bool = False) -> Sequence[str]:
         unit = list_units(self.system)
         lines = cut_lines([e.text(unit, degrees) for e in self.turning_points], EVENTS)
         lines += [str(event) for event in self.singular_points]
         lines += [f"another branch: {path.status}" for path in self.others]
         if said := self.hint:
-            other = self._by_name(self.elsewhere[0]).convert_units(degrees)
+            other = self._name_coordinates(self.elsewhere[0]).convert_units(degrees)
             lines.append(f"{said}: start=({', '.join(f'{x:.9g}' for x in other.tolist())})")
-        return [*lines, *super()._notes()]
+        return [*lines, *super()._list_notes()]
 
-    def _data(self) -> dict[str, Any]:
+    def _collect_data(self) -> dict[str, Any]:
         unit = list_units(self.system)
         events = {
-            name: [_event_data(e, unit, self._by_name) for e in getattr(self, name)]
+            name: [_event_data(e, unit, self._name_coordinates) for e in getattr(self, name)]
             for name in ("turning_points", "singular_points", "extremes")
         }
         curves = {frame: self.curve(frame)[:, : self.system.dim] for frame in self.frames}
-        others = [{"status": path.status} | path._data() for path in self.others]
-        return super()._data() | {"curves": curves} | events | {"others": others}
+        others = [{"status": path.status} | path._collect_data() for path in self.others]
+        return super()._collect_data() | {"curves": curves} | events | {"others": others}
 
     @cached_property
     def _elsewhere(self) -> tuple[str, Array]:

@@ -466,7 +466,7 @@ class Simulation(Motion):
         """Velocities (..., nv) at times `t` (...), at a bounce those after it; as `at`."""
         return self._sampled(t)[1]
 
-    def _when(self) -> Any:
+    def _list_times(self) -> Any:
         return self.t
 
     def _sampled(self, t: ArrayLike) -> tuple[Array, Array]:
@@ -494,9 +494,9 @@ class Simulation(Motion):
 
     def table(self, frames: Iterable[FrameLike] = ()) -> tuple[list[str], Array]:
         """Names and columns (n, k) for a file: time, all coordinates, x, y (and z) of frames."""
-        return self._columns("time", self.t, frames)
+        return self._make_columns("time", self.t, frames)
 
-    def _sentence(self, index: tuple[int, ...]) -> str:
+    def _compose_sentence(self, index: tuple[int, ...]) -> str:
         text = f"{self.t[-1]:.6g} s in {format_count(len(self.t), 'sample')}"
         bounces = sum(e.kind == "bounce" for e in self.events)
         if self.events:
@@ -508,13 +508,13 @@ class Simulation(Motion):
                 if (ends and ends[-1] is self.events[-1] and ends[-1].kind != "leaves")
                 else ""
             )
-        return text + self._partial() + (f"; {self.reason}" if self.reason else "")
+        return text + self._describe_early_end() + (f"; {self.reason}" if self.reason else "")
 
-    def _notes(self, degrees: bool = False) -> Sequence[str]:
+    def _list_notes(self, degrees: bool = False) -> Sequence[str]:
         lines = [str(e) for e in self.events[:20]]
         if len(self.events) > 20:
             lines += [f"... {len(self.events)} events in all, the last one:", str(self.events[-1])]
-        return [*lines, *super()._notes()]
+        return [*lines, *super()._list_notes()]
 
 
 @explain_errors

@@ -27,7 +27,7 @@ from kempe.model.configurations import read_q
 from kempe.motion.path import Event, Path
 from kempe.motion.start import angle_or_slide
 from kempe.numerics.rank import Level, Spectrum
-from kempe.report import Nearest, Report, Table, brief
+from kempe.report import Nearest, Report, Table, summarize_fields
 from kempe.spatial import Array
 from kempe.status import Status, to_status
 from kempe.words import Quantity, format_count
@@ -48,7 +48,7 @@ class LoopJacobian(Report):
     `UNDETERMINED`.
     """
 
-    __repr__ = brief
+    __repr__ = summarize_fields
 
     matrix: Array
     inputs: tuple[str, ...]
@@ -86,20 +86,20 @@ class LoopJacobian(Report):
             "of the inputs)"
         )
 
-    def _headline(self) -> str:
+    def _make_headline(self) -> str:
         if np.ndim(self.code):
             many = format_count(np.size(self.code), "configuration")
             return f"{int(np.sum(self.success))} of {many}: the outputs are determined"
         return self.status
 
-    def _tables(self) -> Sequence[Table]:
+    def _make_tables(self) -> Sequence[Table]:
         if np.ndim(self.code):
             return []
         each = zip(self.rows, self.matrix, strict=True)
         rows = [(name, *(Quantity(float(x)) for x in row)) for name, row in each]
         return [Table(("", *self.inputs), rows, grid=True)]
 
-    def _data(self) -> dict[str, Any]:
+    def _collect_data(self) -> dict[str, Any]:
         return {
             name: getattr(self, name)
             for name in ("inputs", "rows", "matrix", "rank", "nullity", "margin")

@@ -44,7 +44,7 @@ from kempe.numerics.clock import (
     limit_time,
 )
 from kempe.numerics.rank import Level, Spectrum
-from kempe.report import Report, brief
+from kempe.report import Report, summarize_fields
 from kempe.spaces.four_joints import FourJoints, four_joints
 from kempe.spaces.manifold import Manifold
 from kempe.spaces.polygons import polygon_of
@@ -236,7 +236,7 @@ class Components(Report):
     count.
     """
 
-    __repr__ = brief
+    __repr__ = summarize_fields
     _has_angles = True
 
     system: Model = field(repr=False)
@@ -274,7 +274,7 @@ class Components(Report):
         )
         return said + describe_early_end(self.interrupted, self.late)
 
-    def _notes(self, degrees: bool = False) -> list[str]:
+    def _list_notes(self, degrees: bool = False) -> list[str]:
         lines = [f"{k + 1}: {part}" for k, part in enumerate(self.parts)]
         return lines + (
             [f"{format_count(len(self.singular), 'singular point')} of the space"]
@@ -282,10 +282,10 @@ class Components(Report):
             else []
         )
 
-    def _headline(self) -> str:
+    def _make_headline(self) -> str:
         return f"{self.system.name}: {self.status}"
 
-    def _data(self) -> dict[str, Any]:
+    def _collect_data(self) -> dict[str, Any]:
         unit = list_units(self.system)
         parts = [
             {

@@ -190,7 +190,7 @@ class ConfigurationSpace(Report):
         """The outcome: `UNDETERMINED` where nothing is known of the dimension."""
         return Status.UNDETERMINED if self.dimension is None else Status.SOLVED
 
-    def _data(self) -> dict[str, Any]:
+    def _collect_data(self) -> dict[str, Any]:
         names = ("shape", "dimension", "certain", "ambient_dimension", "limited", "constraints")
         return (
             {"system": self.system.name}
@@ -310,7 +310,7 @@ class Parametrizations(Report):
         )
         return f"{self.system.name}: {pairs}, or {known}"
 
-    def _tables(self) -> Sequence[Table]:
+    def _make_tables(self) -> Sequence[Table]:
         rows = [
             (
                 r.what,
@@ -322,7 +322,7 @@ class Parametrizations(Report):
         heads = ("parameters", "numbers", "constraints", "rank", "left", "names")
         return [Table(heads, rows, grid=True)]
 
-    def _data(self) -> dict[str, Any]:
+    def _collect_data(self) -> dict[str, Any]:
         return {"n_b": self.n_b, "m_c": self.m_c, "n": self.n, "why": self.why} | {
             "rows": [row._asdict() | {"dof": row.dof} for row in self.rows]
         }

@@ -20,7 +20,7 @@ from kempe.mobility.mobility import mobility
 from kempe.model.configurations import has_loops, read_finite_q, sample_configurations
 from kempe.motion.trace import trace
 from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, find_time_limit, limit_time
-from kempe.report import brief
+from kempe.report import summarize_fields
 from kempe.spaces.components import SAME, Component
 from kempe.spaces.four_joints import four_joints
 from kempe.spaces.manifold import CLOSED, Manifold
@@ -237,7 +237,7 @@ class Connection(Configurations):
     """
 
     is_motion = True
-    __repr__ = brief
+    __repr__ = summarize_fields
 
     also = ("length", "step", "interrupted", "late")
 

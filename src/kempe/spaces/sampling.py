@@ -19,7 +19,7 @@ from kempe.errors import InputError, UnsupportedError, format_value
 from kempe.mobility.mobility import mobility
 from kempe.model.configurations import find_free_angles, has_loops, sample_configurations
 from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, find_time_limit, limit_time
-from kempe.report import brief
+from kempe.report import summarize_fields
 from kempe.spaces.components import components
 from kempe.spaces.manifold import Frames, Manifold
 from kempe.spatial import Array
@@ -144,7 +144,7 @@ class Sample(Configurations):
     steps of the walk, that were taken.
     """
 
-    __repr__ = brief
+    __repr__ = summarize_fields
 
     also = ("measure", "exact", "taken", "interrupted", "late")
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.arguments import explain_method_errors, numbers, raise_interrupted
-from kempe.assemble.dyads import source_values
+from kempe.assemble.dyads import find_source_values
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.errors import InputError, format_value
 from kempe.forward.fk import fk, jacobian
@@ -25,7 +25,7 @@ from kempe.model.configurations import find_free_angles, shorten_turns
 from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, describe_early_end
 from kempe.numerics.curves import Curve, Node, find_next_node, make_node, walk_curve
 from kempe.numerics.curves import find_node_between as node_between
-from kempe.report import Report, brief
+from kempe.report import Report, summarize_fields
 from kempe.spaces.rank_loss import Equations, RankLoss
 from kempe.spaces.singular_types import inside_limits
 from kempe.spatial import Array
@@ -64,7 +64,7 @@ class SingularCurve(InWords):
     configuration that is more singular, or where they are followed no further.
     """
 
-    __repr__ = brief
+    __repr__ = summarize_fields
 
     kinds: tuple[str, ...]
     name: str
@@ -96,7 +96,7 @@ class SingularCurves(Report):
     time limit or an interrupt, has the curves that were done.
     """
 
-    __repr__ = brief
+    __repr__ = summarize_fields
 
     system: Model
     frame: str | None
@@ -133,10 +133,10 @@ class SingularCurves(Report):
         """
         return import_late("plots of singularities").plot_curves(self, ax)
 
-    def _notes(self, degrees: bool = False) -> list[str]:
+    def _list_notes(self, degrees: bool = False) -> list[str]:
         return [str(c) for c in self.curves]
 
-    def _data(self) -> dict[str, Any]:
+    def _collect_data(self) -> dict[str, Any]:
         own = {"system": self.system.name, "frame": self.frame, "held": self.held}
         return own | {"curves": [c.data() for c in self.curves]}
 
@@ -211,7 +211,7 @@ def held_equations(
         raise InputError(
             f"hold is {type(given).__name__}; it must be a dict of values by coordinate name"
         )
-    values = source_values(system, {str(k): x for k, x in given.items()})
+    values = find_source_values(system, {str(k): x for k, x in given.items()})
     names = system.structure.velocity_names
     layout = system.structure.layout
     places = dict(zip(layout.vector_v.tolist(), layout.vector_q.tolist(), strict=True))

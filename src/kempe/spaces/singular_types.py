@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.answers.targets import twist_rows
+from kempe.answers.targets import list_twist_rows
 from kempe.arguments import explain_method_errors
 from kempe.assemble.assemble import assemble
 from kempe.constraints.flat_tasks import DIRECTION, PLANES
@@ -21,7 +21,7 @@ from kempe.errors import InputError
 from kempe.forward.fk import fk, jacobian
 from kempe.model.configurations import name_values, sample_configurations
 from kempe.numerics.rank import Level, Spectrum
-from kempe.report import Report, brief
+from kempe.report import Report, summarize_fields
 from kempe.spaces.rank_loss import Matrices, RankLoss, generic_rank
 from kempe.spatial import Array
 from kempe.status import Status
@@ -48,7 +48,7 @@ class SingularSet(InWords):
     (m, nq) are the configurations that were found.
     """
 
-    __repr__ = brief
+    __repr__ = summarize_fields
 
     kinds: tuple[str, ...]
     name: str
@@ -121,7 +121,7 @@ class NearestSingular(Report):
     and gained there, are as in `SingularSet`; `distances` are those of all sets, by their words.
     """
 
-    __repr__ = brief
+    __repr__ = summarize_fields
     _has_angles = True
 
     system: Model = field(repr=False)
@@ -145,13 +145,13 @@ class NearestSingular(Report):
             return f"singular ({what}): {changes(self.lost, self.gained)}"
         return f"the nearest singular configuration found ({what}) is {self.distance:.4g} away"
 
-    def _notes(self, degrees: bool = False) -> list[str]:
+    def _list_notes(self, degrees: bool = False) -> list[str]:
         return [
             f"{name}: {x:.4g} away"
             for name, x in sorted(self.distances.items(), key=lambda row: row[1])
         ]
 
-    def _data(self) -> dict[str, Any]:
+    def _collect_data(self) -> dict[str, Any]:
         names = ("distance", "kinds", "name", "lost", "gained", "self_motion", "distances")
         return {"q": name_values(self.system, self.q)} | {n: getattr(self, n) for n in names}
 
@@ -245,7 +245,7 @@ class RankQuestions:
         self.of_axis = task == DIRECTION
         words = "orientation" if self.of_axis else "position" if task in PLANES else task
         kept = PLANES[task][:2] if task in PLANES else range(6)
-        self.rows = [r for r in twist_rows(words, system.dim) if r in kept]
+        self.rows = [r for r in list_twist_rows(words, system.dim) if r in kept]
         self.twists = np.eye(len(self.rows))
         few = self.starts[:RANKED]
         moving = np.zeros(system.nv, dtype=bool)

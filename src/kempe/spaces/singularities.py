@@ -50,7 +50,7 @@ from kempe.numerics.clock import (
     describe_early_end,
     limit_preparation_time,
 )
-from kempe.report import Report, brief
+from kempe.report import Report, summarize_fields
 from kempe.spaces.rank_loss import RankLoss
 from kempe.spaces.singular_curves import USUAL as CURVES_USUAL
 from kempe.spaces.singular_curves import SingularCurves, held_equations, singular_curves
@@ -141,7 +141,7 @@ class Singularities(Report, Tabular):
     starts that were done.
     """
 
-    __repr__ = brief
+    __repr__ = summarize_fields
     _has_angles = True
 
     system: Model
@@ -183,16 +183,16 @@ class Singularities(Report, Tabular):
         rows = [q for s in self.sets for q in s.q]
         return list(self.system.coordinate_names), np.reshape(rows, (-1, self.system.nq))
 
-    def _units(self) -> dict[str, str]:
+    def _list_units(self) -> dict[str, str]:
         return list_units(self.system)
 
-    def _notes(self, degrees: bool = False) -> list[str]:
+    def _list_notes(self, degrees: bool = False) -> list[str]:
         return [
             f"{s}: dimension {s.dimension}, {changes(s.local[0].lost, s.local[0].gained)}"
             for s in self.sets
         ]
 
-    def _data(self) -> dict[str, Any]:
+    def _collect_data(self) -> dict[str, Any]:
         own = {n: getattr(self, n) for n in ("frame", "task", "starts", "limits")}
         return {"system": self.system.name} | own | {"sets": [self._set_data(s) for s in self.sets]}
 

@@ -36,7 +36,7 @@ from kempe.model.configurations import (
 )
 from kempe.numerics.clock import SHORT, find_time_limit, limit_time
 from kempe.numerics.rank import Level, Spectrum
-from kempe.report import Report, Table, brief
+from kempe.report import Report, Table, summarize_fields
 from kempe.spaces.manifold import Manifold
 from kempe.spatial import Array
 from kempe.status import Status
@@ -107,7 +107,7 @@ class TaskSpace(Report):
     configurations, by axis: what is reached is at least as wide.
     """
 
-    __repr__ = brief
+    __repr__ = summarize_fields
     _has_angles = True
 
     system: Model = field(repr=False)
@@ -173,17 +173,17 @@ class TaskSpace(Report):
         """The outcome: whether all that was asked for was looked at."""
         return Status.OUT_OF_TIME if self.late else Status.SOLVED
 
-    def _headline(self) -> str:
+    def _make_headline(self) -> str:
         return f"{self.system.name}: {self.status}"
 
-    def _tables(self) -> Sequence[Table]:
+    def _make_tables(self) -> Sequence[Table]:
         rows = [
             (f"{axis} [m]", f"from {a:.6g} to {b:.6g}, at least")
             for axis, (a, b) in self.image.items()
         ]
         return [Table((), rows, record=True)] if rows else []
 
-    def _data(self) -> dict[str, Any]:
+    def _collect_data(self) -> dict[str, Any]:
         names = (
             "task",
             "m",

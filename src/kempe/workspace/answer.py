@@ -636,7 +636,7 @@ class Workspace(Report):
             f"tried are reached by frame {self.frame!r}{many}, in {cells}"
         )
 
-    def _tables(self) -> Sequence[Table]:
+    def _make_tables(self) -> Sequence[Table]:
         grid = self.map.grid
         (name, unit) = MEASURES[len(grid.axes)]
         (value, error) = self.measure
@@ -675,7 +675,7 @@ class Workspace(Report):
         rows += [("redone", "the map on disk was damaged")] * bool(self.redone)
         return [Table((), rows, record=True)]
 
-    def _data(self) -> dict[str, Any]:
+    def _collect_data(self) -> dict[str, Any]:
         grid = self.map.grid
         (name, _) = MEASURES[len(self.map.grid.axes)]
         value, error = self.measure

@@ -124,9 +124,11 @@ class BasePlacement(Study):
         some = f"{n} of {format_count(self.poses, 'pose')} reached from the best place ({where})"
         return f"{self._subject}: {some}; all from {full} of {tried}{self._tail}"
 
-    def _data(self) -> dict[str, Any]:
+    def _collect_data(self) -> dict[str, Any]:
         placed = {"axes": self.axes, "fixed": self.fixed, "best": self.place()}
-        return super()._data() | {name: _attach_units(values) for name, values in placed.items()}
+        return super()._collect_data() | {
+            name: _attach_units(values) for name, values in placed.items()
+        }
 
 
 def _attach_units(values: Mapping[str, Any]) -> dict[str, Quantity]:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.answers.targets import Z_AXIS, frame_of, of_target
+from kempe.answers.targets import Z_AXIS, make_rotations_along, make_target_constraints
 from kempe.arguments import explain_errors, explain_method_errors, numbers, raise_interrupted
 from kempe.arrays import is_sequence, is_whole
 from kempe.budget import Budget, Usual
@@ -100,7 +100,7 @@ class CapabilityMap(Study):
         free = self.rolls is None and self.system.dim == 3
         task = "position_axis" if free else "pose"
         try:
-            found = task_space(system, of_target(name, task, Z_AXIS, np.eye(4)))
+            found = task_space(system, make_target_constraints(name, task, Z_AXIS, np.eye(4)))
         except TimeLimitError:
             return ""
         if found.generic_rank >= found.m:
@@ -249,7 +249,7 @@ def _make_rotations(d: Array, angles: Array | None, dim: int) -> Array:
             [d, np.column_stack([-d[:, 1], d[:, 0], zero]), np.column_stack([zero, zero, one])],
             axis=-1,
         )
-    R = frame_of(d)
+    R = make_rotations_along(d)
     if angles is None:
         return R
     c = np.cos(angles)

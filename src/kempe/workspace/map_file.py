@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from kempe.answers.tables import PLACE, QUATERNION, poses_of_columns, said_columns
-from kempe.answers.targets import task_of
+from kempe.answers.tables import PLACE, QUATERNION, describe_target_columns, read_pose_columns
+from kempe.answers.targets import choose_task
 from kempe.arguments import (
     check_name,
     draw_seed,
@@ -38,7 +38,7 @@ from kempe.kernels.compiled import VARIANT
 from kempe.model.configurations import has_loops, list_units, make_q, read_q, read_start
 from kempe.numerics.clock import BROKEN_OFF, TimeLimit, describe_early_end
 from kempe.numerics.pool import choose_thread_count
-from kempe.report import Report, Table, brief
+from kempe.report import Report, Table, summarize_fields
 from kempe.spatial import Array
 from kempe.status import MEMBERS, Status
 from kempe.version import __version__
@@ -173,15 +173,15 @@ class RowJob:
             if self.tail not in ((4, 4), (3, 4)):
                 raise InputError(
                     f"a row is of shape {self.tail}; a target is (4, 4), (3, 4), or the columns "
-                    f"{said_columns(self.system.dim)}"
+                    f"{describe_target_columns(self.system.dim)}"
                 )
             X = np.broadcast_to(np.eye(4), (len(rows), 4, 4)).copy()
             X[:, : self.tail[0]] = rows
             return X
-        X, position = poses_of_columns(self.system.dim, rows, self.columns, self.degrees)
+        X, position = read_pose_columns(self.system.dim, rows, self.columns, self.degrees)
         task = self.options.get("task")
         if isinstance(task, str):
-            task_of(task, position, False)
+            choose_task(task, position, False)
         if position and task not in (None, "position"):
             raise InputError(
                 f"task {task!r} needs targets with an orientation; they have x, y, z only"
@@ -582,7 +582,7 @@ class FileMap(Report):
     came (`late`), the same call goes on.
     """
 
-    __repr__ = brief
+    __repr__ = summarize_fields
 
     system: Model
     verb: str
@@ -616,14 +616,14 @@ class FileMap(Report):
             f"{found or 'nothing'}{describe_early_end(self.interrupted, self.late)}"
         )
 
-    def _tables(self) -> Sequence[Table]:
+    def _make_tables(self) -> Sequence[Table]:
         rows = [("answers", str(self.path)), ("chunks", f"{format_count(self.chunk, 'row')} each")]
         rows += [
             ("redone", f"{format_count(self.redone, 'chunk')} that was damaged on disk")
         ] * bool(self.redone)
         return [Table((), rows, record=True)]
 
-    def _data(self) -> dict[str, Any]:
+    def _collect_data(self) -> dict[str, Any]:
         names = ("verb", "rows", "requested", "chunk", "outcomes", "redone")
         return {"system": self.system.name, "source": str(self.source), "path": str(self.path)} | {
             name: getattr(self, name) for name in names

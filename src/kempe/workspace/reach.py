@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.answers.tables import Tabular
-from kempe.answers.targets import axis_for, task_and_axis, task_of, twist_rows
+from kempe.answers.targets import choose_axis, choose_task, list_twist_rows, split_task
 from kempe.arguments import explain_errors, explain_method_errors, numbers, raise_interrupted
 from kempe.arrays import check_range
 from kempe.budget import Budget, TimeUp, Usual
@@ -28,7 +28,7 @@ from kempe.model.configurations import has_loops, list_units, name_values
 from kempe.numerics.clock import BROKEN_OFF, TimeLimit, describe_early_end
 from kempe.numerics.clock import LONG as CLOCK_LONG
 from kempe.poses import check_poses, correct_rotations
-from kempe.report import Report, brief
+from kempe.report import Report, summarize_fields
 from kempe.spatial import Array
 from kempe.status import Status, name_outcomes
 from kempe.words import format_count
@@ -94,7 +94,7 @@ def compute_manipulability(system: Model, frame: str, q: Array, task: str) -> Ar
     Of a chain with fewer joints than rows it is sqrt(det(J^T J)). Source: Yoshikawa, Int. J.
     Robotics Res. 4 (1985).
     """
-    axes = twist_rows(task, system.dim)
+    axes = list_twist_rows(task, system.dim)
     J = jacobian(system, q, frame, "body")[..., axes, :]
     J[..., np.asarray(axes) < 3, :] /= float(compute_characteristic_length(system))
     J = J[..., np.abs(J).reshape(-1, J.shape[-1]).max(axis=0, initial=0.0) > 0.0]
@@ -125,13 +125,13 @@ def study_targets(
 ) -> ReachedPoses:
     """What is reached of `targets` (n, ...), as `System.ik` takes them."""
     single = ik(system, targets, frame, task=task, budget=budget)
-    said, axis = task_and_axis(task)
+    said, axis = split_task(task)
     particle = bool(system.structure.table.at[frame][2])
-    name = task_of(said, targets.shape[-2:] not in ((4, 4), (3, 3)), particle)
+    name = choose_task(said, targets.shape[-2:] not in ((4, 4), (3, 3)), particle)
     q = single.q[:, None]
     mask = np.array(single.success)[:, None]
     solutions = np.where(mask[:, 0], UNKNOWN, np.where(np.isin(single.code, PROVEN), 0, UNKNOWN))
-    if not isinstance(find_plan_or_reason(system, frame, name, axis_for(axis, said)), str):
+    if not isinstance(find_plan_or_reason(system, frame, name, choose_axis(axis, said)), str):
         every: Any = ik_all(system, targets, frame, task=task, limits=True)
         solutions = np.where(every.complete, every.mask.sum(axis=-1), UNKNOWN)
         q = np.concatenate([q, every.q], axis=1)
@@ -207,7 +207,7 @@ def study_places(
 class Study(Report):
     """A report on which poses a frame of a system reaches, perhaps `broken` off."""
 
-    __repr__ = brief
+    __repr__ = summarize_fields
 
     system: Model
     frame: str
@@ -226,7 +226,7 @@ class Study(Report):
             self.broken is Status.INTERRUPTED, self.broken is Status.OUT_OF_TIME
         )
 
-    def _data(self) -> dict[str, Any]:
+    def _collect_data(self) -> dict[str, Any]:
         shown = {name: getattr(self, name) for name in self._shown}
         return {"system": self.system.name, "frame": self.frame} | shown
 
@@ -315,10 +315,10 @@ class ReachStudy(Study, Tabular):
         q = np.where(self.reached[:, None], self.q, np.nan)
         return list(self.system.coordinate_names), q
 
-    def _units(self) -> dict[str, str]:
+    def _list_units(self) -> dict[str, str]:
         return list_units(self.system)
 
-    def _notes(self, degrees: bool = False) -> list[str]:
+    def _list_notes(self, degrees: bool = False) -> list[str]:
         if not self.reached.any():
             lines = []
         else:
@@ -332,10 +332,10 @@ class ReachStudy(Study, Tabular):
         lines += [f"pose {i}: {self.reason(i)}" for i in blocked[:SHOWN]]
         return lines + [f"... and {len(blocked) - SHOWN} more"] * (len(blocked) > SHOWN)
 
-    def _data(self) -> dict[str, Any]:
+    def _collect_data(self) -> dict[str, Any]:
         more = {"codes": name_outcomes(self.codes), "q": name_values(self.system, self.q)}
         reasons = {str(i): text for i, text in self.reasons.items()}
-        return super()._data() | more | {"reasons": reasons}
+        return super()._collect_data() | more | {"reasons": reasons}
 
 
 @explain_errors

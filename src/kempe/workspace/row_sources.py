@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from kempe.answers.tables import header_of, rows_of_text
+from kempe.answers.tables import parse_header, parse_rows
 from kempe.arguments import check_name
 from kempe.arrays import KINDS
 from kempe.description.source import expand_path
@@ -292,7 +292,7 @@ def _open_csv(path: Path, columns: Sequence[str] | None) -> RowSource:
             row = bool(line.strip())
             if row and not width:
                 first = line.decode("utf-8-sig").strip()
-                names = header_of(first)
+                names = parse_header(first)
                 width = first.count(",") + 1
                 row = names is None
             if row:
@@ -309,7 +309,7 @@ def _open_csv(path: Path, columns: Sequence[str] | None) -> RowSource:
             stream.seek(places[k][0])
             text = stream.read(places[k + 1][0] - places[k][0]).decode("utf-8-sig")
         lines = [(i, line) for i, line in enumerate(text.split("\n"), places[k][1]) if line.strip()]
-        return rows_of_text(path, lines, width)[:, pick]
+        return parse_rows(path, lines, width)[:, pick]
 
     return RowSource(
         path,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe import spatial
-from kempe.answers.targets import TASKS, points_along
+from kempe.answers.targets import TASKS, is_axis_task
 from kempe.inverse.chain.length_bounds import measure_bound_excess
 from kempe.inverse.chain.serial_chain import Chain
 from kempe.spatial import Array
@@ -81,7 +81,7 @@ class FrameProblem:
 
 def pack_row_flags(problem: FrameProblem) -> np.ndarray:
     """Pack the rows that count, whether an axis is pointed, and circular coordinates, for kernels."""
-    pointed = points_along(problem.name)
+    pointed = is_axis_task(problem.name)
     rows = (*problem.mask[:5], 1, 1) if pointed else (*problem.mask, 0)
     return np.concatenate([np.array(rows, dtype=np.int64), problem.chain.circular])
 
@@ -96,7 +96,7 @@ def compute_errors(problem: FrameProblem, targets: Array, q: Array) -> Array:
     out = np.zeros((len(targets), 2))
     if any(problem.mask[:3]):
         out[:, 0] = np.linalg.norm(X[:, :3, 3] - targets[:, :3, 3], axis=-1)
-    if points_along(problem.name):
+    if is_axis_task(problem.name):
         a, b = (Y[:, :3, :3] @ np.array(problem.axis) for Y in (X, targets))
         out[:, 1] = np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(axis=-1))
     elif any(problem.mask[3:]):
@@ -134,7 +134,7 @@ def measure_length_excess(problem: FrameProblem, targets: Array) -> Array:
     """
     # else that is the reason
     free = len(problem.chain.v_index) >= (3 if problem.system.dim == 2 else sum(problem.mask))
-    along = np.array(problem.axis) if free and points_along(problem.name) else None
+    along = np.array(problem.axis) if free and is_axis_task(problem.name) else None
     return measure_bound_excess(
         problem.chain.bounds, targets, problem.tolerance, free and all(problem.mask), along=along
     )

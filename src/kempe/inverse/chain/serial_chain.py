@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kempe.answers.targets import Z_AXIS, frame_of
+from kempe.answers.targets import Z_AXIS, make_rotations_along
 from kempe.equations.closure_rows import pack_full_loops
 from kempe.errors import UnsupportedError
 from kempe.inverse.chain.length_bounds import ReachBound, Span, compute_reach_bounds, measure_span
@@ -71,7 +71,7 @@ def _pack_chain(system: Model, name: str, axis: tuple[float, float, float]) -> C
 def _turn_tip(chain: Chain, axis: tuple[float, float, float]) -> Chain:
     """Return the chain with its tip turned so that z points along `axis`."""
     floats = chain.floats.copy()
-    turn = frame_of(np.array(axis))
+    turn = make_rotations_along(np.array(axis))
     tip = get_tip_placement(chain.ints, floats)
     tip[:, :3] = tip[:, :3] @ turn
     return replace(chain, floats=floats)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe import spatial
-from kempe.answers.targets import Z_AXIS, frame_of
+from kempe.answers.targets import Z_AXIS, make_rotations_along
 from kempe.errors import UnsupportedError
 from kempe.inverse.chain.length_bounds import Span, even_out_offsets
 from kempe.inverse.chain.serial_chain import find_chain
@@ -235,7 +235,7 @@ def find_chain_lines(system: Model, frame: str, axis: tuple[float, float, float]
     if axis == Z_AXIS:
         return lines
     tip = lines.tip.copy()
-    tip[:3, :3] = tip[:3, :3] @ frame_of(np.array(axis))
+    tip[:3, :3] = tip[:3, :3] @ make_rotations_along(np.array(axis))
     return replace(lines, tip=tip)
 
 

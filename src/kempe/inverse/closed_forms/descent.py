@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from kempe import spatial
-from kempe.answers.targets import TASKS, targets_with_axis
+from kempe.answers.targets import TASKS, turn_targets_to_axis
 from kempe.inverse.closed_forms.chain_lines import Lines
 from kempe.kernels.forward.table_layout import SLIDE
 from kempe.spatial import Array
@@ -47,7 +47,7 @@ class Aim:
     ) -> Aim:
         """Make the equations of a target (4, 4) of a problem, with joints `held`."""
         lines = plan.lines
-        X = targets_with_axis(target, problem.axis).copy()
+        X = turn_targets_to_axis(target, problem.axis).copy()
         X[:3, 3] = (X[:3, 3] - lines.origin) / lines.length
         moves = np.array([i for i in range(len(lines)) if i not in held], dtype=np.int64)
         return cls(lines, np.flatnonzero(TASKS[plan.task]), X, moves)

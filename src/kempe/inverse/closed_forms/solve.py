@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from kempe.answers.targets import targets_with_axis
+from kempe.answers.targets import turn_targets_to_axis
 from kempe.budget import check_for_stop
 from kempe.inverse.closed_forms.chain_lines import Lines
 from kempe.inverse.closed_forms.plan import SEARCH, ChainPlan
@@ -64,7 +64,7 @@ def solve_locked_chain(
     chain_near: (1 or N, n) coordinates of the chain, near which angles are given. With `starts` a
     search looks for solutions where the equations say nothing.
     """
-    targets = targets_with_axis(problem.targets, problem.axis)
+    targets = turn_targets_to_axis(problem.targets, problem.axis)
     lines = plan.lines
     n = len(targets)
     single = problem.lead is None

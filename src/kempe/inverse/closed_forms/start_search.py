@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kempe.answers.targets import targets_with_axis
+from kempe.answers.targets import turn_targets_to_axis
 from kempe.inverse.chain.problem import ITERATIONS, MOST, FrameProblem, pack_row_flags
 from kempe.inverse.chain.serial_chain import find_chain
 from kempe.inverse.closed_forms.descent import Aim
@@ -158,7 +158,7 @@ def _search_from_starts(
     n = len(lines)
     at = find_chain_columns(chain, lines)
     pins = list(plan.locked)
-    goal = targets_with_axis(target[None], problem.axis)
+    goal = turn_targets_to_axis(target[None], problem.axis)
     seeds = np.empty((len(theta), 1, n))
     limits = np.tile([[-np.inf], [np.inf]], n)
     circular = chain.circular.copy()

@@ -19,7 +19,7 @@ from kempe.errors import InputError, UnsupportedError
 from kempe.forward.joint_lines import compute_joint_lines
 from kempe.inverse.chain.serial_chain import find_obstacle
 from kempe.late import import_late
-from kempe.report import Report, brief
+from kempe.report import Report, summarize_fields
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import format_count, join_words
@@ -209,7 +209,7 @@ class SolutionRegion:
     area go round voids.
     """
 
-    __repr__ = brief
+    __repr__ = summarize_fields
 
     solutions: int | None
     area: float
@@ -230,7 +230,7 @@ class PlanarWorkspace(Report):
 
     _pictured = True
 
-    __repr__ = brief
+    __repr__ = summarize_fields
 
     system: Model
     frame: str
@@ -399,14 +399,14 @@ class PlanarWorkspace(Report):
             return f"{of}: {area}, bounded by {pieces}{voids} (traced)"
         return f"{of}: area {self.area:.9g} m^2, bounded by {pieces}{voids}"
 
-    def _notes(self, degrees: bool = False) -> list[str]:
+    def _list_notes(self, degrees: bool = False) -> list[str]:
         return [
             f"{describe_solution_count(r, self.kind)}: {r.area:.{5 if self.error else 9}g} m^2, "
             f"{format_count(sum(compute_loop_area(x) > 0.0 for x in r.loops), 'part')}"
             for r in self.regions
         ]
 
-    def _data(self) -> dict[str, Any]:
+    def _collect_data(self) -> dict[str, Any]:
         regions = [{"solutions": r.solutions, "area": r.area} for r in self.regions]
         pieces = [p.data() for p in self.boundary]
         return {
