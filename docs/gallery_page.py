@@ -29,7 +29,7 @@ between two balls, are named.
 def page() -> str:
     """The page as Markdown."""
     groups: dict[str, list[str]] = {}
-    for name in library.names():
+    for name in library.list_models():
         system = kempe.load(name)
         group = "With loops" if system.structure.closures else "Open chains and trees"
         title = f"{group}, {'in the plane' if system.dim == 2 else 'in space'}"
@@ -49,15 +49,13 @@ def row(name: str, system: kempe.System) -> str:
         dof += f" (count: {found.gruebler})"
     if found.idle:
         dof += f", {found.idle} idle"
-    return (
-        f"| ![{name}](_static/gallery/{name}.png) | `{name}` | {dof} | {library.describe(name)} |\n"
-    )
+    return f"| ![{name}](_static/gallery/{name}.png) | `{name}` | {dof} | {library.describe_model(name)} |\n"
 
 
 def draw(folder: Path = PICTURES) -> list[Path]:
     """Draw all models into a folder; what is there is kept."""
     folder.mkdir(parents=True, exist_ok=True)
-    for name in library.names():
+    for name in library.list_models():
         path = folder / f"{name}.png"
         if path.exists():
             continue

@@ -11,7 +11,7 @@ from kempe import library
 @functools.cache
 def shipped() -> dict[str, kempe.System]:
     """All of them by name, in the order of the alphabet."""
-    return {name: kempe.load(name) for name in library.names()}
+    return {name: kempe.load(name) for name in library.list_models()}
 
 
 def with_loops() -> list[str]:

@@ -19,7 +19,7 @@ import kempe
 from kempe import errors
 from kempe.cli import app
 from kempe.description.toml_writer import write_toml
-from kempe.library import names as library_models
+from kempe.library import list_models as library_models
 
 ARMS = (
     "panda",

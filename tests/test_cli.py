@@ -22,7 +22,7 @@ from kempe.cli import app
 from kempe.cli.report import translate_keywords
 from kempe.cli.terminal import expand_home
 from kempe.kernels.compiled import VARIANT
-from kempe.library import names as library_models
+from kempe.library import list_models as library_models
 
 ARM = """\
 <robot name="arm">

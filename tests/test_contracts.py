@@ -31,7 +31,7 @@ def marked(name: str, *joints: str) -> kempe.System:
     text = re.sub(
         r"^\[postures.*?(?=^\[(?!postures)|\Z)",
         "",
-        library.path(name).read_text(),
+        library.find_model_file(name).read_text(),
         flags=re.M | re.S,
     )
     text = text.replace(f'name = "{name}"', f'name = "<b>{name}</b>"', 1)

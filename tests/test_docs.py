@@ -204,7 +204,7 @@ def test_links_lead_somewhere(path):
         file, _, heading = target.partition("#")
         to = (path.parent / file).resolve() if file else path
         # when the docs are built
-        drawn = to.parent.name == "gallery" and to.stem in library.names()
+        drawn = to.parent.name == "gallery" and to.stem in library.list_models()
         assert to.exists() or drawn, f"{path.name} links to {target}"
         if heading:
             assert heading in headings(to), f"{path.name} links to {target}"
@@ -262,7 +262,7 @@ def test_each_model_has_its_row_in_the_gallery():
         page,
         re.MULTILINE,
     )
-    assert sorted(row[0] for row in rows) == sorted(library.names()) and len(rows) >= 40
+    assert sorted(row[0] for row in rows) == sorted(library.list_models()) and len(rows) >= 40
     assert all(len(set(row[:3])) == 1 for row in rows)
 
 
@@ -273,7 +273,7 @@ def test_pictures_of_the_gallery(tmp_path):
     from matplotlib.image import imread
 
     drawn = written_by("gallery_page").draw(tmp_path)
-    assert [p.stem for p in drawn] == sorted(library.names())
+    assert [p.stem for p in drawn] == sorted(library.list_models())
     assert all(0.002 < float((imread(p)[..., :3].min(axis=-1) < 0.9).mean()) < 0.6 for p in drawn)
 
 

@@ -201,7 +201,7 @@ def one_page(to: Path) -> None:
     (docs / "_static" / "gallery").mkdir(parents=True)
     for name in ("conf.py", "gallery_page.py", "glossary.md", f"{PAGE}.md", "_static/kempe.css"):
         shutil.copy(DOCS / name, docs / name)
-    for name in library.names():
+    for name in library.list_models():
         (docs / "_static" / "gallery" / f"{name}.png").touch()
     (docs / "index.md").write_text(f"# Kempe\n\n```{{toctree}}\n{PAGE}\nglossary\n```\n")
 

@@ -18,7 +18,7 @@ from hunts import some
 import kempe
 from kempe.cli.facts import SystemFacts
 from kempe.errors import KempeError
-from kempe.library import names as library_models
+from kempe.library import list_models as library_models
 from kempe.views.overviews import tree_lines
 from kempe.words import choose_verb, format_count, format_share, make_plural, spell_count
 

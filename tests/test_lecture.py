@@ -718,7 +718,10 @@ def test_the_page_prints_what_it_says(page, tmp_path, monkeypatch):
     # section by section, as the tour shows them; its pictures are drawn in test_tour
     if page == "lecture":
         text = "\n".join(
-            text for x in lecture.sections() for kind, text in lecture.walk(x) if kind == "output"
+            text
+            for x in lecture.read_sections()
+            for kind, text in lecture.iterate_parts(x)
+            if kind == "output"
         )
         assert "False" not in text and "left out" not in text
     else:

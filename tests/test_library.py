@@ -20,7 +20,7 @@ from kempe.description.toml_writer import write_toml
 from kempe.errors import UnknownNameError
 from kempe.joints import TYPES
 
-MODELS = library.names()
+MODELS = library.list_models()
 LECTURE = {
     "two_link",
     "two_link_pose",
@@ -72,9 +72,10 @@ def test_what_is_shipped():
 
 @pytest.mark.parametrize("name", MODELS)
 def test_each_model_loads_and_describes_itself(name):
-    text = library.path(name).read_text(encoding="utf-8")
+    text = library.find_model_file(name).read_text(encoding="utf-8")
     assert (
-        text.startswith(f"# {library.describe(name)}\n") and 10 < len(library.describe(name)) <= 118
+        text.startswith(f"# {library.describe_model(name)}\n")
+        and 10 < len(library.describe_model(name)) <= 118
     )
     mechanism = read_toml(text, name)
     assert mechanism.name == name and not mechanism.notes
@@ -98,7 +99,7 @@ def test_postures_are_allowed_and_loops_closed(name):
 
 
 def test_names_that_are_not_there():
-    for call in (library.path, library.describe):
+    for call in (library.find_model_file, library.describe_model):
         with pytest.raises(UnknownNameError, match="did you mean 'puma560'"):
             call("puma5600")
 
@@ -111,7 +112,7 @@ def test_a_model_of_each_joint(model):
     system = kempe.load(model)
     joint = system.structure.joints["joint"]
     assert f"joint_{joint.type.type_name}" == model and joint.type.type_name in TYPES
-    said = re.search(r"(\d) DoF", library.describe(model))
+    said = re.search(r"(\d) DoF", library.describe_model(model))
     assert said is not None and int(said[1]) == joint.type.dof() == system.nv
 
 

@@ -85,7 +85,7 @@ def assert_same_places(
 
 def test_the_table_has_every_planar_mechanism_with_loops():
     names = [case.name for case in PLANAR]
-    systems = {name: kempe.load(name) for name in library.names()}
+    systems = {name: kempe.load(name) for name in library.list_models()}
     closed = {
         name for name, system in systems.items() if system.dim == 2 and system.structure.closures
     }
@@ -113,7 +113,7 @@ def test_counts_and_what_the_files_say(case: Case):
     taken = sum(3 - freedoms[joint.type.type_name] for joint in mechanism.joints.values())
     bodies = [name for name in mechanism.bodies if name != "ground"]
     assert 3 * len(bodies) - taken == case.count
-    text = library.path(case.name).read_text(encoding="utf-8")
+    text = library.find_model_file(case.name).read_text(encoding="utf-8")
     numbers = re.search(
         r"# Count in the plane: 3 \* (\d+) bodies - 2 \* (\d+) joints = (-?\d+).*Truth: (\d)", text
     )

@@ -12,7 +12,7 @@ from kempe.errors import InputError
 from kempe.library import lecture
 from kempe.library.lecture import Cell
 
-SECTIONS = lecture.sections()
+SECTIONS = lecture.read_sections()
 DRAWN = {
     2: ['labels=("bodies", "joints")'],
     3: ['load("slider")', "motion=True"],
@@ -62,7 +62,7 @@ def test_the_order_is_that_of_the_lecture():
 
 @pytest.mark.parametrize("section", SECTIONS, ids=lambda x: str(x.number))
 def test_a_section_has_formula_code_picture_and_exercise(section):
-    source = re.split(r"^## ", lecture.page(), flags=re.MULTILINE)[section.number]
+    source = re.split(r"^## ", lecture.read_page(), flags=re.MULTILINE)[section.number]
     assert re.search(r"\$.+?\$", source) and any(
         x.picture for x in section.parts if isinstance(x, Cell)
     )
@@ -93,7 +93,7 @@ def test_a_section_has_formula_code_picture_and_exercise(section):
     ],
 )
 def test_text_is_plain(text, shown):
-    assert lecture.plain(text) == shown
+    assert lecture.format_plain_text(text) == shown
 
 
 def test_no_markup_is_left():
@@ -106,27 +106,30 @@ def test_a_section_that_is_not_there_is_refused(number):
     with pytest.raises(
         InputError, match="section is .*there are: 1 From particles.*18 Constraints, again"
     ):
-        lecture.chosen(number)
+        lecture.choose_sections(number)
 
 
 def test_values_and_what_is_printed_are_shown():
     names: dict = {}
-    assert lecture.run(Cell("x = 2\nprint('a')\nx + 1\n"), names) == "a\n3" and names["x"] == 2
-    assert lecture.run(Cell("x = 5\nx.no_such_thing;\n"), names) == "", (
+    assert lecture.run_cell(Cell("x = 2\nprint('a')\nx + 1\n"), names) == "a\n3" and names["x"] == 2
+    assert lecture.run_cell(Cell("x = 5\nx.no_such_thing;\n"), names) == "", (
         "what draws is left out without a folder"
     )
     assert (
-        lecture.prompted("for i in x:\n    f(i)\ng()") == ">>> for i in x:\n...     f(i)\n>>> g()"
+        lecture.add_prompts("for i in x:\n    f(i)\ng()")
+        == ">>> for i in x:\n...     f(i)\n>>> g()"
     )
 
 
 def test_what_needs_an_absent_package_is_left_out_with_what_depends_on_it():
     names: dict = {}
-    said = lecture.run(Cell("import no_such_package as n\n"), names)
+    said = lecture.run_cell(Cell("import no_such_package as n\n"), names)
     assert said == "left out: No module named 'no_such_package'"
-    assert lecture.run(Cell("print(n)\n"), names).startswith("left out: name 'n' is not defined")
+    assert lecture.run_cell(Cell("print(n)\n"), names).startswith(
+        "left out: name 'n' is not defined"
+    )
     with pytest.raises(NameError):
-        lecture.run(Cell("print(n)\n"), {})
+        lecture.run_cell(Cell("print(n)\n"), {})
 
 
 def test_the_command_prints_a_section():
@@ -185,7 +188,9 @@ def test_enter_goes_on_and_q_ends(keys, shown, monkeypatch, capsys):
     monkeypatch.setattr("builtins.input", typed)
     monkeypatch.setattr(library_commands.sys, "stdin", Terminal())
     monkeypatch.setattr(library_commands.sys.stdout, "isatty", lambda: True, raising=False)
-    monkeypatch.setattr(lecture, "walk", lambda section, pictures: [("text", section.title)])
+    monkeypatch.setattr(
+        lecture, "iterate_parts", lambda section, pictures: [("text", section.title)]
+    )
     library_commands.run_tour()
     out = capsys.readouterr().out
     assert [x.number for x in SECTIONS if f"{x.number} {x.title}\n-" in out] == list(

@@ -63,7 +63,7 @@ Rng = np.random.Generator
 
 def names() -> list[str]:
     """The names of all systems: shipped models, and files of robots by their path."""
-    return [*library.names(), *FILES]
+    return [*library.list_models(), *FILES]
 
 
 def load(name: str) -> kempe.System:

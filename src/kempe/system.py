@@ -235,7 +235,7 @@ class System(Model, Pictured):
     name.
 
     What is needed daily has a name here. Families have one name together: `structure` (what it is
-    made of), `configuration_space`, `loops`, `inverse`, `reach`, `symbolic`; what the description
+    made of), `make_configuration_space`, `loops`, `inverse`, `reach`, `symbolic`; what the description
     says, and writes, is the `mechanism`.
     """
 
@@ -312,9 +312,9 @@ class System(Model, Pictured):
         """The configuration space: its dimension and its shape, such as T^2 x R, within the space
         of all `q`.
         """
-        from kempe.spaces.configuration_space import configuration_space
+        from kempe.spaces.configuration_space import make_configuration_space
 
-        return configuration_space(self)
+        return make_configuration_space(self)
 
     @explain_errors
     def task_space(

@@ -23,8 +23,8 @@ from kempe.description.source import Source, pause_garbage_collection
 from kempe.description.toml_document import Places
 from kempe.description.toml_writer import write_toml
 from kempe.errors import DescriptionError
-from kempe.library import names as models
-from kempe.library import path as model_path
+from kempe.library import find_model_file as model_path
+from kempe.library import list_models as models
 
 SHAPES = ("chain", "star", "tree", "fixed", "unlimited")
 

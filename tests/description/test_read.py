@@ -21,7 +21,7 @@ from kempe.description.formats import OTHER_KINDS, find_other_kind
 from kempe.description.read import check_description, read_mechanism
 from kempe.description.toml_writer import write_toml
 from kempe.errors import DescriptionError, InputError
-from kempe.library import names as library_models
+from kempe.library import list_models as library_models
 
 URDF = robot(SHOULDER, WRIST)
 TOML = write_toml(read_mechanism(URDF))
@@ -291,7 +291,7 @@ def test_no_valid_file_is_taken_for_another_kind(hunt):
     comments and marks.
     """
     rng = hunt.rng()
-    texts = [library.path(name).read_text(encoding="utf-8") for name in library_models()]
+    texts = [library.find_model_file(name).read_text(encoding="utf-8") for name in library_models()]
     texts += [path.read_text(encoding="utf-8", errors="replace") for path in urdf_files().values()]
     texts += [case.text for case in (*URDF_CASES, *TOML_CASES) if case.says is None]
     for text in texts:

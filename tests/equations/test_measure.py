@@ -45,7 +45,7 @@ def test_motions_of_joints(name, hunt):
             )
 
 
-@pytest.mark.parametrize("name", library.names())
+@pytest.mark.parametrize("name", library.list_models())
 def test_poses_are_those_of_the_forward_model(name):
     system = kempe.load(name)
     q = np.stack([system.random(k) for k in range(5)])

@@ -188,7 +188,7 @@ BALLS = {
 }
 
 
-@pytest.mark.parametrize("name", some(library.names(), 3))
+@pytest.mark.parametrize("name", some(library.list_models(), 3))
 def test_each_shipped_system_has_minimal_coordinates(name):
     """As many as the true freedoms, but where first order has more (singular postures)."""
     s = kempe.load(name)

@@ -16,8 +16,8 @@ from scipy.ndimage import label
 import kempe
 from kempe import Budget, Status
 from kempe.equations.closure_rows import compute_jacobian
-from kempe.spaces.four_joints import FourJoints, four_joints
-from kempe.spaces.polygons import polygon_of
+from kempe.spaces.four_joints import FourJoints, find_four_joints
+from kempe.spaces.polygons import find_polygon
 
 
 def grashof(lengths: list[float]) -> int:
@@ -64,7 +64,7 @@ def test_four_bars_are_counted_by_grashofs_rule(hunt):
     rng = hunt.rng()
     for _ in range(hunt.cases(40)):
         lengths = rng.uniform(0.1, 1.0, 4).tolist()
-        loop = polygon_of(polygon(lengths))
+        loop = find_polygon(polygon(lengths))
         assert not isinstance(loop, str) and loop.count == grashof(lengths)
 
 
@@ -109,20 +109,20 @@ def test_the_sides_of_two_components_never_meet(hunt):
     keep their side.
     """
     system = polygon([1.0, 0.1, 0.9, 1.0, 0.1])
-    loop = polygon_of(system)
+    loop = find_polygon(system)
     assert not isinstance(loop, str) and loop.count == 2
     sample = system.configuration_space.sample(40, hunt.rng())
-    side = loop.labels(sample.q)
+    side = loop.label_components(sample.q)
     assert set(side) == {0, 1}
     for q, own in zip(sample.q, side, strict=True):
         path = system.trace(start=q, hold={"j1": q[0]}, budget=Budget(points=60))
-        assert (loop.labels(path.q) == own).all()
+        assert (loop.label_components(path.q) == own).all()
 
 
 def test_aligned_polygons_are_closed_and_on_one_line():
-    loop = polygon_of(polygon([0.4, 0.1, 0.2, 0.2, 0.1]))
+    loop = find_polygon(polygon([0.4, 0.1, 0.2, 0.2, 0.1]))
     assert not isinstance(loop, str)
-    q = loop.singular
+    q = loop.singular_points
     assert len(q) == 2  # 4 + 1 = 2 + 2 + 1 with the first or the last of the ones on the left
     for x in q:
         ends = (
@@ -176,7 +176,7 @@ def test_two_cranks_and_a_rod_are_counted_as_a_grid_counts_them(hunt):
         crank, rocker, x, y, z = rng.uniform(0.05, 0.4, 5)
         rod = rng.uniform(0.2, 0.8)
         system = rssr(crank, rod, rocker, x, y, z)
-        found = four_joints(system)
+        found = find_four_joints(system)
         assert isinstance(found, FourJoints)
         seen.append(found.count)
         # else dead points are too near to one another for the grid

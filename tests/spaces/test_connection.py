@@ -16,7 +16,7 @@ from kempe import Budget, Mechanism, Status
 from kempe.equations.judge import judge_configurations
 from kempe.errors import InputError
 from kempe.model.characteristic_length import compute_characteristic_length
-from kempe.spaces.polygons import polygon_of
+from kempe.spaces.polygons import find_polygon
 
 
 def connects(
@@ -189,12 +189,12 @@ def test_random_loops_of_bars_are_joined_where_the_theorem_allows(hunt):
     seen = set()
     for _ in range(hunt.cases(12)):
         system = polygon(rng.uniform(0.1, 1.0, 5).tolist())
-        loop = polygon_of(system)
+        loop = find_polygon(system)
         assert not isinstance(loop, str)
         if loop.count:
             a, b = system.configuration_space.sample(2, rng).q
             found = system.configuration_space.path(a, b)
             seen.add(found.code)
-            apart = loop.labels(a[None])[0] != loop.labels(b[None])[0]
+            apart = loop.label_components(a[None])[0] != loop.label_components(b[None])[0]
             assert found.code is Status.NONE_EXISTS if apart else connects(system, found, a, b)
     assert Status.SOLVED in seen

@@ -11,12 +11,12 @@ from polygons import polygon
 
 import kempe
 from kempe import Budget, Mechanism, Status
-from kempe.spaces.four_joints import FourJoints, four_joints
-from kempe.spaces.polygons import polygon_of
+from kempe.spaces.four_joints import FourJoints, find_four_joints
+from kempe.spaces.polygons import find_polygon
 
 
 def decided(system: kempe.System) -> FourJoints:
-    found = four_joints(system)
+    found = find_four_joints(system)
     assert isinstance(found, FourJoints)
     return found
 
@@ -95,11 +95,11 @@ def test_loops_within_limits_are_counted_as_a_grid_counts_them(hunt):
             continue
         system = limited(system, rng)
         bounded = np.isfinite(system.lower)[system.coordinate_names.index("A")]
-        found = four_joints(system)
+        found = find_four_joints(system)
         if bounded or isinstance(found, str) or np.diff(found.cuts).min() < 0.01:
             continue
         assert found.count == arcs_on_a_grid(system), (lengths, system.structure.limits)
-        assert found.labels(found.starts).tolist() == list(range(found.count))
+        assert found.label_components(found.starts).tolist() == list(range(found.count))
         seen.append(found.count)
     assert seen
 
@@ -111,7 +111,7 @@ def test_traced_curves_keep_their_component(name):
     found = decided(system)
     for c, q in enumerate(found.starts):
         path = system.trace(start=q, budget=Budget(points=300))
-        assert {*found.labels(path.q).tolist()} - {-1} == {c}
+        assert {*found.label_components(path.q).tolist()} - {-1} == {c}
 
 
 @pytest.mark.parametrize(
@@ -161,8 +161,8 @@ def test_small_gaps_are_gaps(hunt):
         if lengths[0] < 0.05:
             continue
         system = polygon(lengths)
-        loop = polygon_of(system)
-        found = four_joints(system)
+        loop = find_polygon(system)
+        found = find_four_joints(system)
         assert not isinstance(loop, str)
         assert isinstance(found, str) or found.count == loop.count, lengths
         proven += not isinstance(found, str)
@@ -178,8 +178,8 @@ def test_branches_that_touch_are_one_component(name):
     system = kempe.load(name)
     found = decided(system)
     assert found.count == 1 and len(found.touching)
-    assert np.abs(system.loops.closure_error(found.singular)).max() < 1e-9
-    assert all(system.mobility(q).singular for q in found.singular)
+    assert np.abs(system.loops.closure_error(found.singular_points)).max() < 1e-9
+    assert all(system.mobility(q).singular for q in found.singular_points)
     answer = system.configuration_space.components()
     assert (answer.count, answer.complete, len(answer.singular)) == (1, True, 2)
 
@@ -290,5 +290,5 @@ def test_what_cannot_be_decided_says_why():
         ("double_parallelogram", "more than one loop"),
         ("bennett", "rod"),
     ):
-        found = four_joints(kempe.load(name))
+        found = find_four_joints(kempe.load(name))
         assert isinstance(found, str) and why in found

@@ -359,7 +359,7 @@ def test_curves_of_a_pointer_whose_legs_spin_idly_are_whole_turns(lower):
 
 
 def test_the_far_side_of_a_turn_is_not_beside_a_place():
-    from kempe.spaces.singular_curves import _beside
+    from kempe.spaces.singular_curves import _is_beside
 
-    assert _beside(np.array([[-0.1, 0.0]]), np.array([[0.1, 0.0]])).all()
-    assert not _beside(np.array([[-3.1, 0.2]]), np.array([[3.1, 0.2]])).any()
+    assert _is_beside(np.array([[-0.1, 0.0]]), np.array([[0.1, 0.0]])).all()
+    assert not _is_beside(np.array([[-3.1, 0.2]]), np.array([[3.1, 0.2]])).any()

@@ -36,14 +36,14 @@ def test_modes_and_ways_of_spherical_five_bars_are_those_of_triangles(hunt):
     met = set[int]()
     for _ in range(hunt.cases(8)):
         arcs = rng.uniform(0.3, 1.5, 5)
-        space = spaces.two_freedoms(spherical_five_bar(*arcs), "tip", DIRECTION)
-        modes = space.over_grid(31)[1].sum(axis=-1)
+        space = spaces.make_two_freedoms(spherical_five_bar(*arcs), "tip", DIRECTION)
+        modes = space.solve_grid(31)[1].sum(axis=-1)
         x = np.linspace(-3.1, 3.0, 31)
         y = np.linspace(-1.5, 1.55, 29)
-        ways = space.reach_grid(x, y)
+        ways = space.count_reaching_grid(x, y)
         z = directions(*np.meshgrid(x, y, indexing="ij"))
         assert space.names == ("A", "D")
-        assert np.array_equal(modes, modes_of_spherical(space.grid(31), *arcs))
+        assert np.array_equal(modes, modes_of_spherical(space.make_grid(31), *arcs))
         assert np.array_equal(ways, ways_of_spherical(z, *arcs))
         met |= set(modes.ravel().tolist()) | set(ways.ravel().tolist())
     assert met == {0, 2, 4}
@@ -51,12 +51,12 @@ def test_modes_and_ways_of_spherical_five_bars_are_those_of_triangles(hunt):
 
 @pytest.mark.parametrize(("plane", "task"), [("xy", "xy"), ("xz", "xz")])
 def test_a_planar_five_bar_in_space_has_the_numbers_of_that_in_the_plane(plane, task):
-    flat = spaces.two_freedoms(five_bar(None), "tip", PLANE)
-    deep = spaces.two_freedoms(five_bar(plane), "tip", FlatTask(task, 3))
-    modes = [s.over_grid(37)[1].sum(axis=-1) for s in (flat, deep)]
+    flat = spaces.make_two_freedoms(five_bar(None), "tip", PLANE)
+    deep = spaces.make_two_freedoms(five_bar(plane), "tip", FlatTask(task, 3))
+    modes = [s.solve_grid(37)[1].sum(axis=-1) for s in (flat, deep)]
     x = np.linspace(-0.7, 0.9, 37)
     y = np.linspace(-0.71, 0.7, 35)
-    ways = [s.reach_grid(x, y) for s in (flat, deep)]
+    ways = [s.count_reaching_grid(x, y) for s in (flat, deep)]
     assert (
         flat.complete
         and not deep.complete
@@ -68,9 +68,9 @@ def test_a_planar_five_bar_in_space_has_the_numbers_of_that_in_the_plane(plane, 
 
 def test_lengths_in_millimetres_do_not_matter():
     """The tip is reached from each slide in two ways; slides are within their limits."""
-    space = spaces.two_freedoms(slider_pair(3), "tip", FlatTask("xy", 3))
-    modes = space.over_grid(33)[1].sum(axis=-1)
-    values = space.grid(33)
+    space = spaces.make_two_freedoms(slider_pair(3), "tip", FlatTask("xy", 3))
+    modes = space.solve_grid(33)[1].sum(axis=-1)
+    values = space.make_grid(33)
     far = values[..., 1] - values[..., 0]
     clear = (np.abs(far - 550.0) > 1e-6) & (np.abs(far - 50.0) > 1e-6)
     assert np.array_equal(modes[clear], (2 * ((far > 50.0) & (far < 550.0)))[clear])
@@ -84,8 +84,10 @@ def test_lengths_in_millimetres_do_not_matter():
         expected += (
             (carts[0] > -300.0) & (carts[0] < 100.0) & (carts[1] > 100.0) & (carts[1] < 500.0)
         )
-    assert np.array_equal(space.reach_grid(x, y), expected) and len(np.unique(expected)) > 1
-    assert len(space.solutions(np.array([50.0, 200.0]))) > 0
+    assert (
+        np.array_equal(space.count_reaching_grid(x, y), expected) and len(np.unique(expected)) > 1
+    )
+    assert len(space.find_solutions(np.array([50.0, 200.0]))) > 0
 
 
 @pytest.mark.slow
@@ -99,14 +101,14 @@ def test_lengths_in_millimetres_do_not_matter():
 )
 def test_modes_of_a_pointer_on_two_legs_are_the_roots_of_their_lengths(lower, upper, times):
     """Legs that spin idly are counted once; each universal joint of a leg has two pairs of angles."""
-    space = spaces.two_freedoms(pointer(lower, upper), "camera", DIRECTION)
-    q, mask = space.over_grid(16)
+    space = spaces.make_two_freedoms(pointer(lower, upper), "camera", DIRECTION)
+    q, mask = space.solve_grid(16)
     assert space.names == ("s0", "s1")
     at = [space.system.coordinate_names.index(n) for n in ("U.rx", "U.ry", "s0", "s1")]
     U = q[mask][:, at[:2]]
     s = q[mask][:, at[2:]]
     assert lengths_of_pointer(U) == pytest.approx(s, abs=1e-9)
-    values = space.grid(16).reshape(-1, 2)
+    values = space.make_grid(16).reshape(-1, 2)
     expected = [roots_of_pointer(x) for x in values[::23]]
     assert mask.sum(axis=-1).ravel()[::23].tolist() == [times * k for k in expected] and set(
         expected
@@ -135,28 +137,28 @@ def roots_of_pointer(s: np.ndarray) -> int:
 def test_a_gimbal_reaches_each_direction_in_two_ways_but_for_its_axis():
     m = kempe.Mechanism("gimbal")
     m.universal("U", m.ground, m.body("camera"))
-    space = spaces.two_freedoms(m.build(), "camera", DIRECTION)
-    space.over_grid(40)
+    space = spaces.make_two_freedoms(m.build(), "camera", DIRECTION)
+    space.solve_grid(40)
     x = np.linspace(-3.0, 3.0, 30)
     y = np.linspace(-1.5, 1.5, 30)
-    assert (space.reach_grid(x, y) == 2).all()
-    limited = spaces.two_freedoms(
+    assert (space.count_reaching_grid(x, y) == 2).all()
+    limited = spaces.make_two_freedoms(
         m.build().with_limits({"U.rx": (-1.0, 1.0), "U.ry": (-0.5, 0.5)}), "camera", DIRECTION
     )
-    limited.over_grid(40)
+    limited.solve_grid(40)
     z = directions(*np.meshgrid(x, y, indexing="ij"))
     b = np.arcsin(z[..., 0])
     a = np.arctan2(-z[..., 1], z[..., 2])
-    assert np.array_equal(limited.reach_grid(x, y), (np.abs(b) < 0.5) & (np.abs(a) < 1.0))
+    assert np.array_equal(limited.count_reaching_grid(x, y), (np.abs(b) < 0.5) & (np.abs(a) < 1.0))
 
 
 def test_solutions_of_a_point_are_all_ways_to_it():
     arcs = (1.0, 1.2, 1.1, 0.9, 1.3)
-    space = spaces.two_freedoms(spherical_five_bar(*arcs), "tip", DIRECTION)
-    space.over_grid(31)
-    space.reach_grid(np.linspace(-3.1, 3.1, 41), np.linspace(-1.5, 1.5, 41))
+    space = spaces.make_two_freedoms(spherical_five_bar(*arcs), "tip", DIRECTION)
+    space.solve_grid(31)
+    space.count_reaching_grid(np.linspace(-3.1, 3.1, 41), np.linspace(-1.5, 1.5, 41))
     for p in ((0.3, 0.5), (-2.0, 0.1)):
-        q = space.solutions(np.array(p))
+        q = space.find_solutions(np.array(p))
         assert len(q) == ways_of_spherical(directions(*p), *arcs) == 4
         assert space.system.fk(q, "tip")[:, :3, 2] == pytest.approx(
             np.tile(directions(*p), (4, 1)), abs=1e-8
@@ -165,23 +167,23 @@ def test_solutions_of_a_point_are_all_ways_to_it():
 
 
 def test_places_without_a_closed_form_are_counted_from_node_to_node(monkeypatch):
-    exact = spaces.two_freedoms(five_bar(None), "tip", PLANE)
-    monkeypatch.setattr(spaces, "_placed", lambda *_: None)
-    found = spaces.two_freedoms(five_bar(None), "tip", PLANE)
-    exact.over_grid(30)
-    found.over_grid(30)
+    exact = spaces.make_two_freedoms(five_bar(None), "tip", PLANE)
+    monkeypatch.setattr(spaces, "_plan_for_place", lambda *_: None)
+    found = spaces.make_two_freedoms(five_bar(None), "tip", PLANE)
+    exact.solve_grid(30)
+    found.solve_grid(30)
     x = np.linspace(-0.7, 0.9, 31)
     y = np.linspace(-0.71, 0.7, 29)
-    assert np.array_equal(exact.reach_grid(x, y), found.reach_grid(x, y))
+    assert np.array_equal(exact.count_reaching_grid(x, y), found.count_reaching_grid(x, y))
 
 
 def test_the_time_limit_ends_a_search_with_what_is_found():
     from kempe.numerics.clock import TimeLimit
 
-    space = spaces.two_freedoms(
+    space = spaces.make_two_freedoms(
         spherical_five_bar(1.0, 1.2, 1.1, 0.9, 1.3), "tip", DIRECTION, TimeLimit(1e-9)
     )
-    assert not space.over_grid(60)[1].any() and space.broken is kempe.Status.OUT_OF_TIME
+    assert not space.solve_grid(60)[1].any() and space.broken is kempe.Status.OUT_OF_TIME
 
 
 @pytest.mark.parametrize(
@@ -202,7 +204,7 @@ def test_the_time_limit_ends_a_search_with_what_is_found():
 def test_what_is_not_drawn_is_said(name, frame, task, error, words):
     with pytest.raises(error, match=words):
         system = kempe.load(name)
-        spaces.two_freedoms(system, frame, find_flat_task(task, system.dim))
+        spaces.make_two_freedoms(system, frame, find_flat_task(task, system.dim))
     with pytest.raises(InputError, match="plot_spaces does not read"):
         kempe.load("two_link").plot_spaces("e", budget=Budget(starts=3))
 
@@ -211,11 +213,11 @@ def test_places_beside_singular_lines_are_reached_in_as_many_ways_as_they_are():
     """The tip of a torus, from above: within the annulus each place is reached over and under, but
     on its edge.
     """
-    space = spaces.two_freedoms(torus(0.5, 0.2, False), "tip", FlatTask("xy", 3))
-    values = space.grid(60)
-    q, mask = space.over_grid(60)
+    space = spaces.make_two_freedoms(torus(0.5, 0.2, False), "tip", FlatTask("xy", 3))
+    values = space.make_grid(60)
+    q, mask = space.solve_grid(60)
     x = np.linspace(-0.75, 0.75, 60)
     y = np.linspace(-0.74, 0.74, 59)
-    space.reach_grid(x, y)
+    space.count_reaching_grid(x, y)
     clear = np.abs(np.sin(values[..., 1])) > 1e-6
-    assert mask.all() and clear.mean() > 0.9 and (space.ways(q[..., 0, :])[clear] == 2).all()
+    assert mask.all() and clear.mean() > 0.9 and (space.count_ways(q[..., 0, :])[clear] == 2).all()

@@ -208,7 +208,7 @@ def test_what_cannot_be_built_or_drawn_is_text():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", library.names())
+@pytest.mark.parametrize("name", library.list_models())
 def test_every_model_in_a_notebook(name):
     page = kempe.load(name)._repr_html_()
     assert page.count("<img") == 1 and "freedom" in page or "DoF" in page or "Gruebler" in page

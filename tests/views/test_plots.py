@@ -603,7 +603,7 @@ def test_odd_systems_can_be_drawn(name, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", sorted(library.names()))
+@pytest.mark.parametrize("name", sorted(library.list_models()))
 def test_every_model_can_be_drawn(name, tmp_path):
     import warnings
 
@@ -757,7 +757,7 @@ def test_without_matplotlib_the_error_names_the_extra():
 # ---- where constraints hold
 
 
-@pytest.mark.parametrize("name", library.names())
+@pytest.mark.parametrize("name", library.list_models())
 def test_what_is_drawn_by_default_holds(name):
     """The default configuration satisfies all that is declared, where assembling from home can."""
     system = kempe.load(name)

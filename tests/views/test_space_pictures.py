@@ -43,7 +43,7 @@ PLANE = FlatTask("xy", 2)
 
 
 def two_freedoms(system, frame, task=PLANE):
-    return spaces.two_freedoms(system, frame, task)
+    return spaces.make_two_freedoms(system, frame, task)
 
 
 def by_hand(p: np.ndarray, limits: list[tuple[float, float]]) -> int:
@@ -300,8 +300,8 @@ def test_modes_and_ways_of_five_bars_are_those_of_triangles(hunt):
         ]
         far = np.linalg.norm(ends[1] - ends[0], axis=1)
         legs = [np.linalg.norm(p - [x, 0.0], axis=1) for x in (0.0, d)]
-        modes = space.over(values)[1].sum(axis=1)
-        ways = space.reaching(p)[1].sum(axis=1)
+        modes = space.solve_values(values)[1].sum(axis=1)
+        ways = space.solve_places(p)[1].sum(axis=1)
         assert space.names == ("A", "D")
         assert np.array_equal(modes, 2 * _closes(far, b1, b2))
         assert np.array_equal(ways, 4 * (_closes(legs[0], a1, b1) & _closes(legs[1], a2, b2)))
@@ -378,11 +378,11 @@ def test_limits_of_other_coordinates_are_lines():
 @pytest.mark.parametrize("limits", [{}, {"A": (0.0, 2.8), "P": (0.3, 2.5)}])
 def test_places_with_a_configuration_are_the_image_of_a_grid(limits):
     space = two_freedoms(FIVE.with_limits(limits), "tip")
-    p = space.places(*space.over_grid(300)).reshape(-1, 2)
+    p = space.compute_places(*space.solve_grid(300)).reshape(-1, 2)
     x = np.linspace(-0.31, 0.61, 24)
     y = np.linspace(-0.51, 0.52, 27)
     beside = np.histogram2d(*p[np.isfinite(p).all(axis=1)].T, bins=[_edges(x), _edges(y)])[0] > 0
-    reached = space.reach_grid(x, y) > 0
+    reached = space.count_reaching_grid(x, y) > 0
     assert not (reached & ~beside).any()  # a cell whose middle is reached holds some of the image
     assert (
         reached == beside
@@ -416,11 +416,11 @@ def test_another_pair_of_coordinates_takes_over_where_actuated_ones_leave_no_dya
     space = two_freedoms(linkage(), "tip")
     assert space.names != ("A", "G") and space.complete
     rng = np.random.default_rng(1)
-    q, mask = space.over(rng.uniform(-3.0, 3.0, (200, 2)))
+    q, mask = space.solve_values(rng.uniform(-3.0, 3.0, (200, 2)))
     assert np.abs(space.system.loops.closure_error(q[mask])).max() < 1e-9
-    p = space.places(q, mask)[mask]
-    back, ok = space.reaching(p)
-    assert ok.any(axis=1).all() and space.places(back, ok)[ok] == pytest.approx(
+    p = space.compute_places(q, mask)[mask]
+    back, ok = space.solve_places(p)
+    assert ok.any(axis=1).all() and space.compute_places(back, ok)[ok] == pytest.approx(
         np.repeat(p, ok.sum(axis=1), axis=0)
     )
     off = np.abs(np.sin(0.5 * (back - q[mask][:, None]))).max(axis=-1)

@@ -35,10 +35,10 @@ def run_library(
     from kempe import library as models
 
     if name is not None:
-        text = models.path(name).read_text(encoding="utf-8")
+        text = models.find_model_file(name).read_text(encoding="utf-8")
         print_json({"name": name, "toml": text}) if output.json else print(text, end="")
         return
-    rows = [(n, models.describe(n)) for n in models.names()]
+    rows = [(n, models.describe_model(n)) for n in models.list_models()]
     if output.json:
         print_json([{"name": n, "description": text} for n, text in rows])
     else:
@@ -86,7 +86,7 @@ def run_tour(
     """
     from kempe.library import lecture
 
-    found = lecture.chosen(number)
+    found = lecture.choose_sections(number)
     if pictures is not None:
         if pictures.exists() and not pictures.is_dir():
             raise InputError(
@@ -99,7 +99,7 @@ def run_tour(
             {
                 "section": x.number,
                 "title": x.title,
-                "parts": [{k: v} for k, v in lecture.walk(x, pictures)],
+                "parts": [{k: v} for k, v in lecture.iterate_parts(x, pictures)],
             }
             for x in found
         ]
@@ -112,8 +112,8 @@ def run_tour(
         heading = f"{x.number} {x.title}"
         print(f"{heading}\n{'-' * len(heading)}\n")
         code = False
-        for kind, text in lecture.walk(x, pictures):
-            said = {"code": lecture.prompted, "picture": "[picture: {}]".format}.get(kind, str)
+        for kind, text in lecture.iterate_parts(x, pictures):
+            said = {"code": lecture.add_prompts, "picture": "[picture: {}]".format}.get(kind, str)
             print(
                 "\n" * (code and kind == "text") + said(text),
                 end="\n" if kind == "code" else "\n\n",

@@ -43,8 +43,8 @@ from kempe.errors import (
     UnsupportedError,
     Where,
 )
-from kempe.library import names as library_models
-from kempe.library import path as library_path
+from kempe.library import find_model_file as library_path
+from kempe.library import list_models as library_models
 
 # ---- reading and checking
 

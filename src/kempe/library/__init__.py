@@ -1,5 +1,5 @@
-"""The models that come with Kempe: the lecture's systems, one joint of each type, robots from
-published tables, and mechanisms with closed loops from the literature.
+"""Models that come with Kempe. They are joints of each type, published robots, mechanisms with
+loops, and systems of the lecture.
 
 ``kempe.load("puma560")`` loads one by its name. Each is a TOML file whose first comment line says
 what it is.
@@ -16,19 +16,21 @@ FOLDER = Path(__file__).parent
 
 
 @functools.cache
-def names() -> tuple[str, ...]:
-    """Names of the models, in the order of the alphabet."""
+def list_models() -> tuple[str, ...]:
+    """List the names of the models in alphabetical order."""
     return tuple(sorted(path.stem for path in FOLDER.glob("*.toml")))
 
 
-def path(name: str) -> Path:
-    """The file of a model, to read its text. Errors: `UnknownNameError` with the nearest names."""
-    if name not in names():
-        raise UnknownNameError("model", name, names(), "the library")
+def find_model_file(name: str) -> Path:
+    """Return the path of a model's file. Errors: `UnknownNameError` with similar names."""
+    if name not in list_models():
+        raise UnknownNameError("model", name, list_models(), "the library")
     return FOLDER / f"{name}.toml"
 
 
-def describe(name: str) -> str:
-    """What a model is: the first comment line of its file. Errors: `UnknownNameError`."""
-    first, _, _ = path(name).read_text(encoding="utf-8").partition("\n")
+def describe_model(name: str) -> str:
+    """Return the description of a model: the first comment line of its file. Errors:
+    `UnknownNameError`.
+    """
+    first, _, _ = find_model_file(name).read_text(encoding="utf-8").partition("\n")
     return first.removeprefix("#").strip()

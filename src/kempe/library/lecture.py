@@ -1,6 +1,4 @@
-"""A walk through the lecture in the terminal: the sections of its page, their code run, and what
-comes out.
-"""
+"""The lecture in the terminal: the sections of its page, and the output of their code."""
 
 from __future__ import annotations
 
@@ -59,48 +57,48 @@ FORMULAS = (
 
 @dataclass(frozen=True)
 class Cell:
-    """Code of the page. `picture` says that its last line draws."""
+    """A cell of code of the page; with `picture` its last line draws."""
 
     code: str
 
     @property
     def picture(self) -> bool:
-        """Whether the last line is there for a picture: it ends with a semicolon."""
+        """Whether the last line of the cell draws a picture: it ends with a semicolon."""
         return self.code.rstrip().endswith(";")
 
 
 @dataclass(frozen=True)
 class Section:
-    """A section of the lecture: its number from 1, its title, its texts and cells."""
+    """A section of the lecture: number (from 1), title, texts and cells."""
 
     number: int
     title: str
     parts: tuple[str | Cell, ...]
 
 
-def page() -> str:
-    """The page of the lecture as Markdown: in an installed package it lies beside the models."""
+def read_page() -> str:
+    """Read the page of the lecture as Markdown; in an installed package it is beside the models."""
     packed = HERE / "lecture.md"
     source = packed if packed.is_file() else HERE.parents[2] / "docs" / "lecture.md"
     return source.read_text(encoding="utf-8")
 
 
-def sections() -> tuple[Section, ...]:
-    """The sections in the lecture's order; each one runs without the others."""
-    head, *rest = re.split(r"^## ", page(), flags=re.MULTILINE)
+def read_sections() -> tuple[Section, ...]:
+    """Read the sections in the lecture's order. Each one runs without the others."""
+    head, *rest = re.split(r"^## ", read_page(), flags=re.MULTILINE)
     first = [Cell(code) for code in CELL.findall(head)]
     out: list[Section] = []
     for number, text in enumerate(rest, 1):
         title, _, body = text.partition("\n")
         pieces = CELL.split(body)
-        parts = [Cell(x) if i % 2 else plain(x) for i, x in enumerate(pieces)]
+        parts = [Cell(x) if i % 2 else format_plain_text(x) for i, x in enumerate(pieces)]
         out.append(Section(number, title.strip(), (*first, *(x for x in parts if x))))
     return tuple(out)
 
 
-def chosen(number: int | None) -> tuple[Section, ...]:
-    """All sections, or the one of this number. Errors: `InputError` with the titles."""
-    every = sections()
+def choose_sections(number: int | None) -> tuple[Section, ...]:
+    """Return all sections, or the one of this number. Errors: `InputError` with the titles."""
+    every = read_sections()
     if number is None:
         return every
     if number not in range(1, len(every) + 1):
@@ -109,10 +107,11 @@ def chosen(number: int | None) -> tuple[Section, ...]:
     return (every[number - 1],)
 
 
-def plain(text: str) -> str:
-    """Text of the page without its markup, wrapped; formulas in letters that can be typed."""
+def format_plain_text(text: str) -> str:
+    """Format text of the page without its markup, wrapped, and formulas with plain letters."""
 
-    def formula(match: re.Match[str]) -> str:
+    def format_formula(match: re.Match[str]) -> str:
+        """Format a formula with plain letters."""
         out = match[1]
         for pattern, letters in FORMULAS:
             out = re.sub(pattern, letters, out)
@@ -120,13 +119,13 @@ def plain(text: str) -> str:
 
     for pattern, letters in MARKUP:
         text = re.sub(pattern, letters, text, flags=re.DOTALL)
-    text = re.sub(r"\$(.+?)\$", formula, text, flags=re.DOTALL)
+    text = re.sub(r"\$(.+?)\$", format_formula, text, flags=re.DOTALL)
     paragraphs = [" ".join(x.split()) for x in re.split(r"\n\s*\n", text)]
     return "\n\n".join(textwrap.fill(x, WIDTH) for x in paragraphs if x)
 
 
-def walk(section: Section, pictures: Path | None = None) -> Iterator[tuple[str, str]]:
-    """The parts of a section as pairs: "text", "code" and its "output", what a "picture" is.
+def iterate_parts(section: Section, pictures: Path | None = None) -> Iterator[tuple[str, str]]:
+    """Yield the parts of a section as pairs: "text", "code", its "output", or a "picture".
 
     Pictures are drawn where there is a folder for them, which is made. Code that needs a package
     that is not installed says so, and is left out with what depends on it.
@@ -140,15 +139,15 @@ def walk(section: Section, pictures: Path | None = None) -> Iterator[tuple[str, 
         yield "code", part.code.rstrip()
         drawn += part.picture
         to = pictures / f"{section.number:02d}_{drawn}.png" if pictures and part.picture else None
-        if out := run(part, names, to):
+        if out := run_cell(part, names, to):
             yield "output", out
         if part.picture:
             yield "picture", str(to) if to else "--pictures FOLDER draws it"
 
 
-def run(cell: Cell, names: dict[str, Any], picture: Path | None = None) -> str:
-    """What a cell prints, and the value of its last line; its picture goes to the file `picture` if
-    there is one.
+def run_cell(cell: Cell, names: dict[str, Any], picture: Path | None = None) -> str:
+    """Run a cell and return its printed output with the value of its last line. Its picture is
+    written to the file `picture`.
     """
     tree = ast.parse(cell.code)
     last = tree.body.pop() if isinstance(tree.body[-1], ast.Expr) else None
@@ -159,7 +158,7 @@ def run(cell: Cell, names: dict[str, Any], picture: Path | None = None) -> str:
             if isinstance(last, ast.Expr) and (picture or not cell.picture):
                 value = eval(compile(ast.Expression(last.value), "lecture", "eval"), names)
                 if picture:
-                    _save(value, picture)
+                    _save_figure(value, picture)
                 elif value is not None:
                     print(value)
         except ImportError as error:  # an extra that is not installed
@@ -172,8 +171,8 @@ def run(cell: Cell, names: dict[str, Any], picture: Path | None = None) -> str:
     return printed.getvalue().rstrip("\n")
 
 
-def prompted(code: str) -> str:
-    """Code as one types it: `>>>` before each statement, `...` before its further lines."""
+def add_prompts(code: str) -> str:
+    """Format code as typed: `>>>` before each statement, `...` before its further lines."""
     begins = {node.lineno for node in ast.parse(code).body}
     return "\n".join(
         f"{'>>>' if i in begins else '...'} {line}".rstrip()
@@ -181,7 +180,7 @@ def prompted(code: str) -> str:
     )
 
 
-def _save(axes: Any, path: Path) -> None:
+def _save_figure(axes: Any, path: Path) -> None:
     """Write the figure of axes, or of the first of several, to a file."""
     while not hasattr(axes, "figure"):
         axes = axes[0]

@@ -1,1 +1,1 @@
-"""Configuration space, task space, singularities."""
+"""Configuration space, task space and singularities."""

@@ -1,6 +1,4 @@
-"""Connected components of the configuration space: by theorem, by the dead points of a loop of four
-joints, or, as evidence, the curves that were traced.
-"""
+"""Connected components of configuration space: by theorem, by dead points, or by tracing curves."""
 
 from __future__ import annotations
 
@@ -45,9 +43,9 @@ from kempe.numerics.clock import (
 )
 from kempe.numerics.rank import Level, Spectrum
 from kempe.report import Report, summarize_fields
-from kempe.spaces.four_joints import FourJoints, four_joints
+from kempe.spaces.four_joints import FourJoints, find_four_joints
 from kempe.spaces.manifold import Manifold
-from kempe.spaces.polygons import polygon_of
+from kempe.spaces.polygons import find_polygon
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import InWords, Quantity, format_count
@@ -72,7 +70,7 @@ USUAL = Usual("components", starts=STARTS, rng=0, time_limit=TIME_LIMIT)
 
 @dataclass(frozen=True, eq=False)
 class Component(InWords):
-    """A component with one freedom (idle spins left out): the curves that it consists of, joined at
+    """A component with one freedom (idle freedoms left out): curves that are joined at
     bifurcations.
 
     One without a freedom is a path of one configuration.
@@ -84,13 +82,13 @@ class Component(InWords):
 
     @property
     def length(self) -> float:
-        """Length of all its curves, in radians and characteristic lengths."""
+        """Length of all curves of the component, in radians and characteristic lengths."""
         return float(sum(p.length for p in self.paths))
 
     @property
     def alone(self) -> bool:
-        """Whether it was traced wholly, as one curve without singular points: so nothing else is
-        joined to it.
+        """Whether the component is one closed or complete curve without singular points. Then
+        nothing else joins it.
         """
         first = self.paths[0]
         smooth = not any("not smooth" in end for end in first.ends)
@@ -98,12 +96,12 @@ class Component(InWords):
 
     @property
     def dimension(self) -> int:
-        """Its dimension, idle spins left out: 1, or 0 of a configuration that cannot move."""
+        """Dimension of the component without idle freedoms: 1, or 0 for an immobile configuration."""
         return int(self.length > 0.0)
 
     @property
     def ranges(self) -> dict[str, tuple[float, float]]:
-        """The least and largest value of each coordinate on it."""
+        """The least and largest value of each coordinate on the component."""
         q = np.concatenate([p.track.q for p in self.paths])
         return dict(
             zip(
@@ -115,7 +113,7 @@ class Component(InWords):
 
     @property
     def singular_points(self) -> tuple[Event, ...]:
-        """Where curves meet, or the rank drops otherwise, each once."""
+        """Points where curves meet or the rank drops, each once."""
         system = self.paths[0].system
         events = [e for p in self.paths for e in p.singular_points]
         q = np.array([e.q for e in events]).reshape(-1, system.nq)
@@ -123,8 +121,8 @@ class Component(InWords):
         return tuple(events[k] for k in numbers)
 
     def place(self, q: Array) -> tuple[np.ndarray, Array, Array]:
-        """For configurations (k, nq) the curve (k,) that is nearest, the arc length (k,) there, and
-        the distance (k,).
+        """Find the nearest curve (k,) of configurations (k, nq). Also return the arc lengths (k,)
+        on it, and the distances (k,).
 
         The distance is infinite where no curve is near.
         """
@@ -132,7 +130,7 @@ class Component(InWords):
         s = np.zeros(len(q))
         far = np.full(len(q), np.inf)
         for i, path in enumerate(self.paths):
-            at, off = _nearest(path, q, ~self.still)
+            at, off = _find_nearest(path, q, ~self.still)
             better = off < far
             which[better] = i
             s[better] = at[better]
@@ -140,7 +138,7 @@ class Component(InWords):
         return which, s, far
 
     def contains(self, q: Array) -> np.ndarray:
-        """Whether (k,) configurations (k, nq) are on it."""
+        """Whether (k,) configurations (k, nq) lie on the component."""
         return self.place(q)[2] < SAME
 
     def __str__(self) -> str:
@@ -148,7 +146,7 @@ class Component(InWords):
         if not self.dimension:
             return "a configuration that cannot move"
         kind = "closed curve" if first.closed else "curve"
-        if first.closed and _wound(first):
+        if first.closed and _count_turns(first):
             kind = "endless curve that repeats with a period"
         turns = [f"{format_count(abs(k), 'turn')} of {n!r}" for n, k in first.turns.items()]
         text = (
@@ -161,10 +159,8 @@ class Component(InWords):
         return text + (f", {format_count(points, 'singular point')}" if points else "")
 
 
-def _wound(path: Path) -> dict[int, int]:
-    """How many whole turns a curve goes on by until it repeats, by the place in q of angles of
-    which turns count.
-    """
+def _count_turns(path: Path) -> dict[int, int]:
+    """Count the whole turns of each angle by which a curve advances until it repeats."""
     layout = path.system.structure.layout
     names = path.system.structure.velocity_names
     place = dict(zip(layout.vector_v.tolist(), layout.vector_q.tolist(), strict=True))
@@ -175,9 +171,9 @@ def _wound(path: Path) -> dict[int, int]:
     }
 
 
-def _at_first(path: Path, q: Array) -> Array:
-    """Configurations (k, nq), led by the periods of a curve that repeats to where it was traced."""
-    wound = _wound(path)
+def _unwind_turns(path: Path, q: Array) -> Array:
+    """Move configurations (k, nq) by periods of a repeating curve to the part that was traced."""
+    wound = _count_turns(path)
     if not wound:
         return q
     at = list(wound)
@@ -188,25 +184,27 @@ def _at_first(path: Path, q: Array) -> Array:
     return out
 
 
-def _nearest(path: Path, q: Array, useful: np.ndarray) -> tuple[Array, Array]:
-    """Arc lengths (k,) of the points of a path nearest to configurations (k, nq), and their
-    distances (k,).
+def _find_nearest(path: Path, q: Array, useful: np.ndarray) -> tuple[Array, Array]:
+    """Find the points of a path nearest to configurations (k, nq). Return their arc lengths (k,)
+    and distances (k,).
     """
     manifold = Manifold(path.system, 1)
     track = path.track
-    q = _at_first(path, q)
+    q = _unwind_turns(path, q)
     nodes = track.q
     t = np.where(useful, track.t, 0.0)
     best = np.zeros(len(q), dtype=int)
     far = np.full(len(q), np.inf)
     for k, node in enumerate(nodes):
-        off = np.linalg.norm(manifold.between(np.broadcast_to(node, q.shape), q)[:, useful], axis=1)
+        off = np.linalg.norm(
+            manifold.compute_steps(np.broadcast_to(node, q.shape), q)[:, useful], axis=1
+        )
         best = np.where(off < far, k, best)
         far = np.minimum(off, far)
     s = track.s[best]
     near = np.flatnonzero(far < NEAR)
     for _ in range(12) if len(near) and len(nodes) > 1 else ():
-        way = np.where(useful, manifold.between(path.at(s[near]), q[near]), 0.0)
+        way = np.where(useful, manifold.compute_steps(path.at(s[near]), q[near]), 0.0)
         far[near] = np.linalg.norm(way, axis=1)
         k = np.clip(
             np.searchsorted(track.s, np.mod(s[near], path.length or 1.0), side="right") - 1,
@@ -231,7 +229,7 @@ class Components(Report):
     """The connected components of a configuration space.
 
     `count` is their number, a lower bound unless `complete`, and `reason` says why it is the one or
-    the other. `parts` are those with one freedom, as curves; `singular` (k, nq) are the singular
+    the other. `parts` are those with one freedom, as curves; `singular_points` (k, nq) are the singular
     points that are known. `dimension` is the number of freedoms, of which `idle` spins do not
     count.
     """
@@ -252,8 +250,8 @@ class Components(Report):
 
     @cached_property
     def code(self) -> Status:  # type: ignore[override]
-        """The outcome: `PARTLY` where the count is a lower bound, `NONE_EXISTS` where it is proven
-        to be 0.
+        """The outcome: `PARTLY` if the count is a lower bound, `NONE_EXISTS` if it is proven to be
+        0.
         """
         if self.complete:
             return Status.SOLVED if self.count else Status.NONE_EXISTS
@@ -265,7 +263,7 @@ class Components(Report):
 
     @property
     def status(self) -> str:
-        """How many there are, and why these are all or are not."""
+        """The number of components, with the proof or the evidence."""
         few = "" if self.complete or not self.count else "at least "
         proven = "proven" if self.complete else "a lower bound"
         idle = f", {format_count(self.idle, 'idle spin')} left out" if self.idle else ""
@@ -308,9 +306,9 @@ class Components(Report):
 @explain_errors
 @raise_interrupted
 @limit_time(USUAL)
-def components(system: Model, *, budget: Budget | None = None) -> Components:
-    """The connected components of the configuration space, with the proof, or as a lower bound with
-    the evidence.
+def find_components(system: Model, *, budget: Budget | None = None) -> Components:
+    """Find the connected components of the configuration space. They come with the proof, or as a
+    lower bound with the evidence.
 
     A tree has one. Planar single loops of revolute joints have as many as the theorem on long bars
     says. Loops of four joints, in which a rod joins two cranks, a crank and a slide, or two slides,
@@ -326,7 +324,7 @@ def components(system: Model, *, budget: Budget | None = None) -> Components:
     spend = USUAL.complete_budget(budget)
     time = find_time_limit(USUAL, budget)
     try:
-        return _counted(system, spend, time)
+        return _count_components(system, spend, time)
     except TimeUp as error:
         return Components(
             system,
@@ -338,8 +336,8 @@ def components(system: Model, *, budget: Budget | None = None) -> Components:
         )
 
 
-def _counted(system: Model, spend: Budget, time: TimeLimit) -> Components:
-    """The components, as `components` counts them."""
+def _count_components(system: Model, spend: Budget, time: TimeLimit) -> Components:
+    """Count the components, as `find_components` does, in the time of a clock."""
     if not has_loops(system):
         divided = bool(pack_one_sided_rows(system).declared)
         why = (
@@ -347,11 +345,13 @@ def _counted(system: Model, spend: Budget, time: TimeLimit) -> Components:
             if divided
             else "a product of circles, intervals and rotations"
         )
-        if divided and not _inside(system, compute_mid_configuration(system), spend):
+        if divided and not _has_allowed_configuration(
+            system, compute_mid_configuration(system), spend
+        ):
             return Components(system, 0, False, NONE_INSIDE, None)
         return Components(system, 1, not divided, why, system.nv)
-    polygon = polygon_of(system)
-    loop = four_joints(system)
+    polygon = find_polygon(system)
+    loop = find_four_joints(system)
     proof = loop if isinstance(polygon, str) else polygon
     if not isinstance(proof, str) and not proof.count:
         return Components(system, 0, True, proof.reason, None)
@@ -361,24 +361,24 @@ def _counted(system: Model, spend: Budget, time: TimeLimit) -> Components:
     if freedoms.dof == 0 and isinstance(proof, str):
         modes = assembly_modes(system)
         return Components(system, len(modes), modes.complete, f"a structure, {modes.status}", 0)
-    singular = np.empty((0, system.nq)) if isinstance(proof, str) else proof.singular
+    singular = np.empty((0, system.nq)) if isinstance(proof, str) else proof.singular_points
     if freedoms.useful != 1:
         if not isinstance(proof, str):
             count, why = proof.count, proof.reason
-        elif _inside(system, freedoms.q, spend):
+        elif _has_allowed_configuration(system, freedoms.q, spend):
             several = format_count(freedoms.dof or 0, "freedom")
             count, why = 1, f"no theorem is known here for {several}; one configuration is known"
         else:
             return Components(system, 0, False, NONE_INSIDE, None, freedoms.idle)
         known = not isinstance(proof, str)
         return Components(system, count, known, why, freedoms.dof, freedoms.idle, (), singular)
-    traced = _traced(system, freedoms, loop, spend, time)
+    traced = _trace_components(system, freedoms, loop, spend, time)
     points = [e.q for part in traced.parts for e in part.singular_points]
     singular = np.concatenate([np.array(points).reshape(-1, system.nq), singular])
     count, why = (
-        _lower_bound(system, traced)
+        _compute_lower_bound(system, traced)
         if isinstance(proof, str)
-        else (proof.count, proof.reason + traced.said(proof.count))
+        else (proof.count, proof.reason + traced.describe_components(proof.count))
     )
     return Components(
         system,
@@ -394,12 +394,10 @@ def _counted(system: Model, spend: Budget, time: TimeLimit) -> Components:
     )
 
 
-def _inside(system: Model, home: Array, spend: Budget) -> bool:
-    """Whether a configuration within limits and one-sided constraints is known: `home`, or one that
-    starts lead to.
-    """
+def _has_allowed_configuration(system: Model, home: Array, spend: Budget) -> bool:
+    """Whether `home` or a start leads to a configuration within limits and one-sided constraints."""
     manifold = Manifold(system, 1)
-    if manifold.inside(home[None]).any():
+    if manifold.are_allowed(home[None]).any():
         return True
     found = assemble(
         system,
@@ -409,22 +407,20 @@ def _inside(system: Model, home: Array, spend: Budget) -> bool:
         ),
     )
     ok = np.asarray(found.success, dtype=bool)
-    return bool(ok.any() and manifold.inside(found.q[ok]).any())
+    return bool(ok.any() and manifold.are_allowed(found.q[ok]).any())
 
 
 @dataclass(frozen=True)
 class Traced:
-    """Curves that were traced, `several` freedoms found at starts, and whether the time limit or
-    Ctrl-C ended it.
-    """
+    """Traced curves, whether `several` freedoms were found, and whether the search was broken off."""
 
     parts: tuple[Component, ...]
     several: frozenset[int]
     late: bool
     interrupted: bool = False
 
-    def said(self, known: int | None) -> str:
-        """What is to be said of them beside a number."""
+    def describe_components(self, known: int | None) -> str:
+        """Describe what is known of the traced components beside their number."""
         text = (
             ""
             if known in (None, len(self.parts))
@@ -434,8 +430,8 @@ class Traced:
         return text + (f"; configurations with {dims} freedoms were found, too" if dims else "")
 
 
-def _lower_bound(system: Model, traced: Traced) -> tuple[int, str]:
-    """The least number of components, and the evidence."""
+def _compute_lower_bound(system: Model, traced: Traced) -> tuple[int, str]:
+    """Compute a lower bound of the number of components, with the evidence."""
     alone = sum(part.alone for part in traced.parts)
     met = len(traced.parts) - alone
     curves = format_count(len(traced.parts), "curve")
@@ -444,21 +440,21 @@ def _lower_bound(system: Model, traced: Traced) -> tuple[int, str]:
     why += " a curve that no start led to may be missed"
     if met > 1:
         why += f"; {met} curves with singular points, where they may meet, count as one"
-    return alone + (met > 0), why + traced.said(None)
+    return alone + (met > 0), why + traced.describe_components(None)
 
 
-def _traced(
+def _trace_components(
     system: Model, freedoms: Mobility, loop: FourJoints | str, spend: Budget, time: TimeLimit
 ) -> Traced:
-    """All components to which starts lead: one on each component of a loop of four joints, else
-    random ones.
+    """Trace the components that starts lead to. A loop of four joints has one start on each; others
+    have random starts.
     """
     home = freedoms.q
     still = find_idle_coordinates(system, home)
     starts = np.empty((0, system.nq)) if isinstance(loop, str) else loop.starts
     whole = not isinstance(loop, str) and len(starts) == loop.count
-    q = starts if whole else _starts(system, home, spend)
-    q, several = _of_one_freedom(system, q, freedoms.dof or 1)
+    q = starts if whole else _find_starts(system, home, spend)
+    q, several = _select_one_freedom(system, q, freedoms.dof or 1)
     parts = list[Component]()
     late = False
     while len(q):
@@ -479,11 +475,11 @@ def _traced(
     return Traced(tuple(parts), several, late)
 
 
-def _of_one_freedom(system: Model, q: Array, dof: int) -> tuple[Array, frozenset[int]]:
-    """Those of configurations (k, nq) at which the rank leaves `dof` freedoms, or as few as
-    anywhere, and the true numbers of others.
+def _select_one_freedom(system: Model, q: Array, dof: int) -> tuple[Array, frozenset[int]]:
+    """Select configurations (k, nq) with `dof` freedoms by rank, or as few as found. Also return
+    the true freedoms of others.
     """
-    left = system.nv - Spectrum(Manifold(system, 1).equations(q)[1], 1.0).compute_ranks(
+    left = system.nv - Spectrum(Manifold(system, 1).evaluate_equations(q)[1], 1.0).compute_ranks(
         Level.CLOSED
     )
     most = max(dof, int(left.min(initial=system.nv)))
@@ -491,14 +487,14 @@ def _of_one_freedom(system: Model, q: Array, dof: int) -> tuple[Array, frozenset
     return q[left <= most], frozenset(others - {0, 1})
 
 
-def _starts(system: Model, home: Array, spend: Budget) -> Array:
-    """Closed configurations (k, nq) within all limits: near home, random ones, and assembly modes
-    of a closed form.
+def _find_starts(system: Model, home: Array, spend: Budget) -> Array:
+    """Find closed configurations (k, nq) within all limits: near home, random ones, and assembly
+    modes.
     """
     rng = np.random.default_rng(spend.rng)
     manifold = Manifold(system, 1)
     found = [home[None]]
-    q = manifold.drawn(rng, read_start_count(spend.starts, DRAWN))
+    q = manifold.draw_configurations(rng, read_start_count(spend.starts, DRAWN))
     found.append(q)
     for name in system.coordinate_names if system.dim == 2 else ():
         k = system.coordinate_names.index(name)
@@ -513,4 +509,4 @@ def _starts(system: Model, home: Array, spend: Budget) -> Array:
             for x in low + (np.arange(VALUES) + rng.random()) / VALUES * (high - low):
                 found.append(assembly_modes(system, {name: x}).q)
     q = manifold.metric.choose_representatives(np.concatenate(found), None)
-    return q[manifold.inside(q)]
+    return q[manifold.are_allowed(q)]

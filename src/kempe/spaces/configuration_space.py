@@ -1,6 +1,6 @@
-"""The configuration space of a system: the product space of its joints, and its closed subset.
+"""The configuration space of a system: a subset of the product space of its joints.
 
-Loops and relations leave this subset. `parametrizations` compares ways to parametrize it: how many
+Loops and relations leave this subset. `compare_parametrizations` compares ways to parametrize it: how many
 numbers and constraints each takes.
 """
 
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class ProductSpace(InWords):
     """The space that the coordinates of all joints span: a circle T for each turn, a line R for
-    each slide, ...
+    each slide.
     """
 
     shape: str
@@ -56,7 +56,7 @@ class ProductSpace(InWords):
 
 @dataclass(frozen=True)
 class ConfigurationSpace(Report):
-    """The set of the configurations that a system can have.
+    """The set of all configurations that a system can have.
 
     `ambient` is the space of all coordinates: a circle T for each turn, a line R for each slide,
     SO(3) for each quaternion. A turn without limits is a line, too, where a constraint tells whole
@@ -75,22 +75,27 @@ class ConfigurationSpace(Report):
     # ---- its geometry
 
     def integrate(self, q: Any, v: ArrayLike) -> Array:
-        """Configuration (..., nq) reached from `q` by the tangent vector `v` (..., nv)."""
+        """Integrate a tangent vector `v` (..., nv) from `q` to a configuration (..., nq)."""
         return integrate_velocity(self.system, q, v)
 
     def difference(self, q0: Any, q1: Any) -> Array:
-        """Shortest tangent vector (..., nv) from `q0` to `q1`, whose length is the `compute_distance`.
+        """Compute the shortest tangent vector (..., nv) from `q0` to `q1`. Its length is the
+        `distance`.
 
         ``integrate(q0, difference(q0, q1))`` is `q1`, up to whole turns of unlimited joints.
         """
         return compute_difference(self.system, q0, q1)
 
     def interpolate(self, q0: Any, q1: Any, t: ArrayLike) -> Array:
-        """Configuration (..., nq) at the fraction `t` (...) of the straight way from `q0` to `q1`."""
+        """Interpolate a configuration (..., nq) at the fraction `t` (...) of the way from `q0` to
+        `q1`.
+        """
         return interpolate_configurations(self.system, q0, q1, t)
 
     def distance(self, q0: Any, q1: Any) -> Array:
-        """Length (...) of the straight way from `q0` to `q1`; unlimited joints turn the short way."""
+        """Compute the length (...) of the straight way from `q0` to `q1`. Unlimited joints turn the
+        short way.
+        """
         return compute_distance(self.system, q0, q1)
 
     # ---- all of it
@@ -102,57 +107,52 @@ class ConfigurationSpace(Report):
         *,
         budget: Budget | None = None,
     ) -> Sample:
-        """Random configurations (n, nq), uniform in a stated measure; see
-        `spaces.sampling.sample`.
-        """
-        from kempe.spaces.sampling import sample
+        """Draw random configurations (n, nq), uniform in a stated measure; see `spaces.sampling`."""
+        from kempe.spaces.sampling import draw_sample
 
-        return sample(self.system, n, rng, budget=budget)
+        return draw_sample(self.system, n, rng, budget=budget)
 
     def components(self, *, budget: Budget | None = None) -> Components:
-        """Its connected components, or a lower bound of their number; see
-        `spaces.components`.
-        """
-        from kempe.spaces.components import components
+        """Find the connected components, or a lower bound of their number; see `spaces.components`."""
+        from kempe.spaces.components import find_components
 
-        return components(self.system, budget=budget)
+        return find_components(self.system, budget=budget)
 
     def path(self, q0: Any, q1: Any, *, budget: Budget | None = None) -> Connection:
-        """A continuous motion between two configurations; see
-        `spaces.connection.path`.
-        """
-        from kempe.spaces.connection import path
+        """Find a continuous motion between two configurations; see `spaces.connection`."""
+        from kempe.spaces.connection import find_connection
 
-        return path(self.system, q0, q1, budget=budget)
+        return find_connection(self.system, q0, q1, budget=budget)
 
     def parametrizations(self, q: Any = None) -> Parametrizations:
-        """Pairs (r, R) with constraints, and generalized positions; see `parametrizations`."""
-        return parametrizations(self.system, q)
+        """Compare pairs (r, R) with constraints and generalized positions as coordinates."""
+        return compare_parametrizations(self.system, q)
 
     # ---- what it is
 
     @property
     def ambient_dimension(self) -> int:
-        """Dimension nv of the space of all coordinates, in which constraints cut out the
-        configuration space.
-        """
+        """Dimension nv of the space of all coordinates, which contains the configuration space."""
         return self.ambient.dimension
 
     @property
     def shape(self) -> str:
-        """The product form, such as "T^2 x R", of a tree; "a subset of T^4" where constraints hold."""
+        """The product form of a tree, such as "T^2 x R". With constraints a text such as "a subset
+        of T^4".
+        """
         return f"a subset of {self.ambient.shape}" if has_loops(self.system) else self.ambient.shape
 
     @cached_property
     def _mobility(self) -> Mobility:
+        """The mobility of the system at its home configuration."""
         from kempe.mobility.mobility import mobility
 
         return mobility(self.system)
 
     @property
     def dimension(self) -> int | None:
-        """Its dimension at the configuration `at`: the true degrees of freedom; None where nothing
-        is known of them.
+        """The true degrees of freedom at the configuration `at`, or None if nothing is known of
+        them.
         """
         return self._mobility.dof if has_loops(self.system) else self.ambient.dimension
 
@@ -163,8 +163,8 @@ class ConfigurationSpace(Report):
 
     @property
     def at(self) -> Array:
-        """The closed configuration (nq,) of which the dimension is found; of a tree it is the same
-        anywhere.
+        """The closed configuration (nq,) at which the dimension is computed. A tree has the same
+        dimension everywhere.
 
         At a singular point the dimension may differ from that of configurations nearby.
         """
@@ -174,7 +174,7 @@ class ConfigurationSpace(Report):
 
     @property
     def within(self) -> str:  # type: ignore[override]
-        """What it is a subset of, without its own dimension, which takes an analysis."""
+        """The product space that contains the configuration space, as text."""
         text = str(self.ambient) + (
             f", {self.limited} of them within limits" if self.limited else ""
         )
@@ -187,7 +187,7 @@ class ConfigurationSpace(Report):
 
     @property
     def code(self) -> Status:  # type: ignore[override]
-        """The outcome: `UNDETERMINED` where nothing is known of the dimension."""
+        """The outcome: `UNDETERMINED` if the dimension is unknown."""
         return Status.UNDETERMINED if self.dimension is None else Status.SOLVED
 
     def _collect_data(self) -> dict[str, Any]:
@@ -200,7 +200,7 @@ class ConfigurationSpace(Report):
 
     @property
     def status(self) -> str:
-        """Its dimension, and what it is a subset of."""
+        """The dimension of the configuration space and the space that contains it."""
         if not has_loops(self.system):
             return self.within
         dimension = "not known here" if self.dimension is None else str(self.dimension)
@@ -208,8 +208,8 @@ class ConfigurationSpace(Report):
         return f"dimension {'' if known else 'probably '}{dimension}: {self.within}"
 
 
-def configuration_space(system: Model) -> ConfigurationSpace:
-    """The configuration space of a system; its dimension is found on demand."""
+def make_configuration_space(system: Model) -> ConfigurationSpace:
+    """Make the configuration space of a system; its dimension is computed on demand."""
     turning = (system.structure.coordinates.turning & ~find_winding_angles(system))[
         system.structure.layout.vector_v
     ]
@@ -243,8 +243,7 @@ SHOWN = 12
 
 
 class Parametrization(NamedTuple):
-    """A way to say where all bodies are: how many numbers, how many constraints on them, of which
-    `rank`.
+    """A choice of coordinates for the poses of all bodies: numbers, constraints and their `rank`.
 
     `rank` is None where the loops cannot be closed. `dof` is what is left of the numbers, to first
     order.
@@ -258,14 +257,14 @@ class Parametrization(NamedTuple):
 
     @property
     def dof(self) -> int | None:
-        """Numbers less rank: freedoms to first order."""
+        """Degrees of freedom to first order: numbers minus rank."""
         return None if self.rank is None else self.numbers - self.rank
 
 
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Parametrizations(Report):
-    """Ways to parametrize the configuration space of a system, as one table; ``print`` it.
+    """Choices of coordinates for the configuration space of a system, as a table to ``print``.
 
     `rows` are the pairs (r, R) of all bodies; with loops the coordinates of all joints; the
     generalized positions, as many as freedoms. Constraints of velocity and one-sided ones take no
@@ -287,8 +286,8 @@ class Parametrizations(Report):
         return self.rows[0].constraints
 
     def pairs(self, q: Any) -> tuple[Array, Array]:
-        """Positions r (..., n_b, 3) and orientations R (..., n_b, 3, 3) of all bodies at q (...,
-        nq).
+        """Compute the pairs of all bodies at q (..., nq). They are positions r (..., n_b, 3) and
+        orientations R (..., n_b, 3, 3).
         """
         from kempe.forward.maximal import to_maximal
 
@@ -297,7 +296,7 @@ class Parametrizations(Report):
 
     @property
     def code(self) -> Status:  # type: ignore[override]
-        """The outcome: `UNDETERMINED` where the degrees of freedom are not known."""
+        """The outcome: `UNDETERMINED` if the degrees of freedom are unknown."""
         return Status.UNDETERMINED if self.n is None else Status.SOLVED
 
     @property
@@ -329,8 +328,8 @@ class Parametrizations(Report):
 
 
 @explain_errors
-def parametrizations(system: Model, q: Any = None) -> Parametrizations:
-    """How many numbers say where all bodies are, in pairs with constraints and in generalized
+def compare_parametrizations(system: Model, q: Any = None) -> Parametrizations:
+    """Count the coordinates of all bodies: in pairs (r, R) with constraints, and generalized
     positions.
 
     `q` (nq,): where the rank is taken, default as in `mobility`. Errors: as `mobility`.

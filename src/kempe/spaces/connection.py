@@ -22,9 +22,9 @@ from kempe.motion.trace import trace
 from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, find_time_limit, limit_time
 from kempe.report import summarize_fields
 from kempe.spaces.components import SAME, Component
-from kempe.spaces.four_joints import four_joints
+from kempe.spaces.four_joints import find_four_joints
 from kempe.spaces.manifold import CLOSED, Manifold
-from kempe.spaces.polygons import polygon_of
+from kempe.spaces.polygons import find_polygon
 from kempe.spatial import Array
 from kempe.status import Status
 
@@ -52,32 +52,35 @@ BENT = 1.5
 
 
 class Tree:
-    """Configurations `q` (n, nq), each reached from that of its `parent`."""
+    """A tree of configurations `q` (n, nq), each reached from its `parent`."""
 
     def __init__(self, manifold: Manifold, root: Array):
         self.manifold = manifold
         self.q = root[None]
         self.parent = [-1]
 
-    def nearest(self, q: Array) -> int:
-        """The number of the configuration nearest to q (nq,)."""
-        return int(np.argmin(self.manifold.apart(self.q, np.broadcast_to(q, self.q.shape))))
+    def find_nearest(self, q: Array) -> int:
+        """Return the number of the configuration in the tree that is nearest to q (nq,)."""
+        return int(
+            np.argmin(self.manifold.compute_distances(self.q, np.broadcast_to(q, self.q.shape)))
+        )
 
-    def grow(self, aim: Array, step: float, time: TimeLimit) -> int:
-        """The number of the configuration from which no step leads nearer to the aim (nq,), added
-        step by step.
+    def grow_towards(self, aim: Array, step: float, time: TimeLimit) -> int:
+        """Add configurations step by step towards the aim (nq,), and return the number of the last
+        one.
         """
-        at = self.nearest(aim)
-        for q in stepped(self.manifold, self.q[at][None], aim[None], step, time)[0]:
-            self.q, at = np.concatenate([self.q, q[None]]), self._add(at)
+        at = self.find_nearest(aim)
+        for q in step_towards(self.manifold, self.q[at][None], aim[None], step, time)[0]:
+            self.q, at = np.concatenate([self.q, q[None]]), self._add_node(at)
         return at
 
-    def _add(self, parent: int) -> int:
+    def _add_node(self, parent: int) -> int:
+        """Add a node with this parent and return its number."""
         self.parent.append(parent)
         return len(self.parent) - 1
 
-    def way(self, at: int) -> list[Array]:
-        """Configurations from the root to one of its own."""
+    def list_way(self, at: int) -> list[Array]:
+        """Return the configurations from the root of the tree to a node."""
         out: list[Array] = []
         while at >= 0:
             out.append(self.q[at])
@@ -85,17 +88,16 @@ class Tree:
         return out[::-1]
 
 
-def stepped(
+def step_towards(
     manifold: Manifold, q: Array, aims: Array, step: float, time: TimeLimit, most: Any = np.inf
 ) -> list[list[Array]]:
-    """Configurations on the manifold, within limits, by which one comes from each q (k, nq) towards
-    its aim (k, nq).
+    """Step on the manifold, within limits, from each q (k, nq) towards its aim (k, nq).
 
     It ends where more than `most` steps would be needed, even straight.
     """
     out: list[list[Array]] = [[] for _ in q]
     at = np.array(q)
-    left = manifold.apart(q, aims)
+    left = manifold.compute_distances(q, aims)
     most = np.broadcast_to(most, len(q)) + 1e-9
     on = np.flatnonzero((left > MET) & (left / step <= most))
     while len(on):
@@ -103,18 +105,20 @@ def stepped(
         before = at[on]
         aim = aims[on]
         far = left[on] > step
-        way = manifold.between(before, aim)
+        way = manifold.compute_steps(before, aim)
         if manifold.dim < manifold.system.nv and far.any():
-            T = manifold.frames(before[far]).tangent
+            T = manifold.compute_frames(before[far]).tangent
             way[far] = np.einsum("kip,kp->ki", T, np.einsum("kip,ki->kp", T, way[far]))
         size = np.linalg.norm(way, axis=1)
-        x, ok = manifold.closed(
-            manifold.move(before, way * np.minimum(1.0, step / np.maximum(size, 1e-300))[:, None])
+        x, ok = manifold.close_configurations(
+            manifold.move_configurations(
+                before, way * np.minimum(1.0, step / np.maximum(size, 1e-300))[:, None]
+            )
         )
-        gone = manifold.apart(before, x)
-        rest = manifold.apart(x, aim)
+        gone = manifold.compute_distances(before, x)
+        rest = manifold.compute_distances(x, aim)
         ok &= (
-            manifold.inside(x)
+            manifold.are_allowed(x)
             & (gone <= BENT * step)
             & (rest <= left[on] - FEWEST * np.minimum(step, left[on]))
         )
@@ -131,7 +135,7 @@ def stepped(
     return out
 
 
-def joined(
+def join_by_trees(
     manifold: Manifold,
     a: Array,
     b: Array,
@@ -140,8 +144,8 @@ def joined(
     most: int,
     time: TimeLimit,
 ) -> tuple[Array | None, int]:
-    """A way (n, nq) from a to b on the manifold, or None, and how many configurations the trees
-    have.
+    """Find a way (n, nq) from a to b on the manifold by two random trees, or None. Also return the
+    size of the trees.
     """
     coarse = 2.0 * step
     trees = [Tree(manifold, a), Tree(manifold, b)]
@@ -150,27 +154,27 @@ def joined(
         one = trees[k % 2]
         other = trees[1 - k % 2]
         aim = other.q[0] if k < 2 else sample_configurations(manifold.system, rng)
-        here = one.grow(aim, coarse, time)
-        there = other.grow(one.q[here], coarse, time)
-        if manifold.apart(one.q[here][None], other.q[there][None])[0] < MET:
-            ways = one.way(here), other.way(there)
+        here = one.grow_towards(aim, coarse, time)
+        there = other.grow_towards(one.q[here], coarse, time)
+        if manifold.compute_distances(one.q[here][None], other.q[there][None])[0] < MET:
+            ways = one.list_way(here), other.list_way(there)
             first, second = ways if k % 2 == 0 else ways[::-1]
             rough = [*first, *second[::-1][1:]]
-            fine = _refined(manifold, _shortened(manifold, rough, coarse, rng, time), step, time)
+            fine = _refine_way(
+                manifold, _shorten_way(manifold, rough, coarse, rng, time), step, time
+            )
             if fine is None:
-                fine = _refined(manifold, rough, step, time)
+                fine = _refine_way(manifold, rough, step, time)
             if fine is not None:
                 return fine, len(one.q) + len(other.q)
             trees = [Tree(manifold, a), Tree(manifold, b)]
     return None, sum(len(t.q) for t in trees)
 
 
-def _shortened(
+def _shorten_way(
     manifold: Manifold, way: list[Array], step: float, rng: np.random.Generator, time: TimeLimit
 ) -> list[Array]:
-    """The way with shortcuts between points of it: in each round those that save most, and do not
-    overlap.
-    """
+    """Shorten a way by shortcuts: in each round those that save most and do not overlap."""
     for _ in range(ROUNDS):
         if len(way) < 3:
             break
@@ -179,12 +183,12 @@ def _shortened(
         points = np.array(way)
         i = ends[:, 0]
         j = ends[:, 1]
-        cuts = stepped(manifold, points[i], points[j], step, time, j - i - 1)
+        cuts = step_towards(manifold, points[i], points[j], step, time, j - i - 1)
         pairs: list[tuple[int, int]] = ends.tolist()
         better = [
             (len(cut) - (b - a), a, b, cut)
             for (a, b), cut in zip(pairs, cuts, strict=True)
-            if cut and manifold.apart(cut[-1][None], way[b][None])[0] < MET
+            if cut and manifold.compute_distances(cut[-1][None], way[b][None])[0] < MET
         ]
         kept: list[tuple[int, int, list[Array]]] = []
         for _, a, b, cut in sorted(better, key=lambda found: found[:3]):
@@ -197,17 +201,19 @@ def _shortened(
     return way
 
 
-def _refined(manifold: Manifold, way: list[Array], step: float, time: TimeLimit) -> Array | None:
-    """The way with no step longer than `step`, each once more halved without a jump; None where
-    there is one.
+def _refine_way(manifold: Manifold, way: list[Array], step: float, time: TimeLimit) -> Array | None:
+    """Refine a way to steps of at most `step`, each checked by halving; return None if there is a
+    jump.
     """
     q = np.array(way)
     for _ in range(DEEPEST):
         time.check_time()
-        far = manifold.apart(q[:-1], q[1:])
-        half, ok = manifold.closed(manifold.move(q[:-1], 0.5 * manifold.between(q[:-1], q[1:])))
-        parts = manifold.apart(q[:-1], half) + manifold.apart(half, q[1:])
-        if not (ok & manifold.inside(half) & (parts <= BENT * far + 1e-12)).all():
+        far = manifold.compute_distances(q[:-1], q[1:])
+        half, ok = manifold.close_configurations(
+            manifold.move_configurations(q[:-1], 0.5 * manifold.compute_steps(q[:-1], q[1:]))
+        )
+        parts = manifold.compute_distances(q[:-1], half) + manifold.compute_distances(half, q[1:])
+        if not (ok & manifold.are_allowed(half) & (parts <= BENT * far + 1e-12)).all():
             return None
         long = far > step
         if not long.any():
@@ -227,8 +233,7 @@ USUAL = Usual("path", step=STEP, rng=0, iterations=4000, time_limit=TIME_LIMIT)
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Connection(Configurations):
-    """A continuous motion `q` (n, nq) between two configurations, in steps up to `step`; empty
-    where none is found.
+    """A continuous motion `q` (n, nq) between two configurations, in steps up to `step`, or empty.
 
     The sentence says how it was found, or why not: `code` is `NONE_EXISTS` where it is proven that
     the two are on different components, `OUTSIDE_LIMITS` where one of them is outside. `length` is
@@ -261,17 +266,21 @@ class Connection(Configurations):
 
     @property
     def length(self) -> float:
-        """Length of the motion."""
+        """Length of the motion, in radians and characteristic lengths."""
         manifold = Manifold(self.system, 1)
-        return float(manifold.apart(self.q[:-1], self.q[1:]).sum()) if len(self.q) > 1 else 0.0
+        return (
+            float(manifold.compute_distances(self.q[:-1], self.q[1:]).sum())
+            if len(self.q) > 1
+            else 0.0
+        )
 
 
 @explain_errors
 @raise_interrupted
 @limit_time(USUAL)
-def path(system: Model, q0: Any, q1: Any, *, budget: Budget | None = None) -> Connection:
-    """A continuous motion from q0 to q1 (nq,) within limits and on all constraints, or why there is
-    none.
+def find_connection(system: Model, q0: Any, q1: Any, *, budget: Budget | None = None) -> Connection:
+    """Find a continuous motion from q0 to q1 (nq,) within limits and on all constraints. Otherwise
+    return the reason why there is none.
 
     Where only limits bound the coordinates it is a straight line in them. With one freedom it
     follows the traced curve through q0, across bifurcations if need be. Otherwise two random trees
@@ -291,27 +300,27 @@ def path(system: Model, q0: Any, q1: Any, *, budget: Budget | None = None) -> Co
     step = float(spend.step)
     rng = make_generator(spend.rng)
     try:
-        a = _end(system, q0, "q0")
-        b = _end(system, q1, "q1")
+        a = _read_end(system, q0, "q0")
+        b = _read_end(system, q1, "q1")
         manifold = Manifold(system, system.nv)
         for name, q in (("the start q0", a), ("the goal q1", b)):
-            if not manifold.inside(q[None])[0]:
+            if not manifold.are_allowed(q[None])[0]:
                 rows = manifold.one_sided
                 which = ", ".join(
                     repr(rows.names[k]) for k in np.flatnonzero(rows.compute_excess(q) > 0.0)
                 )
                 why = f"{name} is outside the limits of {which}"
-                return Connection(_no_way(system), Status.OUTSIDE_LIMITS, why, step, system)
+                return Connection(_make_empty_way(system), Status.OUTSIDE_LIMITS, why, step, system)
         if has_loops(system):
-            return _closed(system, a, b, step, rng, spend, time)
-        found = _straight(manifold, a, b, step)
-        if manifold.inside(found).all():
+            return _connect_closed(system, a, b, step, rng, spend, time)
+        found = _make_straight_way(manifold, a, b, step)
+        if manifold.are_allowed(found).all():
             return Connection(found, Status.SOLVED, "the straight way", step, system)
-        return _by_trees(manifold, a, b, step, rng, spend, time)
+        return _connect_by_trees(manifold, a, b, step, rng, spend, time)
     except BROKEN_OFF as error:
         code = Status.OUT_OF_TIME if isinstance(error, TimeUp) else Status.INTERRUPTED
         return Connection(
-            _no_way(system),
+            _make_empty_way(system),
             code,
             f"not found: {time.describe_end_reason(error)} came",
             step,
@@ -321,7 +330,8 @@ def path(system: Model, q0: Any, q1: Any, *, budget: Budget | None = None) -> Co
         )
 
 
-def _end(system: Model, q: Any, name: str) -> Array:
+def _read_end(system: Model, q: Any, name: str) -> Array:
+    """Read a configuration (nq,) that must be closed and allowed. Errors: `InputError`."""
     q = read_finite_q(system, q, name)
     judged = judge_configurations(system, q)
     if not judged:
@@ -329,19 +339,21 @@ def _end(system: Model, q: Any, name: str) -> Array:
     return q
 
 
-def _no_way(system: Model) -> Array:
+def _make_empty_way(system: Model) -> Array:
+    """Make a way (0, nq) without configurations."""
     return np.empty((0, system.nq))
 
 
-def _straight(manifold: Manifold, a: Array, b: Array, step: float) -> Array:
-    way = manifold.between(a[None], b[None])[0]
+def _make_straight_way(manifold: Manifold, a: Array, b: Array, step: float) -> Array:
+    """Make the straight way from a to b in steps of at most `step`."""
+    way = manifold.compute_steps(a[None], b[None])[0]
     n = max(1, int(np.ceil(np.linalg.norm(way) / step)))
-    return manifold.move(
+    return manifold.move_configurations(
         np.repeat(a[None], n + 1, axis=0), np.linspace(0.0, 1.0, n + 1)[:, None] * way
     )
 
 
-def _closed(
+def _connect_closed(
     system: Model,
     a: Array,
     b: Array,
@@ -350,44 +362,45 @@ def _closed(
     spend: Budget,
     time: TimeLimit,
 ) -> Connection:
+    """Connect two configurations of a system with loops, if possible along curves."""
     free = (
         with_limits(system, dict.fromkeys(system.coordinate_names)) if system.dim == 2 else system
     )
     ends = np.stack([a, b])
-    for loop in (polygon_of(free), four_joints(system)):
+    for loop in (find_polygon(free), find_four_joints(system)):
         if isinstance(loop, str):
             continue
-        label = loop.labels(ends)
+        label = loop.label_components(ends)
         if label[0] != label[1] and label.min() >= 0:
             why = f"they are on different components, proven: {loop.reason}"
-            return Connection(_no_way(system), Status.NONE_EXISTS, why, step, system)
+            return Connection(_make_empty_way(system), Status.NONE_EXISTS, why, step, system)
     freedoms = mobility(system, a)
-    exact, _ = Manifold(system, 1).closed(ends)
+    exact, _ = Manifold(system, 1).close_configurations(ends)
     if freedoms.useful == 1:
-        part = _curve(system, exact[0], spend)
-        if (why := _elsewhere(part, exact)) is not None:
+        part = _find_component(system, exact[0], spend)
+        if (why := _explain_separation(part, exact)) is not None:
             return Connection(
-                _no_way(system), why[0], why[1], step, system, False, part.paths[0].late
+                _make_empty_way(system), why[0], why[1], step, system, False, part.paths[0].late
             )
         if not freedoms.idle:
-            return _along_curves(part, exact, step)
+            return _follow_curves(part, exact, step)
     unsure = freedoms.dof is None or freedoms.singular
     dim = freedoms.generic_rank_dof if unsure else freedoms.dof
-    return _by_trees(Manifold(system, dim or 1), exact[0], exact[1], step, rng, spend, time)
+    return _connect_by_trees(Manifold(system, dim or 1), exact[0], exact[1], step, rng, spend, time)
 
 
 # ---- the verb: along traced curves
 
 
-def _curve(system: Model, a: Array, spend: Budget) -> Component:
-    """The component of a, as far as it can be traced."""
+def _find_component(system: Model, a: Array, spend: Budget) -> Component:
+    """Trace the component that contains the configuration a, as far as possible."""
     first = trace(system, start=a, ways="branches", budget=Budget(time_limit=spend.time_limit))
     return Component((first, *first.others), find_idle_coordinates(system, a))
 
 
-def _elsewhere(part: Component, ends: Array) -> tuple[Status, str] | None:
-    """The outcome and why, where the curve through the first of two configurations does not pass
-    the other.
+def _explain_separation(part: Component, ends: Array) -> tuple[Status, str] | None:
+    """Explain why the curve through the first of two configurations misses the other. Also return
+    the outcome.
     """
     far = part.place(ends)[2]
     first = part.paths[0]
@@ -401,12 +414,12 @@ def _elsewhere(part: Component, ends: Array) -> tuple[Status, str] | None:
     )
 
 
-def _along_curves(part: Component, ends: Array, step: float) -> Connection:
-    """The way along the traced curves through both ends (2, nq)."""
+def _follow_curves(part: Component, ends: Array, step: float) -> Connection:
+    """Return the way along the traced curves through both ends (2, nq)."""
     (a, b) = ends
     (which, s, _) = part.place(ends)
     system = part.paths[0].system
-    legs = _route(part, (int(which[0]), float(s[0])), (int(which[1]), float(s[1])))
+    legs = _find_route(part, (int(which[0]), float(s[0])), (int(which[1]), float(s[1])))
     pieces = [
         part.paths[k].at(np.linspace(x, y, max(2, int(np.ceil(abs(y - x) / step)) + 1)))
         for k, x, y in legs
@@ -414,7 +427,7 @@ def _along_curves(part: Component, ends: Array, step: float) -> Connection:
     over = sum(k != j for (k, *_), (j, *_) in zip(legs, legs[1:], strict=False))
     q = np.concatenate([a[None], *pieces, b[None]])
     manifold = Manifold(system, 1)
-    keep = np.append(True, manifold.apart(q[:-1], q[1:]) > CLOSED)
+    keep = np.append(True, manifold.compute_distances(q[:-1], q[1:]) > CLOSED)
     q = q[keep] if keep.sum() > 1 else q[[0, -1]]
     how = "along the traced curve" + (
         f", over {over} bifurcation{'s' * (over > 1)}" if over else ""
@@ -422,11 +435,11 @@ def _along_curves(part: Component, ends: Array, step: float) -> Connection:
     return Connection(q, Status.SOLVED, how, step, system)
 
 
-def _route(
+def _find_route(
     part: Component, begin: tuple[int, float], end: tuple[int, float]
 ) -> list[tuple[int, float, float]]:
-    """Legs (curve, from, to) of the shortest way between two places on curves that meet at singular
-    points (Dijkstra, 1959); a `to` beyond the length of a closed curve goes on around.
+    """Find the legs (curve, from, to) of the shortest way between two places (Dijkstra, 1959). The
+    curves meet at singular points; a `to` beyond the length of a closed curve goes on around.
     """
     metric = Manifold(part.paths[0].system, 1).metric
     stops = [(*begin, None), (*end, None)]
@@ -467,7 +480,7 @@ def _route(
 # ---- the verb: by random trees
 
 
-def _by_trees(
+def _connect_by_trees(
     manifold: Manifold,
     a: Array,
     b: Array,
@@ -476,12 +489,15 @@ def _by_trees(
     spend: Budget,
     time: TimeLimit,
 ) -> Connection:
-    found, grown = joined(manifold, a, b, step, rng, int(spend.iterations or 1), time)
+    """Connect two configurations by random trees on the manifold."""
+    found, grown = join_by_trees(manifold, a, b, step, rng, int(spend.iterations or 1), time)
     if found is None:
         why = (
             f"two random trees of {grown} configurations did not meet, which is no proof that "
             "there is no way"
         )
-        return Connection(_no_way(manifold.system), Status.NOT_FOUND, why, step, manifold.system)
+        return Connection(
+            _make_empty_way(manifold.system), Status.NOT_FOUND, why, step, manifold.system
+        )
     how = f"found by two random trees of {grown} configurations together"
     return Connection(found, Status.SOLVED, how, step, manifold.system)

@@ -1,4 +1,4 @@
-"""Loops of four joints: the components of their configuration space, by dead points and limits.
+"""Components of the configuration space of loops of four joints, by dead points and limits.
 
 Two points, each guided by a crank or a slide, are the ends of a rod: |p(x) - r(y)| = L. For a crank
 y that is A cos y + B sin y + C = 0, for a slide a quadratic equation, and y is real where the
@@ -26,7 +26,7 @@ from kempe.joints import P, Q, R
 from kempe.model.configurations import compute_mid_configuration, find_free_angles
 from kempe.model.model import keep_answers
 from kempe.spaces.manifold import Manifold
-from kempe.spaces.only_loop import loop_of, pin, primitives_of
+from kempe.spaces.only_loop import find_only_loop, list_primitives, locate_joint
 from kempe.spatial import Array, inverse
 from kempe.words import format_count
 
@@ -46,25 +46,25 @@ UNDECIDED = "its dead points and limits are too near to one another to be told a
 
 
 class Rod(NamedTuple):
-    """A rod of a `length` between p(x) and r(y): coefficients of 1, cos and sin of a crank's angle,
-    (3, 3), or of 1 and a slide, (2, 3).
+    """A rod of a `length` between the points p(x) and r(y). These are coefficients of 1, cos and
+    sin of a crank's angle, (3, 3), or of 1 and a slide, (2, 3).
     """
 
     p: Array
     r: Array
     length: float
 
-    def discriminant(self, x: Array) -> Array:
-        """D(x), positive where two y exist."""
-        return self._parts(x)[-1]
+    def compute_discriminant(self, x: Array) -> Array:
+        """Compute the discriminant D(x), which is positive where two solutions y exist."""
+        return self._compute_coefficients(x)[-1]
 
-    def turned(self) -> Rod:
-        """The same rod with its ends exchanged."""
+    def exchange_ends(self) -> Rod:
+        """Return the same rod with its ends exchanged."""
         return Rod(self.r, self.p, self.length)
 
-    def value(self, x: Array, sign: Array | float) -> Array:
-        """The y of one branch; NaN where there is none."""
-        *parts, D = self._parts(x)
+    def solve_branch(self, x: Array, sign: Array | float) -> Array:
+        """Solve for y on one branch; NaN where there is no solution."""
+        *parts, D = self._compute_coefficients(x)
         with np.errstate(invalid="ignore"):
             h = np.sqrt(D) * sign
         if len(self.r) == 2:
@@ -73,17 +73,18 @@ class Rod(NamedTuple):
         A, B, C = parts
         return np.arctan2(A * h - C * B, -C * A - B * h)
 
-    def sign(self, x: Array, y: Array) -> Array:
-        """The branch on which y is at x, as a size: 0 where two branches meet, at most about 1."""
-        *parts, _ = self._parts(x)
+    def compute_branch_sign(self, x: Array, y: Array) -> Array:
+        """Compute the signed branch of y at x, from about -1 to 1. It is 0 where two branches meet."""
+        *parts, _ = self._compute_coefficients(x)
         if len(self.r) == 2:
             along, square = parts
             return (y * square - along) / math.sqrt(square)
         A, B, _ = parts
         return (A * np.sin(y) - B * np.cos(y)) / np.maximum(np.hypot(A, B), 1e-300)
 
-    def _parts(self, x: Array) -> tuple[Array, ...]:
-        way = _basis(x, len(self.p)) @ self.p - self.r[0]
+    def _compute_coefficients(self, x: Array) -> tuple[Array, ...]:
+        """Compute the coefficients of the equation for y at x."""
+        way = _evaluate_basis(x, len(self.p)) @ self.p - self.r[0]
         far = np.sum(way**2, axis=-1) - self.length**2
         if len(self.r) == 2:
             along = way @ self.r[1]
@@ -94,21 +95,22 @@ class Rod(NamedTuple):
         C = far + float(self.r[1] @ self.r[1])
         return A, B, C, A**2 + B**2 - C**2
 
-    def turning_points(self) -> Array:
-        """Values of x between which D is monotone: all extrema, and perhaps others."""
+    def find_turning_points(self) -> Array:
+        """Find values of x between which D is monotone: all extrema, and perhaps further values."""
         if len(self.p) == 2:
-            before, at, after = self.discriminant(np.array([-1.0, 0.0, 1.0])).tolist()
+            before, at, after = self.compute_discriminant(np.array([-1.0, 0.0, 1.0])).tolist()
             bend = 0.5 * (before + after) - at
             flat = abs(bend) <= SAME * max(abs(before), abs(at), abs(after))
             return np.array([] if flat else [0.25 * (before - after) / bend])
         # a trigonometric polynomial of degree 2 in x, whose derivative has four zeros exp(i x)
-        wave = np.fft.fft(self.discriminant(np.linspace(0.0, 2.0 * np.pi, 9)[:8]))
+        wave = np.fft.fft(self.compute_discriminant(np.linspace(0.0, 2.0 * np.pi, 9)[:8]))
         slopes = np.array([2.0 * wave[2], wave[1], 0.0, -wave[-1], -2.0 * wave[-2]])
         large = np.abs(slopes) > 1e-15 * np.abs(wave).max(initial=1e-300)
         return np.asarray(np.angle(np.roots(np.where(large, slopes, 0.0))), dtype=float)
 
 
-def _basis(x: Array, n: int) -> Array:
+def _evaluate_basis(x: Array, n: int) -> Array:
+    """Evaluate the basis functions 1 and x, or 1, cos(x) and sin(x), (..., n) at x (...)."""
     x = np.asarray(x, dtype=float)
     return np.stack([np.ones_like(x), *((x,) if n == 2 else (np.cos(x), np.sin(x)))], axis=-1)
 
@@ -139,7 +141,7 @@ class FourJoints:
 
     @property
     def reason(self) -> str:
-        """Why there are so many."""
+        """The reason for the number of components."""
         said = f"{format_count(len(self.dead), 'dead point')} over {self.first!r}"
         if len(self.touching):
             said += (
@@ -152,7 +154,7 @@ class FourJoints:
 
     @property
     def starts(self) -> Array:
-        """A configuration (count, nq) on each component, in the middle of its widest piece."""
+        """One configuration (count, nq) on each component, in the middle of its widest piece."""
         wide = np.where(self.label.T >= 0, np.diff(self.cuts), -1.0).T
         x = np.empty(self.count)
         sign = np.empty(self.count)
@@ -160,22 +162,22 @@ class FourJoints:
             i, k = divmod(int(np.argmax(np.where(self.label == c, wide, -1.0))), 2)
             x[c] = 0.5 * (self.cuts[i] + self.cuts[i + 1])
             sign[c] = 1.0 - 2.0 * k
-        q, ok = _configurations(self.system, self.rod, self.first, self.last, x, sign)
+        q, ok = _solve_configurations(self.system, self.rod, self.first, self.last, x, sign)
         return Manifold(self.system, 1).metric.choose_representatives(q[ok], None)
 
     @property
-    def singular(self) -> Array:
+    def singular_points(self) -> Array:
         """Configurations (k, nq) at which branches touch."""
-        q, ok = _configurations(
+        q, ok = _solve_configurations(
             self.system, self.rod, self.first, self.last, self.touching, np.zeros(1)
         )
         return q[ok]
 
-    def labels(self, q: Array) -> np.ndarray:
-        """The components (k,) of configurations (k, nq); -1 where they are not certain."""
+    def label_components(self, q: Array) -> np.ndarray:
+        """Label configurations (k, nq) with their components (k,), -1 where uncertain."""
         names = self.system.coordinate_names
         x = q[:, names.index(self.first)]
-        size = self.rod.sign(x, q[:, names.index(self.last)])
+        size = self.rod.compute_branch_sign(x, q[:, names.index(self.last)])
         if self.closes:
             x = self.cuts[0] + np.mod(x - self.cuts[0], 2.0 * np.pi)
         room = NEAR * (self.cuts[-1] - self.cuts[0])
@@ -191,11 +193,9 @@ class FourJoints:
 
 
 @keep_answers
-def four_joints(system: Model) -> FourJoints | str:
-    """The loop of four joints that a system is, besides what hangs on it; or why it is none that can
-    be decided.
-    """
-    loop = loop_of(system)
+def find_four_joints(system: Model) -> FourJoints | str:
+    """Find the loop of four joints in a system, or the reason why its components cannot be decided."""
+    loop = find_only_loop(system)
     if isinstance(loop, str):
         return loop
     bodies, names = loop
@@ -210,8 +210,8 @@ def four_joints(system: Model) -> FourJoints | str:
             # joint k lies between bodies k and k + 1: going back, the bodies shift by one
             ring = [bodies[i if step > 0 else (i + 1) % 4] for i in at]
             order = [joints[i] for i in at]
-            rod = _rod(system, ring, order)
-            if rod is not None and _single_valued(system, order):
+            rod = _make_rod(system, ring, order)
+            if rod is not None and _is_single_valued(system, order):
                 ways.append((not turns[order[0].name], order[0], order[3], rod))
     if not ways:
         return (
@@ -220,19 +220,20 @@ def four_joints(system: Model) -> FourJoints | str:
         )
     ways.sort(key=lambda way: (len(way[3].p) == 2, way[0]))
     for _, first, last, rod in ways:
-        found = _decided(system, rod, first.name, last.name, list(names))
+        found = _decide_components(system, rod, first.name, last.name, list(names))
         if not isinstance(found, str):
             return found
     return UNDECIDED
 
 
-def _limits(system: Model, name: str) -> tuple[float, float]:
+def _list_limits(system: Model, name: str) -> tuple[float, float]:
+    """Return the lower and upper limit of a joint."""
     k = system.structure.velocity_names.index(name)
     return float(system.lower[k]), float(system.upper[k])
 
 
-def _single_valued(system: Model, order: list[Joint]) -> bool:
-    """Whether limits of all joints but the first say nothing of whole turns, and can be looked at."""
+def _is_single_valued(system: Model, order: list[Joint]) -> bool:
+    """Whether limits of all joints but the first can be checked without counting whole turns."""
     own = {*system.coordinate_names} & {*system.structure.velocity_names}
     rows = pack_one_sided_rows(system).names
     for k, joint in enumerate(order):
@@ -243,8 +244,8 @@ def _single_valued(system: Model, order: list[Joint]) -> bool:
             continue
         if limited and k in (1, 2) and system.dim == 3:
             return False
-        low, high = _limits(system, joint.name)
-        turns = primitives_of(system, joint)[0].kind == R
+        low, high = _list_limits(system, joint.name)
+        turns = list_primitives(system, joint)[0].kind == R
         if turns and k and limited and not high - low < 2.0 * math.pi * (1.0 - 1e-9):
             return False
     return True
@@ -253,15 +254,19 @@ def _single_valued(system: Model, order: list[Joint]) -> bool:
 # ---- pieces between events, and how they are joined
 
 
-def _decided(system: Model, rod: Rod, first: str, last: str, names: list[str]) -> FourJoints | str:
-    """The loop over one coordinate, or why that does not decide."""
+def _decide_components(
+    system: Model, rod: Rod, first: str, last: str, names: list[str]
+) -> FourJoints | str:
+    """Decide the components of a loop over one coordinate, or return the reason why that is
+    impossible.
+    """
     from scipy import optimize
 
     brentq = cast(Any, optimize).brentq
 
-    low, high = _limits(system, first)
+    low, high = _list_limits(system, first)
     closes = not (math.isfinite(low) or math.isfinite(high)) and len(rod.p) == 3
-    marks = rod.turning_points()
+    marks = rod.find_turning_points()
     if closes:
         low = FIRST_CUT
         high = FIRST_CUT + 2.0 * math.pi
@@ -272,20 +277,20 @@ def _decided(system: Model, rod: Rod, first: str, last: str, names: list[str]) -
         )
     elif not math.isfinite(high - low):
         return "a turn that is limited on one side only"
-    marks = np.unique(np.concatenate([[low, high], _inside(rod, marks, low, high)]))
-    D = rod.discriminant(marks)
-    scale = float(np.abs(rod.discriminant(np.linspace(low, high, 17))).max())
+    marks = np.unique(np.concatenate([[low, high], _select_inside(rod, marks, low, high)]))
+    D = rod.compute_discriminant(marks)
+    scale = float(np.abs(rod.compute_discriminant(np.linspace(low, high, 17))).max())
     size = float(np.abs(rod.p).max() + np.abs(rod.r).max() + rod.length)
     if scale <= SAME * size ** (2 if len(rod.r) == 2 else 4):
         return "a whole circle of configurations over one value"
     flat = np.abs(D) <= TOUCHING * scale
     clear = np.where(flat, 0.0, D)
     dead = [
-        float(brentq(rod.discriminant, marks[i], marks[i + 1], xtol=1e-15, rtol=1e-15))
+        float(brentq(rod.compute_discriminant, marks[i], marks[i + 1], xtol=1e-15, rtol=1e-15))
         for i in np.flatnonzero(clear[:-1] * clear[1:] < 0.0)
     ]
     touching = marks[1:-1][flat[1:-1]] if not flat[[0, -1]].any() else None
-    events = _limit_events(system, rod, first, last, names, low, high)
+    events = _find_limit_events(system, rod, first, last, names, low, high)
     if touching is None or events is None:
         return UNDECIDED
     limited = len(events) > 0 or _has_limits(system, [n for n in names if n != first])
@@ -297,14 +302,16 @@ def _decided(system: Model, rod: Rod, first: str, last: str, names: list[str]) -
         if limited:
             return UNDECIDED
     middle = 0.5 * (cuts[:-1] + cuts[1:])
-    alive = np.repeat(rod.discriminant(middle)[:, None] > 0.0, 2, axis=1)
+    alive = np.repeat(rod.compute_discriminant(middle)[:, None] > 0.0, 2, axis=1)
     if limited:
         for k, sign in enumerate((1.0, -1.0)):
             at = np.flatnonzero(alive[:, k])
-            q, ok = _configurations(system, rod, first, last, middle[at], np.full(len(at), sign))
+            q, ok = _solve_configurations(
+                system, rod, first, last, middle[at], np.full(len(at), sign)
+            )
             if not ok.all():
                 return UNDECIDED
-            alive[at, k] = _within(system, q, names)
+            alive[at, k] = _is_within_limits(system, q, names)
     n = len(middle)
     node = np.arange(2 * n).reshape(n, 2)
     pairs: list[tuple[int, int]] = []
@@ -330,45 +337,50 @@ def _decided(system: Model, rod: Rod, first: str, last: str, names: list[str]) -
 
 
 def _has_limits(system: Model, names: list[str]) -> bool:
+    """Whether one of these joints has a finite limit."""
     return any(
-        n in system.structure.velocity_names and np.isfinite(_limits(system, n)).any()
+        n in system.structure.velocity_names and np.isfinite(_list_limits(system, n)).any()
         for n in names
     )
 
 
-def _limit_events(
+def _find_limit_events(
     system: Model, rod: Rod, first: str, last: str, names: list[str], low: float, high: float
 ) -> Array | None:
-    """Values of the first coordinate at which another joint of the loop reaches a limit; None where
-    they are not all known.
+    """Find values of the first coordinate at which another joint reaches a limit. None if not all
+    are known.
     """
     out: list[float] = []
-    back = rod.turned()
+    back = rod.exchange_ends()
     for name in names:
         if name == first or name not in system.structure.velocity_names:
             continue
-        for limit in _limits(system, name):
+        for limit in _list_limits(system, name):
             if not math.isfinite(limit):
                 continue
             if name == last:
-                D = float(back.discriminant(np.array(limit)))
-                scale = np.abs(back.discriminant(np.linspace(-3.0, 3.0, 13))).max()
+                D = float(back.compute_discriminant(np.array(limit)))
+                scale = np.abs(back.compute_discriminant(np.linspace(-3.0, 3.0, 13))).max()
                 if abs(D) <= TOUCHING * scale:
                     return None
                 out += (
-                    back.value(np.full(2, limit), np.array([1.0, -1.0])).tolist() if D > 0.0 else []
+                    back.solve_branch(np.full(2, limit), np.array([1.0, -1.0])).tolist()
+                    if D > 0.0
+                    else []
                 )
             else:
-                modes = assembly_modes(_free(system), {name: limit} | _aside(system, names))
+                modes = assembly_modes(
+                    _remove_limits(system), {name: limit} | _choose_other_values(system, names)
+                )
                 if not modes.complete:
                     return None
                 out += modes.q[:, system.coordinate_names.index(first)].tolist()
-    return _inside(rod, np.array(out), low, high)
+    return _select_inside(rod, np.array(out), low, high)
 
 
-def _inside(rod: Rod, x: Array, low: float, high: float) -> Array:
-    """Values of the first coordinate between two, of values (k,); of an angle also those that are
-    whole turns away.
+def _select_inside(rod: Rod, x: Array, low: float, high: float) -> Array:
+    """Select values (k,) of the first coordinate between two bounds. Angles may differ by whole
+    turns.
     """
     if len(rod.p) == 3:
         whole = np.arange(math.floor((low - math.pi) / 2.0 / math.pi), high / 2.0 / math.pi + 1.0)
@@ -377,14 +389,14 @@ def _inside(rod: Rod, x: Array, low: float, high: float) -> Array:
 
 
 @keep_answers
-def _free(system: Model) -> Model:
-    """The same system without limits."""
+def _remove_limits(system: Model) -> Model:
+    """Return the system without limits."""
     own = {*system.coordinate_names}
     return with_limits(system, {n: None for n in system.structure.velocity_names if n in own})
 
 
-def _aside(system: Model, names: list[str]) -> dict[str, float]:
-    """Values of coordinates of joints that are not in the loop: the middle of their limits."""
+def _choose_other_values(system: Model, names: list[str]) -> dict[str, float]:
+    """Choose values of coordinates of joints outside the loop: the middle of their limits."""
     rest = compute_mid_configuration(system)
     return {
         n: float(rest[k])
@@ -393,27 +405,27 @@ def _aside(system: Model, names: list[str]) -> dict[str, float]:
     }
 
 
-def _configurations(
+def _solve_configurations(
     system: Model, rod: Rod, first: str, last: str, x: Array, sign: Array
 ) -> tuple[Array, np.ndarray]:
-    """Configurations (k, nq) at values (k,) of the first coordinate on branches (k,), and which
-    close.
+    """Solve for configurations (k, nq) at values (k,) of the first coordinate on branches (k,). A
+    mask tells which close.
     """
     if not len(x):
         return np.empty((0, system.nq)), np.zeros(0, dtype=bool)
-    rod_value = rod.value(x, sign) if np.any(sign) else _met(rod, x)
-    loop = loop_of(system)
+    rod_value = rod.solve_branch(x, sign) if np.any(sign) else _solve_meetings(rod, x)
+    loop = find_only_loop(system)
     names = list(loop[1]) if not isinstance(loop, str) else []
     known = {first: x, last: rod_value} | {
-        n: np.full(len(x), value) for n, value in _aside(system, names).items()
+        n: np.full(len(x), value) for n, value in _choose_other_values(system, names).items()
     }
-    found = assemble(_free(system), known)
+    found = assemble(_remove_limits(system), known)
     return np.asarray(found.q), np.asarray(found.success, dtype=bool)
 
 
-def _met(rod: Rod, x: Array) -> Array:
-    """The y at places x (k,) where both branches meet."""
-    *parts, _ = rod._parts(x)
+def _solve_meetings(rod: Rod, x: Array) -> Array:
+    """Solve for y at values x (k,) where both branches meet."""
+    *parts, _ = rod._compute_coefficients(x)
     return (
         parts[0] / parts[1]
         if len(rod.r) == 2
@@ -421,13 +433,13 @@ def _met(rod: Rod, x: Array) -> Array:
     )
 
 
-def _within(system: Model, q: Array, names: list[str]) -> np.ndarray:
+def _is_within_limits(system: Model, q: Array, names: list[str]) -> np.ndarray:
     """Whether (k,) the joints of the loop are within their limits."""
     q = Manifold(system, 1).metric.choose_representatives(q, None)
     out = np.ones(len(q), dtype=bool)
     for name in names:
         if name in system.coordinate_names and name in system.structure.velocity_names:
-            low, high = _limits(system, name)
+            low, high = _list_limits(system, name)
             value = q[:, system.coordinate_names.index(name)]
             out &= (value >= low) & (value <= high)
     return out
@@ -436,75 +448,79 @@ def _within(system: Model, q: Array, names: list[str]) -> np.ndarray:
 # ---- the rod of a loop
 
 
-def _rod(system: Model, ring: list[str], joints: list[Joint]) -> Rod | None:
-    """The rod, between points, between directions of axes through one point, or between parallel
-    axes; lengths in parts of the loop's size where both ends turn.
+def _make_rod(system: Model, ring: list[str], joints: list[Joint]) -> Rod | None:
+    """Make the rod of a loop: between points, between directions, or between parallel axes. Where
+    both ends turn, lengths are fractions of the loop's size.
     """
     base, crank, rod, rocker = ring
     first, ball, other, last = joints
-    kinds = [[p.kind for p in primitives_of(system, j)] for j in joints]
+    kinds = [[p.kind for p in list_primitives(system, j)] for j in joints]
     if kinds[0] not in ([R], [P]) or kinds[3] not in ([R], [P]):
         return None
-    ends = pin(system, ball, crank)[0], pin(system, other, rocker)[0]
+    ends = locate_joint(system, ball, crank)[0], locate_joint(system, other, rocker)[0]
     points = [[Q], [Q]] if system.dim == 3 else [[R], [R]]
     if kinds[1:3] == points:
-        length = float(np.linalg.norm(pin(system, ball, rod)[0] - pin(system, other, rod)[0]))
-        p = _path(system, first, base, ends[0], 1.0)
-        r = _path(system, last, base, ends[1], 1.0)
+        length = float(
+            np.linalg.norm(locate_joint(system, ball, rod)[0] - locate_joint(system, other, rod)[0])
+        )
+        p = _compute_path_coefficients(system, first, base, ends[0], 1.0)
+        r = _compute_path_coefficients(system, last, base, ends[1], 1.0)
         return Rod(p, r, length) if length > 0.0 else None
     if kinds != [[R], [R], [R], [R]]:
         return None
     axes = {
-        (joints[k].name, b): _axis(system, joints[k], b)
+        (joints[k].name, b): _locate_axis(system, joints[k], b)
         for k in range(4)
         for b in (ring[k], ring[(k + 1) % 4])
     }
     pairs = [[axes[joints[k - 1].name, b], axes[joints[k].name, b]] for k, b in enumerate(ring)]
     _, u = axes[ball.name, crank]
     _, v = axes[other.name, rocker]
-    if _concurrent(pairs):
+    if _are_concurrent(pairs):
         length = float(np.linalg.norm(axes[ball.name, rod][1] - axes[other.name, rod][1]))
-        p = _path(system, first, base, u, 0.0)
-        r = _path(system, last, base, v, 0.0)
+        p = _compute_path_coefficients(system, first, base, u, 0.0)
+        r = _compute_path_coefficients(system, last, base, v, 0.0)
         return Rod(p, r, length) if SAME < 0.25 * length**2 < 1.0 - SAME else None
-    if not _parallel(pairs):
+    if not _are_parallel(pairs):
         return None
     n = axes[first.name, base][1]
     x, _ = axes[ball.name, rod]
     y, m = axes[other.name, rod]
     length = float(np.linalg.norm((y - x) - m * (m @ (y - x))))
-    p = _path(system, first, base, ends[0], 1.0)
-    r = _path(system, last, base, ends[1], 1.0)
+    p = _compute_path_coefficients(system, first, base, ends[0], 1.0)
+    r = _compute_path_coefficients(system, last, base, ends[1], 1.0)
     return Rod(p - (p @ n)[:, None] * n, r - (r @ n)[:, None] * n, length)
 
 
-def _path(system: Model, joint: Joint, base: str, point: Array, weight: float) -> Array:
-    """Coefficients of 1, cos and sin, or of 1 and the slide, of a point (or, of weight 0, a
-    direction) on a crank or a slide, seen from the base.
+def _compute_path_coefficients(
+    system: Model, joint: Joint, base: str, point: Array, weight: float
+) -> Array:
+    """Compute coefficients of 1, cos and sin, or of 1 and the slide, of a point on a crank or
+    slider. They are seen from the base; weight 0 stands for a direction.
     """
     F = joint.X_PF.evaluate_pose(system._mechanism.parameters)
     M = joint.X_CM.evaluate_pose(system._mechanism.parameters)
-    turns = primitives_of(system, joint)[0].kind == R
+    turns = list_primitives(system, joint)[0].kind == R
     at = 2.0 * np.pi / 3.0 * np.arange(3.0) if turns else np.array([0.0, 1.0])
-    X = F @ multiply_primitives(primitives_of(system, joint), at[:, None]) @ inverse(M)
+    X = F @ multiply_primitives(list_primitives(system, joint), at[:, None]) @ inverse(M)
     X = X if joint.parent == base else inverse(X)
-    wave = _basis(at, 3 if turns else 2)
+    wave = _evaluate_basis(at, 3 if turns else 2)
     return np.asarray(np.linalg.solve(wave, (X @ np.append(point, weight))[:, :3]), dtype=float)
 
 
-def _axis(system: Model, joint: Joint, body: str) -> tuple[Array, Array]:
-    """A point and the direction of the axis of a turn, in the axes of one of its bodies."""
-    X = pin(system, joint, body)[1]
-    return X[:3, 3], X[:3, "xyz".index(primitives_of(system, joint)[0].axis)]
+def _locate_axis(system: Model, joint: Joint, body: str) -> tuple[Array, Array]:
+    """Return a point and the direction of a revolute joint's axis, in the axes of one of its
+    bodies.
+    """
+    X = locate_joint(system, joint, body)[1]
+    return X[:3, 3], X[:3, "xyz".index(list_primitives(system, joint)[0].axis)]
 
 
 Axis = tuple[Array, Array]
 
 
-def _concurrent(pairs: list[list[Axis]]) -> bool:
-    """Whether the axes of each body (of joint k - 1 and k, by body) meet, and each is met at one
-    place from both.
-    """
+def _are_concurrent(pairs: list[list[Axis]]) -> bool:
+    """Whether the axes of joints k - 1 and k meet on each body, at one place for both bodies."""
     places: list[tuple[float, float]] = []
     for (x, u), (y, v) in pairs:
         c = float(u @ v)
@@ -521,8 +537,8 @@ def _concurrent(pairs: list[list[Axis]]) -> bool:
     return all(abs(places[k][1] - places[(k + 1) % 4][0]) < SAME * size for k in range(4))
 
 
-def _parallel(pairs: list[list[Axis]]) -> bool:
-    """Whether the axes of each body are parallel, and the steps along them add up to nothing."""
+def _are_parallel(pairs: list[list[Axis]]) -> bool:
+    """Whether the axes on each body are parallel, and the offsets along them sum to zero."""
     step = 0.0
     sense = 1.0
     size = 1.0

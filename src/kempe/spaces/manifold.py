@@ -1,5 +1,4 @@
-"""Closed configurations as a manifold in the space of all coordinates: tangents, normals, and the
-way back onto it.
+"""Closed configurations as a manifold in coordinate space: tangents, normals, and projection.
 
 Lengths count in characteristic lengths, angles in radians: the coordinates of all joints with this
 measure are the space around, and volumes on the manifold are those that it induces there (of
@@ -40,8 +39,8 @@ begin, and the part of it that is left after a step, at most."""
 
 
 class Frames(NamedTuple):
-    """Orthonormal bases of tangents (k, nv, p) and normals (k, nv, nv - p), and whether (k,) the
-    point is regular.
+    """Orthonormal bases of tangents (k, nv, p) and normals (k, nv, nv - p). A mask (k,) tells
+    whether points are regular.
     """
 
     tangent: Array
@@ -50,7 +49,7 @@ class Frames(NamedTuple):
 
 
 class Manifold:
-    """The closed configurations of a system where they have dimension `dim`, within its limits."""
+    """The closed configurations of a system within its limits, where they have dimension `dim`."""
 
     def __init__(self, system: Model, dim: int):
         self.system = system
@@ -61,50 +60,54 @@ class Manifold:
         self.one_sided = pack_one_sided_rows(system)
         self.metric = get_metric(system)
 
-    def equations(self, q: Array) -> tuple[Array, Array]:
-        """What is missing (k, m) in the equations at q (k, nq), and the derivatives (k, m, nv)."""
+    def evaluate_equations(self, q: Array) -> tuple[Array, Array]:
+        """Evaluate residuals (k, m) of the equations at q (k, nq), and their derivatives (k, m,
+        nv).
+        """
         return closure_rows.evaluate_constraints(self.system, q, True, True)
 
-    def move(self, q: Array, y: Array) -> Array:
-        """Configurations (k, nq) reached from q (k, nq) by y (k, nv)."""
+    def move_configurations(self, q: Array, y: Array) -> Array:
+        """Move configurations q (k, nq) by tangent vectors y (k, nv)."""
         return self.layout.integrate_velocity(q, y * self.scale)
 
-    def between(self, q: Array, to: Array) -> Array:
-        """The shortest way (k, nv) from q (k, nq) to other configurations; what is not limited
-        turns the short way.
+    def compute_steps(self, q: Array, to: Array) -> Array:
+        """Compute the shortest steps (k, nv) from q (k, nq) to other configurations. Unlimited
+        joints turn the short way.
         """
         return shorten_turns(self.layout.compute_difference(q, to), self.circle) / self.scale
 
-    def apart(self, q: Array, to: Array) -> Array:
-        """Lengths (k,) of the ways `between`."""
-        return np.linalg.norm(self.between(q, to), axis=-1)
+    def compute_distances(self, q: Array, to: Array) -> Array:
+        """Compute the lengths (k,) of the steps of `compute_steps`."""
+        return np.linalg.norm(self.compute_steps(q, to), axis=-1)
 
-    def inside(self, q: Array) -> np.ndarray:
+    def are_allowed(self, q: Array) -> np.ndarray:
         """Whether (k,) limits and one-sided constraints hold at q (k, nq)."""
         return np.asarray((self.one_sided.compute_excess(q) <= 0.0).all(axis=-1))
 
-    def closed(self, q: Array, longest: float = STEEP) -> tuple[Array, np.ndarray]:
-        """Closed configurations (k, nq) near q (k, nq), by steps of least size, and whether (k,)
-        they are closed.
+    def close_configurations(self, q: Array, longest: float = STEEP) -> tuple[Array, np.ndarray]:
+        """Find closed configurations (k, nq) near q (k, nq), by least steps. A mask (k,) tells
+        whether they close.
         """
         out = run_many_gauss_newton(
-            lambda x, _: self.equations(x), q, TRIES, longest=longest, move=self.move
+            lambda x, _: self.evaluate_equations(x),
+            q,
+            TRIES,
+            longest=longest,
+            move=self.move_configurations,
         )
-        return out, self._met(out)
+        return out, self._are_closed(out)
 
-    def drawn(self, rng: np.random.Generator, count: int) -> Array:
-        """Closed configurations (k, nq), those to which so many random ones lead; limits are not
-        looked at.
-        """
+    def draw_configurations(self, rng: np.random.Generator, count: int) -> Array:
+        """Draw closed configurations (k, nq) from random starts, without regard to limits."""
         starts = sample_configurations(self.system, rng, count)
-        q, ok = self.closed(starts)
+        q, ok = self.close_configurations(starts)
         if not ok.any():
-            q, ok = self.closed(starts, np.inf)
+            q, ok = self.close_configurations(starts, np.inf)
         return q[ok]
 
-    def frames(self, q: Array) -> Frames:
-        """Tangents and normals at closed q (k, nq)."""
-        J = self.equations(q)[1]
+    def compute_frames(self, q: Array) -> Frames:
+        """Compute tangents and normals at closed q (k, nq)."""
+        J = self.evaluate_equations(q)[1]
         rank = self.system.nv - self.dim
         if not rank:
             eye = np.broadcast_to(np.eye(self.system.nv), (len(q), self.system.nv, self.system.nv))
@@ -121,9 +124,9 @@ class Manifold:
         V = np.swapaxes(spectrum.right, -1, -2)
         return Frames(V[..., rank:], V[..., :rank], spectrum.compute_ranks(Level.GENERIC) == rank)
 
-    def lifted(self, q: Array, y: Array, normal: Array) -> tuple[Array, np.ndarray]:
-        """Steps (k, nv) from q (k, nq) onto the manifold: `y` (k, nv) and a combination of normals;
-        whether (k,).
+    def lift_steps(self, q: Array, y: Array, normal: Array) -> tuple[Array, np.ndarray]:
+        """Lift tangent steps `y` (k, nv) at q (k, nq) onto the manifold, by normals. A mask (k,)
+        tells whether that succeeds.
 
         By Newton's method from no normals at all, which is given up where it does not come much
         nearer at each step.
@@ -133,7 +136,7 @@ class Manifold:
         left = np.arange(len(q))
         before = np.full(len(q), np.inf)
         for k in range(NEWTON):
-            r, J = self.equations(self.move(q[left], step[left]))
+            r, J = self.evaluate_equations(self.move_configurations(q[left], step[left]))
             size = np.linalg.norm(r, axis=1)
             met = size < EXACT
             found[left[met]] = True
@@ -143,11 +146,12 @@ class Manifold:
             left = left[go_on]
             before = size[go_on]
             N = normal[left]
-            a = solved(J[go_on] @ N, -r[go_on])
+            a = solve_least_squares(J[go_on] @ N, -r[go_on])
             step[left] += np.einsum("kij,kj->ki", N, a)
         return step, found
 
-    def _met(self, q: Array) -> np.ndarray:
+    def _are_closed(self, q: Array) -> np.ndarray:
+        """Whether (k,) the equations hold at q (k, nq)."""
         out = np.asarray(np.isfinite(q).all(axis=-1))
         size = np.linalg.norm(
             closure_rows.evaluate_constraints(
@@ -158,8 +162,8 @@ class Manifold:
         return out & (size < CLOSED)
 
 
-def solved(A: Array, b: Array) -> Array:
-    """The y (k, n) that solve A y = b, for A (k, m, n) of rank n and b (k, m), or come nearest."""
+def solve_least_squares(A: Array, b: Array) -> Array:
+    """Solve A y = b for y (k, n) by least squares, for A (k, m, n) of rank n and b (k, m)."""
     if A.shape[1] == A.shape[2]:
         with contextlib.suppress(np.linalg.LinAlgError):
             return np.asarray(np.linalg.solve(A, b[..., None])[..., 0], dtype=float)

@@ -1,4 +1,4 @@
-"""The only loop of a system: its bodies and joints in their order, and where they are pinned."""
+"""The only loop of a system: its bodies and joints in order, and the places of the joints."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 
 
 @keep_answers
-def loop_of(system: Model) -> tuple[tuple[str, ...], tuple[str, ...]] | str:
-    """Bodies and joints of the only loop in their order, body k before joint k; or why there is no
-    such loop.
+def find_only_loop(system: Model) -> tuple[tuple[str, ...], tuple[str, ...]] | str:
+    """Find bodies and joints of the only loop in order, body k before joint k. Otherwise return the
+    reason why there is none.
     """
     s = system.structure
     if len(s.closures) != 1:
@@ -27,15 +27,16 @@ def loop_of(system: Model) -> tuple[tuple[str, ...], tuple[str, ...]] | str:
     parent = dict(zip(system.body_names[1:], system.parent, strict=True))
     up = dict(zip(system.body_names[1:], s.parent_joints, strict=True))
 
-    def root(body: str) -> list[str]:
+    def list_ancestors(body: str) -> list[str]:
+        """List a body and its ancestors in the spanning tree."""
         out = [body]
         while out[-1] in parent:
             out.append(system.body_names[parent[out[-1]]])
         return out
 
     last = joints[s.closures[0]]
-    a = root(last.parent)
-    b = root(last.child)
+    a = list_ancestors(last.parent)
+    b = list_ancestors(last.child)
     top = next(body for body in a if body in b)
     left = a[: a.index(top)]
     right = b[: b.index(top)]
@@ -44,13 +45,13 @@ def loop_of(system: Model) -> tuple[tuple[str, ...], tuple[str, ...]] | str:
     return tuple(bodies), tuple(names)
 
 
-def primitives_of(system: Model, joint: Joint) -> list[Primitive]:
-    """The turns and slides of a joint."""
+def list_primitives(system: Model, joint: Joint) -> list[Primitive]:
+    """List the rotations and translations of a joint."""
     return list(joint.type.layout(system.dim, system._mechanism.bodies[joint.child].particle)[1])
 
 
-def pin(system: Model, joint: Joint, body: str) -> tuple[Array, Array]:
-    """Where a joint is on one of its bodies (3,), and its frame there (4, 4)."""
+def locate_joint(system: Model, joint: Joint, body: str) -> tuple[Array, Array]:
+    """Locate a joint on one of its bodies: its point (3,) and its frame (4, 4)."""
     X = (joint.X_PF if joint.parent == body else joint.X_CM).evaluate_pose(
         system._mechanism.parameters
     )

@@ -1,4 +1,4 @@
-"""Planar loops of bars: the components of their configuration space, by theorem.
+"""Components of the configuration space of planar loops of bars, by theorem.
 
 The configurations of a closed planar chain of n bars, one of them held, are disconnected if and
 only if there are three long bars, any two of which are longer together than half of all; then
@@ -19,7 +19,7 @@ import numpy as np
 from kempe.forward.fk import fk
 from kempe.joints import R
 from kempe.model.model import keep_answers
-from kempe.spaces.only_loop import loop_of, pin, primitives_of
+from kempe.spaces.only_loop import find_only_loop, list_primitives, locate_joint
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -34,9 +34,7 @@ MOST_BARS = 14
 
 @dataclass(frozen=True, eq=False)
 class Polygon:
-    """A planar loop of bars: `bodies` (n) in their order, `joints` (n), each with the next bar,
-    lengths (n,) [m].
-    """
+    """A planar loop of bars: `bodies` (n) in order, `joints` (n) to the next bar, lengths (n,) [m]."""
 
     system: Model
     bodies: tuple[str, ...]
@@ -46,12 +44,12 @@ class Polygon:
 
     @property
     def lengths(self) -> Array:
-        """Distances (n,) of the two pins of each bar."""
+        """Distances (n,) between the two pins of each bar."""
         return np.linalg.norm(self.vectors, axis=1)
 
     @property
     def count(self) -> int:
-        """Number of components, by the theorem: 0 where the loop cannot be closed, 1, or 2."""
+        """Number of components, by the theorem: 0 if the loop cannot be closed, 1, or 2."""
         x = np.sort(self.lengths)[::-1]
         total = float(self.lengths.sum())
         if x[0] > total - x[0] + EQUAL * total:
@@ -60,7 +58,7 @@ class Polygon:
 
     @property
     def reason(self) -> str:
-        """The theorem, with the lengths that decide."""
+        """The theorem with the lengths that decide."""
         order: list[int] = np.argsort(-self.lengths, kind="stable").tolist()
         total = float(self.lengths.sum())
         longest = self.lengths[order]
@@ -80,8 +78,8 @@ class Polygon:
             f"1995{equal})"
         )
 
-    def labels(self, q: Array) -> np.ndarray:
-        """The components (k,) of configurations (k, nq): 0, or 1 on the other side of two."""
+    def label_components(self, q: Array) -> np.ndarray:
+        """Label configurations (k, nq) with their components (k,): 0, or 1 for the second of two."""
         if self.count < 2:
             return np.zeros(len(q), dtype=int)
         i, j = map(int, np.sort(np.argsort(-self.lengths, kind="stable")[:2]))
@@ -92,22 +90,20 @@ class Polygon:
         return (a[:, 0] * b[:, 1] < a[:, 1] * b[:, 0]).astype(int)
 
     @property
-    def singular(self) -> Array:
-        """Configurations (k, nq) with all bars on one line: the singular points of the
-        configuration space.
-        """
+    def singular_points(self) -> Array:
+        """Singular configurations (k, nq), with all bars on one line."""
         n = len(self.bodies)
         lengths = self.lengths
         if n > MOST_BARS:
             return np.empty((0, self.system.nq))
         signs = np.array([s for s in product((1.0, -1.0), repeat=n) if s[0] > 0.0])
         signs = signs[np.abs(signs @ lengths) <= EQUAL * lengths.sum()]
-        return np.array([self._at(np.where(s > 0.0, 0.0, np.pi)) for s in signs]).reshape(
-            -1, self.system.nq
-        )
+        return np.array(
+            [self._compute_configuration(np.where(s > 0.0, 0.0, np.pi)) for s in signs]
+        ).reshape(-1, self.system.nq)
 
-    def _at(self, directions: Array) -> Array:
-        """The configuration (nq,) with bars in these directions (n,) from that of the one at rest."""
+    def _compute_configuration(self, directions: Array) -> Array:
+        """Compute the configuration (nq,) with bars in these directions (n,) from the fixed bar."""
         m = self.system._mechanism
         q = self.system.neutral.copy()
         turn = directions - np.arctan2(self.vectors[:, 1], self.vectors[:, 0])
@@ -116,31 +112,32 @@ class Polygon:
             joint = m.joints[name]
             F = joint.X_PF.evaluate_pose(m.parameters)
             M = joint.X_CM.evaluate_pose(m.parameters)
-            angle = turn[joint.child] - turn[joint.parent] + _angle(M) - _angle(F)
+            angle = turn[joint.child] - turn[joint.parent] + _compute_angle(M) - _compute_angle(F)
             q[self.system.coordinate_names.index(name)] = np.arctan2(np.sin(angle), np.cos(angle))
         return q
 
 
-def _angle(X: Array) -> float:
+def _compute_angle(X: Array) -> float:
+    """Compute the angle of a planar pose X."""
     return float(np.arctan2(X[1, 0], X[0, 0]))
 
 
 @keep_answers
-def polygon_of(system: Model) -> Polygon | str:
-    """The planar polygon of bars that a system is, besides what hangs on it; or why it is none."""
+def find_polygon(system: Model) -> Polygon | str:
+    """Find the planar polygon of bars in a system, or the reason why it is none."""
     if system.dim != 2:
         return "it is not planar"
-    found = loop_of(system)
+    found = find_only_loop(system)
     if isinstance(found, str):
         return found
     bodies, names = found
     joints = [system.structure.joints[n] for n in names]
-    if not all(_turns(system, j) for j in joints):
+    if not all(_is_unlimited_turn(system, j) for j in joints):
         return "its loop has a joint that is not a revolute one without limits"
     if len(bodies) < 3:
         return "its loop has two bars only"
-    pins = [pin(system, joints[k - 1], b)[0] for k, b in enumerate(bodies)]
-    after = [pin(system, joints[k], b)[0] for k, b in enumerate(bodies)]
+    pins = [locate_joint(system, joints[k - 1], b)[0] for k, b in enumerate(bodies)]
+    after = [locate_joint(system, joints[k], b)[0] for k, b in enumerate(bodies)]
     vectors = (np.array(after) - np.array(pins))[:, :2]
     lengths = np.linalg.norm(vectors, axis=1)
     if lengths.min() <= 1e-9 * lengths.sum():
@@ -148,9 +145,9 @@ def polygon_of(system: Model) -> Polygon | str:
     return Polygon(system, bodies, names, vectors)
 
 
-def _turns(system: Model, joint: Joint) -> bool:
-    """Whether it is one turn without limits."""
-    primitives = primitives_of(system, joint)
+def _is_unlimited_turn(system: Model, joint: Joint) -> bool:
+    """Whether a joint is one rotation without limits."""
+    primitives = list_primitives(system, joint)
     if (
         len(primitives) != 1
         or primitives[0].kind != R

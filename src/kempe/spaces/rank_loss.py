@@ -1,5 +1,4 @@
-"""Where a matrix that depends on the configuration has a smaller rank than almost everywhere, loops
-closed.
+"""Configurations at which a matrix loses rank, for closed loops.
 
 The unknowns are the configuration q and a basis V of the null space, one dimension larger than in
 general: C(q) = 0, A(q) V = 0, V fixed by a constant complement. These equations are regular at most
@@ -43,7 +42,7 @@ Equations = Callable[[Array], tuple[Array, Array]]
 
 @dataclass(frozen=True, eq=False)
 class RankLoss:
-    """The equations of configurations of `system` at which `matrices` have rank less than `rank`.
+    """Equations of the configurations of `system` at which `matrices` have rank less than `rank`.
 
     `columns` (n,) are the velocity coordinates to which the columns belong, `unit` (nv,) what
     counts as 1 of each.
@@ -58,28 +57,28 @@ class RankLoss:
     """Equations that hold besides the loops, and besides that nothing spins idly."""
 
     @cached_property
-    def closed(self) -> bool:
-        """Whether there are loops or relations that hold."""
+    def has_closure(self) -> bool:
+        """Whether there are loops or relations."""
         return len(closure_rows.list_row_names(self.system)) > 0
 
     @cached_property
-    def counts(self) -> np.ndarray:
-        """Which velocity coordinates (nv,) idle spins leave alone."""
+    def counted_columns(self) -> np.ndarray:
+        """Velocity coordinates (nv,) that no idle freedom moves, as truth values."""
         return ~find_idle_coordinates(self.system)
 
     @cached_property
-    def spins(self) -> bool:
-        """Whether something spins idly."""
-        return not self.counts.all()
+    def has_idle_spins(self) -> bool:
+        """Whether there is an idle freedom."""
+        return not self.counted_columns.all()
 
-    def closure(self, q: Array, with_jacobian: bool = True) -> tuple[Array, Array]:
-        """What the loops and further equations miss (k, c), and the derivatives (k, c, nv), at q
-        (k, nq).
+    def evaluate_closure(self, q: Array, with_jacobian: bool = True) -> tuple[Array, Array]:
+        """Evaluate residuals (k, c) of loops and further equations at q (k, nq). The derivatives
+        are (k, c, nv).
         """
         rows = np.zeros((len(q), 0)), np.zeros((len(q), 0, self.system.nv))
-        if self.closed:
+        if self.has_closure:
             rows = closure_rows.evaluate_constraints(self.system, q, with_jacobian, scaled=True)
-            if self.spins:
+            if self.has_idle_spins:
                 still = compute_idle_rates(self.system, q) * self.unit
                 F = np.concatenate([rows[0], np.zeros(still.shape[:2])], axis=1)
                 rows = F, np.concatenate([rows[1], still], axis=1) if with_jacobian else rows[1]
@@ -89,48 +88,50 @@ class RankLoss:
         both = np.concatenate([rows[1], dF], axis=1) if with_jacobian else rows[1]
         return np.concatenate([rows[0], F], axis=1), both
 
-    def move(self, q: Array, y: Array) -> Array:
-        """The configurations (k, nq) a step (k, nv) from q (k, nq)."""
+    def move_configurations(self, q: Array, y: Array) -> Array:
+        """Move configurations q (k, nq) by steps (k, nv)."""
         return self.system.structure.layout.integrate_velocity(q, y * self.unit)
 
-    def between(self, q: Array, other: Array) -> Array:
-        """The steps (k, nv) from q to other configurations."""
+    def compute_steps(self, q: Array, other: Array) -> Array:
+        """Compute the steps (k, nv) from q to other configurations."""
         return self.system.structure.layout.compute_difference(q, other) / self.unit
 
-    def _transposed(self, A: Array) -> Array:
-        """The matrices, or their transposes where these have the smaller null space."""
+    def _orient_matrices(self, A: Array) -> Array:
+        """Return the matrices, or their transposes if these have the smaller null space."""
         return A if A.shape[-1] <= A.shape[-2] else np.swapaxes(A, -1, -2)
 
-    def null_vectors(self, q: Array) -> Array:
-        """Orthonormal bases V (k, n, d) of what the matrices at q (k, nq) lead to the least."""
-        A = self._transposed(self.matrices(q))
+    def compute_null_vectors(self, q: Array) -> Array:
+        """Compute orthonormal null vectors V (k, n, d) of the matrices at q (k, nq). They belong to
+        the least singular values.
+        """
+        A = self._orient_matrices(self.matrices(q))
         return np.swapaxes(Spectrum(A).right[:, self.rank - 1 :], 1, 2)
 
-    def _products(self, q: Array, V: Array, steps: Array) -> Array:
-        """The matrices at steps (nv, nv) from q (k, nq), times V (k, n, d): (k, nv, m, d)."""
+    def _evaluate_products(self, q: Array, V: Array, steps: Array) -> Array:
+        """Evaluate the matrices at small steps from q (k, nq), times V (k, n, d): (k, nv, m, d)."""
         n = self.system.nv
         k = len(q)
-        A = self._transposed(
-            self.matrices(self.move(np.repeat(q, n, axis=0), np.tile(steps, (k, 1))))
+        A = self._orient_matrices(
+            self.matrices(self.move_configurations(np.repeat(q, n, axis=0), np.tile(steps, (k, 1))))
         )
         return A.reshape(k, n, *A.shape[1:]) @ V[:, None]
 
-    def equations(
+    def evaluate_equations(
         self, q: Array, V: Array, frame: Array, sharp: bool = True
     ) -> tuple[Array, Array]:
-        """What is missing (k, e) at q (k, nq) and V (k, n, d), and derivatives (k, e, nv + n d);
-        see above.
+        """Evaluate residuals (k, e) at q (k, nq) and V (k, n, d), and derivatives (k, e, nv + n d).
+        See the class.
 
         With `sharp` derivatives are central differences, else of one side, which Newton's method is
         content with.
         """
         k = len(q)
         nv = self.system.nv
-        C, dC = self.closure(q)
-        A = self._transposed(self.matrices(q))
+        C, dC = self.evaluate_closure(q)
+        A = self._orient_matrices(self.matrices(q))
         steps = STEP * np.eye(nv)
-        above = self._products(q, V, steps)
-        below = self._products(q, V, -steps) if sharp else (A @ V)[:, None]
+        above = self._evaluate_products(q, V, steps)
+        below = self._evaluate_products(q, V, -steps) if sharp else (A @ V)[:, None]
         dA = (above - below) / (STEP + STEP * sharp)
         m = A.shape[1]
         n = A.shape[2]
@@ -147,9 +148,9 @@ class RankLoss:
         )
         return F, J
 
-    def led(self, q: Array, home: Array | None = None) -> Array:
-        """Where Newton's method leads from q (k, nq): points of the set, NaN where it leads to
-        none.
+    def find_singular(self, q: Array, home: Array | None = None) -> Array:
+        """Find singular configurations from starts q (k, nq) by Newton's method, NaN where it
+        fails.
 
         With a `home` (nq,) they are led towards what is nearest to it, too.
         """
@@ -157,75 +158,98 @@ class RankLoss:
             return q
         q = np.array(q, dtype=float)
         if home is not None:
-            q = self._steps(q, np.broadcast_to(home, q.shape))
-        q = self._steps(q, None)
+            q = self._solve_steps(q, np.broadcast_to(home, q.shape))
+        q = self._solve_steps(q, None)
         good = np.asarray(np.isfinite(q).all(axis=1))
-        good[good] = self.holds(q[good])
+        good[good] = self.is_singular(q[good])
         q[~good] = np.nan
         return q
 
-    def _steps(self, q: Array, home: Array | None) -> Array:
+    def _solve_steps(self, q: Array, home: Array | None) -> Array:
+        """Solve the equations by Gauss-Newton steps from q (k, nq), pulled to `home` if that is
+        given.
+        """
         nq = self.system.nq
         nv = self.system.nv
-        frame = self.null_vectors(q)
+        frame = self.compute_null_vectors(q)
         shape = frame.shape[1:]
 
-        def equations(x: Array, at: np.ndarray) -> tuple[Array, Array]:
-            F, J = self.equations(x[:, :nq], x[:, nq:].reshape(len(x), *shape), frame[at], False)
+        def evaluate_equations(x: Array, at: np.ndarray) -> tuple[Array, Array]:
+            F, J = self.evaluate_equations(
+                x[:, :nq], x[:, nq:].reshape(len(x), *shape), frame[at], False
+            )
             if home is None:
                 return F, J
             pull = np.zeros((len(x), nv, J.shape[2]))
             pull[:, np.arange(nv), np.arange(nv)] = PULL
-            off = PULL * self.between(home[at], x[:, :nq])
+            off = PULL * self.compute_steps(home[at], x[:, :nq])
             return np.concatenate([F, off], axis=1), np.concatenate([J, pull], axis=1)
 
-        def move(x: Array, y: Array) -> Array:
-            return np.concatenate([self.move(x[:, :nq], y[:, :nv]), x[:, nq:] + y[:, nv:]], axis=1)
+        def move_unknowns(x: Array, y: Array) -> Array:
+            return np.concatenate(
+                [self.move_configurations(x[:, :nq], y[:, :nv]), x[:, nq:] + y[:, nv:]], axis=1
+            )
 
         start = np.concatenate([q, frame.reshape(len(q), -1)], axis=1)
         return run_many_gauss_newton(
-            equations, start, STEPS, met=1e-14, last=1e-13, longest=LONGEST, move=move
+            evaluate_equations,
+            start,
+            STEPS,
+            met=1e-14,
+            last=1e-13,
+            longest=LONGEST,
+            move=move_unknowns,
         )[:, :nq]
 
-    def holds(self, q: Array) -> np.ndarray:
+    def is_singular(self, q: Array) -> np.ndarray:
         """Whether (k,) loops are closed and the rank is lost at q (k, nq)."""
         if not len(q):
             return np.zeros(0, dtype=bool)
-        C = self.closure(q, False)[0]
+        C = self.evaluate_closure(q, False)[0]
         return np.asarray(
-            (self.least(q) <= Level.GENERIC) & (np.abs(C).max(axis=1, initial=0.0) < HELD)
+            (self.compute_least_values(q) <= Level.GENERIC)
+            & (np.abs(C).max(axis=1, initial=0.0) < HELD)
         )
 
     @property
-    def square(self) -> bool:
-        """Whether the matrices have a determinant, which is zero in the set alone."""
+    def has_determinant(self) -> bool:
+        """Whether the matrices are square. Then their determinant is zero only at singular
+        configurations.
+        """
         m, n = self.matrices(self.system.neutral[None]).shape[1:]
         return m == n == self.rank
 
-    def sign(self, q: Array) -> Array:
-        """The signs (k,) of the determinants at q (k, nq)."""
+    def compute_determinant_sign(self, q: Array) -> Array:
+        """Compute the signs (k,) of the determinants at q (k, nq)."""
         return np.asarray(np.linalg.slogdet(self.matrices(q))[0])
 
-    def least(self, q: Array) -> Array:
-        """The singular values (k,) at q (k, nq) that are zero in the set, as parts of the largest."""
+    def compute_least_values(self, q: Array) -> Array:
+        """Compute the singular values (k,) at q (k, nq) that vanish with the rank. They are
+        fractions of the largest.
+        """
         spectrum = Spectrum(self.matrices(q))
         return (
             spectrum.values[:, self.rank - 1] / spectrum.largest if self.rank else np.zeros(len(q))
         )
 
-    def tangents(self, q: Array) -> Array:
-        """Orthonormal basis (nv, k) of the directions of the set at one of its points (nq,),
-        irrelevant ones included.
+    def compute_tangents(self, q: Array) -> Array:
+        """Compute an orthonormal basis (nv, k) of the tangents of the singular set at q (nq,).
+        Irrelevant coordinates are included.
 
         It is exact where the set is smooth and its equations are regular.
         """
         nv = self.system.nv
-        V = self.null_vectors(q[None])
-        J = self.equations(q[None], V, V)[1][0]
+        V = self.compute_null_vectors(q[None])
+        J = self.evaluate_equations(q[None], V, V)[1][0]
         null_space = Spectrum(J, 1.0).compute_null_space(Level.ROUGH)[:nv]
         return Spectrum(null_space, 1.0).compute_column_space(Level.ROUGH)
 
 
-def generic_rank(A: Array) -> int:
+def compute_generic_rank(A: Array) -> int:
+<<<<<<< HEAD
     """The largest rank of matrices (k, m, n)."""
     return int(Spectrum(A).compute_ranks(Level.GENERIC).max(initial=0))
+=======
+    """Compute the largest rank of matrices (k, m, n)."""
+    return int(Spectrum(A).ranks(Level.GENERIC).max(initial=0))
+>>>>>>> 49d0847a (First lines of docstrings of workspaces and spaces are sentences that a student understands)

@@ -1,4 +1,4 @@
-"""Random configurations, uniform in a stated measure: of coordinates, arc length or volume."""
+"""Random configurations, uniform in a stated measure of coordinates, arc length or volume."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from kempe.mobility.mobility import mobility
 from kempe.model.configurations import find_free_angles, has_loops, sample_configurations
 from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, find_time_limit, limit_time
 from kempe.report import summarize_fields
-from kempe.spaces.components import components
+from kempe.spaces.components import find_components
 from kempe.spaces.manifold import Frames, Manifold
 from kempe.spatial import Array
 from kempe.words import format_count
@@ -51,65 +51,70 @@ LARGEST = 2.0
 
 
 class Walkers:
-    """Walkers on a manifold at q (k, nq), each by itself, with steps of standard deviation `sigma`."""
+    """Random walkers on a manifold at q (k, nq), with steps of standard deviation `sigma`."""
 
     def __init__(self, manifold: Manifold, q: Array, rng: np.random.Generator):
         self.manifold = manifold
         self.rng = rng
         self.sigma = FIRST_STEP
-        frames = manifold.frames(q)
+        frames = manifold.compute_frames(q)
         self.q = q[frames.regular]
         self.frames = Frames(*(x[frames.regular] for x in frames))
         self.steps = self.moves = 0
 
     @property
-    def taken(self) -> float:
-        """Share of the steps that were taken since they are counted."""
+    def acceptance_rate(self) -> float:
+        """Fraction of the counted steps that were accepted."""
         return self.moves / max(1, self.steps)
 
-    def fit(self, steps: int, check: Callable[[], None]) -> None:
-        """Take so many steps whose length `sigma` is fitted."""
+    def fit_step_length(self, steps: int, check: Callable[[], None]) -> None:
+        """Take this number of steps and fit their length `sigma`."""
         for _ in range(steps):
             check()
-            share = self._step()
+            share = self._take_step()
             self.sigma = float(np.clip(self.sigma * np.exp(0.5 * (share - WANTED)), LEAST, LARGEST))
 
-    def walk(self, steps: int, check: Callable[[], None]) -> None:
-        """Take so many steps of one length."""
+    def take_steps(self, steps: int, check: Callable[[], None]) -> None:
+        """Take this number of steps with constant `sigma`."""
         for _ in range(steps):
             check()
-            self._step()
+            self._take_step()
 
-    def _step(self) -> float:
+    def _take_step(self) -> float:
+        """Propose a step for each walker, and accept those that the measure allows."""
         m = self.manifold
         q = self.q
         f = self.frames
         k = len(self.q)
         v = self.sigma * self.rng.normal(size=(k, m.dim))
         chance = np.log(np.maximum(self.rng.random(k), 1e-300))
-        step, ok = m.lifted(q, _along(f.tangent, v), f.normal)
+        step, ok = m.lift_steps(q, _combine_directions(f.tangent, v), f.normal)
         who = np.flatnonzero(ok)
-        y = m.move(q[who], step[who])
-        who, y = _some(m.inside(y), who, y)
-        there = m.frames(y)
+        y = m.move_configurations(q[who], step[who])
+        who, y = _select_rows(m.are_allowed(y), who, y)
+        there = m.compute_frames(y)
         back = -np.einsum("kij,ki->kj", there.tangent, step[who])
         likely = np.sum(v[who] ** 2, axis=1) - np.sum(back**2, axis=1)
         taken = there.regular & (chance[who] < likely / (2.0 * self.sigma**2))
-        who, y, back, tangent, normal = _some(taken, who, y, back, there.tangent, there.normal)
-        returned, found = m.lifted(y, _along(tangent, back), normal)
+        who, y, back, tangent, normal = _select_rows(
+            taken, who, y, back, there.tangent, there.normal
+        )
+        returned, found = m.lift_steps(y, _combine_directions(tangent, back), normal)
         found &= np.linalg.norm(returned + step[who], axis=1) < BACK
         who = who[found]
-        self.q[who], f.tangent[who], f.normal[who] = _some(found, y, tangent, normal)
+        self.q[who], f.tangent[who], f.normal[who] = _select_rows(found, y, tangent, normal)
         self.steps = self.steps + k
         self.moves = self.moves + len(who)
         return len(who) / max(1, k)
 
 
-def _some(which: np.ndarray, *arrays: np.ndarray) -> tuple[np.ndarray, ...]:
+def _select_rows(which: np.ndarray, *arrays: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Select the same rows of several arrays."""
     return tuple(x[which] for x in arrays)
 
 
-def _along(basis: Array, v: Array) -> Array:
+def _combine_directions(basis: Array, v: Array) -> Array:
+    """Combine the columns of bases (k, i, j) with coefficients (k, j)."""
     return np.einsum("kij,kj->ki", basis, v)
 
 
@@ -140,7 +145,7 @@ class Sample(Configurations):
     """Random configurations `q` (n, nq), uniform in the `measure` that the sentence states.
 
     `exact` says that they are drawn independently from that measure (on curves: of the components
-    that were found); a random walk only comes near to it. `taken` is the share of proposals, or of
+    that were found); a random walk only comes near to it. `acceptance_rate` is the share of proposals, or of
     steps of the walk, that were taken.
     """
 
@@ -160,13 +165,14 @@ class Sample(Configurations):
 
     @property
     def success(self) -> bool:
-        """Whether there are as many as were requested."""
+        """Whether the sample has the requested size."""
         return len(self.q) == self.wanted
 
 
-def _made(
+def _make_sample(
     system: Model, n: int, q: Array, measure: str, exact: bool, how: str, taken: float = 1.0
 ) -> Sample:
+    """Make the answer with its sentence."""
     said = (
         f"{format_count(len(q), 'configuration')}{'' if len(q) == n else f' of {n}'}, uniform in "
         f"{measure}: {how}"
@@ -174,25 +180,31 @@ def _made(
     return Sample(q, measure, exact, said, taken, n, system)
 
 
-def _not_begun(time: TimeLimit, system: Model, n: float, *_: Any, **__: Any) -> Sample:
+def _answer_no_time(time: TimeLimit, system: Model, n: float, *_: Any, **__: Any) -> Sample:
+<<<<<<< HEAD
     """The answer where the time was up before a configuration was drawn."""
     none = f"none is known: {time.describe_end_reason(TimeUp())} came first"
-    return _broken(
-        _made(system, int(n), np.empty((0, system.nq)), "no measure", False, none, 0.0), TimeUp()
+=======
+    """Make the answer for a time limit that passed before a configuration was drawn."""
+    none = f"none is known: {time.reason(TimeUp())} came first"
+>>>>>>> 49d0847a (First lines of docstrings of workspaces and spaces are sentences that a student understands)
+    return _mark_broken(
+        _make_sample(system, int(n), np.empty((0, system.nq)), "no measure", False, none, 0.0),
+        TimeUp(),
     )
 
 
 @explain_errors
 @raise_interrupted
-@limit_time(USUAL, _not_begun)
-def sample(
+@limit_time(USUAL, _answer_no_time)
+def draw_sample(
     system: Model,
     n: float,
     rng: np.random.Generator | int | None = None,
     *,
     budget: Budget | None = None,
 ) -> Sample:
-    """Random configurations (n, nq), uniform in a stated measure, within limits and on all
+    """Draw random configurations (n, nq), uniform in a stated measure, within limits and
     constraints.
 
     Of a tree: the product of the coordinates, rotations of balls by Haar's measure; independent
@@ -214,16 +226,21 @@ def sample(
     n = int(n)
     time = find_time_limit(USUAL, budget)
 
-    def check(done: int) -> None:
+    def check_progress(done: int) -> None:
+<<<<<<< HEAD
         time.check_time()
+=======
+        """Check the clock and report the number of configurations that are done."""
+        time.check()
+>>>>>>> 49d0847a (First lines of docstrings of workspaces and spaces are sentences that a student understands)
         if spend.progress is not None:
             spend.progress(done, n)
 
     if not has_loops(system):
-        return _of_tree(system, n, rng, check)
+        return _sample_tree(system, n, rng, check_progress)
     freedoms = mobility(system)
     if not freedoms.closed or freedoms.dof is None:
-        return _made(
+        return _make_sample(
             system,
             n,
             np.empty((0, system.nq)),
@@ -233,18 +250,19 @@ def sample(
             0.0,
         )
     if freedoms.dof == 0:
-        return _of_points(system, n, rng)
+        return _sample_points(system, n, rng)
     if freedoms.dof == 1:
-        return _of_curves(system, n, rng, spend)
-    return _by_walk(system, n, rng, freedoms.dof, freedoms.q, check)
+        return _sample_curves(system, n, rng, spend)
+    return _sample_by_walk(system, n, rng, freedoms.dof, freedoms.q, check_progress)
 
 
-def _of_tree(
+def _sample_tree(
     system: Model, n: int, rng: np.random.Generator, check: Callable[[int], None]
 ) -> Sample:
+    """Sample a tree: coordinates uniform within their limits."""
     v = system.structure.layout.vector_v
     bounded = (np.isfinite(system.lower) & np.isfinite(system.upper)) | find_free_angles(system)
-    _refuse([system.structure.velocity_names[int(i)] for i in v if not bounded[i]])
+    _refuse_unbounded([system.structure.velocity_names[int(i)] for i in v if not bounded[i]])
     rows = pack_one_sided_rows(system)
     drawn = 0
     why = None
@@ -266,21 +284,25 @@ def _of_tree(
     how = "drawn independently" + (
         f", {taken:.2g} of them within one-sided constraints" if rows.declared else ""
     )
-    return _broken(_made(system, n, q[:n], "the product of the coordinates", True, how, taken), why)
+    return _mark_broken(
+        _make_sample(system, n, q[:n], "the product of the coordinates", True, how, taken), why
+    )
 
 
-def _of_points(system: Model, n: int, rng: np.random.Generator) -> Sample:
+def _sample_points(system: Model, n: int, rng: np.random.Generator) -> Sample:
+    """Sample a configuration space of isolated points, the assembly modes."""
     modes = assembly_modes(system)
     q = modes.q[rng.integers(len(modes.q), size=n)] if len(modes.q) else modes.q
     how = (
         f"{format_count(len(modes.q), 'assembly mode')} of a structure that does not move; "
         f"{modes.status}"
     )
-    return _made(system, n, q, "the count of assembly modes", modes.complete, how)
+    return _make_sample(system, n, q, "the count of assembly modes", modes.complete, how)
 
 
-def _of_curves(system: Model, n: int, rng: np.random.Generator, spend: Budget) -> Sample:
-    found = components(system, budget=Budget(time_limit=spend.time_limit))
+def _sample_curves(system: Model, n: int, rng: np.random.Generator, spend: Budget) -> Sample:
+    """Sample a configuration space of curves, uniform in arc length."""
+    found = find_components(system, budget=Budget(time_limit=spend.time_limit))
     paths = [p for c in found.parts for p in c.paths if len(p) > 1]
     for path in paths:
         if not path.closed and any("no end" in end or "runs away" in end for end in path.ends):
@@ -289,7 +311,9 @@ def _of_curves(system: Model, n: int, rng: np.random.Generator, spend: Budget) -
                 "uniform there; limits bound it (with_limits)"
             )
     if not paths:
-        return _made(system, n, np.empty((0, system.nq)), "arc length", False, found.status, 0.0)
+        return _make_sample(
+            system, n, np.empty((0, system.nq)), "arc length", False, found.status, 0.0
+        )
     length = np.array([p.length for p in paths])
     which = rng.choice(len(paths), size=n, p=length / length.sum())
     at = rng.random(n) * length[which]
@@ -302,10 +326,12 @@ def _of_curves(system: Model, n: int, rng: np.random.Generator, spend: Budget) -
         f"{length.sum():.6g}"
     )
     how += "" if found.complete else "; curves may have been missed"
-    return _broken(_made(system, n, q, "arc length", bool(found.complete), how), None, found.late)
+    return _mark_broken(
+        _make_sample(system, n, q, "arc length", bool(found.complete), how), None, found.late
+    )
 
 
-def _by_walk(
+def _sample_by_walk(
     system: Model,
     n: int,
     rng: np.random.Generator,
@@ -313,11 +339,12 @@ def _by_walk(
     home: Array,
     check: Callable[[int], None],
 ) -> Sample:
+    """Sample a configuration space of higher dimension by random walks on the manifold."""
     manifold = Manifold(system, dim)
-    _refuse(_run_away(system))
+    _refuse_unbounded(_find_unbounded_slides(system))
     why = None
     kept: list[Array] = []
-    starts = _starts(manifold, min(n, WALKERS), home, rng)
+    starts = _find_starts(manifold, min(n, WALKERS), home, rng)
     few = Walkers(manifold, starts[:FEW].copy(), rng)
     walkers = Walkers(manifold, starts, rng)
     if not len(walkers.q):
@@ -325,12 +352,12 @@ def _by_walk(
             f"{system.name}: no regular configuration was found from which to walk"
         )
     try:
-        few.fit(FITTED, lambda: check(0))
+        few.fit_step_length(FITTED, lambda: check(0))
         walkers.sigma = few.sigma
-        walkers.walk(FIRST, lambda: check(0))
+        walkers.take_steps(FIRST, lambda: check(0))
         while sum(map(len, kept)) < n:
             if kept:
-                walkers.walk(EACH, lambda: check(sum(map(len, kept))))
+                walkers.take_steps(EACH, lambda: check(sum(map(len, kept))))
             kept.append(manifold.metric.choose_representatives(walkers.q, None))
     except BROKEN_OFF as error:
         why = error
@@ -339,23 +366,25 @@ def _by_walk(
     each = walkers.steps // len(walkers.q)
     starts = f"{'each of ' * (len(walkers.q) > 1)}{format_count(len(walkers.q), 'assembly')}"
     how = f"a random walk of {format_count(each, 'step')} from {starts}"
-    how += f", {walkers.taken:.2g} of them taken"
-    return _broken(_made(system, n, q, measure, False, how, walkers.taken), why)
+    how += f", {walkers.acceptance_rate:.2g} of them taken"
+    return _mark_broken(
+        _make_sample(system, n, q, measure, False, how, walkers.acceptance_rate), why
+    )
 
 
-def _starts(manifold: Manifold, count: int, home: Array, rng: np.random.Generator) -> Array:
-    """Closed configurations (k, nq) inside the limits, from random ones."""
-    q = manifold.metric.choose_representatives(manifold.drawn(rng, STARTS * count), None)
-    q = q[manifold.inside(q)] if len(q) else q
+def _find_starts(manifold: Manifold, count: int, home: Array, rng: np.random.Generator) -> Array:
+    """Find closed configurations (k, nq) inside the limits, from random ones."""
+    q = manifold.metric.choose_representatives(
+        manifold.draw_configurations(rng, STARTS * count), None
+    )
+    q = q[manifold.are_allowed(q)] if len(q) else q
     if not len(q):
-        q = home[None] if manifold.inside(home[None])[0] else q
+        q = home[None] if manifold.are_allowed(home[None])[0] else q
     return np.resize(q, (count, q.shape[1])) if len(q) else q
 
 
-def _run_away(system: Model) -> list[str]:
-    """Names of slides that close the loops at a thousand characteristic lengths: nothing bounds
-    them.
-    """
+def _find_unbounded_slides(system: Model) -> list[str]:
+    """Find the names of slides that close the loops at a thousand characteristic lengths."""
     names = system.structure.velocity_names
     turning = system.structure.coordinates.turning
     manifold = Manifold(system, 1)
@@ -379,7 +408,8 @@ def _run_away(system: Model) -> list[str]:
     return out
 
 
-def _refuse(names: list[str]) -> None:
+def _refuse_unbounded(names: list[str]) -> None:
+    """Refuse coordinates without bounds. Errors: `InputError`."""
     if names:
         said = (
             f"{', '.join(map(repr, names))} {'is' if len(names) == 1 else 'are'} not bounded on "
@@ -389,7 +419,8 @@ def _refuse(names: list[str]) -> None:
         raise InputError(f"{said}, and nothing is uniform there: {cure}")
 
 
-def _broken(answer: Sample, why: BaseException | None, late: bool = False) -> Sample:
+def _mark_broken(answer: Sample, why: BaseException | None, late: bool = False) -> Sample:
+    """Mark an answer whose work was ended by the time limit or by Ctrl-C."""
     if why is None and not late:
         return answer
     return replace(

@@ -1,4 +1,4 @@
-"""Curves of singular configurations, and those that a frame draws there.
+"""Curves of singular configurations, and the curves that a frame draws along them.
 
 The equations are those of `kempe.spaces.rank_loss`, of configuration and null vectors; where they
 leave one dimension, a curve is followed from each singular configuration that was found. In the
@@ -27,7 +27,7 @@ from kempe.numerics.curves import Curve, Node, find_next_node, make_node, walk_c
 from kempe.numerics.curves import find_node_between as node_between
 from kempe.report import Report, summarize_fields
 from kempe.spaces.rank_loss import Equations, RankLoss
-from kempe.spaces.singular_types import inside_limits
+from kempe.spaces.singular_types import are_inside_limits
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import InWords, format_count
@@ -56,8 +56,7 @@ HALVINGS = 24
 
 @dataclass(frozen=True, eq=False)
 class SingularCurve(InWords):
-    """Singular configurations `q` (n, nq) along a curve, and where the frame is there: places `p`
-    (n, 3) in metres.
+    """Singular configurations `q` (n, nq) along a curve, and frame positions `p` (n, 3) in metres.
 
     `kinds` and `name` are those of the set; `p` has no rows without a frame. A curve that is
     `closed` ends where it begins, unlimited turns modulo full ones; others end at a limit, at a
@@ -81,16 +80,15 @@ class SingularCurve(InWords):
             f"{self.name or ' and '.join(self.kinds)}: {format_count(len(self), 'point')}{closed}"
         )
 
-    def data(self) -> dict[str, Any]:
-        """Its numbers and names."""
+    def to_data(self) -> dict[str, Any]:
+        """Convert the curve to numbers and names, for JSON."""
         return {n: getattr(self, n) for n in ("kinds", "name", "q", "p", "closed")}
 
 
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class SingularCurves(Report):
-    """The `curves` of singular configurations that were found; that there are no others is not
-    proven.
+    """The `curves` of singular configurations that were found. Others may exist.
 
     `held` are the coordinates, and "orientation", that were held. What was `broken` off, by the
     time limit or an interrupt, has the curves that were done.
@@ -106,12 +104,12 @@ class SingularCurves(Report):
 
     @property
     def code(self) -> Status:  # type: ignore[override]
-        """The outcome: `NOT_FOUND` where there is none, or what broke the search off."""
+        """The outcome: `NOT_FOUND` if there is no curve, or what broke the search off."""
         return self.broken or (Status.SOLVED if self.curves else Status.NOT_FOUND)
 
     @property
     def status(self) -> str:
-        """How many curves were found."""
+        """The number of curves, as a sentence."""
         held = f" with {', '.join(self.held)} held" if self.held else ""
         tail = describe_early_end(
             self.broken is Status.INTERRUPTED, self.broken is Status.OUT_OF_TIME
@@ -126,8 +124,8 @@ class SingularCurves(Report):
         return iter(self.curves)
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Matplotlib axes with the places of the frame along the curves, a style of line for each
-        kind.
+        """Draw the positions of the frame along the curves in Matplotlib axes. Each kind has a line
+        style.
 
         Errors: `InputError` where there are no curves, or no frame.
         """
@@ -138,7 +136,7 @@ class SingularCurves(Report):
 
     def _collect_data(self) -> dict[str, Any]:
         own = {"system": self.system.name, "frame": self.frame, "held": self.held}
-        return own | {"curves": [c.data() for c in self.curves]}
+        return own | {"curves": [c.to_data() for c in self.curves]}
 
 
 Start = tuple[tuple[str, ...], str, Array]
@@ -146,7 +144,7 @@ Start = tuple[tuple[str, ...], str, Array]
 
 
 @raise_interrupted
-def singular_curves(
+def find_singular_curves(
     found: Singularities,
     problems: dict[str, RankLoss],
     starts: list[Start],
@@ -154,7 +152,7 @@ def singular_curves(
     budget: Budget | None,
     clock: TimeLimit,
 ) -> SingularCurves:
-    """The curves of `problems` through `starts`, in the time of the `clock`; see
+    """Trace the curves of `problems` through `starts`, in the time of the `clock`. See
     `Singularities.curves`.
     """
     spend = USUAL.complete_budget(budget)
@@ -167,9 +165,9 @@ def singular_curves(
             for k, (kinds, name, q) in enumerate(starts):
                 clock.check_time()
                 tracer = _CurveTracer(problems[kinds[0]], clock, spend.step or 0.0, found.limits)
-                if not any(tracer.on(q, c.q) for c in curves if c.kinds == kinds):
-                    sizes.add(size := tracer.dimension(q))
-                    way, closed = tracer.traced(q) if size == 1 else (q[None], False)
+                if not any(tracer.is_on_curve(q, c.q) for c in curves if c.kinds == kinds):
+                    sizes.add(size := tracer.compute_dimension(q))
+                    way, closed = tracer.trace_curve(q) if size == 1 else (q[None], False)
                     p = (
                         fk(system, way, found.frame)[:, :3, 3]
                         if found.frame is not None
@@ -198,10 +196,10 @@ def singular_curves(
     return SingularCurves(system, found.frame, tuple(curves), held, broken)
 
 
-def held_equations(
+def make_held_equations(
     found: Singularities, hold: Mapping[str, float] | None, orientation: Any
 ) -> tuple[Equations | None, tuple[str, ...]]:
-    """The equations of coordinates and of an orientation that are held, and their names. Errors:
+    """Make the equations of held coordinates and a held orientation, with their names. Errors:
     `InputError`.
     """
     system = found.system
@@ -222,11 +220,12 @@ def held_equations(
         if np.ndim(x) or not np.isfinite(x):
             raise InputError(f"held coordinate {name!r} must be one finite number")
         at.append((names.index(name), places[names.index(name)], float(x)))
-    angle = None if orientation is None else _angle(found, orientation)
+    angle = None if orientation is None else _read_angle(found, orientation)
     if not at and angle is None:
         return None, ()
 
-    def rows(q: Array) -> tuple[Array, Array]:
+    def evaluate_rows(q: Array) -> tuple[Array, Array]:
+        """Evaluate residuals of the held equations at q (k, nq), and their derivatives."""
         F = [(q[:, place] - x) / unit[v] for v, place, x in at]
         J = [np.broadcast_to(np.eye(system.nv)[v], (len(q), system.nv)) for v, _, _ in at]
         if angle is not None and found.frame is not None:
@@ -236,11 +235,11 @@ def held_equations(
             J.append(jacobian(system, q, found.frame)[:, 5] * unit)
         return np.stack(F, axis=1), np.stack(J, axis=1)
 
-    return rows, (*values, *(() if angle is None else ("orientation",)))
+    return evaluate_rows, (*values, *(() if angle is None else ("orientation",)))
 
 
-def _angle(found: Singularities, orientation: Any) -> float:
-    """The angle at which the frame is held. Errors: `InputError`."""
+def _read_angle(found: Singularities, orientation: Any) -> float:
+    """Read the angle at which the frame is held. Errors: `InputError`."""
     if found.system.dim != 2 or found.frame is None:
         raise InputError("orientation is held of a frame of a planar system")
     angle = numbers(orientation, "orientation")
@@ -252,9 +251,7 @@ def _angle(found: Singularities, orientation: Any) -> float:
 
 
 class _SingularCurveEquations(Curve):
-    """The equations of `RankLoss` as those of a curve: its points are configurations with null
-    vectors of length 1.
-    """
+    """The equations of `RankLoss` for a curve of configurations with null vectors of length 1."""
 
     def __init__(self, problem: RankLoss, shape: tuple[int, int], clock: TimeLimit):
         self.problem = problem
@@ -268,7 +265,7 @@ class _SingularCurveEquations(Curve):
     def evaluate_equations(self, x: Array) -> tuple[Array, Array]:
         self.clock.check_time()
         V = x[None, self.nq :].reshape(1, *self.shape)
-        F, J = self.problem.equations(x[None, : self.nq], V, V)
+        F, J = self.problem.evaluate_equations(x[None, : self.nq], V, V)
         F[:, -(self.shape[1] ** 2) :] *= 0.5  # V^T V - 1 changes twice as fast as V^T dV
         rows = max(F.shape[1] + len(self.idle), self.n)
         r = np.zeros(rows)
@@ -279,16 +276,16 @@ class _SingularCurveEquations(Curve):
         return r, A
 
     def move_point(self, x: Array, y: Array) -> Array:
-        q = self.problem.move(x[None, : self.nq], y[None, : self.nv])[0]
+        q = self.problem.move_configurations(x[None, : self.nq], y[None, : self.nv])[0]
         return np.concatenate([q, x[self.nq :] + y[self.nv :]])
 
     def compute_difference(self, x: Array, other: Array) -> Array:
-        q = self.problem.between(x[None, : self.nq], other[None, : self.nq])[0]
+        q = self.problem.compute_steps(x[None, : self.nq], other[None, : self.nq])[0]
         return np.concatenate([q, other[self.nq :] - x[self.nq :]])
 
 
 class _CurveTracer:
-    """Follows the curves of one problem."""
+    """Tracer of the curves of one problem."""
 
     def __init__(self, problem: RankLoss, clock: TimeLimit, longest: float, limits: bool):
         self.problem = problem
@@ -301,60 +298,65 @@ class _CurveTracer:
         self.broken: BaseException | None = None
         """What ended the last curve before its end."""
 
-    def dimension(self, q: Array) -> int:
-        """The dimension of the set at one of its configurations (nq,)."""
-        return self.problem.tangents(q).shape[1] - self.idle
+    def compute_dimension(self, q: Array) -> int:
+        """Compute the dimension of the singular set at a configuration (nq,)."""
+        return self.problem.compute_tangents(q).shape[1] - self.idle
 
-    def short(self, q: Array, to: Array) -> Array:
-        """The shortest ways (k, n) from configurations (k, nq) to others, of the coordinates that
-        count.
+    def compute_short_steps(self, q: Array, to: Array) -> Array:
+        """Compute the shortest steps (k, n) between configurations (k, nq), in the relevant
+        coordinates.
         """
         v = self.problem.system.structure.layout.compute_difference(q, to)
-        columns = self.problem.columns[self.problem.counts[self.problem.columns]]
+        columns = self.problem.columns[self.problem.counted_columns[self.problem.columns]]
         return (shorten_turns(v, self.circle) / self.problem.unit)[:, columns]
 
-    def on(self, q: Array, way: Array) -> bool:
+    def is_on_curve(self, q: Array, way: Array) -> bool:
         """Whether a configuration (nq,) is on a curve (n, nq)."""
-        here = self.short(way, np.broadcast_to(q, way.shape))
-        return bool(_beside(here[:-1], here[1:]).any())
+        here = self.compute_short_steps(way, np.broadcast_to(q, way.shape))
+        return bool(_is_beside(here[:-1], here[1:]).any())
 
-    def traced(self, q: Array) -> tuple[Array, bool]:
-        """The curve (n, nq) through a configuration, and whether it is closed."""
-        V = self.problem.null_vectors(q[None])[0]
+    def trace_curve(self, q: Array) -> tuple[Array, bool]:
+        """Trace the curve (n, nq) through a configuration, and whether it is closed."""
+        V = self.problem.compute_null_vectors(q[None])[0]
         equations = _SingularCurveEquations(self.problem, (V.shape[0], V.shape[1]), self.clock)
         start = make_node(equations, np.concatenate([q, V.ravel()]))
-        way, closed = self._walked(equations, start)
+        way, closed = self._walk_nodes(equations, start)
         if not closed and self.broken is None:
-            back, _ = self._walked(equations, start.reverse_direction())
+            back, _ = self._walk_nodes(equations, start.reverse_direction())
             way = [*(b.reverse_direction() for b in back[:0:-1]), *way]
-        rows = self._finer(equations, way)
+        rows = self._refine_way(equations, way)
         # what spins idly came back otherwise, and was in the way of the last point
-        if closed and self.problem.spins:
+        if closed and self.problem.has_idle_spins:
             layout = self.problem.system.structure.layout
             at = layout.vector_q[self.circle[layout.vector_v]]
             rows[-1] = q
             rows[-1, at] += 2.0 * np.pi * np.round((way[-1].x[at] - q[at]) / (2.0 * np.pi))
         return rows, closed
 
-    def _walked(self, equations: _SingularCurveEquations, start: Node) -> tuple[list[Node], bool]:
-        """The nodes from one on, and whether they lead back to it."""
+    def _walk_nodes(
+        self, equations: _SingularCurveEquations, start: Node
+    ) -> tuple[list[Node], bool]:
+        """Follow the curve from a node, and return the nodes and whether they lead back to it."""
         nq = equations.nq
         way = [start]
 
-        def taken(a: Node, h: float) -> list[Node] | None:
+        def take_step(a: Node, h: float) -> list[Node] | None:
             b = find_next_node(equations, a, h)
             return None if b is None else [b]
 
         try:
-            for b in walk_curve(start, taken, COARSE, 0.2 * COARSE, ideal=BEND):
+            for b in walk_curve(start, take_step, COARSE, 0.2 * COARSE, ideal=BEND):
                 ends = np.array([way[-1].x[:nq], b.x[:nq]])
-                here = self.short(ends, np.broadcast_to(start.x[:nq], ends.shape))
-                if len(way) > FEW and _beside(here[:1], here[1:]).any():
+                here = self.compute_short_steps(ends, np.broadcast_to(start.x[:nq], ends.shape))
+                if len(way) > FEW and _is_beside(here[:1], here[1:]).any():
                     x = b.x.copy()
-                    x[:nq] -= self._turned(start.x[:nq], x[:nq])
+                    x[:nq] -= self._compute_difference(start.x[:nq], x[:nq])
                     return [*way, replace(start, x=x)], True
-                if self.limits and not inside_limits(equations.problem.system, b.x[None, :nq])[0]:
-                    return way + self._end(equations, way[-1], b), False
+                if (
+                    self.limits
+                    and not are_inside_limits(equations.problem.system, b.x[None, :nq])[0]
+                ):
+                    return way + self._find_limit_point(equations, way[-1], b), False
                 way.append(b)
                 if len(way) >= MOST:
                     break
@@ -362,8 +364,8 @@ class _CurveTracer:
             self.broken = error
         return way, False
 
-    def _finer(self, equations: _SingularCurveEquations, way: list[Node]) -> Array:
-        """Configurations (n, nq) along nodes, at most `longest` apart: cubic pieces, led onto the
+    def _refine_way(self, equations: _SingularCurveEquations, way: list[Node]) -> Array:
+        """Interpolate nodes to configurations (n, nq) at most `longest` apart, corrected to the
         curve.
         """
         nq = equations.nq
@@ -380,28 +382,26 @@ class _CurveTracer:
                 (1.0 - t) * a.t[:nv] - t * b.t[:nv]
             )
             rows += [
-                self.problem.move(np.repeat(a.x[None, :nq], len(t), axis=0), bent),
+                self.problem.move_configurations(np.repeat(a.x[None, :nq], len(t), axis=0), bent),
                 b.x[None, :nq],
             ]
-        q = self.problem.led(np.concatenate(rows))
+        q = self.problem.find_singular(np.concatenate(rows))
         return q[np.isfinite(q).all(axis=1)]
 
-    def _turned(self, q: Array, to: Array) -> Array:
-        """How far (nq,) a configuration is from another, full turns left out, as a difference of
-        entries of q.
-        """
+    def _compute_difference(self, q: Array, to: Array) -> Array:
+        """Compute the difference (nq,) of two configurations, with full turns removed."""
         off = to - q
         layout = self.problem.system.structure.layout
         at = layout.vector_q[self.circle[layout.vector_v]]
         off[at] -= 2.0 * np.pi * np.round(off[at] / (2.0 * np.pi))
-        counts = self.problem.counts  # what spins idly need not be where it was
+        counts = self.problem.counted_columns  # what spins idly need not be where it was
         off[layout.vector_q[~counts[layout.vector_v]]] = 0.0
         for iq, iv in zip(layout.quaternion_q, layout.quaternion_v, strict=True):
             off[iq : iq + 4] *= counts[iv]
         return off
 
-    def _end(self, equations: _SingularCurveEquations, a: Node, b: Node) -> list[Node]:
-        """The last point inside the limits between two nodes, the second outside."""
+    def _find_limit_point(self, equations: _SingularCurveEquations, a: Node, b: Node) -> list[Node]:
+        """Find the last point inside the limits between two nodes, of which the second is outside."""
         low = 0.0
         high = float(a.t @ equations.compute_difference(a.x, b.x))
         best = list[Node]()
@@ -410,7 +410,7 @@ class _CurveTracer:
             there = node_between(equations, a, b, middle)
             if there is None:
                 break
-            if inside_limits(equations.problem.system, there.x[None, : equations.nq])[0]:
+            if are_inside_limits(equations.problem.system, there.x[None, : equations.nq])[0]:
                 low = middle
                 best = [there]
             else:
@@ -418,7 +418,7 @@ class _CurveTracer:
         return best
 
 
-def _beside(to: Array, on: Array) -> np.ndarray:
+def _is_beside(to: Array, on: Array) -> np.ndarray:
     """Whether (k,) the origin is beside the segments from -to (k, n) to -on."""
     along = to - on
     size = np.einsum("ij,ij->i", along, along)

@@ -1,4 +1,4 @@
-"""Types of singular configurations: which matrix loses rank, of a chain or of closed loops.
+"""Types of singular configurations: the matrix that loses rank, of a chain or of closed loops.
 
 The sets that singular configurations form, and the nearest of them, are described here, too.
 """
@@ -22,7 +22,7 @@ from kempe.forward.fk import fk, jacobian
 from kempe.model.configurations import name_values, sample_configurations
 from kempe.numerics.rank import Level, Spectrum
 from kempe.report import Report, summarize_fields
-from kempe.spaces.rank_loss import Matrices, RankLoss, generic_rank
+from kempe.spaces.rank_loss import Matrices, RankLoss, compute_generic_rank
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import InWords, format_count, join_words
@@ -63,19 +63,17 @@ class SingularSet(InWords):
 
     @property
     def lost(self) -> tuple[Array, ...]:
-        """Twists (k, 6), [linear; angular] at the frame along the axes of the ground, that the
-        frame has lost.
-        """
+        """Twists (k, 6), [linear; angular] along the axes of the ground, that the frame has lost."""
         return tuple(x.lost for x in self.local)
 
     @property
     def gained(self) -> tuple[Array, ...]:
-        """Twists (k, 6) that the frame has while all inputs are held."""
+        """Twists (k, 6) of the frame that are possible while all inputs are held."""
         return tuple(x.gained for x in self.local)
 
     @property
     def self_motion(self) -> tuple[Array, ...]:
-        """Velocities (k, nv) that leave the frame where it is."""
+        """Velocities (k, nv) that do not move the frame."""
         return tuple(x.self_motion for x in self.local)
 
     def __str__(self) -> str:
@@ -94,8 +92,8 @@ class SingularSet(InWords):
         more = f" and {len(self.values) - 4} more" if len(self.values) > 4 else ""
         return f"{head} ({', '.join(self.coordinates)} = {' or '.join(points)}{more})"
 
-    def data(self) -> dict[str, Any]:
-        """Its numbers and names."""
+    def to_data(self) -> dict[str, Any]:
+        """Convert the set to numbers and names, for JSON."""
         names = (
             "kinds",
             "name",
@@ -115,7 +113,7 @@ class SingularSet(InWords):
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class NearestSingular(Report):
-    """The singular configuration `q` (nq,) that is nearest to one, of those found, at a `distance`.
+    """The nearest of the singular configurations found, `q` (nq,), and its `distance`.
 
     Angles count in radians and lengths in characteristic lengths. `kinds`, `name`, and what is lost
     and gained there, are as in `SingularSet`; `distances` are those of all sets, by their words.
@@ -137,12 +135,12 @@ class NearestSingular(Report):
 
     @property
     def status(self) -> str:
-        """Which is the nearest, and how far it is."""
+        """The nearest singular configuration and its distance, as a sentence."""
         if self.code is not Status.SOLVED:
             return "no singular configuration was found"
         what = self.name or " and ".join(self.kinds)
         if self.distance < SAME:
-            return f"singular ({what}): {changes(self.lost, self.gained)}"
+            return f"singular ({what}): {describe_changes(self.lost, self.gained)}"
         return f"the nearest singular configuration found ({what}) is {self.distance:.4g} away"
 
     def _list_notes(self, degrees: bool = False) -> list[str]:
@@ -156,16 +154,21 @@ class NearestSingular(Report):
         return {"q": name_values(self.system, self.q)} | {n: getattr(self, n) for n in names}
 
 
-def changes(lost: Array, gained: Array) -> str:
-    """How many directions are lost and gained, in words."""
+def describe_changes(lost: Array, gained: Array) -> str:
+    """Describe how many directions of motion are lost and gained."""
     said = [f"{format_count(len(lost), 'direction')} lost"] if len(lost) else []
     said += [f"{format_count(len(gained), 'direction')} gained"] if len(gained) else []
     return " and ".join(said) or "no direction of a frame lost or gained"
 
 
-def inside_limits(system: Model, q: Array) -> np.ndarray:
+def are_inside_limits(system: Model, q: Array) -> np.ndarray:
+<<<<<<< HEAD
     """Whether configurations (k, nq) are inside the limits and hold the one-sided constraints."""
     return np.asarray((pack_one_sided_rows(system).compute_excess(q) <= SAME).all(axis=1))
+=======
+    """Whether configurations (k, nq) are inside the limits and fulfil the one-sided constraints."""
+    return np.asarray((pack_one_sided_rows(system).beyond(q) <= SAME).all(axis=1))
+>>>>>>> 49d0847a (First lines of docstrings of workspaces and spaces are sentences that a student understands)
 
 
 # ---- matrices that lose rank
@@ -196,8 +199,7 @@ CONSTRAINT = "constraint"
 
 @dataclass(frozen=True, eq=False)
 class LostAndGained:
-    """What is lost and gained at one configuration, in a basis of twists [linear; angular], metres
-    and radians.
+    """Lost and gained twists at one configuration, [linear; angular] in metres and radians.
 
     `kinds` are those of which it is singular; empty where it is regular.
     """
@@ -210,9 +212,7 @@ class LostAndGained:
 
 
 class RankQuestions:
-    """The questions about one frame of a system (None: only about its inputs), posed at
-    configurations (k, nq).
-    """
+    """Questions about the rank of matrices of one frame of a system, or (None) only of its inputs."""
 
     def __init__(
         self,
@@ -236,7 +236,7 @@ class RankQuestions:
             found = [close_loops(equations, q) for q in self.starts]
             self.starts = np.array([q for q in found if q is not None]).reshape(-1, system.nq)
             if limits:
-                self.starts = _led_inside(system, self.starts)
+                self.starts = _assemble_inside(system, self.starts)
         if not len(self.starts):
             raise InputError(
                 f"{system.name}: no configuration with closed loops was found in "
@@ -250,48 +250,48 @@ class RankQuestions:
         few = self.starts[:RANKED]
         moving = np.zeros(system.nv, dtype=bool)
         if frame is not None:
-            seen = self.task_jacobians(few).swapaxes(1, 2).reshape(-1, len(self.rows))
+            seen = self.compute_task_jacobians(few).swapaxes(1, 2).reshape(-1, len(self.rows))
             self.twists = Spectrum(seen).compute_row_space(Level.GENERIC)
             if not self.twists.size:
                 raise InputError(
                     f"frame {frame!r} of {system.name} does not move: nothing of it can be lost"
                 )
-            moving = np.abs(self.task_jacobians(few)).max(axis=(0, 1)) > 0.0
+            moving = np.abs(self.compute_task_jacobians(few)).max(axis=(0, 1)) > 0.0
         self.frame_rank = (
-            0 if frame is None else max(self._rank_of_frame(q) for q in self.starts[:GENERIC])
+            0 if frame is None else max(self._compute_frame_rank(q) for q in self.starts[:GENERIC])
         )
         self.columns = np.arange(system.nv) if self.loops else np.flatnonzero(moving)
 
-    def nearly(self, problems: dict[str, RankLoss]) -> dict[str, Array]:
-        """Of each question closed configurations (k, nq) inside the limits, nearly singular,
-        between the starts.
+    def find_nearly_singular(self, problems: dict[str, RankLoss]) -> dict[str, Array]:
+        """Find nearly singular configurations (k, nq) for each question. They are closed, inside
+        the limits, and between the starts.
 
         On ways from each start to the next determinants change their sign, which halving steps
         locates; of matrices that have none, as they are not square, the least singular values are
         taken. Sets that are met from afar seldom, where limits are narrow, are so from there.
         """
-        own = self.starts[inside_limits(self.system, self.starts)][:RANKED]
+        own = self.starts[are_inside_limits(self.system, self.starts)][:RANKED]
         t = np.arange(PARTS + 1) / PARTS
         if not len(own):
             return dict.fromkeys(problems, own)
-        q, ok = self._between(
+        q, ok = self._close_between(
             np.repeat(own, len(t), axis=0),
             np.repeat(np.roll(own, 1, axis=0), len(t), axis=0),
             np.tile(t, len(own)),
         )
         out = dict[str, Array]()
         for kind, problem in problems.items():
-            if problem.square:
-                sign = np.where(ok, problem.sign(q), 0.0).reshape(len(own), -1)
+            if problem.has_determinant:
+                sign = np.where(ok, problem.compute_determinant_sign(q), 0.0).reshape(len(own), -1)
                 k = np.flatnonzero(np.pad(sign[:, 1:] * sign[:, :-1] < 0.0, ((0, 0), (0, 1))))
-                out[kind] = self._located(problem, q[k], q[k + 1])[:NEARLY]
+                out[kind] = self._locate_sign_changes(problem, q[k], q[k + 1])[:NEARLY]
             else:
-                out[kind] = q[ok][np.argsort(problem.least(q[ok]))[:NEARLY]]
+                out[kind] = q[ok][np.argsort(problem.compute_least_values(q[ok]))[:NEARLY]]
         return out
 
-    def _between(self, a: Array, b: Array, t: Array) -> tuple[Array, np.ndarray]:
-        """Closed configurations (k, nq) near those at parts t (k,) of straight ways, and which (k,)
-        there are.
+    def _close_between(self, a: Array, b: Array, t: Array) -> tuple[Array, np.ndarray]:
+        """Close configurations (k, nq) at fractions t (k,) of straight ways. A mask (k,) tells
+        whether they close.
         """
         layout = self.system.structure.layout
         found = assemble(
@@ -301,86 +301,96 @@ class RankQuestions:
         )
         ok = np.asarray(found.success, dtype=bool)
         q = np.where(ok[:, None], found.q, self.system.neutral)
-        return q, ok & inside_limits(self.system, q)
+        return q, ok & are_inside_limits(self.system, q)
 
-    def _located(self, problem: RankLoss, a: Array, b: Array) -> Array:
-        """Configurations (k, nq) beside those between a and b (k, nq) at which the determinant
-        changes its sign.
-        """
+    def _locate_sign_changes(self, problem: RankLoss, a: Array, b: Array) -> Array:
+        """Locate sign changes of the determinant between configurations a and b (k, nq)."""
         for _ in range(HALVED if len(a) else 0):
-            middle, ok = self._between(a, b, np.full(len(a), 0.5))
+            middle, ok = self._close_between(a, b, np.full(len(a), 0.5))
             a = a[ok]
             b = b[ok]
             middle = middle[ok]
-            first = (problem.sign(a) * problem.sign(middle) < 0.0)[:, None]
+            first = (
+                problem.compute_determinant_sign(a) * problem.compute_determinant_sign(middle) < 0.0
+            )[:, None]
             a = np.where(first, a, middle)
             b = np.where(first, middle, b)
         return a
 
-    def task_jacobians(self, q: Array) -> Array:
-        """Jacobians (k, m, nv) of what counts of the frame, without unit, in the basis of what it
-        can ever do.
+    def compute_task_jacobians(self, q: Array) -> Array:
+        """Compute the dimensionless task Jacobians (k, m, nv) of the frame. Their rows are a basis
+        of its possible twists.
         """
         assert self.frame is not None
         J = jacobian(self.system, q, self.frame)[:, self.rows] * self.unit
         if self.of_axis:  # a turn about the axis does not count
-            z = self._axes(q)
+            z = self._compute_axes(q)
             J = J - z[..., :, None] * (z[..., None, :] @ J)
         J[:, [i for i, r in enumerate(self.rows) if r < 3]] /= self.length
         return self.twists.T @ J
 
-    def _axes(self, q: Array) -> Array:
-        """The z axis (..., 3) of the frame at q (..., nq)."""
+    def _compute_axes(self, q: Array) -> Array:
+        """Compute the z axis (..., 3) of the frame at q (..., nq)."""
         assert self.frame is not None
         return fk(self.system, q, self.frame)[..., :3, 2]
 
-    def _rank_of_frame(self, q: Array) -> int:
-        """How many independent twists the frame has at a closed configuration (nq,)."""
-        J = self.task_jacobians(q[None])[0]
+    def _compute_frame_rank(self, q: Array) -> int:
+        """Count the independent twists of the frame at a closed configuration (nq,)."""
+        J = self.compute_task_jacobians(q[None])[0]
         N = (
-            Spectrum(self.closures(q[None])[0]).compute_null_space(Level.GENERIC)
+            Spectrum(self.compute_closure_jacobians(q[None])[0]).compute_null_space(Level.GENERIC)
             if self.loops
             else np.eye(self.system.nv)
         )
-        return _rank(J @ N, J)
+        return _compute_rank(J @ N, J)
 
-    def closures(self, q: Array) -> Array:
-        """Derivatives (k, c, nv) of the loops, without unit."""
+    def compute_closure_jacobians(self, q: Array) -> Array:
+        """Compute the dimensionless derivatives (k, c, nv) of the loop equations."""
         return closure_rows.evaluate_constraints(self.system, q, True, scaled=True)[1]
 
-    def _of_chain(self, q: Array) -> Array:
-        return self.task_jacobians(q)[:, :, self.columns]
+    def _compute_chain_matrices(self, q: Array) -> Array:
+        """Compute the task Jacobians of a chain, of the columns that move the frame."""
+        return self.compute_task_jacobians(q)[:, :, self.columns]
 
-    def _with_loops(self, q: Array) -> Array:
-        return np.concatenate([self.closures(q), self.task_jacobians(q)], axis=1)
-
-    def _with_inputs(self, q: Array) -> Array:
-        held = np.eye(self.system.nv)[self.inputs]
+    def _compute_loop_matrices(self, q: Array) -> Array:
+        """Compute the derivatives of loops and task, one above the other."""
         return np.concatenate(
-            [self.closures(q), np.broadcast_to(held, (len(q), *held.shape))], axis=1
+            [self.compute_closure_jacobians(q), self.compute_task_jacobians(q)], axis=1
         )
 
-    def problems(self) -> dict[str, RankLoss]:
-        """The questions by their kinds."""
+    def _compute_input_matrices(self, q: Array) -> Array:
+        """Compute the derivatives of loops and held inputs, one above the other."""
+        held = np.eye(self.system.nv)[self.inputs]
+        return np.concatenate(
+            [self.compute_closure_jacobians(q), np.broadcast_to(held, (len(q), *held.shape))],
+            axis=1,
+        )
+
+    def list_problems(self) -> dict[str, RankLoss]:
+        """Return the equations of each kind of singularity, by kind."""
         found: dict[str, Matrices] = {}
         if not self.loops:
-            found[SERIAL] = self._of_chain
+            found[SERIAL] = self._compute_chain_matrices
         else:
             if self.frame is not None:
-                found[TYPE_1] = self._with_loops
+                found[TYPE_1] = self._compute_loop_matrices
             if self.inputs is not None:
-                found[TYPE_2] = self._with_inputs
-            found[CONSTRAINT] = self.closures
+                found[TYPE_2] = self._compute_input_matrices
+            found[CONSTRAINT] = self.compute_closure_jacobians
         return {
             kind: RankLoss(
-                self.system, f, generic_rank(f(self.starts[:RANKED])), self.columns, self.unit
+                self.system,
+                f,
+                compute_generic_rank(f(self.starts[:RANKED])),
+                self.columns,
+                self.unit,
             )
             for kind, f in found.items()
         }
 
-    def in_si(self, twists: Array) -> Array:
-        """Twists (k, 6) in metres and radians of columns (m, k) without unit: turn 1, or slide 1
-        without a turn.
+    def convert_twists(self, twists: Array) -> Array:
+        """Convert dimensionless twists, columns (m, k), to (k, 6) in metres and radians. They are
+        scaled to rotation 1, or translation 1 without rotation.
         """
         full = np.zeros((twists.shape[1], 6))
         full[:, self.rows] = (self.twists @ twists).T
@@ -392,12 +402,12 @@ class RankQuestions:
         size = np.where(turn > Level.GENERIC, turn, np.maximum(slide, 1e-300))
         return full / size[:, None] + 0.0
 
-    def local(self, q: Array, problems: dict[str, RankLoss]) -> LostAndGained:
-        """What is lost and gained at a closed configuration (nq,)."""
-        kinds = [kind for kind, p in problems.items() if p.holds(q[None])[0]]
+    def describe_locally(self, q: Array, problems: dict[str, RankLoss]) -> LostAndGained:
+        """Describe the lost and gained twists at a closed configuration (nq,)."""
+        kinds = [kind for kind, p in problems.items() if p.is_singular(q[None])[0]]
         N = np.eye(self.system.nv)
         if self.loops:
-            N = Spectrum(self.closures(q[None])[0]).compute_null_space(Level.GENERIC)
+            N = Spectrum(self.compute_closure_jacobians(q[None])[0]).compute_null_space(Level.GENERIC)
         none = np.zeros((0, 6))
         lost = none
         gained = none
@@ -405,33 +415,33 @@ class RankQuestions:
         rank = N.shape[1]
         J = N[:0]
         if self.frame is not None:
-            J = self.task_jacobians(q[None])[0]
+            J = self.compute_task_jacobians(q[None])[0]
             B = (
-                Spectrum((self.twists.T @ self._axes(q))[None]).compute_null_space(Level.GENERIC)
+                Spectrum((self.twists.T @ self._compute_axes(q))[None]).compute_null_space(Level.GENERIC)
                 if self.of_axis
                 else np.eye(len(J))
             )
             moved = Spectrum(B.T @ J @ N)
-            rank = _rank(J @ N, J)
-            lost = self.in_si(B @ moved.left[:, rank:]) if rank < self.frame_rank else none
+            rank = _compute_rank(J @ N, J)
+            lost = self.convert_twists(B @ moved.left[:, rank:]) if rank < self.frame_rank else none
             still = (N @ moved.right[rank:].T).T * self.unit
             still = still[np.abs(still[:, self.columns]).max(axis=1, initial=0.0) > Level.GENERIC]
         if self.loops and self.inputs is not None:
-            free = Spectrum(self._with_inputs(q[None])[0]).compute_null_space(Level.GENERIC)
+            free = Spectrum(self._compute_input_matrices(q[None])[0]).compute_null_space(Level.GENERIC)
             if self.frame is not None:
-                gained = self.in_si(Spectrum(J @ free, 1.0).compute_column_space(Level.GENERIC))
+                gained = self.convert_twists(Spectrum(J @ free, 1.0).compute_column_space(Level.GENERIC))
         if CONSTRAINT in kinds:
             kinds = [CONSTRAINT, *(k for k in kinds if k != CONSTRAINT)]
         return LostAndGained(tuple(kinds), rank, lost, gained, still)
 
 
-def _led_inside(system: Model, q: Array) -> Array:
-    """Closed configurations (k, nq), those outside the limits as ones inside them, where `assemble`
-    finds some.
+def _assemble_inside(system: Model, q: Array) -> Array:
+    """Replace closed configurations (k, nq) outside the limits by ones inside. This is done where
+    `assemble` finds some.
 
     From far outside Newton's method rarely comes to the part of a singular set that is inside.
     """
-    q, out = q.copy(), np.flatnonzero(~inside_limits(system, q))[:RANKED]
+    q, out = q.copy(), np.flatnonzero(~are_inside_limits(system, q))[:RANKED]
     if len(out):
         found = assemble(system, None, q[out])
         ok = np.asarray(found.success, dtype=bool)
@@ -439,6 +449,11 @@ def _led_inside(system: Model, q: Array) -> Array:
     return q
 
 
-def _rank(A: Array, whole: Array) -> int:
+def _compute_rank(A: Array, whole: Array) -> int:
+<<<<<<< HEAD
     """The rank of what is left of a `whole` matrix."""
     return Spectrum(A, float(Spectrum(whole).largest)).compute_rank(Level.GENERIC)
+=======
+    """Compute the rank of a part A of the `whole` matrix."""
+    return Spectrum(A, float(Spectrum(whole).largest)).rank(Level.GENERIC)
+>>>>>>> 49d0847a (First lines of docstrings of workspaces and spaces are sentences that a student understands)

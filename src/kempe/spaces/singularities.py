@@ -53,7 +53,7 @@ from kempe.numerics.clock import (
 from kempe.report import Report, summarize_fields
 from kempe.spaces.rank_loss import RankLoss
 from kempe.spaces.singular_curves import USUAL as CURVES_USUAL
-from kempe.spaces.singular_curves import SingularCurves, held_equations, singular_curves
+from kempe.spaces.singular_curves import SingularCurves, find_singular_curves, make_held_equations
 from kempe.spaces.singular_types import (
     CONSTRAINT,
     OF_FRAMES,
@@ -63,8 +63,8 @@ from kempe.spaces.singular_types import (
     NearestSingular,
     RankQuestions,
     SingularSet,
-    changes,
-    inside_limits,
+    are_inside_limits,
+    describe_changes,
 )
 from kempe.spatial import Array
 from kempe.status import Status
@@ -81,11 +81,9 @@ if TYPE_CHECKING:
 BORDER = " singular"
 
 
-def names_of(system: Model, frame: str | None, q: Array) -> list[str]:
-    """For each configuration (k, nq) "shoulder", "elbow", "wrist", or several of them, or "" where
-    there is no name.
-    """
-    named = None if frame is None else _named(system, frame)
+def name_singularities(system: Model, frame: str | None, q: Array) -> list[str]:
+    """Name each configuration (k, nq) "shoulder", "elbow", "wrist", several of them, or ""."""
+    named = None if frame is None else _find_named_arm(system, frame)
     if named is None or not len(q):
         return [""] * len(q)
     kind, lines = named
@@ -98,8 +96,8 @@ def names_of(system: Model, frame: str | None, q: Array) -> list[str]:
 
 
 @keep_answers
-def _named(system: Model, frame: str) -> tuple[Kind, Lines] | None:
-    """The kind of arm and its lines, None where its branches have no names."""
+def _find_named_arm(system: Model, frame: str) -> tuple[Kind, Lines] | None:
+    """Find the kind of an arm and its joint axes; None if its branches have no names."""
     plan = find_plan_or_reason(system, frame, "pose", Z_AXIS)
     if isinstance(plan, str):
         return None
@@ -133,8 +131,7 @@ FULL_TURN = 2.0 * np.pi
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Singularities(Report, Tabular):
-    """The singular configurations of a frame of `system`, as `sets` that are singular in the same
-    way.
+    """The singular configurations of a frame of `system`, in `sets` of the same type.
 
     They were found from so many `starts`; that a set is not among them is no proof that it does not
     exist. Where the search was `broken` off, by the time limit or an interrupt, these are the
@@ -156,12 +153,12 @@ class Singularities(Report, Tabular):
 
     @property
     def code(self) -> Status:  # type: ignore[override]
-        """The outcome: `NOT_FOUND` where none was found, or what broke the search off."""
+        """The outcome: `NOT_FOUND` if there is no set, or what broke the search off."""
         return self.broken or (Status.SOLVED if self.sets else Status.NOT_FOUND)
 
     @property
     def status(self) -> str:
-        """How many sets were found, and which."""
+        """The number of sets and their names, as a sentence."""
         of = f"{self.system.name}, {self.frame} ({self.task})" if self.frame else self.system.name
         within = " inside the limits" if self.limits else ""
         tail = describe_early_end(
@@ -179,7 +176,7 @@ class Singularities(Report, Tabular):
         )
 
     def table(self) -> tuple[list[str], Array]:
-        """Names and columns (n, nq) for a file: the configurations of all sets."""
+        """Return names and columns (n, nq) for a file: the configurations of all sets."""
         rows = [q for s in self.sets for q in s.q]
         return list(self.system.coordinate_names), np.reshape(rows, (-1, self.system.nq))
 
@@ -188,28 +185,32 @@ class Singularities(Report, Tabular):
 
     def _list_notes(self, degrees: bool = False) -> list[str]:
         return [
-            f"{s}: dimension {s.dimension}, {changes(s.local[0].lost, s.local[0].gained)}"
+            f"{s}: dimension {s.dimension}, {describe_changes(s.local[0].lost, s.local[0].gained)}"
             for s in self.sets
         ]
 
     def _collect_data(self) -> dict[str, Any]:
         own = {n: getattr(self, n) for n in ("frame", "task", "starts", "limits")}
-        return {"system": self.system.name} | own | {"sets": [self._set_data(s) for s in self.sets]}
+        return (
+            {"system": self.system.name}
+            | own
+            | {"sets": [self._make_set_data(s) for s in self.sets]}
+        )
 
-    def _set_data(self, s: SingularSet) -> dict[str, Any]:
+    def _make_set_data(self, s: SingularSet) -> dict[str, Any]:
         unit = list_units(self.system)
         values = ByName(s.coordinates, [unit[name] for name in s.coordinates], s.values)
-        return s.data() | {"values": values, "q": name_values(self.system, s.q)}
+        return s.to_data() | {"values": values, "q": name_values(self.system, s.q)}
 
     def nearest(self, q: Any) -> NearestSingular:
-        """The nearest singular configuration to a closed one (nq,), of each set that was found; see
+        """Find the singular configuration nearest to a closed one (nq,), over all sets. See
         `NearestSingular`.
 
         It is a local minimum of the distance, found from several points of each set. Errors:
         `InputError`.
         """
         q = read_finite_q(self.system, q)
-        found = [self._nearest(s, q) for s in self.sets]
+        found = [self._find_nearest(s, q) for s in self.sets]
         if not found:
             none = np.zeros((0, 6))
             return NearestSingular(
@@ -229,7 +230,7 @@ class Singularities(Report, Tabular):
             distances[str(s)] = min(d, distances.get(str(s), np.inf))
         i = int(np.argmin([d for _, d in found]))
         there, distance = found[i]
-        local = self.questions.local(there, self.problems)
+        local = self.questions.describe_locally(there, self.problems)
         s = self.sets[i]
         return NearestSingular(
             self.system,
@@ -246,8 +247,8 @@ class Singularities(Report, Tabular):
     def plot(
         self, *, ax: Any = None, budget: Budget | None = None, **options: Any
     ) -> tuple[Axes, ...]:
-        """Matplotlib axes with configurations of the sets beside one another, and what is lost and
-        gained there.
+        """Draw configurations of the sets side by side in Matplotlib axes, with lost and gained
+        twists.
 
         Arrows show directions of the frame: of turns in the plane there is the centre with an arc,
         in space the axis (dotted). Of a planar system whose sets are curves the last axes have
@@ -270,8 +271,8 @@ class Singularities(Report, Tabular):
         orientation: Any = None,
         budget: Budget | None = None,
     ) -> SingularCurves:
-        """The curves of singular configurations, and those that the frame draws there, where the
-        sets are curves.
+        """Trace the curves of singular configurations, and those that the frame draws. Only sets
+        that are curves are traced.
 
         In the plane those are curves at which a frame's position loses a direction, and of two
         freedoms all of them. Larger sets are cut down to curves by coordinates that are held,
@@ -282,22 +283,25 @@ class Singularities(Report, Tabular):
         where the sets are larger than curves; `UnknownNameError`.
         """
         clock = TimeLimit(CURVES_USUAL.complete_budget(budget).time_limit)
-        rows, held = held_equations(self, hold, orientation)
+        rows, held = make_held_equations(self, hold, orientation)
         problems = {kind: replace(p, further=rows) for kind, p in self.problems.items()}
         starts = [(s.kinds, s.name, q) for s in self.sets for q in s.q]
         if held:
             near = np.concatenate([*(s.q for s in self.sets), self.questions.starts])
             with limit_preparation_time(CURVES_USUAL, clock):
-                led = _led(
+                led = _find_singular_rows(
                     self.questions, problems, dict.fromkeys(problems, near), self.task, self.limits
                 )
             starts = [(kinds, name, q) for (kinds, name, _), (q, _) in led if kinds]
-        return singular_curves(self, problems, starts, held, budget, clock)
+        return find_singular_curves(self, problems, starts, held, budget, clock)
 
-    def _nearest(self, s: SingularSet, q: Array) -> tuple[Array, float]:
+    def _find_nearest(self, s: SingularSet, q: Array) -> tuple[Array, float]:
+        """Find the configuration of a set that is nearest to q, and its distance."""
         problem = self.problems[s.kinds[-1]]
-        starts = s.q[np.argsort(self._apart(s.q, q))[:NEAR]]
-        best, far = self._best(s, q, starts, problem.led(np.concatenate([[q], starts]), home=q))
+        starts = s.q[np.argsort(self._compute_distances(s.q, q))[:NEAR]]
+        best, far = self._choose_best(
+            s, q, starts, problem.find_singular(np.concatenate([[q], starts]), home=q)
+        )
         rng = np.random.default_rng(SEED)
         nv = self.system.nv
         sizes = [far, 0.5 * far, *(far * CLOSER**k for k in range(1, ROUNDS))]
@@ -307,14 +311,16 @@ class Singularities(Report, Tabular):
             aside = np.zeros((many, nv))
             aside[:, self.questions.columns] = rng.normal(size=(many, len(self.questions.columns)))
             aside *= size / np.sqrt(max(1, len(self.questions.columns)))
-            tried = problem.led(
-                self._inside(problem.move(np.repeat(centre[None], many, axis=0), aside))
+            tried = problem.find_singular(
+                self._clip_to_limits(
+                    problem.move_configurations(np.repeat(centre[None], many, axis=0), aside)
+                )
             )
-            best, far = self._best(s, q, best[None], tried)
+            best, far = self._choose_best(s, q, best[None], tried)
         return best, far
 
-    def _inside(self, x: Array) -> Array:
-        """Configurations (k, nq) brought to their limits, where these count."""
+    def _clip_to_limits(self, x: Array) -> Array:
+        """Clip configurations (k, nq) to the limits, where these count."""
         if self.limits:
             layout = self.system.structure.layout
             at = layout.vector_q
@@ -322,9 +328,11 @@ class Singularities(Report, Tabular):
             x[:, at] = np.clip(x[:, at], self.system.lower[v], self.system.upper[v])
         return x
 
-    def _best(self, s: SingularSet, q: Array, starts: Array, led: Array) -> tuple[Array, float]:
-        """The nearest to q of configurations that are in the set, `starts`, and may be, `led`, and
-        its distance.
+    def _choose_best(
+        self, s: SingularSet, q: Array, starts: Array, led: Array
+    ) -> tuple[Array, float]:
+        """Choose the configuration nearest to q, and its distance. Those of `starts` are in the
+        set, those of `led` may be.
         """
         problem = self.problems[s.kinds[-1]]
         led = led[np.isfinite(led).all(axis=1)]
@@ -332,24 +340,27 @@ class Singularities(Report, Tabular):
             names = self.system.structure.velocity_names
             columns = self.questions.columns
             own = [
-                tuple(names[i] for i in _deciding(problem, x, columns)) == s.coordinates
+                tuple(names[i] for i in _find_deciding_columns(problem, x, columns))
+                == s.coordinates
                 for x in led
             ]
             led = led[np.array(own, dtype=bool)]
             led = (
-                led[[name == s.name for name in names_of(self.system, self.frame, led)]]
+                led[[name == s.name for name in name_singularities(self.system, self.frame, led)]]
                 if s.name
                 else led
             )
         if self.limits:
-            led = led[inside_limits(self.system, led)]
+            led = led[are_inside_limits(self.system, led)]
         led = np.concatenate([led, starts])
-        far = self._apart(led, q)
+        far = self._compute_distances(led, q)
         i = int(np.argmin(far))
         return led[i], float(far[i])
 
-    def _apart(self, x: Array, q: Array) -> Array:
-        """How far (k,) configurations x (k, nq) are from q, unlimited turns the short way."""
+    def _compute_distances(self, x: Array, q: Array) -> Array:
+        """Compute the distances (k,) of configurations x (k, nq) from q. Unlimited joints turn the
+        short way.
+        """
         v = shorten_turns(
             self.system.structure.layout.compute_difference(q, x), find_free_angles(self.system)
         )
@@ -374,8 +385,7 @@ def singularities(
     limits: bool = True,
     budget: Budget | None = None,
 ) -> Singularities:
-    """The singular configurations of a frame, and of closed loops, that are found from random
-    starts.
+    """Find singular configurations of a frame and of closed loops from random starts.
 
     Of a chain they are those at which the Jacobian of the frame's `task` has a smaller rank than
     almost everywhere: "pose", "position", "orientation", in space also "xy", "xz", "yz" (the
@@ -409,29 +419,31 @@ def singularities(
     done = 0
     broken = None
     with limit_preparation_time(USUAL, clock):
-        task, questions = _questions_of(
+        task, questions = _make_questions(
             system, name, task, driving if loops else None, spend, limits
         )
-        problems = questions.problems()
+        problems = questions.list_problems()
     found: Found = {}
     try:
         with clock:
             while done < len(questions.starts):
                 clock.check_time()
                 starts = dict.fromkeys(problems, questions.starts[done : done + AT_ONCE])
-                for key, row in _led(questions, problems, starts, task, limits):
+                for key, row in _find_singular_rows(questions, problems, starts, task, limits):
                     found.setdefault(key, []).append(row)
                 done = min(done + AT_ONCE, len(questions.starts))
                 if spend.progress is not None:
                     spend.progress(done, len(questions.starts))
             if loops and limits:
                 clock.check_time()
-                for key, row in _led(questions, problems, questions.nearly(problems), task, limits):
+                for key, row in _find_singular_rows(
+                    questions, problems, questions.find_nearly_singular(problems), task, limits
+                ):
                     found.setdefault(key, []).append(row)
     except BROKEN_OFF as error:
         broken = Status.OUT_OF_TIME if isinstance(error, TimeUp) else Status.INTERRUPTED
     sets = [
-        _set(system, key, rows, [problems[kind] for kind in key[0]])
+        _make_set(system, key, rows, [problems[kind] for kind in key[0]])
         for key, rows in found.items()
         if key[0]
     ]
@@ -445,38 +457,42 @@ def singularities(
     )
 
 
-def _led(
+def _find_singular_rows(
     questions: RankQuestions,
     problems: dict[str, RankLoss],
     starts: dict[str, Array],
     task: str,
     limits: bool,
 ) -> list[tuple[Key, Row]]:
-    """Singular configurations to which starts (k, nq) of each question are led, with the keys of
-    their sets.
+    """Find singular configurations from starts (k, nq) of each question, with the keys of their
+    sets.
     """
     system = questions.system
     name = questions.frame
     rows = list[tuple[Key, Row]]()
     for kind, problem in problems.items():
-        q = problem.led(starts[kind])
+        q = problem.find_singular(starts[kind])
         if CONSTRAINT in problems and kind != CONSTRAINT:
-            q = _sharpened(problems[CONSTRAINT], q[np.isfinite(q).all(axis=1)])
-        q = _turned(system, q[np.isfinite(q).all(axis=1)])
-        q = q[inside_limits(system, q)] if limits else q
-        names = names_of(system, name, q) if kind == SERIAL and task == "pose" else [""] * len(q)
+            q = _sharpen_configurations(problems[CONSTRAINT], q[np.isfinite(q).all(axis=1)])
+        q = _wrap_turns(system, q[np.isfinite(q).all(axis=1)])
+        q = q[are_inside_limits(system, q)] if limits else q
+        names = (
+            name_singularities(system, name, q)
+            if kind == SERIAL and task == "pose"
+            else [""] * len(q)
+        )
         for at, word in zip(q, names, strict=True):
-            local = questions.local(at, problems)
+            local = questions.describe_locally(at, problems)
             key = (
                 local.kinds,
                 word,
-                () if questions.loops else _deciding(problem, at, questions.columns),
+                () if questions.loops else _find_deciding_columns(problem, at, questions.columns),
             )
             rows.append((key, (at, local)))
     return rows
 
 
-def _questions_of(
+def _make_questions(
     system: Model,
     frame: str | None,
     task: str | None,
@@ -484,14 +500,14 @@ def _questions_of(
     spend: Budget,
     limits: bool,
 ) -> tuple[str, RankQuestions]:
-    """The task by its name and what is wanted: of a planar frame with loops and two freedoms its
-    place, if that moves.
+    """Choose the task and make the rank questions. The task of a planar frame with loops and two
+    freedoms is its position, if it moves.
 
     Its pose has three equations, and so lacks a direction everywhere.
     """
     loops = has_loops(system)
     starts = read_start_count(spend.starts, DRAWN)
-    word = _task(system, frame, task, loops)
+    word = _choose_task(system, frame, task, loops)
     questions = RankQuestions(
         system, frame, word, driving, make_generator(spend.rng), starts, limits
     )
@@ -507,8 +523,10 @@ def _questions_of(
     return word, questions
 
 
-def _task(system: Model, frame: str | None, task: str | None, loops: bool) -> str:
-    """The task by its name, or that which the chain is for. Errors: `InputError`."""
+def _choose_task(system: Model, frame: str | None, task: str | None, loops: bool) -> str:
+    """Return the task of this name, or by default the one that fits the chain. Errors:
+    `InputError`.
+    """
     if task is not None:
         return check_name("task", task, OF_FRAMES if system.dim == 3 else OF_FRAMES[:3])
     if frame is None or loops:
@@ -519,39 +537,42 @@ def _task(system: Model, frame: str | None, task: str | None, loops: bool) -> st
     return "pose" if joints.sum() >= (3 if system.dim == 2 else 4) else "position"
 
 
-def _deciding(problem: RankLoss, q: Array, columns: np.ndarray) -> tuple[int, ...]:
-    """Velocity coordinates that change what a singular configuration is a singular one by."""
-    T = problem.tangents(q)
+def _find_deciding_columns(problem: RankLoss, q: Array, columns: np.ndarray) -> tuple[int, ...]:
+    """Find the velocity coordinates that decide whether a configuration is singular."""
+    T = problem.compute_tangents(q)
     off = np.linalg.norm(np.eye(len(T)) - T @ T.T, axis=0)
     return tuple(i for i in columns.tolist() if off[i] > MATTERS)
 
 
-def _sharpened(problem: RankLoss, q: Array) -> Array:
-    """Configurations (k, nq), those next to one where another rank is lost, too, as that one.
+def _sharpen_configurations(problem: RankLoss, q: Array) -> Array:
+    """Move configurations (k, nq) that are near a further loss of rank to that point.
 
     There the equations of a single loss are singular, and Newton's method comes near only.
     """
     if not len(q):
         return q
-    some = np.flatnonzero(problem.least(q) < FARTHER)
-    q, other = q.copy(), problem.led(q[some])
-    near = np.abs(problem.between(q[some], other)).max(axis=1, initial=0.0) < BESIDE
+    some = np.flatnonzero(problem.compute_least_values(q) < FARTHER)
+    q, other = q.copy(), problem.find_singular(q[some])
+    near = np.abs(problem.compute_steps(q[some], other)).max(axis=1, initial=0.0) < BESIDE
     q[some[near]] = other[near]
     return q
 
 
-def _set(system: Model, key: Key, rows: list[Row], problems: list[RankLoss]) -> SingularSet:
+def _make_set(system: Model, key: Key, rows: list[Row], problems: list[RankLoss]) -> SingularSet:
+    """Make a set of singular configurations with the same key."""
     kinds, name, deciding = key
     q = np.array([row[0] for row in rows])
     names = system.structure.velocity_names
     columns = problems[0].columns
-    dimension = min(p.tangents(q[0]).shape[1] for p in problems) - (system.nv - len(columns))
+    dimension = min(p.compute_tangents(q[0]).shape[1] for p in problems) - (
+        system.nv - len(columns)
+    )
     place = np.full(system.nv, -1, dtype=np.int64)
     place[system.structure.layout.vector_v] = system.structure.layout.vector_q
     at = place[list(deciding)]
     values = np.zeros((0, len(deciding)))
     if deciding and dimension == len(columns) - len(deciding) and (at >= 0).all():
-        values = _distinct(system, q[:, at], deciding)
+        values = _select_distinct(system, q[:, at], deciding)
     if dimension == 0:
         keep = get_metric(system).find_unique(q, SAME).tolist()
         rows = [rows[i] for i in keep]
@@ -568,10 +589,8 @@ def _set(system: Model, key: Key, rows: list[Row], problems: list[RankLoss]) -> 
     )
 
 
-def _distinct(system: Model, x: Array, deciding: tuple[int, ...]) -> Array:
-    """Values (k, n) that differ, sorted; turns that differ by full turns are the same where they
-    have no limits.
-    """
+def _select_distinct(system: Model, x: Array, deciding: tuple[int, ...]) -> Array:
+    """Select distinct values (k, n), sorted; of unlimited joints full turns do not count."""
     circle = find_free_angles(system)[list(deciding)]
     keep: list[Array] = []
     row: Array
@@ -584,9 +603,9 @@ def _distinct(system: Model, x: Array, deciding: tuple[int, ...]) -> Array:
     return np.array(keep)
 
 
-def _turned(system: Model, q: Array) -> Array:
-    """Configurations (k, nq) of which turns are led by full turns into (-pi, pi], or where that is
-    outside, the limits.
+def _wrap_turns(system: Model, q: Array) -> Array:
+    """Wrap rotations of configurations (k, nq) into (-pi, pi], or into the limits if that is
+    outside.
 
     Where relations tie turns to each other they stay as they are.
     """

@@ -1,4 +1,4 @@
-"""The task space of a system: the image of its configuration space in a task.
+"""The task space of a system: the image of its configuration space under a task.
 
 It is described by counts of freedoms, by ranks, and by bounds of the image.
 """
@@ -57,11 +57,11 @@ where loops are closed within a tolerance. Rounding of places grows with their d
 origin."""
 
 
-def image_ranks(
+def compute_image_ranks(
     system: Model, q: Array, rates: Array, metres: np.ndarray
 ) -> tuple[np.ndarray, int]:
-    """Ranks (k,) of rates (k, m, nv) over the velocities that loops leave at q (k, nq), and the
-    least freedoms.
+    """Compute ranks (k,) of rates (k, m, nv) for the velocities that loops allow at q (k, nq). Also
+    return the least freedoms.
 
     `metres` (m,) says which rows are lengths: these are measured in characteristic lengths, so that
     ranks do not depend on the unit of length. A singular value counts where it is above
@@ -98,7 +98,7 @@ SOME = 8
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class TaskSpace(Report):
-    """What of a configuration space of dimension `n` is seen in a task of `m` constraints.
+    """The task space of `m` constraints over a configuration space of dimension `n`.
 
     `rank` is the number of directions in which the task can be moved at `q` (nq,), `generic_rank`
     the largest that was found at random configurations: the dimension of the image, of which the
@@ -124,22 +124,22 @@ class TaskSpace(Report):
 
     @property
     def redundancy(self) -> int:
-        """Freedoms that are left where the task holds, at generic configurations."""
+        """Degrees of freedom that remain while the task is fulfilled, at generic configurations."""
         return self.n - self.generic_rank
 
     @property
     def dependent(self) -> int:
-        """Constraints of the task that cannot be set independently, at generic configurations."""
+        """Number of constraints of the task that depend on the others, at generic configurations."""
         return self.m - self.generic_rank
 
     @property
     def singular(self) -> bool:
-        """Whether the task loses directions at `q` that it has elsewhere."""
+        """Whether the task loses rank at `q` compared to generic configurations."""
         return self.rank < self.generic_rank
 
     @property
     def status(self) -> str:
-        """How m, n and the rank compare, and what follows for solutions."""
+        """Comparison of m, n and the rank, and the consequence for solutions, as a sentence."""
         k = self.generic_rank
         m = self.m
         n = self.n
@@ -170,7 +170,7 @@ class TaskSpace(Report):
 
     @property
     def code(self) -> Status:  # type: ignore[override]
-        """The outcome: whether all that was asked for was looked at."""
+        """The outcome: whether the whole question was answered."""
         return Status.OUT_OF_TIME if self.late else Status.SOLVED
 
     def _make_headline(self) -> str:
@@ -210,7 +210,7 @@ def task_space(
     task: str | None = None,
     budget: Budget | None = None,
 ) -> TaskSpace:
-    """What of the configuration space is seen in tasks: m, n and ranks, and bounds of the image.
+    """Compute the dimensions m and n and the ranks of tasks, and bounds of their image.
 
     `tasks` is a frame, whose pose counts (or, with ``task="position"``, its position), a task of
     `kempe.tasks` or a list of them. Ranks are those of the task's rates by the velocities that
@@ -226,9 +226,9 @@ def task_space(
     position of 'e': m = n = 2, rank 2; isolated configurations reach what is reached, but for singular ones
     """
     spend = USUAL.complete_budget(budget)
-    wanted, name, frame = _wanted(system, tasks, task)
+    wanted, name, frame = _read_tasks(system, tasks, task)
     rng = make_generator(spend.rng)
-    drawn = _drawn(system, read_start_count(spend.starts, DRAWN), rng)
+    drawn = _draw_configurations(system, read_start_count(spend.starts, DRAWN), rng)
     at = drawn[0] if q is None else read_finite_q(system, q)
     every = np.concatenate([at[None], drawn])
     m = sum(count(system, t) for t in wanted)
@@ -242,7 +242,7 @@ def task_space(
             check_for_stop()
             some = every[k : k + SOME]
             rates = np.concatenate([jacobian(system, t, some) for t in wanted], axis=-2)
-            found, freedoms = image_ranks(system, some, rates, metres)
+            found, freedoms = compute_image_ranks(system, some, rates, metres)
             ranks += found.tolist()
             n = min(n, freedoms)
     except TimeUp:
@@ -259,7 +259,7 @@ def task_space(
             if has_loops(system)
             else np.concatenate([drawn, sample_configurations(system, rng, SEEN)])
         )
-        seen = seen[Manifold(system, 1).inside(seen)]
+        seen = seen[Manifold(system, 1).are_allowed(seen)]
         p = fk(system, seen, frame, form="position")
     if frame is not None and len(p):
         image = {
@@ -269,10 +269,10 @@ def task_space(
     return TaskSpace(system, name, m, n, rank, generic, at.copy(), image, len(drawn), time.spent)
 
 
-def _wanted(
+def _read_tasks(
     system: Model, tasks: Any, task: str | None
 ) -> tuple[list[Constraint], str, FrameLike | None]:
-    """The tasks, what they are called, and the frame if it is one of a frame."""
+    """Read the tasks, their names, and the frame if the task is one of a frame."""
     name: Any = tasks
     if isinstance(tasks, Constraint) or (isinstance(tasks, (list, tuple)) and tasks):
         if task is not None:
@@ -293,11 +293,11 @@ def _wanted(
     return [made(frame, X if kind == "pose" else X[:3, 3])], f"{kind} of {frame!r}", frame
 
 
-def _drawn(system: Model, count: int, rng: np.random.Generator) -> Array:
-    """Random configurations (k, nq), closed where there are loops."""
+def _draw_configurations(system: Model, count: int, rng: np.random.Generator) -> Array:
+    """Draw random configurations (k, nq), closed if there are loops."""
     if not has_loops(system):
         return sample_configurations(system, rng, count)
-    q = Manifold(system, 1).drawn(rng, count)
+    q = Manifold(system, 1).draw_configurations(rng, count)
     if not len(q):
         raise InputError(
             f"{system.name} was not closed from {count} random starts: it has no configuration to "

@@ -1,4 +1,4 @@
-"""Systems with two freedoms: all configurations at two coordinates, or at a place of a frame.
+"""Systems with two freedoms: all configurations for two coordinates or for a place of a frame.
 
 Open chains and planar mechanisms of dyads are solved in closed form, others on a lattice.
 """
@@ -73,8 +73,8 @@ derivatives (k, m, nv)."""
 
 
 class Lattice(NamedTuple):
-    """Configurations `q` (n, k, nq) of the nodes, which there are (`mask` (n, k)), and what broke
-    the search off.
+    """Configurations `q` (n, k, nq) at the nodes of a lattice and their `mask` (n, k). It keeps
+    what broke the search off.
     """
 
     q: Array
@@ -83,8 +83,8 @@ class Lattice(NamedTuple):
 
 
 class NodeSolver:
-    """Closed configurations at which two functions have given values, which are isolated but for
-    idle spins.
+    """Solver for closed configurations at which two functions have given values. They are isolated
+    but for idle freedoms.
 
     What spins idly is left as it is, and configurations that differ by that only are one.
     """
@@ -94,16 +94,16 @@ class NodeSolver:
         self.counts = ~find_idle_coordinates(manifold.system)
         self.spins = not self.counts.all()
 
-    def solved(
+    def solve_nodes(
         self, missing: Missing, q: Array, node: np.ndarray, tries: int = TRIES
     ) -> tuple[Array, np.ndarray]:
-        """Where Newton's method leads from q (k, nq), and whether (k,) nothing is `missing` there
-        at the node (k,).
+        """Solve by Newton's method from q (k, nq). A mask (k,) tells whether the equations
+        `missing` hold at the node (k,).
         """
         M = self.manifold
 
-        def equations(x: Array, at: np.ndarray) -> tuple[Array, Array]:
-            (F, J) = M.equations(x)
+        def evaluate_equations(x: Array, at: np.ndarray) -> tuple[Array, Array]:
+            (F, J) = M.evaluate_equations(x)
             (f, j) = missing(x, node[at])
             still = compute_idle_rates(M.system, x) if self.spins else J[:, :0]
             zero = np.zeros(still.shape[:2])
@@ -112,26 +112,30 @@ class NodeSolver:
             )
 
         x = run_many_gauss_newton(
-            equations, q, tries, step=_step, met=1e-3 * CLOSED, longest=LONGEST, move=M.move
+            evaluate_equations,
+            q,
+            tries,
+            step=_compute_step,
+            met=1e-3 * CLOSED,
+            longest=LONGEST,
+            move=M.move_configurations,
         )
         sound = np.isfinite(x).all(axis=1)
         x[~sound] = q[~sound]
-        size = np.abs(equations(x, np.arange(len(x)))[0]).max(axis=1, initial=0.0)
+        size = np.abs(evaluate_equations(x, np.arange(len(x)))[0]).max(axis=1, initial=0.0)
         return x, sound & (size < CLOSED)
 
-    def apart(self, q: Array, to: Array) -> Array:
-        """How far (...) configurations (..., nq) are from others."""
+    def compute_distances(self, q: Array, to: Array) -> Array:
+        """Compute the distances (...) of configurations (..., nq) from others."""
         return self.manifold.metric.compute_distances(q, to, self.counts)
 
-    def same(self, q: Array, to: Array) -> np.ndarray:
+    def are_same(self, q: Array, to: Array) -> np.ndarray:
         """Whether (...) configurations (..., nq) are the same as others."""
-        return self.apart(q, to) < SAME
+        return self.compute_distances(q, to) < SAME
 
 
-def _step(r: Array, J: Array) -> Array:
-    """Gauss-Newton steps (k, n), damped so little that only those of singular equations are other
-    ones.
-    """
+def _compute_step(r: Array, J: Array) -> Array:
+    """Compute Gauss-Newton steps (k, n), damped so little that only singular equations notice."""
     Jt = np.swapaxes(J, -1, -2)
     G = Jt @ J
     n = G.shape[-1]
@@ -139,7 +143,7 @@ def _step(r: Array, J: Array) -> Array:
     return np.asarray(-np.linalg.solve(G, Jt @ r[..., None])[..., 0], dtype=float)
 
 
-def flooded(
+def flood_lattice(
     solver: NodeSolver,
     missing: Missing,
     shape: tuple[int, int],
@@ -148,8 +152,8 @@ def flooded(
     clock: TimeLimit,
     progress: Callable[[int, int], Any] | None = None,
 ) -> Lattice:
-    """The configurations of a lattice of `shape` that are found from q (k, nq) near the nodes of
-    numbers (k,).
+    """Find the configurations on a lattice of `shape`, node after node. It begins with q (k, nq)
+    near these nodes (k,).
 
     `progress` is called with the number of nodes that have some, and that of all.
     """
@@ -164,8 +168,10 @@ def flooded(
             new = list[tuple[np.ndarray, np.ndarray]]()
             for i in range(0, len(q), AT_ONCE):
                 clock.check_time()
-                x, ok = solver.solved(missing, q[i : i + AT_ONCE], node[i : i + AT_ONCE], tries)
-                found = _added(solver, found, count, x[ok], node[i : i + AT_ONCE][ok], new)
+                x, ok = solver.solve_nodes(
+                    missing, q[i : i + AT_ONCE], node[i : i + AT_ONCE], tries
+                )
+                found = _add_found(solver, found, count, x[ok], node[i : i + AT_ONCE][ok], new)
             at, slot = (
                 np.concatenate([x[k] for x in new]).astype(int) if new else np.zeros(0, dtype=int)
                 for k in (0, 1)
@@ -174,10 +180,10 @@ def flooded(
                 progress(int((count > 0).sum()), len(count))
             tries = TRIES
             swept = swept and not len(at)
-            q, node = _to_neighbours(solver, shape, found, count, at, slot, near)
+            q, node = _make_neighbour_starts(solver, shape, found, count, at, slot, near)
             if not len(q) and not swept:  # all that have more than a neighbour, once more
                 at, slot = np.nonzero(np.arange(found.shape[1]) < count[:, None])
-                q, node = _to_neighbours(solver, shape, found, count, at, slot, 0.0)
+                q, node = _make_neighbour_starts(solver, shape, found, count, at, slot, 0.0)
                 swept = True
     except BROKEN_OFF as error:
         broken = Status.OUT_OF_TIME if isinstance(error, TimeUp) else Status.INTERRUPTED
@@ -185,7 +191,7 @@ def flooded(
     return Lattice(found[:, :most], np.arange(most) < count[:, None], broken)
 
 
-def _added(
+def _add_found(
     solver: NodeSolver,
     found: Array,
     count: np.ndarray,
@@ -193,9 +199,7 @@ def _added(
     node: np.ndarray,
     new: list[tuple[np.ndarray, np.ndarray]],
 ) -> Array:
-    """Put those of configurations (k, nq) that their nodes (k,) lack into `found`; which these are
-    goes to `new`.
-    """
+    """Add configurations (k, nq) that their nodes (k,) lack to `found`, and their numbers to `new`."""
     order = np.argsort(node, kind="stable")
     q = q[order]
     node = node[order]
@@ -207,7 +211,7 @@ def _added(
         known = np.zeros(len(at), dtype=bool)
         for slot in range(int(count[at].max(initial=0))):
             there = slot < count[at]
-            known[there] |= solver.same(x[there], found[at[there], slot])
+            known[there] |= solver.are_same(x[there], found[at[there], slot])
         x = x[~known & (count[at] < MOST)]
         at = at[~known & (count[at] < MOST)]
         if count[at].max(initial=0) >= found.shape[1]:
@@ -218,7 +222,7 @@ def _added(
     return found
 
 
-def _to_neighbours(
+def _make_neighbour_starts(
     solver: NodeSolver,
     shape: tuple[int, int],
     found: Array,
@@ -227,9 +231,7 @@ def _to_neighbours(
     slot: np.ndarray,
     near: float,
 ) -> tuple[Array, np.ndarray]:
-    """Configurations, each as a start for those neighbours of its node that have fewer, or none so
-    `near` to it.
-    """
+    """Make starts for neighbours of nodes that have fewer configurations, or none within `near`."""
     i, j = np.divmod(node, shape[1])
     starts = [found[:0, 0]]
     nodes = [node[:0]]
@@ -242,7 +244,7 @@ def _to_neighbours(
         if near:
             lacks |= ~np.any(
                 [
-                    (k < count[to]) & (solver.apart(q, found[to, k]) < near)
+                    (k < count[to]) & (solver.compute_distances(q, found[to, k]) < near)
                     for k in range(int(count[to].max(initial=1)))
                 ],
                 axis=0,
@@ -252,17 +254,17 @@ def _to_neighbours(
     return np.concatenate(starts), np.concatenate(nodes)
 
 
-def in_order(solver: NodeSolver, q: Array, mask: np.ndarray) -> tuple[Array, np.ndarray]:
-    """Configurations (n, k, nq) along a line, and which (n, k) there are, so ordered that each
-    follows its like.
+def order_along_line(solver: NodeSolver, q: Array, mask: np.ndarray) -> tuple[Array, np.ndarray]:
+    """Order configurations (n, k, nq) along a line so that each continues the one before. The mask
+    is (n, k).
     """
     q = q.copy()
     mask = mask.copy()
     like: Array = q[0].copy()
     for i in range(len(q)):
-        far = solver.apart(like[:, None], q[i][None])
+        far = solver.compute_distances(like[:, None], q[i][None])
         far = np.where(mask[i] & np.isfinite(far), far, np.pi)
-        order = _matched(far)
+        order = _match_nearest(far)
         q[i] = q[i, order]
         mask[i] = mask[i, order]
         # what is too far to follow begins a line of its own
@@ -271,8 +273,8 @@ def in_order(solver: NodeSolver, q: Array, mask: np.ndarray) -> tuple[Array, np.
     return q, mask
 
 
-def _matched(far: Array) -> np.ndarray:
-    """For each of k rows of distances (k, k) a column of its own, the nearest pairs first."""
+def _match_nearest(far: Array) -> np.ndarray:
+    """Match each of k rows of distances (k, k) with a column of its own, nearest pairs first."""
     out = np.full(len(far), -1)
     used = set[int]()
     for at in np.argsort(far, axis=None).tolist():
@@ -283,9 +285,9 @@ def _matched(far: Array) -> np.ndarray:
     return out
 
 
-def nodes_around(x: Array, y: Array, p: Array) -> np.ndarray:
-    """Numbers (k, 4) of the corners of the cells of a lattice x (m,), y (n,) in which places p (k,
-    2) are.
+def find_cell_nodes(x: Array, y: Array, p: Array) -> np.ndarray:
+    """Find the numbers (k, 4) of the corners of the cells that contain places p (k, 2). The lattice
+    is x (m,), y (n,).
     """
     i, j = (
         np.clip(((p[:, k] - side[0]) // (side[1] - side[0])).astype(int), 0, len(side) - 2)
@@ -294,8 +296,8 @@ def nodes_around(x: Array, y: Array, p: Array) -> np.ndarray:
     return np.stack([(i + a) * len(y) + j + b for a in (0, 1) for b in (0, 1)], axis=1)
 
 
-def nearest_node(x: Array, y: Array, p: Array) -> np.ndarray:
-    """Numbers (k,) of the nodes of a lattice x (m,), y (n,) that are nearest to places p (k, 2)."""
+def find_nearest_nodes(x: Array, y: Array, p: Array) -> np.ndarray:
+    """Find the numbers (k,) of the nodes of a lattice x (m,), y (n,) nearest to places p (k, 2)."""
     i, j = (
         np.clip(np.rint((p[:, k] - side[0]) / (side[1] - side[0])), 0, len(side) - 1).astype(int)
         for k, side in enumerate((x, y))
@@ -329,7 +331,7 @@ NEEDED = "both spaces are drawn of systems with two freedoms"
 
 
 class TwoFreedoms:
-    """A system with two freedoms over two coordinates, and the frame of which a task is seen.
+    """A system with two freedoms over two coordinates, and the frame whose task is drawn.
 
     `names` are the two coordinates, `columns` theirs in q, `low`, `high` and `turns` (2,) their
     ranges and which of them are full turns. What is found is found from node to node of lattices;
@@ -373,83 +375,83 @@ class TwoFreedoms:
         self._over: tuple[int, Array, np.ndarray] | None = None
         self._reaching: tuple[Array, Array, Array, np.ndarray] | None = None
 
-    def grid(self, n: int) -> Array:
-        """Values (n, n, 2) over the ranges."""
+    def make_grid(self, n: int) -> Array:
+        """Make a grid of values (n, n, 2) over the ranges of both coordinates."""
         sides = [np.linspace(float(self.low[i]), float(self.high[i]), n) for i in range(2)]
         return np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1)
 
     # ---- over values of the coordinates
 
-    def over_grid(self, n: int) -> tuple[Array, np.ndarray]:
-        """Configurations (n, n, k, nq) at the values of `grid`, and which (n, n, k) there are."""
-        values = self.grid(n)
-        q = self.manifold.drawn(np.random.default_rng(0), STARTS)
-        found = flooded(
+    def solve_grid(self, n: int) -> tuple[Array, np.ndarray]:
+        """Solve for configurations (n, n, k, nq) at the values of the grid, with mask (n, n, k)."""
+        values = self.make_grid(n)
+        q = self.manifold.draw_configurations(np.random.default_rng(0), STARTS)
+        found = flood_lattice(
             self.solver,
-            self._off_values(values.reshape(-1, 2)),
+            self._make_value_equations(values.reshape(-1, 2)),
             (n, n),
             q,
-            self._node(q[:, self.columns], n),
+            self._find_nodes(q[:, self.columns], n),
             self.clock,
             self.progress,
         )
         self.broken = self.broken or found.broken
         self._over = n, found.q, found.mask
-        q, mask = self._inside(found.q, found.mask)
+        q, mask = self._bring_inside(found.q, found.mask)
         return q.reshape(n, n, -1, self.system.nq), mask.reshape(n, n, -1)
 
-    def over(self, values: Array) -> tuple[Array, np.ndarray]:
-        """Configurations (..., k, nq) at values (..., 2) of the coordinates, and which (..., k)
-        there are.
+    def solve_values(self, values: Array) -> tuple[Array, np.ndarray]:
+        """Solve for configurations (..., k, nq) at values (..., 2) of the coordinates. The mask is
+        (..., k).
         """
         assert self._over is not None
         n, q, mask = self._over
         flat = values.reshape(-1, 2)
-        node = self._node(flat, n)
-        x, ok = self._again(self._off_values(flat), q[node], mask[node])
+        node = self._find_nodes(flat, n)
+        x, ok = self._solve_again(self._make_value_equations(flat), q[node], mask[node])
         return x.reshape(*values.shape[:-1], -1, self.system.nq), ok.reshape(*values.shape[:-1], -1)
 
-    def along(self, values: Array) -> tuple[Array, np.ndarray]:
-        """Configurations (n, k, nq) over a line of values (n, 2), and which (n, k) there are, mode
-        by mode.
+    def solve_line(self, values: Array) -> tuple[Array, np.ndarray]:
+        """Solve for configurations (n, k, nq) over a line of values (n, 2). The mask is (n, k),
+        mode by mode.
         """
-        return in_order(self.solver, *self.over(values))
+        return order_along_line(self.solver, *self.solve_values(values))
 
-    def _node(self, values: Array, n: int) -> np.ndarray:
-        """Numbers (k,) of the nodes nearest to values (k, 2)."""
+    def _find_nodes(self, values: Array, n: int) -> np.ndarray:
+        """Find the numbers (k,) of the nodes nearest to values (k, 2)."""
         off = values - self.low
         off = np.where(self.turns, np.mod(off, 2.0 * np.pi), off)
         i, j = np.clip(np.rint(off / (self.high - self.low) * (n - 1)), 0, n - 1).astype(int).T
         return i * n + j
 
-    def _off_values(self, values: Array) -> Missing:
-        """What coordinates miss of values (k, 2)."""
+    def _make_value_equations(self, values: Array) -> Missing:
+        """Make the function that evaluates how far coordinates are from values (k, 2)."""
         scale = self.manifold.scale[self.at]
         turning = self.system.structure.coordinates.turning[self.at]
         rates = np.eye(self.system.nv)[self.at]
 
-        def missing(q: Array, node: np.ndarray) -> tuple[Array, Array]:
+        def evaluate_missing(q: Array, node: np.ndarray) -> tuple[Array, Array]:
             off = shorten_turns(q[:, self.columns] - values[node], turning)
             return off / scale, np.broadcast_to(rates, (len(q), *rates.shape))
 
-        return missing
+        return evaluate_missing
 
-    def shades(self, q: Array, mask: np.ndarray) -> np.ndarray:
-        """How many configurations (n, n) there are of q (n, n, k, nq): the assembly modes at the
-        values of `grid`.
+    def count_modes(self, q: Array, mask: np.ndarray) -> np.ndarray:
+        """Count the configurations (n, n) of q (n, n, k, nq), which are the assembly modes on the
+        grid.
         """
         return np.asarray(mask.sum(axis=-1))
 
     # ---- that reach a place
 
-    def reach_grid(self, x: Array, y: Array) -> np.ndarray:
-        """How many configurations bring the frame to each place of a lattice x (m,), y (n,)."""
-        seeds = self._seeds()
+    def count_reaching_grid(self, x: Array, y: Array) -> np.ndarray:
+        """Count the configurations that bring the frame to each place of a lattice x (m,), y (n,)."""
+        seeds = self._find_seeds()
         p = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
-        node = nearest_node(x, y, self.task.project_poses(fk(self.system, seeds, self.frame)))
-        found = flooded(
+        node = find_nearest_nodes(x, y, self.task.project_poses(fk(self.system, seeds, self.frame)))
+        found = flood_lattice(
             self.solver,
-            self._off_places(p),
+            self._make_place_equations(p),
             (len(x), len(y)),
             seeds,
             node,
@@ -457,13 +459,13 @@ class TwoFreedoms:
             self.progress,
         )
         self.broken = self.broken or found.broken
-        q, mask = self._inside(found.q, found.mask)
+        q, mask = self._bring_inside(found.q, found.mask)
         self._reaching = x, y, q, mask
         return mask.sum(axis=1).reshape(len(x), len(y))
 
-    def ways(self, q: Array) -> np.ndarray:
-        """How many configurations (...) bring the frame to where it is at configurations q (...,
-        nq) inside the limits.
+    def count_ways(self, q: Array) -> np.ndarray:
+        """Count the configurations (...) inside the limits with the frame where it is at q (...,
+        nq).
 
         Where the nodes around have different numbers, those of them that lead to the place are
         counted, with q.
@@ -473,7 +475,7 @@ class TwoFreedoms:
         flat = q.reshape(-1, q.shape[-1])
         p = self.task.project_poses(fk(self.system, flat, self.frame))
         count = mask.sum(axis=1)
-        around = nodes_around(x, y, p)
+        around = find_cell_nodes(x, y, p)
         out = count[around[:, 0]]
         mixed = np.flatnonzero((count[around] != out[:, None]).any(axis=1))
         for at in np.array_split(mixed, 1 + len(mixed) // BLOCK):
@@ -483,72 +485,76 @@ class TwoFreedoms:
                 [flat[at, None], found[near].reshape(k, -1, q.shape[-1])], axis=1
             )
             there = np.insert(mask[near].reshape(k, -1), 0, True, axis=1)
-            out[at] = self._again(self._off_places(p[at]), starts, there)[1].sum(axis=1)
+            out[at] = self._solve_again(self._make_place_equations(p[at]), starts, there)[1].sum(
+                axis=1
+            )
         return out.reshape(q.shape[:-1])
 
-    def solutions(self, p: Array) -> Array:
-        """The different configurations (k, nq) that bring the frame to a place (2,)."""
+    def find_solutions(self, p: Array) -> Array:
+        """Find the distinct configurations (k, nq) that bring the frame to a place (2,)."""
         assert self._reaching is not None
         x, y, q, mask = self._reaching
-        i, j = np.divmod(nearest_node(x, y, p[None])[0], len(y))
+        i, j = np.divmod(find_nearest_nodes(x, y, p[None])[0], len(y))
         rows, columns = (
             range(max(int(k) - 1, 0), min(int(k) + 2, len(side))) for k, side in ((i, x), (j, y))
         )
         near = np.array([r * len(y) + c for r in rows for c in columns])
-        found, ok = self._again(
-            self._off_places(p[None]), q[near].reshape(1, -1, q.shape[2]), mask[near].reshape(1, -1)
+        found, ok = self._solve_again(
+            self._make_place_equations(p[None]),
+            q[near].reshape(1, -1, q.shape[2]),
+            mask[near].reshape(1, -1),
         )
         return found[ok]
 
-    def _seeds(self) -> Array:
-        """Configurations (k, nq) from which those that reach places are found: of all that lie over
-        a grid.
-        """
+    def _find_seeds(self) -> Array:
+        """Find configurations (k, nq) over a grid from which searches for places start."""
         assert self._over is not None
         _, q, mask = self._over
         q = q[mask]
         return q[:: max(len(q) // SEEDS, 1)]
 
-    def _off_places(self, p: Array) -> Missing:
-        """What the frame misses of places (k, 2)."""
+    def _make_place_equations(self, p: Array) -> Missing:
+        """Make the function that evaluates how far the frame is from places (k, 2)."""
         packed = Packed(self.system, [self.task.make_constraint(self.frame, p)])
         pins = packed.pack_pins([packed.tasks[0].make_goal()], (len(p),))
 
-        def missing(q: Array, node: np.ndarray) -> tuple[Array, Array]:
+        def evaluate_missing(q: Array, node: np.ndarray) -> tuple[Array, Array]:
             return packed.evaluate_tasks(q, np.ascontiguousarray(pins[node]))
 
-        return missing
+        return evaluate_missing
 
     # ---- both
 
-    def _again(self, missing: Missing, q: Array, mask: np.ndarray) -> tuple[Array, np.ndarray]:
-        """Configurations (n, k, nq) of n problems from those of others, and which (n, k) there are,
-        each once.
+    def _solve_again(
+        self, missing: Missing, q: Array, mask: np.ndarray
+    ) -> tuple[Array, np.ndarray]:
+        """Solve n problems from the configurations of others, (n, k, nq), with mask (n, k), each
+        once.
         """
         n, k = mask.shape
         x = q.reshape(n * k, -1).copy()
         ok = mask.ravel().copy()
         at = np.flatnonzero(ok)
-        x[at], ok[at] = self.solver.solved(missing, x[at], at // k)
+        x[at], ok[at] = self.solver.solve_nodes(missing, x[at], at // k)
         x = x.reshape(n, k, -1)
         ok = ok.reshape(n, k)
         for j in range(1, k):
             for i in range(j):
-                ok[:, j] &= ~(ok[:, i] & self.solver.same(x[:, j], x[:, i]))
-        return self._inside(x, ok)
+                ok[:, j] &= ~(ok[:, i] & self.solver.are_same(x[:, j], x[:, i]))
+        return self._bring_inside(x, ok)
 
-    def _inside(self, q: Array, mask: np.ndarray) -> tuple[Array, np.ndarray]:
-        """Configurations (..., nq), angles inside limits where they can be, and which (...) are
-        there and inside.
-        """
+    def _bring_inside(self, q: Array, mask: np.ndarray) -> tuple[Array, np.ndarray]:
+        """Turn angles of configurations (..., nq) into the limits where possible, with mask (...)."""
         flat = np.array(q.reshape(-1, self.system.nq))
         ok = np.array(mask.ravel())
         flat[ok] = self.manifold.metric.choose_representatives(flat[ok], None)
         ok[ok] = (self.rows.compute_excess(flat[ok]) <= INSIDE).all(axis=-1)
         return flat.reshape(q.shape), ok.reshape(mask.shape)
 
-    def places(self, q: Array, mask: np.ndarray) -> Array:
-        """What is seen of the frame (..., k, 2) at configurations, NaN where there are none."""
+    def compute_places(self, q: Array, mask: np.ndarray) -> Array:
+        """Compute the task values (..., k, 2) of the frame at configurations. They are NaN where
+        the mask is false.
+        """
         X = fk(self.system, np.where(mask[..., None], q, self.system.neutral), self.frame)
         return np.where(mask[..., None], self.task.project_poses(X), np.nan)
 
@@ -559,52 +565,51 @@ class OpenChain(TwoFreedoms):
     modes = False
     complete = True
 
-    def over_grid(self, n: int) -> tuple[Array, np.ndarray]:
-        """Configurations (n, n, 1, nq) at the values of `grid`, which are all there."""
-        self._over = n, self.grid(n).reshape(-1, 1, 2), np.ones((n * n, 1), dtype=bool)
-        return self.over(self.grid(n))
+    def solve_grid(self, n: int) -> tuple[Array, np.ndarray]:
+        """Return configurations (n, n, 1, nq) at the values of the grid, with a mask that is true."""
+        self._over = n, self.make_grid(n).reshape(-1, 1, 2), np.ones((n * n, 1), dtype=bool)
+        return self.solve_values(self.make_grid(n))
 
-    def over(self, values: Array) -> tuple[Array, np.ndarray]:
-        """Configurations (..., 1, nq) at values (..., 2) of the coordinates."""
-        return self._inside(values[..., None, :], np.ones((*values.shape[:-1], 1), dtype=bool))
+    def solve_values(self, values: Array) -> tuple[Array, np.ndarray]:
+        """Return configurations (..., 1, nq) at values (..., 2) of the coordinates."""
+        return self._bring_inside(
+            values[..., None, :], np.ones((*values.shape[:-1], 1), dtype=bool)
+        )
 
-    def shades(self, q: Array, mask: np.ndarray) -> np.ndarray:
-        """How many configurations (n, n) bring the frame to the same place as each of q (n, n, 1,
+    def count_modes(self, q: Array, mask: np.ndarray) -> np.ndarray:
+        """Count the configurations (n, n) that bring the frame to the same place as q (n, n, 1,
         nq).
         """
         out = np.zeros(mask.shape[:-1], dtype=int)
-        out[mask[..., 0]] = self.ways(q[mask])
+        out[mask[..., 0]] = self.count_ways(q[mask])
         return out
 
 
 class FlatChain(OpenChain):
-    """An open planar system with two coordinates, whose configurations at a place are found by
-    `ik_all`.
-    """
+    """An open planar system with two coordinates, solved at places by `ik_all`."""
 
-    def reach_grid(self, x: Array, y: Array) -> np.ndarray:
-        """How many configurations bring the frame to each place of a lattice x (m,), y (n,)."""
-        return self.number(np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1))
+    def count_reaching_grid(self, x: Array, y: Array) -> np.ndarray:
+        """Count the configurations that bring the frame to each place of a lattice x (m,), y (n,)."""
+        return self.count_reaching(np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1))
 
-    def ways(self, q: Array) -> np.ndarray:
-        """How many configurations (...) bring the frame to where it is at configurations q (...,
-        nq).
-        """
-        return np.maximum(self.number(self.task.project_poses(fk(self.system, q, self.frame))), 1)
+    def count_ways(self, q: Array) -> np.ndarray:
+        """Count the configurations (...) that bring the frame to its place at q (..., nq)."""
+        return np.maximum(
+            self.count_reaching(self.task.project_poses(fk(self.system, q, self.frame))), 1
+        )
 
-    def number(self, p: Array) -> np.ndarray:
-        """How many configurations (...) bring the frame to places p (..., 2)."""
+    def count_reaching(self, p: Array) -> np.ndarray:
+        """Count the configurations (...) that bring the frame to places p (..., 2)."""
         found = ik_all(self.system, p.reshape(-1, 2), self.frame, task="position", limits=True)
         return np.asarray(found.mask).sum(axis=1).reshape(p.shape[:-1])  # type: ignore[union-attr]
 
-    def solutions(self, p: Array) -> Array:
-        """The different configurations (k, nq) that bring the frame to a place (2,)."""
+    def find_solutions(self, p: Array) -> Array:
+        """Find the distinct configurations (k, nq) that bring the frame to a place (2,)."""
         return ik_all(self.system, p, self.frame, task="position", limits=True).q
 
 
 class Dyads(TwoFreedoms):
-    """A planar mechanism with two freedoms that is made of dyads, with all closed configurations in
-    closed form.
+    """A planar mechanism of dyads with two freedoms, solved in closed form.
 
     `placed` is the closed form with the place of the frame known, None where there is none.
     """
@@ -614,54 +619,58 @@ class Dyads(TwoFreedoms):
     def __init__(self, system: Model, frame: str, task: FlatTask, plan: Plan, clock: TimeLimit):
         super().__init__(system, frame, task, plan.known, clock)
         self.plan = plan
-        self.placed = _placed(system, frame)
+        self.placed = _plan_for_place(system, frame)
 
-    def over_grid(self, n: int) -> tuple[Array, np.ndarray]:
-        """Configurations (n, n, k, nq) on all branches, and which (n, n, k) close inside the
-        limits.
+    def solve_grid(self, n: int) -> tuple[Array, np.ndarray]:
+        """Solve for configurations (n, n, k, nq) on all branches. The mask is (n, n, k) of those
+        inside the limits.
         """
-        q, mask = self.over(self.grid(n))
+        q, mask = self.solve_values(self.make_grid(n))
         self._over = n, q.reshape(n * n, -1, self.system.nq), mask.reshape(n * n, -1)
         return q, mask
 
-    def over(self, values: Array) -> tuple[Array, np.ndarray]:
-        """Configurations (..., k, nq) on all branches, and which (..., k) close inside the limits."""
-        return self._inside(*self.plan.all(values))
+    def solve_values(self, values: Array) -> tuple[Array, np.ndarray]:
+        """Solve for configurations (..., k, nq) on all branches. The mask is (..., k) of those
+        inside the limits.
+        """
+        return self._bring_inside(*self.plan.all(values))
 
-    def along(self, values: Array) -> tuple[Array, np.ndarray]:
-        """Configurations (n, k, nq) over a line of values (n, 2), and which (n, k) there are,
+    def solve_line(self, values: Array) -> tuple[Array, np.ndarray]:
+        """Solve for configurations (n, k, nq) over a line of values (n, 2). The mask is (n, k),
         branch by branch.
         """
-        return self.over(values)
+        return self.solve_values(values)
 
-    def reaching(self, p: Array) -> tuple[Array, np.ndarray]:
-        """Configurations (..., k, nq) that bring the frame to places p (..., 2), and which (..., k)
-        there are.
+    def solve_places(self, p: Array) -> tuple[Array, np.ndarray]:
+        """Solve for configurations (..., k, nq) that bring the frame to places p (..., 2). The mask
+        is (..., k).
         """
         assert self.placed is not None
         q, mask = self.placed.all(p)
         at = [self.placed.system.coordinate_names.index(n) for n in self.system.coordinate_names]
-        return self._inside(q[..., at], mask)
+        return self._bring_inside(q[..., at], mask)
 
-    def reach_grid(self, x: Array, y: Array) -> np.ndarray:
-        """How many configurations bring the frame to each place of a lattice x (m,), y (n,)."""
+    def count_reaching_grid(self, x: Array, y: Array) -> np.ndarray:
+        """Count the configurations that bring the frame to each place of a lattice x (m,), y (n,)."""
         if self.placed is None:
-            return super().reach_grid(x, y)
-        return self.reaching(np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1))[1].sum(axis=-1)
+            return super().count_reaching_grid(x, y)
+        return self.solve_places(np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1))[1].sum(
+            axis=-1
+        )
 
-    def solutions(self, p: Array) -> Array:
-        """The different configurations (k, nq) that bring the frame to a place (2,)."""
+    def find_solutions(self, p: Array) -> Array:
+        """Find the distinct configurations (k, nq) that bring the frame to a place (2,)."""
         if self.placed is None:
-            return super().solutions(p)
-        q, mask = self.reaching(p)
+            return super().find_solutions(p)
+        q, mask = self.solve_places(p)
         return q[mask][self.manifold.metric.find_unique(q[mask], SAME, self.solver.counts)]
 
 
-def two_freedoms(
+def make_two_freedoms(
     system: Model, frame: str, task: FlatTask, clock: TimeLimit | None = None
 ) -> TwoFreedoms:
-    """The system over two of its coordinates. Errors: `UnsupportedError`, `InputError`; see
-    `TwoFreedoms`.
+    """Make the solver of a system over two of its coordinates. Errors: `UnsupportedError`,
+    `InputError`.
     """
     loops = has_loops(system)
     clock = clock or TimeLimit(None)
@@ -681,14 +690,14 @@ def two_freedoms(
     if not loops:
         kind = FlatChain if system.dim == 2 else OpenChain
         return kind(system, frame, task, tuple(system.coordinate_names), clock)
-    plan = _plan(system) if system.dim == 2 else None
+    plan = _make_plan(system) if system.dim == 2 else None
     if plan is not None:
         return Dyads(system, frame, task, plan, clock)
-    return TwoFreedoms(system, frame, task, _pair(system), clock)
+    return TwoFreedoms(system, frame, task, _choose_pair(system), clock)
 
 
-def _pairs(system: Model) -> Iterator[tuple[str, ...]]:
-    """The actuated coordinates, if these are two, then all pairs."""
+def _list_pairs(system: Model) -> Iterator[tuple[str, ...]]:
+    """List the pair of actuated coordinates, if these are two, and then all pairs."""
     names = system.structure.velocity_names
     inputs = tuple(names[i] for i in find_driven_velocities(system, None) or ())
     if len(inputs) == 2 and set(inputs) <= set(system.coordinate_names):
@@ -696,34 +705,34 @@ def _pairs(system: Model) -> Iterator[tuple[str, ...]]:
     yield from combinations([n for n in names if n in system.coordinate_names], 2)
 
 
-def _plan(system: Model) -> Plan | None:
-    """The closed form from the actuated coordinates, else from the first that have one."""
-    for pair in _pairs(system):
+def _make_plan(system: Model) -> Plan | None:
+    """Make the closed form from the actuated coordinates, else from the first that have one."""
+    for pair in _list_pairs(system):
         found = find_closed_form(system, pair)
-        if not isinstance(found, Incomplete) and found.signs <= MOST_SIGNS and _moves(found):
+        if not isinstance(found, Incomplete) and found.signs <= MOST_SIGNS and _has_area(found):
             return found
     return None
 
 
-def _moves(plan: Plan) -> bool:
-    """Whether there are configurations over an area of the known coordinates."""
+def _has_area(plan: Plan) -> bool:
+    """Whether configurations exist over an area of the known coordinates."""
     at = [plan.system.structure.velocity_names.index(n) for n in plan.known]
     low, high = (x[at] for x in compute_sampling_box(plan.system))
     return bool(plan.all(np.random.default_rng(0).uniform(low, high, (512, 2)))[1].any())
 
 
-def _pair(system: Model) -> tuple[str, ...]:
-    """The actuated coordinates where they place the others, else the first with ends that do.
+def _choose_pair(system: Model) -> tuple[str, ...]:
+    """Choose the actuated coordinates if they determine the others, else the first pair that does.
     Errors: `UnsupportedError`.
     """
-    q = Manifold(system, 2).drawn(np.random.default_rng(0), LOOKED)
+    q = Manifold(system, 2).draw_configurations(np.random.default_rng(0), LOOKED)
     if not len(q):
         raise UnsupportedError(
             f"{system.name}: no closed configuration was found: there is nothing to draw"
         )
     N = [compute_tangent_space(system, x)[0] for x in q]
     names = system.structure.velocity_names
-    pairs = list(_pairs(system))
+    pairs = list(_list_pairs(system))
     at = [[names.index(n) for n in pair] for pair in pairs]
     # the area that rates of two coordinates span: what spins idly adds nothing
     areas = [float(np.median([np.prod(Spectrum(x[i]).values[:2]) for x in N])) for i in at]
@@ -742,10 +751,8 @@ def _pair(system: Model) -> tuple[str, ...]:
     return pairs[good[0]]
 
 
-def _placed(system: Model, frame: str) -> Plan | None:
-    """The closed form with the place of a frame known: that of the mechanism with slides in x and y
-    pinned to it.
-    """
+def _plan_for_place(system: Model, frame: str) -> Plan | None:
+    """Make the closed form for a known place of a frame, by slides in x and y pinned to it."""
     m = system.mechanism
     free = "place"
     while any(

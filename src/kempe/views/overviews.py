@@ -284,7 +284,7 @@ def plot_joints(names: Sequence[str] = ()) -> tuple[Axes, ...]:
     from kempe.views.plots import plot
 
     shown = [n for n in TYPES if TYPES[n]().dof()] if not len(names) else list(names)
-    if unknown := [n for n in shown if f"joint_{n}" not in library.names()]:
+    if unknown := [n for n in shown if f"joint_{n}" not in library.list_models()]:
         raise InputError(f"names has {unknown[0]!r}; there are: {', '.join(TYPES)}")
     columns = min(3, len(shown))
     rows = -(-len(shown) // columns)
@@ -328,9 +328,9 @@ def _freedoms(system: Model) -> str:
     rank.
     """
     if not has_loops(system):
-        from kempe.spaces.configuration_space import configuration_space
+        from kempe.spaces.configuration_space import make_configuration_space
 
-        within = configuration_space(system).within
+        within = make_configuration_space(system).within
         said = f"{format_count(system.nv, 'degree')} of freedom, configuration space {within}"
         return said + _of_velocity(system)
     try:

@@ -13,7 +13,7 @@ import numpy as np
 from kempe.errors import InputError
 from kempe.forward.fk import fk
 from kempe.numerics.clock import describe_early_end
-from kempe.spaces.singular_types import TYPE_1, TYPE_2, LostAndGained, SingularSet, changes
+from kempe.spaces.singular_types import TYPE_1, TYPE_2, LostAndGained, SingularSet, describe_changes
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.views.drawing import page, style
@@ -146,7 +146,9 @@ def _picks(s: SingularSet) -> list[tuple[str, Array, LostAndGained]]:
     """
     head = s.name or " and ".join(s.kinds)
     if not len(s.values):
-        return [(f"{head}\n{changes(s.local[0].lost, s.local[0].gained)}", s.q[0], s.local[0])]
+        return [
+            (f"{head}\n{describe_changes(s.local[0].lost, s.local[0].gained)}", s.q[0], s.local[0])
+        ]
     names = list(s.coordinates)
     rows = list[tuple[str, Array, LostAndGained]]()
     for value in s.values[:EACH]:
@@ -154,7 +156,11 @@ def _picks(s: SingularSet) -> list[tuple[str, Array, LostAndGained]]:
         k = int(np.argmin(off))
         said = ", ".join(f"{n} = {x + 0.0:.3g}" for n, x in zip(names, value, strict=True))
         rows.append(
-            (f"{head}, {said}\n{changes(s.local[k].lost, s.local[k].gained)}", s.q[k], s.local[k])
+            (
+                f"{head}, {said}\n{describe_changes(s.local[k].lost, s.local[k].gained)}",
+                s.q[k],
+                s.local[k],
+            )
         )
     return rows
 

@@ -21,7 +21,7 @@ from kempe.forward.fk import fk, jacobian
 from kempe.model.configurations import has_loops, list_units, read_q, refuse_far
 from kempe.motion.trace import trace
 from kempe.numerics.clock import TIME_LIMIT, TimeLimit, describe_early_end
-from kempe.spaces.two_freedoms import NEEDED, TwoFreedoms, two_freedoms
+from kempe.spaces.two_freedoms import NEEDED, TwoFreedoms, make_two_freedoms
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.views.drawing import page, style
@@ -84,7 +84,7 @@ def plot_spaces(
     where there is none, the nearest place found, with the distance. `q` is drawn on both sides: a
     configuration (nq,) as a dot with its arm; a line of them (n, nq), or an answer with such `q`,
     as of `trace`, `ik_path` and `self_motion`, as a line with a ring where it begins; or a list of
-    such. `grid` draws lines on which one coordinate is constant, and their images. `ax` is a pair
+    such. `make_grid` draws lines on which one coordinate is constant, and their images. `ax` is a pair
     of axes to draw on; `resolution` the number of places along each axis (8 to 1000).
 
     With closed loops the left has the two actuated coordinates, or others that place the mechanism,
@@ -116,22 +116,22 @@ def plot_spaces(
     dots = [x for x in given if x.ndim == 1]
     motions = [x for x in given if x.ndim == 2]
     own = None if ax is None else page.axes_given(ax, 2)
-    space = two_freedoms(system, name, seen, TimeLimit(spend.time_limit))
+    space = make_two_freedoms(system, name, seen, TimeLimit(spend.time_limit))
     space.progress = spend.progress
     curves = _singular_curves(space)
     if own is None:
         figure = page.new_figure(11.8, 5.0)
         own = figure.add_axes((0.06, 0.12, 0.36, 0.8)), figure.add_axes((0.49, 0.12, 0.36, 0.8))
     left, right = own
-    every = space.grid(int(resolution))
-    over, mask = space.over_grid(int(resolution))
-    p = space.places(over, mask)
+    every = space.make_grid(int(resolution))
+    over, mask = space.solve_grid(int(resolution))
+    p = space.compute_places(over, mask)
     if not mask.any():
         raise UnsupportedError(
             f"{system.name}: no configuration was found inside the limits{_partly(space.broken)}"
         )
     _shade_task_space(space, right, p, targets, int(resolution))
-    _shaded(left, every[:, 0, 0], every[0, :, 1], space.shades(over, mask))
+    _shaded(left, every[:, 0, 0], every[0, :, 1], space.count_modes(over, mask))
     _draw_limits(space, left, right)
     if has_loops(system):
         _draw_other_limits(space, left, right, over[mask])
@@ -227,7 +227,7 @@ def _singular_curves(space: TwoFreedoms) -> Any:
     )
     hint = "" if system.dim == 2 else '; task may be "xy", "xz", "yz" or "direction"'
     if not has_loops(system):
-        if np.abs(_area(space, space.grid(COARSEST))).max() < FLAT:
+        if np.abs(_area(space, space.make_grid(COARSEST))).max() < FLAT:
             raise UnsupportedError(on_curve + hint)
         return None
     from kempe.spaces.singularities import singularities
@@ -271,7 +271,7 @@ def _shade_task_space(space: TwoFreedoms, ax: Any, p: Array, targets: Array, n: 
     low = np.maximum(low - room, -ends)
     high = np.minimum(high + room, ends)
     x, y = (np.linspace(float(low[i]), float(high[i]), n) for i in range(2))
-    _shaded(ax, x, y, space.reach_grid(x, y))
+    _shaded(ax, x, y, space.count_reaching_grid(x, y))
     ax.set_xlim(x[0], x[-1])
     ax.set_ylim(y[0], y[-1])
 
@@ -316,7 +316,7 @@ def _draw_limits(space: TwoFreedoms, left: Any, right: Any) -> None:
 
 def _images(space: TwoFreedoms, values: Array) -> list[Array]:
     """The image (n, 2) of a line of values (n, 2) in each mode, NaN where there is none."""
-    p = space.places(*space.along(values))
+    p = space.compute_places(*space.solve_line(values))
     return [_torn(space, image) for image in np.moveaxis(p, 1, 0) if np.isfinite(image).any()]
 
 
@@ -351,7 +351,7 @@ def _draw_other_limits(space: TwoFreedoms, left: Any, right: Any, q: Array) -> N
                     budget=Budget(time_limit=space.clock.remaining_seconds),
                 )
                 line = np.concatenate([near[:1], path.q])
-                near = near[[solver.apart(x[None], line).min() > APART for x in near]]
+                near = near[[solver.compute_distances(x[None], line).min() > APART for x in near]]
                 if len(path.q) > 1:
                     _draw_line(
                         space,
@@ -382,7 +382,7 @@ def _draw_grid(space: TwoFreedoms, left: Any, right: Any) -> None:
     """Draw lines on which one coordinate is constant, a colour for each coordinate, and their
     images.
     """
-    fine = space.grid(FINE)
+    fine = space.make_grid(FINE)
     for i in range(2):
         for k, at in enumerate(range(STEP, FINE - 1, STEP)):
             values = np.take(fine, at, axis=i)
@@ -444,7 +444,7 @@ def _draw_point(
     """Draw a place that shall be reached: its solutions, or the nearest place that is reached."""
     colour = style.curve_colour(k + 1)
     number = str(k + 1)
-    found = space.solutions(target)
+    found = space.find_solutions(target)
     right.plot(
         *target,
         "*" if len(found) else "X",

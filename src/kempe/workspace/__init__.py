@@ -1,1 +1,1 @@
-"""What a frame reaches: maps, exact regions, reach studies, files."""
+"""Workspaces of a frame: sampled maps, exact regions, reach studies, and files."""

@@ -22,7 +22,7 @@ from kempe.errors import InputError, MissingExtraError, UnsupportedError
 from kempe.forward.fk import jacobian
 from kempe.late import call_late, import_late
 from kempe.report import Report, Table
-from kempe.spaces.task_space import image_ranks
+from kempe.spaces.task_space import compute_image_ranks
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import format_count, make_plural
@@ -75,7 +75,7 @@ def estimate_measure(
     question: WorkspaceKind,
     possible: np.ndarray,
 ) -> tuple[float, float]:
-    """The measure of what is reached inside the box, and `SIGMAS` standard errors of it.
+    """Estimate the measure of the reached part of the box, with `SIGMAS` standard errors.
 
     Random points in three layers of the map are decided by the inverse model; the layers make the
     error small, they prove nothing (stratified sampling: Cochran 1977, chapter 5; variances after
@@ -100,7 +100,8 @@ def estimate_measure(
 
 
 def estimate_from_counts(cells: CellMap, samples: int, hits: int) -> tuple[float, float]:
-    """The same of places of which so many were tried, as many in each cell, and so many reached.
+    """Estimate the measure and its error from numbers of samples and hits. All cells have equally
+    many samples.
 
     Cells of which each has its share make the error smaller than this one, which is that of places
     anywhere.
@@ -112,7 +113,7 @@ def estimate_from_counts(cells: CellMap, samples: int, hits: int) -> tuple[float
 
 
 def combine_estimates(found: list[tuple[float, float]]) -> tuple[float, float]:
-    """One value and its error of several that do not depend on each other, weighed by their errors."""
+    """Combine independent estimates (value, error) to one, weighted by their errors."""
     proven = [x for x in found if x[1] == 0.0]
     if proven:
         return proven[0]
@@ -122,7 +123,7 @@ def combine_estimates(found: list[tuple[float, float]]) -> tuple[float, float]:
 
 
 def _sample_in_cells(cells: CellMap, numbers: np.ndarray, rng: np.random.Generator) -> Array:
-    """Random points (n, 3), one in each of the cells."""
+    """Sample random points (n, 3), one in each of the cells."""
     grid = cells.grid
     at = np.stack(np.unravel_index(numbers, grid.shape), axis=-1)
     return grid.complete_points(
@@ -133,8 +134,8 @@ def _sample_in_cells(cells: CellMap, numbers: np.ndarray, rng: np.random.Generat
 def decide_reached(
     system: Model, frame: str, cells: CellMap, points: Array, seed: int, question: WorkspaceKind
 ) -> np.ndarray:
-    """Whether each of points (n, 3) is reached: by the map in inner cells, else by the inverse
-    model.
+    """Decide whether points (n, 3) are reached, by the map in inner cells, else by inverse
+    kinematics.
     """
     grid = cells.grid
     at, inside = grid.locate_cells(points[:, grid.measured_axes])
@@ -157,8 +158,8 @@ def compute_boundary_distance(
     seed: int,
     question: WorkspaceKind,
 ) -> Array:
-    """Distance [m] of points (n, 3) from the boundary, negative where they are not `inside`; of NaN
-    it is NaN.
+    """Compute the distances [m] of points (n, 3) from the boundary, negative if not `inside`. NaN
+    gives NaN.
 
     Outside it is that from the nearest cell with samples. Inside it is that from the nearest cell
     whose middle is not reached: a cell may be empty for lack of samples only, so the inverse model
@@ -189,8 +190,8 @@ def compute_boundary_distance(
 def _compute_unreached_distance(
     cells: CellMap, points: Array, known: np.ndarray, reached: Callable[[Array], np.ndarray]
 ) -> Array:
-    """Distance (n,) of points (n, d) from the nearest empty cell that is not reached, less half its
-    diagonal.
+    """Compute the distances (n,) of points (n, d) from the nearest unreached cell. Half the
+    diagonal of the cell is subtracted.
 
     `known` says of each empty cell what is known of it, and is filled in. That of the nearest
     middle is at most a diagonal too large, where the boundary is flat, and never too small.
@@ -216,7 +217,7 @@ def _compute_unreached_distance(
 
 
 def find_cell_boundary(cells: CellMap) -> Any:
-    """The boundary between cells with and without samples, through the middles between them; see
+    """Find the boundary between cells with and without samples, halfway between their centres. See
     `Workspace.boundary`.
 
     Errors: `MissingExtraError` without scikit-image.
@@ -248,18 +249,14 @@ FINE = 2**18
 
 
 def compute_outer_measure(system: Model, frame: str, grid: Grid) -> float:
-    """Measure of the cells of a box, made finer, of which no bound proves that the frame's origin
-    is never there.
-    """
+    """Compute an upper bound of the measure: the cells of a refined box that the frame may reach."""
     finer = max(1, int((FINE / grid.count) ** (1.0 / len(grid.axes))))
     left = np.count_nonzero(find_possible_cells(system, frame, grid, finer))
     return float(left) * float(np.prod(grid.size)) / finer ** len(grid.axes)
 
 
 def find_possible_cells(system: Model, frame: str, grid: Grid, finer: int = 1) -> np.ndarray:
-    """Cells of a box, made finer along each axis, of which no bound proves that the frame's origin
-    is never there.
-    """
+    """Find the cells of a refined box that the frame's origin may reach, as no bound excludes them."""
     near: list[tuple[Array, Array]] = []
     for k, (low, high, cells) in enumerate(zip(grid.low, grid.high, grid.cells, strict=True)):
         ends = (
@@ -285,7 +282,7 @@ def find_possible_cells(system: Model, frame: str, grid: Grid, finer: int = 1) -
 
 
 def _compute_squared_distances(near: list[tuple[Array, Array]], centre: Array, far: bool) -> Array:
-    """Squares (nx, ny, nz) of the distances of a point from the nearest, or the farthest, points of
+    """Compute squared distances (nx, ny, nz) of a centre from the nearest or farthest points of
     cells.
     """
     parts: list[Array] = []
@@ -332,7 +329,7 @@ class Workspace(Report):
 
     @property
     def said(self) -> dict[str, Any]:
-        """What made the map, as plain data."""
+        """The data that define the map, such as system, frame and grid."""
         return self.sample_counts.said
 
     @property
@@ -342,34 +339,32 @@ class Workspace(Report):
 
     @property
     def map(self) -> CellMap:
-        """The counts of the cells."""
+        """The number of samples in each cell."""
         return self.sample_counts.map
 
     @property
     def samples(self) -> int:
-        """How many samples were drawn."""
+        """Number of samples drawn."""
         return self.sample_counts.samples
 
     @property
     def outside(self) -> int:
-        """How many samples fell outside the box."""
+        """Number of samples outside the box."""
         return self.sample_counts.outside
 
     @property
     def left_out(self) -> int:
-        """How many samples could not be closed, violated a constraint or are not reached."""
+        """Number of samples that could not be closed, violated a constraint, or were not reached."""
         return self.sample_counts.left_out
 
     @property
     def seed(self) -> int:
-        """What the samples were drawn from."""
+        """The seed of the random samples."""
         return int(self.said["seed"])
 
     @property
     def code(self) -> Status:  # type: ignore[override]
-        """The outcome: `INTERRUPTED` and `OUT_OF_TIME` where fewer samples were drawn than were
-        requested.
-        """
+        """The outcome: `INTERRUPTED` or `OUT_OF_TIME` if fewer samples were drawn than requested."""
         return (
             Status.INTERRUPTED
             if self.interrupted
@@ -382,7 +377,7 @@ class Workspace(Report):
 
     @cached_property
     def question(self) -> WorkspaceKind:
-        """What counts as reached."""
+        """The kind of workspace: what counts as reached."""
         return WorkspaceKind.said(self.said)
 
     @property
@@ -392,8 +387,8 @@ class Workspace(Report):
 
     @cached_property
     def exact(self) -> PlanarWorkspace | SweptSolid | None:
-        """The workspace with its exact boundary, None where that is not known: of a planar system
-        as `System.reach.planar` has it.
+        """The workspace with its exact boundary, or None if that is unknown. Planar systems have
+        that of `System.reach.planar`.
 
         In space it is known of chains that move the frame in a plane, which a slide moves across
         itself, or which a first joint without limits turns about an axis in it. It is not used
@@ -409,10 +404,11 @@ class Workspace(Report):
 
     @property
     def outline(self) -> tuple[PlaneCurve, ...]:
-        """Pieces of curves that bound it, where it is planar and known exactly; else none."""
+        """The curves that bound an exactly known planar workspace, else none."""
         return self.exact.boundary if isinstance(self.exact, PlanarWorkspace) else ()
 
     def _compute_exact(self) -> PlanarWorkspace | SweptSolid | None:
+        """Compute the exact workspace, or None if that is impossible."""
         if self.system.dim == 3:
             return find_swept_solid(self.system, self.frame) if self.kind == REACHABLE else None
         try:
@@ -422,7 +418,7 @@ class Workspace(Report):
 
     @cached_property
     def dimension(self) -> int:
-        """The dimension of what is reached: 1 of a curve, 2 of a surface, else that of the box.
+        """The dimension of the reached set: 1 for a curve, 2 for a surface, else that of the box.
 
         It is the rank of the frame's velocities at up to `LOOKED` random configurations; where none
         was closed, and where not all places count that are reached in any way, it is that of the
@@ -434,20 +430,20 @@ class Workspace(Report):
             return most
         rates = jacobian(self.system, q[good], self.frame)[..., :3, :]
         return min(
-            most, int(image_ranks(self.system, q[good], rates, np.ones(3, dtype=bool))[0].max())
+            most,
+            int(compute_image_ranks(self.system, q[good], rates, np.ones(3, dtype=bool))[0].max()),
         )
 
     @property
     def thin(self) -> bool:
-        """Whether it is a curve or a surface in a box of more dimensions, so that its measure there
-        is 0.
+        """Whether the reached set is a curve or surface in a box of higher dimension, with measure
+        0.
         """
         return self.dimension < len(self.map.grid.axes)
 
     @cached_property
     def measure(self) -> tuple[float, float]:
-        """Length, area or volume of what is reached in the box, as it has dimensions, and the
-        error.
+        """Length, area or volume of the reached part of the box, by its dimension, with the error.
 
         It is the `estimate`, or where the workspace is known exactly its area or volume, and an
         error that is rounding. Of a planar platform, whose points are decided exactly, the area is
@@ -457,7 +453,7 @@ class Workspace(Report):
 
     @cached_property
     def estimate(self) -> tuple[float, float]:
-        """The measure by samples, and two standard errors of it.
+        """The measure estimated from samples, with two standard errors.
 
         The inverse model decides random points, more of them where the map changes. What it does
         not find counts as not reached, so that but for chance the value is too small rather than
@@ -482,7 +478,7 @@ class Workspace(Report):
 
     @cached_property
     def _outer(self) -> float:
-        """An upper bound of the measure in the box, by lengths and limits."""
+        """An upper bound of the measure in the box, from lengths and limits."""
         if self.kind == ORIENTATION:
             return math.prod(self.map.cell) * self.map.counts.size
         return compute_outer_measure(self.system, self.frame, self.map.grid)
@@ -501,6 +497,7 @@ class Workspace(Report):
         return max(value - error, 0.0), self._outer
 
     def _check_dimension(self, dimension: int) -> tuple[float, float]:
+        """Return the measure if the box has this dimension. Errors: `InputError`."""
         axes = self.map.grid.axes
         if len(axes) != dimension:
             has = MEASURES[len(axes)][0]
@@ -510,24 +507,23 @@ class Workspace(Report):
 
     @property
     def volume(self) -> tuple[float, float]:
-        """Volume of what is reached in the box, and its error [m^3]; see `estimate`."""
+        """Volume of the reached part of the box, and its error [m^3]; see `estimate`."""
         return self._check_dimension(3)
 
     @property
     def area(self) -> tuple[float, float]:
-        """Area of what is reached in the box, and its error [m^2]; see `estimate`."""
+        """Area of the reached part of the box, and its error [m^2]; see `estimate`."""
         return self._check_dimension(2)
 
     @property
     def length(self) -> tuple[float, float]:
-        """Length of what is reached of a line, and its error [m]; see `estimate`."""
+        """Length of the reached part of a line, and its error [m]; see `estimate`."""
         return self._check_dimension(1)
 
     # ---- single points
 
     def contains(self, points: ArrayLike, check: bool = False) -> np.ndarray:
-        """Whether points (..., d) in the ground frame [m] are reached (...); d is 2 or 3, as of the
-        system.
+        """Whether (...) points (..., d) in the ground frame [m] are reached; d is 2 or 3.
 
         The `exact` workspace decides where there is one, unless `check` is True. Else the map does
         in a cell that has samples, as all cells around it have: that is no proof for each point of
@@ -547,8 +543,8 @@ class Workspace(Report):
         return found.reshape(lead)
 
     def distance(self, points: ArrayLike) -> Array:
-        """Distance (...) [m] of points (..., d) from the boundary, negative outside: of the `exact`
-        one, or of the map.
+        """Compute the distances (...) [m] of points (..., d) from the boundary, negative outside.
+        The boundary is the `exact` one, or that of the map.
 
         Which points are inside says `contains`. Of the map the distance is that of the nearest cell
         that is not reached, outside of the nearest that is, so it may be off by half the diagonal
@@ -575,6 +571,7 @@ class Workspace(Report):
         return 0.5 * math.sqrt(sum(x * x for x in self.map.cell))
 
     def _read_points(self, points: ArrayLike) -> tuple[Array, tuple[int, ...]]:
+        """Read points (..., d), or orientations as points. Errors: `InputError`."""
         if self.kind == ORIENTATION:
             R = read_rotations(points, self.system.dim, "points")
             return compute_rotation_coordinates(R, self.system.dim).reshape(-1, 3), R.shape[:-2]
@@ -599,20 +596,22 @@ class Workspace(Report):
     # ---- files and pictures
 
     def save(self, path: str | Path) -> Path:
-        """The path, to which the map is written as Zarr: `kempe.open_workspace` and xarray read it."""
+        """Write the map to a path as Zarr, and return the path. `kempe.open_workspace` and xarray
+        read it.
+        """
         path = expand_path(path)
         write_map(path, self.system, self.sample_counts)
         return path
 
     def plot(self, at: Any = None, ax: Any = None) -> Any:
-        """Matplotlib axes with the map; see `kempe.views.workspace_plot.plot_workspace`."""
+        """Draw the map in Matplotlib axes; see `kempe.views.workspace_plot.plot_workspace`."""
         return import_late("plots of workspaces").plot_workspace(self, at, ax)
 
     # ---- in words
 
     @property
     def status(self) -> str:
-        """How much was drawn, and how many cells it fell into."""
+        """The number of samples and of cells that they fell into, as a sentence."""
         found = int(self.map.occupied.sum())
         of = self.map.counts.size
         wanted = self.question
@@ -706,7 +705,7 @@ class Workspace(Report):
 
 @explain_errors
 def open_workspace(path: str | Path, system: Model | None = None) -> Workspace:
-    """The `Workspace` that was written to a path.
+    """Open the `Workspace` that was written to a path.
 
     The system is read from the map itself, or given. Errors: `InputError` where there is no map,
     where it is of another system, or where it has none in it and none is given; `DamagedError`

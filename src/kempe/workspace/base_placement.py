@@ -1,4 +1,4 @@
-"""Where to put the base, so that a frame reaches all poses of a list."""
+"""Base placement: where to put the base so that a frame reaches all poses of a list."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ AXES = ("x", "y", "z", "yaw")
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class BasePlacement(Study):
-    """Places of the base, as a map over `axes` (name to values), and how well a list of poses is
-    reached from each.
+    """A map of base placements over `axes` (name to values), with how well a list of poses is
+    reached.
 
     Over the axes, in their order: `fraction` of the poses that are reached; `margin` and
     `manipulability`, the least over the poses (NaN where one is not reached). `fixed` are the
@@ -65,9 +65,7 @@ class BasePlacement(Study):
 
     @property
     def code(self) -> Status:  # type: ignore[override]
-        """`SOLVED` where all poses are reached from some place, `PARTLY` where some are, or what
-        broke the map off.
-        """
+        """The outcome: `SOLVED` if all poses are reached from some place, `PARTLY` if some are."""
         most = float(np.nan_to_num(self.fraction).max())
         if self.broken is not None and most < 1.0:
             return self.broken
@@ -75,8 +73,8 @@ class BasePlacement(Study):
 
     @cached_property
     def order(self) -> np.ndarray:
-        """Places in the flat map, the best first: more poses, then the larger margin, then
-        manipulability.
+        """Numbers of the places in the flat map, the best first. Best is more poses, then a larger
+        margin, then larger manipulability.
         """
         rest = [
             np.nan_to_num(x.ravel(), nan=-1.0, posinf=1e9)
@@ -85,8 +83,7 @@ class BasePlacement(Study):
         return np.lexsort((*rest, np.nan_to_num(self.fraction.ravel(), nan=-1.0)))[::-1]
 
     def place(self, rank: int = 0) -> dict[str, float]:
-        """Coordinates x, y, z [m] and yaw [rad] of the base at the best place (0), the next one,
-        ...
+        """Return x, y, z [m] and yaw [rad] of the base at the best place (0), the next one, ...
 
         Errors: `InputError`.
         """
@@ -100,12 +97,12 @@ class BasePlacement(Study):
 
     @property
     def best(self) -> Array:
-        """Pose (4, 4) of the ground frame of the system at the best place."""
+        """Pose (4, 4) of the system's ground frame at the best place."""
         return compute_base_poses(np.array([list(self.place().values())]))[0]
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Matplotlib axes with the fraction over the first two axes, the others where they are at
-        the best place.
+        """Draw the reached fraction over the first two axes in Matplotlib axes. The other axes are
+        at the best place.
 
         Over a single axis it is a curve.
         """
@@ -113,7 +110,7 @@ class BasePlacement(Study):
 
     @property
     def status(self) -> str:
-        """How many poses are reached from the best place, and where that is."""
+        """The number of poses reached from the best place, and that place, as a sentence."""
         n = round(float(np.nan_to_num(self.fraction).max()) * self.poses)
         where = ", ".join(f"{k} = {v:.4g}" for k, v in self.place().items() if k in self.axes)
         full = int((self.fraction == 1.0).sum())
@@ -132,12 +129,12 @@ class BasePlacement(Study):
 
 
 def _attach_units(values: Mapping[str, Any]) -> dict[str, Quantity]:
-    """Numbers x, y, z [m] and yaw [rad] with their units."""
+    """Attach units to numbers x, y, z [m] and yaw [rad]."""
     return {n: Quantity(x, "rad" if n == "yaw" else "m") for n, x in values.items()}
 
 
 def compute_base_poses(places: Array) -> Array:
-    """Poses (k, 4, 4) of places (k, 4): x, y, z in metres and yaw in radians."""
+    """Compute poses (k, 4, 4) of places (k, 4): x, y, z in metres and yaw in radians."""
     full = np.zeros((len(places), 6))
     full[:, [0, 1, 2, 5]] = places
     return spatial.pose_from_xyz_rpy(full)
@@ -155,8 +152,7 @@ def place_base(
     task: str | tuple[str, ArrayLike] | None = None,
     budget: Budget | None = None,
 ) -> BasePlacement:
-    """Where to put the base so that a frame reaches all `targets` (n, 4, 4), which stay where they
-    are.
+    """Map the places of the base from which a frame reaches the fixed `targets` (n, 4, 4).
 
     The `box` names coordinates of the base, "x", "y", "z" in metres and "yaw" in radians, with a
     pair (low, high) that is tried at so many `cells` values (one number, or a dict by name), or
@@ -182,6 +178,7 @@ def place_base(
         places[:, i] = grid[list(axes).index(n)].ravel() if n in axes else fixed.get(n, 0.0)
 
     def compute_targets(first: int, last: int) -> Array:
+        """Compute the targets as seen from places `first` to `last` of the base."""
         return spatial.inverse(compute_base_poses(places[first:last]))[:, None] @ X
 
     (hit, far, w), broken = study_places(
@@ -201,7 +198,9 @@ def place_base(
 def _read_axes(
     system: Model, box: Mapping[str, Any], cells: Any
 ) -> tuple[dict[str, Array], dict[str, float]]:
-    """Values of the base's coordinates that vary, and those that do not. Errors: `InputError`."""
+    """Read the variable coordinates of the base with their values, and the fixed ones. Errors:
+    `InputError`.
+    """
     allowed = AXES if system.dim == 3 else tuple(n for n in AXES if n != "z")
     axes: dict[str, Array] = {}
     fixed: dict[str, float] = {}

@@ -1,5 +1,4 @@
-"""Capability maps: of each cell of a box, in how many directions a frame can reach it, and how
-well.
+"""Capability maps: in how many directions a frame reaches each cell of a box, and how well.
 
 Source: Zacharias, Borst, Hirzinger, "Capturing robot workspace structure: representing robot
 capabilities", IROS 2007.
@@ -38,8 +37,7 @@ USUAL = Usual("reach.capability", starts=32, rng=0, threads=None, progress=None,
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class CapabilityMap(Study):
-    """What a frame can do in the cells of a box, found backward: by the inverse model at the
-    centres of the cells.
+    """How a frame reaches the cells of a box, by inverse kinematics at the centres of the cells.
 
     `axes` are the coordinates of the centres in metres, along each axis. Over the cells: `fraction`
     of the poses that are reached; `solutions`, the mean number of solutions inside the limits of
@@ -75,12 +73,12 @@ class CapabilityMap(Study):
 
     @property
     def code(self) -> Status:  # type: ignore[override]
-        """`NOT_FOUND` where no cell is reached, or what broke the map off."""
+        """The outcome: `NOT_FOUND` if no cell is reached, or what broke the map off."""
         return self.broken or (Status.SOLVED if self.fraction.any() else Status.NOT_FOUND)
 
     @property
     def status(self) -> str:
-        """How many cells are reached at all, and in all directions."""
+        """The number of cells that are reached at all and in all directions, as a sentence."""
         some = int((self.fraction > 0.0).sum())
         whole = int((self.fraction == 1.0).sum())
         cells = format_count(int(np.isfinite(self.fraction).sum()), "cell")
@@ -88,12 +86,12 @@ class CapabilityMap(Study):
         said = (
             f"{self._subject}: {some} of {cells} reached, {whole} in all {directions}{self._tail}"
         )
-        return said if some or not self._explain_no_reach else f"{said}; {self._explain_no_reach}"
+        return said if some or not self._no_reach_reason else f"{said}; {self._no_reach_reason}"
 
     @cached_property
-    def _explain_no_reach(self) -> str:
-        """Why directions that are drawn are not reached anywhere, where the frame has too few
-        freedoms for them.
+    def _no_reach_reason(self) -> str:
+        """The reason why no direction is reached anywhere, if the frame has too few freedoms, else
+        ''.
         """
         system = self.system
         name = self.frame
@@ -113,14 +111,14 @@ class CapabilityMap(Study):
         )
 
     def plot(self, ax: Axes | None = None, height: float | None = None) -> Axes:
-        """Matplotlib axes with the fraction over x and y, at the layer of cells nearest to a height
-        (the middle).
+        """Draw the reached fraction over x and y in Matplotlib axes. It is that of the layer of
+        cells nearest to a height, by default the middle.
         """
         return import_late("plots of workspaces").plot_capability(self, ax, height)
 
 
 def spread_directions(n: int) -> Array:
-    """Unit vectors (n, 3), spread evenly over the sphere: a Fibonacci lattice.
+    """Spread unit vectors (n, 3) evenly over the sphere, in a Fibonacci lattice.
 
     Source: Gonzalez, Mathematical Geosciences 42 (2010).
     """
@@ -143,8 +141,7 @@ def capability_map(
     *,
     budget: Budget | None = None,
 ) -> CapabilityMap:
-    """In how many directions a frame reaches each cell of a box, and how well, as a
-    `CapabilityMap`.
+    """Map in how many directions a frame reaches each cell of a box, and how well.
 
     `box` is the pair of its corners (2, 3), in the plane (2, 2), in metres, cut into so many
     `cells` along each axis. `directions` are that many, spread evenly, or vectors (d, 3), in the
@@ -170,6 +167,7 @@ def capability_map(
     task = None if dim == 2 or rolls is not None else "position_axis"
 
     def make_targets(first: int, last: int) -> Array:
+        """Make the poses of all directions at the cells `first` to `last`."""
         X = np.tile(np.eye(4), (last - first, len(R), 1, 1))
         X[..., :3, :3] = R
         X[..., :dim, 3] = centres[first:last, None]
@@ -201,7 +199,7 @@ def capability_map(
 
 
 def _read_cells(box: ArrayLike, cells: Any, dim: int) -> tuple[Array, ...]:
-    """Centres of the cells along each axis. Errors: `InputError`."""
+    """Read the box and return the centres of its cells along each axis. Errors: `InputError`."""
     corners = numbers(box, "box")
     if (
         corners.shape != (2, dim)
@@ -221,7 +219,7 @@ def _read_cells(box: ArrayLike, cells: Any, dim: int) -> tuple[Array, ...]:
 
 
 def _read_directions(directions: Any, dim: int) -> Array:
-    """Unit vectors (d, 3). Errors: `InputError`."""
+    """Read directions as unit vectors (d, 3). Errors: `InputError`."""
     if is_whole(directions):
         if not 1 <= int(directions) <= MOST:
             raise InputError(f"directions is {directions}; it must be at least 1")
@@ -241,7 +239,7 @@ def _read_directions(directions: Any, dim: int) -> Array:
 
 
 def _make_rotations(d: Array, angles: Array | None, dim: int) -> Array:
-    """Rotations (k, 3, 3) of the tool, those of all angles about one direction after each other."""
+    """Make rotations (k, 3, 3) of the tool, with all angles about each direction in turn."""
     if dim == 2:
         zero = np.zeros(len(d))
         one = np.ones(len(d))

@@ -1,4 +1,4 @@
-"""Boxes cut into cells, and counts of what fell into them."""
+"""Boxes divided into cells, and counts of samples in them."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ written in."""
 
 @dataclass(frozen=True)
 class Grid:
-    """A box of the ground's axes, cut into equal cells: `low` and `high` [m] and the number of
-    `cells` of x, y, z.
+    """A box along the ground's axes, divided into equal `cells` along x, y, z from `low` to `high`
+    [m].
 
     An axis along which nothing moves has one cell, and is left out of `axes` and of the measure. Of
     orientations the `names` of the three are others.
@@ -40,7 +40,7 @@ class Grid:
 
     @cached_property
     def measured_axes(self) -> list[int]:
-        """The numbers of the axes that are measured."""
+        """The numbers of the axes along which the box is measured."""
         return [self.names.index(a) for a in self.axes]
 
     @property
@@ -50,22 +50,22 @@ class Grid:
 
     @cached_property
     def size(self) -> Array:
-        """Edges (d,) of a cell [m]."""
+        """Edge lengths (d,) of a cell [m]."""
         return ((np.array(self.high) - self.low) / self.cells)[self.measured_axes]
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Cells along each of the `axes`."""
+        """Number of cells along each of the `axes`."""
         return tuple(self.cells[k] for k in self.measured_axes)
 
     @cached_property
     def kernel_bounds(self) -> Array:
-        """Lower end, cells a metre and number of cells (3, 3), as the kernel takes them."""
+        """Lower end, cells a metre and number of cells (3, 3), for the kernel."""
         low, high, cells = (np.array(x, dtype=float) for x in (self.low, self.high, self.cells))
         return np.ascontiguousarray(np.stack([low, cells / (high - low), cells], axis=1))
 
     def list_centres(self, axis: str) -> Array:
-        """Middles of the cells along an axis [m]."""
+        """List the centres of the cells along an axis [m]."""
         k = self.names.index(axis)
         return (
             self.low[k]
@@ -73,16 +73,16 @@ class Grid:
         )
 
     def locate_cells(self, points: Array) -> tuple[np.ndarray, np.ndarray]:
-        """The cells (..., d) in which points (..., d) are, brought into the box, and which (...)
-        are in the box.
+        """Locate the cells (..., d) of points (..., d), clipped to the box. A mask (...) tells
+        which points are inside.
         """
         at = np.floor((points - np.array(self.low)[self.measured_axes]) / self.size)
         inside = np.asarray(((at >= 0) & (at < self.shape)).all(axis=-1))
         return np.clip(np.nan_to_num(at), 0, np.array(self.shape) - 1).astype(np.int64), inside
 
     def number_cells(self, points: Array) -> np.ndarray:
-        """Numbers (n,) of the cells of points (n, 3), the last axis fastest; `count` for those
-        outside.
+        """Compute the numbers (n,) of the cells of points (n, 3), last axis fastest. Points outside
+        have the number `count`.
         """
         low, by, cells = self.kernel_bounds.T
         at = np.floor((points - low) * by)
@@ -93,7 +93,7 @@ class Grid:
         )
 
     def complete_points(self, points: Array) -> Array:
-        """Points (n, 3) of points (n, d) on the `axes`: the others are where everything stays."""
+        """Complete points (n, d) on the `axes` to points (n, 3)."""
         out = np.tile(0.5 * (np.array(self.low) + self.high), (len(points), 1))
         out[:, self.measured_axes] = points
         return out
@@ -101,8 +101,8 @@ class Grid:
 
 @dataclass(frozen=True, eq=False)
 class CellMap:
-    """Counts of samples by cells: `counts` (nx, ny, nz) over the `axes`, each with the middles of
-    its cells, in metres.
+    """Numbers of samples in cells: `counts` (nx, ny, nz). The `axes` hold the centres of the cells
+    in metres.
 
     An axis along which nothing moves is left out.
     """
@@ -112,23 +112,23 @@ class CellMap:
 
     @property
     def unit(self) -> str:
-        """The unit of the axes: metres, or of orientations radians."""
+        """The unit of the axes: metres, or radians for orientations."""
         return "m" if self.grid.names == AXES else "rad"
 
     @property
     def axes(self) -> dict[str, Array]:
-        """The middles of the cells [m] along each axis, by name."""
+        """The centres of the cells [m] along each axis, by name."""
         return {a: self.grid.list_centres(a) for a in self.grid.axes}
 
     @cached_property
     def occupied(self) -> np.ndarray:
-        """Which cells a sample fell into."""
+        """Cells with at least one sample, as truth values."""
         return self.counts > 0
 
     @cached_property
     def layers(self) -> dict[str, np.ndarray]:
-        """Cells by what the map says: `inner` and all around have samples, around `far` none has;
-        `near` are others.
+        """Cells by their neighbourhood. All around `inner` cells have samples, around `far` cells
+        none has; `near` cells are the others.
         """
         around = np.ones((3,) * self.counts.ndim, dtype=bool)
         inner = np.asarray(_images.binary_erosion(self.occupied, around), dtype=bool)
@@ -137,7 +137,7 @@ class CellMap:
 
     @cached_property
     def edge(self) -> KDTree:
-        """The middles of cells with samples that have a neighbour without."""
+        """The centres of cells with samples that have a neighbour without."""
         within = _images.binary_erosion(
             self.occupied, _images.generate_binary_structure(self.counts.ndim, 1)
         )
@@ -148,8 +148,8 @@ class CellMap:
 
     @cached_property
     def empty(self) -> tuple[KDTree, np.ndarray]:
-        """The middles (k, d) of cells without samples and of the cells around the box, and which
-        (k,) are these.
+        """The centres (k, d) of cells without samples and of cells around the box. A mask (k,)
+        tells which are around it.
         """
         occupied = np.pad(self.occupied, 1)
         at = np.argwhere(~occupied) - 1
@@ -160,12 +160,12 @@ class CellMap:
 
     @property
     def cell(self) -> tuple[float, ...]:
-        """Edges of a cell [m], by the axes."""
+        """Edge lengths of a cell [m], along the axes."""
         return tuple(self.grid.size.tolist())
 
     @property
     def points(self) -> Array:
-        """Middles (k, d) [m] of the cells that samples fell into: a cloud of points for a viewer."""
+        """Centres (k, d) [m] of the cells with samples, as a point cloud."""
         at = np.argwhere(self.occupied)
         return np.array(self.grid.low)[self.grid.measured_axes] + (at + 0.5) * self.grid.size
 
@@ -179,7 +179,7 @@ decides."""
 def make_grid(
     extent: Array, cells: Any, box: Any, length: float, dim: int, usual: dict[int, int]
 ) -> Grid:
-    """The grid for positions that were seen in `extent` (2, 3), of a system of this characteristic
+    """Make the grid for positions within `extent` (2, 3), of a system of this characteristic
     length.
 
     `cells` are how many along the longest edge of the box, or for each axis, as is `usual` by the
@@ -226,8 +226,8 @@ def make_grid(
 def count_cells(
     cells: Any, edges: Array, axes: tuple[str, ...], usual: dict[int, int]
 ) -> list[int]:
-    """How many cells each axis has: of one number as many along the longest edge, so that they are
-    nearly cubes.
+    """Compute the number of cells along each axis. One number stands for the longest edge, with
+    nearly cubic cells.
     """
     if cells is None:
         cells = usual[len(axes)]

@@ -1,4 +1,4 @@
-"""Kinds of workspaces: places reached somehow, in one or several orientations; or orientations.
+"""Kinds of workspaces: places reached in any, one or several orientations, or orientations.
 
 Whether one is reached is decided by the inverse model, in closed form where there is one.
 """
@@ -51,8 +51,7 @@ RANGES = {2: ((-np.pi, np.pi),), 3: ((-np.pi, np.pi), (-1.0, 1.0), (-np.pi, np.p
 
 @dataclass(frozen=True)
 class WorkspaceKind:
-    """A `kind` of workspace: of places, in the `turns` (k, 9), the orientations that count; or of
-    orientations.
+    """A kind of workspace: of places, in the orientations `turns` (k, 9), or of orientations.
 
     These are reached `at` a place. `tried`: samples are places or orientations that the inverse
     model decides, not configurations.
@@ -65,30 +64,30 @@ class WorkspaceKind:
 
     @classmethod
     def said(cls, made: dict[str, Any]) -> WorkspaceKind:
-        """The kind of a stored map."""
+        """Make the kind of workspace of a stored map from its data."""
         at = tuple(made["at"])
         turns = tuple(tuple(r) for r in made["turns"])
         return cls(made["kind"], turns, at, made["tried"])
 
     @cached_property
     def rotations(self) -> Array:
-        """The orientations (k, 3, 3) that count."""
+        """The orientations (k, 3, 3) in which places must be reached."""
         return np.reshape(self.turns, (-1, 3, 3))
 
     def all_turns(self, dim: int) -> bool:
-        """Whether the orientations stand for all of them."""
+        """Whether the orientations sample all rotations."""
         return len(self.turns) == TURNS[dim] and np.array_equal(
             self.rotations, spread_rotations(TURNS[dim], dim)
         )
 
     @property
     def noun(self) -> str:
-        """What it is made of."""
+        """The noun for elements of the workspace, such as places."""
         return "orientation" if self.kind == ORIENTATION else "place"
 
     def reached(self, system: Model, frame: str, points: Array, seed: int) -> np.ndarray:
-        """Which points (n, 3) are reached within all limits and constraints, as far as the inverse
-        model finds.
+        """Whether (n,) points (n, 3) are reached within limits and constraints. Points that inverse
+        kinematics does not find count as not reached.
         """
         if self.kind == ORIENTATION:
             return self._find_reached(system, frame, points, seed)
@@ -97,6 +96,7 @@ class WorkspaceKind:
         return out
 
     def _find_reached(self, system: Model, frame: str, points: Array, seed: int) -> np.ndarray:
+        """Find which points (n, 3) are reached, all within the lengths of the links."""
         X = np.tile(np.eye(4), (len(points), 1, 1))
         X[:, :3, 3] = self.at or points
         if self.kind == REACHABLE:
@@ -112,7 +112,7 @@ class WorkspaceKind:
 
 
 def find_reached(system: Model, X: Array, frame: str, task: str, seed: int) -> np.ndarray:
-    """Which poses (n, 4, 4), or for the task "position" their places, a frame is found to reach."""
+    """Find which poses (n, 4, 4), or for the task "position" which places, a frame reaches."""
     if not len(X):
         return np.zeros(0, dtype=bool)
     legs = find_legs(system, frame) if task == "pose" else ()
@@ -133,7 +133,7 @@ def find_reached(system: Model, X: Array, frame: str, task: str, seed: int) -> n
 
 
 def search_reached(system: Model, X: Array, frame: str, task: str, seed: int) -> np.ndarray:
-    """The same, by a search; for places with as many starts as `ik` takes by itself."""
+    """Search which poses a frame reaches. Places have as many starts as in `ik`."""
     budget = Budget(rng=seed) if task == "position" else Budget(rng=seed, starts=STARTS)
     goals = X[:, : system.dim, 3] if task == "position" else X
     return np.asarray(ik(system, goals, frame, task=task, budget=budget).success, dtype=bool)
@@ -143,7 +143,7 @@ def search_reached(system: Model, X: Array, frame: str, task: str, seed: int) ->
 
 
 def compute_rotations(points: Array, dim: int) -> Array:
-    """Rotations (n, 3, 3) with the coordinates `TURNED` (n, 3), in the plane the angle alone."""
+    """Compute rotations (n, 3, 3) from coordinates `TURNED` (n, 3), in the plane from the angle."""
     a, c, b = points.T
     if dim == 2:
         return spatial.exp_so3(np.column_stack([0.0 * a, 0.0 * a, a]))
@@ -161,8 +161,8 @@ def compute_rotations(points: Array, dim: int) -> Array:
 
 
 def compute_rotation_coordinates(R: Array, dim: int) -> Array:
-    """Coordinates (..., 3) of rotations (..., 3, 3): the inverse of `compute_rotations`; what it does
-    not read is 0.
+    """Compute coordinates (..., 3) of rotations (..., 3, 3), the inverse of `compute_rotations`.
+    Unused coordinates are 0.
     """
     out = np.zeros(R.shape[:-1])
     if dim == 2:
@@ -179,7 +179,7 @@ def compute_rotation_coordinates(R: Array, dim: int) -> Array:
 
 
 def spread_rotations(n: int, dim: int) -> Array:
-    """Rotations (n, 3, 3), spread evenly: in space a super-Fibonacci spiral.
+    """Spread rotations (n, 3, 3) evenly, in space along a super-Fibonacci spiral.
 
     Source: Alexa, "Super-Fibonacci Spirals: Fast, Low-Discrepancy Sampling of SO(3)", CVPR 2022.
     """
@@ -199,8 +199,8 @@ def spread_rotations(n: int, dim: int) -> Array:
 
 
 def read_rotations(x: Any, dim: int, what: str = "orientation") -> Array:
-    """Rotations (..., 3, 3) as people give them: in the plane angles (...), in space also roll,
-    pitch, yaw (3,).
+    """Read rotations (..., 3, 3), given as such or as angles. In the plane these are angles (...),
+    in space roll, pitch, yaw (3,).
 
     Errors: `InputError`.
     """
@@ -233,7 +233,7 @@ def read_rotations(x: Any, dim: int, what: str = "orientation") -> Array:
 def read_question(
     system: Model, frame: str, kind: object, orientation: Any, at: Any
 ) -> WorkspaceKind:
-    """The question that arguments of `workspace` pose. Errors: `InputError`."""
+    """Read the kind of workspace from the arguments of `workspace`. Errors: `InputError`."""
     if kind is None:
         several = orientation is not None and np.ndim(orientation) not in (
             (0,) if system.dim == 2 else (1, 2)

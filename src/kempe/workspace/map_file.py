@@ -77,8 +77,7 @@ Arrays = dict[str, Any]
 
 @dataclass(frozen=True)
 class RowJob:
-    """A verb of a system with its options, and what the rows are that it is for: all that an answer
-    depends on.
+    """A verb of a system with its options and the meaning of rows: all that an answer depends on.
 
     `tail` is the shape of a row and `columns` their names, None where they have none.
     """
@@ -95,8 +94,8 @@ class RowJob:
     version: str = field(default=__version__)
 
     def describe_job(self) -> dict[str, Any]:
-        """What is written beside a map, and must be the same for it to be gone on with. Errors:
-        `InputError`.
+        """Describe the job as data that are stored with a map and must agree to continue it.
+        Errors: `InputError`.
         """
         try:
             options = json.loads(json.dumps(to_json_data(self.options)))
@@ -118,28 +117,26 @@ class RowJob:
         }
 
     def answer_rows(self, rows: Array) -> Arrays:
-        """What the verb answers to rows (n, *tail), each array with n rows, in one thread. Errors:
-        `KernelsError`.
-        """
+        """Answer rows (n, *tail) in one thread, as arrays with n rows. Errors: `KernelsError`."""
         refuse_kernels(self.variant, self.version)
         answers = VERBS[self.verb].answers(self, rows)
         return {name: np.asarray(x, dtype=TYPES.get(name)) for name, x in answers.items()}
 
     @cached_property
     def answer_layout(self) -> dict[str, np.ndarray]:
-        """The arrays of no rows: their shapes and types. Errors: those of the verb for its options."""
+        """Shapes and types of the answer arrays, without rows. Errors: those of the verb."""
         return self.answer_rows(np.zeros((0, *self.tail)))
 
     @property
     def row_bytes(self) -> list[int]:
-        """Bytes of the answer to a row, of each array."""
+        """Bytes of the answer to one row, for each array."""
         return [a.itemsize * int(np.prod(a.shape[1:])) for a in self.answer_layout.values()]
 
     # ---- what a row is
 
     def read_configurations(self, rows: Array) -> Array:
-        """Configurations (n, nq) of rows: all coordinates in order, or some by name. Errors:
-        `InputError`.
+        """Read rows as configurations (n, nq), with all coordinates in order or some by name.
+        Errors: `InputError`.
         """
         if self.columns is None:
             return read_q(self.system, rows)
@@ -153,7 +150,7 @@ class RowJob:
         return make_q(self.system, self.name_columns(rows))
 
     def name_columns(self, rows: Array) -> dict[str, Array]:
-        """The columns (n,) by their names, angles in radians. Errors: `InputError`."""
+        """Return the columns (n,) by name, angles in radians. Errors: `InputError`."""
         if self.columns is None:
             raise InputError(
                 "the columns have no names: name the known coordinates by columns=(...)"
@@ -166,7 +163,7 @@ class RowJob:
         }
 
     def read_targets(self, rows: Array) -> Array:
-        """Targets of rows: poses (n, 4, 4), or positions (n, 3), where only these count. Errors:
+        """Read rows as targets: poses (n, 4, 4), or positions (n, 3) if only these count. Errors:
         `InputError`.
         """
         if len(self.tail) == 2:
@@ -189,7 +186,7 @@ class RowJob:
         return np.ascontiguousarray(X[:, : self.system.dim, 3]) if position else X
 
     def label_axes(self) -> dict[str, list[str]]:
-        """What stands along the axes that have names."""
+        """Return the labels along the axes that have names."""
         q = list(self.system.coordinate_names)
         unit = list_units(self.system)
         return {
@@ -202,7 +199,7 @@ class RowJob:
 
 
 class Verb(NamedTuple):
-    """A verb: what it answers to rows, its options, and how many rows it is given at once, at most."""
+    """A verb for rows: its function, its options, and the largest number of rows for one call."""
 
     answers: Callable[[RowJob, Array], Arrays]
     options: tuple[str, ...]
@@ -211,6 +208,7 @@ class Verb(NamedTuple):
 
 
 def _answer_fk(job: RowJob, rows: Array) -> Arrays:
+    """Compute the poses of rows by forward kinematics."""
     X = fk(job.system, job.read_configurations(rows), job.frame, threads=1, **job.options)
     form = job.options.get("form") or "matrix"
     finite = np.isfinite(X).all(axis=tuple(range(1, X.ndim)))
@@ -221,12 +219,14 @@ def _answer_fk(job: RowJob, rows: Array) -> Arrays:
 
 
 def _answer_ik(job: RowJob, rows: Array) -> Arrays:
+    """Solve the inverse kinematics of rows."""
     budget = Budget(rng=job.rng, threads=1)
     answer = ik(job.system, job.read_targets(rows), job.frame, budget=budget, **job.options)
     return select_fields(answer, "q", "code", "position_error", "orientation_error")
 
 
 def _answer_ik_all(job: RowJob, rows: Array) -> Arrays:
+    """Find all inverse solutions of rows."""
     if job.options.get("limits") == "turns":
         raise InputError(
             "limits='turns' gives as many solutions as there are turns; a map has room for one of "
@@ -240,6 +240,7 @@ def _answer_ik_all(job: RowJob, rows: Array) -> Arrays:
 
 
 def _answer_assemble(job: RowJob, rows: Array) -> Arrays:
+    """Assemble the mechanism for the known values of rows."""
     if job.options.get("prefer") == "continuous":
         raise InputError(
             "prefer='continuous' goes row by row; a map has its rows answered side by side"
@@ -250,7 +251,7 @@ def _answer_assemble(job: RowJob, rows: Array) -> Arrays:
 
 
 def select_fields(answer: Any, *names: str) -> Arrays:
-    """Fields of an answer to many rows."""
+    """Select fields of an answer to many rows."""
     return {name: getattr(answer, name) for name in names}
 
 
@@ -292,9 +293,7 @@ TYPES = {"code": np.uint8, "count": np.uint8, "complete": np.bool_}
 
 
 def name_axes(name: str, array: np.ndarray) -> tuple[str, ...]:
-    """The names of the axes of an array: rows, then what there is several of, then those of its
-    own.
-    """
+    """Name the axes of an array: rows, then an axis of several items, then its own axes."""
     own = AXES[name][0]
     several = "body" if name in ("pose", "position", "position_quat_wxyz") else "solution"
     return ("row", *([several] if array.ndim > len(own) + 1 else []), *own)
@@ -309,8 +308,8 @@ def make_job(
     degrees: bool,
     rng: int,
 ) -> RowJob:
-    """A verb with what it needs, checked on no rows. Errors: `InputError`, `UnknownNameError`,
-    those of the verb.
+    """Make a job for a verb with its options, checked on zero rows. Errors: `InputError`,
+    `UnknownNameError`, those of the verb.
     """
     chosen = VERBS[check_name("verb", verb, VERBS)]
     given = dict(options or {})
@@ -347,13 +346,13 @@ stopped."""
 
 
 def compute_rows_checksum(rows: Array) -> int:
-    """A checksum, 64 bits, of rows."""
+    """Compute a 64-bit checksum of rows."""
     return int.from_bytes(hashlib.sha256(np.ascontiguousarray(rows).data).digest()[:8], "little")
 
 
 class RowStore:
-    """The answers of a job to the rows of a source: a Zarr group with an array for each answer, all
-    of them in chunks of so many rows.
+    """Store of the answers of a job, a Zarr group. Each answer is an array in chunks of the same
+    number of rows.
 
     The entry of a chunk in the array `DONE` is written after its answers: what a process that ended
     leaves without one counts as not written. `done` are the numbers of answered rows by chunks,
@@ -379,8 +378,7 @@ class RowStore:
         self.damaged = 0
 
     def open_group(self, check: Callable[[], None]) -> None:
-        """Open the group, or make it, and read all chunks that are done; `check_progress` is called for each
-        of them.
+        """Open or make the group, and read all chunks that are done; `check` is called for each.
 
         Errors: `InputError` where the group is of another map, or the rows have changed;
         `DamagedError` where it does not describe its arrays; `DiskError`.
@@ -414,7 +412,7 @@ class RowStore:
                 self._read_done_rows(k, same_rows=made["source"] == self.said["source"])
 
     def _add_arrays(self, group: Any) -> None:
-        """Add the arrays, without their chunks, and the words along the axes."""
+        """Add the arrays, without chunks, and the labels along the axes."""
         n = self.source.n
         for name, empty in self.job.answer_layout.items():
             _, what, unit = AXES[name]
@@ -445,7 +443,7 @@ class RowStore:
         add_array(group, DONE, size, np.uint64, (1, 2), dims, packed=False, long_name=what)
 
     def _list_axis_words(self) -> dict[str, list[str]]:
-        """The axes that have words, such as names of coordinates, and these."""
+        """Return the labels of each labelled axis, such as names of coordinates."""
         used = {
             axis
             for name, empty in self.job.answer_layout.items()
@@ -458,7 +456,7 @@ class RowStore:
         }
 
     def _repair_words(self, array: Any, words: list[str]) -> None:
-        """Write the words along an axis again, if they are not what was written."""
+        """Write the labels of an axis again if they are damaged."""
         try:
             if array[...].tolist() == words:
                 return
@@ -468,8 +466,8 @@ class RowStore:
         array[...] = np.array(words)
 
     def _read_done_rows(self, k: int, same_rows: bool) -> None:
-        """Take down how many rows of a chunk are answered, unless its files are damaged. Errors:
-        `InputError` where the rows have changed.
+        """Read how many rows of a chunk are answered, unless its files are damaged. Errors:
+        `InputError` if the rows have changed.
         """
         first, last = self._bound_chunk(k)
         try:
@@ -494,25 +492,26 @@ class RowStore:
         self.done[k] = count
 
     def _bound_chunk(self, k: int) -> tuple[int, int]:
+        """Return the first row of a chunk and the row after its last one."""
         return k * self.chunk, min((k + 1) * self.chunk, self.source.n)
 
     # ---- answers
 
     @property
     def n_rows(self) -> int:
-        """How many rows are answered."""
+        """Number of answered rows."""
         return sum(list(self.done.values()))
 
     def list_missing_chunks(self) -> Iterator[tuple[int, Array]]:
-        """The chunks of which rows are left: their numbers and all their rows."""
+        """Yield the unfinished chunks: their numbers and all their rows."""
         for k in range(self.arrays[DONE].shape[0]):
             first, last = self._bound_chunk(k)
             if self.done.get(k, 0) < last - first:
                 yield k, self.source.read_rows(first, last)
 
     def answer_chunk(self, k: int, rows: Array) -> None:
-        """Answer the rows of a chunk and write the answers, where the thread is told to stop those
-        that are done. Errors: `DiskError`, those of the verb.
+        """Answer the rows of a chunk and write the answers. A stopped thread writes those that are
+        done. Errors: `DiskError`, those of the verb.
         """
         piece = max(1, VERBS[self.job.verb].rows // PIECES)
         first, _ = self._bound_chunk(k)
@@ -548,7 +547,7 @@ class RowStore:
         self.done[k] = count
 
     def count_outcomes(self) -> dict[str, int]:
-        """How many of the answered rows have which outcome, by its name."""
+        """Count the answered rows by the name of their outcome."""
         counts = np.zeros(len(MEMBERS), dtype=np.int64)
         for k, count in self.done.items():
             first, _ = self._bound_chunk(k)
@@ -559,7 +558,7 @@ class RowStore:
 
 
 def choose_fill_value(name: str, array: np.ndarray) -> Any:
-    """What stands in an array for rows that are not answered yet."""
+    """Choose the value in an array that stands for rows without an answer."""
     return LEFT if name == "code" else np.nan if array.dtype.kind == "f" else 0
 
 
@@ -575,7 +574,7 @@ MANY = 2**16
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class FileMap(Report):
-    """What a verb answered to the rows of a file, and where that is.
+    """The answers of a verb to the rows of a file, and where they are stored.
 
     `n_rows` of the `requested` ones are done, in chunks of `chunk` rows; `count_outcomes` says how many of
     them came to which `Status`, by its name. Where the work was `interrupted`, or the time limit
@@ -599,8 +598,8 @@ class FileMap(Report):
 
     @property
     def code(self) -> Status:  # type: ignore[override]
-        """`SOLVED` where all rows are, `PARTLY` where some are not; `INTERRUPTED` or `OUT_OF_TIME`
-        if rows are left.
+        """The outcome: `SOLVED` if all rows are, `PARTLY` if some are not. `INTERRUPTED` or
+        `OUT_OF_TIME` means that rows are left.
         """
         if self.interrupted or self.late:
             return Status.INTERRUPTED if self.interrupted else Status.OUT_OF_TIME
@@ -608,7 +607,7 @@ class FileMap(Report):
 
     @property
     def status(self) -> str:
-        """How many rows are done, and what became of them."""
+        """The number of answered rows and their outcomes, as a sentence."""
         of = f"{self.rows} of {format_count(self.requested, 'row')}"
         found = ", ".join(f"{n} {name}" for name, n in self.outcomes.items())
         return (
@@ -645,8 +644,7 @@ def map_file(
     client: Any = None,
     budget: Budget | None = None,
 ) -> FileMap:
-    """A `FileMap`: what a verb answers to each row of a file of any size, written to a path as
-    Zarr.
+    """Apply a verb to each row of a file of any size, and write the answers to a path as Zarr.
 
     `verb` is "fk", "ik", "ik_all" or "assemble"; `source` a .parquet, .npy or .csv file, a folder
     of .parquet files, or Zarr: an array, or a group whose arrays of one axis are columns. Rows are
@@ -710,9 +708,7 @@ def map_file(
 
 
 def _choose_chunk_size(job: RowJob, rows: RowSource) -> int:
-    """Rows of a chunk: what a verb takes at once, more where there are very many, as the memory
-    allows.
-    """
+    """Choose the number of rows in a chunk, from the verb, the number of rows and the memory."""
     most = 1 << max(0, (CHUNK_BYTES // max(rows.row_bytes, *job.row_bytes)).bit_length() - 1)
     wanted = max(VERBS[job.verb].rows, 1 << (rows.n // MANY).bit_length())
     return max(1, min(wanted, most, rows.n))
@@ -721,11 +717,12 @@ def _choose_chunk_size(job: RowJob, rows: RowSource) -> int:
 def _answer_missing_rows(
     store: RowStore, client: Any, threads: int, pace: Pace
 ) -> BaseException | None:
-    """Answer all rows that are not answered, and return what broke it off. Errors: those of the
+    """Answer all rows without an answer, and return what broke the work off. Errors: those of the
     verb, and what broke it off.
     """
 
     def check_progress(_: int = 0) -> None:
+        """Report the number of rows that are done, and check the clock."""
         pace(store.n_rows)
 
     store.open_group(check_progress)

@@ -1,4 +1,4 @@
-"""Bounds of the places of a frame: points outside of them are proven not to be reached.
+"""Bounds of the places of a frame. Points outside are proven to be unreachable.
 
 They follow from the lengths and limits of a chain, or of each leg of a parallel mechanism.
 """
@@ -41,8 +41,7 @@ if TYPE_CHECKING:
 
 @keep_answers
 def find_legs(system: Model, frame: str) -> tuple[Model, ...]:
-    """The legs to a frame, each a system with that frame; none where the mechanism is not made of
-    two legs or more.
+    """Find the legs to a frame, each as a system with that frame; none without at least two legs.
 
     Bodies that hang on others only are left out. Constraints and couplings may tie legs: with these
     there are none.
@@ -65,7 +64,7 @@ def find_legs(system: Model, frame: str) -> tuple[Model, ...]:
 
 
 def _find_joints_between(m: Mechanism, ground: str, body: str) -> list[list[str]]:
-    """Names of the joints of each part that lies between two bodies, without what hangs on it."""
+    """Find the names of joints between two bodies, for each part, without dead ends."""
     ends = {ground, body}
     free = dict(m.joints)
     parts: list[list[str]] = []
@@ -88,7 +87,7 @@ def _find_joints_between(m: Mechanism, ground: str, body: str) -> list[list[str]
 
 
 def _drop_dead_ends(m: Mechanism, names: list[str], ends: set[str]) -> list[str]:
-    """The joints without those that lead to a body on which no other joint is."""
+    """Drop joints that lead to a body without any other joint."""
     while True:
         bodies = [b for n in names for b in (m.joints[n].parent, m.joints[n].child)]
         loose = {b for b in bodies if bodies.count(b) == 1} - ends
@@ -111,7 +110,7 @@ that it reaches."""
 
 
 class PlaceBounds(NamedTuple):
-    """A box (2, 3), perhaps infinite, and shells in which a frame's origin is, each wider by a
+    """Bounds of a frame's origin: a box (2, 3), perhaps infinite, and shells. All are widened by a
     `slack` for rounding.
     """
 
@@ -122,15 +121,15 @@ class PlaceBounds(NamedTuple):
 
 @keep_answers
 def compute_place_bounds(system: Model, frame: str) -> tuple[PlaceBounds, ...]:
-    """What bounds the places of a frame: of each leg to it, or of its chain."""
+    """Compute the bounds of the places of a frame, from each of its legs or from its chain."""
     return tuple(
         _compute_chain_bounds(part, frame) for part in find_legs(system, frame) or (system,)
     )
 
 
 def find_possible_places(system: Model, frame: str, points: Array) -> np.ndarray:
-    """Which points (n, 3) are not proven to be out of reach of the origin by more than `MISSED`; of
-    NaN none.
+    """Find which points (n, 3) may be reached: they are not beyond a bound by more than `MISSED`.
+    NaN is unreachable.
     """
     out = np.asarray(np.isfinite(points).all(axis=1))
     for (low, high), shells, slack in compute_place_bounds(system, frame):
@@ -143,6 +142,7 @@ def find_possible_places(system: Model, frame: str, points: Array) -> np.ndarray
 
 
 def _compute_chain_bounds(system: Model, frame: str) -> PlaceBounds:
+    """Compute the bounds of the places of a frame from its chain."""
     table, _, v_index = extract_chain(system.structure.table, frame)
     ints, floats = table.pack_arrays([frame])
     limits = system.structure.limits[v_index].T
@@ -167,14 +167,14 @@ def _compute_chain_bounds(system: Model, frame: str) -> PlaceBounds:
 
 
 def _bound_placed_box(box: Array, X: Array) -> Array:
-    """The smallest box that holds a placed one."""
+    """Compute the smallest box that contains a box moved by the pose X."""
     with np.errstate(invalid="ignore"):
         ends = np.where(X[:, :3] == 0.0, 0.0, X[:, :3] * box[:, None, :])
     return X[:, 3] + np.stack([ends.min(axis=0).sum(axis=1), ends.max(axis=0).sum(axis=1)])
 
 
 def _bound_turned_box(box: Array, low: float, high: float) -> Array:
-    """The smallest box that holds one turned about z by the angles from `low` to `high`."""
+    """Compute the smallest box that contains a box turned about z by angles from `low` to `high`."""
     out = box.copy()
     if not np.isfinite(box[:, :2]).all():
         out[:, :2] = [[-np.inf], [np.inf]]

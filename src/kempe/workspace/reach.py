@@ -1,4 +1,4 @@
-"""Poses of a list that a frame reaches: how well it reaches them, and what blocks the others.
+"""Studies of the reach of a frame: which poses of a list it reaches, and what blocks the others.
 
 The other studies of reach ask the same of poses in slices: maps of capability and places of a base.
 """
@@ -51,7 +51,8 @@ PROVEN = [int(s) for s in Status if s.proof]
 
 @dataclass(frozen=True, eq=False)
 class ReachedPoses:
-    """Of poses (n,): whether they are `study_targets`, by how many `solutions`, and the best of these.
+    """Results for poses (n,): whether they are `reached`, the number of `solutions`, and the best
+    one.
 
     `solutions` are those inside the limits, `UNKNOWN` where it is not certain that all are known.
     `compute_manipulability` and `compute_margin` are the largest of those found, each by itself; `q` (n, nq) has
@@ -78,7 +79,7 @@ square."""
 
 
 def check_targets(X: Array) -> Array:
-    """Targets (n, ...), of which poses (n, 4, 4) that are off by rounding are the nearest ones.
+    """Check targets (n, ...), and replace slightly rounded poses (n, 4, 4) by exact ones.
 
     Errors: `InputError` that says which one has entries that are not finite, or is no pose.
     """
@@ -88,8 +89,8 @@ def check_targets(X: Array) -> Array:
 
 
 def compute_manipulability(system: Model, frame: str, q: Array, task: str) -> Array:
-    """Manipulability (...) at q (..., nq): sqrt(det(J J^T)) of the rows that count, lengths in
-    characteristic lengths.
+    """Compute the manipulability sqrt(det(J J^T)) (...) at q (..., nq). J has the rows of the task,
+    with lengths in characteristic lengths.
 
     Of a chain with fewer joints than rows it is sqrt(det(J^T J)). Source: Yoshikawa, Int. J.
     Robotics Res. 4 (1985).
@@ -104,8 +105,8 @@ def compute_manipulability(system: Model, frame: str, q: Array, task: str) -> Ar
 
 
 def compute_margin(system: Model, q: Array) -> Array:
-    """How far (...) q (..., nq) is from the nearest limit, of half the range: 0 at it, 1 in the
-    middle; inf without.
+    """Compute the distances (...) of q (..., nq) from the nearest limit, in parts of half the
+    range. They are 0 at the limit, 1 in the middle, inf without limits.
     """
     at_q = system.structure.layout.vector_q
     at_v = system.structure.layout.vector_v
@@ -123,7 +124,7 @@ def compute_margin(system: Model, q: Array) -> Array:
 def study_targets(
     system: Model, targets: Array, frame: str, task: Any, budget: Budget
 ) -> ReachedPoses:
-    """What is reached of `targets` (n, ...), as `System.ik` takes them."""
+    """Study which `targets` (n, ...) are reached, and how well."""
     single = ik(system, targets, frame, task=task, budget=budget)
     said, axis = split_task(task)
     particle = bool(system.structure.table.at[frame][2])
@@ -171,8 +172,8 @@ def study_places(
     names: Sequence[str],
     spend: Budget,
 ) -> tuple[list[Array], Status | None]:
-    """Fields of `ReachedPoses`, with these names, of targets at places: arrays (places, targets,
-    ...) of `shape`; and what broke the work off (None: nothing).
+    """Study targets at many places: return fields of `ReachedPoses` as arrays (places, targets,
+    ...). Also return what broke the work off, or None.
 
     `targets(first, last)` are those (last - first, targets, ...) of the places `first` to `last`.
     Slices of places are tried one after the other; those that were not before the time limit or an
@@ -205,7 +206,7 @@ def study_places(
 
 
 class Study(Report):
-    """A report on which poses a frame of a system reaches, perhaps `broken` off."""
+    """A report on the poses that a frame of a system reaches. It may be `broken` off."""
 
     __repr__ = summarize_fields
 
@@ -217,11 +218,12 @@ class Study(Report):
 
     @property
     def _subject(self) -> str:
+        """The system and the frame, as the subject of sentences."""
         return f"{self.system.name}, {self.frame}"
 
     @property
     def _tail(self) -> str:
-        """End of a sentence about a study that was broken off; '' otherwise."""
+        """The end of a sentence about a study that was broken off, or ''."""
         return describe_early_end(
             self.broken is Status.INTERRUPTED, self.broken is Status.OUT_OF_TIME
         )
@@ -234,7 +236,7 @@ class Study(Report):
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class ReachStudy(Study, Tabular):
-    """Which of a list of poses a frame reaches, how well, and what blocks the others.
+    """A study of the poses of a list that a frame reaches, how well, and what blocks the others.
 
     All have a place for each pose (n,): `study_targets`; `solutions`, the number of configurations inside
     the limits (-1 where it is infinite or not certain); `compute_manipulability` and `compute_margin`, the best of
@@ -262,7 +264,7 @@ class ReachStudy(Study, Tabular):
 
     @property
     def code(self) -> Status:  # type: ignore[override]
-        """`SOLVED` where all are reached, `PARTLY` where some are, or what broke the study off."""
+        """The outcome: `SOLVED` if all poses are reached, `PARTLY` if some, or what broke it off."""
         if self.broken is not None:
             return self.broken
         if self.reached.all():
@@ -271,27 +273,27 @@ class ReachStudy(Study, Tabular):
 
     @property
     def status(self) -> str:
-        """How many are reached."""
+        """The number of reached poses, as a sentence."""
         n = int(self.reached.sum())
         tried = int(self.tried.sum())
         return f"{self._subject}: {n} of {format_count(tried, 'pose')} reached{self._tail}"
 
     @property
     def tried(self) -> np.ndarray:
-        """Which poses (n,) were tried before the study was broken off: all of them, mostly."""
+        """Poses (n,) that were tried, as truth values: all, unless the study was broken off."""
         return self.codes != (-1 if self.broken is None else int(self.broken))
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Matplotlib axes with the system at the reached pose with the largest margin, and where
-        all poses are.
+        """Draw all poses. Also return the system at the reached pose with the largest margin, in
+        Matplotlib axes.
 
         Reached ones are dots, others crosses, those that were not tried rings.
         """
         return import_late("plots of workspaces").plot_reach(self, ax)
 
     def reason(self, index: int) -> str:
-        """What blocks a pose, or how it is reached, as the sentence of `System.ik`. Errors:
-        `InputError`.
+        """Return the sentence of `System.ik` for a pose: how it is reached, or what blocks it.
+        Errors: `InputError`.
         """
         if not 0 <= index < len(self.reached):
             raise InputError(
@@ -309,9 +311,7 @@ class ReachStudy(Study, Tabular):
         return {i: self.reason(i) for i in np.flatnonzero(self.tried & ~self.reached).tolist()}
 
     def table(self) -> tuple[list[str], Array]:
-        """Names and columns (n, nq) for a file: the configuration of each pose, NaN where it is not
-        reached.
-        """
+        """Return names and columns (n, nq) for a file: the configuration of each pose, or NaN."""
         q = np.where(self.reached[:, None], self.q, np.nan)
         return list(self.system.coordinate_names), q
 
@@ -348,8 +348,7 @@ def reach_poses(
     task: str | tuple[str, ArrayLike] | None = None,
     budget: Budget | None = None,
 ) -> ReachStudy:
-    """Which of a list of poses a frame reaches, how well, and what blocks the others, as a
-    `ReachStudy`.
+    """Study which poses of a list a frame reaches, how well, and what blocks the others.
 
     `targets` (n, 4, 4) are poses, or (n, 3) positions, in the ground frame, with `task` as
     `System.ik` takes them. A pose counts as reached where `ik` or, of chains with finitely many

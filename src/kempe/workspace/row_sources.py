@@ -1,4 +1,4 @@
-"""Rows of numbers in files of any size: Parquet, Zarr, .npy and .csv, read block by block."""
+"""Rows of numbers in files of any size, read in blocks: Parquet, Zarr, .npy and .csv."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ BLOCK_BYTES = 2**30
 
 
 class RowSource:
-    """The rows of a file: `edges` of its blocks, what the k-th `read_block` holds, and what a row is.
+    """The rows of a file: the `edges` of its blocks, a function that reads the k-th `block`. Also
+    return the columns.
 
     A row has a shape `tail`; where that is one axis its columns may have `names`.
     """
@@ -54,8 +55,8 @@ class RowSource:
         return 8 * int(np.prod(self.tail))
 
     def identify_files(self) -> dict[str, Any]:
-        """Name, size [bytes] and time of the last change [ns] of the file, or of all files of a
-        folder.
+        """Return the name, the size in bytes and the last change in ns of the file. A folder has
+        the sum of the sizes and the latest change.
         """
         files = (
             [p for p in self.path.rglob("*") if p.is_file()] if self.path.is_dir() else [self.path]
@@ -68,8 +69,8 @@ class RowSource:
         }
 
     def read_rows(self, first: int, last: int) -> Array:
-        """The rows `first` to `last` (n, *tail). Errors: `DamagedError`, `InputError` for text that
-        is no number.
+        """Read the rows `first` to `last` (n, *tail). Errors: `DamagedError`, `InputError` for text
+        that is no number.
         """
         out = np.empty((last - first, *self.tail))
         at = first
@@ -91,8 +92,7 @@ class RowSource:
 
 
 def open_rows(path: str | Path, columns: Sequence[str] | None = None) -> RowSource:
-    """The rows of a file, of which only these `columns` count, or whose columns, where they have no
-    names, these are.
+    """Open the rows of a file. `columns` selects columns by name, or names those without names.
 
     Errors: `InputError` for what is no such file, `UnknownNameError` for columns,
     `MissingExtraError`.
@@ -126,7 +126,7 @@ def open_rows(path: str | Path, columns: Sequence[str] | None = None) -> RowSour
 
 
 def _choose_folder_reader(path: Path) -> Callable[[Path, Sequence[str] | None], RowSource]:
-    """Who reads a folder: it is Zarr, or else it holds .parquet files. Errors: `InputError`."""
+    """Choose the reader of a folder: Zarr, or else .parquet files. Errors: `InputError`."""
     if any((path / name).exists() for name in ("zarr.json", ".zgroup", ".zarray", ".zmetadata")):
         return _open_zarr
     if any(path.rglob("*.parquet")):
@@ -137,7 +137,7 @@ def _choose_folder_reader(path: Path) -> Callable[[Path, Sequence[str] | None], 
 def _choose_columns(
     path: Path, has: Sequence[str], columns: Sequence[str] | None
 ) -> tuple[str, ...]:
-    """The columns that count, of those that a file has. Errors: `InputError`, `UnknownNameError`."""
+    """Choose the requested columns of those in a file. Errors: `InputError`, `UnknownNameError`."""
     names = tuple(has if columns is None else columns)
     given = Counter(has)
     wanted = Counter(names)
@@ -150,6 +150,7 @@ def _choose_columns(
 
 
 def _check_numeric(path: Path, dtype: np.dtype, what: str) -> None:
+    """Refuse a type that is not numeric. Errors: `InputError`."""
     if dtype.kind not in "fiu":
         raise InputError(
             f"{path}: {what} holds {KINDS.get(dtype.kind, str(dtype))}; it must hold real numbers"
@@ -157,7 +158,7 @@ def _check_numeric(path: Path, dtype: np.dtype, what: str) -> None:
 
 
 def _list_block_edges(n: int, step: int) -> list[int]:
-    """Edges of blocks of `step` rows."""
+    """List the edges of blocks of `step` rows."""
     return [*range(0, n, step), n]
 
 
@@ -165,7 +166,7 @@ def _list_block_edges(n: int, step: int) -> list[int]:
 
 
 def _open_npy(path: Path, columns: Sequence[str] | None) -> RowSource:
-    """Arrays of numpy, of which only what is read comes into memory."""
+    """Open an array of NumPy, of which only requested rows are read into memory."""
     try:
         array: Any = np.load(path, mmap_mode="r", allow_pickle=False)
     except ValueError as error:
@@ -185,7 +186,7 @@ def _open_npy(path: Path, columns: Sequence[str] | None) -> RowSource:
 
 
 def _wrap_array(path: Path, array: Any, edges: list[int]) -> RowSource:
-    """The rows of an array (n,), (n, k) or (n, j, k)."""
+    """Make the source of the rows of an array (n,), (n, k) or (n, j, k)."""
     if array.ndim not in (1, 2, 3):
         raise InputError(
             f"{path}: it holds an array of shape {array.shape}; needed is a row for each question"
@@ -198,7 +199,7 @@ def _wrap_array(path: Path, array: Any, edges: list[int]) -> RowSource:
 
 
 def _open_zarr(path: Path, columns: Sequence[str] | None) -> RowSource:
-    """An array of Zarr, or a group whose arrays of one axis are the columns."""
+    """Open an array of Zarr, or a group of one-dimensional arrays as columns."""
     zarr = import_zarr()
     node = zarr.open(str(path), mode="r")
     if isinstance(node, zarr.Array):
@@ -224,13 +225,14 @@ def _open_zarr(path: Path, columns: Sequence[str] | None) -> RowSource:
     edges = _list_zarr_edges(path, arrays[names[0]], (len(names),))
 
     def read_block(k: int) -> Array:
+        """Read the k-th block."""
         return np.column_stack([arrays[name][edges[k] : edges[k + 1]] for name in names])
 
     return RowSource(path, edges, (len(names),), names, read_block)
 
 
 def _list_zarr_edges(path: Path, array: Any, tail: tuple[int, ...]) -> list[int]:
-    """Edges of whole chunks, several where they are small."""
+    """List the edges of blocks of whole chunks, several if they are small."""
     if not array.ndim:
         return [0]
     rows = (getattr(array, "shards", None) or array.chunks)[0]
@@ -239,6 +241,7 @@ def _list_zarr_edges(path: Path, array: Any, tail: tuple[int, ...]) -> list[int]
 
 
 def _check_block_size(path: Path, rows: int, tail: tuple[int, ...], what: str) -> None:
+    """Refuse a block that is too large for memory. Errors: `InputError`."""
     size = 8 * rows * int(np.prod(tail))
     if size > BLOCK_BYTES:
         raise InputError(
@@ -248,7 +251,7 @@ def _check_block_size(path: Path, rows: int, tail: tuple[int, ...], what: str) -
 
 
 def _open_parquet(path: Path, columns: Sequence[str] | None) -> RowSource:
-    """A Parquet file, or a folder of such files in the order of their names."""
+    """Open a Parquet file, or a folder of such files in order of their names."""
     try:
         import pyarrow.parquet as parquet
     except ImportError:
@@ -271,6 +274,7 @@ def _open_parquet(path: Path, columns: Sequence[str] | None) -> RowSource:
     _check_block_size(path, max(rows, default=0), (len(names),), "row group")
 
     def read_block(k: int) -> Array:
+        """Read the k-th block."""
         file, group = groups[k]
         table = file.read_row_group(group, columns=list(names))
         return np.column_stack([np.asarray(table.column(name), dtype=float) for name in names])
@@ -279,7 +283,7 @@ def _open_parquet(path: Path, columns: Sequence[str] | None) -> RowSource:
 
 
 def _open_csv(path: Path, columns: Sequence[str] | None) -> RowSource:
-    """Text, which is gone through once to find where its blocks begin."""
+    """Open a text file. It is read once to find where its blocks begin."""
     places: list[
         tuple[int, int]
     ] = []  # of each block its place in the file, and the number of its first line
@@ -305,6 +309,7 @@ def _open_csv(path: Path, columns: Sequence[str] | None) -> RowSource:
     pick: Any = slice(None) if chosen is None else [at_name[name] for name in chosen]
 
     def read_block(k: int) -> Array:
+        """Read the k-th block."""
         with open(path, "rb") as stream:
             stream.seek(places[k][0])
             text = stream.read(places[k + 1][0] - places[k][0]).decode("utf-8-sig")

@@ -70,8 +70,8 @@ _one_at_a_time = threading.Lock()
 
 @dataclass(frozen=True)
 class Recipe:
-    """A system, a frame, a seed, a grid, a question: all that the counts of samples number `first`
-    to `last` depend on.
+    """Recipe of a map: system, frame, seed, grid and kind of workspace. They determine the counts
+    of samples number `first` to `last`.
 
     `variant` are the kernels that make them: others round otherwise, and are refused.
     """
@@ -97,35 +97,33 @@ class Recipe:
 
     @cached_property
     def unconstrained(self) -> bool:
-        """Whether samples are independent coordinates: no loop moves the frame, no constraint is
-        declared.
-        """
+        """Whether samples are independent coordinates, without loops or declared constraints."""
         return is_plain_chain(self.system) and not self.question.tried
 
     @property
     def piece_size(self) -> int:
-        """Samples that one thread counts at once."""
+        """Number of samples that one thread counts at once."""
         return PIECE if self.unconstrained else TRIED_PIECE if self.question.tried else SLOW_PIECE
 
     @property
     def part_size(self) -> int:
-        """Samples of a part at least: a worker of a cluster counts one at once."""
+        """Least number of samples in a part, which a worker of a cluster counts at once."""
         return PART if self.unconstrained else TRIED_PART if self.question.tried else SLOW_PART
 
     @property
     def default_sample_count(self) -> int:
-        """How many samples are drawn where none are requested; of places one in each cell."""
+        """Default number of samples; one in each cell where places are tried."""
         return self.grid.count if self.question.tried else FEW_SAMPLES[self.unconstrained]
 
     @property
     def n_entries(self) -> int:
-        """Length of the counts of 32 bits: cells, what is outside, what was left out, filled up to
-        an even number.
+        """Length of the counts: cells, samples outside, samples left out, filled up to an even
+        number.
         """
         return (self.grid.count + AFTER + 1) // 2 * 2
 
     def describe_recipe(self) -> dict[str, Any]:
-        """What is written beside a map, and must be the same for counts to be added."""
+        """Describe the recipe as data that are stored with a map and must agree to add counts."""
         grid = {k: list(x) for k, x in asdict(self.grid).items()}
         grid |= json.loads(json.dumps(asdict(self.question)))  # as it is read again
         return {
@@ -138,8 +136,8 @@ class Recipe:
         }
 
     def count_samples(self, first: int, last: int, counts: np.ndarray) -> None:
-        """Add the samples `first` to `last` to counts (entries,) of uint32, which threads may
-        share.
+        """Count the samples `first` to `last` into counts (entries,) of uint32. Threads may share
+        them.
         """
         if self.unconstrained:
             keys, bounds = self._sequence_bounds
@@ -168,8 +166,8 @@ class Recipe:
                 counts[self.grid.count + 1] += np.uint32(len(points) - len(kept))
 
     def _try_places(self, piece: int) -> Array:
-        """Points (TRIED_PIECE, 3) of one piece, in the cells in a scattered order; NaN where they
-        are not reached.
+        """Draw points (TRIED_PIECE, 3) of one piece, in cells in scattered order, NaN if not
+        reached.
         """
         grid = self.grid
         rng = np.random.Generator(np.random.Philox(key=[self.seed, piece]))
@@ -185,7 +183,7 @@ class Recipe:
 
     @cached_property
     def _stride(self) -> int:
-        """A step from cell to cell that comes to each of them once, in the order of a golden ratio."""
+        """A step between cells that visits each of them once, in golden-ratio order."""
         stride = max(1, int(GOLDEN * self.grid.count))
         while math.gcd(stride, self.grid.count) > 1:
             stride += 1
@@ -193,11 +191,12 @@ class Recipe:
 
     @cached_property
     def _sequence_bounds(self) -> tuple[np.ndarray, Array]:
+        """Keys of the random sequences, and bounds of the coordinates."""
         return make_keys(self.seed, self.system.nq), list_sampling_bounds(self.system)
 
 
 def count_part(recipe: Recipe, first: int, last: int) -> np.ndarray:
-    """The counts (entries,) of the samples `first` to `last`, in one thread. Errors:
+    """Count the samples `first` to `last` in one thread, and return counts (entries,). Errors:
     `KernelsError`.
     """
     refuse_kernels(recipe.variant, recipe.version)
@@ -211,19 +210,19 @@ def count_part(recipe: Recipe, first: int, last: int) -> np.ndarray:
 
 
 def is_plain_chain(system: Model) -> bool:
-    """Whether every configuration within the limits is one of the system."""
+    """Whether all configurations within the limits are allowed."""
     return not has_loops(system) and not system._mechanism.constraints
 
 
 def make_keys(seed: int, count: int) -> np.ndarray:
-    """Keys (count,) of the random sequences of the coordinates, from a seed: SplitMix64 twice."""
+    """Make keys (count,) of the coordinates' random sequences from a seed, by SplitMix64 twice."""
     return np.array([_mix_bits(_mix_bits(seed, 0), k) for k in range(count)], dtype=np.uint64).view(
         np.int64
     )
 
 
 def _mix_bits(state: int, counter: int) -> int:
-    """Number `counter` of SplitMix64 from `state` (Steele, Lea and Flood 2014)."""
+    """Compute number `counter` of SplitMix64 from `state` (Steele, Lea and Flood 2014)."""
     mask = 2**64 - 1
     z = (state + 0x9E3779B97F4A7C15 * (counter + 1)) & mask
     z = ((z ^ (z >> 30)) * 0xBF58476D1CE4E5B9) & mask
@@ -232,7 +231,7 @@ def _mix_bits(state: int, counter: int) -> int:
 
 
 def list_sampling_bounds(system: Model) -> Array:
-    """Lower end and range (nq, 2) of what is drawn of each coordinate; quaternions have none."""
+    """List lower end and range (nq, 2) of each drawn coordinate; quaternions have none."""
     low, high = compute_sampling_box(system)
     layout = system.structure.layout
     out = np.zeros((system.nq, 2))
@@ -242,7 +241,7 @@ def list_sampling_bounds(system: Model) -> Array:
 
 
 def sample_positions(system: Model, frame: str, seed: int, piece: int) -> Array:
-    """Positions (SLOW_PIECE, 3) of one piece of samples of a system with loops or constraints.
+    """Sample positions (SLOW_PIECE, 3) of one piece, for a system with loops or constraints.
 
     NaN where a configuration is not closed, or violates a constraint.
     """
@@ -255,7 +254,7 @@ def sample_positions(system: Model, frame: str, seed: int, piece: int) -> Array:
 def sample_closed_configurations(
     system: Model, seed: int, piece: int, count: int = SLOW_PIECE
 ) -> tuple[Array, np.ndarray]:
-    """Random configurations (count, nq), brought to where loops are closed, and where (count,) all
+    """Sample random configurations (count, nq), closed if possible. A mask (count,) tells where all
     constraints hold.
     """
     q = sample_configurations(
@@ -276,8 +275,8 @@ def sample_closed_configurations(
 def make_recipe(
     system: Model, frame: str, seed: int, cells: Any, box: Any, question: WorkspaceKind = PLAIN
 ) -> Recipe:
-    """The recipe of a map. Errors: `InputError` for a frame that does not move, unlimited slides,
-    wrong boxes.
+    """Make the recipe of a map. Errors: `InputError` for an immobile frame, unlimited slides, wrong
+    boxes.
     """
     if question.kind == ORIENTATION:
         return Recipe(
@@ -314,8 +313,8 @@ def make_recipe(
 
 
 def sample_pilot_positions(system: Model, frame: str, seed: int) -> Array:
-    """Positions (k, 3) that say where a frame comes. Errors: `InputError` where no configuration
-    could be closed.
+    """Sample positions (k, 3) that show the extent of a frame's places. Errors: `InputError` if no
+    configuration closes.
     """
     if is_plain_chain(system):
         points = np.empty((PILOT, 3))
@@ -342,7 +341,7 @@ def sample_pilot_positions(system: Model, frame: str, seed: int) -> Array:
 
 
 def _make_orientation_grid(cells: Any, box: Any, dim: int) -> Grid:
-    """The grid of all orientations. Errors: `InputError`."""
+    """Make the grid of all orientations. Errors: `InputError`."""
     if box is not None:
         raise InputError("box is for places: of orientations all are tried")
     names = TURNED[dim]
@@ -360,7 +359,7 @@ def _make_orientation_grid(cells: Any, box: Any, dim: int) -> Grid:
 
 
 def list_unlimited_coordinates(system: Model, frame: str) -> list[str]:
-    """Names of coordinates that move a frame without end."""
+    """List the names of coordinates that move a frame without limit."""
     layout = system.structure.layout
     circle = find_free_angles(system)
     if not has_loops(system):
@@ -391,8 +390,8 @@ SHARED_BYTES = 256 * 2**20
 def count_in_threads(
     recipe: Recipe, first: int, last: int, threads: int, check: Callable[[int], None]
 ) -> tuple[np.ndarray, int, BaseException | None]:
-    """Counts (entries,) of the samples `first` to `stop`, that stop, and what broke the work off
-    (None: nothing).
+    """Count samples from `first` on in threads, and return the counts (entries,) and where they
+    stop. Also return what broke the work off, or None.
 
     `stop` is `last`, or the end of a piece where the time was up or an interrupt came. `check` is
     called with the number of samples that are counted, and raises what ends the work.
@@ -402,6 +401,7 @@ def count_in_threads(
     piece = recipe.piece_size
 
     def count_piece(thread: int, start: int) -> None:
+        """Count one piece of samples in a thread."""
         recipe.count_samples(start, min(start + piece, last), counts[thread % most])
 
     done, broken = work_in_threads(

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 def refuse_other_map(
     of: dict[str, Any], said: dict[str, Any], where: str, keys: Iterable[str] | None = None
 ) -> None:
-    """Refuse to add to a map of something else, by these keys, or all. Errors: `InputError` that
-    says what differs.
+    """Refuse to add to a map whose data differ, in these keys or in all. Errors: `InputError` with
+    the difference.
     """
     different = [key for key in (said if keys is None else keys) if of.get(key) != said[key]]
     if different:
@@ -39,7 +39,7 @@ def refuse_other_map(
 
 
 def import_zarr() -> Any:
-    """The package zarr. Errors: `MissingExtraError`."""
+    """Import the package zarr. Errors: `MissingExtraError`."""
     try:
         import zarr
     except ImportError:
@@ -48,8 +48,8 @@ def import_zarr() -> Any:
 
 
 def format_description(system: Model) -> str | None:
-    """The system as TOML text, to be read again; None where it holds what no file can, such as
-    functions.
+    """Format the system as TOML text. None if it holds functions or other things that files cannot
+    hold.
     """
     from kempe.description.toml_writer import write_toml
 
@@ -60,7 +60,7 @@ def format_description(system: Model) -> str | None:
 
 
 def find_format(path: Path) -> str | None:
-    """Which of our formats is written at a path, sound or not; None for all else."""
+    """Find which format of Kempe is stored at a path, sound or damaged; None for other contents."""
     try:
         return json.loads((path / "zarr.json").read_text(encoding="utf-8"))["attributes"]["format"]
     except UNREADABLE:
@@ -74,9 +74,7 @@ OTHER_FORMATS = frozenset(f"{TABLES} {PACKED}".split())
 
 
 def refuse_place(path: Path, format: str) -> None:
-    """Refuse a path that has no folder, or where something else than this format is. Errors:
-    `InputError`.
-    """
+    """Refuse a path without a folder, or with contents of another format. Errors: `InputError`."""
     if not path.parent.is_dir():
         raise InputError(f"{path}: there is no folder {str(path.parent)!r}")
     stem = path
@@ -103,7 +101,7 @@ def add_array(
     fill: Any = None,
     **attributes: Any,
 ) -> Any:
-    """A new array of a group, with names of its axes and what else is said of it.
+    """Add an array with named axes and attributes to a group.
 
     Each chunk ends with its checksum (CRC-32C), and all chunks that are assigned to are written,
     also those of zeros: their files say what is done.
@@ -123,12 +121,12 @@ def add_array(
 
 
 def find_chunk_file(array: Any, index: tuple[int, ...]) -> Path:
-    """The file of a chunk of an array."""
+    """Find the file of a chunk of an array."""
     return array.store.root / array.path / array.metadata.encode_chunk_key(index)
 
 
 def read_array(array: Any) -> np.ndarray:
-    """All of an array. Errors: `ValueError` that names the first chunk which is missing or damaged."""
+    """Read a whole array. Errors: `ValueError` that names the first missing or damaged chunk."""
     try:
         if array.nchunks_initialized == array.nchunks:
             return np.asarray(array[...])
@@ -149,8 +147,8 @@ def read_array(array: Any) -> np.ndarray:
 def write_group(
     path: Path, format: str, attributes: dict[str, Any], fill: Callable[[Any], None]
 ) -> None:
-    """Write a group, filled by `fill(group)`, in the place of what is at the path: it is there
-    whole or not at all.
+    """Write a group, filled by `fill(group)`, in place of the contents of a path. Afterwards it is
+    there as a whole or not at all.
 
     Errors: `DiskError`, `MissingExtraError`, `InputError` for a path where this format may not be
     written.
@@ -187,8 +185,8 @@ NEW = ".kempe-new"
 
 
 def restore_former_map(path: Path) -> None:
-    """Put back the map that was at a path, where a process ended while it was replaced; remove it,
-    where the new one was at the path by then.
+    """Restore the former map at a path after a process ended while it was replaced. If the new map
+    is there, the former one is removed.
     """
     former = path.with_name(path.name + FORMER)
     if not path.exists():
@@ -199,7 +197,7 @@ def restore_former_map(path: Path) -> None:
 
 
 def refuse_small_disk(folder: Path, needed: int) -> None:
-    """Refuse to begin where a disk has less than these bytes free. Errors: `DiskError`."""
+    """Refuse to begin if a disk has less than these bytes free. Errors: `DiskError`."""
     free = shutil.disk_usage(folder).free
     if free < needed:
         raise DiskError(
@@ -209,7 +207,7 @@ def refuse_small_disk(folder: Path, needed: int) -> None:
 
 
 def make_disk_error(path: Path, error: OSError) -> DiskError:
-    """The error for what could not be written."""
+    """Make the error of a result that could not be written."""
     full = error.errno in (errno.ENOSPC, errno.EDQUOT)
     why = (
         "the disk is full"

@@ -38,7 +38,7 @@ AFTER = 2
 
 @dataclass(frozen=True, eq=False)
 class SampleCounts:
-    """Counts of samples in the cells of a grid, and what made them, as plain data.
+    """Counts of samples in the cells of a grid, with the data that define them.
 
     `counts` (cells + 2,) end with the samples outside the box and those that were left out;
     `ranges` are the numbers of all these samples, from the first to before the last.
@@ -51,26 +51,26 @@ class SampleCounts:
 
     @cached_property
     def map(self) -> CellMap:
-        """The counts of the cells."""
+        """The number of samples in each cell."""
         return CellMap(self.grid, self.counts[: self.grid.count].reshape(self.grid.shape))
 
     @property
     def samples(self) -> int:
-        """How many samples were drawn."""
+        """Number of samples drawn."""
         return sum(last - first for first, last in self.ranges)
 
     @property
     def outside(self) -> int:
-        """How many samples fell outside the box."""
+        """Number of samples outside the box."""
         return int(self.counts[self.grid.count])
 
     @property
     def left_out(self) -> int:
-        """How many samples could not be closed, violated a constraint or are not reached."""
+        """Number of samples that could not be closed, violated a constraint, or were not reached."""
         return int(self.counts[self.grid.count + 1])
 
     def add_counts(self, first: int, last: int, counts: np.ndarray) -> SampleCounts:
-        """These counts with those of one more range of samples."""
+        """Return these counts with those of the samples `first` to `last` added."""
         ranges: list[tuple[int, int]] = []
         for start, stop in sorted([*self.ranges, (first, last)]):
             if ranges and ranges[-1][1] == start:
@@ -80,7 +80,7 @@ class SampleCounts:
         return replace(self, counts=total, ranges=tuple(ranges))
 
     def list_missing_ranges(self, n: int, most: int) -> list[tuple[int, int]]:
-        """Ranges of at most `most` samples that are left of the first n."""
+        """List the missing ranges of the first n samples, each of at most `most` samples."""
         out: list[tuple[int, int]] = []
         start = 0
         for first, last in [*self.ranges, (n, n)]:
@@ -91,12 +91,12 @@ class SampleCounts:
 
 
 def make_empty_counts(said: dict[str, Any], grid: Grid) -> SampleCounts:
-    """Counts of no samples."""
+    """Make counts without samples."""
     return SampleCounts(said, grid, np.zeros(grid.count + AFTER, dtype=np.uint64))
 
 
 def write_map(path: Path, system: Model, samples: SampleCounts) -> None:
-    """Write the map of a system, which is then there whole or not at all. Errors: `DiskError`,
+    """Write the map of a system, as a whole or not at all. Errors: `DiskError`,
     `MissingExtraError`, `InputError`.
     """
     cells = samples.map
@@ -113,6 +113,7 @@ def write_map(path: Path, system: Model, samples: SampleCounts) -> None:
     }
 
     def fill_group(group: Any) -> None:
+        """Fill the group with the arrays of the map."""
         kind = np.uint32 if cells.counts.max(initial=0) < 2**32 else np.uint64
         chunks = tuple(min(CHUNK, k) for k in cells.counts.shape)
         add_array(
@@ -141,12 +142,12 @@ def write_map(path: Path, system: Model, samples: SampleCounts) -> None:
 
 
 def _compute_checksum(made: dict[str, Any]) -> str:
-    """A checksum of what made a map."""
+    """Compute a checksum of the data that define a map."""
     return hashlib.sha256(json.dumps(made, sort_keys=True).encode()).hexdigest()
 
 
 def read_map(path: Path) -> tuple[SampleCounts, str | None]:
-    """The counts at a path, and the description of their system as TOML text, if there is one.
+    """Read the counts at a path, and the description of their system as TOML text, if there is one.
 
     Errors: `InputError` where there is no map, `DamagedError` where it is not what was written.
     """

@@ -1,4 +1,4 @@
-"""Work that is done in parts: by threads of this process, or by the workers of a Dask cluster.
+"""Work in parts, by threads of this process or by the workers of a Dask cluster.
 
 The caller can be interrupted at any time. Workers of a cluster may end, come late, and do a part
 twice.
@@ -24,7 +24,9 @@ WAKE = 0.2
 
 
 class Pace:
-    """Calls `progress(done, total)` now and then, and raises `TimeUp` where the time is up."""
+    """Reporter that calls `progress(done, total)` at intervals, and raises `TimeUp` when time is
+    up.
+    """
 
     def __init__(self, progress: Callable[..., Any] | None, total: int, clock: TimeLimit):
         self.progress = progress
@@ -33,7 +35,7 @@ class Pace:
         self.reported = time.monotonic()
 
     def __call__(self, done: int, at_once: bool = False) -> None:
-        """Report that so many are done, if it is time, or at once."""
+        """Report the number of items done, if the interval has passed, or at once."""
         now = time.monotonic()
         if self.progress is not None and (at_once or now - self.reported >= WAKE):
             self.reported = now
@@ -48,7 +50,7 @@ END: Any = object()
 
 
 class Stopped(Exception):
-    """Raised by `check_for_stop` in a thread whose work is to be left."""
+    """Raised by `check_for_stop` in a thread that must leave its work."""
 
 
 def work_in_threads(
@@ -58,7 +60,8 @@ def work_in_threads(
     check: Callable[[int], None],
     stops: bool = False,
 ) -> tuple[int, BaseException | None]:
-    """How many items were worked on, and the interrupt or `TimeUp` that ended this early.
+    """Work on items in threads, and return how many are done. Also return the interrupt or `TimeUp`
+    that ended the work early.
 
     Threads take the items in their order, one at a time, and call `work(number of the thread,
     item)`. This thread calls `check(number of items done)` now and then, which may raise what ends
@@ -74,14 +77,17 @@ def work_in_threads(
     active = 0
 
     def check_stopped() -> None:
+        """Raise `Stopped` if the work is over."""
         if over.is_set():
             raise Stopped
 
     def take_item() -> Any:
+        """Take the next item, or `END`."""
         with state:
             return END if over.is_set() else next(todo, END)
 
     def run_thread(number: int) -> None:
+        """Work on items in one thread until there are no more."""
         nonlocal done, active
         with state:
             active += 1
@@ -133,7 +139,7 @@ SUCH = "such as 'tcp://127.0.0.1:8786'"
 
 
 def connect_client(client: Any) -> Any:
-    """The client, or a new one for the address of a scheduler. Errors: `InputError` where nobody
+    """Return the client, or make one for the address of a scheduler. Errors: `InputError` if nobody
     answers there.
     """
     try:
@@ -154,8 +160,8 @@ def connect_client(client: Any) -> Any:
 
 
 def refuse_address(address: str) -> None:
-    """Refuse an address at which nobody answers, before a client is made, which would wait for half
-    a minute when the process ends. Errors: `InputError`.
+    """Refuse an address at which no scheduler answers, before a client is made. The client would
+    wait for half a minute at the end of the process. Errors: `InputError`.
     """
     import asyncio
     from concurrent.futures import ThreadPoolExecutor
@@ -186,8 +192,8 @@ def iterate_results(
     parts: Iterable[tuple[Any, tuple[Any, ...]]],
     check: Callable[[], None],
 ) -> Iterator[tuple[Any, Any]]:
-    """`function(job, *arguments)` of each part (name, arguments), by workers: (name, result) as
-    they come.
+    """Yield (name, result) of each part (name, arguments), as workers finish. The result is
+    `function(job, *arguments)`.
 
     Two parts a thread of the cluster are under way at once. `check` is called now and then, and
     raises what ends the work early: parts that are under way are then given up. Errors: those of
@@ -203,12 +209,14 @@ def iterate_results(
 
     def submit_part(name: Any, arguments: tuple[Any, ...], attempt: int) -> None:
         # the job travels once; where its workers ended too often, it is lost, and sent again
+        """Submit a part to the workers."""
         if attempt == len(shared):
             shared.append(client.submit(_return_argument, job, pure=False, retries=RETRIES))
         future = client.submit(function, shared[attempt], *arguments, pure=False, retries=RETRIES)
         running[future] = name, arguments, attempt
 
     def wait_for_some() -> Iterable[Any]:
+        """Wait a short time for finished parts, and return them."""
         try:
             with client.as_current():  # `wait` asks the current client, not that of its futures
                 return library.wait(list(running), timeout=LOOK, return_when="FIRST_COMPLETED").done
@@ -234,18 +242,20 @@ def iterate_results(
 
 
 def _return_argument(thing: Any) -> Any:
+    """Return the argument."""
     return thing
 
 
 def count_threads(client: Any) -> int:
-    """How many threads all workers of a cluster have."""
+    """Count the threads of all workers of a cluster."""
     return sum(client.nthreads().values())
 
 
 def make_probe() -> Callable[[], tuple[str, str]]:
-    """A function that is sent to workers as code, not by its name: they may have no Kempe."""
+    """Make a function that is sent to workers as code, since they may lack Kempe."""
 
     def describe_kernels() -> tuple[str, str]:
+        """Return the variant of the kernels and the version of Kempe."""
         from kempe.kernels.compiled import VARIANT
         from kempe.version import __version__
 
@@ -255,7 +265,7 @@ def make_probe() -> Callable[[], tuple[str, str]]:
 
 
 def refuse_workers(client: Any) -> None:
-    """Refuse a cluster where a worker has no Kempe, or another one, and warn where there is no
+    """Refuse a cluster with a worker without Kempe or with another version; warn if there is no
     worker. Errors: `KernelsError`.
     """
     answers = client.run(make_probe(), on_error="return")
@@ -282,7 +292,7 @@ def refuse_workers(client: Any) -> None:
 
 
 def refuse_kernels(variant: str, version: str) -> None:
-    """Refuse to work with kernels that would round otherwise than these. Errors: `KernelsError`."""
+    """Refuse to work with kernels that round differently. Errors: `KernelsError`."""
     if (variant, version) != (VARIANT, __version__):
         raise KernelsError(
             f"the map is made by the kernels {variant!r} of Kempe {version}, and here run "

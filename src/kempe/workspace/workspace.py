@@ -1,5 +1,5 @@
-"""The verb `workspace`: any number of samples in fixed memory, in threads or on a cluster, stopped
-and gone on with.
+"""The verb `workspace`: samples of any number in fixed memory, in threads or on a cluster. The work
+can be stopped and continued.
 """
 
 from __future__ import annotations
@@ -62,8 +62,7 @@ def workspace(
     path: str | Path | None = None,
     budget: Budget | None = None,
 ) -> Workspace:
-    """The places that a frame reaches, by `n` random samples within all limits and constraints: a
-    `Workspace`.
+    """Sample the places that a frame reaches, by `n` random samples within limits and constraints.
 
     The `kind` says which places: "reachable", in some orientation (the default);
     "constant-orientation", in one `orientation`; "dexterous", in several, by default 180 angles of
@@ -129,7 +128,7 @@ def workspace(
 def _answer_workspace(
     recipe: Recipe, path: Path | None, count: int, client: Any, spend: Budget, clock: TimeLimit
 ) -> Workspace:
-    """The map of the first `count` samples, or of those that were counted until it was broken off."""
+    """Compute the map of the first `count` samples, or of those counted before it was broken off."""
     samples = make_empty_counts(recipe.describe_recipe(), recipe.grid)
     redone = 0
     if path is not None:
@@ -162,7 +161,7 @@ def _answer_workspace(
 
 
 def _read_samples(path: Path, none: SampleCounts) -> tuple[SampleCounts, int]:
-    """The samples that are counted at a path, else `none`, and 1 where what is there is damaged.
+    """Read the samples counted at a path, else `none`. Also return 1 if the contents are damaged.
 
     Errors: `InputError` where it is another map, or something else; `MissingExtraError`.
     """
@@ -180,7 +179,7 @@ def _read_samples(path: Path, none: SampleCounts) -> tuple[SampleCounts, int]:
 
 
 def _write_samples(path: Path, recipe: Recipe, samples: SampleCounts) -> float:
-    """Write the map, and when it should be written again, by the clock. Errors: `DiskError`."""
+    """Write the map, and return when it should be written again, by the clock. Errors: `DiskError`."""
     begun = time.monotonic()
     write_map(path, recipe.system, samples)
     end = time.monotonic()
@@ -190,7 +189,7 @@ def _write_samples(path: Path, recipe: Recipe, samples: SampleCounts) -> float:
 def _iterate_part_counts(
     recipe: Recipe, samples: SampleCounts, count: int, client: Any, threads: Any, pace: Pace
 ) -> Iterator[tuple[int, int, np.ndarray]]:
-    """Counts of the samples that are left of the first `count`: (first, last, counts) of each part.
+    """Yield counts of the missing samples among the first `count`, as (first, last, counts).
 
     By threads of this process the last part is shorter where the work is broken off. Errors: what
     broke it off, after what was done by then.

@@ -1,4 +1,4 @@
-"""Regions of planar chains of turns and slides, within their limits.
+"""Regions that planar chains of revolute and prismatic joints reach within their limits.
 
 The region of a chain is what its first joint sweeps with the region of the others.
 """
@@ -36,8 +36,8 @@ angles."""
 
 
 def project_joint(line: JointLine, axes: Array, origin: Array) -> JointLine | None:
-    """A joint in the plane of two unit vectors (3,), of which the third of `axes` is the normal,
-    through an origin; None if it does not move along that.
+    """Project a joint to a plane through an origin; None if it moves across the plane. The third of
+    `axes` is the normal.
     """
     across = float(line.direction @ axes[2])
     if line.turns:
@@ -51,7 +51,7 @@ def project_joint(line: JointLine, axes: Array, origin: Array) -> JointLine | No
 
 
 def list_stopping_limits(joint: JointLine) -> tuple[float, ...]:
-    """The limits of a joint that stop it: none of a turn that goes round."""
+    """List the limits of a joint that stop it. A joint that turns round has none."""
     low, high = joint.limits
     if joint.turns and abs(joint.rate) * (high - low) >= TURN:
         return ()
@@ -59,7 +59,7 @@ def list_stopping_limits(joint: JointLine) -> tuple[float, ...]:
 
 
 def compute_motion(joint: JointLine, x: float) -> tuple[complex, complex]:
-    """(a, b): with a joint's coordinate at x, a point z of its body is at a z + b."""
+    """Compute (a, b): with the joint at x, a point z of its body is at a z + b."""
     if not joint.turns:
         return 1.0 + 0j, joint.direction * joint.rate * x
     a = complex(np.exp(1j * joint.rate * x))
@@ -67,7 +67,9 @@ def compute_motion(joint: JointLine, x: float) -> tuple[complex, complex]:
 
 
 def make_joint_path(joint: JointLine, p: complex, back: bool = False) -> PlanePiece:
-    """The piece along which a joint moves a point; `back`: that of the points which it moves to p."""
+    """Return the arc or segment along which a joint moves p; with `back`, that of points which
+    reach p.
+    """
     rate = -joint.rate if back else joint.rate
     low, high = joint.limits
     if not joint.turns:
@@ -82,13 +84,16 @@ def make_joint_path(joint: JointLine, p: complex, back: bool = False) -> PlanePi
 
 
 def compute_swept_region(joint: JointLine, region: PlanarRegion, size: float) -> PlanarRegion:
-    """What a joint sweeps with a region, or with a curve; of that each point is counted."""
+    """Compute the region that a joint sweeps with a region or a curve. Solutions are counted for a
+    curve.
+    """
     pieces: list[PlanePiece] = []
     for piece in region.edges:
         pieces += [piece.move_piece(*compute_motion(joint, x)) for x in list_stopping_limits(joint)]
         pieces += [make_joint_path(joint, p) for p in _find_leading_points(joint, piece, size)]
 
     def count_solutions(p: complex) -> int:
+        """Count the joint positions at which a point is reached."""
         back = make_joint_path(joint, p, back=True)
         if back.length < NOTHING * size:
             return int(region.contains_points(np.array(p)))
@@ -105,7 +110,9 @@ def compute_swept_region(joint: JointLine, region: PlanarRegion, size: float) ->
 
 
 def _find_leading_points(joint: JointLine, piece: PlanePiece, size: float) -> list[complex]:
-    """Points of a boundary that lead as a joint moves it: its ends, and where it moves along it."""
+    """Find the leading points of a boundary that a joint moves. These are its ends, and points
+    where it moves along itself.
+    """
     concentric = joint.turns and piece.is_arc and abs(piece.centre - joint.point) < SAME * size
     t = [] if piece.is_whole and not concentric else [0.0, 1.0]
     ends = [complex(piece.evaluate_points(x)) for x in t]
@@ -126,7 +133,7 @@ def _find_leading_points(joint: JointLine, piece: PlanePiece, size: float) -> li
 
 @dataclass(frozen=True)
 class PlanarChain:
-    """The joints of a chain from the ground on, and the point that they move, all of them at zero.
+    """The joints of a chain from the ground on, and the point that they move, at zero.
 
     `spare` joints more move it no further than these do.
     """
@@ -137,8 +144,7 @@ class PlanarChain:
 
     @classmethod
     def from_joints(cls, joints: Iterable[JointLine], tip: complex) -> PlanarChain:
-        """The chain of joints, of which those that turn about one axis or slide along one way are
-        one.
+        """Make a chain of joints. Joints with the same axis or direction are merged.
 
         A joint with the tip on its axis is left out.
         """
@@ -155,8 +161,8 @@ class PlanarChain:
 
     @cached_property
     def size(self) -> float:
-        """A length scale [m]: distances between successive axes and the tip, plus the largest
-        values of slides.
+        """A characteristic length [m]: distances of successive axes and the tip, plus the largest
+        slide.
         """
         places = [j.point for j in self.joints if j.turns] + [self.tip]
         slides = [j.rate * max(map(abs, j.limits)) for j in self.joints if not j.turns]
@@ -164,7 +170,7 @@ class PlanarChain:
 
     @cached_property
     def region(self) -> PlanarRegion:
-        """The points that the chain reaches; solutions are counted of two joints."""
+        """The region that the chain reaches. Solutions are counted for two joints."""
         curve = (make_joint_path(self.joints[-1], self.tip),)
         region = PlanarRegion(self.size, curve=curve, counted=not self.spare)
         for joint in self.joints[-2::-1]:
@@ -173,7 +179,7 @@ class PlanarChain:
 
 
 def _merge_joints(a: JointLine, b: JointLine) -> JointLine | None:
-    """One joint for two that turn about one axis or slide along one way; else None."""
+    """Merge two joints with the same axis or direction to one; None for others."""
     if a.turns != b.turns:
         return None
     if a.turns:
@@ -191,8 +197,8 @@ def _merge_joints(a: JointLine, b: JointLine) -> JointLine | None:
 
 
 def split_wrist(chain: PlanarChain) -> tuple[PlanarChain, complex] | None:
-    """The chain without its last joint, up to the axis of that, and the way from there to the tip;
-    None without one.
+    """Split a chain into the part up to the last joint's axis, and the way from there to the tip.
+    None without a last revolute joint.
 
     The last joint must turn without limits: then the orientation is free, wherever the axis is.
     """

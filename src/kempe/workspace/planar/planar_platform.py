@@ -1,4 +1,4 @@
-"""Places of a planar platform on legs: where all legs hold it in some orientation.
+"""Places of a planar platform on legs, where all legs hold it in some orientation.
 
 The last joint of each leg turns without limits. Boundary curves are arcs, segments and coupler
 curves, which are traced; the area is sampled.
@@ -63,8 +63,7 @@ SQUARES = 200
 
 @dataclass(frozen=True, eq=False)
 class HeldPoints(Curve):
-    """Motions of a platform with its point `a` on the circle or line of one piece, `b` on that of
-    another.
+    """Motions of a platform with points `a` and `b` on the circles or lines of two pieces.
 
     Unknowns are the place in units of `size`, and the angle. Source: Wunderlich, "Ebene Kinematik",
     Bibliographisches Institut (1970).
@@ -78,8 +77,13 @@ class HeldPoints(Curve):
 
     n = 3
 
+<<<<<<< HEAD
     def evaluate_residuals(self, x: Array) -> tuple[Array, Array]:
         """Residuals (k, 2) of motions x (k, 3), and their derivatives (k, 2, 3)."""
+=======
+    def evaluate_equations(self, x: Array) -> tuple[Array, Array]:
+        """Evaluate residuals (k, 2) at motions x (k, 3), and derivatives (k, 2, 3)."""
+>>>>>>> 49d0847a (First lines of docstrings of workspaces and spaces are sentences that a student understands)
         F = np.empty((len(x), 2))
         J = np.empty((len(x), 2, 3))
         u = np.exp(1j * x[:, 2])
@@ -94,22 +98,33 @@ class HeldPoints(Curve):
             )
         return F, J
 
+<<<<<<< HEAD
     def evaluate_equations(self, x: Array) -> tuple[Array, Array]:
         """Residuals (3,) and derivatives (3, 3), the last of them zero."""
         F, J = self.evaluate_residuals(x[None])
+=======
+    def both(self, x: Array) -> tuple[Array, Array]:
+        """Evaluate residuals (3,) and derivatives (3, 3), of which the last row is zero."""
+        F, J = self.evaluate_equations(x[None])
+>>>>>>> 49d0847a (First lines of docstrings of workspaces and spaces are sentences that a student understands)
         return np.append(F[0], 0.0), np.vstack([J[0], np.zeros(3)])
 
     def locate_origins(self, x: Array) -> np.ndarray:
-        """Places (k,) of the platform's origin in motions (k, 3)."""
+        """Locate the platform's origin (k,) in motions (k, 3)."""
         return self.size * (x[:, 0] + 1j * x[:, 1])
 
     def compute_tangents(self, x: Array) -> Array:
+<<<<<<< HEAD
         """Tangents (k, 3) of the curve at motions (k, 3) on it, of no certain length."""
         J = self.evaluate_residuals(x)[1]
+=======
+        """Compute tangents (k, 3) of the curve at motions (k, 3), of any length."""
+        J = self.evaluate_equations(x)[1]
+>>>>>>> 49d0847a (First lines of docstrings of workspaces and spaces are sentences that a student understands)
         return np.cross(J[:, 0], J[:, 1])
 
     def list_starts(self) -> Array:
-        """Motions (k, 3) with one of the points spread over its circle, or over its piece of a line."""
+        """List motions (k, 3) with one point spread over its circle, or over its segment."""
         out: list[tuple[float, float, float]] = []
         ends = (
             (self.first, self.a, self.second, self.b),
@@ -124,7 +139,7 @@ class HeldPoints(Curve):
         return self.correct_motions(np.array(out).reshape(-1, 3))
 
     def correct_motions(self, x: Array) -> Array:
-        """Motions (k, 3) on the curve, nearest to those close to it."""
+        """Correct motions (k, 3) near the curve to the nearest ones on it."""
         for _ in range(4):
             F, J = self.evaluate_residuals(x)
             square = J @ J.transpose(0, 2, 1) + 1e-14 * np.eye(2)
@@ -132,7 +147,7 @@ class HeldPoints(Curve):
         return x
 
     def trace_motions(self, start: Array) -> Array:
-        """Motions (k, 3) along the curve through one of them, to its ends or once round it."""
+        """Trace motions (k, 3) along the curve through one of them, to its ends or once round."""
         first = make_node(self, start)
         halves: list[list[Array]] = []
         for begin in (first, first.reverse_direction()):
@@ -154,13 +169,14 @@ class HeldPoints(Curve):
 
 
 def _take_step(curve: Curve, a: Any, h: float) -> list[Any] | None:
+    """Take one step along a curve; None if it fails."""
     b = find_next_node(curve, a, h)
     return None if b is None else [b]
 
 
 @dataclass(frozen=True, eq=False)
 class CouplerCurve:
-    """The places of a platform on a traced curve of its motions, from its parameter 0 to 1.
+    """The places of a platform along a traced curve of motions, with parameters from 0 to 1.
 
     `nodes` (k, 3) are motions along the curve; what is between them is brought to the curve by
     Newton's method. It goes from the node `start` on by `sweep` nodes, which may be fractions.
@@ -174,23 +190,23 @@ class CouplerCurve:
     kind = "coupler curve"
 
     def _locate_parameters(self, t: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Where (k,) in numbers of nodes parameters (k,) are, and the nodes (k,) before."""
+        """Locate parameters (k,) between nodes, and return the nodes (k,) before them."""
         x = np.clip(self.start + self.sweep * np.atleast_1d(t), 0.0, len(self.nodes) - 1.0)
         return x, np.minimum(x.astype(int), len(self.nodes) - 2)
 
     def evaluate_motions(self, t: Any) -> Array:
-        """Motions (k, 3) at parameters t (k,)."""
+        """Evaluate motions (k, 3) at parameters t (k,)."""
         x, k = self._locate_parameters(t)
         part = (x - k)[:, None]
         guess = (1.0 - part) * self.nodes[k] + part * self.nodes[k + 1]
         return self.motions.correct_motions(guess)
 
     def evaluate_points(self, t: Any) -> np.ndarray:
-        """Points (...) at parameters t (...)."""
+        """Evaluate points (...) at parameters t (...)."""
         return self.motions.locate_origins(self.evaluate_motions(t)).reshape(np.shape(t))
 
     def evaluate_tangents(self, t: Any) -> np.ndarray:
-        """Tangents (k,) at parameters (k,), of no certain length."""
+        """Evaluate tangents (k,) at parameters (k,), of any length."""
         along = self.motions.compute_tangents(self.evaluate_motions(t))
         _, k = self._locate_parameters(t)
         chord = self.nodes[k + 1] - self.nodes[k]
@@ -198,41 +214,42 @@ class CouplerCurve:
         return sense * (along[:, 0] + 1j * along[:, 1])
 
     def evaluate_tangent(self, t: float) -> complex:
-        """The unit tangent at a parameter."""
+        """Evaluate the unit tangent at a parameter."""
         v = complex(self.evaluate_tangents(t)[0])
         return v / max(abs(v), 1e-300)
 
     def cut_piece(self, a: float, b: float) -> CouplerCurve:
-        """The piece from the parameter a to b."""
+        """Return the piece from the parameter a to b."""
         return replace(self, start=self.start + self.sweep * a, sweep=self.sweep * (b - a))
 
     @cached_property
     def _dense_points(self) -> tuple[np.ndarray, np.ndarray]:
+        """Parameters and points along the curve with small steps."""
         t = np.linspace(0.0, 1.0, 2 + int(FINE * abs(self.sweep)))
         return t, self.evaluate_points(t)
 
     @property
     def length(self) -> float:
-        """Its length in metres, as that of short chords."""
+        """Length of the curve in metres, by short chords."""
         return float(np.abs(np.diff(self._dense_points[1])).sum())
 
     @property
     def moment(self) -> float:
-        """Half of the integral of x dy - y dx along it, as that of short chords."""
+        """Half of the integral of x dy - y dx along the curve, by short chords."""
         p = self._dense_points[1]
         return 0.5 * float(np.imag(np.conj(p[:-1]) * p[1:]).sum())
 
     @property
     def extremes(self) -> np.ndarray:
-        """Points (k,) along it, close enough to tell its extent."""
+        """Points (k,) along the curve, dense enough for its extent."""
         return self._dense_points[1]
 
     def sample_points(self, fine: float) -> np.ndarray:
-        """Points (k,) along it, closer than steps of the tracing."""
+        """Sample points (k,) along the curve, closer than the tracing steps."""
         return self._dense_points[1]
 
     def compute_distances(self, p: np.ndarray) -> np.ndarray:
-        """Distances (...) of points (...) from it."""
+        """Compute the distances (...) of points (...) from the curve."""
         z = np.asarray(p, dtype=complex).ravel()
         best = np.full(z.shape, np.inf)
         for a, b in itertools.pairwise(self._dense_points[1].tolist()):
@@ -242,7 +259,7 @@ class CouplerCurve:
         return best.reshape(np.shape(p))
 
     def data(self) -> dict[str, Any]:
-        """Its numbers, for JSON: points on it."""
+        """Return points on the curve, for JSON."""
         p = self._dense_points[1]
         ends = {"kind": self.kind, "from": to_pair(p[0]), "to": to_pair(p[-1])}
         return ends | {"points": [to_pair(z) for z in p[::FINE]]}
@@ -262,7 +279,7 @@ class CouplerCurve:
 
 @dataclass(frozen=True)
 class PlatformLeg:
-    """The `region`, or curve, in which a leg holds the point `b` of the platform; 0 is its origin."""
+    """A leg: the `region` or curve in which it holds the platform's point `b`; 0 is its origin."""
 
     region: PlanarRegion
     b: complex
@@ -283,7 +300,7 @@ class PlatformRegion:
 
     @cached_property
     def size(self) -> float:
-        """A length of the region."""
+        """A characteristic length of the region in metres."""
         return max(leg.region.size + abs(leg.b) for leg in self.legs)
 
     @cached_property
@@ -319,8 +336,8 @@ class PlatformRegion:
         return [piece for k, piece in enumerate(found) if not same[k, :k].any()]
 
     def _find_coupler_curves(self, corners: list[Array]) -> Iterator[CouplerCurve]:
-        """Coupler curves of which a start is on the boundary, or that go through a corner of it;
-        these are motions (k, 3), to which more may come.
+        """Find coupler curves with a start on the boundary or through a corner of it. Corners are
+        motions (k, 3), to which more may be added.
         """
         held: list[HeldPoints] = []
         for one, two in itertools.combinations([leg for leg in self.legs if leg.b], 2):
@@ -354,8 +371,8 @@ class PlatformRegion:
             ]
 
     def _start_off_boundary(self, motions: HeldPoints, nodes: Array) -> Array:
-        """Nodes (k, 3) of a closed curve from one on that is not on the boundary, so that no piece
-        of that is cut where the curve is closed.
+        """Rotate the nodes (k, 3) of a closed curve to start off the boundary. Then the start
+        divides no piece of the boundary.
         """
         once = nodes[-1] - nodes[0]
         aside = np.flatnonzero(self._find_boundary_side(*_locate_curve_points(motions, nodes)) == 0)
@@ -365,9 +382,7 @@ class PlatformRegion:
         return np.concatenate([nodes[k:-1], nodes[: k + 1] + once])
 
     def _find_boundary_side(self, p: np.ndarray, along: np.ndarray) -> np.ndarray:
-        """1 where the region is only to the left of tangents (n,) at points (n,), -1 to the right,
-        else 0.
-        """
+        """Find the side of tangents (n,) at points (n,) with the region: 1 left, -1 right, else 0."""
         aside = SIDE * self.size * 1j * along / np.maximum(np.abs(along), 1e-300)
         both = self.contains_points(np.concatenate([p + aside, p - aside])).reshape(2, -1)
         return both[0].astype(int) - both[1]
@@ -375,14 +390,15 @@ class PlatformRegion:
     def _find_bounding_parts(
         self, curve: Any, motions: Callable[[np.ndarray], Array], t: np.ndarray
     ) -> Iterator[tuple[float, float]]:
-        """Parameters of the ends of the parts of a curve of `motions` that bound the region, which
-        is to their left; they are looked for between parameters t (n,).
+        """Find parameters at the ends of those parts of a curve that bound the region, to their
+        left. They are sought between parameters t (n,).
 
         Parts begin and end at events, where the point of a leg comes to a boundary, a corner, or a
         place from which on the leg holds to the other side; or where the curve meets another.
         """
 
         def find_sides(x: np.ndarray) -> np.ndarray:
+            """Find the sides of the region at parameters of the curve."""
             return self._find_boundary_side(curve.evaluate_points(x), curve.evaluate_tangents(x))
 
         events = self._evaluate_events(motions(t))
@@ -410,7 +426,7 @@ class PlatformRegion:
 
     @cached_property
     def _event_table(self) -> np.ndarray:
-        """Numbers (8, m) b, c, s, n, h, e, g, k of events: zeros of the real part of
+        """Coefficients (8, m) b, c, s, n, h, e, g, k of events. These are zeros of the real part of
         (s (z - c) + n)' (h (z - e) + g u b) - k, with z = p + u b.
 
         With them the point of a leg is on the circle or line of a boundary, or beside its end, or
@@ -432,8 +448,8 @@ class PlatformRegion:
         return np.array(out).T
 
     def _evaluate_events(self, x: Array, which: np.ndarray | None = None) -> Array:
-        """Numbers (k, m) of motions (k, 3), which change their signs at events; or (k,), for each
-        motion one.
+        """Evaluate event functions (k, m) of motions (k, 3), or one for each motion (k,). They
+        change sign at events.
         """
         table = self._event_table if which is None else self._event_table[:, which]
         b, c, s, n, h, e, g, k = table
@@ -449,13 +465,14 @@ class PlatformRegion:
     # ---- points
 
     def contains_points(self, p: Any) -> np.ndarray:
-        """Whether points (...), which are not on the boundary, are inside."""
+        """Whether (...) points (...), which are not on the boundary, are inside."""
         z = np.asarray(p, dtype=complex)
         flat = z.ravel()
         parts = [self._contains_points(flat[k : k + CHUNK]) for k in range(0, len(flat), CHUNK)]
         return np.concatenate([np.zeros(0, dtype=bool), *parts]).reshape(z.shape)
 
     def _contains_points(self, p: np.ndarray) -> np.ndarray:
+        """Whether (n,) points (n,), which are not on the boundary, are inside."""
         curves = [leg for leg in self.legs if leg.region.is_curve]
         legs = curves or self.legs
         found = [
@@ -479,8 +496,8 @@ class PlatformRegion:
         return np.isin(np.arange(len(p)), i)
 
     def estimate_area(self, low: Array, high: Array) -> tuple[float, float]:
-        """Area inside a box [m^2], and two standard errors, by two random points in each of many
-        squares.
+        """Estimate the area inside a box [m^2], with two standard errors. Two random points lie in
+        each of many squares.
         """
         rng = np.random.default_rng(0)
         corners = np.stack(np.meshgrid(*[np.arange(SQUARES)] * 2, indexing="ij"), axis=-1)
@@ -493,7 +510,7 @@ class PlatformRegion:
 
 
 def _find_switches(value: Callable[[np.ndarray], np.ndarray], low: Array, high: Array) -> Array:
-    """Parameters (k,) between others, at which values (k,) change."""
+    """Find parameters (k,) between `low` and `high` at which values (k,) change."""
     before = value(low) if len(low) else low
     for _ in range(HALVINGS if len(low) else 0):
         middle = 0.5 * (low + high)
@@ -506,7 +523,7 @@ def _find_switches(value: Callable[[np.ndarray], np.ndarray], low: Array, high: 
 def _find_touching_motions(
     place: PlanePiece, touched: PlanePiece, b: complex, size: float, t: Any
 ) -> Array:
-    """Motions (k, 3) with the platform at places on a piece, and its point b on another, at the same
+    """Find motions (k, 3) with the origin on one piece and the point b on another, at equal
     parameters.
     """
     p = place.evaluate_points(t)
@@ -515,7 +532,7 @@ def _find_touching_motions(
 
 
 def _list_carriers(leg: PlatformLeg, size: float) -> list[PlanePiece]:
-    """The circles of a leg's boundary, and long segments of its lines."""
+    """List the circles of a leg's boundary, and long segments of its lines."""
     out: list[PlanePiece] = []
     for piece in leg.region.edges:
         way = piece.way and size * piece.way / abs(piece.way)
@@ -525,21 +542,21 @@ def _list_carriers(leg: PlatformLeg, size: float) -> list[PlanePiece]:
 
 
 def _locate_curve_points(motions: HeldPoints, x: Array) -> tuple[np.ndarray, np.ndarray]:
-    """Places (k,) of motions (k, 3), and tangents of the coupler curve there."""
+    """Locate the points (k,) of the coupler curve at motions (k, 3), with its tangents."""
     along = motions.compute_tangents(x)
     return motions.locate_origins(x), along[:, 0] + 1j * along[:, 1]
 
 
 def _is_untraced(x: Array, nodes: Array) -> np.ndarray:
-    """Which motions (n, 3) are not on traced curves with motions (k, 3)."""
+    """Whether (n,) motions x (n, 3) are off the traced curves with nodes (k, 3)."""
     off = np.abs(x[:, None, :] - nodes)
     off[..., 2] = np.abs(np.mod(off[..., 2] + np.pi, TURN) - np.pi)
     return np.linalg.norm(off, axis=2).min(axis=1, initial=np.inf) > SEEN
 
 
 def _compute_angles(p: np.ndarray, b: complex, end: PlanePiece) -> np.ndarray:
-    """Angles (n, 2) in [0, 2 pi) at which the platform's point b, of places p (n,), is on a piece;
-    NaN for none.
+    """Compute angles (n, 2) in [0, 2 pi) at which the platform's point b is on a piece. Its origin
+    is at p (n,); NaN means none.
     """
     r = abs(b)
     if end.is_arc:

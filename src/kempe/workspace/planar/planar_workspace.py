@@ -1,4 +1,4 @@
-"""The exact workspace of a planar chain or mechanism: boundary, area, voids, numbers of solutions.
+"""Exact workspaces of planar chains and mechanisms: boundary, area, voids, numbers of solutions.
 
 The region of a frame of a system is found here, too, from its chain or from its legs.
 """
@@ -61,8 +61,8 @@ MOST = 6
 def find_planar_region(
     system: Model, frame: str, question: WorkspaceKind
 ) -> PlanarRegion | PlatformRegion:
-    """The region of a question about a frame. Errors: `UnsupportedError`, `InputError`; see
-    `planar_workspace`.
+    """Find the region of a planar frame for a kind of workspace. Errors: `UnsupportedError`,
+    `InputError`; see `planar_workspace`.
     """
     if system.dim != 2:
         raise UnsupportedError(
@@ -110,7 +110,7 @@ def find_planar_region(
 
 
 def _merge_regions(parts: Sequence[PlanarRegion]) -> PlanarRegion:
-    """One region of all parts. Errors: `UnsupportedError` where one of several is a curve."""
+    """Merge the parts to one region. Errors: `UnsupportedError` if one of several is a curve."""
     if len(parts) > 1 and any(p.is_curve for p in parts):
         raise UnsupportedError(
             "a leg of the loop leaves a curve only: what several leave is a piece of it, or points"
@@ -121,8 +121,8 @@ def _merge_regions(parts: Sequence[PlanarRegion]) -> PlanarRegion:
 def _find_platform_region(
     system: Model, frame: str, chains: Sequence[tuple[PlanarChain, float]]
 ) -> PlanarRegion | PlatformRegion:
-    """The region of a frame at the end of legs: chains, and angles of the frame where each is at
-    zero.
+    """Find the region of a frame on legs. They are given as chains and the angles of the frame with
+    each chain at zero.
 
     Legs whose last joint turns without limits at the frame's origin hold that in a region whatever
     the orientation, so that one other decides alone. Errors: `UnsupportedError`.
@@ -162,7 +162,7 @@ def _find_platform_region(
 
 
 def find_planar_chain(system: Model, frame: str) -> tuple[PlanarChain, float]:
-    """The chain that moves a frame, and the angle of the frame where it is at zero. Errors:
+    """Find the chain that moves a frame, and the angle of the frame with the chain at zero. Errors:
     `UnsupportedError`, `InputError`; see `planar_workspace`.
     """
     lines, pose = compute_joint_lines(system, frame)
@@ -202,8 +202,8 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class SolutionRegion:
-    """Points that are reached in the same number of `solutions` (None: infinitely many), their
-    `area` and `boundary`.
+    """Points with the same number of `solutions` (None: infinitely many), their `area` and
+    `boundary`.
 
     The boundary has the region to its left. `loops` are its closed curves: those with a negative
     area go round voids.
@@ -220,7 +220,7 @@ class SolutionRegion:
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class PlanarWorkspace(Report):
-    """The points of the plane that the origin of a frame reaches, within the limits, exactly.
+    """The exact set of points that the origin of a frame reaches in the plane, within the limits.
 
     `boundary` are arcs of circles and segments that have the workspace to their left, and of
     platforms on legs pieces of coupler curves, which are traced. `regions` tell how many solutions
@@ -240,12 +240,12 @@ class PlanarWorkspace(Report):
 
     @cached_property
     def boundary(self) -> tuple[PlaneCurve, ...]:
-        """The pieces of curves that bound it; of a single joint the curve that it is."""
+        """The curves that bound the workspace; for a single joint the curve itself."""
         return tuple(self.region.boundary_pieces)
 
     @cached_property
     def measure(self) -> tuple[float, float]:
-        """Its area in square metres, and the error: rounding, or two standard errors of samples."""
+        """Area in square metres, and its error: rounding, or two standard errors of samples."""
         if isinstance(self.region, PlatformRegion):
             return self.region.estimate_area(*self.extent) if self.boundary else (0.0, 0.0)
         if self.region.is_curve:
@@ -255,19 +255,17 @@ class PlanarWorkspace(Report):
 
     @property
     def area(self) -> float:
-        """Its area in square metres."""
+        """Area in square metres."""
         return self.measure[0]
 
     @property
     def error(self) -> float:
-        """Error of the area in square metres: 0 where it is exact but for rounding, else two
-        standard errors.
-        """
+        """Error of the area in square metres: 0 if exact up to rounding, else two standard errors."""
         return self.measure[1] if isinstance(self.region, PlatformRegion) else 0.0
 
     @cached_property
     def extent(self) -> Array:
-        """The least and the largest x and y (2, 2) of its boundary in metres."""
+        """The least and the largest x and y (2, 2) of the boundary in metres."""
         p = np.concatenate(
             [piece.extremes for piece in self.boundary] or [np.zeros(1, dtype=complex)]
         )
@@ -276,9 +274,7 @@ class PlanarWorkspace(Report):
 
     @cached_property
     def regions(self) -> tuple[SolutionRegion, ...]:
-        """For each number of solutions the points that have it; one region where solutions are not
-        counted.
-        """
+        """The regions of points by number of solutions; one region if solutions are not counted."""
         if self.region.is_curve or not self.boundary:
             return ()
         if isinstance(self.region, PlatformRegion):
@@ -312,7 +308,7 @@ class PlanarWorkspace(Report):
 
     @cached_property
     def voids(self) -> tuple[tuple[PlaneCurve, ...], ...]:
-        """Closed curves round holes of the workspace."""
+        """Closed curves around holes of the workspace."""
         loops = self._closed_curves if self.regions else ()
         return tuple(loop for loop in loops if compute_loop_area(loop) < 0.0)
 
@@ -330,8 +326,8 @@ class PlanarWorkspace(Report):
         return bool(out) if out.ndim == 0 else out
 
     def solutions(self, points: ArrayLike) -> Any:
-        """In how many ways (...) points (..., 2) are reached, of chains of two joints, or legs of
-        two joints up to a common point or in one orientation.
+        """Count the solutions (...) at points (..., 2). They are known for chains of two joints,
+        and for legs of two joints that meet in a point or hold one orientation.
 
         Errors: `UnsupportedError` for others.
         """
@@ -346,8 +342,7 @@ class PlanarWorkspace(Report):
         return int(out) if p.ndim == 0 else out
 
     def distance(self, points: ArrayLike) -> Any:
-        """Distances (...) >= 0, in metres, of points (..., 2) or (..., 3) from the boundary, inside
-        or outside.
+        """Compute the distances (...) >= 0 [m] of points (..., 2) or (..., 3) from the boundary.
 
         They are infinite where the boundary is empty or a point is infinite, and NaN where a point
         is.
@@ -366,6 +361,7 @@ class PlanarWorkspace(Report):
         return float(best) if best.ndim == 0 else best
 
     def _read_points(self, points: ArrayLike) -> np.ndarray:
+        """Read points (..., 2) or (..., 3) as complex numbers (...). Errors: `InputError`."""
         p = numbers(points, "points")
         if p.ndim == 0 or p.shape[-1] not in (2, 3):
             raise InputError(f"points has shape {p.shape}; it must be (..., 2)")
@@ -376,14 +372,12 @@ class PlanarWorkspace(Report):
         return out
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Matplotlib axes with the regions, darker where there are more solutions, and the
-        boundary.
-        """
+        """Draw the regions, darker with more solutions, and the boundary in Matplotlib axes."""
         return import_late("plots of workspaces").plot_planar(self, ax)
 
     @property
     def status(self) -> str:
-        """Its area and what bounds it."""
+        """The area of the workspace and the curves that bound it, as a sentence."""
         of = f"{self.system.name}, {self.frame}" + (
             f" ({self.kind})" if self.kind != REACHABLE else ""
         )
@@ -422,22 +416,22 @@ class PlanarWorkspace(Report):
 
 
 def describe_solution_count(region: SolutionRegion, kind: str) -> str:
-    """How often the points of a region are reached."""
+    """Describe in how many ways the points of a region are reached."""
     if region.solutions is not None:
         return format_count(region.solutions, "solution")
     return "in all orientations" if kind == DEXTEROUS else "infinitely many solutions"
 
 
 def compute_loop_area(loop: tuple[PlaneCurve, ...]) -> float:
-    """Area that a closed curve has to its left: of coupler curves that of their short chords."""
+    """Compute the area to the left of a closed curve; coupler curves count by short chords."""
     return sum(piece.moment for piece in loop)
 
 
 def _join_loops(
     pieces: Sequence[PlaneCurve], same: float, gap: float = 0.0
 ) -> tuple[tuple[PlaneCurve, ...], ...]:
-    """The pieces as closed curves, each followed by one that begins where it ends: of several the
-    leftmost. Where none does it is the nearest within a `gap`.
+    """Join pieces to closed curves, each followed by one that begins at its end. Of several this is
+    the leftmost, without any the nearest within a `gap`.
     """
     out: list[tuple[PlaneCurve, ...]] = []
     starts = np.array([complex(p.evaluate_points(0.0)) for p in pieces])
@@ -467,8 +461,7 @@ def _join_loops(
 def planar_workspace(
     system: Model, frame: FrameLike, kind: str | None = None, orientation: Any = None
 ) -> PlanarWorkspace:
-    """The exact workspace of the origin of a frame of a planar system of revolute and prismatic
-    joints.
+    """Compute the exact workspace of a frame's origin, for planar revolute and prismatic joints.
 
     `kind` and `orientation` are as in `System.workspace`; "dexterous" without orientations means
     all angles. Candidates for the boundary are arcs and segments on which joints are at limits or
@@ -492,7 +485,7 @@ def planar_workspace(
 
 
 def answer_planar_question(system: Model, frame: str, question: WorkspaceKind) -> PlanarWorkspace:
-    """The answer to a question. Errors: see `planar_workspace`."""
+    """Compute the exact workspace for a kind of workspace. Errors: see `planar_workspace`."""
     if question.kind == ORIENTATION:
         raise UnsupportedError(
             "the exact workspace is one of places; one of orientations is a sampled map"

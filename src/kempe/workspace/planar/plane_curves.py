@@ -23,15 +23,15 @@ ENDS = 1e-9
 
 
 def to_pair(z: Any) -> list[float]:
-    """A point as x and y."""
+    """Convert a complex number to x and y."""
     point = complex(z)
     return [point.real, point.imag]
 
 
 @dataclass(frozen=True)
 class PlanePiece:
-    """An arc about `centre` of `radius`, from the angle `start` on by `sweep`, or (radius 0) a segment
-    from `centre` by `way`; its parameter goes from 0 to 1.
+    """An arc or a segment with a parameter from 0 to 1. The arc is about `centre` with `radius`,
+    from the angle `start` by `sweep`; the segment (radius 0) goes from `centre` by `way`.
     """
 
     centre: complex
@@ -42,20 +42,22 @@ class PlanePiece:
 
     @property
     def is_arc(self) -> bool:
-        """Whether it is an arc, not a segment."""
+        """Whether the piece is an arc, not a segment."""
         return self.radius > 0.0
 
     @property
     def kind(self) -> str:
-        """What it is, as a noun."""
+        """The kind of the piece, as a noun."""
         return "arc" if self.is_arc else "segment"
 
     def sample_points(self, fine: float) -> np.ndarray:
-        """Points (k,) along it, between which it turns by less than an angle."""
+        """Sample points (k,) along the piece, which turns by less than an angle `fine` between
+        them.
+        """
         return self.evaluate_points(np.linspace(0.0, 1.0, max(2, int(abs(self.sweep) / fine) + 2)))
 
     def data(self) -> dict[str, Any]:
-        """Its numbers, for JSON."""
+        """Return the numbers of the piece, for JSON."""
         arc = {
             "centre": to_pair(self.centre),
             "radius": self.radius,
@@ -71,39 +73,39 @@ class PlanePiece:
 
     @property
     def length(self) -> float:
-        """Its length in metres."""
+        """Length of the piece in metres."""
         return self.radius * abs(self.sweep) if self.is_arc else abs(self.way)
 
     def evaluate_points(self, t: np.ndarray | float) -> np.ndarray:
-        """Points (...) at parameters t (...)."""
+        """Evaluate points (...) at parameters t (...)."""
         t = np.asarray(t, dtype=float)
         if self.is_arc:
             return self.centre + self.radius * np.exp(1j * (self.start + self.sweep * t))
         return self.centre + self.way * t
 
     def evaluate_tangents(self, t: Any) -> np.ndarray:
-        """Unit tangents (...) at parameters (...)."""
+        """Evaluate unit tangents (...) at parameters (...)."""
         if self.is_arc:
             return 1j * np.sign(self.sweep) * np.exp(1j * (self.start + self.sweep * t))
         return np.full(np.shape(t), self.way / abs(self.way))
 
     def evaluate_tangent(self, t: float) -> complex:
-        """The unit tangent at a parameter."""
+        """Evaluate the unit tangent at a parameter."""
         return complex(self.evaluate_tangents(t))
 
     @property
     def is_whole(self) -> bool:
-        """Whether it is a whole circle."""
+        """Whether the piece is a whole circle."""
         return self.is_arc and abs(self.sweep) >= TURN - 1e-12
 
     def move_piece(self, turn: complex, by: complex) -> PlanePiece:
-        """The piece, turned about the origin by a unit number and moved."""
+        """Turn the piece about the origin by a unit number, and move it."""
         angle = self.start + float(np.angle(turn))
         centre = turn * self.centre + by
         return PlanePiece(centre, self.radius, angle, self.sweep, turn * self.way)
 
     def cut_piece(self, a: float, b: float) -> PlanePiece:
-        """The piece from the parameter a to b."""
+        """Return the piece from the parameter a to b."""
         if self.is_arc:
             return PlanePiece(
                 self.centre, self.radius, self.start + self.sweep * a, self.sweep * (b - a)
@@ -111,7 +113,9 @@ class PlanePiece:
         return PlanePiece(self.centre + self.way * a, 0.0, way=self.way * (b - a))
 
     def find_parameters(self, p: np.ndarray, slack: float = ENDS) -> tuple[np.ndarray, np.ndarray]:
-        """Parameters (...) of points (...) of its circle or line, and whether they are on it."""
+        """Find the parameters (...) of points (...) of the circle or line. A mask tells which
+        points are on the piece.
+        """
         if not self.is_arc:
             t = np.real((p - self.centre) * np.conj(self.way)) / abs(self.way) ** 2
             return t, (t > -slack) & (t < 1.0 + slack)
@@ -123,16 +127,16 @@ class PlanePiece:
         return t, (t > -slack) & (t < 1.0 + slack)
 
     def compute_offsets(self, p: np.ndarray) -> np.ndarray:
-        """How far points (...) are outside its circle, or to the left of its line, in metres;
-        negative on the other.
+        """Compute how far points (...) are outside the circle or left of the line [m]. Inside or to
+        the right it is negative.
         """
         if self.is_arc:
             return np.abs(p - self.centre) - self.radius
         return np.imag((p - self.centre) * np.conj(self.way)) / abs(self.way)
 
     def find_meetings(self, other: PlanePiece, slack: float = ENDS) -> np.ndarray:
-        """Parameters (k,) of the points in which it meets or touches another piece; none on the
-        same circle or line.
+        """Find the parameters (k,) of points in which the piece meets another one. Pieces of the
+        same circle or line have none.
         """
         p = intersect_carriers(self, other)
         p = p[other.find_parameters(p, slack)[1]] if len(p) else p
@@ -140,7 +144,7 @@ class PlanePiece:
         return t[on]
 
     def compute_distances(self, p: np.ndarray) -> np.ndarray:
-        """Distances (...) of points (...) from it."""
+        """Compute the distances (...) of points (...) from the piece."""
         t, on = self.find_parameters(p)
         near = (
             np.abs(np.abs(p - self.centre) - self.radius)
@@ -157,7 +161,7 @@ class PlanePiece:
 
     @property
     def extremes(self) -> np.ndarray:
-        """Its ends, and where x or y is largest or least on it (k,)."""
+        """The ends of the piece, and its points (k,) with extreme x or y."""
         ends = self.evaluate_points(np.array([0.0, 1.0]))
         if not self.is_arc:
             return ends
@@ -166,8 +170,8 @@ class PlanePiece:
 
     @property
     def moment(self) -> float:
-        """Half of the integral of x dy - y dx along it: its part of the area that a closed curve
-        has to its left.
+        """Half of the integral of x dy - y dx along the piece: its share of the area of a closed
+        curve.
         """
         if not self.is_arc:
             return 0.5 * float((self.centre.conjugate() * self.way).imag)
@@ -180,9 +184,7 @@ class PlanePiece:
 
 
 def intersect_carriers(a: PlanePiece, b: PlanePiece) -> np.ndarray:
-    """Points in which the circles or lines of two pieces meet or touch, of the same circle or line
-    none.
-    """
+    """Intersect the circles or lines of two pieces; the same circle or line has no points."""
     if not a.is_arc and not b.is_arc:
         across = np.imag(np.conj(a.way) * b.way)
         if abs(across) < 1e-12 * abs(a.way) * abs(b.way):
@@ -211,8 +213,8 @@ def intersect_carriers(a: PlanePiece, b: PlanePiece) -> np.ndarray:
 
 
 def merge_pieces(pieces: Iterable[PlanePiece], same: float) -> list[PlanePiece]:
-    """The pieces longer than `same` metres; those on one circle or line are joined where they
-    overlap.
+    """Merge pieces on the same circle or line that overlap. Those shorter than `same` metres are
+    dropped.
     """
     groups: list[tuple[PlanePiece, list[tuple[float, float]]]] = []
     for piece in pieces:
@@ -233,8 +235,8 @@ def merge_pieces(pieces: Iterable[PlanePiece], same: float) -> list[PlanePiece]:
 
 
 def extend_piece(piece: PlanePiece) -> PlanePiece:
-    """The circle of an arc, from the angle 0 on; or a unit segment of the line of a segment, from its
-    point nearest to the origin on.
+    """Extend an arc to its circle, and a segment to a unit segment of its line. The circle begins
+    at the angle 0, the unit segment at the point nearest to the origin.
     """
     if piece.is_arc:
         return PlanePiece(piece.centre, piece.radius, 0.0, TURN)
@@ -243,6 +245,7 @@ def extend_piece(piece: PlanePiece) -> PlanePiece:
 
 
 def _is_same_carrier(a: PlanePiece, b: PlanePiece, same: float) -> bool:
+    """Whether two pieces lie on the same circle or line, up to `same` metres."""
     if a.is_arc != b.is_arc:
         return False
     if a.is_arc:
@@ -252,7 +255,7 @@ def _is_same_carrier(a: PlanePiece, b: PlanePiece, same: float) -> bool:
 
 
 def _list_spans(first: PlanePiece, piece: PlanePiece) -> list[tuple[float, float]]:
-    """Intervals of parameters of a whole circle (0 to 1) or line, that a piece of it takes."""
+    """List the intervals of parameters that a piece takes on a whole circle (0 to 1) or line."""
     if not first.is_arc:
         t = np.real(
             (piece.evaluate_points(np.array([0.0, 1.0])) - first.centre) * np.conj(first.way)
@@ -282,7 +285,7 @@ PART = 0.02
 
 @dataclass(frozen=True)
 class PlanarRegion:
-    """Points of the plane, bounded by arcs and segments; or such a curve itself, without area.
+    """A region of the plane bounded by arcs and segments, or such a curve without area.
 
     `sides` are pieces with the numbers of solutions to their left and, less, to their right; where
     these are not `counted` they are 1 inside and 0 outside. `size` is a length in metres.
@@ -295,35 +298,35 @@ class PlanarRegion:
 
     @property
     def is_curve(self) -> bool:
-        """Whether it is a curve, without area."""
+        """Whether the region is a curve, without area."""
         return bool(self.curve)
 
     @cached_property
     def boundary_pieces(self) -> list[PlanePiece]:
-        """The pieces of the boundary, each with the region to its left; or the curve."""
+        """The pieces of the boundary, each with the region to its left, or the curve."""
         return [p for p, _, right in self.sides if not right] + list(self.curve)
 
     @cached_property
     def edges(self) -> list[PlanePiece]:
-        """The same pieces without direction, joined where one continues another."""
+        """The pieces of the boundary without direction, joined where one continues another."""
         return merge_pieces(self.boundary_pieces, SAME * self.size)
 
     def count_solutions(self, p: np.ndarray) -> np.ndarray:
-        """Numbers of solutions (...) of points (...) that are on no piece."""
+        """Count the solutions (...) at points (...) that are on no piece."""
         turns = np.zeros(np.shape(p))
         for piece, left, right in self.sides:
             turns += (left - right) * _compute_turn_angles(piece, np.asarray(p))
         return np.round(turns / TURN).astype(np.int64)
 
     def contains_points(self, p: np.ndarray) -> np.ndarray:
-        """Whether points (...), which are not on the boundary, are inside."""
+        """Whether (...) points (...), which are not on the boundary, are inside."""
         turns = np.zeros(np.shape(p))
         for piece in () if self.curve else self.boundary_pieces:
             turns += _compute_turn_angles(piece, np.asarray(p))
         return np.round(turns / TURN) != 0
 
     def move_region(self, by: complex) -> PlanarRegion:
-        """The region, moved as a whole."""
+        """Return the region moved as a whole."""
         return replace(
             self,
             sides=tuple((p.move_piece(1.0, by), left, right) for p, left, right in self.sides),
@@ -337,7 +340,7 @@ def arrange_region(
     size: float,
     counted: bool = False,
 ) -> PlanarRegion:
-    """The region whose points have a number of solutions above zero; this changes on pieces only.
+    """Make the region of points with solutions, whose number changes on the pieces only.
 
     `numbers` (n,) of points (n,) that are on no piece are read on both sides of each piece between
     two meetings with others.
@@ -373,10 +376,11 @@ def arrange_region(
 
 
 def intersect_regions(one: PlanarRegion, two: PlanarRegion) -> PlanarRegion:
-    """The points of two regions, with the products of their numbers of solutions."""
+    """Intersect two regions; numbers of solutions are multiplied."""
     counted = one.counted and two.counted
 
     def count_common_solutions(p: np.ndarray) -> np.ndarray:
+        """Count the solutions at points, as products of those of both regions."""
         return (
             one.count_solutions(p) * two.count_solutions(p)
             if counted
@@ -390,7 +394,7 @@ def intersect_regions(one: PlanarRegion, two: PlanarRegion) -> PlanarRegion:
 
 
 def mirror_region(region: PlanarRegion) -> PlanarRegion:
-    """The points of a region, and those that are across the line x = 0 from them."""
+    """Return the union of a region and its mirror image across the line x = 0."""
     across = [
         PlanePiece(-p.centre.conjugate(), p.radius, np.pi - p.start, -p.sweep, -p.way.conjugate())
         for p in region.boundary_pieces
@@ -405,8 +409,8 @@ def mirror_region(region: PlanarRegion) -> PlanarRegion:
 def offset_pieces(
     pieces: Iterable[PlanePiece], radius: float
 ) -> list[tuple[PlanePiece, PlanePiece]]:
-    """Curves of the points about which a circle of a radius touches pieces, or meets their ends;
-    and the piece, or point, that it then touches, with the same parameters.
+    """Return curves of the centres of circles of a radius that touch pieces or meet their ends.
+    Each comes with the piece, or point, that the circle touches, with the same parameters.
     """
     out: list[tuple[PlanePiece, PlanePiece]] = []
     for piece in pieces:
@@ -425,9 +429,10 @@ def offset_pieces(
 
 
 def shrink_region(region: PlanarRegion, radius: float) -> PlanarRegion:
-    """The points about which a whole circle of a radius lies in a region."""
+    """Return the centres of circles of a radius that lie within a region."""
 
     def count_circles(p: np.ndarray) -> np.ndarray:
+        """Count the circles about points that lie within the region: 1 or 0."""
         circles = [PlanePiece(z, radius, 0.0, TURN) for z in p.tolist()]
         return np.array(
             [region.contains_points(list_middles(c, region.edges)).all() for c in circles]
@@ -438,14 +443,14 @@ def shrink_region(region: PlanarRegion, radius: float) -> PlanarRegion:
 
 
 def list_middles(piece: PlanePiece, others: Iterable[PlanePiece]) -> np.ndarray:
-    """Points (k,) of a piece, one between any two neighbours of its meetings with others."""
+    """List points (k,) of a piece, one between any two neighbouring meetings with others."""
     t = np.concatenate([[0.0, 1.0], *(piece.find_meetings(other) for other in others)])
     t = np.unique(t.clip(0.0, 1.0))
     return piece.evaluate_points(0.5 * (t[1:] + t[:-1]))
 
 
 def _compute_turn_angles(piece: PlanePiece, p: np.ndarray) -> np.ndarray:
-    """The angles by which the way from points (...) to a point turns as this goes along a piece."""
+    """Compute the angles by which the direction from points (...) turns along a piece."""
     a = complex(piece.evaluate_points(0.0)) - p
     b = complex(piece.evaluate_points(1.0)) - p
     if not piece.is_arc:

@@ -1,4 +1,4 @@
-"""Solids that planar regions sweep in space: moved along their normal, or turned about an axis.
+"""Solids that planar regions sweep in space: prisms along their normal, or solids of revolution.
 
 They are the places that chains reach whose other joints move a frame in a plane: prisms, shells and
 tori.
@@ -36,8 +36,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class SweptSolid:
-    """A section in a plane, moved across it from `low` to `high` [m], or (where these are equal)
-    turned about its y axis.
+    """A planar section moved across its plane from `low` to `high` [m], or turned about its y axis.
+    It is turned if both are equal.
 
     `axes` (3, 3) are unit vectors along the plane and across it, from `origin` (3,), in the ground
     frame. A section that is turned holds with x also -x.
@@ -56,7 +56,7 @@ class SweptSolid:
 
     @property
     def measure(self) -> tuple[float, float]:
-        """Its volume in cubic metres, exact but for rounding, and the error that this leaves."""
+        """Volume in cubic metres, exact up to rounding, and its error."""
         ends = self.section.boundary_pieces
         if self.turned:  # Pappus: pi times the integral of |x| over a section that is folded
             axis = PlanePiece(-4j * self.section.size, 0.0, way=8j * self.section.size)
@@ -78,7 +78,7 @@ class SweptSolid:
 
     @property
     def extent(self) -> Array:
-        """The least and the largest x, y and z (2, 3) in metres, of a box about it."""
+        """The least and the largest x, y and z (2, 3) in metres, of a box around the solid."""
         p = np.concatenate([piece.extremes for piece in self.section.boundary_pieces])
         x, y = ((float(side.min()), float(side.max())) for side in (np.real(p), np.imag(p)))
         if not self.turned:
@@ -91,15 +91,15 @@ class SweptSolid:
         return np.stack([ends.min(axis=0) - wide, ends.max(axis=0) + wide])
 
     def contains(self, points: Array) -> np.ndarray:
-        """Whether points (n, 3) are inside; on the boundary rounding decides, and NaN is nowhere."""
+        """Whether (n,) points (n, 3) are inside; NaN is not. On the boundary rounding decides."""
         z, h = self._map_to_section(points)
         finite = np.isfinite(z)
         inside = finite & self.section.contains_points(np.where(finite, z, 0.0))
         return inside if self.turned else inside & (h >= self.low) & (h <= self.high)
 
     def distance(self, points: Array) -> Array:
-        """Distances (n,) >= 0 [m] of points (n, 3) from its boundary; of infinite ones they are
-        infinite, of NaN NaN.
+        """Compute distances (n,) >= 0 [m] of points (n, 3) from the boundary. Infinite points have
+        infinite distances, NaN gives NaN.
         """
         z, h = self._map_to_section(points)
         finite = np.asarray(np.isfinite(z))
@@ -115,8 +115,8 @@ class SweptSolid:
         return np.where(finite, beside, away)
 
     def _map_to_section(self, points: Array) -> tuple[np.ndarray, Array]:
-        """Points (n,) of the section that stand for points (n, 3), NaN for those that are not
-        finite, and heights (n,) above its plane.
+        """Map points (n, 3) to points (n,) of the section, and heights (n,) above its plane. Points
+        that are not finite give NaN.
         """
         finite = np.asarray(np.isfinite(points).all(axis=1))
         x, y, h = (np.where(finite[:, None], points, 0.0) - self.origin).dot(self.axes.T).T
@@ -125,7 +125,7 @@ class SweptSolid:
 
 
 def _integrate_square_moment(piece: PlanePiece) -> float:
-    """The integral of x^2 dy along a piece."""
+    """Integrate x^2 dy along a piece."""
     a, b = (complex(piece.evaluate_points(t)) for t in (0.0, 1.0))
     if not piece.is_arc:
         return (b.imag - a.imag) * (a.real**2 + a.real * b.real + b.real**2) / 3.0
@@ -133,6 +133,7 @@ def _integrate_square_moment(piece: PlanePiece) -> float:
     r = piece.radius
 
     def evaluate_antiderivative(angle: float) -> float:
+        """Evaluate the antiderivative of x^2 dy of an arc at an angle."""
         sine = np.sin(angle)
         turned = 0.5 * angle + 0.25 * np.sin(2.0 * angle)
         return c * c * r * sine + 2.0 * c * r * r * turned + r**3 * (sine - sine**3 / 3.0)
@@ -146,7 +147,7 @@ def _integrate_square_moment(piece: PlanePiece) -> float:
 
 
 def find_swept_solid(system: Model, frame: str) -> SweptSolid | None:
-    """The solid that a frame of a chain in space reaches; None where it is of another kind."""
+    """Find the solid that a frame of a spatial chain reaches, or None for other chains."""
     if system.structure.closures or system._mechanism.constraints or system.structure.relations:
         return None
     try:
@@ -179,8 +180,8 @@ def _is_on(point: Array, line: JointLine) -> bool:
 def _make_plane_chain(
     axes: Array, origin: Array, lines: Sequence[JointLine], tip: Array
 ) -> PlanarChain | None:
-    """The chain of lines in a plane, None where one of them moves the tip across it, or fewer than
-    two along it.
+    """Make the chain of lines in a plane. None if one moves the tip across it, or fewer than two
+    move it along.
     """
     joints = [j for line in lines if (j := project_joint(line, axes, origin)) is not None]
     if len(joints) < len(lines):
@@ -190,7 +191,7 @@ def _make_plane_chain(
 
 
 def _find_prism(lines: list[JointLine], tip: Array) -> Iterator[SweptSolid]:
-    """With one slide across the plane in which all other joints move the tip."""
+    """Find the solid of a slide across the plane in which all other joints move the tip."""
     for slide in lines:
         if not slide.turns:
             axes = _complete_basis(slide.direction)
@@ -200,8 +201,8 @@ def _find_prism(lines: list[JointLine], tip: Array) -> Iterator[SweptSolid]:
 
 
 def _find_turned_solid(lines: list[JointLine], tip: Array) -> Iterator[SweptSolid]:
-    """With a first joint that turns without limits about an axis in the plane in which the others
-    move the tip.
+    """Find the solid of a first joint that turns without limits, about an axis in the others'
+    plane.
     """
     first = lines[0] if lines else None
     if first is None or not first.turns or list_stopping_limits(first):
@@ -221,7 +222,7 @@ def _find_turned_solid(lines: list[JointLine], tip: Array) -> Iterator[SweptSoli
 
 
 def _complete_basis(normal: Array) -> Array:
-    """Unit vectors (3, 3), the last of which is that one."""
+    """Complete a normal to unit vectors (3, 3), of which it is the last."""
     first = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
     first /= np.linalg.norm(first)
     return np.array([first, np.cross(normal, first), normal], dtype=float)
