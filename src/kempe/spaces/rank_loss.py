@@ -246,10 +246,5 @@ class RankLoss:
 
 
 def compute_generic_rank(A: Array) -> int:
-<<<<<<< HEAD
-    """The largest rank of matrices (k, m, n)."""
-    return int(Spectrum(A).compute_ranks(Level.GENERIC).max(initial=0))
-=======
     """Compute the largest rank of matrices (k, m, n)."""
-    return int(Spectrum(A).ranks(Level.GENERIC).max(initial=0))
->>>>>>> 49d0847a (First lines of docstrings of workspaces and spaces are sentences that a student understands)
+    return int(Spectrum(A).compute_ranks(Level.GENERIC).max(initial=0))

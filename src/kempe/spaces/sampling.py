@@ -181,13 +181,8 @@ def _make_sample(
 
 
 def _answer_no_time(time: TimeLimit, system: Model, n: float, *_: Any, **__: Any) -> Sample:
-<<<<<<< HEAD
-    """The answer where the time was up before a configuration was drawn."""
-    none = f"none is known: {time.describe_end_reason(TimeUp())} came first"
-=======
     """Make the answer for a time limit that passed before a configuration was drawn."""
-    none = f"none is known: {time.reason(TimeUp())} came first"
->>>>>>> 49d0847a (First lines of docstrings of workspaces and spaces are sentences that a student understands)
+    none = f"none is known: {time.describe_end_reason(TimeUp())} came first"
     return _mark_broken(
         _make_sample(system, int(n), np.empty((0, system.nq)), "no measure", False, none, 0.0),
         TimeUp(),
@@ -227,12 +222,8 @@ def draw_sample(
     time = find_time_limit(USUAL, budget)
 
     def check_progress(done: int) -> None:
-<<<<<<< HEAD
-        time.check_time()
-=======
         """Check the clock and report the number of configurations that are done."""
-        time.check()
->>>>>>> 49d0847a (First lines of docstrings of workspaces and spaces are sentences that a student understands)
+        time.check_time()
         if spend.progress is not None:
             spend.progress(done, n)
 

@@ -162,13 +162,8 @@ def describe_changes(lost: Array, gained: Array) -> str:
 
 
 def are_inside_limits(system: Model, q: Array) -> np.ndarray:
-<<<<<<< HEAD
-    """Whether configurations (k, nq) are inside the limits and hold the one-sided constraints."""
-    return np.asarray((pack_one_sided_rows(system).compute_excess(q) <= SAME).all(axis=1))
-=======
     """Whether configurations (k, nq) are inside the limits and fulfil the one-sided constraints."""
-    return np.asarray((pack_one_sided_rows(system).beyond(q) <= SAME).all(axis=1))
->>>>>>> 49d0847a (First lines of docstrings of workspaces and spaces are sentences that a student understands)
+    return np.asarray((pack_one_sided_rows(system).compute_excess(q) <= SAME).all(axis=1))
 
 
 # ---- matrices that lose rank
@@ -407,7 +402,9 @@ class RankQuestions:
         kinds = [kind for kind, p in problems.items() if p.is_singular(q[None])[0]]
         N = np.eye(self.system.nv)
         if self.loops:
-            N = Spectrum(self.compute_closure_jacobians(q[None])[0]).compute_null_space(Level.GENERIC)
+            N = Spectrum(self.compute_closure_jacobians(q[None])[0]).compute_null_space(
+                Level.GENERIC
+            )
         none = np.zeros((0, 6))
         lost = none
         gained = none
@@ -417,7 +414,9 @@ class RankQuestions:
         if self.frame is not None:
             J = self.compute_task_jacobians(q[None])[0]
             B = (
-                Spectrum((self.twists.T @ self._compute_axes(q))[None]).compute_null_space(Level.GENERIC)
+                Spectrum((self.twists.T @ self._compute_axes(q))[None]).compute_null_space(
+                    Level.GENERIC
+                )
                 if self.of_axis
                 else np.eye(len(J))
             )
@@ -427,9 +426,13 @@ class RankQuestions:
             still = (N @ moved.right[rank:].T).T * self.unit
             still = still[np.abs(still[:, self.columns]).max(axis=1, initial=0.0) > Level.GENERIC]
         if self.loops and self.inputs is not None:
-            free = Spectrum(self._compute_input_matrices(q[None])[0]).compute_null_space(Level.GENERIC)
+            free = Spectrum(self._compute_input_matrices(q[None])[0]).compute_null_space(
+                Level.GENERIC
+            )
             if self.frame is not None:
-                gained = self.convert_twists(Spectrum(J @ free, 1.0).compute_column_space(Level.GENERIC))
+                gained = self.convert_twists(
+                    Spectrum(J @ free, 1.0).compute_column_space(Level.GENERIC)
+                )
         if CONSTRAINT in kinds:
             kinds = [CONSTRAINT, *(k for k in kinds if k != CONSTRAINT)]
         return LostAndGained(tuple(kinds), rank, lost, gained, still)
@@ -450,10 +453,5 @@ def _assemble_inside(system: Model, q: Array) -> Array:
 
 
 def _compute_rank(A: Array, whole: Array) -> int:
-<<<<<<< HEAD
-    """The rank of what is left of a `whole` matrix."""
-    return Spectrum(A, float(Spectrum(whole).largest)).compute_rank(Level.GENERIC)
-=======
     """Compute the rank of a part A of the `whole` matrix."""
-    return Spectrum(A, float(Spectrum(whole).largest)).rank(Level.GENERIC)
->>>>>>> 49d0847a (First lines of docstrings of workspaces and spaces are sentences that a student understands)
+    return Spectrum(A, float(Spectrum(whole).largest)).compute_rank(Level.GENERIC)

@@ -77,13 +77,8 @@ class HeldPoints(Curve):
 
     n = 3
 
-<<<<<<< HEAD
     def evaluate_residuals(self, x: Array) -> tuple[Array, Array]:
-        """Residuals (k, 2) of motions x (k, 3), and their derivatives (k, 2, 3)."""
-=======
-    def evaluate_equations(self, x: Array) -> tuple[Array, Array]:
         """Evaluate residuals (k, 2) at motions x (k, 3), and derivatives (k, 2, 3)."""
->>>>>>> 49d0847a (First lines of docstrings of workspaces and spaces are sentences that a student understands)
         F = np.empty((len(x), 2))
         J = np.empty((len(x), 2, 3))
         u = np.exp(1j * x[:, 2])
@@ -98,15 +93,9 @@ class HeldPoints(Curve):
             )
         return F, J
 
-<<<<<<< HEAD
     def evaluate_equations(self, x: Array) -> tuple[Array, Array]:
-        """Residuals (3,) and derivatives (3, 3), the last of them zero."""
-        F, J = self.evaluate_residuals(x[None])
-=======
-    def both(self, x: Array) -> tuple[Array, Array]:
         """Evaluate residuals (3,) and derivatives (3, 3), of which the last row is zero."""
-        F, J = self.evaluate_equations(x[None])
->>>>>>> 49d0847a (First lines of docstrings of workspaces and spaces are sentences that a student understands)
+        F, J = self.evaluate_residuals(x[None])
         return np.append(F[0], 0.0), np.vstack([J[0], np.zeros(3)])
 
     def locate_origins(self, x: Array) -> np.ndarray:
@@ -114,13 +103,8 @@ class HeldPoints(Curve):
         return self.size * (x[:, 0] + 1j * x[:, 1])
 
     def compute_tangents(self, x: Array) -> Array:
-<<<<<<< HEAD
-        """Tangents (k, 3) of the curve at motions (k, 3) on it, of no certain length."""
-        J = self.evaluate_residuals(x)[1]
-=======
         """Compute tangents (k, 3) of the curve at motions (k, 3), of any length."""
-        J = self.evaluate_equations(x)[1]
->>>>>>> 49d0847a (First lines of docstrings of workspaces and spaces are sentences that a student understands)
+        J = self.evaluate_residuals(x)[1]
         return np.cross(J[:, 0], J[:, 1])
 
     def list_starts(self) -> Array:
