@@ -1,1 +1,1 @@
-"""Closing loops: one way, all ways, and the nearest mechanism that closes exactly."""
+"""Closing loops: one configuration, all modes, and the nearest mechanism that closes exactly."""

@@ -1,6 +1,4 @@
-"""The answer of an assembly: the configuration, whether and how well it closes, and the sentence
-that says so.
-"""
+"""The answer of `assemble`: a configuration, its residual, and a sentence about the outcome."""
 
 from __future__ import annotations
 
@@ -66,8 +64,9 @@ class Assembly(Answer):
         starts: int,
         assembler: Any,
     ) -> Assembly:
-        """The answer for a single set of known values, in a fraction of the time that a frozen
-        class takes.
+        """Return the answer for a single set of known values.
+
+        It is made in a fraction of the time that a frozen class takes.
         """
         out = object.__new__(cls)
         own = out.__dict__
@@ -82,11 +81,11 @@ class Assembly(Answer):
 
     @property
     def system(self) -> Model:
-        """The system of the problem."""
+        """The system whose loops are closed."""
         return self.assembler.system
 
     def _mark_coordinates(self) -> list[str]:
-        """Which coordinates are known, and which belong to joints that the tree leaves out."""
+        """Return a mark for each coordinate: "known", "cut" (of a cut joint) or ""."""
         sources = set(self.assembler.sources)
         closures = self.system.structure.closures
         return [
@@ -108,8 +107,9 @@ class Assembly(Answer):
         return np.where(self.success, self.residual, 0.0)
 
     def table(self) -> tuple[list[str], Array]:
-        """Names and columns (n, nq) for a file: the coordinates of each configuration, NaN where it
-        is not closed.
+        """Return names and values (n, nq) of the coordinates for a file.
+
+        Rows of configurations that are not closed are NaN.
         """
         names, q = super().table()
         return names, np.where(np.reshape(self.success, (-1, 1)), q, np.nan)

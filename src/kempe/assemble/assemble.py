@@ -1,4 +1,4 @@
-"""`assemble`: a configuration that closes all loops, from known coordinates or places of frames."""
+"""`assemble`: find a configuration that closes all loops, given coordinates or places of frames."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def assemble(
     tolerance: float | str | None = None,
     budget: Budget | None = None,
 ) -> Assembly:
-    """A configuration that closes all loops, with the `known` given and everything else found.
+    """Find a configuration that closes all loops, with the `known` coordinates or frames given.
 
     `known` maps names of coordinates to values in radians and metres, and names of frames to
     positions (..., 3) (in planar systems also (..., 2)) or poses (..., 4, 4); arrays give a batch;
@@ -139,20 +139,23 @@ def assemble(
 
 
 def _note_time_limit(answer: Assembly, time: TimeLimit | None) -> Assembly:
-    """The answer, which names the time of the whole call where that may have ended it."""
+    """Store the time limit of the whole call in an answer that ran out of time."""
     if time is not None and answer.limit is not None:
         answer.__dict__["limit"] = time.limit
     return answer
 
 
 def _make_time_limit(budget: Budget | None) -> TimeLimit:
-    """The time of the call; none where another verb asks, whose time counts."""
+    """Return the time limit of this call.
+
+    There is none where the call is a part of another verb, whose limit counts.
+    """
     asked = list_checks() and (budget is None or budget.time_limit is None)
     return TimeLimit(None if asked else USUAL.complete_budget(budget).time_limit)
 
 
 def _reduce_budget(budget: Budget | None, time: TimeLimit) -> Budget | None:
-    """The budget with what is left of the time."""
+    """Return the budget with the remaining time as its time limit."""
     return (
         budget
         if time.limit is None
@@ -161,8 +164,9 @@ def _reduce_budget(budget: Budget | None, time: TimeLimit) -> Budget | None:
 
 
 def _make_late_answer(assembler: Assembler, problem: Problem) -> Assembly:
-    """The answer where the time was up before it was known what closes, or configurations on a
-    named branch.
+    """Return the answer of a call whose time ended before the search began.
+
+    Its code is `OUT_OF_TIME`; `q` is what one start reached.
     """
     answer = assembler._solve_problem(
         problem._replace(prefer=None, budget=Budget(starts=1, time_limit=LEAST))
@@ -178,7 +182,7 @@ def _make_late_answer(assembler: Assembler, problem: Problem) -> Assembly:
 
 
 def choose_tolerated_system(system: Model, tolerance: float | str) -> tuple[Model, float]:
-    """The system to assemble within a tolerance, and the largest residual that counts as success.
+    """Return the system to assemble within a tolerance, and the largest residual of a success.
 
     A near mechanism that closes exactly takes the place of the given one; without one, the
     tolerance is that residual.
@@ -196,14 +200,18 @@ def choose_tolerated_system(system: Model, tolerance: float | str) -> tuple[Mode
 
 @explain_errors
 def bind_assembler(system: Model, known: Iterable[str] = ()) -> Assembler:
-    """The bound form of `assemble` for these known names. Errors: `UnknownNameError`, `InputError`."""
+    """Return the `Assembler` for these known names, which is reused for many values.
+
+    Errors: `UnknownNameError`, `InputError`.
+    """
     return get_assembler(system, read_names(known, "known"))
 
 
 @keep_answers
 def get_assembler(system: Model, known: tuple[str, ...]) -> Assembler:
-    """The assembler for the mechanism that replaces this one in computations, such as with exact
-    dimensions.
+    """Return the `Assembler` of the mechanism that stands for this one.
+
+    That is the nearest one that closes exactly, where the system has one within its tolerance.
     """
     return get_assembler_as_given(find_ideal_system(system), known)
 
@@ -212,21 +220,23 @@ def get_assembler(system: Model, known: tuple[str, ...]) -> Assembler:
 
 
 def _explain_missing_signs(problem: Problem) -> str | None:
+    """Return the reason why no branch is named by signs; None if one is."""
     return None if "branch" in problem.options else "no branch is named by signs"
 
 
 def _explain_missing_bounds(problem: Problem) -> str | None:
+    """Return the reason why there are no inequalities to obey; None if there are."""
     bounded = pack_one_sided_rows(problem.system).declared
     return None if bounded else "the system has no one-sided constraints"
 
 
 def _assemble_known(problem: Problem) -> Assembly:
-    """The answer by the bound form for the names that are known."""
+    """Assemble a problem by the `Assembler` of its known names."""
     return get_assembler(problem.system, tuple(problem.known))._solve_problem(problem)
 
 
 def assemble_named_branch(problem: Problem) -> Assembly:
-    """The answer on a branch named by the signs of its dyads: closed form, polished and checked."""
+    """Assemble on the branch that signs name: closed form of dyads, polished and checked."""
     from kempe.assemble.dyads import (  # only here: other calls do not need them
         find_closed_form,
         solve_branch,

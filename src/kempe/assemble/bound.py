@@ -1,4 +1,4 @@
-"""The bound form of `assemble`: names are looked up and loops packed once, for many known values.
+"""Reusable assembly: names are looked up and loops packed once, for many known values.
 
 Systems with one-sided constraints have a solver of their own.
 """
@@ -72,8 +72,10 @@ BOUNDED_MANY = 60
 
 @dataclass(frozen=True, eq=False)
 class OneSidedAssembly:
-    """One assembly: packed ties with one-sided ones, `weights` with or without limits, steps of a
-    start, tolerance.
+    """Assembly of a system with one-sided constraints, by an active set.
+
+    `weights` are those of the packed `loops`, with or without limits; `steps` and `tolerance` are
+    those of one start.
     """
 
     system: Model
@@ -86,14 +88,15 @@ class OneSidedAssembly:
 
     @property
     def held_mask(self) -> np.ndarray:
-        """Which velocity coordinates (nv,) stay as they are given."""
+        """Mask (nv,) of the velocity coordinates whose values are given."""
         return np.isin(np.arange(self.system.nv), self.loops.unknown, invert=True)
 
     def assemble_batch(
         self, starts: Array, pins: Array, tries: int, q: Array, residual: Array, info: np.ndarray
     ) -> None:
-        """Write configurations (N, nq), residuals (N,) and (status, steps, starts) (N, 3), as
-        kernels write them.
+        """Assemble from starts (N, nq) into `q` (N, nq), `residual` (N,) and `info` (N, 3).
+
+        A row of `info` is (status, steps, starts), as kernels write it.
 
         Where `TimeUp` ends it, what was found by then is written.
         """
@@ -105,7 +108,10 @@ class OneSidedAssembly:
     def assemble_sequence(
         self, starts: Array, pins: Array, tries: int, q: Array, residual: Array, info: np.ndarray
     ) -> None:
-        """The same, each row started where the two before it lead, with its own held coordinates."""
+        """Assemble rows in sequence, each from the extrapolation of the two rows before it.
+
+        The known coordinates are those of each row.
+        """
         try:
             self._search_sequence(starts, pins, tries, q, info)
         finally:
@@ -114,6 +120,7 @@ class OneSidedAssembly:
     def _search_sequence(
         self, starts: Array, pins: Array, tries: int, q: Array, info: np.ndarray
     ) -> None:
+        """Search row after row, each from the extrapolation of the two rows before it."""
         for i in range(len(starts)):
             first = starts[i : i + 1]
             if i:
@@ -125,9 +132,7 @@ class OneSidedAssembly:
             self._search_batch(first, own, tries, i, q[i : i + 1], info[i : i + 1])
 
     def compute_residuals(self, q: Array, pins: Array) -> Array:
-        """Norm (N,) of what equations and bounds miss at configurations, in radians and
-        characteristic lengths.
-        """
+        """Return norms (N,) of violations, in radians and characteristic lengths."""
         loops = self.loops
         m = len(self.loops.names)
         g = np.empty((len(q), m))
@@ -148,8 +153,9 @@ class OneSidedAssembly:
     def _search_batch(
         self, starts: Array, pins: Array, tries: int, offset: int, q: Array, info: np.ndarray
     ) -> None:
-        """Write configurations and (status, steps, starts), from starts drawn wider and wider about
-        those given.
+        """Search from the starts, then from random ones around them in growing distance.
+
+        Writes configurations `q` and rows (status, steps, starts) of `info`.
         """
         self._solve_starts(starts, starts, pins, q, info)
         left = np.flatnonzero(info[:, 0] == S.NOT_FOUND)
@@ -186,8 +192,9 @@ class OneSidedAssembly:
     def _solve_starts(
         self, starts: Array, goals: Array, pins: Array, q: Array, info: np.ndarray
     ) -> None:
-        """Write the ends of one start each; what is found is led towards the goals. It may end by
-        `TimeUp`.
+        """Solve from one start per row, with the solutions drawn towards `goals`.
+
+        Raises `TimeUp` where the time ends it.
         """
         loops = self.loops
         ties = len(self.loops.ties)
@@ -199,6 +206,7 @@ class OneSidedAssembly:
         stop = get_clock().address if len(loops.names) >= BOUNDED_MANY or loops.functions else 0
 
         def solve_chunk(i: int, j: int) -> int:
+            """Solve the rows i to j by the kernel."""
             left = task_search.solve_tasks(
                 loops.ints,
                 loops.floats,
@@ -225,7 +233,7 @@ class OneSidedAssembly:
         sum_over_chunks(solve_chunk, len(starts), BOUNDED_CHUNK, self.threads, BOUNDED_SERIAL_BELOW)
 
     def _copy_held_coordinates(self, q: Array, known: Array) -> Array:
-        """Configurations with the held coordinates of others."""
+        """Return configurations (N, nq) with the known coordinates of others."""
         layout = self.system.structure.layout
         held = self.held_mask
         out = q.copy()
@@ -291,9 +299,7 @@ FEW = 300
 
 
 def _read_budget(budget: Budget | None) -> tuple[int, int, int | None, float | None]:
-    """Starts, the number that random starts are drawn by, threads and seconds: what a budget asks
-    for, checked.
-    """
+    """Return number of starts, seed, threads and time limit [s] of a budget, after checks."""
     spend = USUAL.complete_budget(budget)
     compute_deadline(spend.time_limit)
     return read_start_count(spend.starts), draw_seed(spend.rng), spend.threads, spend.time_limit
@@ -305,8 +311,9 @@ SPENT = _read_budget(None)
 
 
 class Assembler:
-    """A reusable `assemble`: the names of known coordinates and frames are looked up, and the loops
-    packed, only once.
+    """Assembly for fixed names of known coordinates and frames, reused for many values.
+
+    Names are looked up and loops packed only once.
 
     `known` are names of coordinates and of frames, in the order in which values are given. Without
     `one_sided` the inequalities among the declared constraints do not count.
@@ -336,7 +343,7 @@ class Assembler:
         return f"Assembler of {self.system.name!r} from {', '.join(self.known) or 'nothing known'}"
 
     def _find_known_places(self, names: list[str]) -> None:
-        """Find the places in q of the known coordinates, of a coupled one that of its source.
+        """Find the indices in q of the known coordinates; for a coupled one, those of its source.
 
         Sets `places`, `sources`, `held`, and the limits `low` and `high`. Errors:
         `UnknownNameError`, `InputError`.
@@ -381,7 +388,9 @@ class Assembler:
         self.limited = bool(np.isfinite(limits).any())
 
     def _pack_loops(self, turned: tuple[bool, ...], whole: bool = False) -> PackedLoops:
-        """The packed loops, with the known frames held in place, and in orientation where `turned`.
+        """Return the packed loops with the known frames held at their positions.
+
+        Frames with `turned` are held in orientation, too.
 
         `whole`: the coordinates of all joints are unknowns, also of those that the tree left out,
         so that what is nearest does not depend on where the loops are cut.
@@ -393,9 +402,7 @@ class Assembler:
 
     @cached_property
     def freedoms(self) -> int:
-        """Freedoms left when the known ones are given, at a closed configuration near home; -1: not
-        counted.
-        """
+        """Number of freedoms left with the known coordinates held, near home; -1: not counted."""
         if self.frames or len(self.loops.names) > FEW:
             return -1
         home = find_home(self.system)[None]
@@ -418,8 +425,9 @@ class Assembler:
         loops: PackedLoops | None = None,
         limit: float | None = None,
     ) -> tuple[Array, Array, np.ndarray]:
-        """Configurations (N, nq), residuals (N,) and (status, steps, starts) (N, 3) from starts (N,
-        nq).
+        """Close the loops from starts (N, nq).
+
+        Returns configurations (N, nq), residuals (N,) and rows (status, steps, starts) (N, 3).
 
         Rows that the time `limit` [s] ended have the status `OUT_OF_TIME`, and what is nearest to
         closing by then. The clock is read after the first start of each row, of many equations
@@ -463,6 +471,7 @@ class Assembler:
         )
 
         def close_chunk(i: int, j: int, first: int, most: int, steps: int, stop: int) -> int:
+            """Close the rows i to j by starts `first` to `most`."""
             before = info[i:j, 1].copy() if first else 0
             left = loop_closing.assemble_loops(
                 loops.ints,
@@ -549,8 +558,9 @@ class Assembler:
         return q, residual, info
 
     def _is_quick(self, loops: PackedLoops) -> bool:
-        """Whether one start takes less than about a millisecond: then the clock is read after the
-        first one only.
+        """Return whether one start takes less than about a millisecond.
+
+        Then the clock is read after the first start only.
         """
         return len(loops.names) < MANY and len(loops.ties) < LARGE and not loops.functions
 
@@ -565,7 +575,7 @@ class Assembler:
         info: np.ndarray,
         by_parts: bool,
     ) -> None:
-        """Complete what was written when the time was up."""
+        """Complete status and residual of the rows that were not finished when the time ended."""
         for function in loops.functions:
             function.error = None  # it was the time that was up
         code = info[:, 0]
@@ -589,7 +599,7 @@ class Assembler:
 
     @cached_property
     def _limited_unknowns(self) -> tuple[np.ndarray, Array, Array]:
-        """Places in q of the unknowns with limits, and these."""
+        """Indices in q of the unknown coordinates with limits, their lower and their upper limits."""
         layout = self.system.structure.layout
         low, high = view_velocity_lists(self.loops.weights, self.system.nv)[1:3, layout.vector_v]
         free = ~np.isin(layout.vector_q, self.places) & ((low > -LARGEST) | (high < LARGEST))
@@ -598,8 +608,9 @@ class Assembler:
     def _find_closed_rows(
         self, q: Array, residual: Array, limits: bool, threads: int | None
     ) -> np.ndarray:
-        """Which (N,) of the configurations q (N, nq) are closed and inside the limits; writes the
-        residuals (N,).
+        """Return a mask (N,) of the configurations (N, nq) that are closed and inside the limits.
+
+        Writes their residuals (N,).
         """
         loops = self.loops
         none = np.empty((0, len(self.loops.names), self.system.nv))
@@ -607,6 +618,7 @@ class Assembler:
         places, low, high = self._limited_unknowns
 
         def evaluate_chunk(first: int, last: int) -> int:
+            """Evaluate residuals and limits of the rows from `first` to `last`."""
             for i in range(first, last, PIECE):
                 x = q[i : min(i + PIECE, last)]
                 rows = np.empty((len(x), len(loops.names)))
@@ -628,8 +640,9 @@ class Assembler:
     def _confirm_closed_form(
         self, starts: Array, limits: bool, threads: int | None
     ) -> tuple[Assembly, np.ndarray, Array]:
-        """The answer for configurations (..., nq) of a closed form, the rows that were searched,
-        and their starts.
+        """Return the answer for configurations (..., nq) of a closed form.
+
+        Also returns the rows that were searched, and their starts.
 
         Where a configuration fulfils the equations to `ROUNDING`, and the limits, it is the answer;
         from the others one search starts. The answer is written to `starts`, which must be
@@ -653,9 +666,7 @@ class Assembler:
 
     @cached_property
     def _units(self) -> tuple[Array, np.ndarray]:
-        """Coordinates (nq,) of one radian or one characteristic length, and places of those that
-        turns bring back.
-        """
+        """Units (nq,) of one radian or characteristic length, and indices of periodic angles."""
         layout = self.system.structure.layout
         unit = np.ones(self.system.nq)
         unit[layout.vector_q] = self.loops.scale[layout.vector_v]
@@ -664,8 +675,10 @@ class Assembler:
     def _continue_closed_form(
         self, starts: Array, tries: int, rng: int, limits: bool, tolerance: float
     ) -> tuple[Array, Array, np.ndarray] | None:
-        """As `run` with `follow`, by the closed form of dyads; None where that does not say how all
-        rows go on.
+        """Continue a sequence of configurations by the closed form of dyads.
+
+        Returns what `run` does with `follow`; None where the closed form does not decide how all
+        rows continue.
         """
         from kempe.assemble.dyads import (  # only here: other calls do not need them
             Plan,
@@ -710,9 +723,7 @@ class Assembler:
         tolerance: float = TOLERANCE,
         budget: Budget | None = None,
     ) -> Assembly:
-        """Answer of `assemble` for `values` (..., k) of the known coordinates in order, or a dict
-        with all of them.
-        """
+        """Assemble for `values` (..., k) of the known coordinates, in order or as a dict."""
         given: Any = values
         if prefer is None and limits is True and tolerance is TOLERANCE and budget is None:
             answer = self._answer_usual_call(values, start)
@@ -728,7 +739,7 @@ class Assembler:
 
     @quiet
     def _solve_problem(self, problem: Problem) -> Assembly:
-        """The answer for a problem with these names known."""
+        """Check the inputs of a problem with these known names, and solve it."""
         limits: Any
         given: Any
         _, _, given, start, prefer, limits, tolerance, budget, *_ = problem
@@ -787,14 +798,15 @@ class Assembler:
         return record_choice(answer, CONTINUED) if along else answer
 
     def _convert_to_sources(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Known values of coordinates of q, and of frames. Errors: `InputError` for followers that
-        do not fit.
+        """Return the known values with coupled coordinates replaced by their sources.
+
+        Errors: `InputError` for values of coupled coordinates that contradict each other.
         """
         own = {name: given[name] for name in self.coordinates}
         return {**compute_source_values(self.system, own), **{f: given[f] for f in self.frames}}
 
     def _refuse_values(self, given: Mapping[str, Any], start: Any) -> None:
-        """Raise an `InputError` that names the number with which nothing can be computed."""
+        """Raise an `InputError` that names the input with which nothing can be computed."""
         for name in self.coordinates:
             check_range(read_reals(given[name], ""), f"the known value of {name!r}")
         for frame, whole in zip(self.frames, self._find_oriented_frames(given), strict=True):
@@ -814,6 +826,7 @@ class Assembler:
         info: np.ndarray,
         limits: bool,
     ) -> Assembly:
+        """Make an `Assembly` from the results of the kernel, checking known values against limits."""
         if not lead:
             code, steps, starts = info.tolist()[0]
             if code == BAD_INPUT:
@@ -841,7 +854,7 @@ class Assembler:
 
     @cached_property
     def _solvable_by_kernel(self) -> bool:
-        """Whether one call of the kernel answers for known coordinates as they are given."""
+        """Whether one call of the kernel answers, for known coordinates as they are given."""
         loops = self.loops
         more = (
             self.frames or self.one_sided is not None or loops.functions or len(loops.ties) >= LARGE
@@ -849,8 +862,9 @@ class Assembler:
         return self.plain and not more
 
     def _answer_usual_call(self, given: Any, start: Any) -> Assembly | None:
-        """The answer to the usual call, one array and plain numbers by name, in a fraction of the
-        time; else None.
+        """Answer the usual call quickly: one start as an array and plain numbers by name.
+
+        Returns None for other arguments.
 
         None leaves to `_solve_problem` what it is to be said of other arguments.
         """
@@ -897,8 +911,9 @@ class Assembler:
         return answer
 
     def _read_single_start(self, given: Mapping[str, Any], start: Any) -> Array | None:
-        """The start (1, nq) of the usual call, an array and plain numbers, in a fraction of the
-        time; else None.
+        """Return the start (1, nq) of the usual call: an array and plain numbers by name.
+
+        Returns None for other arguments.
         """
         if (
             start.__class__ is not np.ndarray
@@ -921,6 +936,7 @@ class Assembler:
         return base
 
     def _name_values(self, values: Any) -> dict[str, Any]:
+        """Return values (..., k) as a dict by the known names."""
         if self.frames:
             raise InputError("give the places of frames by name: a dict")
         array = read_reals(values, "values")
@@ -934,7 +950,7 @@ class Assembler:
         return {k: array[..., i] for i, k in enumerate(self.known)}
 
     def _make_starts(self, given: Mapping[str, Any], start: Any) -> tuple[Array, tuple[int, ...]]:
-        """Starts (N, nq) with the known values written in, and the leading shape of the answer."""
+        """Return starts (N, nq) that contain the known values, and the leading shape of the answer."""
         system = self.system
         base = find_home(system) if start is None else read_start(system, start)
         columns = [
@@ -961,7 +977,7 @@ class Assembler:
         return starts.reshape(math.prod(lead), system.nq), lead
 
     def _find_oriented_frames(self, given: Mapping[str, Any]) -> tuple[bool, ...]:
-        """For each known frame whether its orientation is given too."""
+        """Return for each known frame whether its orientation is given beside its position."""
         size = self.system.dim
         out: list[bool] = []
         for frame in self.frames:
@@ -980,7 +996,7 @@ class Assembler:
     def _read_pin_poses(
         self, given: Mapping[str, Any], turned: tuple[bool, ...], lead: tuple[int, ...]
     ) -> Array:
-        """Poses (N, 12 k) of the known frames."""
+        """Return the poses (N, 12 k) of the k known frames, three rows of each matrix."""
         n = math.prod(lead)
         pins = np.zeros((n, len(self.frames), 3, 4))
         pins[..., :3, :3] = np.eye(3)
@@ -995,6 +1011,7 @@ class Assembler:
         return pins.reshape(n, 12 * len(self.frames))
 
     def _find_outside_limits(self, starts: Array) -> np.ndarray:
+        """Return a mask (N,) of the starts whose known values are outside their limits."""
         x = starts[:, self.places]
         return np.any((x < self.low) | (x > self.high), axis=-1)
 
@@ -1003,7 +1020,7 @@ class Assembler:
 
 
 class LocalStarts:
-    """Further starts of an assembly of many loops, each changed near a place that stayed open.
+    """Further starts of an assembly of many loops, each changed near an open loop.
 
     The more loops are far from closed, the more often some of them end in a local minimum of the
     residual, also from starts that are drawn as a whole. A loop that stays open affects its
@@ -1039,8 +1056,9 @@ class LocalStarts:
         residual: Array,
         info: np.ndarray,
     ) -> None:
-        """Go on where a first start did not close, as `q`, `residual` and `info` say, and write
-        there.
+        """Search on for the rows that a first start left open.
+
+        Reads and writes `q`, `residual` and `info`.
         """
         for i in np.flatnonzero(info[:, 0] == NOT_FOUND).tolist():
             self.reached = q[i], float(residual[i]), info[i]
@@ -1054,8 +1072,10 @@ class LocalStarts:
     def close_row(
         self, start: Array, q: Array, pin: Array, tries: int, rng: int, row: int, before: np.ndarray
     ) -> tuple[Array, float, np.ndarray]:
-        """Configuration, residual and (status, steps, starts), from what a first start came to and
-        `before` says of it.
+        """Search on from the result `q` of a first start for one row.
+
+        Returns configuration, residual and (status, steps, starts); `before` is that row after the
+        first start.
 
         `row` is the number of the start `start` in its batch, by which random numbers are drawn.
         `reached` is the same of what was done by now.
@@ -1096,7 +1116,7 @@ class LocalStarts:
         return found, residual, np.array([code, steps + int(info[1]), count + int(info[2]) - 1])
 
     def _randomize_near_tie(self, q: Array, tie: int, random: np.random.Generator) -> Array:
-        """The configuration with random coordinates near a tie."""
+        """Return the configuration with random values of the coordinates near a loop closure."""
         near = {tie}
         for _ in range(int(random.integers(1, HOPS + 1))):
             near = {k for n in near for v in self.moved_by[n] for k in self.users[v]} | near
@@ -1107,7 +1127,7 @@ class LocalStarts:
         return self.system.structure.layout.integrate_velocity(q, velocity)
 
     def _evaluate_equations(self, q: Array, pin: Array) -> Array:
-        """The equations (m,) at q."""
+        """Evaluate the equations (m,) at q (nq,)."""
         loops = self.loops
         out = np.empty((1, len(self.loops.names)))
         columns = np.empty((0, out.shape[1], self.system.nv))
@@ -1118,7 +1138,7 @@ class LocalStarts:
     def _call_kernel(
         self, start: Array, pin: Array, tries: int, steps: int, rng: int, row: int
     ) -> tuple[Array, float, np.ndarray]:
-        """Configuration, residual and (status, steps, starts) of the kernel."""
+        """Call the kernel; return configuration, residual and (status, steps, starts)."""
         loops = self.loops
         q = np.empty((1, self.system.nq))
         residual = np.empty(1)
@@ -1153,27 +1173,27 @@ class LocalStarts:
 
 
 def remove_limits(system: Model, loops: PackedLoops) -> Array:
-    """The weights of loops without limits."""
+    """Return the weights of packed loops with all limits removed."""
     weights = loops.weights.copy()
     view_velocity_lists(weights, system.nv)[1:3] = [[-np.inf], [np.inf]]
     return weights
 
 
 def get_assembler_as_given(system: Model, known: Iterable[str] = ()) -> Assembler:
-    """The assembler for the mechanism exactly as it is given, without any tolerance of its
-    dimensions.
-    """
+    """Return the `Assembler` of the mechanism as given, without tolerance of its dimensions."""
     return _make_assembler(system, tuple(known), True)
 
 
 @keep_answers
 def _make_assembler(system: Model, known: tuple[str, ...], one_sided: bool) -> Assembler:
+    """Return the `Assembler` for known names, with or without one-sided constraints."""
     return Assembler(system, read_names(known, "known"), one_sided=one_sided)
 
 
 def get_equation_assembler(system: Model, known: Iterable[str] = ()) -> Assembler:
-    """As `assembler`, but one-sided constraints do not count: what they leave out is looked at
-    elsewhere.
+    """Return the `Assembler` for known names that ignores declared one-sided constraints.
+
+    Callers judge these afterwards.
     """
     return _make_assembler(
         system, read_names(known, "known"), not pack_one_sided_rows(system).declared

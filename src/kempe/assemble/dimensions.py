@@ -1,4 +1,4 @@
-"""Small changes of the dimensions of a mechanism, and relations that they nearly obey."""
+"""Small changes of the dimensions of a mechanism, and relations that the dimensions nearly obey."""
 
 from __future__ import annotations
 
@@ -52,8 +52,7 @@ TO_Z = {"rx": place(quat_wxyz=(0.5, 0.5, 0.5, 0.5)), "ry": place(quat_wxyz=(0.5,
 
 
 class Dimensions:
-    """The placements of all joints and constraints of a system, and small changes `p` of these
-    dimensions.
+    """The placements of all joints and constraints of a system, and small changes `p` of them.
 
     `p` (size,) are translations and rotations by the motions of `places`, in characteristic lengths
     and radians, after each placement (table, name, side); in the plane those that stay in it.
@@ -80,12 +79,12 @@ class Dimensions:
         self.part = {place: slice(each * k, each * (k + 1)) for k, place in enumerate(self.places)}
 
     def find_body(self, table: str, name: str, side: str) -> str:
-        """The body that a placement is on."""
+        """Return the name of the body that a placement is on."""
         part = getattr(self.mechanism, table)[name]
         return part.parent if side == "X_PF" else part.child
 
     def _choose_motions(self, table: str, name: str, side: str) -> tuple[str, ...]:
-        """Two translations and the rotation along axes of a placement that stay in the plane."""
+        """Return names of the two translations and the rotation of a placement within the plane."""
         X = getattr(getattr(self.mechanism, table)[name], side).evaluate_pose(
             self.mechanism.parameters
         )
@@ -96,13 +95,13 @@ class Dimensions:
         return IN_PLANE[int(np.argmax(np.abs(normal)))]
 
     def compute_steps(self, p: Array) -> dict[Place, Steps]:
-        """The steps that follow each placement that changes, in metres and radians."""
+        """Return the slides [m] and turns [rad] that changes p (size,) append to each placement."""
         return {
             place: found for place in self.places if (found := self.compute_place_steps(place, p))
         }
 
     def compute_place_steps(self, place: Place, p: Array) -> Steps:
-        """The steps that follow one placement, in metres and radians."""
+        """Return the slides [m] and turns [rad] that changes p (size,) append to one placement."""
         part = self.part[place]
         changes = (p[part] * self.unit[part]).tolist()
         return tuple(
@@ -110,8 +109,9 @@ class Dimensions:
         )
 
     def change_dimensions(self, p: Array, system: Model | None = None) -> Model:
-        """The system, or `system`, with its dimensions changed by p (size,); its spanning tree is
-        kept.
+        """Return the system, or `system`, with its dimensions changed by p (size,).
+
+        Its spanning tree is kept.
         """
         own = system is None or system is self.system
         if own and self._last is not None and np.array_equal(self._last[0], p):
@@ -130,8 +130,10 @@ class Dimensions:
 
     @cached_property
     def _extended_loops(self) -> tuple[PackedLoops, Model, np.ndarray, np.ndarray, np.ndarray]:
-        """The packed loops of the mechanism with a joint at each place, whose coordinates are the
-        changes, and it.
+        """Packed loops of the mechanism extended by a free joint at each placement.
+
+        The coordinates of these joints are the changes of dimensions. The extended system follows,
+        and indices of the own coordinates, of the changes, and of the equations in it.
 
         Indices say where the coordinates of the mechanism, those of the changes, and the equations
         are in it.
@@ -173,8 +175,9 @@ class Dimensions:
         )
 
     def bind_equations(self, p: Array) -> Equations:
-        """The loop equations at the changes p, as a function of configurations q (N, nq), without
-        another system.
+        """Return the loop equations at the changes p as a function of configurations q (N, nq).
+
+        No other system is built for them.
         """
         loops, system, own, (iq, _), order = self._extended_loops
         names = system.structure.velocity_names
@@ -183,6 +186,7 @@ class Dimensions:
         )
 
         def evaluate_equations(q: Array, with_jacobian: bool = True) -> tuple[Array, Array]:
+            """Return values (N, m) and, if asked for, derivatives (N, m, nv) of the loop equations."""
             x = np.empty((*q.shape[:-1], system.nq))
             x[..., own] = q
             x[..., iq] = p * self.unit
@@ -192,8 +196,9 @@ class Dimensions:
         return evaluate_equations
 
     def differentiate_equations(self, p: Array, q: Array) -> Array:
-        """Derivatives (N, m, size) of the m loop equations, at configurations q (N, nq), with
-        respect to p (size,).
+        """Return the derivatives (N, m, size) of the m loop equations with respect to p (size,).
+
+        They are taken at configurations q (N, nq).
         """
         loops, system, own, (iq, iv), order = self._extended_loops
         x = np.empty((len(q), system.nq))
@@ -203,7 +208,7 @@ class Dimensions:
 
 
 def _number_names(names: Iterable[tuple[str, str]]) -> list[tuple[str, str, int]]:
-    """The names of equations, numbered where one occurs several times."""
+    """Number the names of equations, for names that occur several times."""
     seen: Counter[tuple[str, str]] = Counter()
     out: list[tuple[str, str, int]] = []
     for name in names:
@@ -225,8 +230,9 @@ Values = Callable[[dict[Place, Array]], Any]
 
 
 class Relations:
-    """Those relations between the axes on each body that hold within `near`, in characteristic
-    lengths and radians.
+    """Relations between axes of a body that nearly hold, such as parallel axes or equal lengths.
+
+    `near` is the largest error of such a relation, in characteristic lengths and radians.
     """
 
     def __init__(self, shape: Dimensions, near: float):
@@ -267,19 +273,20 @@ class Relations:
                 self.rows.append(_make_difference(f, g))
 
     def _add_relation(self, row: Values) -> bool:
-        """Take a relation where it nearly holds."""
+        """Add a relation if it nearly holds; return whether it does."""
         holds = bool(np.abs(row(self.given)).max() < self.near)
         if holds:
             self.rows.append(row)
         return holds
 
     def _are_skew(self, a: Place, b: Place) -> bool:
-        """Whether two axes of a body are not nearly parallel."""
+        """Return whether two axes of a body are clearly not parallel."""
         return bool(np.abs(_make_parallel_relation(a, b)(self.given)).max() >= self.near)
 
     def _relate_axes(self, a: Place, b: Place) -> list[tuple[float, Values]]:
-        """Take what nearly holds between two axes of a body; the length between them, if there is
-        one.
+        """Add the relations that nearly hold between two axes of a body.
+
+        Returns the length between them, if there is one that is not zero.
         """
         length = self.shape.length
         if self.shape.mechanism.dim == 2:
@@ -300,12 +307,12 @@ class Relations:
         )
 
     def compute_values(self, p: Array) -> Array:
-        """Values (k,) of all relations at the changes p."""
+        """Compute the values (k,) of all relations at the changes p."""
         poses = self._compute_poses(p)
         return np.concatenate([np.zeros(0), *(np.atleast_1d(row(poses)) for row in self.rows)])
 
     def differentiate_values(self, p: Array) -> Array:
-        """Derivative (k, size) of `compute_values` at the changes p, by central differences."""
+        """Compute derivatives (k, size) of all relations at the changes p, by central differences."""
         poses = self._compute_poses(p)
         read = [_Read(poses) for _ in self.rows]
         sizes = [np.size(row(at)) for row, at in zip(self.rows, read, strict=True)]
@@ -325,7 +332,7 @@ class Relations:
         return out
 
     def _compute_poses(self, p: Array) -> dict[Place, Array]:
-        """All placements at the changes p."""
+        """Compute the poses of all placements at the changes p."""
         return self.given | {
             place: self.given[place] @ _compute_pose(d)
             for place, d in self.shape.compute_steps(p).items()
@@ -334,7 +341,7 @@ class Relations:
     def _change_pose(
         self, poses: dict[Place, Array], place: Place, p: Array, k: int, by: float
     ) -> dict[Place, Array]:
-        """The poses where change k, which is one of this place, is larger by a number."""
+        """Return the poses with change k, one of this placement, increased by a number."""
         changed = p.copy()
         changed[k] += by
         return poses | {
@@ -343,7 +350,7 @@ class Relations:
 
 
 class _Read(dict[Place, Array]):
-    """Poses by their places, and those that were used."""
+    """Poses by placement, which records the placements that were read."""
 
     def __init__(self, poses: dict[Place, Array]):
         super().__init__(poses)
@@ -355,8 +362,9 @@ class _Read(dict[Place, Array]):
 
 
 def simplify_angles(system: Model, most: float) -> Model | None:
-    """The system with angles that are within `most` of simple fractions of pi made these; None
-    where there is none.
+    """Round angles that are nearly multiples of 15 degrees to these multiples.
+
+    `most` is the largest change [rad]; None where no angle changes.
     """
     m = system.mechanism
     found = False
@@ -380,7 +388,7 @@ def simplify_angles(system: Model, most: float) -> Model | None:
 
 
 def _simplify_angle(x: Value, most: float) -> Value:
-    """The multiple of `STEP` that an angle is meant to be, where it is near one; 0 is one."""
+    """Round an angle to a multiple of `STEP` if it is within `most` of one."""
     if isinstance(x, Expression):
         return x
     nice = math.pi * round(x / STEP) / 12.0
@@ -388,38 +396,41 @@ def _simplify_angle(x: Value, most: float) -> Value:
 
 
 def _compute_pose(steps: tuple[Any, ...]) -> Array:
-    """The pose of slides and turns, one after the other."""
+    """Compute the pose of slides and turns, one after the other."""
     return Placement(steps).evaluate_pose({})
 
 
 def _compute_cross_product(a: Array, b: Array) -> Array:
-    """The cross product of two vectors (3,), for which numpy's `cross` takes ten times as long."""
+    """Compute the cross product of two vectors (3,), ten times as fast as numpy's `cross`."""
     (ax, ay, az) = a.tolist()
     (bx, by, bz) = b.tolist()
     return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 
 
 def _make_parallel_relation(a: Place, b: Place) -> Values:
+    """Return the relation that is zero where two axes are parallel."""
     return lambda at: _compute_cross_product(at[a][:3, 2], at[b][:3, 2])
 
 
 def _make_angle_relation(a: Place, b: Place, cosine: float) -> Values:
+    """Return the relation that is zero where the angle of two axes has this cosine."""
     return lambda at: np.array([at[a][:3, 2] @ at[b][:3, 2] - cosine])
 
 
 def _make_distance(a: Place, b: Place, length: float) -> Values:
+    """Return the function that computes the distance of two points, in lengths."""
     return lambda at: np.array([np.linalg.norm(at[b][:3, 3] - at[a][:3, 3]) / length])
 
 
 def _make_axis_distance(a: Place, b: Place, length: float) -> Values:
-    """Distance of parallel axes."""
+    """Return the function that computes the distance of two parallel axes, in lengths."""
     return lambda at: np.array(
         [np.linalg.norm(_compute_cross_product(at[b][:3, 3] - at[a][:3, 3], at[a][:3, 2])) / length]
     )
 
 
 def _make_normal_length(a: Place, b: Place, length: float) -> Values:
-    """Length of the common normal of two axes, with a sign."""
+    """Return the function that computes the signed length of the common normal of two axes."""
 
     def compute_length(at: dict[Place, Array]) -> Array:
         n = _compute_cross_product(at[a][:3, 2], at[b][:3, 2])
@@ -431,8 +442,9 @@ def _make_normal_length(a: Place, b: Place, length: float) -> Values:
 def _make_axis_offset(
     own: tuple[Place, Place], others: tuple[Place, Place], length: float
 ) -> Values:
-    """Distance along the axis of a hinge between its common normals with an axis on each of its
-    bodies.
+    """Return the function that computes the offset between two common normals of an axis.
+
+    The axis is that of a hinge; each common normal leads to an axis on one of its bodies.
     """
 
     def compute_offset(at: dict[Place, Array]) -> Array:
@@ -448,7 +460,7 @@ def _make_axis_offset(
 
 
 def _make_collinear_relation(a: Place, b: Place, c: Place, length: float) -> Values:
-    """How far three points of a plane are from one line."""
+    """Return the relation that is zero where three points of the plane are on one line."""
 
     def compute_height(at: dict[Place, Array]) -> Array:
         u, v = (at[x][:2, 3] - at[a][:2, 3] for x in (b, c))
@@ -463,8 +475,10 @@ def _make_collinear_relation(a: Place, b: Place, c: Place, length: float) -> Val
 
 
 def _make_absolute_value(f: Values) -> Values:
+    """Return the function that computes the absolute value of a relation."""
     return lambda at: np.abs(f(at))
 
 
 def _make_difference(f: Values, g: Values) -> Values:
+    """Return the relation that is zero where two functions have the same value."""
     return lambda at: f(at) - g(at)

@@ -1,4 +1,4 @@
-"""Decomposition of a planar mechanism into dyads, and the program that closes them in turn.
+"""Decomposition of a planar mechanism into dyads, and the program that solves them in turn.
 
 A dyad is an Assur group of two rigid clusters of bodies, which three joints connect.
 """
@@ -62,12 +62,12 @@ class PartLine:
 
     @property
     def numbers(self) -> tuple[float, float]:
-        """The point, as a program holds it."""
+        """Coordinates (x, y) of the point, as operands of a program."""
         return self.x, self.y
 
     @property
     def rail(self) -> tuple[float, float, float, float]:
-        """Point and direction, as a program holds them."""
+        """Coordinates of point and direction (x, y, dx, dy), as operands of a program."""
         return self.x, self.y, self.dx, self.dy
 
 
@@ -91,13 +91,17 @@ class Link:
     offset: float
 
     def make_rails(self, base_is_a: bool) -> tuple[PartLine, PartLine]:
-        """Rails on the base and on what slides; along both the coordinate grows."""
+        """Return the rails of a prismatic joint on the base and on the sliding part.
+
+        The joint's coordinate grows along both.
+        """
         a = PartLine(self.a, *self.F[2:], *self.F[:2])
         b = PartLine(self.b, *self.M[2:], *self.M[:2])
         return (a, b) if base_is_a else (_reverse_direction(b), _reverse_direction(a))
 
 
 def _reverse_direction(end: PartLine) -> PartLine:
+    """Return the point with the opposite direction."""
     return PartLine(end.part, end.x, end.y, -end.dx, -end.dy)
 
 
@@ -122,8 +126,7 @@ class Parts:
 
 @dataclass(frozen=True)
 class Dyad(InWords):
-    """A dyad that was closed: the joint types on the way round from the base, and what its two
-    roots are.
+    """A dyad: the types of its three joints, and the meaning of its branch sign.
 
     `bodies` are those of the two clusters that it places; `joints` lie between base and first,
     first and second, and second and base. `sign` is its number among the branch signs, None where
@@ -148,7 +151,7 @@ class Dyad(InWords):
 
 
 def multiply_poses(a: Pose, b: Pose) -> Pose:
-    """The planar pose a b, b in the frame of a."""
+    """Multiply two planar poses."""
     c, s, x, y = a
     return (
         c * b[0] - s * b[1],
@@ -159,22 +162,23 @@ def multiply_poses(a: Pose, b: Pose) -> Pose:
 
 
 def invert_pose(a: Pose) -> Pose:
-    """The inverse of a pose."""
+    """Invert a planar pose."""
     c, s, x, y = a
     return c, -s, -(c * x + s * y), s * x - c * y
 
 
 def turn_pose(a: Pose, angle: float) -> Pose:
-    """The planar pose a, turned by an angle [rad] about its own origin."""
+    """Turn a planar pose by an angle [rad] about its own origin."""
     return multiply_poses(a, (math.cos(angle), math.sin(angle), 0.0, 0.0))
 
 
 def _flatten_pose(X: Array) -> Pose:
+    """Return a pose (4, 4) that lies in the plane as a planar pose."""
     return float(X[0, 0]), float(X[1, 0]), float(X[0, 3]), float(X[1, 3])
 
 
 def _make_rail_pose(X: Array, axis: int = 2) -> Pose:
-    """Pose whose x axis is the given axis of X, z by default, which lies in the plane."""
+    """Return the planar pose whose x axis is the given axis (default z) of X (4, 4)."""
     dx = float(X[0, axis])
     dy = float(X[1, axis])
     n = math.hypot(dx, dy)
@@ -182,20 +186,18 @@ def _make_rail_pose(X: Array, axis: int = 2) -> Pose:
 
 
 def _is_point_on_line(constraint: Declared) -> bool:
-    """Whether it holds a point on the line along z of frame A, in the plane, and nothing else."""
+    """Return whether a constraint of the plane holds a point on a line, and nothing else."""
     return [(r.op, r.args) for r in list_position_rows(constraint.of, 2)] == [(Op.POINT, (1,))]
 
 
 def find_single_motion(joint: Joint) -> Primitive | None:
-    """The only motion of a joint of the plane, a turn or a slide by its coordinate; None of one
-    that has several.
-    """
+    """Return the only motion of a planar joint, a turn or a slide; None if it has several."""
     primitives = joint.type.layout(2)[1]
     return primitives[0] if len(primitives) == 1 and primitives[0].multiplier == 1.0 else None
 
 
 def build_parts(system: Model) -> Parts:
-    """The parts, links and hinges of a system."""
+    """Build the graph of a planar system: its parts, links and hinges."""
     mechanism = system.mechanism
     if system.dim != 2:
         return Parts(trouble=f"{system.name!r} is not planar")
@@ -231,6 +233,7 @@ def build_parts(system: Model) -> Parts:
 def _connect_parts(
     system: Model, held: dict[str, tuple[str, str, Pose]], moving: list[Joint]
 ) -> Parts:
+    """Build the graph from fixed joints `held` and moving joints."""
     order = [system.body_names[0], *sorted(system.body_names[1:], key=make_sort_key)]
     at, groups, misfit = _merge_fixed_bodies(order, held)
     number = {b: i for i, b in enumerate(system.body_names)}
@@ -276,7 +279,7 @@ def _connect_parts(
 def _make_constraint_links(
     system: Model, name: str, part: int, at: dict[str, tuple[int, Pose]]
 ) -> list[Link]:
-    """The two links of a constraint, on a part of its own."""
+    """Return the two links of a distance or point-on-line constraint, which is a part itself."""
     constraint = system._mechanism.constraints[name]
     parameters = system.structure.parameters
     (a, X_A) = at[constraint.parent]
@@ -301,8 +304,10 @@ def _make_constraint_links(
 def _merge_fixed_bodies(
     order: list[str], held: dict[str, tuple[str, str, Pose]]
 ) -> tuple[dict[str, tuple[int, Pose]], list[list[str]], float]:
-    """Part and pose in it of each body, the bodies of each part, and the largest misfit of a loop
-    of fixed joints.
+    """Merge bodies that fixed joints connect into parts.
+
+    Returns part and pose of each body, the bodies of each part, and the largest misfit of a loop of
+    fixed joints.
     """
     ways: dict[str, list[tuple[str, Pose]]] = {b: [] for b in order}
     for parent, child, X in held.values():
@@ -329,7 +334,7 @@ def _merge_fixed_bodies(
 
 
 def _measure_parts(links: list[Link]) -> float:
-    """The largest distance of two joints on one part; 1 where there is none."""
+    """Return the largest distance of two joints on one part; 1 where there is none."""
     points: dict[int, list[tuple[float, float]]] = {}
     for k in links:
         points.setdefault(k.a, []).append(k.F[2:])
@@ -341,7 +346,7 @@ def _measure_parts(links: list[Link]) -> float:
 def _group_hinges(
     pins: list[Link], links: list[Link], same: float
 ) -> tuple[tuple[tuple[str, ...], tuple[PartLine, ...]], ...]:
-    """Groups of revolute joints that share a point of a part which has other points too."""
+    """Group the revolute joints that share a point of a part with several points."""
     points: dict[int, list[tuple[int, tuple[float, float]]]] = {}
     for i, k in enumerate(pins):
         points.setdefault(k.a, []).append((i, k.F[2:]))
@@ -350,6 +355,7 @@ def _group_hinges(
     root = list(range(len(pins)))
 
     def find_root(i: int) -> int:
+        """Return the representative of the group of a joint (union-find)."""
         while root[i] != i:
             root[i] = i = root[root[i]]
         return i
@@ -382,9 +388,7 @@ def _group_hinges(
 
 
 class Code:
-    """A program for the dyad kernel while it is written: operations, and the places of registers
-    and coordinates.
-    """
+    """A program for the dyad kernel under construction: operations and memory addresses."""
 
     def __init__(self, n_parts: int, nq: int):
         self.registers = n_parts + 3
@@ -394,37 +398,38 @@ class Code:
         self.ops: list[tuple[list[int], list[float]]] = []
 
     def get_register(self, part: int) -> int:
-        """Place of a part's pose; parts beyond the last are the three registers to work with."""
+        """Return the address of a part's pose.
+
+        Parts beyond the last are the three working registers.
+        """
         return K.REGISTERS + 4 * part
 
     def get_coordinate(self, slot: int) -> int:
-        """Place of a coordinate."""
+        """Return the address of a coordinate."""
         return K.REGISTERS + 4 * self.registers + slot
 
     def get_target(self, slot: int) -> int:
-        """Place of the value near which a coordinate is wanted."""
+        """Return the address of the value near which a coordinate is chosen."""
         return self.get_coordinate(self.nq) + slot
 
     def add_sign(self) -> int:
-        """Place of a new branch sign."""
+        """Add a branch sign and return its address."""
         self.signs += 1
         return self.get_target(self.nq) + self.signs - 1
 
     def append_operation(self, code: int, ints: list[int], floats: object = ()) -> None:
-        """Append an operation: its number `code` (of `dyad_layout`) with its integer and float
-        operands.
-        """
+        """Append an operation: its number in `dyads_layout` with integer and float operands."""
         self.ops.append(([code, *ints], [float(x) for x in floats]))  # type: ignore[attr-defined]
 
     def append_pin_operation(
         self, code: int, ends: list[PartLine], more: list[int], rails: int = 0
     ) -> None:
-        """Append an operation on ends, the first `rails` of which are rails."""
+        """Append an operation on points of parts, the first `rails` of which are rails."""
         floats = [x for i, e in enumerate(ends) for x in (e.rail if i < rails else e.numbers)]
         self.append_operation(code, [*(self.get_register(e.part) for e in ends), *more], floats)
 
     def pack_arrays(self, known: list[int]) -> tuple[np.ndarray, Array]:
-        """The arrays that the kernel walks."""
+        """Pack the program into the integer and float arrays that the kernel reads."""
         n = len(self.ops)
         spare = self.get_target(self.nq) + self.signs
         head = [n, spare + 1, self.registers, self.nq, len(known), self.signs]
@@ -443,7 +448,10 @@ class Code:
 def unpack_program(
     program: tuple[np.ndarray, Array],
 ) -> tuple[list[int], list[tuple[list[int], list[float]]]]:
-    """Slots of the known coordinates of a program, and its operations: code and places, numbers."""
+    """Unpack a program: indices of its known coordinates, and its operations.
+
+    An operation has integer and float operands.
+    """
     ints: list[int] = program[0].tolist()
     floats: list[float] = program[1].tolist()
     start = K.HEADER + ints[K.N_KNOWN]
@@ -464,7 +472,10 @@ GROUND = 0
 
 
 class Decomposition:
-    """Clusters that grow while dyads close; `code` is the program so far, `dyads` what it closes."""
+    """Decomposition of a mechanism: rigid clusters that grow with each solved dyad.
+
+    `code` is the program so far, `dyads` those it solves.
+    """
 
     def __init__(self, system: Model, parts: Parts, known: list[int]):
         self.parts = parts
@@ -506,7 +517,10 @@ class Decomposition:
             self._learn_coordinate(slot)
 
     def close_dyads(self) -> list[int]:
-        """Clusters, other than the ground's, that remain when no further dyad closes."""
+        """Solve dyads until no further one is found.
+
+        Returns the clusters that remain beside the ground's.
+        """
         while (
             self._merge_driven_joint()
             or self._use_relation()
@@ -517,7 +531,7 @@ class Decomposition:
         return [c for c in self.members if c != GROUND]
 
     def count_freedoms(self) -> int:
-        """Degrees of freedom of the clusters against each other, by counting (Gruebler, 1883)."""
+        """Count the degrees of freedom of the clusters against each other (Gruebler, 1883)."""
         count = 3 * (len(self.members) - 1)
         for _, ends in self.parts.hinges:
             count -= 2 * (len({self.cluster[e.part] for e in ends}) - 1)
@@ -528,13 +542,15 @@ class Decomposition:
     # ---- what is known
 
     def _learn_coordinate(self, slot: int) -> None:
+        """Note that a coordinate is known."""
         if slot not in self.known and slot != NOWHERE:
             self.known.add(slot)
             self.drives += self.by_slot.get(slot, [])
 
     def _use_relation(self) -> bool:
-        """Whether a relation of coordinates was used: to find its one unknown, or as a check if it
-        has none.
+        """Use a relation of coordinates to compute its one unknown, or as a check if it has none.
+
+        Returns whether one was used.
         """
         slots = {c: i for i, c in enumerate(self.system.coordinate_names)} if self.relations else {}
         for relation in self.relations:
@@ -556,16 +572,14 @@ class Decomposition:
         return False
 
     def _append_check(self, constant: float, terms: dict[int, float]) -> None:
-        """Append a check to the program: constant + sum of m q[slot], times the size of the parts,
-        is an opening.
-        """
+        """Append a check to the program: a constant plus multiples of coordinates is zero."""
         self.code.append_operation(K.SET, [K.SPARE], [constant])
         for slot, m in terms.items():
             self.code.append_operation(K.ADD, [K.SPARE, self.code.get_coordinate(slot)], [m])
         self.code.append_operation(K.EXPECT_ZERO, [K.SPARE], [self.parts.size])
 
     def _merge_driven_joint(self) -> bool:
-        """Merge the clusters on both sides of a joint whose coordinate is known."""
+        """Merge the two clusters of a joint with a known coordinate; return whether there is one."""
         while self.drives:
             i = self.drives.popleft()
             link = self.parts.links[i]
@@ -594,7 +608,7 @@ class Decomposition:
         return False
 
     def _read_closed_joints(self, parts: list[int]) -> None:
-        """Read, or check, the joints of these parts whose other side is in the same cluster."""
+        """Read, or check, the joints of these parts whose two bodies are in the same cluster."""
         for part in parts:
             for i in self.of_part[part]:
                 link = self.parts.links[i]
@@ -603,6 +617,7 @@ class Decomposition:
                     self._read_joint(link)
 
     def _read_joint(self, link: Link) -> None:
+        """Append the operation that reads, or checks, the coordinate of a joint."""
         code = self.code
         size = self.parts.size
         check = link.slot in self.known
@@ -635,12 +650,13 @@ class Decomposition:
     # ---- clusters
 
     def _sort_clusters(self, *clusters: int) -> list[int]:
-        """The clusters, the one that should stay first: the ground, else the largest."""
+        """Sort clusters: the ground first, then by number of parts."""
         return sorted(clusters, key=lambda c: (c != GROUND, -len(self.members[c]), c))
 
     def _choose_register(self, cluster: int, spare: int) -> int:
-        """Where to put the pose of a cluster: its part's register, or a spare one where it has
-        several parts.
+        """Choose the register for the pose of a cluster.
+
+        It is that of its only part, or a spare one where the cluster has several parts.
         """
         members = self.members[cluster]
         return self.code.get_register(
@@ -648,7 +664,7 @@ class Decomposition:
         )
 
     def _join_clusters(self, base: int, others: dict[int, int]) -> None:
-        """Make the others part of the base; their poses in its frame are in the registers given."""
+        """Join clusters to a base cluster; registers hold their poses in its frame."""
         moved: list[int] = []
         for cluster, register in others.items():
             members = self.members.pop(cluster)
@@ -666,20 +682,21 @@ class Decomposition:
         ]
 
     def _iterate_neighbours(self, part: int) -> Iterator[int]:
-        """Parts joined to a part."""
+        """Iterate over the parts that are joined to a part."""
         for edge in self.incident[part]:
             yield from self._list_edge_parts(edge)
 
     def _list_edge_parts(self, edge: Edge) -> list[int]:
-        """Parts that an edge joins."""
+        """Return the parts that an edge joins."""
         kind, k = edge
         return [e.part for e in self.parts.hinges[k][1]] if kind == R else self._list_link_parts(k)
 
     def _list_link_parts(self, link: int) -> list[int]:
+        """Return the two parts of a link."""
         return [self.parts.links[link].a, self.parts.links[link].b]
 
     def _group_edges(self, cluster: int) -> dict[int, list[Edge]]:
-        """What joins a cluster to others, by cluster."""
+        """Group the joints between a cluster and others, by the other cluster."""
         out: dict[int, list[Edge]] = {}
         for part in self.members[cluster]:
             for edge in self.incident[part]:
@@ -692,7 +709,7 @@ class Decomposition:
     # ---- dyads
 
     def _close_grounded_dyad(self) -> bool:
-        """Close something with the ground in it."""
+        """Close a dyad, or place a cluster, on the ground; return whether one was found."""
         while self.near:
             here = self.near.popleft()
             if here == GROUND or here not in self.members:
@@ -708,7 +725,7 @@ class Decomposition:
         return False
 
     def _close_floating_dyad(self) -> bool:
-        """Close something without the ground."""
+        """Close a dyad, or place a cluster, without the ground; return whether one was found."""
         for here in list(self.members):
             if here == GROUND:
                 continue
@@ -728,8 +745,9 @@ class Decomposition:
         return False
 
     def _place_cluster(self, base: int, other: int, edges: list[Edge]) -> bool:
-        """Place a cluster by two of its joints to another; what they do not agree on shows when
-        joints are read.
+        """Place a cluster by two of its joints to another one; return whether that is possible.
+
+        Contradictions of further joints show when these are read.
         """
         pins = [e for e in edges if e[0] == R]
         rails = [e for e in edges if e[0] == P]
@@ -754,7 +772,7 @@ class Decomposition:
         return True
 
     def _close_dyad(self, base: int, first: int, second: int, edges: dict[int, list[Edge]]) -> bool:
-        """Close the dyad of three clusters, where its joints make it rigid."""
+        """Close the dyad of three clusters if its joints make it rigid; return whether they do."""
         back = self._group_edges(second).get(base, [])
         for group in product(edges.get(base, []), edges.get(second, []), back):
             hinges = [k for kind, k in group if kind == R]
@@ -774,6 +792,7 @@ class Decomposition:
     def _close_three_hinges(
         self, base: int, first: int, second: int, group: tuple[Edge, ...]
     ) -> None:
+        """Append the operations of a dyad with three hinges, an intersection of two circles."""
         (a, a1) = self._find_hinge_ends(group[0], base, first)
         (b1, b2) = self._find_hinge_ends(group[1], first, second)
         (c, c2) = self._find_hinge_ends(group[2], base, second)
@@ -793,6 +812,7 @@ class Decomposition:
     def _close_slider_bar(
         self, base: int, first: int, second: int, group: tuple[Edge, ...]
     ) -> None:
+        """Append the operations of a dyad with one slide, an intersection of line and circle."""
         rail = next(e for e in group if e[0] == P)
         clusters = {self.cluster[p] for p in self._list_link_parts(rail[1])}
         link = self.parts.links[rail[1]]
@@ -825,6 +845,7 @@ class Decomposition:
     def _close_two_sliders(
         self, base: int, first: int, second: int, group: tuple[Edge, ...]
     ) -> bool:
+        """Append the operations of a dyad with two slides, an intersection of two lines."""
         rails = [e for e in group if e[0] == P]
         sides = [{self.cluster[p] for p in self._list_link_parts(e[1])} for e in rails]
         still = next(iter(sides[0] & sides[1]))
@@ -843,8 +864,10 @@ class Decomposition:
     def _choose_registers(
         self, base: int, still: int, y: int, z: int
     ) -> tuple[dict[int, int], tuple[int, int] | None]:
-        """Registers for the poses of y and z seen from `still`; where the base is not that, what to
-        turn round.
+        """Choose registers for the poses of clusters y and z seen from `still`.
+
+        Where `still` is not the base, also returns the pair of clusters whose poses must be
+        inverted.
         """
         if still == base:
             return {y: self._choose_register(y, 0), z: self._choose_register(z, 1)}, None
@@ -852,6 +875,7 @@ class Decomposition:
         return spare, (still, y if z == base else z)
 
     def _finish_dyad(self, base: int, outs: dict[int, int], rebase: tuple[int, int] | None) -> None:
+        """Express the poses of a dyad in the frame of its base, and join its clusters."""
         if rebase is not None:
             still, other = rebase
             new = {
@@ -873,6 +897,7 @@ class Decomposition:
         along: bool,
         sign: int | None = 0,
     ) -> None:
+        """Record a dyad with its joint types, bodies, joints and branch sign."""
         bodies = tuple(
             tuple(b for p in self.members[c] for b in self.parts.names[p]) for c in (first, second)
         )
@@ -887,8 +912,9 @@ class Decomposition:
     def _list_joint_names(
         self, base: int, first: int, second: int, group: tuple[Edge, ...]
     ) -> tuple[str, str, str]:
-        """Names of the dyad's joints; of a hinge of several, one that joins the two clusters where
-        there is one.
+        """Return the names of the three joints of a dyad.
+
+        Of a hinge of several bodies, a joint that connects the two clusters is preferred.
         """
         names: list[str] = []
         for (kind, k), pair in zip(
@@ -907,27 +933,27 @@ class Decomposition:
         return names[0], names[1], names[2]
 
     def _find_hinge_ends(self, edge: Edge, one: int, two: int) -> tuple[PartLine, PartLine]:
-        """Ends of a hinge on two clusters."""
+        """Return the points of a hinge on two clusters."""
         ends = self.parts.hinges[edge[1]][1]
         a, b = (next(e for e in ends if self.cluster[e.part] == c) for c in (one, two))
         return a, b
 
     def _find_body_end(self, edge: Edge, end: PartLine) -> PartLine:
-        """The end of a hinge, or another one of it where that is not on a body."""
+        """Return the point of a hinge, or another one of it that is on a body."""
         ends = (end, *self.parts.hinges[edge[1]][1])
         return next(e for e in ends if self.parts.reps[e.part] != NOWHERE)
 
     def _find_rails(self, edge: Edge, base: int) -> tuple[PartLine, PartLine]:
-        """Rails of a prismatic joint on the base and on what slides."""
+        """Return the rails of a prismatic joint on the base and on the sliding cluster."""
         link = self.parts.links[edge[1]]
         return link.make_rails(self.cluster[link.a] == base)
 
 
 def _move_pose(kind: int, pose: Pose, by: float) -> Pose:
-    """The pose after a constant motion of a joint."""
+    """Return a planar pose after a constant motion of a joint, a turn [rad] or a slide [m]."""
     return turn_pose(pose, by) if kind == R else multiply_poses(pose, (1.0, 0.0, by, 0.0))
 
 
 def _are_parallel(a: PartLine, b: PartLine) -> bool:
-    """Whether two rails on one part are parallel for ever."""
+    """Return whether two rails lie on one part and are parallel."""
     return a.part == b.part and abs(a.dx * b.dy - a.dy * b.dx) <= SAME

@@ -1,6 +1,4 @@
-"""The closed form of a planar mechanism of dyads as formulas: body after body, coordinate after
-coordinate.
-"""
+"""Symbolic formulas for planar mechanisms made of dyads."""
 
 from __future__ import annotations
 
@@ -43,8 +41,7 @@ LEFT = "+1 has the middle joint to the left"
 
 @dataclass(frozen=True, eq=False)
 class DyadFormulas(Derivation):
-    """Formulas of all coordinates of a mechanism from those that are known; `sign_1`, ... are the
-    branch signs.
+    """Formulas of all coordinates from the known ones; `sign_1`, ... are the branch signs.
 
     Angles are found up to full turns. Symbols `x_b`, `y_b`, `theta_b` are the place and the angle
     of the body b.
@@ -53,8 +50,9 @@ class DyadFormulas(Derivation):
     plan: Plan
 
     def __call__(self, values: ArrayLike, branch: Any = None) -> Array:
-        """Configurations (..., nq) for known coordinates (..., n), nan where a branch does not
-        close; see `Plan.solve`.
+        """Evaluate configurations (..., nq) for known coordinates (..., n).
+
+        They are nan where a branch does not close; see `Plan.solve`.
 
         Angles that are found are in (-pi, pi].
         """
@@ -75,20 +73,18 @@ class DyadFormulas(Derivation):
 
 
 class _Place(NamedTuple):
-    """Where a body is in the ground: its origin and its angle."""
+    """Position of a body's origin in the ground frame, and the body's angle."""
 
     at: Vector
     angle: Any
 
     def transform_point(self, point: Vector) -> Vector:
-        """A point of the body, in the ground."""
+        """Transform a point of the body to the ground frame."""
         return add_vectors(self.at, rotate_vector(point, self.angle))
 
 
 class _Geometry(NamedTuple):
-    """A joint of one freedom in the plane: a point on each of two bodies, and the angle of its
-    frames there.
-    """
+    """A planar joint of one freedom: a point and an angle of its frame on each body."""
 
     joint: Joint
     turns: bool
@@ -98,12 +94,12 @@ class _Geometry(NamedTuple):
     """Its coordinate as an expression in coordinates of q."""
 
     def find_side(self, body: str) -> int:
-        """0 for the parent, 1 for the child."""
+        """Return the side of a body: 0 for the parent, 1 for the child."""
         return int(body == self.joint.child)
 
 
 class _Writing:
-    """The derivation while it is written: what is placed, what is known."""
+    """A derivation in progress: the placed bodies, the steps, and the unknown coordinates."""
 
     def __init__(self, plan: Plan, symbols: Mapping[str, Any] | None):
         self.plan = plan
@@ -133,7 +129,7 @@ class _Writing:
         }
 
     def _make_geometry(self, joint: Joint) -> _Geometry:
-        """A joint as it lies on its bodies; without motion its value is zero."""
+        """Return the geometry of a joint on its two bodies; a fixed joint has the value zero."""
         motion = find_single_motion(joint)
         if motion is None and joint.type.layout(2)[1]:
             raise UnsupportedError(
@@ -152,8 +148,9 @@ class _Writing:
         return _Geometry(joint, turns, (a, b), (angles[0], angles[1]), value)
 
     def write_formulas(self) -> DyadFormulas:
-        """Place body after body, by known coordinates, then by the next dyad, until all coordinates
-        are known.
+        """Place body after body until all coordinates are known, and return the formulas.
+
+        Bodies are placed by known coordinates, then by the next dyad.
         """
         dyads = list(self.plan.dyads)
         while True:
@@ -174,12 +171,13 @@ class _Writing:
     # ---- what is known
 
     def _add_step(self, name: str, formula: Any, says: str = "") -> Any:
+        """Add a step: a symbol, its formula and what it means. Return the symbol."""
         symbol = sympy.Symbol(name)
         self.steps.append(FormulaStep(symbol, formula, says))
         return symbol
 
     def _place_body(self, body: str, angle: Any, own: Vector, at: Vector) -> None:
-        """Place a body: its angle, and the ground's point `at` at which its own point is."""
+        """Place a body by its angle and the ground position `at` of its point `own`."""
         end = f"{body}{self.end}"
         theta = self._add_step(f"theta_{end}", angle, f"angle of {body}")
         x, y = subtract_vectors(at, rotate_vector(own, theta))
@@ -189,7 +187,7 @@ class _Writing:
         )
 
     def _place_driven_body(self) -> bool:
-        """Place a body by a joint whose coordinate is known."""
+        """Place a body by a joint whose coordinate is known; return whether there was one."""
         for g in self.joints.values():
             ends = g.joint.parent, g.joint.child
             there = [b for b in ends if b in self.places]
@@ -201,8 +199,9 @@ class _Writing:
     def _cross_joint(
         self, g: _Geometry, body: str, here: _Place, value: Any
     ) -> tuple[str, Any, Vector, Vector]:
-        """What is on the other side of a joint at a value: the body, its angle, its point, and
-        where that is.
+        """Cross a joint at a value of its coordinate.
+
+        Returns the other body, its angle, its point and the position of that point.
         """
         side = g.find_side(body)
         sense = -1 if side else 1
@@ -213,11 +212,12 @@ class _Writing:
         return (g.joint.parent if side else g.joint.child), angle, g.points[1 - side], at
 
     def _place_next_body(self, g: _Geometry, body: str, value: Any) -> None:
+        """Place the body on the other side of a joint at a value of its coordinate."""
         other, angle, own, at = self._cross_joint(g, body, self.places[body], value)
         self._place_body(other, angle, own, at)
 
     def _read_joint(self) -> bool:
-        """Learn the coordinate of a joint that turns between bodies that are placed."""
+        """Compute the coordinate of a joint between placed bodies; return whether there was one."""
         for g in self.joints.values():
             if (
                 g.joint.parent in self.places
@@ -239,7 +239,7 @@ class _Writing:
         return False
 
     def _learn_coordinate(self, g: _Geometry, value: Any) -> None:
-        """Note the coordinate of which the value of a joint is a multiple, plus an offset."""
+        """Compute the coordinate on which the value of a joint depends linearly."""
         unknown = list(g.value.free_symbols & self.unknown)
         if len(unknown) == 1:
             rate = sympy.diff(g.value, unknown[0])
@@ -254,7 +254,7 @@ class _Writing:
     # ---- dyads
 
     def _place_cluster(self, bodies: tuple[str, ...]) -> dict[str, _Place]:
-        """Where bodies that known coordinates join are in the frame of the first one."""
+        """Place bodies that known coordinates connect in the frame of the first one."""
         out = {bodies[0]: _Place((0, 0), sympy.Integer(0))}
         grown = True
         while grown:
@@ -273,7 +273,7 @@ class _Writing:
         return out
 
     def _find_pin(self, joint: str, places: dict[str, _Place]) -> Vector:
-        """The point of a hinge on bodies whose places are given."""
+        """Return the point of a hinge on one of the placed bodies."""
         for name in self.hinges.get(joint, (joint,)):
             g = self.joints.get(name)
             for body, point in (
@@ -284,7 +284,7 @@ class _Writing:
         raise self._make_error(joint)
 
     def _find_rail(self, joint: str, places: dict[str, _Place]) -> tuple[_Geometry, str]:
-        """A joint that slides, and the body of it whose place is given."""
+        """Return the geometry of a prismatic joint, and its placed body."""
         g = self.joints.get(joint)
         for body in (g.joint.parent, g.joint.child) if g else ():
             if g and body in places:
@@ -292,17 +292,19 @@ class _Writing:
         raise self._make_error(joint)
 
     def _make_error(self, joint: str) -> UnsupportedError:
+        """Make the error for a dyad without formulas."""
         return UnsupportedError(
             f"no formulas for the dyad at {joint!r}; loops.closed_form has numbers"
         )
 
     def _name_vector(self, k: int, v: Vector) -> Vector:
+        """Name the components of the vector between two joints of dyad k."""
         return self._add_step(f"d_x_{k}{self.end}", v[0], "between the joints"), self._add_step(
             f"d_y_{k}{self.end}", v[1]
         )
 
     def _convert_to_polar(self, v: Vector) -> tuple[Any, Any]:
-        """Length, not negative, and angle of a vector."""
+        """Return length, not negative, and angle of a vector."""
         length, angle = to_polar_coordinates(v)
         values = {sympy.Symbol(n): x for n, x in self.system.structure.parameters.items()}
         number = length.subs(values)
@@ -311,7 +313,7 @@ class _Writing:
         return (length, angle) if float(number) >= 0.0 else (-length, angle + sympy.pi)
 
     def _place_dyad(self, dyad: Dyad, k: int) -> None:
-        """Place the two links of a dyad."""
+        """Place the two links of dyad k."""
         n = Names.from_ending(f"_{k}{self.end}")
         if dyad.sign is not None:
             n = n._replace(sign=sympy.Symbol(f"sign_{dyad.sign + 1}{self.end}"))
@@ -339,6 +341,7 @@ class _Writing:
     def _place_three_hinges(
         self, n: Names, k: int, joints: Three, first: Bodies, second: Bodies
     ) -> None:
+        """Place two links that three hinges connect, by the intersection of two circles."""
         (x, y, z) = joints
         one = self._place_cluster(first)
         two = self._place_cluster(second)
@@ -357,8 +360,9 @@ class _Writing:
         self._place_body(second[0], here.angle + at1 + bend - at2, b2, here.transform_point(b1))
 
     def _find_slider(self, rail: str, slider: Bodies) -> tuple[_Geometry, str, _Place, Vector]:
-        """A link that slides on what is placed: the joint, its placed body, where the link is at
-        zero, and its way.
+        """Return the prismatic joint of a slider on a placed body.
+
+        Also the placed body, the slider's place at coordinate zero, and the direction of sliding.
         """
         g, still = self._find_rail(rail, self.places)
         own = self._place_cluster(slider)
@@ -380,7 +384,7 @@ class _Writing:
     def _place_slider_bar(
         self, n: Names, k: int, joints: Three, slider: Bodies, bar: Bodies
     ) -> None:
-        """Place a slider on what is placed, and a bar from it to a hinge on what is placed."""
+        """Place a slider on a placed body, and a bar from the slider to a placed hinge."""
         rail, middle, pin = joints
         g, still, start, along = self._find_slider(rail, slider)
         two = self._place_cluster(bar)
@@ -397,14 +401,14 @@ class _Writing:
         self._place_body(bar[0], turn - at_bar, c2, fixed)
 
     def _slide_joint(self, g: _Geometry, body: str, u: Any) -> None:
-        """Note how far a joint slides, and place what is beyond it."""
+        """Note the coordinate of a prismatic joint, and place the body beyond it."""
         self._learn_coordinate(g, u)
         self._place_next_body(g, body, g.value)
 
     def _place_turning_slide(
         self, n: Names, k: int, joints: Three, first: Bodies, second: Bodies
     ) -> None:
-        """Place two links on hinges with a slide between them."""
+        """Place two links on placed hinges, with a slide between the links."""
         x, y, z = joints
         g, body = self._find_rail(y, dict.fromkeys(first, self.places[self.system.body_names[0]]))
         if g.joint.parent != body:
@@ -437,7 +441,7 @@ class _Writing:
     def _place_two_sliders(
         self, n: Names, k: int, joints: Three, first: Bodies, second: Bodies
     ) -> None:
-        """Place two sliders on what is placed, joined by a hinge."""
+        """Place two sliders on placed bodies, with a hinge between the sliders."""
         ways = [
             self._find_slider(rail, bodies)
             for rail, bodies in ((joints[0], first), (joints[2], second))
@@ -456,7 +460,7 @@ class _Writing:
     def _place_stacked_sliders(
         self, n: Names, k: int, joints: Three, near: Bodies, far: Bodies
     ) -> None:
-        """Place a slider on what is placed, and one on it that a hinge holds."""
+        """Place a slider on a placed body, and on it a second one that a placed hinge holds."""
         rail, middle, pin = joints
         g1, still, start, d1 = self._find_slider(rail, near)
         before = self.places
@@ -478,5 +482,5 @@ class _Writing:
 
 
 def derive_formulas(plan: Plan, symbols: Mapping[str, Any] | None = None) -> DyadFormulas:
-    """The formulas of a closed form; see `Plan.formulas`."""
+    """Derive the formulas of a closed form; see `Plan.formulas`."""
     return _Writing(plan, symbols).write_formulas()

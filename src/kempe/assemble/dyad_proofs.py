@@ -1,4 +1,4 @@
-"""Branches of dyads that cannot close, that are determined, and that are neither: proofs by discs.
+"""Proofs that branches of dyads close or do not, by disc arithmetic.
 
 The program of a closed form is walked with discs of the complex plane in place of points and
 directions (circular arithmetic: Gargantini and Henrici, Numer. Math. 18, 1972): each disc contains
@@ -52,12 +52,12 @@ REASONS = {
 
 
 class Disc:
-    """Discs with middles (n,), complex, and radii (n,)."""
+    """Enclosures of points of the plane: discs with complex middles (n,) and radii (n,)."""
 
     __slots__ = ("mid", "rad")
 
     def __init__(self, mid: Any, rad: Any):
-        """Widen the radii by the rounding of the operation that gave them."""
+        """Make discs, with radii widened by the rounding of the operation that gave them."""
         self.mid = mid
         rad = rad * (1.0 + UNIT) + UNIT * np.abs(mid)
         self.rad = np.where(rad < HUGE, rad, HUGE)  # also where it is NaN
@@ -73,27 +73,27 @@ class Disc:
         return Disc(self.mid * other.mid, rad)
 
     def conjugate_disc(self) -> Disc:
-        """The mirror image: of a direction, its inverse."""
+        """Return the conjugate discs; of a direction, that is its inverse."""
         return Disc(np.conj(self.mid), self.rad)
 
     @property
     def real(self) -> Disc:
-        """The component along x."""
+        """The component along x, as discs."""
         return Disc(self.mid.real, self.rad)
 
     @property
     def imag(self) -> Disc:
-        """The component along y."""
+        """The component along y, as discs."""
         return Disc(self.mid.imag, self.rad)
 
     @property
     def low(self) -> Array:
-        """The least distance from zero."""
+        """Lower bounds of the distance from zero."""
         return np.maximum(np.abs(self.mid) - self.rad, 0.0)
 
     @property
     def high(self) -> Array:
-        """The largest distance from zero."""
+        """Upper bounds of the distance from zero."""
         return np.abs(self.mid) + self.rad
 
     def __getitem__(self, at: Any) -> Disc:
@@ -101,11 +101,12 @@ class Disc:
 
 
 def _select_discs(which: np.ndarray, a: Disc, b: Disc) -> Disc:
+    """Return discs of `a` where `which` (n,), else those of `b`."""
     return Disc(np.where(which, a.mid, b.mid), np.where(which, a.rad, b.rad))
 
 
 def _normalize_vectors(v: Disc) -> Disc:
-    """Directions of vectors; all of them where a vector may be zero."""
+    """Normalize vectors; the unit disc where a vector may be zero."""
     n = np.abs(v.mid)
     known = v.rad < 0.5 * n
     safe = np.where(known, n, 1.0)
@@ -114,12 +115,12 @@ def _normalize_vectors(v: Disc) -> Disc:
 
 
 def _limit_unit_vectors(v: Disc) -> Disc:
-    """As `v`, of which it is known that its length is one."""
+    """Return `v`, known to have length one, with radii limited to one."""
     return _select_discs(v.rad >= 1.0, Disc(np.zeros_like(v.mid), np.ones_like(v.rad)), v)
 
 
 def _divide_reals(a: Disc, b: Disc) -> Disc:
-    """Quotients of real numbers; not known at all where the divisor may be zero."""
+    """Divide real numbers; the result is unbounded where the divisor may be zero."""
     low = b.low
     sound = low > 0.0
     safe = np.where(sound, b.mid, 1.0)
@@ -129,15 +130,17 @@ def _divide_reals(a: Disc, b: Disc) -> Disc:
 
 
 def _enclose_root(low: Array, high: Array) -> Disc:
-    """Square roots of numbers between bounds that are not negative."""
+    """Return discs that contain the square roots of numbers between two bounds."""
     low = np.sqrt(low)
     high = np.sqrt(high)
     return Disc(0.5 * (low + high), 0.5 * (high - low))
 
 
 def _bound_pin_radius(v1: Array, off1: Array, v2: Array, off2: Array) -> Array:
-    """Radii of the pin of two links with vectors v1 and v2 to it, whose other ends and lengths are
-    off by so much.
+    """Bound the error of the pin of two links.
+
+    v1 and v2 are the vectors of the links to the pin, off1 and off2 the errors of their other ends
+    and lengths.
 
     To first order the pin moves along each link by what that is off; the rest by the theorem of
     Kantorovich: on a disc of twice that radius the directions of the links change by less than half
@@ -159,22 +162,22 @@ class Placed(NamedTuple):
     at: Disc
 
     def transform_point(self, w: Disc) -> Disc:
-        """Where a point of the part is."""
+        """Return the positions of a point of the part."""
         return self.at + self.turn * (w - self.own)
 
     def invert_poses(self) -> Placed:
-        """The inverse poses."""
+        """Return the inverse poses."""
         return Placed(self.turn.conjugate_disc(), self.at, self.own)
 
     def multiply_poses(self, other: Placed) -> Placed:
-        """The product of poses: written with the own point that leaves the smaller radii."""
+        """Return the product of poses, written with the own point that gives smaller radii."""
         turn = self.turn * other.turn
         one = Placed(turn, other.own, self.transform_point(other.at))
         two = Placed(turn, other.own + other.turn.conjugate_disc() * (self.own - other.at), self.at)
         return one.choose_smaller_radii(two)
 
     def choose_smaller_radii(self, other: Placed) -> Placed:
-        """These poses, or the same written otherwise where its radii are smaller."""
+        """Return these poses, or the same poses written with another point, by smaller radii."""
         less = other.own.rad + other.at.rad < self.own.rad + self.at.rad
         return Placed(
             self.turn,
@@ -183,14 +186,12 @@ class Placed(NamedTuple):
         )
 
     def select_rows(self, at: np.ndarray) -> Placed:
-        """Some of the poses."""
+        """Return the poses of some branches."""
         return Placed(self.turn[at], self.own[at], self.at[at])
 
 
 class Coordinate(NamedTuple):
-    """Enclosures of a coordinate, and the steps by which it may differ: whole turns of what was
-    read.
-    """
+    """Enclosures of a coordinate, and the periods by which its value may differ."""
 
     value: Disc
     steps: tuple[float, ...] = ()
@@ -198,7 +199,7 @@ class Coordinate(NamedTuple):
 
 @dataclass(frozen=True)
 class Enclosed:
-    """Branches that may close: all others are proven not to.
+    """Branches that may close; all others are proven not to close.
 
     `branch` (k,) are their numbers in the order of `Plan.branches`, `middle` and `radius` (k, nq)
     enclose their coordinates (angles modulo whole turns), `why` (k,) are bits that say what may
@@ -213,7 +214,7 @@ class Enclosed:
     plan: Plan
 
     def explain_undetermined(self, rows: list[int]) -> str:
-        """Why the first of some rows is undetermined."""
+        """Explain why the first of some branches is undetermined."""
         if not rows:
             return ""
         bits = int(self.why[rows[0]])
@@ -230,12 +231,16 @@ class Enclosed:
         return " and ".join(words) + named
 
     def has_free_part(self, rows: list[int]) -> bool:
-        """Whether some of these have a part that may be free, and not only roots that merge."""
+        """Return whether a part may be free to move on some of these branches.
+
+        Otherwise they are undetermined only because roots merge.
+        """
         return bool(np.any(self.why[rows] & ~MERGED))
 
     def find_undetermined(self, within: Array, closed: np.ndarray) -> np.ndarray:
-        """Which (k,) may close in several places, or, if they are not `closed` (k,), in a place
-        that is not known.
+        """Return a mask (k,) of the branches that may close in several or in unknown places.
+
+        `closed` (k,) are those on which a closed configuration is known.
 
         A branch without a reason to the contrary has one place at most: all its circles and lines
         cross for all that the discs contain. Others must be determined to so much (nq,).
@@ -244,22 +249,23 @@ class Enclosed:
         return loose & ((self.why > 0) | ~closed) | (self.why & WINDING > 0)
 
     def find_contained(self, k: int, q: Array, turning: np.ndarray, within: Array) -> np.ndarray:
-        """Which configurations (n, nq) lie in the k-th enclosure, or within so much (nq,) of it."""
+        """Return a mask (n,) of the configurations (n, nq) at most `within` (nq,) off enclosure k."""
         off: Array = np.abs(q - self.middle[k])
         off = np.where(turning, np.abs(off - TURN * np.round(off / TURN)), off)
         return np.all(off <= self.radius[k] + within, axis=1)
 
 
 def enclose_branches(plan: Plan, values: Array, limits: bool, size: float) -> Enclosed:
-    """The branches of a plan that may close for known values (n_known,); `limits`: inside the
-    limits is enough.
+    """Find the branches of a plan that may close for known values (n_known,).
+
+    With `limits`, it suffices to find those inside the limits.
     """
     with np.errstate(all="ignore"):
         return _Walk(plan, values, limits, size).run_program()
 
 
 class _Walk:
-    """The program, walked for all branches at once: a dyad with two roots doubles them."""
+    """Evaluation of a dyad program on all branches at once; a dyad with two roots doubles them."""
 
     def __init__(self, plan: Plan, values: Array, limits: bool, size: float):
         ints: list[int] = plan.program[0].tolist()
@@ -287,7 +293,7 @@ class _Walk:
         }
 
     def run_program(self) -> Enclosed:
-        """The branches that may close."""
+        """Run the program, and return the branches that may close."""
         for i, f in self.ops:
             if not self.n:
                 break
@@ -303,7 +309,7 @@ class _Walk:
     # ---- branches
 
     def keep_branches(self, which: np.ndarray) -> None:
-        """Go on with these branches, by mask or numbers."""
+        """Keep only these branches, given by mask or indices."""
         if which.dtype == bool and which.all():
             return
         self.branch = self.branch[which]
@@ -314,68 +320,69 @@ class _Walk:
         self.known = {k: Coordinate(x.value[which], x.steps) for k, x in self.known.items()}
 
     def double_branches(self) -> Disc:
-        """Signs of the roots after each branch has become two, + before -."""
+        """Double the branches, and return the sign of the root on each: + before -."""
         self.keep_branches(np.repeat(np.arange(self.n), 2))
         minus = np.arange(self.n) % 2
         self.branch = 2 * self.branch + minus
         return Disc(1.0 - 2.0 * minus, np.zeros(self.n))
 
     def note_reason(self, which: np.ndarray, reason: int) -> None:
-        """Note why branches may be undetermined from here on, and the dyad."""
+        """Note a reason why branches may be undetermined from here on, and the current dyad."""
         self.why = np.where(which, self.why | reason, self.why)
         self.dyad = np.where(which & (self.dyad < 0), self.dyads, self.dyad)
 
     def keep_closed_branches(self, opening: Disc, factor: float = 1.0) -> None:
-        """Keep the branches on which this may be zero."""
+        """Keep the branches on which an opening may be zero."""
         self.keep_branches(~(factor * opening.low > self.tolerance))
 
     # ---- numbers
 
     def make_constant(self, x: complex) -> Disc:
-        """The same number on all branches."""
+        """Return the same number on all branches."""
         return Disc(np.full(self.n, x), np.zeros(self.n))
 
     def read_point(self, f: list[float]) -> Disc:
-        """A point of a part."""
+        """Return a point of a part in its own frame."""
         return Disc(np.full(self.n, complex(f[0], f[1])), np.full(self.n, INPUT * self.size))
 
     def locate_pin(self, place: int, f: list[float]) -> Disc:
-        """Where a point of a part is."""
+        """Return the positions of a point of a part."""
         return self.poses[place].transform_point(self.read_point(f))
 
     def locate_rail(self, place: int, f: list[float]) -> tuple[Disc, Disc]:
-        """Point and direction of a rail on a part."""
+        """Return position and direction of a rail on a part."""
         return self.locate_pin(place, f), self.poses[place].turn * self.make_constant(
             complex(f[2], f[3])
         )
 
     def make_pose(self, f: list[float]) -> Placed:
-        """A constant pose (c, s, x, y)."""
+        """Return a constant planar pose (c, s, x, y)."""
         return Placed(
             self.make_constant(complex(f[0], f[1])), self.make_constant(0.0), self.read_point(f[2:])
         )
 
     def has_windings(self, x: Coordinate, factor: float, period: float) -> bool:
-        """Whether the whole turns by which a coordinate may differ count, times a factor, modulo a
-        period.
+        """Return whether unknown full turns of a coordinate, times a factor, change a result.
+
+        The result counts modulo a period.
         """
         return any(not period or abs(math.remainder(factor * s, period)) > 1e-9 for s in x.steps)
 
     # ---- operations
 
     def set_number(self, i: list[int], f: list[float]) -> None:
-        """SET: a place becomes a number."""
+        """SET: set an address to a number."""
         self.known[i[1]] = Coordinate(self.make_constant(f[0]))
 
     def add_multiple(self, i: list[int], f: list[float]) -> None:
-        """ADD: a multiple of a coordinate is added to a place."""
+        """ADD: add a multiple of a coordinate to an address."""
         a = self.known[i[1]]
         b = self.known[i[2]]
         steps = (*a.steps, *(f[0] * s for s in b.steps))
         self.known[i[1]] = Coordinate(a.value + b.value * self.make_constant(f[0]), steps)
 
     def check_zero_sum(self, i: list[int], f: list[float]) -> None:
-        """EXPECT_ZERO: a sum of coordinates is zero."""
+        """EXPECT_ZERO: keep the branches on which a sum of coordinates may be zero."""
         x = self.known[i[1]]
         if self.has_windings(x, 1.0, 0.0):
             self.note_reason(np.ones(self.n, dtype=bool), WINDING)
@@ -383,7 +390,7 @@ class _Walk:
             self.keep_closed_branches(x.value, f[0])
 
     def turn_part(self, i: list[int], f: list[float]) -> None:
-        """TURN: a part follows from another one by an angle."""
+        """TURN: place a part by the angle of its joint to another part."""
         x = self.known[i[3]]
         angle = x.value * self.make_constant(f[0])
         turned = Disc(np.exp(1j * angle.mid), angle.rad)
@@ -397,7 +404,7 @@ class _Walk:
         )
 
     def slide_part(self, i: list[int], f: list[float]) -> None:
-        """SLIDE: a part follows from another one by a length."""
+        """SLIDE: place a part by the displacement of its joint to another part."""
         x = self.known[i[3]]
         way = x.value * self.make_constant(f[0])
         if self.has_windings(x, f[0], 0.0):
@@ -406,24 +413,25 @@ class _Walk:
         self._move_part(i, f, Placed(self.make_constant(1.0), self.make_constant(0.0), way))
 
     def _move_part(self, i: list[int], f: list[float], motion: Placed) -> None:
+        """Place a part by the motion of its joint to another part."""
         before = self.poses[i[2]].multiply_poses(self.make_pose(f[1:5]))
         self.poses[i[1]] = before.multiply_poses(motion).multiply_poses(self.make_pose(f[5:9]))
 
     def divide_pose(self, i: list[int], f: list[float]) -> None:
-        """DIVIDE: the pose of a cluster from that of one of its parts."""
+        """DIVIDE: compute the pose of a cluster from that of one of its parts."""
         self.poses[i[1]] = self.poses[i[1]].multiply_poses(self.poses[i[2]].invert_poses())
 
     def carry_part(self, i: list[int], f: list[float]) -> None:
-        """CARRY: the pose of a part from that of its cluster."""
+        """CARRY: compute the pose of a part from that of its cluster."""
         self.poses[i[1]] = self.poses[i[2]].multiply_poses(self.poses[i[1]])
 
     def rebase_poses(self, i: list[int], f: list[float]) -> None:
-        """REBASE: two poses as seen from another cluster."""
+        """REBASE: express two poses in the frame of another cluster."""
         back = self.poses[i[1]].invert_poses()
         self.poses[i[3]], self.poses[i[4]] = back, back.multiply_poses(self.poses[i[2]])
 
     def intersect_circles(self, i: list[int], f: list[float]) -> None:
-        """CIRCLES: two links and a pin between them."""
+        """CIRCLES: intersect the circles of two links that a pin connects."""
         A, C, a1, b1, b2, c2 = (self.locate_pin(i[k + 1], f[2 * k :]) for k in range(6))
         way = C - A
         w1 = b1 - a1
@@ -489,7 +497,7 @@ class _Walk:
         self.dyads += 1
 
     def intersect_line_circle(self, i: list[int], f: list[float]) -> None:
-        """LINE_CIRCLE: a slider and a link."""
+        """LINE_CIRCLE: intersect the line of a slider and the circle of a link."""
         self.keep_branches(~(self._measure_line_gap(i, f)[0] > self.tolerance))
         sign = self.double_branches()
         _, (P, D), (Q, E), b1, b2, a2, A = self._measure_line_gap(i, f)
@@ -521,7 +529,7 @@ class _Walk:
         self.dyads += 1
 
     def _measure_line_gap(self, i: list[int], f: list[float]) -> tuple[Any, ...]:
-        """By how much the line misses the circle at least; the rails and pins."""
+        """Return a lower bound of the gap between line and circle; the rails and pins."""
         (P, D) = self.locate_rail(i[1], f)
         (Q, E) = self.locate_rail(i[2], f[4:])
         b1, b2, a2, A = (self.locate_pin(i[k + 3], f[8 + 2 * k :]) for k in range(4))
@@ -529,7 +537,7 @@ class _Walk:
         return h.low - (b2 - a2).high, (P, D), (Q, E), b1, b2, a2, A
 
     def intersect_lines(self, i: list[int], f: list[float]) -> None:
-        """LINES: two sliders and a pin between them."""
+        """LINES: intersect the lines of two sliders that a pin connects."""
         (P, D), (Q, E), (S, G), (V, H) = (self.locate_rail(i[k + 1], f[4 * k :]) for k in range(4))
         b1 = self.locate_pin(i[5], f[16:])
         b2 = self.locate_pin(i[6], f[18:])
@@ -545,7 +553,7 @@ class _Walk:
         self.dyads += 1
 
     def _note_parallel_rails(self, det: Disc, apart: Disc) -> None:
-        """Note rails that may be parallel; what they are apart ends branches."""
+        """Note branches on which rails may be parallel; drop those on which they are surely apart."""
         parallel = det.low <= 0.0
         self.note_reason(parallel, PARALLEL)
         self.keep_branches(
@@ -553,7 +561,7 @@ class _Walk:
         )
 
     def place_on_pins(self, i: list[int], f: list[float]) -> None:
-        """PIN_PIN: a cluster on two pins."""
+        """PIN_PIN: place a cluster on two pins."""
         A, B, a1, b1 = (self.locate_pin(i[k + 1], f[2 * k :]) for k in range(4))
         way = B - A
         w = b1 - a1
@@ -564,7 +572,7 @@ class _Walk:
         self.keep_branches(~(np.maximum(way.low - w.high, w.low - way.high) > self.tolerance))
 
     def place_on_pin_rail(self, i: list[int], f: list[float]) -> None:
-        """PIN_RAIL: a cluster on a pin and along a rail."""
+        """PIN_RAIL: place a cluster on a pin and along a rail."""
         (_, D) = self.locate_rail(i[1], f)
         (_, E) = self.locate_rail(i[2], f[4:])
         self.poses[i[5]] = Placed(
@@ -572,7 +580,7 @@ class _Walk:
         )
 
     def place_on_rails(self, i: list[int], f: list[float]) -> None:
-        """RAIL_RAIL: a cluster on two rails."""
+        """RAIL_RAIL: place a cluster on two rails."""
         (P, D), (Q, E), (S, G), (V, _) = (self.locate_rail(i[k + 1], f[4 * k :]) for k in range(4))
         turn = D * E.conjugate_disc()
         gap = P + turn * (V - Q) - S
@@ -582,7 +590,7 @@ class _Walk:
         self._note_parallel_rails(det, (gap.conjugate_disc() * D).imag)
 
     def read_turn(self, i: list[int], f: list[float]) -> None:
-        """READ_TURN: the angle of a joint between parts that are placed."""
+        """READ_TURN: read or check the angle of a joint between placed parts."""
         a = self.poses[i[1]]
         b = self.poses[i[2]]
         turned = _limit_unit_vectors(
@@ -610,7 +618,7 @@ class _Walk:
         self.keep_closed_branches(self.locate_pin(i[2], f[9:]) - self.locate_pin(i[1], f[7:]))
 
     def read_slide(self, i: list[int], f: list[float]) -> None:
-        """READ_SLIDE: the length of a joint between parts that are placed."""
+        """READ_SLIDE: read or check the displacement of a joint between placed parts."""
         (P, D) = self.locate_rail(i[1], f)
         (Q, _) = self.locate_rail(i[2], f[4:])
         seen = D.conjugate_disc() * (Q - P)

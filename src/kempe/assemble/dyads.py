@@ -1,4 +1,4 @@
-"""Planar mechanisms made of dyads: all configurations for known coordinates, in closed form.
+"""Closed form of planar mechanisms made of dyads: all configurations for known coordinates.
 
 The signs of the dyads name the branch of a configuration.
 """
@@ -55,20 +55,23 @@ class Incomplete(Report):
 
     @property
     def code(self) -> Status:  # type: ignore[override]
-        """The outcome: that a closed form was not found is no proof that there is none."""
+        """The outcome `NOT_FOUND`: it is not proven that no closed form exists."""
         return Status.NOT_FOUND
 
     @property
     def status(self) -> str:
-        """Why there is no closed form."""
+        """The sentence why there is no closed form."""
         return self.reason
 
     def describe(self) -> str:
-        """Why there is no closed form, as `Plan.describe` says what there is."""
+        """Return the reason why there is no closed form; see `Plan.describe`."""
         return self.reason
 
     def formulas(self, *args: Any, **options: Any) -> NoReturn:
-        """Refused, as all that needs a closed form. Errors: `UnsupportedError` with the reason."""
+        """Raise an `UnsupportedError` with the reason why there is no closed form.
+
+        Errors: `UnsupportedError`.
+        """
         raise UnsupportedError(
             f"{self.reason}; `assemble` and `assembly_modes` find its configurations by numbers"
         )
@@ -82,8 +85,9 @@ class Incomplete(Report):
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class DyadAnswer(Answer):
-    """Configurations `q` (..., nq) of a `plan`; which are closed (`success` or `ok`); their
-    openings `gap` in metres.
+    """Configurations `q` (..., nq) on a branch, and which of them are closed.
+
+    `success` or `ok` say so; `gap` are the openings in metres.
 
     `undetermined` (...) counts the parts of each that these inputs leave free: links without
     length, circles with one centre, parallel lines. They got one of their infinitely many
@@ -109,12 +113,12 @@ class DyadAnswer(Answer):
 
     @property
     def ok(self) -> Any:
-        """Which (...) are closed: another name of `success`."""
+        """Mask (...) of the closed configurations: another name of `success`."""
         return self.success
 
     @property
     def code(self) -> Any:
-        """The outcome (...): where this branch does not close, others may."""
+        """The outcome (...) of this branch; where it does not close, others may."""
         sound = np.isfinite(self.closing[1]).all(axis=-1).reshape(np.shape(self.success))
         left = np.where(sound, Status.NOT_FOUND, Status.BAD_INPUT)
         return to_status(np.where(self.success, Status.SOLVED, left))
@@ -146,7 +150,7 @@ class DyadAnswer(Answer):
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Plan(Report):
-    """A mechanism in closed form for `known` coordinates: dyad after dyad of three rigid clusters.
+    """Closed form of a mechanism for `known` coordinates: dyads that are solved in turn.
 
     `dyads` lists them; `signs` is how many of them have two roots, and so are chosen by a branch
     sign, +1 or -1. A sign stays along a motion until its `heights` is zero: there two branches
@@ -169,14 +173,14 @@ class Plan(Report):
 
     @property
     def status(self) -> str:
-        """From what it is closed, and by how many dyads."""
+        """Sentence that names the known coordinates and the number of dyads."""
         return (
             f"{self.system.name} from {', '.join(self.known) or 'nothing'}: "
             f"{format_count(len(self.dyads), 'dyad')}"
         )
 
     def describe(self) -> str:
-        """What each dyad is, and what its branch sign means, as text; one line each."""
+        """Return a line of text for each dyad, with the meaning of its branch sign."""
         return str(self)
 
     def _list_notes(self, degrees: bool = False) -> list[str]:
@@ -194,8 +198,7 @@ class Plan(Report):
         }
 
     def formulas(self, *, symbols: Mapping[str, Any] | None = None) -> DyadFormulas:
-        """The closed form as formulas, which can be called, printed and written as LaTeX and as
-        code for numpy.
+        """Return the closed form as formulas, which can be called, printed, and written as code.
 
         `symbols` replaces coordinates and parameters as in `symbolic.fk`. Errors:
         `UnsupportedError` for rods and slots without bodies of their own, laws of several
@@ -209,8 +212,9 @@ class Plan(Report):
     def solve(
         self, values: ArrayLike, branch: Any = None, start: Any = None, threads: int | None = None
     ) -> tuple[Array, Any, Any]:
-        """Configurations q (..., nq), whether they are closed (...), and their openings (...) in
-        metres.
+        """Solve for configurations q (..., nq).
+
+        Also returns whether they are closed (...), and their openings (...) in metres.
 
         `values` (..., n_known) are the known coordinates in the order of `known`. `branch` are the
         signs, (signs,) or (..., signs), or text such as '+-'; where it is left out, the branch of
@@ -224,7 +228,7 @@ class Plan(Report):
     def close(
         self, values: ArrayLike, branch: Any = None, start: Any = None, threads: int | None = None
     ) -> DyadAnswer:
-        """As `solve`, with what these inputs leave undetermined."""
+        """Solve for configurations, with a report of what these values leave undetermined."""
         given, lead = self.values(values)
         nq = self.system.nq
         if start is None:
@@ -244,8 +248,7 @@ class Plan(Report):
         return DyadAnswer(q.reshape(*lead, nq), ok, gap, free, (self, given))
 
     def all(self, values: ArrayLike, start: Any = None) -> tuple[Array, np.ndarray]:
-        """Configurations q (..., 2**signs, nq) on all branches, and a mask (..., 2**signs) of those
-        that close.
+        """Solve on all branches: q (..., 2**signs, nq), and a mask (..., 2**signs) of closed ones.
 
         Branches are in the order of `branches()`. Angles are nearest to `start` (nq,), else to
         zero.
@@ -266,8 +269,9 @@ class Plan(Report):
         return q.reshape(*lead, k, nq), mask.reshape(*lead, k)
 
     def branches(self) -> Array:
-        """All combinations of signs (2**signs, signs), + before -. Errors: `InputError` where they
-        are too many.
+        """Return all combinations of signs (2**signs, signs), + before -.
+
+        Errors: `InputError` where they are too many.
         """
         if self.signs > MOST_SIGNS:
             raise InputError(
@@ -278,8 +282,9 @@ class Plan(Report):
         )
 
     def heights(self, q: Any) -> Array:
-        """What the branch signs are the signs of (..., signs), in metres; zero where two branches
-        meet.
+        """Return the signed lengths [m] (..., signs) whose signs name the branch.
+
+        They are zero where two branches meet.
 
         For three revolute joints, the distance of the middle one from the line through the others;
         with a prismatic joint, the way that it has slid from where its two roots meet.
@@ -303,12 +308,14 @@ class Plan(Report):
         return out
 
     def branch_of(self, q: Any) -> Array:
-        """Branch signs (..., signs), +1 or -1, of closed configurations q (..., nq); + where two
-        branches meet.
+        """Return the branch signs (..., signs) of closed configurations q (..., nq).
+
+        They are +1 or -1, and +1 where two branches meet.
         """
         return np.where(self.heights(q) < 0.0, -1.0, 1.0)
 
     def _locate_line(self, X: Array, end: PartLine) -> tuple[Array, Array]:
+        """Return positions and directions (..., 2) of a line on a part with poses X."""
         pose = X[..., end.part, :, :]
         point = pose[..., :2, 3] + pose[..., :2, :2] @ np.array([end.x, end.y])
         return point, pose[..., :2, :2] @ np.array([end.dx, end.dy])
@@ -316,8 +323,10 @@ class Plan(Report):
     def _continue_configuration(
         self, values: Array, before: Array, unit: Array, turns: np.ndarray
     ) -> Array | None:
-        """Configurations (N, nq) for known `values` (N, n_known) that continue the closed one
-        `before` (nq,).
+        """Solve for configurations (N, nq) that continue the closed one `before` (nq,).
+
+        `values` (N, n_known) are the known coordinates; None where a row comes near to another
+        branch.
 
         They lie on its branch, and each follows the row before it without a jump. None where a row
         does not close, is undetermined, or differs from the row before it by more than `STEP` of
@@ -346,8 +355,10 @@ class Plan(Report):
     def _run_program(
         self, values: Array, signs: Array, targets: Array, threads: int | None = None
     ) -> tuple[Array, Array]:
-        """Configurations (N, nq), and of each the opening, the count of undetermined parts and the
-        margin (N, 3).
+        """Run the kernel for known values (N, n_known).
+
+        Returns configurations (N, nq) and, of each, the opening, the number of undetermined parts
+        and the margin (N, 3).
         """
         from kempe.kernels.compiled import dyads_program as dyads
 
@@ -356,6 +367,7 @@ class Plan(Report):
         status = np.empty((len(values), 3))
 
         def solve_chunk(i: int, j: int) -> int:
+            """Solve the rows i to j."""
             s, t = (a if len(a) == 1 else a[i:j] for a in (signs, targets))
             return dyads.run_program(ints, floats, values[i:j], s, t, q[i:j], status[i:j])
 
@@ -363,7 +375,10 @@ class Plan(Report):
         return q, status
 
     def values(self, values: ArrayLike) -> tuple[Array, tuple[int, ...]]:
-        """Known coordinates as (N, n_known), and their leading shape. Errors: `InputError`."""
+        """Return the known values as (N, n_known), and their leading shape.
+
+        Errors: `InputError`.
+        """
         array = read_reals(values, "values")
         if array.ndim == 0 or array.shape[-1] != len(self.known):
             got = "a single number" if array.ndim == 0 else f"shape {array.shape}"
@@ -374,7 +389,8 @@ class Plan(Report):
         return np.ascontiguousarray(array.reshape(math.prod(lead), len(self.known))), lead
 
     def sign_rows(self, branch: Any, start: Array | None, lead: tuple[int, ...]) -> Array:
-        """Signs (1 or N, signs) of a branch, else those of the configurations `start`, else +.
+        """Return the signs (1 or N, signs) of a branch, else those of `start`, else +.
+
         Errors: `InputError`.
         """
         if branch is None:
@@ -399,7 +415,7 @@ class Plan(Report):
 
 
 def _shape_rows(x: Array, lead: tuple[int, ...], what: str) -> Array:
-    """`x` as (1 or N, k), where it has no leading axes or those of the values."""
+    """Reshape `x` to (1 or N, k); its leading axes must be none, or those of the values."""
     if x.ndim > 1 and x.shape[:-1] != lead:
         raise InputError(
             f"{what} has shape {x.shape}; it must be ({x.shape[-1]},) or {(*lead, x.shape[-1])}"
@@ -409,8 +425,9 @@ def _shape_rows(x: Array, lead: tuple[int, ...], what: str) -> Array:
 
 @explain_errors
 def find_closed_form(system: Model, known: Sequence[str] | str) -> Plan | Incomplete:
-    """The closed form of a planar system for these known coordinates, or `Incomplete`, which says
-    what is left over.
+    """Find the closed form of a planar system for these known coordinates.
+
+    Returns `Incomplete` with the reason where there is none.
 
     It exists for bodies, joined by revolute, prismatic and fixed joints, that are placed by known
     coordinates, their followers, and dyads of three rigid clusters (Assur groups of the second
@@ -426,8 +443,7 @@ def solve_branch(
     near: Any = None,
     threads: int | None = None,
 ) -> Array:
-    """Configurations (..., nq) on a branch, as `Plan.solve` gives them, for known values by
-    coordinate name.
+    """Solve for configurations (..., nq) on a branch, for known values by coordinate name.
 
     What cannot close on this branch is put where it nearly touches. Errors: `InputError` where
     there is no closed form, and so no branch signs.
@@ -443,6 +459,7 @@ def solve_branch(
 
 @keep_answers
 def _decompose_system(system: Model, names: tuple[str, ...]) -> Plan | Incomplete:
+    """Decompose a planar system into dyads, for known coordinates."""
     slots = {c: i for i, c in enumerate(system.coordinate_names)}
     for name in names:
         if name in slots:
@@ -471,7 +488,7 @@ def _decompose_system(system: Model, names: tuple[str, ...]) -> Plan | Incomplet
 
 
 def _convert_to_bodies(dyad: Dyad, reps: tuple[int, ...]) -> Dyad:
-    """A dyad whose ends count bodies instead of parts."""
+    """Return a dyad whose points are numbered by bodies instead of parts."""
     ends = tuple(PartLine(reps[e.part], *e.rail) for e in dyad.ends)
     return Dyad(
         dyad.kind, dyad.base, dyad.bodies, dyad.joints, dyad.sign, dyad.meaning, ends, dyad.along
@@ -479,7 +496,7 @@ def _convert_to_bodies(dyad: Dyad, reps: tuple[int, ...]) -> Dyad:
 
 
 def _explain_incomplete(search: Decomposition, left: list[int]) -> Incomplete:
-    """What is left over, and why: too little is known, or no dyad is among it."""
+    """Explain why dyads do not place all bodies: too little is known, or no dyad is left."""
     bodies = tuple(b for c in left for p in search.members[c] for b in search.parts.names[p])
     shown = ", ".join(bodies[:8]) + (f", ... ({len(bodies)} in all)" if len(bodies) > 8 else "")
     missing = search.count_freedoms()

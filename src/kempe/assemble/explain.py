@@ -1,6 +1,4 @@
-"""Why loops could not be closed: which is open, by how much, and whether limits or the known values
-prevent it.
-"""
+"""Explanations of open loops: which loop, how far open, and whether limits prevent closing."""
 
 from __future__ import annotations
 
@@ -44,7 +42,7 @@ LATE = (
 
 
 def choose_solver(answer: Assembly) -> Choice:
-    """Which solver closes the loops of such problems."""
+    """Choose the solver for the known names of an answer."""
     from kempe.assemble.assemble import SOLVERS
 
     assembler = answer.assembler
@@ -54,12 +52,13 @@ def choose_solver(answer: Assembly) -> Choice:
 
 
 def describe_configuration(answer: Assembly, index: tuple[int, ...]) -> str:
-    """The sentence for one configuration of an assembly."""
+    """Describe one configuration of an assembly in a sentence."""
     undecided = answer.late and np.asarray(answer.code)[index] == Status.OUT_OF_TIME
     return LATE.format(answer.limit) if undecided else _describe_outcome(answer, index)
 
 
 def _describe_outcome(answer: Assembly, index: tuple[int, ...]) -> str:
+    """Describe the outcome of one configuration: closed, open, outside limits or out of time."""
     bound: Assembler = answer.assembler
     code, residual, steps, starts = (
         np.asarray(x)[index].item()
@@ -102,9 +101,7 @@ def _describe_outcome(answer: Assembly, index: tuple[int, ...]) -> str:
 
 
 def _describe_freedoms(bound: Assembler, q: Array) -> str:
-    """How many freedoms are left open, with a warning where these are more than the mechanism is
-    for.
-    """
+    """Describe the freedoms that are left, with a warning where they are more than intended."""
     if bound.frames or len(bound.loops.names) > MOST:
         return ""
     system = bound.system
@@ -127,9 +124,7 @@ def _describe_freedoms(bound: Assembler, q: Array) -> str:
 
 
 def _find_coinciding_joints(system: Model, q: Array) -> list[tuple[str, str]]:
-    """Pairs of joints at one place that no body holds there: neither both of them nor others at the
-    same place.
-    """
+    """Find pairs of joints that coincide here though no body connects them at that point."""
     joints = [*system.mechanism.joints.values()]
     number = {b: i for i, b in enumerate(system.body_names)}
     bodies = fk(system, q)
@@ -155,6 +150,7 @@ def _find_coinciding_joints(system: Model, q: Array) -> list[tuple[str, str]]:
 
 
 def _describe_outside_limits(bound: Assembler, q: Array) -> str:
+    """List the known values that are outside their limits."""
     texts: list[str] = []
     for name, i, low, high in zip(bound.sources, bound.places, bound.low, bound.high, strict=True):
         if not low <= q[i] <= high:
@@ -163,7 +159,10 @@ def _describe_outside_limits(bound: Assembler, q: Array) -> str:
 
 
 def _describe_largest_violation(bound: Assembler, q: Array, missed: float) -> str:
-    """What is violated most, in metres and radians; `missed` is the norm of all residuals."""
+    """Describe the largest violation, in metres and radians.
+
+    `missed` is the norm of all residuals.
+    """
     from kempe.equations.closure_rows import compute_residual, list_row_names
 
     system = bound.system
@@ -213,8 +212,7 @@ def _describe_largest_violation(bound: Assembler, q: Array, missed: float) -> st
 
 
 def _find_one_sided_evidence(bound: Assembler, q: Array) -> Evidence | None:
-    """Whether the equations alone can be closed with what is known, and which one-sided constraints
-    are then violated.
+    """Find out which one-sided constraints keep the loops from closing.
 
     With no freedom left that is a contradiction of what is known with them.
     """
@@ -239,7 +237,7 @@ def _find_one_sided_evidence(bound: Assembler, q: Array) -> Evidence | None:
 
 
 def _find_limit_evidence(bound: Assembler, q: Array) -> Evidence | None:
-    """Whether it closes without the limits, and which coordinates are then outside."""
+    """Find out whether the loops close without limits, and which coordinates are outside then."""
     if bound.frames or not np.isfinite(bound.system.structure.limits).any():
         return None
     free, _, info = bound.run(q[None], bound.no_pins, limits=False, limit=GLANCE)
@@ -248,7 +246,7 @@ def _find_limit_evidence(bound: Assembler, q: Array) -> Evidence | None:
 
 
 def _find_excess_evidence(bound: Assembler) -> Evidence | None:
-    """Whether more is given than the system has freedoms where it is closed."""
+    """Find out whether more coordinates are given than the closed system has freedoms."""
     freedoms = get_assembler_as_given(find_ideal_system(bound.system)).freedoms
     if not bound.held or not 0 <= freedoms < len(bound.held):
         return None

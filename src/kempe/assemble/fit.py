@@ -1,4 +1,4 @@
-"""Dimensions that are fitted, so that a mechanism closes exactly all along a motion."""
+"""Fits of dimensions with which a mechanism closes exactly along a whole motion."""
 
 from __future__ import annotations
 
@@ -68,8 +68,9 @@ fitted."""
 
 
 class Valley:
-    """Where the loop equations of a system are nearest to zero, if only their `rank` strongest
-    combinations count.
+    """Configurations where the `rank` strongest combinations of the loop equations are zero.
+
+    The residual of the others is small there: a valley.
 
     `equations` are those of other dimensions, by default of the system's.
     """
@@ -81,15 +82,16 @@ class Valley:
         self.equations: Equations = equations or partial(evaluate_constraints, tree, scaled=True)
 
     def compute_spectrum(self, q: Array) -> Spectrum:
-        """Singular values and vectors of the equations' derivatives at q (..., nq)."""
+        """Compute singular values and vectors of the scaled Jacobian at q (..., nq)."""
         return Spectrum(self.equations(q)[1])
 
     def converge_to_valley(self, q: Array, rounds: int = 12) -> Array:
-        """The configurations of the valley that Gauss-Newton steps lead to from q (N, nq)."""
+        """Converge to the valley from q (N, nq), by Gauss-Newton steps."""
         r = self.rank
         system = self.system
 
         def compute_step(f: Array, J: Array) -> Array:
+            """Compute steps (N, nv) from values (N, m) and Jacobians (N, m, nv)."""
             U, s, Vt = Spectrum(J).thin_decomposition
             part = np.einsum("kmr,km->kr", U[..., :r], f) / np.maximum(s[..., :r], TINY)
             return -np.einsum("krn,kr->kn", Vt[..., :r, :], part)
@@ -104,16 +106,16 @@ class Valley:
         )
 
     def compute_residual(self, q: Array) -> Array:
-        """Norms (...) of the residual at configurations (..., nq)."""
+        """Compute norms (...) of the residual at configurations (..., nq)."""
         return np.linalg.norm(self.equations(q, False)[0], axis=-1)
 
     def is_regular(self, spectrum: Spectrum) -> np.ndarray:
-        """Whether (...) the combinations that count are independent where the spectrum is."""
+        """Return a mask (...) of the configurations at which the combinations are independent."""
         s = spectrum.values
         return s[..., max(self.rank - 1, 0)] > REGULAR * s[..., 0]
 
     def sample_between(self, q: Array) -> Array:
-        """Regular configurations (k, nq) some way along the valley from q (N, nq)."""
+        """Sample regular configurations (k, nq) a step along the valley from q (N, nq)."""
         if self.rank == self.system.nv:
             return q[:0]
         ways = self.compute_spectrum(q).right[:, -1]
@@ -125,8 +127,9 @@ class Valley:
         return there[self.is_regular(self.compute_spectrum(there))]
 
     def walk_valley(self, q: Array, most: float, rng: np.random.Generator) -> Array:
-        """Regular configurations (N, nq) along the valley on both sides of q, where at most `most`
-        stays open.
+        """Walk along the valley from q in both directions; return regular configurations (N, nq).
+
+        `most` is the largest residual that is accepted.
 
         The first are those that the fewest steps lead to. Where long steps lead to few, as the
         valley bends much, they are shorter. Where much more is open than on the way to the `ENOUGH`
@@ -154,8 +157,10 @@ class Valley:
     def _walk_directions(
         self, q: Array, ways: Array, length: float, most: float, steps: int
     ) -> list[tuple[float, Array]]:
-        """Regular configurations along ways (W, n) from q (nq,), those after the fewest steps first,
-        each with what stays open at most on the way to it.
+        """Walk in directions `ways` (W, n) from q (nq,).
+
+        Returns regular configurations, those after the fewest steps first, each with the largest
+        residual on the way to it.
         """
         layout = self.system.structure.layout
         start = float(self.compute_residual(q))
@@ -194,8 +199,9 @@ class Valley:
 
 
 class Fit(NamedTuple):
-    """Changes `p` (size,) with which configurations `q` (N, nq) close, and what stays open at most,
-    `left`.
+    """Changes `p` (size,) of dimensions that close configurations `q` (N, nq).
+
+    `left` is the largest residual that remains.
 
     Where they do not all close with small changes, `closed` is false, and `p` and `q` are where the
     fit ended.
@@ -216,7 +222,7 @@ def fit_whole_motion(
     also: Relations | None = None,
     tries: int = len(DAMPING),
 ) -> Fit:
-    """As `fit_dimensions`, of configurations q (N, nq) that begin with the nearest ones.
+    """Fit dimensions to configurations q (N, nq) of a motion, sorted by distance from the first.
 
     What closes along a part of a motion closes all along, so that a fit to the nearest is enough,
     unless it leaves dimensions undetermined. Far ones may lie on another motion, which crosses the
@@ -241,8 +247,9 @@ def fit_whole_motion(
 
 
 def _split_sides(shape: Dimensions, rank: int, q: Array) -> list[Array]:
-    """Of configurations q (N, nq) along a motion of one freedom those on each side of the first, as
-    many as needed.
+    """Split configurations q (N, nq) of a motion with one freedom into both sides of the first.
+
+    Sides with too few configurations are left out.
     """
     valley = Valley(shape.system, rank)
     if rank != shape.system.nv - 1 or len(q) < ENOUGH:
@@ -266,7 +273,9 @@ def fit_dimensions(
     also: Relations | None = None,
     tries: int = len(DAMPING),
 ) -> Fit:
-    """The changes nearest to none with which all configurations q (N, nq) close, and these then.
+    """Find the smallest changes with which all configurations q (N, nq) close.
+
+    These configurations move along.
 
     `most` is the largest change, in metres and radians. What is fitted must close at configurations
     in between, too; where they do not they are fitted as well. `also` are relations that must hold;
@@ -310,8 +319,9 @@ def _solve_changes(
     damped: float,
     also: Relations | None,
 ) -> tuple[Array, Array, float]:
-    """Changes from p on with which configurations q close, by Levenberg's method, these, and what
-    stays open.
+    """Solve for changes of dimensions from p on, by Levenberg's method.
+
+    Returns the changes, the configurations and the largest residual that remains.
 
     It acts on those combinations of equations that the configurations cannot answer for.
     """
@@ -351,14 +361,12 @@ def _solve_changes(
 
 
 def keeps_rank(valley: Valley, q: Array) -> bool:
-    """Whether the equations have no more than their rank at all configurations q (N, nq)."""
+    """Return whether the rank of the equations stays at all configurations q (N, nq)."""
     return not np.any(valley.compute_spectrum(q).compute_ranks(ZERO) > valley.rank)
 
 
 def closes_along_valley(valley: Valley, q: Array) -> bool:
-    """Whether loops close exactly along the valley near configurations q (N, nq), and between, with
-    its freedoms.
-    """
+    """Return whether loops close exactly along the valley near q (N, nq), and between."""
     q = valley.converge_to_valley(q)
     return bool(
         valley.compute_residual(np.array([*q, *valley.sample_between(q)])).max() <= CLOSED

@@ -1,4 +1,4 @@
-"""Joint coordinates read off the poses of bodies: the way back from maximal coordinates.
+"""Joint coordinates from poses of bodies: the inverse of maximal coordinates.
 
 Each joint is read alone; full turns are then chosen so that dependent coordinates agree.
 """
@@ -59,8 +59,7 @@ FULL_TURN = 2.0 * math.pi
 def from_maximal(
     system: Model, poses: ArrayLike, start: Any = None, tolerance: float | None = None
 ) -> Array:
-    """Configuration (..., nq) of the poses (..., n_b, 4, 4), each coordinate read off where its
-    joint's bodies are.
+    """Compute the configuration (..., nq) from the poses (..., n_b, 4, 4) of the bodies.
 
     Angles are those nearest to the configuration `start` (default: `System.mid`), and so are the
     signs of quaternions; a driver has made the full turns that those which follow it tell. Limits
@@ -111,8 +110,9 @@ def from_maximal(
 def read_joints(
     system: Model, poses: Array, near: Array, tolerance: float = TOLERANCE
 ) -> dict[str, tuple[Array, Array, Array]]:
-    """For each joint its coordinates (..., n) at the poses, near to those of a configuration, and
-    how far these miss.
+    """Read the coordinates (..., n) of each joint from poses of bodies, near a configuration.
+
+    The values that follow, a length and an angle (...), are the errors of the joint.
 
     The second is a length, the third an angle (...): from where they put frame M to where it is.
     """
@@ -157,8 +157,9 @@ def read_joints(
 
 
 def read_configurations(system: Model, poses: Array, near: Array) -> Array:
-    """Configurations (..., nq) near others (..., nq), with the joints as the poses say; these may
-    violate them.
+    """Read configurations (..., nq) from poses of bodies, near others (..., nq).
+
+    The poses may violate joints.
     """
     values: dict[str, Array] = {}
     for name, (own, *_) in read_joints(system, poses, near).items():
@@ -170,14 +171,16 @@ def read_configurations(system: Model, poses: Array, near: Array) -> Array:
 
 
 def _name_coordinates(system: Model, joint: str, own: Array) -> dict[str, Array]:
+    """Return the coordinates of a joint by name."""
     return {n: own[..., i] for i, n in enumerate(system.structure.coordinates_of_joint(joint))}
 
 
 def fit_joint(
     kind: JointType, dim: int, particle: bool, X: Array, near: Array, tolerance: float = TOLERANCE
 ) -> tuple[Array, Array, Array]:
-    """Coordinates (..., n) of a joint whose frame M is at X (..., 4, 4) in F, and the length and
-    angle that they miss.
+    """Fit the coordinates (..., n) of a joint to the poses X (..., 4, 4) of frame M in F.
+
+    Also returns the remaining error, a length and an angle.
 
     Of several the ones found from `near` (..., n). In the plane a joint that slides along z does so
     along x of X.
@@ -219,8 +222,9 @@ def fit_joint(
 def _isolate_joint(
     kind: JointType, dim: int, particle: bool
 ) -> tuple[Any, tuple[str, ...], np.ndarray]:
-    """A body that a joint of this kind ties to the ground, the coordinates of its pose, and which
-    rows are lengths.
+    """Build a system of one body that a joint of this kind connects to the ground.
+
+    Also returns the coordinates of the body's pose, and a mask of the rows that are lengths.
     """
     m = Mechanism("joint", dim)
     child = m.particle("M") if particle else m.body("M")
@@ -233,7 +237,7 @@ def _isolate_joint(
 
 
 def _choose_three_angles(R: Array, angles: Array, near: Array) -> Array:
-    """Turns (N, 3) about z, y', x'': of the two ways to say a rotation the one that is nearest."""
+    """Choose the nearer of the two triples (N, 3) of angles about z, y', x'' of a rotation."""
     a, b, c = np.moveaxis(angles, -1, 0)
     locked = np.cos(b) < ANGLES_SINGULAR
     a = np.where(locked, near[:, 0], a)  # only a combination of a and c is determined
@@ -254,7 +258,9 @@ def _choose_three_angles(R: Array, angles: Array, near: Array) -> Array:
 
 
 class LinearRow(NamedTuple):
-    """sum of factor * coordinate = offset, the dependent coordinate first with factor 1.
+    """A linear relation: the sum of factor times coordinate is the offset.
+
+    The dependent coordinate comes first, with factor 1.
 
     `turns` says that the dependent one is an angle, `free` that it is part of q. `periods` are
     those of the other terms that can turn fully, so that poses do not tell how far they have
@@ -270,7 +276,7 @@ class LinearRow(NamedTuple):
 
 
 def _list_relations(system: Model) -> list[LinearRow]:
-    """What couplings, locks and relations say, but for quaternions that are held."""
+    """List couplings, locks and relations as linear rows, without locked quaternions."""
     followers = system.structure.couplings
     turning: set[str] = set()
     balls: set[str] = set()
@@ -312,20 +318,19 @@ def _list_relations(system: Model) -> list[LinearRow]:
 
 
 def measure_violation(relation: LinearRow, values: dict[str, Array]) -> Array:
-    """How far a relation is violated."""
+    """Compute the violation (...) of a linear relation."""
     return np.asarray(sum(m * values[n] for n, m in relation.terms) - relation.offset)
 
 
 def _list_turn_counts(n: int) -> Array:
-    """Numbers of full turns (k, n) of n coordinates that are tried, those of few turns first."""
+    """List the numbers of full turns (k, n) to try for n coordinates, small ones first."""
     most = TURNS[n] if n < len(TURNS) else 0
     found = sorted(product(range(-most, most + 1), repeat=n), key=lambda ks: sum(map(abs, ks)))
     return np.array(found, dtype=float).reshape(len(found), n)
 
 
 def add_full_turns(relations: list[LinearRow], values: dict[str, Array], tolerance: float) -> None:
-    """Give coordinates full turns, few against those that they have, with which all that depends on
-    them is right.
+    """Add full turns to coordinates, so that the coordinates that depend on them agree.
 
     Turns of a driver are those that fit all that follows it; then relations choose for coordinates
     that drive nothing.
@@ -357,6 +362,7 @@ def add_full_turns(relations: list[LinearRow], values: dict[str, Array], toleran
 
 
 def _remove_full_turns(off: Array, turns: bool) -> Array:
+    """Remove full turns from the violation of a relation of angles."""
     return off - FULL_TURN * np.round(off / FULL_TURN) if turns else off
 
 
@@ -364,6 +370,7 @@ def _remove_full_turns(off: Array, turns: bool) -> Array:
 
 
 def _refuse_no_poses(system: Model, poses: Array, tolerance: float) -> None:
+    """Refuse matrices that are no poses, turned particles, and poses outside the plane."""
     R = poses[..., :3, :3]
     p = poses[..., :3, 3]
     tilt = np.hypot(R[..., 2, 0], R[..., 2, 1]) + (R[..., 2, 2] < 0.0)
@@ -397,7 +404,7 @@ def _refuse_constraints(system: Model, poses: Array, q: Array, tolerance: float)
 
 
 def _refuse_held_rotations(system: Model, values: dict[str, Array], tolerance: float) -> None:
-    """Refuse rotations that are not those of quaternions that are held."""
+    """Refuse rotations that differ from those of locked quaternions."""
     for joint in system.mechanism.joints.values():
         names = [
             n
@@ -417,7 +424,7 @@ def _refuse_held_rotations(system: Model, values: dict[str, Array], tolerance: f
 
 
 def _refuse_violations(subject: str, sizes: Mapping[str, Array], tolerance: float) -> None:
-    """Refuse what is violated by more than the tolerance, by its sizes (...) by unit."""
+    """Refuse violations `sizes` (...), by unit, that exceed the tolerance."""
     parts = [(float(np.abs(x).max(initial=0.0)), unit) for unit, x in sizes.items()]
     if any(size > tolerance for size, _ in parts):
         said = " and ".join(

@@ -1,5 +1,4 @@
-"""Closed configurations to read ranks at: one made exact, and others of its branch reached along
-the null space.
+"""Closed configurations at which ranks are computed: the given one, and others nearby.
 
 What is idle is read there, too, since an idle freedom is there at the configurations around as
 well.
@@ -50,8 +49,9 @@ back."""
 
 @dataclass(frozen=True, eq=False)
 class NearestClosed:
-    """A configuration and whether it is closed; `given` is how far it was open as given, `why` says
-    why it is not.
+    """A configuration and whether it is closed.
+
+    `given` is the residual as given, `why` the reason why it is not closed.
     """
 
     q: Array
@@ -62,7 +62,7 @@ class NearestClosed:
 
 
 def close_configuration(system: Model, q: Array) -> NearestClosed:
-    """The configuration (nq,) with its loops closed to machine precision, as near to `q` as may be."""
+    """Close the loops at the configuration nearest to `q` (nq,), to machine precision."""
     given = _compute_residual(system, refuse_far(system, q, "q"))
     if not np.isfinite(given):
         raise InputError(
@@ -81,9 +81,7 @@ def close_configuration(system: Model, q: Array) -> NearestClosed:
 
 
 def find_closed_configuration(system: Model) -> NearestClosed:
-    """A closed configuration: the posture 'closed', the middle of the limits, or else one that is
-    searched.
-    """
+    """Find a closed configuration: the posture 'closed', the middle of the limits, or by search."""
     at = close_configuration(
         system,
         make_q(system, "closed")
@@ -103,14 +101,16 @@ def find_closed_configuration(system: Model) -> NearestClosed:
 
 
 def _compute_residual(system: Model, q: Array) -> float:
+    """Compute the norm of the residual of all loops at q (nq,)."""
     values = evaluate_constraints(system, q, False, True)[0]
     return float(np.linalg.norm(values))
 
 
 @quiet
 def find_idle_freedoms_at(system: Model, q: Array) -> tuple[IdleFreedom, ...]:
-    """Idle freedoms at the closed configuration nearest to q (nq,); none where the loops cannot be
-    closed.
+    """Find the idle freedoms at the closed configuration nearest to q (nq,).
+
+    There are none where the loops cannot be closed.
 
     Joints are driven that are marked so. Velocities are those of the angles in which balls are
     regular there.
@@ -127,8 +127,9 @@ def find_idle_freedoms_at(system: Model, q: Array) -> tuple[IdleFreedom, ...]:
 
 
 def get_idle_freedoms(system: Model, q: Array | None = None) -> tuple[IdleFreedom, ...]:
-    """The idle freedoms of a system, looked for once, at a closed configuration that a search finds;
-    where it finds none, those at q (nq,).
+    """Find the idle freedoms of a system at a closed configuration.
+
+    The search is made once; where it finds no closed configuration, q (nq,) is taken.
     """
     tree = remove_cut_marks(system)
     found = _find_idle_at_home(tree)
@@ -139,12 +140,16 @@ def get_idle_freedoms(system: Model, q: Array | None = None) -> tuple[IdleFreedo
 
 @keep_answers
 def _find_idle_at_home(system: Model) -> tuple[IdleFreedom, ...] | None:
+    """Find the idle freedoms at a closed configuration; None if there is none."""
     at = find_closed_configuration(system)
     return find_idle_freedoms_at(system, at.q) if at.closed else None
 
 
 def find_idle_coordinates(system: Model, q: Array | None = None) -> np.ndarray:
-    """Which velocity coordinates (nv,) idle freedoms change (mask); of a rotation, all three."""
+    """Return a mask (nv,) of the velocity coordinates that idle freedoms change.
+
+    Of a rotation, all three are marked.
+    """
     moves = [f.moving_velocities for f in get_idle_freedoms(system, q)] if has_loops(system) else []
     out = np.any([np.zeros(system.nv, dtype=bool), *moves], axis=0)
     for iv in system.structure.layout.quaternion_v:
@@ -153,7 +158,7 @@ def find_idle_coordinates(system: Model, q: Array | None = None) -> np.ndarray:
 
 
 def compute_idle_rates(system: Model, q: Array) -> Array:
-    """Rows (k, s, nv) by which velocities at q (k, nq) give the rates of the s idle spins [rad/s]."""
+    """Compute the rows (k, s, nv) that map velocities at q (k, nq) to s idle spin rates [rad/s]."""
     tree = remove_cut_marks(system)
     found = get_idle_freedoms(system) if system.dim == 3 else ()
     rows = [f.in_body[1] @ jacobian(tree, q, f.bodies[0], "body")[:, 3:] for f in found]
@@ -163,8 +168,9 @@ def compute_idle_rates(system: Model, q: Array) -> Array:
 def sample_useful_ranks(
     system: Model, rank: Rank, motors: Iterable[int] | None, rng: np.random.Generator
 ) -> list[Rank]:
-    """Ranks `sample_nearby_ranks`, where these may tell more than that at one configuration; `motors` are driven
-    velocities.
+    """Compute ranks at configurations nearby, if the rank at one configuration may not suffice.
+
+    `motors` are the driven velocities.
     """
     return (
         sample_nearby_ranks(system, rank, rng)
@@ -174,8 +180,9 @@ def sample_useful_ranks(
 
 
 def sample_nearby_ranks(system: Model, rank: Rank, rng: np.random.Generator) -> list[Rank]:
-    """Ranks at closed configurations some way along the null space, drawn at random; none if it
-    always snaps back.
+    """Compute ranks at random closed configurations along the null space.
+
+    The list is empty if every step snaps back.
     """
     if not rank.nullity:
         return []
@@ -189,8 +196,9 @@ def sample_nearby_ranks(system: Model, rank: Rank, rng: np.random.Generator) -> 
 def _step_to_nearby_ranks(
     system: Model, rank: Rank, rng: np.random.Generator, count: int
 ) -> list[Rank]:
-    """Ranks at the closed configurations next to random steps along the null space, each one step:
-    where the rank drops there is no curve to be followed.
+    """Compute ranks at closed configurations next to random steps along the null space.
+
+    Each is one step, because there is no curve to follow where the rank drops.
     """
     from kempe.assemble.bound import get_equation_assembler
 

@@ -1,4 +1,4 @@
-"""`assembly_modes`: the configurations that close a mechanism for given inputs.
+"""`assembly_modes`: all configurations that close a mechanism for given inputs.
 
 Mechanisms made of dyads are solved in closed form, others from many starts. The answer says how
 surely it is complete.
@@ -82,8 +82,9 @@ if TYPE_CHECKING:
 
 
 def mirror_configurations(system: Model, q: Array) -> Array:
-    """Configurations (n, nq) near the mirror images of others in the plane of the ground's points;
-    none if these points lie in no plane.
+    """Mirror configurations (n, nq) in the plane of the ground's points.
+
+    There are none if these points lie in no plane.
     """
     plane = _find_ground_plane(system)
     if plane is None or not len(q):
@@ -100,9 +101,7 @@ def mirror_configurations(system: Model, q: Array) -> Array:
 
 
 def mix_configurations(system: Model, q: Array, n: int, rng: np.random.Generator) -> Array:
-    """Configurations (n, nq) whose joints stand as in one or another of some configurations (k,
-    nq).
-    """
+    """Mix configurations (k, nq): the joints of each of n results are taken from two of them."""
     owner = np.array([name.rpartition(".")[0] or name for name in system.coordinate_names])
     joints, place = np.unique(owner, return_inverse=True)
     first, second = rng.integers(len(q), size=(2, n))
@@ -111,8 +110,9 @@ def mix_configurations(system: Model, q: Array, n: int, rng: np.random.Generator
 
 @keep_answers
 def _list_body_points(system: Model) -> list[Array]:
-    """For each body the points (k, 3) of joints and constraints on it, in its axes; of hinges and
-    slides a second one on their axis, which a mirror image must keep as well.
+    """List the points (k, 3) of joints and constraints on each body, in its axes.
+
+    Hinges and slides have a second point on their axis, which a mirror image must keep as well.
     """
     m = system.mechanism
     number = {b: i for i, b in enumerate(system.body_names)}
@@ -142,8 +142,9 @@ def _list_body_points(system: Model) -> list[Array]:
 
 @keep_answers
 def _find_ground_plane(system: Model) -> tuple[Array, Array] | None:
-    """A point and the normal of the plane, in a planar system of the line, that the ground's points
-    lie in.
+    """Find the plane (in a planar system: the line) of the ground's points; None if there is none.
+
+    It is returned as point and normal.
     """
     points = _list_body_points(system)[0]
     dim = system.dim
@@ -158,8 +159,9 @@ def _find_ground_plane(system: Model) -> tuple[Array, Array] | None:
 
 
 def _fit_poses(system: Model, body: int, points: Array, image: Array, poses: Array) -> Array:
-    """Poses (n, 4, 4) that bring points (k, 3) of a body as near to their images (n, k, 3) as may
-    be (Kabsch, 1976).
+    """Fit poses (n, 4, 4) that bring points (k, 3) of a body nearest to images (n, k, 3).
+
+    After Kabsch, 1976.
     """
     out = poses.copy()
     if not len(points):
@@ -212,8 +214,9 @@ CONFIDENCE = 0.95
 
 @dataclass
 class ModesSearch:
-    """Modes found: `clusters`, `free` (k,) freedoms left at each, `twin` (k,) the first of those
-    that are its images.
+    """A search for assembly modes: `clusters` of configurations and their freedoms `free` (k,).
+
+    `twin` (k,) is the index of the first cluster that is a mirror image.
 
     With a `frame`, modes are one that put it at the same pose. `spins` are the idle freedoms that
     do not count (`requested` whether they were looked for), `odd` says that the number found must
@@ -239,7 +242,7 @@ class ModesSearch:
 
     @property
     def bounded(self) -> bool:
-        """Whether limits keep starts from a part of the configurations."""
+        """Whether limits exclude a part of the configurations from the starts."""
         if not self.limits:
             return False
         low = self.system.lower
@@ -255,21 +258,22 @@ class ModesSearch:
 
     @property
     def hits(self) -> np.ndarray:
-        """How often each isolated mode or one of its mirror images was found."""
+        """Number of times that each isolated mode, or a mirror image of it, was found."""
         isolated = self.free == 0
         return np.bincount(self.twin[isolated], weights=self.clusters.hits[isolated]).astype(
             np.int64
         )[np.unique(self.twin[isolated])]
 
     def copy_search(self) -> ModesSearch:
-        """What was found so far, which later rounds leave as it is."""
+        """Copy the search, so that later rounds do not change the copy."""
         clusters = copy.copy(self.clusters)
         clusters.members = [list(m) for m in clusters.members]
         return replace(self, clusters=clusters, twin=self.twin.copy())
 
     def close_configurations(self, q: Array, counted: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Close configurations (n, nq) and sort them in; which of them closed (n,), and their
-        clusters.
+        """Close configurations (n, nq) and sort them into clusters.
+
+        Returns a mask (n,) of those that closed, and their clusters.
         """
         answer = self.bound(self.known, q, limits=False, budget=ONCE)
         if np.shape(answer.success) != (len(q),):
@@ -285,7 +289,7 @@ class ModesSearch:
         return good, where
 
     def _count_cluster_freedoms(self, first: int) -> None:
-        """Find the freedoms of the clusters from the first new one on, each its own twin."""
+        """Count the freedoms of the clusters from `first` on, each of which is its own twin."""
         new = count_freedoms(
             self.system, self.bound, self.known, self.clusters, self.clusters.q[first:]
         )
@@ -293,7 +297,7 @@ class ModesSearch:
         self.twin = np.concatenate([self.twin[:first], np.arange(first, len(self.free))])
 
     def _ignore_idle_spins(self, q: Array, tolerance: Array) -> None:
-        """Count configurations that differ only by idle spins as one, from here on."""
+        """From here on, treat configurations that differ only by idle spins as one."""
         held = [self.system.structure.velocity_names.index(n) for n in self.bound.held]
         idle = find_idle_freedoms_at(
             remove_cut_marks(find_ideal_system(self.system)),
@@ -310,9 +314,7 @@ class ModesSearch:
             self._count_cluster_freedoms(0)
 
     def try_suggested_modes(self) -> bool:
-        """Look for modes where those found suggest some, mirror images last; whether there are new
-        ones.
-        """
+        """Try mixtures and mirror images of the modes found; return whether there are new ones."""
         before = len(self.free)
         modes = self.clusters.q[self.free == 0]
         if not len(modes):
@@ -341,9 +343,7 @@ class ModesSearch:
         return len(self.free) > before
 
     def is_decided(self) -> bool:
-        """Whether each mode was found often, others were looked for in vain, and their number is
-        not against it.
-        """
+        """Return whether the search may end: each mode was found often, and no other is suggested."""
         if (
             self.tried < LEAST
             or not len(self.free)
@@ -356,8 +356,9 @@ class ModesSearch:
         )
 
     def has_odd_count(self) -> bool:
-        """Whether the number of modes is odd, and must be even: of all modes, so not where limits
-        leave some out.
+        """Return whether the number of modes is odd although it must be even.
+
+        That says nothing where limits leave some out.
         """
         return (
             not self.bounded
@@ -378,7 +379,7 @@ def search_modes(
     progress: Callable[[int, int], Any] | None = None,
     limits: bool = False,
 ) -> ModesSearch:
-    """Assembly modes from at most so many random starts, the first of them `near` or home.
+    """Search assembly modes from at most `starts` random starts, the first at `near` or home.
 
     With `limits` starts are drawn inside the limits, else all over the configurations. An
     interrupt, or the end of the time, which is looked for after each round, leaves what the rounds
@@ -418,7 +419,7 @@ def search_modes(
 
 
 def _search_one_round(s: ModesSearch, starts: int) -> bool:
-    """Whether the search may end after one more round of starts."""
+    """Search one more round of starts; return whether the search may end."""
     system = s.system
     near = s.near
     n = min(ROUND, starts - s.tried)
@@ -434,7 +435,7 @@ def _search_one_round(s: ModesSearch, starts: int) -> bool:
 
 
 def _choose_frames(system: Model, frame: str | None) -> tuple[str, ...]:
-    """The frames whose poses tell modes apart; none where coordinates do.
+    """Choose the frames whose poses distinguish modes; none where coordinates do.
 
     Angles in a relation of several wind up: after full turns of some of them all bodies are where
     they were.
@@ -453,9 +454,10 @@ def _choose_frames(system: Model, frame: str | None) -> tuple[str, ...]:
 
 
 def sample_starts(s: ModesSearch, n: int) -> Array:
-    """Starts (n, nq): angles over their period, free lengths up to two characteristic ones; all
-    inside the limits, if these count, else every other one: in the rest angles run over their
-    period, and lengths beyond their limits.
+    """Sample starts (n, nq), all inside the limits if these count, else every other one.
+
+    Angles run over their period, free lengths up to two characteristic ones; in the other half of
+    the starts angles run over their period, too, and lengths beyond their limits.
     """
     system = s.system
     metric = s.clusters.metric
@@ -488,8 +490,7 @@ def sample_starts(s: ModesSearch, n: int) -> Array:
 def count_freedoms(
     system: Model, bound: Assembler, known: dict[str, Any], clusters: Clusters, q: Array
 ) -> np.ndarray:
-    """Freedoms (k,) that are left at configurations: nullities of the Jacobian, where a step along
-    one can be closed.
+    """Count the freedoms (k,) left at configurations: null space directions that can be followed.
 
     Where only some frames count, those that move them. Where frames are known, which the Jacobian
     does not hold, steps go in random directions, and 1 stands for any.
@@ -538,7 +539,7 @@ def count_freedoms(
 def _find_moving_directions(
     system: Model, clusters: Clusters, q: Array, free: list[int], null_space: Array
 ) -> tuple[Array, Array]:
-    """Directions (k, n) in a null space (rows) that move what counts, and how far they move it."""
+    """Find directions (k, n) of a null space that move the frames, and how far they do."""
     if not clusters.frames:
         return null_space, np.ones(len(null_space))
     scale = clusters.metric.scale[free]
@@ -559,8 +560,9 @@ def _find_moving_directions(
 
 
 def has_even_count(s: ModesSearch) -> bool:
-    """Whether the number of modes is even for sure, all found being regular solutions of as many
-    equations as unknowns.
+    """Return whether the number of modes is surely even.
+
+    All found must be regular solutions of as many equations as unknowns.
 
     See the comment above. Limits do not count, and modes that are one only as to some frames are not
     looked at. Rods that spin between balls act on all configurations, open ones too, and change no
@@ -592,8 +594,9 @@ def has_even_count(s: ModesSearch) -> bool:
 
 
 def _is_rigid_spin(s: ModesSearch, spin: Any) -> bool:
-    """Whether what spins is one part with the known coordinates held, and has no further links in
-    its balls.
+    """Return whether an idle spin turns one rigid part, with the known coordinates held.
+
+    Its balls must have no further links.
     """
     mechanism = s.system.mechanism
     inside = [j for j in mechanism.joints.values() if {j.parent, j.child} <= {*spin.bodies}]
@@ -606,7 +609,7 @@ def _is_rigid_spin(s: ModesSearch, spin: Any) -> bool:
 
 
 def _is_quaternion_velocity(system: Model, i: int) -> bool:
-    """Whether a velocity is one of a quaternion, which runs around a sphere."""
+    """Return whether a velocity coordinate is one of a quaternion, which runs around a sphere."""
     return bool(
         np.any(
             (i >= system.structure.layout.quaternion_v)
@@ -616,13 +619,14 @@ def _is_quaternion_velocity(system: Model, i: int) -> bool:
 
 
 def _list_equations(system: Model) -> list[Declared]:
-    """The declared constraints that are equations."""
+    """List the declared constraints that are equations."""
     return [c for c in system._mechanism.constraints.values() if c.equations(system.dim)]
 
 
 def _is_tied_particle(system: Model, i: int) -> bool:
-    """Whether a velocity is one of a particle's place, and distances are the only constraints: as
-    some solution is regular, these tie it to what stays near.
+    """Return whether a velocity is one of a particle that only distances hold.
+
+    As some solution is regular, these keep the particle near.
     """
     mechanism = system.mechanism
     kinds = {c.rod for c in _list_equations(system)}
@@ -640,14 +644,15 @@ def _is_tied_particle(system: Model, i: int) -> bool:
 
 
 def estimate_share_found(hits: np.ndarray) -> float:
-    """Share of starts, by estimate, that lead to what was found: 1 - f1 / n, with f1 found once
-    (Good, 1953).
+    """Estimate the share of starts that lead to modes already found: 1 - f1 / n.
+
+    f1 modes were found once in n hits (Good, 1953).
     """
     return 1.0 - float(np.sum(hits == 1)) / max(float(np.sum(hits)), 1.0)
 
 
 def estimate_coverage(hits: np.ndarray) -> tuple[float, float]:
-    """Coverage and number of modes, from how often (k,) each was found; of coverage a lower bound.
+    """Estimate coverage, from below, and number of modes from how often (k,) each was found.
 
     The share of starts that lead to others is estimated as f1 / n, with f1 modes found once, and n
     hits (Good, 1953, after Turing). The coverage is 1 less the upper bound of that share (Clopper,
@@ -663,9 +668,7 @@ def estimate_coverage(hits: np.ndarray) -> tuple[float, float]:
 
 
 def _bound_share(seen: int, n: int) -> float:
-    """The largest share at which no more than `seen` of `n` would still be seen with probability 1
-    - CONFIDENCE.
-    """
+    """Bound the share of starts that `seen` hits in `n` starts allow, with confidence `CONFIDENCE`."""
     if seen >= n:
         return 1.0
     low = seen / n
@@ -748,12 +751,12 @@ class Modes(Configurations):
 
     @property
     def success(self) -> bool:
-        """Whether there is any."""
+        """Whether there is any mode."""
         return len(self.q) > 0
 
     @property
     def code(self) -> Status:
-        """The outcome: that there is none is proven where the search is `complete`."""
+        """The outcome: proven to be none where the search is `complete`."""
         if self.success:
             return Status.SOLVED
         if self.complete:
@@ -762,14 +765,14 @@ class Modes(Configurations):
 
     @property
     def titles(self) -> tuple[str, ...]:
-        """Names of the configurations in pictures: of their branches, else numbers."""
+        """Titles of the configurations in pictures: their branches, else numbers."""
         return tuple(name or str(k) for k, name in enumerate(self.branches, 1))
 
     def _list_goals(self) -> Sequence[tuple[Any, Any, Any]]:
         return list_known_tasks(self.system, self.known)
 
     def _make_tables(self) -> Sequence[Table]:
-        """The coordinates that are not known, a row for each configuration."""
+        """Return a table of the coordinates that are not known, a row for each configuration."""
         names = self.system.coordinate_names
         places = [i for i, name in enumerate(names) if name not in self.known]
         rows = [
@@ -779,7 +782,7 @@ class Modes(Configurations):
         return [Table(heads, rows, more=len(self.q) - len(rows))] if rows else []
 
     def _label(self, k: int) -> str:
-        """The name of a configuration in a text."""
+        """Return the name of a configuration in a text."""
         return (self.branches[k] or str(k + 1)) + " (outside limits)" * (not self.inside[k])
 
     def _list_notes(self, degrees: bool = False) -> Sequence[str]:
@@ -801,7 +804,7 @@ def _make_late_answer(
     limits: bool = True,
     **_: Any,
 ) -> Modes:
-    """The answer where the time was up before any mode was looked for."""
+    """Return the answer of a call whose time ended before the search began."""
     none = np.zeros(0, dtype=np.int64)
     said = f"none is known: {time.describe_end_reason(TimeUp())} came first"
     problem = Problem(system, "all", dict(known or {}), None, limits=bool(limits))
@@ -824,8 +827,7 @@ def assembly_modes(
     tolerance: float | str | None = None,
     budget: Budget | None = None,
 ) -> Modes:
-    """All configurations found that close the mechanism with the `known` coordinates (or frames)
-    held.
+    """Find all configurations that close the mechanism with the `known` coordinates or frames held.
 
     The time of equations in time is known as "t", one number (default 0).
     Planar mechanisms made of dyads are solved in closed form: then `complete` is True, but where a
@@ -872,7 +874,7 @@ def assembly_modes(
 
 
 def explain_missing_dyads(problem: Problem) -> str | None:
-    """Why there is no closed form with these names known; None where there is one."""
+    """Explain why there is no closed form with these names known; None where there is one."""
     system = problem.system
     known = tuple(problem.known)
     if system.dim != 2:
@@ -887,7 +889,7 @@ def explain_missing_dyads(problem: Problem) -> str | None:
 
 
 def find_modes_by_dyads(question: Problem) -> Modes:
-    """The answer in closed form, of a mechanism that is made of dyads."""
+    """Find all modes of a mechanism made of dyads, in closed form."""
     system = question.system
     values = find_source_values(system, question.known)
     for name, x in values.items():
@@ -949,8 +951,10 @@ def find_modes_by_dyads(question: Problem) -> Modes:
 
 
 class _Doubt(NamedTuple):
-    """The branches `rows` that discs leave undetermined, and `why`; what least squares `found`
-    there, and the freedoms `free` of all clusters (empty where nothing was looked for).
+    """Branches `rows` that disc arithmetic leaves undetermined, and `why`.
+
+    `found` are the clusters that least squares found there, and `free` the freedoms of all clusters
+    (empty where nothing was searched).
     """
 
     rows: np.ndarray
@@ -962,8 +966,9 @@ class _Doubt(NamedTuple):
 def _examine_doubtful_branches(
     question: Problem, plan: Plan, values: Array, closed: DyadAnswer, clusters: Clusters
 ) -> _Doubt:
-    """Which branches are not proven to close nowhere, or in one place; further configurations go
-    into the clusters.
+    """Examine the branches that are not proven to close once or never.
+
+    Further configurations go into the clusters.
 
     A branch that did not close as it was computed may do so elsewhere in its discs: least squares
     start where it nearly closed and, where a branch is undetermined, at random.
@@ -1014,7 +1019,7 @@ def _examine_doubtful_branches(
 
 
 def _merge_branch_names(names: list[str]) -> str:
-    """The name of branches that meet: their common signs, 0 for the others."""
+    """Merge the names of branches that meet: their common signs, 0 for the others."""
     return "".join(c[0] if len(set(c)) == 1 else "0" for c in zip(*names, strict=True))
 
 
@@ -1022,7 +1027,7 @@ def _merge_branch_names(names: list[str]) -> str:
 
 
 def find_modes_by_starts(question: Problem) -> Modes:
-    """The answer of many starts: never proven complete."""
+    """Find modes from many random starts; the answer is never proven complete."""
 
     system = question.system
     spend = USUAL.complete_budget(question.budget)
@@ -1091,8 +1096,9 @@ def find_modes_by_starts(question: Problem) -> Modes:
 
 
 def _choose_example(question: Problem, clusters: Clusters, which: np.ndarray) -> int:
-    """Of some clusters the place in the list of the one that is shown: inside the limits, if one
-    is, and near home.
+    """Choose the cluster shown as an example, inside the limits if possible, and near home.
+
+    Returns its index in `which`.
     """
     q = clusters.q[which]
     near = find_home(question.system) if question.start is None else question.start
@@ -1101,7 +1107,7 @@ def _choose_example(question: Problem, clusters: Clusters, which: np.ndarray) ->
 
 
 def _format_rounded_up(percent: float) -> str:
-    """A percentage with two digits, rounded up."""
+    """Format a percentage with two digits, rounded up."""
     if percent <= 0.0:
         return "0"
     unit = 10.0 ** (np.floor(np.log10(percent)) - 1)
@@ -1112,7 +1118,7 @@ def _format_rounded_up(percent: float) -> str:
 
 
 def _find_inside_limits(system: Model, q: Array) -> np.ndarray:
-    """Which configurations (n, nq) are inside the limits (n,)."""
+    """Return a mask (n,) of the configurations (n, nq) inside the limits."""
     v = q[:, system.structure.layout.vector_q]
     low, high = (x[system.structure.layout.vector_v] for x in (system.lower, system.upper))
     return np.all((v >= low - INSIDE) & (v <= high + INSIDE), axis=-1)
@@ -1128,7 +1134,7 @@ def _make_answer(
     complete: bool,
     guess: tuple[float | None, float | None] = (None, None),
 ) -> Modes:
-    """The modes, sorted, with what is outside the limits dropped or flagged."""
+    """Make the answer: modes sorted, those outside the limits dropped or marked."""
     system = question.system
     inside = _find_inside_limits(system, q)
     bounds = pack_one_sided_rows(system)

@@ -1,4 +1,4 @@
-"""The nearest mechanism that closes exactly and moves, where given numbers are slightly wrong.
+"""The nearest mechanism that closes exactly and moves, for dimensions with small errors.
 
 Redundant constraints agree only for special dimensions, which rounded and measured numbers miss.
 Small changes of joint placements, up to a tolerance in metres and radians, give the *ideal*
@@ -109,9 +109,7 @@ GAP = 3.0
 
 @dataclass(frozen=True)
 class Change(InWords):
-    """What differs at a joint or constraint: its placement `side`, before and after, `moved` [m]
-    and `turned` [rad].
-    """
+    """A changed placement `side` of a joint or constraint: `moved` [m] and `turned` [rad]."""
 
     name: str
     side: str
@@ -128,8 +126,7 @@ class Change(InWords):
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Idealised(Report):
-    """The nearest mechanism found that closes exactly with `freedoms`, and how it differs from the
-    `given` one.
+    """The nearest mechanism found that closes exactly, and its differences from the `given` one.
 
     `system` is that mechanism, with the same coordinates. `tolerance` is the largest change of a
     placement, in metres and radians; `requested` what was allowed. `compute_residual` is how far the given
@@ -153,23 +150,23 @@ class Idealised(Report):
 
     @property
     def status(self) -> str:
-        """What is true, in one sentence."""
+        """The result in one sentence."""
         return f"closed {self.least}, with {format_count(self.freedoms, 'freedom')}; {self.exactly}"
 
     @property
     def least(self) -> str:
-        """How far the given numbers are from these."""
+        """The tolerance within which the given numbers are those of the nearest mechanism."""
         return f"within {self.tolerance:.2g} m and rad"
 
     @property
     def exactly(self) -> str:
-        """What the given numbers say if they are taken exactly."""
+        """Sentence about the openings of the given numbers, taken exactly."""
         lock = " and would lock it" if self.freedoms else ""
         return f"taken exactly, its numbers leave loops open by {self.residual:.2g} (m, rad){lock}"
 
     @property
     def lines(self) -> list[str]:
-        """What differs, the largest change first, and what the given numbers contradict."""
+        """Lines of text: the openings, the joints that absorb them, and the changes, largest first."""
         off = sorted(self.absorbed.items(), key=lambda x: -x[1])
         said = ", ".join(f"{name!r} by {x:.2g}" for name, x in off if x >= SHOWN * self.residual)
         return [
@@ -190,8 +187,7 @@ class Idealised(Report):
         }
 
     def closed(self, q: Any) -> Array:
-        """The configurations (..., nq) nearest to q that close the ideal mechanism, or q as it is
-        where it is open.
+        """Return the configurations (..., nq) of the ideal mechanism nearest to q.
 
         What is farther from closed than the tolerance explains is left as it is.
         """
@@ -218,15 +214,16 @@ class Idealised(Report):
 
 
 def choose_smaller_tolerance(tolerance: Any) -> Any:
-    """The smaller one of a pair of metres and radians; anything else as it is."""
+    """Return the smaller tolerance of a pair of metres and radians; other input unchanged."""
     given: Any = tolerance
     pair = isinstance(tolerance, tuple) and len(given) == 2 and all(map(is_real, given))
     return min(given) if pair else given
 
 
 def read_requested_tolerance(system: Model, tolerance: Any) -> float:
-    """The tolerance that was requested, in metres and radians. Errors: `InputError` with both
-    bounds.
+    """Return the requested tolerance, in metres and radians.
+
+    Errors: `InputError` with both bounds.
     """
     size = compute_characteristic_length(system)
     widest = WIDEST * min(size, 1.0)
@@ -247,8 +244,9 @@ def read_requested_tolerance(system: Model, tolerance: Any) -> float:
 def find_nearest_exact(
     system: Model, tolerance: Any = None, time: TimeLimit = ENDLESS
 ) -> Idealised | None:
-    """The nearest mechanism within a tolerance; None where the given one closes as it is, or where
-    there is none.
+    """Find the nearest mechanism that closes exactly within a tolerance.
+
+    None where the given one closes as it is, or where there is none.
 
     `tolerance` is a number in metres and radians, "measured", or None: that of the system, else
     what is rounding. Of a `kempe.Tolerance` the smaller number counts. Raises `TimeUp` where the
@@ -276,8 +274,9 @@ def find_nearest_exact(
 
 
 def decide_nearest_exact(usual: Usual, time: TimeLimit, system: Model) -> None:
-    """Decide within the time of a verb which mechanism answers for the system. Errors:
-    `TimeLimitError`.
+    """Find the nearest mechanism that closes exactly within the time of a verb.
+
+    Errors: `TimeLimitError`.
     """
     if _has_closures(system) and not is_known(system):
         with limit_preparation_time(usual, time):
@@ -285,18 +284,18 @@ def decide_nearest_exact(usual: Usual, time: TimeLimit, system: Model) -> None:
 
 
 def _has_closures(system: Model) -> bool:
-    """Whether there is anything that has to close."""
+    """Return whether a system has loops or constraints to close."""
     return bool(system.structure.closures or system._mechanism.constraints)
 
 
 def is_known(system: Model, tolerance: Any = None) -> bool:
-    """Whether `find_nearest_exact` need not search."""
+    """Return whether the nearest mechanism within a tolerance is known without a search."""
     answers, key, _ = _get_kept_answers(system, tolerance)
     return key in answers
 
 
 def _get_kept_answers(system: Model, tolerance: Any) -> tuple[dict[Any, Any], Any, Any]:
-    """What `find_nearest_exact` has found, the key of a tolerance in it, and the tolerance itself."""
+    """Return the kept results of a system, the key of a tolerance in them, and the tolerance."""
     tolerance = (
         system.structure.tolerance if tolerance is None else choose_smaller_tolerance(tolerance)
     )
@@ -312,8 +311,7 @@ USUAL = Usual("idealised", time_limit=TIME_LIMIT)
 def idealised(
     system: Model, tolerance: float | str | None = MEASURED, *, budget: Budget | None = None
 ) -> Idealised | None:
-    """The nearest system that closes exactly and moves, as a proposal: what differs, and by how
-    much.
+    """Find the nearest system that closes exactly and moves, and say what differs by how much.
 
     None where the given one closes as it is, or where there is none within the `tolerance`: a
     number in metres and radians, or "measured", the smallest up to a hundredth of the system's
@@ -324,29 +322,31 @@ def idealised(
 
 
 def find_nearest_soon(system: Model) -> Idealised | None:
-    """As `find_nearest_exact` what is measured, but found in a short time or not at all: for a hint."""
+    """Find the nearest mechanism in a short time, or None: used for hints."""
     return system._kept.get(find_nearest_exact, {}).get(MEASURED) or _search_nearest_soon(system)
 
 
 @keep_answers
 def _search_nearest_soon(system: Model) -> Idealised | None:
+    """Search the nearest mechanism with one fit only."""
     return _search_nearest(system, read_requested_tolerance(system, MEASURED), False)
 
 
 def find_ideal_system(system: Model, tolerance: Any = None) -> Model:
-    """The system that answers for this one: the nearest within its tolerance, or itself."""
+    """Return the nearest system that closes exactly within its tolerance, or the system itself."""
     found = find_nearest_exact(system, tolerance)
     return system if found is None else found.system
 
 
 def describe_nearest(found: Nearest | None) -> str:
-    """What an answer adds to its sentence."""
+    """Return the text about the nearest mechanism that an answer appends to its sentence."""
     return "" if found is None else f"; {found.sentence}"
 
 
 def _search_nearest(
     system: Model, most: float, thorough: bool = True, time: TimeLimit = ENDLESS
 ) -> Idealised | None:
+    """Search the nearest mechanism part by part; None where none is needed or found."""
     if system._ideal is not None or not _has_closures(system):
         return None
     if not system.nv or list_timed_constraints(system) or has_velocity_constraints(system):
@@ -368,8 +368,9 @@ def _search_nearest(
 
 
 class _Found(NamedTuple):
-    """A part of a mechanism whose dimensions were changed: what it becomes, configurations (N, nq)
-    of its motion, its freedoms, and the names of the coordinates.
+    """A part of a mechanism with changed dimensions.
+
+    `ideal` is the part that closes exactly; `q` (N, nq) are configurations of its motion.
     """
 
     ideal: Model
@@ -382,8 +383,9 @@ class _Found(NamedTuple):
 
 
 def _split_parts(system: Model, most: float) -> list[tuple[Model, np.ndarray]]:
-    """The clusters of loops that may need other dimensions, as systems, and the places (nq,) of
-    their coordinates in q of the whole.
+    """Split a system into clusters of loops that may need other dimensions.
+
+    Each comes with the indices (nq,) of its coordinates in the whole q.
 
     Loops that share no velocity close by themselves: to change one does not change what another
     needs.
@@ -411,7 +413,7 @@ def _split_parts(system: Model, most: float) -> list[tuple[Model, np.ndarray]]:
 
 
 def _make_part(system: Model, joints: set[str], constraints: Collection[str]) -> Model:
-    """The system of these joints and constraints alone, and of the joints that they follow.
+    """Make the system of these joints and constraints alone, and of the joints that they follow.
 
     Bodies that no joint leads to from the ground are held there.
     """
@@ -441,8 +443,7 @@ def _make_part(system: Model, joints: set[str], constraints: Collection[str]) ->
 
 
 def _needs_no_change(system: Model, names: Iterable[str], most: float) -> bool:
-    """Whether no change of dimensions gives a loop in the plane more freedoms than it has: one of
-    hinges.
+    """Return whether a planar loop of hinges keeps its freedoms for all dimensions nearby.
 
     Its equations depend on each other only where all hinges are on one line, which they are not all
     along a motion.
@@ -473,7 +474,7 @@ def _needs_no_change(system: Model, names: Iterable[str], most: float) -> bool:
 def _idealise_part(
     system: Model, home: Array, most: float, scaled: float, thorough: bool, time: TimeLimit
 ) -> _Found | None:
-    """What a part becomes; None where it closes as it is, or nothing near does."""
+    """Find the nearest exact mechanism of a part; None where it closes as it is, or none is near."""
     equations = pack_full_loops(system, True)
     if (
         not 0 < system.nv <= MOST
@@ -500,9 +501,7 @@ def _try_starts(
     thorough: bool,
     time: TimeLimit,
 ) -> _Found | None:
-    """What a part becomes with the first of the ranks, and about the first of the places, that lead
-    to something.
-    """
+    """Try ranks and start configurations in turn, and return the first exact mechanism of a part."""
     for rank, q in starts:
         time.check_time()
         found = _idealise_with_rank(system, rank, q, most, scaled, thorough, time)
@@ -512,8 +511,7 @@ def _try_starts(
 
 
 def _moves_with_larger_changes(system: Model, home: Array, most: float, time: TimeLimit) -> bool:
-    """Whether larger changes than those allowed, up to the largest tolerance, make a part close and
-    move.
+    """Return whether larger changes, up to the largest tolerance, make a part close and move.
 
     Rounded loops of a mechanism nearly close at single places, where small changes close them. They
     make a structure of it, which says nothing of the mechanism that was meant.
@@ -528,8 +526,9 @@ def _moves_with_larger_changes(system: Model, home: Array, most: float, time: Ti
 
 
 def _find_starts(system: Model, home: Array, scaled: float) -> list[tuple[int, Array]]:
-    """Ranks that the equations may have, the lowest first, and where to look for a motion: first
-    about home.
+    """Find possible ranks of the equations, lowest first, with configurations to start from.
+
+    Those about home come first.
     """
     valley = Valley(system, 0)
     equations = len(pack_full_loops(system, True).names)
@@ -580,8 +579,7 @@ def _find_starts(system: Model, home: Array, scaled: float) -> list[tuple[int, A
 def _find_starts_beside(
     valley: Valley, home: Array, held: int, top: int, limit: float, rng: np.random.Generator
 ) -> list[tuple[int, Array]]:
-    """Ranks from `held` to below `top`, and where to look for a motion, beside a home that is
-    singular.
+    """Find start configurations of ranks from `held` to below `top`, beside a singular home.
 
     Each motion leaves along some direction that nothing holds at home. Of those that are tried the
     ones come first on which least stays open.
@@ -614,7 +612,7 @@ def _find_starts_beside(
 def _drop_close_starts(
     system: Model, starts: Sequence[tuple[int, Array]], scale: Array
 ) -> list[tuple[int, Array]]:
-    """The ranks and places without those that are close to one before them."""
+    """Drop the starts that are close to one before them with the same rank."""
     out: list[tuple[int, Array]] = []
     for r, q in starts:
         off = (
@@ -626,17 +624,14 @@ def _drop_close_starts(
 
 
 def _scale_singular_values(s: Array, n: int) -> Array:
-    """Singular values (n,) of equations of n unknowns as parts of the largest; missing ones are
-    zero.
-    """
+    """Return singular values (n,) relative to the largest; missing ones are zero."""
     return np.append(s, np.zeros(max(n - len(s), 0)))[:n] / max(float(s[0]), 1e-300)
 
 
 def _choose_rank_configurations(
     valley: Valley, start: Array, q: Array, limit: float
 ) -> list[Array]:
-    """Where to read a rank: at the start, if little is open there, and where the given numbers
-    close best, `q`.
+    """Choose configurations at which a rank is read: the start and the best closed one, `q`.
 
     The loops of rounded numbers may close exactly far away only, where the mechanism is flat and
     other ranks are near.
@@ -649,9 +644,7 @@ def _choose_rank_configurations(
 
 
 def _list_possible_ranks(s: Array, top: int, limit: float, least: float) -> list[int]:
-    """Ranks below `top` at which relative singular values (n,) may part what moves from what is
-    held.
-    """
+    """List ranks below `top` at which relative singular values (n,) have a gap."""
     ratio = np.append(np.maximum(s, least), least)
     return [
         r for r in range(1, top) if ratio[r - 1] >= GAP * ratio[r] and (r == len(s) or s[r] < limit)
@@ -661,8 +654,9 @@ def _list_possible_ranks(s: Array, top: int, limit: float, least: float) -> list
 def _idealise_with_rank(
     system: Model, rank: int, q: Array, most: float, scaled: float, thorough: bool, time: TimeLimit
 ) -> _Found | None:
-    """The nearest mechanism whose equations have this rank along its motion near q; None if there
-    is none.
+    """Find the nearest mechanism whose equations keep this rank along a motion near q.
+
+    None if there is none.
     """
     shape = Dimensions(system)
     freedoms = system.nv - rank
@@ -693,8 +687,9 @@ def _idealise_with_rank(
 def _choose_best_fit(
     found: Fit, shape: Dimensions, rank: int, q: Array, most: float, time: TimeLimit
 ) -> Fit:
-    """Of what was found, and what obeys relations that nearly hold, the latter if it closes with
-    small changes.
+    """Choose between a fit and one that also obeys relations that nearly hold.
+
+    The latter is taken if it closes with small changes.
     """
     off = float(Valley(shape.system, rank).compute_residual(q).max())
     size = float(np.abs(found.p).max()) if found.closed else off
@@ -716,7 +711,7 @@ def _choose_best_fit(
 def _make_idealised(
     system: Model, changed: Sequence[_Found], home: Array, most: float
 ) -> Idealised:
-    """What was found, with what differs."""
+    """Make the answer from the changed parts, with their differences in words."""
     m = system.mechanism
     new = system.mechanism
     size = 0.0
@@ -767,7 +762,7 @@ def _make_idealised(
 
 
 def _format_pose_change(old: Array, new: Array, dim: int, least: float) -> tuple[str, str]:
-    """The numbers of two poses that differ by at least so much, as x, y, z and fixed-axis angles."""
+    """Format the entries of two poses that differ by `least`: x, y, z and fixed-axis angles."""
     names = ("x", "y", "z", "roll", "pitch", "yaw") if dim == 3 else ("x", "y", "", "", "", "angle")
     a = xyz_rpy_from_pose(old)
     b = xyz_rpy_from_pose(new)
@@ -781,7 +776,7 @@ def _format_pose_change(old: Array, new: Array, dim: int, least: float) -> tuple
 
 
 def _format_number(x: float, is_angle: bool, digits: int) -> str:
-    """The number as text; angles that are simple fractions of pi by name."""
+    """Format a number; angles that are simple fractions of pi by name."""
     from fractions import Fraction
 
     part = Fraction(round(12.0 * x / math.pi), 12)
@@ -796,16 +791,18 @@ def _format_number(x: float, is_angle: bool, digits: int) -> str:
 
 
 def answer_within_tolerance(*closed: str) -> Callable[[Function], Function]:
-    """A verb that answers for the nearest mechanism within its `tolerance`, and says so by `within`
-    of its answer.
+    """Decorate a verb so that the nearest mechanism within its `tolerance` answers.
 
     `closed` are its arguments that are configurations and must close the loops: they are led to
     where that one does.
     """
 
     def wrap_function(function: Function) -> Function:
+        """Wrap a verb."""
+
         @functools.wraps(function)
         def call_on_nearest(system: Model, *args: Any, **options: Any) -> Any:
+            """Call the verb on the nearest mechanism, and store that in its answer."""
             found = find_nearest_exact(system, options.pop("tolerance", None))
             if found is None:
                 return function(system, *args, **options)

@@ -1,6 +1,4 @@
-"""Which configurations are one and the same: angles modulo full turns, lengths in characteristic
-lengths.
-"""
+"""Tests whether configurations are the same, modulo full turns and idle spins."""
 
 from __future__ import annotations
 
@@ -36,7 +34,7 @@ INSIDE = 1e-9
 
 
 class Metric:
-    """Distances between configurations of a system.
+    """Distances between configurations of a system, modulo the periods of angles.
 
     `scale` (nv,) are the metres, or radians, that count as one. `period` (nv,) are the angles after
     which every body is where it was, 0 for coordinates that have none; limits do not matter.
@@ -55,8 +53,9 @@ class Metric:
         """What keys of configurations that are 1 apart differ by at most."""
 
     def compute_keys(self, q: Array) -> Array:
-        """Numbers (n,) that are nearly equal for configurations (n, nq) that are nearly one: what
-        differs, differs.
+        """Compute numbers (n,) that are nearly equal for nearly equal configurations (n, nq).
+
+        Configurations with different numbers differ.
         """
         layout = self.system.structure.layout
         w = self._weights
@@ -76,8 +75,9 @@ class Metric:
         return out
 
     def compute_distances(self, q: Array, to: Array, counts: Any = slice(None)) -> Array:
-        """Largest difference (...) in any coordinate that `counts` (nv,), in radians and
-        characteristic lengths.
+        """Compute the largest coordinate difference (...), in radians and characteristic lengths.
+
+        `counts` (nv,) selects coordinates.
         """
         v = self.system.structure.layout.compute_difference(to, q)
         back = self.period > 0.0
@@ -85,7 +85,7 @@ class Metric:
         return np.abs(v / self.scale)[..., counts].max(axis=-1, initial=0.0)
 
     def find_unique(self, q: Array, tolerance: float, counts: Any = slice(None)) -> np.ndarray:
-        """Numbers of the configurations (n, nq) that are nearer than a tolerance to none before them.
+        """Find indices of the configurations (n, nq) that differ from all before them.
 
         `counts` (nv,) are the velocity coordinates that tell them apart: all, if not given.
         """
@@ -96,8 +96,7 @@ class Metric:
         return np.array(keep, dtype=int)
 
     def choose_representatives(self, q: Array, near: Array | None) -> Array:
-        """The configurations (n, nq), each angle turned to be nearest to `near`, or to zero, and
-        inside its limits.
+        """Return configurations (n, nq) with angles nearest to `near` or zero, inside the limits.
 
         Angles of which a constraint tells whole turns apart stay as they are where it would else
         not hold.
@@ -137,13 +136,12 @@ class Metric:
 
 @keep_answers
 def get_metric(system: Model) -> Metric:
-    """The metric of a system."""
+    """Return the metric of a system."""
     return Metric(system)
 
 
 def _compute_periods(system: Model) -> Array:
-    """For each velocity coordinate (nv,) the turn after which everything is as before; 0 where
-    there is none.
+    """Compute the period (nv,) of each velocity coordinate; 0 where there is none.
 
     A gear p / q brings its follower back only after q turns of its source.
     """
@@ -170,8 +168,7 @@ def _compute_periods(system: Model) -> Array:
 
 
 class Clusters:
-    """Configurations, those that are one together: `q` (k, nq) the first of each, `hits` (k,) how
-    many there were.
+    """Clusters of equal configurations: `q` (k, nq) the first of each, `hits` (k,) their sizes.
 
     `members` are their numbers in the order in which they came. With `frames`, configurations that
     put these frames at the same poses are one.
@@ -194,8 +191,9 @@ class Clusters:
         return np.array([len(m) for m in self.members], dtype=np.int64)
 
     def add_configurations(self, q: Array, tolerance: Array, counted: bool = True) -> np.ndarray:
-        """Numbers (n,) of the clusters into which configurations (n, nq) are sorted, new ones where
-        needed.
+        """Sort configurations (n, nq) into clusters, new ones where needed.
+
+        Returns the indices (n,) of their clusters.
 
         `tolerance` (n,) is the distance below which each is the same as another. Those that are not
         `counted` do not become members.
@@ -224,7 +222,7 @@ class Clusters:
         return out
 
     def _compute_keys(self, q: Array, X: Array) -> Array:
-        """Numbers (n,) that differ by no more than `steepest` times the distance of configurations."""
+        """Compute keys (n,) that differ by at most `steepest` times the distance."""
         if not self.frames:
             return self.metric.compute_keys(q)
         X = X.copy()
@@ -234,7 +232,7 @@ class Clusters:
     def _find_nearest_clusters(
         self, q: Array, X: Array, keys: Array, tolerance: Array
     ) -> np.ndarray:
-        """Numbers (n,) of the nearest clusters that configurations are the same as; -1: none."""
+        """Find the indices (n,) of the nearest equal clusters; -1: none."""
         out = np.full(len(q), -1)
         if not len(self.members) or not len(q):
             return out
@@ -261,9 +259,7 @@ class Clusters:
         return out
 
     def _find_first_same(self, q: Array, X: Array, keys: Array, tolerance: Array) -> np.ndarray:
-        """For each configuration (n,) the number of the first that it is the same as, itself where
-        there is none.
-        """
+        """Find for each configuration the index (n,) of the first equal one, or its own."""
         out = np.arange(len(q))
         if len(q) < 2:
             return out
@@ -286,22 +282,21 @@ class Clusters:
         return out
 
     def _bound_key_difference(self, tolerance: float) -> float:
-        """How far keys may be apart of configurations that are this far apart, with a margin for
-        rounding.
-        """
+        """Bound the difference of the keys of configurations within a tolerance."""
         return 1e-12 + 1.01 * tolerance * (np.sqrt(12.0) if self.frames else self.metric.steepest)
 
     def compute_distances(self, q: Array, to: Array) -> Array:
-        """How far configurations (n, nq) are from others, in radians and characteristic lengths."""
+        """Compute distances of configurations (n, nq), in radians and characteristic lengths."""
         return self._measure_distances(q, self._locate_frames(q), to, self._locate_frames(to))
 
     def _locate_frames(self, q: Array) -> Array:
-        """Places (n, frames, 3, 4) of the frames."""
+        """Compute the poses (n, frames, 3, 4) of the frames."""
         if not self.frames:
             return np.empty((len(q), 0, 3, 4))
         return np.stack([fk(self.system, q, f)[:, :3] for f in self.frames], axis=1)
 
     def _measure_distances(self, q: Array, X: Array, to: Array, Y: Array) -> Array:
+        """Compute distances of configurations, or of the poses X and Y of their frames."""
         if not self.frames:
             return self.metric.compute_distances(q, to)
         error = Y - X

@@ -1,1 +1,1 @@
-"""How many degrees of freedom, and why."""
+"""Degrees of freedom of mechanisms, and kinds of constraints."""

@@ -38,7 +38,7 @@ SHOWN = 12
 
 
 def describe_mobility(m: Mobility) -> str:
-    """The result in one sentence: what the count says, what is true, and why they differ."""
+    """Describe the mobility in one sentence: the count, the true number, and why they differ."""
     if m.late and m.rank is None:
         return f"Gruebler says {m.gruebler}; {m.why_open}"
     if not m.closed:
@@ -96,7 +96,7 @@ def describe_mobility(m: Mobility) -> str:
 
 
 def _describe_false_freedoms(rank: int, false: int, nearby: bool) -> str:
-    """What the rank says too much."""
+    """Describe the freedoms of the rank that lead to no motion."""
     where = " at configurations nearby" if nearby else ""
     if rank == false == 1:
         return f"; the rank says 1{where}, a velocity that leads to no motion"
@@ -108,7 +108,7 @@ def _describe_false_freedoms(rank: int, false: int, nearby: bool) -> str:
 
 
 def describe_evidence(m: Mobility) -> str:
-    """By which test the true number is known, with its tolerance."""
+    """Describe the test that gave the true number of freedoms, with its tolerance."""
     if m.rank is None or m.dof is None:
         return ""
     if m.local is not None:
@@ -132,7 +132,7 @@ def describe_evidence(m: Mobility) -> str:
 
 
 def format_rank(m: Mobility) -> str:
-    """The rank with its gap, and whether it is beyond doubt."""
+    """Format the rank with its gap, and whether it is beyond doubt."""
     r = m.rank
     if r is None:
         return ""
@@ -166,7 +166,7 @@ def format_rank(m: Mobility) -> str:
 
 
 def _describe_velocity_freedoms(m: Mobility) -> list[str]:
-    """Freedoms of position and of velocity, where some constraints are of velocity."""
+    """Describe freedoms of position and of velocity, if there are constraints of velocity."""
     if m.velocity_dof is None or m.rank_dof is None:
         return []
     if m.velocity_dof < 0:
@@ -182,7 +182,7 @@ def _describe_velocity_freedoms(m: Mobility) -> list[str]:
 
 
 def list_topics(m: Mobility) -> list[tuple[str, list[str]]]:
-    """The report as (title, lines)."""
+    """List the topics of the report as (title, lines)."""
     out = [("count", list(m.counting.steps))]
     if m.dim == 2 and m.gruebler_spatial != m.gruebler:
         out[0][1].append(f"Built in space, the same count is {m.gruebler_spatial}.")
@@ -240,7 +240,7 @@ def list_topics(m: Mobility) -> list[tuple[str, list[str]]]:
 
 
 def collect_data(m: Mobility) -> dict[str, Any]:
-    """All numbers and texts as plain Python, ready for JSON."""
+    """Collect all numbers and texts as plain Python, ready for JSON."""
     r = m.rank
     local = m.local
     c = m.control
@@ -325,6 +325,7 @@ def collect_data(m: Mobility) -> dict[str, Any]:
 
 
 def _describe_cluster(c: Any) -> str:
+    """Describe a group of loops: its joints, count, rank and redundancy."""
     name = ", ".join(c.joints[:SHOWN]) + (", ..." if len(c.joints) > SHOWN else "")
     known = "" if c.rank_dof is None else f", by rank {c.rank_dof}"
     known += f", {c.redundant} redundant" if c.redundant else ""
@@ -332,13 +333,14 @@ def _describe_cluster(c: Any) -> str:
 
 
 def format_dimensions(dims: Sequence[int]) -> str:
-    """'2, 1, 1', or '2 (5 times), 1 (8 times)' where there are many: dimensions of branches."""
+    """Format dimensions of branches: '2, 1, 1', or '2 (5 times), 1 (8 times)' for many."""
     if len(dims) <= FEW:
         return ", ".join(str(d) for d in dims)
     return ", ".join(str(d) if n == 1 else f"{d} ({n} times)" for d, n in Counter(dims).items())
 
 
 def _format_there_are(n: int) -> str:
+    """Return "there is 1" or "there are n"."""
     return f"there is {n}" if n == 1 else f"there are {n}"
 
 
@@ -347,8 +349,7 @@ def _format_there_are(n: int) -> str:
 
 @dataclass(frozen=True)
 class ClusterMobility:
-    """Loops that share joints: the joints, how many loops, the count of these alone, their rank
-    DoF, redundancy.
+    """A group of loops that share joints: its joints, loops, count, rank DoF and redundancy.
 
     `rank_dof` and `redundant` are None where the mechanism is open.
     """
@@ -426,13 +427,14 @@ class Mobility(Report):
 
     @property
     def gruebler(self) -> int:
-        """The count: freedoms of the bodies less what the joints take away."""
+        """Grübler count: freedoms of the bodies less those that joints and constraints take away."""
         return self.counting.gruebler
 
     @property
     def gruebler_spatial(self) -> int:
-        """What the mechanism counts to in space; for a planar one each loop has three more
-        equations there.
+        """Grübler count of the mechanism built in space.
+
+        For a planar one each loop has three more equations there.
         """
         return self.counting.gruebler_spatial
 
@@ -458,13 +460,12 @@ class Mobility(Report):
 
     @property
     def useful(self) -> int | None:
-        """Freedoms that are not idle."""
+        """Number of freedoms that are not idle."""
         return None if self.dof is None else self.dof - self.idle
 
     @property
     def certain(self) -> bool:
-        """Whether `dof` is proven, for the mechanism in which what is zero to rounding is exactly
-        zero.
+        """Whether `dof` is proven, with what is zero to rounding taken as exactly zero.
 
         Either the rank is full, the smallest singular value being above a bound of all rounding and
         an exactly closed configuration near by (Newton and Kantorovich), or a theorem about
@@ -476,7 +477,7 @@ class Mobility(Report):
 
     @property
     def unproven(self) -> str:
-        """Why `dof` is not proven where the rank is full."""
+        """The reason why `dof` is not proven although the rank is full."""
         bent = (
             [c for r in self.rank.clusters for c in r.cluster.bent] if self.rank is not None else []
         )
@@ -495,8 +496,7 @@ class Mobility(Report):
         return Status.SOLVED if self.closed else Status.NOT_FOUND
 
     def relative(self, body: FrameLike, to: FrameLike) -> RelativeMotion:
-        """How a body can move relative to another one at `q`: "1 DoF of B5 relative to B0: a slide
-        along x".
+        """Find the motions of one body relative to another at `q`, as "a slide along x".
 
         See `kempe.mobility.relative_motion`. Errors: `InputError` where the mechanism cannot
         be closed, `UnknownNameError`, `UnsupportedError` for frames of particles.
@@ -516,7 +516,7 @@ class Mobility(Report):
         return describe_mobility(self)
 
     def topics(self) -> list[tuple[str, list[str]]]:
-        """The reasons as (title, lines)."""
+        """Return the reasons as (title, lines)."""
         return list_topics(self)
 
     def _make_headline(self) -> str:

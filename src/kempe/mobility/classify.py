@@ -48,12 +48,12 @@ SEEN = 1e-9
 
 
 def format_growth(growth: tuple[int, ...], open_end: bool = False) -> str:
-    """'(2, 3, 4)', with dots where it goes on."""
+    """Format a growth vector: '(2, 3, 4)', with dots where it continues."""
     return f"({', '.join(map(str, growth))}{', ...' if open_end else ''})"
 
 
 def describe_classification(c: Classification) -> str:
-    """The result in one sentence, and within which tolerance it holds."""
+    """Describe a classification in one sentence, with the tolerance within which it holds."""
     doubt = (
         "; a rank is doubtful"
         if c.doubtful and "beyond the digits" not in _describe_outcome(c)
@@ -64,6 +64,7 @@ def describe_classification(c: Classification) -> str:
 
 
 def _describe_outcome(c: Classification) -> str:
+    """Describe freedoms of position and velocity, and what motions reach."""
     both = f"{format_count(c.position_dof, 'freedom')} of position, {c.velocity_dof} of velocity"
     if c.kind in ("", "unilateral") or (c.kind == "holonomic" and c.position_dof == c.velocity_dof):
         return both + (f"; {c.why}" if c.why else "")
@@ -88,11 +89,12 @@ def _describe_outcome(c: Classification) -> str:
 
 
 def describe_constraint(c: ConstraintKind) -> str:
-    """What one constraint is, and why."""
+    """Describe the kind of one constraint, with the reason."""
     return _describe_kind(c) + ("; all this while it touches" if c.touching else "")
 
 
 def _describe_kind(c: ConstraintKind) -> str:
+    """Describe the kind of one constraint, regardless of contact."""
     count = format_count(len(c.rows), "row")
     if c.kind == "unilateral":
         return (
@@ -132,7 +134,7 @@ def _describe_kind(c: ConstraintKind) -> str:
 
 
 def list_reasons(c: Classification) -> list[str]:
-    """Growth and what follows from it, line by line."""
+    """List growth vectors and their consequences, line by line."""
     if c.growth_around is None or c.growth_around == () or c.position_dof == c.velocity_dof:
         return [c.why] if c.why else []
     out: list[str] = []
@@ -149,7 +151,7 @@ def list_reasons(c: Classification) -> list[str]:
 
 
 def list_proofs(c: Classification) -> list[str]:
-    """What is proven, and how."""
+    """List what is proven, with the theorems."""
     if c.growth_around is None or c.position_dof == c.velocity_dof:
         return []
     out: list[str] = []
@@ -176,7 +178,7 @@ def list_proofs(c: Classification) -> list[str]:
 
 
 def list_topics(c: Classification) -> list[tuple[str, list[str]]]:
-    """The report as (title, lines)."""
+    """List the topics of the report as (title, lines)."""
     out = [("growth", list_reasons(c)), ("known by", list_proofs(c))]
     if c.moved > SEEN:
         out.insert(
@@ -190,7 +192,7 @@ def list_topics(c: Classification) -> list[tuple[str, list[str]]]:
 
 
 def collect_data(c: Classification) -> dict[str, Any]:
-    """All numbers and texts as plain Python, ready for JSON."""
+    """Collect all numbers and texts as plain Python, ready for JSON."""
     return {
         "system": c.name,
         "q": name_values(c.system, c.q),
@@ -233,7 +235,7 @@ UNILATERAL = "unilateral"
 
 @dataclass(frozen=True)
 class ConstraintKind(InWords):
-    """What one constraint is, alone beside what holds positions.
+    """The kind of one constraint, considered alone with the constraints of position.
 
     `rows` are the names of its equations, `independent` of them take a freedom of velocity each.
     With rows of velocity, `integrable` of the freedoms that these take are rates of functions of
@@ -255,7 +257,7 @@ class ConstraintKind(InWords):
 
     @property
     def sentence(self) -> str:
-        """What it is, and why, in one sentence."""
+        """The kind of the constraint, with the reason, in one sentence."""
 
         return describe_constraint(self)
 
@@ -266,8 +268,7 @@ class ConstraintKind(InWords):
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Classification(Report):
-    """What the constraints of a system are, each alone and all together, with the reasoning;
-    ``print`` it.
+    """The kinds of the constraints of a system, each alone and all together; ``print`` it.
 
     `position_dof` is the dimension of the set of closed configurations at `q`, `velocity_dof` that
     of the velocities that all constraints leave free there. `growth` is their growth vector at `q`:
@@ -314,21 +315,17 @@ class Classification(Report):
 
     @property
     def singular(self) -> bool:
-        """Whether the growth vector at `q` differs from that at configurations drawn at random,
-        beyond doubt.
-        """
+        """Whether the growth vector at `q` surely differs from that at random configurations."""
         return not self.doubtful and self.growth != self.growth_around
 
     @property
     def integrals(self) -> int | None:
-        """How many independent functions of position keep their value along every motion, around
-        `q`.
-        """
+        """Number of independent functions of position that every motion around `q` keeps constant."""
         return None if self.reachable_around is None else self.position_dof - self.reachable_around
 
     @property
     def code(self) -> Status:  # type: ignore[override]
-        """The outcome: `UNDETERMINED` where growth and what is reached are not known."""
+        """The outcome: `UNDETERMINED` where growth vector and reachable dimension are not known."""
         if self.late:
             return Status.OUT_OF_TIME
         return Status.UNDETERMINED if self.why and self.growth is None else Status.SOLVED
@@ -339,7 +336,7 @@ class Classification(Report):
         return describe_classification(self)
 
     def topics(self) -> list[tuple[str, list[str]]]:
-        """The reasons as (title, lines)."""
+        """Return the reasons as (title, lines)."""
         return list_topics(self)
 
     def _make_headline(self) -> str:
@@ -368,8 +365,9 @@ DRIFT = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class EvaluationPoint:
-    """Where rows are looked at: configuration, time, the rows that hold positions and how to close
-    loops.
+    """A configuration and time at which constraint rows are evaluated.
+
+    `holding` are the rows that hold positions.
 
     `closed` gives for a configuration one with all loops closed near it, or None.
     """
@@ -383,23 +381,22 @@ class EvaluationPoint:
     """How far the configuration is from where it should be, in units."""
 
     def replace_configuration(self, q: Array) -> EvaluationPoint:
-        """The same at another configuration."""
+        """Return the same point with another configuration."""
         return replace(self, q=q)
 
     @property
     def n_time_directions(self) -> int:
-        """1 where the time is among the directions."""
+        """Number of time directions: 1 if rows depend on the time, else 0."""
         return 0 if self.rows.steady else 1
 
     def compute_null_space(self, which: Sequence[int] = ()) -> Distribution:
-        """Velocities that what holds positions, and further rows, leave free."""
+        """Compute the velocities that constraints of position, and further rows, leave free."""
         return compute_distribution(self.rows, self.q, (*self.holding, *which), self.t, self.error)
 
 
 @dataclass(frozen=True, eq=False)
 class Reach:
-    """What motions reach: growth vectors here and around, the dimension reached from here and from
-    around.
+    """Growth vectors and reachable dimensions, at a configuration and at random ones around it.
 
     `growth` and `dimension` are None where the rows lose rank here; the other numbers do not count
     the time.
@@ -415,7 +412,7 @@ class Reach:
 
 
 def sample_nearby_point(place: EvaluationPoint, rng: np.random.Generator) -> EvaluationPoint | None:
-    """A configuration drawn at random around, with loops closed; None if none is found."""
+    """Sample a closed configuration around a point; None if none is found."""
     basis = place.compute_null_space().basis[: place.rows.layout.nv]
     units = place.rows.units[:-1]
     step = STEP
@@ -431,7 +428,7 @@ def sample_nearby_point(place: EvaluationPoint, rng: np.random.Generator) -> Eva
 def sample_reachable_point(
     place: EvaluationPoint, which: Sequence[int], rng: np.random.Generator
 ) -> EvaluationPoint:
-    """A configuration that random motions reach which obey the rows."""
+    """Sample a configuration that random motions under the rows reach from a point."""
     from scipy import integrate
 
     rows = place.rows
@@ -446,6 +443,7 @@ def sample_reachable_point(
         def compute_rate(
             _: float, x: Array, chosen: np.ndarray = chosen, wish: Array = wish
         ) -> Array:
+            """Compute the rates of configuration and time along a random direction."""
             A, b = rows.evaluate_rows(x[: layout.nq], x[layout.nq])
             whole = (np.concatenate([A, -b[:, None]], axis=1) if place.n_time_directions else A)[
                 chosen
@@ -482,7 +480,10 @@ def compute_reach(
     which: Sequence[int],
     rng: np.random.Generator,
 ) -> Reach:
-    """What motions reach from a place that obey further rows; `around` is a place drawn at random."""
+    """Compute growth and reachable dimension from a point for motions that obey further rows.
+
+    `around` is a point drawn at random.
+    """
     extra = place.n_time_directions
     whole = place.compute_null_space().dimension
     here = place.compute_null_space(which)
@@ -536,6 +537,7 @@ def compute_reach(
 
 
 def _subtract_time(found: Growth, extra: int) -> tuple[int, ...]:
+    """Return the dimensions of a growth vector without the time direction."""
     return tuple(d - extra for d in found.dimensions)
 
 
@@ -563,8 +565,7 @@ def classify(
     tolerance: float | str | None = None,
     budget: Budget | None = None,
 ) -> Classification:
-    """Which kind each constraint of a system is, and how far velocities that are free reach, with
-    the reasoning.
+    """Classify the constraints of a system, and find how far free velocities reach.
 
     `q` (nq,) or a dict by coordinate name (default: as for `mobility`), `t` the time where
     constraints depend on it. A `q` that misses what holds positions by more than rounding is
@@ -601,7 +602,7 @@ def classify(
 
 
 class _Classifier:
-    """The rows of a system at a closed configuration, and around it."""
+    """Classification in progress: the constraint rows of a system at a closed configuration."""
 
     def __init__(
         self, system: Model, q: Array, t: float, rng: np.random.Generator, time: TimeLimit
@@ -624,17 +625,18 @@ class _Classifier:
         self.place = EvaluationPoint(self.rows, q, t, tuple(held), self._close_configuration)
 
     def _close_configuration(self, q: Array) -> Array | None:
+        """Return the closed configuration nearest to q (nq,); None if there is none."""
         if not self.place.holding:
             return q
         at = close_configuration(self.system, q)
         return at.q if at.closed else None
 
     def list_velocity_rows(self, names: Iterable[str]) -> list[int]:
-        """The rows of velocity of some constraints."""
+        """List the indices of the velocity rows of some constraints."""
         return [i for c in names for i in self.of[c] if self.rows.names[i].velocity]
 
     def classify_system(self) -> Classification:
-        """All that was found."""
+        """Classify all constraints, alone and together."""
         place = self.place
         system = self.system
         whole = place.compute_null_space()
@@ -692,7 +694,7 @@ class _Classifier:
     def _classify_without_growth(
         self, why: str, made: dict[str, Any], around: EvaluationPoint | None
     ) -> Classification:
-        """What can be said where growth is not defined."""
+        """Classify the constraints without a growth vector, which is not defined or not known here."""
         return Classification(
             **made,
             kind="",
@@ -706,13 +708,14 @@ class _Classifier:
         )
 
     def _choose_common_kind(self, total: Reach) -> str:
-        """What all constraints are together."""
+        """Choose the kind of all constraints together."""
         if self.moving:
             return INTEGRABLE if total.around[0] == total.dimension_around else NONHOLONOMIC
         sided = bool(self.rows.names) and all(r.sided for r in self.rows.names)
         return UNILATERAL if sided else HOLONOMIC
 
     def _classify_constraints(self, place: EvaluationPoint) -> Mapping[str, ConstraintKind]:
+        """Classify each constraint alone, until the time is spent."""
         each: dict[str, ConstraintKind] = {}
         for name, rows in self.of.items():
             if self.time.spent:
@@ -727,6 +730,7 @@ class _Classifier:
     def _classify_constraint(
         self, place: EvaluationPoint, name: str, own: list[int]
     ) -> ConstraintKind:
+        """Classify one constraint alone with the constraints of position."""
         rows = self.rows.names
         whole = place.compute_null_space().dimension
         names = tuple(rows[i].name for i in own)

@@ -52,8 +52,10 @@ ZERO = 1e-12
 
 
 def find_family_dimension(equations: Equations, q: Array, spans: Iterable[Array]) -> int:
-    """Largest dimension of a family of closed configurations through q (nq,) with rates in some of
-    `spans` (nv, k).
+    """Find the largest dimension of a family of motions with angles in fixed ratios.
+
+    The closed configurations of the family pass through q (nq,), with rates in some of `spans` (nv,
+    k).
     """
     e = equations
     angles = np.zeros(e.nv, dtype=bool)
@@ -77,8 +79,7 @@ def find_family_dimension(equations: Equations, q: Array, spans: Iterable[Array]
 def is_half_angle_motion(
     equations: Equations, q: Array, axes: Array, places: Sequence[int], null_space: Array
 ) -> bool:
-    """Whether four hinges move so that tangents of half of neighbouring angles have a constant
-    product or ratio.
+    """Return whether tangents of half angles of four hinges keep fixed products or ratios.
 
     `axes` (6, 4) are the screws of the hinges around the loop, in its sense, `places` where their
     angles are, `null_space` (nv,) the velocity. Angles are those between common normals of
@@ -119,8 +120,9 @@ def is_half_angle_motion(
 
 
 def _find_ratios(span: Array) -> Array | None:
-    """The same span by columns of ratios, each 1 in one row in which the others are 0; None if some
-    are no ratios.
+    """Find a basis of ratios for a span: multiples of 1 / 12, None if there is none.
+
+    Each column is 1 in one row in which the others are 0.
     """
     K = np.array(span)
     for j in range(K.shape[1]):
@@ -180,8 +182,7 @@ HELD = 24
 
 
 class Here(NamedTuple):
-    """Equations of a part at a configuration: their reduced Jacobian `matrix`, its singular values
-    and its split.
+    """Equations of a part at a configuration: reduced Jacobian `matrix`, singular values, split.
 
     `basis` (m, k) are the rows that are looked at, `clear` whether the rank is beyond doubt,
     `exact` whether what does not count is zero to rounding.
@@ -196,8 +197,9 @@ class Here(NamedTuple):
 
 
 def split_rows(q: Array, J: Array, basis: Array, columns: np.ndarray) -> Here:
-    """The reduced equations of the rows `basis` (m, k) of J (m, nv) in the unknowns `columns`, all
-    others held.
+    """Split the equations of the rows `basis` (m, k) of J (m, nv) in the unknowns `columns`.
+
+    All other unknowns are held.
     """
     m, nv = J.shape
     A = basis.T @ J[:, columns]
@@ -235,8 +237,10 @@ def decide_dimension(
     rng: np.random.Generator,
     tangents: Sequence[Array],
 ) -> tuple[int, int | None, str] | None:
-    """Dimension, number of branches (None: unknown) and reason, if the forms decide; `known` is a
-    proven lower bound.
+    """Decide the dimension by leading forms, if they suffice.
+
+    Returns dimension, number of branches (None: unknown) and reason; `known` is a proven lower
+    bound.
 
     `rows` (m, k) and `uses` are the equations and unknowns of each loop, `tangents` (nv, k) belong
     to motions found.
@@ -272,13 +276,13 @@ def decide_dimension(
 
 
 def _find_clear_order(found: lyapunov_schmidt.Obstruction) -> int | None:
-    """The first order at which the reduced equations are clearly not zero."""
+    """Find the first order at which the reduced equations are clearly not zero."""
     k = found.order
     return None if k is None or found.size[k] < GAP * found.noise[k] else k
 
 
 def _list_directions(at: Split, tangents: Sequence[Array]) -> list[Array]:
-    """Unit vectors, in the basis of the null space, along motions that were found."""
+    """List unit vectors along known motions, in the basis of the null space."""
     out: list[Array] = []
     for T in tangents:
         for d in (at.null_space.T @ T).T:
@@ -299,6 +303,7 @@ def _decide_one_equation(
     rng: np.random.Generator,
     directions: list[Array],
 ) -> tuple[int, int | None, str] | None:
+    """Decide the dimension where one reduced equation remains, by its signs."""
     at = here.split
     delta = here.split.delta
     if k > 2 and not here.exact:
@@ -339,7 +344,7 @@ def _decide_one_equation(
 
 
 def compute_quadratic_forms(equations: Equations, at: Split) -> Array:
-    """The quadratic forms (c, delta, delta) of the reduced equations, as symmetric matrices."""
+    """Compute the quadratic forms (c, delta, delta) of the reduced equations as symmetric matrices."""
     delta = at.delta
     pairs = list(combinations(range(delta), 2))
     d = np.zeros((delta + len(pairs), delta))
@@ -357,7 +362,10 @@ def compute_quadratic_forms(equations: Equations, at: Split) -> Array:
 
 
 def _has_regular_zero(B: Array, d: Array) -> bool:
-    """Whether the forms have a zero near d (delta,) at which their derivatives are independent."""
+    """Return whether the forms have a regular zero near d (delta,).
+
+    It is regular if the derivatives of the forms are independent there.
+    """
     c, delta, _ = B.shape
     if c >= delta:
         return False
@@ -372,7 +380,7 @@ def _has_regular_zero(B: Array, d: Array) -> bool:
 
 
 def _has_definite_combination(B: Array, rng: np.random.Generator) -> bool:
-    """Whether some combination of the forms is definite."""
+    """Return whether some combination of the forms is definite."""
     mix = np.concatenate(
         [np.eye(len(B)), lyapunov_schmidt.sample_unit_vectors(rng, MIXTURES, len(B))]
     )
@@ -382,7 +390,9 @@ def _has_definite_combination(B: Array, rng: np.random.Generator) -> bool:
 
 
 def _has_no_zero(B: Array, t: int, rng: np.random.Generator) -> bool:
-    """Whether the forms have no common complex zero but 0 on a random subspace of t dimensions.
+    """Return whether the forms have no common complex zero but 0 on a random subspace.
+
+    The subspace has t dimensions.
 
     They have none if and only if their multiples by all monomials of degree t - 1 span all forms of
     degree t + 1.
@@ -422,7 +432,7 @@ def _can_isolate_others(
     order: int,
     rng: np.random.Generator,
 ) -> bool:
-    """Whether some `count` coordinates, when held, leave all others isolated, loop by loop."""
+    """Return whether holding some `count` coordinates isolates all others, loop by loop."""
     at = here.split
     J = equations.linearise_equations(at.q)[1][0]
     moving = np.flatnonzero(np.abs(at.null_space).max(axis=1) > CLEAR)
@@ -446,7 +456,7 @@ def _is_isolated_stepwise(
     order: int,
     rng: np.random.Generator,
 ) -> bool:
-    """Whether the unknowns `left` are isolated, those of one loop after the other."""
+    """Return whether the unknowns `left` are isolated, those of one loop after the other."""
     pending = list(range(len(rows)))
     while len(left):
         waiting: list[int] = []
@@ -463,7 +473,7 @@ def _is_isolated_stepwise(
 
 
 def _is_isolated(equations: Equations, here: Here, order: int, rng: np.random.Generator) -> bool:
-    """Whether the configuration is an isolated complex solution of some equations in some unknowns."""
+    """Return whether the configuration is an isolated complex solution in the given unknowns."""
     at = here.split
     if not here.clear or at.delta > VARIABLES:
         return False
@@ -502,8 +512,7 @@ LONG = 12
 
 
 class Part(NamedTuple):
-    """The equations of one cluster: a basis (m, k) of rows that suffice for each of its loops and
-    laws.
+    """Equations of one cluster: a basis (m, k) of sufficient rows for each loop and law.
 
     `columns` are the velocities of the cluster, `uses` those of each loop or law.
     """
@@ -516,7 +525,7 @@ class Part(NamedTuple):
 
 @dataclass(frozen=True)
 class Proof:
-    """A dimension that is proven, in how many branches (None: not known), and by what."""
+    """A proven dimension, the number of branches (None: unknown), and the reason."""
 
     dim: int
     branches: int | None
@@ -527,7 +536,7 @@ class Proof:
 
 
 def has_full_rank(system: Model, rank: Rank, residual: float) -> bool:
-    """Whether every cluster provably has full rank at the closed configuration near by."""
+    """Return whether every cluster of loops has full rank for sure at the closed configuration."""
     s = build_constraint_graph(system)
     at = rank.screws
     return all(
@@ -545,9 +554,7 @@ def _certify_cluster(
     residual: float,
     short: bool,
 ) -> Certificate:
-    """The certificate of equations of a cluster, of `short` loops or those of the tree, with
-    singular values of J.
-    """
+    """Certify the rank of the equations of a cluster from the singular values of J."""
     if c.bent:  # of whose second derivatives no bound is known
         return Certificate(False, 0.0, np.inf)
     size = c.measure_loops(s, short)
@@ -579,13 +586,15 @@ def _certify_cluster(
 
 
 def _find_largest_distance(points: Array, center: Array) -> float:
+    """Return the largest distance of points (n, 3) from a center (3,)."""
     d = points - center
     return float(np.sqrt(np.max(np.sum(d * d, axis=1), initial=0.0)))
 
 
 def _bound_second_derivatives(size: LoopSizes, at: Screws, D: float) -> float:
-    """A bound of the norm of the second derivatives of the equations of loops whose joints are D
-    lengths apart.
+    """Bound the norm of the second derivatives of loop equations.
+
+    The joints of a loop are at most D lengths apart.
 
     Two unit turns change the pose at the end of a chain by at most its reach, and by 1 as a
     rotation; a slide counts one length more. So a loop of n joints has second derivatives of norm n
@@ -618,8 +627,9 @@ class Prover:
         self.manifolds: dict[int, Proof | _Open | None] = {}
 
     def prove_manifold(self) -> Proof | None:
-        """The dimension, if it is proven to be a manifold of as many dimensions as the null space
-        has; else None.
+        """Prove the dimension, if the solution set is a manifold of the null space's dimension.
+
+        None if that cannot be proven.
         """
         found: list[Proof] = []
         for k in range(len(self.parts)):
@@ -630,8 +640,9 @@ class Prover:
         return self._combine_proofs(found)
 
     def prove_dimension(self, order: int, tangents: Sequence[Array]) -> Proof | None:
-        """The dimension, if it can be proven, by forms too; `tangents` (nv, k), in scaled
-        coordinates, span motions that were found: where to look.
+        """Prove the dimension, by leading forms too, if possible.
+
+        `tangents` (nv, k), in scaled coordinates, span known motions.
         """
         rng = np.random.default_rng(0)  # what is proven depends on no seed
         found: list[Proof] = []
@@ -645,8 +656,9 @@ class Prover:
         return self._combine_proofs(found)
 
     def _prove_cluster(self, k: int) -> Proof | _Open | None:
-        """The proof for one cluster, what it leaves open, or None where nothing can be proven;
-        found once.
+        """Prove the dimension of one cluster, once.
+
+        Returns a proof, what remains open, or None where nothing can be proven.
         """
         if k not in self.manifolds:
             self.manifolds[k] = _prove_part(
@@ -661,13 +673,14 @@ class Prover:
         return self.manifolds[k]
 
     def _combine_proofs(self, found: Sequence[Proof]) -> Proof:
+        """Combine the proofs of all clusters with the coordinates that are in no loop."""
         return _sum_proofs(
             [Proof(self.system.nv - sum(len(p.columns) for p in self.parts), 1, ""), *found]
         )
 
 
 def _sum_proofs(found: Sequence[Proof]) -> Proof:
-    """Dimensions add up, and numbers of branches multiply."""
+    """Sum the dimensions of proofs, and multiply their numbers of branches."""
     total = sum(p.dim for p in found)
     counts = [1 if p.branches == 0 else p.branches for p in found]  # what rests multiplies none
     count = (
@@ -683,7 +696,7 @@ def _sum_proofs(found: Sequence[Proof]) -> Proof:
 def _reduce_clusters(
     system: Model, s: ConstraintGraph, at: Screws, equations: Equations, J: Array
 ) -> list[Part]:
-    """The equations of each cluster, reduced loop by loop to what its group of motions leaves."""
+    """Reduce the equations of each cluster, loop by loop, to those that its motion group leaves."""
     edges = equations.rows_by_name
     out: list[Part] = []
     for c in s.clusters:
@@ -710,6 +723,7 @@ def _reduce_clusters(
 
 
 def _embed_rows(m: int, at: np.ndarray, mix: Array) -> Array:
+    """Return combinations of some rows as combinations of all m rows."""
     out = np.zeros((m, mix.shape[1]))
     out[at] = mix
     return out
@@ -718,8 +732,9 @@ def _embed_rows(m: int, at: np.ndarray, mix: Array) -> Array:
 def _reduce_loop_rows(
     system: Model, s: ConstraintGraph, at: Screws, k: int, path: list[int], J: Array, length: float
 ) -> Array:
-    """Combinations (rows, d) of the rows of a loop that suffice, for its joints generate a group of
-    d dimensions.
+    """Find combinations (rows, d) of a loop's rows that suffice.
+
+    The joints of the loop generate a group of motions of d dimensions.
 
     The rows of a closing joint read, to first order, the twist of its frame M; so in these
     coordinates the algebra of the group is what rows can become, and nothing else.
@@ -739,7 +754,7 @@ def _reduce_loop_rows(
 
 
 class _Open(NamedTuple):
-    """A cluster that is not proven to be a manifold, with a dimension that is proven from below."""
+    """A cluster without a proof that it is a manifold, and a proven lower bound of its dimension."""
 
     here: Here
     lower: int
@@ -754,7 +769,10 @@ def _prove_part(
     value: Array,
     J: Array,
 ) -> Proof | _Open | None:
-    """The dimension of one cluster, if it is a manifold; None where nothing can be proven."""
+    """Prove the dimension of one cluster by theorems about manifolds.
+
+    Returns what remains open, or None where nothing can be proven.
+    """
     here = split_rows(q, J, np.hstack(part.rows), part.columns)
     A = here.matrix
     delta = here.split.delta
@@ -797,7 +815,7 @@ def _prove_by_forms(
     rng: np.random.Generator,
     tangents: Sequence[Array],
 ) -> Proof | None:
-    """The dimension of one cluster, if leading forms decide."""
+    """Prove the dimension of one cluster by leading forms, if they suffice."""
     lower = max(
         known.lower,
         find_family_dimension(
@@ -811,6 +829,7 @@ def _prove_by_forms(
 
 
 def _restrict_to_columns(T: Array, columns: np.ndarray) -> Array:
+    """Return tangents (nv, k) with all rows but `columns` set to zero."""
     out = np.zeros_like(T)
     out[columns] = T[columns]
     return out
@@ -819,7 +838,7 @@ def _restrict_to_columns(T: Array, columns: np.ndarray) -> Array:
 def _is_bennett_loop(
     s: ConstraintGraph, at: Screws, equations: Equations, q: Array, c: Cluster, null_space: Array
 ) -> bool:
-    """Whether the only loop is of four hinges that move as Bennett's do."""
+    """Return whether the only loop is a Bennett linkage: four hinges that can move."""
     if (
         len(c.loops) != 1
         or c.laws
@@ -840,9 +859,7 @@ def _is_bennett_loop(
 
 
 def _is_two_group_loop(s: ConstraintGraph, at: Screws, c: Cluster) -> bool:
-    """Whether the only loop parts into two chains, each of which makes all motions of the group
-    that it generates.
-    """
+    """Return whether the only loop is two chains that each fill a group of motions."""
     if (
         len(c.loops) != 1
         or c.laws
@@ -867,9 +884,11 @@ def _is_two_group_loop(s: ConstraintGraph, at: Screws, c: Cluster) -> bool:
     ]
 
     def can_fill_group(i: int, k: int) -> bool:
+        """Return whether the joints i to k may fill a group, by a quick test."""
         return first[k] - first[i] > 5 or runs[first[i]] >= first[k] - first[i]
 
     def does_fill_group(i: int, k: int) -> bool:
+        """Return whether the joints i to k fill the group that they generate."""
         return fills_group(twists[:, columns[first[i] : first[k]]], SAME, CLEAR)
 
     pairs = [
@@ -882,9 +901,7 @@ def _is_two_group_loop(s: ConstraintGraph, at: Screws, c: Cluster) -> bool:
 
 
 def _count_alike_columns(alike: list[list[bool]], columns: list[int], first: int) -> int:
-    """How many columns from the first on are alike, each with itself and all others; more than five
-    do not matter.
-    """
+    """Count the columns from `first` on that are alike in pairs, up to six."""
     for k in range(first, min(first + 6, len(columns))):
         if not all(alike[columns[k]][columns[i]] for i in range(first, k + 1)):
             return k - first
@@ -892,8 +909,7 @@ def _count_alike_columns(alike: list[list[bool]], columns: list[int], first: int
 
 
 def _compare_screws(twists: Array) -> tuple[np.ndarray, np.ndarray]:
-    """Which screws (6, n) have parallel turns, or slides, and which are reciprocal, as axes that
-    meet: (n, n) masks.
+    """Compare screws (6, n): masks (n, n) of parallel rotations, and of reciprocal pairs.
 
     Fewer than six screws fill a group only if all have parallel turns, or all axes meet in one
     point.

@@ -1,5 +1,4 @@
-"""Growth vectors: how Lie brackets of the velocities that rows A(q) v = 0 leave free span more and
-more directions.
+"""Growth vectors: dimensions that Lie brackets of the free velocities A(q) v = 0 span.
 
 The fields X_c(q) are velocities in the null space of A(q). D^1 is what they span at q, D^s what
 brackets of up to s of them span; the growth vector is (dim D^1, dim D^2, ...). Brackets of random
@@ -50,9 +49,7 @@ motion is flat; others have rounding of the other size."""
 
 @dataclass(frozen=True, eq=False)
 class Distribution:
-    """The null space of some of the rows at q: fields with these coefficients, smooth where
-    `pivots` stay regular.
-    """
+    """The null space of constraint rows at q, as smooth vector fields around q."""
 
     rows: VelocityRows
     q: Array
@@ -76,7 +73,7 @@ class Distribution:
 
     @property
     def dimension(self) -> int:
-        """Its dimension; with the time among the columns one more than of velocities at one time."""
+        """Dimension of the null space; one more with the time among the columns."""
         return self.basis.shape[1]
 
 
@@ -87,8 +84,9 @@ def compute_distribution(
     t: float = 0.0,
     error: float = 1e-15,
 ) -> Distribution:
-    """The null space of some `rows`, or of all, at q (nq,) and the time t, which are right up to an
-    `error`.
+    """Compute the null space of some `rows`, or of all, at q (nq,) and the time t.
+
+    q is right up to an `error`.
     """
     requested = np.arange(len(rows.names)) if which is None else np.array(which, dtype=np.int64)
     A, b = rows.evaluate_rows(q, t)
@@ -101,6 +99,7 @@ def compute_distribution(
 def _compute_null_space(
     rows: VelocityRows, q: Array, t: float, which: np.ndarray, scaled: Array, error: float
 ) -> Distribution:
+    """Compute the null space of scaled rows, with independent rows and pivot columns."""
     n = scaled.shape[1]
     sizes = np.linalg.norm(scaled, axis=1)
     real = np.flatnonzero(sizes > VANISHED * sizes.max(initial=0.0))
@@ -134,7 +133,7 @@ def _compute_null_space(
 
 
 def _choose_pivots(matrix: Array, count: int) -> np.ndarray:
-    """The columns that a QR decomposition with pivoting takes first."""
+    """Choose the columns that a QR decomposition with pivoting takes first."""
     rest = matrix.copy()
     taken: list[int] = []
     for _ in range(count):
@@ -150,7 +149,7 @@ def _choose_pivots(matrix: Array, count: int) -> np.ndarray:
 
 
 class Words:
-    """Random brackets of the fields of a distribution at its point."""
+    """Random Lie brackets of the fields of a distribution at its point."""
 
     def __init__(self, at: Distribution, rng: np.random.Generator):
         rows = at.rows
@@ -177,15 +176,16 @@ class Words:
         self.units = np.ascontiguousarray(rows.units[:n])
 
     def __call__(self, count: int, length: int) -> tuple[Array, Array]:
-        """Brackets (count, length, columns) of `length`, ..., 1 random letters, and their rounding
-        (count, length).
+        """Evaluate brackets (count, length, columns) of random fields, and their rounding.
+
+        They have `length`, ..., 1 letters; the rounding is (count, length).
         """
         letters = self.rng.normal(size=(count, length, self.at.dimension))
         letters /= np.linalg.norm(letters, axis=-1, keepdims=True)
         return self.evaluate_brackets(letters @ self.at.basis.T)
 
     def evaluate_brackets(self, letters: Array) -> tuple[Array, Array]:
-        """Brackets (n, length, columns) and their rounding for given letters (n, length, columns).
+        """Evaluate brackets (n, length, columns) of given letters, and their rounding.
 
         Entries of letters that are not free at the point do not count.
         """
@@ -217,8 +217,7 @@ class Words:
 
 @dataclass(frozen=True)
 class Growth:
-    """A growth vector: `dimensions` (dim D^1, dim D^2, ...), with the time among the directions or
-    not.
+    """A growth vector: `dimensions` of the spans of brackets of up to 1, 2, ... letters.
 
     It ends where `reached` directions are spanned, or where nothing was found up to a `limit` of
     letters.
@@ -232,7 +231,7 @@ class Growth:
 
 
 class _GrowingSpan:
-    """Directions found so far, orthonormal, with estimates of their rounding.
+    """Orthonormal directions that brackets span so far, with estimates of their rounding.
 
     Words that are known to be in the span show how large its rounding truly is: `shares` are the
     largest parts of the estimates that the latest of them had.
@@ -246,7 +245,7 @@ class _GrowingSpan:
         self.doubtful = False
 
     def add_words(self, words: Array, noise: Array, known: bool) -> int:
-        """Add what words (columns, k) have beyond the span; returns by how much it grew.
+        """Add the components of brackets (columns, k) outside the span; return the growth.
 
         `known` says that they should be in it.
         """
@@ -280,8 +279,9 @@ class _GrowingSpan:
 def compute_growth(
     at: Distribution, rng: np.random.Generator, enough: int, patient: bool
 ) -> Growth:
-    """The growth vector at the point of a distribution, up to `enough` directions; again where it
-    is doubtful.
+    """Compute the growth vector of a distribution at its point, up to `enough` directions.
+
+    Where it is doubtful it is computed again.
 
     Where nothing is added by one more letter, all brackets of any length are in the span if the
     point is generic, for the span is then involutive around it. If `patient`, longer ones are tried
@@ -296,6 +296,7 @@ def compute_growth(
 
 
 def _grow_span(at: Distribution, rng: np.random.Generator, enough: int, patient: bool) -> Growth:
+    """Compute a growth vector once, with random brackets."""
     words = Words(at, rng)
     m = at.dimension
     span = _GrowingSpan(at.basis, at.error * at.condition, at.error)
@@ -317,11 +318,11 @@ def _grow_span(at: Distribution, rng: np.random.Generator, enough: int, patient:
 
 
 def _bound_bracket_count(m: int, length: int) -> int:
-    """A bound of the number of independent brackets of a length of m letters (Witt, 1937)."""
+    """Bound the number of independent brackets of `length` letters out of m (Witt, 1937)."""
     return max(1, m**length // length)
 
 
 def _limit_bracket_length(words: Words) -> int:
-    """The most letters of a bracket that are worth their work."""
+    """Return the largest number of letters of a bracket that is worth its work."""
     each = len(words.order) + 2 * len(words.entries) + 1
     return max(4, int(np.log(WORK / each) / np.log(3.0)))

@@ -1,4 +1,4 @@
-"""Independent coordinates of systems with loops.
+"""Independent coordinates of systems with loops, and charts of their configurations.
 
 A chart names coordinates that can be set, and computes the others from them.
 """
@@ -54,8 +54,9 @@ VANISHES = 1e-6
 def select_moving_part(
     system: Model, q: Array, left: Array, null_space: Array, scale: Array
 ) -> Array:
-    """The part (nv, d) of a null space (nv, p) of the scaled Jacobian at q (nq,) that motions have
-    as velocities.
+    """Select the part (nv, d) of a null space (nv, p) that consists of velocities of motions.
+
+    It is that of the scaled Jacobian at q (nq,).
 
     `left` (rows, k) are the left null vectors. Along a motion at which the rank stays, the second
     derivatives of the equations vanish for `left`, a velocity and any of the null space; where
@@ -84,8 +85,9 @@ def select_moving_part(
 def _compute_second_derivatives(
     system: Model, q: Array, left: Array, null_space: Array, scale: Array, along: Array
 ) -> Array:
-    """Second derivatives (n, k, p) for left null vectors, combinations (n, p) of the null space,
-    and the null space.
+    """Compute second derivatives (n, k, p) of the equations, projected on left null vectors.
+
+    One direction is a combination (n, p) of the null space, the other runs over the null space.
     """
     steps = DIFFERENCE * scale * (along @ null_space.T)
     J = evaluate_constraints(
@@ -147,7 +149,7 @@ class Chart(Report):
 
     @property
     def within(self) -> Idealised | None:  # type: ignore[override]
-        """The nearest mechanism that closes exactly, whose chart it is; None: the given one's."""
+        """The nearest mechanism that closes exactly, if the chart belongs to it; else None."""
         return self.system._ideal
 
     @property
@@ -157,7 +159,7 @@ class Chart(Report):
 
     @cached_property
     def _plain(self) -> bool:
-        """Whether all are angles and lengths."""
+        """Whether all independent coordinates are entries of q: angles and lengths."""
         return all(n in self.system.coordinate_names for n in self.independent)
 
     @property
@@ -166,7 +168,7 @@ class Chart(Report):
         return self.independent[: self.dim - len(self.idle)]
 
     def u(self, q: Any) -> Array:
-        """The independent coordinates (..., p) of configurations (..., nq)."""
+        """Return the independent coordinates (..., p) of configurations (..., nq)."""
         q = read_q(self.system, q)
         if self._plain:
             return q[..., [self.system.coordinate_names.index(n) for n in self.independent]]
@@ -177,8 +179,7 @@ class Chart(Report):
         return way[..., self._list_velocity_indices()]
 
     def q(self, u: Any, start: Any = None) -> Assembly:
-        """The configuration with these independent coordinates (..., p), reached by one search from
-        `start`.
+        """Find the configuration with independent coordinates u (..., p), by a search from `start`.
 
         Default for `start`: the origin. From far away it may be on another branch: lead it in
         steps. Idle ones may be left out: what spins then stays about as it is at `start`.
@@ -220,16 +221,14 @@ class Chart(Report):
         )
 
     def _list_velocity_indices(self, names: Iterable[str] | None = None) -> list[int]:
-        """Velocity indices of the independent coordinates, or of others."""
+        """List the velocity indices of the independent coordinates, or of given ones."""
         names = self.independent if names is None else tuple(names)
         own = self.system.structure.velocity_names
         exponential = {} if {*names} <= {*own} else _number_coordinates(self.system)
         return [own.index(n) if n in own else exponential[n] for n in names]
 
     def _compute_rates(self, q: Array, names: tuple[str, ...]) -> Array:
-        """Rates (len(names), nv) of some independent coordinates by the velocities, in units, at q
-        (nq,).
-        """
+        """Compute rates (len(names), nv) of independent coordinates from velocities, at q (nq,)."""
         system = self.system
         rows = self._list_velocity_indices(names)
         out = np.eye(system.nv)
@@ -239,9 +238,7 @@ class Chart(Report):
         return out[rows]
 
     def _solve_configurations(self, u: Array, given: tuple[str, ...], near: Any) -> Array:
-        """Configurations (..., nq) near those that have such coordinates: Newton's method, of least
-        movement.
-        """
+        """Solve for the closed configurations (..., nq) with given coordinates, nearest to `near`."""
         system = self.system
         scale = compute_coordinate_units(self.system)
         rows = self._list_velocity_indices(given)
@@ -252,6 +249,7 @@ class Chart(Report):
         out = np.array(starts)
 
         def evaluate_all_rows(q: Array, target: Array) -> tuple[Array, Array]:
+            """Evaluate loop equations and coordinate errors, with their Jacobian."""
             error, J = evaluate_constraints(system, q, True, True)
             more = self._compute_rates(q, given) * scale / scale[rows, None]
             return np.append(
@@ -270,9 +268,7 @@ class Chart(Report):
         return out.reshape(*lead, system.nq)
 
     def tangent(self, q: Any) -> Array:
-        """Rates (nv, p) of all velocity coordinates by the independent ones, at a closed
-        configuration (nq,).
-        """
+        """Compute rates (nv, p) of all velocities per independent rate, at a closed q (nq,)."""
         N, scale = compute_tangent_space(self.system, q, self.dim)
         N = scale[:, None] * N
         if self._plain:
@@ -280,8 +276,7 @@ class Chart(Report):
         return N @ np.linalg.inv(self._compute_rates(read_q(self.system, q), self.independent) @ N)
 
     def condition(self, q: Any) -> float:
-        """How well the independent coordinates move all others at a closed q (nq,): 1 best, 0 not
-        at all.
+        """Compute how well independent coordinates move all others at q (nq,), from 0 to 1 (best).
 
         It is 0 where a ball with exponential coordinates has turned by nearly half a turn, where
         these jump.
@@ -307,16 +302,16 @@ class Chart(Report):
         return min(1.0, float(Spectrum(rates @ N).smallest)) if self.dim else 1.0
 
     def valid(self, q: Any) -> bool:
-        """Whether the chart can still be used at the closed configuration q (nq,)."""
+        """Return whether the chart is usable at the closed configuration q (nq,)."""
         return self.condition(q) >= _bound_quality(self.dim, self.system.nv)
 
     def next(self, q: Any) -> Chart:
-        """The best chart at the closed configuration q (nq,)."""
+        """Return the best chart at the closed configuration q (nq,)."""
         return independent(self.system, q)
 
     @property
     def status(self) -> str:
-        """Which coordinates are independent, and how well they move the others."""
+        """Sentence that names independent and dependent coordinates, with the conditioning."""
         idle = f"; idle: {', '.join(self.idle)}" if self.idle else ""
         return (
             f"{format_count(self.dim, 'independent coordinate')}: "
@@ -342,8 +337,7 @@ def independent(
     *,
     tolerance: float | str | None = None,
 ) -> Chart:
-    """A chart at a closed configuration q (nq,): which p coordinates can be set, so that the others
-    follow.
+    """Choose a chart at q (nq,): p coordinates that can be set, so that the others follow.
 
     Without a wish the best conditioned ones are taken, greedily (QR with column pivoting of the
     tangent space: Golub, 1965): angles and lengths; where these cannot do, rotation vectors of
@@ -413,7 +407,10 @@ def independent(
 
 
 def _find_preferred_indices(system: Model, names: Iterable[str]) -> list[int]:
-    """Velocity indices of coordinates. Errors: `UnknownNameError`."""
+    """Find the velocity indices of the preferred coordinates.
+
+    Errors: `UnknownNameError`.
+    """
     number = _number_coordinates(system)
     for name in names:
         if name not in number:
@@ -424,8 +421,9 @@ def _find_preferred_indices(system: Model, names: Iterable[str]) -> list[int]:
 def _choose_rows(
     N: Array, rows: list[int], plain: list[int], spins: tuple[IdleFreedom, ...], idle: Array
 ) -> tuple[list[int], list[int]]:
-    """Rows of p coordinates, and which are idle: useful ones first, in each part angles and lengths
-    first.
+    """Choose the rows of p coordinates, and those of them that are idle.
+
+    Useful coordinates come before idle ones, and among each angles and lengths first.
     """
     nv, p = N.shape
     moved = (
@@ -447,8 +445,9 @@ def _choose_rows(
 def _find_idle_part(
     system: Model, q: Array, N: Array, scale: Array, spins: tuple[IdleFreedom, ...]
 ) -> Array:
-    """Of a basis (nv, p) of scaled velocities at q (nq,), the combinations (p, k), orthonormal,
-    that are idle spins.
+    """Find the combinations (p, k) of a tangent basis (nv, p) that are idle spins.
+
+    They are orthonormal.
     """
     tree = remove_cut_marks(system)
     parts = [np.zeros((N.shape[1], 0))]
@@ -467,20 +466,21 @@ def _find_idle_part(
 
 
 def _is_exponential(system: Model, name: str) -> bool:
-    """Whether this is the name of a component of a rotation vector."""
+    """Return whether this is the name of a component of a rotation vector."""
     return name not in system.coordinate_names
 
 
 def _number_coordinates(system: Model) -> dict[str, int]:
-    """Velocity index of each name that a coordinate of a chart can have."""
+    """Number the names that coordinates of a chart can have, by velocity index."""
     names = system.structure.velocity_names
     vector = {*system.structure.layout.vector_v.tolist()}
     return {n if v in vector else f"{n[:-2]}e{n[-1]}": v for v, n in enumerate(names)}
 
 
 def _compute_log_rates(w: Array) -> Array:
-    """Rates (3, 3) of a rotation vector (3,) by the angular velocity in axes of what turns (Bullo,
-    Murray, 1995).
+    """Compute rates (3, 3) of a rotation vector (3,) from the body's angular velocity.
+
+    After Bullo and Murray, 1995.
     """
     angle = float(np.linalg.norm(w))
     K = skew(w)
@@ -492,8 +492,9 @@ def _compute_log_rates(w: Array) -> Array:
 
 
 def compute_tangent_space(system: Model, q: Any, dim: int | None = None) -> tuple[Array, Array]:
-    """Orthonormal basis (nv, p) of the velocities that keep all loops closed at q (nq,), and the
-    scales (nv,).
+    """Compute an orthonormal basis (nv, p) of the velocities that keep all loops closed at q (nq,).
+
+    Also returns the scales (nv,).
 
     Those are left out that lead to no motion, where the equations touch all along
     (`kempe.motion.crossings`); this need not be looked at where p is known (`dim`).
@@ -518,13 +519,14 @@ def compute_tangent_space(system: Model, q: Any, dim: int | None = None) -> tupl
 
 
 def _measure_quality(N: Array, rows: list[int]) -> float:
-    """The smallest singular value of these rows of an orthonormal basis."""
+    """Compute the smallest singular value of these rows of an orthonormal basis."""
     return min(1.0, float(Spectrum(N[rows]).smallest)) if rows else 1.0
 
 
 def _bound_quality(p: int, n: int) -> float:
-    """The least conditioning of p of n coordinates; even the best choice has no more than sqrt(p /
-    n).
+    """Bound the acceptable conditioning of p of n coordinates from below.
+
+    Even the best choice has no more than sqrt(p / n).
     """
     return WORST * min(1.0, 2.0 * np.sqrt(p / max(n, 1)))
 
@@ -536,8 +538,9 @@ def _extend_rows(
     most: int | None = None,
     better: Sequence[int] = (),
 ) -> list[int]:
-    """The rows, extended to p (or `most`), each time by that which is farthest from the span of
-    those chosen; it ends where one of the `better` rows is much farther.
+    """Extend rows to p (or `most`), each time by the row farthest from the span.
+
+    It ends where one of the `better` rows is much farther.
     """
     rows = list(rows)
     p = N.shape[1] if most is None else most
@@ -556,6 +559,7 @@ def _extend_rows(
 
 
 def _remove_direction(N: Array, direction: Array) -> Array:
+    """Remove the component along a direction from the rows of N."""
     size = np.linalg.norm(direction)
     if size < 1e-300:
         return N

@@ -1,4 +1,4 @@
-"""The true local dimension of the solution set at a closed configuration, branch by branch.
+"""The true local dimension of the set of closed configurations, branch by branch.
 
 The rank of the Jacobian is an upper bound only. Taylor coefficients, and points on small spheres
 around the configuration, tell the branches and their dimensions.
@@ -93,9 +93,7 @@ class Branch:
 
 @dataclass(eq=False)
 class Spot:
-    """A sampled point of the solution set near the configuration: offsets at three radii (3, nv),
-    and its branch.
-    """
+    """A sampled point of the solution set near the configuration: offsets (3, nv) at three radii."""
 
     offsets: Array
     split: Split
@@ -109,9 +107,7 @@ class Spot:
 
 @dataclass(eq=False)
 class ConeFamily:
-    """Sampled points of one branch on the largest sphere: their null spaces nearly agree; of a
-    curve, one point.
-    """
+    """Sampled points of one branch on the largest sphere, with nearly equal null spaces."""
 
     spots: list[Spot]
     cone: bool = False
@@ -125,7 +121,7 @@ class ConeFamily:
         return self.hits + (0 if self.opposite in (None, self) else self.opposite.hits)
 
     def has_spot(self, spot: Spot) -> bool:
-        """Whether a sampled point belongs to this family."""
+        """Return whether a sampled point belongs to this family."""
         first = self.spots[0]
         if first.split.delta != spot.split.delta:
             return False
@@ -134,8 +130,9 @@ class ConeFamily:
         return measure_subspace_angle(first.split.null_space, spot.split.null_space) < SAME_PLANE
 
     def add_spot(self, spot: Spot, hits: int) -> None:
-        """Add `hits` to the starts that led here; keep the point if it is new and fewer than
-        MOST_KEPT are kept.
+        """Add `hits` to the starts that led here, and keep the point if it is new.
+
+        At most MOST_KEPT points are kept.
         """
         self.hits += hits
         if len(self.spots) < MOST_KEPT and not any(
@@ -145,14 +142,13 @@ class ConeFamily:
 
 
 def _are_same_point(x: Array, y: Array) -> bool:
+    """Return whether two offsets (nv,) are of the same point."""
     d = x - y
     return float(d @ d) < (SAME_POINT * RADII[0]) ** 2
 
 
 class SpherePoints(NamedTuple):
-    """Points (n, nq) on a sphere, their offsets (n, nv) from its center, their Jacobians, and which
-    (n,) were found.
-    """
+    """Points (n, nq) sought on a sphere, with offsets (n, nv) and Jacobians; `good`: found."""
 
     q: Array
     offsets: Array
@@ -163,7 +159,7 @@ class SpherePoints(NamedTuple):
 def find_sphere_points(
     equations: Equations, q: Array, directions: Array, radius: float
 ) -> SpherePoints:
-    """Points of the solution set at a distance from q, sought in directions (n, nv).
+    """Find points of the solution set at a distance from q, in directions (n, nv).
 
     First they are sought anywhere near: the equation of the sphere would lead many into a local
     minimum.
@@ -183,8 +179,9 @@ def find_sphere_points(
 def find_cone_families(
     equations: Equations, at: Split, rng: np.random.Generator
 ) -> tuple[list[ConeFamily], bool]:
-    """Families of points on the largest sphere that can be followed to the smallest; whether all
-    were hit twice.
+    """Find families of points on the largest sphere that can be followed to the smallest.
+
+    Also returns whether all were hit twice.
 
     The part of the branches, by how often random starts lead to them, that was never hit is about
     the number of families hit once over the number of starts (Good, 1953): so the search ends when
@@ -214,7 +211,7 @@ def find_cone_families(
 def _add_opposite_points(
     equations: Equations, at: Split, families: list[ConeFamily], new: list[ConeFamily]
 ) -> None:
-    """Add what is on the other side of the first points of new families."""
+    """Add the points opposite to the first points of new families."""
     if not new:
         return
     shell = find_sphere_points(
@@ -235,8 +232,9 @@ def _add_opposite_points(
 
 
 def _join_families(families: list[ConeFamily]) -> list[ConeFamily]:
-    """The families, those as one whose tangent spaces meet at the configuration: a bent branch
-    seems to be several.
+    """Join families whose tangent spaces meet at the configuration.
+
+    A bent branch seems to be several families.
     """
     out: list[ConeFamily] = []
     for family in families:
@@ -255,7 +253,7 @@ def _join_families(families: list[ConeFamily]) -> list[ConeFamily]:
 
 
 def _find_spots(equations: Equations, at: Split, directions: Array) -> list[Spot]:
-    """Points on the largest sphere sought in directions (n, nv)."""
+    """Find points on the largest sphere in directions (n, nv)."""
     shell = find_sphere_points(equations, at.q, directions, RADII[0])
     found = np.flatnonzero(shell.good)
     splits = lyapunov_schmidt.split_jacobians(shell.q[found], shell.jacobian[found])
@@ -269,8 +267,9 @@ def _sort_spots(
     spots: list[Spot],
     counted: bool = True,
 ) -> None:
-    """Add points to the family that holds them, or make one; all points of cones of one dimension
-    are a family.
+    """Sort points into the families that contain them, or new ones.
+
+    All points of cones of one dimension are a family.
     """
     hit = int(counted)
     for spot in spots:
@@ -289,8 +288,9 @@ def _sort_spots(
 
 
 def _has_turning_null_space(equations: Equations, at: Split, spot: Spot) -> bool:
-    """Whether the null space turns along the sphere, as it does not on a branch that has a tangent
-    space.
+    """Return whether the null space turns along the sphere.
+
+    It does not turn on a branch that has a tangent space.
     """
     x = spot.offsets[0] / RADII[0]
     K = spot.split.null_space
@@ -308,7 +308,7 @@ def _has_turning_null_space(equations: Equations, at: Split, spot: Spot) -> bool
 
 
 def _follow_to_small_spheres(equations: Equations, at: Split, spots: list[Spot]) -> list[Spot]:
-    """The points that can be followed to the smaller spheres, with their offsets there."""
+    """Follow points to the smaller spheres; return those that can be followed, with offsets."""
     for before, radius in zip(RADII, RADII[1:], strict=False):
         if not spots:
             break
@@ -324,8 +324,9 @@ def _follow_to_small_spheres(equations: Equations, at: Split, spots: list[Spot])
 
 
 def measure_subspace_angle(a: Array, b: Array) -> float:
-    """Root sum square of the sines of the principal angles between subspaces with orthonormal bases
-    (nv, k).
+    """Measure the angle between subspaces with orthonormal bases (nv, k).
+
+    It is the root sum square of the sines of the principal angles.
     """
     if a.shape != b.shape:
         return np.inf
@@ -334,8 +335,9 @@ def measure_subspace_angle(a: Array, b: Array) -> float:
 
 
 def measure_spot(equations: Equations, spot: Spot, order: int, rng: np.random.Generator) -> bool:
-    """Find dimension and tangent space of the solution set at a point of a branch; whether two ways
-    of it agree.
+    """Find dimension and tangent space of the solution set at a point of a branch.
+
+    Returns whether two methods agree.
     """
     at = spot.split
     spot.dim = at.delta
@@ -355,8 +357,9 @@ def measure_spot(equations: Equations, spot: Spot, order: int, rng: np.random.Ge
 def measure_solution_span(
     equations: Equations, q: Array, basis: Array, radius: float, rng: np.random.Generator
 ) -> tuple[int, Array]:
-    """How many dimensions the points of the solution set at a distance from q span, sought along
-    `basis` (nv, k).
+    """Find the dimension spanned by points of the solution set at a distance from q.
+
+    They are sought along `basis` (nv, k).
     """
     shell = find_sphere_points(
         equations, q, lyapunov_schmidt.sample_axes(rng, basis.shape[1]) @ basis.T, radius
@@ -365,9 +368,7 @@ def measure_solution_span(
 
 
 def compute_span(x: Array) -> tuple[int, Array]:
-    """Number of dimensions that vectors (n, nv) of about unit length span, and a basis (nv, dim) of
-    their span.
-    """
+    """Compute dimension and basis (nv, dim) of the span of vectors (n, nv) of about unit length."""
     if not len(x):
         return 0, np.zeros((x.shape[1], 0))
     basis = Spectrum(x, 1.0).compute_row_space(SPREAD)
@@ -377,8 +378,7 @@ def compute_span(x: Array) -> tuple[int, Array]:
 def measure_families(
     equations: Equations, families: list[ConeFamily], order: int, rng: np.random.Generator
 ) -> bool:
-    """Set dimension and tangent space of all points, and part families whose points are of several
-    branches.
+    """Find dimensions and tangent spaces of all points, and split families with several branches.
 
     Says whether the ways to find the dimension, and points where equations are smooth, agree.
     """
@@ -413,8 +413,9 @@ def measure_families(
 
 
 def _is_in_tangent_space(spot: Spot, other: Spot) -> bool:
-    """Whether a point lies in the tangent space of a branch of two or more dimensions, that of
-    another point.
+    """Return whether a point lies in the tangent space of another point's branch.
+
+    The branch has two or more dimensions.
     """
     T = other.tangent
     x = spot.offsets[0] / RADII[0]
@@ -424,13 +425,14 @@ def _is_in_tangent_space(spot: Spot, other: Spot) -> bool:
 
 
 def _are_on_one_branch(a: Array | None, b: Array | None) -> bool:
-    """Whether tangent spaces belong to one branch; those of curves may."""
+    """Return whether tangent spaces may belong to one branch; those of curves always may."""
     return a is None or b is None or a.shape[1] < 2 or measure_subspace_angle(a, b) < SAME_PLANE
 
 
 def _split_family(family: ConeFamily) -> list[ConeFamily]:
-    """A family by dimension and tangent space: where it is shaky, branches that meet can have the
-    same null space.
+    """Split a family by dimension and tangent space.
+
+    Where it is shaky, branches that meet can have the same null space.
     """
     parts: list[ConeFamily] = []
     for spot in family.spots:
@@ -447,7 +449,7 @@ def _split_family(family: ConeFamily) -> list[ConeFamily]:
 
 
 def are_shaky_far_out(equations: Equations, at: Split, families: list[ConeFamily]) -> bool:
-    """Whether branches that are shaky near the configuration are so farther out.
+    """Return whether branches that are shaky near the configuration are so farther out.
 
     Two branches that touch closely look like one with multiplicity on small spheres; farther out
     they part.
@@ -467,9 +469,7 @@ def are_shaky_far_out(equations: Equations, at: Split, families: list[ConeFamily
 
 
 def collect_branches(equations: Equations, families: list[ConeFamily]) -> tuple[list[Branch], bool]:
-    """The branches that the points belong to, and whether the curves among them come in pairs of
-    half-branches.
-    """
+    """Collect the branches of the points; also whether curves come in pairs of half-branches."""
     out: list[Branch] = []
     for family in sorted(families, key=lambda f: -(f.spots[0].dim or 0)):
         spot = family.spots[0]
@@ -486,9 +486,7 @@ def collect_branches(equations: Equations, families: list[ConeFamily]) -> tuple[
 
 
 def _pair_half_branches(halves: list[Spot]) -> tuple[list[Branch], bool]:
-    """Curves through the configuration from their half-branches, joined so that direction and bend
-    continue.
-    """
+    """Pair half-branches into curves through the configuration with continuous direction and bend."""
     h = np.array(RADII)
     rays: list[tuple[Array, Array, Spot]] = []
     for s in _drop_repeated_halves(halves):
@@ -499,6 +497,7 @@ def _pair_half_branches(halves: list[Spot]) -> tuple[list[Branch], bool]:
     out: list[Branch] = []
 
     def compute_cost(i: int, j: int, sign: float) -> float:
+        """Compute the mismatch of direction and bend of two half-branches."""
         return float(
             np.linalg.norm(rays[i][0] + sign * rays[j][0])
             + h[1] * np.linalg.norm(rays[i][1] - rays[j][1])
@@ -515,8 +514,9 @@ def _pair_half_branches(halves: list[Spot]) -> tuple[list[Branch], bool]:
 
 
 def _drop_repeated_halves(halves: list[Spot]) -> list[Spot]:
-    """Half-branches without those that are another again: where they are shaky, points are known to
-    few digits.
+    """Drop half-branches that repeat another one.
+
+    Where they are shaky, points are known to few digits.
     """
     out: list[Spot] = []
     for s in halves:
@@ -527,6 +527,7 @@ def _drop_repeated_halves(halves: list[Spot]) -> list[Spot]:
 
 
 def _make_curve(ray: tuple[Array, Array, Spot], ends: int, cusp: bool) -> Branch:
+    """Make a branch of dimension one."""
     t, _, spot = ray
     return Branch(1, t[:, None], spot.split.q, ends, cusp, spot.split.delta > 1)
 
@@ -564,8 +565,7 @@ certainty."""
 
 @dataclass(frozen=True, eq=False)
 class LocalDimension(InWords):
-    """How many degrees of freedom a mechanism truly has at a configuration, and by which test that
-    was found.
+    """The true number of degrees of freedom at a configuration, and the test that gave it.
 
     `dim` is the largest dimension of a branch of the solution set through the configuration,
     `rank_dim` the nullity of the Jacobian, an upper bound; `smooth` says that the set is a manifold
@@ -629,7 +629,7 @@ class LocalDimension(InWords):
 
 
 def _describe_branch(branch: Branch) -> str:
-    """A branch in words."""
+    """Describe a branch in words."""
     kind = (
         "a cusp"
         if branch.cusp
@@ -653,8 +653,7 @@ def find_local_dimension(
     sampling: bool = True,
     time: TimeLimit | None = None,
 ) -> LocalDimension:
-    """The true number of degrees of freedom at a closed configuration, with the branches that meet
-    there.
+    """Find the true number of degrees of freedom at a closed configuration, and its branches.
 
     `q` (nq,) or a dict by coordinate name must be closed; `order` is that of the Taylor
     coefficients, `tolerance` the part of the largest singular value below which one counts as zero;
@@ -690,7 +689,7 @@ def find_local_dimension(
 def convert_to_system(
     system: Model, found: LocalDimension, turned: dict[str, Array]
 ) -> LocalDimension:
-    """The answer with its configurations in the coordinates of the system itself."""
+    """Convert the configurations of an answer to the coordinates of the system itself."""
     if not turned:
         return found
     own = tuple(replace(b, q=convert_from_chart(system, b.q, turned)) for b in found.branches)
@@ -706,7 +705,7 @@ def _analyze_configuration(
     sampling: bool,
     time: TimeLimit | None,
 ) -> LocalDimension:
-    """The answer at a configuration whose coordinates are regular."""
+    """Find the local dimension at a configuration whose coordinates are regular."""
     equations = _get_equations(system)
     # the equations are kept with the system, and other calls have other limits
     if time is not None:
@@ -772,7 +771,7 @@ def _analyze_configuration(
 
 
 def _list_rank_doubts(at: Split) -> list[str]:
-    """What speaks against the rank."""
+    """List the doubts about the rank."""
     if at.gap < CLEAR_GAP:
         return [f"singular values differ by a factor {at.gap:.1g} only across the rank"]
     rest = (
@@ -790,13 +789,14 @@ def _list_rank_doubts(at: Split) -> list[str]:
 
 @keep_answers
 def _get_equations(system: Model) -> Equations:
-    """The packed equations of a system."""
+    """Return the packed equations of a system."""
     return Equations(system)
 
 
 def _correct_configuration(equations: Equations, q: Array) -> Array:
-    """The configuration with its last digits corrected. Errors: `InputError` saying what is open by
-    how much.
+    """Correct the last digits of a closed configuration.
+
+    Errors: `InputError` where it is open.
     """
     value = equations.linearise_equations(q)[0][0]
     if value.size and not np.max(np.abs(value)) < OPEN:
@@ -812,7 +812,7 @@ def _correct_configuration(equations: Equations, q: Array) -> Array:
 
 
 def _make_manifold_branch(equations: Equations, at: Split) -> Branch:
-    """The only branch of a manifold."""
+    """Make the only branch of a manifold."""
     return Branch(
         at.delta, at.null_space * equations.scale[:, None], at.q, 2 if at.delta == 1 else 0
     )
@@ -826,6 +826,7 @@ def _find_branches(
     doubts: list[str],
     more: list[str],
 ) -> list[Branch]:
+    """Find the branches by points on spheres; adds `doubts` and reasons for `more` branches."""
     families, complete = find_cone_families(equations, at, rng)
     if not complete:
         more.append(
@@ -859,7 +860,7 @@ def _make_answer(
     sampled: int | None,
     proof: Proof | None,
 ) -> LocalDimension:
-    """The answer; `doubts` about its number, and about that of its branches."""
+    """Make the answer, with doubts about its number and about that of its branches."""
     found = [b for b in found if b.dim and (proof is None or b.dim <= proof.dim)]
     dim = max((b.dim for b in found), default=0) if proof is None else proof.dim
     counted = proof is not None and proof.branches == len(found)
@@ -885,8 +886,9 @@ def _make_answer(
 
 
 def _follow_motion(equations: Equations, at: Split, rng: np.random.Generator) -> tuple[float, bool]:
-    """How far a motion along the null space can be followed, and whether it is seen to end there:
-    (distance, bool).
+    """Follow a motion along the null space on growing spheres.
+
+    Returns the distance reached, and whether the motion is seen to end there.
 
     Points are sought on spheres about the configuration, which may be singular: there a curve has no
     tangent, and the tracer of `kempe.numerics.curves` no first step.
@@ -910,8 +912,7 @@ def _follow_motion(equations: Equations, at: Split, rng: np.random.Generator) ->
 
 
 def sample_dimension(equations: Equations, at: Split, rng: np.random.Generator) -> int:
-    """Largest dimension that random steps along the null space show: they are projected back, then
-    repeated from there.
+    """Sample the dimension by random steps along the null space that are projected back.
 
     Steps in directions without a motion shrink to about the root of the residual; those along
     motions keep their size.
@@ -935,8 +936,9 @@ def sample_dimension(equations: Equations, at: Split, rng: np.random.Generator) 
 
 
 def _sample_dimension_around(equations: Equations, at: Split, rng: np.random.Generator) -> int:
-    """Dimension of the solution set about a point of it: the smaller of what two sizes of kicks
-    see.
+    """Sample the dimension around a point of the solution set with two sizes of steps.
+
+    The smaller result is returned.
 
     Both can see too much: large ones because the set is bent, small ones because what collapses
     leaves a rest.

@@ -1,5 +1,4 @@
-"""All constraint equations of a system as one smooth, scale-free map: values, Jacobians, Taylor
-series, projection.
+"""All constraint equations of a system as one smooth, scale-free map.
 
 Unknowns are all velocity coordinates, those of cut joints included, lengths divided by the
 characteristic length.
@@ -57,8 +56,7 @@ them the equations are flat, and steps would leave its neighbourhood."""
 
 
 class Landing(NamedTuple):
-    """Where projections ended: points (N, nq), norms of the residual and distances from the centers
-    (N,).
+    """Results of projections: points (N, nq), residuals (N,) and distances (N,) from the centers.
 
     With the values (N, m) of the equations there and their Jacobian (N, m, nv) to scaled
     coordinates.
@@ -107,14 +105,12 @@ class Equations:
             self.places[iv] = -1 - iq
 
     def _find_driving_velocities(self, kind: int) -> list[int]:
-        """Velocity coordinates that move primitives of a kind; those of screws turn and slide, and
-        are angles.
-        """
+        """Find the velocity coordinates that move primitives of a kind."""
         rows = get_row_integers(self.ints)
         return rows[rows[:, KIND] == kind, V_INDEX].tolist()
 
     def _pack_arrays(self) -> tuple[np.ndarray, Array]:
-        """The arrays `ties` and `numbers` of `kempe.kernels.series.jet`."""
+        """Pack the arrays `ties` and `numbers` of `kempe.kernels.series.jet`."""
         numbers = [1.0 / self.length]
         row = 0
         heads: list[list[int]] = []
@@ -173,14 +169,14 @@ class Equations:
         )
 
     def linearise_equations(self, q: Any) -> tuple[Array, Array]:
-        """Values (N, m) and Jacobian (N, m, nv), to scaled coordinates, at q (N, nq)."""
+        """Evaluate values (N, m) and scaled Jacobians (N, m, nv) at q (N, nq)."""
         q = np.array(read_q(self.system, q))
         q = q.reshape(math.prod(q.shape[:-1]), self.nq)
         landing = self._project_points(q, q, 0.0, 0)
         return landing.value, landing.jacobian
 
     def project_points(self, q: Array, centers: Array, radius: Array | float = 0.0) -> Landing:
-        """Points of the solution set near q (N, nq).
+        """Project configurations q (N, nq) onto the solution set.
 
         Where `radius` > 0 the points are sought at that distance from `centers` (N, nq) or (nq,).
 
@@ -201,15 +197,13 @@ class Equations:
 
     @staticmethod
     def _compute_residuals(at: Landing, radii: Array) -> Array:
-        """Residuals (N,), the equation of the sphere included."""
+        """Compute residuals (N,), the equation of the sphere included."""
         return np.hypot(at.residual, np.where(radii > 0.0, at.distance - radii, 0.0))
 
     def _refine_points(
         self, found: Landing, slow: np.ndarray, best: Array, centers: Array, radii: Array
     ) -> None:
-        """Take plain Gauss-Newton steps from the points `slow`, and keep in `found` those that are
-        better.
-        """
+        """Refine the points `slow` by plain Gauss-Newton steps; better ones are stored in `found`."""
         q = found.q[slow]
         since = np.zeros(len(slow), dtype=int)
         for _ in range(PLAIN):
@@ -234,7 +228,7 @@ class Equations:
                 )
 
     def _take_step(self, at: Landing, centers: Array, radii: Array, level: float) -> Array:
-        """Where (N, nq) undamped steps lead onto the equations and, where radii > 0, the spheres."""
+        """Take an undamped step towards the equations and, where radii > 0, the spheres."""
         q = at.q
         value = at.value
         J = at.jacobian
@@ -252,7 +246,7 @@ class Equations:
     def _project_points(
         self, q: Array, centers: Array, radius: Array | float, iterations: int
     ) -> Landing:
-        """As `project_points`, overwriting q with the points found."""
+        """Project configurations in place by the kernel, with at most so many iterations."""
         from kempe.kernels.compiled import projection
 
         self.time.check_time()
@@ -280,17 +274,15 @@ class Equations:
         return Landing(q, info[:, 0], info[:, 1], value, J * self.scale)
 
     def move_configurations(self, q: Array, x: Array) -> Array:
-        """Configurations (..., nq) reached from q (..., nq) by scaled tangent vectors x (..., nv)."""
+        """Move configurations q (..., nq) by scaled tangent vectors x (..., nv)."""
         return self.system.structure.layout.integrate_velocity(q, np.asarray(x) * self.scale)
 
     def compute_offsets(self, q0: Array, q: Array) -> Array:
-        """Tangent vectors (..., nv) from configurations q0 to q (..., nq), in units of `scale`
-        (nv,).
-        """
+        """Compute scaled tangent vectors (..., nv) from configurations q0 to q (..., nq)."""
         return self.system.structure.layout.compute_difference(q0, q) / self.scale
 
     def make_series(self, q: Array, n: int, order: int) -> Series:
-        """Taylor series, up to `order`, of the equations along n curves of configurations.
+        """Make the Taylor series, up to `order`, of the equations along n curves.
 
         The curves begin at q (nq,), or each at its own (n, nq); `Series.set` gives their
         coefficients, order by order.
@@ -299,7 +291,7 @@ class Equations:
 
     @cached_property
     def rows_by_name(self) -> dict[str, np.ndarray]:
-        """Places of the equations of joints and of constraints that are no expressions, by name."""
+        """Row indices of the equations of joints and constraints, without expressions, by name."""
         out: dict[str, np.ndarray] = {}
         row = 0
         for tie in self._loops.ties:
@@ -310,7 +302,7 @@ class Equations:
 
     @cached_property
     def sizes(self) -> tuple[int, int]:
-        """Numbers of rows and of outputs, one at least for the arrays of kernels."""
+        """Numbers of primitive rows and of outputs, at least one for the arrays of kernels."""
         return max(int(self.ints[N_ROWS]), 1), max(int(self.ints[N_OUT]), 1)
 
 
@@ -339,8 +331,9 @@ class Series:
         self._v[:, k] = x * self.equations.scale
 
     def compute_values(self, first: int, last: int) -> Array:
-        """Values (n, m) of the equations of order `last`, once orders first ... last are computed
-        anew.
+        """Compute coefficients (n, m) of order `last` of the equations.
+
+        Orders first ... last are computed anew.
         """
         from kempe.kernels.compiled import jet
 

@@ -1,5 +1,4 @@
-"""Lyapunov-Schmidt reduction at a closed configuration: what the equations still say where their
-Jacobian is silent.
+"""Lyapunov-Schmidt reduction of the constraint equations at a closed configuration.
 
 Let N span the null space of the Jacobian J at q0 and U its left null space. Curves q(t) = q0 (+) (N
 s(t) + w(t)), w normal to the null space, fulfil all equations but U^T phi, order by order, if w_k =
@@ -47,12 +46,12 @@ class Split:
 
     @property
     def delta(self) -> int:
-        """Nullity of the Jacobian."""
+        """Nullity of the Jacobian: dimension of its null space."""
         return self.null_space.shape[1]
 
     @property
     def corank(self) -> int:
-        """Rows less rank."""
+        """Number of rows less the rank."""
         return self.cokernel.shape[1]
 
     @property
@@ -62,8 +61,9 @@ class Split:
 
     @property
     def gap(self) -> float:
-        """Smallest singular value counted as not zero over the largest counted as zero; infinite
-        where none is.
+        """Ratio of the smallest singular value above the rank tolerance to the largest below.
+
+        It is infinite where none is below.
         """
         if self.rank == 0:
             return np.inf
@@ -75,17 +75,17 @@ class Split:
 
 
 def split_equations(equations: Equations, q: Array, level: float = Level.GENERIC) -> Split:
-    """The `Split` of the equations at q (nq,)."""
+    """Split the equations at q (nq,): singular value decomposition of their Jacobian."""
     return split_jacobian(q, equations.linearise_equations(q)[1][0], level)
 
 
 def split_jacobian(q: Array, J: Array, level: float = Level.GENERIC) -> Split:
-    """The `Split` for a Jacobian (m, nv), of a rank at this level."""
+    """Split a Jacobian (m, nv), with its rank at this level."""
     return split_jacobians(q[None], J[None], level)[0]
 
 
 def split_jacobians(q: Array, J: Array, level: float = Level.GENERIC) -> list[Split]:
-    """The same for many configurations (N, nq) and Jacobians (N, m, nv)."""
+    """Split Jacobians (N, m, nv) at many configurations (N, nq)."""
     return [
         Split(
             p,
@@ -99,37 +99,33 @@ def split_jacobians(q: Array, J: Array, level: float = Level.GENERIC) -> list[Sp
 
 
 def sample_unit_vectors(rng: np.random.Generator, n: int, dim: int) -> Array:
-    """Random unit vectors (n, dim)."""
+    """Sample random unit vectors (n, dim)."""
     d = rng.normal(size=(n, dim))
     return d / np.maximum(np.linalg.norm(d, axis=1, keepdims=True), 1e-300)
 
 
 def sample_axes(rng: np.random.Generator, dim: int) -> Array:
-    """Unit vectors (2 dim, dim) both ways along the axes of a random frame."""
+    """Sample unit vectors (2 dim, dim), both ways along the axes of a random frame."""
     d = np.linalg.qr(rng.normal(size=(dim, dim)))[0]
     return np.concatenate([d, -d])
 
 
 @dataclass(frozen=True, eq=False)
 class Obstruction:
-    """Sizes (order + 1,) of the coefficients of the reduced equations, and of the errors that they
-    may have.
-    """
+    """Sizes (order + 1,) of the coefficients of the reduced equations, and their errors."""
 
     size: Array
     noise: Array
 
     @property
     def order(self) -> int | None:
-        """The first order whose coefficients are not zero, None if there is none."""
+        """First order whose coefficients are not zero; None if there is none."""
         found = np.flatnonzero(self.size > np.maximum(NOT_ZERO, self.noise))
         return int(found[0]) if found.size else None
 
     @property
     def doubt(self) -> float:
-        """The largest coefficient before the first that is not zero that is not surely zero either;
-        0 if none.
-        """
+        """Largest coefficient below that order that is not surely zero; 0 if there is none."""
         size = self.size[: self.order]
         noise = self.noise[: self.order]
         return float(np.max(size[size > np.maximum(ZERO, noise)], initial=0.0))
@@ -138,7 +134,7 @@ class Obstruction:
 def measure_obstruction(
     equations: Equations, at: Split, order: int, rng: np.random.Generator
 ) -> Obstruction:
-    """How large the reduced equations are, order by order, along random curves of the null space.
+    """Measure the reduced equations, order by order, along random curves of the null space.
 
     Half of the curves are straight lines. A form that vanishes in one random direction vanishes,
     with probability one, so the lines alone test all of g; the others are there because a second
@@ -165,14 +161,16 @@ def measure_obstruction(
 
 
 def _compute_largest_norms(g: Array) -> Array:
+    """Compute the largest norm (order + 1,) of coefficients g over all curves."""
     return np.max(np.linalg.norm(g, axis=2), axis=0, initial=0.0)
 
 
 def _solve_coefficients(
     equations: Equations, at: Split, s: Array, across: Array | None
 ) -> tuple[Array, Array]:
-    """Coefficients g_k (n, order + 1, corank) along curves s (n, order + 1, delta) of the null
-    space, and their scale.
+    """Solve for coefficients g_k (n, order + 1, corank) of the reduced equations along curves.
+
+    The curves s (n, order + 1, delta) are in the null space; the scale of the coefficients follows.
 
     Divided by the scale (n, order + 1, 1) they belong to curves slowed down until none of their
     coefficients, those of w included, is over one. s[:, 0] is unused.
@@ -197,15 +195,16 @@ def _solve_coefficients(
 
 
 def make_lines(directions: Array, order: int) -> Array:
-    """Curves (n, order + 1, delta) straight along directions (n, delta)."""
+    """Make curves (n, order + 1, delta) straight along directions (n, delta)."""
     s = np.zeros((len(directions), order + 1, directions.shape[1]))
     s[:, 1] = directions
     return s
 
 
 def find_lineality(equations: Equations, at: Split, k: int, rng: np.random.Generator) -> Array:
-    """Basis (delta, l) of the null directions u along which the leading form of order k is
-    constant.
+    """Find a basis (delta, l) of the directions along which the leading form is constant.
+
+    The form is that of order k.
 
     The derivative of a form G of degree k along u, at random d: the linear coefficient of G(d + tau
     u) in tau, by interpolation in k + 1 points. Where the solution set is a manifold that the

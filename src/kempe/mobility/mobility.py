@@ -1,6 +1,4 @@
-"""Mobility: the degrees of freedom of a mechanism by counting, by rank, and truly; what is
-redundant, idle, driven.
-"""
+"""Mobility: degrees of freedom by counting, by rank and truly, with redundant and idle ones."""
 
 from __future__ import annotations
 
@@ -53,7 +51,7 @@ USUAL = Usual("mobility", time_limit=SHORT)
 def _make_late_answer(
     time: TimeLimit, system: Model, q: Any = None, *_: Any, **__: Any
 ) -> Mobility:
-    """The count alone: the time was up before more was known."""
+    """Return the Grübler count alone, where the time ended before more was known."""
     given = None if q is None else _read_configuration(system, q)
     tree = remove_cut_marks(system)
     why = (
@@ -77,7 +75,7 @@ def mobility(
     tolerance: float | str | None = None,
     budget: Budget | None = None,
 ) -> Mobility:
-    """How many degrees of freedom a system has, by counting, by rank and truly, with the reasoning.
+    """Find the degrees of freedom of a system by counting, by rank and truly, with the reasoning.
 
     `q` (nq,) or a dict by coordinate name (default: the posture 'closed', else a closed
     configuration is searched); where it is not exactly closed the nearest closed configuration is
@@ -107,7 +105,7 @@ def _analyze_system(
     rng: np.random.Generator,
     time: TimeLimit,
 ) -> Mobility:
-    """Everything, at the closed configuration that is given, or one that is searched."""
+    """Analyze a system at the given closed configuration, or at one that is searched."""
     at = (
         close_configuration(system, given)
         if given is not None
@@ -134,8 +132,9 @@ def _analyze_configuration(
     rng: np.random.Generator,
     time: TimeLimit,
 ) -> Mobility:
-    """Everything, at a closed configuration whose coordinates are regular; counted over the tree of
-    `shown`.
+    """Analyze a system at a closed configuration with regular coordinates.
+
+    It is counted over the tree of `shown`.
     """
     s = build_constraint_graph(system)
     motors = find_driven_velocities(system, actuated)
@@ -191,6 +190,7 @@ def _analyze_configuration(
 
 
 def _read_configuration(system: Model, q: Any) -> Array:
+    """Return q as one configuration (nq,). Errors: `InputError`."""
     given = read_q(system, q)
     if given.ndim != 1:
         raise InputError(
@@ -200,6 +200,7 @@ def _read_configuration(system: Model, q: Any) -> Array:
 
 
 def _make_open_answer(system: Model, shown: Model, at: NearestClosed) -> Mobility:
+    """Return the answer for a mechanism that cannot be closed: the count alone."""
     s = build_constraint_graph(system)
     return Mobility(
         system,
@@ -228,7 +229,7 @@ def _make_open_answer(system: Model, shown: Model, at: NearestClosed) -> Mobilit
 def _find_wanted_dimension(
     system: Model, rank: Rank, wanted: bool, rng: np.random.Generator, time: TimeLimit
 ) -> LocalDimension | None:
-    """The local dimension where it is `wanted` and the rank alone does not prove it, else None."""
+    """Find the local dimension where it is `wanted` and the rank does not prove it, else None."""
     if not wanted or not rank.n_dependent or not rank.nullity or list_function_constraints(system):
         return None
     from kempe.mobility.local_dimension import find_local_dimension
@@ -237,7 +238,7 @@ def _find_wanted_dimension(
 
 
 def _compute_branch_ranks(system: Model, truth: LocalDimension | None) -> list[Rank]:
-    """Ranks at points of branches of each dimension that meet here: random walks may miss some."""
+    """Compute ranks at points of the branches that meet here, one for each dimension."""
     if truth is None or truth.smooth:
         return []
     ranks = {b.dim: compute_rank(system, b.q) for b in truth.branches if not b.multiple}
@@ -245,6 +246,7 @@ def _compute_branch_ranks(system: Model, truth: LocalDimension | None) -> list[R
 
 
 def _list_clusters(s: ConstraintGraph, rank: Rank | None) -> tuple[ClusterMobility, ...]:
+    """List the groups of loops, with their counts and ranks."""
     out: list[ClusterMobility] = []
     for k, c in enumerate(s.clusters):
         rows = sum(s.loops[i].rows for i in c.loops) + sum(s.laws[i].n_rows for i in c.laws)
@@ -262,13 +264,12 @@ def _list_clusters(s: ConstraintGraph, rank: Rank | None) -> tuple[ClusterMobili
 
 
 def _count_outside_freedoms(system: Model, s: ConstraintGraph) -> int:
-    """Freedoms of joints that no loop touches."""
+    """Count the freedoms of joints that are in no loop."""
     return system.nv - sum(len(c.velocities) for c in s.clusters)
 
 
 def _classify_singularity(rank: Rank, best: Rank, truth: LocalDimension | None) -> tuple[bool, str]:
-    """Whether the configuration is a singular point of the configuration space, and its kind in
-    words.
+    """Return whether the configuration is singular in the configuration space, and its kind.
 
     `best` is the rank of least nullity around it, `truth` the local dimension, where it was
     computed.
@@ -292,7 +293,7 @@ def _classify_singularity(rank: Rank, best: Rank, truth: LocalDimension | None) 
 
 
 def _describe_branch_motion(branch: Branch) -> str:
-    """What the only branch does here."""
+    """Describe the singular point of a single branch."""
     if branch.multiple:
         return (
             "shaky at every configuration of the branch: it can move more to first order than it "
@@ -306,9 +307,7 @@ def _describe_branch_motion(branch: Branch) -> str:
 
 
 def _count_velocity_freedoms(system: Model, q: Array) -> int | None:
-    """Freedoms of velocity at q (nq,) that all constraints leave; None without constraints of
-    velocity.
-    """
+    """Count the freedoms of velocity at q (nq,); None without constraints of velocity."""
     if not record_velocity_rows(system).names:
         return None
     rows = record_tangent_rows(system)

@@ -63,7 +63,7 @@ _WORDS = (("neither up nor down", "down but not up"), ("up but not down", "up an
 
 @dataclass(frozen=True, eq=False)
 class Cone:
-    """The velocities v (n,) with E v = 0 and G v >= 0; rows of G are named by their places.
+    """A cone of velocities: v (n,) with E v = 0 and G v >= 0.
 
     `dimension` is that of the cone, `lineality` that of the velocities whose opposite is allowed,
     too, with the basis `free` (lineality, n). `implicit` rows are zero at all allowed velocities
@@ -90,9 +90,7 @@ class Cone:
     negative."""
 
     def find_directions(self, row: ArrayLike) -> ConeDirections:
-        """Whether `row` @ v may be below and above zero, of a quantity with the gradient `row`
-        (n,).
-        """
+        """Find whether a quantity with the gradient `row` (n,) may fall and may rise."""
         row = np.asarray(row, dtype=float)
         size = float(np.linalg.norm(row))
         if size == 0.0:
@@ -111,8 +109,9 @@ class Cone:
 
 
 def compute_tangent_cone(equal: Array, one_sided: Array) -> Cone:
-    """The cone of the velocities v (n,) with `equal` (m, n) @ v = 0 and `one_sided` (k, n) @ v >=
-    0.
+    """Compute the cone of velocities v (n,) with equal @ v = 0 and one_sided @ v >= 0.
+
+    `equal` is (m, n), `one_sided` (k, n).
 
     Rows below `NOTHING` count as zero, one-sided ones that are not finite, too; others are scaled to
     unit length.
@@ -164,14 +163,17 @@ def compute_tangent_cone(equal: Array, one_sided: Array) -> Cone:
 
 
 def _normalize_rows(rows: Array, ignore: float) -> tuple[Array, Array]:
-    """Rows of unit length, those up to `ignore` zero, and the lengths that they had."""
+    """Normalize rows to unit length, and return their former lengths.
+
+    Rows up to the length `ignore` become zero.
+    """
     sizes = np.linalg.norm(rows, axis=1)
     good = sizes > ignore
     return np.where(good[:, None], rows / np.where(good, sizes, 1.0)[:, None], 0.0), sizes
 
 
 def _find_zero_rows(B: Array) -> list[int]:
-    """The rows of a pointed cone {B w >= 0} that are zero on all of it.
+    """Find the rows of a pointed cone {B w >= 0} that are zero on the whole cone.
 
     One program: raise as many rows to 1 as can be at once, with w as long as the narrowest opening
     that counts needs.
@@ -192,7 +194,7 @@ def _find_zero_rows(B: Array) -> list[int]:
 
 
 def _find_redundant_rows(B: Array) -> list[int]:
-    """Rows that follow from the others that are kept; of several that could go the last ones do."""
+    """Find rows that follow from the rows that are kept; of equals the last ones go."""
     kept = list(range(len(B)))
     for i in range(len(B) - 1, -1, -1):
         others = [j for j in kept if j != i]
@@ -202,7 +204,7 @@ def _find_redundant_rows(B: Array) -> list[int]:
 
 
 def _minimize_row(row: Array, rows: Array) -> float:
-    """The least of row @ w where rows @ w >= 0, for w within a box of unit size."""
+    """Minimize row @ w where rows @ w >= 0, in a box of unit size."""
     from scipy import optimize
 
     answer = cast(Any, optimize).linprog(
@@ -218,8 +220,7 @@ _METHOD: dict[str, Any] = {
 
 
 def _find_edge_rays(C: Array) -> Array | None:
-    """Unit vectors (k, r) along the edges of a cone {C w >= 0} of full dimension without a line;
-    None: too many.
+    """Find unit vectors (k, r) along the edges of a pointed cone {C w >= 0}; None: too many.
 
     Along an edge r - 1 independent rows are zero.
     """
@@ -251,8 +252,7 @@ BLIND = "its gradient vanishes or is not defined here: nothing is known to first
 
 @dataclass(frozen=True)
 class Side(InWords):
-    """One end of a one-sided row: `value` must not be below `bound`, or with `upper` not above it,
-    in `unit`.
+    """One bound of a one-sided constraint: `value` stays above or, if `upper`, below `bound`.
 
     `slack` is how far it is inside, negative where it is violated. `state` is "open", "closed" or
     "violated", `ways` what a closed one still lets its value do, to first order.
@@ -283,8 +283,7 @@ class Side(InWords):
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class OneSidedReport(Report):
-    """One-sided constraints of a system at `q` (nq,), limits of coordinates among them; ``print``
-    it.
+    """The state of one-sided constraints and limits of a system at `q` (nq,); ``print`` it.
 
     `sides` are all of them, `cone` the velocities that equations, those of rolling among them, and
     closed sides leave, to first order. Sides that are open take nothing away.
@@ -299,12 +298,12 @@ class OneSidedReport(Report):
 
     @property
     def active(self) -> tuple[str, ...]:
-        """Names of the sides that are closed."""
+        """Names of the sides that are closed: their bounds are reached."""
         return tuple(s.name for s in self.sides if s.state == "closed")
 
     @property
     def violated(self) -> tuple[str, ...]:
-        """Names of the sides that do not hold."""
+        """Names of the sides that are violated."""
         return tuple(s.name for s in self.sides if s.state == "violated")
 
     @property
@@ -314,12 +313,12 @@ class OneSidedReport(Report):
 
     @property
     def lineality(self) -> int:
-        """How many of these dimensions may be gone both ways."""
+        """Dimension of the allowed velocities whose opposite is allowed, too."""
         return self.cone.lineality
 
     @property
     def coordinates(self) -> dict[str, ConeDirections]:
-        """What each coordinate may do, to first order: whether it may fall, and rise."""
+        """Whether each coordinate may fall and may rise, to first order."""
         each = np.eye(self.system.nv)
         return {
             n: self.cone.find_directions(row)
@@ -327,8 +326,9 @@ class OneSidedReport(Report):
         }
 
     def find_frame_directions(self, frame: FrameLike) -> dict[str, ConeDirections]:
-        """What the origin of a frame may do along the axes of the ground, and its turns about them,
-        to first order.
+        """Find whether coordinates of a frame may fall and may rise, to first order.
+
+        They are those of its origin, and turns about the axes of the ground.
         """
         J = jacobian(self.system, self.q, frame) * self.scale
         large = np.abs(J).max(axis=1, initial=0.0)
@@ -362,7 +362,7 @@ class OneSidedReport(Report):
         return text + (f": {self._describe_freedoms()}" if self.active else "")
 
     def _describe_freedoms(self) -> str:
-        """What closed sides leave, in words."""
+        """Describe the velocities that closed sides leave."""
         if self.dimension == 0:
             return "nothing can move"
         one_way = self.dimension - self.lineality
@@ -396,9 +396,7 @@ class OneSidedReport(Report):
 
     @property
     def lines(self) -> list[str]:
-        """What is said of each side but limits that are open; those that are violated and closed
-        come first.
-        """
+        """Lines about all sides but open limits; violated and closed sides come first."""
         order = {"violated": 0, "closed": 1, "open": 2}
         shown = [s for s in self.sides if s.state != "open" or not s.limit]
         out = [str(s) for s in sorted(shown, key=lambda s: order[s.state])]
@@ -415,8 +413,7 @@ class OneSidedReport(Report):
 
 @explain_errors
 def report_one_sided(system: Model, q: Any = None, *, tolerance: float = CLOSED) -> OneSidedReport:
-    """What one-sided constraints leave at a configuration: which are closed, by how much others are
-    open.
+    """Find the state of one-sided constraints at a configuration, and the velocities they leave.
 
     `q` (nq,) or a dict by coordinate name (default: as for `mobility`) should close all loops.
     Sides within `tolerance` of their bound, in radians and characteristic lengths, count as closed.
@@ -444,7 +441,7 @@ def report_one_sided(system: Model, q: Any = None, *, tolerance: float = CLOSED)
 
 
 def report_if_relevant(system: Model, q: Array) -> OneSidedReport | None:
-    """The report at a configuration (nq,), None where nothing is declared and no limit is reached."""
+    """Return the report at q (nq,); None where nothing is declared and no limit is reached."""
     rows = pack_one_sided_rows(system)
     if not rows.declared:
         if not len(rows):
@@ -459,7 +456,7 @@ def report_if_relevant(system: Model, q: Array) -> OneSidedReport | None:
 def _list_sides(
     rows: OneSided, values: Array, J: Array, tolerance: float
 ) -> tuple[list[Side], Array]:
-    """All sides, and the inward gradients (k, nv) of those that are closed."""
+    """List all sides, and the inward gradients (k, nv) of those that are closed."""
     out: list[Side] = []
     G: list[Any] = []
     for k in range(len(rows)):
@@ -496,7 +493,7 @@ def _list_sides(
 
 
 def _add_directions(side: Side, place: int, cone: Cone, inward: Array, names: list[str]) -> Side:
-    """A closed side with what it still allows."""
+    """Return a closed side with the directions that it still allows."""
     if place in cone.vanishing:
         return replace(side, ways=ConeDirections(True, True), why=BLIND)
     if place in cone.implied:
@@ -511,8 +508,9 @@ def _add_directions(side: Side, place: int, cone: Cone, inward: Array, names: li
 
 
 def _compute_equality_rows(system: Model, q: Array) -> tuple[Array, bool]:
-    """The rows (m, nv) of loops and declared constraints on scaled velocities, and whether rest is
-    one of them.
+    """Compute the rows (m, nv) of loops and equations on scaled velocities.
+
+    Also returns whether rest is allowed.
 
     Where it is not, what they allow are differences of velocities.
     """

@@ -1,4 +1,4 @@
-"""How one body can move relative to another at a configuration, to first order."""
+"""Motions of one body relative to another at a configuration, to first order."""
 
 from __future__ import annotations
 
@@ -31,9 +31,7 @@ ZERO = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class RelativeMotion(Report):
-    """The motions of `body` relative to `to` that all constraints allow at a configuration, to
-    first order.
-    """
+    """The motions of `body` relative to `to` that all constraints allow, to first order."""
 
     body: str
     to: str
@@ -58,7 +56,7 @@ class RelativeMotion(Report):
 
     @property
     def status(self) -> str:
-        """The DoF in words; of a single one also the axis, in the frame `to`."""
+        """Sentence about the degrees of freedom; of a single one with its axis in the frame `to`."""
         head = f"{self.dof} DoF of {self.body} relative to {self.to}"
         more = f", {self.slides} of them by sliding alone" if self.dof else ""
         here = f"; to first order here, around here {self.around}" if self.around > self.dof else ""
@@ -79,6 +77,7 @@ class RelativeMotion(Report):
         }
 
     def _describe_single_motion(self) -> str:
+        """Describe a motion of one freedom: a slide, a turn or a screw."""
         v = self.twists[:3, 0]
         w = self.twists[3:, 0]
         if self.slides:
@@ -102,7 +101,7 @@ def find_relative_motion(
     *,
     tolerance: float | str | None = None,
 ) -> RelativeMotion:
-    """How a body or frame can move relative to another one at q (nq,), where the loops are closed.
+    """Find the motions of a body or frame relative to another at a closed q (nq,).
 
     It is the image of the velocities that all constraints allow under the difference of both
     Jacobians, in the frame `to`. The answer is one of first order: at a singular posture some of it
@@ -140,8 +139,9 @@ def find_relative_motion(
 def _compute_twist_basis(
     closure: Closure, q: Array, names: list[str], size: float
 ) -> tuple[Array, Array]:
-    """A basis (6, dof) of the twists at q, rows in sizes and radians, and where the body's origin
-    is (3,).
+    """Compute a basis (6, dof) of the relative twists at q, and the body's origin (3,).
+
+    Rows are in sizes and radians.
     """
     system = closure.system
     rates = closure.unit[:, None] * compute_allowed_velocities(closure, q)
@@ -156,11 +156,12 @@ def _compute_twist_basis(
 
 
 def _round_to_zero(x: float) -> float:
+    """Round tiny numbers to zero."""
     return 0.0 if abs(x) < ZERO else x
 
 
 def _name_direction(v: Array) -> str:
-    """The name of an axis, or the unit vector, with its largest entry positive."""
+    """Name a direction: an axis, or the unit vector with a positive largest entry."""
     v = v / np.linalg.norm(v)
     k = int(np.argmax(np.abs(v)))
     if np.delete(np.abs(v), k).max() < 1e-6:
