@@ -166,7 +166,7 @@ class SolutionSet(Curve):
             size = max(size, float(np.linalg.norm(r[:3] + np.cross(r[3:], self.lever))))
         return max(size * self.aim.lines.length, float(np.linalg.norm(r[~place])))
 
-    def compute_difference(self, a: Array, b: Array) -> Array:
+    def compute_short_difference(self, a: Array, b: Array) -> Array:
         """Compute the difference a - b (..., n); of angles the shortest."""
         d = a - b
         return np.where(self.aim.slide_mask, d, d - 2.0 * math.pi * np.round(d / (2.0 * math.pi)))
@@ -354,14 +354,14 @@ class SolutionSet(Curve):
 
     def _passes_node(self, a: Node, b: Node, first: Node) -> bool:
         """Return whether the step from a to b passes the first node."""
-        rest = self.compute_difference(first.x, a.x)
+        rest = self.compute_short_difference(first.x, a.x)
         h = float((b.x - a.x) @ a.t)
         along = float(rest @ a.t)
         aside = float(np.linalg.norm(rest - along * a.t))
         if not -0.01 * h < along <= 1.01 * h or a.t @ first.t < 0.8 or aside > 0.3 * h:
             return False
         there = self.minimise_error(a.x + along * a.t, a.t[None]).x
-        return bool(np.linalg.norm(self.compute_difference(first.x, there)) < 0.02 * h)
+        return bool(np.linalg.norm(self.compute_short_difference(first.x, there)) < 0.02 * h)
 
     def find_crossings(self, theta: Array, tangents: Array) -> Iterator[Array]:
         """Find points (n,) of a curve at which others may cross it.
@@ -465,7 +465,7 @@ class Family(InWords):
         x = self._theta
         t = self._tangents
         if self.closed:
-            x = np.vstack([x, x[-1] + target.compute_difference(x[0], x[-1])])
+            x = np.vstack([x, x[-1] + target.compute_short_difference(x[0], x[-1])])
             t = np.concatenate([t, t[:1]])
         arc = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(x, axis=0), axis=1)))
         theta: list[Array] = []
@@ -493,7 +493,7 @@ class Family(InWords):
 
     def contains_configuration(self, theta: Array) -> bool:
         """Return whether variables (n,) of the chain are those of a member."""
-        away = np.abs(self._set.compute_difference(self._theta, theta)).max(axis=1).min()
+        away = np.abs(self._set.compute_short_difference(self._theta, theta)).max(axis=1).min()
         if self.freedoms == 1 and away > 1.0:
             return False
         return bool(np.abs(self._compute_difference(theta)).max() < max(ON, self._width))
@@ -501,12 +501,12 @@ class Family(InWords):
     def _compute_difference(self, theta: Array) -> Array:
         """Compute the difference (n,) of theta from the nearest member, found by a walk."""
         target = self._set
-        away = target.compute_difference(theta, self._theta)
+        away = target.compute_short_difference(theta, self._theta)
         k = int(np.argmin((away**2).sum(axis=1)))
         x = self._theta[k]
         frame = self._tangents[k]
         for _ in range(MOST_STEPS):
-            rest = target.compute_difference(theta, x)
+            rest = target.compute_short_difference(theta, x)
             way = (frame @ rest) @ frame
             size = float(np.linalg.norm(way))
             if not size > max(1e-12, 1e-6 * float(np.linalg.norm(rest))):
@@ -516,7 +516,7 @@ class Family(InWords):
                 break
             x = end.x
             frame = target.compute_tangents(x, frame)
-        return target.compute_difference(theta, x)
+        return target.compute_short_difference(theta, x)
 
     @cached_property
     def text(self) -> str:
@@ -543,7 +543,9 @@ class Family(InWords):
                 _fit_equations(names, slopes, q[place]),
                 [(name, 0.0 if abs(x) < AT_ZERO else x) for name, x in at_rest.items()],
             )
-        way_round = self._theta[-1] - self._set.compute_difference(self._theta[-1], self._theta[0])
+        way_round = self._theta[-1] - self._set.compute_short_difference(
+            self._theta[-1], self._theta[0]
+        )
         turns = [round(float(x) / (2.0 * math.pi)) for x in (way_round - self._theta[0])[place]]
         once = [i for i, k in enumerate(turns) if abs(k) == 1]
         turning = self.closed and bool(once)
