@@ -1,5 +1,6 @@
-"""The equations of a system's loops as those of a curve: some coordinates held, or inputs that
-follow a line.
+"""Loop equations of a system as the equations of a curve.
+
+Some coordinates are held, or inputs follow a line.
 
 Turns are in radians, slides and positions divided by the characteristic length of the system.
 """
@@ -30,18 +31,17 @@ ANGLES = ("rx", "ry", "rz", "x.y")
 
 
 class Further(Protocol):
-    """Equations of a curve besides those of the loops."""
+    """Protocol of equations that a curve has besides the loop closures."""
 
     @property
     def count(self) -> int:
-        """Number of these further equations."""
+        """Number of further equations."""
         ...
 
     def write_equations(
         self, equations: Closure, x: Array, F: Array, J: Array, at: int, with_matrix: bool
     ) -> None:
-        """Write the residuals of these equations into F (rows,) and their derivatives into J (rows,
-        n).
+        """Write residuals (rows,) and derivatives (rows, n) of the further equations into F and J.
 
         `x` is the point of the curve; row `at` is the first to be written, and the rows before `at`
         are filled already. Without `with_matrix` J is left as it is.
@@ -50,8 +50,7 @@ class Further(Protocol):
 
 
 class Closure(Curve):
-    """The closure equations of a system, some of its coordinates held at the values of a
-    configuration.
+    """Closure equations of a system, some of whose coordinates are held at given values.
 
     `unit` (nv,) are the velocity coordinates of one unit of the numbers used here; `closed` is the
     residual below which the equations hold, up to what rounding adds. `held` are indices of
@@ -96,28 +95,31 @@ class Closure(Curve):
         self._count_rows()
 
     def _count_rows(self) -> None:
+        """Count the equations, `real`, and the rows of F and J, at least as many as unknowns."""
         self.real = len(self.weight) + len(self.held) + sum(m.count for m in self.more)
         self.rows = max(self.real, self.n)
 
     def add_equations(self, further: Further) -> None:
-        """Add further equations to those that hold."""
+        """Add further equations to the closure equations."""
         self.more = (*self.more, further)
         self._count_rows()
 
     def remove_equations(self, further: Further) -> None:
-        """Take out further equations that `add` has added."""
+        """Remove further equations that `add_equations` has added."""
         self.more = tuple(m for m in self.more if m is not further)
         self._count_rows()
 
     def compute_residuals(self, x: Array) -> Array:
-        """Residuals (rows,) of all equations at the point `x`."""
+        """Compute the residuals (rows,) of all equations at the point `x`."""
         return self.evaluate_equations(x, False)[0]
 
     def evaluate_equations(
         self, x: Array, with_matrix: bool = True, further: int | None = None
     ) -> tuple[Array, Array]:
-        """`values` and `matrix` in one pass; the latter is all zero unless requested. Of further
-        equations only the first so many are written, where their number is given.
+        """Compute residuals F (rows,) and Jacobian J (rows, n) of all equations at the point `x`.
+
+        J is zero without `with_matrix`. `further` is the number of further equations that are
+        written, by default all.
         """
         self.budget.check_time()
         F = np.zeros(self.rows)
@@ -137,8 +139,9 @@ class Closure(Curve):
         return F, J
 
     def evaluate_loops(self, x: Array, with_matrix: bool = True) -> tuple[Array, Array]:
-        """The residuals (m,) of the loops alone at the point `x`, and their matrix (m, n), empty
-        unless requested.
+        """Compute residuals (m,) and Jacobian (m, n) of the loop closures alone at the point `x`.
+
+        The Jacobian is empty without `with_matrix`.
         """
         values, columns = closure_rows.evaluate_constraints(self.tree, x, with_matrix)
         if with_matrix:  # in place: the matrix of a long chain is most of the memory
@@ -147,8 +150,9 @@ class Closure(Curve):
         return self.weight * values, columns
 
     def evaluate_many_points(self, x: Array, with_matrix: bool = True) -> tuple[Array, Array]:
-        """`both` of many points (k, nq): (k, rows) and (k, rows, n); the latter has no rows unless
-        requested.
+        """Compute residuals (k, rows) and Jacobians (k, rows, n) at many points `x` (k, nq).
+
+        The Jacobians have no rows without `with_matrix`.
         """
         self.budget.check_time()
         k = len(x)
@@ -173,35 +177,37 @@ class Closure(Curve):
     def _write_further_equations(
         self, x: Array, F: Array, J: Array, with_matrix: bool, most: int | None
     ) -> None:
-        """Write residuals and derivatives of the further equations, the first `most` of them."""
+        """Write residuals and derivatives of the first `most` further equations into F and J."""
         at = len(self.weight) + len(self.held)
         for more in self.more[:most]:
             more.write_equations(self, x, F, J, at, with_matrix)
             at += more.count
 
     def compute_tolerance(self, x: Array) -> float:
-        """Residual below which the equations hold at `x`: angles of many turns are known less well."""
+        """Compute the largest residual of a closed configuration `x`.
+
+        It grows with angles of many turns, which are known less exactly.
+        """
         return self.closed * (1.0 + 0.01 * float(np.abs(x).max(initial=0.0))) + self.rounding
 
     def move_point(self, x: Array, y: Array) -> Array:
-        """The point reached from `x` by the tangent vector `y` (n,)."""
+        """Compute the point that the tangent vector `y` (n,) leads to from `x`."""
         return self.system.structure.layout.integrate_velocity(x, y * self.unit)
 
     def compute_difference(self, x: Array, other: Array) -> Array:
-        """The tangent vector (n,) from `x` to `other`, turns as many as they are."""
+        """Compute the tangent vector (n,) that leads from `x` to `other`, whole turns included."""
         return self.system.structure.layout.compute_difference(x, other) / self.unit
 
     def find_coordinate_indices(self, names: Sequence[str]) -> list[int]:
-        """Indices, among the velocity coordinates, of angles and prismatic coordinates given by
-        name.
-        """
+        """Find the indices of named angles and slides among the velocity coordinates."""
         number = {n: i for i, n in enumerate(self.system.structure.velocity_names)}
         return [number[n] for n in names]
 
 
 class DrivenClosure(Closure):
-    """Closure, and inputs that follow a straight line: a point is a configuration and the length
-    along that line.
+    """Closure equations, and inputs that follow a straight line.
+
+    A point is a configuration and the length along that line.
 
     Point: (nq + 1,) = [q, length]; input i has the value
     `origin[i] + unit * direction[i] * length`.
@@ -217,13 +223,16 @@ class DrivenClosure(Closure):
         self.rows = max(self.real + len(self.inputs), self.n)
 
     def compute_input_values(self, length: float) -> Array:
-        """Values of the inputs, in radians and metres, at a length of their line."""
+        """Compute the values of the inputs, in radians and metres, at a length along their line."""
         return self.origin + self.unit[self.inputs] * self.direction * length
 
     def evaluate_equations(
         self, x: Array, with_matrix: bool = True, further: int | None = None
     ) -> tuple[Array, Array]:
-        """`values` and `matrix` in one pass; the latter is all zero unless requested."""
+        """Compute residuals F (rows,) and Jacobian J (rows, n) of all equations at the point `x`.
+
+        J is zero without `with_matrix`.
+        """
         F = np.zeros(self.rows)
         J = np.zeros((self.rows, self.n))
         k = self.real
@@ -239,16 +248,16 @@ class DrivenClosure(Closure):
         return F, J
 
     def move_point(self, x: Array, y: Array) -> Array:
-        """The point reached from `x` by the tangent vector `y` (n,)."""
+        """Compute the point that the tangent vector `y` (n,) leads to from `x`."""
         return np.append(self.base.move_point(x[:-1], y[:-1]), x[-1] + y[-1])
 
     def compute_difference(self, x: Array, other: Array) -> Array:
-        """The tangent vector (n,) from `x` to `other`."""
+        """Compute the tangent vector (n,) that leads from `x` to `other`."""
         return np.append(self.base.compute_difference(x[:-1], other[:-1]), other[-1] - x[-1])
 
 
 def close_loops(equations: Closure, x: Array, tries: int = 60) -> Array | None:
-    """The configuration with closed loops near `x`, by steps of least size, or None."""
+    """Find a closed configuration near `x`, by steps of least size; None if there is none."""
     found = run_gauss_newton(
         equations.evaluate_equations,
         x,

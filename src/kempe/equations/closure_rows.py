@@ -1,5 +1,4 @@
-"""All constraint equations of a system at once: residual and Jacobian over all velocity
-coordinates.
+"""Residual and Jacobian of all constraint equations of a system.
 
 *Full* form: each joint that the tree left out ties its frame M, led there through its own
 coordinates, to its child. The unknowns are all coordinates, those of cut joints included, so that
@@ -42,8 +41,9 @@ __all__ = [
 
 
 def compute_residual(system: Model, q: Any) -> Array:
-    """Residual (..., m) of all constraint equations at q (..., nq), in metres and radians; zero
-    where all loops close.
+    """Compute the residual (..., m) of all constraint equations at q (..., nq).
+
+    Its entries are in metres and radians, and zero where all loops close.
 
     For each joint that the tree left out: position and rotation vector of its frame M on the child,
     in axes of the M that its own coordinates predict (in planar systems two positions and an angle;
@@ -54,8 +54,9 @@ def compute_residual(system: Model, q: Any) -> Array:
 
 
 def compute_jacobian(system: Model, q: Any) -> Array:
-    """Jacobian (..., m, nv) of `compute_residual` by the velocity coordinates, exact at every q, closed or
-    not.
+    """Compute the Jacobian (..., m, nv) of all constraint equations at q (..., nq).
+
+    It is the exact derivative of `compute_residual`, whether or not the loops are closed at q.
     """
     return evaluate_constraints(system, q, True)[1]
 
@@ -67,8 +68,9 @@ def evaluate_constraints(
     scaled: bool = False,
     loops: PackedLoops | None = None,
 ) -> tuple[Array, Array]:
-    """Residual (..., m) and Jacobian (..., m, nv) in one pass; the Jacobian is empty unless
-    requested.
+    """Compute residual (..., m) and Jacobian (..., m, nv) of all constraint equations at q.
+
+    The Jacobian is empty without `with_jacobian`.
 
     `scaled`: lengths, those of sliding coordinates included, are measured in characteristic
     lengths, and loops are cut where solvers cut them (`remove_cut_marks`), so that nothing depends on the
@@ -89,14 +91,15 @@ def evaluate_constraints(
 
 
 def list_row_names(system: Model) -> list[tuple[str, str]]:
-    """For each equation the name of its joint, constraint or coupling, and the component: 'x',
-    'rz', 'distance', ...
+    """List the names of each equation: the joint, constraint or coupling, and the component.
+
+    Components are 'x', 'rz', 'distance', ...
     """
     return list(pack_full_loops(system, False).names)
 
 
 def pack_full_loops(system: Model, scaled: bool) -> PackedLoops:
-    """The packed loops in full form, in metres or `scaled`."""
+    """Pack the loop equations in full form, in metres or `scaled` to characteristic lengths."""
     tree = remove_cut_marks(system) if scaled else system
     return get_packed_loops(
         tree, frozenset(tree.structure.closures), length=None if scaled else 1.0
@@ -104,8 +107,9 @@ def pack_full_loops(system: Model, scaled: bool) -> PackedLoops:
 
 
 def compute_coordinate_units(system: Model) -> Array:
-    """Unit (nv,) of each velocity coordinate: a radian, or the characteristic length for a
-    prismatic one.
+    """Compute the unit (nv,) of each velocity coordinate.
+
+    It is 1 radian for an angle and the characteristic length for a prismatic coordinate.
     """
     return pack_full_loops(system, True).scale
 
@@ -123,7 +127,7 @@ class SystemConstraint:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The component that each row holds: 'x', 'rz', 'distance', ..."""
+        """Names of the components of the rows: 'x', 'rz', 'distance', ..."""
         return tuple(self.loops.names[i][1] for i in self.rows)
 
     @property
@@ -132,18 +136,17 @@ class SystemConstraint:
         return len(self.rows)
 
     def residual(self, system: Model, q: Any) -> Array:
-        """Residual (..., size) of the constraint at q (..., nq), in metres and radians."""
+        """Compute the residual (..., size) of the constraint at q (..., nq), in metres and radians."""
         return evaluate_constraints(system, q, False, loops=self.loops)[0][..., list(self.rows)]
 
     def jacobian(self, system: Model, q: Any) -> Array:
-        """Derivatives (..., size, nv) of the residual by the velocity coordinates, exact for all q."""
+        """Compute the exact derivatives (..., size, nv) of the residual by velocity coordinates."""
         return evaluate_constraints(system, q, loops=self.loops)[1][..., list(self.rows), :]
 
 
 @explain_errors
 def list_constraints(system: Model, own: bool = True) -> list[SystemConstraint]:
-    """The constraints of a system: its closures, the declared ones, the relations of several
-    coordinates.
+    """List the constraints of a system: loop closures, declared constraints and relations.
 
     With `own=False` the coordinates of the joints that close loops are left out where nothing else
     depends on them.
@@ -162,7 +165,9 @@ def list_constraints(system: Model, own: bool = True) -> list[SystemConstraint]:
 
 
 def count_remaining_freedoms(system: Model, q: Array, held: frozenset[str] = frozenset()) -> int:
-    """Nullity of the constraint Jacobian at q over the coordinates that are not held.
+    """Count the freedoms that the constraints leave at q to coordinates that are not held.
+
+    The number is the nullity of the constraint Jacobian.
 
     The angles of a ball near their own singularity are measured from q, unless some of them are
     held.

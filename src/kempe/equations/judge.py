@@ -1,4 +1,4 @@
-"""How far constraints are missed, from poses in plain numpy, without the kernels.
+"""Errors of constraints at configurations, from poses in plain numpy, without the kernels.
 
 Tasks of `ik` are judged at poses of the forward model. `judge_configurations` measures all that a system declares,
 at poses that are multiplied out joint by joint.
@@ -41,7 +41,7 @@ from kempe.words import InWords
 
 
 def compute_coordinate_value(system: Model, q: spatial.Array, name: str) -> spatial.Array:
-    """Value (...) of a joint coordinate at q (..., nq), also of a coupled or locked one."""
+    """Compute the value (...) of a joint coordinate at q (..., nq), also if coupled or locked."""
     follower: Follower | None = system.structure.couplings.get(name)
     if follower is None:
         return q[..., system.coordinate_names.index(name)]
@@ -53,7 +53,7 @@ def compute_coordinate_value(system: Model, q: spatial.Array, name: str) -> spat
 
 @explain_errors
 def closure_error(system: Model, q: Any) -> spatial.Array:
-    """How far each loop is open (..., len(closures), 6).
+    """Compute the gap of each loop (..., number of closures, 6) at q (..., nq).
 
     For each joint that the tree left out: the twist [v; w] in metres and radians, in axes of its
     frame M, that leads from where its own coordinates put M to where the tree puts it. Zero where
@@ -87,7 +87,7 @@ def closure_error(system: Model, q: Any) -> spatial.Array:
 
 @keep_answers
 def compute_joint_placements(system: Model, joint: str) -> tuple[Array, Array]:
-    """Poses (4, 4) of the frames F of a joint on its parent body and M on its child."""
+    """Compute the poses (4, 4) of a joint's frames: F on its parent body and M on its child."""
     m = system._mechanism
     return m.joints[joint].X_PF.evaluate_pose(m.parameters), m.joints[joint].X_CM.evaluate_pose(
         m.parameters
@@ -96,7 +96,7 @@ def compute_joint_placements(system: Model, joint: str) -> tuple[Array, Array]:
 
 @keep_answers
 def compute_frame_placement(system: Model, frame: str) -> Array:
-    """Pose (4, 4) of a declared frame on its body."""
+    """Compute the pose (4, 4) of a declared frame on its body."""
     m = system._mechanism
     return m.frames[frame].X_BF.evaluate_pose(m.parameters)
 
@@ -104,7 +104,7 @@ def compute_frame_placement(system: Model, frame: str) -> Array:
 def compute_joint_pose(
     kind: JointType, q: spatial.Array, dim: int = 3, particle: bool = False
 ) -> spatial.Array:
-    """Pose X_FM (..., 4, 4) of a joint type at its own coordinates (..., number of coordinates)."""
+    """Compute the pose X_FM (..., 4, 4) of a joint type at its own coordinates (..., k)."""
     mechanism = Mechanism("joint", dim)
     child = mechanism.particle("M") if particle else mechanism.body("M")
     # not by `Mechanism.joint`: a slider of the plane slides along z of its frame F, which is not
@@ -134,7 +134,7 @@ FRAME_ROWS = (*TURNS, Op.POINT, Op.DISTANCE)
 
 
 class RowShape(NamedTuple):
-    """Which parts of a pose rows hold: directions, parts of the rotation, the distance."""
+    """The parts of a relative pose that rows of a constraint hold."""
 
     mask: int
     turns: int
@@ -149,7 +149,10 @@ class RowShape(NamedTuple):
 
 @lru_cache(maxsize=512)
 def make_row_shape(rows: tuple[Row, ...], dim: int) -> RowShape:
-    """Which parts of the pose of frame B in A the rows hold; `dim` is 2 in the plane, 3 in space."""
+    """Determine which parts of the pose of frame B in frame A the rows hold.
+
+    `dim` is 2 in the plane and 3 in space.
+    """
     sorts = {
         Op.ROTATION: L.ANGLE if dim == 2 else L.FULL,
         Op.TILT: L.ALIGN,
@@ -166,15 +169,16 @@ def make_row_shape(rows: tuple[Row, ...], dim: int) -> RowShape:
 
 
 def compute_lengths(p: Array) -> Array:
-    """Lengths (...) of vectors (..., k)."""
+    """Compute the lengths (...) of vectors (..., k)."""
     if p.ndim == 1:
         return math.sqrt(p.dot(p))  # type: ignore[return-value]
     return np.sqrt(np.vecdot(p, p))
 
 
 def compute_angle_between(R: Array, S: Array) -> Array:
-    """Angle (...) between two rotations, from the Frobenius norm of their difference: sqrt(8)
-    sin(angle / 2).
+    """Compute the angle (...) between two rotations (..., 3, 3).
+
+    It follows from the Frobenius norm of their difference, sqrt(8) sin(angle / 2).
     """
     d = R - S
     if d.ndim == 2:
@@ -184,8 +188,9 @@ def compute_angle_between(R: Array, S: Array) -> Array:
 
 
 def compute_frame_errors(A: Array, B: Array, shape: RowShape) -> tuple[Array, Array]:
-    """How far (...) frame B (..., 4, 4) misses a place and a direction in frame A (..., 4, 4), in
-    metres and in radians, as far as the `shape` holds them.
+    """Compute how far (...) frame B (..., 4, 4) is from frame A, in metres and in radians.
+
+    Only the parts of the pose that the `shape` holds count.
     """
     size: Any = 0.0
     angle: Any = 0.0
@@ -211,8 +216,9 @@ def compute_frame_errors(A: Array, B: Array, shape: RowShape) -> tuple[Array, Ar
 
 
 def list_pose_inputs(X: Array) -> dict[str, Array]:
-    """The inputs of expressions that a pose (..., 4, 4) gives: its place, and its rotation row by
-    row.
+    """List the inputs of expressions that a pose (..., 4, 4) gives, by name.
+
+    These are its position, and its rotation row by row.
     """
     values = [X[..., i, 3] for i in range(3)] + [X[..., i, j] for i in range(3) for j in range(3)]
     return dict(zip(POSE, values, strict=True))
@@ -228,8 +234,7 @@ def measure_rows(
     given: Numbers | None = None,
     t: Array | float = 0.0,
 ) -> tuple[Array, Array]:
-    """How far (...) rows of position are missed at q (..., nq), in metres, and in radians or plain
-    numbers.
+    """Measure the errors (...) of position rows at q (..., nq): metres, and radians or numbers.
 
     `made` has its numbers, but for those `given` (..., k) by name; A and B (..., 4, 4) are its
     frames, where it has any; t (...) are the times of equations in time. Of values of coordinates
@@ -277,12 +282,12 @@ def measure_rows(
 
 
 def is_compared(made: Constraint, row: Row) -> bool:
-    """Whether a row is compared with a number, or a distance, in place of being zero."""
+    """Whether a row is compared with a number or a distance, and not with zero."""
     return row.op is Op.DISTANCE or bool(find_value_field(made, row)) or is_one_sided(made, row)
 
 
 def _find_row_bounds(made: Constraint, row: Row, given: Numbers) -> tuple[Any, Any]:
-    """Numbers (...) between which a row is held, the same ones for a row that has a value."""
+    """Find the bounds (...) of a row; both are the same for a row with one value."""
     if not is_one_sided(made, row):
         value = _read_field_number(made, find_value_field(made, row), row.part, given, 0.0)
         return value, value
@@ -293,7 +298,10 @@ def _find_row_bounds(made: Constraint, row: Row, given: Numbers) -> tuple[Any, A
 def _read_field_number(
     made: Constraint, field: str, part: int | None, given: Numbers, default: float
 ) -> Any:
-    """The number (...) of a field, of the call where it is `given`; `default` where there is none."""
+    """Read the number (...) of a field: that of the call if `given`, else the field's own.
+
+    Without either it is `default`.
+    """
     x = given.get(format_input_name(field, part))
     if x is not None:
         return x[..., 0]
@@ -304,7 +312,7 @@ def _read_field_number(
 def compute_coordinate_errors(
     system: Model, rows: Iterable[Row], q: Array, numbers: Numbers
 ) -> tuple[Array, Array]:
-    """The largest differences (...) of the slides, and of the turns and balls, that rows hold."""
+    """Compute the largest errors (...) of the coordinates that rows hold: slides, and turns."""
     values = np.broadcast_to(system.neutral, q.shape).copy()
     items = [r.args for r in rows]
     for _, i, name, ball in items:
@@ -321,9 +329,7 @@ def compute_coordinate_errors(
 
 
 def _measure_frame_row(row: Row, A: Array, B: Array) -> Array:
-    """Distance (...) of the origin of frame B (..., 4, 4) from that of A, or its place along an axis
-    of A.
-    """
+    """Measure the position (...) of frame B's origin along an axis of frame A, or its distance."""
     p = B[..., :3, 3] - A[..., :3, 3]
     return compute_lengths(p) if row.op is Op.DISTANCE else np.vecdot(p, A[..., :3, row.args[0]])
 
@@ -331,7 +337,7 @@ def _measure_frame_row(row: Row, A: Array, B: Array) -> Array:
 def _evaluate_function_row(
     system: Model, made: Constraint, row: Row, q: Array, known: Mapping[str, Any]
 ) -> Array:
-    """The values (...) of a row of an expression or a function."""
+    """Evaluate a row that is an expression or a function at q (..., nq): its values (...)."""
     what, k = row.args
     if row.op is Op.TAPE:
         own = {
@@ -356,7 +362,7 @@ def _evaluate_function_row(
 
 
 def multiply_primitives(primitives: Sequence[Primitive], values: Array) -> Array:
-    """Pose X_FM (..., 4, 4) of a product of primitives at coordinates `values` (..., k)."""
+    """Multiply the primitives of a joint to its pose X_FM (..., 4, 4), at `values` (..., k)."""
     X = np.broadcast_to(np.eye(4), (*values.shape[:-1], 4, 4))
     for p in primitives:
         if p.kind == P:
@@ -375,8 +381,9 @@ def multiply_primitives(primitives: Sequence[Primitive], values: Array) -> Array
 
 
 class Poses:
-    """Poses of bodies and frames of a system at q (..., nq), as products of joint transforms along
-    the tree.
+    """Poses of bodies and frames of a system at q (..., nq), in numpy.
+
+    They are products of joint transforms along the tree.
 
     Equations in time are read at the times t (...).
     """
@@ -398,8 +405,9 @@ class Poses:
             )
 
     def compute_joint_frames(self, joint: Joint) -> tuple[Array, Array]:
-        """Frame M (..., 4, 4) of a joint on its parent body, where its coordinates put it, and (4,
-        4) on its child.
+        """Compute the frames M of a joint: seen from its parent (..., 4, 4) and child (4, 4).
+
+        Its coordinates place the first, its placement on the child the second.
         """
         system = self.system
         m = self.mechanism
@@ -411,8 +419,9 @@ class Poses:
         return X_PF @ multiply_primitives(primitives, values), X_CM
 
     def __call__(self, name: str | Sequence[str] | None) -> Array:
-        """The pose (..., 4, 4) of a body or frame; of several, or for None of all bodies, (..., n,
-        4, 4).
+        """Return the pose (..., 4, 4) of a body or frame, or those of several (..., n, 4, 4).
+
+        None stands for all bodies.
         """
         if not isinstance(name, str):
             return np.stack([self(n) for n in (self.bodies if name is None else name)], axis=-3)
@@ -422,8 +431,9 @@ class Poses:
         return self.bodies[frame.body] @ compute_frame_placement(self.system, name)
 
     def measure_joint_gap(self, joint: Joint) -> tuple[Array, Array]:
-        """Gap (...) of a cut joint, in metres and radians: (distance, angle); the angle is 0 for a
-        particle.
+        """Measure the gap (...) of a cut joint: distance in metres and angle in radians.
+
+        The angle is 0 for a particle.
         """
         F, M = self.compute_joint_frames(joint)
         A = self.bodies[joint.parent] @ F
@@ -434,7 +444,7 @@ class Poses:
         return size, compute_angle_between(A[..., :3, :3], B[..., :3, :3])
 
     def measure_constraint(self, declared: Declared) -> tuple[Array, Array]:
-        """Errors (...) of the position rows of a declared constraint, in metres and in radians."""
+        """Measure the errors (...) of a declared constraint's position rows: metres and radians."""
         m = self.mechanism
         dim = self.system.dim
         made = evaluate_constraint(declared, m.parameters, dim)
@@ -457,7 +467,7 @@ class Poses:
     def measure_relation(
         self, of: str, sources: dict[str, float], offset: float
     ) -> tuple[Array, Array]:
-        """Error (...) of a relation of several coordinates, relative to its largest factor."""
+        """Measure the error (...) of a relation of coordinates, relative to its largest factor."""
         off = compute_coordinate_value(self.system, self.q, of) - offset
         for name, factor in sources.items():
             off = off - factor * compute_coordinate_value(self.system, self.q, name)
@@ -472,23 +482,25 @@ class Poses:
 
 
 class MeasuredTask(Protocol):
-    """Protocol of a task that can be measured, as `kempe.equations.tasks.Task`."""
+    """Protocol of a task whose error can be measured, as `kempe.equations.tasks.Task`."""
 
     label: str
 
     def measure_error(
         self, q: Array, goal: Any = None, poses: Callable[[Any], Array] | None = None
     ) -> tuple[Array, Array]:
-        """Errors (...) of the task at q (..., nq), in metres and radians; `poses` gives those of
-        frames.
+        """Measure the errors (...) of the task at q (..., nq), in metres and radians.
+
+        `poses` gives the poses of frames.
         """
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Judgement(InWords):
-    """Errors of all constraints and tasks at configurations, from poses computed in numpy, and
-    whether they hold.
+    """Errors of all constraints and tasks at configurations, and whether they are satisfied.
+
+    The errors are measured on poses that numpy computes, independently of the solvers.
 
     `errors` (n, ..., 2) are by `names`, in metres and in radians (or plain numbers, of an
     equation); those above `allowed` are violations.
@@ -500,7 +512,7 @@ class Judgement(InWords):
 
     @property
     def missed(self) -> np.ndarray:
-        """Whether (n, ...) an error is above what is allowed, or NaN."""
+        """Whether (n, ...) each constraint's error exceeds the allowed error, or is NaN."""
         return np.asarray(~(self.errors <= self.allowed).all(axis=-1))
 
     @property
@@ -509,14 +521,14 @@ class Judgement(InWords):
         return unwrap_scalar(~self.missed.any(axis=0))
 
     def of(self, which: np.ndarray) -> Judgement:
-        """The judgement of some of the configurations only: those where `which` (...) is true."""
+        """Return the judgement of the configurations where `which` (...) is true."""
         return Judgement(self.names, self.errors[:, which], self.allowed[:, which])
 
     def __bool__(self) -> bool:
         return bool(np.all(self.holds))
 
     def __str__(self) -> str:
-        """The sentence that names the largest violation, or says that all hold."""
+        """Return the sentence that names the largest violation, or says that there is none."""
         n = len(self.names)
         if not n:
             return "nothing is declared or requested that poses could miss"
@@ -538,7 +550,7 @@ class Judgement(InWords):
         return f"judged by poses multiplied out in numpy: {self.names[k]!r} is missed by {far}"
 
     def data(self) -> dict[str, Any]:
-        """The largest error by name, in metres and radians; whether all hold; and the sentence."""
+        """Return the largest error by name [m, rad], whether all constraints hold, and a sentence."""
         worst = (
             self.errors.reshape(len(self.names), -1, 2).max(axis=1, initial=0.0)
             if self.names
@@ -559,8 +571,9 @@ def judge_configurations(
     t: Array | float = 0.0,
     closing: Model | None = None,
 ) -> Judgement:
-    """The judgement of all that a system declares, and of what is required, at q (..., nq) and
-    times t (...).
+    """Measure all that a system declares, and the `requested` tasks, at q (..., nq).
+
+    `t` (...) are the times of equations in time.
 
     That is: joints that the tree left out, rows of position of constraints, couplings with several
     sources. `requested` has tasks with their goals (or None) and what (2,) each may be missed by;

@@ -1,5 +1,6 @@
-"""One-sided rows of a system, low <= f(q) <= high: declared constraints and limits of coordinates,
-as values and rates.
+"""One-sided rows of a system, low <= f(q) <= high, as values and rates.
+
+They are declared inequalities and limits of coordinates.
 
 They are read before their bounds: whether a row is active, and how far it is from its bound, is for
 others to say.
@@ -32,8 +33,9 @@ ROUNDING = 1e-9
 
 
 class Violation(NamedTuple):
-    """A violated inequality `name`: outside its bounds by `far` in `unit`, or by `size` in
-    characteristic lengths.
+    """A violated inequality: its `name`, and how far the value is outside the bounds.
+
+    `far` is in `unit`, `size` in characteristic lengths.
     """
 
     name: str
@@ -54,7 +56,7 @@ class Violation(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class OneSided:
-    """The one-sided rows of a system: `declared` ones first, then the limited coordinates.
+    """One-sided rows of a system: the `declared` inequalities, then the limited coordinates.
 
     Row k is called `names[k]`, measured in `units[k]` ("m", "rad" or "1") and holds where its value
     is between `low[k]` and `high[k]`.
@@ -79,39 +81,40 @@ class OneSided:
 
     @cached_property
     def scale(self) -> Array:
-        """Factors (k,) by which rows become comparable: 1 / characteristic length for rows in
-        metres, else 1.
-        """
+        """Factors (k,) that make rows comparable: 1 / characteristic length for metres, else 1."""
         return np.where(
             np.array(self.units) == "m", 1.0 / pack_full_loops(self.system, True).length, 1.0
         )
 
     @cached_property
     def inner_bounds(self) -> tuple[Array, Array]:
-        """Bounds (low, high) of the rows, each `CLOSED` farther inside than their own."""
+        """Bounds (low, high) of the rows, each moved inwards by `CLOSED`."""
         return self.low + CLOSED / self.scale, self.high - CLOSED / self.scale
 
     @cached_property
     def slack(self) -> Array:
-        """Rounding error (k,) by which each row may be outside its bounds."""
+        """Rounding error (k,) by which the value of each row may be outside its bounds."""
         bounds = np.where(np.isfinite([self.low, self.high]), np.abs([self.low, self.high]), 0.0)
         return ROUNDING * (1.0 + bounds.max(axis=0, initial=0.0))
 
     def compute_values(self, q: Any, declared: bool = False) -> Array:
-        """The rows' values (..., k) at q (..., nq), in their units; only those that are `declared`,
-        if so requested.
+        """Compute the values (..., k) of the rows at q (..., nq), in their units.
+
+        With `declared`, only the declared inequalities.
         """
         return self._evaluate_rows(q, False, declared)[0]
 
     def compute_rates(self, q: Any, declared: bool = False) -> tuple[Array, Array]:
-        """Values (..., k), and rates (..., k, nv) of the scaled values by the scaled velocities, at
-        q (..., nq).
+        """Compute scaled rates (..., k, nv) of the rows, and their values (..., k), at q (..., nq).
+
+        The rates are derivatives of the scaled values by the scaled velocities.
         """
         return self._evaluate_rows(q, True, declared)
 
     def compute_excess(self, q: Any, declared: bool = False) -> Array:
-        """How far (..., k) the rows are outside their bounds at q (..., nq), in their units; 0
-        where they hold.
+        """Compute how far (..., k) rows are outside their bounds at q (..., nq), in their units.
+
+        It is 0 where they hold.
 
         Only those that are `declared`, if so requested.
         """
@@ -121,8 +124,9 @@ class OneSided:
         return np.where(out <= self.slack[:k], 0.0, out)
 
     def find_violated_rows(self, q: Array, allowed: Array) -> tuple[Array, Array]:
-        """How far (m,) the declared rows that are violated at q (nq,) are outside, by more than
-        `allowed`, and rates.
+        """Find the declared inequalities violated at q (nq,): excess (m,) and rates (m, nv).
+
+        Only violations by more than `allowed` count.
 
         Both as `rates` has them, positive above an upper end.
         """
@@ -135,7 +139,7 @@ class OneSided:
         return (self.scale[:k] * off)[out], J[out]
 
     def list_violations(self, q: Array) -> list[Violation]:
-        """The violations of declared rows at q (nq,)."""
+        """List the violations of declared inequalities at q (nq,)."""
         far = self.compute_excess(q, declared=True)
         return [
             Violation(self.names[k], float(far[k]), self.units[k], float(far[k] * self.scale[k]))
@@ -143,8 +147,9 @@ class OneSided:
         ]
 
     def describe_omitted_configurations(self, beyond: np.ndarray) -> str:
-        """Sentence on configurations left out because they violate rows; `beyond` (n, k) is by how
-        much.
+        """Describe how many configurations were omitted since they violate rows, by how much.
+
+        `beyond` (n, k) is the excess of each row at each configuration.
         """
         count = int(beyond.any(axis=1).sum())
         which = ", ".join(repr(self.names[k]) for k in np.flatnonzero(beyond.any(axis=0)))
@@ -154,6 +159,7 @@ class OneSided:
         return f"; {those} {which}" if count else ""
 
     def _evaluate_rows(self, q: Any, rates: bool, declared: bool = False) -> tuple[Array, Array]:
+        """Compute the values (..., k) of the rows at q (..., nq), and rates (..., k, nv)."""
         q = read_q(self.system, q)
         nv = self.system.nv
         lead = q.shape[:-1]
@@ -181,7 +187,7 @@ class OneSided:
         return values.reshape(*lead, k), J.reshape(*lead, k, nv) if rates else J
 
     def format_bound_name(self, k: int, upper: bool) -> str:
-        """Name of the lower or `upper` bound of row k, as messages write it."""
+        """Format the name of the lower or `upper` bound of row k for messages."""
         end = "upper" if upper else "lower"
         if k >= self.declared:
             return f"{end} limit of {self.names[k]}"
@@ -191,7 +197,7 @@ class OneSided:
 
 @keep_answers
 def pack_one_sided_rows(system: Model) -> OneSided:
-    """The one-sided rows of a system, packed."""
+    """Pack the one-sided rows of a system; the result is kept."""
     at = system.structure.layout.vector_q
     v = system.structure.layout.vector_v
     limited = np.isfinite(system.lower[v]) | np.isfinite(system.upper[v])
@@ -220,9 +226,7 @@ def pack_one_sided_rows(system: Model) -> OneSided:
 def _list_declared_rows(
     system: Model,
 ) -> tuple[list[str], list[str], list[tuple[float, float]], list[int], PackedLoops]:
-    """Names, units, bounds and places of the declared rows between bounds, and the ties that they
-    are among.
-    """
+    """List names, units, bounds and places of the declared inequalities, and their ties."""
     loops = get_packed_loops(system, frozenset(system.structure.closures), one_sided=True)
     several = Counter(t.name for t in loops.ties if t.bounds for _ in t.row_names)
     at = 0

@@ -1,4 +1,4 @@
-"""Several tasks, and the loops of their system, packed as one set of equations."""
+"""Several tasks and the loops of their system, packed as one set of equations."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ ROUNDING = 1e-9
 
 
 def refuse_goal(goal: Goal, what: str) -> None:
-    """Say what is wrong with a goal that a kernel refused. Errors: `InputError`."""
+    """Raise `InputError` with the reason why a kernel refused a goal."""
     if goal.pose is not None:
         check_poses(goal.pose, f"the goal of {what}")
     for number in goal.numbers.values():
@@ -40,7 +40,10 @@ def refuse_goal(goal: Goal, what: str) -> None:
 
 
 def find_leading_shape(goals: Sequence[Goal]) -> tuple[int, ...]:
-    """The leading shape of goals. Errors: `InputError` where shapes do not fit together."""
+    """Find the leading shape of goals.
+
+    Errors: `InputError` where shapes do not fit together.
+    """
     shapes = {g.pose.shape[:-2] for g in goals if g.pose is not None}
     shapes |= {x.shape[:-1] for g in goals for x in g.numbers.values()}
     try:
@@ -52,8 +55,9 @@ def find_leading_shape(goals: Sequence[Goal]) -> tuple[int, ...]:
 
 
 def _find_wide_angles(system: Model, tasks: Sequence[Task]) -> np.ndarray:
-    """Angles (nv,) with limits a whole turn apart or more, which a whole turn does not change in
-    anything else.
+    """Find the angles (nv,) that may change by a whole turn within their limits.
+
+    Nothing else may depend on their number of turns.
     """
     table = remove_cut_marks(system).structure.table
     c = system.structure.coordinates
@@ -98,6 +102,7 @@ class Packed:
         made: list[Tie] = []
 
         def make_task_ties(table: Table) -> list[Tie]:
+            """Make the ties of all tasks, and note which task each belongs to."""
             for i, task in enumerate(self.tasks):
                 for tie in task.make_ties(table):
                     owner[id(tie)] = i
@@ -152,9 +157,7 @@ class Packed:
         )
 
     def wrap_wide_angles(self, q: Array) -> Array:
-        """The configurations (N, nq) with wide angles brought into their limits by whole turns, in
-        place.
-        """
+        """Bring wide angles of configurations (N, nq) into their limits by whole turns, in place."""
         for i, a, b in self._turning:
             x = q[:, i]
             x -= 2.0 * np.pi * np.ceil(np.maximum(x - b, 0.0) / (2.0 * np.pi))
@@ -162,8 +165,9 @@ class Packed:
         return q
 
     def count_equations(self, tasks: Sequence[int], bounded: bool = False) -> int:
-        """Number of equations of some of the tasks; in the plane, those that hold of themselves do
-        not count.
+        """Count the equations of some tasks.
+
+        In the plane, those that hold of themselves do not count.
         """
         trivial = TILTS if self.system.dim == 2 else ()
         ties = [
@@ -175,14 +179,15 @@ class Packed:
 
     @property
     def row_bounds(self) -> tuple[Array, Array]:
-        """Low and high ends (m,) of the tasks' rows, in radians and characteristic lengths; zero
-        for equations.
+        """Low and high bounds (m,) of the tasks' rows; zero for equations.
+
+        They are in radians and characteristic lengths.
         """
         low, high = self.loops.bounds[:, self.rows >= 0]
         return low, high
 
     def pack_pins(self, goals: Sequence[Goal], lead: tuple[int, ...] = ()) -> Array:
-        """What the kernels need (N or 1, k) of the goals of tasks of this structure."""
+        """Pack the goals of tasks as the numbers (N or 1, k) that kernels read."""
         owners: list[int] = self.owner.tolist()
         ties = [(t, goals[i]) for t, i in zip(self.loops.ties, owners, strict=True) if i >= 0]
         poses = [(tie, _compute_pinned_pose(tie, goal)) for tie, goal in ties if tie.pin]
@@ -205,8 +210,9 @@ class Packed:
     def evaluate_tasks(
         self, q: Any, pins: Array | None = None, closures: bool = False
     ) -> tuple[Array, Array]:
-        """The tasks' equations (..., m) and Jacobian (..., m, nv) at q (..., nq); with `closures`
-        those of loops.
+        """Compute residuals (..., m) and Jacobian (..., m, nv) of the tasks at q (..., nq).
+
+        With `closures`, those of the loops instead.
         """
         from kempe.kernels.compiled import closure_batch
 
@@ -231,7 +237,7 @@ class Packed:
 
 
 def _compute_pinned_pose(tie: Tie, goal: Goal) -> Array:
-    """The pose (..., 4, 4) at which a tie is pinned: that of the goal, moved by its numbers."""
+    """Compute the pose (..., 4, 4) where a tie is pinned: the goal's, moved by its numbers."""
     pose = goal.pose
     assert pose is not None
     if not any(tie.shift):
@@ -248,35 +254,37 @@ def _compute_pinned_pose(tie: Tie, goal: Goal) -> Array:
 
 @explain_errors
 def error(system: Model, constraint: Constraint, q: Any) -> Array:
-    """Equations (..., m) of a constraint at q (..., nq), in metres and radians, before bounds; zero
-    where they hold.
+    """Compute the residuals (..., m) of a constraint at q (..., nq), in metres and radians.
+
+    They are zero where the constraint holds; bounds of inequalities are not subtracted.
     """
     return _pack_single_constraint(system, constraint).evaluate_tasks(q)[0]
 
 
 @explain_errors
 def jacobian(system: Model, constraint: Constraint, q: Any) -> Array:
-    """Derivatives (..., m, nv) of `error` by the velocity coordinates, exact."""
+    """Compute the exact derivatives (..., m, nv) of `error` by the velocity coordinates."""
     return _pack_single_constraint(system, constraint).evaluate_tasks(q)[1]
 
 
 @explain_errors
 def count(system: Model, constraint: Constraint) -> int:
-    """Number of equations of a constraint, inequalities included."""
+    """Count the equations of a constraint, inequalities included."""
     return _pack_single_constraint(system, constraint).count_equations([0], True)
 
 
 @explain_errors
 def units(system: Model, constraint: Constraint) -> tuple[str, ...]:
-    """The unit of each equation of `error`: "m", "rad" or "1"."""
+    """Return the unit of each equation of `error`: "m", "rad" or "1"."""
     alone = _pack_single_constraint(system, constraint)
     return tuple(unit for unit, row in zip(alone.loops.units, alone.rows, strict=True) if row >= 0)
 
 
 @explain_errors
 def miss(system: Model, constraint: Constraint, q: Any) -> tuple[Array, Array]:
-    """How far (...) a constraint is missed at q (..., nq), in metres and in radians, judged by the
-    forward model.
+    """Measure how far (...) q (..., nq) is from fulfilling a constraint, in metres and radians.
+
+    The forward model measures it, independently of the equations that solvers use.
 
     Where loops are open, bodies are where solvers place them (`kempe.model.own_tree`).
     """
@@ -284,4 +292,5 @@ def miss(system: Model, constraint: Constraint, q: Any) -> tuple[Array, Array]:
 
 
 def _pack_single_constraint(system: Model, constraint: Constraint) -> Packed:
+    """Pack one constraint, with lengths in metres."""
     return Packed(system, [constraint], length=1.0)

@@ -1,6 +1,4 @@
-"""Velocity constraints for solvers: whether there are any, their rows beside loops, and where a
-path slips.
-"""
+"""Velocity constraints for solvers: rows at a configuration, and where a path slips."""
 
 from __future__ import annotations
 
@@ -42,8 +40,9 @@ def has_velocity_constraints(system: Model) -> bool:
 
 
 def compute_unit_rows(system: Model, q: Array, scale: Array) -> tuple[Array, Array]:
-    """Velocity rows (m, nv) of size 1 over scaled velocities, and what they must give (m,), at q
-    (nq,) and time 0.
+    """Compute the velocity rows A (m, nv), scaled to length 1, and their values b (m,), at q.
+
+    The columns are of scaled velocities; the time is 0.
     """
     A, b = evaluate_velocity_rows(system, q)
     A = A * scale
@@ -53,8 +52,7 @@ def compute_unit_rows(system: Model, q: Array, scale: Array) -> tuple[Array, Arr
 
 
 def find_shortest_velocity(C: Array, A: Array, b: Array) -> Array:
-    """The shortest velocity vector (nv,) that fulfils the loops C v = 0 and the velocity rows A v =
-    b.
+    """Find the shortest velocity vector (nv,) with C v = 0 (loops) and A v = b (velocity rows).
 
     Errors: `InputError` where they contradict each other.
     """
@@ -75,8 +73,9 @@ def find_shortest_velocity(C: Array, A: Array, b: Array) -> Array:
 
 @dataclass(frozen=True)
 class Slip:
-    """Where a path slips first: before sample `index`, by `amount` of the row called `name`, within
-    the `time`.
+    """The first slip of a path: before sample `index`, in the row called `name`.
+
+    It slips by `amount` within the `time`.
     """
 
     index: int
@@ -87,14 +86,14 @@ class Slip:
 
     @property
     def text(self) -> str:
-        """Amount and place of the slip, in words."""
+        """Amount and place of the slip, as text."""
         return f"slips by {abs(self.amount):.3g} {self.unit} across {self.name!r}"
 
 
 def find_first_slip(
     system: Model, q: Array, times: Sequence[float] | Array | None = None
 ) -> Slip | None:
-    """Where configurations (n, nq), one after the other, slip first; None where they do not.
+    """Find where a path of configurations (n, nq) slips first; None if it does not slip.
 
     The rows times the way between two samples, at its middle, are what they slip there, but for the
     third power of the distance. Ways over two samples are compared with those over one to tell that
@@ -143,8 +142,9 @@ def find_first_slip(
 
 
 def _compute_explained_sizes(system: Model, bend: Array) -> Array:
-    """Sizes (n, m) of what is explained by bends (n, m), near each sample and over rows of one
-    unit: one passes 0.
+    """Compute the slip (n, m) that the curvature (n, m) of the path between samples explains.
+
+    It is the largest near each sample, over all rows of one unit.
     """
     units = np.array([row.unit for row in record_velocity_rows(system).names])
     out = np.empty_like(bend)
@@ -156,9 +156,7 @@ def _compute_explained_sizes(system: Model, bend: Array) -> Array:
 
 
 class _SlipVelocities(NamedTuple):
-    """Of each way between samples: what the rows make of it, the sizes that add up to that, length
-    and time.
-    """
+    """Slip, sum of the sizes of its terms, length and time of each way between samples."""
 
     slip: Array
     size: Array
@@ -167,6 +165,7 @@ class _SlipVelocities(NamedTuple):
 
 
 def _compute_slip_velocities(system: Model, q: Array, clock: Array, step: int) -> _SlipVelocities:
+    """Compute the slip of each row over each way between samples that are `step` apart."""
     way = system.structure.layout.compute_difference(q[:-step], q[step:])
     middle = q[1:-1] if step == 2 else system.structure.layout.integrate_velocity(q[:-1], 0.5 * way)
     time = clock[step:] - clock[:-step]

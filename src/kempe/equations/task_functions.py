@@ -49,7 +49,7 @@ taken as right."""
 
 
 def build_rate_matrix(layout: Layout, q: Array) -> Array:
-    """Matrix (nq, nv) that takes velocity coordinates to time derivatives of the entries of q."""
+    """Build the matrix (nq, nv) that maps velocity coordinates to the rates of q's entries."""
     out = np.zeros((layout.nq, layout.nv))
     out[layout.vector_q, layout.vector_v] = 1.0
     for iq, iv in zip(layout.quaternion_q, layout.quaternion_v, strict=True):
@@ -64,7 +64,7 @@ def build_rate_matrix(layout: Layout, q: Array) -> Array:
 def compute_difference_jacobian(
     function: Callable[[Array], Any], layout: Layout, q: Array
 ) -> Array:
-    """Derivatives (m, nv) by the velocity coordinates, by central differences on the manifold of q."""
+    """Compute the Jacobian (m, nv) of a function of q by central differences."""
     steps = REAL_STEP * np.eye(layout.nv)
     ends = [
         [
@@ -81,9 +81,7 @@ def compute_difference_jacobian(
 def compute_complex_step_jacobian(
     function: Callable[[Array], Any], layout: Layout, q: Array
 ) -> Array:
-    """Derivatives (m, nv) by the velocity coordinates, by imaginary steps; the function must be
-    analytic.
-    """
+    """Compute the Jacobian (m, nv) of an analytic function of q by imaginary steps."""
     steps = 1j * IMAGINARY_STEP * build_rate_matrix(layout, q).T
     out = [np.imag(function(q + step)).ravel() / IMAGINARY_STEP for step in steps]
     return np.stack(out, axis=-1) if out else np.zeros((np.size(function(q)), 0))
@@ -96,7 +94,7 @@ def compute_function_jacobian(
     layout: Layout,
     q: Array,
 ) -> Array:
-    """Derivatives (m, nv) of a function of q in the way that `how` says."""
+    """Compute the Jacobian (m, nv) of a function of q by the method `how`."""
     if derivative is not None:
         return read_reals(derivative(q), "the Jacobian of a constraint")
     return (
@@ -107,9 +105,7 @@ def compute_function_jacobian(
 
 
 def choose_derivative_method(function: Callable[[Array], Any], layout: Layout, q: Array) -> str:
-    """`COMPLEX` where the function takes complex numbers and derives rightly with them at q, else
-    `DIFFERENCES`.
-    """
+    """Choose `COMPLEX` if complex steps give the right Jacobian at q, else `DIFFERENCES`."""
     real = compute_difference_jacobian(function, layout, q)
     try:
         with warnings.catch_warnings():
@@ -124,8 +120,9 @@ def choose_derivative_method(function: Callable[[Array], Any], layout: Layout, q
 
 
 def compute_checked_value(name: str, function: Callable[[Array], Any], q: Array) -> Array:
-    """What the function of a constraint gives at q, () or (m,). Errors: `InputError` for anything
-    else.
+    """Compute the value of a constraint's function at q, () or (m,).
+
+    Errors: `InputError` for anything else.
     """
     found = function(q)
     try:
@@ -147,7 +144,10 @@ def check_supplied_jacobian(
     q: Array,
     columns: tuple[str, ...],
 ) -> None:
-    """Refuse a supplied Jacobian that differs from central differences at q, with its worst entry."""
+    """Refuse a supplied Jacobian that differs from central differences at q.
+
+    The message names its worst entry.
+    """
     real = np.atleast_2d(compute_difference_jacobian(function, layout, q))
     given = read_reals(derivative(q), f"constraint {name!r}: its Jacobian")
     if given.shape != real.shape:
@@ -165,6 +165,7 @@ def check_supplied_jacobian(
 
 
 def _is_derivative_right(a: Array, b: Array) -> bool:
+    """Whether a derivative agrees with central differences."""
     scale = 1.0 + float(np.max(np.abs(b), initial=0.0))
     return bool(np.all(np.abs(a - b) <= AGREE * scale))  # not a number fails
 
@@ -173,8 +174,9 @@ def _is_derivative_right(a: Array, b: Array) -> bool:
 
 
 class Whole:
-    """A user's function of q (nq,), or of poses (4, 4) of frames, with its derivatives (m, nv),
-    bound to one system.
+    """A user's function of q (nq,), or of poses (4, 4) of frames, bound to one system.
+
+    Its derivatives are (m, nv).
 
     It is called first at a random configuration, which finds how many numbers it gives and checks a
     given Jacobian. Errors: `InputError` for what is no function, a wrong Jacobian, with its worst
@@ -228,25 +230,30 @@ class Whole:
         self.low, self.high = read_row_bounds(of.low, of.high, f"bounds of {of.label}", self.count)
 
     def call_function(self, q: Array) -> Any:
-        """What the function gives at q."""
+        """Call the user's function at q."""
         return self.given(*self._compute_inputs(q))
 
     def _compute_inputs(self, q: Array) -> list[Array]:
+        """Compute the arguments of the user's function at q: q itself, or poses of frames."""
         return [fk(self.system, q, f) for f in self.frames] or [q]
 
     def call_derivative(self, q: Array) -> Any:
-        """What the supplied derivative gives at q."""
+        """Call the supplied derivative at q."""
         assert self.supplied is not None
         return self.supplied(*self._compute_inputs(q))
 
     def compute_values(self, q: Array) -> Array:
-        """Values (m,) of the user's function at the configuration q (nq,).
+        """Compute the values (m,) of the user's function at the configuration q (nq,).
 
         Errors: `InputError` where their number is not m.
         """
         return self._check_values(self.call_function(q.copy()))
 
     def _check_values(self, found: Any) -> Array:
+        """Convert the values that the function gave to an array (m,).
+
+        Errors: `InputError` where their number is not m.
+        """
         if np.size(found) != self.count:
             raise InputError(
                 f"{self.label} gives {np.size(found)} numbers, but gave {self.count} before"
@@ -254,7 +261,7 @@ class Whole:
         return read_reals(found, f"the value of {self.label}").reshape(self.count)
 
     def compute_jacobian(self, q: Array) -> Array:
-        """The derivatives (m, nv) at q.
+        """Compute the derivatives (m, nv) of the user's function at q (nq,).
 
         Those of a function of poses by differences along the motions of all frames together: two
         calls for each coordinate that moves one of them, or for each twist where these are fewer.
@@ -288,8 +295,9 @@ class Whole:
         return J
 
     def _differentiate_along_twists(self, poses: Array, twists: Array) -> Array:
-        """Derivatives (m, n) of the function of poses (k, 4, 4) along world-aligned twists (n, k,
-        6).
+        """Compute derivatives (m, n) of a function of poses (k, 4, 4) along twists (n, k, 6).
+
+        The twists have the axes of the ground.
         """
         out = np.empty((self.count, len(twists)))
         for i, twist in enumerate(REAL_STEP * twists):
@@ -300,7 +308,7 @@ class Whole:
         return out
 
     def make_callback(self, rows: Sequence[int], offset: Array | float = 0.0) -> Callback:
-        """Some of its numbers, as kernels call them."""
+        """Make a callback for kernels that gives some of the function's numbers."""
         own = list(rows)
         made = Callback(
             self.system,
@@ -311,7 +319,7 @@ class Whole:
         return made.remember_maker(self.make_callback, rows, offset)
 
     def compute_error(self, q: Array) -> Array:
-        """How far (..., m) its numbers are from where they must be, at q (..., nq)."""
+        """Compute how far (..., m) the numbers are outside their bounds at q (..., nq)."""
         out = np.empty((*q.shape[:-1], self.count))
         for index in np.ndindex(q.shape[:-1]):
             value = self.compute_values(q[index])
@@ -320,7 +328,7 @@ class Whole:
 
 
 def _can_take_arguments(function: Callable[..., Any], n: int) -> bool:
-    """Whether a function can be called with so many arguments."""
+    """Whether a function can be called with `n` arguments."""
     try:
         signature(function).bind(*range(n))
     except TypeError:
@@ -331,7 +339,10 @@ def _can_take_arguments(function: Callable[..., Any], n: int) -> bool:
 
 
 def _move_poses(poses: Array, twists: Array) -> Array:
-    """The poses (k, 4, 4), moved along and turned about axes of the ground through their origins."""
+    """Move poses (k, 4, 4) by twists (k, 6): along and about axes of the ground.
+
+    They turn about their own origins.
+    """
     out = poses.copy()
     out[:, :3, :3] = spatial.exp_so3(twists[:, 3:]) @ poses[:, :3, :3]
     out[:, :3, 3] += twists[:, :3]
@@ -340,7 +351,7 @@ def _move_poses(poses: Array, twists: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class OfSystem(Constraint):
-    """A function that a system holds for one call."""
+    """A function of configurations as a constraint that a system holds for one call."""
 
     whole: Whole
     low: Array
@@ -356,15 +367,16 @@ class OfSystem(Constraint):
         )
 
     def make_callback(self, rows: Sequence[int]) -> Callback:
-        """Some of its rows, as kernels call them."""
+        """Make a callback for kernels that gives some of the rows."""
         return self.whole.make_callback(rows, self._held_values[list(rows)])
 
     @property
     def _held_values(self) -> Array:
+        """Values (m,) at which rows are held; 0 for rows between bounds."""
         return np.where(self.low == self.high, self.low, 0.0)
 
     def compute_row_values(self, q: Array) -> Array:
-        """The values of its rows (m,) at q (nq,)."""
+        """Compute the values (m,) of the rows at q (nq,), less those at which they are held."""
         return self.whole.compute_values(q) - self._held_values
 
 
@@ -375,8 +387,9 @@ quaternion."""
 
 @dataclass(frozen=True, eq=False)
 class CoordinateValues(Constraint):
-    """Coordinates and quaternions of one system, its `items`, that are held at their values in a
-    configuration `q` (..., nq).
+    """Coordinates and quaternions of one system, held at their values in a configuration.
+
+    These `items` are held at their values in `q` (..., nq).
     """
 
     system: Model
@@ -392,7 +405,7 @@ class CoordinateValues(Constraint):
         )
 
     def read_row_values(self, row: Row) -> Array:
-        """The values (..., 1) of a coordinate, or (..., 4) of a quaternion, that a row holds.
+        """Read the values that a row holds: (..., 1) of a coordinate, (..., 4) of a quaternion.
 
         Errors: `InputError` for a quaternion that is zero.
         """
@@ -407,7 +420,7 @@ class CoordinateValues(Constraint):
 
 
 def make_coordinate_values(system: Model, made: Constraint) -> CoordinateValues:
-    """The coordinates and quaternions that a constraint holds at values of its field `q`.
+    """Make the coordinates and quaternions that a constraint holds at values of its field `q`.
 
     Errors: `UnknownNameError` for names that are none; `InputError` for quaternions without all
     four.
@@ -447,9 +460,7 @@ def make_coordinate_values(system: Model, made: Constraint) -> CoordinateValues:
 
 
 def bind_constraint(system: Model, made: Constraint) -> Constraint:
-    """The constraint as one of this system: functions of its configurations as numbers of these,
-    and coordinates by their places.
-    """
+    """Bind a constraint to a system: functions to its q, coordinates to their places."""
     rows = made.list_rows(system.dim)
     if any(r.op is Op.COORDINATE for r in rows):
         return make_coordinate_values(system, made)
@@ -460,7 +471,9 @@ def bind_constraint(system: Model, made: Constraint) -> Constraint:
 
 
 def add_held_constraints(system: SystemType, further: Any) -> SystemType:
-    """The system with further constraints, or functions of q, with the same coordinates.
+    """Return the system with further constraints, or functions of q, that always hold.
+
+    Its coordinates stay the same.
 
     Errors: `InputError` for what is none, `DescriptionError` for what does not fit the system.
     """

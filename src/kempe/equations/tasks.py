@@ -1,5 +1,6 @@
-"""Constraints that are requested of one call: their goals, their ties for the kernels, and how far
-they are missed by the forward model.
+"""Constraints that one call requests: their goals, ties for the kernels, and errors.
+
+The forward model measures the errors.
 """
 
 from __future__ import annotations
@@ -61,8 +62,9 @@ Poses = Callable[[Any], Array]
 
 
 class Goal(NamedTuple):
-    """What a task is given in one call: the pose (..., 4, 4) of frame A, and its numbers (..., k) by
-    name.
+    """The goal of a task in one call: the pose (..., 4, 4) of frame A, and numbers by name.
+
+    The numbers are (..., k).
     """
 
     pose: Array | None
@@ -70,7 +72,7 @@ class Goal(NamedTuple):
 
 
 class RowFacts(NamedTuple):
-    """What rows are about."""
+    """Facts about the rows of a constraint: units, and what the rows read."""
 
     lengths: bool
     """Whether their error has a part in metres."""
@@ -88,7 +90,7 @@ class RowFacts(NamedTuple):
 
 @lru_cache(maxsize=512)
 def collect_row_facts(rows: tuple[Row, ...]) -> RowFacts:
-    """What rows are about."""
+    """Collect facts about the rows of a constraint: units, and what the rows read."""
     ops = {r.op for r in rows}
     units = {r.unit for r in rows}
     compares = any(r.equal or r.low or r.high for r in rows)
@@ -155,14 +157,14 @@ class Task:
         """Names of the frames A and B; None for the ground, and where there is no frame B."""
 
     def copy_without_tolerance(self) -> Task:
-        """The same without a tolerance of its own."""
+        """Copy the task without a tolerance of its own."""
         out = copy.copy(self)
         out.tolerance = None
         return out
 
     @property
     def frame_shape(self) -> RowShape | None:
-        """Which parts of the pose of a frame the task holds; None where it holds anything else."""
+        """Parts of the pose of a frame that the task holds; None where it holds anything else."""
         others = [r for r in self.rows if r.op is not Op.POINT]
         plain = all(r.op in FRAME_ROWS for r in self.rows) and len(others) <= 1
         valued = any(find_value_field(self.of, r) for r in self.rows if r.op is not Op.DISTANCE)
@@ -171,7 +173,9 @@ class Task:
         return make_row_shape(self.rows, self.system.dim)
 
     def make_structure_key(self) -> Hashable:
-        """What decides the ties of the task: tasks alike in this have the same ones, except for goals.
+        """Make the key of the task's ties: tasks with the same key have the same ties.
+
+        Goals may differ.
 
         Errors: `InputError` for bounds that leave nothing between them.
         """
@@ -189,13 +193,13 @@ class Task:
         return type(made), self.frames, self.tool, self.rows, numbers, shares
 
     def _list_varied_ends(self, row: Row) -> tuple[str, ...]:
-        """Which ends of a row come with each call."""
+        """List the bounds of a row that come with each call."""
         return list_varied_ends(self.of, row) if self.varied else ()
 
     # ---- ties
 
     def make_ties(self, table: Table) -> list[Tie]:
-        """The ties of the task; `table` holds the frames in which poses are.
+        """Make the ties of the task; `table` has the bodies' frames.
 
         Errors: `InputError` where axes of a particle are read.
         """
@@ -210,6 +214,7 @@ class Task:
         return make_ties(self.system, self.label, self.of, A, B, True, centre)
 
     def _refuse_axes_of_particles(self, A: End, B: End) -> None:
+        """Raise `InputError` where the task reads axes of a particle."""
         turned = B[2] and (any(map(reads_axes, self.rows)) or any(self.tool[k] for k in (3, 7, 11)))
         beside = any(r.op is not Op.DISTANCE for r in self.rows)
         leaned = A[2] and (beside or np.any(self.of.make_goal_poses(self.system.dim)[..., :3, 3]))
@@ -221,12 +226,12 @@ class Task:
 
     @cached_property
     def _shares(self) -> tuple[tuple[str, tuple[float, ...], float], ...]:
-        """Frames, points on them and their masses, whose sum is 1."""
+        """Frames, points on them, and their parts of the whole mass."""
         shares = self.of.list_masses(self.system._mechanism.bodies, self.system.name)
         return tuple((self.system.structure.frame_name(m.frame), m.point, m.part) for m in shares)
 
     def _compute_centre(self, table: Table) -> Centre:
-        """The masses on the rows of the table."""
+        """Compute the masses, and first moments of mass, on the rows of the table."""
         rows = np.zeros((len(table.kind), 4))
         rest = np.zeros(3)
         for frame, point, mass in self._shares:
@@ -239,7 +244,7 @@ class Task:
         return Centre(rows, rest)
 
     def list_coordinates(self) -> set[str]:
-        """Names of the velocity coordinates in which a whole turn is not nothing to the task."""
+        """List the velocity coordinates whose whole turns change the task's error."""
         first = self.system.structure.coordinates.first
         found: set[int] = set()
         if not collect_row_facts(self.rows).written:
@@ -256,7 +261,7 @@ class Task:
     # ---- the goal, and how far it is missed
 
     def make_goal(self) -> Goal:
-        """The pose of frame A and the numbers, as they are given in this call.
+        """Make the goal of this call: the pose of frame A, and the numbers.
 
         Bounds that only some targets have are far away for the others. Errors: `InputError`.
         """
@@ -281,13 +286,15 @@ class Task:
         return Goal(made.make_goal_poses(self.system.dim) if posed else None, numbers)
 
     def _read_number(self, name: str) -> Array:
+        """Read a number (..., 1) of the constraint by name."""
         return read_numbers(get_input_number(self.of, name), f"{name} of {self.label}")[..., None]
 
     def measure_error(
         self, q: Array, goal: Goal | None = None, poses: Poses | None = None
     ) -> tuple[Array, Array]:
-        """How far (...) the task is missed at q (..., nq), in metres and in radians, by the forward
-        model.
+        """Measure the task's errors (...) at q (..., nq), in metres and radians.
+
+        The forward model gives the poses.
 
         `goal` is its own, where it is at hand; `poses` gives the poses of frames in place of the
         forward model.
@@ -306,7 +313,7 @@ class Task:
             return measure_rows(self.system, self.of, self.rows, q, A, B, numbers)
 
     def _compute_centre_pose(self, poses: Poses) -> Array:
-        """The pose (..., 4, 4) at the centre of masses, in axes of the ground."""
+        """Compute the pose (..., 4, 4) at the centre of masses, in axes of the ground."""
         names, moments = _compute_moments(self.system, self._shares)
         return spatial.pose(p=np.einsum("...kij,kj->...i", poses(names)[..., :3, :], moments))
 
@@ -315,8 +322,9 @@ class Task:
 def _compute_moments(
     system: Model, points: tuple[tuple[str, tuple[float, ...], float], ...]
 ) -> tuple[list[str] | None, Array]:
-    """Frames, None for all bodies, and for each of them what its pose is multiplied by to give its
-    part of a centre.
+    """Compute frames and moments (n, 4), whose products with the poses sum to a centre.
+
+    The frames are None for all bodies.
     """
     # all bodies are quicker than some
     names = list(dict.fromkeys([*system.body_names, *(f for f, _, _ in points)]))

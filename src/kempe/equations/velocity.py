@@ -44,7 +44,7 @@ CLOCK = ""
 
 @dataclass(frozen=True)
 class RowName:
-    """Where a row comes from: its constraint or joint, its name there, its unit.
+    """Origin of a velocity row: its constraint or joint, its name there, and its unit.
 
     `velocity`: a row A(q) v = b, not the tangent of a position; `sided`: of a position that is held
     between two ends; `written`: by the user, in units of his own.
@@ -60,7 +60,7 @@ class RowName:
 
 @dataclass(frozen=True, eq=False)
 class VelocityRows:
-    """Rows A(q) v = b(q, t), recorded.
+    """Recorded rows A(q) v = b(q, t) of velocity constraints.
 
     `tape` has inputs that are entries of q, by `coordinates`, or the time; its outputs are the
     entries of A and b that are not zero. `entries` (k, 2) say row and column of each, the column nv
@@ -77,24 +77,24 @@ class VelocityRows:
 
     @cached_property
     def packed_tape(self) -> tuple[np.ndarray, Array]:
-        """The arrays of the tape."""
+        """Arrays of the tape, as kernels read them."""
         return self.tape.make_arrays()
 
     @cached_property
     def inputs(self) -> np.ndarray:
-        """For each input of the tape its place in (q, t)."""
+        """Place in (q, t) of each input of the tape."""
         place = {name: i for i, name in enumerate((*self.coordinates, CLOCK))}
         return np.array([place[name] for name in self.tape.inputs], dtype=np.int64)
 
     @cached_property
     def steady(self) -> bool:
-        """Whether neither A nor b depends on the time, and b is zero: no column nv is needed."""
+        """Whether A and b do not depend on the time and b is zero: no column nv is needed."""
         return CLOCK not in self.tape.inputs and not bool(
             np.any(self.entries[:, 1] == self.layout.nv)
         )
 
     def evaluate_rows(self, q: Array, t: Array | float = 0.0) -> tuple[Array, Array]:
-        """A (..., m, nv) and b (..., m) at configurations (..., nq) and times (...)."""
+        """Compute A (..., m, nv) and b (..., m) at configurations (..., nq) and times (...)."""
         shape = np.broadcast_shapes(q.shape[:-1], np.shape(t))
         n = int(np.prod(shape, dtype=np.int64))
         points = np.empty((n, self.layout.nq + 1))
@@ -110,8 +110,9 @@ class VelocityRows:
         return whole[..., :-1], -whole[..., -1]
 
     def find_needed_nodes(self, outputs: Sequence[int]) -> np.ndarray:
-        """Places of the nodes that some outputs are computed from, the derivatives of functions
-        included, in order.
+        """Find the nodes of the tape that some outputs are computed from, in order.
+
+        Those of derivatives of functions are included.
         """
         n = len(self.tape.inputs)
         nodes = self.tape.nodes
@@ -133,8 +134,9 @@ class VelocityRows:
 
     @cached_property
     def slots(self) -> np.ndarray:
-        """For each entry of (q, t) its velocity, -1 in a quaternion, and its place among the
-        inputs, -1 if none.
+        """Velocity and tape input (nq + 1, 2) of each entry of (q, t), -1 for none.
+
+        Entries of quaternions have no single velocity.
         """
         layout = self.layout
         out = np.full((layout.nq + 1, 2), -1, dtype=np.int64)
@@ -145,7 +147,7 @@ class VelocityRows:
 
     @cached_property
     def balls(self) -> np.ndarray:
-        """The first entry in q and the first velocity of each quaternion."""
+        """First entry in q and first velocity (k, 2) of each quaternion."""
         pairs = np.stack([self.layout.quaternion_q, self.layout.quaternion_v], axis=-1)
         return np.ascontiguousarray(pairs.reshape(-1, 2), dtype=np.int64)
 
@@ -173,11 +175,11 @@ class Numbers:
         self.builder = builder
 
     def place_number(self, a: Num) -> int:
-        """The place of a number."""
+        """Return the place of a number on the tape."""
         return self.builder.add_number(a) if isinstance(a, float) else a
 
     def record_operation(self, op: int, a: Num, b: Num | None = None) -> Num:
-        """An operation of the tape."""
+        """Record an operation on the tape and return its number."""
         x = self.place_number(a)
         build = self.builder
         made = (
@@ -189,7 +191,7 @@ class Numbers:
         return made
 
     def add(self, a: Num, b: Num) -> Num:
-        """The sum a + b."""
+        """Return the sum a + b."""
         if isinstance(a, float) and isinstance(b, float):
             return a + b
         if isinstance(a, float) and a == 0.0:
@@ -197,11 +199,11 @@ class Numbers:
         return a if isinstance(b, float) and b == 0.0 else self.record_operation(L.ADD, a, b)
 
     def neg(self, a: Num) -> Num:
-        """The negative -a."""
+        """Return the negative -a."""
         return -a if isinstance(a, float) else self.record_operation(L.NEG, a)
 
     def sub(self, a: Num, b: Num) -> Num:
-        """The difference a - b."""
+        """Return the difference a - b."""
         if isinstance(a, float) and isinstance(b, float):
             return a - b
         if isinstance(b, float) and b == 0.0:
@@ -211,7 +213,7 @@ class Numbers:
         )
 
     def mul(self, a: Num, b: Num) -> Num:
-        """The product a b."""
+        """Return the product a b."""
         if isinstance(a, float) and isinstance(b, float):
             return a * b
         for x, y in ((a, b), (b, a)):
@@ -220,14 +222,14 @@ class Numbers:
         return self.record_operation(L.MUL, a, b)
 
     def dot(self, a: Any, b: Any) -> Num:
-        """The sum of products."""
+        """Return the dot product of two vectors."""
         total: Num = 0.0
         for x, y in zip(a, b, strict=True):
             total = self.add(total, self.mul(x, y))
         return total
 
     def cross(self, a: Any, b: Any) -> list[Num]:
-        """The cross product of two vectors."""
+        """Return the cross product of two vectors."""
         m = self.mul
         s = self.sub
         return [
@@ -245,7 +247,7 @@ class RecordedPose:
     p: list[Num]
 
     def get_axis(self, j: int) -> list[Num]:
-        """One axis of the frame."""
+        """Return axis `j` of the frame: a column of the rotation matrix."""
         return [self.R[i][j] for i in range(3)]
 
 
@@ -271,7 +273,7 @@ class Recorder:
     # ---- poses
 
     def move_pose(self, pose: RecordedPose, X: np.ndarray) -> RecordedPose:
-        """pose @ X for a known X (4, 4)."""
+        """Return the product pose @ X for a known X (4, 4)."""
         n = self.numbers
         X = np.asarray(X, dtype=float)
         R = [[n.dot(row, X[:3, j].tolist()) for j in range(3)] for row in pose.R]
@@ -279,12 +281,12 @@ class Recorder:
         return RecordedPose(R, p)
 
     def find_pose_before(self, row: int) -> RecordedPose:
-        """The pose before the motion of a row of the table."""
+        """Find the pose before the motion of a row of the table."""
         self.find_pose_after(row)
         return self._before[row]
 
     def find_pose_after(self, row: int) -> RecordedPose:
-        """The pose after the motion of a row of the table."""
+        """Find the pose after the motion of a row of the table."""
         way: list[int] = []
         while row not in self._after:
             way.append(row)
@@ -298,6 +300,7 @@ class Recorder:
         return self._after[way[0] if way else row]
 
     def _apply_motion(self, r: int, at: RecordedPose) -> RecordedPose:
+        """Apply the motion of row `r` of the table to a pose."""
         n = self.numbers
         table = self.table
         q = int(table.iq[r])
@@ -322,8 +325,7 @@ class Recorder:
         return RecordedPose(R, at.p)
 
     def _record_quaternion_matrix(self, q: int, inverse: bool) -> list[list[Num]]:
-        """Rotation matrix (3 rows of 3) of the quaternion wxyz that begins at q[`q`], recorded as
-        polynomials.
+        """Record the rotation matrix (3 rows of 3) of the quaternion wxyz at q[`q`] as polynomials.
 
         With `inverse` it is the transpose. The quaternion is taken to have norm 1; at norm n the
         matrix is n^2 times as large.
@@ -352,13 +354,14 @@ class Recorder:
     # ---- frames against frames
 
     def find_end_pose(self, end: End) -> RecordedPose:
-        """The pose of an end (row, placement, particle)."""
+        """Find the pose of an end (row, placement, particle) of a constraint."""
         pose = self.move_pose(self.find_pose_after(end[0]), end[1])
         return RecordedPose(IDENTITY, pose.p) if end[2] else pose
 
     def add_row(self, a: End, b: End, form: Form, value: Num = 0.0) -> None:
-        """Record a row: `form` is linear in the twist of b against a and in velocities, `value` is
-        -b(q, t).
+        """Record a row A v = b from its linear form and its value.
+
+        `form` is linear in the twist of b against a and in velocities, `value` is -b(q, t).
         """
         out: dict[int, Num] = {}
         n = self.numbers
@@ -376,6 +379,7 @@ class Recorder:
         self.count += 1
 
     def _add_twist_terms(self, a: End, b: End, c: list[Num], out: dict[int, Num]) -> None:
+        """Add the entries of A that coefficients `c` (6,) of the twist of b against a give."""
         n = self.numbers
         table = self.table
         R = self.find_end_pose(a).R
@@ -400,7 +404,7 @@ class Recorder:
     # ---- expressions
 
     def make_relative_pose(self, a: End, b: End) -> Seen:
-        """The pose of b seen from a, by the names of its numbers."""
+        """Make the pose of frame b relative to frame a, with its numbers by name."""
         return Seen(self, a, b)
 
     def linearize_output(
@@ -411,11 +415,11 @@ class Recorder:
         rates: Mapping[str, Form],
         which: int,
     ) -> tuple[Num, Form]:
-        """An output of a tape, and its rate as what is linear in velocities.
+        """Linearize an output of a tape: its value, and its rate as a form in velocities.
 
         Inputs are, where there is a pose `seen`, its numbers, and the components of the twist,
         whose value is zero and whose rate is the component itself; `known` gives others by name,
-        `evaluate_velocity_rows` the rates of some of them.
+        `rates` the rates of some of them.
         """
         n = self.numbers
         values: list[Num] = []
@@ -459,7 +463,7 @@ class Recorder:
         return values[at], forms[at]
 
     def combine_forms(self, f: Form, by: Num, g: Form, other: Num) -> Form:
-        """by f + other g."""
+        """Return the linear combination `by` f + `other` g of two forms."""
         n = self.numbers
         out = {k: n.mul(by, x) for k, x in f.items()}
         for k, x in g.items():
@@ -467,6 +471,7 @@ class Recorder:
         return out
 
     def _linearize_operation(self, op: int, a: Num, b: Num, f: Form, g: Form) -> tuple[Num, Form]:
+        """Linearize an operation of two numbers with rates f and g: its value and its rate."""
         n = self.numbers
         if op in (L.ADD, L.SUB):
             sign = 1.0 if op == L.ADD else -1.0
@@ -500,8 +505,9 @@ class Recorder:
         )
 
     def _compute_nearest_rate(self, op: int, place: Any, f: Form, g: Form) -> Form:
-        """The rate of the parameter of a nearest point; before it, the rates of x and y by which of
-        them it is.
+        """Compute the rate of the parameter of a nearest point of a curve.
+
+        The operation before it, AT, collects the rates of x and y.
         """
         n = self.numbers
         build = self.builder
@@ -517,7 +523,7 @@ class Recorder:
         return out
 
     def _record_slope(self, op: int, x: Num, y: Num) -> Num:
-        """The derivative of y = f(x)."""
+        """Record the derivative of y = f(x)."""
         place = self.builder.add_unary(op, self.numbers.place_number(x))
         nodes = self.builder._nodes
         slope = nodes[place - len(self.builder.inputs)][2]
@@ -525,14 +531,14 @@ class Recorder:
         return slope if known is None else known
 
     def finish_tape(self) -> tuple[Tape, np.ndarray]:
-        """The tape, and row and velocity of each of its outputs."""
+        """Return the finished tape, and row and velocity (k, 2) of each of its outputs."""
         tape = self.builder.finish_tape([self.numbers.place_number(x) for _, _, x in self.entries])
         places = np.array([(row, column) for row, column, _ in self.entries], dtype=np.int64)
         return tape, places.reshape(-1, 2)
 
 
 class Seen:
-    """Numbers of the pose of b seen from a by name, and their rates, as they are requested."""
+    """Numbers of the pose of frame b relative to frame a, and their rates, by name."""
 
     def __init__(self, recorder: Recorder, a: End, b: End):
         self.recorder = recorder
@@ -541,7 +547,7 @@ class Seen:
         self._ends: tuple[RecordedPose, RecordedPose] | None = None
 
     def __call__(self, name: str) -> tuple[Num, Form]:
-        """A number of the pose and its rate."""
+        """Return a number of the pose by name, and its rate."""
         n = self.recorder.numbers
         if self._ends is None:
             self._ends = self.recorder.find_end_pose(self.a), self.recorder.find_end_pose(self.b)
@@ -563,8 +569,9 @@ class Seen:
 
 @explain_errors
 def evaluate_velocity_rows(system: Model, q: Any, t: ArrayLike = 0.0) -> tuple[Array, Array]:
-    """The rows A (..., m, nv) and b (..., m) of the velocity constraints A(q) v = b at q (..., nq)
-    and times t (...).
+    """Compute A (..., m, nv) and b (..., m) of the velocity constraints A(q) v = b(q, t).
+
+    q is (..., nq), t (...) are times.
 
     Rows are in the order of `list_velocity_row_names`, those that slip in m/s, those that turn in rad/s. A system
     without such constraints has none. Errors: `InputError`.
@@ -573,20 +580,19 @@ def evaluate_velocity_rows(system: Model, q: Any, t: ArrayLike = 0.0) -> tuple[A
 
 
 def list_velocity_row_names(system: Model) -> tuple[tuple[str, str], ...]:
-    """For each row of `evaluate_velocity_rows` the name of its constraint, and of the row."""
+    """List the names of each velocity row: that of its constraint and its own."""
     return tuple((r.of, r.name) for r in record_velocity_rows(system).names)
 
 
 @keep_answers
 def record_velocity_rows(system: Model) -> VelocityRows:
-    """The rows of the declared velocity constraints, recorded."""
+    """Record the rows of the declared velocity constraints."""
     return _record_rows(system, system.structure.table, False)
 
 
 @keep_answers
 def record_tangent_rows(system: Model) -> VelocityRows:
-    """The rows of all constraints, recorded: tangents of what holds positions, and velocity
-    constraints.
+    """Record the velocity rows of all constraints, those of positions differentiated.
 
     Joints that the tree left out are led on through their own motion, so that all coordinates
     count. One-sided rows are there, as if they were active.
@@ -603,6 +609,7 @@ def record_tangent_rows(system: Model) -> VelocityRows:
 
 
 def _record_rows(system: Model, table: Table, positions: bool) -> VelocityRows:
+    """Record the declared velocity rows, and with `positions` the tangents of position rows."""
     mechanism = system._mechanism
     made = _Recording(system, table, mechanism.parameters)
     for tie in list_position_ties(system, table) if positions else ():
@@ -613,7 +620,7 @@ def _record_rows(system: Model, table: Table, positions: bool) -> VelocityRows:
 
 
 class _Recording:
-    """The rows of a system being recorded, with their names."""
+    """Recording of the velocity rows of a system, with their names."""
 
     def __init__(self, system: Model, table: Table, parameters: Mapping[str, float]):
         self.system = system
@@ -655,12 +662,13 @@ class _Recording:
             }
 
     def add_tangents(self, tie: Tie) -> None:
-        """Add the rates of the equations of a tie."""
+        """Add the velocity rows that are the time derivatives of a tie's equations."""
         for name, form in zip(tie.row_names, self._iterate_forms(tie), strict=True):
             self.recorder.add_row(tie.a, tie.b, form)
             self.names.append(RowName(tie.name, name, "m", False, bool(tie.bounds)))
 
     def _iterate_forms(self, tie: Tie) -> Iterator[Form]:
+        """Yield the rate of each equation of a tie as a form in twist and velocities."""
         r = self.recorder
         turns = tie.turns
         seen = r.make_relative_pose(tie.a, tie.b)
@@ -705,7 +713,7 @@ class _Recording:
             )
 
     def add_velocity_rows(self, declared: Declared) -> None:
-        """Add the rows of velocity of a declared constraint."""
+        """Add the velocity rows of a declared constraint."""
         system = self.system
         made = evaluate_constraint(declared, self.parameters, system.dim)
         rows = [row for row in made.list_rows(system.dim) if row.velocity]
@@ -726,7 +734,7 @@ class _Recording:
             )
 
     def finish_rows(self) -> VelocityRows:
-        """What was recorded."""
+        """Return the recorded rows."""
         system = self.system
         table = self.recorder.table
         tape, entries = self.recorder.finish_tape()

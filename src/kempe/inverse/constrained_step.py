@@ -1,4 +1,4 @@
-"""The step of a system whose constraints hold, for a frame or for several tasks in order.
+"""One step of a system with constraints, for a frame or for several tasks in order.
 
 Velocities are looked for in what the constraints leave, velocity constraints among them: v = N z,
 with an orthonormal basis N of their null space, in radians and characteristic lengths. What each
@@ -90,14 +90,14 @@ class Stage(NamedTuple):
     hard: bool = True
 
     def make_remaining_stage(self, rest: Array) -> Stage:
-        """What is required of the velocities beside some that are there at rest (nv,)."""
+        """Make the stage that remains when velocities at `rest` (nv,) are already there."""
         if not rest.any():
             return self
         have = self.inequalities @ rest
         return self._replace(b=self.b - self.A @ rest, low=self.low - have, high=self.high - have)
 
     def compute_residual_norm(self, u: Array | None = None) -> float:
-        """The length of what velocities u (nv,) leave of what is required, or of all of it."""
+        """Compute the norm of the residual that velocities u (nv,) leave; without u, of all."""
         left = self.b if u is None else self.b - self.A @ u
         square = float(left @ left)
         if len(self.low):
@@ -121,7 +121,7 @@ class Left(NamedTuple):
 
 
 class ConstrainedSteps:
-    """All of a system's steps under its constraints that does not depend on the configuration.
+    """Quantities of a constrained system's steps that do not depend on q.
 
     `closing` is the system whose loops stay closed: the ideal one of `system`, or itself.
     """
@@ -144,8 +144,9 @@ class ConstrainedSteps:
         """A step that was computed ahead, after what asks for it."""
 
     def compute_velocity_bounds(self, q: Array, dt: float, speed: Array) -> tuple[Array, Array]:
-        """Least and largest scaled velocities (nv,) for which limits of position and speed hold
-        after dt.
+        """Compute bounds (nv,) of scaled velocities that keep limits of position and speed.
+
+        They hold after dt.
 
         What is outside its limits comes back as fast as it may.
         """
@@ -163,7 +164,7 @@ class ConstrainedSteps:
         return low / self.scale, high / self.scale
 
     def make_twist_stage(self, J: Array, twist: Array, weights: Array) -> Stage:
-        """The stage of a frame's twist, of its Jacobian (6, nv)."""
+        """Make the stage of a frame's twist from its Jacobian (6, nv)."""
         w = weights.copy()
         w[:3] /= self.length
         nothing = np.zeros(0)
@@ -172,8 +173,9 @@ class ConstrainedSteps:
         )
 
     def find_free_velocities(self, q: Array, dt: float) -> Left:
-        """What constraints leave of the velocities at q (nq,), for dt. Errors: `InputError` for
-        open loops.
+        """Find the velocities that constraints leave at q (nq,), for dt.
+
+        Errors: `InputError` for open loops.
         """
         error, C = evaluate_constraints(self.closing, q, True, True)
         worst = int(np.argmax(np.abs(error))) if len(error) else -1
@@ -194,9 +196,7 @@ class ConstrainedSteps:
         return Left(basis, find_shortest_velocity(C, A, b), *between)
 
     def _compute_row_bounds(self, q: Array, dt: float) -> tuple[Array, Array, Array]:
-        """Declared one-sided rows (m, nv) of the scaled velocities, and between what they stay
-        within dt.
-        """
+        """Compute rows (m, nv) of declared inequalities, and bounds of their change within dt."""
         rows = self.bounds
         k = self.bounds.declared
         if not k:
@@ -206,9 +206,7 @@ class ConstrainedSteps:
         return G, scale * (rows.low[:k] - value), scale * (rows.high[:k] - value)
 
     def _evaluate_errors(self, x: Array, before: Array) -> tuple[Array, Array]:
-        """What equations miss at x, and declared one-sided rows by more than `before`, with the
-        rates of both.
-        """
+        """Compute errors and rates of equations, and of inequalities violated beyond `before`."""
         error, C = evaluate_constraints(self.closing, x, True, True)
         if not self.bounds.declared:
             return error, C
@@ -227,8 +225,7 @@ class ConstrainedSteps:
         twist: Twist | None = None,
         model: Array | None = None,
     ) -> Array:
-        """Scaled velocities (nv,) of the stages, in order, within the box; what is left `free` as
-        from there.
+        """Compute scaled velocities (nv,) for the stages, in order, within the box.
 
         `speeds`, least and largest velocities within the box, shorten what a stage asks for, before
         others take over. `twist` says that the stage is a twist, or has a direction that is kept.
@@ -253,8 +250,9 @@ class ConstrainedSteps:
     def find_blocking_constraints(
         self, q: Array, stages: list[Stage], u: Array, low: Array, high: Array
     ) -> tuple[str, ...]:
-        """Names of the velocity constraints that prevent what velocities u (nv,) miss: by their
-        multipliers.
+        """Find the velocity constraints that prevent a motion, by their multipliers.
+
+        They prevent what velocities u (nv,) leave of the stages.
         """
         pull = sum((s.A.T @ (s.b - s.A @ u) for s in stages if s.hard), np.zeros(len(u)))
         C = evaluate_constraints(self.closing, q, True, True)[1]
@@ -284,9 +282,7 @@ class ConstrainedSteps:
         at: Callable[[Array], list[Stage]],
         slow: float,
     ) -> tuple[Array, Array, bool]:
-        """The configuration (nq,) after dt, the scaled velocities (nv,) of a twist, and whether the
-        motion is calm.
-        """
+        """Compute the step of a twist: q (nq,) after dt, velocities (nv,), whether it is calm."""
         free = self.find_free_velocities(q, dt)
         twist = Twist(dt, self.make_bend(q, free.basis, stages[0], at), direction)
         return *self.take_step(
@@ -305,8 +301,7 @@ class ConstrainedSteps:
         at: Callable[[Array], list[Stage]],
         slow: float,
     ) -> tuple[Array, Array, bool]:
-        """The configuration (nq,) after dt, the scaled velocities (nv,) towards goals, and whether
-        the motion is calm.
+        """Compute the step to goals: q (nq,) after dt, velocities (nv,), whether it is calm.
 
         Where a `direction` is kept the step is straight as long as that leads on. Otherwise the
         first stage that a step of first order does not lower as promised takes one of second order,
@@ -401,8 +396,7 @@ class ConstrainedSteps:
         dt: float,
         at: Callable[[Array], list[Stage]],
     ) -> tuple[Array, Array]:
-        """The configuration (nq,) after dt, and the scaled velocities (nv,), towards a pose, its
-        direction kept.
+        """Compute the step to a pose in a fixed direction: q (nq,) after dt, velocities (nv,).
 
         The step is halved until it lowers what is missed by half of what it promises; if it never
         does, there is none.
@@ -430,8 +424,9 @@ class ConstrainedSteps:
         dt: float,
         model: Array,
     ) -> tuple[Array, float] | None:
-        """Velocities (nv,) that leave a saddle point of what the last stage misses, and the
-        decrease that they promise.
+        """Find velocities (nv,) that leave a saddle point of the last stage's error.
+
+        Also returns the decrease that they promise; None without such velocities.
 
         Their direction is that of the least curvature, where it is negative, among those that
         earlier stages and bounds leave; None where there is no such direction.
@@ -461,8 +456,9 @@ class ConstrainedSteps:
     def make_bend(
         self, q: Array, N: Array, stage: Stage, at: Callable[[Array], list[Stage]]
     ) -> Bend:
-        """Derivatives (k, m, n) of a stage's equations over the free velocities N along directions
-        (k, n) of these.
+        """Make the function that gives second derivatives (k, m, n) of a stage's equations.
+
+        They are along directions (k, n) of the free velocities N.
 
         Loops stay closed to second order.
         """
@@ -533,9 +529,7 @@ class ConstrainedSteps:
     def take_step(
         self, q: Array, u: Array, dt: float, low: Array, high: Array
     ) -> tuple[Array, Array]:
-        """The configuration (nq,) after dt, loops closed and limits held, and u, shortened where
-        that has to be.
-        """
+        """Compute the closed configuration (nq,) after dt within limits, and u, perhaps shortened."""
         for k in range(HALVINGS):
             part = 0.5**k
             found = self.find_closed_configuration(q, part * u, dt, low, high)
@@ -546,8 +540,9 @@ class ConstrainedSteps:
     def find_closed_configuration(
         self, q: Array, u: Array, dt: float, low: Array, high: Array
     ) -> Array | None:
-        """The closed configuration (nq,) next to q + u dt, None where limits or a singularity are
-        in the way.
+        """Find the closed configuration (nq,) next to q + u dt.
+
+        None where limits or a singularity prevent it.
 
         By the smallest corrections (Newton), bounded where these would leave the box.
         """
@@ -571,9 +566,7 @@ class ConstrainedSteps:
         return None
 
     def correct_slip(self, q: Array, u: Array, dt: float) -> Array:
-        """Scaled velocities (nv,) over dt for those at q: without slip in the middle of the way, to
-        second order.
-        """
+        """Correct velocities (nv,) so that the middle of the step does not slip, to second order."""
         A, b = compute_unit_rows(
             self.system,
             self.system.structure.layout.integrate_velocity(q, 0.5 * dt * u * self.scale),
@@ -582,7 +575,7 @@ class ConstrainedSteps:
         return u - Spectrum(A).compute_pseudo_inverse(Level.CLOSED) @ (A @ u - b)
 
     def _clamp_to_limits(self, q: Array, x: Array) -> Array:
-        """x, its limits kept to the last bit where q kept them."""
+        """Clamp x to the limits, to the last bit, where q kept them."""
         now = q[self.at_q]
         x[self.at_q] = np.clip(
             x[self.at_q], np.minimum(self.lower, now), np.maximum(self.upper, now)
@@ -601,7 +594,7 @@ class Twist(NamedTuple):
 
 
 class _Descent:
-    """Velocities N z, lowered stage by stage: what earlier stages reached stays."""
+    """Velocities N z that satisfy stages one after the other."""
 
     def __init__(self, N: Array, speeds: tuple[Array, Array] | None = None):
         self.N = N
@@ -615,8 +608,9 @@ class _Descent:
     def take_stage(
         self, stage: Stage, damping: float, twist: Twist | None = None, model: Array | None = None
     ) -> None:
-        """Do for a stage what can be done; `model` (k, k), where given, is the Hessian that counts
-        for it.
+        """Minimise the error of a stage while earlier stages keep theirs.
+
+        `model` (k, k), where given, is the Hessian of the stage.
         """
         A = stage.A @ self.N
         b = stage.b
@@ -670,9 +664,7 @@ class _Descent:
         self.free = free @ Spectrum(A @ free, 1.0).compute_null_space(Level.CLOSED)
 
     def _slow_velocities(self, y: Array, equations: Array, low: Array, high: Array) -> Array:
-        """y (k,) of the free velocities, shortened until limits of speed alone hold, then the
-        nearest that is left.
-        """
+        """Shorten y (k,) to the limits of speed, then find the nearest allowed velocities."""
         assert self.speeds is not None
         rows = self.N @ self.free
         (least, most) = self.speeds
@@ -691,14 +683,16 @@ class _Descent:
         return minimize_bounded_residual(metric, metric @ y, low, high, G)
 
     def _add_bounds(self, G: Array, low: Array, high: Array) -> None:
+        """Add bounds low <= G z <= high."""
         self.G = np.concatenate([self.G, G])
         self.low = np.concatenate([self.low, low])
         self.high = np.concatenate([self.high, high])
 
 
 def make_convex_problem(H: Array, pull: Array, J: Array, damping: float) -> tuple[Array, Array]:
-    """Rows and wish (n,) of the least squares that a Hessian, its curvatures made positive, and a
-    pull stand for.
+    """Make the least-squares rows and right side (n,) of a Hessian and a pull.
+
+    Curvatures of the Hessian are made positive.
 
     What damping the equations J would have is added.
     """
@@ -713,9 +707,7 @@ def make_convex_problem(H: Array, pull: Array, J: Array, damping: float) -> tupl
 
 
 def list_stages(problem: Demands, q: Array, dt: float) -> list[Stage]:
-    """What tasks ask of the velocities at q (..., nq), level by level: that what they miss is gone
-    after dt.
-    """
+    """List the stages of tasks at q (..., nq): their errors vanish after dt."""
     packed = problem.packed
     loops = problem.packed.loops
     error, J = packed.evaluate_tasks(q, problem.pins)

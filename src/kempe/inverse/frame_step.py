@@ -1,4 +1,4 @@
-"""The step of a frame that its own chain moves, for a twist or towards a pose.
+"""One step of a frame that its own chain moves, for a twist or towards a pose.
 
 A step is of second order wherever the first order does not halve the error. A step of least
 squares takes what is missing for something that the joints can make good. Where they cannot, at
@@ -86,7 +86,7 @@ that is kept."""
 
 
 def compute_pose_error(goal: Array, pose: Array) -> Array:
-    """What is missing (6,) of a pose: [position; rotation vector] in ground axes."""
+    """Compute the error (6,) of a pose: [position; rotation vector] in ground axes."""
     out = np.empty(6)
     out[:3] = goal[:3, 3] - pose[:3, 3]
     R = goal[:3, :3] @ pose[:3, :3].T
@@ -110,9 +110,7 @@ def compute_pose_error(goal: Array, pose: Array) -> Array:
 
 
 class Approach:
-    """One step towards a pose, from a configuration q (nq,): `velocity` (n,) of the chain, and `q`
-    after it.
-    """
+    """One step from q (nq,) towards a pose: `velocity` (n,) of the chain, and `q` after it."""
 
     def __init__(
         self,
@@ -148,8 +146,9 @@ class Approach:
     def compute_velocity(
         self, low: Array, high: Array, damping: float, weights: Array | None, direction: bool
     ) -> Array:
-        """Velocities (n,) in the box from `low` to `high`: straight ahead as long as that leads on,
-        where a `direction` is kept, and then towards the nearest pose.
+        """Compute velocities (n,) in the box: straight towards the pose, then to the nearest one.
+
+        The direction is kept only where `direction` asks for it.
         """
         rest = np.minimum(np.maximum(0.0, low), high)
         if self.square <= ENOUGH or not len(low):
@@ -182,7 +181,7 @@ class Approach:
         damping: float,
         weights: Array | None,
     ) -> Array:
-        """Velocities (n,) in the box towards the nearest pose, by any way that the error goes down.
+        """Compute velocities (n,) in the box that lower the error by any way.
 
         Limits of speed shorten the step that limits of position leave: so all joints arrive
         together.
@@ -212,9 +211,7 @@ class Approach:
         return share * part * x + (1.0 - share) * y
 
     def has_arrived(self, left: float, smallest: float, weights: Array | None) -> bool:
-        """Whether the square of the error that is left is so small that the next velocities are,
-        too.
-        """
+        """Whether the squared error is so small that the next velocities are small, too."""
         servo = self.servo
         if weights is not None or smallest < servo.near:
             return False
@@ -224,15 +221,14 @@ class Approach:
         )
 
     def compute_remaining_error(self, velocity: Array) -> float:
-        """Square of the error after velocities (n,)."""
+        """Compute the squared error after velocities (n,)."""
         servo = self.servo
         pose = servo.query(servo.take_step(self.before, servo.expand_velocities(velocity), self.dt))
         missing = self.metric * compute_pose_error(self.goal, pose)
         return float(missing @ missing)
 
     def shorten_velocity(self, velocity: Array) -> Array:
-        """The velocities (n,), halved until they lower the error by at least half of what they
-        promise.
+        """Halve velocities (n,) until they lower the error by half of the predicted decrease.
 
         Zero where that is next to nothing for what the joints move: there the direction leads no
         farther.
@@ -250,8 +246,9 @@ class Approach:
         return 0.0 * velocity
 
     def compute_second_order_velocity(self, low: Array, high: Array, damping: Array) -> Array:
-        """The velocities (n,) in the box that make the error's second order least, if they lower
-        the error itself.
+        """Compute velocities (n,) in the box that minimise the error to second order.
+
+        Only velocities that lower the error itself are returned.
         """
         unit = self.servo.unit
         dt = self.dt
@@ -289,8 +286,7 @@ class Approach:
         return rest
 
     def compute_hessian(self) -> Array:
-        """The Hessian (n, n) of half the square of the error, in radians and characteristic
-        lengths.
+        """Compute the Hessian (n, n) of half the squared error, in rad and characteristic lengths.
 
         Of the chain's second derivatives by differences of its Jacobian, of the logarithm by its
         own derivative (Bullo and Murray, 1995).
@@ -310,9 +306,7 @@ class Approach:
         return 0.5 * (H + H.T)
 
     def compute_difference_hessian(self) -> Array:
-        """The Hessian (n, n) where turns about the axes of the ground count unequally: differences
-        of the gradient.
-        """
+        """Compute the Hessian (n, n) by differences of the gradient, for unequal weights of turns."""
         servo = self.servo
         w = self.metric
         pushes: list[Array] = []
@@ -328,7 +322,7 @@ class Approach:
 
 
 def compute_progress(A: Array, b: Array, x: Array, low: Array, high: Array) -> float:
-    """How far straight velocities x (n,) in a box lead on, from 0 to 1.
+    """Compute how far straight velocities x (n,) in a box lead on, from 0 to 1.
 
     By the decrease of what is missed for what the joints move, and by how much of the room that the
     box and the rest of the way leave is used: close to a singular configuration it is little.
@@ -349,9 +343,7 @@ def compute_progress(A: Array, b: Array, x: Array, low: Array, high: Array) -> f
 
 
 def convert_angular_rows(r: Array, J: Array) -> Array:
-    """A Jacobian (6, n) whose angular rows are the rates of what is missing, the rotation vector r,
-    not of turns.
-    """
+    """Convert the angular rows of a Jacobian (6, n) to rates of the rotation vector r."""
     angle = math.sqrt(float(r @ r))
     gamma = 0.5 * angle / math.tan(0.5 * angle) if angle > 1e-3 else 1.0 - angle * angle / 12.0
     rest = (1.0 - gamma) / (angle * angle) if angle > 1e-3 else 1.0 / 12.0
@@ -391,7 +383,7 @@ def compute_newton_step(
 
 
 def move_along_direction(z: Array, way: Array, low: Array, high: Array) -> Array:
-    """z (n,) moved along a way, as far as the box and a small step let it."""
+    """Move z (n,) along a direction as far as the box and a small step allow."""
     moves = np.abs(way) > 1e-12
     room = np.where(way > 0.0, high - z, z - low)[moves] / np.abs(way[moves])
     return np.minimum(np.maximum(z + min(ASIDE, float(room.min(initial=ASIDE))) * way, low), high)
@@ -416,7 +408,7 @@ class Move(NamedTuple):
 
 
 class Servo:
-    """All of a frame's steps that does not depend on the configuration, looked up once."""
+    """Quantities of a frame's steps that do not depend on the configuration."""
 
     def __init__(self, system: Model, frame: str):
         self.system = system
@@ -460,7 +452,7 @@ class Servo:
         direction: bool,
         weights: Array | None,
     ) -> Move:
-        """The velocities for a twist (6,) or towards a pose (4, 4), at a configuration (nq,)."""
+        """Compute the velocities for a twist (6,) or towards a pose (4, 4), at q (nq,)."""
         pose, J = self.query.pose_and_jacobian(q)
         J = J[:, self.v]
         w = weights
@@ -493,12 +485,12 @@ class Servo:
         return Move(own, low, high, J, x, False)
 
     def has_room(self, q: Array, velocity: Array, dt: float) -> bool:
-        """Whether no limit of position is met in two such steps."""
+        """Whether two such steps meet no limit of position."""
         x = q[self.at_q] + 2.0 * dt * velocity[self.at_v]
         return bool((x >= self.lower).all() and (x <= self.upper).all())
 
     def compute_velocity_bounds(self, q: Array, dt: float, speed: Array) -> tuple[Array, Array]:
-        """Least and largest velocities (n,) for which limits of position and speed hold after dt.
+        """Compute bounds (n,) of velocities that keep limits of position and speed after dt.
 
         What is outside its limits comes back as fast as it may.
         """
@@ -514,8 +506,9 @@ class Servo:
         return low, high
 
     def make_bend(self, q: Array, weights: Array | None) -> Bend:
-        """Derivatives (k, 6, n) of the Jacobian, its rows weighted, along directions (k, n), as
-        central differences.
+        """Make the function that gives second derivatives (k, 6, n) along directions (k, n).
+
+        They are central differences of the Jacobian, whose rows are weighted.
         """
 
         def compute_bends(ways: Array) -> Array:
@@ -532,15 +525,13 @@ class Servo:
         return compute_bends
 
     def expand_velocities(self, velocity: Array) -> Array:
-        """Velocities (nv,) of the system, those of the chain (n,) given, the others zero."""
+        """Expand velocities (n,) of the chain to those (nv,) of the system; others are zero."""
         out = np.zeros(self.system.nv)
         out[self.v] = velocity
         return out
 
     def make_neighbour_configurations(self, q: Array, step: Array) -> Array:
-        """Configurations (2 n, nq), each coordinate of the chain moved by its step (n,), then by
-        minus that.
-        """
+        """Make configurations (2 n, nq) with each coordinate moved by plus and minus its step."""
         n = len(self.v)
         if self.plain:
             out = np.broadcast_to(q, (2 * n, len(q))).copy()
@@ -553,7 +544,7 @@ class Servo:
         return self.system.structure.layout.integrate_velocity(q, moves)
 
     def take_step(self, q: Array, velocity: Array, dt: float) -> Array:
-        """The configuration (nq,) after dt, limits kept to the last bit where q kept them."""
+        """Compute the configuration (nq,) after dt, with limits kept exactly where q kept them."""
         if not self.plain:
             out = self.system.structure.layout.integrate_velocity(q, velocity * dt)
         else:

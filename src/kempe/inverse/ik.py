@@ -60,7 +60,7 @@ LENGTH, ANGLE = TOLERANCE
 
 
 def bind_call(question: FrameProblem, task: str | None, shape: tuple[int, ...]) -> None:
-    """Let calls like this one go by a `BoundIk` from now on, if they are plain enough."""
+    """Bind plain calls like this one to a `BoundIk`, which answers them faster."""
     system = question.system
     chain = question.chain
     key = (question.frame, task, len(shape))
@@ -84,9 +84,7 @@ def bind_call(question: FrameProblem, task: str | None, shape: tuple[int, ...]) 
 
 
 class BoundIk:
-    """`ik` of single targets for one frame and task, with all looked up that can be: the way of
-    plain calls.
-    """
+    """`ik` of single targets for one frame and task, with all look-ups done once."""
 
     def __init__(self, question: FrameProblem, shape: tuple[int, ...]):
         self.requested = question
@@ -116,23 +114,23 @@ class BoundIk:
         return BoundIk, (self.requested, self.shape)
 
     def make_problem(self, X: Array) -> FrameProblem:
-        """The problem, for poses (1, 4, 4)."""
+        """Make the problem for poses (1, 4, 4)."""
         return replace(self.requested, targets=X)
 
     def _make_pose(self, target: Array) -> Array:
-        """A position as (1, 4, 4)."""
+        """Make a pose (1, 4, 4) of a position."""
         X = self.unmoved.copy()
         X[0, : self.shape[0], 3] = target
         return X
 
     @quiet
     def _continue_search(self, X: Array, seeds: Array, out: Array) -> None:
-        """Search further, from other starts."""
+        """Continue the search from other starts."""
         head = (self.chain.ints, self.chain.floats, self.chain.limits, self.rows, X, seeds, 0)
         multi_start.continue_search(self.make_problem(X), X, head, FEW, out)
 
     def __call__(self, target: Array, start: Any) -> Solution | None:
-        """The answer for a target, None where target or seed need the general solver."""
+        """Return the answer for a target; None where it needs the general solver."""
         if target.shape != self.shape or not (self.posed or target.dtype == np.float64):
             return None
         chain = self.chain
@@ -289,7 +287,7 @@ def _solve_frame(
     budget: Budget | None,
     history: bool,
 ) -> Solution:
-    """The answer for targets of one frame."""
+    """Solve `ik` for targets of one frame."""
     name = system.structure.frame_name(frame)
     target = read_target(system, target)
     said, axis = split_task(task)
@@ -328,9 +326,7 @@ def _solve_frame(
 def _broadcast_targets(
     targets: Array, lead: tuple[int, ...], start: Array
 ) -> tuple[Array, tuple[int, ...], Array]:
-    """Targets (N, 4, 4), their leading shape and starts, one of which is for all of the others,
-    with one shape.
-    """
+    """Broadcast targets (N, 4, 4) and starts against each other; also return the leading shape."""
     if start.ndim == 1 or start.shape[:-1] == lead:
         return targets, lead, start
     many = together({"target": lead, "start": start.shape[:-1]})
@@ -341,7 +337,7 @@ def _broadcast_targets(
 
 
 def _choose_solver(problem: Problem) -> tuple[Solver, Choice, Problem]:
-    """Who answers, and by which method: numbers where the time does not last to plan a closed form."""
+    """Choose the solver and its method: search by numbers if there is no time to plan."""
     time = TimeLimit((BATCH if problem.lead else USUAL).complete_budget(problem.budget).time_limit)
     time.release_reserved_time()  # a plan is made as a whole, or not at all
     problem = problem._replace(options={"end": time.end})
@@ -360,7 +356,7 @@ def _choose_solver(problem: Problem) -> tuple[Solver, Choice, Problem]:
 def _check_targets(
     system: Model, frame: str, target: Any, task: str | None, axis: ArrayLike
 ) -> tuple[tuple[str, tuple[float, float, float]], Array, tuple[int, ...]]:
-    """(task, axis), targets (N, 4, 4) and their leading shape."""
+    """Check task and targets: (task, axis), poses (N, 4, 4) and their leading shape."""
     if system.dim == 2 and is_axis_task(task):
         target, task = make_planar_target(target, task, axis)
     direction = choose_axis(axis, task)

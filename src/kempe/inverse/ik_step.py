@@ -80,9 +80,7 @@ class IkStep(Answer):
 
     @property
     def code(self) -> Status:
-        """The outcome: `PARTLY` where limits or a singularity leave only a fraction of what was
-        wanted.
-        """
+        """Outcome: `PARTLY` where limits or a singularity leave only a fraction of the motion."""
         return Status.SOLVED if self.fraction >= WHOLE else Status.PARTLY
 
     def _compose_sentence(self, index: tuple[int, ...]) -> str:
@@ -242,7 +240,7 @@ def _select_default_speeds(
     speed: Array,
     default: np.ndarray | None,
 ) -> tuple[str, ...]:
-    """Those of the saturated coordinates that move at a default speed (nv,)."""
+    """Select the saturated coordinates that move at a default speed (nv,)."""
     if not saturated or default is None:
         return ()
     fast: list[bool] = np.logical_and(default, np.abs(velocity) >= speed * (1.0 - BESIDE)).tolist()
@@ -254,8 +252,9 @@ def _select_default_speeds(
 
 
 def find_steady_fraction(after: Callable[[float], Array], velocity: Array, fastest: Array) -> float:
-    """The part of the step by which no joint turns back at once, at more than `SLOW` of its speed
-    (n,).
+    """Find the fraction of the step after which no joint turns back at once.
+
+    Speeds below `SLOW` of the largest (n,) do not count.
 
     `compute_velocity_after` gives the velocities (n,) that follow a part of the step. Where a joint turns back, a
     shorter step leads nearer to where its speed passes zero, and one at `SLOW` of the speeds
@@ -295,7 +294,7 @@ def _make_constrained_step(
     direction: bool,
     weights: Array | None,
 ) -> IkStep:
-    """A step for a frame, or for tasks, while the system's loops and relations stay closed."""
+    """Make a step for a frame, or for tasks, while loops and relations stay closed."""
     if not np.isfinite(q).all():
         refuse_bad_configuration(system, q)
     closed = _make_constrained_steps(system)
@@ -410,8 +409,9 @@ def _read_wanted_motion(
 
 
 def make_step_problem(system: Model, wanted: Any, q: Array) -> Demands:
-    """The tasks of one step, checked and packed. Errors: `InputError` for a batch, and for goals
-    that are none.
+    """Check and pack the tasks of one step.
+
+    Errors: `InputError` for a batch, and for goals that are none.
     """
     from kempe.equations.packed_tasks import refuse_goal
     from kempe.inverse.tasks.search import make_demands
@@ -433,13 +433,13 @@ def _make_constrained_steps(system: Model) -> Any:
 
 
 def _compute_fraction(had: Array, requested: Array) -> float:
-    """Which part of what is required is had."""
+    """Compute which fraction of the requested motion is achieved."""
     square = float(requested @ requested)
     return float(requested @ had) / square if square else 1.0
 
 
 def _parse_motion(wanted: Any) -> Array:
-    """The twist (6,) or pose (4, 4) that is wanted, checked."""
+    """Parse the requested twist (6,) or pose (4, 4)."""
     x = read_reals(
         read_pose_array(wanted, "the wanted motion"),
         "the wanted motion",
@@ -465,8 +465,9 @@ def _is_pose(x: Array) -> bool:
 
 @keep_answers
 def list_speed_limits(system: Model) -> Array:
-    """Largest speeds (nv,) of the steps, in rad/s and m/s: the system's velocity limits, else
-    `TURNING` and `SLIDING`.
+    """List the largest speeds (nv,) of steps, in rad/s and m/s.
+
+    They are the system's velocity limits, else `TURNING` and `SLIDING`.
 
     The defaults hold for coupled joints too: a coordinate is so slow that none of its followers
     exceeds them.

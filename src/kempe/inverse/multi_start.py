@@ -69,8 +69,7 @@ def search_targets(
     postpone: bool = False,
     threads: int | None = 1,
 ) -> int:
-    """Number of targets (N, 4, 4) not reached; writes the answers (N, n + ANSWER) as `search.reach`
-    does.
+    """Search all targets (N, 4, 4), write answers (N, n + ANSWER), and count the unreached.
 
     seeds: (1 or N, K, n); limits: (2, nv). With `postpone`, what is nearest to targets that lengths
     prove to be out of reach is not searched for: their status is OUT_OF_REACH.
@@ -112,7 +111,10 @@ def search_targets(
 
 
 def run_one_start(problem: FrameProblem, head: tuple[Any, ...], start: int, steps: int) -> Array:
-    """The answer (1, n + ANSWER) of one start after so many steps; `head` as in `continue_search`."""
+    """Run one start for some steps and return its answer (1, n + ANSWER).
+
+    `head` is as in `continue_search`.
+    """
     found = np.empty((1, len(problem.chain.q_index) + ANSWER))
     _choose_kernel(problem.chain)(*head, start, 1, steps, *problem.tolerance, 0.0, found)
     return found
@@ -126,8 +128,9 @@ def continue_search(
     out: Array,
     threads: int | None = 1,
 ) -> int:
-    """Number of targets NOT_FOUND in `out` that are not reached in the end, after the first `done`
-    starts.
+    """Continue the search after the first `done` starts, and count the unreached targets.
+
+    Targets that are NOT_FOUND in `out` are searched.
 
     head: the first arguments of the kernels. Where tolerances are loose, starts that weigh position
     and orientation by them; more starts, unless lengths prove that they cannot help or the time is
@@ -170,9 +173,7 @@ def _search_from_nearest(
     out: Array,
     threads: int | None,
 ) -> int:
-    """Number of these rows that are not reached by the configurations nearest to their targets
-    either.
-    """
+    """Search from the configurations nearest to the targets, and count unreached rows."""
     from kempe.kernels.compiled import fallback
 
     n = out.shape[1] - ANSWER
@@ -211,7 +212,7 @@ def _search_from_nearest(
 
 
 def _select_rows(head: tuple[Any, ...], rows: Any) -> tuple[Any, ...]:
-    """The first arguments of the kernels for some rows."""
+    """Select the first arguments of kernels for some rows."""
     *chain, goals, seeds, rng = head
     return (*chain, goals[rows], seeds[rows] if len(seeds) > 1 else seeds, rng)
 
@@ -227,9 +228,7 @@ def _run_starts(
     threads: int | None,
     chunk: int | None = None,
 ) -> None:
-    """Write the answers (k, n + ANSWER) of some starts for these rows, until the time is up; `head`
-    as in `continue_search`.
-    """
+    """Run some starts for these rows and write their answers, until the time is up."""
     search = _choose_kernel(problem.chain)
     given = _select_rows(head, rows) if isinstance(rows, np.ndarray) else head
     piece = max(LANES, min(chunk or CHUNK, WORK // (count * problem.share)))
@@ -265,9 +264,7 @@ def _search_unreached_rows(
     out: Array,
     threads: int | None,
 ) -> tuple[np.ndarray, int]:
-    """The rows that are still not reached after so many starts, or when the time is up, and how
-    many these are.
-    """
+    """Run starts up to a number; return the rows still unreached, and the starts made."""
     while done < starts and len(left):
         count = min(problem.round or starts, starts - done)
         some = _run_further_starts(problem, head, left, done, count, out, threads)
@@ -287,8 +284,7 @@ def _run_further_starts(
     out: Array,
     threads: int | None,
 ) -> np.ndarray | None:
-    """The rows that are still not reached after further starts; None where there was no time for
-    any.
+    """Run further starts; return the rows still unreached, None if there was no time.
 
     Answers that are better than the first are written.
     """
@@ -311,7 +307,7 @@ def _run_further_starts(
 def _measure_late_rows(
     problem: FrameProblem, targets: Array, left: np.ndarray, out: Array, alike: bool = False
 ) -> None:
-    """Measure these rows as they are: the time is up. Whether their configurations are all `alike`."""
+    """Measure these rows as they are when the time is up."""
     n = out.shape[1] - ANSWER
     out[left, n + STATUS] = Status.OUT_OF_TIME
     out[left, n : n + STATUS] = compute_errors(
@@ -320,7 +316,7 @@ def _measure_late_rows(
 
 
 def _choose_kernel(chain: Chain) -> Callable[..., int]:
-    """The kernel that searches for a chain."""
+    """Choose the kernel that searches for a chain."""
     if chain.ints[HAS_QUATERNION]:
         from kempe.kernels.compiled import scalar_search
 
@@ -339,8 +335,9 @@ def solve_targets(
     targets: Array | None = None,
     postpone: bool = False,
 ) -> tuple[Array, Array, np.ndarray]:
-    """Chain configurations, residuals (N, 2) and (status, steps, starts) of all targets, in fixed
-    chunks.
+    """Solve all targets in fixed chunks: configurations of the chain, residuals (N, 2), info.
+
+    The info is (status, steps, starts) (N, 3).
 
     `postpone` is as in `multi_start.search_targets`.
     """
@@ -358,9 +355,7 @@ def solve_targets(
 def make_seeds(
     system: Model, chain: Chain, start: Any, lead: tuple[int, ...]
 ) -> tuple[Array, Array]:
-    """Configurations (1 or N, nq) to start from, and the chain's part of them as (1 or N, K, nq)
-    for the kernel.
-    """
+    """Make start configurations (1 or N, nq), and their part of the chain (1 or N, K, nq)."""
     if start is None:
         return chain.base, chain.no_seed
     base = read_start(system, start)

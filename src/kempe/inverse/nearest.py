@@ -22,8 +22,9 @@ if TYPE_CHECKING:
 
 
 def make_aim(solutions: Solutions, index: int, spare: bool = False) -> Aim:
-    """What target number `index` asks; with `spare`, joints that were locked only since they are
-    spare may move.
+    """Make the aim of target number `index`.
+
+    With `spare`, joints that are locked only because they are spare may move.
     """
     problem = solutions.problem
     plan = solutions.plan
@@ -33,7 +34,7 @@ def make_aim(solutions: Solutions, index: int, spare: bool = False) -> Aim:
 
 
 def list_held_coordinates(solutions: Solutions, index: int) -> Array:
-    """Coordinates (n,) of the chain at `near`, joints that are locked at their values."""
+    """List the coordinates (n,) of the chain at `near`, with locked joints at their values."""
     lines = solutions.plan.lines
     base = solutions._base[index if len(solutions._base) > 1 else 0]
     q = base[lines.q_index].copy()
@@ -51,8 +52,9 @@ def list_held_coordinates(solutions: Solutions, index: int) -> Array:
 
 @quiet
 def find_nearest_configuration(solutions: Solutions, index: int) -> tuple[Array, float, float]:
-    """The configuration (nq,) inside the limits that comes closest to target number `index`, and
-    what it misses.
+    """Find the configuration (nq,) inside the limits that is nearest to a target.
+
+    Also returns its position and orientation error.
 
     The errors are those of position [m] and of orientation, or direction [rad]; 0 where the task
     does not ask for it. Position and orientation are weighed by the length of the chain. Poses and
@@ -79,9 +81,7 @@ def find_nearest_configuration(solutions: Solutions, index: int) -> tuple[Array,
 
 
 def _solve_by_numbers(problem: ChainProblem, target: Array, start: Array) -> Solution:
-    """The answer of `ik` for a target (4, 4) whose pose or position counts; the search begins at
-    `start` (nq,).
-    """
+    """Solve `ik` for a target (4, 4) by a search that starts at `start` (nq,)."""
     system = problem.system
     task = (problem.task, Z_AXIS)
     goal = target if problem.task == "pose" else target[:3, 3]

@@ -63,9 +63,7 @@ again."""
 def find_nearest_solutions(
     problem: FrameProblem, plan: ChainPlan, near: Array, seeds: Array, threads: int | None
 ) -> tuple[Array, Array, np.ndarray]:
-    """As `multi_start.solve_targets`: the solution inside the limits nearest to `near` (1 or N, nq); where
-    there is none, what a search finds.
-    """
+    """Find the solution inside the limits nearest to `near`, else what a search finds."""
     n = len(problem.targets)
     q = np.empty((n, len(problem.chain.q_index)))
     residual = np.zeros((n, 2))
@@ -92,9 +90,7 @@ def find_nearest_solutions(
 def _solve_closed_form(
     problem: FrameProblem, plan: ChainPlan, near: Array, threads: int | None
 ) -> tuple[Array, Array, np.ndarray]:
-    """The nearest solutions (n, k) to `near` (1 or n, nq), their errors (n, 2), and where there are
-    any (n,).
-    """
+    """Solve targets in closed form: nearest solutions (n, k), errors (n, 2), and which exist."""
     n = len(problem.targets)
     chain = problem.chain
     within = min(*problem.tolerance, TOLERANCE)
@@ -134,7 +130,10 @@ def _solve_closed_form(
 
 
 def add_history(answer: Solution, problem: Problem) -> Solution:
-    """The answer with its iterates. Errors: `InputError` for batches and other methods."""
+    """Add the iterates to an answer.
+
+    Errors: `InputError` for batches and other methods.
+    """
     if np.ndim(answer.success) or problem.method != "numeric" or type(answer) is not Solution:
         raise InputError(
             "history=True is for one target of one frame that is searched for with method 'numeric'"
@@ -219,18 +218,18 @@ def _explain_no_tasks(problem: Problem) -> str | None:
 
 
 def solve_by_closed_form(problem: Problem) -> Solution:
-    """The answer in closed form, by the frame's own chain; by numbers where there is none."""
+    """Solve `ik` in closed form by the frame's own chain; by numbers without a closed form."""
     plan: Any = find_plan_or_reason(problem.system, str(problem.frame), *problem.task)
     return _solve_chain(problem, plan)
 
 
 def solve_by_numbers(problem: Problem) -> Solution:
-    """The answer by a search over the frame's own chain."""
+    """Solve `ik` by a search over the frame's own chain."""
     return _solve_chain(problem, None)
 
 
 def _solve_chain(problem: Problem, plan: ChainPlan | None) -> Solution:
-    """The answer by the frame's own chain, in closed form where there is a `plan`."""
+    """Solve `ik` by the frame's own chain, in closed form where there is a `plan`."""
     system = problem.system
     name = str(problem.frame)
     lead = problem.lead
@@ -260,7 +259,7 @@ def _solve_chain(problem: Problem, plan: ChainPlan | None) -> Solution:
 
 
 def _solve_tasks(problem: Problem) -> Solution:
-    """The answer of `kempe.inverse.tasks.search.reach_tasks`."""
+    """Solve `ik` for several tasks by `kempe.inverse.tasks.search.reach_tasks`."""
     from kempe.inverse.tasks.search import reach_tasks
 
     frame = problem.frame
@@ -305,9 +304,7 @@ def _run_solver(
     threads: int | None,
     lead: tuple[int, ...],
 ) -> tuple[FrameProblem, tuple[Array, Array, np.ndarray]]:
-    """The problem and what `solve_targets`, or the closed form of a plan, finds; rotations that were rounded
-    are mended.
-    """
+    """Run the search, or the closed form of a plan; mend rotations that were rounded."""
     if plan is None:
         found = solve_targets(problem, seeds, threads, postpone=bool(lead))
     else:
@@ -332,7 +329,7 @@ def _add_nearest_answers(
     info: np.ndarray,
     lead: tuple[int, ...],
 ) -> Solution:
-    """The answer of a batch as of `solve_targets`, with what is nearest to the targets that are out of reach."""
+    """Make the answer of a batch, with the nearest configurations where targets are unreached."""
     far = np.flatnonzero(info[:, 0] == Status.OUT_OF_REACH)
     some = seeds[far] if len(seeds) > 1 else seeds
     anew = replace(problem, end=compute_deadline(problem.time_limit))
@@ -352,8 +349,7 @@ def _make_checked_answer(
     seeds: Array,
     threads: int | None,
 ) -> Solution:
-    """The answer, from the chain's configurations (N, n), residuals (N, 2) and status, steps and
-    starts (N, 3).
+    """Make the answer from the chain's configurations (N, n), residuals (N, 2) and info (N, 3).
 
     Where `solve_targets` has postponed targets, their part of it is found on demand.
     """

@@ -122,7 +122,7 @@ class _Targets:
 
 
 class PathSteps:
-    """The targets of a path, those interpolated between them, and steps from one to the next."""
+    """Targets of a path, problems between them, and steps from one to the next."""
 
     def __init__(
         self,
@@ -150,7 +150,7 @@ class PathSteps:
         self.counts = np.isin(packed.rows[own], hard) & equal[own]
 
     def interpolate_problem(self, i: int, part: float) -> Demands:
-        """The problem at the fraction `part` of the way from target i - 1 to target i."""
+        """Interpolate the problem at the fraction `part` from target i - 1 to target i."""
         if part >= 1.0:
             return self.rows[i]
         a = self.rows[i - 1].goals
@@ -167,7 +167,7 @@ class PathSteps:
         return replace(self.rows[i], goals=goals, pins=self.problem.packed.pack_pins(goals))
 
     def compute_first_order_step(self, problem: Demands, q: Array, weak: float = 0.0) -> Order:
-        """Damped first-order step from q that solves a problem.
+        """Compute the damped first-order step from q that solves a problem.
 
         Singular values below `weak` times the largest are left out.
         """
@@ -186,7 +186,7 @@ class PathSteps:
         )
 
     def evaluate_residuals(self, problem: Demands, q: Array) -> tuple[Array, Array]:
-        """Residuals (m,) of hard tasks and loops at q (nq,), and their Jacobian (m, nv)."""
+        """Compute residuals (m,) and Jacobian (m, nv) of hard tasks and loops at q (nq,)."""
         packed = problem.packed
         e, J = packed.evaluate_tasks(q, problem.pins)
         if not self.counts.all():
@@ -201,8 +201,7 @@ class PathSteps:
     def find_configuration(
         self, problem: Demands, q: Array, order: Order | None = None
     ) -> Array | None:
-        """The configuration (nq,) near q that solves a problem, found by first-order steps; None
-        where there is none.
+        """Find the configuration (nq,) near q that solves a problem, by first-order steps, or None.
 
         Singular configurations are left by a small step to either side: there, the residual gives
         no direction.
@@ -224,8 +223,7 @@ class PathSteps:
         return None
 
     def repeat_step(self, problem: Demands, q: Array, before: Array) -> Array | None:
-        """The configuration (nq,) near q that solves a problem, found by repeating the last scaled
-        step (nv,); or None.
+        """Find a solution (nq,) near q by repeating the last scaled step (nv,), or None.
 
         So targets beyond a singularity are met.
         """
@@ -240,8 +238,9 @@ class PathSteps:
     def repeat_step_within_tolerance(
         self, problem: Demands, q: Array, before: Array
     ) -> Array | None:
-        """As `coast`, but within the tolerance only: residuals in singular directions stay. None
-        where this fails.
+        """Repeat the last step, with residuals in singular directions up to the tolerance.
+
+        Returns None where this fails.
         """
         x = self.repeat_truncated_step(problem, q, before) if self.given > TOLERANCE else None
         good = (
@@ -250,8 +249,9 @@ class PathSteps:
         return x if good else None
 
     def repeat_truncated_step(self, problem: Demands, q: Array, before: Array) -> Array | None:
-        """As `coast`, then corrected in the regular directions only; None where the configuration
-        is off the target.
+        """Repeat the last step and correct it in regular directions only.
+
+        Returns None where the configuration is off the target.
         """
         x = self.system.structure.layout.integrate_velocity(q, before * self.scale)
         for _ in range(TRUNCATED):
@@ -268,13 +268,12 @@ class PathSteps:
         )
 
     def is_smooth_step(self, moved: Array, before: Array) -> bool:
-        """Whether a scaled step (nv,) continues the step before, without a jump or a sharp turn."""
+        """Whether a scaled step (nv,) continues the last one without a jump or a sharp turn."""
         close = np.linalg.norm(moved - before) <= ALIKE * np.linalg.norm(before)
         return bool(close) and np.abs(moved).max(initial=0.0) <= self.max_step
 
     def find_smooth_opening(self, i: int, q: Array, order: Order) -> Array | None:
-        """The configuration (nq,) at target i, near q, from which the next step is most like the
-        step that led there.
+        """Find the solution (nq,) at target i whose next step is most like the last one.
 
         Near a singularity a candidate is tried on either side. `order` is the first-order step at
         q. None where no candidate leads smoothly to the next target.
@@ -295,8 +294,7 @@ class PathSteps:
         return min(tried, key=lambda x: x[0])[1] if tried else None
 
     def find_bridge(self, i: int, q: Array, before: Array, order: Order) -> Array | None:
-        """The nearest configuration (nq,) at target i from which straight lines of the joints lead
-        along the way.
+        """Find the nearest solution (nq,) at target i from which straight lines lead on.
 
         At a singularity joints may turn by much while the targets move by little: that is no jump,
         as long as the way between is held as well as short steps hold it elsewhere.
@@ -323,8 +321,7 @@ class PathSteps:
         return None
 
     def move_from_limits(self, i: int, q: Array, strength: float) -> Array:
-        """The configuration (nq,) at target i, near q, to which a small self-motion away from
-        limits leads.
+        """Move away from limits by a small self-motion at target i; returns q (nq,).
 
         It is the motion that lowers the sum of 1 / distance over all limits the fastest, distances
         as parts of ranges; its size is the rate of that times `strength`, and `AVOID` at most.
@@ -366,9 +363,7 @@ class PathSteps:
         return q
 
     def find_landing(self, problem: Demands, q: Array, ahead: Array) -> tuple[Array | None, Array]:
-        """The configuration (nq,) found from q plus the scaled step `ahead` (nv,), or None; the
-        scaled step there.
-        """
+        """Find a solution (nq,) from q plus the scaled step `ahead` (nv,), and the step there."""
         self.budget.check_time()
         start = self.system.structure.layout.integrate_velocity(q, ahead * self.scale)[None]
         found, info = replace(problem, starts=1).run_search(
@@ -380,8 +375,9 @@ class PathSteps:
     def follow_segment(
         self, i: int, q: Array, before: Array, last: float
     ) -> tuple[Array, float, float]:
-        """Where one gets from q at target i - 1 towards target i, which part of the way that is,
-        and its length.
+        """Follow the path from q at target i - 1 towards target i.
+
+        Returns where it ends, the fraction of the way, and its length.
 
         `before` (nv,) is the scaled step that led to q, and `last` the length of its way.
         """
@@ -425,9 +421,7 @@ class PathSteps:
 
 
 def _interpolate_pose(a: Array, b: Array, part: float) -> Array:
-    """The pose at a part of the way between two: positions linear, rotations by the exponential
-    map.
-    """
+    """Interpolate between two poses: positions linearly, rotations by the exponential map."""
     R = a[:3, :3]
     S = b[:3, :3]
     turned = R @ spatial.exp_so3(part * spatial.log_so3(R.T @ S))
@@ -449,8 +443,9 @@ MOST = 4096
 
 
 def remove_slip(way: PathSteps, path: IkPath, begin: int) -> IkPath:
-    """The path where it does not slip; else one that rolls and holds the targets, if they leave
-    that; else what is before the first slip, with the place.
+    """Return the path if it does not slip, else a path that rolls to the targets.
+
+    Where there is none, return the part before the first slip, with its place.
     """
     good = np.flatnonzero(path.success)
     whole = len(good) and good[-1] - good[0] + 1 == len(good)
@@ -466,7 +461,7 @@ def remove_slip(way: PathSteps, path: IkPath, begin: int) -> IkPath:
 
 
 def _cut_path(path: IkPath, slip: Slip, first: int) -> IkPath:
-    """The part of the path before it slips."""
+    """Cut the path before it slips."""
     k = first + slip.index
     q = path.q.copy()
     success = path.success.copy()
@@ -482,9 +477,7 @@ def _cut_path(path: IkPath, slip: Slip, first: int) -> IkPath:
 
 
 def _roll_along_targets(way: PathSteps, out: Array, begin: int) -> int:
-    """Write configurations (n, nq) that roll from target to target; returns the last one that was
-    reached.
-    """
+    """Write configurations (n, nq) that roll from target to target; return the last reached."""
     q = out[begin]
     for i in range(begin + 1, len(out)):
         way.budget.check_time()
@@ -500,8 +493,7 @@ def _roll_along_targets(way: PathSteps, out: Array, begin: int) -> int:
 
 
 def _make_rolling_step(way: PathSteps, i: int, part: float, q: Array) -> Array | None:
-    """The configuration (nq,) that holds the target between, without slip in the middle of the way
-    to it; or None.
+    """Find the configuration (nq,) at the target that is reached without slip, or None.
 
     The smallest such step, by Newton's method.
     """
@@ -583,7 +575,7 @@ class IkPath(Configurations):
 
     @property
     def code(self) -> Status:
-        """The outcome: `PARTLY` where a target is not reached, or by a jump only."""
+        """Outcome: `PARTLY` where a target is not reached, or by a jump only."""
         if self:
             return Status.SOLVED
         return self._find_early_end() or (Status.PARTLY if self.success.any() else Status.NOT_FOUND)
@@ -681,7 +673,7 @@ def ik_path(
 
 
 def solve_path(problem: Problem) -> IkPath:
-    """The path, gone step by step."""
+    """Follow the path step by step."""
     system = problem.system
     start = problem.start
     options = problem.options
@@ -763,9 +755,7 @@ class _FollowedPath(PathSteps):
     def find_first_configuration(
         self, first: Array, restart: bool
     ) -> tuple[Array, np.ndarray, int]:
-        """What is found for the first target, or with `restart` for the first that is reached, and
-        its number.
-        """
+        """Find the configurations of the first target, or with `restart` the first reached."""
         begin = 0
         q, info = self.rows[begin].run_search(first)
         while restart and info[0, 0] != SOLVED and begin + 1 < len(self.rows):
@@ -774,9 +764,7 @@ class _FollowedPath(PathSteps):
         return q, info, begin
 
     def describe_end(self, i: int, q: Array, part: float) -> str:
-        """What ends the path at q, a fraction `part` of the way to target i: limits, a singularity,
-        or neither.
-        """
+        """Describe what ends the path at q: limits, a singularity, or neither."""
         ahead = self.interpolate_problem(i, min(part + 4.0 * 0.5**DEPTH, 1.0))
         free = self.find_configuration(replace(ahead, limits=False), q)
         if free is not None and (
@@ -791,9 +779,7 @@ class _FollowedPath(PathSteps):
         return "a point from which it cannot be followed"
 
     def find_forbidding_constraint(self, problem: Demands, q: Array) -> str:
-        """The name of what holds always and repeats a row of the targets, at q and elsewhere; ''
-        where nothing does.
-        """
+        """Find the constraint that repeats a row of the targets at q and elsewhere; '' if none."""
         packed = problem.packed
         name = ""
         if not packed.closed:
@@ -816,9 +802,7 @@ class _FollowedPath(PathSteps):
         return name
 
     def suggest_tolerance(self, i: int, q: Array, before: Array) -> str:
-        """The tolerance with which a path would go on through a singularity as before, where there
-        is a small one.
-        """
+        """Suggest a small tolerance with which the path passes a singularity, if there is one."""
         if not before.any() or self.compute_first_order_step(self.rows[i], q).ratio > WEAK:
             return ""
         x = self.repeat_truncated_step(self.rows[i], q, before)
@@ -829,7 +813,7 @@ class _FollowedPath(PathSteps):
         return f", where tolerance={1.5 * most:.1g} lets it go on" if most <= ROUNDED else ""
 
     def find_other_configurations(self, i: int, q: Array) -> list[Array]:
-        """Configurations found that hold target i, from many starts, the nearest to q first."""
+        """Find other configurations at target i from many starts, the nearest to q first."""
         row = self.rows[i]
         seeds = np.concatenate([q[None], sample_configurations(self.system, row.rng, TRIED - 1)])
         untouched = find_untouched_places(row.packed, row.pins)
@@ -846,9 +830,7 @@ class _FollowedPath(PathSteps):
         )
 
     def find_best_path(self, q: Array, restart: bool, begin: int = 0) -> IkPath:
-        """The path from q by the shortest steps; where that ends, and freedoms are left, one that
-        keeps from limits.
-        """
+        """Find the path from q by the shortest steps, else one that keeps away from limits."""
         path = self.follow_path(q, restart, begin)
         if (
             path
@@ -872,7 +854,7 @@ class _FollowedPath(PathSteps):
         return path
 
     def has_free_joints(self, i: int, q: Array) -> bool:
-        """Whether target i leaves freedoms of joints that it asks for, and there are limits."""
+        """Whether target i leaves freedoms of its joints, and there are limits."""
         J = self.evaluate_residuals(self.rows[i], q)[1]
         if not J.size:
             return False
@@ -880,7 +862,7 @@ class _FollowedPath(PathSteps):
         return self.rows[i].limits and used > Spectrum(J).compute_rank(Level.ROUNDING)
 
     def follow_path(self, q: Array, restart: bool, begin: int = 0) -> IkPath:
-        """The path from q, which holds target `begin`; those before cannot be reached."""
+        """Follow the path from q, which holds target `begin`."""
         n = len(self.rows)
         out = np.full((n, self.system.nq), np.nan)
         jumps: list[int] = []
@@ -911,9 +893,7 @@ class _FollowedPath(PathSteps):
         )
 
     def keep_rolling_part(self, path: IkPath, begin: int) -> IkPath:
-        """The path, or where there are velocity constraints what of it, or in its place, does not
-        slip.
-        """
+        """Keep the part of the path that does not slip, or a rolling path in its place."""
         if not has_velocity_constraints(self.system) or path.interrupted or path.late:
             return path
 
@@ -934,7 +914,7 @@ class _FollowedPath(PathSteps):
     def _follow_targets(
         self, out: Array, jumps: list[int], said: list[str], restart: bool, begin: int
     ) -> None:
-        """Write the path from its configuration at target `begin` on, and what there is to say."""
+        """Write the path from its configuration at target `begin` on, and its messages."""
         q = out[begin]
         broken = False
         before = np.zeros(self.system.nv)
@@ -973,7 +953,7 @@ class _FollowedPath(PathSteps):
                 self.progress(i + 1)
 
     def _check_configurations(self, q: Array) -> np.ndarray:
-        """Which configurations (n,) hold, by the forward model; the others become NaN, in place."""
+        """Check configurations (n, nq) by the forward model; those that fail become NaN."""
         info = np.zeros((len(q), 3), dtype=np.int64)
         info[np.isnan(q).any(axis=1), 0] = Status.BAD_INPUT
         good = np.asarray(make_checked_answer(self.problem, q, info).success)
@@ -997,9 +977,7 @@ def _describe_stop(
 
 
 def _list_all_solutions(problem: Problem, row: Demands, begin: int, q: Array) -> list[Array]:
-    """What `ik_all` finds for target `begin`, inside the limits; what the target does not ask for
-    is as in q (nq,).
-    """
+    """List the solutions of `ik_all` for target `begin` inside the limits."""
     if (
         problem.frame is None
         or is_moved_by_loop(problem.system, problem.frame)
@@ -1028,7 +1006,7 @@ def _drop_equal_configurations(configurations: list[Array]) -> list[Array]:
 
 
 def _count_followed_targets(path: IkPath) -> int:
-    """Number of targets before the first that is not reached continuously."""
+    """Count the targets before the first one that is not reached continuously."""
     bad = [*np.flatnonzero(~path.success), *path.jumps, len(path)]
     return int(min(bad))
 

@@ -1,4 +1,4 @@
-"""Refinement of solutions where the lengths of a chain are far apart: steps without damping.
+"""Refinement of solutions by undamped steps, where lengths of a chain differ widely.
 
 Damping drowns a joint whose lever is a millionth of another's. Near a solution a Gauss-Newton step
 needs none; each column of the Jacobian is scaled to its size, so that small levers count.
@@ -39,8 +39,7 @@ step makes good."""
 
 
 def repeat_search(problem: FrameProblem, targets: Array, head: tuple[Any, ...], out: Array) -> int:
-    """Number of targets (N, 4, 4) that stay unreached; the answers in `out` become better where
-    they can.
+    """Improve the answers in `out` where possible, and count the unreached targets.
 
     head: the first arguments of the kernels. Starts are the ends of the first search and of further
     ones, then closed forms. For poses the tip is moved to the last axis, which changes nothing but
@@ -92,9 +91,7 @@ def repeat_search(problem: FrameProblem, targets: Array, head: tuple[Any, ...], 
 
 
 def _solve_equations(problem: FrameProblem, targets: Array, q: Array) -> Array:
-    """Configurations (N, n) by closed form or elimination, inside the limits, where there are some;
-    else q (N, n).
-    """
+    """Find configurations (N, n) by closed form or elimination inside the limits, else q."""
 
     plan = find_plan_or_reason(problem.system, problem.frame, problem.name, problem.axis)
     return q if isinstance(plan, str) else choose_exact_solutions(problem, plan, targets, q)
@@ -103,9 +100,7 @@ def _solve_equations(problem: FrameProblem, targets: Array, q: Array) -> Array:
 def sharpen_solutions(
     problem: FrameProblem, targets: Array, q: Array, limits: Array
 ) -> tuple[Array, Array]:
-    """Configurations (N, n) of the chain inside the limits (2, n), nearer to their targets, and
-    their errors (N, 2).
-    """
+    """Sharpen configurations (N, n) inside the limits (2, n); also return errors (N, 2)."""
     best = q.copy()
     least = compute_errors(problem, targets, q)
     score = np.max(least / problem.tolerance, axis=1)
@@ -130,9 +125,7 @@ def sharpen_solutions(
 
 
 def _compute_newton_steps(problem: FrameProblem, targets: Array, q: Array) -> Array:
-    """Gauss-Newton steps (N, n), lengths measured by the longest of the chain, columns by
-    themselves.
-    """
+    """Compute scaled Gauss-Newton steps (N, n)."""
     chain = problem.chain
     system = problem.system
     turn = make_rotations_along(np.array(problem.axis))
@@ -168,9 +161,7 @@ def _compute_newton_steps(problem: FrameProblem, targets: Array, q: Array) -> Ar
 def choose_exact_solutions(
     problem: FrameProblem, plan: ChainPlan, targets: Array, q: Array
 ) -> Array:
-    """Configurations (N, n) of the chain: a solution inside the limits where the equations have
-    one, else q (N, n).
-    """
+    """Choose solutions (N, n) of the equations inside the limits where they exist, else q."""
     lines = plan.lines
     base = problem.chain.base[:, plan.lines.q_index]
     sure = max(*problem.tolerance, estimate_attainable_error(targets, lines))

@@ -1,4 +1,4 @@
-"""Self-motions: how a system can move while its tasks hold, traced step by step."""
+"""Self-motions: motions of a system that keep its tasks, traced step by step."""
 
 from __future__ import annotations
 
@@ -63,8 +63,7 @@ LEAST_PART = 0.05
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class SelfMotion(Configurations):
-    """A family of configurations `q` (n, nq) in which tasks hold, in the order in which they are
-    passed.
+    """Family of configurations `q` (n, nq) that keep tasks, in the order of the motion.
 
     `freedoms` are those that the tasks leave at the start, over a distance: where there are only
     such to first order, `freedoms` is 0 and `q` has the start alone. `start` is the row of the
@@ -91,7 +90,7 @@ class SelfMotion(Configurations):
 
     @property
     def success(self) -> bool:
-        """Whether it moves, and its way was followed to the ends."""
+        """Whether the system moves, and its self-motion was followed to the ends."""
         return self.freedoms > 0 and self._find_early_end() is None
 
     def _list_goals(self) -> Sequence[tuple[Any, Any, Any]]:
@@ -152,7 +151,7 @@ def self_motion(
 
 
 def trace_self_motion(problem: Problem) -> SelfMotion:
-    """The configurations, each a step along the tangent of the one before, led back."""
+    """Trace the self-motion by steps along its tangent, each corrected."""
     spend: Any = USUAL.complete_budget(problem.budget)
     system = problem.system
     direction = problem.options["direction"]
@@ -205,7 +204,10 @@ def trace_self_motion(problem: Problem) -> SelfMotion:
 
 
 def _refuse_slip(system: Model, q: list[Array]) -> Array:
-    """Configurations (n, nq), one after the other. Errors: `UnsupportedError` where they slip."""
+    """Check configurations (n, nq) of a motion.
+
+    Errors: `UnsupportedError` where they slip.
+    """
     found = np.array(q)
     slip = find_first_slip(system, found)
     if slip is not None:
@@ -217,7 +219,7 @@ def _refuse_slip(system: Model, q: list[Array]) -> Array:
 
 
 def _read_tasks(system: Model, q: Array, tasks: Any, task: str | None, axis: ArrayLike) -> Any:
-    """The tasks; for a frame those that keep it."""
+    """Read the tasks; for a frame, make those that keep its pose."""
     wanted: Any = tasks
     if isinstance(tasks, (Constraint, list, tuple)):
         if task is not None:
@@ -233,8 +235,9 @@ def _read_tasks(system: Model, q: Array, tasks: Any, task: str | None, axis: Arr
 
 
 def _make_start(system: Model, q: Array, wanted: Any) -> tuple[Demands, Array]:
-    """The problem that the tasks hold, and q (nq,) closed to rounding. Errors: `InputError` where
-    they do not hold.
+    """Make the problem of the tasks, and the closed start q (nq,).
+
+    Errors: `InputError` where the tasks do not hold.
     """
     problem, start = make_demands(system, wanted, q, TOLERANCE, 1)
     rows = pack_one_sided_rows(system)
@@ -260,7 +263,7 @@ def _make_start(system: Model, q: Array, wanted: Any) -> tuple[Demands, Array]:
 
 
 def _choose_direction(system: Model, direction: Any, local: Local, problem: Demands) -> Array:
-    """The scaled velocity (nv,) to follow."""
+    """Choose the scaled velocity (nv,) to follow."""
     if direction is None:
         if local.finite_freedoms > 1:
             raise InputError(
@@ -305,7 +308,7 @@ class _HalfCurve(NamedTuple):
 
 
 class _Direction:
-    """Follows self-motions by steps along the tangent that are led back."""
+    """Tracer of self-motions by steps along the tangent, each corrected."""
 
     def __init__(
         self,
@@ -329,8 +332,9 @@ class _Direction:
     def follow_direction(
         self, q: Array, sign: float, steps: int, goal: tuple[Array, Array] | None = None
     ) -> _HalfCurve:
-        """One way from q, until it comes to the goal, a configuration (nq,) and the direction (nv,)
-        in which it is passed; without one back to q.
+        """Follow the self-motion from q one way, until it meets the goal or returns to q.
+
+        The goal is a configuration (nq,) and the direction (nv,) in which it is passed.
         """
         out: list[Array] = []
         try:
@@ -382,23 +386,19 @@ class _Direction:
         )
 
     def _correct_configuration(self, x: Array) -> Array | None:
-        """The configuration (nq,) in which the tasks hold, nearest to x, as the solver of tasks
-        finds it; or None.
-        """
+        """Find the configuration (nq,) nearest to x in which the tasks hold, or None."""
         found, info = self.problem.run_search(x[None])
         return found[0] if info[0, 0] == SOLVED else None
 
     def _make_node(self, x: Array, toward: Array) -> Node:
-        """The node at x, its tangent what the freedoms have of a direction; `sigma` is how large
-        that part is.
-        """
+        """Make the node at x, its tangent the part of a direction that the freedoms allow."""
         N = self.local.compute_tangents(x)
         t = N @ (N.T @ toward)
         size = float(np.linalg.norm(t))
         return Node(x, t if size < LEAST_PART else t / size, size, N.shape[1], NONE, NONE)
 
     def _has_passed_goal(self, a: Node, b: Node, goal: tuple[Array, Array]) -> bool:
-        """Whether the step from a to b comes through the goal.
+        """Whether the step from a to b passes the goal.
 
         Steps from a that are as long as the goal is ahead, each led back, end there.
         """
@@ -421,7 +421,7 @@ class _Direction:
         return False
 
     def _compute_shortest_step(self, a: Array, b: Array) -> Array:
-        """The shortest step (nv,) from a to b; unlimited joints turn the short way."""
+        """Compute the shortest step (nv,) from a to b; unlimited joints turn the short way."""
         from kempe.model.configurations import find_free_angles
 
         v = self.problem.system.structure.layout.compute_difference(a, b)
@@ -431,9 +431,7 @@ class _Direction:
 
 
 def _describe_stop(problem: Demands, q: Array, t: Array, ahead: float) -> str:
-    """What stands in the way of going on from q along t: a limit, or the bound of a task, not
-    farther than `ahead`.
-    """
+    """Describe the limit or bound that stops the motion from q along t within `ahead`."""
     system = problem.system
     scale = problem.packed.scale
     if names := _list_reached_limits(system, q, t, ahead * scale):
@@ -455,9 +453,7 @@ def _describe_stop(problem: Demands, q: Array, t: Array, ahead: float) -> str:
 def _list_reached_limits(
     system: Model, q: Array, t: Array, ahead: Array | float = 0.0
 ) -> list[str]:
-    """Coordinates at a limit that the direction t (nv,) pushes outwards, or takes there within
-    `ahead` (nv,).
-    """
+    """List coordinates whose limits the direction t (nv,) passes within `ahead` (nv,)."""
     v = system.structure.layout.vector_v
     x = q[system.structure.layout.vector_q]
     near = AT_LIMIT + np.abs(ahead * t)[v]

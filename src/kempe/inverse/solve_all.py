@@ -57,8 +57,9 @@ if TYPE_CHECKING:
 
 
 def select_obeying_solutions(solutions: Solutions) -> Solutions:
-    """The solutions that hold the one-sided constraints of their system; the status says how many
-    do not, and which.
+    """Select the solutions that satisfy the one-sided constraints.
+
+    The status says how many do not, and of which constraints.
 
     Coordinates that the chain does not have are where the solutions have them: near, or neutral.
     Where a constraint tells whole turns of one without limits apart, others of its turns may hold
@@ -91,7 +92,7 @@ def select_obeying_solutions(solutions: Solutions) -> Solutions:
 
 
 def _list_wound_coordinates(solutions: Solutions) -> list[str]:
-    """The coordinates of the chain without limits whose whole turns a constraint tells apart."""
+    """List unlimited coordinates of the chain whose whole turns a constraint distinguishes."""
     names = solutions.system.structure.velocity_names
     endless = find_winding_angles(solutions.system)
     return [names[int(v)] for v in solutions.plan.lines.v_index if endless[v]]
@@ -109,8 +110,9 @@ KNOWN_TASKS = ("pose", "position")
 
 
 def find_all_modes(problem: Problem, moving: str = "loops") -> Modes:
-    """The configurations that are found, those inside the limits first; the frame moves with what
-    `moving` says.
+    """Find the configurations that loops allow, those inside the limits first.
+
+    The frame moves with what `moving` says.
 
     Errors: `UnsupportedError`.
     """
@@ -151,7 +153,7 @@ BATCH = Usual("ik_all", threads=None, time_limit=None)
 
 
 def _solve_loops(problem: Problem) -> Modes:
-    """The answer for a frame that moves with loops, or with joints that follow others."""
+    """Solve `ik_all` for a frame that moves with loops, or with coupled joints."""
     if problem.limits == "turns":
         raise InputError(
             f"frame {problem.frame!r} moves with {_describe_movers(problem)}: limits='turns' is for chains"
@@ -161,7 +163,7 @@ def _solve_loops(problem: Problem) -> Modes:
 
 
 def _describe_movers(problem: Problem) -> str:
-    """What a frame moves with that has no chain of independent joints."""
+    """Describe what moves a frame that has no chain of independent joints."""
     return (
         "loops"
         if is_moved_by_loop(problem.system, str(problem.frame))
@@ -170,7 +172,7 @@ def _describe_movers(problem: Problem) -> str:
 
 
 def solve_by_chain(problem: Problem) -> Solutions:
-    """The answer for a frame that its own chain moves."""
+    """Solve `ik_all` for a frame that its own chain moves."""
     system = problem.system
     name = str(problem.frame)
     (task, direction) = problem.task
@@ -234,7 +236,7 @@ def _explain_no_loops(problem: Problem) -> str | None:
 
 
 def _plan_chain(problem: Problem, values: Mapping[str, Any]) -> ChainPlan:
-    """The plan of a frame's chain with joints held at `values`."""
+    """Plan the solution of a frame's chain with joints held at `values`."""
     frame = str(problem.frame)
     task, direction = problem.task
     lines = find_chain_lines(problem.system, frame, direction)
@@ -242,7 +244,7 @@ def _plan_chain(problem: Problem, values: Mapping[str, Any]) -> ChainPlan:
 
 
 def _explain_other_method(problem: Problem, method: Method) -> str | None:
-    """Why a problem is not for a method: its plan is for another one."""
+    """Explain why a problem is not for a method; None where it is."""
     lines = find_chain_lines(problem.system, str(problem.frame), problem.task[1])
     names = read_held_joints(str(problem.frame), lines.names, dict.fromkeys(problem.known, 0.0))
     return None if _plan_chain(problem, names).method == method else method.unfit
@@ -274,9 +276,7 @@ SOLVERS = (
 
 
 class BoundIkAll:
-    """`ik_all` of single poses for one frame, with all that can be looked up looked up: the way of
-    plain calls.
-    """
+    """`ik_all` of single poses for one frame, with all look-ups done once."""
 
     def __init__(self, system: Model, frame: str, plan: ChainPlan, kernel: Callable[..., int]):
         self.system = system
@@ -299,7 +299,7 @@ class BoundIkAll:
         return ChainProblem(self.system, self.frame, "pose", Z_AXIS, target[None], None, TOLERANCE)
 
     def __call__(self, target: Array) -> Solutions | None:
-        """All solutions for a pose (4, 4), None where the target needs the general solver."""
+        """Return all solutions for a pose (4, 4); None where it needs the general solver."""
         # the answer keeps it
         rows = self.new()
         X = target.copy()
@@ -315,7 +315,7 @@ class BoundIkAll:
 
 
 def bind_frame(system: Model, frame: str) -> BoundIkAll | None:
-    """The bound form for poses of a frame, None where there is none; made once."""
+    """Bind `ik_all` of a frame's poses, once; None where the general solver is needed."""
     lines = find_chain_lines(system, frame, Z_AXIS)
     plan = find_plan(system, frame, lines, "pose", Z_AXIS, ())
     blocks = None if plan.locked or system.structure.table.at[frame][2] else plan.method.blocks
@@ -331,7 +331,7 @@ def solve_chain_problem(
     values: Mapping[str, Array],
     threads: int | None,
 ) -> Solutions:
-    """The answer of the kernels; joints that are held by choice where there are solutions."""
+    """Solve a chain's problem by kernels; spare joints are held where solutions exist."""
     lines = plan.lines
     system = problem.system
     base = system.neutral[None] if near is None else near
@@ -386,9 +386,7 @@ def solve_chain_problem(
 def _find_late_targets(
     problem: ChainProblem, counts: np.ndarray
 ) -> tuple[float, np.ndarray] | None:
-    """The time limit [s] and the targets (N,) whose work it ended, which are in doubt; None where
-    it ended none.
-    """
+    """Find the targets (N,) whose work the time limit [s] ended; None if there are none."""
     if problem.watch is None or not problem.watch.late.any():
         return None
     late = problem.watch.late & (counts[:, 0] >= 0)
@@ -397,9 +395,7 @@ def _find_late_targets(
 
 
 def _mark_outside_rows(plan: ChainPlan, rows: Array) -> None:
-    """Mark the rows (N, K, n + 2) as outside the limits where a joint held by name is beyond its
-    own.
-    """
+    """Mark rows (N, K, n + 2) as outside where a joint held by name is beyond its limits."""
     if not plan.fixed:
         return
     at = list(plan.fixed)
@@ -413,7 +409,7 @@ def _mark_outside_rows(plan: ChainPlan, rows: Array) -> None:
 def _compute_locked_coordinates(
     problem: ChainProblem, plan: ChainPlan, near: Array, values: Mapping[str, Array]
 ) -> Array:
-    """Coordinates (1 or N, n) of the chain, of which those of locked joints count."""
+    """Compute coordinates (1 or N, n) of the chain, of which those of locked joints count."""
     lines = plan.lines
     shapes = [v.shape for v in values.values()]
     batch = any(shapes) or len(near) > 1

@@ -1,4 +1,4 @@
-"""Search for values of the joints that a redundant chain has to spare, where a target has solutions.
+"""Search for values of the spare joints of a redundant chain that make a target reachable.
 
 A target has solutions at some values of a spare joint only, near the boundary of the workspace and
 in the corners of the limits at hardly more than one. So a grid of values misses some. A numerical
@@ -76,7 +76,7 @@ def search_spare_joints(
     solve: Solve,
     threads: int | None,
 ) -> SpareJoints:
-    """Where the spare joints are in the end, if there are some.
+    """Search values of the spare joints at which the targets have solutions.
 
     `rows` (N, K, n + 2) and `counts` (N, 2) are made better in place.
 
@@ -113,12 +113,12 @@ def search_spare_joints(
 
 
 def _find_solved_targets(rows: Array) -> np.ndarray:
-    """Which targets (N,) have a solution."""
+    """Find the targets (N,) that have a solution."""
     return np.any(rows[..., -A.INFO + A.CODE] >= 0.0, axis=1)
 
 
 def _find_reached_targets(rows: Array) -> np.ndarray:
-    """Which targets (N,) have a solution inside the limits."""
+    """Find the targets (N,) that have a solution inside the limits."""
     # by solutions: many times as fast
     code = np.ascontiguousarray(rows[..., -A.INFO + A.CODE].T).astype(np.int64)
     return np.any((code & (SIGN | int(A.INSIDE_BIT))) == int(A.INSIDE_BIT), axis=0)
@@ -126,9 +126,7 @@ def _find_reached_targets(rows: Array) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class _Targets:
-    """The targets of a closed-form problem with the best solutions so far, in arrays that are
-    written in place.
-    """
+    """Targets of a closed-form problem with the best solutions so far."""
 
     problem: ChainProblem
     plan: ChainPlan
@@ -141,8 +139,7 @@ class _Targets:
     threads: int | None
 
     def solve_at_values(self, which: np.ndarray, locked: Array) -> tuple[Array, np.ndarray]:
-        """All solutions of the targets `which` (m indices) with the spare joints held at `locked`
-        (1 or m, n).
+        """Solve the targets `which` with the spare joints held at `locked` (1 or m, n).
 
         Returns rows (m, K, n + 2), each a configuration with its error and flag, and their counts
         (m, 2).
@@ -155,9 +152,7 @@ class _Targets:
     def keep_better_answers(
         self, which: np.ndarray, locked: Array, rows: Array, counts: np.ndarray
     ) -> None:
-        """Keep the answers that are better: they have a solution inside the limits, or have one at
-        all.
-        """
+        """Keep answers that are better: a solution inside the limits, or any at all."""
         old = self.rows[which]
         better = (_find_reached_targets(rows) & ~_find_reached_targets(old)) | (
             _find_solved_targets(rows) & ~_find_solved_targets(old)
@@ -168,7 +163,7 @@ class _Targets:
         self.locked[at] = locked[better]
 
     def step_spare_values(self, left: np.ndarray) -> np.ndarray:
-        """The targets of `left` that have no solution inside the limits at any of VALUES values."""
+        """Try VALUES values of the spare joints; return the targets of `left` still unreached."""
         values = sample_spare_values(self.plan, self.plan.spare_joints)
         k = 0
         while k < len(values) and len(left) and not self.problem.stopped(left):
@@ -193,8 +188,9 @@ class _Targets:
     def search_configurations(
         self, left: np.ndarray, starts: int, tolerance: float, limited: bool
     ) -> np.ndarray:
-        """The targets of `left` for which no start found a configuration, inside the limits where
-        `limited`.
+        """Search the targets of `left` from many starts; return those still unreached.
+
+        With `limited`, only configurations inside the limits count.
 
         The others have all solutions with the spare joints where their configuration has them,
         itself among them.
@@ -222,9 +218,7 @@ class _Targets:
     def _find_configurations(
         self, which: np.ndarray, starts: int, tolerance: float, limited: bool
     ) -> tuple[Array, Array, np.ndarray]:
-        """Coordinates (m, n) of the chain, errors (m,), and which were found (m,), to the tolerance
-        of the problem.
-        """
+        """Find coordinates (m, n) of the chain, errors (m,), and which were found (m,)."""
         lines = self.plan.lines
         task = make_frame_problem(self.problem)
         m = len(which)
@@ -301,7 +295,7 @@ class _Targets:
         return q, error, found & within
 
     def _polish_configuration(self, index: int, q: Array, limited: bool) -> tuple[Array, float]:
-        """A configuration (n,) on the target as nearly as can be, and its error."""
+        """Move a configuration (n,) onto the target as well as possible; also return its error."""
         lines = self.plan.lines
         target = self.problem.targets[index]
         aim = Aim.from_target(self.problem, self.plan, target, self.plan.fixed)
@@ -320,8 +314,9 @@ class _Targets:
 
 
 def sample_spare_values(plan: ChainPlan, spare: list[int]) -> Array:
-    """Values (VALUES - 1, k) of the spare joints between their limits: the ends, and what fills the
-    space between.
+    """Sample values (VALUES - 1, k) of the spare joints between their limits.
+
+    The ends come first, then values that fill the space between.
 
     The points of one joint are those of van der Corput (1935), of several those of a Kronecker
     sequence.
@@ -346,9 +341,7 @@ def sample_spare_values(plan: ChainPlan, spare: list[int]) -> Array:
 def _insert_configuration(
     row: Array, count: np.ndarray, q: Array, error: float, inside: bool, first: bool
 ) -> None:
-    """Make a configuration one of the rows (K, n + 2) of its target: in place of itself, else where
-    there is room.
-    """
+    """Insert a configuration in the rows (K, n + 2) of its target, once, if there is room."""
     n = len(q)
     used = row[:, n + A.CODE] >= 0.0
     off = np.where(used, np.abs(row[:, :n] - q).max(axis=1), np.inf)

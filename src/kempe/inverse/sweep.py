@@ -85,7 +85,7 @@ TWO_PI = 2.0 * math.pi
 
 
 class Curves(Protocol):
-    """What a sweep is made of: branches of solutions over the parameter."""
+    """Protocol of branches of solutions as functions of the parameter."""
 
     domain: tuple[float, float]
     labels: tuple[str, ...]
@@ -97,12 +97,16 @@ class Curves(Protocol):
     reason: str
 
     def find_intervals(self, limited: bool) -> list[list[tuple[float, float]]]:
-        """For each branch, where it exists, inside the limits where `limited`."""
+        """Find the intervals of the parameter where each branch exists.
+
+        With `limited`, only where it is inside the limits.
+        """
         ...
 
     def compute_rows(self, values: Array, branch: int | None) -> tuple[Array, np.ndarray]:
-        """Coordinates (m, K, n) of the chain, in any turn, and which are there (m, K); of one
-        branch K = 1.
+        """Compute coordinates (m, K, n) of the chain, and which branches exist (m, K).
+
+        Of one branch K = 1; angles are in any turn.
         """
         ...
 
@@ -221,9 +225,7 @@ class Sweep(Answer):
     ask: Callable[[Array], Any] | None
 
     def table(self) -> tuple[list[str], Array]:
-        """Names and columns for a file: a row a sample and branch inside the limits, with the
-        parameter's value.
-        """
+        """Return names and columns of a table with a row for each feasible sample and branch."""
         row, branch = np.nonzero(self.inside)
         first = [np.asarray(self.values, dtype=float)[row], branch.astype(float)]
         return ["value", "branch", *self.system.coordinate_names], np.column_stack(
@@ -232,12 +234,13 @@ class Sweep(Answer):
 
     @property
     def feasible(self) -> Intervals:
-        """The intervals in which there is any solution inside the limits."""
+        """Intervals of the parameter with a solution inside the limits."""
         return unite_intervals([i for rows in self.intervals for i in rows], self.curves.circular)
 
     def at(self, value: ArrayLike) -> Any:
-        """All solutions at a value of the parameter, a `Slice`, or for joints `Solutions` of
-        `ik_all`; (m,) for many.
+        """Return all solutions at a value of the parameter, or at many values (m,).
+
+        They are a `Slice`, or for joints the `Solutions` of `ik_all`.
 
         Errors: `InputError` for values that are not finite.
         """
@@ -275,9 +278,7 @@ class Sweep(Answer):
     def _sample_branches(
         self, values: Array, along: bool, branch: int | None = None
     ) -> tuple[Array, np.ndarray, np.ndarray]:
-        """Configurations (m, K, nq), which are there, which are inside the limits (m, K); of one
-        branch K = 1.
-        """
+        """Compute configurations (m, K, nq), which exist, and which are inside the limits (m, K)."""
         lines = self.curves.lines
         rows: list[tuple[Array, np.ndarray]] = []
         for k in range(0, max(len(values), 1), PIECE):
@@ -293,7 +294,7 @@ class Sweep(Answer):
         return q, mask, fits & mask
 
     def best(self, objective: str | Callable[[Array], Array] = "limits") -> Best | None:
-        """The best configuration inside the limits, over all branches; None where there is none.
+        """Return the best configuration inside the limits over all branches; None if none exists.
 
         objective: "limits" (the share of its range by which the joint nearest to a limit is away
         from it, at most 1), "near" (minus the distance to `near`), or a function of configurations
@@ -315,7 +316,7 @@ class Sweep(Answer):
     def _find_best_sample(
         self, score: Callable[[Array], Array], branch: int, values: Array, best: Best | None
     ) -> Best | None:
-        """The best of one branch at these values, or `best` where that is better."""
+        """Find the best sample of one branch at these values, or return a better `best`."""
         q, mask, fits = self._sample_branches(values, False, branch)
         rows = np.flatnonzero((mask & fits)[:, 0])
         if not rows.size:
@@ -365,19 +366,17 @@ class Sweep(Answer):
 
     @property
     def success(self) -> bool:
-        """Whether there is any solution inside the limits."""
+        """Whether there is a solution inside the limits."""
         return any(self.intervals)
 
     @property
     def late(self) -> bool:
-        """Whether the time limit ended the search for branches, of which there may be more, or the
-        sampling.
-        """
+        """Whether the time limit ended the search for branches, or the sampling."""
         return self.curves.late
 
     @property
     def code(self) -> Status:
-        """The outcome: that there is no solution is proven where the intervals are `exact`."""
+        """Outcome: that there is no solution is proven where the intervals are `exact`."""
         if self.success:
             return Status.SOLVED
         if self.late and not self.exact:
@@ -437,8 +436,9 @@ class Sweep(Answer):
 def choose_turns(
     lines: Lines, q: Array, mask: np.ndarray, near: Array, along: bool
 ) -> tuple[Array, np.ndarray]:
-    """Coordinates (m, K, n) with turns chosen, inside the limits and nearest to `near` (n,), and
-    whether they fit.
+    """Choose turns of coordinates (m, K, n) inside the limits, nearest to `near` (n,).
+
+    Also returns whether they are inside the limits.
 
     `along`: nearest to the row before, where there is one.
     """
@@ -470,7 +470,7 @@ def _shift_by_turns(lines: Lines, q: Array, near: Array, period: Array) -> tuple
 
 
 def find_distinct_rows(lines: Lines, system: Model, q: Array, mask: np.ndarray) -> np.ndarray:
-    """Rows (k,) of q (K, nq) in use that are not the same configuration as one before them."""
+    """Find the rows (k,) of q (K, nq) that differ from all rows before them."""
     out: list[int] = []
     period = np.where(lines.kinds == SLIDE, np.inf, TWO_PI / np.abs(lines.multiplier))
     for k in np.flatnonzero(mask):
@@ -607,14 +607,14 @@ def _explain_no_joint(problem: Problem) -> str | None:
 
 
 def sweep_arm_angle(problem: Problem) -> Sweep:
-    """The branches of an arm over its arm angle, in closed form."""
+    """Sweep the branches of an arm over its arm angle, in closed form."""
     over = _make_sweep_problem(problem)
     arm = require_arm(problem.system, over.frame, problem.parameter[1])
     return _make_sweep(over, ArmCurves(over, arm), problem.options["n"])
 
 
 def sweep_joint(problem: Problem) -> Sweep:
-    """The branches over a joint, from solutions at many of its values."""
+    """Sweep the branches over a joint, from solutions at many of its values."""
     over = _make_sweep_problem(problem)
     points = _check_sample_count(USUAL.complete_budget(problem.budget).points)
     return _make_sweep(
@@ -690,14 +690,12 @@ class SweepProblem:
     time: TimeLimit = field(compare=False)
 
     def list_locked_joints(self, fixed: Mapping[str, Any]) -> tuple[int, ...]:
-        """Joints that `ik_all` holds, with these `fixed`."""
+        """List the joints that `ik_all` holds, with these `fixed`."""
         lines = find_chain_lines(self.system, self.frame, self.axis)
         return find_plan(self.system, self.frame, lines, self.task, self.axis, tuple(fixed)).locked
 
     def choose_configuration(self) -> Array:
-        """Configuration (nq,) where joints are held that nobody named: near, inside the limits, or
-        on target.
-        """
+        """Choose the configuration (nq,) where unnamed joints are held: near, or on target."""
         if self.anywhere:
             found = ik_all(
                 self.system, self.given, self.frame, task=(self.task, self.axis), fixed=self.fixed
@@ -712,7 +710,7 @@ class SweepProblem:
     def solve_at_values(
         self, name: str, values: Array, fixed: Mapping[str, Any], time: TimeLimit | None = None
     ) -> Any:
-        """`ik_all` with a joint held at values () or (m,), in the `time` that is left."""
+        """Solve `ik_all` with a joint held at values () or (m,), in the remaining time."""
         budget = (
             None
             if time is None or time.remaining_seconds is None
@@ -733,7 +731,7 @@ class SweepProblem:
 
 
 def _make_sweep(over: SweepProblem, curves: ArmCurves | JointCurves, n: int | None) -> Sweep:
-    """The answer, with samples."""
+    """Make the answer, with samples."""
     rows, spans = (
         tuple(tuple(r) for r in curves.find_intervals(limited)) for limited in (True, False)
     )
@@ -800,12 +798,13 @@ class ArmCurves:
         )
 
     def find_intervals(self, limited: bool) -> list[list[tuple[float, float]]]:
-        """For each branch, where it exists, inside the limits where `limited`."""
+        """Find the intervals of the arm angle where each branch exists, or is inside the limits."""
         return self.posed.find_intervals(limited)
 
     def compute_rows(self, values: Array, branch: int | None = None) -> tuple[Array, np.ndarray]:
-        """Coordinates (m, 8, 7), and which branches are there (m, 8); (m, 1, 7) and (m, 1) of one
-        branch.
+        """Compute coordinates (m, 8, 7), and which branches exist (m, 8).
+
+        Of one branch they are (m, 1, 7) and (m, 1).
         """
         theta, found = self.posed.solve_branches(values)
         if branch is not None:
@@ -846,14 +845,14 @@ class JointCurves:
         )
 
     def find_intervals(self, limited: bool) -> list[list[tuple[float, float]]]:
-        """For each branch, where it exists, inside the limits where `limited`."""
+        """Find the intervals of the joint where each branch exists, or is inside the limits."""
         return [
             [(a * self.unit, b * self.unit) for a, b in arc.find_intervals(limited)]
             for arc in self.arcs
         ]
 
     def compute_rows(self, values: Array, branch: int | None = None) -> tuple[Array, np.ndarray]:
-        """Coordinates (m, K, n), and which branches are there (m, K); of one branch K = 1."""
+        """Compute coordinates (m, K, n), and which branches exist (m, K); of one branch K = 1."""
         arcs = self.arcs if branch is None else [self.arcs[branch]]
         q = np.full((len(values), len(arcs), len(self.lines)), np.nan)
         mask = np.zeros(q.shape[:2], dtype=bool)
@@ -866,8 +865,9 @@ class JointCurves:
 
 
 def _trace_joint_curves(over: SweepProblem, parameter: str | None, samples: int) -> JointCurves:
-    """The branches over a joint. Errors: `UnsupportedError` where the chain has no freedom to
-    spare.
+    """Trace the branches over a joint.
+
+    Errors: `UnsupportedError` where the chain has no freedom to spare.
     """
     lines = over.lines
     if parameter is not None and parameter not in lines.names:
@@ -920,8 +920,9 @@ def _format_task(task: str) -> str:
 
 
 def _choose_locked_joints(over: SweepProblem, parameter: str | None) -> list[str]:
-    """Joints that `ik_all` holds for this task, the parameter first; none where the chain has no
-    freedom to spare.
+    """Choose the joints that `ik_all` holds, the parameter first.
+
+    There are none where the chain has no freedom to spare.
     """
     fixed = dict(over.fixed)
     if parameter is not None:

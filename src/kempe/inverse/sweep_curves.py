@@ -63,18 +63,18 @@ class ChainMotion(Curve):
 
     @property
     def n(self) -> int:
-        """How many joints move."""
+        """Number of joints that move."""
         return len(self.free)
 
     @property
     def unit(self) -> Array:
-        """What one of x is in the system's units (nf,)."""
+        """Unit (nf,) of each free coordinate x in the system's units."""
         free = list(self.free)
         return np.where(self.lines.kinds[free] == SLIDE, self.lines.length, 1.0)
 
     @property
     def period(self) -> Array:
-        """After how much of x (nf,) a joint is as before; infinite for slides."""
+        """Period (nf,) of each free coordinate: a turn; infinite for slides."""
         free = list(self.free)
         return np.where(
             self.lines.kinds[free] == SLIDE, np.inf, TWO_PI / np.abs(self.lines.multiplier[free])
@@ -86,31 +86,30 @@ class ChainMotion(Curve):
         return self.lines.limits[:, list(self.free)] / self.unit
 
     def make_configurations(self, x: Array) -> Array:
-        """Configurations (..., nq) of x (..., nf)."""
+        """Make configurations (..., nq) of free coordinates x (..., nf)."""
         out = np.array(np.broadcast_to(self.base, (*x.shape[:-1], len(self.base))), order="C")
         out[..., self.lines.q_index[list(self.free)]] = x * self.unit
         return out
 
     def read_coordinates(self, q: Array) -> Array:
-        """Free coordinates (..., nf) of configurations (..., nq)."""
+        """Read the free coordinates (..., nf) of configurations (..., nq)."""
         return q[..., self.lines.q_index[list(self.free)]] / self.unit
 
     @property
     def tool(self) -> Array:
-        """The rotation (3, 3) from the frame to one whose z axis is the tool's axis, where the task
-        reads that.
-        """
+        """Rotation (3, 3) from the frame to one whose z axis is the tool's axis."""
         return make_rotations_along(np.array(self.axis)) if is_axis_task(self.task) else np.eye(3)
 
     @property
     def rows(self) -> Array:
-        """Which of the six errors count (6,), as 0 and 1."""
+        """Weights (6,), 0 or 1, of the six pose errors."""
         planar = self.system.dim == 2 and self.task == "pose"
         return np.array((1, 1, 0, 0, 0, 1) if planar else TASKS[self.task], dtype=float)
 
     def compute_missing_twist(self, q: Array) -> Array:
-        """The twist (..., 6) from the tip to the target, in the tip's frame, lengths in those of
-        the chain.
+        """Compute the twist (..., 6) from the tip to the target, in the tip's frame.
+
+        Lengths are in lengths of the chain.
 
         What the task does not ask for is zero.
         """
@@ -131,7 +130,7 @@ class ChainMotion(Curve):
         return self.rows * np.concatenate([away, angular], axis=-1)
 
     def compute_twist_jacobian(self, x: Array) -> Array:
-        """The twist (..., 6, nf) of the tip by x, as in `compute_missing_twist`."""
+        """Compute derivatives (..., 6, nf) of the tip's twist by x."""
         J = jacobian(self.system, self.make_configurations(x), self.frame, "body")
         J = J[..., self.lines.v_index[list(self.free)]] * self.unit
         J = np.concatenate(
@@ -140,24 +139,25 @@ class ChainMotion(Curve):
         return self.rows[:, None] * J
 
     def evaluate_equations(self, x: Array) -> tuple[Array, Array]:
-        """Minus the twist that is missing at x (nf,), and the derivatives, rows of zeros below."""
+        """Compute minus the missing twist at x (nf,), and its derivatives, with zero rows below."""
         return np.append(
             -self.compute_missing_twist(self.make_configurations(x)), np.zeros(max(self.n - 6, 0))
         ), self.compute_jacobian(x)
 
     def compute_jacobian(self, x: Array) -> Array:
-        """The derivatives of `evaluate_equations` alone."""
+        """Compute the derivatives of `evaluate_equations` alone."""
         return np.append(
             self.compute_twist_jacobian(x), np.zeros((max(self.n - 6, 0), self.n)), axis=0
         )
 
     def compute_tolerance(self, x: Array) -> float:
-        """Error below which a point is on the curve."""
+        """Compute the largest error of a point of the curve."""
         return HELD
 
     def correct_points(self, x: Array, across: Array, rounds: int = 8) -> tuple[Array, np.ndarray]:
-        """Points (m, nf) of the curve in planes through x (m, nf) across directions (m, nf), and
-        whether found (m,).
+        """Find points (m, nf) of the curve in planes through x (m, nf), and which exist (m,).
+
+        The planes are normal to the directions `across` (m, nf).
         """
         at = np.sum(across * x, axis=-1)
 
@@ -173,16 +173,14 @@ class ChainMotion(Curve):
         ) < HELD
 
     def compute_short_difference(self, x: Array, y: Array) -> Array:
-        """y - x (..., nf), angles the short way."""
+        """Compute y - x (..., nf), with angles the short way."""
         d = y - x
         period = self.period
         with np.errstate(invalid="ignore"):
             return np.where(np.isfinite(period), d - period * np.round(d / period), d)
 
     def is_inside_limits(self, x: Array) -> np.ndarray:
-        """Whether x (..., nf) is inside the limits (...), by any turn; the parameter is not looked
-        at.
-        """
+        """Whether (...) x (..., nf) is inside the limits in some turn, except the parameter."""
         (low, high) = self.limits
         period = self.period
         with np.errstate(invalid="ignore"):
@@ -206,21 +204,21 @@ class CurvePiece:
 
     @property
     def values(self) -> Array:
-        """Parameter (k,) of the nodes."""
+        """Parameter values (k,) of the nodes."""
         return self.x[:, self.motion.p]
 
     def guess_points(self, k: np.ndarray, s: Array) -> Array:
-        """Points (m, nf) near the curve at fractions s (m,) of steps k (m,): cubics."""
+        """Estimate points (m, nf) at fractions s (m,) of steps k (m,), by cubics."""
         return interpolate_hermite(self.x[k], self.t[k], self.x[k + 1], self.t[k + 1], s)
 
     def compute_points(self, k: np.ndarray, s: Array) -> Array:
-        """Points (m, nf) of the curve at fractions s (m,) of steps k (m,)."""
+        """Compute points (m, nf) of the curve at fractions s (m,) of steps k (m,)."""
         across = self.x[k + 1] - self.x[k]
         across /= np.linalg.norm(across, axis=-1, keepdims=True)
         return self.motion.correct_points(self.guess_points(k, s), across)[0]
 
     def find_points(self, values: Array) -> tuple[Array, np.ndarray]:
-        """Points (m, nf) at values (m,) of the parameter, and whether the arc is there (m,)."""
+        """Find points (m, nf) at parameter values (m,), and whether the arc exists there (m,)."""
         p = self.motion.p
         known = self.values
         there = (values >= known[0]) & (values <= known[-1])
@@ -252,8 +250,9 @@ class CurvePiece:
         return out, there
 
     def find_intervals(self, limited: bool = True) -> list[tuple[float, float]]:
-        """Intervals of the parameter in which the arc is inside the limits; all of it where not
-        `limited`.
+        """Find the intervals of the parameter in which the arc is inside the limits.
+
+        Without `limited`, return all of it.
         """
         if not limited:
             return [(float(self.values[0]), float(self.values[-1]))]
@@ -276,9 +275,7 @@ class CurvePiece:
         return out
 
     def _iterate_crossings(self) -> Iterator[tuple[float, float]]:
-        """Places (step and fraction of it) where a joint other than the parameter passes a limit,
-        and the parameter.
-        """
+        """Yield step, fraction and parameter where another joint passes a limit."""
         m = self.motion
         steps = len(self.x) - 1
         k = np.repeat(np.arange(steps), len(CHECKS))
@@ -332,7 +329,10 @@ class CurvePiece:
 
 
 def compute_rotation_vector(R: Array) -> Array:
-    """2 tan(angle / 2) times the axis (..., 3) of rotations: the rotation vector where it is small."""
+    """Compute 2 tan(angle / 2) times the axis (..., 3) of rotations.
+
+    For small angles it is the rotation vector.
+    """
     v = np.stack(
         [R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]],
         axis=-1,
@@ -342,7 +342,7 @@ def compute_rotation_vector(R: Array) -> Array:
 
 
 def interpolate_hermite(x0: Array, t0: Array, x1: Array, t1: Array, s: Array) -> Array:
-    """Points (m, n) at fractions s (m,) of steps between nodes (m, n) with unit tangents."""
+    """Interpolate points (m, n) at fractions s (m,) between nodes with unit tangents (m, n)."""
     size = np.linalg.norm(x1 - x0, axis=-1, keepdims=True)
     s = s[:, None]
     d = x1 - x0
@@ -361,8 +361,9 @@ def interpolate_hermite(x0: Array, t0: Array, x1: Array, t1: Array, s: Array) ->
 def follow_curve(
     motion: ChainMotion, start: Array, tangent: Array, between: tuple[float, float]
 ) -> tuple[list[Array], list[Array]]:
-    """Nodes and tangents of the curve from a point on, until the parameter leaves an interval: the
-    last is on its end.
+    """Follow the curve until the parameter leaves an interval: nodes and tangents.
+
+    The last node is on the end of the interval.
 
     Where the curve has no tangent, or is too long, the last node is inside.
     """
@@ -385,7 +386,7 @@ def follow_curve(
 
 
 def _find_landing(motion: ChainMotion, a: Node, b: Node, value: float) -> GaussNewtonEnd | None:
-    """What is found in a step where the parameter has a value, None where there is none."""
+    """Find the point in a step where the parameter has a value; None if there is none."""
     p = motion.p
     ends = a.x[None], a.t[None], b.x[None], b.t[None]
     s = find_sign_change(
@@ -403,7 +404,7 @@ def _find_landing(motion: ChainMotion, a: Node, b: Node, value: float) -> GaussN
 def split_at_folds(
     motion: ChainMotion, xs: list[Array], ts: list[Array]
 ) -> list[tuple[Array, Array]]:
-    """Nodes and tangents between the folds of a path, in its order."""
+    """Split a path at its folds: nodes and tangents of the parts, in order."""
     nodes = [xs[0]]
     tangents = [ts[0]]
     ends = [0]
@@ -422,7 +423,7 @@ def split_at_folds(
 def _iterate_folds(
     motion: ChainMotion, x: Array, t: Array, y: Array, u: Array
 ) -> Iterator[tuple[Array, Array]]:
-    """Points and tangents in a step where the parameter turns back."""
+    """Yield points and tangents in a step where the parameter turns back."""
     p = motion.p
     piece = CurvePiece(motion, np.array([x, y]), np.array([t, u]))
     at_0 = np.array([0])
@@ -464,7 +465,7 @@ Piece = tuple[Array, Array]
 
 
 class Net:
-    """Solutions at rising values of the parameter, and the pieces of curve that join them.
+    """Solutions at rising values of the parameter, and the pieces of curve between them.
 
     x, t (M, nf): solutions and unit tangents along which the parameter rises; level (M,): which
     value. `up[a]` is the next node above a with the piece from a to it, both inclusive; `head[a]`
@@ -487,7 +488,7 @@ class Net:
         self.at = [np.flatnonzero(level == i) for i in range(len(values))]
 
     def join_nodes(self) -> None:
-        """Join what is close and straight, and follow the curves from all ends that are left."""
+        """Join neighbouring nodes, and follow the curves from all ends that are left."""
         for i in range(len(self.values) - 1):
             self._join_levels(self.at[i], self.at[i + 1])
         for a in range(len(self.x)):
@@ -520,8 +521,7 @@ class Net:
         self.below.add(b)
 
     def _follow_from_node(self, a: int, sense: float) -> None:
-        """Follow the curve from node a up (sense 1) or down (-1) to the next value of the
-        parameter, or back.
+        """Follow the curve from node a up (sense 1) or down (-1) to the next level, or back.
 
         Its pieces are kept in `up`, `head`, `foot` and `loose`.
         """
@@ -558,7 +558,7 @@ class Net:
         self.loose += parts[1:]
 
     def _hang_piece(self, a: int, sense: float, piece: Piece) -> None:
-        """Keep a piece that leads away from a node to a fold above or below it."""
+        """Keep a piece that leads from a node to a fold above or below it."""
         x, t = piece
         if sense > 0.0:
             self.head[a] = x, t
@@ -566,9 +566,7 @@ class Net:
             self.foot[a] = x[::-1], -t[::-1]
 
     def _find_node(self, x: Array, level: int) -> int | None:
-        """The node at a level that equals x (nf,), where a path has arrived; None where there is
-        none.
-        """
+        """Find the node at a level that equals x (nf,), or None."""
         some = self.at[level]
         if not some.size:
             return None
@@ -577,7 +575,7 @@ class Net:
         return int(some[k]) if away[k] < SAME else None
 
     def list_arcs(self) -> list[CurvePiece]:
-        """All arcs, in the order of where they begin."""
+        """List all arcs, in the order of their beginnings."""
         out = [self._make_arc([piece]) for piece in self.loose]
         for a in range(len(self.x)):
             if a in self.below:
@@ -594,7 +592,7 @@ class Net:
         return sorted(out, key=lambda a: (round(float(a.values[0]), 6), *a.x[0].round(6).tolist()))
 
     def _make_arc(self, parts: list[Piece]) -> CurvePiece:
-        """One arc of pieces that follow each other, angles without jumps, the parameter rising."""
+        """Make one arc of consecutive pieces; the parameter rises and angles have no jumps."""
         (x, t) = parts[0]
         p = self.motion.p
         xs = list(x)
@@ -615,8 +613,9 @@ class Net:
 def trace_arcs(
     motion: ChainMotion, values: Array, x: Array, level: np.ndarray, time: TimeLimit
 ) -> list[CurvePiece]:
-    """The arcs of the curves through solutions x (M, nf), at rising values (m,); level (M,): at
-    which.
+    """Trace the arcs through solutions x (M, nf) at rising values (m,) of the parameter.
+
+    `level` (M,) is the index of each solution's value.
 
     Solutions at the values are joined to curves; from those that find no partner curves are
     followed.

@@ -1,4 +1,4 @@
-"""Whether the time of a call is up: for loops, and a clock that kernels can look at."""
+"""Time limits of calls: for loops in Python, and for kernels."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ SHARE = 0.8
 
 
 class TimeLimit(watched_by):
-    """The time of one call [s], None for as long as it takes. Errors: `InputError`.
+    """Time limit of one call [s], None for no limit. Errors: `InputError`.
 
     As a block: what is done in it ends with `TimeUp` at the next `check_for_stop`, on whichever
     layer that is. It comes once in each thread, so that what was done can be put in order by
@@ -49,10 +49,11 @@ class TimeLimit(watched_by):
 
     @property
     def spent(self) -> bool:
-        """Whether `TimeUp` came."""
+        """Whether `TimeUp` was raised."""
         return bool(self._told)
 
     def _raise_time_up(self) -> None:
+        """Raise `TimeUp` if the time is up, once in each thread."""
         thread = threading.get_ident()
         if thread not in self._told and time.monotonic() >= self.soon:
             self._told.add(thread)
@@ -60,22 +61,22 @@ class TimeLimit(watched_by):
 
     @property
     def remaining_seconds(self) -> float | None:
-        """Seconds that are left, at least some for what ends at once; None where there is no limit."""
+        """Remaining time [s], at least `LEAST`; None without a limit."""
         return None if self.limit is None else max(self.end - time.monotonic(), LEAST)
 
     def check_time(self) -> None:
-        """Raise `TimeUp` if the time of the call is spent, or that of a verb which asks it."""
+        """Raise `TimeUp` if the time of the call is up, or that of the verb that called it."""
         check_for_stop()
         if self.limit is not None and time.monotonic() >= self.soon:
             self._told.add(threading.get_ident())
             raise TimeUp
 
     def release_reserved_time(self) -> None:
-        """Let the rest of the time be used, too."""
+        """Allow the call to use the time that was reserved for putting its result in order."""
         self.soon = self.end
 
     def describe_end_reason(self, error: BaseException) -> str:
-        """What ended the computation, as text: the interrupt, or the time limit."""
+        """Describe what ended the computation: the interrupt, or the time limit."""
         if not isinstance(error, TimeUp):
             return "the interrupt"
         return "the time limit" if self.limit is None else f"the time limit of {self.limit:g} s"
@@ -88,8 +89,7 @@ ENDLESS = TimeLimit(None)
 def limit_time(
     usual: Usual, otherwise: Callable[..., Any] | None = None
 ) -> Callable[[Function], Function]:
-    """A decorator for verbs: their time limit is looked at on all layers, from the first line to
-    the last.
+    """Make a decorator that applies the time limit of a verb to all that it calls.
 
     Verbs say themselves what was done by then. Where the time is up before anything is, `otherwise`
     answers, from the `TimeLimit` and the arguments of the verb; without it `TimeLimitError` is
@@ -125,8 +125,9 @@ def limit_time(
 
 @contextlib.contextmanager
 def limit_preparation_time(usual: Usual, time: TimeLimit) -> Generator[None]:
-    """A block in which a verb prepares its work. Errors: `TimeLimitError` where its time is up in
-    it.
+    """Limit the time of a block in which a verb prepares its work.
+
+    Errors: `TimeLimitError` where the time is up in it.
 
     For verbs that keep what was done by then once the work has begun: before that there is nothing
     to keep.
@@ -144,19 +145,23 @@ _running = threading.local()
 
 
 def find_time_limit(usual: Usual, budget: Budget | None = None) -> TimeLimit:
-    """The time of the call of a `limit_time` verb that runs now; where none does, that of a
-    budget.
-    """
+    """Find the time limit of the running verb; without one, make that of the budget."""
     verb, time = getattr(_running, "call", None) or (None, ENDLESS)
     return time if verb is usual else TimeLimit(usual.complete_budget(budget).time_limit)
 
 
 class EndReached(TimeUp):
-    """A kernel came to the end that its caller set by `make_end_check`; it says itself what it ended."""
+    """A kernel came to the end that its caller set by `make_end_check`.
+
+    The kernel says itself what it ended.
+    """
 
 
 def make_end_check(end: float) -> Callable[[], None]:
-    """A check for `watched_by` that raises `EndReached` from the time `end` of `time.monotonic` on."""
+    """Make a check for `watched_by` that raises `EndReached` from the time `end` on.
+
+    `end` is a value of `time.monotonic`.
+    """
 
     def check_end() -> None:
         if end < math.inf and time.monotonic() >= end:
@@ -170,13 +175,13 @@ BROKEN_OFF = (KeyboardInterrupt, TimeUp)
 
 
 def describe_early_end(interrupted: bool, late: bool) -> str:
-    """End of a sentence about a computation that ended early; '' otherwise."""
+    """Describe why a computation ended early, as the end of a sentence; '' if it did not."""
     why = "interrupted" if interrupted else "stopped by the time limit"
     return f" ({why}: this is the part that was done)" if interrupted or late else ""
 
 
 class Clock:
-    """The function `check_for_stop` as kernels call it: it writes 1 where the work must end.
+    """Clock that kernels look at: it writes 1 where the work must end.
 
     What it raises is kept for the thread until `take_error` takes it after the kernel.
     """
@@ -193,14 +198,15 @@ class Clock:
 
     @property
     def address(self) -> int:
-        """The address at which kernels call it."""
+        """Address at which kernels call the clock."""
         return self._called.address
 
     def _keep_error(self, error: BaseException) -> None:
+        """Keep the error of this thread until `take_error` takes it."""
         self._thread.error = error
 
     def take_error(self) -> TimeUp | None:
-        """The `TimeUp` of a look of a kernel since the last call; other errors are raised."""
+        """Return and forget the `TimeUp` that a kernel met; raise other errors."""
         error = getattr(self._thread, "error", None)
         self._thread.error = None
         if error is None or isinstance(error, TimeUp):
@@ -210,5 +216,5 @@ class Clock:
 
 @cache
 def get_clock() -> Clock:
-    """The one clock of all kernels."""
+    """Return the clock that all kernels share."""
     return Clock()

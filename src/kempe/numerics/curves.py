@@ -1,5 +1,4 @@
-"""One tracer for curves of configurations: predictor along the tangent, corrector across it, steps
-that stay on it.
+"""Continuation of curves: a predictor along the tangent and a corrector across it.
 
 A curve is where n - 1 independent equations of n unknowns hold; there may be more, dependent ones.
 Everything is done in numbers without unit: turns in radians, slides and positions divided by a
@@ -39,7 +38,7 @@ NONE = np.zeros((0, 0))
 
 
 class Curve:
-    """The equations of a curve over points x (n,), each a vector. `n` is the number of unknowns.
+    """Equations of a curve over points x (n,). `n` is the number of unknowns.
 
     What is written here is what others than plain vectors, or with other correctors, do in their
     own way.
@@ -51,43 +50,40 @@ class Curve:
     """How many variables there are: set once by some curves, a property of others."""
 
     def evaluate_equations(self, x: Array) -> tuple[Array, Array]:
-        """Residuals (rows,) of the equations at `x`, and their derivatives (rows, n): at least n
-        rows, some zero.
+        """Compute residuals (rows,) and derivatives (rows, n) of the equations at `x`.
+
+        There are at least n rows, some of them zero.
         """
         raise NotImplementedError
 
     def compute_jacobian(self, x: Array) -> Array:
-        """Derivative (rows, n) of the equations at `x`."""
+        """Compute the derivatives (rows, n) of the equations at `x`."""
         return self.evaluate_equations(x)[1]
 
     def move_point(self, x: Array, y: Array) -> Array:
-        """The point reached from `x` by the tangent vector `y` (n,)."""
+        """Compute the point that the tangent vector `y` (n,) leads to from `x`."""
         return x + y
 
     def compute_difference(self, x: Array, other: Array) -> Array:
-        """The tangent vector (n,) from `x` to `other`."""
+        """Compute the tangent vector (n,) that leads from `x` to `other`."""
         return other - x
 
     def compute_tolerance(self, x: Array) -> float:
-        """Residual below which the equations hold at `x`."""
+        """Compute the largest residual of a point `x` of the curve."""
         return CLOSED
 
     def correct_point(self, x: Array, across: Array) -> GaussNewtonEnd | None:
-        """The corrected point of the curve near `x`, in the plane normal to the direction `across`
-        (n,); or None.
-        """
+        """Find the point of the curve near `x` in the plane normal to `across` (n,), or None."""
         return correct_point(self, x, across)
 
     def make_node(self, x: Array, toward: Array, J: Array) -> Node:
-        """The node at a point of the curve, with its derivatives, the tangent in the sense of
-        `toward` (n,).
-        """
+        """Make the node at point `x` of the curve, its tangent in the sense of `toward` (n,)."""
         return make_node(self, x, toward, J)
 
 
 @dataclass(frozen=True, eq=False)
 class Node:
-    """A point of a curve: where, the unit tangent, how regular it is.
+    """Point of a curve with its unit tangent and a measure of its regularity.
 
     `sigma` is the last singular value that is not zero on the regular curve, relative to the
     largest; `nullity` counts those that are zero here: 1 at regular points. `lines` (k, n) are the
@@ -103,14 +99,17 @@ class Node:
     lines: Array | None = None
 
     def reverse_direction(self) -> Node:
-        """The same point, walked the other way."""
+        """Return the same point with the opposite tangent."""
         return Node(self.x, -self.t, self.sigma, self.nullity, self.matrix, self.image, self.lines)
 
 
 def make_node(
     equations: Curve, x: Array, toward: Array | None = None, J: Array | None = None
 ) -> Node:
-    """The `Node` at a point of the curve; its tangent is the null vector nearest to `toward` (n,)."""
+    """Make the `Node` at point `x` of a curve.
+
+    Its tangent is the null vector nearest to `toward` (n,).
+    """
     J = equations.compute_jacobian(x) if J is None else J
     spectrum = Spectrum(J, equations.least)
     U, s, Vt = spectrum.thin_decomposition
@@ -128,8 +127,7 @@ def make_node(
 
 
 def correct_point(equations: Curve, x: Array, across: Array) -> GaussNewtonEnd | None:
-    """The point of the curve in the plane through `x` normal to the direction `across` (n,), or
-    None.
+    """Find the point of a curve in the plane through `x` normal to `across` (n,), or None.
 
     Newton's method with least squares, so that dependent equations do no harm.
     """
@@ -149,9 +147,7 @@ def correct_point(equations: Curve, x: Array, across: Array) -> GaussNewtonEnd |
 
 
 def find_next_node(curve: Curve, a: Node, h: float) -> Node | None:
-    """The next node of the curve, at a distance of about `h` from `a`; None where `h` is too long
-    to be safe.
-    """
+    """Find the node at a distance of about `h` from `a`; None where `h` is too long."""
     guess = curve.move_point(a.x, h * a.t)
     there = curve.correct_point(guess, a.t)
     if (
@@ -166,7 +162,7 @@ def find_next_node(curve: Curve, a: Node, h: float) -> Node | None:
 def choose_step_length(
     h: float, longest: float, a: Node, b: Node, ideal: float = IDEAL_BEND
 ) -> float:
-    """The next step length, from how much the tangent turned in the last one."""
+    """Choose the next step length by how much the tangent turned in the last step."""
     factor = (
         1.5
         if ideal == math.inf
@@ -184,8 +180,9 @@ def walk_curve(
     least: float = LEAST_STEP,
     ideal: float = IDEAL_BEND,
 ) -> Iterator[Node]:
-    """Nodes of a curve after `a`, by steps of which the first has the length `h`, until they would
-    be below `least`.
+    """Yield nodes of a curve after `a`, until steps would be shorter than `least`.
+
+    The first step has the length `h`.
 
     `taken` gives the nodes that a step of some length from a node leads to, None where that is too
     long. `ideal` is the angle between tangents that the length aims at.
@@ -203,12 +200,12 @@ def walk_curve(
 
 
 def compute_bend_angle(a: Node, b: Node) -> float:
-    """Angle between the tangents of two nodes."""
+    """Compute the angle [rad] between the tangents of two nodes."""
     return 2.0 * float(np.arcsin(min(1.0, 0.5 * float(np.linalg.norm(b.t - a.t)))))
 
 
 def is_determinant_flipped(a: Node, b: Node) -> bool | None:
-    """Whether the determinant of the equations and the tangent changes its sign between two nodes.
+    """Whether the determinant of equations and tangent changes its sign between two nodes.
 
     It does at a simple crossing of branches, and where a step went over to another branch
     (Allgower, Georg, 1990, section 8.1). None where the nodes are too different to tell. The image
@@ -228,7 +225,7 @@ def is_determinant_flipped(a: Node, b: Node) -> bool | None:
 def find_node_between(
     equations: Curve, a: Node, b: Node, distance: float, whole: bool = True
 ) -> Node | None:
-    """The node between two neighbours at `distance` along the tangent of the first.
+    """Find the node between two neighbours at `distance` along the first one's tangent.
 
     One that is not `whole` may lack singular values and matrices, where these cost much.
     """
@@ -249,8 +246,9 @@ def find_node_between(
 
 
 def estimate_arc_length(equations: Curve, a: Node, b: Node) -> float:
-    """Length of the curve between two neighbours: the chord times 1 + angle^2/24, which leaves an
-    error O(h^5).
+    """Estimate the arc length between two neighbours: the chord times 1 + angle^2 / 24.
+
+    The error is O(h^5).
     """
     return float(np.linalg.norm(equations.compute_difference(a.x, b.x))) * (
         1.0 + compute_bend_angle(a, b) ** 2 / 24.0

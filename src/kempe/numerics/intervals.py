@@ -13,8 +13,9 @@ TWO_PI = 2.0 * math.pi
 
 
 def split_circle(angles: list[float]) -> list[tuple[float, float]]:
-    """Arcs (low, high) between angles on the circle, low in [-pi, pi); the whole circle where there
-    are none.
+    """Split a circle at angles into arcs (low, high); without any, return the whole circle.
+
+    `low` is in [-pi, pi).
     """
     at: list[float] = []
     for x in sorted(math.remainder(a, TWO_PI) for a in angles):
@@ -28,7 +29,7 @@ def split_circle(angles: list[float]) -> list[tuple[float, float]]:
 
 
 def join_arcs(parts: list[tuple[float, float]], good: list[bool]) -> list[tuple[float, float]]:
-    """The good ones of arcs that follow each other round the circle, neighbours joined."""
+    """Join neighbouring `good` arcs of consecutive arcs round a circle."""
     if all(good):
         return [(-math.pi, math.pi)]
     first = good.index(False)
@@ -49,8 +50,9 @@ def join_arcs(parts: list[tuple[float, float]], good: list[bool]) -> list[tuple[
 def unite_intervals(
     intervals: list[tuple[float, float]], circular: bool = False, slack: float = 0.0
 ) -> Intervals:
-    """The union of intervals, sorted, gaps up to a slack closed; on a circle low in [-pi, pi), and
-    (-pi, pi) for all of it.
+    """Compute the union of intervals, sorted, with gaps up to `slack` closed.
+
+    On a circle low is in [-pi, pi), and (-pi, pi) stands for all of it.
     """
     parts: list[tuple[float, float]] = []
     for low, high in intervals:
@@ -71,5 +73,5 @@ def unite_intervals(
 
 
 def format_intervals(intervals: Intervals | list[tuple[float, float]]) -> str:
-    """Intervals as text."""
+    """Format intervals as text."""
     return ", ".join(f"[{a:.6g}, {b:.6g}]" for a, b in intervals)

@@ -1,5 +1,6 @@
-"""Least squares under bounds, as one step of velocities needs it: damped at singularities, or with
-a direction kept.
+"""Least squares under bounds for one step of velocities.
+
+Solutions are damped at singularities, or keep a direction.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ def minimize_damped_residual(
     shift: float = LEAST,
     wished: Wish | None = None,
 ) -> Array:
-    """The x (n,) with low <= G x <= high that makes |A x - b| least, damped and small.
+    """Find the damped x (n,) with low <= G x <= high that minimises |A x - b|.
 
     Directions whose singular values are below `near` are damped, by at most `damping` (Maciejewski
     and Klein, 1988). Where this x is outside the bounds, the nearest one within them is taken, in
@@ -89,8 +90,9 @@ def minimize_damped_residual(
 def _find_bending_direction(
     A: Array, b: Array, s: Array, Vt: Array, bend: Bend
 ) -> tuple[float, Array] | None:
-    """Where first order leads nowhere to a part of b: its size, and the unit direction (n,) that
-    bends towards it.
+    """Find the direction (n,) that reaches to second order what A cannot reach of b.
+
+    Its size is the part of b that is missing.
 
     The direction is that of the largest curvature towards b among those that move nothing to first
     order.
@@ -110,8 +112,10 @@ def _find_bending_direction(
 
 
 class Wish(NamedTuple):
-    """The damped x (n,) that makes |A x - b| least; the damping (k,) of each of the singular values
-    `s` (k,) of A, and its right singular vectors (n, n).
+    """Damped solution x (n,) of least squares, and its damping in each singular direction.
+
+    The damping (k,) belongs to singular values `s` (k,) of A; the right singular vectors are (n,
+    n).
     """
 
     x: Array
@@ -129,7 +133,7 @@ class Wish(NamedTuple):
 def solve_unbounded_wish(
     A: Array, b: Array, damping: float, near: float | None = NEAR, more: float = 0.0
 ) -> Wish:
-    """The solution of `minimize_damped_residual` without bounds; `more` damps all directions."""
+    """Minimise |A x - b| damped and without bounds; `more` damps all directions."""
     U, s, Vt = compute_svd(A)
     most = float(s[0]) if len(s) else 0.0
     seen = s > Level.ROUNDING * most
@@ -155,8 +159,9 @@ def scale_solution_to_bounds(
     G: Array | None = None,
     near: float | None = NEAR,
 ) -> Array:
-    """The x (n,) with low <= G x <= high that gives a large part of b, its direction kept, and is
-    small.
+    """Find a small x (n,) with low <= G x <= high that keeps the direction of b.
+
+    It gives a large part of b.
 
     The part is the largest one, but for a little that self-motions cost. Towards a singular
     configuration it is so small that no singular value, of those that the direction needs, falls by
@@ -207,16 +212,17 @@ def scale_solution_to_bounds(
 
 
 def compute_feasible_fraction(x: Array, low: Array, high: Array) -> float:
-    """The largest part of x (n,), at most 1, that is within bounds; rounding counts as zero."""
+    """Compute the largest fraction of x (n,), at most 1, that is within bounds.
+
+    Rounding counts as zero.
+    """
     big = np.abs(x) > NOISE * np.abs(x).max(initial=0.0)
     room = np.where(x > 0.0, high, low)[big] / x[big]
     return min(1.0, max(0.0, float(room.min(initial=1.0))))
 
 
 def _add_relieving_motion(y: Array, spare: Array, low: Array, high: Array, G: Array) -> Array:
-    """A large part of y (n,) within bounds, with a self-motion, of the rows of `spare` (k, n), that
-    lets it be so.
-    """
+    """Add a self-motion, of rows `spare` (k, n), so that more of y (n,) is within bounds."""
     value = np.abs(G @ y)
     width = np.where(np.isfinite(high - low), high - low, 0.0)
     speed = min(float(value.max()), 0.5 * float(width.max(initial=0.0))) or 1.0
@@ -231,8 +237,9 @@ def _add_relieving_motion(y: Array, spare: Array, low: Array, high: Array, G: Ar
 def minimize_quadratic_in_box(
     H: Array, push: Array, low: Array, high: Array
 ) -> tuple[Array, np.ndarray]:
-    """The z (n,) in a box that makes z H z / 2 - push z least, of a positive H, and which entries
-    are at no bound.
+    """Minimise z H z / 2 - push z over z (n,) in a box, for a positive H.
+
+    Also returns which entries are at no bound.
     """
     z: Array = np.asarray(np.linalg.solve(H, push), dtype=float)
     free = (low < z) & (z < high)
@@ -263,8 +270,9 @@ def minimize_quadratic_in_box(
 
 
 def minimize_bounded_residual(A: Array, b: Array, low: Array, high: Array, G: Array) -> Array:
-    """The x (n,) with low <= G x <= high that makes |A x - b| least: active set (Stark and Parker,
-    1995).
+    """Minimise |A x - b| over x (n,) with low <= G x <= high, by an active set.
+
+    Source: Stark and Parker, 1995.
 
     Zero must be within the bounds, and A must have full column rank; rows of G may depend on each
     other.

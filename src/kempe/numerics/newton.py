@@ -29,7 +29,7 @@ OPERATIONS = 16.0
 
 
 class Certificate(NamedTuple):
-    """What is proven of the solutions near a point.
+    """Proof about solutions of equations near a point.
 
     `regular`: whether the Jacobian keeps its full rank up to every solution within `radius`, so
     that solutions are a manifold there, or isolated; with at most as many equations as unknowns an
@@ -44,8 +44,7 @@ class Certificate(NamedTuple):
 def make_certificate(
     values: Array, shape: tuple[int, int], residual: float, bend: float, entry: float, entries: int
 ) -> Certificate:
-    """The `Certificate` of equations with these singular `values` (descending) and this `shape` (m,
-    n) of the Jacobian.
+    """Make the `Certificate` of equations from the singular values of their Jacobian (m, n).
 
     `residual` is the norm of the equations, `bend` bounds the norm of their second derivative
     around the point, `entry` the rounding error of each of the `entries` of the Jacobian that are
@@ -63,8 +62,9 @@ def make_certificate(
 
 
 def bound_rounding_error(joints: int, reach: float) -> float:
-    """Bound of the rounding error of a number that comes from a chain of `joints`, `reach` lengths
-    from the origin.
+    """Bound the rounding error of a number that comes from a chain of `joints`.
+
+    `reach` is the distance from the origin in lengths of the chain.
     """
     return UNIT * OPERATIONS * (1.0 + joints) * (1.0 + reach)
 
@@ -106,8 +106,9 @@ class GaussNewtonEnd(NamedTuple):
 
 
 def solve_least_squares(A: Array, b: Array, level: float = Level.CLOSED) -> Array:
-    """The shortest y (n,) that minimises |A y - b|; singular values below `level` of the largest
-    count as zero.
+    """Find the shortest y (n,) that minimises |A y - b|.
+
+    Singular values below `level` of the largest one count as zero.
     """
     return (
         solve_many_least_squares(A[None], b[None], level)[0]
@@ -121,8 +122,9 @@ def _solve_by_singular_values(A: Array, b: Array, level: float) -> Array:
 
 
 def solve_many_least_squares(A: Array, b: Array, level: float = Level.CLOSED) -> Array:
-    """`solve_least_squares` of many A (k, m, n) and b (k, m): the normal equations, where these are far
-    from singular.
+    """Find the shortest y (k, n) that minimise |A y - b| for many A (k, m, n) and b (k, m).
+
+    The normal equations are used where they are far from singular.
 
     Of the first kind, or of the second where there are fewer equations than unknowns. A second
     right-hand side, in no special direction, tells how near to singular they are. Of large ones a
@@ -160,7 +162,7 @@ def solve_many_least_squares(A: Array, b: Array, level: float = Level.CLOSED) ->
 
 
 def solve_damped_least_squares(A: Array, b: Array, damping: float) -> Array:
-    """The vector y (n,) that minimises |A y - b|^2 + damping |y|^2."""
+    """Find the y (n,) that minimises |A y - b|^2 + damping |y|^2."""
     U, s, Vt = Spectrum(A).thin_decomposition
     return Vt.T @ (s / (s * s + damping) * (U.T @ b))
 
@@ -178,7 +180,7 @@ def run_gauss_newton(
     halving: bool = False,
     move: Callable[[Array, Array], Array] = np.add,
 ) -> GaussNewtonEnd:
-    """The point, residual and Jacobian to which at most `tries` Gauss-Newton steps from `x` lead.
+    """Run at most `tries` Gauss-Newton steps from `x`: point, residual and Jacobian.
 
     It ends where the residual is at most `met`, after a step up to `last`, before one that is zero
     or not finite, and with `halving` before one longer than half the one before. Steps are
@@ -215,8 +217,9 @@ def run_many_gauss_newton(
     longest: float = math.inf,
     move: Callable[[Array, Array], Array] = np.add,
 ) -> Array:
-    """Points (k, n) to which at most `tries` Gauss-Newton steps lead from many starts (k, n), each
-    on its own.
+    """Run at most `tries` Gauss-Newton steps from each of many points (k, n).
+
+    Each start goes on its own.
 
     `equations` gives residuals (j, m) and Jacobians (j, m, n) at points (j, n), those of the starts
     of indices (j,). `step` gives other steps (j, n), from these, than `solve_many_least_squares`.

@@ -24,9 +24,7 @@ _pools: dict[int, ThreadPoolExecutor] = {}
 
 
 def _reset_pool() -> None:
-    """Drop, in a child process, the threads of its parent and the lock that one of them may have
-    held.
-    """
+    """Drop the threads and the lock of the parent process in a child process."""
     global _lock
     _lock = threading.Lock()
     _pools.clear()
@@ -42,12 +40,15 @@ nothing."""
 
 
 def count_processors() -> int:
-    """Processors that this process may use."""
+    """Count the processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def choose_thread_count(threads: Any) -> int:
-    """How many threads are wanted. Errors: `InputError`."""
+    """Choose the number of threads for the argument `threads`.
+
+    Errors: `InputError`.
+    """
     if threads is not None and not (is_whole(threads) and 1 <= threads <= MOST_THREADS):
         raise InputError(
             f"threads is {format_value(threads)}; it must be None (all processors) or a whole "
@@ -63,8 +64,9 @@ def sum_over_chunks(
     threads: int | None,
     serial_below: int,
 ) -> int:
-    """Sum of ``work(start, stop)`` over fixed chunks of ``range(count)``; one thread below
-    `serial_below` items.
+    """Sum ``work(start, stop)`` over fixed chunks of ``range(count)``, in threads.
+
+    Below `serial_below` items there is one thread.
 
     With `chunk` None each thread has one piece.
 

@@ -1,4 +1,4 @@
-"""Singular values of matrices, and what depends on their rank.
+"""Singular values of matrices, and ranks and null spaces that follow from them.
 
 The rank of a computed matrix is the number of its singular values that are clearly not zero. What is
 clear depends on how large an error the matrix has: the four values of `Level`.
@@ -37,8 +37,9 @@ ESTIMATES = 8
 
 
 class Level:
-    """How large an error of a matrix is, and so from where on a singular value is not zero: parts of
-    the largest one.
+    """Level of error of a matrix, as a part of the largest singular value.
+
+    Singular values below it count as zero.
     """
 
     ROUNDING = 1e-12
@@ -61,7 +62,7 @@ class Level:
 
 
 class Spectrum:
-    """Singular values of a matrix A (m, n), or of matrices (..., m, n), and what follows from a rank.
+    """Singular values of a matrix A (m, n), or of matrices (..., m, n), and their ranks.
 
     Parameters
     ----------
@@ -81,7 +82,7 @@ class Spectrum:
         self.size = size
 
     def __iter__(self) -> Iterator[Spectrum]:
-        """The spectra of the matrices of a batch (k, m, n), decomposed together."""
+        """Yield the spectra of the matrices of a batch (k, m, n), decomposed together."""
         for A, *factors in zip(self.A, *self._decomposition, strict=True):
             one = Spectrum(A, self.size)
             one.__dict__["_whole"] = tuple(factors)
@@ -120,7 +121,7 @@ class Spectrum:
 
     @property
     def largest(self) -> Array:
-        """The size (...) of which levels are parts."""
+        """Size (...) that levels are relative to."""
         return np.maximum(np.maximum(self.values.max(axis=-1, initial=0.0), self.size), TINY)
 
     @property
@@ -130,35 +131,38 @@ class Spectrum:
         return s[..., -1] if s.shape[-1] else np.zeros(s.shape[:-1])
 
     def compute_ranks(self, level: float) -> NDArray[np.int64]:
-        """The number (...) of singular values above `level`."""
+        """Compute the number (...) of singular values above `level`."""
         return (self.values > level * self.largest[..., None]).sum(axis=-1)
 
     def compute_rank(self, level: float) -> int:
-        """The rank of one matrix."""
+        """Compute the rank of one matrix."""
         return int(self.compute_ranks(level))
 
     def compute_null_space(self, level: float) -> Array:
-        """Orthonormal basis (n, n - rank) of the vectors that one matrix maps to zero."""
+        """Compute an orthonormal basis (n, n - rank) of the null space of one matrix."""
         Vt = self.right
         return Vt[self.compute_rank(level) :].T
 
     def compute_left_null_space(self, level: float) -> Array:
-        """Orthonormal basis (m, m - rank) of the combinations of rows that are zero."""
+        """Compute an orthonormal basis (m, m - rank) of the left null space of one matrix."""
         U = self.left
         return U[:, self.compute_rank(level) :]
 
     def compute_column_space(self, level: float) -> Array:
-        """Orthonormal basis (m, rank) of what the columns of one matrix span."""
+        """Compute an orthonormal basis (m, rank) of the column space of one matrix."""
         U = self.thin_decomposition[0]
         return U[:, : self.compute_rank(level)]
 
     def compute_row_space(self, level: float) -> Array:
-        """Orthonormal basis (n, rank) of what the rows of one matrix span."""
+        """Compute an orthonormal basis (n, rank) of the row space of one matrix."""
         Vt = self.thin_decomposition[2]
         return Vt[: self.compute_rank(level)].T
 
     def compute_rank_gap(self, level: float) -> float:
-        """The last singular value that counts over the first that does not, infinite at full rank."""
+        """Compute the ratio of the last singular value above `level` to the first one below.
+
+        It is infinite at full rank.
+        """
         r = self.compute_rank(level)
         s = self.values
         if r == len(s):
@@ -166,14 +170,14 @@ class Spectrum:
         return float((s[r - 1] if r else self.largest) / max(s[r], TINY))
 
     def compute_pseudo_inverse(self, level: float) -> Array:
-        """The pseudo-inverses (..., n, m)."""
+        """Compute the pseudo-inverses (..., n, m)."""
         U, s, Vt = self.thin_decomposition
         big = s > level * self.largest[..., None]
         part = np.where(big, 1.0 / np.where(big, s, 1.0), 0.0)
         return np.swapaxes(Vt, -1, -2) @ (part[..., None] * np.swapaxes(U, -1, -2))
 
     def solve_least_squares(self, b: Array, level: float) -> Array:
-        """The shortest x (n,), or (n, k), that makes |A x - b| least, of one matrix."""
+        """Find the shortest x (n,), or (n, k), that minimises |A x - b| for one matrix."""
         U, s, Vt = self.thin_decomposition
         r = self.compute_rank(level)
         part = U[:, :r].T @ b
@@ -182,7 +186,7 @@ class Spectrum:
     def find_clear_rank(
         self, least: float = Level.GENERIC, most: float = Level.ROUGH
     ) -> tuple[int, float]:
-        """The rank at the widest gap, and the gap: a ratio of neighbouring singular values.
+        """Find the rank at the widest gap between neighbouring singular values, and their ratio.
 
         What is above `most` counts, what is below `least` does not; between the two the widest gap
         decides. Singular values below `FLOOR` are equal.
@@ -215,8 +219,9 @@ class Spectrum:
         return (U * sense[..., None, :]) @ Vt
 
     def compute_sparse_null_space(self, columns: Sequence[int], level: float) -> Array | None:
-        """As `compute_null_space`, of a large matrix with few entries, from the entries of a vector in these
-        `columns`, which determine the others.
+        """Compute the null space of a large sparse matrix from the entries in these `columns`.
+
+        These entries of a null vector determine the others.
 
         None where the other columns are not as many as the rows, or are not clearly independent:
         where their smallest singular value, estimated by inverse iteration with sparse factors, is
@@ -273,7 +278,7 @@ def compute_svd(
 @overload
 def compute_svd(A: Any, full_matrices: bool = True, *, compute_uv: Literal[False]) -> Array: ...
 def compute_svd(A: Any, full_matrices: bool = True, compute_uv: bool = True) -> Any:
-    """Singular value decomposition of matrices (..., m, n), as numpy's `compute_svd` gives it.
+    """Singular value decomposition of matrices (..., m, n), as numpy's `svd` gives it.
 
     LAPACK's divide and conquer (gesdd), which numpy calls, does not converge for some finite
     matrices with several singular values near rounding. These are decomposed by QR iteration

@@ -11,8 +11,9 @@ looked at again."""
 
 
 def find_sign_change(f: Callable[[float], float], low: float, high: float) -> float | None:
-    """The place, to rounding, where f changes its sign between low and high; None where it has one
-    sign at both ends.
+    """Find where f changes its sign between low and high, to rounding.
+
+    None where f has the same sign at both ends.
 
     What is returned is a place where f was evaluated: the one of the last two with the smaller
     value. Inverse quadratic interpolation where it is safe, else bisection. Source: T. R.

@@ -1,5 +1,4 @@
-"""Which tasks contradict each other, proven: no configuration holds both, whatever the joints and
-their limits.
+"""Proofs that two tasks contradict each other, whatever the joints and their limits.
 
 Two tasks on one rigid body fix the distance of their points, the angle of their axes, or the whole
 of both. Points of two bodies are at most as far apart as the links between them are long.
@@ -30,8 +29,10 @@ SLACK = 1e-9
 
 
 class Exclusion(NamedTuple):
-    """How (see `wording.CONTRADICTIONS`) and by how much (...) what two tasks ask for is apart, 0
-    where it is not.
+    """How two tasks exclude each other, and by how much (...); 0 where they do not.
+
+    `how` is a key of `wording.CONTRADICTIONS`; `longest` is the greatest distance [m] that links
+    allow.
 
     `longest` is the greatest distance [m] that links allow.
     """
@@ -42,7 +43,7 @@ class Exclusion(NamedTuple):
 
 
 class Region(NamedTuple):
-    """Where a point may be: along axes of the goal between ends (n,)."""
+    """Region of a point: bounds (n,) along axes of the goal."""
 
     axes: tuple[int, ...]
     low: Array
@@ -50,9 +51,7 @@ class Region(NamedTuple):
 
 
 class BodyDemand(NamedTuple):
-    """What a task says of a body: pose (...) of its frame in the ground and on the body's row, of
-    which parts count.
-    """
+    """Demand of a task on one body: the pose of its frame in the ground and on the body."""
 
     row: int
     goal: Array
@@ -66,7 +65,7 @@ class BodyDemand(NamedTuple):
 
 
 def list_contradictions(problem: Demands) -> list[tuple[int, int, Exclusion]]:
-    """Pairs of hard tasks, by their numbers, that exclude each other somewhere in the batch."""
+    """List the pairs of hard tasks that exclude each other somewhere in the batch."""
     hard = [i for i, t in enumerate(problem.tasks) if problem.use[i] and t.weight is None]
     held = {i: h for i in hard if (h := _read_body_demand(problem, i)) is not None}
     out: list[tuple[int, int, Exclusion]] = []
@@ -78,7 +77,7 @@ def list_contradictions(problem: Demands) -> list[tuple[int, int, Exclusion]]:
 
 
 def find_contradictory_problems(problem: Demands) -> np.ndarray:
-    """Which problems (...) have two hard tasks that exclude each other."""
+    """Find the problems (...) with two hard tasks that exclude each other."""
     out = np.zeros(problem.lead, dtype=bool)
     for _, _, found in list_contradictions(problem):
         out = out | (found.off > 0.0)
@@ -86,7 +85,7 @@ def find_contradictory_problems(problem: Demands) -> np.ndarray:
 
 
 def _read_body_demand(problem: Demands, i: int) -> BodyDemand | None:
-    """What a task says of one body; None for tasks of other kinds."""
+    """Read what a task demands of one body; None for tasks of other kinds."""
     task = problem.tasks[i]
     system = remove_cut_marks(problem.system)
     goal = problem.goals[i].pose
@@ -115,7 +114,7 @@ def _read_body_demand(problem: Demands, i: int) -> BodyDemand | None:
 
 
 def _list_exclusions(problem: Demands, a: BodyDemand, b: BodyDemand) -> list[Exclusion]:
-    """How far what two tasks ask for is apart, by each argument that applies."""
+    """List how much the demands of two tasks differ, by each argument that applies."""
     if a.row != b.row:
         if not (a.point and b.point):
             return []
@@ -127,7 +126,7 @@ def _list_exclusions(problem: Demands, a: BodyDemand, b: BodyDemand) -> list[Exc
 
 
 def _compare_orientations(a: BodyDemand, b: BodyDemand) -> list[Exclusion]:
-    """By how much the orientations that two tasks ask of one body differ, in radians."""
+    """Compute the angle [rad] between the orientations that two tasks ask of one body."""
     slack = a.angular + b.angular
     if a.turn and b.turn:
         off = np.linalg.norm(
@@ -153,9 +152,7 @@ def _compare_orientations(a: BodyDemand, b: BodyDemand) -> list[Exclusion]:
 
 
 def _compare_places(a: BodyDemand, b: BodyDemand) -> list[Exclusion]:
-    """By how much the places that two tasks ask of points of one body exclude each other, in
-    metres.
-    """
+    """Compute the distance [m] between the places that two tasks ask of one body's points."""
     arm = b.local[:3, 3] - a.local[:3, 3]
     length = float(np.linalg.norm(arm))
     out: list[Exclusion] = []
@@ -192,24 +189,25 @@ def _compare_places(a: BodyDemand, b: BodyDemand) -> list[Exclusion]:
 
 
 def _compute_body_rotation(h: BodyDemand) -> Array:
-    """The rotation (..., 3, 3) of the body that a task asks for."""
+    """Compute the rotation (..., 3, 3) of the body that a task asks for."""
     return h.goal[..., :3, :3] @ h.local[:3, :3].T
 
 
 def _compute_angle(a: Array, b: Array) -> Array:
-    """Angle (...) between directions."""
+    """Compute the angle (...) between directions."""
     return np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(axis=-1))
 
 
 def _remove_slack(off: Array, slack: float, *sizes: Array) -> Array:
-    """`off` where it is more than the slack and rounding, else 0; NaN is 0."""
+    """Return `off` where it exceeds the slack and rounding, else 0; NaN becomes 0."""
     size = 1.0 + sum(np.linalg.norm(x, axis=-1) for x in sizes)
     return np.where(off > slack + SLACK * size, off, 0.0)
 
 
 def compute_longest_distance(system: Model, a: BodyDemand, b: BodyDemand) -> float:
-    """The largest distance that lengths of links, and limits of slides, allow between two points;
-    may be infinite.
+    """Compute the largest distance [m] that links and slides allow between two points.
+
+    It may be infinite.
     """
     above = [_list_rows_to_ground(system, h.row) for h in (a, b)]
     common = next((row for row in above[0] if row in above[1]), -1)
@@ -230,7 +228,7 @@ def compute_longest_distance(system: Model, a: BodyDemand, b: BodyDemand) -> flo
 
 
 def _list_rows_to_ground(system: Model, row: int) -> list[int]:
-    """Rows from one to the ground, which is -1."""
+    """List the rows of the table from `row` to the ground, which is -1."""
     out = [row]
     while out[-1] >= 0:
         out.append(int(system.structure.table.parent[out[-1]]))

@@ -42,8 +42,9 @@ rounding."""
 
 
 def find_untouched_places(packed: Packed, pins: Array) -> np.ndarray:
-    """Places in q that no task depends on, not even by loops or relations that it moves; `pins` (N,
-    k) are goals.
+    """Find the places in q that no task depends on; `pins` (N, k) are goals.
+
+    Neither do loops or relations that a task moves.
 
     Looked for once, by derivatives at random configurations.
     """
@@ -65,7 +66,7 @@ def find_untouched_places(packed: Packed, pins: Array) -> np.ndarray:
 
 
 def _find_independent_places(packed: Packed, tasks: Array, loops: Array) -> np.ndarray:
-    """Places in q that Jacobians (N, m, nv) of tasks and loops leave alone."""
+    """Find the places in q whose columns of the Jacobians (N, m, nv) are zero."""
     layout = packed.system.structure.layout
     requested: np.ndarray = np.any(np.abs(tasks) > NOTHING, axis=(0, 1))
     bound: np.ndarray = np.any(np.abs(loops) > NOTHING, axis=0)
@@ -99,13 +100,13 @@ TaskLevel = tuple[int, bool]
 
 
 def get_task_level(task: Task) -> TaskLevel:
-    """The level of a task. Levels are ordered: by priority, hard before soft."""
+    """Return the level of a task: its priority, and whether the task is soft."""
     return int(task.priority), task.weight is not None
 
 
 @dataclass(frozen=True, eq=False)
 class Demands:
-    """The tasks of a `Problem`, packed: kept with the answer, so that it can say why it failed.
+    """Packed tasks of a `Problem`, kept with the answer to explain failures.
 
     `pins` (N or 1, k) are the goals, `use` (tasks,) says which count, `limits` whether limits do.
     """
@@ -142,18 +143,18 @@ class Demands:
     """What functions worked out of this problem; a changed copy begins anew."""
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """What was pickled: the function that is made least has another address in this process."""
+        """Restore a pickled problem; its callback has another address in this process."""
         vars(self).update(state)
         if self.callback is not None and self.mode not in (S.NOTHING, S.AHEAD):
             vars(self)["mode"] = self.callback.address
 
     def get_tolerance(self, task: Task) -> tuple[float, float]:
-        """Largest error of a hard task in metres and radians."""
+        """Return the largest error of a hard task in metres and radians."""
         return self.tolerance if task.tolerance is None else read_tolerances(task.tolerance)
 
     @property
     def hard_tasks(self) -> list[tuple[Task, Goal, tuple[float, float]]]:
-        """The hard tasks that count, with their goals and tolerances."""
+        """Hard tasks that count, with their goals and tolerances."""
         every = zip(self.tasks, self.goals, self.use, strict=True)
         return [
             (task, goal, self.get_tolerance(task))
@@ -162,7 +163,7 @@ class Demands:
         ]
 
     def select_row(self, index: int) -> Demands:
-        """The problem of row `index` of a batch."""
+        """Return the problem of row `index` of a batch."""
         pins = self.pins[index : index + 1] if len(self.pins) > 1 else self.pins
         aim = (
             self.aim[index : index + 1] if self.aim is not None and len(self.aim) > 1 else self.aim
@@ -173,8 +174,9 @@ class Demands:
     def select_tasks(
         self, tasks: Sequence[int], limits: bool = True, one_sided: bool = True
     ) -> Demands:
-        """The problem with only these tasks, without preference or time limit, and from at most
-        `STARTS` starts.
+        """Return the problem with only these tasks, without preference or time limit.
+
+        It has at most `STARTS` starts.
 
         `limits` says whether joint limits count, `one_sided` whether one-sided constraints of the
         system do.
@@ -200,8 +202,9 @@ class Demands:
         tries: int | None = None,
         rows: np.ndarray | None = None,
     ) -> tuple[Array, np.ndarray]:
-        """Configurations (N, nq) and (status, steps, starts) (N, 3) from starts (N or 1, nq), of
-        some `rows` or all.
+        """Search configurations (N, nq) from starts (N or 1, nq), for some `rows` or all.
+
+        Also returns (status, steps, starts) (N, 3).
 
         `tries` are the starts at most, by default those of the problem.
         """
@@ -264,9 +267,7 @@ class Demands:
         ), info
 
     def _restore_untouched(self, q: Array, starts: Array) -> Array:
-        """The configurations (N, nq), what no task depends on as in the starts (N or 1, nq), in
-        place.
-        """
+        """Set coordinates that no task depends on to their values in the starts, in place."""
         if self.mode != S.NOTHING:
             return q
         untouched = find_untouched_places(self.packed, self.pins)
@@ -278,8 +279,9 @@ class Demands:
 
     @property
     def levels(self) -> tuple[np.ndarray, Array, list[int], Array]:
-        """For kernels the stage of each tie and whether it is hard (2 ties,), and weight and
-        tolerances (ties, 3); the tasks that are hard, and their tolerances (hard, 2).
+        """Levels of the tasks as kernels read them, hard tasks, and their tolerances (hard, 2).
+
+        Kernels read stage and hardness of each tie (2 ties,), and weights and tolerances (ties, 3).
         """
         key = (
             self.use,
@@ -297,6 +299,7 @@ class Demands:
         return found
 
     def _compute_stages(self) -> tuple[np.ndarray, Array]:
+        """Compute stage and hardness (2 ties,), and weights and tolerances (ties, 3), of the ties."""
         keys = [get_task_level(t) for t in self.tasks]
         order = sorted({k for k, used in zip(keys, self.use, strict=True) if used})
         top = {
@@ -324,13 +327,13 @@ class Demands:
 
 
 def _select_goal_row(goal: Goal, index: int, lead: tuple[int, ...]) -> Goal:
-    """The goal of row `index` of a batch."""
+    """Return the goal of row `index` of a batch."""
     pose = None if goal.pose is None else _select_row(goal.pose, index, lead, 2)
     numbers: Numbers = {n: _select_row(x, index, lead, 1) for n, x in goal.numbers.items()}
     return Goal(pose, numbers)
 
 
 def _select_row(x: Array, index: int, lead: tuple[int, ...], axes: int) -> Array:
-    """Row `index` of numbers with a leading shape, of which the last `axes` axes are one goal's."""
+    """Return row `index` of numbers with a leading shape and `axes` axes of one goal."""
     core = x.shape[-axes:]
     return np.broadcast_to(x, (*lead, *core)).reshape(-1, *core)[index]

@@ -1,4 +1,4 @@
-"""Freedoms that tasks leave: how many to first order, and how many are motions over a distance.
+"""Freedoms that tasks leave: to first order, and as motions over a distance.
 
 Counted are the freedoms of the joints that move a frame of the tasks, directly or through loops:
 fingers and other arms are no redundancy of an arm.
@@ -49,8 +49,7 @@ KEPT = 0.2
 
 
 class Local:
-    """The equations that hold at q (nq,) where hard tasks do, and the motions that they leave
-    there.
+    """Equations of hard tasks at q (nq,), and the motions that they leave there.
 
     `q` is led on to where the equations hold to rounding, if that is near; lengths count in
     characteristic lengths.
@@ -75,17 +74,16 @@ class Local:
 
     @cached_property
     def n_freedoms(self) -> int:
-        """Freedoms that loops and relations leave to first order, of the joints that move the
-        tasks' frames.
-        """
+        """Number of first-order freedoms of the joints that move the tasks' frames."""
         closed = self.problem.packed.closed
         return (
             self.compute_null_space(self.q, tasks=False)[0].shape[1] if closed else len(self.movers)
         )
 
     def evaluate_equations(self, q: Array, tasks: bool = True) -> tuple[Array, Array]:
-        """Values (k,) and Jacobian (k, nv) of loops and relations and, with `tasks`, of the hard
-        tasks at q (nq,).
+        """Compute values (k,) and Jacobian (k, nv) of loops and relations at q (nq,).
+
+        With `tasks`, those of the hard tasks follow.
         """
         packed = self.problem.packed
         pins = self.problem.pins
@@ -101,21 +99,20 @@ class Local:
         return np.concatenate([r, own]), np.concatenate([J, own_J])
 
     def move_point(self, x: Array, y: Array) -> Array:
-        """The configuration (nq,) a step y (nv,) from x."""
+        """Compute the configuration (nq,) that the step `y` (nv,) leads to from `x`."""
         return self.problem.system.structure.layout.integrate_velocity(
             x, y * self.problem.packed.scale
         )
 
     def compute_difference(self, x: Array, other: Array) -> Array:
-        """The step (nv,) from x to another configuration."""
+        """Compute the step (nv,) from `x` to another configuration."""
         return (
             self.problem.system.structure.layout.compute_difference(x, other)
             / self.problem.packed.scale
         )
 
     def correct_configuration(self, q: Array) -> Array:
-        """The nearest configuration (nq,) where the equations hold as well as they can, by least
-        squares.
+        """Find the nearest configuration (nq,) with the smallest residual of the equations.
 
         The damping is the residual (Fan and Yuan, 2005): quadratic where the equations are
         independent, and by a part of the way each step where solutions merge.
@@ -135,8 +132,9 @@ class Local:
         ).x
 
     def compute_null_space(self, q: Array, tasks: bool = True) -> tuple[Array, bool]:
-        """An orthonormal basis (nv, k) of velocities that keep the equations, and whether these are
-        independent.
+        """Compute an orthonormal basis (nv, k) of velocities that keep the equations.
+
+        Also returns whether the equations are independent.
 
         A singular value counts as zero where the nearest configuration at which it vanishes, by the
         derivative of the singular value, holds the equations as well as this one.
@@ -164,7 +162,7 @@ class Local:
         return self.expand_velocities(Vt[rank:].T), rank == len(r)
 
     def _select_movers(self, r: Array, J: Array) -> tuple[Array, Array]:
-        """Those values and rows of a Jacobian (k, nv) that the `find_movers` decide, and their columns."""
+        """Select the rows and columns of a Jacobian (k, nv) that the `movers` decide."""
         ties = len(self._moved)
         closures = (
             self._moved
@@ -175,14 +173,15 @@ class Local:
         return r[use], J[use][:, self.movers]
 
     def expand_velocities(self, v: Array) -> Array:
-        """Velocities (nv, ...) of the system from those (k, ...) of the `find_movers`."""
+        """Expand velocities (k, ...) of the `movers` to velocities (nv, ...) of the system."""
         out = np.zeros((self.problem.system.nv, *v.shape[1:]))
         out[self.movers] = v
         return out
 
     def compute_tangents(self, q: Array) -> Array:
-        """Orthonormal basis (nv, k) of the velocities that keep the equations at q (nq,), by the
-        rank of rounding.
+        """Compute an orthonormal basis (nv, k) of velocities that keep the equations at q.
+
+        The rank is that up to rounding.
         """
         return self.expand_velocities(
             Spectrum(self._select_movers(*self.evaluate_equations(q))[1], 1.0).compute_null_space(
@@ -192,7 +191,7 @@ class Local:
 
     @cached_property
     def allowed_velocities(self) -> Array:
-        """Orthonormal basis (nv, k) of the velocities that loops and tasks allow, to first order."""
+        """Orthonormal basis (nv, k) of the velocities that loops and tasks allow."""
         return self._allowed_space[0]
 
     @cached_property
@@ -201,9 +200,7 @@ class Local:
 
     @cached_property
     def motions(self) -> Array:
-        """Unit vectors (n, nv) of the directions in which one can move on: a basis where nothing is
-        singular.
-        """
+        """Unit vectors (n, nv) of the directions of finite motions; a basis at regular points."""
         basis, independent = self._allowed_space
         if independent or not basis.size:
             return basis.T
@@ -222,7 +219,7 @@ class Local:
         return max((self._compute_dimension(d) for d in self.motions), default=0)
 
     def _compute_dimension(self, direction: Array) -> int:
-        """The dimension of the solutions beside q in a direction."""
+        """Compute the dimension of the set of solutions beside q in a direction."""
         there = self.correct_configuration(self.move_point(self.q, LENGTHS[0] * direction))
         basis, independent = self.compute_null_space(there)
         if independent or basis.shape[1] == 1:
@@ -231,9 +228,7 @@ class Local:
         return Spectrum(landed, 1.0).compute_rank(SPREAD) if len(landed) else 0
 
     def _find_finite_directions(self, q: Array, basis: Array, lengths: tuple[float, ...]) -> Array:
-        """Directions (n, nv) in which steps from q along a null space stay away from it when they
-        are led back.
-        """
+        """Find directions (n, nv) of the null space along which solutions move away from q."""
         k = basis.shape[1]
         mixed = np.random.default_rng(0).normal(size=(2 * k if k > 1 else 0, k))
         wishes = np.concatenate([np.eye(k), mixed / np.linalg.norm(mixed, axis=1, keepdims=True)])
@@ -259,8 +254,7 @@ class Local:
 
 
 def find_movers(problem: Demands, hard: list[int]) -> tuple[np.ndarray, np.ndarray]:
-    """Velocities (k,) that move a frame of the hard tasks, or what they read, directly or through
-    loops.
+    """Find the velocities (k,) that move a frame of the hard tasks, also through loops.
 
     Also which equations (m,) of loops and relations these velocities are in.
     """
@@ -281,8 +275,9 @@ def find_movers(problem: Demands, hard: list[int]) -> tuple[np.ndarray, np.ndarr
 
 
 def analyse_freedoms(problem: Demands, q: Array) -> tuple[int, int, int, Array]:
-    """Equations m, freedoms n, rank, and orthonormal basis (nv, k) of self-motions at q (nq,),
-    scaled.
+    """Count equations m and freedoms n, and compute the rank and the self-motions (nv, k).
+
+    The basis of self-motions at q (nq,) is orthonormal and scaled.
     """
     local = Local(problem, q)
     return (

@@ -1,5 +1,4 @@
-"""Which tasks lengths alone put out of reach: how far a frame can be from where its chain begins,
-loops or not.
+"""Tasks that lengths alone put out of reach, with loops or without.
 
 A loop, a relation or another task only takes away from what the chain from the ground to the frame
 can reach.
@@ -26,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def find_unreachable_problems(problem: Demands) -> np.ndarray:
-    """Which problems (...) have a hard task that is out of reach."""
+    """Find the problems (...) with a hard task that is out of reach."""
     out = np.zeros(problem.lead, dtype=bool)
     for i, (task, goal) in enumerate(zip(problem.tasks, problem.goals, strict=True)):
         if problem.use[i] and task.weight is None:
@@ -35,8 +34,7 @@ def find_unreachable_problems(problem: Demands) -> np.ndarray:
 
 
 def compute_excess_distances(problem: Demands, task: Task, goal: Goal) -> Array:
-    """How far (..., 2) in metres a task is out of reach, as to its place, and together with its
-    orientation.
+    """Compute how far (..., 2) [m] a task's position, and its pose, are out of reach.
 
     It is a lower bound of the error in its place; zero where lengths say nothing, or within the
     tolerances.
@@ -63,7 +61,7 @@ def compute_excess_distances(problem: Demands, task: Task, goal: Goal) -> Array:
 
 
 def _list_reach_bounds(system: Model, frame: str, tool: Array) -> tuple[list[ReachBound], int]:
-    """Bounds for the point that a task holds, and how many coordinates move it."""
+    """List the bounds for the point that a task holds, and count coordinates that move it."""
     table, _, v_index = extract_chain(system.structure.table, frame)
     row, X, particle = table.at[frame]
     table = replace(table, at={frame: (row, X @ tool, particle)})

@@ -69,8 +69,7 @@ start."""
 
 
 def move_bases_to_target(problem: Demands, home: Array) -> Array:
-    """Homes (N or 1, nq) moved by a base that slides without limits to where the first hard task
-    holds a frame.
+    """Move unlimited sliding bases of starts (N or 1, nq) to the first hard task's goal.
 
     So a drive over the plane begins beside its target; what is near stays. A base that flies is
     moved by the kernels.
@@ -112,7 +111,7 @@ def move_bases_to_target(problem: Demands, home: Array) -> Array:
 
 @keep_answers
 def _list_free_slides(system: Model) -> list[int]:
-    """Velocity coordinates without limits that slide along axes that nothing turns."""
+    """List velocity coordinates of unlimited slides along axes that nothing turns."""
     table = system.structure.table
     out: list[int] = []
     straight: set[int] = {-1}
@@ -135,8 +134,9 @@ SMALL = 1e-24
 
 
 def make_objective(problem: Demands, prefer: Any) -> Callback:
-    """The function that is to be made least, as kernels call it: "manipulability", or of q. Errors:
-    `InputError`.
+    """Make the objective that the search minimises, as kernels call it.
+
+    `prefer` is "manipulability" or a function of q. Errors: `InputError`.
     """
     if prefer == "manipulability":
         callback = Callback(
@@ -151,8 +151,9 @@ def make_objective(problem: Demands, prefer: Any) -> Callback:
 
 
 def compute_log_manipulability(problem: Demands, q: Array) -> Array:
-    """Logarithm (...) of the hard tasks' manipulability at q (..., nq): of sqrt(det(J J^T))
-    (Yoshikawa, 1985).
+    """Compute the logarithm (...) of the hard tasks' manipulability at q (..., nq).
+
+    It is sqrt(det(J J^T)) (Yoshikawa, 1985).
 
     J is taken in the velocities that the loops leave. For tasks that are singular everywhere, of
     the part that is not.
@@ -172,7 +173,7 @@ def compute_log_manipulability(problem: Demands, q: Array) -> Array:
 def _add_difference_gradient(
     problem: Demands, function: Callable[[Array], Array]
 ) -> Callable[[Array], tuple[Any, Array]]:
-    """The function with its gradient by central differences, all of them in one batch."""
+    """Add the gradient by central differences to a function of configurations."""
     system = problem.system
     steps = REAL_STEP * np.concatenate(
         [np.eye(system.nv), -np.eye(system.nv), np.zeros((1, system.nv))]
@@ -188,6 +189,7 @@ def _add_difference_gradient(
 def _wrap_user_function(
     problem: Demands, function: Callable[[Array], Any]
 ) -> Callable[[Array], tuple[Any, Array]]:
+    """Wrap a user's function of q as one that gives value (1,) and gradient (1, nv)."""
     layout = problem.system.structure.layout
     q0 = sample_configurations(problem.system, 0)
     if compute_checked_value("prefer", function, q0).size != 1:
@@ -227,36 +229,35 @@ Found = tuple[Array, np.ndarray]
 
 
 class Effort:
-    """A check for `watched_by` that lets a search call functions, and begin starts, `most` times in
-    all.
-    """
+    """Check for `watched_by` that ends a search after `most` function calls and starts."""
 
     def __init__(self, most: int):
         self.most = most
         self.count = 0
 
     def __call__(self) -> None:
-        """Count one more. Raises `EndReached` where these are too many."""
+        """Count one call; raise `EndReached` where there are too many."""
         self.count += 1
         if self.spent:
             raise EndReached
 
     @property
     def spent(self) -> bool:
-        """Whether it ended a search."""
+        """Whether the search has made too many calls."""
         return self.count > self.most
 
 
 def has_function_tasks(problem: Demands) -> bool:
-    """Whether Python functions decide what holds: how long a start takes is not known beforehand."""
+    """Whether Python functions are among the constraints, so that times are unpredictable."""
     return any(t.function is not None for t in problem.packed.loops.ties)
 
 
 def search_with_call_limit(
     problem: Demands, solve: Callable[[Demands], Found], base: Array
 ) -> tuple[Demands, Found]:
-    """The problem, how far it was searched, and what `solve_levels` finds: at first with GLIMPSE calls, of
-    one problem.
+    """Search one problem with at most GLIMPSE calls of functions; go on if there is hope.
+
+    Returns the problem with how far it was searched, and what `solve` finds.
 
     It goes on only where a search without limits finds an answer, and each function alone holds
     inside the limits.
@@ -272,9 +273,7 @@ def search_with_call_limit(
 
 
 def _is_hopeful(problem: Demands, base: Array) -> bool:
-    """Whether there is an answer without limits, and one for each hard task that is a function,
-    inside them.
-    """
+    """Whether there is an answer without limits, and one for each function inside them."""
     hard = [i for i, t in enumerate(problem.tasks) if t.weight is None]
     called = {
         int(i)
@@ -295,8 +294,9 @@ def _is_hopeful(problem: Demands, base: Array) -> bool:
 
 
 def choose_start_count(system: Model, packed: Packed) -> int:
-    """Starts before tasks are given up: they grow with the number of limits that an answer may
-    touch. Kept.
+    """Choose the number of starts by the number of limits that an answer may touch.
+
+    The number is kept.
     """
     found = packed.stages.get(choose_start_count)
     if found is None:
@@ -313,8 +313,9 @@ def choose_start_count(system: Model, packed: Packed) -> int:
 
 
 def find_failure_proofs(problem: Demands) -> np.ndarray:
-    """Codes (N,) of the problems that are proven to have no answer, 0 of others. Kept with the
-    problem.
+    """Find proofs that problems have no answer: status codes (N,), 0 without a proof.
+
+    They are kept with the problem.
     """
     found: np.ndarray | None = problem.kept.get(find_failure_proofs)
     if found is None:
@@ -327,8 +328,7 @@ def find_failure_proofs(problem: Demands) -> np.ndarray:
 def search_by_effort(
     problem: Demands, base: Array, threads: int | None = 1
 ) -> tuple[Array, np.ndarray]:
-    """As `Demands.run_search`, with as many starts as each problem deserves: `FIRST` first, then up to
-    those of the problem.
+    """Run the search with as many starts as each problem deserves.
 
     No more than these where a proof says that there is no answer.
     """
@@ -373,7 +373,7 @@ MET = 1e-16
 
 
 def pack_tasks(system: Model, tasks: tuple[Task, ...], turns: bool) -> Packed:
-    """The packed ties of tasks, made once for each structure; the last few are kept."""
+    """Pack the ties of tasks, once for each structure; the last few are kept."""
     levels: tuple[int, ...] = ()
     if len(tasks) > 1:
         order = sorted({get_task_level(t) for t in tasks})
@@ -396,8 +396,9 @@ def solve_levels(
     threads: int | None = 1,
     rows: np.ndarray | None = None,
 ) -> tuple[Array, np.ndarray]:
-    """Configurations (N, nq) and (status, steps, starts) (N, 3), from starts (N or 1, nq); of some
-    `row_names` few starts.
+    """Search configurations (N, nq) that satisfy the levels of tasks, from starts.
+
+    Also returns (status, steps, starts) (N, 3); the starts are (N or 1, nq).
 
     A soft last level behind another soft one is lowered from what is found without it.
     """
@@ -433,8 +434,7 @@ def _compare_levels(
     threads: int | None,
     rows: np.ndarray,
 ) -> None:
-    """Make q and info of some rows better in place where earlier levels come lower without the last
-    ones.
+    """Replace answers whose earlier levels a search without the last levels makes better.
 
     This is looked at where the last levels can change what the others reach, and that is missed.
     Where it comes lower, the last ones are lowered from there, as far as the others stay there. A
@@ -477,7 +477,7 @@ def _compare_levels(
 def _continue_search(
     problem: Demands, rows: np.ndarray, q: Array, threads: int | None, tries: int
 ) -> tuple[Array, np.ndarray]:
-    """As `Demands.run_search` of some rows, from configurations of these."""
+    """Run the search for some rows, from configurations of these rows."""
     starts = np.zeros((math.prod(problem.lead), q.shape[1]))
     starts[rows] = q
     return problem.run_search(starts, threads, tries=tries, rows=rows)
@@ -486,7 +486,7 @@ def _continue_search(
 def _find_last_level(
     problem: Demands, where: Callable[[Demands, TaskLevel], bool]
 ) -> TaskLevel | None:
-    """The last level that says so, before the last one."""
+    """Find the last level, before the end, for which `where` is true."""
     levels = tuple([get_task_level(t) for t in problem.tasks])
     requested = where, levels
     ends = problem.packed.stages.get(requested)
@@ -502,15 +502,13 @@ def _find_last_level(
 
 
 def _is_added(problem: Demands, end: TaskLevel) -> bool:
-    """Whether a soft level, the last one, stands behind this one, which is soft or has soft ones
-    before it.
-    """
+    """Whether this level is soft, or follows soft ones, and a soft level comes last."""
     levels = sorted({get_task_level(t) for t in problem.tasks})
     return levels[-1][1] and end == levels[-2] and any(soft for _, soft in levels[:-1])
 
 
 def _may_differ(problem: Demands, end: TaskLevel) -> bool:
-    """Whether tasks behind this level can change what those up to it reach.
+    """Whether tasks of later levels can change what the levels up to `end` reach.
 
     Hard ones are met before soft ones are lowered, and angles that are named do not turn on beyond
     their limits.
@@ -524,7 +522,7 @@ def _may_differ(problem: Demands, end: TaskLevel) -> bool:
 
 
 def _select_levels(problem: Demands, end: TaskLevel) -> Demands:
-    """The problem up to a level, nothing preferred."""
+    """Return the problem with the levels up to `end`, without a preference."""
     levels = tuple([get_task_level(t) for t in problem.tasks])
     requested = _select_levels, levels, end
     chosen, packed = problem.packed.stages.get(requested) or ((), None)
@@ -552,15 +550,14 @@ def _select_levels(problem: Demands, end: TaskLevel) -> Demands:
 
 
 def is_lower(values: Array, than: Array) -> np.ndarray:
-    """Whether of rows of values (N, levels) the first one that differs is the lower one."""
+    """Whether the first entry in which two rows (N, levels) differ is the lower one."""
     far = np.abs(values - than) > np.maximum(GAIN * np.maximum(values, than), LITTLE)
     first = far.argmax(axis=1)[:, None]
     return far.any(axis=1) & (np.take_along_axis(values - than, first, 1)[:, 0] < 0.0)
 
 
 def compute_level_values(problem: Demands, q: Array, rows: np.ndarray) -> Array:
-    """What each level misses (N, levels), as the solver counts it, at configurations (N, nq) of
-    some rows.
+    """Compute the errors (N, levels) of the levels, as the solver weighs them.
 
     A soft level counts its weighted square, a hard one the largest square by its tolerance where
     that is above 1.
@@ -622,7 +619,7 @@ BATCH = Usual("ik", starts=None, iterations=STEPS, time_limit=None, rng=0, threa
 
 
 def reach_tasks(problem: Problem) -> Reached:
-    """A configuration that holds several tasks at once (the inverse geometric model of any system).
+    """Find a configuration that satisfies several tasks at once.
 
     `wanted` are tasks of `kempe.tasks`, hard or soft and in strict priorities; goals with leading
     axes make a batch. Joint limits, couplings, relations and closed loops hold, too. `start` (nq,)
@@ -719,7 +716,7 @@ def make_demands(
     rng: Any = 0,
     turns: bool = False,
 ) -> tuple[Demands, Array]:
-    """The problem, checked and packed, and its first starts (N or 1, nq); `turns` as in `Packed`.
+    """Check and pack the tasks of a problem, and make its first starts (N or 1, nq).
 
     `starts` None are as many as it deserves.
     """
@@ -762,12 +759,12 @@ def make_demands(
 
 @keep_answers
 def _choose_home(system: Model) -> Array:
-    """Where a search starts by default."""
+    """Choose the configuration where a search starts by default."""
     return find_home(system)
 
 
 def _make_distinct_tasks(wanted: Any, system: Model) -> tuple[Task, ...]:
-    """The tasks, checked, with labels that differ."""
+    """Make checked tasks with different labels."""
     single = isinstance(wanted, Constraint)
     given: tuple[Any, ...] = (wanted,) if single else tuple(wanted) if is_sequence(wanted) else ()
     if not given or not all([isinstance(t, Constraint) for t in given]):
@@ -809,7 +806,7 @@ def _make_distinct_tasks(wanted: Any, system: Model) -> tuple[Task, ...]:
 
 
 def _add_preference(problem: Demands, prefer: Any, base: Array) -> Demands:
-    """The problem, with what `prefer` minimises as its last level."""
+    """Add what `prefer` minimises to the problem as its last level."""
     if prefer == "nearest":
         return replace(
             problem, mode=S.AHEAD, aim=_choose_home(problem.system)[None] if problem.loose else base
@@ -822,7 +819,7 @@ def _add_preference(problem: Demands, prefer: Any, base: Array) -> Demands:
 
 
 def make_checked_answer(problem: Demands, q: Array, info: np.ndarray) -> Reached:
-    """The answer, each configuration checked by the forward model, the limits and the loops."""
+    """Make the answer; the forward model, limits and loops check each configuration."""
     system = problem.system
     lead = problem.lead
     packed = problem.packed
