@@ -75,7 +75,7 @@ def by_hand(p: np.ndarray, limits: list[tuple[float, float]]) -> int:
 def test_numbers_of_configurations_are_those_of_the_closed_form(system, limits):
     p = np.random.default_rng(3).uniform(-1.0, 1.0, (300, 2))
     expected = [by_hand(x, limits) for x in p]
-    found = two_freedoms(system, "e").number(p)
+    found = two_freedoms(system, "e").count_reaching(p)
     assert found.tolist() == expected and set(expected) == {0, 1, 2} - (
         {1} if system is ARM else set()
     )
