@@ -230,7 +230,7 @@ NOT_REQUIRED = {
     "System.structure.coordinates_of_joint",  # no numbers
     "kempe.views.viewer.live.show",
     "kempe.views.viewer.pages.save_html",  # serve, write: see test_viewer.py
-    "kempe.motion.transmission.pressure_angle",  # by bodies, see test_transmission.py
+    "kempe.motion.transmission.compute_pressure_angle",  # by bodies, see test_transmission.py
     "System.manoeuvre",
     "System.simulate",  # of what rolls and bounces, see test_manoeuvre.py and test_simulate.py
     "kempe.motion.manoeuvre.manoeuvre",
@@ -321,8 +321,10 @@ PLACES = [
 ARM_ONLY = {"self_motion", "arm_angle"}
 LOOP_ONLY = {
     "mechanical_advantage",
+    "compute_mechanical_advantage",
     "transmission_angle",
-    "dead_points",
+    "compute_transmission_angle",
+    "find_dead_points",
     "independent",
 }
 ONE_Q = {

@@ -24,7 +24,7 @@ ROWS = {
     "write_toml": "kempe.description.toml_writer:write_toml",
     "write": "kempe.description.read:write_mechanism",
     "assemble": "kempe.assemble.assemble:assemble",
-    "way_there": "kempe.motion.manoeuvre:way_there",
+    "way_there": "kempe.motion.manoeuvre:describe_way_there",
     "answers of assemble": "kempe.assemble.explain:ROW",
     "answers of ik": "kempe.inverse.explain:ROW",
     "answers of ik, tasks": "kempe.inverse.explain_tasks:ROW",

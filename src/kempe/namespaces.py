@@ -275,9 +275,9 @@ class Loops(Namespace):
 
         See `kempe.motion.transmission`.
         """
-        from kempe.motion.transmission import loop_jacobian
+        from kempe.motion.transmission import compute_loop_jacobian
 
-        return loop_jacobian(self.system, q, inputs, outputs, in_frame, tolerance=tolerance)
+        return compute_loop_jacobian(self.system, q, inputs, outputs, in_frame, tolerance=tolerance)
 
     @explain_errors
     def mechanical_advantage(
@@ -294,9 +294,9 @@ class Loops(Namespace):
 
         See `kempe.motion.transmission`.
         """
-        from kempe.motion.transmission import mechanical_advantage
+        from kempe.motion.transmission import compute_mechanical_advantage
 
-        return mechanical_advantage(
+        return compute_mechanical_advantage(
             self.system, q, input, output, direction, still, tolerance=tolerance
         )
 
@@ -319,9 +319,9 @@ class Loops(Namespace):
         """Compute the angle (...) between coupler and output link at their joint. See
         `kempe.motion.transmission`.
         """
-        from kempe.motion.transmission import transmission_angle
+        from kempe.motion.transmission import compute_transmission_angle
 
-        return transmission_angle(self.system, q, joint, coupler, output)
+        return compute_transmission_angle(self.system, q, joint, coupler, output)
 
 
 @dataclass(frozen=True, repr=False)

@@ -9,7 +9,7 @@ import math
 import numpy as np
 import pytest
 
-from kempe.motion.bounces import Flight, Plane, first_zero, nearest_in_cone
+from kempe.motion.bounces import Flight, Plane, find_first_zero, project_onto_cone
 
 G = 9.81
 
@@ -20,7 +20,7 @@ def floor(height: float = 0.0) -> Plane:
 
 def flown(planes, gravity, e, y, v, duration) -> Flight:
     flight = Flight(planes, np.asarray(gravity, dtype=float), e)
-    flight.run(np.asarray(y, dtype=float), np.asarray(v, dtype=float), duration)
+    flight.compute_flight(np.asarray(y, dtype=float), np.asarray(v, dtype=float), duration)
     return flight
 
 
@@ -43,7 +43,9 @@ def test_times_and_speeds_of_bounces_are_a_geometric_series(hunt):
         assert np.allclose([-b.before for b in bounces], impact * e**k, rtol=1e-9)
         assert np.allclose([b.after for b in bounces], impact * e ** (k + 1), rtol=1e-9)
         assert last.kind == "settles" and abs(last.time - end) < 1e-10
-        assert flight.at(np.array([end, 1.05 * end]))[0] == pytest.approx(0.0, abs=1e-15)
+        assert flight.evaluate_flight(np.array([end, 1.05 * end]))[0] == pytest.approx(
+            0.0, abs=1e-15
+        )
 
 
 @pytest.mark.parametrize("e", [0.0, 1.0])
@@ -56,26 +58,29 @@ def test_without_rebound_and_without_loss(e):
             first * np.arange(1, 2 * 11, 2), abs=1e-12
         )
     else:
-        assert [i.kind for i in flight.impacts] == ["lands"] and not flight.at(np.array([5.0]))[
-            1
-        ].any()
+        assert [i.kind for i in flight.impacts] == ["lands"] and not flight.evaluate_flight(
+            np.array([5.0])
+        )[1].any()
 
 
 def test_at_rest_in_contact_nothing_happens():
     flight = flown([floor(0.25)], [-G], 0.5, [0.25], [0.0], 3.0)
-    assert not flight.impacts and flight.at(np.array([0.0, 3.0]))[0].tolist() == [[0.25], [0.25]]
+    assert not flight.impacts and flight.evaluate_flight(np.array([0.0, 3.0]))[0].tolist() == [
+        [0.25],
+        [0.25],
+    ]
 
 
 def test_what_is_pulled_off_leaves():
     flight = flown([floor()], [2.0], 0.5, [0.0], [0.0], 3.0)
-    assert not flight.impacts and flight.at(np.array([3.0]))[0] == pytest.approx(9.0)
+    assert not flight.impacts and flight.evaluate_flight(np.array([3.0]))[0] == pytest.approx(9.0)
 
 
 def test_sliding_down_an_incline_is_uniformly_accelerated():
     slope = math.radians(30)
     n = np.array([-math.sin(slope), math.cos(slope)])
     flight = flown([Plane("slope", n, 0.0)], [0, -G], 0.4, [0, 0], [0, 0], 2.0)
-    y, v = flight.at(np.array([2.0]))
+    y, v = flight.evaluate_flight(np.array([2.0]))
     down = -np.array([math.cos(slope), math.sin(slope)])
     assert not flight.impacts
     assert y[0] == pytest.approx(0.5 * G * math.sin(slope) * 4.0 * down, abs=1e-12)
@@ -108,8 +113,8 @@ def test_between_planes_nothing_penetrates_or_gains_energy(hunt):
         t = np.union1d(np.linspace(0, 2.0, 100), [i.time for i in flight.impacts[:2000]])
         if flight.broken:
             t = t[t <= flight.impacts[-1].time]
-        y, v = flight.at(t)
-        assert min(flight.gaps(x).min() for x in y) > -1e-9
+        y, v = flight.evaluate_flight(t)
+        assert min(flight.compute_gaps(x).min() for x in y) > -1e-9
         energy = 0.5 * (v**2).sum(axis=1) + G * y[:, -1]
         assert np.diff(energy).max() < 1e-9
         if e == 1.0:
@@ -132,7 +137,7 @@ def test_a_groove_brings_to_rest():
         for n, s in (("left", 1), ("right", -1))
     ]
     flight = flown(walls, [0, -G], 0.8, [0.1, 1.0], [0, 0], 10.0)
-    y, v = flight.at(np.array([10.0]))
+    y, v = flight.evaluate_flight(np.array([10.0]))
     assert not flight.broken and flight.impacts[-1].time < 4.0
     assert np.abs(y).max() < 1e-12 and not v.any()
 
@@ -153,7 +158,7 @@ def test_wall_hit_while_bounces_on_the_floor_fade(share):
     assert [i.time for i in flight.impacts] == sorted(i.time for i in flight.impacts)
     settled = [i for i in flight.impacts if i.kind != "bounce"]
     assert len(settled) == 1 and settled[0].time == pytest.approx(end, abs=1e-10)
-    y, v = flight.at(np.array([3 * end]))
+    y, v = flight.evaluate_flight(np.array([3 * end]))
     assert v[0] == pytest.approx([-0.5, 0.0]) and y[0, 1] == 0.0
 
 
@@ -163,7 +168,7 @@ def test_roots_of_gaps(hunt):
         g = 10.0 ** rng.uniform(-12, 3)
         r = rng.normal() * 10.0 ** rng.uniform(-6, 3)
         a = rng.normal()
-        t = first_zero(g, r, a)
+        t = find_first_zero(g, r, a)
         roots = np.roots([0.5 * a, r, g])
         real = sorted(x.real for x in roots if abs(x.imag) < 1e-12 * abs(x) and x.real > 0)
         if math.isinf(t):
@@ -182,4 +187,4 @@ def test_nearest_in_cone_against_least_squares(hunt):
         N = rng.normal(size=(int(rng.integers(1, 6)), k))
         v = rng.normal(size=k)
         x = v + N.T @ nnls(N.T, -v)[0]
-        assert nearest_in_cone(v, N) == pytest.approx(x, abs=1e-9)
+        assert project_onto_cone(v, N) == pytest.approx(x, abs=1e-9)

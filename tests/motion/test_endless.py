@@ -289,7 +289,7 @@ def test_wrong_limits_are_refused(verb, limit):
 def test_an_interrupt_keeps_the_path(monkeypatch, phase):
     """Also where it comes after the walk, when special points are looked for."""
     s = kempe.load("four_bar")
-    name = "home" if phase == "walk" else "extreme"
+    name = "find_return" if phase == "walk" else "find_extreme"
     count = itertools.count()
     own = getattr(kempe.motion.trace, name)
 

@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 import kempe
 from kempe import Mechanism
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
-from kempe.motion.reeds_shepp import length_of, ways
+from kempe.motion.reeds_shepp import compute_length, list_ways
 
 
 def check(system, path, start, goal, frame: str) -> None:
@@ -103,9 +103,9 @@ def test_lengths_are_those_of_reeds_and_shepp(hunt, radius):
     system = wheels.knife()
     for _ in range(hunt.cases(20)):
         goal = rng.uniform(-3, 3, 3)
-        best = ways(goal[0] / radius, goal[1] / radius, goal[2])[0]
+        best = list_ways(goal[0] / radius, goal[1] / radius, goal[2])[0]
         assert system.manoeuvre(np.zeros(3), goal, radius=radius).length == pytest.approx(
-            radius * length_of(best)
+            radius * compute_length(best)
         )
 
 
@@ -133,7 +133,7 @@ def test_sideways_by_alternation():
     check(system, path, np.zeros(3), np.array([0.0, 1.0, 0.0]), "axle")
     assert path.cusps == 2 and {p.kind for p in path.pieces} == {"forwards", "in reverse"}
     assert "2 cusps" in str(path)
-    assert path.length == pytest.approx(4 * length_of(ways(0, 0.25, 0)[0]))
+    assert path.length == pytest.approx(4 * compute_length(list_ways(0, 0.25, 0)[0]))
 
 
 @pytest.mark.parametrize("phase", [-9.0, 0.0, 0.1, 2.0, 11.0])
@@ -206,7 +206,7 @@ def test_a_car_with_limits_takes_its_smallest_circle():
     path = system.manoeuvre(start, goal)
     check(system, path, start, goal, "body")
     least = 1.2 / math.tan(0.5)
-    assert path.length == pytest.approx(least * length_of(ways(0.0, 1.0 / least, 0.0)[0]))
+    assert path.length == pytest.approx(least * compute_length(list_ways(0.0, 1.0 / least, 0.0)[0]))
     assert path.q[:, 3].max() <= 0.5 + 1e-12 and front_slip(system, path) < 1e-9
     tight = system.manoeuvre(start, goal, radius=1.0)
     assert not tight and f"smallest radius is {least:.6g} m" in tight.status

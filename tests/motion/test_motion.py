@@ -35,7 +35,7 @@ from kempe.arguments import call_until_interrupt
 from kempe.equations.closure_rows import compute_residual
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.motion import events
-from kempe.motion.trace import branches, trace
+from kempe.motion.trace import trace, trace_branches
 
 
 def pins(a, d, A, D, c):
@@ -289,7 +289,7 @@ def test_parallelogram_change_points_and_branches():
 
 
 def test_branches_of_the_parallelogram():
-    parallel, crossed = branches(four_bar(1, 2, 1, 2), "A", {"A": 0.8, "B": -0.8, "D": 0.8})
+    parallel, crossed = trace_branches(four_bar(1, 2, 1, 2), "A", {"A": 0.8, "B": -0.8, "D": 0.8})
     assert same_angle(parallel.values("A"), parallel.values("D")) < 1e-12
     A = crossed.values("A")
     D = crossed.values("D")
@@ -321,7 +321,7 @@ def test_a_ladder_has_singular_points_without_branches(cranks):
 @pytest.mark.slow
 def test_two_parallelograms_flat_at_once_have_four_branches():
     system = two_parallelograms()
-    paths = branches(system, "A", np.zeros(system.nq))
+    paths = trace_branches(system, "A", np.zeros(system.nq))
     assert len(paths) == 4 and all(p.closed for p in paths)
     for p in paths:
         assert [(e.kind, e.nullity, len(e.directions)) for e in p.singular_points] == 2 * [
@@ -337,7 +337,7 @@ def test_two_parallelograms_flat_at_once_have_four_branches():
 
 
 def test_one_to_one_slider_crank_has_the_resting_slider_as_its_other_branch():
-    paths = branches(slider_crank(1.0, 1.0), "A", {"A": 0.7, "B": -1.4})
+    paths = trace_branches(slider_crank(1.0, 1.0), "A", {"A": 0.7, "B": -1.4})
     moving, resting = paths
     np.testing.assert_allclose(moving.values("S"), 2 * np.cos(moving.values("A")), atol=1e-12)
     assert np.abs(resting.values("S")).max() < 1e-12 and resting.turns["A"] in (1, -1)
@@ -355,7 +355,7 @@ def test_nearly_a_parallelogram_turns_the_corner(gap):
     A = path.values("A")
     D = path.values("D")
     assert same_angle(A, D) > 1.0
-    parallel, crossed = branches(four_bar(1, 2, 1, 2), "A", {"A": 0.8, "B": -0.8, "D": 0.8})
+    parallel, crossed = trace_branches(four_bar(1, 2, 1, 2), "A", {"A": 0.8, "B": -0.8, "D": 0.8})
     # the corners cut off a length of order sqrt(gap); staying on one branch would miss 12
     assert path.length == pytest.approx(
         parallel.length + crossed.length, abs=20 * math.sqrt(gap) + 1e-5
@@ -624,8 +624,8 @@ def test_bounds_that_are_not_approached_cost_no_search(monkeypatch):
     in between.
     """
     counted = []
-    whole = events.root
-    monkeypatch.setattr(events, "root", lambda *given: counted.append(1) or whole(*given))
+    whole = events.find_root
+    monkeypatch.setattr(events, "find_root", lambda *given: counted.append(1) or whole(*given))
     m = kempe.Mechanism("slot", dim=2)
     m.revolute("A", m.ground, m.body("crank"))
     m.revolute("B", m.ground, m.body("link"), at=(0.5, 0))

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from kempe.motion.reeds_shepp import length_of, ways
+from kempe.motion.reeds_shepp import compute_length, list_ways
 
 
 def follow(way) -> np.ndarray:
@@ -41,13 +41,13 @@ def goals(rng: np.random.Generator, n: int) -> np.ndarray:
 
 def test_every_way_leads_to_the_goal(hunt):
     for x, y, h in goals(hunt.rng(), hunt.cases(300)):
-        found = ways(x, y, h)
+        found = list_ways(x, y, h)
         assert found
         for way in found:
             off = follow(way) - [x, y, h]
             off[2] = math.remainder(off[2], 2 * math.pi)
             assert np.abs(off).max() < 1e-12 * (1 + math.hypot(x, y))
-        assert [length_of(w) for w in found] == sorted(length_of(w) for w in found)
+        assert [compute_length(w) for w in found] == sorted(compute_length(w) for w in found)
 
 
 # Turning round in place takes three arcs of 60 degrees (Reeds and Shepp, 1990, section 1).
@@ -63,8 +63,8 @@ def test_every_way_leads_to_the_goal(hunt):
     ],
 )
 def test_known_lengths(goal, length, cusps):
-    best = ways(*goal)[0] if any(goal) else ()
-    assert length_of(best) == pytest.approx(length, abs=1e-12)
+    best = list_ways(*goal)[0] if any(goal) else ()
+    assert compute_length(best) == pytest.approx(length, abs=1e-12)
     assert cusps_of(best) == cusps
 
 
@@ -72,7 +72,9 @@ def test_known_lengths(goal, length, cusps):
 def test_lengths_are_those_of_mirror_images(hunt, sign):
     for goal in goals(hunt.rng(), hunt.cases(100)):
         mirrored = goal * sign
-        assert length_of(ways(*goal)[0]) == pytest.approx(length_of(ways(*mirrored)[0]), abs=1e-9)
+        assert compute_length(list_ways(*goal)[0]) == pytest.approx(
+            compute_length(list_ways(*mirrored)[0]), abs=1e-9
+        )
 
 
 def polished(way: np.ndarray, goal: np.ndarray) -> np.ndarray | None:
@@ -105,7 +107,7 @@ def test_no_shorter_way_of_up_to_five_pieces_was_found(hunt, starts):
     for goal in goals(rng, hunt.cases(12)):
         if np.abs(goal).max() > 20:
             continue
-        best = length_of(ways(*goal)[0])
+        best = compute_length(list_ways(*goal)[0])
         for _ in range(starts):
             n = int(rng.integers(3, 6))
             k = rng.choice([-1.0, 0.0, 1.0], n)

@@ -16,7 +16,7 @@ import kempe
 from kempe.equations import closure_rows
 from kempe.errors import UnsupportedError
 from kempe.motion.path import Path
-from kempe.motion.spin_lock import spin_lock_of
+from kempe.motion.spin_lock import find_spin_lock
 
 LEGS = tuple(f"leg{i}" for i in range(1, 7))
 
@@ -265,7 +265,7 @@ def test_a_spin_can_be_followed():
     path = spins.trace(
         "A", spins.neutral.copy(), hold={"C.rz": 0.0}, budget=kempe.Budget(points=12)
     )
-    assert spin_lock_of(path.track.equations) is None
+    assert find_spin_lock(path.track.equations) is None
     with pytest.raises(UnsupportedError, match="2 freedoms"):
         spins.trace("C.rx", spins.neutral.copy())
 
@@ -282,9 +282,9 @@ def test_a_spin_is_no_answer_to_what_cannot_move():
 
 def test_directions_in_the_ground_stay_away_from_the_lines():
     path = kempe.load("rssr").trace("A")
-    lock = spin_lock_of(path.track.equations)
+    lock = find_spin_lock(path.track.equations)
     assert lock is not None
-    away = np.linalg.norm(np.cross(lock.ground[0], lock.lines(path.q)[:, 0]), axis=1)
+    away = np.linalg.norm(np.cross(lock.ground[0], lock.compute_lines(path.q)[:, 0]), axis=1)
     assert away.min() > 0.2
 
 

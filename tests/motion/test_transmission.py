@@ -16,11 +16,11 @@ from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.motion.drive import drive
 from kempe.motion.trace import trace
 from kempe.motion.transmission import (
-    dead_points,
-    loop_jacobian,
-    mechanical_advantage,
-    pressure_angle,
-    transmission_angle,
+    compute_loop_jacobian,
+    compute_mechanical_advantage,
+    compute_pressure_angle,
+    compute_transmission_angle,
+    find_dead_points,
 )
 from kempe.numerics.rank import Spectrum
 
@@ -65,7 +65,7 @@ def differences(system, q, inputs, frame, h=1e-4):
 def test_four_bar_rates_are_freudensteins():
     """Rocker rate = a sin(coupler - crank) / (c sin(coupler - rocker)) (Freudenstein, 1955)."""
     system, q = four_bar_on_branch()
-    J = loop_jacobian(system, q, ["A"], ["D", "B"])
+    J = compute_loop_jacobian(system, q, ["A"], ["D", "B"])
     assert J.success.all() and J.matrix.shape == (25, 2, 1) and J.rows == ("D", "B")
     crank = q[:, 0]
     rocker = q[:, 2]
@@ -80,21 +80,21 @@ def test_four_bar_rates_are_freudensteins():
 def test_frames_by_differences_along_the_branch():
     system, q = four_bar_on_branch(7)
     for x in q:
-        J = loop_jacobian(system, x, ["A"], ["P"])
+        J = compute_loop_jacobian(system, x, ["A"], ["P"])
         assert J.rows == ("P.vx", "P.vy", "P.vz", "P.wx", "P.wy", "P.wz")
         np.testing.assert_allclose(J.matrix, differences(system, x, ["A"], "P"), atol=2e-7)
 
 
 def test_two_inputs_and_a_long_linkage_by_differences():
     system = five_bar()
-    J = loop_jacobian(system, np.zeros(5), ["A", "E"], ["C*", "C"])
+    J = compute_loop_jacobian(system, np.zeros(5), ["A", "E"], ["C*", "C"])
     np.testing.assert_allclose(
         J.matrix[:6], differences(system, np.zeros(5), ["A", "E"], "C*"), atol=1e-7
     )
     assert J.matrix.shape == (7, 2)
     leg = jansen()
     x = trace(leg, "O", np.zeros(leg.nq)).at(2.0)
-    J = loop_jacobian(leg, x, ["O"], ["F*"])
+    J = compute_loop_jacobian(leg, x, ["O"], ["F*"])
     # lengths are about 50
     np.testing.assert_allclose(J.matrix, differences(leg, x, ["O"], "F*"), atol=1e-5)
 
@@ -113,7 +113,7 @@ def test_space_and_quaternions_by_differences():
     path = trace(system, "D", {"A": 0.3})
     # far from the dead points of D
     x = path.q[np.argmax(np.abs(np.gradient(path.values("D"), path.s)))]
-    J = loop_jacobian(system, x, ["D"], ["rod", "A"])
+    J = compute_loop_jacobian(system, x, ["D"], ["rod", "A"])
     np.testing.assert_allclose(J.matrix[:6], differences(system, x, ["D"], "rod"), atol=1e-6)
     # an idle spin of the rod does not matter to what does not spin
     m = Mechanism("RSSR")
@@ -129,10 +129,10 @@ def test_space_and_quaternions_by_differences():
     from kempe.equations.closure import Closure, close_loops
 
     y = close_loops(Closure(idle, [0, 1], assembled), assembled)
-    spinning = loop_jacobian(idle, y, ["D"], ["A", "rocker"])
+    spinning = compute_loop_jacobian(idle, y, ["D"], ["A", "rocker"])
     assert spinning.success and spinning.nullity == 2
     assert spinning.matrix[0, 0] == pytest.approx(J.matrix[6, 0], rel=1e-9)
-    loose = loop_jacobian(idle, y, ["D"], ["rod"])
+    loose = compute_loop_jacobian(idle, y, ["D"], ["rod"])
     assert not loose and "not determined" in loose.status and np.isnan(loose.matrix).all()
 
 
@@ -143,7 +143,7 @@ def test_bennett_rates(t):
     system = bennett(1.0, math.sin(beta) / math.sin(alpha), alpha, beta)
     K = math.sin((beta + alpha) / 2) / math.sin((beta - alpha) / 2)
     second = 2 * math.atan(K / math.tan(t / 2))
-    J = loop_jacobian(system, [t, second, -t, -second], ["T1"], ["T2", "T3", "T4"])
+    J = compute_loop_jacobian(system, [t, second, -t, -second], ["T1"], ["T2", "T3", "T4"])
     rate = -math.sin(second) / math.sin(t)  # derivative of tan(T1/2) tan(T2/2) = K
     np.testing.assert_allclose(J.matrix[:, 0], [rate, -1.0, -rate], rtol=1e-9)
 
@@ -155,17 +155,19 @@ def test_dead_points_and_change_points_are_refused_with_their_rank():
     d = 3.0
     system = four_bar(a, b, c, d)
     path = trace(system, "D", {"A": 0.8})
-    found = dead_points(path, "A")
-    assert len(found) == 2 and dead_points(path, "D") == path.turning_points
+    found = find_dead_points(path, "A")
+    assert len(found) == 2 and find_dead_points(path, "D") == path.turning_points
     for e in found:
-        J = loop_jacobian(system, e.q, ["A"], ["D"])
+        J = compute_loop_jacobian(system, e.q, ["A"], ["D"])
         assert (
             not J and "dead point" in J.status and (J.rank, J.nullity) == (0, 1) and J.margin < 1e-8
         )
-        assert loop_jacobian(system, e.q, ["D"], ["A"]).matrix == pytest.approx(0.0, abs=1e-8)
-    flat = loop_jacobian(four_bar(1, 2, 1, 2), np.zeros(4), ["A"], ["D"])
+        assert compute_loop_jacobian(system, e.q, ["D"], ["A"]).matrix == pytest.approx(
+            0.0, abs=1e-8
+        )
+    flat = compute_loop_jacobian(four_bar(1, 2, 1, 2), np.zeros(4), ["A"], ["D"])
     assert not flat and "not determined" in flat.status and (flat.rank, flat.nullity) == (1, 2)
-    both = loop_jacobian(system, path.q[3], ["A", "D"], ["B"])
+    both = compute_loop_jacobian(system, path.q[3], ["A", "D"], ["B"])
     assert (
         not both
         and (both.rank, both.nullity) == (1, 1)
@@ -182,24 +184,28 @@ def test_units_of_slides():
     A = q[:, 0]
     exact = -r * np.sin(A) - r * r * np.sin(A) * np.cos(A) / np.sqrt(rod**2 - (r * np.sin(A)) ** 2)
     np.testing.assert_allclose(
-        loop_jacobian(system, q, ["A"], ["S"]).matrix[:, 0, 0], exact, atol=1e-14
+        compute_loop_jacobian(system, q, ["A"], ["S"]).matrix[:, 0, 0], exact, atol=1e-14
     )
     np.testing.assert_allclose(
-        loop_jacobian(system, q[:5], ["S"], ["A"]).matrix[:, 0, 0], 1 / exact[:5], rtol=1e-10
+        compute_loop_jacobian(system, q[:5], ["S"], ["A"]).matrix[:, 0, 0],
+        1 / exact[:5],
+        rtol=1e-10,
     )
-    np.testing.assert_allclose(mechanical_advantage(system, q, "A", "S"), 1.0 / exact, rtol=1e-9)
-    pull = mechanical_advantage(system, q, "A", "slider", direction=(1, 0, 0))
+    np.testing.assert_allclose(
+        compute_mechanical_advantage(system, q, "A", "S"), 1.0 / exact, rtol=1e-9
+    )
+    pull = compute_mechanical_advantage(system, q, "A", "slider", direction=(1, 0, 0))
     np.testing.assert_allclose(pull, 1.0 / exact, rtol=1e-9)
 
 
 def test_mechanical_advantage_at_a_toggle_is_infinite_and_at_a_dead_point_zero():
     system = slider_crank(1.0, 2.0)
     straight = system.q({"S": 3.0})
-    assert mechanical_advantage(system, straight, "A", "S") == math.inf
-    assert mechanical_advantage(system, straight, "S", "A") == pytest.approx(0.0, abs=1e-12)
-    assert math.isnan(mechanical_advantage(five_bar(), np.zeros(5), "A", "C"))
-    held = mechanical_advantage(five_bar(), np.zeros(5), "A", "C", still=["E"])
-    J = loop_jacobian(five_bar(), np.zeros(5), ["A", "E"], ["C"])
+    assert compute_mechanical_advantage(system, straight, "A", "S") == math.inf
+    assert compute_mechanical_advantage(system, straight, "S", "A") == pytest.approx(0.0, abs=1e-12)
+    assert math.isnan(compute_mechanical_advantage(five_bar(), np.zeros(5), "A", "C"))
+    held = compute_mechanical_advantage(five_bar(), np.zeros(5), "A", "C", still=["E"])
+    J = compute_loop_jacobian(five_bar(), np.zeros(5), ["A", "E"], ["C"])
     assert held == pytest.approx(1.0 / J.matrix[0, 0], rel=1e-12)
 
 
@@ -211,15 +217,17 @@ def test_transmission_angle_of_a_four_bar_by_the_law_of_cosines():
     system, q = four_bar_on_branch()
     cosine = (b * b + c * c - a * a - d * d + 2 * a * d * np.cos(q[:, 0])) / (2 * b * c)
     exact = np.arccos(np.abs(cosine))
-    np.testing.assert_allclose(transmission_angle(system, q, "C"), exact, atol=1e-12)
+    np.testing.assert_allclose(compute_transmission_angle(system, q, "C"), exact, atol=1e-12)
     np.testing.assert_allclose(
-        pressure_angle(system, q, "C", coupler="B", output="D"), math.pi / 2 - exact, atol=1e-12
+        compute_pressure_angle(system, q, "C", coupler="B", output="D"),
+        math.pi / 2 - exact,
+        atol=1e-12,
     )
     # the crank as output
     B = a * np.stack([np.cos(q[:, 0]), np.sin(q[:, 0])], axis=-1)
     u = np.stack([np.cos(q[:, 0] + q[:, 1]), np.sin(q[:, 0] + q[:, 1])], axis=-1)
     other = np.arccos(np.abs(np.sum(u * B, axis=-1) / a))
-    np.testing.assert_allclose(transmission_angle(system, q, "B"), other, atol=1e-12)
+    np.testing.assert_allclose(compute_transmission_angle(system, q, "B"), other, atol=1e-12)
 
 
 def test_transmission_angle_of_a_slider():
@@ -229,27 +237,29 @@ def test_transmission_angle_of_a_slider():
     system = slider_crank(r, rod, offset)
     q = trace(system, "A", [0.6, -1.0, 0.0, 3.0]).resample(30).q
     tilt = np.abs(np.arcsin((r * np.sin(q[:, 0]) - offset) / rod))  # of the rod from the slide
-    np.testing.assert_allclose(pressure_angle(system, q, "C"), tilt, atol=1e-12)
-    np.testing.assert_allclose(transmission_angle(system, q, "C"), math.pi / 2 - tilt, atol=1e-12)
+    np.testing.assert_allclose(compute_pressure_angle(system, q, "C"), tilt, atol=1e-12)
+    np.testing.assert_allclose(
+        compute_transmission_angle(system, q, "C"), math.pi / 2 - tilt, atol=1e-12
+    )
 
 
 def test_names_and_open_loops():
     system, q = four_bar_on_branch(3)
     with pytest.raises(InputError, match="open by"):
-        loop_jacobian(system, q[0] + 0.01, ["A"], ["D"])
+        compute_loop_jacobian(system, q[0] + 0.01, ["A"], ["D"])
     with pytest.raises(UnknownNameError, match="coordinate or frame 'Q'"):
-        loop_jacobian(system, q[0], ["A"], ["Q"])
+        compute_loop_jacobian(system, q[0], ["A"], ["Q"])
     with pytest.raises(InputError, match="direction"):
-        mechanical_advantage(system, q[0], "A", "P")
+        compute_mechanical_advantage(system, q[0], "A", "P")
     with pytest.raises(UnsupportedError, match="bodies with a joint to the ground"):
-        pressure_angle(five_bar(), np.zeros(5), "C")
+        compute_pressure_angle(five_bar(), np.zeros(5), "C")
     with pytest.raises(InputError, match="no joint of the coupler"):
-        pressure_angle(system, q[0], "C", coupler="A")
+        compute_pressure_angle(system, q[0], "C", coupler="A")
     twin = Mechanism("twin", dim=2)
     twin.revolute("x", twin.ground, twin.body("x"))
     with pytest.raises(InputError, match="'joint:x' or 'frame:x'"):
-        loop_jacobian(twin.build(), [0.1], ["x"], ["x"])
-    J = loop_jacobian(twin.build(), [0.1], ["x"], ["joint:x", "frame:x"])
+        compute_loop_jacobian(twin.build(), [0.1], ["x"], ["x"])
+    J = compute_loop_jacobian(twin.build(), [0.1], ["x"], ["joint:x", "frame:x"])
     np.testing.assert_allclose(J.matrix[:, 0], [1, 0, 0, 0, 0, 0, 1], atol=1e-15)
     assert "determine" in str(J) and "<table>" in J._repr_html_()
 
@@ -257,7 +267,7 @@ def test_names_and_open_loops():
 def test_a_joint_on_the_ground_has_no_transmission_angle():
     s = kempe.load("four_bar")
     with pytest.raises(InputError, match="on the ground"):
-        transmission_angle(s, s.q("closed"), "A")
+        compute_transmission_angle(s, s.q("closed"), "A")
 
 
 # ---- long chains
@@ -288,7 +298,7 @@ def test_velocities_of_a_long_chain_take_no_dense_decomposition(monkeypatch):
     outputs = ["A40", "coupler20", "C3"]
     with monkeypatch.context() as patch:
         patch.setattr(Spectrum, "compute_sparse_null_space", lambda *args: None)
-        dense = loop_jacobian(system, q, ["A0"], outputs)
+        dense = compute_loop_jacobian(system, q, ["A0"], outputs)
     dense_null = Spectrum.compute_null_space
 
     def null(spectrum, level):
@@ -296,7 +306,7 @@ def test_velocities_of_a_long_chain_take_no_dense_decomposition(monkeypatch):
         return dense_null(spectrum, level)
 
     monkeypatch.setattr(Spectrum, "compute_null_space", null)
-    sparse = loop_jacobian(system, q, ["A0"], outputs)
+    sparse = compute_loop_jacobian(system, q, ["A0"], outputs)
     assert sparse.success and dense.success
     assert (sparse.rank, sparse.nullity) == (dense.rank, dense.nullity) == (1, 1)
     np.testing.assert_allclose(sparse.matrix, dense.matrix, rtol=1e-10, atol=1e-12)
@@ -313,9 +323,9 @@ def test_a_dead_point_of_a_long_chain_is_left_to_the_dense_decomposition():
     m.revolute("Q", rod, "slider", at=(1.0, 0.0))
     system = m.build()
     q = system.assemble({"A0": math.pi / 2}, start=system.q({"P": 0.0, "A0": math.pi / 2})).q
-    J = loop_jacobian(system, q, ["S"], ["A0"])
+    J = compute_loop_jacobian(system, q, ["S"], ["A0"])
     assert J.code == kempe.Status.DEAD_POINT and J.nullity == 1
-    assert loop_jacobian(system, q, ["A0"], ["S"]).success
+    assert compute_loop_jacobian(system, q, ["A0"], ["S"]).success
 
 
 def test_a_null_space_from_inputs_is_the_null_space_or_nothing(hunt):

@@ -99,15 +99,15 @@ class MovingPlanes(Protocol):
 
     names: tuple[str, ...]
 
-    def at(self, t: Array | float) -> tuple[Array, Array]:
+    def evaluate_planes(self, t: Array | float) -> tuple[Array, Array]:
         """Normals (..., m, k) and offsets (..., m) at times (...)."""
         ...
 
-    def rates(self, t: Array | float) -> tuple[Array, Array]:
+    def evaluate_rates(self, t: Array | float) -> tuple[Array, Array]:
         """Rates of normals (..., m, k) and offsets (..., m) at times (...)."""
         ...
 
-    def accelerations(self, t: float) -> tuple[Array, Array]:
+    def evaluate_accelerations(self, t: float) -> tuple[Array, Array]:
         """Second derivatives of normals (m, k) and offsets (m,) at a time."""
         ...
 
@@ -127,32 +127,32 @@ class Flight:
         self._largest = 0.0
         self.known = 0.0
 
-    def gaps(self, y: Array) -> Array:
+    def compute_gaps(self, y: Array) -> Array:
         """How far (m,) a place (k,) is above each plane."""
         return self.N @ y + self.offsets
 
-    def run(self, y: Array, v: Array, duration: float) -> None:
+    def compute_flight(self, y: Array, v: Array, duration: float) -> None:
         """Compute arcs and impacts from a place and a velocity (k,) on, for a duration [s]; `known`
         up to a time.
         """
         time = 0.0
         again = 0
-        touching = set(np.flatnonzero(self.gaps(y) <= TOUCH).tolist())
+        touching = set(np.flatnonzero(self.compute_gaps(y) <= TOUCH).tolist())
         while True:
-            v = self._impact(time, y, v, touching, again > AGAIN)
-            v, a, held = self._pressed(v, touching)
+            v = self._apply_impact(time, y, v, touching, again > AGAIN)
+            v, a, held = self._settle_contacts(v, touching)
             self.arcs.append(Parabola(time, y, v, a))
             self.known = time
             check_for_stop()
-            step, hit = self._next(y, v, a, touching, held)
-            settling = self._settling(y, v, a, touching - held, held)
+            step, hit = self._find_next_impact(y, v, a, touching, held)
+            settling = self._find_last_bounce(y, v, a, touching - held, held)
             if settling is not None and time + settling[0] < duration:
                 rest, i, tangent, pull = settling
                 self.arcs[-1] = Parabola(time, y, tangent, pull)
                 y = y + rest * (tangent + 0.5 * rest * pull)
                 v = tangent + rest * pull
                 time = time + rest
-                touching = self._touched(y, held | {i})
+                touching = self._find_touched_planes(y, held | {i})
                 self.impacts.append(Impact("settles", time, (i,), 0.0, 0.0, y, v))
             elif not time + step < duration or len(self.impacts) >= MOST:
                 self.broken = time + step < duration
@@ -162,10 +162,10 @@ class Flight:
                 time = time + step
                 y = y + step * (v + 0.5 * step * a)
                 v = v + step * a
-                y = self._onto(y, hit | held)
-                touching = self._touched(y, hit | held)
+                y = self._project_onto_planes(y, hit | held)
+                touching = self._find_touched_planes(y, hit | held)
 
-    def at(self, t: Array) -> tuple[Array, Array]:
+    def evaluate_flight(self, t: Array) -> tuple[Array, Array]:
         """Places and velocities (n, k) at times (n,)."""
         starts = np.array([arc.time for arc in self.arcs])
         k = np.clip(np.searchsorted(starts, t, side="right") - 1, 0, len(starts) - 1)
@@ -173,7 +173,9 @@ class Flight:
         s = (t - starts[k])[:, None]
         return y + s * (v + 0.5 * s * a), v + s * a
 
-    def _impact(self, time: float, y: Array, v: Array, touching: set[int], soft: bool) -> Array:
+    def _apply_impact(
+        self, time: float, y: Array, v: Array, touching: set[int], soft: bool
+    ) -> Array:
         """The velocity after what it makes hit; `soft` impacts have no rebound."""
         index = sorted(touching)
         N = self.N[index]
@@ -184,7 +186,7 @@ class Flight:
             if not (rates < -size).any():
                 return v
             e = 0.0 if soft or k == AGAIN else self.restitution
-            after = -e * v + (1.0 + e) * nearest_in_cone(v, N)
+            after = -e * v + (1.0 + e) * project_onto_cone(v, N)
             worst = int(np.argmin(rates))
             rebound = float(N[worst] @ after)
             rebound = rebound if rebound > size[worst] else 0.0
@@ -194,11 +196,11 @@ class Flight:
             v = after
         return v
 
-    def _pressed(self, v: Array, touching: set[int]) -> tuple[Array, Array, set[int]]:
+    def _settle_contacts(self, v: Array, touching: set[int]) -> tuple[Array, Array, set[int]]:
         """The velocity without rounding, the acceleration, and the planes that stay touched."""
         slow = GONE * self._largest
         still = [i for i in sorted(touching) if self.N[i] @ v <= slow * np.linalg.norm(self.N[i])]
-        a = nearest_in_cone(self.gravity, self.N[still])
+        a = project_onto_cone(self.gravity, self.N[still])
         strength = 1e-12 * float(np.linalg.norm(self.gravity))
         held = {i for i in still if self.N[i] @ a <= strength * np.linalg.norm(self.N[i])}
         flat = self.N[sorted(held)]
@@ -210,20 +212,20 @@ class Flight:
             v = np.where(np.linalg.norm(v) <= slow and not a.any(), 0.0, v)
         return v, a, held
 
-    def _next(
+    def _find_next_impact(
         self, y: Array, v: Array, a: Array, touching: set[int], held: set[int]
     ) -> tuple[float, set[int]]:
         """The time to the next impact, infinite where there is none, and its planes."""
-        gaps = self.gaps(y)
+        gaps = self.compute_gaps(y)
         times: dict[int, float] = {}
         for i in range(len(self.planes)):
             if i not in held:
                 gap = 0.0 if i in touching else max(float(gaps[i]), 0.0)
-                times[i] = first_zero(gap, float(self.N[i] @ v), float(self.N[i] @ a))
+                times[i] = find_first_zero(gap, float(self.N[i] @ v), float(self.N[i] @ a))
         step = min(times.values(), default=math.inf)
         return step, {i for i, t in times.items() if t <= step * (1.0 + SAME_TIME)}
 
-    def _settling(
+    def _find_last_bounce(
         self, y: Array, v: Array, a: Array, leaving: set[int], held: set[int]
     ) -> tuple[float, int, Array, Array] | None:
         """Where bounces on one plane get small: the time in which they end, the plane, and the
@@ -244,10 +246,10 @@ class Flight:
         tangent = v - n * (rate / (n @ n))
         along = a + n * (pull / (n @ n))
         others = set(range(len(self.planes))) - held - set(hops)
-        gaps = self.gaps(y)
+        gaps = self.compute_gaps(y)
         for j in others:
             if (
-                first_zero(
+                find_first_zero(
                     max(float(gaps[j]), 0.0), float(self.N[j] @ tangent), float(self.N[j] @ along)
                 )
                 <= rest
@@ -255,22 +257,24 @@ class Flight:
                 return None
         return rest, hops[0], tangent, along
 
-    def _touched(self, y: Array, known: set[int]) -> set[int]:
+    def _find_touched_planes(self, y: Array, known: set[int]) -> set[int]:
         """The planes that a place touches, or is above only by rounding."""
         rounding = ROUNDING * (np.abs(self.N) @ np.abs(y) + np.abs(self.offsets))
-        return known | set(np.flatnonzero(self.gaps(y) <= rounding).tolist())
+        return known | set(np.flatnonzero(self.compute_gaps(y) <= rounding).tolist())
 
-    def _onto(self, y: Array, touching: set[int]) -> Array:
+    def _project_onto_planes(self, y: Array, touching: set[int]) -> Array:
         """The place (k,) put onto planes that it touches but for rounding."""
         index = sorted(touching)
         if not index:
             return y
         return (
-            y - Spectrum(self.N[index]).compute_pseudo_inverse(Level.ROUNDING) @ self.gaps(y)[index]
+            y
+            - Spectrum(self.N[index]).compute_pseudo_inverse(Level.ROUNDING)
+            @ self.compute_gaps(y)[index]
         )
 
 
-def first_zero(gap: float, rate: float, acceleration: float) -> float:
+def find_first_zero(gap: float, rate: float, acceleration: float) -> float:
     """The first time at which a gap, not negative now, falls through zero; infinite where it does
     not.
 
@@ -290,13 +294,13 @@ def first_zero(gap: float, rate: float, acceleration: float) -> float:
     return 2.0 * gap / (root - rate) if rate < 0.0 else (rate + root) / -acceleration
 
 
-def nearest_in_cone(v: Array, N: Array) -> Array:
+def project_onto_cone(v: Array, N: Array) -> Array:
     """The vector nearest to v (k,) of those with N x >= 0, N (m, k)."""
-    found = nearest_inside(v, N, np.zeros(len(N)))
+    found = project_onto_half_spaces(v, N, np.zeros(len(N)))
     return np.zeros(len(v)) if found is None else found
 
 
-def nearest_inside(v: Array, N: Array, w: Array) -> Array | None:
+def project_onto_half_spaces(v: Array, N: Array, w: Array) -> Array | None:
     """The vector nearest to v (k,) of those with N x + w >= 0, N (m, k): by the sets of planes that
     may hold it back.
 
@@ -355,16 +359,16 @@ class MovingFlight:
         self.known = 0.0
         self._largest = 0.0
 
-    def run(self, y: Array, v: Array, duration: float) -> None:
+    def compute_flight(self, y: Array, v: Array, duration: float) -> None:
         """Compute stretches and impacts from a place and a velocity (k,) on, for a duration [s]."""
         t = 0.0
         again = 0
         leaving = set[int]()
-        touching = set(np.flatnonzero(self._gaps(0.0, y) <= TOUCH).tolist())
+        touching = set(np.flatnonzero(self._compute_gaps(0.0, y) <= TOUCH).tolist())
         while t < duration:
             self.budget.check_time()
             self.known = t
-            after = self._impact(t, y, v, touching, again > AGAIN)
+            after = self._apply_impact(t, y, v, touching, again > AGAIN)
             if after is None or len(self.impacts) >= MOST:
                 closing = " and ".join(repr(self.planes.names[i]) for i in sorted(touching))
                 self.reason = (
@@ -373,28 +377,30 @@ class MovingFlight:
                     else f"broken off after {MOST} events"
                 )
                 return
-            v, held = self._pressed(t, y, after, touching - leaving)
-            rest = self._settling(t, y, v, touching - held - leaving, held)
+            v, held = self._settle_contacts(t, y, after, touching - leaving)
+            rest = self._find_last_bounce(t, y, v, touching - held - leaving, held)
             if rest is not None and t + rest[0] < duration:
                 touching = held | {rest[1]}
                 self.stretches.append(
-                    Stretch(t, partial(_parabola, t, y, v, 0.0 * v), tuple(sorted(touching)))
+                    Stretch(
+                        t, partial(_evaluate_parabola, t, y, v, 0.0 * v), tuple(sorted(touching))
+                    )
                 )
                 t = t + rest[0]
-                y, v = self._onto(t, y + rest[0] * v, v, touching)
+                y, v = self._project_onto_planes(t, y + rest[0] * v, v, touching)
                 self.impacts.append(Impact("settles", t, (rest[1],), 0.0, 0.0, y, v))
                 continue
             before = t
-            t, y, v, hit, leaving = self._go(t, y, v, touching, held, duration)
+            t, y, v, hit, leaving = self._advance_to_event(t, y, v, touching, held, duration)
             again = again + 1 if t - before <= SAME_TIME * duration else 0
             if again > 2 * AGAIN:
                 self.reason = f"from {t:.10g} s on one impact follows the other at once"
                 return
-            y, v = self._onto(t, y, v, hit | held, places_only=True)
-            touching = self._touched(t, y, hit | held)
+            y, v = self._project_onto_planes(t, y, v, hit | held, places_only=True)
+            touching = self._find_touched_planes(t, y, hit | held)
         self.known = duration
 
-    def at(self, t: Array) -> tuple[Array, Array]:
+    def evaluate_flight(self, t: Array) -> tuple[Array, Array]:
         """Places and velocities (n, k) at times (n,) up to `known`."""
         starts = np.array([s.time for s in self.stretches])
         which = np.clip(np.searchsorted(starts, t, side="right") - 1, 0, len(starts) - 1)
@@ -406,64 +412,66 @@ class MovingFlight:
                 continue
             y[some], v[some] = stretch.at(t[some])
             for i in np.flatnonzero(some) if stretch.held else ():
-                y[i], v[i] = self._onto(float(t[i]), y[i], v[i], set(stretch.held))
+                y[i], v[i] = self._project_onto_planes(float(t[i]), y[i], v[i], set(stretch.held))
         return y, v
 
     # ---- gaps
 
-    def _gaps(self, t: Array | float, y: Array) -> Array:
+    def _compute_gaps(self, t: Array | float, y: Array) -> Array:
         """Gaps (..., m) at times (...) and places (..., k)."""
-        N, o = self.planes.at(t)
+        N, o = self.planes.evaluate_planes(t)
         return (N @ y[..., None])[..., 0] + o
 
-    def _rates(self, t: Array | float, y: Array, v: Array) -> tuple[Array, Array]:
+    def _compute_gap_rates(self, t: Array | float, y: Array, v: Array) -> tuple[Array, Array]:
         """Normals (..., m, k) and the rates (..., m) of the gaps, at times (...), places and
         velocities (..., k).
         """
-        N, _ = self.planes.at(t)
-        turn, shift = self.planes.rates(t)
+        N, _ = self.planes.evaluate_planes(t)
+        turn, shift = self.planes.evaluate_rates(t)
         return N, (N @ v[..., None] + turn @ y[..., None])[..., 0] + shift
 
-    def _bending(self, t: float, y: Array, v: Array) -> Array:
+    def _compute_gap_accelerations(self, t: float, y: Array, v: Array) -> Array:
         """Second derivatives (m,) of the gaps where the centre does not accelerate."""
-        turn, _ = self.planes.rates(t)
-        more, shift = self.planes.accelerations(t)
+        turn, _ = self.planes.evaluate_rates(t)
+        more, shift = self.planes.evaluate_accelerations(t)
         return 2.0 * turn @ v + more @ y + shift
 
-    def _onto(
+    def _project_onto_planes(
         self, t: float, y: Array, v: Array, planes: set[int], places_only: bool = False
     ) -> tuple[Array, Array]:
         """Place and velocity (k,) put onto planes that are touched, but for rounding."""
         index = sorted(planes)
         if not index:
             return y, v
-        N, o = self.planes.at(t)
+        N, o = self.planes.evaluate_planes(t)
         back = Spectrum(N[index]).compute_pseudo_inverse(Level.ROUNDING)
         y = y - back @ (N[index] @ y + o[index])
-        return y, v if places_only else v - back @ self._rates(t, y, v)[1][index]
+        return y, v if places_only else v - back @ self._compute_gap_rates(t, y, v)[1][index]
 
-    def _touched(self, t: float, y: Array, known: set[int]) -> set[int]:
+    def _find_touched_planes(self, t: float, y: Array, known: set[int]) -> set[int]:
         """The planes that a place touches, or is above only by rounding."""
-        N, o = self.planes.at(t)
+        N, o = self.planes.evaluate_planes(t)
         rounding = ROUNDING * (np.abs(N) @ np.abs(y) + np.abs(o))
         return known | set(np.flatnonzero(N @ y + o <= rounding).tolist())
 
     # ---- what happens at an instant
 
-    def _impact(self, t: float, y: Array, v: Array, touching: set[int], soft: bool) -> Array | None:
+    def _apply_impact(
+        self, t: float, y: Array, v: Array, touching: set[int], soft: bool
+    ) -> Array | None:
         """The velocity after what it makes hit, None where no velocity opens all gaps; `soft`:
         without rebound.
         """
         index = sorted(touching)
         for k in range(AGAIN + 1):
-            N, rates = (x[index] for x in self._rates(t, y, v))
+            N, rates = (x[index] for x in self._compute_gap_rates(t, y, v))
             self._largest = max(
                 self._largest, float(np.linalg.norm(v)), float(np.abs(rates).max(initial=0.0))
             )
             size = GONE * self._largest * np.linalg.norm(N, axis=1)
             if not (rates < -size).any():
                 return v
-            nearest = nearest_inside(v, N, rates - N @ v)
+            nearest = project_onto_half_spaces(v, N, rates - N @ v)
             if nearest is None:
                 return None
             e = 0.0 if soft or k == AGAIN else self.restitution
@@ -477,21 +485,25 @@ class MovingFlight:
             v = after
         return v
 
-    def _pressed(self, t: float, y: Array, v: Array, touching: set[int]) -> tuple[Array, set[int]]:
+    def _settle_contacts(
+        self, t: float, y: Array, v: Array, touching: set[int]
+    ) -> tuple[Array, set[int]]:
         """The velocity without rounding, and the planes that stay touched."""
-        N, rates = self._rates(t, y, v)
+        N, rates = self._compute_gap_rates(t, y, v)
         lengths = np.linalg.norm(N, axis=1)
         still = [i for i in sorted(touching) if rates[i] <= 1e2 * GONE * self._largest * lengths[i]]
-        _, held = self._pushed(t, y, v, still)
-        return self._onto(t, y, v, held)[1], held
+        _, held = self._solve_acceleration(t, y, v, still)
+        return self._project_onto_planes(t, y, v, held)[1], held
 
-    def _pushed(self, t: float, y: Array, v: Array, still: list[int]) -> tuple[Array, set[int]]:
+    def _solve_acceleration(
+        self, t: float, y: Array, v: Array, still: list[int]
+    ) -> tuple[Array, set[int]]:
         """The acceleration (k,) with these planes touched at no rate, and those of them that stay
         touched.
         """
-        N = self.planes.at(t)[0][still]
-        c = self._bending(t, y, v)[still]
-        a = nearest_inside(self.gravity, N, c)
+        N = self.planes.evaluate_planes(t)[0][still]
+        c = self._compute_gap_accelerations(t, y, v)[still]
+        a = project_onto_half_spaces(self.gravity, N, c)
         if a is None:
             a = self.gravity - Spectrum(N).compute_pseudo_inverse(Level.ROUNDING) @ (
                 N @ self.gravity + c
@@ -503,15 +515,15 @@ class MovingFlight:
             if x <= 0.0
         }
 
-    def _settling(
+    def _find_last_bounce(
         self, t: float, y: Array, v: Array, leaving: set[int], held: set[int]
     ) -> tuple[float, int] | None:
         """Where bounces on one plane get small: the time in which they end, and the plane."""
         if self.restitution >= 1.0 or not leaving:
             return None
-        N, rates = self._rates(t, y, v)
-        a = self._pushed(t, y, v, sorted(held))[0]
-        pull = -(N @ a + self._bending(t, y, v))
+        N, rates = self._compute_gap_rates(t, y, v)
+        a = self._solve_acceleration(t, y, v, sorted(held))[0]
+        pull = -(N @ a + self._compute_gap_accelerations(t, y, v))
         slow = 1e2 * GONE * self._largest * np.linalg.norm(N, axis=1)
         hops = [i for i in leaving if pull[i] > 0.0 and rates[i] > slow[i]]
         if len(hops) != 1:
@@ -527,7 +539,7 @@ class MovingFlight:
 
     # ---- what happens in between
 
-    def _go(
+    def _advance_to_event(
         self, t: float, y: Array, v: Array, touching: set[int], held: set[int], duration: float
     ) -> tuple[float, Array, Array, set[int], set[int]]:
         """To the next impact, or to where a held plane is left: time, place, velocity, planes that
@@ -536,26 +548,35 @@ class MovingFlight:
         window = duration / WINDOWS
         fresh = touching - held
         if fresh:  # low hops: the window fits the first of them
-            N, rates = self._rates(t, y, v)
-            pull = -(N @ self._pushed(t, y, v, sorted(held))[0] + self._bending(t, y, v))
+            N, rates = self._compute_gap_rates(t, y, v)
+            pull = -(
+                N @ self._solve_acceleration(t, y, v, sorted(held))[0]
+                + self._compute_gap_accelerations(t, y, v)
+            )
             hops = [
                 2.0 * float(rates[i] / pull[i]) for i in fresh if pull[i] > 0.0 and rates[i] > 0.0
             ]
             window = min([window, *(4.0 * h for h in hops)])
         begin = t
-        solver: Any = self._solver(t, y, v, held, duration) if held else None
+        solver: Any = self._make_solver(t, y, v, held, duration) if held else None
         while True:
             self.budget.check_time()
             end = min(begin + window, duration)
-            at = self._step(solver) if held else partial(_parabola, t, y, v, self.gravity)
+            at = (
+                self._step_solver(solver)
+                if held
+                else partial(_evaluate_parabola, t, y, v, self.gravity)
+            )
             end = float(solver.t) if held else end
-            hit = self._first(at, begin, end, set(range(len(self.planes.names))) - held, fresh)
-            left = self._left(at, begin, end, sorted(held)) if held else None
+            hit = self._find_first_impact(
+                at, begin, end, set(range(len(self.planes.names))) - held, fresh
+            )
+            left = self._find_release(at, begin, end, sorted(held)) if held else None
             stop = min(x for x in (hit and hit[0], left and left[0], end) if x is not None)
             self.stretches.append(Stretch(begin, at, tuple(sorted(held))))
             z, w = (x[0] for x in at(np.array([stop])))
             if held:
-                z, w = self._onto(stop, z, w, held)
+                z, w = self._project_onto_planes(stop, z, w, held)
             if hit is not None and hit[0] <= stop:
                 return stop, z, w, hit[1], set()
             if left is not None and left[0] <= stop:
@@ -570,19 +591,19 @@ class MovingFlight:
                 )
             begin = end
             window = duration / WINDOWS
-            gaps = self._gaps(begin, z)
+            gaps = self._compute_gaps(begin, z)
             fresh = {i for i in fresh if gaps[i] <= 0.0}
 
-    def _solver(self, t: float, y: Array, v: Array, held: set[int], duration: float) -> Any:
+    def _make_solver(self, t: float, y: Array, v: Array, held: set[int], duration: float) -> Any:
         from scipy import integrate
 
         index = sorted(held)
         k = len(y)
 
-        def slope(s: float, x: Array) -> Array:
+        def compute_slope(s: float, x: Array) -> Array:
             """Velocity and acceleration, all held planes pushing or pulling."""
-            N = self.planes.at(s)[0][index]
-            c = self._bending(s, x[:k], x[k:])[index]
+            N = self.planes.evaluate_planes(s)[0][index]
+            c = self._compute_gap_accelerations(s, x[:k], x[k:])[index]
             return np.concatenate(
                 [
                     x[k:],
@@ -592,7 +613,7 @@ class MovingFlight:
             )
 
         return cast(Any, integrate).DOP853(
-            slope,
+            compute_slope,
             t,
             np.concatenate([y, v]),
             duration,
@@ -601,7 +622,7 @@ class MovingFlight:
             max_step=duration / WINDOWS,
         )
 
-    def _step(self, solver: Any) -> Callable[[Array], tuple[Array, Array]]:
+    def _step_solver(self, solver: Any) -> Callable[[Array], tuple[Array, Array]]:
         said = solver.step()
         if solver.status == "failed":
             raise ArithmeticError(f"at {solver.t:.6g} s the planes move too fast: {said}")
@@ -609,7 +630,7 @@ class MovingFlight:
         k = len(self.gravity)
         return lambda s: (dense(s)[:k].T, dense(s)[k:].T)
 
-    def _first(
+    def _find_first_impact(
         self,
         at: Callable[[Array], tuple[Array, Array]],
         begin: float,
@@ -622,15 +643,15 @@ class MovingFlight:
         """
         s = np.linspace(begin, end, LOOKS + 1)
         y, v = at(s)
-        gaps = self._gaps(s, y)
-        rates = self._rates(s, y, v)[1]
+        gaps = self._compute_gaps(s, y)
+        rates = self._compute_gap_rates(s, y, v)[1]
 
-        def gap(i: int, x: float) -> float:
-            return float(self._gaps(x, at(np.array([x]))[0][0])[i])
+        def compute_gap(i: int, x: float) -> float:
+            return float(self._compute_gaps(x, at(np.array([x]))[0][0])[i])
 
-        def rate(i: int, x: float) -> float:
+        def compute_gap_rate(i: int, x: float) -> float:
             p, w = (z[0] for z in at(np.array([x])))
-            return float(self._rates(x, p, w)[1][i])
+            return float(self._compute_gap_rates(x, p, w)[1][i])
 
         found: dict[int, float] = {}
         for i in sorted(planes):
@@ -639,8 +660,8 @@ class MovingFlight:
                 b = float(s[k + 1])
                 opens = i in fresh and k == 0  # it touches at a, and may close again at once
                 if opens and rates[0, i] > 0.0 and rates[1, i] < 0.0:
-                    a = zero_of(partial(rate, i), a, b)
-                    if gap(i, a) <= 0.0:  # a hop lower than rounding
+                    a = find_zero(partial(compute_gap_rate, i), a, b)
+                    if compute_gap(i, a) <= 0.0:  # a hop lower than rounding
                         found[i] = a
                         break
                 elif (
@@ -648,53 +669,56 @@ class MovingFlight:
                     and gaps[k + 1, i] > 0.0
                     and (gaps[k, i] > 0.0 or opens)
                 ):
-                    b = zero_of(partial(rate, i), a, b)
-                if gap(i, b) <= 0.0 and (
-                    gap(i, a) > 0.0 or (not opens and k == 0 and rates[0, i] < 0.0)
+                    b = find_zero(partial(compute_gap_rate, i), a, b)
+                if compute_gap(i, b) <= 0.0 and (
+                    compute_gap(i, a) > 0.0 or (not opens and k == 0 and rates[0, i] < 0.0)
                 ):
-                    found[i] = zero_of(partial(gap, i), a, b) if gap(i, a) > 0.0 else a
+                    found[i] = (
+                        find_zero(partial(compute_gap, i), a, b) if compute_gap(i, a) > 0.0 else a
+                    )
                     break
         if not found:
             return None
         first = min(found.values())
         return first, {i for i, x in found.items() if x <= first + SAME_TIME * (end - begin)}
 
-    def _left(
+    def _find_release(
         self, at: Callable[[Array], tuple[Array, Array]], begin: float, end: float, held: list[int]
     ) -> tuple[float, int] | None:
         """The time within a step from which on a held plane would have to pull, and the plane."""
 
-        def pushes(x: float) -> Array:
+        def compute_pushes(x: float) -> Array:
             p, w = (z[0] for z in at(np.array([x])))
-            N = self.planes.at(x)[0][held]
-            c = self._bending(x, p, w)[held]
+            N = self.planes.evaluate_planes(x)[0][held]
+            c = self._compute_gap_accelerations(x, p, w)[held]
             return Spectrum(N @ N.T).solve_least_squares(
                 -(N @ self.gravity + c), Level.CLOSED
             ) * np.linalg.norm(N, axis=1)
 
-        def least(x: float) -> float:
-            return float(pushes(x).min())
+        def find_least_push(x: float) -> float:
+            return float(compute_pushes(x).min())
 
         s = np.linspace(begin, end, LOOKS // 4 + 1).tolist()
         weak = [
             k
             for k in range(len(s) - 1)
-            if least(s[k + 1]) < -1e-9 * float(np.linalg.norm(self.gravity))
+            if find_least_push(s[k + 1]) < -1e-9 * float(np.linalg.norm(self.gravity))
         ]
         if not weak:
             return None
         a = s[weak[0]]
         b = s[weak[0] + 1]
-        return zero_of(least, a, b) if least(a) > 0.0 else a, held[int(np.argmin(pushes(b)))]
+        time = find_zero(find_least_push, a, b) if find_least_push(a) > 0.0 else a
+        return time, held[int(np.argmin(compute_pushes(b)))]
 
 
-def _parabola(t: float, y: Array, v: Array, a: Array, s: Array) -> tuple[Array, Array]:
+def _evaluate_parabola(t: float, y: Array, v: Array, a: Array, s: Array) -> tuple[Array, Array]:
     """Places and velocities (n, k) at times s (n,) of a parabola that begins at t."""
     u = (s - t)[:, None]
     return y + u * (v + 0.5 * u * a), v + u * a
 
 
-def zero_of(f: Callable[[float], float], a: float, b: float) -> float:
+def find_zero(f: Callable[[float], float], a: float, b: float) -> float:
     """A zero between a and b, at which the signs of f differ; b where they do not."""
     zero = find_sign_change(f, a, b)
     return b if zero is None else zero

@@ -91,7 +91,7 @@ RESTS = 1e-6
 # (Müller, *J. Mechanisms Robotics* 8, 2016; Allgower, Georg, 1990, 8.3).
 
 
-def second_order(equations: Closure, x: Array, left: Array, along: Array) -> Array:
+def differentiate_jacobian(equations: Closure, x: Array, left: Array, along: Array) -> Array:
     """Derivatives (n, k, d) of `J.T @ left` (left: (rows, k)) along the columns of `along` (n, d)."""
     out = np.empty((equations.n, left.shape[1], along.shape[1]))
     for j in range(along.shape[1]):
@@ -103,7 +103,7 @@ def second_order(equations: Closure, x: Array, left: Array, along: Array) -> Arr
     return out
 
 
-def locate(
+def locate_singular_point(
     equations: Closure, x: Array, nullity: int, reach: float, tries: int = 20
 ) -> Array | None:
     """The point near `x`, at most `reach` away, where the loops are closed and the null space has
@@ -120,20 +120,22 @@ def locate(
     start = x
     nq = len(x)
 
-    def both(z: Array) -> tuple[Array, Array]:
+    def evaluate_equations(z: Array) -> tuple[Array, Array]:
         F, J = equations.evaluate_equations(z[:nq])
         near = np.linalg.norm(equations.compute_difference(start, z[:nq])) <= reach
         return np.concatenate([F, (z[nq:].reshape(k, rows) @ J).ravel()]) if near else np.full(
             1, np.inf
         ), J
 
-    def newton(z: Array, missing: Array, J: Array) -> Array:
+    def compute_newton_step(z: Array, missing: Array, J: Array) -> Array:
         x = z[:nq]
         left = z[nq:].reshape(k, rows).T
         A = np.zeros((rows + n * k + k * k, n + rows * k))
         A[:rows, :n] = J
         A[rows : rows + n * k, :n] = (
-            second_order(equations, x, left, np.eye(n)).transpose(1, 0, 2).reshape(n * k, n)
+            differentiate_jacobian(equations, x, left, np.eye(n))
+            .transpose(1, 0, 2)
+            .reshape(n * k, n)
         )
         for i in range(k):
             columns = slice(n + rows * i, n + rows * (i + 1))
@@ -142,30 +144,30 @@ def locate(
         return solve_least_squares(A, np.concatenate([-missing, np.zeros(k * k)]))
 
     found = run_gauss_newton(
-        both,
+        evaluate_equations,
         np.append(x, left.T),
         tries,
-        step=newton,
+        step=compute_newton_step,
         met=1e-15,
         move=lambda z, y: np.append(equations.move_point(z[:nq], y[:n]), z[nq:] + y[n:]),
     )
     if not found.size <= SINGULAR:
         return None
     x = found.x[:nq]
-    found = _nullity(equations, x)
+    found = _compute_nullity(equations, x)
     if found <= nullity:
         return x if found == nullity else None
     # more equations, which make it regular again
-    better = locate(equations, x, found, reach, tries)
+    better = locate_singular_point(equations, x, found, reach, tries)
     return x if better is None else better
 
 
-def _nullity(equations: Closure, x: Array) -> int:
+def _compute_nullity(equations: Closure, x: Array) -> int:
     """The dimension of the null space of equations, which are scaled."""
     return equations.n - Spectrum(equations.compute_jacobian(x), LEAST).compute_rank(Level.CLOSED)
 
 
-def cone(equations: Closure, x: Array) -> tuple[Array, bool]:
+def compute_tangent_cone(equations: Closure, x: Array) -> tuple[Array, bool]:
     """Directions (k, n), of length 1 and without sign, in which second order lets the null space at
     `x` move.
 
@@ -179,19 +181,21 @@ def cone(equations: Closure, x: Array) -> tuple[Array, bool]:
     if d <= 1:
         return null_space.T, False
     left = spectrum.left[:, n - d :]
-    forms = np.einsum("nd,nke->kde", null_space, second_order(equations, x, left, null_space))
+    forms = np.einsum(
+        "nd,nke->kde", null_space, differentiate_jacobian(equations, x, left, null_space)
+    )
     forms = 0.5 * (forms + forms.transpose(0, 2, 1))
     size = np.abs(forms).max()
     if size < NO_FORM:
         return np.zeros((0, n)), True
     forms = forms / size
-    found = _two(forms) if d == 2 else _many(forms, equations.budget)
+    found = _solve_two_forms(forms) if d == 2 else _solve_many_forms(forms, equations.budget)
     # rank d - 1 where a zero is simple
     least = [Spectrum(forms @ u).values[d - 2] for u in found]
     return found @ null_space.T, min(least, default=1.0) < DOUBLE
 
 
-def _two(forms: Array) -> Array:
+def _solve_two_forms(forms: Array) -> Array:
     """Common real zeros (k, 2) of quadratic forms (m, 2, 2)."""
     rows = np.stack([forms[:, 0, 0], 2.0 * forms[:, 0, 1], forms[:, 1, 1]], axis=1)
     # a u^2 + b u v + c v^2, the combination of the forms that is largest
@@ -206,7 +210,7 @@ def _two(forms: Array) -> Array:
     return lines[np.abs(other).max(axis=1) < 1e-6]
 
 
-def _many(forms: Array, budget: TimeLimit) -> Array:
+def _solve_many_forms(forms: Array, budget: TimeLimit) -> Array:
     """Common real zeros (k, d) of quadratic forms (m, d, d), by Newton's method from many starts on
     the sphere.
     """
@@ -214,39 +218,45 @@ def _many(forms: Array, budget: TimeLimit) -> Array:
     rng = np.random.default_rng(0)
     found: list[Array] = []
 
-    def both(u: Array) -> tuple[Array, Array]:
+    def evaluate_forms(u: Array) -> tuple[Array, Array]:
         return np.append(np.einsum("i,mij,j->m", u, forms, u), 0.0), np.vstack([2.0 * forms @ u, u])
 
-    def onto(u: Array, y: Array) -> Array:
+    def move_on_sphere(u: Array, y: Array) -> Array:
         return (u + y) / np.linalg.norm(u + y)
 
     for _ in range(40 * 2**d):
         budget.check_time()
         u = rng.normal(size=d)
         u = u / np.linalg.norm(u)
-        u, left, _ = run_gauss_newton(both, u, 40, level=Level.ROUNDING, last=1e-15, move=onto)
+        u, left, _ = run_gauss_newton(
+            evaluate_forms, u, 40, level=Level.ROUNDING, last=1e-15, move=move_on_sphere
+        )
         if np.abs(left).max() < 1e-9 and all(abs(abs(u @ v) - 1.0) > SAME_LINE for v in found):
             found.append(u)
     return np.array(found).reshape(-1, d)
 
 
-def branch_lines(equations: Closure, x: Array) -> Array:
+def find_branch_lines(equations: Closure, x: Array) -> Array:
     """Directions (k, n) of the curves through a singular point: those of the tangent cone along
     which one can walk.
     """
-    return _walkable(equations, x, cone(equations, x)[0])
+    return _select_walkable_directions(equations, x, compute_tangent_cone(equations, x)[0])
 
 
-def branches_at(equations: Closure, x: Array) -> tuple[Array, Germ | None]:
+def find_branches(equations: Closure, x: Array) -> tuple[Array, Germ | None]:
     """Directions (k, n) of the curves through a singular point, and their germ where second order
     does not tell.
     """
-    directions, degenerate = cone(equations, x)
-    germ = germ_at(equations, x) if degenerate else None
-    return (_walkable(equations, x, directions), None) if germ is None else (germ.lines, germ)
+    directions, degenerate = compute_tangent_cone(equations, x)
+    germ = find_germ(equations, x) if degenerate else None
+    return (
+        (_select_walkable_directions(equations, x, directions), None)
+        if germ is None
+        else (germ.lines, germ)
+    )
 
 
-def _walkable(equations: Closure, x: Array, directions: Array) -> Array:
+def _select_walkable_directions(equations: Closure, x: Array, directions: Array) -> Array:
     """Those of the directions (k, n) of the tangent cone along which one can walk."""
     lines: list[Array] = []
     for t in directions:
@@ -266,7 +276,7 @@ def _walkable(equations: Closure, x: Array, directions: Array) -> Array:
     return np.array(lines).reshape(-1, equations.n)
 
 
-def singular_node(
+def make_singular_node(
     equations: Closure, x: Array, toward: Array, came: Array | None = None
 ) -> Node | None:
     """The node at a singular point on the branch whose direction is nearest to `toward` (n,), not
@@ -275,13 +285,15 @@ def singular_node(
     Where several branches have that direction it is the one of the point `came` (nq,), which is
     before the other.
     """
-    lines, germ = branches_at(equations, x)
+    lines, germ = find_branches(equations, x)
     if germ is not None:
-        before = None if came is None else germ.half_of(equations, [came])
+        before = None if came is None else germ.find_half_branch(equations, [came])
         half = int(np.argmax(germ.tangents @ toward)) if before is None else germ.partner[before]
         cosines = germ.tangents @ toward / max(float(np.linalg.norm(toward)), 1e-300)
         alike = before is None and int(np.sum(cosines > cosines[half] - SAME_LINE)) > 1
-        return None if cosines[half] < AHEAD or alike or germ.cusp(half) else germ.node(half)
+        return (
+            None if cosines[half] < AHEAD or alike or germ.is_cusp(half) else germ.make_node(half)
+        )
     if not len(lines):
         return None
     cosines = lines @ toward / max(float(np.linalg.norm(toward)), 1e-300)
@@ -293,7 +305,7 @@ def singular_node(
     return Node(x, t, at.sigma, max(at.nullity, 2), at.matrix, at.image, lines)
 
 
-def passage(
+def find_passage(
     equations: Closure, points: Sequence[Array], known: Sequence[Germ], period: Array
 ) -> SingularNode | None:
     """Where a curve goes on that comes to rest at a singular point: the node there, from which it
@@ -303,44 +315,48 @@ def passage(
     (nv,) away: where branches touch closely, rounding leaves open where exactly.
     """
     for germ in known:
-        moved = germ.moved(equations, points[-1], period)
+        moved = germ.move_germ(equations, points[-1], period)
         if (
             np.linalg.norm(equations.compute_difference(moved.x, points[-1]))
             < np.linalg.norm(germ.samples[:, -1], axis=1).max()
         ):
-            if (found := _going_on(equations, moved, points)) is not None:
+            if (found := _find_leaving_node(equations, moved, points)) is not None:
                 return found
     here = points[-1]
     along = equations.compute_difference(points[-2], points[-1])
     for nullity in (2, 3, 4):
-        x = locate(equations, here, nullity, REACH) if nullity <= equations.n else None
-        germ = None if x is None else germ_at(equations, x, nullity)
+        x = (
+            locate_singular_point(equations, here, nullity, REACH)
+            if nullity <= equations.n
+            else None
+        )
+        germ = None if x is None else find_germ(equations, x, nullity)
         if germ is not None and nullity == 2:
-            x = center(
+            x = find_singular_center(
                 equations, germ.x, germ.tangents[0], float(np.linalg.norm(germ.samples[0, 0]))
             )
-            germ = None if x is None else germ_at(equations, x, nullity)
-        if (found := _going_on(equations, germ, points)) is not None:
+            germ = None if x is None else find_germ(equations, x, nullity)
+        if (found := _find_leaving_node(equations, germ, points)) is not None:
             return found
     for reach in RADII[1:]:
-        x = center(equations, here, along, reach)
-        germ = None if x is None else germ_at(equations, x, 2)
-        if (found := _going_on(equations, germ, points)) is not None:
+        x = find_singular_center(equations, here, along, reach)
+        germ = None if x is None else find_germ(equations, x, 2)
+        if (found := _find_leaving_node(equations, germ, points)) is not None:
             return found
     return None
 
 
-def _going_on(
+def _find_leaving_node(
     equations: Closure, germ: Germ | None, points: Sequence[Array]
 ) -> SingularNode | None:
     """The node from which a curve goes on that came to a singular point by some points (nq,); None
     where it did not.
     """
-    half = None if germ is None else germ.half_of(equations, points)
-    return None if germ is None or half is None else germ.node(germ.partner[half])
+    half = None if germ is None else germ.find_half_branch(equations, points)
+    return None if germ is None or half is None else germ.make_node(germ.partner[half])
 
 
-def center(equations: Closure, x: Array, along: Array, reach: float) -> Array | None:
+def find_singular_center(equations: Closure, x: Array, along: Array, reach: float) -> Array | None:
     """The singular point (nq,) near x (nq,) along a tangent (n,) of the curve, where Newton's
     method stops early.
 
@@ -349,7 +365,7 @@ def center(equations: Closure, x: Array, along: Array, reach: float) -> Array | 
     *Math. Comp.* 74, 2005). None where there are no roots, or the loops are not closed there.
     """
     for _ in range(3):
-        z = _Sphere.at(equations, x, 2).valley(along, reach)
+        z = _Sphere.make_sphere(equations, x, 2).find_valley(along, reach)
         if z is None:
             return None
         x = equations.move_point(x, z)
@@ -360,7 +376,7 @@ def center(equations: Closure, x: Array, along: Array, reach: float) -> Array | 
     )
 
 
-def crossing(equations: Closure, a: Node, b: Node) -> Node | None:
+def find_crossing(equations: Closure, a: Node, b: Node) -> Node | None:
     """The singular point between two neighbours of one branch, or None."""
     y = equations.compute_difference(a.x, b.x)
     h = float(np.linalg.norm(y))
@@ -369,13 +385,13 @@ def crossing(equations: Closure, a: Node, b: Node) -> Node | None:
     for nullity in (2, 3, 4):
         if nullity > equations.n:
             break
-        x = locate(equations, guess, nullity, 2.0 * h)
+        x = locate_singular_point(equations, guess, nullity, 2.0 * h)
         if x is None:
             continue
         z = equations.compute_difference(a.x, x)
         along = float(z @ y) / h
         if -1e-9 <= along <= h + 1e-9 and np.linalg.norm(z - along * y / h) <= 0.25 * h:
-            return singular_node(equations, x, y, a.x)
+            return make_singular_node(equations, x, y, a.x)
     return None
 
 
@@ -411,11 +427,11 @@ class Germ:
         """Directions (., n) of the branches."""
         return self.tangents[[i for i, j in enumerate(self.partner) if i < j]]
 
-    def cusp(self, half: int) -> bool:
+    def is_cusp(self, half: int) -> bool:
         """Whether a half-branch and its partner leave side by side."""
         return float(self.tangents[half] @ self.tangents[self.partner[half]]) > 0.0
 
-    def node(self, half: int) -> SingularNode:
+    def make_node(self, half: int) -> SingularNode:
         """The node at `x` from which a half-branch leaves."""
         others = [i for i, j in enumerate(self.partner) if i < j and half not in (i, j)]
         lines = self.tangents[[half, *others]]
@@ -423,12 +439,12 @@ class Germ:
             self.x, self.tangents[half], 0.0, self.nullity, NONE, NONE, lines, germ=self, half=half
         )
 
-    def first(self, equations: Closure, half: int) -> Node:
+    def make_first_node(self, equations: Closure, half: int) -> Node:
         """The regular node of a half-branch that is nearest to `x`, its tangent away from `x`."""
         z = self.samples[half, -1]
         return make_node(equations, equations.move_point(self.x, z), z)
 
-    def moved(self, equations: Closure, x: Array, period: Array) -> Germ:
+    def move_germ(self, equations: Closure, x: Array, period: Array) -> Germ:
         """The same germ as near to a point (nq,) as whole periods (nv,) lead."""
         y = equations.compute_difference(self.x, x) * equations.unit
         turns = np.round(np.divide(y, period, out=np.zeros_like(y), where=period > 0.0))
@@ -436,7 +452,7 @@ class Germ:
             self, x=equations.system.structure.layout.integrate_velocity(self.x, turns * period)
         )
 
-    def half_of(self, equations: Closure, points: Sequence[Array]) -> int | None:
+    def find_half_branch(self, equations: Closure, points: Sequence[Array]) -> int | None:
         """The half-branch on which points (nq,) at different distances from `x` lie; None where
         they do not tell.
         """
@@ -447,7 +463,7 @@ class Germ:
                 continue
             gaps = np.array(
                 [
-                    np.linalg.norm(_powers(np.array([size]), self.roots[i]) @ c - z)
+                    np.linalg.norm(_compute_powers(np.array([size]), self.roots[i]) @ c - z)
                     for i, c in enumerate(self.curves)
                 ]
             )
@@ -468,49 +484,49 @@ class SingularNode(Node):
         """The same point, walked the other way."""
         return replace(self, t=-self.t, half=self.germ.partner[self.half])
 
-    def back(self) -> SingularNode:
+    def make_opposite_node(self) -> SingularNode:
         """The node from which the other half of the branch leaves."""
-        return self.germ.node(self.germ.partner[self.half])
+        return self.germ.make_node(self.germ.partner[self.half])
 
-    def arrival(self) -> list[Node]:
+    def list_arrival_nodes(self) -> list[Node]:
         """The node at which the other half of the branch arrives, where that is not this node, too:
         at a cusp.
         """
         t = -self.germ.tangents[self.germ.partner[self.half]]
         return (
             [Node(self.x, t, self.sigma, self.nullity, NONE, NONE)]
-            if self.germ.cusp(self.half)
+            if self.germ.is_cusp(self.half)
             else []
         )
 
-    def may_be(self, equations: Closure, points: Sequence[Array]) -> bool:
+    def may_contain_points(self, equations: Closure, points: Sequence[Array]) -> bool:
         """Whether points (nq,) near by may lie on the branch of this node: they do not lie on
         another one.
         """
-        half = self.germ.half_of(equations, points)
+        half = self.germ.find_half_branch(equations, points)
         return half is None or half in (self.half, self.germ.partner[self.half])
 
 
-def germ_at(equations: Closure, x: Array, nullity: int = 0) -> Germ | None:
+def find_germ(equations: Closure, x: Array, nullity: int = 0) -> Germ | None:
     """The germ of the curve at a singular point, None where there is none, or one that small
     spheres do not tell.
 
     The null space there has the dimension `nullity`, where that is given, up to what the digits of
     `x` leave.
     """
-    nullity = nullity or _nullity(equations, x)
+    nullity = nullity or _compute_nullity(equations, x)
     if isinstance(equations, DrivenClosure) or nullity < 2:
         return None
-    sphere = _Sphere.at(equations, x, nullity)
+    sphere = _Sphere.make_sphere(equations, x, nullity)
     for radius in RADII:
-        points = sphere.circle(radius) if nullity == 2 else sphere.search(radius)
+        points = sphere.search_circle(radius) if nullity == 2 else sphere.search_sphere(radius)
         if points is None:
             return None  # more than a curve
-        halves = [sphere.inwards(z) for z in points]
+        halves = [sphere.trace_inwards(z) for z in points]
         count = min((len(h) for h in halves), default=0)
         if count < LEAST_SAMPLES or len(halves) % 2:
             continue
-        germ = _paired(x, np.array([h[:count] for h in halves]), sphere.null_space)
+        germ = _pair_half_branches(x, np.array([h[:count] for h in halves]), sphere.null_space)
         if germ is not None:
             return germ
     return None
@@ -533,7 +549,7 @@ class _Sphere:
     left: Array
 
     @staticmethod
-    def at(equations: Closure, x: Array, nullity: int) -> _Sphere:
+    def make_sphere(equations: Closure, x: Array, nullity: int) -> _Sphere:
         """The spheres around a point (nq,) at which the null space has so many dimensions, or
         nearly has.
         """
@@ -544,7 +560,7 @@ class _Sphere:
         inverse = (Vt[:rank].T / spectrum.values[:rank]) @ U[:, :rank].T
         return _Sphere(equations, x, Vt[rank:].T, inverse, U[:, rank:])
 
-    def valley(self, tangent: Array, reach: float) -> Array | None:
+    def find_valley(self, tangent: Array, reach: float) -> Array | None:
         """The tangent vector (n,) from `x` to the singular point near by, along a tangent (n,) of
         the curve there.
 
@@ -557,12 +573,14 @@ class _Sphere:
         h = 1e-3 * reach
         axes = np.stack([t, [-t[1], t[0]]])
 
-        def values(a: Array, b: Array) -> Array:
-            return self.reduced(np.stack([a, b], axis=1) @ axes @ self.null_space.T)[1]
+        def compute_values(a: Array, b: Array) -> Array:
+            return self.reduce_vectors(np.stack([a, b], axis=1) @ axes @ self.null_space.T)[1]
 
-        own = Spectrum(values(np.append(a, a), np.repeat([h, -h], VALLEY))).thin_decomposition[2][0]
+        own = Spectrum(
+            compute_values(np.append(a, a), np.repeat([h, -h], VALLEY))
+        ).thin_decomposition[2][0]
         for _ in range(4):
-            low, at, high = (values(a, b + k * h) @ own for k in (-1, 0, 1))
+            low, at, high = (compute_values(a, b + k * h) @ own for k in (-1, 0, 1))
             bent = high - 2.0 * at + low
             b = b - np.clip(
                 np.where(
@@ -572,16 +590,16 @@ class _Sphere:
                 0.1 * reach,
             )
         chebyshev: Any = np.polynomial.chebyshev  # its types are not known
-        depth = chebyshev.chebfit(a / reach, values(a, b) @ own, VALLEY // 2)
+        depth = chebyshev.chebfit(a / reach, compute_values(a, b) @ own, VALLEY // 2)
         roots: np.ndarray = np.asarray(chebyshev.chebroots(depth))
         near = roots[np.abs(roots) < CLUSTER]
         if not len(near):
             return None
         at = reach * float(np.real(near).mean())
         aside = chebyshev.chebval(at / reach, chebyshev.chebfit(a / reach, b, VALLEY // 2))
-        return self.reduced((np.array([[at, aside]]) @ axes) @ self.null_space.T)[0][0]
+        return self.reduce_vectors((np.array([[at, aside]]) @ axes) @ self.null_space.T)[0][0]
 
-    def reduced(self, z: Array) -> tuple[Array, Array]:
+    def reduce_vectors(self, z: Array) -> tuple[Array, Array]:
         """Tangent vectors (m, n) with the components of z (m, n) in the null space, and the values
         (m, k) there.
         """
@@ -594,34 +612,36 @@ class _Sphere:
                 break
         return z, F @ self.left
 
-    def circle(self, radius: float) -> list[Array]:
+    def search_circle(self, radius: float) -> list[Array]:
         """Tangent vectors to the points of the curve over a circle in a null space of two
         dimensions.
         """
         angles = 2.0 * np.pi * np.arange(CIRCLE) / CIRCLE + 0.1
 
-        def at(angles: Array) -> tuple[Array, Array]:
-            return self.reduced(
+        def reduce_angles(angles: Array) -> tuple[Array, Array]:
+            return self.reduce_vectors(
                 radius * np.stack([np.cos(angles), np.sin(angles)], axis=1) @ self.null_space.T
             )
 
-        values = at(angles)[1]
+        values = reduce_angles(angles)[1]
         if not np.isfinite(values).all():
             return []
         out: list[Array] = []
         for own in Spectrum(values, 1e-8).compute_row_space(Level.GENERIC).T:
-            a, b = self._brackets(angles, values @ own, lambda angles, own=own: at(angles)[1] @ own)
+            a, b = self._find_brackets(
+                angles, values @ own, lambda angles, own=own: reduce_angles(angles)[1] @ own
+            )
             for _ in range(HALVINGS if len(a[0]) else 0):
                 middle = 0.5 * (a[0] + b[0])
-                value = at(middle)[1] @ own
+                value = reduce_angles(middle)[1] @ own
                 left = (value > 0.0) == (a[1] > 0.0)
                 a = np.where(left, middle, a[0]), np.where(left, value, a[1])
                 b = np.where(left, b[0], middle), np.where(left, b[1], value)
-            out += [] if not len(a[0]) else list(at(0.5 * (a[0] + b[0]))[0])
-        return self._points(out)
+            out += [] if not len(a[0]) else list(reduce_angles(0.5 * (a[0] + b[0]))[0])
+        return self._correct_vectors(out)
 
     @staticmethod
-    def _brackets(
+    def _find_brackets(
         angles: Array, values: Array, function: Callable[[Array], Array]
     ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
         """Ends, with the values there, of intervals of a circle at whose ends a function has
@@ -668,7 +688,7 @@ class _Sphere:
             np.concatenate(last),
         )
 
-    def search(self, radius: float) -> list[Array] | None:
+    def search_sphere(self, radius: float) -> list[Array] | None:
         """Tangent vectors to the points of the curve on a sphere over the null space, from many
         starts.
 
@@ -679,10 +699,10 @@ class _Sphere:
         rng = np.random.default_rng(0)
         out = list[Array]()
 
-        def both(x: Array, _: np.ndarray) -> tuple[Array, Array]:
+        def evaluate_equations(x: Array, _: np.ndarray) -> tuple[Array, Array]:
             return e.evaluate_many_points(x)
 
-        def on_sphere(x: Array, _: np.ndarray) -> tuple[Array, Array]:
+        def evaluate_on_sphere(x: Array, _: np.ndarray) -> tuple[Array, Array]:
             F, J = e.evaluate_many_points(x)
             z = e.compute_difference(self.x, x)
             over = 0.5 * (np.sum(z * z, axis=1) - radius * radius) / radius
@@ -694,7 +714,7 @@ class _Sphere:
             z = rng.normal(size=(count, d)) @ self.null_space.T
             z *= radius / np.linalg.norm(z, axis=1, keepdims=True)
             x = run_many_gauss_newton(
-                both,
+                evaluate_equations,
                 e.move_point(self.x, z),
                 6,
                 level=Level.ROUGH,
@@ -705,36 +725,36 @@ class _Sphere:
             size = np.linalg.norm(z, axis=1, keepdims=True)
             z = (radius / size * z)[(size > 0.1 * radius)[:, 0]]
             x = run_many_gauss_newton(
-                on_sphere,
+                evaluate_on_sphere,
                 e.move_point(self.x, z),
                 30,
                 level=Level.GENERIC,
                 longest=radius,
                 move=e.move_point,
             )
-            left, J = on_sphere(x, np.arange(len(x)))
+            left, J = evaluate_on_sphere(x, np.arange(len(x)))
             good = np.abs(left).max(axis=1, initial=0.0) < 1e-9
             few = J[good][:8, :-1]
             if len(few) and np.median(Spectrum(few, 1.0).compute_ranks(PARTED)) < n - 1:
                 return None
             known = len(out)
-            out = self._points([*out, *e.compute_difference(self.x, x[good])])
+            out = self._correct_vectors([*out, *e.compute_difference(self.x, x[good])])
             if len(out) == known:
                 break
         return out
 
-    def _points(self, vectors: Sequence[Array]) -> list[Array]:
+    def _correct_vectors(self, vectors: Sequence[Array]) -> list[Array]:
         """Tangent vectors to the points of the curve near those to which vectors lead, each once."""
         out: list[Array] = []
         for z in vectors:
-            found = self._corrected(z)
+            found = self._correct_vector(z)
             if found is not None and all(
                 np.linalg.norm(found[0] - o) > 1e-4 * np.linalg.norm(o) for o in out
             ):
                 out.append(found[0])
         return out
 
-    def _corrected(self, z: Array) -> tuple[Array, Array] | None:
+    def _correct_vector(self, z: Array) -> tuple[Array, Array] | None:
         """The tangent vector to the regular point of the curve in the plane across z (n,), and the
         curve's direction there; or None.
         """
@@ -749,7 +769,7 @@ class _Sphere:
         near = np.linalg.norm(found - z) < 0.5 * size
         return (found, direction) if near and spectrum.compute_rank(PARTED) >= e.n - 1 else None
 
-    def inwards(self, z: Array) -> Array:
+    def trace_inwards(self, z: Array) -> Array:
         """Tangent vectors (m, n) to points of a half-branch through the one at z (n,), towards the
         center.
 
@@ -758,7 +778,7 @@ class _Sphere:
         """
         out = list[Array]()
         radius = float(np.linalg.norm(z))
-        there = self._corrected(z)
+        there = self._correct_vector(z)
         while there is not None:
             z, t = there
             out.append(z)
@@ -769,23 +789,23 @@ class _Sphere:
             rate = z / size
             rate = t / along if abs(along) > 0.1 else rate
             part = INWARDS[len(out)] * radius / size
-            there = self._corrected(
+            there = self._correct_vector(
                 (2.0 * part - part * part) * z - (part - part * part) * size * rate
             )
         return np.array(out)
 
 
-def _powers(distance: Array, root: int) -> Array:
+def _compute_powers(distance: Array, root: int) -> Array:
     """Powers (m, DEGREE) of a root of distances (m,), the parameter of a half-branch."""
     return (distance ** (1.0 / root))[:, None] ** np.arange(1.0, DEGREE + 1.0)
 
 
-def _fit(A: Array, B: Array) -> Array:
+def _fit_coefficients(A: Array, B: Array) -> Array:
     """The X (n, k) that makes |A X - B| least."""
     return Spectrum(A).solve_least_squares(B, Level.ROUNDING)
 
 
-def _paired(x: Array, samples: Array, null_space: Array) -> Germ | None:
+def _pair_half_branches(x: Array, samples: Array, null_space: Array) -> Germ | None:
     """The germ of half-branches (k, m, n): those two are one branch that one polynomial describes,
     or None.
     """
@@ -799,11 +819,13 @@ def _paired(x: Array, samples: Array, null_space: Array) -> Germ | None:
         for j in range(i):
             cosine = float(rates[i] @ rates[j])
             for root in () if abs(cosine) < ALONG else (2,) if cosine > 0.0 else (1, 3):
-                there = np.vstack([_powers(size[i], root), _powers(size[j], root) * turned])
+                there = np.vstack(
+                    [_compute_powers(size[i], root), _compute_powers(size[j], root) * turned]
+                )
                 scale = np.abs(there).max(axis=0)
                 both = np.vstack([samples[i], samples[j]])
                 c = np.zeros((DEGREE, samples.shape[2]))
-                fitted = _fit((there / scale)[:, root - 1 :], both)
+                fitted = _fit_coefficients((there / scale)[:, root - 1 :], both)
                 c[root - 1 :] = fitted / scale[root - 1 :, None]
                 fits.append((float(np.abs(there @ c - both).max()) / radius, i, j, root, c))
     partner = [-1] * k
@@ -871,15 +893,21 @@ class RankEquations:
         self, equations: Closure, x: Array, F: Array, J: Array, at: int, with_matrix: bool
     ) -> None:
         """Write the residuals of these equations and their derivatives into F and J (., n) from row
-        `at` on.
+        `make_sphere` on.
         """
         own = J[:at] if with_matrix else equations.evaluate_equations(x, True, self._before)[1][:at]
         spectrum = Spectrum(own)
         rank = own.shape[1] - self.nullity
         here = slice(at, at + self.count)
-        left = self._near(spectrum.left[:, rank:], self._left)
-        null_space = self._near(spectrum.right[rank:].T, self._null_space)
-        if min(_least(left.T @ self._left), _least(null_space.T @ self._null_space)) < ALIGNED:
+        left = self._align_basis(spectrum.left[:, rank:], self._left)
+        null_space = self._align_basis(spectrum.right[rank:].T, self._null_space)
+        if (
+            min(
+                _find_least_value(left.T @ self._left),
+                _find_least_value(null_space.T @ self._null_space),
+            )
+            < ALIGNED
+        ):
             self._left = left
             self._null_space = null_space
         F[here] = (left.T @ own @ null_space).ravel()
@@ -888,13 +916,13 @@ class RankEquations:
             padded[:at] = left
             before = _Before(equations, self._before)
             J[here] = (
-                second_order(before, x, padded, null_space)
+                differentiate_jacobian(before, x, padded, null_space)
                 .transpose(1, 2, 0)
                 .reshape(self.count, -1)
             )
 
     @staticmethod
-    def _near(basis: Array, to: Array) -> Array:
+    def _align_basis(basis: Array, to: Array) -> Array:
         """The basis of the same space that is nearest to another (Procrustes)."""
         return basis @ Spectrum(basis.T @ to).orthogonal
 
@@ -923,19 +951,19 @@ def hold_rank(
     one of low rank near by.
     """
     low = RankEquations(equations, x)
-    if not low.count or rank_held(equations):
+    if not low.count or is_rank_held(equations):
         return False
     equations.add_equations(low)
     along, here = curve()
     if here.nullity == 1 and all(
-        _goes_on(along, n, length) for n in (here, here.reverse_direction())
+        _can_follow_curve(along, n, length) for n in (here, here.reverse_direction())
     ):
         return True
     equations.remove_equations(low)
     return False
 
 
-def _goes_on(curve: Closure, a: Node, length: float) -> bool:
+def _can_follow_curve(curve: Closure, a: Node, length: float) -> bool:
     """Whether the curve can be followed from a node over a length, by steps that double."""
     h = PROBE
     gone = 0.0
@@ -948,11 +976,11 @@ def _goes_on(curve: Closure, a: Node, length: float) -> bool:
     return True
 
 
-def rank_held(equations: Closure) -> bool:
+def is_rank_held(equations: Closure) -> bool:
     """Whether the equations hold the rank."""
     return any(isinstance(m, RankEquations) for m in equations.more)
 
 
-def _least(A: Array) -> float:
+def _find_least_value(A: Array) -> float:
     """The least singular value."""
     return float(Spectrum(A).values.min(initial=1.0))

@@ -36,20 +36,25 @@ from kempe.equations.velocity import evaluate_velocity_rows
 from kempe.errors import InputError, UnsupportedError
 from kempe.model.configurations import find_home, read_q, refuse_wound_angle
 from kempe.model.time_coordinate import add_time_coordinate, list_timed_constraints
-from kempe.motion.crossings import branch_lines, hold_rank, locate, singular_node
-from kempe.motion.events import AWKWARD, OneSidedEnds, checked, root
+from kempe.motion.crossings import (
+    find_branch_lines,
+    hold_rank,
+    locate_singular_point,
+    make_singular_node,
+)
+from kempe.motion.events import AWKWARD, OneSidedEnds, accept_step, find_root
 from kempe.motion.path import Event
-from kempe.motion.rolling import coordinate_rates
-from kempe.motion.spin_lock import lock_spins, spin_lock_of
+from kempe.motion.rolling import compute_coordinate_rates
+from kempe.motion.spin_lock import find_spin_lock, lock_spins
 from kempe.motion.start import (
-    angle_or_slide,
-    begin,
-    longest_step,
-    periods,
-    start_of,
-    too_free,
-    why_open,
-    wish_of,
+    begin_motion,
+    explain_freedom,
+    explain_open_loop,
+    find_angle_or_slide,
+    find_periods,
+    read_longest_step,
+    read_start_configuration,
+    read_wish,
 )
 from kempe.motion.trace import Progress
 from kempe.numerics.clock import BROKEN_OFF, LONG, TimeLimit, find_time_limit, limit_time
@@ -141,7 +146,7 @@ class SegmentContext:
         """Radians or metres in one unit of each input."""
         return self.closure.unit[self.index]
 
-    def follow(
+    def follow_inputs(
         self, state: State, stuck: Stuck | None, last: Array, u: Array, k: int
     ) -> tuple[State, Stuck | None, float]:
         """The state after the inputs moved from `last` to `u` in sample k, what holds it, and the
@@ -153,7 +158,7 @@ class SegmentContext:
         before = len(self.singular)
         if stuck is not None and len(u) == 1 and (u - stuck.u) @ (stuck.u - state.u) > 0.0:
             return state, replace(stuck, reached=False), 0.0  # further beyond
-        there, stop = self.go(state, u, k)
+        there, stop = self.move_to_inputs(state, u, k)
         if stuck is None:
             return there, stop, 0.0
         if stop is not None:
@@ -162,12 +167,12 @@ class SegmentContext:
             return state, stop if same else replace(stuck, reached=stop.reached), 0.0
         passed = len(self.singular)
         # on the way that the inputs came: where did they come in again?
-        back, entry = self.go(there, last, k)
+        back, entry = self.move_to_inputs(there, last, k)
         del self.singular[passed:]
         q = back.q if entry is None else entry.q
         return there, None, float(np.linalg.norm(self.closure.compute_difference(stuck.q, q)))
 
-    def go(self, state: State, u: Array, k: int) -> tuple[State, Stuck | None]:
+    def move_to_inputs(self, state: State, u: Array, k: int) -> tuple[State, Stuck | None]:
         """The state with the inputs moved straight to `u`; or the last regular one, and where it is
         stuck.
         """
@@ -175,7 +180,7 @@ class SegmentContext:
         length = float(np.linalg.norm(change))
         if length < NO_CHANGE:
             return state, None
-        way, a = self._begin(state, change / length)
+        way, a = self._begin_segment(state, change / length)
         if a.t[-1] < FORWARD:  # it begins at a toggle
             ways = [
                 n
@@ -183,7 +188,7 @@ class SegmentContext:
                 if (b := find_next_node(way, n, self.longest)) is not None and b.x[-1] > 0.0
             ]
             if not ways:
-                return state, self._stuck(way, a, "no configuration with these inputs", length)
+                return state, self._make_stuck(way, a, "no configuration with these inputs", length)
             a = max(ways, key=lambda n: float(n.t[:-1] @ self.wish))
         regular = a
         was = a
@@ -193,32 +198,32 @@ class SegmentContext:
             landing = a.t[-1] > STEEP and h * a.t[-1] >= left
             if a.t[-1] > STEEP and not landing and h * a.t[-1] > 0.5 * left:
                 h = 0.5 * left / float(a.t[-1])  # leave more than rounding for the landing
-            b = land(way, a, length) if landing else find_next_node(way, a, h)
-            found = checked(way, a, b)
+            b = find_landing_node(way, a, length) if landing else find_next_node(way, a, h)
+            found = accept_step(way, a, b)
             if found is None:
                 h = 0.5 * (left / float(a.t[-1]) if landing else h)
                 if h < LEAST_STEP:
-                    return self._state(way, regular), self._stuck(
+                    return self._make_state(way, regular), self._make_stuck(
                         way, a, "the motion is not smooth here", length
                     )
                 continue
             for n in found:
-                stop, end = self._ends(way, a, n, length)
+                stop, end = self._find_segment_end(way, a, n, length)
                 if stop is not None:
-                    return self._state(way, regular), stop
+                    return self._make_state(way, regular), stop
                 if end is not None:
-                    return replace(self._state(way, end), u=u), None
-                self._passed(n, k)
+                    return replace(self._make_state(way, end), u=u), None
+                self._record_singular_point(n, k)
                 regular = n if n.t[-1] > REGULAR and n.lines is None else regular
                 a, was = n, a
             if landing:
-                return replace(self._state(way, a), u=u), None
+                return replace(self._make_state(way, a), u=u), None
             h = choose_step_length(h, self.longest, was, a)
 
-    def _state(self, way: DrivenClosure, a: Node) -> State:
+    def _make_state(self, way: DrivenClosure, a: Node) -> State:
         return State(a.x[:-1], way.compute_input_values(float(a.x[-1])), a.t[:-1], way.direction)
 
-    def _stuck(self, way: DrivenClosure, a: Node, reason: str, length: float) -> Stuck:
+    def _make_stuck(self, way: DrivenClosure, a: Node, reason: str, length: float) -> Stuck:
         return Stuck(
             a.x[:-1],
             way.compute_input_values(float(a.x[-1])),
@@ -226,7 +231,7 @@ class SegmentContext:
             abs(float(a.x[-1]) - length) < SAME_INPUT,
         )
 
-    def _passed(self, n: Node, k: int) -> None:
+    def _record_singular_point(self, n: Node, k: int) -> None:
         if n.lines is not None:
             kind = "bifurcation" if len(n.lines) > 1 else "singular"
             lines = n.lines[:, :-1] * self.closure.unit
@@ -234,7 +239,7 @@ class SegmentContext:
                 Event(n.x[:-1], float(k), kind, nullity=n.nullity, directions=lines)
             )
 
-    def _ends(
+    def _find_segment_end(
         self, way: DrivenClosure, a: Node, b: Node, length: float
     ) -> tuple[Stuck | None, Node | None]:
         """What ends the segment between two nodes: a limit, or that the curve turns back; or the
@@ -242,42 +247,42 @@ class SegmentContext:
         """
         turn = None
         if b.t[-1] <= 0.0:
-            turn = root(way, a, b, lambda n: float(n.t[-1])) or a
+            turn = find_root(way, a, b, lambda n: float(n.t[-1])) or a
         far = b if turn is None else turn
-        hit = self.limits.hit(way, a, b)
+        hit = self.limits.find_first_bound(way, a, b)
         if hit is not None and float(hit[0].x[-1]) < min(float(far.x[-1]), length) + NO_CHANGE:
-            return self._stuck(way, hit[0], f"beyond {hit[1]}", length), None
+            return self._make_stuck(way, hit[0], f"beyond {hit[1]}", length), None
         if turn is not None and float(turn.x[-1]) < length + SAME_INPUT:
-            return self._stuck(way, turn, "no configuration with these inputs", length), None
+            return self._make_stuck(way, turn, "no configuration with these inputs", length), None
         if float(far.x[-1]) <= length + NO_CHANGE:
             return None, None
         high = float(a.t @ way.compute_difference(a.x, far.x))
-        return None, root(way, a, b, lambda n: float(n.x[-1]) - length, 0.0, high)
+        return None, find_root(way, a, b, lambda n: float(n.x[-1]) - length, 0.0, high)
 
-    def _begin(self, state: State, direction: Array) -> tuple[DrivenClosure, Node]:
+    def _begin_segment(self, state: State, direction: Array) -> tuple[DrivenClosure, Node]:
         """The equations of a segment and its first node; what spins idly is held, and so is the
         rank where it is low all along.
         """
-        lock = spin_lock_of(self.closure)
+        lock = find_spin_lock(self.closure)
         if lock is not None:
-            lock.start_from(state.q)
-        way, here = self._way(state, direction)
+            lock.update_directions(state.q)
+        way, here = self._make_equations(state, direction)
         # what moves may be but a spin
         loose = here.nullity > 1 or (here.nullity == 1 and abs(here.t[-1]) < FORWARD)
         if loose and lock is None and lock_spins(self.closure, state.q, self.index):
-            way, here = self._way(state, direction)
+            way, here = self._make_equations(state, direction)
         if here.nullity > 1 and hold_rank(
-            self.closure, state.q, lambda: self._way(state, direction)
+            self.closure, state.q, lambda: self._make_equations(state, direction)
         ):
-            way, here = self._way(state, direction)
-        return way, self._first(way, here, state)
+            way, here = self._make_equations(state, direction)
+        return way, self._choose_first_node(way, here, state)
 
-    def _way(self, state: State, direction: Array) -> tuple[DrivenClosure, Node]:
+    def _make_equations(self, state: State, direction: Array) -> tuple[DrivenClosure, Node]:
         """The equations of a segment, and the node where it begins."""
         way = DrivenClosure(self.closure, self.index, state.u, direction)
         return way, make_node(way, np.append(state.q, 0.0))
 
-    def _first(self, way: DrivenClosure, here: Node, state: State) -> Node:
+    def _choose_first_node(self, way: DrivenClosure, here: Node, state: State) -> Node:
         """The node at the beginning of a segment, on the branch of arrival where several meet."""
         x = here.x
         if here.nullity == 1:
@@ -290,13 +295,13 @@ class SegmentContext:
                 f"{self.closure.system.name} has fewer freedoms than inputs: {names} cannot be "
                 "moved independently; drive fewer of them"
             )
-        polished = locate(way, x, here.nullity, 1e-5)
-        lines = branch_lines(way, x if polished is None else polished)
+        polished = locate_singular_point(way, x, here.nullity, 1e-5)
+        lines = find_branch_lines(way, x if polished is None else polished)
         lines = lines[np.abs(lines[:, -1]) > FORWARD]
         if not len(lines):
             J = self.closure.compute_jacobian(state.q)
             names = [self.closure.system.structure.velocity_names[i] for i in self.index]
-            raise UnsupportedError(too_free(self.closure, J, names))
+            raise UnsupportedError(explain_freedom(self.closure, J, names))
         lines = lines * np.sign(lines[:, -1:])
         motion = lines[:, :-1] / np.linalg.norm(lines[:, :-1], axis=1)[:, None]
         if state.velocity is not None and state.direction is not None:
@@ -312,7 +317,7 @@ class SegmentContext:
         )
 
 
-def land(way: DrivenClosure, a: Node, length: float) -> Node | None:
+def find_landing_node(way: DrivenClosure, a: Node, length: float) -> Node | None:
     """The node of the curve at this length of the segment, or None where that is too far to be sure
     of it.
     """
@@ -338,10 +343,10 @@ def _land_on_crossing(
     """The node at this length where it is on a change point, or so near that the branch is
     straight.
     """
-    x = locate(way, guess, 2, size)
+    x = locate_singular_point(way, guess, 2, size)
     if x is None or abs(float(x[-1]) - length) > AT_ONCE:
         return None
-    b = singular_node(way, x, way.compute_difference(a.x, x))
+    b = make_singular_node(way, x, way.compute_difference(a.x, x))
     if b is None or b.t[-1] < FORWARD or compute_bend_angle(a, b) > BEND:
         return None
     if abs(float(x[-1]) - length) < 1e-12:
@@ -379,7 +384,7 @@ class RollingSamples(NamedTuple):
     broken: BaseException | None
 
 
-def driven(
+def drive_rolling(
     system: Model,
     names: Sequence[str],
     hold: Mapping[str, float],
@@ -394,9 +399,9 @@ def driven(
 
     Errors: `UnsupportedError` where the inputs leave freedoms.
     """
-    index = [angle_or_slide(system, n) for n in (*names, *hold)]
+    index = [find_angle_or_slide(system, n) for n in (*names, *hold)]
     follow = _Follow(system, index, names, hold, budget)
-    q = _first(system, start, hold, names, samples(0, 1)[-1])
+    q = _find_first_configuration(system, start, hold, names, samples(0, 1)[-1])
     if q is None:
         return None
     out = [q]
@@ -407,7 +412,7 @@ def driven(
     try:
         for k in range(1, len(clock)):
             budget.check_time()
-            q = follow.to(
+            q = follow.advance_to_sample(
                 out[-1], float(clock[k - 1]), float(clock[k]), before, lambda n, k=k: samples(k, n)
             )
             before = samples(k, 1)[-1]
@@ -436,14 +441,14 @@ def driven(
     return RollingSamples(done, reason, broken)
 
 
-def _first(
+def _find_first_configuration(
     system: Model, start: Any, hold: Mapping[str, float], names: Sequence[str], u: Array
 ) -> Array | None:
     """The closed configuration (nq,) near the start with inputs `names` at u and `hold` held; None
     on failure.
     """
-    near = start_of(system, start, hold)
-    index = [angle_or_slide(system, n) for n in (*names, *hold)]
+    near = read_start_configuration(system, start, hold)
+    index = [find_angle_or_slide(system, n) for n in (*names, *hold)]
     closure = Closure(system)
     near[closure.place[index]] = [*u, *hold.values()]
     return close_loops(Closure(system, index, near), near)
@@ -469,7 +474,7 @@ class _Follow:
         self.slips = False
         self.loops = len(self.closure.weight)
 
-    def at(self, q: Array, t: float, speeds: Array) -> Array:
+    def compute_velocities(self, q: Array, t: float, speeds: Array) -> Array:
         """Velocities (nv,) without unit. Errors: `UnsupportedError` where they are not determined."""
         unit = self.closure.unit
         A, b = evaluate_velocity_rows(self.system, q, t)
@@ -515,7 +520,7 @@ class _Follow:
         )
         return z
 
-    def to(
+    def advance_to_sample(
         self, q: Array, t0: float, t1: float, u: Array, samples: Callable[[int], list[Array]]
     ) -> Array | None:
         """The configuration (nq,) at the next sample, of times t0 to t1 and inputs u to those of
@@ -523,25 +528,27 @@ class _Follow:
         """
         end = samples(1)[-1]
         h = t1 - t0
-        speed = float(np.linalg.norm(self.at(q, t0, (end - u) / h)))
+        speed = float(np.linalg.norm(self.compute_velocities(q, t0, (end - u) / h)))
         parts = min(max(1, math.ceil(speed * h / STEP)), MOST)
         values = [u, *samples(2 * parts)]
         self.slips = False
         x = q
         for k in range(parts):
             self.time.check_time()
-            there = self._integrate(x, t0 + k * h / parts, h / parts, values[2 * k : 2 * k + 3])
+            there = self._integrate_step(
+                x, t0 + k * h / parts, h / parts, values[2 * k : 2 * k + 3]
+            )
             if there is None:
                 return None
             x = there
         # between samples of inputs that are too many, straight lines do, if those at samples do not
         if self.slips:
-            x = self._middle(q, t0, h, u, end)
+            x = self._make_middle_step(q, t0, h, u, end)
         near = x.copy()
         near[self.closure.place[self.index[: len(end)]]] = end
         return close_loops(Closure(self.system, self.index, near), near)
 
-    def _integrate(self, q: Array, t: float, h: float, values: list[Array]) -> Array | None:
+    def _integrate_step(self, q: Array, t: float, h: float, values: list[Array]) -> Array | None:
         """The configuration (nq,) after a step, along the parabola through three values of the
         inputs; None where the integration does not come to the end of the step.
         """
@@ -549,20 +556,24 @@ class _Follow:
 
         a, m, b = values
 
-        def slope(s: float, x: Array) -> Array:
+        def compute_slope(s: float, x: Array) -> Array:
             part = s / h
             speeds = (4.0 * m - 3.0 * a - b + 4.0 * part * (a + b - 2.0 * m)) / h
-            return coordinate_rates(self.system, x, self.at(x, t + s, speeds) * self.closure.unit)
+            return compute_coordinate_rates(
+                self.system, x, self.compute_velocities(x, t + s, speeds) * self.closure.unit
+            )
 
         solve = cast(Any, integrate).solve_ivp
-        motion = solve(slope, (0.0, h), q, first_step=h, rtol=ERROR, atol=ERROR)
+        motion = solve(compute_slope, (0.0, h), q, first_step=h, rtol=ERROR, atol=ERROR)
         return motion.y[:, -1] if motion.success else None
 
-    def _middle(self, q: Array, t: float, h: float, u: Array, end: Array) -> Array:
+    def _make_middle_step(self, q: Array, t: float, h: float, u: Array, end: Array) -> Array:
         """One step by the velocities that slip least in its own middle."""
-        z = self.at(q, t, (end - u) / h)
+        z = self.compute_velocities(q, t, (end - u) / h)
         for _ in range(MIDDLE):
-            z = self.at(self.closure.move_point(q, 0.5 * h * z), t + 0.5 * h, (end - u) / h)
+            z = self.compute_velocities(
+                self.closure.move_point(q, 0.5 * h * z), t + 0.5 * h, (end - u) / h
+            )
         return self.closure.move_point(q, h * z)
 
 
@@ -578,7 +589,7 @@ MOST_PARTS = 200
 """Values in between two samples for which a function is evaluated at most."""
 
 
-def _samples_text(first: int, last: int) -> str:
+def _format_samples(first: int, last: int) -> str:
     """'sample 3', 'samples 3 to 5'."""
     return f"sample {first}" if first == last else f"samples {first} to {last}"
 
@@ -597,7 +608,7 @@ class Toggle(InWords):
 
     def __str__(self) -> str:
         at = ", ".join(f"{k!r} = {v:.9g}" for k, v in self.inputs.items())
-        return f"{_samples_text(self.first, self.last)}: held at {at}: {self.reason}"
+        return f"{_format_samples(self.first, self.last)}: held at {at}: {self.reason}"
 
 
 @explain_method_errors
@@ -702,7 +713,7 @@ class Drive(Motion):
         return [*lines, *super()._list_notes()]
 
 
-def _not_begun(
+def _make_unstarted_drive(
     time: TimeLimit,
     system: Model,
     inputs: Mapping[str, Any],
@@ -718,7 +729,7 @@ def _not_begun(
         if start is None or isinstance(start, str) or is_mapping(start)
         else read_q(system, start)
     )
-    clock, samples = _samples(inputs, times)
+    clock, samples = _read_samples(inputs, times)
     requested = {n: np.array([v]) for n, v in zip(inputs, samples(0, 1)[-1].tolist(), strict=True)}
     said = f"nothing was driven: {time.describe_end_reason(TimeUp())} came before a closed configuration was known"
     return Drive(
@@ -739,7 +750,7 @@ def _not_begun(
 
 @explain_errors
 @raise_interrupted
-@limit_time(USUAL, _not_begun)
+@limit_time(USUAL, _make_unstarted_drive)
 @answer_within_tolerance()
 def drive(
     system: Model,
@@ -792,9 +803,9 @@ def drive(
     read_flag(limits, "limits")
     spend = USUAL.complete_budget(budget)
     if list_timed_constraints(system):
-        return _in_time(system, inputs, times, start, hold, toward, limits, budget)
+        return _drive_in_time(system, inputs, times, start, hold, toward, limits, budget)
     names = list(inputs)
-    index = [angle_or_slide(system, n) for n in names]
+    index = [find_angle_or_slide(system, n) for n in names]
     if hold and set(hold) & set(names):
         raise InputError(
             f"{sorted(set(hold) & set(names))} are both driven and held; a coordinate is one of "
@@ -802,19 +813,19 @@ def drive(
         )
     turning = system.structure.coordinates.turning
     angles = {n for n, i in zip(names, index, strict=True) if turning[i]}
-    clock, samples = _samples(inputs, times, angles)
-    longest = longest_step(spend.step)
+    clock, samples = _read_samples(inputs, times, angles)
+    longest = read_longest_step(spend.step)
     time = find_time_limit(USUAL, budget)
     time.release_reserved_time()  # there is nothing to do afterwards
     if has_velocity_constraints(system):
-        rolled = driven(system, names, dict(hold or {}), start, clock, samples, limits, time)
-        return _rolled(rolled, system, names, clock, samples)
+        rolled = drive_rolling(system, names, dict(hold or {}), start, clock, samples, limits, time)
+        return _make_rolling_drive(rolled, system, names, clock, samples)
     first = dict(zip(names, samples(0, 1)[-1].tolist(), strict=True))
-    closure, q = _begin(system, start, dict(hold or {}), first, index)
+    closure, q = _begin_drive(system, start, dict(hold or {}), first, index)
     if q is None:
-        near = start_of(system, start, dict(hold or {}))
+        near = read_start_configuration(system, start, dict(hold or {}))
         requested = {n: np.array([v]) for n, v in first.items()}
-        said = why_open(system, start, {**(hold or {}), **first})
+        said = explain_open_loop(system, start, {**(hold or {}), **first})
         return Drive(
             system,
             near[None],
@@ -829,14 +840,14 @@ def drive(
             said,
         )
     closure.budget = time
-    wish = wish_of(system, toward)
+    wish = read_wish(system, toward)
     context = SegmentContext(
         closure, index, longest, OneSidedEnds(closure, limits), wish / closure.unit
     )
-    return _run(context, q, names, clock, samples, spend.progress)
+    return _drive_samples(context, q, names, clock, samples, spend.progress)
 
 
-def _in_time(
+def _drive_in_time(
     system: Model,
     inputs: Mapping[str, Any],
     times: Any,
@@ -849,22 +860,22 @@ def _in_time(
     """The motion where equations depend on time, which is driven as a coordinate of its own."""
     if TIME in inputs and TIME not in system.coordinate_names:
         raise InputError(f"{TIME!r} is the time and no input; give it by `times`")
-    clock, _ = _samples({**inputs, TIME: 0.0}, times)
+    clock, _ = _read_samples({**inputs, TIME: 0.0}, times)
     found = call_until_interrupt(
         drive,
         add_time_coordinate(system),
         {**inputs, TIME: clock},
         clock,
-        _with_time(start, clock),
+        _append_time(start, clock),
         hold=hold,
         toward=toward,
         limits=limits,
         budget=budget,
     )
-    return _without_time(found, system)
+    return _remove_time(found, system)
 
 
-def _with_time(start: Any, clock: Array) -> Any:
+def _append_time(start: Any, clock: Array) -> Any:
     """The start with the first time, where it is a configuration."""
     if start is None or isinstance(start, str) or not clock.size:
         return start
@@ -875,7 +886,7 @@ def _with_time(start: Any, clock: Array) -> Any:
     )
 
 
-def _without_time(found: Drive, system: Model) -> Drive:
+def _remove_time(found: Drive, system: Model) -> Drive:
     """The motion in the coordinates of the system itself."""
     inputs = {n: x for n, x in found.inputs.items() if n != TIME}
     toggles = tuple(replace(toggle, q=toggle.q[:-1]) for toggle in found.toggles)
@@ -891,7 +902,7 @@ def _without_time(found: Drive, system: Model) -> Drive:
     )
 
 
-def _rolled(
+def _make_rolling_drive(
     found: RollingSamples | None,
     system: Model,
     names: list[str],
@@ -901,7 +912,9 @@ def _rolled(
     """The motion of what rolls, as an answer."""
     if found is None:
         found = RollingSamples(
-            start_of(system, None, {})[None], "the loops do not close near the start", None
+            read_start_configuration(system, None, {})[None],
+            "the loops do not close near the start",
+            None,
         )
     n = len(found.q)
     requested = np.array([samples(k, 1)[-1] for k in range(n)]).reshape(n, len(names))
@@ -921,7 +934,7 @@ def _rolled(
     )
 
 
-def _samples(
+def _read_samples(
     inputs: Mapping[str, Any], times: ArrayLike | None, angles: Set[str] = frozenset()
 ) -> tuple[Array, Callable[[int, int], list[Array]]]:
     """The times (n,), and a function (k, parts) that gives the inputs on the way from sample k - 1
@@ -930,10 +943,10 @@ def _samples(
     if not inputs:
         raise InputError("there are no inputs; give values by coordinate name")
     functions = [n for n, f in inputs.items() if callable(f)]
-    arrays = {n: _numbers(v, f"input {n!r}") for n, v in inputs.items() if not callable(v)}
+    arrays = {n: _read_numbers(v, f"input {n!r}") for n, v in inputs.items() if not callable(v)}
     sizes = {a.shape[0] for a in arrays.values() if a.ndim == 1}
     if times is not None:
-        clock = _numbers(times, "times")
+        clock = _read_numbers(times, "times")
     elif functions and not sizes:
         raise InputError(
             f"inputs {', '.join(map(repr, functions))} are functions of time; give the times"
@@ -960,10 +973,10 @@ def _samples(
     for n in angles & full.keys():
         refuse_wound_angle(float(np.abs(full[n]).max()), f"input {n!r}")
 
-    def value(name: str, before: int, k: int, f: float) -> float:
+    def evaluate_input(name: str, before: int, k: int, f: float) -> float:
         if name in functions:
             t = (1.0 - f) * clock[before] + f * clock[k]
-            found = _numbers(inputs[name](t), f"input {name!r} at time {t:g}")
+            found = _read_numbers(inputs[name](t), f"input {name!r} at time {t:g}")
             if found.size != 1:
                 raise InputError(
                     f"input {name!r} at time {t:g} has shape {found.shape}; it must be one number"
@@ -974,21 +987,21 @@ def _samples(
             return number
         return float((1.0 - f) * full[name][before] + f * full[name][k])
 
-    def at(k: int, parts: int) -> list[Array]:
+    def sample_inputs(k: int, parts: int) -> list[Array]:
         before = max(k - 1, 0)
         return [
-            np.array([value(n, before, k, float(f)) for n in inputs])
+            np.array([evaluate_input(n, before, k, float(f)) for n in inputs])
             for f in np.linspace(0.0, 1.0, parts + 1)[1:]
         ]
 
-    return clock, at
+    return clock, sample_inputs
 
 
-def _numbers(values: Any, subject: str) -> Array:
+def _read_numbers(values: Any, subject: str) -> Array:
     return read_reals(values, subject, "numbers")
 
 
-def _begin(
+def _begin_drive(
     system: Model,
     start: Any,
     hold: dict[str, float],
@@ -998,18 +1011,18 @@ def _begin(
     """The equations, and a closed configuration to begin with."""
     if start is None and "closed" not in system.structure.posture_names:
         start = first
-    closure, q = begin(system, start, hold)
+    closure, q = begin_motion(system, start, hold)
     if q is None:
         return closure, None
     u = q[closure.place[list(index)]]
-    period = periods(system)[list(index)]
+    period = find_periods(system)[list(index)]
     gap = np.array(list(first.values())) - u
     turns = np.divide(gap, period, out=np.zeros_like(gap), where=period > 0.0)
     q[closure.place[list(index)]] += np.round(turns) * period
     return closure, q
 
 
-def _run(
+def _drive_samples(
     context: SegmentContext,
     q: Array,
     names: list[str],
@@ -1037,7 +1050,7 @@ def _run(
                 # a way back in several inputs is looked for once a sample
                 single = len(names) == 1 or stuck is None
                 for u in samples(k, min(max(parts, 1), MOST_PARTS) if single else 1):
-                    state, stuck, gap = context.follow(state, stuck, last, u, k)
+                    state, stuck, gap = context.follow_inputs(state, stuck, last, u, k)
                     last = u
                     if gap > CONTINUOUS:
                         jumps.append((k, gap))

@@ -13,12 +13,12 @@ from kempe.equations.one_sided import OneSided, pack_one_sided_rows
 from kempe.motion.crossings import (
     AHEAD,
     SingularNode,
-    branches_at,
-    crossing,
-    locate,
-    passage,
-    rank_held,
-    singular_node,
+    find_branches,
+    find_crossing,
+    find_passage,
+    is_rank_held,
+    locate_singular_point,
+    make_singular_node,
 )
 from kempe.numerics import curves
 from kempe.numerics.curves import (
@@ -73,7 +73,9 @@ class WalkEnd:
     reason: str
 
 
-def walk(equations: Closure, a: Node, longest: float, periods: Array) -> Iterator[Node | WalkEnd]:
+def walk_curve(
+    equations: Closure, a: Node, longest: float, periods: Array
+) -> Iterator[Node | WalkEnd]:
     """Nodes of the curve after `a`, crossings among them, then perhaps a `WalkEnd`; straight on
     through crossings.
 
@@ -81,17 +83,17 @@ def walk(equations: Closure, a: Node, longest: float, periods: Array) -> Iterato
     `periods` (nv,) are 0 for coordinates that do not come back by turning on.
     """
 
-    def taken(a: Node, h: float) -> list[Node] | None:
+    def take_step(a: Node, h: float) -> list[Node] | None:
         b = find_next_node(equations, a, h)
         if b is not None and b.sigma < AWKWARD:
             b = find_next_node(equations, a, 1.3 * h) or b
-        return checked(equations, a, b)
+        return accept_step(equations, a, b)
 
     h = 0.25 * longest
     known = [a.germ] if isinstance(a, SingularNode) else []
     while True:
         if isinstance(a, SingularNode):
-            there = a.germ.first(equations, a.half)
+            there = a.germ.make_first_node(equations, a.half)
             h = min(
                 longest, 0.5 * float(np.linalg.norm(equations.compute_difference(a.x, there.x)))
             )
@@ -100,12 +102,12 @@ def walk(equations: Closure, a: Node, longest: float, periods: Array) -> Iterato
         last = deque([a.x], maxlen=RECENT)
         singular = None
         sigma = a.sigma
-        for b in curves.walk_curve(a, taken, longest, h):
+        for b in curves.walk_curve(a, take_step, longest, h):
             before = last[-1]
             last.append(b.x)
             # nearer to a point where rounding hides the curve
             if b.sigma < min(HIDDEN, sigma) and b.lines is None:
-                singular = passage(equations, last, known, periods)
+                singular = find_passage(equations, last, known, periods)
                 way = equations.compute_difference(before, b.x if singular is None else singular.x)
                 along = float(way @ equations.compute_difference(before, b.x))
                 if singular is not None and along > 0.0:  # else the walk leaves it
@@ -116,33 +118,33 @@ def walk(equations: Closure, a: Node, longest: float, periods: Array) -> Iterato
             yield b
             sigma = b.sigma
         else:
-            singular = passage(equations, last, known, periods) if len(last) > 1 else None
+            singular = find_passage(equations, last, known, periods) if len(last) > 1 else None
         if singular is None:
             yield WalkEnd("a point where the curve is not smooth")
             return
         known.append(singular.germ)
-        yield from singular.arrival()
+        yield from singular.list_arrival_nodes()
         yield singular
         a = singular
 
 
-def checked(equations: Closure, a: Node, b: Node | None) -> list[Node] | None:
+def accept_step(equations: Closure, a: Node, b: Node | None) -> list[Node] | None:
     """A step from `a` to `b` with the crossing in between, if any; None where it may have changed
     the branch.
     """
     if b is None:
         return None
-    turned = sides_change(equations, a, b)
+    turned = is_side_changed(equations, a, b)
     if not turned:
-        return None if turned is None or _touches(equations, a, b) else [b]
-    middle = crossing(equations, a, b)
+        return None if turned is None or _may_pass_touching_branches(equations, a, b) else [b]
+    middle = find_crossing(equations, a, b)
     # the step may have led to another one of the branches that touch there
     if isinstance(middle, SingularNode):
-        return [middle, middle.germ.first(equations, middle.half)]
+        return [middle, middle.germ.make_first_node(equations, middle.half)]
     return None if middle is None else [middle, b]
 
 
-def _touches(equations: Closure, a: Node, b: Node) -> bool:
+def _may_pass_touching_branches(equations: Closure, a: Node, b: Node) -> bool:
     """Whether a step may have led past a singular point at which branches touch, to another branch
     or round a cusp.
     """
@@ -150,28 +152,32 @@ def _touches(equations: Closure, a: Node, b: Node) -> bool:
         return False
     y = equations.compute_difference(a.x, b.x)
     h = float(np.linalg.norm(y))
-    x = locate(equations, equations.move_point(a.x, 0.5 * y), 2, h) if equations.n > 1 else None
-    germ = None if x is None else branches_at(equations, x)[1]
+    x = (
+        locate_singular_point(equations, equations.move_point(a.x, 0.5 * y), 2, h)
+        if equations.n > 1
+        else None
+    )
+    germ = None if x is None else find_branches(equations, x)[1]
     if germ is None:
         return False
     along = float(equations.compute_difference(a.x, germ.x) @ y) / h
-    first, second = (germ.half_of(equations, [n.x]) for n in (a, b))
+    first, second = (germ.find_half_branch(equations, [n.x]) for n in (a, b))
     return 0.0 < along < h and first is not None and second not in (None, germ.partner[first])
 
 
-def sides_change(equations: Closure, a: Node, b: Node) -> bool | None:
+def is_side_changed(equations: Closure, a: Node, b: Node) -> bool | None:
     """`is_determinant_flipped`, with derivatives of the same equations at both nodes.
 
     What holds the rank changes its bases on the way, and equations in other bases have determinants
     of other signs.
     """
-    if rank_held(equations) and a.nullity == 1:
+    if is_rank_held(equations) and a.nullity == 1:
         here = make_node(equations, a.x, a.t)
         a = replace(a, matrix=here.matrix, image=here.image)
     return is_determinant_flipped(a, b)
 
 
-def root(
+def find_root(
     equations: Closure,
     a: Node,
     b: Node,
@@ -186,7 +192,7 @@ def root(
     found: dict[float, Node] = {}
     large = equations.rows > LARGE
 
-    def at(distance: float) -> float:
+    def evaluate_distance(distance: float) -> float:
         here = find_node_between(equations, a, b, distance, False)
         if here is None:
             return 0.0  # rounding only: a point between two neighbours always exists
@@ -194,7 +200,7 @@ def root(
         value = function(here)
         return 0.0 if large and abs(value) < NOISE else value
 
-    distance = find_sign_change(at, low, end)
+    distance = find_sign_change(evaluate_distance, low, end)
     if distance is None:
         here = min(found.values(), key=lambda n: abs(function(n)), default=None)
     else:
@@ -202,19 +208,19 @@ def root(
     return here if here is None or here.matrix.size else make_node(equations, here.x, here.t)
 
 
-def home(equations: Closure, a: Node, b: Node, start: Node, periods: Array) -> Node | None:
+def find_return(equations: Closure, a: Node, b: Node, start: Node, periods: Array) -> Node | None:
     """The start again, whole turns away, if the curve returns to it between two neighbours in the
     same direction.
 
     `periods` (nv,) are 0 for coordinates that do not come back by turning on.
     """
     shift = periods * np.round(
-        _ratio(equations.compute_difference(b.x, start.x) * equations.unit, periods)
+        _divide_by_periods(equations.compute_difference(b.x, start.x) * equations.unit, periods)
     )
     there = equations.system.structure.layout.integrate_velocity(start.x, -shift)
     if isinstance(start, SingularNode):
         moved = [equations.system.structure.layout.integrate_velocity(n.x, shift) for n in (a, b)]
-        if not start.may_be(equations, moved):
+        if not start.may_contain_points(equations, moved):
             return None
     if np.linalg.norm(equations.compute_difference(b.x, there)) < (
         HOME if start.lines is None else HOME_CROSSING
@@ -234,11 +240,11 @@ def home(equations: Closure, a: Node, b: Node, start: Node, periods: Array) -> N
     )
 
 
-def _ratio(x: Array, periods: Array) -> Array:
+def _divide_by_periods(x: Array, periods: Array) -> Array:
     return np.divide(x, periods, out=np.zeros_like(x), where=periods > 0.0)
 
 
-def turns(nodes: list[Node], closed: bool, indices: list[int]) -> list[tuple[int, int, int]]:
+def list_turns(nodes: list[Node], closed: bool, indices: list[int]) -> list[tuple[int, int, int]]:
     """Where velocities of coordinates change their sign: (node before, node after, coordinate),
     along the curve.
     """
@@ -256,8 +262,8 @@ def turns(nodes: list[Node], closed: bool, indices: list[int]) -> list[tuple[int
     return sorted(out)
 
 
-def extreme(equations: Closure, nodes: list[Node], k: int, m: int, i: int) -> Node | None:
-    """The node at which coordinate i turns back between the nodes k and m, one of `turns`, or None
+def find_extreme(equations: Closure, nodes: list[Node], k: int, m: int, i: int) -> Node | None:
+    """The node at which coordinate i turns back between the nodes k and m, one of `list_turns`, or None
     where it rests.
     """
     if (
@@ -266,13 +272,13 @@ def extreme(equations: Closure, nodes: list[Node], k: int, m: int, i: int) -> No
     ):
         return nodes[m]  # a cusp
     if m == k + 1:
-        return root(equations, nodes[k], nodes[m], lambda n: float(n.t[i]))
+        return find_root(equations, nodes[k], nodes[m], lambda n: float(n.t[i]))
     if m == k + 2 or m < k:
         return nodes[(k + 1) % len(nodes)]  # it rests exactly at a node
     return None  # it rests for a while
 
 
-def hidden_crossings(equations: Closure, nodes: list[Node]) -> list[Node]:
+def insert_hidden_crossings(equations: Closure, nodes: list[Node]) -> list[Node]:
     """The nodes, and between them those singular points that no determinant shows: where two things
     vanish at once.
     """
@@ -293,11 +299,12 @@ def hidden_crossings(equations: Closure, nodes: list[Node]) -> list[Node]:
                 (
                     x
                     for n in (2, 3, 4)
-                    if n <= equations.n and (x := locate(equations, m.x, n, 2.0 * h)) is not None
+                    if n <= equations.n
+                    and (x := locate_singular_point(equations, m.x, n, 2.0 * h)) is not None
                 ),
                 None,
             )
-            found = None if x is None else singular_node(equations, x, m.t, a.x)
+            found = None if x is None else make_singular_node(equations, x, m.t, a.x)
         if found is None:
             out.append(m)
             continue
@@ -335,20 +342,20 @@ class OneSidedEnd(InWords):
     of: int | None
     """The velocity coordinate that it limits, None for a declared row."""
 
-    def over(self, x: Array) -> float:
+    def compute_excess(self, x: Array) -> float:
         """How far the bounded quantity is beyond the bound at configuration x; negative inside."""
-        return self.sign * (self.value(x) - self.limit)
+        return self.sign * (self.compute_value(x) - self.limit)
 
-    def value(self, x: Array) -> float:
+    def compute_value(self, x: Array) -> float:
         """Value of the bounded quantity at x."""
         raise NotImplementedError
 
-    def rate(self, n: Node) -> float:
+    def compute_rate(self, n: Node) -> float:
         """Rate along the curve, at a node, at which the bounded quantity goes outwards."""
         raise NotImplementedError
 
-    def outside(self, over: float) -> str:
-        """Sentence, without its end, that the bound is violated by `over`."""
+    def describe_violation(self, over: float) -> str:
+        """Sentence, without its end, that the bound is violated by `compute_excess`."""
         raise NotImplementedError
 
 
@@ -358,15 +365,15 @@ class CoordinateBound(OneSidedEnd):
 
     place: int
 
-    def value(self, x: Array) -> float:
+    def compute_value(self, x: Array) -> float:
         """The value of the coordinate."""
         return float(x[self.place])
 
-    def rate(self, n: Node) -> float:
+    def compute_rate(self, n: Node) -> float:
         """The rate of the coordinate."""
         return self.sign * float(n.t[self.of])
 
-    def outside(self, over: float) -> str:
+    def describe_violation(self, over: float) -> str:
         """That it is violated."""
         return f"{self.name!r} is outside its limits"
 
@@ -383,17 +390,17 @@ class RowBound(OneSidedEnd):
     rows: OneSided
     index: int
 
-    def value(self, x: Array) -> float:
+    def compute_value(self, x: Array) -> float:
         """The row's value; of a driven curve, x goes on behind the coordinates."""
         return float(self.rows.compute_values(x[: self.rows.system.nq], declared=True)[self.index])
 
-    def rate(self, n: Node) -> float:
+    def compute_rate(self, n: Node) -> float:
         """Its rate, in scaled units."""
         system = self.rows.system
         J = self.rows.compute_rates(n.x[: system.nq], declared=True)[1]
         return self.sign * float(J[self.index] @ n.t[: system.nv])
 
-    def outside(self, over: float) -> str:
+    def describe_violation(self, over: float) -> str:
         """That it is violated, and by how much."""
         return f"{self} is violated by {over:.6g} {self.rows.units[self.index]}".removesuffix(" 1")
 
@@ -431,28 +438,30 @@ class OneSidedEnds:
                 if np.isfinite(bound):
                     self.all.append(RowBound(rows.names[k], float(bound), sign, None, rows, k))
 
-    def outside(self, x: Array) -> str:
+    def describe_violation(self, x: Array) -> str:
         """What is violated at `x`, as a sentence without its end; empty where nothing is."""
         for bound in self.all:
-            if (over := bound.over(x)) > OUTSIDE * (1.0 + abs(bound.limit)):
-                return bound.outside(over)
+            if (over := bound.compute_excess(x)) > OUTSIDE * (1.0 + abs(bound.limit)):
+                return bound.describe_violation(over)
         return ""
 
-    def may_end(self, n: Node, moving: list[int]) -> bool:
+    def may_reach_bound(self, n: Node, moving: list[int]) -> bool:
         """Whether one of the `moving` velocity coordinates, or a declared row, goes towards a bound
         at a node.
         """
         return any(
-            bound.rate(n) > 0.0 for bound in self.all if bound.of is None or bound.of in moving
+            bound.compute_rate(n) > 0.0
+            for bound in self.all
+            if bound.of is None or bound.of in moving
         )
 
-    def hit(self, equations: Closure, a: Node, b: Node) -> tuple[Node, str] | None:
+    def find_first_bound(self, equations: Closure, a: Node, b: Node) -> tuple[Node, str] | None:
         """The first node between two neighbours at which a bound is reached, and which: None if
         there is none.
         """
         best: tuple[float, Node, str] | None = None
         for bound in self.all:
-            reached = _reached(equations, a, b, bound)
+            reached = _find_bound_node(equations, a, b, bound)
             if reached is not None:
                 distance = float(a.t @ equations.compute_difference(a.x, reached.x))
                 if best is None or distance < best[0]:
@@ -460,14 +469,14 @@ class OneSidedEnds:
         return None if best is None else best[1:]
 
 
-def _reached(equations: Closure, a: Node, b: Node, bound: OneSidedEnd) -> Node | None:
-    def over(n: Node) -> float:
-        return bound.over(n.x)
+def _find_bound_node(equations: Closure, a: Node, b: Node, bound: OneSidedEnd) -> Node | None:
+    def compute_excess(n: Node) -> float:
+        return bound.compute_excess(n.x)
 
-    before = over(a)
-    after = over(b)
+    before = compute_excess(a)
+    after = compute_excess(b)
     if before > -TOUCH:
-        if (rate := bound.rate(a)) > RESTING:
+        if (rate := bound.compute_rate(a)) > RESTING:
             return a
         if after <= TOUCH:
             return None
@@ -478,17 +487,17 @@ def _reached(equations: Closure, a: Node, b: Node, bound: OneSidedEnd) -> Node |
     if (
         before <= -TOUCH
         and after <= TOUCH
-        and (bound.rate(a) <= RESTING or bound.rate(b) >= -RESTING)
+        and (bound.compute_rate(a) <= RESTING or bound.compute_rate(b) >= -RESTING)
     ):
         # inside at both ends, and no largest value in between; rates of what rests are rounding
         return None
     if after <= TOUCH or before > -TOUCH:
-        turn = root(equations, a, b, bound.rate)
-        if turn is None or (after <= TOUCH and over(turn) <= TOUCH):
+        turn = find_root(equations, a, b, bound.compute_rate)
+        if turn is None or (after <= TOUCH and compute_excess(turn) <= TOUCH):
             return None
         if after <= TOUCH:
             last = turn
         else:
             low = float(a.t @ equations.compute_difference(a.x, turn.x))
     high = float(a.t @ equations.compute_difference(a.x, last.x))
-    return root(equations, a, b, over, low, high)
+    return find_root(equations, a, b, compute_excess, low, high)

@@ -25,9 +25,9 @@ from kempe.errors import InputError, KempeError, UnknownNameError, UnsupportedEr
 from kempe.mobility.classify import classify
 from kempe.model.configurations import has_loops, make_q, read_q, refuse_far
 from kempe.model.model import keep_answers
-from kempe.motion.reeds_shepp import QUARTER, ways, wrapped
-from kempe.motion.rolling import slip
-from kempe.motion.wheeled import Axle, axle_of
+from kempe.motion.reeds_shepp import QUARTER, list_ways, wrap_angle
+from kempe.motion.rolling import compute_slip
+from kempe.motion.wheeled import Axle, find_axle
 from kempe.numerics.clock import SHORT, TimeLimit, limit_preparation_time
 from kempe.numerics.roots import find_sign_change
 from kempe.spatial import Array
@@ -85,7 +85,7 @@ class Manoeuvre(Motion):
     """The way from a configuration to another one that obeys all velocity constraints.
 
     `q` (n, nq) are configurations at times `t` (n,), `s` (n,) the length that the axle has gone by
-    then. `pieces` are the parts with constant speeds; `at` and `velocity` give any time. `slip` is
+    then. `pieces` are the parts with constant speeds; `evaluate_motion` and `velocity` give any time. `compute_slip` is
     the largest slip of a sample, of rows and speeds of size 1. `success` is false where no way was
     found: `status` says why, and `q` is the start only.
     """
@@ -133,13 +133,13 @@ class Manoeuvre(Motion):
         """Configurations (..., nq) at times `t` (...), exactly. Errors: `InputError` for times
         outside.
         """
-        return self._at(t)[0]
+        return self._evaluate_motion(t)[0]
 
     def velocity(self, t: ArrayLike) -> Array:
         """Velocities (..., nv) at times `t` (...); where two pieces meet, those of the later one."""
-        return self._at(t)[1]
+        return self._evaluate_motion(t)[1]
 
-    def _at(self, t: ArrayLike) -> tuple[Array, Array]:
+    def _evaluate_motion(self, t: ArrayLike) -> tuple[Array, Array]:
         t = numbers(t, "t")
         if not ((t >= 0.0) & (t <= self.duration)).all():
             raise InputError(
@@ -148,7 +148,7 @@ class Manoeuvre(Motion):
         if self._exact is None or not self.pieces:
             shape = (*t.shape, self.system.nq)
             return np.broadcast_to(self.q[0], shape).copy(), np.zeros((*t.shape, self.system.nv))
-        q, v = self._exact.at(t.ravel())
+        q, v = self._exact.evaluate_motion(t.ravel())
         return q.reshape(*t.shape, self.system.nq), v.reshape(*t.shape, self.system.nv)
 
     def table(self, frames: Iterable[FrameLike] = ()) -> tuple[list[str], Array]:
@@ -196,39 +196,41 @@ class ExactManoeuvre:
         self.Q = np.empty((len(pieces), len(q)))
         self.V = np.tile(idle / self.total, (len(pieces), 1))
         self.places = np.empty((len(pieces), 3))
-        place = axle.place(q)
+        place = axle.compute_place(q)
         for k, p in enumerate(pieces):
             self.Q[k] = q
             self.places[k] = place
             if axle.steering is not None:
                 self.V[k, axle.steering] = p.steering
             if p.forward or p.turning:
-                rates = axle.rates_of_driven(q, p.forward, p.turning)
+                rates = axle.compute_driven_rates(q, p.forward, p.turning)
                 if rates is None:
                     raise UnsupportedError(
                         f"{axle.system.name}: its velocity constraints do not allow to {p}"
                     )
                 self.V[k, list(axle.driven)] = rates
-            place = _along_arc(place[None], np.array([p.length]), np.array([p.angle]))[0]
+            place = _move_along_arc(place[None], np.array([p.length]), np.array([p.angle]))[0]
             q = move(q, self.V[k] * p.duration)
 
-    def at(self, t: Array) -> tuple[Array, Array]:
+    def evaluate_motion(self, t: Array) -> tuple[Array, Array]:
         """Configurations (n, nq) and velocities (n, nv) at times (n,)."""
         axle = self.axle
         k = np.clip(np.searchsorted(self.starts, t, side="right") - 1, 0, len(self.starts) - 1)
         past = t - self.starts[k]
         v = self.V[k]
         q = axle.system.structure.layout.integrate_velocity(self.Q[k], v * past[:, None])
-        q = axle.put(q, _along_arc(self.places[k], self.forward[k] * past, self.turning[k] * past))
-        v[:, list(axle.own)] = axle.own_rates(q, self.forward[k], self.turning[k])
+        q = axle.move_axle(
+            q, _move_along_arc(self.places[k], self.forward[k] * past, self.turning[k] * past)
+        )
+        v[:, list(axle.own)] = axle.compute_own_rates(q, self.forward[k], self.turning[k])
         return q, v
 
-    def lengths(self, t: Array) -> Array:
+    def compute_lengths(self, t: Array) -> Array:
         """Lengths (n,) that the axle has gone at times (n,)."""
         return np.interp(t, np.append(self.starts, self.total), self.gone)
 
 
-def _along_arc(place: Array, length: Array, angle: Array) -> Array:
+def _move_along_arc(place: Array, length: Array, angle: Array) -> Array:
     """Axles (n, 3) after signed lengths (n,) in which they turn by angles (n,) evenly."""
     h = place[:, 2] + 0.5 * angle
     chord = length * np.sinc(0.5 * angle / math.pi)
@@ -278,40 +280,42 @@ class Steering:
         self._axle = axle
         self._q = q
         self.unit = float(axle.units[0])
-        self.now = float(q[axle.in_q[i]])
+        self.now = float(q[axle.q_places[i]])
         reach = math.pi if system.structure.coordinates.turning[i] else FAR * self.unit
         low = float(system.lower[i])
         high = float(system.upper[i])
         low = low if math.isfinite(low) else min(self.now, high) - reach
         high = high if math.isfinite(high) else max(self.now, low) + reach
         self.grid = np.linspace(low, high, GRID + 1)
-        self.bends = np.array([axle.bend(q, s) for s in self.grid.tolist()])
+        self.bends = np.array([axle.compute_bend_angle(q, s) for s in self.grid.tolist()])
         self._known: dict[float, tuple[float, ...]] = {}
 
-    def values(self, curvature: float) -> tuple[float, ...]:
+    def find_values(self, curvature: float) -> tuple[float, ...]:
         """Values at which the axle's path has this curvature [1/m]: 0 straight, infinite on the
         spot.
         """
         if curvature not in self._known:
-            self._known[curvature] = tuple(self._search(curvature))
+            self._known[curvature] = tuple(self._search_values(curvature))
         return self._known[curvature]
 
-    def _search(self, curvature: float) -> list[float]:
+    def _search_values(self, curvature: float) -> list[float]:
         wanted = math.atan(curvature * self.unit)
 
-        def off(s: float) -> float:
-            return math.remainder(self._axle.bend(self._q, s) - wanted, math.pi)
+        def compute_deviation(s: float) -> float:
+            return math.remainder(self._axle.compute_bend_angle(self._q, s) - wanted, math.pi)
 
-        found = [s for s in (self.now, 0.0, *self.grid[[0, -1]]) if abs(off(s)) < EXACT]
+        found = [
+            s for s in (self.now, 0.0, *self.grid[[0, -1]]) if abs(compute_deviation(s)) < EXACT
+        ]
         found = [float(s) for s in found if self.grid[0] <= s <= self.grid[-1]]
         gap = np.array([math.remainder(b - wanted, math.pi) for b in self.bends])
         for k in np.flatnonzero((gap[:-1] * gap[1:] <= 0.0) & (np.abs(np.diff(gap)) < 1.0)):
-            s = find_sign_change(off, float(self.grid[k]), float(self.grid[k + 1]))
+            s = find_sign_change(compute_deviation, float(self.grid[k]), float(self.grid[k + 1]))
             if s is not None and all(abs(s - other) > 1e-9 for other in found):
                 found.append(s)
         return found
 
-    def tightest(self) -> float:
+    def find_smallest_radius(self) -> float:
         """The smallest radius of arcs to both sides within the limits; infinite where there is
         none.
         """
@@ -320,7 +324,7 @@ class Steering:
         return 1.0 / least * (1.0 + 1e-12) if least > 0.0 else math.inf
 
 
-def plans(
+def iterate_plans(
     axle: Axle, q: Array, goal: Array, radius: float | None, free: Sequence[int]
 ) -> Iterator[Plan]:
     """Plans from one configuration (nq,) to another, the best first.
@@ -330,10 +334,10 @@ def plans(
     steering = None if axle.loose or axle.steering is None else Steering(axle, q)
 
     if steering is not None:
-        if not steering.values(0.0):
+        if not steering.find_values(0.0):
             raise Refused(f"no value of {steering.name!r} within its limits goes straight")
-        if not radius and not steering.values(math.inf):
-            least = steering.tightest()
+        if not radius and not steering.find_values(math.inf):
+            least = steering.find_smallest_radius()
             if radius == 0.0 or math.isinf(least):
                 hint = f"; radius={least:.6g} would do" if math.isfinite(least) else ""
                 raise Refused(
@@ -341,7 +345,7 @@ def plans(
                 )
             radius = least
 
-    def with_steering(plan: Plan) -> Plan:
+    def add_steering(plan: Plan) -> Plan:
         """The plan with values of the steering at which its moves go."""
         if steering is None:
             return plan
@@ -349,33 +353,33 @@ def plans(
         for m in plan:
             arc = math.copysign(1.0 / radius, m.angle * m.length) if radius else math.inf
             bend = 0.0 if not m.angle else arc if m.length else math.inf
-            moves.append(m._replace(steering=steering.values(bend)))
+            moves.append(m._replace(steering=steering.find_values(bend)))
         return tuple(moves)
 
-    start = axle.place(q)
-    end = axle.place(goal)
+    start = axle.compute_place(q)
+    end = axle.compute_place(goal)
     if not radius:
-        i = axle.own_q[2]
+        i = axle.own_q_places[2]
         angle = axle.gear * float(goal[i] - q[i])
-        (turn,) = with_steering((Move(0.0, 1.0),))
-        (ahead,) = with_steering((Move(1.0, 0.0),))
-        length = _signed_length(axle, q, goal, free, angle, ahead, turn)
-        yield from map(with_steering, _on_the_spot(start, end, angle, length))
+        (turn,) = add_steering((Move(0.0, 1.0),))
+        (ahead,) = add_steering((Move(1.0, 0.0),))
+        length = _find_signed_length(axle, q, goal, free, angle, ahead, turn)
+        yield from map(add_steering, _iterate_spot_plans(start, end, angle, length))
         return
-    if steering is not None and not all(steering.values(k / radius) for k in (1.0, -1.0)):
+    if steering is not None and not all(steering.find_values(k / radius) for k in (1.0, -1.0)):
         raise Refused(
             f"within the limits of {steering.name!r} it does not take arcs of {radius:.6g} m to "
-            f"both sides; the smallest radius is {steering.tightest():.6g} m"
+            f"both sides; the smallest radius is {steering.find_smallest_radius():.6g} m"
         )
     c = math.cos(start[2])
     s = math.sin(start[2])
     dx, dy = ((end - start)[:2] / radius).tolist()
     relative = c * dx + s * dy, c * dy - s * dx, float(end[2] - start[2])
-    for way in ways(*relative):
-        yield with_steering(tuple(Move(radius * x, k * x) for k, x in way))
+    for way in list_ways(*relative):
+        yield add_steering(tuple(Move(radius * x, k * x) for k, x in way))
 
 
-def _signed_length(
+def _find_signed_length(
     axle: Axle, q: Array, goal: Array, free: Sequence[int], angle: float, ahead: Move, turn: Move
 ) -> float | None:
     """The signed length [m] that brings the driven coordinates to the goal's, None where all of
@@ -387,17 +391,17 @@ def _signed_length(
     if not bound:
         return None
 
-    def rates(move: Move) -> Array:
+    def compute_rates(move: Move) -> Array:
         x = q.copy()
         if move.steering and axle.steering is not None:
-            i = axle.in_q[axle.steering]
+            i = axle.q_places[axle.steering]
             x[i] = min(move.steering, key=lambda s: abs(s - q[i]))
-        out = axle.rates_of_driven(x, move.length, move.angle)
+        out = axle.compute_driven_rates(x, move.length, move.angle)
         return np.full(len(bound), np.nan) if out is None else out[bound]
 
-    by_length = rates(ahead)
+    by_length = compute_rates(ahead)
     far = axle.system.structure.layout.compute_difference(q, goal)[[axle.driven[k] for k in bound]]
-    missing = far - rates(turn) * angle
+    missing = far - compute_rates(turn) * angle
     size = float(by_length @ by_length)
     length = float(by_length @ missing) / size if size > 0.0 else 0.0
     off = np.abs(by_length * length - missing)
@@ -412,7 +416,9 @@ def _signed_length(
     return length
 
 
-def _on_the_spot(start: Array, end: Array, angle: float, signed: float | None) -> Iterator[Plan]:
+def _iterate_spot_plans(
+    start: Array, end: Array, angle: float, signed: float | None
+) -> Iterator[Plan]:
     """Plans of turns on the spot, by `angle` in all, and straight lines, of a `signed` length in
     all where given.
     """
@@ -424,11 +430,11 @@ def _on_the_spot(start: Array, end: Array, angle: float, signed: float | None) -
         far = 0.0
         way = h - QUARTER
     if signed is not None and abs(abs(signed) - far) > NEAR * max(far, abs(signed), 1e-3 * size):
-        for legs in _legs(far, way, signed):
-            yield _spare(_through(h, angle, legs))
+        for legs in _iterate_legs(far, way, signed):
+            yield _drop_empty_moves(_make_leg_plan(h, angle, legs))
         return
     if not far:
-        yield _spare((Move(0.0, angle),))
+        yield _drop_empty_moves((Move(0.0, angle),))
         return
     # half turns from the way on, near both ends of the turn: all between them cost the same
     near = {round((x - way + h) / math.pi) + k for x in (0.0, angle) for k in range(-2, 3)}
@@ -436,10 +442,12 @@ def _on_the_spot(start: Array, end: Array, angle: float, signed: float | None) -
     options.sort(key=lambda x: (round(abs(x[0]) + abs(angle - x[0]), 9), -x[1], abs(x[0])))
     for turn, sense in options:
         if signed is None or sense * signed > 0.0:
-            yield _spare((Move(0.0, turn), Move(sense * far, 0.0), Move(0.0, angle - turn)))
+            yield _drop_empty_moves(
+                (Move(0.0, turn), Move(sense * far, 0.0), Move(0.0, angle - turn))
+            )
 
 
-def _legs(far: float, way: float, signed: float) -> Iterator[list[tuple[float, float]]]:
+def _iterate_legs(far: float, way: float, signed: float) -> Iterator[list[tuple[float, float]]]:
     """Two straight legs (direction, signed length) that lead `far` in the direction `way`, with a
     sum of lengths.
     """
@@ -454,7 +462,7 @@ def _legs(far: float, way: float, signed: float) -> Iterator[list[tuple[float, f
         yield [(way, 0.5 * (signed - far)), (way, 0.5 * (far + signed))]
 
 
-def _through(h: float, angle: float, legs: list[tuple[float, float]]) -> Plan:
+def _make_leg_plan(h: float, angle: float, legs: list[tuple[float, float]]) -> Plan:
     """Turns and legs (direction, signed length) with the least turning that ends at h + `angle`."""
     plans: list[Plan] = []
     for rounds in itertools.product((-1, 0, 1), repeat=len(legs)):
@@ -462,14 +470,14 @@ def _through(h: float, angle: float, legs: list[tuple[float, float]]) -> Plan:
         done = 0.0
         for (direction, length), k in zip(legs, rounds, strict=True):
             ahead = direction if length >= 0.0 else direction + math.pi
-            turn = wrapped(ahead - h - done) + 2.0 * math.pi * k
+            turn = wrap_angle(ahead - h - done) + 2.0 * math.pi * k
             plan += [Move(0.0, turn), Move(length, 0.0)]
             done += turn
         plans.append((*plan, Move(0.0, angle - done)))
     return min(plans, key=lambda plan: round(math.fsum(abs(m.angle) for m in plan), 9))
 
 
-def _spare(plan: Plan) -> Plan:
+def _drop_empty_moves(plan: Plan) -> Plan:
     """The plan without moves of no size."""
     return tuple(m for m in plan if abs(m.length) > 1e-300 or abs(m.angle) > 1e-15)
 
@@ -521,8 +529,8 @@ def manoeuvre(
     follow. All else is refused with the reason. Errors: `UnsupportedError`; `InputError`;
     `UnknownNameError`.
     """
-    q = _one(system, start, "start")
-    goals = _one(system, goal, "goal")
+    q = _read_configuration(system, start, "start")
+    goals = _read_configuration(system, goal, "goal")
     if radius is not None and (not is_real(radius) or not 0.0 <= radius < math.inf):
         raise InputError(
             f"radius is {radius!r}; it must be a length in metres, or 0 for turns on the spot"
@@ -536,17 +544,19 @@ def manoeuvre(
         )
     time.release_reserved_time()  # there is nothing to do afterwards
     with limit_preparation_time(USUAL, time):
-        axle = axle_of(system, q)
-        loose = _loose(system, goal, free, axle)
+        axle = find_axle(system, q)
+        loose = _read_free_coordinates(system, goal, free, axle)
     motion = None
     said = ""
     late = False
     try:
         with time:
-            for plan in plans(axle, q, goals, None if radius is None else float(radius), loose):
+            for plan in iterate_plans(
+                axle, q, goals, None if radius is None else float(radius), loose
+            ):
                 time.check_time()
-                found = _exact(axle, q, goals, plan)
-                said = "" if found is None else _outside(system, found, int(samples))
+                found = _make_exact_manoeuvre(axle, q, goals, plan)
+                said = "" if found is None else _describe_violation(system, found, int(samples))
                 if not said:
                     motion = found
                     break
@@ -560,20 +570,20 @@ def manoeuvre(
         return Manoeuvre(
             system, q[None], zero, zero, (), 0.0, 0, not said, said, (axle.body,), late=late
         )
-    t = _times(motion, int(samples))
-    x, v = motion.at(t)
-    slipped = slip(system, t, x, v)
+    t = _list_times(motion, int(samples))
+    x, v = motion.evaluate_motion(t)
+    slipped = compute_slip(system, t, x, v)
     if slipped > SLIP:
         raise UnsupportedError(
             f"{system.name}: the manoeuvre slips by {slipped:.2g}: its velocity constraints are "
             "not those of an axle everywhere"
         )
-    turns = _arrive(axle, motion, x, q, goals, loose)
+    turns = _correct_ends(axle, motion, x, q, goals, loose)
     return Manoeuvre(
         system,
         x,
         t,
-        motion.lengths(t),
+        motion.compute_lengths(t),
         tuple(motion.pieces),
         slipped,
         turns,
@@ -584,7 +594,7 @@ def manoeuvre(
     )
 
 
-def _one(system: Model, q: Any, what: str) -> Array:
+def _read_configuration(system: Model, q: Any, what: str) -> Array:
     """One configuration (nq,), closed or not. Errors: `InputError`."""
     if q is None:
         q = system.neutral
@@ -605,7 +615,9 @@ def _one(system: Model, q: Any, what: str) -> Array:
     return array.astype(float)
 
 
-def _loose(system: Model, goal: Any, free: Iterable[str], axle: Axle) -> tuple[int, ...]:
+def _read_free_coordinates(
+    system: Model, goal: Any, free: Iterable[str], axle: Axle
+) -> tuple[int, ...]:
     """Velocity indices of what may end anywhere. Errors: `InputError`, `UnknownNameError`."""
     names = list(system.structure.velocity_names)
     out: list[int] = []
@@ -622,12 +634,12 @@ def _loose(system: Model, goal: Any, free: Iterable[str], axle: Axle) -> tuple[i
     return (*out, *(v for v in axle.driven if given is not None and names[v] not in given))
 
 
-def _exact(axle: Axle, q: Array, goal: Array, plan: Plan) -> ExactManoeuvre | None:
+def _make_exact_manoeuvre(axle: Axle, q: Array, goal: Array, plan: Plan) -> ExactManoeuvre | None:
     """A plan in closed form, with the steering between its moves, as fast as limits allow; None for
     nothing to do.
     """
     system = axle.system
-    i = None if axle.steering is None else axle.in_q[axle.steering]
+    i = None if axle.steering is None else axle.q_places[axle.steering]
     now = 0.0 if i is None else float(q[i])
     end = Move(0.0, 0.0, () if i is None else (float(goal[i]),))
     pieces: list[Piece] = []
@@ -647,17 +659,17 @@ def _exact(axle: Axle, q: Array, goal: Array, plan: Plan) -> ExactManoeuvre | No
         pieces.append(Piece("rest", 0.0, float(np.abs(idle).max()), 0.0, 0.0, 0.0))
     if not pieces:
         return None
-    pieces = _stretched(pieces, np.ones(len(pieces)))
+    pieces = _stretch_pieces(pieces, np.ones(len(pieces)))
     limits = system.structure.velocity_limits
     if np.isfinite(limits).any():
-        factors = _slowness(ExactManoeuvre(axle, q, np.zeros(system.nv), pieces), limits)
+        factors = _compute_slowness(ExactManoeuvre(axle, q, np.zeros(system.nv), pieces), limits)
         total = sum(f * p.duration for f, p in zip(factors, pieces, strict=True))
         most = max(1.0, float((np.abs(idle) / limits).max()) / total)
-        pieces = _stretched(pieces, factors * most)
+        pieces = _stretch_pieces(pieces, factors * most)
     return ExactManoeuvre(axle, q, idle, pieces)
 
 
-def _slowness(motion: ExactManoeuvre, limits: Array) -> Array:
+def _compute_slowness(motion: ExactManoeuvre, limits: Array) -> Array:
     """How many times slower each piece (n,) must be so that no coordinate exceeds its velocity
     limit (nv,).
     """
@@ -665,12 +677,14 @@ def _slowness(motion: ExactManoeuvre, limits: Array) -> Array:
     factors: list[float] = []
     for p in motion.pieces:
         inside = p.start + p.duration * (np.arange(n) + 0.5) / n
-        v = np.abs(motion.at(inside)[1]).max(axis=0) / math.cos(min(0.5 * abs(p.angle) / n, 1.0))
+        v = np.abs(motion.evaluate_motion(inside)[1]).max(axis=0) / math.cos(
+            min(0.5 * abs(p.angle) / n, 1.0)
+        )
         factors.append(max(1.0, float((v / limits).max())))
     return np.array(factors)
 
 
-def _stretched(pieces: Sequence[Piece], by: Array) -> list[Piece]:
+def _stretch_pieces(pieces: Sequence[Piece], by: Array) -> list[Piece]:
     """The pieces one after the other, each `by` (n,) times as long."""
     out: list[Piece] = []
     start = 0.0
@@ -682,7 +696,7 @@ def _stretched(pieces: Sequence[Piece], by: Array) -> list[Piece]:
     return out
 
 
-def _times(motion: ExactManoeuvre, samples: int) -> Array:
+def _list_times(motion: ExactManoeuvre, samples: int) -> Array:
     """Times (n,): the ends of all pieces, and evenly spread ones between them."""
     out = [np.zeros(1)]
     for p in motion.pieces:
@@ -692,12 +706,12 @@ def _times(motion: ExactManoeuvre, samples: int) -> Array:
     return np.concatenate(out)
 
 
-def _outside(system: Model, motion: ExactManoeuvre, samples: int) -> str:
+def _describe_violation(system: Model, motion: ExactManoeuvre, samples: int) -> str:
     """What a motion does that it must not, in words: it leaves limits, or violates one-sided
     constraints.
     """
-    q = motion.at(_times(motion, max(samples, 200)))[0]
-    if (motion.axle.slides_sine(q) <= PARALLEL).any():
+    q = motion.evaluate_motion(_list_times(motion, max(samples, 200)))[0]
+    if (motion.axle.compute_slide_sine(q) <= PARALLEL).any():
         slides = " and ".join(repr(system.structure.velocity_names[v]) for v in motion.axle.own[:2])
         return f"on the way {slides} would be parallel, and cannot go on"
     rows = pack_one_sided_rows(system)
@@ -711,7 +725,7 @@ def _outside(system: Model, motion: ExactManoeuvre, samples: int) -> str:
     )
 
 
-def _arrive(
+def _correct_ends(
     axle: Axle, motion: ExactManoeuvre, x: Array, q: Array, goal: Array, free: Sequence[int]
 ) -> int:
     """Put the ends of samples (n, nq) right to the last bit; returns by how many whole turns the
@@ -722,8 +736,8 @@ def _arrive(
     system = axle.system
     end = goal.copy()
     for v in free:
-        end[axle.in_q[v]] = x[-1, axle.in_q[v]]
-    i = axle.own_q[2]
+        end[axle.q_places[v]] = x[-1, axle.q_places[v]]
+    i = axle.own_q_places[2]
     turns = round(float(axle.gear * (x[-1, i] - goal[i])) / (2.0 * math.pi))
     end[i] += 2.0 * math.pi * turns / axle.gear
     off = np.abs(system.structure.layout.compute_difference(x[-1], end))
@@ -748,7 +762,7 @@ def _arrive(
 # ---- what is said of ways to a configuration
 
 
-def way_there(system: Model) -> str:
+def describe_way_there(system: Model) -> str:
     """End of a sentence about a configuration: whether motions get there, of a system that rolls.
 
     A manoeuvre is named only where brackets show that motions reach every configuration around.
@@ -756,11 +770,11 @@ def way_there(system: Model) -> str:
     names = list(dict.fromkeys(name for name, *_ in list_velocity_row_names(system)))
     said = ", ".join(map(repr, names[:3])) + ", ..." * (len(names) > 3)
     hold = "holds" if len(names) == 1 else "hold"
-    return f"; {_motions_there(system).format(hold=f'{said} {hold} on the way')}"
+    return f"; {_describe_motions(system).format(hold=f'{said} {hold} on the way')}"
 
 
 @keep_answers
-def _motions_there(system: Model) -> str:
+def _describe_motions(system: Model) -> str:
     """What is known of motions to other configurations, with a field {hold} for the constraints."""
     unknown = "{hold}: whether a motion gets there is not known"
     try:

@@ -41,7 +41,7 @@ MOST_SIGNS = 6
 second."""
 
 
-def elsewhere(path: Path) -> tuple[str, Array]:
+def find_other_modes(path: Path) -> tuple[str, Array]:
     """The input, and other configurations (k, nq) with its value at the path's start that the path
     does not pass.
 
@@ -62,13 +62,17 @@ def elsewhere(path: Path) -> tuple[str, Array]:
         plan = None if name in held else find_closed_form(system, (name, *held))
         if plan is not None and not isinstance(plan, Incomplete) and plan.signs <= MOST_SIGNS:
             modes = assembly_modes(system, {name: start[name], **held})
-            others = [q for q in modes.q if not any(_passes(p, q) for p in (path, *path.others))]
+            others = [
+                q
+                for q in modes.q
+                if not any(_may_pass_configuration(p, q) for p in (path, *path.others))
+            ]
             if others:
                 return name, np.array(others)
     return nothing
 
 
-def _passes(path: Path, q: Array) -> bool:
+def _may_pass_configuration(path: Path, q: Array) -> bool:
     """Whether a path may pass q: on the way from one node to the next it is no farther from one
     than these are.
     """
@@ -116,9 +120,9 @@ class Event(InWords):
     """The singular point as a node of the path, where branches touch or end in a cusp."""
 
     def __str__(self) -> str:
-        return self.text({}, False)
+        return self.format_event({}, False)
 
-    def text(self, unit: Mapping[str, str], degrees: bool) -> str:
+    def format_event(self, unit: Mapping[str, str], degrees: bool) -> str:
         """Where it is and what happens there; the value of its coordinate in its unit."""
         if self.coordinate:
             value = Quantity(self.value, unit.get(self.coordinate, "")).convert_units(degrees)
@@ -141,16 +145,16 @@ class Track:
     s: Array
     t: Array
 
-    def at(self, s: Array) -> Array:
+    def evaluate_configurations(self, s: Array) -> Array:
         """Configurations (k, nq) at arc lengths (k,) inside the track: cubic between nodes, then
         closed exactly.
         """
         out = np.empty((len(s), self.q.shape[1]))
         for i in range(0, len(s), SLICE):
-            out[i : i + SLICE] = self._slice(s[i : i + SLICE])
+            out[i : i + SLICE] = self._close_configurations(s[i : i + SLICE])
         return out
 
-    def _slice(self, s: Array) -> Array:
+    def _close_configurations(self, s: Array) -> Array:
         if len(self.s) == 1:
             return np.repeat(self.q, len(s), axis=0)
         k = np.clip(np.searchsorted(self.s, s, side="right") - 1, 0, len(self.s) - 2)
@@ -167,13 +171,13 @@ class Track:
         )
         across = (1 - u) * t[k] + u * t[k + 1]
 
-        def both(x: Array, at: np.ndarray) -> tuple[Array, Array]:
+        def evaluate_equations(x: Array, at: np.ndarray) -> tuple[Array, Array]:
             F, J = e.evaluate_many_points(x)
             return np.append(F, np.zeros((len(F), 1)), axis=1), np.concatenate(
                 [J, across[at, None]], axis=1
             )
 
-        x = run_many_gauss_newton(both, x, 3, level=BLUNT, move=e.move_point)
+        x = run_many_gauss_newton(evaluate_equations, x, 3, level=BLUNT, move=e.move_point)
         ends = np.flatnonzero((u[:, 0] <= 0.0) | (u[:, 0] >= 1.0))
         x[ends] = self.q[k[ends] + (u[ends, 0] >= 1.0)]
         return x
@@ -279,7 +283,10 @@ class Path(Motion):
         rounds = np.where(around, np.floor(flat / max(length, 1e-300)), 0.0)
         change = self.track.q[-1] - self.track.q[0]
         change[self.system.structure.layout.quaternion_q[:, None] + np.arange(4)] = 0.0
-        out = self.track.at(np.clip(flat - rounds * length, 0.0, length)) + rounds[:, None] * change
+        out = (
+            self.track.evaluate_configurations(np.clip(flat - rounds * length, 0.0, length))
+            + rounds[:, None] * change
+        )
         return out.reshape(*s.shape, self.system.nq)
 
     @raise_interrupted
@@ -308,7 +315,7 @@ class Path(Motion):
                 s[s > self.length] = self.length
                 if i + SLICE >= n:
                     s[-1] = self.length
-                done.append((s, self.track.at(s)))
+                done.append((s, self.track.evaluate_configurations(s)))
                 if spend.progress is not None:
                     spend.progress(i + len(s), float(s[-1]))
         except BROKEN_OFF as error:
@@ -388,7 +395,7 @@ class Path(Motion):
 
     def _list_notes(self, degrees: bool = False) -> Sequence[str]:
         unit = list_units(self.system)
-        lines = cut_lines([e.text(unit, degrees) for e in self.turning_points], EVENTS)
+        lines = cut_lines([e.format_event(unit, degrees) for e in self.turning_points], EVENTS)
         lines += [str(event) for event in self.singular_points]
         lines += [f"another branch: {path.status}" for path in self.others]
         if said := self.hint:
@@ -399,7 +406,7 @@ class Path(Motion):
     def _collect_data(self) -> dict[str, Any]:
         unit = list_units(self.system)
         events = {
-            name: [_event_data(e, unit, self._name_coordinates) for e in getattr(self, name)]
+            name: [_list_event_data(e, unit, self._name_coordinates) for e in getattr(self, name)]
             for name in ("turning_points", "singular_points", "extremes")
         }
         curves = {frame: self.curve(frame)[:, : self.system.dim] for frame in self.frames}
@@ -407,9 +414,9 @@ class Path(Motion):
         return super()._collect_data() | {"curves": curves} | events | {"others": others}
 
     @cached_property
-    def _elsewhere(self) -> tuple[str, Array]:
+    def _other_modes(self) -> tuple[str, Array]:
 
-        return elsewhere(self)
+        return find_other_modes(self)
 
     @property
     def elsewhere(self) -> Array:
@@ -419,14 +426,14 @@ class Path(Motion):
         They have the driver's value there; without a driver, that of the first coordinate with
         which there are some.
         """
-        return self._elsewhere[1]
+        return self._other_modes[1]
 
     @property
     def hint(self) -> str:
         """The sentence that says how many assembly modes are not on the path; empty where none are
         known.
         """
-        name, q = self._elsewhere
+        name, q = self._other_modes
         if not len(q):
             return ""
         value = self.q[0][self.system.coordinate_names.index(name)]
@@ -436,7 +443,7 @@ class Path(Motion):
         )
 
 
-def _event_data(
+def _list_event_data(
     event: Event, unit: Mapping[str, str], by_name: Callable[[Array], Any]
 ) -> dict[str, Any]:
     own = (

@@ -36,12 +36,12 @@ NOTHING = 1e-14
 """Length of a piece that is left out."""
 
 
-def wrapped(angle: float) -> float:
+def wrap_angle(angle: float) -> float:
     """The angle in [-pi, pi]."""
     return math.remainder(angle, 2.0 * math.pi)
 
 
-def advance(
+def advance_pose(
     pose: tuple[float, float, float], curvature: float, length: float
 ) -> tuple[float, float, float]:
     """The pose (x, y, heading) after a piece of constant curvature and signed length."""
@@ -51,34 +51,34 @@ def advance(
     return x + chord * math.cos(h + half), y + chord * math.sin(h + half), h + 2.0 * half
 
 
-def end_of(way: Way) -> tuple[float, float, float]:
+def compute_end_pose(way: Way) -> tuple[float, float, float]:
     """The pose that a way from (0, 0, 0) ends at."""
     pose = (0.0, 0.0, 0.0)
     for curvature, length in way:
-        pose = advance(pose, curvature, length)
+        pose = advance_pose(pose, curvature, length)
     return pose
 
 
-def length_of(way: Way) -> float:
+def compute_length(way: Way) -> float:
     """The length of a way, its reverse pieces counted like the others."""
     return math.fsum(abs(length) for _, length in way)
 
 
-def ways(x: float, y: float, heading: float) -> list[Way]:
+def list_ways(x: float, y: float, heading: float) -> list[Way]:
     """Ways from (0, 0, 0) to a pose, for the radius 1, the shortest first: one for each word that
     leads there.
     """
     found: dict[tuple[tuple[float, bool], ...], Way] = {}
-    for way in _candidates(x, y, heading):
-        exact = _exact_way(way, x, y, heading)
+    for way in _iterate_candidates(x, y, heading):
+        exact = _correct_way(way, x, y, heading)
         if exact is not None:
             word = tuple((c, length > 0.0) for c, length in exact)
-            if word not in found or length_of(exact) < length_of(found[word]):
+            if word not in found or compute_length(exact) < compute_length(found[word]):
                 found[word] = exact
-    return sorted(found.values(), key=length_of)
+    return sorted(found.values(), key=compute_length)
 
 
-def _candidates(x: float, y: float, h: float) -> Iterator[Way]:
+def _iterate_candidates(x: float, y: float, h: float) -> Iterator[Way]:
     """The words of section 8, their mirror images, with time reversed, and from the goal backwards."""
     c = math.cos(h)
     s = math.sin(h)
@@ -91,69 +91,69 @@ def _candidates(x: float, y: float, h: float) -> Iterator[Way]:
                         yield own[::-1] if backwards else own
 
 
-def _exact_way(way: Way, x: float, y: float, h: float) -> Way | None:
+def _correct_way(way: Way, x: float, y: float, h: float) -> Way | None:
     """The way with its lengths corrected to the last digits (Newton, smallest change), None where it
     does not lead to the goal.
     """
     size = 1.0 + math.hypot(x, y)
 
-    def along(lengths: Array) -> Way:
+    def make_way(lengths: Array) -> Way:
         return tuple((k, s) for (k, _), s in zip(way, lengths.tolist(), strict=True))
 
-    def both(lengths: Array) -> tuple[Array, Array]:
-        end = end_of(along(lengths))
-        miss = np.array([end[0] - x, end[1] - y, wrapped(end[2] - h)])
+    def evaluate_miss(lengths: Array) -> tuple[Array, Array]:
+        end = compute_end_pose(make_way(lengths))
+        miss = np.array([end[0] - x, end[1] - y, wrap_angle(end[2] - h)])
         near = np.abs(miss).max() < MISS * size
-        return (miss if near else np.full(3, math.inf)), _slopes(along(lengths))
+        return (miss if near else np.full(3, math.inf)), _compute_derivatives(make_way(lengths))
 
     found = run_gauss_newton(
-        both, np.array([length for _, length in way]), TRIES, level=Level.GENERIC
+        evaluate_miss, np.array([length for _, length in way]), TRIES, level=Level.GENERIC
     )
     if not np.abs(found.r).max() < HIT * size:
         return None
-    return tuple(piece for piece in along(found.x) if abs(piece[1]) > NOTHING)
+    return tuple(piece for piece in make_way(found.x) if abs(piece[1]) > NOTHING)
 
 
-def _slopes(way: Way) -> Array:
+def _compute_derivatives(way: Way) -> Array:
     """Derivatives (3, n) of the pose at the end by the lengths of the pieces."""
-    x, y, _ = end_of(way)
+    x, y, _ = compute_end_pose(way)
     pose = (0.0, 0.0, 0.0)
     columns: list[list[float]] = []
     for k, length in way:
-        pose = advance(pose, k, length)
+        pose = advance_pose(pose, k, length)
         columns.append(
             [math.cos(pose[2]) - k * (y - pose[1]), math.sin(pose[2]) + k * (x - pose[0]), k]
         )
     return np.array(columns).T
 
 
-def _csc(x: float, y: float, h: float) -> Iterator[Way]:
+def _iterate_csc(x: float, y: float, h: float) -> Iterator[Way]:
     """(8.1), (8.2): an arc, a straight piece, an arc; to the same side, to the other one."""
     a = x - math.sin(h)
     b = y - 1.0 + math.cos(h)
     t = math.atan2(b, a)
-    yield (L, t), (S, math.hypot(a, b)), (L, wrapped(h - t))
+    yield (L, t), (S, math.hypot(a, b)), (L, wrap_angle(h - t))
     a = x + math.sin(h)
     b = y - 1.0 - math.cos(h)
     square = a * a + b * b - 4.0
     if square >= 0.0:
         u = math.sqrt(square)
-        t = wrapped(math.atan2(b, a) + math.atan2(2.0, u))
-        yield (L, t), (S, u), (R, wrapped(t - h))
+        t = wrap_angle(math.atan2(b, a) + math.atan2(2.0, u))
+        yield (L, t), (S, u), (R, wrap_angle(t - h))
 
 
-def _ccc(x: float, y: float, h: float) -> Iterator[Way]:
+def _iterate_ccc(x: float, y: float, h: float) -> Iterator[Way]:
     """(8.3) to (8.6): three arcs."""
     a = x - math.sin(h)
     b = y - 1.0 + math.cos(h)
     rho = math.hypot(a, b)
     if rho <= 4.0:
         u = -2.0 * math.asin(0.25 * rho)
-        t = wrapped(math.atan2(b, a) + 0.5 * u + math.pi)
-        yield (L, t), (R, u), (L, wrapped(h - t + u))
+        t = wrap_angle(math.atan2(b, a) + 0.5 * u + math.pi)
+        yield (L, t), (R, u), (L, wrap_angle(h - t + u))
 
 
-def _cccc(x: float, y: float, h: float) -> Iterator[Way]:
+def _iterate_cccc(x: float, y: float, h: float) -> Iterator[Way]:
     """(8.7), (8.8): four arcs, those in the middle equally long."""
     a = x + math.sin(h)
     b = y - 1.0 - math.cos(h)
@@ -162,15 +162,15 @@ def _cccc(x: float, y: float, h: float) -> Iterator[Way]:
     outer = (20.0 - rho * rho) / 16.0
     if inner <= 1.0:
         u = math.acos(inner)
-        t, v = _ends(u, -u, a, b, h)
+        t, v = _compute_outer_arcs(u, -u, a, b, h)
         yield (L, t), (R, u), (L, -u), (R, v)
     if 0.0 <= outer <= 1.0:
         u = -math.acos(outer)
-        t, v = _ends(u, u, a, b, h)
+        t, v = _compute_outer_arcs(u, u, a, b, h)
         yield (L, t), (R, u), (L, u), (R, v)
 
 
-def _ends(u: float, v: float, a: float, b: float, h: float) -> tuple[float, float]:
+def _compute_outer_arcs(u: float, v: float, a: float, b: float, h: float) -> tuple[float, float]:
     """Lengths of the first and the last of four arcs, those in the middle being u and v."""
     d = u - v
     p = math.sin(u) - math.sin(d)
@@ -178,42 +178,42 @@ def _ends(u: float, v: float, a: float, b: float, h: float) -> tuple[float, floa
     t = math.atan2(b * p - a * r, a * p + b * r)
     if 2.0 * (math.cos(d) - math.cos(v) - math.cos(u)) + 3.0 < 0.0:
         t += math.pi
-    return wrapped(t), wrapped(t - u + v - h)
+    return wrap_angle(t), wrap_angle(t - u + v - h)
 
 
-def _ccsc(x: float, y: float, h: float) -> Iterator[Way]:
+def _iterate_ccsc(x: float, y: float, h: float) -> Iterator[Way]:
     """(8.9), (8.10): an arc, a quarter circle back, a straight piece, an arc."""
     a = x - math.sin(h)
     b = y - 1.0 + math.cos(h)
     rho = math.hypot(a, b)
     if rho >= 2.0:
         r = math.sqrt(rho * rho - 4.0)
-        t = wrapped(math.atan2(b, a) + math.atan2(r, -2.0))
-        yield (L, t), (R, -QUARTER), (S, 2.0 - r), (L, wrapped(h - QUARTER - t))
+        t = wrap_angle(math.atan2(b, a) + math.atan2(r, -2.0))
+        yield (L, t), (R, -QUARTER), (S, 2.0 - r), (L, wrap_angle(h - QUARTER - t))
     a = x + math.sin(h)
     b = y - 1.0 - math.cos(h)
     rho = math.hypot(a, b)
     if rho >= 2.0:
         t = math.atan2(a, -b)
-        yield (L, t), (R, -QUARTER), (S, 2.0 - rho), (R, wrapped(t + QUARTER - h))
+        yield (L, t), (R, -QUARTER), (S, 2.0 - rho), (R, wrap_angle(t + QUARTER - h))
 
 
-def _ccscc(x: float, y: float, h: float) -> Iterator[Way]:
+def _iterate_ccscc(x: float, y: float, h: float) -> Iterator[Way]:
     """(8.11): an arc, a quarter circle back, a straight piece, a quarter circle, an arc forwards."""
     a = x + math.sin(h)
     b = y - 1.0 - math.cos(h)
     rho = math.hypot(a, b)
     if rho >= 2.0:
         u = 4.0 - math.sqrt(rho * rho - 4.0)
-        t = wrapped(math.atan2((4.0 - u) * a - 2.0 * b, -2.0 * a + (u - 4.0) * b))
-        yield (L, t), (R, -QUARTER), (S, u), (L, -QUARTER), (R, wrapped(t - h))
+        t = wrap_angle(math.atan2((4.0 - u) * a - 2.0 * b, -2.0 * a + (u - 4.0) * b))
+        yield (L, t), (R, -QUARTER), (S, u), (L, -QUARTER), (R, wrap_angle(t - h))
 
 
 WORDS: tuple[Callable[[float, float, float], Iterator[Way]], ...] = (
-    _csc,
-    _ccc,
-    _cccc,
-    _ccsc,
-    _ccscc,
+    _iterate_csc,
+    _iterate_ccc,
+    _iterate_cccc,
+    _iterate_ccsc,
+    _iterate_ccscc,
 )
 """The kinds of words, each a function of the goal."""

@@ -69,8 +69,8 @@ class Velocities:
     """
 
     def __init__(self, system: Model, inputs: Mapping[str, Any]):
-        self.inputs = {name: _checked(name, u) for name, u in inputs.items()}
-        self.rows = [_row(system, name) for name in inputs]
+        self.inputs = {name: _check_input(name, u) for name, u in inputs.items()}
+        self.rows = [_make_input_row(system, name) for name in inputs]
         self.times = bool(list_timed_constraints(system))
         self.system = add_time_coordinate(system) if self.times else system
         clock = [list(self.system.structure.velocity_names).index(TIME)] if self.times else []
@@ -78,7 +78,7 @@ class Velocities:
         self.loops = len(self.closure.weight)
         self.clock = np.eye(self.system.nv)[clock]
 
-    def value(self, name: str, t: float) -> float:
+    def evaluate_input(self, name: str, t: float) -> float:
         """The value of an input at a time. Errors: `InputError`."""
         u = self.inputs[name]
         if not callable(u):
@@ -94,7 +94,7 @@ class Velocities:
             )
         return float(x)
 
-    def at(self, q: Array, t: float) -> Array:
+    def compute_velocities(self, q: Array, t: float) -> Array:
         """The velocities (nv,). Errors: `RollingStop` where they are not determined, or do not
         exist.
         """
@@ -109,7 +109,7 @@ class Velocities:
         S = np.zeros((len(self.rows), len(scale)))
         for k, row in enumerate(self.rows):
             S[k, : len(scale) - len(self.clock)] = row(own)
-        u = np.array([self.value(name, t) for name in self.inputs])
+        u = np.array([self.evaluate_input(name, t) for name in self.inputs])
         M = np.concatenate([A * scale, J, self.clock * scale, S * scale])
         wanted = np.concatenate([b, np.zeros(len(J)), np.ones(len(self.clock)), u])
         size = np.linalg.norm(M, axis=1)
@@ -119,15 +119,15 @@ class Velocities:
         spectrum = Spectrum(M, 1.0)
         loose = spectrum.compute_null_space(Level.CLOSED)
         if loose.size:
-            raise RollingStop(self._loose(loose.T))
+            raise RollingStop(self._describe_freedom(loose.T))
         z = spectrum.solve_least_squares(wanted, Level.CLOSED)
         off = np.abs(M @ z - wanted)
         worst = int(np.argmax(off)) if len(off) else 0
         if len(off) and off[worst] > MISS * max(1.0, float(np.abs(wanted).max())):
-            raise RollingStop(self._contradiction(M, wanted, size))
+            raise RollingStop(self._describe_contradiction(M, wanted, size))
         return z * scale
 
-    def _loose(self, null_space: Array) -> str:
+    def _describe_freedom(self, null_space: Array) -> str:
         names = self.system.structure.velocity_names
         moving = [n for n, x in zip(names, np.abs(null_space).max(axis=0), strict=True) if x > 1e-6]
         said = ", ".join(map(repr, moving[:6])) + ", ..." * (len(moving) > 6)
@@ -139,7 +139,7 @@ class Velocities:
             "a frame)"
         )
 
-    def _contradiction(self, M: Array, wanted: Array, size: Array) -> str:
+    def _describe_contradiction(self, M: Array, wanted: Array, size: Array) -> str:
         """Which input cannot be had under the constraints and the other inputs, and by how much."""
         fixed = len(M) - len(self.inputs)
         z = Spectrum(M[:fixed]).solve_least_squares(wanted[:fixed], Level.CLOSED)
@@ -164,11 +164,11 @@ class Velocities:
                 )
         return "constraints and inputs contradict each other"
 
-    def slope(self, t: float, q: Array) -> Array:
+    def compute_slope(self, t: float, q: Array) -> Array:
         """The rates (nq,) of the coordinates, those of quaternions included."""
-        return coordinate_rates(self.system, q, self.at(q, t))
+        return compute_coordinate_rates(self.system, q, self.compute_velocities(q, t))
 
-    def closed(self, q: Array, t: float) -> Array:
+    def close_configuration(self, q: Array, t: float) -> Array:
         """The configuration (nq,) nearest to q that meets the position constraints at time t."""
         layout = self.system.structure.layout
         q = q.copy()
@@ -190,7 +190,7 @@ class Velocities:
         ).x
 
 
-def coordinate_rates(system: Model, q: Array, v: Array) -> Array:
+def compute_coordinate_rates(system: Model, q: Array, v: Array) -> Array:
     """The rates (nq,) of the coordinates at velocities (nv,), those of quaternions included."""
     layout = system.structure.layout
     out = np.zeros(len(q))
@@ -201,7 +201,7 @@ def coordinate_rates(system: Model, q: Array, v: Array) -> Array:
     return out
 
 
-def _checked(name: str, u: Any) -> Input:
+def _check_input(name: str, u: Any) -> Input:
     if callable(u):
         return u
     if not is_real(u) or not math.isfinite(float(u)):
@@ -211,7 +211,7 @@ def _checked(name: str, u: Any) -> Input:
     return float(u)
 
 
-def _row(system: Model, name: str) -> Callable[[Array], Array]:
+def _make_input_row(system: Model, name: str) -> Callable[[Array], Array]:
     """The row (nv,) of an input as a function of q: a velocity coordinate, or a twist in the axes
     of a frame.
     """
@@ -227,7 +227,7 @@ def _row(system: Model, name: str) -> Callable[[Array], Array]:
     raise UnknownNameError("velocity", name, allowed, system.name)
 
 
-def roll(
+def integrate_rolling(
     system: Model,
     inputs: Mapping[str, Any],
     q: Array,
@@ -253,12 +253,12 @@ def roll(
             "characteristic lengths); assemble it first"
         )
     rows = pack_one_sided_rows(system)
-    q = motion.closed(q, begin)
+    q = motion.close_configuration(q, begin)
     if (over := rows.compute_excess(q)).any():
         k = int(np.argmax(over))
         raise InputError(f"the start violates {rows.names[k]!r} by {over[k]:.6g}")
     try:
-        first = motion.at(q, begin)
+        first = motion.compute_velocities(q, begin)
     except RollingStop as stop:
         raise UnsupportedError(f"{system.name}: {stop}") from None
     out_q = [q]
@@ -269,7 +269,13 @@ def roll(
     end = float(times[-1])
     most = max((end - begin) / PARTS, 1e-300)
     solver: Any = cast(Any, integrate).DOP853(
-        motion.slope, begin, q, end, rtol=max(tolerance, 3e-14), atol=tolerance, max_step=most
+        motion.compute_slope,
+        begin,
+        q,
+        end,
+        rtol=max(tolerance, 3e-14),
+        atol=tolerance,
+        max_step=most,
     )
     try:
         while solver.status == "running":
@@ -279,20 +285,20 @@ def roll(
                 raise RollingStop(f"at time {solver.t:.6g} the velocities change too fast: {said}")
             dense = solver.dense_output()
             last = solver.t
-            stop = _limit(system, dense, float(solver.t_old or 0.0), last)
+            stop = _find_limit(system, dense, float(solver.t_old or 0.0), last)
             while k < len(times) and times[k] <= (last if stop is None else stop[0]):
-                x = motion.closed(dense(times[k]), float(times[k]))
-                out_v.append(motion.at(x, float(times[k])))
+                x = motion.close_configuration(dense(times[k]), float(times[k]))
+                out_v.append(motion.compute_velocities(x, float(times[k])))
                 out_q.append(x)
                 k += 1
             if stop is not None:
-                x = motion.closed(dense(stop[0]), stop[0])
-                out_v.append(motion.at(x, stop[0]))
+                x = motion.close_configuration(dense(stop[0]), stop[0])
+                out_v.append(motion.compute_velocities(x, stop[0]))
                 out_q.append(x)
                 times = np.append(times[:k], stop[0])
                 raise RollingStop(stop[1])
-            solver.y = motion.closed(solver.y, float(last))
-            solver.f = motion.slope(last, solver.y)
+            solver.y = motion.close_configuration(solver.y, float(last))
+            solver.f = motion.compute_slope(last, solver.y)
     except RollingStop as stop:
         reason = str(stop)
     except BROKEN_OFF as error:
@@ -305,7 +311,7 @@ def roll(
     return Rolled(times[:n], q[:, : q.shape[1] - more], v[:, : v.shape[1] - more], reason, broken)
 
 
-def _limit(
+def _find_limit(
     system: Model, dense: Callable[[Any], Array], t0: float, t1: float
 ) -> tuple[float, str] | None:
     """The time at which a limit or another one-sided constraint is met between two times, and the
@@ -320,19 +326,19 @@ def _limit(
     a = float(looks[first])
     b = float(looks[first + 1])
 
-    def over(t: float) -> Array:
+    def compute_excess(t: float) -> Array:
         """By how many times what is allowed each row is outside, above 1 where it is violated."""
         x = rows.compute_values(dense(t))
         return np.maximum(rows.low - x, x - rows.high) / (1e-3 * rows.slack)
 
-    stop = find_sign_change(lambda t: float(over(t).max()) - 1.0, a, b)
+    stop = find_sign_change(lambda t: float(compute_excess(t).max()) - 1.0, a, b)
     stop = a if stop is None else stop
-    k = int(np.argmax(over(b if stop == a else stop)))
+    k = int(np.argmax(compute_excess(b if stop == a else stop)))
     what = "its limit" if k >= rows.declared else "its bound"
     return stop, f"it stops at time {stop:.9g}, where {rows.names[k]!r} meets {what}"
 
 
-def slip(system: Model, t: Array, q: Array, v: Array) -> float:
+def compute_slip(system: Model, t: Array, q: Array, v: Array) -> float:
     """The largest slip of samples, of rows and speeds of size 1, by the velocity rows of the
     system.
     """

@@ -26,9 +26,9 @@ from kempe.forward.fk import fk, jacobian
 from kempe.model.configurations import sample_configurations
 from kempe.model.time_coordinate import add_time_coordinate, list_timed_constraints
 from kempe.motion.bounces import MOST, TOUCH, Flight, MovingFlight, Plane
-from kempe.motion.rolling import roll, slip
-from kempe.motion.start import start_of
-from kempe.motion.wheeled import binding
+from kempe.motion.rolling import compute_slip, integrate_rolling
+from kempe.motion.start import read_start_configuration
+from kempe.motion.wheeled import find_binding_constraint
 from kempe.numerics.clock import BROKEN_OFF, LONG, TimeLimit, limit_preparation_time
 from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
@@ -68,17 +68,17 @@ class Falling:
     moving: MovingRows | None = None
     """The planes where some of them move."""
 
-    def y(self, q: Array) -> Array:
+    def compute_centre(self, q: Array) -> Array:
         """Coordinates (..., k) of the centre."""
         return q[..., self.slides_q] @ self.shape.T
 
-    def motion(
+    def compute_motion(
         self, q: Array, v: Array, flight: Flight | MovingFlight, t: Array
     ) -> tuple[Array, Array]:
         """Configurations (n, nq) and velocities (n, nv) at times (n,), of a flight from q with
         velocities v (nv,).
         """
-        y, dy = flight.at(t)
+        y, dy = flight.evaluate_flight(t)
         turning = v.copy()
         turning[self.slides_v] = 0.0
         out = self.system.structure.layout.integrate_velocity(q, turning * t[:, None])
@@ -89,12 +89,12 @@ class Falling:
         return out, rate
 
 
-def falling(system: Model, q: Array, v: Array, duration: float) -> Falling:
+def find_falling_body(system: Model, q: Array, v: Array, duration: float) -> Falling:
     """The one ball or particle of a system, from q (nq,) with velocities v (nv,). Errors:
     `UnsupportedError`.
     """
-    _no_others(system, q)
-    body, point = _body(system)
+    _refuse_other_constraints(system, q)
+    body, point = _find_moving_body(system)
     samples = np.concatenate(
         [q[None], sample_configurations(system, np.random.default_rng(SEED), (TRIALS,))]
     )
@@ -134,11 +134,11 @@ def falling(system: Model, q: Array, v: Array, duration: float) -> Falling:
         else None
     )
     planes = (
-        _planes(system, body, q, slides_q, shape, samples)
+        _make_planes(system, body, q, slides_q, shape, samples)
         if moving is None
-        else _moving_planes(system, body, moving, samples, duration)
+        else _make_moving_planes(system, body, moving, samples, duration)
     )
-    _turns(system, body, q, v, turning, duration)
+    _check_turning(system, body, q, v, turning, duration)
     return Falling(system, body, slides_q, slides_v, basis, shape, planes, moving)
 
 
@@ -181,7 +181,7 @@ class MovingRows:
         units = closure_rows.compute_coordinate_units(self.rows.system)
         self._unscale = 1.0 / (self.rows.scale[self.at_row, None] * units)
 
-    def only(self, which: np.ndarray) -> None:
+    def keep_planes(self, which: np.ndarray) -> None:
         """Keep only some of the planes."""
         self.at_row = self.at_row[which]
         self.sign = self.sign[which]
@@ -189,7 +189,7 @@ class MovingRows:
         self._unscale = self._unscale[which]
         self.names = tuple(n for n, keep in zip(self.names, which, strict=True) if keep)
 
-    def _read(self, slides: Array, t: Array | float) -> tuple[Array, Array]:
+    def _evaluate_rows(self, slides: Array, t: Array | float) -> tuple[Array, Array]:
         """Values (..., m), less their bounds, and gradients (..., m, nv) at slides (k,) and times
         (...).
         """
@@ -201,20 +201,22 @@ class MovingRows:
         lead = np.shape(t)
         return values.reshape(*lead, len(self.sign)), J.reshape(*lead, *J.shape[1:])
 
-    def at(self, t: Array | float) -> tuple[Array, Array]:
+    def evaluate_planes(self, t: Array | float) -> tuple[Array, Array]:
         """Normals (..., m, k) and offsets (..., m) at times (...)."""
-        values, J = self._read(np.zeros(len(self.slides_q)), t)
+        values, J = self._evaluate_rows(np.zeros(len(self.slides_q)), t)
         return J[..., self.slides_v] @ self.back, values
 
-    def rates(self, t: Array | float) -> tuple[Array, Array]:
+    def evaluate_rates(self, t: Array | float) -> tuple[Array, Array]:
         """Rates of normals (..., m, k) and offsets (..., m) at times (...)."""
         k = len(self.slides_q)
-        shift = self._read(np.zeros(k), t)[1][..., -1]
+        shift = self._evaluate_rows(np.zeros(k), t)[1][..., -1]
         with np.errstate(invalid="ignore"):  # a law may begin at an infinite rate
-            turn = np.stack([self._read(row, t)[1][..., -1] - shift for row in np.eye(k)], axis=-1)
+            turn = np.stack(
+                [self._evaluate_rows(row, t)[1][..., -1] - shift for row in np.eye(k)], axis=-1
+            )
             return turn @ self.back, shift
 
-    def accelerations(self, t: float) -> tuple[Array, Array]:
+    def evaluate_accelerations(self, t: float) -> tuple[Array, Array]:
         """Second derivatives of normals (m, k) and offsets (m,), by seven differences within the
         duration.
         """
@@ -223,11 +225,11 @@ class MovingRows:
         nodes = np.arange(7.0) + (first - t) / h
         powers = np.array([nodes**i for i in range(7)])
         weights: Array = np.asarray(np.linalg.solve(powers, np.eye(7)[1]), dtype=float) / h
-        turn, shift = self.rates(first + h * np.arange(7.0))
+        turn, shift = self.evaluate_rates(first + h * np.arange(7.0))
         return (weights[:, None, None] * turn).sum(axis=0), weights @ shift
 
 
-def _moving_planes(
+def _make_moving_planes(
     system: Model, body: str, moving: MovingRows, samples: Array, duration: float
 ) -> tuple[Plane, ...]:
     """The planes at time 0, once they are planes at all times. Errors: `UnsupportedError`."""
@@ -235,7 +237,7 @@ def _moving_planes(
     clocks = np.linspace(0.0, duration, 4 * len(samples))
     x = np.column_stack([np.repeat(samples, 4, axis=0), clocks])
     values = moving.sign * (rows.compute_values(x)[:, moving.at_row] - moving.bound)
-    N, o = moving.at(clocks)
+    N, o = moving.evaluate_planes(clocks)
     predicted = (N @ np.linalg.solve(moving.back, x[:, moving.slides_q].T).T[..., None])[..., 0] + o
     off = np.abs(values - predicted).max(axis=0, initial=0.0)
     size = 1.0 + np.abs(predicted).max(axis=0, initial=0.0)
@@ -245,15 +247,15 @@ def _moving_planes(
                 f"{system.name}: {name!r} is no plane for the centre of {body!r} at every time; "
                 "simulate knows bounces on planes, which may move"
             )
-    moving.only(np.linalg.norm(N, axis=-1).max(axis=0, initial=0.0) >= SAME)
-    N, o = moving.at(0.0)
+    moving.keep_planes(np.linalg.norm(N, axis=-1).max(axis=0, initial=0.0) >= SAME)
+    N, o = moving.evaluate_planes(0.0)
     return tuple(Plane(*each) for each in zip(moving.names, N, o.tolist(), strict=True))
 
 
-def start_of_flight(fall: Falling, q: Array) -> None:
+def check_flight_start(fall: Falling, q: Array) -> None:
     """Refuse a start (nq,) that is not above all planes. Errors: `InputError`, with the distance."""
     for plane in fall.planes:
-        gap = plane.offset + float(plane.normal @ fall.y(q))
+        gap = plane.offset + float(plane.normal @ fall.compute_centre(q))
         if gap < -TOUCH:
             raise InputError(
                 f"the start is {-gap:.6g} m inside {plane.name!r}; a start must be above it, or "
@@ -261,7 +263,7 @@ def start_of_flight(fall: Falling, q: Array) -> None:
             )
 
 
-def _no_others(system: Model, q: Array) -> None:
+def _refuse_other_constraints(system: Model, q: Array) -> None:
     """Refuse systems on which loops or rolling act. Errors: `UnsupportedError`."""
     if list_timed_constraints(system):
         system = add_time_coordinate(system)
@@ -271,14 +273,14 @@ def _no_others(system: Model, q: Array) -> None:
             f"{system.name} rolls (it has velocity constraints): how it would roll by itself needs "
             "masses and moments of inertia; inputs={...} gives velocities instead"
         )
-    if held := binding(system, q):
+    if held := find_binding_constraint(system, q):
         raise UnsupportedError(
             f"{system.name}: {held!r} (a loop, a rod or another position constraint) would push: "
             f"that needs masses; {NEEDED} one ball or particle"
         )
 
 
-def _body(system: Model) -> tuple[str, Array]:
+def _find_moving_body(system: Model) -> tuple[str, Array]:
     """The one moving body, and its centre (3,) in its axes. Errors: `UnsupportedError`."""
     samples = sample_configurations(system, np.random.default_rng(SEED), (TRIALS,))
     moving = [
@@ -306,7 +308,7 @@ def _body(system: Model) -> tuple[str, Array]:
     return moving[0], np.zeros(3) if centre is None else np.asarray(centre, dtype=float)
 
 
-def _planes(
+def _make_planes(
     system: Model, body: str, q: Array, slides_q: np.ndarray, shape: Array, samples: Array
 ) -> tuple[Plane, ...]:
     """The planes of one-sided rows. Errors: `UnsupportedError`."""
@@ -358,7 +360,7 @@ def _planes(
     return tuple(planes)
 
 
-def _turns(
+def _check_turning(
     system: Model, body: str, q: Array, v: Array, turning: np.ndarray, duration: float
 ) -> None:
     """Refuse bodies whose turning does not go on evenly. Errors: `UnsupportedError`."""
@@ -429,7 +431,7 @@ class Simulation(Motion):
     [s].
 
     `events` are bounces. `success` is false where the motion ends before its time, `status` says
-    why. `slip` is the largest slip of a sample, of rows and speeds of size 1. Where the work was
+    why. `compute_slip` is the largest slip of a sample, of rows and speeds of size 1. Where the work was
     `interrupted`, or the time limit came (`late`), these are the samples that were done.
     """
 
@@ -460,25 +462,25 @@ class Simulation(Motion):
 
         Errors: `InputError` for times outside.
         """
-        return self._sampled(t)[0]
+        return self._evaluate_motion(t)[0]
 
     def velocity(self, t: ArrayLike) -> Array:
         """Velocities (..., nv) at times `t` (...), at a bounce those after it; as `at`."""
-        return self._sampled(t)[1]
+        return self._evaluate_motion(t)[1]
 
     def _list_times(self) -> Any:
         return self.t
 
-    def _sampled(self, t: ArrayLike) -> tuple[Array, Array]:
+    def _evaluate_motion(self, t: ArrayLike) -> tuple[Array, Array]:
         t = numbers(t, "t")
         if not ((t >= self.t[0]) & (t <= self.t[-1])).all():
             raise InputError(
                 f"t is outside the motion, which is known from {self.t[0]:g} to {self.t[-1]:.9g} s"
             )
-        q, v = (self._at or self._between)(t.ravel())
+        q, v = (self._at or self._interpolate_samples)(t.ravel())
         return q.reshape(*t.shape, self.system.nq), v.reshape(*t.shape, self.system.nv)
 
-    def _between(self, t: Array) -> tuple[Array, Array]:
+    def _interpolate_samples(self, t: Array) -> tuple[Array, Array]:
         if len(self.t) == 1:
             return np.repeat(self.q, len(t), axis=0), np.repeat(self.v, len(t), axis=0)
         k = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.t) - 2)
@@ -569,29 +571,29 @@ def simulate(
         )
     limit = TimeLimit(spend.time_limit)
     with limit_preparation_time(USUAL, limit):
-        q = start_of(system, start, {}).astype(float)
+        q = read_start_configuration(system, start, {}).astype(float)
     times = np.linspace(0.0, float(duration), int(samples))
     if inputs is not None:
         allowed = TOLERANCE if tolerance is None else tolerance
-        return _rolls(system, q, times, inputs, velocity, acceleration, allowed, limit)
+        return _simulate_rolling(system, q, times, inputs, velocity, acceleration, allowed, limit)
     if not is_real(restitution) or not 0.0 <= restitution <= 1.0:
         raise InputError(
             f"restitution is {restitution!r}; it must be between 0 (no rebound) and 1 (no loss)"
         )
-    v = _velocity(system, velocity)
+    v = _read_velocity(system, velocity)
     with limit_preparation_time(USUAL, limit):
-        fall = falling(system, q, v, float(duration))
-        start_of_flight(fall, q)
-    g = _acceleration(system, acceleration)
+        fall = find_falling_body(system, q, v, float(duration))
+        check_flight_start(fall, q)
+    g = _read_acceleration(system, acceleration)
     gravity = fall.basis.T @ g
-    first = (fall.y(q), fall.shape @ v[fall.slides_v])
+    first = (fall.compute_centre(q), fall.shape @ v[fall.slides_v])
     broken: BaseException | None = None
     if fall.moving is None:
         flight = Flight(fall.planes, gravity, float(restitution))
         end = float(duration)
         try:
             with limit:
-                flight.run(*first, float(duration))
+                flight.compute_flight(*first, float(duration))
         except BROKEN_OFF as error:
             broken = error
             end = flight.known
@@ -601,15 +603,15 @@ def simulate(
         flight = MovingFlight(fall.moving, gravity, float(restitution), limit)
         try:
             with limit:
-                flight.run(*first, float(duration))
+                flight.compute_flight(*first, float(duration))
         except BROKEN_OFF as error:
             broken = error
         end = flight.known
         reason = flight.reason
     happened = np.array([e.time for e in flight.impacts])
     t = np.union1d(times[times <= end], happened)
-    x, w = fall.motion(q, v, flight, t)
-    at = fall.motion(q, v, flight, happened)[0]
+    x, w = fall.compute_motion(q, v, flight, t)
+    at = fall.compute_motion(q, v, flight, happened)[0]
     names = [p.name for p in fall.planes]
     events = tuple(
         Bounce(e.kind, e.time, tuple(names[i] for i in e.planes), e.before, e.after, at[k])
@@ -626,11 +628,11 @@ def simulate(
         interrupted=isinstance(broken, KeyboardInterrupt),
         late=isinstance(broken, TimeUp),
         frames=(fall.body,),
-        _at=partial(fall.motion, q, v, flight),
+        _at=partial(fall.compute_motion, q, v, flight),
     )
 
 
-def _rolls(
+def _simulate_rolling(
     system: Model,
     q: Array,
     times: Array,
@@ -652,7 +654,7 @@ def _rolls(
     if not is_real(tolerance) or not 1e-14 <= tolerance <= 1e-3:
         raise InputError(f"tolerance is {tolerance!r}; it must be between 1e-14 and 1e-3")
     with limit_preparation_time(USUAL, time):
-        found = roll(system, inputs, q, times, float(tolerance), time)
+        found = integrate_rolling(system, inputs, q, times, float(tolerance), time)
     late = isinstance(found.broken, TimeUp)
     interrupted = isinstance(found.broken, KeyboardInterrupt)
     return Simulation(
@@ -663,13 +665,13 @@ def _rolls(
         (),
         not found.reason and found.broken is None,
         found.reason,
-        slip(system, found.t, found.q, found.v),
+        compute_slip(system, found.t, found.q, found.v),
         interrupted,
         late,
     )
 
 
-def _velocity(system: Model, velocity: Any) -> Array:
+def _read_velocity(system: Model, velocity: Any) -> Array:
     """Velocities (nv,) at the start. Errors: `InputError`, `UnknownNameError`."""
     v = np.zeros(system.nv)
     given = None if velocity is None else read_mapping(velocity)
@@ -691,7 +693,7 @@ def _velocity(system: Model, velocity: Any) -> Array:
     return v
 
 
-def _acceleration(system: Model, acceleration: Any) -> Array:
+def _read_acceleration(system: Model, acceleration: Any) -> Array:
     """The acceleration (3,) of what falls. Errors: `InputError`."""
     if acceleration is None:
         return np.array([0.0, 0.0, -GRAVITY] if system.dim == 3 else [0.0, -GRAVITY, 0.0])

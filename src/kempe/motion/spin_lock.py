@@ -45,23 +45,23 @@ class SpinLock:
         self._queries = [query(system, f.bodies[0]) for f in spins]
         self._axes = [f.in_body[1] for f in spins]
         self._q = q
-        self._seen = self.lines(q[None])
-        self._choose(_across(self._seen[0]))
+        self._seen = self.compute_lines(q[None])
+        self._set_directions(_compute_perpendiculars(self._seen[0]))
 
     @property
     def count(self) -> int:
         """How many spins are held."""
         return len(self._axes)
 
-    def lines(self, q: Array) -> Array:
+    def compute_lines(self, q: Array) -> Array:
         """Directions (n, k, 3) of the lines in the ground at configurations (n, nq)."""
         pairs = zip(self._queries, self._axes, strict=True)
         return np.stack([pose(q)[:, :3, :3] @ axis for pose, axis in pairs], axis=1)
 
-    def _choose(self, ground: Array) -> None:
+    def _set_directions(self, ground: Array) -> None:
         """Hold the spins by these directions in the ground, as they are at the first configuration."""
         self.ground = ground
-        across = unit(np.cross(ground, self.lines(self._q[None])[0]))
+        across = unit(np.cross(ground, self.compute_lines(self._q[None])[0]))
         pairs = zip(self._queries, across, strict=True)
         self.along = np.array([pose(self._q)[:3, :3].T @ v for pose, v in pairs])
 
@@ -77,34 +77,38 @@ class SpinLock:
             if with_matrix:
                 J[at + i] = np.cross(along, self.ground[i]) @ pose.jacobian(x)[3:] * equations.unit
 
-    def start_from(self, q: Array) -> None:
+    def update_directions(self, q: Array) -> None:
         """Go on from a configuration (nq,), by directions in the ground that are far from the lines
         there.
         """
-        lines = self.lines(q[None])[0]
-        if np.any(_sine(self.ground, lines) < 2.0 * STEEP):
+        lines = self.compute_lines(q[None])[0]
+        if np.any(_compute_sines(self.ground, lines) < 2.0 * STEEP):
             self._q = q
-            self._choose(_across(lines))
+            self._set_directions(_compute_perpendiculars(lines))
 
-    def choose_again(self, q: Array) -> bool:
+    def replace_near_directions(self, q: Array) -> bool:
         """Choose other directions in the ground where lines came too near to them at some of the
         configurations (n, nq); whether some changed.
         """
-        self._seen = np.concatenate([self._seen, self.lines(q)])
+        self._seen = np.concatenate([self._seen, self.compute_lines(q)])
         ground = self.ground.copy()
         for i in range(self.count):
-            least = _sine(ground[i], self._seen[:, i]).min()
+            least = _compute_sines(ground[i], self._seen[:, i]).min()
             if least < STEEP:
-                away = _sine(_sphere()[:, None], self._seen[None, :, i]).min(axis=1)
+                away = _compute_sines(
+                    _make_sphere_directions()[:, None], self._seen[None, :, i]
+                ).min(axis=1)
                 best = int(np.argmax(away))
-                ground[i] = _sphere()[best] if away[best] > BETTER * least else ground[i]
+                ground[i] = (
+                    _make_sphere_directions()[best] if away[best] > BETTER * least else ground[i]
+                )
         changed = not np.array_equal(ground, self.ground)
         if changed:
-            self._choose(ground)
+            self._set_directions(ground)
         return changed
 
 
-def spin_lock_of(equations: Closure) -> SpinLock | None:
+def find_spin_lock(equations: Closure) -> SpinLock | None:
     """The lock of idle spins among equations, None where there is none."""
     return next((m for m in equations.more if isinstance(m, SpinLock)), None)
 
@@ -115,22 +119,22 @@ def lock_spins(equations: Closure, q: Array, requested: Iterable[int]) -> bool:
     """
     keep = [*equations.held, *requested]
     spins = [f for f in get_idle_freedoms(equations.tree, q) if not f.moving_velocities[keep].any()]
-    if spins and spin_lock_of(equations) is None:
+    if spins and find_spin_lock(equations) is None:
         equations.add_equations(SpinLock(equations.tree, spins, q))
     return bool(spins)
 
 
-def _across(lines: Array) -> Array:
+def _compute_perpendiculars(lines: Array) -> Array:
     """Unit vectors (k, 3) perpendicular to others."""
     return unit(np.cross(lines, np.eye(3)[np.argmin(np.abs(lines), axis=1)]))
 
 
-def _sine(a: Array, b: Array) -> Array:
+def _compute_sines(a: Array, b: Array) -> Array:
     """Sines (...) of the angles between unit vectors (..., 3)."""
     return np.asarray(np.linalg.norm(np.cross(a, b), axis=-1), dtype=float)
 
 
-def _sphere() -> Array:
+def _make_sphere_directions() -> Array:
     """Directions (n, 3) all over the half of a sphere: points of a Fibonacci spiral (Swinbank,
     Purser, 2006).
     """

@@ -22,7 +22,13 @@ from kempe.model.configurations import (
     sample_configurations,
 )
 from kempe.model.coordinates import list_coordinate_names
-from kempe.motion.crossings import PROBE, SingularNode, branches_at, hold_rank, locate
+from kempe.motion.crossings import (
+    PROBE,
+    SingularNode,
+    find_branches,
+    hold_rank,
+    locate_singular_point,
+)
 from kempe.motion.spin_lock import lock_spins
 from kempe.numerics.curves import Node, make_node
 from kempe.numerics.rank import Level, Spectrum
@@ -52,7 +58,7 @@ LONGEST = 0.1
 coordinates."""
 
 
-def longest_step(step: float | None) -> float:
+def read_longest_step(step: float | None) -> float:
     """The longest step of arc length, as given or by default. Errors: `InputError`."""
     if step is None:
         return LONGEST
@@ -64,11 +70,11 @@ def longest_step(step: float | None) -> float:
     return float(step)
 
 
-def wish_of(system: Model, toward: Mapping[str, float] | None) -> Array:
+def read_wish(system: Model, toward: Mapping[str, float] | None) -> Array:
     """The rates (nv,) that choose a sense or a branch. Errors: `InputError`, `UnknownNameError`."""
     wish = np.zeros(system.nv)
     for name, rate in (toward or {}).items():
-        i = angle_or_slide(system, name)
+        i = find_angle_or_slide(system, name)
         if not is_real(rate) or not math.isfinite(rate):
             raise InputError(
                 f"toward gives the rate {rate!r} to {name!r}; it must be a finite number"
@@ -77,7 +83,7 @@ def wish_of(system: Model, toward: Mapping[str, float] | None) -> Array:
     return wish
 
 
-def angle_or_slide(system: Model, name: str) -> int:
+def find_angle_or_slide(system: Model, name: str) -> int:
     """Index, among the nv velocity coordinates, of an angle or a prismatic coordinate given by
     name.
 
@@ -100,7 +106,7 @@ def angle_or_slide(system: Model, name: str) -> int:
     raise UnknownNameError("angle or slide", name, allowed, system.name)
 
 
-def start_of(system: Model, start: Any, hold: Mapping[str, float]) -> Array:
+def read_start_configuration(system: Model, start: Any, hold: Mapping[str, float]) -> Array:
     """The configuration (nq,) that `start` names, before any loop is closed."""
     if start is None:
         q = find_home(system)
@@ -119,20 +125,22 @@ def start_of(system: Model, start: Any, hold: Mapping[str, float]) -> Array:
     return refuse_wound(system, held, "hold")
 
 
-def begin(system: Model, start: Any, hold: Mapping[str, float]) -> tuple[Closure, Array | None]:
+def begin_motion(
+    system: Model, start: Any, hold: Mapping[str, float]
+) -> tuple[Closure, Array | None]:
     """The equations with the held coordinates, and the closed configuration (nq,) near `start`, or
     None.
 
     What `assemble` calls closed is closed here, too: loops whose numbers contradict each other by a
     little more than rounding are followed within the tolerance of `assemble`.
     """
-    held = [angle_or_slide(system, n) for n in hold]
-    near = start_of(system, start, hold)
+    held = [find_angle_or_slide(system, n) for n in hold]
+    near = read_start_configuration(system, start, hold)
     equations = Closure(system, held, near)
     known: dict[str, Any] = (
         {n: v for n, v in start.items() if n not in hold} if is_mapping(start) else {}
     )
-    fixed = Closure(system, held + [angle_or_slide(system, n) for n in known], near)
+    fixed = Closure(system, held + [find_angle_or_slide(system, n) for n in known], near)
     # what is known may be far: then on the branch that `assemble` finds
     q = None if known else close_loops(fixed, near)
     if q is None:
@@ -151,11 +159,11 @@ def begin(system: Model, start: Any, hold: Mapping[str, float]) -> tuple[Closure
         and q is not None
         and pack_one_sided_rows(system).compute_excess(q, declared=True).any()
     ):
-        q = _within(system, hold, fixed, near, q)
+        q = _find_allowed_configuration(system, hold, fixed, near, q)
     return equations, q
 
 
-def _within(
+def _find_allowed_configuration(
     system: Model, hold: Mapping[str, float], fixed: Closure, near: Array, q: Array
 ) -> Array:
     """A closed configuration (nq,) that one-sided constraints allow, where nobody says which; else
@@ -173,14 +181,14 @@ def _within(
     return q
 
 
-def why_open(system: Model, start: Any, hold: Mapping[str, float]) -> str:
+def explain_open_loop(system: Model, start: Any, hold: Mapping[str, float]) -> str:
     """The sentence for a motion that cannot begin: which loop is open at the start, by how much,
     and why.
     """
     from kempe.assemble.assemble import assemble
 
     known = {**start, **hold} if is_mapping(start) else hold
-    answer = assemble(system, known=known, start=start_of(system, start, hold))
+    answer = assemble(system, known=known, start=read_start_configuration(system, start, hold))
     return f"the loops do not close near the start{'' if answer.success else f': {answer.status}'}"
 
 
@@ -195,23 +203,23 @@ class WoundFollower(NamedTuple):
     turns: bool
 
 
-def periods(system: Model, limits: bool = True) -> Array:
+def find_periods(system: Model, limits: bool = True) -> Array:
     """For each velocity coordinate (nv,) by how much it turns until all is as before; 0 where that
     never happens.
 
     With `limits` a coordinate that has some does not turn all round.
     """
-    return _turning(system, limits)[0]
+    return _find_turning_periods(system, limits)[0]
 
 
-def followers(system: Model, limits: bool = True) -> list[WoundFollower]:
+def list_wound_followers(system: Model, limits: bool = True) -> list[WoundFollower]:
     """The coupled coordinates that keep those which they follow from ever coming back by turning
     on.
     """
-    return _turning(system, limits)[1]
+    return _find_turning_periods(system, limits)[1]
 
 
-def _turning(system: Model, limits: bool) -> tuple[Array, list[WoundFollower]]:
+def _find_turning_periods(system: Model, limits: bool) -> tuple[Array, list[WoundFollower]]:
     c = system.structure.coordinates
     whole = np.where(
         c.turning & ((np.isinf(c.lower) & np.isinf(c.upper)) | (not limits)), 1, 0
@@ -235,10 +243,10 @@ def _turning(system: Model, limits: bool) -> tuple[Array, list[WoundFollower]]:
                 whole[i] = 0
                 never.append(WoundFollower(names[p.coordinate], i, factor, p.kind == R))
     found = 2.0 * math.pi * whole.astype(float)
-    return np.where(_distinct(system, found), 0.0, found), never
+    return np.where(_find_distinct_coordinates(system, found), 0.0, found), never
 
 
-def _distinct(system: Model, period: Array) -> np.ndarray:
+def _find_distinct_coordinates(system: Model, period: Array) -> np.ndarray:
     """Which velocity coordinates (nv,) declared one-sided rows have other values of after a period."""
     rows = pack_one_sided_rows(system)
     out = np.zeros(system.nv, dtype=bool)
@@ -254,40 +262,44 @@ def _distinct(system: Model, period: Array) -> np.ndarray:
     return out
 
 
-def first_node(
+def find_first_node(
     equations: Closure, q: Array, driver: str | None, toward: Mapping[str, float] | None
 ) -> Node | None:
     """The node at the start with its sense chosen; None where nothing can move. Errors:
     `UnsupportedError`.
     """
     system = equations.system
-    wish = wish_of(system, toward)
+    wish = read_wish(system, toward)
     wish = wish / equations.unit if equations.n == system.nv else wish
     if not equations.n:
         return None
     here = make_node(equations, q)
-    requested = np.flatnonzero(wish).tolist() + ([angle_or_slide(system, driver)] if driver else [])
+    requested = np.flatnonzero(wish).tolist() + (
+        [find_angle_or_slide(system, driver)] if driver else []
+    )
     # what moves may be but a spin
     rests = driver is not None and here.nullity == 1 and abs(here.t[requested[-1]]) < RESTS
     if (here.nullity > 1 or rests) and lock_spins(equations, q, requested):
         here = make_node(equations, q)
 
-    def low_rank(length: float) -> bool:
+    def hold_low_rank(length: float) -> bool:
         return hold_rank(equations, q, lambda: (equations, make_node(equations, q)), length)
 
-    if here.nullity > 1 and low_rank(LOW_RANK):
+    if here.nullity > 1 and hold_low_rank(LOW_RANK):
         here = make_node(equations, q)
     if here.nullity == 0:
         return None
     if here.nullity > 1:
-        several = _at_bifurcation(equations, here, driver, wish)
-        if several is None and not low_rank(PROBE):
-            raise UnsupportedError(too_free(equations, here.matrix, [driver] if driver else []))
+        several = _choose_bifurcation_node(equations, here, driver, wish)
+        if several is None and not hold_low_rank(PROBE):
+            raise UnsupportedError(
+                explain_freedom(equations, here.matrix, [driver] if driver else [])
+            )
         here = several or make_node(equations, q)
-    if isinstance(here, SingularNode) and here.germ.cusp(here.half):
+    if isinstance(here, SingularNode) and here.germ.is_cusp(here.half):
         return here  # both halves leave to the same side
     i = (
-        angle_or_slide(system, driver)
+        find_angle_or_slide(system, driver)
         if driver
         else int(np.argmax(np.abs(here.t) > 0.5 * np.abs(here.t).max()))
     )
@@ -295,24 +307,26 @@ def first_node(
     return here.reverse_direction() if sense < 0.0 else here
 
 
-def _at_bifurcation(equations: Closure, here: Node, driver: str | None, wish: Array) -> Node | None:
+def _choose_bifurcation_node(
+    equations: Closure, here: Node, driver: str | None, wish: Array
+) -> Node | None:
     """The node at a start where first order leaves several motions, on the branch nearest to the
     wish, if any.
     """
     x = here.x
-    polished = locate(equations, x, here.nullity, 1e-5)
+    polished = locate_singular_point(equations, x, here.nullity, 1e-5)
     x = x if polished is None else polished
-    lines, germ = branches_at(equations, x)
+    lines, germ = find_branches(equations, x)
     if germ is not None:
         if driver is not None and not wish.any():
-            wish = np.eye(equations.n)[angle_or_slide(equations.system, driver)]
-        return germ.node(int(np.argmax(np.round(germ.tangents @ wish, 9))))
+            wish = np.eye(equations.n)[find_angle_or_slide(equations.system, driver)]
+        return germ.make_node(int(np.argmax(np.round(germ.tangents @ wish, 9))))
     if not len(lines):
         return None
     if np.linalg.norm(wish) > 0.0:
         merit = np.abs(lines @ wish)
     elif driver is not None:
-        merit = np.abs(lines[:, angle_or_slide(equations.system, driver)])
+        merit = np.abs(lines[:, find_angle_or_slide(equations.system, driver)])
     else:
         merit = -np.arange(float(len(lines)))
     best = int(np.argmax(merit))
@@ -320,12 +334,12 @@ def _at_bifurcation(equations: Closure, here: Node, driver: str | None, wish: Ar
     return Node(x, lines[best], at.sigma, max(at.nullity, 2), at.matrix, at.image, lines)
 
 
-def too_free(equations: Closure, matrix: Array, drivers: Sequence[str]) -> str:
+def explain_freedom(equations: Closure, matrix: Array, drivers: Sequence[str]) -> str:
     """Why the motion is not one curve: which coordinates still move with the drivers held."""
     system = equations.system
     null_space = Spectrum(matrix).compute_null_space(Level.CLOSED).T
     count = len(null_space)
-    rows = null_space[:, [angle_or_slide(system, d) for d in drivers]].T
+    rows = null_space[:, [find_angle_or_slide(system, d) for d in drivers]].T
     if drivers:
         null_space = Spectrum(rows, 1.0).compute_null_space(Level.CLOSED).T @ null_space
     sizes = dict(zip(system.structure.velocity_names, np.abs(null_space).max(axis=0), strict=True))
@@ -346,21 +360,21 @@ def too_free(equations: Closure, matrix: Array, drivers: Sequence[str]) -> str:
     )
     if not named:
         return (
-            f"{head}{_listed(balls)}, which {'is a ball' if len(balls) == 1 else 'are balls'} "
+            f"{head}{_format_names(balls)}, which {'is a ball' if len(balls) == 1 else 'are balls'} "
             "without coordinates that can be held: angles=True gives a ball angles"
         )
     which, them = ("one", "it") if many == 1 else (str(many), "them")
     also = (
-        f" (and balls, which have angles to hold with angles=True: {_listed(balls)})"
+        f" (and balls, which have angles to hold with angles=True: {_format_names(balls)})"
         if balls and not enough
         else ""
     )
     return (
-        f"{head}{_listed(named)}{also}; hold {which} of them (hold={{name: value}}), or lock "
+        f"{head}{_format_names(named)}{also}; hold {which} of them (hold={{name: value}}), or lock "
         f"{them}; a singular point where branches of several freedoms meet is no place to start"
     )
 
 
-def _listed(names: Sequence[str]) -> str:
+def _format_names(names: Sequence[str]) -> str:
     """Names in quotes, the first six of them."""
     return ", ".join(map(repr, names[:6])) + (", ..." if len(names) > 6 else "")

@@ -1,6 +1,6 @@
 """The motion of a mechanism with one degree of freedom: its whole branch, by continuation.
 
-At a crossing the walk goes straight on, and the other branches are recorded; `branches` follows
+At a crossing the walk goes straight on, and the other branches are recorded; `trace_branches` follows
 these, too.
 """
 
@@ -23,32 +23,32 @@ from kempe.equations.closure import Closure
 from kempe.equations.slip import find_first_slip
 from kempe.errors import InputError
 from kempe.model.configurations import find_home, read_q
-from kempe.motion.crossings import SingularNode, rank_held
+from kempe.motion.crossings import SingularNode, is_rank_held
 from kempe.motion.events import (
     HOME_CROSSING,
     SAME_NODE,
     OneSidedEnds,
     WalkEnd,
-    extreme,
-    hidden_crossings,
-    home,
-    sides_change,
-    turns,
-    walk,
+    find_extreme,
+    find_return,
+    insert_hidden_crossings,
+    is_side_changed,
+    list_turns,
+    walk_curve,
 )
 from kempe.motion.path import Event, Path, Track
-from kempe.motion.spin_lock import spin_lock_of
+from kempe.motion.spin_lock import find_spin_lock
 from kempe.motion.start import (
     MOST_TURNS,
     SAME_RATIO,
-    angle_or_slide,
-    begin,
-    first_node,
-    followers,
-    longest_step,
-    periods,
-    start_of,
-    why_open,
+    begin_motion,
+    explain_open_loop,
+    find_angle_or_slide,
+    find_first_node,
+    find_periods,
+    list_wound_followers,
+    read_longest_step,
+    read_start_configuration,
 )
 from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, find_time_limit, limit_time
 from kempe.numerics.curves import (
@@ -105,56 +105,56 @@ class Endless:
             [i for i in system.structure.layout.vector_v if not periods[i]], dtype=np.int64
         )
         self.place = equations.place[self.away]
-        self.followers = followers(system, limits.limits)
+        self.followers = list_wound_followers(system, limits.limits)
         self.next = FAR
         self.requested = False
 
-    def reason(self, b: Node, length: float) -> str:
+    def explain_endless_curve(self, b: Node, length: float) -> str:
         """Why the curve has no end, as the place where it ends; empty as long as nothing speaks for
         that.
         """
         for f in self.followers:
-            if f.turns and self._turned(b, f.source) > 2.0 * math.pi * ROUNDS:
-                return self._unrelated(f.name, f.factor, f.source)
+            if f.turns and self._compute_turn(b, f.source) > 2.0 * math.pi * ROUNDS:
+                return self._explain_unrelated_turns(f.name, f.factor, f.source)
         if not self.requested and length > SOON:
             self.requested = True
             if float(np.abs(b.t - self.first.t).max()) < STRAIGHT:
-                return self._straight(b)
+                return self._explain_straight_curve(b)
         if not self.away.size:
             return ""
         out = np.abs(b.x[self.place] - self.first.x[self.place]) / self.equations.unit[self.away]
         if float(out.max()) < self.next:
             return ""
         self.next *= 4.0
-        return self._runs_away(b)
+        return self._explain_runaway(b)
 
-    def hint(self, b: Node) -> str:
+    def describe_return(self, b: Node) -> str:
         """What is known about when a curve closes that was not followed so far."""
         whole = np.flatnonzero(self.periods > 7.0)
-        i = max(whole.tolist(), key=lambda i: self._turned(b, i), default=-1)
-        if i < 0 or self._turned(b, i) < 2.0 * math.pi:
+        i = max(whole.tolist(), key=lambda i: self._compute_turn(b, i), default=-1)
+        if i < 0 or self._compute_turn(b, i) < 2.0 * math.pi:
             return ""
         name = self.equations.system.structure.velocity_names[i]
         turns = round(self.periods[i] / (2.0 * math.pi))
-        done = f"{self._turned(b, i) / (2.0 * math.pi):.4g}"
+        done = f"{self._compute_turn(b, i) / (2.0 * math.pi):.4g}"
         after = f"{done} {make_plural(float(done), 'turn')} of {name!r}"
         return f", after {after}: by its gear ratios all is as before after {turns}"
 
-    def _turned(self, b: Node, i: int) -> float:
+    def _compute_turn(self, b: Node, i: int) -> float:
         """How far coordinate i is from where it was at first."""
         at = self.equations.place[i]
         return abs(float(b.x[at] - self.first.x[at]))
 
-    def _straight(self, b: Node) -> str:
+    def _explain_straight_curve(self, b: Node) -> str:
         """The same of a curve that has been straight so far: coordinates grow at constant rates."""
         moving = [
             int(i) for i in self.equations.system.structure.layout.vector_v if abs(b.t[i]) > MOVES
         ]
         for f in self.followers:
             if f.turns and f.source in moving:
-                return self._unrelated(f.name, f.factor, f.source)
+                return self._explain_unrelated_turns(f.name, f.factor, f.source)
         if any(i in self.away for i in moving):
-            return self._runs_away(b)
+            return self._explain_runaway(b)
         lead = max(moving, key=lambda i: abs(b.t[i]) / self.periods[i], default=-1)
         for i in moving:
             factor = float(b.t[i] / b.t[lead])
@@ -162,12 +162,14 @@ class Endless:
                 MOST_TURNS
             )
             if abs(float(ratio) * self.periods[i] / self.periods[lead] - factor) > SAME_RATE:
-                return self._unrelated(
+                return self._explain_unrelated_turns(
                     self.equations.system.structure.velocity_names[i], factor, lead, SAME_RATE
                 )
         return ""
 
-    def _unrelated(self, name: str, factor: float, source: int, within: float = SAME_RATIO) -> str:
+    def _explain_unrelated_turns(
+        self, name: str, factor: float, source: int, within: float = SAME_RATIO
+    ) -> str:
         digits = round(-math.log10(within))
         of = self.equations.system.structure.velocity_names[source]
         return (
@@ -176,7 +178,7 @@ class Endless:
             f"whole numbers up to {MOST_TURNS}"
         )
 
-    def _runs_away(self, b: Node) -> str:
+    def _explain_runaway(self, b: Node) -> str:
         """Look ahead in longer and longer steps; what runs away, empty where anything turns back or
         ends.
         """
@@ -184,7 +186,7 @@ class Endless:
         h = 1.0
         gone = 0.0
         rest = [i for i in self.away if abs(b.t[i]) > 1e-3]
-        if not rest or self.limits.may_end(b, rest):
+        if not rest or self.limits.may_reach_bound(b, rest):
             return ""
         a = b
         while gone < AHEAD:
@@ -192,7 +194,7 @@ class Endless:
             if (
                 c is None
                 or compute_bend_angle(a, c) > 0.1
-                or sides_change(equations, a, c)
+                or is_side_changed(equations, a, c)
                 or np.any(c.t[rest] * b.t[rest] <= 0.0)
             ):
                 if h <= 1e-2 * max(gone, 1.0):
@@ -247,7 +249,7 @@ class _Options:
     time: TimeLimit
 
 
-def _not_begun(
+def _make_unstarted_path(
     time: TimeLimit,
     system: Model,
     driver: str | None = None,
@@ -267,16 +269,16 @@ def _not_begun(
         if start is None or isinstance(start, str) or is_mapping(start)
         else read_q(system, start)
     )
-    options = _options(system, driver, ways, limits, USUAL.complete_budget(budget))
+    options = _read_options(system, driver, ways, limits, USUAL.complete_budget(budget))
     held = [*(hold or ())]
-    equations = Closure(system, [angle_or_slide(system, n) for n in held], near)
+    equations = Closure(system, [find_angle_or_slide(system, n) for n in held], near)
     said = f"it was not followed: {time.describe_end_reason(TimeUp())} came before a closed configuration was known"
-    return replace(_failed(equations, options, said, near), late=True)
+    return replace(_make_failed_path(equations, options, said, near), late=True)
 
 
 @explain_errors
 @raise_interrupted
-@limit_time(USUAL, _not_begun)
+@limit_time(USUAL, _make_unstarted_path)
 @answer_within_tolerance()
 def trace(
     system: Model,
@@ -322,29 +324,32 @@ def trace(
     >>> path.closed, [round(e.value, 9) for e in path.turning_points]
     (True, [3.0, 1.0])
     """
-    options = _options(system, driver, ways, limits, USUAL.complete_budget(budget))
+    options = _read_options(system, driver, ways, limits, USUAL.complete_budget(budget))
     held = dict(hold or {})
-    equations, q = begin(system, start, held)
+    equations, q = begin_motion(system, start, held)
     if q is None:
-        return _failed(
-            equations, options, why_open(system, start, held), start_of(system, start, held)
+        return _make_failed_path(
+            equations,
+            options,
+            explain_open_loop(system, start, held),
+            read_start_configuration(system, start, held),
         )
-    if said := OneSidedEnds(equations, limits).outside(q):
-        return _failed(equations, options, f"{said} at the start", q)
+    if said := OneSidedEnds(equations, limits).describe_violation(q):
+        return _make_failed_path(equations, options, f"{said} at the start", q)
     equations.budget = options.time
     try:
-        return without_slip(_followed(equations, q, options, toward))
+        return refuse_slip(_follow_path(equations, q, options, toward))
     except TimeUp as error:
         said = (
             f"it was not followed: {options.time.describe_end_reason(error)} came before the directions at its "
             "start were known"
         )
-        return replace(_failed(equations, options, said, q), late=True)
+        return replace(_make_failed_path(equations, options, said, q), late=True)
     finally:
         equations.budget = TimeLimit(None)  # the path keeps them
 
 
-def without_slip(path: Path) -> Path:
+def refuse_slip(path: Path) -> Path:
     """The path, no success where it slips: what is traced are positions."""
     slip = find_first_slip(path.system, path.q)
     if slip is None:
@@ -356,30 +361,37 @@ def without_slip(path: Path) -> Path:
     return replace(path, success=False, remark="; ".join(filter(None, [path.remark, said])))
 
 
-def _followed(
+def _follow_path(
     equations: Closure, q: Array, options: _Options, toward: Mapping[str, float] | None
 ) -> Path:
     """The path from a closed configuration on."""
-    first = first_node(equations, q, options.driver, toward)
+    first = find_first_node(equations, q, options.driver, toward)
     if first is None:
-        return _failed(equations, options, "it cannot move: no degree of freedom is left", q, True)
-    path = _trace(equations, first, options)
-    lock = spin_lock_of(equations)
+        return _make_failed_path(
+            equations, options, "it cannot move: no degree of freedom is left", q, True
+        )
+    path = _trace_branch(equations, first, options)
+    lock = find_spin_lock(equations)
     for _ in range(AGAIN):
-        if lock is None or path.late or path.interrupted or not lock.choose_again(path.q):
+        if (
+            lock is None
+            or path.late
+            or path.interrupted
+            or not lock.replace_near_directions(path.q)
+        ):
             break
         # by other directions, what spins turns less
-        first = first_node(equations, q, options.driver, toward) or first
-        path = _trace(equations, first, options)
-    if rank_held(equations):
+        first = find_first_node(equations, q, options.driver, toward) or first
+        path = _trace_branch(equations, first, options)
+    if is_rank_held(equations):
         path = replace(path, remark="; ".join(filter(None, [path.remark, LOW])))
     if len(path) == 1 and path.success and path.ends[1].startswith("a point"):
         said = "it cannot move along a smooth curve: its first-order motion leads nowhere (shaky)"
-        return _failed(equations, options, said, q, True)
-    return _with_others(equations, path, options) if options.ways == "branches" else path
+        return _make_failed_path(equations, options, said, q, True)
+    return _add_other_branches(equations, path, options) if options.ways == "branches" else path
 
 
-def branches(
+def trace_branches(
     system: Model, driver: str | None = None, start: Any = None, **options: Any
 ) -> tuple[Path, ...]:
     """All paths that meet at bifurcations, that through `start` first; arguments as in `trace`."""
@@ -391,13 +403,15 @@ def branches(
 # ---- where it begins
 
 
-def _options(system: Model, driver: str | None, ways: str, limits: bool, spend: Budget) -> _Options:
+def _read_options(
+    system: Model, driver: str | None, ways: str, limits: bool, spend: Budget
+) -> _Options:
     read_flag(limits, "limits")
     if ways not in WAYS:
         raise InputError(f"ways is {ways!r}; it must be one of {', '.join(map(repr, WAYS))}")
     if driver is not None:
-        angle_or_slide(system, driver)
-    longest = longest_step(spend.step)
+        find_angle_or_slide(system, driver)
+    longest = read_longest_step(spend.step)
     points = spend.points
     if not is_whole(points) or points < 2:
         raise InputError(f"points is {points!r}; it must be a whole number, at least 2")
@@ -408,7 +422,7 @@ def _options(system: Model, driver: str | None, ways: str, limits: bool, spend: 
         limits,
         int(points),
         spend.progress,
-        periods(system, limits),
+        find_periods(system, limits),
         find_time_limit(USUAL, spend),
     )
 
@@ -416,9 +430,9 @@ def _options(system: Model, driver: str | None, ways: str, limits: bool, spend: 
 # ---- the walk
 
 
-def _trace(equations: Closure, first: Node, options: _Options) -> Path:
+def _trace_branch(equations: Closure, first: Node, options: _Options) -> Path:
     """The whole branch from its first node."""
-    nodes, reason, closed, broken = _one_way(equations, first, options, options.most)
+    nodes, reason, closed, broken = _walk_one_way(equations, first, options, options.most)
     ends = ("the start", reason)
     left = options.most - len(nodes)
     if (
@@ -429,19 +443,22 @@ def _trace(equations: Closure, first: Node, options: _Options) -> Path:
         and not reason.startswith(NO_RETURN)
     ):
         singular = isinstance(first, SingularNode)
-        back, other, _, broken = _one_way(
-            equations, first.back() if singular else first.reverse_direction(), options, left
+        back, other, _, broken = _walk_one_way(
+            equations,
+            first.make_opposite_node() if singular else first.reverse_direction(),
+            options,
+            left,
         )
         nodes = (
             [n.reverse_direction() for n in reversed(back[1:])]
-            + (first.arrival() if singular else [])
+            + (first.list_arrival_nodes() if singular else [])
             + nodes
         )
         ends = (other, reason)
-    return _path(equations, nodes, options, closed, ends, broken)
+    return _make_path(equations, nodes, options, closed, ends, broken)
 
 
-def _one_way(
+def _walk_one_way(
     equations: Closure, first: Node, options: _Options, most: int
 ) -> tuple[list[Node], str, bool, BaseException | None]:
     """Nodes from the first on, why they end, whether they came home, and what broke the walk off,
@@ -452,30 +469,35 @@ def _one_way(
     length = 0.0
     endless = Endless(equations, first, options.periods, limits)
     try:
-        for b in walk(equations, first, options.longest, options.periods):
+        for b in walk_curve(equations, first, options.longest, options.periods):
             a = nodes[-1]
             if isinstance(b, WalkEnd):
                 return nodes, b.reason, False, None
-            hit = None if a.x is b.x else limits.hit(equations, a, b)
-            back = home(equations, a, b, first, options.periods) if length > 0.0 else None
-            if back is not None and (hit is None or _before(equations, a, back, hit[0])):
+            hit = None if a.x is b.x else limits.find_first_bound(equations, a, b)
+            back = find_return(equations, a, b, first, options.periods) if length > 0.0 else None
+            if back is not None and (hit is None or _is_before(equations, a, back, hit[0])):
                 return [*nodes, back], "the start", True, None
             if hit is not None:
                 return nodes if hit[0] is a else [*nodes, hit[0]], hit[1], False, None
             nodes.append(replace(b, matrix=NONE, image=NONE))  # the walk keeps its last one whole
             length += estimate_arc_length(equations, a, b)
-            if reason := endless.reason(b, length):
+            if reason := endless.explain_endless_curve(b, length):
                 return nodes, reason, False, None
             if options.progress is not None and len(nodes) % 16 == 0:
                 options.progress(len(nodes), length)
             if len(nodes) >= most:
-                return nodes, f"the {options.most} points allowed{endless.hint(b)}", False, None
+                return (
+                    nodes,
+                    f"the {options.most} points allowed{endless.describe_return(b)}",
+                    False,
+                    None,
+                )
     except BROKEN_OFF as error:
         return nodes, options.time.describe_end_reason(error), False, error
     raise AssertionError("a walk ends only with a reason")
 
 
-def _before(equations: Closure, a: Node, first: Node, second: Node) -> bool:
+def _is_before(equations: Closure, a: Node, first: Node, second: Node) -> bool:
     return float(
         np.linalg.norm(
             equations.compute_difference(a.x, first.x) - equations.compute_difference(a.x, second.x)
@@ -486,7 +508,7 @@ def _before(equations: Closure, a: Node, first: Node, second: Node) -> bool:
     )
 
 
-def _path(
+def _make_path(
     equations: Closure,
     nodes: list[Node],
     options: _Options,
@@ -503,10 +525,10 @@ def _path(
     s = None
     k = 0
     try:
-        nodes = hidden_crossings(equations, nodes)
-        s = _lengths(equations, nodes)
-        for k, m, i in turns(nodes, closed, indices):
-            if (n := extreme(equations, nodes, k, m, i)) is not None:
+        nodes = insert_hidden_crossings(equations, nodes)
+        s = _compute_lengths(equations, nodes)
+        for k, m, i in list_turns(nodes, closed, indices):
+            if (n := find_extreme(equations, nodes, k, m, i)) is not None:
                 name = system.structure.velocity_names[i]
                 kind = "fold of the driver" if name == options.driver else "extreme"
                 at = (
@@ -517,14 +539,14 @@ def _path(
                 found.append(Event(n.x, at, kind, name, float(n.x[equations.place[i]])))
     except BROKEN_OFF as error:
         broken = broken or error
-        s = _lengths(equations, nodes) if s is None else s
+        s = _compute_lengths(equations, nodes) if s is None else s
         remark = f"where it turns back was looked for up to s = {s[k]:.6g} only"
     found.sort(key=lambda e: e.s)
     track = Track(equations, np.array([n.x for n in nodes]), s, np.array([n.t for n in nodes]))
     once = np.append(True, np.diff(s) > SAME_NODE)  # cusps are two nodes
     turning = tuple(e for e in found if options.driver is None or e.coordinate == options.driver)
     held = tuple(system.structure.velocity_names[i] for i in equations.held)
-    singular = _singular(equations, nodes[:-1] if closed else nodes, s)
+    singular = _list_singular_events(equations, nodes[:-1] if closed else nodes, s)
     return Path(
         track.q[once],
         s[once],
@@ -544,7 +566,7 @@ def _path(
     )
 
 
-def _lengths(equations: Closure, nodes: list[Node]) -> Array:
+def _compute_lengths(equations: Closure, nodes: list[Node]) -> Array:
     """Arc lengths (n,) of nodes."""
     return np.concatenate(
         [
@@ -559,7 +581,7 @@ def _lengths(equations: Closure, nodes: list[Node]) -> Array:
     )
 
 
-def _singular(equations: Closure, nodes: list[Node], s: Array) -> tuple[Event, ...]:
+def _list_singular_events(equations: Closure, nodes: list[Node], s: Array) -> tuple[Event, ...]:
     """The singular points among nodes at arc lengths `s`."""
     out: list[Event] = []
     for k, n in enumerate(nodes):
@@ -568,13 +590,13 @@ def _singular(equations: Closure, nodes: list[Node], s: Array) -> tuple[Event, .
             order = [int(own), *(j for j in range(len(n.lines)) if j != own)]
             lines = n.lines[order] * equations.unit
             own = n if isinstance(n, SingularNode) else None
-            cusp = own is not None and own.germ.cusp(own.half)
+            cusp = own is not None and own.germ.is_cusp(own.half)
             kind = "bifurcation" if len(lines) > 1 else "cusp" if cusp else "singular"
             out.append(Event(n.x, float(s[k]), kind, nullity=n.nullity, directions=lines, node=own))
     return tuple(out)
 
 
-def _failed(
+def _make_failed_path(
     equations: Closure, options: _Options, reason: str, q: Array, success: bool = False
 ) -> Path:
     """The path of one point that could not be left."""
@@ -600,7 +622,7 @@ def _failed(
 # ---- other branches
 
 
-def _with_others(equations: Closure, path: Path, options: _Options) -> Path:
+def _add_other_branches(equations: Closure, path: Path, options: _Options) -> Path:
     """The path with the branches that leave it at its bifurcations, and those that leave these."""
     found = [path]
     waiting = list(path.singular_points)
@@ -609,10 +631,10 @@ def _with_others(equations: Closure, path: Path, options: _Options) -> Path:
         while waiting and all(found):
             event = waiting.pop(0)
             assert event.directions is not None
-            for first in _branches_of(equations, event):
-                if any(_covers(equations, p, first, options.periods) for p in found):
+            for first in _list_branch_nodes(equations, event):
+                if any(_has_branch(equations, p, first, options.periods) for p in found):
                     continue
-                other = _trace(equations, first, options)
+                other = _trace_branch(equations, first, options)
                 found.append(other)
                 waiting += other.singular_points
     except BROKEN_OFF as error:
@@ -632,11 +654,11 @@ def _with_others(equations: Closure, path: Path, options: _Options) -> Path:
     )
 
 
-def _branches_of(equations: Closure, event: Event) -> list[Node]:
+def _list_branch_nodes(equations: Closure, event: Event) -> list[Node]:
     """A node on each of the branches that meet at a singular point of a path."""
     if event.node is not None:
         germ = event.node.germ
-        return [germ.node(i) for i, j in enumerate(germ.partner) if i < j]
+        return [germ.make_node(i) for i, j in enumerate(germ.partner) if i < j]
     assert event.directions is not None
     at = make_node(equations, event.q)
     lines = event.directions / equations.unit
@@ -645,7 +667,7 @@ def _branches_of(equations: Closure, event: Event) -> list[Node]:
     ]
 
 
-def _covers(equations: Closure, path: Path, first: Node, period: Array) -> bool:
+def _has_branch(equations: Closure, path: Path, first: Node, period: Array) -> bool:
     """Whether a path goes through a singular point on the branch of the node `first` there."""
     for event in path.singular_points:
         y = equations.compute_difference(event.q, first.x) * equations.unit
@@ -657,9 +679,9 @@ def _covers(equations: Closure, path: Path, first: Node, period: Array) -> bool:
             back = equations.system.structure.layout.integrate_velocity(
                 own, -np.round(turns) * period
             )
-            if gap < HOME_CROSSING and other.germ.half_of(equations, [back]) in (
+            if gap < HOME_CROSSING and other.germ.find_half_branch(equations, [back]) in (
                 other.half,
-                other.back().half,
+                other.make_opposite_node().half,
             ):
                 return True
         elif gap < SAME_POINT and event.directions is not None:

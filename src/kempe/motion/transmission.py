@@ -25,7 +25,7 @@ from kempe.forward.fk import fk, jacobian
 from kempe.joints import P, R
 from kempe.model.configurations import read_q
 from kempe.motion.path import Event, Path
-from kempe.motion.start import angle_or_slide
+from kempe.motion.start import find_angle_or_slide
 from kempe.numerics.rank import Level, Spectrum
 from kempe.report import Nearest, Report, Table, summarize_fields
 from kempe.spatial import Array
@@ -108,7 +108,7 @@ class LoopJacobian(Report):
 
 @explain_errors
 @answer_within_tolerance("q")
-def loop_jacobian(
+def compute_loop_jacobian(
     system: Model,
     q: ArrayLike,
     inputs: Sequence[str],
@@ -127,12 +127,12 @@ def loop_jacobian(
     "frame:name". Errors: `InputError` for a configuration that is not closed or an unclear name,
     `UnknownNameError`.
     """
-    inputs = _listed(inputs)
-    outputs = _listed(outputs)
+    inputs = _read_names(inputs)
+    outputs = _read_names(outputs)
     q = read_q(system, q)
     closure = Closure(system)
-    index = [angle_or_slide(system, n) for n in inputs]
-    kinds = [_output(system, n) for n in outputs]
+    index = [find_angle_or_slide(system, n) for n in inputs]
+    kinds = [_find_output(system, n) for n in outputs]
     rows = tuple(
         r
         for kind, name in kinds
@@ -147,7 +147,7 @@ def loop_jacobian(
         motion = free * closure.unit[:, None]
         out = np.vstack(
             [
-                motion[[angle_or_slide(system, n)]]
+                motion[[find_angle_or_slide(system, n)]]
                 if kind == "joint"
                 else jacobian(system, q[i], n, in_frame) @ motion
                 for kind, n in kinds
@@ -172,14 +172,14 @@ def loop_jacobian(
     return LoopJacobian(matrix, tuple(inputs), rows, rank, nullity, margin, code)
 
 
-def _listed(names: Sequence[str]) -> list[str]:
+def _read_names(names: Sequence[str]) -> list[str]:
     out = list(read_names(names, "inputs or outputs"))
     if not out:
         raise InputError("inputs and outputs must each name at least one coordinate or frame")
     return out
 
 
-def _output(system: Model, name: str) -> tuple[str, str]:
+def _find_output(system: Model, name: str) -> tuple[str, str]:
     """("joint" or "frame", name) of an output."""
     kind, colon, rest = str(name).partition(":")
     if colon and kind in ("joint", "frame"):
@@ -202,7 +202,7 @@ def _output(system: Model, name: str) -> tuple[str, str]:
 
 @explain_errors
 @answer_within_tolerance("q")
-def mechanical_advantage(
+def compute_mechanical_advantage(
     system: Model,
     q: ArrayLike,
     input: str,
@@ -219,13 +219,13 @@ def mechanical_advantage(
     infinite where the output rests (a toggle), 0 where the input does (a dead point), NaN where the
     ratio is not determined. `output` is a coordinate, or a frame with a `direction` (3,) in the
     ground frame in which it pushes. `still` names other inputs that do not move. `tolerance` and
-    errors are as those of `loop_jacobian`.
+    errors are as those of `compute_loop_jacobian`.
     """
     q = read_q(system, q)
     closure = Closure(system)
-    i = angle_or_slide(system, input)
-    others = [angle_or_slide(system, n) for n in read_names(still, "still")]
-    kind, name = _output(system, output)
+    i = find_angle_or_slide(system, input)
+    others = [find_angle_or_slide(system, n) for n in read_names(still, "still")]
+    kind, name = _find_output(system, output)
     if (kind == "frame") != (direction is not None):
         raise InputError(
             f"output {name!r} is a {kind}; a frame needs a direction, a coordinate none"
@@ -240,7 +240,7 @@ def mechanical_advantage(
             rates = motion[others] / closure.unit[others, None]
             motion = motion @ Spectrum(rates, 1.0).compute_null_space(Level.CLOSED)
         far = (
-            motion[angle_or_slide(system, name)]
+            motion[find_angle_or_slide(system, name)]
             if kind == "joint"
             else (push / np.linalg.norm(push) @ jacobian(system, q[k], name)[:3] @ motion)
         )
@@ -255,16 +255,16 @@ def mechanical_advantage(
     return float(out) if out.ndim == 0 else out
 
 
-def dead_points(path: Path, input: str) -> tuple[Event, ...]:
+def find_dead_points(path: Path, input: str) -> tuple[Event, ...]:
     """The points of a path where `input` turns back: there it cannot move the mechanism on."""
-    angle_or_slide(path.system, input)
+    find_angle_or_slide(path.system, input)
     return tuple(e for e in path.extremes if e.coordinate == input)
 
 
 # ---- pressure and transmission angles
 
 
-def pressure_angle(
+def compute_pressure_angle(
     system: Model, q: ArrayLike, joint: str, coupler: str | None = None, output: str | None = None
 ) -> Any:
     """Angle (...) in [0, pi/2] between the force that the coupler transmits at a joint and the way
@@ -277,13 +277,13 @@ def pressure_angle(
     the one nearer to the ground). 0 is best, pi/2 is stuck. Source: Alt, *Werkstattstechnik* 1932.
     Errors: `UnsupportedError`, `InputError`, `UnknownNameError`.
     """
-    far, near = _dyad(system, joint, coupler, output)
+    far, near = _find_dyad(system, joint, coupler, output)
     q = read_q(system, q)
-    p = _at(system, q, joint)[..., :3, 3]
-    a = _at(system, q, far)[..., :3, 3]
-    base = _at(system, q, near)
+    p = _compute_joint_pose(system, q, joint)[..., :3, 3]
+    a = _compute_joint_pose(system, q, far)[..., :3, 3]
+    base = _compute_joint_pose(system, q, near)
     axis = base[..., :3, 2]
-    kind = _kind(system, near)
+    kind = _find_joint_kind(system, near)
     way = axis if kind == P else np.cross(axis, p - base[..., :3, 3])
     pull = p - a
     across = np.linalg.norm(np.cross(pull, way), axis=-1)
@@ -292,26 +292,28 @@ def pressure_angle(
 
 
 @explain_errors
-def transmission_angle(
+def compute_transmission_angle(
     system: Model, q: ArrayLike, joint: str, coupler: str | None = None, output: str | None = None
 ) -> Any:
     """Angle (...) in [0, pi/2] between the coupler and the output link at their joint: pi/2 less
     the pressure angle.
 
     Where the output link slides, the angle between the coupler and the normal of the slide. pi/2 is
-    best, below about 40 degrees a linkage runs badly, 0 is stuck. Arguments as in `pressure_angle`.
+    best, below about 40 degrees a linkage runs badly, 0 is stuck. Arguments as in `compute_pressure_angle`.
     """
-    return 0.5 * math.pi - pressure_angle(system, q, joint, coupler, output)
+    return 0.5 * math.pi - compute_pressure_angle(system, q, joint, coupler, output)
 
 
-def _kind(system: Model, name: str) -> int | None:
+def _find_joint_kind(system: Model, name: str) -> int | None:
     """R or P for a joint with one turn or one slide, else None."""
     joint = system.structure.joints[name]
     primitives = joint.type.layout(system.dim, system._mechanism.bodies[joint.child].particle)[1]
     return primitives[0].kind if len(primitives) == 1 and primitives[0].kind in (R, P) else None
 
 
-def _dyad(system: Model, joint: str, coupler: str | None, output: str | None) -> tuple[str, str]:
+def _find_dyad(
+    system: Model, joint: str, coupler: str | None, output: str | None
+) -> tuple[str, str]:
     """The other joints of the coupler and of the output link."""
     joints = system.structure.joints
     for name in (joint, coupler, output):
@@ -342,7 +344,7 @@ def _dyad(system: Model, joint: str, coupler: str | None, output: str | None) ->
             )
         output = grounded[0][1]
     link = next((b for b in ends if output in at[b]), None)
-    if link is None or _kind(system, output) is None:
+    if link is None or _find_joint_kind(system, output) is None:
         raise InputError(
             f"{output!r} must be a revolute or prismatic joint of a body that {joint!r} connects"
         )
@@ -356,7 +358,7 @@ def _dyad(system: Model, joint: str, coupler: str | None, output: str | None) ->
     return coupler or rest[0], output
 
 
-def _at(system: Model, q: Array, name: str) -> Array:
+def _compute_joint_pose(system: Model, q: Array, name: str) -> Array:
     """Pose (..., 4, 4) of frame F of a joint."""
     joint = system.structure.joints[name]
     return fk(system, q, joint.parent) @ joint.X_PF.evaluate_pose(system.structure.parameters)

@@ -58,15 +58,15 @@ class Axle:
     loose: bool = False
 
     @cached_property
-    def in_q(self) -> dict[int, int]:
+    def q_places(self) -> dict[int, int]:
         """For each velocity index of a turn or slide its place in q."""
         layout = self.system.structure.layout
         return dict(zip(layout.vector_v.tolist(), layout.vector_q.tolist(), strict=True))
 
     @cached_property
-    def own_q(self) -> list[int]:
+    def own_q_places(self) -> list[int]:
         """Places in q of the two slides and the turn."""
-        return [self.in_q[v] for v in self.own]
+        return [self.q_places[v] for v in self.own]
 
     @cached_property
     def units(self) -> Array:
@@ -78,9 +78,9 @@ class Axle:
         turning[self.system.structure.layout.quaternion_v[:, None] + np.arange(3)] = True
         return np.concatenate([[length, length, 1.0], np.where(turning, 1.0, length)])
 
-    def place(self, q: Array) -> Array:
+    def compute_place(self, q: Array) -> Array:
         """Middle and heading (..., 3) of the axle at configurations (..., nq)."""
-        heading = self.gear * q[..., self.own_q[2]]
+        heading = self.gear * q[..., self.own_q_places[2]]
         c = np.cos(heading)
         s = np.sin(heading)
         x, y, angle = self.mount
@@ -88,22 +88,22 @@ class Axle:
         arm = np.stack([c * x - s * y, s * x + c * y], axis=-1)
         return np.concatenate([origin + arm, (heading + angle)[..., None]], axis=-1)
 
-    def put(self, q: Array, place: Array) -> Array:
+    def move_axle(self, q: Array, place: Array) -> Array:
         """The configurations (n, nq) with the axle moved to places (n, 3), exactly."""
         out = q.copy()
-        out[:, self.own_q[2]] = (place[:, 2] - self.mount[2]) / self.gear
-        out[:, self.own_q[:2]] = 0.0
+        out[:, self.own_q_places[2]] = (place[:, 2] - self.mount[2]) / self.gear
+        out[:, self.own_q_places[:2]] = 0.0
         J = self.plane @ jacobian(self.system, out, self.body)[:, :3][..., list(self.own[:2])]
-        off = (place - self.place(out))[:, :2]
-        out[:, self.own_q[:2]] = np.linalg.solve(J, off[..., None])[..., 0]
+        off = (place - self.compute_place(out))[:, :2]
+        out[:, self.own_q_places[:2]] = np.linalg.solve(J, off[..., None])[..., 0]
         return out
 
-    def twists(self, q: Array) -> Array:
+    def compute_twist_matrices(self, q: Array) -> Array:
         """Matrices (n, 3, 3): rates of the axle forward, sideways and turning by those of the
         slides and the turn, at configurations (n, nq).
         """
         J: Array = self.plane @ jacobian(self.system, q, self.body)[:, :3][..., list(self.own)]
-        place = self.place(q)
+        place = self.compute_place(q)
         arm = place[:, :2] - fk(self.system, q, self.body)[:, :3, 3] @ self.plane.T
         J[..., 2] += self.gear * np.column_stack([-arm[:, 1], arm[:, 0]])
         c = np.cos(place[:, 2])
@@ -114,66 +114,72 @@ class Axle:
         out[:, 2, 2] = self.gear
         return out
 
-    def own_rates(self, q: Array, forward: Array, turning: Array) -> Array:
+    def compute_own_rates(self, q: Array, forward: Array, turning: Array) -> Array:
         """Rates (n, 3) of slides and turn at speeds (n,) of the axle."""
         twist = np.stack([forward, np.zeros(len(q)), turning], axis=1)
-        return np.asarray(np.linalg.solve(self.twists(q), twist[..., None])[..., 0], dtype=float)
+        return np.asarray(
+            np.linalg.solve(self.compute_twist_matrices(q), twist[..., None])[..., 0], dtype=float
+        )
 
-    def slides_sine(self, q: Array) -> Array:
+    def compute_slide_sine(self, q: Array) -> Array:
         """Sine (n,) of the angle between the two slides, positive where it has the sign that it has
         at the first q.
         """
-        D = self.twists(q)[:, :2, :2]
+        D = self.compute_twist_matrices(q)[:, :2, :2]
         sine = np.linalg.det(D / np.linalg.norm(D, axis=1, keepdims=True))
         return sine * np.sign(sine[0])
 
-    def rows(self, q: Array) -> Array:
+    def compute_rows(self, q: Array) -> Array:
         """Velocity rows (m, 3 + nv) of the axle's twist, then of all coordinates but the body's
         (zero there), without unit.
         """
         A = evaluate_velocity_rows(self.system, q)[0]
         own = list(self.own)
-        by_twist = A[:, own] @ np.asarray(np.linalg.inv(self.twists(q[None])[0]), dtype=float)
+        by_twist = A[:, own] @ np.asarray(
+            np.linalg.inv(self.compute_twist_matrices(q[None])[0]), dtype=float
+        )
         out = np.concatenate([by_twist, A], axis=1)
         out[:, [3 + v for v in own]] = 0.0
         return out * self.units
 
-    def motions(self, q: Array) -> Array:
+    def compute_motion_basis(self, q: Array) -> Array:
         """Basis (3 + driven, k), without unit, of the allowed rates of the axle and of what it
         drives.
         """
-        return Spectrum(self.rows(q)[:, self._moved]).compute_null_space(Level.CLOSED)
+        return Spectrum(self.compute_rows(q)[:, self._moved_columns]).compute_null_space(
+            Level.CLOSED
+        )
 
     @cached_property
-    def _moved(self) -> list[int]:
+    def _moved_columns(self) -> list[int]:
         return [0, 1, 2, *(3 + v for v in self.driven)]
 
-    def rates_of_driven(self, q: Array, forward: float, turning: float) -> Array | None:
+    def compute_driven_rates(self, q: Array, forward: float, turning: float) -> Array | None:
         """Rates (driven,) at these speeds of the axle; None where they are not allowed at q."""
-        N = self.motions(q) * self.units[self._moved][:, None]
+        N = self.compute_motion_basis(q) * self.units[self._moved_columns][:, None]
         twist = np.array([forward, 0.0, turning])
         x = Spectrum(N[:3]).solve_least_squares(twist, Level.CLOSED)
         if np.abs(N[:3] @ x - twist).max() > 1e-7 * max(abs(forward), abs(turning)):
             return None
         return N[3:] @ x
 
-    def bend(self, q: Array, steering: float) -> float:
+    def compute_bend_angle(self, q: Array, steering: float) -> float:
         """Angle in [0, pi) of (forward, turning) without unit at a value of the steering: 0
         straight, pi/2 a turn on the spot.
         """
         assert self.steering is not None
         x = q.copy()
-        x[self.in_q[self.steering]] = steering
-        N = self.motions(x)
+        x[self.q_places[self.steering]] = steering
+        N = self.compute_motion_basis(x)
         return math.atan2(N[2, 0], N[0, 0]) % math.pi
 
 
-def axle_of(system: Model, q: Array) -> Axle:
+def find_axle(system: Model, q: Array) -> Axle:
     """The axle of a system that rolls, beside its configuration q (nq,). Errors:
     `UnsupportedError`.
     """
     A, b = evaluate_velocity_rows(system, q)
-    tie = binding(system, q)
+    tie = find_binding_constraint(system, q)
     if not A.shape[-2]:
         held = "limits or one-sided constraints hold" if len(pack_one_sided_rows(system)) else ""
         held = f"{tie!r} holds positions" if tie else held
@@ -196,10 +202,10 @@ def axle_of(system: Model, q: Array) -> Axle:
             f"{system.name}: {tie!r} ties coordinates to each other (a loop, a relation or a "
             "position constraint); a manoeuvre is known for open systems only"
         )
-    return _with_mount(_sorted_coordinates(_planar_body(system), q), q)
+    return _place_axle(_sort_coordinates(_find_planar_body(system), q), q)
 
 
-def binding(system: Model, q: Array) -> str | None:
+def find_binding_constraint(system: Model, q: Array) -> str | None:
     """The name of a position constraint, loop or relation that restricts configurations around q
     (nq,), if one does.
     """
@@ -212,7 +218,7 @@ def binding(system: Model, q: Array) -> str | None:
     return closure_rows.list_row_names(system)[int(rows[0])][0] if len(rows) else None
 
 
-def _planar_body(system: Model) -> Axle:
+def _find_planar_body(system: Model) -> Axle:
     """The body nearest to the ground that moves in a plane by two slides and a turn, the axle at
     its origin. Errors: `UnsupportedError`.
     """
@@ -247,39 +253,42 @@ def _planar_body(system: Model) -> Axle:
     )
 
 
-def _sorted_coordinates(axle: Axle, q: Array) -> Axle:
+def _sort_coordinates(axle: Axle, q: Array) -> Axle:
     """The axle with its driven, idle and steering coordinates. Errors: `UnsupportedError`."""
     system = axle.system
     layout = system.structure.layout
     samples = sample_configurations(system, np.random.default_rng(SEED), (TRIALS,))
-    places = {v: [i] for v, i in axle.in_q.items()}
+    places = {v: [i] for v, i in axle.q_places.items()}
     for v, i in zip(layout.quaternion_v.tolist(), layout.quaternion_q.tolist(), strict=True):
         places |= {v + k: list(range(i, i + 4)) for k in range(3)}
 
-    def projection(x: Array) -> Array:
-        V = Spectrum(axle.rows(x)).compute_row_space(Level.CLOSED)
+    def compute_projection(x: Array) -> Array:
+        V = Spectrum(axle.compute_rows(x)).compute_row_space(Level.CLOSED)
         return V @ V.T
 
-    def shapes_rows(columns: list[int]) -> bool:
+    def has_effect_on_rows(columns: list[int]) -> bool:
         """Whether what the rows allow depends on these coordinates."""
         for base in (q, *samples[:2]):
-            here = projection(base)
+            here = compute_projection(base)
             for other in samples:
                 x = base.copy()
                 x[columns] = other[columns]
-                if np.abs(projection(x) - here).max() > 10.0 * SAME:
+                if np.abs(compute_projection(x) - here).max() > 10.0 * SAME:
                     return True
         return False
 
-    if shapes_rows(axle.own_q):
+    if has_effect_on_rows(axle.own_q_places):
         raise UnsupportedError(
             f"{system.name}: what the velocity constraints allow depends on where {axle.body!r} "
             "is, not only on how it moves in its own axes; a manoeuvre is not known"
         )
-    used = np.max([np.abs(projection(x)).max(axis=0) for x in (q, *samples)], axis=0)[3:] > SAME
+    used = (
+        np.max([np.abs(compute_projection(x)).max(axis=0) for x in (q, *samples)], axis=0)[3:]
+        > SAME
+    )
     kinds: dict[tuple[bool, bool], list[int]] = {}
     for v in sorted({*places} - {*axle.own}):
-        kinds.setdefault((bool(used[v]), shapes_rows(places[v])), []).append(v)
+        kinds.setdefault((bool(used[v]), has_effect_on_rows(places[v])), []).append(v)
     names = system.structure.velocity_names
     for v in kinds.get((True, True), []):
         raise UnsupportedError(
@@ -300,7 +309,7 @@ def _sorted_coordinates(axle: Axle, q: Array) -> Axle:
     )
 
 
-def _with_mount(axle: Axle, q: Array) -> Axle:
+def _place_axle(axle: Axle, q: Array) -> Axle:
     """The axle at its place on the body, which no allowed twist moves sideways.
 
     Errors: `UnsupportedError` where the twists are too many, too few, or the driven coordinates do
@@ -313,9 +322,9 @@ def _with_mount(axle: Axle, q: Array) -> Axle:
     for k in range(TRIALS if axle.steering is not None else 1):
         x = q.copy()
         if axle.steering is not None and k:
-            i = axle.in_q[axle.steering]
+            i = axle.q_places[axle.steering]
             x[i] = sample_configurations(system, np.random.default_rng([SEED, k]))[i]
-        N = axle.motions(x)
+        N = axle.compute_motion_basis(x)
         if Spectrum(N[:3], 1.0).compute_rank(Level.CLOSED) < N.shape[1]:
             raise UnsupportedError(
                 f"{system.name}: with {axle.body!r} at rest some of "
@@ -352,13 +361,13 @@ def _with_mount(axle: Axle, q: Array) -> Axle:
     forward = np.array([a[1], -a[0]])
     if forward[0] < -SAME or (abs(forward[0]) <= SAME and forward[1] < 0.0):
         forward = -forward
-    middle, sense = _middle(axle, q, -a[2] * np.array([-a[1], a[0]]), forward)
+    middle, sense = _find_axle_middle(axle, q, -a[2] * np.array([-a[1], a[0]]), forward)
     forward = sense * forward
     mount = np.array([*middle, math.atan2(forward[1], forward[0])])
     return replace(axle, mount=mount, loose=left == 2)
 
 
-def _middle(axle: Axle, q: Array, foot: Array, forward: Array) -> tuple[Array, float]:
+def _find_axle_middle(axle: Axle, q: Array, foot: Array, forward: Array) -> tuple[Array, float]:
     """The middle (2,) of the axle in the body's axes, and whether `forward` (2,) is forwards (1) or
     in reverse (-1).
 
@@ -369,7 +378,7 @@ def _middle(axle: Axle, q: Array, foot: Array, forward: Array) -> tuple[Array, f
     samples = np.concatenate(
         [q[None], sample_configurations(system, np.random.default_rng(SEED), (2,))]
     )
-    place = axle.place(samples)
+    place = axle.compute_place(samples)
     c = np.cos(place[:, 2])
     s = np.sin(place[:, 2])
     axes = np.array([[c, s], [-s, c]]).transpose(2, 0, 1)
