@@ -1,1 +1,1 @@
-"""How a system moves: traced, driven, rolling, simulated."""
+"""Motions of a system: traced, driven, rolling and simulated ones."""

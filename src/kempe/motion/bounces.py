@@ -58,8 +58,9 @@ MOST = 100_000
 
 
 class Plane(NamedTuple):
-    """A plane that the centre stays above: gap = `offset` + `normal` . y; `name` is that of the
-    contact or limit.
+    """A plane above which the centre stays: gap = `offset` + `normal` . y.
+
+    `name` is that of the contact or limit.
     """
 
     name: str
@@ -68,8 +69,9 @@ class Plane(NamedTuple):
 
 
 class Impact(NamedTuple):
-    """What happened: "bounce", "lands" (and stays), "settles" (after infinitely many bounces) or
-    "leaves".
+    """An event of a flight: "bounce", "lands", "settles" or "leaves", on the `planes`.
+
+    What lands stays on the plane; what settles does so after infinitely many bounces.
 
     `planes` says which.
 
@@ -86,7 +88,7 @@ class Impact(NamedTuple):
 
 
 class Parabola(NamedTuple):
-    """A parabola: from `time` on the place is y + v s + a s^2 / 2, with s the time since then."""
+    """An arc of a flight: y + v s + a s^2 / 2 at the time s in seconds after `time`."""
 
     time: float
     y: Array
@@ -100,20 +102,20 @@ class MovingPlanes(Protocol):
     names: tuple[str, ...]
 
     def evaluate_planes(self, t: Array | float) -> tuple[Array, Array]:
-        """Normals (..., m, k) and offsets (..., m) at times (...)."""
+        """Return the normals (..., m, k) and offsets (..., m) at times (...)."""
         ...
 
     def evaluate_rates(self, t: Array | float) -> tuple[Array, Array]:
-        """Rates of normals (..., m, k) and offsets (..., m) at times (...)."""
+        """Return the rates of normals (..., m, k) and offsets (..., m) at times (...)."""
         ...
 
     def evaluate_accelerations(self, t: float) -> tuple[Array, Array]:
-        """Second derivatives of normals (m, k) and offsets (m,) at a time."""
+        """Return the second derivatives of normals (m, k) and offsets (m,) at a time."""
         ...
 
 
 class Flight:
-    """The motion of the centre in coordinates (k,) that have the metric of space, above `planes`."""
+    """The motion of a centre above `planes`, in coordinates (k,) that have the metric of space."""
 
     def __init__(self, planes: Sequence[Plane], gravity: Array, restitution: float):
         self.planes = planes
@@ -128,12 +130,13 @@ class Flight:
         self.known = 0.0
 
     def compute_gaps(self, y: Array) -> Array:
-        """How far (m,) a place (k,) is above each plane."""
+        """Compute the height (m,) in metres of a place (k,) above each plane."""
         return self.N @ y + self.offsets
 
     def compute_flight(self, y: Array, v: Array, duration: float) -> None:
-        """Compute arcs and impacts from a place and a velocity (k,) on, for a duration [s]; `known`
-        up to a time.
+        """Compute the arcs and impacts that begin at a place and a velocity (k,).
+
+        They last for a duration [s]; `known` is the time up to which they are computed.
         """
         time = 0.0
         again = 0
@@ -166,7 +169,7 @@ class Flight:
                 touching = self._find_touched_planes(y, hit | held)
 
     def evaluate_flight(self, t: Array) -> tuple[Array, Array]:
-        """Places and velocities (n, k) at times (n,)."""
+        """Return places and velocities (n, k) at times (n,)."""
         starts = np.array([arc.time for arc in self.arcs])
         k = np.clip(np.searchsorted(starts, t, side="right") - 1, 0, len(starts) - 1)
         y, v, a = (np.array([getattr(arc, name) for arc in self.arcs])[k] for name in "yva")
@@ -176,7 +179,7 @@ class Flight:
     def _apply_impact(
         self, time: float, y: Array, v: Array, touching: set[int], soft: bool
     ) -> Array:
-        """The velocity after what it makes hit; `soft` impacts have no rebound."""
+        """Return the velocity (k,) after impacts on touched planes; `soft` impacts have no rebound."""
         index = sorted(touching)
         N = self.N[index]
         for k in range(AGAIN + 1):
@@ -197,7 +200,7 @@ class Flight:
         return v
 
     def _settle_contacts(self, v: Array, touching: set[int]) -> tuple[Array, Array, set[int]]:
-        """The velocity without rounding, the acceleration, and the planes that stay touched."""
+        """Return the velocity without rounding, the acceleration, and the planes that stay touched."""
         slow = GONE * self._largest
         still = [i for i in sorted(touching) if self.N[i] @ v <= slow * np.linalg.norm(self.N[i])]
         a = project_onto_cone(self.gravity, self.N[still])
@@ -215,7 +218,7 @@ class Flight:
     def _find_next_impact(
         self, y: Array, v: Array, a: Array, touching: set[int], held: set[int]
     ) -> tuple[float, set[int]]:
-        """The time to the next impact, infinite where there is none, and its planes."""
+        """Find the time to the next impact and its planes; it is infinite where there is none."""
         gaps = self.compute_gaps(y)
         times: dict[int, float] = {}
         for i in range(len(self.planes)):
@@ -228,8 +231,9 @@ class Flight:
     def _find_last_bounce(
         self, y: Array, v: Array, a: Array, leaving: set[int], held: set[int]
     ) -> tuple[float, int, Array, Array] | None:
-        """Where bounces on one plane get small: the time in which they end, the plane, and the
-        motion along it.
+        """Find the end of ever smaller bounces on one plane.
+
+        Returned are the time until then, the plane, and velocity and acceleration along it.
         """
         hops = [i for i in leaving if self.N[i] @ a < 0.0]
         if len(hops) != 1 or self.restitution >= 1.0:
@@ -258,12 +262,12 @@ class Flight:
         return rest, hops[0], tangent, along
 
     def _find_touched_planes(self, y: Array, known: set[int]) -> set[int]:
-        """The planes that a place touches, or is above only by rounding."""
+        """Return the planes that a place touches, or is above only by rounding."""
         rounding = ROUNDING * (np.abs(self.N) @ np.abs(y) + np.abs(self.offsets))
         return known | set(np.flatnonzero(self.compute_gaps(y) <= rounding).tolist())
 
     def _project_onto_planes(self, y: Array, touching: set[int]) -> Array:
-        """The place (k,) put onto planes that it touches but for rounding."""
+        """Return the place (k,) moved onto planes that it touches up to rounding."""
         index = sorted(touching)
         if not index:
             return y
@@ -275,8 +279,9 @@ class Flight:
 
 
 def find_first_zero(gap: float, rate: float, acceleration: float) -> float:
-    """The first time at which a gap, not negative now, falls through zero; infinite where it does
-    not.
+    """Find the first time at which a gap, not negative now, falls through zero.
+
+    The time is infinite where there is none.
 
     A gap of zero that opens counts when it closes again. By the form of the roots that does not
     cancel.
@@ -295,14 +300,15 @@ def find_first_zero(gap: float, rate: float, acceleration: float) -> float:
 
 
 def project_onto_cone(v: Array, N: Array) -> Array:
-    """The vector nearest to v (k,) of those with N x >= 0, N (m, k)."""
+    """Return the vector nearest to v (k,) among those with N x >= 0, N (m, k)."""
     found = project_onto_half_spaces(v, N, np.zeros(len(N)))
     return np.zeros(len(v)) if found is None else found
 
 
 def project_onto_half_spaces(v: Array, N: Array, w: Array) -> Array | None:
-    """The vector nearest to v (k,) of those with N x + w >= 0, N (m, k): by the sets of planes that
-    may hold it back.
+    """Return the vector nearest to v (k,) among those with N x + w >= 0, N (m, k).
+
+    All sets of planes that may hold it back are tried.
 
     None where there is no such vector.
     """
@@ -327,8 +333,9 @@ def project_onto_half_spaces(v: Array, N: Array, w: Array) -> Array | None:
 
 
 class Stretch(NamedTuple):
-    """A part of a motion from `time` on: `at` gives places and velocities (n, k) at times (n,);
-    `held` are planes.
+    """A part of a motion that begins at `time`; `held` are the touched planes.
+
+    `at` gives places and velocities (n, k) at times (n,).
     """
 
     time: float
@@ -337,8 +344,7 @@ class Stretch(NamedTuple):
 
 
 class MovingFlight:
-    """The motion of the centre in coordinates (k,) that have the metric of space, above planes that
-    move.
+    """The motion of a centre above moving planes, in coordinates (k,) with the metric of space.
 
     Between impacts it is a parabola, along planes that are touched a motion that they push along
     their normals (integrated). An impact reverses the rate of the gap, times the restitution: v' =
@@ -360,7 +366,10 @@ class MovingFlight:
         self._largest = 0.0
 
     def compute_flight(self, y: Array, v: Array, duration: float) -> None:
-        """Compute stretches and impacts from a place and a velocity (k,) on, for a duration [s]."""
+        """Compute the stretches and impacts that begin at a place and a velocity (k,).
+
+        They last for a duration [s].
+        """
         t = 0.0
         again = 0
         leaving = set[int]()
@@ -401,7 +410,7 @@ class MovingFlight:
         self.known = duration
 
     def evaluate_flight(self, t: Array) -> tuple[Array, Array]:
-        """Places and velocities (n, k) at times (n,) up to `known`."""
+        """Return places and velocities (n, k) at times (n,) up to `known`."""
         starts = np.array([s.time for s in self.stretches])
         which = np.clip(np.searchsorted(starts, t, side="right") - 1, 0, len(starts) - 1)
         y = np.empty((len(t), len(self.gravity)))
@@ -418,20 +427,21 @@ class MovingFlight:
     # ---- gaps
 
     def _compute_gaps(self, t: Array | float, y: Array) -> Array:
-        """Gaps (..., m) at times (...) and places (..., k)."""
+        """Compute the gaps (..., m) at times (...) and places (..., k), in metres."""
         N, o = self.planes.evaluate_planes(t)
         return (N @ y[..., None])[..., 0] + o
 
     def _compute_gap_rates(self, t: Array | float, y: Array, v: Array) -> tuple[Array, Array]:
-        """Normals (..., m, k) and the rates (..., m) of the gaps, at times (...), places and
-        velocities (..., k).
+        """Compute the normals (..., m, k) and the rates (..., m) of the gaps.
+
+        They are taken at times (...), places and velocities (..., k).
         """
         N, _ = self.planes.evaluate_planes(t)
         turn, shift = self.planes.evaluate_rates(t)
         return N, (N @ v[..., None] + turn @ y[..., None])[..., 0] + shift
 
     def _compute_gap_accelerations(self, t: float, y: Array, v: Array) -> Array:
-        """Second derivatives (m,) of the gaps where the centre does not accelerate."""
+        """Compute the second derivatives (m,) of the gaps where the centre does not accelerate."""
         turn, _ = self.planes.evaluate_rates(t)
         more, shift = self.planes.evaluate_accelerations(t)
         return 2.0 * turn @ v + more @ y + shift
@@ -439,7 +449,7 @@ class MovingFlight:
     def _project_onto_planes(
         self, t: float, y: Array, v: Array, planes: set[int], places_only: bool = False
     ) -> tuple[Array, Array]:
-        """Place and velocity (k,) put onto planes that are touched, but for rounding."""
+        """Return place and velocity (k,) moved onto planes that are touched up to rounding."""
         index = sorted(planes)
         if not index:
             return y, v
@@ -449,7 +459,7 @@ class MovingFlight:
         return y, v if places_only else v - back @ self._compute_gap_rates(t, y, v)[1][index]
 
     def _find_touched_planes(self, t: float, y: Array, known: set[int]) -> set[int]:
-        """The planes that a place touches, or is above only by rounding."""
+        """Return the planes that a place touches, or is above only by rounding."""
         N, o = self.planes.evaluate_planes(t)
         rounding = ROUNDING * (np.abs(N) @ np.abs(y) + np.abs(o))
         return known | set(np.flatnonzero(N @ y + o <= rounding).tolist())
@@ -459,8 +469,9 @@ class MovingFlight:
     def _apply_impact(
         self, t: float, y: Array, v: Array, touching: set[int], soft: bool
     ) -> Array | None:
-        """The velocity after what it makes hit, None where no velocity opens all gaps; `soft`:
-        without rebound.
+        """Return the velocity (k,) after impacts on touched planes; `soft` impacts have no rebound.
+
+        It is None where no velocity opens all gaps.
         """
         index = sorted(touching)
         for k in range(AGAIN + 1):
@@ -488,7 +499,7 @@ class MovingFlight:
     def _settle_contacts(
         self, t: float, y: Array, v: Array, touching: set[int]
     ) -> tuple[Array, set[int]]:
-        """The velocity without rounding, and the planes that stay touched."""
+        """Return the velocity without rounding, and the planes that stay touched."""
         N, rates = self._compute_gap_rates(t, y, v)
         lengths = np.linalg.norm(N, axis=1)
         still = [i for i in sorted(touching) if rates[i] <= 1e2 * GONE * self._largest * lengths[i]]
@@ -498,8 +509,9 @@ class MovingFlight:
     def _solve_acceleration(
         self, t: float, y: Array, v: Array, still: list[int]
     ) -> tuple[Array, set[int]]:
-        """The acceleration (k,) with these planes touched at no rate, and those of them that stay
-        touched.
+        """Solve the acceleration (k,) on planes that are touched at no rate.
+
+        Those of them that stay touched are returned, too.
         """
         N = self.planes.evaluate_planes(t)[0][still]
         c = self._compute_gap_accelerations(t, y, v)[still]
@@ -518,7 +530,7 @@ class MovingFlight:
     def _find_last_bounce(
         self, t: float, y: Array, v: Array, leaving: set[int], held: set[int]
     ) -> tuple[float, int] | None:
-        """Where bounces on one plane get small: the time in which they end, and the plane."""
+        """Find the end of ever smaller bounces on one plane: the time until then, and the plane."""
         if self.restitution >= 1.0 or not leaving:
             return None
         N, rates = self._compute_gap_rates(t, y, v)
@@ -542,8 +554,9 @@ class MovingFlight:
     def _advance_to_event(
         self, t: float, y: Array, v: Array, touching: set[int], held: set[int], duration: float
     ) -> tuple[float, Array, Array, set[int], set[int]]:
-        """To the next impact, or to where a held plane is left: time, place, velocity, planes that
-        are hit, or left.
+        """Advance to the next impact, or to where a held plane is left.
+
+        Returned are time, place, velocity, and the planes that are hit, or left.
         """
         window = duration / WINDOWS
         fresh = touching - held
@@ -595,13 +608,14 @@ class MovingFlight:
             fresh = {i for i in fresh if gaps[i] <= 0.0}
 
     def _make_solver(self, t: float, y: Array, v: Array, held: set[int], duration: float) -> Any:
+        """Make the integrator of the motion along held planes."""
         from scipy import integrate
 
         index = sorted(held)
         k = len(y)
 
         def compute_slope(s: float, x: Array) -> Array:
-            """Velocity and acceleration, all held planes pushing or pulling."""
+            """Return velocity and acceleration, with all held planes pushing or pulling."""
             N = self.planes.evaluate_planes(s)[0][index]
             c = self._compute_gap_accelerations(s, x[:k], x[k:])[index]
             return np.concatenate(
@@ -623,6 +637,7 @@ class MovingFlight:
         )
 
     def _step_solver(self, solver: Any) -> Callable[[Array], tuple[Array, Array]]:
+        """Make one step of the integrator, and return places and velocities within it."""
         said = solver.step()
         if solver.status == "failed":
             raise ArithmeticError(f"at {solver.t:.6g} s the planes move too fast: {said}")
@@ -638,8 +653,9 @@ class MovingFlight:
         planes: set[int],
         fresh: set[int],
     ) -> tuple[float, set[int]] | None:
-        """The first zero of a gap that closes within a step, and its planes; gaps of `fresh` planes
-        open first.
+        """Find the first zero of a gap that closes within a step, and its planes.
+
+        Gaps of `fresh` planes open first.
         """
         s = np.linspace(begin, end, LOOKS + 1)
         y, v = at(s)
@@ -647,9 +663,11 @@ class MovingFlight:
         rates = self._compute_gap_rates(s, y, v)[1]
 
         def compute_gap(i: int, x: float) -> float:
+            """Compute the gap of plane i at a time."""
             return float(self._compute_gaps(x, at(np.array([x]))[0][0])[i])
 
         def compute_gap_rate(i: int, x: float) -> float:
+            """Compute the rate of the gap of plane i at a time."""
             p, w = (z[0] for z in at(np.array([x])))
             return float(self._compute_gap_rates(x, p, w)[1][i])
 
@@ -685,9 +703,10 @@ class MovingFlight:
     def _find_release(
         self, at: Callable[[Array], tuple[Array, Array]], begin: float, end: float, held: list[int]
     ) -> tuple[float, int] | None:
-        """The time within a step from which on a held plane would have to pull, and the plane."""
+        """Find the time within a step after which a held plane would have to pull, and the plane."""
 
         def compute_pushes(x: float) -> Array:
+            """Compute the pushes of the held planes at a time."""
             p, w = (z[0] for z in at(np.array([x])))
             N = self.planes.evaluate_planes(x)[0][held]
             c = self._compute_gap_accelerations(x, p, w)[held]
@@ -696,6 +715,7 @@ class MovingFlight:
             ) * np.linalg.norm(N, axis=1)
 
         def find_least_push(x: float) -> float:
+            """Return the least push of the held planes at a time."""
             return float(compute_pushes(x).min())
 
         s = np.linspace(begin, end, LOOKS // 4 + 1).tolist()
@@ -713,12 +733,12 @@ class MovingFlight:
 
 
 def _evaluate_parabola(t: float, y: Array, v: Array, a: Array, s: Array) -> tuple[Array, Array]:
-    """Places and velocities (n, k) at times s (n,) of a parabola that begins at t."""
+    """Return places and velocities (n, k) at times s (n,) of a parabola that begins at t."""
     u = (s - t)[:, None]
     return y + u * (v + 0.5 * u * a), v + u * a
 
 
 def find_zero(f: Callable[[float], float], a: float, b: float) -> float:
-    """A zero between a and b, at which the signs of f differ; b where they do not."""
+    """Find a zero between a and b, at which the signs of f differ; b where they do not."""
     zero = find_sign_change(f, a, b)
     return b if zero is None else zero

@@ -92,7 +92,10 @@ RESTS = 1e-6
 
 
 def differentiate_jacobian(equations: Closure, x: Array, left: Array, along: Array) -> Array:
-    """Derivatives (n, k, d) of `J.T @ left` (left: (rows, k)) along the columns of `along` (n, d)."""
+    """Compute the derivatives (n, k, d) of `J.T @ left` along the columns of `along` (n, d).
+
+    `left` is (rows, k).
+    """
     out = np.empty((equations.n, left.shape[1], along.shape[1]))
     for j in range(along.shape[1]):
         y = DIFFERENCE * along[:, j]
@@ -106,8 +109,9 @@ def differentiate_jacobian(equations: Closure, x: Array, left: Array, along: Arr
 def locate_singular_point(
     equations: Closure, x: Array, nullity: int, reach: float, tries: int = 20
 ) -> Array | None:
-    """The point near `x`, at most `reach` away, where the loops are closed and the null space has
-    dimension `nullity`.
+    """Find the singular point near `x` at which the null space has dimension `nullity`.
+
+    The loops are closed there, and it is at most `reach` away.
 
     Newton's method on the equations together with ``J.T @ left = 0`` and a normalisation of the
     left null vectors, which is regular where branches cross transversally (Moore, *Numer. Funct.
@@ -121,6 +125,7 @@ def locate_singular_point(
     nq = len(x)
 
     def evaluate_equations(z: Array) -> tuple[Array, Array]:
+        """Return the residuals at z, coordinates and left null vectors, and the Jacobian there."""
         F, J = equations.evaluate_equations(z[:nq])
         near = np.linalg.norm(equations.compute_difference(start, z[:nq])) <= reach
         return np.concatenate([F, (z[nq:].reshape(k, rows) @ J).ravel()]) if near else np.full(
@@ -128,6 +133,7 @@ def locate_singular_point(
         ), J
 
     def compute_newton_step(z: Array, missing: Array, J: Array) -> Array:
+        """Compute Newton's step for coordinates and left null vectors."""
         x = z[:nq]
         left = z[nq:].reshape(k, rows).T
         A = np.zeros((rows + n * k + k * k, n + rows * k))
@@ -163,13 +169,14 @@ def locate_singular_point(
 
 
 def _compute_nullity(equations: Closure, x: Array) -> int:
-    """The dimension of the null space of equations, which are scaled."""
+    """Compute the dimension of the null space of scaled equations."""
     return equations.n - Spectrum(equations.compute_jacobian(x), LEAST).compute_rank(Level.CLOSED)
 
 
 def compute_tangent_cone(equations: Closure, x: Array) -> tuple[Array, bool]:
-    """Directions (k, n), of length 1 and without sign, in which second order lets the null space at
-    `x` move.
+    """Compute the unit vectors (k, n) of the tangent cone at `x`, of either sign.
+
+    Along these directions of the null space the equations hold to second order.
 
     And whether some are double, or second order does not tell any: then they need not be tangents
     of branches.
@@ -196,7 +203,7 @@ def compute_tangent_cone(equations: Closure, x: Array) -> tuple[Array, bool]:
 
 
 def _solve_two_forms(forms: Array) -> Array:
-    """Common real zeros (k, 2) of quadratic forms (m, 2, 2)."""
+    """Find the common real zeros (k, 2) of quadratic forms (m, 2, 2)."""
     rows = np.stack([forms[:, 0, 0], 2.0 * forms[:, 0, 1], forms[:, 1, 1]], axis=1)
     # a u^2 + b u v + c v^2, the combination of the forms that is largest
     a, b, c = Spectrum(rows).right[0]
@@ -211,17 +218,20 @@ def _solve_two_forms(forms: Array) -> Array:
 
 
 def _solve_many_forms(forms: Array, budget: TimeLimit) -> Array:
-    """Common real zeros (k, d) of quadratic forms (m, d, d), by Newton's method from many starts on
-    the sphere.
+    """Find the common real zeros (k, d) of quadratic forms (m, d, d).
+
+    Newton's method is used from many starts on the sphere.
     """
     d: int = forms.shape[1]
     rng = np.random.default_rng(0)
     found: list[Array] = []
 
     def evaluate_forms(u: Array) -> tuple[Array, Array]:
+        """Return the values of the forms at a unit vector, and their derivatives."""
         return np.append(np.einsum("i,mij,j->m", u, forms, u), 0.0), np.vstack([2.0 * forms @ u, u])
 
     def move_on_sphere(u: Array, y: Array) -> Array:
+        """Return a unit vector moved by a step."""
         return (u + y) / np.linalg.norm(u + y)
 
     for _ in range(40 * 2**d):
@@ -237,15 +247,14 @@ def _solve_many_forms(forms: Array, budget: TimeLimit) -> Array:
 
 
 def find_branch_lines(equations: Closure, x: Array) -> Array:
-    """Directions (k, n) of the curves through a singular point: those of the tangent cone along
-    which one can walk.
-    """
+    """Find the directions (k, n) of the branches through a singular point."""
     return _select_walkable_directions(equations, x, compute_tangent_cone(equations, x)[0])
 
 
 def find_branches(equations: Closure, x: Array) -> tuple[Array, Germ | None]:
-    """Directions (k, n) of the curves through a singular point, and their germ where second order
-    does not tell.
+    """Find the directions (k, n) of the branches through a singular point.
+
+    Where second order does not tell them, the germ of the curve is returned, too.
     """
     directions, degenerate = compute_tangent_cone(equations, x)
     germ = find_germ(equations, x) if degenerate else None
@@ -257,7 +266,7 @@ def find_branches(equations: Closure, x: Array) -> tuple[Array, Germ | None]:
 
 
 def _select_walkable_directions(equations: Closure, x: Array, directions: Array) -> Array:
-    """Those of the directions (k, n) of the tangent cone along which one can walk."""
+    """Select the directions (k, n) of the tangent cone along which the curve can be followed."""
     lines: list[Array] = []
     for t in directions:
         for sign in (1.0, -1.0):
@@ -279,8 +288,9 @@ def _select_walkable_directions(equations: Closure, x: Array, directions: Array)
 def make_singular_node(
     equations: Closure, x: Array, toward: Array, came: Array | None = None
 ) -> Node | None:
-    """The node at a singular point on the branch whose direction is nearest to `toward` (n,), not
-    at a cusp.
+    """Return the node at a singular point on the branch nearest to the direction `toward` (n,).
+
+    It is None at a cusp.
 
     Where several branches have that direction it is the one of the point `came` (nq,), which is
     before the other.
@@ -308,8 +318,7 @@ def make_singular_node(
 def find_passage(
     equations: Closure, points: Sequence[Array], known: Sequence[Germ], period: Array
 ) -> SingularNode | None:
-    """Where a curve goes on that comes to rest at a singular point: the node there, from which it
-    leaves.
+    """Find the node at which a curve leaves a singular point where its steps became too short.
 
     `points` (nq,) are the last ones of the curve. Germs that are `known` come first, whole periods
     (nv,) away: where branches touch closely, rounding leaves open where exactly.
@@ -349,16 +358,18 @@ def find_passage(
 def _find_leaving_node(
     equations: Closure, germ: Germ | None, points: Sequence[Array]
 ) -> SingularNode | None:
-    """The node from which a curve goes on that came to a singular point by some points (nq,); None
-    where it did not.
+    """Return the node at which a curve leaves a singular point that it came to by points (nq,).
+
+    It is None where it did not come there.
     """
     half = None if germ is None else germ.find_half_branch(equations, points)
     return None if germ is None or half is None else germ.make_node(germ.partner[half])
 
 
 def find_singular_center(equations: Closure, x: Array, along: Array, reach: float) -> Array | None:
-    """The singular point (nq,) near x (nq,) along a tangent (n,) of the curve, where Newton's
-    method stops early.
+    """Find the singular point (nq,) near x (nq,) along a tangent (n,) of the curve.
+
+    It is found where Newton's method stops early.
 
     Over the tangent the reduced equation has a valley, whose depth is a power of the distance from
     the point. The mean of the roots of its polynomial near by is known far better than each (Zeng,
@@ -377,7 +388,7 @@ def find_singular_center(equations: Closure, x: Array, along: Array, reach: floa
 
 
 def find_crossing(equations: Closure, a: Node, b: Node) -> Node | None:
-    """The singular point between two neighbours of one branch, or None."""
+    """Find the singular point between two neighbours of one branch, or None."""
     y = equations.compute_difference(a.x, b.x)
     h = float(np.linalg.norm(y))
     f = a.sigma / max(a.sigma + b.sigma, 1e-300)
@@ -404,8 +415,7 @@ def find_crossing(equations: Closure, a: Node, b: Node) -> Node | None:
 
 @dataclass(frozen=True, eq=False)
 class Germ:
-    """The half-branches of a curve at a singular point `x` (nq,), and which two of them are one
-    branch.
+    """The half-branches of a curve at a singular point `x` (nq,), and which two are one branch.
 
     `samples` (k, m, n) are tangent vectors from `x` to m points on each of k half-branches, the
     farthest first, `tangents` (k, n) unit vectors along which they leave `x`, `partner` (k,) the
@@ -424,15 +434,15 @@ class Germ:
 
     @property
     def lines(self) -> Array:
-        """Directions (., n) of the branches."""
+        """Directions (k, n) of the branches."""
         return self.tangents[[i for i, j in enumerate(self.partner) if i < j]]
 
     def is_cusp(self, half: int) -> bool:
-        """Whether a half-branch and its partner leave side by side."""
+        """Tell whether a half-branch and its partner leave side by side."""
         return float(self.tangents[half] @ self.tangents[self.partner[half]]) > 0.0
 
     def make_node(self, half: int) -> SingularNode:
-        """The node at `x` from which a half-branch leaves."""
+        """Return the node at `x` from which a half-branch leaves."""
         others = [i for i, j in enumerate(self.partner) if i < j and half not in (i, j)]
         lines = self.tangents[[half, *others]]
         return SingularNode(
@@ -440,12 +450,12 @@ class Germ:
         )
 
     def make_first_node(self, equations: Closure, half: int) -> Node:
-        """The regular node of a half-branch that is nearest to `x`, its tangent away from `x`."""
+        """Return the regular node of a half-branch nearest to `x`, with its tangent away from `x`."""
         z = self.samples[half, -1]
         return make_node(equations, equations.move_point(self.x, z), z)
 
     def move_germ(self, equations: Closure, x: Array, period: Array) -> Germ:
-        """The same germ as near to a point (nq,) as whole periods (nv,) lead."""
+        """Return the germ moved by whole periods (nv,) as near as possible to a point (nq,)."""
         y = equations.compute_difference(self.x, x) * equations.unit
         turns = np.round(np.divide(y, period, out=np.zeros_like(y), where=period > 0.0))
         return replace(
@@ -453,8 +463,9 @@ class Germ:
         )
 
     def find_half_branch(self, equations: Closure, points: Sequence[Array]) -> int | None:
-        """The half-branch on which points (nq,) at different distances from `x` lie; None where
-        they do not tell.
+        """Find the half-branch on which points (nq,) at different distances from `x` lie.
+
+        It is None where they do not tell.
         """
         for x in points:
             z = equations.compute_difference(self.x, x)
@@ -481,16 +492,17 @@ class SingularNode(Node):
     half: int = field(kw_only=True)
 
     def reversed(self) -> SingularNode:
-        """The same point, walked the other way."""
+        """Return the same point with the opposite direction."""
         return replace(self, t=-self.t, half=self.germ.partner[self.half])
 
     def make_opposite_node(self) -> SingularNode:
-        """The node from which the other half of the branch leaves."""
+        """Return the node from which the other half of the branch leaves."""
         return self.germ.make_node(self.germ.partner[self.half])
 
     def list_arrival_nodes(self) -> list[Node]:
-        """The node at which the other half of the branch arrives, where that is not this node, too:
-        at a cusp.
+        """Return the node at which the other half of a cusp arrives, as a list.
+
+        It is empty for a branch without a cusp.
         """
         t = -self.germ.tangents[self.germ.partner[self.half]]
         return (
@@ -500,16 +512,18 @@ class SingularNode(Node):
         )
 
     def may_contain_points(self, equations: Closure, points: Sequence[Array]) -> bool:
-        """Whether points (nq,) near by may lie on the branch of this node: they do not lie on
-        another one.
+        """Tell whether points (nq,) near by may lie on the branch of this node.
+
+        They do not lie on another one.
         """
         half = self.germ.find_half_branch(equations, points)
         return half is None or half in (self.half, self.germ.partner[self.half])
 
 
 def find_germ(equations: Closure, x: Array, nullity: int = 0) -> Germ | None:
-    """The germ of the curve at a singular point, None where there is none, or one that small
-    spheres do not tell.
+    """Find the germ of the curve at a singular point.
+
+    It is None where there is none, or one that small spheres do not tell.
 
     The null space there has the dimension `nullity`, where that is given, up to what the digits of
     `x` leave.
@@ -534,7 +548,7 @@ def find_germ(equations: Closure, x: Array, nullity: int = 0) -> Germ | None:
 
 @dataclass(frozen=True, eq=False)
 class _Sphere:
-    """Where small spheres around a singular point meet the curve.
+    """Small spheres around a singular point, and where they meet the curve.
 
     The curve lies over the null space (n, d): what is across it follows from the equations whose
     derivatives there do not vanish, with the pseudo-inverse `inverse` (n, rows); the others, those
@@ -550,9 +564,7 @@ class _Sphere:
 
     @staticmethod
     def make_sphere(equations: Closure, x: Array, nullity: int) -> _Sphere:
-        """The spheres around a point (nq,) at which the null space has so many dimensions, or
-        nearly has.
-        """
+        """Make the spheres around a point (nq,) with a null space of `nullity` dimensions."""
         spectrum = Spectrum(equations.compute_jacobian(x))
         rank = equations.n - nullity
         U = spectrum.left
@@ -561,8 +573,9 @@ class _Sphere:
         return _Sphere(equations, x, Vt[rank:].T, inverse, U[:, rank:])
 
     def find_valley(self, tangent: Array, reach: float) -> Array | None:
-        """The tangent vector (n,) from `x` to the singular point near by, along a tangent (n,) of
-        the curve there.
+        """Find the tangent vector (n,) from `x` to the singular point near by.
+
+        It is sought along a tangent (n,) of the curve.
 
         The null space has two dimensions. None where the valley has no roots near by.
         """
@@ -574,6 +587,7 @@ class _Sphere:
         axes = np.stack([t, [-t[1], t[0]]])
 
         def compute_values(a: Array, b: Array) -> Array:
+            """Compute the reduced equations (m, k) at coordinates along the tangent and across."""
             return self.reduce_vectors(np.stack([a, b], axis=1) @ axes @ self.null_space.T)[1]
 
         own = Spectrum(
@@ -600,8 +614,10 @@ class _Sphere:
         return self.reduce_vectors((np.array([[at, aside]]) @ axes) @ self.null_space.T)[0][0]
 
     def reduce_vectors(self, z: Array) -> tuple[Array, Array]:
-        """Tangent vectors (m, n) with the components of z (m, n) in the null space, and the values
-        (m, k) there.
+        """Solve for what is across the null space (Lyapunov-Schmidt reduction).
+
+        Returned are tangent vectors (m, n) with the components of z (m, n) in the null space, and
+        the values (m, k) of the equations there.
         """
         z, F = np.array(z), np.zeros((len(z), self.left.shape[0]))
         for _ in range(CHORDS):
@@ -613,12 +629,11 @@ class _Sphere:
         return z, F @ self.left
 
     def search_circle(self, radius: float) -> list[Array]:
-        """Tangent vectors to the points of the curve over a circle in a null space of two
-        dimensions.
-        """
+        """Find tangent vectors to the points of the curve over a circle in a plane null space."""
         angles = 2.0 * np.pi * np.arange(CIRCLE) / CIRCLE + 0.1
 
         def reduce_angles(angles: Array) -> tuple[Array, Array]:
+            """Return tangent vectors and values of the equations at angles on the circle."""
             return self.reduce_vectors(
                 radius * np.stack([np.cos(angles), np.sin(angles)], axis=1) @ self.null_space.T
             )
@@ -644,8 +659,9 @@ class _Sphere:
     def _find_brackets(
         angles: Array, values: Array, function: Callable[[Array], Array]
     ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-        """Ends, with the values there, of intervals of a circle at whose ends a function has
-        different signs.
+        """Find intervals of a circle at whose ends a function has different signs.
+
+        Returned are their ends, with the values there.
 
         Between samples of one sign the least one may be beside two zeros: it is followed to where
         the sign changes.
@@ -689,8 +705,9 @@ class _Sphere:
         )
 
     def search_sphere(self, radius: float) -> list[Array] | None:
-        """Tangent vectors to the points of the curve on a sphere over the null space, from many
-        starts.
+        """Find tangent vectors to the points of the curve over a sphere in the null space.
+
+        Newton's method is used from many starts.
 
         None where the points are not isolated: more than a curve leads there.
         """
@@ -700,9 +717,11 @@ class _Sphere:
         out = list[Array]()
 
         def evaluate_equations(x: Array, _: np.ndarray) -> tuple[Array, Array]:
+            """Return residuals and Jacobians of the equations."""
             return e.evaluate_many_points(x)
 
         def evaluate_on_sphere(x: Array, _: np.ndarray) -> tuple[Array, Array]:
+            """Return residuals and Jacobians of the equations and of the sphere."""
             F, J = e.evaluate_many_points(x)
             z = e.compute_difference(self.x, x)
             over = 0.5 * (np.sum(z * z, axis=1) - radius * radius) / radius
@@ -744,7 +763,7 @@ class _Sphere:
         return out
 
     def _correct_vectors(self, vectors: Sequence[Array]) -> list[Array]:
-        """Tangent vectors to the points of the curve near those to which vectors lead, each once."""
+        """Return tangent vectors to the points of the curve near given ones, each once."""
         out: list[Array] = []
         for z in vectors:
             found = self._correct_vector(z)
@@ -755,8 +774,9 @@ class _Sphere:
         return out
 
     def _correct_vector(self, z: Array) -> tuple[Array, Array] | None:
-        """The tangent vector to the regular point of the curve in the plane across z (n,), and the
-        curve's direction there; or None.
+        """Return the tangent vector to the regular point of the curve in the plane across z (n,).
+
+        The direction of the curve there is returned, too; or None where there is no such point.
         """
         e = self.equations
         size = float(np.linalg.norm(z))
@@ -770,8 +790,7 @@ class _Sphere:
         return (found, direction) if near and spectrum.compute_rank(PARTED) >= e.n - 1 else None
 
     def trace_inwards(self, z: Array) -> Array:
-        """Tangent vectors (m, n) to points of a half-branch through the one at z (n,), towards the
-        center.
+        """Trace a half-branch from z (n,) towards the center, as tangent vectors (m, n).
 
         The next one is looked for on the parabola through the center and the last one, with the
         direction there.
@@ -796,18 +815,19 @@ class _Sphere:
 
 
 def _compute_powers(distance: Array, root: int) -> Array:
-    """Powers (m, DEGREE) of a root of distances (m,), the parameter of a half-branch."""
+    """Compute powers (m, DEGREE) of a root of distances (m,), the parameter of a half-branch."""
     return (distance ** (1.0 / root))[:, None] ** np.arange(1.0, DEGREE + 1.0)
 
 
 def _fit_coefficients(A: Array, B: Array) -> Array:
-    """The X (n, k) that makes |A X - B| least."""
+    """Return the X (n, k) that makes |A X - B| least."""
     return Spectrum(A).solve_least_squares(B, Level.ROUNDING)
 
 
 def _pair_half_branches(x: Array, samples: Array, null_space: Array) -> Germ | None:
-    """The germ of half-branches (k, m, n): those two are one branch that one polynomial describes,
-    or None.
+    """Pair half-branches (k, m, n) to branches, and return their germ, or None.
+
+    Two are one branch if one polynomial describes both.
     """
     size = np.linalg.norm(samples, axis=2)
     turned = (-1.0) ** np.arange(1, DEGREE + 1)
@@ -869,8 +889,7 @@ ALIGNED = 0.7
 
 
 class RankEquations:
-    """Equations that hold the rank of those before at what it is at a point:
-    ``left.T @ J @ null_space = 0``.
+    """Equations that keep the rank of other ones: ``left.T @ J @ null_space = 0``.
 
     The bases of the two null spaces are those of the point itself, as near as may be to the last
     ones used, so that the equations change continuously.
@@ -886,7 +905,7 @@ class RankEquations:
 
     @property
     def count(self) -> int:
-        """How many equations there are."""
+        """Number of the equations."""
         return self._left.shape[1] * self.nullity
 
     def write_equations(
@@ -923,12 +942,12 @@ class RankEquations:
 
     @staticmethod
     def _align_basis(basis: Array, to: Array) -> Array:
-        """The basis of the same space that is nearest to another (Procrustes)."""
+        """Return the basis of the same space that is nearest to another one (Procrustes)."""
         return basis @ Spectrum(basis.T @ to).orthogonal
 
 
 class _Before(Closure):
-    """Equations without the further ones from a number on."""
+    """Equations without the `further` ones from a number on."""
 
     def __init__(self, equations: Closure, further: int):
         vars(self).update(vars(equations))
@@ -943,8 +962,9 @@ class _Before(Closure):
 def hold_rank(
     equations: Closure, x: Array, curve: Callable[[], tuple[Closure, Node]], length: float = PROBE
 ) -> bool:
-    """Hold the rank at a point (nq,) from here on, if the equations then leave a curve through it;
-    True if they do.
+    """Hold the rank at a point (nq,) if the equations then leave a curve through it.
+
+    True is returned if they do.
 
     `curve` gives the equations of the curve, these or equations made of them, and its node at the
     point. The curve must have this `length` on both sides: branches that touch closely look like
@@ -964,7 +984,7 @@ def hold_rank(
 
 
 def _can_follow_curve(curve: Closure, a: Node, length: float) -> bool:
-    """Whether the curve can be followed from a node over a length, by steps that double."""
+    """Tell whether the curve can be followed from a node over a length, by steps that double."""
     h = PROBE
     gone = 0.0
     here = a
@@ -977,10 +997,10 @@ def _can_follow_curve(curve: Closure, a: Node, length: float) -> bool:
 
 
 def is_rank_held(equations: Closure) -> bool:
-    """Whether the equations hold the rank."""
+    """Tell whether the equations hold the rank."""
     return any(isinstance(m, RankEquations) for m in equations.more)
 
 
 def _find_least_value(A: Array) -> float:
-    """The least singular value."""
+    """Compute the least singular value of a matrix."""
     return float(Spectrum(A).values.min(initial=1.0))

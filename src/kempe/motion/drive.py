@@ -103,9 +103,7 @@ AT_ONCE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Where the motion is: configuration, values of the inputs; velocity and direction of the
-    inputs on arrival.
-    """
+    """A state of the motion: configuration, input values, velocity and direction on arrival."""
 
     q: Array
     u: Array
@@ -115,8 +113,9 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class Stuck:
-    """The pose where the inputs cannot go on, their values there, why; `reached` if more was not
-    requested.
+    """A configuration where the inputs cannot go on, with their values and the reason.
+
+    `reached` says that no more was requested.
     """
 
     q: Array
@@ -127,8 +126,7 @@ class Stuck:
 
 @dataclass(frozen=True, eq=False)
 class SegmentContext:
-    """What does not change from one segment to the next; `singular` collects the change points
-    passed.
+    """Data that all segments of the inputs share; `singular` collects the change points passed.
 
     `index` are the velocity indices of the inputs, `wish` (nv,) a direction that chooses among
     branches at the start.
@@ -149,8 +147,9 @@ class SegmentContext:
     def follow_inputs(
         self, state: State, stuck: Stuck | None, last: Array, u: Array, k: int
     ) -> tuple[State, Stuck | None, float]:
-        """The state after the inputs moved from `last` to `u` in sample k, what holds it, and the
-        size of a jump.
+        """Return the state after the inputs moved from `last` to `u` in sample k.
+
+        Returned are the state, where it is stuck, if it is, and the size of a jump.
 
         While held, it waits at the last regular state until the inputs can be reached from there on
         a straight way.
@@ -173,8 +172,9 @@ class SegmentContext:
         return there, None, float(np.linalg.norm(self.closure.compute_difference(stuck.q, q)))
 
     def move_to_inputs(self, state: State, u: Array, k: int) -> tuple[State, Stuck | None]:
-        """The state with the inputs moved straight to `u`; or the last regular one, and where it is
-        stuck.
+        """Return the state after the inputs moved straight to `u`.
+
+        Where it is stuck, the last regular state and the reason are returned.
         """
         change = (u - state.u) / self.unit
         length = float(np.linalg.norm(change))
@@ -221,9 +221,11 @@ class SegmentContext:
             h = choose_step_length(h, self.longest, was, a)
 
     def _make_state(self, way: DrivenClosure, a: Node) -> State:
+        """Return the state at a node of a segment."""
         return State(a.x[:-1], way.compute_input_values(float(a.x[-1])), a.t[:-1], way.direction)
 
     def _make_stuck(self, way: DrivenClosure, a: Node, reason: str, length: float) -> Stuck:
+        """Return the `Stuck` at a node of a segment, with the reason."""
         return Stuck(
             a.x[:-1],
             way.compute_input_values(float(a.x[-1])),
@@ -232,6 +234,7 @@ class SegmentContext:
         )
 
     def _record_singular_point(self, n: Node, k: int) -> None:
+        """Record the change point, if a node of sample k is one."""
         if n.lines is not None:
             kind = "bifurcation" if len(n.lines) > 1 else "singular"
             lines = n.lines[:, :-1] * self.closure.unit
@@ -242,9 +245,7 @@ class SegmentContext:
     def _find_segment_end(
         self, way: DrivenClosure, a: Node, b: Node, length: float
     ) -> tuple[Stuck | None, Node | None]:
-        """What ends the segment between two nodes: a limit, or that the curve turns back; or the
-        node at its end.
-        """
+        """Find what ends the segment between two nodes: a limit, a toggle, or its own end."""
         turn = None
         if b.t[-1] <= 0.0:
             turn = find_root(way, a, b, lambda n: float(n.t[-1])) or a
@@ -260,8 +261,9 @@ class SegmentContext:
         return None, find_root(way, a, b, lambda n: float(n.x[-1]) - length, 0.0, high)
 
     def _begin_segment(self, state: State, direction: Array) -> tuple[DrivenClosure, Node]:
-        """The equations of a segment and its first node; what spins idly is held, and so is the
-        rank where it is low all along.
+        """Return the equations of a segment and its first node.
+
+        Idle spins are held, and so is the rank where it is low all along.
         """
         lock = find_spin_lock(self.closure)
         if lock is not None:
@@ -278,12 +280,12 @@ class SegmentContext:
         return way, self._choose_first_node(way, here, state)
 
     def _make_equations(self, state: State, direction: Array) -> tuple[DrivenClosure, Node]:
-        """The equations of a segment, and the node where it begins."""
+        """Return the equations of a segment, and the node where it begins."""
         way = DrivenClosure(self.closure, self.index, state.u, direction)
         return way, make_node(way, np.append(state.q, 0.0))
 
     def _choose_first_node(self, way: DrivenClosure, here: Node, state: State) -> Node:
-        """The node at the beginning of a segment, on the branch of arrival where several meet."""
+        """Choose the node where a segment begins, on the branch of arrival where several meet."""
         x = here.x
         if here.nullity == 1:
             return here if here.t[-1] >= 0.0 else here.reverse_direction()
@@ -318,8 +320,9 @@ class SegmentContext:
 
 
 def find_landing_node(way: DrivenClosure, a: Node, length: float) -> Node | None:
-    """The node of the curve at this length of the segment, or None where that is too far to be sure
-    of it.
+    """Find the node of the curve at this length of the segment.
+
+    It is None where that is too far to be sure of the branch.
     """
     size = (length - float(a.x[-1])) / float(a.t[-1])
     guess = way.move_point(a.x, size * a.t)
@@ -340,9 +343,7 @@ def find_landing_node(way: DrivenClosure, a: Node, length: float) -> Node | None
 def _land_on_crossing(
     way: DrivenClosure, a: Node, guess: Array, length: float, size: float
 ) -> Node | None:
-    """The node at this length where it is on a change point, or so near that the branch is
-    straight.
-    """
+    """Return the node at this length where it is on a change point, or close to one."""
     x = locate_singular_point(way, guess, 2, size)
     if x is None or abs(float(x[-1]) - length) > AT_ONCE:
         return None
@@ -375,8 +376,9 @@ MISS = 1e-9
 
 
 class RollingSamples(NamedTuple):
-    """Configurations (n, nq) at the samples that were done, why the motion ends, if early, and what
-    broke it off.
+    """Configurations (n, nq) at the samples that were computed, and why the motion ends early.
+
+    `broken` is the exception that broke it off.
     """
 
     q: Array
@@ -394,8 +396,9 @@ def drive_rolling(
     limits: bool,
     budget: TimeLimit,
 ) -> RollingSamples | None:
-    """The motion of what rolls under inputs, by their `samples` as `drive` gives them; None where
-    it cannot begin.
+    """Compute the motion of a rolling system under inputs; None where it cannot begin.
+
+    `samples` gives the inputs, as `_read_samples` returns it.
 
     Errors: `UnsupportedError` where the inputs leave freedoms.
     """
@@ -444,8 +447,9 @@ def drive_rolling(
 def _find_first_configuration(
     system: Model, start: Any, hold: Mapping[str, float], names: Sequence[str], u: Array
 ) -> Array | None:
-    """The closed configuration (nq,) near the start with inputs `names` at u and `hold` held; None
-    on failure.
+    """Find the closed configuration (nq,) near the start with inputs `names` at u and `hold` held.
+
+    It is None on failure.
     """
     near = read_start_configuration(system, start, hold)
     index = [find_angle_or_slide(system, n) for n in (*names, *hold)]
@@ -455,7 +459,7 @@ def _find_first_configuration(
 
 
 class _Follow:
-    """Velocities that follow from those of inputs, and steps along them."""
+    """Velocities of a rolling system that follow from those of inputs, and steps along them."""
 
     def __init__(
         self,
@@ -475,7 +479,10 @@ class _Follow:
         self.loops = len(self.closure.weight)
 
     def compute_velocities(self, q: Array, t: float, speeds: Array) -> Array:
-        """Velocities (nv,) without unit. Errors: `UnsupportedError` where they are not determined."""
+        """Compute the scaled velocities (nv,).
+
+        Errors: `UnsupportedError` where they are not determined.
+        """
         unit = self.closure.unit
         A, b = evaluate_velocity_rows(self.system, q, t)
         A = A * unit
@@ -523,8 +530,9 @@ class _Follow:
     def advance_to_sample(
         self, q: Array, t0: float, t1: float, u: Array, samples: Callable[[int], list[Array]]
     ) -> Array | None:
-        """The configuration (nq,) at the next sample, of times t0 to t1 and inputs u to those of
-        the `samples`.
+        """Return the configuration (nq,) at the next sample.
+
+        Times are from t0 to t1, inputs from u to those of the `samples`.
         """
         end = samples(1)[-1]
         h = t1 - t0
@@ -549,14 +557,16 @@ class _Follow:
         return close_loops(Closure(self.system, self.index, near), near)
 
     def _integrate_step(self, q: Array, t: float, h: float, values: list[Array]) -> Array | None:
-        """The configuration (nq,) after a step, along the parabola through three values of the
-        inputs; None where the integration does not come to the end of the step.
+        """Return the configuration (nq,) after a step, with inputs on a parabola of three values.
+
+        It is None where the integration does not come to the end of the step.
         """
         from scipy import integrate  # only here: it takes long
 
         a, m, b = values
 
         def compute_slope(s: float, x: Array) -> Array:
+            """Compute the rates of the coordinates at the time s of the step."""
             part = s / h
             speeds = (4.0 * m - 3.0 * a - b + 4.0 * part * (a + b - 2.0 * m)) / h
             return compute_coordinate_rates(
@@ -568,7 +578,7 @@ class _Follow:
         return motion.y[:, -1] if motion.success else None
 
     def _make_middle_step(self, q: Array, t: float, h: float, u: Array, end: Array) -> Array:
-        """One step by the velocities that slip least in its own middle."""
+        """Make one step by the velocities that slip least in the middle of the step."""
         z = self.compute_velocities(q, t, (end - u) / h)
         for _ in range(MIDDLE):
             z = self.compute_velocities(
@@ -590,14 +600,15 @@ MOST_PARTS = 200
 
 
 def _format_samples(first: int, last: int) -> str:
-    """'sample 3', 'samples 3 to 5'."""
+    """Return the samples as text: 'sample 3', 'samples 3 to 5'."""
     return f"sample {first}" if first == last else f"samples {first} to {last}"
 
 
 @dataclass(frozen=True, eq=False)
 class Toggle(InWords):
-    """Samples `first` to `last`, whose inputs cannot be reached: `q` (nq,) is held there, for this
-    `reason`.
+    """Samples `first` to `last` with inputs out of reach: the motion is held at `q` (nq,).
+
+    `reason` says why.
     """
 
     first: int
@@ -649,8 +660,9 @@ class Drive(Motion):
         )
 
     def table(self, frames: Iterable[FrameLike] = ()) -> tuple[list[str], Array]:
-        """Names and columns (n, k) for a file: time, all coordinates, whether held, x, y (and z) of
-        frames.
+        """Return names and columns (n, k) for a file.
+
+        These are time, all coordinates, whether held, x, y (and z) of frames.
         """
         names, columns = self._make_columns("time", self.times, frames)
         return [*names, "held"], np.column_stack([columns, self.held])
@@ -662,14 +674,15 @@ class Drive(Motion):
         *,
         degrees: bool = False,
     ) -> FilePath:
-        """Write the `table` with these frames to a .csv or .npy file; returns the path. Errors:
-        `InputError`.
+        """Write the `table` with these frames to a .csv or .npy file; return the path.
+
+        Errors: `InputError`.
         """
         return write_table(path, *convert_columns(*self.table(frames), self._list_units(), degrees))
 
     @property
     def code(self) -> Status:
-        """The outcome: `PARTLY` where inputs cannot be reached, or it jumps."""
+        """Outcome: `PARTLY` where inputs cannot be reached, or the motion jumps."""
         return (
             Status.SOLVED
             if self.success
@@ -721,8 +734,9 @@ def _make_unstarted_drive(
     start: Any = None,
     **_: Any,
 ) -> Drive:
-    """The motion where the time was up before a closed configuration was known: it stays where
-    `start` is, or home.
+    """Return the answer where the time was up before a closed configuration was known.
+
+    The motion stays where `start` is, or at home.
     """
     near = (
         find_home(system)
@@ -764,8 +778,7 @@ def drive(
     tolerance: float | str | None = None,
     budget: Budget | None = None,
 ) -> Drive:
-    """The motion that follows prescribed inputs, as a `Drive`: continuous, on the branch of
-    `start`.
+    """Compute the motion that follows prescribed inputs, on the branch of `start`, as a `Drive`.
 
     `inputs` gives for each driven coordinate its values (n,) in radians or metres, one number, or a
     function of time, which needs `times` (n,), growing. Samples may be coarse: in between the
@@ -857,7 +870,7 @@ def _drive_in_time(
     limits: bool,
     budget: Budget | None,
 ) -> Drive:
-    """The motion where equations depend on time, which is driven as a coordinate of its own."""
+    """Compute the motion where equations depend on time, with the time as a driven coordinate."""
     if TIME in inputs and TIME not in system.coordinate_names:
         raise InputError(f"{TIME!r} is the time and no input; give it by `times`")
     clock, _ = _read_samples({**inputs, TIME: 0.0}, times)
@@ -876,7 +889,7 @@ def _drive_in_time(
 
 
 def _append_time(start: Any, clock: Array) -> Any:
-    """The start with the first time, where it is a configuration."""
+    """Return the start with the first time appended, where it is a configuration."""
     if start is None or isinstance(start, str) or not clock.size:
         return start
     return (
@@ -887,7 +900,7 @@ def _append_time(start: Any, clock: Array) -> Any:
 
 
 def _remove_time(found: Drive, system: Model) -> Drive:
-    """The motion in the coordinates of the system itself."""
+    """Return the motion in the coordinates of the system itself."""
     inputs = {n: x for n, x in found.inputs.items() if n != TIME}
     toggles = tuple(replace(toggle, q=toggle.q[:-1]) for toggle in found.toggles)
     events = tuple(replace(event, q=event.q[:-1]) for event in found.singular_points)
@@ -909,7 +922,7 @@ def _make_rolling_drive(
     clock: Array,
     samples: Callable[[int, int], list[Array]],
 ) -> Drive:
-    """The motion of what rolls, as an answer."""
+    """Return the motion of a rolling system as an answer."""
     if found is None:
         found = RollingSamples(
             read_start_configuration(system, None, {})[None],
@@ -937,8 +950,9 @@ def _make_rolling_drive(
 def _read_samples(
     inputs: Mapping[str, Any], times: ArrayLike | None, angles: Set[str] = frozenset()
 ) -> tuple[Array, Callable[[int, int], list[Array]]]:
-    """The times (n,), and a function (k, parts) that gives the inputs on the way from sample k - 1
-    to sample k.
+    """Read the inputs as times (n,) and a function (k, parts) of their values.
+
+    The function gives the inputs on the way from sample k - 1 to sample k.
     """
     if not inputs:
         raise InputError("there are no inputs; give values by coordinate name")
@@ -974,6 +988,7 @@ def _read_samples(
         refuse_wound_angle(float(np.abs(full[n]).max()), f"input {n!r}")
 
     def evaluate_input(name: str, before: int, k: int, f: float) -> float:
+        """Return an input at the fraction f of the way from one sample to the next."""
         if name in functions:
             t = (1.0 - f) * clock[before] + f * clock[k]
             found = _read_numbers(inputs[name](t), f"input {name!r} at time {t:g}")
@@ -988,6 +1003,7 @@ def _read_samples(
         return float((1.0 - f) * full[name][before] + f * full[name][k])
 
     def sample_inputs(k: int, parts: int) -> list[Array]:
+        """Return the inputs at equal parts of the way to sample k."""
         before = max(k - 1, 0)
         return [
             np.array([evaluate_input(n, before, k, float(f)) for n in inputs])
@@ -998,6 +1014,7 @@ def _read_samples(
 
 
 def _read_numbers(values: Any, subject: str) -> Array:
+    """Read real numbers as an array. Errors: `InputError`."""
     return read_reals(values, subject, "numbers")
 
 
@@ -1008,7 +1025,7 @@ def _begin_drive(
     first: dict[str, float],
     index: Sequence[int],
 ) -> tuple[Closure, Array | None]:
-    """The equations, and a closed configuration to begin with."""
+    """Return the equations, and a closed configuration (nq,) to begin with, or None."""
     if start is None and "closed" not in system.structure.posture_names:
         start = first
     closure, q = begin_motion(system, start, hold)
@@ -1030,7 +1047,7 @@ def _drive_samples(
     samples: Callable[[int, int], list[Array]],
     progress: Progress | None,
 ) -> Drive:
-    """The motion through all samples."""
+    """Compute the motion through all samples."""
     state = State(q, q[context.closure.place[context.index]])
     requested: list[Array] = []
     poses: list[Array] = []

@@ -68,7 +68,7 @@ ARRIVED = 0.999
 
 @dataclass(frozen=True)
 class WalkEnd:
-    """Why a walk ends: a sentence."""
+    """The end of a walk along a curve, with the reason as a sentence."""
 
     reason: str
 
@@ -76,14 +76,16 @@ class WalkEnd:
 def walk_curve(
     equations: Closure, a: Node, longest: float, periods: Array
 ) -> Iterator[Node | WalkEnd]:
-    """Nodes of the curve after `a`, crossings among them, then perhaps a `WalkEnd`; straight on
-    through crossings.
+    """Iterate over the nodes of the curve after `a`, straight on through crossings.
+
+    Crossings are among them; the last one may be a `WalkEnd`.
 
     At a cusp the curve arrives at one node and leaves from another one, at the same point.
     `periods` (nv,) are 0 for coordinates that do not come back by turning on.
     """
 
     def take_step(a: Node, h: float) -> list[Node] | None:
+        """Return the nodes of one step, or None where it failed."""
         b = find_next_node(equations, a, h)
         if b is not None and b.sigma < AWKWARD:
             b = find_next_node(equations, a, 1.3 * h) or b
@@ -129,8 +131,9 @@ def walk_curve(
 
 
 def accept_step(equations: Closure, a: Node, b: Node | None) -> list[Node] | None:
-    """A step from `a` to `b` with the crossing in between, if any; None where it may have changed
-    the branch.
+    """Return the nodes of a step from `a` to `b`, with the crossing between them, if any.
+
+    None is returned where the step may have changed the branch.
     """
     if b is None:
         return None
@@ -145,8 +148,9 @@ def accept_step(equations: Closure, a: Node, b: Node | None) -> list[Node] | Non
 
 
 def _may_pass_touching_branches(equations: Closure, a: Node, b: Node) -> bool:
-    """Whether a step may have led past a singular point at which branches touch, to another branch
-    or round a cusp.
+    """Tell whether a step may have passed a singular point at which branches touch.
+
+    It may have led to another branch, or round a cusp.
     """
     if max(a.sigma, b.sigma) > NEARLY or a.lines is not None:
         return False
@@ -166,7 +170,9 @@ def _may_pass_touching_branches(equations: Closure, a: Node, b: Node) -> bool:
 
 
 def is_side_changed(equations: Closure, a: Node, b: Node) -> bool | None:
-    """`is_determinant_flipped`, with derivatives of the same equations at both nodes.
+    """Tell whether an odd number of crossings is between two nodes, by `flipped`.
+
+    Derivatives at both nodes are of the same equations.
 
     What holds the rank changes its bases on the way, and equations in other bases have determinants
     of other signs.
@@ -185,14 +191,16 @@ def find_root(
     low: float = 0.0,
     high: float | None = None,
 ) -> Node | None:
-    """The node between two neighbours where `function` of it, of different signs at both ends, is
-    zero.
+    """Find the node between two neighbours where a function of the node is zero.
+
+    The function has different signs at both ends.
     """
     end = float(a.t @ equations.compute_difference(a.x, b.x)) if high is None else high
     found: dict[float, Node] = {}
     large = equations.rows > LARGE
 
     def evaluate_distance(distance: float) -> float:
+        """Evaluate the function at a distance from `a`."""
         here = find_node_between(equations, a, b, distance, False)
         if here is None:
             return 0.0  # rounding only: a point between two neighbours always exists
@@ -209,8 +217,9 @@ def find_root(
 
 
 def find_return(equations: Closure, a: Node, b: Node, start: Node, periods: Array) -> Node | None:
-    """The start again, whole turns away, if the curve returns to it between two neighbours in the
-    same direction.
+    """Return the start, whole turns away, if the curve returns to it between two neighbours.
+
+    It must arrive in the direction in which it left.
 
     `periods` (nv,) are 0 for coordinates that do not come back by turning on.
     """
@@ -241,13 +250,12 @@ def find_return(equations: Closure, a: Node, b: Node, start: Node, periods: Arra
 
 
 def _divide_by_periods(x: Array, periods: Array) -> Array:
+    """Divide by periods (nv,); the ratio is 0 where there is no period."""
     return np.divide(x, periods, out=np.zeros_like(x), where=periods > 0.0)
 
 
 def list_turns(nodes: list[Node], closed: bool, indices: list[int]) -> list[tuple[int, int, int]]:
-    """Where velocities of coordinates change their sign: (node before, node after, coordinate),
-    along the curve.
-    """
+    """List where velocities of coordinates change sign: (node before, node after, coordinate)."""
     out: list[tuple[int, int, int]] = []
     rates = np.array([n.t for n in nodes])
     count = len(nodes)
@@ -263,8 +271,9 @@ def list_turns(nodes: list[Node], closed: bool, indices: list[int]) -> list[tupl
 
 
 def find_extreme(equations: Closure, nodes: list[Node], k: int, m: int, i: int) -> Node | None:
-    """The node at which coordinate i turns back between the nodes k and m, one of `list_turns`, or None
-    where it rests.
+    """Find the node at which coordinate i turns back between the nodes k and m.
+
+    k, m, i are one of `list_turns`. It is None where the coordinate rests.
     """
     if (
         m == k + 1
@@ -279,8 +288,9 @@ def find_extreme(equations: Closure, nodes: list[Node], k: int, m: int, i: int) 
 
 
 def insert_hidden_crossings(equations: Closure, nodes: list[Node]) -> list[Node]:
-    """The nodes, and between them those singular points that no determinant shows: where two things
-    vanish at once.
+    """Insert singular points between nodes that no determinant shows.
+
+    There two singular values vanish at once.
     """
     out = [nodes[0]]
     for k in range(1, len(nodes) - 1):
@@ -332,8 +342,9 @@ OUTSIDE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class OneSidedEnd(InWords):
-    """A bound of a one-sided constraint or coordinate: `sign` is +1 for an upper bound and -1 for a
-    lower one.
+    """A bound of a one-sided constraint or coordinate.
+
+    `sign` is +1 for an upper bound and -1 for a lower one.
     """
 
     name: str
@@ -343,19 +354,19 @@ class OneSidedEnd(InWords):
     """The velocity coordinate that it limits, None for a declared row."""
 
     def compute_excess(self, x: Array) -> float:
-        """How far the bounded quantity is beyond the bound at configuration x; negative inside."""
+        """Compute how far the bounded quantity is beyond its bound at x; negative inside."""
         return self.sign * (self.compute_value(x) - self.limit)
 
     def compute_value(self, x: Array) -> float:
-        """Value of the bounded quantity at x."""
+        """Compute the bounded quantity at x."""
         raise NotImplementedError
 
     def compute_rate(self, n: Node) -> float:
-        """Rate along the curve, at a node, at which the bounded quantity goes outwards."""
+        """Compute the rate of the bounded quantity along the curve, positive outwards."""
         raise NotImplementedError
 
     def describe_violation(self, over: float) -> str:
-        """Sentence, without its end, that the bound is violated by `compute_excess`."""
+        """Return a sentence, without its end, that the bound is violated by `over`."""
         raise NotImplementedError
 
 
@@ -366,15 +377,15 @@ class CoordinateBound(OneSidedEnd):
     place: int
 
     def compute_value(self, x: Array) -> float:
-        """The value of the coordinate."""
+        """Return the value of the coordinate."""
         return float(x[self.place])
 
     def compute_rate(self, n: Node) -> float:
-        """The rate of the coordinate."""
+        """Return the rate of the coordinate along the curve, positive outwards."""
         return self.sign * float(n.t[self.of])
 
     def describe_violation(self, over: float) -> str:
-        """That it is violated."""
+        """Return a sentence, without its end, that the coordinate is outside its limits."""
         return f"{self.name!r} is outside its limits"
 
     def __str__(self) -> str:
@@ -391,17 +402,17 @@ class RowBound(OneSidedEnd):
     index: int
 
     def compute_value(self, x: Array) -> float:
-        """The row's value; of a driven curve, x goes on behind the coordinates."""
+        """Compute the value of the row; for a driven curve x continues after the coordinates."""
         return float(self.rows.compute_values(x[: self.rows.system.nq], declared=True)[self.index])
 
     def compute_rate(self, n: Node) -> float:
-        """Its rate, in scaled units."""
+        """Compute the rate of the row along the curve, positive outwards, in scaled units."""
         system = self.rows.system
         J = self.rows.compute_rates(n.x[: system.nq], declared=True)[1]
         return self.sign * float(J[self.index] @ n.t[: system.nv])
 
     def describe_violation(self, over: float) -> str:
-        """That it is violated, and by how much."""
+        """Return a sentence, without its end, that the row is violated, and by how much."""
         return f"{self} is violated by {over:.6g} {self.rows.units[self.index]}".removesuffix(" 1")
 
     def __str__(self) -> str:
@@ -411,8 +422,9 @@ class RowBound(OneSidedEnd):
 
 
 class OneSidedEnds:
-    """What is one-sided in a system, as ends of a walk: declared rows, and with `limits` those of
-    its coordinates.
+    """One-sided constraints of a system that may end a walk along a curve.
+
+    These are declared rows, and with `limits` those of its coordinates.
     """
 
     def __init__(self, equations: Closure, limits: bool = True):
@@ -439,16 +451,14 @@ class OneSidedEnds:
                     self.all.append(RowBound(rows.names[k], float(bound), sign, None, rows, k))
 
     def describe_violation(self, x: Array) -> str:
-        """What is violated at `x`, as a sentence without its end; empty where nothing is."""
+        """Return a sentence, without its end, on a bound that is violated at `x`; "" if none is."""
         for bound in self.all:
             if (over := bound.compute_excess(x)) > OUTSIDE * (1.0 + abs(bound.limit)):
                 return bound.describe_violation(over)
         return ""
 
     def may_reach_bound(self, n: Node, moving: list[int]) -> bool:
-        """Whether one of the `moving` velocity coordinates, or a declared row, goes towards a bound
-        at a node.
-        """
+        """Tell whether a `moving` coordinate, or a declared row, goes towards a bound at a node."""
         return any(
             bound.compute_rate(n) > 0.0
             for bound in self.all
@@ -456,8 +466,9 @@ class OneSidedEnds:
         )
 
     def find_first_bound(self, equations: Closure, a: Node, b: Node) -> tuple[Node, str] | None:
-        """The first node between two neighbours at which a bound is reached, and which: None if
-        there is none.
+        """Find the first node between two neighbours at which a bound is reached, and its name.
+
+        It is None if there is none.
         """
         best: tuple[float, Node, str] | None = None
         for bound in self.all:
@@ -470,7 +481,10 @@ class OneSidedEnds:
 
 
 def _find_bound_node(equations: Closure, a: Node, b: Node, bound: OneSidedEnd) -> Node | None:
+    """Find the node between two neighbours at which the bound is reached, or None."""
+
     def compute_excess(n: Node) -> float:
+        """Compute how far a node is beyond the bound."""
         return bound.compute_excess(n.x)
 
     before = compute_excess(a)

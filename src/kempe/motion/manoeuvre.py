@@ -41,8 +41,9 @@ if TYPE_CHECKING:
 
 
 class Piece(NamedTuple):
-    """A part of a manoeuvre in which the speeds stay: "forwards", "in reverse", "turn" on the spot,
-    or "steer" at rest.
+    """A part of a manoeuvre at constant speeds.
+
+    It is "forwards", "in reverse", "turn" on the spot, or "steer" at rest.
 
     `forward` [m/s] and `turning` [rad/s] are those of the axle, `steering` the rate of the steering
     coordinate.
@@ -57,12 +58,12 @@ class Piece(NamedTuple):
 
     @property
     def length(self) -> float:
-        """Metres that the axle goes, negative in reverse."""
+        """Length of the way of the axle in metres, negative in reverse."""
         return self.forward * self.duration
 
     @property
     def angle(self) -> float:
-        """Radians that it turns."""
+        """Angle by which the axle turns, in radians."""
         return self.turning * self.duration
 
     def __str__(self) -> str:
@@ -82,7 +83,7 @@ class Piece(NamedTuple):
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Manoeuvre(Motion):
-    """The way from a configuration to another one that obeys all velocity constraints.
+    """A motion from one configuration to another that obeys all velocity constraints.
 
     `q` (n, nq) are configurations at times `t` (n,), `s` (n,) the length that the axle has gone by
     then. `pieces` are the parts with constant speeds; `evaluate_motion` and `velocity` give any time. `compute_slip` is
@@ -108,17 +109,17 @@ class Manoeuvre(Motion):
 
     @property
     def length(self) -> float:
-        """Metres that the axle goes, forwards and in reverse."""
+        """Length of the way of the axle in metres, forwards and in reverse."""
         return math.fsum(abs(p.length) for p in self.pieces)
 
     @property
     def duration(self) -> float:
-        """Time that it takes [s]."""
+        """Duration of the manoeuvre in seconds."""
         return float(self.t[-1])
 
     @property
     def cusps(self) -> int:
-        """How often it changes between forwards and reverse."""
+        """Number of changes between forwards and reverse."""
         signs = [p.forward > 0.0 for p in self.pieces if p.forward]
         return sum(a != b for a, b in zip(signs, signs[1:], strict=False))
 
@@ -130,16 +131,21 @@ class Manoeuvre(Motion):
         return f"Manoeuvre({self.system.name!r}, {what})"
 
     def at(self, t: ArrayLike) -> Array:
-        """Configurations (..., nq) at times `t` (...), exactly. Errors: `InputError` for times
-        outside.
+        """Return the exact configurations (..., nq) at times `t` (...) in seconds.
+
+        Errors: `InputError` for times outside.
         """
         return self._evaluate_motion(t)[0]
 
     def velocity(self, t: ArrayLike) -> Array:
-        """Velocities (..., nv) at times `t` (...); where two pieces meet, those of the later one."""
+        """Return velocities (..., nv) at times `t` (...).
+
+        Where two pieces meet, they are those of the later one.
+        """
         return self._evaluate_motion(t)[1]
 
     def _evaluate_motion(self, t: ArrayLike) -> tuple[Array, Array]:
+        """Return configurations (..., nq) and velocities (..., nv) at times `t` (...)."""
         t = numbers(t, "t")
         if not ((t >= 0.0) & (t <= self.duration)).all():
             raise InputError(
@@ -152,7 +158,7 @@ class Manoeuvre(Motion):
         return q.reshape(*t.shape, self.system.nq), v.reshape(*t.shape, self.system.nv)
 
     def table(self, frames: Iterable[FrameLike] = ()) -> tuple[list[str], Array]:
-        """Names and columns (n, k) for a file: time, all coordinates, x, y (and z) of frames."""
+        """Return names and columns (n, k) for a file: time, coordinates, x, y (and z) of frames."""
         return self._make_columns("time", self.t, frames)
 
     def _compose_sentence(self, index: tuple[int, ...]) -> str:
@@ -213,7 +219,7 @@ class ExactManoeuvre:
             q = move(q, self.V[k] * p.duration)
 
     def evaluate_motion(self, t: Array) -> tuple[Array, Array]:
-        """Configurations (n, nq) and velocities (n, nv) at times (n,)."""
+        """Return configurations (n, nq) and velocities (n, nv) at times (n,)."""
         axle = self.axle
         k = np.clip(np.searchsorted(self.starts, t, side="right") - 1, 0, len(self.starts) - 1)
         past = t - self.starts[k]
@@ -226,12 +232,12 @@ class ExactManoeuvre:
         return q, v
 
     def compute_lengths(self, t: Array) -> Array:
-        """Lengths (n,) that the axle has gone at times (n,)."""
+        """Compute the lengths (n,) in metres of the axle's way up to times (n,)."""
         return np.interp(t, np.append(self.starts, self.total), self.gone)
 
 
 def _move_along_arc(place: Array, length: Array, angle: Array) -> Array:
-    """Axles (n, 3) after signed lengths (n,) in which they turn by angles (n,) evenly."""
+    """Return places (n, 3) of an axle after arcs of signed lengths (n,) with turns by angles (n,)."""
     h = place[:, 2] + 0.5 * angle
     chord = length * np.sinc(0.5 * angle / math.pi)
     return place + np.column_stack([chord * np.cos(h), chord * np.sin(h), angle])
@@ -253,13 +259,11 @@ NEAR = 1e-12
 
 
 class Refused(Exception):
-    """There is no plan; the text says why. Raised inside a manoeuvre, and caught there."""
+    """Error inside a manoeuvre that has no plan; the text says why."""
 
 
 class Move(NamedTuple):
-    """A part of a plan: signed length [m], angle [rad], and values of the steering at which the
-    axle moves so.
-    """
+    """A part of a plan: signed length [m], angle [rad], and values of the steering for it."""
 
     length: float
     angle: float
@@ -291,17 +295,20 @@ class Steering:
         self._known: dict[float, tuple[float, ...]] = {}
 
     def find_values(self, curvature: float) -> tuple[float, ...]:
-        """Values at which the axle's path has this curvature [1/m]: 0 straight, infinite on the
-        spot.
+        """Find the values at which the axle's path has this curvature [1/m].
+
+        It is 0 straight, infinite on the spot.
         """
         if curvature not in self._known:
             self._known[curvature] = tuple(self._search_values(curvature))
         return self._known[curvature]
 
     def _search_values(self, curvature: float) -> list[float]:
+        """Search the limits of the steering for values with this curvature [1/m]."""
         wanted = math.atan(curvature * self.unit)
 
         def compute_deviation(s: float) -> float:
+            """Compute the difference of the bend angle from the requested one."""
             return math.remainder(self._axle.compute_bend_angle(self._q, s) - wanted, math.pi)
 
         found = [
@@ -316,8 +323,9 @@ class Steering:
         return found
 
     def find_smallest_radius(self) -> float:
-        """The smallest radius of arcs to both sides within the limits; infinite where there is
-        none.
+        """Find the smallest radius of arcs to both sides within the limits, in metres.
+
+        It is infinite where there is none.
         """
         bend = np.tan(self.bends) / self.unit
         least = min(float(bend.max()), float(-bend.min()))
@@ -327,7 +335,7 @@ class Steering:
 def iterate_plans(
     axle: Axle, q: Array, goal: Array, radius: float | None, free: Sequence[int]
 ) -> Iterator[Plan]:
-    """Plans from one configuration (nq,) to another, the best first.
+    """Iterate over plans from one configuration (nq,) to another, the best first.
 
     `free` are velocity indices of driven coordinates that may end anywhere. Errors: `Refused`.
     """
@@ -346,7 +354,7 @@ def iterate_plans(
             radius = least
 
     def add_steering(plan: Plan) -> Plan:
-        """The plan with values of the steering at which its moves go."""
+        """Return the plan with values of the steering for its moves."""
         if steering is None:
             return plan
         moves: list[Move] = []
@@ -382,8 +390,9 @@ def iterate_plans(
 def _find_signed_length(
     axle: Axle, q: Array, goal: Array, free: Sequence[int], angle: float, ahead: Move, turn: Move
 ) -> float | None:
-    """The signed length [m] that brings the driven coordinates to the goal's, None where all of
-    them are free.
+    """Find the signed length [m] that brings the driven coordinates to those of the goal.
+
+    It is None where all of them are free.
 
     Errors: `Refused` where none does.
     """
@@ -392,6 +401,7 @@ def _find_signed_length(
         return None
 
     def compute_rates(move: Move) -> Array:
+        """Compute the rates of the driven coordinates in a move."""
         x = q.copy()
         if move.steering and axle.steering is not None:
             i = axle.q_places[axle.steering]
@@ -419,8 +429,9 @@ def _find_signed_length(
 def _iterate_spot_plans(
     start: Array, end: Array, angle: float, signed: float | None
 ) -> Iterator[Plan]:
-    """Plans of turns on the spot, by `angle` in all, and straight lines, of a `signed` length in
-    all where given.
+    """Iterate over plans of turns on the spot, by `angle` in all, and straight lines.
+
+    The lines have a `signed` length in all, where one is given.
     """
     far = math.hypot(*(end - start)[:2])
     way = math.atan2(end[1] - start[1], end[0] - start[0])
@@ -448,8 +459,9 @@ def _iterate_spot_plans(
 
 
 def _iterate_legs(far: float, way: float, signed: float) -> Iterator[list[tuple[float, float]]]:
-    """Two straight legs (direction, signed length) that lead `far` in the direction `way`, with a
-    sum of lengths.
+    """Iterate over pairs of straight legs (direction, signed length) to a point.
+
+    They lead `far` metres in the direction `way`, with the sum `signed` of their lengths.
     """
     if abs(signed) >= far:  # by the tip of an isosceles triangle
         sense = math.copysign(1.0, signed)
@@ -463,7 +475,10 @@ def _iterate_legs(far: float, way: float, signed: float) -> Iterator[list[tuple[
 
 
 def _make_leg_plan(h: float, angle: float, legs: list[tuple[float, float]]) -> Plan:
-    """Turns and legs (direction, signed length) with the least turning that ends at h + `angle`."""
+    """Make the plan of turns and legs with the least turning that ends at h + `angle`.
+
+    Legs are (direction, signed length).
+    """
     plans: list[Plan] = []
     for rounds in itertools.product((-1, 0, 1), repeat=len(legs)):
         plan: list[Move] = []
@@ -478,7 +493,7 @@ def _make_leg_plan(h: float, angle: float, legs: list[tuple[float, float]]) -> P
 
 
 def _drop_empty_moves(plan: Plan) -> Plan:
-    """The plan without moves of no size."""
+    """Return the plan without moves of no size."""
     return tuple(m for m in plan if abs(m.length) > 1e-300 or abs(m.angle) > 1e-15)
 
 
@@ -510,8 +525,9 @@ def manoeuvre(
     free: Iterable[str] = (),
     budget: Budget | None = None,
 ) -> Manoeuvre:
-    """The `Manoeuvre` from one configuration to another of a system that rolls: every velocity
-    constraint is obeyed.
+    """Find a `Manoeuvre` of a rolling system from one configuration to another.
+
+    Every velocity constraint is obeyed.
 
     `start` and `goal` are configurations (nq,) or dicts by coordinate name (what is not named is
     neutral). `radius` [m] is the smallest turning circle of the axle's middle: 0 allows turns on
@@ -595,7 +611,7 @@ def manoeuvre(
 
 
 def _read_configuration(system: Model, q: Any, what: str) -> Array:
-    """One configuration (nq,), closed or not. Errors: `InputError`."""
+    """Read one configuration (nq,), closed or not. Errors: `InputError`."""
     if q is None:
         q = system.neutral
     given = read_mapping(q)
@@ -618,7 +634,10 @@ def _read_configuration(system: Model, q: Any, what: str) -> Array:
 def _read_free_coordinates(
     system: Model, goal: Any, free: Iterable[str], axle: Axle
 ) -> tuple[int, ...]:
-    """Velocity indices of what may end anywhere. Errors: `InputError`, `UnknownNameError`."""
+    """Return the velocity indices of coordinates that may end anywhere.
+
+    Errors: `InputError`, `UnknownNameError`.
+    """
     names = list(system.structure.velocity_names)
     out: list[int] = []
     for name in read_names(free, "free"):
@@ -635,8 +654,9 @@ def _read_free_coordinates(
 
 
 def _make_exact_manoeuvre(axle: Axle, q: Array, goal: Array, plan: Plan) -> ExactManoeuvre | None:
-    """A plan in closed form, with the steering between its moves, as fast as limits allow; None for
-    nothing to do.
+    """Make the manoeuvre of a plan in closed form, as fast as limits allow.
+
+    The steering moves between the moves of the plan. None for nothing to do.
     """
     system = axle.system
     i = None if axle.steering is None else axle.q_places[axle.steering]
@@ -670,9 +690,7 @@ def _make_exact_manoeuvre(axle: Axle, q: Array, goal: Array, plan: Plan) -> Exac
 
 
 def _compute_slowness(motion: ExactManoeuvre, limits: Array) -> Array:
-    """How many times slower each piece (n,) must be so that no coordinate exceeds its velocity
-    limit (nv,).
-    """
+    """Compute the factors (n,) by which pieces must be slower to obey velocity limits (nv,)."""
     n = 65
     factors: list[float] = []
     for p in motion.pieces:
@@ -685,7 +703,7 @@ def _compute_slowness(motion: ExactManoeuvre, limits: Array) -> Array:
 
 
 def _stretch_pieces(pieces: Sequence[Piece], by: Array) -> list[Piece]:
-    """The pieces one after the other, each `by` (n,) times as long."""
+    """Return the pieces one after the other, each `by` (n,) times as long."""
     out: list[Piece] = []
     start = 0.0
     for p, x in zip(pieces, by.tolist(), strict=True):
@@ -697,7 +715,7 @@ def _stretch_pieces(pieces: Sequence[Piece], by: Array) -> list[Piece]:
 
 
 def _list_times(motion: ExactManoeuvre, samples: int) -> Array:
-    """Times (n,): the ends of all pieces, and evenly spread ones between them."""
+    """Return times (n,): the ends of all pieces, and evenly spread ones between them."""
     out = [np.zeros(1)]
     for p in motion.pieces:
         n = max(1, math.ceil(p.duration / motion.total * (samples - 1)))
@@ -707,9 +725,7 @@ def _list_times(motion: ExactManoeuvre, samples: int) -> Array:
 
 
 def _describe_violation(system: Model, motion: ExactManoeuvre, samples: int) -> str:
-    """What a motion does that it must not, in words: it leaves limits, or violates one-sided
-    constraints.
-    """
+    """Describe the first limit or one-sided constraint that a motion violates; "" if none."""
     q = motion.evaluate_motion(_list_times(motion, max(samples, 200)))[0]
     if (motion.axle.compute_slide_sine(q) <= PARALLEL).any():
         slides = " and ".join(repr(system.structure.velocity_names[v]) for v in motion.axle.own[:2])
@@ -728,8 +744,9 @@ def _describe_violation(system: Model, motion: ExactManoeuvre, samples: int) -> 
 def _correct_ends(
     axle: Axle, motion: ExactManoeuvre, x: Array, q: Array, goal: Array, free: Sequence[int]
 ) -> int:
-    """Put the ends of samples (n, nq) right to the last bit; returns by how many whole turns the
-    heading is off.
+    """Set the first and last sample of (n, nq) to start and goal, to the last bit.
+
+    Returned is by how many whole turns the heading is off.
 
     Errors: `UnsupportedError` where the motion does not lead to the goal.
     """
@@ -763,7 +780,7 @@ def _correct_ends(
 
 
 def describe_way_there(system: Model) -> str:
-    """End of a sentence about a configuration: whether motions get there, of a system that rolls.
+    """Return the end of a sentence on whether motions lead to a configuration of a rolling system.
 
     A manoeuvre is named only where brackets show that motions reach every configuration around.
     """
@@ -775,7 +792,10 @@ def describe_way_there(system: Model) -> str:
 
 @keep_answers
 def _describe_motions(system: Model) -> str:
-    """What is known of motions to other configurations, with a field {hold} for the constraints."""
+    """Describe what is known of motions to other configurations.
+
+    The text has a field {hold} for the constraints.
+    """
     unknown = "{hold}: whether a motion gets there is not known"
     try:
         found = classify(system)

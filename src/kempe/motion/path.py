@@ -42,8 +42,9 @@ second."""
 
 
 def find_other_modes(path: Path) -> tuple[str, Array]:
-    """The input, and other configurations (k, nq) with its value at the path's start that the path
-    does not pass.
+    """Find assembly modes (k, nq) at the path's start that the path does not pass.
+
+    Returned are the input, whose value all of them have, and the modes.
 
     They are looked for where they are in closed form, inside the limits. The input is the driver; a
     path that has none, or a driver that is not a coordinate, takes the first coordinate with which
@@ -73,9 +74,7 @@ def find_other_modes(path: Path) -> tuple[str, Array]:
 
 
 def _may_pass_configuration(path: Path, q: Array) -> bool:
-    """Whether a path may pass q: on the way from one node to the next it is no farther from one
-    than these are.
-    """
+    """Tell whether a path may pass q between two of its points."""
     track = path.track
     e = path.track.equations
     y = np.array([e.compute_difference(node, q) for node in track.q]) * e.unit
@@ -97,8 +96,7 @@ EVENTS = 24
 
 @dataclass(frozen=True, eq=False)
 class Event(InWords):
-    """A special point of a path: the configuration `q` (nq,) at arc length `s`, and what is
-    special.
+    """A special point of a path: the configuration `q` (nq,) at arc length `s`, and its kind.
 
     `kind` is "fold of the driver" (it turns back here: a dead point), "extreme" (another coordinate
     turns back), "bifurcation" (several branches meet), "cusp" (the motion comes to rest and goes
@@ -123,7 +121,7 @@ class Event(InWords):
         return self.format_event({}, False)
 
     def format_event(self, unit: Mapping[str, str], degrees: bool) -> str:
-        """Where it is and what happens there; the value of its coordinate in its unit."""
+        """Return a sentence on the event, with the value of its coordinate in its unit."""
         if self.coordinate:
             value = Quantity(self.value, unit.get(self.coordinate, "")).convert_units(degrees)
             shown = f"{value.value:.9g} {value.unit}".rstrip()
@@ -136,9 +134,7 @@ class Event(InWords):
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Track:
-    """The nodes that a path was computed at: configurations, arc lengths, unit tangents, and their
-    equations.
-    """
+    """The nodes of a computed path: configurations, arc lengths, unit tangents, and equations."""
 
     equations: Closure
     q: Array
@@ -146,8 +142,9 @@ class Track:
     t: Array
 
     def evaluate_configurations(self, s: Array) -> Array:
-        """Configurations (k, nq) at arc lengths (k,) inside the track: cubic between nodes, then
-        closed exactly.
+        """Return configurations (k, nq) at arc lengths (k,) inside the track.
+
+        They are cubic between nodes, and then closed exactly.
         """
         out = np.empty((len(s), self.q.shape[1]))
         for i in range(0, len(s), SLICE):
@@ -155,6 +152,7 @@ class Track:
         return out
 
     def _close_configurations(self, s: Array) -> Array:
+        """Return closed configurations at some arc lengths."""
         if len(self.s) == 1:
             return np.repeat(self.q, len(s), axis=0)
         k = np.clip(np.searchsorted(self.s, s, side="right") - 1, 0, len(self.s) - 2)
@@ -172,6 +170,7 @@ class Track:
         across = (1 - u) * t[k] + u * t[k + 1]
 
         def evaluate_equations(x: Array, at: np.ndarray) -> tuple[Array, Array]:
+            """Return residuals and Jacobians, with steps across the curve only."""
             F, J = e.evaluate_many_points(x)
             return np.append(F, np.zeros((len(F), 1)), axis=1), np.concatenate(
                 [J, across[at, None]], axis=1
@@ -240,14 +239,14 @@ class Path(Motion):
 
     @property
     def unit_length(self) -> float:
-        """Metres of a slide that count as one unit of arc length."""
+        """Length in metres of a slide that counts as one unit of arc length."""
         from kempe.model.characteristic_length import compute_characteristic_length
 
         return compute_characteristic_length(self.system)
 
     @property
     def turns(self) -> dict[str, int]:
-        """For a closed path, whole turns by coordinate: those that do not come back by going back."""
+        """Whole turns of the coordinates of a closed path that do not go back, by name."""
         if not self.closed:
             return {}
         e = self.track.equations
@@ -266,8 +265,9 @@ class Path(Motion):
         return f"Path({self.system.name!r}, {what})"
 
     def at(self, s: ArrayLike) -> Array:
-        """Configurations (..., nq) at arc lengths `s` (...), closed exactly; a closed path goes on
-        around.
+        """Return the exactly closed configurations (..., nq) at arc lengths `s` (...).
+
+        A closed path goes on around.
 
         Errors: `InputError` for arc lengths beyond the ends of a path that is not closed.
         """
@@ -291,7 +291,7 @@ class Path(Motion):
 
     @raise_interrupted
     def resample(self, n: int, *, budget: Budget | None = None) -> Path:
-        """The same path with `n` points at equal distances of arc length, its ends included.
+        """Return the path with `n` points at equal distances of arc length, its ends included.
 
         Of the `budget` are read: time_limit (120 s), progress(points, length), called now and then;
         the time limit, or Ctrl-C, leaves those points that were done, see `late`, `remark` and
@@ -347,8 +347,9 @@ class Path(Motion):
     def table(
         self, frames: Iterable[FrameLike] | None = None, branches: bool = False
     ) -> tuple[list[str], Array]:
-        """Names and columns (n, k) for a file: s, all coordinates, x, y (and z) of frames (default:
-        `self.frames`).
+        """Return names and columns (n, k) for a file: s, all coordinates, x, y (and z) of frames.
+
+        The frames are those of `self.frames` by default.
 
         With `branches` the rows of the `others` follow, and each begins with the number of its
         branch, 0 for this one.
@@ -369,8 +370,9 @@ class Path(Motion):
         branches: bool = False,
         degrees: bool = False,
     ) -> FilePath:
-        """Write the `table` with these frames to a .csv or .npy file; returns the path. Errors:
-        `InputError`.
+        """Write the `table` with these frames to a .csv or .npy file; return the path.
+
+        Errors: `InputError`.
         """
         table = self.table(frames, branches)
         return write_table(path, *convert_columns(*table, self._list_units(), degrees))
@@ -415,13 +417,15 @@ class Path(Motion):
 
     @cached_property
     def _other_modes(self) -> tuple[str, Array]:
+        """The input, and the assembly modes that the path does not pass."""
 
         return find_other_modes(self)
 
     @property
     def elsewhere(self) -> Array:
-        """Other assembly modes (k, nq) at the start of the path that it does not pass, where they
-        have a closed form.
+        """Other assembly modes (k, nq) at the start of the path, which the path does not pass.
+
+        They are known where they have a closed form.
 
         They have the driver's value there; without a driver, that of the first coordinate with
         which there are some.
@@ -430,9 +434,7 @@ class Path(Motion):
 
     @property
     def hint(self) -> str:
-        """The sentence that says how many assembly modes are not on the path; empty where none are
-        known.
-        """
+        """Sentence on how many assembly modes are not on the path; "" where none are known."""
         name, q = self._other_modes
         if not len(q):
             return ""
@@ -446,6 +448,7 @@ class Path(Motion):
 def _list_event_data(
     event: Event, unit: Mapping[str, str], by_name: Callable[[Array], Any]
 ) -> dict[str, Any]:
+    """Return the data of an event by name, for files."""
     own = (
         {
             "coordinate": event.coordinate,

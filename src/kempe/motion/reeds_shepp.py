@@ -1,5 +1,4 @@
-"""The shortest ways of Reeds and Shepp for a car that turns no tighter than a radius, and drives
-both ways.
+"""Shortest ways of Reeds and Shepp, for a car with a smallest turning radius that drives both ways.
 
 A way is a sequence of (curvature, length) pairs of unit radius: curvature 1 turns left, -1 right, 0
 goes straight; a negative length goes in reverse. Source: Reeds and Shepp, *Optimal paths for a car
@@ -37,14 +36,14 @@ NOTHING = 1e-14
 
 
 def wrap_angle(angle: float) -> float:
-    """The angle in [-pi, pi]."""
+    """Return the angle, in radians, wrapped into [-pi, pi]."""
     return math.remainder(angle, 2.0 * math.pi)
 
 
 def advance_pose(
     pose: tuple[float, float, float], curvature: float, length: float
 ) -> tuple[float, float, float]:
-    """The pose (x, y, heading) after a piece of constant curvature and signed length."""
+    """Return the pose (x, y, heading) after a piece of constant curvature and signed length."""
     x, y, h = pose
     half = 0.5 * curvature * length
     chord = length * (math.sin(half) / half if half else 1.0)
@@ -52,7 +51,7 @@ def advance_pose(
 
 
 def compute_end_pose(way: Way) -> tuple[float, float, float]:
-    """The pose that a way from (0, 0, 0) ends at."""
+    """Compute the pose at the end of a way from (0, 0, 0)."""
     pose = (0.0, 0.0, 0.0)
     for curvature, length in way:
         pose = advance_pose(pose, curvature, length)
@@ -60,13 +59,14 @@ def compute_end_pose(way: Way) -> tuple[float, float, float]:
 
 
 def compute_length(way: Way) -> float:
-    """The length of a way, its reverse pieces counted like the others."""
+    """Compute the length of a way; reverse pieces count like the others."""
     return math.fsum(abs(length) for _, length in way)
 
 
 def list_ways(x: float, y: float, heading: float) -> list[Way]:
-    """Ways from (0, 0, 0) to a pose, for the radius 1, the shortest first: one for each word that
-    leads there.
+    """List ways from (0, 0, 0) to a pose for the radius 1, the shortest first.
+
+    There is one for each word that leads to the pose.
     """
     found: dict[tuple[tuple[float, bool], ...], Way] = {}
     for way in _iterate_candidates(x, y, heading):
@@ -79,7 +79,10 @@ def list_ways(x: float, y: float, heading: float) -> list[Way]:
 
 
 def _iterate_candidates(x: float, y: float, h: float) -> Iterator[Way]:
-    """The words of section 8, their mirror images, with time reversed, and from the goal backwards."""
+    """Iterate over the words of section 8 and their mirror images, also reversed in time.
+
+    Words from the goal backwards are among them.
+    """
     c = math.cos(h)
     s = math.sin(h)
     for a, b, backwards in ((x, y, False), (x * c + y * s, x * s - y * c, True)):
@@ -92,15 +95,18 @@ def _iterate_candidates(x: float, y: float, h: float) -> Iterator[Way]:
 
 
 def _correct_way(way: Way, x: float, y: float, h: float) -> Way | None:
-    """The way with its lengths corrected to the last digits (Newton, smallest change), None where it
-    does not lead to the goal.
+    """Return the way with its lengths corrected to the last digits (Newton, smallest change).
+
+    It is None where it does not lead to the goal.
     """
     size = 1.0 + math.hypot(x, y)
 
     def make_way(lengths: Array) -> Way:
+        """Return the way with other lengths."""
         return tuple((k, s) for (k, _), s in zip(way, lengths.tolist(), strict=True))
 
     def evaluate_miss(lengths: Array) -> tuple[Array, Array]:
+        """Return the difference of the end from the goal, and its derivatives."""
         end = compute_end_pose(make_way(lengths))
         miss = np.array([end[0] - x, end[1] - y, wrap_angle(end[2] - h)])
         near = np.abs(miss).max() < MISS * size
@@ -115,7 +121,7 @@ def _correct_way(way: Way, x: float, y: float, h: float) -> Way | None:
 
 
 def _compute_derivatives(way: Way) -> Array:
-    """Derivatives (3, n) of the pose at the end by the lengths of the pieces."""
+    """Compute derivatives (3, n) of the pose at the end by the lengths of the pieces."""
     x, y, _ = compute_end_pose(way)
     pose = (0.0, 0.0, 0.0)
     columns: list[list[float]] = []
@@ -128,7 +134,7 @@ def _compute_derivatives(way: Way) -> Array:
 
 
 def _iterate_csc(x: float, y: float, h: float) -> Iterator[Way]:
-    """(8.1), (8.2): an arc, a straight piece, an arc; to the same side, to the other one."""
+    """Iterate over words arc, straight piece, arc: (8.1) to the same side, (8.2) to the other one."""
     a = x - math.sin(h)
     b = y - 1.0 + math.cos(h)
     t = math.atan2(b, a)
@@ -143,7 +149,7 @@ def _iterate_csc(x: float, y: float, h: float) -> Iterator[Way]:
 
 
 def _iterate_ccc(x: float, y: float, h: float) -> Iterator[Way]:
-    """(8.3) to (8.6): three arcs."""
+    """Iterate over words of three arcs: (8.3) to (8.6)."""
     a = x - math.sin(h)
     b = y - 1.0 + math.cos(h)
     rho = math.hypot(a, b)
@@ -154,7 +160,7 @@ def _iterate_ccc(x: float, y: float, h: float) -> Iterator[Way]:
 
 
 def _iterate_cccc(x: float, y: float, h: float) -> Iterator[Way]:
-    """(8.7), (8.8): four arcs, those in the middle equally long."""
+    """Iterate over words of four arcs, with equal ones in the middle: (8.7), (8.8)."""
     a = x + math.sin(h)
     b = y - 1.0 - math.cos(h)
     rho = math.hypot(a, b)
@@ -171,7 +177,7 @@ def _iterate_cccc(x: float, y: float, h: float) -> Iterator[Way]:
 
 
 def _compute_outer_arcs(u: float, v: float, a: float, b: float, h: float) -> tuple[float, float]:
-    """Lengths of the first and the last of four arcs, those in the middle being u and v."""
+    """Compute the first and the last of four arcs, those in the middle being u and v."""
     d = u - v
     p = math.sin(u) - math.sin(d)
     r = math.cos(u) - math.cos(d) - 1.0
@@ -182,7 +188,7 @@ def _compute_outer_arcs(u: float, v: float, a: float, b: float, h: float) -> tup
 
 
 def _iterate_ccsc(x: float, y: float, h: float) -> Iterator[Way]:
-    """(8.9), (8.10): an arc, a quarter circle back, a straight piece, an arc."""
+    """Iterate over words arc, quarter circle back, straight piece, arc: (8.9), (8.10)."""
     a = x - math.sin(h)
     b = y - 1.0 + math.cos(h)
     rho = math.hypot(a, b)
@@ -199,7 +205,7 @@ def _iterate_ccsc(x: float, y: float, h: float) -> Iterator[Way]:
 
 
 def _iterate_ccscc(x: float, y: float, h: float) -> Iterator[Way]:
-    """(8.11): an arc, a quarter circle back, a straight piece, a quarter circle, an arc forwards."""
+    """Iterate over words arc, quarter circle, straight piece, quarter circle, arc: (8.11)."""
     a = x + math.sin(h)
     b = y - 1.0 - math.cos(h)
     rho = math.hypot(a, b)

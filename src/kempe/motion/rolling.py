@@ -1,4 +1,4 @@
-"""Motion under given input velocities: what rolls, and what closes loops, follows them in time.
+"""Motions under given input velocities, integrated in time: rolling, and closing loops.
 
 The velocities are those of A(q) v = b(q, t), of the closed loops and of the inputs together; they
 are integrated by Dormand and Prince's method of order 8 (Hairer, Norsett and Wanner, *Solving
@@ -46,12 +46,13 @@ Input = float | Callable[[float], Any]
 
 
 class RollingStop(Exception):
-    """The motion cannot go on; the text says why. Raised inside a motion, and caught there."""
+    """Error inside a motion that cannot go on; the text says why."""
 
 
 class Rolled(NamedTuple):
-    """Samples of a motion: times (n,), configurations (n, nq), velocities (n, nv), the reason why
-    it ends, if early.
+    """Samples of a motion: times (n,), configurations (n, nq), velocities (n, nv).
+
+    With the reason why it ends, if early.
     """
 
     t: Array
@@ -62,7 +63,7 @@ class Rolled(NamedTuple):
 
 
 class Velocities:
-    """The velocities that constraints and inputs leave, at any configuration and time.
+    """Velocities that constraints and inputs determine, at any configuration and time.
 
     Where position constraints depend on time, `system` is the clocked one: the time is a
     coordinate, whose velocity is 1 and which closing the loops does not change.
@@ -79,7 +80,7 @@ class Velocities:
         self.clock = np.eye(self.system.nv)[clock]
 
     def evaluate_input(self, name: str, t: float) -> float:
-        """The value of an input at a time. Errors: `InputError`."""
+        """Evaluate an input at a time. Errors: `InputError`."""
         u = self.inputs[name]
         if not callable(u):
             return u
@@ -95,8 +96,9 @@ class Velocities:
         return float(x)
 
     def compute_velocities(self, q: Array, t: float) -> Array:
-        """The velocities (nv,). Errors: `RollingStop` where they are not determined, or do not
-        exist.
+        """Compute the velocities (nv,).
+
+        Errors: `RollingStop` where they are not determined, or do not exist.
         """
         scale = self.closure.unit
         A, b = evaluate_velocity_rows(self.system, q, t)
@@ -128,6 +130,7 @@ class Velocities:
         return z * scale
 
     def _describe_freedom(self, null_space: Array) -> str:
+        """Describe the coordinates that inputs do not determine."""
         names = self.system.structure.velocity_names
         moving = [n for n, x in zip(names, np.abs(null_space).max(axis=0), strict=True) if x > 1e-6]
         said = ", ".join(map(repr, moving[:6])) + ", ..." * (len(moving) > 6)
@@ -140,7 +143,7 @@ class Velocities:
         )
 
     def _describe_contradiction(self, M: Array, wanted: Array, size: Array) -> str:
-        """Which input cannot be had under the constraints and the other inputs, and by how much."""
+        """Describe the input that constraints and other inputs do not allow, and by how much."""
         fixed = len(M) - len(self.inputs)
         z = Spectrum(M[:fixed]).solve_least_squares(wanted[:fixed], Level.CLOSED)
         off = np.abs(M[:fixed] @ z - wanted[:fixed])
@@ -165,11 +168,11 @@ class Velocities:
         return "constraints and inputs contradict each other"
 
     def compute_slope(self, t: float, q: Array) -> Array:
-        """The rates (nq,) of the coordinates, those of quaternions included."""
+        """Compute the rates (nq,) of the coordinates, those of quaternions included."""
         return compute_coordinate_rates(self.system, q, self.compute_velocities(q, t))
 
     def close_configuration(self, q: Array, t: float) -> Array:
-        """The configuration (nq,) nearest to q that meets the position constraints at time t."""
+        """Return the configuration (nq,) nearest to q that obeys position constraints at time t."""
         layout = self.system.structure.layout
         q = q.copy()
         if self.times:
@@ -191,7 +194,7 @@ class Velocities:
 
 
 def compute_coordinate_rates(system: Model, q: Array, v: Array) -> Array:
-    """The rates (nq,) of the coordinates at velocities (nv,), those of quaternions included."""
+    """Compute the rates (nq,) of coordinates, quaternions included, at velocities (nv,)."""
     layout = system.structure.layout
     out = np.zeros(len(q))
     out[layout.vector_q] = v[layout.vector_v]
@@ -202,6 +205,7 @@ def compute_coordinate_rates(system: Model, q: Array, v: Array) -> Array:
 
 
 def _check_input(name: str, u: Any) -> Input:
+    """Refuse an input that is neither a finite number nor a function; return others."""
     if callable(u):
         return u
     if not is_real(u) or not math.isfinite(float(u)):
@@ -212,8 +216,9 @@ def _check_input(name: str, u: Any) -> Input:
 
 
 def _make_input_row(system: Model, name: str) -> Callable[[Array], Array]:
-    """The row (nv,) of an input as a function of q: a velocity coordinate, or a twist in the axes
-    of a frame.
+    """Return the row (nv,) of an input as a function of q.
+
+    The input is a velocity coordinate, or a twist in the axes of a frame.
     """
     names = list(system.structure.velocity_names)
     if name in names:
@@ -235,8 +240,9 @@ def integrate_rolling(
     tolerance: float,
     budget: TimeLimit,
 ) -> Rolled:
-    """The motion from q (nq,) at the first of the `times` (n,). Errors: `InputError`,
-    `UnsupportedError`.
+    """Integrate the motion from q (nq,) at the first of the `times` (n,).
+
+    Errors: `InputError`, `UnsupportedError`.
     """
     from scipy import integrate
 
@@ -314,8 +320,9 @@ def integrate_rolling(
 def _find_limit(
     system: Model, dense: Callable[[Any], Array], t0: float, t1: float
 ) -> tuple[float, str] | None:
-    """The time at which a limit or another one-sided constraint is met between two times, and the
-    words for it.
+    """Find the time between two times at which a limit or one-sided constraint is reached.
+
+    Returned are the time, and words for the limit.
     """
     rows = pack_one_sided_rows(system)
     looks = np.linspace(t0, t1, LOOKS + 1)
@@ -327,7 +334,7 @@ def _find_limit(
     b = float(looks[first + 1])
 
     def compute_excess(t: float) -> Array:
-        """By how many times what is allowed each row is outside, above 1 where it is violated."""
+        """Compute the excess of each row, relative to the allowed one: above 1 if violated."""
         x = rows.compute_values(dense(t))
         return np.maximum(rows.low - x, x - rows.high) / (1e-3 * rows.slack)
 
@@ -339,9 +346,7 @@ def _find_limit(
 
 
 def compute_slip(system: Model, t: Array, q: Array, v: Array) -> float:
-    """The largest slip of samples, of rows and speeds of size 1, by the velocity rows of the
-    system.
-    """
+    """Compute the largest slip of samples, by velocity rows and speeds scaled to size 1."""
     A, b = evaluate_velocity_rows(system, q, t)
     size = np.linalg.norm(A, axis=-1) * np.maximum(1.0, np.linalg.norm(v, axis=-1))[:, None]
     off = np.abs(np.einsum("nij,nj->ni", A, v) - b)

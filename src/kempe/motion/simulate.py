@@ -1,4 +1,4 @@
-"""Motion in time without masses: given velocities, or one ball that falls and bounces.
+"""Motions in time without masses: given velocities, or one ball that falls and bounces.
 
 A particle moves as a ball does.
 """
@@ -52,7 +52,7 @@ NEEDED = "simulate knows, without masses,"
 
 @dataclass(frozen=True, eq=False)
 class Falling:
-    """A ball or particle: its slides (indices into q and velocities), and what turns it.
+    """A falling ball or particle: its slides (indices into q and velocities), and its turning.
 
     The centre is `basis` @ y + a point; y = `shape` @ slides, so that y has the metric of space.
     """
@@ -69,14 +69,15 @@ class Falling:
     """The planes where some of them move."""
 
     def compute_centre(self, q: Array) -> Array:
-        """Coordinates (..., k) of the centre."""
+        """Compute the coordinates (..., k) of the centre."""
         return q[..., self.slides_q] @ self.shape.T
 
     def compute_motion(
         self, q: Array, v: Array, flight: Flight | MovingFlight, t: Array
     ) -> tuple[Array, Array]:
-        """Configurations (n, nq) and velocities (n, nv) at times (n,), of a flight from q with
-        velocities v (nv,).
+        """Compute configurations (n, nq) and velocities (n, nv) at times (n,) of a flight.
+
+        It begins at q with velocities v (nv,).
         """
         y, dy = flight.evaluate_flight(t)
         turning = v.copy()
@@ -90,8 +91,9 @@ class Falling:
 
 
 def find_falling_body(system: Model, q: Array, v: Array, duration: float) -> Falling:
-    """The one ball or particle of a system, from q (nq,) with velocities v (nv,). Errors:
-    `UnsupportedError`.
+    """Find the one ball or particle of a system, from q (nq,) with velocities v (nv,).
+
+    Errors: `UnsupportedError`.
     """
     _refuse_other_constraints(system, q)
     body, point = _find_moving_body(system)
@@ -143,7 +145,7 @@ def find_falling_body(system: Model, q: Array, v: Array, duration: float) -> Fal
 
 
 class MovingRows:
-    """One-sided rows that are planes in the space of the slides, as laws of time.
+    """One-sided rows that are moving planes in the space of the slides.
 
     Row k of `rows` is the lower bound, or with a sign of -1 the upper bound, of a one-sided row of
     the clocked system.
@@ -182,7 +184,7 @@ class MovingRows:
         self._unscale = 1.0 / (self.rows.scale[self.at_row, None] * units)
 
     def keep_planes(self, which: np.ndarray) -> None:
-        """Keep only some of the planes."""
+        """Keep only some of the planes, by a mask or indices."""
         self.at_row = self.at_row[which]
         self.sign = self.sign[which]
         self.bound = self.bound[which]
@@ -190,8 +192,9 @@ class MovingRows:
         self.names = tuple(n for n, keep in zip(self.names, which, strict=True) if keep)
 
     def _evaluate_rows(self, slides: Array, t: Array | float) -> tuple[Array, Array]:
-        """Values (..., m), less their bounds, and gradients (..., m, nv) at slides (k,) and times
-        (...).
+        """Return values (..., m), less their bounds, and gradients (..., m, nv) of the rows.
+
+        They are at slides (k,) and times (...).
         """
         x = np.repeat(self.base[None], np.size(t), axis=0)
         x[:, self.slides_q], x[:, -1] = slides, np.ravel(t)
@@ -202,12 +205,12 @@ class MovingRows:
         return values.reshape(*lead, len(self.sign)), J.reshape(*lead, *J.shape[1:])
 
     def evaluate_planes(self, t: Array | float) -> tuple[Array, Array]:
-        """Normals (..., m, k) and offsets (..., m) at times (...)."""
+        """Return the normals (..., m, k) and offsets (..., m) at times (...)."""
         values, J = self._evaluate_rows(np.zeros(len(self.slides_q)), t)
         return J[..., self.slides_v] @ self.back, values
 
     def evaluate_rates(self, t: Array | float) -> tuple[Array, Array]:
-        """Rates of normals (..., m, k) and offsets (..., m) at times (...)."""
+        """Return the rates of normals (..., m, k) and offsets (..., m) at times (...)."""
         k = len(self.slides_q)
         shift = self._evaluate_rows(np.zeros(k), t)[1][..., -1]
         with np.errstate(invalid="ignore"):  # a law may begin at an infinite rate
@@ -217,8 +220,9 @@ class MovingRows:
             return turn @ self.back, shift
 
     def evaluate_accelerations(self, t: float) -> tuple[Array, Array]:
-        """Second derivatives of normals (m, k) and offsets (m,), by seven differences within the
-        duration.
+        """Return the second derivatives of normals (m, k) and offsets (m,).
+
+        They are by seven differences within the duration.
         """
         h = min(1e-3, self.duration / 8192.0)
         first = min(max(t - 3.0 * h, 0.0), self.duration - 6.0 * h)
@@ -232,7 +236,7 @@ class MovingRows:
 def _make_moving_planes(
     system: Model, body: str, moving: MovingRows, samples: Array, duration: float
 ) -> tuple[Plane, ...]:
-    """The planes at time 0, once they are planes at all times. Errors: `UnsupportedError`."""
+    """Return the planes at time 0, once they are planes at all times. Errors: `UnsupportedError`."""
     rows = moving.rows
     clocks = np.linspace(0.0, duration, 4 * len(samples))
     x = np.column_stack([np.repeat(samples, 4, axis=0), clocks])
@@ -264,7 +268,7 @@ def check_flight_start(fall: Falling, q: Array) -> None:
 
 
 def _refuse_other_constraints(system: Model, q: Array) -> None:
-    """Refuse systems on which loops or rolling act. Errors: `UnsupportedError`."""
+    """Refuse systems with loops or rolling constraints. Errors: `UnsupportedError`."""
     if list_timed_constraints(system):
         system = add_time_coordinate(system)
         q = np.append(q, 0.0)
@@ -281,7 +285,7 @@ def _refuse_other_constraints(system: Model, q: Array) -> None:
 
 
 def _find_moving_body(system: Model) -> tuple[str, Array]:
-    """The one moving body, and its centre (3,) in its axes. Errors: `UnsupportedError`."""
+    """Find the one moving body, and its centre (3,) in its axes. Errors: `UnsupportedError`."""
     samples = sample_configurations(system, np.random.default_rng(SEED), (TRIALS,))
     moving = [
         b
@@ -311,7 +315,7 @@ def _find_moving_body(system: Model) -> tuple[str, Array]:
 def _make_planes(
     system: Model, body: str, q: Array, slides_q: np.ndarray, shape: Array, samples: Array
 ) -> tuple[Plane, ...]:
-    """The planes of one-sided rows. Errors: `UnsupportedError`."""
+    """Return the planes of one-sided rows. Errors: `UnsupportedError`."""
     rows = pack_one_sided_rows(system)
     limited = [
         k for k in range(len(rows)) if k < rows.declared or rows.at[k - rows.declared] in slides_q
@@ -363,7 +367,7 @@ def _make_planes(
 def _check_turning(
     system: Model, body: str, q: Array, v: Array, turning: np.ndarray, duration: float
 ) -> None:
-    """Refuse bodies whose turning does not go on evenly. Errors: `UnsupportedError`."""
+    """Refuse bodies that do not turn at constant angular velocity. Errors: `UnsupportedError`."""
     moving = np.flatnonzero(turning & (v != 0.0))
     if not len(moving):
         return
@@ -399,8 +403,9 @@ USUAL = Usual("simulate", points=200, time_limit=LONG)
 
 @dataclass(frozen=True)
 class Bounce(InWords):
-    """What happened to a ball at a `time` [s], at `q` (nq,): with the gap's rate `before` and
-    `after` [m/s].
+    """An event of a ball at a `time` [s], at `q` (nq,).
+
+    `before` and `after` are rates of the gap [m/s].
 
     `kind` is "bounce", "lands" (it stays on the plane), "settles" (infinitely many bounces have
     ended), or "leaves" (a plane that moves would have to pull from then on). `contacts` are the
@@ -427,8 +432,7 @@ class Bounce(InWords):
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Simulation(Motion):
-    """A motion in time: configurations `q` (n, nq) and velocities `v` (n, nv) at times `t` (n,)
-    [s].
+    """A motion in time: configurations `q` (n, nq), velocities `v` (n, nv) at times `t` (n,) [s].
 
     `events` are bounces. `success` is false where the motion ends before its time, `status` says
     why. `compute_slip` is the largest slip of a sample, of rows and speeds of size 1. Where the work was
@@ -457,21 +461,23 @@ class Simulation(Motion):
         )
 
     def at(self, t: ArrayLike) -> Array:
-        """Configurations (..., nq) at times `t` (...): of a ball that falls exactly, else between
-        samples (cubic).
+        """Return configurations (..., nq) at times `t` (...) in seconds.
+
+        Those of a falling ball are exact, others cubic between samples.
 
         Errors: `InputError` for times outside.
         """
         return self._evaluate_motion(t)[0]
 
     def velocity(self, t: ArrayLike) -> Array:
-        """Velocities (..., nv) at times `t` (...), at a bounce those after it; as `at`."""
+        """Return velocities (..., nv) at times `t` (...), at a bounce those after it; see `at`."""
         return self._evaluate_motion(t)[1]
 
     def _list_times(self) -> Any:
         return self.t
 
     def _evaluate_motion(self, t: ArrayLike) -> tuple[Array, Array]:
+        """Return configurations (..., nq) and velocities (..., nv) at times `t` (...)."""
         t = numbers(t, "t")
         if not ((t >= self.t[0]) & (t <= self.t[-1])).all():
             raise InputError(
@@ -481,6 +487,7 @@ class Simulation(Motion):
         return q.reshape(*t.shape, self.system.nq), v.reshape(*t.shape, self.system.nv)
 
     def _interpolate_samples(self, t: Array) -> tuple[Array, Array]:
+        """Return configurations and velocities between samples, at times (n,)."""
         if len(self.t) == 1:
             return np.repeat(self.q, len(t), axis=0), np.repeat(self.v, len(t), axis=0)
         k = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.t) - 2)
@@ -495,7 +502,7 @@ class Simulation(Motion):
         ] + u * self.v[k + 1]
 
     def table(self, frames: Iterable[FrameLike] = ()) -> tuple[list[str], Array]:
-        """Names and columns (n, k) for a file: time, all coordinates, x, y (and z) of frames."""
+        """Return names and columns (n, k) for a file: time, coordinates, x, y (and z) of frames."""
         return self._make_columns("time", self.t, frames)
 
     def _compose_sentence(self, index: tuple[int, ...]) -> str:
@@ -533,8 +540,7 @@ def simulate(
     tolerance: float | None = None,
     budget: Budget | None = None,
 ) -> Simulation:
-    """The motion of a system in time, for a `duration` [s] from a configuration on, as a
-    `Simulation`.
+    """Simulate a system for a `duration` [s] from a start; return a `Simulation`.
 
     With `inputs`: velocities by name, numbers or functions of time [s]. A name is a velocity
     coordinate, or a twist of a frame in its own axes: "car.vx" [m/s], "car.wz" [rad/s]. All others
@@ -642,6 +648,7 @@ def _simulate_rolling(
     tolerance: Any,
     time: TimeLimit,
 ) -> Simulation:
+    """Simulate a system under input velocities."""
     if not is_mapping(inputs):
         raise InputError(
             f"inputs is {type(inputs).__name__}; it must be a dict of velocities by name"
@@ -672,7 +679,7 @@ def _simulate_rolling(
 
 
 def _read_velocity(system: Model, velocity: Any) -> Array:
-    """Velocities (nv,) at the start. Errors: `InputError`, `UnknownNameError`."""
+    """Read the velocities (nv,) at the start. Errors: `InputError`, `UnknownNameError`."""
     v = np.zeros(system.nv)
     given = None if velocity is None else read_mapping(velocity)
     names = list(system.structure.velocity_names)
@@ -694,7 +701,7 @@ def _read_velocity(system: Model, velocity: Any) -> Array:
 
 
 def _read_acceleration(system: Model, acceleration: Any) -> Array:
-    """The acceleration (3,) of what falls. Errors: `InputError`."""
+    """Read the acceleration (3,) of the falling body in m/s^2. Errors: `InputError`."""
     if acceleration is None:
         return np.array([0.0, 0.0, -GRAVITY] if system.dim == 3 else [0.0, -GRAVITY, 0.0])
     a = read_reals(acceleration, "acceleration").astype(float)

@@ -1,5 +1,4 @@
-"""Equations that hold idle spins: a mechanism in which bodies spin between balls moves as if they
-could not.
+"""Equations that hold idle spins: bodies between two balls move as if they could not spin.
 
 An idle spin moves nothing but the bodies that spin, so any rule that fixes it leaves the motion of
 all others as it is. The rule here is that of a universal joint in place of a ball: a direction
@@ -34,8 +33,7 @@ DIRECTIONS = 400
 
 
 class SpinLock:
-    """Equations that hold idle spins, one for each: ``ground . (R along) = 0``, with R the rotation
-    of a body.
+    """Equations that hold idle spins, one for each: ``ground . (R along) = 0``.
 
     `ground` (k, 3) are directions in the ground, `along` (k, 3) directions in the bodies, both
     perpendicular to the lines at the configuration where they were chosen.
@@ -50,16 +48,16 @@ class SpinLock:
 
     @property
     def count(self) -> int:
-        """How many spins are held."""
+        """Number of spins that are held."""
         return len(self._axes)
 
     def compute_lines(self, q: Array) -> Array:
-        """Directions (n, k, 3) of the lines in the ground at configurations (n, nq)."""
+        """Compute the directions (n, k, 3) of the lines in the ground at configurations (n, nq)."""
         pairs = zip(self._queries, self._axes, strict=True)
         return np.stack([pose(q)[:, :3, :3] @ axis for pose, axis in pairs], axis=1)
 
     def _set_directions(self, ground: Array) -> None:
-        """Hold the spins by these directions in the ground, as they are at the first configuration."""
+        """Set the directions in the ground by which spins are held at the first configuration."""
         self.ground = ground
         across = unit(np.cross(ground, self.compute_lines(self._q[None])[0]))
         pairs = zip(self._queries, across, strict=True)
@@ -78,8 +76,9 @@ class SpinLock:
                 J[at + i] = np.cross(along, self.ground[i]) @ pose.jacobian(x)[3:] * equations.unit
 
     def update_directions(self, q: Array) -> None:
-        """Go on from a configuration (nq,), by directions in the ground that are far from the lines
-        there.
+        """Choose directions in the ground that are far from the lines at a configuration (nq,).
+
+        The spins are held as they are there.
         """
         lines = self.compute_lines(q[None])[0]
         if np.any(_compute_sines(self.ground, lines) < 2.0 * STEEP):
@@ -87,8 +86,9 @@ class SpinLock:
             self._set_directions(_compute_perpendiculars(lines))
 
     def replace_near_directions(self, q: Array) -> bool:
-        """Choose other directions in the ground where lines came too near to them at some of the
-        configurations (n, nq); whether some changed.
+        """Replace directions in the ground that lines come near to at configurations (n, nq).
+
+        True is returned if some changed.
         """
         self._seen = np.concatenate([self._seen, self.compute_lines(q)])
         ground = self.ground.copy()
@@ -109,13 +109,14 @@ class SpinLock:
 
 
 def find_spin_lock(equations: Closure) -> SpinLock | None:
-    """The lock of idle spins among equations, None where there is none."""
+    """Return the lock of idle spins among equations, or None where there is none."""
     return next((m for m in equations.more if isinstance(m, SpinLock)), None)
 
 
 def lock_spins(equations: Closure, q: Array, requested: Iterable[int]) -> bool:
-    """Hold the idle spins from a closed configuration on, but those that move held or `requested`
-    velocities; whether there are others.
+    """Hold the idle spins from a closed configuration on.
+
+    Those that move held or `requested` velocities stay free. True is returned if any is held.
     """
     keep = [*equations.held, *requested]
     spins = [f for f in get_idle_freedoms(equations.tree, q) if not f.moving_velocities[keep].any()]
@@ -125,18 +126,19 @@ def lock_spins(equations: Closure, q: Array, requested: Iterable[int]) -> bool:
 
 
 def _compute_perpendiculars(lines: Array) -> Array:
-    """Unit vectors (k, 3) perpendicular to others."""
+    """Compute unit vectors (k, 3) perpendicular to others."""
     return unit(np.cross(lines, np.eye(3)[np.argmin(np.abs(lines), axis=1)]))
 
 
 def _compute_sines(a: Array, b: Array) -> Array:
-    """Sines (...) of the angles between unit vectors (..., 3)."""
+    """Compute the sines (...) of the angles between unit vectors (..., 3)."""
     return np.asarray(np.linalg.norm(np.cross(a, b), axis=-1), dtype=float)
 
 
 def _make_sphere_directions() -> Array:
-    """Directions (n, 3) all over the half of a sphere: points of a Fibonacci spiral (Swinbank,
-    Purser, 2006).
+    """Return directions (n, 3) all over a half-sphere.
+
+    They are points of a Fibonacci spiral (Swinbank, Purser, 2006).
     """
     k = np.arange(DIRECTIONS) + 0.5
     z = k / DIRECTIONS

@@ -1,4 +1,4 @@
-"""Where a motion begins: the configuration, its sense, and what comes back by turning all round."""
+"""The beginning of a motion: its configuration, its sense, and the periods of its coordinates."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ coordinates."""
 
 
 def read_longest_step(step: float | None) -> float:
-    """The longest step of arc length, as given or by default. Errors: `InputError`."""
+    """Return the longest step of arc length, given or by default. Errors: `InputError`."""
     if step is None:
         return LONGEST
     if not is_real(step) or not 1e-6 <= step <= 1.0:
@@ -71,7 +71,10 @@ def read_longest_step(step: float | None) -> float:
 
 
 def read_wish(system: Model, toward: Mapping[str, float] | None) -> Array:
-    """The rates (nv,) that choose a sense or a branch. Errors: `InputError`, `UnknownNameError`."""
+    """Read the rates (nv,) that choose a sense or a branch.
+
+    Errors: `InputError`, `UnknownNameError`.
+    """
     wish = np.zeros(system.nv)
     for name, rate in (toward or {}).items():
         i = find_angle_or_slide(system, name)
@@ -84,8 +87,7 @@ def read_wish(system: Model, toward: Mapping[str, float] | None) -> Array:
 
 
 def find_angle_or_slide(system: Model, name: str) -> int:
-    """Index, among the nv velocity coordinates, of an angle or a prismatic coordinate given by
-    name.
+    """Find the velocity index of an angle or a prismatic coordinate given by name.
 
     Errors: `InputError` for a coupled coordinate, which is not part of q; `UnknownNameError` for
     components of a quaternion and for unknown names.
@@ -107,7 +109,7 @@ def find_angle_or_slide(system: Model, name: str) -> int:
 
 
 def read_start_configuration(system: Model, start: Any, hold: Mapping[str, float]) -> Array:
-    """The configuration (nq,) that `start` names, before any loop is closed."""
+    """Read the configuration (nq,) that `start` names, before any loop is closed."""
     if start is None:
         q = find_home(system)
     elif isinstance(start, str):
@@ -128,8 +130,9 @@ def read_start_configuration(system: Model, start: Any, hold: Mapping[str, float
 def begin_motion(
     system: Model, start: Any, hold: Mapping[str, float]
 ) -> tuple[Closure, Array | None]:
-    """The equations with the held coordinates, and the closed configuration (nq,) near `start`, or
-    None.
+    """Return the equations with held coordinates, and the closed configuration near `start`.
+
+    The configuration (nq,) is None where there is none.
 
     What `assemble` calls closed is closed here, too: loops whose numbers contradict each other by a
     little more than rounding are followed within the tolerance of `assemble`.
@@ -166,8 +169,9 @@ def begin_motion(
 def _find_allowed_configuration(
     system: Model, hold: Mapping[str, float], fixed: Closure, near: Array, q: Array
 ) -> Array:
-    """A closed configuration (nq,) that one-sided constraints allow, where nobody says which; else
-    q as it is.
+    """Find a closed configuration (nq,) that one-sided constraints allow, else return q.
+
+    It is looked for where no start is given.
     """
     from kempe.assemble.assemble import assemble
 
@@ -182,9 +186,7 @@ def _find_allowed_configuration(
 
 
 def explain_open_loop(system: Model, start: Any, hold: Mapping[str, float]) -> str:
-    """The sentence for a motion that cannot begin: which loop is open at the start, by how much,
-    and why.
-    """
+    """Explain why a motion cannot begin: which loop is open at the start, by how much, and why."""
     from kempe.assemble.assemble import assemble
 
     known = {**start, **hold} if is_mapping(start) else hold
@@ -193,8 +195,9 @@ def explain_open_loop(system: Model, start: Any, hold: Mapping[str, float]) -> s
 
 
 class WoundFollower(NamedTuple):
-    """A coupled coordinate that is not where it was when its `source` (index) has turned round: it
-    turns or slides on by `factor`, in radians or metres, with each radian of the source.
+    """A coupled coordinate that does not return after a full turn of its `source` (an index).
+
+    It changes by `factor`, in radians or metres, with each radian of the source.
     """
 
     name: str
@@ -204,8 +207,9 @@ class WoundFollower(NamedTuple):
 
 
 def find_periods(system: Model, limits: bool = True) -> Array:
-    """For each velocity coordinate (nv,) by how much it turns until all is as before; 0 where that
-    never happens.
+    """Find the period (nv,) of each velocity coordinate: the turn after which all is as before.
+
+    It is 0 where there is none.
 
     With `limits` a coordinate that has some does not turn all round.
     """
@@ -213,13 +217,12 @@ def find_periods(system: Model, limits: bool = True) -> Array:
 
 
 def list_wound_followers(system: Model, limits: bool = True) -> list[WoundFollower]:
-    """The coupled coordinates that keep those which they follow from ever coming back by turning
-    on.
-    """
+    """List the coupled coordinates that keep their sources from returning by full turns."""
     return _find_turning_periods(system, limits)[1]
 
 
 def _find_turning_periods(system: Model, limits: bool) -> tuple[Array, list[WoundFollower]]:
+    """Find the periods (nv,) of the coordinates, and the followers that keep some from having one."""
     c = system.structure.coordinates
     whole = np.where(
         c.turning & ((np.isinf(c.lower) & np.isinf(c.upper)) | (not limits)), 1, 0
@@ -247,7 +250,7 @@ def _find_turning_periods(system: Model, limits: bool) -> tuple[Array, list[Woun
 
 
 def _find_distinct_coordinates(system: Model, period: Array) -> np.ndarray:
-    """Which velocity coordinates (nv,) declared one-sided rows have other values of after a period."""
+    """Return a mask (nv,) of coordinates after whose period declared one-sided rows differ."""
     rows = pack_one_sided_rows(system)
     out = np.zeros(system.nv, dtype=bool)
     if rows.declared:
@@ -265,8 +268,9 @@ def _find_distinct_coordinates(system: Model, period: Array) -> np.ndarray:
 def find_first_node(
     equations: Closure, q: Array, driver: str | None, toward: Mapping[str, float] | None
 ) -> Node | None:
-    """The node at the start with its sense chosen; None where nothing can move. Errors:
-    `UnsupportedError`.
+    """Return the node at the start with its sense chosen, or None where nothing can move.
+
+    Errors: `UnsupportedError`.
     """
     system = equations.system
     wish = read_wish(system, toward)
@@ -283,6 +287,7 @@ def find_first_node(
         here = make_node(equations, q)
 
     def hold_low_rank(length: float) -> bool:
+        """Hold the rank at the start if that leaves a curve of this length."""
         return hold_rank(equations, q, lambda: (equations, make_node(equations, q)), length)
 
     if here.nullity > 1 and hold_low_rank(LOW_RANK):
@@ -310,8 +315,9 @@ def find_first_node(
 def _choose_bifurcation_node(
     equations: Closure, here: Node, driver: str | None, wish: Array
 ) -> Node | None:
-    """The node at a start where first order leaves several motions, on the branch nearest to the
-    wish, if any.
+    """Choose the node at a start with several branches, on the one nearest to the wish.
+
+    It is None where there is no branch.
     """
     x = here.x
     polished = locate_singular_point(equations, x, here.nullity, 1e-5)
@@ -335,7 +341,7 @@ def _choose_bifurcation_node(
 
 
 def explain_freedom(equations: Closure, matrix: Array, drivers: Sequence[str]) -> str:
-    """Why the motion is not one curve: which coordinates still move with the drivers held."""
+    """Explain why the motion is not one curve: which coordinates move with the drivers held."""
     system = equations.system
     null_space = Spectrum(matrix).compute_null_space(Level.CLOSED).T
     count = len(null_space)
@@ -376,5 +382,5 @@ def explain_freedom(equations: Closure, matrix: Array, drivers: Sequence[str]) -
 
 
 def _format_names(names: Sequence[str]) -> str:
-    """Names in quotes, the first six of them."""
+    """Return names in quotes as text, the first six of them."""
     return ", ".join(map(repr, names[:6])) + (", ..." if len(names) > 6 else "")

@@ -1,4 +1,4 @@
-"""The motion of a mechanism with one degree of freedom: its whole branch, by continuation.
+"""The verb `trace`: the whole branch of a mechanism with one degree of freedom.
 
 At a crossing the walk goes straight on, and the other branches are recorded; `trace_branches` follows
 these, too.
@@ -93,7 +93,10 @@ MOVES = 1e-9
 
 
 class Endless:
-    """Whether a walk from a first node on has no end; `limits` are those that may still end it."""
+    """A test of whether a walk from a first node on has no end.
+
+    `limits` are the bounds that may still end it.
+    """
 
     def __init__(self, equations: Closure, first: Node, periods: Array, limits: OneSidedEnds):
         self.equations = equations
@@ -110,9 +113,7 @@ class Endless:
         self.requested = False
 
     def explain_endless_curve(self, b: Node, length: float) -> str:
-        """Why the curve has no end, as the place where it ends; empty as long as nothing speaks for
-        that.
-        """
+        """Explain why the curve has no end; "" as long as nothing speaks for that."""
         for f in self.followers:
             if f.turns and self._compute_turn(b, f.source) > 2.0 * math.pi * ROUNDS:
                 return self._explain_unrelated_turns(f.name, f.factor, f.source)
@@ -129,7 +130,7 @@ class Endless:
         return self._explain_runaway(b)
 
     def describe_return(self, b: Node) -> str:
-        """What is known about when a curve closes that was not followed so far."""
+        """Describe what is known about when a curve closes that was not followed so far."""
         whole = np.flatnonzero(self.periods > 7.0)
         i = max(whole.tolist(), key=lambda i: self._compute_turn(b, i), default=-1)
         if i < 0 or self._compute_turn(b, i) < 2.0 * math.pi:
@@ -141,12 +142,12 @@ class Endless:
         return f", after {after}: by its gear ratios all is as before after {turns}"
 
     def _compute_turn(self, b: Node, i: int) -> float:
-        """How far coordinate i is from where it was at first."""
+        """Compute how far coordinate i is from its value at first, in radians or metres."""
         at = self.equations.place[i]
         return abs(float(b.x[at] - self.first.x[at]))
 
     def _explain_straight_curve(self, b: Node) -> str:
-        """The same of a curve that has been straight so far: coordinates grow at constant rates."""
+        """Explain why a straight curve has no end: coordinates grow at constant rates."""
         moving = [
             int(i) for i in self.equations.system.structure.layout.vector_v if abs(b.t[i]) > MOVES
         ]
@@ -170,6 +171,7 @@ class Endless:
     def _explain_unrelated_turns(
         self, name: str, factor: float, source: int, within: float = SAME_RATIO
     ) -> str:
+        """Explain that a coordinate and its source do not return together."""
         digits = round(-math.log10(within))
         of = self.equations.system.structure.velocity_names[source]
         return (
@@ -179,8 +181,9 @@ class Endless:
         )
 
     def _explain_runaway(self, b: Node) -> str:
-        """Look ahead in longer and longer steps; what runs away, empty where anything turns back or
-        ends.
+        """Explain which coordinates grow without end, by longer and longer steps ahead.
+
+        The text is empty where one of them turns back, or the curve ends.
         """
         equations = self.equations
         h = 1.0
@@ -237,7 +240,7 @@ Progress = Callable[[int, float], Any]
 
 @dataclass(frozen=True)
 class _Options:
-    """What all walks of one call share."""
+    """Options that all walks of one call share."""
 
     driver: str | None
     ways: str
@@ -261,8 +264,9 @@ def _make_unstarted_path(
     budget: Budget | None = None,
     **_: Any,
 ) -> Path:
-    """The path where the time was up before a closed configuration was known: it stays where
-    `start` is, or at home.
+    """Return the answer where the time was up before a closed configuration was known.
+
+    The path stays where `start` is, or at home.
     """
     near = (
         find_home(system)
@@ -292,7 +296,7 @@ def trace(
     tolerance: float | str | None = None,
     budget: Budget | None = None,
 ) -> Path:
-    """The `Path` of a mechanism with one degree of freedom: its whole branch through `start`.
+    """Trace the motion of a mechanism with one degree of freedom: its whole branch through `start`.
 
     `start` is a configuration (nq,), the name of a posture, or known coordinates by name (default:
     the posture "closed", else mid-range); it is closed first. `driver` is the coordinate that
@@ -350,7 +354,7 @@ def trace(
 
 
 def refuse_slip(path: Path) -> Path:
-    """The path, no success where it slips: what is traced are positions."""
+    """Return the path, marked as no success where it slips."""
     slip = find_first_slip(path.system, path.q)
     if slip is None:
         return path
@@ -364,7 +368,7 @@ def refuse_slip(path: Path) -> Path:
 def _follow_path(
     equations: Closure, q: Array, options: _Options, toward: Mapping[str, float] | None
 ) -> Path:
-    """The path from a closed configuration on."""
+    """Follow the path from a closed configuration on."""
     first = find_first_node(equations, q, options.driver, toward)
     if first is None:
         return _make_failed_path(
@@ -394,7 +398,10 @@ def _follow_path(
 def trace_branches(
     system: Model, driver: str | None = None, start: Any = None, **options: Any
 ) -> tuple[Path, ...]:
-    """All paths that meet at bifurcations, that through `start` first; arguments as in `trace`."""
+    """Trace all paths that meet at bifurcations, that through `start` first.
+
+    Arguments are those of `trace`.
+    """
     options["ways"] = "branches"
     path = trace(system, driver, start, **options)
     return (replace(path, others=()), *path.others)
@@ -406,6 +413,7 @@ def trace_branches(
 def _read_options(
     system: Model, driver: str | None, ways: str, limits: bool, spend: Budget
 ) -> _Options:
+    """Read the options of a call of `trace`. Errors: `InputError`."""
     read_flag(limits, "limits")
     if ways not in WAYS:
         raise InputError(f"ways is {ways!r}; it must be one of {', '.join(map(repr, WAYS))}")
@@ -431,7 +439,7 @@ def _read_options(
 
 
 def _trace_branch(equations: Closure, first: Node, options: _Options) -> Path:
-    """The whole branch from its first node."""
+    """Trace the whole branch from its first node."""
     nodes, reason, closed, broken = _walk_one_way(equations, first, options, options.most)
     ends = ("the start", reason)
     left = options.most - len(nodes)
@@ -461,8 +469,10 @@ def _trace_branch(equations: Closure, first: Node, options: _Options) -> Path:
 def _walk_one_way(
     equations: Closure, first: Node, options: _Options, most: int
 ) -> tuple[list[Node], str, bool, BaseException | None]:
-    """Nodes from the first on, why they end, whether they came home, and what broke the walk off,
-    if anything did.
+    """Walk one way from the first node.
+
+    Returned are the nodes, why they end, whether the curve returned to the start, and the exception
+    that broke the walk off, if any.
     """
     nodes = [first]
     limits = OneSidedEnds(equations, options.limits)
@@ -498,6 +508,7 @@ def _walk_one_way(
 
 
 def _is_before(equations: Closure, a: Node, first: Node, second: Node) -> bool:
+    """Tell whether one node comes before another on the curve after `a`."""
     return float(
         np.linalg.norm(
             equations.compute_difference(a.x, first.x) - equations.compute_difference(a.x, second.x)
@@ -516,7 +527,7 @@ def _make_path(
     ends: tuple[str, str],
     broken: BaseException | None,
 ) -> Path:
-    """The answer from the nodes of a branch."""
+    """Make the answer from the nodes of a branch."""
     system = equations.system
     remark = ""
     found: list[Event] = []
@@ -567,7 +578,7 @@ def _make_path(
 
 
 def _compute_lengths(equations: Closure, nodes: list[Node]) -> Array:
-    """Arc lengths (n,) of nodes."""
+    """Compute the arc lengths (n,) of nodes."""
     return np.concatenate(
         [
             [0.0],
@@ -582,7 +593,7 @@ def _compute_lengths(equations: Closure, nodes: list[Node]) -> Array:
 
 
 def _list_singular_events(equations: Closure, nodes: list[Node], s: Array) -> tuple[Event, ...]:
-    """The singular points among nodes at arc lengths `s`."""
+    """List the singular points among nodes at arc lengths `s`."""
     out: list[Event] = []
     for k, n in enumerate(nodes):
         if n.lines is not None:
@@ -599,7 +610,7 @@ def _list_singular_events(equations: Closure, nodes: list[Node], s: Array) -> tu
 def _make_failed_path(
     equations: Closure, options: _Options, reason: str, q: Array, success: bool = False
 ) -> Path:
-    """The path of one point that could not be left."""
+    """Return the path of one point that could not be left."""
     track = Track(equations, q[None], np.zeros(1), np.zeros((1, equations.n)))
     held = tuple(equations.system.structure.velocity_names[i] for i in equations.held)
     return Path(
@@ -623,7 +634,7 @@ def _make_failed_path(
 
 
 def _add_other_branches(equations: Closure, path: Path, options: _Options) -> Path:
-    """The path with the branches that leave it at its bifurcations, and those that leave these."""
+    """Return the path with the branches that leave it at bifurcations, and those that leave these."""
     found = [path]
     waiting = list(path.singular_points)
     broken = None
@@ -655,7 +666,7 @@ def _add_other_branches(equations: Closure, path: Path, options: _Options) -> Pa
 
 
 def _list_branch_nodes(equations: Closure, event: Event) -> list[Node]:
-    """A node on each of the branches that meet at a singular point of a path."""
+    """Return a node on each of the branches that meet at a singular point of a path."""
     if event.node is not None:
         germ = event.node.germ
         return [germ.make_node(i) for i, j in enumerate(germ.partner) if i < j]
@@ -668,7 +679,7 @@ def _list_branch_nodes(equations: Closure, event: Event) -> list[Node]:
 
 
 def _has_branch(equations: Closure, path: Path, first: Node, period: Array) -> bool:
-    """Whether a path goes through a singular point on the branch of the node `first` there."""
+    """Tell whether a path passes a singular point on the branch of the node `first`."""
     for event in path.singular_points:
         y = equations.compute_difference(event.q, first.x) * equations.unit
         turns = np.divide(y, period, out=np.zeros_like(y), where=period > 0.0)

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class LoopJacobian(Report):
-    """Velocities of outputs by those of inputs, through closed loops.
+    """The Jacobian of output velocities by input velocities, through closed loops.
 
     `matrix` (..., rows, inputs) in SI units, NaN where it does not exist; `rows` names what each
     row is. `nullity` (...) counts the first-order motions of the mechanism, `rank` (...) the
@@ -63,7 +63,7 @@ class LoopJacobian(Report):
 
     @property
     def status(self) -> Any:
-        """The sentence for one configuration, an array of them for several."""
+        """Sentence for one configuration, an array of sentences for several."""
         if np.ndim(self.code) == 0:
             return self._sentence(
                 int(self.code), int(self.rank), int(self.nullity)
@@ -117,8 +117,7 @@ def compute_loop_jacobian(
     *,
     tolerance: float | str | None = None,
 ) -> LoopJacobian:
-    """The `LoopJacobian` of closed configurations `q` (..., nq): velocities of outputs by those of
-    inputs.
+    """Compute the Jacobian of outputs by inputs at closed configurations `q` (..., nq).
 
     `inputs` are names of angles and slides, as many as the mechanism has freedoms (more may be free
     where they do not move the outputs: idle spins). `outputs` are names of coordinates, one row
@@ -173,6 +172,7 @@ def compute_loop_jacobian(
 
 
 def _read_names(names: Sequence[str]) -> list[str]:
+    """Read the names of inputs or outputs, at least one. Errors: `InputError`."""
     out = list(read_names(names, "inputs or outputs"))
     if not out:
         raise InputError("inputs and outputs must each name at least one coordinate or frame")
@@ -180,7 +180,7 @@ def _read_names(names: Sequence[str]) -> list[str]:
 
 
 def _find_output(system: Model, name: str) -> tuple[str, str]:
-    """("joint" or "frame", name) of an output."""
+    """Return ("joint" or "frame", name) of an output."""
     kind, colon, rest = str(name).partition(":")
     if colon and kind in ("joint", "frame"):
         return kind, rest if kind == "joint" else system.structure.frame_name(rest)
@@ -212,8 +212,7 @@ def compute_mechanical_advantage(
     *,
     tolerance: float | str | None = None,
 ) -> Any:
-    """Force (or torque) at the output per force (or torque) at the input, without losses, at `q`
-    (..., nq).
+    """Compute force (or torque) at the output per force (or torque) at the input, without losses.
 
     By the principle of virtual power the velocity of the input divided by that of the output;
     infinite where the output rests (a toggle), 0 where the input does (a dead point), NaN where the
@@ -256,7 +255,7 @@ def compute_mechanical_advantage(
 
 
 def find_dead_points(path: Path, input: str) -> tuple[Event, ...]:
-    """The points of a path where `input` turns back: there it cannot move the mechanism on."""
+    """Find the points of a path where `input` turns back and cannot move the mechanism on."""
     find_angle_or_slide(path.system, input)
     return tuple(e for e in path.extremes if e.coordinate == input)
 
@@ -267,8 +266,10 @@ def find_dead_points(path: Path, input: str) -> tuple[Event, ...]:
 def compute_pressure_angle(
     system: Model, q: ArrayLike, joint: str, coupler: str | None = None, output: str | None = None
 ) -> Any:
-    """Angle (...) in [0, pi/2] between the force that the coupler transmits at a joint and the way
-    the output can go.
+    """Compute the pressure angle (...) at a joint, in [0, pi/2].
+
+    It is between the force that the coupler transmits and the direction in which the output can
+    move.
 
     `joint` connects the coupler, which pulls along the line to its other joint (a two-force
     member), and the output link, whose other joint is a revolute or prismatic one and says which
@@ -295,8 +296,9 @@ def compute_pressure_angle(
 def compute_transmission_angle(
     system: Model, q: ArrayLike, joint: str, coupler: str | None = None, output: str | None = None
 ) -> Any:
-    """Angle (...) in [0, pi/2] between the coupler and the output link at their joint: pi/2 less
-    the pressure angle.
+    """Compute the transmission angle (...) at a joint, in [0, pi/2].
+
+    It is between the coupler and the output link: pi/2 less the pressure angle.
 
     Where the output link slides, the angle between the coupler and the normal of the slide. pi/2 is
     best, below about 40 degrees a linkage runs badly, 0 is stuck. Arguments as in `compute_pressure_angle`.
@@ -305,7 +307,7 @@ def compute_transmission_angle(
 
 
 def _find_joint_kind(system: Model, name: str) -> int | None:
-    """R or P for a joint with one turn or one slide, else None."""
+    """Return R or P for a joint with one turn or one slide, else None."""
     joint = system.structure.joints[name]
     primitives = joint.type.layout(system.dim, system._mechanism.bodies[joint.child].particle)[1]
     return primitives[0].kind if len(primitives) == 1 and primitives[0].kind in (R, P) else None
@@ -314,7 +316,7 @@ def _find_joint_kind(system: Model, name: str) -> int | None:
 def _find_dyad(
     system: Model, joint: str, coupler: str | None, output: str | None
 ) -> tuple[str, str]:
-    """The other joints of the coupler and of the output link."""
+    """Return the other joints of the coupler and of the output link."""
     joints = system.structure.joints
     for name in (joint, coupler, output):
         if name is not None and name not in joints:
@@ -359,6 +361,6 @@ def _find_dyad(
 
 
 def _compute_joint_pose(system: Model, q: Array, name: str) -> Array:
-    """Pose (..., 4, 4) of frame F of a joint."""
+    """Compute the pose (..., 4, 4) of frame F of a joint."""
     joint = system.structure.joints[name]
     return fk(system, q, joint.parent) @ joint.X_PF.evaluate_pose(system.structure.parameters)

@@ -1,4 +1,4 @@
-"""A body on an axle, recognised from velocity constraints and the kinematics, whatever it is made of.
+"""Wheeled bodies: an axle, recognised from velocity constraints, whatever it is made of.
 
 A body moves in a plane by two slides and a turn. Velocity rows that depend on how the body moves in
 its own axes, and not on where it is, allow twists (forward, sideways, turning) of it: those without
@@ -59,27 +59,25 @@ class Axle:
 
     @cached_property
     def q_places(self) -> dict[int, int]:
-        """For each velocity index of a turn or slide its place in q."""
+        """Index in q of each turn or slide, by its velocity index."""
         layout = self.system.structure.layout
         return dict(zip(layout.vector_v.tolist(), layout.vector_q.tolist(), strict=True))
 
     @cached_property
     def own_q_places(self) -> list[int]:
-        """Places in q of the two slides and the turn."""
+        """Indices in q of the two slides and the turn of the body."""
         return [self.q_places[v] for v in self.own]
 
     @cached_property
     def units(self) -> Array:
-        """What one unit of the axle's twist and of each velocity is (3 + nv,): radians, and
-        characteristic lengths.
-        """
+        """Units (3 + nv,) of the axle's twist and of velocities: rad, or characteristic lengths."""
         length = closure_rows.compute_characteristic_length(self.system)
         turning = self.system.structure.coordinates.turning.copy()
         turning[self.system.structure.layout.quaternion_v[:, None] + np.arange(3)] = True
         return np.concatenate([[length, length, 1.0], np.where(turning, 1.0, length)])
 
     def compute_place(self, q: Array) -> Array:
-        """Middle and heading (..., 3) of the axle at configurations (..., nq)."""
+        """Compute middle and heading (..., 3) of the axle at configurations (..., nq)."""
         heading = self.gear * q[..., self.own_q_places[2]]
         c = np.cos(heading)
         s = np.sin(heading)
@@ -89,7 +87,7 @@ class Axle:
         return np.concatenate([origin + arm, (heading + angle)[..., None]], axis=-1)
 
     def move_axle(self, q: Array, place: Array) -> Array:
-        """The configurations (n, nq) with the axle moved to places (n, 3), exactly."""
+        """Return configurations (n, nq) with the axle moved exactly to places (n, 3)."""
         out = q.copy()
         out[:, self.own_q_places[2]] = (place[:, 2] - self.mount[2]) / self.gear
         out[:, self.own_q_places[:2]] = 0.0
@@ -99,8 +97,9 @@ class Axle:
         return out
 
     def compute_twist_matrices(self, q: Array) -> Array:
-        """Matrices (n, 3, 3): rates of the axle forward, sideways and turning by those of the
-        slides and the turn, at configurations (n, nq).
+        """Compute matrices (n, 3, 3) from rates of slides and turn to the twist of the axle.
+
+        The twist is forward, sideways and turning, at configurations (n, nq).
         """
         J: Array = self.plane @ jacobian(self.system, q, self.body)[:, :3][..., list(self.own)]
         place = self.compute_place(q)
@@ -115,23 +114,25 @@ class Axle:
         return out
 
     def compute_own_rates(self, q: Array, forward: Array, turning: Array) -> Array:
-        """Rates (n, 3) of slides and turn at speeds (n,) of the axle."""
+        """Compute the rates (n, 3) of slides and turn at speeds (n,) of the axle."""
         twist = np.stack([forward, np.zeros(len(q)), turning], axis=1)
         return np.asarray(
             np.linalg.solve(self.compute_twist_matrices(q), twist[..., None])[..., 0], dtype=float
         )
 
     def compute_slide_sine(self, q: Array) -> Array:
-        """Sine (n,) of the angle between the two slides, positive where it has the sign that it has
-        at the first q.
+        """Compute the sine (n,) of the angle between the two slides.
+
+        It is positive where it has the sign that it has at the first q.
         """
         D = self.compute_twist_matrices(q)[:, :2, :2]
         sine = np.linalg.det(D / np.linalg.norm(D, axis=1, keepdims=True))
         return sine * np.sign(sine[0])
 
     def compute_rows(self, q: Array) -> Array:
-        """Velocity rows (m, 3 + nv) of the axle's twist, then of all coordinates but the body's
-        (zero there), without unit.
+        """Compute the scaled velocity rows (m, 3 + nv) of the axle's twist and of all coordinates.
+
+        Those of the body's own coordinates are zero.
         """
         A = evaluate_velocity_rows(self.system, q)[0]
         own = list(self.own)
@@ -143,19 +144,18 @@ class Axle:
         return out * self.units
 
     def compute_motion_basis(self, q: Array) -> Array:
-        """Basis (3 + driven, k), without unit, of the allowed rates of the axle and of what it
-        drives.
-        """
+        """Compute a scaled basis (3 + driven, k) of allowed rates of axle and driven coordinates."""
         return Spectrum(self.compute_rows(q)[:, self._moved_columns]).compute_null_space(
             Level.CLOSED
         )
 
     @cached_property
     def _moved_columns(self) -> list[int]:
+        """Columns of the axle's twist and of the driven coordinates."""
         return [0, 1, 2, *(3 + v for v in self.driven)]
 
     def compute_driven_rates(self, q: Array, forward: float, turning: float) -> Array | None:
-        """Rates (driven,) at these speeds of the axle; None where they are not allowed at q."""
+        """Compute the rates (driven,) at speeds of the axle; None where they are not allowed."""
         N = self.compute_motion_basis(q) * self.units[self._moved_columns][:, None]
         twist = np.array([forward, 0.0, turning])
         x = Spectrum(N[:3]).solve_least_squares(twist, Level.CLOSED)
@@ -164,8 +164,9 @@ class Axle:
         return N[3:] @ x
 
     def compute_bend_angle(self, q: Array, steering: float) -> float:
-        """Angle in [0, pi) of (forward, turning) without unit at a value of the steering: 0
-        straight, pi/2 a turn on the spot.
+        """Compute the angle in [0, pi) of (forward, turning), scaled, at a value of the steering.
+
+        It is 0 straight ahead, and pi/2 for a turn on the spot.
         """
         assert self.steering is not None
         x = q.copy()
@@ -175,9 +176,7 @@ class Axle:
 
 
 def find_axle(system: Model, q: Array) -> Axle:
-    """The axle of a system that rolls, beside its configuration q (nq,). Errors:
-    `UnsupportedError`.
-    """
+    """Find the axle of a rolling system at its configuration q (nq,). Errors: `UnsupportedError`."""
     A, b = evaluate_velocity_rows(system, q)
     tie = find_binding_constraint(system, q)
     if not A.shape[-2]:
@@ -206,8 +205,9 @@ def find_axle(system: Model, q: Array) -> Axle:
 
 
 def find_binding_constraint(system: Model, q: Array) -> str | None:
-    """The name of a position constraint, loop or relation that restricts configurations around q
-    (nq,), if one does.
+    """Find a position constraint, loop or relation that restricts configurations around q (nq,).
+
+    Returned is its name, or None.
     """
     some = np.concatenate(
         [q[None], sample_configurations(system, np.random.default_rng(SEED), (TRIALS,))]
@@ -219,8 +219,9 @@ def find_binding_constraint(system: Model, q: Array) -> str | None:
 
 
 def _find_planar_body(system: Model) -> Axle:
-    """The body nearest to the ground that moves in a plane by two slides and a turn, the axle at
-    its origin. Errors: `UnsupportedError`.
+    """Find the body nearest to the ground that moves in a plane by two slides and a turn.
+
+    It is returned as an axle at its origin. Errors: `UnsupportedError`.
     """
     samples = sample_configurations(system, np.random.default_rng(SEED), (TRIALS,))
     vectors = {*system.structure.layout.vector_v.tolist()}
@@ -254,7 +255,7 @@ def _find_planar_body(system: Model) -> Axle:
 
 
 def _sort_coordinates(axle: Axle, q: Array) -> Axle:
-    """The axle with its driven, idle and steering coordinates. Errors: `UnsupportedError`."""
+    """Return the axle with its driven, idle and steering coordinates. Errors: `UnsupportedError`."""
     system = axle.system
     layout = system.structure.layout
     samples = sample_configurations(system, np.random.default_rng(SEED), (TRIALS,))
@@ -263,11 +264,12 @@ def _sort_coordinates(axle: Axle, q: Array) -> Axle:
         places |= {v + k: list(range(i, i + 4)) for k in range(3)}
 
     def compute_projection(x: Array) -> Array:
+        """Compute the projection onto the row space at x."""
         V = Spectrum(axle.compute_rows(x)).compute_row_space(Level.CLOSED)
         return V @ V.T
 
     def has_effect_on_rows(columns: list[int]) -> bool:
-        """Whether what the rows allow depends on these coordinates."""
+        """Tell whether the row space depends on these coordinates."""
         for base in (q, *samples[:2]):
             here = compute_projection(base)
             for other in samples:
@@ -310,7 +312,7 @@ def _sort_coordinates(axle: Axle, q: Array) -> Axle:
 
 
 def _place_axle(axle: Axle, q: Array) -> Axle:
-    """The axle at its place on the body, which no allowed twist moves sideways.
+    """Return the axle at the place on its body that no allowed twist moves sideways.
 
     Errors: `UnsupportedError` where the twists are too many, too few, or the driven coordinates do
     not follow.
@@ -368,8 +370,9 @@ def _place_axle(axle: Axle, q: Array) -> Axle:
 
 
 def _find_axle_middle(axle: Axle, q: Array, foot: Array, forward: Array) -> tuple[Array, float]:
-    """The middle (2,) of the axle in the body's axes, and whether `forward` (2,) is forwards (1) or
-    in reverse (-1).
+    """Find the middle (2,) of the axle in the body's axes, and whether `forward` (2,) is forwards.
+
+    The second is 1 for forwards and -1 for in reverse.
 
     By the ends of velocity constraints that are fixed on the axle: their middle, and the sense of
     their x axes. Where there is none, the middle is the `foot`, next to the body's origin.
