@@ -19,7 +19,7 @@ import kempe
 from kempe.cli.facts import SystemFacts
 from kempe.errors import KempeError
 from kempe.library import list_models as library_models
-from kempe.views.overviews import tree_lines
+from kempe.views.overviews import list_tree_lines
 from kempe.words import choose_verb, format_count, format_share, make_plural, spell_count
 
 SOURCE = Path(kempe.__file__).parent
@@ -119,7 +119,7 @@ def test_sentences_of_shipped_models_agree(name):
         system.independent,
         lambda: system.independent(prefer=list(names)),
         lambda: SystemFacts(system),
-        lambda: "\n".join(tree_lines(system)),
+        lambda: "\n".join(list_tree_lines(system)),
         lambda: system.fk(np.zeros(1), tip),
         lambda: "\n".join(j.forbids(system.dim) for j in system.structure.joints.values()),
         lambda: system.assemble(dict.fromkeys(names, 0.1)),
@@ -169,7 +169,7 @@ def about(system: kempe.System) -> str:
         system.classify,
         lambda: system.independent(prefer=names[:2]),
         lambda: SystemFacts(system),
-        lambda: "\n".join(tree_lines(system)),
+        lambda: "\n".join(list_tree_lines(system)),
         lambda: system.task_space(tip),
         system.opened,
         assemble,

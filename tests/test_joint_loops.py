@@ -50,7 +50,7 @@ from kempe.joints import (
 )
 from kempe.model.implicit_form import find_implicit_form
 from kempe.views.drawing import symbols
-from kempe.views.drawing.scene import look
+from kempe.views.drawing.scene import build_scene
 from kempe.views.drawing.solids import Solids
 
 pytestmark = pytest.mark.usefixtures("solved_as_marked")
@@ -451,7 +451,7 @@ def test_own_types_are_drawn(kind, dim):
         if dim == 2:
             return {str(a.get_gid()) for a in axes.findobj()}
         solids = Solids()
-        symbols.build(solids, look(s, q), 0.02, None)
+        symbols.add_scene(solids, build_scene(s, q), 0.02, None)
         return set(solids.named)
 
     assert any(g.startswith("joint:j2") for g in drawn(q)), "a symbol"

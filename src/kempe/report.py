@@ -1,4 +1,6 @@
-"""Results of verbs: the base of all answers, with the sentence, text, HTML and JSON.
+"""Base of all results: their sentence, text, HTML and JSON.
+
+An answer is true where its question was answered.
 
 An answer is true where its question was answered.
 """
@@ -42,7 +44,7 @@ each other at most."""
 
 
 class Table(NamedTuple):
-    """Facts in rows of texts and numbers, which are a `Quantity` each, under the heads of columns.
+    """Rows of texts and numbers under the heads of columns; numbers are a `Quantity` each.
 
     As a `record` each row is a name, what it is, and what limits it; else rows are alike, and a
     `grid` of them is always in columns. `more` is how many rows there are beyond these. What is not
@@ -58,7 +60,7 @@ class Table(NamedTuple):
     printed: bool = True
 
     def list_lines(self) -> list[str]:
-        """A line a row: "name = value" of a record, else what stands under each head."""
+        """List the lines of the table: "name = value" for a record, else each value after its head."""
         if self.grid:
             return self.align_columns()
         texts = [[_format_digits(x) for x in row] for row in self.rows]
@@ -76,14 +78,14 @@ class Table(NamedTuple):
         return self._add_title(out)
 
     def to_html(self) -> str:
-        """The table of HTML."""
+        """Convert the table to HTML."""
         heads, columns, _ = self._format_columns(False, not self.grid)
         title, more = self._list_outer_lines()
         table = format_html_table(heads, zip(*columns, strict=True))
         return format_html_paragraphs(title) + table + format_html_paragraphs(more)
 
     def align_columns(self, degrees: bool = False) -> list[str]:
-        """Lines with columns of equal width, in radians or degrees."""
+        """List the lines of the table with columns of equal width, in radians or degrees."""
         heads, columns, right = self._format_columns(degrees)
         if sum(right) > WIDE and not self.record:
             return self._add_title(_arrange_blocks(heads, columns))
@@ -92,8 +94,9 @@ class Table(NamedTuple):
     def _format_columns(
         self, degrees: bool, digits: bool = False
     ) -> tuple[list[str], list[list[str]], list[bool]]:
-        """Heads (none where all are empty), texts, and which columns are numbers, without empty
-        columns; numbers with nine `digits` or with fixed decimals.
+        """Format the cells: heads of columns, texts by column, and which columns are numbers.
+
+        Empty columns are left out; numbers have nine `digits`, or fixed decimals.
         """
         heads = list(self.heads or ("", ""))
         cells = [list(column) for column in zip(*self.rows, strict=True)] or [[] for _ in heads]
@@ -122,47 +125,51 @@ class Table(NamedTuple):
         return shown if any(shown) else [], [texts[k] for k in keep], [right[k] for k in keep]
 
     def _find_unit(self, column: Sequence[Any]) -> str | None:
-        """The unit of the numbers of a column, None where each row has its own."""
+        """Find the common unit of the numbers in a column; None if each row has its own unit."""
         units = {x.unit for x in column if _is_number(x)}
         return None if len(units) > 1 or (units and self.record) else "".join(units)
 
     def _add_title(self, lines: list[str]) -> list[str]:
-        """The lines under the title, and how many more there are."""
+        """Put the title above lines, and the number of further rows below."""
         title, more = self._list_outer_lines()
         return [*title, *lines, *more]
 
     def _list_outer_lines(self) -> tuple[list[str], list[str]]:
-        """The line above, and the one below that says how many more there are; none where empty."""
+        """Return the line above the table, and the line below about further rows; empty if none."""
         return [self.title] * bool(self.title), [f"... and {self.more} more"] * bool(self.more)
 
 
 def _is_number(x: Any) -> bool:
+    """Whether a cell is a single number with a unit."""
     return isinstance(x, Quantity) and np.ndim(x.value) == 0
 
 
 def _find_row_unit(row: Sequence[Any], degrees: bool) -> str:
-    """The unit of the numbers of a row."""
+    """Find the unit of the numbers in a row."""
     return next((_convert_unit(x.unit, degrees) for x in row if _is_number(x)), "")
 
 
 def _format_unit(unit: str) -> str:
+    """Format a unit in brackets; '' without a unit."""
     return f" [{unit}]" if unit else ""
 
 
 def _convert_unit(unit: str | None, degrees: bool) -> str:
+    """Convert the unit of angles to degrees if these are requested."""
     return Unit(unit or "").convert_units(degrees)
 
 
 def _format_digits(x: Any) -> str:
-    """A cell with nine digits of its number."""
+    """Format a cell with nine digits of its number."""
     if _is_number(x):
         return f"{x.value:.9g}"
     return _format_decimals(x, False)
 
 
 def _format_decimals(x: Any, degrees: bool, bare: bool = False) -> str:
-    """A cell with as many decimals as the numbers above and below it; '[-2, 2] rad' of an interval,
-    '[-2, 2]' where it is `bare`, '' where that has no ends.
+    """Format a cell with a fixed number of decimals; an interval as '[-2, 2] rad'.
+
+    An interval that is `bare` has no unit; '' for an interval without ends.
     """
     if isinstance(x, Quantities):
         return ", ".join(f"{label} {_format_decimals(y, degrees)}".lstrip() for label, y in x.each)
@@ -177,7 +184,7 @@ def _format_decimals(x: Any, degrees: bool, bare: bool = False) -> str:
 
 
 def _arrange_blocks(heads: Sequence[str], columns: Sequence[Sequence[str]]) -> list[str]:
-    """Lines with a column for each row, in blocks of at most `WIDE` beside each other."""
+    """Arrange rows as columns, in blocks of at most `WIDE` beside each other."""
     out: list[str] = []
     count = len(columns[0])
     blocks = math.ceil(count / WIDE)
@@ -193,41 +200,41 @@ class Nearest(Protocol):
 
     @property
     def system(self) -> Any:
-        """That mechanism as a system, with the same coordinates."""
+        """The nearest mechanism as a system, with the same coordinates."""
         ...
 
     @property
     def tolerance(self) -> float:
-        """The largest change of a placement, in metres and radians."""
+        """Largest change of a joint's placement [m, rad]."""
         ...
 
     @property
     def freedoms(self) -> int:
-        """The number of its freedoms."""
+        """Number of freedoms of the nearest mechanism."""
         ...
 
     @property
     def sentence(self) -> Any:
-        """How far the given numbers are from it, and what moves, in one sentence."""
+        """Sentence about the distance to the nearest mechanism, and about its mobility."""
         ...
 
     @property
     def least(self) -> str:
-        """How far the given numbers are from it."""
+        """Description of the distance of the given numbers to the nearest mechanism."""
         ...
 
     @property
     def exactly(self) -> str:
-        """What the given numbers say if they are taken exactly."""
+        """Description of the mobility of the given mechanism if its numbers are taken exactly."""
         ...
 
     @property
     def lines(self) -> list[str]:
-        """What differs, the largest change first, and what the given numbers contradict."""
+        """Lines about the changed numbers, the largest change first, and about contradictions."""
         ...
 
     def data(self) -> dict[str, Any]:
-        """All numbers and texts as plain Python."""
+        """Return all numbers and texts as plain Python objects."""
         ...
 
 
@@ -252,8 +259,9 @@ class Result:
     """Whether a notebook shows its `plot`, too: where the picture says more than the numbers."""
 
     def data(self, degrees: bool = False) -> dict[str, Any]:
-        """All numbers and texts as plain Python, ready for JSON; `code` by the names of `Status`,
-        NaN as None.
+        """Return all numbers and texts as plain Python objects, ready for JSON.
+
+        `code` has the names of `Status`, NaN becomes None.
 
         With `degrees` the angles of configurations are degrees; errors and tolerances stay radians.
         """
@@ -270,11 +278,11 @@ class Result:
         return to_json_data(head | unit | said | own, degrees)
 
     def to_json(self, degrees: bool = False) -> str:
-        """The `data` as JSON."""
+        """Return the `data` as JSON text."""
         return format_json(self.data(degrees))
 
     def to_dataframe(self, degrees: bool = False) -> Any:
-        """What it has in rows, as a `DataFrame` of pandas.
+        """Return the rows of the result as a `DataFrame` of pandas.
 
         Errors: `MissingPackageError` without pandas.
         """
@@ -286,7 +294,7 @@ class Result:
         return DataFrame(rows, columns=names)  # type: ignore[arg-type]
 
     def _list_dataframe_rows(self, degrees: bool) -> tuple[Sequence[str], Any]:
-        """Names of columns, and rows, of its first table."""
+        """Return the names of columns, and the rows, of the first table."""
         for table in self._make_tables():
             heads = table.heads or ("name", "value")
             rows = [[_convert_cell(x, degrees) for x in row] for row in table.rows]
@@ -294,25 +302,25 @@ class Result:
         return ("status",), np.reshape(np.asarray(self.status, dtype=object), (-1, 1)).tolist()
 
     def _collect_head_data(self) -> dict[str, Any]:
-        """What the data begin with: of what they are."""
+        """Return the first entries of the `data`, which say what the result is about."""
         return {}
 
     def _collect_data(self) -> dict[str, Any]:
-        """The numbers and texts of its own."""
+        """Return the entries of the `data` that are particular to this class."""
         return {}
 
     # ---- as text and HTML
 
     def _make_headline(self) -> str:
-        """The first line of the text."""
+        """Return the first line of the text."""
         return str(self.status)
 
     def _make_tables(self) -> Sequence[Table]:
-        """What it found in rows, of which a text shows lines or columns, and HTML tables."""
+        """Make the tables of the text and of HTML."""
         return ()
 
     def _list_notes(self, degrees: bool = False) -> Sequence[str]:
-        """The last lines: reasons, and what no table has."""
+        """List the last lines of the text: reasons, and facts that no table has."""
         return ()
 
     def __bool__(self) -> bool:
@@ -327,7 +335,7 @@ class Result:
         )
 
     def text(self, degrees: bool = False, width: int = 0) -> str:
-        """The text with its tables in columns; with `degrees` its angles are degrees.
+        """Return the text with tables in columns; with `degrees`, angles are in degrees.
 
         With a `width`, longer sentences are broken. Errors: `InputError` for a width that is no
         whole number.
@@ -348,7 +356,7 @@ class Result:
         return head + tables + format_html_paragraphs(self._list_notes()) + self._render_image()
 
     def _render_image(self) -> str:
-        """What `plot` draws, as HTML, where `_pictured` says so; '' where nothing can be drawn."""
+        """Render the picture of `plot` as HTML if `_pictured`; '' if nothing can be drawn."""
         if not self._pictured:
             return ""
         self_: Any = self
@@ -368,23 +376,23 @@ by_code: Any = property(
 
 @explain_method_errors
 class Report(Result):
-    """Findings about a system, with their reasons. The `sentence` is the `status`."""
+    """A result with findings about a system and their reasons. The `sentence` is the `status`."""
 
     code: Any = Status.SOLVED
     success = by_code
 
     @property
     def status(self) -> Any:
-        """The result in one sentence; of a batch an array of sentences."""
+        """Result in one sentence; an array of sentences for a batch."""
         raise NotImplementedError
 
     @property
     def sentence(self) -> Any:
-        """The result in one sentence: another name of `status`."""
+        """Result in one sentence: another name of `status`."""
         return self.status
 
     def topics(self) -> Sequence[tuple[str, Sequence[str]]]:
-        """The reasons as (title, lines)."""
+        """List the reasons as pairs of a title and its lines."""
         return ()
 
     def __str__(self) -> str:
@@ -392,7 +400,7 @@ class Report(Result):
         return format_topics(self._make_headline(), topics) if topics else super().__str__()
 
     def text(self, degrees: bool = False, width: int = 0) -> str:
-        """The text with its tables in columns; with `degrees` its angles are degrees.
+        """Return the text with tables in columns; with `degrees`, angles are in degrees.
 
         With a `width`, longer sentences are broken. Errors: `InputError` for a width that is no
         whole number.
@@ -417,6 +425,7 @@ NARROWEST = 40
 
 
 def _check_line_width(width: Any) -> int:
+    """Check the number of columns of a line, 0 for any. Errors: `InputError`."""
     if not is_whole(width) or width < 0:
         raise InputError(
             f"width is {format_value(width)}; it must be a whole number of columns, 0 for any"
@@ -425,11 +434,12 @@ def _check_line_width(width: Any) -> int:
 
 
 def _wrap_line(line: str, width: int) -> str:
+    """Wrap a line that is longer than the width."""
     return fill(line, width, subsequent_indent="  ") if width and len(line) > width else line
 
 
 def _convert_cell(x: Any, degrees: bool) -> Any:
-    """A cell of a `DataFrame`."""
+    """Convert a cell to a value of a `DataFrame`."""
     return x.convert_units(degrees).value if isinstance(x, Quantity) else x
 
 
@@ -440,12 +450,13 @@ FEW = 16
 
 
 def summarize_fields(self: Any) -> str:
-    """The fields of an answer on one line, of large arrays only the shape."""
+    """Summarize the fields of an answer on one line; large arrays by their shape."""
     shows = [f for f in fields(self) if f.repr]
     return f"{type(self).__name__}({', '.join(f'{f.name}={_summarize_value(getattr(self, f.name))}' for f in shows)})"
 
 
 def _summarize_value(x: Any) -> str:
+    """Summarize a value on one line; large arrays by their shape."""
     given: Any = x
     if is_array(x):
         return f"array {x.shape}" if x.size > FEW else " ".join(repr(x).split())

@@ -185,9 +185,9 @@ class Pictured:
     @quiet
     def _repr_html_(self: Any) -> str:
         """The system in a notebook: a picture, its freedoms, its tree."""
-        from kempe.views.overviews import notebook_page
+        from kempe.views.overviews import make_notebook_page
 
-        return notebook_page(self)
+        return make_notebook_page(self)
 
     @explain_errors
     def plot_spaces(

@@ -10,7 +10,7 @@ from kempe import Mechanism
 
 pytest.importorskip("matplotlib")
 from kempe.views.drawing import page, symbols
-from kempe.views.drawing.scene import look
+from kempe.views.drawing.scene import build_scene
 from kempe.views.drawing.solids import Solids
 
 
@@ -23,7 +23,7 @@ def texts(ax) -> dict[str, str]:
     [(-0.4929, "-0.4929 m"), (-0.0456, "-45.6 mm"), (0.0, "0 m"), (-2e-5, "-20 µm"), (3.0, "3 m")],
 )
 def test_a_length_has_a_unit_by_its_size_whatever_its_sign(length, said):
-    assert page.length_text(length) == said
+    assert page.format_length(length) == said
 
 
 def test_values_stand_beside_the_arcs_of_angles():
@@ -80,7 +80,7 @@ def test_a_rod_to_the_ground_ends_at_a_ground_symbol():
     m.distance("hook", m.ground, "p", length=1.0, at=(0, 0, 1))
     solids = Solids()
     system = m.build()
-    symbols.build(solids, look(system, system.neutral), 0.02, None)
+    symbols.add_scene(solids, build_scene(system, system.neutral), 0.02, None)
     assert [name for name in solids.named if name.startswith("ground:")] == ["ground:0"]
 
 
@@ -92,7 +92,7 @@ def test_a_point_on_a_plane_lies_on_a_plate_and_not_on_a_line():
     m.constrain(kempe.constraints.OnPlane("tip", normal=(1, 2, 2)), "plane")
     m.constrain(kempe.constraints.OnLine("b", direction=(0, 0, 1)), "line")
     system = m.build()
-    scene = look(system, system.assemble().q)
+    scene = build_scene(system, system.assemble().q)
     (mark,) = scene.marks
     assert [line[0] for line in scene.lines] == ["line"] and mark.name == "plane"
     assert np.allclose(mark.plane[1], np.array([1, 2, 2]) / 3) and np.allclose(
@@ -115,7 +115,7 @@ def test_a_place_out_of_reach_is_shown_with_its_distance():
     ax = puma.plot(far, labels=False)
     (line,) = (x for x in ax.get_lines() if x.get_gid() == "missed")
     assert np.allclose(np.array(line.get_data_3d())[:, 1], [2.0, 0.0, 0.0])
-    assert texts(ax)["label:missed"] == page.length_text(float(f"{far.position_error:.3g}"))
+    assert texts(ax)["label:missed"] == page.format_length(float(f"{far.position_error:.3g}"))
 
 
 def test_a_car_has_wheels_at_each_of_several_places():

@@ -247,6 +247,6 @@ def test_types_of_joints_and_tasks_are_sentences():
 
 
 def test_a_screw_without_a_pitch_is_made_of_its_pitch():
-    rows = {row["type"]: row["made_of"] for row in overviews.joint_rows()}
+    rows = {row["type"]: row["made_of"] for row in overviews.list_joint_types()}
     assert rows["helical"] == "R(z) P(z, pitch q)"
     assert kempe.joints.Helical(0.02).decomposition == "R(z) P(z, 0.02 q)"

@@ -37,7 +37,7 @@ C = {0, 1, 2, 1, 4, 4, 2}"""
 
 
 def test_the_tree_of_the_seven_bodies_as_text():
-    assert "\n".join(overviews.tree_lines(kempe.load("seven_bodies_loop"))) == SEVEN
+    assert "\n".join(overviews.list_tree_lines(kempe.load("seven_bodies_loop"))) == SEVEN
 
 
 def test_the_tree_of_the_seven_bodies_as_a_picture():
@@ -106,7 +106,7 @@ def test_names_in_a_tree_can_be_read(make):
 
 @pytest.mark.parametrize("name", ["stewart", "andrews_squeezer", "panda"])
 def test_circles_of_trees_lie_apart(name):
-    at = overviews._places(kempe.load(name))
+    at = overviews._place_bodies(kempe.load(name))
     gaps = np.linalg.norm(at[:, None] - at, axis=-1)[np.triu_indices(len(at), 1)]
     assert gaps.min() >= 0.99
 
@@ -116,9 +116,12 @@ def test_a_long_chain_has_a_tree():
     body = m.ground
     for k in range(3000):
         m.revolute(f"j{k}", body, body := m.body(f"b{k}"), at=(1.0, 0.0))
-    lines = overviews.tree_lines(system := m.build())
+    lines = overviews.list_tree_lines(system := m.build())
     assert len(lines) == 3002 and lines[2999].endswith("└─ j2998 (revolute) ─ 2999 b2998")
-    assert overviews._places(system)[-1, 1] == -3000 and "... and 2962 more" in system._repr_html_()
+    assert (
+        overviews._place_bodies(system)[-1, 1] == -3000
+        and "... and 2962 more" in system._repr_html_()
+    )
 
 
 # ---- joint types
@@ -151,7 +154,7 @@ def test_all_joint_types_in_one_picture():
 
 def test_a_row_for_each_joint_type():
     """Six less the constraints are the freedoms, in the plane three less."""
-    rows = overviews.joint_rows()
+    rows = overviews.list_joint_types()
     assert [row["type"] for row in rows] == list(TYPES)
     assert all(row["dof"] + row["constraints"] == 6 for row in rows)
     plane = [row for row in rows if row["dof_in_the_plane"] is not None]
@@ -172,7 +175,7 @@ def test_a_system_in_a_notebook(name):
     (data,) = re.findall(r'src="data:image/png;base64,([^"]+)"', page)
     assert base64.b64decode(data)[1:4] == b"PNG"
     said = html.unescape(page)
-    assert overviews.connectivity(system) in said and all(
+    assert overviews.format_connectivity(system) in said and all(
         joint in said for joint in system.joint_names
     )
     assert system.mechanism._repr_html_() == page

@@ -169,7 +169,7 @@ def test_two_servers_have_two_tokens_and_other_servers_of_viser_are_as_they_were
 def test_a_viser_that_is_built_otherwise_serves_nothing(monkeypatch):
     """Where its server does not ask the guard, there is an error and no page."""
     worker = viser.infra.WebsockServer._background_worker
-    monkeypatch.setattr("kempe.views.viewer.server._in_scope", lambda f, **_: f)
+    monkeypatch.setattr("kempe.views.viewer.server._bind_globals", lambda f, **_: f)
     with pytest.raises(kempe.errors.UnsupportedError, match="viser"):
         PageServer(port=0)
     assert viser.infra.WebsockServer._background_worker is worker
@@ -583,6 +583,6 @@ def test_a_dae_mesh_without_its_reader_names_the_package(tmp_path, monkeypatch):
 
 
 def test_sentences_are_html_letter_by_letter():
-    assert Tags(live.as_html(EVIL.format(site="host"))).tags == [("p", "")]
+    assert Tags(live.format_html(EVIL.format(site="host"))).tags == [("p", "")]
     drawn = types.SimpleNamespace(lost=["a", "b", "c", "d", "e"])
     assert Drawn.lost_sentence.fget(drawn) == "5 meshes not drawn: a; b; c; and 2 more"

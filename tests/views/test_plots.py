@@ -21,9 +21,9 @@ from kempe.model.configurations import find_home
 pytest.importorskip("matplotlib")
 from kempe.views import plots
 from kempe.views.drawing import callouts, labels, page, shapes, symbols
-from kempe.views.drawing.plot_request import usual_configuration
-from kempe.views.drawing.scene import look
-from kempe.views.drawing.solids import Solids, flat_hull, hull
+from kempe.views.drawing.plot_request import choose_configuration
+from kempe.views.drawing.scene import build_scene
+from kempe.views.drawing.solids import Solids, find_flat_hull, hull
 
 PLANAR = [
     "four_bar",
@@ -149,7 +149,7 @@ def test_links_cover_their_joints_and_frames(name):
     system = kempe.load(name)
     q = start(system)
     found = artists(plots.plot(system))
-    scene = look(system, q)
+    scene = build_scene(system, q)
     for link in scene.links[1:]:
         points = scene.points(link)[:, :2]
         if len(points) > 1:
@@ -174,9 +174,11 @@ def test_rounded_outlines_have_the_area_of_hull_and_rim():
         ([(0, 0), (4, 0), (4, 3), (2, 1)], 6.0, 12.0),
     ):
         r = 0.5
-        path = shapes.rounded(np.array(points, dtype=float), r)
+        path = shapes.make_rounded_outline(np.array(points, dtype=float), r)
         assert area(path) == pytest.approx(size + r * round_ + np.pi * r * r, rel=2e-3)
-    assert area(shapes.rounded(np.array([[1.0, 2.0]]), 2.0)) == pytest.approx(4 * np.pi, rel=2e-3)
+    assert area(shapes.make_rounded_outline(np.array([[1.0, 2.0]]), 2.0)) == pytest.approx(
+        4 * np.pi, rel=2e-3
+    )
 
 
 def test_the_hull_drops_what_lies_inside_and_on_sides():
@@ -435,17 +437,17 @@ def test_the_scale_bar_has_its_length():
     ],
 )
 def test_nice_lengths(length, rounded):
-    assert page.nice(length) == pytest.approx(rounded)
+    assert page.round_length(length) == pytest.approx(rounded)
 
 
 # ---- space
 
 
 def solids_of(system, q) -> tuple[Solids, float]:
-    scene = look(system, q)
+    scene = build_scene(system, q)
     solids = Solids()
-    r = symbols.radius(scene)
-    symbols.build(solids, scene, r, None)
+    r = symbols.choose_radius(scene)
+    symbols.add_scene(solids, scene, r, None)
     return solids, r
 
 
@@ -458,7 +460,7 @@ def test_a_symbol_at_every_joint_along_its_axis(name):
     system = kempe.load(name)
     q = start(system)
     solids, r = solids_of(system, q)
-    scene = look(system, q)
+    scene = build_scene(system, q)
     for joint in scene.joints:
         p = vertices(solids, f"joint:{joint.name}")
         box = 0.5 * (p.min(axis=0) + p.max(axis=0))
@@ -495,9 +497,9 @@ def test_all_solids_are_in_the_picture_with_equal_scales(name):
 @pytest.mark.parametrize("name", SPATIAL)
 def test_tubes_join_the_joints_of_a_link(name):
     """Each joint centre and frame of a link is on one of the lines that the link is drawn along."""
-    scene = look(kempe.load(name), start(kempe.load(name)))
+    scene = build_scene(kempe.load(name), start(kempe.load(name)))
     drawn: dict[int, list[np.ndarray]] = {}
-    for link, line in symbols.lines(scene):
+    for link, line in symbols.iterate_link_lines(scene):
         drawn.setdefault(link.number, []).append(line)
     for link in scene.links[1:]:
         points = scene.points(link)
@@ -515,9 +517,9 @@ def test_links_follow_axes_and_common_normals():
     B = np.eye(4)
     B[:3, :3] = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
     B[:3, 3] = 1, 0, 1
-    line = symbols._along_axes(A, B, True, True)
+    line = symbols._connect_axes(A, B, True, True)
     assert any(np.allclose(p, (0, 0, 1)) for p in line) and len(line) >= 3
-    assert len(symbols._along_axes(A, B, False, False)) == 2, "straight between ball joints"
+    assert len(symbols._connect_axes(A, B, False, False)) == 2, "straight between ball joints"
 
 
 def test_ground_marks_hang_below_ground_joints():
@@ -585,10 +587,10 @@ def test_tubes_and_balls_have_their_sizes():
 
 def test_flat_hulls():
     square = np.array([[0, 0, 1], [1, 0, 1], [0.5, 0.5, 1], [1, 1, 1], [0, 1, 1]], dtype=float)
-    assert sorted(flat_hull(square, 1e-6) or ()) == [0, 1, 3, 4]
+    assert sorted(find_flat_hull(square, 1e-6) or ()) == [0, 1, 3, 4]
     square[2, 2] = 2.0
-    assert flat_hull(square, 1e-6) is None
-    assert flat_hull(np.outer(np.arange(4.0), [1, 2, 3]), 1e-6) is None
+    assert find_flat_hull(square, 1e-6) is None
+    assert find_flat_hull(np.outer(np.arange(4.0), [1, 2, 3]), 1e-6) is None
 
 
 # ---- everything
@@ -621,7 +623,7 @@ def test_vector_output_names_its_parts(tmp_path):
 
 
 def test_axes_of_the_caller_are_used():
-    figure = page.new_figure()
+    figure = page.make_figure()
     left = figure.add_subplot(1, 2, 1)
     right = figure.add_subplot(1, 2, 2, projection="3d")
     assert plots.plot(kempe.load("four_bar"), ax=left) is left and "joint:A" in artists(left)
@@ -761,14 +763,14 @@ def test_without_matplotlib_the_error_names_the_extra():
 def test_what_is_drawn_by_default_holds(name):
     """The default configuration satisfies all that is declared, where assembling from home can."""
     system = kempe.load(name)
-    q = usual_configuration(system, None)
+    q = choose_configuration(system, None)
     assert judge_configurations(system, q) or not system.assemble(start=find_home(system))
 
 
 def test_a_ball_rests_on_its_ground():
     solids = kempe.load("ball").plot()
     assert solids.get_zlim()[0] <= 1e-9 and solids.get_zlim()[1] >= 0.2 - 1e-9
-    q = usual_configuration(kempe.load("ball"), None)
+    q = choose_configuration(kempe.load("ball"), None)
     assert q[2] >= 0.1 - 1e-9
 
 
@@ -787,7 +789,7 @@ def test_what_rolls_stands_on_its_plane(dim):
     m = Mechanism("coin", dim)
     m.free("J", m.ground, m.body("coin"))
     m.constrain(constraints.Rolls("coin", radius=0.3, shape="disc"), "rolls")
-    scene = look(system := m.build(), usual_configuration(system, None))
+    scene = build_scene(system := m.build(), choose_configuration(system, None))
     (mark,) = scene.marks
     assert mark.symbol == "wheel" and mark.disc and mark.radius == 0.3
     np.testing.assert_allclose(np.linalg.norm(mark.point - mark.plane[0]), 0.3, atol=1e-8)
@@ -982,10 +984,10 @@ def test_an_arrow_for_each_freedom(name):
     """Those of a joint go round its axes, or along them; a ball has three."""
     system = kempe.load(name)
     assert system.plot(motion=True).collections
-    scene = look(system, start(system))
+    scene = build_scene(system, start(system))
     solids = Solids()
     (joint,) = scene.joints
-    lines = callouts.freedoms_in_space(solids, joint, 1.0)
+    lines = callouts.draw_freedoms_in_space(solids, joint, 1.0)
     (own,) = (j for j in system.structure.joints.values() if j.type.dof(3))
     assert len(lines) == own.type.dof(3) and len(solids.named[f"motion:{joint.name}"]) > 50 * len(
         lines
@@ -1002,10 +1004,10 @@ def test_the_values_of_a_free_joint_stand_in_lines():
     (one,) = (text for text in texts if "joint.x" in text)
     lines = one.split("\n")
     assert one.count(" = ") == 7 and max(len(line.rstrip(",").split(", ")) for line in lines) == 3
-    wide, high = labels.extent(one, 9.0)
+    wide, high = labels.measure_text(one, 9.0)
     assert (
-        wide < 0.6 * labels.extent(one.replace("\n", " "), 9.0)[0]
-        and high > 2.5 * labels.extent("x", 9.0)[1]
+        wide < 0.6 * labels.measure_text(one.replace("\n", " "), 9.0)[0]
+        and high > 2.5 * labels.measure_text("x", 9.0)[1]
     )
 
 
@@ -1078,7 +1080,7 @@ def test_the_tool_of_a_file_without_frames_is_drawn(tmp_path):
     """A body that is fixed at the end of a chain is the end of the last link, by name; not a stub."""
     (tmp_path / "arm.urdf").write_text(TOOLED)
     arm = kempe.load(tmp_path / "arm.urdf")
-    scene = look(arm, arm.neutral)
+    scene = build_scene(arm, arm.neutral)
     assert list(scene.links[-1].frames) == ["tool"] and np.allclose(
         scene.points(scene.links[-1])[-1], [0, 0, 0.9]
     )
@@ -1114,8 +1116,8 @@ def test_long_names_are_shortened_in_pictures():
         m.frame(f"{name}_tip", "a", at=(0.5, 0))
         said = [t.get_text() for t in m.build().plot().texts]
         assert {"manipulator_of_…_hand_side_joint", "manipulator_of_…ft_hand_side_tip"} <= set(said)
-    assert labels.shortened("$x_{0}$" * 9) == "$x_{0}$" * 9
-    assert labels.shortened("a.qw = 1, a.qx = 0, a.qy = 0, a.qz = 0, b.rx = 0") == (
+    assert labels.shorten_label("$x_{0}$" * 9) == "$x_{0}$" * 9
+    assert labels.shorten_label("a.qw = 1, a.qx = 0, a.qy = 0, a.qz = 0, b.rx = 0") == (
         "a.qw = 1, a.qx = 0, a.qy = 0, a.qz = 0,\nb.rx = 0"
     )
 
@@ -1143,8 +1145,8 @@ def test_opened_systems_keep_their_links_in_pictures(name, joint):
     system = whole.opened(joint)
     q = whole.assemble().q
     given = {n: x for n, x in whole.q_dict(q).items() if n in system.coordinate_names}
-    before = look(whole, q)
-    after = look(system, system.q(given))
+    before = build_scene(whole, q)
+    after = build_scene(system, system.q(given))
     for link in before.links[1:]:
         same = next(x for x in after.links if x.name == link.name)
         for p in before.points(link):

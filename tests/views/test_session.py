@@ -9,10 +9,10 @@ from hunts import some
 import kempe
 from kempe.equations.judge import judge_configurations
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
-from kempe.views.drawing.labels import fitting
-from kempe.views.viewer.overlays import Overlay, offered, rounds
+from kempe.views.drawing.labels import fit_sentence
+from kempe.views.viewer.overlays import Overlay, iterate_rounds, list_offered_overlays
 from kempe.views.viewer.scene_nodes import RigidParts
-from kempe.views.viewer.session import Session, possible
+from kempe.views.viewer.session import Session, list_possible_motions
 
 NAMES = (
     "panda",
@@ -149,7 +149,7 @@ def test_buttons_lead_to_closed_configurations(name):
 
 def first(session: Session, name: str) -> Overlay:
     """The first round of what is laid over a session."""
-    return next(iter(rounds(session, name)))
+    return next(iter(iterate_rounds(session, name)))
 
 
 def test_curves_are_what_the_frame_passes():
@@ -157,7 +157,9 @@ def test_curves_are_what_the_frame_passes():
     goes before.
     """
     session = Session(kempe.load("four_bar"))
-    assert "curve" in offered(session) and "curve" not in offered(Session(kempe.load("two_link")))
+    assert "curve" in list_offered_overlays(session) and "curve" not in list_offered_overlays(
+        Session(kempe.load("two_link"))
+    )
     motion = session.system.trace(session.sliders[0].name, session.q)
     there = session.system.fk(motion.q, session.frame)[:, :3, 3]
     lines = first(session, "curve").lines
@@ -202,7 +204,9 @@ def test_a_motion_with_the_frame_at_rest_can_be_played():
     system = kempe.load("iiwa14")
     session = Session(system, system.mid + 0.2)
     before = session.pose.copy()
-    assert "frame at rest" in possible(session) and session.find_motion("frame at rest")
+    assert "frame at rest" in list_possible_motions(session) and session.find_motion(
+        "frame at rest"
+    )
     assert session.motion is not None and len(session.motion.q) > 10
     for part in (0.0, 0.4, 1.0):
         session.at(part * session.motion.duration)
@@ -223,12 +227,12 @@ def test_a_ball_falls_and_bounces_and_a_car_manoeuvres():
     was put.
     """
     session = Session(kempe.load("ball"))
-    assert possible(session) == ("fall",) and session.find_motion("fall")
+    assert list_possible_motions(session) == ("fall",) and session.find_motion("fall")
     motion = session.motion
     assert motion is not None and motion.timed and motion.duration == pytest.approx(3.0, abs=0.1)
     assert motion.q[:, 2].min() > -1e-6
     car = Session(kempe.load("car"))
-    assert "manoeuvre" in possible(car)
+    assert "manoeuvre" in list_possible_motions(car)
     car.reach(car.pose @ np.array([[1, 0, 0, 0.5], [0, 1, 0, 0.2], [0, 0, 1, 0], [0, 0, 0, 1.0]]))
     there = car.q.copy()
     assert car.find_motion("manoeuvre") and car.motion is not None
@@ -272,9 +276,9 @@ def test_only_motions_that_there_can_be_are_offered():
     m.rolls("floor", "wheel", radius=0.2, shape="disc")
     with pytest.raises(UnsupportedError):
         m.build().manoeuvre(m.build().assemble().q, m.build().assemble().q)
-    assert "manoeuvre" not in possible(Session(m.build())) and "manoeuvre" in possible(
-        Session(kempe.load("car"))
-    )
+    assert "manoeuvre" not in list_possible_motions(
+        Session(m.build())
+    ) and "manoeuvre" in list_possible_motions(Session(kempe.load("car")))
 
 
 def test_what_is_said_names_residual_singularity_and_freedoms():
@@ -337,7 +341,7 @@ def test_what_has_no_freedoms_is_shown_and_says_so():
     assert np.allclose(RigidParts(statue, statue.neutral).middle[:2], 0.0, atol=0.1)
     assert RigidParts(statue, statue.neutral).middle[2] > 0.4 and session.frame == "figure"
     with pytest.raises(InputError, match="does not move"):
-        list(rounds(session, "singular configurations"))
+        list(iterate_rounds(session, "singular configurations"))
 
 
 def test_only_what_closes_is_called_closed():
@@ -349,7 +353,7 @@ def test_only_what_closes_is_called_closed():
 
 
 def test_long_words_fit_the_panel():
-    assert fitting(f"{'a' * 40} is singular here") == f"{'a' * 15}…{'a' * 16} is singular here"
+    assert fit_sentence(f"{'a' * 40} is singular here") == f"{'a' * 15}…{'a' * 16} is singular here"
 
 
 def test_a_camera_has_all_of_a_motion_in_sight():

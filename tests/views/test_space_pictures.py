@@ -24,7 +24,7 @@ from kempe.errors import InputError, TimeLimitError, UnknownNameError, Unsupport
 pytest.importorskip("matplotlib")
 from kempe.constraints.flat_tasks import FlatTask
 from kempe.spaces import two_freedoms as spaces
-from kempe.views.space_pictures import nearest
+from kempe.views.space_pictures import find_nearest
 
 ARM = kempe.load("two_link")
 LIMITED = ARM.with_limits({"q1": (-0.5, 2.0), "q2": (-1.0, 2.5)})
@@ -164,7 +164,9 @@ def test_the_nearest_place_within_limits_is_that_of_a_fine_grid():
     )
     p = LIMITED.fk(grid, "e")[..., :2, 3]
     for target in ([-0.5, -0.3], [1.0, 0.4], [0.0, 0.0]):
-        far = nearest(LIMITED, "e", PLANE, np.array(target), grid[::20, ::20], p[::20, ::20])[2]
+        far = find_nearest(LIMITED, "e", PLANE, np.array(target), grid[::20, ::20], p[::20, ::20])[
+            2
+        ]
         assert far == pytest.approx(float(np.linalg.norm(p - target, axis=-1).min()), abs=5e-3)
 
 

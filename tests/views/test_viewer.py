@@ -25,7 +25,7 @@ from robots import DATA
 import kempe
 from kempe.equations.judge import judge_configurations
 from kempe.errors import InputError, UnknownNameError
-from kempe.views.drawing.scene import look
+from kempe.views.drawing.scene import build_scene
 from kempe.views.viewer.mesh_files import BodyMesh, read_body_meshes
 from kempe.views.viewer.scene_nodes import Drawn, Nodes, RigidParts, write_glb
 from kempe.views.viewer.session import Session
@@ -74,7 +74,7 @@ def test_parts_move_with_their_links(name):
     rigid = RigidParts(system, q)
     assert {p.carrier for p in rigid.parts} <= set(range(rigid.carriers))
     assert all(np.isfinite(p.corners).all() and len(p.triangles) for p in rigid.parts)
-    scene = look(system, q)
+    scene = build_scene(system, q)
     X = rigid.poses(q)
     for k, (_, _, ends, _) in enumerate(scene.rods, len(rigid.heads)):
         assert np.allclose(X[k, :3, 3], ends[0]) and np.allclose(
@@ -154,7 +154,7 @@ def test_sliding_joints_are_whole_at_every_configuration(name):
     rigid = RigidParts(system, session.q)
     for _ in range(2):
         session.random()
-        scene = look(system, session.q)
+        scene = build_scene(system, session.q)
         here = parts_at(rigid, session.q)
         anew = parts_at(RigidParts(system, session.q), session.q)
         ends = [
@@ -188,7 +188,7 @@ def test_a_pin_stays_in_its_slot(dim):
     system = m.build()
     first, far = (system.assemble({"x": x}).q for x in (0.1, 3.0))
     rigid = RigidParts(system, first)
-    _, _, A, point = look(system, far).lines[0]
+    _, _, A, point = build_scene(system, far).lines[0]
     along = float(A[:3, 2] @ (point - A[:3, 3]))
     here = parts_at(rigid, far)
     z = A[:3, 2]

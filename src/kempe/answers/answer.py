@@ -1,6 +1,4 @@
-"""What all answers of solvers share: configurations, what they miss, and what an independent judge
-says of them.
-"""
+"""Base classes of the answers of solvers: configurations, their errors, and an independent check."""
 
 from __future__ import annotations
 
@@ -37,7 +35,7 @@ REASONS = 5
 
 @dataclass(frozen=True)
 class Row:
-    """What the verb that gave an answer says of it: functions of modules, which take the answer."""
+    """Functions of the verb that gave an answer: its sentence and its solver."""
 
     sentence: Callable[[Any, Any], str]
     """The sentence for one target, by its index in the batch."""
@@ -73,35 +71,35 @@ class Answer(Result, Tabular):
 
     @property
     def within(self) -> Nearest | None:  # type: ignore[override]
-        """The nearest mechanism that closes exactly, solved in place of the given one; None: that
-        was solved.
-        """
+        """Nearest mechanism that closes exactly, or None if the given mechanism was solved itself."""
         return self._closed_system._ideal
 
     @property
     def _closed_system(self) -> Any:
-        """The `System` whose loops `q` closes; frames are those of `system`."""
+        """`System` whose loops the configurations `q` close; frames are those of `system`."""
         return self.system
 
     def sentence(self, index: tuple[int, ...] | int = ()) -> str:
-        """The sentence for one target, by its index in the batch. Errors: `InputError`."""
+        """Return the sentence for one target, given its index in the batch. Errors: `InputError`."""
         return self._compose_sentence(read_batch_index(index, self._batch_shape))
 
     @property
     def _batch_shape(self) -> tuple[int, ...]:
-        """Leading shape of a batch of answers; () for a single one."""
+        """Leading shape of a batch of answers; () for a single answer."""
         return np.shape(self.code)
 
     @property
     def _row(self) -> Any:
+        """The `Row` of functions of the verb that gave this answer."""
         return import_late(self.row)
 
     def _compose_sentence(self, index: tuple[int, ...]) -> str:
+        """Compose the sentence for one target, given its index in the batch."""
         return self._row.sentence(self, index)
 
     @cached_property
     def status(self) -> Any:
-        """The sentence for a single answer; an array of sentences for a batch. Made on demand."""
+        """Sentence for a single answer; an array of sentences for a batch. Computed on demand."""
         more = "" if self.within is None else f"; {self.within.sentence}"
         if not self._batch_shape:
             return self._compose_sentence(()) + more
@@ -114,8 +112,7 @@ class Answer(Result, Tabular):
 
     @cached_property
     def residual(self) -> Any:
-        """How much (...) each of `q` misses what is declared and requested: the largest norm of
-        metres and radians.
+        """Largest error (...) of each configuration `q` [m, rad], over all constraints and targets.
 
         It is NaN for configurations that are no numbers.
         """
@@ -123,8 +120,7 @@ class Answer(Result, Tabular):
 
     @cached_property
     def judged(self) -> Judgement:
-        """How far `q` misses what is declared and requested, by poses multiplied out in numpy, on
-        demand.
+        """Errors of `q` in all constraints and targets, verified independently in numpy, on demand.
 
         It shares nothing with the equations by which kernels say `success`.
         """
@@ -138,27 +134,24 @@ class Answer(Result, Tabular):
         )
 
     def _list_times(self) -> Any:
-        """Times (...) at which equations in time must hold at `q`; 0 for answers that have no time
-        of their own.
-        """
+        """List the times (...) [s] at which equations in time must hold at `q`; 0 without time."""
         return 0.0
 
     def _list_goals(self) -> Sequence[tuple[Any, Any, Any]]:
-        """The tasks that must hold, with their goals and tolerances."""
+        """List the tasks that must hold, each with its goal and its tolerances."""
         return ()
 
     def _get_solver_residual(self) -> Any:
-        """Residual (...) of the equations of successful rows, as the solver reports it."""
+        """Return the residual (...) of the equations of successful rows, as the solver reports it."""
         return 0.0
 
     def _select_claimed_rows(self) -> np.ndarray:
-        """Which rows of `q` (...) the solver reports as solutions."""
+        """Return a mask (...) of the rows of `q` that the solver reports as solutions."""
         return np.asarray(self.success)
 
     @property
     def verdict(self) -> str:
-        """What the judge says of what succeeded, in one sentence; '' where nothing did, or there is
-        nothing to judge.
+        """Result of the independent check of the successful rows, in one sentence; '' without any.
 
         Of a batch only what contradicts a success is said.
         """
@@ -175,42 +168,41 @@ class Answer(Result, Tabular):
 
     @property
     def titles(self) -> tuple[str, ...]:
-        """Names of the configurations in pictures; () where they have none."""
+        """Names of the configurations in pictures; () if the configurations have no names."""
         return ()
 
     def plot(self, **options: Any) -> Any:
-        """Matplotlib axes with its configurations, or its motion, with the options of
-        `System.plot`.
-        """
+        """Draw the configurations, or the motion, on Matplotlib axes; options as for `System.plot`."""
         return import_late("plots").plot(self.system, self, **options)
 
     def plot_curve(self, names: Sequence[str] = (), ax: Any = None) -> Any:
-        """Matplotlib axes with its coordinates over arc length, time, or the numbers of its rows.
+        """Plot the coordinates over arc length, time, or the row number, on Matplotlib axes.
 
         `names` are those that are drawn, all by default. Errors: `UnknownNameError`.
         """
         return import_late("plots").plot_path(self, names=names, ax=ax)
 
     def animate(self, file: Any, **options: Any) -> Any:
-        """Write its configurations as a moving picture (.gif, .mp4, .html), with the options of
-        `System.animate`.
+        """Write the configurations as an animation (.gif, .mp4, .html).
+
+        The options are those of `System.animate`.
         """
         return import_late("films").animate(self.system, self, file, **options)
 
     def table(self) -> tuple[list[str], Array]:
-        """Names and columns (n, nq) for a file: the coordinates of each row of `q`, in radians and
-        metres.
-        """
+        """Return names and columns (n, nq) for a file: the coordinates of each row of `q` [rad, m]."""
         return list(self.system.coordinate_names), np.reshape(self.q, (-1, self.system.nq))
 
     def _list_units(self) -> dict[str, str]:
+        """Return the unit of each coordinate by its name."""
         return list_units(self.system)
 
     def _list_dataframe_rows(self, degrees: bool) -> tuple[Sequence[str], Any]:
+        """Return names and columns (n, nq) of the `table`, with angles in radians or degrees."""
         return self._convert_table(degrees)
 
     def expect(self) -> Self:
-        """The answer itself if it is a success.
+        """Return the answer itself if it is a success.
 
         Errors: `NoSolutionError` otherwise, with the answer as its `solution`.
         """
@@ -220,9 +212,7 @@ class Answer(Result, Tabular):
 
     @property
     def solver(self) -> Choice | None:
-        """The solver that answered, and why those before it in the table did not; None where there
-        is no choice.
-        """
+        """Solver that answered, and why the solvers before it did not; None without a choice."""
         return self.__dict__.get("_choice") or (self._row.choice(self) if self.row else None)
 
     def __len__(self) -> int:
@@ -238,7 +228,7 @@ class Answer(Result, Tabular):
         return select_rows(self.q, k)
 
     def _refuse_single_answer(self) -> None:
-        """Refuse to take the answer to one problem for a list. Errors: `CallError`."""
+        """Refuse to treat the answer to one problem as a list. Errors: `CallError`."""
         if not self._batch_shape:
             name = type(self).__name__
             raise CallError(
@@ -248,12 +238,13 @@ class Answer(Result, Tabular):
             )
 
     def _make_headline(self) -> str:
+        """Return the first line of the text: the sentence, or the number of successes of a batch."""
         if self._batch_shape:
             return format_share(int(np.sum(self.success)), np.size(self.success), self.what)
         return self.status
 
     def _make_tables(self) -> Sequence[Table]:
-        """The configuration by name, with its limits; of a batch a row for each."""
+        """Make the table of a configuration by coordinate, with limits; of a batch one row each."""
         if self._batch_shape or np.ndim(self.q) != 1:
             each = np.size(self.success) and np.ndim(self.q) == len(self._batch_shape) + 1
             return [self._make_batch_table()] if each and self._batch_shape else []
@@ -266,7 +257,7 @@ class Answer(Result, Tabular):
         return [Table((title, "value", "limits", ""), rows, record=True)]
 
     def _make_batch_table(self) -> Table:
-        """A row for each configuration of a batch, by its number, or numbers."""
+        """Make the table of a batch, with one configuration in each row."""
         first = list(islice(np.ndindex(self._batch_shape), ROWS))
         rows = [
             (
@@ -280,22 +271,26 @@ class Answer(Result, Tabular):
         return Table(heads, rows, more=int(np.size(self.success)) - len(rows), printed=False)
 
     def _list_quantities(self, q: Array, places: Sequence[int] | None = None) -> list[Quantity]:
-        """The numbers of a configuration (nq,) with their units, at some `places` or at all."""
+        """List the values of a configuration (nq,) with their units, of all or of some coordinates.
+
+        `places` are the indices of these coordinates.
+        """
         names = self.system.coordinate_names
         unit = list_units(self.system)
         each = range(len(names)) if places is None else places
         return [Quantity(float(q[i]), unit[names[i]]) for i in each]
 
     def _mark_coordinates(self) -> Sequence[str]:
-        """A word about each coordinate of a single configuration; '' where there is none."""
+        """Return a remark about each coordinate of a single configuration; '' without one."""
         return [""] * self.system.nq
 
     def _list_notes(self, degrees: bool = False) -> Sequence[str]:
+        """List the last lines of the text: reasons of failures, and the independent check."""
         verdict = self.verdict if self._is_judged() else ""
         return [*self._list_reasons(), *([verdict] if verdict else [])]
 
     def _list_reasons(self) -> list[str]:
-        """Why the first rows of a batch have no answer, and which rows more."""
+        """Explain why the first failed rows of a batch have no answer, and list the others."""
         if not self._batch_shape:
             return []
         missed = list(zip(*np.nonzero(~np.asarray(self.success)), strict=True))
@@ -308,13 +303,16 @@ class Answer(Result, Tabular):
         return lines
 
     def _is_judged(self) -> bool:
+        """Whether the answer is small enough to be verified for its text and `data`."""
         return np.size(self.q) <= MOST_JUDGED
 
     def _collect_head_data(self) -> dict[str, Any]:
+        """Return the first entries of the `data`: the names of the system and of the solver."""
         solver = {} if self.solver is None else {"solver": self.solver.name}
         return {"system": self.system.name} | solver
 
     def _collect_data(self) -> dict[str, Any]:
+        """Return the entries of the `data`: residual, independent check, configurations."""
         out = {name: getattr(self, name) for name in self.also} | {
             "residual": np.asarray(self.residual).tolist()
         }
@@ -323,18 +321,19 @@ class Answer(Result, Tabular):
         return out | {"q": self._name_coordinates(self.q)}
 
     def _name_coordinates(self, q: Array) -> ByName:
-        """Configurations (..., nq) by the names of coordinates."""
+        """Return configurations (..., nq) by the names of the coordinates."""
         return name_values(self.system, q)
 
 
 def _format_row_number(index: Sequence[int]) -> str:
-    """The number of a row of a batch, or its numbers: '3', '0, 2'."""
+    """Format the index of a row of a batch: '3', or '0, 2' for a batch with two dimensions."""
     return ", ".join(map(str, index))
 
 
 class ConfigurationList:
-    """Configurations `q` (n, ...) that are gone through like a list. Mixed into answers of which
-    there may be many.
+    """A list of configurations `q` (n, ...): its length, its items, and iteration.
+
+    A base of answers that may have many configurations.
     """
 
     q: Any
@@ -350,8 +349,9 @@ class ConfigurationList:
 
 
 def select_rows(q: Array, k: Any) -> Array:
-    """Rows of configurations (n, ..., nq) by a number, a slice or an array. Errors: `InputError`,
-    `IndexError`.
+    """Return rows of configurations (n, ..., nq) by a number, a slice or an index array.
+
+    Errors: `InputError`, `IndexError`.
     """
     try:
         return q[k]
@@ -365,7 +365,8 @@ def select_rows(q: Array, k: Any) -> Array:
 
 @explain_method_errors
 class Configurations(ConfigurationList, Answer):
-    """Configurations `q` (n, nq) that answer one question together: all that there are, or a way.
+    """Configurations `q` (n, nq) that answer one question together: all solutions, or a path.
+
     Base of such answers.
 
     Where the time limit came (`late`), these are those found by then. After Ctrl-C (`interrupted`)
@@ -378,19 +379,17 @@ class Configurations(ConfigurationList, Answer):
 
     @property
     def code(self) -> Any:
-        """The outcome, a `Status`."""
+        """Outcome of the computation, a `Status`."""
         if self.success:
             return Status.SOLVED
         return self._find_early_end() or (Status.PARTLY if len(self) > 1 else Status.NOT_FOUND)
 
     def _find_early_end(self) -> Status | None:
-        """The `Status` that says what ended the computation early, an interrupt or the time limit;
-        None otherwise.
-        """
+        """Return the `Status` of a computation that an interrupt or time limit ended, else None."""
         return Status.INTERRUPTED if self.interrupted else Status.OUT_OF_TIME if self.late else None
 
     def _describe_early_end(self) -> str:
-        """End of the sentence about a computation that ended early; '' otherwise."""
+        """Describe that the computation ended early, as the end of a sentence; '' if it did not."""
         return describe_early_end(self.interrupted, self.late)
 
     def _select_claimed_rows(self) -> np.ndarray:
@@ -408,24 +407,24 @@ class Configurations(ConfigurationList, Answer):
 
 @explain_method_errors
 class Motion(Configurations):
-    """Configurations `q` (n, nq) that a `system` takes one after the other. Base of motions."""
+    """A motion: configurations `q` (n, nq) that a `system` passes in turn. Base of motions."""
 
     is_motion = True
 
     def curve(self, frame: FrameLike, poses: bool = False) -> Array:
-        """Positions (n, 3) of a frame along the motion, or its poses (n, 4, 4)."""
+        """Return positions (n, 3) [m], or poses (n, 4, 4), of a frame along the motion."""
         X = fk(self.system, self.q, frame)
         return X if poses else X[:, :3, 3].copy()
 
     def values(self, coordinate: str) -> Array:
-        """Values (n,) of one coordinate along the motion."""
+        """Return the values (n,) of one coordinate along the motion [rad or m]."""
         names = self.system.coordinate_names
         if coordinate not in names:
             raise UnknownNameError("coordinate", coordinate, names, self.system.name)
         return self.q[:, names.index(coordinate)].copy()
 
     def _make_tables(self) -> Sequence[Table]:
-        """The range of each coordinate."""
+        """Make the table of the range of each coordinate."""
         if len(self) < 2:
             return []
         return [make_ranges_table(self.system, self.q)]
@@ -433,7 +432,11 @@ class Motion(Configurations):
     def _make_columns(
         self, first: str, column: Array, frames: Iterable[FrameLike]
     ) -> tuple[list[str], Array]:
-        """Names and columns (n, k): one of its own, all coordinates, x, y (and z) of frames."""
+        """Return names and columns (n, k) of a table along the motion.
+
+        Its columns: `column` with the name `first`, all coordinates, and x, y (and z) of each
+        frame.
+        """
         names = [first, *self.system.coordinate_names]
         columns = [column[:, None], self.q]
         axes = "xyz"[: self.system.dim]

@@ -1,4 +1,4 @@
-"""An inverse model as formulas: steps of a derivation, and those of three joints in the plane.
+"""Closed-form inverse kinematics as symbolic formulas, for three joints in the plane.
 
 The triangle of three joints is closed by two circles, a line and a circle, or two lines. An arm that reaches a
 point or a pose, and a dyad between two links, make the same triangle (Assur, 1914).
@@ -28,9 +28,7 @@ if TYPE_CHECKING:
 
 
 class FormulaStep(NamedTuple):
-    """One line of a derivation: `symbol` = `formula`, what was done, and the condition under which
-    it holds.
-    """
+    """One line of a derivation: `symbol` = `formula`, its explanation, and when it holds."""
 
     symbol: Any
     formula: Any
@@ -40,7 +38,7 @@ class FormulaStep(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Derivation:
-    """Steps that lead from given symbols to coordinates; lengths are parameters of the system."""
+    """Formulas that lead from given symbols to coordinates; lengths are parameters of the system."""
 
     system: Model
     steps: tuple[FormulaStep, ...]
@@ -52,8 +50,9 @@ class Derivation:
     """Names of the coordinates that are found."""
 
     def evaluate(self, given: Array, signs: Array) -> Array:
-        """The coordinates (..., k) for what is given (..., n) and signs (..., m); nan where a
-        condition fails.
+        """Evaluate the coordinates (..., k) for given numbers (..., n) and signs (..., m).
+
+        Rows where a condition fails are NaN.
 
         Errors: `InputError` for lengths without a number.
         """
@@ -79,20 +78,16 @@ class Derivation:
 
     @cached_property
     def _functions(self) -> list[tuple[list[Any], Any]]:
-        """Of each step the symbols that its formula has, and the formula as a function of their
-        numbers.
-        """
+        """For each step the symbols in its formula, and the formula as a numpy function of these."""
         each = [(sorted(step.formula.free_symbols, key=str), step.formula) for step in self.steps]
         return [(symbols, sympy.lambdify(symbols, formula, "numpy")) for symbols, formula in each]
 
     def __getstate__(self) -> dict[str, Any]:
-        """Without `_functions`: sympy makes these in the process, and they belong to no module."""
+        """Return the state without the numpy functions of `_functions`, which cannot be pickled."""
         return {name: value for name, value in vars(self).items() if name != "_functions"}
 
     def latex(self) -> str:
-        """The formulas in LaTeX, one line each, with plus and minus in the place of signs; numbers
-        have six digits.
-        """
+        """Return the formulas in LaTeX, one line each, with plus-minus for signs and six digits."""
         names = {
             s: r"\pm" + (f"_{{{k}}}" if len(self.signs) > 1 else "")
             for k, s in enumerate(self.signs, 1)
@@ -104,8 +99,9 @@ class Derivation:
         return align_formulas(line.replace(r"- \pm", r"\mp") for line in lines)
 
     def code(self) -> str:
-        """A Python function of the formulas, which needs numpy alone; names that Python does not
-        allow are changed.
+        """Return the source of a Python function of the formulas, which needs numpy alone.
+
+        Names that Python does not allow are changed.
         """
         from sympy.printing.numpy import NumPyPrinter
 
@@ -130,6 +126,7 @@ class Derivation:
         )
 
     def _find_lengths(self) -> set[Any]:
+        """Find the symbols that are neither given nor computed: the lengths of the system."""
         own = {step.symbol for step in self.steps} | {*self.given, *self.signs}
         return {s for step in self.steps for s in step.formula.free_symbols} - own
 
@@ -146,13 +143,14 @@ class Derivation:
 
 
 def _round_numbers(formula: Any) -> Any:
-    """A formula with six digits of each number, as it is printed."""
+    """Round the numbers of a formula to six digits, for printing."""
     return formula.xreplace({x: sympy.Float(f"{float(x):.6g}") for x in formula.atoms(sympy.Float)})
 
 
 def _make_variable_name(name: str, taken: set[str]) -> str:
-    """The name as Python takes it, with underscores in front of keywords, digits, and names that
-    are taken.
+    """Make a valid Python name of a symbol's name, different from keywords and from `taken` names.
+
+    Underscores stand in front where the name is not allowed.
     """
     word = re.sub(r"\W", "_", name)
     while not word.isidentifier() or keyword.iskeyword(word) or word in {*taken, "numpy"}:
@@ -167,30 +165,31 @@ Vector = tuple[Any, Any]
 
 
 def rotate_vector(v: Vector, angle: Any) -> Vector:
-    """A vector, turned by an angle."""
+    """Rotate a plane vector by an angle [rad], counterclockwise."""
     c = sympy.cos(angle)
     s = sympy.sin(angle)
     return c * v[0] - s * v[1], s * v[0] + c * v[1]
 
 
 def add_vectors(a: Vector, b: Vector) -> Vector:
-    """The sum of two vectors."""
+    """Add two plane vectors."""
     return a[0] + b[0], a[1] + b[1]
 
 
 def subtract_vectors(a: Vector, b: Vector) -> Vector:
-    """The difference of two vectors."""
+    """Subtract the second plane vector from the first."""
     return a[0] - b[0], a[1] - b[1]
 
 
 def compute_cross_product(a: Vector, b: Vector) -> Any:
-    """What spans a parallelogram: a_x b_y - a_y b_x."""
+    """Compute the cross product of two plane vectors: a_x b_y - a_y b_x."""
     return a[0] * b[1] - a[1] * b[0]
 
 
 def to_polar_coordinates(v: Vector) -> tuple[Any, Any]:
-    """Length and angle of a vector; of one along x, or with parameters along an axis, without a
-    root.
+    """Return length and angle [rad] of a plane vector.
+
+    For a vector along an axis the length is written without a root.
     """
     x, y = map(sympy.expand, v)
     if y == 0:
@@ -203,8 +202,9 @@ def to_polar_coordinates(v: Vector) -> tuple[Any, Any]:
 
 
 def describe_nonzero_condition(*lengths: Any, named: Any = None) -> str:
-    """The condition that none of some expressions is zero, without those that are other numbers; of
-    one its name.
+    """Write the condition that none of some expressions is zero: 'l1 != 0 and l2 != 0'.
+
+    Numbers other than zero are left out; with `named` this name stands in place of each expression.
     """
     left = [x if named is None else named for x in lengths if not x.is_number or x.is_zero]
     return " and ".join(f"{x} != 0" for x in left)
@@ -214,14 +214,15 @@ def describe_nonzero_condition(*lengths: Any, named: Any = None) -> str:
 
 
 def iterate_endings() -> Iterator[str]:
-    """What is put after the names of symbols, until a system has none of them: nothing, '_0', '_1',
-    ...
+    """Iterate over endings of symbol names: '', '_0', '_1', ...
+
+    The first ending that no symbol of a system has makes new names unique.
     """
     return itertools.chain([""], (f"_{k}" for k in itertools.count()))
 
 
 class Names(NamedTuple):
-    """The symbols of one triangle."""
+    """Symbols in the formulas of one triangle of joints."""
 
     r2: Any
     c2: Any
@@ -233,20 +234,22 @@ class Names(NamedTuple):
 
     @classmethod
     def from_ending(cls, end: str) -> Names:
-        """The symbols with an ending such as '_1'."""
+        """Make the symbols with an ending such as '_1'."""
         return cls(*(sympy.Symbol(f"{name}{end}") for name in cls._fields))
 
     @classmethod
     def from_words(cls, names: dict[str, Any]) -> Names:
-        """Those of several symbols, by their words, that are of a triangle."""
+        """Select the symbols of a triangle from a dictionary of symbols by name."""
         return cls(*(names[name] for name in cls._fields))
 
 
 def solve_two_bars(
     n: Names, to: Vector, l1: Any, l2: Any, says: str, sense: int = 1
 ) -> tuple[list[FormulaStep], Any, Any]:
-    """Two bars of lengths l1, l2 that end at `to`: steps, the angle of the first, and that from it
-    to the second.
+    """Solve for two bars of lengths l1, l2 in a row whose end is at the point `to`.
+
+    Returned are the steps, the angle of the first bar, and the angle from the first bar to the
+    second.
 
     Where `sign` times `sense` is +1 the second is turned to the left against the first.
     """
@@ -273,8 +276,9 @@ def solve_two_bars(
 def solve_slide_and_bar(
     n: Names, to: Vector, along: Vector, length: Any
 ) -> tuple[list[FormulaStep], Any, Any]:
-    """A slide u along a direction, then a bar that ends at `to`: steps, u, and the angle of the
-    bar.
+    """Solve for a slide u along a direction, then a bar, whose end is at the point `to`.
+
+    Returned are the steps, u, and the angle of the bar.
 
     Where `sign` is +1 it slides farther than where both roots meet.
     """
@@ -299,8 +303,9 @@ def solve_slide_and_bar(
 
 
 def solve_turning_slide(n: Names, to: Vector, across: Any) -> tuple[list[FormulaStep], Any, Any]:
-    """A rail that turns, on which a point slides at a distance `across`, to `to`: steps, the slide,
-    the rail's angle.
+    """Solve for a turning rail with a point that slides at a distance `across`, at the point `to`.
+
+    Returned are the steps, the slide, and the angle of the rail.
 
     Where `sign` is +1 it slides farther than where both roots meet, the foot of the rail's normal.
     """
@@ -324,8 +329,9 @@ def solve_turning_slide(n: Names, to: Vector, across: Any) -> tuple[list[Formula
 def solve_two_slides(
     n: Names, to: Vector, one: Vector, two: Vector
 ) -> tuple[list[FormulaStep], Any, Any]:
-    """Two slides along directions that add up to `to`: steps, none for slides at right angles, and
-    both slides.
+    """Solve for two slides along given directions whose sum is the vector `to`.
+
+    Returned are the steps (none for slides at right angles) and both slides.
     """
     area = sympy.simplify(compute_cross_product(one, two))
     if area in (1, -1):

@@ -1,4 +1,7 @@
-"""Why there is no answer, as data: what proves it, and what was found out; `wording` says it."""
+"""Evidence why a problem has no answer, as data: proofs, and hints from further searches.
+
+`wording` makes sentences of it.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Evidence(InWords):
-    """What was found out about why there is no answer: of which `kind`, with `figures`, names and
-    numbers of that kind.
+    """Reason why a problem has no answer: its `kind`, and `figures`, its names and numbers.
 
     Figures are attributes, too; `text` is the sentence. Kinds that prove that there is no answer
     are
@@ -39,14 +41,14 @@ class Evidence(InWords):
 
     @property
     def proof(self) -> bool:
-        """Whether it proves that there is no answer; else it is what was found out by asking again."""
+        """Whether the evidence proves that there is no answer; otherwise it is a hint."""
         from kempe.answers.wording import PROOFS  # only here: a success needs no sentences
 
         return self.kind in PROOFS
 
     @property
     def text(self) -> str:
-        """The sentence that says it."""
+        """Sentence that explains the evidence."""
         from kempe.answers.wording import FOUND_OUT, PROOFS
 
         return (PROOFS.get(self.kind) or FOUND_OUT[self.kind])(**self.figures)
@@ -61,7 +63,7 @@ class Evidence(InWords):
 
 
 def make_evidence(kind: str, **figures: Any) -> Evidence:
-    """Evidence of a kind, with its figures."""
+    """Make evidence of a kind with its figures."""
     return Evidence(kind, figures)
 
 
@@ -74,8 +76,7 @@ def make_reach_evidence(
     point: bool = False,
     slides: Sequence[str] = (),
 ) -> Evidence | None:
-    """Evidence that a target is out of reach of a system by so many metres; None where all are
-    zero.
+    """Make evidence that a target is out of reach by so many metres; None if all are zero.
 
     Its figure `times` is the largest of them in typical lengths of a link, `point` says that the
     target is x, y, z, and `slides` names the coordinates of slides, whose limits are a reason as
@@ -100,8 +101,9 @@ def make_reach_evidence(
 def list_limit_violations(
     system: Model, q: Array, slack: float = 1e-9, turns: bool = True
 ) -> list[str]:
-    """Coordinates that are outside their limits at q (nq,), whatever whole `turns` are added; else
-    as they are.
+    """List the names of the coordinates that violate their limits at q (nq,) by more than `slack`.
+
+    With `turns`, whole turns are added to angles first, as far as that helps.
     """
     structure = system.structure
     names: list[str] = []

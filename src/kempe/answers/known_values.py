@@ -1,4 +1,4 @@
-"""Known values by name: of coordinates, and places of frames; as given, and as tasks for judges."""
+"""Known values by name: values of coordinates and places of frames, and the tasks that verify them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ WITHIN = (1e-6, 1e-6)
 
 
 def convert_places(given: Mapping[str, Any], frames: Sequence[str]) -> Mapping[str, Any]:
-    """Known values by name, the places of frames as arrays. Errors: `InputError`."""
+    """Convert the places of frames among known values to arrays. Errors: `InputError`."""
     if not frames:
         return given
     return {
@@ -33,8 +33,9 @@ def convert_places(given: Mapping[str, Any], frames: Sequence[str]) -> Mapping[s
 
 
 def read_place(system: Model, frame: str, place: Any, whole: bool) -> Array:
-    """Positions (..., 2 or 3) of a frame, or its poses (..., 4, 4); what is not finite is let
-    through.
+    """Read the position (..., 2 or 3) [m] of a frame, or its pose (..., 4, 4) if `whole`.
+
+    Numbers that are not finite are let through.
 
     Errors: `InputError` for what are no numbers, no poses, or leaves the plane of a planar system.
     """
@@ -54,7 +55,7 @@ def read_place(system: Model, frame: str, place: Any, whole: bool) -> Array:
 
 
 def find_source_values(system: Model, known: Mapping[str, Any]) -> dict[str, Array]:
-    """Known values by coordinates of q: one that follows another gives that one its value.
+    """Map known values to independent coordinates: a coupled coordinate gives its source the value.
 
     Errors: `UnknownNameError`; `InputError` for a coordinate that follows another one whose known
     value does not fit, or that is held at another value.
@@ -69,7 +70,7 @@ def find_source_values(system: Model, known: Mapping[str, Any]) -> dict[str, Arr
 
 
 class HeldCoordinate(NamedTuple):
-    """The coordinate `label` of q is `value` (...)."""
+    """Task that the coordinate `label` of q has the `value` (...)."""
 
     label: str
     place: int
@@ -83,9 +84,7 @@ class HeldCoordinate(NamedTuple):
 
 
 def list_known_tasks(system: Model, known: Mapping[str, Any]) -> list[tuple[Any, Any, Any]]:
-    """Tasks, goals and tolerances of known values by the names of coordinates, or places by the
-    names of frames.
-    """
+    """List the tasks, goals and tolerances that verify known values of coordinates and frames."""
     from kempe.equations.tasks import Task  # only here: most answers are not judged
 
     own = {*system.coordinate_names, *system.structure.couplings}

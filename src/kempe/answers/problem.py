@@ -1,6 +1,4 @@
-"""What is required of a system, and who answers: rows of a table, each of which says what it is not
-for.
-"""
+"""Problems about a system, and the choice of the solver: the first one of a table that accepts."""
 
 from __future__ import annotations
 
@@ -25,7 +23,7 @@ NOTHING: Mapping[str, Any] = MappingProxyType({})
 
 
 class Problem(NamedTuple):
-    """What is required of a `system`, checked: what the solvers of the table get.
+    """A problem about a `system`, with checked arguments, as the solvers of the table receive it.
 
     `requested` is "one" configuration, "all" of them, a "path" of them, or a "set" that is
     continuous. `known` are coordinates, and places of frames, by name. `targets` (N, 4, 4) are
@@ -54,14 +52,14 @@ class Problem(NamedTuple):
 
     @property
     def structure(self) -> tuple[Any, ...]:
-        """What decides who answers: the problem without the numbers that differ from call to call."""
+        """Part of the problem that decides which solver answers: all but the numbers of a call."""
         names = tuple(self.known), tuple(self.options)
         fields = self.requested, self.frame, self.task, self.method, self.parameter
         return (*fields, self.prefer is None, *names)
 
 
 class Solver(NamedTuple):
-    """A row of the table: its name, how it works, and two functions.
+    """A row of the table of solvers: its name, its method in words, and two functions.
 
     `refuses` says in a sentence why it is not for a problem, None where it is; it looks at the
     problem's `structure` only, not at numbers that differ from call to call. `run` answers.
@@ -73,13 +71,14 @@ class Solver(NamedTuple):
     run: Callable[[Problem], Any]
 
     def make_choice(self, refused: Sequence[tuple[str, str]] = ()) -> Choice:
-        """The `Choice` of this solver, for its answers, with the solvers `refused` before it."""
+        """Make the `Choice` of this solver, with the solvers `refused` before it."""
         return Choice(self.name, self.how, tuple(refused))
 
 
 class Choice(NamedTuple):
-    """Which solver answered and how it works, and why those before it in the table did not: names
-    and sentences.
+    """Solver that answered, its method, and why the solvers before it in the table did not answer.
+
+    `refused` are pairs of names and sentences.
     """
 
     name: str
@@ -93,8 +92,9 @@ class Choice(NamedTuple):
 
 
 def select_solver(rows: Sequence[Solver], problem: Problem) -> tuple[Solver, Choice]:
-    """The first row that does not refuse. Errors: `UnsupportedError` with what the first one says,
-    if all refuse.
+    """Choose the first solver that does not refuse the problem.
+
+    Errors: `UnsupportedError` with the reason of the first solver, if all refuse.
     """
     kept: dict[Any, Any] = problem.system._kept.setdefault(select_solver, {})
     key = (tuple(rows), problem.structure)
@@ -103,6 +103,7 @@ def select_solver(rows: Sequence[Solver], problem: Problem) -> tuple[Solver, Cho
 
 
 def _find_solver(rows: Sequence[Solver], problem: Problem) -> tuple[Solver, Choice]:
+    """Find the first solver that does not refuse the problem, without a cache."""
     refused: list[tuple[str, str]] = []
     for solver in rows:
         why = solver.refuses(problem)
@@ -113,16 +114,16 @@ def _find_solver(rows: Sequence[Solver], problem: Problem) -> tuple[Solver, Choi
 
 
 def solve_problem(rows: Sequence[Solver], problem: Problem) -> Any:
-    """The answer of the first row that does not refuse; it says who that is."""
+    """Solve a problem with the first solver that does not refuse it, and record the choice."""
     solver, choice = select_solver(rows, problem)
     return record_choice(solver.run(problem), choice)
 
 
 def accept_all_problems(problem: Problem) -> None:
-    """Refuse nothing: of the last row, which takes what all others leave."""
+    """Accept every problem: the `refuses` of the last solver of a table."""
 
 
 def record_choice(answer: AnswerType, choice: Choice) -> AnswerType:
-    """The answer with the `Choice` that says which solver gave it."""
+    """Record in an answer which solver gave it, and return the answer."""
     answer.__dict__["_choice"] = choice
     return answer

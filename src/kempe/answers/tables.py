@@ -19,15 +19,14 @@ SUFFIXES = (".csv", ".npy")
 
 
 class Tabular:
-    """An answer with a `table`, which `save` writes. Base of answers that are configurations."""
+    """An answer with a `table`, which `save` writes to a file. Base of answers with configurations."""
 
     def table(self) -> tuple[list[str], Array]:
-        """Names and columns (n, k) for a file, in radians and metres."""
+        """Return names and columns (n, k) for a file, in radians and metres."""
         raise NotImplementedError
 
     def save(self, path: str | Path, *, degrees: bool = False) -> Path:
-        """Write the `table` to a .csv file, with the names in its first line, or to a .npy file;
-        returns the path.
+        """Write the `table` to a .csv file (with column names) or a .npy file; returns the path.
 
         Numbers are written in full: what is read again is equal. With `degrees` columns of angles
         are degrees. Errors: `InputError` for other endings, and where the file cannot be written.
@@ -35,18 +34,18 @@ class Tabular:
         return write_table(path, *self._convert_table(degrees))
 
     def _list_units(self) -> dict[str, str]:
-        """Units of columns by name."""
+        """Return the units of the columns by name."""
         return {}
 
     def _convert_table(self, degrees: bool) -> tuple[list[str], Array]:
-        """The `table` in the units that are shown."""
+        """Convert the `table` to degrees if that is requested."""
         return convert_columns(*self.table(), self._list_units(), degrees)
 
 
 def convert_columns(
     names: list[str], columns: Array, units: Mapping[str, str], degrees: bool
 ) -> tuple[list[str], Array]:
-    """Names and columns (n, k), those whose unit is "rad" in degrees where that is requested."""
+    """Convert the columns (n, k) with unit "rad" to degrees if that is requested."""
     kinds = [units.get(name, "") for name in names]
     return names, ByName(names, kinds, columns).convert_units(degrees) if degrees else columns
 
@@ -54,8 +53,10 @@ def convert_columns(
 def write_table(
     path: str | Path, names: Sequence[str], rows: Array, array: Array | None = None
 ) -> Path:
-    """The path written: `rows` (n, k) with their column names to a .csv, or `array` (the rows) to a
-    .npy file.
+    """Write numbers to a .csv or .npy file; return its path.
+
+    A .csv file gets `rows` (n, k) with their column names, a .npy file `array`, by default the
+    rows.
 
     Errors: `InputError`.
     """
@@ -76,8 +77,9 @@ def write_table(
 
 
 def check_table_path(path: str | Path) -> Path:
-    """The path of a file of numbers. Errors: `InputError` where its ending is neither .csv nor
-    .npy.
+    """Return the path of a file of numbers.
+
+    Errors: `InputError` if its ending is neither .csv nor .npy.
     """
     path = expand_path(path)
     if path.suffix.lower() not in SUFFIXES:
@@ -86,7 +88,7 @@ def check_table_path(path: str | Path) -> Path:
 
 
 def convert_texts(parts: Sequence[str], what: str) -> list[float]:
-    """The numbers that texts are. Errors: `InputError` naming the one that is none."""
+    """Convert texts to numbers. Errors: `InputError` naming the text that is no number."""
     try:
         return [float(part) for part in parts]
     except ValueError:
@@ -106,19 +108,20 @@ def is_number(text: str) -> bool:
 
 
 def parse_header(line: str) -> list[str] | None:
-    """The names that a first line of a .csv holds; None where it has numbers."""
+    """Return the column names in the first line of a .csv file; None if the line has numbers."""
     names = [_strip_quotes(cell) for cell in line.split(",")]
     return None if any(map(is_number, names)) else names
 
 
 def _strip_quotes(cell: str) -> str:
-    """The text of a cell, without blanks and quotation marks around it."""
+    """Strip blanks and quotation marks from the text of a cell."""
     return cell.strip().removeprefix('"').removesuffix('"').strip()
 
 
 def parse_rows(path: Path, lines: Sequence[tuple[int, str]], width: int) -> Array:
-    """The numbers (n, width) of lines of a .csv, each with its number in the file; NaN for empty
-    cells.
+    """Parse lines of a .csv file into numbers (n, width); empty cells are NaN.
+
+    Each line comes with its line number, for messages.
 
     Cells may stand in quotation marks, as a program writes them that quotes all cells. Errors:
     `InputError`.
@@ -149,7 +152,7 @@ COLUMNS = {
 
 
 def describe_target_columns(dim: int) -> str:
-    """What columns of targets can be, in words."""
+    """Describe which columns targets may have, in the plane or in space."""
     return ", ".join(
         ",".join(names) + " (position only)" * (k == 0) for k, names in enumerate(COLUMNS[dim][:-1])
     ) + (f" or {','.join(COLUMNS[dim][-1])}")
@@ -158,7 +161,7 @@ def describe_target_columns(dim: int) -> str:
 def read_pose_columns(
     dim: int, values: Array, names: Sequence[str] | None = None, degrees: bool = False
 ) -> tuple[Array, bool]:
-    """Poses (..., 4, 4) of targets in columns (..., k), and whether only their position counts.
+    """Read poses (..., 4, 4) of targets from columns (..., k), and whether they are positions only.
 
     Columns are in the order of `COLUMNS`, or have the `names` there. Angles turn about fixed axes,
     as in URDF; where `degrees` says so they are degrees. A quaternion of length zero gives NaN.

@@ -1,4 +1,4 @@
-"""Targets and tasks of the inverse models: read and checked, and as constraints."""
+"""Targets and tasks of inverse kinematics: reading, checking, and conversion to constraints."""
 
 from __future__ import annotations
 
@@ -43,9 +43,7 @@ AXIS_TASKS = ("direction", "position_axis")
 def make_target_constraints(
     frame: str, task: str, axis: tuple[float, float, float], X: Array
 ) -> list[Constraint]:
-    """The constraints of a target (..., 4, 4) for "pose", "position", "orientation" or one of
-    `AXIS_TASKS`.
-    """
+    """Make the constraints that bring a frame to a target (..., 4, 4), for a named task."""
     # only here: most targets are reached by numbers alone
     from kempe.constraints.kinds import Orientation, Pointing, Pose, Position
 
@@ -62,14 +60,12 @@ def make_target_constraints(
 
 
 def list_twist_rows(task: str, dim: int) -> list[int]:
-    """Rows of a twist [linear; angular] that count in a task, in the plane of x, y and the turn
-    about z.
-    """
+    """List the rows of a twist [linear; angular] that count in a task."""
     return [r for r in range(6) if TASKS[task][r] and (dim == 3 or r in (0, 1, 5))]
 
 
 def choose_task(task: object, is_position: bool, particle: bool) -> str:
-    """Name of the task, as given, or by default that of the kind of target. Errors: `InputError`."""
+    """Return the name of the task, by default the one for the kind of target. Errors: `InputError`."""
     if task is None:
         return "position" if is_position or particle else "pose"
     if not isinstance(task, str) or task not in TASKS:
@@ -80,7 +76,7 @@ def choose_task(task: object, is_position: bool, particle: bool) -> str:
 
 
 def read_target(system: Model, target: Any) -> Any:
-    """What is given as a target as an array; the name of a frame on the ground stands for its pose.
+    """Convert a target to an array; the name of a frame on the ground stands for its pose (4, 4).
 
     Errors: those of `kempe.poses.read_pose_array`; `UnknownNameError`, `InputError` for frames that
     move.
@@ -98,14 +94,14 @@ def read_target(system: Model, target: Any) -> Any:
 
 
 def split_task(task: Any) -> tuple[Any, Any]:
-    """A `task` split into its name and the axis of the tool that is pointed, by default the z axis."""
+    """Split a `task` into its name and the axis of the tool to be pointed, by default z."""
     if is_sequence(task) and len(task) == 2:
         return task[0], task[1]
     return task, Z_AXIS
 
 
 def read_axis(axis: object) -> tuple[float, float, float]:
-    """The pointing axis as a unit vector of the tool. Errors: `InputError`."""
+    """Return the axis of the tool to be pointed as a unit vector. Errors: `InputError`."""
     v = read_reals(read_direction(axis), "axis", "three numbers: a direction in the tool's frame")
     size = float(np.linalg.norm(v)) if v.shape == (3,) and np.all(np.abs(v) < 1e100) else 0.0
     if size == 0.0:
@@ -118,15 +114,13 @@ def read_axis(axis: object) -> tuple[float, float, float]:
 
 
 def choose_axis(axis: object, task: str | None) -> tuple[float, float, float]:
-    """The pointing axis of a task, z where it has none; `axis` is checked in any case. Errors:
-    `InputError`.
-    """
+    """Return the axis to be pointed in a task, z if the task has none. Errors: `InputError`."""
     given = Z_AXIS if axis is Z_AXIS else read_axis(axis)
     return given if is_axis_task(task) else Z_AXIS
 
 
 def make_rotations_along(z: Array) -> Array:
-    """Rotations (..., 3, 3) whose third column is the unit vector z (..., 3)."""
+    """Make rotations (..., 3, 3) whose third column is the unit vector z (..., 3)."""
     z = np.asarray(z, dtype=float)
     other = np.where(np.abs(z[..., 2:3]) < 0.8, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
     x = np.cross(other, z)
@@ -135,9 +129,7 @@ def make_rotations_along(z: Array) -> Array:
 
 
 def turn_targets_to_axis(targets: Array, axis: tuple[float, float, float]) -> Array:
-    """Targets (..., 4, 4) as kernels read them: their z axis is the `axis` of the tool that is
-    pointed.
-    """
+    """Rotate targets (..., 4, 4) so that their z axis is the pointed `axis` of the tool."""
     if axis == Z_AXIS:
         return targets
     out = targets.copy()
@@ -148,8 +140,9 @@ def turn_targets_to_axis(targets: Array, axis: tuple[float, float, float]) -> Ar
 def parse_task_targets(
     system: Model, target: Any, task: str | None, axis: tuple[float, float, float]
 ) -> tuple[Array, tuple[int, ...], bool]:
-    """Targets (N, 4, 4), their leading shape, and whether positions were given. Errors:
-    `InputError`.
+    """Parse targets of a task into poses (N, 4, 4).
+
+    Also returned are their leading shape, and whether positions were given. Errors: `InputError`.
 
     Besides poses and positions: directions (..., 3) for the task "direction", rotations (..., 3, 3)
     for "orientation", and (..., 6), position and direction, for "position_axis"; directions are
@@ -187,9 +180,7 @@ def parse_task_targets(
 
 
 def _make_planar_poses(target: Array) -> Array:
-    """Poses (..., 4, 4) of x, y and an angle (..., 3); planar poses (..., 3, 3) are left as they
-    are.
-    """
+    """Make poses (..., 4, 4) from x, y and angle (..., 3); planar poses (..., 3, 3) stay."""
     if target.shape[-2:] == (3, 3) and np.all(target[..., 2, :] == [0.0, 0.0, 1.0]):
         return target
     x, y, angle = np.moveaxis(target, -1, 0)
@@ -201,7 +192,7 @@ def _make_planar_poses(target: Array) -> Array:
 
 
 def refuse_position(task: str, is_position: bool, dim: int) -> None:
-    """Refuse, with an `InputError`, positions where the task reads an orientation."""
+    """Refuse positions as targets of a task that needs an orientation. Errors: `InputError`."""
     if is_position and task != "position":
         also = ", or x, y and angle (..., 3)" if dim == 2 and task == "pose" else ""
         raise InputError(
@@ -211,8 +202,9 @@ def refuse_position(task: str, is_position: bool, dim: int) -> None:
 
 
 def make_planar_target(target: Any, task: str | None, axis: object) -> tuple[Any, str]:
-    """Poses (..., 4, 4) and the task "pose" or "orientation" that point an axis of the tool in the
-    plane.
+    """Convert a target that points an axis of the tool to a pose or orientation in the plane.
+
+    Returned are poses (..., 4, 4), and the task "pose" or "orientation".
 
     Directions and positions have two or three numbers; poses and other shapes stay as they are.
     Errors: `InputError`.
@@ -240,20 +232,22 @@ def make_planar_target(target: Any, task: str | None, axis: object) -> tuple[Any
 
 
 def is_axis_task(task: str | None) -> bool:
-    """Whether the task reads one axis of the tool only."""
+    """Whether the task points one axis of the tool, instead of a full orientation."""
     return task in AXIS_TASKS
 
 
 def read_target_numbers(target: Any) -> Array:
-    """A target as an array of real numbers. Errors: `InputError`."""
+    """Convert a target to an array of real numbers. Errors: `InputError`."""
     return numbers(target, "target")
 
 
 def parse_targets(
     system: Model, target: Any, positions: bool = False
 ) -> tuple[Array, tuple[int, ...], bool]:
-    """Targets (N, 4, 4), their leading shape, and whether they are positions, as they must be with
-    `positions`.
+    """Parse poses or positions into poses (N, 4, 4).
+
+    Also returned are their leading shape, and whether they are positions; with `positions` they
+    must be.
 
     Errors: `InputError`, also for rotations (3, 3) that would pass for three positions.
     """
@@ -316,7 +310,7 @@ def parse_targets(
 
 
 def check_particle(targets: Array, name: str) -> None:
-    """Refuse, with an `InputError`, poses that turn a particle."""
+    """Refuse poses that rotate a particle, which has no orientation. Errors: `InputError`."""
     # a NaN stays one
     turned = np.abs(targets[:, :3, :3] - np.eye(3)).max(axis=(1, 2), initial=0.0) > UNTURNED
     if turned.any():
@@ -326,7 +320,7 @@ def check_particle(targets: Array, name: str) -> None:
 
 
 def explain_refused_target(target: Array, other: str = "target") -> str:
-    """Message that says why a target (4, 4) was refused.
+    """Explain why a target (4, 4) was refused.
 
     If the target itself is a pose, the message names `other`, the argument that was wrong instead.
     """

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def format_number(x: float) -> str:
-    """Six digits of a number, rounding at zero taken away."""
+    """Format a number with six digits; values below 1e-9 are zero."""
     return f"{0.0 if abs(x) < 1e-9 else x:.6g}"
 
 
@@ -32,20 +32,18 @@ def format_errors(
     radians: str = ".2g",
     by: str = ", ",
 ) -> str:
-    """Errors in metres and radians, None for what does not count."""
+    """Format errors in metres and radians; None leaves one out."""
     parts = [] if place is None else [f"{place:{metres}} m"]
     return by.join(parts if turn is None else [*parts, f"{turn:{radians}} rad"])
 
 
 def describe_search(steps: int, starts: int) -> str:
-    """What a search took."""
+    """Describe the effort of a search: '12 steps, 3 starts'."""
     return f"{format_count(steps, 'step')}, {format_count(starts, 'start')}"
 
 
 def format_limits(names: Sequence[str], join: str = ", ") -> str:
-    """Limits by their coordinates: "the limits of 'a', 'b'", "the limit of 'a' or of 'b'"; '' where
-    there are none.
-    """
+    """Format the limits of coordinates: "the limits of 'a', 'b'"; '' for no coordinates."""
     one = len(names) == 1 or join.endswith(" of ")
     return f"the limit{'' if one else 's'} of {join.join(map(repr, names))}" if names else ""
 
@@ -59,35 +57,34 @@ mistake."""
 
 
 def describe_reached_frame(place: float | None, turn: float | None, steps: int, starts: int) -> str:
-    """That one frame is where it shall be; without starts it came from a closed form."""
+    """Describe that a frame reached its target; without starts the solution is analytic."""
     what = format_errors(place, turn, ".1e")
     how = describe_search(steps, starts) if starts else "analytically"
     return f"reached: {'' if place is None else 'position error '}{what} ({how})"
 
 
 def describe_hard_tasks(place: float | None, turn: float | None, how: str, freedoms: str) -> str:
-    """That all hard tasks hold, with the largest errors and, where they are known, the freedoms
-    that are left.
-    """
+    """Describe that all hard tasks hold, with the largest errors and the remaining freedoms."""
     left = f"; {freedoms}" if freedoms else ""
     return f"all hard tasks hold: errors up to {format_errors(place, turn, '.1e', '.1e')} ({how}){left}"
 
 
 def describe_unfinished_tasks(limit: float | None) -> str:
-    """That the time was up before soft tasks and preferences were done."""
+    """Describe that the time limit ended the search before soft tasks were finished."""
     return f"the time limit of {limit or 0.0:g} s ended it before all was lowered as far as can be"
 
 
 def describe_closed_loops(residual: float, steps: int, starts: int, left: str) -> str:
-    """That loops are closed, and what is left open."""
+    """Describe that all loops are closed, with the residual and the freedoms left open."""
     return f"closed: residual {residual:.1e} ({describe_search(steps, starts)}){left}"
 
 
 def explain_open_freedoms(
     left: int, count: int, who: str, folded: Sequence[tuple[str, str]], sure: bool, home: int
 ) -> str:
-    """How many freedoms are left open, and why these are more than the `count` of `who`, or than at
-    home (-1: as many).
+    """Explain how many freedoms are left open, and why these are more than expected.
+
+    Expected are the `count` of `who`, or `home` freedoms (-1: as many as are left).
 
     `folded` are pins that coincide, and `sure` whether these are the reason.
     """
@@ -102,7 +99,7 @@ def explain_open_freedoms(
 def describe_remaining_freedoms(
     first: int, finite: int, equations: int = 0, freedoms: int = 0
 ) -> str:
-    """How many freedoms tasks leave, of which some may be there to first order only."""
+    """Describe how many freedoms the tasks leave, to first order and for finite motions."""
     if first == 0:
         said = "no freedom is left"
     elif finite == first:
@@ -123,21 +120,19 @@ def describe_remaining_freedoms(
 
 
 def describe_failure(head: str, *parts: Any) -> str:
-    """The sentence of a failure: what was tried, then evidence and texts, of which empty ones are
-    left out.
-    """
+    """Compose the sentence of a failure: what was tried, then the evidence that is not empty."""
     return f"{head}{': ' if head else ''}{'; '.join(str(part) for part in parts if part)}"
 
 
 def describe_vain_starts(done: str, starts: int) -> str:
-    """That something is not "reached" or "closed" after so many starts."""
+    """Describe that a search ended without success after some number of starts."""
     return f"not {done} after {format_count(starts, 'start')}"
 
 
 def describe_late_search(
     limit: float | None, starts: int, most: int | None = None, done: str = "reached"
 ) -> str:
-    """That the time was up, and after how many starts, of `most` where that is known."""
+    """Describe that the time limit ended a search, and after how many starts."""
     count = (
         format_count(starts, "start")
         if most is None
@@ -147,7 +142,7 @@ def describe_late_search(
 
 
 def describe_vain_calls(count: int) -> str:
-    """That a search with functions was given up after so many calls of these."""
+    """Describe that a search with Python functions gave up after some number of calls."""
     return (
         f"{count} calls of functions found nothing, nor did a search without limits, or for the "
         "functions alone: kempe.Budget(starts=..., time_limit=...) goes on"
@@ -155,17 +150,17 @@ def describe_vain_calls(count: int) -> str:
 
 
 def describe_incomplete_search(limit: float) -> str:
-    """That the time was up before all solutions were looked for."""
+    """Describe that the time limit ended the search for all solutions."""
     return f"; the time limit of {limit:g} s ended the work: there may be others"
 
 
 def describe_empty_search(limit: float) -> str:
-    """That no solution was found before the time was up."""
+    """Describe that the time limit ended a search before any solution was found."""
     return f"no solution found within the time limit of {limit:g} s: there may be some"
 
 
 def describe_nearest_error(place: float | None, turn: float | None) -> str:
-    """By how much the best of one frame misses."""
+    """Describe the error of the nearest configuration that was found."""
     return f"the nearest configuration found misses it by {format_errors(place, turn)}"
 
 
@@ -181,8 +176,7 @@ def _explain_lengths(
     point: bool = False,
     slides: Sequence[str] = (),
 ) -> str:
-    """Out of reach of the links by at least so many metres: whatever the orientation, with it, or
-    off the plane.
+    """Explain that a target is out of reach of the links by at least so many metres.
 
     With `slides`, by the limits of these coordinates, too, without which lengths say nothing.
     """
@@ -200,12 +194,14 @@ def _explain_lengths(
 
 
 def _explain_tilt(angle: float) -> str:
+    """Explain that a target is tilted out of the plane of the system by an angle [rad]."""
     return f"tilted out of the plane of the system by {angle:.2g} rad"
 
 
 def _explain_outside_limits(count: int = 0, short: float = 0.0) -> str:
-    """All `count` configurations that reach it are outside limits, or slides end `short` metres
-    before it.
+    """Explain that all `count` configurations that reach a target violate limits.
+
+    With `short`, slides end that many metres before the target.
     """
     if short > 0.0:
         return f"slides end {short:.6g} m before it"
@@ -230,14 +226,14 @@ CONTRADICTIONS: Mapping[str, str] = MappingProxyType(
 
 
 def _explain_contradiction(how: str, off: float, first: str, second: str, **figures: Any) -> str:
-    """Two tasks exclude each other by so many metres or radians."""
+    """Explain that two tasks contradict each other by so many metres or radians."""
     return (
         f"contradictory: {first!r} and {second!r}: {CONTRADICTIONS[how].format(off=off, **figures)}"
     )
 
 
 def _explain_missing_root(joint: str, axes: Sequence[int], what: str, off: float) -> str:
-    """No angle of a joint brings what the axes keep to where the target needs it."""
+    """Explain that no angle of a joint brings some axes to where the target needs them."""
     lines = (
         f"{'axis' if len(axes) == 1 else 'axes'} {', '.join(str(i + 1) for i in axes)}"
         if axes
@@ -261,8 +257,9 @@ def _explain_missing_root(joint: str, axes: Sequence[int], what: str, off: float
 def _explain_rank(
     equations: int, freedoms: int, frame: str = "", position: bool | None = None, end: str = ""
 ) -> str:
-    """More equations than freedoms; of one frame also whether its position alone can be reached,
-    and an `end`.
+    """Explain that there are more equations than freedoms.
+
+    For one frame also whether its position alone can be reached, and an `end` of the sentence.
     """
     if not frame:
         return (
@@ -281,6 +278,7 @@ def _explain_rank(
 
 
 def _explain_joint_count(joints: int, held: bool, freedoms: int, equations: int) -> str:
+    """Explain that a chain has too few joints for its task."""
     few = f", which give it {spell_count(freedoms, 'freedom')}" if freedoms < joints else ""
     return (
         f"the chain has {format_count(joints, 'joint')}{' to move' if held else ''}{few}, the task "
@@ -289,6 +287,7 @@ def _explain_joint_count(joints: int, held: bool, freedoms: int, equations: int)
 
 
 def _explain_excess_values(given: int, freedoms: int) -> str:
+    """Explain that more coordinates are given than the system has freedoms."""
     return (
         f"{format_count(given, 'coordinate')} {choose_verb(given, 'is', 'are')} given, but it has "
         f"{format_count(freedoms, 'freedom')}"
@@ -296,6 +295,7 @@ def _explain_excess_values(given: int, freedoms: int) -> str:
 
 
 def _suggest_more_starts(singular: bool = False) -> str:
+    """Suggest a search with more starts."""
     stuck = "the search is stuck at a singular configuration; " if singular else ""
     return f"{stuck}more starts find an answer"
 
@@ -308,9 +308,7 @@ def _explain_blocking_limits(
     task: str = "",
     done: str = "is reached",
 ) -> str:
-    """Without the limits of `names` (with `each`: of any one of them) it is reached; with a proof
-    they block it.
-    """
+    """Explain that limits of `names` block the target, by a proof or by a search without them."""
     which = format_limits(names, " or of " if each else " and " if together else ", ")
     if proof is not None:
         return (
@@ -325,9 +323,7 @@ def _explain_blocking_limits(
 def _explain_one_sided_constraints(
     violated: Sequence[str], done: str = "is reached", known: bool = False
 ) -> str:
-    """Without one-sided constraints it `is reached` or `closes`; with `known` these contradict what
-    is known.
-    """
+    """Explain that one-sided constraints block an answer, or contradict the known values."""
     what = ", ".join(violated)
     return (
         f"what is known contradicts {what}"
@@ -337,6 +333,7 @@ def _explain_one_sided_constraints(
 
 
 def _explain_failed_task(task: str = "", rank: Any = None) -> str:
+    """Explain that a task was not reached even alone."""
     said = f"{task!r} is not found even alone" if task else "no configuration was found"
     return f"{said}{f' ({rank})' if rank else ''}"
 
@@ -344,9 +341,7 @@ def _explain_failed_task(task: str = "", rank: Any = None) -> str:
 def _explain_conflicting_tasks(
     pairs: Sequence[tuple[str, str]], starts: int, tasks: int, rank: Any, two: bool
 ) -> str:
-    """Each task was reached alone, and perhaps any `two` of them, but not all of them, or not these
-    pairs.
-    """
+    """Explain that each task was reached alone, but not all of them, or not these pairs, together."""
     said = "each hard task was reached alone, but not all together"
     if pairs:
         names = ", ".join(f"{a!r} and {b!r}" for a, b in pairs)
@@ -360,6 +355,7 @@ def _explain_conflicting_tasks(
 
 
 def _explain_near_miss(place: float, turn: float | None, longest: float, small: bool) -> str:
+    """Explain that a search came close, so that it may have ended early."""
     came = f"the search came within {format_errors(place, turn, '.1g')}"
     if small:
         return (
@@ -370,6 +366,7 @@ def _explain_near_miss(place: float, turn: float | None, longest: float, small: 
 
 
 def _explain_missing_configuration(limits: bool, place: bool, turn: bool) -> str:
+    """Explain that no configuration was found, and what the reason may be."""
     may = (
         "the target may be outside the workspace"
         if place
@@ -382,7 +379,7 @@ def _explain_missing_configuration(limits: bool, place: bool, turn: bool) -> str
 
 
 def _suggest_tolerance(metres: float, radians: float, one: bool) -> str:
-    """The tolerances that accept a target that was rounded; with `one` a single number for both."""
+    """Suggest tolerances that accept a target with rounded numbers; one number if `one`."""
     enough = (
         f"tolerance={max(metres, radians):g}" if one else f"tolerance=({metres:g}, {radians:g})"
     )
@@ -390,7 +387,7 @@ def _suggest_tolerance(metres: float, radians: float, one: bool) -> str:
 
 
 def _describe_tried_values(held: Sequence[tuple[str, float]], values: int, starts: int) -> str:
-    """At which values of spare joints there is no solution."""
+    """Describe at which values of the spare joints there is no solution."""
     joints = ", ".join(repr(name) for name, _ in held)
     where = (
         describe_held_joints(held) if values == 1 else f"{joints} at any of {values} values tried"
@@ -402,16 +399,14 @@ def _describe_tried_values(held: Sequence[tuple[str, float]], values: int, start
 
 
 def describe_held_joints(values: Sequence[tuple[str, float]]) -> str:
-    """Joints with the values at which they are held."""
+    """Describe at which values joints are held."""
     return ", ".join(f"{name!r} at {format_number(x)}" for name, x in values)
 
 
 def describe_held_values(
     name: str, usual: float, times: int, targets: int, low: float, high: float
 ) -> str:
-    """Where a joint is held for a batch of targets: at its usual value, so many times, else between
-    two values.
-    """
+    """Describe at which values a joint is held for a batch of targets."""
     if low == high:
         return f"{name!r} at {format_number(usual)}"
     most = (
@@ -425,8 +420,9 @@ def describe_held_values(
 def describe_spare_joints(
     count: int, held: str = "", first: Sequence[float] = (), tried: int = 1, inside: bool = False
 ) -> str:
-    """How many joints a chain has to spare, and where they are held; else than `first` after so
-    many were `tried`.
+    """Describe how many joints a chain has to spare, and at which values they are held.
+
+    `first` are the values before these, after so many were `tried`.
     """
     text = f"the chain has {spell_count(count, 'joint')} to spare{held}"
     if tried == 1:
@@ -448,8 +444,7 @@ def describe_solutions(
     families: Sequence[tuple[int, str]],
     ground: str,
 ) -> str:
-    """How many isolated solutions there are, whether these are all, which are merged `roots`, and
-    why; and families.
+    """Describe how many isolated solutions and families there are, and by which method.
 
     `families` are freedoms and motions; `beyond` says which limit the least of them violates if
     none is `inside`.
@@ -469,7 +464,7 @@ def describe_solutions(
 
 
 def describe_limit_excess(joint: str, off: float, unit: str, still: str) -> str:
-    """How far the solution that is nearest to the limits is outside of them."""
+    """Describe how far the solution nearest to the limits is outside of them."""
     return (
         f"the nearest to them has {joint!r} {off:.6g} {unit} beyond its "
         f"limit{f'; {still}' if still else ''}"
@@ -477,7 +472,7 @@ def describe_limit_excess(joint: str, off: float, unit: str, still: str) -> str:
 
 
 def explain_closed_form(axes: Sequence[int], meet: bool) -> str:
-    """Why there is a closed form: what axes have in common, if anything."""
+    """Explain why there is a closed form: which axes meet in a point or are parallel."""
     common = (
         f"axes {', '.join(str(i + 1) for i in axes)} "
         f"{'meet in a point' if meet else 'are parallel'}"
@@ -486,6 +481,7 @@ def explain_closed_form(axes: Sequence[int], meet: bool) -> str:
 
 
 def _describe_completeness(count: int, method: str, sure: bool, spare: bool) -> str:
+    """Describe whether the solutions are complete, as the end of a clause."""
     if not sure:
         return " found, there may be more"
     if spare:
@@ -496,7 +492,7 @@ def _describe_completeness(count: int, method: str, sure: bool, spare: bool) -> 
 
 
 def _describe_merged_roots(count: int, roots: Sequence[int]) -> str:
-    """Which of the solutions are roots that have merged."""
+    """Describe which of the solutions are double, triple or multiple roots."""
     if not roots:
         return ""
     kind = (
@@ -509,7 +505,7 @@ def _describe_merged_roots(count: int, roots: Sequence[int]) -> str:
 
 
 def _describe_families(families: Sequence[tuple[int, str]]) -> str:
-    """The families, those of one description together."""
+    """Describe the families of solutions, equal ones together."""
     out: list[str] = []
     for dimension, moves in dict.fromkeys(families):
         k = families.count((dimension, moves))
@@ -526,7 +522,11 @@ def describe_linear_motion(
     equations: Sequence[Mapping[str, float]],
     rest: Sequence[tuple[str, float]],
 ) -> str:
-    """A family on a straight line: equations by joint, "" for the right side, while others `rest`."""
+    """Describe a family of solutions on a straight line.
+
+    `equations` have coefficients by joint, and "" for the right side, while the joints of `rest`
+    stay.
+    """
     text = join_words([_format_equation(e) for e in equations] or [f"{names[0]} is free"])
     return (
         f"{text} while {join_words([f'{n} = {format_number(x)}' for n, x in rest])}"
@@ -538,7 +538,7 @@ def describe_linear_motion(
 def describe_curved_motion(
     names: Sequence[str], first: str, turns: bool, is_closed: bool, ends: tuple[float, float]
 ) -> str:
-    """A family on a curve, of which the `first` joint tells the place: how it goes, and how far."""
+    """Describe a family of solutions on a curve, by the range of its `first` joint."""
     if turns:
         return (
             f"{first} turns all the way round and {join_words([n for n in names if n != first])} "
@@ -552,6 +552,7 @@ def describe_curved_motion(
 
 
 def _format_equation(terms: Mapping[str, float]) -> str:
+    """Format a linear equation: coefficients by joint, and "" for the right side."""
     text = ""
     for name, a in ((n, a) for n, a in terms.items() if n):
         sign = ("-" if a < 0 else "") if not text else (" - " if a < 0 else " + ")
@@ -599,8 +600,7 @@ SHOWN = 6
 def describe_immovable_coordinates(
     system: Model, coordinates: Iterable[int] | None = None, unstated: bool = False
 ) -> str:
-    """Sentence that names velocity coordinates whose limits leave no motion, and why; '' where
-    there are none.
+    """Describe which coordinates cannot move because their limits are equal; '' for none.
 
     `coordinates` are their indices, all where None; `unstated` leaves out limits that the
     description gives.
@@ -637,4 +637,5 @@ def describe_immovable_coordinates(
 
 
 def _choose_pronoun(names: list[str]) -> str:
+    """Choose the pronoun for some names: 'it' or 'them'."""
     return "it" if len(names) == 1 else "them"

@@ -429,14 +429,14 @@ class Output:
         if self.plot is not None:
             check_picture_file(self.plot)
         if self.film is not None:
-            from kempe.views.films import film_file
+            from kempe.views.films import check_film_path
 
-            film_file(self.film)
+            check_film_path(self.film)
             check_output_file(self.film)
         if self.page is not None:
-            from kempe.views.viewer.pages import page_file
+            from kempe.views.viewer.pages import check_page_path
 
-            page_file(self.page)
+            check_page_path(self.page)
             check_output_file(self.page)
 
     def _refuse_input_file(self, given: Iterable[object]) -> None:
@@ -476,9 +476,9 @@ class Output:
         if not files:
             return
         if shown is None:
-            from kempe.views.drawing.plot_request import configuration_of
+            from kempe.views.drawing.plot_request import read_configuration
 
-            shown = configuration_of(system, None)
+            shown = read_configuration(system, None)
         rows = np.reshape(getattr(shown, "q", shown), (-1, system.nq))
         finite = int(np.isfinite(rows).all(axis=1).sum())
         left = files if not finite else {p for p in files if p == self.film and finite < 2}

@@ -54,7 +54,7 @@ def run_joints(output: Output) -> None:
     """
     from kempe.views import overviews
 
-    kinds = overviews.joint_rows()
+    kinds = overviews.list_joint_types()
     if output.plot is not None:
         save_picture(overviews.plot_joints(), output.plot)
         output.written.append(output.plot)

@@ -107,10 +107,10 @@ def run_singularities(
 
     def draw_curves() -> tuple[Axes, ...]:
         """Draw the singular curves of the frame."""
-        from kempe.views.singular_plot import curves_shown, plot_singularities
+        from kempe.views.singular_plot import find_shown_curves, plot_singularities
 
         with _make_budget(None, None, time.remaining_seconds, "configurations of curves") as budget:
-            curves = call_until_interrupt(curves_shown, answer, budget)
+            curves = call_until_interrupt(find_shown_curves, answer, budget)
         if curves is not None and curves.broken:
             broken.append(curves.status)
         return plot_singularities(answer, curves)

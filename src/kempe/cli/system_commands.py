@@ -49,9 +49,9 @@ def run_info(
     output.draw_configurations(system, None, system.plot_tree if tree else None)
     if tree and not output.json:
         from kempe.cli.report import clean_text
-        from kempe.views.overviews import tree_lines
+        from kempe.views.overviews import list_tree_lines
 
-        print(clean_text("\n".join(tree_lines(system))))
+        print(clean_text("\n".join(list_tree_lines(system))))
         output.print_answers()
     else:
         output.print_answers(SystemFacts(system))

@@ -76,9 +76,9 @@ def run_view(
         if drawn.lost:
             print_remark(drawn.lost_sentence)
         return
-    from kempe.views.viewer.live import serve
+    from kempe.views.viewer.live import serve_viewer
 
-    with serve(system, start, frame=frame, port=port, deg=output.deg) as viewer:
+    with serve_viewer(system, start, frame=frame, port=port, deg=output.deg) as viewer:
         if output.json:
             print_json({"system": system.name, "url": viewer.url, "not_drawn": viewer.drawn.lost})
         else:

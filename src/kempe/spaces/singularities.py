@@ -258,7 +258,7 @@ class Singularities(Report, Tabular):
         Errors: `InputError` where no set was found.
         """
         plots = import_late("plots of singularities")
-        curves = call_until_interrupt(plots.curves_shown, self, budget)
+        curves = call_until_interrupt(plots.find_shown_curves, self, budget)
         axes = plots.plot_singularities(self, curves, ax=ax, **options)
         if curves is not None and curves.broken is Status.INTERRUPTED:
             raise Interrupted(axes)

@@ -17,10 +17,10 @@ from kempe.errors import InputError, UnsupportedError, format_value
 from kempe.model.configurations import has_loops, interpolate_configurations
 from kempe.spatial import Array
 from kempe.views.drawing import page
-from kempe.views.drawing.plot_request import motion_of
-from kempe.views.drawing.scene import look
+from kempe.views.drawing.plot_request import read_motion
+from kempe.views.drawing.scene import build_scene
 from kempe.views.plot_options import PlotOptions
-from kempe.views.plots import drawing_of, subject_of
+from kempe.views.plots import choose_drawing, make_subject
 from kempe.words import format_count
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ MOST = 600
 """Frames of a film."""
 
 
-def film_file(file: str | Path) -> Path:
+def check_film_path(file: str | Path) -> Path:
     """The path of a film. Errors: `InputError` for other endings, `UnsupportedError` where its
     writer is missing.
     """
@@ -42,7 +42,7 @@ def film_file(file: str | Path) -> Path:
     writer = ENDINGS.get(path.suffix.lower())
     if writer is None:
         raise InputError(f"{path}: moving pictures are {', '.join(ENDINGS)} files")
-    if not animation.writers.is_available(writer) and not _packed_ffmpeg():
+    if not animation.writers.is_available(writer) and not _find_packed_ffmpeg():
         raise UnsupportedError(
             f"{path}: the program {writer} is needed to write it, and is not installed: pip "
             "install imageio-ffmpeg, or the system's package manager, brings it; .gif and .html "
@@ -51,7 +51,7 @@ def film_file(file: str | Path) -> Path:
     return path
 
 
-def _packed_ffmpeg() -> bool:
+def _find_packed_ffmpeg() -> bool:
     """Whether the package imageio-ffmpeg is installed; its program is then the one that matplotlib
     runs.
     """
@@ -95,23 +95,23 @@ def animate(
         raise InputError(
             f"seconds * fps is {format_count(count, 'picture')}; they must be from 2 to {MOST}"
         )
-    out = film_file(file)
-    way, drivers = motion_of(system, path)
+    out = check_film_path(file)
+    way, drivers = read_motion(system, path)
     if way is None:
         raise InputError("path is None; it must be a motion, or configurations (n, nq)")
     options = PlotOptions(frames=frames, labels=labels)
-    steps = _evenly(system, way[np.isfinite(way).all(axis=1)], count)
-    drawing = drawing_of(system)
-    radius = drawing.usual_radius(look(system, steps[0]))
+    steps = _sample_motion(system, way[np.isfinite(way).all(axis=1)], count)
+    drawing = choose_drawing(system)
+    radius = drawing.usual_radius(build_scene(system, steps[0]))
     subjects = [
-        replace(subject_of(system, q[None], way, path, drivers, options, ()), radius=radius)
+        replace(make_subject(system, q[None], way, path, drivers, options, ()), radius=radius)
         for q in steps
     ]
-    _write(drawing, subjects, out, fps)
+    _write_film(drawing, subjects, out, fps)
     return out
 
 
-def _evenly(system: Model, q: Array, count: int) -> Array:
+def _sample_motion(system: Model, q: Array, count: int) -> Array:
     """Configurations (count, nq) at equal steps along rows (n, nq), where loops are closed the
     nearest of these.
     """
@@ -122,12 +122,12 @@ def _evenly(system: Model, q: Array, count: int) -> Array:
     return np.asarray(interpolate_configurations(system, q[low], q[low + 1], at - low))
 
 
-def _write(drawing: Any, subjects: list[Any], out: Path, fps: float) -> None:
+def _write_film(drawing: Any, subjects: list[Any], out: Path, fps: float) -> None:
     """Draw one subject after the other on the same axes, and write each as a frame."""
     from matplotlib import animation
 
     bounds = drawing.bounds_of(subjects[:: max(1, len(subjects) // 24)])
-    ax = drawing.empty(subjects[0], bounds, page.bare_figure)
+    ax = drawing.empty(subjects[0], bounds, page.make_bare_figure)
     kind = ENDINGS[out.suffix.lower()]
     more = {"embed_frames": True, "default_mode": "loop"} if kind == "html" else {}
     writer: Any = animation.writers[kind]

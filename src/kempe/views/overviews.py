@@ -35,7 +35,7 @@ siblings are apart."""
 # ---- the tree
 
 
-def children(system: Model) -> list[list[int]]:
+def list_children(system: Model) -> list[list[int]]:
     """For each body from the ground on, the bodies whose parent it is."""
     out: list[list[int]] = [[] for _ in system.body_names]
     for body, parent in enumerate(system.parent, 1):
@@ -43,11 +43,11 @@ def children(system: Model) -> list[list[int]]:
     return out
 
 
-def tree_lines(system: Model) -> list[str]:
+def list_tree_lines(system: Model) -> list[str]:
     """The tree as text: for each body its joint, with the type, its number and its name; then what
     closes loops.
     """
-    below = children(system)
+    below = list_children(system)
     names = system.body_names
     joints = system.structure.joints
     out = [f"0 {names[0]}"]
@@ -66,19 +66,19 @@ def tree_lines(system: Model) -> list[str]:
         out.append(
             f"╌╌ {name} ({joint.type.type_name}) closes a loop: {joint.parent} ╌ {joint.child}"
         )
-    return [*out, connectivity(system)]
+    return [*out, format_connectivity(system)]
 
 
-def connectivity(system: Model) -> str:
+def format_connectivity(system: Model) -> str:
     """The connectivity vector as text: the parent of each body."""
     return f"C = {{{', '.join(map(str, system.parent))}}}"
 
 
-def _places(system: Model) -> np.ndarray:
+def _place_bodies(system: Model) -> np.ndarray:
     """Where bodies (n + 1, 2) are drawn: leaves beside one another, each parent over the middle of
     its children.
     """
-    below = children(system)
+    below = list_children(system)
     at = np.zeros((len(below), 2))
     for body, parent in enumerate(system.parent, 1):  # parents come first
         at[body, 1] = at[parent, 1] - 1.0
@@ -104,18 +104,21 @@ def plot_tree(system: Model, ax: Axes | None = None) -> Axes:
     products have those of their factors.
     """
     from kempe.views.drawing import page, style
-    from kempe.views.drawing.labels import shortened
+    from kempe.views.drawing.labels import shorten_label
 
     names = system.body_names
     joints = system.structure.joints
-    at = _places(system) * (_apart(system), 1.4)
+    at = _place_bodies(system) * (_choose_leaf_distance(system), 1.4)
     span = np.ptp(at, axis=0)
     if ax is None:
-        wide = INCHES * (max(1.0, _beyond(system)) + max(1.0, 0.5 * _widest(system) + 0.1))
-        ax = page.new_figure(
+        wide = INCHES * (
+            max(1.0, _measure_label_room(system))
+            + max(1.0, 0.5 * _measure_widest_joint(system) + 0.1)
+        )
+        ax = page.make_figure(
             *np.clip(INCHES * span + (wide, 1.4), (3.2, 2.4), (16.0, 14.0))
         ).add_axes((0, 0, 1, 1))
-    ax = page.axes_given(ax)[0]
+    ax = page.check_axes(ax)[0]
     for body, parent in enumerate(system.parent, 1):
         joint = joints[system.structure.parent_joints[body - 1]]
         ax.plot(
@@ -125,7 +128,7 @@ def plot_tree(system: Model, ax: Axes | None = None) -> Axes:
             zorder=style.BARS,
             gid=f"edge:{joint.name}",
         )
-        _edge_text(ax, joint, at[parent], at[body], style.INK, BELOW)
+        _draw_edge_label(ax, joint, at[parent], at[body], style.INK, BELOW)
     number = {name: k for k, name in enumerate(names)}
     lowest = float(at[:, 1].min())
     for name in system.structure.closures:
@@ -139,10 +142,10 @@ def plot_tree(system: Model, ax: Axes | None = None) -> Axes:
         ax.plot(
             *line.T, color=style.OPEN, lw=1.3, ls=(0, (4, 3)), zorder=style.RAILS, gid=f"cut:{name}"
         )
-        _edge_text(ax, joint, line[20], line[20], style.OPEN)
+        _draw_edge_label(ax, joint, line[20], line[20], style.OPEN)
     for k, (p, name) in enumerate(zip(at, names, strict=True)):
         short = name if len(name) <= 3 and name.endswith(str(k)) else str(k)
-        colour = style.mix(style.link_colour(k), style.PAPER, 0.55)
+        colour = style.mix_colours(style.choose_link_colour(k), style.PAPER, 0.55)
         ax.plot(
             *p,
             "o",
@@ -167,7 +170,7 @@ def plot_tree(system: Model, ax: Axes | None = None) -> Axes:
             ax.text(
                 p[0] + 0.34,
                 p[1],
-                shortened(name),
+                shorten_label(name),
                 va="center",
                 size=style.FONT - 1.5,
                 zorder=style.TEXT,
@@ -175,14 +178,14 @@ def plot_tree(system: Model, ax: Axes | None = None) -> Axes:
                 bbox={"fc": style.PAPER, "ec": "none", "pad": 0.5},
             )
     ax.set_xlim(
-        at[:, 0].min() - max(1.0, 0.5 * _widest(system) + 0.1),
-        at[:, 0].max() + max(1.0, _beyond(system)),
+        at[:, 0].min() - max(1.0, 0.5 * _measure_widest_joint(system) + 0.1),
+        at[:, 0].max() + max(1.0, _measure_label_room(system)),
     )
     ax.set_ylim(lowest - 1.2, at[:, 1].max() + 0.6)
     ax.text(
         at[:, 0].min() - 0.7,
         lowest - 0.9,
-        connectivity(system),
+        format_connectivity(system),
         size=style.FONT,
         gid="connectivity",
     )
@@ -190,43 +193,53 @@ def plot_tree(system: Model, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def _edge_said(joint: Any) -> str:
+def _label_edge(joint: Any) -> str:
     """The name and the letter of a joint."""
-    from kempe.views.drawing.labels import shortened
+    from kempe.views.drawing.labels import shorten_label
 
-    return f"{shortened(joint.name)}  {joint.type.letter}".rstrip()
+    return f"{shorten_label(joint.name)}  {joint.type.letter}".rstrip()
 
 
-def _beyond(system: Model) -> float:
+def _measure_label_room(system: Model) -> float:
     """The room of the widest name of a body from the middle of its circle on, in the units of the
     tree.
     """
     from kempe.views.drawing import style
-    from kempe.views.drawing.labels import extent, shortened
+    from kempe.views.drawing.labels import measure_text, shorten_label
 
-    widest = max(extent(shortened(name), style.FONT - 1.5)[0] for name in system.body_names)
+    widest = max(
+        measure_text(shorten_label(name), style.FONT - 1.5)[0] for name in system.body_names
+    )
     return 0.34 + widest / 72.0 / INCHES + 0.1
 
 
-def _apart(system: Model) -> float:
+def _choose_leaf_distance(system: Model) -> float:
     """How far leaves are from one another: no name of a body or joint reaches the next one, where
     there is room.
     """
-    if len(system.parent) < 2 or max(map(len, children(system))) < 2:
+    if len(system.parent) < 2 or max(map(len, list_children(system))) < 2:
         return 1.4
-    return float(np.clip(max(_beyond(system) + 0.36, (_widest(system) + 0.15) / BELOW), 1.4, 4.0))
+    return float(
+        np.clip(
+            max(_measure_label_room(system) + 0.36, (_measure_widest_joint(system) + 0.15) / BELOW),
+            1.4,
+            4.0,
+        )
+    )
 
 
-def _widest(system: Model) -> float:
+def _measure_widest_joint(system: Model) -> float:
     """The width of the widest name of a joint, in the units of the tree."""
     from kempe.views.drawing import style
-    from kempe.views.drawing.labels import extent
+    from kempe.views.drawing.labels import measure_text
 
-    said = [_edge_said(system.structure.joints[name]) for name in system.structure.parent_joints]
-    return max((extent(text, style.FONT - 1)[0] for text in said), default=0.0) / 72.0 / INCHES
+    said = [_label_edge(system.structure.joints[name]) for name in system.structure.parent_joints]
+    return (
+        max((measure_text(text, style.FONT - 1)[0] for text in said), default=0.0) / 72.0 / INCHES
+    )
 
 
-def _edge_text(
+def _draw_edge_label(
     ax: Axes, joint: Any, a: np.ndarray, b: np.ndarray, colour: str, part: float = 0.5
 ) -> None:
     """Write the name and the letter of a joint on its line, at some part of the way."""
@@ -236,7 +249,7 @@ def _edge_text(
     ax.text(
         x,
         y,
-        _edge_said(joint),
+        _label_edge(joint),
         ha="center",
         va="center",
         size=style.FONT - 1,
@@ -250,7 +263,7 @@ def _edge_text(
 # ---- joint types
 
 
-def joint_rows() -> list[dict[str, Any]]:
+def list_joint_types() -> list[dict[str, Any]]:
     """All joint types: name, letter, freedoms and constraints in space and in the plane, what they
     are made of.
     """
@@ -288,7 +301,7 @@ def plot_joints(names: Sequence[str] = ()) -> tuple[Axes, ...]:
         raise InputError(f"names has {unknown[0]!r}; there are: {', '.join(TYPES)}")
     columns = min(3, len(shown))
     rows = -(-len(shown) // columns)
-    figure = page.new_figure(3.4 * columns, 3.2 * rows)
+    figure = page.make_figure(3.4 * columns, 3.2 * rows)
     axes: list[Axes] = []
     for k, name in enumerate(shown):
         ax: Any = figure.add_subplot(rows, columns, k + 1, projection="3d")
@@ -312,18 +325,18 @@ def plot_joints(names: Sequence[str] = ()) -> tuple[Axes, ...]:
 # ---- notebooks
 
 
-def notebook_page(system: Model) -> str:
+def make_notebook_page(system: Model) -> str:
     """The system as HTML: a picture, its freedoms, its tree. What cannot be had is left out."""
     count = format_count(len(system.parent), "body")
     kind = "in the plane" if system.dim == 2 else "in space"
     head = f"{system.name}: {count}, {format_count(len(system.joint_names), 'joint')}, {kind}"
-    parts = [f"<p>{html.escape(head)}</p>", _picture(system)]
-    parts.append(f"<p>{html.escape(_freedoms(system))}</p>")
-    lines = cut_lines(tree_lines(system), MOST_LINES)
+    parts = [f"<p>{html.escape(head)}</p>", _render_picture(system)]
+    parts.append(f"<p>{html.escape(_describe_freedoms(system))}</p>")
+    lines = cut_lines(list_tree_lines(system), MOST_LINES)
     return "".join([*parts, f"<pre>{html.escape(chr(10).join(lines))}</pre>"])
 
 
-def _freedoms(system: Model) -> str:
+def _describe_freedoms(system: Model) -> str:
     """The degrees of freedom in a sentence: of a tree those of its joints, else by counting and by
     rank.
     """
@@ -332,14 +345,14 @@ def _freedoms(system: Model) -> str:
 
         within = make_configuration_space(system).within
         said = f"{format_count(system.nv, 'degree')} of freedom, configuration space {within}"
-        return said + _of_velocity(system)
+        return said + _describe_velocity_freedoms(system)
     try:
-        return _counted(system).sentence
+        return _compute_mobility(system).sentence
     except KempeError as error:
         return str(error)
 
 
-def _counted(system: Model) -> Mobility:
+def _compute_mobility(system: Model) -> Mobility:
     """The mobility of a system by counting and by rank."""
     # Here, as it loads the kernels, which drawing a tree does not need.
     from kempe.mobility.mobility import mobility
@@ -347,26 +360,26 @@ def _counted(system: Model) -> Mobility:
     return mobility(system, local=False)
 
 
-def _of_velocity(system: Model) -> str:
+def _describe_velocity_freedoms(system: Model) -> str:
     """How many freedoms constraints of velocity leave, such as those of wheels; '' without them."""
     if not record_velocity_rows(system).names:
         return ""
     try:
-        return f"; {_counted(system).velocity_dof} of velocity"
+        return f"; {_compute_mobility(system).velocity_dof} of velocity"
     except KempeError:
         return ""
 
 
-def _picture(system: Model) -> str:
+def _render_picture(system: Model) -> str:
     """An `img` with the picture, '' where there is none: without matplotlib, and of what is large
     or not drawn.
     """
     if len(system.parent) > MOST_DRAWN:
         return ""
     try:
-        from kempe.views.plots import bare
+        from kempe.views.plots import draw_bare
 
-        figure: Any = bare(system).figure
+        figure: Any = draw_bare(system).figure
     except (KempeError, ValueError, ArithmeticError):
         return ""
     return format_html_image(figure, f"picture of {system.name}")

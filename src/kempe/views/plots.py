@@ -28,11 +28,11 @@ from kempe.views.drawing import page, style
 from kempe.views.drawing.plot_request import (
     FARTHEST,
     Subject,
-    configurations_of,
-    motion_of,
-    usual_configuration,
+    choose_configuration,
+    read_configurations,
+    read_motion,
 )
-from kempe.views.drawing.scene import look
+from kempe.views.drawing.scene import build_scene
 from kempe.views.plot_options import PlotOptions
 from kempe.words import format_count
 
@@ -84,8 +84,8 @@ def plot(system: Model, q: Any = None, *, path: Any = None, **options: Any) -> A
             )
     if path is None and getattr(q, "is_motion", False):
         q, path = None, q
-    way, drivers = motion_of(system, path)
-    several, titles = configurations_of(system, q, way)
+    way, drivers = read_motion(system, path)
+    several, titles = read_configurations(system, q, way)
     given = tuple(read_names(chosen.titles, "titles"))
     if given and len(given) != len(several):
         raise InputError(
@@ -98,18 +98,18 @@ def plot(system: Model, q: Any = None, *, path: Any = None, **options: Any) -> A
     titles = given or titles
     subjects = [
         replace(
-            subject_of(system, several[:1], way, path, drivers, chosen, titles),
-            missed=_missed(system, q),
+            make_subject(system, several[:1], way, path, drivers, chosen, titles),
+            missed=_find_missed_target(system, q),
         )
     ]
     if len(several) > 1 and chosen.side_by_side:
         subjects = [
-            subject_of(system, x[None], way, path, drivers, chosen, titles[k : k + 1])
+            make_subject(system, x[None], way, path, drivers, chosen, titles[k : k + 1])
             for k, x in enumerate(several)
         ]
     elif len(several) > 1:
-        subjects = [subject_of(system, several, way, path, drivers, chosen, titles)]
-    drawing = drawing_of(system)
+        subjects = [make_subject(system, several, way, path, drivers, chosen, titles)]
+    drawing = choose_drawing(system)
     if not chosen.side_by_side:
         ax = drawing.picture(subjects[0], chosen.ax)
         if len(given) == 1:
@@ -117,10 +117,10 @@ def plot(system: Model, q: Any = None, *, path: Any = None, **options: Any) -> A
             inside = {"y": 1.0, "pad": -12.0} if chosen.ax is None else {}
             ax.set_title(given[0], size=style.FONT + 1, color=style.INK, **inside)
         return ax
-    return _side_by_side(drawing, subjects)
+    return _draw_side_by_side(drawing, subjects)
 
 
-def _missed(system: Model, answer: Any) -> Array | None:
+def _find_missed_target(system: Model, answer: Any) -> Array | None:
     """Where the frame of an answer to one target is, and the place that it does not reach (2, 3);
     else None.
     """
@@ -133,24 +133,24 @@ def _missed(system: Model, answer: Any) -> Array | None:
     return ends if np.isfinite(ends).all() else None
 
 
-def bare(system: Model) -> Axes:
+def draw_bare(system: Model) -> Axes:
     """Axes with the system as it is drawn by default, in a figure of their own that nothing else
     knows of.
     """
-    subject = subject_of(
-        system, usual_configuration(system, None)[None], None, None, (), PlotOptions(), ()
+    subject = make_subject(
+        system, choose_configuration(system, None)[None], None, None, (), PlotOptions(), ()
     )
-    return drawing_of(system).picture(subject, None, make=page.bare_figure)
+    return choose_drawing(system).picture(subject, None, make=page.make_bare_figure)
 
 
-def drawing_of(system: Model) -> Any:
+def choose_drawing(system: Model) -> Any:
     """The module that draws systems of this dimension."""
     from kempe.views.drawing import plane, space
 
     return space if system.dim == 3 else plane
 
 
-def subject_of(
+def make_subject(
     system: Model,
     several: Array,
     way: Array | None,
@@ -161,8 +161,8 @@ def subject_of(
 ) -> Subject:
     """What one picture is of, with the first of several configurations in full."""
     q = several[0]
-    names = names_of(system, options.frames)
-    scene = look(system, q, drivers)
+    names = list_frame_names(system, options.frames)
+    scene = build_scene(system, q, drivers)
     if not all(np.all(np.abs(scene.points(link)) < FARTHEST) for link in scene.links):
         raise InputError(
             f"{system.name} has points that are not finite or beyond {FARTHEST:g} m: nothing is "
@@ -175,26 +175,26 @@ def subject_of(
     curves = {n: fk(system, way, n)[:, :3, 3] for n in names} if way is not None else {}
     moving = [f for link in scene.links[1:] for f in (*link.bodies, *link.frames)]
     every = isinstance(options.axes, str) and options.axes == "all"
-    axes = [system.body_names[0], *moving] if every else names_of(system, options.axes)
-    earlier = [] if way is None else list(_spread(way, options.ghosts))
-    earlier += list(_neighbours(system, q)) if options.motion else []
+    axes = [system.body_names[0], *moving] if every else list_frame_names(system, options.axes)
+    earlier = [] if way is None else list(_select_configurations(way, options.ghosts))
+    earlier += list(_list_neighbours(system, q)) if options.motion else []
     return Subject(
         system,
         scene,
         options,
-        tuple(look(system, x, drivers) for x in several[1:]),
+        tuple(build_scene(system, x, drivers) for x in several[1:]),
         titles,
-        tuple(look(system, x) for x in earlier),
+        tuple(build_scene(system, x) for x in earlier),
         way,
         curves,
         {n: fk(system, q, n) for n in names},
         {n: fk(system, q, n) for n in axes},
-        _workspace(system, options),
+        _compute_workspace(system, options),
         units=list_units(system),
     )
 
 
-def _workspace(system: Model, options: PlotOptions) -> Any:
+def _compute_workspace(system: Model, options: PlotOptions) -> Any:
     """The workspace that is shaded. Errors: `UnsupportedError`."""
     if options.workspace is None:
         return None
@@ -207,15 +207,15 @@ def _workspace(system: Model, options: PlotOptions) -> Any:
     return planar_workspace(system, options.workspace)
 
 
-def _side_by_side(drawing: Any, subjects: list[Subject]) -> tuple[Axes, ...]:
+def _draw_side_by_side(drawing: Any, subjects: list[Subject]) -> tuple[Axes, ...]:
     """Axes in rows of up to `ACROSS`, one for each subject, with its title, all of the same scale."""
     rows = -(-len(subjects) // ACROSS)
     across = -(-len(subjects) // rows)
     own: Any = subjects[0].options.ax
     if own is not None:
-        own = page.axes_given(own, len(subjects))
+        own = page.check_axes(own, len(subjects))
     if drawing.__name__.endswith("space"):
-        figure = None if own is not None else page.new_figure(4.2 * across, 4.2 * rows)
+        figure = None if own is not None else page.make_figure(4.2 * across, 4.2 * rows)
         axes = (
             own
             if figure is None
@@ -229,7 +229,7 @@ def _side_by_side(drawing: Any, subjects: list[Subject]) -> tuple[Axes, ...]:
         bounds = [(drawing.bounds_of(subjects),)] * len(subjects)
         span = bounds[0][0][1] - bounds[0][0][0]
         height = float(np.clip(4.2 * span[1] / span[0], 1.8, 5.0))
-        figure = None if own is not None else page.new_figure(4.2 * across, (height + 0.5) * rows)
+        figure = None if own is not None else page.make_figure(4.2 * across, (height + 0.5) * rows)
         axes = (
             own
             if figure is None
@@ -243,7 +243,7 @@ def _side_by_side(drawing: Any, subjects: list[Subject]) -> tuple[Axes, ...]:
     return axes
 
 
-def names_of(system: Model, frames: Any) -> list[str]:
+def list_frame_names(system: Model, frames: Any) -> list[str]:
     """Names of the frames that are given: a list, one, or None for all bodies and frames."""
     if frames is None:
         return list(system.frame_names)
@@ -281,15 +281,15 @@ def plot_path(
         if name not in known:
             raise UnknownNameError("coordinate", name, known, system.name)
     ax = (
-        page.new_figure(7.0, 4.2).add_axes((0.085, 0.12, 0.72, 0.84))
+        page.make_figure(7.0, 4.2).add_axes((0.085, 0.12, 0.72, 0.84))
         if ax is None
-        else page.axes_given(ax)[0]
+        else page.check_axes(ax)[0]
     )
     unit = list_units(system)
     for k, name in enumerate(chosen):
         i = known.index(name)
         how: dict[str, Any] = {
-            "color": style.link_colour(k + 1),
+            "color": style.choose_link_colour(k + 1),
             "lw": 1.7,
             "ls": "--" if unit[name] == "m" else "-",
         }
@@ -297,7 +297,7 @@ def plot_path(
             "marker": MARKERS[k % len(MARKERS)],
             "ms": 5,
             "mfc": "white",
-            "markevery": _apart(len(s), k),
+            "markevery": _space_markers(len(s), k),
         }
         ax.plot(s, q[:, i], gid=f"coordinate:{name}", label=name, **how)
     index = [known.index(n) for n in chosen]
@@ -317,7 +317,7 @@ def plot_path(
                     ms=6,
                     gid=f"{kind}:{k}:values",
                 )
-    page.light_axes(ax)
+    page.draw_light_axes(ax)
     kinds = [
         text
         for u, text in (("rad", "angles [rad]"), ("m", "slides [m]"))
@@ -329,13 +329,13 @@ def plot_path(
     return ax
 
 
-def _apart(count: int, k: int) -> tuple[int, int]:
+def _space_markers(count: int, k: int) -> tuple[int, int]:
     """The first of `count` points that is marked on curve k, and how many lie between two marks."""
     every = max(1, count // 8)
     return (k * every // len(MARKERS)) % max(count, 1), every
 
 
-def _neighbours(system: Model, q: Array) -> Array:
+def _list_neighbours(system: Model, q: Array) -> Array:
     """Configurations (k, nq) a little to both sides in each coordinate, where there are few and no
     loops.
     """
@@ -345,7 +345,7 @@ def _neighbours(system: Model, q: Array) -> Array:
         unit == "m"
         for unit in (list_units(system).get(n, "") for n in system.structure.velocity_names)
     ]
-    steps = np.diag([SLIDE * look(system, q).size if slide else TURN for slide in slides])
+    steps = np.diag([SLIDE * build_scene(system, q).size if slide else TURN for slide in slides])
     return np.concatenate([integrate_velocity(system, q, sign * steps) for sign in (-1.0, 1.0)])
 
 
@@ -359,9 +359,9 @@ def plot_history(history: Any, ax: Axes | None = None) -> Axes:
     from matplotlib.ticker import MaxNLocator
 
     ax = (
-        page.new_figure(7.0, 4.2).add_axes((0.11, 0.12, 0.68, 0.84))
+        page.make_figure(7.0, 4.2).add_axes((0.11, 0.12, 0.68, 0.84))
         if ax is None
-        else page.axes_given(ax)[0]
+        else page.check_axes(ax)[0]
     )
     least = 1e-17
     units = {"position": "m", "orientation": "rad"}
@@ -376,7 +376,7 @@ def plot_history(history: Any, ax: Axes | None = None) -> Axes:
     )
     for k, start in enumerate(starts):
         rows = history.start == start
-        colour = style.INK if start == best else style.link_colour(k + 1)
+        colour = style.INK if start == best else style.choose_link_colour(k + 1)
         how: dict[str, Any] = {
             "color": colour,
             "lw": 2.6 if start == best else 1.2,
@@ -399,7 +399,7 @@ def plot_history(history: Any, ax: Axes | None = None) -> Axes:
                 **how,
             )
     ax.set_yscale("log")
-    page.light_axes(ax)
+    page.draw_light_axes(ax)
     ax.tick_params(
         which="minor", labelsize=style.FONT - 2, labelcolor=style.GROUND, color=style.FAINT
     )
@@ -420,7 +420,7 @@ def plot_history(history: Any, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def _spread(configurations: Array, count: int) -> Array:
+def _select_configurations(configurations: Array, count: int) -> Array:
     finite = configurations[np.isfinite(configurations).all(axis=1)]
     index = np.unique(np.linspace(0, len(finite) - 1, count + 1).round().astype(int)[:count])
     return finite[index]

@@ -45,7 +45,7 @@ STILL = 1e-7
 """Part of a twist that counts as none."""
 
 
-def curves_shown(found: Singularities, budget: Budget | None = None) -> SingularCurves | None:
+def find_shown_curves(found: Singularities, budget: Budget | None = None) -> SingularCurves | None:
     """The singular curves that a picture shows; None where it has none: those of a frame in the
     plane, if sets are.
     """
@@ -61,7 +61,7 @@ def plot_singularities(
     """Axes with singular configurations beside one another, and with the singular curves; see
     `Singularities.plot`.
     """
-    rows = [_picks(s) for s in found.sets]
+    rows = [_pick_configurations(s) for s in found.sets]
     # of each set first one
     shown = sorted((k, i) for i, own in enumerate(rows) for k in range(len(own)))[:MOST]
     picks = [rows[i][k] for i, k in sorted((i, k) for k, i in shown)]
@@ -72,9 +72,11 @@ def plot_singularities(
     flat = system.dim == 2
     more = curves is not None and bool(curves or curves.broken)
     count = len(q) + more
-    own: Any = None if ax is None else page.axes_given(ax, count)
+    own: Any = None if ax is None else page.check_axes(ax, count)
     if own is None and flat:
-        own = np.ravel(np.array(page.new_figure(4.2 * count, 4.4).subplots(1, count), dtype=object))
+        own = np.ravel(
+            np.array(page.make_figure(4.2 * count, 4.4).subplots(1, count), dtype=object)
+        )
     titles = [title for title, _, _ in picks]
     # frames of their own are drawn anyway
     marked = [found.frame] if found.frame in system.body_names else []
@@ -88,7 +90,7 @@ def plot_singularities(
     if found.frame is not None:
         for one, (_, x, local) in zip(axes, picks, strict=True):
             _draw_directions(one, fk(system, x, found.frame)[:3, 3], local, flat)
-        _legend(axes[-1], picks)
+        _draw_legend(axes[-1], picks)
     if more and curves is not None and own is not None:
         axes = (*axes, plot_curves(curves, own[-1]))
     return tuple(axes)
@@ -102,8 +104,8 @@ def plot_curves(curves: SingularCurves, ax: Axes | None = None) -> Axes:
             + ("" if curves.frame else ", without a frame")
         )
     if curves.system.dim != 2 and ax is None:
-        ax = page.new_figure(5.0, 5.0).add_subplot(projection="3d")
-    given: Any = page.new_figure(5.0, 4.4).add_subplot() if ax is None else page.axes_given(ax)[0]
+        ax = page.make_figure(5.0, 5.0).add_subplot(projection="3d")
+    given: Any = page.make_figure(5.0, 4.4).add_subplot() if ax is None else page.check_axes(ax)[0]
     d = 3 if hasattr(given, "get_zlim") else 2
     named = set[str]()
     for k, c in enumerate(curves):
@@ -119,7 +121,7 @@ def plot_curves(curves: SingularCurves, ax: Axes | None = None) -> Axes:
         named.add(word)
     given.set_aspect("equal", adjustable="box" if d == 2 else None)
     if d == 2:
-        page.light_axes(given)
+        page.draw_light_axes(given)
     for name in "xyz"[:d]:
         getattr(given, f"set_{name}label")(f"{name} [m]", size=style.FONT, color=style.INK)
     said = describe_early_end(
@@ -140,7 +142,7 @@ def plot_curves(curves: SingularCurves, ax: Axes | None = None) -> Axes:
     return given
 
 
-def _picks(s: SingularSet) -> list[tuple[str, Array, LostAndGained]]:
+def _pick_configurations(s: SingularSet) -> list[tuple[str, Array, LostAndGained]]:
     """Titles, configurations and what is lost there, of a set: one for each of the first of its
     values.
     """
@@ -217,7 +219,7 @@ def _draw_directions(ax: Any, p: Array, local: LostAndGained, flat: bool) -> Non
             )
 
 
-def _legend(ax: Any, picks: list[tuple[str, Array, LostAndGained]]) -> None:
+def _draw_legend(ax: Any, picks: list[tuple[str, Array, LostAndGained]]) -> None:
     from matplotlib.lines import Line2D
 
     words = [w for w in COLOURS if any(len(getattr(local, w)) for _, _, local in picks)]

@@ -25,7 +25,7 @@ from kempe.spaces.two_freedoms import NEEDED, TwoFreedoms, make_two_freedoms
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.views.drawing import page, style
-from kempe.views.drawing.scene import look
+from kempe.views.drawing.scene import build_scene
 from kempe.views.singular_plot import LINES
 
 if TYPE_CHECKING:
@@ -105,22 +105,22 @@ def plot_spaces(
     name = system.structure.frame_name(frame)
     seen = find_flat_task(task, system.dim)
     spend = USUAL.complete_budget(budget)
-    targets = _targets(points, seen)
+    targets = _read_targets(points, seen)
     if not is_whole(resolution) or not COARSEST <= resolution <= FINEST:
         raise InputError(
             f"resolution is {format_value(resolution)}; it must be a whole number, {COARSEST} to "
             f"{FINEST}"
         )
     lines = read_flag(grid, "grid")
-    given = [_configurations(system, x) for x in _several(q)]
+    given = [_read_configurations(system, x) for x in _split_configurations(q)]
     dots = [x for x in given if x.ndim == 1]
     motions = [x for x in given if x.ndim == 2]
-    own = None if ax is None else page.axes_given(ax, 2)
+    own = None if ax is None else page.check_axes(ax, 2)
     space = make_two_freedoms(system, name, seen, TimeLimit(spend.time_limit))
     space.progress = spend.progress
-    curves = _singular_curves(space)
+    curves = _find_singular_curves(space)
     if own is None:
-        figure = page.new_figure(11.8, 5.0)
+        figure = page.make_figure(11.8, 5.0)
         own = figure.add_axes((0.06, 0.12, 0.36, 0.8)), figure.add_axes((0.49, 0.12, 0.36, 0.8))
     left, right = own
     every = space.make_grid(int(resolution))
@@ -128,10 +128,10 @@ def plot_spaces(
     p = space.compute_places(over, mask)
     if not mask.any():
         raise UnsupportedError(
-            f"{system.name}: no configuration was found inside the limits{_partly(space.broken)}"
+            f"{system.name}: no configuration was found inside the limits{_describe_missing_part(space.broken)}"
         )
     _shade_task_space(space, right, p, targets, int(resolution))
-    _shaded(left, every[:, 0, 0], every[0, :, 1], space.count_modes(over, mask))
+    _shade_counts(left, every[:, 0, 0], every[0, :, 1], space.count_modes(over, mask))
     _draw_limits(space, left, right)
     if has_loops(system):
         _draw_other_limits(space, left, right, over[mask])
@@ -144,16 +144,16 @@ def plot_spaces(
     for k, target in enumerate(targets):
         _draw_point(space, left, right, target, k, over[mask], p[mask])
     for k, motion in enumerate(motions):
-        _draw_motion(space, left, right, motion, k, style.curve_colour(len(targets) + k + 1))
+        _draw_motion(space, left, right, motion, k, style.choose_curve_colour(len(targets) + k + 1))
     for k, x in enumerate(dots):
         _draw_configuration(space, left, right, x, k)
-    _finish(space, left, right, curves, len(targets), motions)
+    _finish_axes(space, left, right, curves, len(targets), motions)
     if Status.INTERRUPTED in (space.broken, getattr(curves, "broken", None)):
         raise Interrupted((left, right))
     return left, right
 
 
-def _targets(points: ArrayLike, seen: FlatTask) -> Array:
+def _read_targets(points: ArrayLike, seen: FlatTask) -> Array:
     """Points as an array (k, 2). Errors: `InputError`."""
     targets = numbers(points, "points")
     targets = targets.reshape(0, 2) if not targets.size else targets
@@ -167,7 +167,7 @@ def _targets(points: ArrayLike, seen: FlatTask) -> Array:
     return targets
 
 
-def _several(q: Any) -> list[Any]:
+def _split_configurations(q: Any) -> list[Any]:
     """Configurations, lines of them and answers, one by one."""
     if q is None:
         return []
@@ -177,7 +177,7 @@ def _several(q: Any) -> list[Any]:
     return [several] if all(is_real(x) for x in several) else several
 
 
-def _configurations(system: Model, q: Any) -> Array:
+def _read_configurations(system: Model, q: Any) -> Array:
     """A configuration (nq,), or a line (n, nq) of an answer or an array, without rows that are NaN.
     Errors: `InputError`.
     """
@@ -191,7 +191,7 @@ def _configurations(system: Model, q: Any) -> Array:
     return array[np.isfinite(array).all(axis=1)]
 
 
-def nearest(
+def find_nearest(
     system: Model, frame: str, task: FlatTask, target: Array, q: Array, p: Array
 ) -> tuple[Array, Array, float]:
     """Of configurations q (..., nq) at places p (..., 2) and what `ik` finds from the nearest one:
@@ -204,19 +204,19 @@ def nearest(
     ]
     found = ik(system, task.make_constraint(frame, target), start=start).q
     finite = (x for x in (start, found) if np.isfinite(x).all())
-    tries = [(x, task.project_poses(fk(system, x, frame))) for x in finite if _closed(system, x)]
+    tries = [(x, task.project_poses(fk(system, x, frame))) for x in finite if _is_closed(system, x)]
     x, at = min(tries, key=lambda row: float(task.compute_distance(row[1], target)))
     return x, at, float(task.compute_distance(at, target))
 
 
-def _closed(system: Model, q: Array) -> bool:
+def _is_closed(system: Model, q: Array) -> bool:
     return float(np.abs(closure_error(system, q)).max(initial=0.0)) < CLOSED
 
 
 # ---- parts of the picture
 
 
-def _singular_curves(space: TwoFreedoms) -> Any:
+def _find_singular_curves(space: TwoFreedoms) -> Any:
     """The singular curves of a system with loops; None of a chain. Errors: `UnsupportedError`."""
     system = space.system
     name = space.frame
@@ -227,7 +227,7 @@ def _singular_curves(space: TwoFreedoms) -> Any:
     )
     hint = "" if system.dim == 2 else '; task may be "xy", "xz", "yz" or "direction"'
     if not has_loops(system):
-        if np.abs(_area(space, space.make_grid(COARSEST))).max() < FLAT:
+        if np.abs(_compute_area(space, space.make_grid(COARSEST))).max() < FLAT:
             raise UnsupportedError(on_curve + hint)
         return None
     from kempe.spaces.singularities import singularities
@@ -254,7 +254,7 @@ def _singular_curves(space: TwoFreedoms) -> Any:
     return curves
 
 
-def _area(space: TwoFreedoms, q: Array) -> Array:
+def _compute_area(space: TwoFreedoms, q: Array) -> Array:
     """Area (...) that the rates of both coordinates of a chain span in the task, with its sign."""
     system = space.system
     name = space.frame
@@ -271,12 +271,12 @@ def _shade_task_space(space: TwoFreedoms, ax: Any, p: Array, targets: Array, n: 
     low = np.maximum(low - room, -ends)
     high = np.minimum(high + room, ends)
     x, y = (np.linspace(float(low[i]), float(high[i]), n) for i in range(2))
-    _shaded(ax, x, y, space.count_reaching_grid(x, y))
+    _shade_counts(ax, x, y, space.count_reaching_grid(x, y))
     ax.set_xlim(x[0], x[-1])
     ax.set_ylim(y[0], y[-1])
 
 
-def _shaded(ax: Any, x: Array, y: Array, count: np.ndarray) -> None:
+def _shade_counts(ax: Any, x: Array, y: Array, count: np.ndarray) -> None:
     from matplotlib.colors import ListedColormap
 
     most = len(SHADES) - 1
@@ -310,17 +310,19 @@ def _draw_limits(space: TwoFreedoms, left: Any, right: Any) -> None:
                 gid=gid,
                 zorder=style.CURVE,
             )
-            for image in () if turns else _images(space, values):
+            for image in () if turns else _map_values(space, values):
                 right.plot(*image.T, color=style.INK, lw=1.4, gid=gid, zorder=style.CURVE)
 
 
-def _images(space: TwoFreedoms, values: Array) -> list[Array]:
+def _map_values(space: TwoFreedoms, values: Array) -> list[Array]:
     """The image (n, 2) of a line of values (n, 2) in each mode, NaN where there is none."""
     p = space.compute_places(*space.solve_line(values))
-    return [_torn(space, image) for image in np.moveaxis(p, 1, 0) if np.isfinite(image).any()]
+    return [
+        _split_at_jumps(space, image) for image in np.moveaxis(p, 1, 0) if np.isfinite(image).any()
+    ]
 
 
-def _torn(space: TwoFreedoms, line: Array) -> Array:
+def _split_at_jumps(space: TwoFreedoms, line: Array) -> Array:
     """A line (n, 2) in the task space, parted where an azimuth jumps by a turn."""
     jump = np.flatnonzero(np.abs(np.diff(line[:, 0])) > np.pi) + 1 if space.task.directional else ()
     return np.insert(line, jump, np.nan, axis=0)
@@ -370,11 +372,13 @@ def _draw_line(
     space: TwoFreedoms, left: Any, right: Any, q: Array, gid: str, marker: str = "", **look: Any
 ) -> None:
     """Draw a line of configurations (n, nq) on both sides; a `marker` on the left only."""
-    turned = _values(space, q)
+    turned = _list_values(space, q)
     jump = np.flatnonzero((np.abs(np.diff(turned, axis=0))[:, space.turns] > np.pi).any(axis=1)) + 1
     left.plot(*np.insert(turned, jump, np.nan, axis=0).T, gid=gid, marker=marker, ms=4, **look)
     right.plot(
-        *_torn(space, space.task.project_poses(fk(space.system, q, space.frame))).T, gid=gid, **look
+        *_split_at_jumps(space, space.task.project_poses(fk(space.system, q, space.frame))).T,
+        gid=gid,
+        **look,
     )
 
 
@@ -386,11 +390,11 @@ def _draw_grid(space: TwoFreedoms, left: Any, right: Any) -> None:
     for i in range(2):
         for k, at in enumerate(range(STEP, FINE - 1, STEP)):
             values = np.take(fine, at, axis=i)
-            images = _images(space, values)
+            images = _map_values(space, values)
             for ax, line in ((left, values), *((right, p) for p in images)):
                 ax.plot(
                     *line.T,
-                    color=style.link_colour(i + 1),
+                    color=style.choose_link_colour(i + 1),
                     lw=0.8,
                     gid=f"grid:{space.names[i]}:{k}",
                     zorder=style.CURVE,
@@ -418,7 +422,7 @@ def _draw_curves(space: TwoFreedoms, left: Any, right: Any, curves: Any) -> None
 
 def _draw_singular(space: TwoFreedoms, left: Any, right: Any, grid: Array) -> None:
     """Draw where the velocity of a chain's frame loses a direction, and the image of that."""
-    size = _area(space, grid)
+    size = _compute_area(space, grid)
     scale = float(np.abs(size).max())
     # a line through nodes of the grid is one, too
     size = np.where(np.abs(size) < 1e-9 * scale, 1e-9 * scale, size)
@@ -434,7 +438,11 @@ def _draw_singular(space: TwoFreedoms, left: Any, right: Any, grid: Array) -> No
     for k, line in enumerate(np.asarray(x, dtype=float) for x in lines.allsegs[0] if len(x) > 1):
         p = space.task.project_poses(fk(space.system, line, space.frame))
         right.plot(
-            *_torn(space, p).T, color=style.OPEN, lw=1.6, gid=f"singular:{k}", zorder=style.PINS
+            *_split_at_jumps(space, p).T,
+            color=style.OPEN,
+            lw=1.6,
+            gid=f"singular:{k}",
+            zorder=style.PINS,
         )
 
 
@@ -442,7 +450,7 @@ def _draw_point(
     space: TwoFreedoms, left: Any, right: Any, target: Array, k: int, every: Array, p: Array
 ) -> None:
     """Draw a place that shall be reached: its solutions, or the nearest place that is reached."""
-    colour = style.curve_colour(k + 1)
+    colour = style.choose_curve_colour(k + 1)
     number = str(k + 1)
     found = space.find_solutions(target)
     right.plot(
@@ -459,7 +467,7 @@ def _draw_point(
         number, target, xytext=(7, 5), textcoords="offset points", size=style.FONT, color=colour
     )
     for j, q in enumerate(found):
-        at = _values(space, q)
+        at = _list_values(space, q)
         left.plot(
             *at,
             "o",
@@ -476,14 +484,14 @@ def _draw_point(
         )
         _draw_arm(space, right, q, colour, f"arm:{k}:{j}", "-" if j == 0 else "--")
     if not len(found):
-        q, at, far = nearest(space.system, space.frame, space.task, target, every, p)
+        q, at, far = find_nearest(space.system, space.frame, space.task, target, every, p)
         said = (
             f"{np.degrees(far):.3g}°"
             if space.task.directional
-            else page.length_text(float(f"{far:.3g}"))
+            else page.format_length(float(f"{far:.3g}"))
         )
         left.plot(
-            *_values(space, q),
+            *_list_values(space, q),
             "X",
             ms=8,
             color=colour,
@@ -520,7 +528,10 @@ def _draw_motion(space: TwoFreedoms, left: Any, right: Any, q: Array, k: int, co
     if not len(q):
         return
     _draw_line(space, left, right, q, f"path:{k}", color=colour, lw=2.0, zorder=style.TEXT)
-    begins = _values(space, q[0]), space.task.project_poses(fk(space.system, q[0], space.frame))
+    begins = (
+        _list_values(space, q[0]),
+        space.task.project_poses(fk(space.system, q[0], space.frame)),
+    )
     for ax, place in zip((left, right), begins, strict=True):
         ax.plot(
             *place,
@@ -537,7 +548,7 @@ def _draw_motion(space: TwoFreedoms, left: Any, right: Any, q: Array, k: int, co
 def _draw_configuration(space: TwoFreedoms, left: Any, right: Any, q: Array, k: int) -> None:
     """Draw a configuration (nq,) as a dot on both sides, with its arm on the right."""
     place = space.task.project_poses(fk(space.system, q, space.frame))
-    for ax, at in ((left, _values(space, q)), (right, place)):
+    for ax, at in ((left, _list_values(space, q)), (right, place)):
         ax.plot(
             *at,
             "o",
@@ -551,7 +562,7 @@ def _draw_configuration(space: TwoFreedoms, left: Any, right: Any, q: Array, k: 
     _draw_arm(space, right, q, style.INK, f"configuration:{k}:arm", "-")
 
 
-def _values(space: TwoFreedoms, q: Array) -> Array:
+def _list_values(space: TwoFreedoms, q: Array) -> Array:
     """Where configurations (..., nq) are on the left (..., 2)."""
     at = q[..., space.columns]
     return np.where(space.turns, space.low + np.mod(at - space.low, 2.0 * np.pi), at)
@@ -567,7 +578,7 @@ def _draw_arm(space: TwoFreedoms, ax: Any, q: Array, colour: str, gid: str, line
     if not axes:
         return
     if space.modes:
-        scene = look(system, q)
+        scene = build_scene(system, q)
         bars = {link.name: scene.points(link) for link in scene.links[1:]}
         bars |= {
             j.name: np.array([j.F[:3, 3], j.M[:3, 3]])
@@ -618,13 +629,13 @@ def _draw_arm(space: TwoFreedoms, ax: Any, q: Array, colour: str, gid: str, line
     )
 
 
-def _finish(
+def _finish_axes(
     space: TwoFreedoms, left: Any, right: Any, curves: Any, first: int, motions: list[Array]
 ) -> None:
     """Say what the axes, the shades and the lines are."""
     unit = list_units(space.system)
     for ax in (left, right):
-        page.light_axes(ax)
+        page.draw_light_axes(ax)
         ax.ticklabel_format(style="sci", scilimits=(-3, 4))
     for i, (limits, label) in enumerate(
         ((left.set_xlim, left.set_xlabel), (left.set_ylim, left.set_ylabel))
@@ -638,7 +649,7 @@ def _finish(
     left.set_title("configuration space", size=style.FONT + 1, color=style.INK)
     said = f"task space: {space.task.describe_task(space.frame)}{'' if space.complete else ', as found'}"
     right.set_title(said, size=style.FONT + 1, color=style.INK)
-    if said := _partly(space.broken, getattr(curves, "broken", None)):
+    if said := _describe_missing_part(space.broken, getattr(curves, "broken", None)):
         left.text(
             0.0,
             -0.14,
@@ -650,9 +661,9 @@ def _finish(
         )
     right.legend(
         handles=[
-            *_shade_entries(space, left, right),
-            *_line_entries(space, curves),
-            *_path_entries(first, len(motions)),
+            *_list_shade_entries(space, left, right),
+            *_list_line_entries(space, curves),
+            *_list_path_entries(first, len(motions)),
         ],
         loc="upper left",
         bbox_to_anchor=(1.03, 1.0),
@@ -661,12 +672,12 @@ def _finish(
     )
 
 
-def _partly(*broken: Status | None) -> str:
+def _describe_missing_part(*broken: Status | None) -> str:
     """That something is missing, '' where nothing broke the work off."""
     return describe_early_end(Status.INTERRUPTED in broken, Status.OUT_OF_TIME in broken)
 
 
-def _shade_entries(space: TwoFreedoms, left: Any, right: Any) -> list[Any]:
+def _list_shade_entries(space: TwoFreedoms, left: Any, right: Any) -> list[Any]:
     """Entries of the legend about the shades that are seen."""
     from matplotlib.patches import Patch
 
@@ -689,7 +700,7 @@ def _shade_entries(space: TwoFreedoms, left: Any, right: Any) -> list[Any]:
     return [Patch(fc=SHADES[k], ec=style.FAINT, label=words[k]) for k in count]
 
 
-def _line_entries(space: TwoFreedoms, curves: Any) -> list[Any]:
+def _list_line_entries(space: TwoFreedoms, curves: Any) -> list[Any]:
     """Entries of the legend about lines."""
     from matplotlib.lines import Line2D
 
@@ -705,12 +716,12 @@ def _line_entries(space: TwoFreedoms, curves: Any) -> list[Any]:
     return entries
 
 
-def _path_entries(first: int, count: int) -> list[Any]:
+def _list_path_entries(first: int, count: int) -> list[Any]:
     """Entries of the legend about paths, whose colours come after those of so many points."""
     from matplotlib.lines import Line2D
 
     names = ["path"] if count == 1 else [f"path {k + 1}" for k in range(count)]
     return [
-        Line2D([], [], color=style.curve_colour(first + k + 1), lw=2.0, label=name)
+        Line2D([], [], color=style.choose_curve_colour(first + k + 1), lw=2.0, label=name)
         for k, name in enumerate(names)
     ]

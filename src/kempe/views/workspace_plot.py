@@ -60,11 +60,11 @@ def plot_workspace(workspace: Workspace, at: Any = None, ax: Any = None) -> Any:
     if d == 2:
         if at is not None:
             raise InputError("at is for slices of a workspace in space")
-        axes = page.new_figure(5.6, 4.6).add_subplot() if ax is None else page.axes_given(ax)[0]
-        _slice(workspace, axes, counts, 0, 1, counts.max(initial=1))
-        _bar(workspace, axes, [axes])
+        axes = page.make_figure(5.6, 4.6).add_subplot() if ax is None else page.check_axes(ax)[0]
+        _draw_slice(workspace, axes, counts, 0, 1, counts.max(initial=1))
+        _add_colour_bar(workspace, axes, [axes])
         for piece in workspace.outline:
-            p = shapes.piece_points(piece)
+            p = shapes.sample_piece(piece)
             axes.plot(np.real(p), np.imag(p), color=style.OPEN, linewidth=1.2, gid="boundary")
         return axes
     point = numbers(at, "at", 3) if at is not None else workspace.map.points.mean(axis=0)
@@ -72,17 +72,17 @@ def plot_workspace(workspace: Workspace, at: Any = None, ax: Any = None) -> Any:
     if point.shape != (3,) or not inside:
         raise InputError(f"at is {at!r}; it must be one point (3,) inside the box")
     if ax is None:
-        figure = page.new_figure(11.0, 3.4)
+        figure = page.make_figure(11.0, 3.4)
         figure.set_layout_engine("constrained")
         axes = figure.subplots(1, 3)
     else:
-        axes = page.axes_given(ax, 3)
+        axes = page.check_axes(ax, 3)
     layers = [np.take(counts, place[cut], axis=cut) for *_, cut in PAIRS]
     most = max(int(layer.max(initial=1)) for layer in layers)
     for one, layer, (right, up, cut) in zip(axes, layers, PAIRS, strict=True):
-        _slice(workspace, one, layer, right, up, most)
+        _draw_slice(workspace, one, layer, right, up, most)
         if workspace.exact is not None:
-            _outline(
+            _draw_outline(
                 workspace.exact,
                 one,
                 (right, up),
@@ -93,13 +93,16 @@ def plot_workspace(workspace: Workspace, at: Any = None, ax: Any = None) -> Any:
         # what rounding leaves of a middle at zero
         here = here if abs(here) > 1e-6 * grid.size[cut] else 0.0
         one.set_title(
-            f"{name} = {here:.3g}{_unit(workspace, name)}", size=style.FONT, color=style.INK, pad=11
+            f"{name} = {here:.3g}{_format_unit(workspace, name)}",
+            size=style.FONT,
+            color=style.INK,
+            pad=11,
         )
-    _bar(workspace, axes[0], list(axes))
+    _add_colour_bar(workspace, axes[0], list(axes))
     return axes
 
 
-def _slice(
+def _draw_slice(
     workspace: Workspace, ax: Axes, counts: np.ndarray, right: int, up: int, most: int
 ) -> None:
     """Draw the counts of one slice, and the line around its cells with samples."""
@@ -119,11 +122,12 @@ def _slice(
         gid="counts",
     )
     filled = np.pad(counts > 0, 1).astype(float).T
-    x, y = (_around(grid.list_centres(names[k]), float(grid.size[k])) for k in (right, up))
+    x, y = (_add_outer_cells(grid.list_centres(names[k]), float(grid.size[k])) for k in (right, up))
     if filled.any() and workspace.exact is None:
         ax.contour(x, y, filled, levels=[0.5], colors=style.INK, linewidths=0.8)
     units = {
-        name: f" [{unit}]" if (unit := _unit(workspace, name).strip()) else "" for name in names
+        name: f" [{unit}]" if (unit := _format_unit(workspace, name).strip()) else ""
+        for name in names
     }
     ax.set_xlabel(f"{names[right]}{units[names[right]]}", size=style.FONT, color=style.INK)
     ax.set_ylabel(f"{names[up]}{units[names[up]]}", size=style.FONT, color=style.INK)
@@ -132,7 +136,7 @@ def _slice(
     ax.set_aspect("equal" if workspace.map.unit == "m" else "auto")
 
 
-def _outline(exact: Any, ax: Axes, axes: tuple[int, int], here: float) -> None:
+def _draw_outline(exact: Any, ax: Axes, axes: tuple[int, int], here: float) -> None:
     """Draw the boundary of an exact solid where a slice cuts it, by which points of a fine grid are
     inside.
     """
@@ -148,16 +152,16 @@ def _outline(exact: Any, ax: Axes, axes: tuple[int, int], here: float) -> None:
         lines.set_gid("boundary")
 
 
-def _unit(workspace: Workspace, axis: str) -> str:
+def _format_unit(workspace: Workspace, axis: str) -> str:
     return "" if axis == "height" else f" {workspace.map.unit}"
 
 
-def _around(middles: Array, size: float) -> Array:
+def _add_outer_cells(middles: Array, size: float) -> Array:
     """Middles of cells with one more on each side."""
     return np.concatenate([[middles[0] - size], middles, [middles[-1] + size]])
 
 
-def _bar(workspace: Workspace, first: Axes, axes: list[Any]) -> None:
+def _add_colour_bar(workspace: Workspace, first: Axes, axes: list[Any]) -> None:
     """Add a bar that says what colours mean; none where a place is reached or not."""
     question = workspace.question
     shown = first.images[0]
@@ -177,9 +181,9 @@ def plot_planar(workspace: PlanarWorkspace, ax: Axes | None = None) -> Axes:
     """Matplotlib axes with the regions, darker where there are more solutions, and the boundary."""
     own = ax is None
     ax = (
-        page.new_figure(4.6, 4.6).add_axes((0.16, 0.12, 0.8, 0.78))
+        page.make_figure(4.6, 4.6).add_axes((0.16, 0.12, 0.8, 0.78))
         if ax is None
-        else page.axes_given(ax)[0]
+        else page.check_axes(ax)[0]
     )
     for region in workspace.regions:
         shade = max(0.8 * 0.8 ** ((region.solutions or 1) - 1), 0.15)
@@ -190,29 +194,31 @@ def plot_planar(workspace: PlanarWorkspace, ax: Axes | None = None) -> Axes:
         )
         ax.add_patch(
             PathPatch(
-                shapes.region_outline(region),
+                shapes.make_region_outline(region),
                 facecolor=(0.9 * shade, shade, 1.0),
                 edgecolor="none",
                 label=label,
             )
         )
     for piece in workspace.boundary:
-        p = shapes.piece_points(piece)
+        p = shapes.sample_piece(piece)
         ax.plot(np.real(p), np.imag(p), color="0.15", linewidth=1.2)
     ax.set_aspect("equal")
-    page.light_axes(ax)
+    page.draw_light_axes(ax)
     ax.set_xlabel("x [m]", size=style.FONT, color=style.INK)
     ax.set_ylabel("y [m]", size=style.FONT, color=style.INK)
     ax.set_title(
         f"{workspace.frame}: {workspace.area:.4g} m²", size=style.FONT + 1, color=style.INK
     )
     if workspace.regions:
-        page.legend(ax, own)
+        page.draw_legend(ax, own)
     return ax
 
 
-def _picture(ax: Axes | None, x: Array, y: Array, values: Array, labels: tuple[str, str]) -> Axes:
-    ax = page.new_figure().add_subplot() if ax is None else page.axes_given(ax)[0]
+def _draw_picture(
+    ax: Axes | None, x: Array, y: Array, values: Array, labels: tuple[str, str]
+) -> Axes:
+    ax = page.make_figure().add_subplot() if ax is None else page.check_axes(ax)[0]
     drawn = ax.pcolormesh(x, y, values.T, vmin=0.0, vmax=1.0, cmap="viridis", shading="nearest")
     ax.figure.colorbar(drawn, ax=ax, label="fraction reached")
     ax.set_xlabel(labels[0])
@@ -251,7 +257,7 @@ def plot_reach(study: ReachStudy, ax: Axes | None = None) -> Axes:
             line[0].set_gid(f"poses:{name}")
     _show_all(drawn, points[np.isfinite(points).all(axis=1), :dim], ax is None)
     if len(points):
-        page.legend(drawn, ax is None)
+        page.draw_legend(drawn, ax is None)
     return drawn
 
 
@@ -266,7 +272,7 @@ def _show_all(ax: Any, points: Array, own: bool) -> None:
     limits[:, 1] = np.maximum(limits[:, 1], points.max(axis=0, initial=-np.inf) + margin)
     ax.set(**{f"{name}lim": pair for name, pair in zip(names, limits, strict=True)})
     if len(names) == 3:
-        (space.fit if own else space.aspect)(ax)
+        (space.fit_figure if own else space.set_aspect)(ax)
 
 
 def plot_placement(found: BasePlacement, ax: Axes | None = None) -> Axes:
@@ -280,13 +286,13 @@ def plot_placement(found: BasePlacement, ax: Axes | None = None) -> Axes:
     units = [f"{n} [{'rad' if n == 'yaw' else 'm'}]" for n in names]
     x = found.axes[names[0]]
     if len(names) == 1:
-        ax = page.new_figure().add_subplot() if ax is None else page.axes_given(ax)[0]
+        ax = page.make_figure().add_subplot() if ax is None else page.check_axes(ax)[0]
         ax.plot(x, found.fraction, ".-", color=style.MOTION)
         ax.set(xlabel=units[0], ylabel="fraction reached", ylim=(-0.05, 1.05))
         best = (x[index[0]], found.fraction[index])
     else:
         y = found.axes[names[1]]
-        ax = _picture(
+        ax = _draw_picture(
             ax, x, y, found.fraction[(slice(None), slice(None), *index[2:])], (units[0], units[1])
         )
         best = (x[index[0]], y[index[1]])
@@ -311,7 +317,7 @@ def plot_capability(
         k = len(z) // 2 if height is None else int(np.argmin(np.abs(z - height)))
         values = values[..., k]
         title = f"{title}, z = {z[k]:.3g} m"
-    ax = _picture(ax, found.axes[0], found.axes[1], values, ("x [m]", "y [m]"))
+    ax = _draw_picture(ax, found.axes[0], found.axes[1], values, ("x [m]", "y [m]"))
     ax.set_aspect("equal")
     ax.set_title(title)
     return ax

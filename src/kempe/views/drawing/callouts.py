@@ -14,8 +14,13 @@ from kempe.forward.fk import fk
 from kempe.joints import P, Primitive, Q, R
 from kempe.spatial import Array
 from kempe.views.drawing import shapes, style, symbols
-from kempe.views.drawing.planar import Sheet, flat
-from kempe.views.drawing.plot_request import Subject, length_name, lengths_by_name, subscript
+from kempe.views.drawing.planar import Sheet, project_to_plane
+from kempe.views.drawing.plot_request import (
+    Subject,
+    choose_subscript,
+    list_named_lengths,
+    name_length,
+)
 from kempe.views.drawing.scene import SeenJoint, SeenLink
 from kempe.views.drawing.solids import Solids, hull
 from kempe.views.drawing.style import GROUND, INK, MOTION
@@ -27,48 +32,50 @@ NOTHING = 0.02
 """Angles up to this have no arc [rad]."""
 
 
-def draw(sheet: Sheet, subject: Subject) -> None:
+def draw_callouts(sheet: Sheet, subject: Subject) -> None:
     """Draw all that the options want beside the system itself; labels are only collected."""
     options = subject.options
     if options.motion:
         for joint in sheet.scene.joints:
-            freedoms(sheet, joint)
+            draw_freedoms(sheet, joint)
     if options.dimensions:
         for link in sheet.scene.links:
-            _dimensions(sheet, subject, link)
+            _draw_dimensions(sheet, subject, link)
     if options.angles:
         for joint in sheet.scene.joints:
-            _angle(sheet, subject, joint)
+            _draw_coordinate(sheet, subject, joint)
         if not isinstance(options.angles, bool):
-            _way_to(sheet, subject, subject.system.structure.frame_name(options.angles))
+            _draw_line_to_frame(sheet, subject, subject.system.structure.frame_name(options.angles))
     if "bodies" in options.words:
         for link in sheet.scene.links:
-            _body(sheet, subject, link)
+            _label_body(sheet, subject, link)
 
 
 # ---- names of bodies
 
 
-def _body(sheet: Sheet, subject: Subject, link: SeenLink) -> None:
+def _label_body(sheet: Sheet, subject: Subject, link: SeenLink) -> None:
     """Collect the name of a link, in its colour, at its middle."""
-    p = flat(sheet.scene.points(link))
+    p = project_to_plane(sheet.scene.points(link))
     text = subject.body_text(link)
-    colour = style.mix(style.link_colour(link.number), INK, 0.35)
+    colour = style.mix_colours(style.choose_link_colour(link.number), INK, 0.35)
     look = {"gid": f"label:body:{text}", "color": colour, "weight": "bold"}
     if link.ground:
-        grounded = [flat(j.on(0)) for j in sheet.scene.joints if 0 in (j.parent, j.child)]
+        grounded = [
+            project_to_plane(j.on(0)) for j in sheet.scene.joints if 0 in (j.parent, j.child)
+        ]
         p = np.array(grounded[:1]) if grounded else p
         down = np.array([0.0, -1.0]) * (style.GROUND_HEIGHT + 1.0) * sheet.r
         p = p + down
     if not len(p):
-        p = flat(next(iter(link.bodies.values())))[None]
+        p = project_to_plane(next(iter(link.bodies.values())))[None]
     sheet.labels.append((text, p.mean(axis=0), 0.9 * sheet.r, look))
 
 
 # ---- angles and lengths of coordinates
 
 
-def _angle(sheet: Sheet, subject: Subject, joint: SeenJoint) -> None:
+def _draw_coordinate(sheet: Sheet, subject: Subject, joint: SeenJoint) -> None:
     """Draw the arc of an angle from x of F to x of M, or the length that a joint slides by."""
     names = subject.coordinates(joint)
     if len(names) != 1 or len(joint.motions) != 1:
@@ -77,14 +84,18 @@ def _angle(sheet: Sheet, subject: Subject, joint: SeenJoint) -> None:
     text = subject.measured_text(names[0])
     gid = f"angle:{joint.name}"
     if joint.motions[0].kind == P:
-        _dimension(sheet, flat(joint.F), flat(joint.M), text, gid, style.DRIVER)
+        _draw_dimension(
+            sheet, project_to_plane(joint.F), project_to_plane(joint.M), text, gid, style.DRIVER
+        )
         return
     turned = np.sign(joint.F[2, 2]) * value
     start = float(np.arctan2(joint.F[1, 0], joint.F[0, 0]))
-    used = sum(bool(np.linalg.norm(c - flat(joint.M)) < 0.3 * sheet.r) for c in sheet.arcs)
-    arc(
+    used = sum(
+        bool(np.linalg.norm(c - project_to_plane(joint.M)) < 0.3 * sheet.r) for c in sheet.arcs
+    )
+    draw_angle(
         sheet,
-        flat(joint.M),
+        project_to_plane(joint.M),
         start,
         start + float(np.fmod(turned, 2 * np.pi)),
         text,
@@ -93,7 +104,7 @@ def _angle(sheet: Sheet, subject: Subject, joint: SeenJoint) -> None:
     )
 
 
-def arc(
+def draw_angle(
     sheet: Sheet,
     c: Array,
     start: float,
@@ -117,7 +128,7 @@ def arc(
         )
     middle = 0.5 * (start + stop)
     if abs(stop - start) > NOTHING:
-        points, head = shapes.arc(
+        points, head = shapes.make_arc(
             c, size, start, stop, min(1.3 * r, 0.6 * size * abs(stop - start))
         )
         sheet.line(points, gid, style.ARROWS, lw=1.1, color=colour)
@@ -130,15 +141,15 @@ def arc(
     )
 
 
-def _way_to(sheet: Sheet, subject: Subject, frame: str) -> None:
+def _draw_line_to_frame(sheet: Sheet, subject: Subject, frame: str) -> None:
     """Draw the line from the first joint to a frame, its angle alpha from the ground, beta from the
     first link.
     """
     first = next((j for j in sheet.scene.joints if j.parent == 0 and j.kind == "revolute"), None)
     if first is None:
         return
-    c = flat(first.M)
-    tip = flat(fk(subject.system, sheet.scene.q, frame))
+    c = project_to_plane(first.M)
+    tip = project_to_plane(fk(subject.system, sheet.scene.q, frame))
     sheet.line(
         np.array([c, tip]),
         f"way:{frame}",
@@ -149,20 +160,20 @@ def _way_to(sheet: Sheet, subject: Subject, frame: str) -> None:
     link = float(np.arctan2(first.M[1, 0], first.M[0, 0]))
     line = float(np.arctan2(*(tip - c)[::-1]))
     alpha, beta = (float((x + np.pi) % (2 * np.pi) - np.pi) for x in (line - zero, line - link))
-    arc(sheet, c, zero, zero + alpha, r"$\alpha$", "angle:alpha", ARC + 2.6, style.DRIVER)
-    arc(sheet, c, link, link + beta, r"$\beta$", "angle:beta", ARC + 5.4, MOTION)
+    draw_angle(sheet, c, zero, zero + alpha, r"$\alpha$", "angle:alpha", ARC + 2.6, style.DRIVER)
+    draw_angle(sheet, c, link, link + beta, r"$\beta$", "angle:beta", ARC + 5.4, MOTION)
 
 
 # ---- lengths of links
 
 
-def _dimensions(sheet: Sheet, subject: Subject, link: SeenLink) -> None:
+def _draw_dimensions(sheet: Sheet, subject: Subject, link: SeenLink) -> None:
     """Draw the lengths between the joints and frames of a link, along its sides."""
-    p = flat(sheet.scene.points(link))
+    p = project_to_plane(sheet.scene.points(link))
     if link.ground:
         p = np.array(
             [
-                flat(j.on(0))
+                project_to_plane(j.on(0))
                 for j in sheet.scene.joints
                 if 0 in (j.parent, j.child) and j.kind == "revolute"
             ]
@@ -171,16 +182,16 @@ def _dimensions(sheet: Sheet, subject: Subject, link: SeenLink) -> None:
     pairs = list(zip(corners, np.roll(corners, -1, axis=0), strict=True))[
         : 1 if len(corners) == 2 else None
     ]
-    known = lengths_by_name(subject.system, link.bodies)
+    known = list_named_lengths(subject.system, link.bodies)
     for k, (a, b) in enumerate(pairs):
         length = float(np.linalg.norm(b - a))
         if length > 4.0 * sheet.r:
-            _dimension(
-                sheet, a, b, length_name(known, length), f"dimension:{link.name}:{k}", GROUND
+            _draw_dimension(
+                sheet, a, b, name_length(known, length), f"dimension:{link.name}:{k}", GROUND
             )
 
 
-def _dimension(sheet: Sheet, a: Array, b: Array, text: str, gid: str, colour: str) -> None:
+def _draw_dimension(sheet: Sheet, a: Array, b: Array, text: str, gid: str, colour: str) -> None:
     """Draw a length beside a line, with an arrow head at both ends, on the side where there is more
     room.
     """
@@ -207,7 +218,7 @@ def _dimension(sheet: Sheet, a: Array, b: Array, text: str, gid: str, colour: st
         )
     sheet.line(np.array([p, q]), gid, style.RAILS, **{**THIN, "color": colour})
     for tip, way in ((p, -along), (q, along)):
-        head = shapes.arrow_head(tip, way, min(1.2 * r, 0.4 * length))
+        head = shapes.make_arrow_head(tip, way, min(1.2 * r, 0.4 * length))
         sheet.patch(head, f"{gid}:head", style.RAILS, fc=colour, ec="none")
     sheet.obstacles.segment(p, q, 0.6 * r)
     look = {"gid": f"label:{gid}", "color": colour, "style": "italic"}
@@ -217,30 +228,30 @@ def _dimension(sheet: Sheet, a: Array, b: Array, text: str, gid: str, colour: st
 # ---- arrows of motion
 
 
-def freedoms(sheet: Sheet, joint: SeenJoint) -> None:
+def draw_freedoms(sheet: Sheet, joint: SeenJoint) -> None:
     """Draw an arrow with two heads for each freedom of a joint: round it, or along what it slides
     on.
     """
     r = sheet.r
-    c = flat(sheet.scene.seat(joint, sheet.r))
+    c = project_to_plane(sheet.scene.seat(joint, sheet.r))
     gid = f"motion:{joint.name}"
     for k, p in enumerate(joint.motions):
         if p.kind == P:
             along = joint.F[:2, "xyz".index(p.axis)]
             side = np.array([-along[1], along[0]]) * (1.0 if along[0] >= 0 else -1.0)
             middle = c + (2.6 if joint.kind == "prismatic" else 0.0) * r * side
-            _both_ways(
+            _draw_double_arrow(
                 sheet, np.array([middle - 4.0 * r * along, middle + 4.0 * r * along]), f"{gid}:{k}"
             )
             continue
-        start = _free_direction(sheet, c, 3.2 * r)
+        start = _find_free_direction(sheet, c, 3.2 * r)
         angles = np.linspace(start, start + float(np.deg2rad(120.0)), 30)
-        _both_ways(
+        _draw_double_arrow(
             sheet, c + 3.2 * r * np.stack([np.cos(angles), np.sin(angles)], axis=1), f"{gid}:{k}"
         )
 
 
-def _free_direction(sheet: Sheet, c: Array, radius: float) -> float:
+def _find_free_direction(sheet: Sheet, c: Array, radius: float) -> float:
     """Where an arc of 120 degrees round c begins that covers least."""
     costs: list[tuple[float, float]] = []
     start: float
@@ -253,13 +264,13 @@ def _free_direction(sheet: Sheet, c: Array, radius: float) -> float:
     return min(costs)[1]
 
 
-def _both_ways(sheet: Sheet, line: Array, gid: str) -> None:
+def _draw_double_arrow(sheet: Sheet, line: Array, gid: str) -> None:
     """Draw a line (n, 2) with an arrow head at both ends."""
     sheet.line(line, gid, style.ARROWS, color=MOTION, lw=1.7, solid_capstyle="butt")
     for tip, before in ((line[0], line[1]), (line[-1], line[-2])):
         way = (tip - before) / max(float(np.linalg.norm(tip - before)), 1e-300)
         sheet.patch(
-            shapes.arrow_head(tip + 0.9 * sheet.r * way, way, 1.5 * sheet.r),
+            shapes.make_arrow_head(tip + 0.9 * sheet.r * way, way, 1.5 * sheet.r),
             f"{gid}:head",
             style.ARROWS,
             fc=MOTION,
@@ -276,35 +287,38 @@ ARC_IN_SPACE = 4.5
 """Radius of the arc of an angle."""
 
 
-def texts(subject: Subject, mark: float) -> list[Text]:
+def list_texts(subject: Subject, mark: float) -> list[Text]:
     """What is written beside names of joints and frames; `mark` is the length of drawn axes [m]."""
     options = subject.options
     scene = subject.scene
     out: list[Text] = []
     for name, X in subject.axes.items():
-        below = subscript(subject.system, name)
+        below = choose_subscript(subject.system, name)
         for k, axis in enumerate("xyz"):
-            look = {"color": style.mix(style.AXES[k], INK, 0.3), "gid": f"label:{name}:{axis}"}
+            look = {
+                "color": style.mix_colours(style.AXES[k], INK, 0.3),
+                "gid": f"label:{name}:{axis}",
+            }
             out.append((X[:3, 3] + 1.1 * mark * X[:3, k], f"${axis}{below}$", look))
     for link in scene.links if "bodies" in options.words or options.dimensions else ():
-        lines = list(symbols.lines_of(scene, link)) if not link.ground else []
-        colour = style.mix(style.link_colour(link.number), INK, 0.35)
-        longest = max(lines, key=_length, default=scene.points(link)[:1])
-        at = _middle(longest) if len(longest) else next(iter(link.bodies.values()))[:3, 3]
+        lines = list(symbols.list_link_lines(scene, link)) if not link.ground else []
+        colour = style.mix_colours(style.choose_link_colour(link.number), INK, 0.35)
+        longest = max(lines, key=_compute_length, default=scene.points(link)[:1])
+        at = _find_middle(longest) if len(longest) else next(iter(link.bodies.values()))[:3, 3]
         if "bodies" in options.words:
             text = subject.body_text(link)
             out.append((at, text, {"color": colour, "weight": "bold", "gid": f"label:body:{text}"}))
         # a handle has no length
         if options.dimensions and not link.ground and len(scene.points(link)) > 1:
-            known = lengths_by_name(subject.system, link.bodies)
-            for k, line in enumerate(side for one in lines for side in _sides(one)):
-                text = length_name(known, float(np.linalg.norm(line[-1] - line[0])))
+            known = list_named_lengths(subject.system, link.bodies)
+            for k, line in enumerate(side for one in lines for side in _split_polyline(one)):
+                text = name_length(known, float(np.linalg.norm(line[-1] - line[0])))
                 look = {
                     "color": GROUND,
                     "style": "italic",
                     "gid": f"label:dimension:{link.name}:{k}",
                 }
-                out.append((_middle(line), text, look))
+                out.append((_find_middle(line), text, look))
     scenes = (scene, *subject.others) if subject.others else ()
     out += subject.names_at(
         [np.concatenate([s.points(link) for link in s.links[1:]]) for s in scenes]
@@ -312,7 +326,7 @@ def texts(subject: Subject, mark: float) -> list[Text]:
     return out
 
 
-def _sides(line: Array) -> list[Array]:
+def _split_polyline(line: Array) -> list[Array]:
     """The sides (2, 3) of a closed polyline (n, 3), or an open one as it is."""
     return (
         [line[k : k + 2] for k in range(len(line) - 1)]
@@ -321,11 +335,11 @@ def _sides(line: Array) -> list[Array]:
     )
 
 
-def _length(line: Array) -> float:
+def _compute_length(line: Array) -> float:
     return float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
 
 
-def _middle(line: Array) -> Array:
+def _find_middle(line: Array) -> Array:
     """The middle (3,) of the longest piece of a polyline (n, 3)."""
     if len(line) < 2:
         return line[0]
@@ -333,7 +347,7 @@ def _middle(line: Array) -> Array:
     return 0.5 * (line[k] + line[k + 1])
 
 
-def angles(ax: Any, subject: Subject, r: float) -> list[Text]:
+def draw_angles_in_space(ax: Any, subject: Subject, r: float) -> list[Text]:
     """Draw the arc of each angle from x of F to x of M, and the way of each slide; their names with
     their points.
     """
@@ -370,12 +384,12 @@ def angles(ax: Any, subject: Subject, r: float) -> list[Text]:
     return out
 
 
-def freedoms_in_space(solids: Solids, j: SeenJoint, r: float) -> list[Array]:
+def draw_freedoms_in_space(solids: Solids, j: SeenJoint, r: float) -> list[Array]:
     """Arrows with two heads, added for each freedom of a joint: round the axis that it turns about,
     or along it.
     """
     lines: list[Any] = []
-    for kind, name in ((k, a) for p in j.motions for k, a in _single(p)):
+    for kind, name in ((k, a) for p in j.motions for k, a in _split_freedoms(p)):
         axis = j.F[:3, "xyz".index(name)]
         x, y = (j.F[:3, ("xyz".index(name) + n) % 3] for n in (1, 2))
         if kind == P:
@@ -390,6 +404,6 @@ def freedoms_in_space(solids: Solids, j: SeenJoint, r: float) -> list[Array]:
     return lines
 
 
-def _single(p: Primitive) -> list[tuple[int, str]]:
+def _split_freedoms(p: Primitive) -> list[tuple[int, str]]:
     """The single freedoms of a motion, as kind and axis: a ball turns about all axes."""
     return [(R, axis) for axis in "xyz"] if p.kind == Q else [(p.kind, p.axis)]

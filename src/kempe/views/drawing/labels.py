@@ -24,7 +24,7 @@ WIDEST = 44
 """Letters of one name in a picture, and of one line of several."""
 
 
-def shortened(text: str) -> str:
+def shorten_label(text: str) -> str:
     """A text as a picture has room for it: names that are too long keep both ends, several have
     lines.
     """
@@ -46,13 +46,13 @@ def shortened(text: str) -> str:
     return "\n".join(lines)
 
 
-def fitting(sentence: str) -> str:
+def fit_sentence(sentence: str) -> str:
     """A sentence for a narrow panel: words that are too long keep both ends."""
-    return " ".join(shortened(word) for word in sentence.split(" "))
+    return " ".join(shorten_label(word) for word in sentence.split(" "))
 
 
 @lru_cache(maxsize=4096)
-def extent(text: str, points: float, bold: bool = False) -> tuple[float, float]:
+def measure_text(text: str, points: float, bold: bool = False) -> tuple[float, float]:
     """Width and height of a text in points (1/72 inch) at a font size, the same for all texts of
     one line.
     """

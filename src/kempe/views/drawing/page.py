@@ -25,15 +25,15 @@ HEIGHT = (2.4, 6.6)
 """Least and largest size of a drawing in inches."""
 
 
-def new_figure(width: float = 6.4, height: float = 4.8) -> Figure:
+def make_figure(width: float = 6.4, height: float = 4.8) -> Figure:
     """An empty figure; sizes in inches. Where matplotlib's pyplot is in use, in a notebook, too, it
     is one of its own.
 
     Then `show` shows it, and a notebook that a cell drew it; else no window and no global state
     knows of it.
     """
-    if "matplotlib.pyplot" not in sys.modules and not _in_notebook():
-        return bare_figure(width, height)
+    if "matplotlib.pyplot" not in sys.modules and not _is_in_notebook():
+        return make_bare_figure(width, height)
     from matplotlib import pyplot
 
     with warnings.catch_warnings():
@@ -41,13 +41,13 @@ def new_figure(width: float = 6.4, height: float = 4.8) -> Figure:
         return pyplot.figure(figsize=(width, height), facecolor="white")
 
 
-def _in_notebook() -> bool:
+def _is_in_notebook() -> bool:
     """Whether this is the kernel of a notebook."""
     shell = sys.modules.get("IPython")
     return shell is not None and hasattr(shell.get_ipython(), "kernel")
 
 
-def axes_given(ax: Any, count: int = 1) -> tuple[Axes, ...]:
+def check_axes(ax: Any, count: int = 1) -> tuple[Axes, ...]:
     """The `count` matplotlib axes that a caller gave to draw on; `InputError` for anything else."""
     given = tuple(np.ravel(np.array(ax, dtype=object)))
     if len(given) != count or not all(isinstance(one, Axes) for one in given):
@@ -61,16 +61,16 @@ def axes_given(ax: Any, count: int = 1) -> tuple[Axes, ...]:
     return given
 
 
-def bare_figure(width: float = 6.4, height: float = 4.8) -> Figure:
+def make_bare_figure(width: float = 6.4, height: float = 4.8) -> Figure:
     """An empty figure that no window and no global state knows of; sizes in inches."""
     figure = Figure(figsize=(width, height), facecolor="white")
     FigureCanvasAgg(figure)
     return figure
 
 
-def curve(sheet: Sheet, name: str, points: Array, here: Array | None, number: int) -> None:
+def draw_curve(sheet: Sheet, name: str, points: Array, here: Array | None, number: int) -> None:
     """Draw the coupler curve (n, 2) of a frame, and a marker where the frame is now."""
-    colour = style.curve_colour(number)
+    colour = style.choose_curve_colour(number)
     sheet.line(
         points,
         f"curve:{name}",
@@ -96,7 +96,7 @@ def curve(sheet: Sheet, name: str, points: Array, here: Array | None, number: in
         )
 
 
-def limits(sheet: Sheet, room: float = 4.0) -> tuple[Array, Array]:
+def compute_limits(sheet: Sheet, room: float = 4.0) -> tuple[Array, Array]:
     """Lower left and upper right corner of all that is drawn, with room of some pin radii for the
     labels.
     """
@@ -106,8 +106,8 @@ def limits(sheet: Sheet, room: float = 4.0) -> tuple[Array, Array]:
     return lower, upper
 
 
-def figure_for(
-    span: Array, with_axes: bool, above: float = 0.0, make: Callable[..., Figure] = new_figure
+def make_axes(
+    span: Array, with_axes: bool, above: float = 0.0, make: Callable[..., Figure] = make_figure
 ) -> Axes:
     """Axes in a new figure whose shape suits a drawing of a span (2,) in metres, with some inches
     left above it.
@@ -128,41 +128,41 @@ def figure_for(
     return make(w, h).add_axes(rect)
 
 
-def finish(sheet: Sheet, lower: Array, upper: Array, with_axes: bool) -> None:
+def finish_page(sheet: Sheet, lower: Array, upper: Array, with_axes: bool) -> None:
     """Set limits and equal aspect, place the labels, add axes in metres or a scale bar."""
     ax = sheet.ax
     ax.set_aspect("equal", adjustable="box")
     ax.set_xlim(lower[0], upper[0])
     ax.set_ylim(lower[1], upper[1])
     ax.apply_aspect()
-    metres_a_point = _metres_a_point(ax)
+    metres_a_point = _compute_point_size(ax)
     middle = 0.5 * (lower + upper)
     sheet.obstacles.bounds = lower, upper
     for text, p, clearance, look in sheet.labels:
         size = look.get("size", FONT)
-        text = labels.shortened(text)
-        width, height = labels.extent(text, size, "weight" in look)
+        text = labels.shorten_label(text)
+        width, height = labels.measure_text(text, size, "weight" in look)
         outward = (p - middle) / max(float(np.linalg.norm(upper - lower)), 1e-300)
         box = (width * metres_a_point, height * metres_a_point)
         place = sheet.obstacles.place(p, box, clearance + 2.0 * metres_a_point, outward)
         how: dict[str, Any] = {"size": FONT, **look}
         ax.text(place[0], place[1], text, ha="center", va="center", zorder=style.TEXT, **how)
     if with_axes:
-        light_axes(ax)
+        draw_light_axes(ax)
         ax.set_xlabel("x [m]", size=FONT, color=INK)
         ax.set_ylabel("y [m]", size=FONT, color=INK)
     else:
         ax.set_axis_off()
-        _scale_bar(sheet)
+        _draw_scale_bar(sheet)
 
 
-def _metres_a_point(ax: Axes) -> float:
+def _compute_point_size(ax: Axes) -> float:
     """Metres in one point (1/72 inch) of the paper."""
     (x0, _), (x1, _) = ax.transData.transform([(0.0, 0.0), (1.0, 0.0)])
     return ax.figure.dpi / 72.0 / max(x1 - x0, 1e-300)
 
 
-def light_axes(ax: Axes) -> None:
+def draw_light_axes(ax: Axes) -> None:
     """Draw the left and the bottom axis in grey, and no box."""
     for side, spine in ax.spines.items():
         spine.set_visible(side in ("left", "bottom"))
@@ -170,7 +170,7 @@ def light_axes(ax: Axes) -> None:
     ax.tick_params(color=FAINT, labelcolor=style.GROUND, labelsize=FONT - 1, length=3)
 
 
-def key(ax: Axes, titles: tuple[str, ...], own: bool) -> None:
+def draw_key(ax: Axes, titles: tuple[str, ...], own: bool) -> None:
     """Write what configurations are called, each with its number and its line: of an own figure,
     widened, beside it.
     """
@@ -178,17 +178,17 @@ def key(ax: Axes, titles: tuple[str, ...], own: bool) -> None:
         Line2D(
             [],
             [],
-            color=style.over_colour(k),
+            color=style.choose_configuration_colour(k),
             lw=2.2 if k else 4.0,
             ls=style.DASHES[k % len(style.DASHES)],
             label=f"{k + 1}  {title}",
         )
         for k, title in enumerate(titles)
     ]
-    legend(ax, own, lines, handlelength=4.5)
+    draw_legend(ax, own, lines, handlelength=4.5)
 
 
-def legend(ax: Any, own: bool, handles: list[Any] | None = None, **how: Any) -> None:
+def draw_legend(ax: Any, own: bool, handles: list[Any] | None = None, **how: Any) -> None:
     """Draw the legend of axes, of these handles or of all that have a label: of an own figure,
     widened, beside them.
     """
@@ -200,7 +200,7 @@ def legend(ax: Any, own: bool, handles: list[Any] | None = None, **how: Any) -> 
     figure: Any = ax.figure
     (wide, high) = figure.get_size_inches()
     box = ax.get_position(original=True)
-    more = max(labels.extent(str(x.get_label()), FONT - 1)[0] for x in entries) / 72.0 + 0.9
+    more = max(labels.measure_text(str(x.get_label()), FONT - 1)[0] for x in entries) / 72.0 + 0.9
     figure.set_size_inches(wide + more, high)
     part = wide / (wide + more)
     ax.set_position((part * box.x0, box.y0, part * box.width, box.height))
@@ -209,26 +209,26 @@ def legend(ax: Any, own: bool, handles: list[Any] | None = None, **how: Any) -> 
     )
 
 
-def nice(length: float) -> float:
+def round_length(length: float) -> float:
     """The largest of 1, 2 and 5 times a power of ten that is not above a length."""
     power = 10.0 ** math.floor(math.log10(length))
     return next(k * power for k in (5.0, 2.0, 1.0) if k * power <= length * (1 + 1e-12) or k == 1.0)
 
 
-def length_text(length: float) -> str:
+def format_length(length: float) -> str:
     """A length with the unit that makes it short to read."""
     if abs(length) >= 0.1 or length == 0.0:
         return f"{length:g} m"
     return f"{1e3 * length:g} mm" if abs(length) >= 1e-4 else f"{1e6 * length:g} µm"
 
 
-def _scale_bar(sheet: Sheet) -> None:
+def _draw_scale_bar(sheet: Sheet) -> None:
     """Draw a bar of a round length below the drawing, at its left end; in axes coordinates
     vertically.
     """
     ax: Any = sheet.ax
     x0, x1 = ax.get_xlim()
-    length = nice(0.22 * (x1 - x0))
+    length = round_length(0.22 * (x1 - x0))
     start = x0 + 0.02 * (x1 - x0)
     transform = ax.get_xaxis_transform()
     tick = 0.05 / max(ax.get_position().height * ax.figure.get_figheight(), 1e-9)
@@ -242,7 +242,7 @@ def _scale_bar(sheet: Sheet) -> None:
     ax.text(
         start + length,
         y,
-        f"  {length_text(length)}",
+        f"  {format_length(length)}",
         transform=transform,
         ha="left",
         va="center",

@@ -17,8 +17,8 @@ from kempe.joints import P, R
 from kempe.spatial import Array
 from kempe.views.drawing import shapes, style
 from kempe.views.drawing.labels import Obstacles
-from kempe.views.drawing.scene import Scene, SeenJoint, SeenLink, distinct, travel
-from kempe.views.drawing.solids import DrawnPiece, fan_triangles, hull, rgb
+from kempe.views.drawing.scene import Scene, SeenJoint, SeenLink, compute_travel, remove_duplicates
+from kempe.views.drawing.solids import DrawnPiece, fan_triangles, hull, parse_colour
 from kempe.views.drawing.style import BAR, BLOCK, DRIVER, GROUND, INK, OPEN, PAPER, WRONG
 from kempe.views.drawing.symbols import SYMBOLS
 
@@ -45,13 +45,13 @@ def draw_contact(sheet: Sheet, mark: SeenMark) -> None:
     c = mark.point[:2]
     gid = f"mark:{mark.name}"
     label = c
-    colour = style.link_colour(mark.link)
+    colour = style.choose_link_colour(mark.link)
     if mark.plane is not None:
         foot = mark.plane[0][:2]
         down = -mark.plane[1][:2]
         half = max(mark.radius, 4.0 * r) * 1.6 * np.array([-down[1], down[0]])
         sheet.patch(
-            shapes.hatched(foot - half, foot + half, down, r),
+            shapes.make_hatched_line(foot - half, foot + half, down, r),
             f"{gid}:plane",
             style.RAILS,
             fc="none",
@@ -61,7 +61,7 @@ def draw_contact(sheet: Sheet, mark: SeenMark) -> None:
         sheet.obstacles.segment(foot - half, foot + half, r)
     if mark.radius > 0.0:
         sheet.patch(
-            shapes.circle(c, mark.radius),
+            shapes.make_circle(c, mark.radius),
             f"{gid}:round",
             style.POLYGONS,
             fc=(colour, 0.2),
@@ -70,12 +70,12 @@ def draw_contact(sheet: Sheet, mark: SeenMark) -> None:
         )
         sheet.obstacles.segment(c, c, mark.radius)
     elif mark.symbol == "wheel":
-        label = wheels(sheet, mark, gid)
-    sheet.patch(shapes.circle(c, 0.6 * r), gid, style.PINS, fc=PAPER, ec=INK, lw=1.2)
+        label = draw_wheels(sheet, mark, gid)
+    sheet.patch(shapes.make_circle(c, 0.6 * r), gid, style.PINS, fc=PAPER, ec=INK, lw=1.2)
     sheet.labels.append((mark.name, label, 1.2 * r, {"gid": f"label:{mark.name}", "color": INK}))
 
 
-def wheels(sheet: Sheet, mark: SeenMark, gid: str, colour: str = INK) -> Array:
+def draw_wheels(sheet: Sheet, mark: SeenMark, gid: str, colour: str = INK) -> Array:
     """Draw an axle with its wheels, if the constraint is one; where there is room for its name
     (2,).
     """
@@ -89,7 +89,7 @@ def wheels(sheet: Sheet, mark: SeenMark, gid: str, colour: str = INK) -> Array:
     sheet.line(np.array([c - half, c + half]), f"{gid}:axle", style.BARS, color=colour, lw=1.8)
     for k, end in enumerate((c - half, c + half)):
         sheet.patch(
-            shapes.box(end, along, 2.4 * r, 0.8 * r),
+            shapes.make_box(end, along, 2.4 * r, 0.8 * r),
             f"{gid}:wheel{k}",
             style.BLOCKS,
             fc=colour,
@@ -197,23 +197,26 @@ def _rgba(colour: Any) -> tuple[float, float, float, float]:
     """A colour of the drawings, with the paper mixed in where it is to be looked through."""
     pair: Any = colour
     if isinstance(colour, tuple):
-        return (*rgb(style.mix(pair[0], style.PAPER, 0.85 * (1.0 - float(pair[1])))), 1.0)
-    return (*rgb(colour), 1.0)
+        return (
+            *parse_colour(style.mix_colours(pair[0], style.PAPER, 0.85 * (1.0 - float(pair[1])))),
+            1.0,
+        )
+    return (*parse_colour(colour), 1.0)
 
 
-def pin_radius(scene: Scene) -> float:
+def choose_pin_radius(scene: Scene) -> float:
     """Radius [m] of a pin that suits the size of the drawing and its short links."""
     lengths = scene.lengths
     short = float(np.quantile(lengths, 0.2)) if len(lengths) else scene.size
     return max(min(PIN_OF_SIZE * scene.size, PIN_OF_LINK * short), PIN_LEAST * scene.size)
 
 
-def flat(X: Array) -> Array:
+def project_to_plane(X: Array) -> Array:
     """Position (2,) of a pose, or of each point (..., 3), in the plane."""
     return X[:2, 3] if X.shape == (4, 4) else X[..., :2]
 
 
-def draw(sheet: Sheet, texts: dict[str, str], frames: bool = True) -> None:
+def draw_scene(sheet: Sheet, texts: dict[str, str], frames: bool = True) -> None:
     """Draw the scene: links, rails, blocks, ground symbols, pins, frames, drivers.
 
     Labels are only collected: `texts` of the joints, and names of frames.
@@ -221,49 +224,49 @@ def draw(sheet: Sheet, texts: dict[str, str], frames: bool = True) -> None:
     scene = sheet.scene
     for joint in scene.joints:
         if joint.kind == "prismatic":
-            _prismatic(sheet, joint)
+            _draw_prismatic(sheet, joint)
         elif joint.kind == "translation" or joint.kind not in SYMBOLS:
-            _slides(sheet, joint)
+            _draw_slides(sheet, joint)
     for link in scene.links[1:]:
-        _link(sheet, link)
-    _rods(sheet)
-    pins = _pins(sheet)
+        _draw_link(sheet, link)
+    _draw_rods(sheet)
+    pins = _draw_pins(sheet)
     for link in scene.links:
-        _frames(sheet, link, frames)
+        _draw_frames(sheet, link, frames)
     for joint in scene.joints:
-        _open(sheet, joint)
+        _draw_gap(sheet, joint)
     for joint in scene.joints:
         if joint.driven:
-            _driver(sheet, joint)
-    _joint_labels(sheet, pins, texts)
+            _draw_driver(sheet, joint)
+    _label_joints(sheet, pins, texts)
 
 
-def _slides(sheet: Sheet, joint: SeenJoint) -> None:
+def _draw_slides(sheet: Sheet, joint: SeenJoint) -> None:
     """Draw strokes along the axes of F that a joint slides along."""
-    c = flat(joint.M)
+    c = project_to_plane(joint.M)
     along = [joint.F[:2, "xyz".index(p.axis)] for p in joint.motions if p.kind == P]
     if along:
         ends = [(c - 2.6 * sheet.r * d, c + 2.6 * sheet.r * d) for d in along]
-        sheet.patch(shapes.strokes(ends), f"joint:{joint.name}", style.PINS, ec=INK)
+        sheet.patch(shapes.make_strokes(ends), f"joint:{joint.name}", style.PINS, ec=INK)
 
 
-def _turns(joint: SeenJoint) -> bool:
+def _is_pin(joint: SeenJoint) -> bool:
     """Whether a joint is drawn as a pin: a hinge, or one without a symbol of its own that turns."""
     return joint.kind == "revolute" or (
         joint.kind not in SYMBOLS and any(p.kind == R for p in joint.motions)
     )
 
 
-def ghost(sheet: Sheet, scene: Scene, number: int) -> None:
+def draw_ghost(sheet: Sheet, scene: Scene, number: int) -> None:
     """Draw the links of an earlier position, faintly."""
     for link in scene.links[1:]:
-        p = flat(scene.points(link))
+        p = project_to_plane(scene.points(link))
         if len(p) > 1:
-            colour = style.link_colour(link.number)
+            colour = style.choose_link_colour(link.number)
             fill = 0.13 if len(hull(p)) == 2 else 0.05
             look = {"fc": (colour, fill), "ec": (colour, 0.25), "lw": 0.5}
             sheet.patch(
-                shapes.rounded(p, 0.5 * BAR * sheet.r),
+                shapes.make_rounded_outline(p, 0.5 * BAR * sheet.r),
                 f"ghost{number}:{link.name}",
                 style.GHOSTS,
                 **look,
@@ -273,31 +276,40 @@ def ghost(sheet: Sheet, scene: Scene, number: int) -> None:
 # ---- links
 
 
-def _link(sheet: Sheet, link: SeenLink) -> None:
+def _draw_link(sheet: Sheet, link: SeenLink) -> None:
     scene = sheet.scene
     r = sheet.r
-    p = flat(scene.points(link))
-    colour = style.link_colour(link.number)
+    p = project_to_plane(scene.points(link))
+    colour = style.choose_link_colour(link.number)
     gid = f"link:{link.name}"
     if link.particle:
         X = next(iter(link.bodies.values()))
-        sheet.patch(shapes.circle(flat(X), 1.1 * r), gid, style.POINTS, fc=colour, ec=INK)
+        sheet.patch(
+            shapes.make_circle(project_to_plane(X), 1.1 * r), gid, style.POINTS, fc=colour, ec=INK
+        )
         return
     # nothing but its joint: its own origin is the other end
     if len(p) == 1 and len(link.joints) == 1:
-        p = distinct(np.concatenate([p, [flat(next(iter(link.bodies.values())))]]))
+        p = remove_duplicates(
+            np.concatenate([p, [project_to_plane(next(iter(link.bodies.values())))]])
+        )
     if len(p) < 2:
         if any(scene.joints[j].kind == "prismatic" for j in link.joints) or any(
             links[0] == link.number for _, links, _, _ in scene.lines
         ):
             return  # the block or the slot is all of it
-        _cross(sheet, next(iter(link.bodies.values())), gid, colour)
+        _draw_cross(sheet, next(iter(link.bodies.values())), gid, colour)
         return
     corners = hull(p)
-    dark = style.mix(colour, INK, 0.45)
+    dark = style.mix_colours(colour, INK, 0.45)
     if len(corners) > 2:
         sheet.patch(
-            shapes.rounded(p, BAR * r), gid, style.POLYGONS, fc=(colour, 0.28), ec=dark, lw=1.1
+            shapes.make_rounded_outline(p, BAR * r),
+            gid,
+            style.POLYGONS,
+            fc=(colour, 0.28),
+            ec=dark,
+            lw=1.1,
         )
         for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
             sheet.obstacles.segment(a, b, 1.1 * r, 0.8)
@@ -306,73 +318,101 @@ def _link(sheet: Sheet, link: SeenLink) -> None:
             sheet.obstacles.segment(a, middle, 1.5 * r, 0.08)
     else:
         sheet.patch(
-            shapes.rounded(p, BAR * r), gid, style.BARS, fc=style.mix(colour, PAPER, 0.25), ec=dark
+            shapes.make_rounded_outline(p, BAR * r),
+            gid,
+            style.BARS,
+            fc=style.mix_colours(colour, PAPER, 0.25),
+            ec=dark,
         )
         sheet.obstacles.segment(corners[0], corners[1], 1.0 * r)
 
 
-def _cross(sheet: Sheet, X: Array, gid: str, colour: str) -> None:
+def _draw_cross(sheet: Sheet, X: Array, gid: str, colour: str) -> None:
     """Draw a body without extent: its axes x and y."""
-    c = flat(X)
+    c = project_to_plane(X)
     arms = X[:2, :2].T * 3.2 * sheet.r
     for name, arm, part in (("x", arms[0], 0.0), ("y", arms[1], 0.45)):
         line = np.array([c, c + arm])
         sheet.line(
-            line, f"{gid}:{name}", style.POINTS, color=style.mix(colour, PAPER, part), lw=1.6
-        )
-        sheet.patch(
-            shapes.arrow_head(c + 1.35 * arm, arm, 1.3 * sheet.r),
+            line,
             f"{gid}:{name}",
             style.POINTS,
-            fc=style.mix(colour, PAPER, part),
+            color=style.mix_colours(colour, PAPER, part),
+            lw=1.6,
+        )
+        sheet.patch(
+            shapes.make_arrow_head(c + 1.35 * arm, arm, 1.3 * sheet.r),
+            f"{gid}:{name}",
+            style.POINTS,
+            fc=style.mix_colours(colour, PAPER, part),
             ec="none",
         )
         sheet.obstacles.segment(c, c + 1.35 * arm, 0.8 * sheet.r)
-    sheet.patch(shapes.circle(c, 0.5 * sheet.r), gid, style.POINTS, fc=colour, ec="none")
+    sheet.patch(shapes.make_circle(c, 0.5 * sheet.r), gid, style.POINTS, fc=colour, ec="none")
 
 
-def _rods(sheet: Sheet) -> None:
+def _draw_rods(sheet: Sheet) -> None:
     """Draw rods between two points, and the pins that run in slots."""
     r = sheet.r
     pivots = [
-        flat(j.on(0))
+        project_to_plane(j.on(0))
         for j in sheet.scene.joints
         if j.kind == "revolute" and 0 in (j.parent, j.child)
     ]
     for name, links, ends, wrong in sheet.scene.rods:
-        p = flat(ends)
+        p = project_to_plane(ends)
         colour = OPEN if abs(wrong) > WRONG * sheet.scene.size else INK
         sheet.patch(
-            shapes.rounded(p, 0.4 * BAR * r), f"rod:{name}", style.BARS, fc=style.FAINT, ec=colour
+            shapes.make_rounded_outline(p, 0.4 * BAR * r),
+            f"rod:{name}",
+            style.BARS,
+            fc=style.FAINT,
+            ec=colour,
         )
         sheet.obstacles.segment(p[0], p[1], r)
         sheet.labels.append((name, p.mean(axis=0), 1.2 * r, {"gid": f"label:{name}", "color": INK}))
         for link, end in zip(links, p, strict=True):
             if link == 0 and not any(np.linalg.norm(c - end) < 0.3 * r for c in pivots):
-                _ground(sheet, end, _down(sheet, end), name)
+                _draw_ground(sheet, end, _choose_ground_direction(sheet, end), name)
                 pivots.append(end)
             sheet.patch(
-                shapes.circle(end, 0.7 * r), f"rod:{name}:end", style.PINS, fc=PAPER, ec=INK, lw=1.2
+                shapes.make_circle(end, 0.7 * r),
+                f"rod:{name}:end",
+                style.PINS,
+                fc=PAPER,
+                ec=INK,
+                lw=1.2,
             )
     for mark in sheet.scene.marks:
         draw_contact(sheet, mark)
     for name, links, A, point in sheet.scene.lines:
         along = A[:2, 2]
-        c = flat(point)
-        at = float(along @ (c - flat(A)))
-        ends = flat(A) + np.outer([min(0.0, at - 5 * r), max(0.0, at + 5 * r)], along)
-        colour = style.link_colour(links[0])
+        c = project_to_plane(point)
+        at = float(along @ (c - project_to_plane(A)))
+        ends = project_to_plane(A) + np.outer([min(0.0, at - 5 * r), max(0.0, at + 5 * r)], along)
+        colour = style.choose_link_colour(links[0])
         sheet.patch(
-            shapes.rounded(ends, 1.25 * r),
+            shapes.make_rounded_outline(ends, 1.25 * r),
             f"line:{name}",
             style.POLYGONS,
-            fc=style.mix(colour, PAPER, 0.45),
-            ec=style.mix(colour, INK, 0.45),
+            fc=style.mix_colours(colour, PAPER, 0.45),
+            ec=style.mix_colours(colour, INK, 0.45),
         )
-        slot = flat(A) + np.outer([at - 4 * r, at + 4 * r], along)
-        sheet.patch(shapes.rounded(slot, 0.6 * r), f"slot:{name}", style.RAILS, fc=PAPER, ec=colour)
+        slot = project_to_plane(A) + np.outer([at - 4 * r, at + 4 * r], along)
         sheet.patch(
-            shapes.circle(c, 0.6 * r), f"line:{name}:point", style.PINS, fc=PAPER, ec=INK, lw=1.2
+            shapes.make_rounded_outline(slot, 0.6 * r),
+            f"slot:{name}",
+            style.RAILS,
+            fc=PAPER,
+            ec=colour,
+        )
+        sheet.patch(
+            shapes.make_circle(c, 0.6 * r),
+            f"line:{name}:point",
+            style.PINS,
+            fc=PAPER,
+            ec=INK,
+            lw=1.2,
         )
         sheet.obstacles.segment(ends[0], ends[1], 1.3 * r)
         sheet.labels.append((name, c, 1.2 * r, {"gid": f"label:{name}", "color": INK}))
@@ -381,13 +421,13 @@ def _rods(sheet: Sheet) -> None:
 # ---- joints
 
 
-def _pins(sheet: Sheet) -> list[tuple[Array, list[SeenJoint]]]:
+def _draw_pins(sheet: Sheet) -> list[tuple[Array, list[SeenJoint]]]:
     """Draw the revolute joints and ground symbols; returns the joints that share each point."""
     scene = sheet.scene
     r = sheet.r
     groups: list[tuple[Array, list[SeenJoint]]] = []
     for joint in scene.joints:
-        c = flat(scene.seat(joint, r))
+        c = project_to_plane(scene.seat(joint, r))
         group = next((g for g in groups if np.linalg.norm(g[0] - c) < 0.3 * r), None)
         if group is None:
             groups.append((c, [joint]))
@@ -396,13 +436,13 @@ def _pins(sheet: Sheet) -> list[tuple[Array, list[SeenJoint]]]:
     for _, joints in groups:
         grounded = [j for j in joints if j.kind == "revolute" and 0 in (j.parent, j.child)]
         if grounded:
-            base = flat(grounded[0].on(0))
-            _ground(sheet, base, _down(sheet, base), grounded[0].name)
+            base = project_to_plane(grounded[0].on(0))
+            _draw_ground(sheet, base, _choose_ground_direction(sheet, base), grounded[0].name)
     for c, joints in groups:
-        turning = [j for j in joints if _turns(j)]
+        turning = [j for j in joints if _is_pin(j)]
         for joint in turning:
             sheet.patch(
-                shapes.circle(flat(joint.M), r),
+                shapes.make_circle(project_to_plane(joint.M), r),
                 f"joint:{joint.name}",
                 style.PINS,
                 fc=PAPER,
@@ -414,7 +454,7 @@ def _pins(sheet: Sheet) -> list[tuple[Array, list[SeenJoint]]]:
     return groups
 
 
-def _down(sheet: Sheet, p: Array) -> Array:
+def _choose_ground_direction(sheet: Sheet, p: Array) -> Array:
     """Direction (2,) of the ground symbol at p: down, unless a link lies there and another side is
     free.
     """
@@ -437,13 +477,13 @@ def _down(sheet: Sheet, p: Array) -> Array:
     return best
 
 
-def _ground(sheet: Sheet, p: Array, down: Array, name: str) -> None:
-    triangle, base = shapes.ground(p, down, sheet.r)
+def _draw_ground(sheet: Sheet, p: Array, down: Array, name: str) -> None:
+    triangle, base = shapes.make_ground_symbol(p, down, sheet.r)
     sheet.patch(
         triangle,
         f"ground:{name}",
         style.RAILS,
-        fc=style.mix(GROUND, PAPER, 0.75),
+        fc=style.mix_colours(GROUND, PAPER, 0.75),
         ec=GROUND,
         lw=1.1,
     )
@@ -454,19 +494,19 @@ def _ground(sheet: Sheet, p: Array, down: Array, name: str) -> None:
     sheet.obstacles.segment(foot - along, foot + along, sheet.r)
 
 
-def _prismatic(sheet: Sheet, joint: SeenJoint) -> None:
+def _draw_prismatic(sheet: Sheet, joint: SeenJoint) -> None:
     scene = sheet.scene
     r = sheet.r
     if scene.telescopic(joint, r):
-        _telescope(sheet, joint)
+        _draw_telescope(sheet, joint)
         return
     ends = joint.parent, joint.child
     rail = 0 if 0 in ends else max(ends, key=lambda k: (scene.reach(joint, k), k == joint.parent))
     block = joint.child if rail == joint.parent else joint.parent
-    c = flat(joint.on(block))
+    c = project_to_plane(joint.on(block))
     along = joint.axis[:2]
-    lo, hi = travel(scene, joint, sheet.configurations)
-    now = float(along @ (flat(joint.M) - flat(joint.F)))
+    lo, hi = compute_travel(scene, joint, sheet.configurations)
+    now = float(along @ (project_to_plane(joint.M) - project_to_plane(joint.F)))
     if block == joint.parent:
         along = -along
         lo = lo
@@ -475,34 +515,34 @@ def _prismatic(sheet: Sheet, joint: SeenJoint) -> None:
     a = c + (lo - now - 4.2 * r) * along
     b = c + (hi - now + 4.2 * r) * along
     if rail == 0:
-        _ground_rail(sheet, joint, a, b)
+        _draw_ground_rail(sheet, joint, a, b)
     else:
-        own = flat(joint.on(rail))
+        own = project_to_plane(joint.on(rail))
         ends = np.array([a, b, own])[np.argsort([along @ (x - c) for x in (a, b, own)])][[0, 2]]
         if not scene.links[rail].particle and float(along @ (own - c)) < 0:
             ends = np.array([own, b])
-        colour = style.link_colour(rail)
+        colour = style.choose_link_colour(rail)
         sheet.patch(
-            shapes.rounded(ends, 0.5 * BAR * r),
+            shapes.make_rounded_outline(ends, 0.5 * BAR * r),
             f"rail:{joint.name}",
             style.BARS,
-            fc=style.mix(colour, PAPER, 0.25),
-            ec=style.mix(colour, INK, 0.45),
+            fc=style.mix_colours(colour, PAPER, 0.25),
+            ec=style.mix_colours(colour, INK, 0.45),
         )
         sheet.obstacles.segment(ends[0], ends[1], r)
-    colour = style.link_colour(block)
+    colour = style.choose_link_colour(block)
     sheet.patch(
-        shapes.box(c, along, BLOCK[0] * r, BLOCK[1] * r),
+        shapes.make_box(c, along, BLOCK[0] * r, BLOCK[1] * r),
         f"block:{joint.name}",
         style.BLOCKS,
-        fc=style.mix(colour, PAPER, 0.55),
-        ec=style.mix(colour, INK, 0.45),
+        fc=style.mix_colours(colour, PAPER, 0.55),
+        ec=style.mix_colours(colour, INK, 0.45),
         lw=1.2,
     )
     sheet.obstacles.segment(c - BLOCK[0] * r * along, c + BLOCK[0] * r * along, 1.8 * r, 1.5)
 
 
-def _ground_rail(sheet: Sheet, joint: SeenJoint, a: Array, b: Array) -> None:
+def _draw_ground_rail(sheet: Sheet, joint: SeenJoint, a: Array, b: Array) -> None:
     """Draw the rail from a to b, moved to the side of the block that is down, or away from the
     mechanism.
     """
@@ -511,11 +551,13 @@ def _ground_rail(sheet: Sheet, joint: SeenJoint, a: Array, b: Array) -> None:
     if abs(side[1]) > 0.3:
         down = side if side[1] < 0 else -side
     else:
-        points = np.concatenate([flat(sheet.scene.points(link)) for link in sheet.scene.links])
+        points = np.concatenate(
+            [project_to_plane(sheet.scene.points(link)) for link in sheet.scene.links]
+        )
         down = side if side @ (points.mean(axis=0) - a) < 0 else -side
     shift = BLOCK[1] * sheet.r * down
     sheet.patch(
-        shapes.hatched(a + shift, b + shift, down, sheet.r),
+        shapes.make_hatched_line(a + shift, b + shift, down, sheet.r),
         f"rail:{joint.name}",
         style.RAILS,
         fc="none",
@@ -525,21 +567,21 @@ def _ground_rail(sheet: Sheet, joint: SeenJoint, a: Array, b: Array) -> None:
     sheet.obstacles.segment(a + 1.3 * shift, b + 1.3 * shift, sheet.r)
 
 
-def _telescope(sheet: Sheet, joint: SeenJoint) -> None:
+def _draw_telescope(sheet: Sheet, joint: SeenJoint) -> None:
     """Draw a cylinder on the parent, and a rod of the child that goes into it."""
     r = sheet.r
-    p = flat(joint.F)
-    m = flat(joint.M)
+    p = project_to_plane(joint.F)
+    m = project_to_plane(joint.M)
     along = m - p
     for (a, b, half), link, part in (
         ((0.12, 0.58, 1.35), joint.parent, "cylinder"),
         ((0.5, 1.0, 0.45), joint.child, "rod"),
         ((0.0, 0.12, 0.7), joint.parent, "neck"),
     ):
-        colour = style.link_colour(link)
+        colour = style.choose_link_colour(link)
         ends = np.array([p + a * along, p + b * along])
         unit = along / np.linalg.norm(along)
-        outline = shapes.box(
+        outline = shapes.make_box(
             ends.mean(axis=0), unit, float(np.linalg.norm(ends[1] - ends[0])) / 2, half * r
         )
         layer = style.BLOCKS if part == "cylinder" else style.BARS
@@ -547,16 +589,16 @@ def _telescope(sheet: Sheet, joint: SeenJoint) -> None:
             outline,
             f"{part}:{joint.name}",
             layer,
-            fc=style.mix(colour, PAPER, 0.35),
-            ec=style.mix(colour, INK, 0.45),
+            fc=style.mix_colours(colour, PAPER, 0.35),
+            ec=style.mix_colours(colour, INK, 0.45),
         )
         sheet.obstacles.segment(ends[0], ends[1], half * r)
 
 
-def _open(sheet: Sheet, joint: SeenJoint) -> None:
+def _draw_gap(sheet: Sheet, joint: SeenJoint) -> None:
     """Draw a dashed line where a joint does not hold together at this configuration."""
-    a = flat(joint.F)
-    b = flat(joint.M)
+    a = project_to_plane(joint.F)
+    b = project_to_plane(joint.M)
     if joint.kind == "prismatic":
         b = b - joint.axis[:2] * float(joint.axis[:2] @ (b - a))
     elif joint.kind not in SYMBOLS:
@@ -568,7 +610,7 @@ def _open(sheet: Sheet, joint: SeenJoint) -> None:
             np.array([a, b]), f"open:{joint.name}", style.ARROWS, color=OPEN, lw=1.3, ls=(0, (3, 2))
         )
         sheet.patch(
-            shapes.circle(a, 0.6 * sheet.r),
+            shapes.make_circle(a, 0.6 * sheet.r),
             f"open:{joint.name}:end",
             style.PINS,
             fc=PAPER,
@@ -577,15 +619,15 @@ def _open(sheet: Sheet, joint: SeenJoint) -> None:
         )
 
 
-def _driver(sheet: Sheet, joint: SeenJoint) -> None:
+def _draw_driver(sheet: Sheet, joint: SeenJoint) -> None:
     """Draw a curved arrow round a driven pin, a straight one beside a driven slider."""
     r = sheet.r
-    c = flat(joint.M)
+    c = project_to_plane(joint.M)
     gid = f"driver:{joint.name}"
     look = {"fc": DRIVER, "ec": "none"}
     if joint.kind == "prismatic":
         along = joint.axis[:2]
-        c = flat(sheet.scene.seat(joint, r))
+        c = project_to_plane(sheet.scene.seat(joint, r))
         side = np.array([-along[1], along[0]])
         side = side if side[1] > 0 else -side
         start = c + 2.6 * r * side - 2.2 * r * along
@@ -593,7 +635,7 @@ def _driver(sheet: Sheet, joint: SeenJoint) -> None:
             np.array([start, start + 3.4 * r * along]), gid, style.ARROWS, color=DRIVER, lw=1.7
         )
         sheet.patch(
-            shapes.arrow_head(start + 4.6 * r * along, along, 1.5 * r),
+            shapes.make_arrow_head(start + 4.6 * r * along, along, 1.5 * r),
             f"{gid}:head",
             style.ARROWS,
             **look,
@@ -610,7 +652,7 @@ def _driver(sheet: Sheet, joint: SeenJoint) -> None:
         up = 0.15 * np.sin(begin + sweep / 2)
         costs.append((float(sheet.obstacles.covered(line).mean()) - up, begin))
     start = 0.6 if sheet.steady else min(costs)[1]
-    line, head = shapes.arc(c, radius, start, start + sweep, 1.5 * r)
+    line, head = shapes.make_arc(c, radius, start, start + sweep, 1.5 * r)
     sheet.line(line, gid, style.ARROWS, color=DRIVER, lw=1.7, solid_capstyle="butt")
     sheet.patch(head, f"{gid}:head", style.ARROWS, **look)
     sheet.obstacles.line(line, 0.8 * r)
@@ -619,33 +661,41 @@ def _driver(sheet: Sheet, joint: SeenJoint) -> None:
 # ---- frames and labels
 
 
-def _frames(sheet: Sheet, link: SeenLink, labels: bool) -> None:
-    centres = [flat(j.M) for j in sheet.scene.joints]
+def _draw_frames(sheet: Sheet, link: SeenLink, labels: bool) -> None:
+    centres = [project_to_plane(j.M) for j in sheet.scene.joints]
     for name, X in link.frames.items():
-        c = flat(X)
+        c = project_to_plane(X)
         gid = f"frame:{name}"
         if link.ground:
             d = 0.8 * sheet.r * np.array([[1.0, 1.0], [1.0, -1.0]])
             sheet.patch(
-                shapes.strokes([(c - e, c + e) for e in d]), gid, style.POINTS, ec=GROUND, lw=1.2
+                shapes.make_strokes([(c - e, c + e) for e in d]),
+                gid,
+                style.POINTS,
+                ec=GROUND,
+                lw=1.2,
             )
         elif any(np.linalg.norm(c - p) < 0.3 * sheet.r for p in centres):
-            sheet.patch(shapes.circle(c, 0.35 * sheet.r), gid, style.POINTS, fc=INK, ec="none")
+            sheet.patch(shapes.make_circle(c, 0.35 * sheet.r), gid, style.POINTS, fc=INK, ec="none")
         else:
             sheet.patch(
-                shapes.circle(c, 0.55 * sheet.r), gid, style.POINTS, fc=INK, ec=PAPER, lw=0.8
+                shapes.make_circle(c, 0.55 * sheet.r), gid, style.POINTS, fc=INK, ec=PAPER, lw=0.8
             )
         sheet.obstacles.segment(c, c, 0.8 * sheet.r, 2.0)
         if labels:
-            look = {"gid": f"label:{name}", "style": "italic", "color": style.mix(INK, PAPER, 0.3)}
+            look = {
+                "gid": f"label:{name}",
+                "style": "italic",
+                "color": style.mix_colours(INK, PAPER, 0.3),
+            }
             sheet.labels.append((name, c, 0.9 * sheet.r, {**look, "size": style.FONT - 1}))
 
 
-def mark(sheet: Sheet, name: str, X: Array, labels: bool) -> None:
+def draw_frame(sheet: Sheet, name: str, X: Array, labels: bool) -> None:
     """Draw the axes x and y of a frame (4, 4), and its name where that is not written for its link
     already.
     """
-    c = flat(X)
+    c = project_to_plane(X)
     gid = f"mark:{name}"
     for k, axis in enumerate("xy"):
         along = X[:2, k]
@@ -659,16 +709,20 @@ def mark(sheet: Sheet, name: str, X: Array, labels: bool) -> None:
             lw=1.8,
             solid_capstyle="round",
         )
-        head = shapes.arrow_head(tip + 1.4 * sheet.r * along, along, 1.4 * sheet.r)
+        head = shapes.make_arrow_head(tip + 1.4 * sheet.r * along, along, 1.4 * sheet.r)
         sheet.patch(head, f"{gid}:{axis}:head", style.ARROWS, fc=colour, ec="none")
         sheet.obstacles.segment(c, tip + 1.4 * sheet.r * along, 0.8 * sheet.r)
-    sheet.patch(shapes.circle(c, 0.6 * sheet.r), gid, style.ARROWS, fc=PAPER, ec=INK, lw=1.2)
+    sheet.patch(shapes.make_circle(c, 0.6 * sheet.r), gid, style.ARROWS, fc=PAPER, ec=INK, lw=1.2)
     if labels and not any(name in link.frames for link in sheet.scene.links):
-        look = {"gid": f"label:{name}", "style": "italic", "color": style.mix(INK, PAPER, 0.3)}
+        look = {
+            "gid": f"label:{name}",
+            "style": "italic",
+            "color": style.mix_colours(INK, PAPER, 0.3),
+        }
         sheet.labels.append((name, c, 1.2 * sheet.r, {**look, "size": style.FONT - 1}))
 
 
-def _joint_labels(
+def _label_joints(
     sheet: Sheet, groups: list[tuple[Array, list[SeenJoint]]], texts: dict[str, str]
 ) -> None:
     for c, joints in groups:

@@ -13,8 +13,8 @@ from kempe.errors import InputError
 from kempe.spatial import Array
 from kempe.views.drawing import callouts, page, planar, shapes, style
 from kempe.views.drawing import planar as touches
-from kempe.views.drawing.planar import Sheet, flat
-from kempe.views.drawing.plot_request import Subject, subscript
+from kempe.views.drawing.planar import Sheet, project_to_plane
+from kempe.views.drawing.plot_request import Subject, choose_subscript
 from kempe.views.drawing.scene import Scene
 
 if TYPE_CHECKING:
@@ -25,85 +25,85 @@ def picture(
     subject: Subject,
     ax: Any,
     bounds: tuple[Array, Array] | None = None,
-    make: Callable[..., Any] = page.new_figure,
+    make: Callable[..., Any] = page.make_figure,
 ) -> Axes:
     """Axes with the subject; `bounds` are its lower left and upper right corner (2,), where they
     are not its own.
 
     Without `ax` the figure is made by `make`.
     """
-    if ax is not None and hasattr(page.axes_given(ax)[0], "get_zlim"):
+    if ax is not None and hasattr(page.check_axes(ax)[0], "get_zlim"):
         raise InputError("ax is in space; a planar system needs plain axes")
-    radius = subject.radius or planar.pin_radius(subject.scene)
+    radius = subject.radius or planar.choose_pin_radius(subject.scene)
     own = ax is None
     if own:  # the extent of the drawing decides the shape of the figure
-        lower, upper = extent(subject)
+        lower, upper = compute_extent(subject)
         lines = subject.parameter_text().count("\n") + 1 if subject.parameter_text() else 0
-        ax = page.figure_for(upper - lower, bool(subject.curves), 0.16 * lines, make)
+        ax = page.make_axes(upper - lower, bool(subject.curves), 0.16 * lines, make)
     sheet = Sheet(ax, subject.scene, radius, subject.way, steady=subject.radius is not None)
-    drawn(sheet, subject)
-    lower, upper = page.limits(sheet) if bounds is None else bounds
-    page.finish(sheet, lower, upper, bool(subject.curves))
+    draw_subject(sheet, subject)
+    lower, upper = page.compute_limits(sheet) if bounds is None else bounds
+    page.finish_page(sheet, lower, upper, bool(subject.curves))
     if subject.parameter_text():
         ax.set_title(
             subject.parameter_text(), loc="left", size=style.FONT - 1, color=style.INK, pad=3.0
         )
     if subject.keyed:
-        page.key(ax, subject.titles, own)
+        page.draw_key(ax, subject.titles, own)
     return ax
 
 
 def bounds_of(subjects: list[Subject]) -> tuple[Array, Array]:
     """Lower left and upper right corner (2,) of several drawings together."""
-    corners = [extent(s) for s in subjects]
+    corners = [compute_extent(s) for s in subjects]
     return np.min([c[0] for c in corners], axis=0), np.max([c[1] for c in corners], axis=0)
 
 
-usual_radius = planar.pin_radius
+usual_radius = planar.choose_pin_radius
 
 
 def empty(subject: Subject, bounds: tuple[Array, Array], make: Callable[..., Any]) -> Axes:
     """Axes without a drawing, in a figure whose shape suits these bounds."""
-    return page.figure_for(bounds[1] - bounds[0], bool(subject.curves), make=make)
+    return page.make_axes(bounds[1] - bounds[0], bool(subject.curves), make=make)
 
 
-def extent(subject: Subject) -> tuple[Array, Array]:
+def compute_extent(subject: Subject) -> tuple[Array, Array]:
     """Lower left and upper right corner (2,) of a drawing."""
     trial = Sheet(
-        page.bare_figure().add_subplot(),
+        page.make_bare_figure().add_subplot(),
         subject.scene,
-        planar.pin_radius(subject.scene),
+        planar.choose_pin_radius(subject.scene),
         subject.way,
     )
-    drawn(trial, subject)
-    return page.limits(trial)
+    draw_subject(trial, subject)
+    return page.compute_limits(trial)
 
 
-def drawn(sheet: Sheet, subject: Subject) -> None:
+def draw_subject(sheet: Sheet, subject: Subject) -> None:
     """Draw the subject from back to front; labels are collected."""
     options = subject.options
     if subject.workspace is not None:
-        _workspace(sheet, subject.workspace)
+        _draw_workspace(sheet, subject.workspace)
     for k, old in enumerate(subject.ghosts):
-        planar.ghost(sheet, old, k)
-        sheet.extent += [flat(old.points(link)) for link in old.links]
+        planar.draw_ghost(sheet, old, k)
+        sheet.extent += [project_to_plane(old.points(link)) for link in old.links]
     for k, other in enumerate(subject.others):
-        _over(sheet, other, k + 1)
+        _draw_other_configuration(sheet, other, k + 1)
     for k, (name, points) in enumerate(subject.curves.items()):
-        page.curve(sheet, name, points[:, :2], flat(subject.here[name]), k)
+        page.draw_curve(sheet, name, points[:, :2], project_to_plane(subject.here[name]), k)
     texts = {j.name: subject.joint_text(j) for j in subject.scene.joints}
-    planar.draw(sheet, texts, "frames" in options.words)
+    planar.draw_scene(sheet, texts, "frames" in options.words)
     for name, X in subject.marks.items():
-        below = subscript(subject.system, name) if name in subject.axes else ""
-        planar.mark(sheet, name, X, "frames" in options.words and not below)
+        below = choose_subscript(subject.system, name) if name in subject.axes else ""
+        planar.draw_frame(sheet, name, X, "frames" in options.words and not below)
         if name in subject.axes:
-            _axis_names(sheet, name, X, below)
-    callouts.draw(sheet, subject)
+            _label_axes(sheet, name, X, below)
+    callouts.draw_callouts(sheet, subject)
     if subject.missed is not None:
-        ends = flat(subject.missed)
+        ends = project_to_plane(subject.missed)
         sheet.line(ends, "missed", style.ARROWS, color=style.OPEN, lw=1.5, ls=(0, (3, 2)))
         sheet.patch(
-            shapes.circle(ends[1], 0.6 * sheet.r),
+            shapes.make_circle(ends[1], 0.6 * sheet.r),
             "missed:target",
             style.ARROWS,
             fc="none",
@@ -114,7 +114,7 @@ def drawn(sheet: Sheet, subject: Subject) -> None:
         sheet.labels.append((subject.missed_text, ends.mean(axis=0), 0.9 * sheet.r, look))
     scenes = (subject.scene, *subject.others)
     points = [
-        np.concatenate([flat(s.points(link)) for link in s.links[1:]])
+        np.concatenate([project_to_plane(s.points(link)) for link in s.links[1:]])
         for s in scenes
         if subject.others
     ]
@@ -122,24 +122,27 @@ def drawn(sheet: Sheet, subject: Subject) -> None:
         sheet.labels.append((text, p, 1.6 * sheet.r, look))
 
 
-def _axis_names(sheet: Sheet, name: str, X: Array, below: str) -> None:
+def _label_axes(sheet: Sheet, name: str, X: Array, below: str) -> None:
     """Collect the names of the axes of a frame."""
     for k, axis in enumerate("xy"):
-        tip = flat(X) + (style.MARK + 1.6) * sheet.r * X[:2, k]
-        look = {"gid": f"label:{name}:{axis}", "color": style.mix(style.AXES[k], style.INK, 0.3)}
+        tip = project_to_plane(X) + (style.MARK + 1.6) * sheet.r * X[:2, k]
+        look = {
+            "gid": f"label:{name}:{axis}",
+            "color": style.mix_colours(style.AXES[k], style.INK, 0.3),
+        }
         sheet.labels.append((f"${axis}{below}$", tip, 0.3 * sheet.r, look))
 
 
-def _over(sheet: Sheet, scene: Scene, number: int) -> None:
+def _draw_other_configuration(sheet: Sheet, scene: Scene, number: int) -> None:
     """Draw the links of another configuration, in a colour and with an outline of its own."""
-    colour = style.over_colour(number)
+    colour = style.choose_configuration_colour(number)
     gid = f"configuration{number}"
     line = style.DASHES[number % len(style.DASHES)]
     for link in scene.links[1:]:
-        p = flat(scene.points(link))
+        p = project_to_plane(scene.points(link))
         if len(p) > 1:
             sheet.patch(
-                shapes.rounded(p, style.BAR * sheet.r),
+                shapes.make_rounded_outline(p, style.BAR * sheet.r),
                 f"{gid}:{link.name}",
                 style.POLYGONS,
                 fc=(colour, 0.10),
@@ -150,11 +153,11 @@ def _over(sheet: Sheet, scene: Scene, number: int) -> None:
             for a, b in zip(p[:-1], p[1:], strict=True):
                 sheet.obstacles.segment(a, b, sheet.r, 0.5)
     for mark in scene.marks:
-        touches.wheels(sheet, mark, f"{gid}:{mark.name}", colour)
+        touches.draw_wheels(sheet, mark, f"{gid}:{mark.name}", colour)
     for joint in scene.joints:
         if joint.kind == "revolute":
             sheet.patch(
-                shapes.circle(flat(joint.M), 0.7 * sheet.r),
+                shapes.make_circle(project_to_plane(joint.M), 0.7 * sheet.r),
                 f"{gid}:{joint.name}",
                 style.POLYGONS,
                 fc=style.PAPER,
@@ -163,14 +166,20 @@ def _over(sheet: Sheet, scene: Scene, number: int) -> None:
             )
 
 
-def _workspace(sheet: Sheet, workspace: Any) -> None:
+def _draw_workspace(sheet: Sheet, workspace: Any) -> None:
     """Draw what a frame reaches, darker where there are more ways, and its boundary."""
     for k, region in enumerate(workspace.regions):
-        shade = style.mix(style.FAINT, style.PAPER, 0.55 if region.solutions in (None, 1) else 0.25)
+        shade = style.mix_colours(
+            style.FAINT, style.PAPER, 0.55 if region.solutions in (None, 1) else 0.25
+        )
         sheet.patch(
-            shapes.region_outline(region), f"workspace:{k}", style.GHOSTS - 0.5, fc=shade, ec="none"
+            shapes.make_region_outline(region),
+            f"workspace:{k}",
+            style.GHOSTS - 0.5,
+            fc=shade,
+            ec="none",
         )
     for k, piece in enumerate(workspace.boundary):
-        z = shapes.piece_points(piece)
+        z = shapes.sample_piece(piece)
         p = np.column_stack([np.real(z), np.imag(z)])
         sheet.line(p, f"workspace:boundary{k}", style.GHOSTS, color=style.GROUND, lw=1.1)

@@ -80,10 +80,10 @@ class Subject:
     @property
     def missed_text(self) -> str:
         """How far the place that is missed is away."""
-        from kempe.views.drawing.page import length_text
+        from kempe.views.drawing.page import format_length
 
         gap = 0.0 if self.missed is None else float(np.linalg.norm(self.missed[1] - self.missed[0]))
-        return length_text(float(f"{gap:.3g}"))
+        return format_length(float(f"{gap:.3g}"))
 
     def names_at(self, points: list[Array]) -> list[tuple[Array, str, dict[str, Any]]]:
         """Name or number of each configuration, where its points (n, d) are furthest from the
@@ -97,7 +97,7 @@ class Subject:
             gap = np.linalg.norm(own[:, None] - rest, axis=-1).min(axis=1)
             look = {
                 "gid": f"label:configuration{k}",
-                "color": style.over_colour(k),
+                "color": style.choose_configuration_colour(k),
                 "weight": "bold",
             }
             out.append((own[int(np.argmax(gap))], str(k + 1) if self.keyed else title, look))
@@ -111,7 +111,7 @@ class Subject:
         """What is written beside a joint: its name, or its coordinates with their values."""
         words = self.options.words
         names = self.coordinates(joint)
-        with_values = [coordinate_text(self, n) for n in names] if "coordinates" in words else []
+        with_values = [format_coordinate(self, n) for n in names] if "coordinates" in words else []
         angles = bool(self.options.angles) and names == [joint.name]
         if "joints" not in words or angles or (with_values and names == [joint.name]):
             return ", ".join(with_values if not angles else [])
@@ -122,7 +122,7 @@ class Subject:
         """What is written beside the arc or the length of a coordinate: its name, with its value if
         that is wanted.
         """
-        return coordinate_text(self, name) if "coordinates" in self.options.words else name
+        return format_coordinate(self, name) if "coordinates" in self.options.words else name
 
     def body_text(self, link: Any) -> str:
         """Names of the bodies of a link, with their numbers where the names do not say them."""
@@ -141,23 +141,23 @@ class Subject:
         return "\n".join("   ".join(parts[k : k + 4]) for k in range(0, len(parts), 4))
 
 
-def coordinate_text(subject: Subject, name: str) -> str:
+def format_coordinate(subject: Subject, name: str) -> str:
     """A coordinate with its value and unit."""
     from kempe.equations.judge import compute_coordinate_value
-    from kempe.views.drawing.page import length_text
+    from kempe.views.drawing.page import format_length
 
     value = float(compute_coordinate_value(subject.system, subject.scene.q, name))
     value = value if abs(value) > NOTHING else 0.0
     unit = subject.units.get(name, "")
     said = (
-        length_text(round(value, 4))
+        format_length(round(value, 4))
         if unit == "m" and abs(value) >= 1e-4
         else f"{value:.3g} {unit}".rstrip()
     )
     return f"{name} = {said}"
 
 
-def subscript(system: Model, frame: str) -> str:
+def choose_subscript(system: Model, frame: str) -> str:
     """What an axis of a frame is called after x and y: the number of a body, a short name of a
     frame.
     """
@@ -166,7 +166,7 @@ def subscript(system: Model, frame: str) -> str:
     return f"_{{{frame}}}" if len(frame) <= 3 and frame.isalnum() else ""
 
 
-def lengths_by_name(system: Model, bodies: Any) -> list[tuple[str, float]]:
+def list_named_lengths(system: Model, bodies: Any) -> list[tuple[str, float]]:
     """Expressions in parameters by which frames of joints and others are placed on some bodies,
     with their values.
     """
@@ -180,12 +180,12 @@ def lengths_by_name(system: Model, bodies: Any) -> list[tuple[str, float]]:
     return [(x.text.lstrip("-"), abs(float(x.evaluate(m.parameters)))) for x in values]
 
 
-def length_name(known: list[tuple[str, float]], length: float) -> str:
+def name_length(known: list[tuple[str, float]], length: float) -> str:
     """The shortest expression that has this length, or the length itself."""
-    from kempe.views.drawing.page import length_text
+    from kempe.views.drawing.page import format_length
 
     same = [text for text, value in known if abs(value - length) < 1e-9 * max(length, 1e-9)]
-    return min(same, key=len) if same else length_text(float(f"{length:.3g}"))
+    return min(same, key=len) if same else format_length(float(f"{length:.3g}"))
 
 
 # ---- configurations
@@ -196,15 +196,15 @@ MOST = 32
 """Configurations that one picture shows at most."""
 
 
-def configuration_of(system: Model, q: Any, way: Array | None = None) -> Array:
+def read_configuration(system: Model, q: Any, way: Array | None = None) -> Array:
     """The configuration (nq,) that is drawn for what `plot` takes as `q`: of several the first."""
-    return configurations_of(system, q, way)[0][0]
+    return read_configurations(system, q, way)[0][0]
 
 
-def configurations_of(system: Model, q: Any, way: Array | None) -> tuple[Array, tuple[str, ...]]:
+def read_configurations(system: Model, q: Any, way: Array | None) -> tuple[Array, tuple[str, ...]]:
     """Configurations (k, nq) that are drawn, and their names, if they have any."""
     if q is None:
-        return usual_configuration(system, way)[None], ()
+        return choose_configuration(system, way)[None], ()
     titles = tuple(getattr(q, "titles", ()))
     if isinstance(q, str):
         q = make_q(system, q)
@@ -227,7 +227,7 @@ def configurations_of(system: Model, q: Any, way: Array | None) -> tuple[Array, 
     return found[good], tuple(t for t, ok in zip(titles, np.ravel(good), strict=False) if ok)
 
 
-def usual_configuration(system: Model, configurations: Array | None) -> Array:
+def choose_configuration(system: Model, configurations: Array | None) -> Array:
     """The configuration that is drawn unless one is given."""
     q = find_home(system)
     if configurations is None:
@@ -241,7 +241,7 @@ def usual_configuration(system: Model, configurations: Array | None) -> Array:
     return finite[int(np.argmin(compute_distance(system, finite, q)))]
 
 
-def motion_of(system: Model, path: Any) -> tuple[Array | None, tuple[str, ...]]:
+def read_motion(system: Model, path: Any) -> tuple[Array | None, tuple[str, ...]]:
     """Configurations (n, nq) of a path, and names of the joints that drive it.
 
     `path` is an array, or an answer with a field `q`, and perhaps `driver`, a name or names; None

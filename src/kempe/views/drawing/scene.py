@@ -135,7 +135,7 @@ class Scene:
             found[m.link].append(m.point)
         for link in self.links:
             found[link.number] += [X[:3, 3] for X in link.frames.values()]
-        return [distinct(np.array(points).reshape(-1, 3)) for points in found]
+        return [remove_duplicates(np.array(points).reshape(-1, 3)) for points in found]
 
     @cached_property
     def size(self) -> float:
@@ -186,7 +186,7 @@ class Scene:
         )
 
 
-def distinct(points: Array, near: float = 1e-7) -> Array:
+def remove_duplicates(points: Array, near: float = 1e-7) -> Array:
     """The points (k, d) without repetitions, in their order; `near` is relative to their extent."""
     scale = near * max(float(np.ptp(points, axis=0).max()) if len(points) else 0.0, 1e-9)
     out: list[Array] = []
@@ -196,7 +196,7 @@ def distinct(points: Array, near: float = 1e-7) -> Array:
     return np.array(out).reshape(-1, points.shape[1])
 
 
-def look(system: Model, q: Array, drivers: tuple[str, ...] = ()) -> Scene:
+def build_scene(system: Model, q: Array, drivers: tuple[str, ...] = ()) -> Scene:
     """The scene of a system at one configuration (nq,). `drivers` names joints to mark beside the
     actuated ones.
 
@@ -210,7 +210,7 @@ def look(system: Model, q: Array, drivers: tuple[str, ...] = ()) -> Scene:
             raise UnsupportedError(
                 f"body {name!r} is {far:g} from the origin; up to {FARTHEST:g} can be drawn"
             )
-    number = links_of(system)
+    number = number_links(system)
     gaps = dict(zip(system.structure.closures, closure_error(system, q)[:, :3], strict=True))
     joints: list[SeenJoint] = []
     mine: dict[int, list[int]] = {}
@@ -248,15 +248,15 @@ def look(system: Model, q: Array, drivers: tuple[str, ...] = ()) -> Scene:
             if f.body in bodies
         }
         if len(mine.get(k, ())) == bool(k or joints) and not frames:
-            frames = _end(mechanism, bodies)
+            frames = _find_end_frame(mechanism, bodies)
         particle = all(mechanism.bodies[b].particle for b in bodies)
         links.append(
             SeenLink(k, next(iter(bodies)), bodies, frames, tuple(mine.get(k, ())), particle)
         )
-    return Scene(system, q, tuple(links), tuple(joints), *_constraints(system, poses, number))
+    return Scene(system, q, tuple(links), tuple(joints), *_list_constraints(system, poses, number))
 
 
-def _end(mechanism: Mechanism, bodies: dict[str, Array]) -> dict[str, Array]:
+def _find_end_frame(mechanism: Mechanism, bodies: dict[str, Array]) -> dict[str, Array]:
     """The body at the end of a link of several bodies, as a frame: such as the tool of a file
     without frames.
 
@@ -274,7 +274,7 @@ def _end(mechanism: Mechanism, bodies: dict[str, Array]) -> dict[str, Array]:
     return {} if far is None else {far: bodies[far]}
 
 
-def links_of(system: Model) -> dict[str, int]:
+def number_links(system: Model) -> dict[str, int]:
     """Number of the link of each body: bodies joined by joints without freedom are one."""
     mechanism = system.mechanism
     root = {b: b for b in system.body_names}
@@ -293,7 +293,9 @@ def links_of(system: Model) -> dict[str, int]:
     return {b: heads.index(find(b)) for b in system.body_names}
 
 
-def _constraints(system: Model, poses: dict[str, Array], number: dict[str, int]) -> tuple[Any, ...]:
+def _list_constraints(
+    system: Model, poses: dict[str, Array], number: dict[str, int]
+) -> tuple[Any, ...]:
     """Rods, lines and marks of the constraints that are no joints, where the mechanism has any."""
     mechanism = system.mechanism
     rods: list[tuple[str, tuple[int, int], Array, float]] = []
@@ -317,11 +319,11 @@ def _constraints(system: Model, poses: dict[str, Array], number: dict[str, int])
         elif [r.op for r in list_position_rows(c.of, system.dim)] == [Op.POINT] * (system.dim - 1):
             lines.append((c.name, ends, A, B[:3, 3]))
         else:
-            marks.append(_mark(system, c, number[c.child], A, B))
+            marks.append(_make_mark(system, c, number[c.child], A, B))
     return tuple(rods), tuple(lines), tuple(marks)
 
 
-def _mark(system: Model, c: Declared, link: int, A: Array, B: Array) -> SeenMark:
+def _make_mark(system: Model, c: Declared, link: int, A: Array, B: Array) -> SeenMark:
     """A constraint that is no rod or line, with the plane that it touches or lies on, if there is
     one.
     """
@@ -339,7 +341,9 @@ def _mark(system: Model, c: Declared, link: int, A: Array, B: Array) -> SeenMark
     )
 
 
-def travel(scene: Scene, joint: SeenJoint, configurations: Array | None) -> tuple[float, float]:
+def compute_travel(
+    scene: Scene, joint: SeenJoint, configurations: Array | None
+) -> tuple[float, float]:
     """Smallest and largest slide [m] of a prismatic joint: now, over configurations (n, nq), and
     within its limits.
     """

@@ -20,13 +20,13 @@ FINE = 0.02
 """Angle between the points by which an arc is drawn."""
 
 
-def rounded(points: Array, radius: float) -> Path:
+def make_rounded_outline(points: Array, radius: float) -> Path:
     """Outline of all that is within `radius` of the convex hull of points (n, 2): a disc, a bar, a
     rounded polygon.
     """
     corners = hull(points)
     if len(corners) == 1:
-        return circle(corners[0], radius)
+        return make_circle(corners[0], radius)
     sides = np.roll(corners, -1, axis=0) - corners
     normals = np.rad2deg(np.arctan2(sides[:, 1], sides[:, 0])) - 90.0
     vertices: list[Array] = []
@@ -43,7 +43,7 @@ def rounded(points: Array, radius: float) -> Path:
     return Path(np.concatenate(vertices), [*codes, Path.CLOSEPOLY])
 
 
-def circle(centre: Array, radius: float) -> Path:
+def make_circle(centre: Array, radius: float) -> Path:
     """Outline of a circle."""
     unit = Path.unit_circle()
     return Path(np.asarray(centre) + radius * np.asarray(unit.vertices), unit.codes)
@@ -53,7 +53,7 @@ MOST_STROKES = 1000
 """Strokes of one line of the ground at most."""
 
 
-def polygon(points: Array) -> Path:
+def make_polygon(points: Array) -> Path:
     """Outline of a polygon with the corners (n, 2)."""
     return Path(
         np.concatenate([points, points[:1]]),
@@ -61,69 +61,71 @@ def polygon(points: Array) -> Path:
     )
 
 
-def strokes(lines: list[tuple[Array, Array]]) -> Path:
+def make_strokes(lines: list[tuple[Array, Array]]) -> Path:
     """Separate straight lines, as one path."""
     codes = [Path.MOVETO, Path.LINETO] * len(lines)
     return Path(np.array([p for line in lines for p in line]).reshape(-1, 2), codes)
 
 
-def hatched(a: Array, b: Array, down: Array, r: float) -> Path:
+def make_hatched_line(a: Array, b: Array, down: Array, r: float) -> Path:
     """The line from a to b with the strokes of the ground on its side `down` (unit vector)."""
     length = float(np.linalg.norm(b - a))
     along = (b - a) / max(length, 1e-300)
     count = max(2, min(round(length / (HATCH * r)), MOST_STROKES))
     foot = a + along * (np.arange(count) + 0.75)[:, None] * (length / count)
     slant = (down - along) * (HATCH * 0.85 * r)
-    return strokes([(a, b), *[(p, p + slant) for p in foot]])
+    return make_strokes([(a, b), *[(p, p + slant) for p in foot]])
 
 
-def ground(p: Array, down: Array, r: float) -> tuple[Path, Path]:
+def make_ground_symbol(p: Array, down: Array, r: float) -> tuple[Path, Path]:
     """Triangle under a pivot at p, and its hatched base line; `down` (2,) is a unit vector."""
     along = np.array([-down[1], down[0]])
     base = p + GROUND_HEIGHT * r * down
     corners = np.array([p, base - 1.55 * r * along, base + 1.55 * r * along])
     side = along if along[0] >= 0.0 else -along
-    return polygon(corners), hatched(
+    return make_polygon(corners), make_hatched_line(
         base - GROUND_HALF * r * side, base + GROUND_HALF * r * side, down, r
     )
 
 
-def box(centre: Array, along: Array, half_length: float, half_height: float) -> Path:
+def make_box(centre: Array, along: Array, half_length: float, half_height: float) -> Path:
     """Outline of a rectangle about a centre, its length in the direction `along` (unit vector)."""
     up = np.array([-along[1], along[0]])
     x = half_length * along
     y = half_height * up
-    return polygon(np.array([centre - x - y, centre + x - y, centre + x + y, centre - x + y]))
+    return make_polygon(np.array([centre - x - y, centre + x - y, centre + x + y, centre - x + y]))
 
 
-def arc(centre: Array, radius: float, start: float, stop: float, head: float) -> tuple[Array, Path]:
+def make_arc(
+    centre: Array, radius: float, start: float, stop: float, head: float
+) -> tuple[Array, Path]:
     """Points (n, 2) of a circular arc between two angles [rad], and the arrow head at its end."""
     back = float(np.sign(stop - start)) * 0.8 * head / radius
     angles = np.linspace(start, stop - back, 40)
     line = centre + radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     tip = centre + radius * np.array([np.cos(stop), np.sin(stop)])
-    return line, arrow_head(tip, tip - line[-1], head)
+    return line, make_arrow_head(tip, tip - line[-1], head)
 
 
-def arrow_head(tip: Array, direction: Array, head: float) -> Path:
+def make_arrow_head(tip: Array, direction: Array, head: float) -> Path:
     """A slim triangle of length `head` whose tip points in a direction (2,)."""
     along = direction / max(float(np.linalg.norm(direction)), 1e-300)
     side = np.array([-along[1], along[0]])
     base = tip - head * along
-    return polygon(np.array([tip, base + 0.42 * head * side, base - 0.42 * head * side]))
+    return make_polygon(np.array([tip, base + 0.42 * head * side, base - 0.42 * head * side]))
 
 
-def region_outline(region: SolutionRegion) -> Path:
+def make_region_outline(region: SolutionRegion) -> Path:
     """The closed curves round a region, as one path."""
     codes: list[Any] = []
     corners: list[Array] = []
     for loop in region.loops:
-        p = np.concatenate([piece_points(piece) for piece in loop])
+        p = np.concatenate([sample_piece(piece) for piece in loop])
         corners.append(np.column_stack([np.real(p), np.imag(p)]))
         codes += [Path.MOVETO, *[Path.LINETO] * (len(p) - 2), Path.CLOSEPOLY]
     return Path(np.concatenate(corners), codes)
 
 
-def piece_points(piece: PlaneCurve) -> Array:
+def sample_piece(piece: PlaneCurve) -> Array:
     """Points (k,) along a piece, close enough for a picture."""
     return piece.sample_points(FINE)

@@ -52,14 +52,14 @@ class Solids:
         Faces are kept as quadrangles: matplotlib pads others with memory that it never wrote.
         """
         light = abs(float(normal @ LIGHT)) if alpha < 1.0 else max(float(normal @ LIGHT), 0.0)
-        red, green, blue = (x * (SHADE + (1.0 - SHADE) * light) for x in rgb(colour))
+        red, green, blue = (x * (SHADE + (1.0 - SHADE) * light) for x in parse_colour(colour))
         if len(corners) == 3:
             corners = corners[[0, 1, 2, 2]]
         for k in range(1, len(corners) - 2, 2):
             self.named.setdefault(name, []).append(len(self.faces))
             self.faces.append(corners[[0, k, k + 1, k + 2]])
             self.colours.append((red, green, blue, alpha))
-            line = rgb(edge) if edge and len(corners) == 4 else (red, green, blue)
+            line = parse_colour(edge) if edge and len(corners) == 4 else (red, green, blue)
             self.edges.append((*line, 1.0 if alpha == 1.0 else 0.8 if edge else 0.0))
         if len(corners) > 4 and len(corners) % 2:  # the last triangle of the fan
             self.face(name, corners[[0, -2, -1]], normal, colour, alpha)
@@ -249,7 +249,7 @@ class SolidRecord(Solids):
         first = n * np.arange(k, dtype=np.int64)[:, None, None]
         triangles = (both + first).reshape(-1, 3)
         self.pieces.append(
-            DrawnPiece(name, corners.reshape(-1, 3), triangles, (*rgb(colour), alpha))
+            DrawnPiece(name, corners.reshape(-1, 3), triangles, (*parse_colour(colour), alpha))
         )
 
 
@@ -260,7 +260,7 @@ def fan_triangles(n: int) -> np.ndarray:
     return np.stack([np.zeros_like(k), k, k + 1], axis=1)
 
 
-def rgb(colour: str) -> tuple[float, float, float]:
+def parse_colour(colour: str) -> tuple[float, float, float]:
     """Red, green and blue from 0 to 1 of '#rrggbb'."""
     red, green, blue = (int(colour[i : i + 2], 16) / 255.0 for i in (1, 3, 5))
     return red, green, blue
@@ -289,7 +289,7 @@ def hull(points: Array) -> Array:
     return np.array(half(ordered) + half(ordered[::-1]))
 
 
-def flat_hull(points: Array, tolerance: float) -> list[int] | None:
+def find_flat_hull(points: Array, tolerance: float) -> list[int] | None:
     """Numbers (k,) of the points (n, 3) on their convex hull, in order round it; None if they lie
     in no plane.
     """

@@ -14,8 +14,8 @@ import numpy as np
 from kempe.errors import InputError
 from kempe.spatial import Array
 from kempe.views.drawing import callouts, page, style, symbols
-from kempe.views.drawing.labels import Obstacles, extent, shortened
-from kempe.views.drawing.plot_request import Subject, subscript
+from kempe.views.drawing.labels import Obstacles, measure_text, shorten_label
+from kempe.views.drawing.plot_request import Subject, choose_subscript
 from kempe.views.drawing.scene import Scene
 from kempe.views.drawing.solids import Solids
 from kempe.views.drawing.style import FAINT, FONT, INK
@@ -30,20 +30,22 @@ apart."""
 
 def bounds_of(subjects: list[Subject]) -> tuple[Array, tuple[float, float]]:
     """Points (n, 3) that several drawings together hold, and the view of the first."""
-    points = [p for s in subjects for scene in (s.scene, *s.others) for p in _solid_points(scene)]
+    points = [
+        p for s in subjects for scene in (s.scene, *s.others) for p in _list_solid_points(scene)
+    ]
     points += [c[np.isfinite(c).all(axis=1)] for s in subjects[:1] for c in s.curves.values()]
     points += [s.missed for s in subjects if s.missed is not None]
-    return np.concatenate([p for p in points if len(p)]), _view(subjects[0].scene)
+    return np.concatenate([p for p in points if len(p)]), _choose_view(subjects[0].scene)
 
 
-def _solid_points(scene: Scene) -> list[Array]:
+def _list_solid_points(scene: Scene) -> list[Array]:
     """The corners of everything that is drawn of a scene."""
     solids = Solids()
-    symbols.build(solids, scene, symbols.radius(scene), None)
+    symbols.add_scene(solids, scene, symbols.choose_radius(scene), None)
     return solids.faces
 
 
-usual_radius = symbols.radius
+usual_radius = symbols.choose_radius
 
 
 def empty(
@@ -51,8 +53,8 @@ def empty(
 ) -> Axes:
     """Axes without a drawing, in a figure whose shape suits these bounds."""
     ax = make().add_axes((0.0, 0.0, 1.0, 1.0), projection="3d")
-    _frame(ax, bounds[0], *bounds[1])
-    fit(ax)
+    _set_limits(ax, bounds[0], *bounds[1])
+    fit_figure(ax)
     return ax
 
 
@@ -60,7 +62,7 @@ def picture(
     subject: Subject,
     ax: Any,
     bounds: tuple[Array, tuple[float, float]] | None = None,
-    make: Callable[..., Any] = page.new_figure,
+    make: Callable[..., Any] = page.make_figure,
 ) -> Axes:
     """Axes in space with the scene, the curves (n, 3) by frame, and other positions as lines.
 
@@ -70,18 +72,18 @@ def picture(
     own = ax is None
     if own:
         ax = make().add_axes((0.0, 0.0, 1.0, 1.0), projection="3d")
-    elif not hasattr(page.axes_given(ax)[0], "get_zlim"):
+    elif not hasattr(page.check_axes(ax)[0], "get_zlim"):
         raise InputError("ax is flat; a system in space needs axes with projection='3d'")
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
     ax.computed_zorder = False
     scene = subject.scene
     solids = Solids()
-    radius = subject.radius or symbols.radius(scene)
-    skeleton = symbols.build(solids, scene, radius, subject.way)
+    radius = subject.radius or symbols.choose_radius(scene)
+    skeleton = symbols.add_scene(solids, scene, radius, subject.way)
     if subject.options.motion:
         for joint in scene.joints:
-            skeleton += callouts.freedoms_in_space(solids, joint, radius)
+            skeleton += callouts.draw_freedoms_in_space(solids, joint, radius)
     faces = Poly3DCollection(
         solids.faces,
         facecolors=solids.colours,
@@ -91,9 +93,9 @@ def picture(
         gid="solids",
     )
     ax.add_collection3d(faces, autolim=False)
-    all_points = [*solids.faces, *_positions(ax, subject)]
+    all_points = [*solids.faces, *_draw_other_positions(ax, subject)]
     for k, (name, points) in enumerate(subject.curves.items()):
-        colour = style.curve_colour(k)
+        colour = style.choose_curve_colour(k)
         ax.plot(
             *points.T, color=colour, lw=1.9, zorder=style.ARROWS, gid=f"curve:{name}", label=name
         )
@@ -110,10 +112,10 @@ def picture(
             zorder=style.ARROWS,
             gid=f"here:{name}",
         )
-    ends = [_mark(ax, name, X, style.MARK * radius) for name, X in subject.marks.items()]
+    ends = [_draw_frame(ax, name, X, style.MARK * radius) for name, X in subject.marks.items()]
     all_points += [*ends, *(c[np.isfinite(c).all(axis=1)] for c in subject.curves.values())]
     all_points += [scene.points(link) for link in scene.links]
-    angles = callouts.angles(ax, subject, radius) if subject.options.angles else []
+    angles = callouts.draw_angles_in_space(ax, subject, radius) if subject.options.angles else []
     all_points += [p[None] for p, _, _ in angles]
     if subject.missed is not None:
         ax.plot(
@@ -131,44 +133,44 @@ def picture(
         all_points.append(subject.missed)
     if not any(len(p) for p in all_points):  # nothing moves and nothing is named
         all_points.append(np.zeros((1, 3)))
-    elev, azim = _view(scene) if bounds is None else bounds[1]
+    elev, azim = _choose_view(scene) if bounds is None else bounds[1]
     if bounds is None:
-        _frame(ax, np.concatenate(all_points), elev, azim)
+        _set_limits(ax, np.concatenate(all_points), elev, azim)
     if own:
-        fit(ax)
+        fit_figure(ax)
     skeleton += [np.stack([e[0], tip]) for e in ends for tip in e[1:]]
-    texts = [*angles, *callouts.texts(subject, style.MARK * radius)]
-    _labels(ax, subject, texts, skeleton, radius, camera(elev, azim), own)
+    texts = [*angles, *callouts.list_texts(subject, style.MARK * radius)]
+    _draw_labels(ax, subject, texts, skeleton, radius, compute_camera(elev, azim), own)
     if subject.parameter_text():
         ax.set_title(subject.parameter_text(), loc="left", size=FONT - 1, color=INK, pad=3.0)
     if subject.keyed:
-        page.key(ax, subject.titles, own)
+        page.draw_key(ax, subject.titles, own)
     return ax
 
 
-def _positions(ax: Any, subject: Subject) -> list[Array]:
+def _draw_other_positions(ax: Any, subject: Subject) -> list[Array]:
     """Draw earlier positions faintly, further configurations in colours and dashes of their own;
     their points.
     """
     drawn: list[Array] = []
     thick = 3.0 if subject.options.motion else 1.6
     for k, old in enumerate(subject.ghosts):
-        for link, line in symbols.lines(old):
+        for link, line in symbols.iterate_link_lines(old):
             drawn.append(line)
             ax.plot(
                 *line.T,
-                color=style.link_colour(link.number),
+                color=style.choose_link_colour(link.number),
                 alpha=0.3,
                 lw=thick,
                 zorder=style.GHOSTS,
                 gid=f"ghost{k}:{link.name}",
             )
     for k, other in enumerate(subject.others, 1):
-        for link, line in symbols.lines(other):
+        for link, line in symbols.iterate_link_lines(other):
             drawn.append(line)
             ax.plot(
                 *line.T,
-                color=style.over_colour(k),
+                color=style.choose_configuration_colour(k),
                 lw=2.2,
                 ls=style.DASHES[k % len(style.DASHES)],
                 zorder=style.BLOCKS,
@@ -177,7 +179,7 @@ def _positions(ax: Any, subject: Subject) -> list[Array]:
     return drawn
 
 
-def _mark(ax: Any, name: str, X: Array, length: float) -> Array:
+def _draw_frame(ax: Any, name: str, X: Array, length: float) -> Array:
     """Draw the axes of a frame (4, 4) over everything else; its origin and the ends of its axes (4,
     3).
     """
@@ -204,7 +206,7 @@ def _mark(ax: Any, name: str, X: Array, length: float) -> Array:
     return ends
 
 
-def camera(elev: float, azim: float) -> Array:
+def compute_camera(elev: float, azim: float) -> Array:
     """Rows right, up and towards the eye (3, 3) of a view; angles in degrees."""
     e = np.deg2rad(elev)
     a = np.deg2rad(azim)
@@ -217,7 +219,7 @@ def camera(elev: float, azim: float) -> Array:
     )
 
 
-def _view(scene: Scene) -> tuple[float, float]:
+def _choose_view(scene: Scene) -> tuple[float, float]:
     """The view in which joint centres and frames lie furthest apart (least sum of inverse
     distances).
     """
@@ -229,13 +231,13 @@ def _view(scene: Scene) -> tuple[float, float]:
         return VIEWS[2]
     costs: list[float] = []
     for elev, azim in VIEWS:
-        seen = np.linalg.norm(d @ camera(elev, azim)[:2].T, axis=1)
+        seen = np.linalg.norm(d @ compute_camera(elev, azim)[:2].T, axis=1)
         costs.append(float(np.sum(1.0 / (seen + 0.02 * scene.size))))
     best = min(costs)
     return next(v for v, c in zip(VIEWS, costs, strict=True) if c <= 1.0000001 * best)
 
 
-def _frame(ax: Any, points: Array, elev: float, azim: float) -> None:
+def _set_limits(ax: Any, points: Array, elev: float, azim: float) -> None:
     """Set limits with equal scales, light axes in metres, and the view."""
     lower = points.min(axis=0)
     upper = points.max(axis=0)
@@ -254,7 +256,7 @@ def _frame(ax: Any, points: Array, elev: float, azim: float) -> None:
         axis._axinfo["tick"].update(inward_factor=0.0, outward_factor=0.15)
         axis.set_tick_params(labelsize=FONT - 2, labelcolor=style.GROUND, color=FAINT, pad=-2)
         small = (b - a) < 0.45 * float((upper - lower).max())
-        axis.set_major_locator(_locator(2 if small else 5))
+        axis.set_major_locator(_make_locator(2 if small else 5))
         axis.set_label_text(f"{name} [m]", size=FONT - 1, color=style.GROUND)
         axis.labelpad = -4 if small else 0
     ax.set_proj_type("ortho")
@@ -262,17 +264,17 @@ def _frame(ax: Any, points: Array, elev: float, azim: float) -> None:
     ax.view_init(elev=elev, azim=azim)
 
 
-def fit(ax: Any) -> None:
+def fit_figure(ax: Any) -> None:
     """Let the box fill the figure, and the figure be no larger than the box with its axes needs."""
     figure = ax.figure
     side = 7.0
     room = (0.75, 0.55)
     figure.set_size_inches(side, side)
-    seen = _on_axes(ax, _corners(ax))
+    seen = _project_to_axes(ax, _list_corners(ax))
     span = np.ptp(seen, axis=0)
     zoom = float(min((side - 2 * r) / side / x for r, x in zip(room, span, strict=True)))
-    aspect(ax, zoom)
-    seen = _on_axes(ax, _corners(ax))
+    set_aspect(ax, zoom)
+    seen = _project_to_axes(ax, _list_corners(ax))
     lower = seen.min(axis=0) * side - room
     upper = seen.max(axis=0) * side + room
     size = np.maximum(upper - lower, (3.2, 2.4))
@@ -281,19 +283,19 @@ def fit(ax: Any) -> None:
     ax.set_position((corner[0] / size[0], corner[1] / size[1], side / size[0], side / size[1]))
 
 
-def aspect(ax: Any, zoom: float = 1.0) -> None:
+def set_aspect(ax: Any, zoom: float = 1.0) -> None:
     """Give all axes one scale."""
     ax.set_box_aspect(
         [np.ptp(ax.get_xlim()), np.ptp(ax.get_ylim()), np.ptp(ax.get_zlim())], zoom=zoom
     )
 
 
-def _corners(ax: Any) -> Array:
+def _list_corners(ax: Any) -> Array:
     limits: list[Array] = [np.asarray(x) for x in (ax.get_xlim(), ax.get_ylim(), ax.get_zlim())]
     return np.stack(np.meshgrid(*limits), axis=-1).reshape(-1, 3)
 
 
-def _on_axes(ax: Any, points: Array) -> Array:
+def _project_to_axes(ax: Any, points: Array) -> Array:
     """Points (n, 3) in coordinates of the axes' rectangle (n, 2)."""
     from mpl_toolkits.mplot3d import proj3d
 
@@ -302,13 +304,13 @@ def _on_axes(ax: Any, points: Array) -> Array:
     return ax.transAxes.inverted().transform(ax.transData.transform(np.stack([x, y], axis=-1)))
 
 
-def _locator(count: int) -> Any:
+def _make_locator(count: int) -> Any:
     from matplotlib.ticker import MaxNLocator
 
     return MaxNLocator(count, steps=[1, 2, 5, 10])
 
 
-def _labels(
+def _draw_labels(
     ax: Any,
     subject: Subject,
     texts: list[tuple[Array, str, dict[str, Any]]],
@@ -337,7 +339,7 @@ def _labels(
             obstacles.segment(c, c - eye[:2, 2] * 3.0 * radius, 2.2 * radius, 0.9)
     metres_a_point = _metres_a_point(ax, eye)
     half = 0.5 * metres_a_point * 72.0 * (ax.figure.get_size_inches() - 0.1)
-    centre = eye[:2] @ _corners(ax).mean(axis=0)
+    centre = eye[:2] @ _list_corners(ax).mean(axis=0)
     obstacles.bounds = (centre - half, centre + half) if own else None
     groups: list[tuple[Array, list[str], dict[str, Any]]] = []
     for joint in scene.joints:
@@ -353,12 +355,16 @@ def _labels(
         else:
             near[1].append(text)
     if "frames" in words:
-        grey = {"color": style.mix(INK, style.PAPER, 0.3), "style": "italic", "size": FONT - 1}
+        grey = {
+            "color": style.mix_colours(INK, style.PAPER, 0.3),
+            "style": "italic",
+            "size": FONT - 1,
+        }
         named = {name: X for link in scene.links for name, X in link.frames.items()} | subject.marks
         named = {
             n: X
             for n, X in named.items()
-            if n not in subject.axes or not subscript(subject.system, n)
+            if n not in subject.axes or not choose_subscript(subject.system, n)
         }
         groups += [(X[:3, 3], [name], grey) for name, X in named.items()]
     groups += [(p, [text], {"size": FONT, **look}) for p, text, look in texts]
@@ -366,8 +372,10 @@ def _labels(
     halo = [withStroke(linewidth=2.2, foreground=style.PAPER)]
     for p, names, look in groups:
         text = ", ".join(names)
-        said = shortened(text)
-        width, height = (metres_a_point * x for x in extent(said, look["size"], "weight" in look))
+        said = shorten_label(text)
+        width, height = (
+            metres_a_point * x for x in measure_text(said, look["size"], "weight" in look)
+        )
         c = eye[:2] @ p
         outward = eye[:2] @ (p - middle) / scene.size
         place = obstacles.place(c, (width, height), 2.1 * radius, outward)
@@ -392,5 +400,5 @@ def _metres_a_point(ax: Any, eye: Array) -> float:
         ]
     )
     step = float(np.ptp(ax.get_xlim()))
-    a, b = ax.transAxes.transform(_on_axes(ax, np.array([centre, centre + step * eye[0]])))
+    a, b = ax.transAxes.transform(_project_to_axes(ax, np.array([centre, centre + step * eye[0]])))
     return step / max(float(np.linalg.norm(b - a)) * 72.0 / ax.figure.dpi, 1e-300)

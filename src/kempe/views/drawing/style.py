@@ -65,24 +65,24 @@ POINT = 0.085
 """Width of a line of one point, in radii of a pin."""
 
 
-def link_colour(number: int) -> str:
+def choose_link_colour(number: int) -> str:
     """Colour of the link of this number; the ground is number 0."""
     return GROUND if number == 0 else LINKS[(number - 1) % len(LINKS)]
 
 
-def curve_colour(number: int) -> str:
+def choose_curve_colour(number: int) -> str:
     """Colour of the curve of this number, counted from 0."""
     return CURVES[number % len(CURVES)]
 
 
-def over_colour(number: int) -> str:
+def choose_configuration_colour(number: int) -> str:
     """Colour of the configuration of this number of several in one picture; the first, in full, is
     number 0.
     """
-    return INK if number == 0 else curve_colour(number)
+    return INK if number == 0 else choose_curve_colour(number)
 
 
-def mix(colour: str, other: str, part: float) -> str:
+def mix_colours(colour: str, other: str, part: float) -> str:
     """The colour with a `part` (0 to 1) of the other mixed in, as '#rrggbb'."""
     a, b = (tuple(int(c[i : i + 2], 16) for i in (1, 3, 5)) for c in (colour, other))
     return "#" + "".join(f"{round(x + (y - x) * part):02x}" for x, y in zip(a, b, strict=True))

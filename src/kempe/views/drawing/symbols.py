@@ -10,8 +10,15 @@ from kempe import spatial
 from kempe.joints import P, Q
 from kempe.spatial import Array
 from kempe.views.drawing import style
-from kempe.views.drawing.scene import Scene, SeenJoint, SeenLink, SeenMark, distinct, travel
-from kempe.views.drawing.solids import Solids, flat_hull
+from kempe.views.drawing.scene import (
+    Scene,
+    SeenJoint,
+    SeenLink,
+    SeenMark,
+    compute_travel,
+    remove_duplicates,
+)
+from kempe.views.drawing.solids import Solids, find_flat_hull
 from kempe.views.drawing.style import DRIVER, GROUND, INK, OPEN, WRONG
 
 OF_SIZE = 0.02
@@ -32,25 +39,25 @@ JOINT = "#dfe4e8"
 TURNING = ("revolute", "cylindrical", "helical")
 
 
-def radius(scene: Scene) -> float:
+def choose_radius(scene: Scene) -> float:
     """Radius [m] of a hinge that suits the size of the drawing and its shorter links."""
     lengths = scene.lengths
     short = float(np.quantile(lengths, 0.35)) if len(lengths) else scene.size
     return max(min(OF_SIZE * scene.size, OF_LINK * short), LEAST * scene.size)
 
 
-def build(solids: Solids, scene: Scene, r: float, configurations: Array | None) -> list[Array]:
+def add_scene(solids: Solids, scene: Scene, r: float, configurations: Array | None) -> list[Array]:
     """Add everything that the scene shows; returns the polylines (n, 3) that its links follow."""
     skeleton: list[Array] = []
-    _ground(solids, scene, r, skeleton)
+    _add_ground(solids, scene, r, skeleton)
     for link in scene.links[1:]:
-        _link(solids, scene, link, r, skeleton)
+        _add_link(solids, scene, link, r, skeleton)
     for joint in scene.joints:
-        colour = style.mix(DRIVER, style.PAPER, 0.45) if joint.driven else JOINT
-        SYMBOLS.get(joint.kind, _other)(solids, scene, joint, r, colour, configurations)
+        colour = style.mix_colours(DRIVER, style.PAPER, 0.45) if joint.driven else JOINT
+        SYMBOLS.get(joint.kind, _add_other_joint)(solids, scene, joint, r, colour, configurations)
         if joint.driven and joint.kind in TURNING:
-            _turning_arrow(solids, joint, r)
-        _open(solids, joint, r)
+            _add_turning_arrow(solids, joint, r)
+        _add_gap(solids, joint, r)
     for name, _, ends, wrong in scene.rods:
         colour = OPEN if abs(wrong) > WRONG * scene.size else style.FAINT
         solids.tube(f"rod:{name}", ends[0], ends[1], 0.35 * r, colour)
@@ -58,7 +65,7 @@ def build(solids: Solids, scene: Scene, r: float, configurations: Array | None) 
             solids.ball(f"rod:{name}", end, 0.8 * r, JOINT)
         skeleton.append(ends)
     for mark in scene.marks:
-        _constraint(solids, mark, r)
+        _add_constraint(solids, mark, r)
     for name, _, A, point in scene.lines:
         along = A[:3, 2] * 6 * r
         solids.tube(f"line:{name}", point - along, point + along, 0.2 * r, GROUND)
@@ -66,18 +73,22 @@ def build(solids: Solids, scene: Scene, r: float, configurations: Array | None) 
     return skeleton
 
 
-def _constraint(solids: Solids, mark: SeenMark, r: float) -> None:
+def _add_constraint(solids: Solids, mark: SeenMark, r: float) -> None:
     """Draw an axle with wheels, a wheel or ball on the plane that it touches, or a point."""
     name = f"mark:{mark.name}"
     c = mark.point
     axle = mark.B[:3, 1]
-    colour = style.link_colour(mark.link)
+    colour = style.choose_link_colour(mark.link)
     if mark.plane is not None:
         X = np.eye(4)
         X[:3, :3] = spatial.align_z(mark.plane[1])
         X[:3, 3] = mark.plane[0]
         solids.plate(
-            f"{name}:plane", _square(X, max(2.0 * mark.radius, 6.0 * r)), GROUND, 0.25, GROUND
+            f"{name}:plane",
+            _list_square_corners(X, max(2.0 * mark.radius, 6.0 * r)),
+            GROUND,
+            0.25,
+            GROUND,
         )
     if mark.radius > 0.0 and mark.disc:
         half = 0.08 * mark.radius * axle
@@ -92,17 +103,17 @@ def _constraint(solids: Solids, mark: SeenMark, r: float) -> None:
         solids.ball(name, c, 0.8 * r, JOINT)
 
 
-def lines(scene: Scene) -> Iterator[tuple[SeenLink, Array]]:
+def iterate_link_lines(scene: Scene) -> Iterator[tuple[SeenLink, Array]]:
     """For each moving link the polylines (n, 3) that it is drawn along."""
     for link in scene.links[1:]:
-        for line in lines_of(scene, link):
+        for line in list_link_lines(scene, link):
             yield link, line
 
 
-def lines_of(scene: Scene, link: SeenLink) -> list[Array]:
+def list_link_lines(scene: Scene, link: SeenLink) -> list[Array]:
     """The polylines (n, 3) that a link is drawn along."""
     joints = [scene.joints[j] for j in link.joints]
-    centres = distinct(
+    centres = remove_duplicates(
         np.array(
             [j.on(link.number)[:3, 3] for j in joints]
             + [e[k] for _, n, e, _ in scene.rods for k in (0, 1) if n[k] == link.number]
@@ -116,10 +127,10 @@ def lines_of(scene: Scene, link: SeenLink) -> list[Array]:
     if len(joints) == 2 and len(centres) <= 2:
         first, last = joints
         turns = first.kind in TURNING, last.kind in TURNING
-        out.append(_along_axes(first.on(link.number), last.on(link.number), *turns))
+        out.append(_connect_axes(first.on(link.number), last.on(link.number), *turns))
         hub = centres
     elif len(centres) > 2:
-        rim = flat_hull(centres, 0.02 * scene.size)
+        rim = find_flat_hull(centres, 0.02 * scene.size)
         middle = centres.mean(axis=0)
         if rim is None:
             out += [np.array([middle, c]) for c in centres]
@@ -143,11 +154,11 @@ def lines_of(scene: Scene, link: SeenLink) -> list[Array]:
     # nothing but its joint: a handle along x shows it
     if not out and len(joints) == 1 and not link.particle:
         X = next(iter(link.bodies.values()))
-        out.append(np.stack([X[:3, 3], X[:3, 3] + HANDLE * radius(scene) * X[:3, 0]]))
+        out.append(np.stack([X[:3, 3], X[:3, 3] + HANDLE * choose_radius(scene) * X[:3, 0]]))
     return out
 
 
-def _along_axes(A: Array, B: Array, use_a: bool, use_b: bool) -> Array:
+def _connect_axes(A: Array, B: Array, use_a: bool, use_b: bool) -> Array:
     """Polyline from one joint to the next along their axes and the common normal (Denavit,
     Hartenberg, 1955).
 
@@ -175,12 +186,14 @@ def _along_axes(A: Array, B: Array, use_a: bool, use_b: bool) -> Array:
     return line if length <= DETOUR * float(np.linalg.norm(d)) else straight
 
 
-def _link(solids: Solids, scene: Scene, link: SeenLink, r: float, skeleton: list[Array]) -> None:
-    colour = style.link_colour(link.number)
+def _add_link(
+    solids: Solids, scene: Scene, link: SeenLink, r: float, skeleton: list[Array]
+) -> None:
+    colour = style.choose_link_colour(link.number)
     name = f"link:{link.name}"
-    drawn = lines_of(scene, link)
+    drawn = list_link_lines(scene, link)
     for line in drawn:
-        _pipe(solids, name, line, LINK * r, style.mix(colour, style.PAPER, 0.15))
+        _add_pipe(solids, name, line, LINK * r, style.mix_colours(colour, style.PAPER, 0.15))
         if len(line) > 3 and np.allclose(line[0], line[-1]):
             solids.plate(name, line[:-1], colour, 0.22)
     skeleton += drawn
@@ -188,11 +201,11 @@ def _link(solids: Solids, scene: Scene, link: SeenLink, r: float, skeleton: list
         solids.ball(name, next(iter(link.bodies.values()))[:3, 3], 1.3 * r, colour)
         return
     for frame, X in link.frames.items():
-        _triad(solids, f"frame:{frame}", X, r)
+        _add_triad(solids, f"frame:{frame}", X, r)
         skeleton += [np.stack([X[:3, 3], X[:3, 3] + 4.5 * r * X[:3, axis]]) for axis in range(3)]
 
 
-def _pipe(solids: Solids, name: str, line: Array, thick: float, colour: str) -> None:
+def _add_pipe(solids: Solids, name: str, line: Array, thick: float, colour: str) -> None:
     steps = np.linalg.norm(np.diff(line, axis=0), axis=1)
     for a, b, step in zip(line[:-1], line[1:], steps, strict=True):
         if step > 1e-12:
@@ -202,7 +215,7 @@ def _pipe(solids: Solids, name: str, line: Array, thick: float, colour: str) -> 
             solids.ball(name, p, thick, colour)
 
 
-def _triad(solids: Solids, name: str, X: Array, r: float) -> None:
+def _add_triad(solids: Solids, name: str, X: Array, r: float) -> None:
     for axis, colour in enumerate(style.AXES):
         tip = X[:3, 3] + 3.6 * r * X[:3, axis]
         solids.tube(name, X[:3, 3], tip, 0.17 * r, colour, pieces=2, sides=6)
@@ -221,7 +234,7 @@ def _triad(solids: Solids, name: str, X: Array, r: float) -> None:
 # ---- ground
 
 
-def _ground(solids: Solids, scene: Scene, r: float, skeleton: list[Array]) -> None:
+def _add_ground(solids: Solids, scene: Scene, r: float, skeleton: list[Array]) -> None:
     link = scene.links[0]
     joints = [
         scene.joints[j]
@@ -230,67 +243,73 @@ def _ground(solids: Solids, scene: Scene, r: float, skeleton: list[Array]) -> No
     ]
     origin = next(iter(link.bodies.values()))[:3, 3]
     rods = [ends[k] for _, links, ends, _ in scene.rods for k in (0, 1) if links[k] == 0]
-    centres = distinct(np.array([*(j.on(0)[:3, 3] for j in joints), *rods]).reshape(-1, 3))
+    centres = remove_duplicates(np.array([*(j.on(0)[:3, 3] for j in joints), *rods]).reshape(-1, 3))
     if len(centres) == 1:
         gap = float(np.linalg.norm(centres[0] - origin))
         if 4 * r < gap < 2 * scene.size:
-            _pipe(
+            _add_pipe(
                 solids,
                 "ground",
                 np.array([origin, centres[0]]),
                 0.9 * r,
-                style.mix(GROUND, style.PAPER, 0.35),
+                style.mix_colours(GROUND, style.PAPER, 0.35),
             )
             skeleton.append(np.array([origin, centres[0]]))
             centres = np.array([origin])
     elif len(centres) == 2:
-        _pipe(solids, "ground", centres, 0.4 * r, style.mix(GROUND, style.PAPER, 0.35))
+        _add_pipe(solids, "ground", centres, 0.4 * r, style.mix_colours(GROUND, style.PAPER, 0.35))
         skeleton.append(centres)
     elif len(centres) > 2:
-        rim = flat_hull(centres, 0.02 * scene.size)
+        rim = find_flat_hull(centres, 0.02 * scene.size)
         if rim is not None:
             solids.plate("ground", centres[rim], GROUND, 0.12)
-            _pipe(
+            _add_pipe(
                 solids,
                 "ground",
                 centres[[*rim, rim[0]]],
                 0.2 * r,
-                style.mix(GROUND, style.PAPER, 0.4),
+                style.mix_colours(GROUND, style.PAPER, 0.4),
             )
             skeleton.append(centres[[*rim, rim[0]]])
     for frame, X in link.frames.items():
-        _triad(solids, f"frame:{frame}", X, r)
+        _add_triad(solids, f"frame:{frame}", X, r)
     for k, c in enumerate(centres):
-        _mark(solids, f"ground:{k}", c, r)
+        _add_ground_symbol(solids, f"ground:{k}", c, r)
 
 
-def _mark(solids: Solids, name: str, p: Array, r: float) -> None:
+def _add_ground_symbol(solids: Solids, name: str, p: Array, r: float) -> None:
     """Draw a pyramid on a hatched plate, below p."""
     base = p - np.array([0.0, 0.0, 3.0 * r])
     square = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     foot = base + 1.5 * r * square
-    fill = style.mix(GROUND, style.PAPER, 0.55)
+    fill = style.mix_colours(GROUND, style.PAPER, 0.55)
     for k in range(4):
         corners = np.array([p, foot[k], foot[(k + 1) % 4]])
         normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
         solids.face(name, corners, normal / np.linalg.norm(normal), fill, edge=GROUND)
-    solids.plate(name, base + 2.4 * r * square, style.mix(GROUND, style.PAPER, 0.2), 0.45, GROUND)
+    solids.plate(
+        name, base + 2.4 * r * square, style.mix_colours(GROUND, style.PAPER, 0.2), 0.45, GROUND
+    )
 
 
 # ---- joints
 
 
-def _tone(link: int) -> str:
+def _choose_parent_colour(link: int) -> str:
     """The colour of the half of a joint that belongs to its parent, darker than that of the child."""
-    return style.mix(style.link_colour(link), INK, 0.2)
+    return style.mix_colours(style.choose_link_colour(link), INK, 0.2)
 
 
-def _own(j: SeenJoint, colour: str) -> str:
+def _choose_child_colour(j: SeenJoint, colour: str) -> str:
     """The colour of the half of the child: that of drivers where it is driven."""
-    return colour if j.driven else style.mix(style.link_colour(j.child), style.PAPER, 0.5)
+    return (
+        colour
+        if j.driven
+        else style.mix_colours(style.choose_link_colour(j.child), style.PAPER, 0.5)
+    )
 
 
-def _side(scene: Scene, j: SeenJoint, link: int, usual: float) -> Array:
+def _find_link_side(scene: Scene, j: SeenJoint, link: int, usual: float) -> Array:
     """The direction (3,) along z of the joint on which a link lies; on the `usual` side of z where
     that is open.
     """
@@ -299,26 +318,28 @@ def _side(scene: Scene, j: SeenJoint, link: int, usual: float) -> Array:
     return axis * (np.sign(away) if abs(away) > 1e-6 * scene.size else usual)
 
 
-def _revolute(
+def _add_revolute(
     solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None
 ) -> None:
     """Draw a barrel of the child between two knuckles of the parent."""
     name = f"joint:{j.name}"
     c = j.centre
-    solids.tube(name, c - r * j.axis, c + r * j.axis, r, _own(j, colour), 1, edge=INK)
+    solids.tube(
+        name, c - r * j.axis, c + r * j.axis, r, _choose_child_colour(j, colour), 1, edge=INK
+    )
     for sign in (-1.0, 1.0):
         solids.tube(
             name,
             c + sign * r * j.axis,
             c + 1.7 * sign * r * j.axis,
             r,
-            _tone(j.parent),
+            _choose_parent_colour(j.parent),
             1,
             edge=INK,
         )
 
 
-def _rail(
+def _find_rail_ends(
     scene: Scene, j: SeenJoint, r: float, configurations: Array | None
 ) -> tuple[Array, Array]:
     """Ends of the rail of a joint that slides along z of F: from F to M, or along its travel on the
@@ -331,14 +352,14 @@ def _rail(
         lo = min(now, 0.0)
         hi = max(now, 0.0)
     else:
-        lo, hi = travel(scene, j, configurations)
+        lo, hi = compute_travel(scene, j, configurations)
         lo = min(lo, now)
         hi = max(hi, now)
     c = j.centre - now * axis
     return c + (lo - BEYOND * r) * axis, c + (hi + BEYOND * r) * axis
 
 
-def _split_rail(
+def _add_split_rail(
     solids: Solids, j: SeenJoint, a: Array, b: Array, half: float, thick: float, colour: str
 ) -> None:
     """Draw the rail from a to b without what is inside the symbol, which sorting by depth would
@@ -351,7 +372,7 @@ def _split_rail(
         solids.tube(f"rail:{j.name}", j.centre + sign * half * j.axis, end, thick, colour)
 
 
-def _prismatic(
+def _add_prismatic(
     solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None
 ) -> None:
     X = j.M.copy()
@@ -360,29 +381,41 @@ def _prismatic(
         low = j.F[:3, 3] + 0.16 * along
         high = j.F[:3, 3] + 0.56 * along
         X[:3, 3] = scene.seat(j, r)
-        own = style.mix(style.link_colour(j.child), style.PAPER, 0.35)
-        base = style.mix(style.link_colour(j.parent), style.PAPER, 0.15)
+        own = style.mix_colours(style.choose_link_colour(j.child), style.PAPER, 0.35)
+        base = style.mix_colours(style.choose_link_colour(j.parent), style.PAPER, 0.15)
         solids.tube(f"rod:{j.name}", j.F[:3, 3], low, LINK * r, base)
         solids.tube(f"rod:{j.name}", high, j.centre, 0.8 * LINK * r, own)
         half = np.array([1.1 * r, 1.1 * r, 0.2 * float(np.linalg.norm(along))])
         solids.box(f"joint:{j.name}", X, half, colour if j.driven else base, INK)
         return
-    a, b = _rail(scene, j, r, configurations)
+    a, b = _find_rail_ends(scene, j, r, configurations)
     on_ground = 0 in (j.parent, j.child)
-    rail = GROUND if on_ground else style.link_colour(j.parent)
-    _split_rail(solids, j, a, b, 2.0 * r, 0.4 * r, style.mix(rail, style.PAPER, 0.2))
-    solids.box(f"joint:{j.name}", X, np.array([1.3 * r, 1.3 * r, 2.0 * r]), _own(j, colour), INK)
+    rail = GROUND if on_ground else style.choose_link_colour(j.parent)
+    _add_split_rail(solids, j, a, b, 2.0 * r, 0.4 * r, style.mix_colours(rail, style.PAPER, 0.2))
+    solids.box(
+        f"joint:{j.name}",
+        X,
+        np.array([1.3 * r, 1.3 * r, 2.0 * r]),
+        _choose_child_colour(j, colour),
+        INK,
+    )
 
 
-def _cylindrical(
+def _add_cylindrical(
     solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None
 ) -> None:
-    a, b = _rail(scene, j, r, configurations)
-    rail = GROUND if 0 in (j.parent, j.child) else style.link_colour(j.parent)
-    _split_rail(solids, j, a, b, 1.5 * r, 0.55 * r, style.mix(rail, style.PAPER, 0.2))
+    a, b = _find_rail_ends(scene, j, r, configurations)
+    rail = GROUND if 0 in (j.parent, j.child) else style.choose_link_colour(j.parent)
+    _add_split_rail(solids, j, a, b, 1.5 * r, 0.55 * r, style.mix_colours(rail, style.PAPER, 0.2))
     half = 1.5 * r * j.axis
     solids.tube(
-        f"joint:{j.name}", j.centre - half, j.centre + half, 1.1 * r, _own(j, colour), 1, edge=INK
+        f"joint:{j.name}",
+        j.centre - half,
+        j.centre + half,
+        1.1 * r,
+        _choose_child_colour(j, colour),
+        1,
+        edge=INK,
     )
     for end in (a, b):  # collars, at which the sleeve turns and stops
         out = 0.3 * r * (end - j.centre) / float(np.linalg.norm(end - j.centre))
@@ -391,16 +424,16 @@ def _cylindrical(
             end - out,
             end,
             0.95 * r,
-            style.mix(rail, style.PAPER, 0.2),
+            style.mix_colours(rail, style.PAPER, 0.2),
             1,
             edge=INK,
         )
 
 
-def _helical(
+def _add_helical(
     solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None
 ) -> None:
-    _cylindrical(solids, scene, j, r, colour, configurations)
+    _add_cylindrical(solids, scene, j, r, colour, configurations)
     turns = np.linspace(0.0, 6 * np.pi, 37)
     along = np.linspace(-1.4, 1.4, 37) * r
     x = j.F[:3, 0]
@@ -414,17 +447,21 @@ def _helical(
         solids.tube(f"joint:{j.name}", p, q, 0.14 * r, INK, 1, caps=False, sides=5)
 
 
-def _spherical(
+def _add_spherical(
     solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None
 ) -> None:
     """Draw a ball of the child in a socket of the parent."""
-    solids.ball(f"joint:{j.name}", j.centre, 1.35 * r, _own(j, colour))
+    solids.ball(f"joint:{j.name}", j.centre, 1.35 * r, _choose_child_colour(j, colour))
     solids.bowl(
-        f"socket:{j.name}", j.centre, 1.6 * r, _side(scene, j, j.parent, -1.0), _tone(j.parent)
+        f"socket:{j.name}",
+        j.centre,
+        1.6 * r,
+        _find_link_side(scene, j, j.parent, -1.0),
+        _choose_parent_colour(j.parent),
     )
 
 
-def _universal(
+def _add_universal(
     solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None
 ) -> None:
     """Draw a cross, one arm along x of F, the other along y of M, each in the fork of its link."""
@@ -432,8 +469,8 @@ def _universal(
         a = j.centre - 1.8 * r * arm
         b = j.centre + 1.8 * r * arm
         solids.tube(f"joint:{j.name}", a, b, 0.4 * r, colour, 2, edge=INK)
-        tint = _tone(link) if link == j.parent else _own(j, JOINT)
-        back = 2.4 * r * _side(scene, j, link, usual)
+        tint = _choose_parent_colour(link) if link == j.parent else _choose_child_colour(j, JOINT)
+        back = 2.4 * r * _find_link_side(scene, j, link, usual)
         for end, sign in ((a, -1.0), (b, 1.0)):
             solids.tube(
                 f"joint:{j.name}", end, end + 0.35 * sign * r * arm, 0.62 * r, tint, 1, edge=INK
@@ -444,35 +481,37 @@ def _universal(
     solids.ball(f"joint:{j.name}", j.centre, 0.7 * r, colour)
 
 
-def _planar(
+def _add_planar(
     solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None
 ) -> None:
     X = j.F.copy()
-    solids.plate(f"joint:{j.name}:table", _square(X, 8.0 * r), GROUND, 0.15, GROUND)
-    solids.box(f"joint:{j.name}", j.M, np.array([1.8, 1.8, 0.6]) * r, _own(j, colour), INK)
+    solids.plate(f"joint:{j.name}:table", _list_square_corners(X, 8.0 * r), GROUND, 0.15, GROUND)
+    solids.box(
+        f"joint:{j.name}", j.M, np.array([1.8, 1.8, 0.6]) * r, _choose_child_colour(j, colour), INK
+    )
 
 
-def _square(X: Array, half: float) -> Array:
+def _list_square_corners(X: Array, half: float) -> Array:
     corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * half
     return X[:3, 3] + corners @ X[:3, :3].T
 
 
-def _translation(
+def _add_translation(
     solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None
 ) -> None:
-    solids.box(f"joint:{j.name}", j.M, np.full(3, 1.2 * r), _own(j, colour), INK)
+    solids.box(f"joint:{j.name}", j.M, np.full(3, 1.2 * r), _choose_child_colour(j, colour), INK)
     for axis in range(3):
         arm = 2.6 * r * j.F[:3, axis]
         solids.tube(f"joint:{j.name}", j.centre - arm, j.centre + arm, 0.25 * r, GROUND, 2)
 
 
-def _nothing(
+def _add_nothing(
     solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None
 ) -> None:
     """Draw nothing: a free joint holds nothing."""
 
 
-def _other(
+def _add_other_joint(
     solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None
 ) -> None:
     """Draw a barrel about each axis of F that the joint turns about, a bar along each that it
@@ -504,27 +543,27 @@ def _other(
 
 
 SYMBOLS: dict[str, Callable[[Solids, Scene, SeenJoint, float, str, Array | None], None]] = {
-    "revolute": _revolute,
-    "prismatic": _prismatic,
-    "cylindrical": _cylindrical,
-    "helical": _helical,
-    "spherical": _spherical,
-    "universal": _universal,
-    "planar": _planar,
-    "translation": _translation,
-    "free": _nothing,
+    "revolute": _add_revolute,
+    "prismatic": _add_prismatic,
+    "cylindrical": _add_cylindrical,
+    "helical": _add_helical,
+    "spherical": _add_spherical,
+    "universal": _add_universal,
+    "planar": _add_planar,
+    "translation": _add_translation,
+    "free": _add_nothing,
 }
-"""Symbols of joint types that have one of their own; `_other` draws all others by their
+"""Symbols of joint types that have one of their own; `_add_other_joint` draws all others by their
 primitives."""
 
 
-def _turning_arrow(solids: Solids, j: SeenJoint, r: float) -> None:
+def _add_turning_arrow(solids: Solids, j: SeenJoint, r: float) -> None:
     angles = np.linspace(0.0, float(np.deg2rad(235.0)), 22)[:, None]
     circle = np.cos(angles) * j.F[:3, 0] + np.sin(angles) * j.F[:3, 1]
     solids.arrow(f"driver:{j.name}", j.centre + 2.2 * r * circle, 0.2 * r, DRIVER)
 
 
-def _open(solids: Solids, j: SeenJoint, r: float) -> None:
+def _add_gap(solids: Solids, j: SeenJoint, r: float) -> None:
     """Draw a red line where a joint does not hold together."""
     gap = j.centre - j.F[:3, 3]
     if j.kind not in SYMBOLS:

@@ -25,12 +25,12 @@ from kempe.errors import InputError, KempeError, warn
 from kempe.model.configurations import has_loops
 from kempe.spatial import Array
 from kempe.views.drawing import style
-from kempe.views.drawing.labels import fitting, shortened
-from kempe.views.drawing.solids import rgb
-from kempe.views.viewer.overlays import Overlay, offered, rounds
-from kempe.views.viewer.scene_nodes import Drawn, Nodes, poses_as
-from kempe.views.viewer.server import HOST, PageServer, quiet
-from kempe.views.viewer.session import KINDS, Session, Slider, possible
+from kempe.views.drawing.labels import fit_sentence, shorten_label
+from kempe.views.drawing.solids import parse_colour
+from kempe.views.viewer.overlays import Overlay, iterate_rounds, list_offered_overlays
+from kempe.views.viewer.scene_nodes import Drawn, Nodes, split_poses
+from kempe.views.viewer.server import HOST, PageServer, silence_action
+from kempe.views.viewer.session import KINDS, Session, Slider, list_possible_motions
 
 if TYPE_CHECKING:
     from kempe.model.model import FrameLike, Model
@@ -180,7 +180,7 @@ class Player:
         if self.finds is not None:
             self.finds.remove()
         page = self.page
-        names = possible(page.session)
+        names = list_possible_motions(page.session)
         with self.folder:
             self.finds = (
                 page.buttons("find", {n: lambda n=n: page.find(n) for n in names})
@@ -351,9 +351,9 @@ class Page:
             if time.perf_counter() - self.slid > SLIDE:
                 self._slide()
             if self.dragging != "gizmo":
-                self.gizmo.wxyz, self.gizmo.position = poses_as(session.pose)
+                self.gizmo.wxyz, self.gizmo.position = split_poses(session.pose)
             self._miss()
-            said = as_html(fitting(session.said()))
+            said = format_html(fit_sentence(session.said()))
             if self.said.content != said:
                 self.said.content = said
 
@@ -404,13 +404,15 @@ class Page:
             if has_loops(session.system):
                 self._pair("assembly modes", "mode")
         with gui.add_folder("show"):
-            self.boxes = {name: gui.add_checkbox(name, False) for name in offered(session)}
+            self.boxes = {
+                name: gui.add_checkbox(name, False) for name in list_offered_overlays(session)
+            }
             self.names = gui.add_checkbox("names", False)
             self.axes = gui.add_checkbox("axes of frames", False)
             self.degrees = gui.add_checkbox("degrees", self.viewer.deg)
         self.player = Player(self)
         if drawn.lost:
-            gui.add_html(as_html(fitting(drawn.lost_sentence)))
+            gui.add_html(format_html(fit_sentence(drawn.lost_sentence)))
         self.frame.on_update(self.by_hand("frame", lambda: self._aim(self.frame.value)))
         self.task.on_update(
             self.by_hand("task", lambda: self._aim(self.frame.value, self.task.value))
@@ -456,7 +458,11 @@ class Page:
         with self.folder:
             for s in wanted:
                 handle = gui.add_slider(
-                    f"{shortened(s.name)} [{s.unit}]", s.low, s.high, _step(s), s.value
+                    f"{shorten_label(s.name)} [{s.unit}]",
+                    s.low,
+                    s.high,
+                    _choose_slider_step(s),
+                    s.value,
                 )
                 self.sliders[s.name] = handle
                 handle.on_update(
@@ -486,7 +492,7 @@ class Page:
     def _gizmo(self) -> None:
         session = self.session
         flat = self.session.system.dim == 2
-        quat, place = poses_as(session.pose)
+        quat, place = split_poses(session.pose)
         self.gizmo = self.client.scene.add_transform_controls(
             "/target",
             scale=0.22 * max(self.nodes.drawn.rigid.size, 1e-9),
@@ -496,7 +502,7 @@ class Page:
             wxyz=quat,
             position=place,
         )
-        colour = np.round(255 * np.array(rgb(style.OPEN))).astype(np.uint8)
+        colour = np.round(255 * np.array(parse_colour(style.OPEN))).astype(np.uint8)
         self.miss = self.client.scene.add_line_segments(
             "/missed", np.zeros((1, 2, 3)), colour, thickness=3.0, thickness_units="screen"
         )
@@ -560,7 +566,7 @@ class Page:
 
         def work(session: Session) -> Iterator[Action]:
             text = session.mobility()
-            yield lambda: setattr(self.counted, "content", as_html(fitting(text)))
+            yield lambda: setattr(self.counted, "content", format_html(fit_sentence(text)))
 
         self._beside(self.searches, "freedoms", work)
 
@@ -624,7 +630,7 @@ class Page:
                 self._step_back(overlay)
 
         def work(session: Session) -> Iterator[Action]:
-            for k, overlay in enumerate(rounds(session, name)):
+            for k, overlay in enumerate(iterate_rounds(session, name)):
                 yield lambda x=overlay, first=not k: take(x, first)
 
         self.session.status = f"{name}: being computed"
@@ -645,7 +651,7 @@ class Page:
             camera.look_at = at
 
 
-def as_html(text: str) -> str:
+def format_html(text: str) -> str:
     """A text as HTML that shows it letter by letter; empty lines part its paragraphs.
 
     Names come from files, and viser's Markdown would run what HTML is in them.
@@ -653,7 +659,7 @@ def as_html(text: str) -> str:
     return "".join(PARAGRAPH.format(html.escape(part)) for part in text.split("\n\n") if part)
 
 
-def _step(slider: Slider) -> float:
+def _choose_slider_step(slider: Slider) -> float:
     """The step of a slider: a round number, STEPS of them or more."""
     wide = max(slider.high - slider.low, 1e-9)
     return float(10.0 ** np.floor(np.log10(wide / STEPS)))
@@ -699,7 +705,7 @@ def show(
     shapes and a port that is in use; `UnknownNameError` for a frame.
     """
     opened = read_flag(browser, "browser")
-    viewer = serve(system, q, frame, path, share, port, deg)
+    viewer = serve_viewer(system, q, frame, path, share, port, deg)
     if said := viewer.drawn.lost_sentence:
         warn(said, UserWarning)
     if opened:
@@ -707,7 +713,7 @@ def show(
     return viewer
 
 
-def serve(
+def serve_viewer(
     system: Model,
     q: Any = None,
     frame: FrameLike | None = None,
@@ -719,7 +725,7 @@ def serve(
     """A `Viewer` as `show` makes it, without a browser and without a warning about meshes."""
     shared = read_flag(share, "share")
     degrees = read_flag(deg, "deg")
-    return Viewer(Session(system, q, frame, path), shared, _checked(port), degrees)
+    return Viewer(Session(system, q, frame, path), shared, _check_port(port), degrees)
 
 
 class Viewer:
@@ -814,7 +820,7 @@ class Viewer:
             self._closed.set()
             for page in tuple(self.pages.values()):
                 page.close()
-            quiet(self.server.stop)
+            silence_action(self.server.stop)
 
     def __enter__(self) -> Self:
         return self
@@ -828,7 +834,7 @@ class Viewer:
         )
 
 
-def _checked(port: Any) -> int:
+def _check_port(port: Any) -> int:
     """A port that can be taken. Errors: `InputError`."""
     if port is None:
         return PORT

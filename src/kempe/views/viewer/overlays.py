@@ -19,7 +19,7 @@ from kempe.forward.fk import fk
 from kempe.model.configurations import has_loops
 from kempe.spatial import Array
 from kempe.views.drawing import shapes
-from kempe.views.drawing.solids import rgb
+from kempe.views.drawing.solids import parse_colour
 from kempe.views.viewer.session import MOTION_PATIENCE
 from kempe.words import format_count
 
@@ -77,7 +77,7 @@ class Overlay:
         return np.stack([every.min(axis=0), every.max(axis=0)]) if len(every) else every
 
 
-def _pairs(points: Array) -> Array:
+def _split_polyline(points: Array) -> Array:
     """The pieces (n - 1, 2, 3) of a polyline, without those that have no ends."""
     lines = np.stack([points[:-1], points[1:]], axis=1)
     return lines[np.isfinite(lines).all(axis=(1, 2))]
@@ -86,7 +86,7 @@ def _pairs(points: Array) -> Array:
 # ---- curves
 
 
-def _curve(session: Session) -> Iterator[Overlay]:
+def _iterate_curve(session: Session) -> Iterator[Overlay]:
     """What the frame's origin passes in the motion that is played, else in the whole motion with
     one freedom.
     """
@@ -96,18 +96,20 @@ def _curve(session: Session) -> Iterator[Overlay]:
     frame = session.frame
     if session.motion is not None:
         places = fk(system, session.motion.q, frame)[:, :3, 3]
-        yield Overlay(f"what {frame} passes", lines=_pairs(places))
+        yield Overlay(f"what {frame} passes", lines=_split_polyline(places))
         return
     motion = trace(
         system, session.sliders[0].name, session.q, budget=session.budget(MOTION_PATIENCE)
     )
-    yield Overlay(f"{frame}: {motion.status}", lines=_pairs(fk(system, motion.q, frame)[:, :3, 3]))
+    yield Overlay(
+        f"{frame}: {motion.status}", lines=_split_polyline(fk(system, motion.q, frame)[:, :3, 3])
+    )
 
 
 # ---- workspaces and capability maps
 
 
-def _workspace(session: Session) -> Iterator[Overlay]:
+def _iterate_workspace(session: Session) -> Iterator[Overlay]:
     """What the frame reaches: exact for planar chains, else cells of ever finer maps."""
     from kempe.workspace.planar.planar_workspace import planar_workspace
     from kempe.workspace.workspace import workspace
@@ -120,29 +122,29 @@ def _workspace(session: Session) -> Iterator[Overlay]:
         except UnsupportedError:
             pass
         else:
-            yield _regions(exact)
+            yield _make_regions(exact)
             return
     for k, cells in enumerate(CELLS[system.dim]):
         budget = session.budget(MOTION_PATIENCE, rng=k)
         n = EACH * cells**system.dim // (10 if has_loops(system) else 1)
         found = workspace(system, frame, n=n, cells=cells, budget=budget)
-        yield _cells(found, float(session.pose[1, 3]))
+        yield _make_cells(found, float(session.pose[1, 3]))
 
 
-def _regions(found: PlanarWorkspace) -> Overlay:
+def _make_regions(found: PlanarWorkspace) -> Overlay:
     """Regions of a planar workspace, with their boundary."""
     surfaces: list[tuple[Array, np.ndarray, str]] = []
     for region in found.regions:
-        corners, triangles = _filled(shapes.region_outline(region).to_polygons())
+        corners, triangles = _triangulate_loops(shapes.make_region_outline(region).to_polygons())
         surfaces.append((corners, triangles, REACHED if region.solutions in (None, 1) else OFTEN))
     lines = [np.zeros((0, 2, 3))]
     for piece in found.boundary:
-        p = shapes.piece_points(piece)
-        lines.append(_pairs(np.column_stack([np.real(p), np.imag(p), np.zeros(len(p))])))
+        p = shapes.sample_piece(piece)
+        lines.append(_split_polyline(np.column_stack([np.real(p), np.imag(p), np.zeros(len(p))])))
     return Overlay(found.status, lines=np.concatenate(lines), surfaces=tuple(surfaces))
 
 
-def _filled(loops: Any) -> tuple[Array, np.ndarray]:
+def _triangulate_loops(loops: Any) -> tuple[Array, np.ndarray]:
     """Corners (k, 3) and triangles (j, 3) of all within closed curves, an even number of which
     leaves a hole.
 
@@ -174,15 +176,15 @@ def _filled(loops: Any) -> tuple[Array, np.ndarray]:
                 )
             )
     corners = np.array(out).reshape(-1, 3)
-    return corners, _quads(len(out))
+    return corners, _triangulate_quadrangles(len(out))
 
 
-def _quads(n: int) -> np.ndarray:
+def _triangulate_quadrangles(n: int) -> np.ndarray:
     """Triangles (2 n, 3) of n quadrangles, corner after corner."""
     return (4 * np.arange(n)[:, None, None] + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)
 
 
-def _cells(found: Workspace, cut: float) -> Overlay:
+def _make_cells(found: Workspace, cut: float) -> Overlay:
     """The cells that samples fell into: in the plane all of them, in space the surface of those
     from y = `cut` on.
     """
@@ -195,7 +197,7 @@ def _cells(found: Workspace, cut: float) -> Overlay:
         said += CUT.format(cut)
     full = np.pad(some, 1)
     if d == 1:
-        return Overlay(found.status, lines=_pairs(grid.complete_points(found.map.points)))
+        return Overlay(found.status, lines=_split_polyline(grid.complete_points(found.map.points)))
     square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=float)
     quads = [np.argwhere(full)[:, None] + square] if d == 2 else []
     for axis, side in np.ndindex(3, 2) if d == 3 else ():
@@ -208,11 +210,14 @@ def _cells(found: Workspace, cut: float) -> Overlay:
         grid.measured_axes
     ]
     return Overlay(
-        said, surfaces=((grid.complete_points(places), _quads(len(places) // 4), REACHED),)
+        said,
+        surfaces=(
+            (grid.complete_points(places), _triangulate_quadrangles(len(places) // 4), REACHED),
+        ),
     )
 
 
-def _capability(session: Session) -> Iterator[Overlay]:
+def _iterate_capability(session: Session) -> Iterator[Overlay]:
     """In how many directions the frame reaches the cells of a box: larger and darker where in more."""
     from matplotlib import colormaps
 
@@ -240,7 +245,7 @@ def _capability(session: Session) -> Iterator[Overlay]:
 # ---- singular configurations
 
 
-def _singular(session: Session) -> Iterator[Overlay]:
+def _iterate_singular_places(session: Session) -> Iterator[Overlay]:
     """Where the frame is at singular configurations that were found, set by set in a colour."""
     from kempe.spaces.singularities import singularities
 
@@ -269,7 +274,7 @@ def _singular(session: Session) -> Iterator[Overlay]:
         said = list[str]()
         for (name, several), word in zip(held.items(), itertools.cycle(words)):
             points.append(np.concatenate(several))
-            colours.append(np.tile(rgb(KINDS[word]), (len(points[-1]), 1)))
+            colours.append(np.tile(parse_colour(KINDS[word]), (len(points[-1]), 1)))
             said.append(f"{name} ({word})")
         every = np.concatenate(points)
         what = f"{', '.join(said) or 'none'} found from {format_count(total, 'start')}"
@@ -282,15 +287,15 @@ def _singular(session: Session) -> Iterator[Overlay]:
 
 
 OVERLAYS: dict[str, Callable[[Session], Iterator[Overlay]]] = {
-    "curve": _curve,
-    "workspace": _workspace,
-    "capability map": _capability,
-    "singular configurations": _singular,
+    "curve": _iterate_curve,
+    "workspace": _iterate_workspace,
+    "capability map": _iterate_capability,
+    "singular configurations": _iterate_singular_places,
 }
 """What can be laid over a system, by name."""
 
 
-def offered(session: Session) -> tuple[str, ...]:
+def list_offered_overlays(session: Session) -> tuple[str, ...]:
     """Names of `OVERLAYS` that a session can show."""
     has = {
         "curve": session.motion is not None or len(session.sliders) == 1,
@@ -299,7 +304,7 @@ def offered(session: Session) -> tuple[str, ...]:
     return tuple(n for n in OVERLAYS if has.get(n, True))
 
 
-def rounds(session: Session, name: str) -> Iterator[Overlay]:
+def iterate_rounds(session: Session, name: str) -> Iterator[Overlay]:
     """The overlays of a name, ever finer, until the time for it is up. Errors: those of the verbs
     that find them.
     """

@@ -14,7 +14,7 @@ from kempe.arrays import read_reals
 from kempe.description.source import expand_path
 from kempe.errors import InputError, format_value, warn
 from kempe.views.viewer.scene_nodes import Drawn, Nodes
-from kempe.views.viewer.server import POLICY, PageServer, quiet
+from kempe.views.viewer.server import POLICY, PageServer, silence_action
 from kempe.views.viewer.session import Session
 
 if TYPE_CHECKING:
@@ -53,17 +53,17 @@ def write_page(
     """Write a page as `save_html` does, and return what was drawn, which knows which meshes are
     not.
     """
-    out = page_file(file)
+    out = check_page_path(file)
     seconds = float(read_reals(seconds, "seconds"))
     if not 0.0 < seconds <= 600.0:
         raise InputError(f"seconds is {seconds:g}; it must be more than 0, and 600 at most")
     session = Session(system, q, None, path)
     drawn = Drawn(session.system, session.q, None if session.motion is None else session.motion.q)
-    out.write_text(_page(session, drawn, seconds), encoding="utf-8")
+    out.write_text(_format_page(session, drawn, seconds), encoding="utf-8")
     return drawn
 
 
-def page_file(file: Any) -> Path:
+def check_page_path(file: Any) -> Path:
     """The path of a page. Errors: `InputError` for other endings and folders that do not exist."""
     if not isinstance(file, (str, Path)):
         raise InputError(f"file is {format_value(file)}; it must be the name of a file")
@@ -75,7 +75,7 @@ def page_file(file: Any) -> Path:
     return out
 
 
-def _page(session: Session, drawn: Drawn, seconds: float) -> str:
+def _format_page(session: Session, drawn: Drawn, seconds: float) -> str:
     """The text of the page: viser's own, with the scene and its motion inside."""
     server = PageServer(port=0)
     try:
@@ -90,7 +90,7 @@ def _page(session: Session, drawn: Drawn, seconds: float) -> str:
                 record.insert_sleep(seconds / count)
         text = record.as_html()
     finally:
-        quiet(server.stop)
+        silence_action(server.stop)
     note = NOTE.format(
         bottom=".7em" if motion is None else "4em", name=html.escape(session.system.name)
     )

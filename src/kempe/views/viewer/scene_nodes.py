@@ -21,8 +21,8 @@ from kempe.forward.fk import fk
 from kempe.model.configurations import integrate_velocity
 from kempe.spatial import Array
 from kempe.views.drawing import style, symbols
-from kempe.views.drawing.scene import Scene, SeenJoint, look
-from kempe.views.drawing.solids import DrawnPiece, SolidRecord, fan_triangles, rgb
+from kempe.views.drawing.scene import Scene, SeenJoint, build_scene
+from kempe.views.drawing.solids import DrawnPiece, SolidRecord, fan_triangles, parse_colour
 from kempe.views.viewer.mesh_files import BodyMesh, read_body_meshes
 from kempe.words import format_count
 
@@ -106,18 +106,20 @@ class RigidParts:
     def __init__(self, system: Model, q: Array):
         self.system = system
         self.q = q
-        scene = look(system, q)
+        scene = build_scene(system, q)
         self.heads = [system.body_names.index(link.name) for link in scene.links]
         self.names = tuple(link.name for link in scene.links)
-        self.rods = [(_end(system, n, 0), _end(system, n, 1)) for n, *_ in scene.rods]
+        self.rods = [
+            (_find_rod_end(system, n, 0), _find_rod_end(system, n, 1)) for n, *_ in scene.rods
+        ]
         self.size = scene.size
         if system.dim == 2:
-            from kempe.views.drawing.planar import pin_radius
+            from kempe.views.drawing.planar import choose_pin_radius
 
-            self.r = pin_radius(scene)
+            self.r = choose_pin_radius(scene)
         else:
-            self.r = SOLID * symbols.radius(scene)
-        self.slides = _slides(scene, self.r)
+            self.r = SOLID * symbols.choose_radius(scene)
+        self.slides = _list_slides(scene, self.r)
         self.parts = self._parts(scene)
         points = np.concatenate([np.zeros((1, 3)), *(scene.points(link) for link in scene.links)])
         self.middle, size = self.box(q[None], points)
@@ -155,7 +157,7 @@ class RigidParts:
                 ],
                 axis=-3,
             )
-            poses.append(_of_ends(ends))
+            poses.append(_make_rod_poses(ends))
         lengths = [np.ones(x.shape[:-2]) for x in poses]
         for slide in self.slides:
             pose, length = slide.pose(every)
@@ -197,7 +199,7 @@ class RigidParts:
         )
         first = [p for p in self._record(scene) if not p.name.startswith("open:")]
         second: dict[str, list[DrawnPiece]] = {}
-        for piece in self._record(look(system, other)):
+        for piece in self._record(build_scene(system, other)):
             second.setdefault(piece.name, []).append(piece)
         X = self._stretched(q)
         Y = self._stretched(other)
@@ -216,25 +218,25 @@ class RigidParts:
                 piece._replace(corners=local)
             )
         for k, slide in enumerate(self.slides, len(self.heads) + len(self.rods)):
-            held.setdefault((k, False), []).extend(_between(scene, slide, self.r, X[k, :3, :3]))
+            held.setdefault((k, False), []).extend(_make_bars(scene, slide, self.r, X[k, :3, :3]))
         held = {key: pieces for key, pieces in held.items() if pieces}
         return [
-            _joined(carrier, pieces)
+            _join_pieces(carrier, pieces)
             for (carrier, _), pieces in sorted(held.items(), key=lambda x: x[0])
         ]
 
     def _record(self, scene: Scene) -> list[DrawnPiece]:
-        lengths = [i for i, unit in enumerate(_is_length(self.system)) if unit]
+        lengths = [i for i, unit in enumerate(_mark_lengths(self.system)) if unit]
         wide = np.repeat(scene.q[None], 2, axis=0)
         wide[:, lengths] += np.array([[-0.5], [0.5]]) * self.size
         if self.system.dim == 2:
-            from kempe.views.drawing.planar import SheetRecord, draw
+            from kempe.views.drawing.planar import SheetRecord, draw_scene
 
             sheet = SheetRecord(scene, self.r, wide)
-            draw(sheet, {}, False)
+            draw_scene(sheet, {}, False)
             return sheet.pieces
         solids = SolidRecord()
-        symbols.build(solids, scene, self.r, wide)
+        symbols.add_scene(solids, scene, self.r, wide)
         return solids.pieces
 
     def _carriers(
@@ -247,7 +249,7 @@ class RigidParts:
         if slides is not None:
             return [self._slide_of(scene, piece) or 0 for piece in pieces]
         name = pieces[0].name
-        likely = _likely(scene, name, len(self.heads))
+        likely = _list_likely_carriers(scene, name, len(self.heads))
         out = [likely[0] if name.partition(":")[0] in OWN else likely[-1]] * len(pieces)
         alike: dict[int, list[int]] = {}
         for i, (piece, twin) in enumerate(zip(pieces, twins, strict=False)):
@@ -288,7 +290,7 @@ class RigidParts:
         if name in spans and name in seats:  # cylinder and rod
             return (seats if what == "driver" else spans)[name]
         if scene.system.dim == 2:
-            rail = _rail_link(scene, joint)
+            rail = _choose_rail_link(scene, joint)
             block = joint.child if rail == joint.parent else joint.parent
             return {"rail": seats.get(name, rail), "block": block}.get(what)
         if what != "rail":
@@ -303,7 +305,7 @@ class RigidParts:
         return joint.child if t.min() > abs(now) + ends else spans[name]
 
 
-def _slides(scene: Scene, r: float) -> list[Slide]:
+def _list_slides(scene: Scene, r: float) -> list[Slide]:
     """What is drawn between the two halves of each joint that slides, and where a point is on its
     line.
     """
@@ -342,13 +344,13 @@ def _slides(scene: Scene, r: float) -> list[Slide]:
     return out
 
 
-def _rail_link(scene: Scene, joint: SeenJoint) -> int:
+def _choose_rail_link(scene: Scene, joint: SeenJoint) -> int:
     """The link that has the rail of a planar prismatic joint: see `planar`."""
     ends = joint.parent, joint.child
     return 0 if 0 in ends else max(ends, key=lambda k: (scene.reach(joint, k), k == joint.parent))
 
 
-def _between(scene: Scene, slide: Slide, r: float, R: Array) -> list[DrawnPiece]:
+def _make_bars(scene: Scene, slide: Slide, r: float, R: Array) -> list[DrawnPiece]:
     """Bars of a planar drawing that reach as far as a joint without limits, or a point on a line,
     is.
 
@@ -362,12 +364,12 @@ def _between(scene: Scene, slide: Slide, r: float, R: Array) -> list[DrawnPiece]
     seen = next((j for j in scene.joints if j.name == slide.name), None)
     if seen is not None and slide.part is not None:
         return []
-    rail = slide.links[0] if seen is None else _rail_link(scene, seen)
+    rail = slide.links[0] if seen is None else _choose_rail_link(scene, seen)
     half = 1.25 * r if line else 0.5 * style.BAR * r
     z = np.array([0.0, 1.0] if slide.part is None else [-5.0 * r, 5.0 * r])
-    colour = style.link_colour(rail)
-    fill = style.mix(colour, style.PAPER, 0.45 if line else 0.25)
-    dark = style.mix(colour, style.INK, 0.45)
+    colour = style.choose_link_colour(rail)
+    fill = style.mix_colours(colour, style.PAPER, 0.45 if line else 0.25)
+    dark = style.mix_colours(colour, style.INK, 0.45)
     layer = style.POLYGONS if line else style.BARS
     edge = 0.5 * style.POINT * 0.9 * r
     up = R[2] / np.linalg.norm(R[2])
@@ -378,14 +380,17 @@ def _between(scene: Scene, slide: Slide, r: float, R: Array) -> list[DrawnPiece]
         corners = x + np.repeat(z, 2)[:, None] * np.array([0.0, 0.0, 1.0])
         fan = fan_triangles(4)
         return DrawnPiece(
-            f"rail:{slide.name}", corners, np.concatenate([fan, fan[:, ::-1]]), (*rgb(colour), 1.0)
+            f"rail:{slide.name}",
+            corners,
+            np.concatenate([fan, fan[:, ::-1]]),
+            (*parse_colour(colour), 1.0),
         )
 
     sides = [strip(s * half - edge, s * half + edge, layer + 0.5, dark) for s in (-1.0, 1.0)]
     return [strip(-half, half, layer, fill), *sides]
 
 
-def _likely(scene: Scene, name: str, links: int) -> list[int]:
+def _list_likely_carriers(scene: Scene, name: str, links: int) -> list[int]:
     """Numbers of the carriers that a name speaks of, the one nearer to the ground first."""
     what, _, of = name.partition(":")
     of = of.partition(":")[0]
@@ -419,14 +424,14 @@ def _likely(scene: Scene, name: str, links: int) -> list[int]:
     return found or [0]
 
 
-def _end(system: Model, rod: str, k: int) -> tuple[int, Array]:
+def _find_rod_end(system: Model, rod: str, k: int) -> tuple[int, Array]:
     """Body and pose (4, 4) on it of an end of a rod."""
     c = system.mechanism.constraints[rod]
     frames = c.frames(system.mechanism.parameters, system.dim)
     return system.body_names.index((c.parent, c.child)[k]), frames[k]
 
 
-def _of_ends(ends: Array) -> Array:
+def _make_rod_poses(ends: Array) -> Array:
     """Poses (..., 4, 4) with their origins at the first of two ends (..., 2, 3) and z towards the
     second.
     """
@@ -439,14 +444,14 @@ def _of_ends(ends: Array) -> Array:
     return X
 
 
-def _is_length(system: Model) -> list[bool]:
+def _mark_lengths(system: Model) -> list[bool]:
     from kempe.model.configurations import list_units
 
     unit = list_units(system)
     return [unit.get(name) == "m" for name in system.coordinate_names]
 
 
-def _joined(carrier: int, pieces: Sequence[DrawnPiece]) -> RigidPart:
+def _join_pieces(carrier: int, pieces: Sequence[DrawnPiece]) -> RigidPart:
     first = np.cumsum([0, *(len(p.corners) for p in pieces)])
     triangles = np.concatenate([p.triangles + k for p, k in zip(pieces, first, strict=False)])
     colours = np.concatenate([np.tile(p.colour, (len(p.triangles), 1)) for p in pieces])
@@ -535,7 +540,7 @@ class Drawn:
     def _place_shapes(self, meshes: dict[str, list[BodyMesh]], q: Array) -> list[Shape]:
         out: list[Shape] = []
         covered: set[int] = set()
-        for link in look(self.system, q).links:
+        for link in build_scene(self.system, q).links:
             head = np.linalg.inv(next(iter(link.bodies.values())))
             for body, X in link.bodies.items():
                 for mesh in meshes.get(body, ()):
@@ -574,7 +579,7 @@ class Drawn:
         in it.
         """
         q = self.rigid.q
-        return look(self.system, q), spatial.inverse(self.rigid.poses(q))
+        return build_scene(self.system, q), spatial.inverse(self.rigid.poses(q))
 
     @cached_property
     def outlines(self) -> tuple[tuple[int, Array, np.ndarray], ...]:
@@ -621,8 +626,8 @@ class Drawn:
 def _make_shape(part: RigidPart) -> Shape:
     """A part as a shape."""
     corners = part.corners[part.triangles].reshape(-1, 3)
-    colours = _bytes(part.colours)
-    glb = write_glb(corners, soft_normals(corners), np.repeat(colours, 3, axis=0))
+    colours = _to_bytes(part.colours)
+    glb = write_glb(corners, compute_soft_normals(corners), np.repeat(colours, 3, axis=0))
     color = tuple(colours[0].tolist()) if colours[:, 3].min() < 255 else None
     triangles = np.arange(len(corners)).reshape(-1, 3)
     return Shape(part.carrier, glb, np.ones(3), np.eye(4), corners, triangles, color)
@@ -675,7 +680,7 @@ def write_glb(corners: Array, normals: Array, colours: np.ndarray) -> bytes:
     return b"".join([head, *chunks])
 
 
-def soft_normals(corners: Array) -> Array:
+def compute_soft_normals(corners: Array) -> Array:
     """Unit normals (3 m, 3) at the corners (3 m, 3) of m triangles: means over those that meet
     there nearly flat.
     """
@@ -695,17 +700,17 @@ def soft_normals(corners: Array) -> Array:
     return out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-300)
 
 
-def _bytes(colours: Any) -> np.ndarray:
+def _to_bytes(colours: Any) -> np.ndarray:
     """Colours from 0 to 1 as bytes."""
     return np.round(255 * np.asarray(colours)).astype(np.uint8)
 
 
-def poses_as(X: Array) -> tuple[Array, Array]:
+def split_poses(X: Array) -> tuple[Array, Array]:
     """Quaternions wxyz (..., 4) and positions (..., 3) of poses."""
     return spatial.matrix_to_quat_wxyz(X[..., :3, :3]), X[..., :3, 3]
 
 
-def _along(length: float) -> tuple[float, float, float]:
+def _scale_along_z(length: float) -> tuple[float, float, float]:
     """The scale of what is stretched along z."""
     return 1.0, 1.0, float(length)
 
@@ -723,16 +728,16 @@ class Nodes:
         self.laid = dict[str, list[Any]]()
         self.poses, self.lengths = drawn.rigid.places(q)
         self.stretched: dict[int, list[Any]] = {}
-        quats, places = poses_as(self.poses)
+        quats, places = split_poses(self.poses)
         for k in sorted({s.carrier for s in drawn.shapes}):
             self.frames[k] = scene.add_frame(
                 f"/system/{k}", show_axes=False, wxyz=quats[k], position=places[k]
             )
         for i, shape in enumerate(drawn.shapes):
             name = f"/system/{shape.carrier}/{i}"
-            along = np.array(_along(self.lengths[shape.carrier]))
+            along = np.array(_scale_along_z(self.lengths[shape.carrier]))
             if shape.color is None:
-                quat, place = poses_as(shape.X)
+                quat, place = split_poses(shape.X)
                 scale = tuple((along * shape.scale).tolist())
                 node = scene.add_glb(name, shape.glb, scale=scale, wxyz=quat, position=place)
             else:
@@ -810,7 +815,7 @@ class Nodes:
         r = self.drawn.rigid.r
         for link in scene.links:
             for k, Y in enumerate((link.bodies | link.frames).values()):
-                quat, place = poses_as(X[link.number] @ Y)
+                quat, place = split_poses(X[link.number] @ Y)
                 self.axes.append(
                     self.scene.add_frame(
                         f"/system/{link.number}/axes/{k}",
@@ -836,7 +841,7 @@ class Nodes:
         still = {"cast_shadow": False, "receive_shadow": False}
         if len(overlay.lines):
             lines = overlay.lines.astype(np.float32) + above
-            colour = _bytes(rgb(style.curve_colour(0)))
+            colour = _to_bytes(parse_colour(style.choose_curve_colour(0)))
             new.append(
                 scene.add_line_segments(
                     f"{at}/lines", lines, colour, thickness=2.5, thickness_units="screen"
@@ -848,7 +853,7 @@ class Nodes:
                     f"{at}/{k}",
                     corners - above,
                     triangles,
-                    color=_bytes(rgb(colour)),
+                    color=_to_bytes(parse_colour(colour)),
                     opacity=SEEN,
                     side="double",
                     **still,
@@ -868,7 +873,7 @@ class Nodes:
                     overlay.points + above,
                     lod="off",
                     batched_scales=overlay.sizes.astype(np.float32),
-                    batched_colors=_bytes(overlay.colours),
+                    batched_colors=_to_bytes(overlay.colours),
                     **still,
                 )
             )
@@ -881,10 +886,10 @@ class Nodes:
         moved = np.abs(X - self.poses).max(axis=(-2, -1)) > 1e-12
         for k in np.flatnonzero(np.abs(lengths - self.lengths) > 1e-12):
             for node in self.stretched.get(int(k), ()):
-                node.scale = _along(lengths[k])
+                node.scale = _scale_along_z(lengths[k])
         self.poses = X
         self.lengths = lengths
-        quats, places = poses_as(X)
+        quats, places = split_poses(X)
         for k, frame in self.frames.items():
             if moved[k]:
                 frame.wxyz = quats[k]
@@ -905,7 +910,7 @@ class Nodes:
             X[: len(solutions)], lengths = self.drawn.rigid.places(solutions)
             scales[: len(solutions)] = 1.0
             scales[: len(solutions), :, 2] = lengths
-        quats, places = poses_as(X)
+        quats, places = split_poses(X)
         for k, node in self.ghosts:
             scale = scales[:, k]
             node.batched_wxyzs = quats[:, k]
@@ -919,7 +924,7 @@ class Nodes:
             node.remove()
         self.ghosts = []
         for k, corners, triangles in self.drawn.outlines:
-            colour = tuple(int(255 * x) for x in rgb(style.link_colour(k)))
+            colour = tuple(int(255 * x) for x in parse_colour(style.choose_link_colour(k)))
             node = self.scene.add_batched_meshes_simple(
                 f"/ghosts/{k}",
                 corners,

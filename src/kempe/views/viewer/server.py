@@ -73,20 +73,20 @@ class Guard:
         """The answer to a request: a refusal, else that of `further`, which is None where a
         websocket opens.
         """
-        host = _single(request, "Host")
+        host = _read_header(request, "Host")
         if host is None or not OWN_HOST.fullmatch(host):
-            return _refusal("the request names a host that is not this machine")
+            return _make_refusal("the request names a host that is not this machine")
         token, _, rest = request.path.partition("?")[0].removeprefix("/").partition("/")
         if not hmac.compare_digest(token.encode(), self.token.encode()):
-            return _refusal(
+            return _make_refusal(
                 "the address is incomplete: open the one that Kempe printed, which ends in a token"
             )
         found = further(connection, dataclasses.replace(request, path=f"/{rest}"))
-        if found is None and _single(request, "Origin") not in (
+        if found is None and _read_header(request, "Origin") not in (
             f"http://{host}",
             f"https://{host}",
         ):
-            return _refusal("the websocket was opened by a page of another origin")
+            return _make_refusal("the websocket was opened by a page of another origin")
         if found is not None:
             connect = f"'self' ws://{host} wss://{host} "
             found.headers["Content-Security-Policy"] = POLICY.format(connect=connect)
@@ -108,16 +108,20 @@ class PageServer(viser.ViserServer):
 
             def _background_worker(self, ready_sem: Any) -> None:
                 theirs: Any = websockets
-                server = _with(
+                server = _replace_names(
                     theirs.asyncio.server, serve=guard.around(theirs.asyncio.server.serve)
                 )
-                own = _with(theirs, asyncio=_with(theirs.asyncio, server=server))
-                _in_scope(infra.WebsockServer._background_worker, websockets=own)(self, ready_sem)
+                own = _replace_names(theirs, asyncio=_replace_names(theirs.asyncio, server=server))
+                _bind_globals(infra.WebsockServer._background_worker, websockets=own)(
+                    self, ready_sem
+                )
 
-        begin = _in_scope(viser.ViserServer.__init__, infra=_with(infra, WebsockServer=Sockets))
-        quiet(lambda: begin(self, host=HOST, port=port, label=label, verbose=False))
+        begin = _bind_globals(
+            viser.ViserServer.__init__, infra=_replace_names(infra, WebsockServer=Sockets)
+        )
+        silence_action(lambda: begin(self, host=HOST, port=port, label=label, verbose=False))
         if not guard.active:  # another version of viser is built otherwise
-            quiet(self.stop)
+            silence_action(self.stop)
             raise UnsupportedError(
                 f"viser {viser.__version__} cannot be kept from foreign pages; install viser 1.1"
             )
@@ -128,13 +132,13 @@ class PageServer(viser.ViserServer):
         return f"http://{HOST}:{self.get_port()}/{self.guard.token}"
 
 
-def quiet(action: Callable[[], Any]) -> Any:
+def silence_action(action: Callable[[], Any]) -> Any:
     """What an action gives that would print."""
     with contextlib.redirect_stdout(io.StringIO()):
         return action()
 
 
-def _in_scope(function: Any, **names: Any) -> Callable[..., Any]:
+def _bind_globals(function: Any, **names: Any) -> Callable[..., Any]:
     """A function of another package as it is, to which some global names mean something else."""
     scope = {**function.__globals__, **names}
     made = FunctionType(
@@ -144,18 +148,18 @@ def _in_scope(function: Any, **names: Any) -> Callable[..., Any]:
     return made
 
 
-def _with(module: Any, **names: Any) -> SimpleNamespace:
+def _replace_names(module: Any, **names: Any) -> SimpleNamespace:
     """The names of a module, some of which mean something else."""
     return SimpleNamespace(**{**vars(module), **names})
 
 
-def _single(request: Request, name: str) -> str | None:
+def _read_header(request: Request, name: str) -> str | None:
     """The value of a header that a request has once, else None."""
     values = request.headers.get_all(name)
     return values[0] if len(values) == 1 else None
 
 
-def _refusal(why: str) -> Response:
+def _make_refusal(why: str) -> Response:
     body = f"Refused: {why}.\n".encode()
     headers = Headers(
         {"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(body))}

@@ -31,8 +31,8 @@ from kempe.model.configurations import (
 )
 from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
-from kempe.views.drawing.plot_request import configuration_of, motion_of
-from kempe.views.drawing.scene import links_of, look
+from kempe.views.drawing.plot_request import read_configuration, read_motion
+from kempe.views.drawing.scene import build_scene, number_links
 from kempe.words import format_count
 
 if TYPE_CHECKING:
@@ -73,11 +73,11 @@ class Played(NamedTuple):
         return np.array(self.q[k - 1 if before else k])
 
 
-def motion_from(system: Model, path: Any) -> Played | None:
+def make_motion(system: Model, path: Any) -> Played | None:
     """The motion of an answer, or of configurations (n, nq); None of None. Errors: `InputError` for
     other shapes.
     """
-    q, _ = motion_of(system, path)
+    q, _ = read_motion(system, path)
     if q is None:
         return None
     own: Any = getattr(path, "t", None)
@@ -87,14 +87,14 @@ def motion_from(system: Model, path: Any) -> Played | None:
     return Played(q[finite], t[finite] - t[finite][0], timed)
 
 
-def _whole(session: Session) -> Any:
+def _trace_whole_motion(session: Session) -> Any:
     from kempe.motion.trace import trace
 
     driver = session.sliders[0].name
     return trace(session.system, driver, session.q, budget=session.budget(MOTION_PATIENCE))
 
 
-def _self_motion(session: Session) -> Any:
+def _find_self_motion(session: Session) -> Any:
     from kempe.inverse.self_motion import self_motion
 
     system = session.system
@@ -104,29 +104,29 @@ def _self_motion(session: Session) -> Any:
     return self_motion(system, session.q, session.frame, task=task, direction=way, budget=budget)
 
 
-def _manoeuvre(session: Session) -> Any:
+def _find_manoeuvre(session: Session) -> Any:
     from kempe.motion.manoeuvre import manoeuvre
 
     return manoeuvre(session.system, session.home, session.q)
 
 
-def _fall(session: Session) -> Any:
+def _simulate_fall(session: Session) -> Any:
     from kempe.motion.simulate import simulate
 
     return simulate(session.system, FALL, session.q, restitution=LEFT)
 
 
 MOTIONS: dict[str, Callable[[Session], Any]] = {
-    "whole motion": _whole,
-    "frame at rest": _self_motion,
-    "manoeuvre": _manoeuvre,
-    "fall": _fall,
+    "whole motion": _trace_whole_motion,
+    "frame at rest": _find_self_motion,
+    "manoeuvre": _find_manoeuvre,
+    "fall": _simulate_fall,
 }
 """Motions that are found on request: with one freedom, with the frame where it is, of what rolls,
 of what falls."""
 
 
-def possible(session: Session) -> tuple[str, ...]:
+def list_possible_motions(session: Session) -> tuple[str, ...]:
     """Names of `MOTIONS` that a system of this kind can have."""
     system = session.system
     freedoms = len(session.sliders)
@@ -144,14 +144,14 @@ def possible(session: Session) -> tuple[str, ...]:
     return tuple(name for name, has in have.items() if has)
 
 
-def found(session: Session, name: str) -> tuple[Played | None, str]:
+def find_named_motion(session: Session, name: str) -> tuple[Played | None, str]:
     """The motion of this name from where the session is, if there is one, and the sentence about
     it.
 
     Errors: those of the verb that looks for it.
     """
     answer = MOTIONS[name](session)
-    return (motion_from(session.system, answer) if len(answer.q) > 1 else None), answer.status
+    return (make_motion(session.system, answer) if len(answer.q) > 1 else None), answer.status
 
 
 # ---- the session
@@ -203,9 +203,9 @@ class Session:
     def __init__(self, system: Model, q: Any = None, frame: Any = None, path: Any = None):
         self.system = system
         self.lock = threading.RLock()
-        self.motion = motion_from(system, path)
+        self.motion = make_motion(system, path)
         self.q = np.array(
-            configuration_of(system, q, None if self.motion is None else self.motion.q)
+            read_configuration(system, q, None if self.motion is None else self.motion.q)
         )
         self.status = ""
         self.target = None
@@ -224,7 +224,7 @@ class Session:
         if q is not None and has_loops(system) and not judge_configurations(system, self.q):
             self._take(assemble(system, start=self.q), "closed from the q given")
         self._choose()
-        self.frames = _by_use(system)
+        self.frames = _sort_by_use(system)
         self.frame = self.frames[0] if frame is None else system.structure.frame_name(frame)
         self.task = self.usual_task()
         self.home = self.q
@@ -260,7 +260,7 @@ class Session:
     def size(self) -> float:
         """How far [m] a slide without limits is moved: the extent of the drawing."""
         if not hasattr(self, "_size"):
-            scene = look(self.system, self.q)
+            scene = build_scene(self.system, self.q)
             self._size = max(scene.size, *(10.0 * m.radius for m in scene.marks), 0.0)
         return self._size
 
@@ -456,7 +456,7 @@ class Session:
         q = q[np.isfinite(q).all(axis=1)]
         if not has_loops(system):
             return q[compute_distance(system, q, self.q) > APART] if len(q) else q
-        links = look(system, self.q)
+        links = build_scene(system, self.q)
         heads = [system.body_names.index(link.name) for link in links.links]
         own = [links.points(link) for link in links.links]
         X = np.linalg.inv(fk(system, self.q)[heads])
@@ -561,7 +561,7 @@ class Session:
     def find_motion(self, name: str) -> bool:
         """Take a motion of `kempe.views.viewer.session.MOTIONS` from here; whether there is one."""
         with self._said():
-            motion, self.status = found(self, name)
+            motion, self.status = find_named_motion(self, name)
             self.motion = self.motion if motion is None else motion
             return motion is not None
         return False
@@ -618,11 +618,11 @@ class Session:
         return "\n\n".join(line for line in (closed, self.singular(), self.status) if line)
 
 
-def _by_use(system: Model) -> tuple[str, ...]:
+def _sort_by_use(system: Model) -> tuple[str, ...]:
     """Names of the frames and bodies, those first that are dragged most often: the last frame on
     what moves.
     """
-    number = links_of(system)
+    number = number_links(system)
     own = [(number[f.body] > 0, True, name) for name, f in system.structure.frames.items()]
     bodies = [(number[name] > 0, False, name) for name in system.body_names[1:]]
     order = sorted([*reversed(own), *reversed(bodies)], key=lambda x: (not x[0], not x[1]))
