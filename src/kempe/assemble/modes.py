@@ -888,10 +888,10 @@ def explain_missing_dyads(problem: Problem) -> str | None:
     return f"it has 2^{plan.signs} branches, too many to list" if plan.signs > MOST_SIGNS else None
 
 
-def find_modes_by_dyads(question: Problem) -> Modes:
+def find_modes_by_dyads(problem: Problem) -> Modes:
     """Find all modes of a mechanism made of dyads, in closed form."""
-    system = question.system
-    values = find_source_values(system, question.known)
+    system = problem.system
+    values = find_source_values(system, problem.known)
     for name, x in values.items():
         if x.ndim:
             raise InputError(
@@ -903,17 +903,17 @@ def find_modes_by_dyads(question: Problem) -> Modes:
     numbers = np.array([[float(x) for x in values.values()]] * len(signs)).reshape(
         len(signs), len(values)
     )
-    closed = plan.close(numbers, signs, question.start)
+    closed = plan.close(numbers, signs, problem.start)
     names = ["".join("+" if s > 0 else "-" for s in row) for row in signs]
     ok = np.flatnonzero(closed.ok)
-    clusters = Clusters(system, () if question.frame is None else (question.frame,))
+    clusters = Clusters(system, () if problem.frame is None else (problem.frame,))
     clusters.add_configurations(closed.q[ok], np.full(len(ok), SAME))
     groups = [ok[members] for members in clusters.members]
     q = closed.q[[g[0] for g in groups]]
     free = np.zeros(len(groups), dtype=np.int64)
     branches = [_merge_branch_names([names[i] for i in g]) for g in groups]
     sizes = np.array([len(g) for g in groups], dtype=np.int64)
-    doubt = _examine_doubtful_branches(question, plan, numbers[0], closed, clusters)
+    doubt = _examine_doubtful_branches(problem, plan, numbers[0], closed, clusters)
     if doubt.found:
         shown = [*range(len(groups)), *doubt.found]
         q = np.concatenate([q, clusters.q[list(doubt.found)]])
@@ -947,7 +947,7 @@ def find_modes_by_dyads(question: Problem) -> Modes:
         status += f"; {format_count(new, 'configuration')} found by least squares"
     if any(len(g) > 1 for g in groups):
         status += f", {format_count(sum(len(g) > 1 for g in groups), 'multiple root')}"
-    return _make_answer(question, q, status, branches, sizes, free, not len(doubt.rows))
+    return _make_answer(problem, q, status, branches, sizes, free, not len(doubt.rows))
 
 
 class _Doubt(NamedTuple):
@@ -964,7 +964,7 @@ class _Doubt(NamedTuple):
 
 
 def _examine_doubtful_branches(
-    question: Problem, plan: Plan, values: Array, closed: DyadAnswer, clusters: Clusters
+    problem: Problem, plan: Plan, values: Array, closed: DyadAnswer, clusters: Clusters
 ) -> _Doubt:
     """Examine the branches that are not proven to close once or never.
 
@@ -973,9 +973,9 @@ def _examine_doubtful_branches(
     A branch that did not close as it was computed may do so elsewhere in its discs: least squares
     start where it nearly closed and, where a branch is undetermined, at random.
     """
-    system = question.system
+    system = problem.system
     size = plan.tolerance / CLOSED
-    proof = enclose_branches(plan, values, bool(question.limits), size)
+    proof = enclose_branches(plan, values, bool(problem.limits), size)
     layout = system.structure.layout
     turning = np.zeros(system.nq, dtype=bool)
     turning[layout.vector_q] = system.structure.coordinates.turning[layout.vector_v]
@@ -987,17 +987,17 @@ def _examine_doubtful_branches(
 
     tree = remove_cut_marks(system)
     before = len(clusters.members)
-    spend = USUAL.complete_budget(question.budget)
-    bound = get_equation_assembler(tree, question.known)
+    spend = USUAL.complete_budget(problem.budget)
+    bound = get_equation_assembler(tree, problem.known)
     s = ModesSearch(
         tree,
-        dict(question.known),
-        question.start,
+        dict(problem.known),
+        problem.start,
         make_generator(spend.rng),
         bound,
         clusters,
-        question.frame,
-        limits=bool(question.limits),
+        problem.frame,
+        limits=bool(problem.limits),
     )
     s.close_configurations(closed.q[proof.branch[~ok]], False)
     left = [
@@ -1014,7 +1014,7 @@ def _examine_doubtful_branches(
     found = new[s.free[new] == 0].tolist()
     moving = new[s.free[new] > 0]
     if len(moving) and not s.free[:before].any():
-        found.append(int(moving[_choose_example(question, clusters, moving)]))
+        found.append(int(moving[_choose_example(problem, clusters, moving)]))
     return _Doubt(proof.branch[left], proof.explain_undetermined(left), tuple(found), s.free)
 
 
@@ -1026,21 +1026,21 @@ def _merge_branch_names(names: list[str]) -> str:
 # ---- solver: many starts
 
 
-def find_modes_by_starts(question: Problem) -> Modes:
+def find_modes_by_starts(problem: Problem) -> Modes:
     """Find modes from many random starts; the answer is never proven complete."""
 
-    system = question.system
-    spend = USUAL.complete_budget(question.budget)
+    system = problem.system
+    spend = USUAL.complete_budget(problem.budget)
     found = search_modes(
         system,
-        dict(question.known),
-        question.start,
-        question.frame,
+        dict(problem.known),
+        problem.start,
+        problem.frame,
         make_generator(spend.rng),
         read_start_count(spend.starts),
-        find_time_limit(USUAL, question.budget),
+        find_time_limit(USUAL, problem.budget),
         spend.progress,
-        bool(question.limits),
+        bool(problem.limits),
     )
     q = found.clusters.q
     hits = found.clusters.hits
@@ -1063,7 +1063,7 @@ def find_modes_by_starts(question: Problem) -> Modes:
     if found.odd:
         status += "; one is missing at least, since their number is even"
     if not closed:
-        why = assemble(system, question.known, start=question.start).status
+        why = assemble(system, problem.known, start=problem.start).status
         status = (
             f"none found, which proves nothing: of {format_count(found.tried, 'start')} none "
             f"closed; {why}"
@@ -1079,7 +1079,7 @@ def find_modes_by_starts(question: Problem) -> Modes:
             f"not finite: {besides}there are some with {left} left, of which one is shown; give "
             "more inputs"
         )
-        families = families[[_choose_example(question, found.clusters, families)]]
+        families = families[[_choose_example(problem, found.clusters, families)]]
     if found.spins:
         status += f"; {format_count(len(found.spins), 'idle spin')} left out: " + ", ".join(
             map(str, found.spins[:3])
@@ -1090,20 +1090,20 @@ def find_modes_by_starts(question: Problem) -> Modes:
     interrupted, late = (isinstance(found.broken, kind) for kind in BROKEN_OFF)
     status += describe_early_end(interrupted, late)
     answer = _make_answer(
-        question, q[keep], status, [""] * len(keep), hits[keep], free[keep], False, guess
+        problem, q[keep], status, [""] * len(keep), hits[keep], free[keep], False, guess
     )
     return replace(answer, interrupted=interrupted, late=late)
 
 
-def _choose_example(question: Problem, clusters: Clusters, which: np.ndarray) -> int:
+def _choose_example(problem: Problem, clusters: Clusters, which: np.ndarray) -> int:
     """Choose the cluster shown as an example, inside the limits if possible, and near home.
 
     Returns its index in `which`.
     """
     q = clusters.q[which]
-    near = find_home(question.system) if question.start is None else question.start
+    near = find_home(problem.system) if problem.start is None else problem.start
     away = clusters.metric.compute_distances(q, near)
-    return int(np.argmin(np.where(_find_inside_limits(question.system, q), away, away + 1e9)))
+    return int(np.argmin(np.where(_find_inside_limits(problem.system, q), away, away + 1e9)))
 
 
 def _format_rounded_up(percent: float) -> str:
@@ -1125,7 +1125,7 @@ def _find_inside_limits(system: Model, q: Array) -> np.ndarray:
 
 
 def _make_answer(
-    question: Problem,
+    problem: Problem,
     q: Array,
     status: str,
     branches: list[str],
@@ -1135,11 +1135,11 @@ def _make_answer(
     guess: tuple[float | None, float | None] = (None, None),
 ) -> Modes:
     """Make the answer: modes sorted, those outside the limits dropped or marked."""
-    system = question.system
+    system = problem.system
     inside = _find_inside_limits(system, q)
     bounds = pack_one_sided_rows(system)
     left_out = 0
-    keep = np.flatnonzero(inside) if question.limits else np.arange(len(q))
+    keep = np.flatnonzero(inside) if problem.limits else np.arange(len(q))
     if bounds.declared:
         beyond = bounds.compute_excess(q, declared=True) > 0.0
         holds = np.logical_not(beyond.any(axis=1))
@@ -1147,9 +1147,9 @@ def _make_answer(
         left_out = int(np.sum(~holds))
         keep = keep[holds[keep]]
         status += bounds.describe_omitted_configurations(beyond)
-    if question.start is not None:
+    if problem.start is not None:
         keep = keep[
-            np.argsort(get_metric(system).compute_distances(q[keep], question.start), kind="stable")
+            np.argsort(get_metric(system).compute_distances(q[keep], problem.start), kind="stable")
         ]
     outside = len(q) - int(inside.sum()) - left_out
     if outside:
@@ -1162,9 +1162,9 @@ def _make_answer(
         multiplicity[keep],
         freedoms[keep],
         inside[keep],
-        outside if question.limits else 0,
+        outside if problem.limits else 0,
         system,
-        dict(question.known),
+        dict(problem.known),
         *guess,
         left_out=left_out,
     )

@@ -96,9 +96,9 @@ class Placed(Constraint):
         across z.
         """
         z = read_directions(getattr(self, name), dim, f"{name} of {self.label}")
-        return spatial.pose(
-            make_rotations_along(z, dim), read_points(self.origin, dim, f"origin of {self.label}")
-        )  # type: ignore[attr-defined]
+        origin: Any = self.origin  # type: ignore[attr-defined]
+        points = read_points(origin, dim, f"origin of {self.label}")
+        return spatial.pose(make_rotations_along(z, dim), points)
 
 
 class Measured(Placed, Bounded):

@@ -277,7 +277,7 @@ class SolutionSet(Curve):
             near = self.find_neighbours(x, distance)
         found = list(known)
         for y in near:
-            if any(family.contains_configuration(y) for family in found):
+            if any(family.contains(y) for family in found):
                 continue
             ways = self.find_family_directions(y, distance)
             way = (y - x) / np.linalg.norm(y - x)
@@ -287,9 +287,7 @@ class SolutionSet(Curve):
                 else self.trace_curve(x if (s <= SINGULAR).sum() == 1 else y, way)
             )
             # merged roots are known better once they are samples
-            if samples and not any(
-                family.contains_configuration(samples[0][0]) for family in found
-            ):
+            if samples and not any(family.contains(samples[0][0]) for family in found):
                 found.append(Family.from_samples(self, base, *samples))
         return found[len(known) :]
 
@@ -491,7 +489,7 @@ class Family(InWords):
         )
         return float(far[0]) if q.ndim == 1 else far.reshape(q.shape[:-1])
 
-    def contains_configuration(self, theta: Array) -> bool:
+    def contains(self, theta: Array) -> bool:
         """Return whether variables (n,) of the chain are those of a member."""
         away = np.abs(self._set.compute_short_difference(self._theta, theta)).max(axis=1).min()
         if self.freedoms == 1 and away > 1.0:
@@ -615,9 +613,7 @@ def find_families(solutions: Solutions, index: int) -> tuple[list[Family], np.nd
     families: list[Family] = []
 
     def find_family_number(x: Array) -> int:
-        return next(
-            (i for i, family in enumerate(families) if family.contains_configuration(x)), -1
-        )
+        return next((i for i, family in enumerate(families) if family.contains(x)), -1)
 
     for x in (*theta[weak], *_read_left_out_samples(solutions, index)):
         starts = [x] if find_family_number(x) < 0 else []

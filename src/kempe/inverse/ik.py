@@ -59,25 +59,25 @@ if TYPE_CHECKING:
 LENGTH, ANGLE = TOLERANCE
 
 
-def bind_call(question: FrameProblem, task: str | None, shape: tuple[int, ...]) -> None:
+def bind_call(frame_problem: FrameProblem, task: str | None, shape: tuple[int, ...]) -> None:
     """Bind plain calls like this one to a `BoundIk`, which answers them faster."""
-    system = question.system
-    chain = question.chain
-    key = (question.frame, task, len(shape))
+    system = frame_problem.system
+    chain = frame_problem.chain
+    key = (frame_problem.frame, task, len(shape))
     # a turned particle is an error
-    point = question.name == "position" and (task is not None or shape != (4, 4))
+    point = frame_problem.name == "position" and (task is not None or shape != (4, 4))
     plain = (
         shape in ((4, 4), (3,), (2,))
         if point
-        else (shape == (4, 4) and question.name != "position")
+        else (shape == (4, 4) and frame_problem.name != "position")
     )
     if (
         plain
-        and question.axis == Z_AXIS
+        and frame_problem.axis == Z_AXIS
         and not chain.ints[HAS_QUATERNION]
         and key not in system._queries
     ):
-        usual = replace(question, tolerance=TOLERANCE, starts=MOST, rng=0)
+        usual = replace(frame_problem, tolerance=TOLERANCE, starts=MOST, rng=0)
         system._queries[key] = BoundIk(
             usual, shape
         ).__call__  # a method, which takes less time to call
@@ -86,12 +86,12 @@ def bind_call(question: FrameProblem, task: str | None, shape: tuple[int, ...]) 
 class BoundIk:
     """`ik` of single targets for one frame and task, with all look-ups done once."""
 
-    def __init__(self, question: FrameProblem, shape: tuple[int, ...]):
-        self.requested = question
-        self.chain = question.chain
-        self.rows = problem.pack_row_flags(question)
-        system = question.system
-        self.size = len(question.chain.q_index)
+    def __init__(self, frame_problem: FrameProblem, shape: tuple[int, ...]):
+        self.requested = frame_problem
+        self.chain = frame_problem.chain
+        self.rows = problem.pack_row_flags(frame_problem)
+        system = frame_problem.system
+        self.size = len(frame_problem.chain.q_index)
         self.nq = system.nq
         first = int(self.chain.q_index[0]) if self.size else 0
         in_a_row = np.array_equal(self.chain.q_index, np.arange(first, first + self.size))
