@@ -38,7 +38,7 @@ def timed(page: Page, event: Callable[[int], object]) -> tuple[float, float]:
     for k in range(EVENTS):
         start = time.perf_counter()
         event(k)
-        page.viewer.moved(page)
+        page.viewer.share_move(page)
         spent.append(1e3 * (time.perf_counter() - start))
     page.viewer.close()
     return float(np.median(spent)), float(np.percentile(spent, 90))
@@ -48,7 +48,9 @@ def slider(page: Page, number: int) -> Callable[[int], object]:
     """Events of a slider that goes to and fro in a tenth of its range."""
     s = page.session.sliders[number]
     middle = 0.5 * (s.low + s.high) if abs(s.value) > 1e-9 or s.low > 0 or s.high < 0 else s.value
-    return lambda k: page.session.set(s.name, middle + 0.05 * (s.high - s.low) * np.sin(0.1 * k))
+    return lambda k: page.session.set_coordinate(
+        s.name, middle + 0.05 * (s.high - s.low) * np.sin(0.1 * k)
+    )
 
 
 def target(page: Page) -> Callable[[int], object]:
@@ -58,8 +60,8 @@ def target(page: Page) -> Callable[[int], object]:
     def event(k: int) -> None:
         Y = X.copy()
         Y[:2, 3] += 0.02 * np.array([np.cos(0.1 * k) - 1.0, np.sin(0.1 * k)])
-        page.session.reach(Y)
-        page.session.solve()
+        page.session.reach_pose(Y)
+        page.session.find_others()
 
     return event
 
@@ -77,7 +79,7 @@ def main() -> None:
             )
         )
     page = page_of(kempe.load("ur5"), [0.3, -1.2, 1.5, -0.6, -1.4, 0.2])
-    page.session.solve()
+    page.session.find_others()
     rows.append(
         (f"UR5, {len(page.session.solutions)} ghosts: a target", *timed(page, target(page)))
     )

@@ -614,7 +614,7 @@ def test_an_interrupt_while_a_kernel_looks_at_the_clock_is_not_lost(ask, at, mon
 
 def test_what_a_verb_inside_another_did_is_no_answer(monkeypatch):
     """The samples of a linkage are taken along traced curves: an interrupted curve is no sample."""
-    monkeypatch.setattr("kempe.motion.trace.home", lambda *_: Ends()())
+    monkeypatch.setattr("kempe.motion.trace.find_return", lambda *_: Ends()())
     with pytest.raises(kempe.Interrupted) as stop:
         LINKAGE.configuration_space.sample(9)
     assert stop.value.answer is None

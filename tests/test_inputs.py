@@ -181,7 +181,9 @@ def usual(system: kempe.System, verb: str = "") -> dict[str, Any]:
         "start": q,
         "known": {name: q[0]},
         "u": q[:1],
-        "wanted": [kempe.tasks.Pose(tip, X)] if verb == "reach" else np.full(6, 0.01),
+        "wanted": [kempe.tasks.Pose(tip, X)]
+        if verb in ("reach", "reach_tasks")
+        else np.full(6, 0.01),
         "coordinates": {name: 0.5},
         "dt": 0.01,
         "tasks": tip,
@@ -318,7 +320,7 @@ QS = ("q", "q0", "q1")
 PLACES = [
     (n, p) for n, f in OF_SYSTEMS.items() for p in QS if takes(f, p) and n not in NOT_REQUIRED
 ]
-ARM_ONLY = {"self_motion", "arm_angle"}
+ARM_ONLY = {"self_motion", "arm_angle", "compute_arm_angle"}
 LOOP_ONLY = {
     "mechanical_advantage",
     "compute_mechanical_advantage",
@@ -338,6 +340,7 @@ ONE_Q = {
     "classify",
     "report_one_sided",
     "path",
+    "find_connection",
     "task_space",
     "parametrizations",
 }
@@ -388,7 +391,12 @@ def test_tables_are_read_by_name(name, place, robots):
     short = name.rpartition(".")[2]
     if short.startswith("plot"):
         pytest.importorskip("matplotlib")
-    arms = {"arm_angle": "iiwa14", "self_motion": "iiwa14", "plot": "two_link"}
+    arms = {
+        "arm_angle": "iiwa14",
+        "compute_arm_angle": "iiwa14",
+        "self_motion": "iiwa14",
+        "plot": "two_link",
+    }
     system = robots[arms.get(short, "ur5")]
     q = np.array(system.random(5, 2))
     for kind, (plain, table) in tables(q, system.coordinate_names).items():
@@ -519,7 +527,7 @@ def wrong_ones(verb: str, place: str, good: Any) -> dict[str, Any]:
     if verb == "with_limits":
         del cases["None inside"]  # no limit
     # of what is held only the names count
-    return {} if verb in ("plan", "ik_plan") and place == "fixed" else cases
+    return {} if verb in ("plan", "describe_plan") and place == "fixed" else cases
 
 
 def numeric(name: str, function: Callable[..., Any], system: kempe.System) -> list[str]:
@@ -566,7 +574,11 @@ def test_what_is_no_number_is_refused(name, robots):
     short = name.rpartition(".")[2]
     if short.startswith("plot"):
         pytest.importorskip("matplotlib")
-    arm = robots["iiwa14" if short in ("arm_angle", "sweep", "ik_sweep", "self_motion") else "ur5"]
+    arm = robots[
+        "iiwa14"
+        if short in ("arm_angle", "compute_arm_angle", "sweep", "ik_sweep", "self_motion")
+        else "ur5"
+    ]
     requested = [
         (s, p, usual(s, short)[p])
         for s in (arm, robots["four_bar"])

@@ -36,7 +36,6 @@ LEFT_OUT = {
     "plot_spaces",
     "plot_tree",
     "animate",
-    "symbolic_fk",
     "show",
     "save_html",
     "run",

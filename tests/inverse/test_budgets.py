@@ -367,7 +367,7 @@ def count_looks(monkeypatch, most: int) -> list[int]:
         looks[0] += 1
         return looks[0] > most
 
-    monkeypatch.setattr(chain_problem.Watch, "over", property(over))
+    monkeypatch.setattr(chain_problem.Watch, "is_over", property(over))
     return looks
 
 

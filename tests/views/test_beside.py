@@ -31,12 +31,12 @@ def test_what_ends_in_an_error_is_said_and_others_go_on(error, said, capfd):
     texts = []
     beside = Beside(lambda key, action: actions.put(action), texts.append)
     try:
-        beside.start("bad", raising(error))
+        beside.start_job("bad", raising(error))
         actions.get(timeout=60)()
         assert texts == [said]
-        beside.start("good", lambda check: iter([lambda: texts.append("found")]))
+        beside.start_job("good", lambda check: iter([lambda: texts.append("found")]))
         actions.get(timeout=60)()
         assert texts == [said, "found"]
     finally:
-        beside.close()
+        beside.end_thread()
     assert ("Traceback" in capfd.readouterr().err) is not isinstance(error, InputError)

@@ -211,7 +211,7 @@ def test_requests_with_anything_else_are_refused(hunt):
 def ask(guard: Guard, token: str, hosts: list[str], origins: list[str]):
     """What a guard answers to the request for a websocket."""
     headers = Headers([*(("Host", x) for x in hosts), *(("Origin", x) for x in origins)])
-    return guard.answer(None, Request(f"/{token}", headers), lambda *_: None)
+    return guard.answer_request(None, Request(f"/{token}", headers), lambda *_: None)
 
 
 def changed(rng: random.Random, text: str, letters: str) -> str:
@@ -346,7 +346,7 @@ def test_names_are_text_on_the_page_and_request_nothing(browser, tmp_path, monke
                 tab.get_by_text(box, exact=True).click()
             page = next(iter(viewer.pages.values()))
             sentence = f"said {EVIL.format(site=site)}"
-            page.post("say", lambda: page._say(sentence))
+            page.post_action("say", lambda: page._show_text(sentence))
             tab.get_by_text("said <img").first.wait_for()
             assert sentence.split()[1] in tab.content() or "&lt;img" in tab.content()
             tab.wait_for_timeout(1500)
@@ -374,7 +374,7 @@ def page_of(monkeypatch) -> Iterator[Callable[..., Page]]:
     themselves.
     """
     viewers = []
-    monkeypatch.setattr(Page, "_work", lambda page: None)
+    monkeypatch.setattr(Page, "_run_actions", lambda page: None)
 
     def made(system: kempe.System, deg: bool = False) -> Page:
         session = Session(system)
@@ -398,7 +398,7 @@ def test_sliders_show_the_value_that_is_beyond_a_turn_too(name, page_of):
         slider = session.sliders[0].name
         q[system.coordinate_names.index(slider)] = turns if name != "ball" else 0.1 * turns
         session.q = q
-        page._slide()
+        page._set_sliders()
         for one in session.sliders:
             handle = page.sliders[one.name]
             assert (
@@ -419,7 +419,7 @@ def test_the_page_speaks_degrees_where_these_are_wanted(page_of):
             np.array([handle.min, handle.max, handle.value]) * factor, [s.low, s.high, s.value]
         )
         assert handle.label.endswith("[deg]" if s.unit == "rad" else "[m]")
-        page._set(s.name, "deg" if s.unit == "rad" else s.unit, handle.max)
+        page._set_coordinate(s.name, "deg" if s.unit == "rad" else s.unit, handle.max)
         q = dict(zip(system.coordinate_names, page.session.q, strict=True))[s.name]
         assert q == s.high
     page.degrees.value = False

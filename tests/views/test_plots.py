@@ -23,7 +23,7 @@ from kempe.views import plots
 from kempe.views.drawing import callouts, labels, page, shapes, symbols
 from kempe.views.drawing.plot_request import choose_configuration
 from kempe.views.drawing.scene import build_scene
-from kempe.views.drawing.solids import Solids, find_flat_hull, hull
+from kempe.views.drawing.solids import Solids, find_flat_hull, find_hull
 
 PLANAR = [
     "four_bar",
@@ -151,7 +151,7 @@ def test_links_cover_their_joints_and_frames(name):
     found = artists(plots.plot(system))
     scene = build_scene(system, q)
     for link in scene.links[1:]:
-        points = scene.points(link)[:, :2]
+        points = scene.list_points(link)[:, :2]
         if len(points) > 1:
             (patch,) = found[f"link:{link.name}"]
             path = patch.get_path()
@@ -183,7 +183,7 @@ def test_rounded_outlines_have_the_area_of_hull_and_rim():
 
 def test_the_hull_drops_what_lies_inside_and_on_sides():
     points = np.array([[0, 0], [2, 0], [1, 0], [2, 2], [0, 2], [1, 1], [0, 1]], dtype=float)
-    assert hull(points).tolist() == [[0, 0], [2, 0], [2, 2], [0, 2]]
+    assert find_hull(points).tolist() == [[0, 0], [2, 0], [2, 2], [0, 2]]
 
 
 def test_bodies_joined_by_fixed_joints_are_one_link():
@@ -409,11 +409,11 @@ def test_labels_can_be_left_out():
 
 def test_a_label_goes_where_nothing_is():
     obstacles = labels.Obstacles()
-    obstacles.segment(np.array([-5.0, 0.0]), np.array([5.0, 0.0]), 0.5)
-    obstacles.segment(np.array([0.0, 0.0]), np.array([0.0, 5.0]), 0.5)
-    first = obstacles.place(np.zeros(2), (1.0, 0.6), 0.8, np.array([1.0, 0.0]))
+    obstacles.add_segment(np.array([-5.0, 0.0]), np.array([5.0, 0.0]), 0.5)
+    obstacles.add_segment(np.array([0.0, 0.0]), np.array([0.0, 5.0]), 0.5)
+    first = obstacles.find_free_place(np.zeros(2), (1.0, 0.6), 0.8, np.array([1.0, 0.0]))
     assert abs(first[1]) > 0.5 + 0.3 - 1e-9
-    second = obstacles.place(np.zeros(2), (1.0, 0.6), 0.8, np.array([1.0, 0.0]))
+    second = obstacles.find_free_place(np.zeros(2), (1.0, 0.6), 0.8, np.array([1.0, 0.0]))
     assert abs(first[0] - second[0]) >= 1.0 - 1e-9 or abs(first[1] - second[1]) >= 0.6 - 1e-9
 
 
@@ -502,7 +502,7 @@ def test_tubes_join_the_joints_of_a_link(name):
     for link, line in symbols.iterate_link_lines(scene):
         drawn.setdefault(link.number, []).append(line)
     for link in scene.links[1:]:
-        points = scene.points(link)
+        points = scene.list_points(link)
         if len(points) > 1:
             corners = np.concatenate(drawn[link.number])
             gaps = np.linalg.norm(points[:, None] - corners, axis=-1).min(axis=1)
@@ -574,13 +574,13 @@ def test_tubes_and_balls_have_their_sizes():
     solids = Solids()
     a = np.array([1.0, 2.0, 3.0])
     b = np.array([2.0, 0.0, 5.0])
-    solids.tube("t", a, b, 0.25, "#808080")
+    solids.add_tube("t", a, b, 0.25, "#808080")
     u = (b - a) / 3.0
     p = vertices(solids, "t") - a
     along = p @ u
     assert along.min() == pytest.approx(0.0, abs=1e-12) and along.max() == pytest.approx(3.0)
     assert np.linalg.norm(p - along[:, None] * u, axis=1).max() == pytest.approx(0.25)
-    solids.ball("b", a, 0.5, "#808080")
+    solids.add_ball("b", a, 0.5, "#808080")
     assert np.allclose(np.linalg.norm(vertices(solids, "b") - a, axis=1), 0.5)
     assert all(len(f) == 4 for f in solids.faces)
 
@@ -612,6 +612,7 @@ def test_every_model_can_be_drawn(name, tmp_path):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         plots.plot(kempe.load(name)).figure.savefig(tmp_path / "a.png", dpi=30)
+    assert (tmp_path / "a.png").stat().st_size > 1000
 
 
 def test_vector_output_names_its_parts(tmp_path):
@@ -1082,7 +1083,7 @@ def test_the_tool_of_a_file_without_frames_is_drawn(tmp_path):
     arm = kempe.load(tmp_path / "arm.urdf")
     scene = build_scene(arm, arm.neutral)
     assert list(scene.links[-1].frames) == ["tool"] and np.allclose(
-        scene.points(scene.links[-1])[-1], [0, 0, 0.9]
+        scene.list_points(scene.links[-1])[-1], [0, 0, 0.9]
     )
     ax = arm.plot()
     assert ax.get_zlim()[1] > 0.9 and "tool" in [t.get_text() for t in ax.texts]
@@ -1094,7 +1095,7 @@ def test_labels_look_at_what_is_near_them(hunt):
     crowd = labels.Obstacles()
     a, b = rng.uniform(0, 100, (2, 2000, 2))
     for p, q in zip(a, b, strict=True):
-        crowd.segment(
+        crowd.add_segment(
             p, p + 0.02 * (q - p), float(rng.uniform(0.1, 2.0)), float(rng.uniform(0.1, 2.0))
         )
     points = rng.uniform(0, 100, (40, 1, 2)) + rng.uniform(-1, 1, (40, 9, 2))
@@ -1104,8 +1105,8 @@ def test_labels_look_at_what_is_near_them(hunt):
         t = np.clip((points - (x0, y0)) @ d / (d @ d), 0, 1)
         gap = np.linalg.norm(points - (x0, y0) - t[..., None] * d, axis=-1)
         weights = np.where(gap < radius, np.maximum(weights, weight), weights)
-    np.testing.assert_array_equal(crowd.covered(points), weights)
-    assert len(crowd._near(points[0])) < 100
+    np.testing.assert_array_equal(crowd.find_covering_weights(points), weights)
+    assert len(crowd.select_near_segments(points[0])) < 100
 
 
 def test_long_names_are_shortened_in_pictures():
@@ -1149,5 +1150,5 @@ def test_opened_systems_keep_their_links_in_pictures(name, joint):
     after = build_scene(system, system.q(given))
     for link in before.links[1:]:
         same = next(x for x in after.links if x.name == link.name)
-        for p in before.points(link):
-            assert np.linalg.norm(after.points(same) - p, axis=1).min() < 1e-6, (link.name, p)
+        for p in before.list_points(link):
+            assert np.linalg.norm(after.list_points(same) - p, axis=1).min() < 1e-6, (link.name, p)

@@ -44,7 +44,7 @@ def test_sliders_are_the_freedoms_and_keep_loops_closed(name):
     for slider in session.sliders:
         by = 0.02 * (slider.high - slider.low)
         wanted = slider.value + (by if slider.value + by <= slider.high else -by)
-        session.set(slider.name, wanted)
+        session.set_coordinate(slider.name, wanted)
         assert closed(session) or session.status, slider
         if not session.status:
             assert dict((s.name, s.value) for s in session.sliders)[slider.name] == pytest.approx(
@@ -72,7 +72,7 @@ def test_a_slider_stops_where_the_loops_cannot_close():
     k = bar.coordinate_names.index(rocker)
     session = Session(bar, motion[len(motion) // 3])
     session.chart = bar.independent(session.q, [rocker])
-    session.set(rocker, motion[:, k].max() + 1.0)
+    session.set_coordinate(rocker, motion[:, k].max() + 1.0)
     assert closed(session) and session.status
     assert motion[:, k].max() - 0.15 < session.q[k] < motion[:, k].max() + 1e-6
 
@@ -83,17 +83,17 @@ def test_a_slider_stops_where_the_loops_cannot_close():
 def test_targets_are_reached_or_the_nearest_is_taken_with_the_reason(name):
     session = Session(kempe.load(name))
     X = session.pose.copy()
-    session.random()
+    session.go_to_random()
     there = session.pose.copy()
     assert (
-        session.reach(there)
+        session.reach_pose(there)
         and np.allclose(session.pose, there, atol=1e-6)
         and session.target is None
     )
     far = X.copy()
     far[0, 3] += 30.0
     if name not in ("car", "stewart_sps"):  # these go anywhere: no limits
-        assert not session.reach(far, quick=False) and closed(session)
+        assert not session.reach_pose(far, quick=False) and closed(session)
         assert session.target is far and len(session.status) > 20
         assert np.linalg.norm(session.pose[:3, 3] - far[:3, 3]) < 31.0
 
@@ -104,21 +104,21 @@ def test_solutions_hold_the_frame_and_can_be_chosen():
     q = np.array([0.3, -1.2, 1.5, -0.6, -1.4, 0.2])
     session = Session(system, q)
     before = session.pose.copy()
-    count = session.solve()
+    count = session.find_others()
     # eight in general position (Williams and others), one is this
     assert count == 7 and session.task == "pose"
     assert np.allclose(system.fk(session.solutions, "tool"), before, atol=1e-6)
     chosen = session.solutions[3].copy()
-    session.choose(3)
+    session.choose_solution(3)
     assert np.array_equal(session.q, chosen) and np.array_equal(session.solutions[3], q)
     seen = {tuple(session.q.round(6))}
     for _ in range(7):
-        session.next()
+        session.choose_next()
         assert np.allclose(session.pose, before, atol=1e-6)
         seen.add(tuple(session.q.round(6)))
     assert len(seen) == 8
     with pytest.raises(InputError, match="9 is none of 7 other solutions"):
-        session.choose(9)
+        session.choose_solution(9)
 
 
 def test_assembly_modes_are_passed_in_turn():
@@ -126,13 +126,13 @@ def test_assembly_modes_are_passed_in_turn():
     session = Session(kempe.load("four_bar"))
     first = session.q.copy()
     A = session.sliders[0].value
-    session.next("mode")
+    session.choose_next("mode")
     assert (
         closed(session)
         and not np.allclose(session.q, first)
         and session.sliders[0].value == pytest.approx(A)
     )
-    session.next("mode")
+    session.choose_next("mode")
     assert np.allclose(session.q, first, atol=1e-6)
 
 
@@ -140,10 +140,10 @@ def test_assembly_modes_are_passed_in_turn():
 def test_buttons_lead_to_closed_configurations(name):
     session = Session(kempe.load(name))
     for posture in session.postures:
-        session.go(posture)
+        session.go_to_posture(posture)
         assert closed(session) or session.status, posture
     for _ in range(3):
-        session.random()
+        session.go_to_random()
         assert closed(session) or "none of" in session.status
 
 
@@ -194,7 +194,7 @@ def test_workspaces_lie_around_what_is_reached(name):
     for _ in range(5):
         before = session.pose[1, 3]
         other = Session(session.system, session.q)
-        other.random()
+        other.go_to_random()
         p = other.pose[:3, 3]
         edge = 0.2 * (high - low)
         assert p[1] < before or ((low - edge <= p) & (p <= high + edge)).all()
@@ -209,7 +209,7 @@ def test_a_motion_with_the_frame_at_rest_can_be_played():
     )
     assert session.motion is not None and len(session.motion.q) > 10
     for part in (0.0, 0.4, 1.0):
-        session.at(part * session.motion.duration)
+        session.go_to_time(part * session.motion.duration)
         assert np.allclose(session.pose, before, atol=1e-5)
 
 
@@ -218,7 +218,7 @@ def test_a_path_is_played():
     bar = kempe.load("four_bar")
     path = bar.trace("A")
     session = Session(bar, path=path.q)
-    session.at(2.0)
+    session.go_to_time(2.0)
     assert closed(session) and np.array_equal(session.q, path.q[round(0.5 * (len(path.q) - 1))])
 
 
@@ -233,7 +233,9 @@ def test_a_ball_falls_and_bounces_and_a_car_manoeuvres():
     assert motion.q[:, 2].min() > -1e-6
     car = Session(kempe.load("car"))
     assert "manoeuvre" in list_possible_motions(car)
-    car.reach(car.pose @ np.array([[1, 0, 0, 0.5], [0, 1, 0, 0.2], [0, 0, 1, 0], [0, 0, 0, 1.0]]))
+    car.reach_pose(
+        car.pose @ np.array([[1, 0, 0, 0.5], [0, 1, 0, 0.2], [0, 0, 1, 0], [0, 0, 0, 1.0]])
+    )
     there = car.q.copy()
     assert car.find_motion("manoeuvre") and car.motion is not None
     assert np.allclose(car.motion.q[0], car.home, atol=1e-6) and np.allclose(
@@ -252,7 +254,7 @@ def test_rods_hold_while_a_target_is_dragged():
     for step in ([0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [2.0, 2.0, 0.0]):
         X = session.pose.copy()
         X[:3, 3] += step
-        session.reach(X)
+        session.reach_pose(X)
         p = session.q[:2]
         q = session.q[2:]
         assert abs(np.hypot(*p) - 0.3) < 1e-6 and abs(np.hypot(*(q - p)) - 0.5) < 1e-6
@@ -262,9 +264,9 @@ def test_a_motion_through_open_loops_is_shown_and_said():
     bar = kempe.load("four_bar")
     q = bar.q("closed")
     session = Session(bar, path=np.stack([q, q + 0.3]))
-    session.at(4.0)
+    session.go_to_time(4.0)
     assert np.array_equal(session.q, q + 0.3)
-    assert session.said().startswith("closed to") and session.residual() > 0.01
+    assert session.compose_text().startswith("closed to") and session.compute_residual() > 0.01
 
 
 def test_only_motions_that_there_can_be_are_offered():
@@ -284,19 +286,21 @@ def test_only_motions_that_there_can_be_are_offered():
 def test_what_is_said_names_residual_singularity_and_freedoms():
     session = Session(kempe.load("four_bar"))
     assert (
-        "closed to" in session.said() and session.residual() < 1e-12 and "regular" in session.said()
+        "closed to" in session.compose_text()
+        and session.compute_residual() < 1e-12
+        and "regular" in session.compose_text()
     )
-    assert session.mobility().startswith("1 degree of freedom: Gruebler says 1")
+    assert session.describe_mobility().startswith("1 degree of freedom: Gruebler says 1")
     stretched = Session(kempe.load("ur5"), np.zeros(6), "tool")
-    stretched.aim("tool", "pose")
-    assert "tool is singular here" in stretched.said()
+    stretched.aim_frame("tool", "pose")
+    assert "tool is singular here" in stretched.compose_text()
 
 
 def test_what_has_no_freedoms_is_shown_and_said():
     m = kempe.Mechanism("table", dim=2)
     m.fixed("F", m.ground, m.body("top"), at=(0.3, 0.7))
     session = Session(m.build())
-    session.random()
+    session.go_to_random()
     assert (
         session.sliders == ()
         and "no freedoms" in Session(m.build()).status
@@ -311,9 +315,9 @@ def test_what_has_no_freedoms_is_shown_and_said():
 def test_what_cannot_move_has_no_other_solutions(system, kind):
     """Without coordinates there is nothing to go to, and a sentence says so."""
     session = Session(system)
-    assert session.solve(kind) == 0 and session.status
-    session.random()
-    session.next(kind)
+    assert session.find_others(kind) == 0 and session.status
+    session.go_to_random()
+    session.choose_next(kind)
     assert session.q.shape == (0,)
 
 
@@ -324,9 +328,9 @@ def test_wrong_calls_are_refused_by_name():
     with pytest.raises(InputError, match="q"):
         Session(arm, [0.0] * 5)
     with pytest.raises(InputError, match="no independent coordinate"):
-        Session(arm).set("nix", 0.0)
+        Session(arm).set_coordinate("nix", 0.0)
     with pytest.raises(UnknownNameError):
-        Session(arm).go("nix")
+        Session(arm).go_to_posture("nix")
 
 
 # ---- systems that are hard to show
@@ -347,8 +351,8 @@ def test_what_has_no_freedoms_is_shown_and_says_so():
 def test_only_what_closes_is_called_closed():
     """Rolling is no equation of positions: nothing is said of a car, the error of loops is."""
     assert (
-        "closed" not in Session(kempe.load("car")).said()
-        and "closed to" in Session(kempe.load("four_bar")).said()
+        "closed" not in Session(kempe.load("car")).compose_text()
+        and "closed to" in Session(kempe.load("four_bar")).compose_text()
     )
 
 
@@ -370,5 +374,5 @@ def test_a_camera_has_all_of_a_motion_in_sight():
         Drawn(system, np.zeros(1), way) for way in (None, np.linspace(0.0, 4.0, 100)[:, None])
     )
     assert abs(moving.middle[0] - still.middle[0]) > 0.4 and moving.size > still.size
-    ends = moving.rigid.poses(np.array([[0.0], [4.0]]))[:, 1, 0, 3] + [0.0, 1.0]
+    ends = moving.rigid.compute_poses(np.array([[0.0], [4.0]]))[:, 1, 0, 3] + [0.0, 1.0]
     assert (np.abs(ends - moving.middle[0]) <= 0.5 * moving.size).all()

@@ -75,7 +75,7 @@ def test_parts_move_with_their_links(name):
     assert {p.carrier for p in rigid.parts} <= set(range(rigid.carriers))
     assert all(np.isfinite(p.corners).all() and len(p.triangles) for p in rigid.parts)
     scene = build_scene(system, q)
-    X = rigid.poses(q)
+    X = rigid.compute_poses(q)
     for k, (_, _, ends, _) in enumerate(scene.rods, len(rigid.heads)):
         assert np.allclose(X[k, :3, 3], ends[0]) and np.allclose(
             X[k, :3, 2] * np.linalg.norm(ends[1] - ends[0]), ends[1] - ends[0]
@@ -90,7 +90,7 @@ def test_a_pin_is_drawn_where_its_joint_is():
     motion = bar.trace("A").q
     here = RigidParts(bar, motion[0])
     there = RigidParts(bar, motion[len(motion) // 3])
-    X = here.poses(motion[len(motion) // 3])
+    X = here.compute_poses(motion[len(motion) // 3])
     for a, b in zip(here.parts, there.parts, strict=True):
         if a.carrier:
             moved = a.corners @ X[a.carrier, :3, :3].T + X[a.carrier, :3, 3]
@@ -101,7 +101,7 @@ def test_a_pin_is_drawn_where_its_joint_is():
 
 def parts_at(rigid: RigidParts, q: np.ndarray) -> np.ndarray:
     """Triangles (n, 3, 3) of what a page shows at a configuration."""
-    X, lengths = rigid.places(q)
+    X, lengths = rigid.compute_places(q)
     X = X.copy()
     X[:, :3, 2] *= lengths[:, None]
     return np.concatenate(
@@ -153,7 +153,7 @@ def test_sliding_joints_are_whole_at_every_configuration(name):
     session = Session(system)
     rigid = RigidParts(system, session.q)
     for _ in range(2):
-        session.random()
+        session.go_to_random()
         scene = build_scene(system, session.q)
         here = parts_at(rigid, session.q)
         anew = parts_at(RigidParts(system, session.q), session.q)
@@ -204,9 +204,9 @@ def test_a_rail_is_as_long_as_its_joint_on_the_page():
     with system.show(port=0, browser=False) as viewer:
         nodes = Nodes(viewer.server.scene, viewer.drawn, viewer.q)
         session = Session(system)
-        session.random()
-        nodes.move(session.q)
-        lengths = viewer.drawn.rigid.places(session.q)[1]
+        session.go_to_random()
+        nodes.move_links(session.q)
+        lengths = viewer.drawn.rigid.compute_places(session.q)[1]
         changed = [k for k in nodes.stretched if abs(lengths[k] - 1.0) > 1e-9]
         assert len(changed) >= 6
         assert all(
@@ -611,12 +611,12 @@ def test_a_narrow_page_looks_past_the_panel_from_where_pages_begin(panel):
         camera = types.SimpleNamespace()
         camera.position = begin.position + 0.3
         camera.look_at = begin.look_at
-        viewer._uncover(camera, *panel)
+        viewer._uncover_system(camera, *panel)
         assert np.allclose(camera.position, begin.position + 0.3) and np.allclose(
             camera.look_at, begin.look_at
         )
         camera.position = begin.position
-        viewer._uncover(camera, *panel)
+        viewer._uncover_system(camera, *panel)
         away = np.subtract(camera.position, camera.look_at)
         far = np.subtract(begin.position, begin.look_at)
         assert np.linalg.norm(away) > 2.0 * np.linalg.norm(far) and np.allclose(

@@ -253,7 +253,7 @@ def test_hunt_for_points_that_are_decided_wrongly(hunt: Hunt, kind):
         )
         clear = w.distance(points) > (0.02 if kind == "dexterous" else 1e-4)
         question = read_question(system, "tool", given["kind"], angles, None)
-        reached = question.reached(system, "tool", np.pad(points, ((0, 0), (0, 1))), 0)
+        reached = question.find_reached_points(system, "tool", np.pad(points, ((0, 0), (0, 1))), 0)
         assert np.array_equal(w.contains(points)[clear], reached[clear]), (system.mechanism, given)
         numbers = w.region.count_solutions(points[clear] @ [1.0, 1j])
         assert np.array_equal(numbers > 0, reached[clear])

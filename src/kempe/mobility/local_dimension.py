@@ -664,7 +664,7 @@ def find_local_dimension(
 
     >>> import kempe
     >>> system = kempe.load("parallelogram")
-    >>> flat = local_dimension(system, system.q("flat"))
+    >>> flat = find_local_dimension(system, system.q("flat"))
     >>> flat.rank_dim, flat.dim, flat.branch_dims
     (2, 1, (1, 1))
     """

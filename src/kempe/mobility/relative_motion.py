@@ -111,7 +111,7 @@ def find_relative_motion(
 
     >>> import kempe
     >>> slider = kempe.load("slider")
-    >>> print(relative_motion(slider, slider.neutral, "B5", "B0"))
+    >>> print(find_relative_motion(slider, slider.neutral, "B5", "B0"))
     1 DoF of B5 relative to B0: a slide along x
     """
     found = read_q(system, q)

@@ -1,6 +1,4 @@
-"""Motions as moving pictures: GIF, MP4 (with ffmpeg) or an HTML page with a player, all frames on
-one scale.
-"""
+"""Motions as animations: GIF, MP4 (with ffmpeg) or an HTML page with a player, with one scale."""
 
 from __future__ import annotations
 
@@ -33,8 +31,9 @@ MOST = 600
 
 
 def check_film_path(file: str | Path) -> Path:
-    """The path of a film. Errors: `InputError` for other endings, `UnsupportedError` where its
-    writer is missing.
+    """Check the path of an animation.
+
+    Errors: `InputError` for other endings, `UnsupportedError` if its writer is missing.
     """
     from matplotlib import animation
 
@@ -52,8 +51,8 @@ def check_film_path(file: str | Path) -> Path:
 
 
 def _find_packed_ffmpeg() -> bool:
-    """Whether the package imageio-ffmpeg is installed; its program is then the one that matplotlib
-    runs.
+    """Find the program of the package imageio-ffmpeg, and let matplotlib run it; whether it is
+    there.
     """
     import matplotlib
 
@@ -76,8 +75,7 @@ def animate(
     seconds: float = 4.0,
     fps: float = 15.0,
 ) -> Path:
-    """Write a motion as a moving picture; the path of the file comes back, whose ending says what
-    it is.
+    """Write a motion as an animation, whose format follows from the ending of the file.
 
     `path`: an answer with a motion or several configurations, or configurations (n, nq), passed at
     equal times in `seconds`, `fps` pictures each second; without loops it is interpolated between
@@ -112,8 +110,9 @@ def animate(
 
 
 def _sample_motion(system: Model, q: Array, count: int) -> Array:
-    """Configurations (count, nq) at equal steps along rows (n, nq), where loops are closed the
-    nearest of these.
+    """Choose configurations (count, nq) at equal steps along rows (n, nq).
+
+    With loops these are the nearest rows, since interpolation would open the loops.
     """
     at = np.linspace(0.0, len(q) - 1.0, count)
     if len(q) >= count or len(q) < 2 or has_loops(system):
@@ -123,11 +122,11 @@ def _sample_motion(system: Model, q: Array, count: int) -> Array:
 
 
 def _write_film(drawing: Any, subjects: list[Any], out: Path, fps: float) -> None:
-    """Draw one subject after the other on the same axes, and write each as a frame."""
+    """Draw one subject after the other on the same axes, and write each as a frame of the file."""
     from matplotlib import animation
 
-    bounds = drawing.bounds_of(subjects[:: max(1, len(subjects) // 24)])
-    ax = drawing.empty(subjects[0], bounds, page.make_bare_figure)
+    bounds = drawing.find_bounds(subjects[:: max(1, len(subjects) // 24)])
+    ax = drawing.make_empty_axes(subjects[0], bounds, page.make_bare_figure)
     kind = ENDINGS[out.suffix.lower()]
     more = {"embed_frames": True, "default_mode": "loop"} if kind == "html" else {}
     writer: Any = animation.writers[kind]
@@ -136,5 +135,5 @@ def _write_film(drawing: Any, subjects: list[Any], out: Path, fps: float) -> Non
         for subject in subjects:
             for artist in (*ax.collections, *ax.lines, *ax.patches, *ax.texts):
                 artist.remove()
-            drawing.picture(subject, ax, bounds)
+            drawing.draw_picture(subject, ax, bounds)
             writer.grab_frame()

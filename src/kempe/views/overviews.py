@@ -36,7 +36,7 @@ siblings are apart."""
 
 
 def list_children(system: Model) -> list[list[int]]:
-    """For each body from the ground on, the bodies whose parent it is."""
+    """List the children of each body, from the ground on."""
     out: list[list[int]] = [[] for _ in system.body_names]
     for body, parent in enumerate(system.parent, 1):
         out[parent].append(body)
@@ -44,9 +44,7 @@ def list_children(system: Model) -> list[list[int]]:
 
 
 def list_tree_lines(system: Model) -> list[str]:
-    """The tree as text: for each body its joint, with the type, its number and its name; then what
-    closes loops.
-    """
+    """List the lines of the spanning tree as text: each body with its joint, then the cut joints."""
     below = list_children(system)
     names = system.body_names
     joints = system.structure.joints
@@ -70,14 +68,12 @@ def list_tree_lines(system: Model) -> list[str]:
 
 
 def format_connectivity(system: Model) -> str:
-    """The connectivity vector as text: the parent of each body."""
+    """Format the connectivity vector: the parent of each body."""
     return f"C = {{{', '.join(map(str, system.parent))}}}"
 
 
 def _place_bodies(system: Model) -> np.ndarray:
-    """Where bodies (n + 1, 2) are drawn: leaves beside one another, each parent over the middle of
-    its children.
-    """
+    """Compute the positions (n + 1, 2) of bodies in the tree: each parent above its children."""
     below = list_children(system)
     at = np.zeros((len(below), 2))
     for body, parent in enumerate(system.parent, 1):  # parents come first
@@ -97,7 +93,7 @@ def _place_bodies(system: Model) -> np.ndarray:
 
 @explain_errors
 def plot_tree(system: Model, ax: Axes | None = None) -> Axes:
-    """Axes with the tree: bodies as circles by depth, joints as lines with their letters, C below.
+    """Draw the spanning tree: bodies as circles by depth, joints as lines with their letters.
 
     Joints that close loops, which the tree leaves out, are dashed red lines. Letters: R revolute, P
     prismatic, H helical, C cylindrical, U universal, E planar, T translation, S spherical, F free;
@@ -194,16 +190,14 @@ def plot_tree(system: Model, ax: Axes | None = None) -> Axes:
 
 
 def _label_edge(joint: Any) -> str:
-    """The name and the letter of a joint."""
+    """Format the name and the letter of a joint."""
     from kempe.views.drawing.labels import shorten_label
 
     return f"{shorten_label(joint.name)}  {joint.type.letter}".rstrip()
 
 
 def _measure_label_room(system: Model) -> float:
-    """The room of the widest name of a body from the middle of its circle on, in the units of the
-    tree.
-    """
+    """Measure the room that the widest body name needs beside its circle, in units of the tree."""
     from kempe.views.drawing import style
     from kempe.views.drawing.labels import measure_text, shorten_label
 
@@ -214,9 +208,7 @@ def _measure_label_room(system: Model) -> float:
 
 
 def _choose_leaf_distance(system: Model) -> float:
-    """How far leaves are from one another: no name of a body or joint reaches the next one, where
-    there is room.
-    """
+    """Choose the distance of leaves, so that names do not overlap where there is room."""
     if len(system.parent) < 2 or max(map(len, list_children(system))) < 2:
         return 1.4
     return float(
@@ -229,7 +221,7 @@ def _choose_leaf_distance(system: Model) -> float:
 
 
 def _measure_widest_joint(system: Model) -> float:
-    """The width of the widest name of a joint, in the units of the tree."""
+    """Measure the width of the widest joint name, in units of the tree."""
     from kempe.views.drawing import style
     from kempe.views.drawing.labels import measure_text
 
@@ -242,7 +234,7 @@ def _measure_widest_joint(system: Model) -> float:
 def _draw_edge_label(
     ax: Axes, joint: Any, a: np.ndarray, b: np.ndarray, colour: str, part: float = 0.5
 ) -> None:
-    """Write the name and the letter of a joint on its line, at some part of the way."""
+    """Draw the name and the letter of a joint on its line, at some part of the way."""
     from kempe.views.drawing import style
 
     x, y = a + part * (b - a)
@@ -264,9 +256,7 @@ def _draw_edge_label(
 
 
 def list_joint_types() -> list[dict[str, Any]]:
-    """All joint types: name, letter, freedoms and constraints in space and in the plane, what they
-    are made of.
-    """
+    """List all joint types with name, letter, freedoms, constraints and decomposition."""
     out: list[dict[str, str | int | None]] = []
     for name, kind in TYPES.items():
         joint = kind()
@@ -290,9 +280,7 @@ def list_joint_types() -> list[dict[str, Any]]:
 
 @explain_errors
 def plot_joints(names: Sequence[str] = ()) -> tuple[Axes, ...]:
-    """Axes with all joint types, or those that are named: both bodies, an arrow for each freedom,
-    and neighbours.
-    """
+    """Draw joint types: both bodies, an arrow for each freedom, and neighbouring positions."""
     from kempe.views.drawing import page, style
     from kempe.views.plots import plot
 
@@ -326,7 +314,7 @@ def plot_joints(names: Sequence[str] = ()) -> tuple[Axes, ...]:
 
 
 def make_notebook_page(system: Model) -> str:
-    """The system as HTML: a picture, its freedoms, its tree. What cannot be had is left out."""
+    """Return a system as HTML for notebooks: a picture, its freedoms, and its spanning tree."""
     count = format_count(len(system.parent), "body")
     kind = "in the plane" if system.dim == 2 else "in space"
     head = f"{system.name}: {count}, {format_count(len(system.joint_names), 'joint')}, {kind}"
@@ -337,9 +325,7 @@ def make_notebook_page(system: Model) -> str:
 
 
 def _describe_freedoms(system: Model) -> str:
-    """The degrees of freedom in a sentence: of a tree those of its joints, else by counting and by
-    rank.
-    """
+    """Describe the degrees of freedom: of a tree by its joints, with loops by count and rank."""
     if not has_loops(system):
         from kempe.spaces.configuration_space import make_configuration_space
 
@@ -353,7 +339,7 @@ def _describe_freedoms(system: Model) -> str:
 
 
 def _compute_mobility(system: Model) -> Mobility:
-    """The mobility of a system by counting and by rank."""
+    """Compute the mobility of a system by count and rank."""
     # Here, as it loads the kernels, which drawing a tree does not need.
     from kempe.mobility.mobility import mobility
 
@@ -361,7 +347,7 @@ def _compute_mobility(system: Model) -> Mobility:
 
 
 def _describe_velocity_freedoms(system: Model) -> str:
-    """How many freedoms constraints of velocity leave, such as those of wheels; '' without them."""
+    """Describe how many freedoms velocity constraints leave, such as wheels; '' without any."""
     if not record_velocity_rows(system).names:
         return ""
     try:
@@ -371,9 +357,7 @@ def _describe_velocity_freedoms(system: Model) -> str:
 
 
 def _render_picture(system: Model) -> str:
-    """An `img` with the picture, '' where there is none: without matplotlib, and of what is large
-    or not drawn.
-    """
+    """Render the picture of a system as an `img` of HTML; '' if nothing can be drawn."""
     if len(system.parent) > MOST_DRAWN:
         return ""
     try:

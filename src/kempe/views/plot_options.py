@@ -1,6 +1,4 @@
-"""What a picture of a system shows: the options of `System.plot`, declared once, with the values
-that are allowed.
-"""
+"""Options of `System.plot`, declared once, with the allowed values."""
 
 from __future__ import annotations
 
@@ -23,7 +21,7 @@ LABELS = ("joints", "frames", "bodies", "coordinates", "parameters")
 
 @dataclass(frozen=True)
 class PlotOptions:
-    """What a picture shows. Errors: `InputError` for values that are not allowed.
+    """Options of a picture of a system. Errors: `InputError` for values that are not allowed.
 
     `labels`: True for the names of joints and frames, False for none, or words of `LABELS` ("all"
     for all): names of "bodies" in their colour, values of "coordinates", "parameters" with their
@@ -67,7 +65,7 @@ class PlotOptions:
 
     @property
     def words(self) -> frozenset[str]:
-        """What is written, as words of `LABELS`."""
+        """Kinds of labels to be written, as words of `LABELS`."""
         if isinstance(self.labels, bool):
             return frozenset(LABELS[:2]) if self.labels else frozenset()
         every = isinstance(self.labels, str) and self.labels == "all"

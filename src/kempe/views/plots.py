@@ -1,5 +1,4 @@
-"""Pictures of systems and of motions with matplotlib, without any global state: PNG, SVG or PDF by
-`savefig`.
+"""Pictures of systems and motions with matplotlib, without global state; `savefig` writes them.
 
 A planar system is drawn as a textbook's kinematic diagram, a system in space as solids. Importing
 this module needs the extra [view]. Errors: `MissingExtraError` without matplotlib.
@@ -59,7 +58,7 @@ of the drawing."""
 @explain_errors
 @add_signature_options(PlotOptions)
 def plot(system: Model, q: Any = None, *, path: Any = None, **options: Any) -> Any:
-    """Axes with a drawing of the system; ``.figure.savefig("name.png")`` or ``.svg`` writes it.
+    """Draw a system on matplotlib axes; ``.figure.savefig("name.png")`` or ``.svg`` writes it.
 
     `q`: a configuration (nq,), a dict, the name of a posture; several (k, nq), or an answer that
     has them (`Solution`, `Solutions`, `Modes`, ...; a target that it misses is shown with its
@@ -111,7 +110,7 @@ def plot(system: Model, q: Any = None, *, path: Any = None, **options: Any) -> A
         subjects = [make_subject(system, several, way, path, drivers, chosen, titles)]
     drawing = choose_drawing(system)
     if not chosen.side_by_side:
-        ax = drawing.picture(subjects[0], chosen.ax)
+        ax = drawing.draw_picture(subjects[0], chosen.ax)
         if len(given) == 1:
             # an own figure has no room above
             inside = {"y": 1.0, "pad": -12.0} if chosen.ax is None else {}
@@ -121,9 +120,7 @@ def plot(system: Model, q: Any = None, *, path: Any = None, **options: Any) -> A
 
 
 def _find_missed_target(system: Model, answer: Any) -> Array | None:
-    """Where the frame of an answer to one target is, and the place that it does not reach (2, 3);
-    else None.
-    """
+    """Find the frame's position and the target (2, 3) that an answer does not reach, else None."""
     problem: Any = getattr(answer, "problem", None)
     targets: Any = getattr(problem, "targets", None)
     name: Any = getattr(problem, "frame", None)
@@ -134,17 +131,15 @@ def _find_missed_target(system: Model, answer: Any) -> Array | None:
 
 
 def draw_bare(system: Model) -> Axes:
-    """Axes with the system as it is drawn by default, in a figure of their own that nothing else
-    knows of.
-    """
+    """Draw a system with default options in a figure that is independent of pyplot."""
     subject = make_subject(
         system, choose_configuration(system, None)[None], None, None, (), PlotOptions(), ()
     )
-    return choose_drawing(system).picture(subject, None, make=page.make_bare_figure)
+    return choose_drawing(system).draw_picture(subject, None, make=page.make_bare_figure)
 
 
 def choose_drawing(system: Model) -> Any:
-    """The module that draws systems of this dimension."""
+    """Choose the module that draws systems of this dimension."""
     from kempe.views.drawing import plane, space
 
     return space if system.dim == 3 else plane
@@ -159,11 +154,11 @@ def make_subject(
     options: PlotOptions,
     titles: tuple[str, ...],
 ) -> Subject:
-    """What one picture is of, with the first of several configurations in full."""
+    """Make the subject of one picture; the first of several configurations is drawn in full."""
     q = several[0]
     names = list_frame_names(system, options.frames)
     scene = build_scene(system, q, drivers)
-    if not all(np.all(np.abs(scene.points(link)) < FARTHEST) for link in scene.links):
+    if not all(np.all(np.abs(scene.list_points(link)) < FARTHEST) for link in scene.links):
         raise InputError(
             f"{system.name} has points that are not finite or beyond {FARTHEST:g} m: nothing is "
             "drawn"
@@ -195,7 +190,7 @@ def make_subject(
 
 
 def _compute_workspace(system: Model, options: PlotOptions) -> Any:
-    """The workspace that is shaded. Errors: `UnsupportedError`."""
+    """Compute the workspace to be shaded. Errors: `UnsupportedError`."""
     if options.workspace is None:
         return None
     if system.dim == 3:
@@ -208,7 +203,7 @@ def _compute_workspace(system: Model, options: PlotOptions) -> Any:
 
 
 def _draw_side_by_side(drawing: Any, subjects: list[Subject]) -> tuple[Axes, ...]:
-    """Axes in rows of up to `ACROSS`, one for each subject, with its title, all of the same scale."""
+    """Draw each subject on axes of its own, in rows of up to `ACROSS`, all with the same scale."""
     rows = -(-len(subjects) // ACROSS)
     across = -(-len(subjects) // rows)
     own: Any = subjects[0].options.ax
@@ -226,7 +221,7 @@ def _draw_side_by_side(drawing: Any, subjects: list[Subject]) -> tuple[Axes, ...
         )
         bounds: Any = [()] * len(subjects)
     else:
-        bounds = [(drawing.bounds_of(subjects),)] * len(subjects)
+        bounds = [(drawing.find_bounds(subjects),)] * len(subjects)
         span = bounds[0][0][1] - bounds[0][0][0]
         height = float(np.clip(4.2 * span[1] / span[0], 1.8, 5.0))
         figure = None if own is not None else page.make_figure(4.2 * across, (height + 0.5) * rows)
@@ -237,14 +232,14 @@ def _draw_side_by_side(drawing: Any, subjects: list[Subject]) -> tuple[Axes, ...
         )
     axes = tuple(np.ravel(np.array(axes, dtype=object)))
     for subject, ax, known in zip(subjects, axes, bounds, strict=True):
-        drawing.picture(subject, ax, *known)
+        drawing.draw_picture(subject, ax, *known)
         if subject.titles:
             ax.set_title(subject.titles[0], size=style.FONT + 1, color=style.INK)
     return axes
 
 
 def list_frame_names(system: Model, frames: Any) -> list[str]:
-    """Names of the frames that are given: a list, one, or None for all bodies and frames."""
+    """List the names of frames given as a list, as one name, or as None for all."""
     if frames is None:
         return list(system.frame_names)
     several: list[Any] = list(frames) if is_sequence(frames) else [frames]
@@ -254,8 +249,7 @@ def list_frame_names(system: Model, frames: Any) -> list[str]:
 def plot_path(
     path: Any, *, names: Iterable[str] = (), system: Model | None = None, ax: Axes | None = None
 ) -> Axes:
-    """Axes with coordinates over the arc length of a path: angles in radians, slides in metres
-    (dashed).
+    """Plot coordinates over the arc length of a path: angles in radians, slides in metres (dashed).
 
     `path` is an answer with configurations `.q` (n, nq) and arc lengths `.s` (n,), else times `.t`
     [s], else they are numbered; its singular points are ringed, its turning points dotted. `names`:
@@ -297,7 +291,7 @@ def plot_path(
             "marker": MARKERS[k % len(MARKERS)],
             "ms": 5,
             "mfc": "white",
-            "markevery": _space_markers(len(s), k),
+            "markevery": _choose_marker_spacing(len(s), k),
         }
         ax.plot(s, q[:, i], gid=f"coordinate:{name}", label=name, **how)
     index = [known.index(n) for n in chosen]
@@ -329,15 +323,16 @@ def plot_path(
     return ax
 
 
-def _space_markers(count: int, k: int) -> tuple[int, int]:
+def _choose_marker_spacing(count: int, k: int) -> tuple[int, int]:
     """The first of `count` points that is marked on curve k, and how many lie between two marks."""
     every = max(1, count // 8)
     return (k * every // len(MARKERS)) % max(count, 1), every
 
 
 def _list_neighbours(system: Model, q: Array) -> Array:
-    """Configurations (k, nq) a little to both sides in each coordinate, where there are few and no
-    loops.
+    """List configurations (k, nq) slightly to both sides in each coordinate.
+
+    There are none with loops or many coordinates.
     """
     if has_loops(system) or not 0 < system.nv <= FEW:
         return np.zeros((0, system.nq))
@@ -350,8 +345,7 @@ def _list_neighbours(system: Model, q: Array) -> Array:
 
 
 def plot_history(history: Any, ax: Axes | None = None) -> Axes:
-    """Axes with the errors of an `IkHistory` over its steps, on a logarithmic scale: a line for
-    each start.
+    """Plot the errors of an `IkHistory` over its steps, logarithmically, one line for each start.
 
     Starts differ in their marks, open ones from the `len(MARKERS)`-th on, and the one that came
     nearest is drawn thick; position errors [m] are solid lines, orientation errors [rad] dashed.
@@ -421,6 +415,7 @@ def plot_history(history: Any, ax: Axes | None = None) -> Axes:
 
 
 def _select_configurations(configurations: Array, count: int) -> Array:
+    """Select `count` configurations evenly spread over a motion, without its last one."""
     finite = configurations[np.isfinite(configurations).all(axis=1)]
     index = np.unique(np.linspace(0, len(finite) - 1, count + 1).round().astype(int)[:count])
     return finite[index]

@@ -1,5 +1,8 @@
-"""Pictures of singular configurations, with the directions lost and gained there, and of their
-curves.
+"""Pictures of singular configurations and curves, with the lost and gained directions.
+
+Importing this module needs the extra [view].
+
+Importing this module needs the extra [view].
 
 Importing this module needs the extra [view].
 """
@@ -46,9 +49,7 @@ STILL = 1e-7
 
 
 def find_shown_curves(found: Singularities, budget: Budget | None = None) -> SingularCurves | None:
-    """The singular curves that a picture shows; None where it has none: those of a frame in the
-    plane, if sets are.
-    """
+    """Find the singular curves to be drawn of a frame in the plane; None if there are none."""
     flat = found.system.dim == 2 and found.frame is not None and found.sets
     return (
         found.curves(budget=budget) if flat and max(s.dimension for s in found.sets) <= 1 else None
@@ -58,8 +59,11 @@ def find_shown_curves(found: Singularities, budget: Budget | None = None) -> Sin
 def plot_singularities(
     found: Singularities, curves: SingularCurves | None, *, ax: Any = None, **options: Any
 ) -> tuple[Axes, ...]:
-    """Axes with singular configurations beside one another, and with the singular curves; see
-    `Singularities.plot`.
+    """Draw singular configurations side by side, and the singular curves.
+
+    See `Singularities.plot`.
+
+    See `Singularities.plot`.
     """
     rows = [_pick_configurations(s) for s in found.sets]
     # of each set first one
@@ -97,7 +101,7 @@ def plot_singularities(
 
 
 def plot_curves(curves: SingularCurves, ax: Axes | None = None) -> Axes:
-    """Axes with the places of the frame along singular curves, a style of line for each kind."""
+    """Draw the positions of the frame along singular curves, one line style for each kind."""
     if not any(len(c.p) for c in curves) and not (curves.frame and curves.broken):
         raise InputError(
             f"{curves.status}: there is nothing to draw"
@@ -143,9 +147,7 @@ def plot_curves(curves: SingularCurves, ax: Axes | None = None) -> Axes:
 
 
 def _pick_configurations(s: SingularSet) -> list[tuple[str, Array, LostAndGained]]:
-    """Titles, configurations and what is lost there, of a set: one for each of the first of its
-    values.
-    """
+    """Pick configurations of a set, with titles and the lost and gained directions."""
     head = s.name or " and ".join(s.kinds)
     if not len(s.values):
         return [
@@ -168,9 +170,7 @@ def _pick_configurations(s: SingularSet) -> list[tuple[str, Array, LostAndGained
 
 
 def _draw_directions(ax: Any, p: Array, local: LostAndGained, flat: bool) -> None:
-    """Draw twists at a frame's place (3,): arrows along slides, centres with an arc, or axes in
-    space, of turns.
-    """
+    """Draw twists at a frame's position (3,): arrows of slides; centres or axes of rotations."""
     length = ARROW * float(np.ptp(ax.get_xlim()))
     for word, colour in COLOURS.items():
         for k, twist in enumerate(getattr(local, word)):
@@ -220,6 +220,7 @@ def _draw_directions(ax: Any, p: Array, local: LostAndGained, flat: bool) -> Non
 
 
 def _draw_legend(ax: Any, picks: list[tuple[str, Array, LostAndGained]]) -> None:
+    """Draw the legend of lost and gained directions."""
     from matplotlib.lines import Line2D
 
     words = [w for w in COLOURS if any(len(getattr(local, w)) for _, _, local in picks)]

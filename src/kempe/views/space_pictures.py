@@ -72,14 +72,13 @@ def plot_spaces(
     resolution: int = 240,
     budget: Budget | None = None,
 ) -> tuple[Axes, Axes]:
-    """Axes with the configuration space and with the task space of a frame, of a system with two
-    freedoms.
+    """Draw the configuration space and a frame's task space, of a system with two freedoms.
 
     Limits are a rectangle on the left, and their image on the right (solid; the edges of a full
     turn, which are one line, are dotted). Red lines are singular: there the frame's velocity has
     lost a direction. Shades say how many configurations within the limits reach the place. `task`
     says which two numbers of the frame the places are: "xy", "xz" or "yz", its position along two
-    axes of the ground [m], or "direction", the azimuth and elevation of its z axis [rad]. `points`
+    axes of the ground [m], or "direction", the azimuth and elevation of its z axis [rad]. `list_points`
     (k, 2) are places that the frame shall reach: their solutions are marked on both sides, or,
     where there is none, the nearest place found, with the distance. `q` is drawn on both sides: a
     configuration (nq,) as a dot with its arm; a line of them (n, nq), or an answer with such `q`,
@@ -154,7 +153,7 @@ def plot_spaces(
 
 
 def _read_targets(points: ArrayLike, seen: FlatTask) -> Array:
-    """Points as an array (k, 2). Errors: `InputError`."""
+    """Read points as an array (k, 2). Errors: `InputError`."""
     targets = numbers(points, "points")
     targets = targets.reshape(0, 2) if not targets.size else targets
     if targets.ndim != 2 or targets.shape[1] != 2 or not np.isfinite(targets).all():
@@ -168,7 +167,7 @@ def _read_targets(points: ArrayLike, seen: FlatTask) -> Array:
 
 
 def _split_configurations(q: Any) -> list[Any]:
-    """Configurations, lines of them and answers, one by one."""
+    """Split the argument `q` into single configurations, lines of configurations and answers."""
     if q is None:
         return []
     if not isinstance(q, (list, tuple)):
@@ -178,9 +177,7 @@ def _split_configurations(q: Any) -> list[Any]:
 
 
 def _read_configurations(system: Model, q: Any) -> Array:
-    """A configuration (nq,), or a line (n, nq) of an answer or an array, without rows that are NaN.
-    Errors: `InputError`.
-    """
+    """Read a configuration (nq,) or a line (n, nq), without rows of NaN. Errors: `InputError`."""
     array = read_q(system, getattr(q, "q", q))
     if array.ndim > 2:
         raise InputError(
@@ -194,8 +191,10 @@ def _read_configurations(system: Model, q: Any) -> Array:
 def find_nearest(
     system: Model, frame: str, task: FlatTask, target: Array, q: Array, p: Array
 ) -> tuple[Array, Array, float]:
-    """Of configurations q (..., nq) at places p (..., 2) and what `ik` finds from the nearest one:
-    that which is nearest to a place (2,), where it is, and how far away.
+    """Find the configuration whose frame is nearest to a target (2,).
+
+    Candidates are q (..., nq) at places p (..., 2), and what `ik` finds from the nearest of these.
+    Returned are the configuration, its place, and the distance.
     """
     from kempe.inverse.ik import ik
 
@@ -210,6 +209,7 @@ def find_nearest(
 
 
 def _is_closed(system: Model, q: Array) -> bool:
+    """Whether all loops are closed at a configuration."""
     return float(np.abs(closure_error(system, q)).max(initial=0.0)) < CLOSED
 
 
@@ -217,7 +217,9 @@ def _is_closed(system: Model, q: Array) -> bool:
 
 
 def _find_singular_curves(space: TwoFreedoms) -> Any:
-    """The singular curves of a system with loops; None of a chain. Errors: `UnsupportedError`."""
+    """Find the singular curves of a system with loops; None for a chain. Errors:
+    `UnsupportedError`.
+    """
     system = space.system
     name = space.frame
     task = space.task
@@ -255,14 +257,14 @@ def _find_singular_curves(space: TwoFreedoms) -> Any:
 
 
 def _compute_area(space: TwoFreedoms, q: Array) -> Array:
-    """Area (...) that the rates of both coordinates of a chain span in the task, with its sign."""
+    """Compute the signed area (...) in the task that the rates of both coordinates span."""
     system = space.system
     name = space.frame
     return space.task.compute_area(fk(system, q, name), jacobian(system, q, name))
 
 
 def _shade_task_space(space: TwoFreedoms, ax: Any, p: Array, targets: Array, n: int) -> None:
-    """Draw the places of the task space in the shade of the number of their configurations."""
+    """Shade the task space by the number of configurations at each place."""
     every = np.concatenate([p.reshape(-1, 2), targets])
     low = np.nanmin(every, axis=0)
     high = np.nanmax(every, axis=0)
@@ -277,6 +279,7 @@ def _shade_task_space(space: TwoFreedoms, ax: Any, p: Array, targets: Array, n: 
 
 
 def _shade_counts(ax: Any, x: Array, y: Array, count: np.ndarray) -> None:
+    """Shade the cells of a grid by their counts."""
     from matplotlib.colors import ListedColormap
 
     most = len(SHADES) - 1
@@ -295,7 +298,7 @@ def _shade_counts(ax: Any, x: Array, y: Array, count: np.ndarray) -> None:
 
 
 def _draw_limits(space: TwoFreedoms, left: Any, right: Any) -> None:
-    """Draw the rectangle of the limits, or of full turns, and the image of the limits."""
+    """Draw the rectangle of the limits, or of full turns, and its image in the task space."""
     t = np.linspace(0.0, 1.0, 200)
     for i, turns in enumerate(space.turns):
         for k, end in enumerate((space.low[i], space.high[i])):
@@ -315,7 +318,7 @@ def _draw_limits(space: TwoFreedoms, left: Any, right: Any) -> None:
 
 
 def _map_values(space: TwoFreedoms, values: Array) -> list[Array]:
-    """The image (n, 2) of a line of values (n, 2) in each mode, NaN where there is none."""
+    """Map a line of values (n, 2) to the task space (n, 2) in each mode; NaN where impossible."""
     p = space.compute_places(*space.solve_line(values))
     return [
         _split_at_jumps(space, image) for image in np.moveaxis(p, 1, 0) if np.isfinite(image).any()
@@ -323,15 +326,13 @@ def _map_values(space: TwoFreedoms, values: Array) -> list[Array]:
 
 
 def _split_at_jumps(space: TwoFreedoms, line: Array) -> Array:
-    """A line (n, 2) in the task space, parted where an azimuth jumps by a turn."""
+    """Split a line (n, 2) in the task space where an azimuth jumps by a turn, with NaN."""
     jump = np.flatnonzero(np.abs(np.diff(line[:, 0])) > np.pi) + 1 if space.task.directional else ()
     return np.insert(line, jump, np.nan, axis=0)
 
 
 def _draw_other_limits(space: TwoFreedoms, left: Any, right: Any, q: Array) -> None:
-    """Draw where coordinates that are not on the axes are at a limit, and the image of that; q (k,
-    nq) are inside.
-    """
+    """Draw where other coordinates are at a limit, and the image of these lines."""
     system = space.system
     layout = space.system.structure.layout
     solver = space.solver
@@ -371,7 +372,7 @@ def _draw_other_limits(space: TwoFreedoms, left: Any, right: Any, q: Array) -> N
 def _draw_line(
     space: TwoFreedoms, left: Any, right: Any, q: Array, gid: str, marker: str = "", **look: Any
 ) -> None:
-    """Draw a line of configurations (n, nq) on both sides; a `marker` on the left only."""
+    """Draw a line of configurations (n, nq) in both spaces; a `marker` in the left one only."""
     turned = _list_values(space, q)
     jump = np.flatnonzero((np.abs(np.diff(turned, axis=0))[:, space.turns] > np.pi).any(axis=1)) + 1
     left.plot(*np.insert(turned, jump, np.nan, axis=0).T, gid=gid, marker=marker, ms=4, **look)
@@ -383,9 +384,7 @@ def _draw_line(
 
 
 def _draw_grid(space: TwoFreedoms, left: Any, right: Any) -> None:
-    """Draw lines on which one coordinate is constant, a colour for each coordinate, and their
-    images.
-    """
+    """Draw lines with one constant coordinate, and their images in the task space."""
     fine = space.make_grid(FINE)
     for i in range(2):
         for k, at in enumerate(range(STEP, FINE - 1, STEP)):
@@ -402,7 +401,7 @@ def _draw_grid(space: TwoFreedoms, left: Any, right: Any) -> None:
 
 
 def _draw_curves(space: TwoFreedoms, left: Any, right: Any, curves: Any) -> None:
-    """Draw singular curves, and their images, in the line style of their kind."""
+    """Draw singular curves and their images, in the line style of their kind."""
     for k, curve in enumerate(curves):
         # a part turns while both are held
         still = np.ptp(curve.q[:, space.columns], axis=0).max() < CLOSED
@@ -421,7 +420,7 @@ def _draw_curves(space: TwoFreedoms, left: Any, right: Any, curves: Any) -> None
 
 
 def _draw_singular(space: TwoFreedoms, left: Any, right: Any, grid: Array) -> None:
-    """Draw where the velocity of a chain's frame loses a direction, and the image of that."""
+    """Draw where the frame of a chain loses a direction of velocity, and the image of these curves."""
     size = _compute_area(space, grid)
     scale = float(np.abs(size).max())
     # a line through nodes of the grid is one, too
@@ -449,7 +448,7 @@ def _draw_singular(space: TwoFreedoms, left: Any, right: Any, grid: Array) -> No
 def _draw_point(
     space: TwoFreedoms, left: Any, right: Any, target: Array, k: int, every: Array, p: Array
 ) -> None:
-    """Draw a place that shall be reached: its solutions, or the nearest place that is reached."""
+    """Draw a target with its solutions, or with the nearest place that is reached."""
     colour = style.choose_curve_colour(k + 1)
     number = str(k + 1)
     found = space.find_solutions(target)
@@ -524,7 +523,7 @@ def _draw_point(
 
 
 def _draw_motion(space: TwoFreedoms, left: Any, right: Any, q: Array, k: int, colour: str) -> None:
-    """Draw a path (n, nq) as a line on both sides, with a ring where it begins."""
+    """Draw a path (n, nq) as a line in both spaces, with a ring at its start."""
     if not len(q):
         return
     _draw_line(space, left, right, q, f"path:{k}", color=colour, lw=2.0, zorder=style.TEXT)
@@ -546,7 +545,7 @@ def _draw_motion(space: TwoFreedoms, left: Any, right: Any, q: Array, k: int, co
 
 
 def _draw_configuration(space: TwoFreedoms, left: Any, right: Any, q: Array, k: int) -> None:
-    """Draw a configuration (nq,) as a dot on both sides, with its arm on the right."""
+    """Draw a configuration (nq,) as a dot in both spaces, with the bodies in the task space."""
     place = space.task.project_poses(fk(space.system, q, space.frame))
     for ax, at in ((left, _list_values(space, q)), (right, place)):
         ax.plot(
@@ -563,15 +562,13 @@ def _draw_configuration(space: TwoFreedoms, left: Any, right: Any, q: Array, k: 
 
 
 def _list_values(space: TwoFreedoms, q: Array) -> Array:
-    """Where configurations (..., nq) are on the left (..., 2)."""
+    """Return the two coordinates (..., 2) of configurations (..., nq) that span the left picture."""
     at = q[..., space.columns]
     return np.where(space.turns, space.low + np.mod(at - space.low, 2.0 * np.pi), at)
 
 
 def _draw_arm(space: TwoFreedoms, ax: Any, q: Array, colour: str, gid: str, line: str) -> None:
-    """Draw the bodies from the ground to the frame as a line through their joints; of loops each
-    body as a line.
-    """
+    """Draw the bodies from the ground to the frame as a line through their joints."""
     system = space.system
     name = space.frame
     axes = space.task.axes
@@ -579,7 +576,7 @@ def _draw_arm(space: TwoFreedoms, ax: Any, q: Array, colour: str, gid: str, line
         return
     if space.modes:
         scene = build_scene(system, q)
-        bars = {link.name: scene.points(link) for link in scene.links[1:]}
+        bars = {link.name: scene.list_points(link) for link in scene.links[1:]}
         bars |= {
             j.name: np.array([j.F[:3, 3], j.M[:3, 3]])
             for j in scene.joints
@@ -632,7 +629,7 @@ def _draw_arm(space: TwoFreedoms, ax: Any, q: Array, colour: str, gid: str, line
 def _finish_axes(
     space: TwoFreedoms, left: Any, right: Any, curves: Any, first: int, motions: list[Array]
 ) -> None:
-    """Say what the axes, the shades and the lines are."""
+    """Add labels of the axes, titles and the legend."""
     unit = list_units(space.system)
     for ax in (left, right):
         page.draw_light_axes(ax)
@@ -673,12 +670,12 @@ def _finish_axes(
 
 
 def _describe_missing_part(*broken: Status | None) -> str:
-    """That something is missing, '' where nothing broke the work off."""
+    """Describe that a part of the picture is missing; '' if the work was not interrupted."""
     return describe_early_end(Status.INTERRUPTED in broken, Status.OUT_OF_TIME in broken)
 
 
 def _list_shade_entries(space: TwoFreedoms, left: Any, right: Any) -> list[Any]:
-    """Entries of the legend about the shades that are seen."""
+    """List the legend entries of the shades in the picture."""
     from matplotlib.patches import Patch
 
     seen: list[np.ndarray] = [
@@ -701,7 +698,7 @@ def _list_shade_entries(space: TwoFreedoms, left: Any, right: Any) -> list[Any]:
 
 
 def _list_line_entries(space: TwoFreedoms, curves: Any) -> list[Any]:
-    """Entries of the legend about lines."""
+    """List the legend entries of lines."""
     from matplotlib.lines import Line2D
 
     kinds = sorted({c.kinds for c in curves or ()})
@@ -717,7 +714,7 @@ def _list_line_entries(space: TwoFreedoms, curves: Any) -> list[Any]:
 
 
 def _list_path_entries(first: int, count: int) -> list[Any]:
-    """Entries of the legend about paths, whose colours come after those of so many points."""
+    """List the legend entries of paths, whose colours follow those of the points."""
     from matplotlib.lines import Line2D
 
     names = ["path"] if count == 1 else [f"path {k + 1}" for k in range(count)]

@@ -39,8 +39,7 @@ PAIRS = ((0, 1, 2), (0, 2, 1), (1, 2, 0))
 
 
 def plot_workspace(workspace: Workspace, at: Any = None, ax: Any = None) -> Any:
-    """Axes with the counts of a workspace, white where no sample fell;
-    ``.figure.savefig("name.png")`` writes it.
+    """Draw the sample counts of a workspace by cell, white where no sample fell.
 
     Samples that are places or orientations count where they are reached. In the plane one axes, in
     space an array of three, slices through the point `at` (3,) [m], by default the middle of what
@@ -105,7 +104,7 @@ def plot_workspace(workspace: Workspace, at: Any = None, ax: Any = None) -> Any:
 def _draw_slice(
     workspace: Workspace, ax: Axes, counts: np.ndarray, right: int, up: int, most: int
 ) -> None:
-    """Draw the counts of one slice, and the line around its cells with samples."""
+    """Draw the counts of one slice, and the outline of its cells with samples."""
     grid = workspace.map.grid
     names = workspace.map.grid.axes
     shown = np.ma.masked_equal(counts, 0).T
@@ -137,9 +136,7 @@ def _draw_slice(
 
 
 def _draw_outline(exact: Any, ax: Axes, axes: tuple[int, int], here: float) -> None:
-    """Draw the boundary of an exact solid where a slice cuts it, by which points of a fine grid are
-    inside.
-    """
+    """Draw the boundary of an exact solid in the plane of a slice."""
     right, up = axes
     x, y = (np.linspace(*limits, OUTLINE) for limits in (ax.get_xlim(), ax.get_ylim()))
     points = np.full((OUTLINE, OUTLINE, 3), here)
@@ -153,16 +150,17 @@ def _draw_outline(exact: Any, ax: Axes, axes: tuple[int, int], here: float) -> N
 
 
 def _format_unit(workspace: Workspace, axis: str) -> str:
+    """Return the unit of an axis with a blank before it; '' for heights."""
     return "" if axis == "height" else f" {workspace.map.unit}"
 
 
 def _add_outer_cells(middles: Array, size: float) -> Array:
-    """Middles of cells with one more on each side."""
+    """Add one more cell on each side to the middles (n,) of cells."""
     return np.concatenate([[middles[0] - size], middles, [middles[-1] + size]])
 
 
 def _add_colour_bar(workspace: Workspace, first: Axes, axes: list[Any]) -> None:
-    """Add a bar that says what colours mean; none where a place is reached or not."""
+    """Add a colour bar, unless cells are only reached or not."""
     question = workspace.question
     shown = first.images[0]
     low, high = shown.get_clim()
@@ -178,7 +176,7 @@ def _add_colour_bar(workspace: Workspace, first: Axes, axes: list[Any]) -> None:
 
 
 def plot_planar(workspace: PlanarWorkspace, ax: Axes | None = None) -> Axes:
-    """Matplotlib axes with the regions, darker where there are more solutions, and the boundary."""
+    """Draw the regions of a planar workspace, darker with more solutions, and its boundary."""
     own = ax is None
     ax = (
         page.make_figure(4.6, 4.6).add_axes((0.16, 0.12, 0.8, 0.78))
@@ -218,6 +216,7 @@ def plot_planar(workspace: PlanarWorkspace, ax: Axes | None = None) -> Axes:
 def _draw_picture(
     ax: Axes | None, x: Array, y: Array, values: Array, labels: tuple[str, str]
 ) -> Axes:
+    """Draw values on a grid as colours from 0 to 1, with labelled axes and a colour bar."""
     ax = page.make_figure().add_subplot() if ax is None else page.check_axes(ax)[0]
     drawn = ax.pcolormesh(x, y, values.T, vmin=0.0, vmax=1.0, cmap="viridis", shading="nearest")
     ax.figure.colorbar(drawn, ax=ax, label="fraction reached")
@@ -227,9 +226,7 @@ def _draw_picture(
 
 
 def plot_reach(study: ReachStudy, ax: Axes | None = None) -> Axes:
-    """Matplotlib axes with the system at the best of the reached poses, and the places of all:
-    dots, crosses, rings.
-    """
+    """Draw the system at its best reached pose, and all poses as dots, crosses and rings."""
     system = study.system
     best = np.where(study.reached, study.margin, -np.inf)
     dim = system.dim
@@ -262,9 +259,7 @@ def plot_reach(study: ReachStudy, ax: Axes | None = None) -> Axes:
 
 
 def _show_all(ax: Any, points: Array, own: bool) -> None:
-    """Set the limits of axes, perhaps of an own figure, so wide that points (n, 2 or 3) are inside,
-    on one scale.
-    """
+    """Set limits of axes, with one scale, so that points (n, 2 or 3) are inside."""
     names = "xyz"[: points.shape[1]]
     limits = np.array([getattr(ax, f"get_{name}lim")() for name in names])
     margin = 0.05 * np.ptp(limits, axis=1).max()
@@ -276,8 +271,7 @@ def _show_all(ax: Any, points: Array, own: bool) -> None:
 
 
 def plot_placement(found: BasePlacement, ax: Axes | None = None) -> Axes:
-    """Matplotlib axes with the fraction over the first two axes, the others where they are at the
-    best place.
+    """Draw the reached fraction over the first two axes, the others at the best place.
 
     Of a map over one axis it is a curve.
     """
@@ -307,8 +301,11 @@ def plot_placement(found: BasePlacement, ax: Axes | None = None) -> Axes:
 def plot_capability(
     found: CapabilityMap, ax: Axes | None = None, height: float | None = None
 ) -> Axes:
-    """Matplotlib axes with the fraction over x and y, at the layer of cells nearest to a height
-    (the middle).
+    """Draw the fraction of directions over x and y, in the layer nearest to a height [m].
+
+    By default the layer is the middle one.
+
+    By default the layer is the middle one.
     """
     values = found.fraction
     title = found.frame

@@ -90,7 +90,7 @@ def estimate_measure(
         chosen = np.flatnonzero(mask & possible)
         if len(chosen):
             points = _sample_in_cells(cells, rng.choice(chosen, POINTS[name]), rng)
-            hits = int(question.reached(system, frame, points, seed).sum())
+            hits = int(question.find_reached_points(system, frame, points, seed).sum())
             n = POINTS[name]
             whole = len(chosen) * cell
             part = (hits + 2.0) / (n + 4.0)
@@ -145,7 +145,7 @@ def decide_reached(
         axis=1
     )
     out = inside & cells.layers["inner"][tuple(at.T)]
-    out[~out] = question.reached(system, frame, points[~out], seed)
+    out[~out] = question.find_reached_points(system, frame, points[~out], seed)
     return out
 
 
@@ -182,7 +182,9 @@ def compute_boundary_distance(
             cells,
             at[which],
             known,
-            lambda p: question.reached(system, frame, cells.grid.complete_points(p), seed),
+            lambda p: question.find_reached_points(
+                system, frame, cells.grid.complete_points(p), seed
+            ),
         )
     return out
 
@@ -378,7 +380,7 @@ class Workspace(Report):
     @cached_property
     def question(self) -> WorkspaceKind:
         """The kind of workspace: what counts as reached."""
-        return WorkspaceKind.said(self.said)
+        return WorkspaceKind.from_data(self.said)
 
     @property
     def kind(self) -> str:
@@ -535,7 +537,7 @@ class Workspace(Report):
         if self.exact is not None and not check:
             found = self.exact.contains(flat)
         elif check:
-            found = self.question.reached(self.system, self.frame, flat, self.seed)
+            found = self.question.find_reached_points(self.system, self.frame, flat, self.seed)
         else:
             found = decide_reached(
                 self.system, self.frame, self.map, flat, self.seed, self.question

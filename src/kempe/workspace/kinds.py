@@ -63,7 +63,7 @@ class WorkspaceKind:
     tried: bool = False
 
     @classmethod
-    def said(cls, made: dict[str, Any]) -> WorkspaceKind:
+    def from_data(cls, made: dict[str, Any]) -> WorkspaceKind:
         """Make the kind of workspace of a stored map from its data."""
         at = tuple(made["at"])
         turns = tuple(tuple(r) for r in made["turns"])
@@ -85,7 +85,9 @@ class WorkspaceKind:
         """The noun for elements of the workspace, such as places."""
         return "orientation" if self.kind == ORIENTATION else "place"
 
-    def reached(self, system: Model, frame: str, points: Array, seed: int) -> np.ndarray:
+    def find_reached_points(
+        self, system: Model, frame: str, points: Array, seed: int
+    ) -> np.ndarray:
         """Whether (n,) points (n, 3) are reached within limits and constraints. Points that inverse
         kinematics does not find count as not reached.
         """

@@ -178,7 +178,9 @@ class Recipe:
         points = grid.complete_points(
             np.array(grid.low)[grid.measured_axes] + (at + rng.random(at.shape)) * grid.size
         )
-        points[~self.question.reached(self.system, self.frame, points, self.seed)] = np.nan
+        points[~self.question.find_reached_points(self.system, self.frame, points, self.seed)] = (
+            np.nan
+        )
         return points
 
     @cached_property

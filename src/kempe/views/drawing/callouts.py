@@ -22,7 +22,7 @@ from kempe.views.drawing.plot_request import (
     name_length,
 )
 from kempe.views.drawing.scene import SeenJoint, SeenLink
-from kempe.views.drawing.solids import Solids, hull
+from kempe.views.drawing.solids import Solids, find_hull
 from kempe.views.drawing.style import GROUND, INK, MOTION
 
 ARC = 4.8
@@ -33,7 +33,7 @@ NOTHING = 0.02
 
 
 def draw_callouts(sheet: Sheet, subject: Subject) -> None:
-    """Draw all that the options want beside the system itself; labels are only collected."""
+    """Draw what the options request beside the system itself: axes, angles, dimensions, freedoms."""
     options = subject.options
     if options.motion:
         for joint in sheet.scene.joints:
@@ -55,14 +55,16 @@ def draw_callouts(sheet: Sheet, subject: Subject) -> None:
 
 
 def _label_body(sheet: Sheet, subject: Subject, link: SeenLink) -> None:
-    """Collect the name of a link, in its colour, at its middle."""
-    p = project_to_plane(sheet.scene.points(link))
-    text = subject.body_text(link)
+    """Collect the label with the name of a link, in its colour, at its middle."""
+    p = project_to_plane(sheet.scene.list_points(link))
+    text = subject.format_bodies(link)
     colour = style.mix_colours(style.choose_link_colour(link.number), INK, 0.35)
     look = {"gid": f"label:body:{text}", "color": colour, "weight": "bold"}
-    if link.ground:
+    if link.is_ground:
         grounded = [
-            project_to_plane(j.on(0)) for j in sheet.scene.joints if 0 in (j.parent, j.child)
+            project_to_plane(j.find_pose_on(0))
+            for j in sheet.scene.joints
+            if 0 in (j.parent, j.child)
         ]
         p = np.array(grounded[:1]) if grounded else p
         down = np.array([0.0, -1.0]) * (style.GROUND_HEIGHT + 1.0) * sheet.r
@@ -76,12 +78,12 @@ def _label_body(sheet: Sheet, subject: Subject, link: SeenLink) -> None:
 
 
 def _draw_coordinate(sheet: Sheet, subject: Subject, joint: SeenJoint) -> None:
-    """Draw the arc of an angle from x of F to x of M, or the length that a joint slides by."""
-    names = subject.coordinates(joint)
+    """Draw the arc of a joint's angle from x of F to x of M, or the length of its slide."""
+    names = subject.list_coordinates(joint)
     if len(names) != 1 or len(joint.motions) != 1:
         return
     value = float(compute_coordinate_value(subject.system, sheet.scene.q, names[0]))
-    text = subject.measured_text(names[0])
+    text = subject.format_coordinate(names[0])
     gid = f"angle:{joint.name}"
     if joint.motions[0].kind == P:
         _draw_dimension(
@@ -114,16 +116,14 @@ def draw_angle(
     radius: float = ARC,
     colour: str = INK,
 ) -> None:
-    """Draw an angle at c (2,) between two directions [rad], with a line along each, and collect its
-    name.
-    """
+    """Draw an angle at c (2,) between two directions [rad], with a line along each and its name."""
     r = sheet.r
     size = radius * sheet.r
     for k, angle in enumerate((start, stop)):
         line = np.array(
             [c, c + (1.7 if k == 0 else 1.25) * size * np.array([np.cos(angle), np.sin(angle)])]
         )
-        sheet.line(
+        sheet.add_line(
             line, f"{gid}:side{k}", style.RAILS, **{**THIN, "ls": (0, (4, 3)), "color": GROUND}
         )
     middle = 0.5 * (start + stop)
@@ -131,10 +131,10 @@ def draw_angle(
         points, head = shapes.make_arc(
             c, size, start, stop, min(1.3 * r, 0.6 * size * abs(stop - start))
         )
-        sheet.line(points, gid, style.ARROWS, lw=1.1, color=colour)
+        sheet.add_line(points, gid, style.ARROWS, lw=1.1, color=colour)
         sheet.arcs.append(c)
-        sheet.patch(head, f"{gid}:head", style.ARROWS, fc=colour, ec="none")
-        sheet.obstacles.line(points, 0.5 * r, 0.8)
+        sheet.add_outline(head, f"{gid}:head", style.ARROWS, fc=colour, ec="none")
+        sheet.obstacles.add_line(points, 0.5 * r, 0.8)
     at = c + 1.05 * size * np.array([np.cos(middle), np.sin(middle)])
     sheet.labels.append(
         (text, at, 0.9 * r, {"gid": f"label:{gid}", "color": colour, "style": "italic"})
@@ -150,7 +150,7 @@ def _draw_line_to_frame(sheet: Sheet, subject: Subject, frame: str) -> None:
         return
     c = project_to_plane(first.M)
     tip = project_to_plane(fk(subject.system, sheet.scene.q, frame))
-    sheet.line(
+    sheet.add_line(
         np.array([c, tip]),
         f"way:{frame}",
         style.BLOCKS,
@@ -169,16 +169,16 @@ def _draw_line_to_frame(sheet: Sheet, subject: Subject, frame: str) -> None:
 
 def _draw_dimensions(sheet: Sheet, subject: Subject, link: SeenLink) -> None:
     """Draw the lengths between the joints and frames of a link, along its sides."""
-    p = project_to_plane(sheet.scene.points(link))
-    if link.ground:
+    p = project_to_plane(sheet.scene.list_points(link))
+    if link.is_ground:
         p = np.array(
             [
-                project_to_plane(j.on(0))
+                project_to_plane(j.find_pose_on(0))
                 for j in sheet.scene.joints
                 if 0 in (j.parent, j.child) and j.kind == "revolute"
             ]
         )
-    corners = hull(p) if len(p) else p
+    corners = find_hull(p) if len(p) else p
     pairs = list(zip(corners, np.roll(corners, -1, axis=0), strict=True))[
         : 1 if len(corners) == 2 else None
     ]
@@ -203,24 +203,29 @@ def _draw_dimension(sheet: Sheet, a: Array, b: Array, text: str, gid: str, colou
     side = np.array([-along[1], along[0]])
     t = np.linspace(0.05, 0.95, 24)[:, None]
 
-    def cost(sign: float) -> float:
+    def compute_cost(sign: float) -> float:
+        """Compute how much a dimension line on one side of the link covers; `sign` chooses the
+        side.
+        """
         line = a + t * (b - a) + 3.6 * sign * r * side
-        return float(sheet.obstacles.covered(line).mean()) - 0.02 * sign * (side[1] - 0.3 * side[0])
+        return float(sheet.obstacles.find_covering_weights(line).mean()) - 0.02 * sign * (
+            side[1] - 0.3 * side[0]
+        )
 
-    sign = min((-1.0, 1.0), key=cost)
+    sign = min((-1.0, 1.0), key=compute_cost)
     p, q = (x + 3.6 * sign * r * side for x in (a, b))
     for x in (a, b):
-        sheet.line(
+        sheet.add_line(
             np.array([x + 1.4 * sign * r * side, x + 4.4 * sign * r * side]),
             f"{gid}:end",
             style.RAILS,
             **{**THIN, "color": colour, "lw": 0.6},
         )
-    sheet.line(np.array([p, q]), gid, style.RAILS, **{**THIN, "color": colour})
+    sheet.add_line(np.array([p, q]), gid, style.RAILS, **{**THIN, "color": colour})
     for tip, way in ((p, -along), (q, along)):
         head = shapes.make_arrow_head(tip, way, min(1.2 * r, 0.4 * length))
-        sheet.patch(head, f"{gid}:head", style.RAILS, fc=colour, ec="none")
-    sheet.obstacles.segment(p, q, 0.6 * r)
+        sheet.add_outline(head, f"{gid}:head", style.RAILS, fc=colour, ec="none")
+    sheet.obstacles.add_segment(p, q, 0.6 * r)
     look = {"gid": f"label:{gid}", "color": colour, "style": "italic"}
     sheet.labels.append((text, 0.5 * (p + q), 0.5 * r, look))
 
@@ -229,11 +234,9 @@ def _draw_dimension(sheet: Sheet, a: Array, b: Array, text: str, gid: str, colou
 
 
 def draw_freedoms(sheet: Sheet, joint: SeenJoint) -> None:
-    """Draw an arrow with two heads for each freedom of a joint: round it, or along what it slides
-    on.
-    """
+    """Draw an arrow with two heads for each freedom of a joint: around it, or along its slide."""
     r = sheet.r
-    c = project_to_plane(sheet.scene.seat(joint, sheet.r))
+    c = project_to_plane(sheet.scene.find_seat(joint, sheet.r))
     gid = f"motion:{joint.name}"
     for k, p in enumerate(joint.motions):
         if p.kind == P:
@@ -252,31 +255,35 @@ def draw_freedoms(sheet: Sheet, joint: SeenJoint) -> None:
 
 
 def _find_free_direction(sheet: Sheet, c: Array, radius: float) -> float:
-    """Where an arc of 120 degrees round c begins that covers least."""
+    """Find the direction [rad] where an arc of 120 degrees around c (2,) covers least."""
     costs: list[tuple[float, float]] = []
     start: float
     for start in np.deg2rad(np.arange(0.0, 360.0, 15.0)):
         angles = np.linspace(start, start + float(np.deg2rad(120.0)), 12)
         line = c + radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
         costs.append(
-            (float(sheet.obstacles.covered(line).mean()) - 0.15 * np.sin(angles[6]), float(start))
+            (
+                float(sheet.obstacles.find_covering_weights(line).mean())
+                - 0.15 * np.sin(angles[6]),
+                float(start),
+            )
         )
     return min(costs)[1]
 
 
 def _draw_double_arrow(sheet: Sheet, line: Array, gid: str) -> None:
     """Draw a line (n, 2) with an arrow head at both ends."""
-    sheet.line(line, gid, style.ARROWS, color=MOTION, lw=1.7, solid_capstyle="butt")
+    sheet.add_line(line, gid, style.ARROWS, color=MOTION, lw=1.7, solid_capstyle="butt")
     for tip, before in ((line[0], line[1]), (line[-1], line[-2])):
         way = (tip - before) / max(float(np.linalg.norm(tip - before)), 1e-300)
-        sheet.patch(
+        sheet.add_outline(
             shapes.make_arrow_head(tip + 0.9 * sheet.r * way, way, 1.5 * sheet.r),
             f"{gid}:head",
             style.ARROWS,
             fc=MOTION,
             ec="none",
         )
-    sheet.obstacles.line(line, 0.8 * sheet.r)
+    sheet.obstacles.add_line(line, 0.8 * sheet.r)
 
 
 # ---- drawings in space
@@ -288,7 +295,10 @@ ARC_IN_SPACE = 4.5
 
 
 def list_texts(subject: Subject, mark: float) -> list[Text]:
-    """What is written beside names of joints and frames; `mark` is the length of drawn axes [m]."""
+    """List the texts of a picture in space besides the names of joints and frames.
+
+    `mark` is the length of drawn axes [m].
+    """
     options = subject.options
     scene = subject.scene
     out: list[Text] = []
@@ -301,15 +311,15 @@ def list_texts(subject: Subject, mark: float) -> list[Text]:
             }
             out.append((X[:3, 3] + 1.1 * mark * X[:3, k], f"${axis}{below}$", look))
     for link in scene.links if "bodies" in options.words or options.dimensions else ():
-        lines = list(symbols.list_link_lines(scene, link)) if not link.ground else []
+        lines = list(symbols.list_link_lines(scene, link)) if not link.is_ground else []
         colour = style.mix_colours(style.choose_link_colour(link.number), INK, 0.35)
-        longest = max(lines, key=_compute_length, default=scene.points(link)[:1])
+        longest = max(lines, key=_compute_length, default=scene.list_points(link)[:1])
         at = _find_middle(longest) if len(longest) else next(iter(link.bodies.values()))[:3, 3]
         if "bodies" in options.words:
-            text = subject.body_text(link)
+            text = subject.format_bodies(link)
             out.append((at, text, {"color": colour, "weight": "bold", "gid": f"label:body:{text}"}))
         # a handle has no length
-        if options.dimensions and not link.ground and len(scene.points(link)) > 1:
+        if options.dimensions and not link.is_ground and len(scene.list_points(link)) > 1:
             known = list_named_lengths(subject.system, link.bodies)
             for k, line in enumerate(side for one in lines for side in _split_polyline(one)):
                 text = name_length(known, float(np.linalg.norm(line[-1] - line[0])))
@@ -320,14 +330,14 @@ def list_texts(subject: Subject, mark: float) -> list[Text]:
                 }
                 out.append((_find_middle(line), text, look))
     scenes = (scene, *subject.others) if subject.others else ()
-    out += subject.names_at(
-        [np.concatenate([s.points(link) for link in s.links[1:]]) for s in scenes]
+    out += subject.place_names(
+        [np.concatenate([s.list_points(link) for link in s.links[1:]]) for s in scenes]
     )
     return out
 
 
 def _split_polyline(line: Array) -> list[Array]:
-    """The sides (2, 3) of a closed polyline (n, 3), or an open one as it is."""
+    """Split a closed polyline (n, 3) into its sides (2, 3); an open one stays whole."""
     return (
         [line[k : k + 2] for k in range(len(line) - 1)]
         if np.array_equal(line[0], line[-1])
@@ -336,11 +346,12 @@ def _split_polyline(line: Array) -> list[Array]:
 
 
 def _compute_length(line: Array) -> float:
+    """Compute the length of a polyline (n, d) [m]."""
     return float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
 
 
 def _find_middle(line: Array) -> Array:
-    """The middle (3,) of the longest piece of a polyline (n, 3)."""
+    """Find the middle (3,) of the longest segment of a polyline (n, 3)."""
     if len(line) < 2:
         return line[0]
     k = int(np.argmax(np.linalg.norm(np.diff(line, axis=0), axis=1)))
@@ -348,12 +359,13 @@ def _find_middle(line: Array) -> Array:
 
 
 def draw_angles_in_space(ax: Any, subject: Subject, r: float) -> list[Text]:
-    """Draw the arc of each angle from x of F to x of M, and the way of each slide; their names with
-    their points.
+    """Draw the arc of each angle and the length of each slide in space.
+
+    Returned are their names with the points at which they stand.
     """
     out: list[Text] = []
     for joint in subject.scene.joints:
-        names = subject.coordinates(joint)
+        names = subject.list_coordinates(joint)
         if len(names) != 1 or len(joint.motions) != 1:
             continue
         value = float(compute_coordinate_value(subject.system, subject.scene.q, names[0]))
@@ -380,14 +392,12 @@ def draw_angles_in_space(ax: Any, subject: Subject, r: float) -> list[Text]:
             continue
         ax.plot(*line.T, color=INK, lw=1.2, zorder=style.ARROWS, gid=gid)
         ax.plot(*line[-1:].T, "o", color=INK, ms=2.5, zorder=style.ARROWS, gid=f"{gid}:end")
-        out.append((line[len(line) // 2], subject.measured_text(names[0]), look))
+        out.append((line[len(line) // 2], subject.format_coordinate(names[0]), look))
     return out
 
 
 def draw_freedoms_in_space(solids: Solids, j: SeenJoint, r: float) -> list[Array]:
-    """Arrows with two heads, added for each freedom of a joint: round the axis that it turns about,
-    or along it.
-    """
+    """Draw an arrow with two heads for each freedom of a joint in space; return the arrows' points."""
     lines: list[Any] = []
     for kind, name in ((k, a) for p in j.motions for k, a in _split_freedoms(p)):
         axis = j.F[:3, "xyz".index(name)]
@@ -398,12 +408,12 @@ def draw_freedoms_in_space(solids: Solids, j: SeenJoint, r: float) -> list[Array
         else:
             t = np.deg2rad(np.linspace(20.0, 160.0, 40))[:, None]
             line = j.centre + 3.6 * r * (np.cos(t) * x + np.sin(t) * y)
-        solids.arrow(f"motion:{j.name}", line[2:-2], 0.13 * r, MOTION)
-        solids.arrow(f"motion:{j.name}", line[2:5][::-1], 0.13 * r, MOTION)
+        solids.add_arrow(f"motion:{j.name}", line[2:-2], 0.13 * r, MOTION)
+        solids.add_arrow(f"motion:{j.name}", line[2:5][::-1], 0.13 * r, MOTION)
         lines.append(line)
     return lines
 
 
 def _split_freedoms(p: Primitive) -> list[tuple[int, str]]:
-    """The single freedoms of a motion, as kind and axis: a ball turns about all axes."""
+    """Split a motion into single freedoms (kind and axis); a ball turns about all three axes."""
     return [(R, axis) for axis in "xyz"] if p.kind == Q else [(p.kind, p.axis)]

@@ -25,9 +25,7 @@ WIDEST = 44
 
 
 def shorten_label(text: str) -> str:
-    """A text as a picture has room for it: names that are too long keep both ends, several have
-    lines.
-    """
+    """Shorten a label: too long names keep both ends, several names stand on several lines."""
     if "$" in text or len(text) <= MOST:
         return text
     lines: list[str] = []
@@ -47,15 +45,13 @@ def shorten_label(text: str) -> str:
 
 
 def fit_sentence(sentence: str) -> str:
-    """A sentence for a narrow panel: words that are too long keep both ends."""
+    """Shorten the words of a sentence to fit a narrow panel; too long words keep both ends."""
     return " ".join(shorten_label(word) for word in sentence.split(" "))
 
 
 @lru_cache(maxsize=4096)
 def measure_text(text: str, points: float, bold: bool = False) -> tuple[float, float]:
-    """Width and height of a text in points (1/72 inch) at a font size, the same for all texts of
-    one line.
-    """
+    """Measure the width and height of a text in points (1/72 inch) at a font size."""
     lines = text.split("\n")
     wide = max(float(TextPath((0.0, 0.0), line, size=points).get_extents().width) for line in lines)
     high = (0.95 + 1.2 * (len(lines) - 1)) * points
@@ -77,22 +73,26 @@ class Obstacles:
     _packed: Array = field(default_factory=lambda: np.zeros((0, 6)), repr=False)
     """The segments as an array, as many as there were when it was made."""
 
-    def segment(self, a: Array, b: Array, radius: float, weight: float = 1.0) -> None:
-        """Keep free of a capsule from a (2,) to b (2,)."""
+    def add_segment(self, a: Array, b: Array, radius: float, weight: float = 1.0) -> None:
+        """Add a capsule from a (2,) to b (2,) as an obstacle of labels."""
         self.segments.append((float(a[0]), float(a[1]), float(b[0]), float(b[1]), radius, weight))
 
-    def line(self, points: Array, radius: float, weight: float = 1.0, pieces: int = 120) -> None:
-        """Keep free of a polyline (n, 2), thinned to some `pieces`."""
+    def add_line(
+        self, points: Array, radius: float, weight: float = 1.0, pieces: int = 120
+    ) -> None:
+        """Add a polyline (n, 2), thinned to some `pieces`, as an obstacle of labels."""
         points = points[np.isfinite(points).all(axis=1)]
         points = points[:: max(1, len(points) // pieces)]
         for a, b in zip(points[:-1], points[1:], strict=True):
-            self.segment(a, b, radius, weight)
+            self.add_segment(a, b, radius, weight)
 
-    def covered(self, points: Array) -> Array:
-        """For points (..., 2), the weight (...) of the heaviest segment that covers each."""
+    def find_covering_weights(self, points: Array) -> Array:
+        """Compute for points (..., 2) the weight (...) of the heaviest obstacle that covers each."""
         if points.ndim > 2:  # one group after the other: each has few segments near it
-            return np.array([self.covered(group) for group in points]).reshape(points.shape[:-1])
-        s = self._near(points.reshape(-1, 2))
+            return np.array([self.find_covering_weights(group) for group in points]).reshape(
+                points.shape[:-1]
+            )
+        s = self.select_near_segments(points.reshape(-1, 2))
         if not len(s):
             return np.zeros(points.shape[:-1])
         a = s[:, 0:2]
@@ -103,8 +103,8 @@ class Obstacles:
         gap = np.linalg.norm(rel - t[..., None] * d, axis=-1)
         return (np.where(gap < s[:, 4], s[:, 5], 0.0)).max(axis=-1)
 
-    def _near(self, points: Array) -> Array:
-        """The segments (k, 6) that can cover one of the points (n, 2), by the boxes around both."""
+    def select_near_segments(self, points: Array) -> Array:
+        """Select the obstacles (k, 6) that can cover any of the points (n, 2), by bounding boxes."""
         if len(self._packed) != len(self.segments):
             self._packed = np.array(self.segments)
         s = self._packed
@@ -114,9 +114,10 @@ class Obstacles:
         high = np.maximum(s[:, 0:2], s[:, 2:4]) + s[:, 4:5]
         return s[((low <= points.max(axis=0)) & (high >= points.min(axis=0))).all(axis=1)]
 
-    def place(self, p: Array, size: tuple[float, float], clearance: float, outward: Array) -> Array:
-        """Centre (2,) for a box of a size (width, height) near p (2,), which is then an obstacle
-        itself.
+    def find_free_place(
+        self, p: Array, size: tuple[float, float], clearance: float, outward: Array
+    ) -> Array:
+        """Find the centre (2,) of a free box near p (2,) for a label, and add it as an obstacle.
 
         `outward` (2,) is the direction that is taken where all are equally free.
         """
@@ -134,7 +135,7 @@ class Obstacles:
             )
             * half
         )
-        cost = self.covered(centres[:, None, :] + grid).sum(axis=1)
+        cost = self.find_covering_weights(centres[:, None, :] + grid).sum(axis=1)
         for x0, y0, x1, y1 in self.boxes:
             across = np.minimum(centres[:, 0] + half[0], x1) - np.maximum(
                 centres[:, 0] - half[0], x0

@@ -26,8 +26,7 @@ HEIGHT = (2.4, 6.6)
 
 
 def make_figure(width: float = 6.4, height: float = 4.8) -> Figure:
-    """An empty figure; sizes in inches. Where matplotlib's pyplot is in use, in a notebook, too, it
-    is one of its own.
+    """Make an empty figure, sizes in inches; a figure of pyplot where pyplot is in use.
 
     Then `show` shows it, and a notebook that a cell drew it; else no window and no global state
     knows of it.
@@ -42,13 +41,13 @@ def make_figure(width: float = 6.4, height: float = 4.8) -> Figure:
 
 
 def _is_in_notebook() -> bool:
-    """Whether this is the kernel of a notebook."""
+    """Whether the program runs in the kernel of a notebook."""
     shell = sys.modules.get("IPython")
     return shell is not None and hasattr(shell.get_ipython(), "kernel")
 
 
 def check_axes(ax: Any, count: int = 1) -> tuple[Axes, ...]:
-    """The `count` matplotlib axes that a caller gave to draw on; `InputError` for anything else."""
+    """Check that `ax` has `count` matplotlib axes, and return them. Errors: `InputError`."""
     given = tuple(np.ravel(np.array(ax, dtype=object)))
     if len(given) != count or not all(isinstance(one, Axes) for one in given):
         need = "matplotlib axes" if count == 1 else f"{count} matplotlib axes"
@@ -62,16 +61,16 @@ def check_axes(ax: Any, count: int = 1) -> tuple[Axes, ...]:
 
 
 def make_bare_figure(width: float = 6.4, height: float = 4.8) -> Figure:
-    """An empty figure that no window and no global state knows of; sizes in inches."""
+    """Make an empty figure, independent of windows and of pyplot; sizes in inches."""
     figure = Figure(figsize=(width, height), facecolor="white")
     FigureCanvasAgg(figure)
     return figure
 
 
 def draw_curve(sheet: Sheet, name: str, points: Array, here: Array | None, number: int) -> None:
-    """Draw the coupler curve (n, 2) of a frame, and a marker where the frame is now."""
+    """Draw the coupler curve (n, 2) of a frame, with a marker at the current position."""
     colour = style.choose_curve_colour(number)
-    sheet.line(
+    sheet.add_line(
         points,
         f"curve:{name}",
         style.CURVE,
@@ -81,7 +80,7 @@ def draw_curve(sheet: Sheet, name: str, points: Array, here: Array | None, numbe
         solid_capstyle="round",
         label=name,
     )
-    sheet.obstacles.line(points, 0.5 * sheet.r, 0.8)
+    sheet.obstacles.add_line(points, 0.5 * sheet.r, 0.8)
     if here is not None:
         sheet.ax.plot(
             [here[0]],
@@ -97,9 +96,7 @@ def draw_curve(sheet: Sheet, name: str, points: Array, here: Array | None, numbe
 
 
 def compute_limits(sheet: Sheet, room: float = 4.0) -> tuple[Array, Array]:
-    """Lower left and upper right corner of all that is drawn, with room of some pin radii for the
-    labels.
-    """
+    """Compute the lower left and upper right corner (2,) of the drawing, with room for labels."""
     p = np.concatenate([x for x in sheet.extent if len(x)]) if sheet.extent else np.zeros((1, 2))
     lower = p.min(axis=0) - room * sheet.r
     upper = p.max(axis=0) + room * sheet.r
@@ -109,8 +106,9 @@ def compute_limits(sheet: Sheet, room: float = 4.0) -> tuple[Array, Array]:
 def make_axes(
     span: Array, with_axes: bool, above: float = 0.0, make: Callable[..., Figure] = make_figure
 ) -> Axes:
-    """Axes in a new figure whose shape suits a drawing of a span (2,) in metres, with some inches
-    left above it.
+    """Make axes in a new figure with the proportions of a drawing of size `span` (2,) [m].
+
+    Some inches are left `above` it.
     """
     width = WIDTH[1] - 0.7 * with_axes
     height = width * span[1] / span[0]
@@ -129,7 +127,7 @@ def make_axes(
 
 
 def finish_page(sheet: Sheet, lower: Array, upper: Array, with_axes: bool) -> None:
-    """Set limits and equal aspect, place the labels, add axes in metres or a scale bar."""
+    """Set limits and equal aspect, place the labels, and add axes in metres or a scale bar."""
     ax = sheet.ax
     ax.set_aspect("equal", adjustable="box")
     ax.set_xlim(lower[0], upper[0])
@@ -144,7 +142,7 @@ def finish_page(sheet: Sheet, lower: Array, upper: Array, with_axes: bool) -> No
         width, height = labels.measure_text(text, size, "weight" in look)
         outward = (p - middle) / max(float(np.linalg.norm(upper - lower)), 1e-300)
         box = (width * metres_a_point, height * metres_a_point)
-        place = sheet.obstacles.place(p, box, clearance + 2.0 * metres_a_point, outward)
+        place = sheet.obstacles.find_free_place(p, box, clearance + 2.0 * metres_a_point, outward)
         how: dict[str, Any] = {"size": FONT, **look}
         ax.text(place[0], place[1], text, ha="center", va="center", zorder=style.TEXT, **how)
     if with_axes:
@@ -157,13 +155,13 @@ def finish_page(sheet: Sheet, lower: Array, upper: Array, with_axes: bool) -> No
 
 
 def _compute_point_size(ax: Axes) -> float:
-    """Metres in one point (1/72 inch) of the paper."""
+    """Compute how many metres are one point (1/72 inch) of the paper."""
     (x0, _), (x1, _) = ax.transData.transform([(0.0, 0.0), (1.0, 0.0)])
     return ax.figure.dpi / 72.0 / max(x1 - x0, 1e-300)
 
 
 def draw_light_axes(ax: Axes) -> None:
-    """Draw the left and the bottom axis in grey, and no box."""
+    """Draw the left and the bottom axis in grey, without a box."""
     for side, spine in ax.spines.items():
         spine.set_visible(side in ("left", "bottom"))
         spine.set_color(FAINT)
@@ -171,9 +169,7 @@ def draw_light_axes(ax: Axes) -> None:
 
 
 def draw_key(ax: Axes, titles: tuple[str, ...], own: bool) -> None:
-    """Write what configurations are called, each with its number and its line: of an own figure,
-    widened, beside it.
-    """
+    """Draw a key of configurations: number, line style and title; beside the picture if `own`."""
     lines = [
         Line2D(
             [],
@@ -189,9 +185,7 @@ def draw_key(ax: Axes, titles: tuple[str, ...], own: bool) -> None:
 
 
 def draw_legend(ax: Any, own: bool, handles: list[Any] | None = None, **how: Any) -> None:
-    """Draw the legend of axes, of these handles or of all that have a label: of an own figure,
-    widened, beside them.
-    """
+    """Draw a legend of given handles, or of all labelled artists; beside the picture if `own`."""
     entries: list[Any] = ax.get_legend_handles_labels()[0] if handles is None else handles
     how |= {"handles": entries, "fontsize": FONT - 1, "frameon": False}
     if not own:
@@ -210,22 +204,20 @@ def draw_legend(ax: Any, own: bool, handles: list[Any] | None = None, **how: Any
 
 
 def round_length(length: float) -> float:
-    """The largest of 1, 2 and 5 times a power of ten that is not above a length."""
+    """Round a length down to 1, 2 or 5 times a power of ten."""
     power = 10.0 ** math.floor(math.log10(length))
     return next(k * power for k in (5.0, 2.0, 1.0) if k * power <= length * (1 + 1e-12) or k == 1.0)
 
 
 def format_length(length: float) -> str:
-    """A length with the unit that makes it short to read."""
+    """Format a length with the unit that makes it short, such as '2 mm'."""
     if abs(length) >= 0.1 or length == 0.0:
         return f"{length:g} m"
     return f"{1e3 * length:g} mm" if abs(length) >= 1e-4 else f"{1e6 * length:g} µm"
 
 
 def _draw_scale_bar(sheet: Sheet) -> None:
-    """Draw a bar of a round length below the drawing, at its left end; in axes coordinates
-    vertically.
-    """
+    """Draw a scale bar of a round length at the lower left of the drawing."""
     ax: Any = sheet.ax
     x0, x1 = ax.get_xlim()
     length = round_length(0.22 * (x1 - x0))

@@ -21,14 +21,17 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-def picture(
+def draw_picture(
     subject: Subject,
     ax: Any,
     bounds: tuple[Array, Array] | None = None,
     make: Callable[..., Any] = page.make_figure,
 ) -> Axes:
-    """Axes with the subject; `bounds` are its lower left and upper right corner (2,), where they
-    are not its own.
+    """Draw a planar subject on axes and return these; `bounds` are the corners (2,) of the picture.
+
+    Without `ax`, `make` makes the figure.
+
+    Without `ax`, `make` makes the figure.
 
     Without `ax` the figure is made by `make`.
     """
@@ -38,23 +41,23 @@ def picture(
     own = ax is None
     if own:  # the extent of the drawing decides the shape of the figure
         lower, upper = compute_extent(subject)
-        lines = subject.parameter_text().count("\n") + 1 if subject.parameter_text() else 0
+        lines = subject.format_parameters().count("\n") + 1 if subject.format_parameters() else 0
         ax = page.make_axes(upper - lower, bool(subject.curves), 0.16 * lines, make)
     sheet = Sheet(ax, subject.scene, radius, subject.way, steady=subject.radius is not None)
     draw_subject(sheet, subject)
     lower, upper = page.compute_limits(sheet) if bounds is None else bounds
     page.finish_page(sheet, lower, upper, bool(subject.curves))
-    if subject.parameter_text():
+    if subject.format_parameters():
         ax.set_title(
-            subject.parameter_text(), loc="left", size=style.FONT - 1, color=style.INK, pad=3.0
+            subject.format_parameters(), loc="left", size=style.FONT - 1, color=style.INK, pad=3.0
         )
     if subject.keyed:
         page.draw_key(ax, subject.titles, own)
     return ax
 
 
-def bounds_of(subjects: list[Subject]) -> tuple[Array, Array]:
-    """Lower left and upper right corner (2,) of several drawings together."""
+def find_bounds(subjects: list[Subject]) -> tuple[Array, Array]:
+    """Compute the lower left and upper right corner (2,) of several drawings together."""
     corners = [compute_extent(s) for s in subjects]
     return np.min([c[0] for c in corners], axis=0), np.max([c[1] for c in corners], axis=0)
 
@@ -62,13 +65,15 @@ def bounds_of(subjects: list[Subject]) -> tuple[Array, Array]:
 usual_radius = planar.choose_pin_radius
 
 
-def empty(subject: Subject, bounds: tuple[Array, Array], make: Callable[..., Any]) -> Axes:
-    """Axes without a drawing, in a figure whose shape suits these bounds."""
+def make_empty_axes(
+    subject: Subject, bounds: tuple[Array, Array], make: Callable[..., Any]
+) -> Axes:
+    """Make empty axes in a figure with the proportions of these bounds."""
     return page.make_axes(bounds[1] - bounds[0], bool(subject.curves), make=make)
 
 
 def compute_extent(subject: Subject) -> tuple[Array, Array]:
-    """Lower left and upper right corner (2,) of a drawing."""
+    """Compute the lower left and upper right corner (2,) of a drawing."""
     trial = Sheet(
         page.make_bare_figure().add_subplot(),
         subject.scene,
@@ -80,18 +85,18 @@ def compute_extent(subject: Subject) -> tuple[Array, Array]:
 
 
 def draw_subject(sheet: Sheet, subject: Subject) -> None:
-    """Draw the subject from back to front; labels are collected."""
+    """Draw a subject from back to front, and collect its labels."""
     options = subject.options
     if subject.workspace is not None:
         _draw_workspace(sheet, subject.workspace)
     for k, old in enumerate(subject.ghosts):
         planar.draw_ghost(sheet, old, k)
-        sheet.extent += [project_to_plane(old.points(link)) for link in old.links]
+        sheet.extent += [project_to_plane(old.list_points(link)) for link in old.links]
     for k, other in enumerate(subject.others):
         _draw_other_configuration(sheet, other, k + 1)
     for k, (name, points) in enumerate(subject.curves.items()):
         page.draw_curve(sheet, name, points[:, :2], project_to_plane(subject.here[name]), k)
-    texts = {j.name: subject.joint_text(j) for j in subject.scene.joints}
+    texts = {j.name: subject.format_joint(j) for j in subject.scene.joints}
     planar.draw_scene(sheet, texts, "frames" in options.words)
     for name, X in subject.marks.items():
         below = choose_subscript(subject.system, name) if name in subject.axes else ""
@@ -101,8 +106,8 @@ def draw_subject(sheet: Sheet, subject: Subject) -> None:
     callouts.draw_callouts(sheet, subject)
     if subject.missed is not None:
         ends = project_to_plane(subject.missed)
-        sheet.line(ends, "missed", style.ARROWS, color=style.OPEN, lw=1.5, ls=(0, (3, 2)))
-        sheet.patch(
+        sheet.add_line(ends, "missed", style.ARROWS, color=style.OPEN, lw=1.5, ls=(0, (3, 2)))
+        sheet.add_outline(
             shapes.make_circle(ends[1], 0.6 * sheet.r),
             "missed:target",
             style.ARROWS,
@@ -114,16 +119,16 @@ def draw_subject(sheet: Sheet, subject: Subject) -> None:
         sheet.labels.append((subject.missed_text, ends.mean(axis=0), 0.9 * sheet.r, look))
     scenes = (subject.scene, *subject.others)
     points = [
-        np.concatenate([project_to_plane(s.points(link)) for link in s.links[1:]])
+        np.concatenate([project_to_plane(s.list_points(link)) for link in s.links[1:]])
         for s in scenes
         if subject.others
     ]
-    for p, text, look in subject.names_at(points):
+    for p, text, look in subject.place_names(points):
         sheet.labels.append((text, p, 1.6 * sheet.r, look))
 
 
 def _label_axes(sheet: Sheet, name: str, X: Array, below: str) -> None:
-    """Collect the names of the axes of a frame."""
+    """Collect the labels of the axes of a frame."""
     for k, axis in enumerate("xy"):
         tip = project_to_plane(X) + (style.MARK + 1.6) * sheet.r * X[:2, k]
         look = {
@@ -134,14 +139,14 @@ def _label_axes(sheet: Sheet, name: str, X: Array, below: str) -> None:
 
 
 def _draw_other_configuration(sheet: Sheet, scene: Scene, number: int) -> None:
-    """Draw the links of another configuration, in a colour and with an outline of its own."""
+    """Draw the links of another configuration in its own colour and line style."""
     colour = style.choose_configuration_colour(number)
     gid = f"configuration{number}"
     line = style.DASHES[number % len(style.DASHES)]
     for link in scene.links[1:]:
-        p = project_to_plane(scene.points(link))
+        p = project_to_plane(scene.list_points(link))
         if len(p) > 1:
-            sheet.patch(
+            sheet.add_outline(
                 shapes.make_rounded_outline(p, style.BAR * sheet.r),
                 f"{gid}:{link.name}",
                 style.POLYGONS,
@@ -151,12 +156,12 @@ def _draw_other_configuration(sheet: Sheet, scene: Scene, number: int) -> None:
                 ls=line,
             )
             for a, b in zip(p[:-1], p[1:], strict=True):
-                sheet.obstacles.segment(a, b, sheet.r, 0.5)
+                sheet.obstacles.add_segment(a, b, sheet.r, 0.5)
     for mark in scene.marks:
         touches.draw_wheels(sheet, mark, f"{gid}:{mark.name}", colour)
     for joint in scene.joints:
         if joint.kind == "revolute":
-            sheet.patch(
+            sheet.add_outline(
                 shapes.make_circle(project_to_plane(joint.M), 0.7 * sheet.r),
                 f"{gid}:{joint.name}",
                 style.POLYGONS,
@@ -167,12 +172,12 @@ def _draw_other_configuration(sheet: Sheet, scene: Scene, number: int) -> None:
 
 
 def _draw_workspace(sheet: Sheet, workspace: Any) -> None:
-    """Draw what a frame reaches, darker where there are more ways, and its boundary."""
+    """Draw the workspace of a frame, darker where there are more solutions, with its boundary."""
     for k, region in enumerate(workspace.regions):
         shade = style.mix_colours(
             style.FAINT, style.PAPER, 0.55 if region.solutions in (None, 1) else 0.25
         )
-        sheet.patch(
+        sheet.add_outline(
             shapes.make_region_outline(region),
             f"workspace:{k}",
             style.GHOSTS - 0.5,
@@ -182,4 +187,4 @@ def _draw_workspace(sheet: Sheet, workspace: Any) -> None:
     for k, piece in enumerate(workspace.boundary):
         z = shapes.sample_piece(piece)
         p = np.column_stack([np.real(z), np.imag(z)])
-        sheet.line(p, f"workspace:boundary{k}", style.GHOSTS, color=style.GROUND, lw=1.1)
+        sheet.add_line(p, f"workspace:boundary{k}", style.GHOSTS, color=style.GROUND, lw=1.1)

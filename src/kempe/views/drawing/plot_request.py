@@ -65,29 +65,30 @@ class Subject:
 
     @property
     def marks(self) -> dict[str, Array]:
-        """Poses (4, 4) of the frames whose axes are drawn."""
+        """Poses (4, 4) of the frames whose axes are drawn, by name."""
         return {**({} if self.curves else self.here), **self.axes}
 
     @property
     def keyed(self) -> bool:
-        """Whether several configurations have numbers, and their names stand in a key beside the
-        picture.
-        """
+        """Whether configurations have numbers in the picture, and their names in a key beside it."""
         longest = max(map(len, self.titles), default=0)
         many = len(self.titles) > IN_PLACE and longest > SHORT[0]
         return bool(self.others) and (many or longest > SHORT[self.system.dim == 2])
 
     @property
     def missed_text(self) -> str:
-        """How far the place that is missed is away."""
+        """Distance to a target that is not reached, as text."""
         from kempe.views.drawing.page import format_length
 
         gap = 0.0 if self.missed is None else float(np.linalg.norm(self.missed[1] - self.missed[0]))
         return format_length(float(f"{gap:.3g}"))
 
-    def names_at(self, points: list[Array]) -> list[tuple[Array, str, dict[str, Any]]]:
-        """Name or number of each configuration, where its points (n, d) are furthest from the
-        others, and its look.
+    def place_names(self, points: list[Array]) -> list[tuple[Array, str, dict[str, Any]]]:
+        """List the name or number of each configuration with its position and text style.
+
+        It stands at the point (d,) of the configuration that is farthest from the others.
+
+        It stands at the point (d,) of the configuration that is farthest from the others.
         """
         if not self.others or not any(self.titles):
             return []
@@ -103,14 +104,14 @@ class Subject:
             out.append((own[int(np.argmax(gap))], str(k + 1) if self.keyed else title, look))
         return out
 
-    def coordinates(self, joint: SeenJoint) -> list[str]:
-        """Names of the coordinates of a joint."""
+    def list_coordinates(self, joint: SeenJoint) -> list[str]:
+        """List the names of the coordinates of a joint."""
         return self.system.structure.coordinates_of_joint(joint.name)
 
-    def joint_text(self, joint: SeenJoint) -> str:
-        """What is written beside a joint: its name, or its coordinates with their values."""
+    def format_joint(self, joint: SeenJoint) -> str:
+        """Format the label of a joint: its name, or its coordinates with their values."""
         words = self.options.words
-        names = self.coordinates(joint)
+        names = self.list_coordinates(joint)
         with_values = [format_coordinate(self, n) for n in names] if "coordinates" in words else []
         angles = bool(self.options.angles) and names == [joint.name]
         if "joints" not in words or angles or (with_values and names == [joint.name]):
@@ -118,14 +119,12 @@ class Subject:
         parts = [joint.name, *with_values]
         return ",\n".join(", ".join(parts[k : k + ACROSS]) for k in range(0, len(parts), ACROSS))
 
-    def measured_text(self, name: str) -> str:
-        """What is written beside the arc or the length of a coordinate: its name, with its value if
-        that is wanted.
-        """
+    def format_coordinate(self, name: str) -> str:
+        """Format the label of a coordinate's arc or length: its name, with its value if requested."""
         return format_coordinate(self, name) if "coordinates" in self.options.words else name
 
-    def body_text(self, link: Any) -> str:
-        """Names of the bodies of a link, with their numbers where the names do not say them."""
+    def format_bodies(self, link: Any) -> str:
+        """Format the names of the bodies of a link, with their numbers where names lack these."""
         number = {name: k for k, name in enumerate(self.system.body_names)}
         names = [
             b if b.endswith(str(number[b])) or number[b] == 0 else f"{number[b]} {b}"
@@ -133,8 +132,8 @@ class Subject:
         ]
         return ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
 
-    def parameter_text(self) -> str:
-        """The parameters with their numbers, in lines of four; '' where they are not wanted."""
+    def format_parameters(self) -> str:
+        """Format the parameters with their values, in lines of four; '' if not requested."""
         parts = [f"{k} = {v:.4g}" for k, v in self.system.structure.parameters.items()]
         if "parameters" not in self.options.words:
             return ""
@@ -142,7 +141,7 @@ class Subject:
 
 
 def format_coordinate(subject: Subject, name: str) -> str:
-    """A coordinate with its value and unit."""
+    """Format a coordinate with its value and unit."""
     from kempe.equations.judge import compute_coordinate_value
     from kempe.views.drawing.page import format_length
 
@@ -158,18 +157,14 @@ def format_coordinate(subject: Subject, name: str) -> str:
 
 
 def choose_subscript(system: Model, frame: str) -> str:
-    """What an axis of a frame is called after x and y: the number of a body, a short name of a
-    frame.
-    """
+    """Choose the subscript of a frame's axes x and y: the number of a body, or a short name."""
     if frame in system.body_names:
         return f"_{{{system.body_names.index(frame)}}}"
     return f"_{{{frame}}}" if len(frame) <= 3 and frame.isalnum() else ""
 
 
 def list_named_lengths(system: Model, bodies: Any) -> list[tuple[str, float]]:
-    """Expressions in parameters by which frames of joints and others are placed on some bodies,
-    with their values.
-    """
+    """List the parameter expressions that place joints and frames on bodies, with their values."""
     m = system.mechanism
     placed = [j.X_PF for j in m.joints.values() if j.parent in bodies]
     placed += [j.X_CM for j in m.joints.values() if j.child in bodies]
@@ -181,7 +176,7 @@ def list_named_lengths(system: Model, bodies: Any) -> list[tuple[str, float]]:
 
 
 def name_length(known: list[tuple[str, float]], length: float) -> str:
-    """The shortest expression that has this length, or the length itself."""
+    """Return the shortest parameter expression with this length, or the length itself."""
     from kempe.views.drawing.page import format_length
 
     same = [text for text, value in known if abs(value - length) < 1e-9 * max(length, 1e-9)]
@@ -197,12 +192,14 @@ MOST = 32
 
 
 def read_configuration(system: Model, q: Any, way: Array | None = None) -> Array:
-    """The configuration (nq,) that is drawn for what `plot` takes as `q`: of several the first."""
+    """Read the configuration (nq,) to be drawn from the argument `q` of `plot`; of several the
+    first.
+    """
     return read_configurations(system, q, way)[0][0]
 
 
 def read_configurations(system: Model, q: Any, way: Array | None) -> tuple[Array, tuple[str, ...]]:
-    """Configurations (k, nq) that are drawn, and their names, if they have any."""
+    """Read the configurations (k, nq) to be drawn, and their names if they have any."""
     if q is None:
         return choose_configuration(system, way)[None], ()
     titles = tuple(getattr(q, "titles", ()))
@@ -228,7 +225,7 @@ def read_configurations(system: Model, q: Any, way: Array | None) -> tuple[Array
 
 
 def choose_configuration(system: Model, configurations: Array | None) -> Array:
-    """The configuration that is drawn unless one is given."""
+    """Choose the configuration that is drawn by default."""
     q = find_home(system)
     if configurations is None:
         if judge_configurations(system, q):
@@ -242,7 +239,7 @@ def choose_configuration(system: Model, configurations: Array | None) -> Array:
 
 
 def read_motion(system: Model, path: Any) -> tuple[Array | None, tuple[str, ...]]:
-    """Configurations (n, nq) of a path, and names of the joints that drive it.
+    """Read the configurations (n, nq) of a path and the names of its driven joints.
 
     `path` is an array, or an answer with a field `q`, and perhaps `driver`, a name or names; None
     gives (None, ()). Errors: `InputError` for other shapes.

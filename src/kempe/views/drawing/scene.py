@@ -42,18 +42,18 @@ class SeenJoint:
     gap: Array | None = None
     """How far (3,) M is from where the coordinates of a joint that closes a loop put it [m]."""
 
-    def on(self, link: int) -> Array:
-        """Pose (4, 4) of the joint's frame on one of its two links."""
+    def find_pose_on(self, link: int) -> Array:
+        """Return the pose (4, 4) of the joint's frame on one of its two links."""
         return self.F if link == self.parent else self.M
 
     @property
     def centre(self) -> Array:
-        """Origin (3,) of frame M."""
+        """Origin (3,) of the joint's frame M [m]."""
         return self.M[:3, 3]
 
     @property
     def axis(self) -> Array:
-        """Axis z (3,) of frame F."""
+        """Unit vector z (3,) of the joint's frame F."""
         return self.F[:3, 2]
 
 
@@ -71,8 +71,8 @@ class SeenLink:
     particle: bool = False
 
     @property
-    def ground(self) -> bool:
-        """Whether it does not move."""
+    def is_ground(self) -> bool:
+        """Whether the link is the ground."""
         return self.number == 0
 
 
@@ -96,7 +96,7 @@ class SeenMark:
 
     @property
     def point(self) -> Array:
-        """Its place (3,)."""
+        """Position (3,) of the constraint [m]."""
         return self.B[:3, 3]
 
 
@@ -117,14 +117,16 @@ class Scene:
     lines: tuple[tuple[str, tuple[int, int], Array, Array], ...] = ()
     marks: tuple[SeenMark, ...] = ()
 
-    def points(self, link: SeenLink) -> Array:
-        """Distinct joint centres, ends of rods and frames (k, 3) of a link, in that order."""
+    def list_points(self, link: SeenLink) -> Array:
+        """List the distinct joint centres, rod ends and frame origins (k, 3) of a link [m]."""
         return self._points[link.number]
 
     @cached_property
     def _points(self) -> list[Array]:
+        """Distinct joint centres, rod ends and frame origins (k, 3) of each link [m]."""
         found: list[list[Array]] = [
-            [self.joints[j].on(link.number)[:3, 3] for j in link.joints] for link in self.links
+            [self.joints[j].find_pose_on(link.number)[:3, 3] for j in link.joints]
+            for link in self.links
         ]
         for _, links, ends, _ in self.rods:
             for link, end in zip(links, ends, strict=True):
@@ -139,9 +141,7 @@ class Scene:
 
     @cached_property
     def size(self) -> float:
-        """Diagonal of the box around all joint centres and frames [m]; 1 where there is but one
-        point.
-        """
+        """Diagonal of the bounding box of all joint centres and frames [m]; 1 for a single point."""
         p = np.concatenate(self._points)
         span = float(np.linalg.norm(np.ptp(p, axis=0))) if len(p) else 0.0
         return span if np.isfinite(span) and span > 1e-9 else 1.0
@@ -151,43 +151,45 @@ class Scene:
         """Distances of all pairs of points on the same moving link [m], without zeros."""
         out = [0.0]
         for link in self.links[1:]:
-            p = self.points(link)
+            p = self.list_points(link)
             out += [float(np.linalg.norm(a - b)) for i, a in enumerate(p) for b in p[:i]]
         lengths = np.array(out)
         return lengths[lengths > 1e-9 * self.size]
 
-    def reach(self, joint: SeenJoint, link: int) -> float:
-        """How far the points of a link are from a joint on it, at most [m]."""
-        p = self.points(self.links[link])
-        return float(np.max(np.linalg.norm(p - joint.on(link)[:3, 3], axis=1), initial=0.0))
+    def compute_reach(self, joint: SeenJoint, link: int) -> float:
+        """Compute the largest distance of a link's points from a joint on it [m]."""
+        p = self.list_points(self.links[link])
+        return float(
+            np.max(np.linalg.norm(p - joint.find_pose_on(link)[:3, 3], axis=1), initial=0.0)
+        )
 
-    def telescopic(self, joint: SeenJoint, r: float) -> bool:
-        """Whether a prismatic joint between moving links is drawn as cylinder and rod, not as a
-        block on a rail.
+    def is_telescopic(self, joint: SeenJoint, r: float) -> bool:
+        """Whether a prismatic joint is drawn as cylinder and rod instead of a block on a rail.
 
         `r` is the radius of a pin [m]. Kinematically they are one: a motor, or links that go on at
         both ends, decide.
         """
         if joint.kind != "prismatic" or 0 in (joint.parent, joint.child):
             return False
-        both = min(self.reach(joint, joint.parent), self.reach(joint, joint.child)) > 6 * r
+        both = (
+            min(self.compute_reach(joint, joint.parent), self.compute_reach(joint, joint.child))
+            > 6 * r
+        )
         return (joint.driven or both) and float(
             np.linalg.norm(joint.centre - joint.F[:3, 3])
         ) > 6 * r
 
-    def seat(self, joint: SeenJoint, r: float) -> Array:
-        """Point (3,) where the symbol of a joint sits: the origin of M, or the middle of its
-        cylinder.
-        """
+    def find_seat(self, joint: SeenJoint, r: float) -> Array:
+        """Find the point (3,) of a joint's symbol: the origin of M, or the middle of its cylinder."""
         return (
             0.64 * joint.F[:3, 3] + 0.36 * joint.centre
-            if self.telescopic(joint, r)
+            if self.is_telescopic(joint, r)
             else joint.centre
         )
 
 
 def remove_duplicates(points: Array, near: float = 1e-7) -> Array:
-    """The points (k, d) without repetitions, in their order; `near` is relative to their extent."""
+    """Remove repeated points from (k, d); `near` is the tolerance relative to their extent."""
     scale = near * max(float(np.ptp(points, axis=0).max()) if len(points) else 0.0, 1e-9)
     out: list[Array] = []
     for p in points:
@@ -197,8 +199,9 @@ def remove_duplicates(points: Array, near: float = 1e-7) -> Array:
 
 
 def build_scene(system: Model, q: Array, drivers: tuple[str, ...] = ()) -> Scene:
-    """The scene of a system at one configuration (nq,). `drivers` names joints to mark beside the
-    actuated ones.
+    """Build the scene of a system at a configuration (nq,): its links, joints and constraints.
+
+    `drivers` are joints to be marked as driven besides the actuated ones.
 
     Errors: `UnsupportedError` where a body is too far away to be drawn.
     """
@@ -257,8 +260,7 @@ def build_scene(system: Model, q: Array, drivers: tuple[str, ...] = ()) -> Scene
 
 
 def _find_end_frame(mechanism: Mechanism, bodies: dict[str, Array]) -> dict[str, Array]:
-    """The body at the end of a link of several bodies, as a frame: such as the tool of a file
-    without frames.
+    """Find the last body of a link of several bodies, as a frame, such as a tool.
 
     Of several, such as cameras of a head, the one farthest from the body that the others are fixed
     to.
@@ -275,11 +277,12 @@ def _find_end_frame(mechanism: Mechanism, bodies: dict[str, Array]) -> dict[str,
 
 
 def number_links(system: Model) -> dict[str, int]:
-    """Number of the link of each body: bodies joined by joints without freedom are one."""
+    """Number the link of each body; bodies connected by joints without freedom are one link."""
     mechanism = system.mechanism
     root = {b: b for b in system.body_names}
 
-    def find(body: str) -> str:
+    def find_root(body: str) -> str:
+        """Find the body that represents the link of a body."""
         while root[body] != body:
             body = root[body]
         return body
@@ -287,16 +290,16 @@ def number_links(system: Model) -> dict[str, int]:
     order = {b: i for i, b in enumerate(system.body_names)}
     for joint in mechanism.joints.values():
         if not joint.type.dof(system.dim, mechanism.bodies[joint.child].particle):
-            a, b = sorted((find(joint.parent), find(joint.child)), key=order.__getitem__)
+            a, b = sorted((find_root(joint.parent), find_root(joint.child)), key=order.__getitem__)
             root[b] = a
     heads = [b for b in system.body_names if root[b] == b]
-    return {b: heads.index(find(b)) for b in system.body_names}
+    return {b: heads.index(find_root(b)) for b in system.body_names}
 
 
 def _list_constraints(
     system: Model, poses: dict[str, Array], number: dict[str, int]
 ) -> tuple[Any, ...]:
-    """Rods, lines and marks of the constraints that are no joints, where the mechanism has any."""
+    """List rods, lines and symbols of the constraints that are no joints."""
     mechanism = system.mechanism
     rods: list[tuple[str, tuple[int, int], Array, float]] = []
     lines: list[tuple[str, tuple[int, int], Array, Array]] = []
@@ -324,9 +327,7 @@ def _list_constraints(
 
 
 def _make_mark(system: Model, c: Declared, link: int, A: Array, B: Array) -> SeenMark:
-    """A constraint that is no rod or line, with the plane that it touches or lies on, if there is
-    one.
-    """
+    """Make the symbol of a constraint that is no rod or line, with its plane if it has one."""
     made = evaluate_number_fields(c.of, system.structure.parameters)
     plane = None
     rows = [r for r in made.list_rows(system.dim) if not r.velocity]
@@ -344,9 +345,7 @@ def _make_mark(system: Model, c: Declared, link: int, A: Array, B: Array) -> See
 def compute_travel(
     scene: Scene, joint: SeenJoint, configurations: Array | None
 ) -> tuple[float, float]:
-    """Smallest and largest slide [m] of a prismatic joint: now, over configurations (n, nq), and
-    within its limits.
-    """
+    """Compute the smallest and largest slide [m] of a prismatic joint over configurations (n, nq)."""
     system = scene.system
     values = [float(compute_coordinate_value(system, scene.q, joint.name))]
     if configurations is not None:

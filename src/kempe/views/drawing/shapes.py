@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.path import Path
 
 from kempe.spatial import Array
-from kempe.views.drawing.solids import hull
+from kempe.views.drawing.solids import find_hull
 from kempe.views.drawing.style import GROUND_HALF, GROUND_HEIGHT, HATCH
 
 if TYPE_CHECKING:
@@ -21,10 +21,8 @@ FINE = 0.02
 
 
 def make_rounded_outline(points: Array, radius: float) -> Path:
-    """Outline of all that is within `radius` of the convex hull of points (n, 2): a disc, a bar, a
-    rounded polygon.
-    """
-    corners = hull(points)
+    """Make the outline at a distance `radius` around the convex hull of points (n, 2)."""
+    corners = find_hull(points)
     if len(corners) == 1:
         return make_circle(corners[0], radius)
     sides = np.roll(corners, -1, axis=0) - corners
@@ -44,7 +42,7 @@ def make_rounded_outline(points: Array, radius: float) -> Path:
 
 
 def make_circle(centre: Array, radius: float) -> Path:
-    """Outline of a circle."""
+    """Make the outline of a circle."""
     unit = Path.unit_circle()
     return Path(np.asarray(centre) + radius * np.asarray(unit.vertices), unit.codes)
 
@@ -54,7 +52,7 @@ MOST_STROKES = 1000
 
 
 def make_polygon(points: Array) -> Path:
-    """Outline of a polygon with the corners (n, 2)."""
+    """Make the outline of a polygon with the corners (n, 2)."""
     return Path(
         np.concatenate([points, points[:1]]),
         [Path.MOVETO, *[Path.LINETO] * (len(points) - 1), Path.CLOSEPOLY],
@@ -62,13 +60,13 @@ def make_polygon(points: Array) -> Path:
 
 
 def make_strokes(lines: list[tuple[Array, Array]]) -> Path:
-    """Separate straight lines, as one path."""
+    """Make separate straight lines as one path."""
     codes = [Path.MOVETO, Path.LINETO] * len(lines)
     return Path(np.array([p for line in lines for p in line]).reshape(-1, 2), codes)
 
 
 def make_hatched_line(a: Array, b: Array, down: Array, r: float) -> Path:
-    """The line from a to b with the strokes of the ground on its side `down` (unit vector)."""
+    """Make a ground line from a to b (2,), hatched on its side `down` (2,), a unit vector."""
     length = float(np.linalg.norm(b - a))
     along = (b - a) / max(length, 1e-300)
     count = max(2, min(round(length / (HATCH * r)), MOST_STROKES))
@@ -78,7 +76,10 @@ def make_hatched_line(a: Array, b: Array, down: Array, r: float) -> Path:
 
 
 def make_ground_symbol(p: Array, down: Array, r: float) -> tuple[Path, Path]:
-    """Triangle under a pivot at p, and its hatched base line; `down` (2,) is a unit vector."""
+    """Make the triangle under a pivot at p (2,), and its hatched base line.
+
+    `down` (2,) is a unit vector.
+    """
     along = np.array([-down[1], down[0]])
     base = p + GROUND_HEIGHT * r * down
     corners = np.array([p, base - 1.55 * r * along, base + 1.55 * r * along])
@@ -89,7 +90,7 @@ def make_ground_symbol(p: Array, down: Array, r: float) -> tuple[Path, Path]:
 
 
 def make_box(centre: Array, along: Array, half_length: float, half_height: float) -> Path:
-    """Outline of a rectangle about a centre, its length in the direction `along` (unit vector)."""
+    """Make the outline of a rectangle around a centre, its length along the unit vector `along`."""
     up = np.array([-along[1], along[0]])
     x = half_length * along
     y = half_height * up
@@ -99,7 +100,7 @@ def make_box(centre: Array, along: Array, half_length: float, half_height: float
 def make_arc(
     centre: Array, radius: float, start: float, stop: float, head: float
 ) -> tuple[Array, Path]:
-    """Points (n, 2) of a circular arc between two angles [rad], and the arrow head at its end."""
+    """Make the points (n, 2) of a circular arc between two angles [rad], and its arrow head."""
     back = float(np.sign(stop - start)) * 0.8 * head / radius
     angles = np.linspace(start, stop - back, 40)
     line = centre + radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
@@ -108,7 +109,7 @@ def make_arc(
 
 
 def make_arrow_head(tip: Array, direction: Array, head: float) -> Path:
-    """A slim triangle of length `head` whose tip points in a direction (2,)."""
+    """Make a slim triangle of length `head` with its tip in a direction (2,)."""
     along = direction / max(float(np.linalg.norm(direction)), 1e-300)
     side = np.array([-along[1], along[0]])
     base = tip - head * along
@@ -116,7 +117,7 @@ def make_arrow_head(tip: Array, direction: Array, head: float) -> Path:
 
 
 def make_region_outline(region: SolutionRegion) -> Path:
-    """The closed curves round a region, as one path."""
+    """Make the path of the closed curves around a region of a planar workspace."""
     codes: list[Any] = []
     corners: list[Array] = []
     for loop in region.loops:
@@ -127,5 +128,5 @@ def make_region_outline(region: SolutionRegion) -> Path:
 
 
 def sample_piece(piece: PlaneCurve) -> Array:
-    """Points (k,) along a piece, close enough for a picture."""
+    """Sample points (k,) along a piece of a boundary, as complex numbers, densely enough to draw."""
     return piece.sample_points(FINE)

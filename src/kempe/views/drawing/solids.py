@@ -24,7 +24,7 @@ SIDES = 12
 
 @dataclass
 class Solids:
-    """Faces (k, 3) with colours and, by name, the numbers of those that belong to it."""
+    """Solids as faces (k, 3) with colours; `named` has the numbers of the faces of each name."""
 
     faces: list[Array] = field(default_factory=list[Array])
     colours: list[tuple[float, float, float, float]] = field(
@@ -37,7 +37,7 @@ class Solids:
     by_depth: bool = True
     """Whether what is drawn sorts faces by depth, where parts inside others would be seen."""
 
-    def face(
+    def add_face(
         self,
         name: str,
         corners: Array,
@@ -46,8 +46,7 @@ class Solids:
         alpha: float = 1.0,
         edge: str = "",
     ) -> None:
-        """Add a flat convex face with its outward normal; `edge` is the colour of its outline, none
-        if empty.
+        """Add a flat convex face with its outward normal (3,); `edge` is the colour of its outline.
 
         Faces are kept as quadrangles: matplotlib pads others with memory that it never wrote.
         """
@@ -62,14 +61,14 @@ class Solids:
             line = parse_colour(edge) if edge and len(corners) == 4 else (red, green, blue)
             self.edges.append((*line, 1.0 if alpha == 1.0 else 0.8 if edge else 0.0))
         if len(corners) > 4 and len(corners) % 2:  # the last triangle of the fan
-            self.face(name, corners[[0, -2, -1]], normal, colour, alpha)
+            self.add_face(name, corners[[0, -2, -1]], normal, colour, alpha)
 
-    def faces_of(self, name: str, corners: Array, normals: Array, colour: str) -> None:
-        """Add solid faces, corners (k, n, 3) with outward normals (k, 3), that move as one."""
+    def add_faces(self, name: str, corners: Array, normals: Array, colour: str) -> None:
+        """Add the faces of a solid: corners (k, n, 3) with outward normals (k, 3)."""
         for face, normal in zip(corners, normals, strict=True):
-            self.face(name, face, normal, colour)
+            self.add_face(name, face, normal, colour)
 
-    def tube(
+    def add_tube(
         self,
         name: str,
         a: Array,
@@ -82,8 +81,8 @@ class Solids:
         sides: int = SIDES,
         end_radius: float | None = None,
     ) -> None:
-        """Add a tube from a to b (3,), cut into `pieces` (default by its slimness); a cone with
-        `end_radius`.
+        """Add a tube from a to b (3,), cut into `pieces` along its length; with `end_radius` a
+        cone.
         """
         length = float(np.linalg.norm(b - a))
         if length < 1e-12:
@@ -102,16 +101,16 @@ class Solids:
         after = [*range(1, sides), 0]
         for low, high in itertools.pairwise(rings):
             corners = np.stack([low, low[after], high[after], high], axis=1)
-            self.faces_of(name, corners, middle, colour)
+            self.add_faces(name, corners, middle, colour)
         if caps:
             for ring, sign in ((rings[0], -1.0), (rings[-1], 1.0)):
-                self.face(name, ring, sign * X[:, 2], colour)
+                self.add_face(name, ring, sign * X[:, 2], colour)
             if edge:
                 ring = 0.14 * radius * X[:, 2]
-                self.tube(name, a, a + ring, 1.02 * radius, edge, 1, caps=False)
-                self.tube(name, b - ring, b, 1.02 * radius, edge, 1, caps=False)
+                self.add_tube(name, a, a + ring, 1.02 * radius, edge, 1, caps=False)
+                self.add_tube(name, b - ring, b, 1.02 * radius, edge, 1, caps=False)
 
-    def ball(self, name: str, centre: Array, radius: float, colour: str) -> None:
+    def add_ball(self, name: str, centre: Array, radius: float, colour: str) -> None:
         """Add a sphere of 8 by 12 faces."""
         lat = np.linspace(-np.pi / 2, np.pi / 2, 9)
         lon = np.arange(13) * (2 * np.pi / 12)
@@ -123,12 +122,10 @@ class Solids:
             ],
             axis=-1,
         )
-        self._bands(name, centre, radius, p, colour)
+        self._add_bands(name, centre, radius, p, colour)
 
-    def bowl(self, name: str, centre: Array, radius: float, way: Array, colour: str) -> None:
-        """Add half of a hollow sphere, the half that lies in the direction `way` (3,), of 4 by 12
-        faces.
-        """
+    def add_bowl(self, name: str, centre: Array, radius: float, way: Array, colour: str) -> None:
+        """Add a hollow hemisphere on the side of the direction `way` (3,), of 4 by 12 faces."""
         R = spatial.align_z(way)
         lat = np.deg2rad(np.linspace(90.0, 5.0, 5))
         lon = np.arange(13) * (2 * np.pi / 12)
@@ -143,18 +140,20 @@ class Solids:
             )
             @ R.T
         )
-        self._bands(name, centre, radius, p, colour)
+        self._add_bands(name, centre, radius, p, colour)
 
-    def _bands(self, name: str, centre: Array, radius: float, p: Array, colour: str) -> None:
-        """Add a part of a sphere, from points (m, n, 3) of the unit sphere by latitude and longitude."""
+    def _add_bands(self, name: str, centre: Array, radius: float, p: Array, colour: str) -> None:
+        """Add a part of a sphere from points (m, n, 3) of the unit sphere, by latitude and
+        longitude.
+        """
         for low, high in itertools.pairwise(p):
             corners = np.stack([low[:-1], low[1:], high[1:], high[:-1]], axis=1)
             normals = corners.mean(axis=1)
             normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-            self.faces_of(name, centre + radius * corners, normals, colour)
+            self.add_faces(name, centre + radius * corners, normals, colour)
 
-    def box(self, name: str, X: Array, half: Array, colour: str, edge: str = "") -> None:
-        """Add a box about the origin of the pose X (4, 4), with half-lengths (3,) along its axes."""
+    def add_box(self, name: str, X: Array, half: Array, colour: str, edge: str = "") -> None:
+        """Add a box around the origin of the pose X (4, 4), with half-lengths (3,) along its axes."""
         for axis in range(3):
             for sign in (-1.0, 1.0):
                 u = (axis + 1) % 3
@@ -163,7 +162,7 @@ class Solids:
                 corners[:, axis] = sign
                 corners[:, u] = (-1, 1, 1, -1)
                 corners[:, v] = (-1, -1, 1, 1)
-                self.face(
+                self.add_face(
                     name,
                     X[:3, 3] + (corners * half) @ X[:3, :3].T,
                     sign * X[:3, axis],
@@ -171,20 +170,22 @@ class Solids:
                     edge=edge,
                 )
 
-    def plate(self, name: str, corners: Array, colour: str, alpha: float, edge: str = "") -> None:
+    def add_plate(
+        self, name: str, corners: Array, colour: str, alpha: float, edge: str = ""
+    ) -> None:
         """Add a flat polygon without thickness, corners (n, 3) in order."""
         normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
-        self.face(
+        self.add_face(
             name, corners, normal / max(float(np.linalg.norm(normal)), 1e-300), colour, alpha, edge
         )
 
-    def arrow(self, name: str, line: Array, radius: float, colour: str) -> None:
-        """Add a bent arrow along points (n, 3), its head at the last."""
+    def add_arrow(self, name: str, line: Array, radius: float, colour: str) -> None:
+        """Add a bent arrow along points (n, 3) with its head at the last point."""
         for a, b in zip(line[:-2], line[1:-1], strict=True):
-            self.tube(name, a, b, radius, colour, pieces=1, caps=False, sides=6)
+            self.add_tube(name, a, b, radius, colour, pieces=1, caps=False, sides=6)
         tip = line[-1] - line[-2]
         tip = tip / max(float(np.linalg.norm(tip)), 1e-300)
-        self.tube(
+        self.add_tube(
             name,
             line[-2],
             line[-2] + 6.0 * radius * tip,
@@ -217,7 +218,7 @@ class SolidRecord(Solids):
     pieces: list[DrawnPiece] = field(default_factory=list[DrawnPiece])
     by_depth: bool = False
 
-    def face(
+    def add_face(
         self,
         name: str,
         corners: Array,
@@ -229,20 +230,22 @@ class SolidRecord(Solids):
         """Add a flat convex face with its outward normal, seen from both sides where it can be
         looked through.
         """
-        self._add(name, corners[None], normal[None], colour, alpha)
+        self._add_piece(name, corners[None], normal[None], colour, alpha)
 
-    def faces_of(self, name: str, corners: Array, normals: Array, colour: str) -> None:
+    def add_faces(self, name: str, corners: Array, normals: Array, colour: str) -> None:
         """Add solid faces, corners (k, n, 3) with outward normals (k, 3), as one piece."""
-        self._add(name, corners, normals, colour, 1.0)
+        self._add_piece(name, corners, normals, colour, 1.0)
 
-    def _add(self, name: str, corners: Array, normals: Array, colour: str, alpha: float) -> None:
+    def _add_piece(
+        self, name: str, corners: Array, normals: Array, colour: str, alpha: float
+    ) -> None:
         k, n, _ = corners.shape
         (a, b, c) = (corners[:, 1] - corners[:, 0]).T
         (d, e, f) = (corners[:, -1] - corners[:, 0]).T
         # of np.cross, which is slow
         out = np.stack([b * f - c * e, c * d - a * f, a * e - b * d], axis=1)
         turned = np.sum(out * normals, axis=1) < 0.0
-        fan = np.where(turned[:, None, None], fan_triangles(n)[:, ::-1], fan_triangles(n))
+        fan = np.where(turned[:, None, None], make_fan(n)[:, ::-1], make_fan(n))
         both: np.ndarray = fan
         if alpha < 1.0:
             both = np.concatenate([fan, fan[..., ::-1]], axis=1)
@@ -254,19 +257,19 @@ class SolidRecord(Solids):
 
 
 @cache
-def fan_triangles(n: int) -> np.ndarray:
+def make_fan(n: int) -> np.ndarray:
     """Triangles (n - 2, 3) of a convex polygon with n corners."""
     k = np.arange(1, n - 1)
     return np.stack([np.zeros_like(k), k, k + 1], axis=1)
 
 
 def parse_colour(colour: str) -> tuple[float, float, float]:
-    """Red, green and blue from 0 to 1 of '#rrggbb'."""
+    """Convert a colour '#rrggbb' to red, green and blue from 0 to 1."""
     red, green, blue = (int(colour[i : i + 2], 16) / 255.0 for i in (1, 3, 5))
     return red, green, blue
 
 
-def hull(points: Array) -> Array:
+def find_hull(points: Array) -> Array:
     """Corners (k, 2) of the convex hull of points (n, 2), counterclockwise (Andrew's monotone
     chain, 1979).
     """
@@ -275,7 +278,7 @@ def hull(points: Array) -> Array:
     flat = 1e-12 * max(float(np.ptp(points, axis=0).max()), 1e-300) ** 2
     ordered = points[np.lexsort((points[:, 1], points[:, 0]))]
 
-    def half(sequence: Array) -> list[Array]:
+    def find_half_hull(sequence: Array) -> list[Array]:
         out: list[Array] = []
         for p in sequence:
             while len(out) > 1:
@@ -286,17 +289,17 @@ def hull(points: Array) -> Array:
             out.append(p)
         return out[:-1]
 
-    return np.array(half(ordered) + half(ordered[::-1]))
+    return np.array(find_half_hull(ordered) + find_half_hull(ordered[::-1]))
 
 
 def find_flat_hull(points: Array, tolerance: float) -> list[int] | None:
-    """Numbers (k,) of the points (n, 3) on their convex hull, in order round it; None if they lie
-    in no plane.
+    """Find the convex hull of points (n, 3) in a common plane: their numbers (k,) in order, else
+    None.
     """
     middle = points.mean(axis=0)
     _, size, axes = Spectrum(points - middle).thin_decomposition
     if len(points) < 3 or size[1] < tolerance or (len(size) > 2 and size[2] > tolerance):
         return None
     p = (points - middle) @ axes[:2].T
-    corners = hull(p)
+    corners = find_hull(p)
     return [int(np.argmin(np.linalg.norm(p - c, axis=1))) for c in corners]

@@ -28,8 +28,8 @@ VIEWS = [(float(elev), float(azim)) for elev in (22, 32) for azim in range(-75, 
 apart."""
 
 
-def bounds_of(subjects: list[Subject]) -> tuple[Array, tuple[float, float]]:
-    """Points (n, 3) that several drawings together hold, and the view of the first."""
+def find_bounds(subjects: list[Subject]) -> tuple[Array, tuple[float, float]]:
+    """Compute the points (n, 3) that bound several drawings together, and the view of the first."""
     points = [
         p for s in subjects for scene in (s.scene, *s.others) for p in _list_solid_points(scene)
     ]
@@ -39,7 +39,7 @@ def bounds_of(subjects: list[Subject]) -> tuple[Array, tuple[float, float]]:
 
 
 def _list_solid_points(scene: Scene) -> list[Array]:
-    """The corners of everything that is drawn of a scene."""
+    """List the corners of all solids of a scene."""
     solids = Solids()
     symbols.add_scene(solids, scene, symbols.choose_radius(scene), None)
     return solids.faces
@@ -48,26 +48,30 @@ def _list_solid_points(scene: Scene) -> list[Array]:
 usual_radius = symbols.choose_radius
 
 
-def empty(
+def make_empty_axes(
     subject: Subject, bounds: tuple[Array, tuple[float, float]], make: Callable[..., Any]
 ) -> Axes:
-    """Axes without a drawing, in a figure whose shape suits these bounds."""
+    """Make empty axes in space, in a figure with the proportions of these bounds."""
     ax = make().add_axes((0.0, 0.0, 1.0, 1.0), projection="3d")
     _set_limits(ax, bounds[0], *bounds[1])
     fit_figure(ax)
     return ax
 
 
-def picture(
+def draw_picture(
     subject: Subject,
     ax: Any,
     bounds: tuple[Array, tuple[float, float]] | None = None,
     make: Callable[..., Any] = page.make_figure,
 ) -> Axes:
-    """Axes in space with the scene, the curves (n, 3) by frame, and other positions as lines.
+    """Draw a subject in space on axes and return these: solids, curves, other positions.
+
+    `bounds` are the points (n, 3) and the view of several pictures with one scale.
+
+    `bounds` are the points (n, 3) and the view of several pictures with one scale.
 
     Frames are marked: by a dot on their curve, or by their axes. Without `ax` the figure is made by
-    `make`. `bounds` are points (n, 3) and the view for which the axes are made already, by `empty`.
+    `make`. `bounds` are points (n, 3) and the view for which the axes are made already, by `make_empty_axes`.
     """
     own = ax is None
     if own:
@@ -114,7 +118,7 @@ def picture(
         )
     ends = [_draw_frame(ax, name, X, style.MARK * radius) for name, X in subject.marks.items()]
     all_points += [*ends, *(c[np.isfinite(c).all(axis=1)] for c in subject.curves.values())]
-    all_points += [scene.points(link) for link in scene.links]
+    all_points += [scene.list_points(link) for link in scene.links]
     angles = callouts.draw_angles_in_space(ax, subject, radius) if subject.options.angles else []
     all_points += [p[None] for p, _, _ in angles]
     if subject.missed is not None:
@@ -141,17 +145,15 @@ def picture(
     skeleton += [np.stack([e[0], tip]) for e in ends for tip in e[1:]]
     texts = [*angles, *callouts.list_texts(subject, style.MARK * radius)]
     _draw_labels(ax, subject, texts, skeleton, radius, compute_camera(elev, azim), own)
-    if subject.parameter_text():
-        ax.set_title(subject.parameter_text(), loc="left", size=FONT - 1, color=INK, pad=3.0)
+    if subject.format_parameters():
+        ax.set_title(subject.format_parameters(), loc="left", size=FONT - 1, color=INK, pad=3.0)
     if subject.keyed:
         page.draw_key(ax, subject.titles, own)
     return ax
 
 
 def _draw_other_positions(ax: Any, subject: Subject) -> list[Array]:
-    """Draw earlier positions faintly, further configurations in colours and dashes of their own;
-    their points.
-    """
+    """Draw earlier positions faintly, and other configurations in colours; return their points."""
     drawn: list[Array] = []
     thick = 3.0 if subject.options.motion else 1.6
     for k, old in enumerate(subject.ghosts):
@@ -180,9 +182,7 @@ def _draw_other_positions(ax: Any, subject: Subject) -> list[Array]:
 
 
 def _draw_frame(ax: Any, name: str, X: Array, length: float) -> Array:
-    """Draw the axes of a frame (4, 4) over everything else; its origin and the ends of its axes (4,
-    3).
-    """
+    """Draw the axes of a frame (4, 4) over everything else; return origin and ends (4, 3)."""
     ends = np.concatenate([X[:3, 3][None], X[:3, 3] + length * X[:3, :3].T])
     for k, axis in enumerate("xyz"):
         ax.plot(
@@ -207,7 +207,7 @@ def _draw_frame(ax: Any, name: str, X: Array, length: float) -> Array:
 
 
 def compute_camera(elev: float, azim: float) -> Array:
-    """Rows right, up and towards the eye (3, 3) of a view; angles in degrees."""
+    """Compute the rows right, up and towards the eye (3, 3) of a view; angles in degrees."""
     e = np.deg2rad(elev)
     a = np.deg2rad(azim)
     return np.array(
@@ -220,10 +220,8 @@ def compute_camera(elev: float, azim: float) -> Array:
 
 
 def _choose_view(scene: Scene) -> tuple[float, float]:
-    """The view in which joint centres and frames lie furthest apart (least sum of inverse
-    distances).
-    """
-    p = np.concatenate([scene.points(link) for link in scene.links])
+    """Choose the view [deg] in which joint centres and frames lie farthest apart."""
+    p = np.concatenate([scene.list_points(link) for link in scene.links])
     i, j = np.triu_indices(len(p), 1)
     apart = np.linalg.norm(p[i] - p[j], axis=1) > 1e-6 * scene.size
     d = (p[i] - p[j])[apart]
@@ -238,7 +236,7 @@ def _choose_view(scene: Scene) -> tuple[float, float]:
 
 
 def _set_limits(ax: Any, points: Array, elev: float, azim: float) -> None:
-    """Set limits with equal scales, light axes in metres, and the view."""
+    """Set limits with equal scales, light axes in metres, and the view of axes in space."""
     lower = points.min(axis=0)
     upper = points.max(axis=0)
     room = 0.03 * float((upper - lower).max()) or 0.5  # a lone point has no extent
@@ -265,7 +263,7 @@ def _set_limits(ax: Any, points: Array, elev: float, azim: float) -> None:
 
 
 def fit_figure(ax: Any) -> None:
-    """Let the box fill the figure, and the figure be no larger than the box with its axes needs."""
+    """Fit the box of the axes to its figure, and shrink the figure to its content."""
     figure = ax.figure
     side = 7.0
     room = (0.75, 0.55)
@@ -284,19 +282,20 @@ def fit_figure(ax: Any) -> None:
 
 
 def set_aspect(ax: Any, zoom: float = 1.0) -> None:
-    """Give all axes one scale."""
+    """Set one scale for all axes in space."""
     ax.set_box_aspect(
         [np.ptp(ax.get_xlim()), np.ptp(ax.get_ylim()), np.ptp(ax.get_zlim())], zoom=zoom
     )
 
 
 def _list_corners(ax: Any) -> Array:
+    """List the eight corners (8, 3) of the limits of axes in space."""
     limits: list[Array] = [np.asarray(x) for x in (ax.get_xlim(), ax.get_ylim(), ax.get_zlim())]
     return np.stack(np.meshgrid(*limits), axis=-1).reshape(-1, 3)
 
 
 def _project_to_axes(ax: Any, points: Array) -> Array:
-    """Points (n, 3) in coordinates of the axes' rectangle (n, 2)."""
+    """Project points (n, 3) to coordinates (n, 2) of the axes' rectangle."""
     from mpl_toolkits.mplot3d import proj3d
 
     ax.apply_aspect()
@@ -305,6 +304,7 @@ def _project_to_axes(ax: Any, points: Array) -> Array:
 
 
 def _make_locator(count: int) -> Any:
+    """Make a locator of at most `count` ticks at round numbers."""
     from matplotlib.ticker import MaxNLocator
 
     return MaxNLocator(count, steps=[1, 2, 5, 10])
@@ -319,32 +319,30 @@ def _draw_labels(
     eye: Array,
     own: bool,
 ) -> None:
-    """Write names of joints and frames, and other texts at their points, placed in the plane of the
-    picture.
-    """
+    """Draw names of joints and frames and other texts, placed so that they cover little."""
     from matplotlib.patheffects import withStroke
 
     scene = subject.scene
     words = subject.options.words
     obstacles = Obstacles()
     for line in skeleton:
-        obstacles.line(line @ eye[:2].T, 1.2 * radius, 0.8)
+        obstacles.add_line(line @ eye[:2].T, 1.2 * radius, 0.8)
     for joint in scene.joints:
         c = eye[:2] @ joint.centre
-        obstacles.segment(c, c, 2.0 * radius, 1.0)
-        if scene.telescopic(joint, radius):
+        obstacles.add_segment(c, c, 2.0 * radius, 1.0)
+        if scene.is_telescopic(joint, radius):
             low, high = (joint.F[:3, 3] + t * (joint.centre - joint.F[:3, 3]) for t in (0.16, 0.56))
-            obstacles.segment(eye[:2] @ low, eye[:2] @ high, 2.0 * radius, 1.0)
+            obstacles.add_segment(eye[:2] @ low, eye[:2] @ high, 2.0 * radius, 1.0)
         if 0 in (joint.parent, joint.child):
-            obstacles.segment(c, c - eye[:2, 2] * 3.0 * radius, 2.2 * radius, 0.9)
-    metres_a_point = _metres_a_point(ax, eye)
+            obstacles.add_segment(c, c - eye[:2, 2] * 3.0 * radius, 2.2 * radius, 0.9)
+    metres_a_point = _compute_point_size(ax, eye)
     half = 0.5 * metres_a_point * 72.0 * (ax.figure.get_size_inches() - 0.1)
     centre = eye[:2] @ _list_corners(ax).mean(axis=0)
     obstacles.bounds = (centre - half, centre + half) if own else None
     groups: list[tuple[Array, list[str], dict[str, Any]]] = []
     for joint in scene.joints:
-        seat = scene.seat(joint, radius)
-        text = subject.joint_text(joint)
+        seat = scene.find_seat(joint, radius)
+        text = subject.format_joint(joint)
         if not text:
             continue
         near = next(
@@ -378,7 +376,7 @@ def _draw_labels(
         )
         c = eye[:2] @ p
         outward = eye[:2] @ (p - middle) / scene.size
-        place = obstacles.place(c, (width, height), 2.1 * radius, outward)
+        place = obstacles.find_free_place(c, (width, height), 2.1 * radius, outward)
         where = p + eye[:2].T @ (place - c)
         ax.text(
             *where,
@@ -391,7 +389,7 @@ def _draw_labels(
         )
 
 
-def _metres_a_point(ax: Any, eye: Array) -> float:
+def _compute_point_size(ax: Any, eye: Array) -> float:
     """Metres in one point (1/72 inch) of the paper, in the plane of the picture."""
     centre = np.array(
         [

@@ -66,23 +66,21 @@ POINT = 0.085
 
 
 def choose_link_colour(number: int) -> str:
-    """Colour of the link of this number; the ground is number 0."""
+    """Return the colour of the link with this number; 0 is the ground."""
     return GROUND if number == 0 else LINKS[(number - 1) % len(LINKS)]
 
 
 def choose_curve_colour(number: int) -> str:
-    """Colour of the curve of this number, counted from 0."""
+    """Return the colour of the curve with this number, counted from 0."""
     return CURVES[number % len(CURVES)]
 
 
 def choose_configuration_colour(number: int) -> str:
-    """Colour of the configuration of this number of several in one picture; the first, in full, is
-    number 0.
-    """
+    """Return the colour of one of several configurations in a picture; 0 is the first."""
     return INK if number == 0 else choose_curve_colour(number)
 
 
 def mix_colours(colour: str, other: str, part: float) -> str:
-    """The colour with a `part` (0 to 1) of the other mixed in, as '#rrggbb'."""
+    """Mix a `part` (0 to 1) of another colour into a colour; returns '#rrggbb'."""
     a, b = (tuple(int(c[i : i + 2], 16) for i in (1, 3, 5)) for c in (colour, other))
     return "#" + "".join(f"{round(x + (y - x) * part):02x}" for x, y in zip(a, b, strict=True))

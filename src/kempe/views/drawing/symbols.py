@@ -40,14 +40,14 @@ TURNING = ("revolute", "cylindrical", "helical")
 
 
 def choose_radius(scene: Scene) -> float:
-    """Radius [m] of a hinge that suits the size of the drawing and its shorter links."""
+    """Choose the radius [m] of hinges from the size of the drawing and its shorter links."""
     lengths = scene.lengths
     short = float(np.quantile(lengths, 0.35)) if len(lengths) else scene.size
     return max(min(OF_SIZE * scene.size, OF_LINK * short), LEAST * scene.size)
 
 
 def add_scene(solids: Solids, scene: Scene, r: float, configurations: Array | None) -> list[Array]:
-    """Add everything that the scene shows; returns the polylines (n, 3) that its links follow."""
+    """Add all solids of a scene; return the polylines (n, 3) of its links."""
     skeleton: list[Array] = []
     _add_ground(solids, scene, r, skeleton)
     for link in scene.links[1:]:
@@ -60,21 +60,21 @@ def add_scene(solids: Solids, scene: Scene, r: float, configurations: Array | No
         _add_gap(solids, joint, r)
     for name, _, ends, wrong in scene.rods:
         colour = OPEN if abs(wrong) > WRONG * scene.size else style.FAINT
-        solids.tube(f"rod:{name}", ends[0], ends[1], 0.35 * r, colour)
+        solids.add_tube(f"rod:{name}", ends[0], ends[1], 0.35 * r, colour)
         for end in ends:
-            solids.ball(f"rod:{name}", end, 0.8 * r, JOINT)
+            solids.add_ball(f"rod:{name}", end, 0.8 * r, JOINT)
         skeleton.append(ends)
     for mark in scene.marks:
         _add_constraint(solids, mark, r)
     for name, _, A, point in scene.lines:
         along = A[:3, 2] * 6 * r
-        solids.tube(f"line:{name}", point - along, point + along, 0.2 * r, GROUND)
-        solids.ball(f"line:{name}", point, 0.8 * r, JOINT)
+        solids.add_tube(f"line:{name}", point - along, point + along, 0.2 * r, GROUND)
+        solids.add_ball(f"line:{name}", point, 0.8 * r, JOINT)
     return skeleton
 
 
 def _add_constraint(solids: Solids, mark: SeenMark, r: float) -> None:
-    """Draw an axle with wheels, a wheel or ball on the plane that it touches, or a point."""
+    """Add the symbol of a constraint: wheels, a wheel or ball on its plane, or a point."""
     name = f"mark:{mark.name}"
     c = mark.point
     axle = mark.B[:3, 1]
@@ -83,7 +83,7 @@ def _add_constraint(solids: Solids, mark: SeenMark, r: float) -> None:
         X = np.eye(4)
         X[:3, :3] = spatial.align_z(mark.plane[1])
         X[:3, 3] = mark.plane[0]
-        solids.plate(
+        solids.add_plate(
             f"{name}:plane",
             _list_square_corners(X, max(2.0 * mark.radius, 6.0 * r)),
             GROUND,
@@ -92,30 +92,30 @@ def _add_constraint(solids: Solids, mark: SeenMark, r: float) -> None:
         )
     if mark.radius > 0.0 and mark.disc:
         half = 0.08 * mark.radius * axle
-        solids.tube(name, c - half, c + half, mark.radius, colour, 1, sides=24)
+        solids.add_tube(name, c - half, c + half, mark.radius, colour, 1, sides=24)
     elif mark.radius > 0.0:
-        solids.ball(name, c, mark.radius, colour)
+        solids.add_ball(name, c, mark.radius, colour)
     elif mark.symbol == "wheel":
-        solids.tube(name, c - 6.0 * r * axle, c + 6.0 * r * axle, 0.4 * r, INK)
+        solids.add_tube(name, c - 6.0 * r * axle, c + 6.0 * r * axle, 0.4 * r, INK)
         for end in (c - 6.0 * r * axle, c + 6.0 * r * axle):
-            solids.tube(name, end - 0.5 * r * axle, end + 0.5 * r * axle, 2.4 * r, INK, 1)
+            solids.add_tube(name, end - 0.5 * r * axle, end + 0.5 * r * axle, 2.4 * r, INK, 1)
     else:
-        solids.ball(name, c, 0.8 * r, JOINT)
+        solids.add_ball(name, c, 0.8 * r, JOINT)
 
 
 def iterate_link_lines(scene: Scene) -> Iterator[tuple[SeenLink, Array]]:
-    """For each moving link the polylines (n, 3) that it is drawn along."""
+    """Iterate over the moving links and the polylines (n, 3) along which each is drawn."""
     for link in scene.links[1:]:
         for line in list_link_lines(scene, link):
             yield link, line
 
 
 def list_link_lines(scene: Scene, link: SeenLink) -> list[Array]:
-    """The polylines (n, 3) that a link is drawn along."""
+    """List the polylines (n, 3) along which a link is drawn."""
     joints = [scene.joints[j] for j in link.joints]
     centres = remove_duplicates(
         np.array(
-            [j.on(link.number)[:3, 3] for j in joints]
+            [j.find_pose_on(link.number)[:3, 3] for j in joints]
             + [e[k] for _, n, e, _ in scene.rods for k in (0, 1) if n[k] == link.number]
             + [p for _, n, _, p in scene.lines if n[1] == link.number]
             + [m.point for m in scene.marks if m.link == link.number]
@@ -127,7 +127,9 @@ def list_link_lines(scene: Scene, link: SeenLink) -> list[Array]:
     if len(joints) == 2 and len(centres) <= 2:
         first, last = joints
         turns = first.kind in TURNING, last.kind in TURNING
-        out.append(_connect_axes(first.on(link.number), last.on(link.number), *turns))
+        out.append(
+            _connect_axes(first.find_pose_on(link.number), last.find_pose_on(link.number), *turns)
+        )
         hub = centres
     elif len(centres) > 2:
         rim = find_flat_hull(centres, 0.02 * scene.size)
@@ -159,8 +161,9 @@ def list_link_lines(scene: Scene, link: SeenLink) -> list[Array]:
 
 
 def _connect_axes(A: Array, B: Array, use_a: bool, use_b: bool) -> Array:
-    """Polyline from one joint to the next along their axes and the common normal (Denavit,
-    Hartenberg, 1955).
+    """Connect two joints by a polyline along their axes and the common normal.
+
+    Denavit and Hartenberg (1955).
 
     Straight where a joint has no axis, where axes are parallel, and where the way would be a
     detour.
@@ -189,16 +192,17 @@ def _connect_axes(A: Array, B: Array, use_a: bool, use_b: bool) -> Array:
 def _add_link(
     solids: Solids, scene: Scene, link: SeenLink, r: float, skeleton: list[Array]
 ) -> None:
+    """Add the solids of a link: tubes along its polylines, or a plate."""
     colour = style.choose_link_colour(link.number)
     name = f"link:{link.name}"
     drawn = list_link_lines(scene, link)
     for line in drawn:
         _add_pipe(solids, name, line, LINK * r, style.mix_colours(colour, style.PAPER, 0.15))
         if len(line) > 3 and np.allclose(line[0], line[-1]):
-            solids.plate(name, line[:-1], colour, 0.22)
+            solids.add_plate(name, line[:-1], colour, 0.22)
     skeleton += drawn
     if link.particle:
-        solids.ball(name, next(iter(link.bodies.values()))[:3, 3], 1.3 * r, colour)
+        solids.add_ball(name, next(iter(link.bodies.values()))[:3, 3], 1.3 * r, colour)
         return
     for frame, X in link.frames.items():
         _add_triad(solids, f"frame:{frame}", X, r)
@@ -206,20 +210,22 @@ def _add_link(
 
 
 def _add_pipe(solids: Solids, name: str, line: Array, thick: float, colour: str) -> None:
+    """Add a tube along a polyline (n, 3)."""
     steps = np.linalg.norm(np.diff(line, axis=0), axis=1)
     for a, b, step in zip(line[:-1], line[1:], steps, strict=True):
         if step > 1e-12:
-            solids.tube(name, a, b, thick, colour)
+            solids.add_tube(name, a, b, thick, colour)
     for p, before, after in zip(line[1:-1], steps[:-1], steps[1:], strict=True):
         if min(before, after) > 1e-12:
-            solids.ball(name, p, thick, colour)
+            solids.add_ball(name, p, thick, colour)
 
 
 def _add_triad(solids: Solids, name: str, X: Array, r: float) -> None:
+    """Add the three axes of a pose (4, 4)."""
     for axis, colour in enumerate(style.AXES):
         tip = X[:3, 3] + 3.6 * r * X[:3, axis]
-        solids.tube(name, X[:3, 3], tip, 0.17 * r, colour, pieces=2, sides=6)
-        solids.tube(
+        solids.add_tube(name, X[:3, 3], tip, 0.17 * r, colour, pieces=2, sides=6)
+        solids.add_tube(
             name,
             tip,
             tip + 1.1 * r * X[:3, axis],
@@ -235,6 +241,7 @@ def _add_triad(solids: Solids, name: str, X: Array, r: float) -> None:
 
 
 def _add_ground(solids: Solids, scene: Scene, r: float, skeleton: list[Array]) -> None:
+    """Add ground symbols below the joints of the ground."""
     link = scene.links[0]
     joints = [
         scene.joints[j]
@@ -243,7 +250,9 @@ def _add_ground(solids: Solids, scene: Scene, r: float, skeleton: list[Array]) -
     ]
     origin = next(iter(link.bodies.values()))[:3, 3]
     rods = [ends[k] for _, links, ends, _ in scene.rods for k in (0, 1) if links[k] == 0]
-    centres = remove_duplicates(np.array([*(j.on(0)[:3, 3] for j in joints), *rods]).reshape(-1, 3))
+    centres = remove_duplicates(
+        np.array([*(j.find_pose_on(0)[:3, 3] for j in joints), *rods]).reshape(-1, 3)
+    )
     if len(centres) == 1:
         gap = float(np.linalg.norm(centres[0] - origin))
         if 4 * r < gap < 2 * scene.size:
@@ -262,7 +271,7 @@ def _add_ground(solids: Solids, scene: Scene, r: float, skeleton: list[Array]) -
     elif len(centres) > 2:
         rim = find_flat_hull(centres, 0.02 * scene.size)
         if rim is not None:
-            solids.plate("ground", centres[rim], GROUND, 0.12)
+            solids.add_plate("ground", centres[rim], GROUND, 0.12)
             _add_pipe(
                 solids,
                 "ground",
@@ -278,7 +287,7 @@ def _add_ground(solids: Solids, scene: Scene, r: float, skeleton: list[Array]) -
 
 
 def _add_ground_symbol(solids: Solids, name: str, p: Array, r: float) -> None:
-    """Draw a pyramid on a hatched plate, below p."""
+    """Add a ground symbol below p (3,): a pyramid on a hatched plate."""
     base = p - np.array([0.0, 0.0, 3.0 * r])
     square = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     foot = base + 1.5 * r * square
@@ -286,8 +295,8 @@ def _add_ground_symbol(solids: Solids, name: str, p: Array, r: float) -> None:
     for k in range(4):
         corners = np.array([p, foot[k], foot[(k + 1) % 4]])
         normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
-        solids.face(name, corners, normal / np.linalg.norm(normal), fill, edge=GROUND)
-    solids.plate(
+        solids.add_face(name, corners, normal / np.linalg.norm(normal), fill, edge=GROUND)
+    solids.add_plate(
         name, base + 2.4 * r * square, style.mix_colours(GROUND, style.PAPER, 0.2), 0.45, GROUND
     )
 
@@ -296,12 +305,12 @@ def _add_ground_symbol(solids: Solids, name: str, p: Array, r: float) -> None:
 
 
 def _choose_parent_colour(link: int) -> str:
-    """The colour of the half of a joint that belongs to its parent, darker than that of the child."""
+    """Return the colour of the parent's half of a joint, darker than the child's."""
     return style.mix_colours(style.choose_link_colour(link), INK, 0.2)
 
 
 def _choose_child_colour(j: SeenJoint, colour: str) -> str:
-    """The colour of the half of the child: that of drivers where it is driven."""
+    """Return the colour of the child's half of a joint, which marks drivers."""
     return (
         colour
         if j.driven
@@ -310,25 +319,28 @@ def _choose_child_colour(j: SeenJoint, colour: str) -> str:
 
 
 def _find_link_side(scene: Scene, j: SeenJoint, link: int, usual: float) -> Array:
-    """The direction (3,) along z of the joint on which a link lies; on the `usual` side of z where
-    that is open.
+    """Find the direction (3,) along the joint's z axis in which a link lies.
+
+    The `usual` side of z counts where both are open.
     """
-    axis = j.on(link)[:3, 2]
-    away = float((scene.points(scene.links[link]) - j.centre).sum(axis=0) @ axis) if link else 0.0
+    axis = j.find_pose_on(link)[:3, 2]
+    away = (
+        float((scene.list_points(scene.links[link]) - j.centre).sum(axis=0) @ axis) if link else 0.0
+    )
     return axis * (np.sign(away) if abs(away) > 1e-6 * scene.size else usual)
 
 
 def _add_revolute(
     solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None
 ) -> None:
-    """Draw a barrel of the child between two knuckles of the parent."""
+    """Add a revolute joint: a barrel of the child between two knuckles of the parent."""
     name = f"joint:{j.name}"
     c = j.centre
-    solids.tube(
+    solids.add_tube(
         name, c - r * j.axis, c + r * j.axis, r, _choose_child_colour(j, colour), 1, edge=INK
     )
     for sign in (-1.0, 1.0):
-        solids.tube(
+        solids.add_tube(
             name,
             c + sign * r * j.axis,
             c + 1.7 * sign * r * j.axis,
@@ -342,9 +354,7 @@ def _add_revolute(
 def _find_rail_ends(
     scene: Scene, j: SeenJoint, r: float, configurations: Array | None
 ) -> tuple[Array, Array]:
-    """Ends of the rail of a joint that slides along z of F: from F to M, or along its travel on the
-    ground.
-    """
+    """Find the ends of a sliding joint's rail: from F to M, or along its travel on the ground."""
     origin = j.F[:3, 3]
     axis = j.axis
     now = float(axis @ (j.centre - origin))
@@ -362,37 +372,36 @@ def _find_rail_ends(
 def _add_split_rail(
     solids: Solids, j: SeenJoint, a: Array, b: Array, half: float, thick: float, colour: str
 ) -> None:
-    """Draw the rail from a to b without what is inside the symbol, which sorting by depth would
-    show through it.
-    """
+    """Add the rail from a to b without the part inside the joint's symbol."""
     if not solids.by_depth:
-        solids.tube(f"rail:{j.name}", a, b, thick, colour)
+        solids.add_tube(f"rail:{j.name}", a, b, thick, colour)
         return
     for end, sign in ((a, -1.0), (b, 1.0)):
-        solids.tube(f"rail:{j.name}", j.centre + sign * half * j.axis, end, thick, colour)
+        solids.add_tube(f"rail:{j.name}", j.centre + sign * half * j.axis, end, thick, colour)
 
 
 def _add_prismatic(
     solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None
 ) -> None:
+    """Add a prismatic joint: a block on a rail, or cylinder and rod."""
     X = j.M.copy()
-    if scene.telescopic(j, r):
+    if scene.is_telescopic(j, r):
         along = j.centre - j.F[:3, 3]
         low = j.F[:3, 3] + 0.16 * along
         high = j.F[:3, 3] + 0.56 * along
-        X[:3, 3] = scene.seat(j, r)
+        X[:3, 3] = scene.find_seat(j, r)
         own = style.mix_colours(style.choose_link_colour(j.child), style.PAPER, 0.35)
         base = style.mix_colours(style.choose_link_colour(j.parent), style.PAPER, 0.15)
-        solids.tube(f"rod:{j.name}", j.F[:3, 3], low, LINK * r, base)
-        solids.tube(f"rod:{j.name}", high, j.centre, 0.8 * LINK * r, own)
+        solids.add_tube(f"rod:{j.name}", j.F[:3, 3], low, LINK * r, base)
+        solids.add_tube(f"rod:{j.name}", high, j.centre, 0.8 * LINK * r, own)
         half = np.array([1.1 * r, 1.1 * r, 0.2 * float(np.linalg.norm(along))])
-        solids.box(f"joint:{j.name}", X, half, colour if j.driven else base, INK)
+        solids.add_box(f"joint:{j.name}", X, half, colour if j.driven else base, INK)
         return
     a, b = _find_rail_ends(scene, j, r, configurations)
     on_ground = 0 in (j.parent, j.child)
     rail = GROUND if on_ground else style.choose_link_colour(j.parent)
     _add_split_rail(solids, j, a, b, 2.0 * r, 0.4 * r, style.mix_colours(rail, style.PAPER, 0.2))
-    solids.box(
+    solids.add_box(
         f"joint:{j.name}",
         X,
         np.array([1.3 * r, 1.3 * r, 2.0 * r]),
@@ -404,11 +413,12 @@ def _add_prismatic(
 def _add_cylindrical(
     solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None
 ) -> None:
+    """Add a cylindrical joint: a sleeve on a round rail."""
     a, b = _find_rail_ends(scene, j, r, configurations)
     rail = GROUND if 0 in (j.parent, j.child) else style.choose_link_colour(j.parent)
     _add_split_rail(solids, j, a, b, 1.5 * r, 0.55 * r, style.mix_colours(rail, style.PAPER, 0.2))
     half = 1.5 * r * j.axis
-    solids.tube(
+    solids.add_tube(
         f"joint:{j.name}",
         j.centre - half,
         j.centre + half,
@@ -419,7 +429,7 @@ def _add_cylindrical(
     )
     for end in (a, b):  # collars, at which the sleeve turns and stops
         out = 0.3 * r * (end - j.centre) / float(np.linalg.norm(end - j.centre))
-        solids.tube(
+        solids.add_tube(
             f"rail:{j.name}",
             end - out,
             end,
@@ -433,6 +443,7 @@ def _add_cylindrical(
 def _add_helical(
     solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None
 ) -> None:
+    """Add a helical joint: a cylindrical joint with a thread."""
     _add_cylindrical(solids, scene, j, r, colour, configurations)
     turns = np.linspace(0.0, 6 * np.pi, 37)
     along = np.linspace(-1.4, 1.4, 37) * r
@@ -444,15 +455,15 @@ def _add_helical(
         + along[:, None] * j.axis
     )
     for p, q in zip(helix[:-1], helix[1:], strict=True):
-        solids.tube(f"joint:{j.name}", p, q, 0.14 * r, INK, 1, caps=False, sides=5)
+        solids.add_tube(f"joint:{j.name}", p, q, 0.14 * r, INK, 1, caps=False, sides=5)
 
 
 def _add_spherical(
     solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None
 ) -> None:
-    """Draw a ball of the child in a socket of the parent."""
-    solids.ball(f"joint:{j.name}", j.centre, 1.35 * r, _choose_child_colour(j, colour))
-    solids.bowl(
+    """Add a spherical joint: a ball of the child in a socket of the parent."""
+    solids.add_ball(f"joint:{j.name}", j.centre, 1.35 * r, _choose_child_colour(j, colour))
+    solids.add_bowl(
         f"socket:{j.name}",
         j.centre,
         1.6 * r,
@@ -464,34 +475,40 @@ def _add_spherical(
 def _add_universal(
     solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None
 ) -> None:
-    """Draw a cross, one arm along x of F, the other along y of M, each in the fork of its link."""
+    """Add a universal joint: a cross with arms along x of F and y of M, in the forks of its links."""
     for arm, link, usual in ((j.F[:3, 0], j.parent, -1.0), (j.M[:3, 1], j.child, 1.0)):
         a = j.centre - 1.8 * r * arm
         b = j.centre + 1.8 * r * arm
-        solids.tube(f"joint:{j.name}", a, b, 0.4 * r, colour, 2, edge=INK)
+        solids.add_tube(f"joint:{j.name}", a, b, 0.4 * r, colour, 2, edge=INK)
         tint = _choose_parent_colour(link) if link == j.parent else _choose_child_colour(j, JOINT)
         back = 2.4 * r * _find_link_side(scene, j, link, usual)
         for end, sign in ((a, -1.0), (b, 1.0)):
-            solids.tube(
+            solids.add_tube(
                 f"joint:{j.name}", end, end + 0.35 * sign * r * arm, 0.62 * r, tint, 1, edge=INK
             )
-            solids.tube(f"fork:{j.name}", end, end + back, 0.33 * r, tint, 2, edge=INK)
+            solids.add_tube(f"fork:{j.name}", end, end + back, 0.33 * r, tint, 2, edge=INK)
         more = 0.3 * r * arm
-        solids.tube(f"fork:{j.name}", a + back - more, b + back + more, 0.33 * r, tint, 2, edge=INK)
-    solids.ball(f"joint:{j.name}", j.centre, 0.7 * r, colour)
+        solids.add_tube(
+            f"fork:{j.name}", a + back - more, b + back + more, 0.33 * r, tint, 2, edge=INK
+        )
+    solids.add_ball(f"joint:{j.name}", j.centre, 0.7 * r, colour)
 
 
 def _add_planar(
     solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None
 ) -> None:
+    """Add a planar joint: a block on a table."""
     X = j.F.copy()
-    solids.plate(f"joint:{j.name}:table", _list_square_corners(X, 8.0 * r), GROUND, 0.15, GROUND)
-    solids.box(
+    solids.add_plate(
+        f"joint:{j.name}:table", _list_square_corners(X, 8.0 * r), GROUND, 0.15, GROUND
+    )
+    solids.add_box(
         f"joint:{j.name}", j.M, np.array([1.8, 1.8, 0.6]) * r, _choose_child_colour(j, colour), INK
     )
 
 
 def _list_square_corners(X: Array, half: float) -> Array:
+    """List the corners (4, 3) of a square in the x-y plane of a pose."""
     corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * half
     return X[:3, 3] + corners @ X[:3, :3].T
 
@@ -499,30 +516,31 @@ def _list_square_corners(X: Array, half: float) -> Array:
 def _add_translation(
     solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None
 ) -> None:
-    solids.box(f"joint:{j.name}", j.M, np.full(3, 1.2 * r), _choose_child_colour(j, colour), INK)
+    """Add a joint of three translations: a block with three crossed bars."""
+    solids.add_box(
+        f"joint:{j.name}", j.M, np.full(3, 1.2 * r), _choose_child_colour(j, colour), INK
+    )
     for axis in range(3):
         arm = 2.6 * r * j.F[:3, axis]
-        solids.tube(f"joint:{j.name}", j.centre - arm, j.centre + arm, 0.25 * r, GROUND, 2)
+        solids.add_tube(f"joint:{j.name}", j.centre - arm, j.centre + arm, 0.25 * r, GROUND, 2)
 
 
 def _add_nothing(
     solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None
 ) -> None:
-    """Draw nothing: a free joint holds nothing."""
+    """Add nothing: a free joint has no symbol."""
 
 
 def _add_other_joint(
     solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None
 ) -> None:
-    """Draw a barrel about each axis of F that the joint turns about, a bar along each that it
-    slides along.
-    """
+    """Add a joint without its own symbol: a barrel for each rotation, a bar for each translation."""
     for p in j.motions:
         axis = j.F[:3, "xyz".index(p.axis)]
         if p.kind == Q:
-            solids.ball(f"joint:{j.name}", j.centre, 1.35 * r, colour)
+            solids.add_ball(f"joint:{j.name}", j.centre, 1.35 * r, colour)
         elif p.kind == P:
-            solids.tube(
+            solids.add_tube(
                 f"joint:{j.name}",
                 j.centre - 2.6 * r * axis,
                 j.centre + 2.6 * r * axis,
@@ -531,7 +549,7 @@ def _add_other_joint(
                 2,
             )
         else:
-            solids.tube(
+            solids.add_tube(
                 f"joint:{j.name}",
                 j.centre - 1.3 * r * axis,
                 j.centre + 1.3 * r * axis,
@@ -558,13 +576,14 @@ primitives."""
 
 
 def _add_turning_arrow(solids: Solids, j: SeenJoint, r: float) -> None:
+    """Add a curved arrow around the axis of a driven joint."""
     angles = np.linspace(0.0, float(np.deg2rad(235.0)), 22)[:, None]
     circle = np.cos(angles) * j.F[:3, 0] + np.sin(angles) * j.F[:3, 1]
-    solids.arrow(f"driver:{j.name}", j.centre + 2.2 * r * circle, 0.2 * r, DRIVER)
+    solids.add_arrow(f"driver:{j.name}", j.centre + 2.2 * r * circle, 0.2 * r, DRIVER)
 
 
 def _add_gap(solids: Solids, j: SeenJoint, r: float) -> None:
-    """Draw a red line where a joint does not hold together."""
+    """Add a red line between the two parts of a joint whose loop is not closed."""
     gap = j.centre - j.F[:3, 3]
     if j.kind not in SYMBOLS:
         gap = np.zeros(3) if j.gap is None else j.gap
@@ -573,4 +592,4 @@ def _add_gap(solids: Solids, j: SeenJoint, r: float) -> None:
     elif j.kind in ("planar", "translation", "free"):
         return
     if np.linalg.norm(gap) > 0.02 * r:
-        solids.tube(f"open:{j.name}", j.centre - gap, j.centre, 0.25 * r, OPEN)
+        solids.add_tube(f"open:{j.name}", j.centre - gap, j.centre, 0.25 * r, OPEN)

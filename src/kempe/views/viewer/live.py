@@ -1,4 +1,4 @@
-"""The page of `system.show()`, on which a system is seen and moved; it is served by viser.
+"""The interactive page of `system.show()`, served by viser.
 
 Needs the extra [view]. Errors: `MissingExtraError` without viser or trimesh.
 """
@@ -57,26 +57,23 @@ Action = Callable[[], Any]
 
 
 class Job:
-    """A computation in rounds, each of which gives an action for the page; `dropped` once nobody
-    waits for it.
-    """
+    """A computation in rounds, each of which gives an action for the page; `dropped` if cancelled."""
 
     def __init__(self, key: str, work: Callable[[Callable[..., None]], Iterator[Action]]):
         self.key = key
         self.dropped = False
-        self.rounds = work(self.check)
+        self.rounds = work(self.check_waiting)
 
-    def check(self, *done: object) -> None:
-        """Raise `KeyboardInterrupt` if nobody waits: verbs whose progress this is then end with
-        what they have.
+    def check_waiting(self, *done: object) -> None:
+        """Raise `KeyboardInterrupt` if the job was cancelled; searches then end with what they
+        have.
         """
         if self.dropped:
             raise KeyboardInterrupt
 
 
 class Beside:
-    """A thread that does jobs round by round, in turn, those begun last first; actions are given to
-    `post`.
+    """A thread that runs jobs round by round, in turn, the latest first; actions go to `post`.
 
     `post(key, action)` is called for each round, with a key of its own, and `failed(sentence)` is
     the action where a round raised a `KempeError`, or anything else, whose traceback is then
@@ -89,31 +86,32 @@ class Beside:
         self.jobs = list[Job]()
         self.ready = threading.Condition()
         self.open = True
-        threading.Thread(target=self._work, daemon=True).start()
+        threading.Thread(target=self._run_jobs, daemon=True).start()
 
-    def start(self, key: str, work: Callable[[Callable[..., None]], Iterator[Action]]) -> None:
-        """Begin a job in place of the one with the same key."""
+    def start_job(self, key: str, work: Callable[[Callable[..., None]], Iterator[Action]]) -> None:
+        """Start a job in place of the one with the same key."""
         with self.ready:
-            self.drop(key)
+            self.drop_jobs(key)
             self.jobs.insert(0, Job(key, work))
             self.ready.notify()
 
-    def drop(self, key: str | None = None) -> None:
-        """End the job of a key, or all."""
+    def drop_jobs(self, key: str | None = None) -> None:
+        """Cancel the job with a key, or all jobs."""
         with self.ready:
             for job in tuple(self.jobs):
                 if key in (None, job.key):
                     job.dropped = True
                     self.jobs.remove(job)
 
-    def close(self) -> None:
-        """End the thread."""
+    def end_thread(self) -> None:
+        """Cancel all jobs and end the thread."""
         with self.ready:
             self.open = False
-            self.drop()
+            self.drop_jobs()
             self.ready.notify()
 
-    def _work(self) -> None:
+    def _run_jobs(self) -> None:
+        """Run the jobs until the thread is ended."""
         count = 0
         while True:
             with self.ready:
@@ -125,29 +123,31 @@ class Beside:
             try:
                 action = next(job.rounds, None)
             except KempeError as error:
-                action = self._refused(job, str(error))
+                action = self._refuse_job(job, str(error))
             except KeyboardInterrupt:
                 action = None
             except DEFECTS as error:  # the page goes on, and the terminal has where it was
                 traceback.print_exc()
-                action = self._refused(
+                action = self._refuse_job(
                     job, f"not done, by a defect of Kempe: {type(error).__name__}: {error}"
                 )
             count += 1
             if action is not None:
-                self.post(f"{job.key} {count}", self._if_wanted(job, action))
+                self.post(f"{job.key} {count}", self._guard_action(job, action))
             with self.ready:
                 if job in self.jobs:
                     self.jobs.remove(job)
                     if action is not None and not job.dropped:
                         self.jobs.append(job)
 
-    def _refused(self, job: Job, text: str) -> Action:
+    def _refuse_job(self, job: Job, text: str) -> Action:
+        """End a job that failed; return the action that reports the failure."""
         job.rounds = iter(())
         return lambda: self.failed(text)
 
     @staticmethod
-    def _if_wanted(job: Job, action: Action) -> Action:
+    def _guard_action(job: Job, action: Action) -> Action:
+        """Wrap an action so that it does nothing once its job is cancelled."""
         return lambda: None if job.dropped else action()
 
 
@@ -160,7 +160,7 @@ FRAMES = 30.0
 
 
 class Player:
-    """What a page shows of motions; `motion` is the one that its slider is for."""
+    """Controls of a page for motions: buttons to find and play them, and a time slider."""
 
     def __init__(self, page: Page):
         self.page = page
@@ -171,26 +171,26 @@ class Player:
             self.finds: Any = None
             self.time: Any = None
             self.play = gui.add_button("play", color="gray", visible=False)
-        self.play.on_click(self._pressed)
+        self.play.on_click(self._toggle_playing)
         self.make_finds()
         self.make_time()
 
     def make_finds(self) -> None:
-        """Make the buttons that find motions, where the frame and what counts of it allow any."""
+        """Make the buttons that find motions, if the frame and the task allow any."""
         if self.finds is not None:
             self.finds.remove()
         page = self.page
         names = list_possible_motions(page.session)
         with self.folder:
             self.finds = (
-                page.buttons("find", {n: lambda n=n: page.find(n) for n in names})
+                page.add_buttons("find", {n: lambda n=n: page.find_motion(n) for n in names})
                 if names
                 else None
             )
         self.folder.visible = bool(names) or page.session.motion is not None
 
     def make_time(self) -> None:
-        """Make the slider of the motion that is played."""
+        """Make the time slider of the motion that is played."""
         page = self.page
         self.motion = motion = page.session.motion
         if motion is None:
@@ -204,17 +204,19 @@ class Player:
             )
         scale = motion.duration / last
         self.time.on_update(
-            page.by_hand("time", lambda h=self.time: page.session.at(scale * h.value))
+            page.make_callback("time", lambda h=self.time: page.session.go_to_time(scale * h.value))
         )
         self.folder.visible = self.play.visible = True
 
-    async def _pressed(self, event: Any) -> None:
+    async def _toggle_playing(self, event: Any) -> None:
+        """Start or stop playing when the button is pressed."""
         self.playing = not self.playing
         self.play.label = "stop" if self.playing else "play"
         if self.playing:
-            threading.Thread(target=self._run, daemon=True).start()
+            threading.Thread(target=self._play_motion, daemon=True).start()
 
-    def _run(self) -> None:
+    def _play_motion(self) -> None:
+        """Play the motion in a loop until it is stopped."""
         page = self.page
         bar = self.time
         motion = self.motion
@@ -224,11 +226,12 @@ class Player:
         while self.playing and page.open and bar is self.time:
             part = (part + bar.max / (motion.duration * FRAMES)) % bar.max
 
-            def there(x: float = part) -> None:
-                page.session.at(x * motion.duration / bar.max)
+            def go_to_time(x: float = part) -> None:
+                """Show the motion at a part of its duration."""
+                page.session.go_to_time(x * motion.duration / bar.max)
                 bar.value = x
 
-            page.post("play", there)
+            page.post_action("play", go_to_time)
             time.sleep(1.0 / FRAMES)
         self.playing = False
         if page.open:
@@ -259,8 +262,7 @@ QUICK = 0.1
 
 
 class Page:
-    """A page, its client in viser, and the session that it shows. Events are answered one after the
-    other by a thread.
+    """A page in a browser with its session; a thread answers events one after the other.
 
     Of events of the same control that wait, only the last is answered.
     """
@@ -279,19 +281,19 @@ class Page:
         self.sliders: dict[str, Any] = {}
         self.made: tuple[tuple[str, str], ...] = ()
         self.arrived = self.slid = 0.0
-        self.searches = Beside(self.post, self._say)
-        self.overlays = Beside(self.post, self._say)
+        self.searches = Beside(self.post_action, self._show_text)
+        self.overlays = Beside(self.post_action, self._show_text)
         self.follow = False
         with client.atomic():
-            self._panel(drawn)
-            self._gizmo()
-        threading.Thread(target=self._work, daemon=True).start()
-        self.post("first", lambda: None)
+            self._build_panel(drawn)
+            self._add_gizmo()
+        threading.Thread(target=self._run_actions, daemon=True).start()
+        self.post_action("first", lambda: None)
 
     # ---- events
 
-    def post(self, key: str, action: Callable[[], Any]) -> None:
-        """Append an action to those that wait, in place of one with the same key."""
+    def post_action(self, key: str, action: Callable[[], Any]) -> None:
+        """Append an action to the waiting ones, in place of the one with the same key."""
         with self.ready:
             if not self.waiting:
                 self.arrived = time.perf_counter()
@@ -300,13 +302,14 @@ class Page:
 
     def close(self) -> None:
         """End the threads of the page."""
-        self.searches.close()
-        self.overlays.close()
+        self.searches.end_thread()
+        self.overlays.end_thread()
         with self.ready:
             self.open = False
             self.ready.notify()
 
-    def _work(self) -> None:
+    def _run_actions(self) -> None:
+        """Answer the waiting events until the page is closed."""
         slow = False
         while True:
             with self.ready:
@@ -321,8 +324,8 @@ class Page:
             if action is None:
                 slow = False
                 with self.client.atomic():
-                    self._slide()
-                self._count()
+                    self._set_sliders()
+                self._count_freedoms()
                 continue
             with self.session.lock:
                 try:
@@ -335,32 +338,32 @@ class Page:
             slow = True
 
     def show(self) -> None:
-        """Show what the session is now, at once."""
+        """Update the page to the state of the session."""
         session = self.session
         if self.revision != session.revision:
             self._make_sliders()
             if "curve" in self.boxes and session.motion is None:
-                self._lay("curve")
+                self._begin_overlay("curve")
         if self.player.motion is not session.motion:
             self.player.make_time()
             if "curve" in self.boxes:
-                self._lay("curve")
+                self._begin_overlay("curve")
         with self.client.atomic():
-            self.nodes.move(session.q)
-            self.nodes.haunt(session.solutions, self._clicked)
+            self.nodes.move_links(session.q)
+            self.nodes.show_ghosts(session.solutions, self._choose_ghost)
             if time.perf_counter() - self.slid > SLIDE:
-                self._slide()
+                self._set_sliders()
             if self.dragging != "gizmo":
                 self.gizmo.wxyz, self.gizmo.position = split_poses(session.pose)
-            self._miss()
-            said = format_html(fit_sentence(session.said()))
+            self._draw_miss()
+            said = format_html(fit_sentence(session.compose_text()))
             if self.said.content != said:
                 self.said.content = said
 
-    def _slide(self) -> None:
-        """Put the sliders where the coordinates are, but for the one that is dragged."""
+    def _set_sliders(self) -> None:
+        """Update the sliders to the coordinates, except the one that is dragged."""
         self.slid = time.perf_counter()
-        for slider in map(self._in_units, self.session.sliders):
+        for slider in map(self._convert_slider, self.session.sliders):
             handle = self.sliders.get(slider.name)
             if (
                 handle is None
@@ -374,8 +377,8 @@ class Page:
                 handle.max = slider.high
             handle.value = slider.value
 
-    def _miss(self) -> None:
-        """Draw the way from the frame to a target that it does not reach."""
+    def _draw_miss(self) -> None:
+        """Draw the line from the frame to a target that is not reached."""
         target = self.session.target
         ends = np.zeros((1, 2, 3), dtype=np.float32)
         if target is not None:
@@ -385,7 +388,8 @@ class Page:
 
     # ---- what is on the page
 
-    def _panel(self, drawn: Drawn) -> None:
+    def _build_panel(self, drawn: Drawn) -> None:
+        """Make the panel with all controls."""
         gui = self.client.gui
         session = self.session
         gui.configure_theme(show_logo=False, show_share_button=False)
@@ -393,16 +397,16 @@ class Page:
         self.counted = gui.add_html("")
         self.said = gui.add_html("")
         self.folder = gui.add_folder("coordinates")
-        gos = {name: lambda n=name: session.go(n) for name in session.postures}
-        self.buttons("go to", {"random": session.random} | gos)
+        gos = {name: lambda n=name: session.go_to_posture(n) for name in session.postures}
+        self.add_buttons("go to", {"random": session.go_to_random} | gos)
         with gui.add_folder("frame"):
             self.frame = gui.add_dropdown("frame", session.frames, initial_value=session.frame)
             self.task = gui.add_dropdown(
                 "what counts", ("pose", "position"), initial_value=session.task
             )
-            self._pair("other solutions", "solution")
+            self._add_pair("other solutions", "solution")
             if has_loops(session.system):
-                self._pair("assembly modes", "mode")
+                self._add_pair("assembly modes", "mode")
         with gui.add_folder("show"):
             self.boxes = {
                 name: gui.add_checkbox(name, False) for name in list_offered_overlays(session)
@@ -413,41 +417,51 @@ class Page:
         self.player = Player(self)
         if drawn.lost:
             gui.add_html(format_html(fit_sentence(drawn.lost_sentence)))
-        self.frame.on_update(self.by_hand("frame", lambda: self._aim(self.frame.value)))
+        self.frame.on_update(self.make_callback("frame", lambda: self._aim_frame(self.frame.value)))
         self.task.on_update(
-            self.by_hand("task", lambda: self._aim(self.frame.value, self.task.value))
+            self.make_callback("task", lambda: self._aim_frame(self.frame.value, self.task.value))
         )
         for name, box in self.boxes.items():
-            box.on_update(self.by_hand(name, lambda n=name: self._lay(n)))
-        self.names.on_update(self.by_hand("names", lambda: self.nodes.name(self.names.value)))
-        self.degrees.on_update(self.by_hand("degrees", self._make_sliders))
-        self.axes.on_update(self.by_hand("axes", lambda: self.nodes.mark(self.axes.value)))
+            box.on_update(self.make_callback(name, lambda n=name: self._begin_overlay(n)))
+        self.names.on_update(
+            self.make_callback("names", lambda: self.nodes.show_names(self.names.value))
+        )
+        self.degrees.on_update(self.make_callback("degrees", self._make_sliders))
+        self.axes.on_update(
+            self.make_callback("axes", lambda: self.nodes.show_axes(self.axes.value))
+        )
 
-    def buttons(self, label: str, actions: dict[str, Action]) -> Any:
-        """Add buttons in a row, each with its action; what was added."""
+    def add_buttons(self, label: str, actions: dict[str, Action]) -> Any:
+        """Add buttons in a row, each with its action; returns the group."""
         group = self.client.gui.add_button_group(label, tuple(actions))
-        group.on_click(self.by_hand(label, lambda: actions[group.value]()))
+        group.on_click(self.make_callback(label, lambda: actions[group.value]()))
         return group
 
-    def _pair(self, label: str, kind: str) -> None:
-        self.buttons(label, {"show": lambda: self._solve(kind), "next": lambda: self._next(kind)})
+    def _add_pair(self, label: str, kind: str) -> None:
+        """Add the buttons that show other solutions of a kind, and that go to the next one."""
+        self.add_buttons(
+            label,
+            {"show": lambda: self._find_solutions(kind), "next": lambda: self._show_next(kind)},
+        )
 
-    def by_hand(self, key: str, action: Action) -> Any:
-        """A callback of viser that posts an action where a person caused the event."""
+    def make_callback(self, key: str, action: Action) -> Any:
+        """Make a callback of viser that posts an action if a person caused the event."""
 
-        async def called(event: Any) -> None:
+        async def handle_event(event: Any) -> None:
+            """Post the action if a person caused the event."""
             if event.client is not None:
                 self.dragging = key if key in self.sliders else ""
                 self.follow = False
-                self.post(key, action)
+                self.post_action(key, action)
 
-        return called
+        return handle_event
 
     def _make_sliders(self) -> None:
+        """Make the sliders of the independent coordinates, unless they are unchanged."""
         session = self.session
         gui = self.client.gui
         self.revision = session.revision
-        wanted = tuple(map(self._in_units, session.sliders))
+        wanted = tuple(map(self._convert_slider, session.sliders))
         made = tuple((s.name, s.unit) for s in wanted)
         if made == self.made:
             return
@@ -466,14 +480,18 @@ class Page:
                 )
                 self.sliders[s.name] = handle
                 handle.on_update(
-                    self.by_hand(
-                        s.name, lambda n=s.name, u=s.unit, h=handle: self._set(n, u, h.value)
+                    self.make_callback(
+                        s.name,
+                        lambda n=s.name, u=s.unit, h=handle: self._set_coordinate(n, u, h.value),
                     )
                 )
 
-    def _set(self, name: str, unit: str, value: float) -> None:
-        """Set a coordinate to the value of its slider; an end of a slider in degrees is the limit,
-        without rounding.
+    def _set_coordinate(self, name: str, unit: str, value: float) -> None:
+        """Set a coordinate to the value of its slider.
+
+        An end of a slider in degrees is the limit, without rounding.
+
+        An end of a slider in degrees is the limit, without rounding.
         """
         if unit == "deg":
             ends = (s for s in self.session.sliders if s.name == name)
@@ -481,15 +499,16 @@ class Page:
                 (x for s in ends for x in (s.low, s.high) if abs(value * DEGREE - x) < ROUNDING),
                 value * DEGREE,
             )
-        self.session.set(name, float(value))
+        self.session.set_coordinate(name, float(value))
 
-    def _in_units(self, slider: Slider) -> Slider:
-        """A slider as the page shows it: angles in degrees where these are wanted."""
+    def _convert_slider(self, slider: Slider) -> Slider:
+        """Convert a slider to the units of the page: degrees if requested."""
         if slider.unit != "rad" or not self.degrees.value:
             return slider
         return Slider(slider.name, "deg", *(x / DEGREE for x in slider[2:]))
 
-    def _gizmo(self) -> None:
+    def _add_gizmo(self) -> None:
+        """Make the gizmo that drags the target, and the line to a missed target."""
         session = self.session
         flat = self.session.system.dim == 2
         quat, place = split_poses(session.pose)
@@ -509,6 +528,7 @@ class Page:
 
         @self.gizmo.on_update
         async def _(event: Any) -> None:
+            """Post the pose of the gizmo as a target."""
             if event.client is None:
                 return
             X = np.eye(4)
@@ -516,24 +536,26 @@ class Page:
             X[:3, 3] = event.target.position
             last = event.phase == "end"
             self.dragging = "" if last else "gizmo"
-            self.post("end" if last else "gizmo", lambda: self._reach(X, last))
+            self.post_action("end" if last else "gizmo", lambda: self._reach_pose(X, last))
 
     # ---- actions
 
-    def _reach(self, X: Any, last: bool) -> None:
+    def _reach_pose(self, X: Any, last: bool) -> None:
+        """Bring the frame to a target (4, 4), and update the other solutions."""
         session = self.session
-        session.reach(X, quick=not last)
+        session.reach_pose(X, quick=not last)
         if self.follow and session.took < QUICK:
             said = session.status
-            session.solve()
+            session.find_others()
             session.status = said
         elif self.follow and last:
-            self._solve("solution")
+            self._find_solutions("solution")
 
-    def _aim(self, frame: str, task: str | None = None) -> None:
-        self.session.aim(frame, task)
+    def _aim_frame(self, frame: str, task: str | None = None) -> None:
+        """Choose the frame and the task of targets."""
+        self.session.aim_frame(frame, task)
         for name in self.boxes:
-            self._lay(name)
+            self._begin_overlay(name)
         if self.task.value != self.session.task:
             self.task.value = self.session.task
         self.gizmo.disable_rotations = (
@@ -541,39 +563,47 @@ class Page:
         )
         self.player.make_finds()
 
-    async def _clicked(self, event: Any) -> None:
+    async def _choose_ghost(self, event: Any) -> None:
+        """Go to the configuration of the ghost that was clicked."""
         if event.instance_index is not None:
-            self.post("ghost", lambda: self.session.choose(int(event.instance_index)))
+            self.post_action(
+                "ghost", lambda: self.session.choose_solution(int(event.instance_index))
+            )
 
     # ---- what is computed beside
 
-    def _say(self, text: str) -> None:
-        """Set what is said."""
+    def _show_text(self, text: str) -> None:
+        """Set the status sentence."""
         self.session.status = text
 
-    def _beside(self, where: Beside, key: str, work: Callable[[Session], Iterator[Action]]) -> None:
-        """Begin to compute with a copy of the session as it is now."""
+    def _begin_job(
+        self, where: Beside, key: str, work: Callable[[Session], Iterator[Action]]
+    ) -> None:
+        """Start a computation with a copy of the present session."""
         session = copy.copy(self.session)
 
-        def rounds(check: Callable[..., None]) -> Iterator[Action]:
+        def iterate_actions(check: Callable[..., None]) -> Iterator[Action]:
+            """Start the rounds of the computation; `check` ends it when it is cancelled."""
             session.progress = check
             return work(session)
 
-        where.start(key, rounds)
+        where.start_job(key, iterate_actions)
 
-    def _count(self) -> None:
-        """Say the degrees of freedom, which takes long for large systems."""
+    def _count_freedoms(self) -> None:
+        """Show the degrees of freedom, computed beside since large systems take long."""
 
-        def work(session: Session) -> Iterator[Action]:
-            text = session.mobility()
+        def iterate_actions(session: Session) -> Iterator[Action]:
+            """Count the degrees of freedom, and give the action that shows them."""
+            text = session.describe_mobility()
             yield lambda: setattr(self.counted, "content", format_html(fit_sentence(text)))
 
-        self._beside(self.searches, "freedoms", work)
+        self._begin_job(self.searches, "freedoms", iterate_actions)
 
-    def _solve(self, kind: str, then: Action | None = None) -> None:
-        """Find other configurations; those that are found where the system still is are shown."""
+    def _find_solutions(self, kind: str, then: Action | None = None) -> None:
+        """Find other configurations, and show them if the system has not moved meanwhile."""
 
-        def take(found: Session) -> None:
+        def show_solutions(found: Session) -> None:
+            """Take the solutions of a finished search."""
             session = self.session
             if session.q is found.q:
                 session.solutions = found.solutions
@@ -584,60 +614,63 @@ class Page:
                 if then is not None and len(found.solutions):
                     then()
 
-        def work(session: Session) -> Iterator[Action]:
-            session.solve(kind)
-            yield lambda: take(session)
+        def iterate_actions(session: Session) -> Iterator[Action]:
+            """Find the solutions, and give the action that takes them."""
+            session.find_others(kind)
+            yield lambda: show_solutions(session)
 
         self.session.status = f"looking for other {KINDS[kind]}s ..."
-        self._beside(self.searches, "search", work)
+        self._begin_job(self.searches, "search", iterate_actions)
 
-    def _next(self, kind: str) -> None:
-        """Go to the next configuration of a kind, which is looked for if none is known."""
+    def _show_next(self, kind: str) -> None:
+        """Go to the next configuration of a kind; search for one if none is known."""
         if self.session.kind == kind and len(self.session.solutions):
-            self.session.next(kind)
+            self.session.choose_next(kind)
             self.follow = kind == "solution"
         else:
-            self._solve(kind, lambda: self.session.next(kind))
+            self._find_solutions(kind, lambda: self.session.choose_next(kind))
 
-    def find(self, name: str) -> None:
-        """Find a motion from here, to be played."""
+    def find_motion(self, name: str) -> None:
+        """Find a motion from the present configuration, to be played."""
 
-        def take(found: Session, has: bool) -> None:
+        def show_motion(found: Session, has: bool) -> None:
+            """Take the motion of a finished search."""
             self.session.status = found.status
             if has:
                 self.session.motion = found.motion
 
-        def work(session: Session) -> Iterator[Action]:
+        def iterate_actions(session: Session) -> Iterator[Action]:
+            """Search the motion, and give the action that takes it."""
             has = session.find_motion(name)
-            yield lambda: take(session, has)
+            yield lambda: show_motion(session, has)
 
         self.session.status = f"{name}: looked for ..."
-        self._beside(self.searches, "search", work)
+        self._begin_job(self.searches, "search", iterate_actions)
 
-    def _lay(self, name: str) -> None:
-        """Begin to compute what is laid over the system, and take away what was; only that where it
-        is not wanted.
-        """
-        self.nodes.lay(name, None)
-        self.overlays.drop(name)
+    def _begin_overlay(self, name: str) -> None:
+        """Remove an overlay, and start to compute it again if it is wanted."""
+        self.nodes.show_overlay(name, None)
+        self.overlays.drop_jobs(name)
         if not self.boxes[name].value:
             return
 
-        def take(overlay: Overlay, first: bool) -> None:
+        def show_overlay(overlay: Overlay, first: bool) -> None:
+            """Show an overlay, and move the camera back for the first one."""
             self.session.status = overlay.said
-            self.nodes.lay(name, overlay)
+            self.nodes.show_overlay(name, overlay)
             if first:
                 self._step_back(overlay)
 
-        def work(session: Session) -> Iterator[Action]:
+        def iterate_actions(session: Session) -> Iterator[Action]:
+            """Compute overlays round by round, and give the actions that show them."""
             for k, overlay in enumerate(iterate_rounds(session, name)):
-                yield lambda x=overlay, first=not k: take(x, first)
+                yield lambda x=overlay, first=not k: show_overlay(x, first)
 
         self.session.status = f"{name}: being computed"
-        self._beside(self.overlays, name, work)
+        self._begin_job(self.overlays, name, iterate_actions)
 
     def _step_back(self, overlay: Overlay) -> None:
-        """Move the camera back until what is laid over the system is in the picture."""
+        """Move the camera back until an overlay is in the picture."""
         if not len(overlay.extent):
             return
         camera = self.client.camera
@@ -652,7 +685,7 @@ class Page:
 
 
 def format_html(text: str) -> str:
-    """A text as HTML that shows it letter by letter; empty lines part its paragraphs.
+    """Format a text as HTML with its characters escaped; empty lines separate paragraphs.
 
     Names come from files, and viser's Markdown would run what HTML is in them.
     """
@@ -660,7 +693,7 @@ def format_html(text: str) -> str:
 
 
 def _choose_slider_step(slider: Slider) -> float:
-    """The step of a slider: a round number, STEPS of them or more."""
+    """Choose the step of a slider: a round number, with at least `STEPS` steps."""
     wide = max(slider.high - slider.low, 1e-9)
     return float(10.0 ** np.floor(np.log10(wide / STEPS)))
 
@@ -700,7 +733,7 @@ def show(
     configurations (n, nq), or an answer that has them as `.q`, to play. Each page that is opened
     has a configuration of its own, with `share` all have one. `port`: that of the page, by default
     8080 or the next that is free. `browser`: open one. `deg`: pages begin with angles in degrees; a
-    switch on the page changes that. The page is there until `close`, the end of a ``with``, or the
+    switch on the page changes that. The page is there until `end_thread`, the end of a ``with``, or the
     end of Python. A `UserWarning` names the meshes that are not drawn. Errors: `InputError` for
     shapes and a port that is in use; `UnknownNameError` for a frame.
     """
@@ -722,16 +755,14 @@ def serve_viewer(
     port: int | None = None,
     deg: bool = False,
 ) -> Viewer:
-    """A `Viewer` as `show` makes it, without a browser and without a warning about meshes."""
+    """Serve the page of `show`, without opening a browser or warning about meshes."""
     shared = read_flag(share, "share")
     degrees = read_flag(deg, "deg")
     return Viewer(Session(system, q, frame, path), shared, _check_port(port), degrees)
 
 
 class Viewer:
-    """A page that is served: `url` is its address, `q` (nq,) the configuration of the page that was
-    moved last.
-    """
+    """A served page: `url` is its address, `q` (nq,) the configuration of the last moved page."""
 
     def __init__(self, session: Session, share: bool, port: int, deg: bool = False):
         self.session = session
@@ -748,17 +779,17 @@ class Viewer:
         self.server.gui.main_panel.dock_right()
         self.server.scene.set_up_direction("+y" if self.system.dim == 2 else "+z")
         self.drawn.look_from(self.server.initial_camera)
-        self.server.on_client_connect(self._connected)
-        self.server.on_client_disconnect(self._gone)
+        self.server.on_client_connect(self._open_page)
+        self.server.on_client_disconnect(self._close_page)
 
     @property
     def url(self) -> str:
-        """The address of the page; it has a token without which the page answers nothing."""
+        """Address of the page, with the token that the page requires."""
         return self.server.url
 
     @property
     def q(self) -> Array:
-        """The configuration (nq,) of the page that was moved last."""
+        """Configuration (nq,) of the page that was moved last."""
         return self._last.q.copy()
 
     @q.setter
@@ -768,18 +799,19 @@ class Viewer:
             id(s): s for s in (self.session, *(p.session for p in self.pages.values()))
         }.values():
             with session.lock:
-                session.put(q)
+                session.go_to_configuration(q)
                 for page in (p for p in tuple(self.pages.values()) if p.session is session):
                     page.show()
 
     def moved(self, page: Page) -> None:
-        """Show what a page did, on all pages that have the same configuration."""
+        """Update all pages that share the configuration of a page after its change."""
         self._last = page.session
         for other in tuple(self.pages.values()):
             if other.session is page.session:
                 other.show()
 
-    def _connected(self, client: Any) -> None:
+    def _open_page(self, client: Any) -> None:
+        """Add a page for a new client."""
         session = self.session if self.share else copy.copy(self.session)
         session.lock = self.session.lock if self.share else threading.RLock()
         client.camera.max_orbit_distance = float("inf")
@@ -790,24 +822,25 @@ class Viewer:
         below = COVERED if wide <= SHEET else 0.0  # a width of 575 may be reported as 576
         aspect = (wide if below else wide - PANEL) / high
         if below or aspect < 1.0:
-            client.camera.on_update(partial(self._uncover, aspect=aspect, below=below))
+            client.camera.on_update(partial(self._uncover_system, aspect=aspect, below=below))
             self.drawn.look_from(client.camera, aspect, below)
         self.pages[client.client_id] = Page(self, client, session, self.drawn)
 
-    def _uncover(self, camera: Any, aspect: float, below: float) -> None:
-        """Put a camera that is where pages begin, late or by "Reset View", past the panel."""
+    def _uncover_system(self, camera: Any, aspect: float, below: float) -> None:
+        """Move a camera that is at its initial place so that the panel covers nothing."""
         begin = self.server.initial_camera
         off = np.linalg.norm([camera.position - begin.position, camera.look_at - begin.look_at])
         if off <= SAME_VIEW * np.linalg.norm(begin.position - begin.look_at):
             self.drawn.look_from(camera, aspect, below)
 
-    def _gone(self, client: Any) -> None:
+    def _close_page(self, client: Any) -> None:
+        """Remove the page of a client that has left."""
         page = self.pages.pop(client.client_id, None)
         if page is not None:
             page.close()
 
     def wait(self) -> None:
-        """Hold the program until the page is closed; Ctrl-C closes it."""
+        """Wait until the page is closed; Ctrl-C closes it."""
         try:
             while not self._closed.wait(0.2):
                 pass
@@ -815,7 +848,7 @@ class Viewer:
             self.close()
 
     def close(self) -> None:
-        """End the page."""
+        """Close the page and stop its server."""
         if not self._closed.is_set():
             self._closed.set()
             for page in tuple(self.pages.values()):
@@ -835,7 +868,7 @@ class Viewer:
 
 
 def _check_port(port: Any) -> int:
-    """A port that can be taken. Errors: `InputError`."""
+    """Check that a port is free, 8080 by default. Errors: `InputError`."""
     if port is None:
         return PORT
     if not is_whole(port) or not 0 <= port < 65536:

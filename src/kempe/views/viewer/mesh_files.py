@@ -238,7 +238,7 @@ an ellipsoid is a scaled sphere. Files are read apart."""
 
 
 def _refuse_far(geometry: Any, X: Array) -> None:
-    """Refuse sizes, scales and places that a page cannot hold. Errors: `InputError`."""
+    """Refuse sizes, scales and places that a page cannot represent. Errors: `InputError`."""
     given: dict[str, Any] = {"place": X[:3, 3], **geometry.sizes}
     for name, x in given.items():
         if not isinstance(x, str) and not (np.abs(x) < FARTHEST).all():
@@ -254,7 +254,7 @@ def _refuse_far(geometry: Any, X: Array) -> None:
 def read_meshes(
     sources: Iterable[Source], meanwhile: Callable[[], object] | None = None
 ) -> dict[Source, Triangles | str]:
-    """The triangles of each source, or the reason why it could not be read, as text.
+    """Read mesh files (trimesh); a file that cannot be read gives the reason as text instead.
 
     Where a file ends the process, the next one reads those that are left.
     """

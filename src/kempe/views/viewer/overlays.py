@@ -55,8 +55,8 @@ KINDS = {
 
 @dataclass(frozen=True, eq=False)
 class Overlay:
-    """Points (n, 3) in colours (n, 3) from 0 to 1, of sizes (n,) [m]; lines (m, 2, 3); surfaces;
-    and a sentence.
+    """Overlay of a page: points (n, 3) with colours and sizes [m], lines (m, 2, 3), surfaces, a
+    sentence.
 
     `surfaces` are corners (k, 3) and triangles (j, 3) with a colour.
     """
@@ -70,7 +70,7 @@ class Overlay:
 
     @property
     def extent(self) -> Array:
-        """Ends (2, 3) of the box around all of it [m]; without rows where it is empty."""
+        """Lower and upper corner (2, 3) of the overlay's bounding box [m]; no rows if it is empty."""
         every = np.concatenate(
             [self.points, self.lines.reshape(-1, 3), *(corners for corners, *_ in self.surfaces)]
         )
@@ -78,7 +78,7 @@ class Overlay:
 
 
 def _split_polyline(points: Array) -> Array:
-    """The pieces (n - 1, 2, 3) of a polyline, without those that have no ends."""
+    """Split a polyline (n, 3) into segments (n - 1, 2, 3), without those with NaN."""
     lines = np.stack([points[:-1], points[1:]], axis=1)
     return lines[np.isfinite(lines).all(axis=(1, 2))]
 
@@ -87,9 +87,7 @@ def _split_polyline(points: Array) -> Array:
 
 
 def _iterate_curve(session: Session) -> Iterator[Overlay]:
-    """What the frame's origin passes in the motion that is played, else in the whole motion with
-    one freedom.
-    """
+    """Give the curve of the frame's origin in the motion that is played, or in the whole motion."""
     from kempe.motion.trace import trace
 
     system = session.system
@@ -99,7 +97,7 @@ def _iterate_curve(session: Session) -> Iterator[Overlay]:
         yield Overlay(f"what {frame} passes", lines=_split_polyline(places))
         return
     motion = trace(
-        system, session.sliders[0].name, session.q, budget=session.budget(MOTION_PATIENCE)
+        system, session.sliders[0].name, session.q, budget=session.make_budget(MOTION_PATIENCE)
     )
     yield Overlay(
         f"{frame}: {motion.status}", lines=_split_polyline(fk(system, motion.q, frame)[:, :3, 3])
@@ -110,7 +108,7 @@ def _iterate_curve(session: Session) -> Iterator[Overlay]:
 
 
 def _iterate_workspace(session: Session) -> Iterator[Overlay]:
-    """What the frame reaches: exact for planar chains, else cells of ever finer maps."""
+    """Give the workspace of the frame: exact for planar chains, else cells of ever finer maps."""
     from kempe.workspace.planar.planar_workspace import planar_workspace
     from kempe.workspace.workspace import workspace
 
@@ -125,14 +123,14 @@ def _iterate_workspace(session: Session) -> Iterator[Overlay]:
             yield _make_regions(exact)
             return
     for k, cells in enumerate(CELLS[system.dim]):
-        budget = session.budget(MOTION_PATIENCE, rng=k)
+        budget = session.make_budget(MOTION_PATIENCE, rng=k)
         n = EACH * cells**system.dim // (10 if has_loops(system) else 1)
         found = workspace(system, frame, n=n, cells=cells, budget=budget)
         yield _make_cells(found, float(session.pose[1, 3]))
 
 
 def _make_regions(found: PlanarWorkspace) -> Overlay:
-    """Regions of a planar workspace, with their boundary."""
+    """Make the overlay of a planar workspace: its regions with their boundary."""
     surfaces: list[tuple[Array, np.ndarray, str]] = []
     for region in found.regions:
         corners, triangles = _triangulate_loops(shapes.make_region_outline(region).to_polygons())
@@ -145,8 +143,9 @@ def _make_regions(found: PlanarWorkspace) -> Overlay:
 
 
 def _triangulate_loops(loops: Any) -> tuple[Array, np.ndarray]:
-    """Corners (k, 3) and triangles (j, 3) of all within closed curves, an even number of which
-    leaves a hole.
+    """Triangulate the area inside closed curves: corners (k, 3) and triangles (j, 3).
+
+    Where an even number of curves encloses a point, there is a hole.
 
     Between two neighbouring heights of corners the sides are straight: what is inside are trapezia.
     """
@@ -180,13 +179,14 @@ def _triangulate_loops(loops: Any) -> tuple[Array, np.ndarray]:
 
 
 def _triangulate_quadrangles(n: int) -> np.ndarray:
-    """Triangles (2 n, 3) of n quadrangles, corner after corner."""
+    """List the triangles (2 n, 3) of n quadrangles, whose corners are numbered one after the other."""
     return (4 * np.arange(n)[:, None, None] + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)
 
 
 def _make_cells(found: Workspace, cut: float) -> Overlay:
-    """The cells that samples fell into: in the plane all of them, in space the surface of those
-    from y = `cut` on.
+    """Make the overlay of a workspace's cells with samples.
+
+    In the plane all cells are drawn, in space the surface of those from y = `cut` on.
     """
     grid = found.map.grid
     some = found.map.occupied.copy()
@@ -218,7 +218,7 @@ def _make_cells(found: Workspace, cut: float) -> Overlay:
 
 
 def _iterate_capability(session: Session) -> Iterator[Overlay]:
-    """In how many directions the frame reaches the cells of a box: larger and darker where in more."""
+    """Give the directions in which the frame reaches cells: larger and darker points for more."""
     from matplotlib import colormaps
 
     from kempe.workspace.capability import capability_map
@@ -229,7 +229,7 @@ def _iterate_capability(session: Session) -> Iterator[Overlay]:
     rough = workspace(system, frame, n=20_000, cells=8).map.grid
     box = np.stack([rough.low, rough.high])[:, : system.dim]
     for cells in MAP:
-        budget = session.budget(MOTION_PATIENCE, starts=4)
+        budget = session.make_budget(MOTION_PATIENCE, starts=4)
         found = capability_map(system, frame, box, cells, 16, budget=budget)
         middles = np.stack(np.meshgrid(*found.axes, indexing="ij"), axis=-1).reshape(-1, system.dim)
         part = np.nan_to_num(found.fraction.ravel())
@@ -246,7 +246,7 @@ def _iterate_capability(session: Session) -> Iterator[Overlay]:
 
 
 def _iterate_singular_places(session: Session) -> Iterator[Overlay]:
-    """Where the frame is at singular configurations that were found, set by set in a colour."""
+    """Give the frame's positions at singular configurations, one colour for each set."""
     from kempe.spaces.singularities import singularities
 
     system = session.system
@@ -296,7 +296,7 @@ OVERLAYS: dict[str, Callable[[Session], Iterator[Overlay]]] = {
 
 
 def list_offered_overlays(session: Session) -> tuple[str, ...]:
-    """Names of `OVERLAYS` that a session can show."""
+    """List the names of `OVERLAYS` that a session can show."""
     has = {
         "curve": session.motion is not None or len(session.sliders) == 1,
         "capability map": not has_loops(session.system),
@@ -305,9 +305,7 @@ def list_offered_overlays(session: Session) -> tuple[str, ...]:
 
 
 def iterate_rounds(session: Session, name: str) -> Iterator[Overlay]:
-    """The overlays of a name, ever finer, until the time for it is up. Errors: those of the verbs
-    that find them.
-    """
+    """Iterate over ever finer overlays of a name, until the time for them is up."""
     end = time.monotonic() + LONG
     for overlay in OVERLAYS[name](session):
         yield overlay

@@ -35,8 +35,7 @@ NOTE = (
 def save_html(
     system: Model, file: Any, q: Any = None, *, path: Any = None, seconds: float = 6.0
 ) -> None:
-    """Write a page of one file that opens from disk, without network: the system in space, to be
-    turned by mouse.
+    """Write an HTML file with the system in space, to be viewed offline and rotated by mouse.
 
     `q` (nq,) or dict: the configuration, by default as for `plot`. `path`: configurations (n, nq),
     or an answer that has them as `.q`, played over and over in `seconds`. Sliders and targets need
@@ -50,9 +49,7 @@ def save_html(
 def write_page(
     system: Model, file: Any, q: Any = None, path: Any = None, seconds: float = 6.0
 ) -> Drawn:
-    """Write a page as `save_html` does, and return what was drawn, which knows which meshes are
-    not.
-    """
+    """Write a page as `save_html` does; return the drawing, which knows the missing meshes."""
     out = check_page_path(file)
     seconds = float(read_reals(seconds, "seconds"))
     if not 0.0 < seconds <= 600.0:
@@ -64,7 +61,7 @@ def write_page(
 
 
 def check_page_path(file: Any) -> Path:
-    """The path of a page. Errors: `InputError` for other endings and folders that do not exist."""
+    """Check the path of a page. Errors: `InputError` for other endings and missing folders."""
     if not isinstance(file, (str, Path)):
         raise InputError(f"file is {format_value(file)}; it must be the name of a file")
     out = expand_path(file)
@@ -76,7 +73,7 @@ def check_page_path(file: Any) -> Path:
 
 
 def _format_page(session: Session, drawn: Drawn, seconds: float) -> str:
-    """The text of the page: viser's own, with the scene and its motion inside."""
+    """Format the HTML of a page: the client of viser with the scene and its motion inside."""
     server = PageServer(port=0)
     try:
         server.scene.set_up_direction("+y" if session.system.dim == 2 else "+z")
@@ -86,7 +83,7 @@ def _format_page(session: Session, drawn: Drawn, seconds: float) -> str:
         if (motion := session.motion) is not None:
             count = max(2, round(seconds * FRAMES))
             for t in np.linspace(0.0, motion.duration, count):
-                nodes.move(motion.at(t))
+                nodes.move_links(motion.find_configuration(t))
                 record.insert_sleep(seconds / count)
         text = record.as_html()
     finally:

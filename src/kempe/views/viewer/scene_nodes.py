@@ -22,7 +22,7 @@ from kempe.model.configurations import integrate_velocity
 from kempe.spatial import Array
 from kempe.views.drawing import style, symbols
 from kempe.views.drawing.scene import Scene, SeenJoint, build_scene
-from kempe.views.drawing.solids import DrawnPiece, SolidRecord, fan_triangles, parse_colour
+from kempe.views.drawing.solids import DrawnPiece, SolidRecord, make_fan, parse_colour
 from kempe.views.viewer.mesh_files import BodyMesh, read_body_meshes
 from kempe.words import format_count
 
@@ -67,7 +67,7 @@ class Slide(NamedTuple):
     """A carrier between the frame A on a link and the origin of the frame B on another, which
     slides along z of A.
 
-    `a` and `b` are numbers of bodies with poses (4, 4) on them, `links` the two links. With `part`
+    `a` and `b` are numbers of bodies with poses (4, 4) on them, `list_links` the two links. With `part`
     None it reaches from A to B and `beyond` [m] both, and its parts are 1 long; else it sits at
     this part of the way from A to B. It turns with A.
     """
@@ -79,10 +79,8 @@ class Slide(NamedTuple):
     part: float | None = None
     beyond: float = 0.0
 
-    def pose(self, every: Array) -> tuple[Array, Array]:
-        """Pose (..., 4, 4) and length (...) of the carrier, from the poses (..., n, 4, 4) of all
-        bodies.
-        """
+    def compute_pose(self, every: Array) -> tuple[Array, Array]:
+        """Compute the pose (..., 4, 4) and length (...) [m] of the carrier from all bodies' poses."""
         A: Array = every[..., self.a[0], :, :] @ self.a[1]
         to: Array = (every[..., self.b[0], :, :] @ self.b[1])[..., :3, 3] - A[..., :3, 3]
         along: Array = np.sum(A[..., :3, 2] * to, axis=-1)
@@ -120,16 +118,16 @@ class RigidParts:
         else:
             self.r = SOLID * symbols.choose_radius(scene)
         self.slides = _list_slides(scene, self.r)
-        self.parts = self._parts(scene)
-        points = np.concatenate([np.zeros((1, 3)), *(scene.points(link) for link in scene.links)])
-        self.middle, size = self.box(q[None], points)
+        self.parts = self._make_parts(scene)
+        points = np.concatenate(
+            [np.zeros((1, 3)), *(scene.list_points(link) for link in scene.links)]
+        )
+        self.middle, size = self.compute_box(q[None], points)
         self.size = size or scene.size
 
-    def box(self, q: Array, points: Array) -> tuple[Array, float]:
-        """Middle (3,) and diagonal [m] of the box around what is solid at all of q (n, nq); without
-        that of points.
-        """
-        X = self._stretched(q)
+    def compute_box(self, q: Array, points: Array) -> tuple[Array, float]:
+        """Compute centre (3,) and diagonal [m] of the bounding box of all solids at q (n, nq)."""
+        X = self._compute_stretched_maps(q)
         solid = [
             p.corners @ X[:, p.carrier, :3, :3].swapaxes(-1, -2) + X[:, p.carrier, None, :3, 3]
             for p in self.parts
@@ -140,9 +138,9 @@ class RigidParts:
         high = points.max(axis=0)
         return 0.5 * (low + high), float(np.linalg.norm(high - low))
 
-    def places(self, q: Array) -> tuple[Array, Array]:
-        """Poses (..., carriers, 4, 4) of the carriers at configurations (..., nq), and their
-        lengths (..., carriers).
+    def compute_places(self, q: Array) -> tuple[Array, Array]:
+        """Compute poses (..., carriers, 4, 4) and lengths (..., carriers) of the carriers at q
+        (..., nq).
 
         The parts of a carrier are stretched along its z by its length, which is 1 of all but
         slides.
@@ -160,49 +158,48 @@ class RigidParts:
             poses.append(_make_rod_poses(ends))
         lengths = [np.ones(x.shape[:-2]) for x in poses]
         for slide in self.slides:
-            pose, length = slide.pose(every)
+            pose, length = slide.compute_pose(every)
             poses.append(pose[..., None, :, :])
             lengths.append(length[..., None])
         return np.concatenate(poses, axis=-3), np.concatenate(lengths, axis=-1)
 
-    def poses(self, q: Array) -> Array:
-        """Poses (..., carriers, 4, 4) of the carriers at configurations (..., nq)."""
-        return self.places(q)[0]
+    def compute_poses(self, q: Array) -> Array:
+        """Compute poses (..., carriers, 4, 4) of the carriers at configurations (..., nq)."""
+        return self.compute_places(q)[0]
 
     @property
     def carriers(self) -> int:
-        """How many carriers there are."""
+        """Number of carriers."""
         return len(self.heads) + len(self.rods) + len(self.slides)
 
-    def links(self, carrier: int) -> tuple[int, ...]:
-        """Numbers of the links that a carrier moves with; none of a rod."""
+    def list_links(self, carrier: int) -> tuple[int, ...]:
+        """List the numbers of the links that a carrier moves with; none for a rod."""
         if carrier < len(self.heads):
             return (carrier,)
         k = carrier - len(self.heads) - len(self.rods)
         return self.slides[k].links if k >= 0 else ()
 
-    def _stretched(self, q: Array) -> Array:
-        """The affine maps (..., carriers, 4, 4) by which the parts of the carriers are brought to q
-        (..., nq).
-        """
-        X, lengths = self.places(q)
+    def _compute_stretched_maps(self, q: Array) -> Array:
+        """Compute the affine maps (..., carriers, 4, 4) of the carriers' parts at q (..., nq)."""
+        X, lengths = self.compute_places(q)
         X = X.copy()
         X[..., :3, 2] *= lengths[..., None]
         return X
 
-    def _parts(self, scene: Scene) -> list[RigidPart]:
+    def _make_parts(self, scene: Scene) -> list[RigidPart]:
+        """Make the rigid parts: pieces that move with the same carrier, joined."""
         system = self.system
         q = scene.q
         rng = np.random.default_rng(0)
         other = integrate_velocity(
             system, q, APART * rng.choice([-1.0, 1.0], system.nv) * rng.uniform(0.5, 1.0, system.nv)
         )
-        first = [p for p in self._record(scene) if not p.name.startswith("open:")]
+        first = [p for p in self._record_pieces(scene) if not p.name.startswith("open:")]
         second: dict[str, list[DrawnPiece]] = {}
-        for piece in self._record(build_scene(system, other)):
+        for piece in self._record_pieces(build_scene(system, other)):
             second.setdefault(piece.name, []).append(piece)
-        X = self._stretched(q)
-        Y = self._stretched(other)
+        X = self._compute_stretched_maps(q)
+        Y = self._compute_stretched_maps(other)
         X_inv = np.linalg.inv(X)
         by_name: dict[str, list[int]] = {}
         for i, piece in enumerate(first):
@@ -210,7 +207,7 @@ class RigidParts:
         carriers = np.empty(len(first), dtype=np.int64)
         for name, places in by_name.items():
             pieces = [first[i] for i in places]
-            carriers[places] = self._carriers(scene, pieces, second.get(name, []), Y @ X_inv)
+            carriers[places] = self._find_carriers(scene, pieces, second.get(name, []), Y @ X_inv)
         held: dict[tuple[int, bool], list[DrawnPiece]] = {}
         for piece, carrier in zip(first, carriers.tolist(), strict=True):
             local = piece.corners @ X_inv[carrier, :3, :3].T + X_inv[carrier, :3, 3]
@@ -225,7 +222,8 @@ class RigidParts:
             for (carrier, _), pieces in sorted(held.items(), key=lambda x: x[0])
         ]
 
-    def _record(self, scene: Scene) -> list[DrawnPiece]:
+    def _record_pieces(self, scene: Scene) -> list[DrawnPiece]:
+        """Record the pieces of the drawing of a scene."""
         lengths = [i for i, unit in enumerate(_mark_lengths(self.system)) if unit]
         wide = np.repeat(scene.q[None], 2, axis=0)
         wide[:, lengths] += np.array([[-0.5], [0.5]]) * self.size
@@ -239,11 +237,14 @@ class RigidParts:
         symbols.add_scene(solids, scene, self.r, wide)
         return solids.pieces
 
-    def _carriers(
+    def _find_carriers(
         self, scene: Scene, pieces: list[DrawnPiece], twins: list[DrawnPiece], moved: Array
     ) -> list[int]:
-        """For each of the pieces of one name the number of the carrier that brings its corners to
-        those of its twin.
+        """Find the carrier of each piece of one name by the motion of its corners.
+
+        It brings the corners to those of the piece's twin at another configuration.
+
+        It brings the corners to those of the piece's twin at another configuration.
         """
         slides = self._slide_of(scene, pieces[0])  # of one name all slide, or none
         if slides is not None:
@@ -270,9 +271,7 @@ class RigidParts:
         return out
 
     def _slide_of(self, scene: Scene, piece: DrawnPiece) -> int | None:
-        """The number of the carrier of a piece of what slides; None where it is that of a link, as
-        all others.
-        """
+        """Find the carrier of a piece of a sliding joint or line; None if it is a link."""
         what, _, of = piece.name.partition(":")
         name = of.partition(":")[0]
         first = len(self.heads) + len(self.rods)
@@ -306,9 +305,7 @@ class RigidParts:
 
 
 def _list_slides(scene: Scene, r: float) -> list[Slide]:
-    """What is drawn between the two halves of each joint that slides, and where a point is on its
-    line.
-    """
+    """List what is drawn between the halves of each sliding joint, and points on lines."""
     system = scene.system
     out = list[Slide]()
     mechanism = system.mechanism
@@ -321,7 +318,7 @@ def _list_slides(scene: Scene, r: float) -> list[Slide]:
         X_PF, X_CM = (X.evaluate_pose(mechanism.parameters) for X in (joint.X_PF, joint.X_CM))
         a = (number(joint.parent), X_PF)
         b = (number(joint.child), X_CM)
-        if scene.telescopic(seen, r):
+        if scene.is_telescopic(seen, r):
             out += [Slide(seen.name, links, a, b), Slide(seen.name, links, a, b, part=0.36)]
         elif scene.system.dim == 3 and (0 not in links or seen.kind != "prismatic"):
             out.append(Slide(seen.name, links, a, b, None, symbols.BEYOND * r))
@@ -345,19 +342,22 @@ def _list_slides(scene: Scene, r: float) -> list[Slide]:
 
 
 def _choose_rail_link(scene: Scene, joint: SeenJoint) -> int:
-    """The link that has the rail of a planar prismatic joint: see `planar`."""
+    """Choose the link that has the rail of a planar prismatic joint, as `planar` draws it."""
     ends = joint.parent, joint.child
-    return 0 if 0 in ends else max(ends, key=lambda k: (scene.reach(joint, k), k == joint.parent))
+    return (
+        0
+        if 0 in ends
+        else max(ends, key=lambda k: (scene.compute_reach(joint, k), k == joint.parent))
+    )
 
 
 def _make_bars(scene: Scene, slide: Slide, r: float, R: Array) -> list[DrawnPiece]:
-    """Bars of a planar drawing that reach as far as a joint without limits, or a point on a line,
-    is.
+    """Make the bars of a planar drawing along a slide without limits, or along a line.
 
     In the frame of the slide, whose axes (3, 3) are those of R.
     """
     if scene.system.dim == 3 or next(
-        (scene.telescopic(j, r) for j in scene.joints if j.name == slide.name), False
+        (scene.is_telescopic(j, r) for j in scene.joints if j.name == slide.name), False
     ):
         return []
     line = next((x for x in scene.lines if x[0] == slide.name), None)
@@ -375,10 +375,11 @@ def _make_bars(scene: Scene, slide: Slide, r: float, R: Array) -> list[DrawnPiec
     up = R[2] / np.linalg.norm(R[2])
     side = np.cross([0.0, 0.0, 1.0], up)
 
-    def strip(low: float, high: float, layer: float, colour: str) -> DrawnPiece:
+    def make_strip(low: float, high: float, layer: float, colour: str) -> DrawnPiece:
+        """Make a flat bar between two positions along the slide."""
         x = np.array([low, high, high, low])[:, None] * side + style.THICK * r * layer * up
         corners = x + np.repeat(z, 2)[:, None] * np.array([0.0, 0.0, 1.0])
-        fan = fan_triangles(4)
+        fan = make_fan(4)
         return DrawnPiece(
             f"rail:{slide.name}",
             corners,
@@ -386,12 +387,12 @@ def _make_bars(scene: Scene, slide: Slide, r: float, R: Array) -> list[DrawnPiec
             (*parse_colour(colour), 1.0),
         )
 
-    sides = [strip(s * half - edge, s * half + edge, layer + 0.5, dark) for s in (-1.0, 1.0)]
-    return [strip(-half, half, layer, fill), *sides]
+    sides = [make_strip(s * half - edge, s * half + edge, layer + 0.5, dark) for s in (-1.0, 1.0)]
+    return [make_strip(-half, half, layer, fill), *sides]
 
 
 def _list_likely_carriers(scene: Scene, name: str, links: int) -> list[int]:
-    """Numbers of the carriers that a name speaks of, the one nearer to the ground first."""
+    """List the carriers that may belong to a name, those nearer to the ground first."""
     what, _, of = name.partition(":")
     of = of.partition(":")[0]
     for k, rod in enumerate(scene.rods):
@@ -425,16 +426,14 @@ def _list_likely_carriers(scene: Scene, name: str, links: int) -> list[int]:
 
 
 def _find_rod_end(system: Model, rod: str, k: int) -> tuple[int, Array]:
-    """Body and pose (4, 4) on it of an end of a rod."""
+    """Find the body of a rod's end, and the pose (4, 4) of the end on it."""
     c = system.mechanism.constraints[rod]
     frames = c.frames(system.mechanism.parameters, system.dim)
     return system.body_names.index((c.parent, c.child)[k]), frames[k]
 
 
 def _make_rod_poses(ends: Array) -> Array:
-    """Poses (..., 4, 4) with their origins at the first of two ends (..., 2, 3) and z towards the
-    second.
-    """
+    """Make poses (..., 4, 4) at the first of two ends (..., 2, 3), with z towards the second."""
     way = ends[..., 1, :] - ends[..., 0, :]
     length = np.linalg.norm(way, axis=-1, keepdims=True)
     X = np.broadcast_to(np.eye(4), (*way.shape[:-1], 4, 4)).copy()
@@ -445,6 +444,7 @@ def _make_rod_poses(ends: Array) -> Array:
 
 
 def _mark_lengths(system: Model) -> list[bool]:
+    """Whether each coordinate is a length, in metres."""
     from kempe.model.configurations import list_units
 
     unit = list_units(system)
@@ -452,6 +452,7 @@ def _mark_lengths(system: Model) -> list[bool]:
 
 
 def _join_pieces(carrier: int, pieces: Sequence[DrawnPiece]) -> RigidPart:
+    """Join the pieces of one carrier into a rigid part."""
     first = np.cumsum([0, *(len(p.corners) for p in pieces)])
     triangles = np.concatenate([p.triangles + k for p, k in zip(pieces, first, strict=False)])
     colours = np.concatenate([np.tile(p.colour, (len(p.triangles), 1)) for p in pieces])
@@ -527,7 +528,7 @@ class Drawn:
         self.size = self.rigid.size
         if way is not None:
             some = way[np.unique(np.linspace(0, len(way) - 1, SOME).round().astype(int))]
-            self.middle, self.size = self.rigid.box(
+            self.middle, self.size = self.rigid.compute_box(
                 np.concatenate([q[None], some]), self.middle[None]
             )
         self.shapes = tuple(self._place_shapes(meshes, q))
@@ -559,13 +560,15 @@ class Drawn:
                     )
                     covered.add(link.number)
         bare = (
-            p for p in self.rigid.parts if not covered.intersection(self.rigid.links(p.carrier))
+            p
+            for p in self.rigid.parts
+            if not covered.intersection(self.rigid.list_links(p.carrier))
         )
         return out + [_make_shape(p) for p in bare]
 
     @property
     def lost_sentence(self) -> str:
-        """Which meshes are not drawn, and why, in one sentence; '' where all are."""
+        """Sentence about meshes that are not drawn, with the reasons; '' if all are drawn."""
         if not self.lost:
             return ""
         more = f"; and {len(self.lost) - SAID} more" if len(self.lost) > SAID else ""
@@ -575,15 +578,13 @@ class Drawn:
 
     @cached_property
     def seen(self) -> tuple[Scene, Array]:
-        """The scene that was drawn, and poses (carriers, 4, 4) of the ground seen from the carriers
-        in it.
-        """
+        """Scene that was drawn, and poses (carriers, 4, 4) of the ground in the carriers' frames."""
         q = self.rigid.q
-        return build_scene(self.system, q), spatial.inverse(self.rigid.poses(q))
+        return build_scene(self.system, q), spatial.inverse(self.rigid.compute_poses(q))
 
     @cached_property
     def outlines(self) -> tuple[tuple[int, Array, np.ndarray], ...]:
-        """The solid corners (n, 3) and triangles (m, 3) of each carrier that moves, for ghosts."""
+        """One mesh without colours for each moving carrier, for ghosts."""
         by: dict[int, list[Shape]] = {}
         for shape in self.shapes:
             if shape.carrier and shape.color is None:
@@ -597,11 +598,11 @@ class Drawn:
 
     @property
     def near(self) -> float:
-        """The least distance [m] of the camera from what it sees."""
+        """Least distance [m] of the camera from visible objects."""
         return NEAR * max(self.rigid.size, 1e-9)
 
     def look_from(self, camera: Any, aspect: float = 1.0, below: float = 0.0) -> None:
-        """Place a camera, or the one that pages begin with.
+        """Place a camera so that the system is in the picture.
 
         `aspect` is the width of the picture by its height; of the latter the part `below` is
         covered.
@@ -681,8 +682,9 @@ def write_glb(corners: Array, normals: Array, colours: np.ndarray) -> bytes:
 
 
 def compute_soft_normals(corners: Array) -> Array:
-    """Unit normals (3 m, 3) at the corners (3 m, 3) of m triangles: means over those that meet
-    there nearly flat.
+    """Compute unit normals (3 m, 3) at the corners (3 m, 3) of m triangles, for smooth shading.
+
+    They are means over the triangles that meet at a corner nearly flat.
     """
     a, b, c = corners.reshape(-1, 3, 3).transpose(1, 0, 2)
     own = np.repeat(np.cross(b - a, c - a), 3, axis=0)
@@ -701,17 +703,17 @@ def compute_soft_normals(corners: Array) -> Array:
 
 
 def _to_bytes(colours: Any) -> np.ndarray:
-    """Colours from 0 to 1 as bytes."""
+    """Convert colours from 0 to 1 to bytes."""
     return np.round(255 * np.asarray(colours)).astype(np.uint8)
 
 
 def split_poses(X: Array) -> tuple[Array, Array]:
-    """Quaternions wxyz (..., 4) and positions (..., 3) of poses."""
+    """Convert poses (..., 4, 4) to quaternions wxyz (..., 4) and positions (..., 3)."""
     return spatial.matrix_to_quat_wxyz(X[..., :3, :3]), X[..., :3, 3]
 
 
 def _scale_along_z(length: float) -> tuple[float, float, float]:
-    """The scale of what is stretched along z."""
+    """Return the scale factors (x, y, z) of a part stretched along z."""
     return 1.0, 1.0, float(length)
 
 
@@ -726,7 +728,7 @@ class Nodes:
         self.labels = list[Any]()
         self.axes = list[Any]()
         self.laid = dict[str, list[Any]]()
-        self.poses, self.lengths = drawn.rigid.places(q)
+        self.poses, self.lengths = drawn.rigid.compute_places(q)
         self.stretched: dict[int, list[Any]] = {}
         quats, places = split_poses(self.poses)
         for k in sorted({s.carrier for s in drawn.shapes}):
@@ -775,8 +777,8 @@ class Nodes:
 
     # ---- what is shown on request
 
-    def name(self, shown: bool) -> None:
-        """Write the names of joints, bodies and frames, or take them away."""
+    def show_names(self, shown: bool) -> None:
+        """Show the names of joints, bodies and frames, or remove them."""
         for label in self.labels:
             label.remove()
         self.labels = []
@@ -785,9 +787,9 @@ class Nodes:
         scene, X = self.drawn.seen
         at = [(joint.child, joint.centre, joint.name) for joint in scene.joints]
         at += [
-            (link.number, scene.points(link).mean(axis=0), link.name)
+            (link.number, scene.list_points(link).mean(axis=0), link.name)
             for link in scene.links[1:]
-            if len(scene.points(link)) > 1
+            if len(scene.list_points(link)) > 1
         ]
         at += [
             (link.number, Y[:3, 3], name) for link in scene.links for name, Y in link.frames.items()
@@ -804,8 +806,8 @@ class Nodes:
                 )
             )
 
-    def mark(self, shown: bool) -> None:
-        """Show the axes of all frames, or take them away."""
+    def show_axes(self, shown: bool) -> None:
+        """Show the axes of all frames, or remove them."""
         for axes in self.axes:
             axes.remove()
         self.axes = []
@@ -827,8 +829,8 @@ class Nodes:
                     )
                 )
 
-    def lay(self, name: str, overlay: Overlay | None) -> None:
-        """Show something laid over the system, in place of what had the same name."""
+    def show_overlay(self, name: str, overlay: Overlay | None) -> None:
+        """Show an overlay in place of the one with the same name; None removes it."""
         for node in self.laid.pop(name, ()):
             node.remove()
         if overlay is None:
@@ -861,7 +863,7 @@ class Nodes:
             )
         if len(overlay.points):
             record = SolidRecord()
-            record.ball("", np.zeros(3), 0.5, style.INK)
+            record.add_ball("", np.zeros(3), 0.5, style.INK)
             (ball,) = record.pieces
             none = np.tile([1.0, 0.0, 0.0, 0.0], (len(overlay.points), 1))
             new.append(
@@ -880,9 +882,9 @@ class Nodes:
 
     # ---- configurations
 
-    def move(self, q: Array) -> None:
-        """Put all links where a configuration has them."""
-        X, lengths = self.drawn.rigid.places(q)
+    def move_links(self, q: Array) -> None:
+        """Move all links to a configuration (nq,)."""
+        X, lengths = self.drawn.rigid.compute_places(q)
         moved = np.abs(X - self.poses).max(axis=(-2, -1)) > 1e-12
         for k in np.flatnonzero(np.abs(lengths - self.lengths) > 1e-12):
             for node in self.stretched.get(int(k), ()):
@@ -895,10 +897,8 @@ class Nodes:
                 frame.wxyz = quats[k]
                 frame.position = places[k]
 
-    def haunt(self, solutions: Array, clicked: Any = None) -> None:
-        """Show the other solutions (k, nq) as ghosts; `clicked` is called with the event of a click
-        on one.
-        """
+    def show_ghosts(self, solutions: Array, clicked: Any = None) -> None:
+        """Show other solutions (k, nq) as ghosts; `clicked` is called with the event of a click."""
         if not len(solutions) and not self.ghosts:
             return
         if not self.ghosts or len(self.ghosts[0][1].batched_positions) < len(solutions):
@@ -907,7 +907,7 @@ class Nodes:
         X = np.broadcast_to(np.eye(4), (room, self.drawn.rigid.carriers, 4, 4)).copy()
         scales = np.zeros((room, self.drawn.rigid.carriers, 3), dtype=np.float32)
         if len(solutions):
-            X[: len(solutions)], lengths = self.drawn.rigid.places(solutions)
+            X[: len(solutions)], lengths = self.drawn.rigid.compute_places(solutions)
             scales[: len(solutions)] = 1.0
             scales[: len(solutions), :, 2] = lengths
         quats, places = split_poses(X)
@@ -920,6 +920,7 @@ class Nodes:
             node.visible = bool(len(solutions))
 
     def _add_ghosts(self, room: int, clicked: Any) -> None:
+        """Add ghosts for up to `room` solutions in place of the old ones."""
         for _, node in self.ghosts:
             node.remove()
         self.ghosts = []

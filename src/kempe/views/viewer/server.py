@@ -55,23 +55,29 @@ class Guard:
         self.token = secrets.token_urlsafe(TOKEN_BYTES)
         self.active = False
 
-    def around(self, serve: Callable[..., Any]) -> Callable[..., Any]:
-        """The function `serve` of websockets, with requests decided here before its own handler
-        sees them.
-        """
+    def wrap_server(self, serve: Callable[..., Any]) -> Callable[..., Any]:
+        """Wrap the function `serve` of websockets, so that the guard decides requests first."""
 
-        def guarded(handler: Any, *where: Any, process_request: Handler, **how: Any) -> Any:
-            def decide(connection: Any, request: Request) -> Response | None:
-                return self.answer(connection, request, process_request)
+        def serve_guarded(handler: Any, *where: Any, process_request: Handler, **how: Any) -> Any:
+            """Serve with the guard in front of the handler of requests."""
+
+            def answer_handshake(connection: Any, request: Request) -> Response | None:
+                """Decide a request before its own handler sees it."""
+                return self.answer_request(connection, request, process_request)
 
             self.active = True
-            return serve(handler, *where, process_request=decide, **how)
+            return serve(handler, *where, process_request=answer_handshake, **how)
 
-        return guarded
+        return serve_guarded
 
-    def answer(self, connection: Any, request: Request, further: Handler) -> Response | None:
-        """The answer to a request: a refusal, else that of `further`, which is None where a
-        websocket opens.
+    def answer_request(
+        self, connection: Any, request: Request, further: Handler
+    ) -> Response | None:
+        """Answer a request: refuse it, or pass it on to `further`.
+
+        The answer is None where a websocket opens.
+
+        The answer is None where a websocket opens.
         """
         host = _read_header(request, "Host")
         if host is None or not OWN_HOST.fullmatch(host):
@@ -109,7 +115,7 @@ class PageServer(viser.ViserServer):
             def _background_worker(self, ready_sem: Any) -> None:
                 theirs: Any = websockets
                 server = _replace_names(
-                    theirs.asyncio.server, serve=guard.around(theirs.asyncio.server.serve)
+                    theirs.asyncio.server, serve=guard.wrap_server(theirs.asyncio.server.serve)
                 )
                 own = _replace_names(theirs, asyncio=_replace_names(theirs.asyncio, server=server))
                 _bind_globals(infra.WebsockServer._background_worker, websockets=own)(
@@ -128,18 +134,18 @@ class PageServer(viser.ViserServer):
 
     @property
     def url(self) -> str:
-        """The address of the page, with the token."""
+        """Address of the page, with the token."""
         return f"http://{HOST}:{self.get_port()}/{self.guard.token}"
 
 
 def silence_action(action: Callable[[], Any]) -> Any:
-    """What an action gives that would print."""
+    """Run an action without its printed output, and return its result."""
     with contextlib.redirect_stdout(io.StringIO()):
         return action()
 
 
 def _bind_globals(function: Any, **names: Any) -> Callable[..., Any]:
-    """A function of another package as it is, to which some global names mean something else."""
+    """Copy a function of another package with some of its global names replaced."""
     scope = {**function.__globals__, **names}
     made = FunctionType(
         function.__code__, scope, function.__name__, function.__defaults__, function.__closure__
@@ -149,17 +155,18 @@ def _bind_globals(function: Any, **names: Any) -> Callable[..., Any]:
 
 
 def _replace_names(module: Any, **names: Any) -> SimpleNamespace:
-    """The names of a module, some of which mean something else."""
+    """Copy the names of a module, with some of them replaced."""
     return SimpleNamespace(**{**vars(module), **names})
 
 
 def _read_header(request: Request, name: str) -> str | None:
-    """The value of a header that a request has once, else None."""
+    """Return the value of a header that occurs once in a request, else None."""
     values = request.headers.get_all(name)
     return values[0] if len(values) == 1 else None
 
 
 def _make_refusal(why: str) -> Response:
+    """Make the response that refuses a request, with its reason."""
     body = f"Refused: {why}.\n".encode()
     headers = Headers(
         {"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(body))}

@@ -63,19 +63,20 @@ class Played(NamedTuple):
 
     @property
     def duration(self) -> float:
-        """Seconds from the first to the last configuration."""
+        """Duration from the first to the last configuration [s]."""
         return float(self.t[-1]) or SLOW
 
-    def at(self, time: float) -> Array:
-        """The configuration (nq,) at the time that is nearest."""
+    def find_configuration(self, time: float) -> Array:
+        """Find the configuration (nq,) whose time is nearest to a time [s]."""
         k = int(np.searchsorted(self.t, time))
         before = k > 0 and (k == len(self.t) or time - self.t[k - 1] < self.t[k] - time)
         return np.array(self.q[k - 1 if before else k])
 
 
 def make_motion(system: Model, path: Any) -> Played | None:
-    """The motion of an answer, or of configurations (n, nq); None of None. Errors: `InputError` for
-    other shapes.
+    """Make a motion to be played from an answer or configurations (n, nq); None from None.
+
+    Errors: `InputError` for other shapes.
     """
     q, _ = read_motion(system, path)
     if q is None:
@@ -88,29 +89,33 @@ def make_motion(system: Model, path: Any) -> Played | None:
 
 
 def _trace_whole_motion(session: Session) -> Any:
+    """Trace the whole motion of a system with one freedom."""
     from kempe.motion.trace import trace
 
     driver = session.sliders[0].name
-    return trace(session.system, driver, session.q, budget=session.budget(MOTION_PATIENCE))
+    return trace(session.system, driver, session.q, budget=session.make_budget(MOTION_PATIENCE))
 
 
 def _find_self_motion(session: Session) -> Any:
+    """Find a self-motion in a random direction, with the frame at rest."""
     from kempe.inverse.self_motion import self_motion
 
     system = session.system
     way = session.rng.normal(size=system.nv)  # of several freedoms: each search takes another one
-    budget = session.budget(MOTION_PATIENCE)
+    budget = session.make_budget(MOTION_PATIENCE)
     task = session.task
     return self_motion(system, session.q, session.frame, task=task, direction=way, budget=budget)
 
 
 def _find_manoeuvre(session: Session) -> Any:
+    """Find a manoeuvre from the first configuration to the present one."""
     from kempe.motion.manoeuvre import manoeuvre
 
     return manoeuvre(session.system, session.home, session.q)
 
 
 def _simulate_fall(session: Session) -> Any:
+    """Simulate a fall from the present configuration."""
     from kempe.motion.simulate import simulate
 
     return simulate(session.system, FALL, session.q, restitution=LEFT)
@@ -127,7 +132,7 @@ of what falls."""
 
 
 def list_possible_motions(session: Session) -> tuple[str, ...]:
-    """Names of `MOTIONS` that a system of this kind can have."""
+    """List the names of `MOTIONS` that a system can have."""
     system = session.system
     freedoms = len(session.sliders)
     rows = [r for c in system.mechanism.constraints.values() for r in c.of.list_rows(system.dim)]
@@ -137,7 +142,7 @@ def list_possible_motions(session: Session) -> tuple[str, ...]:
     )
     have = {
         "whole motion": freedoms == 1 and not rolls,
-        "frame at rest": session.spare() and not rolls,
+        "frame at rest": session.is_redundant() and not rolls,
         "manoeuvre": rolls and not has_loops(system),
         "fall": falls and not rolls,
     }
@@ -145,8 +150,9 @@ def list_possible_motions(session: Session) -> tuple[str, ...]:
 
 
 def find_named_motion(session: Session, name: str) -> tuple[Played | None, str]:
-    """The motion of this name from where the session is, if there is one, and the sentence about
-    it.
+    """Find the motion with this name from the present configuration, and the sentence about it.
+
+    The motion is None if there is none.
 
     Errors: those of the verb that looks for it.
     """
@@ -190,7 +196,7 @@ class Slider(NamedTuple):
 
 
 class Session:
-    """A configuration `q` (nq,) of a system, and what is done with it.
+    """State of a page: the configuration `q` (nq,) of a system, and the actions on it.
 
     `status` is the sentence about the last thing done. `frame` is the one that targets are for,
     `task` what of them counts: "pose" or "position"; `target` (4, 4) is the last one that was not
@@ -222,26 +228,27 @@ class Session:
         self._units = list_units(system)
         self.rng = np.random.default_rng(0)
         if q is not None and has_loops(system) and not judge_configurations(system, self.q):
-            self._take(assemble(system, start=self.q), "closed from the q given")
-        self._choose()
+            self._take_answer(assemble(system, start=self.q), "closed from the q given")
+        self._choose_chart()
         self.frames = _sort_by_use(system)
         self.frame = self.frames[0] if frame is None else system.structure.frame_name(frame)
-        self.task = self.usual_task()
+        self.task = self.choose_task()
         self.home = self.q
 
     # ---- coordinates
 
     @property
     def sliders(self) -> tuple[Slider, ...]:
-        """The independent coordinates, without those of idle spins, as they are now."""
+        """Independent coordinates with their present values, without idle rotations."""
         if self.chart is None:
             return ()
         values = self.chart.u(self.q)
         return tuple(
-            self._slider(n, float(x)) for n, x in zip(self.chart.useful, values, strict=False)
+            self._make_slider(n, float(x)) for n, x in zip(self.chart.useful, values, strict=False)
         )
 
-    def _slider(self, name: str, value: float) -> Slider:
+    def _make_slider(self, name: str, value: float) -> Slider:
+        """Make the slider of an independent coordinate, with ends from its limits."""
         names = self.system.structure.velocity_names
         system = self.system
         if name not in names:
@@ -258,14 +265,14 @@ class Session:
 
     @property
     def size(self) -> float:
-        """How far [m] a slide without limits is moved: the extent of the drawing."""
+        """Range [m] of a slide without limits: the extent of the drawing."""
         if not hasattr(self, "_size"):
             scene = build_scene(self.system, self.q)
             self._size = max(scene.size, *(10.0 * m.radius for m in scene.marks), 0.0)
         return self._size
 
-    def set(self, name: str, value: float) -> None:
-        """Set an independent coordinate; closed loops are led there in steps, and stay closed."""
+    def set_coordinate(self, name: str, value: float) -> None:
+        """Set an independent coordinate; loops are moved there in steps, and stay closed."""
         chart = self.chart
         if chart is None or name not in chart.useful:
             raise InputError(
@@ -279,7 +286,7 @@ class Session:
             q = np.array(self.q)
             q[known.index(name)] = value
             if self._bare or judge_configurations(self.system, q):
-                self._go(q, "")
+                self._set_configuration(q, "")
                 return
         u = chart.u(self.q)[: len(chart.useful)]
         wide = abs(value - u[k]) / (
@@ -293,27 +300,27 @@ class Session:
                 break
             self.q = answer.q
         if not chart.valid(self.q):
-            self._choose()
-        self._after()
+            self._choose_chart()
+        self._forget_solutions()
 
-    def _choose(self) -> None:
-        """Find independent coordinates here, unless the loops are open."""
-        with self._said():
+    def _choose_chart(self) -> None:
+        """Choose independent coordinates at this configuration, unless its loops are open."""
+        with self._catch_refusals():
             self.chart: Chart | None = independent(self.system, self.q)
             self.revision += 1
             if not self.chart.useful and not self.status:
                 self.status = f"{self.system.name} has no freedoms: nothing moves"
 
     @contextlib.contextmanager
-    def _said(self) -> Generator[None, None, None]:
-        """What cannot be answered is said in the status."""
+    def _catch_refusals(self) -> Generator[None, None, None]:
+        """Report errors of the block in the status instead of raising them."""
         try:
             yield
         except KempeError as error:
             self.status = str(error)
 
-    def _take(self, answer: Any, said: str = "") -> bool:
-        """Take the configuration of an answer if it is one that closes the loops, and its sentence."""
+    def _take_answer(self, answer: Any, said: str = "") -> bool:
+        """Take over the configuration of an answer if its loops are closed, and its sentence."""
         self.status = said if answer else answer.status
         if answer or (
             np.isfinite(answer.q).all() and bool(judge_configurations(self.system, answer.q))
@@ -321,136 +328,137 @@ class Session:
             self.q = np.array(answer.q)
         return bool(answer)
 
-    def _after(self) -> None:
+    def _forget_solutions(self) -> None:
+        """Forget the other solutions, which a move makes obsolete."""
         self.solutions = np.empty((0, self.system.nq))
 
-    def budget(self, seconds: float, **more: Any) -> Budget:
-        """What a long search may cost."""
+    def make_budget(self, seconds: float, **more: Any) -> Budget:
+        """Make the budget of a long search."""
         return Budget(time_limit=seconds, progress=self.progress, **more)
 
     # ---- targets
 
-    def usual_task(self) -> str:
-        """What a frame can hold here: "pose" if it moves in every direction, else "position"."""
+    def choose_task(self) -> str:
+        """Choose the task of targets: "pose" if the frame moves in every direction, else
+        "position".
+        """
         if self.chart is None:
             return "position"
-        with self._said():
+        with self._catch_refusals():
             return (
                 "pose"
-                if self.directions("pose") == (3 if self.system.dim == 2 else 6)
+                if self.count_directions("pose") == (3 if self.system.dim == 2 else 6)
                 else "position"
             )
         return "position"
 
-    def directions(self, task: str) -> int:
-        """In how many directions the frame can move, of those that a task counts: the most that
-        were found.
+    def count_directions(self, task: str) -> int:
+        """Count the directions of a task in which the frame can move.
+
+        It is the largest number at several configurations.
+
+        It is the largest number at several configurations.
         """
         if self.chart is None:
             return 0
         tries = () if self.chart.dependent else sample_configurations(self.system, 0, 4)
         rows = self.system.dim if task == "position" else None
         return max(
-            Spectrum(self._rates(q)[:rows], 1.0).compute_rank(Level.GENERIC)
+            Spectrum(self._compute_rates(q)[:rows], 1.0).compute_rank(Level.GENERIC)
             for q in (self.q, *tries)
         )
 
-    def spare(self) -> bool:
-        """Whether the system can move with the frame at rest, as far as the task counts, at most
-        configurations.
-        """
+    def is_redundant(self) -> bool:
+        """Whether the system can move with the frame at rest, at most configurations."""
         return self.chart is not None and len(self.chart.useful) > max(
-            1, self.directions(self.task)
+            1, self.count_directions(self.task)
         )
 
-    def _rates(self, q: Array) -> Array:
-        """Rates (3 or 6, p) of the frame by the independent coordinates at q."""
+    def _compute_rates(self, q: Array) -> Array:
+        """Compute the rates (3 or 6, p) of the frame with respect to the independent coordinates."""
         J = jacobian(self.system, q, self.frame)
         if self.chart is not None and self.chart.dependent:
             J = J @ self.chart.tangent(q)
         return J[[0, 1, 5]] if self.system.dim == 2 else J
 
-    def aim(self, frame: Any, task: str | None = None) -> None:
-        """Take another frame, and what of its targets counts (default: what it can hold here)."""
+    def aim_frame(self, frame: Any, task: str | None = None) -> None:
+        """Choose the frame and the task of targets, by default the usual task."""
         self.frame = self.system.structure.frame_name(frame)
-        self.task = self.usual_task() if task is None else task
-        self._after()
+        self.task = self.choose_task() if task is None else task
+        self._forget_solutions()
 
     @property
     def pose(self) -> Array:
         """Pose (4, 4) of the frame."""
         return fk(self.system, self.q, self.frame)
 
-    def reach(self, X: Array, quick: bool = True) -> bool:
-        """Bring the frame to a pose (4, 4) from here, or as near as can be, and say why; whether it
-        is reached.
+    def reach_pose(self, X: Array, quick: bool = True) -> bool:
+        """Bring the frame to a pose (4, 4), or as near as possible; whether it is reached.
 
         Loops stay closed and limits hold. `quick`: one search from here only, as while a target is
         dragged.
         """
         from kempe.inverse.ik import ik
 
-        with self._said():
+        with self._catch_refusals():
             budget = QUICK if quick else None
             answer = ik(self.system, X, self.frame, self.q, task=self.task, budget=budget)
-            found = self._take(answer, "reached")
+            found = self._take_answer(answer, "reached")
             self.target = None if found else X
             if self.chart is not None and not self.chart.valid(self.q):
-                self._choose()
-            self._after()
+                self._choose_chart()
+            self._forget_solutions()
             return found
         return False
 
-    def solve(self, kind: str = "solution") -> int:
-        """Find the other configurations of a kind; their number, and a sentence about them where
-        there is none.
-        """
-        self._after()
+    def find_others(self, kind: str = "solution") -> int:
+        """Find the other configurations of a kind; return their number."""
+        self._forget_solutions()
         self.kind = kind
         begun = time.perf_counter()
-        with self._said():
-            q = self._modes() if kind == "mode" else self._others()
-            self.solutions = self._apart(q.reshape(int(np.prod(q.shape[:-1])), self.system.nq))[
-                :GHOSTS
-            ]
+        with self._catch_refusals():
+            q = self._find_modes() if kind == "mode" else self._find_inverse_solutions()
+            self.solutions = self._select_distinct(
+                q.reshape(int(np.prod(q.shape[:-1])), self.system.nq)
+            )[:GHOSTS]
             n = len(self.solutions)
             where = "" if kind == "mode" else f" with {self.frame} here"
             if n:
                 self.status = f"{n} other {KINDS[kind]}{'s' * (n > 1)}{where}: click on one"
             else:
-                moves = ", but it moves on with it at rest" * self.spare()
+                moves = ", but it moves on with it at rest" * self.is_redundant()
                 self.status = f"no other {KINDS[kind]} was found{where}{moves}"
         self.took = time.perf_counter() - begun
         return len(self.solutions)
 
-    def _others(self) -> Array:
-        """Configurations (k, nq) with the frame where it is."""
+    def _find_inverse_solutions(self) -> Array:
+        """Find configurations (k, nq) with the frame at the same pose."""
         X = self.pose
         system = self.system
         if has_loops(system):
             known = {self.frame: X if self.task == "pose" else X[: system.dim, 3]}
-            return self._closing(known)
+            return self._close_known(known)
         from kempe.inverse.ik_all import ik_all
 
         return np.asarray(ik_all(system, X, self.frame, task=self.task, limits=True).q)
 
-    def _modes(self) -> Array:
-        """Configurations (k, nq) with the independent coordinates as they are."""
+    def _find_modes(self) -> Array:
+        """Find configurations (k, nq) with the same independent coordinates."""
         if not has_loops(self.system):
             return np.empty((0, self.system.nq))
         known = {s.name: s.value for s in self.sliders if s.name in self.system.coordinate_names}
-        return self._closing(known)
+        return self._close_known(known)
 
-    def _closing(self, known: dict[str, Any]) -> Array:
-        """Configurations (k, nq) that close the loops with the known coordinates or frames."""
+    def _close_known(self, known: dict[str, Any]) -> Array:
+        """Find configurations (k, nq) that close the loops with known coordinates or frames."""
         from kempe.assemble.modes import assembly_modes
 
-        budget = self.budget(PATIENCE)
+        budget = self.make_budget(PATIENCE)
         return np.asarray(assembly_modes(self.system, known, self.q, budget=budget).q)
 
-    def _apart(self, q: Array) -> Array:
-        """Those of configurations (k, nq) that differ from q; of loops those that look different
-        from one another.
+    def _select_distinct(self, q: Array) -> Array:
+        """Select the configurations (k, nq) that differ from q; with loops those that look
+        different.
         """
         system = self.system
         q = q[np.isfinite(q).all(axis=1)]
@@ -458,7 +466,7 @@ class Session:
             return q[compute_distance(system, q, self.q) > APART] if len(q) else q
         links = build_scene(system, self.q)
         heads = [system.body_names.index(link.name) for link in links.links]
-        own = [links.points(link) for link in links.links]
+        own = [links.list_points(link) for link in links.links]
         X = np.linalg.inv(fk(system, self.q)[heads])
         Y = fk(system, np.concatenate([self.q[None], q]))[:, heads]
         at = np.concatenate(
@@ -474,8 +482,8 @@ class Session:
                 seen.append(k)
         return q[np.array(seen[1:], dtype=int) - 1]
 
-    def choose(self, k: int) -> None:
-        """Go to one of the other configurations; the one that was left takes its place among them."""
+    def choose_solution(self, k: int) -> None:
+        """Go to one of the other configurations, and keep the present one in its place."""
         if not 0 <= k < len(self.solutions):
             raise InputError(
                 f"{k} is none of {format_count(len(self.solutions), f'other {KINDS[self.kind]}')}"
@@ -484,7 +492,7 @@ class Session:
         solutions[k], self.q = self.q, np.array(solutions[k])
         self.target = None
         if self.kind == "mode" or (self.chart is not None and not self.chart.valid(self.q)):
-            self._choose()
+            self._choose_chart()
         self.solutions = solutions
         same = (
             "the independent coordinates as they were"
@@ -493,74 +501,75 @@ class Session:
         )
         self.status = f"another of the {len(solutions) + 1} {KINDS[self.kind]}s found with {same}"
 
-    def next(self, kind: str = "solution") -> None:
+    def choose_next(self, kind: str = "solution") -> None:
         """Go to the next configuration of a kind."""
-        if (self.kind == kind and len(self.solutions)) or self.solve(kind):
-            self.choose(0)
+        if (self.kind == kind and len(self.solutions)) or self.find_others(kind):
+            self.choose_solution(0)
             self.solutions = np.roll(self.solutions, -1, axis=0)
 
     # ---- buttons
 
-    def random(self) -> None:
+    def go_to_random(self) -> None:
         """Go to a random configuration within the limits, with closed loops."""
         said = ""
         for _ in range(TRIES):
             start = sample_configurations(self.system, self.rng)
             if judge_configurations(self.system, start):
-                self._go(start, "a random configuration")
+                self._set_configuration(start, "a random configuration")
                 return
             answer = assemble(self.system, start=start, budget=QUICK)
             if answer:
-                self._go(answer.q, "a random configuration")
+                self._set_configuration(answer.q, "a random configuration")
                 return
             said = answer.status
         self.status = f"none of {TRIES} random starts closed the loops: {said}"
 
-    def go(self, name: str) -> None:
-        """Go to a posture of the model, or to 'neutral' or 'mid'; loops are closed from there."""
+    def go_to_posture(self, name: str) -> None:
+        """Go to a posture of the model, or to 'neutral' or 'mid', and close the loops."""
         own = {"neutral": self.system.neutral, "mid": compute_mid_configuration(self.system)}
         named = name in self.system.structure.posture_names
         q = own[name] if name in own and not named else make_q(self.system, name)
         if judge_configurations(self.system, q):
-            self._go(q, f"posture {name}")
+            self._set_configuration(q, f"posture {name}")
         elif answer := assemble(self.system, start=q):
-            self._go(answer.q, f"closed from posture {name}")
+            self._set_configuration(answer.q, f"closed from posture {name}")
         else:
             self.status = answer.status
 
     @property
     def postures(self) -> tuple[str, ...]:
-        """Names that `go` takes."""
+        """Names of the postures that `go` takes."""
         return tuple(dict.fromkeys(("neutral", "mid", *self.system.structure.posture_names)))
 
-    def put(self, q: Any) -> None:
-        """Go to a configuration (nq,), as it is."""
+    def go_to_configuration(self, q: Any) -> None:
+        """Go to a configuration (nq,) without changing it."""
         if (q := read_q(self.system, q)).shape != (self.system.nq,):
             raise InputError(
                 f"q has shape {q.shape}; one configuration ({self.system.nq},) is shown"
             )
-        self._go(q, "")
+        self._set_configuration(q, "")
 
-    def _go(self, q: Array, said: str) -> None:
+    def _set_configuration(self, q: Array, said: str) -> None:
+        """Go to a configuration (nq,), and set the status."""
         self.q = np.array(q)
         self.status = said
         self.target = None
         if self.chart is None or self.chart.dependent:
-            self._choose()
-        self._after()
+            self._choose_chart()
+        self._forget_solutions()
 
     # ---- motions
 
-    def at(self, time: float) -> None:
-        """Go to where the motion is at a time [s]."""
+    def go_to_time(self, time: float) -> None:
+        """Go to the configuration of the motion at a time [s]."""
         if self.motion is not None:
-            self.q = self.motion.at(time)
+            self.q = self.motion.find_configuration(time)
             self.target = None
-            self._after()
+            self._forget_solutions()
 
     def find_motion(self, name: str) -> bool:
-        """Take a motion of `kempe.views.viewer.session.MOTIONS` from here; whether there is one."""
-        with self._said():
+        """Find a motion of `MOTIONS` from this configuration; whether there is one."""
+        with self._catch_refusals():
             motion, self.status = find_named_motion(self, name)
             self.motion = self.motion if motion is None else motion
             return motion is not None
@@ -568,9 +577,9 @@ class Session:
 
     # ---- what is said
 
-    def residual(self) -> float:
-        """The largest error of what the system holds, lengths in parts of a characteristic one,
-        angles in radians.
+    def compute_residual(self) -> float:
+        """Compute the largest error of the constraints; lengths relative to the characteristic
+        length.
         """
         return (
             0.0
@@ -580,15 +589,17 @@ class Session:
             )
         )
 
-    def singular(self) -> str:
-        """How far the independent coordinates are from not moving the others, in a sentence."""
+    def describe_singularity(self) -> str:
+        """Describe how near the independent coordinates are to a singularity."""
         if self.chart is None or not self.chart.useful:
             return ""
         if not self.chart.dependent:
-            rows = self._rates(self.q)[: self.system.dim if self.task == "position" else None]
+            rows = self._compute_rates(self.q)[
+                : self.system.dim if self.task == "position" else None
+            ]
             singular = Spectrum(rows).compute_rank(SINGULAR) < min(rows.shape)
             return f"{self.frame} is singular here" if singular else ""
-        # where loops are open, which `said` tells by the residual
+        # where loops are open, which `compose_text` tells by the residual
         with contextlib.suppress(InputError):
             quality = self.chart.condition(self.q)
             word = (
@@ -601,26 +612,27 @@ class Session:
             return f"{word} (conditioning {quality:.2g})"
         return ""
 
-    def mobility(self) -> str:
-        """Degrees of freedom here, and how they were counted."""
+    def describe_mobility(self) -> str:
+        """Describe the degrees of freedom at this configuration, and how they were counted."""
         from kempe.mobility.mobility import mobility
 
-        with self._said():
+        with self._catch_refusals():
             found = mobility(self.system, self.q)
             return f"{found.dof} degree{'s' * (found.dof != 1)} of freedom: {found.status}"
         return ""
 
-    def said(self) -> str:
-        """The live sentences: residual, singularity, and what the last thing done led to, in
-        paragraphs.
-        """
-        closed = f"closed to {self.residual():.1e}" if self._closes else ""
-        return "\n\n".join(line for line in (closed, self.singular(), self.status) if line)
+    def compose_text(self) -> str:
+        """Compose the sentences of the page: residual, singularity and status, as paragraphs."""
+        closed = f"closed to {self.compute_residual():.1e}" if self._closes else ""
+        return "\n\n".join(
+            line for line in (closed, self.describe_singularity(), self.status) if line
+        )
 
 
 def _sort_by_use(system: Model) -> tuple[str, ...]:
-    """Names of the frames and bodies, those first that are dragged most often: the last frame on
-    what moves.
+    """Sort the names of frames and bodies by how likely they are to be dragged.
+
+    The last frame on a moving link comes first.
     """
     number = number_links(system)
     own = [(number[f.body] > 0, True, name) for name, f in system.structure.frames.items()]
