@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import ast
 import contextlib
+import importlib
 import importlib.util
 import inspect
 import io
@@ -247,6 +248,19 @@ def written_by(script: str) -> ModuleType:
 def test_written_pages_are_up_to_date(name):
     shown = (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8")
     assert shown == written_by(f"{name}_page").page(), f"run  python docs/{name}_page.py"
+
+
+def test_members_that_the_reference_lists_exist():
+    text = (DOCS / "api.md").read_text(encoding="utf-8")
+    listed = re.findall(
+        r"^\.\. autoclass:: ([\w.]+)\n   :members: (\w[\w, ]*)$", text, re.MULTILINE
+    )
+    assert len(listed) > 20
+    for name, members in listed:
+        module, _, of = name.rpartition(".")
+        kind = getattr(importlib.import_module(module or "kempe"), of)
+        known = {*dir(kind), *inspect.get_annotations(kind)}
+        assert known.issuperset(members.split(", ")), name
 
 
 def test_the_list_of_public_names_is_up_to_date():
