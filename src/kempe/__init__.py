@@ -1,5 +1,6 @@
-"""Kempe answers position questions about multibody systems. They may be open chains, trees or
-closed loops, in the plane or in space.
+"""Kempe answers position questions about multibody systems.
+
+They may be open chains, trees or closed loops, in the plane or in space.
 
 ``describe or load -> Mechanism -> build -> System -> forward, inverse, ...``. Methods of `System`
 are the map.

@@ -43,8 +43,9 @@ CONFIGURATIONS = {"q", "q0", "q1", "near", "start"}
 
 
 def quiet(function: Function) -> Function:
-    """Decorate a function so that it computes without warnings of NumPy. NaN and infinity show in
-    its result.
+    """Decorate a function so that NumPy raises no floating-point warnings.
+
+    NaN and infinity show in the result of the function.
 
     It costs half a microsecond a call. Threads that it starts do not inherit it.
     """
@@ -306,7 +307,10 @@ def read_names(names: object, what: str) -> tuple[str, ...]:
 
 
 def numbers(x: Any, what: str, *core: int) -> np.ndarray:
-    """Read real numbers as an array (..., *core). Errors: `InputError` for other values and shapes."""
+    """Convert real numbers to an array of shape (..., *core).
+
+    Errors: `InputError` for other values and shapes.
+    """
     array = np.array(x) if x.__class__ is float else read_reals(x, what)
     if core and array.shape[-len(core) :] != core:
         raise InputError(
@@ -316,8 +320,9 @@ def numbers(x: Any, what: str, *core: int) -> np.ndarray:
 
 
 def together(shapes: Mapping[str, tuple[int, ...]]) -> tuple[int, ...]:
-    """Broadcast the leading shapes of several arguments, given by their names. Errors:
-    `InputError`.
+    """Broadcast the leading shapes of several arguments, given by their names.
+
+    Errors: `InputError`.
     """
     try:
         return np.broadcast_shapes(*shapes.values())

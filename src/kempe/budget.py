@@ -15,8 +15,9 @@ from kempe.errors import InputError, format_value
 
 
 class Tolerance(NamedTuple):
-    """Largest allowed errors: `linear` in metres and `angular` in radians. A plain pair of numbers
-    is accepted, too.
+    """Largest allowed errors: `linear` in metres and `angular` in radians.
+
+    A plain pair of numbers is accepted, too.
     """
 
     linear: float
@@ -26,8 +27,9 @@ class Tolerance(NamedTuple):
 @explain_init_errors
 @dataclass(frozen=True)
 class Budget:
-    """Limits of the work of a call: time, starts, steps, threads. None stands for the verb's
-    default.
+    """Limits of the work of a call: time, starts, steps, threads.
+
+    None stands for the verb's default.
 
     A verb refuses what it does not read, and says what it reads.
     """

@@ -1,5 +1,7 @@
-"""Conversion of systems and configurations to other coordinates. These are the coordinates of
-Pinocchio, MuJoCo and ROS, the poses of all bodies, and chains of turns and slides.
+"""Conversion of systems and configurations to other coordinates.
+
+These are the coordinates of Pinocchio, MuJoCo and ROS, the poses of all bodies, and chains of turns
+and slides.
 
 >>> import kempe
 >>> robot = kempe.load("two_link")

@@ -60,9 +60,7 @@ class Fault:
         return f"{head}{subject}{self.message}{allowed}"
 
     def caret(self) -> str:
-        """Return the line of the file with a caret under the place of the fault, '' if it is
-        unknown.
-        """
+        """Return the line of the file with a caret under the fault; '' if the place is unknown."""
         if self.where is None or not self.where.text:
             return ""
         text = self.where.text.rstrip("\n").replace("\t", " ")
@@ -105,7 +103,7 @@ class RoundedWarning(UserWarning):
 
 
 class DescriptionError(KempeError, ValueError):
-    """Error of a file or of builder calls that describe no system; `problems` lists the faults."""
+    """Error in the description of a mechanism (file or calls); `problems` lists the faults."""
 
     def __init__(self, problems: Fault | Iterable[Fault]):
         self.problems = (problems,) if isinstance(problems, Fault) else tuple(problems)
@@ -120,9 +118,7 @@ class DescriptionError(KempeError, ValueError):
 
 
 class UnknownNameError(KempeError, KeyError):
-    """Error of a name that the system does not have; it keeps `name`, `kind` and the `allowed`
-    names.
-    """
+    """Error of an unknown name, with the fields `name`, `kind` and the `allowed` names."""
 
     def __init__(self, kind: str, name: object, allowed: Iterable[str], owner: str = ""):
         self.kind = kind
@@ -153,7 +149,7 @@ INSTEAD = {
 
 
 class CallError(KempeError, TypeError):
-    """Error of a call with an argument that the function does not have, or without a required one."""
+    """Error of a call with an unknown argument, or without a required argument."""
 
     def __init__(self, function: str, name: str, allowed: Iterable[str] = ()):
         self.function = function
@@ -169,7 +165,7 @@ class CallError(KempeError, TypeError):
 
 
 class UnsupportedError(KempeError, NotImplementedError):
-    """Error of a question that this version cannot answer for this system; the text says why."""
+    """Error of a question that this version cannot answer; the text gives the reason."""
 
 
 class NoSolutionError(KempeError, RuntimeError):
@@ -184,7 +180,7 @@ class NoSolutionError(KempeError, RuntimeError):
 
 
 class TimeLimitError(KempeError, TimeoutError):
-    """Error of a verb whose time limit passed before it had any result."""
+    """Error of a verb whose time limit passed before the first result."""
 
     def __init__(self, verb: str, limit: float | None):
         self.verb = verb
@@ -199,7 +195,7 @@ class TimeLimitError(KempeError, TimeoutError):
 
 
 class Interrupted(KeyboardInterrupt):
-    """Raised when Ctrl-C stops a verb; `answer` is the partial answer, or None."""
+    """Interruption of a verb by Ctrl-C; `answer` is the partial answer, or None."""
 
     def __init__(self, answer: object = None):
         self.answer = answer
@@ -245,9 +241,7 @@ class MissingExtraError(KempeError, ImportError):
 
 
 def requirement(package: str, extra: str) -> str:
-    """Return the package with the version bounds of an extra of Kempe, or its bare name without
-    them.
-    """
+    """Return a package name, with the version bounds from an extra of Kempe if there are any."""
     from importlib import metadata
 
     try:
@@ -303,9 +297,7 @@ def _select_similar(given: str, names: Iterable[str]) -> list[str]:
 
 
 def hint(name: object, allowed: Iterable[str]) -> str:
-    """Return the end of a message about an unknown name: similar names, or the list of allowed
-    names.
-    """
+    """Return the end of a message about an unknown name: similar names, or all allowed names."""
     import difflib  # only here: most names are known
 
     allowed = list(dict.fromkeys(allowed))
@@ -321,8 +313,9 @@ def hint(name: object, allowed: Iterable[str]) -> str:
 
 
 class DiskError(KempeError, OSError):
-    """Error of a result that could not be written. The text says what is on disk, from which the
-    same call continues.
+    """Error of a result that could not be written.
+
+    The text says what is on disk, from which the same call continues.
     """
 
 
@@ -331,4 +324,4 @@ class DamagedError(KempeError, OSError):
 
 
 class KernelsError(KempeError, ImportError):
-    """Error of missing compiled kernels for this machine that cannot be compiled here either."""
+    """Error of missing compiled kernels that cannot be compiled on this machine."""

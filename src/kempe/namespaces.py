@@ -59,8 +59,9 @@ class Symbolic(Namespace):
         snap: float = 0.0,
         short: bool = False,
     ) -> Any:
-        """Derive the forward kinematics of a frame as a SymPy matrix 4 x 4. It is in the ground
-        frame or in another frame.
+        """Derive the forward kinematics of a frame as a SymPy matrix 4 x 4.
+
+        It is in the ground frame or in another frame.
 
         With `short` a `ShortForm`: l1 c1 + l2 c12, and the legend; see
         `kempe.forward.symbolic`.
@@ -75,8 +76,9 @@ class Symbolic(Namespace):
     def steps(
         self, frame: FrameLike, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0
     ) -> SymbolicSteps:
-        """Derive the matrices whose product is the forward kinematics. See
-        `kempe.forward.symbolic_steps`.
+        """Derive the matrices whose product is the forward kinematics.
+
+        See `kempe.forward.symbolic_steps`.
         """
         from kempe.forward.symbolic_steps import derive_steps
 
@@ -86,8 +88,9 @@ class Symbolic(Namespace):
     def jacobian(
         self, frame: FrameLike, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0
     ) -> Any:
-        """Derive the Jacobian of a frame as a SymPy matrix 6 x nv; see
-        `kempe.forward.symbolic_steps`.
+        """Derive the Jacobian of a frame as a SymPy matrix 6 x nv.
+
+        See `kempe.forward.symbolic_steps`.
         """
         from kempe.forward.symbolic_steps import derive_jacobian
 
@@ -97,8 +100,9 @@ class Symbolic(Namespace):
     def closure(
         self, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0
     ) -> SymbolicClosure:
-        """The equations f(q) = 0 of all loops; see
-        `kempe.forward.symbolic_closure.derive_closure`.
+        """Derive the equations f(q) = 0 of all loops.
+
+        See `kempe.forward.symbolic_closure.derive_closure`.
         """
         from kempe.forward.symbolic_closure import derive_closure
 
@@ -113,8 +117,9 @@ class Symbolic(Namespace):
         symbols: Mapping[str, Any] | None = None,
         snap: float = 0.0,
     ) -> DHTable:
-        """Derive the Denavit-Hartenberg table of a frame's chain. See
-        `kempe.forward.symbolic_dh.to_dh`.
+        """Derive the Denavit-Hartenberg table of a frame's chain.
+
+        See `kempe.forward.symbolic_dh.to_dh`.
         """
         from kempe.forward.symbolic_dh import to_dh
 
@@ -129,8 +134,7 @@ class Symbolic(Namespace):
         symbols: Mapping[str, Any] | None = None,
         snap: float = 0.0,
     ) -> InverseFormulas:
-        """Derive formulas of the inverse kinematics of a planar arm, or of a spatial arm with a
-        wrist.
+        """Derive formulas of the inverse kinematics of a planar arm, or a spatial arm with a wrist.
 
         See `kempe.inverse.formulas.derive_ik`.
         """
@@ -140,8 +144,9 @@ class Symbolic(Namespace):
 
     @explain_errors
     def short(self, formula: Any) -> ShortForm:
-        """Shorten a formula, with c12 for cos(q1 + q2), and return it with the legend. See
-        `kempe.forward.symbolic_steps`.
+        """Shorten a formula, with c12 for cos(q1 + q2), and return the short form and the legend.
+
+        See `kempe.forward.symbolic_steps`.
         """
         from kempe.forward.symbolic_steps import shorten_formula
 
@@ -208,16 +213,18 @@ class Inverse(Namespace):
         direction: Any = None,
         budget: Budget | None = None,
     ) -> SelfMotion:
-        """Trace the motion from q that keeps a frame's pose or other tasks. See
-        `kempe.inverse.self_motion`.
+        """Trace the motion from q that keeps a frame's pose or other tasks.
+
+        See `kempe.inverse.self_motion`.
         """
         from kempe.inverse.self_motion import self_motion
 
         return self_motion(self.system, q, tasks, task=task, direction=direction, budget=budget)
 
     def arm_angle(self, q: Any, frame: FrameLike, reference: ArrayLike | None = None) -> Any:
-        """Compute the arm angle (...) in radians at q (..., nq). The arm has seven joints with
-        spherical shoulder and wrist.
+        """Compute the arm angle (...) in radians at q (..., nq).
+
+        The arm has seven joints with spherical shoulder and wrist.
 
         See `kempe.inverse.arm_angle`.
         """
@@ -231,30 +238,34 @@ class Loops(Namespace):
     """Methods about closed loops: constraints that close them, velocities, forces and angles."""
 
     def constraints(self) -> list[SystemConstraint]:
-        """Return the loop closures, declared constraints and relations of the system. See
-        `kempe.equations.closure_rows`.
+        """Return the loop closures, declared constraints and relations of the system.
+
+        See `kempe.equations.closure_rows`.
         """
         return list_constraints(self.system)
 
     def closure_error(self, q: Any) -> Array:
-        """Compute the gap of each loop (..., number of closures, 6): a twist [m; rad] in its cut
-        joint.
+        """Compute the gaps (..., number of closures, 6) of all loops as twists [m; rad].
+
+        Each twist is in the cut joint of the loop.
         """
         from kempe.equations.judge import closure_error
 
         return closure_error(self.system, q)
 
     def assembler(self, known: Iterable[str] = ()) -> Assembler:
-        """Return a reusable `assemble` for these known coordinates. See
-        `kempe.assemble.bound.Assembler`.
+        """Return a reusable assembler for known coordinates with fixed names.
+
+        See `kempe.assemble.bound.Assembler`.
         """
         from kempe.assemble.assemble import bind_assembler
 
         return bind_assembler(self.system, known)
 
     def closed_form(self, known: Sequence[str]) -> Plan | Incomplete:
-        """Return the closed form of a planar system of dyads. Its inputs are the `known`
-        coordinates; see `kempe.assemble.dyads`.
+        """Return the closed form of a planar system of dyads.
+
+        Its inputs are the `known` coordinates; see `kempe.assemble.dyads`.
         """
         from kempe.assemble.dyads import find_closed_form
 
@@ -316,8 +327,9 @@ class Loops(Namespace):
     def transmission_angle(
         self, q: Any, joint: str, coupler: str | None = None, output: str | None = None
     ) -> Any:
-        """Compute the angle (...) between coupler and output link at their joint. See
-        `kempe.motion.transmission`.
+        """Compute the angle (...) between coupler and output link at their joint.
+
+        See `kempe.motion.transmission`.
         """
         from kempe.motion.transmission import compute_transmission_angle
 
@@ -337,8 +349,9 @@ class ReachStudies(Namespace):
         task: str | tuple[str, ArrayLike] | None = None,
         budget: Budget | None = None,
     ) -> ReachStudy:
-        """Study which poses of a list are reached. It says how far from singularities and limits,
-        and what blocks the others.
+        """Study which poses of a list a frame reaches.
+
+        The study gives distances from singularities and limits, and what blocks the other poses.
 
         See `kempe.workspace.reach`.
         """
@@ -388,8 +401,9 @@ class ReachStudies(Namespace):
     def planar(
         self, frame: FrameLike, kind: str | None = None, orientation: Any = None
     ) -> PlanarWorkspace:
-        """Compute the exact workspace of a planar system. See
-        `kempe.workspace.planar.planar_workspace`.
+        """Compute the exact workspace of a planar system.
+
+        See `kempe.workspace.planar.planar_workspace`.
         """
         from kempe.workspace.planar.planar_workspace import planar_workspace
 

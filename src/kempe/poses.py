@@ -1,5 +1,6 @@
-"""Poses and placements. Poses are read in the usual forms; placements are constant poses of frames
-on bodies.
+"""Poses and placements.
+
+Poses are read in the usual forms; placements are constant poses of frames on bodies.
 
 A placement is a product of elementary motions, whose numbers may be expressions in parameters.
 """

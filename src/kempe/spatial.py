@@ -129,8 +129,9 @@ def _make_rotation(angle: ArrayLike, axis: int) -> Array:
 
 @quiet
 def align_z(axis: ArrayLike) -> Array:
-    """Return the smallest rotation (..., 3, 3) that takes z to `axis` (..., 3). For -z it is the
-    half turn about x.
+    """Return the smallest rotation (..., 3, 3) that takes z to `axis` (..., 3).
+
+    For -z it is the half turn about x.
 
     Axes along x, y or z give exact permutations. A zero axis gives NaN.
     """
@@ -155,15 +156,19 @@ def align_z(axis: ArrayLike) -> Array:
 
 @quiet
 def rpy_to_matrix(rpy: ArrayLike) -> Array:
-    """Convert fixed-axis angles `rpy` (..., 3) to rotations Rz(yaw) Ry(pitch) Rx(roll), as in URDF."""
+    """Convert angles `rpy` (..., 3) [rad] to rotations (..., 3, 3), Rz(yaw) Ry(pitch) Rx(roll).
+
+    The axes are fixed, as in URDF.
+    """
     r, p, y = np.moveaxis(numbers(rpy, "rpy", 3), -1, 0)
     return rot_z(y) @ rot_y(p) @ rot_x(r)
 
 
 @quiet
 def matrix_to_rpy(R: ArrayLike) -> Array:
-    """Convert rotations to fixed-axis angles (..., 3) roll, pitch, yaw. At pitch = +-90 degrees
-    roll is zero.
+    """Convert rotations (..., 3, 3) to fixed-axis angles (..., 3) roll, pitch, yaw in radians.
+
+    At pitch = +-90 degrees roll is zero.
     """
     m = numbers(R, "R", 3, 3)
     cos_pitch = np.hypot(m[..., 0, 0], m[..., 1, 0])
@@ -178,8 +183,9 @@ def matrix_to_rpy(R: ArrayLike) -> Array:
 
 @quiet
 def quat_wxyz_to_matrix(quat_wxyz: ArrayLike) -> Array:
-    """Convert quaternions (..., 4) to rotations (..., 3, 3), normalised first. A zero quaternion
-    gives NaN.
+    """Convert quaternions (..., 4) to rotations (..., 3, 3), normalised first.
+
+    A zero quaternion gives NaN.
     """
     q = unit(numbers(quat_wxyz, "quat_wxyz", 4))
     w = q[..., 0, None, None]
@@ -190,8 +196,9 @@ def quat_wxyz_to_matrix(quat_wxyz: ArrayLike) -> Array:
 
 @quiet
 def matrix_to_quat_wxyz(R: ArrayLike) -> Array:
-    """Convert rotations (..., 3, 3) to unit quaternions (..., 4) with w >= 0. The largest component
-    is used (Shepperd, 1978).
+    """Convert rotations (..., 3, 3) to unit quaternions (..., 4) with w >= 0.
+
+    The largest component is used (Shepperd, 1978).
     """
     m = numbers(R, "R", 3, 3)
     d = np.stack([m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]], axis=-1)
@@ -242,7 +249,7 @@ def quat_wxyz_multiply(a: ArrayLike, b: ArrayLike) -> Array:
 
 @quiet
 def quat_wxyz_conjugate(q: ArrayLike) -> Array:
-    """Compute the conjugate (..., 4), which is the inverse rotation of a unit quaternion."""
+    """Compute conjugates (..., 4) of quaternions: for unit quaternions, the inverse rotations."""
     return numbers(q, "q", 4) * np.array([1.0, -1.0, -1.0, -1.0])
 
 
@@ -256,8 +263,9 @@ def quat_wxyz_exp(w: ArrayLike) -> Array:
 
 @quiet
 def quat_wxyz_log(q: ArrayLike) -> Array:
-    """Convert unit quaternions (..., 4) to rotation vectors (..., 3), at most pi long. Q and -q
-    give the same.
+    """Convert unit quaternions (..., 4) to rotation vectors (..., 3), at most pi long.
+
+    Q and -q give the same.
     """
     q = numbers(q, "q", 4)
     q = np.where(q[..., :1] < 0.0, -q, q)
@@ -276,14 +284,18 @@ def exp_so3(w: ArrayLike) -> Array:
 
 @quiet
 def log_so3(R: ArrayLike) -> Array:
-    """Convert rotations to rotation vectors (..., 3), at most pi long; accurate near 0 and near pi."""
+    """Convert rotations (..., 3, 3) to rotation vectors (..., 3), at most pi long.
+
+    The result is accurate near 0 and near pi.
+    """
     return quat_wxyz_log(matrix_to_quat_wxyz(R))
 
 
 @quiet
 def exp_se3(twist: ArrayLike) -> Array:
-    """Compute the pose (..., 4, 4) of the screw motion `twist` = [v; w] (..., 6). See Murray, Li,
-    Sastry, 1994, eq. 2.36.
+    """Compute the pose (..., 4, 4) of the screw motion `twist` = [v; w] (..., 6).
+
+    See Murray, Li, Sastry, 1994, eq. 2.36.
     """
     twist = numbers(twist, "twist", 6)
     v = twist[..., :3]
@@ -296,8 +308,9 @@ def exp_se3(twist: ArrayLike) -> Array:
 
 @quiet
 def log_se3(X: ArrayLike) -> Array:
-    """Compute the twist [v; w] (..., 6) whose exponential is the pose. The rotation is at most a
-    half turn.
+    """Compute the twist [v; w] (..., 6) whose exponential is the pose (..., 4, 4).
+
+    The rotation is at most a half turn.
     """
     given = _read_poses(X)
     w = log_so3(given[..., :3, :3])
@@ -326,8 +339,9 @@ def _evaluate_series(angle: Array) -> tuple[Array, Array, Array]:
 
 @quiet
 def adjoint(X: ArrayLike) -> Array:
-    """Return the matrix (..., 6, 6) that takes twists [v; w] seen from B to ones seen from A. X is
-    X_AB.
+    """Return the matrix (..., 6, 6) that transforms twists [v; w] from frame B to frame A.
+
+    X is X_AB.
     """
     given = _read_poses(X)
     R = given[..., :3, :3]
@@ -348,15 +362,13 @@ def pose_from_xyz_rpy(values: ArrayLike) -> Array:
 
 @quiet
 def xyz_rpy_from_pose(X: ArrayLike) -> Array:
-    """Convert poses to x, y, z, roll, pitch, yaw (..., 6)."""
+    """Convert poses (..., 4, 4) to x, y, z, roll, pitch, yaw (..., 6)."""
     given = _read_poses(X)
     return np.concatenate([given[..., :3, 3], matrix_to_rpy(given[..., :3, :3])], axis=-1)
 
 
 class PoseFit(NamedTuple):
-    """The pose of a body that fits measured positions of its particles best, with the remaining
-    errors.
-    """
+    """Pose of a body that best fits measured positions of its particles, with remaining errors."""
 
     X: Array
     """Pose (..., 4, 4)."""
@@ -368,8 +380,9 @@ class PoseFit(NamedTuple):
 
 @quiet
 def fit_pose(particles: ArrayLike, places: ArrayLike) -> PoseFit:
-    """Fit the pose of a body to measured positions of its particles, by least squares. See Arun,
-    Huang, Blostein, 1987.
+    """Fit the pose of a body to measured positions of its particles, by least squares.
+
+    See Arun, Huang, Blostein, 1987.
 
     `particles` (..., n, 3) are points of the body in its frame, `places` (..., n, 3) where they
     were measured; n is at least 3, and they do not lie on a line. In the plane both are (..., n,

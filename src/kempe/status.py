@@ -9,8 +9,9 @@ import numpy as np
 
 
 class Status(IntEnum):
-    """The outcome of a question, `Answer.code`. It has a `sentence`, and says whether it is a
-    `proof`.
+    """The outcome of a question, `Answer.code`.
+
+    It has a `sentence`, and says whether it is a `proof`.
 
     It is the general word; `Answer.status` says more of the answer at hand. Only `SOLVED` is false
     as a truth value: compare (``answer.code is Status.SOLVED``), or ask the answer itself. Of a

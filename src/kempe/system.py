@@ -153,8 +153,9 @@ class Pictured:
         browser: bool = True,
         deg: bool = False,
     ) -> Viewer:
-        """Show the system in the browser, where it can be moved; see
-        `kempe.views.viewer.live.show`.
+        """Show the system in the browser, where the user can move the system.
+
+        See `kempe.views.viewer.live.show`.
         """
         from kempe.views.viewer.live import show
 
@@ -166,8 +167,9 @@ class Pictured:
     def save_html(
         self: Any, file: str | FilePath, q: Any = None, *, path: Any = None, seconds: float = 6.0
     ) -> None:
-        """Write an HTML page with the moving system in 3D that needs no server. See
-        `kempe.views.viewer.pages`.
+        """Write an HTML page with the moving system in 3D that needs no server.
+
+        See `kempe.views.viewer.pages`.
         """
         from kempe.views.viewer.pages import save_html
 
@@ -175,8 +177,9 @@ class Pictured:
 
     @explain_errors
     def plot_tree(self: Any, ax: Axes | None = None) -> Axes:
-        """Draw the tree of bodies and joints in Matplotlib axes; see
-        `kempe.views.overviews.plot_tree`.
+        """Draw the tree of bodies and joints in Matplotlib axes.
+
+        See `kempe.views.overviews.plot_tree`.
         """
         from kempe.views.overviews import plot_tree
 
@@ -225,8 +228,9 @@ ARRAY = np.ndarray
 
 
 class System(Model, Pictured):
-    """A multibody system, compiled from a `Mechanism`: spanning tree, loop closures, coordinates,
-    primitive table.
+    """Multibody system, compiled from a `Mechanism`.
+
+    Its parts are a spanning tree, loop closures, coordinates and a primitive table.
 
     Frozen, hashable by content, picklable, safe to share between threads. A configuration `q` is an
     array (..., nq) in the order of `coordinate_names`, in radians and metres; a dict by coordinate
@@ -243,8 +247,9 @@ class System(Model, Pictured):
 
     @property
     def mid(self) -> Array:
-        """A configuration (nq,) inside the limits, in their middle. With one limit or none it is
-        the allowed value nearest to neutral.
+        """Configuration (nq,) in the middle of the limits.
+
+        A coordinate with one limit or none has the allowed value nearest to neutral.
 
         It is read-only: `mid.copy()` is one to change.
         """
@@ -253,8 +258,9 @@ class System(Model, Pictured):
     def random(
         self, rng: np.random.Generator | int | None = None, shape: int | tuple[int, ...] = ()
     ) -> Array:
-        """Draw random configurations (*shape, nq), uniform inside the limits. Free angles in (-pi,
-        pi], free lengths in (-1, 1).
+        """Draw random configurations (*shape, nq), uniform inside the limits.
+
+        Free angles in (-pi, pi], free lengths in (-1, 1).
         """
         return configurations.sample_configurations(self, rng, shape)
 
@@ -309,9 +315,7 @@ class System(Model, Pictured):
 
     @cached_property
     def configuration_space(self) -> ConfigurationSpace:
-        """The configuration space: its dimension and its shape, such as T^2 x R, within the space
-        of all `q`.
-        """
+        """Configuration space of the system, with its dimension and its shape, such as T^2 x R."""
         from kempe.spaces.configuration_space import make_configuration_space
 
         return make_configuration_space(self)
@@ -320,8 +324,9 @@ class System(Model, Pictured):
     def task_space(
         self, tasks: Any, q: Any = None, *, task: str | None = None, budget: Budget | None = None
     ) -> TaskSpace:
-        """Compute the task space of a frame or of tasks, and how it depends on `q`. See
-        `kempe.spaces.task_space`.
+        """Compute the task space of a frame or of tasks, and how it depends on `q`.
+
+        See `kempe.spaces.task_space`.
         """
         from kempe.spaces.task_space import task_space
 
@@ -374,8 +379,9 @@ class System(Model, Pictured):
         dtype: Any = None,
         relative_to: FrameLike | None = None,
     ) -> Array:
-        """Compute poses in the ground frame, (..., 4, 4). Several frames, or None for all bodies,
-        give (..., k, 4, 4).
+        """Compute poses in the ground frame, (..., 4, 4).
+
+        Several frames, or None for all bodies, give (..., k, 4, 4).
 
         `form` "3x4", "position" or "position_quat_wxyz" gives less of each, `relative_to` another
         frame in place of the ground; see `kempe.forward.fk.fk`.
@@ -399,8 +405,9 @@ class System(Model, Pictured):
         in_frame: str = "world_aligned",
         threads: int | None = None,
     ) -> Array:
-        """Compute the Jacobian (..., 6, nv) of a frame, with rows [linear; angular]. Several frames
-        give (..., k, 6, nv); see `kempe.forward.fk.jacobian`.
+        """Compute the Jacobian (..., 6, nv) of a frame, with rows [linear; angular].
+
+        Several frames give (..., k, 6, nv); see `kempe.forward.fk.jacobian`.
         """
         query = self._queries.get(frame) if frame.__class__ is str else None
         if query is not None and q.__class__ is np.ndarray:
@@ -410,8 +417,9 @@ class System(Model, Pictured):
         return jacobian(self, q, frame, in_frame, threads)
 
     def query(self, frame: FrameLike, form: str | None = None, dtype: Any = None) -> Query:
-        """Return the forward kinematics of one frame as a fast function. It is called as ``f(q,
-        out=None)`` and ``f.jacobian(q)``.
+        """Return the forward kinematics of one frame as a fast function.
+
+        It is called as ``f(q, out=None)`` and ``f.jacobian(q)``.
 
         In a `form` and type of numbers as of `fk`.
         """
@@ -482,8 +490,9 @@ class System(Model, Pictured):
         tolerance: float | None = None,
         budget: Budget | None = None,
     ) -> Solutions | Modes:
-        """Find all configurations in which the frame reaches the target. See
-        `kempe.inverse.ik_all.ik_all`.
+        """Find all configurations in which the frame reaches the target.
+
+        See `kempe.inverse.ik_all.ik_all`.
         """
         plain = (
             frame.__class__ is str
@@ -521,8 +530,9 @@ class System(Model, Pictured):
         tolerance: float | tuple[float, float] | None = None,
         budget: Budget | None = None,
     ) -> IkPath:
-        """Find configurations that follow a sequence of targets without a jump. See
-        `inverse.path.ik_path`.
+        """Find configurations that follow a sequence of targets without a jump.
+
+        See `inverse.path.ik_path`.
         """
         from kempe.inverse.path import ik_path
 
@@ -551,8 +561,9 @@ class System(Model, Pictured):
         keep_direction: bool = False,
         weights: Any = None,
     ) -> IkStep:
-        """Compute velocities for a frame's twist or for tasks, within all limits. See
-        `inverse.ik_step.ik_step`.
+        """Compute velocities for a frame's twist or for tasks, within all limits.
+
+        See `inverse.ik_step.ik_step`.
         """
         from kempe.inverse.ik_step import ik_step
 
@@ -570,9 +581,7 @@ class System(Model, Pictured):
 
     @cached_property
     def inverse(self) -> Inverse:
-        """Methods about the inverse kinematics of a frame: `plan`, `sweep`, `arm_angle`,
-        `self_motion`.
-        """
+        """Methods about inverse kinematics: `plan`, `sweep`, `arm_angle` and `self_motion`."""
         from kempe.namespaces import Inverse
 
         return Inverse(self)
@@ -587,8 +596,9 @@ class System(Model, Pictured):
         limits: bool = True,
         budget: Budget | None = None,
     ) -> Singularities:
-        """Find singular configurations of a frame or of closed loops. They come with their kinds
-        and the distance to the nearest.
+        """Find singular configurations of a frame or of closed loops.
+
+        They come with their kinds and the distance to the nearest.
 
         See `kempe.spaces.singularities`.
         """
@@ -618,8 +628,9 @@ class System(Model, Pictured):
         tolerance: float | str | None = None,
         budget: Budget | None = None,
     ) -> Assembly:
-        """Find a configuration that closes all loops, with the `known` coordinates given. See
-        `assemble.assemble.assemble`.
+        """Find a configuration that closes all loops, with the `known` coordinates given.
+
+        See `assemble.assemble.assemble`.
         """
         from kempe.assemble.assemble import assemble
 
@@ -638,8 +649,9 @@ class System(Model, Pictured):
     def idealised(
         self, tolerance: float | str | None = "measured", *, budget: Budget | None = None
     ) -> Idealised | None:
-        """Find the nearest system that closes exactly and moves, and the differences. See
-        `kempe.assemble.nearest_exact`.
+        """Find the nearest system that closes exactly and moves, and the differences.
+
+        See `kempe.assemble.nearest_exact`.
         """
         from kempe.assemble.nearest_exact import idealised
 
@@ -656,8 +668,9 @@ class System(Model, Pictured):
         tolerance: float | str | None = None,
         budget: Budget | None = None,
     ) -> Modes:
-        """Find all configurations that close the loops with the `known` coordinates given. See
-        `kempe.assemble.modes`.
+        """Find all configurations that close the loops with the `known` coordinates given.
+
+        See `kempe.assemble.modes`.
         """
         from kempe.assemble.modes import assembly_modes
 
@@ -669,8 +682,9 @@ class System(Model, Pictured):
     def independent(
         self, q: Any = None, prefer: Iterable[str] = (), *, tolerance: float | str | None = None
     ) -> Chart:
-        """Choose independent coordinates at a closed q, which determine all others. See
-        `kempe.mobility.independent`.
+        """Choose independent coordinates at a closed q, which determine all other coordinates.
+
+        See `kempe.mobility.independent`.
         """
         from kempe.mobility.independent import independent
 
@@ -696,8 +710,9 @@ class System(Model, Pictured):
         tolerance: float | str | None = None,
         budget: Budget | None = None,
     ) -> Mobility:
-        """Compute the degrees of freedom, with the reasoning. They are found by the Gruebler count,
-        by rank, and locally exact.
+        """Compute the degrees of freedom, with the reasoning.
+
+        They are found by the Gruebler count, by rank, and locally exact.
 
         See `kempe.mobility.mobility`.
         """
@@ -715,8 +730,9 @@ class System(Model, Pictured):
         tolerance: float | str | None = None,
         budget: Budget | None = None,
     ) -> Classification:
-        """Determine the kind of each constraint: holonomic or not, redundant. It also counts
-        freedoms of configuration and velocity.
+        """Determine the kind of each constraint: holonomic or not, redundant.
+
+        It also counts freedoms of configuration and velocity.
 
         See `kempe.mobility.classify`.
         """
@@ -737,8 +753,9 @@ class System(Model, Pictured):
         tolerance: float | str | None = None,
         budget: Budget | None = None,
     ) -> Motion:
-        """Trace the whole branch of a mechanism with one freedom, as a `Path`. See
-        `kempe.motion.trace.trace`.
+        """Trace the whole branch of a mechanism with one freedom, as a `Path`.
+
+        See `kempe.motion.trace.trace`.
         """
         from kempe.motion.trace import trace
 
@@ -767,8 +784,9 @@ class System(Model, Pictured):
         tolerance: float | str | None = None,
         budget: Budget | None = None,
     ) -> Drive:
-        """Compute the continuous motion that follows prescribed inputs; see
-        `kempe.motion.drive.drive`.
+        """Compute the continuous motion that follows prescribed inputs.
+
+        See `kempe.motion.drive.drive`.
         """
         from kempe.motion.drive import drive
 
@@ -794,8 +812,9 @@ class System(Model, Pictured):
         free: Iterable[str] = (),
         budget: Budget | None = None,
     ) -> Manoeuvre:
-        """Find a motion of a rolling system between configurations, without slip. See
-        `motion.manoeuvre`.
+        """Find a motion of a rolling system between configurations, without slip.
+
+        See `motion.manoeuvre`.
         """
         from kempe.motion.manoeuvre import manoeuvre
 
@@ -814,8 +833,9 @@ class System(Model, Pictured):
         tolerance: float | None = None,
         budget: Budget | None = None,
     ) -> Simulation:
-        """Simulate the motion under given velocities, or of a bouncing ball. See
-        `kempe.motion.simulate`.
+        """Simulate the motion under given velocities, or of a bouncing ball.
+
+        See `kempe.motion.simulate`.
         """
         from kempe.motion.simulate import simulate
 
@@ -840,15 +860,17 @@ class System(Model, Pictured):
         return with_parameters(self, numbers)
 
     def opened(self, joints: str | Iterable[str] | None = None) -> System:
-        """Return the system without these joints: the open chain or tree that a loop is made of.
+        """Return the system without the given joints: the open chain or tree of a closed loop.
+
         See `kempe.system`.
         """
 
         return open_loops(self, joints)
 
     def with_limits(self, limits: Any = None, velocity: Any = None) -> System:
-        """Return the system with other limits, by coordinate name. See
-        `kempe.forward.limits.with_limits`.
+        """Return the system with other limits, by coordinate name.
+
+        See `kempe.forward.limits.with_limits`.
         """
         from kempe.forward.limits import with_limits
 

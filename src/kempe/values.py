@@ -55,8 +55,9 @@ _UNARY: dict[type, Callable[[Any], Any]] = {ast.USub: lambda a: -a, ast.UAdd: la
 
 
 class Expression:
-    """An arithmetic expression in named parameters: ``+ - * / **``, parentheses, `pi` and the
-    `FUNCTIONS`.
+    """Arithmetic expression in named parameters.
+
+    It has ``+ - * / **``, parentheses, `pi` and the `FUNCTIONS`.
 
     >>> (Expression("l1") / 2 + 1).evaluate({"l1": 3.0})
     2.5
@@ -75,8 +76,9 @@ class Expression:
         )
 
     def evaluate(self, parameters: Mapping[str, Any]) -> Any:
-        """Evaluate the expression with these parameters, floats or arrays, which broadcast. Errors:
-        `UnknownNameError`.
+        """Evaluate the expression for parameter values, which are numbers or arrays that broadcast.
+
+        Errors: `UnknownNameError`.
         """
         for name in self.names:
             if name not in parameters:
@@ -90,8 +92,9 @@ class Expression:
         functions: Mapping[str, Callable[..., Any]],
         number: Callable[..., Any],
     ) -> Any:
-        """Evaluate the expression in any algebra. `names` and `functions` give the operands,
-        `number` converts constants.
+        """Evaluate the expression in any algebra.
+
+        `names` and `functions` give the operands, `number` converts constants.
         """
         return _fold_node(self._tree.body, names, functions, number)
 

@@ -45,8 +45,9 @@ class Row:
 
 @explain_method_errors
 class Answer(Result, Tabular):
-    """Configurations `q` (..., nq) of a `system`, with `success` (...) and, by `sentence`, why.
-    Base of answers.
+    """Base of answers: configurations `q` (..., nq) of a `system`, with the mask `success` (...).
+
+    The method `sentence` gives the reason for each outcome.
 
     A batch is a list of configurations: it has a length, ``answer[k]`` is a row of `q`, and
     ``for q in answer`` goes through them.
@@ -71,7 +72,7 @@ class Answer(Result, Tabular):
 
     @property
     def within(self) -> Nearest | None:  # type: ignore[override]
-        """Nearest mechanism that closes exactly, or None if the given mechanism was solved itself."""
+        """Nearest mechanism that closes exactly; None if the answer is for the given mechanism."""
         return self._closed_system._ideal
 
     @property
@@ -151,7 +152,7 @@ class Answer(Result, Tabular):
 
     @property
     def verdict(self) -> str:
-        """Result of the independent check of the successful rows, in one sentence; '' without any.
+        """Result of the independent check of the successful rows, as a sentence; '' without rows.
 
         Of a batch only what contradicts a success is said.
         """
@@ -212,7 +213,7 @@ class Answer(Result, Tabular):
 
     @property
     def solver(self) -> Choice | None:
-        """Solver that answered, and why the solvers before it did not; None without a choice."""
+        """Solver that answered, and why the solvers before refused; None if no choice was made."""
         return self.__dict__.get("_choice") or (self._row.choice(self) if self.row else None)
 
     def __len__(self) -> int:
@@ -331,7 +332,7 @@ def _format_row_number(index: Sequence[int]) -> str:
 
 
 class ConfigurationList:
-    """A list of configurations `q` (n, ...): its length, its items, and iteration.
+    """List of configurations `q` (n, ...), with length, indexing and iteration.
 
     A base of answers that may have many configurations.
     """
@@ -407,7 +408,10 @@ class Configurations(ConfigurationList, Answer):
 
 @explain_method_errors
 class Motion(Configurations):
-    """A motion: configurations `q` (n, nq) that a `system` passes in turn. Base of motions."""
+    """Motion of a `system`: a sequence of configurations `q` (n, nq).
+
+    Base of motions.
+    """
 
     is_motion = True
 

@@ -99,7 +99,7 @@ class Derivation:
         return align_formulas(line.replace(r"- \pm", r"\mp") for line in lines)
 
     def code(self) -> str:
-        """Return the source of a Python function of the formulas, which needs numpy alone.
+        """Return the source code of a Python function that evaluates the formulas with NumPy alone.
 
         Names that Python does not allow are changed.
         """

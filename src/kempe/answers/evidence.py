@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Evidence(InWords):
-    """Reason why a problem has no answer: its `kind`, and `figures`, its names and numbers.
+    """Reason why a problem has no answer: its `kind`, and `figures`, which are numbers by name.
 
     Figures are attributes, too; `text` is the sentence. Kinds that prove that there is no answer
     are

@@ -1,4 +1,4 @@
-"""Problems about a system, and the choice of the solver: the first one of a table that accepts."""
+"""Problems about a system, and the choice of a solver: the first solver in a table that accepts."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ NOTHING: Mapping[str, Any] = MappingProxyType({})
 
 
 class Problem(NamedTuple):
-    """A problem about a `system`, with checked arguments, as the solvers of the table receive it.
+    """Problem about a `system`: the checked arguments of a call, as input for the solvers.
 
     `requested` is "one" configuration, "all" of them, a "path" of them, or a "set" that is
     continuous. `known` are coordinates, and places of frames, by name. `targets` (N, 4, 4) are
@@ -52,7 +52,7 @@ class Problem(NamedTuple):
 
     @property
     def structure(self) -> tuple[Any, ...]:
-        """Part of the problem that decides which solver answers: all but the numbers of a call."""
+        """Part of the problem that selects the solver: all arguments but the numbers of a call."""
         names = tuple(self.known), tuple(self.options)
         fields = self.requested, self.frame, self.task, self.method, self.parameter
         return (*fields, self.prefer is None, *names)

@@ -26,7 +26,7 @@ class Tabular:
         raise NotImplementedError
 
     def save(self, path: str | Path, *, degrees: bool = False) -> Path:
-        """Write the `table` to a .csv file (with column names) or a .npy file; returns the path.
+        """Write the `table` to a .csv file (with column names) or a .npy file, and return the path.
 
         Numbers are written in full: what is read again is equal. With `degrees` columns of angles
         are degrees. Errors: `InputError` for other endings, and where the file cannot be written.

@@ -1,4 +1,4 @@
-"""`assemble`: find a configuration that closes all loops, given coordinates or places of frames."""
+"""`assemble`: search for a configuration that closes all loops, given coordinates or places."""
 
 from __future__ import annotations
 
@@ -200,7 +200,7 @@ def choose_tolerated_system(system: Model, tolerance: float | str) -> tuple[Mode
 
 @explain_errors
 def bind_assembler(system: Model, known: Iterable[str] = ()) -> Assembler:
-    """Return the `Assembler` for these known names, which is reused for many values.
+    """Return the `Assembler` for these known names, reusable for many sets of known values.
 
     Errors: `UnknownNameError`, `InputError`.
     """

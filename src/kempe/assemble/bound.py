@@ -1,4 +1,4 @@
-"""Reusable assembly: names are looked up and loops packed once, for many known values.
+"""Reusable assembly: names and loops are prepared once for many sets of known values.
 
 Systems with one-sided constraints have a solver of their own.
 """
@@ -402,7 +402,7 @@ class Assembler:
 
     @cached_property
     def freedoms(self) -> int:
-        """Number of freedoms left with the known coordinates held, near home; -1: not counted."""
+        """Number of freedoms near home with the known coordinates held; -1 if not counted."""
         if self.frames or len(self.loops.names) > FEW:
             return -1
         home = find_home(self.system)[None]

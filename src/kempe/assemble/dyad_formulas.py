@@ -41,7 +41,7 @@ LEFT = "+1 has the middle joint to the left"
 
 @dataclass(frozen=True, eq=False)
 class DyadFormulas(Derivation):
-    """Formulas of all coordinates from the known ones; `sign_1`, ... are the branch signs.
+    """Formulas for all coordinates of a mechanism of dyads; `sign_1`, ... are the branch signs.
 
     Angles are found up to full turns. Symbols `x_b`, `y_b`, `theta_b` are the place and the angle
     of the body b.

@@ -48,7 +48,7 @@ MOST_SIGNS = 16
 
 @dataclass(frozen=True)
 class Incomplete(Report):
-    """Why there is no closed form: `reason` as a sentence, and the `bodies` that no dyad places."""
+    """Report that there is no closed form: the `reason`, and the `bodies` that no dyad places."""
 
     reason: str
     bodies: tuple[str, ...] = ()
@@ -60,7 +60,7 @@ class Incomplete(Report):
 
     @property
     def status(self) -> str:
-        """The sentence why there is no closed form."""
+        """Reason why there is no closed form, as a sentence."""
         return self.reason
 
     def describe(self) -> str:
@@ -85,7 +85,7 @@ class Incomplete(Report):
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class DyadAnswer(Answer):
-    """Configurations `q` (..., nq) on a branch, and which of them are closed.
+    """Configurations `q` (..., nq) on a branch, with a mask of the closed configurations.
 
     `success` or `ok` say so; `gap` are the openings in metres.
 
@@ -118,7 +118,7 @@ class DyadAnswer(Answer):
 
     @property
     def code(self) -> Any:
-        """The outcome (...) of this branch; where it does not close, others may."""
+        """Outcome (...) for this branch; other branches may close where this branch does not."""
         sound = np.isfinite(self.closing[1]).all(axis=-1).reshape(np.shape(self.success))
         left = np.where(sound, Status.NOT_FOUND, Status.BAD_INPUT)
         return to_status(np.where(self.success, Status.SOLVED, left))
@@ -228,7 +228,7 @@ class Plan(Report):
     def close(
         self, values: ArrayLike, branch: Any = None, start: Any = None, threads: int | None = None
     ) -> DyadAnswer:
-        """Solve for configurations, with a report of what these values leave undetermined."""
+        """Solve for configurations, and count the parts that the values leave undetermined."""
         given, lead = self.values(values)
         nq = self.system.nq
         if start is None:
@@ -248,7 +248,7 @@ class Plan(Report):
         return DyadAnswer(q.reshape(*lead, nq), ok, gap, free, (self, given))
 
     def all(self, values: ArrayLike, start: Any = None) -> tuple[Array, np.ndarray]:
-        """Solve on all branches: q (..., 2**signs, nq), and a mask (..., 2**signs) of closed ones.
+        """Solve on all branches: q (..., 2**signs, nq), and a mask (..., 2**signs) of closed q.
 
         Branches are in the order of `branches()`. Angles are nearest to `start` (nq,), else to
         zero.
@@ -375,7 +375,7 @@ class Plan(Report):
         return q, status
 
     def values(self, values: ArrayLike) -> tuple[Array, tuple[int, ...]]:
-        """Return the known values as (N, n_known), and their leading shape.
+        """Return the known values as an array (N, n_known), and their leading shape.
 
         Errors: `InputError`.
         """
@@ -389,7 +389,7 @@ class Plan(Report):
         return np.ascontiguousarray(array.reshape(math.prod(lead), len(self.known))), lead
 
     def sign_rows(self, branch: Any, start: Array | None, lead: tuple[int, ...]) -> Array:
-        """Return the signs (1 or N, signs) of a branch, else those of `start`, else +.
+        """Return the branch signs (1 or N, signs): of `branch`, else of `start`, else all +.
 
         Errors: `InputError`.
         """
@@ -425,7 +425,7 @@ def _shape_rows(x: Array, lead: tuple[int, ...], what: str) -> Array:
 
 @explain_errors
 def find_closed_form(system: Model, known: Sequence[str] | str) -> Plan | Incomplete:
-    """Find the closed form of a planar system for these known coordinates.
+    """Find the closed form of a planar system for given known coordinates.
 
     Returns `Incomplete` with the reason where there is none.
 

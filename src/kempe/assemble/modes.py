@@ -751,12 +751,12 @@ class Modes(Configurations):
 
     @property
     def success(self) -> bool:
-        """Whether there is any mode."""
+        """Whether at least one assembly mode was found."""
         return len(self.q) > 0
 
     @property
     def code(self) -> Status:
-        """The outcome: proven to be none where the search is `complete`."""
+        """Outcome: `NONE_EXISTS` or `OUTSIDE_LIMITS` only if a `complete` search found no mode."""
         if self.success:
             return Status.SOLVED
         if self.complete:
@@ -765,7 +765,7 @@ class Modes(Configurations):
 
     @property
     def titles(self) -> tuple[str, ...]:
-        """Titles of the configurations in pictures: their branches, else numbers."""
+        """Titles of the configurations in pictures: names of branches, or else numbers."""
         return tuple(name or str(k) for k, name in enumerate(self.branches, 1))
 
     def _list_goals(self) -> Sequence[tuple[Any, Any, Any]]:

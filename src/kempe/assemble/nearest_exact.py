@@ -126,7 +126,7 @@ class Change(InWords):
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Idealised(Report):
-    """The nearest mechanism found that closes exactly, and its differences from the `given` one.
+    """Nearest mechanism found that closes exactly, and its differences from the `given` mechanism.
 
     `system` is that mechanism, with the same coordinates. `tolerance` is the largest change of a
     placement, in metres and radians; `requested` what was allowed. `compute_residual` is how far the given
@@ -155,18 +155,18 @@ class Idealised(Report):
 
     @property
     def least(self) -> str:
-        """The tolerance within which the given numbers are those of the nearest mechanism."""
+        """Text that states the largest change of a joint's placement, in metres and radians."""
         return f"within {self.tolerance:.2g} m and rad"
 
     @property
     def exactly(self) -> str:
-        """Sentence about the openings of the given numbers, taken exactly."""
+        """Sentence that states the loop gaps [m, rad] if the given numbers are taken exactly."""
         lock = " and would lock it" if self.freedoms else ""
         return f"taken exactly, its numbers leave loops open by {self.residual:.2g} (m, rad){lock}"
 
     @property
     def lines(self) -> list[str]:
-        """Lines of text: the openings, the joints that absorb them, and the changes, largest first."""
+        """Lines of text: loop gaps, joints that absorb the gaps, and changes, the largest first."""
         off = sorted(self.absorbed.items(), key=lambda x: -x[1])
         said = ", ".join(f"{name!r} by {x:.2g}" for name, x in off if x >= SHOWN * self.residual)
         return [
@@ -311,7 +311,7 @@ USUAL = Usual("idealised", time_limit=TIME_LIMIT)
 def idealised(
     system: Model, tolerance: float | str | None = MEASURED, *, budget: Budget | None = None
 ) -> Idealised | None:
-    """Find the nearest system that closes exactly and moves, and say what differs by how much.
+    """Find the nearest system that closes exactly and moves, and list the changed dimensions.
 
     None where the given one closes as it is, or where there is none within the `tolerance`: a
     number in metres and radians, or "measured", the smallest up to a hundredth of the system's

@@ -1,4 +1,4 @@
-"""Kinds of constraints on a multibody system: each is one class, declared for all verbs alike.
+"""Kinds of constraints on a multibody system: one class for each kind, used by all verbs.
 
 ``from kempe import constraints``: `Mechanism.constrain` holds one always, `System.ik` asks for it
 in one call. `KINDS` is the table.

@@ -259,7 +259,7 @@ Rotation: TypeAlias = Any
 
 
 class Op(IntEnum):
-    """Operations of rows: on the pose or twist of frame B seen from frame A, or on coordinates."""
+    """Operations of rows: on coordinates, or on the pose or twist of frame B in frame A."""
 
     POINT = auto()
     """The origin of B along the axis `args[0]` of A."""
@@ -288,7 +288,7 @@ COUNTS = {Op.ROTATION: {2: 1, 3: 3}, Op.TILT: {2: 1, 3: 2}, Op.LOOK: {2: 1, 3: 2
 
 
 class Row(NamedTuple):
-    """One equation of a constraint, or a group that belongs together, without its numbers.
+    """Row of a constraint: one equation or a group of related equations, without numbers.
 
     `equal`, `low` and `high` name fields of the constraint; without them the value is held at zero.
     Where the field of `equal` is None, the value is held between the others, an infinity where
@@ -315,7 +315,7 @@ class Row(NamedTuple):
 
 
 class Mass(NamedTuple):
-    """A point of a frame with its share of the mass of a centre."""
+    """Point of a frame, with the fraction of the total mass that counts at the point."""
 
     frame: str
     point: tuple[float, ...]
@@ -393,7 +393,7 @@ class Constraint(ABC):
         return getattr(self, "of", ())
 
     def list_masses(self, bodies: Mapping[str, Any], what: str) -> list[Mass]:
-        """Return the masses of a centre, whose sum is 1, for a constraint whose end B is None."""
+        """Return the mass points of a centre (their masses sum to 1), if end B is None."""
         raise NotImplementedError
 
     def make_goal_poses(self, dim: int) -> Array:
@@ -415,7 +415,7 @@ class Constraint(ABC):
         return self
 
     def resolve_names(self, parameters: Collection[str]) -> Constraint:
-        """Return the constraint with its names told apart into coordinates and these parameters."""
+        """Return the constraint with each name resolved to a coordinate or to a given parameter."""
         return self
 
     # ---- how it is called
@@ -472,7 +472,7 @@ class Constraint(ABC):
 
 @dataclass(frozen=True, eq=False)
 class Bounded(Constraint):
-    """Base of kinds that measure one number, or several alike, and may have bounds.
+    """Base of constraints on one measured number, or on several alike, with optional bounds.
 
     With `at_least` (...) or `at_most` (...), or both, the number stays within these bounds, in
     place of being zero or a value that the kind has.

@@ -57,7 +57,7 @@ def choose_contact_expressions(shape: Any, dim: int, what: str) -> tuple[str, tu
 
 @kind("contact", "contact", "{frame} stays above the plane of {other}")
 class Contact(Constraint):
-    """A point of a frame, or a ball or disc of the `radius` about it, that stays above a plane.
+    """Origin of a frame, or a ball or disc of `radius` [m] about the origin, on or above a plane.
 
     The plane is the xy-plane of `other`.
     """
@@ -83,7 +83,7 @@ class Contact(Constraint):
 
 @kind("no_sideslip", "wheel", "{frame} does not slip along its y")
 class NoSideslip(Constraint):
-    """The origin of a frame has no velocity along its y axis, like a wheel or a blade.
+    """Velocity of a frame's origin along the frame's y axis: zero, as for a wheel or a blade.
 
     With `speed` it has this velocity there, in m/s.
     """
@@ -109,7 +109,7 @@ class NoSideslip(Constraint):
 
 @kind("rolls", "wheel", "{frame} rolls on the plane of {other}")
 class Rolls(Constraint):
-    """A ball or disc about a frame's origin rolls on the plane of `other` without slipping.
+    """Rolling without slip of a ball or disc about a frame's origin on the plane of `other`.
 
     The axle of a disc is y of its frame. Without `spin` a ball does not turn about the normal
     either. `one_sided`: it may leave the plane.

@@ -53,7 +53,7 @@ class Posture(Constraint):
         return "all coordinates" if given is None else ", ".join(map(repr, given))
 
     def list_rows(self, dim: int) -> tuple[Row, ...]:
-        """Return one row for each named coordinate; without names, for all."""
+        """Return one row for each named coordinate, or for each coordinate if none is named."""
         given = read_mapping(self.q)
         return (Row(Op.COORDINATE, () if given is None else tuple(given), "value"),)
 
@@ -66,11 +66,11 @@ class _OfCentre(Bounded):
 
     @property
     def ends(self) -> tuple[Any, Any]:
-        """The ground as A, and None as B: a centre is no frame."""
+        """The ground as end A, and None as end B, since a centre of mass is not a frame."""
         return None, None
 
     def describe_field(self, name: str) -> str:
-        """Return the value of a field in words; bounds in place of a target, where they are given."""
+        """Return the value of a field in words; given bounds replace the target."""
         if name != "target" or not self.bounded:
             return super().describe_field(name)
         return f"{self.axes} {self.bounds_text}"  # type: ignore[attr-defined]
@@ -114,14 +114,14 @@ class _OfCentre(Bounded):
 
     @property
     def upper_margins(self) -> Array:
-        """Largest coordinates (..., n) of the centre above the target, in metres along each axis."""
+        """Largest allowed offsets (..., n) [m] of the centre from the target along each axis."""
         w = read_numbers(self.within, f"within of {self.label}")  # type: ignore[attr-defined]
         n = len(self.axes)  # type: ignore[attr-defined]
         return np.broadcast_to(w, (*w.shape[:-1], n))
 
     @property
     def lower_margins(self) -> Array:
-        """Least coordinates (..., n) of the centre against the target, in metres along each axis."""
+        """Least allowed offsets (..., n) [m] of the centre from the target along each axis."""
         return -self.upper_margins
 
     def make_goal_poses(self, dim: int) -> Array:
@@ -145,7 +145,7 @@ class _OfCentre(Bounded):
 
 @kind("centre_of_mass", says="the centre of mass is at {target}")
 class CentreOfMass(_OfCentre):
-    """The centre of mass at a position `target` (..., 3), or `within` a distance in metres of it.
+    """Centre of mass at a position `target` (..., 3), or `within` a distance [m] of the target.
 
     `axes` says along which axes: "xyz", "xy", ...
 
@@ -163,7 +163,7 @@ class CentreOfMass(_OfCentre):
 
     @property
     def subject(self) -> str:
-        """The words for the whole system."""
+        """Text that names the whole system in messages."""
         return "the system"
 
     def list_masses(self, bodies: Mapping[str, Any], what: str) -> list[Mass]:
@@ -240,5 +240,5 @@ class Function(Constraint):
         return getattr(self.function, "__name__", repr(self.function))
 
     def list_rows(self, dim: int) -> tuple[Row, ...]:
-        """Return one row for the function; its number of equations is found when it is called."""
+        """Return one row for the function; a call of the function shows the number of equations."""
         return (Row(Op.CALL, (self.function,), "value", "1", low="low", high="high"),)

@@ -1,4 +1,4 @@
-"""A kind that holds a point on a curve through given points, and cubic splines in pieces."""
+"""Constraint of a point to a curve through given points, and piecewise cubic splines."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class OnCurve(Measured):
         read_points(self.points, dim, f"points of {self.label}")
 
     def list_rows(self, dim: int) -> tuple[Row, ...]:
-        """Return rows of the distances across the curve, or of the whole distance within bounds.
+        """Return rows of the offsets across the curve, or of the bounded distance from the curve.
 
         Across the curve there are two directions, in the plane one.
         """

@@ -650,7 +650,7 @@ class _WrittenKind(Constraint):
             raise InputError(f"{self.message_name}: {error}{more}") from None
 
     def resolve_names(self, parameters: Collection[str]) -> Constraint:
-        """Return the constraint with all names that are no parameters as coordinates in `of`."""
+        """Return the constraint with every name that is not a parameter as a coordinate in `of`."""
         names = self.of or tuple(w for w in self.words if w != TIME or not self.time)
         return replace(self, of=tuple(n for n in names if n not in parameters))  # type: ignore[attr-defined]
 
@@ -893,7 +893,7 @@ class VelocityEquation(_WrittenKind):
         )
 
     def resolve_names(self, parameters: Collection[str]) -> Constraint:
-        """Return the constraint itself: its coordinates are named already."""
+        """Return the constraint unchanged, since `of` already names the coordinates."""
         return self
 
     def list_rows(self, dim: int) -> tuple[Row, ...]:

@@ -123,7 +123,7 @@ class Measured(Placed, Bounded):
         return (Row(op, args, self.measured, UNITS[self.measured], low="at_least", high="at_most"),)
 
     def list_distance_rows(self) -> tuple[Row, ...]:
-        """Return the row of a distance: at the number of the field `instead`, or within bounds.
+        """Return the row of a distance that equals the field `instead`, or lies between bounds.
 
         Errors: `InputError`.
         """
@@ -135,7 +135,7 @@ class Measured(Placed, Bounded):
         )
 
     def describe_field(self, name: str) -> str:
-        """Return the value of a field in words; bounds in place of the field that they replace."""
+        """Return the value of a field in words; bounds replace the field where they are given."""
         return (
             self.bounds_text
             if name == self.instead and self.bounded
@@ -191,8 +191,7 @@ class Pose(Placed):
 
 @kind("position", says="{frame} is at {target}")
 class Position(Measured):
-    """A point of a frame at a position `target` (..., 3), in planar systems also (..., 2), or near
-    it.
+    """Point of a frame at or near a position `target` (..., 3), in planar systems also (..., 2).
 
     `at_least`, `at_most`: its distance from the target.
     """
@@ -213,7 +212,9 @@ class Position(Measured):
 
 @kind("orientation", says="{frame} is turned as {target}")
 class Orientation(Measured):
-    """A frame turned as `target` (..., 3, 3), or as a pose (..., 4, 4), wherever it is.
+    """Frame with the orientation `target`, a rotation (..., 3, 3) or a pose (..., 4, 4).
+
+    The position of the frame is free.
 
     `at_least`, `at_most`: the angle of the rotation between them.
     """
@@ -275,7 +276,7 @@ class Pointing(_Axis):
 
 @kind("look_at", says="an axis of {frame} points at {target}")
 class LookAt(_Axis):
-    """An `axis` of a frame towards a point `target` (..., 3), as a camera looks at it.
+    """Frame whose `axis` points at a position `target` (..., 3), as a camera does.
 
     The axis is z by default, in the plane x.
 
@@ -293,7 +294,7 @@ class LookAt(_Axis):
         return self.list_bounded_rows(Op.TAPE, AWAY, 0) if self.bounded else (LOOK,)
 
     def make_goal_poses(self, dim: int) -> Array:
-        """Return poses (..., 4, 4) at the point that is looked at."""
+        """Return poses (..., 4, 4) at the target point."""
         return self._make_poses_at(dim, "target")
 
 
@@ -376,7 +377,7 @@ class HalfSpace(Placed):
 
 @kind("on_sphere", says="{frame} is {radius} m away from a point of {other}")
 class OnSphere(Measured):
-    """A point of a frame on the sphere, in the plane the circle, of `radius` (...) about `center`.
+    """Point of a frame on a sphere (in planar systems a circle) of `radius` (...) about `center`.
 
     `at_least`, `at_most`, in place of the radius: outside or inside a sphere.
     """
@@ -412,7 +413,7 @@ class InBox(Placed):
     unbounded: ClassVar[str] = "its bounds are the corners 'low' and 'high'"
 
     def list_rows(self, dim: int) -> tuple[Row, ...]:
-        """Return one row for each direction."""
+        """Return one row for each direction of the box."""
         return list_point_rows(dim, low="low_corner", high="high_corner")
 
     def make_goal_poses(self, dim: int) -> Array:
@@ -466,7 +467,7 @@ class RelativePose(Placed):
 
 @kind("relative_position", says="{frame} is at {target}, seen from {other}")
 class RelativePosition(Measured):
-    """A point of a frame at a position `target` (..., 3), or near it, in axes of the frame `other`."""
+    """Point of a frame at or near a position `target` (..., 3) in the axes of the frame `other`."""
 
     frame: Frame
     other: Frame
@@ -479,7 +480,7 @@ class RelativePosition(Measured):
 
 @kind("distance", says="{frame} and {other} are {value} m apart")
 class Distance(Measured):
-    """The distance of a point of a frame from a point of another: `value` (...), or within bounds.
+    """Distance between two points of two frames: `value` (...) [m], or within bounds.
 
     The points are `point` and `other_point`.
 
@@ -505,7 +506,7 @@ class Distance(Measured):
 
 @kind("on_surface", says="{frame} is on {surface} of {other}")
 class OnSurface(Measured):
-    """A point of a frame on the surface f(x, y, z) = 0, in the plane on the curve f(x, y) = 0.
+    """Point of a frame on a surface f(x, y, z) = 0, in planar systems on a curve f(x, y) = 0.
 
     `at_least`, `at_most`: the value of f, as of what is outside or inside.
 

@@ -218,7 +218,7 @@ class Tape:
         return replace(self, numbers=found)
 
     def fix_inputs(self, values: Mapping[str, float]) -> Tape:
-        """Return the tape with these inputs replaced by numbers, which come first in its `numbers`.
+        """Return the tape with given inputs replaced by constants, which come first in `numbers`.
 
         Its nodes are the same for all values. Names that are no inputs are left alone.
         """
@@ -244,7 +244,7 @@ class Tape:
         )
 
     def select_outputs(self, outputs: Iterable[int]) -> Tape:
-        """Return the tape of some of the outputs, by their numbers; the inputs stay."""
+        """Return the tape of the outputs with given indices; the inputs stay."""
         return replace(self, outputs=tuple(self.outputs[i] for i in outputs))
 
     def make_arrays(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -254,7 +254,7 @@ class Tape:
         return ints, np.array(self.numbers, dtype=np.float64)
 
     def compute_degrees(self, names: Iterable[str]) -> tuple[int, ...]:
-        """Compute the degree of each output in these inputs together: 0, 1, or 2 for all above.
+        """Compute the degree of each output in the given inputs jointly: 0, 1, or 2 for all above.
 
         The program is read, so that a degree may be less than that.
         """
@@ -274,21 +274,21 @@ class Tape:
         return tuple(degree[i] for i in self.outputs)
 
     def is_linear_in(self, names: Iterable[str]) -> bool:
-        """Tell whether the program computes all outputs linearly in these inputs together.
+        """Return whether the program computes all outputs with degree 0 or 1 in the given inputs.
 
         A constant part is allowed.
         """
         return max(self.compute_degrees(names), default=0) <= 1
 
     def find_support(self) -> tuple[frozenset[str], ...]:
-        """Return, for each output, the inputs that it is computed from."""
+        """Find the inputs from which each output is computed."""
         found = [frozenset({name}) for name in self.inputs] + [frozenset[str]()] * len(self.nodes)
         for i in self._list_needed_places():
             found[i] = frozenset().union(*(found[k] for k in self._list_operands(i)))
         return tuple(found[i] for i in self.outputs)
 
     def format_outputs(self) -> tuple[str, ...]:
-        """Return the outputs as expressions, which `parse_tape` reads to an equal tape.
+        """Return the outputs as text expressions, from which `parse_tape` makes an equal tape.
 
         Names that are no plain words stand in backquotes. Errors: `InputError` where one is beyond
         `TEXT_LIMIT`.

@@ -1,4 +1,4 @@
-"""Table of file formats: readers and writers, how a file is recognised, what a format cannot hold.
+"""Table of file formats: readers, writers, detection of a format, and unsupported features.
 
 Reading, writing, messages, the command line and the page of formats follow from it. A format of
 your own is a row: ``FORMATS["x"] = Format(...)``.

@@ -404,7 +404,7 @@ class ConstraintMethods:
         child_at: object = (0.0, 0.0, 0.0),
         where: Where | None = None,
     ) -> Declared:
-        """Add a rod of this length between point `at` on `a` and point `child_at` on `b`.
+        """Add a rod of given length [m] between point `at` on `a` and point `child_at` on `b`.
 
         Both ends of the rod are ball hinges.
 
@@ -1002,7 +1002,7 @@ class Mechanism(ConstraintMethods):
         self.groups[name] = tuple(dict.fromkeys(names))
 
     def ignore_pair(self, a: BodyLike, b: BodyLike, reason: str = "") -> None:
-        """Declare that two bodies are not checked for collisions with each other.
+        """Exclude a pair of bodies from the checks for collisions.
 
         Errors: `DescriptionError` for unknown bodies.
         """
@@ -1016,7 +1016,7 @@ class Mechanism(ConstraintMethods):
         self.ignored_pairs[pair] = str(reason)  # type: ignore[index]
 
     def lock(self, coordinates: Mapping[str, float]) -> Mechanism:
-        """Fix coordinates at values, which removes them from q, and return the mechanism itself."""
+        """Fix coordinates at given values, remove them from q, and return the mechanism."""
         self.locks |= checks.check_numbers(coordinates, "lock")
         return self
 

@@ -53,7 +53,7 @@ class ReadOnlyDict(dict[Any, Any]):
 
 
 class InSentence:
-    """Base of records that a notebook shows by their `sentence`; `repr` has their fields."""
+    """Base of records: notebooks show the `sentence` of a record, `repr` shows its fields."""
 
     @property
     def sentence(self) -> str:
@@ -314,7 +314,7 @@ class Frame(InSentence):
 
 @dataclass(frozen=True)
 class Declared(InSentence):
-    """Constraint that a mechanism always holds: its kind with numbers, `of`, and its ends.
+    """Constraint of a mechanism: its kind with numbers (`of`), and the bodies at its ends.
 
     Frame A sits at `X_PF` on the body `parent`, frame B at `X_CM` on the body `child`; a constraint
     on coordinates has no bodies, which are then ''.
@@ -340,7 +340,7 @@ class Declared(InSentence):
 
     @property
     def rod(self) -> bool:
-        """Whether the constraint only holds the distance of two points."""
+        """Whether the constraint prescribes only the distance between two points."""
         return [r.op for r in list_position_rows(self.of, 3)] == [Op.DISTANCE]
 
     def frames(self, parameters: Mapping[str, float], dim: int) -> tuple[Array, Array]:
@@ -386,7 +386,7 @@ class Declared(InSentence):
 
     @property
     def links(self) -> bool:
-        """Whether the constraint restricts the relative motion of two bodies, without expressions."""
+        """Whether a row other than an expression restricts the relative motion of two bodies."""
         return bool(self.parent) and any(
             r.op not in (Op.TAPE, Op.CALL) for r in list_position_rows(self.of, 3)
         )

@@ -1,4 +1,4 @@
-"""Writer of URDF text; everything that URDF cannot hold is refused at once."""
+"""Writer of URDF text; features that URDF lacks raise an error at once."""
 
 from __future__ import annotations
 

@@ -512,12 +512,12 @@ class Judgement(InWords):
 
     @property
     def missed(self) -> np.ndarray:
-        """Whether (n, ...) each constraint's error exceeds the allowed error, or is NaN."""
+        """Mask (n, ...) of the constraints whose error exceeds the allowed error or is NaN."""
         return np.asarray(~(self.errors <= self.allowed).all(axis=-1))
 
     @property
     def holds(self) -> Any:
-        """Whether (...) all constraints and tasks hold."""
+        """Mask (...) of the configurations at which all constraints and tasks hold."""
         return unwrap_scalar(~self.missed.any(axis=0))
 
     def of(self, which: np.ndarray) -> Judgement:
@@ -571,7 +571,7 @@ def judge_configurations(
     t: Array | float = 0.0,
     closing: Model | None = None,
 ) -> Judgement:
-    """Measure all that a system declares, and the `requested` tasks, at q (..., nq).
+    """Measure the errors of all constraints, and of the `requested` tasks, at q (..., nq).
 
     `t` (...) are the times of equations in time.
 

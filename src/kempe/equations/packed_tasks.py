@@ -282,7 +282,7 @@ def units(system: Model, constraint: Constraint) -> tuple[str, ...]:
 
 @explain_errors
 def miss(system: Model, constraint: Constraint, q: Any) -> tuple[Array, Array]:
-    """Measure how far (...) q (..., nq) is from fulfilling a constraint, in metres and radians.
+    """Measure the violation (...) of a constraint at q (..., nq), in metres and radians.
 
     The forward model measures it, independently of the equations that solvers use.
 

@@ -1,4 +1,4 @@
-"""Actuation: which freedoms the driven joints control, leave free, or drive redundantly."""
+"""Actuation: freedoms that the driven joints control, leave free, or drive redundantly."""
 
 from __future__ import annotations
 

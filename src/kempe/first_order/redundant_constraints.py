@@ -75,7 +75,7 @@ PAIRS = {
 
 @dataclass(frozen=True)
 class Release(InWords):
-    """Directions that a joint or constraint need not hold, and a joint that could replace it.
+    """Directions that a joint or constraint can release, and a joint that could replace it.
 
     `reactions` names the directions by their reactions, such as 'Mx'.
 

@@ -220,7 +220,7 @@ class Wrenches:
         return Reactions(wrenches, efforts, tuple(n for n in self.names if n in loose))
 
     def describe_stresses(self) -> list[str]:
-        """Describe the states of self-stress in lines; none for systems of many equations."""
+        """Describe the states of self-stress in lines; no lines for systems of many equations."""
         if len(self._balance_matrix) > MOST:
             return []
         head = (
@@ -230,7 +230,7 @@ class Wrenches:
         return [head, *cut_lines([str(s) for s in self.stresses], SHOWN)] if self.stresses else []
 
     def export_stresses(self) -> list[dict[str, Any]]:
-        """Return the states of self-stress as plain data; none for systems of many equations."""
+        """Return the states of self-stress as plain data; no data for systems of many equations."""
         states = self.stresses if len(self._balance_matrix) <= MOST else ()
         return [
             {

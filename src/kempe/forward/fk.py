@@ -408,7 +408,7 @@ def fk(
     dtype: Any = None,
     relative_to: FrameLike | None = None,
 ) -> Array:
-    """Compute poses in the ground frame, or in the frame `relative_to` (forward kinematics).
+    """Compute poses (..., 4, 4) in the ground frame, or in `relative_to` (forward kinematics).
 
     `q` is (..., nq) in radians and metres, or a dict by coordinate name. `frame` is the name of a
     body or frame: then the result is (..., 4, 4); a list of names gives (..., k, 4, 4) in their

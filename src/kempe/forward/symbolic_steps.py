@@ -1,4 +1,4 @@
-"""Forward kinematics in symbols, step by step: the pose of each body in the one before."""
+"""Symbolic forward kinematics step by step: the pose of each body in the preceding body."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ FORMS = ("matrices", "separate", "products")
 
 @dataclass(frozen=True, eq=False)
 class SymbolicSteps:
-    """The chain from the ground to a frame: the pose of each frame in the one before, in symbols.
+    """Chain from the ground to a frame: the symbolic pose of each frame in the preceding frame.
 
     `T[i]` is the pose of `names[i + 1]` in `names[i]`, a sympy Matrix (4, 4).
     """

@@ -272,7 +272,7 @@ class Solutions(ConfigurationList, Answer):
 
     @cached_property
     def mask(self) -> np.ndarray:
-        """Mask (..., K) of the rows of a batch that are in use; all (k,) for a single target."""
+        """Mask of the rows in use: (..., K) for a batch; (k,), all true, for a single target."""
         return self._reshape_rows(self._used_rows)
 
     def _reshape_rows(self, rows: Array) -> Any:
@@ -290,7 +290,7 @@ class Solutions(ConfigurationList, Answer):
 
     @cached_property
     def q(self) -> Array:
-        """Configurations (k, nq), or (..., K, nq) of a batch."""
+        """Configurations (k, nq) for a single target, or (..., K, nq) for a batch."""
         return self._reshape_values(self._fill_configurations())
 
     def _fill_configurations(self) -> Array:
@@ -322,7 +322,7 @@ class Solutions(ConfigurationList, Answer):
 
     @cached_property
     def branch(self) -> np.ndarray:
-        """Number of the branch of each solution, (k,) or (..., K); -1 where there is none."""
+        """Index of the branch of each solution, (k,) or (..., K); -1 without a branch."""
         unit = int(A.SLOT_UNIT)
         return self._reshape_rows(self._code % int(A.MULTIPLICITY_UNIT) // unit - 1)
 
@@ -348,7 +348,7 @@ class Solutions(ConfigurationList, Answer):
 
     @property
     def spare(self) -> tuple[str, ...]:
-        """Names of joints held because the chain has more than the task needs, not by the caller."""
+        """Names of joints that `ik_all` holds because the chain has more freedoms than the task."""
         plan = self.plan
         return tuple(plan.lines.names[i] for i in plan.spare_joints)
 
@@ -567,7 +567,7 @@ class Solutions(ConfigurationList, Answer):
         return self._row.nearest(self, index)
 
     def chosen(self, expand_turns: bool, inside_only: bool) -> Solutions:
-        """Return the answer with every turn inside the limits listed, or only solutions inside."""
+        """Return the answer with every turn inside the limits, or only with solutions inside."""
 
         rows = self._rows
         if inside_only:

@@ -92,7 +92,7 @@ class Solution(Answer):
 
     @classmethod
     def reached(cls, problem: Any, q: Array, measured: Array) -> Solution:
-        """Make the answer for a single target that was reached, without the usual checks.
+        """Make the answer for a single reached target, without the usual checks.
 
         `measured` ends with errors, status, steps and starts, as the kernels leave them: they
         become fields when one is requested.
@@ -161,7 +161,7 @@ class Solution(Answer):
         return unwrap_scalar(out)
 
     def proofs(self, index: tuple[int, ...] | int = ()) -> tuple[Any, ...]:
-        """Return the proofs that one target has no solution, as data; empty where there is none.
+        """Return the proofs that one target has no solution, as data; empty without a proof.
 
         Each is an `Evidence` (`kempe.answers.evidence`), with figures and a `text`.
         Errors: `InputError` for a place that is not in the batch.
@@ -188,7 +188,7 @@ class Solution(Answer):
 
     @property
     def m(self) -> int:
-        """Number of equations of the hard tasks, inequalities left out."""
+        """Number of equations of the hard tasks, without inequalities."""
         return self._local_analysis[0]
 
     @property

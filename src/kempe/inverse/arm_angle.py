@@ -1,4 +1,4 @@
-"""Arms of seven joints with shoulder and wrist: all configurations, over the arm angle.
+"""Inverse kinematics of arms with seven joints: all configurations over the arm angle.
 
 Seven turns: three axes that meet in the shoulder point S, the elbow axis, three axes that meet in
 the wrist point W. A pose fixes W, and |SW| the elbow's angle; the arm can still turn about the line

@@ -1,4 +1,4 @@
-"""Description of a chain's structure, and of how its inverse kinematics is solved, in words."""
+"""Description in words of a chain's structure and of the solution of its inverse kinematics."""
 
 from __future__ import annotations
 
@@ -352,7 +352,7 @@ WIDTH = 110
 
 @dataclass(frozen=True)
 class Recognised(Report):
-    """The structure of the chain of a `frame`, and how its inverse kinematics is solved.
+    """Structure of the chain of a `frame`, and the method that solves its inverse kinematics.
 
     `joints` are those that move the frame, from the ground to it, `kinds` whether each "turns" or
     "slides". `list_axis_relations` are facts about consecutive axes, those that a structure misses by little
@@ -404,7 +404,7 @@ class Recognised(Report):
         return {**own, "steps": [step._asdict() for step in self.steps]}
 
     def topics(self) -> list[tuple[str, tuple[str, ...]]]:
-        """Return the report as (title, lines)."""
+        """Return the report as pairs of a title and its lines."""
         joints = ", ".join(f"{n} {k}" for n, k in zip(self.joints, self.kinds, strict=True))
         if set(self.kinds) == {"turns"} and len(self.joints) > 1:
             joints = f"{', '.join(self.joints)}: all turn"

@@ -490,7 +490,7 @@ class Family(InWords):
         return float(far[0]) if q.ndim == 1 else far.reshape(q.shape[:-1])
 
     def contains(self, theta: Array) -> bool:
-        """Return whether variables (n,) of the chain are those of a member."""
+        """Return whether the chain variables (n,) belong to a member of the family."""
         away = np.abs(self._set.compute_short_difference(self._theta, theta)).max(axis=1).min()
         if self.freedoms == 1 and away > 1.0:
             return False

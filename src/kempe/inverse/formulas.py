@@ -528,7 +528,7 @@ class InverseFormulas(Derivation):
 
     @property
     def target(self) -> tuple[Any, ...]:
-        """Symbols of the target: p_x and p_y, in space p_z, and of a pose phi, or r_11 to r_33."""
+        """Symbols of the target: p_x, p_y, in space p_z, and for a pose phi, or r_11 to r_33."""
         return self.given
 
     def __call__(self, p: ArrayLike, sign: Any = 1) -> Array:

@@ -212,8 +212,7 @@ def ik(
     budget: Budget | None = None,
     history: bool = False,
 ) -> Solution:
-    """A configuration in which `frame` reaches `target` (the inverse geometric model), always
-    inside the limits.
+    """Find a configuration within limits in which `frame` reaches `target` (inverse kinematics).
 
     Without a frame `target` are tasks, see `kempe.inverse.tasks.search.reach_tasks`.
     `target` is a pose (..., 4, 4) in the ground frame (in planar systems also (..., 3, 3), and,

@@ -1,4 +1,4 @@
-"""The inverse geometric model, all of it: every configuration in which a frame reaches a target."""
+"""Inverse kinematics with all solutions: every configuration in which a frame reaches a target."""
 
 from __future__ import annotations
 
@@ -49,8 +49,7 @@ def ik_all(
     tolerance: float | None = None,
     budget: Budget | None = None,
 ) -> Solutions | Modes:
-    """Every configuration in which `frame` reaches `target`: the inverse geometric model with all
-    its solutions.
+    """Find every configuration in which `frame` reaches `target` (inverse kinematics).
 
     `target` is a pose (..., 4, 4) in the ground frame (in planar systems also (..., 3, 3), and,
     with ``task="pose"``, x, y and angle (..., 3)) or a position (..., 3) (in planar systems also

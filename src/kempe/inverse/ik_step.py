@@ -1,4 +1,4 @@
-"""`ik_step`: velocities of one step that give a frame a twist or lead it to a pose, within limits."""
+"""`ik_step`: velocities that give a frame a twist or move the frame to a pose, within limits."""
 
 from __future__ import annotations
 
@@ -52,8 +52,9 @@ BESIDE = 1e-12
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class IkStep(Answer):
-    """Velocities of one step: `q` (nq,) after it, `velocity` (nv,), and the `twist` (6,) that they
-    give the frame.
+    """Result of one step: `q` (nq,), `velocity` (nv,), and the frame's `twist` (6,).
+
+    `q` is the configuration after the step.
 
     For tasks, `twist` are the rates (m,) of the equations of the hard ones, in radians and
     characteristic lengths. `fraction` is the part of the wanted twist in that, 1 where it is had in
@@ -119,7 +120,7 @@ def ik_step(
     keep_direction: bool = False,
     weights: Any = None,
 ) -> IkStep:
-    """The step that gives a frame the wanted twist for the time dt [s], as nearly as limits allow.
+    """Compute velocities that give a frame the wanted twist for the time dt [s], within limits.
 
     `wanted` is a twist (6,), [linear; angular] of the frame's origin in ground axes, or a pose (4,
     4) to be reached in dt; without a frame, tasks of `kempe.tasks` to be reached in dt, hard or

@@ -1,4 +1,4 @@
-"""`ik_path`: configurations that follow targets without a jump, or where and why none can."""
+"""`ik_path`: configurations that follow targets without a jump, or the reason of a failure."""
 
 from __future__ import annotations
 
@@ -551,7 +551,7 @@ TRIED = 16
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class IkPath(Configurations):
-    """Configurations `q` (n, nq) that follow n targets, NaN where not `success` (n,).
+    """Configurations `q` (n, nq) that follow n targets; NaN in rows without `success` (n,).
 
     `jumps` are the targets that are reached, but not continuously from the one before; `status`
     says where and why the path jumps or stops. It is true where all targets are reached without a
@@ -575,7 +575,7 @@ class IkPath(Configurations):
 
     @property
     def code(self) -> Status:
-        """Outcome: `PARTLY` where a target is not reached, or by a jump only."""
+        """Outcome: `PARTLY` if a target is not reached, or is reached only by a jump."""
         if self:
             return Status.SOLVED
         return self._find_early_end() or (Status.PARTLY if self.success.any() else Status.NOT_FOUND)
@@ -624,8 +624,7 @@ def ik_path(
     tolerance: float | tuple[float, float] | None = None,
     budget: Budget | None = None,
 ) -> IkPath:
-    """Configurations in which a frame follows targets, each reached continuously from the one
-    before.
+    """Find configurations in which a frame follows targets without a jump.
 
     `targets` are poses (n, 4, 4) or positions (n, 3), in the plane also (n, 3, 3) or (n, 2);
     without a frame they are tasks of `kempe.tasks` whose goals have a leading axis (n). Limits,

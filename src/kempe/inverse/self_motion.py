@@ -90,7 +90,7 @@ class SelfMotion(Configurations):
 
     @property
     def success(self) -> bool:
-        """Whether the system moves, and its self-motion was followed to the ends."""
+        """Whether the system moves, and the self-motion was traced to its ends."""
         return self.freedoms > 0 and self._find_early_end() is None
 
     def _list_goals(self) -> Sequence[tuple[Any, Any, Any]]:
@@ -125,7 +125,7 @@ def self_motion(
     direction: Any = None,
     budget: Budget | None = None,
 ) -> SelfMotion:
-    """The motion of a system from q (nq,), in both directions, that keeps tasks fulfilled.
+    """Trace the motion of a system from q (nq,), in both directions, that keeps tasks fulfilled.
 
     `tasks` is a frame, or hard tasks that are fulfilled at q. A frame keeps its pose, or only the
     part that `task` names, as for `System.ik`: "position", "orientation", "direction",

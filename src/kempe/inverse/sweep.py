@@ -1,4 +1,4 @@
-"""`ik_sweep`: the solutions of a chain with one freedom to spare, as functions of a parameter."""
+"""`ik_sweep`: solutions of a chain with one redundant freedom, as functions of a parameter."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ class Best(NamedTuple):
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Slice(ConfigurationList, Answer):
-    """All solutions at one value of the parameter of a `sweep`, or at each of many.
+    """All solutions at one value of the parameter of a `sweep`, or at each of many values.
 
     For one: `q` (k, nq), those inside the limits first, and `inside`, `residual` (norm of position
     error [m] and orientation error [rad] by the forward model) and `branch` (k,). For values (m,):
@@ -152,7 +152,7 @@ class Slice(ConfigurationList, Answer):
 
     @property
     def code(self) -> Any:
-        """The outcome (...): the sweep is in closed form, so that there is no solution is proven."""
+        """Outcome (...): `NONE_EXISTS` is proven, since the sweep is in closed form."""
         there = np.where(self.mask.any(axis=-1), Status.OUTSIDE_LIMITS, Status.NONE_EXISTS)
         return to_status(np.where(self.inside.any(axis=-1), Status.SOLVED, there))
 
@@ -175,8 +175,9 @@ class Slice(ConfigurationList, Answer):
 @explain_method_errors
 @dataclass(frozen=True, eq=False, repr=False)
 class Sweep(Answer):
-    """The solutions of a chain with one freedom to spare, over a `parameter`: a joint, or
-    "arm_angle".
+    """Solutions of a chain with one redundant freedom over a `parameter`.
+
+    The parameter is a joint, or "arm_angle".
 
     `intervals` has, for each branch, the intervals (low, high) of the parameter in which its
     solution is inside the limits; `spans` those in which it exists at all; `feasible` is the union
@@ -376,7 +377,7 @@ class Sweep(Answer):
 
     @property
     def code(self) -> Status:
-        """Outcome: that there is no solution is proven where the intervals are `exact`."""
+        """Outcome: `NONE_EXISTS` or `OUTSIDE_LIMITS` only if the intervals are `exact`."""
         if self.success:
             return Status.SOLVED
         if self.late and not self.exact:
@@ -507,8 +508,9 @@ def ik_sweep(
     fixed: Mapping[str, Any] | None = None,
     budget: Budget | None = None,
 ) -> Sweep:
-    """The solutions of a redundant chain for one target, over a parameter, and where they are
-    inside the limits.
+    """Solve the inverse kinematics of a redundant chain for one target, over a parameter.
+
+    The answer includes the intervals inside the limits.
 
     `parameter` is a joint of the chain, or "arm_angle" for seven turning joints of which the first
     three axes meet, and the last three (`kempe.inverse.arm_angle` says what it

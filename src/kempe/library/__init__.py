@@ -1,5 +1,6 @@
-"""Models that come with Kempe. They are joints of each type, published robots, mechanisms with
-loops, and systems of the lecture.
+"""Models that come with Kempe.
+
+They are joints of each type, published robots, mechanisms with loops, and systems of the lecture.
 
 ``kempe.load("puma560")`` loads one by its name. Each is a TOML file whose first comment line says
 what it is.

@@ -427,7 +427,7 @@ class Mobility(Report):
 
     @property
     def gruebler(self) -> int:
-        """Grübler count: freedoms of the bodies less those that joints and constraints take away."""
+        """Grübler count: freedoms of all bodies minus those that joints and constraints remove."""
         return self.counting.gruebler
 
     @property
@@ -450,7 +450,7 @@ class Mobility(Report):
 
     @property
     def redundant_here(self) -> int | None:
-        """Number of constraints that depend on others, to first order, at `q`."""
+        """Number of constraints at `q` that depend on other constraints, to first order."""
         return None if self.rank is None else self.rank.n_dependent
 
     @property
@@ -465,7 +465,7 @@ class Mobility(Report):
 
     @property
     def certain(self) -> bool:
-        """Whether `dof` is proven, with what is zero to rounding taken as exactly zero.
+        """Whether `dof` is proven, with values below rounding error taken as exactly zero.
 
         Either the rank is full, the smallest singular value being above a bound of all rounding and
         an exactly closed configuration near by (Newton and Kantorovich), or a theorem about
@@ -490,7 +490,7 @@ class Mobility(Report):
 
     @property
     def code(self) -> Status:  # type: ignore[override]
-        """The outcome: solved where the mechanism can be closed here."""
+        """Outcome: `SOLVED` if the mechanism can be closed here."""
         if self.late:
             return Status.OUT_OF_TIME
         return Status.SOLVED if self.closed else Status.NOT_FOUND
@@ -516,7 +516,7 @@ class Mobility(Report):
         return describe_mobility(self)
 
     def topics(self) -> list[tuple[str, list[str]]]:
-        """Return the reasons as (title, lines)."""
+        """Return the reasons as pairs of a title and its lines."""
         return list_topics(self)
 
     def _make_headline(self) -> str:

@@ -315,7 +315,7 @@ class Classification(Report):
 
     @property
     def singular(self) -> bool:
-        """Whether the growth vector at `q` surely differs from that at random configurations."""
+        """Whether the growth vector at `q` surely differs from the one at random configurations."""
         return not self.doubtful and self.growth != self.growth_around
 
     @property
@@ -336,7 +336,7 @@ class Classification(Report):
         return describe_classification(self)
 
     def topics(self) -> list[tuple[str, list[str]]]:
-        """Return the reasons as (title, lines)."""
+        """Return the reasons as pairs of a title and its lines."""
         return list_topics(self)
 
     def _make_headline(self) -> str:
@@ -565,7 +565,7 @@ def classify(
     tolerance: float | str | None = None,
     budget: Budget | None = None,
 ) -> Classification:
-    """Classify the constraints of a system, and find how far free velocities reach.
+    """Classify the constraints of a system, and find the dimension that free velocities reach.
 
     `q` (nq,) or a dict by coordinate name (default: as for `mobility`), `t` the time where
     constraints depend on it. A `q` that misses what holds positions by more than rounding is

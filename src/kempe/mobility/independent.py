@@ -149,7 +149,7 @@ class Chart(Report):
 
     @property
     def within(self) -> Idealised | None:  # type: ignore[override]
-        """The nearest mechanism that closes exactly, if the chart belongs to it; else None."""
+        """Nearest mechanism that closes exactly, if the chart is for that mechanism; else None."""
         return self.system._ideal
 
     @property
@@ -276,7 +276,7 @@ class Chart(Report):
         return N @ np.linalg.inv(self._compute_rates(read_q(self.system, q), self.independent) @ N)
 
     def condition(self, q: Any) -> float:
-        """Compute how well independent coordinates move all others at q (nq,), from 0 to 1 (best).
+        """Compute the conditioning of the independent coordinates at q (nq,), from 0 to 1 (best).
 
         It is 0 where a ball with exponential coordinates has turned by nearly half a turn, where
         these jump.
@@ -337,7 +337,7 @@ def independent(
     *,
     tolerance: float | str | None = None,
 ) -> Chart:
-    """Choose a chart at q (nq,): p coordinates that can be set, so that the others follow.
+    """Choose p independent coordinates at q (nq,), which determine all other coordinates.
 
     Without a wish the best conditioned ones are taken, greedily (QR with column pivoting of the
     tangent space: Golub, 1965): angles and lengths; where these cannot do, rotation vectors of

@@ -1,4 +1,4 @@
-"""The true local dimension of the set of closed configurations, branch by branch.
+"""Exact local dimension of the set of closed configurations, branch by branch.
 
 The rank of the Jacobian is an upper bound only. Taylor coefficients, and points on small spheres
 around the configuration, tell the branches and their dimensions.

@@ -1,4 +1,4 @@
-"""Mobility: degrees of freedom by counting, by rank and truly, with redundant and idle ones."""
+"""Mobility: degrees of freedom by Grübler count, by rank and exact; redundant constraints."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def mobility(
     tolerance: float | str | None = None,
     budget: Budget | None = None,
 ) -> Mobility:
-    """Find the degrees of freedom of a system by counting, by rank and truly, with the reasoning.
+    """Find the degrees of freedom of a system by Grübler count, by rank and exactly.
 
     `q` (nq,) or a dict by coordinate name (default: the posture 'closed', else a closed
     configuration is searched); where it is not exactly closed the nearest closed configuration is

@@ -1,4 +1,4 @@
-"""One-sided constraints at a configuration: which are active, and which velocities they allow.
+"""One-sided constraints at a configuration: active constraints, and velocities that they allow.
 
 Limits of coordinates are among them.
 """
@@ -413,7 +413,7 @@ class OneSidedReport(Report):
 
 @explain_errors
 def report_one_sided(system: Model, q: Any = None, *, tolerance: float = CLOSED) -> OneSidedReport:
-    """Find the state of one-sided constraints at a configuration, and the velocities they leave.
+    """Find the state of one-sided constraints at a configuration, and the velocities they allow.
 
     `q` (nq,) or a dict by coordinate name (default: as for `mobility`) should close all loops.
     Sides within `tolerance` of their bound, in radians and characteristic lengths, count as closed.

@@ -56,7 +56,7 @@ class RelativeMotion(Report):
 
     @property
     def status(self) -> str:
-        """Sentence about the degrees of freedom; of a single one with its axis in the frame `to`."""
+        """Sentence about the degrees of freedom; one freedom with its axis in the frame `to`."""
         head = f"{self.dof} DoF of {self.body} relative to {self.to}"
         more = f", {self.slides} of them by sliding alone" if self.dof else ""
         here = f"; to first order here, around here {self.around}" if self.around > self.dof else ""

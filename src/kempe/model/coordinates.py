@@ -1,4 +1,4 @@
-"""Coordinates of a system: which joint coordinates make up `q`, and which follow from them.
+"""Coordinates of a system: joint coordinates in `q`, and coordinates that follow from `q`.
 
 Couplings and locks decide this; limits are brought back to the coordinates in `q`.
 """

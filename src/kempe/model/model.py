@@ -101,7 +101,7 @@ class Structure:
 
     @property
     def joints(self) -> dict[str, Joint]:
-        """All joints, fixed ones and loop closures included, in the order of the description."""
+        """All joints, including fixed joints and loop closures, in the order of the description."""
         return ReadOnlyDict(self._mechanism.joints)
 
     @property
@@ -158,30 +158,32 @@ class Structure:
 
     @property
     def couplings(self) -> dict[str, Any]:
-        """Coupled coordinates by name, which are not in `q`: a multiple of another plus an offset."""
+        """Coordinates by name that are not in `q`: a multiple of a coordinate plus an offset."""
         return ReadOnlyDict(self.coordinates.followers)
 
     @property
     def limits(self) -> Array:
-        """Lower and upper limits (nv, 2) of the velocity coordinates; read-only: see
-        `System.with_limits`.
+        """Lower and upper limits (nv, 2) of the velocity coordinates [rad, m].
+
+        The array is read-only; see `System.with_limits`.
         """
         return self.coordinates.limits
 
     @property
     def velocity_limits(self) -> Array:
-        """Largest speeds (nv,) of the velocity coordinates, inf where there is none; read-only, as
-        `limits`.
+        """Largest speeds (nv,) of the velocity coordinates [rad/s, m/s], inf without a limit.
+
+        The array is read-only, as `limits`.
         """
         return self.coordinates.velocity
 
     def coordinates_of_joint(self, name: str) -> list[str]:
-        """Names of all coordinates of a joint, also of coupled or locked ones that are not in `q`."""
+        """Return the names of all coordinates of a joint, including coupled and locked ones."""
         m = self._mechanism
         return list_coordinate_names(m, m.joints[check_name("joint", name, m.joints, m.name)])
 
     def frame_name(self, frame: FrameLike) -> str:
-        """Name of a frame or body of this system, checked.
+        """Return the checked name of a frame or body of the system.
 
         Errors: `UnknownNameError` with the nearest names.
         """
@@ -294,9 +296,7 @@ class Model:
 
     @cached_property
     def structure(self) -> Structure:
-        """The parts of the system: joints, frames, loop closures, couplings, limits, parameters,
-        tree, table.
-        """
+        """Parts of the system: joints, frames, closures, couplings, limits, parameters, tree."""
         m = self._mechanism
         coordinates = self._coordinates
         return Structure(m, self._topology, coordinates, self._table, coordinates.layout)
@@ -326,8 +326,9 @@ class Model:
 
     @cached_property
     def joint_names(self) -> tuple[str, ...]:
-        """Names of all joints, fixed ones and loop closures included, in the order of the
-        description.
+        """Names of all joints, including fixed joints and loop closures.
+
+        The order is the order of the description.
         """
         return tuple(self._mechanism.joints)
 
@@ -358,7 +359,7 @@ class Model:
 
     @property
     def lower(self) -> Array:
-        """Lower limits (nv,) of the velocity coordinates, -inf where there is none.
+        """Lower limits (nv,) of the velocity coordinates [rad, m], -inf without a limit.
 
         The array is read-only: see `with_limits`.
         """
@@ -366,7 +367,7 @@ class Model:
 
     @property
     def upper(self) -> Array:
-        """Upper limits (nv,) of the velocity coordinates, inf where there is none.
+        """Upper limits (nv,) of the velocity coordinates [rad, m], inf without a limit.
 
         The array is read-only: see `with_limits`.
         """

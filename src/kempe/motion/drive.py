@@ -606,7 +606,7 @@ def _format_samples(first: int, last: int) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Toggle(InWords):
-    """Samples `first` to `last` with inputs out of reach: the motion is held at `q` (nq,).
+    """Samples `first` to `last` with inputs out of reach, where the motion stays at `q` (nq,).
 
     `reason` says why.
     """

@@ -109,7 +109,7 @@ class Manoeuvre(Motion):
 
     @property
     def length(self) -> float:
-        """Length of the way of the axle in metres, forwards and in reverse."""
+        """Length of the path of the axle in metres, forwards and in reverse."""
         return math.fsum(abs(p.length) for p in self.pieces)
 
     @property
@@ -138,7 +138,7 @@ class Manoeuvre(Motion):
         return self._evaluate_motion(t)[0]
 
     def velocity(self, t: ArrayLike) -> Array:
-        """Return velocities (..., nv) at times `t` (...).
+        """Return velocities (..., nv) at times `t` (...) in seconds.
 
         Where two pieces meet, they are those of the later one.
         """

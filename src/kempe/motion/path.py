@@ -234,7 +234,7 @@ class Path(Motion):
 
     @property
     def length(self) -> float:
-        """Arc length of the whole curve."""
+        """Arc length of the whole curve, in radians and slides of `unit_length`."""
         return float(self.s[-1]) if len(self.s) else 0.0
 
     @property
@@ -246,7 +246,7 @@ class Path(Motion):
 
     @property
     def turns(self) -> dict[str, int]:
-        """Whole turns of the coordinates of a closed path that do not go back, by name."""
+        """Net number of whole turns of each turning coordinate along a closed path, by name."""
         if not self.closed:
             return {}
         e = self.track.equations

@@ -470,7 +470,10 @@ class Simulation(Motion):
         return self._evaluate_motion(t)[0]
 
     def velocity(self, t: ArrayLike) -> Array:
-        """Return velocities (..., nv) at times `t` (...), at a bounce those after it; see `at`."""
+        """Return velocities (..., nv) at times `t` (...) in seconds; at a bounce, after the bounce.
+
+        See `at`.
+        """
         return self._evaluate_motion(t)[1]
 
     def _list_times(self) -> Any:

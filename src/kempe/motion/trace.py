@@ -398,7 +398,7 @@ def _follow_path(
 def trace_branches(
     system: Model, driver: str | None = None, start: Any = None, **options: Any
 ) -> tuple[Path, ...]:
-    """Trace all paths that meet at bifurcations, that through `start` first.
+    """Trace all paths that meet at bifurcations, beginning with the path through `start`.
 
     Arguments are those of `trace`.
     """

@@ -63,7 +63,7 @@ class LoopJacobian(Report):
 
     @property
     def status(self) -> Any:
-        """Sentence for one configuration, an array of sentences for several."""
+        """Sentence for one configuration; an array of sentences for several configurations."""
         if np.ndim(self.code) == 0:
             return self._sentence(
                 int(self.code), int(self.rank), int(self.nullity)
@@ -255,7 +255,7 @@ def compute_mechanical_advantage(
 
 
 def find_dead_points(path: Path, input: str) -> tuple[Event, ...]:
-    """Find the points of a path where `input` turns back and cannot move the mechanism on."""
+    """Find the dead points of a path, where `input` reverses and cannot drive the mechanism."""
     find_angle_or_slide(path.system, input)
     return tuple(e for e in path.extremes if e.coordinate == input)
 

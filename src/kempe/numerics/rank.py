@@ -121,12 +121,12 @@ class Spectrum:
 
     @property
     def largest(self) -> Array:
-        """Size (...) that levels are relative to."""
+        """Reference value (...) of levels: the largest singular value, or `size` if larger."""
         return np.maximum(np.maximum(self.values.max(axis=-1, initial=0.0), self.size), TINY)
 
     @property
     def smallest(self) -> Array:
-        """The last singular value (...), 0 where there is none."""
+        """Last singular value (...); 0 if the matrix has none."""
         s = self.values
         return s[..., -1] if s.shape[-1] else np.zeros(s.shape[:-1])
 
@@ -206,7 +206,7 @@ class Spectrum:
 
     @property
     def orthogonal(self) -> Array:
-        """The orthogonal matrices (..., n, n) nearest to square ones (Procrustes)."""
+        """Orthogonal matrices (..., n, n) nearest to square matrices (Procrustes)."""
         U, _, Vt = self._decomposition
         return U @ Vt
 

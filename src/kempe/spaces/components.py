@@ -70,8 +70,7 @@ USUAL = Usual("components", starts=STARTS, rng=0, time_limit=TIME_LIMIT)
 
 @dataclass(frozen=True, eq=False)
 class Component(InWords):
-    """A component with one freedom (idle freedoms left out): curves that are joined at
-    bifurcations.
+    """Component with one freedom, without idle freedoms: curves that bifurcations join.
 
     One without a freedom is a path of one configuration.
     """
@@ -87,8 +86,9 @@ class Component(InWords):
 
     @property
     def alone(self) -> bool:
-        """Whether the component is one closed or complete curve without singular points. Then
-        nothing else joins it.
+        """Whether the component is one closed or complete curve without singular points.
+
+        Then nothing else joins it.
         """
         first = self.paths[0]
         smooth = not any("not smooth" in end for end in first.ends)
@@ -101,7 +101,7 @@ class Component(InWords):
 
     @property
     def ranges(self) -> dict[str, tuple[float, float]]:
-        """The least and largest value of each coordinate on the component."""
+        """Least and largest value [rad, m] of each coordinate on the component, by name."""
         q = np.concatenate([p.track.q for p in self.paths])
         return dict(
             zip(
@@ -121,8 +121,9 @@ class Component(InWords):
         return tuple(events[k] for k in numbers)
 
     def place(self, q: Array) -> tuple[np.ndarray, Array, Array]:
-        """Find the nearest curve (k,) of configurations (k, nq). Also return the arc lengths (k,)
-        on it, and the distances (k,).
+        """Find the index (k,) of the curve nearest to each configuration (k, nq).
+
+        Also return the arc lengths (k,) on the curves, and the distances (k,).
 
         The distance is infinite where no curve is near.
         """
@@ -138,7 +139,7 @@ class Component(InWords):
         return which, s, far
 
     def contains(self, q: Array) -> np.ndarray:
-        """Whether (k,) configurations (k, nq) lie on the component."""
+        """Return a mask (k,) of the configurations (k, nq) that lie on the component."""
         return self.place(q)[2] < SAME
 
     def __str__(self) -> str:
@@ -250,9 +251,7 @@ class Components(Report):
 
     @cached_property
     def code(self) -> Status:  # type: ignore[override]
-        """The outcome: `PARTLY` if the count is a lower bound, `NONE_EXISTS` if it is proven to be
-        0.
-        """
+        """Outcome: `PARTLY` if the count is a lower bound, `NONE_EXISTS` if 0 is proven."""
         if self.complete:
             return Status.SOLVED if self.count else Status.NONE_EXISTS
         if self.interrupted:
@@ -307,8 +306,9 @@ class Components(Report):
 @raise_interrupted
 @limit_time(USUAL)
 def find_components(system: Model, *, budget: Budget | None = None) -> Components:
-    """Find the connected components of the configuration space. They come with the proof, or as a
-    lower bound with the evidence.
+    """Find the connected components of the configuration space.
+
+    They come with the proof, or as a lower bound with the evidence.
 
     A tree has one. Planar single loops of revolute joints have as many as the theorem on long bars
     says. Loops of four joints, in which a rod joins two cranks, a crank and a slide, or two slides,

@@ -79,22 +79,22 @@ class ConfigurationSpace(Report):
         return integrate_velocity(self.system, q, v)
 
     def difference(self, q0: Any, q1: Any) -> Array:
-        """Compute the shortest tangent vector (..., nv) from `q0` to `q1`. Its length is the
-        `distance`.
+        """Compute the shortest tangent vector (..., nv) from `q0` to `q1`.
+
+        Its length is the `distance`.
 
         ``integrate(q0, difference(q0, q1))`` is `q1`, up to whole turns of unlimited joints.
         """
         return compute_difference(self.system, q0, q1)
 
     def interpolate(self, q0: Any, q1: Any, t: ArrayLike) -> Array:
-        """Interpolate a configuration (..., nq) at the fraction `t` (...) of the way from `q0` to
-        `q1`.
-        """
+        """Interpolate configurations (..., nq) at fractions `t` (...) from `q0` (0) to `q1` (1)."""
         return interpolate_configurations(self.system, q0, q1, t)
 
     def distance(self, q0: Any, q1: Any) -> Array:
-        """Compute the length (...) of the straight way from `q0` to `q1`. Unlimited joints turn the
-        short way.
+        """Compute the length (...) of the straight way from `q0` to `q1`.
+
+        Unlimited joints turn the short way.
         """
         return compute_distance(self.system, q0, q1)
 
@@ -125,7 +125,7 @@ class ConfigurationSpace(Report):
         return find_connection(self.system, q0, q1, budget=budget)
 
     def parametrizations(self, q: Any = None) -> Parametrizations:
-        """Compare pairs (r, R) with constraints and generalized positions as coordinates."""
+        """Compare descriptions by pairs (r, R) with constraints and by generalized positions."""
         return compare_parametrizations(self.system, q)
 
     # ---- what it is
@@ -137,8 +137,9 @@ class ConfigurationSpace(Report):
 
     @property
     def shape(self) -> str:
-        """The product form of a tree, such as "T^2 x R". With constraints a text such as "a subset
-        of T^4".
+        """The product form of a tree, such as "T^2 x R".
+
+        With constraints a text such as "a subset of T^4".
         """
         return f"a subset of {self.ambient.shape}" if has_loops(self.system) else self.ambient.shape
 
@@ -151,9 +152,7 @@ class ConfigurationSpace(Report):
 
     @property
     def dimension(self) -> int | None:
-        """The true degrees of freedom at the configuration `at`, or None if nothing is known of
-        them.
-        """
+        """Exact degrees of freedom at the configuration `at`; None if unknown."""
         return self._mobility.dof if has_loops(self.system) else self.ambient.dimension
 
     @property
@@ -163,8 +162,9 @@ class ConfigurationSpace(Report):
 
     @property
     def at(self) -> Array:
-        """The closed configuration (nq,) at which the dimension is computed. A tree has the same
-        dimension everywhere.
+        """The closed configuration (nq,) at which the dimension is computed.
+
+        A tree has the same dimension everywhere.
 
         At a singular point the dimension may differ from that of configurations nearby.
         """
@@ -286,8 +286,9 @@ class Parametrizations(Report):
         return self.rows[0].constraints
 
     def pairs(self, q: Any) -> tuple[Array, Array]:
-        """Compute the pairs of all bodies at q (..., nq). They are positions r (..., n_b, 3) and
-        orientations R (..., n_b, 3, 3).
+        """Compute the pairs of all bodies at q (..., nq).
+
+        They are positions r (..., n_b, 3) and orientations R (..., n_b, 3, 3).
         """
         from kempe.forward.maximal import to_maximal
 

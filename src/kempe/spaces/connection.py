@@ -279,8 +279,9 @@ class Connection(Configurations):
 @raise_interrupted
 @limit_time(USUAL)
 def find_connection(system: Model, q0: Any, q1: Any, *, budget: Budget | None = None) -> Connection:
-    """Find a continuous motion from q0 to q1 (nq,) within limits and on all constraints. Otherwise
-    return the reason why there is none.
+    """Find a continuous motion from q0 to q1 (nq,) within limits and on all constraints.
+
+    Otherwise return the reason why there is none.
 
     Where only limits bound the coordinates it is a straight line in them. With one freedom it
     follows the traced curve through q0, across bifurcations if need be. Otherwise two random trees

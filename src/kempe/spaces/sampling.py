@@ -199,8 +199,9 @@ def draw_sample(
     *,
     budget: Budget | None = None,
 ) -> Sample:
-    """Draw random configurations (n, nq), uniform in a stated measure, within limits and
-    constraints.
+    """Draw random configurations (n, nq) within limits and constraints.
+
+    They are uniform in a stated measure.
 
     Of a tree: the product of the coordinates, rotations of balls by Haar's measure; independent
     draws, rejected where a one-sided constraint does not hold. With loops or relations the measure

@@ -104,7 +104,7 @@ class SingularCurves(Report):
 
     @property
     def code(self) -> Status:  # type: ignore[override]
-        """The outcome: `NOT_FOUND` if there is no curve, or what broke the search off."""
+        """Outcome: `NOT_FOUND` if no curve was found, or the reason why the search ended early."""
         return self.broken or (Status.SOLVED if self.curves else Status.NOT_FOUND)
 
     @property
@@ -124,8 +124,9 @@ class SingularCurves(Report):
         return iter(self.curves)
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the positions of the frame along the curves in Matplotlib axes. Each kind has a line
-        style.
+        """Draw the positions of the frame along the curves in Matplotlib axes.
+
+        Each kind has a line style.
 
         Errors: `InputError` where there are no curves, or no frame.
         """

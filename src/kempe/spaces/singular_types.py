@@ -113,7 +113,7 @@ class SingularSet(InWords):
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class NearestSingular(Report):
-    """The nearest of the singular configurations found, `q` (nq,), and its `distance`.
+    """Singular configuration `q` (nq,), nearest of those found, and its `distance`.
 
     Angles count in radians and lengths in characteristic lengths. `kinds`, `name`, and what is lost
     and gained there, are as in `SingularSet`; `distances` are those of all sets, by their words.

@@ -153,7 +153,7 @@ class Singularities(Report, Tabular):
 
     @property
     def code(self) -> Status:  # type: ignore[override]
-        """The outcome: `NOT_FOUND` if there is no set, or what broke the search off."""
+        """Outcome: `NOT_FOUND` if no set was found, or the reason why the search ended early."""
         return self.broken or (Status.SOLVED if self.sets else Status.NOT_FOUND)
 
     @property
@@ -203,8 +203,9 @@ class Singularities(Report, Tabular):
         return s.to_data() | {"values": values, "q": name_values(self.system, s.q)}
 
     def nearest(self, q: Any) -> NearestSingular:
-        """Find the singular configuration nearest to a closed one (nq,), over all sets. See
-        `NearestSingular`.
+        """Find the singular configuration nearest to a closed configuration (nq,), over all sets.
+
+        See `NearestSingular`.
 
         It is a local minimum of the distance, found from several points of each set. Errors:
         `InputError`.
@@ -247,8 +248,7 @@ class Singularities(Report, Tabular):
     def plot(
         self, *, ax: Any = None, budget: Budget | None = None, **options: Any
     ) -> tuple[Axes, ...]:
-        """Draw configurations of the sets side by side in Matplotlib axes, with lost and gained
-        twists.
+        """Draw configurations of the sets in Matplotlib axes, with lost and gained twists.
 
         Arrows show directions of the frame: of turns in the plane there is the centre with an arc,
         in space the axis (dotted). Of a planar system whose sets are curves the last axes have
@@ -271,8 +271,9 @@ class Singularities(Report, Tabular):
         orientation: Any = None,
         budget: Budget | None = None,
     ) -> SingularCurves:
-        """Trace the curves of singular configurations, and those that the frame draws. Only sets
-        that are curves are traced.
+        """Trace the curves of singular configurations, and the curves that the frame draws.
+
+        Only sets that are curves are traced.
 
         In the plane those are curves at which a frame's position loses a direction, and of two
         freedoms all of them. Larger sets are cut down to curves by coordinates that are held,

@@ -170,7 +170,7 @@ class TaskSpace(Report):
 
     @property
     def code(self) -> Status:  # type: ignore[override]
-        """The outcome: whether the whole question was answered."""
+        """Outcome: `OUT_OF_TIME` if the time limit ended the computation early."""
         return Status.OUT_OF_TIME if self.late else Status.SOLVED
 
     def _make_headline(self) -> str:

@@ -75,7 +75,7 @@ def animate(
     seconds: float = 4.0,
     fps: float = 15.0,
 ) -> Path:
-    """Write a motion as an animation, whose format follows from the ending of the file.
+    """Write a motion as an animation; the extension of the file name selects the format.
 
     `path`: an answer with a motion or several configurations, or configurations (n, nq), passed at
     equal times in `seconds`, `fps` pictures each second; without loops it is interpolated between

@@ -356,7 +356,7 @@ class Workspace(Report):
 
     @property
     def left_out(self) -> int:
-        """Number of samples that could not be closed, violated a constraint, or were not reached."""
+        """Number of samples that were not closed, violated a constraint, or were not reached."""
         return self.sample_counts.left_out
 
     @property
@@ -384,13 +384,14 @@ class Workspace(Report):
 
     @property
     def kind(self) -> str:
-        """ "reachable", "constant-orientation", "dexterous" or "orientation"."""
+        """Name of the kind: "reachable", "constant-orientation", "dexterous" or "orientation"."""
         return self.question.kind
 
     @cached_property
     def exact(self) -> PlanarWorkspace | SweptSolid | None:
-        """The workspace with its exact boundary, or None if that is unknown. Planar systems have
-        that of `System.reach.planar`.
+        """Workspace with its exact boundary, or None if the boundary is unknown.
+
+        For planar systems, `exact` is the workspace of `System.reach.planar`.
 
         In space it is known of chains that move the frame in a plane, which a slide moves across
         itself, or which a first joint without limits turns about an axis in it. It is not used
@@ -406,7 +407,7 @@ class Workspace(Report):
 
     @property
     def outline(self) -> tuple[PlaneCurve, ...]:
-        """The curves that bound an exactly known planar workspace, else none."""
+        """Curves that bound an exactly known planar workspace; () for other workspaces."""
         return self.exact.boundary if isinstance(self.exact, PlanarWorkspace) else ()
 
     def _compute_exact(self) -> PlanarWorkspace | SweptSolid | None:
@@ -438,14 +439,12 @@ class Workspace(Report):
 
     @property
     def thin(self) -> bool:
-        """Whether the reached set is a curve or surface in a box of higher dimension, with measure
-        0.
-        """
+        """Whether the reached set is a curve or surface (measure 0) in a box of more dimensions."""
         return self.dimension < len(self.map.grid.axes)
 
     @cached_property
     def measure(self) -> tuple[float, float]:
-        """Length, area or volume of the reached part of the box, by its dimension, with the error.
+        """Length, area or volume [m, m^2, m^3] of the reached part of the box, with the error.
 
         It is the `estimate`, or where the workspace is known exactly its area or volume, and an
         error that is rounding. Of a planar platform, whose points are decided exactly, the area is
@@ -525,7 +524,9 @@ class Workspace(Report):
     # ---- single points
 
     def contains(self, points: ArrayLike, check: bool = False) -> np.ndarray:
-        """Whether (...) points (..., d) in the ground frame [m] are reached; d is 2 or 3.
+        """Return a mask (...) of the points (..., d) [m] in the ground frame that are reached.
+
+        The number d is 2 or 3.
 
         The `exact` workspace decides where there is one, unless `check` is True. Else the map does
         in a cell that has samples, as all cells around it have: that is no proof for each point of
@@ -598,8 +599,9 @@ class Workspace(Report):
     # ---- files and pictures
 
     def save(self, path: str | Path) -> Path:
-        """Write the map to a path as Zarr, and return the path. `kempe.open_workspace` and xarray
-        read it.
+        """Write the map to a path as Zarr, and return the path.
+
+        `kempe.open_workspace` and xarray read it.
         """
         path = expand_path(path)
         write_map(path, self.system, self.sample_counts)
@@ -613,7 +615,7 @@ class Workspace(Report):
 
     @property
     def status(self) -> str:
-        """The number of samples and of cells that they fell into, as a sentence."""
+        """The number of samples, and of cells with samples, as a sentence."""
         found = int(self.map.occupied.sum())
         of = self.map.counts.size
         wanted = self.question

@@ -40,8 +40,7 @@ AXES = ("x", "y", "z", "yaw")
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class BasePlacement(Study):
-    """A map of base placements over `axes` (name to values), with how well a list of poses is
-    reached.
+    """Map of base placements over `axes` (name to values), with the reached poses of a list.
 
     Over the axes, in their order: `fraction` of the poses that are reached; `margin` and
     `manipulability`, the least over the poses (NaN where one is not reached). `fixed` are the
@@ -73,8 +72,9 @@ class BasePlacement(Study):
 
     @cached_property
     def order(self) -> np.ndarray:
-        """Numbers of the places in the flat map, the best first. Best is more poses, then a larger
-        margin, then larger manipulability.
+        """Indices of the places in the flat map, the best first.
+
+        Best is more poses, then a larger margin, then larger manipulability.
         """
         rest = [
             np.nan_to_num(x.ravel(), nan=-1.0, posinf=1e9)
@@ -83,7 +83,7 @@ class BasePlacement(Study):
         return np.lexsort((*rest, np.nan_to_num(self.fraction.ravel(), nan=-1.0)))[::-1]
 
     def place(self, rank: int = 0) -> dict[str, float]:
-        """Return x, y, z [m] and yaw [rad] of the base at the best place (0), the next one, ...
+        """Return x, y, z [m] and yaw [rad] of the base at the place of a `rank`; 0 is the best.
 
         Errors: `InputError`.
         """
@@ -101,8 +101,9 @@ class BasePlacement(Study):
         return compute_base_poses(np.array([list(self.place().values())]))[0]
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the reached fraction over the first two axes in Matplotlib axes. The other axes are
-        at the best place.
+        """Draw the reached fraction over the first two axes in Matplotlib axes.
+
+        The other axes are at the best place.
 
         Over a single axis it is a curve.
         """

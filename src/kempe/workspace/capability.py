@@ -37,7 +37,7 @@ USUAL = Usual("reach.capability", starts=32, rng=0, threads=None, progress=None,
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class CapabilityMap(Study):
-    """How a frame reaches the cells of a box, by inverse kinematics at the centres of the cells.
+    """Map of how well a frame reaches the cells of a box, by inverse kinematics at their centres.
 
     `axes` are the coordinates of the centres in metres, along each axis. Over the cells: `fraction`
     of the poses that are reached; `solutions`, the mean number of solutions inside the limits of
@@ -73,7 +73,7 @@ class CapabilityMap(Study):
 
     @property
     def code(self) -> Status:  # type: ignore[override]
-        """The outcome: `NOT_FOUND` if no cell is reached, or what broke the map off."""
+        """Outcome: `NOT_FOUND` if no cell is reached, or the reason why the map ended early."""
         return self.broken or (Status.SOLVED if self.fraction.any() else Status.NOT_FOUND)
 
     @property
@@ -111,8 +111,9 @@ class CapabilityMap(Study):
         )
 
     def plot(self, ax: Axes | None = None, height: float | None = None) -> Axes:
-        """Draw the reached fraction over x and y in Matplotlib axes. It is that of the layer of
-        cells nearest to a height, by default the middle.
+        """Draw the reached fraction over x and y in Matplotlib axes.
+
+        It is that of the layer of cells nearest to a height, by default the middle.
         """
         return import_late("plots of workspaces").plot_capability(self, ax, height)
 

@@ -101,8 +101,9 @@ class Grid:
 
 @dataclass(frozen=True, eq=False)
 class CellMap:
-    """Numbers of samples in cells: `counts` (nx, ny, nz). The `axes` hold the centres of the cells
-    in metres.
+    """Numbers of samples in cells: `counts` (nx, ny, nz).
+
+    The `axes` hold the centres of the cells in metres.
 
     An axis along which nothing moves is left out.
     """
@@ -122,13 +123,15 @@ class CellMap:
 
     @cached_property
     def occupied(self) -> np.ndarray:
-        """Cells with at least one sample, as truth values."""
+        """Mask of the cells with at least one sample."""
         return self.counts > 0
 
     @cached_property
     def layers(self) -> dict[str, np.ndarray]:
-        """Cells by their neighbourhood. All around `inner` cells have samples, around `far` cells
-        none has; `near` cells are the others.
+        """Masks of the cells `inner`, `near` and `far`, by the samples in their neighbours.
+
+        All around `inner` cells have samples, around `far` cells none has; `near` cells are the
+        others.
         """
         around = np.ones((3,) * self.counts.ndim, dtype=bool)
         inner = np.asarray(_images.binary_erosion(self.occupied, around), dtype=bool)
@@ -137,7 +140,7 @@ class CellMap:
 
     @cached_property
     def edge(self) -> KDTree:
-        """The centres of cells with samples that have a neighbour without."""
+        """Search tree of the centres of cells with samples beside cells without samples."""
         within = _images.binary_erosion(
             self.occupied, _images.generate_binary_structure(self.counts.ndim, 1)
         )
@@ -148,8 +151,9 @@ class CellMap:
 
     @cached_property
     def empty(self) -> tuple[KDTree, np.ndarray]:
-        """The centres (k, d) of cells without samples and of cells around the box. A mask (k,)
-        tells which are around it.
+        """The centres (k, d) of cells without samples and of cells around the box.
+
+        A mask (k,) tells which are around it.
         """
         occupied = np.pad(self.occupied, 1)
         at = np.argwhere(~occupied) - 1

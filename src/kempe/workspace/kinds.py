@@ -51,7 +51,7 @@ RANGES = {2: ((-np.pi, np.pi),), 3: ((-np.pi, np.pi), (-1.0, 1.0), (-np.pi, np.p
 
 @dataclass(frozen=True)
 class WorkspaceKind:
-    """A kind of workspace: of places, in the orientations `turns` (k, 9), or of orientations.
+    """Kind of workspace: places in the orientations `turns` (k, 9), or orientations at a place.
 
     These are reached `at` a place. `tried`: samples are places or orientations that the inverse
     model decides, not configurations.
@@ -75,7 +75,7 @@ class WorkspaceKind:
         return np.reshape(self.turns, (-1, 3, 3))
 
     def all_turns(self, dim: int) -> bool:
-        """Whether the orientations sample all rotations."""
+        """Return whether the orientations sample all rotations."""
         return len(self.turns) == TURNS[dim] and np.array_equal(
             self.rotations, spread_rotations(TURNS[dim], dim)
         )
@@ -88,8 +88,9 @@ class WorkspaceKind:
     def find_reached_points(
         self, system: Model, frame: str, points: Array, seed: int
     ) -> np.ndarray:
-        """Whether (n,) points (n, 3) are reached within limits and constraints. Points that inverse
-        kinematics does not find count as not reached.
+        """Return a mask (n,) of the points (n, 3) that are reached within limits and constraints.
+
+        Points that inverse kinematics does not find count as not reached.
         """
         if self.kind == ORIENTATION:
             return self._find_reached(system, frame, points, seed)

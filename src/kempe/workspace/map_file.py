@@ -598,8 +598,9 @@ class FileMap(Report):
 
     @property
     def code(self) -> Status:  # type: ignore[override]
-        """The outcome: `SOLVED` if all rows are, `PARTLY` if some are not. `INTERRUPTED` or
-        `OUT_OF_TIME` means that rows are left.
+        """Outcome: `SOLVED` if all rows are solved, `PARTLY` if some rows are not.
+
+        `INTERRUPTED` or `OUT_OF_TIME` means that rows are left.
         """
         if self.interrupted or self.late:
             return Status.INTERRUPTED if self.interrupted else Status.OUT_OF_TIME

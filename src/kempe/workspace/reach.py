@@ -264,7 +264,7 @@ class ReachStudy(Study, Tabular):
 
     @property
     def code(self) -> Status:  # type: ignore[override]
-        """The outcome: `SOLVED` if all poses are reached, `PARTLY` if some, or what broke it off."""
+        """Outcome: `SOLVED` if all poses are reached, `PARTLY` if some are, else the early end."""
         if self.broken is not None:
             return self.broken
         if self.reached.all():
@@ -280,12 +280,11 @@ class ReachStudy(Study, Tabular):
 
     @property
     def tried(self) -> np.ndarray:
-        """Poses (n,) that were tried, as truth values: all, unless the study was broken off."""
+        """Mask (n,) of the poses that were tried: all, unless the study was broken off."""
         return self.codes != (-1 if self.broken is None else int(self.broken))
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw all poses. Also return the system at the reached pose with the largest margin, in
-        Matplotlib axes.
+        """Draw all poses, and the system at the reached pose with the largest margin.
 
         Reached ones are dots, others crosses, those that were not tried rings.
         """
@@ -307,7 +306,7 @@ class ReachStudy(Study, Tabular):
 
     @property
     def reasons(self) -> dict[int, str]:
-        """What blocks the poses that are not reached, by their numbers from 0."""
+        """Reasons why poses are not reached, by the number of the pose from 0."""
         return {i: self.reason(i) for i in np.flatnonzero(self.tried & ~self.reached).tolist()}
 
     def table(self) -> tuple[list[str], Array]:

@@ -1,5 +1,6 @@
-"""The verb `workspace`: samples of any number in fixed memory, in threads or on a cluster. The work
-can be stopped and continued.
+"""The verb `workspace`: any number of samples in fixed memory, in threads or on a cluster.
+
+The work can be stopped and continued.
 """
 
 from __future__ import annotations

@@ -75,7 +75,7 @@ class FrameProblem:
 
     @property
     def mask(self) -> tuple[int, ...]:
-        """Rows of the error [linear; angular] in the frame of the tip that count in the task."""
+        """Mask (6,) of the error rows [linear; angular], in the tip's frame, that the task uses."""
         return TASKS[self.name]
 
 

@@ -725,8 +725,9 @@ def show(
     browser: bool = True,
     deg: bool = False,
 ) -> Viewer:
-    """A `Viewer`: the page at its `url`, on this machine only, where the system is seen and moved
-    with the mouse.
+    """Show the system on a page in the browser, and return the `Viewer`.
+
+    The page has the address `url`, on this machine only; the mouse moves the system.
 
     `q` (nq,) or dict: the configuration, by default as for `plot`; loops that are open there are
     closed from it. `frame`: the one that the gizmo drags (default: the last one declared). `path`:
@@ -762,7 +763,7 @@ def serve_viewer(
 
 
 class Viewer:
-    """A served page: `url` is its address, `q` (nq,) the configuration of the last moved page."""
+    """Served page: `url` is its address, `q` (nq,) the configuration of the last moved page."""
 
     def __init__(self, session: Session, share: bool, port: int, deg: bool = False):
         self.session = session
@@ -794,7 +795,10 @@ class Viewer:
 
     @q.setter
     def q(self, q: Any) -> None:
-        """Put all pages at a configuration (nq,) or dict. Errors: `InputError`."""
+        """Set the configuration of all pages, given as an array (nq,) or a dict.
+
+        Errors: `InputError`.
+        """
         for session in {
             id(s): s for s in (self.session, *(p.session for p in self.pages.values()))
         }.values():

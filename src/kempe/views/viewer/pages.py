@@ -1,6 +1,4 @@
-"""`save_html`: a page with a system in space, in motion, in one file that needs neither server nor
-network.
-"""
+"""`save_html`: a page of a spatial system in motion, as one file without server or network."""
 
 from __future__ import annotations
 

@@ -202,8 +202,7 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class SolutionRegion:
-    """Points with the same number of `solutions` (None: infinitely many), their `area` and
-    `boundary`.
+    """Points with the same number of `solutions` (None: infinite), with `area` and `boundary`.
 
     The boundary has the region to its left. `loops` are its closed curves: those with a negative
     area go round voids.
@@ -313,7 +312,9 @@ class PlanarWorkspace(Report):
         return tuple(loop for loop in loops if compute_loop_area(loop) < 0.0)
 
     def contains(self, points: ArrayLike) -> Any:
-        """Whether points (..., 2) or (..., 3) are reached. On the boundary rounding decides.
+        """Return a mask (...) of the points (..., 2) or (..., 3) [m] that are reached.
+
+        On the boundary rounding decides.
 
         Of a curve they are those within 1e-9 of its length.
         """
@@ -326,8 +327,10 @@ class PlanarWorkspace(Report):
         return bool(out) if out.ndim == 0 else out
 
     def solutions(self, points: ArrayLike) -> Any:
-        """Count the solutions (...) at points (..., 2). They are known for chains of two joints,
-        and for legs of two joints that meet in a point or hold one orientation.
+        """Count the solutions (...) at points (..., 2).
+
+        They are known for chains of two joints, and for legs of two joints that meet in a point or
+        hold one orientation.
 
         Errors: `UnsupportedError` for others.
         """

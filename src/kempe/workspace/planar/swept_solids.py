@@ -36,7 +36,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class SweptSolid:
-    """A planar section moved across its plane from `low` to `high` [m], or turned about its y axis.
+    """Planar section moved across its plane from `low` to `high` [m], or turned about its y axis.
+
     It is turned if both are equal.
 
     `axes` (3, 3) are unit vectors along the plane and across it, from `origin` (3,), in the ground
@@ -91,15 +92,19 @@ class SweptSolid:
         return np.stack([ends.min(axis=0) - wide, ends.max(axis=0) + wide])
 
     def contains(self, points: Array) -> np.ndarray:
-        """Whether (n,) points (n, 3) are inside; NaN is not. On the boundary rounding decides."""
+        """Return a mask (n,) of the points (n, 3) [m] inside the solid, false for NaN.
+
+        On the boundary rounding decides.
+        """
         z, h = self._map_to_section(points)
         finite = np.isfinite(z)
         inside = finite & self.section.contains_points(np.where(finite, z, 0.0))
         return inside if self.turned else inside & (h >= self.low) & (h <= self.high)
 
     def distance(self, points: Array) -> Array:
-        """Compute distances (n,) >= 0 [m] of points (n, 3) from the boundary. Infinite points have
-        infinite distances, NaN gives NaN.
+        """Compute distances (n,) >= 0 [m] of points (n, 3) from the boundary.
+
+        Infinite points have infinite distances, NaN gives NaN.
         """
         z, h = self._map_to_section(points)
         finite = np.asarray(np.isfinite(z))
