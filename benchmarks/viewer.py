@@ -61,7 +61,7 @@ def target(page: Page) -> Callable[[int], object]:
         Y = X.copy()
         Y[:2, 3] += 0.02 * np.array([np.cos(0.1 * k) - 1.0, np.sin(0.1 * k)])
         page.session.reach_pose(Y)
-        page.session.find_others()
+        page.session.find_other_configurations()
 
     return event
 
@@ -79,7 +79,7 @@ def main() -> None:
             )
         )
     page = page_of(kempe.load("ur5"), [0.3, -1.2, 1.5, -0.6, -1.4, 0.2])
-    page.session.find_others()
+    page.session.find_other_configurations()
     rows.append(
         (f"UR5, {len(page.session.solutions)} ghosts: a target", *timed(page, target(page)))
     )

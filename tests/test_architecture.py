@@ -121,9 +121,9 @@ def test_rows_of_late_are_few_found_and_used():
     assert len(late.ROWS) <= 20
     code = "".join(path.read_text("utf-8") for m, path in FILES.items() if m != "late")
     for name, row in late.ROWS.items():
-        assert late.import_late(name) is not None and f'"{name}"' in code, row
+        assert late.import_late_member(name) is not None and f'"{name}"' in code, row
     with pytest.raises(KeyError):
-        late.import_late("nothing")
+        late.import_late_member("nothing")
 
 
 def test_the_library_is_data_and_kernels_know_arrays():

@@ -38,13 +38,13 @@ ROWS = {
 
 
 @cache
-def import_late(name: str) -> Any:
+def import_late_member(name: str) -> Any:
     """Import the module or the member of a module that a row of `ROWS` names."""
     module, _, member = ROWS[name].partition(":")
     found = import_module(module)
     return getattr(found, member) if member else found
 
 
-def call_late(name: str, *args: Any, **options: Any) -> Any:
+def call_late_function(name: str, *args: Any, **options: Any) -> Any:
     """Call the function that a row of `ROWS` names, and return its result."""
-    return import_late(name)(*args, **options)
+    return import_late_member(name)(*args, **options)

@@ -18,7 +18,7 @@ from world_mechanisms import World
 import kempe
 from kempe import Mechanism, System
 from kempe.equations.closure_rows import compute_residual
-from kempe.first_order.counting import compute_group_basis, fills_group
+from kempe.first_order.counting import compute_group_basis, spans_lie_algebra
 from kempe.mobility import dof_proofs
 from kempe.mobility.answer import Mobility
 from kempe.mobility.local_dimension import find_local_dimension
@@ -359,7 +359,9 @@ def test_groups_are_filled_or_not():
         return np.r_[np.cross(p, [0.0, tilt, 1.0]), 0.0, tilt, 1.0]
 
     three = np.stack([turn(p) for p in ((0, 0, 0), (1, 0, 0), (0, 1, 0))], axis=1)
-    assert fills_group(three, 1e-12, 1e-5) and not fills_group(three[:, :2], 1e-12, 1e-5)
+    assert spans_lie_algebra(three, 1e-12, 1e-5) and not spans_lie_algebra(
+        three[:, :2], 1e-12, 1e-5
+    )
     assert compute_group_basis(three[:, :2], 1e-12).shape == (6, 3)
     nearly = np.stack([turn((0, 0, 0)), turn((1, 0, 0), 1e-9)], axis=1)
     assert compute_group_basis(nearly, 1e-12).shape[1] == 6

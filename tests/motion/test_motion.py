@@ -32,9 +32,11 @@ from motion_linkages import (
 import kempe
 from kempe import Mechanism
 from kempe.arguments import call_until_interrupt
+from kempe.equations.closure import Closure
 from kempe.equations.closure_rows import compute_residual
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.motion import events
+from kempe.motion.crossings import SingularNode, find_germ
 from kempe.motion.trace import trace, trace_branches
 
 
@@ -730,6 +732,17 @@ def assert_germ(name: str, rng: np.random.Generator) -> None:
             again = system.trace(start=q)
             assert again.length == pytest.approx(path.length, rel=1e-4), (name, again.status)
     assert sorted(own) == list(range(len(branches))), (name, own)
+
+
+@pytest.mark.parametrize("name", ["cusp", "tacnode"])
+def test_a_node_at_a_singular_point_stays_on_its_germ_when_reversed(name):
+    system, _ = germ_case(name, np.random.default_rng(3))
+    germ = find_germ(Closure(system), np.zeros(2))
+    for half, partner in enumerate(germ.partner):
+        node = germ.make_node(half)
+        back = node.reverse_direction()
+        assert isinstance(back, SingularNode) and back.half == partner and back.germ is germ
+        np.testing.assert_array_equal(back.t, -node.t)
 
 
 @pytest.mark.parametrize("name", GERMS)

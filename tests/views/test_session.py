@@ -104,7 +104,7 @@ def test_solutions_hold_the_frame_and_can_be_chosen():
     q = np.array([0.3, -1.2, 1.5, -0.6, -1.4, 0.2])
     session = Session(system, q)
     before = session.pose.copy()
-    count = session.find_others()
+    count = session.find_other_configurations()
     # eight in general position (Williams and others), one is this
     assert count == 7 and session.task == "pose"
     assert np.allclose(system.fk(session.solutions, "tool"), before, atol=1e-6)
@@ -113,7 +113,7 @@ def test_solutions_hold_the_frame_and_can_be_chosen():
     assert np.array_equal(session.q, chosen) and np.array_equal(session.solutions[3], q)
     seen = {tuple(session.q.round(6))}
     for _ in range(7):
-        session.choose_next()
+        session.choose_next_configuration()
         assert np.allclose(session.pose, before, atol=1e-6)
         seen.add(tuple(session.q.round(6)))
     assert len(seen) == 8
@@ -126,13 +126,13 @@ def test_assembly_modes_are_passed_in_turn():
     session = Session(kempe.load("four_bar"))
     first = session.q.copy()
     A = session.sliders[0].value
-    session.choose_next("mode")
+    session.choose_next_configuration("mode")
     assert (
         closed(session)
         and not np.allclose(session.q, first)
         and session.sliders[0].value == pytest.approx(A)
     )
-    session.choose_next("mode")
+    session.choose_next_configuration("mode")
     assert np.allclose(session.q, first, atol=1e-6)
 
 
@@ -315,9 +315,9 @@ def test_what_has_no_freedoms_is_shown_and_said():
 def test_what_cannot_move_has_no_other_solutions(system, kind):
     """Without coordinates there is nothing to go to, and a sentence says so."""
     session = Session(system)
-    assert session.find_others(kind) == 0 and session.status
+    assert session.find_other_configurations(kind) == 0 and session.status
     session.go_to_random()
-    session.choose_next(kind)
+    session.choose_next_configuration(kind)
     assert session.q.shape == (0,)
 
 

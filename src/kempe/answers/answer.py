@@ -16,7 +16,7 @@ from kempe.arrays import is_whole, unwrap_scalar
 from kempe.equations.judge import Judgement, judge_configurations
 from kempe.errors import CallError, InputError, NoSolutionError, UnknownNameError, format_value
 from kempe.forward.fk import fk
-from kempe.late import import_late
+from kempe.late import import_late_member
 from kempe.model.configurations import list_limits, list_units, make_ranges_table, name_values
 from kempe.numerics.clock import describe_early_end
 from kempe.report import MOST_JUDGED, ROWS, Nearest, Result, Table
@@ -92,7 +92,7 @@ class Answer(Result, Tabular):
     @property
     def _row(self) -> Any:
         """The `Row` of functions of the verb that gave this answer."""
-        return import_late(self.row)
+        return import_late_member(self.row)
 
     def _compose_sentence(self, index: tuple[int, ...]) -> str:
         """Compose the sentence for one target, given its index in the batch."""
@@ -174,21 +174,21 @@ class Answer(Result, Tabular):
 
     def plot(self, **options: Any) -> Any:
         """Draw the configurations, or the motion, on Matplotlib axes; options as for `System.plot`."""
-        return import_late("plots").plot(self.system, self, **options)
+        return import_late_member("plots").plot(self.system, self, **options)
 
     def plot_curve(self, names: Sequence[str] = (), ax: Any = None) -> Any:
         """Plot the coordinates over arc length, time, or the row number, on Matplotlib axes.
 
         `names` are those that are drawn, all by default. Errors: `UnknownNameError`.
         """
-        return import_late("plots").plot_path(self, names=names, ax=ax)
+        return import_late_member("plots").plot_path(self, names=names, ax=ax)
 
     def animate(self, file: Any, **options: Any) -> Any:
         """Write the configurations as an animation (.gif, .mp4, .html).
 
         The options are those of `System.animate`.
         """
-        return import_late("films").animate(self.system, self, file, **options)
+        return import_late_member("films").animate(self.system, self, file, **options)
 
     def table(self) -> tuple[list[str], Array]:
         """Return names and columns (n, nq) for a file: the coordinates of each row of `q` [rad, m]."""

@@ -24,7 +24,7 @@ from kempe.assemble.nearest_exact import (
     choose_smaller_tolerance,
     find_ideal_system,
     find_nearest_exact,
-    is_known,
+    is_nearest_exact_known,
 )
 from kempe.budget import Budget, TimeUp, list_checks
 from kempe.constraints.tape import TIME
@@ -96,7 +96,7 @@ def assemble(
     if TIME in given:
         system, given = fix_known_time(system, given)
     signs = branch is not None and branch not in system.structure.posture_names
-    time = None if is_known(system, tolerance) else _make_time_limit(budget)
+    time = None if is_nearest_exact_known(system, tolerance) else _make_time_limit(budget)
     if time is not None:
         try:
             find_nearest_exact(system, tolerance, time)

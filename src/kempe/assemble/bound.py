@@ -43,7 +43,7 @@ from kempe.model.configurations import (
     find_home,
     list_sources,
     read_start,
-    refuse_far,
+    refuse_large_numbers,
 )
 from kempe.model.model import keep_answers
 from kempe.model.own_tree import remove_cut_marks
@@ -814,7 +814,7 @@ class Assembler:
             what = f"the place of frame {frame!r}"
             _ = check_poses(place, what) if whole else check_range(place, what)
         if start is not None:
-            refuse_far(self.system, read_start(self.system, start), "start")
+            refuse_large_numbers(self.system, read_start(self.system, start), "start")
         raise InputError(NOT_FINITE)
 
     def _make_answer(
@@ -830,7 +830,7 @@ class Assembler:
         if not lead:
             code, steps, starts = info.tolist()[0]
             if code == BAD_INPUT:
-                refuse_far(self.system, base[0], "start")
+                refuse_large_numbers(self.system, base[0], "start")
                 raise InputError(NOT_FINITE)
             # in Python: for a few numbers an array costs as much as the assembly
             if self.limited and limits:

@@ -326,7 +326,7 @@ class _Walk:
         self.branch = 2 * self.branch + minus
         return Disc(1.0 - 2.0 * minus, np.zeros(self.n))
 
-    def note_reason(self, which: np.ndarray, reason: int) -> None:
+    def record_doubt(self, which: np.ndarray, reason: int) -> None:
         """Note a reason why branches may be undetermined from here on, and the current dyad."""
         self.why = np.where(which, self.why | reason, self.why)
         self.dyad = np.where(which & (self.dyad < 0), self.dyads, self.dyad)
@@ -385,7 +385,7 @@ class _Walk:
         """EXPECT_ZERO: keep the branches on which a sum of coordinates may be zero."""
         x = self.known[i[1]]
         if self.has_windings(x, 1.0, 0.0):
-            self.note_reason(np.ones(self.n, dtype=bool), WINDING)
+            self.record_doubt(np.ones(self.n, dtype=bool), WINDING)
         else:
             self.keep_closed_branches(x.value, f[0])
 
@@ -395,7 +395,7 @@ class _Walk:
         angle = x.value * self.make_constant(f[0])
         turned = Disc(np.exp(1j * angle.mid), angle.rad)
         if self.has_windings(x, f[0], TURN):
-            self.note_reason(np.ones(self.n, dtype=bool), WINDING)
+            self.record_doubt(np.ones(self.n, dtype=bool), WINDING)
             turned = Disc(np.zeros(self.n, dtype=complex), np.ones(self.n))
         self._move_part(
             i,
@@ -408,7 +408,7 @@ class _Walk:
         x = self.known[i[3]]
         way = x.value * self.make_constant(f[0])
         if self.has_windings(x, f[0], 0.0):
-            self.note_reason(np.ones(self.n, dtype=bool), WINDING)
+            self.record_doubt(np.ones(self.n, dtype=bool), WINDING)
             way = Disc(way.mid, np.full(self.n, HUGE))
         self._move_part(i, f, Placed(self.make_constant(1.0), self.make_constant(0.0), way))
 
@@ -448,8 +448,8 @@ class _Walk:
         total = r1 + r2
         less = r1 - r2
         together = d.low <= 0.0
-        self.note_reason(together, COINCIDING)
-        self.note_reason((r1.low <= 0.0) | (r2.low <= 0.0), NO_LENGTH)
+        self.record_doubt(together, COINCIDING)
+        self.record_doubt((r1.low <= 0.0) | (r2.low <= 0.0), NO_LENGTH)
         near = np.where(together, 1.0, d.low)
         squares = less * total
         ratios = [
@@ -475,7 +475,7 @@ class _Walk:
             )
             * sign
         )
-        self.note_reason((lows[1] <= 0.0) | (lows[2] <= 0.0) | (lows[3] <= 0.0), MERGED)
+        self.record_doubt((lows[1] <= 0.0) | (lows[2] <= 0.0) | (lows[3] <= 0.0), MERGED)
         u = _normalize_vectors(way)
         e1 = Disc(x.mid + 1j * y.mid, np.hypot(x.rad, y.rad))
         e2 = Disc(x.mid - d.mid + 1j * y.mid, np.hypot(x.rad + d.rad, y.rad))
@@ -507,10 +507,10 @@ class _Walk:
         h = seen.imag
         w = b2 - a2
         r = Disc(np.abs(w.mid), w.rad)
-        self.note_reason(r.low <= 0.0, NO_LENGTH)
+        self.record_doubt(r.low <= 0.0, NO_LENGTH)
         parts = r - h, r + h
         lows, highs = ([np.maximum(x.mid + k * x.rad, 0.0) for x in parts] for k in (-1.0, 1.0))
-        self.note_reason((lows[0] <= 0.0) | (lows[1] <= 0.0), MERGED)
+        self.record_doubt((lows[0] <= 0.0) | (lows[1] <= 0.0), MERGED)
         t = _enclose_root(lows[0] * lows[1], np.minimum(highs[0] * highs[1], r.high**2)) * sign
         to = Disc(t.mid + 1j * h.mid, np.hypot(t.rad, h.rad))
         to = _select_discs(to.rad < r.high, to, Disc(np.zeros(self.n, dtype=complex), r.high))
@@ -555,7 +555,7 @@ class _Walk:
     def _note_parallel_rails(self, det: Disc, apart: Disc) -> None:
         """Note branches on which rails may be parallel; drop those on which they are surely apart."""
         parallel = det.low <= 0.0
-        self.note_reason(parallel, PARALLEL)
+        self.record_doubt(parallel, PARALLEL)
         self.keep_branches(
             ~(parallel & (apart.low > np.maximum(FARTHEST * self.size * det.high, self.tolerance)))
         )
@@ -567,8 +567,8 @@ class _Walk:
         w = b1 - a1
         turn = _limit_unit_vectors(_normalize_vectors(way) * _normalize_vectors(w).conjugate_disc())
         self.poses[i[5]] = Placed(turn, a1, A)
-        self.note_reason(way.low <= 0.0, COINCIDING)
-        self.note_reason(w.low <= 0.0, NO_LENGTH)
+        self.record_doubt(way.low <= 0.0, COINCIDING)
+        self.record_doubt(w.low <= 0.0, NO_LENGTH)
         self.keep_branches(~(np.maximum(way.low - w.high, w.low - way.high) > self.tolerance))
 
     def place_on_pin_rail(self, i: list[int], f: list[float]) -> None:
@@ -607,7 +607,7 @@ class _Walk:
         if i[5]:
             x = self.known[i[3]]
             if self.has_windings(x, 1.0, period):
-                self.note_reason(np.ones(self.n, dtype=bool), WINDING)
+                self.record_doubt(np.ones(self.n, dtype=bool), WINDING)
             else:
                 off = angle - x.value
                 self.keep_closed_branches(
@@ -626,7 +626,7 @@ class _Walk:
         if i[5]:
             x = self.known[i[3]]
             if self.has_windings(x, 1.0, 0.0):
-                self.note_reason(np.ones(self.n, dtype=bool), WINDING)
+                self.record_doubt(np.ones(self.n, dtype=bool), WINDING)
             else:
                 opening = value - x.value
                 self.keep_closed_branches(opening, f[10])

@@ -21,7 +21,7 @@ from kempe.arrays import read_reals
 from kempe.assemble.dyad_decomposition import Decomposition, Dyad, PartLine, build_parts
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.forward.fk import fk
-from kempe.model.configurations import read_q, read_start, refuse_far
+from kempe.model.configurations import read_q, read_start, refuse_large_numbers
 from kempe.model.model import keep_answers
 from kempe.numerics.pool import sum_over_chunks
 from kempe.report import Report, summarize_fields
@@ -235,7 +235,7 @@ class Plan(Report):
             targets = np.zeros((1, nq))
         else:
             targets = _shape_rows(read_start(self.system, start), lead, "near")
-            refuse_far(self.system, targets, "start")
+            refuse_large_numbers(self.system, targets, "start")
         signs = self.sign_rows(
             branch, targets if branch is None and start is not None else None, lead
         )
@@ -262,7 +262,7 @@ class Plan(Report):
             if start is None
             else _shape_rows(read_start(self.system, start), (), "near")
         )
-        refuse_far(self.system, targets, "start")
+        refuse_large_numbers(self.system, targets, "start")
         many = np.repeat(given, k, axis=0)
         q, status = self._run_program(many, np.tile(signs, (len(given), 1)), targets)
         mask = (status[:, 0] <= self.tolerance) & np.isfinite(many).all(axis=-1)

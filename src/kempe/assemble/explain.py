@@ -14,7 +14,7 @@ from kempe.answers.problem import Choice, Problem, select_solver
 from kempe.answers.wording import describe_immovable_coordinates
 from kempe.assemble.answer import Assembly
 from kempe.assemble.bound import LOOSEST, Assembler, get_assembler_as_given, get_equation_assembler
-from kempe.assemble.nearest_exact import find_ideal_system, find_nearest_soon
+from kempe.assemble.nearest_exact import find_ideal_system, find_nearest_quickly
 from kempe.equations import closure_rows
 from kempe.forward.fk import fk
 from kempe.model.configurations import sample_configurations
@@ -86,7 +86,7 @@ def _describe_outcome(answer: Assembly, index: tuple[int, ...]) -> str:
         or _find_excess_evidence(bound)
     )
     why = why or "with these values no closed configuration was found"
-    wider = find_nearest_soon(bound.system) if residual < NEARLY else None
+    wider = find_nearest_quickly(bound.system) if residual < NEARLY else None
     loose = ""
     if wider is not None:
         loose = f"it closes {wider.least}: give a larger tolerance"

@@ -239,7 +239,7 @@ def fit_whole_motion(
     if (
         not near.closed
         or len(q) <= len(first)
-        or closes_along_valley(Valley(shape.change_dimensions(near.p), rank), q)
+        or is_closed_along_valley(Valley(shape.change_dimensions(near.p), rank), q)
     ):
         return near
     far = fit_dimensions(shape, rank, q, most, time, also, tries)
@@ -298,12 +298,12 @@ def fit_dimensions(
             break
         valley = Valley(shape.change_dimensions(p), rank)
         every = valley.converge_to_valley(every)
-        if not keeps_rank(valley, q) or not np.isfinite(every).all():
+        if not is_rank_constant(valley, q) or not np.isfinite(every).all():
             break
         between = valley.sample_between(q)
-        if valley.compute_residual(np.array([*every, *between])).max() <= CLOSED and keeps_rank(
-            valley, every
-        ):
+        if valley.compute_residual(
+            np.array([*every, *between])
+        ).max() <= CLOSED and is_rank_constant(valley, every):
             return Fit(True, p, every, left)
         q = np.array([*every, *between])
     return Fit(False, p, q, left)
@@ -360,14 +360,14 @@ def _solve_changes(
     return p, q, left
 
 
-def keeps_rank(valley: Valley, q: Array) -> bool:
+def is_rank_constant(valley: Valley, q: Array) -> bool:
     """Return whether the rank of the equations stays at all configurations q (N, nq)."""
     return not np.any(valley.compute_spectrum(q).compute_ranks(ZERO) > valley.rank)
 
 
-def closes_along_valley(valley: Valley, q: Array) -> bool:
+def is_closed_along_valley(valley: Valley, q: Array) -> bool:
     """Return whether loops close exactly along the valley near q (N, nq), and between."""
     q = valley.converge_to_valley(q)
     return bool(
         valley.compute_residual(np.array([*q, *valley.sample_between(q)])).max() <= CLOSED
-    ) and keeps_rank(valley, q)
+    ) and is_rank_constant(valley, q)

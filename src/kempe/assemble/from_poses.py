@@ -25,7 +25,7 @@ from kempe.equations.judge import compute_coordinate_value
 from kempe.errors import InputError
 from kempe.forward.maximal import list_pose_coordinates, maximal, maximal_q, read_poses
 from kempe.joints import JointType, P, Q
-from kempe.model.configurations import compute_mid_configuration, read_start, refuse_far
+from kempe.model.configurations import compute_mid_configuration, read_start, refuse_large_numbers
 from kempe.model.implicit_form import (
     find_implicit_form,
     find_screw_pitch,
@@ -71,7 +71,7 @@ def from_maximal(
     tolerance = READ if tolerance is None else tolerance
     start = None if start is None else read_start(system, start)
     if start is not None:
-        refuse_far(system, start, "start")
+        refuse_large_numbers(system, start, "start")
     _refuse_no_poses(system, poses, tolerance)
     lead = together({"poses": poses.shape[:-3], "start": () if start is None else start.shape[:-1]})
     joints = system.mechanism.joints

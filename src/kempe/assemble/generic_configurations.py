@@ -22,7 +22,12 @@ from kempe.first_order.idle_freedoms import IdleFreedom, can_have_idle_freedom, 
 from kempe.first_order.rank import Rank, compute_rank
 from kempe.forward.fk import jacobian
 from kempe.model.ball_angles import make_regular_chart
-from kempe.model.configurations import compute_mid_configuration, has_loops, make_q, refuse_far
+from kempe.model.configurations import (
+    compute_mid_configuration,
+    has_loops,
+    make_q,
+    refuse_large_numbers,
+)
 from kempe.model.model import keep_answers
 from kempe.model.own_tree import remove_cut_marks
 from kempe.spatial import Array
@@ -63,7 +68,7 @@ class NearestClosed:
 
 def close_configuration(system: Model, q: Array) -> NearestClosed:
     """Close the loops at the configuration nearest to `q` (nq,), to machine precision."""
-    given = _compute_residual(system, refuse_far(system, q, "q"))
+    given = _compute_residual(system, refuse_large_numbers(system, q, "q"))
     if not np.isfinite(given):
         raise InputError(
             "q leads to residuals of the loops that are not finite: a coordinate is too large"
@@ -132,14 +137,14 @@ def get_idle_freedoms(system: Model, q: Array | None = None) -> tuple[IdleFreedo
     The search is made once; where it finds no closed configuration, q (nq,) is taken.
     """
     tree = remove_cut_marks(system)
-    found = _find_idle_at_home(tree)
+    found = _find_home_idle_freedoms(tree)
     if found is None:
         return () if q is None else find_idle_freedoms_at(tree, q)
     return found
 
 
 @keep_answers
-def _find_idle_at_home(system: Model) -> tuple[IdleFreedom, ...] | None:
+def _find_home_idle_freedoms(system: Model) -> tuple[IdleFreedom, ...] | None:
     """Find the idle freedoms at a closed configuration; None if there is none."""
     at = find_closed_configuration(system)
     return find_idle_freedoms_at(system, at.q) if at.closed else None
@@ -187,13 +192,13 @@ def sample_nearby_ranks(system: Model, rank: Rank, rng: np.random.Generator) -> 
     if not rank.nullity:
         return []
     # a point of full rank is generic itself
-    found = _step_to_nearby_ranks(system, rank, rng, POINTS if rank.n_dependent else 1)
+    found = _compute_nearby_ranks(system, rank, rng, POINTS if rank.n_dependent else 1)
     if rank.n_dependent and (len(found) < POINTS or any(r.nullity != rank.nullity for r in found)):
-        found += _step_to_nearby_ranks(system, rank, rng, MORE)
+        found += _compute_nearby_ranks(system, rank, rng, MORE)
     return found
 
 
-def _step_to_nearby_ranks(
+def _compute_nearby_ranks(
     system: Model, rank: Rank, rng: np.random.Generator, count: int
 ) -> list[Rank]:
     """Compute ranks at closed configurations next to random steps along the null space.

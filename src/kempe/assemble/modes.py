@@ -47,7 +47,7 @@ from kempe.model.configurations import (
     find_home,
     list_sources,
     read_start,
-    refuse_far,
+    refuse_large_numbers,
     sample_configurations,
 )
 from kempe.model.coordinates import find_wound_coordinates
@@ -776,12 +776,13 @@ class Modes(Configurations):
         names = self.system.coordinate_names
         places = [i for i, name in enumerate(names) if name not in self.known]
         rows = [
-            (self._label(k), *self._list_quantities(q, places)) for k, q in enumerate(self.q[:ROWS])
+            (self._label_configuration(k), *self._list_quantities(q, places))
+            for k, q in enumerate(self.q[:ROWS])
         ]
         heads = ("", *(names[i] for i in places))
         return [Table(heads, rows, more=len(self.q) - len(rows))] if rows else []
 
-    def _label(self, k: int) -> str:
+    def _label_configuration(self, k: int) -> str:
         """Return the name of a configuration in a text."""
         return (self.branches[k] or str(k + 1)) + " (outside limits)" * (not self.inside[k])
 
@@ -855,7 +856,7 @@ def assembly_modes(
     if TIME in given:
         system, given = fix_known_time(system, given)
     base = None if start is None else read_start(system, start)
-    if base is not None and refuse_far(system, base, "start").ndim != 1:
+    if base is not None and refuse_large_numbers(system, base, "start").ndim != 1:
         raise InputError(
             f"start has shape {base.shape}; it must be one configuration ({system.nq},)"
         )

@@ -19,7 +19,14 @@ from kempe.arguments import explain_errors, explain_method_errors
 from kempe.arrays import is_real
 from kempe.assemble.bound import get_assembler_as_given
 from kempe.assemble.dimensions import Dimensions, Place, Relations, simplify_angles
-from kempe.assemble.fit import DAMPING, ENOUGH, Fit, Valley, closes_along_valley, fit_whole_motion
+from kempe.assemble.fit import (
+    DAMPING,
+    ENOUGH,
+    Fit,
+    Valley,
+    fit_whole_motion,
+    is_closed_along_valley,
+)
 from kempe.budget import Budget, TimeUp, Usual, list_checks
 from kempe.description.mechanism import choose_unused_name, number_components
 from kempe.description.parts import Declared, Joint
@@ -273,12 +280,12 @@ def find_nearest_exact(
         raise
 
 
-def decide_nearest_exact(usual: Usual, time: TimeLimit, system: Model) -> None:
+def find_nearest_exact_in_time(usual: Usual, time: TimeLimit, system: Model) -> None:
     """Find the nearest mechanism that closes exactly within the time of a verb.
 
     Errors: `TimeLimitError`.
     """
-    if _has_closures(system) and not is_known(system):
+    if _has_closures(system) and not is_nearest_exact_known(system):
         with limit_preparation_time(usual, time):
             find_nearest_exact(system)
 
@@ -288,7 +295,7 @@ def _has_closures(system: Model) -> bool:
     return bool(system.structure.closures or system._mechanism.constraints)
 
 
-def is_known(system: Model, tolerance: Any = None) -> bool:
+def is_nearest_exact_known(system: Model, tolerance: Any = None) -> bool:
     """Return whether the nearest mechanism within a tolerance is known without a search."""
     answers, key, _ = _get_kept_answers(system, tolerance)
     return key in answers
@@ -321,13 +328,13 @@ def idealised(
     return find_nearest_exact(system, tolerance)
 
 
-def find_nearest_soon(system: Model) -> Idealised | None:
+def find_nearest_quickly(system: Model) -> Idealised | None:
     """Find the nearest mechanism in a short time, or None: used for hints."""
-    return system._kept.get(find_nearest_exact, {}).get(MEASURED) or _search_nearest_soon(system)
+    return system._kept.get(find_nearest_exact, {}).get(MEASURED) or _search_nearest_quickly(system)
 
 
 @keep_answers
-def _search_nearest_soon(system: Model) -> Idealised | None:
+def _search_nearest_quickly(system: Model) -> Idealised | None:
     """Search the nearest mechanism with one fit only."""
     return _search_nearest(system, read_requested_tolerance(system, MEASURED), False)
 
@@ -490,7 +497,7 @@ def _idealise_part(
     rigid = _try_starts(
         system, [(rank, q) for rank, q in starts if rank == system.nv], most, scaled, thorough, time
     )
-    return None if rigid is None or _moves_with_larger_changes(system, home, most, time) else rigid
+    return None if rigid is None or _can_move_with_changes(system, home, most, time) else rigid
 
 
 def _try_starts(
@@ -510,7 +517,7 @@ def _try_starts(
     return None
 
 
-def _moves_with_larger_changes(system: Model, home: Array, most: float, time: TimeLimit) -> bool:
+def _can_move_with_changes(system: Model, home: Array, most: float, time: TimeLimit) -> bool:
     """Return whether larger changes, up to the largest tolerance, make a part close and move.
 
     Rounded loops of a mechanism nearly close at single places, where small changes close them. They
@@ -672,7 +679,7 @@ def _idealise_with_rank(
     if off <= EXACT:
         return None
     nice = simplify_angles(system, min(most, NEARLY * off))
-    if nice is not None and closes_along_valley(Valley(nice, rank), points):
+    if nice is not None and is_closed_along_valley(Valley(nice, rank), points):
         return _Found(nice, tuple(shape.places), points, freedoms)
     found = fit_whole_motion(shape, rank, points, most, time, tries=len(DAMPING) if thorough else 1)
     if thorough:
@@ -801,7 +808,7 @@ def answer_within_tolerance(*closed: str) -> Callable[[Function], Function]:
         """Wrap a verb."""
 
         @functools.wraps(function)
-        def call_on_nearest(system: Model, *args: Any, **options: Any) -> Any:
+        def call_on_nearest_mechanism(system: Model, *args: Any, **options: Any) -> Any:
             """Call the verb on the nearest mechanism, and store that in its answer."""
             found = find_nearest_exact(system, options.pop("tolerance", None))
             if found is None:
@@ -815,6 +822,6 @@ def answer_within_tolerance(*closed: str) -> Callable[[Function], Function]:
             named = {f.name for f in fields(answer)} if is_dataclass(answer) else ()
             return replace(answer, within=found) if "within" in named else answer  # type: ignore[type-var]
 
-        return call_on_nearest  # type: ignore[return-value]
+        return call_on_nearest_mechanism  # type: ignore[return-value]
 
     return wrap_function

@@ -84,7 +84,9 @@ class Metric:
         v[..., back] -= self.period[back] * np.round(v[..., back] / self.period[back])
         return np.abs(v / self.scale)[..., counts].max(axis=-1, initial=0.0)
 
-    def find_unique(self, q: Array, tolerance: float, counts: Any = slice(None)) -> np.ndarray:
+    def find_unique_configurations(
+        self, q: Array, tolerance: float, counts: Any = slice(None)
+    ) -> np.ndarray:
         """Find indices of the configurations (n, nq) that differ from all before them.
 
         `counts` (nv,) are the velocity coordinates that tell them apart: all, if not given.
@@ -203,7 +205,7 @@ class Clusters:
         out = self._find_nearest_clusters(q, X, keys, tolerance)
         rest = np.flatnonzero(out < 0)
         first, place = np.unique(
-            self._find_first_same(q[rest], X[rest], keys[rest], tolerance[rest]),
+            self._find_first_equal_indices(q[rest], X[rest], keys[rest], tolerance[rest]),
             return_inverse=True,
         )
         out[rest] = len(self.members) + place
@@ -258,7 +260,9 @@ class Clusters:
         out[who[best]] = with_[best]
         return out
 
-    def _find_first_same(self, q: Array, X: Array, keys: Array, tolerance: Array) -> np.ndarray:
+    def _find_first_equal_indices(
+        self, q: Array, X: Array, keys: Array, tolerance: Array
+    ) -> np.ndarray:
         """Find for each configuration the index (n,) of the first equal one, or its own."""
         out = np.arange(len(q))
         if len(q) < 2:

@@ -67,7 +67,7 @@ def run_ik(
         raise InputError("--hold is for all solutions: add --all")
     single = {"--frame": frame, "--target": target}
     more = {"--task": task, "--axis": axis, "--position-only": position_only, "--all": all}
-    _refuse_mixture(tasks, single, more)
+    _refuse_frame_with_tasks(tasks, single, more)
     if prefer is not None and tasks is None:
         raise InputError(
             "--prefer is for --tasks: it says what is made least in what they leave free"
@@ -103,7 +103,9 @@ def run_ik(
     output.finish_command(answer)
 
 
-def _refuse_mixture(tasks: Path | None, single: dict[str, Any], more: dict[str, Any]) -> None:
+def _refuse_frame_with_tasks(
+    tasks: Path | None, single: dict[str, Any], more: dict[str, Any]
+) -> None:
     """Raise `UsageError` if the user gives both a frame with a target and a file of tasks."""
     if tasks is not None:
         wrong = [name for name, value in {**single, **more}.items() if value]
@@ -179,7 +181,7 @@ def run_path(
     from kempe.cli import arguments, progress
 
     single = {"--frame": frame, "--targets": target}
-    _refuse_mixture(tasks, single, {"--position-only": position_only})
+    _refuse_frame_with_tasks(tasks, single, {"--position-only": position_only})
     deg = output.deg
     start = (
         None if seed is None else arguments.read_configurations(system, seed, None, deg, start=True)

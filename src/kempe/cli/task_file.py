@@ -137,7 +137,7 @@ class _TaskReader:
                 continue
             with findings.record_errors(subject, self.document.locate_value(*place, key)):
                 given[key] = self.read_value(kind, key, value)
-                if _names_file(key, value):
+                if _is_file_name(key, value):
                     self.counts.append(len(given[key]))
         for key in needed:
             if key not in table:
@@ -168,7 +168,7 @@ class _TaskReader:
             if not isinstance(value, str):
                 raise InputError(f"{key} is {shorten_text(value)}; it must be text in quotes")
             return value
-        if _names_file(key, value):
+        if _is_file_name(key, value):
             return self.read_file_values(kind, key, self.folder / value)
         if key in NUMBERS and not _is_number(value):
             raise InputError(f"{key} is {shorten_text(value)}; it must be a number")
@@ -269,7 +269,7 @@ class _TaskReader:
         return table[:, 0] if single else table
 
 
-def _names_file(key: str, value: Any) -> bool:
+def _is_file_name(key: str, value: Any) -> bool:
     """Whether the value of a parameter is the name of a file of rows."""
     return key not in TEXT and isinstance(value, str) and table_files.is_table_file(value)
 

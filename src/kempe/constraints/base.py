@@ -627,7 +627,7 @@ def evaluate_number_fields(constraint: Constraint, parameters: Mapping[str, floa
     Errors: `UnknownNameError`.
     """
     given = {
-        k: _evaluate_all(x, parameters)
+        k: _evaluate_expressions(x, parameters)
         for k, x in list_number_fields(constraint).items()
         if list_expressions(x)
     }
@@ -642,10 +642,10 @@ def list_expressions(x: Any) -> list[Expression]:
     return [e for item in x for e in list_expressions(item)] if is_sequence(x) else []
 
 
-def _evaluate_all(x: Any, parameters: Mapping[str, float]) -> Any:
+def _evaluate_expressions(x: Any, parameters: Mapping[str, float]) -> Any:
     """Evaluate the expressions in a number, or in lists of numbers."""
     if is_sequence(x):
-        return [_evaluate_all(item, parameters) for item in x]
+        return [_evaluate_expressions(item, parameters) for item in x]
     return x.evaluate(parameters) if isinstance(x, Expression) else x
 
 

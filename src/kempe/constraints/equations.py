@@ -89,7 +89,7 @@ class RecordedNumber:
             return NotImplemented
         return RecordedNumber(self._builder, self._builder.add_binary(op, a, b))
 
-    def _record_unary(self, op: int) -> RecordedNumber:
+    def _record_unary_operation(self, op: int) -> RecordedNumber:
         """Record an operation with this number as operand."""
         return RecordedNumber(self._builder, self._builder.add_unary(op, self.place))
 
@@ -132,7 +132,7 @@ class RecordedNumber:
         return self._record_binary(L.POW, other, self)
 
     def __neg__(self) -> RecordedNumber:
-        return self._record_unary(L.NEG)
+        return self._record_unary_operation(L.NEG)
 
     def __pos__(self) -> RecordedNumber:
         return self
@@ -184,7 +184,7 @@ def _make_method(op: int) -> Callable[[RecordedNumber, object], Any]:
 
 def _make_scaled_method(factor: float, op: int | None = None) -> Callable[[RecordedNumber], Any]:
     """Make a method that records a function of the number times a factor."""
-    return lambda x: (x if op is None else x._record_unary(op)) * factor
+    return lambda x: (x if op is None else x._record_unary_operation(op)) * factor
 
 
 _UFUNCS_2: dict[np.ufunc, int] = {
@@ -198,7 +198,7 @@ _UFUNCS_2: dict[np.ufunc, int] = {
     np.hypot: L.HYPOT,
 }
 _UFUNCS: dict[np.ufunc, Callable[[RecordedNumber], Any]] = {
-    f: (lambda x, op=op: x._record_unary(op))
+    f: (lambda x, op=op: x._record_unary_operation(op))
     for f, op in {
         np.negative: L.NEG,
         np.exp: L.EXP,
@@ -229,9 +229,9 @@ _UFUNCS |= {
     np.degrees: _make_scaled_method(180.0 / np.pi),
     np.log10: _make_scaled_method(float(1.0 / np.log(10.0)), L.LOG),
     np.log2: _make_scaled_method(float(1.0 / np.log(2.0)), L.LOG),
-    np.exp2: lambda x: (x * float(np.log(2.0)))._record_unary(L.EXP),
-    np.expm1: lambda x: x._record_unary(L.EXP) - 1.0,
-    np.log1p: lambda x: (1.0 + x)._record_unary(L.LOG),
+    np.exp2: lambda x: (x * float(np.log(2.0)))._record_unary_operation(L.EXP),
+    np.expm1: lambda x: x._record_unary_operation(L.EXP) - 1.0,
+    np.log1p: lambda x: (1.0 + x)._record_unary_operation(L.LOG),
 }
 
 for (
@@ -281,8 +281,8 @@ def record_function(
         )
     names += [TIME] * time
     try:
-        tape, shape = _record_once(function, names, time)
-        again = _record_once(function, names, time)
+        tape, shape = _record_function_call(function, names, time)
+        again = _record_function_call(function, names, time)
     except InputError as error:
         raise InputError(f"{what}: {error}") from None
     except Branches as error:
@@ -301,7 +301,7 @@ def record_function(
     return tape, shape
 
 
-def _record_once(
+def _record_function_call(
     function: Callable[..., Any], names: list[str], time: bool
 ) -> tuple[Tape, tuple[int, ...]]:
     """Record one call of the function: the tape, and the shape of the values."""
@@ -593,7 +593,7 @@ class _WrittenKind(Constraint):
             raise InputError(f"{self.message_name} names the coordinate {twice[0]!r} twice")
         return names
 
-    def _record_written(
+    def _record_user_function(
         self, function: Callable[..., Any], shape_of: Callable[[tuple[int, ...]], None]
     ) -> tuple[Any, Any]:
         """Record a function that the user wrote, and return its texts and the shape of its values.
@@ -674,7 +674,7 @@ class _Valued(_WrittenKind, Bounded):
         super().__post_init__()
         written: Any = self.expression
         if callable(written) and not isinstance(written, (Call, Tape)):
-            written, _ = self._record_written(written, self._check_shape)
+            written, _ = self._record_user_function(written, self._check_shape)
         elif is_sequence(written):
             written = tuple(format_expression(x, self.message_name) for x in written)
             self._check_shape((len(written),))
@@ -840,7 +840,7 @@ class VelocityEquation(_WrittenKind):
     def _read_entries(self, written: Any, fits: Callable[[tuple[int, ...]], None]) -> Any:
         """Read entries as texts, or rows of texts."""
         if callable(written) and not isinstance(written, Expression):
-            found, shape = self._record_written(written, fits)
+            found, shape = self._record_user_function(written, fits)
             if not is_texts(found):
                 why = found.reason if isinstance(found, Call) else "as text it is too long"
                 raise InputError(

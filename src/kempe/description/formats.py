@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
-from kempe.late import call_late
+from kempe.late import call_late_function
 
 _ROOT = re.compile(
     r"(?>[^<]*(?:<!--.*?-->|<\?.*?\?>|<![^->][^>]*>))*+[^<]*<([A-Za-z_][\w.:-]*)", re.DOTALL
@@ -62,8 +62,8 @@ def find_root_element(text: str) -> str:
 URDF = Format(
     "URDF",
     (".urdf",),
-    partial(call_late, "read_urdf"),
-    partial(call_late, "write_urdf"),
+    partial(call_late_function, "read_urdf"),
+    partial(call_late_function, "write_urdf"),
     elements=("robot",),
     recognises=lambda start: start.startswith("<"),
     options=("base", "root", "lenient_limits", "package_dirs", "srdf", "beside"),
@@ -103,8 +103,8 @@ URDF = Format(
 TOML = Format(
     "TOML",
     (".toml",),
-    partial(call_late, "read_toml"),
-    partial(call_late, "write_toml"),
+    partial(call_late_function, "read_toml"),
+    partial(call_late_function, "write_toml"),
     recognises=lambda start: bool(re.match(r"format\s*=", start)),
     options=("package_dirs",),
     cannot={
@@ -118,8 +118,8 @@ TOML = Format(
 SDF = Format(
     "SDF",
     (".sdf", ".world"),
-    partial(call_late, "read_sdf"),
-    partial(call_late, "write_sdf"),
+    partial(call_late_function, "read_sdf"),
+    partial(call_late_function, "write_sdf"),
     elements=("sdf",),
     options=("base", "model", "lenient_limits", "package_dirs"),
     cannot={
@@ -162,7 +162,7 @@ SDF = Format(
 MJCF = Format(
     "MJCF",
     (".mjcf",),
-    partial(call_late, "read_mjcf"),
+    partial(call_late_function, "read_mjcf"),
     elements=("mujoco", "mujocoinclude", "mjcf"),
     options=("package_dirs",),
 )

@@ -43,7 +43,7 @@ from kempe.errors import (
     format_value,
 )
 from kempe.joints import Fixed, JointType, make_joint_type
-from kempe.late import import_late
+from kempe.late import import_late_member
 from kempe.poses import AXES, Placement, place
 from kempe.values import Expression, Value, evaluate_value, read_value
 
@@ -277,7 +277,9 @@ def check_constraint(mechanism: Mechanism, made: Declared) -> None:
             where,
             "make the particle the child",
         )
-    if b.particle and (any(map(reads_axes, rows)) or any(tool[k] for k in (3, 7, 11))):
+    if b.particle and (
+        any(map(is_orientation_dependent, rows)) or any(tool[k] for k in (3, 7, 11))
+    ):
         checks.raise_problem(
             subject, f"{b.name!r} is a particle, which has no axes and no extent", where, ""
         )
@@ -327,7 +329,7 @@ def _has_nan(x: Any) -> bool:
         return False
 
 
-def reads_axes(row: Row) -> bool:
+def is_orientation_dependent(row: Row) -> bool:
     """Whether a row of a constraint depends on the orientation of frame B."""
     if row.op in (Op.TAPE, Op.VELOCITY):
         tape, output = row.args
@@ -1071,7 +1073,7 @@ class Mechanism(ConstraintMethods):
         Errors: `DescriptionError` that names the parts that do not fit together.
         """
         with pause_garbage_collection(len(self.bodies)):
-            return import_late("System")(self)
+            return import_late_member("System")(self)
 
     def save(self, path: str | Path) -> Path:
         """Write the mechanism to a file and return the path.
@@ -1080,7 +1082,7 @@ class Mechanism(ConstraintMethods):
 
         The ending of the name chooses the format (.toml holds everything).
         """
-        return import_late("write")(self, path)
+        return import_late_member("write")(self, path)
 
     def __repr__(self) -> str:
         return (

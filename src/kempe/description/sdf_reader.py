@@ -758,7 +758,7 @@ class _Parts:
         for joint in mechanism.joints.values():
             self.connect_bodies(joint.parent, joint.child)
 
-    def _find_top(self, body: str) -> str:
+    def _find_representative(self, body: str) -> str:
         """Return the body that represents the component of a body."""
         path: list[str] = []
         while body in self._next:
@@ -770,11 +770,11 @@ class _Parts:
 
     def are_connected(self, a: str, b: str) -> bool:
         """Whether joints lead from one body to the other."""
-        return self._find_top(a) == self._find_top(b)
+        return self._find_representative(a) == self._find_representative(b)
 
     def connect_bodies(self, a: str, b: str) -> None:
         """Join the components of two bodies."""
-        one, two = self._find_top(a), self._find_top(b)
+        one, two = self._find_representative(a), self._find_representative(b)
         if one != two:
             self._next[one] = two
 

@@ -127,7 +127,7 @@ class Srdf:
                 found = VirtualJoint(name, BASES[kind], ground)
         return found
 
-    def mentions_joint(self, joint: str) -> bool:
+    def has_joint_value(self, joint: str) -> bool:
         """Whether a posture gives values of a joint with this name."""
         states = self.root.find_children("group_state")
         return any(

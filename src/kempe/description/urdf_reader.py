@@ -261,7 +261,7 @@ def _choose_base(ground: str | None, base: str | None, srdf: Srdf | None) -> Vir
             f"base is {base!r}, but the virtual joint {found.name!r} of the SRDF is {found.kind}; "
             "leave base out"
         )
-    named = srdf is not None and srdf.mentions_joint(ROOT_JOINT)
+    named = srdf is not None and srdf.has_joint_value(ROOT_JOINT)
     return found or VirtualJoint(ROOT_JOINT if named else "base", base, WORLD)
 
 

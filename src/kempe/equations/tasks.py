@@ -23,7 +23,7 @@ from kempe.constraints.base import (
     is_one_sided,
     read_numbers,
 )
-from kempe.description.mechanism import reads_axes
+from kempe.description.mechanism import is_orientation_dependent
 from kempe.equations.judge import FRAME_ROWS, Numbers, RowShape, make_row_shape, measure_rows
 from kempe.equations.task_functions import bind_constraint
 from kempe.errors import InputError
@@ -215,7 +215,9 @@ class Task:
 
     def _refuse_axes_of_particles(self, A: End, B: End) -> None:
         """Raise `InputError` where the task reads axes of a particle."""
-        turned = B[2] and (any(map(reads_axes, self.rows)) or any(self.tool[k] for k in (3, 7, 11)))
+        turned = B[2] and (
+            any(map(is_orientation_dependent, self.rows)) or any(self.tool[k] for k in (3, 7, 11))
+        )
         beside = any(r.op is not Op.DISTANCE for r in self.rows)
         leaned = A[2] and (beside or np.any(self.of.make_goal_poses(self.system.dim)[..., :3, 3]))
         if turned or leaned:

@@ -190,7 +190,7 @@ class Numbers:
             return made if known is None else known
         return made
 
-    def add(self, a: Num, b: Num) -> Num:
+    def add_numbers(self, a: Num, b: Num) -> Num:
         """Return the sum a + b."""
         if isinstance(a, float) and isinstance(b, float):
             return a + b
@@ -198,40 +198,42 @@ class Numbers:
             return b
         return a if isinstance(b, float) and b == 0.0 else self.record_operation(L.ADD, a, b)
 
-    def neg(self, a: Num) -> Num:
+    def negate_number(self, a: Num) -> Num:
         """Return the negative -a."""
         return -a if isinstance(a, float) else self.record_operation(L.NEG, a)
 
-    def sub(self, a: Num, b: Num) -> Num:
+    def subtract_numbers(self, a: Num, b: Num) -> Num:
         """Return the difference a - b."""
         if isinstance(a, float) and isinstance(b, float):
             return a - b
         if isinstance(b, float) and b == 0.0:
             return a
         return (
-            self.neg(b) if isinstance(a, float) and a == 0.0 else self.record_operation(L.SUB, a, b)
+            self.negate_number(b)
+            if isinstance(a, float) and a == 0.0
+            else self.record_operation(L.SUB, a, b)
         )
 
-    def mul(self, a: Num, b: Num) -> Num:
+    def multiply_numbers(self, a: Num, b: Num) -> Num:
         """Return the product a b."""
         if isinstance(a, float) and isinstance(b, float):
             return a * b
         for x, y in ((a, b), (b, a)):
             if isinstance(x, float) and x in (0.0, 1.0, -1.0):
-                return 0.0 if x == 0.0 else y if x == 1.0 else self.neg(y)
+                return 0.0 if x == 0.0 else y if x == 1.0 else self.negate_number(y)
         return self.record_operation(L.MUL, a, b)
 
-    def dot(self, a: Any, b: Any) -> Num:
+    def compute_dot_product(self, a: Any, b: Any) -> Num:
         """Return the dot product of two vectors."""
         total: Num = 0.0
         for x, y in zip(a, b, strict=True):
-            total = self.add(total, self.mul(x, y))
+            total = self.add_numbers(total, self.multiply_numbers(x, y))
         return total
 
-    def cross(self, a: Any, b: Any) -> list[Num]:
+    def compute_cross_product(self, a: Any, b: Any) -> list[Num]:
         """Return the cross product of two vectors."""
-        m = self.mul
-        s = self.sub
+        m = self.multiply_numbers
+        s = self.subtract_numbers
         return [
             s(m(a[1], b[2]), m(a[2], b[1])),
             s(m(a[2], b[0]), m(a[0], b[2])),
@@ -276,8 +278,11 @@ class Recorder:
         """Return the product pose @ X for a known X (4, 4)."""
         n = self.numbers
         X = np.asarray(X, dtype=float)
-        R = [[n.dot(row, X[:3, j].tolist()) for j in range(3)] for row in pose.R]
-        p = [n.add(pose.p[i], n.dot(pose.R[i], X[:3, 3].tolist())) for i in range(3)]
+        R = [[n.compute_dot_product(row, X[:3, j].tolist()) for j in range(3)] for row in pose.R]
+        p = [
+            n.add_numbers(pose.p[i], n.compute_dot_product(pose.R[i], X[:3, 3].tolist()))
+            for i in range(3)
+        ]
         return RecordedPose(R, p)
 
     def find_pose_before(self, row: int) -> RecordedPose:
@@ -308,18 +313,28 @@ class Recorder:
         if table.kind[r] == Q:
             turn = self._record_quaternion_matrix(q, factor < 0.0)
             return RecordedPose(
-                [[n.dot(row, [turn[k][j] for k in range(3)]) for j in range(3)] for row in at.R],
+                [
+                    [n.compute_dot_product(row, [turn[k][j] for k in range(3)]) for j in range(3)]
+                    for row in at.R
+                ],
                 at.p,
             )
-        theta = n.mul(factor, q)
+        theta = n.multiply_numbers(factor, q)
         if table.kind[r] == P:
-            return RecordedPose(at.R, [n.add(at.p[i], n.mul(theta, at.R[i][2])) for i in range(3)])
+            return RecordedPose(
+                at.R,
+                [n.add_numbers(at.p[i], n.multiply_numbers(theta, at.R[i][2])) for i in range(3)],
+            )
         offset = float(table.offset[r])
-        theta = n.add(theta, offset)
+        theta = n.add_numbers(theta, offset)
         s = n.record_operation(L.SIN, theta)
         c = n.record_operation(L.COS, theta)
         R = [
-            [n.add(n.mul(c, x), n.mul(s, y)), n.sub(n.mul(c, y), n.mul(s, x)), z]
+            [
+                n.add_numbers(n.multiply_numbers(c, x), n.multiply_numbers(s, y)),
+                n.subtract_numbers(n.multiply_numbers(c, y), n.multiply_numbers(s, x)),
+                z,
+            ]
             for x, y, z in at.R
         ]
         return RecordedPose(R, at.p)
@@ -333,12 +348,12 @@ class Recorder:
         n = self.numbers
         (w, x, y, z) = range(q, q + 4)
         if inverse:
-            x = n.neg(x)
-            y = n.neg(y)
-            z = n.neg(z)
-        m = n.mul
-        a = n.add
-        s = n.sub
+            x = n.negate_number(x)
+            y = n.negate_number(y)
+            z = n.negate_number(z)
+        m = n.multiply_numbers
+        a = n.add_numbers
+        s = n.subtract_numbers
         two: Callable[[Num], Num] = lambda u: m(2.0, u)  # noqa: E731
         squares = [m(u, u) for u in (w, x, y, z)]
         diagonal = [
@@ -368,11 +383,11 @@ class Recorder:
         for key, x in form.items():
             pair: Any = key
             if isinstance(key, tuple):
-                out[pair[1]] = n.add(out.get(pair[1], 0.0), x)
+                out[pair[1]] = n.add_numbers(out.get(pair[1], 0.0), x)
         c = [form.get(k, 0.0) for k in range(6)]
         if any(not isinstance(x, float) or x != 0.0 for x in c):
             self._add_twist_terms(a, b, c, out)
-        out[self.table.nv] = n.add(out.get(self.table.nv, 0.0), value)
+        out[self.table.nv] = n.add_numbers(out.get(self.table.nv, 0.0), value)
         for column, x in out.items():
             if not isinstance(x, float) or x != 0.0:
                 self.entries.append((self.count, column, x))
@@ -384,22 +399,24 @@ class Recorder:
         table = self.table
         R = self.find_end_pose(a).R
         p = self.find_end_pose(b).p
-        force = [n.dot(R[i], c[:3]) for i in range(3)]
-        moment = [n.dot(R[i], c[3:]) for i in range(3)]
+        force = [n.compute_dot_product(R[i], c[:3]) for i in range(3)]
+        moment = [n.compute_dot_product(R[i], c[3:]) for i in range(3)]
         for sign, row in find_moving_rows(a[0], b[0], table.parent):
             factor = sign * float(table.multiplier[row])
             kind = table.kind[row]
             column = int(table.iv[row])
             reverse = kind == Q and factor * sign < 0.0
             axes = self.find_pose_before(row) if reverse else self.find_pose_after(row)
-            arm = [n.sub(p[i], axes.p[i]) for i in range(3)]
-            turn = n.cross(arm, force)
+            arm = [n.subtract_numbers(p[i], axes.p[i]) for i in range(3)]
+            turn = n.compute_cross_product(arm, force)
             if not (b[2] and sign > 0.0):  # a particle does not turn
-                turn = [n.add(turn[i], moment[i]) for i in range(3)]
+                turn = [n.add_numbers(turn[i], moment[i]) for i in range(3)]
             for k in range(0 if kind == Q else 2, 3):
-                rate = n.mul(factor, n.dot(axes.get_axis(k), force if kind == P else turn))
+                rate = n.multiply_numbers(
+                    factor, n.compute_dot_product(axes.get_axis(k), force if kind == P else turn)
+                )
                 at = column + (k if kind == Q else 0)
-                out[at] = n.add(out.get(at, 0.0), rate)
+                out[at] = n.add_numbers(out.get(at, 0.0), rate)
 
     # ---- expressions
 
@@ -452,11 +469,15 @@ class Recorder:
                     op, values[left], values[right], forms[left], forms[right]
                 )
             else:
-                value = n.neg(values[left]) if op == L.NEG else n.record_operation(op, values[left])
+                value = (
+                    n.negate_number(values[left])
+                    if op == L.NEG
+                    else n.record_operation(op, values[left])
+                )
                 form = {}
                 if forms[left]:
                     slope = -1.0 if op == L.NEG else self._record_slope(op, values[left], value)
-                    form = {k: n.mul(slope, x) for k, x in forms[left].items()}
+                    form = {k: n.multiply_numbers(slope, x) for k, x in forms[left].items()}
             values.append(value)
             forms.append(form)
         at = tape.outputs[which]
@@ -465,9 +486,9 @@ class Recorder:
     def combine_forms(self, f: Form, by: Num, g: Form, other: Num) -> Form:
         """Return the linear combination `by` f + `other` g of two forms."""
         n = self.numbers
-        out = {k: n.mul(by, x) for k, x in f.items()}
+        out = {k: n.multiply_numbers(by, x) for k, x in f.items()}
         for k, x in g.items():
-            out[k] = n.add(out.get(k, 0.0), n.mul(other, x))
+            out[k] = n.add_numbers(out.get(k, 0.0), n.multiply_numbers(other, x))
         return out
 
     def _linearize_operation(self, op: int, a: Num, b: Num, f: Form, g: Form) -> tuple[Num, Form]:
@@ -475,9 +496,11 @@ class Recorder:
         n = self.numbers
         if op in (L.ADD, L.SUB):
             sign = 1.0 if op == L.ADD else -1.0
-            return (n.add if op == L.ADD else n.sub)(a, b), self.combine_forms(f, 1.0, g, sign)
+            return (n.add_numbers if op == L.ADD else n.subtract_numbers)(a, b), self.combine_forms(
+                f, 1.0, g, sign
+            )
         if op == L.MUL:
-            return n.mul(a, b), self.combine_forms(f, b, g, a)
+            return n.multiply_numbers(a, b), self.combine_forms(f, b, g, a)
         value = (
             0.0
             if op == L.DIV and isinstance(a, float) and a == 0.0
@@ -489,19 +512,24 @@ class Recorder:
             return value, {}
         if op == L.DIV:
             by = n.record_operation(L.DIV, 1.0, b)
-            return value, self.combine_forms(f, by, g, n.neg(n.mul(value, by)))
-        if op == L.POW:
-            slope = n.mul(b, n.record_operation(L.POW, a, n.sub(b, 1.0)))
             return value, self.combine_forms(
-                f, slope, g, n.mul(value, n.record_operation(L.LOG, a)) if g else 0.0
+                f, by, g, n.negate_number(n.multiply_numbers(value, by))
+            )
+        if op == L.POW:
+            slope = n.multiply_numbers(b, n.record_operation(L.POW, a, n.subtract_numbers(b, 1.0)))
+            return value, self.combine_forms(
+                f, slope, g, n.multiply_numbers(value, n.record_operation(L.LOG, a)) if g else 0.0
             )
         if op == L.HYPOT:
             return value, self.combine_forms(
                 f, n.record_operation(L.DIV, a, value), g, n.record_operation(L.DIV, b, value)
             )
-        square = n.add(n.mul(a, a), n.mul(b, b))
+        square = n.add_numbers(n.multiply_numbers(a, a), n.multiply_numbers(b, b))
         return value, self.combine_forms(
-            f, n.record_operation(L.DIV, b, square), g, n.neg(n.record_operation(L.DIV, a, square))
+            f,
+            n.record_operation(L.DIV, b, square),
+            g,
+            n.negate_number(n.record_operation(L.DIV, a, square)),
         )
 
     def _compute_nearest_rate(self, op: int, place: Any, f: Form, g: Form) -> Form:
@@ -519,7 +547,9 @@ class Recorder:
         out: Form = {}
         for i, key, x in [*((*k, x) for k, x in f.items()), *((2, k, x) for k, x in g.items())]:
             known = build._get_constant(rates[i])
-            out[key] = n.add(out.get(key, 0.0), n.mul(rates[i] if known is None else known, x))
+            out[key] = n.add_numbers(
+                out.get(key, 0.0), n.multiply_numbers(rates[i] if known is None else known, x)
+            )
         return out
 
     def _record_slope(self, op: int, x: Num, y: Num) -> Num:
@@ -553,15 +583,15 @@ class Seen:
             self._ends = self.recorder.find_end_pose(self.a), self.recorder.find_end_pose(self.b)
         A, B = self._ends
         if len(name) == 1:
-            away = [n.sub(B.p[i], A.p[i]) for i in range(3)]
-            return n.dot(A.get_axis(PLACE[name]), away), {PLACE[name]: 1.0}
+            away = [n.subtract_numbers(B.p[i], A.p[i]) for i in range(3)]
+            return n.compute_dot_product(A.get_axis(PLACE[name]), away), {PLACE[name]: 1.0}
         i = PLACE[name[0]]
         j = PLACE[name[1]]
-        entry: Callable[[int], Num] = lambda k: n.dot(A.get_axis(k), B.get_axis(j))  # noqa: E731
+        entry: Callable[[int], Num] = lambda k: n.compute_dot_product(A.get_axis(k), B.get_axis(j))  # noqa: E731
         # the rate of an axis is w x axis
         y = (i + 1) % 3
         z = (i + 2) % 3
-        return entry(i), {3 + y: entry(z), 3 + z: n.neg(entry(y))}
+        return entry(i), {3 + y: entry(z), 3 + z: n.negate_number(entry(y))}
 
 
 # ---- rows of a system
@@ -639,17 +669,17 @@ class _Recording:
             self.known[name] = float(f.offset)
             self.rates[name] = {}
             if f.source is not None:
-                self.known[name] = numbers.add(
-                    numbers.mul(f.multiplier, self.known[f.source]), float(f.offset)
+                self.known[name] = numbers.add_numbers(
+                    numbers.multiply_numbers(f.multiplier, self.known[f.source]), float(f.offset)
                 )
                 self.rates[name] = {("v", first[f.source][1]): f.multiplier}
         self.known.setdefault(TIME, self.recorder.time)  # unless a coordinate is called so
 
     def _add_quaternion_rates(self, iq: int, iv: int) -> None:
         """Add the rates of the entries of a quaternion: q' = q (0, w) / 2."""
-        half = [self.recorder.numbers.mul(0.5, iq + k) for k in range(4)]
+        half = [self.recorder.numbers.multiply_numbers(0.5, iq + k) for k in range(4)]
         w, x, y, z = half
-        minus = self.recorder.numbers.neg
+        minus = self.recorder.numbers.negate_number
         rates = (
             (minus(x), minus(y), minus(z)),
             (w, minus(z), y),

@@ -264,7 +264,7 @@ def compute_group_basis(twists: Array, level: float) -> Array:
         basis = grown
 
 
-def fills_group(twists: Array, level: float, clear: float) -> bool:
+def spans_lie_algebra(twists: Array, level: float, clear: float) -> bool:
     """Return whether screws (6, n) span a Lie algebra, with a clear rank."""
     spectrum = Spectrum(twists)
     basis = spectrum.compute_column_space(level)

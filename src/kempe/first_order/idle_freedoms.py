@@ -270,7 +270,7 @@ def _find_end(
         return None
     steps, point = _collect_meeting_joints(system, at, first._replace(columns=columns), driven)
     linkage = len(steps) > 1 and any(
-        k != steps[-1].edge and _passes_point(system, at, k, point)
+        k != steps[-1].edge and _do_axes_pass_point(system, at, k, point)
         for k in _list_part_edges(system, steps[-1].beyond)
     )
     X = at.M[i]
@@ -322,7 +322,7 @@ def _list_part_edges(system: Model, part: int) -> set[int]:
     )
 
 
-def _passes_point(system: Model, at: Screws, i: int, point: Array) -> bool:
+def _do_axes_pass_point(system: Model, at: Screws, i: int, point: Array) -> bool:
     """Return whether all axes of rotation of an edge pass through a point."""
     turns = [
         c

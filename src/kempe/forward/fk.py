@@ -289,12 +289,12 @@ def _bind_query(chain_of: _ChainQuery) -> Any:
             pass
         return chain_of.compute_jacobians(q, in_frame, None, threads)
 
-    def compute_form(_: object, q: Any, out: Any = None, threads: int | None = None) -> Array:
+    def compute_poses(_: object, q: Any, out: Any = None, threads: int | None = None) -> Array:
         return compute_poses_in_form(
             chain_of.system, q, chain_of.name, out, threads, *chain_of.form
         )
 
-    function: Any = compute_pose if all(part is None for part in chain_of.form) else compute_form
+    function: Any = compute_pose if all(part is None for part in chain_of.form) else compute_poses
     function.jacobian = compute_jacobian
     function.pose_and_jacobian = compute_pose_and_jacobian
     function.system = chain_of.system

@@ -26,7 +26,7 @@ from kempe.arrays import read_reals
 from kempe.errors import InputError, UnknownNameError
 from kempe.forward.fk import fk
 from kempe.joints import Q, R
-from kempe.model.configurations import FIT, make_q, read_one_q, read_q, refuse_misfit
+from kempe.model.configurations import FIT, make_q, read_one_q, read_q, refuse_other_follower
 from kempe.model.coordinates import Follower, format_coordinate_name
 from kempe.spatial import Array
 from kempe.words import format_count
@@ -528,7 +528,7 @@ class Correspondence:
         self, what: str, law: Follower, given: Array, wanted: Array, k: int, turn: float = 0.0
     ) -> None:
         """Refuse a follower whose value does not fit within the tolerance."""
-        refuse_misfit(what, law, given[..., k], wanted[..., k], self.tolerance, turn)
+        refuse_other_follower(what, law, given[..., k], wanted[..., k], self.tolerance, turn)
 
     def _compute_entries(self, q: Array) -> Array:
         """Compute the entries (..., n) at q (..., nq); angles stand for cosines and sines."""
@@ -860,5 +860,5 @@ def from_joint_state(
         law = system.structure.couplings.get(name)
         if law is not None:
             wanted = law.multiplier * v[index[law.source]] if law.source else 0.0
-            refuse_misfit(f"the velocity of {name!r}", law, rate, wanted)
+            refuse_other_follower(f"the velocity of {name!r}", law, rate, wanted)
     return q, v

@@ -15,7 +15,7 @@ from kempe.arrays import unwrap_scalar
 from kempe.equations.slip import has_velocity_constraints
 from kempe.errors import InputError
 from kempe.kernels.base.search_layout import ANGULAR, ANSWER, LINEAR, STARTS, STATUS, STEPS
-from kempe.late import import_late
+from kempe.late import import_late_member
 from kempe.report import Report, summarize_fields
 from kempe.spatial import Array
 from kempe.status import MEMBERS, PROOFS, Status
@@ -157,7 +157,7 @@ class Solution(Answer):
         """
         out = np.array(np.isin(self.code, PROOFS))
         for index in np.argwhere(np.asarray(self.code) == Status.NOT_FOUND):
-            out[tuple(index)] = bool(self._proofs(tuple(index.tolist())))
+            out[tuple(index)] = bool(self._list_row_proofs(tuple(index.tolist())))
         return unwrap_scalar(out)
 
     def proofs(self, index: tuple[int, ...] | int = ()) -> tuple[Any, ...]:
@@ -166,9 +166,9 @@ class Solution(Answer):
         Each is an `Evidence` (`kempe.answers.evidence`), with figures and a `text`.
         Errors: `InputError` for a place that is not in the batch.
         """
-        return self._proofs(read_batch_index(index, self._batch_shape))
+        return self._list_row_proofs(read_batch_index(index, self._batch_shape))
 
-    def _proofs(self, index: tuple[int, ...]) -> tuple[Any, ...]:
+    def _list_row_proofs(self, index: tuple[int, ...]) -> tuple[Any, ...]:
         return self._row.proofs(self, index)
 
     @property
@@ -255,7 +255,7 @@ class Solution(Answer):
         """End a success sentence: under velocity constraints, that driving there needs a manoeuvre."""
         if not np.asarray(self.success)[index] or not has_velocity_constraints(self.system):
             return ""
-        return import_late("way_there")(self.system)
+        return import_late_member("way_there")(self.system)
 
 
 # ---- the answer for several tasks
@@ -370,4 +370,4 @@ class IkHistory(Report):
 
         The iterates themselves are drawn by ``system.plot(history.q)``.
         """
-        return import_late("plots").plot_history(self, ax)
+        return import_late_member("plots").plot_history(self, ax)

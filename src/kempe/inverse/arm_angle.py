@@ -32,7 +32,7 @@ from kempe.arguments import explain_errors
 from kempe.arrays import read_reals
 from kempe.errors import InputError, UnsupportedError
 from kempe.inverse.closed_forms.chain_lines import Lines, find_chain_lines
-from kempe.inverse.closed_forms.structure import Axes, find_meeting_point, keeps_point
+from kempe.inverse.closed_forms.structure import Axes, find_meeting_point, is_spherical_triple
 from kempe.kernels.forward.table_layout import TURN
 from kempe.model.configurations import read_q
 from kempe.model.model import keep_answers
@@ -112,9 +112,9 @@ def recognise_arm(lines: Lines, reference: ArrayLike | None = None) -> Arm | str
     if np.any(lines.kinds != TURN):
         return "not all of its joints turn"
     axes = Axes(lines.kinds, lines.h, lines.o)
-    if not keeps_point(axes, 0):
+    if not is_spherical_triple(axes, 0):
         return "its first three axes do not meet in a point"
-    if not keeps_point(axes, 4):
+    if not is_spherical_triple(axes, 4):
         return "its last three axes do not meet in a point"
     S = find_meeting_point(axes, SHOULDER)
     W = find_meeting_point(axes, WRIST)

@@ -30,7 +30,7 @@ from kempe.inverse.closed_forms.structure import (
     are_parallel,
     compute_line_distance,
     find_meeting_point,
-    keeps_point,
+    is_spherical_triple,
 )
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.closed_form.analytic_layout import AT_REST, COUPLED, PLANE, X_FIRST
@@ -100,7 +100,7 @@ def _find_last_meeting(axes: Axes, i: int) -> int:
     Neighbours are not parallel.
     """
     j = i + 1
-    while j + 1 < len(axes.kinds) and keeps_point(axes, j - 1):
+    while j + 1 < len(axes.kinds) and is_spherical_triple(axes, j - 1):
         if find_meeting_point(axes, tuple(range(i, j + 2))) is None:
             break
         j += 1

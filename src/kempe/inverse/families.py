@@ -282,7 +282,7 @@ class SolutionSet(Curve):
             ways = self.find_family_directions(y, distance)
             way = (y - x) / np.linalg.norm(y - x)
             samples = (
-                (*self.walk_randomly(y, ways, SAMPLES), False)
+                (*self.sample_random_walk(y, ways, SAMPLES), False)
                 if len(ways) > 1
                 else self.trace_curve(x if (s <= SINGULAR).sum() == 1 else y, way)
             )
@@ -298,7 +298,7 @@ class SolutionSet(Curve):
 
     # ---- samples
 
-    def walk_randomly(self, x: Array, frame: Array, count: int) -> tuple[Array, Array]:
+    def sample_random_walk(self, x: Array, frame: Array, count: int) -> tuple[Array, Array]:
         """Sample a random walk (m, n) from x (n,), with tangents (m, d, n) that begin as `frame`."""
         rng = np.random.default_rng(2)
         x = self.minimise_error(x, frame).x
@@ -320,10 +320,10 @@ class SolutionSet(Curve):
         """
         x, _, J = self.minimise_error(x, way[None])
         first = self.make_node(x, way, J)
-        nodes, end = self._trace_half(first)
+        nodes, end = self._trace_half_curve(first)
         other = end
         if end != "closed":
-            back, other = self._trace_half(first.reverse_direction())
+            back, other = self._trace_half_curve(first.reverse_direction())
             nodes = [*(a.reverse_direction() for a in back[:0:-1]), *nodes]
         theta = np.array([a.x for a in nodes])
         if "off" in (end, other) and self.decompose_jacobians(J)[0][0] > self.singular_level:
@@ -332,7 +332,7 @@ class SolutionSet(Curve):
                 return None
         return theta, np.array([a.t[None] for a in nodes]), end == "closed"
 
-    def _trace_half(self, first: Node) -> tuple[list[Node], str]:
+    def _trace_half_curve(self, first: Node) -> tuple[list[Node], str]:
         """Trace nodes one way, with their end: "closed", "far", or "off" the target."""
         nodes = [first]
 
@@ -341,7 +341,7 @@ class SolutionSet(Curve):
             return None if b is None else [b]
 
         for b in walk_curve(first, take_step, LONGEST, REACH):
-            if len(nodes) > 3 and self._passes_node(nodes[-1], b, first):
+            if len(nodes) > 3 and self._has_passed_node(nodes[-1], b, first):
                 return nodes, "closed"
             nodes.append(b)
             if np.abs(b.x - first.x)[self.aim.slide_mask].max(initial=0.0) > FAR:
@@ -350,7 +350,7 @@ class SolutionSet(Curve):
                 break
         return nodes, "off"
 
-    def _passes_node(self, a: Node, b: Node, first: Node) -> bool:
+    def _has_passed_node(self, a: Node, b: Node, first: Node) -> bool:
         """Return whether the step from a to b passes the first node."""
         rest = self.compute_short_difference(first.x, a.x)
         h = float((b.x - a.x) @ a.t)
@@ -458,7 +458,7 @@ class Family(InWords):
             members = self._theta[:1]
             while len(members) < n:
                 count = 2 * max(n, len(members))
-                members = target.walk_randomly(self._theta[0], self._tangents[0], count)[0]
+                members = target.sample_random_walk(self._theta[0], self._tangents[0], count)[0]
             return _fill_configurations(target, members[:n], self._base)
         x = self._theta
         t = self._tangents

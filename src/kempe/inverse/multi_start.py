@@ -33,7 +33,7 @@ from kempe.kernels.base.search_layout import (
 from kempe.kernels.compiled import schedule
 from kempe.kernels.forward.table_layout import HAS_QUATERNION
 from kempe.model.characteristic_length import compute_characteristic_length
-from kempe.model.configurations import read_start, refuse_far
+from kempe.model.configurations import read_start, refuse_large_numbers
 from kempe.numerics.pool import sum_over_chunks
 from kempe.spatial import Array
 from kempe.status import Status
@@ -361,7 +361,7 @@ def make_seeds(
     base = read_start(system, start)
     base = np.array(base.reshape(math.prod(base.shape[:-1]), system.nq))
     if not lead and not np.all(np.abs(base) < LARGEST):
-        refuse_far(system, base, "start")
+        refuse_large_numbers(system, base, "start")
     # the kernel brings them inside, circles by turns
     seeds = np.ascontiguousarray(base[:, None, chain.q_index])
     return move_inside_limits(system, base), seeds

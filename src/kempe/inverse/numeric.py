@@ -45,7 +45,7 @@ from kempe.inverse.closed_forms.problem import ChainProblem, Watch
 from kempe.inverse.closed_forms.solve import TOLERANCE
 from kempe.inverse.multi_start import make_seeds, solve_targets
 from kempe.kernels.base.search_layout import SOLVED, STEPS
-from kempe.model.configurations import refuse_far
+from kempe.model.configurations import refuse_large_numbers
 from kempe.numerics.clock import SHORT, TimeLimit
 from kempe.poses import correct_rotations
 from kempe.spatial import Array
@@ -366,7 +366,7 @@ def _make_checked_answer(
         mark_unreachable_targets(problem, code)
         full[code == Status.BAD_INPUT] = math.nan
     if not lead and code[0] == Status.BAD_INPUT:
-        refuse_far(system, base, "start")
+        refuse_large_numbers(system, base, "start")
         raise InputError(explain_refused_target(targets[0], "start"))
     return _make_answer(problem, full, code, residual, info, lead)
 

@@ -19,7 +19,7 @@ from kempe.answers.targets import Z_AXIS, make_target_constraints, parse_targets
 from kempe.arguments import explain_errors, explain_method_errors, raise_interrupted
 from kempe.arrays import read_reals
 from kempe.assemble.assemble import assemble
-from kempe.assemble.nearest_exact import decide_nearest_exact
+from kempe.assemble.nearest_exact import find_nearest_exact_in_time
 from kempe.budget import Budget, Usual
 from kempe.constraints.base import Constraint
 from kempe.equations.packed_tasks import refuse_goal
@@ -34,7 +34,11 @@ from kempe.inverse.chain.serial_chain import (
 from kempe.inverse.tasks.demands import STARTS, Demands, find_untouched_places
 from kempe.inverse.tasks.search import make_checked_answer, make_demands
 from kempe.kernels.base.search_layout import SOLVED
-from kempe.model.configurations import make_ranges_table, refuse_far, sample_configurations
+from kempe.model.configurations import (
+    make_ranges_table,
+    refuse_large_numbers,
+    sample_configurations,
+)
 from kempe.numerics.clock import BROKEN_OFF, LONG, TimeLimit, describe_early_end
 from kempe.numerics.newton import run_gauss_newton, solve_least_squares
 from kempe.numerics.rank import Level, Spectrum
@@ -681,9 +685,9 @@ def solve_path(problem: Problem) -> IkPath:
     restart = options["restart"]
     time = TimeLimit(spend.time_limit)
     time.release_reserved_time()  # there is nothing to do afterwards
-    decide_nearest_exact(USUAL, time, system)
+    find_nearest_exact_in_time(USUAL, time, system)
     demands, first = make_demands(system, problem.wanted, start, tolerance, spend.starts, spend.rng)
-    refuse_far(system, first, "start")
+    refuse_large_numbers(system, first, "start")
     if len(demands.lead) != 1 or not demands.lead[0] or len(first) > 1:
         raise InputError(
             f"targets have the leading shape {demands.lead}, the start {first.shape}; needed are "

@@ -339,12 +339,12 @@ class _Direction:
         out: list[Array] = []
         try:
             with self.time:
-                return self._follow_to_goal(q, sign, steps, goal, out)
+                return self._follow_curve_to_goal(q, sign, steps, goal, out)
         except BROKEN_OFF as error:
             self.broken = error
             return _HalfCurve(out, False, self.time.describe_end_reason(error), sign * self.wish)
 
-    def _follow_to_goal(
+    def _follow_curve_to_goal(
         self, q: Array, sign: float, steps: int, goal: tuple[Array, Array] | None, out: list[Array]
     ) -> _HalfCurve:
         system = self.problem.system

@@ -312,7 +312,9 @@ class Sweep(Answer):
         if not found:
             return None
         found = sorted(found, key=lambda b: -b.score)[:REFINED]
-        return max((self._refine_best(score, b) for b in found), key=lambda b: b.score)
+        return max(
+            (self._refine_best_configuration(score, b) for b in found), key=lambda b: b.score
+        )
 
     def _find_best_sample(
         self, score: Callable[[Array], Array], branch: int, values: Array, best: Best | None
@@ -333,7 +335,7 @@ class Sweep(Answer):
             return best
         return Best(float(values[rows[k]]), q[rows[k], 0], branch, float(scores[k]))
 
-    def _refine_best(self, score: Callable[[Array], Array], best: Best) -> Best:
+    def _refine_best_configuration(self, score: Callable[[Array], Array], best: Best) -> Best:
         low, high = next((a, b) for a, b in self.intervals[best.branch] if a <= best.value <= b)
         step = (high - low) / (TRIES - 1)
         while step > 1e-10:
@@ -357,13 +359,13 @@ class Sweep(Answer):
         at = lines.q_index
         limited = np.isfinite(low) & np.isfinite(high) & (high > low)
 
-        def compute_room(q: Array) -> Array:
+        def compute_limit_margin(q: Array) -> Array:
             x = q[..., at][..., limited]
             a = low[limited]
             b = high[limited]
             return np.min(2.0 * np.minimum(x - a, b - x) / (b - a), axis=-1, initial=1.0)
 
-        return compute_room
+        return compute_limit_margin
 
     @property
     def success(self) -> bool:

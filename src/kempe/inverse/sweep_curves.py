@@ -493,10 +493,10 @@ class Net:
             self._join_levels(self.at[i], self.at[i + 1])
         for a in range(len(self.x)):
             if self.level[a] < len(self.values) - 1 and a not in self.up and a not in self.head:
-                self._follow_from_node(a, 1.0)
+                self._follow_curve_from_node(a, 1.0)
         for a in range(len(self.x)):
             if self.level[a] > 0 and a not in self.below and a not in self.foot:
-                self._follow_from_node(a, -1.0)
+                self._follow_curve_from_node(a, -1.0)
 
     def _join_levels(self, low: np.ndarray, high: np.ndarray) -> None:
         if not low.size or not high.size:
@@ -520,7 +520,7 @@ class Net:
         self.up[a] = (b, piece)
         self.below.add(b)
 
-    def _follow_from_node(self, a: int, sense: float) -> None:
+    def _follow_curve_from_node(self, a: int, sense: float) -> None:
         """Follow the curve from node a up (sense 1) or down (-1) to the next level, or back.
 
         Its pieces are kept in `up`, `head`, `foot` and `loose`.
@@ -550,14 +550,14 @@ class Net:
                     (x, t) if sense > 0.0 else (x[::-1], -t[::-1])
                 )
             return
-        self._hang_piece(a, sense, parts[0])
+        self._keep_fold_piece(a, sense, parts[0])
         if b is not None:
             x, t = parts[-1]
-            self._hang_piece(b, sense if arrived == i else -sense, (x[::-1], -t[::-1]))
+            self._keep_fold_piece(b, sense if arrived == i else -sense, (x[::-1], -t[::-1]))
             parts.pop()
         self.loose += parts[1:]
 
-    def _hang_piece(self, a: int, sense: float, piece: Piece) -> None:
+    def _keep_fold_piece(self, a: int, sense: float, piece: Piece) -> None:
         """Keep a piece that leads from a node to a fold above or below it."""
         x, t = piece
         if sense > 0.0:

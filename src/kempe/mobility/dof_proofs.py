@@ -20,7 +20,7 @@ from kempe.first_order.constraint_graph import (
     LoopSizes,
     build_constraint_graph,
 )
-from kempe.first_order.counting import compute_group_basis, fills_group
+from kempe.first_order.counting import compute_group_basis, spans_lie_algebra
 from kempe.first_order.rank import Rank
 from kempe.first_order.screws import Screws, compute_screws
 from kempe.mobility import lyapunov_schmidt
@@ -889,7 +889,7 @@ def _is_two_group_loop(s: ConstraintGraph, at: Screws, c: Cluster) -> bool:
 
     def does_fill_group(i: int, k: int) -> bool:
         """Return whether the joints i to k fill the group that they generate."""
-        return fills_group(twists[:, columns[first[i] : first[k]]], SAME, CLEAR)
+        return spans_lie_algebra(twists[:, columns[first[i] : first[k]]], SAME, CLEAR)
 
     pairs = [
         (i, k)

@@ -448,7 +448,7 @@ def _split_family(family: ConeFamily) -> list[ConeFamily]:
     return parts
 
 
-def are_shaky_far_out(equations: Equations, at: Split, families: list[ConeFamily]) -> bool:
+def are_branches_shaky(equations: Equations, at: Split, families: list[ConeFamily]) -> bool:
     """Return whether branches that are shaky near the configuration are so farther out.
 
     Two branches that touch closely look like one with multiplicity on small spheres; farther out
@@ -834,7 +834,7 @@ def _find_branches(
         )
     if not measure_families(equations, families, order, rng):
         doubts.append("points of one branch differ in dimension")
-    if not are_shaky_far_out(equations, at, families):
+    if not are_branches_shaky(equations, at, families):
         more.append("a branch is shaky near the configuration only, so several may nearly coincide")
     worst = max((s.obstructed or 0 for f in families for s in f.spots), default=0)
     if worst > 2:

@@ -22,7 +22,7 @@ from kempe.arrays import (
 )
 from kempe.errors import InputError, UnknownNameError
 from kempe.joints import P, R
-from kempe.late import import_late
+from kempe.late import import_late_member
 from kempe.model.coordinates import (
     OF_BALL,
     PART_OF_BALL,
@@ -139,7 +139,7 @@ def close_from_start(system: Model, coordinates: Mapping[str, Any], start: Any =
     given = compute_source_values(system, read_mapping(coordinates) or {})
     if len(given) == system.nq:
         return q
-    answer = import_late("assemble")(system, given, start)
+    answer = import_late_member("assemble")(system, given, start)
     if np.all(answer.success):
         return answer.q
     why = answer.status
@@ -207,13 +207,13 @@ def compute_source_values(system: Model, given: Mapping[str, Any]) -> Mapping[st
         together({f"coordinate {name!r}": x.shape, f"coordinate {source!r}": np.shape(leader)})
         if source is not None and np.ndim(leader) < x.ndim:
             out[source] = leader + np.zeros(x.shape)
-        refuse_misfit(
+        refuse_other_follower(
             f"coordinate {name!r}", follower, x, follower.multiplier * leader + follower.offset
         )
     return out
 
 
-def refuse_misfit(
+def refuse_other_follower(
     subject: str,
     follower: Follower,
     x: Array,
@@ -311,10 +311,10 @@ def read_finite_q(system: Model, q: Any, what: str = "q") -> Array:
         raise InputError(
             f"{what} has shape {array.shape}; it must be one configuration ({system.nq},)"
         )
-    return refuse_far(system, array, what)
+    return refuse_large_numbers(system, array, what)
 
 
-def refuse_far(system: Model, q: Array, what: str) -> Array:
+def refuse_large_numbers(system: Model, q: Array, what: str) -> Array:
     """Refuse configurations (..., nq) with numbers too large for a search; return the others.
 
     Errors: `InputError` that names the first other one.
@@ -329,9 +329,9 @@ def refuse_far(system: Model, q: Array, what: str) -> Array:
     return q
 
 
-def refuse_wound(system: Model, q: Array, what: str) -> Array:
-    """Refuse a configuration (nq,) of a motion with angles above `MOST_WOUND`; see `refuse_far`."""
-    refuse_far(system, q, what)
+def refuse_wound_angles(system: Model, q: Array, what: str) -> Array:
+    """Refuse a configuration (nq,) of a motion with large numbers, or angles above `MOST_WOUND`."""
+    refuse_large_numbers(system, q, what)
     layout = system.structure.layout
     turning = system.structure.coordinates.turning
     for i, k in zip(layout.vector_q, layout.vector_v, strict=True):

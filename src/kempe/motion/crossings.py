@@ -491,7 +491,7 @@ class SingularNode(Node):
     germ: Germ = field(kw_only=True, repr=False)
     half: int = field(kw_only=True)
 
-    def reversed(self) -> SingularNode:
+    def reverse_direction(self) -> SingularNode:
         """Return the same point with the opposite direction."""
         return replace(self, t=-self.t, half=self.germ.partner[self.half])
 
@@ -536,7 +536,7 @@ def find_germ(equations: Closure, x: Array, nullity: int = 0) -> Germ | None:
         points = sphere.search_circle(radius) if nullity == 2 else sphere.search_sphere(radius)
         if points is None:
             return None  # more than a curve
-        halves = [sphere.trace_inwards(z) for z in points]
+        halves = [sphere.trace_branch_inwards(z) for z in points]
         count = min((len(h) for h in halves), default=0)
         if count < LEAST_SAMPLES or len(halves) % 2:
             continue
@@ -789,7 +789,7 @@ class _Sphere:
         near = np.linalg.norm(found - z) < 0.5 * size
         return (found, direction) if near and spectrum.compute_rank(PARTED) >= e.n - 1 else None
 
-    def trace_inwards(self, z: Array) -> Array:
+    def trace_branch_inwards(self, z: Array) -> Array:
         """Trace a half-branch from z (n,) towards the center, as tangent vectors (m, n).
 
         The next one is looked for on the parabola through the center and the last one, with the

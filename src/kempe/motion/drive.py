@@ -54,7 +54,7 @@ from kempe.motion.start import (
     find_periods,
     read_longest_step,
     read_start_configuration,
-    read_wish,
+    read_wished_rates,
 )
 from kempe.motion.trace import Progress
 from kempe.numerics.clock import BROKEN_OFF, LONG, TimeLimit, find_time_limit, limit_time
@@ -816,7 +816,7 @@ def drive(
     read_flag(limits, "limits")
     spend = USUAL.complete_budget(budget)
     if list_timed_constraints(system):
-        return _drive_in_time(system, inputs, times, start, hold, toward, limits, budget)
+        return _drive_system_with_time(system, inputs, times, start, hold, toward, limits, budget)
     names = list(inputs)
     index = [find_angle_or_slide(system, n) for n in names]
     if hold and set(hold) & set(names):
@@ -853,14 +853,14 @@ def drive(
             said,
         )
     closure.budget = time
-    wish = read_wish(system, toward)
+    wish = read_wished_rates(system, toward)
     context = SegmentContext(
         closure, index, longest, OneSidedEnds(closure, limits), wish / closure.unit
     )
     return _drive_samples(context, q, names, clock, samples, spend.progress)
 
 
-def _drive_in_time(
+def _drive_system_with_time(
     system: Model,
     inputs: Mapping[str, Any],
     times: Any,

@@ -23,7 +23,7 @@ from kempe.equations.one_sided import pack_one_sided_rows
 from kempe.equations.velocity import list_velocity_row_names
 from kempe.errors import InputError, KempeError, UnknownNameError, UnsupportedError
 from kempe.mobility.classify import classify
-from kempe.model.configurations import has_loops, make_q, read_q, refuse_far
+from kempe.model.configurations import has_loops, make_q, read_q, refuse_large_numbers
 from kempe.model.model import keep_answers
 from kempe.motion.reeds_shepp import QUARTER, list_ways, wrap_angle
 from kempe.motion.rolling import compute_slip
@@ -620,7 +620,7 @@ def _read_configuration(system: Model, q: Any, what: str) -> Array:
         raise InputError(
             f"{what} has shape {array.shape}; it must be one configuration ({system.nq},)"
         )
-    refuse_far(system, array, what)
+    refuse_large_numbers(system, array, what)
     rows = pack_one_sided_rows(system)
     if (over := rows.compute_excess(array)).any():
         k = int(np.argmax(over))

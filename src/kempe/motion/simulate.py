@@ -183,7 +183,7 @@ class MovingRows:
         units = closure_rows.compute_coordinate_units(self.rows.system)
         self._unscale = 1.0 / (self.rows.scale[self.at_row, None] * units)
 
-    def keep_planes(self, which: np.ndarray) -> None:
+    def select_planes(self, which: np.ndarray) -> None:
         """Keep only some of the planes, by a mask or indices."""
         self.at_row = self.at_row[which]
         self.sign = self.sign[which]
@@ -251,7 +251,7 @@ def _make_moving_planes(
                 f"{system.name}: {name!r} is no plane for the centre of {body!r} at every time; "
                 "simulate knows bounces on planes, which may move"
             )
-    moving.keep_planes(np.linalg.norm(N, axis=-1).max(axis=0, initial=0.0) >= SAME)
+    moving.select_planes(np.linalg.norm(N, axis=-1).max(axis=0, initial=0.0) >= SAME)
     N, o = moving.evaluate_planes(0.0)
     return tuple(Plane(*each) for each in zip(moving.names, N, o.tolist(), strict=True))
 

@@ -18,7 +18,7 @@ from kempe.model.configurations import (
     find_home,
     make_q,
     read_q,
-    refuse_wound,
+    refuse_wound_angles,
     sample_configurations,
 )
 from kempe.model.coordinates import list_coordinate_names
@@ -70,7 +70,7 @@ def read_longest_step(step: float | None) -> float:
     return float(step)
 
 
-def read_wish(system: Model, toward: Mapping[str, float] | None) -> Array:
+def read_wished_rates(system: Model, toward: Mapping[str, float] | None) -> Array:
     """Read the rates (nv,) that choose a sense or a branch.
 
     Errors: `InputError`, `UnknownNameError`.
@@ -120,11 +120,11 @@ def read_start_configuration(system: Model, start: Any, hold: Mapping[str, float
         q = read_q(system, start)
     if q.shape != (system.nq,):
         raise InputError(f"start has shape {q.shape}; it must be one configuration ({system.nq},)")
-    refuse_wound(system, q, "start")
+    refuse_wound_angles(system, q, "start")
     held = make_q(system, hold, q)
     if held.shape != q.shape:
         raise InputError(f"hold is {format_value(hold)}; it must be one number for each coordinate")
-    return refuse_wound(system, held, "hold")
+    return refuse_wound_angles(system, held, "hold")
 
 
 def begin_motion(
@@ -273,7 +273,7 @@ def find_first_node(
     Errors: `UnsupportedError`.
     """
     system = equations.system
-    wish = read_wish(system, toward)
+    wish = read_wished_rates(system, toward)
     wish = wish / equations.unit if equations.n == system.nv else wish
     if not equations.n:
         return None
@@ -286,17 +286,17 @@ def find_first_node(
     if (here.nullity > 1 or rests) and lock_spins(equations, q, requested):
         here = make_node(equations, q)
 
-    def hold_low_rank(length: float) -> bool:
+    def hold_start_rank(length: float) -> bool:
         """Hold the rank at the start if that leaves a curve of this length."""
         return hold_rank(equations, q, lambda: (equations, make_node(equations, q)), length)
 
-    if here.nullity > 1 and hold_low_rank(LOW_RANK):
+    if here.nullity > 1 and hold_start_rank(LOW_RANK):
         here = make_node(equations, q)
     if here.nullity == 0:
         return None
     if here.nullity > 1:
         several = _choose_bifurcation_node(equations, here, driver, wish)
-        if several is None and not hold_low_rank(PROBE):
+        if several is None and not hold_start_rank(PROBE):
             raise UnsupportedError(
                 explain_freedom(equations, here.matrix, [driver] if driver else [])
             )

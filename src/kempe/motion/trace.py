@@ -127,7 +127,7 @@ class Endless:
         if float(out.max()) < self.next:
             return ""
         self.next *= 4.0
-        return self._explain_runaway(b)
+        return self._explain_endless_growth(b)
 
     def describe_return(self, b: Node) -> str:
         """Describe what is known about when a curve closes that was not followed so far."""
@@ -155,7 +155,7 @@ class Endless:
             if f.turns and f.source in moving:
                 return self._explain_unrelated_turns(f.name, f.factor, f.source)
         if any(i in self.away for i in moving):
-            return self._explain_runaway(b)
+            return self._explain_endless_growth(b)
         lead = max(moving, key=lambda i: abs(b.t[i]) / self.periods[i], default=-1)
         for i in moving:
             factor = float(b.t[i] / b.t[lead])
@@ -180,7 +180,7 @@ class Endless:
             f"whole numbers up to {MOST_TURNS}"
         )
 
-    def _explain_runaway(self, b: Node) -> str:
+    def _explain_endless_growth(self, b: Node) -> str:
         """Explain which coordinates grow without end, by longer and longer steps ahead.
 
         The text is empty where one of them turns back, or the curve ends.
@@ -440,7 +440,7 @@ def _read_options(
 
 def _trace_branch(equations: Closure, first: Node, options: _Options) -> Path:
     """Trace the whole branch from its first node."""
-    nodes, reason, closed, broken = _walk_one_way(equations, first, options, options.most)
+    nodes, reason, closed, broken = _walk_half_curve(equations, first, options, options.most)
     ends = ("the start", reason)
     left = options.most - len(nodes)
     if (
@@ -451,7 +451,7 @@ def _trace_branch(equations: Closure, first: Node, options: _Options) -> Path:
         and not reason.startswith(NO_RETURN)
     ):
         singular = isinstance(first, SingularNode)
-        back, other, _, broken = _walk_one_way(
+        back, other, _, broken = _walk_half_curve(
             equations,
             first.make_opposite_node() if singular else first.reverse_direction(),
             options,
@@ -466,7 +466,7 @@ def _trace_branch(equations: Closure, first: Node, options: _Options) -> Path:
     return _make_path(equations, nodes, options, closed, ends, broken)
 
 
-def _walk_one_way(
+def _walk_half_curve(
     equations: Closure, first: Node, options: _Options, most: int
 ) -> tuple[list[Node], str, bool, BaseException | None]:
     """Walk one way from the first node.

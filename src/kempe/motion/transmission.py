@@ -65,15 +65,15 @@ class LoopJacobian(Report):
     def status(self) -> Any:
         """Sentence for one configuration; an array of sentences for several configurations."""
         if np.ndim(self.code) == 0:
-            return self._sentence(
+            return self._make_sentence(
                 int(self.code), int(self.rank), int(self.nullity)
             ) + describe_nearest(self.within)
         out = np.empty(np.shape(self.code), dtype=object)
         for i in np.ndindex(out.shape):
-            out[i] = self._sentence(int(self.code[i]), int(self.rank[i]), int(self.nullity[i]))
+            out[i] = self._make_sentence(int(self.code[i]), int(self.rank[i]), int(self.nullity[i]))
         return out
 
-    def _sentence(self, code: Any, rank: int, nullity: int) -> str:
+    def _make_sentence(self, code: Any, rank: int, nullity: int) -> str:
         names = " and ".join(map(repr, self.inputs))
         motions = format_count(nullity, "first-order motion")
         if code == Status.SOLVED:

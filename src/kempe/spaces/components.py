@@ -117,7 +117,7 @@ class Component(InWords):
         system = self.paths[0].system
         events = [e for p in self.paths for e in p.singular_points]
         q = np.array([e.q for e in events]).reshape(-1, system.nq)
-        numbers: list[int] = get_metric(system).find_unique(q, SAME).tolist()
+        numbers: list[int] = get_metric(system).find_unique_configurations(q, SAME).tolist()
         return tuple(events[k] for k in numbers)
 
     def place(self, q: Array) -> tuple[np.ndarray, Array, Array]:
@@ -388,7 +388,7 @@ def _count_components(system: Model, spend: Budget, time: TimeLimit) -> Componen
         freedoms.dof,
         freedoms.idle,
         traced.parts,
-        singular[get_metric(system).find_unique(singular, SAME)],
+        singular[get_metric(system).find_unique_configurations(singular, SAME)],
         traced.late,
         traced.interrupted,
     )

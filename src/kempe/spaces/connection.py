@@ -65,12 +65,12 @@ class Tree:
             np.argmin(self.manifold.compute_distances(self.q, np.broadcast_to(q, self.q.shape)))
         )
 
-    def grow_towards(self, aim: Array, step: float, time: TimeLimit) -> int:
+    def grow_tree(self, aim: Array, step: float, time: TimeLimit) -> int:
         """Add configurations step by step towards the aim (nq,), and return the number of the last
         one.
         """
         at = self.find_nearest(aim)
-        for q in step_towards(self.manifold, self.q[at][None], aim[None], step, time)[0]:
+        for q in step_towards_aims(self.manifold, self.q[at][None], aim[None], step, time)[0]:
             self.q, at = np.concatenate([self.q, q[None]]), self._add_node(at)
         return at
 
@@ -88,7 +88,7 @@ class Tree:
         return out[::-1]
 
 
-def step_towards(
+def step_towards_aims(
     manifold: Manifold, q: Array, aims: Array, step: float, time: TimeLimit, most: Any = np.inf
 ) -> list[list[Array]]:
     """Step on the manifold, within limits, from each q (k, nq) towards its aim (k, nq).
@@ -135,7 +135,7 @@ def step_towards(
     return out
 
 
-def join_by_trees(
+def join_configurations_by_trees(
     manifold: Manifold,
     a: Array,
     b: Array,
@@ -154,8 +154,8 @@ def join_by_trees(
         one = trees[k % 2]
         other = trees[1 - k % 2]
         aim = other.q[0] if k < 2 else sample_configurations(manifold.system, rng)
-        here = one.grow_towards(aim, coarse, time)
-        there = other.grow_towards(one.q[here], coarse, time)
+        here = one.grow_tree(aim, coarse, time)
+        there = other.grow_tree(one.q[here], coarse, time)
         if manifold.compute_distances(one.q[here][None], other.q[there][None])[0] < MET:
             ways = one.list_way(here), other.list_way(there)
             first, second = ways if k % 2 == 0 else ways[::-1]
@@ -183,7 +183,7 @@ def _shorten_way(
         points = np.array(way)
         i = ends[:, 0]
         j = ends[:, 1]
-        cuts = step_towards(manifold, points[i], points[j], step, time, j - i - 1)
+        cuts = step_towards_aims(manifold, points[i], points[j], step, time, j - i - 1)
         pairs: list[tuple[int, int]] = ends.tolist()
         better = [
             (len(cut) - (b - a), a, b, cut)
@@ -313,7 +313,7 @@ def find_connection(system: Model, q0: Any, q1: Any, *, budget: Budget | None = 
                 why = f"{name} is outside the limits of {which}"
                 return Connection(_make_empty_way(system), Status.OUTSIDE_LIMITS, why, step, system)
         if has_loops(system):
-            return _connect_closed(system, a, b, step, rng, spend, time)
+            return _connect_closed_loops(system, a, b, step, rng, spend, time)
         found = _make_straight_way(manifold, a, b, step)
         if manifold.are_allowed(found).all():
             return Connection(found, Status.SOLVED, "the straight way", step, system)
@@ -354,7 +354,7 @@ def _make_straight_way(manifold: Manifold, a: Array, b: Array, step: float) -> A
     )
 
 
-def _connect_closed(
+def _connect_closed_loops(
     system: Model,
     a: Array,
     b: Array,
@@ -491,7 +491,9 @@ def _connect_by_trees(
     time: TimeLimit,
 ) -> Connection:
     """Connect two configurations by random trees on the manifold."""
-    found, grown = join_by_trees(manifold, a, b, step, rng, int(spend.iterations or 1), time)
+    found, grown = join_configurations_by_trees(
+        manifold, a, b, step, rng, int(spend.iterations or 1), time
+    )
     if found is None:
         why = (
             f"two random trees of {grown} configurations did not meet, which is no proof that "

@@ -183,7 +183,7 @@ def _make_sample(
 def _answer_no_time(time: TimeLimit, system: Model, n: float, *_: Any, **__: Any) -> Sample:
     """Make the answer for a time limit that passed before a configuration was drawn."""
     none = f"none is known: {time.describe_end_reason(TimeUp())} came first"
-    return _mark_broken(
+    return _mark_interrupted_answer(
         _make_sample(system, int(n), np.empty((0, system.nq)), "no measure", False, none, 0.0),
         TimeUp(),
     )
@@ -276,7 +276,7 @@ def _sample_tree(
     how = "drawn independently" + (
         f", {taken:.2g} of them within one-sided constraints" if rows.declared else ""
     )
-    return _mark_broken(
+    return _mark_interrupted_answer(
         _make_sample(system, n, q[:n], "the product of the coordinates", True, how, taken), why
     )
 
@@ -318,7 +318,7 @@ def _sample_curves(system: Model, n: int, rng: np.random.Generator, spend: Budge
         f"{length.sum():.6g}"
     )
     how += "" if found.complete else "; curves may have been missed"
-    return _mark_broken(
+    return _mark_interrupted_answer(
         _make_sample(system, n, q, "arc length", bool(found.complete), how), None, found.late
     )
 
@@ -359,7 +359,7 @@ def _sample_by_walk(
     starts = f"{'each of ' * (len(walkers.q) > 1)}{format_count(len(walkers.q), 'assembly')}"
     how = f"a random walk of {format_count(each, 'step')} from {starts}"
     how += f", {walkers.acceptance_rate:.2g} of them taken"
-    return _mark_broken(
+    return _mark_interrupted_answer(
         _make_sample(system, n, q, measure, False, how, walkers.acceptance_rate), why
     )
 
@@ -411,7 +411,9 @@ def _refuse_unbounded(names: list[str]) -> None:
         raise InputError(f"{said}, and nothing is uniform there: {cure}")
 
 
-def _mark_broken(answer: Sample, why: BaseException | None, late: bool = False) -> Sample:
+def _mark_interrupted_answer(
+    answer: Sample, why: BaseException | None, late: bool = False
+) -> Sample:
     """Mark an answer whose work was ended by the time limit or by Ctrl-C."""
     if why is None and not late:
         return answer

@@ -20,7 +20,7 @@ from kempe.assemble.dyads import find_source_values
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.errors import InputError, format_value
 from kempe.forward.fk import fk, jacobian
-from kempe.late import import_late
+from kempe.late import import_late_member
 from kempe.model.configurations import find_free_angles, shorten_turns
 from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, describe_early_end
 from kempe.numerics.curves import Curve, Node, find_next_node, make_node, walk_curve
@@ -130,7 +130,7 @@ class SingularCurves(Report):
 
         Errors: `InputError` where there are no curves, or no frame.
         """
-        return import_late("plots of singularities").plot_curves(self, ax)
+        return import_late_member("plots of singularities").plot_curves(self, ax)
 
     def _list_notes(self, degrees: bool = False) -> list[str]:
         return [str(c) for c in self.curves]

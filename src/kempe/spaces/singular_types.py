@@ -231,7 +231,7 @@ class RankQuestions:
             found = [close_loops(equations, q) for q in self.starts]
             self.starts = np.array([q for q in found if q is not None]).reshape(-1, system.nq)
             if limits:
-                self.starts = _assemble_inside(system, self.starts)
+                self.starts = _assemble_inside_limits(system, self.starts)
         if not len(self.starts):
             raise InputError(
                 f"{system.name}: no configuration with closed loops was found in "
@@ -257,7 +257,7 @@ class RankQuestions:
         )
         self.columns = np.arange(system.nv) if self.loops else np.flatnonzero(moving)
 
-    def find_nearly_singular(self, problems: dict[str, RankLoss]) -> dict[str, Array]:
+    def find_near_singularities(self, problems: dict[str, RankLoss]) -> dict[str, Array]:
         """Find nearly singular configurations (k, nq) for each question. They are closed, inside
         the limits, and between the starts.
 
@@ -269,7 +269,7 @@ class RankQuestions:
         t = np.arange(PARTS + 1) / PARTS
         if not len(own):
             return dict.fromkeys(problems, own)
-        q, ok = self._close_between(
+        q, ok = self._close_intermediate(
             np.repeat(own, len(t), axis=0),
             np.repeat(np.roll(own, 1, axis=0), len(t), axis=0),
             np.tile(t, len(own)),
@@ -284,7 +284,7 @@ class RankQuestions:
                 out[kind] = q[ok][np.argsort(problem.compute_least_values(q[ok]))[:NEARLY]]
         return out
 
-    def _close_between(self, a: Array, b: Array, t: Array) -> tuple[Array, np.ndarray]:
+    def _close_intermediate(self, a: Array, b: Array, t: Array) -> tuple[Array, np.ndarray]:
         """Close configurations (k, nq) at fractions t (k,) of straight ways. A mask (k,) tells
         whether they close.
         """
@@ -301,7 +301,7 @@ class RankQuestions:
     def _locate_sign_changes(self, problem: RankLoss, a: Array, b: Array) -> Array:
         """Locate sign changes of the determinant between configurations a and b (k, nq)."""
         for _ in range(HALVED if len(a) else 0):
-            middle, ok = self._close_between(a, b, np.full(len(a), 0.5))
+            middle, ok = self._close_intermediate(a, b, np.full(len(a), 0.5))
             a = a[ok]
             b = b[ok]
             middle = middle[ok]
@@ -397,7 +397,7 @@ class RankQuestions:
         size = np.where(turn > Level.GENERIC, turn, np.maximum(slide, 1e-300))
         return full / size[:, None] + 0.0
 
-    def describe_locally(self, q: Array, problems: dict[str, RankLoss]) -> LostAndGained:
+    def describe_local_twists(self, q: Array, problems: dict[str, RankLoss]) -> LostAndGained:
         """Describe the lost and gained twists at a closed configuration (nq,)."""
         kinds = [kind for kind, p in problems.items() if p.is_singular(q[None])[0]]
         N = np.eye(self.system.nv)
@@ -438,7 +438,7 @@ class RankQuestions:
         return LostAndGained(tuple(kinds), rank, lost, gained, still)
 
 
-def _assemble_inside(system: Model, q: Array) -> Array:
+def _assemble_inside_limits(system: Model, q: Array) -> Array:
     """Replace closed configurations (k, nq) outside the limits by ones inside. This is done where
     `assemble` finds some.
 

@@ -32,7 +32,7 @@ from kempe.forward.fk import jacobian
 from kempe.inverse.closed_forms.branch_names import Kind, name_branches, recognise_kind
 from kempe.inverse.closed_forms.chain_lines import Lines
 from kempe.inverse.closed_forms.plan import find_plan_or_reason
-from kempe.late import import_late
+from kempe.late import import_late_member
 from kempe.model.configurations import (
     find_free_angles,
     has_loops,
@@ -231,7 +231,7 @@ class Singularities(Report, Tabular):
             distances[str(s)] = min(d, distances.get(str(s), np.inf))
         i = int(np.argmin([d for _, d in found]))
         there, distance = found[i]
-        local = self.questions.describe_locally(there, self.problems)
+        local = self.questions.describe_local_twists(there, self.problems)
         s = self.sets[i]
         return NearestSingular(
             self.system,
@@ -257,7 +257,7 @@ class Singularities(Report, Tabular):
         `Interrupted`); `options` are those of `System.plot`.
         Errors: `InputError` where no set was found.
         """
-        plots = import_late("plots of singularities")
+        plots = import_late_member("plots of singularities")
         curves = call_until_interrupt(plots.find_shown_curves, self, budget)
         axes = plots.plot_singularities(self, curves, ax=ax, **options)
         if curves is not None and curves.broken is Status.INTERRUPTED:
@@ -438,7 +438,7 @@ def singularities(
             if loops and limits:
                 clock.check_time()
                 for key, row in _find_singular_rows(
-                    questions, problems, questions.find_nearly_singular(problems), task, limits
+                    questions, problems, questions.find_near_singularities(problems), task, limits
                 ):
                     found.setdefault(key, []).append(row)
     except BROKEN_OFF as error:
@@ -483,7 +483,7 @@ def _find_singular_rows(
             else [""] * len(q)
         )
         for at, word in zip(q, names, strict=True):
-            local = questions.describe_locally(at, problems)
+            local = questions.describe_local_twists(at, problems)
             key = (
                 local.kinds,
                 word,
@@ -575,7 +575,7 @@ def _make_set(system: Model, key: Key, rows: list[Row], problems: list[RankLoss]
     if deciding and dimension == len(columns) - len(deciding) and (at >= 0).all():
         values = _select_distinct(system, q[:, at], deciding)
     if dimension == 0:
-        keep = get_metric(system).find_unique(q, SAME).tolist()
+        keep = get_metric(system).find_unique_configurations(q, SAME).tolist()
         rows = [rows[i] for i in keep]
         q = q[keep]
     return SingularSet(

@@ -129,7 +129,7 @@ class NodeSolver:
         """Compute the distances (...) of configurations (..., nq) from others."""
         return self.manifold.metric.compute_distances(q, to, self.counts)
 
-    def are_same(self, q: Array, to: Array) -> np.ndarray:
+    def are_configurations_equal(self, q: Array, to: Array) -> np.ndarray:
         """Whether (...) configurations (..., nq) are the same as others."""
         return self.compute_distances(q, to) < SAME
 
@@ -171,7 +171,9 @@ def flood_lattice(
                 x, ok = solver.solve_nodes(
                     missing, q[i : i + AT_ONCE], node[i : i + AT_ONCE], tries
                 )
-                found = _add_found(solver, found, count, x[ok], node[i : i + AT_ONCE][ok], new)
+                found = _add_found_configurations(
+                    solver, found, count, x[ok], node[i : i + AT_ONCE][ok], new
+                )
             at, slot = (
                 np.concatenate([x[k] for x in new]).astype(int) if new else np.zeros(0, dtype=int)
                 for k in (0, 1)
@@ -191,7 +193,7 @@ def flood_lattice(
     return Lattice(found[:, :most], np.arange(most) < count[:, None], broken)
 
 
-def _add_found(
+def _add_found_configurations(
     solver: NodeSolver,
     found: Array,
     count: np.ndarray,
@@ -211,7 +213,7 @@ def _add_found(
         known = np.zeros(len(at), dtype=bool)
         for slot in range(int(count[at].max(initial=0))):
             there = slot < count[at]
-            known[there] |= solver.are_same(x[there], found[at[there], slot])
+            known[there] |= solver.are_configurations_equal(x[there], found[at[there], slot])
         x = x[~known & (count[at] < MOST)]
         at = at[~known & (count[at] < MOST)]
         if count[at].max(initial=0) >= found.shape[1]:
@@ -540,7 +542,7 @@ class TwoFreedoms:
         ok = ok.reshape(n, k)
         for j in range(1, k):
             for i in range(j):
-                ok[:, j] &= ~(ok[:, i] & self.solver.are_same(x[:, j], x[:, i]))
+                ok[:, j] &= ~(ok[:, i] & self.solver.are_configurations_equal(x[:, j], x[:, i]))
         return self._bring_inside(x, ok)
 
     def _bring_inside(self, q: Array, mask: np.ndarray) -> tuple[Array, np.ndarray]:
@@ -663,7 +665,9 @@ class Dyads(TwoFreedoms):
         if self.placed is None:
             return super().find_solutions(p)
         q, mask = self.solve_places(p)
-        return q[mask][self.manifold.metric.find_unique(q[mask], SAME, self.solver.counts)]
+        return q[mask][
+            self.manifold.metric.find_unique_configurations(q[mask], SAME, self.solver.counts)
+        ]
 
 
 def make_two_freedoms(

@@ -361,9 +361,9 @@ def _render_picture(system: Model) -> str:
     if len(system.parent) > MOST_DRAWN:
         return ""
     try:
-        from kempe.views.plots import draw_bare
+        from kempe.views.plots import draw_bare_system
 
-        figure: Any = draw_bare(system).figure
+        figure: Any = draw_bare_system(system).figure
     except (KempeError, ValueError, ArithmeticError):
         return ""
     return format_html_image(figure, f"picture of {system.name}")

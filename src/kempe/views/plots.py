@@ -116,7 +116,7 @@ def plot(system: Model, q: Any = None, *, path: Any = None, **options: Any) -> A
             inside = {"y": 1.0, "pad": -12.0} if chosen.ax is None else {}
             ax.set_title(given[0], size=style.FONT + 1, color=style.INK, **inside)
         return ax
-    return _draw_side_by_side(drawing, subjects)
+    return _draw_subjects(drawing, subjects)
 
 
 def _find_missed_target(system: Model, answer: Any) -> Array | None:
@@ -130,7 +130,7 @@ def _find_missed_target(system: Model, answer: Any) -> Array | None:
     return ends if np.isfinite(ends).all() else None
 
 
-def draw_bare(system: Model) -> Axes:
+def draw_bare_system(system: Model) -> Axes:
     """Draw a system with default options in a figure that is independent of pyplot."""
     subject = make_subject(
         system, choose_configuration(system, None)[None], None, None, (), PlotOptions(), ()
@@ -202,7 +202,7 @@ def _compute_workspace(system: Model, options: PlotOptions) -> Any:
     return planar_workspace(system, options.workspace)
 
 
-def _draw_side_by_side(drawing: Any, subjects: list[Subject]) -> tuple[Axes, ...]:
+def _draw_subjects(drawing: Any, subjects: list[Subject]) -> tuple[Axes, ...]:
     """Draw each subject on axes of its own, in rows of up to `ACROSS`, all with the same scale."""
     rows = -(-len(subjects) // ACROSS)
     across = -(-len(subjects) // rows)

@@ -18,7 +18,7 @@ from kempe.constraints.flat_tasks import FlatTask, find_flat_task
 from kempe.equations.judge import closure_error
 from kempe.errors import InputError, Interrupted, TimeLimitError, UnsupportedError, format_value
 from kempe.forward.fk import fk, jacobian
-from kempe.model.configurations import has_loops, list_units, read_q, refuse_far
+from kempe.model.configurations import has_loops, list_units, read_q, refuse_large_numbers
 from kempe.motion.trace import trace
 from kempe.numerics.clock import TIME_LIMIT, TimeLimit, describe_early_end
 from kempe.spaces.two_freedoms import NEEDED, TwoFreedoms, make_two_freedoms
@@ -137,7 +137,7 @@ def plot_spaces(
     if lines:
         _draw_grid(space, left, right)
     if curves is None:
-        _draw_singular(space, left, right, every)
+        _draw_singular_curves(space, left, right, every)
     else:
         _draw_curves(space, left, right, curves)
     for k, target in enumerate(targets):
@@ -184,7 +184,7 @@ def _read_configurations(system: Model, q: Any) -> Array:
             f"q has shape {array.shape}; it must be ({system.nq},) or (n, {system.nq})"
         )
     if array.ndim == 1:
-        return refuse_far(system, array, "q")
+        return refuse_large_numbers(system, array, "q")
     return array[np.isfinite(array).all(axis=1)]
 
 
@@ -419,7 +419,7 @@ def _draw_curves(space: TwoFreedoms, left: Any, right: Any, curves: Any) -> None
         )
 
 
-def _draw_singular(space: TwoFreedoms, left: Any, right: Any, grid: Array) -> None:
+def _draw_singular_curves(space: TwoFreedoms, left: Any, right: Any, grid: Array) -> None:
     """Draw where the frame of a chain loses a direction of velocity, and the image of these curves."""
     size = _compute_area(space, grid)
     scale = float(np.abs(size).max())

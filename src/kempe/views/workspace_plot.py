@@ -252,13 +252,13 @@ def plot_reach(study: ReachStudy, ax: Axes | None = None) -> Axes:
                 label=name,
             )
             line[0].set_gid(f"poses:{name}")
-    _show_all(drawn, points[np.isfinite(points).all(axis=1), :dim], ax is None)
+    _set_axis_limits(drawn, points[np.isfinite(points).all(axis=1), :dim], ax is None)
     if len(points):
         page.draw_legend(drawn, ax is None)
     return drawn
 
 
-def _show_all(ax: Any, points: Array, own: bool) -> None:
+def _set_axis_limits(ax: Any, points: Array, own: bool) -> None:
     """Set limits of axes, with one scale, so that points (n, 2 or 3) are inside."""
     names = "xyz"[: points.shape[1]]
     limits = np.array([getattr(ax, f"get_{name}lim")() for name in names])

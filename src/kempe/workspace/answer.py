@@ -20,7 +20,7 @@ from kempe.arrays import read_reals
 from kempe.description.source import expand_path
 from kempe.errors import InputError, MissingExtraError, UnsupportedError
 from kempe.forward.fk import jacobian
-from kempe.late import call_late, import_late
+from kempe.late import call_late_function, import_late_member
 from kempe.report import Report, Table
 from kempe.spaces.task_space import compute_image_ranks
 from kempe.spatial import Array
@@ -131,7 +131,7 @@ def _sample_in_cells(cells: CellMap, numbers: np.ndarray, rng: np.random.Generat
     )
 
 
-def decide_reached(
+def decide_reached_points(
     system: Model, frame: str, cells: CellMap, points: Array, seed: int, question: WorkspaceKind
 ) -> np.ndarray:
     """Decide whether points (n, 3) are reached, by the map in inner cells, else by inverse
@@ -540,7 +540,7 @@ class Workspace(Report):
         elif check:
             found = self.question.find_reached_points(self.system, self.frame, flat, self.seed)
         else:
-            found = decide_reached(
+            found = decide_reached_points(
                 self.system, self.frame, self.map, flat, self.seed, self.question
             )
         return found.reshape(lead)
@@ -609,7 +609,7 @@ class Workspace(Report):
 
     def plot(self, at: Any = None, ax: Any = None) -> Any:
         """Draw the map in Matplotlib axes; see `kempe.views.workspace_plot.plot_workspace`."""
-        return import_late("plots of workspaces").plot_workspace(self, at, ax)
+        return import_late_member("plots of workspaces").plot_workspace(self, at, ax)
 
     # ---- in words
 
@@ -725,7 +725,7 @@ def open_workspace(path: str | Path, system: Model | None = None) -> Workspace:
         from kempe.description.toml_reader import read_toml
 
         with pause_garbage_collection():
-            own: Model = call_late("System", read_toml(toml))
+            own: Model = call_late_function("System", read_toml(toml))
             system = own
     refuse_other_map(samples.said, {"system": system.structure.content_hash}, str(path))
     return Workspace(system, samples, samples.samples)

@@ -21,12 +21,12 @@ from kempe.arguments import (
 from kempe.arrays import is_mapping, is_whole
 from kempe.budget import Budget, Usual
 from kempe.errors import InputError
-from kempe.late import import_late
+from kempe.late import import_late_member
 from kempe.numerics.clock import LONG
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import Quantity, format_count
-from kempe.workspace.reach import MOST, Study, check_targets, refuse_many, study_places
+from kempe.workspace.reach import MOST, Study, check_targets, refuse_many_poses, study_places
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -107,7 +107,7 @@ class BasePlacement(Study):
 
         Over a single axis it is a curve.
         """
-        return import_late("plots of workspaces").plot_placement(self, ax)
+        return import_late_member("plots of workspaces").plot_placement(self, ax)
 
     @property
     def status(self) -> str:
@@ -172,7 +172,7 @@ def place_base(
     X = check_targets(X)
     axes, fixed = _read_axes(system, box, cells)
     shape = tuple(len(v) for v in axes.values())
-    refuse_many(int(np.prod(shape)) * len(X), "cells")
+    refuse_many_poses(int(np.prod(shape)) * len(X), "cells")
     grid = np.meshgrid(*axes.values(), indexing="ij")
     places = np.zeros((int(np.prod(shape)), 4))
     for i, n in enumerate(AXES):

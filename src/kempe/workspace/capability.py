@@ -18,13 +18,13 @@ from kempe.arguments import explain_errors, explain_method_errors, numbers, rais
 from kempe.arrays import is_sequence, is_whole
 from kempe.budget import Budget, Usual
 from kempe.errors import InputError, TimeLimitError
-from kempe.late import import_late
+from kempe.late import import_late_member
 from kempe.numerics.clock import LONG
 from kempe.spaces.task_space import task_space
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import format_count
-from kempe.workspace.reach import MOST, UNKNOWN, Study, refuse_many, study_places
+from kempe.workspace.reach import MOST, UNKNOWN, Study, refuse_many_poses, study_places
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -115,7 +115,7 @@ class CapabilityMap(Study):
 
         It is that of the layer of cells nearest to a height, by default the middle.
         """
-        return import_late("plots of workspaces").plot_capability(self, ax, height)
+        return import_late_member("plots of workspaces").plot_capability(self, ax, height)
 
 
 def spread_directions(n: int) -> Array:
@@ -164,7 +164,7 @@ def capability_map(
     angles = None if rolls is None else 2.0 * np.pi * np.arange(int(rolls)) / int(rolls)
     R = _make_rotations(d, angles, dim)
     centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, dim)
-    refuse_many(len(centres) * len(R), "cells or directions")
+    refuse_many_poses(len(centres) * len(R), "cells or directions")
     task = None if dim == 2 or rolls is not None else "position_axis"
 
     def make_targets(first: int, last: int) -> Array:

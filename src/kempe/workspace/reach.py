@@ -22,7 +22,7 @@ from kempe.forward.fk import jacobian
 from kempe.inverse.closed_forms.plan import find_plan_or_reason
 from kempe.inverse.ik import ik
 from kempe.inverse.ik_all import ik_all
-from kempe.late import import_late
+from kempe.late import import_late_member
 from kempe.model.characteristic_length import compute_characteristic_length
 from kempe.model.configurations import has_loops, list_units, name_values
 from kempe.numerics.clock import BROKEN_OFF, TimeLimit, describe_early_end
@@ -157,7 +157,7 @@ def study_targets(
     )
 
 
-def refuse_many(poses: int, fewer: str) -> None:
+def refuse_many_poses(poses: int, fewer: str) -> None:
     """Refuse a map that would try more than `MOST` poses. Errors: `InputError`."""
     if poses > MOST:
         raise InputError(f"{poses} poses would be tried; {MOST} at most: take fewer {fewer}")
@@ -288,7 +288,7 @@ class ReachStudy(Study, Tabular):
 
         Reached ones are dots, others crosses, those that were not tried rings.
         """
-        return import_late("plots of workspaces").plot_reach(self, ax)
+        return import_late_member("plots of workspaces").plot_reach(self, ax)
 
     def reason(self, index: int) -> str:
         """Return the sentence of `System.ik` for a pose: how it is reached, or what blocks it.

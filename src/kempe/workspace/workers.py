@@ -76,7 +76,7 @@ def work_in_threads(
     done = 0
     active = 0
 
-    def check_stopped() -> None:
+    def check_stop() -> None:
         """Raise `Stopped` if the work is over."""
         if over.is_set():
             raise Stopped
@@ -92,7 +92,7 @@ def work_in_threads(
         with state:
             active += 1
         try:
-            with watched_by(*[check_stopped] * stops):
+            with watched_by(*[check_stop] * stops):
                 while (item := take_item()) is not END:
                     work(number, item)
                     with state:

@@ -22,7 +22,7 @@ from kempe.inverse.closed_forms.structure import (
     Axes,
     are_parallel,
     do_axes_meet,
-    keeps_point,
+    is_spherical_triple,
 )
 from kempe.kernels.forward.table_layout import SLIDE, TURN
 from kempe.spatial import Array
@@ -107,12 +107,12 @@ def recognise_kind(plan: ChainPlan, planar: bool) -> Kind | None:
     ):
         return None
     three = are_parallel(axes.h[2], axes.h[3])
-    wrist = keeps_point(axes, 3) or (
+    wrist = is_spherical_triple(axes, 3) or (
         three and not are_parallel(axes.h[3], axes.h[4]) and do_axes_meet(axes, 4, 5)
     )
     if not wrist:
         return None
-    kind = Kind(SPATIAL, three and not keeps_point(axes, 3))
+    kind = Kind(SPATIAL, three and not is_spherical_triple(axes, 3))
     _, h, o = compute_line_placements(lines, np.zeros((1, n)))
     return (
         kind
@@ -123,7 +123,7 @@ def recognise_kind(plan: ChainPlan, planar: bool) -> Kind | None:
 
 def _recognise_sliding_kind(plan: ChainPlan, axes: Axes) -> Kind | None:
     """Recognise an arm of six joints with slides before a spherical wrist."""
-    if len(axes.kinds) != 6 or plan.task != "pose" or not keeps_point(axes, 3):
+    if len(axes.kinds) != 6 or plan.task != "pose" or not is_spherical_triple(axes, 3):
         return None
     before = axes.kinds[:3]
     if np.all(before == SLIDE):
@@ -135,7 +135,7 @@ def _recognise_sliding_kind(plan: ChainPlan, axes: Axes) -> Kind | None:
 def _recognise_seven_turns(lines: Lines) -> Kind | None:
     """Recognise an arm of seven turns with a spherical shoulder and a spherical wrist."""
     axes = Axes(lines.kinds, lines.h, lines.o)
-    if not (keeps_point(axes, 0) and keeps_point(axes, 4)):
+    if not (is_spherical_triple(axes, 0) and is_spherical_triple(axes, 4)):
         return None
     _, h, o = compute_line_placements(lines, np.zeros((1, 7)))
     return (

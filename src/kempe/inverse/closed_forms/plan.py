@@ -624,7 +624,7 @@ def make_locked_plan(lines: Lines, task: str, fixed: tuple[int, ...], planar: bo
     best: tuple[tuple[float, ...], ChainPlan] | None = None
     choices = list(_iterate_lock_choices(lines, task, free, unknown, extra, rank))
     for carried, some in itertools.groupby(
-        choices, lambda choice: _holds_all_slides(lines, unknown, choice)
+        choices, lambda choice: _are_all_slides_held(lines, unknown, choice)
     ):
         group = [tuple(sorted((*fixed, *choice))) for choice in some]
         plans = [
@@ -691,7 +691,7 @@ def _iterate_lock_choices(
             return
 
 
-def _holds_all_slides(lines: Lines, unknown: list[int], choice: tuple[int, ...]) -> bool:
+def _are_all_slides_held(lines: Lines, unknown: list[int], choice: tuple[int, ...]) -> bool:
     """Return whether a choice of locked joints holds all slides and leaves an arm of turns."""
     slides = [i for i in unknown if lines.kinds[i] == SLIDE]
     return bool(slides) and set(slides) <= set(choice)

@@ -107,7 +107,7 @@ def find_meeting_point(axes: Axes, places: tuple[int, ...]) -> Array | None:
     return centre if float(away.max()) <= EXACT else None
 
 
-def keeps_point(axes: Axes, k: int) -> bool:
+def is_spherical_triple(axes: Axes, k: int) -> bool:
     """Return whether turns k, k + 1, k + 2 meet in a point, as a spherical joint does.
 
     They must allow any rotation near most positions.
@@ -120,7 +120,7 @@ def keeps_point(axes: Axes, k: int) -> bool:
     )
 
 
-def keeps_plane(axes: Axes, k: int) -> bool:
+def is_planar_triple(axes: Axes, k: int) -> bool:
     """Return whether joints k, k + 1, k + 2 move a plane in itself with three freedoms."""
     turns = [i for i in range(k, k + 3) if axes.kinds[i] == TURN]
     slides = [i for i in range(k, k + 3) if axes.kinds[i] == SLIDE]
@@ -178,7 +178,7 @@ def find_strategies(variants: list[Axes], goals: list[Any], at_rest: set[int]) -
         now = [axes.reorder_lines(order) for axes in variants]
         for k in range(4):
             outer = {order[(k + 3 + i) % 6] for i in range(3)}
-            for what, keeps in ((POINT, keeps_point), (PLANE, keeps_plane)):
+            for what, keeps in ((POINT, is_spherical_triple), (PLANE, is_planar_triple)):
                 if not all(keeps(axes, k) for axes in now):
                     continue
                 if outer <= at_rest:

@@ -262,11 +262,11 @@ class Demands:
                 callback.error = None
                 if not isinstance(error, EndReached):
                     raise error
-        return self._restore_untouched(
+        return self._restore_free_coordinates(
             self.packed.wrap_wide_angles(q) if self.limits else q, starts
         ), info
 
-    def _restore_untouched(self, q: Array, starts: Array) -> Array:
+    def _restore_free_coordinates(self, q: Array, starts: Array) -> Array:
         """Set coordinates that no task depends on to their values in the starts, in place."""
         if self.mode != S.NOTHING:
             return q

@@ -14,7 +14,7 @@ from kempe.answers.problem import Problem
 from kempe.arguments import draw_seed, read_start_count, read_step_count, read_tolerances
 from kempe.arrays import is_sequence, is_whole
 from kempe.assemble.bound import TOLERANCE as CLOSED
-from kempe.assemble.nearest_exact import decide_nearest_exact, find_ideal_system
+from kempe.assemble.nearest_exact import find_ideal_system, find_nearest_exact_in_time
 from kempe.budget import Usual
 from kempe.constraints.base import Constraint
 from kempe.equations.packed_tasks import Packed, find_leading_shape, refuse_goal
@@ -46,7 +46,7 @@ from kempe.model.configurations import (
     compute_mid_configuration,
     find_home,
     read_start,
-    refuse_far,
+    refuse_large_numbers,
     sample_configurations,
 )
 from kempe.model.kernel_functions import Callback
@@ -664,7 +664,7 @@ def reach_tasks(problem: Problem) -> Reached:
     threads = spend.threads
     turns = prefer is None or prefer == "nearest"
     time = TimeLimit(USUAL.complete_budget(problem.budget).time_limit)
-    decide_nearest_exact(USUAL, time, system)
+    find_nearest_exact_in_time(USUAL, time, system)
     demands, base = make_demands(
         system, problem.wanted, problem.start, tolerance, starts, spend.rng, turns
     )
@@ -702,7 +702,7 @@ def reach_tasks(problem: Problem) -> Reached:
     if not demands.lead and answer.code == Status.BAD_INPUT:
         for each, goals in zip(demands.tasks, demands.goals, strict=True):
             refuse_goal(goals, each.label)
-        refuse_far(system, base, "start")
+        refuse_large_numbers(system, base, "start")
         raise InputError("the goals and the start lead to numbers that are not finite")
     return answer
 

@@ -62,9 +62,9 @@ class Job:
     def __init__(self, key: str, work: Callable[[Callable[..., None]], Iterator[Action]]):
         self.key = key
         self.dropped = False
-        self.rounds = work(self.check_waiting)
+        self.rounds = work(self.check_cancellation)
 
-    def check_waiting(self, *done: object) -> None:
+    def check_cancellation(self, *done: object) -> None:
         """Raise `KeyboardInterrupt` if the job was cancelled; searches then end with what they
         have.
         """
@@ -441,7 +441,10 @@ class Page:
         """Add the buttons that show other solutions of a kind, and that go to the next one."""
         self.add_buttons(
             label,
-            {"show": lambda: self._find_solutions(kind), "next": lambda: self._show_next(kind)},
+            {
+                "show": lambda: self._find_solutions(kind),
+                "next": lambda: self._show_next_configuration(kind),
+            },
         )
 
     def make_callback(self, key: str, action: Action) -> Any:
@@ -527,7 +530,7 @@ class Page:
         )
 
         @self.gizmo.on_update
-        async def _(event: Any) -> None:
+        async def post_gizmo_pose(event: Any) -> None:
             """Post the pose of the gizmo as a target."""
             if event.client is None:
                 return
@@ -546,7 +549,7 @@ class Page:
         session.reach_pose(X, quick=not last)
         if self.follow and session.took < QUICK:
             said = session.status
-            session.find_others()
+            session.find_other_configurations()
             session.status = said
         elif self.follow and last:
             self._find_solutions("solution")
@@ -616,19 +619,19 @@ class Page:
 
         def iterate_actions(session: Session) -> Iterator[Action]:
             """Find the solutions, and give the action that takes them."""
-            session.find_others(kind)
+            session.find_other_configurations(kind)
             yield lambda: show_solutions(session)
 
         self.session.status = f"looking for other {KINDS[kind]}s ..."
         self._begin_job(self.searches, "search", iterate_actions)
 
-    def _show_next(self, kind: str) -> None:
+    def _show_next_configuration(self, kind: str) -> None:
         """Go to the next configuration of a kind; search for one if none is known."""
         if self.session.kind == kind and len(self.session.solutions):
-            self.session.choose_next(kind)
+            self.session.choose_next_configuration(kind)
             self.follow = kind == "solution"
         else:
-            self._find_solutions(kind, lambda: self.session.choose_next(kind))
+            self._find_solutions(kind, lambda: self.session.choose_next_configuration(kind))
 
     def find_motion(self, name: str) -> None:
         """Find a motion from the present configuration, to be played."""
@@ -779,7 +782,7 @@ class Viewer:
         self.server = PageServer(port, self.system.name)
         self.server.gui.main_panel.dock_right()
         self.server.scene.set_up_direction("+y" if self.system.dim == 2 else "+z")
-        self.drawn.look_from(self.server.initial_camera)
+        self.drawn.place_camera(self.server.initial_camera)
         self.server.on_client_connect(self._open_page)
         self.server.on_client_disconnect(self._close_page)
 
@@ -827,7 +830,7 @@ class Viewer:
         aspect = (wide if below else wide - PANEL) / high
         if below or aspect < 1.0:
             client.camera.on_update(partial(self._uncover_system, aspect=aspect, below=below))
-            self.drawn.look_from(client.camera, aspect, below)
+            self.drawn.place_camera(client.camera, aspect, below)
         self.pages[client.client_id] = Page(self, client, session, self.drawn)
 
     def _uncover_system(self, camera: Any, aspect: float, below: float) -> None:
@@ -835,7 +838,7 @@ class Viewer:
         begin = self.server.initial_camera
         off = np.linalg.norm([camera.position - begin.position, camera.look_at - begin.look_at])
         if off <= SAME_VIEW * np.linalg.norm(begin.position - begin.look_at):
-            self.drawn.look_from(camera, aspect, below)
+            self.drawn.place_camera(camera, aspect, below)
 
     def _close_page(self, client: Any) -> None:
         """Remove the page of a client that has left."""

@@ -217,7 +217,7 @@ def _find_source(
     """The source of a shape, its scale (3,) and its place (4, 4). Errors: `KempeError`."""
     geometry = shape.geometry.evaluate_sizes(mechanism.parameters)
     X = shape.X_BS.evaluate_pose(mechanism.parameters)
-    _refuse_far(geometry, X)
+    _refuse_large_sizes(geometry, X)
     if isinstance(geometry, Mesh):
         return (folders.find_file(geometry.path), shape.color), np.array(geometry.scale), X
     if shape.kind not in PRIMITIVES:
@@ -237,7 +237,7 @@ PRIMITIVES: dict[str, Callable[[Any], tuple[Any, ...]]] = {
 an ellipsoid is a scaled sphere. Files are read apart."""
 
 
-def _refuse_far(geometry: Any, X: Array) -> None:
+def _refuse_large_sizes(geometry: Any, X: Array) -> None:
     """Refuse sizes, scales and places that a page cannot represent. Errors: `InputError`."""
     given: dict[str, Any] = {"place": X[:3, 3], **geometry.sizes}
     for name, x in given.items():
@@ -261,7 +261,7 @@ def read_meshes(
     meshes: dict[Source, Triangles | str] = {}
     for source in sources:
         if source not in meshes:
-            meshes[source] = _explain_unread(source[0]) if isinstance(source[0], Path) else ""
+            meshes[source] = _explain_unread_file(source[0]) if isinstance(source[0], Path) else ""
     left = [source for source, reason in meshes.items() if not reason]
     first = 0
     end = time.monotonic() + ALL
@@ -307,7 +307,7 @@ def read_meshes(
     return meshes
 
 
-def _explain_unread(path: Path) -> str:
+def _explain_unread_file(path: Path) -> str:
     """Why a file is not even opened; '' where it is."""
     if path.stat().st_size > LARGEST:
         return f"the file has more than {LARGEST} bytes"

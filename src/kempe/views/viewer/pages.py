@@ -75,7 +75,7 @@ def _format_page(session: Session, drawn: Drawn, seconds: float) -> str:
     server = PageServer(port=0)
     try:
         server.scene.set_up_direction("+y" if session.system.dim == 2 else "+z")
-        drawn.look_from(server.initial_camera)
+        drawn.place_camera(server.initial_camera)
         nodes = Nodes(server.scene, drawn, session.q)
         record = server.get_scene_serializer()
         if (motion := session.motion) is not None:

@@ -246,9 +246,9 @@ class RigidParts:
 
         It brings the corners to those of the piece's twin at another configuration.
         """
-        slides = self._slide_of(scene, pieces[0])  # of one name all slide, or none
+        slides = self._find_slide_carrier(scene, pieces[0])  # of one name all slide, or none
         if slides is not None:
-            return [self._slide_of(scene, piece) or 0 for piece in pieces]
+            return [self._find_slide_carrier(scene, piece) or 0 for piece in pieces]
         name = pieces[0].name
         likely = _list_likely_carriers(scene, name, len(self.heads))
         out = [likely[0] if name.partition(":")[0] in OWN else likely[-1]] * len(pieces)
@@ -270,7 +270,7 @@ class RigidParts:
                     break
         return out
 
-    def _slide_of(self, scene: Scene, piece: DrawnPiece) -> int | None:
+    def _find_slide_carrier(self, scene: Scene, piece: DrawnPiece) -> int | None:
         """Find the carrier of a piece of a sliding joint or line; None if it is a link."""
         what, _, of = piece.name.partition(":")
         name = of.partition(":")[0]
@@ -601,7 +601,7 @@ class Drawn:
         """Least distance [m] of the camera from visible objects."""
         return NEAR * max(self.rigid.size, 1e-9)
 
-    def look_from(self, camera: Any, aspect: float = 1.0, below: float = 0.0) -> None:
+    def place_camera(self, camera: Any, aspect: float = 1.0, below: float = 0.0) -> None:
         """Place a camera so that the system is in the picture.
 
         `aspect` is the width of the picture by its height; of the latter the part `below` is

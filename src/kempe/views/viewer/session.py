@@ -230,7 +230,7 @@ class Session:
         if q is not None and has_loops(system) and not judge_configurations(system, self.q):
             self._take_answer(assemble(system, start=self.q), "closed from the q given")
         self._choose_chart()
-        self.frames = _sort_by_use(system)
+        self.frames = _sort_names_by_use(system)
         self.frame = self.frames[0] if frame is None else system.structure.frame_name(frame)
         self.task = self.choose_task()
         self.home = self.q
@@ -411,7 +411,7 @@ class Session:
             return found
         return False
 
-    def find_others(self, kind: str = "solution") -> int:
+    def find_other_configurations(self, kind: str = "solution") -> int:
         """Find the other configurations of a kind; return their number."""
         self._forget_solutions()
         self.kind = kind
@@ -437,7 +437,7 @@ class Session:
         system = self.system
         if has_loops(system):
             known = {self.frame: X if self.task == "pose" else X[: system.dim, 3]}
-            return self._close_known(known)
+            return self._close_known_coordinates(known)
         from kempe.inverse.ik_all import ik_all
 
         return np.asarray(ik_all(system, X, self.frame, task=self.task, limits=True).q)
@@ -447,9 +447,9 @@ class Session:
         if not has_loops(self.system):
             return np.empty((0, self.system.nq))
         known = {s.name: s.value for s in self.sliders if s.name in self.system.coordinate_names}
-        return self._close_known(known)
+        return self._close_known_coordinates(known)
 
-    def _close_known(self, known: dict[str, Any]) -> Array:
+    def _close_known_coordinates(self, known: dict[str, Any]) -> Array:
         """Find configurations (k, nq) that close the loops with known coordinates or frames."""
         from kempe.assemble.modes import assembly_modes
 
@@ -501,9 +501,9 @@ class Session:
         )
         self.status = f"another of the {len(solutions) + 1} {KINDS[self.kind]}s found with {same}"
 
-    def choose_next(self, kind: str = "solution") -> None:
+    def choose_next_configuration(self, kind: str = "solution") -> None:
         """Go to the next configuration of a kind."""
-        if (self.kind == kind and len(self.solutions)) or self.find_others(kind):
+        if (self.kind == kind and len(self.solutions)) or self.find_other_configurations(kind):
             self.choose_solution(0)
             self.solutions = np.roll(self.solutions, -1, axis=0)
 
@@ -629,7 +629,7 @@ class Session:
         )
 
 
-def _sort_by_use(system: Model) -> tuple[str, ...]:
+def _sort_names_by_use(system: Model) -> tuple[str, ...]:
     """Sort the names of frames and bodies by how likely they are to be dragged.
 
     The last frame on a moving link comes first.

@@ -18,7 +18,7 @@ from kempe.arguments import explain_errors, explain_method_errors, numbers
 from kempe.errors import InputError, UnsupportedError
 from kempe.forward.joint_lines import compute_joint_lines
 from kempe.inverse.chain.serial_chain import find_obstacle
-from kempe.late import import_late
+from kempe.late import import_late_member
 from kempe.report import Report, summarize_fields
 from kempe.spatial import Array
 from kempe.status import Status
@@ -376,7 +376,7 @@ class PlanarWorkspace(Report):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the regions, darker with more solutions, and the boundary in Matplotlib axes."""
-        return import_late("plots of workspaces").plot_planar(self, ax)
+        return import_late_member("plots of workspaces").plot_planar(self, ax)
 
     @property
     def status(self) -> str:
