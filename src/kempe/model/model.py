@@ -158,7 +158,7 @@ class Structure:
 
     @property
     def couplings(self) -> dict[str, Any]:
-        """Coordinates by name that are not in `q`: a multiple of a coordinate plus an offset."""
+        """Coupled coordinates by name, not in `q`: a multiple of a coordinate plus an offset."""
         return ReadOnlyDict(self.coordinates.followers)
 
     @property

@@ -264,7 +264,7 @@ class ReachStudy(Study, Tabular):
 
     @property
     def code(self) -> Status:  # type: ignore[override]
-        """Outcome: `SOLVED` if all poses are reached, `PARTLY` if some are, else the early end."""
+        """Outcome: `SOLVED` (all poses reached), `PARTLY` (some), or `broken` if it is set."""
         if self.broken is not None:
             return self.broken
         if self.reached.all():
