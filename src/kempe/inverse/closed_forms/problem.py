@@ -62,7 +62,7 @@ class ChainProblem:
     """Numbers of the targets in the problem that these were taken from; None where it is this
     one."""
 
-    def record_stop(self, which: Any) -> bool:
+    def stopped(self, which: Any) -> bool:
         """Return whether the time is up, and record this for the targets `which`.
 
         They are given by a number, a slice, or an array of numbers.
@@ -72,7 +72,7 @@ class ChainProblem:
         self.watch.late[which if self.numbers is None else self.numbers[which]] = True
         return True
 
-    def select_targets(self, which: np.ndarray, lead: tuple[int, ...] | None) -> ChainProblem:
+    def of(self, which: np.ndarray, lead: tuple[int, ...] | None) -> ChainProblem:
         """Return the same problem for the targets `which` (m,) alone."""
         numbers = which if self.numbers is None else self.numbers[which]
         return replace(self, targets=self.targets[which], lead=lead, numbers=numbers)
