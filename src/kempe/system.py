@@ -239,7 +239,7 @@ class System(Model, Pictured):
     name.
 
     What is needed daily has a name here. Families have one name together: `structure` (what it is
-    made of), `make_configuration_space`, `loops`, `inverse`, `reach`, `symbolic`; what the description
+    made of), `configuration_space`, `loops`, `inverse`, `reach`, `symbolic`; what the description
     says, and writes, is the `mechanism`.
     """
 

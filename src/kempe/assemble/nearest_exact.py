@@ -136,7 +136,7 @@ class Idealised(Report):
     """Nearest mechanism found that closes exactly, and its differences from the `given` mechanism.
 
     `system` is that mechanism, with the same coordinates. `tolerance` is the largest change of a
-    placement, in metres and radians; `requested` what was allowed. `compute_residual` is how far the given
+    placement, in metres and radians; `requested` what was allowed. `residual` is how far the given
     loops stay open along its motion, in metres and radians, `absorbed` the same by closing joint or
     constraint.
     """

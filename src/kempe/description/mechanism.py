@@ -1350,7 +1350,7 @@ def extract_group(mechanism: Mechanism, name: str, held: Mapping[str, float]) ->
     """Return the mechanism of the bodies and joints of a group.
 
     Its ground is the body from which all its joints branch off. Joints on the way to them that are
-    not in the group are locked at the values `find_value_field`; bodies that are fixed to moving ones come
+    not in the group are locked at the values `held`; bodies that are fixed to moving ones come
     along, and what `extract_subchain` keeps.
     Errors: `UnknownNameError`, `DescriptionError`; `InputError` for a group without joints.
     """

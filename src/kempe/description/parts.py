@@ -375,8 +375,6 @@ class Declared(InSentence):
         """Return the number of equations on directions, rotations and distances.
 
         Equations by expressions do not count.
-
-        Equations by expressions do not count.
         """
         return sum(
             r.count_equations(dim)

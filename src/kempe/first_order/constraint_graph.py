@@ -122,7 +122,7 @@ class Edge:
 
     Bodies are given by number.
 
-    `list_columns` are its velocities, all of them, those that follow others or are held too.
+    `columns` are its velocities, all of them, those that follow others or are held too.
     """
 
     name: str

@@ -110,7 +110,7 @@ class Stage(NamedTuple):
 class Left(NamedTuple):
     """What constraints leave of the velocities at a configuration: a `basis` (nv, k) of what
     equations do, velocities (nv,) that these ask for at `rest`, and between what declared one-sided
-    `list_velocity_row_names` (m, nv) of them stay for dt.
+    `rows` (m, nv) of them stay for dt.
     """
 
     basis: Array

@@ -355,7 +355,7 @@ class Recognised(Report):
     """Structure of the chain of a `frame`, and the method that solves its inverse kinematics.
 
     `joints` are those that move the frame, from the ground to it, `kinds` whether each "turns" or
-    "slides". `list_axis_relations` are facts about consecutive axes, those that a structure misses by little
+    "slides". `relations` are facts about consecutive axes, those that a structure misses by little
     among them. `steps` are the rows of a table, in the order in which joints are solved: the
     `joints`, the `equation` that gives them, and the largest number of their `values`. `method` is
     "closed form", "elimination" or "search". `most` is the largest number of isolated

@@ -257,7 +257,7 @@ def find_steady_fraction(after: Callable[[float], Array], velocity: Array, faste
 
     Speeds below `SLOW` of the largest (n,) do not count.
 
-    `compute_velocity_after` gives the velocities (n,) that follow a part of the step. Where a joint turns back, a
+    `after` gives the velocities (n,) that follow a part of the step. Where a joint turns back, a
     shorter step leads nearer to where its speed passes zero, and one at `SLOW` of the speeds
     across.
     """

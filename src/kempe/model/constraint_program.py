@@ -54,7 +54,7 @@ class CompiledFunction(Protocol):
 
     The signature is void(double* q, double* value, double* columns, int64 flag).
 
-    It writes its `row_names` values at q, and with the flag the columns (n, rows) of its Jacobian in
+    It writes its `rows` values at q, and with the flag the columns (n, rows) of its Jacobian in
     scaled velocities.
     """
 
@@ -208,7 +208,7 @@ BELOW = (-np.inf, 0.0)
 def list_declared_ties(system: Model, table: Table, one_sided: bool = False) -> list[Tie]:
     """List the ties of all declared constraints that hold at a value.
 
-    With `is_one_sided`, those that hold between two bounds are listed, too.
+    With `one_sided`, those that hold between two bounds are listed, too.
     """
     every = (
         t

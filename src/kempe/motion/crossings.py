@@ -912,7 +912,7 @@ class RankEquations:
         self, equations: Closure, x: Array, F: Array, J: Array, at: int, with_matrix: bool
     ) -> None:
         """Write the residuals of these equations and their derivatives into F and J (., n) from row
-        `make_sphere` on.
+        `at` on.
         """
         own = J[:at] if with_matrix else equations.evaluate_equations(x, True, self._before)[1][:at]
         spectrum = Spectrum(own)

@@ -86,7 +86,7 @@ class Manoeuvre(Motion):
     """A motion from one configuration to another that obeys all velocity constraints.
 
     `q` (n, nq) are configurations at times `t` (n,), `s` (n,) the length that the axle has gone by
-    then. `pieces` are the parts with constant speeds; `evaluate_motion` and `velocity` give any time. `compute_slip` is
+    then. `pieces` are the parts with constant speeds; `at` and `velocity` give any time. `slip` is
     the largest slip of a sample, of rows and speeds of size 1. `success` is false where no way was
     found: `status` says why, and `q` is the start only.
     """

@@ -435,7 +435,7 @@ class Simulation(Motion):
     """A motion in time: configurations `q` (n, nq), velocities `v` (n, nv) at times `t` (n,) [s].
 
     `events` are bounces. `success` is false where the motion ends before its time, `status` says
-    why. `compute_slip` is the largest slip of a sample, of rows and speeds of size 1. Where the work was
+    why. `slip` is the largest slip of a sample, of rows and speeds of size 1. Where the work was
     `interrupted`, or the time limit came (`late`), these are the samples that were done.
     """
 

@@ -230,7 +230,7 @@ class Components(Report):
     """The connected components of a configuration space.
 
     `count` is their number, a lower bound unless `complete`, and `reason` says why it is the one or
-    the other. `parts` are those with one freedom, as curves; `singular_points` (k, nq) are the singular
+    the other. `parts` are those with one freedom, as curves; `singular` (k, nq) are the singular
     points that are known. `dimension` is the number of freedoms, of which `idle` spins do not
     count.
     """

@@ -145,7 +145,7 @@ class Sample(Configurations):
     """Random configurations `q` (n, nq), uniform in the `measure` that the sentence states.
 
     `exact` says that they are drawn independently from that measure (on curves: of the components
-    that were found); a random walk only comes near to it. `acceptance_rate` is the share of proposals, or of
+    that were found); a random walk only comes near to it. `taken` is the share of proposals, or of
     steps of the walk, that were taken.
     """
 

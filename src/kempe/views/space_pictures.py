@@ -78,12 +78,12 @@ def plot_spaces(
     turn, which are one line, are dotted). Red lines are singular: there the frame's velocity has
     lost a direction. Shades say how many configurations within the limits reach the place. `task`
     says which two numbers of the frame the places are: "xy", "xz" or "yz", its position along two
-    axes of the ground [m], or "direction", the azimuth and elevation of its z axis [rad]. `list_points`
+    axes of the ground [m], or "direction", the azimuth and elevation of its z axis [rad]. `points`
     (k, 2) are places that the frame shall reach: their solutions are marked on both sides, or,
     where there is none, the nearest place found, with the distance. `q` is drawn on both sides: a
     configuration (nq,) as a dot with its arm; a line of them (n, nq), or an answer with such `q`,
     as of `trace`, `ik_path` and `self_motion`, as a line with a ring where it begins; or a list of
-    such. `make_grid` draws lines on which one coordinate is constant, and their images. `ax` is a pair
+    such. `grid` draws lines on which one coordinate is constant, and their images. `ax` is a pair
     of axes to draw on; `resolution` the number of places along each axis (8 to 1000).
 
     With closed loops the left has the two actuated coordinates, or others that place the mechanism,

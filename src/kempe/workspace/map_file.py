@@ -576,7 +576,7 @@ MANY = 2**16
 class FileMap(Report):
     """The answers of a verb to the rows of a file, and where they are stored.
 
-    `n_rows` of the `requested` ones are done, in chunks of `chunk` rows; `count_outcomes` says how many of
+    `rows` of the `requested` ones are done, in chunks of `chunk` rows; `outcomes` says how many of
     them came to which `Status`, by its name. Where the work was `interrupted`, or the time limit
     came (`late`), the same call goes on.
     """

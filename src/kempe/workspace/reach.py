@@ -55,7 +55,7 @@ class ReachedPoses:
     one.
 
     `solutions` are those inside the limits, `UNKNOWN` where it is not certain that all are known.
-    `compute_manipulability` and `compute_margin` are the largest of those found, each by itself; `q` (n, nq) has
+    `manipulability` and `margin` are the largest of those found, each by itself; `q` (n, nq) has
     the largest margin.
     """
 
@@ -238,8 +238,8 @@ class Study(Report):
 class ReachStudy(Study, Tabular):
     """A study of the poses of a list that a frame reaches, how well, and what blocks the others.
 
-    All have a place for each pose (n,): `study_targets`; `solutions`, the number of configurations inside
-    the limits (-1 where it is infinite or not certain); `compute_manipulability` and `compute_margin`, the best of
+    All have a place for each pose (n,): `reached`; `solutions`, the number of configurations inside
+    the limits (-1 where it is infinite or not certain); `manipulability` and `margin`, the best of
     those that were found (NaN where there is none): the margin is how far, of half its range, a
     joint is from its nearest limit; `q` (n, nq) the configuration with the largest margin, or the
     nearest to the pose; `codes` the outcomes, as numbers of `Status`. Where the study was `broken`

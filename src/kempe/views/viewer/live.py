@@ -737,7 +737,7 @@ def show(
     configurations (n, nq), or an answer that has them as `.q`, to play. Each page that is opened
     has a configuration of its own, with `share` all have one. `port`: that of the page, by default
     8080 or the next that is free. `browser`: open one. `deg`: pages begin with angles in degrees; a
-    switch on the page changes that. The page is there until `end_thread`, the end of a ``with``, or the
+    switch on the page changes that. The page is there until `close`, the end of a ``with``, or the
     end of Python. A `UserWarning` names the meshes that are not drawn. Errors: `InputError` for
     shapes and a port that is in use; `UnknownNameError` for a frame.
     """

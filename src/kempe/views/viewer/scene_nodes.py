@@ -67,7 +67,7 @@ class Slide(NamedTuple):
     """A carrier between the frame A on a link and the origin of the frame B on another, which
     slides along z of A.
 
-    `a` and `b` are numbers of bodies with poses (4, 4) on them, `list_links` the two links. With `part`
+    `a` and `b` are numbers of bodies with poses (4, 4) on them, `links` the two links. With `part`
     None it reaches from A to B and `beyond` [m] both, and its parts are 1 long; else it sits at
     this part of the way from A to B. It turns with A.
     """
