@@ -78,7 +78,7 @@ def test_a_path_of_targets(tmp_path):
         out,
         "--seed",
         ",".join(map(str, q[0])),
-        before=at_call("kempe.inverse.path.inside", 12),
+        before=at_call("kempe.inverse.path.move_inside_limits", 12),
     )
     done = run(words)
     assert done.returncode == 130 and "interrupted" in done.stdout and out.exists(), done.stderr
@@ -89,9 +89,9 @@ def test_a_path_of_targets(tmp_path):
     "where",
     some(
         [
-            "kempe.motion.trace.home",
-            "kempe.motion.trace.extreme",
-            "kempe.motion.path.gauss_newton_of_many",
+            "kempe.motion.trace.find_return",
+            "kempe.motion.trace.find_extreme",
+            "kempe.motion.path.run_many_gauss_newton",
         ],
         3,
     ),
