@@ -132,12 +132,12 @@ def test_assembly_modes(tmp_path):
 
 COUNTED = """
 import itertools, math, types, kempe.numerics.clock, kempe.motion.path as module
-own, count = module.gauss_newton_of_many, itertools.count(1)
+own, count = module.run_many_gauss_newton, itertools.count(1)
 def counted(*given, **more):
     n = next(count)
     {then}
     return own(*given, **more)
-module.gauss_newton_of_many = counted
+module.run_many_gauss_newton = counted
 """
 """What happens at the n-th piece of points at equal distances."""
 SAYS = COUNTED.format(

@@ -69,7 +69,7 @@ def built(to: Path) -> Path:
     )
     assert done.returncode == 0, done.stdout + done.stderr
     said = re.findall(r"^ +(\S+) +[\d.]+ s +\d+ bytes$", done.stdout + done.stderr, re.MULTILINE)
-    assert len(said) >= 20 and "table_sweep.poses" in said, (
+    assert len(said) >= 20 and "table_sweep.compute_poses" in said, (
         "a build says what it compiles, how long, how large"
     )
     (wheel,) = to.glob("*.whl")

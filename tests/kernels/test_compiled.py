@@ -570,9 +570,9 @@ def test_guards_end_a_process_that_reads_out_of_bounds():
 TOO_SMALL = """
 import numpy as np, kempe
 from kempe.kernels.constraints import loop_layout as L
-from kempe.model.packed_loops import loops_of, must_be_explicit
+from kempe.model.packed_loops import find_explicit_joints, get_packed_loops
 system = kempe.load("four_bar")
-loops = loops_of(system, must_be_explicit(system))
+loops = get_packed_loops(system, find_explicit_joints(system))
 plan, q, pins = loops.plan.copy(), system.mid[None].copy(), np.zeros((1, 0))
 plan[L.{size}] -= {less}
 from kempe.kernels.compiled import closure_batch, loop_closing
