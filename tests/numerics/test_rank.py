@@ -9,6 +9,7 @@ import pytest
 import sympy
 
 from kempe.errors import InputError
+from kempe.numerics import rank as module
 from kempe.numerics.rank import Level, Spectrum, compute_svd
 
 LEVELS = (Level.ROUNDING, Level.CLOSED, Level.GENERIC, Level.ROUGH)
@@ -158,6 +159,25 @@ def test_the_rank_is_decided_at_the_gap():
 
 
 # ---- the decomposition
+
+
+def test_a_matrix_is_decomposed_once(monkeypatch):
+    """A batch in one call; and none of its matrices is decomposed again, nor for its values."""
+    calls = []
+
+    def count_svd(*given, **how):
+        calls.append(how)
+        return compute_svd(*given, **how)
+
+    monkeypatch.setattr(module, "compute_svd", count_svd)
+    A = np.random.default_rng(0).normal(size=(5, 3, 4))
+    for one in Spectrum(A):
+        assert one.compute_rank(Level.CLOSED) == 3 and one.compute_null_space(0.1).shape == (4, 1)
+        assert one.thin_decomposition[0].shape == (3, 3) and one.left.shape == (3, 3)
+    assert calls == [{}]
+    one = Spectrum(A[0])
+    assert one.compute_pseudo_inverse(Level.CLOSED).shape == (4, 3) and one.largest > 0.0
+    assert calls == [{}, {"full_matrices": False}]
 
 
 @pytest.mark.parametrize("shape", [(3, 5), (5, 3), (4, 4), (2, 3, 4, 6), (1, 1), (7, 1)])

@@ -80,44 +80,49 @@ class Spectrum:
     def __init__(self, A: Array, size: float | Array = 0.0):
         self.A = A
         self.size = size
+        self._full: tuple[Array, Array, Array] | None = None
+        self._thin: tuple[Array, Array, Array] | None = None
 
     def __iter__(self) -> Iterator[Spectrum]:
         """Yield the spectra of the matrices of a batch (k, m, n), decomposed together."""
-        for A, *factors in zip(self.A, *self._decomposition, strict=True):
+        for A, U, s, Vt in zip(self.A, *self.full_decomposition, strict=True):
             one = Spectrum(A, self.size)
-            one.__dict__["_whole"] = tuple(factors)
+            one._full = U, s, Vt
             yield one
 
-    @cached_property
-    def _decomposition(self) -> tuple[Array, Array, Array]:
-        return compute_svd(self.A)
+    @property
+    def full_decomposition(self) -> tuple[Array, Array, Array]:
+        """Left vectors (..., m, m), values (..., min(m, n)) and right vectors (..., n, n)."""
+        if self._full is None:
+            self._full = compute_svd(self.A)
+        return self._full
 
-    @cached_property
+    @property
     def thin_decomposition(self) -> tuple[Array, Array, Array]:
         """Left vectors (..., m, k), values (..., k) and right vectors (..., k, n), k = min(m, n)."""
-        if "_whole" in self.__dict__:
-            U, s, Vt = self._decomposition
+        if self._thin is None and self._full is not None:
+            U, s, Vt = self._full
             k = s.shape[-1]
-            return U[..., :k], s, Vt[..., :k, :]
-        return compute_svd(self.A, full_matrices=False)
+            self._thin = U[..., :k], s, Vt[..., :k, :]
+        elif self._thin is None:
+            self._thin = compute_svd(self.A, full_matrices=False)
+        return self._thin
 
     @cached_property
     def values(self) -> Array:
         """The singular values (..., min(m, n)), descending."""
-        for name in ("_whole", "thin"):
-            if name in self.__dict__:
-                return self.__dict__[name][1]
-        return compute_svd(self.A, compute_uv=False)
+        known = self._full or self._thin
+        return compute_svd(self.A, compute_uv=False) if known is None else known[1]
 
     @property
     def left(self) -> Array:
         """The left singular vectors (..., m, m), as columns."""
-        return self._decomposition[0]
+        return self.full_decomposition[0]
 
     @property
     def right(self) -> Array:
         """The right singular vectors (..., n, n), as rows."""
-        return self._decomposition[2]
+        return self.full_decomposition[2]
 
     @property
     def largest(self) -> Array:
@@ -207,13 +212,13 @@ class Spectrum:
     @property
     def orthogonal(self) -> Array:
         """Orthogonal matrices (..., n, n) nearest to square matrices (Procrustes)."""
-        U, _, Vt = self._decomposition
+        U, _, Vt = self.full_decomposition
         return U @ Vt
 
     @property
     def rotation(self) -> Array:
         """The rotations (..., n, n) nearest to square matrices (Kabsch, 1976)."""
-        U, _, Vt = self._decomposition
+        U, _, Vt = self.full_decomposition
         sense = np.ones(U.shape[:-1])
         sense[..., -1] = np.sign(np.linalg.det(U @ Vt))
         return (U * sense[..., None, :]) @ Vt
