@@ -26,7 +26,7 @@ import kempe
 from kempe.equations.judge import judge_configurations
 from kempe.errors import InputError, UnknownNameError
 from kempe.views.drawing.scene import build_scene
-from kempe.views.viewer.mesh_files import BodyMesh, read_body_meshes
+from kempe.views.viewer.mesh_files import PlacedMesh, read_body_meshes
 from kempe.views.viewer.scene_nodes import Drawn, Nodes, RigidParts, write_glb
 from kempe.views.viewer.session import Session
 
@@ -242,9 +242,9 @@ def test_shapes_are_drawn_in_their_size_place_and_colour(kind, sizes, extents, v
     assert least * volume * (1 - 1e-6) <= mesh.volume <= volume * (1 + 1e-6)
     assert drawn.drawn.color == (255, 128, 0, 64)
     shape = next(
-        s for s in Drawn(m.build(), np.zeros(1)).shapes if len(s.triangles) == len(mesh.faces)
+        s for s in Drawn(m.build(), np.zeros(1)).shapes if len(s.mesh.triangles) == len(mesh.faces)
     )
-    assert shape.opacity == 64 / 255
+    assert shape.mesh.opacity == 64 / 255
 
 
 def test_what_collides_is_drawn_where_nothing_else_is_seen():
@@ -281,7 +281,7 @@ def test_colours_of_a_file_are_kept_and_others_get_that_of_the_shape(tmp_path):
         assert (as_trimesh(mesh).visual.vertex_colors == mesh.drawn.color).all()
 
 
-def as_trimesh(mesh: BodyMesh) -> trimesh.Trimesh:
+def as_trimesh(mesh: PlacedMesh) -> trimesh.Trimesh:
     """The GLB that a page gets, read by trimesh and placed as on the page."""
     out = trimesh.load_mesh(io.BytesIO(mesh.drawn.glb), file_type="glb", process=False)
     out.apply_scale(mesh.scale)

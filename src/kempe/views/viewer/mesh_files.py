@@ -117,10 +117,11 @@ for k in range(s["first"], len(s["wanted"])):
     resource.setrlimit(resource.RLIMIT_CPU, (soft if hard == resource.RLIM_INFINITY else min(soft, hard), hard))
     try:
         try:
-            data, kind = read(*s["wanted"][k]), "npz"
+            data = read(*s["wanted"][k])
         except ImportError:
             import_scipy()
-            data, kind = read(*s["wanted"][k]), "npz"
+            data = read(*s["wanted"][k])
+        kind = "npz"
         if len(data) > s["largest"]:
             raise Refused(f"its triangles take {len(data)} bytes; {s['largest']} are allowed")
     except MemoryError:
@@ -153,16 +154,21 @@ class Triangles(NamedTuple):
     color: tuple[int, ...] | None
 
 
-class BodyMesh(NamedTuple):
-    """Triangles that are scaled by (3,) and then placed by (4, 4) in the frame of a body."""
+class PlacedMesh(NamedTuple):
+    """Triangles that are scaled by (3,) and then placed by (4, 4) in the frame of a body or link."""
 
     drawn: Triangles
     scale: Array
     X: Array
 
     @property
+    def opacity(self) -> float:
+        """Opacity from 0 to 1 of a mesh of one colour; 1 of a mesh of several colours."""
+        return 1.0 if self.drawn.color is None else self.drawn.color[3] / 255.0
+
+    @property
     def corners(self) -> Array:
-        """The corners (n, 3) in the frame of the body [m]."""
+        """The corners (n, 3) in the frame of the body or link [m]."""
         return self.scale * self.drawn.corners @ self.X[:3, :3].T + self.X[:3, 3]
 
     @property
@@ -173,7 +179,7 @@ class BodyMesh(NamedTuple):
 
 def read_body_meshes(
     system: Model, meanwhile: Callable[[], object] | None = None
-) -> tuple[dict[str, list[BodyMesh]], list[str]]:
+) -> tuple[dict[str, list[PlacedMesh]], list[str]]:
     """The meshes of each body by its name, and a sentence for each mesh that cannot be shown.
 
     `meanwhile` is called while they are read, if there are any.
@@ -189,7 +195,7 @@ def read_body_meshes(
             except KempeError as error:
                 lost.append(f"{name}: {error}")
     read = read_meshes((source for _, source, *_ in wanted), meanwhile)
-    meshes: dict[str, list[BodyMesh]] = {}
+    meshes: dict[str, list[PlacedMesh]] = {}
     total = 0
     for name, source, scale, X in wanted:
         mesh = read[source]
@@ -201,7 +207,7 @@ def read_body_meshes(
             what = f"mesh {source[0].name}" if isinstance(source[0], Path) else source[0][0]
             lost.append(f"{name}: {what}: {mesh}")
         else:
-            meshes.setdefault(name, []).append(BodyMesh(mesh, scale, X))
+            meshes.setdefault(name, []).append(PlacedMesh(mesh, scale, X))
     return meshes, lost
 
 
@@ -222,19 +228,20 @@ def _find_source(
         return (folders.find_file(geometry.path), shape.color), np.array(geometry.scale), X
     if shape.kind not in PRIMITIVES:
         raise InputError(f"shapes of kind {shape.kind!r} are not drawn")
-    scale = np.array(geometry.radii) if shape.kind == "ellipsoid" else np.ones(3)
-    return (PRIMITIVES[shape.kind](geometry), shape.color), scale, X
+    call, scale = PRIMITIVES[shape.kind](geometry)
+    return (call, shape.color), np.array(scale), X
 
 
-PRIMITIVES: dict[str, Callable[[Any], tuple[Any, ...]]] = {
-    "sphere": lambda s: ("icosphere", 2, s.radius),
-    "box": lambda s: ("box", tuple(s.size)),
-    "cylinder": lambda s: ("cylinder", s.radius, s.length, ROUND),
-    "capsule": lambda s: ("capsule", s.length, s.radius, (ROUND, ROUND)),
-    "ellipsoid": lambda s: ("icosphere", 2, 1.0),
+UNSCALED = (1.0, 1.0, 1.0)
+PRIMITIVES: dict[str, Callable[[Any], tuple[tuple[Any, ...], tuple[float, ...]]]] = {
+    "sphere": lambda s: (("icosphere", 2, s.radius), UNSCALED),
+    "box": lambda s: (("box", tuple(s.size)), UNSCALED),
+    "cylinder": lambda s: (("cylinder", s.radius, s.length, ROUND), UNSCALED),
+    "capsule": lambda s: (("capsule", s.length, s.radius, (ROUND, ROUND)), UNSCALED),
+    "ellipsoid": lambda s: (("icosphere", 2, 1.0), s.radii),
 }
-"""The function of trimesh that makes a shape, with its arguments, by the shape's kind;
-an ellipsoid is a scaled sphere. Files are read apart."""
+"""By the kind of a shape: the function of trimesh that makes its mesh, with arguments, and the scale
+of the mesh. Files are read apart."""
 
 
 def _refuse_large_sizes(geometry: Any, X: Array) -> None:

@@ -23,7 +23,7 @@ from kempe.spatial import Array
 from kempe.views.drawing import style, symbols
 from kempe.views.drawing.scene import Scene, SeenJoint, build_scene
 from kempe.views.drawing.solids import DrawnPiece, SolidRecord, make_fan, parse_colour
-from kempe.views.viewer.mesh_files import BodyMesh, read_body_meshes
+from kempe.views.viewer.mesh_files import PlacedMesh, Triangles, read_body_meshes
 from kempe.words import format_count
 
 if TYPE_CHECKING:
@@ -493,24 +493,10 @@ SOFT = np.cos(np.deg2rad(35.0))
 
 
 class Shape(NamedTuple):
-    """What is drawn on a carrier: a GLB, scaled by (3,) and then placed by (4, 4) on the carrier.
-
-    `corners` (n, 3) on the carrier and `triangles` (m, 3) are the same. A shape of one colour that
-    can be looked through has this colour (4,) of bytes.
-    """
+    """A mesh in the frame of the carrier that it is drawn on."""
 
     carrier: int
-    glb: bytes
-    scale: Array
-    X: Array
-    corners: Array
-    triangles: np.ndarray
-    color: tuple[int, ...] | None
-
-    @property
-    def opacity(self) -> float:
-        """How much of it is seen, 1 where it is solid."""
-        return 1.0 if self.color is None else self.color[3] / 255.0
+    mesh: PlacedMesh
 
 
 class Drawn:
@@ -538,26 +524,14 @@ class Drawn:
         """The links, drawn at `q`."""
         return RigidParts(self.system, self.q)
 
-    def _place_shapes(self, meshes: dict[str, list[BodyMesh]], q: Array) -> list[Shape]:
+    def _place_shapes(self, meshes: dict[str, list[PlacedMesh]], q: Array) -> list[Shape]:
         out: list[Shape] = []
         covered: set[int] = set()
         for link in build_scene(self.system, q).links:
             head = np.linalg.inv(next(iter(link.bodies.values())))
             for body, X in link.bodies.items():
                 for mesh in meshes.get(body, ()):
-                    placed = mesh._replace(X=head @ X @ mesh.X)
-                    color = mesh.drawn.color
-                    out.append(
-                        Shape(
-                            link.number,
-                            mesh.drawn.glb,
-                            placed.scale,
-                            placed.X,
-                            placed.corners,
-                            placed.triangles,
-                            color if color and color[3] < 255 else None,
-                        )
-                    )
+                    out.append(Shape(link.number, mesh._replace(X=head @ X @ mesh.X)))
                     covered.add(link.number)
         bare = (
             p
@@ -585,15 +559,16 @@ class Drawn:
     @cached_property
     def outlines(self) -> tuple[tuple[int, Array, np.ndarray], ...]:
         """One mesh without colours for each moving carrier, for ghosts."""
-        by: dict[int, list[Shape]] = {}
-        for shape in self.shapes:
-            if shape.carrier and shape.color is None:
-                by.setdefault(shape.carrier, []).append(shape)
+        by: dict[int, list[PlacedMesh]] = {}
+        for carrier, mesh in self.shapes:
+            if carrier and mesh.opacity == 1.0:
+                by.setdefault(carrier, []).append(mesh)
         out: list[tuple[int, Array, np.ndarray]] = []
-        for k, shapes in by.items():
-            first = np.cumsum([0, *(len(s.corners) for s in shapes)])
-            triangles = [s.triangles + n for s, n in zip(shapes, first, strict=False)]
-            out.append((k, np.concatenate([s.corners for s in shapes]), np.concatenate(triangles)))
+        for k, meshes in by.items():
+            corners = [mesh.corners for mesh in meshes]
+            first = np.cumsum([0, *map(len, corners)])
+            triangles = [mesh.triangles + n for mesh, n in zip(meshes, first, strict=False)]
+            out.append((k, np.concatenate(corners), np.concatenate(triangles)))
         return tuple(out)
 
     @property
@@ -631,7 +606,8 @@ def _make_shape(part: RigidPart) -> Shape:
     glb = write_glb(corners, compute_soft_normals(corners), np.repeat(colours, 3, axis=0))
     color = tuple(colours[0].tolist()) if colours[:, 3].min() < 255 else None
     triangles = np.arange(len(corners)).reshape(-1, 3)
-    return Shape(part.carrier, glb, np.ones(3), np.eye(4), corners, triangles, color)
+    drawn = Triangles(glb, corners, triangles, color)
+    return Shape(part.carrier, PlacedMesh(drawn, np.ones(3), np.eye(4)))
 
 
 def write_glb(corners: Array, normals: Array, colours: np.ndarray) -> bytes:
@@ -735,26 +711,27 @@ class Nodes:
             self.frames[k] = scene.add_frame(
                 f"/system/{k}", show_axes=False, wxyz=quats[k], position=places[k]
             )
-        for i, shape in enumerate(drawn.shapes):
-            name = f"/system/{shape.carrier}/{i}"
-            along = np.array(_scale_along_z(self.lengths[shape.carrier]))
-            if shape.color is None:
-                quat, place = split_poses(shape.X)
-                scale = tuple((along * shape.scale).tolist())
-                node = scene.add_glb(name, shape.glb, scale=scale, wxyz=quat, position=place)
+        for i, (carrier, mesh) in enumerate(drawn.shapes):
+            name = f"/system/{carrier}/{i}"
+            along = np.array(_scale_along_z(self.lengths[carrier]))
+            color = mesh.drawn.color
+            if color is None or mesh.opacity == 1.0:
+                quat, place = split_poses(mesh.X)
+                scale = tuple((along * mesh.scale).tolist())
+                node = scene.add_glb(name, mesh.drawn.glb, scale=scale, wxyz=quat, position=place)
             else:
                 node = scene.add_mesh_simple(
                     name,
-                    shape.corners,
-                    shape.triangles,
-                    color=shape.color[:3],
+                    mesh.corners,
+                    mesh.triangles,
+                    color=color[:3],
                     side="double",
                     scale=tuple(along.tolist()),
-                    opacity=shape.opacity,
+                    opacity=mesh.opacity,
                     cast_shadow=False,
                     receive_shadow=False,
                 )
-            self.stretched.setdefault(shape.carrier, []).append(node)
+            self.stretched.setdefault(carrier, []).append(node)
         if drawn.system.dim == 3:
             wide = 4.0 * drawn.rigid.size
             low = (
