@@ -14,6 +14,7 @@ from hunts import examples, some
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from linkages import four_bar
+from scipy.optimize import nnls
 
 import kempe
 from kempe import Mechanism, constraints
@@ -22,6 +23,7 @@ from kempe.assemble.bound import LONG, Assembler, OneSidedAssembly
 from kempe.assemble.dyads import Plan
 from kempe.equations import closure_rows
 from kempe.errors import InputError, NoSolutionError, UnknownNameError
+from kempe.mobility.independent import compute_tangent_space
 from kempe.status import Status
 
 MECHANISMS = [
@@ -428,23 +430,38 @@ def test_continuous_rows_follow_each_other(n):
 # ---- additional considerations
 
 
-@settings(max_examples=examples(20))
-@given(st.integers(0, 10**6))
-def test_what_is_left_open_is_nearest(seed):
-    """The answer is stationary: the way to `near` is normal to the closed set."""
-    from kempe.mobility.independent import compute_tangent_space
-
-    s = kempe.load("stewart")
-    near = s.configuration_space.integrate(
-        s.q("closed"), 0.15 * np.random.default_rng(seed).normal(size=s.nv)
-    )
-    answer = s.assemble(start=near, prefer="nearest")
-    assert answer
-    b = s.loops.assembler(())
-    N, scale = compute_tangent_space(s, answer.q)
-    away = s.configuration_space.difference(answer.q, near) / scale
-    assert np.abs(N.T @ away).max() < 1e-5 * max(1.0, np.linalg.norm(away))
-    assert b.freedoms == 6
+@pytest.mark.parametrize("name", ["stewart", "four_bar", "jansen", "bennett", "scissor", "sarrus"])
+def test_what_is_left_open_is_nearest(name, hunt):
+    """The conditions of Karush, Kuhn and Tucker hold: what is left of the way to the start is normal
+    to the closed set, or leads out of limits that the answer lies at. Starts may violate limits.
+    """
+    free = kempe.load(name)
+    closed = free.assemble().q
+    numbers = dict(zip(free.coordinate_names, closed, strict=True))
+    unknowns = [c for c in numbers if not c.endswith(".qw")]
+    rng = hunt.rng()
+    at_limits = 0
+    for _ in range(hunt.cases(80)):
+        limits = {
+            c: (numbers[c] - 0.1 * rng.random(), numbers[c] + 0.1 * rng.random())
+            for c in unknowns
+            if rng.random() < 0.3 and ".q" not in c
+        }
+        s = free.with_limits(limits)
+        space = s.configuration_space
+        start = space.integrate(closed, 0.25 * rng.normal(size=s.nv))
+        answer = s.assemble(start=start, prefer="nearest")
+        assert answer
+        N, scale = compute_tangent_space(s, answer.q)
+        away = space.difference(answer.q, start) / scale
+        q = s.q_dict(answer.q)
+        x = np.array([q[c] for c in unknowns])
+        assert (x >= s.lower - 1e-12).all() and (x <= s.upper + 1e-12).all()
+        out = (x >= s.upper - 1e-9) * 1.0 - (x <= s.lower + 1e-9)
+        at_limits += bool(out.any())
+        left = nnls(N.T @ np.diag(out)[:, out != 0], N.T @ away)[1] if out.any() else N.T @ away
+        assert np.abs(left).max() < 2e-5 * max(1.0, np.linalg.norm(away))
+    assert at_limits
 
 
 def test_large_systems_are_sparse():

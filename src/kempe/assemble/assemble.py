@@ -63,7 +63,7 @@ def assemble(
     by *additional considerations*: `start` (nq,) or (..., nq), or a dict by name, is where the
     search starts (default: the posture 'closed' of the file, else the middle of the limits); steps
     of minimum norm keep the answer close to it, and with ``prefer="nearest"``, where freedoms are
-    left, it is the closed configuration nearest to it. `branch` names a branch: signs such as '+-'
+    left, no small motion within the limits leads nearer to it. `branch` names a branch: signs such as '+-'
     for planar mechanisms made of dyads (see `assembly_modes`), or a posture, which is where the
     search starts. ``prefer="continuous"``: row by row, each started where the last two lead; a long
     sequence that keeps away from where branches of dyads meet is taken from their closed form.

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kempe.kernels.base._jit import kernel, routine
+from kempe.kernels.base._jit import device, kernel, routine
 from kempe.kernels.base.declare import FLAG, FLOAT, INT, OUT, OUTI, F, I
 from kempe.kernels.base.random import mix_bits
 from kempe.kernels.base.rotations import turn_quaternion
@@ -54,6 +54,10 @@ LEAST = 1e-14
 MANY = 60
 """Equations from which on the clock is looked at before each step: then a step takes far longer
 than that."""
+NEARLY_CLOSED = 1e-10
+"""Damping of a step between limits, which is unique with it."""
+SLIGHT = 1e-12
+"""Step out of a limit, in radians and characteristic lengths, that is rounding."""
 LONGEST_SLIDE = 2.0
 """Longest step of a slide, in characteristic lengths."""
 
@@ -209,15 +213,83 @@ def minimize_residual(loops, work, limit, kept, stop):
     return best, steps
 
 
+@device
+def limit_step(loops, v, x):
+    """Return the step x of velocity coordinate v cut at its limits."""
+    if read_sort(loops, v) >= L.BALL_FIRST:
+        return x
+    at = loops.q[find_place(loops, v)]
+    scale = read_velocity_number(loops, 0, v)
+    low = (read_velocity_number(loops, 1, v) - at) / scale
+    return min(max(x, low), (read_velocity_number(loops, 2, v) - at) / scale)
+
+
+@routine
+def switch_limit(loops, work, v):
+    """Mark or release velocity coordinate v where the limits that its step reaches for the `y`
+    found last are not those it is marked with; return whether they are not.
+    """
+    if is_held(loops, v):
+        return False
+    x = work.target[v] - multiply_column(loops, v, work.y)
+    inside = limit_step(loops, v, x)
+    marked = work.step[v] != work.step[v]
+    if marked:
+        wrong = inside == x or inside != work.kept[v]
+    else:
+        wrong = abs(inside - x) > SLIGHT
+    if wrong:
+        work.step[v] = 0.0 if marked else np.nan
+        work.kept[v] = inside
+    return wrong
+
+
+@routine
+def project_on_closed_directions(loops, work):
+    """Replace `target` by the nearest step that keeps loops closed to first order and stays inside
+    all limits.
+
+    A step is `target` - J^T y, or as far as the limit for the coordinates that are marked NaN in
+    `step`; `kept` has how far. They are marked and released one by one, the first that is wrong
+    each time, which ends for the damped equations (least-index pivoting: Murty, 1974).
+    """
+    for v in range(loops.nv):
+        work.step[v] = np.nan if is_held(loops, v) else 0.0
+        work.kept[v] = 0.0
+    for _ in range(4 * loops.nv):
+        for i in range(loops.plan[L.N_ROWS]):
+            work.y[i] = 0.0
+        for v in range(loops.nv):
+            marked = work.step[v] != work.step[v]
+            add_product(loops, v, work.kept[v] if marked else work.target[v], work.y, 1)
+        write_normal_matrix(loops, work.step, NEARLY_CLOSED, work.a, work.column)
+        factor_envelope(loops, work.a, LEAST)
+        solve_envelope(loops, work.a, work.y)
+        wrong = 0
+        while wrong < loops.nv and not switch_limit(loops, work, wrong):
+            wrong += 1
+        if wrong == loops.nv:
+            break
+    for v in range(loops.nv):
+        if is_held(loops, v):
+            work.target[v] = 0.0
+        else:
+            x = work.target[v] - multiply_column(loops, v, work.y)
+            work.target[v] = limit_step(loops, v, x)
+            work.step[v] = 0.0
+    for i in range(loops.plan[L.N_ROWS]):
+        work.y[i] = 0.0
+
+
 @routine
 def approach_home(loops, work, limit, accepted, kept, stop):
     """Move along the closed configurations from the one in `kept` towards the one nearest to
     `home`; return the number of steps.
 
-    Each goes the way to `home` as far as the tangent space allows, shortened where that leads away,
-    and is closed again (a projected gradient: Luenberger, 1972). `kept` is where it ends.
+    Each goes the way to `home` as far as closed loops and limits allow to first order, shortened
+    where that leads away, and is closed again (a projected gradient: Luenberger, 1972). `kept` is
+    where it ends.
     """
-    m = loops.plan[L.N_ROWS]
     steps = 0
     rounds = 0
     copy_numbers(loops.q, kept, 0, loops.nq)
@@ -230,16 +302,9 @@ def approach_home(loops, work, limit, accepted, kept, stop):
         rounds += 1
         evaluate_residual(loops, True)
         compute_home_distance(loops, work.home, work.target)
-        mark_held_steps(loops, work.step)
-        for i in range(m):
-            work.y[i] = 0.0
         for v in range(loops.nv):
             work.target[v] *= part
-            if work.step[v] == work.step[v]:
-                add_product(loops, v, work.target[v], work.y, 1)
-        write_normal_matrix(loops, work.step, LEAST, work.a, work.column)
-        factor_envelope(loops, work.a, LEAST)
-        solve_envelope(loops, work.a, work.y)
+        project_on_closed_directions(loops, work)
         size = take_step(loops, work.step, work.y, work.target, True)
         square, used, _ = close_loops(loops, work, limit, accepted, loops.q, stop)
         steps += 1 + used

@@ -217,10 +217,11 @@ def draw_configuration(loops, home, spread, key):
 
 @routine
 def prepare_start(loops, home):
-    """Bring the unknowns at q inside their limits, and quaternions to norm 1; return whether the
-    start is finite.
+    """Bring quaternions at q to norm 1, copy it to `home`, and bring the unknowns at q inside their
+    limits; return whether the start is finite.
     """
     q = loops.q
+    copy_numbers(home, q, 0, loops.nq)
     good = True
     for v in range(loops.nv):
         sort = read_sort(loops, v)
@@ -233,13 +234,13 @@ def prepare_start(loops, home):
             size = math.sqrt(w * w + x * x + y * y + z * z)
             good = good and 0.0 < size < LARGEST
             q[i], q[i + 1], q[i + 2], q[i + 3] = w / size, x / size, y / size, z / size
+            copy_numbers(advance_pointer(home, i), advance_pointer(q, i), 0, 4)
         elif sort != L.BALL_MORE:
             good = good and abs(q[i]) < LARGEST
             if not is_held(loops, v):
                 q[i] = min(
                     max(q[i], read_velocity_number(loops, 1, v)), read_velocity_number(loops, 2, v)
                 )
-    copy_numbers(home, q, 0, loops.nq)
     return good
 
 
