@@ -153,6 +153,14 @@ def test_code_runs(path, tmp_path, monkeypatch):
             run(path, block, names)
 
 
+def test_the_readme_is_short_and_its_pictures_are_small():
+    page = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert len(page.split()) <= 900
+    pictures = re.findall(r'src="([^"]+)"', page)
+    assert len(pictures) == 3
+    assert all((ROOT / picture).stat().st_size < 1e6 for picture in pictures)
+
+
 def test_output_in_the_readme(tmp_path, monkeypatch):
     """Each Python block of the README that is followed by a text block prints that text."""
     monkeypatch.chdir(tmp_path)

@@ -172,7 +172,7 @@ def test_the_first_command_of_the_readme(clone):
 @needs_linux
 def test_the_python_of_the_readme(clone):
     readme_prints(clone / ".venv" / "bin" / "python", clone)
-    assert (clone / "jansen.png").stat().st_size > 1000
+    assert (clone / "four_bar.gif").stat().st_size > 1000
 
 
 @slow
