@@ -809,7 +809,6 @@ class System(Model, Pictured):
         goal: Any,
         *,
         radius: float | None = None,
-        free: Iterable[str] = (),
         budget: Budget | None = None,
     ) -> Manoeuvre:
         """Find a motion of a rolling system between configurations, without slip.
@@ -818,7 +817,7 @@ class System(Model, Pictured):
         """
         from kempe.motion.manoeuvre import manoeuvre
 
-        return manoeuvre(self, start, goal, radius=radius, free=free, budget=budget)
+        return manoeuvre(self, start, goal, radius=radius, budget=budget)
 
     @explain_errors
     def simulate(

@@ -136,47 +136,38 @@ def test_sideways_by_alternation():
     assert path.length == pytest.approx(4 * compute_length(list_ways(0, 0.25, 0)[0]))
 
 
-@pytest.mark.parametrize("phase", [-9.0, 0.0, 0.1, 2.0, 11.0])
+@pytest.mark.parametrize("radius", [None, 0.5])
 @pytest.mark.parametrize("place", [(0.0, 0.0), (0.8, -0.4), (1e-9, 0.0)])
-def test_a_coin_arrives_with_its_own_angle(place, phase):
-    """A triangle of sides, or a way forwards and back, has the length that the angle asks for."""
+def test_a_coin_rolls_along(place, radius):
+    """The point on the floor rests, and the coin rolls by the signed length of its way."""
     system = wheels.coin()
     start = np.array([0.1, 0.2, 0.3, 0.4])
-    goal = np.array([0.1 + place[0], 0.2 + place[1], 2.0, phase])
-    path = system.manoeuvre(start, goal)
+    goal = np.array([0.1 + place[0], 0.2 + place[1], 2.0, 0.0])
+    path = system.manoeuvre(start, goal, radius=radius)
+    goal[3] = start[3] + sum(p.length for p in path.pieces) / 0.5
     check(system, path, start, goal, "yoke")
-    assert np.array_equal(path.q[-1], goal)
     v = path.velocity(path.t)
     J = np.asarray(system.jacobian(path.q, "coin"))
     at_floor = np.einsum(
         "nij,nj->ni", J[:, :3] + np.cross(J[:, 3:], np.array([0, 0, -0.5])[:, None], axis=-2), v
     )
-    assert np.abs(at_floor).max() < 1e-9  # the point on the floor rests
+    assert np.abs(at_floor).max() < 1e-9
 
 
-def test_what_a_dict_does_not_name_rolls_along():
-    system = wheels.coin()
-    path = system.manoeuvre({}, {"pose.x": 1.0})
-    np.testing.assert_allclose(path.q[-1], [1.0, 0.0, 0.0, 2.0], rtol=0, atol=1e-14)
-    named = system.manoeuvre(np.zeros(4), [1.0, 0, 0, 9.0], free=["roll"], radius=0.5)
+def test_wheels_end_where_they_roll_to_and_the_status_says_so():
+    coin = wheels.coin()
+    named = coin.manoeuvre(np.zeros(4), [1.0, 0, 0, 9.0])
     np.testing.assert_allclose(named.q[-1], [1.0, 0.0, 0.0, 2.0], rtol=0, atol=1e-14)
-    with pytest.raises(UnsupportedError, match=r"'roll' ends 7 away.*free=\['roll'\]"):
-        system.manoeuvre(np.zeros(4), [1.0, 0, 0, 9.0], radius=0.5)
-    with pytest.raises(InputError, match="'pose.x' does not roll along"):
-        system.manoeuvre(np.zeros(4), np.ones(4), free=["pose.x"])
-    with pytest.raises(UnknownNameError, match="rol"):
-        system.manoeuvre(np.zeros(4), np.ones(4), free=["rol"])
-
-
-def test_wheels_that_keep_a_sum_cannot_end_anywhere():
-    system = wheels.differential()
+    assert "'roll' rolls along, and ends at 2" in named.status
+    assert "roll" not in coin.manoeuvre({}, {"pose.x": 1.0}).status
+    cart = wheels.differential()
+    goal = np.array([1.0, 1.0, 2.0, 15.0, 15.0])
+    path = cart.manoeuvre(np.zeros(5), goal)
+    along = np.sqrt(2.0) / 0.1
     turned = 0.3 * 2.0 / 0.1  # of each wheel, in opposite ways, where the cart turns by 2 rad
-    goal = np.array([1.0, 1.0, 2.0, 15.0 - turned, 15.0 + turned])
-    path = system.manoeuvre(np.zeros(5), goal)
-    check(system, path, np.zeros(5), goal, "body")
-    refused = system.manoeuvre(np.zeros(5), goal + [0, 0, 0, 0.5, 0])
-    assert not refused and "cannot be reached" in refused.status and len(refused.q) == 1
-    assert system.manoeuvre(np.zeros(5), {"pose.x": 1.0, "pose.y": 2.0}, radius=1.0)
+    goal[3:] = along - turned, along + turned
+    check(cart, path, np.zeros(5), goal, "body")
+    assert cart.manoeuvre(np.zeros(5), {"pose.x": 1.0, "pose.y": 2.0}, radius=1.0)
 
 
 def front_slip(system, path) -> float:

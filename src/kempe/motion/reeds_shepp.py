@@ -10,7 +10,7 @@ goal.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -40,22 +40,22 @@ def wrap_angle(angle: float) -> float:
     return math.remainder(angle, 2.0 * math.pi)
 
 
-def advance_pose(
-    pose: tuple[float, float, float], curvature: float, length: float
-) -> tuple[float, float, float]:
-    """Return the pose (x, y, heading) after a piece of constant curvature and signed length."""
-    x, y, h = pose
-    half = 0.5 * curvature * length
-    chord = length * (math.sin(half) / half if half else 1.0)
-    return x + chord * math.cos(h + half), y + chord * math.sin(h + half), h + 2.0 * half
+def follow_way(start: Array, lengths: Array, angles: Array) -> Array:
+    """Follow lines and arcs of signed lengths (n,) that turn by angles (n,) from a pose (3,).
+
+    Returned are the poses (n + 1, 3) in the plane, x, y and heading, at the ends of all pieces.
+    """
+    headings = start[2] + np.append(0.0, np.cumsum(angles))
+    steps = compute_arc_steps(headings[:-1], lengths, angles)
+    places = start[:2] + np.append(np.zeros((1, 2)), np.cumsum(steps, axis=0), axis=0)
+    return np.column_stack([places, headings])
 
 
-def compute_end_pose(way: Way) -> tuple[float, float, float]:
-    """Compute the pose at the end of a way from (0, 0, 0)."""
-    pose = (0.0, 0.0, 0.0)
-    for curvature, length in way:
-        pose = advance_pose(pose, curvature, length)
-    return pose
+def compute_arc_steps(headings: Array, lengths: Array, angles: Array) -> Array:
+    """Compute the displacements (n, 2) by arcs that begin with headings (n,)."""
+    middle = headings + 0.5 * angles
+    chords = lengths * np.sinc(0.5 * angles / math.pi)
+    return np.column_stack([chords * np.cos(middle), chords * np.sin(middle)])
 
 
 def compute_length(way: Way) -> float:
@@ -88,10 +88,9 @@ def _iterate_candidates(x: float, y: float, h: float) -> Iterator[Way]:
     for a, b, backwards in ((x, y, False), (x * c + y * s, x * s - y * c, True)):
         for time in (1.0, -1.0):
             for side in (1.0, -1.0):
-                for word in WORDS:
-                    for way in word(time * a, side * b, time * side * h):
-                        own = tuple((side * k, time * length) for k, length in way)
-                        yield own[::-1] if backwards else own
+                for way in _iterate_words(time * a, side * b, time * side * h):
+                    own = tuple((side * k, time * length) for k, length in way)
+                    yield own[::-1] if backwards else own
 
 
 def _correct_way(way: Way, x: float, y: float, h: float) -> Way | None:
@@ -100,80 +99,77 @@ def _correct_way(way: Way, x: float, y: float, h: float) -> Way | None:
     It is None where it does not lead to the goal.
     """
     size = 1.0 + math.hypot(x, y)
-
-    def make_way(lengths: Array) -> Way:
-        """Return the way with other lengths."""
-        return tuple((k, s) for (k, _), s in zip(way, lengths.tolist(), strict=True))
+    curvatures, formula = np.array(way).T
 
     def evaluate_miss(lengths: Array) -> tuple[Array, Array]:
         """Return the difference of the end from the goal, and its derivatives."""
-        end = compute_end_pose(make_way(lengths))
+        poses = follow_way(np.zeros(3), lengths, curvatures * lengths)
+        end = poses[-1]
+        ahead = poses[1:]
+        J = np.array(
+            [
+                np.cos(ahead[:, 2]) - curvatures * (end[1] - ahead[:, 1]),
+                np.sin(ahead[:, 2]) + curvatures * (end[0] - ahead[:, 0]),
+                curvatures,
+            ]
+        )
         miss = np.array([end[0] - x, end[1] - y, wrap_angle(end[2] - h)])
         near = np.abs(miss).max() < MISS * size
-        return (miss if near else np.full(3, math.inf)), _compute_derivatives(make_way(lengths))
+        return (miss if near else np.full(3, math.inf)), J
 
-    found = run_gauss_newton(
-        evaluate_miss, np.array([length for _, length in way]), TRIES, level=Level.GENERIC
-    )
+    found = run_gauss_newton(evaluate_miss, formula, TRIES, level=Level.GENERIC)
     if not np.abs(found.r).max() < HIT * size:
         return None
-    return tuple(piece for piece in make_way(found.x) if abs(piece[1]) > NOTHING)
+    lengths = found.x.tolist()
+    return tuple((k, s) for (k, _), s in zip(way, lengths, strict=True) if abs(s) > NOTHING)
 
 
-def _compute_derivatives(way: Way) -> Array:
-    """Compute derivatives (3, n) of the pose at the end by the lengths of the pieces."""
-    x, y, _ = compute_end_pose(way)
-    pose = (0.0, 0.0, 0.0)
-    columns: list[list[float]] = []
-    for k, length in way:
-        pose = advance_pose(pose, k, length)
-        columns.append(
-            [math.cos(pose[2]) - k * (y - pose[1]), math.sin(pose[2]) + k * (x - pose[0]), k]
-        )
-    return np.array(columns).T
+def _iterate_words(x: float, y: float, h: float) -> Iterator[Way]:
+    """Iterate over the words that begin with a left arc; the numbers are those of the formulas."""
+    yield from _iterate_words_to_the_left(x, y, h)
+    yield from _iterate_words_to_the_right(x, y, h)
 
 
-def _iterate_csc(x: float, y: float, h: float) -> Iterator[Way]:
-    """Iterate over words arc, straight piece, arc: (8.1) to the same side, (8.2) to the other one."""
-    a = x - math.sin(h)
-    b = y - 1.0 + math.cos(h)
-    t = math.atan2(b, a)
-    yield (L, t), (S, math.hypot(a, b)), (L, wrap_angle(h - t))
-    a = x + math.sin(h)
-    b = y - 1.0 - math.cos(h)
-    square = a * a + b * b - 4.0
-    if square >= 0.0:
-        u = math.sqrt(square)
-        t = wrap_angle(math.atan2(b, a) + math.atan2(2.0, u))
-        yield (L, t), (S, u), (R, wrap_angle(t - h))
-
-
-def _iterate_ccc(x: float, y: float, h: float) -> Iterator[Way]:
-    """Iterate over words of three arcs: (8.3) to (8.6)."""
+def _iterate_words_to_the_left(x: float, y: float, h: float) -> Iterator[Way]:
+    """Iterate over the words whose last arc is a left one, too: the circles of both have a distance."""
     a = x - math.sin(h)
     b = y - 1.0 + math.cos(h)
     rho = math.hypot(a, b)
-    if rho <= 4.0:
+    direction = math.atan2(b, a)
+    yield (L, direction), (S, rho), (L, wrap_angle(h - direction))  # (8.1)
+    if rho <= 4.0:  # (8.3) to (8.6)
         u = -2.0 * math.asin(0.25 * rho)
-        t = wrap_angle(math.atan2(b, a) + 0.5 * u + math.pi)
+        t = wrap_angle(direction + 0.5 * u + math.pi)
         yield (L, t), (R, u), (L, wrap_angle(h - t + u))
+    if rho >= 2.0:  # (8.9)
+        r = math.sqrt(rho * rho - 4.0)
+        t = wrap_angle(direction + math.atan2(r, -2.0))
+        yield (L, t), (R, -QUARTER), (S, 2.0 - r), (L, wrap_angle(h - QUARTER - t))
 
 
-def _iterate_cccc(x: float, y: float, h: float) -> Iterator[Way]:
-    """Iterate over words of four arcs, with equal ones in the middle: (8.7), (8.8)."""
+def _iterate_words_to_the_right(x: float, y: float, h: float) -> Iterator[Way]:
+    """Iterate over the words whose last arc is a right one."""
     a = x + math.sin(h)
     b = y - 1.0 - math.cos(h)
     rho = math.hypot(a, b)
     inner = 0.25 * (2.0 + rho)
     outer = (20.0 - rho * rho) / 16.0
-    if inner <= 1.0:
+    if inner <= 1.0:  # (8.7)
         u = math.acos(inner)
         t, v = _compute_outer_arcs(u, -u, a, b, h)
         yield (L, t), (R, u), (L, -u), (R, v)
-    if 0.0 <= outer <= 1.0:
+    if 0.0 <= outer <= 1.0:  # (8.8)
         u = -math.acos(outer)
         t, v = _compute_outer_arcs(u, u, a, b, h)
         yield (L, t), (R, u), (L, u), (R, v)
+    if rho >= 2.0:
+        u = math.sqrt(rho * rho - 4.0)
+        t = wrap_angle(math.atan2(b, a) + math.atan2(2.0, u))
+        yield (L, t), (S, u), (R, wrap_angle(t - h))  # (8.2)
+        t = math.atan2(a, -b)
+        yield (L, t), (R, -QUARTER), (S, 2.0 - rho), (R, wrap_angle(t + QUARTER - h))  # (8.10)
+        t = wrap_angle(math.atan2(u * a - 2.0 * b, -2.0 * a - u * b))
+        yield (L, t), (R, -QUARTER), (S, 4.0 - u), (L, -QUARTER), (R, wrap_angle(t - h))  # (8.11)
 
 
 def _compute_outer_arcs(u: float, v: float, a: float, b: float, h: float) -> tuple[float, float]:
@@ -185,41 +181,3 @@ def _compute_outer_arcs(u: float, v: float, a: float, b: float, h: float) -> tup
     if 2.0 * (math.cos(d) - math.cos(v) - math.cos(u)) + 3.0 < 0.0:
         t += math.pi
     return wrap_angle(t), wrap_angle(t - u + v - h)
-
-
-def _iterate_ccsc(x: float, y: float, h: float) -> Iterator[Way]:
-    """Iterate over words arc, quarter circle back, straight piece, arc: (8.9), (8.10)."""
-    a = x - math.sin(h)
-    b = y - 1.0 + math.cos(h)
-    rho = math.hypot(a, b)
-    if rho >= 2.0:
-        r = math.sqrt(rho * rho - 4.0)
-        t = wrap_angle(math.atan2(b, a) + math.atan2(r, -2.0))
-        yield (L, t), (R, -QUARTER), (S, 2.0 - r), (L, wrap_angle(h - QUARTER - t))
-    a = x + math.sin(h)
-    b = y - 1.0 - math.cos(h)
-    rho = math.hypot(a, b)
-    if rho >= 2.0:
-        t = math.atan2(a, -b)
-        yield (L, t), (R, -QUARTER), (S, 2.0 - rho), (R, wrap_angle(t + QUARTER - h))
-
-
-def _iterate_ccscc(x: float, y: float, h: float) -> Iterator[Way]:
-    """Iterate over words arc, quarter circle, straight piece, quarter circle, arc: (8.11)."""
-    a = x + math.sin(h)
-    b = y - 1.0 - math.cos(h)
-    rho = math.hypot(a, b)
-    if rho >= 2.0:
-        u = 4.0 - math.sqrt(rho * rho - 4.0)
-        t = wrap_angle(math.atan2((4.0 - u) * a - 2.0 * b, -2.0 * a + (u - 4.0) * b))
-        yield (L, t), (R, -QUARTER), (S, u), (L, -QUARTER), (R, wrap_angle(t - h))
-
-
-WORDS: tuple[Callable[[float, float, float], Iterator[Way]], ...] = (
-    _iterate_csc,
-    _iterate_ccc,
-    _iterate_cccc,
-    _iterate_ccsc,
-    _iterate_ccscc,
-)
-"""The kinds of words, each a function of the goal."""

@@ -23,7 +23,7 @@ from kempe.errors import UnsupportedError
 from kempe.forward.fk import fk, jacobian
 from kempe.model.configurations import sample_configurations
 from kempe.numerics.rank import Level, Spectrum
-from kempe.spatial import Array
+from kempe.spatial import Array, adjoint, align_z, inverse, pose, rot_z
 from kempe.words import format_count
 
 if TYPE_CHECKING:
@@ -40,22 +40,22 @@ SEED = 19900101
 class Axle:
     """An axle on a body that moves in a plane, and the coordinates that go with it.
 
-    `plane` (2, 3) are the plane's axes in the ground, `own` velocity indices of two slides and the
-    turn, whose coordinate times `gear` is the heading; `mount` (3,) is the middle of the axle and
-    the heading of its wheels in the axes of the body. `driven`, `idle` and `steering` are velocity
-    indices. `loose`: the body may turn about the axle's middle, whatever the steering is.
+    `X_BA` is the pose of the axle on the body: x ahead, y along the axle, z across the plane, whose
+    axes in the ground are `plane` (2, 3). `own` are velocity indices of two slides and the turn;
+    the heading is the turn's coordinate times `gear`, plus `angle`. `driven`, `idle` and `steering`
+    are velocity indices.
     """
 
     system: Model
     body: str
+    X_BA: Array
     plane: Array
     own: tuple[int, ...]
     gear: float
-    mount: Array
+    angle: float = 0.0
     driven: tuple[int, ...] = ()
     idle: tuple[int, ...] = ()
     steering: int | None = None
-    loose: bool = False
 
     @cached_property
     def q_places(self) -> dict[int, int]:
@@ -78,18 +78,14 @@ class Axle:
 
     def compute_place(self, q: Array) -> Array:
         """Compute middle and heading (..., 3) of the axle at configurations (..., nq)."""
-        heading = self.gear * q[..., self.own_q_places[2]]
-        c = np.cos(heading)
-        s = np.sin(heading)
-        x, y, angle = self.mount
-        origin = fk(self.system, q, self.body)[..., :3, 3] @ self.plane.T
-        arm = np.stack([c * x - s * y, s * x + c * y], axis=-1)
-        return np.concatenate([origin + arm, (heading + angle)[..., None]], axis=-1)
+        middle = (fk(self.system, q, self.body) @ self.X_BA)[..., :3, 3] @ self.plane.T
+        heading = self.gear * q[..., self.own_q_places[2]] + self.angle
+        return np.concatenate([middle, heading[..., None]], axis=-1)
 
     def move_axle(self, q: Array, place: Array) -> Array:
         """Return configurations (n, nq) with the axle moved exactly to places (n, 3)."""
         out = q.copy()
-        out[:, self.own_q_places[2]] = (place[:, 2] - self.mount[2]) / self.gear
+        out[:, self.own_q_places[2]] = (place[:, 2] - self.angle) / self.gear
         out[:, self.own_q_places[:2]] = 0.0
         J = self.plane @ jacobian(self.system, out, self.body)[:, :3][..., list(self.own[:2])]
         off = (place - self.compute_place(out))[:, :2]
@@ -101,24 +97,14 @@ class Axle:
 
         The twist is forward, sideways and turning, at configurations (n, nq).
         """
-        J: Array = self.plane @ jacobian(self.system, q, self.body)[:, :3][..., list(self.own)]
-        place = self.compute_place(q)
-        arm = place[:, :2] - fk(self.system, q, self.body)[:, :3, 3] @ self.plane.T
-        J[..., 2] += self.gear * np.column_stack([-arm[:, 1], arm[:, 0]])
-        c = np.cos(place[:, 2])
-        s = np.sin(place[:, 2])
-        axes: Array = np.array([[c, s], [-s, c]]).transpose(2, 0, 1)
-        out = np.zeros((len(q), 3, 3))
-        out[:, :2] = axes @ J
-        out[:, 2, 2] = self.gear
-        return out
+        J = adjoint(inverse(self.X_BA)) @ jacobian(self.system, q, self.body, "body")
+        return J[:, [0, 1, 5]][..., list(self.own)]
 
     def compute_own_rates(self, q: Array, forward: Array, turning: Array) -> Array:
         """Compute the rates (n, 3) of slides and turn at speeds (n,) of the axle."""
         twist = np.stack([forward, np.zeros(len(q)), turning], axis=1)
-        return np.asarray(
-            np.linalg.solve(self.compute_twist_matrices(q), twist[..., None])[..., 0], dtype=float
-        )
+        rates = np.linalg.solve(self.compute_twist_matrices(q), twist[..., None])[..., 0]
+        return np.asarray(rates, dtype=float)
 
     def compute_slide_sine(self, q: Array) -> Array:
         """Compute the sine (n,) of the angle between the two slides.
@@ -136,18 +122,15 @@ class Axle:
         """
         A = evaluate_velocity_rows(self.system, q)[0]
         own = list(self.own)
-        by_twist = A[:, own] @ np.asarray(
-            np.linalg.inv(self.compute_twist_matrices(q[None])[0]), dtype=float
-        )
-        out = np.concatenate([by_twist, A], axis=1)
+        by_rates: Array = np.linalg.inv(self.compute_twist_matrices(q[None]))[0]
+        out = np.concatenate([A[:, own] @ by_rates, A], axis=1)
         out[:, [3 + v for v in own]] = 0.0
         return out * self.units
 
     def compute_motion_basis(self, q: Array) -> Array:
         """Compute a scaled basis (3 + driven, k) of allowed rates of axle and driven coordinates."""
-        return Spectrum(self.compute_rows(q)[:, self._moved_columns]).compute_null_space(
-            Level.CLOSED
-        )
+        rows = self.compute_rows(q)[:, self._moved_columns]
+        return Spectrum(rows).compute_null_space(Level.CLOSED)
 
     @cached_property
     def _moved_columns(self) -> list[int]:
@@ -182,15 +165,13 @@ def find_axle(system: Model, q: Array) -> Axle:
     if not A.shape[-2]:
         held = "limits or one-sided constraints hold" if len(pack_one_sided_rows(system)) else ""
         held = f"{tie!r} holds positions" if tie else held
-        raise UnsupportedError(
-            f"{system.name} has no velocity constraints"
-            + (
-                f"; {held} on the way: system.configuration_space.path(start, goal)"
-                if held
-                else ": nothing keeps it from going straight there "
-                "(system.configuration_space.interpolate)"
-            )
+        advice = (
+            f"; {held} on the way: system.configuration_space.path(start, goal)"
+            if held
+            else ": nothing keeps it from going straight there "
+            "(system.configuration_space.interpolate)"
         )
+        raise UnsupportedError(f"{system.name} has no velocity constraints{advice}")
     if np.abs(b).max(initial=0.0) > 0.0:
         raise UnsupportedError(
             f"{system.name}: a velocity constraint asks for a speed of its own (b is not zero): "
@@ -201,7 +182,8 @@ def find_axle(system: Model, q: Array) -> Axle:
             f"{system.name}: {tie!r} ties coordinates to each other (a loop, a relation or a "
             "position constraint); a manoeuvre is known for open systems only"
         )
-    return _place_axle(_sort_coordinates(_find_planar_body(system), q), q)
+    samples = [q, *_sample(system)]
+    return _place_axle(_sort_coordinates(_find_planar_body(system), samples), samples)
 
 
 def find_binding_constraint(system: Model, q: Array) -> str | None:
@@ -209,13 +191,15 @@ def find_binding_constraint(system: Model, q: Array) -> str | None:
 
     Returned is its name, or None.
     """
-    some = np.concatenate(
-        [q[None], sample_configurations(system, np.random.default_rng(SEED), (TRIALS,))]
-    )
-    error, J = closure_rows.evaluate_constraints(system, some)
+    error, J = closure_rows.evaluate_constraints(system, np.stack([q, *_sample(system)]))
     size = np.maximum(np.abs(error).max(axis=0), np.abs(J).max(axis=(0, 2), initial=0.0))
     rows = np.flatnonzero(size > SAME)
     return closure_rows.list_row_names(system)[int(rows[0])][0] if len(rows) else None
+
+
+def _sample(system: Model) -> Array:
+    """Draw the random configurations (TRIALS, nq) at which statements are checked."""
+    return sample_configurations(system, np.random.default_rng(SEED), (TRIALS,))
 
 
 def _find_planar_body(system: Model) -> Axle:
@@ -223,7 +207,7 @@ def _find_planar_body(system: Model) -> Axle:
 
     It is returned as an axle at its origin. Errors: `UnsupportedError`.
     """
-    samples = sample_configurations(system, np.random.default_rng(SEED), (TRIALS,))
+    samples = _sample(system)
     vectors = {*system.structure.layout.vector_v.tolist()}
     for body in system.body_names[1:]:
         J = np.asarray(jacobian(system, samples, body))
@@ -234,19 +218,17 @@ def _find_planar_body(system: Model) -> Axle:
         slides = [v for v in moved if v not in turns]
         spin = J[0, 3:, turns[0]]
         gear = float(np.linalg.norm(spin))
-        normal = spin / gear
-        leaves = np.abs(J[:, :3].transpose(0, 2, 1) @ normal).max()
+        leaves = np.abs(J[:, :3].transpose(0, 2, 1) @ spin).max() / gear
         tilts = np.abs(J[:, 3:, turns[0]] - spin).max() / gear
-        if (
-            max(leaves, tilts) > SAME
-            or Spectrum(J[0, :3][:, slides]).compute_rank(Level.CLOSED) < 2
-        ):
+        rank = Spectrum(J[0, :3][:, slides]).compute_rank(Level.CLOSED)
+        if max(leaves, tilts) > SAME or rank < 2:
             continue
-        first = np.eye(3)[int(np.argmin(np.abs(normal))) if abs(normal[0]) > 0.9 else 0]
-        x = first - normal * (first @ normal)
-        x /= np.linalg.norm(x)
-        plane = np.asarray([x, np.cross(normal, x)], dtype=float)
-        return Axle(system, body, plane, (*slides, turns[0]), gear, np.zeros(3))
+        R_GA = align_z(spin)
+        start = Axle(system, body, np.eye(4), R_GA[:, :2].T, (*slides, turns[0]), gear)
+        q = samples[0].copy()
+        q[start.own_q_places[2]] = 0.0
+        R_GB = fk(system, q, body)[:3, :3]
+        return replace(start, X_BA=pose(R_GB.T @ R_GA))
     raise UnsupportedError(
         f"{system.name}: no body moves in a plane by two slides and a turn; a manoeuvre is known "
         "for bodies whose place and heading in a plane are coordinates (a planar joint, or two "
@@ -254,29 +236,29 @@ def _find_planar_body(system: Model) -> Axle:
     )
 
 
-def _sort_coordinates(axle: Axle, q: Array) -> Axle:
+def _sort_coordinates(axle: Axle, samples: list[Array]) -> Axle:
     """Return the axle with its driven, idle and steering coordinates. Errors: `UnsupportedError`."""
     system = axle.system
     layout = system.structure.layout
-    samples = sample_configurations(system, np.random.default_rng(SEED), (TRIALS,))
     places = {v: [i] for v, i in axle.q_places.items()}
     for v, i in zip(layout.quaternion_v.tolist(), layout.quaternion_q.tolist(), strict=True):
         places |= {v + k: list(range(i, i + 4)) for k in range(3)}
 
-    def compute_projection(x: Array) -> Array:
-        """Compute the projection onto the row space at x."""
-        V = Spectrum(axle.compute_rows(x)).compute_row_space(Level.CLOSED)
+    def compute_projection(q: Array) -> Array:
+        """Compute the projection onto the row space at q."""
+        V = Spectrum(axle.compute_rows(q)).compute_row_space(Level.CLOSED)
         return V @ V.T
+
+    projections = [compute_projection(q) for q in samples]
+    used = np.max([np.abs(P).max(axis=0) for P in projections], axis=0)[3:] > SAME
 
     def has_effect_on_rows(columns: list[int]) -> bool:
         """Tell whether the row space depends on these coordinates."""
-        for base in (q, *samples[:2]):
-            here = compute_projection(base)
-            for other in samples:
-                x = base.copy()
-                x[columns] = other[columns]
-                if np.abs(compute_projection(x) - here).max() > 10.0 * SAME:
-                    return True
+        for k, q in enumerate(samples):
+            moved = q.copy()
+            moved[columns] = samples[k - 1][columns]
+            if np.abs(compute_projection(moved) - projections[k]).max() > 10.0 * SAME:
+                return True
         return False
 
     if has_effect_on_rows(axle.own_q_places):
@@ -284,20 +266,18 @@ def _sort_coordinates(axle: Axle, q: Array) -> Axle:
             f"{system.name}: what the velocity constraints allow depends on where {axle.body!r} "
             "is, not only on how it moves in its own axes; a manoeuvre is not known"
         )
-    used = (
-        np.max([np.abs(compute_projection(x)).max(axis=0) for x in (q, *samples)], axis=0)[3:]
-        > SAME
-    )
-    kinds: dict[tuple[bool, bool], list[int]] = {}
-    for v in sorted({*places} - {*axle.own}):
-        kinds.setdefault((bool(used[v]), has_effect_on_rows(places[v])), []).append(v)
     names = system.structure.velocity_names
-    for v in kinds.get((True, True), []):
-        raise UnsupportedError(
-            f"{system.name}: the rate of {names[v]!r} depends on {names[v]!r} itself, as a "
-            "trailer's does; a manoeuvre is not known for that"
-        )
-    steering = kinds.get((False, True), [])
+    driven: list[int] = []
+    idle: list[int] = []
+    steering: list[int] = []
+    for v in sorted({*places} - {*axle.own}):
+        has_effect = has_effect_on_rows(places[v])
+        if used[v] and has_effect:
+            raise UnsupportedError(
+                f"{system.name}: the rate of {names[v]!r} depends on {names[v]!r} itself, as a "
+                "trailer's does; a manoeuvre is not known for that"
+            )
+        (driven if used[v] else steering if has_effect else idle).append(v)
     if len(steering) > 1:
         both = " and ".join(repr(names[v]) for v in steering)
         raise UnsupportedError(
@@ -305,13 +285,13 @@ def _sort_coordinates(axle: Axle, q: Array) -> Axle:
         )
     return replace(
         axle,
-        driven=tuple(kinds.get((True, False), [])),
-        idle=tuple(kinds.get((False, False), [])),
+        driven=tuple(driven),
+        idle=tuple(idle),
         steering=steering[0] if steering else None,
     )
 
 
-def _place_axle(axle: Axle, q: Array) -> Axle:
+def _place_axle(axle: Axle, samples: list[Array]) -> Axle:
     """Return the axle at the place on its body that no allowed twist moves sideways.
 
     Errors: `UnsupportedError` where the twists are too many, too few, or the driven coordinates do
@@ -319,14 +299,9 @@ def _place_axle(axle: Axle, q: Array) -> Axle:
     """
     system = axle.system
     names = system.structure.velocity_names
-    unit = axle.units[:3]
     twists: list[Array] = []
-    for k in range(TRIALS if axle.steering is not None else 1):
-        x = q.copy()
-        if axle.steering is not None and k:
-            i = axle.q_places[axle.steering]
-            x[i] = sample_configurations(system, np.random.default_rng([SEED, k]))[i]
-        N = axle.compute_motion_basis(x)
+    for q in samples if axle.steering is not None else samples[:1]:
+        N = axle.compute_motion_basis(q)
         if Spectrum(N[:3], 1.0).compute_rank(Level.CLOSED) < N.shape[1]:
             raise UnsupportedError(
                 f"{system.name}: with {axle.body!r} at rest some of "
@@ -334,7 +309,7 @@ def _place_axle(axle: Axle, q: Array) -> Axle:
                 "known for that"
             )
         twists.append(N[:3])
-    left = min(N.shape[1] for N in twists[1:] or twists)
+    left = twists[-1].shape[1]
     if left == 3:
         raise UnsupportedError(
             f"{system.name}: the velocity constraints let {axle.body!r} move in every direction: "
@@ -346,59 +321,50 @@ def _place_axle(axle: Axle, q: Array) -> Axle:
             f"{format_count(left, 'freedom')} of motion: it moves along one curve only"
         )
     rows = Spectrum(np.concatenate(twists, axis=1).T).compute_null_space(Level.CLOSED)
-    if rows.shape[1] != 1:
+    if rows.shape[1] != 1 or left == 2 and axle.steering is not None:
         raise UnsupportedError(
             f"{system.name}: no point of {axle.body!r} is without sideslip for every value of "
             f"{names[axle.steering or 0]!r}: a manoeuvre is known for a body with an axle of its "
             "own"
         )
-    a = rows[:, 0] / unit
+    a = rows[:, 0] / axle.units[:3]
     size = math.hypot(a[0], a[1])
     if size < SAME * abs(a[2]):
         raise UnsupportedError(
             f"{system.name}: {axle.body!r} cannot turn; its heading stays, and that is a "
             "constraint on its position, no nonholonomic one"
         )
-    a = a / size
-    forward = np.array([a[1], -a[0]])
-    if forward[0] < -SAME or (abs(forward[0]) <= SAME and forward[1] < 0.0):
-        forward = -forward
-    middle, sense = _find_axle_middle(axle, q, -a[2] * np.array([-a[1], a[0]]), forward)
-    forward = sense * forward
-    mount = np.array([*middle, math.atan2(forward[1], forward[0])])
-    return replace(axle, mount=mount, loose=left == 2)
+    ahead = np.array([a[1], -a[0]]) / size
+    foot = a[2] / size * ahead
+    if ahead[0] < -SAME or (abs(ahead[0]) <= SAME and ahead[1] < 0.0):
+        ahead = -ahead
+    middle, sense = _find_axle_middle(axle, samples, foot, ahead)
+    angle = math.atan2(sense * ahead[1], sense * ahead[0])
+    return replace(axle, X_BA=axle.X_BA @ pose(rot_z(angle), [*middle, 0.0]), angle=angle)
 
 
-def _find_axle_middle(axle: Axle, q: Array, foot: Array, forward: Array) -> tuple[Array, float]:
-    """Find the middle (2,) of the axle in the body's axes, and whether `forward` (2,) is forwards.
-
-    The second is 1 for forwards and -1 for in reverse.
+def _find_axle_middle(
+    axle: Axle, samples: list[Array], foot: Array, ahead: Array
+) -> tuple[Array, float]:
+    """Find the middle (2,) of the axle, and 1 where `ahead` (2,) is forwards, -1 in reverse.
 
     By the ends of velocity constraints that are fixed on the axle: their middle, and the sense of
     their x axes. Where there is none, the middle is the `foot`, next to the body's origin.
     """
     system = axle.system
-    samples = np.concatenate(
-        [q[None], sample_configurations(system, np.random.default_rng(SEED), (2,))]
-    )
-    place = axle.compute_place(samples)
-    c = np.cos(place[:, 2])
-    s = np.sin(place[:, 2])
-    axes = np.array([[c, s], [-s, c]]).transpose(2, 0, 1)
-    across = np.array([-forward[1], forward[0]])
+    q = np.stack(samples)
+    X_AG = inverse(fk(system, q, axle.body) @ axle.X_BA)
+    reach = 1.0 + float(np.abs(X_AG[:, :3, 3]).max())
     sense = 0.0
-    offsets: list[float] = []
+    middles: list[Array] = []
     for declared in system._mechanism.constraints.values():
         if not declared.child or not any(r.velocity for r in declared.of.list_rows(system.dim)):
             continue
-        end = fk(system, samples, declared.child)
-        end = end @ declared.frames(system.structure.parameters, system.dim)[1]
-        far = end[:, :3, 3] @ axle.plane.T - place[:, :2]
-        far = (axes @ far[..., None])[..., 0]
-        ahead = (axes @ (end[:, :3, 0] @ axle.plane.T)[..., None])[..., 0]
-        reach = 1.0 + float(np.abs(far).max()) + float(np.abs(place).max())
-        if max(np.abs(far - far[0]).max(), abs(float(forward @ (far[0] - foot)))) < SAME * reach:
-            offsets.append(float(across @ (far[0] - foot)))
-            sense += float(forward @ ahead[0]) if np.abs(ahead - ahead[0]).max() < SAME else 0.0
-    middle = foot + across * float(np.mean(offsets)) if offsets else foot
-    return middle, -1.0 if sense < -0.5 else 1.0
+        X_CE = declared.frames(system.structure.parameters, system.dim)[1]
+        X_AE = X_AG @ fk(system, q, declared.child) @ X_CE
+        at = X_AE[:, :2, 3]
+        along = X_AE[:, :2, 0]
+        if max(np.abs(at - at[0]).max(), abs(float(ahead @ (at[0] - foot)))) < SAME * reach:
+            middles.append(at[0])
+            sense += float(ahead @ along[0]) if np.abs(along - along[0]).max() < SAME else 0.0
+    return np.mean(middles or [foot], axis=0), -1.0 if sense < -0.5 else 1.0
