@@ -153,7 +153,7 @@ def test_budgets_are_values():
 def test_tolerances_are_pairs():
     loose = kempe.Tolerance(linear=1e-3, angular=0.01)
     near = ARM.ik(X[None], "tool", tolerance=loose)
-    assert near and near.task.tolerance == (1e-3, 0.01)
+    assert near and near.problem.tolerance == (1e-3, 0.01)
 
 
 def test_what_raised_is_expected():

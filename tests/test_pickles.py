@@ -182,7 +182,7 @@ def of_arms() -> Iterable[tuple[str, Any]]:
         yield name, getattr(arm, name)
     yield "system", arm
     yield "judged", arm.ik_all(X, tool).judged
-    yield "task", arm.ik(X, tool).task
+    yield "problem", arm.ik(X, tool).problem
 
 
 def of_redundant_arms() -> Iterable[tuple[str, Any]]:

@@ -73,7 +73,7 @@ def test_an_answer_keeps_its_target(many):
     X[...] = near
     said = s.status[0] if many else s.status
     assert said == (robot.ik(far, "tool").status[0] if many else robot.ik(far, "tool").status)
-    assert "by at least 0 m" not in said and np.array_equal(np.squeeze(s.task.targets), far)
+    assert "by at least 0 m" not in said and np.array_equal(np.squeeze(s.problem.targets), far)
 
 
 def test_rounds_of_starts_are_one_sequence():

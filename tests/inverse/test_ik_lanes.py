@@ -199,7 +199,7 @@ def test_plain_calls_are_answered_as_careful_ones():
         assert (short.iterations, short.residual) == (careful.iterations, careful.residual)
         assert short.status == careful.status and str(short) == str(careful)
     back = pickle.loads(pickle.dumps(again))
-    assert back.status == again.status and back.task.frame == frame
+    assert back.status == again.status and back.problem.frame == frame
     outside = np.full(robot.nq, 50.0)
     a = robot.ik(X[0], frame, start=outside)
     b = robot.ik(X[0].tolist(), frame, start=outside.tolist())

@@ -70,6 +70,13 @@ class Answer(Result, Tabular):
     is_motion: ClassVar[bool] = False
     """Whether the rows of `q` are passed one after the other."""
 
+    @classmethod
+    def from_fields(cls, **fields: Any) -> Self:
+        """Make an answer from its fields, in a fraction of the time that a frozen class takes."""
+        out = object.__new__(cls)
+        out.__dict__.update(fields)
+        return out
+
     @property
     def within(self) -> Nearest | None:  # type: ignore[override]
         """Nearest mechanism that closes exactly; None if the answer is for the given mechanism."""

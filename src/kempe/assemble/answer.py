@@ -16,7 +16,6 @@ from kempe.words import format_fixed
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
-    from kempe.status import Status
 
 
 @explain_method_errors
@@ -52,32 +51,6 @@ class Assembly(Answer):
     """
     limit: float | None = field(default=None, repr=False)
     """The time limit, in seconds, where it may have ended the work."""
-
-    @classmethod
-    def single(
-        cls,
-        q: Array,
-        success: bool,
-        code: Status,
-        residual: float,
-        iterations: int,
-        starts: int,
-        assembler: Any,
-    ) -> Assembly:
-        """Return the answer for a single set of known values.
-
-        It is made in a fraction of the time that a frozen class takes.
-        """
-        out = object.__new__(cls)
-        own = out.__dict__
-        own["q"] = q
-        own["success"] = success
-        own["code"] = code
-        own["residual"] = residual
-        own["iterations"] = iterations
-        own["starts"] = starts
-        own["assembler"] = assembler
-        return out
 
     @property
     def system(self) -> Model:

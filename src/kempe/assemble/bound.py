@@ -839,8 +839,14 @@ class Assembler:
                     x < low or x > high for x, (low, high) in zip(known, self.bounds, strict=True)
                 ):
                     code = Status.OUTSIDE_LIMITS
-            return Assembly.single(
-                q[0], code == SOLVED, MEMBERS[code], residual.item(), steps, starts, self
+            return Assembly.from_fields(
+                q=q[0],
+                success=code == SOLVED,
+                code=MEMBERS[code],
+                residual=residual.item(),
+                iterations=steps,
+                starts=starts,
+                assembler=self,
             )
         code = info[:, 0]
         if self.limited and limits:

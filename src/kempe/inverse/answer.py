@@ -14,11 +14,10 @@ from kempe.arguments import explain_method_errors, read_batch_index
 from kempe.arrays import unwrap_scalar
 from kempe.equations.slip import has_velocity_constraints
 from kempe.errors import InputError
-from kempe.kernels.base.search_layout import ANGULAR, ANSWER, LINEAR, STARTS, STATUS, STEPS
 from kempe.late import import_late_member
 from kempe.report import Report, summarize_fields
 from kempe.spatial import Array
-from kempe.status import MEMBERS, PROOFS, Status
+from kempe.status import PROOFS, Status
 from kempe.words import cut_lines, format_count
 
 if TYPE_CHECKING:
@@ -26,22 +25,6 @@ if TYPE_CHECKING:
 
     from kempe.inverse.chain.problem import FrameProblem
     from kempe.model.model import Model
-
-
-def _find_status(number: float) -> Status:
-    """Find the status of a number."""
-    return MEMBERS[int(number)]
-
-
-_MEASURED: dict[str, tuple[int, Callable[..., Any]]] = {
-    "iterations": (STEPS, int),
-    "starts": (STARTS, int),
-    "code": (STATUS, _find_status),
-    "position_error": (LINEAR, float),
-    "orientation_error": (ANGULAR, float),
-}
-"""Fields of an answer for a single target, where the kernels leave them, and as what they are
-read."""
 
 
 @dataclass(frozen=True)
@@ -86,60 +69,21 @@ class Solution(Answer):
     iterations: Any
     starts: Any
     problem: Any = field(repr=False)
-    """The `FrameProblem`, or a bound form and its target, which can tell it."""
+    """The problem that was solved, a `FrameProblem`; of several tasks their `Demands`."""
     history: ClassVar[IkHistory | None] = None
     """The iterates, an `IkHistory`, where `ik` was given ``history=True``."""
-
-    @classmethod
-    def reached(cls, problem: Any, q: Array, measured: Array) -> Solution:
-        """Make the answer for a single reached target, without the usual checks.
-
-        `measured` ends with errors, status, steps and starts, as the kernels leave them: they
-        become fields when one is requested.
-        """
-        out = object.__new__(cls)
-        own = out.__dict__
-        own["q"] = q
-        own["success"] = True
-        own["problem"] = problem
-        own["_measured"] = measured
-        return out
-
-    @classmethod
-    def postponed(
-        cls, code: np.ndarray, problem: Any, later: tuple[Callable[..., Solution], Any]
-    ) -> Solution:
-        """Make the answer for a batch with codes (...) only; other fields are computed on demand.
-
-        They come from ``later[0](*later[1])``.
-        """
-        out = object.__new__(cls)
-        out.__dict__.update(success=code == Status.SOLVED, code=code, problem=problem, _later=later)
-        return out
 
     if not TYPE_CHECKING:  # a type checker would take any name for a field
 
         def __getattr__(self, name: str) -> Any:
-            if "_later" in self.__dict__ and name in self.__dataclass_fields__:
-                function, given = self.__dict__["_later"]
-                self.__dict__.update(function(*given).__dict__)
-                del self.__dict__["_later"]
-                return self.__dict__[name]
-            measured = self.__dict__.get("_measured")
-            if measured is None or name not in _MEASURED:
+            """Compute the fields that `_later`, a function and its arguments, gives on demand."""
+            later = self.__dict__.get("_later")
+            if later is None or name not in self.__dataclass_fields__:
                 return object.__getattribute__(self, name)  # the error as it was
-            place, kind = _MEASURED[name]
-            value = self.__dict__[name] = kind(measured[place - ANSWER])
-            return value
-
-    @cached_property
-    def task(self) -> FrameProblem:
-        """The problem that was solved."""
-        problem = pair = self.problem
-        if isinstance(problem, tuple):
-            bound, target = pair
-            return bound.make_problem(target)
-        return pair
+            function, given = later
+            self.__dict__.update(function(*given))
+            self.__dict__.pop("_later", None)
+            return self.__dict__[name]
 
     @cached_property
     def residual(self) -> Any:
@@ -174,7 +118,7 @@ class Solution(Answer):
     @property
     def system(self) -> Model:
         """The system of the problem."""
-        return self.task.system
+        return self.problem.system
 
     @cached_property
     def _local_analysis(self) -> tuple[int, int, int, Array]:
@@ -226,10 +170,10 @@ class Solution(Answer):
         from kempe.answers.targets import make_target_constraints
         from kempe.equations.tasks import Task
 
-        task = self.task
-        X = np.reshape(task.targets, (*np.shape(self.success), 4, 4))
-        made = make_target_constraints(task.frame, task.name, task.axis, X)
-        return [(Task(task.system, c), None, task.tolerance) for c in made]
+        problem: FrameProblem = self.problem
+        X = np.reshape(problem.targets, (*np.shape(self.success), 4, 4))
+        made = make_target_constraints(problem.frame, problem.name, problem.axis, X)
+        return [(Task(problem.system, c), None, problem.tolerance) for c in made]
 
     def plot_history(self, ax: Any = None) -> Any:
         """Plot the errors over the steps on Matplotlib axes.

@@ -35,21 +35,21 @@ def compute_derivative(solution: Solution) -> Array:
     at a limit stay, and have rows of zeros, where the others span the same motions. Errors:
     `InputError` where a single target was not reached.
     """
-    task = solution.task
+    problem = solution.problem
     good = np.asarray(solution.success)
     if not good.ndim and not good:
         raise InputError(f"the target was not reached, so q does not follow it: {solution.status}")
-    system = task.system
-    chain = task.chain
+    system = problem.system
+    chain = problem.chain
     q = np.where(good[..., None], solution.q, system.neutral)
-    J = jacobian(system, q, task.frame)[..., chain.v_index]
-    R = fk(system, q, task.frame)[..., :3, :3]
-    if task.axis != Z_AXIS:
-        R = R @ make_rotations_along(np.array(task.axis))
+    J = jacobian(system, q, problem.frame)[..., chain.v_index]
+    R = fk(system, q, problem.frame)[..., :3, :3]
+    if problem.axis != Z_AXIS:
+        R = R @ make_rotations_along(np.array(problem.axis))
     # from ground axes to those rows in the axes of the tip that count
     S = np.zeros((*R.shape[:-2], 6, 6))
     S[..., :3, :3] = S[..., 3:, 3:] = np.swapaxes(R, -1, -2)
-    S *= np.array(task.mask, dtype=float)[:, None]
+    S *= np.array(problem.mask, dtype=float)[:, None]
     # what has no room moves nothing
     J = np.where(system.upper > system.lower, 1.0, 0.0)[chain.v_index] * (S @ J)
     x = np.full((*q.shape[:-1], system.nv), np.nan)

@@ -80,7 +80,7 @@ ROUNDING = 1e-14
 
 def explain_target(solution: Solution, index: tuple[int, ...]) -> str:
     """Write the sentence about one target of a solution."""
-    task = solution.task
+    task: FrameProblem = solution.problem
     figures = (
         solution.code,
         solution.position_error,
@@ -123,7 +123,7 @@ def explain_target(solution: Solution, index: tuple[int, ...]) -> str:
 
 def list_proofs(solution: Solution, index: tuple[int, ...]) -> tuple[Evidence, ...]:
     """List the proofs that one target of a solution has no answer."""
-    task = solution.task
+    task: FrameProblem = solution.problem
     code = np.asarray(solution.code)
     at = int(np.ravel_multi_index(index, code.shape)) if index else 0
     target = task.targets[at : at + 1]
@@ -464,7 +464,7 @@ def _prove_slides_too_short(task: FrameProblem, target: Array) -> Evidence | Non
 
 def describe_solver(solution: Solution) -> Choice:
     """Describe the solver that searches for answers of targets of a frame."""
-    task = solution.task
+    task: FrameProblem = solution.problem
     problem = Problem(task.system, "one", frame=task.frame, task=(task.name, task.axis))
     return select_solver(SOLVERS, problem)[1]
 
@@ -474,7 +474,7 @@ def analyse_answer(solution: Solution) -> tuple[int, int, int, Array]:
     from kempe.answers.targets import make_target_constraints
     from kempe.inverse.tasks.search import make_demands
 
-    task = solution.task
+    task: FrameProblem = solution.problem
     goals = make_target_constraints(task.frame, task.name, task.axis, task.targets[0])
     return freedoms.analyse_freedoms(make_demands(task.system, goals, solution.q)[0], solution.q)
 

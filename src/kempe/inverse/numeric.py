@@ -138,7 +138,7 @@ def add_history(answer: Solution, problem: Problem) -> Solution:
         raise InputError(
             "history=True is for one target of one frame that is searched for with method 'numeric'"
         )
-    frame_problem = answer.task
+    frame_problem = answer.problem
     base, seeds = make_seeds(problem.system, frame_problem.chain, problem.start, ())
     object.__setattr__(
         answer, "history", _collect_history(frame_problem, base, seeds, int(answer.starts))
@@ -319,7 +319,7 @@ def _run_solver(
     return problem, found
 
 
-def _add_nearest_answers(
+def _find_nearest_configurations(
     problem: FrameProblem,
     base: Array,
     seeds: Array,
@@ -328,15 +328,15 @@ def _add_nearest_answers(
     residual: Array,
     info: np.ndarray,
     lead: tuple[int, ...],
-) -> Solution:
-    """Make the answer of a batch, with the nearest configurations where targets are unreached."""
+) -> dict[str, Any]:
+    """Find all fields of a batch's answer, with what is nearest to the targets out of reach."""
     far = np.flatnonzero(info[:, 0] == Status.OUT_OF_REACH)
     some = seeds[far] if len(seeds) > 1 else seeds
     anew = replace(problem, end=compute_deadline(problem.time_limit))
     q[far], residual[far], info[far] = solve_targets(
         anew, some, threads, targets=problem.targets[far]
     )
-    return _make_checked_answer(problem, base, q, residual, info, lead, seeds, threads)
+    return vars(_make_checked_answer(problem, base, q, residual, info, lead, seeds, threads))
 
 
 def _make_checked_answer(
@@ -358,7 +358,13 @@ def _make_checked_answer(
     code = info[:, 0]
     if (code == Status.OUT_OF_REACH).any():
         given = (problem, base, seeds, threads, q, residual, info, lead)
-        return Solution.postponed(code.reshape(lead).copy(), problem, (_add_nearest_answers, given))
+        known = code.reshape(lead).copy()
+        return Solution.from_fields(
+            success=known == SOLVED,
+            code=known,
+            problem=problem,
+            _later=(_find_nearest_configurations, given),
+        )
     full = np.empty((len(targets), system.nq))
     full[:] = base
     full[:, problem.chain.q_index] = q
