@@ -175,8 +175,8 @@ class Recorder:
         for cached in self.caches:
             cached.cache_clear()
         for system in list(self.systems.values()):
-            system._kept.clear()
-            system._queries.clear()
+            for kept in system._kept.values():
+                kept.clear()
             for name in self.lazy:
                 vars(system).pop(name, None)
 

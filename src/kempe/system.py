@@ -387,12 +387,12 @@ class System(Model, Pictured):
         frame in place of the ground; see `kempe.forward.fk.fk`.
         """
         query = (
-            self._queries.get(frame)
+            self._kept["fk"].get(frame)
             if frame.__class__ is str and form is dtype is relative_to is None
             else None
         )
         # the import below alone would double the time
-        if query is not None and q.__class__ is np.ndarray:
+        if query is not None and q.__class__ is ARRAY:
             return query(None, q, out, threads)
         from kempe.forward.fk import fk
 
@@ -409,8 +409,8 @@ class System(Model, Pictured):
 
         Several frames give (..., k, 6, nv); see `kempe.forward.fk.jacobian`.
         """
-        query = self._queries.get(frame) if frame.__class__ is str else None
-        if query is not None and q.__class__ is np.ndarray:
+        query = self._kept["fk"].get(frame) if frame.__class__ is str else None
+        if query is not None and q.__class__ is ARRAY:
             return query.jacobian(q, in_frame, None, threads)
         from kempe.forward.fk import jacobian
 
@@ -455,7 +455,8 @@ class System(Model, Pictured):
             and target.__class__ is ARRAY
             and not history
         ):
-            bound = self._queries.get((frame, task if task is None else str(task), target.ndim))
+            key = (frame, task if task is None else str(task), target.ndim)
+            bound = self._kept["ik"].get(key)
             if (
                 bound is not None
                 and budget is None
@@ -499,8 +500,8 @@ class System(Model, Pictured):
             and start is task is fixed is tolerance is budget is None
             and not limits
         )
-        if plain and target.__class__ is np.ndarray and target.shape == (4, 4):
-            bound = self._queries.get((frame,))
+        if plain and target.__class__ is ARRAY and target.shape == (4, 4):
+            bound = self._kept["ik_all"].get(frame)
             if bound is not None and (answer := bound(target)) is not None:
                 return answer
         from kempe.inverse.ik_all import ik_all
@@ -615,7 +616,7 @@ class System(Model, Pictured):
 
     # ---- closed loops
 
-    @explain_errors
+    @partial(explain_errors, fast=True)
     def assemble(
         self,
         known: Mapping[str, Any] | None = None,

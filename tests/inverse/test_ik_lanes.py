@@ -186,7 +186,7 @@ def test_plain_calls_are_answered_as_careful_ones():
     many = robot.ik(X[:1], frame)
     first = robot.ik(X[0], frame)
     again = robot.ik(X[0], frame)
-    assert (frame, None, 2) in robot._queries
+    assert (frame, None, 2) in robot._kept["ik"]
     assert (
         np.array_equal(first.q, many.q[0])
         and np.array_equal(again.q, first.q)
@@ -221,7 +221,7 @@ def test_plain_calls_for_points_are_answered_as_careful_ones(options):
                 assert (short.iterations, short.residual) == (careful.iterations, careful.residual)
                 assert short and inside(robot, short.q)
                 assert np.linalg.norm(robot.fk(short.q, frame)[:3, 3] - p_) < 1e-6
-        assert (frame, options.get("task"), 1) in robot._queries
+        assert (frame, options.get("task"), 1) in robot._kept["ik"]
 
 
 def test_plain_calls_after_unusual_ones_are_usual():
@@ -439,8 +439,8 @@ def test_plain_calls_take_what_the_first_call_takes(kind, task):
         except (InputError, TypeError, ValueError) as error:
             return str(error)
 
-    robot._queries.clear()
-    robot._kept.clear()
+    for kept in robot._kept.values():
+        kept.clear()
     first = outcome()
     robot.ik(target, frame, **({} if task is None else {"task": task}))
     assert outcome() == first

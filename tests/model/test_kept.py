@@ -57,12 +57,11 @@ def test_a_system_does_not_grow_with_its_calls(hunt):
         axis = rng.normal(size=3)
         arm.ik(X, "tool", task=("direction", axis))
     assert max(map(len, arm._kept.values())) <= MOST
-    assert len(arm._queries) < 10
 
 
 def test_copies_keep_nothing_of_the_original():
     s = kempe.load("four_bar")
     s.assemble({"A": 0.3})
     other = s.with_parameters(a=0.2) if "a" in s.structure.parameters else s.mechanism.build()
-    assert s._kept and not other._kept
+    assert any(s._kept.values()) and not any(other._kept.values())
     assert np.all(np.isfinite(other.assemble({"A": 0.3}).q))

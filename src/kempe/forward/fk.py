@@ -18,7 +18,7 @@ from kempe.kernels.compiled import bound, chain, make_allocator, table_sweep
 from kempe.kernels.forward.table_layout import BODY, WORLD, WORLD_ALIGNED, fuse_table
 from kempe.model.configurations import read_q
 from kempe.model.gauge import regauge_table
-from kempe.model.model import keep_answers
+from kempe.model.model import bind_call, keep_answers
 from kempe.numerics.pool import sum_over_chunks
 from kempe.spatial import Array, matrix_to_quat_wxyz
 
@@ -377,15 +377,12 @@ class _ChainQuery:
 
 def _find_query(system: Model, frame: FrameLike) -> Any:
     """Return the prepared forward kinematics of a frame, made once."""
-    try:
-        found = system._queries.get(frame)
-    except TypeError:  # nothing that could be a key is a name
-        found = None
-    if found is None:
-        found = system._queries[frame] = _bind_query(
-            _ChainQuery(system, system.structure.frame_name(frame))
-        )
-    return found
+    name = frame if frame.__class__ is str else system.structure.frame_name(frame)
+
+    def make_query() -> Any:
+        return _bind_query(_ChainQuery(system, system.structure.frame_name(name)))
+
+    return bind_call(system, "fk", name, make_query)
 
 
 @keep_answers

@@ -44,6 +44,7 @@ from kempe.kernels.base.search_layout import ANSWER, STATUS
 from kempe.kernels.compiled import make_allocator, schedule
 from kempe.kernels.forward.table_layout import HAS_QUATERNION
 from kempe.model.configurations import read_start
+from kempe.model.model import bind_call
 from kempe.numerics.clock import TimeLimit
 from kempe.spatial import Array
 from kempe.status import MEMBERS, Status, to_status
@@ -59,11 +60,10 @@ if TYPE_CHECKING:
 LENGTH, ANGLE = TOLERANCE
 
 
-def bind_call(frame_problem: FrameProblem, task: str | None, shape: tuple[int, ...]) -> None:
+def bind_plain_calls(frame_problem: FrameProblem, task: str | None, shape: tuple[int, ...]) -> None:
     """Bind plain calls like this one to a `BoundIk`, which answers them faster."""
     system = frame_problem.system
     chain = frame_problem.chain
-    key = (frame_problem.frame, task, len(shape))
     # a turned particle is an error
     point = frame_problem.name == "position" and (task is not None or shape != (4, 4))
     plain = (
@@ -71,16 +71,13 @@ def bind_call(frame_problem: FrameProblem, task: str | None, shape: tuple[int, .
         if point
         else (shape == (4, 4) and frame_problem.name != "position")
     )
-    if (
-        plain
-        and frame_problem.axis == Z_AXIS
-        and not chain.ints[HAS_QUATERNION]
-        and key not in system._queries
-    ):
+
+    def make_call() -> Any:
         usual = replace(frame_problem, tolerance=TOLERANCE, starts=MOST, rng=0)
-        system._queries[key] = BoundIk(
-            usual, shape
-        ).__call__  # a method, which takes less time to call
+        return BoundIk(usual, shape).__call__  # a method, which takes less time to call
+
+    if plain and frame_problem.axis == Z_AXIS and not chain.ints[HAS_QUATERNION]:
+        bind_call(system, "ik", (frame_problem.frame, task, len(shape)), make_call)
 
 
 class BoundIk:
@@ -332,7 +329,7 @@ def _solve_frame(
         solver, choice, problem = _choose_solver(problem)
     answer = record_choice(solver.run(problem), choice)
     if not lead and task is said and solver is not BY_TASKS:
-        bind_call(answer.problem, said, np.shape(target))
+        bind_plain_calls(answer.problem, said, np.shape(target))
     return add_history(answer, problem) if read_flag(history, "history") else answer
 
 

@@ -44,6 +44,7 @@ from kempe.inverse.spare_joints import search_spare_joints
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.compiled import make_allocator
 from kempe.model.configurations import find_winding_angles
+from kempe.model.model import bind_call
 from kempe.poses import correct_rotations
 from kempe.spatial import Array
 from kempe.words import join_words
@@ -197,16 +198,11 @@ def solve_by_chain(problem: Problem) -> Solutions:
         wanted,
         watch,
     )
-    plain = not pack_one_sided_rows(system).declared
-    if (
-        plain
-        and single
-        and system.dim == 3
-        and task == "pose"
-        and plan.method.blocks is not None
-        and (name,) not in system._queries
-    ):
-        bind_frame(system, name)
+    turned_particle = bool(system.structure.table.at[name][2])
+    plain = single and not values and not pack_one_sided_rows(system).declared
+    usual = task == "pose" and system.dim == 3 and not turned_particle
+    if plain and usual and not plan.locked and plan.method.blocks is not None:
+        bind_call(system, "ik_all", name, lambda: BoundIkAll(system, name).__call__)
     near = read_near_configurations(system, problem.start, packed_problem.lead)
     answer = solve_chain_problem(packed_problem, plan, near, values, threads)
     if (
@@ -278,11 +274,14 @@ SOLVERS = (
 class BoundIkAll:
     """`ik_all` of single poses for one frame, with all look-ups done once."""
 
-    def __init__(self, system: Model, frame: str, plan: ChainPlan, kernel: Callable[..., int]):
+    def __init__(self, system: Model, frame: str):
+        lines = find_chain_lines(system, frame, Z_AXIS)
+        plan = find_plan(system, frame, lines, "pose", Z_AXIS, ())
         self.system = system
         self.frame = frame
         self.plan = plan
-        self.kernel = kernel
+        blocks: Any = plan.method.blocks
+        self.kernel: Callable[..., int] = blocks()
         self.base = move_inside_limits(system, system.neutral[None].copy())
         self.near = np.ascontiguousarray(system.neutral[None, plan.lines.q_index])
         self.counts = np.zeros((1, 2), dtype=np.int64)
@@ -292,7 +291,7 @@ class BoundIkAll:
         self.new = make_allocator(1, plan.method.slots, len(plan.lines) + A.INFO)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return bind_frame, (self.system, self.frame)
+        return BoundIkAll, (self.system, self.frame)
 
     def make_problem(self, target: Array) -> ChainProblem:
         """The problem that was solved."""
@@ -312,16 +311,6 @@ class BoundIkAll:
         if used >= 0 or (used == -1 and not np.all(np.abs(X) < FARTHEST)):
             return None
         return Solutions((self, X), self.plan, self.base, rows, self.counts, None, -1 - used)
-
-
-def bind_frame(system: Model, frame: str) -> BoundIkAll | None:
-    """Bind `ik_all` of a frame's poses, once; None where the general solver is needed."""
-    lines = find_chain_lines(system, frame, Z_AXIS)
-    plan = find_plan(system, frame, lines, "pose", Z_AXIS, ())
-    blocks = None if plan.locked or system.structure.table.at[frame][2] else plan.method.blocks
-    bound = None if blocks is None else BoundIkAll(system, frame, plan, blocks())
-    system._queries[(frame,)] = None if bound is None else bound.__call__
-    return bound
 
 
 def solve_chain_problem(

@@ -74,6 +74,19 @@ def store_answer(answers: dict[Any, Any], key: Any, answer: T, most: int = MOST)
     return answer
 
 
+def bind_call(system: Model, verb: str, key: Any, make: Callable[[], Any]) -> Any:
+    """Return the prepared call of a verb for `key`, made by the first request.
+
+    A prepared call answers plain calls with all names looked up and all arrays packed, and returns
+    None for what needs the general solver. `System` finds it in ``_kept[verb]`` itself: a call of
+    this function, or the import of the verb, would take as long as `fk`.
+    """
+    calls = system._kept[verb]
+    if key not in calls:
+        calls[key] = make()
+    return calls[key]
+
+
 # ---- the compiled model
 
 FrameLike = Body | Frame | str
@@ -236,12 +249,11 @@ class Model:
     _topology: Topology
     _coordinates: Coordinates
     _table: Table
-    _queries: dict[Any, Any]
-    """Bound forms of single calls, by what they are bound to."""
     _ideal: Any = None
     """What this system is the nearest one of, an `Idealised`; None where it is the given one."""
     _kept: dict[Any, dict[Any, Any]]
-    """Answers of functions that are `kempe.model.model.keep_answers`."""
+    """Answers of functions with `kempe.model.model.keep_answers`, by function, and prepared calls
+    of `kempe.model.model.bind_call`, by verb."""
 
     def __init__(
         self, mechanism: Mechanism, topology: Topology | None = None, table: Table | None = None
@@ -255,8 +267,7 @@ class Model:
             if table is None
             else table
         )
-        own["_queries"] = {}
-        own["_kept"] = {}
+        own["_kept"] = {verb: {} for verb in ("fk", "ik", "ik_all")}
         self._check_placements()
 
     def __setattr__(self, name: str, value: object) -> None:
