@@ -283,6 +283,29 @@ def test_hands_farther_apart_than_the_links_between_them_are_long(hunt):
             )
 
 
+def test_one_hand_farther_from_the_other_than_the_links_between_them_are_long(hunt):
+    """A pose relative to another hand: never below what is missed, and none for what is held."""
+    rng = hunt.rng()
+    proven = 0
+    for _ in range(hunt.cases(30)):
+        s = tree(rng)
+        q = configurations(s, rng, 1, "half")[0]
+        X = spatial.inverse(s.fk(q, "tip1")) @ s.fk(q, "tip0")
+        few = kempe.Budget(starts=2)
+        assert not s.ik([tasks.RelativePose("tip0", "tip1", X)], budget=few).proven
+        X[:3, 3] *= rng.uniform(1.0, 20.0) / np.linalg.norm(X[:3, 3])
+        answer = s.ik([tasks.RelativePose("tip0", "tip1", X)], budget=few)
+        if answer.code == Status.OUT_OF_REACH:
+            proven += 1
+            assert answer.proven and "outside the workspace" in answer.status
+            off = float(re.findall(r"by at least ([\d.e-]+) m", answer.status)[0])
+            q = np.vstack([configurations(s, rng, 300, "half"), answer.q])
+            Y = spatial.inverse(s.fk(q, "tip1")) @ s.fk(q, "tip0")
+            far = np.linalg.norm(Y[:, :3, 3] - X[:3, 3], axis=1)
+            assert "with this orientation" in answer.status or off <= far.min() * (1.0 + 1e-5)
+    assert proven
+
+
 def test_two_link_arms_are_blocked_only_where_both_elbows_are(hunt):
     """The closed form judges: where it has no solution inside the limits that is proven, else
     never.

@@ -24,7 +24,7 @@ from kempe.workspace.kinds import (
     compute_rotations,
     spread_rotations,
 )
-from kempe.workspace.place_bounds import find_legs, find_possible_places
+from kempe.workspace.legs import find_legs, find_possible_places
 
 A = 0.5
 B = 0.3

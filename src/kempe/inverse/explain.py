@@ -42,17 +42,11 @@ from kempe.inverse.derivative import compute_derivative
 from kempe.inverse.multi_start import solve_targets
 from kempe.inverse.numeric import SOLVERS
 from kempe.inverse.tasks import freedoms
-from kempe.kernels.forward.table_layout import (
-    KIND,
-    MULTIPLIER,
-    SLIDE,
-    V_INDEX,
-    copy_placements,
-    get_row_integers,
-    get_row_numbers,
-)
+from kempe.joints import P
+from kempe.kernels.forward.table_layout import MULTIPLIER, get_row_numbers
 from kempe.model.configurations import sample_configurations
 from kempe.numerics.clock import TimeLimit
+from kempe.numerics.length_bounds import GROUND, compute_reach_bounds
 from kempe.numerics.rank import Level, Spectrum
 from kempe.poses import correct_rotations
 from kempe.spatial import Array
@@ -420,42 +414,37 @@ def _measure_limit_excess(chain: Chain, q: Array) -> float:
 
 def _prove_slides_too_short(task: FrameProblem, target: Array) -> Evidence | None:
     """Prove that slides which nothing turns end too far from the target along a direction."""
-    chain = task.chain
-    table = get_row_integers(task.chain.ints)
-    rows = copy_placements(chain.ints, chain.floats)
-    factors = get_row_numbers(chain.ints, chain.floats)[:, MULTIPLIER]
-    R = np.eye(3)
-    place = np.zeros(3)
-    reach = 0.0
+    table = task.system.structure.table
+    X = np.eye(4)
+    base = GROUND
     axes: list[Array] = []
-    moved: list[tuple[float, float]] = []
-    for k, X in enumerate(rows):
-        place = place + R @ X[:, 3]
-        R = R @ X[:, :3]
-        if k == len(table) or table[k, KIND] != SLIDE:
-            reach = sum(float(np.linalg.norm(Y[:, 3])) for Y in rows[k + 1 :])
-            if np.any(table[k:, KIND] == SLIDE):
-                return None
+    ends: list[Array] = []
+    for row in table.find_path(task.frame):
+        if table.kind[row] != P:
             break
-        ends = factors[k] * chain.limits[:, table[k, V_INDEX]]
-        axes.append(R[:, 2])
-        moved.append((float(ends.min()), float(ends.max())))
-    if not axes or not task.mask[0] or len(set(table[: len(axes), V_INDEX])) < len(axes):
+        base = (row, np.eye(4), False)
+        X = X @ table.placement[row]
+        axes.append(X[:3, 2])
+        ends.append(table.multiplier[row] * task.system.structure.limits[table.iv[row]])
+    if not axes or not task.mask[0]:
         return None
     A = np.array(axes).T
-    (low, high) = np.array(moved).T
     p = target[0, :3, 3]
+    rest = compute_reach_bounds(task.system, table.at[task.frame], base)[0]
     for d in np.concatenate([A.T, Spectrum(A).compute_pseudo_inverse(Level.CLOSED)]):
         d = d / max(float(np.linalg.norm(d)), 1e-300)
         part = d @ A
         used = np.abs(part) > 1e-12
-        ends = np.stack([part[used] * low[used], part[used] * high[used]])
-        least = float(ends.min(axis=0).sum())
-        most = float(ends.max(axis=0).sum())
-        off = float(d @ (p - place))
-        out = max(off - most, least - off) - reach
-        if out > task.tolerance[0] + 1e-9 * (1.0 + abs(off) + reach):
-            return make_evidence("outside", short=out)
+        moved = part[used, None] * np.array(ends)[used]
+        for bound in rest:
+            if bound.point.any():
+                continue
+            off = float(d @ (p - X[:3, 3] - X[:3, :3] @ bound.centre))
+            least = float(moved.min(axis=1).sum()) - bound.largest
+            most = float(moved.max(axis=1).sum()) + bound.largest
+            short = max(off - most, least - off)
+            if short > task.tolerance[0] + 1e-9 * (1.0 + abs(off) + bound.largest):
+                return make_evidence("outside", short=short)
     return None
 
 

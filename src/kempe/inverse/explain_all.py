@@ -13,7 +13,6 @@ from kempe.answers.problem import Choice, Problem, select_solver
 from kempe.answers.targets import explain_refused_target
 from kempe.answers.wording import describe_immovable_coordinates
 from kempe.inverse.all_answer import SolutionsRow
-from kempe.inverse.chain.length_bounds import measure_bound_excess
 from kempe.inverse.chain.problem import MOST
 from kempe.inverse.chain.serial_chain import find_chain, list_slides
 from kempe.inverse.closed_forms.plan import ChainPlan, compute_outer_terms, make_free_lines
@@ -26,6 +25,7 @@ from kempe.kernels.base.search_layout import LARGEST
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.closed_form.analytic_layout import AT_REST, COUPLED, PLANE, POINT, X_FIRST
 from kempe.kernels.forward.table_layout import SLIDE
+from kempe.numerics.length_bounds import measure_bound_excess
 from kempe.spatial import Array
 
 if TYPE_CHECKING:

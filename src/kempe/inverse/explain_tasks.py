@@ -26,10 +26,9 @@ from kempe.inverse.answer import Reached, SolutionRow
 from kempe.inverse.chain.serial_chain import list_slides
 from kempe.inverse.explain import suggest_tolerance
 from kempe.inverse.numeric import SOLVERS
-from kempe.inverse.tasks.contradictions import list_contradictions
 from kempe.inverse.tasks.demands import STARTS
 from kempe.inverse.tasks.freedoms import Local, analyse_freedoms
-from kempe.inverse.tasks.reach_bounds import compute_excess_distances
+from kempe.inverse.tasks.proofs import compute_excess_distances, list_contradictions
 from kempe.inverse.tasks.search import make_checked_answer
 from kempe.model.characteristic_length import compute_characteristic_length
 from kempe.spatial import Array

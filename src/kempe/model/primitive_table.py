@@ -309,12 +309,32 @@ def _finish_table(
     )
 
 
-def extract_chain(table: Table, name: str) -> tuple[Table, np.ndarray, np.ndarray]:
+def extract_chain(
+    table: Table, name: str, base: str | None = None
+) -> tuple[Table, np.ndarray, np.ndarray]:
     """Return the table of one chain, and the indices of its coordinates in q and in v.
 
-    Its coordinates count from 0.
+    The chain leads from the ground, or from the frame `base`, down to a joint that both frames hang
+    on and up again. Its coordinates count from 0.
     """
-    path = table.find_path(name)
+    up = [] if base is None else table.find_path(base)[::-1]
+    down = table.find_path(name)
+    while up and down and up[-1] == down[0]:
+        up.pop()
+        down.pop(0)
+    path = up + down
+    tip = table.at[name][1]
+    placement = table.placement[..., path, :, :]
+    if base is not None:
+        X = spatial.inverse(table.at[base][1])
+        for k, row in enumerate(up):
+            placement[..., k, :, :] = X
+            X = spatial.inverse(table.placement[..., row, :, :])
+        if down:
+            placement[..., len(up), :, :] = X @ placement[..., len(up), :, :]
+        else:
+            tip = X @ tip
+    sign = np.repeat([-1.0, 1.0], [len(up), len(down)])
     kind = table.kind[path]
     iq = table.iq[path]
     iv = table.iv[path]
@@ -338,10 +358,10 @@ def extract_chain(table: Table, name: str) -> tuple[Table, np.ndarray, np.ndarra
         np.arange(len(path)) - 1,
         np.array([to_q[int(a)] for a in iq], dtype=np.int64),
         np.array([to_v[int(a)] for a in iq], dtype=np.int64),
-        table.multiplier[..., path],
-        table.offset[..., path],
-        table.placement[..., path, :, :],
-        {name: (len(path) - 1, *table.at[name][1:])},
+        sign * table.multiplier[..., path],
+        sign * table.offset[..., path],
+        placement,
+        {name: (len(path) - 1, tip, table.at[name][2])},
         len(q_index),
         len(v_index),
     )

@@ -35,7 +35,7 @@ from kempe.workspace.kinds import (
     compute_rotation_coordinates,
     read_rotations,
 )
-from kempe.workspace.place_bounds import compute_place_bounds
+from kempe.workspace.legs import list_place_bounds
 from kempe.workspace.planar.planar_workspace import (
     PlanarWorkspace,
     PlaneCurve,
@@ -268,7 +268,7 @@ def find_possible_cells(system: Model, frame: str, grid: Grid, finer: int = 1) -
         )
         near.append((ends[:-1], ends[1:]))
     left = np.ones([len(a) for a, _ in near], dtype=bool)
-    for box, shells, slack in compute_place_bounds(system, frame):
+    for box, shells, slack in list_place_bounds(system, frame):
         x, y, z = (
             (b >= box[0, k] - slack) & (a <= box[1, k] + slack) for k, (a, b) in enumerate(near)
         )

@@ -21,7 +21,7 @@ from kempe.inverse.ik import ik
 from kempe.inverse.ik_all import ik_all
 from kempe.poses import EXACT, compute_rotation_error
 from kempe.spatial import Array
-from kempe.workspace.place_bounds import find_legs, find_possible_places
+from kempe.workspace.legs import find_legs, find_possible_places
 
 if TYPE_CHECKING:
     from kempe.model.model import Model

@@ -10,8 +10,8 @@ import numpy as np
 
 from kempe import spatial
 from kempe.answers.targets import TASKS, is_axis_task
-from kempe.inverse.chain.length_bounds import measure_bound_excess
 from kempe.inverse.chain.serial_chain import Chain
+from kempe.numerics.length_bounds import measure_bound_excess
 from kempe.spatial import Array
 from kempe.status import Status
 
@@ -130,7 +130,7 @@ def mark_unreachable_targets(problem: FrameProblem, code: np.ndarray) -> None:
 def measure_length_excess(problem: FrameProblem, targets: Array) -> Array:
     """Measure how far (N, 2) in metres targets exceed the reach of the links.
 
-    See `length_bounds.measure_bound_excess`.
+    See `kempe.numerics.length_bounds.measure_bound_excess`.
     """
     # else that is the reason
     free = len(problem.chain.v_index) >= (3 if problem.system.dim == 2 else sum(problem.mask))

@@ -11,7 +11,7 @@ import numpy as np
 from kempe.answers.targets import Z_AXIS, make_rotations_along
 from kempe.equations.closure_rows import pack_full_loops
 from kempe.errors import UnsupportedError
-from kempe.inverse.chain.length_bounds import ReachBound, Span, compute_reach_bounds, measure_span
+from kempe.inverse.chain.span import Span, measure_span
 from kempe.kernels.base.search_layout import LARGEST
 from kempe.kernels.forward.table_layout import (
     BALL,
@@ -26,6 +26,7 @@ from kempe.kernels.forward.table_layout import (
 from kempe.model.gauge import regauge_table
 from kempe.model.model import keep_answers
 from kempe.model.primitive_table import extract_chain
+from kempe.numerics.length_bounds import ReachBound, compute_reach_bounds
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -104,9 +105,7 @@ def _build_chain(system: Model, name: str) -> Chain:
             and abs(rows[0]) == 1.0
             and table.kind[table.iv == iv][0] == TURN
         )
-    bounds = tuple(
-        b for arrays in (packed, (ints, floats)) for b in compute_reach_bounds(*arrays, limits)
-    )
+    bounds, _ = compute_reach_bounds(system, system.structure.table.at[name])
     base = move_inside_limits(system, system.neutral[None].copy())
     no_seed = np.empty((1, 0, len(q_index)))
     return Chain(

@@ -13,8 +13,8 @@ import numpy as np
 from kempe import spatial
 from kempe.answers.targets import Z_AXIS, make_rotations_along
 from kempe.errors import UnsupportedError
-from kempe.inverse.chain.length_bounds import Span, even_out_offsets
 from kempe.inverse.chain.serial_chain import find_chain
+from kempe.inverse.chain.span import Span, even_out_offsets
 from kempe.kernels.forward.table_layout import (
     BALL,
     COS_OFFSET,

@@ -28,7 +28,6 @@ from kempe.equations.tasks import Task
 from kempe.errors import InputError, format_value
 from kempe.forward.fk import fk, jacobian
 from kempe.inverse.answer import Reached
-from kempe.inverse.tasks.contradictions import find_contradictory_problems
 from kempe.inverse.tasks.demands import (
     FIRST,
     KEPT,
@@ -38,7 +37,7 @@ from kempe.inverse.tasks.demands import (
     TaskLevel,
     get_task_level,
 )
-from kempe.inverse.tasks.reach_bounds import find_unreachable_problems
+from kempe.inverse.tasks.proofs import find_contradictory_problems, find_unreachable_problems
 from kempe.joints import P
 from kempe.kernels.base import search_layout as S
 from kempe.kernels.constraints import loop_layout as L

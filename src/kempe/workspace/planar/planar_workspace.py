@@ -31,7 +31,7 @@ from kempe.workspace.kinds import (
     WorkspaceKind,
     read_question,
 )
-from kempe.workspace.place_bounds import find_legs
+from kempe.workspace.legs import find_legs
 from kempe.workspace.planar.planar_chain import PlanarChain, project_joint, split_wrist
 from kempe.workspace.planar.planar_platform import CouplerCurve, PlatformLeg, PlatformRegion
 from kempe.workspace.planar.plane_curves import (
@@ -472,7 +472,7 @@ def planar_workspace(
     the workspace (see `kempe.workspace.planar.planar_chain`). Prismatic joints must have
     limits, revolute ones may.
 
-    Of a mechanism with legs (see `kempe.workspace.place_bounds`) places are those that all legs
+    Of a mechanism with legs (see `kempe.workspace.legs`) places are those that all legs
     leave. The last joint of each chain must turn without limits where orientations count, and so
     must that of each leg, but of one where all others end at the frame's origin. Of legs that hold
     different points of a platform the boundary is traced and the area sampled (see

@@ -1,7 +1,8 @@
-"""Proofs that two tasks contradict each other, whatever the joints and their limits.
+"""Proofs that hard tasks do not hold: one is out of reach, or two contradict each other.
 
-Two tasks on one rigid body fix the distance of their points, the angle of their axes, or the whole
-of both. Points of two bodies are at most as far apart as the links between them are long.
+A frame is out of reach of another, or of the ground, where the lengths of the chain between them
+say so. Two tasks on one rigid body fix the distance of their points, the angle of their axes, or
+the whole of both. Points of two bodies are at most as far apart as the links between them are long.
 """
 
 from __future__ import annotations
@@ -13,19 +14,62 @@ import numpy as np
 
 from kempe import spatial
 from kempe.constraints.base import Op
-from kempe.joints import P
+from kempe.equations.tasks import Goal, Task
 from kempe.kernels.constraints import loop_layout as L
 from kempe.model.constraint_program import get_row_bounds
 from kempe.model.own_tree import remove_cut_marks
+from kempe.numerics.length_bounds import (
+    GROUND,
+    compute_distance_bounds,
+    compute_reach_bounds,
+    measure_bound_excess,
+)
 from kempe.poses import EXACT as RIGID
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.inverse.tasks.demands import Demands
-    from kempe.model.model import Model
 
 SLACK = 1e-9
 """What is left to rounding, in radians and parts of the lengths."""
+
+# ---- tasks out of reach
+
+
+def find_unreachable_problems(problem: Demands) -> np.ndarray:
+    """Find the problems (...) with a hard task that is out of reach."""
+    out = np.zeros(problem.lead, dtype=bool)
+    for i, (task, goal) in enumerate(zip(problem.tasks, problem.goals, strict=True)):
+        if problem.use[i] and task.weight is None:
+            out = out | compute_excess_distances(problem, task, goal).any(axis=-1)
+    return out
+
+
+def compute_excess_distances(problem: Demands, task: Task, goal: Goal) -> Array:
+    """Compute how far (..., 2) [m] a task's position, and its pose, are out of reach.
+
+    It is a lower bound of the error in its place; zero where lengths say nothing, or within the
+    tolerances.
+    """
+    system = remove_cut_marks(problem.system)
+    shape = task.frame_shape
+    a, b = task.frames
+    base = GROUND if a is None else system.structure.table.at[a]
+    if shape is None or task.bounded or goal.pose is None or b is None or base[2]:
+        return np.zeros((1, 2))
+    if not shape.mask or shape.turns not in (L.NO_TURN, L.FULL, L.ANGLE):
+        return np.zeros((1, 2))
+    row, X, particle = system.structure.table.at[b]
+    tip = (row, X @ np.reshape(task.tool, (4, 4)), particle)
+    bounds, freedoms = compute_reach_bounds(system, tip, base)
+    # else that is the reason
+    turned = shape.turned and freedoms >= (3 if system.dim == 2 else 6)
+    return measure_bound_excess(
+        bounds, goal.pose, problem.get_tolerance(task), turned, sorted(shape.axes), system.dim
+    )
+
+
+# ---- tasks that contradict each other
 
 
 class Exclusion(NamedTuple):
@@ -33,8 +77,6 @@ class Exclusion(NamedTuple):
 
     `how` is a key of `wording.CONTRADICTIONS`; `longest` is the greatest distance [m] that links
     allow.
-
-    `longest` is the greatest distance [m] that links allow.
     """
 
     how: str
@@ -118,7 +160,10 @@ def _list_exclusions(problem: Demands, a: BodyDemand, b: BodyDemand) -> list[Exc
     if a.row != b.row:
         if not (a.point and b.point):
             return []
-        longest = compute_longest_distance(remove_cut_marks(problem.system), a, b)
+        system = remove_cut_marks(problem.system)
+        _, longest = compute_distance_bounds(
+            system, (a.row, a.local, False), (b.row, b.local, False)
+        )
         apart = np.linalg.norm(a.goal[..., :3, 3] - b.goal[..., :3, 3], axis=-1)
         slack = longest + a.linear + b.linear + SLACK * (1.0 + apart)
         return [Exclusion("links", np.where(apart > slack, apart, 0.0), longest)]
@@ -202,34 +247,3 @@ def _remove_slack(off: Array, slack: float, *sizes: Array) -> Array:
     """Return `off` where it exceeds the slack and rounding, else 0; NaN becomes 0."""
     size = 1.0 + sum(np.linalg.norm(x, axis=-1) for x in sizes)
     return np.where(off > slack + SLACK * size, off, 0.0)
-
-
-def compute_longest_distance(system: Model, a: BodyDemand, b: BodyDemand) -> float:
-    """Compute the largest distance [m] that links and slides allow between two points.
-
-    It may be infinite.
-    """
-    above = [_list_rows_to_ground(system, h.row) for h in (a, b)]
-    common = next((row for row in above[0] if row in above[1]), -1)
-    total = 0.0
-    ends: list[Array] = []
-    for h, rows in zip((a, b), above, strict=True):
-        end = h.local[:3, 3]
-        for row in rows[: rows.index(common)] if common in rows else rows[:-1]:
-            if system.structure.table.kind[row] == P:
-                limit = system.structure.limits[system.structure.table.iv[row]]
-                total += float(
-                    np.max(np.abs(system.structure.table.multiplier[row] * np.asarray(limit)))
-                )
-            total += float(np.linalg.norm(end))
-            end = system.structure.table.placement[row][:3, 3]
-        ends.append(end)
-    return total + float(np.linalg.norm(ends[0] - ends[1]))
-
-
-def _list_rows_to_ground(system: Model, row: int) -> list[int]:
-    """List the rows of the table from `row` to the ground, which is -1."""
-    out = [row]
-    while out[-1] >= 0:
-        out.append(int(system.structure.table.parent[out[-1]]))
-    return out
