@@ -96,72 +96,62 @@ class IdleFreedom(InWords):
 
 
 class Surroundings(NamedTuple):
-    """Neighbourhood of each body in the constraint graph, independent of the configuration.
+    """The constraint graph with bodies that rigid joints hold together as one node, a *part*.
 
-    `of_body` are the numbers of the edges at each body, `part` the part of each body (bodies that
-    joints without a velocity hold together), `looped` whether an edge is part of a loop, `uses` how
-    many columns and laws use each velocity.
+    `part` is the number of the part of each body, `ends` the parts of the parent and the child of
+    each edge, `edges_at` the edges at each part but rigid joints, `looped` whether an edge is part
+    of a loop, `uses` how many columns and laws use each velocity.
     """
 
-    of_body: list[list[int]]
     part: np.ndarray
+    ends: list[tuple[int, int]]
+    edges_at: list[set[int]]
     looped: np.ndarray
     uses: np.ndarray
+
+    @property
+    def ground(self) -> int:
+        """Number of the part of the ground."""
+        return int(self.part[0])
+
+    def collect_edges(self, parts: Iterable[int]) -> set[int]:
+        """Collect the edges at several parts."""
+        return {i for p in parts for i in self.edges_at[p]}
+
+    def collect_connected_parts(self, part: int, passes: Callable[[int], bool]) -> frozenset[int]:
+        """Collect the parts that edges accepted by `passes` connect to a part."""
+        order = [part]
+        seen = {part}
+        for here in order:
+            for i in self.edges_at[here]:
+                if passes(i):
+                    new = {*self.ends[i]} - seen
+                    seen |= new
+                    order += new
+        return frozenset(seen)
 
 
 @keep_answers
 def find_surroundings(system: Model) -> Surroundings:
-    """Find the edges at each body, rigid parts, edges in loops and the use of each velocity."""
+    """Find parts, the edges at each of them, edges in loops and the use of each velocity."""
     s = build_constraint_graph(system)
-    of_body: list[list[int]] = [[] for _ in system.body_names]
+    rigid = [e.is_joint and all(c.index < 0 for c in e.columns) for e in s.edges]
     part = np.arange(len(system.body_names))
-    for i, e in enumerate(s.edges):
-        of_body[e.parent].append(i)
-        of_body[e.child].append(i)
-        if is_rigid(e):
+    for e, holds in zip(s.edges, rigid, strict=True):
+        if holds:
             part[part == part[e.child]] = part[e.parent]
+    ends = [(int(part[e.parent]), int(part[e.child])) for e in s.edges]
+    edges_at: list[set[int]] = [set() for _ in part]
+    for i, holds in enumerate(rigid):
+        for p in () if holds else ends[i]:
+            edges_at[p].add(i)
     looped = np.zeros(len(s.edges), dtype=bool)
     looped[[i for c in s.clusters for i in c.edges]] = True
     used = [c.index for e in s.edges for c in e.columns if c.index >= 0]
     uses = np.bincount(np.array(used, dtype=np.int64), minlength=system.nv)
     for law in s.laws:
         uses[list(law.support)] += 1
-    return Surroundings(of_body, part, looped, uses)
-
-
-def is_rigid(edge: Edge) -> bool:
-    """Return whether an edge is a joint without freedom, which holds its two bodies together."""
-    return edge.is_joint and all(c.index < 0 for c in edge.columns)
-
-
-def _has_only_slides(edge: Edge) -> bool:
-    """Return whether an edge is a joint without rotations."""
-    return edge.is_joint and all(c.index < 0 or c.slides for c in edge.columns)
-
-
-def _collect_connected_bodies(
-    system: Model, body: int, passes: Callable[[int], bool]
-) -> frozenset[int]:
-    """Collect the bodies that edges accepted by `passes` connect to a body."""
-    s = build_constraint_graph(system)
-    of_body = find_surroundings(system).of_body
-    order = [body]
-    seen = {body}
-    for here in order:
-        for i in of_body[here]:
-            e = s.edges[i]
-            there = e.child if e.parent == here else e.parent
-            if there not in seen and passes(i):
-                seen.add(there)
-                order.append(there)
-    return frozenset(seen)
-
-
-def _list_body_edges(system: Model, bodies: Iterable[int]) -> set[int]:
-    """List the numbers of the edges at given bodies, without rigid joints."""
-    s = build_constraint_graph(system)
-    of_body = find_surroundings(system).of_body
-    return {i for b in bodies for i in of_body[b] if not is_rigid(s.edges[i])}
+    return Surroundings(part, ends, edges_at, looped, uses)
 
 
 def find_turning_columns(edge: Edge, uses: np.ndarray, driven: frozenset[int]) -> tuple[int, ...]:
@@ -255,7 +245,7 @@ def _find_end(
     """Find the end that begins with edge i; None where no rotation about a point or axis is left."""
     e = build_constraint_graph(system).edges[i]
     around = find_surroundings(system)
-    beyond = int(around.part[e.parent if of_child else e.child])
+    beyond = around.ends[i][0 if of_child else 1]
     first = Step(i, 1.0 if of_child else -1.0, (), beyond)
     if isinstance(e.of, Declared):
         first = first._replace(beyond=-1 - i) if e.of.rod else first
@@ -270,8 +260,7 @@ def _find_end(
         return None
     steps, point = _collect_meeting_joints(system, at, first._replace(columns=columns), driven)
     linkage = len(steps) > 1 and any(
-        k != steps[-1].edge and _do_axes_pass_point(system, at, k, point)
-        for k in _list_part_edges(system, steps[-1].beyond)
+        _do_axes_pass_point(system, at, k, point) for k in _list_edges_beyond(around, steps[-1])
     )
     X = at.M[i]
     return End(
@@ -295,7 +284,7 @@ def _collect_meeting_joints(
     point = (at.M[first.edge, :3, 3] - at.center) / at.length
     while system.dim == 3 and T.shape[1] < 3:
         last = steps[-1]
-        others = _list_part_edges(system, last.beyond) - {last.edge}
+        others = _list_edges_beyond(around, last)
         if len(last.columns) < len(s.edges[last.edge].columns) or len(others) != 1:
             break
         (i,) = others
@@ -306,20 +295,15 @@ def _collect_meeting_joints(
         if center is None:
             break
         point = center
-        inwards = around.part[e.child] == last.beyond
-        beyond = int(around.part[e.parent if inwards else e.child])
-        steps.append(Step(i, 1.0 if inwards else -1.0, columns, beyond))
+        outer, inner = around.ends[i]
+        inwards = inner == last.beyond
+        steps.append(Step(i, 1.0 if inwards else -1.0, columns, outer if inwards else inner))
     return steps, point
 
 
-def _list_part_edges(system: Model, part: int) -> set[int]:
-    """List the numbers of the edges of a rigid part; none for the part of the ground."""
-    parts = find_surroundings(system).part
-    return (
-        _list_body_edges(system, np.flatnonzero(parts == part).tolist())
-        if part != parts[0]
-        else set()
-    )
+def _list_edges_beyond(around: Surroundings, step: Step) -> set[int]:
+    """List the other edges of the part beyond a step; none for the part of the ground."""
+    return around.edges_at[step.beyond] - {step.edge} if step.beyond != around.ground else set()
 
 
 def _do_axes_pass_point(system: Model, at: Screws, i: int, point: Array) -> bool:
@@ -348,9 +332,9 @@ def find_common_point(twists: Array) -> Array | None:
 
 
 class Group(NamedTuple):
-    """Bodies that may turn as one body, with the ends that hold them."""
+    """Parts that may turn as one body, with the ends that hold them."""
 
-    bodies: frozenset[int]
+    parts: frozenset[int]
     ends: tuple[End, ...]
 
 
@@ -373,19 +357,25 @@ def _find_sliding_groups(
     system: Model, at: Screws, ends: dict[tuple[int, bool], End]
 ) -> Iterator[Group]:
     """Find groups whose inner joints are at most slides, with all ends that hold each group."""
-    s = build_constraint_graph(system)
-    seen = _collect_connected_bodies(system, 0, lambda i: _has_only_slides(s.edges[i]))
-    for body in range(1, len(system.body_names)):
-        if body in seen:
+    edges = build_constraint_graph(system).edges
+    around = find_surroundings(system)
+
+    def passes(i: int) -> bool:
+        """Return whether an edge is a joint without rotations."""
+        return edges[i].is_joint and all(c.index < 0 or c.slides for c in edges[i].columns)
+
+    seen = around.collect_connected_parts(around.ground, passes)
+    for part in around.part.tolist():
+        if part in seen:
             continue
-        bodies = _collect_connected_bodies(system, body, lambda i: _has_only_slides(s.edges[i]))
-        seen |= bodies
-        edges = sorted(_list_body_edges(system, bodies))
-        inside = [i for i in edges if {s.edges[i].parent, s.edges[i].child} <= bodies]
-        keys = [(i, s.edges[i].child in bodies) for i in edges if i not in inside]
-        if not find_surroundings(system).looped[inside].all() or not ends.keys() >= {*keys}:
+        parts = around.collect_connected_parts(part, passes)
+        seen |= parts
+        own = sorted(around.collect_edges(parts))
+        inside = [i for i in own if parts.issuperset(around.ends[i])]
+        keys = [(i, around.ends[i][1] in parts) for i in own if i not in inside]
+        if not around.looped[inside].all() or not ends.keys() >= {*keys}:
             continue
-        group = Group(bodies, tuple(ends[key] for key in keys))
+        group = Group(parts, tuple(ends[key] for key in keys))
         holds = [end for end in group.ends if not end.free]
         hinged = any(end.is_hinge for end in holds)
         if (
@@ -408,7 +398,7 @@ def _find_ball_groups(
     Two edges part bodies from the ground if each loop passes both of them or none.
     """
     s = build_constraint_graph(system)
-    looped = find_surroundings(system).looped
+    around = find_surroundings(system)
     balls = {
         key: end
         for key, end in ends.items()
@@ -423,23 +413,16 @@ def _find_ball_groups(
         for series in alike.values():
             usable = [i for i in series if (i, True) in balls or (i, False) in balls]
             for pair in combinations(usable, 2):
-                bodies = _collect_bodies_between(system, pair)
-                keys = [(i, s.edges[i].child in bodies) for i in pair]
-                carried = _list_body_edges(system, bodies) - {*series}
-                rests = all(looped[i] and not s.edges[i].actuated for i in carried)
+                sides = [
+                    around.collect_connected_parts(p, lambda i, pair=pair: i not in pair)
+                    for p in around.ends[pair[0]][::-1]
+                ]
+                parts = sides[1] if around.ground in sides[0] else sides[0]
+                keys = [(i, around.ends[i][1] in parts) for i in pair]
+                carried = around.collect_edges(parts) - {*series}
+                rests = all(around.looped[i] and not s.edges[i].actuated for i in carried)
                 if balls.keys() >= {*keys} and rests:
-                    yield Group(bodies, tuple(balls[key] for key in keys))
-
-
-def _collect_bodies_between(system: Model, pair: tuple[int, int]) -> frozenset[int]:
-    """Collect the bodies that a pair of edges separates from the ground."""
-    e = build_constraint_graph(system).edges[pair[0]]
-    bodies = _collect_connected_bodies(system, e.child, lambda i: i not in pair)
-    return (
-        _collect_connected_bodies(system, e.parent, lambda i: i not in pair)
-        if 0 in bodies
-        else bodies
-    )
+                    yield Group(parts, tuple(balls[key] for key in keys))
 
 
 # ---- spins
@@ -468,7 +451,6 @@ def _find_spins(
     `driven` are the velocities that are known to be driven, besides joints marked so; None where
     nothing is known.
     """
-    part = find_surroundings(system).part
     known = driven is not None or any(e.actuated for e in build_constraint_graph(system).edges)
     for group in find_spin_groups(system, at[0], frozenset(driven or ()), known):
         spin = None
@@ -478,7 +460,7 @@ def _find_spins(
                 break
         if spin is not None:
             holders = {steps[-1].beyond for _, steps in spin.moving}
-            if len(holders) > 1 and not holders & {*part[[*group.bodies]].tolist()}:
+            if len(holders) > 1 and not holders & group.parts:
                 yield spin
 
 
@@ -573,7 +555,7 @@ def _make_idle_freedom(system: Model, rank: Rank, spin: Spin) -> IdleFreedom | N
     s = build_constraint_graph(system)
     at = rank.screws
     part = find_surroundings(system).part
-    bodies = {*spin.group.bodies}
+    bodies = {*np.flatnonzero(np.isin(part, [*spin.group.parts])).tolist()}
     links: dict[int, Array] = {}
     for end, moving in spin.moving:
         first = end.steps.index(moving[0])
