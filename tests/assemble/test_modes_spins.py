@@ -11,7 +11,7 @@ import pytest
 
 import kempe
 from kempe import Mechanism, System
-from kempe.assemble.generic_configurations import find_idle_freedoms_at
+from kempe.assemble.idle_freedoms import find_idle_freedoms_at
 from kempe.joints import make_joint_type
 from kempe.spatial import exp_so3
 

@@ -13,10 +13,10 @@ from rods import Rods, engine, strut, tied
 from world_mechanisms import World, axes_with, unit
 
 import kempe
+from kempe.assemble.idle_freedoms import find_spin_lock
 from kempe.equations import closure_rows
 from kempe.errors import UnsupportedError
 from kempe.motion.path import Path
-from kempe.motion.spin_lock import find_spin_lock
 
 LEGS = tuple(f"leg{i}" for i in range(1, 7))
 

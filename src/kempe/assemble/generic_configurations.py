@@ -1,8 +1,4 @@
-"""Closed configurations at which ranks are computed: the given one, and others nearby.
-
-What is idle is read there, too, since an idle freedom is there at the configurations around as
-well.
-"""
+"""Closed configurations at which ranks are computed: the given one, and others nearby."""
 
 from __future__ import annotations
 
@@ -12,24 +8,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kempe.arguments import quiet
 from kempe.budget import Budget
 from kempe.equations.closure_rows import evaluate_constraints
 from kempe.equations.one_sided import pack_one_sided_rows
 from kempe.errors import InputError
-from kempe.first_order.control import find_driven_velocities
-from kempe.first_order.idle_freedoms import IdleFreedom, can_have_idle_freedom, find_idle_freedoms
+from kempe.first_order.idle_freedoms import can_have_idle_freedom
 from kempe.first_order.rank import Rank, compute_rank
-from kempe.forward.fk import jacobian
-from kempe.model.ball_angles import make_regular_chart
 from kempe.model.configurations import (
     compute_mid_configuration,
-    has_loops,
     make_q,
     refuse_large_numbers,
 )
-from kempe.model.model import keep_answers
-from kempe.model.own_tree import remove_cut_marks
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -109,65 +98,6 @@ def _compute_residual(system: Model, q: Array) -> float:
     """Compute the norm of the residual of all loops at q (nq,)."""
     values = evaluate_constraints(system, q, False, True)[0]
     return float(np.linalg.norm(values))
-
-
-@quiet
-def find_idle_freedoms_at(system: Model, q: Array) -> tuple[IdleFreedom, ...]:
-    """Find the idle freedoms at the closed configuration nearest to q (nq,).
-
-    There are none where the loops cannot be closed.
-
-    Joints are driven that are marked so. Velocities are those of the angles in which balls are
-    regular there.
-    """
-    at = close_configuration(system, q)
-    if not at.closed:
-        return ()
-    system, q, _ = make_regular_chart(system, at.q)
-    motors = find_driven_velocities(system, None)
-    rank = compute_rank(system, q)
-    return find_idle_freedoms(
-        system, [rank, *sample_useful_ranks(system, rank, motors, np.random.default_rng(0))], motors
-    )
-
-
-def get_idle_freedoms(system: Model, q: Array | None = None) -> tuple[IdleFreedom, ...]:
-    """Find the idle freedoms of a system at a closed configuration.
-
-    The search is made once; where it finds no closed configuration, q (nq,) is taken.
-    """
-    tree = remove_cut_marks(system)
-    found = _find_home_idle_freedoms(tree)
-    if found is None:
-        return () if q is None else find_idle_freedoms_at(tree, q)
-    return found
-
-
-@keep_answers
-def _find_home_idle_freedoms(system: Model) -> tuple[IdleFreedom, ...] | None:
-    """Find the idle freedoms at a closed configuration; None if there is none."""
-    at = find_closed_configuration(system)
-    return find_idle_freedoms_at(system, at.q) if at.closed else None
-
-
-def find_idle_coordinates(system: Model, q: Array | None = None) -> np.ndarray:
-    """Return a mask (nv,) of the velocity coordinates that idle freedoms change.
-
-    Of a rotation, all three are marked.
-    """
-    moves = [f.moving_velocities for f in get_idle_freedoms(system, q)] if has_loops(system) else []
-    out = np.any([np.zeros(system.nv, dtype=bool), *moves], axis=0)
-    for iv in system.structure.layout.quaternion_v:
-        out[iv : iv + 3] = out[iv : iv + 3].any()
-    return np.asarray(out)
-
-
-def compute_idle_rates(system: Model, q: Array) -> Array:
-    """Compute the rows (k, s, nv) that map velocities at q (k, nq) to s idle spin rates [rad/s]."""
-    tree = remove_cut_marks(system)
-    found = get_idle_freedoms(system) if system.dim == 3 else ()
-    rows = [f.in_body[1] @ jacobian(tree, q, f.bodies[0], "body")[:, 3:] for f in found]
-    return np.stack(rows, axis=1) if rows else np.zeros((len(q), 0, system.nv))
 
 
 def sample_useful_ranks(

@@ -31,7 +31,7 @@ from kempe.assemble.bound import Assembler, get_equation_assembler
 from kempe.assemble.dyad_proofs import enclose_branches
 from kempe.assemble.dyads import CLOSED, MOST_SIGNS, DyadAnswer, Incomplete, Plan, find_closed_form
 from kempe.assemble.from_poses import read_configurations
-from kempe.assemble.generic_configurations import find_idle_freedoms_at
+from kempe.assemble.idle_freedoms import find_idle_freedoms_at
 from kempe.assemble.nearest_exact import answer_within_tolerance, find_ideal_system
 from kempe.assemble.same_configuration import INSIDE, SAME, Clusters, get_metric
 from kempe.budget import Budget, TimeUp, Usual

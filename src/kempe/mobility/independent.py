@@ -18,7 +18,7 @@ from kempe.arrays import unwrap_scalar
 from kempe.assemble.answer import Assembly
 from kempe.assemble.assemble import assemble
 from kempe.assemble.bound import TOLERANCE
-from kempe.assemble.generic_configurations import get_idle_freedoms
+from kempe.assemble.idle_freedoms import get_idle_freedoms
 from kempe.assemble.nearest_exact import answer_within_tolerance, describe_nearest
 from kempe.budget import Budget
 from kempe.equations.closure_rows import compute_coordinate_units, evaluate_constraints

@@ -26,6 +26,7 @@ from kempe.arguments import (
     read_flag,
 )
 from kempe.arrays import check_range, is_mapping, read_reals
+from kempe.assemble.idle_freedoms import find_spin_lock, lock_spins
 from kempe.assemble.nearest_exact import answer_within_tolerance
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.constraints.tape import TIME
@@ -45,7 +46,6 @@ from kempe.motion.crossings import (
 from kempe.motion.events import AWKWARD, OneSidedEnds, accept_step, find_root
 from kempe.motion.path import Event
 from kempe.motion.rolling import compute_coordinate_rates
-from kempe.motion.spin_lock import find_spin_lock, lock_spins
 from kempe.motion.start import (
     begin_motion,
     explain_freedom,

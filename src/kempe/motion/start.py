@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from kempe.arrays import is_mapping, is_real
+from kempe.assemble.idle_freedoms import lock_spins
 from kempe.equations.closure import Closure, close_loops
 from kempe.equations.one_sided import pack_one_sided_rows
 from kempe.errors import InputError, UnknownNameError, UnsupportedError, format_value
@@ -29,7 +30,6 @@ from kempe.motion.crossings import (
     hold_rank,
     locate_singular_point,
 )
-from kempe.motion.spin_lock import lock_spins
 from kempe.numerics.curves import Node, make_node
 from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from kempe.arguments import explain_errors, raise_interrupted, read_flag
 from kempe.arrays import is_mapping, is_whole
+from kempe.assemble.idle_freedoms import find_spin_lock
 from kempe.assemble.nearest_exact import answer_within_tolerance
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.equations.closure import Closure
@@ -37,7 +38,6 @@ from kempe.motion.events import (
     walk_curve,
 )
 from kempe.motion.path import Event, Path, Track
-from kempe.motion.spin_lock import find_spin_lock
 from kempe.motion.start import (
     MOST_TURNS,
     SAME_RATIO,

@@ -18,7 +18,7 @@ from kempe.arguments import (
 )
 from kempe.assemble.assemble import assemble
 from kempe.assemble.dyads import find_closed_form
-from kempe.assemble.generic_configurations import find_idle_coordinates
+from kempe.assemble.idle_freedoms import find_idle_coordinates
 from kempe.assemble.modes import assembly_modes
 from kempe.assemble.same_configuration import get_metric
 from kempe.budget import Budget, TimeUp, Usual

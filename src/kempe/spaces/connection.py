@@ -11,7 +11,7 @@ import numpy as np
 from kempe.answers.answer import Configurations
 from kempe.arguments import explain_errors, explain_method_errors, make_generator, raise_interrupted
 from kempe.arrays import is_real
-from kempe.assemble.generic_configurations import find_idle_coordinates
+from kempe.assemble.idle_freedoms import find_idle_coordinates
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.equations.judge import judge_configurations
 from kempe.errors import InputError

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kempe.assemble.generic_configurations import compute_idle_rates, find_idle_coordinates
+from kempe.assemble.idle_freedoms import compute_idle_rates, find_idle_coordinates
 from kempe.equations import closure_rows
 from kempe.numerics.newton import run_many_gauss_newton
 from kempe.numerics.rank import Level, Spectrum

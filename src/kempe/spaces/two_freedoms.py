@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from kempe.assemble.dyads import Incomplete, Plan, find_closed_form
-from kempe.assemble.generic_configurations import compute_idle_rates, find_idle_coordinates
+from kempe.assemble.idle_freedoms import compute_idle_rates, find_idle_coordinates
 from kempe.budget import TimeUp
 from kempe.constraints.flat_tasks import FlatTask
 from kempe.equations.one_sided import pack_one_sided_rows

@@ -1,4 +1,4 @@
-"""Equations that hold idle spins: bodies between two balls move as if they could not spin.
+"""Idle freedoms of a system, where its loops are closed, and equations that hold them.
 
 An idle spin moves nothing but the bodies that spin, so any rule that fixes it leaves the motion of
 all others as it is. The rule here is that of a universal joint in place of a ball: a direction
@@ -14,9 +14,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kempe.assemble.generic_configurations import get_idle_freedoms
-from kempe.first_order.idle_freedoms import IdleFreedom
-from kempe.forward.fk import query
+from kempe.arguments import quiet
+from kempe.assemble.generic_configurations import (
+    close_configuration,
+    find_closed_configuration,
+    sample_useful_ranks,
+)
+from kempe.first_order.control import find_driven_velocities
+from kempe.first_order.idle_freedoms import IdleFreedom, find_idle_freedoms
+from kempe.first_order.rank import compute_rank
+from kempe.forward.fk import jacobian, query
+from kempe.model.ball_angles import make_regular_chart
+from kempe.model.configurations import has_loops
+from kempe.model.model import keep_answers
+from kempe.model.own_tree import remove_cut_marks
 from kempe.spatial import Array, unit
 
 if TYPE_CHECKING:
@@ -30,6 +41,71 @@ BETTER = 1.5
 """How many times farther away it must be."""
 DIRECTIONS = 400
 """Directions in the ground that are tried."""
+
+
+# ---- what is idle
+
+
+@quiet
+def find_idle_freedoms_at(system: Model, q: Array) -> tuple[IdleFreedom, ...]:
+    """Find the idle freedoms at the closed configuration nearest to q (nq,).
+
+    There are none where the loops cannot be closed.
+
+    Joints are driven that are marked so. Velocities are those of the angles in which balls are
+    regular there.
+    """
+    at = close_configuration(system, q)
+    if not at.closed:
+        return ()
+    system, q, _ = make_regular_chart(system, at.q)
+    motors = find_driven_velocities(system, None)
+    rank = compute_rank(system, q)
+    return find_idle_freedoms(
+        system, [rank, *sample_useful_ranks(system, rank, motors, np.random.default_rng(0))], motors
+    )
+
+
+def get_idle_freedoms(system: Model, q: Array | None = None) -> tuple[IdleFreedom, ...]:
+    """Find the idle freedoms of a system at a closed configuration.
+
+    The search is made once; where it finds no closed configuration, q (nq,) is taken.
+    """
+    tree = remove_cut_marks(system)
+    found = _find_home_idle_freedoms(tree)
+    if found is None:
+        return () if q is None else find_idle_freedoms_at(tree, q)
+    return found
+
+
+@keep_answers
+def _find_home_idle_freedoms(system: Model) -> tuple[IdleFreedom, ...] | None:
+    """Find the idle freedoms at a closed configuration; None if there is none."""
+    at = find_closed_configuration(system)
+    return find_idle_freedoms_at(system, at.q) if at.closed else None
+
+
+def find_idle_coordinates(system: Model, q: Array | None = None) -> np.ndarray:
+    """Return a mask (nv,) of the velocity coordinates that idle freedoms change.
+
+    Of a rotation, all three are marked.
+    """
+    moves = [f.moving_velocities for f in get_idle_freedoms(system, q)] if has_loops(system) else []
+    out = np.any([np.zeros(system.nv, dtype=bool), *moves], axis=0)
+    for iv in system.structure.layout.quaternion_v:
+        out[iv : iv + 3] = out[iv : iv + 3].any()
+    return np.asarray(out)
+
+
+def compute_idle_rates(system: Model, q: Array) -> Array:
+    """Compute the rows (k, s, nv) that map velocities at q (k, nq) to s idle spin rates [rad/s]."""
+    tree = remove_cut_marks(system)
+    found = get_idle_freedoms(system) if system.dim == 3 else ()
+    rows = [f.in_body[1] @ jacobian(tree, q, f.bodies[0], "body")[:, 3:] for f in found]
+    return np.stack(rows, axis=1) if rows else np.zeros((len(q), 0, system.nv))
+
+
+# ---- equations that hold it
 
 
 class SpinLock:
