@@ -28,6 +28,7 @@ from kempe.model.ball_angles import make_regular_chart
 from kempe.model.configurations import has_loops
 from kempe.model.model import keep_answers
 from kempe.model.own_tree import remove_cut_marks
+from kempe.numerics.directions import spread_directions
 from kempe.spatial import Array, unit
 
 if TYPE_CHECKING:
@@ -168,16 +169,14 @@ class SpinLock:
         """
         self._seen = np.concatenate([self._seen, self.compute_lines(q)])
         ground = self.ground.copy()
+        directions = spread_directions(DIRECTIONS)
         for i in range(self.count):
             least = _compute_sines(ground[i], self._seen[:, i]).min()
             if least < STEEP:
-                away = _compute_sines(
-                    _make_sphere_directions()[:, None], self._seen[None, :, i]
-                ).min(axis=1)
+                away = _compute_sines(directions[:, None], self._seen[None, :, i]).min(axis=1)
                 best = int(np.argmax(away))
-                ground[i] = (
-                    _make_sphere_directions()[best] if away[best] > BETTER * least else ground[i]
-                )
+                if away[best] > BETTER * least:
+                    ground[i] = directions[best]
         changed = not np.array_equal(ground, self.ground)
         if changed:
             self._set_directions(ground)
@@ -209,15 +208,3 @@ def _compute_perpendiculars(lines: Array) -> Array:
 def _compute_sines(a: Array, b: Array) -> Array:
     """Compute the sines (...) of the angles between unit vectors (..., 3)."""
     return np.asarray(np.linalg.norm(np.cross(a, b), axis=-1), dtype=float)
-
-
-def _make_sphere_directions() -> Array:
-    """Return directions (n, 3) all over a half-sphere.
-
-    They are points of a Fibonacci spiral (Swinbank, Purser, 2006).
-    """
-    k = np.arange(DIRECTIONS) + 0.5
-    z = k / DIRECTIONS
-    turn = np.pi * (1.0 + np.sqrt(5.0)) * k
-    across = np.sqrt(1.0 - z * z)
-    return np.stack([across * np.cos(turn), across * np.sin(turn), z], axis=1)

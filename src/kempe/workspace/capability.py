@@ -20,6 +20,7 @@ from kempe.budget import Budget, Usual
 from kempe.errors import InputError, TimeLimitError
 from kempe.late import import_late_member
 from kempe.numerics.clock import LONG
+from kempe.numerics.directions import spread_directions
 from kempe.spaces.task_space import task_space
 from kempe.spatial import Array
 from kempe.status import Status
@@ -116,18 +117,6 @@ class CapabilityMap(Study):
         It is that of the layer of cells nearest to a height, by default the middle.
         """
         return import_late_member("plots of workspaces").plot_capability(self, ax, height)
-
-
-def spread_directions(n: int) -> Array:
-    """Spread unit vectors (n, 3) evenly over the sphere, in a Fibonacci lattice.
-
-    Source: Gonzalez, Mathematical Geosciences 42 (2010).
-    """
-    i = np.arange(n) + 0.5
-    z = 1.0 - 2.0 * i / n
-    turn = np.pi * (1.0 + 5.0**0.5) * i
-    r = np.sqrt(1.0 - z * z)
-    return np.column_stack([r * np.cos(turn), r * np.sin(turn), z])
 
 
 @explain_errors
