@@ -87,6 +87,12 @@ def test_each_kind_of_evidence_is_found_out_somewhere_and_has_a_sentence():
         ),
         ("rank", {"equations": 6, "freedoms": 0, "frame": "tool"}, "no joint moves frame 'tool'"),
         (
+            "rank",
+            {"equations": 3, "freedoms": 2, "frame": "tool", "held": True},
+            "the task has 3 equations, but the chain moves this frame in 2 freedoms only with the "
+            "joints that are held",
+        ),
+        (
             "limits",
             {"names": ["a", "b"], "each": True},
             "without the limit of 'a' or of 'b' it is reached, so that may be what blocks it",

@@ -255,35 +255,29 @@ def _explain_missing_root(joint: str, axes: Sequence[int], what: str, off: float
 
 
 def _explain_rank(
-    equations: int, freedoms: int, frame: str = "", position: bool | None = None, end: str = ""
+    equations: int,
+    freedoms: int,
+    frame: str = "",
+    position: bool | None = None,
+    held: bool = False,
 ) -> str:
     """Explain that there are more equations than freedoms.
 
-    For one frame also whether its position alone can be reached, and an `end` of the sentence.
+    For one frame also whether its position alone can be reached, and whether joints are `held`.
     """
     if not frame:
-        return (
-            f"{format_count(equations, 'equation')}, but {format_count(freedoms, 'freedom')}{end}"
-        )
+        return f"{format_count(equations, 'equation')}, but {format_count(freedoms, 'freedom')}"
+    rest = " with the joints that are held" if held else ""
     if freedoms == 0:
-        return f"no joint moves frame {frame!r}"
+        return f"no joint moves frame {frame!r}{rest}"
     said = f"the task has {format_count(equations, 'equation')}, but the chain moves this frame in"
-    said += f" {format_count(freedoms, 'freedom')} only"
+    said += f" {format_count(freedoms, 'freedom')} only{rest}"
     alone = (
         ""
         if position is None
         else f" (its position alone {'can' if position else 'cannot'} be reached)"
     )
-    return f"{said}{alone}{end}"
-
-
-def _explain_joint_count(joints: int, held: bool, freedoms: int, equations: int) -> str:
-    """Explain that a chain has too few joints for its task."""
-    few = f", which give it {spell_count(freedoms, 'freedom')}" if freedoms < joints else ""
-    return (
-        f"the chain has {format_count(joints, 'joint')}{' to move' if held else ''}{few}, the task "
-        f"{format_count(equations, 'equation')}: this target is not among those it can reach"
-    )
+    return f"{said}{alone}"
 
 
 def _explain_excess_values(given: int, freedoms: int) -> str:
@@ -376,6 +370,26 @@ def _explain_missing_configuration(limits: bool, place: bool, turn: bool) -> str
     return (
         f"no configuration was found{' without limits either' if limits else ''}, so {may}{turned}"
     )
+
+
+NO_ROOT: Mapping[str, str] = MappingProxyType(
+    {
+        "closed form": "the equations of the closed form have no real root",
+        "elimination": "no real root among 16",
+        "search": "not found; no closed form applies",
+    }
+)
+"""What a method of `ik_all` found where it found no solution."""
+
+
+def _explain_vain_method(method: str) -> str:
+    """Explain that a method of `ik_all` found no solution."""
+    return NO_ROOT[method]
+
+
+def _explain_wide_span(span: str) -> str:
+    """Explain that lengths differ so much that rounding may hide solutions."""
+    return f"{span}, and solutions may be missed"
 
 
 def _suggest_tolerance(metres: float, radians: float, one: bool) -> str:
@@ -573,7 +587,6 @@ PROOFS: Mapping[str, Callable[..., str]] = MappingProxyType(
 FOUND_OUT: Mapping[str, Callable[..., str]] = MappingProxyType(
     {
         "rank": _explain_rank,
-        "joints": _explain_joint_count,
         "too many given": _explain_excess_values,
         "more starts": _suggest_more_starts,
         "limits": _explain_blocking_limits,
@@ -582,6 +595,8 @@ FOUND_OUT: Mapping[str, Callable[..., str]] = MappingProxyType(
         "not together": _explain_conflicting_tasks,
         "near miss": _explain_near_miss,
         "not found": _explain_missing_configuration,
+        "no root found": _explain_vain_method,
+        "wide span": _explain_wide_span,
         "rounded": _suggest_tolerance,
         "tried": _describe_tried_values,
     }

@@ -17,9 +17,8 @@ from kempe.inverse.closed_forms.chain_lines import Lines, compute_line_placement
 from kempe.inverse.closed_forms.plan import (
     ChainPlan,
     compute_outer_terms,
-    count_chain_freedoms,
+    count_task_freedoms,
     find_plan,
-    make_free_lines,
     sample_variables,
 )
 from kempe.inverse.closed_forms.problem import read_held_joints
@@ -256,13 +255,11 @@ def list_steps(plan: ChainPlan, fixed: frozenset[str]) -> tuple[Step, ...]:
             else "search"
         )
         out.append(Step(tuple(names[i] for i in unknown), method, _bound_by_slides(plan)))
-    rank = count_chain_freedoms(
-        plan.lines, make_free_lines(plan.lines, plan.task, plan.planar), unknown
-    )
-    if (left := (3 if plan.planar else 6) - rank) > 0:
+    equations, freedoms = count_task_freedoms(plan, plan.locked)
+    if (left := equations - freedoms) > 0:
         them = "it" if left == 1 else "them"
-        equations = format_count(left, "equation")
-        out.append(Step((), f"{equations} left over: targets that miss {them} are out of reach", 1))
+        rest = format_count(left, "equation")
+        out.append(Step((), f"{rest} left over: targets that miss {them} are out of reach", 1))
     return tuple(out)
 
 

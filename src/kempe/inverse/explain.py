@@ -136,6 +136,8 @@ def prove_beyond_lengths(task: FrameProblem, target: Array) -> Evidence | None:
 
     None where they do not prove it.
     """
+    if not task.mask[0]:
+        return None
     off = abs(float(target[0, 2, 3])) if task.system.dim == 2 else 0.0
     place, turned = measure_length_excess(task, target)[0].tolist()
     return make_reach_evidence(
@@ -153,7 +155,11 @@ def _list_reasons(
 ) -> list[Any]:
     """List reasons why a target has no answer; q (n,) is the nearest found, with its errors."""
     span = task.chain.span
-    found = span.explain_rounding() if span.wide else _retry_search(task, target, q)
+    found = (
+        make_evidence("wide span", span=span.format_ratio())
+        if span.wide
+        else _retry_search(task, target, q)
+    )
     found = found or _find_blocking_limits(task, target, q)
     if not found and (rank := _prove_overdetermined(task, target)):
         return [rank, rank.freedoms and suggest_tolerance(position, angle, span.largest)]
@@ -166,8 +172,6 @@ def _solve_target(
     """Solve for a configuration (n,) that reaches a target (1, 4, 4); None where none is found.
 
     The first start is `near`, or else the default of the chain.
-
-    The first start is `near`.
     """
     seeds = task.chain.no_seed if near is None else near.reshape(1, 1, -1)
     q, _, info = solve_targets(task, seeds, 1, limits, target)

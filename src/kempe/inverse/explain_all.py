@@ -3,29 +3,27 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from kempe.answers import wording
-from kempe.answers.evidence import Evidence, make_evidence, make_reach_evidence
+from kempe.answers.evidence import Evidence, make_evidence
 from kempe.answers.problem import Choice, Problem, select_solver
 from kempe.answers.targets import explain_refused_target
 from kempe.answers.wording import describe_immovable_coordinates
 from kempe.inverse.all_answer import SolutionsRow
 from kempe.inverse.chain.problem import MOST
-from kempe.inverse.chain.serial_chain import find_chain, list_slides
-from kempe.inverse.closed_forms.plan import ChainPlan, compute_outer_terms, make_free_lines
-from kempe.inverse.closed_forms.plan import count_chain_freedoms as rank_of
+from kempe.inverse.closed_forms.plan import ChainPlan, compute_outer_terms, count_task_freedoms
+from kempe.inverse.closed_forms.start_search import make_frame_problem
 from kempe.inverse.closed_forms.structure import Strategy
-from kempe.inverse.explain import suggest_tolerance
+from kempe.inverse.explain import prove_beyond_lengths, suggest_tolerance
 from kempe.inverse.families import Family, find_families
 from kempe.inverse.nearest import find_nearest_configuration, list_held_coordinates, make_aim
 from kempe.kernels.base.search_layout import LARGEST
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.closed_form.analytic_layout import AT_REST, COUPLED, PLANE, POINT, X_FIRST
 from kempe.kernels.forward.table_layout import SLIDE
-from kempe.numerics.length_bounds import measure_bound_excess
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -43,13 +41,6 @@ REACHED = 2e-6
 
 TURNS = ("orientation", "direction")
 """Tasks of which no place counts."""
-
-NO_ROOT = {
-    "closed form": "the equations of the closed form have no real root",
-    "elimination": "no real root among 16",
-    "search": "not found; no closed form applies",
-}
-"""What is said of a method that found nothing."""
 
 
 def explain_target(solutions: Solutions, index: int) -> str:
@@ -78,7 +69,6 @@ def explain_target(solutions: Solutions, index: int) -> str:
     plan = solutions.plan
     spare = plan.spare_joints
     miss = math.hypot(position, angle)
-    why: list[Any]
     why, proven = _list_reasons(solutions, index)
     if spare and not proven:
         tried = int(np.ravel(solutions.tried)[index])
@@ -92,19 +82,17 @@ def explain_target(solutions: Solutions, index: int) -> str:
         head = "no solution"
     if miss <= REACHED:
         near = f"a configuration within {miss:.1g} of the target: see nearest()"
-        return f"{wording.describe_failure(head, *why).split(':')[0]} within {problem.tolerance:.1g}, but {near}"
-    if why[0].__class__ is Evidence and why[0].kind == "joints":
-        why.append(
-            suggest_tolerance(
-                position, angle, find_chain(solutions.system, problem.frame).span.largest, one=True
-            )
-        )
+        return f"{head or why[0]} within {problem.tolerance:.1g}, but {near}"
+    rounded = None
+    if why[0].kind == "rank":
+        longest = make_frame_problem(problem).chain.span.largest
+        rounded = suggest_tolerance(position, angle, longest, one=True)
     limits = " inside the limits" if np.isfinite(plan.lines.limits).any() else ""
     place = None if problem.task in TURNS else position
     turn = None if problem.task == "position" else angle
     off = wording.format_errors(place, turn)
     return wording.describe_failure(
-        head, *why, f"the closest configuration found{limits} misses it by {off}"
+        head, *why, rounded, f"the closest configuration found{limits} misses it by {off}"
     )
 
 
@@ -171,8 +159,8 @@ def _describe_found(solutions: Solutions, index: int) -> str:
 
 def has_spare_joints(plan: ChainPlan) -> bool:
     """Return whether the chain has more joints than the task has equations."""
-    free = make_free_lines(plan.lines, plan.task, plan.planar)
-    return len(plan.lines) - len(plan.fixed) + len(free.kinds) > (3 if plan.planar else 6)
+    equations, _ = count_task_freedoms(plan, plan.fixed)
+    return len(plan.lines) - len(plan.fixed) > equations
 
 
 def _list_held_values(
@@ -215,49 +203,36 @@ CONSTANT = 1e-9
 """Factor of an unknown below which an equation does not depend on it."""
 
 
-def _list_reasons(solutions: Solutions, index: int) -> tuple[list[Any], bool]:
+def _list_reasons(solutions: Solutions, index: int) -> tuple[list[Evidence], bool]:
     """List reasons why a target has no solutions, and whether they hold for all held values."""
-    problem = solutions.problem
     plan = solutions.plan
-    system = solutions.system
-    target = problem.targets[index : index + 1]
-    tolerance = problem.tolerance
-    far = None
-    if problem.task not in TURNS:
-        off = abs(float(target[0, 2, 3])) if system.dim == 2 else 0.0
-        if off > tolerance:
-            return [make_reach_evidence(system, plane=off, point=problem.task == "position")], True
-        bounds = find_chain(system, problem.frame).bounds
-        off = float(measure_bound_excess(bounds, target, (tolerance, tolerance), False)[0, 0])
-        far = make_reach_evidence(system, off, slides=list_slides(system, problem.frame))
-    wide = plan.lines.span.wide
-    failed = (
-        None
-        if wide or plan.spare_joints or plan.method.word != "closed form"
-        else _prove_no_root(solutions, index)
-    )
+    problem = make_frame_problem(solutions.problem)
+    far = prove_beyond_lengths(problem, problem.targets[index : index + 1])
+    if far is not None and far.plane:
+        return [far], True
+    span = plan.lines.span
+    closed_form = plan.method.word == "closed form" and not plan.spare_joints and not span.wide
+    failed = _prove_no_root(solutions, index) if closed_form else None
     if far or failed:
         return [x for x in (far, failed) if x], far is not None
     over = _prove_overdetermined(solutions)
-    if wide and not over:
-        return [plan.lines.span.explain_rounding()], True
-    return [over or NO_ROOT[plan.method.word]], over is not None
+    if span.wide and not over:
+        return [make_evidence("wide span", span=span.format_ratio())], True
+    return [over or make_evidence("no root found", method=plan.method.word)], over is not None
 
 
 def _prove_overdetermined(solutions: Solutions) -> Evidence | None:
     """Prove that the task has more equations than the chain has freedoms."""
     plan = solutions.plan
-    planar = solutions.system.dim == 2
-    unknown = [i for i in range(len(plan.lines)) if i not in plan.fixed]
-    free = make_free_lines(plan.lines, plan.task, planar)
-    full = 3 if planar else 6
-    rank = rank_of(plan.lines, free, unknown)
-    others = len(free.kinds)
-    if rank >= full:
+    equations, freedoms = count_task_freedoms(plan, plan.fixed)
+    if freedoms >= equations:
         return None
-    held = bool(plan.fixed)
     return make_evidence(
-        "joints", joints=len(unknown), held=held, freedoms=rank - others, equations=full - others
+        "rank",
+        equations=equations,
+        freedoms=freedoms,
+        frame=solutions.problem.frame,
+        held=bool(plan.fixed),
     )
 
 

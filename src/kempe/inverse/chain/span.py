@@ -77,10 +77,6 @@ class Span(NamedTuple):
             f"{self.rounding:.1g} m"
         )
 
-    def explain_rounding(self) -> str:
-        """Write the warning about rounding for an answer that was not found."""
-        return f"{self.format_ratio()}, and solutions may be missed"
-
 
 def measure_span(ints: np.ndarray, floats: np.ndarray) -> Span:
     """Measure the smallest and largest length of a packed chain."""

@@ -6,7 +6,7 @@ Lines complete the unknown joints to six. Which joints a redundant chain holds i
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -335,6 +335,15 @@ def count_chain_freedoms(lines: Lines, free: Extra, unknown: list[int]) -> int:
     )
     J = J / np.linalg.norm(J, axis=2, keepdims=True)  # seen from the chain, whatever the tool
     return int(Spectrum(J).compute_ranks(Level.GENERIC).max())
+
+
+def count_task_freedoms(plan: ChainPlan, held: Sequence[int]) -> tuple[int, int]:
+    """Count the equations of the task, and its freedoms that joints give which are not `held`."""
+    free = make_free_lines(plan.lines, plan.task, plan.planar)
+    unknown = [i for i in range(len(plan.lines)) if i not in held]
+    others = len(free.kinds)
+    rank = count_chain_freedoms(plan.lines, free, unknown)
+    return (3 if plan.planar else 6) - others, rank - others
 
 
 # ---- how plans are made
