@@ -349,7 +349,8 @@ def test_a_slide_that_is_too_short_is_blocked_by_its_limit():
     assert answer.code == Status.OUT_OF_REACH and answer.proven
     assert (
         "outside the workspace" in answer.status
-        and "without the limit of 's' it is reached" in answer.status
+        and "blocked by the limit of 's' (" in answer.status
+        and "); without limits it is reachable" in answer.status
     )
 
 

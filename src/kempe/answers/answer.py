@@ -101,6 +101,10 @@ class Answer(Result, Tabular):
         """The `Row` of functions of the verb that gave this answer."""
         return import_late_member(self.row)
 
+    def _count_row(self, index: tuple[int, ...]) -> int:
+        """Count along all axes of the batch, which row has this index; 0 for a single answer."""
+        return int(np.ravel_multi_index(index, self._batch_shape)) if index else 0
+
     def _compose_sentence(self, index: tuple[int, ...]) -> str:
         """Compose the sentence for one target, given its index in the batch."""
         return self._row.sentence(self, index)

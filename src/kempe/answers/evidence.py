@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +16,7 @@ from kempe.spatial import Array
 from kempe.words import InWords
 
 if TYPE_CHECKING:
+    from kempe.equations.one_sided import OneSided
     from kempe.model.model import Model
 
 
@@ -96,6 +97,37 @@ def make_reach_evidence(
         point=point,
         slides=list(slides),
     )
+
+
+def make_limit_evidence(
+    system: Model,
+    free: Array | None,
+    retry: Callable[[Array], Array | None] | None = None,
+    **figures: Any,
+) -> Evidence | None:
+    """Make evidence from a configuration `free` (nq,) that was found without limits; None for none.
+
+    It names the limits that `free` violates. Where it violates none, more starts find an answer.
+    Whole turns of angles do not count, unless `retry`, a search with limits that starts at `free`,
+    finds nothing.
+    """
+    if free is None:
+        return None
+    names = list_limit_violations(system, free)
+    if not names and retry is not None and retry(free) is None:
+        names = list_limit_violations(system, free, turns=False)
+    return (
+        make_evidence("limits", names=names, **figures) if names else make_evidence("more starts")
+    )
+
+
+def make_one_sided_evidence(rows: OneSided, free: Array | None, **figures: Any) -> Evidence | None:
+    """Make evidence from a configuration `free` that was found without one-sided constraints.
+
+    It names the constraints that `free` violates; None where it violates none.
+    """
+    violated = [] if free is None else [v.text for v in rows.list_violations(free)]
+    return make_evidence("one-sided", violated=violated, **figures) if violated else None
 
 
 def list_limit_violations(

@@ -159,6 +159,14 @@ def describe_empty_search(limit: float) -> str:
     return f"no solution found within the time limit of {limit:g} s: there may be some"
 
 
+def describe_late_nearest_mechanism(limit: float | None) -> str:
+    """Describe that the time limit ended the search for the nearest exact mechanism."""
+    return (
+        f"the time limit of {limit or 0.0:g} s ended the search for the nearest mechanism that closes "
+        "exactly: what closes is not known; allow more by kempe.Budget(time_limit=...)"
+    )
+
+
 def describe_nearest_error(place: float | None, turn: float | None) -> str:
     """Describe the error of the nearest configuration that was found."""
     return f"the nearest configuration found misses it by {format_errors(place, turn)}"
@@ -298,13 +306,13 @@ def _explain_blocking_limits(
     names: Sequence[str],
     together: bool = False,
     each: bool = False,
-    proof: Any = None,
+    proof: object = None,
     task: str = "",
     done: str = "is reached",
 ) -> str:
     """Explain that limits of `names` block the target, by a proof or by a search without them."""
     which = format_limits(names, " or of " if each else " and " if together else ", ")
-    if proof is not None:
+    if proof:
         return (
             f"blocked by {which}{' together' if together else ''} ({proof}); without limits it is "
             "reachable"
@@ -370,6 +378,49 @@ def _explain_missing_configuration(limits: bool, place: bool, turn: bool) -> str
     return (
         f"no configuration was found{' without limits either' if limits else ''}, so {may}{turned}"
     )
+
+
+OPEN: Mapping[str, str] = MappingProxyType(
+    {
+        "nothing": "nothing is open",
+        "place": "the place of {names} is missed by {place:.6g} m",
+        "loop": "the loop of joint {names} stays open by {errors}",
+        "constraint": "constraint {names} stays open by {errors}",
+        "equation": "constraint {names} is off by {turn:.6g}",
+        "relation": "the relation of {names} is off by {turn:.6g}",
+        "one-sided": "the one-sided constraint {names} is violated by {amount}",
+    }
+)
+"""What is violated most where loops do not close."""
+
+
+def _explain_open_loop(
+    what: str,
+    names: Sequence[str] = (),
+    place: float = 0.0,
+    turn: float = 0.0,
+    amount: str = "",
+) -> str:
+    """Explain what stays open where loops do not close, and by how much."""
+    return OPEN[what].format(
+        names=" or ".join(map(repr, names)),
+        place=place,
+        turn=turn,
+        amount=amount,
+        errors=format_errors(place, turn if turn > 1e-9 else None, radians=".3g", by=" and "),
+    )
+
+
+def _explain_open_loops() -> str:
+    """Explain that no search found a closed configuration."""
+    return "with these values no closed configuration was found"
+
+
+def _suggest_closing_tolerance(nearest: str = "", tolerance: float = 0.0) -> str:
+    """Suggest a tolerance with which loops close, of the mechanism nearest to the given one."""
+    if nearest:
+        return f"it closes {nearest}: give a larger tolerance"
+    return f"with tolerance={tolerance:.2g} it counts as closed as it is"
 
 
 NO_ROOT: Mapping[str, str] = MappingProxyType(
@@ -596,6 +647,9 @@ FOUND_OUT: Mapping[str, Callable[..., str]] = MappingProxyType(
         "near miss": _explain_near_miss,
         "not found": _explain_missing_configuration,
         "no root found": _explain_vain_method,
+        "open": _explain_open_loop,
+        "not closed": _explain_open_loops,
+        "nearly closed": _suggest_closing_tolerance,
         "wide span": _explain_wide_span,
         "rounded": _suggest_tolerance,
         "tried": _describe_tried_values,

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from kempe.answers import wording
 from kempe.answers.answer import Row
-from kempe.answers.evidence import Evidence, list_limit_violations, make_evidence
+from kempe.answers.evidence import (
+    Evidence,
+    make_evidence,
+    make_limit_evidence,
+    make_one_sided_evidence,
+)
 from kempe.answers.problem import Choice, Problem, select_solver
 from kempe.answers.wording import describe_immovable_coordinates
 from kempe.assemble.answer import Assembly
@@ -34,13 +39,6 @@ COINCIDE = 1e-6
 """Distance of joints, in characteristic lengths, below which they are at one place."""
 
 
-LATE = (
-    "the time limit of {:g} s ended the search for the nearest mechanism that closes exactly: what "
-    "closes is not known; allow more by kempe.Budget(time_limit=...)"
-)
-"""The answer where this search did not end."""
-
-
 def choose_solver(answer: Assembly) -> Choice:
     """Choose the solver for the known names of an answer."""
     from kempe.assemble.assemble import SOLVERS
@@ -54,7 +52,11 @@ def choose_solver(answer: Assembly) -> Choice:
 def describe_configuration(answer: Assembly, index: tuple[int, ...]) -> str:
     """Describe one configuration of an assembly in a sentence."""
     undecided = answer.late and np.asarray(answer.code)[index] == Status.OUT_OF_TIME
-    return LATE.format(answer.limit) if undecided else _describe_outcome(answer, index)
+    return (
+        wording.describe_late_nearest_mechanism(answer.limit)
+        if undecided
+        else _describe_outcome(answer, index)
+    )
 
 
 def _describe_outcome(answer: Assembly, index: tuple[int, ...]) -> str:
@@ -73,31 +75,36 @@ def _describe_outcome(answer: Assembly, index: tuple[int, ...]) -> str:
         return f"a known value is outside its limits: {_describe_outside_limits(bound, q)}"
     if code == Status.OTHER_BRANCH:
         return "the branch requested cannot be closed with these values; q is closed on another one"
+    what = _find_largest_violation(bound, q, residual)
+    near = "q is the nearest to closing"
     if code == Status.OUT_OF_TIME:
-        said = wording.describe_late_search(answer.limit, starts, done="closed")
-        return wording.describe_failure(
-            said,
-            _describe_largest_violation(bound, q, residual),
-            "q is the nearest to closing so far",
-        )
-    why: Any = (
+        late = wording.describe_late_search(answer.limit, starts, done="closed")
+        return wording.describe_failure(late, what, f"{near} so far")
+    why = (
         _find_one_sided_evidence(bound, q)
         or _find_limit_evidence(bound, q)
         or _find_excess_evidence(bound)
+        or make_evidence("not closed")
     )
-    why = why or "with these values no closed configuration was found"
-    wider = find_nearest_quickly(bound.system) if residual < NEARLY else None
-    loose = ""
-    if wider is not None:
-        loose = f"it closes {wider.least}: give a larger tolerance"
-    elif residual <= LOOSEST / 2.0:
-        loose = f"with tolerance={1.1 * residual:.2g} it counts as closed as it is"
-    what = _describe_largest_violation(bound, q, residual)
-    near = "q is the nearest to closing"
     still = describe_immovable_coordinates(bound.system)
     return wording.describe_failure(
-        wording.describe_vain_starts("closed", starts), what, why, loose, near, still
+        wording.describe_vain_starts("closed", starts),
+        what,
+        why,
+        _suggest_tolerance(bound, residual),
+        near,
+        still,
     )
+
+
+def _suggest_tolerance(bound: Assembler, residual: float) -> Evidence | None:
+    """Suggest the tolerance with which the loops would close; None where they are open by more."""
+    wider = find_nearest_quickly(bound.system) if residual < NEARLY else None
+    if wider is not None:
+        return make_evidence("nearly closed", nearest=wider.least)
+    if residual <= LOOSEST / 2.0:
+        return make_evidence("nearly closed", tolerance=1.1 * residual)
+    return None
 
 
 def _describe_freedoms(bound: Assembler, q: Array) -> str:
@@ -158,13 +165,11 @@ def _describe_outside_limits(bound: Assembler, q: Array) -> str:
     return ", ".join(texts)
 
 
-def _describe_largest_violation(bound: Assembler, q: Array, missed: float) -> str:
-    """Describe the largest violation, in metres and radians.
+def _find_largest_violation(bound: Assembler, q: Array, missed: float) -> Evidence:
+    """Find the loop, constraint or place that is violated most, in metres and radians.
 
     `missed` is the norm of all residuals.
     """
-    from kempe.equations.closure_rows import compute_residual, list_row_names
-
     system = bound.system
     length = bound.loops.length
     parts: dict[tuple[str, bool], list[float]] = {}
@@ -174,41 +179,35 @@ def _describe_largest_violation(bound: Assembler, q: Array, missed: float) -> st
         for _ in tie.row_names
     ]
     for (name, row), off, value in zip(
-        list_row_names(system), plain, compute_residual(system, q).tolist(), strict=True
+        closure_rows.list_row_names(system),
+        plain,
+        closure_rows.compute_residual(system, q).tolist(),
+        strict=True,
     ):
         part = parts.setdefault((name, off), [0.0, 0.0])
         kind = int(row.startswith("r") or off)
         part[kind] = math.hypot(part[kind], value)
     worst = 0.0
-    text = "nothing is open"
+    found = make_evidence("open", what="nothing")
     if bound.frames:  # loops that are open by next to nothing are not the reason
         worst = 0.1 * missed
-        text = (
-            f"the place of {' or '.join(map(repr, bound.frames))} is missed by "
-            f"{missed * length:.6g} m"
-        )
+        found = make_evidence("open", what="place", names=list(bound.frames), place=missed * length)
     for (name, related), (apart, turned) in parts.items():
         size = math.hypot(apart / length, turned)
         if size <= worst:
             continue
         worst = size
+        declared = name in system._mechanism.constraints
         if related:
-            what = "constraint" if name in system._mechanism.constraints else "the relation of"
-            text = f"{what} {name!r} is off by {turned:.6g}"
-            continue
-        text = (
-            f"the loop of joint {name!r}"
-            if name in system.structure.joints
-            else f"constraint {name!r}"
-        )
-        text += f" stays open by {apart:.6g} m" + (
-            f" and {turned:.3g} rad" if turned > 1e-9 else ""
-        )
+            what = "equation" if declared else "relation"
+        else:
+            what = "loop" if name in system.structure.joints else "constraint"
+        found = make_evidence("open", what=what, names=[name], place=apart, turn=turned)
     for v in bound.one_sided.list_violations(q) if bound.one_sided is not None else ():
         if v.size > worst:
-            text = f"the one-sided constraint {v.name!r} is violated by {v.amount}"
+            found = make_evidence("open", what="one-sided", names=[v.name], amount=v.amount)
             worst = v.size
-    return text
+    return found
 
 
 def _find_one_sided_evidence(bound: Assembler, q: Array) -> Evidence | None:
@@ -223,26 +222,26 @@ def _find_one_sided_evidence(bound: Assembler, q: Array) -> Evidence | None:
         if bound.plain
         else None
     )
-    violated = (
-        [v.text for v in bound.one_sided.list_violations(answer.q)]
-        if answer is not None and answer.success
-        else []
-    )
-    if answer is None or not violated:
+    if answer is None or not answer.success:
         return None
     known = bool(bound.known) and not closure_rows.count_remaining_freedoms(
         bound.system, answer.q, bound.held
     )
-    return make_evidence("one-sided", violated=violated, done="closes", known=known)
+    return make_one_sided_evidence(bound.one_sided, answer.q, done="closes", known=known)
 
 
 def _find_limit_evidence(bound: Assembler, q: Array) -> Evidence | None:
     """Find out whether the loops close without limits, and which coordinates are outside then."""
     if bound.frames or not np.isfinite(bound.system.structure.limits).any():
         return None
-    free, _, info = bound.run(q[None], bound.no_pins, limits=False, limit=GLANCE)
-    names = list_limit_violations(bound.system, free[0]) if info[0, 0] == Status.SOLVED else []
-    return make_evidence("limits", names=names, done="closes") if names else None
+
+    def close_loops(start: Array, limits: bool = True) -> Array | None:
+        """Close the loops from a start (nq,); None where they stay open."""
+        found, _, info = bound.run(start[None], bound.no_pins, limits=limits, limit=GLANCE)
+        return found[0] if info[0, 0] == Status.SOLVED else None
+
+    free = close_loops(q, limits=False)
+    return make_limit_evidence(bound.system, free, close_loops, done="closes")
 
 
 def _find_excess_evidence(bound: Assembler) -> Evidence | None:

@@ -529,7 +529,7 @@ class Solutions(ConfigurationList, Answer):
         return self._lead or ()
 
     def _compose_sentence(self, index: tuple[int, ...]) -> str:
-        i = int(np.ravel_multi_index(index, self._batch_shape)) if index else 0
+        i = self._count_row(index)
         if self._whole is None:
             return self._row.sentence(self, i)
         return self._whole._compose_sentence(index) + (

@@ -86,7 +86,7 @@ def explain_target(solution: Solution, index: tuple[int, ...]) -> str:
     missed = position if any(task.mask[:3]) else None, angle if any(task.mask[3:]) else None
     if code == Status.SOLVED:
         return wording.describe_reached_frame(*missed, steps, starts)
-    at = int(np.ravel_multi_index(index, np.shape(solution.code))) if index else 0
+    at = solution._count_row(index)
     target = task.targets[at : at + 1]
     if code == Status.BAD_INPUT:
         return explain_refused_target(target[0], "start")
@@ -118,16 +118,11 @@ def explain_target(solution: Solution, index: tuple[int, ...]) -> str:
 def list_proofs(solution: Solution, index: tuple[int, ...]) -> tuple[Evidence, ...]:
     """List the proofs that one target of a solution has no answer."""
     task: FrameProblem = solution.problem
-    code = np.asarray(solution.code)
-    at = int(np.ravel_multi_index(index, code.shape)) if index else 0
-    target = task.targets[at : at + 1]
-    if code[index] not in (Status.OUT_OF_REACH, Status.NOT_FOUND):
-        return ()
-    proof = (
-        prove_beyond_lengths(task, target)
-        if code[index] == Status.OUT_OF_REACH
-        else prove_unreachable(task, target)
+    at = solution._count_row(index)
+    prove = {Status.OUT_OF_REACH: prove_beyond_lengths, Status.NOT_FOUND: prove_unreachable}.get(
+        np.asarray(solution.code)[index]
     )
+    proof = prove and prove(task, task.targets[at : at + 1])
     return (proof,) if proof else ()
 
 

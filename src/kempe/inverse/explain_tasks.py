@@ -9,15 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import combinations
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from kempe.answers import wording
 from kempe.answers.evidence import (
     Evidence,
-    list_limit_violations,
     make_evidence,
+    make_limit_evidence,
+    make_one_sided_evidence,
     make_reach_evidence,
 )
 from kempe.answers.problem import Choice, Problem, select_solver
@@ -54,8 +55,7 @@ def explain_target(answer: Reached, index: tuple[int, ...]) -> str:
         return (
             "goals or start have numbers that are not finite or too large, or a goal is not a pose"
         )
-    row = int(np.ravel_multi_index(index, np.shape(answer.code))) if index else 0
-    problem = answer.problem.select_row(row)
+    problem = answer.problem.select_row(answer._count_row(index))
     q = answer.q[index]
     misses = {t.label: answer.errors[t.label][index] for t in problem.tasks}
     soft = ", ".join(
@@ -99,16 +99,13 @@ def explain_target(answer: Reached, index: tuple[int, ...]) -> str:
             wording.describe_vain_starts("reached", starts), what, calls, near, soft
         )
     why = _list_reasons(problem, q)
-    if failing and any(isinstance(x, Evidence) and x.figures.get("rank") for x in why):
-        worst = np.max([misses[t.label] for t in failing], axis=0)
-        why += [
-            suggest_tolerance(
-                float(worst[0]), float(worst[1]), compute_characteristic_length(problem.system)
-            )
-        ]
+    rounded = None
+    if failing and any(x.figures.get("rank") for x in why):
+        place, turn = np.max([misses[t.label] for t in failing], axis=0).tolist()
+        rounded = suggest_tolerance(place, turn, compute_characteristic_length(problem.system))
     still = describe_immovable_coordinates(problem.system)
     return wording.describe_failure(
-        wording.describe_vain_starts("reached", starts), what, *why, near, soft, still
+        wording.describe_vain_starts("reached", starts), what, *why, rounded, near, soft, still
     )
 
 
@@ -159,35 +156,25 @@ def _solve_tasks(
     return found[0] if make_checked_answer(part, found, info) else None
 
 
-def _list_reasons(problem: Demands, q: Array) -> list[Any]:
+def _list_reasons(problem: Demands, q: Array) -> list[Evidence]:
     """List reasons why the hard tasks do not hold together; q (nq,) is the nearest found."""
     hard = [i for i, t in enumerate(problem.tasks) if t.weight is None]
-    proofs = [
-        proof for i in hard if (proof := _prove_out_of_reach(problem, i))
-    ] or _find_contradictions(problem)
-    above = (
-        _solve_tasks(problem, q, hard, True, False) if problem.packed.one_sided.declared else None
+    proofs = _find_proofs(problem)
+    one_sided = problem.packed.one_sided
+    if one_sided.declared and not proofs:
+        above = _solve_tasks(problem, q, hard, one_sided=False)
+        if over := make_one_sided_evidence(one_sided, above):
+            return [over]
+    blocked = make_limit_evidence(
+        problem.system,
+        _solve_tasks(problem, q, hard, limits=False),
+        lambda free: _solve_tasks(problem, free, hard),
+        proof="; ".join(proof.text for proof in proofs),
     )
-    if (
-        above is not None
-        and not proofs
-        and (over := problem.packed.one_sided.list_violations(above))
-    ):
-        return [make_evidence("one-sided", violated=[v.text for v in over])]
-    free = _solve_tasks(problem, q, hard, False)
-    names = list_limit_violations(problem.system, free) if free is not None else []
-    # where a task tells turns apart
-    if free is not None and not names and _solve_tasks(problem, free, hard) is None:
-        names = list_limit_violations(problem.system, free, turns=False)
-    if names:
-        return [
-            *proofs,
-            f"without {wording.format_limits(names)} it is reached"
-            if proofs
-            else make_evidence("limits", names=names),
-        ]
-    if proofs or free is not None:
-        return proofs or [make_evidence("more starts")]
+    if blocked and (blocked.kind == "limits" or not proofs):
+        return [blocked]
+    if proofs:
+        return proofs
     alone = [i for i in hard if len(hard) == 1 or _solve_tasks(problem, q, [i]) is None]
     if alone:
         return [_explain_single_task(problem, q, i, len(hard) > 1) for i in alone]
@@ -210,17 +197,16 @@ def _list_reasons(problem: Demands, q: Array) -> list[Any]:
 
 def list_proofs(answer: Reached, index: tuple[int, ...]) -> tuple[Evidence, ...]:
     """List the proofs that the tasks of one problem do not hold together."""
-    row = int(np.ravel_multi_index(index, np.shape(answer.code))) if index else 0
-    code = np.asarray(answer.code)[index]
-    problem = answer.problem.select_row(row)
-    if code == Status.CONTRADICTORY:
-        return tuple(_find_contradictions(problem))
-    hard = (
-        [i for i, t in enumerate(problem.tasks) if t.weight is None]
-        if code == Status.OUT_OF_REACH
-        else []
-    )
-    return tuple(proof for i in hard if (proof := _prove_out_of_reach(problem, i)))
+    if np.asarray(answer.code)[index] not in (Status.OUT_OF_REACH, Status.CONTRADICTORY):
+        return ()
+    return tuple(_find_proofs(answer.problem.select_row(answer._count_row(index))))
+
+
+def _find_proofs(problem: Demands) -> list[Evidence]:
+    """Find the hard tasks that are out of reach; without one, those that exclude each other."""
+    hard = [i for i, t in enumerate(problem.tasks) if t.weight is None]
+    far = [proof for i in hard if (proof := _prove_out_of_reach(problem, i))]
+    return far or _find_contradictions(problem)
 
 
 def _find_contradictions(problem: Demands) -> list[Evidence]:
@@ -262,9 +248,10 @@ def _prove_out_of_reach(problem: Demands, i: int) -> Evidence | None:
 def _explain_single_task(problem: Demands, q: Array, i: int, among: bool) -> Evidence:
     """Explain why one task is not reached even alone."""
     label = problem.tasks[i].label
-    free = _solve_tasks(problem, q, [i], False)
-    if free is not None and (names := list_limit_violations(problem.system, free)):
-        return make_evidence("limits", names=names, task=label)
+    free = _solve_tasks(problem, q, [i], limits=False)
+    blocked = make_limit_evidence(problem.system, free, task=label)
+    if blocked and blocked.kind == "limits":
+        return blocked
     return make_evidence(
         "not alone", task=label if among else "", rank=_prove_overdetermined(problem, q, [i])
     )
