@@ -52,7 +52,8 @@ class Evidence(InWords):
         """Sentence that explains the evidence."""
         from kempe.answers.wording import FOUND_OUT, PROOFS
 
-        return (PROOFS.get(self.kind) or FOUND_OUT[self.kind])(**self.figures)
+        sentence = PROOFS.get(self.kind) or FOUND_OUT[self.kind]
+        return (sentence.format if isinstance(sentence, str) else sentence)(**self.figures)
 
     def __str__(self) -> str:
         return self.text

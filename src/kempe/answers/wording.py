@@ -201,11 +201,6 @@ def _explain_lengths(
     return f"{who}outside the workspace{','.join(parts)}, by the lengths of the links{ends}{units}"
 
 
-def _explain_tilt(angle: float) -> str:
-    """Explain that a target is tilted out of the plane of the system by an angle [rad]."""
-    return f"tilted out of the plane of the system by {angle:.2g} rad"
-
-
 def _explain_outside_limits(count: int = 0, short: float = 0.0) -> str:
     """Explain that all `count` configurations that reach a target violate limits.
 
@@ -411,11 +406,6 @@ def _explain_open_loop(
     )
 
 
-def _explain_open_loops() -> str:
-    """Explain that no search found a closed configuration."""
-    return "with these values no closed configuration was found"
-
-
 def _suggest_closing_tolerance(nearest: str = "", tolerance: float = 0.0) -> str:
     """Suggest a tolerance with which loops close, of the mechanism nearest to the given one."""
     if nearest:
@@ -436,11 +426,6 @@ NO_ROOT: Mapping[str, str] = MappingProxyType(
 def _explain_vain_method(method: str) -> str:
     """Explain that a method of `ik_all` found no solution."""
     return NO_ROOT[method]
-
-
-def _explain_wide_span(span: str) -> str:
-    """Explain that lengths differ so much that rounding may hide solutions."""
-    return f"{span}, and solutions may be missed"
 
 
 def _suggest_tolerance(metres: float, radians: float, one: bool) -> str:
@@ -625,17 +610,18 @@ def _format_equation(terms: Mapping[str, float]) -> str:
     return f"{text} = {format_number(terms[''])}"
 
 
-PROOFS: Mapping[str, Callable[..., str]] = MappingProxyType(
+PROOFS: Mapping[str, Callable[..., str] | str] = MappingProxyType(
     {
         "lengths": _explain_lengths,
-        "tilted": _explain_tilt,
+        "tilted": "tilted out of the plane of the system by {angle:.2g} rad",
         "outside": _explain_outside_limits,
         "contradiction": _explain_contradiction,
         "no root": _explain_missing_root,
     }
 )
-"""Kinds of evidence that prove that there is no answer, with their sentences."""
-FOUND_OUT: Mapping[str, Callable[..., str]] = MappingProxyType(
+"""Kinds of evidence that prove that there is no answer, each with its sentence as a function of its
+figures, or as a template."""
+FOUND_OUT: Mapping[str, Callable[..., str] | str] = MappingProxyType(
     {
         "rank": _explain_rank,
         "too many given": _explain_excess_values,
@@ -648,9 +634,9 @@ FOUND_OUT: Mapping[str, Callable[..., str]] = MappingProxyType(
         "not found": _explain_missing_configuration,
         "no root found": _explain_vain_method,
         "open": _explain_open_loop,
-        "not closed": _explain_open_loops,
+        "not closed": "with these values no closed configuration was found",
         "nearly closed": _suggest_closing_tolerance,
-        "wide span": _explain_wide_span,
+        "wide span": "{span}, and solutions may be missed",
         "rounded": _suggest_tolerance,
         "tried": _describe_tried_values,
     }

@@ -147,7 +147,7 @@ def prove_beyond_lengths(task: FrameProblem, target: Array) -> Evidence | None:
 
 def _list_reasons(
     task: FrameProblem, target: Array, q: Array, position: float, angle: float
-) -> list[Any]:
+) -> list[Evidence]:
     """List reasons why a target has no answer; q (n,) is the nearest found, with its errors."""
     span = task.chain.span
     found = (
@@ -157,7 +157,8 @@ def _list_reasons(
     )
     found = found or _find_blocking_limits(task, target, q)
     if not found and (rank := _prove_overdetermined(task, target)):
-        return [rank, rank.freedoms and suggest_tolerance(position, angle, span.largest)]
+        rounded = suggest_tolerance(position, angle, span.largest) if rank.freedoms else None
+        return [rank, rounded] if rounded else [rank]
     return [found or _explain_near_miss(task, position, angle) or _explain_not_found(task)]
 
 

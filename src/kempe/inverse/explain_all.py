@@ -122,7 +122,8 @@ def _describe_found(solutions: Solutions, index: int) -> str:
     """Describe the solutions that were found."""
     plan = solutions.plan
     spare = plan.spare_joints
-    deficient = bool(spare) and not has_spare_joints(plan)
+    equations, _ = count_task_freedoms(plan, plan.fixed)
+    deficient = bool(spare) and len(plan.lines) - len(plan.fixed) <= equations
     none: list[Family] = []
     unknown: tuple[list[Family], np.ndarray] = (none, np.full(len(solutions._used_rows.T), -1))
     families, member = unknown if spare and not deficient else solutions._families[index]
@@ -155,12 +156,6 @@ def _describe_found(solutions: Solutions, index: int) -> str:
     held = f": {wording.describe_held_joints(now)}"
     spares = wording.describe_spare_joints(len(spare), held, first_values, tried, inside > 0)
     return f"{text}; {spares}"
-
-
-def has_spare_joints(plan: ChainPlan) -> bool:
-    """Return whether the chain has more joints than the task has equations."""
-    equations, _ = count_task_freedoms(plan, plan.fixed)
-    return len(plan.lines) - len(plan.fixed) > equations
 
 
 def _list_held_values(

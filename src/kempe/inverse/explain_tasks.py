@@ -2,7 +2,8 @@
 
 Proofs are the lengths of links and tasks that contradict each other. Else one asks again: all
 without the limits, each hard task alone, two at a time. What is then found is true, what is not
-found is evidence and said with the starts.
+found is evidence and said with the starts. Reasons of targets of one frame stand in `explain`,
+which does not load the search for tasks.
 """
 
 from __future__ import annotations
@@ -276,9 +277,7 @@ def describe_solver(answer: Reached) -> Choice:
 
 def _compute_derivatives(answer: Reached) -> dict[str, Array]:
     """Compute the derivatives of an answer by its tasks' goals."""
-    from kempe.inverse.derivative import (
-        compute_task_derivatives,  # only here: it is long, and seldom asked for
-    )
+    from kempe.inverse.derivative import compute_task_derivatives  # only here: seldom asked for
 
     return compute_task_derivatives(answer)
 
