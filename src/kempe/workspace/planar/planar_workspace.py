@@ -33,11 +33,17 @@ from kempe.workspace.kinds import (
 )
 from kempe.workspace.legs import find_legs
 from kempe.workspace.planar.planar_chain import PlanarChain, project_joint, split_wrist
-from kempe.workspace.planar.planar_platform import CouplerCurve, PlatformLeg, PlatformRegion
+from kempe.workspace.planar.planar_platform import (
+    MEET,
+    PlaneCurve,
+    PlatformLeg,
+    PlatformRegion,
+    compute_extent,
+    find_open_ends,
+)
 from kempe.workspace.planar.plane_curves import (
     NOTHING,
     PlanarRegion,
-    PlanePiece,
     intersect_regions,
     shrink_region,
 )
@@ -47,8 +53,6 @@ if TYPE_CHECKING:
 
     from kempe.model.model import FrameLike, Model
 
-
-PlaneCurve = PlanePiece | CouplerCurve
 
 # ---- the region of a frame
 
@@ -192,13 +196,6 @@ def find_planar_chain(system: Model, frame: str) -> tuple[PlanarChain, float]:
 
 # ---- the answer and the verb
 
-MEET = 1e-5
-"""How far ends of pieces may be apart, in sizes of the chain, to be the same corner."""
-GAP = 0.02
-"""Length of pieces that tracing may have missed, in sizes of a platform."""
-ROUNDING = 1e-9
-"""Error of an exact area or volume, in powers of the size of its chain."""
-
 
 @dataclass(frozen=True, eq=False)
 class SolutionRegion:
@@ -222,7 +219,7 @@ class PlanarWorkspace(Report):
     """The exact set of points that the origin of a frame reaches in the plane, within the limits.
 
     `boundary` are arcs of circles and segments that have the workspace to their left, and of
-    platforms on legs pieces of coupler curves, which are traced. `regions` tell how many solutions
+    platforms on legs pieces of coupler curves. `regions` tell how many solutions
     there are where. The `area` is exact but for rounding; of a platform it is sampled, with an
     `error`. The `kind` says in which orientations, as in `System.workspace`. Lengths are in metres.
     """
@@ -245,12 +242,7 @@ class PlanarWorkspace(Report):
     @cached_property
     def measure(self) -> tuple[float, float]:
         """Area in square metres, and its error: rounding, or two standard errors of samples."""
-        if isinstance(self.region, PlatformRegion):
-            return self.region.estimate_area(*self.extent) if self.boundary else (0.0, 0.0)
-        if self.region.is_curve:
-            return 0.0, 0.0
-        area = sum(p.moment for p in self.region.boundary_pieces)
-        return float(area), ROUNDING * self.region.size**2
+        return self.region.measure_area()
 
     @property
     def area(self) -> float:
@@ -260,25 +252,18 @@ class PlanarWorkspace(Report):
     @property
     def error(self) -> float:
         """Error of the area in square metres: 0 if exact up to rounding, else two standard errors."""
-        return self.measure[1] if isinstance(self.region, PlatformRegion) else 0.0
+        return 0.0 if self.region.is_exact else self.measure[1]
 
     @cached_property
     def extent(self) -> Array:
         """The least and the largest x and y (2, 2) of the boundary in metres."""
-        p = np.concatenate(
-            [piece.extremes for piece in self.boundary] or [np.zeros(1, dtype=complex)]
-        )
-        x = np.stack([np.real(p), np.imag(p)])
-        return np.stack([x.min(axis=1), x.max(axis=1)])
+        return compute_extent(self.boundary)
 
     @cached_property
     def regions(self) -> tuple[SolutionRegion, ...]:
         """The regions of points by number of solutions; one region if solutions are not counted."""
         if self.region.is_curve or not self.boundary:
             return ()
-        if isinstance(self.region, PlatformRegion):
-            loops = self._closed_curves
-            return (SolutionRegion(None, self.area, self.boundary, loops),)
         sides = self.region.sides
         counts = sorted({n for _, left, right in sides for n in (left, right) if n > 0})
         out: list[SolutionRegion] = []
@@ -288,27 +273,17 @@ class PlanarWorkspace(Report):
                 for p, left, right in sides
                 if (left == n) != (right == n)
             ]
-            out.append(
-                SolutionRegion(
-                    n if self.region.counted else None,
-                    float(sum(p.moment for p in edges)),
-                    tuple(edges),
-                    _join_loops(edges, MEET * self.region.size),
-                )
-            )
+            loops = _join_loops(edges, MEET * self.region.size)
+            if self.region.counted:
+                out.append(SolutionRegion(n, sum(p.moment for p in edges), tuple(edges), loops))
+            else:
+                out.append(SolutionRegion(None, self.area, tuple(edges), loops))
         return tuple(out)
-
-    @cached_property
-    def _closed_curves(self) -> tuple[tuple[PlaneCurve, ...], ...]:
-        """The boundary as closed curves."""
-        size = self.region.size
-        gap = GAP * size if isinstance(self.region, PlatformRegion) else 0.0
-        return _join_loops(list(self.boundary), MEET * size, gap)
 
     @cached_property
     def voids(self) -> tuple[tuple[PlaneCurve, ...], ...]:
         """Closed curves around holes of the workspace."""
-        loops = self._closed_curves if self.regions else ()
+        loops = _join_loops(self.boundary, MEET * self.region.size) if self.regions else ()
         return tuple(loop for loop in loops if compute_loop_area(loop) < 0.0)
 
     def contains(self, points: ArrayLike) -> Any:
@@ -391,9 +366,11 @@ class PlanarWorkspace(Report):
         kinds = Counter(p.kind for p in self.boundary)
         pieces = join_words([format_count(n, kind) for kind, n in sorted(kinds.items())])
         voids = f", with {format_count(len(self.voids), 'void')}" if self.voids else ""
-        if isinstance(self.region, PlatformRegion):
+        if not self.region.is_exact:
             area = f"area {self.area:.5g} +- {self.error:.2g} m^2 (sampled)"
-            return f"{of}: {area}, bounded by {pieces}{voids} (traced)"
+            ends = len(find_open_ends(self.boundary, MEET * self.region.size))
+            gaps = f"; pieces are missing at {format_count(ends, 'open end')}" if ends else ""
+            return f"{of}: {area}, bounded by {pieces}{voids}{gaps}"
         return f"{of}: area {self.area:.9g} m^2, bounded by {pieces}{voids}"
 
     def _list_notes(self, degrees: bool = False) -> list[str]:
@@ -430,12 +407,8 @@ def compute_loop_area(loop: tuple[PlaneCurve, ...]) -> float:
     return sum(piece.moment for piece in loop)
 
 
-def _join_loops(
-    pieces: Sequence[PlaneCurve], same: float, gap: float = 0.0
-) -> tuple[tuple[PlaneCurve, ...], ...]:
-    """Join pieces to closed curves, each followed by one that begins at its end. Of several this is
-    the leftmost, without any the nearest within a `gap`.
-    """
+def _join_loops(pieces: Sequence[PlaneCurve], same: float) -> tuple[tuple[PlaneCurve, ...], ...]:
+    """Join pieces to closed curves, each followed by the leftmost of those that begin at its end."""
     out: list[tuple[PlaneCurve, ...]] = []
     starts = np.array([complex(p.evaluate_points(0.0)) for p in pieces])
     used = np.zeros(len(pieces), dtype=bool)
@@ -450,7 +423,7 @@ def _join_loops(
             far = np.where(used, np.inf, np.abs(starts - complex(pieces[k].evaluate_points(1.0))))
             far[first] = abs(starts[first] - complex(pieces[k].evaluate_points(1.0)))
             along = pieces[k].evaluate_tangent(1.0)
-            near = np.flatnonzero(far <= max(same, min(gap, float(far.min()))))
+            near = np.flatnonzero(far <= same)
             turns = [
                 float(np.angle(pieces[j].evaluate_tangent(0.0) / along)) for j in near.tolist()
             ]
@@ -475,7 +448,7 @@ def planar_workspace(
     Of a mechanism with legs (see `kempe.workspace.legs`) places are those that all legs
     leave. The last joint of each chain must turn without limits where orientations count, and so
     must that of each leg, but of one where all others end at the frame's origin. Of legs that hold
-    different points of a platform the boundary is traced and the area sampled (see
+    different points of a platform the boundary has coupler curves and the area is sampled (see
     `kempe.workspace.planar.planar_platform`). Errors: `UnsupportedError` for all else:
     spatial systems, constraints, other loops, two legs that each leave a curve, coupled joints,
     chains with more than 6 joints; `InputError` for prismatic joints without limits and for frames

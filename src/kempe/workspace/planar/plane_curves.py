@@ -183,6 +183,28 @@ class PlanePiece:
         )
 
 
+def intersect_circles(
+    centres: np.ndarray, radius: float, carrier: PlanePiece
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Intersect circles about centres (...) with the circle or line of a piece.
+
+    Points are on both sides of a foot (...), along a unit number (...), as far as the root of a
+    number (...) says: there are none if that is negative, or NaN, as for the same centre.
+    """
+    if carrier.is_arc:
+        way = carrier.centre - centres
+        far = np.abs(way)
+        apart = far > 0.0
+        far = np.where(apart, far, 1.0)
+        unit = way / far
+        along = 0.5 * (far + (radius**2 - carrier.radius**2) / far)
+        square = np.where(apart, radius**2 - along**2, np.nan)
+        return centres + along * unit, 1j * unit, square
+    unit = np.full(centres.shape, carrier.way / abs(carrier.way))
+    foot = carrier.centre + unit * np.real((centres - carrier.centre) * np.conj(unit))
+    return foot, unit, radius**2 - np.abs(foot - centres) ** 2
+
+
 def intersect_carriers(a: PlanePiece, b: PlanePiece) -> np.ndarray:
     """Intersect the circles or lines of two pieces; the same circle or line has no points."""
     if not a.is_arc and not b.is_arc:
@@ -193,19 +215,9 @@ def intersect_carriers(a: PlanePiece, b: PlanePiece) -> np.ndarray:
         return np.array([a.centre + t * a.way])
     if not a.is_arc:
         a, b = b, a
-    if b.is_arc:
-        d = b.centre - a.centre
-        far = abs(d)
-        if far < 1e-12 * (a.radius + b.radius):
-            return np.zeros(0, dtype=complex)
-        along = (far**2 + a.radius**2 - b.radius**2) / (2.0 * far)
-        foot = a.centre + along * d / far
-        unit = 1j * d / far
-    else:
-        unit = b.way / abs(b.way)
-        foot = b.centre + unit * np.real((a.centre - b.centre) * np.conj(unit))
-        along = abs(foot - a.centre)
-    rest = a.radius**2 - along**2
+    if b.is_arc and abs(b.centre - a.centre) < 1e-12 * (a.radius + b.radius):
+        return np.zeros(0, dtype=complex)
+    foot, unit, rest = intersect_circles(np.array(a.centre), a.radius, b)
     if rest < -1e-10 * a.radius**2:
         return np.zeros(0, dtype=complex)
     half = np.sqrt(rest) if rest > TOUCH * a.radius**2 else 0.0
@@ -277,6 +289,8 @@ def _list_spans(first: PlanePiece, piece: PlanePiece) -> list[tuple[float, float
 NOTHING = 1e-12
 SAME = 1e-10
 """Difference, in sizes of a region, up to which circles and lines are the same."""
+ROUNDING = 1e-9
+"""Error of an exact area or volume, in powers of the size of a region."""
 BESIDE = 1e-6
 """How far beside a curve points are tried, in sizes of a region, at most as a part of the curve's
 length, and nearer where another curve is near."""
@@ -295,6 +309,8 @@ class PlanarRegion:
     sides: tuple[tuple[PlanePiece, int, int], ...] = ()
     counted: bool = False
     curve: tuple[PlanePiece, ...] = ()
+
+    is_exact = True
 
     @property
     def is_curve(self) -> bool:
@@ -324,6 +340,13 @@ class PlanarRegion:
         for piece in () if self.curve else self.boundary_pieces:
             turns += _compute_turn_angles(piece, np.asarray(p))
         return np.round(turns / TURN) != 0
+
+    def measure_area(self) -> tuple[float, float]:
+        """Measure the area [m^2], exact up to rounding, and that."""
+        if self.is_curve:
+            return 0.0, 0.0
+        area = sum(piece.moment for piece in self.boundary_pieces)
+        return float(area), ROUNDING * self.size**2
 
     def move_region(self, by: complex) -> PlanarRegion:
         """Return the region moved as a whole."""

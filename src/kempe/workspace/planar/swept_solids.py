@@ -22,9 +22,10 @@ from kempe.workspace.planar.planar_chain import (
     list_stopping_limits,
     project_joint,
 )
-from kempe.workspace.planar.planar_workspace import MOST, ROUNDING
+from kempe.workspace.planar.planar_workspace import MOST
 from kempe.workspace.planar.plane_curves import (
     NOTHING,
+    ROUNDING,
     PlanarRegion,
     PlanePiece,
     mirror_region,
@@ -74,7 +75,7 @@ class SweptSolid:
                         * _integrate_square_moment(part)
                     )
         else:
-            volume = sum(p.moment for p in ends) * (self.high - self.low)
+            volume = self.section.measure_area()[0] * (self.high - self.low)
         return float(volume), ROUNDING * self.section.size**3
 
     @property
