@@ -352,38 +352,35 @@ def _count_components(system: Model, spend: Budget, time: TimeLimit) -> Componen
         return Components(system, 1, not divided, why, system.nv)
     polygon = find_polygon(system)
     loop = find_four_joints(system)
-    proof = loop if isinstance(polygon, str) else polygon
-    if not isinstance(proof, str) and not proof.count:
+    proof = next((x for x in (polygon, loop) if not isinstance(x, str)), None)
+    if proof is not None and not proof.count:
         return Components(system, 0, True, proof.reason, None)
     freedoms = mobility(system)
     if not freedoms.closed or freedoms.dof is None:
         return Components(system, 0, False, freedoms.sentence, None)
-    if freedoms.dof == 0 and isinstance(proof, str):
+    if freedoms.dof == 0 and proof is None:
         modes = assembly_modes(system)
         return Components(system, len(modes), modes.complete, f"a structure, {modes.status}", 0)
-    singular = np.empty((0, system.nq)) if isinstance(proof, str) else proof.singular_points
-    if freedoms.useful != 1:
-        if not isinstance(proof, str):
-            count, why = proof.count, proof.reason
-        elif _has_allowed_configuration(system, freedoms.q, spend):
-            several = format_count(freedoms.dof or 0, "freedom")
-            count, why = 1, f"no theorem is known here for {several}; one configuration is known"
-        else:
-            return Components(system, 0, False, NONE_INSIDE, None, freedoms.idle)
-        known = not isinstance(proof, str)
-        return Components(system, count, known, why, freedoms.dof, freedoms.idle, (), singular)
-    traced = _trace_components(system, freedoms, loop, spend, time)
+    traced = Traced()
+    if freedoms.useful == 1:
+        traced = _trace_components(system, freedoms, loop, spend, time)
     points = [e.q for part in traced.parts for e in part.singular_points]
-    singular = np.concatenate([np.array(points).reshape(-1, system.nq), singular])
-    count, why = (
-        _compute_lower_bound(system, traced)
-        if isinstance(proof, str)
-        else (proof.count, proof.reason + traced.describe_components(proof.count))
-    )
+    singular = np.array(points).reshape(-1, system.nq)
+    if proof is not None:
+        count = proof.count
+        why = proof.reason + traced.describe_components(count)
+        singular = np.concatenate([singular, proof.singular_points])
+    elif freedoms.useful == 1:
+        count, why = _compute_lower_bound(system, traced)
+    elif _has_allowed_configuration(system, freedoms.q, spend):
+        several = format_count(freedoms.dof, "freedom")
+        count, why = 1, f"no theorem is known here for {several}; one configuration is known"
+    else:
+        return Components(system, 0, False, NONE_INSIDE, None, freedoms.idle)
     return Components(
         system,
         count,
-        not isinstance(proof, str),
+        proof is not None,
         why,
         freedoms.dof,
         freedoms.idle,
@@ -414,18 +411,16 @@ def _has_allowed_configuration(system: Model, home: Array, spend: Budget) -> boo
 class Traced:
     """Traced curves, whether `several` freedoms were found, and whether the search was broken off."""
 
-    parts: tuple[Component, ...]
-    several: frozenset[int]
-    late: bool
+    parts: tuple[Component, ...] = ()
+    several: frozenset[int] = frozenset()
+    late: bool = False
     interrupted: bool = False
 
     def describe_components(self, known: int | None) -> str:
         """Describe what is known of the traced components beside their number."""
-        text = (
-            ""
-            if known in (None, len(self.parts))
-            else f"; {format_count(len(self.parts), 'curve')} traced"
-        )
+        text = ""
+        if self.parts and known not in (None, len(self.parts)):
+            text = f"; {format_count(len(self.parts), 'curve')} traced"
         dims = " or ".join(map(str, sorted(self.several)))
         return text + (f"; configurations with {dims} freedoms were found, too" if dims else "")
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from kempe.forward.limits import with_limits
 from kempe.joints import P, Q, R
 from kempe.model.configurations import compute_mid_configuration, find_free_angles
 from kempe.model.model import keep_answers
+from kempe.numerics.roots import find_sign_change
 from kempe.spaces.manifold import Manifold
 from kempe.spaces.only_loop import find_only_loop, list_primitives, locate_joint
 from kempe.spatial import Array, inverse
@@ -63,10 +64,9 @@ class Rod(NamedTuple):
         return Rod(self.r, self.p, self.length)
 
     def solve_branch(self, x: Array, sign: Array | float) -> Array:
-        """Solve for y on one branch; NaN where there is no solution."""
+        """Solve for y on one branch, or with the sign 0 where both branches meet."""
         *parts, D = self._compute_coefficients(x)
-        with np.errstate(invalid="ignore"):
-            h = np.sqrt(D) * sign
+        h = np.sqrt(np.maximum(D, 0.0)) * sign
         if len(self.r) == 2:
             along, square = parts
             return (along + h) / square
@@ -260,10 +260,6 @@ def _decide_components(
     """Decide the components of a loop over one coordinate, or return the reason why that is
     impossible.
     """
-    from scipy import optimize
-
-    brentq = cast(Any, optimize).brentq
-
     low, high = _list_limits(system, first)
     closes = not (math.isfinite(low) or math.isfinite(high)) and len(rod.p) == 3
     marks = rod.find_turning_points()
@@ -285,10 +281,15 @@ def _decide_components(
         return "a whole circle of configurations over one value"
     flat = np.abs(D) <= TOUCHING * scale
     clear = np.where(flat, 0.0, D)
-    dead = [
-        float(brentq(rod.compute_discriminant, marks[i], marks[i + 1], xtol=1e-15, rtol=1e-15))
+    changes = [
+        find_sign_change(
+            lambda x: float(rod.compute_discriminant(np.array(x))),
+            float(marks[i]),
+            float(marks[i + 1]),
+        )
         for i in np.flatnonzero(clear[:-1] * clear[1:] < 0.0)
     ]
+    dead = [x for x in changes if x is not None]
     touching = marks[1:-1][flat[1:-1]] if not flat[[0, -1]].any() else None
     events = _find_limit_events(system, rod, first, last, names, low, high)
     if touching is None or events is None:
@@ -311,7 +312,8 @@ def _decide_components(
             )
             if not ok.all():
                 return UNDECIDED
-            alive[at, k] = _is_within_limits(system, q, names)
+            manifold = Manifold(system, 1)
+            alive[at, k] = manifold.are_allowed(manifold.metric.choose_representatives(q, None))
     n = len(middle)
     node = np.arange(2 * n).reshape(n, 2)
     pairs: list[tuple[int, int]] = []
@@ -413,36 +415,13 @@ def _solve_configurations(
     """
     if not len(x):
         return np.empty((0, system.nq)), np.zeros(0, dtype=bool)
-    rod_value = rod.solve_branch(x, sign) if np.any(sign) else _solve_meetings(rod, x)
     loop = find_only_loop(system)
     names = list(loop[1]) if not isinstance(loop, str) else []
-    known = {first: x, last: rod_value} | {
+    known = {first: x, last: rod.solve_branch(x, sign)} | {
         n: np.full(len(x), value) for n, value in _choose_other_values(system, names).items()
     }
     found = assemble(_remove_limits(system), known)
     return np.asarray(found.q), np.asarray(found.success, dtype=bool)
-
-
-def _solve_meetings(rod: Rod, x: Array) -> Array:
-    """Solve for y at values x (k,) where both branches meet."""
-    *parts, _ = rod._compute_coefficients(x)
-    return (
-        parts[0] / parts[1]
-        if len(rod.r) == 2
-        else np.arctan2(-parts[2] * parts[1], -parts[2] * parts[0])
-    )
-
-
-def _is_within_limits(system: Model, q: Array, names: list[str]) -> np.ndarray:
-    """Whether (k,) the joints of the loop are within their limits."""
-    q = Manifold(system, 1).metric.choose_representatives(q, None)
-    out = np.ones(len(q), dtype=bool)
-    for name in names:
-        if name in system.coordinate_names and name in system.structure.velocity_names:
-            low, high = _list_limits(system, name)
-            value = q[:, system.coordinate_names.index(name)]
-            out &= (value >= low) & (value <= high)
-    return out
 
 
 # ---- the rod of a loop
