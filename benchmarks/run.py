@@ -17,7 +17,7 @@ from pathlib import Path
 
 from kempe_bench import SECTIONS, Table, benchmark, page, peers, shown
 
-from kempe.cli import report
+from kempe.cli import terminal
 from kempe.errors import UnknownNameError
 
 RESULTS = Path(__file__).with_name("results.md")
@@ -59,7 +59,7 @@ def main() -> int:
             if out is not None:
                 out.write_text(page(tables, given.peer), encoding="utf-8")
             if not given.json:
-                report.print_text(shown(table))
+                terminal.print_text(shown(table))
     except UnknownNameError as error:
         say(str(error))
         return 2

@@ -19,8 +19,7 @@ from typer.main import get_command
 
 import kempe
 from kempe.cli import app
-from kempe.cli.report import translate_keywords
-from kempe.cli.terminal import expand_home
+from kempe.cli.terminal import expand_home, translate_keywords
 from kempe.kernels.compiled import VARIANT
 from kempe.library import list_models as library_models
 
@@ -246,7 +245,7 @@ def test_arguments_of_xacro(tmp_path):
     for more, code, said in (
         (("--xacro",), 2, "needs the argument 'name'; give it by --xacro-arg NAME=VALUE"),
         ((*given, "--xacro-arg", "ent=b"), 2, "no xacro argument 'ent'; did you mean 'end'?"),
-        ((*given, *given), 2, "--xacro-arg gives name twice"),
+        ((*given, *given), 2, "--xacro-arg gives 'name' twice"),
         (("--xacro-arg", "left"), 2, "--xacro-arg left: it must be NAME=VALUE"),
     ):
         result = Result("info", path, *more)

@@ -16,8 +16,8 @@ from command import Result
 
 import kempe
 from kempe import Budget
-from kempe.cli.facts import Poses, SystemFacts
-from kempe.cli.report import clean_text
+from kempe.cli.terminal import clean_text
+from kempe.views.facts import Poses, SystemFacts
 from kempe.words import DEGREE
 
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[-+]?\d+)?")

@@ -17,7 +17,7 @@ import pytest
 from command import Result
 
 import kempe
-from kempe.cli import report
+from kempe.cli import terminal
 
 CRANK_SLIDER = """\
 # A crank of 1 m and a rod of 2 m that push a slider along x; a wheel is geared to the crank.
@@ -166,7 +166,7 @@ def test_help_lists_the_commands_in_order():
         (["dof", "four_bra"], "did you mean 'four_bar'"),
         (["dof", "four_bar", "--actuated", "X"], "no joint or coordinate 'X'"),
         (["dof", "four_bar", "--actuated", " , "], "names no joint; there are: A, B, C, D"),
-        (["dof", "four_bar", "--q", "A=nan"], "A: nan is not a finite number"),
+        (["dof", "four_bar", "--q", "A=nan"], "'A' is nan; it must be finite"),
         (["dof", "four_bar", "--q", "1,2"], "four_bar needs 4"),
         (["dof", "four_bar", "--q", "coupler_point=1"], "no coordinate 'coupler_point'"),
         (["dof", "four_bar", "--posture", "closd"], "did you mean 'closed'"),
@@ -174,18 +174,18 @@ def test_help_lists_the_commands_in_order():
         (["assemble", "four_bar", "=1"], "'=1' is no known value"),
         (["assemble", "four_bar", "A="], "'' is not a number"),
         (["assemble", "four_bar", "A=x"], "'x' is not a number"),
-        (["assemble", "four_bar", "A=-inf"], "A: -inf is not a finite number"),
+        (["assemble", "four_bar", "A=-inf"], "'A' is -inf; it must be finite"),
         (["assemble", "four_bar", "A=1", "A=1"], "'A' is given twice"),
         (["assemble", "four_bar", "A=1,2"], "'A' has 2 values"),
         (["assemble", "four_bar", "crnk=1"], "no coordinate or frame 'crnk'"),
         (["assemble", "four_bar", "coupler_point=1"], "its place is coupler_point=x,y"),
-        (["assemble", "four_bar", "coupler_point=1,nan"], "nan is not a finite number"),
+        (["assemble", "four_bar", "coupler_point=1,nan"], "is nan; it must be finite"),
         (["assemble", "four_bar", "nothing.csv"], "no such file"),
         (["assemble", "four_bar", "--near", "opne"], "no posture 'opne'"),
-        (["assemble", "four_bar", "--near", "A=inf"], "not finite"),
+        (["assemble", "four_bar", "--near", "A=inf"], "is inf; it must be finite"),
         (["assemble", "four_bar", "--near", "1,2"], "four_bar needs 4"),
-        (["assemble", "four_bar", "A=1", "--branch", "++"], "has 2 signs; four_bar has 1 sign"),
-        (["assemble", "four_bar", "A=1", "--branch", "open"], "postures are: 'closed'"),
+        (["assemble", "four_bar", "A=1", "--branch", "++"], "branch is '++'; it must be 1 sign"),
+        (["assemble", "four_bar", "A=1", "--branch", "open"], "or the name of a posture"),
         (
             ["assemble", "four_bar", "coupler_point=0,1", "--branch", "+"],
             "'coupler_point' is a frame",
@@ -277,13 +277,13 @@ def test_narrow_terminals_get_all_digits(monkeypatch):
     for made in (answer, system.trace()):
         wide = io.StringIO()
         narrow = Terminal()
-        report.print_answer(made, file=wide)
-        report.print_answer(made, file=narrow)
+        terminal.print_answer(made, file=wide)
+        terminal.print_answer(made, file=narrow)
         numbers = [x for x in wide.getvalue().split() if re.fullmatch(r"-?\d+\.\d{6}", x)]
         assert len(numbers) >= 4 and all(x in narrow.getvalue().split() for x in numbers)
     copy = "--q " + ",".join(f"{x:.9f}".rstrip("0") for x in answer.q)
     out = Terminal()
-    report.print_answer(answer, file=out)
+    terminal.print_answer(answer, file=out)
     assert copy in out.getvalue(), "the line to copy has no breaks in it"
 
 
@@ -449,13 +449,15 @@ def test_assemble_rows_of_a_file(engine, tmp_path):
     )
     for text, said in (
         ("1\n2\n", "must name"),
-        ("A\nnan\n", "A: nan in row 0 is not a finite number"),
-        ("X\n1\n", "no coordinate 'X'"),
+        ("X\n1\n", "no coordinate or frame 'X'"),
         ("A,A\n1,1\n", "twice"),
     ):
         inputs.write_text(text)
         refused = Result("assemble", engine, inputs)
         assert refused.code == 2 and said in refused.err, text
+    inputs.write_text("A\n0.1\nnan\n")
+    bad = Result("assemble", engine, inputs, "--json").json()
+    assert bad["code"] == ["SOLVED", "BAD_INPUT"] and bad["q"][1] is None
     inputs.write_text("A\n1\n2\n")
     refused = Result("assemble", engine, inputs, "--plot", tmp_path / "x.png")
     assert refused.code == 2 and "one configuration is drawn" in refused.err

@@ -249,7 +249,7 @@ def test_a_path_that_stops(folder):
         (["--targets", "0.4,0,0.5"], ".csv or .npy"),
         (["--targets", "t.csv", "--max-step", "-1"], "max_step"),
         (["--targets", "t.csv", "--tasks", "x"], "leave --frame out"),
-        ([], "'--targets'"),
+        ([], "'--target'"),
     ):
         result = Result("path", "panda", "--frame", HAND, *options)
         assert result.code == 2 and said in result.err

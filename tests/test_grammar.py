@@ -16,9 +16,9 @@ from closed_graphs import random_closed
 from hunts import some
 
 import kempe
-from kempe.cli.facts import SystemFacts
 from kempe.errors import KempeError
 from kempe.library import list_models as library_models
+from kempe.views.facts import SystemFacts
 from kempe.views.overviews import list_tree_lines
 from kempe.words import choose_verb, format_count, format_share, make_plural, spell_count
 

@@ -170,7 +170,7 @@ def test_wrong_use_of_the_command(tmp_path):
     ("keys", "shown"), [(["q"], 1), (["", " Quit"], 2), (["", "", EOFError()], 3), ([""] * 17, 18)]
 )
 def test_enter_goes_on_and_q_ends(keys, shown, monkeypatch, capsys):
-    from kempe.cli import library_commands
+    from kempe.cli import model_commands
 
     answers = iter(keys)
 
@@ -186,12 +186,12 @@ def test_enter_goes_on_and_q_ends(keys, shown, monkeypatch, capsys):
             return True
 
     monkeypatch.setattr("builtins.input", typed)
-    monkeypatch.setattr(library_commands.sys, "stdin", Terminal())
-    monkeypatch.setattr(library_commands.sys.stdout, "isatty", lambda: True, raising=False)
+    monkeypatch.setattr(model_commands.sys, "stdin", Terminal())
+    monkeypatch.setattr(model_commands.sys.stdout, "isatty", lambda: True, raising=False)
     monkeypatch.setattr(
         lecture, "iterate_parts", lambda section, pictures: [("text", section.title)]
     )
-    library_commands.run_tour()
+    model_commands.run_tour()
     out = capsys.readouterr().out
     assert [x.number for x in SECTIONS if f"{x.number} {x.title}\n-" in out] == list(
         range(1, shown + 1)

@@ -8,7 +8,7 @@ from kinds_battery import EXAMPLES, TASKS_ONLY, two_bodies
 
 import kempe
 from kempe import constraints as c
-from kempe.cli.facts import SystemFacts
+from kempe.views.facts import SystemFacts
 
 
 def info(system: kempe.System) -> str:

@@ -15,7 +15,7 @@ import reference
 import kempe
 from kempe import Mechanism, library
 from kempe.assemble import bound
-from kempe.cli import report
+from kempe.cli import terminal
 from kempe.equations.judge import Poses, judge_configurations, multiply_primitives
 from kempe.joints import TYPES, make_joint_type
 from kempe.status import Status
@@ -23,7 +23,7 @@ from kempe.status import Status
 
 def text(answer) -> str:
     file = io.StringIO()
-    report.print_answer(answer, file=file)
+    terminal.print_answer(answer, file=file)
     return file.getvalue()
 
 

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from kempe import Mechanism
-from kempe.cli import report
-from kempe.cli.facts import SystemFacts, make_error_facts
+from kempe.cli import terminal
+from kempe.cli.terminal import list_error_data
 from kempe.errors import DescriptionError, Fault, UnknownNameError, Where
 from kempe.model.configurations import list_units, name_values
+from kempe.views.facts import SystemFacts
 from kempe.words import format_fixed, format_json, to_json_data
 
 
@@ -27,9 +28,9 @@ def text(answer, file=None) -> str:
     """What is printed of an answer, or of rich text."""
     file = file or io.StringIO()
     if isinstance(answer, SystemFacts):
-        report.print_answer(answer, file=file)
+        terminal.print_answer(answer, file=file)
     else:
-        report.print_text(answer, file)
+        terminal.print_text(answer, file)
     return file.getvalue()
 
 
@@ -145,22 +146,24 @@ def test_markup_and_control_characters_are_plain_text():
 def test_problems_have_carets():
     where = Where("robot.urdf", 3, 8, '<axis xyz="0 0 0"/>')
     error = DescriptionError([Fault("axis is zero", "joint 'j'", where), Fault("no root")] * 12)
-    lines = text(report.format_error(error)).splitlines()
+    lines = text(terminal.format_error(error)).splitlines()
     assert lines[0] == "error: robot.urdf:3: joint 'j': axis is zero"
     assert lines[1].strip() == where.text and lines[2].index("^") == lines[1].index("<") + 7
     assert lines[3] == "no root" and lines[-1] == "... and 4 more"
-    found = text(report.format_findings("robot.urdf", error.problems, [f"n{i}" for i in range(12)]))
+    found = text(
+        terminal.format_findings("robot.urdf", error.problems, [f"n{i}" for i in range(12)])
+    )
     assert found.startswith("robot.urdf: 24 problems, 12 notes") and "... and 2 more notes" in found
 
 
 def test_errors_carry_their_data():
-    data = make_error_facts(UnknownNameError("frame", "x", ["a", "b"], "arm"))
+    data = list_error_data(UnknownNameError("frame", "x", ["a", "b"], "arm"))
     assert data == {
         "error": "arm has no frame 'x'; there are: 'a', 'b'",
         "type": "UnknownNameError",
         "allowed": ["a", "b"],
     }
-    problem = make_error_facts(DescriptionError(Fault("bad", "joint 'j'", Where("f", 3, 1, "x"))))[
+    problem = list_error_data(DescriptionError(Fault("bad", "joint 'j'", Where("f", 3, 1, "x"))))[
         "problems"
     ][0]
     assert (problem["file"], problem["line"], problem["column"], problem["message"]) == (

@@ -918,7 +918,7 @@ def test_blocks_that_are_too_large_are_refused(tmp_path, q, monkeypatch):
 @pytest.mark.parametrize("read", ["map", "rows"])
 def test_damaged_npy_files_are_refused_in_words(tmp_path, hunt, read):
     """Numpy reads the header of such a file as Python: any error of that may come."""
-    from kempe.cli import table_files
+    from kempe.cli import arguments
 
     rng = hunt.rng()
     file = tmp_path / "x.npy"
@@ -938,7 +938,7 @@ def test_damaged_npy_files_are_refused_in_words(tmp_path, hunt, read):
             if read == "map":
                 row_sources.open_rows(file).read_rows(0, 1)
             else:
-                table_files.read_table(file)
+                arguments.read_table(file)
         except KempeError as error:
             refused.append(str(error))
     assert refused and all(str(file) in words for words in refused)

@@ -177,7 +177,7 @@ def test_wrong_files_and_boxes(tmp_path):
         (("reach", "ur5", "0.4,0.1,0.5", "--frame", "tool"), "POSES"),
         (("reach", "ur5", tmp_path / "none.csv", "--frame", "tool"), "no such file"),
         (("reach", "ur5", path, "--frame", "hand"), "hand"),
-        (("place", "ur5", path, "--frame", "tool", "--box", "x"), "no '='"),
+        (("place", "ur5", path, "--frame", "tool", "--box", "x"), "it must be NAME=VALUE"),
         (("place", "ur5", path, "--frame", "tool", "--box", "x=a,b"), "is not a number"),
         (("place", "ur5", path, "--frame", "tool", "--box", "w=0,1"), "w"),
         (("place", "ur5", path, "--frame", "tool", "--box", "x=0,1", "--cells", "0"), "cells"),

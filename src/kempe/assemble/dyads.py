@@ -408,8 +408,8 @@ class Plan(Report):
         if signs.ndim == 0 or signs.shape[-1] != self.signs or not np.all(np.abs(signs) == 1.0):
             each = f"{format_count(self.signs, 'sign')}, + or - (1 or -1), one for each dyad"
             raise InputError(
-                f"branch is {branch!r}; it must be {each}; "
-                f"loops.closed_form({self.known}).describe() tells"
+                f"branch is {branch!r}; it must be {each} (assembly_modes lists the branches), or "
+                "the name of a posture"
             )
         return _shape_rows(signs, lead, "branch")
 
@@ -446,8 +446,14 @@ def solve_branch(
     """Solve for configurations (..., nq) on a branch, for known values by coordinate name.
 
     What cannot close on this branch is put where it nearly touches. Errors: `InputError` where
-    there is no closed form, and so no branch signs.
+    there is no closed form, and so no branch signs, and where the place of a frame is known.
     """
+    own = (*system.coordinate_names, *system.structure.couplings)
+    if places := [name for name in known if name in system.frame_names and name not in own]:
+        raise InputError(
+            f"signs name a branch where coordinates are known, and {places[0]!r} is a frame; give a "
+            "start in place of the branch"
+        )
     values = find_source_values(system, known)
     plan = find_closed_form(system, tuple(values))
     if isinstance(plan, Incomplete):

@@ -11,29 +11,19 @@ import io
 import os
 import sys
 
-from kempe.cli import system_commands  # isort: skip, the commands are listed in this order
-from kempe.cli import inverse_commands  # isort: skip
+from kempe.cli import description_commands  # isort: skip, the commands are listed in this order
+from kempe.cli import position_commands  # isort: skip
 from kempe.cli import loop_commands  # isort: skip
-from kempe.cli import space_commands  # isort: skip
-from kempe.cli import workspace_commands  # isort: skip
-from kempe.cli import file_commands  # isort: skip
-from kempe.cli import reach_commands  # isort: skip
-from kempe.cli import view_commands  # isort: skip
-from kempe.cli import library_commands  # isort: skip
+from kempe.cli import model_commands  # isort: skip
 from kempe.cli.app import app
 
 __all__ = [
     "app",
-    "file_commands",
-    "inverse_commands",
-    "library_commands",
+    "description_commands",
     "loop_commands",
     "main",
-    "reach_commands",
-    "space_commands",
-    "system_commands",
-    "view_commands",
-    "workspace_commands",
+    "model_commands",
+    "position_commands",
 ]
 
 

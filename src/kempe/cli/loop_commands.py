@@ -1,4 +1,4 @@
-"""Commands for systems with loops: mobility, assembly, motions, drawings."""
+"""Commands for systems with loops: mobility, assembly, motions, configuration spaces, drawings."""
 
 from __future__ import annotations
 
@@ -12,21 +12,17 @@ import typer
 
 from kempe.arguments import call_until_interrupt
 from kempe.budget import Budget
+from kempe.cli import options
 from kempe.cli.app import (
     CLOSED,
-    InPlace,
-    NoLimits,
     Output,
-    Posture,
-    TimeLimit,
     check_picture_file,
     choose_output_file,
-    make_option,
-    print_remark,
     register_command,
-    save_picture,
 )
-from kempe.cli.terminal import INCOMPLETE, end_incomplete_command
+from kempe.cli.options import make_option
+from kempe.cli.progress import run_verb
+from kempe.cli.terminal import INCOMPLETE, end_incomplete_command, print_remark
 from kempe.errors import InputError
 
 if TYPE_CHECKING:
@@ -36,60 +32,16 @@ if TYPE_CHECKING:
 BESIDE = 6
 """Assembly modes up to which each is drawn beside the others."""
 
-Known = Annotated[
-    list[str] | None,
-    typer.Argument(
-        metavar="NAME=VALUE",
-        help=(
-            "Known coordinates; or places of frames: tip=x,y[,z]; or a .csv file whose first line "
-            "names coordinates."
-        ),
-    ),
-]
-At = Annotated[
-    str | None,
-    make_option(
-        "--q", "name=value,... (the loops are closed around these), or all of q as a,b,c.", "VALUES"
-    ),
-]
-Where = Annotated[
-    list[str] | None,
-    make_option(
-        "--where",
-        "An equation that holds, too, in radians and metres: 'A = 2*B'. May be repeated.",
-        "EQUATION",
-    ),
-]
-Near = Annotated[
-    str | None,
-    make_option(
-        "--start,--near", "Where the search starts: a posture or values, as --q of fk.", "START"
-    ),
-]
-Curves = Annotated[
-    list[str] | None,
-    make_option("--frame", "Frame whose curve is wanted; can be repeated.", "NAME"),
-]
-Marks = Annotated[
-    list[str] | None,
-    make_option("--frame", "Body or frame whose axes are drawn; can be repeated.", "NAME"),
-]
-Tolerance = Annotated[
-    str | None,
-    make_option(
-        "--tolerance",
-        "What dimensions may be off by, in metres and radians, or 'measured'.",
-        "NUMBER",
-    ),
-]
+
+# ---- freedoms and kinds of constraints
 
 
 @register_command(CLOSED, "plot html deg json")
 def run_dof(
     system: System,
     output: Output,
-    q: At = None,
-    posture: Posture = None,
+    q: options.Values = None,
+    posture: options.Posture = None,
     actuated: Annotated[
         str | None,
         make_option(
@@ -99,7 +51,7 @@ def run_dof(
     fast: Annotated[
         bool, make_option("--fast", "Counting and rank only, not the true local dimension.")
     ] = False,
-    tolerance: Tolerance = None,
+    tolerance: options.Dimensions = None,
 ) -> None:
     """Count the degrees of freedom: by formula, by rank and truly.
 
@@ -109,25 +61,22 @@ def run_dof(
 
     driven = arguments.parse_joint_names(system, "--actuated", actuated)
     system = _apply_tolerance(system, tolerance)
-    answer = system.mobility(
-        _close_configuration(system, q, posture, output), driven, local=not fast
-    )
+    there = _close_configuration(system, q, posture, output)
+    answer = system.mobility(there, driven, local=not fast)
     output.draw_configurations(system, answer.q, motion=True)
-    output.print_answers(answer)
-    if not answer.closed:
-        raise typer.Exit(INCOMPLETE)
+    output.finish_command(answer)
 
 
 @register_command(CLOSED, "plot html deg json")
 def run_classify(
     system: System,
     output: Output,
-    q: At = None,
-    posture: Posture = None,
+    q: options.Values = None,
+    posture: options.Posture = None,
     project: Annotated[
         bool, make_option("--project", "Where q is not closed, take the nearest that is.")
     ] = False,
-    tolerance: Tolerance = None,
+    tolerance: options.Dimensions = None,
 ) -> None:
     """Say which kind each constraint is, and how far motions reach.
 
@@ -136,13 +85,11 @@ def run_classify(
     system = _apply_tolerance(system, tolerance)
     answer = system.classify(_close_configuration(system, q, posture, output), project=project)
     output.draw_configurations(system, answer.q, motion=True)
-    output.print_answers(answer)
+    output.finish_command(answer)
 
 
 def _close_configuration(system: System, q: str | None, posture: str | None, output: Output) -> Any:
     """Return the given configuration with closed loops.
-
-    Where the loops do not close, the command ends with the answer that says so.
 
     Where the loops do not close, the command ends with the answer that says so.
     """
@@ -156,8 +103,6 @@ def _close_configuration(system: System, q: str | None, posture: str | None, out
 
 def _apply_tolerance(system: System, tolerance: str | None) -> System:
     """Return the system with this tolerance of its dimensions.
-
-    Errors: `InputError`.
 
     Errors: `InputError`.
     """
@@ -176,24 +121,33 @@ def _apply_tolerance(system: System, tolerance: str | None) -> System:
     return mechanism.build()
 
 
-def _add_equations(system: System, equations: list[str]) -> System:
-    """Return the system with further equations, each named by its own text."""
-    if not equations:
-        return system
-    mechanism = system.mechanism
-    for text in dict.fromkeys(equations):
-        # 'A' alone would be called as the joint
-        mechanism.equation(text if "=" in text else f"{text} = 0", text)
-    return mechanism.build()
+# ---- assemblies and motions
 
 
-@register_command(CLOSED, "out plot gif html deg json")
+@register_command(CLOSED, "out plot gif html deg json", "time_limit")
 def run_assemble(
     system: System,
     output: Output,
-    known: Known = None,
-    near: Near = None,
-    where: Where = None,
+    budget: Budget,
+    known: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="NAME=VALUE",
+            help=(
+                "Known coordinates; or places of frames: tip=x,y[,z]; or a .csv file whose first "
+                "line names coordinates."
+            ),
+        ),
+    ] = None,
+    start: options.Start = None,
+    where: Annotated[
+        list[str] | None,
+        make_option(
+            "--where",
+            "An equation that holds, too, in radians and metres: 'A = 2*B'. May be repeated.",
+            "EQUATION",
+        ),
+    ] = None,
     branch: Annotated[
         str | None,
         make_option("--branch", "A branch by its signs (see --modes), or a posture.", "+-..."),
@@ -207,9 +161,8 @@ def run_assemble(
     continuous: Annotated[
         bool, make_option("--continuous", "Rows of a file: each starts where the last two lead.")
     ] = False,
-    no_limits: NoLimits = False,
-    time_limit: TimeLimit = None,
-    tolerance: Tolerance = None,
+    no_limits: options.NoLimits = False,
+    tolerance: options.Dimensions = None,
 ) -> None:
     """Close all loops: known coordinates in, all others out; with --where, under further equations.
 
@@ -223,58 +176,52 @@ def run_assemble(
         )
     if nearest and continuous:
         raise InputError("--nearest and --continuous are two ways to choose; give one of them")
-    if time_limit is not None and not modes:
+    if budget.time_limit is not None and not modes:
         raise InputError("--time-limit is for --modes: one assembly takes milliseconds")
     system = _add_equations(_apply_tolerance(system, tolerance), where or [])
-    values = arguments.parse_known_values(system, known or [], output.deg)
-    start = arguments.read_start(system, near, output.deg)
-    limits = not no_limits
+    values = arguments.parse_known_values(system, known or [], output.deg, frames=True)
+    common: dict[str, Any] = {
+        "start": arguments.read_start(system, start, output.deg),
+        "limits": not no_limits,
+    }
     answer: Any
     if modes:
-        spend = Budget(time_limit=time_limit)
-        answer = call_until_interrupt(
-            system.assembly_modes, values, start, limits=limits, budget=spend
-        )
+        answer = call_until_interrupt(system.assembly_modes, values, budget=budget, **common)
     else:
-        answer = system.assemble(
-            values,
-            start,
-            branch=arguments.parse_branch(system, values, branch),
-            limits=limits,
-            prefer="nearest" if nearest else "continuous" if continuous else None,
-        )
+        way = "nearest" if nearest else "continuous" if continuous else None
+        answer = system.assemble(values, branch=branch, prefer=way, **common)
         if output.plot is not None and np.ndim(answer.success):
             raise InputError(
                 f"{output.plot}: one configuration is drawn, and the file of known values has "
                 "several"
             )
-    if np.any(answer.success):
-        output.save_table(answer)
+    output.save_table(answer, found=bool(np.any(answer.success)))
     output.draw_configurations(system, answer, side_by_side=modes and 1 < len(answer) <= BESIDE)
-    output.print_answers(answer)
-    _explain_missing_file(output)
-    if modes and answer.late:
-        raise typer.Exit(INCOMPLETE)
-    end_incomplete_command(answer)
+    output.finish_command(answer)
 
 
-@register_command(CLOSED, "out plot gif html deg json")
+def _add_equations(system: System, equations: list[str]) -> System:
+    """Return the system with further equations, each named by its own text."""
+    if not equations:
+        return system
+    mechanism = system.mechanism
+    for text in dict.fromkeys(equations):
+        # 'A' alone would be called as the joint
+        mechanism.equation(text if "=" in text else f"{text} = 0", text)
+    return mechanism.build()
+
+
+@register_command(CLOSED, "out plot gif html deg json", "time_limit")
 def run_trace(
     system: System,
     output: Output,
+    budget: Budget,
     driver: Annotated[
         str | None, make_option("--driver", "Coordinate that counts as the input.", "NAME")
     ] = None,
-    frame: Curves = None,
-    start: Annotated[
-        str | None,
-        make_option(
-            "--start,--near", "Where it starts: a posture, name=value,... or all of q.", "START"
-        ),
-    ] = None,
-    hold: Annotated[
-        list[str] | None, make_option("--hold", "Hold a coordinate; can be repeated.", "NAME=VALUE")
-    ] = None,
+    frame: options.Frames = None,
+    start: options.Start = None,
+    hold: options.Hold = None,
     branches: Annotated[
         bool, make_option("--branches", "Trace the branches met at bifurcations, too.")
     ] = False,
@@ -282,9 +229,8 @@ def run_trace(
         int | None,
         make_option("--points", "Write this many points, at equal distances of arc length.", "N"),
     ] = None,
-    no_limits: NoLimits = False,
-    time_limit: TimeLimit = None,
-    tolerance: Tolerance = None,
+    no_limits: options.NoLimits = False,
+    tolerance: options.Dimensions = None,
 ) -> None:
     """Follow a mechanism with one freedom through its whole motion.
 
@@ -293,40 +239,59 @@ def run_trace(
 
     Example: kempe trace jansen --driver O --frame foot -o foot.csv --plot foot.png --gif foot.gif
     """
-    from kempe.cli import arguments, progress
+    from kempe.cli import arguments
 
     if points is not None and points < 2:
         raise InputError(f"--points is {points}; it must be at least 2")
     system = _apply_tolerance(system, tolerance)
     names = [system.structure.frame_name(f) for f in frame or ()]
-    held = arguments.parse_known_values(system, hold or [], output.deg, frames=False)
+    held = arguments.parse_known_values(system, hold or [], output.deg)
     begin, closing = arguments.find_motion_start(system, start, held, output.deg)
     if closing is not None and not closing:
         output.finish_command(closing)
-    with progress.show_progress("points traced") as report:
-        path = call_until_interrupt(
-            system.trace,
-            driver,
-            begin,
-            hold=held,
-            limits=not no_limits,
-            ways="branches" if branches else "both",
-            budget=Budget(time_limit=time_limit, progress=report),
-        )
+    path: Motion = run_verb(
+        "points traced",
+        system.trace,
+        driver,
+        begin,
+        hold=held,
+        limits=not no_limits,
+        ways="branches" if branches else "both",
+        budget=budget,
+    )
     others = tuple(replace(other, frames=names) for other in path.others)
     path = replace(path, frames=names, others=others)
-    shown = path
-    if points is not None:
-        with progress.show_progress("points", points) as report:
-            shown = _resample_path(path, points, Budget(time_limit=time_limit, progress=report))
-    if path or path.interrupted or path.late:
-        output.save_table(shown, branches=branches)
+    shown = path if points is None else _resample_path(path, points, budget)
+    found = bool(path) or path.interrupted or path.late
+    output.save_table(shown, found, branches=branches)
     output.draw_configurations(
         system, shown, lambda: _build_drawing(system, shown, names), frames=names
     )
     output.print_answers(shown)
-    _explain_missing_file(output)
     end_incomplete_command(shown if path else path)
+
+
+def _resample_path(path: Motion, points: int, budget: Budget) -> Motion:
+    """Return the path and its other branches with points at equal distances."""
+    if len(path) < 2:
+        return path
+    found = run_verb("points", path.resample, points, budget=budget, count=points)
+    if not found and path:  # broken off
+        return found
+    return replace(
+        found, others=tuple(_resample_path(other, points, budget) for other in path.others)
+    )
+
+
+def _build_drawing(system: System, path: Motion, names: list[str]) -> Any:
+    """Return the drawing of a path and its other branches; a row of NaN separates two curves."""
+    gap = np.full((1, system.nq), np.nan)
+    parts = [path.q, *(part for other in path.others for part in (gap, other.q))]
+    all_of_it = SimpleNamespace(q=np.vstack(parts), driver=path.driver, frames=path.frames)
+    return system.plot(path=all_of_it, frames=names, ghosts=0 if names or len(path) < 2 else 5)
+
+
+# ---- drawings and spaces
 
 
 @register_command(CLOSED, "deg json")
@@ -337,10 +302,10 @@ def run_plot(
         Path | None,
         typer.Argument(metavar="OUT", help="Picture to write: .png, .svg or .pdf; or -o FILE."),
     ] = None,
-    file_out: InPlace = None,
-    q: At = None,
-    posture: Posture = None,
-    frame: Marks = None,
+    file_out: options.InPlace = None,
+    q: options.Values = None,
+    posture: options.Posture = None,
+    frame: options.Frames = None,
     labels: Annotated[
         str | None,
         make_option(
@@ -372,7 +337,6 @@ def run_plot(
 
     picture = choose_output_file(out, file_out)
     check_picture_file(picture)
-    names = [system.structure.frame_name(f) for f in frame or ()]
     closing = None
     if tree:
         drawing = system.plot_tree()
@@ -380,7 +344,7 @@ def run_plot(
         there, closing = arguments.read_configuration(system, q, posture, output.deg)
         drawing = system.plot(
             there,
-            frames=names,
+            frames=frame or (),
             labels=True if labels is None else "all" if labels == "all" else labels.split(","),
             axes="all" if axes == ["all"] else axes or (),
             angles=angles,
@@ -388,38 +352,62 @@ def run_plot(
             motion=motion,
             workspace=workspace,
         )
-    save_picture(drawing, picture)
-    output.written.append(picture)
+    output.save_picture(drawing, picture)
     output.print_answers()
     if closing is not None and not closing:
         print_remark(str(closing.status))
         raise typer.Exit(INCOMPLETE)
 
 
-# ---- pictures and messages
+@register_command(CLOSED, "out plot deg json", "time_limit")
+def run_spaces(
+    system: System,
+    output: Output,
+    budget: Budget,
+    frame: options.Frame = None,
+    task: Annotated[
+        str | None,
+        make_option(
+            "--task", "What of the frame is drawn: xy, xz, yz or direction (of its z axis).", "NAME"
+        ),
+    ] = None,
+    position_only: options.PositionOnly = False,
+    sample: Annotated[
+        float | None,
+        make_option("--sample", "So many random configurations, uniform in a stated measure.", "N"),
+    ] = None,
+    rng: options.Rng = None,
+) -> None:
+    """Say what the configuration space is: dimension, components, samples; and the task space of a
+    frame.
 
+    With --plot both spaces of a system with two freedoms are drawn beside one another (--frame says
+    of what).
 
-def _resample_path(path: Motion, points: int, budget: Budget) -> Motion:
-    """Return the path and its other branches with points at equal distances."""
-    if len(path) < 2:
-        return path
-    found = call_until_interrupt(path.resample, points, budget=budget)
-    if not found and path:  # broken off
-        return found
-    return replace(
-        found, others=tuple(_resample_path(other, points, budget) for other in path.others)
-    )
-
-
-def _build_drawing(system: System, path: Motion, names: list[str]) -> Any:
-    """Return the drawing of a path and its other branches; a row of NaN separates two curves."""
-    gap = np.full((1, system.nq), np.nan)
-    parts = [path.q, *(part for other in path.others for part in (gap, other.q))]
-    all_of_it = SimpleNamespace(q=np.vstack(parts), driver=path.driver, frames=path.frames)
-    return system.plot(path=all_of_it, frames=names, ghosts=0 if names or len(path) < 2 else 5)
-
-
-def _explain_missing_file(output: Output) -> None:
-    """Print a remark for each requested file that is not written, with the reason."""
-    if output.out is not None and output.out not in output.written:
-        print_remark(f"{output.out} is not written: nothing is closed")
+    Example: kempe spaces two_link --frame e --sample 1000 -o q.csv --plot spaces.png
+    """
+    if output.out is not None and sample is None:
+        raise InputError(f"{output.out}: --sample says how many configurations are written")
+    if output.plot is not None and frame is None:
+        raise InputError(f"{output.plot}: --frame says whose task space is drawn")
+    if task is not None and output.plot is None:
+        raise InputError("--task says what --plot draws: give it a file")
+    if position_only and frame is None:
+        raise InputError("--position-only is about the task space of a frame: --frame names it")
+    space = system.configuration_space
+    answers: dict[str, Any] = {"configuration_space": space}
+    answers["components"] = call_until_interrupt(space.components, budget=budget)
+    if frame is not None:
+        answers["task_space"] = system.task_space(
+            frame, task="position" if position_only else "pose"
+        )
+    if sample is not None:
+        answers["sample"] = call_until_interrupt(space.sample, sample, rng or 0, budget=budget)
+    if output.plot is not None:
+        axes = run_verb("places", system.plot_spaces, frame, task=task, budget=budget)
+        output.save_picture(axes, output.plot)
+    if "sample" in answers:
+        output.save_table(answers["sample"])
+    output.print_answers(**answers)
+    if answers["components"].late or not answers.get("sample", space):
+        raise typer.Exit(INCOMPLETE)

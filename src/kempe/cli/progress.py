@@ -1,4 +1,4 @@
-"""Progress bar of long computations, on standard error if that is a terminal."""
+"""Long computations: a progress bar on standard error if that is a terminal, and Ctrl-C."""
 
 from __future__ import annotations
 
@@ -6,7 +6,29 @@ import contextlib
 import sys
 import time
 from collections.abc import Callable, Generator
+from dataclasses import replace
 from datetime import timedelta
+from typing import Any
+
+from kempe.arguments import call_until_interrupt
+from kempe.budget import Budget
+
+
+def run_verb(
+    what: str,
+    verb: Callable[..., Any],
+    *arguments: Any,
+    budget: Budget,
+    count: int | None = None,
+    **options: Any,
+) -> Any:
+    """Return the answer of a verb, after Ctrl-C the part that was done, and show how far it is.
+
+    `what` is what the verb counts, `count` how many there are where that is known.
+    """
+    with show_progress(what, count) as report:
+        spend = replace(budget, progress=report)
+        return call_until_interrupt(verb, *arguments, budget=spend, **options)
 
 
 @contextlib.contextmanager
@@ -14,9 +36,6 @@ def show_progress(
     what: str, count: int | None = None
 ) -> Generator[Callable[..., None] | None, None, None]:
     """Return a function that draws a progress bar; None where standard error is no terminal.
-
-    Computations call the function with the amount that is done, and with the total number or an arc
-    length.
 
     Computations call the function with the amount that is done, and with the total number or an arc
     length.

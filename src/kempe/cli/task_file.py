@@ -5,15 +5,17 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import MISSING, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from kempe import spatial
-from kempe.cli import arguments, table_files
+from kempe.answers.tables import read_pose_columns
+from kempe.cli import arguments
 from kempe.constraints import KINDS, Constraint
+from kempe.constraints.base import list_required_fields
 from kempe.description.source import Source, decode_text, expand_path, shorten_text
 from kempe.description.toml_document import Document
 from kempe.equations.tasks import Task
@@ -29,8 +31,6 @@ def list_constraint_types() -> dict[str, type[Constraint]]:
     """Return the constraint classes that a file can name, by name: 'pose', 'look_at', ...
 
     Functions of the user are for Python.
-
-    Functions of the user are for Python.
     """
     return {
         name: k
@@ -39,8 +39,6 @@ def list_constraint_types() -> dict[str, type[Constraint]]:
     }
 
 
-TEXT = ("frame", "other", "name", "axes", "shape", "surface")
-NUMBERS = ("weight", "margin")
 ABOVE = "write [[task]] above each task"
 
 
@@ -59,7 +57,7 @@ def read_tasks(system: System, path: Path, degrees: bool = False) -> FileTasks:
     line.
     """
     path = expand_path(path)
-    table_files.check_input_file(path)
+    arguments.check_input_file(path)
     document = Document(Source(str(path), decode_text(path.read_bytes(), str(path))))
     tasks = _TaskReader(system, document, path.parent, degrees).read_all_tasks()
     document.findings.raise_problems()
@@ -111,23 +109,17 @@ class _TaskReader:
                 message, subject, self.document.locate_value(*place, *key), allowed
             )
 
+        types = list_constraint_types()
         if name is None:
-            add_problem(
-                "the key 'type' is missing",
-                f"it must be one of {', '.join(list_constraint_types())}",
-            )
+            add_problem("the key 'type' is missing", f"it must be one of {', '.join(types)}")
             return None
-        if not isinstance(name, str) or name not in list_constraint_types():
-            close = hint(str(name), list_constraint_types()).lstrip("; ")
+        if not isinstance(name, str) or name not in types:
+            close = hint(str(name), types).lstrip("; ")
             add_problem(f"unknown type of task {shorten_text(name)}", close, "type")
             return None
-        kind = list_constraint_types()[name]
-        names = [f.name for f in sorted(fields(kind), key=lambda f: f.kw_only is True) if f.init]
-        needed = [
-            f.name
-            for f in fields(kind)
-            if f.init and f.default is MISSING and f.default_factory is MISSING
-        ]
+        kind = types[name]
+        names = [f.name for f in fields(kind) if f.init]
+        needed = list_required_fields(kind)
         given: dict[str, Any] = {}
         for key, value in table.items():
             if key == "type":
@@ -161,37 +153,18 @@ class _TaskReader:
         """Return the value of a parameter in the form that the class of the task accepts.
 
         Errors: `InputError`.
-
-        Errors: `InputError`.
         """
-        if key in TEXT:
-            if not isinstance(value, str):
-                raise InputError(f"{key} is {shorten_text(value)}; it must be text in quotes")
-            return value
         if _is_file_name(key, value):
             return self.read_file_values(kind, key, self.folder / value)
-        if key in NUMBERS and not _is_number(value):
-            raise InputError(f"{key} is {shorten_text(value)}; it must be a number")
-        if key == "priority" and type(value) is not int:
-            raise InputError(f"priority is {shorten_text(value)}; it must be a whole number")
-        if key == "tolerance" and not (_is_number(value) or _are_numbers(value, 2)):
-            raise InputError(
-                f"tolerance is {shorten_text(value)}; it must be one or two numbers, in metres and "
-                "radians"
-            )
-        if key == "frames":
-            given: Any = value
-            good = isinstance(value, list) and all(isinstance(x, str) for x in given)
-            if not good and not (isinstance(value, dict) and all(map(_is_number, given.values()))):
-                raise InputError(
-                    f"frames is {shorten_text(given)}; it must be a list of names, or a table of weights"
-                )
-            return given
         if key == "q":
             return self.read_posture(value)
-        if (turned := self.choose_conversion(kind, key)) is not None:
-            return turned(np.asarray(_check_numbers(key, value), dtype=float))
-        return _check_numbers(key, value)
+        is_good, wanted = FORMS.get(
+            key, (_are_numbers, "a number, numbers, or a .csv or .npy file")
+        )
+        if not is_good(value):
+            raise InputError(f"{key} is {shorten_text(value)}; it must be {wanted}")
+        convert = self.choose_conversion(kind, key)
+        return value if convert is None else convert(np.asarray(value, dtype=float))
 
     def choose_conversion(
         self, kind: type[Constraint], key: str
@@ -204,74 +177,73 @@ class _TaskReader:
         """Return poses (..., 4, 4) from x, y, z, roll, pitch, yaw; in the plane from x, y, angle.
 
         Matrices stay as they are.
-
-        Matrices stay as they are.
         """
         if x.shape[-2:] == (4, 4):
             return x
-        planar = self.system.dim == 2
-        if x.shape[-1:] not in ((6,), (3,) if planar else (6,)):
-            allowed = (
-                "x, y, angle" if planar else "x, y, z, roll, pitch, yaw, or a matrix of four rows"
+        X, is_position = read_pose_columns(self.system.dim, np.atleast_1d(x), None, self.degrees)
+        if is_position:
+            raise InputError(
+                f"a pose has the shape {x.shape}: that is a position; an orientation is missing"
             )
-            raise InputError(f"a pose has the shape {x.shape}; it must be {allowed}")
-        full = np.zeros((*x.shape[:-1], 6))
-        full[..., [0, 1, 5] if x.shape[-1] == 3 else slice(None)] = x
-        full[..., 3:] *= self.angle
-        return spatial.pose_from_xyz_rpy(full)
+        return X
 
     def make_rotations(self, x: spatial.Array) -> spatial.Array:
         """Return rotations (..., 3, 3) from roll, pitch, yaw; in the plane from an angle.
 
         Matrices stay as they are.
-
-        Matrices stay as they are.
         """
         if x.shape[-2:] in ((3, 3), (4, 4)):
             return x
-        if self.system.dim == 2 and (x.ndim == 0 or x.shape[-1] == 1):
-            angle = np.zeros((*x.shape[:-1], 3))
-            angle[..., 2] = x.reshape(x.shape[:-1])
-            x = angle
-        if x.shape[-1:] != (3,):
+        x = np.atleast_1d(x)
+        turns = slice(5, 6) if self.system.dim == 2 and x.shape[-1] == 1 else slice(3, 6)
+        if turns.start == 3 and x.shape[-1] != 3:
             raise InputError(
                 f"an orientation has the shape {x.shape}; it must be roll, pitch, yaw, or a matrix"
             )
-        return spatial.pose_from_xyz_rpy(
-            np.concatenate([np.zeros(x.shape), x * self.angle], axis=-1)
-        )[..., :3, :3]
+        full = np.zeros((*x.shape[:-1], 6))
+        full[..., turns] = x * self.angle
+        return spatial.pose_from_xyz_rpy(full)[..., :3, :3]
 
     def read_posture(self, value: Any) -> Any:
         """Return a posture with angles in radians: values by name, a configuration, or a name."""
         if isinstance(value, str):
-            return arguments.read_configurations(self.system, None, value)
-        if isinstance(value, Mapping):
-            flat = self.document.flatten_table(value, (), "q")
-            if not all(map(_is_number, flat.values())):
-                raise InputError(
-                    "q must be a table of numbers by coordinate name, such as {A = 0.3}"
-                )
-            unit = list_units(self.system)
-            return {k: x * (self.angle if unit.get(k) == "rad" else 1.0) for k, x in flat.items()}
-        return arguments.read_configurations(
-            self.system, ",".join(map(str, _check_numbers("q", value))), None, self.degrees
-        )
+            return arguments.find_posture(self.system, value)
+        if not isinstance(value, Mapping):
+            return arguments.convert_to_radians(self.system, value, self.degrees)
+        flat = self.document.flatten_table(value, (), "q")
+        if not all(map(_is_number, flat.values())):
+            raise InputError("q must be a table of numbers by coordinate name, such as {A = 0.3}")
+        unit = list_units(self.system)
+        return {k: x * (self.angle if unit.get(k) == "rad" else 1.0) for k, x in flat.items()}
 
     def read_file_values(self, kind: type[Constraint], key: str, path: Path) -> spatial.Array:
         """Return the values (n, ...) of the rows of a file."""
         if key == "q":
             return arguments.read_configurations(self.system, str(path), None, self.degrees)
         turned = self.choose_conversion(kind, key)
-        _, table = table_files.read_table(path, matrices=turned is not None)
+        _, table = arguments.read_table(path, matrices=turned is not None)
         if turned is not None:
             return turned(table)
         single = table.shape[1] == 1 and key in ("radius", "value", "margin", "at_least", "at_most")
         return table[:, 0] if single else table
 
 
+# ---- forms of values
+
+
 def _is_file_name(key: str, value: Any) -> bool:
     """Whether the value of a parameter is the name of a file of rows."""
-    return key not in TEXT and isinstance(value, str) and table_files.is_table_file(value)
+    return key not in TEXT and isinstance(value, str) and arguments.is_table_file(value)
+
+
+def _is_text(x: Any) -> bool:
+    """Whether an entry is text."""
+    return isinstance(x, str)
+
+
+def _is_whole(x: Any) -> bool:
+    """Whether an entry is a whole number."""
+    return type(x) is int
 
 
 def _is_number(x: Any) -> bool:
@@ -279,31 +251,42 @@ def _is_number(x: Any) -> bool:
     return isinstance(x, (int, float)) and not isinstance(x, bool) and not math.isnan(x)
 
 
-def _are_numbers(x: Any, n: int) -> bool:
-    """Whether a value is a list of `n` numbers."""
+def _is_tolerance(x: Any) -> bool:
+    """Whether a value is one number, or a list of two."""
     entries: Any = x
-    return isinstance(x, list) and len(entries) == n and all(map(_is_number, entries))
+    return _is_number(x) or (
+        isinstance(x, list) and len(entries) == 2 and all(map(_is_number, entries))
+    )
 
 
-def _check_numbers(key: str, value: Any) -> Any:
-    """Return a number, or numbers in nested lists, unchanged.
+def _are_frames(x: Any) -> bool:
+    """Whether a value is a list of names, or a table of numbers by name."""
+    entries: Any = x
+    if isinstance(x, dict):
+        return all(map(_is_number, entries.values()))
+    return isinstance(x, list) and all(map(_is_text, entries))
 
-    Errors: `InputError` for any other entry.
 
-    Errors: `InputError` for any other entry.
-    """
+def _are_numbers(x: Any) -> bool:
+    """Whether a value is a number, or numbers in nested lists."""
     try:
-        good = np.asarray(value).dtype.kind in "fiu"
+        return not isinstance(x, bool) and np.asarray(x).dtype.kind in "fiu"
     except ValueError:
-        good = False
-    if not good or isinstance(value, bool):
-        raise InputError(
-            f"{key} is {shorten_text(value)}; it must be a number, a list of numbers, or a .csv or .npy "
-            "file"
-        )
-    return value
+        return False
 
 
 def _has_name(value: Any, name: object) -> bool:
     """Whether a list or dict holds the name."""
     return isinstance(value, (list, dict)) and name in value
+
+
+TEXT = ("frame", "other", "name", "axes", "shape", "surface")
+FORMS: dict[str, tuple[Callable[[Any], bool], str]] = {
+    **{key: (_is_text, "text in quotes") for key in TEXT},
+    "weight": (_is_number, "a number"),
+    "margin": (_is_number, "a number"),
+    "priority": (_is_whole, "a whole number"),
+    "tolerance": (_is_tolerance, "one or two numbers, in metres and radians"),
+    "frames": (_are_frames, "a list of names, or a table of weights"),
+}
+"""Tests of values by the names of parameters, and what the values must be; the others are numbers."""

@@ -8,17 +8,26 @@ from typing import Annotated
 
 import typer
 
-from kempe.cli.app import (
-    MODELS,
-    Output,
-    check_picture_file,
-    make_option,
-    register_command,
-    save_picture,
-)
+from kempe.cli.app import MODELS, Output, check_picture_file, register_command
+from kempe.cli.description_commands import NoBrowser, PagePath, Port, run_view
+from kempe.cli.options import make_option
 from kempe.cli.terminal import print_json
 from kempe.errors import InputError
 from kempe.report import Table
+
+DEMO = "panda"
+"""The model that `kempe demo` shows."""
+
+
+@register_command(MODELS)
+def run_demo(
+    output: Output, html: PagePath = None, port: Port = None, no_browser: NoBrowser = False
+) -> None:
+    """Show a shipped arm in the browser.
+
+    Example: kempe demo
+    """
+    run_view(file=DEMO, html=html, port=port, no_browser=no_browser, json=output.json)
 
 
 @register_command(MODELS)
@@ -56,8 +65,7 @@ def run_joints(output: Output) -> None:
 
     kinds = overviews.list_joint_types()
     if output.plot is not None:
-        save_picture(overviews.plot_joints(), output.plot)
-        output.written.append(output.plot)
+        output.save_picture(overviews.plot_joints(), output.plot)
     if output.json:
         print_json({"joints": kinds, "written": [str(path) for path in output.written]})
         return

@@ -1,4 +1,4 @@
-"""Reports that only commands print: facts about a system, poses, problems of files, errors."""
+"""Answers of `kempe info` and `kempe fk`: facts about a system, poses of frames."""
 
 from __future__ import annotations
 
@@ -14,15 +14,16 @@ from kempe import spatial
 from kempe.answers.tables import convert_columns, write_table
 from kempe.constraints.base import evaluate_number_fields
 from kempe.description.parts import Declared, Joint
-from kempe.errors import DescriptionError, Fault, KempeError
 from kempe.model.configurations import has_loops, list_limits
 from kempe.model.coordinates import Follower, format_coordinate_name, format_relation
 from kempe.report import Report, Table
+from kempe.spaces.configuration_space import make_configuration_space
 from kempe.spatial import Array
+from kempe.views.overviews import format_connectivity
 from kempe.words import Quantities, Quantity, Unit, format_count, format_fixed
 
 if TYPE_CHECKING:
-    from kempe.system import System
+    from kempe.model.model import Model
 
 CLOSED = 1e-5
 """Metres and radians that a loop may be open by before it is mentioned: numbers with six decimals
@@ -37,7 +38,7 @@ class SystemFacts(Report):
     """Facts about a `system`: connectivity, degrees of freedom, bodies, joints, loops, limits."""
 
     _has_angles = True
-    system: System
+    system: Model
 
     @property
     def status(self) -> str:
@@ -63,7 +64,7 @@ class SystemFacts(Report):
         ]
         title = "Loops, closed by the joints that the tree leaves out"
         tables.append(Table(("joint", "type", "bodies", "q", "limits"), loops, title=title))
-        declared = [_describe_constraint(system, c) for c in system.mechanism.constraints.values()]
+        declared = [_describe_constraint(system, c) for c in system._mechanism.constraints.values()]
         rows = [
             (
                 c["name"],
@@ -90,27 +91,29 @@ class SystemFacts(Report):
         """Return the labelled lines about the whole system, without empty ones."""
         system = self.system
         parameters = [f"{k} = {v:g}" for k, v in system.structure.parameters.items()]
-        parents = ", ".join(map(str, system.parent))
         rows = [
-            ("connectivity", f"C = {{{parents}}}  (parent of each body, 0 is the ground)"),
+            (
+                "connectivity",
+                f"{format_connectivity(system)}  (parent of each body, 0 is the ground)",
+            ),
             ("degrees of freedom", self._describe_freedoms()),
-            ("configuration space", system.configuration_space.within),
+            ("configuration space", make_configuration_space(system).within),
             ("coordinates", f"q has {format_count(system.nq, 'number')}"),
             ("parameters", ", ".join(parameters)),
             ("postures", ", ".join(system.structure.posture_names)),
-            ("groups of joints", ", ".join(system.groups)),
+            ("groups of joints", ", ".join(system._mechanism.groups)),
         ]
         return [row for row in rows if row[1]]
 
     def _describe_freedoms(self) -> str:
         """Describe the degrees of freedom of the tree, and how many the equations leave at least."""
         system = self.system
-        equations = system.configuration_space.constraints
+        equations = make_configuration_space(system).constraints
         loops = len(system.structure.closures)
         dof = str(_count_tree_freedoms(system))
         if not equations:
             return dof if loops else f"{dof} (a tree, no loops)"
-        constraints = system.mechanism.constraints.values()
+        constraints = system._mechanism.constraints.values()
         declared = sum(c.equations(system.dim) > 0 for c in constraints)
         what = [
             format_count(n, name) for n, name in ((loops, "loop"), (declared, "constraint")) if n
@@ -131,7 +134,7 @@ class SystemFacts(Report):
         for i, (name, parent, joint_name) in enumerate(each, start=1):
             joint = system.structure.joints[joint_name]
             kind = _describe_joint_type(joint) + " (walked backwards)" * (joint.child != name)
-            shown = name + " (particle)" * system.mechanism.bodies[name].particle
+            shown = name + " (particle)" * system._mechanism.bodies[name].particle
             rows.append(
                 (i, shown, parent, joint.name, kind, *self._describe_joint_coordinates(joint))
             )
@@ -158,7 +161,7 @@ class SystemFacts(Report):
     def _collect_data(self) -> dict[str, Any]:
         system = self.system
         s = system.structure
-        space = system.configuration_space
+        space = make_configuration_space(system)
         return {
             "name": system.name,
             "dim": system.dim,
@@ -180,7 +183,7 @@ class SystemFacts(Report):
                     "name": name,
                     "parent": system.parent[i - 1] if i else None,
                     "joint": s.parent_joints[i - 1] if i else None,
-                    "particle": bool(i) and system.mechanism.bodies[name].particle,
+                    "particle": bool(i) and system._mechanism.bodies[name].particle,
                 }
                 for i, name in enumerate(system.body_names)
             ],
@@ -220,18 +223,18 @@ class SystemFacts(Report):
             ],
             "relations": [format_relation(r) for r in s.relations],
             "constraints": [
-                _describe_constraint(system, c) for c in system.mechanism.constraints.values()
+                _describe_constraint(system, c) for c in system._mechanism.constraints.values()
             ],
             "postures": list(s.posture_names),
-            "groups": {name: list(joints) for name, joints in system.groups.items()},
+            "groups": {name: list(joints) for name, joints in system._mechanism.groups.items()},
             "parameters": s.parameters,
             "notes": list(s.notes),
         }
 
 
-def _count_tree_freedoms(system: System) -> int:
+def _count_tree_freedoms(system: Model) -> int:
     """Count the degrees of freedom of the spanning tree: those of all joints but the cut joints."""
-    bodies = system.mechanism.bodies
+    bodies = system._mechanism.bodies
     joints = system.structure.joints
     known = set(system.structure.velocity_names)
     cut = [joints[name] for name in system.structure.closures]
@@ -263,7 +266,7 @@ def _format_follower(name: str, f: Follower) -> str:
     return f"{name} = {factor}{f.source}{offset}"
 
 
-def _describe_constraint(system: System, c: Declared) -> dict[str, Any]:
+def _describe_constraint(system: Model, c: Declared) -> dict[str, Any]:
     """Return a declared constraint as data, with its numbers of equations and one-sided rows."""
     length = c.length(system.structure.parameters) if c.rod else None
     return {
@@ -278,7 +281,7 @@ def _describe_constraint(system: System, c: Declared) -> dict[str, Any]:
     } | ({"of": list(reads)} if (reads := c.of.coordinate_names) else {})
 
 
-def describe_largest_gap(system: System, q: Any) -> str:
+def describe_largest_gap(system: Model, q: Any) -> str:
     """Describe the largest gap of a loop at q: "'C' is open by 0.3 m"; '' without a gap."""
     if not has_loops(system):
         return ""
@@ -309,12 +312,10 @@ class Poses(Report):
     """Poses of a `frame`, or of all bodies where `frame` is None.
 
     `X` are the poses as `System.fk` gives them for one configuration or several.
-
-    `X` are the poses as `System.fk` gives them for one configuration or several.
     """
 
     _has_angles = True
-    system: System
+    system: Model
     frame: str | None
     X: Array
 
@@ -382,10 +383,6 @@ class Poses(Report):
         A .npy file holds the array (..., 4, 4) as it is; a .csv file has x, y, z, roll, pitch, yaw
         in each line. Where the poses are those of all bodies, lines begin with the numbers of the
         configuration and of the body.
-
-        A .npy file holds the array (..., 4, 4) as it is; a .csv file has x, y, z, roll, pitch, yaw
-        in each line. Where the poses are those of all bodies, lines begin with the numbers of the
-        configuration and of the body.
         """
         names = list(COLUMNS)
         rows = self._compute_pose_rows()
@@ -394,32 +391,3 @@ class Poses(Report):
             rows = np.concatenate([index.reshape(2, -1).T.astype(float), rows], axis=1)
             names = ["configuration", "body", *names]
         return write_table(path, *convert_columns(names, rows, COLUMNS, degrees), self.X)
-
-
-# ---- problems and errors
-
-
-def make_problem_facts(problem: Fault) -> dict[str, Any]:
-    """Return a problem of a file as data: its place, subject, message and what is allowed."""
-    where = problem.where
-    return {
-        "file": where.file if where else None,
-        "line": where.line or None if where else None,
-        "column": where.column or None if where else None,
-        "subject": problem.subject,
-        "message": problem.message,
-        "allowed": problem.allowed,
-        "text": str(problem),
-    }
-
-
-def make_error_facts(error: BaseException | str) -> dict[str, Any]:
-    """Return an error as data: its sentence, its type, and its problems or allowed names."""
-    out: dict[str, Any] = {"error": str(error), "type": type(error).__name__}
-    if isinstance(error, str):
-        out["type"] = "UsageError"
-    elif isinstance(error, DescriptionError):
-        out["problems"] = [make_problem_facts(p) for p in error.problems]
-    elif isinstance(error, KempeError) and hasattr(error, "allowed"):
-        out["allowed"] = list(error.allowed)  # type: ignore[attr-defined]
-    return out
