@@ -1,4 +1,4 @@
-"""The commands for workspaces as their users see them."""
+"""The commands for workspaces, configuration spaces, and files larger than memory."""
 
 from __future__ import annotations
 
@@ -12,41 +12,42 @@ pytest.importorskip("zarr", reason="zarr is not installed (extra scale)")
 FEW = ("two_link", "--frame", "e", "-n", "2e5", "--cells", "64")
 
 
-def test_a_map_is_made_drawn_and_looked_up(tmp_path):
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_a_map_is_made_drawn_and_looked_up():
     pytest.importorskip("matplotlib", reason="matplotlib is not installed (extra view)")
-    path = tmp_path / "map.zarr"
-    picture = tmp_path / "map.png"
-    done = Result("workspace", *FEW, "-o", path, "--plot", picture, "--json").json()
-    assert (
-        done["samples"] == 200_000
-        and done["cells"] == [64, 64]
-        and done["written"] == [str(path), str(picture)]
-    )
+    done = Result("workspace", *FEW, "-o", "map.zarr", "--plot", "map.png", "--json").json()
+    assert done["samples"] == 200_000 and done["cells"] == [64, 64]
+    assert done["written"] == ["map.zarr", "map.png"]
     assert abs(done["area"] - np.pi * (0.9**2 - 0.1**2)) < 2 * done["area_error"]
-    found = Result("query", path, "0.5,0.2", "-0.5,-0.2", "0.01,0", "1,1", "--json").json()
+    found = Result("query", "map.zarr", "0.5,0.2", "-0.5,-0.2", "0.01,0", "1,1", "--json").json()
     assert [p["reached"] for p in found["points"]] == [True, True, False, False]
     assert found["points"][0]["distance"] > 0 > found["points"][3]["distance"]
-    refused = Result("query", path, "0.5,nan")
-    assert refused.code == 2 and "a point is '0.5,nan', which holds nan" in " ".join(
-        refused.err.split()
-    )
-    assert "in metres, in the ground frame" in " ".join(
-        Result("query", "--help").out.replace("│", " ").split()
-    )
-    text = Result("query", path, "0.5,0.2", "1,1").out
+    text = Result("query", "map.zarr", "0.5,0.2", "1,1").out
     assert "0.5,0.2: reached" in text and "1,1: not reached" in text
-    assert np.array_equal(
-        kempe.open_workspace(path).map.counts,
-        kempe.load("two_link").workspace("e", n=2e5, cells=64).map.counts,
-    )
+    counts = kempe.load("two_link").workspace("e", n=2e5, cells=64).map.counts
+    assert np.array_equal(kempe.open_workspace("map.zarr").map.counts, counts)
+    for point, said in (
+        ("0.5,nan", "a point is '0.5,nan', which holds nan"),
+        ("1e400,0", "holds inf"),
+        ("1,2,3", "points must have 2 numbers"),
+        ("1", "points must have 2 numbers"),
+        ("--bogus", "number"),
+        ("a,b", "number"),
+    ):
+        refused = Result("query", "map.zarr", point)
+        assert refused.code == 2 and said in refused.err, refused.err
+    shown = " ".join(Result("query", "--help").out.replace("│", " ").split())
+    assert "in metres, in the ground frame" in shown
 
 
 def test_the_text_says_what_is_proven():
-    out = Result("workspace", *FEW).out
-    assert (
-        "each of these holds a point that is reached" in " ".join(out.split())
-        and "area  2.5" in out
-    )
+    out = " ".join(Result("workspace", *FEW).out.split())
+    assert "each of these holds a point that is reached" in out and "area 2.5" in out
 
 
 @pytest.fixture
@@ -67,177 +68,80 @@ def three_links(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("options", "kind", "size", "true"),
+    ("words", "kind", "size", "true"),
     [
-        ((), "reachable", "area", 0.81 * np.pi - 0.01 * np.pi),
-        (
-            ("--orientation", "40", "--deg"),
-            "constant-orientation",
-            "area",
-            0.6 * np.pi,
-        ),  # the ring, moved by the hand
-        (
-            ("--kind", "dexterous"),
-            "dexterous",
-            "area",
-            0.4 * np.pi,
-        ),  # where the hand can stand inwards and outwards
-        (
-            ("--kind", "orientation", "--at", "0.75,0"),
-            "orientation",
-            "length",
-            2.0 * np.arccos(-0.45),
-        ),  # cosine theorem
+        ("", "reachable", "area", 0.81 * np.pi - 0.01 * np.pi),
+        # the ring, moved by the hand
+        ("--orientation 40 --deg", "constant-orientation", "area", 0.6 * np.pi),
+        # where the hand can stand inwards and outwards
+        ("--kind dexterous", "dexterous", "area", 0.4 * np.pi),
+        # cosine theorem
+        ("--kind orientation --at 0.75,0", "orientation", "length", 2.0 * np.arccos(-0.45)),
     ],
-    ids=lambda x: x if isinstance(x, str) else "",
 )
-def test_kinds_of_workspaces(three_links, options, kind, size, true):
-    done = Result(
-        "workspace",
-        three_links,
-        "--frame",
-        "tool",
-        "-n",
-        "300",
-        "--cells",
-        "16",
-        *options,
-        "--json",
-    ).json()
+def test_kinds_of_workspaces(three_links, words, kind, size, true):
+    given = f"--frame tool -n 300 --cells 16 {words} --json"
+    done = Result("workspace", three_links, *given.split()).json()
     assert done["kind"] == kind
     assert abs(done[size] - true) <= max(2 * done[f"{size}_error"], 1e-9)
 
 
-def test_the_time_limit_is_an_exit_code(tmp_path):
-    done = Result(
-        "workspace", "two_link", "--frame", "e", "-n", "1e13", "--time-limit", "0.3", "--json"
-    )
+def test_time_limits_are_an_exit_code():
+    done = Result(*"workspace two_link --frame e -n 1e13 --time-limit 0.3 --json".split())
     assert done.code == 1 and done.json()["code"] == "OUT_OF_TIME"
+    done = Result("spaces", "five_bar", "--sample", 5, "--time-limit", 1e-6)
+    assert done.code == 1 and "0 configurations of 5" in done.out
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("workspace", "two_link", "--frame", "e", "-n", "0"), "n is 0"),
-        (("workspace", "two_link", "--frame", "e", "-n", "1e30"), "n is 1e+30"),
-        (("workspace", "two_link", "--frame", "ground"), "does not move"),
-        (("workspace", "two_link", "--frame", "hand"), "hand"),
-        (("workspace", "joint_prismatic", "--frame", "body"), "no limits"),
-        (("workspace", "two_link", "--frame", "e", "--box", "1,2,3"), "--box"),
-        (("workspace", "two_link", "--frame", "e", "--cells", "x"), "--cells"),
-        (
-            ("workspace", "two_link", "--frame", "e", "--plot", "map.txt"),
-            "pictures are .png, .svg or .pdf files",
-        ),
-        (("query", "nowhere.zarr", "1,2"), "no such map"),
-        (
-            ("workspace", "two_link", "--frame", "e", "--kind", "some"),
-            "no kind 'some'; there are: 'reachable'",
-        ),
-        (("workspace", "two_link", "--frame", "e", "--kind", "orientation"), "needs at"),
-        (("workspace", "two_link", "--frame", "e", "--at", "1"), "one place (2,)"),
-        (("workspace", "two_link", "--frame", "e", "--orientation", "a"), "--orientation"),
-    ],
-    ids=lambda x: x if isinstance(x, str) else "",
-)
-def test_wrong_questions(arguments, words):
-    done = Result(*arguments)
-    assert done.code == 2 and words in " ".join(done.err.split()) and "Traceback" not in done.err
+# ---- configuration spaces
 
 
-@pytest.mark.parametrize("point", ["1,2,3", "1", "--bogus", "a,b"])
-def test_wrong_points(tmp_path, point):
-    Result("workspace", *FEW, "-o", tmp_path / "map.zarr")
-    done = Result("query", tmp_path / "map.zarr", point)
-    assert done.code == 2 and "number" in done.err
+def test_spaces_are_described():
+    done = Result(*"spaces four_bar --frame coupler_point --position-only --sample 5".split())
+    assert done.code == 0 and "dimension 1" in done.out and "2 connected components" in done.out
+    assert "m = 2 > n = 1" in done.out and "uniform in arc length" in done.out
+
+
+@pytest.mark.slow
+def test_samples_and_pictures_are_written(folder):
+    pytest.importorskip("matplotlib")
+    done = Result(*"spaces two_link --frame e --sample 9 -o q.npy --plot s.png".split())
+    assert done.code == 0 and "written to" in done.out
+    assert (folder / "s.png").read_bytes()[:4] == b"\x89PNG"
+    space = kempe.load("two_link").configuration_space
+    assert np.array_equal(np.load("q.npy"), space.sample(9, 0).q)
 
 
 # ---- files larger than memory
 
 
 @pytest.fixture
-def rows(tmp_path):
+def rows():
     """A file of targets of which one is no number."""
     arm = kempe.load("two_link")
     q = arm.random(0, 50)
     q[7] = np.nan
-    np.savetxt(
-        tmp_path / "p.csv",
-        arm.fk(q, "e", form="position")[:, :2],
-        delimiter=",",
-        header="x,y",
-        comments="",
-    )
-    return tmp_path / "p.csv"
+    places = arm.fk(q, "e", form="position")[:, :2]
+    np.savetxt("p.csv", places, delimiter=",", header="x,y", comments="")
+    return places
 
 
-def test_rows_of_a_file_are_answered(tmp_path, rows):
+def test_rows_of_a_file_are_answered(rows):
     zarr = pytest.importorskip("zarr", reason="zarr is not installed (extra scale)")
-    done = Result(
-        "map", "ik", "two_link", rows, "-o", tmp_path / "q.zarr", "--frame", "e", "--json"
-    )
+    done = Result(*"map ik two_link p.csv -o q.zarr --frame e --json".split())
     assert done.code == 1 and done.json()["outcomes"] == {"SOLVED": 49, "BAD_INPUT": 1}
-    again = Result(
-        "map",
-        "fk",
-        "two_link",
-        tmp_path / "q.zarr" / "q",
-        "-o",
-        tmp_path / "x.zarr",
-        "--frame",
-        "e",
-        "--form",
-        "position",
-        "--float32",
-    )
+    words = "map fk two_link q.zarr/q -o x.zarr --frame e --form position --float32"
+    again = Result(*words.split())
     assert again.code == 1 and "fk of 50 of 50 rows" in " ".join(again.out.split())
-    found = zarr.open_group(str(tmp_path / "x.zarr"))["position"][...]
-    given = np.loadtxt(rows, delimiter=",", skiprows=1)
-    assert found.dtype == np.float32 and np.allclose(found[:, :2], given, atol=1e-5, equal_nan=True)
+    found = zarr.open_group("x.zarr")["position"][...]
+    assert found.dtype == np.float32 and np.allclose(found[:, :2], rows, atol=1e-5, equal_nan=True)
 
 
-def test_options_of_maps(tmp_path, rows):
-    good = ("map", "ik", "two_link", rows, "-o", tmp_path / "q.zarr", "--frame", "e")
-    more = (
-        "--start",
-        "0.1,0.2",
-        "--tolerance",
-        "1e-5",
-        "--rng",
-        "3",
-        "--threads",
-        "2",
-        "--columns",
-        "x,y",
-        "--deg",
-    )
-    assert Result(*good, *more, "--json").json()["rows"] == 50
-    other = Result(*good, "--task", "position")
+def test_options_of_maps(rows):
+    good = "map ik two_link p.csv --frame e -o q.zarr"
+    more = "--start 0.1,0.2 --tolerance 1e-5 --rng 3 --threads 2 --columns x,y --deg --json"
+    assert Result(*f"{good} {more}".split()).json()["rows"] == 50
+    other = Result(*f"{good} --task position".split())
     assert other.code == 2 and "belongs to another map: its options" in " ".join(other.err.split())
-    limited = Result(*good[:5], tmp_path / "p.zarr", *good[6:], "--time-limit", "1e-9", "--json")
+    limited = Result(*f"{good.replace('q.', 'p.')} --time-limit 1e-9 --json".split())
     assert limited.code == 1 and limited.json()["code"] == "OUT_OF_TIME"
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("fk", "two_link", "none.npy", "-o", "o.zarr"), "no such file"),
-        (("turn", "two_link", "p.csv", "-o", "o.zarr"), "no verb 'turn'"),
-        (("ik", "two_link", "p.csv", "-o", "o.zarr"), "ik needs a frame"),
-        (
-            ("ik", "two_link", "p.csv", "-o", "o.zarr", "--frame", "e", "--form", "3x4"),
-            "no option of map ik 'form'",
-        ),
-        (
-            ("assemble", "four_bar", "p.csv", "-o", "o.zarr", "--tolerance", "1,2"),
-            "it is one number",
-        ),
-        (("fk", "two_link", "p.csv", "-o", "o.zarr"), "no coordinate 'x'"),
-        (("fk", "two_link", "p.csv"), "--out"),
-    ],
-    ids=lambda x: x if isinstance(x, str) else "",
-)
-def test_wrong_maps(tmp_path, monkeypatch, rows, arguments, words):
-    monkeypatch.chdir(tmp_path)
-    done = Result("map", *arguments)
-    assert done.code == 2 and words in " ".join(done.err.split()) and "Traceback" not in done.err
