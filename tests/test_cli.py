@@ -445,16 +445,20 @@ def test_examples_of_the_documentation(tmp_path, monkeypatch):
 # ---- the main job, on a real robot
 
 
+def _panda() -> str:
+    try:
+        files = importlib.metadata.files("example-robot-data") or []
+    except importlib.metadata.PackageNotFoundError:
+        pytest.skip("example-robot-data is not installed")
+    return str(next(f.locate() for f in files if Path(str(f)).name == "panda.urdf"))
+
+
 @pytest.mark.parametrize(
     "target", ["0.4,0.1,0.5,180,0,0", "-0.4,0.1,0.5,180,0,0", "0.3,-0.3,0.6,170,10,-20"]
 )
 def test_main_job(target):
     pin = pytest.importorskip("pinocchio")
-    try:
-        files = importlib.metadata.files("example-robot-data") or []
-    except importlib.metadata.PackageNotFoundError:
-        pytest.skip("example-robot-data is not installed")
-    panda = str(next(f.locate() for f in files if Path(str(f)).name == "panda.urdf"))
+    panda = _panda()
     result = Result("ik", panda, "--frame", "panda_hand_tcp", "--target", target, "--deg", "--json")
     assert result.code == 0
     model = pin.buildModelFromUrdf(panda)
