@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.answers.tables import SUFFIXES, convert_texts, read_pose_columns
+from kempe.answers.tables import SUFFIXES, convert_texts, is_number, read_pose_columns
 from kempe.description.source import describe_special_file, expand_path
 from kempe.errors import InputError, UnknownNameError
 from kempe.model import configurations
@@ -233,7 +233,7 @@ def read_start(system: System, text: str | None, degrees: bool = False) -> Array
     """
     if text is None:
         return None
-    is_name = not any(c in text for c in ",=.") and not text.strip().lstrip("+-").isdigit()
+    is_name = not any(c in text for c in ",=.") and not is_number(text)
     if is_name or text in system.structure.posture_names:
         return find_posture(system, text)
     return configurations.read_start(system, _parse_values(system, text, degrees))
