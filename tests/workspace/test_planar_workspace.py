@@ -8,8 +8,8 @@ from hunts import Hunt
 
 import kempe
 from kempe.errors import InputError, UnsupportedError
-from kempe.workspace.kinds import read_question
-from kempe.workspace.planar.planar_workspace import answer_planar_question, planar_workspace
+from kempe.workspace.kinds import read_workspace_kind
+from kempe.workspace.planar.planar_workspace import compute_planar_workspace, planar_workspace
 from kempe.workspace.planar.plane_curves import PlanePiece
 
 
@@ -252,8 +252,10 @@ def test_hunt_for_points_that_are_decided_wrongly(hunt: Hunt, kind):
             [system.fk(system.random(rng, 8), "tool")[:, :2, 3], rng.uniform(-2.0, 2.0, (12, 2))]
         )
         clear = w.distance(points) > (0.02 if kind == "dexterous" else 1e-4)
-        question = read_question(system, "tool", given["kind"], angles, None)
-        reached = question.find_reached_points(system, "tool", np.pad(points, ((0, 0), (0, 1))), 0)
+        workspace_kind = read_workspace_kind(system, "tool", given["kind"], angles, None)
+        reached = workspace_kind.find_reached_points(
+            system, "tool", np.pad(points, ((0, 0), (0, 1))), 0
+        )
         assert np.array_equal(w.contains(points)[clear], reached[clear]), (system.mechanism, given)
         numbers = w.region.count_solutions(points[clear] @ [1.0, 1j])
         assert np.array_equal(numbers > 0, reached[clear])
@@ -407,8 +409,8 @@ def test_dexterous_places_of_three_links():
             kind="dexterous",
         )
     with pytest.raises(UnsupportedError, match="one of places"):
-        answer_planar_question(
-            w.system, "tool", read_question(w.system, "tool", None, None, (0.1, 0.2))
+        compute_planar_workspace(
+            w.system, "tool", read_workspace_kind(w.system, "tool", None, None, (0.1, 0.2))
         )
 
 

@@ -359,7 +359,7 @@ def test_maps_of_other_kinds_are_kept_and_gone_on_with(tmp_path):
         and said[-1] == (400, 400)
     )
     opened = kempe.open_workspace(path)
-    assert opened.question == memory.question and opened.area == memory.area
+    assert opened.workspace_kind == memory.workspace_kind and opened.area == memory.area
     with pytest.raises(InputError, match="belongs to another map"):
         arm.workspace("tool", orientation=0.5, cells=20, path=path, n=400)
 

@@ -161,13 +161,15 @@ def _add_outer_cells(middles: Array, size: float) -> Array:
 
 def _add_colour_bar(workspace: Workspace, first: Axes, axes: list[Any]) -> None:
     """Add a colour bar, unless cells are only reached or not."""
-    question = workspace.question
+    workspace_kind = workspace.workspace_kind
     shown = first.images[0]
     low, high = shown.get_clim()
-    if question.tried and low == 0.0:
+    if workspace_kind.tried and low == 0.0:
         return
     bar = first.figure.colorbar(shown, ax=axes, shrink=0.85)
-    what = f"{question.noun}s reached in a cell" if question.tried else "samples in a cell"
+    what = (
+        f"{workspace_kind.noun}s reached in a cell" if workspace_kind.tried else "samples in a cell"
+    )
     bar.set_label(what, size=style.FONT, color=style.INK)
     bar.ax.tick_params(labelsize=style.FONT - 1)
     if high <= FEW:

@@ -39,7 +39,7 @@ from kempe.workspace.legs import list_place_bounds
 from kempe.workspace.planar.planar_workspace import (
     PlanarWorkspace,
     PlaneCurve,
-    answer_planar_question,
+    compute_planar_workspace,
 )
 from kempe.workspace.planar.swept_solids import SweptSolid, find_swept_solid
 from kempe.workspace.sampling_job import sample_closed_configurations
@@ -72,7 +72,7 @@ def estimate_measure(
     frame: str,
     cells: CellMap,
     seed: int,
-    question: WorkspaceKind,
+    workspace_kind: WorkspaceKind,
     possible: np.ndarray,
 ) -> tuple[float, float]:
     """Estimate the measure of the reached part of the box, with `SIGMAS` standard errors.
@@ -90,7 +90,7 @@ def estimate_measure(
         chosen = np.flatnonzero(mask & possible)
         if len(chosen):
             points = _sample_in_cells(cells, rng.choice(chosen, POINTS[name]), rng)
-            hits = int(question.find_reached_points(system, frame, points, seed).sum())
+            hits = int(workspace_kind.find_reached_points(system, frame, points, seed).sum())
             n = POINTS[name]
             whole = len(chosen) * cell
             part = (hits + 2.0) / (n + 4.0)
@@ -132,7 +132,12 @@ def _sample_in_cells(cells: CellMap, numbers: np.ndarray, rng: np.random.Generat
 
 
 def decide_reached_points(
-    system: Model, frame: str, cells: CellMap, points: Array, seed: int, question: WorkspaceKind
+    system: Model,
+    frame: str,
+    cells: CellMap,
+    points: Array,
+    seed: int,
+    workspace_kind: WorkspaceKind,
 ) -> np.ndarray:
     """Decide whether points (n, 3) are reached, by the map in inner cells, else by inverse
     kinematics.
@@ -145,7 +150,7 @@ def decide_reached_points(
         axis=1
     )
     out = inside & cells.layers["inner"][tuple(at.T)]
-    out[~out] = question.find_reached_points(system, frame, points[~out], seed)
+    out[~out] = workspace_kind.find_reached_points(system, frame, points[~out], seed)
     return out
 
 
@@ -156,7 +161,7 @@ def compute_boundary_distance(
     points: Array,
     inside: np.ndarray,
     seed: int,
-    question: WorkspaceKind,
+    workspace_kind: WorkspaceKind,
 ) -> Array:
     """Compute the distances [m] of points (n, 3) from the boundary, negative if not `inside`. NaN
     gives NaN.
@@ -172,7 +177,7 @@ def compute_boundary_distance(
     far = finite & ~inside
     out[far] = -edge.query(at[far])[0]
     near = np.flatnonzero(finite & inside)
-    if question.tried:  # a place of each cell was decided
+    if workspace_kind.tried:  # a place of each cell was decided
         out[near] = edge.query(at[near])[0]
         return out
     known = np.where(cells.empty[1], UNREACHED, UNDECIDED)
@@ -182,7 +187,7 @@ def compute_boundary_distance(
             cells,
             at[which],
             known,
-            lambda p: question.find_reached_points(
+            lambda p: workspace_kind.find_reached_points(
                 system, frame, cells.grid.complete_points(p), seed
             ),
         )
@@ -378,14 +383,14 @@ class Workspace(Report):
     # ---- how much
 
     @cached_property
-    def question(self) -> WorkspaceKind:
+    def workspace_kind(self) -> WorkspaceKind:
         """The kind of workspace: what counts as reached."""
         return WorkspaceKind.from_data(self.said)
 
     @property
     def kind(self) -> str:
         """Name of the kind: "reachable", "constant-orientation", "dexterous" or "orientation"."""
-        return self.question.kind
+        return self.workspace_kind.kind
 
     @cached_property
     def exact(self) -> PlanarWorkspace | SweptSolid | None:
@@ -415,7 +420,7 @@ class Workspace(Report):
         if self.system.dim == 3:
             return find_swept_solid(self.system, self.frame) if self.kind == REACHABLE else None
         try:
-            return answer_planar_question(self.system, self.frame, self.question)
+            return compute_planar_workspace(self.system, self.frame, self.workspace_kind)
         except (UnsupportedError, InputError):
             return None
 
@@ -463,7 +468,7 @@ class Workspace(Report):
         """
         if self.thin:
             return 0.0, 0.0
-        wanted = self.question
+        wanted = self.workspace_kind
         found: list[tuple[float, float]] = []
         if wanted.tried:
             found.append(estimate_from_counts(self.map, self.samples, int(self.map.counts.sum())))
@@ -538,10 +543,12 @@ class Workspace(Report):
         if self.exact is not None and not check:
             found = self.exact.contains(flat)
         elif check:
-            found = self.question.find_reached_points(self.system, self.frame, flat, self.seed)
+            found = self.workspace_kind.find_reached_points(
+                self.system, self.frame, flat, self.seed
+            )
         else:
             found = decide_reached_points(
-                self.system, self.frame, self.map, flat, self.seed, self.question
+                self.system, self.frame, self.map, flat, self.seed, self.workspace_kind
             )
         return found.reshape(lead)
 
@@ -561,10 +568,10 @@ class Workspace(Report):
             return (
                 self.exact.distance(flat) * np.where(self.exact.contains(flat), 1.0, -1.0)
             ).reshape(lead)
-        question = self.question
+        workspace_kind = self.workspace_kind
         inside = np.asarray(self.contains(points)).reshape(-1)
         far = compute_boundary_distance(
-            self.system, self.frame, self.map, flat, inside, self.seed, question
+            self.system, self.frame, self.map, flat, inside, self.seed, workspace_kind
         )
         return far.reshape(lead)
 
@@ -618,7 +625,7 @@ class Workspace(Report):
         """The number of samples, and of cells with samples, as a sentence."""
         found = int(self.map.occupied.sum())
         of = self.map.counts.size
-        wanted = self.question
+        wanted = self.workspace_kind
         left = f" ({self.requested:.6g} were requested)" if self.samples < self.requested else ""
         part, unit = (1.0, "m") if max(self.map.cell) >= LARGE else (1e3, "mm")
         edges = " x ".join(f"{part * x:.4g}" for x in self.map.cell)
@@ -674,7 +681,7 @@ class Workspace(Report):
                 f"{format_count(self.left_out, 'sample')} that could not be closed within all "
                 "limits and constraints",
             )
-        ] * bool(self.left_out and not self.question.tried)
+        ] * bool(self.left_out and not self.workspace_kind.tried)
         rows += [("redone", "the map on disk was damaged")] * bool(self.redone)
         return [Table((), rows, record=True)]
 

@@ -230,10 +230,10 @@ def read_rotations(x: Any, dim: int, what: str = "orientation") -> Array:
     return R
 
 
-# ---- the question that arguments pose
+# ---- the kind that arguments state
 
 
-def read_question(
+def read_workspace_kind(
     system: Model, frame: str, kind: object, orientation: Any, at: Any
 ) -> WorkspaceKind:
     """Read the kind of workspace from the arguments of `workspace`. Errors: `InputError`."""

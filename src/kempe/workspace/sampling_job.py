@@ -82,7 +82,7 @@ class Recipe:
     grid: Grid
     variant: str = VARIANT
     version: str = __version__
-    question: WorkspaceKind = PLAIN
+    workspace_kind: WorkspaceKind = PLAIN
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Recipe, (
@@ -92,28 +92,36 @@ class Recipe:
             self.grid,
             self.variant,
             self.version,
-            self.question,
+            self.workspace_kind,
         )
 
     @cached_property
     def unconstrained(self) -> bool:
         """Whether samples are independent coordinates, without loops or declared constraints."""
-        return is_plain_chain(self.system) and not self.question.tried
+        return is_plain_chain(self.system) and not self.workspace_kind.tried
 
     @property
     def piece_size(self) -> int:
         """Number of samples that one thread counts at once."""
-        return PIECE if self.unconstrained else TRIED_PIECE if self.question.tried else SLOW_PIECE
+        return (
+            PIECE
+            if self.unconstrained
+            else TRIED_PIECE
+            if self.workspace_kind.tried
+            else SLOW_PIECE
+        )
 
     @property
     def part_size(self) -> int:
         """Least number of samples in a part, which a worker of a cluster counts at once."""
-        return PART if self.unconstrained else TRIED_PART if self.question.tried else SLOW_PART
+        return (
+            PART if self.unconstrained else TRIED_PART if self.workspace_kind.tried else SLOW_PART
+        )
 
     @property
     def default_sample_count(self) -> int:
         """Default number of samples; one in each cell where places are tried."""
-        return self.grid.count if self.question.tried else FEW_SAMPLES[self.unconstrained]
+        return self.grid.count if self.workspace_kind.tried else FEW_SAMPLES[self.unconstrained]
 
     @property
     def n_entries(self) -> int:
@@ -125,7 +133,7 @@ class Recipe:
     def describe_recipe(self) -> dict[str, Any]:
         """Describe the recipe as data that are stored with a map and must agree to add counts."""
         grid = {k: list(x) for k, x in asdict(self.grid).items()}
-        grid |= json.loads(json.dumps(asdict(self.question)))  # as it is read again
+        grid |= json.loads(json.dumps(asdict(self.workspace_kind)))  # as it is read again
         return {
             "system": self.system.structure.content_hash,
             "frame": self.frame,
@@ -156,7 +164,7 @@ class Recipe:
         for piece in range(first // size, -(-last // size)):
             points = (
                 self._try_places(piece)
-                if self.question.tried
+                if self.workspace_kind.tried
                 else sample_positions(self.system, self.frame, self.seed, piece)
             )
             points = points[max(0, first - piece * size) : last - piece * size]
@@ -178,9 +186,9 @@ class Recipe:
         points = grid.complete_points(
             np.array(grid.low)[grid.measured_axes] + (at + rng.random(at.shape)) * grid.size
         )
-        points[~self.question.find_reached_points(self.system, self.frame, points, self.seed)] = (
-            np.nan
-        )
+        points[
+            ~self.workspace_kind.find_reached_points(self.system, self.frame, points, self.seed)
+        ] = np.nan
         return points
 
     @cached_property
@@ -275,14 +283,23 @@ def sample_closed_configurations(
 
 
 def make_recipe(
-    system: Model, frame: str, seed: int, cells: Any, box: Any, question: WorkspaceKind = PLAIN
+    system: Model,
+    frame: str,
+    seed: int,
+    cells: Any,
+    box: Any,
+    workspace_kind: WorkspaceKind = PLAIN,
 ) -> Recipe:
     """Make the recipe of a map. Errors: `InputError` for an immobile frame, unlimited slides, wrong
     boxes.
     """
-    if question.kind == ORIENTATION:
+    if workspace_kind.kind == ORIENTATION:
         return Recipe(
-            system, frame, seed, _make_orientation_grid(cells, box, system.dim), question=question
+            system,
+            frame,
+            seed,
+            _make_orientation_grid(cells, box, system.dim),
+            workspace_kind=workspace_kind,
         )
     if (names := list_unlimited_coordinates(system, frame)) and box is None:
         turns = {
@@ -300,7 +317,7 @@ def make_recipe(
             f"limits, and {so}: give a box, or limits, such as system.with_limits({{{names[0]!r}: "
             "(-1.0, 1.0)})"
         )
-    question = replace(question, tried=True) if names else question
+    workspace_kind = replace(workspace_kind, tried=True) if names else workspace_kind
     points = sample_pilot_positions(system, frame, seed)
     if not np.isfinite(points).all():
         raise InputError(f"positions of {frame!r} are not finite: a limit is too large")
@@ -309,9 +326,9 @@ def make_recipe(
     if not (extent[1] - extent[0] > 1e-9 * length).any():
         where = ", ".join(f"{x:.6g}" for x in extent[0][: system.dim])
         raise InputError(f"frame {frame!r} does not move: it is always at ({where})")
-    usual = FEW_CELLS if question.tried else USUAL_CELLS
+    usual = FEW_CELLS if workspace_kind.tried else USUAL_CELLS
     grid = make_grid(extent, cells, box, length, system.dim, usual)
-    return Recipe(system, frame, seed, grid, question=question)
+    return Recipe(system, frame, seed, grid, workspace_kind=workspace_kind)
 
 
 def sample_pilot_positions(system: Model, frame: str, seed: int) -> Array:

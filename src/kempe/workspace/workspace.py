@@ -21,7 +21,7 @@ from kempe.errors import DamagedError, InputError, format_value
 from kempe.numerics.clock import BROKEN_OFF, TimeLimit, limit_preparation_time
 from kempe.numerics.pool import choose_thread_count
 from kempe.workspace.answer import Workspace
-from kempe.workspace.kinds import read_question
+from kempe.workspace.kinds import read_workspace_kind
 from kempe.workspace.sampling_job import Recipe, count_in_threads, count_part, make_recipe
 from kempe.workspace.store import (
     import_zarr,
@@ -104,7 +104,7 @@ def workspace(
             f"n is {format_value(n)}; it must be a whole number of samples, from 1 to {MOST:.2g}"
         )
     with limit_preparation_time(USUAL, clock):
-        question = read_question(system, name, kind, orientation, at)
+        workspace_kind = read_workspace_kind(system, name, kind, orientation, at)
     if client is not None:
         own = isinstance(client, str)
         client = connect_client(client)
@@ -112,7 +112,7 @@ def workspace(
         own = False
     try:
         with limit_preparation_time(USUAL, clock):
-            recipe = make_recipe(system, name, draw_seed(spend.rng), cells, box, question)
+            recipe = make_recipe(system, name, draw_seed(spend.rng), cells, box, workspace_kind)
         return _answer_workspace(
             recipe,
             None if path is None else expand_path(path),

@@ -29,7 +29,7 @@ from kempe.workspace.kinds import (
     ORIENTATION,
     REACHABLE,
     WorkspaceKind,
-    read_question,
+    read_workspace_kind,
 )
 from kempe.workspace.legs import find_legs
 from kempe.workspace.planar.planar_chain import PlanarChain, project_joint, split_wrist
@@ -63,7 +63,7 @@ MOST = 6
 
 
 def find_planar_region(
-    system: Model, frame: str, question: WorkspaceKind
+    system: Model, frame: str, workspace_kind: WorkspaceKind
 ) -> PlanarRegion | PlatformRegion:
     """Find the region of a planar frame for a kind of workspace. Errors: `UnsupportedError`,
     `InputError`; see `planar_workspace`.
@@ -81,7 +81,7 @@ def find_planar_region(
     if not legs and (why := find_obstacle(system, frame)) is not None:
         raise UnsupportedError(why)
     chains = [find_planar_chain(leg, frame) for leg in legs or (system,)]
-    if question.kind == REACHABLE:
+    if workspace_kind.kind == REACHABLE:
         if len(chains) > 1:
             return _find_platform_region(system, frame, chains)
         chain = PlanarChain.from_joints(chains[0][0].joints, chains[0][0].tip)
@@ -100,8 +100,8 @@ def find_planar_region(
                 "workspace has other curves"
             )
         inner, way = wrist
-        if not question.all_turns(2):
-            for R in question.rotations:
+        if not workspace_kind.all_turns(2):
+            for R in workspace_kind.rotations:
                 turn = float(np.arctan2(R[1, 0], R[0, 0])) - turned
                 parts.append(inner.region.move_region(way * complex(np.exp(1j * turn))))
         elif abs(way) < NOTHING * inner.size:
@@ -109,7 +109,7 @@ def find_planar_region(
         else:
             parts.append(shrink_region(inner.region, abs(way)))
     region = _merge_regions(parts)
-    counted = question.kind == CONSTANT
+    counted = workspace_kind.kind == CONSTANT
     return region if counted or not region.counted else replace(region, counted=False)
 
 
@@ -455,17 +455,19 @@ def planar_workspace(
     that do not move.
     """
     name = system.structure.frame_name(frame)
-    return answer_planar_question(
-        system, name, read_question(system, name, kind, orientation, None)
+    return compute_planar_workspace(
+        system, name, read_workspace_kind(system, name, kind, orientation, None)
     )
 
 
-def answer_planar_question(system: Model, frame: str, question: WorkspaceKind) -> PlanarWorkspace:
+def compute_planar_workspace(
+    system: Model, frame: str, workspace_kind: WorkspaceKind
+) -> PlanarWorkspace:
     """Compute the exact workspace for a kind of workspace. Errors: see `planar_workspace`."""
-    if question.kind == ORIENTATION:
+    if workspace_kind.kind == ORIENTATION:
         raise UnsupportedError(
             "the exact workspace is one of places; one of orientations is a sampled map"
         )
     return PlanarWorkspace(
-        system, frame, find_planar_region(system, frame, question), question.kind
+        system, frame, find_planar_region(system, frame, workspace_kind), workspace_kind.kind
     )
