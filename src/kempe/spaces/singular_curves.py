@@ -204,7 +204,7 @@ def make_held_equations(
     `InputError`.
     """
     system = found.system
-    unit = found.questions.unit
+    unit = found.analysis.unit
     given: Mapping[str, float] = {} if hold is None else hold
     if not isinstance(given, Mapping):
         raise InputError(

@@ -206,8 +206,11 @@ class LostAndGained:
     self_motion: Array
 
 
-class RankQuestions:
-    """Questions about the rank of matrices of one frame of a system, or (None) only of its inputs."""
+class RankAnalysis:
+    """Matrices whose rank loss defines the singularities of a frame.
+
+    Without a frame these are the matrices of the inputs only.
+    """
 
     def __init__(
         self,
@@ -258,7 +261,7 @@ class RankQuestions:
         self.columns = np.arange(system.nv) if self.loops else np.flatnonzero(moving)
 
     def find_near_singularities(self, problems: dict[str, RankLoss]) -> dict[str, Array]:
-        """Find nearly singular configurations (k, nq) for each question. They are closed, inside
+        """Find nearly singular configurations (k, nq) for each problem. They are closed, inside
         the limits, and between the starts.
 
         On ways from each start to the next determinants change their sign, which halving steps

@@ -61,7 +61,7 @@ from kempe.spaces.singular_types import (
     SERIAL,
     LostAndGained,
     NearestSingular,
-    RankQuestions,
+    RankAnalysis,
     SingularSet,
     are_inside_limits,
     describe_changes,
@@ -147,7 +147,7 @@ class Singularities(Report, Tabular):
     sets: tuple[SingularSet, ...]
     starts: int
     limits: bool
-    questions: RankQuestions = field(repr=False)
+    analysis: RankAnalysis = field(repr=False)
     problems: dict[str, RankLoss] = field(repr=False)
     broken: Status | None = None
 
@@ -231,7 +231,7 @@ class Singularities(Report, Tabular):
             distances[str(s)] = min(d, distances.get(str(s), np.inf))
         i = int(np.argmin([d for _, d in found]))
         there, distance = found[i]
-        local = self.questions.describe_local_twists(there, self.problems)
+        local = self.analysis.describe_local_twists(there, self.problems)
         s = self.sets[i]
         return NearestSingular(
             self.system,
@@ -288,10 +288,10 @@ class Singularities(Report, Tabular):
         problems = {kind: replace(p, further=rows) for kind, p in self.problems.items()}
         starts = [(s.kinds, s.name, q) for s in self.sets for q in s.q]
         if held:
-            near = np.concatenate([*(s.q for s in self.sets), self.questions.starts])
+            near = np.concatenate([*(s.q for s in self.sets), self.analysis.starts])
             with limit_preparation_time(CURVES_USUAL, clock):
                 led = _find_singular_rows(
-                    self.questions, problems, dict.fromkeys(problems, near), self.task, self.limits
+                    self.analysis, problems, dict.fromkeys(problems, near), self.task, self.limits
                 )
             starts = [(kinds, name, q) for (kinds, name, _), (q, _) in led if kinds]
         return find_singular_curves(self, problems, starts, held, budget, clock)
@@ -310,8 +310,8 @@ class Singularities(Report, Tabular):
         for k, size in enumerate(sizes):
             centre, many = (q, 5 * AROUND) if k < 2 else (best, AROUND)
             aside = np.zeros((many, nv))
-            aside[:, self.questions.columns] = rng.normal(size=(many, len(self.questions.columns)))
-            aside *= size / np.sqrt(max(1, len(self.questions.columns)))
+            aside[:, self.analysis.columns] = rng.normal(size=(many, len(self.analysis.columns)))
+            aside *= size / np.sqrt(max(1, len(self.analysis.columns)))
             tried = problem.find_singular(
                 self._clip_to_limits(
                     problem.move_configurations(np.repeat(centre[None], many, axis=0), aside)
@@ -339,7 +339,7 @@ class Singularities(Report, Tabular):
         led = led[np.isfinite(led).all(axis=1)]
         if s.coordinates:  # a start near another set may have been led there
             names = self.system.structure.velocity_names
-            columns = self.questions.columns
+            columns = self.analysis.columns
             own = [
                 tuple(names[i] for i in _find_deciding_columns(problem, x, columns))
                 == s.coordinates
@@ -365,7 +365,7 @@ class Singularities(Report, Tabular):
         v = shorten_turns(
             self.system.structure.layout.compute_difference(q, x), find_free_angles(self.system)
         )
-        return np.linalg.norm((v / self.questions.unit)[:, self.questions.columns], axis=1)
+        return np.linalg.norm((v / self.analysis.unit)[:, self.analysis.columns], axis=1)
 
 
 Key = tuple[tuple[str, ...], str, tuple[int, ...]]
@@ -420,25 +420,25 @@ def singularities(
     done = 0
     broken = None
     with limit_preparation_time(USUAL, clock):
-        task, questions = _make_questions(
+        task, analysis = _make_analysis(
             system, name, task, driving if loops else None, spend, limits
         )
-        problems = questions.list_problems()
+        problems = analysis.list_problems()
     found: Found = {}
     try:
         with clock:
-            while done < len(questions.starts):
+            while done < len(analysis.starts):
                 clock.check_time()
-                starts = dict.fromkeys(problems, questions.starts[done : done + AT_ONCE])
-                for key, row in _find_singular_rows(questions, problems, starts, task, limits):
+                starts = dict.fromkeys(problems, analysis.starts[done : done + AT_ONCE])
+                for key, row in _find_singular_rows(analysis, problems, starts, task, limits):
                     found.setdefault(key, []).append(row)
-                done = min(done + AT_ONCE, len(questions.starts))
+                done = min(done + AT_ONCE, len(analysis.starts))
                 if spend.progress is not None:
-                    spend.progress(done, len(questions.starts))
+                    spend.progress(done, len(analysis.starts))
             if loops and limits:
                 clock.check_time()
                 for key, row in _find_singular_rows(
-                    questions, problems, questions.find_near_singularities(problems), task, limits
+                    analysis, problems, analysis.find_near_singularities(problems), task, limits
                 ):
                     found.setdefault(key, []).append(row)
     except BROKEN_OFF as error:
@@ -454,22 +454,22 @@ def singularities(
     sets.sort(key=lambda s: (s.kinds, s.coordinates, s.name))
     starts = int(spend.starts or 0) if broken is None else done
     return Singularities(
-        system, name, task, tuple(sets), starts, limits, questions, problems, broken
+        system, name, task, tuple(sets), starts, limits, analysis, problems, broken
     )
 
 
 def _find_singular_rows(
-    questions: RankQuestions,
+    analysis: RankAnalysis,
     problems: dict[str, RankLoss],
     starts: dict[str, Array],
     task: str,
     limits: bool,
 ) -> list[tuple[Key, Row]]:
-    """Find singular configurations from starts (k, nq) of each question, with the keys of their
+    """Find singular configurations from starts (k, nq) of each problem, with the keys of their
     sets.
     """
-    system = questions.system
-    name = questions.frame
+    system = analysis.system
+    name = analysis.frame
     rows = list[tuple[Key, Row]]()
     for kind, problem in problems.items():
         q = problem.find_singular(starts[kind])
@@ -483,25 +483,25 @@ def _find_singular_rows(
             else [""] * len(q)
         )
         for at, word in zip(q, names, strict=True):
-            local = questions.describe_local_twists(at, problems)
+            local = analysis.describe_local_twists(at, problems)
             key = (
                 local.kinds,
                 word,
-                () if questions.loops else _find_deciding_columns(problem, at, questions.columns),
+                () if analysis.loops else _find_deciding_columns(problem, at, analysis.columns),
             )
             rows.append((key, (at, local)))
     return rows
 
 
-def _make_questions(
+def _make_analysis(
     system: Model,
     frame: str | None,
     task: str | None,
     driving: list[int] | None,
     spend: Budget,
     limits: bool,
-) -> tuple[str, RankQuestions]:
-    """Choose the task and make the rank questions. The task of a planar frame with loops and two
+) -> tuple[str, RankAnalysis]:
+    """Choose the task and prepare the rank analysis. The task of a planar frame with loops and two
     freedoms is its position, if it moves.
 
     Its pose has three equations, and so lacks a direction everywhere.
@@ -509,19 +509,17 @@ def _make_questions(
     loops = has_loops(system)
     starts = read_start_count(spend.starts, DRAWN)
     word = _choose_task(system, frame, task, loops)
-    questions = RankQuestions(
-        system, frame, word, driving, make_generator(spend.rng), starts, limits
-    )
-    if task is None and loops and system.dim == 2 and questions.frame_rank == 2:
+    analysis = RankAnalysis(system, frame, word, driving, make_generator(spend.rng), starts, limits)
+    if task is None and loops and system.dim == 2 and analysis.frame_rank == 2:
         try:
-            place = RankQuestions(
+            place = RankAnalysis(
                 system, frame, "position", driving, make_generator(spend.rng), starts, limits
             )
         except InputError:  # it turns about its origin
-            return word, questions
+            return word, analysis
         if place.frame_rank == 2:
             return "position", place
-    return word, questions
+    return word, analysis
 
 
 def _choose_task(system: Model, frame: str | None, task: str | None, loops: bool) -> str:

@@ -240,7 +240,7 @@ def _find_singular_curves(space: TwoFreedoms) -> Any:
         found = singularities(system, name, kind, inputs=space.names, budget=budget)
     except TimeLimitError:
         raise TimeLimitError(USUAL.verb, space.clock.limit) from None
-    if found.questions.frame_rank < 2:
+    if found.analysis.frame_rank < 2:
         raise UnsupportedError(on_curve + hint)
     # where all is singular there are no lines
     if min((s.dimension for s in found.sets), default=0) > 1:
