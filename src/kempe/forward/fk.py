@@ -9,7 +9,7 @@ from types import MethodType
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, DTypeLike
 
 from kempe import spatial
 from kempe.arguments import check_name, explain_errors, quiet
@@ -116,7 +116,7 @@ def compute_poses_in_form(
         return (back[..., None, :, :] if several else back) @ X
 
     lead = q.shape[:-1] + ((len(system.body_names if frame is None else one),) if several else ())
-    out = _prepare_typed_output(out, (*lead, *wanted.shape), kind)
+    out = _prepare_output(out, (*lead, *wanted.shape), kind)
     if q.ndim == 1:
         out[...] = wanted.of(compute_poses(q))
         return out
@@ -149,27 +149,6 @@ def compute_poses_in_form(
 
     sum_over_chunks(compute_chunk, len(flat), FORM_CHUNK, threads, FORM_SERIAL_BELOW)
     return out
-
-
-def _prepare_typed_output(out: Array | None, shape: tuple[int, ...], kind: np.dtype) -> Array:
-    """Return the array `out`, checked for shape and type, or a new array where `out` is None."""
-    if out is None:
-        return np.empty(shape, dtype=kind)
-    if (
-        isinstance(out, np.ndarray)
-        and out.shape == shape
-        and out.dtype == kind
-        and out.flags.carray
-    ):
-        return out
-    given = (
-        f"{out.dtype} array of shape {out.shape}"
-        if isinstance(out, np.ndarray)
-        else type(out).__name__
-    )
-    raise InputError(
-        f"out is a {given}; it must be a writable, C-contiguous {kind} array of shape {shape}"
-    )
 
 
 # ---- queries: one frame, looked up once
@@ -506,14 +485,16 @@ def _copy_shared_array(q: Array, out: Array | None) -> Array:
     return q.copy() if out is not None and np.may_share_memory(q, out) else q
 
 
-def _prepare_output(out: Array | None, shape: tuple[int, ...]) -> Array:
-    """Return the array `out`, checked, or a new array where `out` is None."""
+def _prepare_output(
+    out: Array | None, shape: tuple[int, ...], dtype: DTypeLike = np.float64
+) -> Array:
+    """Return the array `out`, checked for shape and type, or a new array where `out` is None."""
     if out is None:
-        return np.empty(shape)
+        return np.empty(shape, dtype)
     if not (
         isinstance(out, np.ndarray)
         and out.shape == shape
-        and out.dtype == np.float64
+        and out.dtype == dtype
         and out.flags.carray
     ):
         given = (
@@ -521,6 +502,8 @@ def _prepare_output(out: Array | None, shape: tuple[int, ...]) -> Array:
             if isinstance(out, np.ndarray)
             else type(out).__name__
         )
-        needed = f"writable, C-contiguous float64 array of shape {shape}, aligned in memory"
+        needed = (
+            f"writable, C-contiguous {np.dtype(dtype)} array of shape {shape}, aligned in memory"
+        )
         raise InputError(f"out is a {given}; it must be a {needed}")
     return out
