@@ -33,6 +33,7 @@ from kempe.model.constraint_program import (
     get_field_number,
 )
 from kempe.model.coordinates import Follower, list_coordinate_names
+from kempe.model.kernel_functions import ConfigurationRows
 from kempe.model.model import Model, keep_answers
 from kempe.spatial import Array
 from kempe.words import InWords
@@ -346,14 +347,15 @@ def _evaluate_function_row(
             if n not in known or n in made.coordinate_names
         }
         return what.evaluate_outputs({**known, **own})[..., k]
-    whole = getattr(what, "compute_row_values", None)  # a function of the whole configuration
     own = {n: compute_coordinate_value(system, q, n) for n in made.coordinate_names}
     out = np.empty(q.shape[:-1])
     if TIME in known:
         own = {TIME: np.broadcast_to(known[TIME], out.shape)} | own
     for index in np.ndindex(out.shape):
         out[index] = (
-            whole(q[index]) if whole else what({**known, **{n: x[index] for n, x in own.items()}})
+            what.compute_row_values(q[index])
+            if isinstance(what, ConfigurationRows)
+            else what({**known, **{n: x[index] for n, x in own.items()}})
         )[k]
     return out
 

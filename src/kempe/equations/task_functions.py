@@ -23,7 +23,7 @@ from kempe.forward.fk import jacobian as frame_jacobian
 from kempe.model.characteristic_length import compute_characteristic_length
 from kempe.model.configurations import make_q, read_q, sample_configurations
 from kempe.model.coordinates import Layout
-from kempe.model.kernel_functions import Callback
+from kempe.model.kernel_functions import Callback, ConfigurationRows
 from kempe.spatial import Array
 from kempe.words import format_count
 
@@ -350,7 +350,7 @@ def _move_poses(poses: Array, twists: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class OfSystem(Constraint):
+class HeldFunction(Constraint, ConfigurationRows):
     """A function of configurations as a constraint that a system holds for one call."""
 
     whole: Whole
@@ -467,7 +467,7 @@ def bind_constraint(system: Model, made: Constraint) -> Constraint:
     if not any(r.op is Op.CALL and len(r.args) == 1 for r in rows):
         return made
     whole = Whole(system, made)
-    return OfSystem(whole, whole.low, whole.high)
+    return HeldFunction(whole, whole.low, whole.high)
 
 
 def add_held_constraints(system: SystemType, further: Any) -> SystemType:

@@ -56,9 +56,9 @@ WRITTEN = (Op.TAPE, Op.CALL, Op.COORDINATE)
 """Operations that read coordinates, or expressions and functions of them."""
 FAR = 1e6
 """Where a bound is put that only some targets have, in metres."""
-Poses = Callable[[Any], Array]
-"""Poses (..., 4, 4) of a frame by name; of a list of names, or of all bodies for None, (..., n, 4,
-4)."""
+PoseFunction = Callable[[Any], Array]
+"""Function that gives the pose (..., 4, 4) of a frame by its name. A list of names, or None for all
+bodies, gives (..., n, 4, 4)."""
 
 
 class Goal(NamedTuple):
@@ -292,7 +292,7 @@ class Task:
         return read_numbers(get_input_number(self.of, name), f"{name} of {self.label}")[..., None]
 
     def measure_error(
-        self, q: Array, goal: Goal | None = None, poses: Poses | None = None
+        self, q: Array, goal: Goal | None = None, poses: PoseFunction | None = None
     ) -> tuple[Array, Array]:
         """Measure the task's errors (...) at q (..., nq), in metres and radians.
 
@@ -314,7 +314,7 @@ class Task:
         with np.errstate(invalid="ignore", over="ignore"):  # of goals that are not finite
             return measure_rows(self.system, self.of, self.rows, q, A, B, numbers)
 
-    def _compute_centre_pose(self, poses: Poses) -> Array:
+    def _compute_centre_pose(self, poses: PoseFunction) -> Array:
         """Compute the pose (..., 4, 4) at the centre of masses, in axes of the ground."""
         names, moments = _compute_moments(self.system, self._shares)
         return spatial.pose(p=np.einsum("...kij,kj->...i", poses(names)[..., :3, :], moments))

@@ -26,7 +26,7 @@ from kempe.kernels.constraints import loop_layout as L
 from kempe.kernels.constraints import tape_layout as TL
 from kempe.model.configurations import refuse_unreadable
 from kempe.model.coordinates import Relation
-from kempe.model.kernel_functions import Callback
+from kempe.model.kernel_functions import Callback, ConfigurationRows
 from kempe.model.primitive_table import Table
 
 if TYPE_CHECKING:
@@ -452,10 +452,9 @@ def _make_function_ties(name: str, side: Side, system: Model, a: End, b: End) ->
     for what in dict.fromkeys(r.args[0] for r in calls):
         alike = [r for r in calls if r.args[0] == what]
         which = [r.args[1] for r in alike]
-        bound = getattr(what, "make_callback", None)  # a function of the whole configuration
         call = (
-            bound(which)
-            if bound
+            what.make_callback(which)
+            if isinstance(what, ConfigurationRows)
             else Callback.from_call(system, what, which, collect_numbers(side.made))
         )
         out.append(Tie(name, a, b, turns=L.FUNCTION, bounds=side.list_bounds(alike), function=call))

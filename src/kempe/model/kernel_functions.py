@@ -87,6 +87,18 @@ def _keep_interrupt(lost: sys.UnraisableHookArgs) -> None:
         _others[:] = [other]
 
 
+class ConfigurationRows:
+    """Base of constraints whose rows are one function of a whole configuration of one system."""
+
+    def make_callback(self, rows: Sequence[int]) -> Callback:
+        """Make a callback for kernels that gives some of the rows."""
+        raise NotImplementedError
+
+    def compute_row_values(self, q: Array) -> Array:
+        """Compute the values (m,) of the rows at q (nq,)."""
+        raise NotImplementedError
+
+
 class Callback:
     """A function of q (nq,) that gives values (rows,) and derivatives (rows, n) to kernels.
 
